@@ -1,0 +1,218 @@
+//! The configuration of a controller: everything that makes it this machine and not another.
+//!
+//! The host makes it from a machine file, sends it in pieces, and the controller checks it (`Config::check`) before it becomes active at a
+//! period boundary. All values are integers in the scales stated here, so a configuration has one encoding (postcard) and one CRC-32.
+
+use crate::units::{Acceleration, Coordinate, Effort, Length, Rate};
+use haptimill_protocol::message::MAX_AXES;
+use heapless::{String, Vec};
+use serde::{Deserialize, Serialize};
+
+/// Everything that makes a controller this machine.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Config {
+    /// Name of the machine.
+    pub name: String<24>,
+    /// Control period in microseconds, 50 to 1000.
+    pub period_us: u16,
+    /// The geometry.
+    pub model: Model,
+    /// The pose coordinates, in the model's order.
+    pub pose: Vec<PoseAxis, MAX_AXES>,
+    /// The joints, in the model's order.
+    pub joints: Vec<JointAxis, MAX_AXES>,
+    /// Stops and their bounds.
+    pub stopping: Stopping,
+    /// Limits of supervision.
+    pub supervision: Supervision,
+    /// How the reference is found.
+    pub homing: Homing,
+}
+
+/// Which geometry, and its lengths.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Model {
+    /// The hybrid H-4 arm with its rotary table.
+    H4(H4Geometry),
+}
+
+/// Lengths of the H-4 arm (spec h4-milling.md 2.5-2.6), 2^-20 mm.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct H4Geometry {
+    /// E = a - b - e: the lateral distance between rail joint and platform joint at y = 0.
+    pub lateral: Length,
+    /// c: half the distance of the two platform joints along the tool axis.
+    pub half_spacing: Length,
+    /// d: half the height difference of the rail pairs.
+    pub half_height: Length,
+    /// w: x offset of the slide's joint.
+    pub joint_offset: Length,
+    /// R: length of the rods.
+    pub rod: Length,
+    /// g_e: z offset of the rails.
+    pub rail_offset: Length,
+    /// T_L: tool length from the lower platform joint to the tip.
+    pub tool: Length,
+    /// p + x_Ow^O1: from x_w to x of the slave base.
+    pub x_offset: Length,
+    /// y_Ow^O1.
+    pub y_offset: Length,
+    /// z_O1^O2.
+    pub z_offset: Length,
+    /// h: height of the table axis below the slave's origin.
+    pub table_height: Length,
+    /// The platform hangs below the rails (the minus root of (3.19)) or stands above.
+    pub below: bool,
+    /// Least distance from the parallel singularity that is accepted (5 mm).
+    pub singularity_margin: Length,
+}
+
+/// Linear or rotary.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum AxisKind {
+    /// Axis units are 2^-20 mm.
+    Linear,
+    /// Axis units are 2^-32 turn.
+    Rotary,
+}
+
+/// A pose coordinate: its soft limits and what a jog may ask of it.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PoseAxis {
+    /// Linear or rotary.
+    pub kind: AxisKind,
+    /// Lower soft limit.
+    pub low: Coordinate,
+    /// Upper soft limit.
+    pub high: Coordinate,
+    /// Largest rate of a jog.
+    pub rate: Rate,
+    /// Largest acceleration of a jog.
+    pub acceleration: Acceleration,
+    /// Largest jerk of a jog, in the scale of [`JERK_SHIFT`].
+    pub jerk: u32,
+}
+
+/// A jerk is in axis units per second cubed divided by 2^16: 2^-4 mm/s^3, or 2^-16 turn/s^3.
+pub const JERK_SHIFT: u32 = 16;
+
+/// A joint: its screw, encoder, drive, loop and limits.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct JointAxis {
+    /// Linear or rotary.
+    pub kind: AxisKind,
+    /// Lower end of the stroke.
+    pub low: Coordinate,
+    /// Upper end of the stroke.
+    pub high: Coordinate,
+    /// Largest rate.
+    pub rate: Rate,
+    /// Axis units per encoder count, times 2^24; negative when the encoder counts backwards.
+    pub per_count: i64,
+    /// Whole width of the backlash of the screw; the encoder sits on the motor side. 0 switches compensation off.
+    pub backlash: Coordinate,
+    /// What drives it.
+    pub drive: Drive,
+    /// Its position loop.
+    pub law: Law,
+    /// Largest following error at standstill.
+    pub following: Coordinate,
+    /// The limit grows with the wanted rate: this many 2^-16 seconds of travel are added.
+    pub following_lag: u32,
+    /// Motion of this much wanted with the encoder still is an encoder fault.
+    pub still: Coordinate,
+    /// Coordinate at the home preset (the distance that the operator sets up before power on).
+    pub preset: Coordinate,
+    /// Coordinate of the index pulse nearest the preset.
+    pub index: Coordinate,
+    /// How far a found index may be from where the preset says, and how far is searched to either side.
+    pub search: Coordinate,
+}
+
+/// What drives a joint.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Drive {
+    /// A current-mode amplifier behind a 14-bit DAC.
+    Torque {
+        /// Effort at code 8192; negative when the amplifier is wired the other way round.
+        full_scale: Effort,
+        /// Largest effort that may be commanded.
+        limit: Effort,
+    },
+    /// A step/direction drive.
+    Steps {
+        /// Axis units per step, times 2^24; negative when a positive step goes down.
+        per_step: i64,
+        /// Ticks of the step clock per microsecond, 1 to 1000.
+        ticks_per_us: u16,
+        /// Least width of a pulse, and least time between two, in ticks.
+        pulse: u16,
+        /// Direction level before the first pulse, in ticks.
+        setup: u16,
+        /// Direction level after the last pulse, in ticks.
+        hold: u16,
+        /// Disagreement of steps and encoder that means lost steps.
+        lost: Coordinate,
+    },
+}
+
+/// The position loop of a joint (spec 3.1, 3.2).
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Law {
+    /// Which form.
+    pub form: LawForm,
+    /// K_P in 1/s^2, times 2^8.
+    pub kp: u32,
+    /// K_D in 1/s, times 2^8.
+    pub kd: u32,
+    /// Time constant of the first-order filter on the rate of the error, in microseconds; 0 is none.
+    pub rate_filter_us: u16,
+    /// Inertia: effort units per acceleration unit, times 2^20 (1 kg on a linear axis: 0.016 * 2^20).
+    pub inertia: u32,
+    /// Viscous friction: effort units per rate unit, times 2^24.
+    pub viscous: u32,
+    /// Coulomb friction that is compensated.
+    pub coulomb: Effort,
+    /// Rate at which the compensation has reached tanh(1) of its full value.
+    pub coulomb_rate: Rate,
+    /// K_I in 1/s^3, times 2^8: an integrator with conditional anti-windup; 0 is none (the thesis has none).
+    pub ki: u32,
+}
+
+/// The two forms of the position loop.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum LawForm {
+    /// (3.29) with the corrected sign: inertia * (K_P e + K_D e') + friction compensation.
+    Pd,
+    /// (3.35)-(3.37): inertia * (l_e'' + K_D e' + K_P e) + viscous l_e' + friction compensation.
+    ModelBased,
+}
+
+/// How the machine slows down along its path.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Stopping {
+    /// Time from the programmed speed to rest, in milliseconds, 5 to 2000; sets the greatest change of the path rate.
+    pub time_ms: u16,
+    /// Part of that time in which the braking builds up (and dies away), in milliseconds; sets the jerk.
+    pub ramp_ms: u16,
+}
+
+/// Limits of supervision.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Supervision {
+    /// Silence of the host that ends a job or a jog, in milliseconds.
+    pub heartbeat_ms: u16,
+    /// Control periods missed in a row that are a fault.
+    pub missed_periods: u16,
+    /// Illegal encoder transitions since enable that are a fault.
+    pub illegal_transitions: u16,
+}
+
+/// How the reference is found (spec 7.1 item 8 and the preset).
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Homing {
+    /// Rate of the search, for each pose coordinate the machine's model moves while searching.
+    pub rate: Rate,
+    /// Acceleration of the search.
+    pub acceleration: Acceleration,
+}

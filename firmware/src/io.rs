@@ -1,0 +1,108 @@
+//! What a board fills in before a control period, and what it carries out after it.
+//!
+//! Inputs are latched at the start of a period; outputs take effect at the start of the next, on every board and in the
+//! simulator alike. Nothing here is in engineering units: counts, codes and ticks only. The configuration gives them meaning.
+
+use haptimill_protocol::message::MAX_AXES;
+use heapless::Vec;
+
+/// The most bytes that are heard in a period; the rest waits in the board's ring and is counted.
+pub const RECEIVE_BYTES: usize = 64;
+
+/// The most bytes that are said in a period.
+pub const TRANSMIT_BYTES: usize = 64;
+
+/// What one joint's hardware says, latched at the start of the period.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct AxisInputs {
+    /// Quadrature x4 counter, free running, wraps around.
+    pub counts: i32,
+    /// Time of the last counted edge, nanoseconds of a free running clock that wraps around (see [`Inputs::time_ns`]).
+    pub edge_time_ns: u32,
+    /// Illegal transitions (both channels at once), free running, wraps around.
+    pub illegal: u16,
+    /// Counter at the last index pulse.
+    pub index_counts: i32,
+    /// Index pulses seen, free running, wraps around; a change says that `index_counts` is new.
+    pub index_pulses: u8,
+    /// Steps really emitted, signed, free running, wraps around.
+    pub steps: i32,
+    /// Home switch is active.
+    pub home: bool,
+    /// Limit switch at the lower end is active.
+    pub limit_low: bool,
+    /// Limit switch at the upper end is active.
+    pub limit_high: bool,
+    /// The drive reports that it is well.
+    pub drive_ready: bool,
+}
+
+/// All that is sensed, latched at the start of the period.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Inputs {
+    /// Number of this period; grows by 1 and by the missed ones.
+    pub period: u64,
+    /// Periods that were missed just before this one.
+    pub missed: u16,
+    /// The board's free running clock at the latch, nanoseconds, wraps around.
+    pub time_ns: u32,
+    /// The joints.
+    pub axes: [AxisInputs; MAX_AXES],
+    /// Emergency stop circuit is open.
+    pub emergency_stop: bool,
+    /// Bytes from the host, oldest first.
+    pub received: Vec<u8, RECEIVE_BYTES>,
+    /// Bytes that wait in the board's ring for a later period.
+    pub waiting: u16,
+    /// Bytes that the board lost for want of room, free running, wraps around.
+    pub lost_bytes: u16,
+    /// The receive interrupt saw the urgent stop since the last period.
+    pub urgent: bool,
+}
+
+/// Pulses of one period on a step/dir drive, in ticks of the step clock.
+///
+/// Step `k` (from 0) leaves at `delay + k * interval + ramp * k * (k - 1) / 2` ticks after the start of the period. All steps of a
+/// segment have one direction. The direction line takes its level at the start of the period.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct StepSegment {
+    /// Steps; the sign is the direction.
+    pub count: i16,
+    /// Ticks from the start of the period to the first step.
+    pub delay: u32,
+    /// Ticks from the first to the second step.
+    pub interval: u32,
+    /// Ticks that each further interval is longer.
+    pub ramp: i32,
+}
+
+/// What one joint's drive shall do.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum DriveCommand {
+    /// Drive disabled.
+    #[default]
+    Off,
+    /// Torque command: code of a 14-bit DAC, -8192 to 8191.
+    Torque(i16),
+    /// Step pulses.
+    Steps(StepSegment),
+}
+
+/// All that is to be done, effective at the start of the next period.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Outputs {
+    /// The joints; [`DriveCommand::Off`] disables the drive.
+    pub axes: [DriveCommand; MAX_AXES],
+    /// Spindle speed in rev/min; 0 is off.
+    pub spindle_rpm: u16,
+    /// Bytes to the host.
+    pub transmit: Vec<u8, TRANSMIT_BYTES>,
+}
+
+impl Outputs {
+    /// The safe state: drives and spindle off. Bytes to the host still go out.
+    pub fn make_safe(&mut self) {
+        self.axes = [DriveCommand::Off; MAX_AXES];
+        self.spindle_rpm = 0;
+    }
+}

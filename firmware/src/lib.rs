@@ -1,0 +1,11 @@
+//! The Haptimill controller.
+//!
+//! One idea carries it: **the controller is a function.** Every control period it takes what was sensed ([`io::Inputs`]) and says
+//! what is to be done ([`io::Outputs`]). It owns no pin, no clock, no allocator and no interrupt. All of it is integer or
+//! fixed-point arithmetic, so the same inputs give the same bits on every target.
+#![no_std]
+
+pub mod config;
+pub mod io;
+pub mod kinematics;
+pub mod units;

@@ -1,0 +1,2 @@
+//! The `haptimill` command.
+fn main() {}

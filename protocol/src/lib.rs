@@ -1,0 +1,13 @@
+//! What Haptimill says on the wire.
+//!
+//! Three layers, each usable alone and none of them touching a port or a clock:
+//!
+//! * [`message`]: the commands and reports, as plain types (postcard payloads).
+//! * [`setpoint`]: the compact coding of timed setpoints.
+//! * [`frame`]: COBS framing with a CRC-32 around every payload.
+//! * [`link`]: sequence numbers, acknowledgement, retransmission, window, session.
+//! * [`urgent`]: the stop that is recognised byte by byte, before framing.
+#![no_std]
+
+pub mod message;
+pub mod setpoint;

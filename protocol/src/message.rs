@@ -1,0 +1,580 @@
+//! The messages: what host and controller say to each other.
+//!
+//! Coordinates on the wire are `i32` in *axis units*: 2^-20 mm for a linear axis, 2^-32 turn for a rotary one. Rates are
+//! axis units per second divided by 2^[`RATE_SHIFT`]. Times are counts of the controller's own periods.
+//!
+//! Misuse: a message says nothing of its own integrity. Only bytes that came through [`crate::link`] may be decoded here.
+
+use heapless::{String, Vec};
+use postcard_schema::Schema;
+use serde::{Deserialize, Serialize};
+
+/// The most axes (pose coordinates, or joints) a machine can have.
+pub const MAX_AXES: usize = 6;
+
+/// Version of this protocol; both ends must have the same.
+pub const PROTOCOL_VERSION: u16 = 1;
+
+/// A rate on the wire is in axis units per second divided by 2^8: 2^-12 mm/s, or 2^-24 turn/s.
+pub const RATE_SHIFT: u32 = 8;
+
+/// The most bytes of configuration in one [`Command::Configure`].
+pub const CONFIG_CHUNK: usize = 64;
+
+/// The most setpoints in one [`Command::Setpoints`].
+pub const SETPOINT_BATCH: usize = 4;
+
+/// One value for each axis of the machine, in axis units.
+pub type AxisValues = Vec<i32, MAX_AXES>;
+
+/// First words of a session, host to controller.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Hello {
+    /// The host's [`PROTOCOL_VERSION`].
+    pub version: u16,
+    /// The host's [`schema_hash`].
+    pub schema: u64,
+    /// Chosen by the host, different for each session; frames of another session are not heard.
+    pub session: u32,
+}
+
+/// The controller's answer to [`Hello`].
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Welcome {
+    /// The controller's [`PROTOCOL_VERSION`].
+    pub version: u16,
+    /// The controller's [`schema_hash`].
+    pub schema: u64,
+    /// The session that is answered.
+    pub session: u32,
+    /// Why the session is refused, if it is.
+    pub refused: Option<HelloRefusal>,
+    /// Name of the machine in the active configuration; empty when there is none.
+    pub machine: String<24>,
+    /// CRC-32 of the active configuration as sent by [`Command::Configure`]; 0 when there is none.
+    pub config_crc: u32,
+    /// Length of the control period in microseconds.
+    pub period_us: u16,
+    /// Pose coordinates of the machine; 0 when not configured.
+    pub axes: u8,
+    /// Setpoints that the queue holds.
+    pub queue: u16,
+}
+
+/// Why a session is refused.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum HelloRefusal {
+    /// Another session is alive and the machine moves or may move.
+    Busy,
+    /// Versions differ.
+    Version,
+    /// Versions agree and the message schemas do not.
+    Schema,
+}
+
+/// What the host asks, with a number that the answer repeats.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Request {
+    /// Repeated in [`Report::Answer`]; 0 asks for no answer unless the command is refused.
+    pub id: u8,
+    /// What is asked.
+    pub command: Command,
+}
+
+/// What the host can ask.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Command {
+    /// Setpoints of the running job, coded by [`crate::setpoint`].
+    Setpoints(SetpointBatch),
+    /// Nothing but a sign of life.
+    Ping,
+    /// A piece of a new configuration; staged only.
+    Configure(ConfigChunk),
+    /// Check the staged configuration and make it the active one (Disabled or Idle only).
+    Activate {
+        /// Length of the whole configuration in bytes.
+        length: u16,
+        /// CRC-32 (ISO-HDLC) of the whole configuration.
+        crc: u32,
+    },
+    /// Drives on: wanted becomes measured, nothing moves.
+    Enable,
+    /// Drives off, from standstill.
+    Disable,
+    /// Find the reference of all axes, as one transaction.
+    Home,
+    /// Clear a latched fault or emergency stop.
+    Reset,
+    /// Begin a job at the pose at which the machine stands.
+    JobStart {
+        /// The host's number of the job; repeated in reports.
+        job: u32,
+        /// Start pose; must equal the wanted pose of the controller (see [`Telemetry::wanted`]) to the last bit.
+        pose: AxisValues,
+    },
+    /// No more setpoints: the job ends with the one before `count`.
+    JobEnd {
+        /// How many setpoints the job has.
+        count: u32,
+    },
+    /// Slow down along the path and wait; position kept.
+    Hold,
+    /// Go on after [`Command::Hold`], a pause or an underrun stop.
+    Resume,
+    /// Slow down along the path, then drop the job; position kept.
+    Stop,
+    /// Drives off now, brakes on; latched.
+    EmergencyStop,
+    /// Move at a rate until the deadline; each new one replaces the one before.
+    Jog {
+        /// Only the newest epoch is heard; [`Command::JogCancel`] ends an epoch for good.
+        epoch: u16,
+        /// Dead-man: the machine stops this long after the command was heard, 1 to 1000 ms.
+        deadline_ms: u16,
+        /// Rate of each pose coordinate (see [`RATE_SHIFT`]).
+        rates: AxisValues,
+    },
+    /// Stop jogging; every [`Command::Jog`] of this epoch or an older one is dropped, whenever it arrives.
+    JogCancel {
+        /// The epoch that ends.
+        epoch: u16,
+    },
+    /// Where one pose coordinate takes its wanted value from.
+    Source {
+        /// Index of the pose coordinate.
+        axis: u8,
+        /// The new source.
+        source: Source,
+    },
+    /// Speed along the path in percent of the programmed one, 1 to 100.
+    Override {
+        /// Percent.
+        percent: u8,
+    },
+    /// Telemetry every so many periods; 0 switches it off.
+    Telemetry {
+        /// Periods between two frames.
+        every: u16,
+    },
+    /// One telemetry frame now.
+    Status,
+}
+
+/// A piece of the configuration.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct ConfigChunk {
+    /// Where in the configuration it belongs.
+    pub offset: u16,
+    /// The bytes.
+    pub bytes: Vec<u8, CONFIG_CHUNK>,
+}
+
+/// Consecutive setpoints of a job.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct SetpointBatch {
+    /// Number of the first one; the first of a job is 0.
+    pub first: u32,
+    /// The setpoints, each relative to the one before.
+    pub items: Vec<SetpointDelta, SETPOINT_BATCH>,
+}
+
+/// A setpoint relative to what the one before predicts; see [`crate::setpoint`].
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct SetpointDelta {
+    /// Periods since the setpoint before; at least 1.
+    pub periods: u16,
+    /// For each axis: coordinate and rate, less their prediction.
+    pub residuals: Vec<(i32, i32), MAX_AXES>,
+    /// What happens when the setpoint is reached.
+    pub action: Action,
+}
+
+/// What happens when a setpoint is reached, in the same period.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Action {
+    /// Nothing.
+    #[default]
+    None,
+    /// Spindle to this speed in rev/min, 0 for off (M3, M5).
+    Spindle(u16),
+    /// Wait for [`Command::Resume`] (M0, M1); the setpoint must have rate zero.
+    Pause,
+}
+
+/// Where a pose coordinate takes its wanted value from.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Source {
+    /// The queue of setpoints.
+    #[default]
+    Program,
+    /// Jog commands.
+    Jog,
+    /// It stays where it is.
+    Hold,
+}
+
+/// State of the controller.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum State {
+    /// Drives off.
+    #[default]
+    Disabled,
+    /// Drives on, nothing to do.
+    Idle,
+    /// Looking for the references.
+    Homing,
+    /// A job runs (also while it waits for late setpoints).
+    Run,
+    /// A jog moves the machine, or brakes it.
+    Jog,
+    /// A job waits, or slows down to wait.
+    Hold,
+    /// A fault is latched; drives off or holding, see [`Fault`].
+    Fault,
+    /// Emergency stop is latched; drives off.
+    EmergencyStop,
+}
+
+/// What the controller says.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Report {
+    /// The answer to a request.
+    Answer {
+        /// The request's number.
+        id: u8,
+        /// Done (or begun), or why not.
+        result: Result<(), Refusal>,
+    },
+    /// Something happened.
+    Event {
+        /// The control period in which it happened.
+        period: u64,
+        /// What.
+        event: Event,
+    },
+    /// How things stand.
+    Telemetry(Telemetry),
+}
+
+/// How things stand at the end of a period.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Telemetry {
+    /// The control period.
+    pub period: u64,
+    /// State of the controller.
+    pub state: State,
+    /// All axes have their reference.
+    pub homed: bool,
+    /// The position is known to be right since homing.
+    pub position_kept: bool,
+    /// Setpoints with a number below this can be taken; absolute, so what is in flight cannot be counted twice.
+    pub credit: u32,
+    /// The setpoint that the motion is heading for.
+    pub setpoint: u32,
+    /// Speed along the path, 65535 for the programmed one.
+    pub path_rate: u16,
+    /// Wanted pose, axis units.
+    pub wanted: AxisValues,
+    /// Measured pose, axis units; empty while the forward kinematics has no certified answer.
+    pub measured: AxisValues,
+    /// Measured joints (slides, table), axis units.
+    pub joints: AxisValues,
+    /// Following error of each joint, axis units.
+    pub following_error: AxisValues,
+    /// Drive command of each joint: DAC code, or steps emitted since enable.
+    pub drive: AxisValues,
+    /// The latched fault.
+    pub fault: Option<Fault>,
+    /// Received bytes that had to wait because a period hears 64, in all.
+    pub deferred_bytes: u32,
+    /// Frames refused by their check, in all.
+    pub bad_frames: u32,
+}
+
+/// Something that happened.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Event {
+    /// The state changed.
+    State {
+        /// From.
+        from: State,
+        /// To.
+        to: State,
+        /// Whether the position is kept.
+        position_kept: bool,
+    },
+    /// The job reached its last setpoint, at rest.
+    JobDone {
+        /// The host's number of the job.
+        job: u32,
+        /// Setpoints that were reached.
+        setpoints: u32,
+    },
+    /// The job was dropped by a stop or a fault.
+    JobDropped {
+        /// The host's number of the job.
+        job: u32,
+        /// Setpoints that were reached.
+        setpoints: u32,
+    },
+    /// The queue ran short and the machine slowed down along its path.
+    Underrun {
+        /// The setpoint that was late.
+        setpoint: u32,
+        /// By how many periods it came too late to keep the speed.
+        late_periods: u32,
+    },
+    /// A pause in the program was reached; [`Command::Resume`] goes on.
+    Paused {
+        /// The setpoint that carried the pause.
+        setpoint: u32,
+    },
+    /// All axes have their reference.
+    Homed,
+    /// A fault was latched.
+    Fault(Fault),
+    /// A jog reached a soft limit and was clipped.
+    JogLimited {
+        /// The pose coordinate.
+        axis: u8,
+    },
+    /// A drive was asked for more than it can give; counted, clipped.
+    Saturated {
+        /// The joint.
+        axis: u8,
+    },
+}
+
+/// Why a pose cannot be taken. Never a number instead.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum PoseError {
+    /// No position of the joints gives this pose.
+    Unreachable,
+    /// A joint would leave its stroke.
+    OutOfStroke {
+        /// The joint, from 0.
+        axis: u8,
+        /// How far beyond the nearer end, axis units; negative below the lower end.
+        by: i32,
+    },
+    /// Too near the parallel singularity (H-4 arm: E Z = y D).
+    NearSingularity {
+        /// Distance that is left, 2^-20 mm; negative on the wrong side.
+        distance: i32,
+    },
+    /// Too near the reach limit of a rod pair (H-4 arm: S < 0.1 R).
+    NearReachLimit {
+        /// The rod pair: 0 for rods 1, 2; 1 for rods 3, 4.
+        pair: u8,
+    },
+    /// The tilt is outside +-90 degrees.
+    Tilt,
+}
+
+/// Why a command is refused. A refused command changes nothing.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Refusal {
+    /// Not in this state.
+    State(State),
+    /// No configuration is active.
+    NotConfigured,
+    /// The machine must be homed first.
+    NotHomed,
+    /// A value is out of its range.
+    Range,
+    /// The number of values is not the number of axes.
+    AxisCount,
+    /// Setpoints must come in order; this one was expected.
+    OutOfOrder {
+        /// Number of the setpoint that was expected.
+        expected: u32,
+    },
+    /// The queue is full; the credit was not respected.
+    QueueFull,
+    /// A setpoint that is refused by the kinematics.
+    Pose {
+        /// Its number in the job.
+        setpoint: u32,
+        /// Why.
+        error: PoseError,
+    },
+    /// A setpoint beyond a soft limit.
+    SoftLimit {
+        /// Its number in the job.
+        setpoint: u32,
+        /// The pose coordinate.
+        axis: u8,
+    },
+    /// A setpoint whose coding does not fit: period 0, overflow of a coordinate or rate.
+    Setpoint {
+        /// Its number in the job.
+        setpoint: u32,
+    },
+    /// The job must start where the machine stands.
+    StartPose {
+        /// The first pose coordinate that differs.
+        axis: u8,
+    },
+    /// The jog's epoch was cancelled, or a newer one is active.
+    OldEpoch,
+    /// The staged configuration is not whole or its check differs.
+    ConfigCheck,
+    /// The staged configuration cannot be read or makes no sense.
+    Config(ConfigProblem),
+    /// The emergency stop input, a limit switch or a drive fault is active.
+    Input,
+}
+
+/// What is wrong in a configuration.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct ConfigProblem {
+    /// The field.
+    pub field: ConfigField,
+    /// The axis it belongs to, if any.
+    pub axis: Option<u8>,
+}
+
+/// A part of the configuration that can be wrong.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[allow(
+    missing_docs,
+    reason = "each is the name of a field of the configuration"
+)]
+pub enum ConfigField {
+    Encoding,
+    Period,
+    AxisCount,
+    Geometry,
+    Stroke,
+    SoftLimit,
+    Rate,
+    Acceleration,
+    Jerk,
+    Encoder,
+    Drive,
+    Gain,
+    Filter,
+    Following,
+    Backlash,
+    Homing,
+    Heartbeat,
+    StopTime,
+}
+
+/// Why the controller stopped by itself; latched until reset.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Fault {
+    /// A joint is too far from where it should be.
+    FollowingError {
+        /// The joint.
+        axis: u8,
+        /// The error, axis units.
+        error: i32,
+        /// The limit at that speed, axis units.
+        limit: i32,
+    },
+    /// A pose coordinate left its soft limits.
+    SoftLimit {
+        /// The pose coordinate.
+        axis: u8,
+    },
+    /// The measured joints or the wanted pose left what the machine can do.
+    Pose(PoseError),
+    /// A hardware limit switch.
+    LimitSwitch {
+        /// The joint.
+        axis: u8,
+    },
+    /// The drive of a joint reports a fault.
+    Drive {
+        /// The joint.
+        axis: u8,
+    },
+    /// Illegal transitions of an encoder.
+    EncoderIllegal {
+        /// The joint.
+        axis: u8,
+        /// How many, since enable.
+        count: u16,
+    },
+    /// Motion was commanded and the encoder saw none.
+    EncoderStill {
+        /// The joint.
+        axis: u8,
+    },
+    /// Motion was commanded and the encoder saw it the other way round.
+    EncoderReversed {
+        /// The joint.
+        axis: u8,
+    },
+    /// Steps emitted and encoder disagree.
+    StepsLost {
+        /// The joint.
+        axis: u8,
+        /// Steps less encoder, axis units.
+        by: i32,
+    },
+    /// Nothing was heard from the host for too long; the machine slowed down along its path first.
+    LostHost {
+        /// Silence in milliseconds.
+        silent_ms: u32,
+    },
+    /// The active configuration no longer fits its check.
+    Configuration,
+    /// Control periods were missed.
+    LatePeriod {
+        /// How many in a row.
+        missed: u16,
+    },
+    /// Homing failed; all axes were stopped.
+    Homing {
+        /// The joint.
+        axis: u8,
+        /// How.
+        problem: HomingProblem,
+    },
+    /// Received bytes were lost before they could be heard.
+    ReceiveOverrun,
+    /// An arithmetic limit was reached inside the controller: a defect, reported rather than hidden.
+    Internal {
+        /// Source line, to report.
+        line: u16,
+    },
+}
+
+/// What went wrong while homing.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum HomingProblem {
+    /// No index pulse within the search distance.
+    NoIndex,
+    /// No change of the home switch within the search distance.
+    NoSwitch,
+    /// The axis did not follow.
+    Stalled,
+    /// The reference that was found is too far from the preset.
+    Implausible,
+    /// The pose would leave the workspace.
+    Workspace,
+    /// Stopped by a command or by another fault.
+    Stopped,
+}

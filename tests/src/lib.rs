@@ -1,0 +1,1 @@
+//! Whole-system tests of Haptimill live in `tests/tests`; this library holds what they share.
