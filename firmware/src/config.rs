@@ -85,7 +85,7 @@ pub struct PoseAxis {
     pub low: Coordinate,
     /// Upper soft limit.
     pub high: Coordinate,
-    /// Largest rate of a jog.
+    /// Largest rate, of a program or a jog.
     pub rate: Rate,
     /// Largest acceleration of a jog.
     pub acceleration: Acceleration,
@@ -125,7 +125,9 @@ pub struct JointAxis {
     pub preset: Coordinate,
     /// Coordinate of the index pulse nearest the preset.
     pub index: Coordinate,
-    /// How far a found index may be from where the preset says, and how far is searched to either side.
+    /// Distance from one index pulse to the next (one turn of the motor).
+    pub index_pitch: Coordinate,
+    /// How far a found index may be from where the preset says; less than half the pitch.
     pub search: Coordinate,
 }
 

@@ -8,4 +8,5 @@
 pub mod config;
 pub mod io;
 pub mod kinematics;
+pub mod motion;
 pub mod units;

@@ -1,0 +1,188 @@
+//! Motion at a rate: jogging, and the search of homing.
+//!
+//! Every pose coordinate has a [`Ramp`] for its rate, so acceleration and jerk are bounded whatever the targets do. A jog lives until its
+//! deadline; then it brakes. Before a soft limit it brakes so that it stops in front of it, and before a pose that the machine cannot take all
+//! coordinates brake together: the stopping point is tested every period, so the machine never has to stop harder than its limits allow.
+
+use super::Wanted;
+use super::ramp::{Ramp, RampLimits};
+use crate::config::{Config, JERK_SHIFT};
+use crate::kinematics::{Kinematics, Pose};
+use crate::units::{Acceleration, Coordinate, Rate};
+use haptimill_protocol::message::MAX_AXES;
+
+/// Fraction bits of positions and rates here: 2^-24 axis units (per period).
+const FRACTION: u32 = 24;
+
+#[derive(Debug, Clone, Copy, Default)]
+struct Axis {
+    /// Position, 2^-24 axis units.
+    position: i64,
+    /// Rate, 2^-24 axis units per period.
+    rate: Ramp,
+    target: i64,
+    limits: Option<RampLimits>,
+    rate_limit: i64,
+    low: i64,
+    high: i64,
+}
+
+/// Motion of all pose coordinates at wanted rates.
+#[derive(Debug, Default)]
+pub struct Jog {
+    axes: usize,
+    period_us: u16,
+    axis: [Axis; MAX_AXES],
+    /// Periods that the present targets still live.
+    alive: u32,
+    /// Soft limits are respected (not while homing: coordinates are not yet right).
+    limited: bool,
+}
+
+/// Bounds of a rate in 2^-24 axis units per period, from the limits of a pose coordinate; `None` if they make no sense.
+#[must_use]
+pub fn rate_limits(acceleration: Acceleration, jerk: u32, period_us: u16) -> Option<RampLimits> {
+    // Once per configuration: wide arithmetic costs nothing here. (au/s^2) (us)^2 / 10^12, (au/s^3) (us)^3 / 10^18.
+    let period = i128::from(period_us);
+    let slope =
+        ((i128::from(acceleration.0) * period * period) << (8 + FRACTION)) / 1_000_000_000_000;
+    let jerk = ((i128::from(jerk) * period * period * period) << (JERK_SHIFT + FRACTION))
+        / 1_000_000_000_000_000_000;
+    let slope = i64::try_from(slope).ok()?;
+    RampLimits::new(slope, i64::try_from(jerk).ok()?.min(slope))
+}
+
+impl Jog {
+    /// At rest, for the machine of `config`.
+    #[must_use]
+    pub fn new(config: &Config) -> Self {
+        let mut jog = Self {
+            axes: config.pose.len(),
+            period_us: config.period_us,
+            ..Self::default()
+        };
+        for (axis, pose) in jog.axis.iter_mut().zip(&config.pose) {
+            axis.limits = rate_limits(pose.acceleration, pose.jerk, config.period_us);
+            axis.rate_limit = per_period(i64::from(pose.rate.0), config.period_us);
+            axis.low = i64::from(pose.low.0) << FRACTION;
+            axis.high = i64::from(pose.high.0) << FRACTION;
+        }
+        jog
+    }
+
+    /// Begins at rest at `pose`; `limited` says whether soft limits count.
+    pub fn begin(&mut self, pose: &Pose, limited: bool) {
+        for (axis, coordinate) in self.axis.iter_mut().zip(pose.0) {
+            axis.position = i64::from(coordinate.0) << FRACTION;
+            axis.rate = Ramp::default();
+            axis.target = 0;
+        }
+        self.alive = 0;
+        self.limited = limited;
+    }
+
+    /// New rates, in axis units per second, for so many periods.
+    pub fn aim(&mut self, rates: &[i64; MAX_AXES], periods: u32) {
+        for (axis, rate) in self.axis.iter_mut().zip(rates) {
+            let rate = per_period((*rate).clamp(-(1 << 32), 1 << 32), self.period_us);
+            axis.target = rate.clamp(-axis.rate_limit, axis.rate_limit);
+        }
+        self.alive = periods;
+    }
+
+    /// Brakes all coordinates.
+    pub fn release(&mut self) {
+        self.alive = 0;
+    }
+
+    /// Whether nothing moves.
+    #[must_use]
+    pub fn is_still(&self) -> bool {
+        self.alive == 0 && self.axis.iter().all(|axis| axis.rate.is_zero())
+    }
+
+    /// Where a coordinate comes to rest, at the latest, if it goes on for one period and brakes then; 2^-24 axis units, `None` when it
+    /// is too far to say.
+    fn rest(axis: &Axis, target: i64) -> Option<i64> {
+        let limits = axis.limits.as_ref()?;
+        let mut rate = axis.rate;
+        rate.advance(target, limits);
+        axis.position
+            .checked_add(rate.value())?
+            .checked_add(rate.stopping_sum(limits)?)
+    }
+
+    /// One period. The flag names a coordinate that was kept from going on by its soft limit, or by the machine's reach.
+    pub fn advance(&mut self, machine: &impl Kinematics) -> (Wanted, Option<u8>) {
+        let mut limited = None;
+        let braking = self.alive == 0;
+        self.alive = self.alive.saturating_sub(1);
+        let mut targets = [0_i64; MAX_AXES];
+        if !braking {
+            for (index, axis) in self.axis[..self.axes].iter().enumerate() {
+                targets[index] = axis.target;
+                if self.limited && Self::blocked(axis) {
+                    targets[index] = 0;
+                    limited = Some(index as u8);
+                }
+            }
+            if targets != [0; MAX_AXES] && !self.reaches(machine, &targets) {
+                limited = (0..self.axes)
+                    .find(|&index| targets[index] != 0)
+                    .map(|index| index as u8);
+                targets = [0; MAX_AXES];
+            }
+        }
+        let mut wanted = Wanted::default();
+        for (index, axis) in self.axis[..self.axes].iter_mut().enumerate() {
+            let Some(limits) = axis.limits else { continue };
+            axis.rate.advance(targets[index], &limits);
+            axis.position += axis.rate.value();
+            wanted.pose.0[index] = Coordinate((axis.position >> FRACTION) as i32);
+            wanted.rates[index] = Rate(saturate(per_second(axis.rate.value(), self.period_us)));
+            let slope = per_second(axis.rate.slope(), self.period_us);
+            wanted.accelerations[index] = Acceleration(saturate(
+                (slope * 1_000_000 / i64::from(self.period_us)) >> 8,
+            ));
+        }
+        (wanted, limited)
+    }
+
+    /// Whether a coordinate must brake now to stop in front of its soft limit.
+    fn blocked(axis: &Axis) -> bool {
+        let Some(rest) = Self::rest(axis, axis.target) else {
+            return true;
+        };
+        (axis.target > 0 && rest > axis.high) || (axis.target < 0 && rest < axis.low)
+    }
+
+    /// Whether the machine can take the pose at which everything would come to rest if it goes on for one period and brakes then.
+    fn reaches(&self, machine: &impl Kinematics, targets: &[i64; MAX_AXES]) -> bool {
+        let mut pose = Pose::default();
+        for (index, axis) in self.axis[..self.axes].iter().enumerate() {
+            let Some(rest) = Self::rest(axis, targets[index]) else {
+                return false;
+            };
+            let Ok(coordinate) = i32::try_from(rest >> FRACTION) else {
+                return false;
+            };
+            pose.0[index] = Coordinate(coordinate);
+        }
+        machine.inverse(&pose).is_ok()
+    }
+}
+
+/// Axis units per second -> 2^-24 axis units per period, for |rate| <= 2^32.
+fn per_period(rate: i64, period_us: u16) -> i64 {
+    // 2^24 / 10^6 = 2^18 / 15625.
+    rate * i64::from(period_us) / 15_625 * (1 << 18)
+}
+
+/// 2^-24 axis units per period -> axis units per second.
+fn per_second(rate: i64, period_us: u16) -> i64 {
+    ((rate >> 8) * 1_000_000 / i64::from(period_us.max(1))) >> 16
+}
+
+fn saturate(x: i64) -> i32 {
+    x.clamp(i64::from(-i32::MAX), i64::from(i32::MAX)) as i32
+}

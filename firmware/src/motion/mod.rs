@@ -1,0 +1,165 @@
+//! What is wanted: the pose of this period, with its rate and acceleration.
+//!
+//! A pose coordinate takes its wanted value from the program, from a jog, or holds ([`Source`]). Sources change only while the
+//! coordinate is at rest; the difference between where it stands and where the program would have it stays as an offset, so nothing jumps.
+//!
+//! Misuse: [`Motion::place`] sets the wanted pose without moving there. It is for enabling and homing, when wanted must become measured.
+
+pub mod cubic;
+pub mod jog;
+pub mod program;
+pub mod ramp;
+
+use crate::config::Config;
+use crate::kinematics::{Accelerations, Kinematics, Pose, Rates};
+use crate::units::{Acceleration, Coordinate, Rate};
+use haptimill_protocol::message::{MAX_AXES, Source};
+use jog::Jog;
+use program::{Program, Progress};
+
+/// The wanted pose and its motion.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Wanted {
+    /// Pose.
+    pub pose: Pose,
+    /// Rates, axis units per second.
+    pub rates: Rates,
+    /// Accelerations.
+    pub accelerations: Accelerations,
+}
+
+/// What moves the machine.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Mode {
+    /// Nothing: the wanted pose stays.
+    #[default]
+    Still,
+    /// The program, for the coordinates whose source it is; jogs for those whose source is a jog.
+    Program {
+        /// Brake along the path, and wait.
+        halt: bool,
+    },
+    /// A jog of all coordinates.
+    Jog,
+}
+
+/// The generator of wanted poses.
+#[derive(Debug, Default)]
+pub struct Motion {
+    /// The job.
+    pub program: Program,
+    /// The jog.
+    pub jog: Jog,
+    axes: usize,
+    wanted: Wanted,
+    sources: [Source; MAX_AXES],
+    offsets: [i32; MAX_AXES],
+}
+
+impl Motion {
+    /// For the machine of `config`.
+    #[must_use]
+    pub fn new(config: &Config) -> Self {
+        Self {
+            program: Program::new(config),
+            jog: Jog::new(config),
+            axes: config.pose.len(),
+            ..Self::default()
+        }
+    }
+
+    /// The wanted pose.
+    #[must_use]
+    pub const fn wanted(&self) -> &Wanted {
+        &self.wanted
+    }
+
+    /// Wanted becomes `pose`, at rest. No motion, and no jump: the caller has measured it.
+    pub fn place(&mut self, pose: &Pose) {
+        self.wanted = Wanted {
+            pose: *pose,
+            ..Wanted::default()
+        };
+        self.jog.begin(pose, true);
+    }
+
+    /// Begins a job at the wanted pose.
+    pub fn begin_program(&mut self) {
+        self.program.begin(&self.wanted.pose);
+        self.offsets = [0; MAX_AXES];
+        self.jog.begin(&self.wanted.pose, true);
+    }
+
+    /// Begins jogging at the wanted pose; `limited` says whether soft limits count.
+    pub fn begin_jog(&mut self, limited: bool) {
+        self.jog.begin(&self.wanted.pose, limited);
+    }
+
+    /// Chooses the source of one coordinate; only while the machine is at rest.
+    pub fn set_source(&mut self, axis: usize, source: Source) {
+        if let Some(slot) = self.sources.get_mut(axis) {
+            *slot = source;
+            self.jog.begin(&self.wanted.pose, true);
+        }
+    }
+
+    /// Where a coordinate takes its wanted value from.
+    #[must_use]
+    pub fn source(&self, axis: usize) -> Source {
+        self.sources.get(axis).copied().unwrap_or_default()
+    }
+
+    /// Whether any coordinate takes its value from a jog.
+    #[must_use]
+    pub fn has_jog_source(&self) -> bool {
+        self.sources[..self.axes].contains(&Source::Jog)
+    }
+
+    /// One period. The number is a coordinate whose jog was kept from going on.
+    pub fn advance(&mut self, mode: Mode, machine: &impl Kinematics) -> (Progress, Option<u8>) {
+        match mode {
+            Mode::Still => {
+                self.wanted.rates = Rates::default();
+                self.wanted.accelerations = Accelerations::default();
+                (Progress::default(), None)
+            }
+            Mode::Jog => {
+                let (wanted, limited) = self.jog.advance(machine);
+                self.wanted = wanted;
+                (Progress::default(), limited)
+            }
+            Mode::Program { halt } => {
+                let (program, progress) = self.program.advance(halt);
+                let (jog, limited) = if self.has_jog_source() {
+                    self.jog.advance(machine)
+                } else {
+                    (Wanted::default(), None)
+                };
+                for axis in 0..self.axes {
+                    self.merge(axis, &program, &jog);
+                }
+                (progress, limited)
+            }
+        }
+    }
+
+    fn merge(&mut self, axis: usize, program: &Wanted, jog: &Wanted) {
+        let offset = self.offsets[axis];
+        let (position, rate, acceleration) = match self.sources[axis] {
+            Source::Program => (
+                program.pose.0[axis].0.wrapping_add(offset),
+                program.rates[axis],
+                program.accelerations[axis],
+            ),
+            Source::Jog => (jog.pose.0[axis].0, jog.rates[axis], jog.accelerations[axis]),
+            Source::Hold => (self.wanted.pose.0[axis].0, Rate(0), Acceleration(0)),
+        };
+        if self.sources[axis] != Source::Program {
+            // What the program does meanwhile becomes the offset at which it is taken up again.
+            self.offsets[axis] = position.wrapping_sub(program.pose.0[axis].0);
+        }
+        self.wanted.pose.0[axis] = Coordinate(position);
+        self.wanted.rates[axis] = rate;
+        self.wanted.accelerations[axis] = acceleration;
+    }
+}

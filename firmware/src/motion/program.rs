@@ -1,0 +1,432 @@
+//! The queue of timed setpoints, and the walk along it.
+//!
+//! Time on the path is program time: it passes at the *path rate*, 1 when all is well, less while the machine slows down along its path
+//! (hold, stop, override, or setpoints that are late), 0 at rest. The path rate is a [`Ramp`]: braking builds up and dies away within
+//! its bounds, and the path itself is never left.
+//!
+//! Slowing down for want of setpoints begins while the queue still covers the stopping distance, so the last setpoint is never passed.
+//! The bounds on acceleration and jerk of the braking are those of the configuration's [`Stopping`], on top of the program's own.
+
+use super::Wanted;
+use super::cubic::{Cubic, Span};
+use super::ramp::{Ramp, RampLimits};
+use crate::config::{AxisKind, Config, Stopping};
+use crate::kinematics::Pose;
+use crate::units::{Acceleration, Coordinate, Rate};
+use haptimill_protocol::message::{Action, MAX_AXES, Refusal};
+use haptimill_protocol::setpoint::Setpoint;
+use heapless::Deque;
+
+/// How many setpoints the queue holds.
+pub const QUEUE: usize = 256;
+
+/// The path rate of the programmed speed.
+pub const FULL_RATE: i64 = 1 << 32;
+
+/// A setpoint in the queue.
+#[derive(Debug, Clone, Copy, Default)]
+struct Knot {
+    pose: [i32; MAX_AXES],
+    rates: [i32; MAX_AXES],
+    periods: u16,
+    action: Action,
+}
+
+impl Knot {
+    fn at_rest(&self) -> bool {
+        self.rates == [0; MAX_AXES]
+    }
+}
+
+/// The cubics on the way to the next setpoint.
+#[derive(Debug, Clone, Copy, Default)]
+struct Segment {
+    cubics: [Cubic; MAX_AXES],
+    span: Span,
+    to: Knot,
+}
+
+/// What happened on the path in one period.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Progress {
+    /// A new spindle speed, rev/min.
+    pub spindle: Option<u16>,
+    /// A pause was reached, at this setpoint.
+    pub paused: Option<u32>,
+    /// The last setpoint of the job was reached.
+    pub finished: bool,
+    /// The queue ended in motion: a defect, since braking must have ended before.
+    pub ran_dry: bool,
+}
+
+/// Setpoints were late.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Late {
+    /// The setpoint that was late.
+    pub setpoint: u32,
+    /// Periods from the beginning of the braking to its arrival.
+    pub periods: u32,
+}
+
+/// A job: its queue and where on it the machine is.
+#[derive(Debug, Default)]
+pub struct Program {
+    axes: usize,
+    rotary: [bool; MAX_AXES],
+    rate_limits: [i64; MAX_AXES],
+    period_us: u16,
+    periods_per_second: i64,
+    braking: Option<RampLimits>,
+    /// Program time that braking from the full rate takes, in periods.
+    braking_periods: u64,
+
+    queue: Deque<Knot, QUEUE>,
+    /// Sum of the spans in the queue, in periods.
+    queued_periods: u64,
+    /// The newest setpoint taken (or the start pose).
+    tail: Knot,
+    /// The setpoint reached last (or the start pose).
+    from: Knot,
+    segment: Option<Segment>,
+    /// Time into the segment, 2^-32 periods.
+    time: u64,
+    path_rate: Ramp,
+    override_rate: i64,
+    accepted: u32,
+    reached: u32,
+    total: Option<u32>,
+    started: bool,
+    paused: bool,
+    /// Periods since braking began because of this setpoint.
+    starving: Option<Late>,
+    late: Option<Late>,
+}
+
+/// Bounds of the path rate that a configuration's [`Stopping`] means; `None` if it makes no sense.
+#[must_use]
+pub fn braking_limits(stopping: &Stopping, period_us: u16) -> Option<RampLimits> {
+    let (time, ramp) = (
+        i64::from(stopping.time_ms) * 1000,
+        i64::from(stopping.ramp_ms) * 1000,
+    );
+    if ramp == 0 || time < 2 * ramp || period_us == 0 {
+        return None;
+    }
+    let period = i64::from(period_us);
+    let slope = FULL_RATE * period / (time - ramp);
+    RampLimits::new(slope, slope * period / ramp)
+}
+
+impl Program {
+    /// An empty program for the machine of `config`.
+    #[must_use]
+    pub fn new(config: &Config) -> Self {
+        let mut program = Self {
+            axes: config.pose.len(),
+            period_us: config.period_us,
+            periods_per_second: 1_000_000 / i64::from(config.period_us.max(1)),
+            braking: braking_limits(&config.stopping, config.period_us),
+            override_rate: FULL_RATE,
+            ..Self::default()
+        };
+        for (axis, pose) in config.pose.iter().enumerate() {
+            program.rotary[axis] = pose.kind == AxisKind::Rotary;
+            program.rate_limits[axis] = i64::from(pose.rate.0);
+        }
+        program.braking_periods = program.braking.map_or(0, |limits| {
+            Ramp::at(FULL_RATE)
+                .stopping_sum(&limits)
+                .unwrap_or(0)
+                .unsigned_abs()
+                >> 32
+        });
+        program
+    }
+
+    /// Begins a job at `pose`.
+    pub fn begin(&mut self, pose: &Pose) {
+        self.queue.clear();
+        self.queued_periods = 0;
+        self.tail = Knot::default();
+        self.tail.pose = pose.0.map(|coordinate| coordinate.0);
+        self.from = self.tail;
+        self.segment = None;
+        self.time = 0;
+        self.path_rate = Ramp::at(FULL_RATE);
+        self.accepted = 0;
+        self.reached = 0;
+        self.total = None;
+        self.started = false;
+        self.paused = false;
+        self.starving = None;
+        self.late = None;
+    }
+
+    /// Takes the next setpoint; a refused one changes nothing.
+    pub fn push(&mut self, setpoint: &Setpoint) -> Result<(), Refusal> {
+        let number = self.accepted;
+        let bad = Refusal::Setpoint { setpoint: number };
+        if setpoint.pose.len() != self.axes || setpoint.rates.len() != self.axes {
+            return Err(Refusal::AxisCount);
+        }
+        if self.total.is_some_and(|total| number >= total) {
+            return Err(Refusal::OutOfOrder { expected: number });
+        }
+        let mut knot = Knot {
+            periods: setpoint.periods,
+            action: setpoint.action,
+            ..Knot::default()
+        };
+        for axis in 0..self.axes {
+            knot.pose[axis] = setpoint.pose[axis];
+            knot.rates[axis] = setpoint.rates[axis];
+        }
+        if matches!(knot.action, Action::Pause) && !knot.at_rest() {
+            return Err(bad);
+        }
+        let segment = self.segment_between(&self.tail, &knot).ok_or(bad)?;
+        if (0..self.axes).any(|axis| self.too_fast(axis, &self.tail, &knot, &segment.span)) {
+            return Err(bad);
+        }
+        self.queue.push_back(knot).map_err(|_| Refusal::QueueFull)?;
+        self.queued_periods += u64::from(knot.periods);
+        self.tail = knot;
+        self.accepted = self.accepted.wrapping_add(1);
+        if let Some(starving) = self.starving
+            && starving.setpoint == number
+        {
+            self.late = Some(starving);
+        }
+        Ok(())
+    }
+
+    /// Says how many setpoints the job has.
+    pub fn end(&mut self, count: u32) -> Result<(), Refusal> {
+        if count != self.accepted {
+            return Err(Refusal::OutOfOrder {
+                expected: self.accepted,
+            });
+        }
+        if !self.tail.at_rest() {
+            return Err(Refusal::Setpoint {
+                setpoint: count.saturating_sub(1),
+            });
+        }
+        self.total = Some(count);
+        Ok(())
+    }
+
+    /// Number of the first setpoint that the queue has no room for.
+    #[must_use]
+    pub fn credit(&self) -> u32 {
+        self.accepted
+            .wrapping_add((QUEUE - self.queue.len()) as u32)
+    }
+
+    /// Setpoints that were reached.
+    #[must_use]
+    pub const fn reached(&self) -> u32 {
+        self.reached
+    }
+
+    /// The setpoint that is expected next.
+    #[must_use]
+    pub const fn accepted(&self) -> u32 {
+        self.accepted
+    }
+
+    /// The path rate, [`FULL_RATE`] for the programmed speed.
+    #[must_use]
+    pub const fn path_rate(&self) -> i64 {
+        self.path_rate.value()
+    }
+
+    /// Speed along the path in percent of the programmed one.
+    pub fn set_override(&mut self, percent: u8) {
+        self.override_rate = FULL_RATE * i64::from(percent.clamp(1, 100)) / 100;
+    }
+
+    /// Goes on after a pause.
+    pub fn leave_pause(&mut self) {
+        self.paused = false;
+    }
+
+    /// The report on setpoints that were late, once.
+    pub fn take_late(&mut self) -> Option<Late> {
+        self.late.take()
+    }
+
+    /// Whether nothing moves along the path: braked to rest, waiting, or paused.
+    #[must_use]
+    pub fn is_still(&self) -> bool {
+        self.path_rate.is_zero()
+            || self.paused
+            || !self.started
+            || (self.segment.is_none() && self.queue.is_empty())
+    }
+
+    /// One period along the path; `halt` brakes to rest and keeps the place.
+    pub fn advance(&mut self, halt: bool) -> (Wanted, Progress) {
+        let mut progress = Progress::default();
+        let Some(braking) = self.braking else {
+            return (self.wanted(), progress);
+        };
+        let finished = self.total == Some(self.reached);
+        if !self.started {
+            let covered = self.queued_periods >= 4 * self.braking_periods || self.queue.is_full();
+            self.started = !halt && (self.total.is_some() || covered);
+        }
+        if finished || !self.started || self.paused {
+            progress.finished = finished;
+            return (self.wanted(), progress);
+        }
+        self.watch_coverage(&braking);
+        let target = if halt || self.starving.is_some() {
+            0
+        } else {
+            self.override_rate
+        };
+        self.path_rate.advance(target, &braking);
+        self.time += self.path_rate.value().max(0) as u64;
+        self.walk(&mut progress);
+        (self.wanted(), progress)
+    }
+
+    /// Decides whether the queue still covers the way to rest.
+    fn watch_coverage(&mut self, braking: &RampLimits) {
+        if let Some(starving) = &mut self.starving {
+            starving.periods = starving.periods.saturating_add(1);
+        }
+        if self.tail.at_rest() {
+            self.starving = None;
+            return;
+        }
+        let remaining = self.remaining_periods();
+        let needed = self
+            .path_rate
+            .stopping_sum(braking)
+            .map_or(u64::MAX, |sum| sum.unsigned_abs() >> 32)
+            + 2;
+        if self.starving.is_some() {
+            if remaining >= 4 * self.braking_periods || self.queue.is_full() {
+                self.starving = None;
+            }
+        } else if remaining <= needed {
+            self.starving = Some(Late {
+                setpoint: self.accepted,
+                periods: 0,
+            });
+        }
+    }
+
+    fn remaining_periods(&self) -> u64 {
+        let segment = self
+            .segment
+            .map_or(0, |segment| u64::from(segment.span.periods()));
+        (segment + self.queued_periods).saturating_sub((self.time >> 32) + 1)
+    }
+
+    /// Goes from setpoint to setpoint until the time lies within a segment.
+    fn walk(&mut self, progress: &mut Progress) {
+        loop {
+            if self.segment.is_none() {
+                let Some(knot) = self.queue.pop_front() else {
+                    progress.ran_dry = !self.from.at_rest();
+                    self.time = 0;
+                    if progress.ran_dry {
+                        self.path_rate = Ramp::at(0);
+                    }
+                    return;
+                };
+                self.queued_periods -= u64::from(knot.periods);
+                self.segment = self.segment_between(&self.from, &knot);
+            }
+            let Some(segment) = self.segment else { return };
+            let end = u64::from(segment.span.periods()) << 32;
+            if self.time < end {
+                return;
+            }
+            self.time -= end;
+            self.from = segment.to;
+            self.segment = None;
+            self.reached = self.reached.wrapping_add(1);
+            match segment.to.action {
+                Action::None => {}
+                Action::Spindle(speed) => progress.spindle = Some(speed),
+                Action::Pause => {
+                    self.paused = true;
+                    self.time = 0;
+                    progress.paused = Some(self.reached.wrapping_sub(1));
+                    return;
+                }
+            }
+            if self.total == Some(self.reached) {
+                self.time = 0;
+                progress.finished = true;
+                return;
+            }
+        }
+    }
+
+    /// Pose, rates and accelerations at the present time and path rate.
+    fn wanted(&self) -> Wanted {
+        let mut wanted = Wanted {
+            pose: Pose(self.from.pose.map(Coordinate)),
+            ..Wanted::default()
+        };
+        let Some(segment) = &self.segment else {
+            return wanted;
+        };
+        let fraction = segment.span.fraction((self.time >> 16) as u32);
+        let rate = self.path_rate.value() >> 2;
+        let rate_squared = (rate * rate) >> 30;
+        let slope = self.path_rate.slope();
+        for axis in 0..self.axes {
+            let sample = segment.cubics[axis].sample(fraction, &segment.span);
+            wanted.pose.0[axis] = sample.position;
+            let speed = i64::from(sample.rate.0);
+            wanted.rates[axis] = Rate(((speed * rate) >> 30) as i32);
+            // d2p/dt2 = p'' r^2 + p' dr/dt, with dr/dt in 2^-32 per period.
+            let braking = ((speed * slope) >> 32) * self.periods_per_second;
+            let acceleration =
+                ((i64::from(sample.acceleration.0) * rate_squared) >> 30) + (braking >> 8);
+            wanted.accelerations[axis] =
+                Acceleration(acceleration.clamp(i64::from(-i32::MAX), i64::from(i32::MAX)) as i32);
+        }
+        wanted
+    }
+
+    fn segment_between(&self, from: &Knot, to: &Knot) -> Option<Segment> {
+        let span = Span::new(to.periods, self.period_us)?;
+        let mut segment = Segment {
+            span,
+            to: *to,
+            ..Segment::default()
+        };
+        for axis in 0..self.axes {
+            segment.cubics[axis] = Cubic::new(
+                Coordinate(from.pose[axis]),
+                from.rates[axis],
+                Coordinate(to.pose[axis]),
+                to.rates[axis],
+                &span,
+                self.period_us,
+                self.rotary[axis],
+            )?;
+        }
+        Some(segment)
+    }
+
+    /// Whether the rate at the setpoint, or the mean rate towards it, is beyond the axis' limit (with 2 % for rounding).
+    fn too_fast(&self, axis: usize, from: &Knot, to: &Knot, span: &Span) -> bool {
+        let limit = self.rate_limits[axis] + self.rate_limits[axis] / 50;
+        let distance = if self.rotary[axis] {
+            i64::from(to.pose[axis].wrapping_sub(from.pose[axis]))
+        } else {
+            i64::from(to.pose[axis]) - i64::from(from.pose[axis])
+        };
+        let microseconds = i64::from(span.periods()) * i64::from(self.period_us);
+        (i64::from(to.rates[axis]) << haptimill_protocol::message::RATE_SHIFT).abs() > limit
+            || distance.abs() * 1_000_000 > limit * microseconds
+    }
+}
