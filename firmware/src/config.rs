@@ -3,6 +3,8 @@
 //! The host makes it from a machine file, sends it in pieces, and the controller checks it (`Config::check`) before it becomes active at a
 //! period boundary. All values are integers in the scales stated here, so a configuration has one encoding (postcard) and one CRC-32.
 
+mod check;
+
 use crate::units::{Acceleration, Coordinate, Effort, Length, Rate};
 use haptimill_protocol::message::MAX_AXES;
 use heapless::{String, Vec};
@@ -210,11 +212,11 @@ pub struct Supervision {
     pub illegal_transitions: u16,
 }
 
-/// How the reference is found (spec 7.1 item 8 and the preset).
+/// How fast the pose moves while the index pulses are looked for.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Homing {
-    /// Rate of the search, for each pose coordinate the machine's model moves while searching.
+    /// Rate of linear coordinates.
     pub rate: Rate,
-    /// Acceleration of the search.
-    pub acceleration: Acceleration,
+    /// Rate of rotary coordinates.
+    pub table_rate: Rate,
 }

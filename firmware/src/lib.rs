@@ -9,4 +9,5 @@ pub mod config;
 pub mod io;
 pub mod kinematics;
 pub mod motion;
+pub mod safety;
 pub mod units;

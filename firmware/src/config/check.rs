@@ -1,0 +1,207 @@
+//! What makes a configuration acceptable. A refused one names the field, and the axis it belongs to.
+
+use super::{AxisKind, Config, Drive, JointAxis, Model, PoseAxis};
+use crate::motion::{jog, program};
+use haptimill_protocol::message::{ConfigField, ConfigProblem, MAX_AXES};
+
+/// Largest magnitude of a linear or rotary coordinate that the arithmetic of the loops is made for: 1900 mm, or 0.46 turn.
+const COORDINATE_MAX: i64 = 1900 << 20;
+
+type Check = Result<(), ConfigProblem>;
+
+fn require(condition: bool, field: ConfigField, axis: Option<usize>) -> Check {
+    if condition {
+        Ok(())
+    } else {
+        Err(ConfigProblem {
+            field,
+            axis: axis.map(|axis| axis as u8),
+        })
+    }
+}
+
+impl Config {
+    /// Whether the configuration makes sense; the first problem otherwise.
+    pub fn check(&self) -> Result<(), ConfigProblem> {
+        require(
+            (50..=1000).contains(&self.period_us) && 1_000_000 % u32::from(self.period_us) == 0,
+            ConfigField::Period,
+            None,
+        )?;
+        let axes = match &self.model {
+            Model::H4(_) => 5,
+        };
+        let counts = self.pose.len() == axes && self.joints.len() == axes && axes <= MAX_AXES;
+        require(counts, ConfigField::AxisCount, None)?;
+        self.check_geometry()?;
+        for (index, axis) in self.pose.iter().enumerate() {
+            self.check_pose(index, axis)?;
+        }
+        for (index, axis) in self.joints.iter().enumerate() {
+            self.check_joint(index, axis)?;
+        }
+        require(
+            (5..=2000).contains(&self.stopping.time_ms),
+            ConfigField::StopTime,
+            None,
+        )?;
+        require(
+            program::braking_limits(&self.stopping, self.period_us).is_some(),
+            ConfigField::StopTime,
+            None,
+        )?;
+        require(
+            (10..=5000).contains(&self.supervision.heartbeat_ms),
+            ConfigField::Heartbeat,
+            None,
+        )?;
+        require(
+            self.supervision.missed_periods >= 1,
+            ConfigField::Period,
+            None,
+        )?;
+        require(
+            self.homing.rate.0 > 0 && self.homing.table_rate.0 > 0,
+            ConfigField::Homing,
+            None,
+        )
+    }
+
+    fn check_geometry(&self) -> Check {
+        let Model::H4(geometry) = &self.model;
+        let length =
+            |value: i32, low: i64, high: i64| (low << 20..=high << 20).contains(&i64::from(value));
+        let sound = length(geometry.rod.0, 10, 1000)
+            && length(geometry.half_spacing.0, 1, 1000)
+            && length(geometry.tool.0, 0, 1000)
+            && length(geometry.singularity_margin.0, 1, 100)
+            && [
+                geometry.lateral,
+                geometry.half_height,
+                geometry.joint_offset,
+                geometry.rail_offset,
+                geometry.x_offset,
+                geometry.y_offset,
+                geometry.z_offset,
+                geometry.table_height,
+            ]
+            .iter()
+            .all(|value| length(value.0, -1000, 1000));
+        require(sound, ConfigField::Geometry, None)?;
+        // Coordinates of the model: x, y, z linear; theta, alpha rotary; slides linear; table rotary.
+        let linear = [true, true, true, false, false];
+        let linear_joints = [true, true, true, true, false];
+        let kinds = self.pose.iter().map(|axis| axis.kind).eq(linear.map(kind))
+            && self
+                .joints
+                .iter()
+                .map(|axis| axis.kind)
+                .eq(linear_joints.map(kind));
+        require(kinds, ConfigField::AxisCount, None)
+    }
+
+    fn check_pose(&self, index: usize, axis: &PoseAxis) -> Check {
+        let here = Some(index);
+        require(
+            axis.low < axis.high && within(axis.low.0) && within(axis.high.0),
+            ConfigField::SoftLimit,
+            here,
+        )?;
+        require(axis.rate.0 > 0, ConfigField::Rate, here)?;
+        require(axis.acceleration.0 > 0, ConfigField::Acceleration, here)?;
+        require(
+            jog::rate_limits(axis.acceleration, axis.jerk, self.period_us).is_some(),
+            ConfigField::Jerk,
+            here,
+        )
+    }
+
+    fn check_joint(&self, index: usize, axis: &JointAxis) -> Check {
+        let here = Some(index);
+        require(
+            axis.low < axis.high && within(axis.low.0) && within(axis.high.0),
+            ConfigField::Stroke,
+            here,
+        )?;
+        require(axis.rate.0 > 0, ConfigField::Rate, here)?;
+        let per_count = axis.per_count.unsigned_abs();
+        require(
+            (1 << 20..1 << 44).contains(&per_count),
+            ConfigField::Encoder,
+            here,
+        )?;
+        require(
+            axis.backlash.0 >= 0 && i64::from(axis.backlash.0) < i64::from(axis.index_pitch.0),
+            ConfigField::Backlash,
+            here,
+        )?;
+        require(
+            axis.following.0 > 0 && axis.still.0 > 0 && axis.following_lag < 1 << 16,
+            ConfigField::Following,
+            here,
+        )?;
+        let preset = (axis.low..=axis.high).contains(&axis.preset)
+            && (axis.low..=axis.high).contains(&axis.index);
+        require(preset, ConfigField::Homing, here)?;
+        let search =
+            axis.search.0 > 0 && i64::from(axis.search.0) * 2 < i64::from(axis.index_pitch.0);
+        require(search, ConfigField::Homing, here)?;
+        self.check_drive(here, axis)
+    }
+
+    fn check_drive(&self, here: Option<usize>, axis: &JointAxis) -> Check {
+        match &axis.drive {
+            Drive::Torque { full_scale, limit } => {
+                let sound =
+                    full_scale.0 != i32::MIN && limit.0 > 0 && limit.0 <= full_scale.0.abs();
+                require(sound, ConfigField::Drive, here)?;
+                let law = &axis.law;
+                require(
+                    law.kp > 0 && law.kp < 1 << 28 && law.kd > 0 && law.kd < 1 << 22,
+                    ConfigField::Gain,
+                    here,
+                )?;
+                require(
+                    law.inertia > 0 && law.coulomb.0 >= 0 && law.coulomb_rate.0 > 0,
+                    ConfigField::Gain,
+                    here,
+                )?;
+                // A sampled rate loop with K_D T above 1 cannot be damped.
+                let damping = u64::from(law.kd) * u64::from(self.period_us) < 256 * 1_000_000;
+                require(damping, ConfigField::Gain, here)?;
+                require(law.rate_filter_us <= 50_000, ConfigField::Filter, here)
+            }
+            Drive::Steps {
+                per_step,
+                ticks_per_us,
+                pulse,
+                setup,
+                hold,
+                lost,
+            } => {
+                let steps = (1 << 20..1 << 44).contains(&per_step.unsigned_abs());
+                let clock = (1..=1000).contains(ticks_per_us);
+                let ticks = u32::from(*ticks_per_us) * u32::from(self.period_us);
+                let fits = *pulse > 0
+                    && u32::from(*pulse) * 2 + u32::from(*setup) + u32::from(*hold) < ticks;
+                require(
+                    steps && clock && fits && lost.0 > 0,
+                    ConfigField::Drive,
+                    here,
+                )
+            }
+        }
+    }
+}
+
+fn within(value: i32) -> bool {
+    i64::from(value).abs() <= COORDINATE_MAX
+}
+
+const fn kind(linear: bool) -> AxisKind {
+    if linear {
+        AxisKind::Linear
+    } else {
+        AxisKind::Rotary
+    }
+}

@@ -1,0 +1,212 @@
+//! What the machine may do: states, latched faults, and whether the position is kept.
+//!
+//! | state | drives | left by |
+//! | --- | --- | --- |
+//! | Disabled | off | enable |
+//! | Idle | holding | home, job, jog, disable |
+//! | Homing | moving | found, failed, stop |
+//! | Run | moving | last setpoint, hold, stop, fault |
+//! | Hold | braking along the path, then holding | resume, stop |
+//! | Jog | moving | deadline, cancel, stop |
+//! | Fault (latched) | off, or holding | reset |
+//! | EmergencyStop (latched) | off | reset |
+//!
+//! A fault in which the controller still has the machine in hand (lost host, late periods, a soft limit) first brakes along the path and
+//! then latches, with the drives holding. Any other fault takes the drives off in the same period. Every stop says whether the position is
+//! kept: it is lost only when an encoder cannot be believed, or steps were lost, or homing was broken off.
+
+pub mod homing;
+pub mod supervise;
+
+use haptimill_protocol::message::{Event, Fault, State};
+use heapless::Deque;
+
+/// Events that wait to be told.
+pub const EVENTS: usize = 16;
+
+/// State, latched fault and position.
+#[derive(Debug, Default)]
+pub struct Safety {
+    state: State,
+    fault: Option<Fault>,
+    /// A fault that latches when the machine has come to rest on its path.
+    pending: Option<Fault>,
+    /// The drives hold although a fault is latched.
+    holding: bool,
+    homed: bool,
+    position_kept: bool,
+    events: Deque<Event, EVENTS>,
+    events_lost: u32,
+}
+
+/// Whether the controller still has the machine in hand: it brakes along the path, and the drives go on holding.
+#[must_use]
+pub const fn brakes_first(fault: &Fault) -> bool {
+    matches!(
+        fault,
+        Fault::LostHost { .. } | Fault::LatePeriod { .. } | Fault::SoftLimit { .. }
+    )
+}
+
+/// Whether the position is still known after a fault.
+#[must_use]
+pub const fn keeps_position(fault: &Fault) -> bool {
+    !matches!(
+        fault,
+        Fault::EncoderIllegal { .. }
+            | Fault::EncoderStill { .. }
+            | Fault::EncoderReversed { .. }
+            | Fault::StepsLost { .. }
+            | Fault::Configuration
+            | Fault::Homing { .. }
+    )
+}
+
+impl Safety {
+    /// The state.
+    #[must_use]
+    pub const fn state(&self) -> State {
+        self.state
+    }
+
+    /// The latched fault.
+    #[must_use]
+    pub const fn fault(&self) -> Option<Fault> {
+        self.fault
+    }
+
+    /// The fault for which the machine is braking.
+    #[must_use]
+    pub const fn pending(&self) -> Option<Fault> {
+        self.pending
+    }
+
+    /// All joints have their reference.
+    #[must_use]
+    pub const fn homed(&self) -> bool {
+        self.homed
+    }
+
+    /// The position is known to be right.
+    #[must_use]
+    pub const fn position_kept(&self) -> bool {
+        self.position_kept
+    }
+
+    /// Whether the drives are to be on in this state.
+    #[must_use]
+    pub const fn drives_on(&self) -> bool {
+        match self.state {
+            State::Idle | State::Homing | State::Run | State::Jog | State::Hold => true,
+            State::Fault => self.holding,
+            State::Disabled | State::EmergencyStop => false,
+        }
+    }
+
+    /// Whether something moves, or may begin to move without being asked again.
+    #[must_use]
+    pub const fn active(&self) -> bool {
+        matches!(
+            self.state,
+            State::Homing | State::Run | State::Jog | State::Hold
+        )
+    }
+
+    /// Goes to a state and tells it.
+    pub fn enter(&mut self, state: State) {
+        if state != self.state {
+            let from = core::mem::replace(&mut self.state, state);
+            self.tell(Event::State {
+                from,
+                to: state,
+                position_kept: self.position_kept,
+            });
+        }
+    }
+
+    /// The reference is found, or given up.
+    pub fn set_homed(&mut self, homed: bool) {
+        self.homed = homed;
+        self.position_kept = homed;
+        if homed {
+            self.tell(Event::Homed);
+        }
+    }
+
+    /// A fault: brakes first where that is right, else latches now. The first one stays.
+    pub fn raise(&mut self, fault: Fault) {
+        if brakes_first(&fault) && self.active() {
+            self.pending.get_or_insert(fault);
+        } else {
+            self.latch(fault);
+        }
+    }
+
+    /// Latches the fault for which the machine was braking; it is at rest.
+    pub fn settle(&mut self) {
+        if let Some(fault) = self.pending {
+            self.latch(fault);
+        }
+    }
+
+    fn latch(&mut self, fault: Fault) {
+        if matches!(self.state, State::EmergencyStop)
+            || (matches!(self.state, State::Fault) && !self.holding)
+        {
+            return;
+        }
+        let on = self.drives_on();
+        self.holding = on && brakes_first(&fault);
+        self.pending = None;
+        if !keeps_position(&fault) {
+            self.position_kept = false;
+            self.homed = false;
+        }
+        self.fault = Some(fault);
+        self.tell(Event::Fault(fault));
+        self.enter(State::Fault);
+    }
+
+    /// The emergency stop: drives off, latched.
+    pub fn emergency_stop(&mut self) {
+        self.pending = None;
+        self.holding = false;
+        self.enter(State::EmergencyStop);
+    }
+
+    /// Clears what is latched; true if something was.
+    pub fn reset(&mut self) -> bool {
+        let latched = matches!(self.state, State::Fault | State::EmergencyStop);
+        if latched {
+            let next = if self.holding {
+                State::Idle
+            } else {
+                State::Disabled
+            };
+            self.fault = None;
+            self.pending = None;
+            self.holding = false;
+            self.enter(next);
+        }
+        latched
+    }
+
+    /// Puts an event into the queue; when it is full the event is counted instead (the state is in the telemetry as well).
+    pub fn tell(&mut self, event: Event) {
+        if self.events.push_back(event).is_err() {
+            self.events_lost = self.events_lost.saturating_add(1);
+        }
+    }
+
+    /// The oldest event that was not told yet.
+    pub fn next_event(&mut self) -> Option<Event> {
+        self.events.pop_front()
+    }
+
+    /// Puts an event back that could not be told now.
+    pub fn return_event(&mut self, event: Event) {
+        if self.events.push_front(event).is_err() {
+            self.events_lost = self.events_lost.saturating_add(1);
+        }
+    }
+}

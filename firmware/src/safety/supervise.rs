@@ -1,0 +1,122 @@
+//! Supervision of one joint: does it do what it is told, and does its encoder tell the truth?
+//!
+//! | what is seen | fault |
+//! | --- | --- |
+//! | the error is larger than the limit, which grows with the wanted rate | following error |
+//! | ... and the drive pushes one way while the encoder counts the other way | encoder reversed |
+//! | ... and the encoder has not moved while more and more was wanted or pushed | encoder still (stuck channel, broken drive, jammed slide) |
+//! | motion was wanted, the encoder saw none, or the opposite | encoder still, encoder reversed |
+//! | both channels changed at once, too often | encoder illegal |
+//! | steps and encoder disagree (step/dir) | steps lost |
+//!
+//! Limits are in axis units of the joint; all of them come from its [`JointAxis`].
+
+use crate::config::{Drive, JointAxis};
+use crate::units::{Coordinate, Effort, Rate};
+use haptimill_protocol::message::Fault;
+
+/// What supervision looks at in a period.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Seen {
+    /// Wanted position.
+    pub wanted: Coordinate,
+    /// Wanted rate.
+    pub wanted_rate: Rate,
+    /// Measured position.
+    pub measured: Coordinate,
+    /// Measured rate.
+    pub rate: Rate,
+    /// Wanted less measured.
+    pub error: Coordinate,
+    /// What the drive was told in the period before (torque drives).
+    pub effort: Effort,
+    /// Illegal transitions since the joint was enabled.
+    pub illegal: u16,
+    /// Steps emitted less encoder (step/dir drives).
+    pub steps_off: Coordinate,
+}
+
+/// The memory of supervision of one joint.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Watch {
+    /// Wanted and measured position when the present stretch of motion was begun to be looked at.
+    since: Option<(Coordinate, Coordinate)>,
+}
+
+impl Watch {
+    /// Forgets what was; after enabling and after the coordinate was set.
+    pub fn reset(&mut self) {
+        self.since = None;
+    }
+
+    /// Looks at one period of joint `axis`.
+    pub fn look(
+        &mut self,
+        axis: u8,
+        config: &JointAxis,
+        illegal_limit: u16,
+        seen: &Seen,
+    ) -> Option<Fault> {
+        if seen.illegal > illegal_limit {
+            return Some(Fault::EncoderIllegal {
+                axis,
+                count: seen.illegal,
+            });
+        }
+        if let Drive::Steps { lost, .. } = config.drive
+            && magnitude(seen.steps_off) > magnitude(lost)
+        {
+            return Some(Fault::StepsLost {
+                axis,
+                by: seen.steps_off.0,
+            });
+        }
+        self.motion(axis, config, seen)
+            .or_else(|| Self::error(axis, config, seen))
+    }
+
+    /// Motion that was wanted and not seen, or seen the other way round.
+    fn motion(&mut self, axis: u8, config: &JointAxis, seen: &Seen) -> Option<Fault> {
+        let (wanted_then, measured_then) = *self.since.get_or_insert((seen.wanted, seen.measured));
+        let wanted = i64::from(seen.wanted.0) - i64::from(wanted_then.0);
+        if wanted.abs() < magnitude(config.still) {
+            return None;
+        }
+        let measured = i64::from(seen.measured.0) - i64::from(measured_then.0);
+        self.since = None;
+        if measured.abs() < wanted.abs() / 8 {
+            return Some(Fault::EncoderStill { axis });
+        }
+        (measured.signum() != wanted.signum()).then_some(Fault::EncoderReversed { axis })
+    }
+
+    /// The following error against its limit, and what kind of trouble it is.
+    fn error(axis: u8, config: &JointAxis, seen: &Seen) -> Option<Fault> {
+        let speed = i64::from(seen.wanted_rate.0).abs();
+        let limit = magnitude(config.following) + ((speed * i64::from(config.following_lag)) >> 16);
+        let error = i64::from(seen.error.0);
+        if error.abs() <= limit {
+            return None;
+        }
+        if let Drive::Torque { limit: most, .. } = config.drive {
+            let pushed = i64::from(seen.effort.0).abs() >= i64::from(most.0).abs() / 4;
+            let towards = i64::from(seen.effort.0).signum() == error.signum();
+            let away = i64::from(seen.rate.0) * error.signum() < 0;
+            if pushed && towards && away {
+                return Some(Fault::EncoderReversed { axis });
+            }
+            if pushed && towards && seen.rate.0 == 0 {
+                return Some(Fault::EncoderStill { axis });
+            }
+        }
+        Some(Fault::FollowingError {
+            axis,
+            error: seen.error.0,
+            limit: limit.min(i64::from(i32::MAX)) as i32,
+        })
+    }
+}
+
+fn magnitude(x: Coordinate) -> i64 {
+    i64::from(x.0).abs()
+}
