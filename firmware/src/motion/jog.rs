@@ -136,8 +136,7 @@ impl Jog {
         let mut wanted = Wanted::default();
         for (index, axis) in self.axis[..self.axes].iter_mut().enumerate() {
             let Some(limits) = axis.limits else { continue };
-            axis.rate.advance(targets[index], &limits);
-            axis.position += axis.rate.value();
+            axis.position += axis.rate.advance(targets[index], &limits);
             wanted.pose.0[index] = Coordinate((axis.position >> FRACTION) as i32);
             wanted.rates[index] = Rate(saturate(per_second(axis.rate.value(), self.period_us)));
             let slope = per_second(axis.rate.slope(), self.period_us);
@@ -156,19 +155,38 @@ impl Jog {
         (axis.target > 0 && rest > axis.high) || (axis.target < 0 && rest < axis.low)
     }
 
-    /// Whether the machine can take the pose at which everything would come to rest if it goes on for one period and brakes then.
+    /// Whether the machine can take the poses through which everything would come to rest if it goes on for one period and brakes then.
+    ///
+    /// Coordinates come to rest at different times, so the way lies in the box between here and the resting point: its corners are tried, all of
+    /// them for up to three moving coordinates, those next to here and the far one for more (the pose of every period is checked besides).
     fn reaches(&self, machine: &impl Kinematics, targets: &[i64; MAX_AXES]) -> bool {
-        let mut pose = Pose::default();
+        let (mut here, mut rest) = (Pose::default(), [0_i32; MAX_AXES]);
+        let mut moving = heapless::Vec::<usize, MAX_AXES>::new();
         for (index, axis) in self.axis[..self.axes].iter().enumerate() {
-            let Some(rest) = Self::rest(axis, targets[index]) else {
+            let Some(Ok(end)) =
+                Self::rest(axis, targets[index]).map(|end| i32::try_from(end >> FRACTION))
+            else {
                 return false;
             };
-            let Ok(coordinate) = i32::try_from(rest >> FRACTION) else {
-                return false;
-            };
-            pose.0[index] = Coordinate(coordinate);
+            here.0[index] = Coordinate((axis.position >> FRACTION) as i32);
+            rest[index] = end;
+            if targets[index] != 0 || !axis.rate.is_zero() {
+                // Cannot overflow: there are at most MAX_AXES.
+                let _ = moving.push(index);
+            }
         }
-        machine.inverse(&pose).is_ok()
+        let all = (1_u32 << moving.len()) - 1;
+        (1..=all)
+            .filter(|corner| moving.len() <= 3 || *corner == all || corner.is_power_of_two())
+            .all(|corner| {
+                let mut pose = here;
+                for (bit, &index) in moving.iter().enumerate() {
+                    if corner & (1 << bit) != 0 {
+                        pose.0[index] = Coordinate(rest[index]);
+                    }
+                }
+                machine.inverse(&pose).is_ok()
+            })
     }
 }
 

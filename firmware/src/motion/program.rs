@@ -275,6 +275,8 @@ impl Program {
         if !self.started {
             let covered = self.queued_periods >= 4 * self.braking_periods || self.queue.is_full();
             self.started = !halt && (self.total.is_some() || covered);
+            // At rest any path rate is the same motion: begin with the one that is wanted.
+            self.path_rate = Ramp::at(self.override_rate);
         }
         if finished || !self.started || self.paused {
             progress.finished = finished;
@@ -286,8 +288,7 @@ impl Program {
         } else {
             self.override_rate
         };
-        self.path_rate.advance(target, &braking);
-        self.time += self.path_rate.value().max(0) as u64;
+        self.time += self.path_rate.advance(target, &braking).max(0) as u64;
         self.walk(&mut progress);
         (self.wanted(), progress)
     }

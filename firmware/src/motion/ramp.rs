@@ -69,8 +69,15 @@ impl Ramp {
         self.value == 0 && self.slope == 0
     }
 
-    /// One period towards `target`.
-    pub fn advance(&mut self, target: i64, limits: &RampLimits) {
+    /// One period towards `target`. Gives the mean of the value before and after: what a position gains in the period, so that the value
+    /// is the derivative of the position at the period's end.
+    pub fn advance(&mut self, target: i64, limits: &RampLimits) -> i64 {
+        let before = self.value;
+        self.step(target, limits);
+        (before + self.value) >> 1
+    }
+
+    fn step(&mut self, target: i64, limits: &RampLimits) {
         let target = target.clamp(-VALUE_MAX, VALUE_MAX);
         let gap = target - self.value;
         if gap.abs() <= limits.jerk && self.slope.abs() <= limits.jerk {
@@ -98,7 +105,7 @@ impl Ramp {
         self.value += self.slope;
     }
 
-    /// The sum of the values of all periods until the ramp is at rest at zero, at most: how far a rate still carries.
+    /// What [`Ramp::advance`] gives in sum, at most, until the ramp is at rest at zero: how far a rate still carries.
     ///
     /// `None` where the bound does not fit 63 bits; take that as "too far".
     #[must_use]
@@ -114,7 +121,7 @@ impl Ramp {
         if peak <= 0 {
             return Some(0);
         }
-        // Trapezoid of the slope: its duration is peak / slope + slope / jerk, its mean value is half the peak; two periods for rounding.
+        // Trapezoid of the slope: its duration is peak / slope + slope / jerk, its mean value is half the peak; four periods for the first half period and rounding.
         let periods =
             peak / limits.slope + limits.slope / limits.jerk + 2 * (rising / limits.jerk) + 4;
         Some(peak.checked_mul(periods)? / 2 * sign)
@@ -192,8 +199,7 @@ mod tests {
             let mut sum = 0_i64;
             for _ in 0..2_000_000 {
                 if ramp.is_zero() { break; }
-                ramp.advance(0, &limits);
-                sum += ramp.value();
+                sum += ramp.advance(0, &limits);
             }
             prop_assert!(ramp.is_zero());
             prop_assert!(sum.abs() <= bound.abs(), "sum {sum} bound {bound}");

@@ -1,0 +1,363 @@
+//! The queue of setpoints and the jog: bounds, exactness, nothing lost, nothing passed.
+
+mod reference;
+
+use haptimill_firmware::config::Config;
+use haptimill_firmware::kinematics::{
+    Jacobian, JointMotion, Joints, Kinematics, Pose, PoseError, Rates,
+};
+use haptimill_firmware::motion::jog::Jog;
+use haptimill_firmware::motion::program::{FULL_RATE, Program, QUEUE};
+use haptimill_firmware::units::{Acceleration, Coordinate, Rate};
+use haptimill_protocol::message::{Action, MAX_AXES, Refusal};
+use haptimill_protocol::setpoint::Setpoint;
+use proptest::prelude::*;
+use reference::{h4, mm};
+
+const PERIOD_S: f64 = 2e-4;
+const UNIT_MM: f64 = 1.0 / (1 << 20) as f64;
+
+/// A setpoint with x moving at `speed` mm/s, standing at `x` mm.
+fn setpoint(x: f64, speed: f64, periods: u16) -> Setpoint {
+    Setpoint {
+        periods,
+        pose: [mm(x), 0, mm(20.0), 0, 0].into_iter().collect(),
+        rates: [(speed * 4096.0) as i32, 0, 0, 0, 0].into_iter().collect(),
+        action: Action::None,
+    }
+}
+
+/// A run at constant speed in x: from rest up, along, and down to rest.
+fn straight(speed: f64, count: u16, periods: u16) -> Vec<Setpoint> {
+    let span = f64::from(periods) * PERIOD_S;
+    let mut x = speed * span / 2.0;
+    let mut points = vec![setpoint(x, speed, periods)];
+    for _ in 0..count {
+        x += speed * span;
+        points.push(setpoint(x, speed, periods));
+    }
+    x += speed * span / 2.0;
+    points.push(setpoint(x, 0.0, periods));
+    points
+}
+
+fn start(config: &Config) -> Program {
+    let mut program = Program::new(config);
+    let mut pose = Pose::default();
+    pose.0[2] = Coordinate(mm(20.0));
+    program.begin(&pose);
+    program
+}
+
+/// x (mm) and its rate (mm/s) of every period.
+#[derive(Default)]
+struct Path {
+    x: Vec<f64>,
+    rate: Vec<f64>,
+    finished: bool,
+}
+
+impl Path {
+    fn push(&mut self, x: Coordinate, rate: Rate) {
+        self.x.push(f64::from(x.0) * UNIT_MM);
+        self.rate.push(f64::from(rate.0) * UNIT_MM);
+    }
+
+    /// The rate must be the derivative of the position: its sum, by trapezoids, is the way that was gone.
+    fn assert_consistent(&self) {
+        let mut integral = self.x[0];
+        for (x, rates) in self.x[1..].iter().zip(self.rate.windows(2)) {
+            integral += (rates[0] + rates[1]) / 2.0 * PERIOD_S;
+            assert!(
+                (integral - x).abs() < 2e-5,
+                "position {x} integral of the rate {integral}"
+            );
+        }
+    }
+
+    /// Largest acceleration and jerk in mm/s^2 and mm/s^3, from differences of the rate over 8 and 16 periods.
+    fn dynamics(&self, from: usize, to: usize) -> (f64, f64) {
+        let slope = |values: &[f64], span: usize| -> Vec<f64> {
+            values
+                .windows(span + 1)
+                .map(|w| (w[span] - w[0]) / (span as f64 * PERIOD_S))
+                .collect()
+        };
+        let acceleration = slope(
+            &self.rate[from.min(self.rate.len())..to.min(self.rate.len())],
+            8,
+        );
+        let jerk = slope(&acceleration, 16);
+        let peak = |values: &[f64]| {
+            values
+                .iter()
+                .fold(0.0_f64, |most, value| most.max(value.abs()))
+        };
+        (peak(&acceleration), peak(&jerk))
+    }
+}
+
+fn walk(program: &mut Program, periods: usize, halt: impl Fn(usize) -> bool) -> Path {
+    let mut path = Path::default();
+    for period in 0..periods {
+        let (wanted, progress) = program.advance(halt(period));
+        path.push(wanted.pose.0[0], wanted.rates[0]);
+        assert!(!progress.ran_dry);
+        if progress.finished {
+            path.finished = true;
+            break;
+        }
+    }
+    path
+}
+
+#[test]
+fn a_program_ends_exactly_at_its_last_setpoint_at_the_programmed_time() {
+    let mut program = start(&h4());
+    let points = straight(4.0, 40, 100);
+    for point in &points {
+        program.push(point).expect("accepted");
+    }
+    program.end(points.len() as u32).expect("at rest");
+    let path = walk(&mut program, 10_000, |_| false);
+    assert!(path.finished);
+    assert_eq!(path.x.len(), 42 * 100);
+    assert_eq!(
+        mm(*path.x.last().expect("moved")),
+        points.last().expect("some").pose[0]
+    );
+    assert_eq!(program.reached(), 42);
+}
+
+#[test]
+fn what_makes_no_sense_is_refused_and_changes_nothing() {
+    let mut program = start(&h4());
+    let refused =
+        |program: &mut Program, point: &Setpoint| program.push(point).expect_err("refused");
+    assert_eq!(
+        refused(&mut program, &setpoint(1.0, 0.0, 0)),
+        Refusal::Setpoint { setpoint: 0 }
+    );
+    assert_eq!(
+        refused(&mut program, &setpoint(100.0, 0.0, 10)),
+        Refusal::Setpoint { setpoint: 0 }
+    );
+    assert_eq!(
+        refused(&mut program, &setpoint(0.1, 80.0, 100)),
+        Refusal::Setpoint { setpoint: 0 }
+    );
+    let mut short = setpoint(0.1, 0.0, 100);
+    short.pose.pop();
+    assert_eq!(refused(&mut program, &short), Refusal::AxisCount);
+    let pause = Setpoint {
+        action: Action::Pause,
+        ..setpoint(0.1, 1.0, 500)
+    };
+    assert_eq!(
+        refused(&mut program, &pause),
+        Refusal::Setpoint { setpoint: 0 }
+    );
+    assert_eq!(program.end(1), Err(Refusal::OutOfOrder { expected: 0 }));
+    program.push(&setpoint(0.1, 1.0, 1000)).expect("accepted");
+    assert_eq!(
+        program.end(1),
+        Err(Refusal::Setpoint { setpoint: 0 }),
+        "a job must end at rest"
+    );
+    assert_eq!(program.accepted(), 1);
+}
+
+#[test]
+fn the_credit_is_the_room_and_a_full_queue_refuses() {
+    let mut program = start(&h4());
+    assert_eq!(program.credit(), QUEUE as u32);
+    for index in 0..QUEUE {
+        program
+            .push(&setpoint(0.01 * (index + 1) as f64, 0.0, 100))
+            .expect("room");
+    }
+    assert_eq!(program.credit(), QUEUE as u32);
+    assert_eq!(
+        program.push(&setpoint(3.0, 0.0, 100)),
+        Err(Refusal::QueueFull)
+    );
+    let _ = walk(&mut program, 150, |_| false);
+    assert!(program.credit() > QUEUE as u32);
+}
+
+#[test]
+fn a_pause_waits_at_its_setpoint() {
+    let mut program = start(&h4());
+    program
+        .push(&Setpoint {
+            action: Action::Pause,
+            ..setpoint(1.0, 0.0, 1000)
+        })
+        .expect("at rest");
+    program.push(&setpoint(2.0, 0.0, 1000)).expect("accepted");
+    program.end(2).expect("at rest");
+    let path = walk(&mut program, 5000, |_| false);
+    assert!(!path.finished);
+    assert_eq!(mm(*path.x.last().expect("moved")), mm(1.0));
+    program.leave_pause();
+    let path = walk(&mut program, 5000, |_| false);
+    assert!(path.finished);
+    assert_eq!(path.x.len(), 1000);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    /// Hold at any time and go on at any time: same end, no step, braking within its bounds, path never left backwards.
+    #[test]
+    fn hold_and_resume_keep_the_path(speed in 1.0_f64..40.0, hold_at in 0_usize..6000, hold_for in 1_usize..2000) {
+        let config = h4();
+        let mut program = start(&config);
+        let points = straight(speed, 60, 100);
+        for point in &points {
+            program.push(point).expect("accepted");
+        }
+        program.end(points.len() as u32).expect("at rest");
+        let path = walk(&mut program, 20_000, |period| (hold_at..hold_at + hold_for).contains(&period));
+        prop_assert!(path.finished);
+        prop_assert_eq!(mm(*path.x.last().expect("moved")), points.last().expect("some").pose[0]);
+        prop_assert!(path.x.windows(2).all(|w| w[1] >= w[0]), "never backwards");
+        // The program's own start takes 20 ms; braking takes 120 ms with 30 ms ramps.
+        path.assert_consistent();
+        let (acceleration, _) = path.dynamics(0, usize::MAX);
+        let own = 1.05 * 2.0 * speed / 0.02;
+        let braking = speed / 0.09;
+        prop_assert!(acceleration <= own + braking + 2.0, "{acceleration} {own} {braking}");
+        let first_hold = hold_at.max(200) + 40;
+        if first_hold + 700 < 60 * 100 && hold_for > 800 && hold_at > 200 {
+            let (acceleration, jerk) = path.dynamics(first_hold, first_hold + 700);
+            prop_assert!(acceleration <= braking * 1.01 + 1.0, "{acceleration} {braking}");
+            prop_assert!(jerk <= braking / 0.03 * 1.05 + 100.0, "{jerk}");
+        }
+    }
+
+    /// Setpoints that come late: the machine brakes in front of the last one, never passes it, and goes on when they come.
+    #[test]
+    fn late_setpoints_slow_the_machine_on_its_path(speed in 1.0_f64..40.0, delivered in 14_usize..50, gap in 1_usize..3000) {
+        let config = h4();
+        let mut program = start(&config);
+        let points = straight(speed, 60, 100);
+        for point in &points[..delivered] {
+            program.push(point).expect("accepted");
+        }
+        let last = f64::from(points[delivered - 1].pose[0]) * UNIT_MM;
+        let path = walk(&mut program, 100 * delivered + 400 + gap, |_| false);
+        prop_assert!(path.x.iter().all(|&x| x <= last), "passed the last setpoint");
+        prop_assert_eq!(program.path_rate(), 0);
+        let (acceleration, _) = path.dynamics(200, usize::MAX);
+        prop_assert!(acceleration <= speed / 0.09 * 1.01 + 2.0, "{acceleration}");
+        for point in &points[delivered..] {
+            program.push(point).expect("accepted");
+        }
+        let late = program.take_late().expect("told");
+        prop_assert_eq!(late.setpoint, delivered as u32);
+        prop_assert!(late.periods as usize >= gap, "{} {}", late.periods, gap);
+        program.end(points.len() as u32).expect("at rest");
+        let path = walk(&mut program, 20_000, |_| false);
+        prop_assert!(path.finished);
+        prop_assert_eq!(mm(*path.x.last().expect("moved")), points.last().expect("some").pose[0]);
+    }
+
+    /// A slower override takes longer by its factor and arrives at the same place.
+    #[test]
+    fn override_stretches_time(percent in 5_u8..=100) {
+        let mut program = start(&h4());
+        program.set_override(percent);
+        let points = straight(4.0, 60, 100);
+        for point in &points {
+            program.push(point).expect("accepted");
+        }
+        program.end(points.len() as u32).expect("at rest");
+        let path = walk(&mut program, 200_000, |_| false);
+        prop_assert!(path.finished);
+        let expected = 6200.0 * 100.0 / f64::from(percent);
+        prop_assert!((path.x.len() as f64 - expected).abs() < 2.0, "{} {expected}", path.x.len());
+        prop_assert!(program.path_rate() <= FULL_RATE);
+    }
+}
+
+/// A machine that takes any pose inside a ball around the origin: what a jog must never leave.
+struct Ball {
+    radius_mm: f64,
+}
+
+impl Kinematics for Ball {
+    fn axes(&self) -> usize {
+        5
+    }
+    fn inverse(&self, pose: &Pose) -> Result<Joints, PoseError> {
+        let radius: f64 = pose.0[..3]
+            .iter()
+            .map(|x| (f64::from(x.0) * UNIT_MM).powi(2))
+            .sum::<f64>()
+            .sqrt();
+        if radius <= self.radius_mm {
+            Ok(Joints(pose.0))
+        } else {
+            Err(PoseError::Unreachable)
+        }
+    }
+    fn inverse_motion(
+        &self,
+        pose: &Pose,
+        rates: &Rates,
+        accelerations: &[Acceleration; MAX_AXES],
+    ) -> Result<JointMotion, PoseError> {
+        Ok(JointMotion {
+            joints: self.inverse(pose)?,
+            rates: *rates,
+            accelerations: *accelerations,
+        })
+    }
+    fn forward(&self, joints: &Joints) -> Result<Pose, PoseError> {
+        Ok(Pose(joints.0))
+    }
+    fn jacobian(&self, _: &Pose) -> Result<Jacobian, PoseError> {
+        Err(PoseError::Unreachable)
+    }
+}
+
+fn jog_rates(x: f64, y: f64, z: f64) -> [i64; MAX_AXES] {
+    [x, y, z, 0.0, 0.0, 0.0].map(|speed| i64::from(mm(speed)))
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(48))]
+
+    /// Whatever is asked: inside the soft limits, inside the machine's reach, within rate, acceleration and jerk; at rest after the deadline.
+    #[test]
+    fn a_jog_respects_every_bound(commands in prop::collection::vec((-60.0_f64..60.0, -60.0_f64..60.0, -60.0_f64..60.0, 1_u32..4000), 1..8)) {
+        let config = h4();
+        let ball = Ball { radius_mm: 90.0 };
+        let mut jog = Jog::new(&config);
+        jog.begin(&Pose::default(), true);
+        let mut paths = [Path::default(), Path::default(), Path::default()];
+        for (x, y, z, periods) in commands {
+            jog.aim(&jog_rates(x, y, z), periods);
+            for _ in 0..periods + 300 {
+                let (wanted, _) = jog.advance(&ball);
+                prop_assert!(ball.inverse(&wanted.pose).is_ok());
+                for axis in 0..3 {
+                    paths[axis].push(wanted.pose.0[axis], wanted.rates[axis]);
+                    prop_assert!((config.pose[axis].low..=config.pose[axis].high).contains(&wanted.pose.0[axis]));
+                    prop_assert!(wanted.rates[axis].0.abs() <= config.pose[axis].rate.0 + 10);
+                }
+            }
+        }
+        for _ in 0..2500 {
+            let _ = jog.advance(&ball);
+        }
+        prop_assert!(jog.is_still(), "at rest after the deadline");
+        for path in &paths {
+            path.assert_consistent();
+            let (acceleration, jerk) = path.dynamics(0, usize::MAX);
+            prop_assert!(acceleration <= 200.1, "{acceleration}");
+            prop_assert!(jerk <= 5001.0, "{jerk}");
+        }
+    }
+}
