@@ -6,8 +6,10 @@
 #![no_std]
 
 pub mod config;
+pub mod drive;
 pub mod io;
 pub mod kinematics;
 pub mod motion;
 pub mod safety;
+pub mod position;
 pub mod units;
