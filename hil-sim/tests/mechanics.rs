@@ -88,6 +88,9 @@ fn sticks_below_coulomb_and_moves_above() {
         let newton = 19.9 + 19.1 * f64::from(step) / 20_000.0;
         plant.advance(&torque((newton / 800.0 * 8192.0) as i16));
     }
+    for _ in 0..2000 {
+        plant.advance(&torque((39.0 / 800.0 * 8192.0) as i16));
+    }
     assert_eq!(plant.bodies().slide[0], 0.0);
     assert_eq!(plant.bodies().slide_rate[0], 0.0);
     assert_eq!(plant.bodies().motor_rate[0], 0.0);
