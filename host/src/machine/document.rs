@@ -1,0 +1,385 @@
+//! A machine file as a tree of sections that remember which keys were asked for.
+//!
+//! Reading never stops at the first problem. A number that is missing or wrong is reported once and read as NaN; every later check
+//! compares with it, finds nothing, and stays quiet. Misuse: a value taken from here means something only when
+//! [`Document::finish`] says that there was no problem.
+
+use super::problem::{Problem, Problems};
+use std::cell::RefCell;
+use toml::Spanned;
+use toml::de::{DeTable, DeValue};
+
+/// The text of a machine file, its lines, and the problems found so far.
+pub struct Document<'i> {
+    file: &'i str,
+    text: &'i str,
+    problems: RefCell<Vec<(usize, Problem)>>,
+}
+
+impl<'i> Document<'i> {
+    /// A document without problems yet.
+    pub fn new(file: &'i str, text: &'i str) -> Self {
+        Self {
+            file,
+            text,
+            problems: RefCell::default(),
+        }
+    }
+
+    /// Reports a problem at a byte offset of the text.
+    pub fn report(
+        &self,
+        offset: usize,
+        key: impl Into<String>,
+        what: impl Into<String>,
+        remedy: impl Into<String>,
+    ) {
+        let (line, column) = position(self.text, offset);
+        self.problems.borrow_mut().push((
+            offset,
+            Problem {
+                file: self.file.to_string(),
+                line,
+                column,
+                key: key.into(),
+                what: what.into(),
+                remedy: remedy.into(),
+            },
+        ));
+    }
+
+    /// Nothing was reported, or all that was.
+    pub fn finish(self) -> Result<(), Problems> {
+        if self.problems.borrow().is_empty() {
+            return Ok(());
+        }
+        Err(self.into_problems())
+    }
+
+    /// All that was reported, in the order of the text.
+    pub fn into_problems(self) -> Problems {
+        let mut problems = self.problems.into_inner();
+        problems.sort_by_key(|(offset, _)| *offset);
+        Problems(problems.into_iter().map(|(_, p)| p).collect())
+    }
+}
+
+/// Line and column (in characters), both from 1, of a byte offset.
+pub fn position(text: &str, offset: usize) -> (usize, usize) {
+    let bytes = &text.as_bytes()[..offset.min(text.len())];
+    let line_start = bytes.iter().rposition(|b| *b == b'\n').map_or(0, |p| p + 1);
+    let line = bytes.iter().filter(|b| **b == b'\n').count() + 1;
+    // Counts the bytes that begin a character, so it is right also in the middle of one.
+    let begins = |b: &&u8| **b & 0xC0 != 0x80;
+    (line, bytes[line_start..].iter().filter(begins).count() + 1)
+}
+
+/// The values that a number may have.
+#[derive(Debug, Clone, Copy)]
+pub struct Allowed {
+    /// Least value.
+    pub low: f64,
+    /// Greatest value.
+    pub high: f64,
+    /// Unit, for the message.
+    pub unit: &'static str,
+    /// Whole numbers only.
+    pub whole: bool,
+}
+
+/// A real number from `low` to `high`.
+pub fn real(low: f64, high: f64, unit: &'static str) -> Allowed {
+    Allowed {
+        low,
+        high,
+        unit,
+        whole: false,
+    }
+}
+
+/// A whole number from `low` to `high`.
+pub fn whole(low: u32, high: u32, unit: &'static str) -> Allowed {
+    Allowed {
+        low: f64::from(low),
+        high: f64::from(high),
+        unit,
+        whole: true,
+    }
+}
+
+/// A table of the file.
+pub struct Section<'d, 'i> {
+    document: &'d Document<'i>,
+    path: String,
+    table: &'d DeTable<'i>,
+    offset: usize,
+    asked: RefCell<Vec<&'static str>>,
+}
+
+impl<'d, 'i> Section<'d, 'i> {
+    /// The whole file.
+    pub fn root(document: &'d Document<'i>, table: &'d DeTable<'i>) -> Self {
+        Self {
+            document,
+            path: String::new(),
+            table,
+            offset: 0,
+            asked: RefCell::default(),
+        }
+    }
+
+    /// The key with the path that leads to it.
+    pub fn path_of(&self, key: &str) -> String {
+        match (self.path.is_empty(), key.is_empty()) {
+            (true, _) => key.to_string(),
+            (_, true) => self.path.clone(),
+            _ => format!("{}.{key}", self.path),
+        }
+    }
+
+    /// Reports a problem of a key: at its value, or at the section's head when the key is absent or empty.
+    pub fn report(&self, key: &str, what: impl Into<String>, remedy: impl Into<String>) {
+        let offset = self
+            .table
+            .get(key)
+            .map_or(self.offset, |value| value.span().start);
+        self.document
+            .report(offset, self.path_of(key), what, remedy);
+    }
+
+    fn get(&self, key: &'static str) -> Option<&'d Spanned<DeValue<'i>>> {
+        self.asked.borrow_mut().push(key);
+        self.table.get(key)
+    }
+
+    fn required(
+        &self,
+        key: &'static str,
+        remedy: impl FnOnce() -> String,
+    ) -> Option<&'d Spanned<DeValue<'i>>> {
+        let value = self.get(key);
+        if value.is_none() {
+            self.report(key, "is missing", remedy());
+        }
+        value
+    }
+
+    fn wrong_type(&self, key: &str, value: &DeValue<'_>, wanted: &str) {
+        let what = format!("is {}, not {wanted}", named_type(value));
+        self.report(key, what, format!("write {wanted}"));
+    }
+
+    /// A number; NaN after a report.
+    pub fn number(&self, key: &'static str, allowed: Allowed) -> f64 {
+        let remedy = || format!("add `{key} = ...`, {}", describe(allowed));
+        self.required(key, remedy)
+            .map_or(f64::NAN, |value| self.check(key, value, allowed))
+    }
+
+    /// A number with a value for when it is absent; NaN after a report.
+    pub fn number_or(&self, key: &'static str, default: f64, allowed: Allowed) -> f64 {
+        self.get(key)
+            .map_or(default, |value| self.check(key, value, allowed))
+    }
+
+    fn check(&self, key: &'static str, value: &Spanned<DeValue<'i>>, allowed: Allowed) -> f64 {
+        let number = match value.get_ref() {
+            // Digits beyond i128 are beyond every range here; their number is not looked at.
+            DeValue::Integer(digits) => i128::from_str_radix(digits.as_str(), digits.radix())
+                .map_or(f64::INFINITY, |n| n as f64),
+            DeValue::Float(digits) => digits.as_str().parse().unwrap_or(f64::NAN),
+            other => {
+                self.wrong_type(key, other, "a number");
+                return f64::NAN;
+            }
+        };
+        let written = self.document.text.get(value.span()).unwrap_or("the value");
+        if !number.is_finite() {
+            let what = format!("`{written}` is not a finite number");
+            self.report(key, what, format!("write a number, {}", describe(allowed)));
+        } else if number < allowed.low || number > allowed.high {
+            let what = format!("{written} is out of range, {}", describe(allowed));
+            let remedy = if number < allowed.low {
+                "raise"
+            } else {
+                "lower"
+            };
+            self.report(key, what, format!("{remedy} it"));
+        } else if allowed.whole && number.fract() != 0.0 {
+            let what = format!("{written} is not a whole number, {}", describe(allowed));
+            self.report(key, what, "round it");
+        } else {
+            return number;
+        }
+        f64::NAN
+    }
+
+    /// A direction, 1 or -1; 1 when it is absent.
+    pub fn direction(&self, key: &'static str) -> f64 {
+        let sign = self.number_or(key, 1.0, real(-1.0, 1.0, ""));
+        if sign.is_nan() || sign.abs() == 1.0 {
+            return sign;
+        }
+        self.report(key, format!("{sign} is no direction"), "write 1 or -1");
+        f64::NAN
+    }
+
+    /// A string that is not empty; `None` after a report.
+    pub fn text(&self, key: &'static str, remedy: &str) -> Option<&'d str> {
+        let value = self.required(key, || remedy.to_string())?;
+        match value.get_ref() {
+            DeValue::String(text) if text.is_empty() => {
+                self.report(key, "is empty", remedy);
+                None
+            }
+            DeValue::String(text) => Some(text),
+            other => {
+                self.wrong_type(key, other, "a string");
+                None
+            }
+        }
+    }
+
+    /// A string if it is there, without a report and without marking the key as known.
+    pub fn peek_text(&self, key: &str) -> Option<&'d str> {
+        match self.table.get(key)?.get_ref() {
+            DeValue::String(text) => Some(text),
+            _ => None,
+        }
+    }
+
+    /// One of a few words; `None` after a report.
+    pub fn choice<T: Copy>(&self, key: &'static str, choices: &[(&str, T)]) -> Option<T> {
+        let words: Vec<String> = choices.iter().map(|(w, _)| format!("\"{w}\"")).collect();
+        let remedy = format!("write {}", words.join(" or "));
+        let text = self.text(key, &remedy)?;
+        let found = choices.iter().find(|(word, _)| *word == text);
+        if found.is_none() {
+            self.report(key, format!("\"{text}\" is not known"), remedy);
+        }
+        found.map(|(_, value)| *value)
+    }
+
+    /// A section below this one; `None` after a report.
+    pub fn section(&self, key: &'static str) -> Option<Section<'d, 'i>> {
+        let value = self.required(key, || format!("add a section [{}]", self.path_of(key)))?;
+        match value.get_ref() {
+            DeValue::Table(table) => Some(Section {
+                document: self.document,
+                path: self.path_of(key),
+                table,
+                offset: value.span().start,
+                asked: RefCell::default(),
+            }),
+            other => {
+                self.wrong_type(key, other, "a section");
+                None
+            }
+        }
+    }
+
+    /// The sections of a list (`[[key]]`); empty after a report.
+    pub fn list(&self, key: &'static str) -> Vec<Section<'d, 'i>> {
+        let Some(value) = self.required(key, || format!("add sections [[{key}]]")) else {
+            return Vec::new();
+        };
+        let DeValue::Array(items) = value.get_ref() else {
+            self.wrong_type(key, value.get_ref(), "a list of sections");
+            return Vec::new();
+        };
+        let mut sections = Vec::new();
+        for (index, item) in items.iter().enumerate() {
+            let path = format!("{}[{}]", self.path_of(key), index + 1);
+            match item.get_ref() {
+                DeValue::Table(table) => sections.push(Section {
+                    document: self.document,
+                    path,
+                    table,
+                    offset: item.span().start,
+                    asked: RefCell::default(),
+                }),
+                other => {
+                    let what = format!("is {}, not a section", named_type(other));
+                    let remedy = format!("write [[{key}]]");
+                    self.document.report(item.span().start, path, what, remedy);
+                }
+            }
+        }
+        sections
+    }
+
+    /// Marks a key as known without reading it; true when it is there.
+    pub fn skip(&self, key: &'static str) -> bool {
+        self.get(key).is_some()
+    }
+
+    /// Reports every key that nothing asked for.
+    pub fn finish(&self) {
+        let asked = self.asked.borrow();
+        for key in self.table.keys() {
+            let name: &str = key.get_ref();
+            if asked.contains(&name) {
+                continue;
+            }
+            let absent = asked.iter().filter(|k| !self.table.contains_key(**k));
+            let nearest = absent.min_by_key(|k| dissimilarity(name, k));
+            let remedy = match nearest {
+                Some(near) if dissimilarity(name, near) <= 2 => format!("did you mean `{near}`?"),
+                _ => "remove it, or see machines/h4.toml for the keys there are".to_string(),
+            };
+            self.document.report(
+                key.span().start,
+                self.path_of(name),
+                "is not a known key",
+                remedy,
+            );
+        }
+    }
+}
+
+fn named_type(value: &DeValue<'_>) -> &'static str {
+    match value {
+        DeValue::String(_) => "a string",
+        DeValue::Integer(_) | DeValue::Float(_) => "a number",
+        DeValue::Boolean(_) => "true or false",
+        DeValue::Datetime(_) => "a date",
+        DeValue::Array(_) => "a list",
+        DeValue::Table(_) => "a section",
+    }
+}
+
+fn describe(allowed: Allowed) -> String {
+    let Allowed {
+        low, high, unit, ..
+    } = allowed;
+    let space = if unit.is_empty() { "" } else { " " };
+    format!("allowed is {low} to {high}{space}{unit}")
+}
+
+/// Edits between two keys; 1 when they differ only in their unit (`rate_mm_s`, `rate_deg_s`).
+fn dissimilarity(left: &str, right: &str) -> usize {
+    let stem = |key: &str| {
+        let units = ["_mm", "_deg", "_n", "_kg", "_ms", "_us", "_hz"];
+        let cut = units.iter().filter_map(|unit| {
+            let at = key.find(unit)?;
+            let after = key.as_bytes().get(at + unit.len());
+            after.is_none_or(|b| *b == b'_').then_some(at)
+        });
+        key[..cut.min().unwrap_or(key.len())].to_string()
+    };
+    if left != right && stem(left) == stem(right) {
+        return 1;
+    }
+    let right: Vec<char> = right.chars().collect();
+    let mut row: Vec<usize> = (0..=right.len()).collect();
+    for (i, l) in left.chars().enumerate() {
+        let mut diagonal = row[0];
+        row[0] = i + 1;
+        for (j, r) in right.iter().enumerate() {
+            let change = diagonal + usize::from(l != *r);
+            diagonal = row[j + 1];
+            row[j + 1] = change.min(row[j] + 1).min(row[j + 1] + 1);
+        }
+    }
+    row[right.len()]
+}

@@ -1,0 +1,80 @@
+//! The `[kinematics]` section of an H-4 arm with its rotary table (spec h4-milling 2.5-2.6, 7.2).
+
+use super::document::{Section, real};
+use super::scale::{PER_MM, to_i32};
+use haptimill_firmware::config::{AxisKind, H4Geometry};
+use haptimill_firmware::units::Length;
+
+/// Pose coordinates, in order.
+pub const POSE: [(&str, AxisKind); 5] = [
+    ("x", AxisKind::Linear),
+    ("y", AxisKind::Linear),
+    ("z", AxisKind::Linear),
+    ("theta", AxisKind::Rotary),
+    ("alpha", AxisKind::Rotary),
+];
+
+/// Joints, in order.
+pub const JOINTS: [(&str, AxisKind); 5] = [
+    ("l1", AxisKind::Linear),
+    ("l2", AxisKind::Linear),
+    ("l3", AxisKind::Linear),
+    ("l4", AxisKind::Linear),
+    ("alpha", AxisKind::Rotary),
+];
+
+/// Reads the geometry. `singularity_margin` in mm comes from `[supervision]`.
+pub fn geometry(section: Section<'_, '_>, singularity_margin: f64) -> H4Geometry {
+    let length = |key| section.number(key, real(-1000.0, 1000.0, "mm"));
+    let positive = |key| section.number(key, real(0.001, 1000.0, "mm"));
+    let (a, b, e) = (length("a"), length("b"), length("e"));
+    let c = positive("c");
+    let (d, w) = (length("d"), length("w"));
+    let r = positive("r");
+    let ge = length("ge");
+    let tl = section.number("tl", real(0.0, 1000.0, "mm"));
+    let (p, h) = (length("p"), length("h"));
+    // Offsets add to a home position of more than a metre.
+    let offset = |key| section.number(key, real(-2000.0, 2000.0, "mm"));
+    let (x_off, y_off, z_off) = (offset("x_off"), offset("y_off"), offset("z_off"));
+    let below = section.choice("branch", &[("below", true), ("above", false)]);
+
+    let lateral = a - b - e;
+    if lateral <= 0.0 {
+        let what = format!("E = a - b - e is {lateral} mm: the rails must be outside the platform");
+        section.report("a", what, "raise a, or lower b or e");
+    } else if lateral >= r {
+        let what = format!(
+            "rods of {r} mm do not reach across E = a - b - e = {lateral} mm: no pose is possible"
+        );
+        section.report("r", what, "raise r, or lower a - b - e");
+    } else if lateral.hypot(d - c) >= r {
+        let what = format!(
+            "rods of {r} mm are too short for E = {lateral} mm and d - c = {} mm at theta = 0: no pose is possible",
+            d - c
+        );
+        section.report("r", what, "raise r, or bring d nearer to c");
+    }
+    if (p + x_off).abs() > 2000.0 {
+        let what = format!("p + x_off is {} mm, beyond +-2000 mm", p + x_off);
+        section.report("x_off", what, "lower it");
+    }
+    section.finish();
+
+    let length = |value: f64| Length(to_i32(value * PER_MM));
+    H4Geometry {
+        lateral: length(lateral),
+        half_spacing: length(c),
+        half_height: length(d),
+        joint_offset: length(w),
+        rod: length(r),
+        rail_offset: length(ge),
+        tool: length(tl),
+        x_offset: length(p + x_off),
+        y_offset: length(y_off),
+        z_offset: length(z_off),
+        table_height: length(h),
+        below: below.unwrap_or(true),
+        singularity_margin: length(singularity_margin),
+    }
+}

@@ -1,0 +1,379 @@
+//! Machine files: everything that makes a controller, a planner and a simulated plant this machine and not another.
+//!
+//! A machine file is TOML in people's units; the unit stands in the name of the key (`rate_mm_s`, `low_deg`, `heartbeat_ms`). It is
+//! turned into the controller's integers ([`Config`]) by one multiplication and one rounding a value (see [`scale`]).
+//! Every problem of a file is reported, not just the first, each with its line, its value, what is allowed and what to do.
+//!
+//! Misuse: a machine file that reads without a problem is consistent in itself. Whether it describes the machine in front of you it cannot know.
+
+mod axes;
+mod document;
+mod h4;
+mod problem;
+mod scale;
+mod stability;
+#[cfg(test)]
+mod tests;
+
+pub use axes::AxisLimits;
+pub use problem::{Problem, Problems};
+
+use document::{Document, Section, real, whole};
+use haptimill_firmware::config::{
+    AxisKind, Config, H4Geometry, Homing, JointAxis, Model, PoseAxis, Stopping, Supervision,
+};
+use haptimill_firmware::units::{Acceleration, Coordinate, Length, Rate};
+use scale::{PER_MM, to_i32, to_u16};
+use serde::de::DeserializeOwned;
+use std::path::Path;
+use toml::Spanned;
+use toml::de::DeTable;
+
+/// The machine file that the command has built in.
+pub const BUILT_IN: &str = include_str!("../../../machines/h4.toml");
+
+/// Name under which problems of [`BUILT_IN`] are reported.
+pub const BUILT_IN_NAME: &str = "machines/h4.toml (built in)";
+
+/// What the planner may ask of the machine along a path.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Planner {
+    /// Acceleration of the tool tip along its path, mm/s^2.
+    pub acceleration_mm_s2: f64,
+    /// Jerk of the tool tip along its path, mm/s^3.
+    pub jerk_mm_s3: f64,
+    /// Speed of rapid moves (G0), mm/s.
+    pub rapid_mm_s: f64,
+    /// How far a path may pass a programmed corner by, mm.
+    pub corner_tolerance_mm: f64,
+}
+
+/// A machine file that was read without a problem.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MachineFile {
+    /// Name of the file, for messages.
+    pub file: String,
+    /// Its text.
+    pub text: String,
+    /// The controller's configuration.
+    pub config: Config,
+    /// Pose coordinates in people's units.
+    pub pose: Vec<AxisLimits>,
+    /// Joints in people's units.
+    pub joints: Vec<AxisLimits>,
+    /// Bounds of the planner.
+    pub planner: Planner,
+    /// Whether there is a `[plant]` section; see [`MachineFile::plant`].
+    pub has_plant: bool,
+}
+
+impl MachineFile {
+    /// The built-in H-4 arm.
+    pub fn built_in() -> Result<Self, Problems> {
+        Self::parse(BUILT_IN_NAME, BUILT_IN)
+    }
+
+    /// Reads a machine file from disk. A file that cannot be read is a problem of line 0.
+    pub fn load(path: &Path) -> Result<Self, Problems> {
+        let file = path.display().to_string();
+        let unreadable = |what: String, remedy: &str| {
+            Problems(vec![Problem {
+                file: file.clone(),
+                line: 0,
+                column: 0,
+                key: String::new(),
+                what,
+                remedy: remedy.to_string(),
+            }])
+        };
+        let bytes = std::fs::read(path)
+            .map_err(|e| unreadable(format!("cannot be read: {e}"), "check the path"))?;
+        let text = String::from_utf8(bytes).map_err(|e| {
+            let at = e.utf8_error().valid_up_to();
+            unreadable(format!("is not UTF-8 at byte {at}"), "save it as UTF-8")
+        })?;
+        Self::parse(&file, &text)
+    }
+
+    /// Reads the text of a machine file; `file` is its name in messages.
+    pub fn parse(file: &str, text: &str) -> Result<Self, Problems> {
+        let document = Document::new(file, text);
+        let (root, errors) = DeTable::parse_recoverable(text);
+        if !errors.is_empty() {
+            // One slip, such as a misspelt [[joint]], can make a long train of equal errors.
+            let mut said: Vec<&str> = Vec::new();
+            for error in &errors {
+                let message = error.message();
+                if said.contains(&message) {
+                    continue;
+                }
+                said.push(message);
+                let offset = error.span().map_or(0, |span| span.start);
+                let more = errors.iter().filter(|e| e.message() == message).count() - 1;
+                let remedy = match more {
+                    0 => "correct the TOML".to_string(),
+                    _ => format!("correct the TOML ({more} more like this below)"),
+                };
+                document.report(offset, "", message.trim().replace('\n', ", "), remedy);
+            }
+            return Err(document.into_problems());
+        }
+        let read = read(&document, &root);
+        document.finish()?;
+        Ok(Self {
+            file: file.to_string(),
+            text: text.to_string(),
+            ..read
+        })
+    }
+
+    /// The configuration as it is sent to the controller (postcard), and its CRC-32 (ISO-HDLC).
+    pub fn encoded(&self) -> Result<(Vec<u8>, u32), postcard::Error> {
+        let bytes = postcard::to_stdvec(&self.config)?;
+        let crc = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC).checksum(&bytes);
+        Ok((bytes, crc))
+    }
+
+    /// The `[plant]` section as the type that the simulator wants. Its problems are found one at a time.
+    pub fn plant<T: DeserializeOwned>(&self) -> Result<T, Problems> {
+        #[derive(serde::Deserialize)]
+        struct OnlyPlant<T> {
+            plant: T,
+        }
+        match toml::from_str::<OnlyPlant<T>>(&self.text) {
+            Ok(only) => Ok(only.plant),
+            Err(error) => {
+                let document = Document::new(&self.file, &self.text);
+                let offset = error.span().map_or(0, |span| span.start);
+                let message = error.message().trim().replace('\n', ", ");
+                document.report(offset, "plant", message, "see machines/h4.toml");
+                Err(document.into_problems())
+            }
+        }
+    }
+}
+
+fn read(document: &Document<'_>, root: &Spanned<DeTable<'_>>) -> MachineFile {
+    let root = Section::root(document, root.get_ref());
+    let name = name(&root);
+    let period_us = root.number("period_us", whole(50, 1000, "us"));
+
+    let stopping = root.section("stopping").map(stopping);
+    let (supervision, margin) = match root.section("supervision").map(supervision) {
+        Some((supervision, margin)) => (Some(supervision), margin),
+        None => (None, f64::NAN),
+    };
+    let homing = root.section("homing").map(homing);
+    let planner = root.section("planner").map(planner);
+    let geometry = root.section("kinematics").map(|section| {
+        let model = section.choice("model", &[("h4", ())]);
+        // The keys of an unknown model are not known either.
+        model.map(|()| h4::geometry(section, margin))
+    });
+
+    let pose = axes(&root, "pose", &h4::POSE);
+    let pose: Vec<_> = pose
+        .iter()
+        .map(|(section, place)| (section, axes::pose_axis(section, *place)))
+        .collect();
+    let joints = axes(&root, "joint", &h4::JOINTS);
+    let joints: Vec<_> = joints
+        .iter()
+        .map(|(section, place)| axes::joint_axis(section, *place, period_us / 1e6))
+        .collect();
+    across(&pose, &joints);
+    let has_plant = root.skip("plant");
+    root.finish();
+
+    let (pose, pose_limits): (Vec<_>, Vec<_>) = pose.into_iter().map(|(_, axis)| axis).unzip();
+    let (joints, joint_limits): (Vec<_>, Vec<_>) = joints.into_iter().unzip();
+    MachineFile {
+        file: String::new(),
+        text: String::new(),
+        config: Config {
+            name,
+            period_us: to_u16(period_us),
+            model: Model::H4(geometry.flatten().unwrap_or_else(no_geometry)),
+            pose: pose.into_iter().take(6).collect(),
+            joints: joints.into_iter().take(6).collect(),
+            stopping: stopping.unwrap_or(Stopping {
+                time_ms: 0,
+                ramp_ms: 0,
+            }),
+            supervision: supervision.unwrap_or(Supervision {
+                heartbeat_ms: 0,
+                missed_periods: 0,
+                illegal_transitions: 0,
+            }),
+            homing: homing.unwrap_or(Homing {
+                rate: Rate(0),
+                acceleration: Acceleration(0),
+            }),
+        },
+        pose: pose_limits,
+        joints: joint_limits,
+        planner: planner.unwrap_or(Planner {
+            acceleration_mm_s2: f64::NAN,
+            jerk_mm_s3: f64::NAN,
+            rapid_mm_s: f64::NAN,
+            corner_tolerance_mm: f64::NAN,
+        }),
+        has_plant,
+    }
+}
+
+fn name(root: &Section<'_, '_>) -> heapless::String<24> {
+    let name = root
+        .text("name", "add a name of 1 to 24 bytes")
+        .unwrap_or_default();
+    heapless::String::try_from(name).unwrap_or_else(|_| {
+        let what = format!("\"{name}\" has {} bytes, allowed are 1 to 24", name.len());
+        root.report("name", what, "shorten it");
+        heapless::String::new()
+    })
+}
+
+/// The sections of a list of axes, each with the place that the model has for it; reports a wrong count and doubled names.
+fn axes<'d, 'i>(
+    root: &Section<'d, 'i>,
+    key: &'static str,
+    places: &'static [(&'static str, AxisKind)],
+) -> Vec<(Section<'d, 'i>, Option<(&'static str, AxisKind)>)> {
+    let sections = root.list(key);
+    if !sections.is_empty() && sections.len() != places.len() {
+        let names: Vec<&str> = places.iter().map(|(name, _)| *name).collect();
+        let what = format!(
+            "has {} sections, the model has {}",
+            sections.len(),
+            places.len()
+        );
+        root.report(
+            key,
+            what,
+            format!("write one for each of {}", names.join(", ")),
+        );
+    }
+    let mut seen: Vec<&str> = Vec::new();
+    let count_fits = sections.len() == places.len();
+    let mut result = Vec::new();
+    for (index, section) in sections.into_iter().enumerate() {
+        let name = section.peek_text("name");
+        let doubled = name.is_some_and(|name| seen.contains(&name));
+        if let Some(name) = name {
+            if doubled {
+                section.report("name", format!("\"{name}\" is there twice"), "rename one");
+            }
+            seen.push(name);
+        }
+        // With a wrong count or a doubled name the places are shifted: one report is enough.
+        let place = places.get(index).filter(|_| count_fits && !doubled);
+        result.push((section, place.copied()));
+    }
+    result
+}
+
+/// What must fit between pose coordinates and joints.
+fn across(pose: &[(&Section<'_, '_>, (PoseAxis, AxisLimits))], joints: &[(JointAxis, AxisLimits)]) {
+    for (section, (_, limits)) in pose {
+        if limits.name == "theta" {
+            for (key, value) in [("low_deg", limits.low), ("high_deg", limits.high)] {
+                if value.abs() >= 90.0 {
+                    let what = format!("{value} deg: the tilt must stay within +-90 deg");
+                    section.report(key, what, "narrow the soft limits");
+                }
+            }
+        }
+        // A pose coordinate that is a joint itself, as the table is.
+        let Some((_, joint)) = joints.iter().find(|(_, joint)| joint.name == limits.name) else {
+            continue;
+        };
+        let (low, high) = (joint.low, joint.high);
+        for (key, value) in [("low_deg", limits.low), ("high_deg", limits.high)] {
+            if value < low || value > high {
+                let what = format!("{value} deg is outside the joint's stroke {low} to {high} deg");
+                section.report(key, what, "narrow the soft limits");
+            }
+        }
+        if limits.rate > joint.rate {
+            let what = format!("{} is above the joint's rate {}", limits.rate, joint.rate);
+            section.report("rate_deg_s", what, "lower it");
+        }
+    }
+}
+
+fn stopping(section: Section<'_, '_>) -> Stopping {
+    let time = section.number("time_ms", whole(5, 2000, "ms"));
+    let ramp = section.number("ramp_ms", whole(1, 1000, "ms"));
+    if ramp > time / 2.0 {
+        let what = format!("{ramp} ms is more than half of time_ms = {time}");
+        section.report("ramp_ms", what, "lower it");
+    }
+    section.finish();
+    Stopping {
+        time_ms: to_u16(time),
+        ramp_ms: to_u16(ramp),
+    }
+}
+
+fn supervision(section: Section<'_, '_>) -> (Supervision, f64) {
+    let result = Supervision {
+        heartbeat_ms: to_u16(section.number("heartbeat_ms", whole(20, 60_000, "ms"))),
+        missed_periods: to_u16(section.number("missed_periods", whole(1, 1000, "periods"))),
+        illegal_transitions: to_u16(section.number("illegal_transitions", whole(1, 10_000, ""))),
+    };
+    let margin = section.number("singularity_margin_mm", real(1.0, 200.0, "mm"));
+    section.finish();
+    (result, margin)
+}
+
+fn homing(section: Section<'_, '_>) -> Homing {
+    let rate = section.number("rate_mm_s", real(0.01, 200.0, "mm/s"));
+    let acceleration = section.number("acceleration_mm_s2", real(0.1, 10_000.0, "mm/s^2"));
+    section.finish();
+    Homing {
+        rate: Rate(to_i32(rate * PER_MM)),
+        acceleration: Acceleration(scale::acceleration(acceleration, AxisKind::Linear)),
+    }
+}
+
+fn planner(section: Section<'_, '_>) -> Planner {
+    let result = Planner {
+        acceleration_mm_s2: section.number("acceleration_mm_s2", real(1.0, 100_000.0, "mm/s^2")),
+        jerk_mm_s3: section.number("jerk_mm_s3", real(10.0, 1e8, "mm/s^3")),
+        rapid_mm_s: section.number("rapid_mm_s", real(0.1, 2000.0, "mm/s")),
+        corner_tolerance_mm: section.number("corner_tolerance_mm", real(0.0, 1.0, "mm")),
+    };
+    section.finish();
+    result
+}
+
+/// Stands where the file has no geometry; never leaves this module without a report.
+fn no_geometry() -> H4Geometry {
+    let zero = Length(0);
+    H4Geometry {
+        lateral: zero,
+        half_spacing: zero,
+        half_height: zero,
+        joint_offset: zero,
+        rod: zero,
+        rail_offset: zero,
+        tool: zero,
+        x_offset: zero,
+        y_offset: zero,
+        z_offset: zero,
+        table_height: zero,
+        below: true,
+        singularity_margin: zero,
+    }
+}
+
+impl MachineFile {
+    /// The joints at the home preset, as the operator sets them up before power on.
+    pub fn preset(&self) -> Vec<Coordinate> {
+        self.config
+            .joints
+            .iter()
+            .map(|joint| joint.preset)
+            .collect()
+    }
+}
