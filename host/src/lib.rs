@@ -1,3 +1,7 @@
 //! The library behind the `haptimill` command.
 
+<<<<<<< HEAD
 pub mod machine;
+=======
+pub mod program;
+>>>>>>> room/plan

@@ -1,0 +1,203 @@
+//! The geometry of a move: a line or an arc in pose space, by the length of way done.
+
+/// One value for each pose coordinate of a machine, in its order; unused ones are 0. Millimetres or degrees.
+pub type Coordinates = [f64; 6];
+
+/// Linear or rotary.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum AxisKind {
+    /// In millimetres.
+    Linear,
+    /// In degrees.
+    Rotary,
+}
+
+/// What the length of a path counts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Measure {
+    /// Millimetres of the tool tip in the work.
+    Tip,
+    /// Degrees of the rotary axis that turns farthest: the tip stands still in the work.
+    Turn,
+}
+
+/// An arc in the plane of two pose coordinates. The others go along in proportion to the angle (helix).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Arc {
+    /// The plane's coordinates, in the order that makes a positive sweep counter-clockwise (G3).
+    pub plane: [usize; 2],
+    /// Centre in the plane.
+    pub centre: [f64; 2],
+    /// Radius at start and end; they differ by no more than the reader tolerates, and the path goes evenly from one to the other.
+    pub radius: [f64; 2],
+    /// Angle of the start, radians.
+    pub angle: f64,
+    /// Signed angle of the whole arc, radians.
+    pub sweep: f64,
+}
+
+/// A line or an arc, parametrised by length: 0 at `from`, [`Path::length`] at `to`.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Path {
+    /// Start.
+    pub from: Coordinates,
+    /// End.
+    pub to: Coordinates,
+    /// The arc, if it is one.
+    pub arc: Option<Arc>,
+    /// Length in the unit of `measure`; positive.
+    pub length: f64,
+    /// What the length counts.
+    pub measure: Measure,
+}
+
+impl Path {
+    /// A straight move; none if nothing moves.
+    pub fn line(kinds: &[AxisKind], from: Coordinates, to: Coordinates) -> Option<Path> {
+        let (tip, turn) = extent(kinds, &from, &to, &[]);
+        Self::with_length(from, to, None, tip.sqrt(), turn)
+    }
+
+    /// An arc.
+    pub fn arc(kinds: &[AxisKind], from: Coordinates, to: Coordinates, arc: Arc) -> Option<Path> {
+        let (rest, turn) = extent(kinds, &from, &to, &arc.plane);
+        let in_plane = 0.5 * (arc.radius[0] + arc.radius[1]) * arc.sweep;
+        Self::with_length(
+            from,
+            to,
+            Some(arc),
+            (in_plane * in_plane + rest).sqrt(),
+            turn,
+        )
+    }
+
+    fn with_length(
+        from: Coordinates,
+        to: Coordinates,
+        arc: Option<Arc>,
+        tip: f64,
+        turn: f64,
+    ) -> Option<Path> {
+        // Below the resolution of the setpoints (1 nm, 0.08 udeg) there is no move.
+        let (length, measure) = match (tip > 1e-7, turn > 1e-8) {
+            (true, _) => (tip, Measure::Tip),
+            (false, true) => (turn, Measure::Turn),
+            (false, false) => return None,
+        };
+        Some(Path {
+            from,
+            to,
+            arc,
+            length,
+            measure,
+        })
+    }
+
+    /// The length that belongs to the tool tip, mm.
+    pub fn tip_length(&self) -> f64 {
+        match self.measure {
+            Measure::Tip => self.length,
+            Measure::Turn => 0.0,
+        }
+    }
+
+    /// The point at length `s`; the ends are exact, beyond them nothing moves.
+    pub fn at(&self, s: f64) -> Coordinates {
+        if s <= 0.0 {
+            return self.from;
+        }
+        if s >= self.length {
+            return self.to;
+        }
+        let u = s / self.length;
+        let mut point = self.from;
+        for (value, to) in point.iter_mut().zip(&self.to) {
+            *value += (to - *value) * u;
+        }
+        if let Some(arc) = &self.arc {
+            let (sin, cos) = libm::sincos(arc.angle + arc.sweep * u);
+            let radius = arc.radius[0] + (arc.radius[1] - arc.radius[0]) * u;
+            point[arc.plane[0]] = arc.centre[0] + radius * cos;
+            point[arc.plane[1]] = arc.centre[1] + radius * sin;
+        }
+        point
+    }
+
+    /// The derivative of the point by length, at `s`.
+    pub fn tangent(&self, s: f64) -> Coordinates {
+        let mut tangent = [0.0; 6];
+        for (value, (from, to)) in tangent.iter_mut().zip(self.from.iter().zip(&self.to)) {
+            *value = (to - from) / self.length;
+        }
+        if let Some(arc) = &self.arc {
+            let u = (s / self.length).clamp(0.0, 1.0);
+            let (sin, cos) = libm::sincos(arc.angle + arc.sweep * u);
+            let growth = arc.radius[1] - arc.radius[0];
+            let radius = arc.radius[0] + growth * u;
+            tangent[arc.plane[0]] = (growth * cos - radius * arc.sweep * sin) / self.length;
+            tangent[arc.plane[1]] = (growth * sin + radius * arc.sweep * cos) / self.length;
+        }
+        tangent
+    }
+
+    /// The second derivative of the point by length, at `s`.
+    pub fn curvature(&self, s: f64) -> Coordinates {
+        let mut curvature = [0.0; 6];
+        if let Some(arc) = &self.arc {
+            let u = (s / self.length).clamp(0.0, 1.0);
+            let (sin, cos) = libm::sincos(arc.angle + arc.sweep * u);
+            let growth = arc.radius[1] - arc.radius[0];
+            let radial = -(arc.radius[0] + growth * u) * arc.sweep * arc.sweep;
+            let across = 2.0 * growth * arc.sweep;
+            let scale = 1.0 / (self.length * self.length);
+            curvature[arc.plane[0]] = (radial * cos - across * sin) * scale;
+            curvature[arc.plane[1]] = (radial * sin + across * cos) * scale;
+        }
+        curvature
+    }
+
+    /// The length at which the path is nearest to `point` in its first three coordinates, looked for from `near` on.
+    pub fn nearest(&self, point: &Coordinates, near: f64) -> f64 {
+        let mut s = near;
+        if let Some(arc) = &self.arc {
+            // The angle seen from the centre, on the turn that is nearest to where the search starts.
+            let seen = libm::atan2(
+                point[arc.plane[1]] - arc.centre[1],
+                point[arc.plane[0]] - arc.centre[0],
+            );
+            let expected = arc.angle + arc.sweep * near / self.length;
+            let turns = libm::round((expected - seen) / std::f64::consts::TAU);
+            s = (seen + turns * std::f64::consts::TAU - arc.angle) / arc.sweep * self.length;
+            s = s.clamp(0.0, self.length);
+        }
+        // Newton on the squared distance: exact at once on a line and a flat arc, a few steps on a helix.
+        for _ in 0..4 {
+            let (here, tangent, curvature) = (self.at(s), self.tangent(s), self.curvature(s));
+            let (mut slope, mut bend) = (0.0, 0.0);
+            for k in 0..3 {
+                let off = here[k] - point[k];
+                slope += off * tangent[k];
+                bend += tangent[k] * tangent[k] + off * curvature[k];
+            }
+            if bend <= 0.0 {
+                break;
+            }
+            s = (s - slope / bend).clamp(0.0, self.length);
+        }
+        s
+    }
+}
+
+/// Squared length over the linear coordinates outside `skip`, and the largest turn of a rotary one.
+fn extent(kinds: &[AxisKind], from: &Coordinates, to: &Coordinates, skip: &[usize]) -> (f64, f64) {
+    let (mut squared, mut turn) = (0.0, 0.0f64);
+    for (k, kind) in kinds.iter().enumerate().take(6) {
+        let step = to[k] - from[k];
+        match kind {
+            AxisKind::Linear if !skip.contains(&k) => squared += step * step,
+            AxisKind::Linear => {}
+            AxisKind::Rotary => turn = turn.max(step.abs()),
+        }
+    }
+    (squared, turn)
+}
