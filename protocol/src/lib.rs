@@ -14,6 +14,7 @@
 extern crate std;
 
 pub mod frame;
+pub mod link;
 pub mod message;
 pub mod schema;
 pub mod setpoint;
