@@ -10,6 +10,6 @@ pub mod drive;
 pub mod io;
 pub mod kinematics;
 pub mod motion;
-pub mod safety;
 pub mod position;
+pub mod safety;
 pub mod units;

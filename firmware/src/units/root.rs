@@ -166,7 +166,10 @@ mod tests {
             assert!(error <= 0.5 + exact * libm::exp2(-30.5), "{square}");
         }
         let reciprocal = root.reciprocal();
-        assert!(((1 << 30) - 4..=1 << 31).contains(&reciprocal.mantissa), "{square}");
+        assert!(
+            ((1 << 30) - 4..=1 << 31).contains(&reciprocal.mantissa),
+            "{square}"
+        );
         let value = reciprocal.mantissa as f64 / libm::exp2(reciprocal.shift as f64);
         assert!((value * exact - 1.0).abs() < libm::exp2(-29.5), "{square}");
     }

@@ -278,6 +278,7 @@ pub fn joint_axis(
         still: coordinate(still),
         preset: coordinate(preset),
         index: coordinate(index),
+        index_pitch: coordinate(turn),
         search: coordinate(search),
     };
     let limits = AxisLimits {

@@ -22,8 +22,8 @@ use document::{Document, Section, real, whole};
 use haptimill_firmware::config::{
     AxisKind, Config, H4Geometry, Homing, JointAxis, Model, PoseAxis, Stopping, Supervision,
 };
-use haptimill_firmware::units::{Acceleration, Coordinate, Length, Rate};
-use scale::{PER_MM, to_i32, to_u16};
+use haptimill_firmware::units::{Coordinate, Length, Rate};
+use scale::{PER_DEG, PER_MM, to_i32, to_u16};
 use serde::de::DeserializeOwned;
 use std::path::Path;
 use toml::Spanned;
@@ -207,7 +207,7 @@ fn read(document: &Document<'_>, root: &Spanned<DeTable<'_>>) -> MachineFile {
             }),
             homing: homing.unwrap_or(Homing {
                 rate: Rate(0),
-                acceleration: Acceleration(0),
+                table_rate: Rate(0),
             }),
         },
         pose: pose_limits,
@@ -328,11 +328,11 @@ fn supervision(section: Section<'_, '_>) -> (Supervision, f64) {
 
 fn homing(section: Section<'_, '_>) -> Homing {
     let rate = section.number("rate_mm_s", real(0.01, 200.0, "mm/s"));
-    let acceleration = section.number("acceleration_mm_s2", real(0.1, 10_000.0, "mm/s^2"));
+    let table_rate = section.number("table_rate_deg_s", real(0.01, 90.0, "deg/s"));
     section.finish();
     Homing {
         rate: Rate(to_i32(rate * PER_MM)),
-        acceleration: Acceleration(scale::acceleration(acceleration, AxisKind::Linear)),
+        table_rate: Rate(to_i32(table_rate * PER_DEG)),
     }
 }
 
