@@ -5,11 +5,17 @@
 //! fixed-point arithmetic, so the same inputs give the same bits on every target.
 #![no_std]
 
+mod command;
 pub mod config;
+pub mod controller;
+mod decide;
 pub mod drive;
 pub mod io;
 pub mod kinematics;
+pub mod machinery;
 pub mod motion;
 pub mod position;
+pub mod probe;
 pub mod safety;
+pub mod server;
 pub mod units;

@@ -441,6 +441,8 @@ pub enum Refusal {
     Config(ConfigProblem),
     /// The emergency stop input, a limit switch or a drive fault is active.
     Input,
+    /// The position was lost: the joints must be set up at their presets again, and the configuration activated.
+    PresetLost,
 }
 
 /// What is wrong in a configuration.
@@ -554,8 +556,6 @@ pub enum Fault {
         /// How.
         problem: HomingProblem,
     },
-    /// Received bytes were lost before they could be heard.
-    ReceiveOverrun,
     /// An arithmetic limit was reached inside the controller: a defect, reported rather than hidden.
     Internal {
         /// Source line, to report.

@@ -13,7 +13,7 @@
 //!
 //! A fault in which the controller still has the machine in hand (lost host, late periods, a soft limit) first brakes along the path and
 //! then latches, with the drives holding. Any other fault takes the drives off in the same period. Every stop says whether the position is
-//! kept: it is lost only when an encoder cannot be believed, or steps were lost, or homing was broken off.
+//! kept: it is lost only when an encoder or the configuration cannot be believed, or steps were lost.
 
 pub mod homing;
 pub mod supervise;
@@ -58,7 +58,6 @@ pub const fn keeps_position(fault: &Fault) -> bool {
             | Fault::EncoderReversed { .. }
             | Fault::StepsLost { .. }
             | Fault::Configuration
-            | Fault::Homing { .. }
     )
 }
 
@@ -91,6 +90,12 @@ impl Safety {
     #[must_use]
     pub const fn position_kept(&self) -> bool {
         self.position_kept
+    }
+
+    /// Whether the latched fault is one after which the encoders cannot be believed.
+    #[must_use]
+    pub fn position_lost(&self) -> bool {
+        self.fault.is_some_and(|fault| !keeps_position(&fault))
     }
 
     /// Whether the drives are to be on in this state.

@@ -1,0 +1,270 @@
+//! What each command does, and when it is refused. A refused command changes nothing.
+
+use crate::config::Config;
+use crate::controller::Controller;
+use crate::io::Inputs;
+use crate::kinematics::{Kinematics, Pose};
+use crate::machinery::Machinery;
+use crate::units::Coordinate;
+use haptimill_protocol::frame::crc32;
+use haptimill_protocol::message::{
+    AxisValues, Command, ConfigField, ConfigProblem, MAX_AXES, RATE_SHIFT, Refusal, Request, Source, State,
+};
+use haptimill_protocol::setpoint::Setpoint;
+
+type Done = Result<(), Refusal>;
+
+impl Controller {
+    /// Carries out a request and answers it.
+    pub(crate) fn command(&mut self, inputs: &Inputs, request: Request) {
+        let result = match request.command {
+            // Taken apart by the server, one setpoint a period.
+            Command::Setpoints(_) | Command::Ping => Ok(()),
+            Command::Configure(chunk) => self.server.stage(&chunk),
+            Command::Activate { length, crc } => self.activate(inputs, length, crc),
+            Command::Enable => self.enable(inputs),
+            Command::Disable => self.disable(),
+            Command::Home => self.home(),
+            Command::Reset => self.reset(inputs),
+            Command::JobStart { job, pose } => self.start_job(job, &pose),
+            Command::JobEnd { count } => self.end_job(count),
+            Command::Hold => {
+                self.hold();
+                Ok(())
+            }
+            Command::Resume => self.resume(),
+            Command::Stop => {
+                if self.safety.active() {
+                    self.give_up();
+                }
+                Ok(())
+            }
+            Command::EmergencyStop => {
+                self.safety.emergency_stop();
+                Ok(())
+            }
+            Command::Jog { epoch, deadline_ms, rates } => self.jog(epoch, deadline_ms, &rates),
+            Command::JogCancel { epoch } => self.cancel_jog(epoch),
+            Command::Source { axis, source } => self.choose_source(axis, source),
+            Command::Override { percent } => self.set_override(percent),
+            Command::Telemetry { every } => {
+                self.server.set_telemetry(every);
+                Ok(())
+            }
+            Command::Status => {
+                self.server.telemetry_now();
+                Ok(())
+            }
+        };
+        self.server.answer(request.id, result);
+    }
+
+    fn in_state(&self, allowed: &[State]) -> Done {
+        let state = self.safety.state();
+        if allowed.contains(&state) { Ok(()) } else { Err(Refusal::State(state)) }
+    }
+
+    fn configured(&mut self) -> Result<&mut Machinery, Refusal> {
+        self.machinery.as_mut().ok_or(Refusal::NotConfigured)
+    }
+
+    /// Checks the staged configuration and makes it the active one. The joints are taken to stand at their presets.
+    fn activate(&mut self, inputs: &Inputs, length: u16, crc: u32) -> Done {
+        self.in_state(&[State::Disabled, State::Fault, State::EmergencyStop])?;
+        if self.safety.drives_on() {
+            return Err(Refusal::State(self.safety.state()));
+        }
+        let staged = self.server.staged();
+        if staged.len() != usize::from(length) || crc32(staged) != crc {
+            return Err(Refusal::ConfigCheck);
+        }
+        let problem = |field| Refusal::Config(ConfigProblem { field, axis: None });
+        let (config, rest) = postcard::take_from_bytes::<Config>(staged).map_err(|_| problem(ConfigField::Encoding))?;
+        if !rest.is_empty() {
+            return Err(problem(ConfigField::Encoding));
+        }
+        if config.period_us != self.period_us {
+            return Err(problem(ConfigField::Period));
+        }
+        let machinery = Machinery::new(config, crc, inputs).map_err(Refusal::Config)?;
+        self.machinery = Some(machinery);
+        self.safety.set_homed(false);
+        self.job.preset_valid = true;
+        Ok(())
+    }
+
+    fn enable(&mut self, inputs: &Inputs) -> Done {
+        self.in_state(&[State::Disabled])?;
+        let machinery = self.machinery.as_mut().ok_or(Refusal::NotConfigured)?;
+        let blocked = inputs.axes[..machinery.axes()]
+            .iter()
+            .any(|axis| axis.limit_low || axis.limit_high || !axis.drive_ready);
+        if inputs.emergency_stop || blocked {
+            return Err(Refusal::Input);
+        }
+        machinery.enable().map_err(|error| Refusal::Pose { setpoint: 0, error })?;
+        self.job.saturated = 0;
+        self.safety.enter(State::Idle);
+        Ok(())
+    }
+
+    fn disable(&mut self) -> Done {
+        self.in_state(&[State::Idle, State::Disabled])?;
+        self.safety.enter(State::Disabled);
+        Ok(())
+    }
+
+    fn home(&mut self) -> Done {
+        self.in_state(&[State::Idle])?;
+        if !self.job.preset_valid {
+            return Err(Refusal::PresetLost);
+        }
+        self.configured()?.begin_homing();
+        self.safety.set_homed(false);
+        self.job.stopping = false;
+        self.safety.enter(State::Homing);
+        Ok(())
+    }
+
+    fn reset(&mut self, inputs: &Inputs) -> Done {
+        if inputs.emergency_stop {
+            return Err(Refusal::Input);
+        }
+        if let Some(machinery) = &mut self.machinery
+            && !machinery.configuration_intact()
+        {
+            return Err(Refusal::ConfigCheck);
+        }
+        self.safety.reset();
+        Ok(())
+    }
+
+    fn start_job(&mut self, job: u32, pose: &AxisValues) -> Done {
+        self.in_state(&[State::Idle])?;
+        if !self.safety.homed() || !self.safety.position_kept() {
+            return Err(Refusal::NotHomed);
+        }
+        let machinery = self.machinery.as_mut().ok_or(Refusal::NotConfigured)?;
+        let wanted = machinery.wanted_values();
+        if pose.len() != wanted.len() {
+            return Err(Refusal::AxisCount);
+        }
+        if let Some(axis) = pose.iter().zip(&wanted).position(|(said, is)| said != is) {
+            return Err(Refusal::StartPose { axis: axis as u8 });
+        }
+        machinery.motion.begin_program();
+        self.server.begin_job(pose);
+        self.job.number = Some(job);
+        self.job.stopping = false;
+        self.safety.enter(State::Run);
+        Ok(())
+    }
+
+    /// Takes a setpoint into the queue, if the machine can go there.
+    pub(crate) fn take_setpoint(&mut self, number: u32, setpoint: &Setpoint) -> Done {
+        self.in_state(&[State::Run, State::Hold])?;
+        let machinery = self.machinery.as_mut().ok_or(Refusal::NotConfigured)?;
+        let expected = machinery.motion.program.accepted();
+        if number != expected {
+            return Err(Refusal::OutOfOrder { expected });
+        }
+        let mut pose = Pose::default();
+        for (slot, value) in pose.0.iter_mut().zip(&setpoint.pose) {
+            *slot = Coordinate(*value);
+        }
+        if let Some(axis) = machinery.beyond_soft_limit(&pose) {
+            return Err(Refusal::SoftLimit { setpoint: number, axis });
+        }
+        machinery.machine.inverse(&pose).map_err(|error| Refusal::Pose { setpoint: number, error })?;
+        machinery.motion.program.push(setpoint)
+    }
+
+    fn end_job(&mut self, count: u32) -> Done {
+        self.in_state(&[State::Run, State::Hold])?;
+        self.configured()?.motion.program.end(count)
+    }
+
+    fn resume(&mut self) -> Done {
+        self.in_state(&[State::Hold, State::Run])?;
+        if self.job.stopping {
+            return Err(Refusal::State(State::Hold));
+        }
+        self.configured()?.motion.program.leave_pause();
+        self.safety.enter(State::Run);
+        Ok(())
+    }
+
+    fn jog(&mut self, epoch: u16, deadline_ms: u16, rates: &AxisValues) -> Done {
+        if !self.safety.homed() {
+            return Err(Refusal::NotHomed);
+        }
+        if !(1..=1000).contains(&deadline_ms) {
+            return Err(Refusal::Range);
+        }
+        // Epochs wrap around: one is older when it lies less than half the circle behind.
+        let age = self.job.jog_epoch.wrapping_sub(epoch) as i16;
+        if age > 0 || (age == 0 && self.job.jog_cancelled) {
+            return Err(Refusal::OldEpoch);
+        }
+        let period_us = u32::from(self.period_us);
+        let state = self.safety.state();
+        let machinery = self.machinery.as_mut().ok_or(Refusal::NotConfigured)?;
+        if rates.len() != machinery.axes() {
+            return Err(Refusal::AxisCount);
+        }
+        let beside_program = matches!(state, State::Run | State::Hold) && machinery.motion.has_jog_source();
+        if self.job.stopping || !(beside_program || matches!(state, State::Idle | State::Jog)) {
+            return Err(Refusal::State(state));
+        }
+        if state == State::Idle {
+            machinery.motion.begin_jog(true);
+            self.safety.enter(State::Jog);
+        }
+        let mut wanted = [0_i64; MAX_AXES];
+        for (index, (slot, rate)) in wanted.iter_mut().zip(rates).enumerate() {
+            if !beside_program || machinery.motion.source(index) == Source::Jog {
+                *slot = i64::from(*rate) << RATE_SHIFT;
+            }
+        }
+        machinery.motion.jog.aim(&wanted, u32::from(deadline_ms) * 1000 / period_us);
+        self.job.jog_epoch = epoch;
+        self.job.jog_cancelled = false;
+        Ok(())
+    }
+
+    fn cancel_jog(&mut self, epoch: u16) -> Done {
+        let newer = (epoch.wrapping_sub(self.job.jog_epoch) as i16) >= 0;
+        if newer {
+            self.job.jog_epoch = epoch;
+            self.job.jog_cancelled = true;
+            if let Some(machinery) = &mut self.machinery
+                && self.safety.state() != State::Homing
+            {
+                machinery.motion.jog.release();
+            }
+        }
+        Ok(())
+    }
+
+    fn choose_source(&mut self, axis: u8, source: Source) -> Done {
+        self.in_state(&[State::Idle, State::Hold])?;
+        let state = self.safety.state();
+        let machinery = self.configured()?;
+        if usize::from(axis) >= machinery.axes() {
+            return Err(Refusal::Range);
+        }
+        if state == State::Hold && !(machinery.motion.program.is_still() && machinery.motion.jog.is_still()) {
+            return Err(Refusal::State(state));
+        }
+        machinery.motion.set_source(usize::from(axis), source);
+        Ok(())
+    }
+
+    fn set_override(&mut self, percent: u8) -> Done {
+        if !(1..=100).contains(&percent) {
+            return Err(Refusal::Range);
+        }
+        self.configured()?.motion.program.set_override(percent);
+        Ok(())
+    }
+}

@@ -1,0 +1,153 @@
+//! The controller: one function, one control period, one corridor.
+//!
+//! ```text
+//! hear -> sense -> decide -> place -> drive -> tell -> gate
+//! ```
+//!
+//! Data goes down it once; nothing reaches back up except what is measured in the next period. What each command does is in [`crate::command`],
+//! what each state does in [`crate::decide`].
+
+use crate::decide::Job;
+use crate::io::{Inputs, Outputs};
+use crate::machinery::Machinery;
+use crate::motion::program::{FULL_RATE, QUEUE};
+use crate::probe::{Probe, Stage};
+use crate::safety::Safety;
+use crate::server::{Heard, Server};
+use haptimill_protocol::link::Identity;
+use haptimill_protocol::message::{AxisValues, Event, Fault, Telemetry};
+
+/// The controller. Give it [`Inputs`] every control period, carry out its [`Outputs`].
+#[derive(Debug)]
+pub struct Controller {
+    pub(crate) period_us: u16,
+    pub(crate) server: Server,
+    pub(crate) safety: Safety,
+    pub(crate) machinery: Option<Machinery>,
+    pub(crate) job: Job,
+}
+
+impl Controller {
+    /// A controller without a configuration, on a board whose control period has so many microseconds.
+    #[must_use]
+    pub fn new(period_us: u16) -> Self {
+        Self {
+            period_us,
+            server: Server::new(period_us),
+            safety: Safety::default(),
+            machinery: None,
+            job: Job::default(),
+        }
+    }
+
+    /// One control period.
+    pub fn tick(&mut self, inputs: &Inputs, outputs: &mut Outputs, probe: &mut impl Probe) {
+        let heard = self.hear(inputs);
+        probe.ended(Stage::Hear);
+        if let Some(machinery) = &mut self.machinery {
+            machinery.sense(inputs);
+        }
+        probe.ended(Stage::Sense);
+        self.decide(inputs, heard);
+        probe.ended(Stage::Decide);
+        self.place();
+        probe.ended(Stage::Place);
+        self.drive(outputs);
+        probe.ended(Stage::Drive);
+        self.tell(inputs, outputs);
+        probe.ended(Stage::Tell);
+        if !self.safety.drives_on() {
+            outputs.make_safe();
+        }
+        probe.ended(Stage::Gate);
+    }
+
+    fn hear(&mut self, inputs: &Inputs) -> Option<Heard> {
+        let limit = self.machinery.as_ref().map_or(0, |machinery| u64::from(machinery.config.supervision.heartbeat_ms) * 1000);
+        let busy = self.safety.active() && self.server.silent_us() <= limit;
+        let identity = match &self.machinery {
+            Some(machinery) => Identity {
+                machine: &machinery.config.name,
+                config_crc: machinery.crc,
+                period_us: self.period_us,
+                axes: machinery.axes() as u8,
+                queue: QUEUE as u16,
+            },
+            None => Identity { machine: "", config_crc: 0, period_us: self.period_us, axes: 0, queue: QUEUE as u16 },
+        };
+        self.server.hear(inputs, &identity, busy)
+    }
+
+    fn place(&mut self) {
+        let Some(machinery) = &mut self.machinery else { return };
+        if self.safety.drives_on()
+            && let Err(error) = machinery.place()
+        {
+            self.safety.raise(Fault::Pose(error));
+        }
+    }
+
+    fn drive(&mut self, outputs: &mut Outputs) {
+        let Some(machinery) = &mut self.machinery else { return };
+        if !self.safety.drives_on() {
+            machinery.disable();
+        }
+        let saturated = machinery.drive(&mut outputs.axes);
+        outputs.spindle_rpm = self.job.spindle_rpm;
+        if let Some(axis) = saturated
+            && self.job.saturated & (1 << axis) == 0
+        {
+            self.job.saturated |= 1 << axis;
+            self.safety.tell(Event::Saturated { axis });
+        }
+    }
+
+    fn tell(&mut self, inputs: &Inputs, outputs: &mut Outputs) {
+        let telemetry = self.server.telemetry_due().then(|| self.telemetry(inputs));
+        self.server.tell(inputs.period, &mut self.safety, telemetry, &mut outputs.transmit);
+    }
+
+    /// How things stand in this period.
+    #[must_use]
+    pub fn telemetry(&self, inputs: &Inputs) -> Telemetry {
+        let (deferred_bytes, bad_frames) = self.server.counters();
+        let machinery = self.machinery.as_ref();
+        let values = |values: fn(&Machinery) -> AxisValues| machinery.map_or_else(AxisValues::new, values);
+        let program = machinery.map(|machinery| &machinery.motion.program);
+        Telemetry {
+            period: inputs.period,
+            state: self.safety.state(),
+            homed: self.safety.homed(),
+            position_kept: self.safety.position_kept(),
+            credit: program.map_or(0, |program| program.credit()),
+            setpoint: program.map_or(0, |program| program.reached()),
+            path_rate: program.map_or(0, |program| (program.path_rate().clamp(0, FULL_RATE - 1) >> 16) as u16),
+            wanted: values(Machinery::wanted_values),
+            measured: values(Machinery::measured_values),
+            joints: values(Machinery::joint_values),
+            following_error: values(Machinery::error_values),
+            drive: machinery.map_or_else(AxisValues::new, |machinery| machinery.drive_values(inputs)),
+            fault: self.safety.fault(),
+            deferred_bytes,
+            bad_frames,
+        }
+    }
+
+    /// The configured machine, for recorders and tests.
+    #[must_use]
+    pub const fn machinery(&self) -> Option<&Machinery> {
+        self.machinery.as_ref()
+    }
+
+    /// State and faults, for recorders and tests.
+    #[must_use]
+    pub const fn safety(&self) -> &Safety {
+        &self.safety
+    }
+
+    /// Spindle speed that is commanded, rev/min.
+    #[must_use]
+    pub const fn spindle_rpm(&self) -> u16 {
+        self.job.spindle_rpm
+    }
+}

@@ -1,0 +1,232 @@
+//! Stage *decide*: faults first, then the one thing that was heard, then what each state does.
+
+use crate::controller::Controller;
+use crate::io::{AxisInputs, Inputs};
+use crate::motion::Mode;
+use crate::motion::program::Progress;
+use crate::safety::homing::Outcome;
+use crate::server::Heard;
+use haptimill_protocol::message::{Event, Fault, HomingProblem, Refusal, State};
+
+/// Periods between two looks at a part of the configuration.
+const INTEGRITY_PERIODS: u64 = 16;
+
+/// The job that runs, and what belongs to it.
+#[derive(Debug, Default)]
+pub struct Job {
+    /// The host's number of the job, while there is one.
+    pub number: Option<u32>,
+    /// The job, the jog or the search is to be given up once the machine is at rest.
+    pub stopping: bool,
+    /// Commanded spindle speed, rev/min.
+    pub spindle_rpm: u16,
+    /// Joints whose saturation was told.
+    pub saturated: u8,
+    /// The newest epoch of jogs, and whether it was cancelled.
+    pub jog_epoch: u16,
+    /// The newest epoch takes no more jogs.
+    pub jog_cancelled: bool,
+    /// The joints stand where their presets say, or moved from there with encoders that can be believed.
+    pub preset_valid: bool,
+}
+
+impl Controller {
+    pub(crate) fn decide(&mut self, inputs: &Inputs, heard: Option<Heard>) {
+        self.watch(inputs);
+        if inputs.urgent {
+            self.hold();
+        }
+        match heard {
+            Some(Heard::Request(request)) => self.command(inputs, request),
+            Some(Heard::Setpoint { id, number, setpoint }) => {
+                if let Err(refusal) = self.take_setpoint(number, &setpoint) {
+                    self.server.refuse_setpoints(id, refusal);
+                }
+            }
+            Some(Heard::BadSetpoint { id, number }) => {
+                self.server.refuse_setpoints(id, Refusal::Setpoint { setpoint: number });
+            }
+            None => {}
+        }
+        self.advance(inputs);
+        self.close_what_faults_end();
+    }
+
+    /// Everything that can be wrong.
+    fn watch(&mut self, inputs: &Inputs) {
+        if inputs.emergency_stop && self.safety.state() != State::EmergencyStop {
+            self.safety.emergency_stop();
+        }
+        let Some(machinery) = &mut self.machinery else { return };
+        if inputs.period.is_multiple_of(INTEGRITY_PERIODS) && !machinery.configuration_intact() {
+            self.safety.raise(Fault::Configuration);
+        }
+        if !self.safety.drives_on() {
+            return;
+        }
+        if let Some(fault) = hardware(&inputs.axes[..machinery.axes()]).or_else(|| machinery.supervise()) {
+            self.safety.raise(fault);
+        }
+        if inputs.missed >= machinery.config.supervision.missed_periods && self.safety.active() {
+            self.safety.raise(Fault::LatePeriod { missed: inputs.missed });
+        }
+        let silent_ms = self.server.silent_us() / 1000;
+        if self.safety.active() && silent_ms > u64::from(machinery.config.supervision.heartbeat_ms) {
+            self.safety.raise(Fault::LostHost { silent_ms: silent_ms.min(u64::from(u32::MAX)) as u32 });
+        }
+    }
+
+    /// Brakes whatever moves; a job keeps its place.
+    pub(crate) fn hold(&mut self) {
+        match self.safety.state() {
+            State::Run => self.safety.enter(State::Hold),
+            State::Jog | State::Homing => self.give_up(),
+            _ => {}
+        }
+        if let Some(machinery) = &mut self.machinery {
+            machinery.motion.jog.release();
+        }
+    }
+
+    /// Brakes whatever moves, and ends it.
+    pub(crate) fn give_up(&mut self) {
+        if self.safety.state() == State::Run {
+            self.safety.enter(State::Hold);
+        }
+        self.job.stopping = true;
+        if let Some(machinery) = &mut self.machinery {
+            machinery.motion.jog.release();
+        }
+    }
+
+    /// One period of the state that the machine is in.
+    fn advance(&mut self, inputs: &Inputs) {
+        if self.safety.pending().is_some() && !self.job.stopping {
+            self.give_up();
+        }
+        let state = self.safety.state();
+        let Some(machinery) = &mut self.machinery else { return };
+        let mode = match state {
+            State::Run => Mode::Program { halt: false },
+            State::Hold => Mode::Program { halt: true },
+            State::Jog | State::Homing => Mode::Jog,
+            _ => Mode::Still,
+        };
+        let (progress, limited) = machinery.motion.advance(mode, &machinery.machine);
+        if let Some(axis) = limited
+            && state != State::Homing
+        {
+            machinery.motion.jog.release();
+            self.safety.tell(Event::JogLimited { axis });
+        }
+        match state {
+            State::Run | State::Hold => self.follow_program(state, &progress),
+            State::Jog if machinery.motion.jog.is_still() => self.come_to_rest(),
+            State::Homing => self.follow_homing(inputs, limited.is_some()),
+            _ => {}
+        }
+    }
+
+    fn follow_program(&mut self, state: State, progress: &Progress) {
+        let Some(machinery) = &mut self.machinery else { return };
+        if let Some(late) = machinery.motion.program.take_late() {
+            self.safety.tell(Event::Underrun { setpoint: late.setpoint, late_periods: late.periods });
+        }
+        if progress.ran_dry {
+            self.safety.raise(Fault::Internal { line: line!() as u16 });
+            return;
+        }
+        let wanted = machinery.motion.wanted().pose;
+        if let Some(axis) = machinery.beyond_soft_limit(&wanted) {
+            self.safety.raise(Fault::SoftLimit { axis });
+        }
+        if let Some(speed) = progress.spindle {
+            self.job.spindle_rpm = speed;
+        }
+        if let Some(setpoint) = progress.paused {
+            self.safety.tell(Event::Paused { setpoint });
+            self.safety.enter(State::Hold);
+        }
+        let still = machinery.motion.program.is_still() && machinery.motion.jog.is_still();
+        if progress.finished && still {
+            let setpoints = machinery.motion.program.reached();
+            if let Some(job) = self.job.number.take() {
+                self.safety.tell(Event::JobDone { job, setpoints });
+            }
+            self.come_to_rest();
+        } else if state == State::Hold && self.job.stopping && still {
+            self.come_to_rest();
+        }
+    }
+
+    fn follow_homing(&mut self, inputs: &Inputs, limited: bool) {
+        let Some(machinery) = &mut self.machinery else { return };
+        if self.job.stopping {
+            if machinery.motion.jog.is_still() {
+                self.come_to_rest();
+            }
+            return;
+        }
+        if let Err(fault) = machinery.note_indexes() {
+            self.safety.raise(fault);
+            return;
+        }
+        if machinery.measured_pose().is_none() {
+            self.safety.raise(Fault::Homing { axis: 0, problem: HomingProblem::Workspace });
+            return;
+        }
+        match machinery.homing.advance(&machinery.config, &mut machinery.motion.jog, limited) {
+            Outcome::Searching => {}
+            Outcome::Failed(fault) => self.safety.raise(fault),
+            Outcome::Found(corrections) => match machinery.correct(&corrections, inputs) {
+                Ok(()) => {
+                    self.safety.set_homed(true);
+                    self.come_to_rest();
+                }
+                Err(error) => self.safety.raise(Fault::Pose(error)),
+            },
+        }
+    }
+
+    /// Whatever moved has ended, at rest, drives holding.
+    fn come_to_rest(&mut self) {
+        self.drop_job();
+        self.job.stopping = false;
+        if self.safety.pending().is_some() {
+            self.safety.settle();
+        } else {
+            self.safety.enter(State::Idle);
+        }
+    }
+
+    /// A latched fault, or an emergency stop, ends the job.
+    fn close_what_faults_end(&mut self) {
+        if matches!(self.safety.state(), State::Fault | State::EmergencyStop | State::Disabled) {
+            self.drop_job();
+            self.job.stopping = false;
+            self.job.spindle_rpm = 0;
+            self.job.preset_valid &= !self.safety.position_lost();
+        }
+    }
+
+    fn drop_job(&mut self) {
+        if let Some(job) = self.job.number.take() {
+            let setpoints = self.machinery.as_ref().map_or(0, |machinery| machinery.motion.program.reached());
+            self.safety.tell(Event::JobDropped { job, setpoints });
+            self.job.spindle_rpm = 0;
+        }
+    }
+}
+
+/// A limit switch or a drive that reports a fault.
+fn hardware(axes: &[AxisInputs]) -> Option<Fault> {
+    for (index, axis) in axes.iter().enumerate() {
+        if axis.limit_low || axis.limit_high {
+            return Some(Fault::LimitSwitch { axis: index as u8 });
+        }
+        if !axis.drive_ready {
+            return Some(Fault::Drive { axis: index as u8 });
+        }
+    }
+    None
+}

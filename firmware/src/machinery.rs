@@ -1,0 +1,284 @@
+//! The parts that a configuration makes: geometry, joints, motion; and the stages that are theirs.
+
+use crate::config::Config;
+use crate::drive::{Driven, JointDrive, Sensed, Wanted as JointWanted};
+use crate::io::{DriveCommand, Inputs};
+use crate::kinematics::machine::Machine;
+use crate::kinematics::{JointMotion, Joints, Kinematics, Pose, PoseError};
+use crate::motion::Motion;
+use crate::safety::homing::Homing;
+use crate::safety::supervise::{Seen, Watch};
+use crate::units::Coordinate;
+use haptimill_protocol::frame::crc32;
+use haptimill_protocol::message::{AxisValues, ConfigField, ConfigProblem, Fault, MAX_AXES};
+use heapless::Vec;
+
+/// Parts in which the configuration is checked against its digest: the whole but axes, then each axis.
+const PARTS: usize = 1 + 2 * MAX_AXES;
+
+/// A configured machine.
+#[derive(Debug)]
+pub struct Machinery {
+    /// The configuration.
+    pub config: Config,
+    /// CRC-32 of the configuration as it was sent.
+    pub crc: u32,
+    /// Geometry and strokes.
+    pub machine: Machine,
+    /// What is wanted.
+    pub motion: Motion,
+    /// The search for the references.
+    pub homing: Homing,
+    joints: Vec<JointDrive, MAX_AXES>,
+    watches: [Watch; MAX_AXES],
+    sensed: [Sensed; MAX_AXES],
+    driven: [Driven; MAX_AXES],
+    measured: Joints,
+    measured_pose: Option<Pose>,
+    target: JointMotion,
+    digests: [u32; PARTS],
+    next_part: usize,
+}
+
+impl Machinery {
+    /// The machine of a checked configuration, standing at its presets.
+    pub fn new(config: Config, crc: u32, inputs: &Inputs) -> Result<Self, ConfigProblem> {
+        config.check()?;
+        let mut joints = Vec::new();
+        for (index, axis) in config.joints.iter().enumerate() {
+            let problem = ConfigProblem { field: ConfigField::Drive, axis: Some(index as u8) };
+            let mut joint = JointDrive::new(axis, config.period_us).map_err(|_| problem)?;
+            joint.sense(&inputs.axes[index], inputs.time_ns);
+            joint.set_reference(inputs.axes[index].counts, axis.preset);
+            joints.push(joint).map_err(|_| problem)?;
+        }
+        let mut machinery = Self {
+            machine: Machine::new(&config),
+            motion: Motion::new(&config),
+            homing: Homing::default(),
+            joints,
+            watches: [Watch::default(); MAX_AXES],
+            sensed: [Sensed::default(); MAX_AXES],
+            driven: [Driven::default(); MAX_AXES],
+            measured: Joints::default(),
+            measured_pose: None,
+            target: JointMotion::default(),
+            digests: [0; PARTS],
+            next_part: 0,
+            config,
+            crc,
+        };
+        for part in 0..PARTS {
+            machinery.digests[part] = machinery.digest(part);
+        }
+        machinery.remember_measured();
+        Ok(machinery)
+    }
+
+    /// Number of axes.
+    #[must_use]
+    pub fn axes(&self) -> usize {
+        self.joints.len()
+    }
+
+    /// Stage *sense*: encoders to joints, joints to pose.
+    pub fn sense(&mut self, inputs: &Inputs) {
+        for (index, joint) in self.joints.iter_mut().enumerate() {
+            self.sensed[index] = joint.sense(&inputs.axes[index], inputs.time_ns);
+        }
+        self.remember_measured();
+    }
+
+    fn remember_measured(&mut self) {
+        for (index, joint) in self.joints.iter().enumerate() {
+            self.sensed[index] = *joint.sensed();
+            self.measured.0[index] = self.sensed[index].coordinate;
+        }
+        self.measured_pose = self.machine.forward(&self.measured).ok();
+    }
+
+    /// The measured pose, if the forward kinematics certifies one.
+    #[must_use]
+    pub const fn measured_pose(&self) -> Option<&Pose> {
+        self.measured_pose.as_ref()
+    }
+
+    /// Wanted becomes measured, drives on.
+    pub fn enable(&mut self) -> Result<(), PoseError> {
+        let pose = self.machine.forward(&self.measured)?;
+        self.machine.inverse(&pose)?;
+        for joint in &mut self.joints {
+            joint.enable();
+        }
+        self.motion.place(&pose);
+        self.settle();
+        Ok(())
+    }
+
+    /// Drives off.
+    pub fn disable(&mut self) {
+        for joint in &mut self.joints {
+            joint.disable();
+        }
+        self.driven = [Driven::default(); MAX_AXES];
+    }
+
+    fn settle(&mut self) {
+        self.watches.iter_mut().for_each(Watch::reset);
+    }
+
+    /// Begins the search for the references.
+    pub fn begin_homing(&mut self) {
+        self.motion.begin_jog(false);
+        self.homing = Homing::begin(&self.config, &mut self.motion.jog);
+    }
+
+    /// Index pulses of this period, for the search.
+    pub fn note_indexes(&mut self) -> Result<(), Fault> {
+        for (index, axis) in self.config.joints.iter().enumerate() {
+            if let Some((_, coordinate)) = self.sensed[index].index
+                && let Some(fault) = self.homing.index(index, axis, coordinate)
+            {
+                return Err(fault);
+            }
+        }
+        Ok(())
+    }
+
+    /// Corrects the coordinates of all joints; wanted becomes measured, so nothing moves.
+    pub fn correct(&mut self, corrections: &[Coordinate; MAX_AXES], inputs: &Inputs) -> Result<(), PoseError> {
+        for (index, joint) in self.joints.iter_mut().enumerate() {
+            let coordinate = joint.sensed().motor.0.wrapping_add(corrections[index].0);
+            joint.set_reference(inputs.axes[index].counts, Coordinate(coordinate));
+        }
+        self.remember_measured();
+        let pose = self.machine.forward(&self.measured)?;
+        self.motion.place(&pose);
+        self.settle();
+        Ok(())
+    }
+
+    /// Supervision of all joints against what was wanted of them in the period before.
+    pub fn supervise(&mut self) -> Option<Fault> {
+        let limit = self.config.supervision.illegal_transitions;
+        for (index, axis) in self.config.joints.iter().enumerate() {
+            let sensed = &self.sensed[index];
+            let target = self.target.joints.0[index];
+            let seen = Seen {
+                wanted: target,
+                wanted_rate: self.target.rates[index],
+                measured: sensed.coordinate,
+                rate: sensed.rate,
+                error: Coordinate(target.0.saturating_sub(sensed.coordinate.0)),
+                effort: self.driven[index].effort,
+                illegal: sensed.illegal.min(u32::from(u16::MAX)) as u16,
+                steps_off: sensed.slip,
+            };
+            if let Some(fault) = self.watches[index].look(index as u8, axis, limit, &seen) {
+                return Some(fault);
+            }
+        }
+        None
+    }
+
+    /// Stage *place*: the wanted pose to the joints.
+    pub fn place(&mut self) -> Result<(), PoseError> {
+        let wanted = self.motion.wanted();
+        self.target = self.machine.inverse_motion(&wanted.pose, &wanted.rates, &wanted.accelerations)?;
+        Ok(())
+    }
+
+    /// Stage *drive*: position loops. Gives a joint whose drive was asked for too much.
+    pub fn drive(&mut self, commands: &mut [DriveCommand; MAX_AXES]) -> Option<u8> {
+        let mut saturated = None;
+        for (index, joint) in self.joints.iter_mut().enumerate() {
+            let wanted = JointWanted {
+                coordinate: self.target.joints.0[index],
+                rate: self.target.rates[index],
+                acceleration: self.target.accelerations[index],
+            };
+            self.driven[index] = joint.drive(&wanted);
+            commands[index] = self.driven[index].command;
+            if self.driven[index].saturated {
+                saturated = Some(index as u8);
+            }
+        }
+        saturated
+    }
+
+    /// The first coordinate of the wanted pose that is beyond its soft limits.
+    #[must_use]
+    pub fn beyond_soft_limit(&self, pose: &Pose) -> Option<u8> {
+        self.config
+            .pose
+            .iter()
+            .zip(pose.0)
+            .position(|(axis, coordinate)| coordinate < axis.low || coordinate > axis.high)
+            .map(|index| index as u8)
+    }
+
+    /// Compares one part of the configuration with its digest, another one each time.
+    pub fn configuration_intact(&mut self) -> bool {
+        let part = self.next_part;
+        self.next_part = (part + 1) % PARTS;
+        self.digest(part) == self.digests[part]
+    }
+
+    fn digest(&self, part: usize) -> u32 {
+        let mut buffer = [0; 192];
+        let config = &self.config;
+        let used = match part {
+            0 => postcard::to_slice(
+                &(&config.model, &config.stopping, &config.supervision, &config.homing, config.period_us),
+                &mut buffer,
+            ),
+            _ if part % 2 == 1 => postcard::to_slice(&config.pose.get(part / 2), &mut buffer),
+            _ => postcard::to_slice(&config.joints.get(part / 2 - 1), &mut buffer),
+        };
+        used.map_or(0, |bytes| crc32(bytes))
+    }
+
+    /// The wanted pose as values of a message.
+    #[must_use]
+    pub fn wanted_values(&self) -> AxisValues {
+        self.values(|index| self.motion.wanted().pose.0[index].0)
+    }
+
+    /// The measured pose as values of a message; empty when it is not certified.
+    #[must_use]
+    pub fn measured_values(&self) -> AxisValues {
+        self.measured_pose.map_or_else(AxisValues::new, |pose| self.values(|index| pose.0[index].0))
+    }
+
+    /// Measured joints.
+    #[must_use]
+    pub fn joint_values(&self) -> AxisValues {
+        self.values(|index| self.measured.0[index].0)
+    }
+
+    /// Following errors.
+    #[must_use]
+    pub fn error_values(&self) -> AxisValues {
+        self.values(|index| self.driven[index].following_error.0)
+    }
+
+    /// Drive commands: DAC codes, or steps emitted.
+    #[must_use]
+    pub fn drive_values(&self, inputs: &Inputs) -> AxisValues {
+        self.values(|index| match self.driven[index].command {
+            DriveCommand::Torque(code) => i32::from(code),
+            DriveCommand::Steps(_) => inputs.axes[index].steps,
+            DriveCommand::Off => 0,
+        })
+    }
+
+    /// What the joints were told last: positions, rates and accelerations.
+    #[must_use]
+    pub const fn target(&self) -> &JointMotion {
+        &self.target
+    }
+
+    fn values(&self, value: impl Fn(usize) -> i32) -> AxisValues {
+        (0..self.axes()).map(value).collect()
+    }
+}

@@ -1,0 +1,244 @@
+//! Messages in, answers and telemetry out: the controller's end of the link.
+//!
+//! A period hears at most 64 bytes and works on one message, or on one setpoint of a batch; the rest waits in the link, whose window stops the
+//! host. A setpoint that is refused ends its batch, and all later ones are out of order until the job is begun anew: nothing is skipped.
+
+use crate::io::{Inputs, TRANSMIT_BYTES};
+use crate::safety::Safety;
+use haptimill_protocol::link::{ControllerLink, Identity, Timing};
+use haptimill_protocol::message::{
+    AxisValues, ConfigChunk, Refusal, Report, Request, SetpointBatch, Telemetry,
+};
+use haptimill_protocol::setpoint::{Setpoint, SetpointCoder};
+use heapless::{Deque, Vec};
+
+/// Room for a staged configuration, bytes.
+pub const CONFIG_BYTES: usize = 1024;
+
+/// Answers that wait for room in the link; as many as a host can have requests under way.
+const ANSWERS: usize = 8;
+
+/// What was heard in a period.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Heard {
+    /// A request.
+    Request(Request),
+    /// The next setpoint of a batch.
+    Setpoint {
+        /// The request's number.
+        id: u8,
+        /// The setpoint's number in the job.
+        number: u32,
+        /// The setpoint.
+        setpoint: Setpoint,
+    },
+    /// A setpoint that cannot be read.
+    BadSetpoint {
+        /// The request's number.
+        id: u8,
+        /// The setpoint's number in the job.
+        number: u32,
+    },
+}
+
+/// A batch of setpoints that is being worked through.
+#[derive(Debug)]
+struct Batch {
+    id: u8,
+    items: SetpointBatch,
+    next: usize,
+}
+
+/// The controller's end of the link.
+#[derive(Debug)]
+pub struct Server {
+    link: ControllerLink,
+    period_us: u16,
+    now_us: u64,
+    batch: Option<Batch>,
+    coder: SetpointCoder,
+    staged: Vec<u8, CONFIG_BYTES>,
+    answers: Deque<Report, ANSWERS>,
+    every: u16,
+    until_telemetry: u16,
+    deferred: u32,
+}
+
+impl Server {
+    /// A server of a controller whose period has so many microseconds.
+    #[must_use]
+    pub fn new(period_us: u16) -> Self {
+        Self {
+            link: ControllerLink::new(Timing::default()),
+            period_us,
+            now_us: 0,
+            batch: None,
+            coder: SetpointCoder::new(period_us, &AxisValues::new()),
+            staged: Vec::new(),
+            answers: Deque::new(),
+            every: 0,
+            until_telemetry: 0,
+            deferred: 0,
+        }
+    }
+
+    /// Takes the period's bytes; gives the next thing to do. `busy`: no other host may break in.
+    pub fn hear(&mut self, inputs: &Inputs, identity: &Identity<'_>, busy: bool) -> Option<Heard> {
+        self.now_us = inputs.period.wrapping_mul(u64::from(self.period_us));
+        self.deferred = self.deferred.saturating_add(u32::from(inputs.waiting));
+        self.link.receive(self.now_us, &inputs.received);
+        if self.link.hello().is_some() {
+            let greeted = self.link.welcome(self.now_us, identity, busy);
+            if greeted == haptimill_protocol::link::Greeted::Begun {
+                self.forget();
+            }
+        }
+        if self.answers.is_full() {
+            return None;
+        }
+        if self.batch.is_none() {
+            match self.link.poll_message()? {
+                Request { id, command: haptimill_protocol::message::Command::Setpoints(items) } => {
+                    self.batch = Some(Batch { id, items, next: 0 });
+                }
+                request => return Some(Heard::Request(request)),
+            }
+        }
+        self.next_setpoint()
+    }
+
+    fn next_setpoint(&mut self) -> Option<Heard> {
+        let batch = self.batch.as_mut()?;
+        let number = batch.items.first.wrapping_add(batch.next as u32);
+        let id = batch.id;
+        let Some(delta) = batch.items.items.get(batch.next) else {
+            self.batch = None;
+            self.answer(id, Ok(()));
+            return None;
+        };
+        batch.next += 1;
+        let last = batch.next == batch.items.items.len();
+        let heard = match self.coder.decode(delta) {
+            Ok(setpoint) => Heard::Setpoint { id, number, setpoint },
+            Err(_) => Heard::BadSetpoint { id, number },
+        };
+        if last {
+            self.batch = None;
+            self.answer(id, Ok(()));
+        }
+        Some(heard)
+    }
+
+    /// What a session leaves behind when it ends.
+    fn forget(&mut self) {
+        self.batch = None;
+        self.answers.clear();
+        self.staged.clear();
+        self.every = 0;
+    }
+
+    /// A job begins at `pose`.
+    pub fn begin_job(&mut self, pose: &AxisValues) {
+        self.coder = SetpointCoder::new(self.period_us, pose);
+    }
+
+    /// Drops the rest of the batch, and says why.
+    pub fn refuse_setpoints(&mut self, id: u8, refusal: Refusal) {
+        self.batch = None;
+        self.answer(id, Err(refusal));
+    }
+
+    /// Answers a request; success of a request without a number is not told.
+    pub fn answer(&mut self, id: u8, result: Result<(), Refusal>) {
+        if id != 0 || result.is_err() {
+            // There is room: nothing is heard while the answers are full, and a period has at most one request.
+            let _ = self.answers.push_back(Report::Answer { id, result });
+        }
+    }
+
+    /// Stages a piece of a configuration.
+    pub fn stage(&mut self, chunk: &ConfigChunk) -> Result<(), Refusal> {
+        let offset = usize::from(chunk.offset);
+        if offset == 0 {
+            self.staged.clear();
+        }
+        if offset != self.staged.len() {
+            return Err(Refusal::ConfigCheck);
+        }
+        self.staged.extend_from_slice(&chunk.bytes).map_err(|_| Refusal::Range)
+    }
+
+    /// The staged configuration.
+    #[must_use]
+    pub fn staged(&self) -> &[u8] {
+        &self.staged
+    }
+
+    /// Telemetry every so many periods.
+    pub fn set_telemetry(&mut self, every: u16) {
+        self.every = every;
+        self.until_telemetry = every;
+    }
+
+    /// Telemetry in this period.
+    pub fn telemetry_now(&mut self) {
+        self.until_telemetry = 1;
+    }
+
+    /// How long the host has been silent, microseconds.
+    #[must_use]
+    pub fn silent_us(&self) -> u64 {
+        self.link.peer_silent_us(self.now_us)
+    }
+
+    /// Bytes that had to wait for a later period, and frames refused by their check.
+    #[must_use]
+    pub fn counters(&self) -> (u32, u32) {
+        (self.deferred, self.link.counters().bad_frames)
+    }
+
+    /// Whether telemetry is due in this period; call once a period.
+    pub fn telemetry_due(&mut self) -> bool {
+        if self.until_telemetry == 0 {
+            return false;
+        }
+        self.until_telemetry -= 1;
+        let due = self.until_telemetry == 0;
+        if due {
+            self.until_telemetry = self.every;
+        }
+        due
+    }
+
+    /// Answers, then events, then telemetry; and the bytes of this period.
+    pub fn tell(
+        &mut self,
+        period: u64,
+        safety: &mut Safety,
+        telemetry: Option<Telemetry>,
+        transmit: &mut Vec<u8, TRANSMIT_BYTES>,
+    ) {
+        while let Some(answer) = self.answers.front() {
+            if self.link.send(answer).is_err() {
+                break;
+            }
+            self.answers.pop_front();
+        }
+        while self.answers.is_empty() && self.link.room() > 0 {
+            let Some(event) = safety.next_event() else { break };
+            if self.link.send(&Report::Event { period, event: event.clone() }).is_err() {
+                safety.return_event(event);
+                break;
+            }
+        }
+        if let Some(telemetry) = telemetry {
+            // Not open, or too long for a frame (which a test of the protocol excludes): nobody to tell.
+            let _ = self.link.send_latest(&Report::Telemetry(telemetry));
+        }
+        let mut buffer = [0; TRANSMIT_BYTES];
+        let count = self.link.transmit(self.now_us, &mut buffer);
+        transmit.clear();
+        // As long as the buffer: fits.
+        let _ = transmit.extend_from_slice(&buffer[..count]);
+    }
+}
