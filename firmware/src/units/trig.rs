@@ -285,7 +285,18 @@ mod tests {
                 worst = worst.max(arc_error((x - 1 - seam * 1000) as i32, x as i32));
             }
         }
-        let corners = [i32::MIN, i32::MIN + 1, -2, -1, 0, 1, 2, 3, i32::MAX - 1, i32::MAX];
+        let corners = [
+            i32::MIN,
+            i32::MIN + 1,
+            -2,
+            -1,
+            0,
+            1,
+            2,
+            3,
+            i32::MAX - 1,
+            i32::MAX,
+        ];
         for y in corners {
             for x in corners {
                 worst = worst.max(arc_error(y, x));
