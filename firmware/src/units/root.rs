@@ -64,7 +64,7 @@ impl Root {
         }
     }
 
-    /// The root to the nearest whole number, for squares below 2^62. Error at most 0.5 + 2^-31 of the root.
+    /// The root to the nearest whole number, for squares up to (2^31 - 1)^2 (beyond, `i32::MAX`). Error at most 0.5 + 2^-31 of the root.
     #[inline]
     #[must_use]
     pub const fn rounded(self) -> i32 {
@@ -72,7 +72,13 @@ impl Root {
             // Not below 2^62: saturate rather than wrap.
             return i32::MAX;
         }
-        (((self.mantissa >> (self.shift - 1)) as u64 + 1) >> 1) as i32
+        // At most 2^31, and that only within 2^31 of the end of the range.
+        let nearest = ((self.mantissa >> (self.shift - 1)) as u64 + 1) >> 1;
+        if nearest > i32::MAX as u64 {
+            i32::MAX
+        } else {
+            nearest as i32
+        }
     }
 
     /// The reciprocal of the root.
@@ -161,7 +167,7 @@ mod tests {
         let exact = libm::sqrt(square as f64);
         let scaled = root.mantissa as f64 / libm::exp2(root.shift as f64);
         assert!((scaled / exact - 1.0).abs() < libm::exp2(-30.5), "{square}");
-        if square < 1 << 62 {
+        if square <= i32::MAX as u64 * i32::MAX as u64 {
             let error = (root.rounded() as f64 - exact).abs();
             assert!(error <= 0.5 + exact * libm::exp2(-30.5), "{square}");
         }
@@ -190,6 +196,7 @@ mod tests {
             }
         }
         check(u64::MAX);
+        assert_eq!(Root::of((1 << 62) - 1).rounded(), i32::MAX);
         check(u32::MAX as u64 * u32::MAX as u64);
     }
 

@@ -22,12 +22,12 @@ pub const fn saturate(value: i64) -> i32 {
 
 /// `value / 2^shift`, rounded to nearest; `shift` is 1 to 62.
 ///
-/// Right for every value below 2^63 - 2^(shift - 1); the few above it are rounded down.
+/// Right for every value, but for `i64::MAX` with a shift of 1, which wraps.
 #[inline]
 #[must_use]
 pub const fn round_shift(value: i64, shift: u32) -> i64 {
     // Shifting twice keeps the half bit without an addition that could overflow at the top.
-    ((value >> (shift - 1)).saturating_add(1)) >> 1
+    (value >> (shift - 1)).wrapping_add(1) >> 1
 }
 
 /// `a * b / 2^shift`, rounded to nearest, for any two `i32`; `shift` is 1 to 62.
