@@ -8,7 +8,8 @@ use crate::machinery::Machinery;
 use crate::units::Coordinate;
 use haptimill_protocol::frame::crc32;
 use haptimill_protocol::message::{
-    AxisValues, Command, ConfigField, ConfigProblem, MAX_AXES, RATE_SHIFT, Refusal, Request, Source, State,
+    AxisValues, Command, ConfigField, ConfigProblem, MAX_AXES, RATE_SHIFT, Refusal, Request,
+    Source, State,
 };
 use haptimill_protocol::setpoint::Setpoint;
 
@@ -43,7 +44,11 @@ impl Controller {
                 self.safety.emergency_stop();
                 Ok(())
             }
-            Command::Jog { epoch, deadline_ms, rates } => self.jog(epoch, deadline_ms, &rates),
+            Command::Jog {
+                epoch,
+                deadline_ms,
+                rates,
+            } => self.jog(epoch, deadline_ms, &rates),
             Command::JogCancel { epoch } => self.cancel_jog(epoch),
             Command::Source { axis, source } => self.choose_source(axis, source),
             Command::Override { percent } => self.set_override(percent),
@@ -61,7 +66,11 @@ impl Controller {
 
     fn in_state(&self, allowed: &[State]) -> Done {
         let state = self.safety.state();
-        if allowed.contains(&state) { Ok(()) } else { Err(Refusal::State(state)) }
+        if allowed.contains(&state) {
+            Ok(())
+        } else {
+            Err(Refusal::State(state))
+        }
     }
 
     fn configured(&mut self) -> Result<&mut Machinery, Refusal> {
@@ -79,7 +88,8 @@ impl Controller {
             return Err(Refusal::ConfigCheck);
         }
         let problem = |field| Refusal::Config(ConfigProblem { field, axis: None });
-        let (config, rest) = postcard::take_from_bytes::<Config>(staged).map_err(|_| problem(ConfigField::Encoding))?;
+        let (config, rest) = postcard::take_from_bytes::<Config>(staged)
+            .map_err(|_| problem(ConfigField::Encoding))?;
         if !rest.is_empty() {
             return Err(problem(ConfigField::Encoding));
         }
@@ -102,7 +112,9 @@ impl Controller {
         if inputs.emergency_stop || blocked {
             return Err(Refusal::Input);
         }
-        machinery.enable().map_err(|error| Refusal::Pose { setpoint: 0, error })?;
+        machinery
+            .enable()
+            .map_err(|error| Refusal::Pose { setpoint: 0, error })?;
         self.job.saturated = 0;
         self.safety.enter(State::Idle);
         Ok(())
@@ -129,11 +141,6 @@ impl Controller {
     fn reset(&mut self, inputs: &Inputs) -> Done {
         if inputs.emergency_stop {
             return Err(Refusal::Input);
-        }
-        if let Some(machinery) = &mut self.machinery
-            && !machinery.configuration_intact()
-        {
-            return Err(Refusal::ConfigCheck);
         }
         self.safety.reset();
         Ok(())
@@ -173,9 +180,18 @@ impl Controller {
             *slot = Coordinate(*value);
         }
         if let Some(axis) = machinery.beyond_soft_limit(&pose) {
-            return Err(Refusal::SoftLimit { setpoint: number, axis });
+            return Err(Refusal::SoftLimit {
+                setpoint: number,
+                axis,
+            });
         }
-        machinery.machine.inverse(&pose).map_err(|error| Refusal::Pose { setpoint: number, error })?;
+        machinery
+            .machine
+            .inverse(&pose)
+            .map_err(|error| Refusal::Pose {
+                setpoint: number,
+                error,
+            })?;
         machinery.motion.program.push(setpoint)
     }
 
@@ -212,7 +228,8 @@ impl Controller {
         if rates.len() != machinery.axes() {
             return Err(Refusal::AxisCount);
         }
-        let beside_program = matches!(state, State::Run | State::Hold) && machinery.motion.has_jog_source();
+        let beside_program =
+            matches!(state, State::Run | State::Hold) && machinery.motion.has_jog_source();
         if self.job.stopping || !(beside_program || matches!(state, State::Idle | State::Jog)) {
             return Err(Refusal::State(state));
         }
@@ -226,7 +243,10 @@ impl Controller {
                 *slot = i64::from(*rate) << RATE_SHIFT;
             }
         }
-        machinery.motion.jog.aim(&wanted, u32::from(deadline_ms) * 1000 / period_us);
+        machinery
+            .motion
+            .jog
+            .aim(&wanted, u32::from(deadline_ms) * 1000 / period_us);
         self.job.jog_epoch = epoch;
         self.job.jog_cancelled = false;
         Ok(())
@@ -253,7 +273,9 @@ impl Controller {
         if usize::from(axis) >= machinery.axes() {
             return Err(Refusal::Range);
         }
-        if state == State::Hold && !(machinery.motion.program.is_still() && machinery.motion.jog.is_still()) {
+        if state == State::Hold
+            && !(machinery.motion.program.is_still() && machinery.motion.jog.is_still())
+        {
             return Err(Refusal::State(state));
         }
         machinery.motion.set_source(usize::from(axis), source);

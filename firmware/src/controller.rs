@@ -63,7 +63,9 @@ impl Controller {
     }
 
     fn hear(&mut self, inputs: &Inputs) -> Option<Heard> {
-        let limit = self.machinery.as_ref().map_or(0, |machinery| u64::from(machinery.config.supervision.heartbeat_ms) * 1000);
+        let limit = self.machinery.as_ref().map_or(0, |machinery| {
+            u64::from(machinery.config.supervision.heartbeat_ms) * 1000
+        });
         let busy = self.safety.active() && self.server.silent_us() <= limit;
         let identity = match &self.machinery {
             Some(machinery) => Identity {
@@ -73,13 +75,21 @@ impl Controller {
                 axes: machinery.axes() as u8,
                 queue: QUEUE as u16,
             },
-            None => Identity { machine: "", config_crc: 0, period_us: self.period_us, axes: 0, queue: QUEUE as u16 },
+            None => Identity {
+                machine: "",
+                config_crc: 0,
+                period_us: self.period_us,
+                axes: 0,
+                queue: QUEUE as u16,
+            },
         };
         self.server.hear(inputs, &identity, busy)
     }
 
     fn place(&mut self) {
-        let Some(machinery) = &mut self.machinery else { return };
+        let Some(machinery) = &mut self.machinery else {
+            return;
+        };
         if self.safety.drives_on()
             && let Err(error) = machinery.place()
         {
@@ -88,7 +98,9 @@ impl Controller {
     }
 
     fn drive(&mut self, outputs: &mut Outputs) {
-        let Some(machinery) = &mut self.machinery else { return };
+        let Some(machinery) = &mut self.machinery else {
+            return;
+        };
         if !self.safety.drives_on() {
             machinery.disable();
         }
@@ -104,7 +116,12 @@ impl Controller {
 
     fn tell(&mut self, inputs: &Inputs, outputs: &mut Outputs) {
         let telemetry = self.server.telemetry_due().then(|| self.telemetry(inputs));
-        self.server.tell(inputs.period, &mut self.safety, telemetry, &mut outputs.transmit);
+        self.server.tell(
+            inputs.period,
+            &mut self.safety,
+            telemetry,
+            &mut outputs.transmit,
+        );
     }
 
     /// How things stand in this period.
@@ -112,7 +129,8 @@ impl Controller {
     pub fn telemetry(&self, inputs: &Inputs) -> Telemetry {
         let (deferred_bytes, bad_frames) = self.server.counters();
         let machinery = self.machinery.as_ref();
-        let values = |values: fn(&Machinery) -> AxisValues| machinery.map_or_else(AxisValues::new, values);
+        let values =
+            |values: fn(&Machinery) -> AxisValues| machinery.map_or_else(AxisValues::new, values);
         let program = machinery.map(|machinery| &machinery.motion.program);
         Telemetry {
             period: inputs.period,
@@ -121,12 +139,15 @@ impl Controller {
             position_kept: self.safety.position_kept(),
             credit: program.map_or(0, |program| program.credit()),
             setpoint: program.map_or(0, |program| program.reached()),
-            path_rate: program.map_or(0, |program| (program.path_rate().clamp(0, FULL_RATE - 1) >> 16) as u16),
+            path_rate: program.map_or(0, |program| {
+                (program.path_rate().clamp(0, FULL_RATE - 1) >> 16) as u16
+            }),
             wanted: values(Machinery::wanted_values),
             measured: values(Machinery::measured_values),
             joints: values(Machinery::joint_values),
             following_error: values(Machinery::error_values),
-            drive: machinery.map_or_else(AxisValues::new, |machinery| machinery.drive_values(inputs)),
+            drive: machinery
+                .map_or_else(AxisValues::new, |machinery| machinery.drive_values(inputs)),
             fault: self.safety.fault(),
             deferred_bytes,
             bad_frames,

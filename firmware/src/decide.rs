@@ -38,13 +38,18 @@ impl Controller {
         }
         match heard {
             Some(Heard::Request(request)) => self.command(inputs, request),
-            Some(Heard::Setpoint { id, number, setpoint }) => {
+            Some(Heard::Setpoint {
+                id,
+                number,
+                setpoint,
+            }) => {
                 if let Err(refusal) = self.take_setpoint(number, &setpoint) {
                     self.server.refuse_setpoints(id, refusal);
                 }
             }
             Some(Heard::BadSetpoint { id, number }) => {
-                self.server.refuse_setpoints(id, Refusal::Setpoint { setpoint: number });
+                self.server
+                    .refuse_setpoints(id, Refusal::Setpoint { setpoint: number });
             }
             None => {}
         }
@@ -57,22 +62,31 @@ impl Controller {
         if inputs.emergency_stop && self.safety.state() != State::EmergencyStop {
             self.safety.emergency_stop();
         }
-        let Some(machinery) = &mut self.machinery else { return };
+        let Some(machinery) = &mut self.machinery else {
+            return;
+        };
         if inputs.period.is_multiple_of(INTEGRITY_PERIODS) && !machinery.configuration_intact() {
             self.safety.raise(Fault::Configuration);
         }
         if !self.safety.drives_on() {
             return;
         }
-        if let Some(fault) = hardware(&inputs.axes[..machinery.axes()]).or_else(|| machinery.supervise()) {
+        if let Some(fault) =
+            hardware(&inputs.axes[..machinery.axes()]).or_else(|| machinery.supervise())
+        {
             self.safety.raise(fault);
         }
         if inputs.missed >= machinery.config.supervision.missed_periods && self.safety.active() {
-            self.safety.raise(Fault::LatePeriod { missed: inputs.missed });
+            self.safety.raise(Fault::LatePeriod {
+                missed: inputs.missed,
+            });
         }
         let silent_ms = self.server.silent_us() / 1000;
-        if self.safety.active() && silent_ms > u64::from(machinery.config.supervision.heartbeat_ms) {
-            self.safety.raise(Fault::LostHost { silent_ms: silent_ms.min(u64::from(u32::MAX)) as u32 });
+        if self.safety.active() && silent_ms > u64::from(machinery.config.supervision.heartbeat_ms)
+        {
+            self.safety.raise(Fault::LostHost {
+                silent_ms: silent_ms.min(u64::from(u32::MAX)) as u32,
+            });
         }
     }
 
@@ -105,7 +119,9 @@ impl Controller {
             self.give_up();
         }
         let state = self.safety.state();
-        let Some(machinery) = &mut self.machinery else { return };
+        let Some(machinery) = &mut self.machinery else {
+            return;
+        };
         let mode = match state {
             State::Run => Mode::Program { halt: false },
             State::Hold => Mode::Program { halt: true },
@@ -128,12 +144,19 @@ impl Controller {
     }
 
     fn follow_program(&mut self, state: State, progress: &Progress) {
-        let Some(machinery) = &mut self.machinery else { return };
+        let Some(machinery) = &mut self.machinery else {
+            return;
+        };
         if let Some(late) = machinery.motion.program.take_late() {
-            self.safety.tell(Event::Underrun { setpoint: late.setpoint, late_periods: late.periods });
+            self.safety.tell(Event::Underrun {
+                setpoint: late.setpoint,
+                late_periods: late.periods,
+            });
         }
         if progress.ran_dry {
-            self.safety.raise(Fault::Internal { line: line!() as u16 });
+            self.safety.raise(Fault::Internal {
+                line: line!() as u16,
+            });
             return;
         }
         let wanted = machinery.motion.wanted().pose;
@@ -160,7 +183,9 @@ impl Controller {
     }
 
     fn follow_homing(&mut self, inputs: &Inputs, limited: bool) {
-        let Some(machinery) = &mut self.machinery else { return };
+        let Some(machinery) = &mut self.machinery else {
+            return;
+        };
         if self.job.stopping {
             if machinery.motion.jog.is_still() {
                 self.come_to_rest();
@@ -172,10 +197,16 @@ impl Controller {
             return;
         }
         if machinery.measured_pose().is_none() {
-            self.safety.raise(Fault::Homing { axis: 0, problem: HomingProblem::Workspace });
+            self.safety.raise(Fault::Homing {
+                axis: 0,
+                problem: HomingProblem::Workspace,
+            });
             return;
         }
-        match machinery.homing.advance(&machinery.config, &mut machinery.motion.jog, limited) {
+        match machinery
+            .homing
+            .advance(&machinery.config, &mut machinery.motion.jog, limited)
+        {
             Outcome::Searching => {}
             Outcome::Failed(fault) => self.safety.raise(fault),
             Outcome::Found(corrections) => match machinery.correct(&corrections, inputs) {
@@ -201,17 +232,27 @@ impl Controller {
 
     /// A latched fault, or an emergency stop, ends the job.
     fn close_what_faults_end(&mut self) {
-        if matches!(self.safety.state(), State::Fault | State::EmergencyStop | State::Disabled) {
+        if matches!(
+            self.safety.state(),
+            State::Fault | State::EmergencyStop | State::Disabled
+        ) {
             self.drop_job();
             self.job.stopping = false;
             self.job.spindle_rpm = 0;
             self.job.preset_valid &= !self.safety.position_lost();
+            if self.safety.fault() == Some(Fault::Configuration) {
+                // Nothing that it says can be relied on any more; the host sends a new one.
+                self.machinery = None;
+            }
         }
     }
 
     fn drop_job(&mut self) {
         if let Some(job) = self.job.number.take() {
-            let setpoints = self.machinery.as_ref().map_or(0, |machinery| machinery.motion.program.reached());
+            let setpoints = self
+                .machinery
+                .as_ref()
+                .map_or(0, |machinery| machinery.motion.program.reached());
             self.safety.tell(Event::JobDropped { job, setpoints });
             self.job.spindle_rpm = 0;
         }

@@ -46,7 +46,10 @@ impl Machinery {
         config.check()?;
         let mut joints = Vec::new();
         for (index, axis) in config.joints.iter().enumerate() {
-            let problem = ConfigProblem { field: ConfigField::Drive, axis: Some(index as u8) };
+            let problem = ConfigProblem {
+                field: ConfigField::Drive,
+                axis: Some(index as u8),
+            };
             let mut joint = JointDrive::new(axis, config.period_us).map_err(|_| problem)?;
             joint.sense(&inputs.axes[index], inputs.time_ns);
             joint.set_reference(inputs.axes[index].counts, axis.preset);
@@ -146,7 +149,11 @@ impl Machinery {
     }
 
     /// Corrects the coordinates of all joints; wanted becomes measured, so nothing moves.
-    pub fn correct(&mut self, corrections: &[Coordinate; MAX_AXES], inputs: &Inputs) -> Result<(), PoseError> {
+    pub fn correct(
+        &mut self,
+        corrections: &[Coordinate; MAX_AXES],
+        inputs: &Inputs,
+    ) -> Result<(), PoseError> {
         for (index, joint) in self.joints.iter_mut().enumerate() {
             let coordinate = joint.sensed().motor.0.wrapping_add(corrections[index].0);
             joint.set_reference(inputs.axes[index].counts, Coordinate(coordinate));
@@ -184,7 +191,9 @@ impl Machinery {
     /// Stage *place*: the wanted pose to the joints.
     pub fn place(&mut self) -> Result<(), PoseError> {
         let wanted = self.motion.wanted();
-        self.target = self.machine.inverse_motion(&wanted.pose, &wanted.rates, &wanted.accelerations)?;
+        self.target =
+            self.machine
+                .inverse_motion(&wanted.pose, &wanted.rates, &wanted.accelerations)?;
         Ok(())
     }
 
@@ -229,7 +238,13 @@ impl Machinery {
         let config = &self.config;
         let used = match part {
             0 => postcard::to_slice(
-                &(&config.model, &config.stopping, &config.supervision, &config.homing, config.period_us),
+                &(
+                    &config.model,
+                    &config.stopping,
+                    &config.supervision,
+                    &config.homing,
+                    config.period_us,
+                ),
                 &mut buffer,
             ),
             _ if part % 2 == 1 => postcard::to_slice(&config.pose.get(part / 2), &mut buffer),
@@ -247,7 +262,8 @@ impl Machinery {
     /// The measured pose as values of a message; empty when it is not certified.
     #[must_use]
     pub fn measured_values(&self) -> AxisValues {
-        self.measured_pose.map_or_else(AxisValues::new, |pose| self.values(|index| pose.0[index].0))
+        self.measured_pose
+            .map_or_else(AxisValues::new, |pose| self.values(|index| pose.0[index].0))
     }
 
     /// Measured joints.

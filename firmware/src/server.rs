@@ -98,7 +98,10 @@ impl Server {
         }
         if self.batch.is_none() {
             match self.link.poll_message()? {
-                Request { id, command: haptimill_protocol::message::Command::Setpoints(items) } => {
+                Request {
+                    id,
+                    command: haptimill_protocol::message::Command::Setpoints(items),
+                } => {
                     self.batch = Some(Batch { id, items, next: 0 });
                 }
                 request => return Some(Heard::Request(request)),
@@ -119,7 +122,11 @@ impl Server {
         batch.next += 1;
         let last = batch.next == batch.items.items.len();
         let heard = match self.coder.decode(delta) {
-            Ok(setpoint) => Heard::Setpoint { id, number, setpoint },
+            Ok(setpoint) => Heard::Setpoint {
+                id,
+                number,
+                setpoint,
+            },
             Err(_) => Heard::BadSetpoint { id, number },
         };
         if last {
@@ -165,7 +172,9 @@ impl Server {
         if offset != self.staged.len() {
             return Err(Refusal::ConfigCheck);
         }
-        self.staged.extend_from_slice(&chunk.bytes).map_err(|_| Refusal::Range)
+        self.staged
+            .extend_from_slice(&chunk.bytes)
+            .map_err(|_| Refusal::Range)
     }
 
     /// The staged configuration.
@@ -225,8 +234,17 @@ impl Server {
             self.answers.pop_front();
         }
         while self.answers.is_empty() && self.link.room() > 0 {
-            let Some(event) = safety.next_event() else { break };
-            if self.link.send(&Report::Event { period, event: event.clone() }).is_err() {
+            let Some(event) = safety.next_event() else {
+                break;
+            };
+            if self
+                .link
+                .send(&Report::Event {
+                    period,
+                    event: event.clone(),
+                })
+                .is_err()
+            {
                 safety.return_event(event);
                 break;
             }
