@@ -2,14 +2,16 @@
 //!
 //! The disc is ideal: the shaft's coordinate falls into count states of equal width, and a count state has the levels of two channels
 //! (A leads B upwards) and of the index line, which is high in one state of each turn. A healthy encoder is counted directly from the
-//! count states. From the moment a fault touches it, every edge goes as a pair of levels through the faults and then through a real x4
-//! decoder, which counts illegal transitions; healthy edges give the same numbers on both ways, and a test holds them to it.
+//! count states. From the moment a fault touches it, every edge goes as a pair of levels through the faults and then through the
+//! x4 decoder that boards run, which counts illegal transitions; healthy edges give the same numbers on both ways, and a test holds them to it.
 //!
 //! Units: coordinates in axis units, times in ns of virtual time. Between two integration steps the shaft is taken to move evenly, so
 //! an edge is timed to a fraction of a step.
 
 use crate::config::JointConfig;
 use crate::random::Random;
+use haptimill_firmware::drive::quadrature::Quadrature;
+use haptimill_firmware::io::AxisInputs;
 
 /// What the counter hardware shows.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -46,55 +48,55 @@ impl Levels {
             index: count.rem_euclid(counts_per_turn) == 0,
         }
     }
-
-    /// Place in the cycle 00, 10, 11, 01 (A, B).
-    const fn quarter(self) -> u8 {
-        match (self.a, self.b) {
-            (false, false) => 0,
-            (true, false) => 1,
-            (true, true) => 2,
-            (false, true) => 3,
-        }
-    }
 }
 
-/// An x4 decoder: two levels in, a count out. The index latches the counter when its line rises.
-#[derive(Debug, Clone, Default)]
-pub struct Decoder {
-    last: Levels,
-    reading: Reading,
+/// An encoder's counter from the moment at which its edges go one by one: the decoder that a board without such a timer would run.
+#[derive(Debug, Clone)]
+struct EdgeCounter {
+    decoder: Quadrature,
+    levels: Levels,
+    /// What the counter showed when the decoder took over.
+    before: Reading,
+    edge_time_ns: u32,
 }
 
-impl Decoder {
-    /// A decoder that has seen these levels and counted so far.
-    pub const fn new(last: Levels, reading: Reading) -> Self {
-        Self { last, reading }
+impl EdgeCounter {
+    fn new(levels: Levels, before: Reading) -> Self {
+        let mut decoder = Quadrature::new(before.counts);
+        // The first levels are where a decoder starts.
+        decoder.feed(levels.a, levels.b, levels.index, before.edge_time_ns);
+        Self {
+            decoder,
+            levels,
+            before,
+            edge_time_ns: before.edge_time_ns,
+        }
     }
 
-    /// The lines have these levels since `time_ns`.
-    pub const fn sample(&mut self, levels: Levels, time_ns: u64) {
-        match levels.quarter().wrapping_sub(self.last.quarter()) & 3 {
-            1 => {
-                self.reading.counts = self.reading.counts.wrapping_add(1);
-                self.reading.edge_time_ns = time_ns as u32;
-            }
-            3 => {
-                self.reading.counts = self.reading.counts.wrapping_sub(1);
-                self.reading.edge_time_ns = time_ns as u32;
-            }
-            2 => self.reading.illegal = self.reading.illegal.wrapping_add(1),
-            _ => {}
+    fn sample(&mut self, levels: Levels, time_ns: u64) {
+        let counts = self.decoder.counts();
+        self.decoder
+            .feed(levels.a, levels.b, levels.index, time_ns as u32);
+        if self.decoder.counts() != counts {
+            self.edge_time_ns = time_ns as u32;
         }
-        if levels.index && !self.last.index {
-            self.reading.index_counts = self.reading.counts;
-            self.reading.index_pulses = self.reading.index_pulses.wrapping_add(1);
-        }
-        self.last = levels;
+        self.levels = levels;
     }
 
-    /// What it counted.
-    pub const fn reading(&self) -> Reading {
-        self.reading
+    fn reading(&self) -> Reading {
+        let mut seen = AxisInputs::default();
+        self.decoder.latch(&mut seen);
+        Reading {
+            counts: seen.counts,
+            edge_time_ns: self.edge_time_ns,
+            illegal: self.before.illegal.wrapping_add(seen.illegal),
+            index_counts: if seen.index_pulses == 0 {
+                self.before.index_counts
+            } else {
+                seen.index_counts
+            },
+            index_pulses: self.before.index_pulses.wrapping_add(seen.index_pulses),
+        }
     }
 }
 
@@ -129,7 +131,7 @@ pub struct Encoder {
     reading: Reading,
     condition: EncoderCondition,
     /// Once a fault touched the encoder, its edges go through here.
-    decoder: Option<Decoder>,
+    edges: Option<EdgeCounter>,
     random: Random,
 }
 
@@ -155,7 +157,7 @@ impl Encoder {
             zero: state,
             reading: Reading::default(),
             condition: EncoderCondition::default(),
-            decoder: None,
+            edges: None,
             random,
         }
     }
@@ -163,7 +165,9 @@ impl Encoder {
     /// What the counter shows.
     #[inline]
     pub fn reading(&self) -> Reading {
-        self.decoder.as_ref().map_or(self.reading, Decoder::reading)
+        self.edges
+            .as_ref()
+            .map_or(self.reading, EdgeCounter::reading)
     }
 
     /// Changes what is wrong with the encoder.
@@ -173,23 +177,30 @@ impl Encoder {
         }
         self.condition = condition;
         let healthy = self.healthy_levels(self.state);
-        self.decoder
-            .get_or_insert_with(|| Decoder::new(healthy, self.reading));
+        self.edges
+            .get_or_insert_with(|| EdgeCounter::new(healthy, self.reading));
     }
 
     /// The counter slips by this many counts.
     pub fn slip(&mut self, counts: i32) {
         self.reading.counts = self.reading.counts.wrapping_add(counts);
         self.zero -= i64::from(if self.reversed { -counts } else { counts });
-        if let Some(decoder) = &mut self.decoder {
-            decoder.reading.counts = decoder.reading.counts.wrapping_add(counts);
+        if let Some(edges) = &mut self.edges {
+            let reading = edges.reading();
+            *edges = EdgeCounter::new(
+                edges.levels,
+                Reading {
+                    counts: reading.counts.wrapping_add(counts),
+                    ..reading
+                },
+            );
         }
     }
 
     /// The shaft went through `path`, evenly spaced samples `step_ns` apart that begin at `time_ns` where the last path ended.
     #[inline]
     pub fn follow(&mut self, path: impl Iterator<Item = f64>, time_ns: u64, step_ns: u64) {
-        if self.decoder.is_some() {
+        if self.edges.is_some() {
             self.follow_edges(path, time_ns, step_ns);
         } else {
             self.follow_states(path, time_ns, step_ns);
@@ -273,11 +284,11 @@ impl Encoder {
 
     /// The true way: every edge as levels through the decoder.
     fn follow_edges(&mut self, path: impl Iterator<Item = f64>, time_ns: u64, step_ns: u64) {
-        let Some(mut decoder) = self.decoder.take() else {
+        let Some(mut edges) = self.edges.take() else {
             return;
         };
         // A fault that came or went may have changed the levels while the shaft stood still.
-        decoder.sample(self.levels(self.state), time_ns);
+        edges.sample(self.levels(self.state), time_ns);
         let mut before = 0.0;
         for (sample, at) in path.enumerate() {
             let place = (at - self.origin) * self.scale;
@@ -293,7 +304,7 @@ impl Encoder {
             {
                 let quiet = self.levels(self.state);
                 let which = self.random.draw() % 3;
-                decoder.sample(
+                edges.sample(
                     Levels {
                         a: quiet.a ^ (which != 1),
                         b: quiet.b ^ (which != 0),
@@ -301,7 +312,7 @@ impl Encoder {
                     },
                     start_ns,
                 );
-                decoder.sample(quiet, start_ns);
+                edges.sample(quiet, start_ns);
             }
             let target = floor(place);
             while self.state != target {
@@ -309,13 +320,13 @@ impl Encoder {
                 let edge = if up { self.state + 1 } else { self.state };
                 self.state += if up { 1 } else { -1 };
                 let part = ((edge as f64 - before) / (place - before)).clamp(0.0, 1.0);
-                decoder.sample(
+                edges.sample(
                     self.levels(self.state),
                     start_ns + (part * step_ns as f64) as u64,
                 );
             }
             before = place;
         }
-        self.decoder = Some(decoder);
+        self.edges = Some(edges);
     }
 }

@@ -82,7 +82,7 @@ impl Arm {
     fn assemble(&mut self, slides: &[f64; 4]) -> Result<(), LoopClosureError> {
         let g = &self.geometry;
         let sin = (slides[0] + slides[1] - slides[2] - slides[3]) / (4.0 * g.c);
-        if !(sin.abs() < 1.0) {
+        if sin.is_nan() || sin.abs() >= 1.0 {
             return Err(LoopClosureError);
         }
         let cos = libm::sqrt(1.0 - sin * sin);
@@ -164,7 +164,7 @@ impl Arm {
 
     fn newton(&mut self, mut q: [f64; 4], slides: &[f64; 4]) -> Result<[f64; 4], LoopClosureError> {
         for _ in 0..30 {
-            if !(q[3].abs() < 1.0) {
+            if q[3].is_nan() || q[3].abs() >= 1.0 {
                 return Err(LoopClosureError);
             }
             let (errors, rods, worst) = self.residuals(&q, slides);
@@ -274,7 +274,7 @@ fn invert(matrix: &[[f64; 4]; 4]) -> Option<([[f64; 4]; 4], f64)> {
         }
         let value = left[column][column];
         determinant *= value;
-        if !(value.abs() > 1e-6) {
+        if value.is_nan() || value.abs() <= 1e-6 {
             return None;
         }
         let scale = 1.0 / value;

@@ -8,14 +8,22 @@
 //! * [`encoder`], [`stepper`]: the devices between the mechanics and the controller's counts and codes.
 //! * [`geometry`]: where the tool is, from the closed loops of the rods.
 //! * [`plant`]: all of it, one control period at a time.
+//! * [`wire`]: the serial line; [`fault`]: what goes wrong, and when.
+//! * [`rig`]: machine, controller and line in lockstep.
 
 pub mod config;
 pub mod encoder;
+pub mod fault;
+mod fault_text;
 pub mod geometry;
 pub mod mechanics;
 pub mod plant;
 pub mod random;
+pub mod rig;
 pub mod stepper;
+pub mod wire;
 
 pub use config::PlantConfig;
+pub use fault::Fault;
 pub use plant::{Plant, Truth};
+pub use rig::{Control, Rig, RigOptions};

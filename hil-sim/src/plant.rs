@@ -15,7 +15,7 @@ use crate::geometry::Arm;
 use crate::mechanics::{Bodies, Lanes, Mechanics};
 use crate::random::Random;
 use crate::stepper::{PulseReport, Stepper};
-use haptimill_firmware::io::{DriveCommand, Inputs, Outputs, StepSegment};
+use haptimill_firmware::io::{DriveCommand, Inputs, Outputs};
 use haptimill_protocol::message::MAX_AXES;
 
 /// What really is, at the start of a period.
@@ -381,16 +381,4 @@ fn step_efforts(
 
 fn slides(lanes: &Lanes) -> [f64; 4] {
     [lanes[0], lanes[1], lanes[2], lanes[3]]
-}
-
-/// A held output in a missed period: a torque stays on the DAC, pulses do not repeat.
-pub fn held(outputs: &Outputs) -> Outputs {
-    let mut held = outputs.clone();
-    held.transmit.clear();
-    for command in &mut held.axes {
-        if let DriveCommand::Steps(segment) = command {
-            *segment = StepSegment::default();
-        }
-    }
-    held
 }

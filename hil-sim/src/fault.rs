@@ -1,0 +1,513 @@
+//! What goes wrong, and when: every simulated device can be spoilt for a time, by virtual time and nothing else.
+//!
+//! A fault is named in a scenario file (serde) or in one line of text, for an option on the command line:
+//!
+//! ```
+//! use haptimill_hil_sim::fault::{Fault, FaultKind};
+//! let fault: Fault = "slide-jammed axis=2 effort=500 at=1.5s for=200ms".parse().unwrap();
+//! assert_eq!(fault.what, FaultKind::SlideJammed { axis: 2, effort: Some(500.0) });
+//! assert_eq!(fault.for_s, Some(0.2));
+//! ```
+//!
+//! | name | keys besides `at=` and `for=` |
+//! | --- | --- |
+//! | `encoder-stuck` | `axis`, `channel=a\|b`, `level=low\|high` |
+//! | `encoder-swapped`, `index-missing` | `axis` |
+//! | `encoder-slip` | `axis`, `counts`; happens once |
+//! | `encoder-noise` | `axis`, `per-second` |
+//! | `drive-dead` (it does not say so), `drive-tripped` (it does), `drive-reversed` | `axis` |
+//! | `drive-weak` | `axis`, `gain` |
+//! | `slide-jammed` | `axis`, and `effort` (friction that is added; without it the slide is held fast) |
+//! | `push` | `axis`, `effort` |
+//! | `switch-stuck` | `axis`, `switch=home\|limit-low\|limit-high`, `active=yes\|no` |
+//! | `emergency-stop` | |
+//! | `missed-periods` | `count`; happens once |
+//! | `link-errors`, `link-drop`, `link-duplicate` | `rate` (per bit, per byte, per byte), `direction=both\|to-machine\|to-host` |
+//! | `link-delay` | `ms`, `direction` |
+//! | `link-cut` | `direction` |
+//!
+//! Axes count from 0. Without `at` a fault is there from the start, without `for` it stays. Two faults on one device add up; where they
+//! contradict each other the later in the list holds.
+
+use crate::encoder::EncoderCondition;
+use crate::plant::{JointCondition, Plant};
+use crate::wire::{Wire, WireCondition};
+use core::fmt;
+use haptimill_protocol::message::MAX_AXES;
+use serde::{Deserialize, Serialize};
+
+/// A fault in time.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Fault {
+    /// When it begins, seconds.
+    #[serde(default)]
+    pub at_s: f64,
+    /// How long it stays, seconds; without it, for ever.
+    #[serde(default)]
+    pub for_s: Option<f64>,
+    /// What it is.
+    pub what: FaultKind,
+}
+
+/// What goes wrong. Axes count from 0.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+pub enum FaultKind {
+    /// A channel of an encoder stands still.
+    EncoderStuck {
+        /// The joint.
+        axis: usize,
+        /// The channel.
+        channel: Channel,
+        /// The level at which it stands.
+        level: Level,
+    },
+    /// The channels of an encoder are swapped: it counts backwards.
+    EncoderSwapped {
+        /// The joint.
+        axis: usize,
+    },
+    /// The counter slips, once.
+    EncoderSlip {
+        /// The joint.
+        axis: usize,
+        /// By how much.
+        counts: i32,
+    },
+    /// Noise pulses on A, B or both.
+    EncoderNoise {
+        /// The joint.
+        axis: usize,
+        /// How many, on average.
+        #[serde(rename = "per-second")]
+        per_second: f64,
+    },
+    /// The index line is dead.
+    IndexMissing {
+        /// The joint.
+        axis: usize,
+    },
+    /// The drive gives nothing and says it is well.
+    DriveDead {
+        /// The joint.
+        axis: usize,
+    },
+    /// The drive gives nothing and says that it is not well.
+    DriveTripped {
+        /// The joint.
+        axis: usize,
+    },
+    /// The drive gives less (or more) than it is asked for.
+    DriveWeak {
+        /// The joint.
+        axis: usize,
+        /// By this factor.
+        gain: f64,
+    },
+    /// The drive pulls the wrong way.
+    DriveReversed {
+        /// The joint.
+        axis: usize,
+    },
+    /// A slide is hard to move.
+    SlideJammed {
+        /// The joint.
+        axis: usize,
+        /// Friction that is added, N or N m; without it the slide is held fast.
+        #[serde(default)]
+        effort: Option<f64>,
+    },
+    /// Something pushes a slide.
+    Push {
+        /// The joint.
+        axis: usize,
+        /// N or N m.
+        effort: f64,
+    },
+    /// A switch stands still.
+    SwitchStuck {
+        /// The joint.
+        axis: usize,
+        /// The switch.
+        switch: Switch,
+        /// How it stands.
+        active: bool,
+    },
+    /// The emergency stop circuit is open.
+    EmergencyStop,
+    /// The controller is not called for some periods, once.
+    MissedPeriods {
+        /// How many.
+        count: u32,
+    },
+    /// Bits of the serial line are flipped.
+    LinkErrors {
+        /// Probability per bit.
+        rate: f64,
+        /// Which way.
+        #[serde(default)]
+        direction: Direction,
+    },
+    /// Bytes of the serial line are lost.
+    LinkDrop {
+        /// Probability per byte.
+        rate: f64,
+        /// Which way.
+        #[serde(default)]
+        direction: Direction,
+    },
+    /// Bytes of the serial line come twice.
+    LinkDuplicate {
+        /// Probability per byte.
+        rate: f64,
+        /// Which way.
+        #[serde(default)]
+        direction: Direction,
+    },
+    /// Bytes of the serial line come later.
+    LinkDelay {
+        /// Milliseconds.
+        ms: f64,
+        /// Which way.
+        #[serde(default)]
+        direction: Direction,
+    },
+    /// The serial line is cut.
+    LinkCut {
+        /// Which way.
+        #[serde(default)]
+        direction: Direction,
+    },
+}
+
+/// Channel of an encoder.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Channel {
+    /// Leads upwards.
+    A,
+    /// Follows upwards.
+    B,
+}
+
+/// Level of a line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Level {
+    /// 0.
+    Low,
+    /// 1.
+    High,
+}
+
+/// A switch of a joint.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Switch {
+    /// Home.
+    Home,
+    /// Lower end.
+    LimitLow,
+    /// Upper end.
+    LimitHigh,
+}
+
+/// Direction on the serial line.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Direction {
+    /// Both ways.
+    #[default]
+    Both,
+    /// From the host.
+    ToMachine,
+    /// To the host.
+    ToHost,
+}
+
+/// Why a fault makes no sense.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct FaultError {
+    pub(crate) fault: String,
+    pub(crate) problem: String,
+}
+
+impl fmt::Display for FaultError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "fault `{}`: {}", self.fault, self.problem)
+    }
+}
+
+impl core::error::Error for FaultError {}
+
+impl FaultKind {
+    const fn axis(&self) -> Option<usize> {
+        match self {
+            Self::EncoderStuck { axis, .. }
+            | Self::EncoderSwapped { axis }
+            | Self::EncoderSlip { axis, .. }
+            | Self::EncoderNoise { axis, .. }
+            | Self::IndexMissing { axis }
+            | Self::DriveDead { axis }
+            | Self::DriveTripped { axis }
+            | Self::DriveWeak { axis, .. }
+            | Self::DriveReversed { axis }
+            | Self::SlideJammed { axis, .. }
+            | Self::Push { axis, .. }
+            | Self::SwitchStuck { axis, .. } => Some(*axis),
+            _ => None,
+        }
+    }
+
+    /// A number that must not be negative (or must be a probability), with its largest value.
+    const fn bounded(&self) -> Option<(f64, f64)> {
+        match self {
+            Self::EncoderNoise { per_second, .. } => Some((*per_second, 50_000.0)),
+            Self::SlideJammed {
+                effort: Some(effort),
+                ..
+            } => Some((*effort, f64::INFINITY)),
+            Self::LinkErrors { rate, .. }
+            | Self::LinkDrop { rate, .. }
+            | Self::LinkDuplicate { rate, .. } => Some((*rate, 1.0)),
+            Self::LinkDelay { ms, .. } => Some((*ms, 1e6)),
+            _ => None,
+        }
+    }
+}
+
+impl Fault {
+    /// Checks the fault against a machine of so many joints.
+    ///
+    /// # Errors
+    /// There is no such joint, or a number is out of its range.
+    pub fn check(&self, axes: usize) -> Result<(), FaultError> {
+        let refuse = |problem: String| {
+            Err(FaultError {
+                fault: self.to_string(),
+                problem,
+            })
+        };
+        if let Some(axis) = self.what.axis().filter(|axis| *axis >= axes) {
+            return refuse(format!(
+                "there is no axis {axis}; they count from 0 to {}",
+                axes.saturating_sub(1)
+            ));
+        }
+        if let Some((value, most)) = self
+            .what
+            .bounded()
+            .filter(|(value, most)| !(0.0..=*most).contains(value))
+        {
+            return refuse(format!("{value} is not within 0 to {most}"));
+        }
+        if let FaultKind::DriveWeak { gain: number, .. } | FaultKind::Push { effort: number, .. } =
+            self.what
+            && !number.is_finite()
+        {
+            return refuse(format!("{number} is no number to reckon with"));
+        }
+        let span = 0.0..=1e6;
+        if !span.contains(&self.at_s) || self.for_s.is_some_and(|time| !span.contains(&time)) {
+            return refuse("times are 0 to 1e6 seconds".into());
+        }
+        Ok(())
+    }
+}
+
+/// A fault with its times, and whether it is there.
+#[derive(Debug, Clone)]
+struct Entry {
+    kind: FaultKind,
+    begins_ns: u64,
+    ends_ns: u64,
+    active: bool,
+}
+
+/// All faults of a run.
+#[derive(Debug, Clone)]
+pub struct Schedule {
+    entries: Vec<Entry>,
+    /// Nothing changes before this.
+    next_ns: u64,
+    /// Periods still to be missed.
+    misses: u32,
+}
+
+impl Schedule {
+    /// The schedule of these faults on a machine of so many joints.
+    ///
+    /// # Errors
+    /// The first fault that makes no sense there.
+    pub fn new(faults: &[Fault], axes: usize) -> Result<Self, FaultError> {
+        let mut entries = Vec::new();
+        for fault in faults {
+            fault.check(axes)?;
+            let begins_ns = (fault.at_s * 1e9) as u64;
+            let ends_ns = fault
+                .for_s
+                .map_or(u64::MAX, |time| begins_ns + (time * 1e9) as u64);
+            entries.push(Entry {
+                kind: fault.what.clone(),
+                begins_ns,
+                ends_ns,
+                active: false,
+            });
+        }
+        let next_ns = if entries.is_empty() { u64::MAX } else { 0 };
+        Ok(Self {
+            entries,
+            next_ns,
+            misses: 0,
+        })
+    }
+
+    /// Brings everything into the state of `now`; true when the controller misses the period that begins.
+    pub fn apply(
+        &mut self,
+        now: u64,
+        plant: &mut Plant,
+        to_machine: &mut Wire,
+        to_host: &mut Wire,
+    ) -> bool {
+        if now >= self.next_ns {
+            self.change(now, plant, to_machine, to_host);
+        }
+        let miss = self.misses > 0;
+        self.misses = self.misses.saturating_sub(1);
+        miss
+    }
+
+    fn change(&mut self, now: u64, plant: &mut Plant, to_machine: &mut Wire, to_host: &mut Wire) {
+        self.next_ns = u64::MAX;
+        let mut joints = [JointCondition::default(); MAX_AXES];
+        let mut encoders = [EncoderCondition::default(); MAX_AXES];
+        let mut loads = [0.0; MAX_AXES];
+        let mut emergency_stop = false;
+        let mut wires = [WireCondition::HEALTHY; 2];
+        for entry in &mut self.entries {
+            let begins = !entry.active && now >= entry.begins_ns;
+            entry.active = (entry.begins_ns..entry.ends_ns).contains(&now);
+            for edge in [entry.begins_ns, entry.ends_ns] {
+                if edge > now {
+                    self.next_ns = self.next_ns.min(edge);
+                }
+            }
+            match entry.kind {
+                FaultKind::EncoderSlip { axis, counts }
+                    if begins && entry.begins_ns != u64::MAX =>
+                {
+                    plant.slip_encoder(axis, counts);
+                    entry.begins_ns = u64::MAX;
+                }
+                FaultKind::MissedPeriods { count } if begins && entry.begins_ns != u64::MAX => {
+                    self.misses = self.misses.saturating_add(count);
+                    entry.begins_ns = u64::MAX;
+                }
+                _ => {}
+            }
+            if entry.active {
+                spoil(
+                    &entry.kind,
+                    &mut joints,
+                    &mut encoders,
+                    &mut loads,
+                    &mut emergency_stop,
+                    &mut wires,
+                );
+            }
+        }
+        for axis in 0..plant.axes() {
+            plant.set_condition(axis, joints[axis]);
+            plant.set_encoder_condition(axis, encoders[axis]);
+            plant.set_load(axis, loads[axis]);
+        }
+        plant.set_emergency_stop(emergency_stop);
+        to_machine.set_condition(wires[0]);
+        to_host.set_condition(wires[1]);
+    }
+}
+
+/// Adds an active fault to the conditions.
+fn spoil(
+    kind: &FaultKind,
+    joints: &mut [JointCondition; MAX_AXES],
+    encoders: &mut [EncoderCondition; MAX_AXES],
+    loads: &mut [f64; MAX_AXES],
+    emergency_stop: &mut bool,
+    wires: &mut [WireCondition; 2],
+) {
+    let chosen = |direction: Direction| -> &'static [usize] {
+        match direction {
+            Direction::Both => &[0, 1],
+            Direction::ToMachine => &[0],
+            Direction::ToHost => &[1],
+        }
+    };
+    match *kind {
+        FaultKind::EncoderStuck {
+            axis,
+            channel: Channel::A,
+            level,
+        } => {
+            encoders[axis].stuck_a = Some(level == Level::High);
+        }
+        FaultKind::EncoderStuck {
+            axis,
+            channel: Channel::B,
+            level,
+        } => {
+            encoders[axis].stuck_b = Some(level == Level::High);
+        }
+        FaultKind::EncoderSwapped { axis } => encoders[axis].swapped = true,
+        FaultKind::EncoderNoise { axis, per_second } => encoders[axis].noise_hz += per_second,
+        FaultKind::IndexMissing { axis } => encoders[axis].index_missing = true,
+        FaultKind::DriveDead { axis } => joints[axis].drive_gain = 0.0,
+        FaultKind::DriveTripped { axis } => joints[axis].drive_tripped = true,
+        FaultKind::DriveWeak { axis, gain } => joints[axis].drive_gain *= gain,
+        FaultKind::DriveReversed { axis } => joints[axis].drive_gain *= -1.0,
+        FaultKind::SlideJammed { axis, effort } => {
+            joints[axis].jam += effort.unwrap_or(f64::INFINITY)
+        }
+        FaultKind::Push { axis, effort } => loads[axis] += effort,
+        FaultKind::SwitchStuck {
+            axis,
+            switch,
+            active,
+        } => {
+            let joint = &mut joints[axis];
+            let stuck = match switch {
+                Switch::Home => &mut joint.home,
+                Switch::LimitLow => &mut joint.limit_low,
+                Switch::LimitHigh => &mut joint.limit_high,
+            };
+            *stuck = Some(active);
+        }
+        FaultKind::EmergencyStop => *emergency_stop = true,
+        FaultKind::LinkErrors { rate, direction } => {
+            chosen(direction)
+                .iter()
+                .for_each(|&wire| wires[wire].bit_error_rate = rate);
+        }
+        FaultKind::LinkDrop { rate, direction } => {
+            chosen(direction)
+                .iter()
+                .for_each(|&wire| wires[wire].drop_rate = rate);
+        }
+        FaultKind::LinkDuplicate { rate, direction } => {
+            chosen(direction)
+                .iter()
+                .for_each(|&wire| wires[wire].duplicate_rate = rate);
+        }
+        FaultKind::LinkDelay { ms, direction } => {
+            chosen(direction)
+                .iter()
+                .for_each(|&wire| wires[wire].delay_ns = (ms * 1e6) as u64);
+        }
+        FaultKind::LinkCut { direction } => chosen(direction)
+            .iter()
+            .for_each(|&wire| wires[wire].cut = true),
+        FaultKind::EncoderSlip { .. } | FaultKind::MissedPeriods { .. } => {}
+    }
+}

@@ -1,0 +1,322 @@
+//! Faults as one line of text: `name key=value ... at=1.5s for=200ms`, keys in any order, parted by blanks or commas.
+
+use crate::fault::{Channel, Direction, Fault, FaultError, FaultKind, Level, Switch};
+use core::fmt;
+use core::str::FromStr;
+
+/// A word that stands for a value of a small enumeration.
+trait Word: Sized + Copy + PartialEq + 'static {
+    const WORDS: &'static [(&'static str, Self)];
+
+    fn word(self) -> &'static str {
+        Self::WORDS
+            .iter()
+            .find(|(_, value)| *value == self)
+            .map_or("", |(word, _)| word)
+    }
+}
+
+impl Word for Channel {
+    const WORDS: &'static [(&'static str, Self)] = &[("a", Self::A), ("b", Self::B)];
+}
+
+impl Word for Level {
+    const WORDS: &'static [(&'static str, Self)] = &[("low", Self::Low), ("high", Self::High)];
+}
+
+impl Word for Switch {
+    const WORDS: &'static [(&'static str, Self)] = &[
+        ("home", Self::Home),
+        ("limit-low", Self::LimitLow),
+        ("limit-high", Self::LimitHigh),
+    ];
+}
+
+impl Word for Direction {
+    const WORDS: &'static [(&'static str, Self)] = &[
+        ("both", Self::Both),
+        ("to-machine", Self::ToMachine),
+        ("to-host", Self::ToHost),
+    ];
+}
+
+impl Word for bool {
+    const WORDS: &'static [(&'static str, Self)] = &[("yes", true), ("no", false)];
+}
+
+/// The keys of a line that have not been used yet.
+struct Keys<'a>(Vec<(&'a str, &'a str)>);
+
+impl<'a> Keys<'a> {
+    fn take(&mut self, key: &str) -> Option<&'a str> {
+        let place = self.0.iter().position(|(name, _)| *name == key)?;
+        Some(self.0.remove(place).1)
+    }
+
+    fn need(&mut self, key: &str) -> Result<&'a str, String> {
+        self.take(key).ok_or_else(|| format!("`{key}=` is missing"))
+    }
+
+    fn number<T: FromStr>(&mut self, key: &str) -> Result<T, String> {
+        let text = self.need(key)?;
+        text.parse()
+            .map_err(|_| format!("`{key}={text}`: not a number that fits"))
+    }
+
+    fn word<T: Word>(&mut self, key: &str) -> Result<T, String> {
+        let text = self.need(key)?;
+        T::WORDS
+            .iter()
+            .find(|(word, _)| *word == text)
+            .map(|(_, value)| *value)
+            .ok_or_else(|| {
+                let words: Vec<_> = T::WORDS.iter().map(|(word, _)| *word).collect();
+                format!("`{key}={text}`: must be {}", words.join(" or "))
+            })
+    }
+
+    fn direction(&mut self) -> Result<Direction, String> {
+        if self.0.iter().any(|(name, _)| *name == "direction") {
+            self.word("direction")
+        } else {
+            Ok(Direction::Both)
+        }
+    }
+
+    fn seconds(&mut self, key: &str) -> Result<Option<f64>, String> {
+        let Some(text) = self.take(key) else {
+            return Ok(None);
+        };
+        let units = [("ms", 1e3), ("us", 1e6), ("s", 1.0)];
+        let parsed = units.iter().find_map(|(unit, divisor)| {
+            Some(text.strip_suffix(unit)?.parse::<f64>().ok()? / divisor)
+        });
+        parsed
+            .map(Some)
+            .ok_or_else(|| format!("`{key}={text}`: must be a time like 1.5s, 200ms or 40us"))
+    }
+}
+
+impl FromStr for Fault {
+    type Err = FaultError;
+
+    fn from_str(text: &str) -> Result<Self, FaultError> {
+        parse(text).map_err(|problem| FaultError {
+            fault: text.trim().to_owned(),
+            problem,
+        })
+    }
+}
+
+fn parse(text: &str) -> Result<Fault, String> {
+    let mut words = text.split([' ', ',', '\t']).filter(|word| !word.is_empty());
+    let name = words
+        .next()
+        .ok_or("empty; must be a name and its keys, like `slide-jammed axis=2 at=1.5s`")?;
+    let mut pairs: Vec<(&str, &str)> = Vec::new();
+    for word in words {
+        let (key, value) = word
+            .split_once('=')
+            .ok_or_else(|| format!("`{word}`: must be key=value"))?;
+        if pairs.iter().any(|(known, _)| *known == key) {
+            return Err(format!("`{key}=` is there twice"));
+        }
+        pairs.push((key, value));
+    }
+    let mut keys = Keys(pairs);
+    let at_s = keys.seconds("at")?.unwrap_or(0.0);
+    let for_s = keys.seconds("for")?;
+    let what = kind(name, &mut keys)?;
+    match keys.0.first() {
+        Some((key, _)) => Err(format!("`{key}=` means nothing for {name}")),
+        None => Ok(Fault { at_s, for_s, what }),
+    }
+}
+
+fn kind(name: &str, keys: &mut Keys<'_>) -> Result<FaultKind, String> {
+    Ok(match name {
+        "encoder-stuck" => FaultKind::EncoderStuck {
+            axis: keys.number("axis")?,
+            channel: keys.word("channel")?,
+            level: keys.word("level")?,
+        },
+        "encoder-swapped" => FaultKind::EncoderSwapped {
+            axis: keys.number("axis")?,
+        },
+        "encoder-slip" => FaultKind::EncoderSlip {
+            axis: keys.number("axis")?,
+            counts: keys.number("counts")?,
+        },
+        "encoder-noise" => FaultKind::EncoderNoise {
+            axis: keys.number("axis")?,
+            per_second: keys.number("per-second")?,
+        },
+        "index-missing" => FaultKind::IndexMissing {
+            axis: keys.number("axis")?,
+        },
+        "drive-dead" => FaultKind::DriveDead {
+            axis: keys.number("axis")?,
+        },
+        "drive-tripped" => FaultKind::DriveTripped {
+            axis: keys.number("axis")?,
+        },
+        "drive-weak" => FaultKind::DriveWeak {
+            axis: keys.number("axis")?,
+            gain: keys.number("gain")?,
+        },
+        "drive-reversed" => FaultKind::DriveReversed {
+            axis: keys.number("axis")?,
+        },
+        "slide-jammed" => {
+            let axis = keys.number("axis")?;
+            let given = keys.0.iter().any(|(key, _)| *key == "effort");
+            FaultKind::SlideJammed {
+                axis,
+                effort: if given {
+                    Some(keys.number("effort")?)
+                } else {
+                    None
+                },
+            }
+        }
+        "push" => FaultKind::Push {
+            axis: keys.number("axis")?,
+            effort: keys.number("effort")?,
+        },
+        "switch-stuck" => FaultKind::SwitchStuck {
+            axis: keys.number("axis")?,
+            switch: keys.word("switch")?,
+            active: keys.word("active")?,
+        },
+        "emergency-stop" => FaultKind::EmergencyStop,
+        "missed-periods" => FaultKind::MissedPeriods {
+            count: keys.number("count")?,
+        },
+        "link-errors" => FaultKind::LinkErrors {
+            rate: keys.number("rate")?,
+            direction: keys.direction()?,
+        },
+        "link-drop" => FaultKind::LinkDrop {
+            rate: keys.number("rate")?,
+            direction: keys.direction()?,
+        },
+        "link-duplicate" => FaultKind::LinkDuplicate {
+            rate: keys.number("rate")?,
+            direction: keys.direction()?,
+        },
+        "link-delay" => FaultKind::LinkDelay {
+            ms: keys.number("ms")?,
+            direction: keys.direction()?,
+        },
+        "link-cut" => FaultKind::LinkCut {
+            direction: keys.direction()?,
+        },
+        _ => {
+            return Err(format!(
+                "no fault is called `{name}`; there are {}",
+                NAMES.join(", ")
+            ));
+        }
+    })
+}
+
+/// Names of all faults.
+pub(crate) const NAMES: [&str; 19] = [
+    "encoder-stuck",
+    "encoder-swapped",
+    "encoder-slip",
+    "encoder-noise",
+    "index-missing",
+    "drive-dead",
+    "drive-tripped",
+    "drive-weak",
+    "drive-reversed",
+    "slide-jammed",
+    "push",
+    "switch-stuck",
+    "emergency-stop",
+    "missed-periods",
+    "link-errors",
+    "link-drop",
+    "link-duplicate",
+    "link-delay",
+    "link-cut",
+];
+
+impl fmt::Display for Fault {
+    /// The line that parses back to the same fault.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match &self.what {
+            FaultKind::EncoderStuck {
+                axis,
+                channel,
+                level,
+            } => {
+                write!(
+                    f,
+                    "encoder-stuck axis={axis} channel={} level={}",
+                    channel.word(),
+                    level.word()
+                )
+            }
+            FaultKind::EncoderSwapped { axis } => write!(f, "encoder-swapped axis={axis}"),
+            FaultKind::EncoderSlip { axis, counts } => {
+                write!(f, "encoder-slip axis={axis} counts={counts}")
+            }
+            FaultKind::EncoderNoise { axis, per_second } => {
+                write!(f, "encoder-noise axis={axis} per-second={per_second}")
+            }
+            FaultKind::IndexMissing { axis } => write!(f, "index-missing axis={axis}"),
+            FaultKind::DriveDead { axis } => write!(f, "drive-dead axis={axis}"),
+            FaultKind::DriveTripped { axis } => write!(f, "drive-tripped axis={axis}"),
+            FaultKind::DriveWeak { axis, gain } => write!(f, "drive-weak axis={axis} gain={gain}"),
+            FaultKind::DriveReversed { axis } => write!(f, "drive-reversed axis={axis}"),
+            FaultKind::SlideJammed { axis, effort: None } => write!(f, "slide-jammed axis={axis}"),
+            FaultKind::SlideJammed {
+                axis,
+                effort: Some(effort),
+            } => {
+                write!(f, "slide-jammed axis={axis} effort={effort}")
+            }
+            FaultKind::Push { axis, effort } => write!(f, "push axis={axis} effort={effort}"),
+            FaultKind::SwitchStuck {
+                axis,
+                switch,
+                active,
+            } => {
+                write!(
+                    f,
+                    "switch-stuck axis={axis} switch={} active={}",
+                    switch.word(),
+                    active.word()
+                )
+            }
+            FaultKind::EmergencyStop => f.write_str("emergency-stop"),
+            FaultKind::MissedPeriods { count } => write!(f, "missed-periods count={count}"),
+            FaultKind::LinkErrors { rate, direction } => {
+                write!(f, "link-errors rate={rate} direction={}", direction.word())
+            }
+            FaultKind::LinkDrop { rate, direction } => {
+                write!(f, "link-drop rate={rate} direction={}", direction.word())
+            }
+            FaultKind::LinkDuplicate { rate, direction } => {
+                write!(
+                    f,
+                    "link-duplicate rate={rate} direction={}",
+                    direction.word()
+                )
+            }
+            FaultKind::LinkDelay { ms, direction } => {
+                write!(f, "link-delay ms={ms} direction={}", direction.word())
+            }
+            FaultKind::LinkCut { direction } => {
+                write!(f, "link-cut direction={}", direction.word())
+            }
+        }?;
+        write!(f, " at={}s", self.at_s)?;
+        if let Some(time) = self.for_s {
+            write!(f, " for={time}s")?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,147 @@
+//! A serial line between host and machine, one direction of it: paced, late, noisy, lossy or cut, as a scenario asks.
+//!
+//! Bytes go in with the virtual time at which they are written and come out when their last bit has arrived. A UART byte takes ten bit
+//! times (start, eight data, stop). Everything random is drawn from the seed, byte by byte in order, so a run repeats itself.
+
+use crate::random::Random;
+use std::collections::VecDeque;
+
+/// What is wrong with a line at the moment.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct WireCondition {
+    /// Probability that a bit is flipped.
+    pub bit_error_rate: f64,
+    /// Probability that a byte is lost.
+    pub drop_rate: f64,
+    /// Probability that a byte comes twice.
+    pub duplicate_rate: f64,
+    /// Every byte comes later by this, ns.
+    pub delay_ns: u64,
+    /// Nothing gets through.
+    pub cut: bool,
+}
+
+impl WireCondition {
+    /// A line that is well.
+    pub const HEALTHY: Self = Self {
+        bit_error_rate: 0.0,
+        drop_rate: 0.0,
+        duplicate_rate: 0.0,
+        delay_ns: 0,
+        cut: false,
+    };
+}
+
+impl Default for WireCondition {
+    fn default() -> Self {
+        Self::HEALTHY
+    }
+}
+
+/// What happened to the bytes of a line.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct WireCount {
+    /// Bytes written.
+    pub written: u64,
+    /// Bytes that came out, damaged ones included.
+    pub delivered: u64,
+    /// Bits that were flipped.
+    pub flipped: u64,
+    /// Bytes that were lost.
+    pub dropped: u64,
+    /// Bytes that came twice.
+    pub duplicated: u64,
+}
+
+/// One direction of a serial line.
+#[derive(Debug, Clone)]
+pub struct Wire {
+    /// Time of a byte on the line, ns times 2^16; 0 is an unlimited line.
+    byte_time: u64,
+    /// When the line is free again, ns times 2^16.
+    free_at: u64,
+    queue: VecDeque<(u64, u8)>,
+    condition: WireCondition,
+    random: Random,
+    count: WireCount,
+}
+
+impl Wire {
+    /// A line of so many baud; `None` is as fast as may be.
+    pub fn new(baud: Option<u32>, random: Random) -> Self {
+        Self {
+            byte_time: baud.map_or(0, |baud| {
+                (10_000_000_000_u64 << 16) / u64::from(baud.max(1))
+            }),
+            free_at: 0,
+            queue: VecDeque::new(),
+            condition: WireCondition::HEALTHY,
+            random,
+            count: WireCount::default(),
+        }
+    }
+
+    /// Changes what is wrong with the line, for bytes that are written from now on.
+    pub const fn set_condition(&mut self, condition: WireCondition) {
+        self.condition = condition;
+    }
+
+    /// What happened so far.
+    pub const fn count(&self) -> WireCount {
+        self.count
+    }
+
+    /// Bytes that were written and have not come out.
+    pub fn in_flight(&self) -> usize {
+        self.queue.len()
+    }
+
+    /// Writes bytes at `time_ns`; they leave when the line is free.
+    pub fn write(&mut self, bytes: &[u8], time_ns: u64) {
+        for &byte in bytes {
+            self.count.written += 1;
+            self.free_at = self.free_at.max(time_ns << 16) + self.byte_time;
+            if self.condition.cut || self.draw(self.condition.drop_rate) {
+                self.count.dropped += 1;
+                continue;
+            }
+            let byte = self.damage(byte);
+            // A delay that was shortened does not let bytes overtake each other.
+            let arrival = (self.free_at >> 16) + self.condition.delay_ns;
+            let arrival = arrival.max(self.queue.back().map_or(0, |last| last.0));
+            self.queue.push_back((arrival, byte));
+            if self.draw(self.condition.duplicate_rate) {
+                self.count.duplicated += 1;
+                self.queue.push_back((arrival, byte));
+            }
+        }
+    }
+
+    /// The next byte that has arrived by `time_ns`.
+    pub fn read(&mut self, time_ns: u64) -> Option<u8> {
+        let (arrival, byte) = *self.queue.front()?;
+        if arrival > time_ns {
+            return None;
+        }
+        self.queue.pop_front();
+        self.count.delivered += 1;
+        Some(byte)
+    }
+
+    const fn draw(&mut self, probability: f64) -> bool {
+        probability > 0.0 && self.random.happens(probability)
+    }
+
+    fn damage(&mut self, byte: u8) -> u8 {
+        let mut damaged = byte;
+        if self.condition.bit_error_rate > 0.0 {
+            for bit in 0..8 {
+                if self.random.happens(self.condition.bit_error_rate) {
+                    self.count.flipped += 1;
+                    damaged ^= 1 << bit;
+                }
+            }
+        }
+        damaged
+    }
+}
