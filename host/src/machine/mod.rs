@@ -35,17 +35,19 @@ pub const BUILT_IN: &str = include_str!("../../../machines/h4.toml");
 /// Name under which problems of [`BUILT_IN`] are reported.
 pub const BUILT_IN_NAME: &str = "machines/h4.toml (built in)";
 
-/// What the planner may ask of the machine along a path.
+/// How the planner joins the blocks of a program; its rates, accelerations and jerks are those of the axes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Planner {
-    /// Acceleration of the tool tip along its path, mm/s^2.
-    pub acceleration_mm_s2: f64,
-    /// Jerk of the tool tip along its path, mm/s^3.
-    pub jerk_mm_s3: f64,
-    /// Speed of rapid moves (G0), mm/s.
-    pub rapid_mm_s: f64,
-    /// How far a path may pass a programmed corner by, mm.
+    /// How far a path may pass a programmed corner by, mm; 0 stops at every corner.
     pub corner_tolerance_mm: f64,
+    /// The same for the rotary coordinates, degrees.
+    pub corner_tolerance_deg: f64,
+    /// Jump of the acceleration where the curvature changes (line into arc), as a part of the limit of acceleration.
+    pub curvature_step: f64,
+    /// Longest span between setpoints while anything moves, ms.
+    pub longest_span_ms: f64,
+    /// Shortest span between setpoints, ms.
+    pub shortest_span_ms: f64,
 }
 
 /// A machine file that was read without a problem.
@@ -213,10 +215,11 @@ fn read(document: &Document<'_>, root: &Spanned<DeTable<'_>>) -> MachineFile {
         pose: pose_limits,
         joints: joint_limits,
         planner: planner.unwrap_or(Planner {
-            acceleration_mm_s2: f64::NAN,
-            jerk_mm_s3: f64::NAN,
-            rapid_mm_s: f64::NAN,
             corner_tolerance_mm: f64::NAN,
+            corner_tolerance_deg: f64::NAN,
+            curvature_step: f64::NAN,
+            longest_span_ms: f64::NAN,
+            shortest_span_ms: f64::NAN,
         }),
         has_plant,
     }
@@ -338,11 +341,19 @@ fn homing(section: Section<'_, '_>) -> Homing {
 
 fn planner(section: Section<'_, '_>) -> Planner {
     let result = Planner {
-        acceleration_mm_s2: section.number("acceleration_mm_s2", real(1.0, 100_000.0, "mm/s^2")),
-        jerk_mm_s3: section.number("jerk_mm_s3", real(10.0, 1e8, "mm/s^3")),
-        rapid_mm_s: section.number("rapid_mm_s", real(0.1, 2000.0, "mm/s")),
         corner_tolerance_mm: section.number("corner_tolerance_mm", real(0.0, 1.0, "mm")),
+        corner_tolerance_deg: section.number("corner_tolerance_deg", real(0.0, 1.0, "deg")),
+        curvature_step: section.number("curvature_step", real(0.0, 1.0, "")),
+        longest_span_ms: section.number("longest_span_ms", real(1.0, 1000.0, "ms")),
+        shortest_span_ms: section.number("shortest_span_ms", real(0.2, 1000.0, "ms")),
     };
+    if result.shortest_span_ms > result.longest_span_ms {
+        let what = format!(
+            "{} is above longest_span_ms = {}",
+            result.shortest_span_ms, result.longest_span_ms
+        );
+        section.report("shortest_span_ms", what, "exchange them");
+    }
     section.finish();
     result
 }

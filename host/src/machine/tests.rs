@@ -231,7 +231,9 @@ fn every_key_that_is_not_optional_is_missed() {
         "coulomb_n",
         "coulomb_n_m",
     ];
-    for (number, line) in BUILT_IN.lines().enumerate() {
+    // The plant is read by the simulator.
+    let own = BUILT_IN.lines().position(|line| line == "[plant]").unwrap();
+    for (number, line) in BUILT_IN.lines().enumerate().take(own) {
         let Some((key, _)) = line.split_once(" =") else {
             continue;
         };
