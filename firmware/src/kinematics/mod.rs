@@ -3,6 +3,12 @@
 //! A *pose* is what a part program speaks of, a *joint* is what a drive moves; both are arrays of axis coordinates of which a machine uses
 //! the first [`Kinematics::axes`]. Every function gives a right answer or a [`PoseError`], never a number that is wrong.
 
+pub mod h4;
+mod h4_forward;
+mod h4_motion;
+mod h4_statics;
+pub mod machine;
+
 use crate::units::{Acceleration, Coordinate, Rate};
 pub use haptimill_protocol::message::{MAX_AXES, PoseError};
 

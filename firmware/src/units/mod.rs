@@ -45,3 +45,178 @@ quantity! {
     /// What a drive exerts on its axis: 2^-16 N on a linear axis, 2^-16 N m on a rotary one.
     Effort
 }
+
+pub mod root;
+pub mod scale;
+pub mod trig;
+
+/// Operations that every quantity has. None can overflow unseen: each says in its name what happens at the end of the range.
+macro_rules! operations {
+    ($($name:ident),*) => {$(
+        impl $name {
+            /// Nothing of it.
+            pub const ZERO: Self = Self(0);
+            /// The least value.
+            pub const MIN: Self = Self(i32::MIN);
+            /// The greatest value.
+            pub const MAX: Self = Self(i32::MAX);
+
+            /// The sum, or `None` beyond the range.
+            pub const fn checked_add(self, other: Self) -> Option<Self> {
+                match self.0.checked_add(other.0) {
+                    Some(raw) => Some(Self(raw)),
+                    None => None,
+                }
+            }
+
+            /// The difference, or `None` beyond the range.
+            pub const fn checked_sub(self, other: Self) -> Option<Self> {
+                match self.0.checked_sub(other.0) {
+                    Some(raw) => Some(Self(raw)),
+                    None => None,
+                }
+            }
+
+            /// The sum, held at the end of the range.
+            pub const fn saturating_add(self, other: Self) -> Self {
+                Self(self.0.saturating_add(other.0))
+            }
+
+            /// The difference, held at the end of the range.
+            pub const fn saturating_sub(self, other: Self) -> Self {
+                Self(self.0.saturating_sub(other.0))
+            }
+
+            /// The opposite; that of the least value is the greatest.
+            pub const fn saturating_neg(self) -> Self {
+                Self(self.0.saturating_neg())
+            }
+
+            /// The magnitude as a plain number, which holds that of the least value too.
+            pub const fn magnitude(self) -> u32 {
+                self.0.unsigned_abs()
+            }
+
+            /// A raw value from a wider calculation, held at the end of the range.
+            pub const fn saturating_from(raw: i64) -> Self {
+                Self(scale::saturate(raw))
+            }
+        }
+    )*};
+}
+
+operations!(Length, Coordinate, Rate, Acceleration, Effort);
+
+impl Length {
+    /// Raw units in a millimetre.
+    pub const PER_MILLIMETRE: i32 = 1 << 20;
+
+    /// A whole number of millimetres, held at the end of the range (+-2047 mm).
+    pub const fn millimetres(millimetres: i32) -> Self {
+        Self::saturating_from(millimetres as i64 * Self::PER_MILLIMETRE as i64)
+    }
+
+    /// A whole number of nanometres, rounded to the nearest raw unit (0.95 nm), held at the end of the range.
+    pub const fn nanometres(nanometres: i32) -> Self {
+        let raw = nanometres as i64 * Self::PER_MILLIMETRE as i64;
+        Self::saturating_from((raw + 500_000).div_euclid(1_000_000))
+    }
+}
+
+impl Angle {
+    /// No angle.
+    pub const ZERO: Self = Self(0);
+    /// A quarter of a turn, 90 degrees.
+    pub const QUARTER: Self = Self(1 << 30);
+    /// Half a turn; +180 and -180 degrees are the same angle.
+    pub const HALF: Self = Self(i32::MIN);
+
+    /// A whole number of degrees, wrapped into one turn, rounded to the nearest raw unit.
+    pub const fn degrees(degrees: i32) -> Self {
+        let raw = (degrees as i64) << 32;
+        Self((raw + 180).div_euclid(360) as i32)
+    }
+
+    /// The sum, around the turn.
+    pub const fn wrapping_add(self, other: Self) -> Self {
+        Self(self.0.wrapping_add(other.0))
+    }
+
+    /// The difference, the short way round.
+    pub const fn wrapping_sub(self, other: Self) -> Self {
+        Self(self.0.wrapping_sub(other.0))
+    }
+
+    /// The opposite angle; half a turn is its own.
+    pub const fn wrapping_neg(self) -> Self {
+        Self(self.0.wrapping_neg())
+    }
+}
+
+impl Coordinate {
+    /// The sum around the turn: for rotary axes only.
+    pub const fn wrapping_add(self, other: Self) -> Self {
+        Self(self.0.wrapping_add(other.0))
+    }
+
+    /// The difference, the short way round: for rotary axes only.
+    pub const fn wrapping_sub(self, other: Self) -> Self {
+        Self(self.0.wrapping_sub(other.0))
+    }
+
+    /// This coordinate of a linear axis.
+    pub const fn length(self) -> Length {
+        Length(self.0)
+    }
+
+    /// This coordinate of a rotary axis.
+    pub const fn angle(self) -> Angle {
+        Angle(self.0)
+    }
+}
+
+impl From<Length> for Coordinate {
+    fn from(length: Length) -> Self {
+        Self(length.0)
+    }
+}
+
+impl From<Angle> for Coordinate {
+    fn from(angle: Angle) -> Self {
+        Self(angle.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn constructors_round_and_hold() {
+        assert_eq!(Length::millimetres(-3), Length(-3 << 20));
+        assert_eq!(Length::millimetres(4000), Length::MAX);
+        assert_eq!(Length::nanometres(1_000_000), Length::millimetres(1));
+        assert_eq!(Length::nanometres(-1), Length(-1));
+        assert_eq!(Angle::degrees(90), Angle::QUARTER);
+        assert_eq!(Angle::degrees(-180), Angle::HALF);
+        assert_eq!(Angle::degrees(450), Angle::QUARTER);
+    }
+
+    #[test]
+    fn the_ends_of_the_range_are_held_or_told() {
+        assert_eq!(Rate::MAX.checked_add(Rate(1)), None);
+        assert_eq!(Rate::MIN.checked_sub(Rate(1)), None);
+        assert_eq!(Rate::MAX.saturating_add(Rate(1)), Rate::MAX);
+        assert_eq!(Rate::MIN.saturating_neg(), Rate::MAX);
+        assert_eq!(Effort::MIN.magnitude(), 1 << 31);
+        assert_eq!(Effort::saturating_from(i64::MIN), Effort::MIN);
+    }
+
+    #[test]
+    fn an_angle_goes_round() {
+        assert_eq!(Angle::HALF.wrapping_neg(), Angle::HALF);
+        let three_quarters = Angle::HALF.wrapping_add(Angle::QUARTER);
+        assert_eq!(three_quarters, Angle::QUARTER.wrapping_neg());
+        assert_eq!(three_quarters.wrapping_sub(Angle::QUARTER), Angle::HALF);
+    }
+}

@@ -1,0 +1,413 @@
+//! The hybrid H-4 arm with its rotary table: four slides and a table axis carry a pose of five coordinates.
+//!
+//! Pose `[x_w, y_w, z_w, theta, alpha]`, joints `[l1, l2, l3, l4, alpha]`. The arm moves the tool in x, y, z and theta (tilt about y); the
+//! table turns the work by alpha about x. All formulas are those of spec h4-milling 2.5 to 2.7, in the compact form: with
+//! x = x_w + x_offset, y = Y cos(alpha) - Z_t sin(alpha), z = Y sin(alpha) + Z_t cos(alpha) - h in the frame of the slave base,
+//!
+//! ```text
+//! l_i = x + m_i sin(theta) + s_i (w + S_i),   S_i^2 = R^2 - U_i^2 - V_i^2      (3.23)-(3.26)
+//! U_i = E - sigma_i y,   V_i = -z - m_i cos(theta) + sigma_i d - g_e,   m_i = T_L + c (1 + sigma_i)
+//! ```
+//!
+//! s = (+, -, +, -), sigma = (+, +, -, -). Rods 1 and 2 share U, V and S, and so do rods 3 and 4: two *pairs*.
+//!
+//! The parallel singularity is the line through the centres +-(E, D), D = d - c cos(theta), of the two circles on which the platform hangs
+//! (see the forward kinematics); the signed distance from it, positive on the side of the configured branch, is
+//! (E Z - y D) / hypot(E, D) with Z = z + (c + T_L) cos(theta) + g_e. It is what is called *distance* here.
+//!
+//! Limits: every `i32` in every coordinate is answered rightly or refused. Against real arithmetic the joints and the pose are
+//! within 0.1 um and 1 urad wherever they are not refused. A geometry must be [`H4::is_sound`]; one that is not refuses every pose.
+//!
+//! Misuse: strokes and soft limits are not known here; see [`super::machine::Machine`].
+
+use super::{Accelerations, Jacobian, JointMotion, Joints, Kinematics, Pose, PoseError, Rates};
+use crate::config::H4Geometry;
+use crate::units::root::{Root, hypot};
+use crate::units::scale::{multiply_shift, round_shift};
+use crate::units::trig::sin_cos;
+use crate::units::{Angle, Coordinate, Length};
+
+/// How many pose coordinates, and joints.
+pub(super) const AXES: usize = 5;
+/// Index of the tilt theta in a pose.
+pub(super) const THETA: usize = 3;
+/// Index of the table alpha in a pose and in the joints.
+pub(super) const ALPHA: usize = 4;
+
+/// The longest rod and lateral distance: 1024 mm.
+const LONGEST: i32 = 1 << 30;
+/// The shortest lateral distance, platform spacing and singularity margin: 1 mm, 1 mm and 1/16 mm.
+const SHORTEST: i32 = 1 << 20;
+const LEAST_MARGIN: i32 = 1 << 16;
+/// The shortest rod: 16 mm.
+const SHORTEST_ROD: i32 = 1 << 24;
+
+/// The H-4 arm.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct H4 {
+    /// A geometry that is not sound refuses everything.
+    pub(super) sound: bool,
+    /// E.
+    pub(super) lateral: i32,
+    /// c.
+    pub(super) half_spacing: i32,
+    /// d.
+    pub(super) half_height: i32,
+    /// w.
+    pub(super) joint_offset: i64,
+    /// R.
+    pub(super) rod: i32,
+    /// R^2, 2^-40 mm^2.
+    pub(super) rod_square: i64,
+    /// The least S^2 that is accepted: (0.1 R)^2.
+    least_square: i64,
+    /// m of rods 1 and 2: T_L + 2 c.
+    pub(super) upper: i64,
+    /// m of rods 3 and 4: T_L.
+    pub(super) lower: i64,
+    /// (c + T_L) / 4 c, `ratio / 2^ratio_shift`: from the sums of slides to what the tilt moves the tip.
+    pub(super) ratio: i32,
+    pub(super) ratio_shift: u32,
+    /// p + x_Ow^O1, y_Ow^O1, z_O1^O2.
+    pub(super) offset: [i32; 3],
+    /// h.
+    pub(super) table_height: i64,
+    /// g_e.
+    pub(super) rail_offset: i64,
+    /// +1 or -1: sign of E Z - y D on the configured branch.
+    pub(super) branch: i64,
+    /// Least distance from the parallel singularity.
+    pub(super) margin: i32,
+}
+
+/// The tool in the frame of the slave base: the pose without table and offsets.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct BasePose {
+    /// Along the rails.
+    pub x: Length,
+    /// Across the rails.
+    pub y: Length,
+    /// Upwards.
+    pub z: Length,
+    /// Tilt about y.
+    pub theta: Angle,
+}
+
+/// One pair of rods at a pose.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Pair {
+    /// U, |U| <= R.
+    pub(super) u: i32,
+    /// V, |V| <= R.
+    pub(super) v: i32,
+    /// S, 0.1 R to R.
+    pub(super) root: Root,
+}
+
+/// What a pose is in the frame of the slave base.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Placed {
+    /// x.
+    pub(super) x: i64,
+    /// y.
+    pub(super) y: i64,
+    /// z + h.
+    pub(super) height: i64,
+    /// Sine and cosine of theta, Q30.
+    pub(super) tilt: (i32, i32),
+    /// Sine and cosine of alpha, Q30.
+    pub(super) table: (i32, i32),
+    /// U, V of rods 1, 2.
+    pub(super) upper: (i32, i32),
+    /// U, V of rods 3, 4.
+    pub(super) lower: (i32, i32),
+}
+
+impl H4 {
+    /// The arm of a geometry.
+    ///
+    /// Not an error for a geometry that is not sound, because a machine without a right answer is still a machine: it refuses every pose as
+    /// [`PoseError::Unreachable`]. Check with [`H4::is_sound`] before a configuration becomes active.
+    #[must_use]
+    pub const fn new(geometry: &H4Geometry) -> Self {
+        let rod = geometry.rod.0;
+        let rod_square = rod as i64 * rod as i64;
+        let spacing = geometry.half_spacing.0 as i64;
+        let sound = Self::is_sound(geometry);
+        let (ratio, ratio_shift) = if sound {
+            scaled_ratio(spacing + geometry.tool.0 as i64, 4 * spacing)
+        } else {
+            (0, 1)
+        };
+        let below = if geometry.below { -1 } else { 1 };
+        Self {
+            sound,
+            lateral: geometry.lateral.0,
+            half_spacing: geometry.half_spacing.0,
+            half_height: geometry.half_height.0,
+            joint_offset: geometry.joint_offset.0 as i64,
+            rod,
+            rod_square,
+            least_square: rod_square / 100 + (rod_square % 100 != 0) as i64,
+            upper: geometry.tool.0 as i64 + 2 * spacing,
+            lower: geometry.tool.0 as i64,
+            ratio,
+            ratio_shift,
+            offset: [
+                geometry.x_offset.0,
+                geometry.y_offset.0,
+                geometry.z_offset.0,
+            ],
+            table_height: geometry.table_height.0 as i64,
+            rail_offset: geometry.rail_offset.0 as i64,
+            branch: if geometry.lateral.0 < 0 {
+                -below
+            } else {
+                below
+            },
+            margin: geometry.singularity_margin.0,
+        }
+    }
+
+    /// Whether the lengths make an arm that can be calculated: R from 16 to 1024 mm, |E| from 1 to 1024 mm, c from 1 mm to below 512 mm, d
+    /// up to +-1024 mm, T_L from 0 to 1024 mm, singularity margin from 1/16 to 1024 mm. The other lengths are free.
+    #[must_use]
+    pub const fn is_sound(geometry: &H4Geometry) -> bool {
+        let lateral = geometry.lateral.magnitude();
+        geometry.rod.0 >= SHORTEST_ROD
+            && geometry.rod.0 <= LONGEST
+            && lateral >= SHORTEST as u32
+            && lateral <= LONGEST as u32
+            && geometry.half_spacing.0 >= SHORTEST
+            && geometry.half_spacing.0 < LONGEST / 2
+            && geometry.half_height.magnitude() <= LONGEST as u32
+            && geometry.tool.0 >= 0
+            && geometry.tool.0 <= LONGEST
+            && geometry.singularity_margin.0 >= LEAST_MARGIN
+            && geometry.singularity_margin.0 <= LONGEST
+    }
+
+    /// Signed distance from the parallel singularity, positive on the side of the configured branch, whatever the margin is.
+    ///
+    /// # Errors
+    /// [`PoseError::Tilt`], [`PoseError::Unreachable`]: there is no arm at this pose to speak of.
+    pub fn singularity_distance(&self, pose: &Pose) -> Result<Length, PoseError> {
+        let placed = self.frame(pose)?;
+        Ok(Length(self.distance(&placed)))
+    }
+
+    /// The pose in the frame of the slave base, with U and V of both pairs no longer than a rod. (3.14)-(3.16), turned round.
+    #[inline]
+    pub(super) fn frame(&self, pose: &Pose) -> Result<Placed, PoseError> {
+        let [x_w, y_w, z_w, theta, alpha, _] = pose.0;
+        check_tilt(theta)?;
+        check_table(alpha)?;
+        let tilt = sin_cos(theta.angle());
+        let table = sin_cos(alpha.angle());
+
+        let (across, up) = (
+            y_w.0.checked_add(self.offset[1]),
+            z_w.0.checked_add(self.offset[2]),
+        );
+        let (Some(across), Some(up)) = (across, up) else {
+            return Err(PoseError::Unreachable);
+        };
+        let (sine, cosine) = (table.0 as i64, table.1 as i64);
+        let (across, up) = (across as i64, up as i64);
+        let y = round_shift(across * cosine - up * sine, 30);
+        let height = round_shift(across * sine + up * cosine, 30);
+
+        let below = self.table_height - self.rail_offset - height;
+        let upper = (
+            self.lateral as i64 - y,
+            below + self.half_height as i64 - round_shift(self.upper * tilt.1 as i64, 30),
+        );
+        let lower = (
+            self.lateral as i64 + y,
+            below - self.half_height as i64 - round_shift(self.lower * tilt.1 as i64, 30),
+        );
+        // Before anything is squared: an absurd pose would not fit.
+        let rod = self.rod as i64;
+        let longest = (upper.0.abs().max(upper.1.abs())).max(lower.0.abs().max(lower.1.abs()));
+        if longest > rod || !self.sound {
+            return Err(PoseError::Unreachable);
+        }
+        Ok(Placed {
+            x: x_w.0 as i64 + self.offset[0] as i64,
+            y,
+            height,
+            tilt,
+            table,
+            upper: (upper.0 as i32, upper.1 as i32),
+            lower: (lower.0 as i32, lower.1 as i32),
+        })
+    }
+
+    /// The pose with both pairs of rods, every condition but the strokes fulfilled.
+    #[inline]
+    pub(super) fn place(&self, pose: &Pose) -> Result<(Placed, [Pair; 2]), PoseError> {
+        let placed = self.frame(pose)?;
+        let upper = self.square(placed.upper);
+        let lower = self.square(placed.lower);
+        if upper < self.least_square || lower < self.least_square {
+            return Err(if upper < 0 || lower < 0 {
+                PoseError::Unreachable
+            } else {
+                let pair = (upper >= self.least_square) as u8;
+                PoseError::NearReachLimit { pair }
+            });
+        }
+        // hypot(E, D) <= |E| + |D|: a pose that is far enough by this measure needs no root and no division.
+        let (cross, height) = self.cross(&placed);
+        let bound = 2 * self.margin as i64 * (self.lateral as i64).abs();
+        if cross < bound + self.margin as i64 * height {
+            let distance = self.distance(&placed);
+            if distance < self.margin {
+                return Err(PoseError::NearSingularity { distance });
+            }
+        }
+        let pair = |(u, v), square: i64| Pair {
+            u,
+            v,
+            root: Root::of(square as u64),
+        };
+        Ok((
+            placed,
+            [pair(placed.upper, upper), pair(placed.lower, lower)],
+        ))
+    }
+
+    /// R^2 - U^2 - V^2; from -2^60 to 2^60.
+    #[inline]
+    fn square(&self, (u, v): (i32, i32)) -> i64 {
+        self.rod_square - u as i64 * u as i64 - v as i64 * v as i64
+    }
+
+    /// 2 (E Z - y D) with the sign of the branch, and |2 D|. With U and V of both pairs, E Z - y D = -(U1 V3 + U3 V1) / 2 and D = (V1 - V3) / 2.
+    #[inline]
+    fn cross(&self, placed: &Placed) -> (i64, i64) {
+        let (u1, v1) = (placed.upper.0 as i64, placed.upper.1 as i64);
+        let (u3, v3) = (placed.lower.0 as i64, placed.lower.1 as i64);
+        (-self.branch * (u1 * v3 + u3 * v1), (v1 - v3).abs())
+    }
+
+    /// Signed distance from the parallel singularity, rounded towards zero.
+    #[cold]
+    fn distance(&self, placed: &Placed) -> i32 {
+        let (cross, height) = self.cross(placed);
+        let base = hypot(self.lateral, (height / 2) as i32).max(1);
+        // |cross| <= 2^61, base >= 1 mm = 2^20: the quotient may leave the word only if the geometry is absurd.
+        crate::units::scale::saturate(cross / (2 * base as i64))
+    }
+
+    /// (3.23)-(3.26) from a placed pose.
+    #[inline]
+    fn joints(
+        &self,
+        placed: &Placed,
+        pairs: &[Pair; 2],
+        alpha: Coordinate,
+    ) -> Result<Joints, PoseError> {
+        let sine = placed.tilt.0 as i64;
+        let upper = placed.x + round_shift(self.upper * sine, 30);
+        let lower = placed.x + round_shift(self.lower * sine, 30);
+        let spread = [
+            self.joint_offset + pairs[0].root.rounded() as i64,
+            self.joint_offset + pairs[1].root.rounded() as i64,
+        ];
+        let slides = [
+            upper + spread[0],
+            upper - spread[0],
+            lower + spread[1],
+            lower - spread[1],
+        ];
+        let mut joints = Joints::default();
+        for (joint, slide) in joints.0.iter_mut().zip(slides) {
+            *joint = Coordinate(i32::try_from(slide).map_err(|_| PoseError::Unreachable)?);
+        }
+        joints.0[ALPHA] = alpha;
+        Ok(joints)
+    }
+}
+
+/// `numerator / denominator` (at least 1/4, below 2^10) as a 31-bit number and its scale.
+const fn scaled_ratio(numerator: i64, denominator: i64) -> (i32, u32) {
+    let mut shift = 32;
+    // numerator <= 2^31, so the product stays below 2^63.
+    while ((numerator << shift) / denominator) > i32::MAX as i64 {
+        shift -= 1;
+    }
+    (((numerator << shift) / denominator) as i32, shift)
+}
+
+/// The tilt of the tool must be less than a quarter turn.
+#[inline]
+fn check_tilt(theta: Coordinate) -> Result<(), PoseError> {
+    if theta.magnitude() >= Angle::QUARTER.0 as u32 {
+        return Err(PoseError::Tilt);
+    }
+    Ok(())
+}
+
+/// The table may turn up to a quarter turn.
+#[inline]
+pub(super) fn check_table(alpha: Coordinate) -> Result<(), PoseError> {
+    if alpha.magnitude() > Angle::QUARTER.0 as u32 {
+        return Err(PoseError::Tilt);
+    }
+    Ok(())
+}
+
+impl Kinematics for H4 {
+    fn axes(&self) -> usize {
+        AXES
+    }
+
+    fn inverse(&self, pose: &Pose) -> Result<Joints, PoseError> {
+        let (placed, pairs) = self.place(pose)?;
+        self.joints(&placed, &pairs, pose.0[ALPHA])
+    }
+
+    fn inverse_motion(
+        &self,
+        pose: &Pose,
+        rates: &Rates,
+        accelerations: &Accelerations,
+    ) -> Result<JointMotion, PoseError> {
+        let (placed, pairs) = self.place(pose)?;
+        let joints = self.joints(&placed, &pairs, pose.0[ALPHA])?;
+        let (rates, accelerations) = self.derivatives(&placed, &pairs, rates, accelerations);
+        Ok(JointMotion {
+            joints,
+            rates,
+            accelerations,
+        })
+    }
+
+    fn forward(&self, joints: &Joints) -> Result<Pose, PoseError> {
+        let alpha = joints.0[ALPHA];
+        check_table(alpha)?;
+        let base = self.base(joints)?;
+        let (sine, cosine) = sin_cos(alpha.angle());
+        // (3.14)-(3.16); h may be large, so the height is checked before it is multiplied.
+        let height =
+            i32::try_from(base.z as i64 + self.table_height).map_err(|_| PoseError::Unreachable)?;
+        let across = multiply_shift(base.y, cosine, 30) + multiply_shift(height, sine, 30);
+        let up = multiply_shift(height, cosine, 30) - multiply_shift(base.y, sine, 30);
+        let mut pose = Pose::default();
+        let table = [base.x as i64, across, up];
+        for ((coordinate, value), offset) in pose.0.iter_mut().zip(table).zip(self.offset) {
+            *coordinate = Coordinate(
+                i32::try_from(value - offset as i64).map_err(|_| PoseError::Unreachable)?,
+            );
+        }
+        pose.0[THETA] = base.theta.into();
+        pose.0[ALPHA] = alpha;
+        Ok(pose)
+    }
+
+    fn jacobian(&self, pose: &Pose) -> Result<Jacobian, PoseError> {
+        let (placed, pairs) = self.place(pose)?;
+        Ok(self.slopes(&placed, &pairs))
+    }
+}

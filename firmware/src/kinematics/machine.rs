@@ -1,0 +1,132 @@
+//! The machine of a configuration: its geometry together with the strokes of its joints.
+//!
+//! This is what the controller and the host ask. A [`Machine`] answers only for joints within their strokes; the geometry alone (for
+//! instance [`H4`]) does not know them.
+//!
+//! Misuse: soft limits of the pose are not checked here, they belong to the motion.
+
+use super::h4::{BasePose, H4};
+use super::{Accelerations, Jacobian, JointMotion, Joints, Kinematics, Pose, PoseError, Rates};
+use crate::config::{Config, Model};
+use crate::units::{Coordinate, Length};
+use haptimill_protocol::message::MAX_AXES;
+
+/// A geometry and its strokes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Machine {
+    geometry: Geometry,
+    /// Lower and upper end of each joint's stroke.
+    strokes: [(Coordinate, Coordinate); MAX_AXES],
+}
+
+/// The geometries that this firmware knows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Geometry {
+    H4(H4),
+}
+
+impl Machine {
+    /// The machine of a configuration.
+    ///
+    /// A joint that the configuration lacks has no stroke at all: it may only be at 0.
+    #[must_use]
+    pub fn new(config: &Config) -> Self {
+        let geometry = match &config.model {
+            Model::H4(lengths) => Geometry::H4(H4::new(lengths)),
+        };
+        let mut strokes = [(Coordinate::ZERO, Coordinate::ZERO); MAX_AXES];
+        for (stroke, joint) in strokes.iter_mut().zip(&config.joints) {
+            *stroke = (joint.low, joint.high);
+        }
+        Self { geometry, strokes }
+    }
+
+    /// The tool in the frame of the machine's base, without table and work offsets.
+    ///
+    /// # Errors
+    /// As [`Kinematics::forward`].
+    pub fn base_pose(&self, joints: &Joints) -> Result<BasePose, PoseError> {
+        self.check_strokes(joints)?;
+        match &self.geometry {
+            Geometry::H4(arm) => arm.base_pose(joints),
+        }
+    }
+
+    /// Signed distance from the parallel singularity, positive on the configured branch.
+    ///
+    /// # Errors
+    /// [`PoseError::Tilt`], [`PoseError::Unreachable`].
+    pub fn singularity_distance(&self, pose: &Pose) -> Result<Length, PoseError> {
+        match &self.geometry {
+            Geometry::H4(arm) => arm.singularity_distance(pose),
+        }
+    }
+
+    /// The strokes, lower and upper end of each joint.
+    #[must_use]
+    pub const fn strokes(&self) -> &[(Coordinate, Coordinate); MAX_AXES] {
+        &self.strokes
+    }
+
+    /// The first joint outside its stroke is an error.
+    #[inline]
+    fn check_strokes(&self, joints: &Joints) -> Result<(), PoseError> {
+        let ends = joints.0.iter().zip(&self.strokes).take(self.axes());
+        for (axis, (joint, (low, high))) in ends.enumerate() {
+            let by = if joint > high {
+                joint.saturating_sub(*high)
+            } else if joint < low {
+                joint.saturating_sub(*low)
+            } else {
+                continue;
+            };
+            return Err(PoseError::OutOfStroke {
+                axis: axis as u8,
+                by: by.0,
+            });
+        }
+        Ok(())
+    }
+}
+
+impl Kinematics for Machine {
+    fn axes(&self) -> usize {
+        match &self.geometry {
+            Geometry::H4(arm) => arm.axes(),
+        }
+    }
+
+    fn inverse(&self, pose: &Pose) -> Result<Joints, PoseError> {
+        let joints = match &self.geometry {
+            Geometry::H4(arm) => arm.inverse(pose)?,
+        };
+        self.check_strokes(&joints)?;
+        Ok(joints)
+    }
+
+    fn inverse_motion(
+        &self,
+        pose: &Pose,
+        rates: &Rates,
+        accelerations: &Accelerations,
+    ) -> Result<JointMotion, PoseError> {
+        let motion = match &self.geometry {
+            Geometry::H4(arm) => arm.inverse_motion(pose, rates, accelerations)?,
+        };
+        self.check_strokes(&motion.joints)?;
+        Ok(motion)
+    }
+
+    fn forward(&self, joints: &Joints) -> Result<Pose, PoseError> {
+        self.check_strokes(joints)?;
+        match &self.geometry {
+            Geometry::H4(arm) => arm.forward(joints),
+        }
+    }
+
+    fn jacobian(&self, pose: &Pose) -> Result<Jacobian, PoseError> {
+        match &self.geometry {
+            Geometry::H4(arm) => arm.jacobian(pose),
+        }
+    }
+}

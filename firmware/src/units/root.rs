@@ -1,0 +1,229 @@
+//! Square roots of integers, by a table and Newton's rule; no division.
+//!
+//! | function | result | error |
+//! | --- | --- | --- |
+//! | [`isqrt`] | whole part of the square root of a `u64` | exact |
+//! | [`sqrt_rounded`] | nearest whole number to it | exact (at most 0.5; saturates at `u32::MAX`) |
+//! | [`hypot`] | length of the hypotenuse of two `i32` | at most 0.5 |
+//! | [`Root`] | root with extra bits, and its reciprocal | relative 2^-31 each |
+//!
+//! Cost: about seven multiplications 32 x 32 -> 64. The start value has 9 right bits (384 half words of table), one step gives 17, and the
+//! last step works on the remainder of the 64-bit number, which gives all 32.
+
+/// 1 / (2 sqrt(v)) in Q16 for v = (i + 128.5) / 512, i = 0..384: v runs from 1/4 to 1.
+static RECIPROCAL_ROOT: [u16; 384] = reciprocal_roots();
+
+const fn reciprocal_roots() -> [u16; 384] {
+    let mut table = [0; 384];
+    let mut i = 0;
+    while i < table.len() {
+        // z = 1 / (2 sqrt(v)), z * 2^16 = sqrt(2^30 / v) = sqrt(2^30 * 1024 / (2 i + 257)), rounded.
+        let four_square = (1u64 << 42) / (2 * i as u64 + 257);
+        let twice = four_square.isqrt();
+        table[i] = twice.div_ceil(2) as u16;
+        i += 1;
+    }
+    table
+}
+
+/// The square root of a positive integer as a scaled mantissa: `root = mantissa / 2^shift`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Root {
+    /// 2^31 up to 2^32 - 1.
+    mantissa: u32,
+    /// Q31 of 2^31 / mantissa after one Newton step: 17 right bits, never too large.
+    rough: u32,
+    /// 0 to 31: bits of the mantissa behind the point.
+    shift: u32,
+}
+
+impl Root {
+    /// The root of `square`; of 0 as if it were 1.
+    #[inline]
+    #[must_use]
+    pub const fn of(square: u64) -> Self {
+        let zeros = (square | 1).leading_zeros() & !1;
+        let scaled = square << zeros;
+        let high = (scaled >> 32) as u32;
+        // v = high / 2^32 is 1/4 to 1. The mask tells the compiler what the line above says; 0 (square = 0) must not leave the table.
+        let index = ((high >> 23) as usize).saturating_sub(128);
+        let start = RECIPROCAL_ROOT[if index < 384 { index } else { 383 }] as u64;
+        // z (3/2 - 2 v z^2), z = 1 / (2 sqrt v) in Q16; the result in Q31. v z^2 is 1/4 within 2^-8, so nothing leaves its word.
+        // The 2 covers what the two cut-off tails could make too large, so that the root is come at from below.
+        let quarter = ((high as u64 * (start * start)) >> 32) + 2;
+        let rough = (start * ((3 << 30) - quarter)) >> 16;
+        // Below the root, because Newton's rule for the reciprocal root comes from below.
+        let first = (high as u64 * rough) >> 30;
+        let remainder = scaled - first * first;
+        // remainder / (2 root) with the remainder below 2^49.
+        let step = ((remainder >> 17) * rough) >> 46;
+        Self {
+            mantissa: (first + step) as u32,
+            rough: rough as u32,
+            shift: zeros / 2,
+        }
+    }
+
+    /// The root to the nearest whole number, for squares up to (2^31 - 1)^2 (beyond, `i32::MAX`). Error at most 0.5 + 2^-31 of the root.
+    #[inline]
+    #[must_use]
+    pub const fn rounded(self) -> i32 {
+        if self.shift == 0 {
+            // Not below 2^62: saturate rather than wrap.
+            return i32::MAX;
+        }
+        // At most 2^31, and that only within 2^31 of the end of the range.
+        let nearest = ((self.mantissa >> (self.shift - 1)) as u64 + 1) >> 1;
+        if nearest > i32::MAX as u64 {
+            i32::MAX
+        } else {
+            nearest as i32
+        }
+    }
+
+    /// The reciprocal of the root.
+    #[inline]
+    #[must_use]
+    pub const fn reciprocal(self) -> Reciprocal {
+        // z + z (1 - root / root0): one more step of Newton's rule for the reciprocal, from 17 bits to 31.
+        let product = self.mantissa as u64 * self.rough as u64;
+        // product is 2^62 (1 - error), error from 0 to 2^-16 (or a hair below 0).
+        let error = (1i64 << 62) - product as i64;
+        let correction = ((error >> 30) * self.rough as i64) >> 32;
+        Reciprocal {
+            mantissa: (self.rough as i64 + correction) as u32,
+            shift: 62 - self.shift,
+        }
+    }
+}
+
+/// The reciprocal of a [`Root`]: `mantissa / 2^shift`, relative error below 2^-29.5.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Reciprocal {
+    /// 2^30 - 4 up to 2^31.
+    pub mantissa: u32,
+    /// 31 to 62.
+    pub shift: u32,
+}
+
+/// The whole part of the square root. Exact.
+#[must_use]
+pub const fn isqrt(square: u64) -> u32 {
+    if square == 0 {
+        return 0;
+    }
+    let root = Root::of(square);
+    let mut whole = (root.mantissa >> root.shift) as u64;
+    // The mantissa is within 2 of the truth; after the shift the whole part is off by at most that. Products stay below 2^64.
+    while whole * whole > square {
+        whole -= 1;
+    }
+    while whole < u32::MAX as u64 && (whole + 1) * (whole + 1) <= square {
+        whole += 1;
+    }
+    whole as u32
+}
+
+/// The nearest whole number to the square root. Exact; 2^32 - 1/2 and above give `u32::MAX`.
+#[must_use]
+pub const fn sqrt_rounded(square: u64) -> u32 {
+    let whole = isqrt(square);
+    // sqrt(square) >= whole + 1/2 exactly when square > whole^2 + whole.
+    let remainder = square - whole as u64 * whole as u64;
+    if remainder > whole as u64 {
+        whole.saturating_add(1)
+    } else {
+        whole
+    }
+}
+
+/// The length of the hypotenuse, to the nearest whole number. Any two `i32`.
+#[must_use]
+pub const fn hypot(x: i32, y: i32) -> u32 {
+    let (x, y) = (x.unsigned_abs() as u64, y.unsigned_abs() as u64);
+    sqrt_rounded(x * x + y * y)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn check(square: u64) {
+        let whole = isqrt(square) as u128;
+        assert!(whole * whole <= square as u128, "{square}");
+        assert!((whole + 1) * (whole + 1) > square as u128, "{square}");
+        let nearest = sqrt_rounded(square) as i128;
+        // |nearest - sqrt| <= 1/2, squared: (2 nearest - 1)^2 <= 4 square <= (2 nearest + 1)^2.
+        assert!((2 * nearest - 1) * (2 * nearest - 1) <= 4 * square as i128 || nearest == 0);
+        assert!(
+            (2 * nearest + 1) * (2 * nearest + 1) >= 4 * square as i128
+                || nearest == u32::MAX as i128
+        );
+        if square == 0 {
+            return;
+        }
+        let root = Root::of(square);
+        let exact = libm::sqrt(square as f64);
+        let scaled = root.mantissa as f64 / libm::exp2(root.shift as f64);
+        assert!((scaled / exact - 1.0).abs() < libm::exp2(-30.5), "{square}");
+        if square <= i32::MAX as u64 * i32::MAX as u64 {
+            let error = (root.rounded() as f64 - exact).abs();
+            assert!(error <= 0.5 + exact * libm::exp2(-30.5), "{square}");
+        }
+        let reciprocal = root.reciprocal();
+        assert!(
+            ((1 << 30) - 4..=1 << 31).contains(&reciprocal.mantissa),
+            "{square}"
+        );
+        let value = reciprocal.mantissa as f64 / libm::exp2(reciprocal.shift as f64);
+        assert!((value * exact - 1.0).abs() < libm::exp2(-29.5), "{square}");
+    }
+
+    #[test]
+    fn corners() {
+        for square in 0..100_000 {
+            check(square);
+        }
+        for bits in 0..64 {
+            for offset in -300i64..300 {
+                check((1u64 << bits).wrapping_add_signed(offset));
+            }
+        }
+        for root in (0..=u32::MAX as u64).step_by(65_537) {
+            for offset in -2i64..=2 {
+                check((root * root).wrapping_add_signed(offset));
+            }
+        }
+        check(u64::MAX);
+        assert_eq!(Root::of((1 << 62) - 1).rounded(), i32::MAX);
+        check(u32::MAX as u64 * u32::MAX as u64);
+    }
+
+    #[test]
+    fn both_ends_of_every_cell_of_the_table() {
+        for cell in 128u64..512 {
+            for end in [cell << 55, (cell << 55) | ((1 << 55) - 1)] {
+                for shift in [0, 1, 2, 13, 30, 40] {
+                    check(end >> shift);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn hypot_of_extremes() {
+        assert_eq!(hypot(i32::MIN, i32::MIN), 3_037_000_500);
+        assert_eq!(hypot(i32::MIN, 0), 1 << 31);
+        assert_eq!(hypot(0, 0), 0);
+        assert_eq!(hypot(-3, 4), 5);
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(200_000))]
+        #[test]
+        fn all_magnitudes(raw: u64, shift in 0u32..64) {
+            check(raw >> shift);
+        }
+    }
+}

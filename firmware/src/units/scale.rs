@@ -1,0 +1,116 @@
+//! Products of wide integers that are scaled back by a power of two, rounded to nearest.
+//!
+//! These are the multiplications of a fixed-point controller. They are made of 32 x 32 -> 64 bit products, which every target of this
+//! firmware has as one instruction; there is no division here. Rounding is to nearest, halves upwards (towards plus infinity), so the
+//! error of one operation is at most half a unit of its result and has no bias to speak of.
+//!
+//! Misuse: a function that does not saturate says what its operands must fulfil. Beyond that the result is meaningless (or, where the
+//! overflow checks see it, a panic): bound the operands where they enter.
+
+/// `value`, held within the range of `i32`.
+#[inline]
+#[must_use]
+pub const fn saturate(value: i64) -> i32 {
+    if value > i32::MAX as i64 {
+        i32::MAX
+    } else if value < i32::MIN as i64 {
+        i32::MIN
+    } else {
+        value as i32
+    }
+}
+
+/// `value / 2^shift`, rounded to nearest; `shift` is 1 to 62.
+///
+/// Right for every value, but for `i64::MAX` with a shift of 1, which wraps.
+#[inline]
+#[must_use]
+pub const fn round_shift(value: i64, shift: u32) -> i64 {
+    // Shifting twice keeps the half bit without an addition that could overflow at the top.
+    (value >> (shift - 1)).wrapping_add(1) >> 1
+}
+
+/// `a * b / 2^shift`, rounded to nearest, for any two `i32`; `shift` is 1 to 62.
+#[inline]
+#[must_use]
+pub const fn multiply_shift(a: i32, b: i32, shift: u32) -> i64 {
+    round_shift(a as i64 * b as i64, shift)
+}
+
+/// `value * factor / 2^shift`, rounded to nearest, for a wide value; `shift` is 1 to 32.
+///
+/// The result must fit in 62 bits: it does whenever `|value| < 2^(30 + shift)`.
+#[inline]
+#[must_use]
+pub const fn scale(value: i64, factor: i32, shift: u32) -> i64 {
+    let high = (value >> 32) * factor as i64;
+    // The lower word counts as positive: 0 <= low < 2^32, so the product is below 2^63 in magnitude.
+    let low = (value & 0xffff_ffff) * factor as i64;
+    // high * 2^32 is a whole multiple of 2^shift, so only the lower product needs rounding.
+    (high << (32 - shift)).wrapping_add(round_shift(low, shift))
+}
+
+/// `value * factor / 2^32`, rounded down (by less than 2 units), for any `value` and a `factor` below 2^31 + 1.
+#[inline]
+#[must_use]
+pub const fn multiply_high(value: i64, factor: u32) -> i64 {
+    let high = (value >> 32) * factor as i64;
+    let low = ((value as u32 as u64 * factor as u64) >> 32) as i64;
+    high + low
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn exact(product: i128, shift: u32) -> i128 {
+        (product + (1i128 << (shift - 1))) >> shift
+    }
+
+    proptest! {
+        #[test]
+        fn round_shift_rounds_to_nearest(value in -(1i64 << 62)..(1i64 << 62), shift in 1u32..=62) {
+            prop_assert_eq!(round_shift(value, shift) as i128, exact(value as i128, shift));
+        }
+
+        #[test]
+        fn multiply_shift_is_the_rounded_product(a: i32, b: i32, shift in 1u32..=62) {
+            prop_assert_eq!(multiply_shift(a, b, shift) as i128, exact(a as i128 * b as i128, shift));
+        }
+
+        #[test]
+        fn scale_is_the_rounded_product(raw: i64, factor: i32, shift in 1u32..=32) {
+            let value = raw >> (34 - shift);
+            prop_assert_eq!(scale(value, factor, shift) as i128, exact(value as i128 * factor as i128, shift));
+        }
+
+        #[test]
+        fn multiply_high_is_the_product_rounded_down(value: i64, factor in 0u32..=1 << 31) {
+            prop_assert_eq!(multiply_high(value, factor) as i128, (value as i128 * factor as i128) >> 32);
+        }
+    }
+
+    #[test]
+    fn extremes_do_not_overflow() {
+        for value in [i64::MIN, i64::MIN + 1, -1, 0, 1, i64::MAX - 1, i64::MAX] {
+            for shift in 1..=62 {
+                let _ = round_shift(value, shift);
+            }
+            let _ = multiply_high(value, 1 << 31);
+        }
+        for a in [i32::MIN, -1, 0, 1, i32::MAX] {
+            for b in [i32::MIN, -1, 0, 1, i32::MAX] {
+                for shift in 1..=62 {
+                    assert_eq!(
+                        multiply_shift(a, b, shift) as i128,
+                        exact(a as i128 * b as i128, shift)
+                    );
+                }
+            }
+        }
+        assert_eq!(saturate(i64::MAX), i32::MAX);
+        assert_eq!(saturate(i64::MIN), i32::MIN);
+        assert_eq!(saturate(-7), -7);
+    }
+}
