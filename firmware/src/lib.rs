@@ -6,6 +6,8 @@
 #![no_std]
 
 pub mod config;
+pub mod drive;
 pub mod io;
 pub mod kinematics;
+pub mod position;
 pub mod units;

@@ -1,1 +1,21 @@
 //! The simulated machine.
+//!
+//! Plain f64 physics in virtual time: no clock, no thread, no randomness but seeded. The same seed and the same inputs give the
+//! same bits on every host: transcendental functions come from the crate libm, and no product is fused into a sum.
+//!
+//! * [`config`]: what the machine is made of; the `[plant]` section of a machine file.
+//! * [`mechanics`]: masses, screws, frictions, hard stops.
+//! * [`encoder`], [`stepper`]: the devices between the mechanics and the controller's counts and codes.
+//! * [`geometry`]: where the tool is, from the closed loops of the rods.
+//! * [`plant`]: all of it, one control period at a time.
+
+pub mod config;
+pub mod encoder;
+pub mod geometry;
+pub mod mechanics;
+pub mod plant;
+pub mod random;
+pub mod stepper;
+
+pub use config::PlantConfig;
+pub use plant::{Plant, Truth};

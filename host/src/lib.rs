@@ -1,4 +1,6 @@
 //! The library behind the `haptimill` command.
 
+pub mod cli;
+pub mod kin;
 pub mod machine;
 pub mod port;

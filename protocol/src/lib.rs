@@ -7,7 +7,15 @@
 //! * [`frame`]: COBS framing with a CRC-32 around every payload.
 //! * [`link`]: sequence numbers, acknowledgement, retransmission, window, session.
 //! * [`urgent`]: the stop that is recognised byte by byte, before framing.
+//! * [`schema`]: one number for the shape of all messages, exchanged in the greeting.
 #![no_std]
 
+#[cfg(test)]
+extern crate std;
+
+pub mod frame;
+pub mod link;
 pub mod message;
+pub mod schema;
 pub mod setpoint;
+pub mod urgent;

@@ -33,7 +33,7 @@ pub type AxisValues = Vec<i32, MAX_AXES>;
 pub struct Hello {
     /// The host's [`PROTOCOL_VERSION`].
     pub version: u16,
-    /// The host's [`schema_hash`].
+    /// The host's [`schema_hash`](crate::schema::schema_hash).
     pub schema: u64,
     /// Chosen by the host, different for each session; frames of another session are not heard.
     pub session: u32,
@@ -45,7 +45,7 @@ pub struct Hello {
 pub struct Welcome {
     /// The controller's [`PROTOCOL_VERSION`].
     pub version: u16,
-    /// The controller's [`schema_hash`].
+    /// The controller's [`schema_hash`](crate::schema::schema_hash).
     pub schema: u64,
     /// The session that is answered.
     pub session: u32,
@@ -185,14 +185,16 @@ pub struct SetpointBatch {
     pub items: Vec<SetpointDelta, SETPOINT_BATCH>,
 }
 
-/// A setpoint relative to what the one before predicts; see [`crate::setpoint`].
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, Schema)]
+/// A setpoint relative to what the ones before predict; see [`crate::setpoint`].
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct SetpointDelta {
     /// Periods since the setpoint before; at least 1.
     pub periods: u16,
-    /// For each axis: coordinate and rate, less their prediction.
-    pub residuals: Vec<(i32, i32), MAX_AXES>,
+    /// Bit `k` is set when axis `k` has residuals; an axis without one is exactly where, and as fast as, was predicted.
+    pub moved: u8,
+    /// For each axis with its bit set, in order: coordinate less its prediction, then rate less its prediction.
+    pub residuals: Vec<i32, { 2 * MAX_AXES }>,
     /// What happens when the setpoint is reached.
     pub action: Action,
 }

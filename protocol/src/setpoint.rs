@@ -1,9 +1,33 @@
 //! The compact coding of timed setpoints.
+//!
+//! Consecutive setpoints of a smooth path say little that is new. Both ends therefore keep the same [`SetpointCoder`], which predicts
+//! each axis from the setpoints before it, and only what differs from the prediction is sent ([`SetpointDelta`]). An axis that stands
+//! still costs nothing.
+//!
+//! The prediction is the cubic of the motion itself. Over a span of time h, from p0 with rate v0 to p1 with rate v1, the cubic has at its
+//! end the acceleration a and all along the jerk j
+//!
+//! ```text
+//! a h   = 2 v0 + 4 v1 - 6 (p1 - p0) / h
+//! j h^2 = 6 (v0 + v1) - 12 (p1 - p0) / h
+//! ```
+//!
+//! The next coordinate is predicted as p + v h + a h^2 / 2, and, once that coordinate is known, the next rate as the one that a constant
+//! jerk from (p, v, a) through the coordinate gives: v + a h + 3 (p' - prediction) / h. The jerk itself is not carried over: it
+//! changes at every setpoint that a planner puts at a change of jerk, and the rounding of coordinates would be magnified
+//! (measured by `wire_cost` in the tests).
+//!
+//! All arithmetic is integer, the same on both ends, and the coding is exact: whatever the prediction, coordinate and rate less prediction
+//! are taken modulo 2^32, so that decoding gives back every bit for every possible setpoint, also where a rotary axis wraps around.
+//!
+//! Misuse: the two coders must see the same setpoints in the same order, from the same start. A refused setpoint leaves the coder as it
+//! was; a batch that may be refused half way is decoded with a clone.
 
-use crate::message::{Action, AxisValues};
+use crate::message::{Action, AxisValues, MAX_AXES, RATE_SHIFT, SetpointDelta};
 
 /// A setpoint: where the machine is to be, and how fast, at the end of a span of time.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Setpoint {
     /// Periods since the setpoint before; at least 1.
     pub periods: u16,
@@ -14,3 +38,250 @@ pub struct Setpoint {
     /// What happens when it is reached.
     pub action: Action,
 }
+
+/// Why a setpoint cannot be coded or decoded.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum SetpointError {
+    /// The span of time is no period long.
+    NoTime,
+    /// The number of coordinates, rates or residuals is not that of the axes.
+    AxisCount,
+}
+
+impl core::fmt::Display for SetpointError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::NoTime => {
+                f.write_str("a setpoint must be at least one period after the one before")
+            }
+            Self::AxisCount => {
+                f.write_str("a setpoint must have one coordinate and one rate for each axis")
+            }
+        }
+    }
+}
+
+impl core::error::Error for SetpointError {}
+
+/// Times of the prediction are in 2^-24 s.
+const TIME_SHIFT: u32 = 24;
+/// Longest time that is predicted over: 4 s. A longer span is coded as exactly, with more bytes.
+const LONGEST: i64 = 4 << TIME_SHIFT;
+/// Shortest time that is predicted over: 2^-14 s, a little more than the shortest control period.
+const SHORTEST: i64 = 1 << (TIME_SHIFT - 14);
+/// Rates inside the prediction have this many more bits than on the wire.
+const FINE: u32 = 4;
+/// Bound of every change of rate inside the prediction; keeps all products within 63 bits.
+const RATE_BOUND: i64 = 1 << 34;
+/// The ratio of two spans is in 2^-16 and at most this: a span 16 times longer than the one before it.
+const RATIO_BOUND: i64 = 16 << 16;
+
+/// What is known of one axis.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+struct Axis {
+    /// Coordinate of the last setpoint.
+    pose: i32,
+    /// Its rate, wire units.
+    rate: i32,
+    /// Its acceleration times the last span: the change of rate that would go on, in rate units divided by 2^[`FINE`].
+    gain: i64,
+}
+
+/// A span of time with what the prediction needs of it, so that two divisions serve all axes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Span {
+    /// Length, 2^-24 s.
+    time: i64,
+    /// 2^40 / length.
+    reciprocal: i64,
+}
+
+impl Span {
+    /// The span of a number of microseconds.
+    fn new(micros: u64) -> Self {
+        // 2^24 / 10^6 = 2^18 / 15625; the clamp to 5 s keeps the product small.
+        let micros = micros.min(5_000_000) as i64;
+        let time = ((micros << 18) / 15_625).clamp(SHORTEST, LONGEST);
+        Self {
+            time,
+            reciprocal: (1 << 40) / time,
+        }
+    }
+
+    /// The mean rate over a way, in rate units divided by 2^[`FINE`]: |way| <= 2^33, reciprocal <= 2^30, so |product| < 2^63.
+    fn mean_rate(&self, way: i64) -> i64 {
+        // way / time is in axis units per 2^-24 s; a fine rate unit is 2^(RATE_SHIFT - FINE) axis units per second.
+        (way * self.reciprocal) >> (40 - TIME_SHIFT + RATE_SHIFT - FINE)
+    }
+}
+
+/// Codes setpoints into deltas, and deltas into setpoints.
+///
+/// ```
+/// use haptimill_protocol::message::Action;
+/// use haptimill_protocol::setpoint::{Setpoint, SetpointCoder};
+/// let start = [0, 1 << 20].into_iter().collect();
+/// let mut host = SetpointCoder::new(200, &start);
+/// let mut controller = host.clone();
+/// let setpoint = Setpoint {
+///     periods: 100,
+///     pose: [1000, 1 << 20].into_iter().collect(),
+///     rates: [390, 0].into_iter().collect(),
+///     action: Action::None,
+/// };
+/// let delta = host.encode(&setpoint).unwrap();
+/// assert_eq!(delta.moved, 0b01);
+/// assert_eq!(controller.decode(&delta).unwrap(), setpoint);
+/// ```
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct SetpointCoder {
+    /// Control period, microseconds.
+    period_us: u16,
+    /// Axes in use.
+    axes: usize,
+    /// Periods of the last setpoint; its span.
+    last: (u16, Span),
+    /// What is known of each axis.
+    state: [Axis; MAX_AXES],
+}
+
+impl SetpointCoder {
+    /// A coder at the start of a job: at rest in `pose` (axis units). `period_us` is the control period.
+    pub fn new(period_us: u16, pose: &AxisValues) -> Self {
+        let mut state = [Axis::default(); MAX_AXES];
+        for (axis, &pose) in state.iter_mut().zip(pose) {
+            axis.pose = pose;
+        }
+        Self {
+            period_us,
+            axes: pose.len(),
+            last: (0, Span::new(0)),
+            state,
+        }
+    }
+
+    /// How many axes the setpoints have.
+    pub fn axes(&self) -> usize {
+        self.axes
+    }
+
+    /// The delta of the next setpoint.
+    ///
+    /// # Errors
+    ///
+    /// [`SetpointError`] when the setpoint takes no time or has the wrong number of axes; the coder is then unchanged.
+    pub fn encode(&mut self, setpoint: &Setpoint) -> Result<SetpointDelta, SetpointError> {
+        if setpoint.pose.len() != self.axes || setpoint.rates.len() != self.axes {
+            return Err(SetpointError::AxisCount);
+        }
+        let (span, ratio) = self.span(setpoint.periods)?;
+        let mut delta = SetpointDelta {
+            periods: setpoint.periods,
+            action: setpoint.action,
+            ..SetpointDelta::default()
+        };
+        let wanted = setpoint.pose.iter().zip(&setpoint.rates);
+        for (index, (axis, (&pose, &rate))) in self.state.iter_mut().zip(wanted).enumerate() {
+            let (predicted, gain) = axis.predict(span, ratio);
+            let pose_residual = pose.wrapping_sub(predicted);
+            let rate_residual = rate.wrapping_sub(axis.predict_rate(span, gain, pose_residual));
+            if (pose_residual, rate_residual) != (0, 0) {
+                delta.moved |= 1 << index;
+                // At most MAX_AXES pairs: always room.
+                let _ = delta.residuals.push(pose_residual);
+                let _ = delta.residuals.push(rate_residual);
+            }
+            axis.advance(span, pose, rate);
+        }
+        self.last = (setpoint.periods, span);
+        Ok(delta)
+    }
+
+    /// The setpoint of the next delta.
+    ///
+    /// # Errors
+    ///
+    /// [`SetpointError`] when the delta takes no time or speaks of axes that do not exist; the coder is then unchanged.
+    pub fn decode(&mut self, delta: &SetpointDelta) -> Result<Setpoint, SetpointError> {
+        let known = u32::from(delta.moved) >> self.axes == 0;
+        if !known || delta.residuals.len() != 2 * delta.moved.count_ones() as usize {
+            return Err(SetpointError::AxisCount);
+        }
+        let (span, ratio) = self.span(delta.periods)?;
+        let mut setpoint = Setpoint {
+            periods: delta.periods,
+            action: delta.action,
+            ..Setpoint::default()
+        };
+        let mut residuals = delta.residuals.iter().copied();
+        for (index, axis) in self.state.iter_mut().take(self.axes).enumerate() {
+            let (predicted, gain) = axis.predict(span, ratio);
+            let (pose_residual, rate_residual) = if delta.moved & (1 << index) == 0 {
+                (0, 0)
+            } else {
+                // The count was checked above.
+                (
+                    residuals.next().unwrap_or_default(),
+                    residuals.next().unwrap_or_default(),
+                )
+            };
+            let pose = predicted.wrapping_add(pose_residual);
+            let rate = axis
+                .predict_rate(span, gain, pose_residual)
+                .wrapping_add(rate_residual);
+            axis.advance(span, pose, rate);
+            let _ = setpoint.pose.push(pose);
+            let _ = setpoint.rates.push(rate);
+        }
+        self.last = (delta.periods, span);
+        Ok(setpoint)
+    }
+
+    /// The span of the next setpoint, and how much longer it is than the last one, in 2^-16.
+    fn span(&self, periods: u16) -> Result<(Span, i64), SetpointError> {
+        let (last_periods, last) = self.last;
+        if periods == 0 {
+            return Err(SetpointError::NoTime);
+        }
+        if periods == last_periods {
+            return Ok((last, 1 << 16));
+        }
+        let span = Span::new(u64::from(periods) * u64::from(self.period_us));
+        let ratio = ((span.time << 16) / last.time).min(RATIO_BOUND);
+        Ok((span, ratio))
+    }
+}
+
+impl Axis {
+    /// The coordinate that is expected after a span, and the change of rate that goes with it.
+    fn predict(&self, span: Span, ratio: i64) -> (i32, i64) {
+        // |gain| <= 2^40 and ratio <= 2^20.
+        let gain = ((self.gain * ratio) >> 16).clamp(-RATE_BOUND, RATE_BOUND);
+        // |rate| <= 2^31 + 2^29 wire units, 2^35 + 2^33 fine ones; time <= 2^26: |product| < 2^62.
+        let mean = (i64::from(self.rate) << FINE) + gain / 2;
+        let way = (mean * span.time) >> (TIME_SHIFT - RATE_SHIFT + FINE);
+        // Modulo 2^32 by intent: a rotary axis wraps around, and the residual is taken modulo 2^32 as well.
+        (i64::from(self.pose).wrapping_add(way) as i32, gain)
+    }
+
+    /// The rate that is expected once the coordinate is known to be `residual` beyond its prediction.
+    fn predict_rate(&self, span: Span, gain: i64, residual: i32) -> i32 {
+        let fine = gain + 3 * span.mean_rate(i64::from(residual));
+        // Half is added so that the shift rounds to nearest; modulo 2^32 by intent, as above.
+        i64::from(self.rate).wrapping_add((fine + (1 << (FINE - 1))) >> FINE) as i32
+    }
+
+    /// Takes over the setpoint that was reached.
+    fn advance(&mut self, span: Span, pose: i32, rate: i32) {
+        // The shorter way round, for an axis that wraps.
+        let mean = span.mean_rate(i64::from(pose.wrapping_sub(self.pose)));
+        let gain = ((2 * i64::from(self.rate) + 4 * i64::from(rate)) << FINE) - 6 * mean;
+        self.gain = gain.clamp(-(1 << 40), 1 << 40);
+        self.pose = pose;
+        self.rate = rate;
+    }
+}
+
+#[cfg(test)]
+mod tests;

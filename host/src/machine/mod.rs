@@ -22,7 +22,10 @@ use document::{Document, Section, real, whole};
 use haptimill_firmware::config::{
     AxisKind, Config, H4Geometry, Homing, JointAxis, Model, PoseAxis, Stopping, Supervision,
 };
+use haptimill_firmware::kinematics::machine::Machine;
+use haptimill_firmware::kinematics::{Joints, Kinematics};
 use haptimill_firmware::units::{Acceleration, Coordinate, Length, Rate};
+use haptimill_hil_sim::config::PlantConfig;
 use scale::{PER_MM, to_i32, to_u16};
 use serde::de::DeserializeOwned;
 use std::path::Path;
@@ -121,12 +124,19 @@ impl MachineFile {
             return Err(document.into_problems());
         }
         let read = read(&document, &root);
-        document.finish()?;
-        Ok(Self {
+        if document.is_well() {
+            home_pose(&document, root.get_ref(), &read.config);
+        }
+        let machine = Self {
             file: file.to_string(),
             text: text.to_string(),
             ..read
-        })
+        };
+        if machine.has_plant && machine.config.period_us > 0 {
+            plant(&document, root.get_ref(), &machine);
+        }
+        document.finish()?;
+        Ok(machine)
     }
 
     /// The configuration as it is sent to the controller (postcard), and its CRC-32 (ISO-HDLC).
@@ -136,7 +146,10 @@ impl MachineFile {
         Ok((bytes, crc))
     }
 
-    /// The `[plant]` section as the type that the simulator wants. Its problems are found one at a time.
+    /// The `[plant]` section as the type that the simulator wants, [`PlantConfig`]. What cannot be read is found one at a time.
+    ///
+    /// # Errors
+    /// There is no such section, or it is not of that type.
     pub fn plant<T: DeserializeOwned>(&self) -> Result<T, Problems> {
         #[derive(serde::Deserialize)]
         struct OnlyPlant<T> {
@@ -222,6 +235,70 @@ fn read(document: &Document<'_>, root: &Spanned<DeTable<'_>>) -> MachineFile {
             shortest_span_ms: f64::NAN,
         }),
         has_plant,
+    }
+}
+
+/// The pose at the home preset must exist and lie inside the soft limits: that is where every job begins.
+fn home_pose(document: &Document<'_>, root: &DeTable<'_>, config: &Config) {
+    let mut preset = Joints::default();
+    for (joint, axis) in preset.0.iter_mut().zip(&config.joints) {
+        *joint = axis.preset;
+    }
+    let offset = root.get("joint").map_or(0, |value| value.span().start);
+    let pose = match Machine::new(config).forward(&preset) {
+        Ok(pose) => pose,
+        Err(error) => {
+            let what = format!(
+                "the presets of the joints hold no pose of this geometry ({})",
+                crate::kin::status(error)
+            );
+            document.report(offset, "joint", what, "correct the presets or the geometry");
+            return;
+        }
+    };
+    for ((value, axis), (name, _)) in pose.0.iter().zip(&config.pose).zip(h4::POSE) {
+        if *value < axis.low || *value > axis.high {
+            let value = f64::from(value.0) / scale::per_unit(axis.kind);
+            let what = format!(
+                "at the presets of the joints {name} is {value:.3}, outside its soft limits"
+            );
+            document.report(
+                offset,
+                "joint",
+                what,
+                "correct the presets or the soft limits",
+            );
+        }
+    }
+}
+
+/// What the simulator says of its section.
+fn plant(document: &Document<'_>, root: &DeTable<'_>, machine: &MachineFile) {
+    let offset = root.get("plant").map_or(0, |value| value.span().start);
+    match machine.plant::<PlantConfig>() {
+        Err(Problems(problems)) => problems.into_iter().for_each(|p| document.add(p)),
+        Ok(plant) => {
+            if plant.joint.len() != machine.config.joints.len() {
+                let what = format!(
+                    "has {} joints, the controller {}",
+                    plant.joint.len(),
+                    machine.config.joints.len()
+                );
+                document.report(offset, "plant.joint", what, "write one for each joint");
+            }
+            for error in plant
+                .check(machine.config.period_us)
+                .err()
+                .unwrap_or_default()
+            {
+                document.report(
+                    offset,
+                    format!("plant: {}", error.field),
+                    error.problem,
+                    "correct it",
+                );
+            }
+        }
     }
 }
 

@@ -1,0 +1,360 @@
+//! A joint: encoder, backlash, position loop and output, whichever its drive is.
+//!
+//! ```text
+//! sense   counts, edge times --encoder--> motor coordinate, rate --backlash--> coordinate of the slide
+//! drive   wanted slide --backlash--> wanted motor --position loop--> effort --> code          (torque)
+//!                                                 --step planner--> pulses                    (step/dir)
+//! ```
+//!
+//! On a step/dir axis the position loop is in the drive: pulses follow what is wanted, and the encoder supervises; [`Sensed::slip`] is the
+//! disagreement. Latency: outputs take effect one period after the inputs were latched. The pulses of a step axis *end* at the wanted position, at the end of that next
+//! period: two periods after the latch. A torque axis closes its loop on the wanted position of the latch.
+//!
+//! Misuse: [`JointDrive::sense`] once every period whether enabled or not, before [`JointDrive::drive`]. What is wanted must begin at what
+//! [`JointDrive::enable`] gives back.
+
+pub mod backlash;
+pub mod encoder;
+pub mod quadrature;
+pub(crate) mod reciprocal;
+pub mod steps;
+pub mod torque;
+
+use crate::config::{AxisKind, Drive, JointAxis};
+use crate::io::{AxisInputs, DriveCommand};
+use crate::position::PositionLaw;
+use crate::units::{Acceleration, Coordinate, Effort, Rate};
+use backlash::Backlash;
+use encoder::{Encoder, difference, sum};
+use steps::{PulseTiming, StepPlanner};
+use torque::TorqueOutput;
+
+/// Why a joint's configuration cannot work.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum DriveError {
+    /// The control period is not within 50 to 1000 us.
+    Period,
+    /// An encoder count of no size.
+    Encoder,
+    /// A torque drive of no full scale, or with a limit that is not above zero.
+    Torque,
+    /// A step smaller than one axis unit, or too many or too few ticks.
+    Step,
+    /// Pulse width and direction set-up do not fit into a control period.
+    Timing,
+    /// A backlash below zero.
+    Backlash,
+}
+
+/// What a joint's sensors say.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Sensed {
+    /// Coordinate of the slide: the motor's, less what backlash hides.
+    pub coordinate: Coordinate,
+    /// Coordinate of the motor side.
+    pub motor: Coordinate,
+    /// Rate of the motor side, from the times between edges.
+    pub rate: Rate,
+    /// Encoder counts since the period before.
+    pub moved: i32,
+    /// Illegal transitions since enable.
+    pub illegal: u32,
+    /// A new index pulse: its raw count, and the motor's coordinate there.
+    pub index: Option<(i32, Coordinate)>,
+    /// Step/dir only: coordinate according to the steps emitted, less the measured one.
+    pub slip: Coordinate,
+    /// The slip is beyond the limit of the configuration: steps were lost.
+    pub lost_steps: bool,
+}
+
+/// Where a slide shall be.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Wanted {
+    /// Coordinate of the slide.
+    pub coordinate: Coordinate,
+    /// Its rate.
+    pub rate: Rate,
+    /// Its acceleration.
+    pub acceleration: Acceleration,
+}
+
+/// What a period of driving came to.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Driven {
+    /// For the drive.
+    pub command: DriveCommand,
+    /// Wanted less measured, both of the motor side: what the loop works on.
+    pub following_error: Coordinate,
+    /// Effort asked for; zero on a step/dir axis.
+    pub effort: Effort,
+    /// The effort was cut at the drive's limit, or steps did not fit into the period.
+    pub saturated: bool,
+    /// Steps owed because they did not fit.
+    pub lag: i32,
+}
+
+/// The output side, by kind of drive.
+#[derive(Debug, Clone, PartialEq, Eq)]
+enum Output {
+    Torque {
+        law: PositionLaw,
+        output: TorqueOutput,
+    },
+    Steps {
+        planner: StepPlanner,
+        supervision: StepSupervision,
+    },
+}
+
+/// Compares steps with the encoder.
+#[derive(Debug, Clone, PartialEq, Eq)]
+struct StepSupervision {
+    per_step: i64,
+    lost: i32,
+    /// Free running counter of steps, and the motor, at the start of supervision.
+    last_steps: i32,
+    steps: i64,
+    start: Coordinate,
+}
+
+/// One joint.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct JointDrive {
+    kind: AxisKind,
+    encoder: Encoder,
+    backlash: Backlash,
+    output: Output,
+    sensed: Sensed,
+    sensed_once: bool,
+    enabled: bool,
+}
+
+impl JointDrive {
+    /// A joint of a configuration; disabled, its coordinate 0 where it stands when first sensed.
+    pub fn new(axis: &JointAxis, period_us: u16) -> Result<Self, DriveError> {
+        if !(50..=1000).contains(&period_us) {
+            return Err(DriveError::Period);
+        }
+        if axis.per_count == 0 {
+            return Err(DriveError::Encoder);
+        }
+        if axis.backlash.0 < 0 {
+            return Err(DriveError::Backlash);
+        }
+        let output = match axis.drive {
+            Drive::Torque { full_scale, limit } => {
+                if full_scale.0 == 0 || limit.0 <= 0 {
+                    return Err(DriveError::Torque);
+                }
+                Output::Torque {
+                    law: PositionLaw::new(&axis.law, limit, period_us),
+                    output: TorqueOutput::new(full_scale, limit),
+                }
+            }
+            Drive::Steps {
+                per_step,
+                ticks_per_us,
+                pulse,
+                setup,
+                hold,
+                lost,
+            } => {
+                if per_step.unsigned_abs() < 1 << 24 || !(1..=1000).contains(&ticks_per_us) {
+                    return Err(DriveError::Step);
+                }
+                let period = u32::from(ticks_per_us) * u32::from(period_us);
+                let timing = PulseTiming {
+                    period,
+                    pulse,
+                    setup,
+                    hold,
+                };
+                if !timing.fits() {
+                    return Err(DriveError::Timing);
+                }
+                Output::Steps {
+                    planner: StepPlanner::new(axis.kind, per_step, timing, period_us),
+                    supervision: StepSupervision {
+                        per_step,
+                        lost: lost.0,
+                        last_steps: 0,
+                        steps: 0,
+                        start: Coordinate(0),
+                    },
+                }
+            }
+        };
+        Ok(Self {
+            kind: axis.kind,
+            encoder: Encoder::new(axis.kind, axis.per_count),
+            backlash: Backlash::new(axis.kind, axis.backlash, period_us),
+            output,
+            sensed: Sensed::default(),
+            sensed_once: false,
+            enabled: false,
+        })
+    }
+
+    /// Reads the joint's inputs, latched at `time_ns` of the board's clock. Once every period.
+    pub fn sense(&mut self, inputs: &AxisInputs, time_ns: u32) -> Sensed {
+        let measured = self.encoder.read(inputs, time_ns);
+        if !self.sensed_once {
+            self.sensed_once = true;
+            self.backlash.place(measured.coordinate);
+            if let Output::Steps { supervision, .. } = &mut self.output {
+                supervision.last_steps = inputs.steps;
+                supervision.start = measured.coordinate;
+            }
+        }
+        let (slip, lost_steps) = match &mut self.output {
+            Output::Torque { .. } => (Coordinate(0), false),
+            Output::Steps { supervision, .. } => {
+                supervision.compare(self.kind, self.enabled, inputs.steps, measured.coordinate)
+            }
+        };
+        self.sensed = Sensed {
+            coordinate: self.backlash.carry(measured.coordinate),
+            motor: measured.coordinate,
+            rate: measured.rate,
+            moved: measured.moved,
+            illegal: self.encoder.illegal(),
+            index: measured.index,
+            slip,
+            lost_steps,
+        };
+        self.sensed
+    }
+
+    /// What was sensed last.
+    pub const fn sensed(&self) -> &Sensed {
+        &self.sensed
+    }
+
+    /// The drive goes on at the slide's present coordinate, which is given back: what is wanted must begin there, at rest. Nothing jumps.
+    pub fn enable(&mut self) -> Coordinate {
+        let motor = self.sensed.motor;
+        self.backlash.hold(motor);
+        self.encoder.clear_illegal();
+        self.sensed.illegal = 0;
+        match &mut self.output {
+            Output::Torque { law, output } => {
+                law.reset(Coordinate(0));
+                output.reset();
+            }
+            Output::Steps {
+                planner,
+                supervision,
+            } => {
+                planner.start(motor);
+                supervision.restart(motor);
+            }
+        }
+        self.sensed.slip = Coordinate(0);
+        self.sensed.lost_steps = false;
+        self.enabled = true;
+        self.sensed.coordinate
+    }
+
+    /// The drive goes off.
+    pub const fn disable(&mut self) {
+        self.enabled = false;
+    }
+
+    /// The drive is on.
+    pub const fn is_enabled(&self) -> bool {
+        self.enabled
+    }
+
+    /// The motor's coordinate at the raw count `raw` is `coordinate`: a preset (with [`AxisInputs::counts`]) or a found index.
+    ///
+    /// Gives what every coordinate of this joint grew by. The caller adds it to what it wants, in the same period; then nothing moves, enabled or not.
+    pub fn set_reference(&mut self, raw: i32, coordinate: Coordinate) -> Coordinate {
+        let shift = self.encoder.set_reference(raw, coordinate);
+        self.backlash.rebase(shift);
+        if let Output::Steps {
+            planner,
+            supervision,
+        } = &mut self.output
+        {
+            planner.rebase(shift);
+            supervision.start = sum(self.kind, supervision.start, shift);
+        }
+        self.sensed.coordinate = sum(self.kind, self.sensed.coordinate, shift);
+        self.sensed.motor = sum(self.kind, self.sensed.motor, shift);
+        shift
+    }
+
+    /// The command of a period, for where the slide shall be. Off while disabled.
+    pub fn drive(&mut self, wanted: &Wanted) -> Driven {
+        if !self.enabled {
+            return Driven::default();
+        }
+        let shift = self.backlash.shift(wanted.rate);
+        let target = sum(self.kind, wanted.coordinate, shift);
+        let following_error = difference(self.kind, target, self.sensed.motor);
+        match &mut self.output {
+            Output::Torque { law, output } => {
+                let (effort, cut) = law.effort(following_error, wanted.rate, wanted.acceleration);
+                let (code, clamped) = output.code(effort);
+                Driven {
+                    command: DriveCommand::Torque(code),
+                    following_error,
+                    effort,
+                    saturated: cut || clamped,
+                    lag: 0,
+                }
+            }
+            Output::Steps { planner, .. } => {
+                let planned = planner.plan(target, wanted.rate);
+                Driven {
+                    command: DriveCommand::Steps(planned.segment),
+                    following_error,
+                    effort: Effort(0),
+                    saturated: planned.ceiling,
+                    lag: planned.lag,
+                }
+            }
+        }
+    }
+}
+
+impl StepSupervision {
+    /// From now on steps and encoder agree.
+    const fn restart(&mut self, motor: Coordinate) {
+        self.steps = 0;
+        self.start = motor;
+    }
+
+    /// Steps less encoder, and whether that is too much.
+    fn compare(
+        &mut self,
+        kind: AxisKind,
+        enabled: bool,
+        steps: i32,
+        motor: Coordinate,
+    ) -> (Coordinate, bool) {
+        self.steps = self
+            .steps
+            .wrapping_add(i64::from(steps.wrapping_sub(self.last_steps)));
+        self.last_steps = steps;
+        if !enabled {
+            return (Coordinate(0), false);
+        }
+        let by_steps = match kind {
+            AxisKind::Linear => {
+                let travel = self
+                    .steps
+                    .saturating_mul(self.per_step)
+                    .saturating_add(1 << 23)
+                    >> 24;
+                sum(kind, self.start, Coordinate(reciprocal::saturate(travel)))
+            }
+            AxisKind::Rotary => {
+                let travel = self.steps.wrapping_mul(self.per_step).wrapping_add(1 << 23) >> 24;
+                sum(kind, self.start, Coordinate(travel as i32))
+            }
+        };
+        let slip = difference(kind, by_steps, motor);
+        (slip, slip.0.unsigned_abs() > self.lost.unsigned_abs())
+    }
+}

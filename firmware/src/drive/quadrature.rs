@@ -1,0 +1,95 @@
+//! Quadrature x4 decoding, for boards that have no timer that does it, and for simulated encoders.
+//!
+//! It runs where the edges are: in a capture interrupt or in a simulated device, once for each edge (or sample). The control period
+//! only sees the counters. Counts are raw and wrap around; [`super::encoder`] gives them meaning.
+//!
+//! Forward is channel A leading B: (A, B) = 00, 10, 11, 01, 00. A transition in which both channels change cannot be counted, since
+//! its direction is unknown: it is counted as illegal instead, and the position may then be wrong by 2 counts. Misuse: sampling at a fixed rate
+//! instead of at every edge limits the speed to one count per sample.
+
+use crate::io::AxisInputs;
+
+/// Both channels changed.
+const ILLEGAL: i8 = 2;
+
+/// Change of the count for each (old A, old B, new A, new B).
+const TABLE: [i8; 16] = [
+    0, -1, 1, ILLEGAL, // from 00
+    1, 0, ILLEGAL, -1, // from 01
+    -1, ILLEGAL, 0, 1, // from 10
+    ILLEGAL, 1, -1, 0, // from 11
+];
+
+/// Decoder of one encoder with index.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Quadrature {
+    /// Levels of A and B, or none before the first sample.
+    levels: Option<u8>,
+    index: bool,
+    counts: i32,
+    edge_time_ns: u32,
+    illegal: u16,
+    index_counts: i32,
+    index_pulses: u8,
+}
+
+impl Quadrature {
+    /// A decoder at the given count; the first levels that it is fed are its start.
+    pub const fn new(counts: i32) -> Self {
+        Self {
+            levels: None,
+            index: false,
+            counts,
+            edge_time_ns: 0,
+            illegal: 0,
+            index_counts: 0,
+            index_pulses: 0,
+        }
+    }
+
+    /// Takes the levels of both channels and of the index at a time of the free running clock.
+    ///
+    /// The index latches the count at its rising edge, after this sample's own count. Approached from the other side that edge is the
+    /// other end of the pulse: an index one count wide repeats within 1 count when the direction differs.
+    #[inline]
+    pub fn feed(&mut self, a: bool, b: bool, index: bool, time_ns: u32) {
+        let levels = u8::from(a) << 1 | u8::from(b);
+        let Some(before) = self.levels.replace(levels) else {
+            self.index = index;
+            return;
+        };
+        // Both operands are below 4: the place is below 16.
+        match TABLE[usize::from((before << 2 | levels) & 15)] {
+            0 => {}
+            ILLEGAL => self.illegal = self.illegal.wrapping_add(1),
+            step => {
+                self.counts = self.counts.wrapping_add(i32::from(step));
+                self.edge_time_ns = time_ns;
+            }
+        }
+        if index && !self.index {
+            self.index_counts = self.counts;
+            self.index_pulses = self.index_pulses.wrapping_add(1);
+        }
+        self.index = index;
+    }
+
+    /// The count.
+    pub const fn counts(&self) -> i32 {
+        self.counts
+    }
+
+    /// Illegal transitions, free running.
+    pub const fn illegal(&self) -> u16 {
+        self.illegal
+    }
+
+    /// Writes what the encoder says into the inputs of its joint; the other fields are left alone.
+    pub fn latch(&self, inputs: &mut AxisInputs) {
+        inputs.counts = self.counts;
+        inputs.edge_time_ns = self.edge_time_ns;
+        inputs.illegal = self.illegal;
+        inputs.index_counts = self.index_counts;
+        inputs.index_pulses = self.index_pulses;
+    }
+}

@@ -1,0 +1,342 @@
+//! From the wanted position of a motor to step pulses.
+//!
+//! Every period gives one [`StepSegment`]. Its pulses leave when the ideal position, which joins the wanted positions at the two ends of the period,
+//! crosses the middle between two steps. So the phase carries over from period to period by itself: at 0.26 steps a period the pulses are
+//! evenly spaced, not on a grid of periods. At the end of each period the sum of all steps is the wanted position rounded to steps; it is compared, not summed up, so it
+//! cannot drift. The ideal position within a period is the parabola that the wanted rates at both ends ask for.
+//!
+//! What a drive needs comes before what is ideal: pulse width, the time between two pulses, direction set-up and hold are kept within and across
+//! periods, and a pulse ends in the period in which it began. A pulse is moved by less than its own width for that, or waits after a
+//! reversal. Steps that do not fit go into the following periods and are reported as lag.
+//!
+//! When nothing is in the way, pulse k of n is within `1 + n/2` ticks of its ideal time when the rate is constant; while the rate changes, `ramp` being whole ticks adds
+//! up to n^2/16 ticks, and the series of the parabola's inverse up to (change of rate / rate)^2 / 8 of a period.
+//!
+//! Misuse: a wanted position that jumps is carried out at the ceiling of the pulse timing, which a motor cannot follow. Bound the rate before.
+
+use super::encoder::difference;
+use super::reciprocal::Reciprocal;
+use crate::config::AxisKind;
+use crate::io::StepSegment;
+use crate::units::{Coordinate, Rate};
+
+/// One step in the scale of positions (Q32).
+const STEP: i64 = 1 << 32;
+
+/// Times that a step/dir drive needs, in ticks of the step clock.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct PulseTiming {
+    /// Ticks of a control period, 1 to 1,000,000.
+    pub period: u32,
+    /// Width of a pulse, and least time between two.
+    pub pulse: u16,
+    /// Direction level before the first pulse.
+    pub setup: u16,
+    /// Direction level after the end of the last pulse.
+    pub hold: u16,
+}
+
+impl PulseTiming {
+    /// At least one pulse fits into a period, also after a reversal.
+    pub const fn fits(&self) -> bool {
+        let (pulse, setup) = (self.pulse as u32, self.setup as u32);
+        self.period > 0
+            && self.period <= 1_000_000
+            && pulse > 0
+            && setup + pulse <= self.period
+            && 2 * pulse <= self.period
+    }
+}
+
+/// What a period's plan came to.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Planned {
+    /// The pulses.
+    pub segment: StepSegment,
+    /// Steps that are still owed at the end of the period, signed.
+    pub lag: i32,
+    /// Not all steps fitted into the period.
+    pub ceiling: bool,
+}
+
+/// Step generator of one joint.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct StepPlanner {
+    kind: AxisKind,
+    timing: PulseTiming,
+    /// Steps per axis unit, Q62, signed; at most 2^62.
+    steps_per_unit: i64,
+    /// Steps per period for a rate of 1 au/s, Q62 as well.
+    steps_per_rate: i64,
+    last: Coordinate,
+    /// Travel since the start, axis units.
+    travel: i64,
+    /// Wanted position at the end of the last period, steps Q32.
+    position: i64,
+    /// Wanted rate there, steps per period Q32.
+    rate: i64,
+    /// Steps emitted since the start.
+    emitted: i64,
+    /// Level of the direction line: -1, 1, or 0 for not known.
+    level: i64,
+    /// Ticks into the coming period before which no pulse may leave.
+    ready: u32,
+    /// Ticks into the coming period before which the direction must stay.
+    held: u32,
+}
+
+impl StepPlanner {
+    /// A generator with `per_step` axis units a step, times 2^24 (negative: a positive step goes down); a magnitude below one axis unit is taken for one.
+    pub const fn new(kind: AxisKind, per_step: i64, timing: PulseTiming, period_us: u16) -> Self {
+        let size = per_step.unsigned_abs();
+        let size = if size < 1 << 24 { 1 << 24 } else { size };
+        // 2^86 / 2^24 = 2^62 at most.
+        let magnitude = ((1u128 << 86) / size as u128) as i64;
+        let per_rate = (magnitude as i128 * period_us as i128 / 1_000_000) as i64;
+        let negative = per_step < 0;
+        Self {
+            kind,
+            timing,
+            steps_per_unit: if negative { -magnitude } else { magnitude },
+            steps_per_rate: if negative { -per_rate } else { per_rate },
+            last: Coordinate(0),
+            travel: 0,
+            position: 0,
+            rate: 0,
+            emitted: 0,
+            level: 0,
+            ready: 0,
+            held: 0,
+        }
+    }
+
+    /// Starts at rest at `coordinate`; step 0 is there. The timing of pulses that already left is still kept.
+    pub const fn start(&mut self, coordinate: Coordinate) {
+        self.last = coordinate;
+        self.travel = 0;
+        self.position = 0;
+        self.rate = 0;
+        self.emitted = 0;
+        self.level = 0;
+    }
+
+    /// All coordinates grew by `shift`: a reference was found, nothing moves.
+    pub fn rebase(&mut self, shift: Coordinate) {
+        self.last = super::encoder::sum(self.kind, self.last, shift);
+    }
+
+    /// Steps emitted since the start.
+    pub const fn emitted(&self) -> i64 {
+        self.emitted
+    }
+
+    /// Where the motor stands after the steps of every segment so far, in axis units since the start.
+    pub const fn travel(&self) -> i64 {
+        self.travel
+    }
+
+    /// The pulses of the coming period, at whose end the motor shall be at `target` with `rate`.
+    pub fn plan(&mut self, target: Coordinate, rate: Rate) -> Planned {
+        let moved = match self.kind {
+            AxisKind::Linear => i64::from(target.0) - i64::from(self.last.0),
+            AxisKind::Rotary => i64::from(difference(self.kind, target, self.last).0),
+        };
+        self.last = target;
+        self.travel = self.travel.saturating_add(moved);
+        let (start, rate_before) = (self.position, self.rate);
+        self.position = steps(self.travel, self.steps_per_unit);
+        self.rate = steps(i64::from(rate.0), self.steps_per_rate);
+        let owed = ((self.position + STEP / 2) >> 32) - self.emitted;
+
+        // A drive that owes nothing is the common case of a slow machine.
+        let planned = if owed == 0 {
+            None
+        } else {
+            // |rates| <= 2^62, so their difference may need 64 bits and is halved first.
+            let bend = self.rate / 2 - rate_before / 2;
+            self.place(owed, start, bend)
+        };
+        let timing = self.timing;
+        match planned {
+            Some(segment) => {
+                let steps = i64::from(segment.count);
+                let last = i64::from(segment.delay) + offset(&segment, steps.abs() - 1);
+                let last = u32::try_from(last).unwrap_or(timing.period);
+                self.emitted += steps;
+                self.level = steps.signum();
+                let pulse = u32::from(timing.pulse);
+                self.ready = (last + 2 * pulse).saturating_sub(timing.period);
+                self.held = (last + pulse + u32::from(timing.hold)).saturating_sub(timing.period);
+                let lag = owed - steps;
+                Planned {
+                    segment,
+                    lag: super::reciprocal::saturate(lag),
+                    ceiling: lag != 0,
+                }
+            }
+            None => {
+                self.ready = self.ready.saturating_sub(timing.period);
+                self.held = self.held.saturating_sub(timing.period);
+                Planned {
+                    segment: StepSegment::default(),
+                    lag: super::reciprocal::saturate(owed),
+                    ceiling: owed != 0,
+                }
+            }
+        }
+    }
+
+    /// As many of the owed steps as fit, each as near to its ideal time as the timing allows.
+    fn place(&self, owed: i64, start: i64, bend: i64) -> Option<StepSegment> {
+        let sign = owed.signum();
+        let turns = sign != self.level;
+        if turns && self.held > 0 {
+            return None;
+        }
+        let pulse = u32::from(self.timing.pulse);
+        let gap = 2 * pulse.max(1);
+        let earliest = if turns {
+            self.ready.max(u32::from(self.timing.setup))
+        } else {
+            self.ready
+        };
+        let latest = self.timing.period.saturating_sub(pulse);
+        let room = latest.checked_sub(earliest)? / gap + 1;
+        let count = u32::try_from(owed.unsigned_abs())
+            .unwrap_or(u32::MAX)
+            .min(room)
+            .min(i16::MAX as u32);
+
+        let ideal = Ideal::new(
+            (self.position - start) * sign,
+            bend * sign,
+            self.timing.period,
+        );
+        // How far behind the start of the period the first crossing lies; positive when it is ahead of it.
+        let first_crossing = (self.emitted * STEP - start) * sign + STEP / 2;
+        let first = ideal.time(first_crossing).clamp(earliest, latest);
+        let signed = |count: u32| (count as i16) * (sign as i16);
+        if count == 1 {
+            return Some(StepSegment {
+                count: signed(1),
+                delay: first,
+                interval: 0,
+                ramp: 0,
+            });
+        }
+        let intervals = count - 1;
+        let last_crossing = first_crossing + i64::from(intervals) * STEP;
+        let mut last = ideal.time(last_crossing).clamp(first, latest);
+        let mut delay = first;
+        let mut ramp = 0;
+        if last - delay < intervals * gap {
+            // Too dense: spread to the end of the period, then towards its start; `room` says that it fits.
+            last = latest.min(delay + intervals * gap);
+            delay = delay.min(last - intervals * gap);
+        } else {
+            ramp = ideal.ramp(intervals);
+        }
+        let (span, n) = (i64::from(last - delay), i64::from(intervals));
+        // The whole bend that `ramp` adds up to at the last pulse.
+        let bent = i64::from(ramp) * (n * (n - 1) / 2);
+        let mut interval = (span - bent + n / 2).div_euclid(n);
+        let gap = i64::from(gap);
+        if interval < gap || interval + i64::from(ramp) * (n - 1) < gap {
+            ramp = 0;
+            interval = (span + n / 2) / n;
+        }
+        let bent = i64::from(ramp) * (n * (n - 1) / 2);
+        if i64::from(delay) + n * interval + bent > i64::from(latest) {
+            interval -= 1;
+            if interval + i64::from(ramp).min(0) * (n - 1) < gap {
+                ramp = 0;
+                interval = span / n;
+            }
+        }
+        Some(StepSegment {
+            count: signed(count),
+            delay,
+            interval: u32::try_from(interval).ok()?,
+            ramp,
+        })
+    }
+}
+
+/// `k * interval + ramp * k (k - 1) / 2`.
+const fn offset(segment: &StepSegment, k: i64) -> i64 {
+    k * segment.interval as i64 + segment.ramp as i64 * (k * (k - 1) / 2)
+}
+
+/// Axis units to steps Q32, or rates likewise, within +-2^60.
+#[inline]
+fn steps(units: i64, scale: i64) -> i64 {
+    let product = (i128::from(units) * i128::from(scale)) >> 30;
+    product.clamp(-(1 << 60), 1 << 60) as i64
+}
+
+/// The parabola of a period, forwards: position after the part u of the period is `distance u + bend u (u - 1)`.
+struct Ideal {
+    period: u32,
+    /// Distance, at most 32 bits after `shift`.
+    distance: u32,
+    shift: u32,
+    reciprocal: Reciprocal,
+    /// bend / distance, Q16, within +-3/4.
+    bend: i64,
+}
+
+impl Ideal {
+    fn new(distance: i64, bend: i64, period: u32) -> Self {
+        // Steps that are owed from before while the wanted position turned back: no ideal time but the earliest.
+        let distance = distance.max(0).unsigned_abs();
+        let shift = 32u32.saturating_sub(distance.leading_zeros());
+        // Shifted to below 2^32.
+        let scaled = (distance >> shift) as u32;
+        let reciprocal = Reciprocal::new(scaled);
+        let most = (i64::from(scaled) * 3) / 4;
+        let bend = (bend >> shift).clamp(-most, most);
+        let bend = if scaled == 0 {
+            0
+        } else {
+            reciprocal.scaled(bend, 16)
+        };
+        Self {
+            period,
+            distance: scaled,
+            shift,
+            reciprocal,
+            bend,
+        }
+    }
+
+    /// Ticks at which the position crosses `crossing` (Q32 steps from the start of the period); 0 for one before it, the period for one after it.
+    ///
+    /// The inverse of the parabola to second order: u = q + bend q (1 - q), q = crossing / distance.
+    fn time(&self, crossing: i64) -> u32 {
+        if crossing <= 0 || self.distance == 0 {
+            return 0;
+        }
+        let crossing = (crossing >> self.shift).min(i64::from(self.distance));
+        // Q30; at most 2^32 * 2^31.
+        let q = self.reciprocal.scaled(crossing, 30).min(1 << 30);
+        let curve = (q * ((1 << 30) - q)) >> 30;
+        let u = (q + ((self.bend * curve) >> 16)).clamp(0, 1 << 30);
+        ((i64::from(self.period) * u + (1 << 29)) >> 30) as u32
+    }
+
+    /// Second difference of the times of evenly spaced crossings: -2 bend period / distance^2, whole ticks.
+    fn ramp(&self, intervals: u32) -> i32 {
+        if intervals < 2 || self.distance == 0 {
+            return 0;
+        }
+        // One step over the distance, Q30; two intervals at least lie within the distance.
+        let step = self.reciprocal.scaled(
+            ((1i64 << 32) >> self.shift).min(i64::from(self.distance)),
+            30,
+        );
+        let square = (step * step) >> 30;
+        // 2^21 * 2^12 * 2^30 is 2^63 only when bend and step are 1, and they are at most 3/4 and 1/2.
+        let twice = i64::from(self.period) * (self.bend >> 4);
+        super::reciprocal::saturate(-((twice * square + (1 << 40)) >> 41))
+    }
+}

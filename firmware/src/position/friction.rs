@@ -1,0 +1,59 @@
+//! Coulomb friction that is compensated: effort * tanh(rate / knee), spec h4-milling 7.1 item 15.
+//!
+//! It depends on the *wanted* rate alone: a measured rate would change its sign with the noise at rest, and the loop would rattle between the two
+//! sides of the friction. At standstill it is zero. tanh is a table of 81 values, joined linearly, from 0 to 5 knees, beyond which it is 1: error below
+//! 4e-4, continuous, odd, never decreasing.
+
+use crate::drive::reciprocal::Reciprocal;
+use crate::units::{Effort, Rate};
+
+/// tanh(i / 16), Q15; the last one is 1.
+const TANH: [u16; 82] = [
+    0, 2045, 4075, 6073, 8025, 9919, 11743, 13486, 15143, 16706, 18173, 19542, 20813, 21986, 23066,
+    24054, 24956, 25776, 26519, 27191, 27797, 28341, 28830, 29268, 29660, 30010, 30322, 30600,
+    30847, 31067, 31262, 31435, 31589, 31726, 31846, 31953, 32048, 32132, 32206, 32271, 32329,
+    32381, 32426, 32466, 32501, 32532, 32560, 32584, 32606, 32625, 32642, 32657, 32670, 32681,
+    32691, 32700, 32708, 32715, 32721, 32727, 32732, 32736, 32740, 32743, 32746, 32749, 32751,
+    32753, 32755, 32756, 32758, 32759, 32760, 32761, 32762, 32762, 32763, 32764, 32764, 32765,
+    32768, 32768,
+];
+
+/// Friction of one joint.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Friction {
+    coulomb: Effort,
+    knee: Reciprocal,
+}
+
+impl Friction {
+    /// Full compensation `coulomb`, of which tanh(1) = 76 % is reached at the rate `knee` (its magnitude counts; zero is taken for the smallest).
+    pub const fn new(coulomb: Effort, knee: Rate) -> Self {
+        Self {
+            coulomb,
+            knee: Reciprocal::new(knee.0.unsigned_abs()),
+        }
+    }
+
+    /// Effort that overcomes the friction at a wanted rate, rounded; within +-`coulomb`.
+    #[inline]
+    pub fn effort(&self, wanted: Rate) -> Effort {
+        // In 1/16 of the knee, Q16. A rate of 2^31 over a knee of 1 is 2^31 * 2^20: no overflow before the clamp.
+        let ratio = self
+            .knee
+            .scaled(i64::from(wanted.0.unsigned_abs()), 20)
+            .min(80 << 16);
+        // 0 to 80: there is a next one.
+        let place = (ratio >> 16) as usize;
+        let part = ratio & 0xffff;
+        let (Some(&low), Some(&high)) = (TANH.get(place), TANH.get(place + 1)) else {
+            return Effort(0);
+        };
+        let (low, high) = (i64::from(low), i64::from(high));
+        // Q31; never decreasing.
+        let tanh = (low << 16) + (high - low) * part;
+        // Below 2^31 * 2^31.
+        let effort = (i64::from(self.coulomb.0) * tanh + (1 << 30)) >> 31;
+        let signed = if wanted.0 < 0 { -effort } else { effort };
+        Effort(crate::drive::reciprocal::saturate(signed))
+    }
+}

@@ -1,0 +1,72 @@
+//! Cost of one control period of the simulated machine.
+
+use criterion::{Criterion, criterion_group, criterion_main};
+use haptimill_firmware::io::{DriveCommand, Inputs, Outputs};
+use haptimill_hil_sim::geometry::Arm;
+use haptimill_hil_sim::{Plant, PlantConfig};
+use std::hint::black_box;
+
+#[derive(serde::Deserialize)]
+struct File {
+    plant: PlantConfig,
+}
+
+fn config() -> PlantConfig {
+    toml::from_str::<File>(include_str!("../tests/refg.toml"))
+        .expect("a plant")
+        .plant
+}
+
+fn plant(criterion: &mut Criterion) {
+    let mut plant = Plant::new(&config(), 200).expect("a machine");
+    let mut outputs = Outputs::default();
+    let mut inputs = Inputs::default();
+    let mut period = 0_u32;
+    criterion.bench_function(
+        "plant: one period, five torque axes, truth and latch",
+        |bencher| {
+            bencher.iter(|| {
+                // All axes are shaken to and fro, so that friction, backlash and edges all have work.
+                let code = if (period >> 8) & 1 == 0 { 1000 } else { -1000 };
+                period = period.wrapping_add(1);
+                for axis in 0..5 {
+                    outputs.axes[axis] = DriveCommand::Torque(code);
+                }
+                plant.advance(black_box(&outputs));
+                plant.latch(&mut inputs);
+                black_box(&inputs);
+            });
+        },
+    );
+
+    let slides = [1135.0, 485.0, 1135.0, 485.0];
+    let mut arm = Arm::new(config().arm.as_ref().expect("an arm"), &slides).expect("an arm");
+    let mut phase = 0.0;
+    criterion.bench_function("geometry: true pose of moving slides", |bencher| {
+        bencher.iter(|| {
+            // 4 mm/s: 0.8 um a period.
+            phase += 0.0008;
+            let shift = if phase < 10.0 {
+                phase
+            } else if phase < 20.0 {
+                20.0 - phase
+            } else {
+                0.0
+            };
+            if phase >= 20.0 {
+                phase = 0.0;
+            }
+            let moved = [
+                slides[0] + shift,
+                slides[1] - 0.5 * shift,
+                slides[2] + 0.3 * shift,
+                slides[3],
+            ];
+            let tip = arm.follow(black_box(&moved)).expect("a pose");
+            black_box(arm.in_work(&tip, shift))
+        });
+    });
+}
+
+criterion_group!(benches, plant);
+criterion_main!(benches);

@@ -1,0 +1,321 @@
+//! The incremental encoder on a motor shaft, from its disc to the counter that the controller reads.
+//!
+//! The disc is ideal: the shaft's coordinate falls into count states of equal width, and a count state has the levels of two channels
+//! (A leads B upwards) and of the index line, which is high in one state of each turn. A healthy encoder is counted directly from the
+//! count states. From the moment a fault touches it, every edge goes as a pair of levels through the faults and then through a real x4
+//! decoder, which counts illegal transitions; healthy edges give the same numbers on both ways, and a test holds them to it.
+//!
+//! Units: coordinates in axis units, times in ns of virtual time. Between two integration steps the shaft is taken to move evenly, so
+//! an edge is timed to a fraction of a step.
+
+use crate::config::JointConfig;
+use crate::random::Random;
+
+/// What the counter hardware shows.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Reading {
+    /// x4 counter, wraps around.
+    pub counts: i32,
+    /// Time of the last counted edge, ns, wraps around.
+    pub edge_time_ns: u32,
+    /// Illegal transitions, wraps around.
+    pub illegal: u16,
+    /// Counter at the last index pulse.
+    pub index_counts: i32,
+    /// Index pulses, wraps around.
+    pub index_pulses: u8,
+}
+
+/// Levels of the three lines.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Levels {
+    /// Channel A.
+    pub a: bool,
+    /// Channel B.
+    pub b: bool,
+    /// Index.
+    pub index: bool,
+}
+
+impl Levels {
+    const fn of(count: i64, counts_per_turn: i64) -> Self {
+        let quarter = count & 3;
+        Self {
+            a: quarter == 1 || quarter == 2,
+            b: quarter >= 2,
+            index: count.rem_euclid(counts_per_turn) == 0,
+        }
+    }
+
+    /// Place in the cycle 00, 10, 11, 01 (A, B).
+    const fn quarter(self) -> u8 {
+        match (self.a, self.b) {
+            (false, false) => 0,
+            (true, false) => 1,
+            (true, true) => 2,
+            (false, true) => 3,
+        }
+    }
+}
+
+/// An x4 decoder: two levels in, a count out. The index latches the counter when its line rises.
+#[derive(Debug, Clone, Default)]
+pub struct Decoder {
+    last: Levels,
+    reading: Reading,
+}
+
+impl Decoder {
+    /// A decoder that has seen these levels and counted so far.
+    pub const fn new(last: Levels, reading: Reading) -> Self {
+        Self { last, reading }
+    }
+
+    /// The lines have these levels since `time_ns`.
+    pub const fn sample(&mut self, levels: Levels, time_ns: u64) {
+        match levels.quarter().wrapping_sub(self.last.quarter()) & 3 {
+            1 => {
+                self.reading.counts = self.reading.counts.wrapping_add(1);
+                self.reading.edge_time_ns = time_ns as u32;
+            }
+            3 => {
+                self.reading.counts = self.reading.counts.wrapping_sub(1);
+                self.reading.edge_time_ns = time_ns as u32;
+            }
+            2 => self.reading.illegal = self.reading.illegal.wrapping_add(1),
+            _ => {}
+        }
+        if levels.index && !self.last.index {
+            self.reading.index_counts = self.reading.counts;
+            self.reading.index_pulses = self.reading.index_pulses.wrapping_add(1);
+        }
+        self.last = levels;
+    }
+
+    /// What it counted.
+    pub const fn reading(&self) -> Reading {
+        self.reading
+    }
+}
+
+/// What is wrong with an encoder at the moment.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct EncoderCondition {
+    /// Channel A stands at this level.
+    pub stuck_a: Option<bool>,
+    /// Channel B stands at this level.
+    pub stuck_b: Option<bool>,
+    /// The channels are swapped.
+    pub swapped: bool,
+    /// The index line is dead.
+    pub index_missing: bool,
+    /// Noise pulses per second; each flips A, B or both for a moment.
+    pub noise_hz: f64,
+}
+
+/// An encoder with its counter.
+#[derive(Debug, Clone)]
+pub struct Encoder {
+    /// Counts per axis unit.
+    scale: f64,
+    /// Coordinate of the lower edge of count state 0, which is an index state.
+    origin: f64,
+    counts_per_turn: i64,
+    reversed: bool,
+    /// True count state of the shaft.
+    state: i64,
+    /// Count state in which the counter stood at 0.
+    zero: i64,
+    reading: Reading,
+    condition: EncoderCondition,
+    /// Once a fault touched the encoder, its edges go through here.
+    decoder: Option<Decoder>,
+    random: Random,
+}
+
+/// Largest whole number that is not above; valid for any coordinate that a joint can have.
+#[inline(always)]
+fn floor(value: f64) -> i64 {
+    let whole = value as i64;
+    whole - i64::from((whole as f64) > value)
+}
+
+impl Encoder {
+    /// The encoder of a joint whose motor stands at `motor`; the counter starts at 0.
+    pub fn new(joint: &JointConfig, motor: f64, random: Random) -> Self {
+        let scale = 1.0 / joint.per_count();
+        let origin = joint.encoder.index;
+        let state = floor((motor - origin) * scale);
+        Self {
+            scale,
+            origin,
+            counts_per_turn: i64::from(joint.encoder.counts_per_turn),
+            reversed: joint.encoder.reversed,
+            state,
+            zero: state,
+            reading: Reading::default(),
+            condition: EncoderCondition::default(),
+            decoder: None,
+            random,
+        }
+    }
+
+    /// What the counter shows.
+    #[inline]
+    pub fn reading(&self) -> Reading {
+        self.decoder.as_ref().map_or(self.reading, Decoder::reading)
+    }
+
+    /// Changes what is wrong with the encoder.
+    pub fn set_condition(&mut self, condition: EncoderCondition) {
+        if condition == self.condition {
+            return;
+        }
+        self.condition = condition;
+        let healthy = self.healthy_levels(self.state);
+        self.decoder
+            .get_or_insert_with(|| Decoder::new(healthy, self.reading));
+    }
+
+    /// The counter slips by this many counts.
+    pub fn slip(&mut self, counts: i32) {
+        self.reading.counts = self.reading.counts.wrapping_add(counts);
+        self.zero -= i64::from(if self.reversed { -counts } else { counts });
+        if let Some(decoder) = &mut self.decoder {
+            decoder.reading.counts = decoder.reading.counts.wrapping_add(counts);
+        }
+    }
+
+    /// The shaft went through `path`, evenly spaced samples `step_ns` apart that begin at `time_ns` where the last path ended.
+    #[inline]
+    pub fn follow(&mut self, path: impl Iterator<Item = f64>, time_ns: u64, step_ns: u64) {
+        if self.decoder.is_some() {
+            self.follow_edges(path, time_ns, step_ns);
+        } else {
+            self.follow_states(path, time_ns, step_ns);
+        }
+    }
+
+    #[inline]
+    fn counts_of(&self, state: i64) -> i32 {
+        let counts = (state - self.zero) as i32;
+        if self.reversed {
+            counts.wrapping_neg()
+        } else {
+            counts
+        }
+    }
+
+    /// The direct way: no edge is looked at but the last one and those of the index.
+    #[inline]
+    fn follow_states(&mut self, path: impl Iterator<Item = f64>, time_ns: u64, step_ns: u64) {
+        let turn = self.counts_per_turn;
+        let mut from = self.state;
+        let mut before = 0.0;
+        for (sample, at) in path.enumerate() {
+            let place = (at - self.origin) * self.scale;
+            let state = floor(place);
+            if state != from && sample > 0 {
+                let last_edge = if state > from { state } else { state + 1 };
+                let part = (last_edge as f64 - before) / (place - before);
+                let offset = (sample as u64 - 1) * step_ns + (part * step_ns as f64) as u64;
+                self.reading.edge_time_ns = (time_ns + offset) as u32;
+                // Every index state that was entered latches the counter.
+                let (low, high) = if state > from {
+                    (from + 1, state)
+                } else {
+                    (state, from - 1)
+                };
+                let (first, last) = (-(-low).div_euclid(turn), high.div_euclid(turn));
+                if first <= last {
+                    let latched = if state > from { last } else { first };
+                    self.reading.index_counts = self.counts_of(latched * turn);
+                    self.reading.index_pulses = self
+                        .reading
+                        .index_pulses
+                        .wrapping_add((last - first + 1) as u8);
+                }
+                from = state;
+            }
+            before = place;
+        }
+        self.state = from;
+        self.reading.counts = self.counts_of(from);
+    }
+
+    fn healthy_levels(&self, state: i64) -> Levels {
+        let levels = Levels::of(state, self.counts_per_turn);
+        if self.reversed {
+            Levels {
+                a: levels.b,
+                b: levels.a,
+                ..levels
+            }
+        } else {
+            levels
+        }
+    }
+
+    fn levels(&self, state: i64) -> Levels {
+        let mut levels = self.healthy_levels(state);
+        if self.condition.swapped {
+            levels = Levels {
+                a: levels.b,
+                b: levels.a,
+                ..levels
+            };
+        }
+        levels.a = self.condition.stuck_a.unwrap_or(levels.a);
+        levels.b = self.condition.stuck_b.unwrap_or(levels.b);
+        levels.index &= !self.condition.index_missing;
+        levels
+    }
+
+    /// The true way: every edge as levels through the decoder.
+    fn follow_edges(&mut self, path: impl Iterator<Item = f64>, time_ns: u64, step_ns: u64) {
+        let Some(mut decoder) = self.decoder.take() else {
+            return;
+        };
+        // A fault that came or went may have changed the levels while the shaft stood still.
+        decoder.sample(self.levels(self.state), time_ns);
+        let mut before = 0.0;
+        for (sample, at) in path.enumerate() {
+            let place = (at - self.origin) * self.scale;
+            if sample == 0 {
+                before = place;
+                continue;
+            }
+            let start_ns = time_ns + (sample as u64 - 1) * step_ns;
+            if self.condition.noise_hz > 0.0
+                && self
+                    .random
+                    .happens(self.condition.noise_hz * step_ns as f64 * 1e-9)
+            {
+                let quiet = self.levels(self.state);
+                let which = self.random.draw() % 3;
+                decoder.sample(
+                    Levels {
+                        a: quiet.a ^ (which != 1),
+                        b: quiet.b ^ (which != 0),
+                        ..quiet
+                    },
+                    start_ns,
+                );
+                decoder.sample(quiet, start_ns);
+            }
+            let target = floor(place);
+            while self.state != target {
+                let up = target > self.state;
+                let edge = if up { self.state + 1 } else { self.state };
+                self.state += if up { 1 } else { -1 };
+                let part = ((edge as f64 - before) / (place - before)).clamp(0.0, 1.0);
+                decoder.sample(
+                    self.levels(self.state),
+                    start_ns + (part * step_ns as f64) as u64,
+                );
+            }
+            before = place;
+        }
+        self.decoder = Some(decoder);
+    }
+}

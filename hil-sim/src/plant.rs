@@ -1,0 +1,396 @@
+//! The simulated machine: drives, screws, slides, encoders, switches and the arm that they carry.
+//!
+//! [`Plant::advance`] carries out the [`Outputs`] of one control period in steps of 20 us; [`Plant::latch`] fills the [`Inputs`] that the
+//! controller sees at the start of the next. [`Plant::truth`] tells what no controller can know: where slides and tool really are.
+//!
+//! What is modelled: each joint as two masses on a screw with stiffness, damping and backlash; Coulomb friction that sticks; drives
+//! with limits; hard stops; the encoder on the motor shaft, to its edges. What is not: the inertia of the platform couples no slides,
+//! a disabled drive gives no torque (friction alone holds the screw), the amplifier's current follows at once.
+//!
+//! A command of the wrong kind for a drive ([`DriveCommand::Steps`] on a torque drive) leaves the drive off and is counted.
+
+use crate::config::{DriveConfig, JointConfig, PlantConfig, PlantError, SwitchSide};
+use crate::encoder::{Encoder, EncoderCondition};
+use crate::geometry::Arm;
+use crate::mechanics::{Bodies, Lanes, Mechanics};
+use crate::random::Random;
+use crate::stepper::{PulseReport, Stepper};
+use haptimill_firmware::io::{DriveCommand, Inputs, Outputs, StepSegment};
+use haptimill_protocol::message::MAX_AXES;
+
+/// What really is, at the start of a period.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Truth {
+    /// Where the joints' slide sides are, mm or degrees.
+    pub joints: [f64; MAX_AXES],
+    /// The tool in the work, mm and degrees (H-4: x_w, y_w, z_w, theta, alpha); without an arm, the joints.
+    pub pose: [f64; MAX_AXES],
+    /// The rods close; otherwise `pose` is the last one that was good.
+    pub pose_valid: bool,
+}
+
+/// What is wrong with a joint at the moment, its encoder apart.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct JointCondition {
+    /// The drive gives this much of what it is asked: 1 healthy, 0 dead, negative the wrong way round.
+    pub drive_gain: f64,
+    /// The drive reports that it is not well, and gives nothing.
+    pub drive_tripped: bool,
+    /// More Coulomb friction on the slide, effort; infinity holds it fast.
+    pub jam: f64,
+    /// The home switch stands at this level.
+    pub home: Option<bool>,
+    /// The lower limit switch stands at this level.
+    pub limit_low: Option<bool>,
+    /// The upper limit switch stands at this level.
+    pub limit_high: Option<bool>,
+}
+
+impl Default for JointCondition {
+    fn default() -> Self {
+        Self {
+            drive_gain: 1.0,
+            drive_tripped: false,
+            jam: 0.0,
+            home: None,
+            limit_low: None,
+            limit_high: None,
+        }
+    }
+}
+
+#[derive(Debug, Clone)]
+enum Drive {
+    Torque { per_code: f64, limit: f64 },
+    Steps(Stepper),
+}
+
+#[derive(Debug, Clone)]
+struct Joint {
+    config: JointConfig,
+    drive: Drive,
+    encoder: Encoder,
+    condition: JointCondition,
+}
+
+impl Joint {
+    /// Effort of a torque drive for this command.
+    fn torque(&self, command: &DriveCommand, powered: bool) -> f64 {
+        match (&self.drive, command) {
+            (Drive::Torque { per_code, limit }, DriveCommand::Torque(code)) if powered => {
+                (f64::from(*code) * per_code).clamp(-limit, *limit) * self.condition.drive_gain
+            }
+            _ => 0.0,
+        }
+    }
+
+    fn home(&self, slide: f64) -> bool {
+        self.condition.home.unwrap_or_else(|| {
+            self.config
+                .home
+                .as_ref()
+                .is_some_and(|switch| match switch.active {
+                    SwitchSide::Below => slide <= switch.at,
+                    SwitchSide::Above => slide >= switch.at,
+                })
+        })
+    }
+}
+
+/// The simulated machine.
+#[derive(Debug, Clone)]
+pub struct Plant {
+    mechanics: Mechanics,
+    bodies: Bodies,
+    joints: Vec<Joint>,
+    arm: Option<Arm>,
+    load: Lanes,
+    /// Motor positions of the last period, one row a step, the start included.
+    history: Vec<Lanes>,
+    step_ns: u64,
+    period_us: u16,
+    /// Periods since the start.
+    period: u64,
+    emergency_stop: bool,
+    misdirected: u64,
+    truth: Truth,
+}
+
+impl Plant {
+    /// The machine at rest: slides at their presets, off by what the seed says.
+    ///
+    /// # Errors
+    /// Every problem of the configuration.
+    pub fn new(config: &PlantConfig, period_us: u16) -> Result<Self, Vec<PlantError>> {
+        config.check(period_us)?;
+        let mut random = Random::new(config.seed, 0);
+        let mut bodies = Bodies::default();
+        let mut joints = Vec::new();
+        for (lane, joint) in config.joint.iter().enumerate() {
+            let start = joint.preset + joint.start_spread * (2.0 * random.fraction() - 1.0);
+            bodies.slide[lane] = start;
+            bodies.motor[lane] = start;
+            joints.push(Joint {
+                drive: match &joint.drive {
+                    DriveConfig::Torque(drive) => Drive::Torque {
+                        per_code: drive.full_scale / 8192.0,
+                        limit: drive.limit,
+                    },
+                    DriveConfig::Steps(drive) => {
+                        Drive::Steps(Stepper::new(joint, drive, start, period_us))
+                    }
+                },
+                encoder: Encoder::new(joint, start, Random::new(config.seed, 16 + lane as u64)),
+                condition: JointCondition::default(),
+                config: joint.clone(),
+            });
+        }
+        let arm = match &config.arm {
+            None => None,
+            Some(geometry) => {
+                Some(Arm::new(geometry, &slides(&bodies.slide)).map_err(|error| {
+                    vec![PlantError {
+                        field: "arm".into(),
+                        problem: format!("at the presets {error}"),
+                    }]
+                })?)
+            }
+        };
+        let steps = usize::from(period_us / config.substep_us);
+        let mut plant = Self {
+            mechanics: Mechanics::new(&config.joint, f64::from(config.substep_us) * 1e-6),
+            history: vec![bodies.motor; steps + 1],
+            bodies,
+            joints,
+            arm,
+            load: [0.0; MAX_AXES],
+            step_ns: u64::from(config.substep_us) * 1000,
+            period_us,
+            period: 0,
+            emergency_stop: false,
+            misdirected: 0,
+            truth: Truth::default(),
+        };
+        plant.see_truth();
+        Ok(plant)
+    }
+
+    /// How many joints there are.
+    pub const fn axes(&self) -> usize {
+        self.joints.len()
+    }
+
+    /// Length of the control period, microseconds.
+    pub const fn period_us(&self) -> u16 {
+        self.period_us
+    }
+
+    /// Periods since the start.
+    pub const fn period(&self) -> u64 {
+        self.period
+    }
+
+    /// Virtual time since the start, ns.
+    pub const fn time_ns(&self) -> u64 {
+        self.period * self.period_us as u64 * 1000
+    }
+
+    /// What really is, now.
+    pub const fn truth(&self) -> &Truth {
+        &self.truth
+    }
+
+    /// Both sides of every joint, now.
+    pub const fn bodies(&self) -> &Bodies {
+        &self.bodies
+    }
+
+    /// The masses, springs and frictions.
+    pub const fn mechanics(&self) -> &Mechanics {
+        &self.mechanics
+    }
+
+    /// How the pulses of a step/dir drive fared; `None` for a torque drive.
+    pub fn pulse_report(&self, axis: usize) -> Option<PulseReport> {
+        match &self.joints.get(axis)?.drive {
+            Drive::Torque { .. } => None,
+            Drive::Steps(stepper) => Some(stepper.report()),
+        }
+    }
+
+    /// Commands that were of the wrong kind for their drive, in all.
+    pub const fn misdirected(&self) -> u64 {
+        self.misdirected
+    }
+
+    /// Lets an outside effort act on a slide (or on the table), until it is changed.
+    pub fn set_load(&mut self, axis: usize, effort: f64) {
+        self.load[axis] = effort;
+    }
+
+    /// What is wrong with a joint.
+    pub fn condition(&self, axis: usize) -> JointCondition {
+        self.joints[axis].condition
+    }
+
+    /// Changes what is wrong with a joint.
+    pub fn set_condition(&mut self, axis: usize, condition: JointCondition) {
+        self.mechanics.jam(axis, condition.jam);
+        self.joints[axis].condition = condition;
+    }
+
+    /// Changes what is wrong with an encoder.
+    pub fn set_encoder_condition(&mut self, axis: usize, condition: EncoderCondition) {
+        self.joints[axis].encoder.set_condition(condition);
+    }
+
+    /// Makes the counter of an encoder slip.
+    pub fn slip_encoder(&mut self, axis: usize, counts: i32) {
+        self.joints[axis].encoder.slip(counts);
+    }
+
+    /// Opens or closes the emergency stop circuit; open, it takes the power from all drives.
+    pub const fn set_emergency_stop(&mut self, open: bool) {
+        self.emergency_stop = open;
+    }
+
+    /// Fills what the controller sees of the machine: period, time, joints, emergency stop. Bytes and missed periods are the rig's.
+    pub fn latch(&self, inputs: &mut Inputs) {
+        inputs.period = self.period;
+        inputs.time_ns = self.time_ns() as u32;
+        inputs.emergency_stop = self.emergency_stop;
+        for (axis, joint) in self.joints.iter().enumerate() {
+            let slide = self.bodies.slide[axis];
+            let reading = joint.encoder.reading();
+            let seen = &mut inputs.axes[axis];
+            seen.counts = reading.counts;
+            seen.edge_time_ns = reading.edge_time_ns;
+            seen.illegal = reading.illegal;
+            seen.index_counts = reading.index_counts;
+            seen.index_pulses = reading.index_pulses;
+            seen.steps = match &joint.drive {
+                Drive::Torque { .. } => 0,
+                Drive::Steps(stepper) => stepper.emitted(),
+            };
+            seen.home = joint.home(slide);
+            seen.limit_low = joint
+                .condition
+                .limit_low
+                .unwrap_or_else(|| joint.config.limit_low.is_some_and(|at| slide <= at));
+            seen.limit_high = joint
+                .condition
+                .limit_high
+                .unwrap_or_else(|| joint.config.limit_high.is_some_and(|at| slide >= at));
+            seen.drive_ready = !joint.condition.drive_tripped && !self.emergency_stop;
+        }
+    }
+
+    /// One control period with these outputs in effect.
+    pub fn advance(&mut self, outputs: &Outputs) {
+        let powered = !self.emergency_stop;
+        let mut drive = [0.0; MAX_AXES];
+        let mut stepping = false;
+        for (axis, joint) in self.joints.iter_mut().enumerate() {
+            let command = &outputs.axes[axis];
+            let powered = powered && !joint.condition.drive_tripped;
+            drive[axis] = joint.torque(command, powered);
+            match (&mut joint.drive, command) {
+                (_, DriveCommand::Off) | (Drive::Torque { .. }, DriveCommand::Torque(_)) => {}
+                (Drive::Steps(stepper), DriveCommand::Steps(segment)) => {
+                    // The board makes its pulses whether or not the drive is alive.
+                    stepper.begin(*segment);
+                    stepping = true;
+                }
+                _ => self.misdirected += 1,
+            }
+        }
+        let mut bodies = self.bodies.clone();
+        let steps = self.history.len() - 1;
+        self.history[0] = bodies.motor;
+        for step in 0..steps {
+            if stepping {
+                let part = (step as f64 + 0.5) / steps as f64;
+                step_efforts(
+                    &mut self.joints,
+                    outputs,
+                    powered,
+                    part,
+                    &bodies,
+                    &mut drive,
+                );
+            }
+            self.mechanics.step(&mut bodies, &drive, &self.load);
+            self.history[step + 1] = bodies.motor;
+        }
+        self.bodies = bodies;
+        let start_ns = self.time_ns();
+        for (axis, joint) in self.joints.iter_mut().enumerate() {
+            joint.encoder.follow(
+                self.history.iter().map(|row| row[axis]),
+                start_ns,
+                self.step_ns,
+            );
+            if let Drive::Steps(stepper) = &mut joint.drive {
+                stepper.end();
+            }
+        }
+        self.period += 1;
+        self.see_truth();
+    }
+
+    fn see_truth(&mut self) {
+        self.truth.joints = self.bodies.slide;
+        let Some(arm) = &mut self.arm else {
+            self.truth.pose = self.bodies.slide;
+            self.truth.pose_valid = true;
+            return;
+        };
+        match arm.follow(&slides(&self.bodies.slide)) {
+            Ok(tip) => {
+                self.truth.pose[..5].copy_from_slice(&arm.in_work(&tip, self.bodies.slide[4]));
+                self.truth.pose_valid = true;
+            }
+            Err(_) => self.truth.pose_valid = false,
+        }
+    }
+}
+
+/// Efforts of the step motors in the middle of a step.
+fn step_efforts(
+    joints: &mut [Joint],
+    outputs: &Outputs,
+    powered: bool,
+    part: f64,
+    bodies: &Bodies,
+    drive: &mut Lanes,
+) {
+    for (axis, joint) in joints.iter_mut().enumerate() {
+        if let (Drive::Steps(stepper), DriveCommand::Steps(_)) =
+            (&mut joint.drive, &outputs.axes[axis])
+        {
+            let effort = stepper.effort(part, bodies.motor[axis], bodies.motor_rate[axis]);
+            let alive = powered && !joint.condition.drive_tripped;
+            drive[axis] = if alive {
+                effort * joint.condition.drive_gain
+            } else {
+                0.0
+            };
+        }
+    }
+}
+
+fn slides(lanes: &Lanes) -> [f64; 4] {
+    [lanes[0], lanes[1], lanes[2], lanes[3]]
+}
+
+/// A held output in a missed period: a torque stays on the DAC, pulses do not repeat.
+pub fn held(outputs: &Outputs) -> Outputs {
+    let mut held = outputs.clone();
+    held.transmit.clear();
+    for command in &mut held.axes {
+        if let DriveCommand::Steps(segment) = command {
+            *segment = StepSegment::default();
+        }
+    }
+    held
+}

@@ -1,0 +1,229 @@
+//! The arm's geometry against the loops themselves and against the reference table of REF-G.
+
+use haptimill_hil_sim::config::{ArmGeometry, Branch};
+use haptimill_hil_sim::geometry::{Arm, Tip};
+use proptest::prelude::*;
+
+const HOME: [f64; 4] = [1135.0, 485.0, 1135.0, 485.0];
+
+fn reference() -> ArmGeometry {
+    ArmGeometry {
+        a: 400.0,
+        b: 100.0,
+        c: 100.0,
+        d: 100.0,
+        e: 50.0,
+        w: 50.0,
+        r: 480.0,
+        ge: 25.0,
+        tl: 150.0,
+        p: 30.0,
+        h: 600.0,
+        x_off: 780.0,
+        y_off: 0.0,
+        z_off: 0.0,
+        branch: Branch::Below,
+    }
+}
+
+/// Goes from home to `slides` in small steps, as a machine would.
+fn walk(arm: &mut Arm, slides: &[f64; 4]) -> Tip {
+    let mut tip = Tip::default();
+    for step in 1..=100 {
+        let part = f64::from(step) / 100.0;
+        let at: [f64; 4] = std::array::from_fn(|i| HOME[i] + part * (slides[i] - HOME[i]));
+        tip = arm.follow(&at).expect("closes");
+    }
+    tip
+}
+
+/// Lengths of the four rods, written out from the drawing and from nothing else.
+fn rods(tip: &Tip, slides: &[f64; 4]) -> [f64; 4] {
+    let g = reference();
+    let theta = tip.sin_theta.asin();
+    let platform = |along: f64, side: f64| {
+        [
+            tip.x + along * theta.sin(),
+            tip.y + side * g.b,
+            tip.z + along * theta.cos(),
+        ]
+    };
+    let upper = g.tl + 2.0 * g.c;
+    let ends = [
+        (
+            [slides[0] - g.w, g.a - g.e, g.d - g.ge],
+            platform(upper, 1.0),
+        ),
+        (
+            [slides[1] + g.w, g.a - g.e, g.d - g.ge],
+            platform(upper, 1.0),
+        ),
+        (
+            [slides[2] - g.w, -(g.a - g.e), -g.d - g.ge],
+            platform(g.tl, -1.0),
+        ),
+        (
+            [slides[3] + g.w, -(g.a - g.e), -g.d - g.ge],
+            platform(g.tl, -1.0),
+        ),
+    ];
+    ends.map(|(slide, joint)| {
+        (0..3)
+            .map(|k| (slide[k] - joint[k]) * (slide[k] - joint[k]))
+            .sum::<f64>()
+            .sqrt()
+    })
+}
+
+#[test]
+fn reference_table() {
+    // Spec h4-milling 7.2: x_w, y_w, z_w, theta, alpha, and the slides.
+    let table = [
+        (
+            [0.0, 0.0, 21.232, 0.0, 0.0],
+            [1135.000004, 484.999996, 1135.000004, 484.999996],
+        ),
+        (
+            [-30.0, 0.0, 21.232, 0.0, 0.0],
+            [1105.000004, 454.999996, 1105.000004, 454.999996],
+        ),
+        (
+            [-15.0, 15.0, 19.232, 0.0, 0.0],
+            [1130.798758, 459.201242, 1103.226509, 486.773491],
+        ),
+        (
+            [10.0, -5.0, 40.0, 10.0, 0.0],
+            [1215.541455, 546.012270, 1192.435266, 499.659187],
+        ),
+        (
+            [10.0, -5.0, 40.0, 0.0, 15.0],
+            [1148.085804, 491.914196, 1174.161314, 465.838686],
+        ),
+        (
+            [-20.0, 12.0, 60.0, -12.0, 20.0],
+            [1065.760027, 368.701790, 1126.184311, 391.442182],
+        ),
+    ];
+    for (pose, slides) in table {
+        let mut arm = Arm::new(&reference(), &HOME).expect("home");
+        let tip = walk(&mut arm, &slides);
+        let work = arm.in_work(&tip, pose[4]);
+        for k in 0..5 {
+            assert!(
+                (work[k] - pose[k]).abs() < 1e-5,
+                "{slides:?}: coordinate {k} is {} not {}",
+                work[k],
+                pose[k]
+            );
+        }
+    }
+}
+
+#[test]
+fn home_and_base_frame() {
+    let mut arm = Arm::new(&reference(), &HOME).expect("home");
+    for (slides, x, y, z, theta) in [
+        (HOME, 810.0, 0.0, -578.768004, 0.0),
+        (
+            [1120.0, 480.0, 1110.0, 470.0],
+            782.5,
+            0.154207,
+            -582.907941,
+            2.865984,
+        ),
+        (
+            [1150.0, 470.0, 1130.0, 500.0],
+            818.75,
+            13.912619,
+            -575.827061,
+            -1.432544,
+        ),
+    ] {
+        let tip = arm.follow(&slides).expect("closes");
+        assert!((tip.x - x).abs() < 1e-6);
+        assert!((tip.y - y).abs() < 1e-6);
+        assert!((tip.z - z).abs() < 1e-6);
+        assert!((tip.sin_theta.asin().to_degrees() - theta).abs() < 1e-6);
+    }
+}
+
+#[test]
+fn the_other_branch_is_the_mirror_image() {
+    // With d = c the rails are met symmetrically at theta = 0: the mirror of z_c + g_e.
+    let mut above = Arm::new(
+        &ArmGeometry {
+            branch: Branch::Above,
+            ..reference()
+        },
+        &HOME,
+    )
+    .expect("home");
+    let mut below = Arm::new(&reference(), &HOME).expect("home");
+    let (high, low) = (
+        above.follow(&HOME).expect("closes"),
+        below.follow(&HOME).expect("closes"),
+    );
+    let middle = |tip: &Tip| tip.z + 250.0 + 25.0;
+    assert!((middle(&high) + middle(&low)).abs() < 1e-9);
+    assert!(middle(&high) > 0.0);
+}
+
+#[test]
+fn refuses_slides_that_no_platform_can_have() {
+    let mut arm = Arm::new(&reference(), &HOME).expect("home");
+    // Slides drawn apart until the rods are too short.
+    let mut refused = false;
+    for step in 0..400 {
+        let apart = f64::from(step);
+        let slides = [1135.0 + apart, 485.0 - apart, 1135.0 + apart, 485.0 - apart];
+        match arm.follow(&slides) {
+            Ok(tip) => {
+                assert!(!refused, "came back from where nothing closes");
+                assert!(
+                    rods(&tip, &slides)
+                        .iter()
+                        .all(|rod| (rod - 480.0).abs() < 1e-9)
+                );
+            }
+            Err(_) => refused = true,
+        }
+    }
+    assert!(refused);
+    assert!(Arm::new(&reference(), &[1700.0, 0.0, 1700.0, 0.0]).is_err());
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(400))]
+
+    #[test]
+    fn loops_close_over_the_workspace(shift in -80.0..80.0_f64, open in prop::array::uniform2(-60.0..60.0_f64), tilt in -60.0..60.0_f64) {
+        let slides = [
+            HOME[0] + shift + tilt + open[0],
+            HOME[1] + shift + tilt - open[0],
+            HOME[2] + shift - tilt + open[1],
+            HOME[3] + shift - tilt - open[1],
+        ];
+        let mut arm = Arm::new(&reference(), &HOME).expect("home");
+        let tip = walk(&mut arm, &slides);
+        for rod in rods(&tip, &slides) {
+            prop_assert!((rod - 480.0).abs() < 1e-9, "rod {rod}");
+        }
+        prop_assert!(arm.residual(&tip, &slides) < 1e-9);
+        // Built there from nothing, it is the same machine.
+        let mut built = Arm::new(&reference(), &slides).expect("closes");
+        let direct = built.follow(&slides).expect("closes");
+        prop_assert!((direct.x - tip.x).abs() < 1e-9 && (direct.z - tip.z).abs() < 1e-8 && (direct.y - tip.y).abs() < 1e-8);
+    }
+
+    #[test]
+    fn table_turns_the_work_rigidly(alpha in -60.0..60.0_f64, dy in -50.0..50.0_f64, dz in -50.0..50.0_f64) {
+        let arm = Arm::new(&reference(), &HOME).expect("home");
+        let one = arm.in_work(&Tip { x: 800.0, y: 0.0, z: -560.0, sin_theta: 0.0 }, alpha);
+        let other = arm.in_work(&Tip { x: 800.0, y: dy, z: -560.0 + dz, sin_theta: 0.0 }, alpha);
+        let distance = (other[1] - one[1]).hypot(other[2] - one[2]);
+        prop_assert!((distance - dy.hypot(dz)).abs() < 1e-9);
+        // A step of the tool along z leans towards +y in the work when the table is turned up by a positive alpha.
+        let up = arm.in_work(&Tip { x: 800.0, y: 0.0, z: -559.0, sin_theta: 0.0 }, alpha);
+        prop_assert!((up[1] - one[1] - alpha.to_radians().sin()).abs() < 1e-9);
+    }
+}

@@ -1,0 +1,228 @@
+//! Masses, screws and frictions against conservation laws and closed formulas.
+
+mod machine;
+
+use haptimill_firmware::io::{DriveCommand, Outputs};
+use haptimill_hil_sim::mechanics::{Bodies, Mechanics};
+use haptimill_hil_sim::{Plant, PlantConfig};
+use proptest::prelude::*;
+
+const STEP: f64 = 20e-6;
+const NONE: [f64; 6] = [0.0; 6];
+
+fn torque(code: i16) -> Outputs {
+    let mut outputs = Outputs::default();
+    outputs.axes[0] = DriveCommand::Torque(code);
+    outputs
+}
+
+fn mechanics(config: &PlantConfig) -> Mechanics {
+    Mechanics::new(&config.joint, STEP)
+}
+
+#[test]
+fn screw_mode_is_where_it_is_said_to_be() {
+    for wanted in [40.0, 80.0, 200.0] {
+        let mut config = machine::ideal_slide();
+        config.joint[0].mode_hz = wanted;
+        config.joint[0].motor_share = 0.3;
+        let mechanics = mechanics(&config);
+        let mut bodies = Bodies::default();
+        bodies.motor[0] = 0.01;
+        // Time of 40 half periods, from one change of sign of the twist to the 41st.
+        let (mut first, mut last, mut crossings) = (None, 0.0, 0);
+        let mut before = bodies.motor[0] - bodies.slide[0];
+        for step in 0.. {
+            mechanics.step(&mut bodies, &NONE, &NONE);
+            let twist = bodies.motor[0] - bodies.slide[0];
+            if twist * before < 0.0 {
+                last = (f64::from(step) + before / (before - twist)) * STEP;
+                first.get_or_insert(last);
+                crossings += 1;
+                if crossings == 41 {
+                    break;
+                }
+            }
+            before = twist;
+        }
+        let measured = 20.0 / (last - first.expect("swings"));
+        assert!(
+            (measured / wanted - 1.0).abs() < 0.002,
+            "{measured} Hz, not {wanted}"
+        );
+    }
+}
+
+#[test]
+fn damping_ratio_is_what_it_is_said_to_be() {
+    let mut config = machine::ideal_slide();
+    config.joint[0].mode_damping = 0.05;
+    let mechanics = mechanics(&config);
+    let mut bodies = Bodies::default();
+    bodies.motor[0] = 0.01;
+    let start = mechanics.energy(&bodies, 0);
+    let periods = 4.0;
+    let damped = 80.0 * (1.0_f64 - 0.05 * 0.05).sqrt();
+    for _ in 0..(periods / damped / STEP).round() as u32 {
+        mechanics.step(&mut bodies, &NONE, &NONE);
+    }
+    // Energy falls by exp(-2 zeta omega t); the centre of mass moves not at all.
+    let ratio = (mechanics.energy(&bodies, 0) / start).ln();
+    let wanted = -2.0 * 0.05 * std::f64::consts::TAU * 80.0 * periods / damped;
+    assert!((ratio / wanted - 1.0).abs() < 0.02, "{ratio} {wanted}");
+}
+
+#[test]
+fn sticks_below_coulomb_and_moves_above() {
+    let config = machine::slide();
+    let mut plant = Plant::new(&config, 200).expect("a slide");
+    // Motor side alone holds 20 N: 19.9 N moves nothing, ever, to the last bit.
+    let code = (19.9 / 800.0 * 8192.0) as i16;
+    for _ in 0..5000 {
+        plant.advance(&torque(code));
+    }
+    assert_eq!(plant.bodies().motor_rate[0], 0.0);
+    assert_eq!(plant.bodies().motor[0], 0.0);
+    // Raised slowly to 39 N, it takes up the gap and winds the screw against the slide, which still sticks.
+    for step in 0..20_000 {
+        let newton = 19.9 + 19.1 * f64::from(step) / 20_000.0;
+        plant.advance(&torque((newton / 800.0 * 8192.0) as i16));
+    }
+    for _ in 0..2000 {
+        plant.advance(&torque((39.0 / 800.0 * 8192.0) as i16));
+    }
+    assert_eq!(plant.bodies().slide[0], 0.0);
+    assert_eq!(plant.bodies().slide_rate[0], 0.0);
+    assert_eq!(plant.bodies().motor_rate[0], 0.0);
+    assert!(plant.bodies().motor[0] > 0.005);
+    // 45 N moves it for good.
+    let code = (45.0 / 800.0 * 8192.0) as i16;
+    for _ in 0..5000 {
+        plant.advance(&torque(code));
+    }
+    assert!(plant.bodies().slide[0] > 1.0);
+    // With the drive off it comes to rest and stays.
+    for _ in 0..5000 {
+        plant.advance(&Outputs::default());
+    }
+    let rest = plant.bodies().clone();
+    plant.advance(&Outputs::default());
+    assert_eq!(&rest, plant.bodies());
+}
+
+#[test]
+fn viscous_speed_is_exact() {
+    let mut config = machine::slide();
+    config.joint[0].viscous = 2.0;
+    let mut plant = Plant::new(&config, 200).expect("a slide");
+    for _ in 0..4000 {
+        plant.advance(&torque(1024));
+    }
+    let wanted = (100.0 - 40.0) / 2.0;
+    assert!((plant.bodies().slide_rate[0] / wanted - 1.0).abs() < 1e-6);
+}
+
+#[test]
+fn backlash_is_the_lost_motion_of_a_reversal() {
+    for backlash in [0.0, 0.010, 0.050] {
+        let mut config = machine::slide();
+        config.joint[0].backlash = backlash;
+        config.joint[0].viscous = 2.0;
+        let mut plant = Plant::new(&config, 200).expect("a slide");
+        // At a steady (60 - 40) / 2 = 10 mm/s the screw carries the slide's share: 20 N and 1 N s/mm.
+        let mut wind = |newton: f64| {
+            for _ in 0..5000 {
+                plant.advance(&torque((newton / 800.0 * 8192.0).round() as i16));
+            }
+            let bodies = plant.bodies();
+            assert!((bodies.slide_rate[0].abs() - 10.0).abs() < 0.05);
+            bodies.motor[0] - bodies.slide[0]
+        };
+        let lost = wind(60.0) - wind(-60.0);
+        let elastic = 2.0 * 30.0 / config.joint[0].stiffness();
+        assert!(
+            (lost - elastic - backlash).abs() < 1e-4,
+            "lost motion {lost}, of which elastic {elastic}"
+        );
+    }
+}
+
+#[test]
+fn hard_stop_holds_and_takes_energy() {
+    let mut config = machine::slide();
+    config.joint[0].high = 2.0;
+    let mut plant = Plant::new(&config, 200).expect("a slide");
+    let mut worst = 0.0_f64;
+    for _ in 0..5000 {
+        plant.advance(&torque(2000));
+        worst = worst.max(plant.bodies().slide[0]);
+    }
+    assert!(worst < 2.2, "through the stop: {worst}");
+    assert!((plant.bodies().slide[0] - 2.0).abs() < 0.02);
+    assert!(plant.bodies().slide_rate[0].abs() < 1e-6);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(48))]
+
+    /// Nothing creates energy, and without friction nothing but the drive changes momentum.
+    #[test]
+    fn energy_and_momentum(
+        share in 0.1..0.9_f64,
+        mode in 20.0..400.0_f64,
+        backlash in prop_oneof![Just(0.0), 0.001..0.1_f64],
+        motor_rate in -50.0..50.0_f64,
+        slide_rate in -50.0..50.0_f64,
+    ) {
+        let mut config = machine::ideal_slide();
+        config.joint[0].motor_share = share;
+        config.joint[0].mode_hz = mode;
+        config.joint[0].backlash = backlash;
+        let mechanics = mechanics(&config);
+        let mut bodies = Bodies::default();
+        bodies.motor_rate[0] = motor_rate;
+        bodies.slide_rate[0] = slide_rate;
+        let (energy, momentum) = (mechanics.energy(&bodies, 0), mechanics.momentum(&bodies, 0));
+        // Swing of a Verlet integrator, plus what an edge of the gap falling within a step can add.
+        let omega = std::f64::consts::TAU * mode * STEP;
+        for _ in 0..10_000 {
+            mechanics.step(&mut bodies, &NONE, &NONE);
+            prop_assert!((mechanics.energy(&bodies, 0) / energy - 1.0).abs() < omega * omega + 1e-4 );
+        }
+        prop_assert!((mechanics.momentum(&bodies, 0) - momentum).abs() < 1e-9 * (1.0 + momentum.abs()));
+    }
+
+    /// With friction and damping, energy only falls, whatever the mechanism is doing.
+    #[test]
+    fn friction_only_dissipates(
+        coulomb in 1.0..100.0_f64,
+        viscous in 0.0..1.0_f64,
+        damping in 0.0..0.3_f64,
+        backlash in 0.0..0.05_f64,
+        motor_rate in -50.0..50.0_f64,
+        slide_rate in -50.0..50.0_f64,
+    ) {
+        let mut config = machine::slide();
+        let joint = &mut config.joint[0];
+        joint.coulomb = coulomb;
+        joint.viscous = viscous;
+        joint.mode_damping = damping;
+        joint.backlash = backlash;
+        let mechanics = mechanics(&config);
+        let mut bodies = Bodies::default();
+        bodies.motor_rate[0] = motor_rate;
+        bodies.slide_rate[0] = slide_rate;
+        let start = mechanics.energy(&bodies, 0);
+        let mut least = start;
+        // At 1 N on 40 kg at 50 mm/s it takes 2 s to come to rest.
+        for _ in 0..150_000 {
+            mechanics.step(&mut bodies, &NONE, &NONE);
+            let energy = mechanics.energy(&bodies, 0);
+            // Kinetic and elastic energy are exchanged with the swing of the integrator.
+            prop_assert!(energy <= least * (1.0 + 2e-3) + 1e-12 * start, "{energy} after {least}");
+            least = least.min(energy);
+        }
+        prop_assert_eq!(bodies.motor_rate[0], 0.0);
+        prop_assert_eq!(bodies.slide_rate[0], 0.0);
+    }
+}

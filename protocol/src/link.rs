@@ -1,0 +1,507 @@
+//! The link: messages over a line that loses, breaks, doubles and reorders bytes.
+//!
+//! One type, [`Link`], is used at both ends ([`ControllerLink`], [`HostLink`]). It is fed bytes and the time, and gives bytes and
+//! messages; it reads no port and no clock, allocates nothing, and does the same on a chip, on a host and in a test.
+//!
+//! * **Session.** The host says [`Hello`](crate::message::Hello), again and again until it hears [`Welcome`](crate::message::Welcome). A new session forgets the one before: its
+//!   numbers, its messages, its frames still under way. Version or schema that differ are refused, and so is a second host while the
+//!   machine is busy.
+//! * **Reliable messages** ([`Link::send`]) arrive once and in order, or the session ends. At most [`WINDOW`] are under way; each frame has
+//!   a sequence number, each frame in the other direction says what arrived, also beyond a gap. A frame is sent again as
+//!   soon as one that was sent after it has arrived, or after a time that follows the measured round trip.
+//! * **Latest values** ([`Link::send_latest`]) are sent once and replaced by the next; an older one that comes late is dropped.
+//! * **Life.** An end that has nothing to say says so every [`Timing::keep_alive_us`]; [`Link::peer_silent_us`] feeds the heartbeat.
+//!
+//! Both ends, on a line that carries everything at once:
+//!
+//! ```
+//! use haptimill_protocol::link::{ControllerLink, HostLink, Identity, LinkState, Timing};
+//! use haptimill_protocol::message::{Command, Report, Request};
+//!
+//! let mut host = HostLink::new(Timing::default());
+//! let mut controller = ControllerLink::new(Timing::default());
+//! host.open(0x1234_5678, 0); // the session's number: random, never used before
+//! let mut buffer = [0; 64];
+//! for now_us in (0..100_000).step_by(200) {
+//!     // The host: bytes out, bytes in, messages.
+//!     let count = host.transmit(now_us, &mut buffer);
+//!     controller.receive(now_us, &buffer[..count]);
+//!     // The controller, once a period: a greeting, at most one message, at most so many bytes.
+//!     if controller.hello().is_some() {
+//!         let identity = Identity { machine: "H4", config_crc: 0, period_us: 200, axes: 5, queue: 64 };
+//!         controller.welcome(now_us, &identity, false);
+//!     }
+//!     if let Some(Request { id, command: Command::Ping }) = controller.poll_message() {
+//!         controller.send(&Report::Answer { id, result: Ok(()) }).unwrap();
+//!     }
+//!     let count = controller.transmit(now_us, &mut buffer);
+//!     host.receive(now_us, &buffer[..count]);
+//!     if now_us == 50_000 {
+//!         assert_eq!(host.state(now_us), LinkState::Open);
+//!         host.send(&Request { id: 7, command: Command::Ping }).unwrap();
+//!     }
+//! }
+//! assert_eq!(host.poll_message(), Some(Report::Answer { id: 7, result: Ok(()) }));
+//! ```
+//!
+//! Misuse: the time must not run backwards. A duplicate that comes more than 240 reliable frames late would be taken for a new one; no
+//! serial line does that. A session number that was used before makes late frames of the old session good again.
+//!
+//! Memory: [`ControllerLink`] has 3 KiB, [`HostLink`] 8 KiB (held by a test).
+
+mod ends;
+mod inbox;
+mod outbox;
+#[cfg(test)]
+mod tests;
+
+pub use ends::{Controller, End, Greeted, Host, Identity};
+
+use crate::frame::{self, FrameBytes, FrameDecoder, Header, MAX_PAYLOAD};
+use crate::message::HelloRefusal;
+use heapless::Vec;
+use inbox::Inbox;
+use outbox::Outbox;
+
+/// The most reliable frames under way in one direction.
+pub const WINDOW: usize = 8;
+
+/// The controller's end: takes requests, gives reports. Answers and events are short, so the room to send is small.
+pub type ControllerLink = Link<Controller, 512, 1024>;
+
+/// The host's end: sends requests, takes reports.
+pub type HostLink = Link<Host, 2400, 4096>;
+
+/// Times and rate of a link. The defaults suit a serial line of 115,200 baud and anything faster.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Timing {
+    /// The longest silence of a living end, microseconds.
+    pub keep_alive_us: u32,
+    /// How long an acknowledgement waits for a frame to ride on, microseconds.
+    pub acknowledge_us: u32,
+    /// Time between two greetings, microseconds.
+    pub hello_us: u32,
+    /// Bounds of the time after which an unanswered frame is sent again, microseconds; it follows the round trip in between.
+    pub resend_us: (u32, u32),
+    /// Silence of the peer after which the session is lost, microseconds.
+    pub silence_us: u32,
+    /// Time without progress of a reliable message after which the session is lost, microseconds.
+    pub stall_us: u32,
+    /// Bytes per second that the line carries; 0 for no bound. [`Link::transmit`] gives no more, so that nothing waits in a
+    /// driver where it cannot be overtaken.
+    pub line_rate: u32,
+    /// How far the line may be filled ahead, microseconds; at least the time between two calls of [`Link::transmit`].
+    pub line_ahead_us: u32,
+}
+
+impl Default for Timing {
+    fn default() -> Self {
+        Self {
+            keep_alive_us: 40_000,
+            acknowledge_us: 5_000,
+            hello_us: 100_000,
+            resend_us: (15_000, 400_000),
+            silence_us: 1_000_000,
+            stall_us: 5_000_000,
+            line_rate: 0,
+            line_ahead_us: 5_000,
+        }
+    }
+}
+
+/// How a link stands.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum LinkState {
+    /// No session.
+    Closed,
+    /// The host greets and waits for an answer.
+    Opening,
+    /// Messages go.
+    Open,
+    /// The controller answered with a refusal; [`Link::peer`] says more.
+    Refused(HelloRefusal),
+    /// The peer fell silent.
+    Silent,
+    /// The peer lives, and yet a message cannot be brought over: the line is too bad.
+    Stalled,
+}
+
+/// Why a message cannot be sent.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum SendError {
+    /// No session is open.
+    NotOpen,
+    /// As many messages, or bytes, are under way as can be; later there is room again.
+    Full,
+    /// It fits no frame.
+    TooLong,
+}
+
+impl core::fmt::Display for SendError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(match self {
+            Self::NotOpen => "no session is open",
+            Self::Full => "too many messages are under way; wait for an acknowledgement",
+            Self::TooLong => "the message fits no frame",
+        })
+    }
+}
+
+impl core::error::Error for SendError {}
+
+/// What a link has counted since it was made. Each stays at its largest value.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Counters {
+    /// Frames sent, of any kind.
+    pub frames_sent: u32,
+    /// Frames with the right check, of any kind.
+    pub frames_heard: u32,
+    /// Frames refused by their check; those of an old session are among them.
+    pub bad_frames: u32,
+    /// Reliable frames sent again.
+    pub resent: u32,
+    /// Reliable frames that had arrived before.
+    pub duplicates: u32,
+    /// Frames that found no room and were dropped; reliable ones come again.
+    pub no_room: u32,
+    /// Messages with the right check that could not be read: never seen unless two builds lie about their schema.
+    pub unreadable: u32,
+}
+
+/// One end of a link. `SEND` and `RECEIVE` are the bytes kept of messages under way in either direction.
+#[derive(Debug)]
+pub struct Link<E: End, const SEND: usize, const RECEIVE: usize> {
+    /// Times and rate.
+    timing: Timing,
+    /// What differs between the ends.
+    end: E,
+    /// A session is open.
+    open: bool,
+    /// Number of the session.
+    session: u32,
+    /// From bytes to frames.
+    decoder: FrameDecoder,
+    /// What is to be acknowledged and polled.
+    inbox: Inbox<RECEIVE>,
+    /// What is under way.
+    outbox: Outbox<SEND>,
+    /// The next latest value, if one waits; its number.
+    latest: Option<Vec<u8, MAX_PAYLOAD>>,
+    latest_sequence: u8,
+    /// The frame that is going out, and how much of it has gone.
+    wire: FrameBytes,
+    gone: usize,
+    /// Since when an acknowledgement waits; how many frames it covers.
+    acknowledge_since: Option<u64>,
+    acknowledge_count: u8,
+    /// When a frame was last begun; when the peer was last heard.
+    spoke_us: u64,
+    heard_us: u64,
+    /// When the line will have carried all that was given to it, in nanoseconds.
+    line_free_ns: u64,
+    counters: Counters,
+}
+
+impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
+    /// A link without a session.
+    pub fn new(timing: Timing) -> Self {
+        Self {
+            timing,
+            end: E::default(),
+            open: false,
+            session: 0,
+            decoder: FrameDecoder::new(),
+            inbox: Inbox::default(),
+            outbox: Outbox::default(),
+            latest: None,
+            latest_sequence: 0,
+            wire: FrameBytes::new(),
+            gone: 0,
+            acknowledge_since: None,
+            acknowledge_count: 0,
+            spoke_us: 0,
+            heard_us: 0,
+            line_free_ns: 0,
+            counters: Counters::default(),
+        }
+    }
+
+    /// How the link stands at a time. [`LinkState::Silent`] and [`LinkState::Stalled`] end a host's session; a controller's session stays
+    /// until the next greeting, and what to do in the meantime is the caller's decision.
+    pub fn state(&self, now_us: u64) -> LinkState {
+        if !self.open {
+            self.end.closed()
+        } else if self.peer_silent_us(now_us) >= u64::from(self.timing.silence_us) {
+            LinkState::Silent
+        } else if self.outbox.stalled_us(now_us) >= u64::from(self.timing.stall_us) {
+            LinkState::Stalled
+        } else {
+            LinkState::Open
+        }
+    }
+
+    /// Number of the session; 0 when there is none.
+    pub fn session(&self) -> u32 {
+        self.session
+    }
+
+    /// How long nothing good has been heard of the peer, microseconds.
+    pub fn peer_silent_us(&self, now_us: u64) -> u64 {
+        now_us.saturating_sub(self.heard_us)
+    }
+
+    /// What was counted since the link was made.
+    pub fn counters(&self) -> Counters {
+        Counters {
+            bad_frames: self.decoder.bad_frames(),
+            resent: self.outbox.resent,
+            duplicates: self.inbox.duplicates,
+            no_room: self.inbox.no_room,
+            ..self.counters
+        }
+    }
+
+    /// Measured round trip, microseconds; 0 before the first measurement.
+    pub fn round_trip_us(&self) -> u32 {
+        self.outbox.round_trip_us()
+    }
+
+    /// Takes bytes from the line. The work is bounded by their number; messages wait for [`Link::poll_message`].
+    pub fn receive(&mut self, now_us: u64, bytes: &[u8]) {
+        let Self {
+            decoder,
+            inbox,
+            outbox,
+            end,
+            counters,
+            ..
+        } = self;
+        let mut greeted = false;
+        let mut heard = false;
+        for &byte in bytes {
+            let Some(frame) = decoder.push(byte) else {
+                continue;
+            };
+            counters.frames_heard = counters.frames_heard.saturating_add(1);
+            match frame.header {
+                Header::Hello | Header::Welcome => {
+                    greeted |= end.greeted(frame.header, frame.payload);
+                    continue;
+                }
+                _ if !self.open => continue,
+                Header::Reliable {
+                    sequence,
+                    acknowledgement,
+                } => {
+                    outbox.acknowledge(now_us, acknowledgement);
+                    let urgent = inbox.reliable(sequence, frame.payload);
+                    self.acknowledge_since.get_or_insert(now_us);
+                    let more = if urgent { WINDOW as u8 } else { 1 };
+                    self.acknowledge_count = self.acknowledge_count.saturating_add(more);
+                }
+                Header::Latest {
+                    sequence,
+                    acknowledgement,
+                } => {
+                    outbox.acknowledge(now_us, acknowledgement);
+                    inbox.latest(sequence, frame.payload);
+                }
+                Header::Acknowledge(acknowledgement) => {
+                    outbox.acknowledge(now_us, acknowledgement);
+                }
+            }
+            heard = true;
+        }
+        if heard {
+            self.heard_us = now_us;
+        }
+        if greeted {
+            if let Some(session) = self.end.accepted() {
+                self.begin(now_us, session);
+            }
+        }
+    }
+
+    /// The next message, if there is one. A reliable one comes once and in order.
+    pub fn poll_message(&mut self) -> Option<E::Hears> {
+        while let Some(payload) = self.inbox.next() {
+            match postcard::from_bytes(&payload) {
+                Ok(message) => return Some(message),
+                Err(_) => {
+                    self.counters.unreadable = self.counters.unreadable.saturating_add(1);
+                }
+            }
+        }
+        None
+    }
+
+    /// Sends a message that must arrive, once and in order.
+    ///
+    /// # Errors
+    ///
+    /// [`SendError::Full`] when the window or the room is used up: nothing was taken, try again later.
+    pub fn send(&mut self, message: &E::Sends) -> Result<(), SendError> {
+        if !self.open {
+            return Err(SendError::NotOpen);
+        }
+        let mut buffer = [0; MAX_PAYLOAD];
+        let payload = postcard::to_slice(message, &mut buffer).map_err(|_| SendError::TooLong)?;
+        if self.outbox.push(payload) {
+            Ok(())
+        } else {
+            Err(SendError::Full)
+        }
+    }
+
+    /// Reliable messages that can surely be sent now.
+    pub fn room(&self) -> usize {
+        if self.open { self.outbox.room() } else { 0 }
+    }
+
+    /// Reliable messages that the peer has not confirmed.
+    pub fn under_way(&self) -> usize {
+        self.outbox.len()
+    }
+
+    /// Sends a message of which only the newest is of interest; one that still waits is replaced.
+    ///
+    /// # Errors
+    ///
+    /// [`SendError`] when no session is open, or the message fits no frame.
+    pub fn send_latest(&mut self, message: &E::Sends) -> Result<(), SendError> {
+        if !self.open {
+            return Err(SendError::NotOpen);
+        }
+        let mut buffer = [0; MAX_PAYLOAD];
+        let payload = postcard::to_slice(message, &mut buffer).map_err(|_| SendError::TooLong)?;
+        self.latest = Some(Vec::from_slice(payload).map_err(|_| SendError::TooLong)?);
+        Ok(())
+    }
+
+    /// Fills a buffer with the next bytes for the line and says how many they are.
+    pub fn transmit(&mut self, now_us: u64, buffer: &mut [u8]) -> usize {
+        let allowed = self.allowed(now_us).min(buffer.len());
+        let mut count = 0;
+        while count < allowed {
+            if self.gone == self.wire.len() && !self.compose(now_us) {
+                break;
+            }
+            let ready = self.wire.get(self.gone..).unwrap_or_default();
+            let free = buffer.get_mut(count..allowed).unwrap_or_default();
+            let part = ready.len().min(free.len());
+            for (to, from) in free.iter_mut().zip(ready) {
+                *to = *from;
+            }
+            self.gone += part;
+            count += part;
+        }
+        self.charge(now_us, count);
+        count
+    }
+
+    /// Begins a session: nothing of the one before is left.
+    fn begin(&mut self, now_us: u64, session: u32) {
+        self.session = session;
+        self.open = true;
+        self.decoder.set_session(session);
+        self.inbox.clear();
+        self.outbox.clear();
+        self.latest = None;
+        self.latest_sequence = 0;
+        self.acknowledge_since = None;
+        self.acknowledge_count = 0;
+        self.heard_us = now_us;
+        self.spoke_us = now_us;
+        // A frame that has begun to go out goes out whole; the peer will not hear it.
+    }
+
+    /// Ends the session; [`Link::counters`] are kept.
+    pub fn close(&mut self) {
+        self.open = false;
+        self.session = 0;
+        self.decoder.set_session(0);
+        self.end = E::default();
+    }
+
+    /// Encodes the next frame into `wire`; false when there is nothing to say. What is said first: greetings, then frames to be
+    /// sent again and new ones, then the latest value, then an acknowledgement that found nothing to ride on.
+    fn compose(&mut self, now_us: u64) -> bool {
+        self.gone = 0;
+        self.wire.clear();
+        let Self {
+            timing,
+            end,
+            inbox,
+            outbox,
+            wire,
+            session,
+            ..
+        } = self;
+        let mut buffer = [0; MAX_PAYLOAD];
+        let composed = if let Some((header, payload)) =
+            end.greeting(now_us, timing.hello_us, &mut buffer)
+        {
+            // A zero in front: what the line had before is unknown.
+            frame::encode(header, payload, 0, wire).is_ok() && wire.insert(0, 0).is_ok()
+        } else if !self.open {
+            return false;
+        } else {
+            let acknowledgement = inbox.acknowledgement();
+            let due = self.acknowledge_since.is_some_and(|since| {
+                usize::from(self.acknowledge_count) >= WINDOW / 2
+                    || now_us.saturating_sub(since) >= u64::from(timing.acknowledge_us)
+            });
+            let silent = now_us.saturating_sub(self.spoke_us) >= u64::from(timing.keep_alive_us);
+            let framed = if let Some((sequence, payload)) = outbox.next(now_us, timing.resend_us) {
+                let header = Header::Reliable {
+                    sequence,
+                    acknowledgement,
+                };
+                frame::encode(header, payload, *session, wire)
+            } else if let Some(payload) = self.latest.take() {
+                self.latest_sequence = self.latest_sequence.wrapping_add(1);
+                let header = Header::Latest {
+                    sequence: self.latest_sequence,
+                    acknowledgement,
+                };
+                frame::encode(header, &payload, *session, wire)
+            } else if due || silent {
+                frame::encode(Header::Acknowledge(acknowledgement), &[], *session, wire)
+            } else {
+                return false;
+            };
+            // Each of them carries the acknowledgement.
+            self.acknowledge_since = None;
+            self.acknowledge_count = 0;
+            framed.is_ok()
+        };
+        self.spoke_us = now_us;
+        self.counters.frames_sent = self.counters.frames_sent.saturating_add(1);
+        composed
+    }
+
+    /// Bytes that the line can take now: what it carries in the time that it may be filled ahead, less what it still has.
+    fn allowed(&self, now_us: u64) -> usize {
+        if self.timing.line_rate == 0 {
+            return usize::MAX;
+        }
+        let ahead_ns = u64::from(self.timing.line_ahead_us.min(1_000_000)) * 1000;
+        let until = now_us.saturating_mul(1000).saturating_add(ahead_ns);
+        let room_ns = until.saturating_sub(self.line_free_ns).min(ahead_ns);
+        // Below 10^9 * 2^32 < 2^62.
+        (room_ns * u64::from(self.timing.line_rate) / 1_000_000_000) as usize
+    }
+
+    /// The line has been given some bytes.
+    fn charge(&mut self, now_us: u64, bytes: usize) {
+        if self.timing.line_rate != 0 {
+            let cost =
+                (bytes as u64).saturating_mul(1_000_000_000) / u64::from(self.timing.line_rate);
+            let from = self.line_free_ns.max(now_us.saturating_mul(1000));
+            self.line_free_ns = from.saturating_add(cost);
+        }
+    }
+}

@@ -1,0 +1,164 @@
+//! What arrived and waits: reliable messages put into order, latest values as they come.
+
+use crate::frame::{Acknowledgement, MAX_PAYLOAD};
+use heapless::Vec;
+
+/// Bytes in front of each stored payload: its kind, its number, its length.
+const PREFIX: usize = 4;
+
+/// A stored reliable message.
+const RELIABLE: u8 = 1;
+/// A stored latest value.
+const LATEST: u8 = 2;
+
+/// Messages that arrived, one after the other: kind, number, length (two bytes), payload.
+#[derive(Debug, Default)]
+pub(super) struct Inbox<const BYTES: usize> {
+    stored: Vec<u8, BYTES>,
+    /// The reliable frame that is missing first.
+    missing: u8,
+    /// Bit `k`: frame `missing + 1 + k` arrived.
+    beyond: u8,
+    /// The reliable message that is to be given next.
+    give: u8,
+    /// Number of the newest latest value.
+    newest: Option<u8>,
+    /// Reliable frames that had arrived before.
+    pub(super) duplicates: u32,
+    /// Frames that found no room.
+    pub(super) no_room: u32,
+}
+
+impl<const BYTES: usize> Inbox<BYTES> {
+    /// A message of the largest size must fit beside one that came too early.
+    const ENOUGH: () = assert!(BYTES >= 2 * (PREFIX + MAX_PAYLOAD));
+
+    /// Forgets everything but the counts.
+    pub(super) fn clear(&mut self) {
+        let () = Self::ENOUGH;
+        *self = Self {
+            duplicates: self.duplicates,
+            no_room: self.no_room,
+            ..Self::default()
+        };
+    }
+
+    /// What is to be told to the peer.
+    pub(super) fn acknowledgement(&self) -> Acknowledgement {
+        Acknowledgement {
+            next: self.missing,
+            beyond: self.beyond,
+        }
+    }
+
+    /// Takes a reliable frame; true when the peer should be told at once: there is a gap, or it did not hear what it was told.
+    pub(super) fn reliable(&mut self, sequence: u8, payload: &[u8]) -> bool {
+        let ahead = sequence.wrapping_sub(self.missing);
+        if ahead == 0 {
+            // Half the circle of numbers at most may wait to be polled, or they could not be told apart.
+            if self.missing.wrapping_sub(self.give) >= 120 {
+                self.no_room = self.no_room.saturating_add(1);
+                return false;
+            }
+            if !self.store(RELIABLE, sequence, payload, 0) {
+                return false;
+            }
+            // Frames that had come too early are now in order.
+            let run = self.beyond.trailing_ones();
+            self.missing = self.missing.wrapping_add(1 + run as u8);
+            self.beyond = self.beyond.checked_shr(run + 1).unwrap_or(0);
+            return run > 0 || self.beyond != 0;
+        }
+        if ahead > 8 {
+            // Behind by less than half the circle: it was here before. Ahead by more than a window: not ours.
+            if ahead >= 128 {
+                self.duplicates = self.duplicates.saturating_add(1);
+            }
+            return true;
+        }
+        let bit = 1 << (ahead - 1);
+        if self.beyond & bit != 0 {
+            self.duplicates = self.duplicates.saturating_add(1);
+        } else if self.store(RELIABLE, sequence, payload, PREFIX + MAX_PAYLOAD) {
+            self.beyond |= bit;
+        }
+        true
+    }
+
+    /// Takes a latest value, unless a newer one was here. When room is short, older ones make way.
+    pub(super) fn latest(&mut self, sequence: u8, payload: &[u8]) {
+        let old = self
+            .newest
+            .is_some_and(|newest| sequence.wrapping_sub(newest) as i8 <= 0);
+        if old {
+            return;
+        }
+        self.newest = Some(sequence);
+        // A reliable message that comes in order must find its room whatever else is here.
+        let reserve = PREFIX + MAX_PAYLOAD;
+        while self.free() < PREFIX + payload.len() + reserve {
+            let Some((start, end)) = self.find(|kind, _| kind == LATEST) else {
+                break;
+            };
+            self.remove(start, end);
+            self.no_room = self.no_room.saturating_add(1);
+        }
+        self.store(LATEST, sequence, payload, reserve);
+    }
+
+    /// The next message in order.
+    pub(super) fn next(&mut self) -> Option<Vec<u8, MAX_PAYLOAD>> {
+        let give = self.give;
+        let (start, end) = self.find(|kind, sequence| kind == LATEST || sequence == give)?;
+        let kind = self.stored.get(start).copied()?;
+        let payload = Vec::from_slice(self.stored.get(start + PREFIX..end)?).ok()?;
+        self.remove(start, end);
+        if kind == RELIABLE {
+            self.give = self.give.wrapping_add(1);
+        }
+        Some(payload)
+    }
+
+    /// Bytes that are free.
+    fn free(&self) -> usize {
+        BYTES - self.stored.len()
+    }
+
+    /// Stores a payload if that leaves `reserve` bytes free.
+    fn store(&mut self, kind: u8, sequence: u8, payload: &[u8], reserve: usize) -> bool {
+        if payload.len() > MAX_PAYLOAD || self.free() < PREFIX + payload.len() + reserve {
+            self.no_room = self.no_room.saturating_add(1);
+            return false;
+        }
+        let [low, high] = (payload.len() as u16).to_le_bytes();
+        self.stored
+            .extend_from_slice(&[kind, sequence, low, high])
+            .is_ok()
+            && self.stored.extend_from_slice(payload).is_ok()
+    }
+
+    /// Where the first stored message lies that is wanted.
+    fn find(&self, wanted: impl Fn(u8, u8) -> bool) -> Option<(usize, usize)> {
+        let mut start = 0;
+        while let Some(&[kind, sequence, low, high]) = self
+            .stored
+            .get(start..)
+            .and_then(|rest| rest.first_chunk::<PREFIX>())
+        {
+            let end = start + PREFIX + usize::from(u16::from_le_bytes([low, high]));
+            if wanted(kind, sequence) {
+                return Some((start, end));
+            }
+            start = end;
+        }
+        None
+    }
+
+    /// Removes what lies between two places.
+    fn remove(&mut self, start: usize, end: usize) {
+        let end = end.min(self.stored.len());
+        self.stored.copy_within(end.., start);
+        self.stored
+            .truncate(self.stored.len() - (end - start.min(end)));
+    }
+}

@@ -1,0 +1,226 @@
+//! The coding is exact for every setpoint, and cheap for the ones that a planner makes.
+
+use super::*;
+use crate::message::SETPOINT_BATCH;
+use proptest::prelude::*;
+use std::vec::Vec as StdVec;
+
+/// Any setpoint of a number of axes, rich in extremes.
+fn setpoint(axes: usize) -> impl Strategy<Value = Setpoint> {
+    let value = || prop_oneof![any::<i32>(), -100..100i32, Just(i32::MIN), Just(i32::MAX)];
+    let values = move || prop::collection::vec(value(), axes);
+    (
+        prop_oneof![1..=u16::MAX, 1..200u16, Just(u16::MAX)],
+        values(),
+        values(),
+        0..3u8,
+        any::<u16>(),
+    )
+        .prop_map(|(periods, pose, rates, kind, speed)| Setpoint {
+            periods,
+            pose: pose.into_iter().collect(),
+            rates: rates.into_iter().collect(),
+            action: [Action::None, Action::Pause, Action::Spindle(speed)][usize::from(kind)],
+        })
+}
+
+proptest! {
+    #[test]
+    fn decoding_gives_back_every_bit(
+        period_us in prop_oneof![1..=u16::MAX, Just(200)],
+        (start, setpoints) in (0..=MAX_AXES).prop_flat_map(|axes| (
+            prop::collection::vec(any::<i32>(), axes),
+            prop::collection::vec(setpoint(axes), 1..20),
+        )),
+    ) {
+        let mut encoder = SetpointCoder::new(period_us, &start.into_iter().collect());
+        let mut decoder = encoder.clone();
+        for setpoint in setpoints {
+            let delta = encoder.encode(&setpoint).unwrap();
+            let mut buffer = [0; 80];
+            let bytes = postcard::to_slice(&delta, &mut buffer).unwrap();
+            let delta: SetpointDelta = postcard::from_bytes(bytes).unwrap();
+            prop_assert_eq!(decoder.decode(&delta).unwrap(), setpoint);
+            prop_assert_eq!(&encoder, &decoder);
+        }
+    }
+
+    /// Whatever arrives, decoding ends with a setpoint or an error, never a panic, and an error changes nothing.
+    #[test]
+    fn any_delta_is_decoded_or_refused(
+        axes in 0..=MAX_AXES,
+        deltas in prop::collection::vec((any::<u16>(), any::<u8>(), prop::collection::vec(any::<i32>(), 0..=2 * MAX_AXES)), 1..20),
+    ) {
+        let mut coder = SetpointCoder::new(200, &core::iter::repeat_n(i32::MAX, axes).collect());
+        for (periods, moved, residuals) in deltas {
+            let before = coder.clone();
+            let delta = SetpointDelta { periods, moved, residuals: residuals.iter().copied().collect(), action: Action::None };
+            let well = periods > 0 && u32::from(moved) >> axes == 0 && residuals.len() == 2 * moved.count_ones() as usize;
+            prop_assert_eq!(coder.decode(&delta).is_ok(), well);
+            if !well {
+                prop_assert_eq!(&coder, &before);
+            }
+        }
+    }
+}
+
+#[test]
+fn wrong_setpoints_are_refused_and_change_nothing() {
+    let mut coder = SetpointCoder::new(200, &[1, 2].into_iter().collect());
+    let before = coder.clone();
+    let good = Setpoint {
+        periods: 1,
+        pose: [1, 2].into_iter().collect(),
+        rates: [0, 0].into_iter().collect(),
+        action: Action::None,
+    };
+    let late = Setpoint {
+        periods: 0,
+        ..good.clone()
+    };
+    assert_eq!(coder.encode(&late), Err(SetpointError::NoTime));
+    let short = Setpoint {
+        rates: [0].into_iter().collect(),
+        ..good
+    };
+    assert_eq!(coder.encode(&short), Err(SetpointError::AxisCount));
+    assert_eq!(coder, before);
+}
+
+const PERIOD_US: u16 = 200;
+const MM: f64 = 1048576.0;
+const TURN: f64 = 4294967296.0;
+
+/// The setpoints of a motion given by its coordinates at a time (mm or turns, scale), every `periods`.
+fn sample(
+    motion: &dyn Fn(f64) -> [f64; 5],
+    scales: [f64; 5],
+    duration: f64,
+    periods: u16,
+) -> StdVec<Setpoint> {
+    let step = f64::from(periods) * f64::from(PERIOD_US) * 1e-6;
+    let count = (duration / step) as usize;
+    let rates = |t: f64| {
+        let (e, mut r) = (1e-4, [0.0; 5]);
+        let (a, b, c, d) = (
+            motion(t - 2.0 * e),
+            motion(t - e),
+            motion(t + e),
+            motion(t + 2.0 * e),
+        );
+        for k in 0..5 {
+            r[k] = (a[k] - 8.0 * b[k] + 8.0 * c[k] - d[k]) / (12.0 * e);
+        }
+        r
+    };
+    (0..=count)
+        .map(|n| {
+            let t = n as f64 * step;
+            let (pose, rate) = (motion(t), rates(t));
+            Setpoint {
+                periods,
+                pose: (0..5)
+                    .map(|k| (pose[k] * scales[k]).round() as i64 as i32)
+                    .collect(),
+                rates: (0..5)
+                    .map(|k| (rate[k] * scales[k] / 256.0).round() as i32)
+                    .collect(),
+                action: Action::None,
+            }
+        })
+        .collect()
+}
+
+/// Bytes on the line per setpoint, everything included but acknowledgements: framing, request, batch.
+fn line_bytes(setpoints: &[Setpoint]) -> f64 {
+    use crate::frame::{self, Acknowledgement, FrameBytes, Header};
+    use crate::message::{Command, Request, SetpointBatch};
+    let mut coder = SetpointCoder::new(PERIOD_US, &setpoints[0].pose);
+    let (mut bytes, mut frame) = (0, FrameBytes::new());
+    for (index, batch) in setpoints[1..].chunks(SETPOINT_BATCH).enumerate() {
+        let items = batch
+            .iter()
+            .map(|setpoint| coder.encode(setpoint).unwrap())
+            .collect();
+        let first = (index * SETPOINT_BATCH) as u32;
+        let request = Request {
+            id: 0,
+            command: Command::Setpoints(SetpointBatch { first, items }),
+        };
+        let mut buffer = [0; frame::MAX_PAYLOAD];
+        let payload = postcard::to_slice(&request, &mut buffer).unwrap();
+        let acknowledgement = Acknowledgement { next: 7, beyond: 0 };
+        frame::encode(
+            Header::Reliable {
+                sequence: 9,
+                acknowledgement,
+            },
+            payload,
+            77,
+            &mut frame,
+        )
+        .unwrap();
+        bytes += frame.len();
+    }
+    bytes as f64 / (setpoints.len() - 1) as f64
+}
+
+/// The aim is 24 bytes for a pocket and 40 for full motion of five axes, framing included.
+#[test]
+fn wire_cost() {
+    let linear = [MM, MM, MM, TURN, TURN];
+    // A pocket: a 15 mm circle at 4 mm/s and a rectangle's long side with a smooth start (quintic), both with two axes still.
+    let circle = |t: f64| {
+        let w = 4.0 / 15.0 * t;
+        [15.0 * w.cos(), 15.0 * w.sin(), -2.0 - 0.05 * t, 0.1, -0.2]
+    };
+    // Minimum-jerk strokes of 8 mm back and forth, 2.5 s each: strongly accelerated all the time, jerk up to 30 mm/s^3.
+    let strokes = |t: f64| {
+        let (n, s) = ((t / 2.5).floor(), (t / 2.5).fract());
+        let part = s * s * s * (10.0 - 15.0 * s + 6.0 * s * s);
+        let x = 8.0
+            * if n.rem_euclid(2.0) == 0.0 {
+                part
+            } else {
+                1.0 - part
+            };
+        [x, 0.4 * x + 3.0, -2.0, 0.1, -0.2]
+    };
+    // Five axes in full motion: a sphere is milled at 25 mm/s with tool tilt and table going along.
+    let sphere = |t: f64| {
+        let w = 25.0 / 40.0 * t;
+        [
+            40.0 * w.cos(),
+            30.0 * (1.1 * w).sin(),
+            10.0 * (2.3 * w).sin(),
+            0.08 * (0.7 * w).sin(),
+            0.3 * w + 0.02 * (3.0 * w).sin(),
+        ]
+    };
+    let figures = [
+        (
+            "circle r 15 mm, 4 mm/s, 3 axes",
+            line_bytes(&sample(&circle, linear, 20.0, 100)),
+            24.0,
+        ),
+        (
+            "strokes 8 mm in 2.5 s, 2 axes",
+            line_bytes(&sample(&strokes, linear, 20.0, 100)),
+            24.0,
+        ),
+        (
+            "five axes, 25 mm/s",
+            line_bytes(&sample(&sphere, linear, 20.0, 100)),
+            40.0,
+        ),
+        (
+            "five axes, 25 mm/s, every 5 ms",
+            line_bytes(&sample(&sphere, linear, 20.0, 25)),
+            40.0,
+        ),
+    ];
+    for (name, bytes, limit) in figures {
+        std::println!("{name:36} {bytes:5.1} bytes a setpoint on the line, at most {limit}");
+        assert!(bytes <= limit, "{name}");
+    }
+}

@@ -1,0 +1,88 @@
+//! The stop that waits for nothing.
+//!
+//! `00 18 00` on the line asks for a stop, whatever the framing is doing and however much is queued before the messages: a receive
+//! interrupt runs [`UrgentDetector`] on every byte as it comes in and sets a flag. No frame contains these bytes: between its
+//! zeros, 18 (hexadecimal) alone would be a COBS code that announces 23 more bytes. Bytes lost on the line may produce it; the
+//! machine then stops without need, along its path, position kept.
+//!
+//! The bytes are not protected by a check and may be lost themselves, so the sender repeats them until a stop is reported.
+
+/// The code between the two zeros (CAN, "cancel").
+pub const STOP_CODE: u8 = 0x18;
+
+/// What is sent to ask for a stop.
+pub const STOP: [u8; 3] = [0, STOP_CODE, 0];
+
+/// Recognises [`STOP`] byte by byte. One byte of state, no loop, no branch on memory: fit for a receive interrupt.
+///
+/// ```
+/// use haptimill_protocol::urgent::UrgentDetector;
+/// let mut detector = UrgentDetector::new();
+/// let found: Vec<bool> = [7, 0, 0x18, 0, 0x18, 0].iter().map(|&b| detector.push(b)).collect();
+/// assert_eq!(found, [false, false, false, true, false, true]);
+/// ```
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct UrgentDetector {
+    /// Bytes of the pattern seen: 0, 1 or 2.
+    seen: u8,
+}
+
+impl UrgentDetector {
+    /// A detector that has seen nothing.
+    pub const fn new() -> Self {
+        Self { seen: 0 }
+    }
+
+    /// Takes the next byte; true when it completes the pattern. The closing zero can open the next one.
+    pub const fn push(&mut self, byte: u8) -> bool {
+        let complete = self.seen == 2 && byte == 0;
+        self.seen = match byte {
+            0 => 1,
+            STOP_CODE if self.seen == 1 => 2,
+            _ => 0,
+        };
+        complete
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frame::{self, Acknowledgement, FrameBytes, Header, MAX_PAYLOAD};
+    use proptest::prelude::*;
+
+    proptest! {
+        /// Any run of frames, whatever they carry, is free of the pattern; and an urgent stop between any of them is found at once.
+        #[test]
+        fn no_frame_is_a_stop(
+            payloads in prop::collection::vec(
+                prop::collection::vec(prop_oneof![Just(0u8), Just(STOP_CODE), Just(0x17), any::<u8>()], 0..MAX_PAYLOAD), 1..6),
+            sequence: u8, next: u8, beyond: u8, session: u32, kind in 0..5,
+        ) {
+            let mut detector = UrgentDetector::new();
+            let mut frame = FrameBytes::new();
+            for payload in payloads {
+                let acknowledgement = Acknowledgement { next, beyond };
+                let header = match kind {
+                    0 => Header::Hello,
+                    1 => Header::Welcome,
+                    2 => Header::Reliable { sequence, acknowledgement },
+                    3 => Header::Latest { sequence, acknowledgement },
+                    _ => Header::Acknowledge(acknowledgement),
+                };
+                frame::encode(header, &payload, session, &mut frame).unwrap();
+                prop_assert!(!frame.iter().any(|&byte| detector.push(byte)));
+                prop_assert_eq!(STOP.map(|byte| detector.push(byte)), [false, false, true]);
+            }
+        }
+
+        /// The detector agrees with a search over the whole stream.
+        #[test]
+        fn finds_every_stop(bytes in prop::collection::vec(prop_oneof![Just(0u8), Just(STOP_CODE), any::<u8>()], 0..200)) {
+            let mut detector = UrgentDetector::new();
+            for end in 1..=bytes.len() {
+                prop_assert_eq!(detector.push(bytes[end - 1]), bytes[..end].ends_with(&STOP));
+            }
+        }
+    }
+}
