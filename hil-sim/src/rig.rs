@@ -22,6 +22,13 @@ pub trait Control {
     fn tick(&mut self, inputs: &Inputs, outputs: &mut Outputs);
 }
 
+/// The controller of this project, in the same process.
+impl Control for haptimill_firmware::controller::Controller {
+    fn tick(&mut self, inputs: &Inputs, outputs: &mut Outputs) {
+        Self::tick(self, inputs, outputs, &mut ());
+    }
+}
+
 /// How a rig is put together, besides its machine.
 #[derive(Debug, Clone)]
 pub struct RigOptions {

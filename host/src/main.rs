@@ -1,2 +1,7 @@
 //! The `haptimill` command.
-fn main() {}
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    haptimill::cli::main()
+}

@@ -48,6 +48,21 @@ impl<'i> Document<'i> {
         ));
     }
 
+    /// Adds a problem that knows its place already.
+    pub fn add(&self, problem: Problem) {
+        let lines = self
+            .text
+            .split_inclusive('\n')
+            .take(problem.line.saturating_sub(1));
+        let offset = lines.map(str::len).sum::<usize>() + problem.column.saturating_sub(1);
+        self.problems.borrow_mut().push((offset, problem));
+    }
+
+    /// Nothing was reported so far.
+    pub fn is_well(&self) -> bool {
+        self.problems.borrow().is_empty()
+    }
+
     /// Nothing was reported, or all that was.
     pub fn finish(self) -> Result<(), Problems> {
         if self.problems.borrow().is_empty() {

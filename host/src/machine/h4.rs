@@ -26,11 +26,10 @@ pub const JOINTS: [(&str, AxisKind); 5] = [
 /// Reads the geometry. `singularity_margin` in mm comes from `[supervision]`.
 pub fn geometry(section: Section<'_, '_>, singularity_margin: f64) -> H4Geometry {
     let length = |key| section.number(key, real(-1000.0, 1000.0, "mm"));
-    let positive = |key| section.number(key, real(0.001, 1000.0, "mm"));
     let (a, b, e) = (length("a"), length("b"), length("e"));
-    let c = positive("c");
+    let c = section.number("c", real(1.0, 500.0, "mm"));
     let (d, w) = (length("d"), length("w"));
-    let r = positive("r");
+    let r = section.number("r", real(16.0, 1000.0, "mm"));
     let ge = length("ge");
     let tl = section.number("tl", real(0.0, 1000.0, "mm"));
     let (p, h) = (length("p"), length("h"));

@@ -22,7 +22,10 @@ use document::{Document, Section, real, whole};
 use haptimill_firmware::config::{
     AxisKind, Config, H4Geometry, Homing, JointAxis, Model, PoseAxis, Stopping, Supervision,
 };
+use haptimill_firmware::kinematics::machine::Machine;
+use haptimill_firmware::kinematics::{Joints, Kinematics};
 use haptimill_firmware::units::{Coordinate, Length, Rate};
+use haptimill_hil_sim::config::PlantConfig;
 use scale::{PER_DEG, PER_MM, to_i32, to_u16};
 use serde::de::DeserializeOwned;
 use std::path::Path;
@@ -35,17 +38,19 @@ pub const BUILT_IN: &str = include_str!("../../../machines/h4.toml");
 /// Name under which problems of [`BUILT_IN`] are reported.
 pub const BUILT_IN_NAME: &str = "machines/h4.toml (built in)";
 
-/// What the planner may ask of the machine along a path.
+/// How the planner joins the blocks of a program; its rates, accelerations and jerks are those of the axes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Planner {
-    /// Acceleration of the tool tip along its path, mm/s^2.
-    pub acceleration_mm_s2: f64,
-    /// Jerk of the tool tip along its path, mm/s^3.
-    pub jerk_mm_s3: f64,
-    /// Speed of rapid moves (G0), mm/s.
-    pub rapid_mm_s: f64,
-    /// How far a path may pass a programmed corner by, mm.
+    /// How far a path may pass a programmed corner by, mm; 0 stops at every corner.
     pub corner_tolerance_mm: f64,
+    /// The same for the rotary coordinates, degrees.
+    pub corner_tolerance_deg: f64,
+    /// Jump of the acceleration where the curvature changes (line into arc), as a part of the limit of acceleration.
+    pub curvature_step: f64,
+    /// Longest span between setpoints while anything moves, ms.
+    pub longest_span_ms: f64,
+    /// Shortest span between setpoints, ms.
+    pub shortest_span_ms: f64,
 }
 
 /// A machine file that was read without a problem.
@@ -119,12 +124,19 @@ impl MachineFile {
             return Err(document.into_problems());
         }
         let read = read(&document, &root);
-        document.finish()?;
-        Ok(Self {
+        if document.is_well() {
+            home_pose(&document, root.get_ref(), &read.config);
+        }
+        let machine = Self {
             file: file.to_string(),
             text: text.to_string(),
             ..read
-        })
+        };
+        if machine.has_plant && machine.config.period_us > 0 {
+            plant(&document, root.get_ref(), &machine);
+        }
+        document.finish()?;
+        Ok(machine)
     }
 
     /// The configuration as it is sent to the controller (postcard), and its CRC-32 (ISO-HDLC).
@@ -134,7 +146,10 @@ impl MachineFile {
         Ok((bytes, crc))
     }
 
-    /// The `[plant]` section as the type that the simulator wants. Its problems are found one at a time.
+    /// The `[plant]` section as the type that the simulator wants, [`PlantConfig`]. What cannot be read is found one at a time.
+    ///
+    /// # Errors
+    /// There is no such section, or it is not of that type.
     pub fn plant<T: DeserializeOwned>(&self) -> Result<T, Problems> {
         #[derive(serde::Deserialize)]
         struct OnlyPlant<T> {
@@ -213,12 +228,77 @@ fn read(document: &Document<'_>, root: &Spanned<DeTable<'_>>) -> MachineFile {
         pose: pose_limits,
         joints: joint_limits,
         planner: planner.unwrap_or(Planner {
-            acceleration_mm_s2: f64::NAN,
-            jerk_mm_s3: f64::NAN,
-            rapid_mm_s: f64::NAN,
             corner_tolerance_mm: f64::NAN,
+            corner_tolerance_deg: f64::NAN,
+            curvature_step: f64::NAN,
+            longest_span_ms: f64::NAN,
+            shortest_span_ms: f64::NAN,
         }),
         has_plant,
+    }
+}
+
+/// The pose at the home preset must exist and lie inside the soft limits: that is where every job begins.
+fn home_pose(document: &Document<'_>, root: &DeTable<'_>, config: &Config) {
+    let mut preset = Joints::default();
+    for (joint, axis) in preset.0.iter_mut().zip(&config.joints) {
+        *joint = axis.preset;
+    }
+    let offset = root.get("joint").map_or(0, |value| value.span().start);
+    let pose = match Machine::new(config).forward(&preset) {
+        Ok(pose) => pose,
+        Err(error) => {
+            let what = format!(
+                "the presets of the joints hold no pose of this geometry ({})",
+                crate::kin::status(error)
+            );
+            document.report(offset, "joint", what, "correct the presets or the geometry");
+            return;
+        }
+    };
+    for ((value, axis), (name, _)) in pose.0.iter().zip(&config.pose).zip(h4::POSE) {
+        if *value < axis.low || *value > axis.high {
+            let value = f64::from(value.0) / scale::per_unit(axis.kind);
+            let what = format!(
+                "at the presets of the joints {name} is {value:.3}, outside its soft limits"
+            );
+            document.report(
+                offset,
+                "joint",
+                what,
+                "correct the presets or the soft limits",
+            );
+        }
+    }
+}
+
+/// What the simulator says of its section.
+fn plant(document: &Document<'_>, root: &DeTable<'_>, machine: &MachineFile) {
+    let offset = root.get("plant").map_or(0, |value| value.span().start);
+    match machine.plant::<PlantConfig>() {
+        Err(Problems(problems)) => problems.into_iter().for_each(|p| document.add(p)),
+        Ok(plant) => {
+            if plant.joint.len() != machine.config.joints.len() {
+                let what = format!(
+                    "has {} joints, the controller {}",
+                    plant.joint.len(),
+                    machine.config.joints.len()
+                );
+                document.report(offset, "plant.joint", what, "write one for each joint");
+            }
+            for error in plant
+                .check(machine.config.period_us)
+                .err()
+                .unwrap_or_default()
+            {
+                document.report(
+                    offset,
+                    format!("plant: {}", error.field),
+                    error.problem,
+                    "correct it",
+                );
+            }
+        }
     }
 }
 
@@ -338,11 +418,19 @@ fn homing(section: Section<'_, '_>) -> Homing {
 
 fn planner(section: Section<'_, '_>) -> Planner {
     let result = Planner {
-        acceleration_mm_s2: section.number("acceleration_mm_s2", real(1.0, 100_000.0, "mm/s^2")),
-        jerk_mm_s3: section.number("jerk_mm_s3", real(10.0, 1e8, "mm/s^3")),
-        rapid_mm_s: section.number("rapid_mm_s", real(0.1, 2000.0, "mm/s")),
         corner_tolerance_mm: section.number("corner_tolerance_mm", real(0.0, 1.0, "mm")),
+        corner_tolerance_deg: section.number("corner_tolerance_deg", real(0.0, 1.0, "deg")),
+        curvature_step: section.number("curvature_step", real(0.0, 1.0, "")),
+        longest_span_ms: section.number("longest_span_ms", real(1.0, 1000.0, "ms")),
+        shortest_span_ms: section.number("shortest_span_ms", real(0.2, 1000.0, "ms")),
     };
+    if result.shortest_span_ms > result.longest_span_ms {
+        let what = format!(
+            "{} is above longest_span_ms = {}",
+            result.shortest_span_ms, result.longest_span_ms
+        );
+        section.report("shortest_span_ms", what, "exchange them");
+    }
     section.finish();
     result
 }

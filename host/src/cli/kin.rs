@@ -1,0 +1,101 @@
+//! `haptimill kin`: the firmware's kinematics over a table.
+
+use super::{CliError, Exit, MachineArg};
+use crate::kin;
+use clap::Args;
+use std::fs::File;
+use std::io::{BufWriter, Read, Write};
+use std::path::PathBuf;
+
+const IK_LONG: &str = "\
+Slides of poses: columns xw_mm, yw_mm, zw_mm, theta_deg, alpha_deg to l1_mm, l2_mm, l3_mm, l4_mm, status.
+
+The status is ok, unreachable, out_of_stroke, near_singularity, near_reach_limit or tilt. A row that is out_of_stroke still has the slides \
+that the pose would take; other errors have none. Columns are found by name, others are left out. - is standard input or output.";
+
+const FK_LONG: &str = "\
+Poses of slides: columns l1_mm, l2_mm, l3_mm, l4_mm to x_mm, y_mm, z_mm, theta_deg, status, in the frame of the slave base (before table and work \
+offsets).
+
+The status is ok, unreachable, out_of_stroke, near_singularity or near_reach_limit. A row that is out_of_stroke still has its pose; other errors \
+have none. Columns are found by name, others are left out. - is standard input or output.";
+
+/// Arguments of `haptimill kin ik`.
+#[derive(Debug, Clone, Args)]
+#[command(about = "Slides of poses", long_about = IK_LONG)]
+pub struct IkArgs {
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub table: TableArgs,
+}
+
+/// Arguments of `haptimill kin fk`.
+#[derive(Debug, Clone, Args)]
+#[command(about = "Poses of slides", long_about = FK_LONG)]
+pub struct FkArgs {
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub table: TableArgs,
+}
+
+/// Which machine, and the tables.
+#[derive(Debug, Clone, Args)]
+pub struct TableArgs {
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub machine: MachineArg,
+    /// The table to read
+    #[arg(long = "in", value_name = "CSV", default_value = "-")]
+    pub input: PathBuf,
+    /// The table to write
+    #[arg(long = "out", value_name = "CSV", default_value = "-")]
+    pub output: PathBuf,
+}
+
+/// Slides of poses.
+///
+/// # Errors
+/// [`Exit::BadInput`], [`Exit::Output`].
+pub fn ik(args: IkArgs) -> Result<(), CliError> {
+    table(&args.table, kin::inverse_table)
+}
+
+/// Poses of slides.
+///
+/// # Errors
+/// [`Exit::BadInput`], [`Exit::Output`].
+pub fn fk(args: FkArgs) -> Result<(), CliError> {
+    table(&args.table, kin::forward_table)
+}
+
+type Calculation = fn(&haptimill_firmware::config::Config, &str, &[u8]) -> Result<Vec<u8>, String>;
+
+fn table(args: &TableArgs, calculate: Calculation) -> Result<(), CliError> {
+    let machine = args.machine.load()?;
+    let standard = |path: &PathBuf| path.as_os_str() == "-";
+    let name = if standard(&args.input) {
+        "standard input".to_string()
+    } else {
+        args.input.display().to_string()
+    };
+    let mut bytes = Vec::new();
+    let read = if standard(&args.input) {
+        std::io::stdin().lock().read_to_end(&mut bytes)
+    } else {
+        File::open(&args.input).and_then(|mut file| file.read_to_end(&mut bytes))
+    };
+    read.map_err(|error| CliError::new(Exit::BadInput, format!("{name}: {error}")))?;
+    let result = calculate(&machine.config, &name, &bytes)
+        .map_err(|message| CliError::new(Exit::BadInput, message))?;
+    let written = if standard(&args.output) {
+        std::io::stdout().lock().write_all(&result)
+    } else {
+        File::create(&args.output).and_then(|file| {
+            let mut file = BufWriter::new(file);
+            file.write_all(&result)?;
+            file.flush()
+        })
+    };
+    written
+        .map_err(|error| CliError::new(Exit::Output, format!("{}: {error}", args.output.display())))
+}

@@ -1,0 +1,180 @@
+//! The command line: what can be asked, and which room does it.
+
+mod exit;
+pub mod jog;
+pub mod kin;
+pub mod machine;
+pub mod one_shot;
+pub mod ports;
+pub mod run;
+pub mod sim;
+
+pub use exit::{CliError, EXIT_CODES, Exit};
+
+use crate::machine::MachineFile;
+use crate::port::{DEFAULT_BAUD, PortSpec};
+use clap::{Args, Parser, Subcommand};
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+const ABOUT: &str = "Runs part programs on an H-4 parallel milling arm, real or simulated.";
+
+const LONG_ABOUT: &str = "\
+Runs part programs on an H-4 parallel milling arm, real or simulated.
+
+`haptimill run FILE.ngc` checks a part program against the machine, homes, streams it to the controller and leaves a recording, a trace, a \
+summary and a report with pictures. Without --port the controller and the machine are the built-in simulator: the same controller code, the \
+same protocol, a simulated arm. Without --machine the machine is the built-in H-4 arm.";
+
+const EXAMPLES: &str = "\
+Examples:
+  haptimill run examples/circle.ngc                      a job in the simulator
+  haptimill run part.ngc --check                         would it run? nothing moves
+  haptimill run part.ngc --port /dev/ttyACM0 --out job7  a job on a machine
+  haptimill sim serve --listen tcp:127.0.0.1:7000        a machine for other programs to talk to
+  haptimill home --port tcp:localhost:7000               home it from another terminal
+  haptimill jog x=5 z=-2 --for 1.5 --port /dev/ttyACM0   5 and -2 mm/s for 1.5 s
+  haptimill status --port /dev/ttyACM0 --json            how things stand, for a script
+  haptimill machine check mine.toml                      every mistake in a machine file
+  haptimill kin ik --in poses.csv --out slides.csv       the firmware's kinematics over a table";
+
+fn after_help() -> String {
+    format!("{EXAMPLES}\n\n{EXIT_CODES}")
+}
+
+/// The command line.
+#[derive(Debug, Parser)]
+#[command(name = "haptimill", version, about = ABOUT, long_about = LONG_ABOUT, after_long_help = after_help(),
+          after_help = "`haptimill --help` has examples and the exit codes.", max_term_width = 120)]
+pub struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    Run(run::RunArgs),
+    Jog(jog::JogArgs),
+    /// Find the reference of all axes, as one transaction
+    Home(one_shot::OneShotArgs),
+    /// How things stand
+    Status(one_shot::OneShotArgs),
+    /// Drives on; wanted becomes measured, nothing moves
+    Enable(one_shot::OneShotArgs),
+    /// Drives off, from standstill
+    Disable(one_shot::OneShotArgs),
+    /// Slow down along the path and drop the job; the position is kept
+    Stop(one_shot::StopArgs),
+    /// Clear a latched fault or emergency stop
+    Reset(one_shot::OneShotArgs),
+    /// The simulated machine
+    #[command(subcommand)]
+    Sim(SimCommand),
+    /// Machine files
+    #[command(subcommand)]
+    Machine(MachineCommand),
+    Ports(ports::PortsArgs),
+    /// The firmware's kinematics over a table
+    #[command(subcommand)]
+    Kin(KinCommand),
+}
+
+#[derive(Debug, Subcommand)]
+enum SimCommand {
+    Serve(sim::ServeArgs),
+}
+
+#[derive(Debug, Subcommand)]
+enum MachineCommand {
+    Check(machine::CheckArgs),
+}
+
+#[derive(Debug, Subcommand)]
+enum KinCommand {
+    Ik(kin::IkArgs),
+    Fk(kin::FkArgs),
+}
+
+/// Which machine.
+#[derive(Debug, Clone, Args)]
+pub struct MachineArg {
+    /// Machine file; without it the built-in H-4 arm (machines/h4.toml)
+    #[arg(long, value_name = "FILE")]
+    pub machine: Option<PathBuf>,
+}
+
+impl MachineArg {
+    /// The machine file that was named, or the built-in one.
+    ///
+    /// # Errors
+    /// Every problem of the file.
+    pub fn load(&self) -> Result<MachineFile, CliError> {
+        Ok(match &self.machine {
+            Some(path) => MachineFile::load(path)?,
+            None => MachineFile::built_in()?,
+        })
+    }
+}
+
+/// Where a running controller is.
+#[derive(Debug, Clone, Args)]
+pub struct ConnectArgs {
+    /// Serial port or pseudo-terminal by its path, or tcp:HOST:PORT
+    #[arg(long, value_name = "PORT")]
+    pub port: PortSpec,
+    /// Baud rate of a serial port
+    #[arg(long, value_name = "N", default_value_t = DEFAULT_BAUD, value_parser = clap::value_parser!(u32).range(1200..=12_000_000))]
+    pub baud: u32,
+    /// Give up when the controller has not answered for so long
+    #[arg(long, value_name = "SECONDS", default_value_t = 5.0, value_parser = seconds)]
+    pub timeout: f64,
+}
+
+/// Reads a time in seconds, above 0 and at most an hour.
+fn seconds(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value > 0.0 && value <= 3600.0 => Ok(value),
+        _ => Err("write seconds, above 0 and at most 3600".to_string()),
+    }
+}
+
+/// Runs the command line of this process.
+pub fn main() -> ExitCode {
+    match dispatch(Cli::parse()) {
+        Ok(()) => ExitCode::from(Exit::Done as u8),
+        Err(error) => {
+            eprintln!("{}", error.message);
+            ExitCode::from(error.exit as u8)
+        }
+    }
+}
+
+fn dispatch(cli: Cli) -> Result<(), CliError> {
+    use one_shot::Order;
+    match cli.command {
+        Command::Run(args) => run::run(args),
+        Command::Jog(args) => jog::run(args),
+        Command::Home(args) => one_shot::run(Order::Home, args),
+        Command::Status(args) => one_shot::run(Order::Status, args),
+        Command::Enable(args) => one_shot::run(Order::Enable, args),
+        Command::Disable(args) => one_shot::run(Order::Disable, args),
+        Command::Stop(args) => one_shot::stop(args),
+        Command::Reset(args) => one_shot::run(Order::Reset, args),
+        Command::Sim(SimCommand::Serve(args)) => sim::serve(args),
+        Command::Machine(MachineCommand::Check(args)) => machine::check(args),
+        Command::Ports(args) => ports::run(args),
+        Command::Kin(KinCommand::Ik(args)) => kin::ik(args),
+        Command::Kin(KinCommand::Fk(args)) => kin::fk(args),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_definition_is_sound() {
+        Cli::command().debug_assert();
+    }
+}

@@ -1,0 +1,163 @@
+//! Byte transports: a serial port, a TCP connection, and the two ends that a served simulator listens on.
+//!
+//! A transport carries bytes and knows nothing of frames. Both directions wait at most as long as they are told, zero included, so
+//! one thread can serve a transport and everything else. Misuse: bytes that were taken by [`Transport::write`] are on their way, not
+//! delivered; only the link above knows what arrived.
+
+mod serial;
+mod serve;
+mod tcp;
+
+pub use serial::{SerialTransport, list};
+#[cfg(unix)]
+pub use serve::PtyServer;
+pub use serve::TcpServer;
+pub use tcp::TcpTransport;
+
+use std::fmt;
+use std::str::FromStr;
+use std::time::Duration;
+
+/// What a served TCP port says to a second host before it closes the connection.
+pub const BUSY: &[u8] = b"haptimill: busy: another host is connected; try again when it has gone\n";
+
+/// The baud rate of a serial port when none is given.
+pub const DEFAULT_BAUD: u32 = 115_200;
+
+/// Carries bytes both ways.
+pub trait Transport: Send {
+    /// Reads what has arrived, waiting at most `wait` for the first byte. 0 means that nothing came.
+    ///
+    /// # Errors
+    /// The transport is gone for good; open it again.
+    fn read(&mut self, buffer: &mut [u8], wait: Duration) -> Result<usize, PortError>;
+
+    /// Writes as much as is taken within `wait`, and says how much that was.
+    ///
+    /// # Errors
+    /// The transport is gone for good; open it again.
+    fn write(&mut self, bytes: &[u8], wait: Duration) -> Result<usize, PortError>;
+
+    /// What people call it: a path or an address.
+    fn name(&self) -> &str;
+}
+
+/// Where a controller is.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum PortSpec {
+    /// The built-in simulator, in this process.
+    Simulator,
+    /// A TCP port, `HOST:PORT`.
+    Tcp(String),
+    /// A serial port or pseudo-terminal, by its path (on Windows its name).
+    Serial(String),
+}
+
+impl FromStr for PortSpec {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        if text == "sim" {
+            return Ok(Self::Simulator);
+        }
+        if let Some(address) = text.strip_prefix("tcp:") {
+            let port = address.rsplit_once(':').and_then(|(host, port)| {
+                (!host.is_empty()).then_some(())?;
+                port.parse::<u16>().ok()
+            });
+            return match port {
+                Some(_) => Ok(Self::Tcp(address.to_string())),
+                None => Err("write tcp:HOST:PORT, for instance tcp:localhost:7000".to_string()),
+            };
+        }
+        if text.is_empty() {
+            return Err("write sim, tcp:HOST:PORT, or the path of a serial port".to_string());
+        }
+        Ok(Self::Serial(text.to_string()))
+    }
+}
+
+impl fmt::Display for PortSpec {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Simulator => write!(out, "sim"),
+            Self::Tcp(address) => write!(out, "tcp:{address}"),
+            Self::Serial(path) => write!(out, "{path}"),
+        }
+    }
+}
+
+/// Opens the port of a spec. The built-in simulator is no port: it runs in this process.
+///
+/// # Errors
+/// See [`PortError`]; [`PortError::NoPort`] for [`PortSpec::Simulator`].
+pub fn open(spec: &PortSpec, baud: u32) -> Result<Box<dyn Transport>, PortError> {
+    match spec {
+        PortSpec::Simulator => Err(PortError::NoPort),
+        PortSpec::Tcp(address) => Ok(Box::new(TcpTransport::connect(address)?)),
+        PortSpec::Serial(path) => Ok(Box::new(SerialTransport::open(path, baud)?)),
+    }
+}
+
+/// Why a port cannot be used (any more).
+#[derive(Debug)]
+pub enum PortError {
+    /// The built-in simulator was asked for where a running controller is needed.
+    NoPort,
+    /// It cannot be opened.
+    Open {
+        /// The port.
+        name: String,
+        /// Why.
+        reason: String,
+        /// What to do.
+        remedy: &'static str,
+    },
+    /// Another program has it.
+    Busy {
+        /// The port.
+        name: String,
+    },
+    /// The other end has gone.
+    Gone {
+        /// The port.
+        name: String,
+        /// How that was seen.
+        reason: String,
+    },
+}
+
+impl fmt::Display for PortError {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::NoPort => write!(
+                out,
+                "the built-in simulator lives only inside `haptimill run`; start one with `haptimill sim serve` and give its port"
+            ),
+            Self::Open {
+                name,
+                reason,
+                remedy,
+            } => write!(out, "{name}: cannot be opened: {reason}; {remedy}"),
+            Self::Busy { name } => write!(
+                out,
+                "{name}: another program has it; close that program (on Linux `fuser {name}` names it), then try again"
+            ),
+            Self::Gone { name, reason } => write!(
+                out,
+                "{name}: the other end has gone ({reason}); check the cable and the power, then try again"
+            ),
+        }
+    }
+}
+
+impl std::error::Error for PortError {}
+
+/// Times out or would block: nothing happened, and nothing is wrong.
+fn is_quiet(error: &std::io::Error) -> bool {
+    use std::io::ErrorKind::{Interrupted, TimedOut, WouldBlock};
+    matches!(error.kind(), Interrupted | TimedOut | WouldBlock)
+}
+
+#[cfg(test)]
+mod tests;

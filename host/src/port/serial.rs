@@ -1,0 +1,125 @@
+//! Serial ports and pseudo-terminals.
+
+use super::{PortError, Transport, is_quiet};
+use serialport::{ErrorKind, SerialPort, SerialPortType};
+use std::io::ErrorKind as IoKind;
+use std::time::Duration;
+
+/// A serial port, locked against other programs.
+pub struct SerialTransport {
+    name: String,
+    port: Box<dyn SerialPort>,
+    /// The wait that the port was told last; telling it again costs a call.
+    wait: Duration,
+}
+
+impl SerialTransport {
+    /// Opens a port with 8 data bits, no parity, 1 stop bit, no flow control. A baud rate means nothing on a pseudo-terminal.
+    ///
+    /// # Errors
+    /// [`PortError::Busy`] when another program has it locked, else [`PortError::Open`] with what to do.
+    pub fn open(path: &str, baud: u32) -> Result<Self, PortError> {
+        let wait = Duration::from_millis(10);
+        let port = serialport::new(path, baud).timeout(wait).open();
+        let port = port.map_err(|error| open_error(path, &error))?;
+        Ok(Self {
+            name: path.to_string(),
+            port,
+            wait,
+        })
+    }
+
+    fn wait(&mut self, wait: Duration) -> Result<(), PortError> {
+        if self.wait != wait {
+            let told = self.port.set_timeout(wait);
+            told.map_err(|error| self.gone(&error.to_string()))?;
+            self.wait = wait;
+        }
+        Ok(())
+    }
+
+    fn gone(&self, reason: &str) -> PortError {
+        PortError::Gone {
+            name: self.name.clone(),
+            reason: reason.to_string(),
+        }
+    }
+}
+
+fn open_error(path: &str, error: &serialport::Error) -> PortError {
+    let name = path.to_string();
+    let text = error.to_string();
+    // A lock by TIOCEXCL is EBUSY, one by flock is EWOULDBLOCK; their kinds depend on the platform.
+    let locked = ["busy", "lock", "temporarily unavailable"];
+    if locked.iter().any(|word| text.to_lowercase().contains(word)) {
+        return PortError::Busy { name };
+    }
+    let remedy = match error.kind() {
+        ErrorKind::Io(IoKind::PermissionDenied) => {
+            "you may not use it: join the group that owns it (`ls -l` shows it, often dialout), then log in again"
+        }
+        ErrorKind::NoDevice | ErrorKind::Io(IoKind::NotFound) => {
+            "`haptimill ports` lists what there is"
+        }
+        _ => "check that it is a serial port or a pseudo-terminal",
+    };
+    PortError::Open {
+        name,
+        reason: text,
+        remedy,
+    }
+}
+
+impl Transport for SerialTransport {
+    fn read(&mut self, buffer: &mut [u8], wait: Duration) -> Result<usize, PortError> {
+        self.wait(wait)?;
+        match self.port.read(buffer) {
+            // The serial port of a board that is unplugged ends like a file.
+            Ok(0) if !buffer.is_empty() => Err(self.gone("end of file")),
+            Ok(count) => Ok(count),
+            Err(error) if is_quiet(&error) => Ok(0),
+            Err(error) => Err(self.gone(&error.to_string())),
+        }
+    }
+
+    fn write(&mut self, bytes: &[u8], wait: Duration) -> Result<usize, PortError> {
+        self.wait(wait)?;
+        match self.port.write(bytes) {
+            Ok(count) => Ok(count),
+            Err(error) if is_quiet(&error) => Ok(0),
+            Err(error) => Err(self.gone(&error.to_string())),
+        }
+    }
+
+    fn name(&self) -> &str {
+        &self.name
+    }
+}
+
+/// The serial ports of this computer, one line each: name, what it is.
+///
+/// # Errors
+/// The system does not tell.
+pub fn list() -> Result<Vec<(String, String)>, PortError> {
+    let ports = serialport::available_ports().map_err(|error| PortError::Open {
+        name: "serial ports".to_string(),
+        reason: error.to_string(),
+        remedy: "give the port by its path",
+    })?;
+    let describe = |kind: SerialPortType| match kind {
+        SerialPortType::UsbPort(usb) => {
+            let words = [usb.manufacturer, usb.product, usb.serial_number];
+            let words: Vec<String> = words.into_iter().flatten().collect();
+            format!("USB {:04x}:{:04x} {}", usb.vid, usb.pid, words.join(" "))
+        }
+        SerialPortType::PciPort => "on board".to_string(),
+        SerialPortType::BluetoothPort => "Bluetooth".to_string(),
+        SerialPortType::Unknown => "serial port".to_string(),
+    };
+    let mut ports: Vec<_> = ports
+        .into_iter()
+        .map(|port| (port.port_name, describe(port.port_type).trim().to_string()))
+        .collect();
+    ports.sort();
+    Ok(ports)
+}

@@ -1,0 +1,109 @@
+//! A TCP connection to a controller or to a served simulator.
+
+use super::{BUSY, PortError, Transport, is_quiet};
+use std::io::{Read, Write};
+use std::net::{TcpStream, ToSocketAddrs};
+use std::time::Duration;
+
+/// A TCP connection without delay of small packets.
+pub struct TcpTransport {
+    name: String,
+    stream: TcpStream,
+    /// Nothing was received yet: the first bytes may say that the other end is busy.
+    fresh: bool,
+}
+
+impl TcpTransport {
+    /// Connects to `HOST:PORT` within 5 seconds.
+    ///
+    /// # Errors
+    /// [`PortError::Open`] with what to do. That another host is being served shows in the first [`Transport::read`].
+    pub fn connect(address: &str) -> Result<Self, PortError> {
+        let refused = |reason: String| PortError::Open {
+            name: format!("tcp:{address}"),
+            reason,
+            remedy: "check the address, and that the controller or `haptimill sim serve` runs there",
+        };
+        let addresses = address.to_socket_addrs();
+        let mut reason = "the name has no address".to_string();
+        for candidate in addresses.map_err(|error| refused(error.to_string()))? {
+            match TcpStream::connect_timeout(&candidate, Duration::from_secs(5)) {
+                Ok(stream) => {
+                    return Self::new(stream, format!("tcp:{address}"))
+                        .map_err(|error| refused(error.to_string()));
+                }
+                Err(error) => reason = error.to_string(),
+            }
+        }
+        Err(refused(reason))
+    }
+
+    /// Takes a connection that is open already.
+    pub(super) fn new(stream: TcpStream, name: String) -> std::io::Result<Self> {
+        stream.set_nodelay(true)?;
+        Ok(Self {
+            name,
+            stream,
+            fresh: true,
+        })
+    }
+
+    /// Makes the next call wait so long; zero is no wait, which the system calls something else.
+    fn wait(&self, wait: Duration) -> std::io::Result<()> {
+        self.stream.set_nonblocking(wait.is_zero())?;
+        if !wait.is_zero() {
+            self.stream.set_read_timeout(Some(wait))?;
+            self.stream.set_write_timeout(Some(wait))?;
+        }
+        Ok(())
+    }
+
+    fn gone(&self, reason: &str) -> PortError {
+        PortError::Gone {
+            name: self.name.clone(),
+            reason: reason.to_string(),
+        }
+    }
+}
+
+impl Transport for TcpTransport {
+    fn read(&mut self, buffer: &mut [u8], wait: Duration) -> Result<usize, PortError> {
+        if buffer.is_empty() {
+            return Ok(0);
+        }
+        match self.wait(wait).and_then(|()| self.stream.read(buffer)) {
+            Ok(0) => Err(self.gone("connection closed")),
+            Ok(count) => {
+                let first = std::mem::take(&mut self.fresh);
+                // The zero that begins and ends every frame is not in that sentence.
+                let said = &buffer[..count];
+                if first && said.len() >= 15 && BUSY.starts_with(&said[..count.min(BUSY.len())]) {
+                    return Err(PortError::Busy {
+                        name: self.name.clone(),
+                    });
+                }
+                Ok(count)
+            }
+            Err(error) if is_quiet(&error) => Ok(0),
+            Err(error) => Err(self.gone(&error.to_string())),
+        }
+    }
+
+    fn write(&mut self, bytes: &[u8], wait: Duration) -> Result<usize, PortError> {
+        match self.wait(wait).and_then(|()| self.stream.write(bytes)) {
+            Ok(count) => Ok(count),
+            Err(error) if is_quiet(&error) => Ok(0),
+            Err(error) => {
+                // A refusal that waits to be read says more than a broken pipe.
+                if self.fresh {
+                    self.read(&mut [0; 128], Duration::from_millis(50))?;
+                }
+                Err(self.gone(&error.to_string()))
+            }
+        }
+    }
+
+    fn name(&self) -> &str {
+        &self.name
+    }
+}
