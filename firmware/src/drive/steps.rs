@@ -9,8 +9,9 @@
 //! periods, and a pulse ends in the period in which it began. A pulse is moved by less than its own width for that, or waits after a
 //! reversal. Steps that do not fit go into the following periods and are reported as lag.
 //!
-//! When nothing is in the way, pulse k of n is within `1 + n/2` ticks of its ideal time when the rate is constant; while the rate changes, `ramp` being whole ticks adds
-//! up to n^2/16 ticks, and the series of the parabola's inverse up to (change of rate / rate)^2 / 8 of a period.
+//! When nothing is in the way, pulse k of n is within `1 + n/2` ticks of its ideal time at a constant rate; in a period whose last crossing is
+//! within a pulse width of its end, within `2 + n` ticks and a pulse width. While the rate changes, whole ticks of `ramp` add up to n^2/16 ticks, and
+//! the second-order inverse of the parabola up to (change of rate / rate)^2 / 8 of a period.
 //!
 //! Misuse: a wanted position that jumps is carried out at the ceiling of the pulse timing, which a motor cannot follow. Bound the rate before.
 

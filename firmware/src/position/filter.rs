@@ -34,7 +34,7 @@ pub const fn approach(period_us: u16, time_us: u16) -> u32 {
     let mut term: u64 = 1 << 32;
     let mut order = 1;
     while order <= 12 {
-        term = ((term >> 1) * rest >> 31) / order;
+        term = (((term >> 1) * rest) >> 31) / order;
         sum = if order % 2 == 1 {
             sum - term
         } else {
