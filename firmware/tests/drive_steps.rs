@@ -266,3 +266,30 @@ fn a_reversal_waits_and_loses_nothing() {
     assert_eq!(checker.count(), 7);
     assert!(checker.pulses.iter().any(|&(_, direction)| direction < 0));
 }
+
+/// A table that turns one way for ever: 117 million steps later the count is still exact.
+#[test]
+fn a_table_that_turns_for_ever_loses_no_step() {
+    let timing = PulseTiming {
+        period: 1_000_000,
+        pulse: 1,
+        setup: 0,
+        hold: 0,
+    };
+    let per_step = 1_200_000_000_007i64;
+    let mut planner = StepPlanner::new(AxisKind::Rotary, per_step, timing, 1000);
+    planner.start(Coordinate(0));
+    let (mut travel, mut count) = (0i64, 0i64);
+    for period in 0..4000 {
+        travel += 2_100_000_017;
+        let planned = planner.plan(Coordinate(travel as i32), Rate(0));
+        count += i64::from(planned.segment.count);
+        assert_eq!(
+            count + i64::from(planned.lag),
+            rounded(travel, per_step),
+            "period {period}"
+        );
+        assert_eq!(planner.emitted(), count);
+    }
+    assert!(count > 117_000_000);
+}
