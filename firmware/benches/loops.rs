@@ -74,8 +74,8 @@ fn period(bencher: &mut Criterion, name: &str, drive: &Drive) {
                 acceleration: Acceleration(0),
             };
             for joint in &mut joints {
-                black_box(joint.sense(black_box(&inputs), time));
-                black_box(joint.drive(black_box(&wanted)));
+                black_box(joint.sense(black_box(&inputs), time).coordinate);
+                black_box(joint.drive(black_box(&wanted)).command);
             }
         });
     });

@@ -10,7 +10,8 @@
 //!   and keeps its side at rest: a machine that stands does not move.
 //! - **How it gets there.** A step of the wanted motor position would be a blow of K_P * play. The shift passes two equal first-order
 //!   filters in a row, so position and rate are continuous, and a change of mind in mid-way needs no special case. With [`SHIFT_US`] = 4 ms the crossing is 95 %
-//!   done in 19 ms. On the 30 mm circle at 4 mm/s the slide would have moved 0.2 um by then: that is the error which is left.
+//!   done in 19 ms. On the 30 mm circle at 4 mm/s the hysteresis takes 9 ms and the slide
+//!   should have moved 0.4 um by then: that is the error which is left.
 //!
 //! What is compensated is the lost motion of a reversal as it is measured on a machine: the play, and twice the wind-up of the screw under the slide's friction.
 //!
