@@ -10,7 +10,10 @@
 //!   and keeps its side at rest: a machine that stands does not move.
 //! - **How it gets there.** A step of the wanted motor position would be a blow of K_P * play. The shift passes two equal first-order
 //!   filters in a row, so position and rate are continuous, and a change of mind in mid-way needs no special case. With [`SHIFT_US`] = 4 ms the crossing is 95 %
-//!   done in 19 ms. On the 30 mm circle at 4 mm/s the slide would have moved 0.2 um by then: that is the error which is left.
+//!   done in 19 ms. On the 30 mm circle at 4 mm/s the hysteresis takes 9 ms and the slide
+//!   should have moved 0.4 um by then: that is the error which is left.
+//!
+//! What is compensated is the lost motion of a reversal as it is measured on a machine: the play, and twice the wind-up of the screw under the slide's friction.
 //!
 //! The loop is closed on the motor, where its error is wanted + shift - motor. Closing it on the estimated slide would put the play inside the loop, which then
 //! has no gain within the play and limit-cycles across it.
@@ -18,7 +21,7 @@
 use super::encoder::{difference, sum};
 use super::reciprocal::{mul_shift, saturate};
 use crate::config::AxisKind;
-use crate::position::filter::approach;
+use crate::position::filter::{approach, frequency};
 use crate::units::{Coordinate, Rate};
 
 /// Time constant of each of the two filters, in microseconds.
@@ -37,6 +40,8 @@ pub struct Backlash {
     hysteresis: i32,
     /// 1 - pole of each filter, Q32.
     approach: u32,
+    /// Periods per second, Q16.
+    frequency: u32,
     /// The side wanted: -1, 0 (not known yet) or 1.
     side: i32,
     /// States of the filters, axis units Q24; both within +-half.
@@ -55,6 +60,7 @@ impl Backlash {
             half,
             hysteresis: saturate(2 * half as i64),
             approach: approach(period_us, SHIFT_US),
+            frequency: frequency(period_us),
             side: 0,
             first: 0,
             second: 0,
@@ -92,11 +98,11 @@ impl Backlash {
         self.second = self.first;
     }
 
-    /// What is to be added to the wanted coordinate of the slide, one period on, for a wanted rate of the slide.
+    /// What is to be added to the wanted coordinate and rate of the slide, one period on, for a wanted rate of the slide.
     #[inline]
-    pub fn shift(&mut self, rate: Rate) -> Coordinate {
+    pub fn shift(&mut self, rate: Rate) -> (Coordinate, Rate) {
         if self.half == 0 {
-            return Coordinate(0);
+            return (Coordinate(0), Rate(0));
         }
         if rate.0 > self.hysteresis {
             self.side = 1;
@@ -110,7 +116,13 @@ impl Backlash {
             i64::from(self.side * self.half) << FRACTION
         };
         self.first += mul_shift::<32>(goal - self.first, self.approach);
-        self.second += mul_shift::<32>(self.first - self.second, self.approach);
-        Coordinate(saturate((self.second + (1 << (FRACTION - 1))) >> FRACTION))
+        let change = mul_shift::<32>(self.first - self.second, self.approach);
+        self.second += change;
+        // Q24 * Q16 / 2^32 = Q8.
+        let rate = mul_shift::<32>(change, self.frequency) >> 8;
+        (
+            Coordinate(saturate((self.second + (1 << (FRACTION - 1))) >> FRACTION)),
+            Rate(saturate(rate)),
+        )
     }
 }

@@ -5,7 +5,7 @@
 //!
 //! The rate is counts over the time *between edges*, not counts per period. At 4 mm/s with 1.25 um counts there is an edge every
 //! 312 us: counts per 200 us period would read 0 or 6.25 mm/s; the time between two edges, known to 1 ns (a timer at 168 MHz: 6 ns),
-//! gives 4 mm/s within 0.00002 (0.0001) mm/s. Its age is half the time between edges. With no new edge the rate is bounded by one count per time since
+//! gives 4 mm/s within 0.00003 (0.0002) mm/s. Its age is half the time between edges. With no new edge the rate is bounded by one count per time since
 //! the last edge, so that it goes to zero by itself when the motion ends, and is zero after 2.1 s.
 //! An edge that is crossed back and forth is one place: a reversal reads as zero, not as a count.
 //!
@@ -43,6 +43,8 @@ pub struct Encoder {
     /// `edge_time_ns` and `edge` belong to an edge that was seen, not too long ago.
     edge_known: bool,
     rate: i64,
+    /// Age of the last edge up to which the rate cannot be too large.
+    believed_ns: u32,
 }
 
 /// What an encoder says at the start of a period.
@@ -88,6 +90,7 @@ impl Encoder {
             edge: 0,
             edge_known: false,
             rate: 0,
+            believed_ns: 0,
         }
     }
 
@@ -191,7 +194,14 @@ impl Encoder {
             if !self.edge_known {
                 self.rate = 0;
             } else if interval != 0 {
-                self.rate = self.rate_of(edge.wrapping_sub(self.edge), interval);
+                let travel = edge.wrapping_sub(self.edge);
+                self.rate = self.rate_of(travel, interval);
+                // One count in this interval is not to be doubted before another interval is over.
+                self.believed_ns = if travel.unsigned_abs() <= 2 {
+                    interval
+                } else {
+                    0
+                };
             }
             self.edge = edge;
             self.edge_time_ns = edge_time_ns;
@@ -201,7 +211,7 @@ impl Encoder {
         if age >= STALE_NS {
             self.edge_known = false;
             self.rate = 0;
-        } else if !edge_seen && self.rate != 0 && age != 0 {
+        } else if !edge_seen && self.rate != 0 && age > self.believed_ns {
             let bound = self.rate_of(2, age).saturating_abs();
             self.rate = self.rate.clamp(-bound, bound);
         }

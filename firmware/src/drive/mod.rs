@@ -289,12 +289,14 @@ impl JointDrive {
         if !self.enabled {
             return Driven::default();
         }
-        let shift = self.backlash.shift(wanted.rate);
+        let (shift, shift_rate) = self.backlash.shift(wanted.rate);
+        // The motor's rate, crossing the play included: its friction turns over as it sets off, not when the slide does.
+        let rate = Rate(wanted.rate.0.saturating_add(shift_rate.0));
         let target = sum(self.kind, wanted.coordinate, shift);
         let following_error = difference(self.kind, target, self.sensed.motor);
         match &mut self.output {
             Output::Torque { law, output } => {
-                let (effort, cut) = law.effort(following_error, wanted.rate, wanted.acceleration);
+                let (effort, cut) = law.effort(following_error, rate, wanted.acceleration);
                 let (code, clamped) = output.code(effort);
                 Driven {
                     command: DriveCommand::Torque(code),
@@ -305,7 +307,7 @@ impl JointDrive {
                 }
             }
             Output::Steps { planner, .. } => {
-                let planned = planner.plan(target, wanted.rate);
+                let planned = planner.plan(target, rate);
                 Driven {
                     command: DriveCommand::Steps(planned.segment),
                     following_error,

@@ -9,8 +9,9 @@
 //! periods, and a pulse ends in the period in which it began. A pulse is moved by less than its own width for that, or waits after a
 //! reversal. Steps that do not fit go into the following periods and are reported as lag.
 //!
-//! When nothing is in the way, pulse k of n is within `1 + n/2` ticks of its ideal time when the rate is constant; while the rate changes, `ramp` being whole ticks adds
-//! up to n^2/16 ticks, and the series of the parabola's inverse up to (change of rate / rate)^2 / 8 of a period.
+//! When nothing is in the way, pulse k of n is within `1 + n/2` ticks of its ideal time at a constant rate; in a period whose last crossing is
+//! within a pulse width of its end, within `2 + n` ticks and a pulse width. While the rate changes, whole ticks of `ramp` add up to n^2/16 ticks, and
+//! the second-order inverse of the parabola up to (change of rate / rate)^2 / 8 of a period.
 //!
 //! Misuse: a wanted position that jumps is carried out at the ceiling of the pulse timing, which a motor cannot follow. Bound the rate before.
 
@@ -69,14 +70,18 @@ pub struct StepPlanner {
     /// Steps per period for a rate of 1 au/s, Q62 as well.
     steps_per_rate: i64,
     last: Coordinate,
-    /// Travel since the start, axis units.
+    /// Travel since the start or the last folding, axis units.
     travel: i64,
     /// Wanted position at the end of the last period, steps Q32.
     position: i64,
     /// Wanted rate there, steps per period Q32.
     rate: i64,
-    /// Steps emitted since the start.
+    /// Steps emitted since the start, less those that were folded away.
     emitted: i64,
+    /// Steps folded away.
+    folded: i64,
+    /// Position, steps Q32, at which `travel` was zero; within a step of zero.
+    origin: i64,
     /// Level of the direction line: -1, 1, or 0 for not known.
     level: i64,
     /// Ticks into the coming period before which no pulse may leave.
@@ -104,6 +109,8 @@ impl StepPlanner {
             position: 0,
             rate: 0,
             emitted: 0,
+            folded: 0,
+            origin: 0,
             level: 0,
             ready: 0,
             held: 0,
@@ -117,6 +124,8 @@ impl StepPlanner {
         self.position = 0;
         self.rate = 0;
         self.emitted = 0;
+        self.folded = 0;
+        self.origin = 0;
         self.level = 0;
     }
 
@@ -127,16 +136,14 @@ impl StepPlanner {
 
     /// Steps emitted since the start.
     pub const fn emitted(&self) -> i64 {
-        self.emitted
-    }
-
-    /// Where the motor stands after the steps of every segment so far, in axis units since the start.
-    pub const fn travel(&self) -> i64 {
-        self.travel
+        self.folded.wrapping_add(self.emitted)
     }
 
     /// The pulses of the coming period, at whose end the motor shall be at `target` with `rate`.
     pub fn plan(&mut self, target: Coordinate, rate: Rate) -> Planned {
+        if self.emitted.unsigned_abs() > 1 << 24 {
+            self.fold();
+        }
         let moved = match self.kind {
             AxisKind::Linear => i64::from(target.0) - i64::from(self.last.0),
             AxisKind::Rotary => i64::from(difference(self.kind, target, self.last).0),
@@ -144,7 +151,7 @@ impl StepPlanner {
         self.last = target;
         self.travel = self.travel.saturating_add(moved);
         let (start, rate_before) = (self.position, self.rate);
-        self.position = steps(self.travel, self.steps_per_unit);
+        self.position = self.origin + steps(self.travel, self.steps_per_unit);
         self.rate = steps(i64::from(rate.0), self.steps_per_rate);
         let owed = ((self.position + STEP / 2) >> 32) - self.emitted;
 
@@ -184,6 +191,17 @@ impl StepPlanner {
                 }
             }
         }
+    }
+
+    /// Moves the origin to where the motor stands, so that a table that turns one way for ever never leaves the range of positions. Costs less than 2^-20 step
+    /// in 2^24.
+    fn fold(&mut self) {
+        let whole = self.position >> 32;
+        self.origin = self.position - whole * STEP;
+        self.position = self.origin;
+        self.travel = 0;
+        self.emitted -= whole;
+        self.folded = self.folded.wrapping_add(whole);
     }
 
     /// As many of the owed steps as fit, each as near to its ideal time as the timing allows.
@@ -236,29 +254,56 @@ impl StepPlanner {
         } else {
             ramp = ideal.ramp(intervals);
         }
-        let (span, n) = (i64::from(last - delay), i64::from(intervals));
-        // The whole bend that `ramp` adds up to at the last pulse.
-        let bent = i64::from(ramp) * (n * (n - 1) / 2);
-        let mut interval = (span - bent + n / 2).div_euclid(n);
-        let gap = i64::from(gap);
-        if interval < gap || interval + i64::from(ramp) * (n - 1) < gap {
-            ramp = 0;
-            interval = (span + n / 2) / n;
-        }
-        let bent = i64::from(ramp) * (n * (n - 1) / 2);
-        if i64::from(delay) + n * interval + bent > i64::from(latest) {
-            interval -= 1;
-            if interval + i64::from(ramp).min(0) * (n - 1) < gap {
-                ramp = 0;
-                interval = span / n;
-            }
-        }
+        let spread = Spread {
+            span: (last - delay) as i32,
+            most: (latest - delay) as i32,
+            intervals: intervals as i32,
+            gap: gap as i32,
+        };
+        let (interval, ramp) = spread.intervals(ramp);
         Some(StepSegment {
             count: signed(count),
             delay,
-            interval: u32::try_from(interval).ok()?,
+            interval,
             ramp,
         })
+    }
+}
+
+/// Some intervals between pulses, in ticks; all are at most 1,000,000, and `intervals * gap <= span <= most`.
+struct Spread {
+    /// From the first to the last pulse, ideally.
+    span: i32,
+    /// The same, at most.
+    most: i32,
+    intervals: i32,
+    /// The shortest interval.
+    gap: i32,
+}
+
+impl Spread {
+    /// The first interval, and what each further one is longer: `ramp` if that keeps everything, 0 otherwise. 32-bit divisions only.
+    fn intervals(&self, ramp: i32) -> (u32, i32) {
+        let n = self.intervals;
+        // The whole bend that `ramp` adds up to at the last pulse; one of several spans would be no acceleration but a jump.
+        let bent = i64::from(ramp) * (i64::from(n) * i64::from(n - 1) / 2);
+        if ramp != 0 && bent.abs() <= 4 * i64::from(self.span) {
+            let bent = bent as i32;
+            for rounding in [n / 2, 0] {
+                let interval = (self.span - bent + rounding).div_euclid(n);
+                let shortest = interval + ramp.min(0) * (n - 1);
+                if shortest >= self.gap && n * interval + bent <= self.most {
+                    return (interval.unsigned_abs(), ramp);
+                }
+            }
+        }
+        let rounded = (self.span + n / 2) / n;
+        let even = if n * rounded <= self.most {
+            rounded
+        } else {
+            self.span / n
+        };
+        (even.unsigned_abs(), 0)
     }
 }
 

@@ -55,6 +55,12 @@ pub const fn approach(period_us: u16, time_us: u16) -> u32 {
     }
 }
 
+/// Periods per second, Q16; at most 20,000 * 2^16, a shorter period than 50 us is taken for 50.
+pub(crate) const fn frequency(period_us: u16) -> u32 {
+    let period = if period_us < 50 { 50 } else { period_us as u64 };
+    (((1_000_000 << 16) + period / 2) / period) as u32
+}
+
 /// The rate of a signal through a first-order filter: s / (1 + s tau), mapped exactly for an input that is held or ramps.
 ///
 /// It low-passes the signal and takes the rate of *that*, so the sum of all rates is the signal's own change, to the last bit of the state: there is
@@ -75,8 +81,7 @@ impl RateFilter {
         let period = if period_us < 50 { 50 } else { period_us };
         Self {
             approach: approach(period, time_us),
-            // At most 20,000 * 2^16.
-            frequency: (((1_000_000u64 << 16) + period as u64 / 2) / period as u64) as u32,
+            frequency: frequency(period),
             state: 0,
         }
     }

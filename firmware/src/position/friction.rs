@@ -1,7 +1,9 @@
 //! Coulomb friction that is compensated: effort * tanh(rate / knee), spec h4-milling 7.1 item 15.
 //!
 //! It depends on the *wanted* rate alone: a measured rate would change its sign with the noise at rest, and the loop would rattle between the two
-//! sides of the friction. At standstill it is zero. tanh is a table of 81 values, joined linearly, from 0 to 5 knees, beyond which it is 1: error below
+//! sides of the friction. At standstill it is zero. The wanted rate has no noise, so the knee may be low, and should: below it the friction is there and its
+//! compensation is not yet, which is an error of coulomb / (inertia K_P), 25 um for 40 N on 40 kg at 40,000 1/s^2. Two hundredths of a mm/s are a good knee.
+//! tanh is a table of 81 values, joined linearly, from 0 to 5 knees, beyond which it is 1: error below
 //! 4e-4, continuous, odd, never decreasing.
 
 use crate::drive::reciprocal::Reciprocal;
