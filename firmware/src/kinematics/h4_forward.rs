@@ -49,8 +49,8 @@ impl H4 {
         let [l1, l2, l3, l4, ..] = joints.0.map(|joint| joint.0 as i64);
 
         // 2 S of both pairs: exact, and with their sign before it is lost.
-        let upper = l1 - l2 - 2 * self.joint_offset;
-        let lower = l3 - l4 - 2 * self.joint_offset;
+        let upper = l1 - l2 - 2 * self.joint_offset as i64;
+        let lower = l3 - l4 - 2 * self.joint_offset as i64;
         let twice_rod = 2 * self.rod as i64;
         let width = 4 * self.half_spacing as i64;
         let sum = l1 + l2 - l3 - l4;
@@ -61,36 +61,49 @@ impl H4 {
             let pair = (10 * upper >= twice_rod) as u8;
             return Err(PoseError::NearReachLimit { pair });
         }
+        // Now N and 2 S are words, below 2^31 and at most 2^31: the casts cut nothing, and products of words need no check.
+        let (upper, lower) = (upper as u32, lower as u32);
+        let square = |value: u32| (value as u64 * value as u64) as i64;
+        let (upper_square, lower_square) = (square(upper), square(lower));
 
         // The tilt: N and 4 c cos(theta), both below 2^31.
+        let (less, more) = ((width - sum) as u32, (width + sum) as u32);
+        let cosine = Root::of(less as u64 * more as u64).rounded();
         let sum = sum as i32;
-        let cosine = Root::of(((width - sum as i64) * (width + sum as i64)) as u64).rounded();
         let theta = atan2(sum, cosine);
-        let drop = self.half_height as i64 - round_shift(cosine as i64, 2);
+        // |drop| < 2^30 + 2^29.
+        let drop = (self.half_height as i64 - round_shift(cosine as i64, 2)) as i32;
 
-        // The line through the centres: H and its direction, Q30. |drop| < 2^30 + 2^29, so H^2 < 2^62.
-        let lateral = self.lateral as i64;
-        let base_square = lateral * lateral + drop * drop;
-        let inverse = Root::of(base_square as u64).reciprocal();
-        // 2^62 / H is mantissa << (62 - shift) and H >= 1 mm: the shifts below are positive.
-        let along_y = round_shift(lateral * inverse.mantissa as i64, inverse.shift - 30);
-        let along_z = round_shift(drop * inverse.mantissa as i64, inverse.shift - 30);
+        // The line through the centres: H and its direction, Q30. H^2 < 2^62 and H >= 1 mm: the shifts below are 14 or more.
+        let base_square = (square(self.lateral.unsigned_abs()) as u64)
+            .wrapping_add(square(drop.unsigned_abs()) as u64);
+        let inverse = Root::of(base_square).reciprocal();
+        let scale = inverse.shift.wrapping_sub(30);
+        let along_y = multiply_shift(self.lateral, inverse.mantissa as i32, scale) as i32;
+        let along_z = multiply_shift(drop, inverse.mantissa as i32, scale) as i32;
 
         // t = (upper^2 - lower^2) / 16 H in 2^-28 mm: eight more bits than a length, because the root below magnifies its error.
-        let difference = (upper - lower) * (upper + lower);
+        let difference = upper_square.wrapping_sub(lower_square);
         let fine = round_shift(
             multiply_high(difference, inverse.mantissa),
-            inverse.shift - 36,
+            inverse.shift.wrapping_sub(36),
         );
         let along = round_shift(fine, 8);
-        if along.abs() > twice_rod {
+        if along.unsigned_abs() > twice_rod as u64 {
             return Err(PoseError::Unreachable);
         }
-        // t^2 = whole^2 + whole * rest / 128 + rest^2 / 65536, the last below a quarter unit.
-        let rest = fine - (along << 8);
-        let along_square = along * along + round_shift(along * rest, 7);
-        let radii = self.rod_square - round_shift(upper * upper + lower * lower, 3);
-        let across_square = radii - base_square - along_square;
+        // t^2 = whole^2 + whole * rest / 128 + rest^2 / 65536, the last below a quarter unit. |t| <= 2^31, so t^2 <= 2^62.
+        let rest = (fine - (along << 8)) as i32;
+        let along_square = along
+            .wrapping_mul(along)
+            .wrapping_add(round_shift(along.wrapping_mul(rest as i64), 7));
+        // R^2 <= 2^60, the others up to 2^62: the sum stays within 2^63 + 2^61 below zero and cannot come near the other end.
+        let radii = self
+            .rod_square
+            .wrapping_sub(round_shift(upper_square.wrapping_add(lower_square), 3));
+        let across_square = radii
+            .wrapping_sub(base_square as i64)
+            .wrapping_sub(along_square);
         if across_square < 0 {
             return Err(PoseError::Unreachable);
         }
@@ -99,12 +112,26 @@ impl H4 {
             return Err(PoseError::NearSingularity { distance: across });
         }
 
-        let across = self.branch * across as i64;
-        let y = round_shift(along * along_y - across * along_z, 30);
-        let centre = round_shift(along * along_z + across * along_y, 30);
+        // |q| <= R; t and q are words and the direction is at most 2^30: sums below 2^62.
+        let across = self.branch.wrapping_mul(across as i64);
+        let along_y = along_y as i64;
+        let along_z = along_z as i64;
+        let y = round_shift(
+            along
+                .wrapping_mul(along_y)
+                .wrapping_sub(across.wrapping_mul(along_z)),
+            30,
+        );
+        let centre = round_shift(
+            along
+                .wrapping_mul(along_z)
+                .wrapping_add(across.wrapping_mul(along_y)),
+            30,
+        );
         let x =
             round_shift(l1 + l2 + l3 + l4, 2) - multiply_shift(sum, self.ratio, self.ratio_shift);
-        let z = centre - self.rail_offset - multiply_shift(cosine, self.ratio, self.ratio_shift);
+        let z =
+            centre - self.rail_offset as i64 - multiply_shift(cosine, self.ratio, self.ratio_shift);
         let narrow = |value: i64| i32::try_from(value).map_err(|_| PoseError::Unreachable);
         Ok(Base {
             x: narrow(x)?,

@@ -27,7 +27,8 @@ pub const fn saturate(value: i64) -> i32 {
 #[must_use]
 pub const fn round_shift(value: i64, shift: u32) -> i64 {
     // Shifting twice keeps the half bit without an addition that could overflow at the top.
-    (value >> (shift - 1)).wrapping_add(1) >> 1
+    // The shift is not checked again at each use: its range is the caller's duty.
+    value.wrapping_shr(shift.wrapping_sub(1)).wrapping_add(1) >> 1
 }
 
 /// `a * b / 2^shift`, rounded to nearest, for any two `i32`; `shift` is 1 to 62.
