@@ -78,6 +78,8 @@ pub struct H4 {
     pub(super) branch: i64,
     /// Least distance from the parallel singularity.
     pub(super) margin: i32,
+    /// Its square.
+    pub(super) margin_square: u64,
 }
 
 /// The tool in the frame of the slave base: the pose without table and offsets.
@@ -167,6 +169,10 @@ impl H4 {
                 below
             },
             margin: geometry.singularity_margin.0,
+            margin_square: {
+                let margin = geometry.singularity_margin.magnitude() as u64;
+                margin * margin
+            },
         }
     }
 

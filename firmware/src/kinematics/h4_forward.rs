@@ -16,8 +16,8 @@
 
 use super::h4::{BasePose, H4};
 use super::{Joints, PoseError};
-use crate::units::root::Root;
-use crate::units::scale::{multiply_high, multiply_shift, round_shift};
+use crate::units::root::{Root, reciprocal};
+use crate::units::scale::{high_product, multiply_high, multiply_shift, round_shift, saturate};
 use crate::units::trig::atan2;
 use crate::units::{Angle, Length};
 
@@ -74,60 +74,47 @@ impl H4 {
         // |drop| < 2^30 + 2^29.
         let drop = (self.half_height as i64 - round_shift(cosine as i64, 2)) as i32;
 
-        // The line through the centres: H and its direction, Q30. H^2 < 2^62 and H >= 1 mm: the shifts below are 14 or more.
+        // H^2 < 2^62, and H >= 1 mm. Scaled by an even shift to v, 1/4 to 1 in Q64, and the direction E, D with half that shift to Q31.
         let base_square = (square(self.lateral.unsigned_abs()) as u64)
             .wrapping_add(square(drop.unsigned_abs()) as u64);
-        let inverse = Root::of(base_square).reciprocal();
-        let scale = inverse.shift.wrapping_sub(30);
-        let along_y = multiply_shift(self.lateral, inverse.mantissa as i32, scale) as i32;
-        let along_z = multiply_shift(drop, inverse.mantissa as i32, scale) as i32;
+        let half_shift = base_square.leading_zeros() / 2;
+        let scaled = base_square << (2 * half_shift);
+        let grow = half_shift.saturating_sub(1);
+        let (along_y, along_z) = (self.lateral << grow, drop << grow);
 
-        // t = (upper^2 - lower^2) / 16 H in 2^-28 mm: eight more bits than a length, because the root below magnifies its error.
-        let difference = upper_square.wrapping_sub(lower_square);
-        let fine = round_shift(
-            multiply_high(difference, inverse.mantissa),
-            inverse.shift.wrapping_sub(36),
-        );
-        let along = round_shift(fine, 8);
-        if along.unsigned_abs() > twice_rod as u64 {
+        // sqrt(v) t, and v q^2 = v (R^2 - (S12^2 + S34^2) / 2 - H^2) - v t^2: the division by H^2 waits for the end, where it only scales.
+        let difference = round_shift(upper_square.wrapping_sub(lower_square), 4);
+        if difference.unsigned_abs() >> (63 - half_shift) != 0 {
             return Err(PoseError::Unreachable);
         }
-        // t^2 = whole^2 + whole * rest / 128 + rest^2 / 65536, the last below a quarter unit. |t| <= 2^31, so t^2 <= 2^62.
-        let rest = (fine - (along << 8)) as i32;
-        let along_square = along
-            .wrapping_mul(along)
-            .wrapping_add(round_shift(along.wrapping_mul(rest as i64), 7));
-        // R^2 <= 2^60, the others up to 2^62: the sum stays within 2^63 + 2^61 below zero and cannot come near the other end.
-        let radii = self
+        let fine = difference << half_shift;
+        let along_square = high_product(fine.unsigned_abs(), fine.unsigned_abs());
+        // R^2 and the mean of the S^2 are 0 to 2^60, H^2 below 2^62: this fits.
+        let free = self
             .rod_square
-            .wrapping_sub(round_shift(upper_square.wrapping_add(lower_square), 3));
-        let across_square = radii
-            .wrapping_sub(base_square as i64)
-            .wrapping_sub(along_square);
+            .wrapping_sub(round_shift(upper_square.wrapping_add(lower_square), 3))
+            .wrapping_sub(base_square as i64);
+        let across_square =
+            (high_product(free.max(0) as u64, scaled) as i64).wrapping_sub(along_square as i64);
         if across_square < 0 {
             return Err(PoseError::Unreachable);
         }
         let across = Root::of(across_square as u64).rounded();
-        if across < self.margin {
-            return Err(PoseError::NearSingularity { distance: across });
+        if (across_square as u64) < high_product(self.margin_square, scaled) {
+            return Err(self.too_near(across, base_square, half_shift));
         }
 
-        // |q| <= R; t and q are words and the direction is at most 2^30: sums below 2^62.
+        // (sqrt(v) t, sqrt(v) q) turned by the direction, over v: what is divided is below 2^61, since t^2 + q^2 <= R^2.
+        let along = round_shift(fine, 32);
         let across = self.branch.wrapping_mul(across as i64);
-        let along_y = along_y as i64;
-        let along_z = along_z as i64;
-        let y = round_shift(
-            along
-                .wrapping_mul(along_y)
-                .wrapping_sub(across.wrapping_mul(along_z)),
-            30,
-        );
-        let centre = round_shift(
-            along
-                .wrapping_mul(along_z)
-                .wrapping_add(across.wrapping_mul(along_y)),
-            30,
-        );
+        let product = |a: i64, b: i32| a.wrapping_mul(b as i64);
+        let numerator_y = product(along, along_y).wrapping_sub(product(across, along_z));
+        let numerator_z = product(along, along_z).wrapping_add(product(across, along_y));
+        let top = (scaled >> 32) as u32;
+        let odd = top.leading_zeros() & 1;
+        let inverse = reciprocal(top << odd) >> 1;
+        let y = round_shift(multiply_high(numerator_y, inverse), 29 - odd);
+        let centre = round_shift(multiply_high(numerator_z, inverse), 29 - odd);
         let x =
             round_shift(l1 + l2 + l3 + l4, 2) - multiply_shift(sum, self.ratio, self.ratio_shift);
         let z =
@@ -139,5 +126,16 @@ impl H4 {
             z: narrow(z)?,
             theta,
         })
+    }
+
+    /// The refusal of slides whose crossing is nearer to the singularity than the margin: q from sqrt(v) q.
+    #[cold]
+    fn too_near(&self, across: i32, base_square: u64, half_shift: u32) -> PoseError {
+        // sqrt(v) = H 2^half_shift / 2^32.
+        let base = (Root::of(base_square).rounded() as i64).max(1);
+        let distance = ((across as i64) << (32 - half_shift)) / base;
+        PoseError::NearSingularity {
+            distance: saturate(distance).min(self.margin - 1),
+        }
     }
 }

@@ -1,11 +1,12 @@
-//! Square roots of integers, by a table and Newton's rule; no division.
+//! Square roots and reciprocals of integers, by a table and Newton's rule; no division.
 //!
 //! | function | result | error |
 //! | --- | --- | --- |
 //! | [`isqrt`] | whole part of the square root of a `u64` | exact |
 //! | [`sqrt_rounded`] | nearest whole number to it | exact (at most 0.5; saturates at `u32::MAX`) |
 //! | [`hypot`] | length of the hypotenuse of two `i32` | at most 0.5 |
-//! | [`Root`] | root with extra bits, and its reciprocal | relative 2^-31 each |
+//! | [`Root`] | root with extra bits, and its reciprocal | relative 2^-30.5, 2^-29.5 |
+//! | [`reciprocal`] | reciprocal of a `u32` with its top bit set | relative 2^-31 |
 //!
 //! Cost: about seven multiplications 32 x 32 -> 64. The start value has 9 right bits (384 half words of table), one step gives 17, and the
 //! last step works on the remainder of the 64-bit number, which gives all 32.
@@ -101,6 +102,40 @@ pub struct Reciprocal {
     pub mantissa: u32,
     /// 31 to 62.
     pub shift: u32,
+}
+
+/// 1 / v in Q16 for v = (i + 256.5) / 512, i = 0..256: v runs from 1/2 to 1.
+static RECIPROCAL: [u32; 256] = reciprocals();
+
+const fn reciprocals() -> [u32; 256] {
+    let mut table = [0; 256];
+    let mut i = 0;
+    while i < table.len() {
+        table[i] = (1 << 26) / (2 * i as u32 + 513);
+        i += 1;
+    }
+    table
+}
+
+/// 1 / d in Q31, for d in Q32 from 1/2 to 1: `value` must have its top bit set. Relative error below 2^-31; 2 is held at `u32::MAX`.
+///
+/// Two steps of Newton's rule: 9, 18, 31 bits. A value without its top bit gives a meaningless result, never a panic.
+#[inline]
+#[must_use]
+pub const fn reciprocal(value: u32) -> u32 {
+    // The start belongs to a cell's middle, so the first step stays below 2. Casts to u32 cut nothing; they say that a product is of two
+    // words, which needs no check and is one instruction.
+    let start = RECIPROCAL[((value >> 23) & 255) as usize] as u64;
+    let error = (1u64 << 49).wrapping_sub(value as u64 * start);
+    let second = start.wrapping_mul((error >> 17) as u32 as u64) >> 16;
+    let error = (value as u64 * second as u32 as u64).wrapping_neg();
+    let error = (error.wrapping_add(1 << 31) >> 32) as u32;
+    let third = (second as u32 as u64 * error as u64 + (1 << 30)) >> 31;
+    if third > u32::MAX as u64 {
+        u32::MAX
+    } else {
+        third as u32
+    }
 }
 
 /// The whole part of the square root. Exact.
@@ -214,6 +249,22 @@ mod tests {
         assert_eq!(hypot(i32::MIN, 0), 1 << 31);
         assert_eq!(hypot(0, 0), 0);
         assert_eq!(hypot(-3, 4), 5);
+    }
+
+    #[test]
+    fn reciprocals_keep_their_bound() {
+        let check = |value: u32| {
+            let exact = libm::exp2(63.0) / value as f64;
+            let error = reciprocal(value) as f64 / exact - 1.0;
+            assert!(error.abs() < libm::exp2(-31.0), "{value} {error}");
+        };
+        (1u32 << 31..=u32::MAX).step_by(4099).for_each(check);
+        for cell in 256u32..512 {
+            for offset in 0..300 {
+                check((cell << 23) + offset);
+                check((cell << 23 | ((1 << 23) - 1)) - offset);
+            }
+        }
     }
 
     proptest! {

@@ -60,6 +60,18 @@ pub const fn multiply_high(value: i64, factor: u32) -> i64 {
     high + low
 }
 
+/// `a * b / 2^64`, too small by less than 3 units, for any two numbers: three products of words.
+#[inline]
+#[must_use]
+pub const fn high_product(a: u64, b: u64) -> u64 {
+    let (a_high, a_low) = (a >> 32, a & 0xffff_ffff);
+    let (b_high, b_low) = (b >> 32, b & 0xffff_ffff);
+    // Each term is a product of words and their sum is at most the true one.
+    (a_high * b_high)
+        .wrapping_add((a_high * b_low) >> 32)
+        .wrapping_add((a_low * b_high) >> 32)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -92,6 +104,14 @@ mod tests {
         }
     }
 
+    proptest! {
+        #[test]
+        fn high_product_is_short_by_less_than_three(a: u64, b: u64) {
+            let exact = ((a as u128 * b as u128) >> 64) as u64;
+            prop_assert!((0..3).contains(&(exact - high_product(a, b))));
+        }
+    }
+
     #[test]
     fn extremes_do_not_overflow() {
         for value in [i64::MIN, i64::MIN + 1, -1, 0, 1, i64::MAX - 1, i64::MAX] {
@@ -110,6 +130,7 @@ mod tests {
                 }
             }
         }
+        assert_eq!(high_product(u64::MAX, u64::MAX), u64::MAX - 2);
         assert_eq!(saturate(i64::MAX), i32::MAX);
         assert_eq!(saturate(i64::MIN), i32::MIN);
         assert_eq!(saturate(-7), -7);

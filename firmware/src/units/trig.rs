@@ -6,11 +6,12 @@
 //! | [`atan2`] | [`Angle`], 2^-32 turn | 1.0 raw unit (1.5e-9 rad) |
 //!
 //! Both bounds include the final rounding and are held by the tests below. Quarter turns are exact. The tables (0.5 kB for the sine,
-//! 2.5 kB for the arc tangent and its reciprocal) are worked out by the compiler from the series.
+//! 2 kB for the arc tangent) are worked out by the compiler from the series.
 //!
 //! Misuse: Q30 of 1 is 2^30, which fits; Q31 of 1 would not fit in `i32`. Do not shift a sine left.
 
 use super::Angle;
+use super::root::reciprocal;
 use super::scale::round_shift;
 
 /// One in Q30.
@@ -94,19 +95,6 @@ const fn negate_if(value: i32, condition: i32) -> i32 {
     (value ^ -condition).wrapping_add(condition)
 }
 
-/// 1 / v in Q16 for v = (i + 256.5) / 512, i = 0..256: v runs from 1/2 to 1.
-static RECIPROCAL: [u32; 256] = reciprocals();
-
-const fn reciprocals() -> [u32; 256] {
-    let mut table = [0; 256];
-    let mut i = 0;
-    while i < table.len() {
-        table[i] = (1 << 26) / (2 * i as u32 + 513);
-        i += 1;
-    }
-    table
-}
-
 /// Coefficients of the cubic for atan(c + x) about c = i / 128, in turns.
 struct ArcTangent {
     /// atan(c), 2^-34 turn.
@@ -179,24 +167,8 @@ pub const fn atan2(y: i32, x: i32) -> Angle {
     let long = (long | (long == 0) as u32) << zeros;
     let short = short << zeros;
 
-    // r = 1 / long in Q31 (long in Q32, 1/2 to 1) by two steps of Newton's rule: 9, 18, 31 bits. The start is a cell's middle, so the
-    // first step stays below 2.
-    // Casts to u32 cut nothing; they say that a product is of two words.
-    let start = RECIPROCAL[((long >> 23) & 255) as usize] as u64;
-    let error = (1u64 << 49).wrapping_sub(long as u64 * start);
-    let second = start.wrapping_mul((error >> 17) as u32 as u64) >> 16;
-    let error = (long as u64 * second as u32 as u64).wrapping_neg();
-    let error = (error.wrapping_add(1 << 31) >> 32) as u32;
-    // At most 2, which leaves the word: one unit less is far below the error.
-    let reciprocal = (second as u32 as u64 * error as u64 + (1 << 30)) >> 31;
-    let reciprocal = if reciprocal > u32::MAX as u64 {
-        u32::MAX
-    } else {
-        reciprocal as u32
-    };
-
     // short / long in Q32, at most 1.
-    let ratio = (short as u64 * reciprocal as u64 + (1 << 30)) >> 31;
+    let ratio = (short as u64 * reciprocal(long) as u64 + (1 << 30)) >> 31;
     let index = (ratio + (1 << 24)) >> 25;
     let rest = ratio.wrapping_sub(index << 25) as i32;
     let cubic = &ARC_TANGENT[if index < 128 { index as usize } else { 128 }];
