@@ -23,7 +23,7 @@
 use super::{Accelerations, Jacobian, JointMotion, Joints, Kinematics, Pose, PoseError, Rates};
 use crate::config::H4Geometry;
 use crate::units::root::{Root, hypot};
-use crate::units::scale::{multiply_shift, round_shift};
+use crate::units::scale::{multiply_shift, round_shift, saturate};
 use crate::units::trig::sin_cos;
 use crate::units::{Angle, Coordinate, Length};
 
@@ -54,7 +54,7 @@ pub struct H4 {
     /// d.
     pub(super) half_height: i32,
     /// w.
-    pub(super) joint_offset: i64,
+    pub(super) joint_offset: i32,
     /// R.
     pub(super) rod: i32,
     /// R^2, 2^-40 mm^2.
@@ -62,22 +62,24 @@ pub struct H4 {
     /// The least S^2 that is accepted: (0.1 R)^2.
     least_square: i64,
     /// m of rods 1 and 2: T_L + 2 c.
-    pub(super) upper: i64,
+    pub(super) upper: i32,
     /// m of rods 3 and 4: T_L.
-    pub(super) lower: i64,
+    pub(super) lower: i32,
     /// (c + T_L) / 4 c, `ratio / 2^ratio_shift`: from the sums of slides to what the tilt moves the tip.
     pub(super) ratio: i32,
     pub(super) ratio_shift: u32,
     /// p + x_Ow^O1, y_Ow^O1, z_O1^O2.
     pub(super) offset: [i32; 3],
     /// h.
-    pub(super) table_height: i64,
+    pub(super) table_height: i32,
     /// g_e.
-    pub(super) rail_offset: i64,
+    pub(super) rail_offset: i32,
     /// +1 or -1: sign of E Z - y D on the configured branch.
     pub(super) branch: i64,
     /// Least distance from the parallel singularity.
     pub(super) margin: i32,
+    /// Its square.
+    pub(super) margin_square: u64,
 }
 
 /// The tool in the frame of the slave base: the pose without table and offsets.
@@ -145,12 +147,13 @@ impl H4 {
             lateral: geometry.lateral.0,
             half_spacing: geometry.half_spacing.0,
             half_height: geometry.half_height.0,
-            joint_offset: geometry.joint_offset.0 as i64,
+            joint_offset: geometry.joint_offset.0,
             rod,
             rod_square,
             least_square: rod_square / 100 + (rod_square % 100 != 0) as i64,
-            upper: geometry.tool.0 as i64 + 2 * spacing,
-            lower: geometry.tool.0 as i64,
+            // Fits wherever the geometry is sound.
+            upper: saturate(geometry.tool.0 as i64 + 2 * spacing),
+            lower: geometry.tool.0,
             ratio,
             ratio_shift,
             offset: [
@@ -158,14 +161,18 @@ impl H4 {
                 geometry.y_offset.0,
                 geometry.z_offset.0,
             ],
-            table_height: geometry.table_height.0 as i64,
-            rail_offset: geometry.rail_offset.0 as i64,
+            table_height: geometry.table_height.0,
+            rail_offset: geometry.rail_offset.0,
             branch: if geometry.lateral.0 < 0 {
                 -below
             } else {
                 below
             },
             margin: geometry.singularity_margin.0,
+            margin_square: {
+                let margin = geometry.singularity_margin.magnitude() as u64;
+                margin * margin
+            },
         }
     }
 
@@ -197,7 +204,7 @@ impl H4 {
     }
 
     /// The pose in the frame of the slave base, with U and V of both pairs no longer than a rod. (3.14)-(3.16), turned round.
-    #[inline]
+    #[inline(always)]
     pub(super) fn frame(&self, pose: &Pose) -> Result<Placed, PoseError> {
         let [x_w, y_w, z_w, theta, alpha, _] = pose.0;
         check_tilt(theta)?;
@@ -212,19 +219,16 @@ impl H4 {
         let (Some(across), Some(up)) = (across, up) else {
             return Err(PoseError::Unreachable);
         };
-        let (sine, cosine) = (table.0 as i64, table.1 as i64);
-        let (across, up) = (across as i64, up as i64);
-        let y = round_shift(across * cosine - up * sine, 30);
-        let height = round_shift(across * sine + up * cosine, 30);
+        let (y, height) = turn(across, up, table);
 
-        let below = self.table_height - self.rail_offset - height;
+        let below = self.table_height as i64 - self.rail_offset as i64 - height;
         let upper = (
             self.lateral as i64 - y,
-            below + self.half_height as i64 - round_shift(self.upper * tilt.1 as i64, 30),
+            below + self.half_height as i64 - multiply_shift(self.upper, tilt.1, 30),
         );
         let lower = (
             self.lateral as i64 + y,
-            below - self.half_height as i64 - round_shift(self.lower * tilt.1 as i64, 30),
+            below - self.half_height as i64 - multiply_shift(self.lower, tilt.1, 30),
         );
         // Before anything is squared: an absurd pose would not fit.
         let rod = self.rod as i64;
@@ -244,7 +248,7 @@ impl H4 {
     }
 
     /// The pose with both pairs of rods, every condition but the strokes fulfilled.
-    #[inline]
+    #[inline(always)]
     pub(super) fn place(&self, pose: &Pose) -> Result<(Placed, [Pair; 2]), PoseError> {
         let placed = self.frame(pose)?;
         let upper = self.square(placed.upper);
@@ -259,8 +263,9 @@ impl H4 {
         }
         // hypot(E, D) <= |E| + |D|: a pose that is far enough by this measure needs no root and no division.
         let (cross, height) = self.cross(&placed);
-        let bound = 2 * self.margin as i64 * (self.lateral as i64).abs();
-        if cross < bound + self.margin as i64 * height {
+        let width = 2 * self.lateral.unsigned_abs() as i64 + height;
+        // margin <= 2^30, width <= 2^32.
+        if cross < (self.margin as i64).wrapping_mul(width) {
             let distance = self.distance(&placed);
             if distance < self.margin {
                 return Err(PoseError::NearSingularity { distance });
@@ -280,7 +285,9 @@ impl H4 {
     /// R^2 - U^2 - V^2; from -2^60 to 2^60.
     #[inline]
     fn square(&self, (u, v): (i32, i32)) -> i64 {
-        self.rod_square - u as i64 * u as i64 - v as i64 * v as i64
+        // |u| and |v| are at most R <= 2^30: nothing wraps.
+        let (u, v) = (u as i64 * u as i64, v as i64 * v as i64);
+        self.rod_square.wrapping_sub(u).wrapping_sub(v)
     }
 
     /// 2 (E Z - y D) with the sign of the branch, and |2 D|. With U and V of both pairs, E Z - y D = -(U1 V3 + U3 V1) / 2 and D = (V1 - V3) / 2.
@@ -288,7 +295,12 @@ impl H4 {
     fn cross(&self, placed: &Placed) -> (i64, i64) {
         let (u1, v1) = (placed.upper.0 as i64, placed.upper.1 as i64);
         let (u3, v3) = (placed.lower.0 as i64, placed.lower.1 as i64);
-        (-self.branch * (u1 * v3 + u3 * v1), (v1 - v3).abs())
+        // All four are at most 2^30 in magnitude: nothing wraps.
+        let twice = (u1 * v3).wrapping_add(u3 * v1);
+        (
+            self.branch.wrapping_neg().wrapping_mul(twice),
+            (v1 - v3).abs(),
+        )
     }
 
     /// Signed distance from the parallel singularity, rounded towards zero.
@@ -297,24 +309,21 @@ impl H4 {
         let (cross, height) = self.cross(placed);
         let base = hypot(self.lateral, (height / 2) as i32).max(1);
         // |cross| <= 2^61, base >= 1 mm = 2^20: the quotient may leave the word only if the geometry is absurd.
-        crate::units::scale::saturate(cross / (2 * base as i64))
+        saturate(cross / (2 * base as i64))
     }
 
     /// (3.23)-(3.26) from a placed pose.
-    #[inline]
+    #[inline(always)]
     fn joints(
         &self,
         placed: &Placed,
         pairs: &[Pair; 2],
         alpha: Coordinate,
     ) -> Result<Joints, PoseError> {
-        let sine = placed.tilt.0 as i64;
-        let upper = placed.x + round_shift(self.upper * sine, 30);
-        let lower = placed.x + round_shift(self.lower * sine, 30);
-        let spread = [
-            self.joint_offset + pairs[0].root.rounded() as i64,
-            self.joint_offset + pairs[1].root.rounded() as i64,
-        ];
+        let sine = placed.tilt.0;
+        let upper = placed.x + multiply_shift(self.upper, sine, 30);
+        let lower = placed.x + multiply_shift(self.lower, sine, 30);
+        let spread = pairs.map(|pair| self.joint_offset as i64 + pair.root.rounded() as i64);
         let slides = [
             upper + spread[0],
             upper - spread[0],
@@ -338,6 +347,17 @@ const fn scaled_ratio(numerator: i64, denominator: i64) -> (i32, u32) {
         shift -= 1;
     }
     (((numerator << shift) / denominator) as i32, shift)
+}
+
+/// The point (across, up) turned by the angle whose sine and cosine are given in Q30.
+#[inline]
+fn turn(across: i32, up: i32, (sine, cosine): (i32, i32)) -> (i64, i64) {
+    // Products of an i32 and a Q30 stay below 2^61, their sums below 2^62.
+    let product = |a: i32, b: i32| a as i64 * b as i64;
+    (
+        round_shift(product(across, cosine).wrapping_sub(product(up, sine)), 30),
+        round_shift(product(across, sine).wrapping_add(product(up, cosine)), 30),
+    )
 }
 
 /// The tilt of the tool must be less than a quarter turn.
@@ -390,10 +410,9 @@ impl Kinematics for H4 {
         let base = self.base(joints)?;
         let (sine, cosine) = sin_cos(alpha.angle());
         // (3.14)-(3.16); h may be large, so the height is checked before it is multiplied.
-        let height =
-            i32::try_from(base.z as i64 + self.table_height).map_err(|_| PoseError::Unreachable)?;
-        let across = multiply_shift(base.y, cosine, 30) + multiply_shift(height, sine, 30);
-        let up = multiply_shift(height, cosine, 30) - multiply_shift(base.y, sine, 30);
+        let height = i32::try_from(base.z as i64 + self.table_height as i64)
+            .map_err(|_| PoseError::Unreachable)?;
+        let (across, up) = turn(base.y, height, (-sine, cosine));
         let mut pose = Pose::default();
         let table = [base.x as i64, across, up];
         for ((coordinate, value), offset) in pose.0.iter_mut().zip(table).zip(self.offset) {

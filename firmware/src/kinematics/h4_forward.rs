@@ -16,8 +16,8 @@
 
 use super::h4::{BasePose, H4};
 use super::{Joints, PoseError};
-use crate::units::root::Root;
-use crate::units::scale::{multiply_high, multiply_shift, round_shift};
+use crate::units::root::{Root, reciprocal};
+use crate::units::scale::{high_product, multiply_high, multiply_shift, round_shift, saturate};
 use crate::units::trig::atan2;
 use crate::units::{Angle, Length};
 
@@ -49,8 +49,8 @@ impl H4 {
         let [l1, l2, l3, l4, ..] = joints.0.map(|joint| joint.0 as i64);
 
         // 2 S of both pairs: exact, and with their sign before it is lost.
-        let upper = l1 - l2 - 2 * self.joint_offset;
-        let lower = l3 - l4 - 2 * self.joint_offset;
+        let upper = l1 - l2 - 2 * self.joint_offset as i64;
+        let lower = l3 - l4 - 2 * self.joint_offset as i64;
         let twice_rod = 2 * self.rod as i64;
         let width = 4 * self.half_spacing as i64;
         let sum = l1 + l2 - l3 - l4;
@@ -61,50 +61,64 @@ impl H4 {
             let pair = (10 * upper >= twice_rod) as u8;
             return Err(PoseError::NearReachLimit { pair });
         }
+        // Now N and 2 S are words, below 2^31 and at most 2^31: the casts cut nothing, and products of words need no check.
+        let (upper, lower) = (upper as u32, lower as u32);
+        let square = |value: u32| (value as u64 * value as u64) as i64;
+        let (upper_square, lower_square) = (square(upper), square(lower));
 
         // The tilt: N and 4 c cos(theta), both below 2^31.
+        let (less, more) = ((width - sum) as u32, (width + sum) as u32);
+        let cosine = Root::of(less as u64 * more as u64).rounded();
         let sum = sum as i32;
-        let cosine = Root::of(((width - sum as i64) * (width + sum as i64)) as u64).rounded();
         let theta = atan2(sum, cosine);
-        let drop = self.half_height as i64 - round_shift(cosine as i64, 2);
+        // |drop| < 2^30 + 2^29.
+        let drop = (self.half_height as i64 - round_shift(cosine as i64, 2)) as i32;
 
-        // The line through the centres: H and its direction, Q30. |drop| < 2^30 + 2^29, so H^2 < 2^62.
-        let lateral = self.lateral as i64;
-        let base_square = lateral * lateral + drop * drop;
-        let inverse = Root::of(base_square as u64).reciprocal();
-        // 2^62 / H is mantissa << (62 - shift) and H >= 1 mm: the shifts below are positive.
-        let along_y = round_shift(lateral * inverse.mantissa as i64, inverse.shift - 30);
-        let along_z = round_shift(drop * inverse.mantissa as i64, inverse.shift - 30);
+        // H^2 < 2^62, and H >= 1 mm. Scaled by an even shift to v, 1/4 to 1 in Q64, and the direction E, D with half that shift to Q31.
+        let base_square = (square(self.lateral.unsigned_abs()) as u64)
+            .wrapping_add(square(drop.unsigned_abs()) as u64);
+        let half_shift = base_square.leading_zeros() / 2;
+        let scaled = base_square << (2 * half_shift);
+        let grow = half_shift.saturating_sub(1);
+        let (along_y, along_z) = (self.lateral << grow, drop << grow);
 
-        // t = (upper^2 - lower^2) / 16 H in 2^-28 mm: eight more bits than a length, because the root below magnifies its error.
-        let difference = (upper - lower) * (upper + lower);
-        let fine = round_shift(
-            multiply_high(difference, inverse.mantissa),
-            inverse.shift - 36,
-        );
-        let along = round_shift(fine, 8);
-        if along.abs() > twice_rod {
+        // sqrt(v) t, and v q^2 = v (R^2 - (S12^2 + S34^2) / 2 - H^2) - v t^2: the division by H^2 waits for the end, where it only scales.
+        let difference = round_shift(upper_square.wrapping_sub(lower_square), 4);
+        if difference.unsigned_abs() >> (63 - half_shift) != 0 {
             return Err(PoseError::Unreachable);
         }
-        // t^2 = whole^2 + whole * rest / 128 + rest^2 / 65536, the last below a quarter unit.
-        let rest = fine - (along << 8);
-        let along_square = along * along + round_shift(along * rest, 7);
-        let radii = self.rod_square - round_shift(upper * upper + lower * lower, 3);
-        let across_square = radii - base_square - along_square;
+        let fine = difference << half_shift;
+        let along_square = high_product(fine.unsigned_abs(), fine.unsigned_abs());
+        // R^2 and the mean of the S^2 are 0 to 2^60, H^2 below 2^62: this fits.
+        let free = self
+            .rod_square
+            .wrapping_sub(round_shift(upper_square.wrapping_add(lower_square), 3))
+            .wrapping_sub(base_square as i64);
+        let across_square =
+            (high_product(free.max(0) as u64, scaled) as i64).wrapping_sub(along_square as i64);
         if across_square < 0 {
             return Err(PoseError::Unreachable);
         }
         let across = Root::of(across_square as u64).rounded();
-        if across < self.margin {
-            return Err(PoseError::NearSingularity { distance: across });
+        if (across_square as u64) < high_product(self.margin_square, scaled) {
+            return Err(self.too_near(across, base_square, half_shift));
         }
 
-        let across = self.branch * across as i64;
-        let y = round_shift(along * along_y - across * along_z, 30);
-        let centre = round_shift(along * along_z + across * along_y, 30);
+        // (sqrt(v) t, sqrt(v) q) turned by the direction, over v: what is divided is below 2^61, since t^2 + q^2 <= R^2.
+        let along = round_shift(fine, 32);
+        let across = self.branch.wrapping_mul(across as i64);
+        let product = |a: i64, b: i32| a.wrapping_mul(b as i64);
+        let numerator_y = product(along, along_y).wrapping_sub(product(across, along_z));
+        let numerator_z = product(along, along_z).wrapping_add(product(across, along_y));
+        let top = (scaled >> 32) as u32;
+        let odd = top.leading_zeros() & 1;
+        let inverse = reciprocal(top << odd) >> 1;
+        let y = round_shift(multiply_high(numerator_y, inverse), 29 - odd);
+        let centre = round_shift(multiply_high(numerator_z, inverse), 29 - odd);
         let x =
             round_shift(l1 + l2 + l3 + l4, 2) - multiply_shift(sum, self.ratio, self.ratio_shift);
-        let z = centre - self.rail_offset - multiply_shift(cosine, self.ratio, self.ratio_shift);
+        let z =
+            centre - self.rail_offset as i64 - multiply_shift(cosine, self.ratio, self.ratio_shift);
         let narrow = |value: i64| i32::try_from(value).map_err(|_| PoseError::Unreachable);
         Ok(Base {
             x: narrow(x)?,
@@ -112,5 +126,16 @@ impl H4 {
             z: narrow(z)?,
             theta,
         })
+    }
+
+    /// The refusal of slides whose crossing is nearer to the singularity than the margin: q from sqrt(v) q.
+    #[cold]
+    fn too_near(&self, across: i32, base_square: u64, half_shift: u32) -> PoseError {
+        // sqrt(v) = H 2^half_shift / 2^32.
+        let base = (Root::of(base_square).rounded() as i64).max(1);
+        let distance = ((across as i64) << (32 - half_shift)) / base;
+        PoseError::NearSingularity {
+            distance: saturate(distance).min(self.margin - 1),
+        }
     }
 }

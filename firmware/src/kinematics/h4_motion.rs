@@ -138,9 +138,9 @@ impl H4 {
             -round_shift(sine * theta as i64, 30) as i32,
             -(round_shift(sine * theta_spin, 30) + round_shift(cosine * theta_square, 36)) as i32,
         );
-        let arm = |length: i64, jet: (i32, i32)| Jet {
-            first: scale(length, jet.0, 29),
-            second: scale(length, jet.1, 29),
+        let arm = |length: i32, jet: (i32, i32)| Jet {
+            first: multiply_shift(length, jet.0, 29),
+            second: multiply_shift(length, jet.1, 29),
         };
 
         let mut out_rates = Rates::default();
@@ -202,8 +202,8 @@ impl H4 {
             // dl/dy and dl/dz, Q27.
             let across = sign * side * slope.u;
             let up = sign * slope.v;
-            let tilt = round_shift(length * cosine as i64, 30)
-                - scale(round_shift(length * sine as i64, 30), up, 27);
+            let tilt = multiply_shift(length, cosine, 30)
+                - scale(multiply_shift(length, sine, 30), up, 27);
             let table = scale(placed.y, up, 27) - scale(placed.height, across, 27);
             *row = [
                 one,

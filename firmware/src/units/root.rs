@@ -1,25 +1,26 @@
-//! Square roots of integers, by a table and Newton's rule; no division.
+//! Square roots and reciprocals of integers, by a table and Newton's rule; no division.
 //!
 //! | function | result | error |
 //! | --- | --- | --- |
 //! | [`isqrt`] | whole part of the square root of a `u64` | exact |
 //! | [`sqrt_rounded`] | nearest whole number to it | exact (at most 0.5; saturates at `u32::MAX`) |
 //! | [`hypot`] | length of the hypotenuse of two `i32` | at most 0.5 |
-//! | [`Root`] | root with extra bits, and its reciprocal | relative 2^-31 each |
+//! | [`Root`] | root with extra bits, and its reciprocal | relative 2^-30.5, 2^-29.5 |
+//! | [`reciprocal`] | reciprocal of a `u32` with its top bit set | relative 2^-31 |
 //!
 //! Cost: about seven multiplications 32 x 32 -> 64. The start value has 9 right bits (384 half words of table), one step gives 17, and the
 //! last step works on the remainder of the 64-bit number, which gives all 32.
 
-/// 1 / (2 sqrt(v)) in Q16 for v = (i + 128.5) / 512, i = 0..384: v runs from 1/4 to 1.
-static RECIPROCAL_ROOT: [u16; 384] = reciprocal_roots();
+/// 1 / (2 sqrt(v)) in Q16 for v = (i + 1/2) / 512; v runs from 1/4 (i = 128) to 1. Below that the table is never read: it only spares the
+/// bounds check.
+static RECIPROCAL_ROOT: [u16; 512] = reciprocal_roots();
 
-const fn reciprocal_roots() -> [u16; 384] {
-    let mut table = [0; 384];
-    let mut i = 0;
+const fn reciprocal_roots() -> [u16; 512] {
+    let mut table = [u16::MAX; 512];
+    let mut i = 128;
     while i < table.len() {
-        // z = 1 / (2 sqrt(v)), z * 2^16 = sqrt(2^30 / v) = sqrt(2^30 * 1024 / (2 i + 257)), rounded.
-        let four_square = (1u64 << 42) / (2 * i as u64 + 257);
-        let twice = four_square.isqrt();
+        // z = 1 / (2 sqrt(v)), 2 z * 2^16 = sqrt(2^32 / v) = sqrt(2^42 / (2 i + 1)); the halving rounds.
+        let twice = ((1u64 << 42) / (2 * i as u64 + 1)).isqrt();
         table[i] = twice.div_ceil(2) as u16;
         i += 1;
     }
@@ -44,21 +45,21 @@ impl Root {
     pub const fn of(square: u64) -> Self {
         let zeros = (square | 1).leading_zeros() & !1;
         let scaled = square << zeros;
-        let high = (scaled >> 32) as u32;
-        // v = high / 2^32 is 1/4 to 1. The mask tells the compiler what the line above says; 0 (square = 0) must not leave the table.
-        let index = ((high >> 23) as usize).saturating_sub(128);
-        let start = RECIPROCAL_ROOT[if index < 384 { index } else { 383 }] as u64;
-        // z (3/2 - 2 v z^2), z = 1 / (2 sqrt v) in Q16; the result in Q31. v z^2 is 1/4 within 2^-8, so nothing leaves its word.
+        let high = scaled >> 32;
+        // v = high / 2^32 is 1/4 to 1: the mask cuts nothing.
+        let start = RECIPROCAL_ROOT[(high >> 23) as usize & 511] as u64;
+        // z (3/2 - 2 v z^2), z = 1 / (2 sqrt v) in Q16; the result in Q31. v z^2 is 1/4 within 2^-8, so nothing leaves its word (and the
+        // wrapping operations here and below never wrap: they spare the check).
         // The 2 covers what the two cut-off tails could make too large, so that the root is come at from below.
-        let quarter = ((high as u64 * (start * start)) >> 32) + 2;
-        let rough = (start * ((3 << 30) - quarter)) >> 16;
+        let quarter = (high.wrapping_mul(start * start) >> 32) + 2;
+        let rough = start.wrapping_mul((3u64 << 30).wrapping_sub(quarter)) >> 16;
         // Below the root, because Newton's rule for the reciprocal root comes from below.
-        let first = (high as u64 * rough) >> 30;
-        let remainder = scaled - first * first;
+        let first = high.wrapping_mul(rough) >> 30;
+        let remainder = scaled.wrapping_sub(first.wrapping_mul(first));
         // remainder / (2 root) with the remainder below 2^49.
-        let step = ((remainder >> 17) * rough) >> 46;
+        let step = (remainder >> 17).wrapping_mul(rough) >> 46;
         Self {
-            mantissa: (first + step) as u32,
+            mantissa: first.wrapping_add(step) as u32,
             rough: rough as u32,
             shift: zeros / 2,
         }
@@ -68,13 +69,10 @@ impl Root {
     #[inline]
     #[must_use]
     pub const fn rounded(self) -> i32 {
-        if self.shift == 0 {
-            // Not below 2^62: saturate rather than wrap.
-            return i32::MAX;
-        }
-        // At most 2^31, and that only within 2^31 of the end of the range.
-        let nearest = ((self.mantissa >> (self.shift - 1)) as u64 + 1) >> 1;
-        if nearest > i32::MAX as u64 {
+        // The half bit is added after the shift. With a shift of 0 it is a wrong one, but then the root is 2^31 or more anyway.
+        let half = self.mantissa.wrapping_shr(self.shift.wrapping_sub(1)) & 1;
+        let nearest = (self.mantissa >> self.shift).saturating_add(half);
+        if nearest > i32::MAX as u32 {
             i32::MAX
         } else {
             nearest as i32
@@ -88,11 +86,11 @@ impl Root {
         // z + z (1 - root / root0): one more step of Newton's rule for the reciprocal, from 17 bits to 31.
         let product = self.mantissa as u64 * self.rough as u64;
         // product is 2^62 (1 - error), error from 0 to 2^-16 (or a hair below 0).
-        let error = (1i64 << 62) - product as i64;
+        let error = (1i64 << 62).wrapping_sub(product as i64);
         let correction = ((error >> 30) * self.rough as i64) >> 32;
         Reciprocal {
             mantissa: (self.rough as i64 + correction) as u32,
-            shift: 62 - self.shift,
+            shift: 62 - (self.shift & 31),
         }
     }
 }
@@ -104,6 +102,40 @@ pub struct Reciprocal {
     pub mantissa: u32,
     /// 31 to 62.
     pub shift: u32,
+}
+
+/// 1 / v in Q16 for v = (i + 256.5) / 512, i = 0..256: v runs from 1/2 to 1.
+static RECIPROCAL: [u32; 256] = reciprocals();
+
+const fn reciprocals() -> [u32; 256] {
+    let mut table = [0; 256];
+    let mut i = 0;
+    while i < table.len() {
+        table[i] = (1 << 26) / (2 * i as u32 + 513);
+        i += 1;
+    }
+    table
+}
+
+/// 1 / d in Q31, for d in Q32 from 1/2 to 1: `value` must have its top bit set. Relative error below 2^-31; 2 is held at `u32::MAX`.
+///
+/// Two steps of Newton's rule: 9, 18, 31 bits. A value without its top bit gives a meaningless result, never a panic.
+#[inline]
+#[must_use]
+pub const fn reciprocal(value: u32) -> u32 {
+    // The start belongs to a cell's middle, so the first step stays below 2. Casts to u32 cut nothing; they say that a product is of two
+    // words, which needs no check and is one instruction.
+    let start = RECIPROCAL[((value >> 23) & 255) as usize] as u64;
+    let error = (1u64 << 49).wrapping_sub(value as u64 * start);
+    let second = start.wrapping_mul((error >> 17) as u32 as u64) >> 16;
+    let error = (value as u64 * second as u32 as u64).wrapping_neg();
+    let error = (error.wrapping_add(1 << 31) >> 32) as u32;
+    let third = (second as u32 as u64 * error as u64 + (1 << 30)) >> 31;
+    if third > u32::MAX as u64 {
+        u32::MAX
+    } else {
+        third as u32
+    }
 }
 
 /// The whole part of the square root. Exact.
@@ -217,6 +249,22 @@ mod tests {
         assert_eq!(hypot(i32::MIN, 0), 1 << 31);
         assert_eq!(hypot(0, 0), 0);
         assert_eq!(hypot(-3, 4), 5);
+    }
+
+    #[test]
+    fn reciprocals_keep_their_bound() {
+        let check = |value: u32| {
+            let exact = libm::exp2(63.0) / value as f64;
+            let error = reciprocal(value) as f64 / exact - 1.0;
+            assert!(error.abs() < libm::exp2(-31.0), "{value} {error}");
+        };
+        (1u32 << 31..=u32::MAX).step_by(4099).for_each(check);
+        for cell in 256u32..512 {
+            for offset in 0..300 {
+                check((cell << 23) + offset);
+                check((cell << 23 | ((1 << 23) - 1)) - offset);
+            }
+        }
     }
 
     proptest! {

@@ -27,7 +27,8 @@ pub const fn saturate(value: i64) -> i32 {
 #[must_use]
 pub const fn round_shift(value: i64, shift: u32) -> i64 {
     // Shifting twice keeps the half bit without an addition that could overflow at the top.
-    (value >> (shift - 1)).wrapping_add(1) >> 1
+    // The shift is not checked again at each use: its range is the caller's duty.
+    value.wrapping_shr(shift.wrapping_sub(1)).wrapping_add(1) >> 1
 }
 
 /// `a * b / 2^shift`, rounded to nearest, for any two `i32`; `shift` is 1 to 62.
@@ -57,6 +58,18 @@ pub const fn multiply_high(value: i64, factor: u32) -> i64 {
     let high = (value >> 32) * factor as i64;
     let low = ((value as u32 as u64 * factor as u64) >> 32) as i64;
     high + low
+}
+
+/// `a * b / 2^64`, too small by less than 3 units, for any two numbers: three products of words.
+#[inline]
+#[must_use]
+pub const fn high_product(a: u64, b: u64) -> u64 {
+    let (a_high, a_low) = (a >> 32, a & 0xffff_ffff);
+    let (b_high, b_low) = (b >> 32, b & 0xffff_ffff);
+    // Each term is a product of words and their sum is at most the true one.
+    (a_high * b_high)
+        .wrapping_add((a_high * b_low) >> 32)
+        .wrapping_add((a_low * b_high) >> 32)
 }
 
 #[cfg(test)]
@@ -91,6 +104,14 @@ mod tests {
         }
     }
 
+    proptest! {
+        #[test]
+        fn high_product_is_short_by_less_than_three(a: u64, b: u64) {
+            let exact = ((a as u128 * b as u128) >> 64) as u64;
+            prop_assert!((0..3).contains(&(exact - high_product(a, b))));
+        }
+    }
+
     #[test]
     fn extremes_do_not_overflow() {
         for value in [i64::MIN, i64::MIN + 1, -1, 0, 1, i64::MAX - 1, i64::MAX] {
@@ -109,6 +130,7 @@ mod tests {
                 }
             }
         }
+        assert_eq!(high_product(u64::MAX, u64::MAX), u64::MAX - 2);
         assert_eq!(saturate(i64::MAX), i32::MAX);
         assert_eq!(saturate(i64::MIN), i32::MIN);
         assert_eq!(saturate(-7), -7);

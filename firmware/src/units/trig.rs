@@ -6,11 +6,12 @@
 //! | [`atan2`] | [`Angle`], 2^-32 turn | 1.0 raw unit (1.5e-9 rad) |
 //!
 //! Both bounds include the final rounding and are held by the tests below. Quarter turns are exact. The tables (0.5 kB for the sine,
-//! 2.5 kB for the arc tangent and its reciprocal) are worked out by the compiler from the series.
+//! 2 kB for the arc tangent) are worked out by the compiler from the series.
 //!
 //! Misuse: Q30 of 1 is 2^30, which fits; Q31 of 1 would not fit in `i32`. Do not shift a sine left.
 
 use super::Angle;
+use super::root::reciprocal;
 use super::scale::round_shift;
 
 /// One in Q30.
@@ -22,10 +23,16 @@ const PI_Q60: i128 = 3_622_009_729_038_561_421;
 /// pi / 4 in Q31: radians in Q29 from 2^-32 turn, when the product is shifted by 31.
 pub const QUARTER_PI_Q31: i32 = (PI_Q60 >> 31) as i32;
 
-/// sin(i * 90 degrees / 128) in Q31, i = 0..=128.
-static SINE: [u32; 129] = sines();
+/// The product of two words, divided by 2^shift (rounded down), where it is known to fit a word again.
+#[inline]
+const fn high_word(a: i32, b: i32, shift: u32) -> i32 {
+    ((a as i64 * b as i64) >> shift) as i32
+}
 
-const fn sines() -> [u32; 129] {
+/// sin(i * 90 degrees / 128) in Q31, i = 0..=128; the last, 1, is held at 2^31 - 1, which the rounding to Q30 makes good.
+static SINE: [i32; 129] = sines();
+
+const fn sines() -> [i32; 129] {
     let mut table = [0; 129];
     let mut i = 0;
     while i < table.len() {
@@ -39,7 +46,7 @@ const fn sines() -> [u32; 129] {
             sum += term;
             n += 2;
         }
-        table[i] = ((sum + (1 << 28)) >> 29) as u32;
+        table[i] = super::scale::saturate(((sum + (1 << 28)) >> 29) as i64);
         i += 1;
     }
     table
@@ -56,40 +63,36 @@ pub const fn sin_cos(angle: Angle) -> (i32, i32) {
     let point = raw.wrapping_add(1 << 22) >> 23;
     let rest = raw.wrapping_sub(point << 23) as i32;
     let index = (point & 127) as usize;
-    let (sine, cosine) = (SINE[index] as i64, SINE[128 - index] as i64);
+    let (sine, cosine) = (SINE[index], SINE[128 - index]);
 
     // The rest in radians, Q38: |rest| <= 2^22 units, so |radians| <= 0.00614 and the word holds it.
     const TWO_PI_Q28: i64 = (PI_Q60 >> 31) as i64;
-    let radians = (rest as i64 * TWO_PI_Q28 + (1 << 21)) >> 22;
-    let square = (radians * radians) >> 38;
+    let radians = ((rest as i64 * TWO_PI_Q28 + (1 << 21)) >> 22) as i32;
+    // Every factor below is a word, so every product is one instruction and cannot overflow.
+    let square = high_word(radians, radians, 38);
     // r - r^3 / 6 (the next term is 7e-14) and r^2 / 2 - r^4 / 24 (the next is 7e-17).
-    let small_sine = radians - ((((radians * square) >> 38) * 10_923) >> 16);
-    let small_versine = (square >> 1) - ((((square * square) >> 38) * 171) >> 12);
+    let small_sine = radians - high_word(high_word(radians, square, 38), 10_923, 16);
+    let small_versine = (square >> 1) - high_word(high_word(square, square, 38), 171, 12);
 
-    let sine_change = (cosine * small_sine - sine * small_versine + (1 << 37)) >> 38;
-    let cosine_change = (sine * small_sine + cosine * small_versine + (1 << 37)) >> 38;
-    let sine = ((sine + sine_change + 1) >> 1) as i32;
-    let cosine = ((cosine - cosine_change + 1) >> 1) as i32;
+    let sine_up = cosine as i64 * small_sine as i64 - sine as i64 * small_versine as i64;
+    let cosine_down = sine as i64 * small_sine as i64 + cosine as i64 * small_versine as i64;
+    // The sums are below 2^31 (Q31 of 1 and its error are cut by the rounding to Q30); as wide numbers they cost no check.
+    let sine = ((sine as i64 + ((sine_up + (1 << 37)) >> 38) + 1) >> 1) as i32;
+    let cosine = ((cosine as i64 - ((cosine_down + (1 << 37)) >> 38) + 1) >> 1) as i32;
 
-    match (point >> 7) & 3 {
-        0 => (sine, cosine),
-        1 => (cosine, -sine),
-        2 => (-sine, -cosine),
-        _ => (-cosine, sine),
-    }
+    // Quarter turns swap and negate. Masks, not branches: the sign of a pose's angles cannot be predicted.
+    let quarter = (point >> 7) as i32;
+    let swap = (sine ^ cosine) & -(quarter & 1);
+    (
+        negate_if(sine ^ swap, (quarter >> 1) & 1),
+        negate_if(cosine ^ swap, ((quarter + 1) >> 1) & 1),
+    )
 }
 
-/// 1 / v in Q16 for v = (i + 256.5) / 512, i = 0..256: v runs from 1/2 to 1.
-static RECIPROCAL: [u32; 256] = reciprocals();
-
-const fn reciprocals() -> [u32; 256] {
-    let mut table = [0; 256];
-    let mut i = 0;
-    while i < table.len() {
-        table[i] = (1 << 26) / (2 * i as u32 + 513);
-        i += 1;
-    }
-    table
+/// `-value` when `condition` is 1, `value` when it is 0; never a branch. The least value is its own opposite.
+#[inline]
+const fn negate_if(value: i32, condition: i32) -> i32 {
+    (value ^ -condition).wrapping_add(condition)
 }
 
 /// Coefficients of the cubic for atan(c + x) about c = i / 128, in turns.
@@ -157,41 +160,29 @@ const fn arc_tangents() -> [ArcTangent; 129] {
 pub const fn atan2(y: i32, x: i32) -> Angle {
     let (abs_x, abs_y) = (x.unsigned_abs(), y.unsigned_abs());
     let steep = abs_y > abs_x;
-    let (short, long) = if steep {
-        (abs_x, abs_y)
-    } else {
-        (abs_y, abs_x)
-    };
+    let swap = (abs_x ^ abs_y) & (steep as u32).wrapping_neg();
+    let (short, long) = (abs_y ^ swap, abs_x ^ swap);
     // 0 / 0 becomes 0 / 1.
     let zeros = (long | 1).leading_zeros();
     let long = (long | (long == 0) as u32) << zeros;
     let short = short << zeros;
 
-    // r = 1 / long in Q31 (long in Q32, 1/2 to 1) by two steps of Newton's rule: 9, 18, 31 bits. The start is a cell's middle, so the
-    // first step stays below 2.
-    let start = RECIPROCAL[((long >> 23) & 255) as usize] as u64;
-    let error = (1 << 49) - long as u64 * start;
-    let second = (start * (error >> 17)) >> 16;
-    let error = (long as u64 * second).wrapping_neg();
-    let reciprocal = (second * ((error + (1 << 31)) >> 32) + (1 << 30)) >> 31;
-
     // short / long in Q32, at most 1.
-    let ratio = ((short as u64 * reciprocal + (1 << 30)) >> 31) as i64;
+    let ratio = (short as u64 * reciprocal(long) as u64 + (1 << 30)) >> 31;
     let index = (ratio + (1 << 24)) >> 25;
-    let rest = ratio - (index << 25);
+    let rest = ratio.wrapping_sub(index << 25) as i32;
     let cubic = &ARC_TANGENT[if index < 128 { index as usize } else { 128 }];
-    let third = cubic.bend as i64 + ((cubic.third as i64 * rest) >> 32);
-    let second = cubic.slope as i64 + ((third * rest) >> 32);
-    let turn = cubic.value as i64 + ((second * rest + (1 << 30)) >> 31);
+    let third = cubic.bend.wrapping_add(high_word(cubic.third, rest, 32));
+    let second = cubic.slope.wrapping_add(high_word(third, rest, 32));
+    let turn = cubic.value as i64 + ((second as i64 * rest as i64 + (1 << 30)) >> 31);
     let eighth = round_shift(turn, 2) as i32;
 
-    let quadrant = if steep { (1 << 30) - eighth } else { eighth };
-    let half = if x < 0 {
-        i32::MIN.wrapping_sub(quadrant)
-    } else {
-        quadrant
-    };
-    Angle(if y < 0 { half.wrapping_neg() } else { half })
+    // Back through the octants, without branches: a quarter less it, a half less it, its opposite.
+    let steep = steep as i32;
+    let quadrant = negate_if(eighth, steep).wrapping_add(steep << 30);
+    let left = (x < 0) as i32;
+    let half = negate_if(quadrant, left).wrapping_add(left << 31);
+    Angle(negate_if(half, (y < 0) as i32))
 }
 
 #[cfg(test)]
