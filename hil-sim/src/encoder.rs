@@ -123,6 +123,8 @@ pub struct Encoder {
     /// Coordinate of the lower edge of count state 0, which is an index state.
     origin: f64,
     counts_per_turn: i64,
+    /// The index state at or below the count state.
+    turn_start: i64,
     reversed: bool,
     /// True count state of the shaft.
     state: i64,
@@ -148,10 +150,12 @@ impl Encoder {
         let scale = 1.0 / joint.per_count();
         let origin = joint.encoder.index;
         let state = floor((motor - origin) * scale);
+        let counts_per_turn = i64::from(joint.encoder.counts_per_turn);
         Self {
             scale,
             origin,
-            counts_per_turn: i64::from(joint.encoder.counts_per_turn),
+            counts_per_turn,
+            turn_start: state.div_euclid(counts_per_turn) * counts_per_turn,
             reversed: joint.encoder.reversed,
             state,
             zero: state,
@@ -220,31 +224,20 @@ impl Encoder {
     /// The direct way: no edge is looked at but the last one and those of the index.
     #[inline]
     fn follow_states(&mut self, path: impl Iterator<Item = f64>, time_ns: u64, step_ns: u64) {
-        let turn = self.counts_per_turn;
         let mut from = self.state;
         let mut before = 0.0;
         for (sample, at) in path.enumerate() {
             let place = (at - self.origin) * self.scale;
-            let state = floor(place);
-            if state != from && sample > 0 {
+            // Most steps stay within their count state; two comparisons tell.
+            let edge = from as f64;
+            if (place < edge || place >= edge + 1.0) && sample > 0 {
+                let state = floor(place);
                 let last_edge = if state > from { state } else { state + 1 };
                 let part = (last_edge as f64 - before) / (place - before);
                 let offset = (sample as u64 - 1) * step_ns + (part * step_ns as f64) as u64;
                 self.reading.edge_time_ns = (time_ns + offset) as u32;
-                // Every index state that was entered latches the counter.
-                let (low, high) = if state > from {
-                    (from + 1, state)
-                } else {
-                    (state, from - 1)
-                };
-                let (first, last) = (-(-low).div_euclid(turn), high.div_euclid(turn));
-                if first <= last {
-                    let latched = if state > from { last } else { first };
-                    self.reading.index_counts = self.counts_of(latched * turn);
-                    self.reading.index_pulses = self
-                        .reading
-                        .index_pulses
-                        .wrapping_add((last - first + 1) as u8);
+                if state <= self.turn_start || state >= self.turn_start + self.counts_per_turn {
+                    self.pass_index(from, state);
                 }
                 from = state;
             }
@@ -252,6 +245,27 @@ impl Encoder {
         }
         self.state = from;
         self.reading.counts = self.counts_of(from);
+    }
+
+    /// Every index state that is entered on the way latches the counter.
+    #[cold]
+    fn pass_index(&mut self, from: i64, to: i64) {
+        let turn = self.counts_per_turn;
+        let (low, high) = if to > from {
+            (from + 1, to)
+        } else {
+            (to, from - 1)
+        };
+        let (first, last) = (-(-low).div_euclid(turn), high.div_euclid(turn));
+        if first <= last {
+            let latched = if to > from { last } else { first };
+            self.reading.index_counts = self.counts_of(latched * turn);
+            self.reading.index_pulses = self
+                .reading
+                .index_pulses
+                .wrapping_add((last - first + 1) as u8);
+        }
+        self.turn_start = to.div_euclid(turn) * turn;
     }
 
     fn healthy_levels(&self, state: i64) -> Levels {
