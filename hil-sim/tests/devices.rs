@@ -3,7 +3,8 @@
 mod machine;
 
 use haptimill_firmware::io::{DriveCommand, Inputs, Outputs, StepSegment};
-use haptimill_hil_sim::encoder::{Encoder, EncoderCondition};
+use haptimill_hil_sim::encoder::{Encoder, EncoderCondition, Track};
+use haptimill_hil_sim::mechanics::Lanes;
 use haptimill_hil_sim::random::Random;
 use haptimill_hil_sim::stepper::{PulseProblem, PulseReport};
 use haptimill_hil_sim::{Plant, PlantConfig};
@@ -34,6 +35,17 @@ fn wander(seed: u64, periods: usize, speed: f64) -> Vec<[f64; 11]> {
         .collect()
 }
 
+/// Lets the shaft go through these samples.
+fn follow(encoder: &mut Encoder, path: &[f64], time_ns: u64) {
+    let rows: Vec<Lanes> = path
+        .iter()
+        .map(|&at| [at, 0.0, 0.0, 0.0, 0.0, 0.0])
+        .collect();
+    let low = path.iter().copied().fold(f64::INFINITY, f64::min);
+    let high = path.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    encoder.follow(&Track::new(&rows, 0, low, high), time_ns, STEP_NS);
+}
+
 fn encoder(reversed: bool) -> Encoder {
     let mut config = machine::slide();
     config.joint[0].encoder.reversed = reversed;
@@ -53,8 +65,8 @@ proptest! {
         edges.set_condition(EncoderCondition::default());
         for (period, path) in wander(seed, 500, speed).iter().enumerate() {
             let now = period as u64 * 200_000;
-            direct.follow(path.iter().copied(), now, STEP_NS);
-            edges.follow(path.iter().copied(), now, STEP_NS);
+            follow(&mut direct, path, now);
+            follow(&mut edges, path, now);
             prop_assert_eq!(direct.reading(), edges.reading());
             prop_assert_eq!(edges.reading().illegal, 0);
         }
@@ -66,7 +78,7 @@ proptest! {
         let mut encoder = encoder(reversed);
         let per_count = 10.0 / 8000.0;
         for (period, path) in wander(seed, 500, speed).iter().enumerate() {
-            encoder.follow(path.iter().copied(), period as u64 * 200_000, STEP_NS);
+            follow(&mut encoder, path, period as u64 * 200_000);
             let sign = if reversed { -1.0 } else { 1.0 };
             let told = sign * f64::from(encoder.reading().counts) * per_count;
             prop_assert!((told - (path[10] - START)).abs() <= per_count * 1.000_001);
@@ -81,7 +93,7 @@ proptest! {
         for period in 0..2000_u64 {
             let path: Vec<f64> = (0..=10).map(|step| at + speed * 20e-6 * f64::from(step)).collect();
             at = path[10];
-            encoder.follow(path.into_iter(), period * 200_000, STEP_NS);
+            follow(&mut encoder, &path, period * 200_000);
             let reading = encoder.reading();
             if reading.counts > 0 {
                 last = (reading.counts, reading.edge_time_ns);
@@ -109,7 +121,7 @@ proptest! {
             while (target - at) * direction > 0.0 {
                 let path: Vec<f64> = (0..=10).map(|step| at + direction * speed * 20e-6 * f64::from(step)).collect();
                 at = path[10];
-                encoder.follow(path.into_iter(), time, STEP_NS);
+                follow(&mut encoder, &path, time);
                 time += 200_000;
             }
             pulses += 1;
@@ -155,32 +167,32 @@ fn a_stuck_channel_goes_nowhere_and_a_swapped_one_the_wrong_way() {
     let path: Vec<f64> = (0..=10)
         .map(|step| START + 0.01 * f64::from(step))
         .collect();
-    let follow = |condition: EncoderCondition| {
+    let reading = |condition: EncoderCondition| {
         let mut encoder = encoder(false);
         encoder.set_condition(condition);
-        encoder.follow(path.iter().copied(), 0, STEP_NS);
+        follow(&mut encoder, &path, 0);
         encoder.reading()
     };
-    let healthy = follow(EncoderCondition::default());
+    let healthy = reading(EncoderCondition::default());
     assert_eq!(healthy.counts, 80);
     for level in [false, true] {
-        let stuck = follow(EncoderCondition {
+        let stuck = reading(EncoderCondition {
             stuck_a: Some(level),
             ..EncoderCondition::default()
         });
         assert!(stuck.counts.abs() <= 1, "{stuck:?}");
-        let stuck = follow(EncoderCondition {
+        let stuck = reading(EncoderCondition {
             stuck_b: Some(level),
             ..EncoderCondition::default()
         });
         assert!(stuck.counts.abs() <= 1, "{stuck:?}");
     }
-    let swapped = follow(EncoderCondition {
+    let swapped = reading(EncoderCondition {
         swapped: true,
         ..EncoderCondition::default()
     });
     assert!((swapped.counts + 80).abs() <= 2, "{swapped:?}");
-    let noisy = follow(EncoderCondition {
+    let noisy = reading(EncoderCondition {
         noise_hz: 49_000.0,
         ..EncoderCondition::default()
     });
@@ -200,9 +212,9 @@ fn a_slip_moves_the_counter_on_both_ways_of_counting() {
                 ..EncoderCondition::default()
             });
         }
-        encoder.follow([START, START + 0.01].into_iter(), 0, STEP_NS);
+        follow(&mut encoder, &[START, START + 0.01], 0);
         encoder.slip(100);
-        encoder.follow([START + 0.01, START + 0.02].into_iter(), STEP_NS, STEP_NS);
+        follow(&mut encoder, &[START + 0.01, START + 0.02], STEP_NS);
         assert_eq!(encoder.reading().counts, 100 - 16);
     }
 }
