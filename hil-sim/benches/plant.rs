@@ -3,7 +3,7 @@
 use criterion::{Criterion, criterion_group, criterion_main};
 use haptimill_firmware::io::{DriveCommand, Inputs, Outputs};
 use haptimill_hil_sim::geometry::Arm;
-use haptimill_hil_sim::{Plant, PlantConfig};
+use haptimill_hil_sim::{Control, Plant, PlantConfig, Rig, RigOptions};
 use std::hint::black_box;
 
 #[derive(serde::Deserialize)]
@@ -38,6 +38,31 @@ fn plant(criterion: &mut Criterion) {
             });
         },
     );
+
+    struct Shaken(u32);
+    impl Control for Shaken {
+        fn tick(&mut self, _: &Inputs, outputs: &mut Outputs) {
+            self.0 = self.0.wrapping_add(1);
+            let code = if (self.0 >> 8) & 1 == 0 { 1000 } else { -1000 };
+            outputs.axes[..5].fill(DriveCommand::Torque(code));
+            let _ = outputs.transmit.push(1);
+        }
+    }
+    let options = RigOptions {
+        baud: Some(115_200),
+        ..RigOptions::default()
+    };
+    let mut rig = Rig::new(&config(), &options, Shaken(0)).expect("a rig");
+    let mut heard = Vec::new();
+    criterion.bench_function("rig: one period, one byte each way", |bencher| {
+        bencher.iter(|| {
+            rig.host_write(&[0x55]);
+            rig.step();
+            heard.clear();
+            rig.host_read(&mut heard);
+            black_box(rig.truth());
+        });
+    });
 
     let slides = [1135.0, 485.0, 1135.0, 485.0];
     let mut arm = Arm::new(config().arm.as_ref().expect("an arm"), &slides).expect("an arm");

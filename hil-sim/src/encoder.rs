@@ -9,6 +9,7 @@
 //! an edge is timed to a fraction of a step.
 
 use crate::config::JointConfig;
+use crate::mechanics::Lanes;
 use crate::random::Random;
 use haptimill_firmware::drive::quadrature::Quadrature;
 use haptimill_firmware::io::AxisInputs;
@@ -26,6 +27,32 @@ pub struct Reading {
     pub index_counts: i32,
     /// Index pulses, wraps around.
     pub index_pulses: u8,
+}
+
+/// The way of one shaft through a control period: its coordinate at evenly spaced samples, the first where the last way ended.
+#[derive(Debug, Clone, Copy)]
+pub struct Track<'a> {
+    rows: &'a [Lanes],
+    lane: usize,
+    low: f64,
+    high: f64,
+}
+
+impl<'a> Track<'a> {
+    /// The way of lane `lane` of these samples of all shafts; `low` and `high` are its least and its largest coordinate.
+    pub const fn new(rows: &'a [Lanes], lane: usize, low: f64, high: f64) -> Self {
+        Self {
+            rows,
+            lane,
+            low,
+            high,
+        }
+    }
+
+    #[inline(always)]
+    fn at(&self, sample: usize) -> f64 {
+        self.rows[sample][self.lane]
+    }
 }
 
 /// Levels of the three lines.
@@ -123,6 +150,8 @@ pub struct Encoder {
     /// Coordinate of the lower edge of count state 0, which is an index state.
     origin: f64,
     counts_per_turn: i64,
+    /// The index state at or below the count state.
+    turn_start: i64,
     reversed: bool,
     /// True count state of the shaft.
     state: i64,
@@ -148,10 +177,12 @@ impl Encoder {
         let scale = 1.0 / joint.per_count();
         let origin = joint.encoder.index;
         let state = floor((motor - origin) * scale);
+        let counts_per_turn = i64::from(joint.encoder.counts_per_turn);
         Self {
             scale,
             origin,
-            counts_per_turn: i64::from(joint.encoder.counts_per_turn),
+            counts_per_turn,
+            turn_start: state.div_euclid(counts_per_turn) * counts_per_turn,
             reversed: joint.encoder.reversed,
             state,
             zero: state,
@@ -197,14 +228,31 @@ impl Encoder {
         }
     }
 
-    /// The shaft went through `path`, evenly spaced samples `step_ns` apart that begin at `time_ns` where the last path ended.
+    /// The shaft went this way, from `time_ns` on, with samples `step_ns` apart.
     #[inline]
-    pub fn follow(&mut self, path: impl Iterator<Item = f64>, time_ns: u64, step_ns: u64) {
+    pub fn follow(&mut self, track: &Track<'_>, time_ns: u64, step_ns: u64) {
         if self.edges.is_some() {
-            self.follow_edges(path, time_ns, step_ns);
-        } else {
-            self.follow_states(path, time_ns, step_ns);
+            self.follow_edges(track, time_ns, step_ns);
+            return;
         }
+        let (low, high) = (self.state_at(track.low), self.state_at(track.high));
+        if low == high && low == self.state {
+            return;
+        }
+        if low <= self.turn_start || high >= self.turn_start + self.counts_per_turn {
+            self.follow_index(track);
+        }
+        self.follow_states(track, time_ns, step_ns);
+    }
+
+    #[inline(always)]
+    fn place(&self, coordinate: f64) -> f64 {
+        (coordinate - self.origin) * self.scale
+    }
+
+    #[inline(always)]
+    fn state_at(&self, coordinate: f64) -> i64 {
+        floor(self.place(coordinate))
     }
 
     #[inline]
@@ -217,41 +265,59 @@ impl Encoder {
         }
     }
 
-    /// The direct way: no edge is looked at but the last one and those of the index.
+    /// The direct way: the counter is where the shaft ends, and only its last edge is timed.
     #[inline]
-    fn follow_states(&mut self, path: impl Iterator<Item = f64>, time_ns: u64, step_ns: u64) {
-        let turn = self.counts_per_turn;
-        let mut from = self.state;
-        let mut before = 0.0;
-        for (sample, at) in path.enumerate() {
-            let place = (at - self.origin) * self.scale;
-            let state = floor(place);
-            if state != from && sample > 0 {
-                let last_edge = if state > from { state } else { state + 1 };
-                let part = (last_edge as f64 - before) / (place - before);
-                let offset = (sample as u64 - 1) * step_ns + (part * step_ns as f64) as u64;
+    fn follow_states(&mut self, track: &Track<'_>, time_ns: u64, step_ns: u64) {
+        let last = track.rows.len() - 1;
+        let mut place = self.place(track.at(last));
+        let end = floor(place);
+        for sample in (0..last).rev() {
+            let before = self.place(track.at(sample));
+            let state = floor(before);
+            if state != end {
+                let edge = if end > state { end } else { end + 1 };
+                let part = (edge as f64 - before) / (place - before);
+                let offset = sample as u64 * step_ns + (part * step_ns as f64) as u64;
                 self.reading.edge_time_ns = (time_ns + offset) as u32;
-                // Every index state that was entered latches the counter.
-                let (low, high) = if state > from {
-                    (from + 1, state)
-                } else {
-                    (state, from - 1)
-                };
-                let (first, last) = (-(-low).div_euclid(turn), high.div_euclid(turn));
-                if first <= last {
-                    let latched = if state > from { last } else { first };
-                    self.reading.index_counts = self.counts_of(latched * turn);
-                    self.reading.index_pulses = self
-                        .reading
-                        .index_pulses
-                        .wrapping_add((last - first + 1) as u8);
-                }
-                from = state;
+                break;
             }
-            before = place;
+            place = before;
         }
-        self.state = from;
-        self.reading.counts = self.counts_of(from);
+        self.state = end;
+        self.reading.counts = self.counts_of(end);
+    }
+
+    /// The same way, looking at every sample for the index alone.
+    #[cold]
+    fn follow_index(&mut self, track: &Track<'_>) {
+        let mut from = self.state;
+        for sample in 1..track.rows.len() {
+            let to = self.state_at(track.at(sample));
+            if to != from {
+                self.pass_index(from, to);
+            }
+            from = to;
+        }
+    }
+
+    /// Every index state that is entered on the way latches the counter.
+    fn pass_index(&mut self, from: i64, to: i64) {
+        let turn = self.counts_per_turn;
+        let (low, high) = if to > from {
+            (from + 1, to)
+        } else {
+            (to, from - 1)
+        };
+        let (first, last) = (-(-low).div_euclid(turn), high.div_euclid(turn));
+        if first <= last {
+            let latched = if to > from { last } else { first };
+            self.reading.index_counts = self.counts_of(latched * turn);
+            self.reading.index_pulses = self
+                .reading
+                .index_pulses
+                .wrapping_add((last - first + 1) as u8);
+        }
+        self.turn_start = to.div_euclid(turn) * turn;
     }
 
     fn healthy_levels(&self, state: i64) -> Levels {
@@ -283,19 +349,15 @@ impl Encoder {
     }
 
     /// The true way: every edge as levels through the decoder.
-    fn follow_edges(&mut self, path: impl Iterator<Item = f64>, time_ns: u64, step_ns: u64) {
+    fn follow_edges(&mut self, track: &Track<'_>, time_ns: u64, step_ns: u64) {
         let Some(mut edges) = self.edges.take() else {
             return;
         };
         // A fault that came or went may have changed the levels while the shaft stood still.
         edges.sample(self.levels(self.state), time_ns);
-        let mut before = 0.0;
-        for (sample, at) in path.enumerate() {
-            let place = (at - self.origin) * self.scale;
-            if sample == 0 {
-                before = place;
-                continue;
-            }
+        let mut before = self.place(track.at(0));
+        for sample in 1..track.rows.len() {
+            let place = self.place(track.at(sample));
             let start_ns = time_ns + (sample as u64 - 1) * step_ns;
             if self.condition.noise_hz > 0.0
                 && self

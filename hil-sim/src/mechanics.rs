@@ -4,8 +4,8 @@
 //! side in arrays, because that is what keeps a control period within its budget; unused lanes have no inertia constants and stand still.
 //!
 //! One step is drift-kick-drift (position Verlet): half a step of motion, one evaluation of the forces in the middle, half a step of
-//! motion. Without friction it conserves a nearby energy exactly, so the true energy only swings by (omega * step)^2 / 8, and does not
-//! drift. Coulomb friction is the exact implicit form: an impulse that takes away speed up to its bound and stops at zero. So a
+//! motion. Without friction it conserves a nearby energy exactly, so the true energy only swings by (omega * step)^2 / 4, which is
+//! 25 ppm at 80 Hz, and does not drift; an edge of the gap, which falls somewhere within a step, adds or takes up to that at random. Coulomb friction is the exact implicit form: an impulse that takes away speed up to its bound and stops at zero. So a
 //! joint that sticks has speed 0.0 to the last bit, and nothing chatters.
 //!
 //! Misuse: [`Bodies::step`] is explicit in the springs; [`crate::config::PlantConfig::check`] keeps omega * step below 0.3.

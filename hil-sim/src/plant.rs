@@ -10,7 +10,7 @@
 //! A command of the wrong kind for a drive ([`DriveCommand::Steps`] on a torque drive) leaves the drive off and is counted.
 
 use crate::config::{DriveConfig, JointConfig, PlantConfig, PlantError, SwitchSide};
-use crate::encoder::{Encoder, EncoderCondition};
+use crate::encoder::{Encoder, EncoderCondition, Track};
 use crate::geometry::Arm;
 use crate::mechanics::{Bodies, Lanes, Mechanics};
 use crate::random::Random;
@@ -307,6 +307,7 @@ impl Plant {
         let mut bodies = self.bodies.clone();
         let steps = self.history.len() - 1;
         self.history[0] = bodies.motor;
+        let (mut low, mut high) = (bodies.motor, bodies.motor);
         for step in 0..steps {
             if stepping {
                 let part = (step as f64 + 0.5) / steps as f64;
@@ -321,15 +322,17 @@ impl Plant {
             }
             self.mechanics.step(&mut bodies, &drive, &self.load);
             self.history[step + 1] = bodies.motor;
+            for lane in 0..MAX_AXES {
+                let at = bodies.motor[lane];
+                low[lane] = if at < low[lane] { at } else { low[lane] };
+                high[lane] = if at > high[lane] { at } else { high[lane] };
+            }
         }
         self.bodies = bodies;
         let start_ns = self.time_ns();
         for (axis, joint) in self.joints.iter_mut().enumerate() {
-            joint.encoder.follow(
-                self.history.iter().map(|row| row[axis]),
-                start_ns,
-                self.step_ns,
-            );
+            let track = Track::new(&self.history, axis, low[axis], high[axis]);
+            joint.encoder.follow(&track, start_ns, self.step_ns);
             if let Drive::Steps(stepper) = &mut joint.drive {
                 stepper.end();
             }

@@ -1,0 +1,381 @@
+//! Encoders and step drives against the true motion.
+
+mod machine;
+
+use haptimill_firmware::io::{DriveCommand, Inputs, Outputs, StepSegment};
+use haptimill_hil_sim::encoder::{Encoder, EncoderCondition, Track};
+use haptimill_hil_sim::mechanics::Lanes;
+use haptimill_hil_sim::random::Random;
+use haptimill_hil_sim::stepper::{PulseProblem, PulseReport};
+use haptimill_hil_sim::{Plant, PlantConfig};
+use proptest::prelude::*;
+
+const STEP_NS: u64 = 20_000;
+
+/// Where the shaft begins: in the middle of a count.
+const START: f64 = 0.300625;
+
+/// A shaft that wanders: ten steps a period with speeds drawn anew now and then.
+fn wander(seed: u64, periods: usize, speed: f64) -> Vec<[f64; 11]> {
+    let mut random = Random::new(seed, 7);
+    let (mut at, mut rate) = (START, 0.0);
+    (0..periods)
+        .map(|_| {
+            let mut path = [at; 11];
+            for place in &mut path[1..] {
+                if random.happens(0.05) {
+                    let slow = if random.happens(0.5) { 1e-3 } else { 1.0 };
+                    rate = (2.0 * random.fraction() - 1.0) * speed * slow;
+                }
+                at += rate * 20e-6;
+                *place = at;
+            }
+            path
+        })
+        .collect()
+}
+
+/// Lets the shaft go through these samples.
+fn follow(encoder: &mut Encoder, path: &[f64], time_ns: u64) {
+    let rows: Vec<Lanes> = path
+        .iter()
+        .map(|&at| [at, 0.0, 0.0, 0.0, 0.0, 0.0])
+        .collect();
+    let low = path.iter().copied().fold(f64::INFINITY, f64::min);
+    let high = path.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    encoder.follow(&Track::new(&rows, 0, low, high), time_ns, STEP_NS);
+}
+
+fn encoder(reversed: bool) -> Encoder {
+    let mut config = machine::slide();
+    config.joint[0].encoder.reversed = reversed;
+    config.joint[0].encoder.index = 0.2;
+    Encoder::new(&config.joint[0], START, Random::new(1, 1))
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(40))]
+
+    /// Counting from states and counting edge by edge through the decoder are the same counter.
+    #[test]
+    fn both_ways_of_counting_agree(seed: u64, reversed: bool, speed in 1.0..2000.0_f64) {
+        let mut direct = encoder(reversed);
+        let mut edges = encoder(reversed);
+        edges.set_condition(EncoderCondition { index_missing: true, ..EncoderCondition::default() });
+        edges.set_condition(EncoderCondition::default());
+        for (period, path) in wander(seed, 500, speed).iter().enumerate() {
+            let now = period as u64 * 200_000;
+            follow(&mut direct, path, now);
+            follow(&mut edges, path, now);
+            prop_assert_eq!(direct.reading(), edges.reading());
+            prop_assert_eq!(edges.reading().illegal, 0);
+        }
+    }
+
+    /// The counter is the true position, to the count.
+    #[test]
+    fn counts_are_the_position(seed: u64, reversed: bool, speed in 1.0..2000.0_f64) {
+        let mut encoder = encoder(reversed);
+        let per_count = 10.0 / 8000.0;
+        for (period, path) in wander(seed, 500, speed).iter().enumerate() {
+            follow(&mut encoder, path, period as u64 * 200_000);
+            let sign = if reversed { -1.0 } else { 1.0 };
+            let told = sign * f64::from(encoder.reading().counts) * per_count;
+            prop_assert!((told - (path[10] - START)).abs() <= per_count * 1.000_001);
+        }
+    }
+
+    /// Edge times are those of the crossings: at even speed they are evenly spaced.
+    #[test]
+    fn edge_times_tell_the_speed(speed in 0.5..60.0_f64) {
+        let mut encoder = encoder(false);
+        let (mut at, mut first, mut last) = (START, None, (0, 0));
+        for period in 0..2000_u64 {
+            let path: Vec<f64> = (0..=10).map(|step| at + speed * 20e-6 * f64::from(step)).collect();
+            at = path[10];
+            follow(&mut encoder, &path, period * 200_000);
+            let reading = encoder.reading();
+            if reading.counts > 0 {
+                last = (reading.counts, reading.edge_time_ns);
+                first.get_or_insert(last);
+            }
+        }
+        let first = first.expect("moves");
+        prop_assume!(last.0 > first.0);
+        let told = f64::from(last.0 - first.0) * (10.0 / 8000.0) / (f64::from(last.1 - first.1) * 1e-9);
+        // A nanosecond at either end.
+        let bound = 3.0 / f64::from(last.1 - first.1);
+        prop_assert!((told / speed - 1.0).abs() < bound + 1e-9, "{} {}", told, speed);
+    }
+
+    /// The index latches the same count whichever way and however fast it is passed.
+    #[test]
+    fn index_repeats(speeds in prop::collection::vec(0.1..300.0_f64, 1..12)) {
+        let mut encoder = encoder(false);
+        let (mut at, mut time, mut pulses) = (START, 0, 0);
+        let mut latched = None;
+        // To and fro across the index at 0.2.
+        for (turn, speed) in speeds.iter().enumerate() {
+            let target = if turn % 2 == 0 { 0.1 } else { 0.3 };
+            let direction = if turn % 2 == 0 { -1.0 } else { 1.0 };
+            while (target - at) * direction > 0.0 {
+                let path: Vec<f64> = (0..=10).map(|step| at + direction * speed * 20e-6 * f64::from(step)).collect();
+                at = path[10];
+                follow(&mut encoder, &path, time);
+                time += 200_000;
+            }
+            pulses += 1;
+            let reading = encoder.reading();
+            prop_assert_eq!(reading.index_pulses, pulses);
+            let counts = *latched.get_or_insert(reading.index_counts);
+            prop_assert_eq!(reading.index_counts, counts);
+        }
+    }
+
+    /// Any plan that keeps to the data sheet is emitted to the step and followed to within the field's lag.
+    #[test]
+    fn legal_pulses_are_all_seen(segments in prop::collection::vec((-3_i16..=3, 100_u32..400), 1..60)) {
+        let mut plant = Plant::new(&machine::stepped_slide(), 200).expect("a slide");
+        let mut wanted = 0_i32;
+        let pulses = segments.iter().map(|&(count, delay)| StepSegment { count, delay, interval: 900, ramp: -3 });
+        for segment in pulses.chain(std::iter::repeat_n(StepSegment::default(), 3000)) {
+            wanted += i32::from(segment.count);
+            steps(&mut plant, segment);
+        }
+        prop_assert_eq!(report(&plant).violations, 0);
+        let mut inputs = Inputs::default();
+        plant.latch(&mut inputs);
+        prop_assert_eq!(inputs.axes[0].steps, wanted);
+        // At rest the field holds the motor's 20 N friction: asin(20 / 1200) of an electrical turn of 0.2 mm is 0.5 um.
+        let lag = plant.bodies().motor[0] - f64::from(wanted) * 10.0 / 3200.0;
+        prop_assert!(lag.abs() < 0.0015, "{}", lag);
+    }
+}
+
+fn steps(plant: &mut Plant, segment: StepSegment) {
+    let mut outputs = Outputs::default();
+    outputs.axes[0] = DriveCommand::Steps(segment);
+    plant.advance(&outputs);
+}
+
+fn report(plant: &Plant) -> PulseReport {
+    plant.pulse_report(0).expect("a step drive")
+}
+
+#[test]
+fn a_stuck_channel_goes_nowhere_and_a_swapped_one_the_wrong_way() {
+    let path: Vec<f64> = (0..=10)
+        .map(|step| START + 0.01 * f64::from(step))
+        .collect();
+    let reading = |condition: EncoderCondition| {
+        let mut encoder = encoder(false);
+        encoder.set_condition(condition);
+        follow(&mut encoder, &path, 0);
+        encoder.reading()
+    };
+    let healthy = reading(EncoderCondition::default());
+    assert_eq!(healthy.counts, 80);
+    for level in [false, true] {
+        let stuck = reading(EncoderCondition {
+            stuck_a: Some(level),
+            ..EncoderCondition::default()
+        });
+        assert!(stuck.counts.abs() <= 1, "{stuck:?}");
+        let stuck = reading(EncoderCondition {
+            stuck_b: Some(level),
+            ..EncoderCondition::default()
+        });
+        assert!(stuck.counts.abs() <= 1, "{stuck:?}");
+    }
+    let swapped = reading(EncoderCondition {
+        swapped: true,
+        ..EncoderCondition::default()
+    });
+    assert!((swapped.counts + 80).abs() <= 2, "{swapped:?}");
+    let noisy = reading(EncoderCondition {
+        noise_hz: 49_000.0,
+        ..EncoderCondition::default()
+    });
+    assert!(
+        noisy.illegal > 0 && (noisy.counts - 80).abs() <= 2,
+        "{noisy:?}"
+    );
+}
+
+#[test]
+fn a_slip_moves_the_counter_on_both_ways_of_counting() {
+    for edges in [false, true] {
+        let mut encoder = encoder(true);
+        if edges {
+            encoder.set_condition(EncoderCondition {
+                index_missing: true,
+                ..EncoderCondition::default()
+            });
+        }
+        follow(&mut encoder, &[START, START + 0.01], 0);
+        encoder.slip(100);
+        follow(&mut encoder, &[START + 0.01, START + 0.02], STEP_NS);
+        assert_eq!(encoder.reading().counts, 100 - 16);
+    }
+}
+
+#[test]
+fn data_sheet_is_enforced() {
+    let fresh = || Plant::new(&machine::stepped_slide(), 200).expect("a slide");
+    let first = |plant: &Plant| report(plant).first.map(|violation| violation.problem);
+    // 16 ticks per us: 2 us pulse + 1 us pause = 48 ticks; 80 ticks set-up and hold; 3200 ticks a period.
+    let mut plant = fresh();
+    steps(
+        &mut plant,
+        StepSegment {
+            count: 20,
+            delay: 0,
+            interval: 48,
+            ramp: 0,
+        },
+    );
+    assert_eq!(report(&plant).violations, 0);
+    assert_eq!(report(&plant).shortest_interval, Some(48));
+    steps(
+        &mut plant,
+        StepSegment {
+            count: 20,
+            delay: 0,
+            interval: 47,
+            ramp: 0,
+        },
+    );
+    assert_eq!(
+        (report(&plant).violations, first(&plant)),
+        (19, Some(PulseProblem::Interval))
+    );
+
+    // The last pulse of one period and the first of the next.
+    let mut plant = fresh();
+    steps(
+        &mut plant,
+        StepSegment {
+            count: 1,
+            delay: 3190,
+            interval: 0,
+            ramp: 0,
+        },
+    );
+    steps(
+        &mut plant,
+        StepSegment {
+            count: 1,
+            delay: 30,
+            interval: 0,
+            ramp: 0,
+        },
+    );
+    assert_eq!(first(&plant), Some(PulseProblem::Interval));
+
+    let mut plant = fresh();
+    steps(
+        &mut plant,
+        StepSegment {
+            count: -1,
+            delay: 79,
+            interval: 0,
+            ramp: 0,
+        },
+    );
+    assert_eq!(first(&plant), Some(PulseProblem::Setup));
+    let mut plant = fresh();
+    steps(
+        &mut plant,
+        StepSegment {
+            count: -1,
+            delay: 80,
+            interval: 0,
+            ramp: 0,
+        },
+    );
+    assert_eq!(first(&plant), None);
+
+    let mut plant = fresh();
+    steps(
+        &mut plant,
+        StepSegment {
+            count: 1,
+            delay: 3121,
+            interval: 0,
+            ramp: 0,
+        },
+    );
+    steps(
+        &mut plant,
+        StepSegment {
+            count: -1,
+            delay: 200,
+            interval: 0,
+            ramp: 0,
+        },
+    );
+    assert_eq!(first(&plant), Some(PulseProblem::Hold));
+
+    let mut plant = fresh();
+    steps(
+        &mut plant,
+        StepSegment {
+            count: 3,
+            delay: 100,
+            interval: 1550,
+            ramp: 0,
+        },
+    );
+    assert_eq!(
+        (report(&plant).violations, first(&plant)),
+        (1, Some(PulseProblem::BeyondPeriod))
+    );
+    let mut inputs = Inputs::default();
+    plant.latch(&mut inputs);
+    assert_eq!(inputs.axes[0].steps, 2);
+}
+
+/// Drives a slide at `rate` steps per period for `periods` and lets it settle; gives the distance to where it was sent.
+fn sent_and_missed(config: &PlantConfig, rate: i16, periods: usize, load: f64) -> f64 {
+    let mut plant = Plant::new(config, 200).expect("a slide");
+    plant.set_load(0, load);
+    let interval = if rate == 0 {
+        0
+    } else {
+        3200 / u32::from(rate.unsigned_abs())
+    };
+    for _ in 0..periods {
+        steps(
+            &mut plant,
+            StepSegment {
+                count: rate,
+                delay: 0,
+                interval,
+                ramp: 0,
+            },
+        );
+    }
+    plant.set_load(0, 0.0);
+    for _ in 0..5000 {
+        steps(&mut plant, StepSegment::default());
+    }
+    plant.bodies().motor[0] - f64::from(rate) * periods as f64 * 10.0 / 3200.0
+}
+
+#[test]
+fn steps_are_lost_above_the_pull_out_torque_and_only_there() {
+    let config = machine::stepped_slide();
+    // One step a period is 15.6 mm/s: it starts at once. Against 600 N it keeps up; against 1400 N it cannot.
+    assert!(sent_and_missed(&config, 1, 500, -600.0).abs() < 0.002);
+    let missed = sent_and_missed(&config, 1, 500, -1400.0);
+    let tooth = 4.0 * 10.0 / 200.0;
+    assert!(missed < -tooth / 2.0, "{missed}");
+    assert!(
+        (missed / tooth - (missed / tooth).round()).abs() < 0.02,
+        "whole electrical turns: {missed}"
+    );
+    // 40 kg do not jump to 312 mm/s.
+    let missed = sent_and_missed(&config, 20, 100, 0.0);
+    assert!(missed < -10.0 * tooth, "{missed}");
+    assert!((missed / tooth - (missed / tooth).round()).abs() < 0.02);
+}
