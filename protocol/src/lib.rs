@@ -7,6 +7,7 @@
 //! * [`frame`]: COBS framing with a CRC-32 around every payload.
 //! * [`link`]: sequence numbers, acknowledgement, retransmission, window, session.
 //! * [`urgent`]: the stop that is recognised byte by byte, before framing.
+//! * [`text`]: refusals, faults and events in plain sentences.
 //! * [`schema`]: one number for the shape of all messages, exchanged in the greeting.
 #![no_std]
 
@@ -18,4 +19,5 @@ pub mod link;
 pub mod message;
 pub mod schema;
 pub mod setpoint;
+pub mod text;
 pub mod urgent;

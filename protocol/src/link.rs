@@ -318,10 +318,8 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
         if heard {
             self.heard_us = now_us;
         }
-        if greeted {
-            if let Some(session) = self.end.accepted() {
-                self.begin(now_us, session);
-            }
+        if greeted && let Some(session) = self.end.accepted() {
+            self.begin(now_us, session);
         }
     }
 

@@ -172,12 +172,12 @@ impl End for Controller {
 
 impl greet::Greet for Controller {
     fn greeted(&mut self, header: Header, payload: &[u8]) -> bool {
-        if header == Header::Hello {
-            if let Ok(hello) = postcard::from_bytes::<Hello>(payload) {
-                if hello.session != 0 && !self.ended.iter().any(|&ended| ended == hello.session) {
-                    self.hello = Some(hello);
-                }
-            }
+        if header == Header::Hello
+            && let Ok(hello) = postcard::from_bytes::<Hello>(payload)
+            && hello.session != 0
+            && !self.ended.iter().any(|&ended| ended == hello.session)
+        {
+            self.hello = Some(hello);
         }
         false
     }

@@ -230,11 +230,11 @@ fn a_full_inbox_holds_messages_back_and_loses_none() {
         }
         pair.run(200);
         // A controller that listens every 10 ms only.
-        if step % 50 == 0 {
-            if let Some(request) = pair.controller.poll_message() {
-                assert_eq!(request.id, heard);
-                heard += 1;
-            }
+        if step % 50 == 0
+            && let Some(request) = pair.controller.poll_message()
+        {
+            assert_eq!(request.id, heard);
+            heard += 1;
         }
     }
     assert_eq!((sent, heard), (200, 200));

@@ -1,0 +1,533 @@
+//! Refusals, faults and events in plain sentences, with the remedy where there is one.
+//!
+//! `Display` of these types speaks of axes by number, from 1, and leaves out amounts, for a number in axis units means nothing to a person.
+//! Who knows the machine says more: [`Axes::describe`] puts in names, and amounts in millimetres or degrees.
+//!
+//! ```
+//! use haptimill_protocol::message::Fault;
+//! use haptimill_protocol::text::{Axes, Axis, AxisKind};
+//! let axes = Axes { pose: &[], joints: &[Axis { name: "slide 1", kind: AxisKind::Linear }] };
+//! let fault = Fault::SoftLimit { axis: 4 };
+//! assert_eq!(fault.to_string(), "axis 5 left its soft limits; reset, then move it back by jogging");
+//! let fault = Fault::FollowingError { axis: 0, error: -(3 << 20), limit: 1 << 20 };
+//! assert_eq!(
+//!     axes.describe(&fault).to_string(),
+//!     "slide 1 is -3.000 mm from where it should be (at most 1.000 mm); look for what blocks it, then reset and home"
+//! );
+//! ```
+
+use crate::message::{
+    Action, Command, ConfigField, ConfigProblem, Event, Fault, HelloRefusal, HomingProblem,
+    PoseError, Refusal, Source, State,
+};
+use core::fmt::{Display, Formatter, Result};
+
+/// Linear or rotary.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum AxisKind {
+    /// Axis units are 2^-20 mm.
+    Linear,
+    /// Axis units are 2^-32 turn.
+    Rotary,
+}
+
+/// What a person calls an axis, and what its numbers mean.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Axis<'a> {
+    /// Name.
+    pub name: &'a str,
+    /// Linear or rotary.
+    pub kind: AxisKind,
+}
+
+/// The axes of a machine; lists may be short or empty, what is missing goes by its number.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Axes<'a> {
+    /// Pose coordinates.
+    pub pose: &'a [Axis<'a>],
+    /// Joints.
+    pub joints: &'a [Axis<'a>],
+}
+
+impl<'a> Axes<'a> {
+    /// The same sentence as `Display` gives, with names and amounts.
+    pub fn describe<T: Describe>(&'a self, what: &'a T) -> Described<'a, T> {
+        Described { axes: self, what }
+    }
+}
+
+/// A sentence about a machine whose axes are known; made by [`Axes::describe`].
+#[derive(Debug, Clone, Copy)]
+pub struct Described<'a, T> {
+    axes: &'a Axes<'a>,
+    what: &'a T,
+}
+
+impl<T: Describe> Display for Described<'_, T> {
+    fn fmt(&self, f: &mut Formatter<'_>) -> Result {
+        self.what.describe(self.axes, f)
+    }
+}
+
+/// What can be said in a sentence.
+pub trait Describe {
+    /// Writes the sentence: no capital at its beginning, no full stop at its end.
+    ///
+    /// # Errors
+    ///
+    /// Those of the formatter.
+    fn describe(&self, axes: &Axes<'_>, f: &mut Formatter<'_>) -> Result;
+}
+
+/// A value in axis units as a person reads it: millimetres or degrees, three decimals, exactly rounded.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Amount {
+    /// Axis units.
+    pub value: i32,
+    /// Of which kind.
+    pub kind: AxisKind,
+}
+
+impl Display for Amount {
+    fn fmt(&self, f: &mut Formatter<'_>) -> Result {
+        // Thousandths, rounded half up: below 2^31 * 360,000 < 2^50.
+        let value = i64::from(self.value);
+        let (thousandths, unit) = match self.kind {
+            AxisKind::Linear => ((value * 1000 + (1 << 19)) >> 20, "mm"),
+            AxisKind::Rotary => ((value * 360_000 + (1 << 31)) >> 32, "deg"),
+        };
+        let sign = if thousandths < 0 { "-" } else { "" };
+        let size = thousandths.unsigned_abs();
+        write!(f, "{sign}{}.{:03} {unit}", size / 1000, size % 1000)
+    }
+}
+
+/// An axis by its name, or by its number from 1.
+struct Named<'a>(&'a [Axis<'a>], u8);
+
+impl Display for Named<'_> {
+    fn fmt(&self, f: &mut Formatter<'_>) -> Result {
+        match self.0.get(usize::from(self.1)) {
+            Some(axis) => f.write_str(axis.name),
+            None => write!(f, "axis {}", u32::from(self.1) + 1),
+        }
+    }
+}
+
+/// The amount, if the kind of the axis is known.
+fn amount(axes: &[Axis<'_>], axis: u8, value: i32) -> Option<Amount> {
+    let kind = axes.get(usize::from(axis))?.kind;
+    Some(Amount { value, kind })
+}
+
+impl Describe for PoseError {
+    fn describe(&self, axes: &Axes<'_>, f: &mut Formatter<'_>) -> Result {
+        match *self {
+            Self::Unreachable => f.write_str(
+                "no position of the machine reaches this pose; move the work or shorten the path",
+            ),
+            Self::OutOfStroke { axis, by } => {
+                let name = Named(axes.joints, axis);
+                write!(f, "{name} would leave its stroke")?;
+                if let Some(by) = amount(axes.joints, axis, by) {
+                    write!(f, " by {by}")?;
+                }
+                f.write_str("; move the work towards the middle of the workspace")
+            }
+            Self::NearSingularity { distance } => {
+                let distance = Amount {
+                    value: distance,
+                    kind: AxisKind::Linear,
+                };
+                write!(
+                    f,
+                    "the arm would come to {distance} from its parallel singularity, where it cannot hold the tool; tilt less or move the work"
+                )
+            }
+            Self::NearReachLimit { pair } => {
+                let rods = if pair == 0 { "1 and 2" } else { "3 and 4" };
+                write!(
+                    f,
+                    "rods {rods} would be almost stretched out; move the work nearer to the rails"
+                )
+            }
+            Self::Tilt => f.write_str("the tool would be tilted by more than 90 degrees"),
+        }
+    }
+}
+
+impl Describe for Refusal {
+    fn describe(&self, axes: &Axes<'_>, f: &mut Formatter<'_>) -> Result {
+        match *self {
+            Self::State(state) => {
+                write!(f, "not possible while the machine is {state}")?;
+                f.write_str(match state {
+                    State::Disabled => "; enable the drives first",
+                    State::Fault | State::EmergencyStop => "; remove the cause, then reset",
+                    State::Run | State::Homing | State::Jog => "; wait until it is done, or stop it",
+                    State::Hold => "; resume or stop the job first",
+                    State::Idle => "",
+                })
+            }
+            Self::NotConfigured => f.write_str("the controller has no configuration; send the machine file first"),
+            Self::NotHomed => f.write_str("the machine does not know where it is; home it first"),
+            Self::Range => f.write_str("a value is out of its range"),
+            Self::AxisCount => f.write_str("the number of values is not the number of axes of the machine"),
+            Self::OutOfOrder { expected } => write!(f, "setpoint {expected} was expected next"),
+            Self::QueueFull => f.write_str("the queue of setpoints is full"),
+            Self::Pose { setpoint, error } => {
+                write!(f, "setpoint {setpoint}: ")?;
+                error.describe(axes, f)
+            }
+            Self::SoftLimit { setpoint, axis } => {
+                let name = Named(axes.pose, axis);
+                write!(f, "setpoint {setpoint}: {name} would leave its soft limits; move the work or change the program")
+            }
+            Self::Setpoint { setpoint } => write!(f, "setpoint {setpoint} cannot be decoded"),
+            Self::StartPose { axis } => {
+                let name = Named(axes.pose, axis);
+                write!(f, "the job does not start where the machine stands: {name} differs; begin again from the present position")
+            }
+            Self::OldEpoch => f.write_str("this jog was cancelled"),
+            Self::ConfigCheck => f.write_str("the configuration did not arrive whole; send it again"),
+            Self::Config(problem) => problem.describe(axes, f),
+            Self::Input => f.write_str(
+                "an input forbids it: emergency stop, limit switch or a drive that is not ready; release it first",
+            ),
+        }
+    }
+}
+
+impl Describe for ConfigProblem {
+    fn describe(&self, axes: &Axes<'_>, f: &mut Formatter<'_>) -> Result {
+        let field = self.field;
+        write!(f, "the configuration is wrong: {field}")?;
+        if let Some(axis) = self.axis {
+            // Which list the axis belongs to depends on the field.
+            let list = match field {
+                ConfigField::SoftLimit | ConfigField::Acceleration | ConfigField::Jerk => axes.pose,
+                _ => axes.joints,
+            };
+            write!(f, " of {}", Named(list, axis))?;
+        }
+        f.write_str("; correct the machine file")
+    }
+}
+
+impl Describe for Fault {
+    fn describe(&self, axes: &Axes<'_>, f: &mut Formatter<'_>) -> Result {
+        let joint = |axis| Named(axes.joints, axis);
+        match *self {
+            Self::FollowingError { axis, error, limit } => {
+                write!(f, "{} is ", joint(axis))?;
+                match (
+                    amount(axes.joints, axis, error),
+                    amount(axes.joints, axis, limit),
+                ) {
+                    (Some(error), Some(limit)) => {
+                        write!(f, "{error} from where it should be (at most {limit})")?
+                    }
+                    _ => f.write_str("too far from where it should be")?,
+                }
+                f.write_str("; look for what blocks it, then reset and home")
+            }
+            Self::SoftLimit { axis } => {
+                write!(
+                    f,
+                    "{} left its soft limits; reset, then move it back by jogging",
+                    Named(axes.pose, axis)
+                )
+            }
+            Self::Pose(error) => {
+                f.write_str("the machine is where it must not be: ")?;
+                error.describe(axes, f)
+            }
+            Self::LimitSwitch { axis } => {
+                write!(
+                    f,
+                    "{} ran onto its limit switch; free it, then reset and home",
+                    joint(axis)
+                )
+            }
+            Self::Drive { axis } => write!(
+                f,
+                "the drive of {} reports a fault; look at the drive, then reset",
+                joint(axis)
+            ),
+            Self::EncoderIllegal { axis, count } => write!(
+                f,
+                "the encoder of {} made {count} impossible steps; check its cable and shield, then reset and home",
+                joint(axis)
+            ),
+            Self::EncoderStill { axis } => write!(
+                f,
+                "{} was driven and its encoder saw no motion; check the encoder's cable, and whether the axis is blocked",
+                joint(axis)
+            ),
+            Self::EncoderReversed { axis } => write!(
+                f,
+                "the encoder of {} counts the wrong way; swap its channels or the sign in the machine file",
+                joint(axis)
+            ),
+            Self::StepsLost { axis, by } => {
+                write!(f, "{} lost steps", joint(axis))?;
+                if let Some(by) = amount(axes.joints, axis, by) {
+                    write!(f, " ({by})")?;
+                }
+                f.write_str("; go slower or cut less, then reset and home")
+            }
+            Self::LostHost { silent_ms } => write!(
+                f,
+                "nothing was heard from the host for {silent_ms} ms; the machine slowed down along its path, check the cable and reset"
+            ),
+            Self::Configuration => {
+                f.write_str("the configuration in the controller changed by itself; send it again")
+            }
+            Self::LatePeriod { missed } => write!(
+                f,
+                "the controller missed {missed} control periods in a row; report this"
+            ),
+            Self::Homing { axis, problem } => {
+                write!(
+                    f,
+                    "homing failed on {}: {problem}; all axes were stopped",
+                    joint(axis)
+                )
+            }
+            Self::ReceiveOverrun => f.write_str(
+                "bytes from the host were lost before they could be heard; reset and begin again",
+            ),
+            Self::Internal { line } => write!(
+                f,
+                "an arithmetic limit was reached inside the controller (line {line}); report this"
+            ),
+        }
+    }
+}
+
+impl Describe for Event {
+    fn describe(&self, axes: &Axes<'_>, f: &mut Formatter<'_>) -> Result {
+        match *self {
+            Self::State {
+                from,
+                to,
+                position_kept,
+            } => {
+                let kept = if position_kept {
+                    "kept"
+                } else {
+                    "lost; home the machine before the next job"
+                };
+                write!(f, "{from} -> {to}, position {kept}")
+            }
+            Self::JobDone { job, setpoints } => {
+                write!(f, "job {job} is done, {setpoints} setpoints")
+            }
+            Self::JobDropped { job, setpoints } => {
+                write!(f, "job {job} was dropped after {setpoints} setpoints")
+            }
+            Self::Underrun {
+                setpoint,
+                late_periods,
+            } => write!(
+                f,
+                "setpoint {setpoint} came {late_periods} control periods too late; the machine slowed down along its path"
+            ),
+            Self::Paused { setpoint } => write!(
+                f,
+                "the program pauses at setpoint {setpoint}; resume to go on"
+            ),
+            Self::Homed => f.write_str("all axes have their reference"),
+            Self::Fault(ref fault) => {
+                f.write_str("fault: ")?;
+                fault.describe(axes, f)
+            }
+            Self::JogLimited { axis } => write!(
+                f,
+                "{} is at its soft limit; the jog was clipped",
+                Named(axes.pose, axis)
+            ),
+            Self::Saturated { axis } => write!(
+                f,
+                "the drive of {} was asked for more than it can give",
+                Named(axes.joints, axis)
+            ),
+        }
+    }
+}
+
+/// `Display` without a machine, and the error trait where it fits.
+macro_rules! display {
+    ($($name:ident),*) => {$(
+        impl Display for $name {
+            fn fmt(&self, f: &mut Formatter<'_>) -> Result {
+                self.describe(&Axes::default(), f)
+            }
+        }
+    )*};
+}
+display!(PoseError, Refusal, ConfigProblem, Fault, Event);
+
+impl core::error::Error for PoseError {}
+impl core::error::Error for Refusal {}
+impl core::error::Error for HelloRefusal {}
+
+impl Display for HelloRefusal {
+    fn fmt(&self, f: &mut Formatter<'_>) -> Result {
+        f.write_str(match self {
+            Self::Busy => "another program is connected and the machine moves or may move; stop that one first",
+            Self::Version => "the controller speaks another version of the protocol; use the host and the firmware of one release",
+            Self::Schema => "host and controller were built from different sources; use the host and the firmware of one release",
+        })
+    }
+}
+
+impl Display for State {
+    fn fmt(&self, f: &mut Formatter<'_>) -> Result {
+        f.pad(match self {
+            Self::Disabled => "disabled",
+            Self::Idle => "idle",
+            Self::Homing => "homing",
+            Self::Run => "running",
+            Self::Jog => "jogging",
+            Self::Hold => "on hold",
+            Self::Fault => "in fault",
+            Self::EmergencyStop => "in emergency stop",
+        })
+    }
+}
+
+impl Display for Source {
+    fn fmt(&self, f: &mut Formatter<'_>) -> Result {
+        f.pad(match self {
+            Self::Program => "program",
+            Self::Jog => "jog",
+            Self::Hold => "hold",
+        })
+    }
+}
+
+impl Display for Action {
+    fn fmt(&self, f: &mut Formatter<'_>) -> Result {
+        match self {
+            Self::None => f.write_str("nothing"),
+            Self::Spindle(0) => f.write_str("spindle off"),
+            Self::Spindle(speed) => write!(f, "spindle to {speed} rev/min"),
+            Self::Pause => f.write_str("pause"),
+        }
+    }
+}
+
+impl Display for HomingProblem {
+    fn fmt(&self, f: &mut Formatter<'_>) -> Result {
+        f.write_str(match self {
+            Self::NoIndex => "no index pulse within the search distance; check the encoder and the preset",
+            Self::NoSwitch => "the home switch did not change within the search distance; check the switch and the preset",
+            Self::Stalled => "the axis did not follow; look for what blocks it",
+            Self::Implausible => "the reference is too far from the preset; set the slides to their preset positions",
+            Self::Workspace => "the search would leave the workspace; set the slides to their preset positions",
+            Self::Stopped => "it was stopped",
+        })
+    }
+}
+
+impl Display for ConfigField {
+    fn fmt(&self, f: &mut Formatter<'_>) -> Result {
+        f.write_str(match self {
+            Self::Encoding => "its encoding cannot be read",
+            Self::Period => "control period",
+            Self::AxisCount => "number of axes",
+            Self::Geometry => "geometry",
+            Self::Stroke => "stroke",
+            Self::SoftLimit => "soft limits",
+            Self::Rate => "largest rate",
+            Self::Acceleration => "largest acceleration",
+            Self::Jerk => "largest jerk",
+            Self::Encoder => "encoder scale",
+            Self::Drive => "drive",
+            Self::Gain => "gains of the position loop",
+            Self::Filter => "filter of the position loop",
+            Self::Following => "limit of the following error",
+            Self::Backlash => "backlash",
+            Self::Homing => "homing",
+            Self::Heartbeat => "heartbeat",
+            Self::StopTime => "stop time",
+        })
+    }
+}
+
+impl Command {
+    /// What the command is called.
+    pub const fn name(&self) -> &'static str {
+        match self {
+            Self::Setpoints(_) => "setpoints",
+            Self::Ping => "ping",
+            Self::Configure(_) => "configure",
+            Self::Activate { .. } => "activate",
+            Self::Enable => "enable",
+            Self::Disable => "disable",
+            Self::Home => "home",
+            Self::Reset => "reset",
+            Self::JobStart { .. } => "job start",
+            Self::JobEnd { .. } => "job end",
+            Self::Hold => "hold",
+            Self::Resume => "resume",
+            Self::Stop => "stop",
+            Self::EmergencyStop => "emergency stop",
+            Self::Jog { .. } => "jog",
+            Self::JogCancel { .. } => "jog cancel",
+            Self::Source { .. } => "source",
+            Self::Override { .. } => "override",
+            Self::Telemetry { .. } => "telemetry",
+            Self::Status => "status",
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use std::string::ToString;
+
+    proptest! {
+        /// An amount is the value within half a thousandth, read back as a decimal number.
+        #[test]
+        fn amounts_are_right(value: i32) {
+            for (kind, scale, unit) in [(AxisKind::Linear, 1048576.0, " mm"), (AxisKind::Rotary, 4294967296.0 / 360.0, " deg")] {
+                let text = Amount { value, kind }.to_string();
+                let read: f64 = text.strip_suffix(unit).unwrap().parse().unwrap();
+                prop_assert!((read - f64::from(value) / scale).abs() <= 0.0005 + 1e-9, "{} for {}", text, value);
+            }
+        }
+    }
+
+    #[test]
+    fn names_are_used_where_they_are_known() {
+        let slide = [Axis {
+            name: "slide 1",
+            kind: AxisKind::Linear,
+        }];
+        let axes = Axes {
+            pose: &[],
+            joints: &slide,
+        };
+        let error = PoseError::OutOfStroke {
+            axis: 0,
+            by: 1 << 19,
+        };
+        let refusal = Refusal::Pose {
+            setpoint: 12,
+            error,
+        };
+        assert_eq!(
+            axes.describe(&refusal).to_string(),
+            "setpoint 12: slide 1 would leave its stroke by 0.500 mm; move the work towards the middle of the workspace"
+        );
+        assert!(
+            refusal
+                .to_string()
+                .starts_with("setpoint 12: axis 1 would leave its stroke;")
+        );
+    }
+}
