@@ -4,3 +4,4 @@ pub mod cli;
 pub mod kin;
 pub mod machine;
 pub mod port;
+pub mod record;
