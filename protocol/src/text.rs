@@ -194,6 +194,9 @@ impl Describe for Refusal {
             Self::Input => f.write_str(
                 "an input forbids it: emergency stop, limit switch or a drive that is not ready; release it first",
             ),
+            Self::PresetLost => f.write_str(
+                "the position was lost; set the joints up at their presets by hand, then home with --at-preset",
+            ),
         }
     }
 }
@@ -294,9 +297,6 @@ impl Describe for Fault {
                     joint(axis)
                 )
             }
-            Self::ReceiveOverrun => f.write_str(
-                "bytes from the host were lost before they could be heard; reset and begin again",
-            ),
             Self::Internal { line } => write!(
                 f,
                 "an arithmetic limit was reached inside the controller (line {line}); report this"
