@@ -188,6 +188,7 @@ impl Machinery {
                 effort: self.driven[index].effort,
                 illegal: sensed.illegal.min(u32::from(u16::MAX)) as u16,
                 steps_off: sensed.slip,
+                period_us: self.config.period_us,
             };
             if let Some(fault) = self.watches[index].look(index as u8, axis, limit, &seen) {
                 return Some(fault);

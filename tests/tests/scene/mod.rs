@@ -3,7 +3,7 @@
 
 use haptimill_protocol::message::{Action, AxisValues, Command, Event, State};
 use haptimill_protocol::setpoint::Setpoint;
-use haptimill_tests::{Bench, line_in_x};
+use haptimill_tests::Bench;
 
 /// Axis units of a millimetre.
 pub const MM: f64 = (1 << 20) as f64;
@@ -19,12 +19,30 @@ pub fn ready() -> Bench {
     bench
 }
 
-/// A homed machine in the middle of a line in x at `speed` (mm/s); 0 is a machine that holds in Idle.
-pub fn moving(speed: f64) -> Bench {
+/// A line of one coordinate: 0.1 s up to `speed` (mm/s or degrees/s), so many spans of 0.1 s along, 0.1 s down.
+pub fn line(start: &AxisValues, axis: usize, speed: f64, spans: usize) -> Vec<Setpoint> {
+    let unit = if axis < 3 { MM } else { DEGREE };
+    let mut place = f64::from(start[axis]);
+    (0..spans + 2)
+        .map(|span| {
+            let ends = span == 0 || span == spans + 1;
+            place += if ends { speed / 2.0 } else { speed } * 0.1 * unit;
+            let mut setpoint = rest(start, 500);
+            setpoint.pose[axis] = place as i32;
+            if span != spans + 1 {
+                setpoint.rates[axis] = (speed * unit / 256.0) as i32;
+            }
+            setpoint
+        })
+        .collect()
+}
+
+/// A homed machine in the middle of a line at `speed` (mm/s or degrees/s), 0.6 s after its start; 0 is a machine that holds in Idle.
+pub fn moving(axis: usize, speed: f64) -> Bench {
     let mut bench = ready();
     if speed != 0.0 {
         let start = bench.status().wanted;
-        bench.start_job(1, &line_in_x(&start, speed, 28));
+        bench.start_job(1, &line(&start, axis, speed, 28));
         bench.steps(3000);
         assert_eq!(state(&bench), State::Run);
     }
