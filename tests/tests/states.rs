@@ -456,6 +456,140 @@ fn small_questions_of_jobs() {
 }
 
 #[test]
+fn a_pause_at_the_last_setpoint_is_waited_for() {
+    let mut bench = ready();
+    let start = bench.status().wanted;
+    let mut points = line(&start, 0, 4.0, 3);
+    points[4].action = haptimill_protocol::message::Action::Pause;
+    bench.start_job(1, &points);
+    assert!(bench.wait_for(State::Hold, 10_000));
+    bench.steps(2000);
+    assert_eq!(state(&bench), State::Hold);
+    assert!(bench.events.contains(&Event::Paused { setpoint: 4 }));
+    let done = Event::JobDone {
+        job: 1,
+        setpoints: 5,
+    };
+    assert!(!bench.events.contains(&done));
+    bench.ask(Command::Resume).expect("goes on");
+    bench.steps(100);
+    assert_eq!(state(&bench), State::Idle);
+    assert!(bench.events.contains(&done));
+}
+
+#[test]
+fn a_machine_that_coasts_is_not_enabled() {
+    let mut bench = moving(0, 40.0);
+    bench.ask(Command::EmergencyStop).expect("off");
+    bench.ask(Command::Reset).expect("reset");
+    assert_eq!(bench.ask(Command::Enable), Err(Refusal::Input));
+    bench.steps(1000);
+    bench.ask(Command::Enable).expect("stands");
+    bench.steps(1000);
+    let status = bench.status();
+    assert!(status.state == State::Idle && status.position_kept && status.fault.is_none());
+}
+
+#[test]
+fn a_configuration_that_is_activated_under_a_latched_fault_is_as_good_as_one_after_its_reset() {
+    let mut bench = moving(0, 4.0);
+    bench.rig.plant_mut().set_encoder_condition(
+        0,
+        EncoderCondition {
+            swapped: true,
+            ..EncoderCondition::default()
+        },
+    );
+    bench.steps(2000);
+    assert!(matches!(
+        bench.status().fault,
+        Some(Fault::EncoderStill { .. } | Fault::EncoderReversed { .. })
+    ));
+    bench
+        .rig
+        .plant_mut()
+        .set_encoder_condition(0, EncoderCondition::default());
+    // The operator sends the configuration first and resets then. (Slides that are not at their presets are found by their indexes at the
+    // wrong turn: here they moved by two thirds of one.)
+    bench.configure();
+    bench.ask(Command::Reset).expect("reset");
+    bench.ask(Command::Enable).expect("enabled");
+    assert_eq!(bench.ask(Command::Home), Ok(()));
+}
+
+#[test]
+fn missed_periods_while_it_holds_are_told_as_well() {
+    let options = RigOptions {
+        faults: vec!["missed-periods count=50 at=9s".parse().expect("a fault")],
+        ..RigOptions::default()
+    };
+    let mut bench = Bench::with_options(&options);
+    bench.make_ready();
+    while bench.rig.time_ns() < 9_100_000_000 {
+        bench.step();
+    }
+    let status = bench.status();
+    assert_eq!(status.fault, Some(Fault::LatePeriod { missed: 50 }));
+    assert!(status.position_kept && !drives_off(&bench));
+    // A drive that fails now takes them all off, and is the fault that stays.
+    bench.rig.plant_mut().set_condition(
+        2,
+        haptimill_hil_sim::plant::JointCondition {
+            drive_tripped: true,
+            ..Default::default()
+        },
+    );
+    bench.steps(2);
+    assert!(drives_off(&bench));
+    assert_eq!(bench.status().fault, Some(Fault::Drive { axis: 2 }));
+}
+
+#[test]
+fn setpoints_are_checked_where_they_will_be_with_their_offset() {
+    let mut bench = ready();
+    let start = bench.status().wanted;
+    bench
+        .ask(Command::JobStart {
+            job: 1,
+            pose: start.clone(),
+        })
+        .expect("started");
+    bench.ask(Command::Hold).expect("holds");
+    bench
+        .ask(Command::Source {
+            axis: 1,
+            source: Source::Jog,
+        })
+        .expect("chosen");
+    bench.ask(jog(1, 1000, &[(1, 30.0)])).expect("jogs");
+    bench.steps(8000);
+    bench
+        .ask(Command::Source {
+            axis: 1,
+            source: Source::Program,
+        })
+        .expect("chosen");
+    let offset = wanted(&bench)[1] - start[1];
+    assert!(offset > (20.0 * MM) as i32);
+    // Within the soft limits by itself, beyond them with the offset.
+    let mut far = scene::rest(&start, 40_000);
+    far.pose[1] = bench.machine.config.pose[1].high.0 - offset / 2;
+    far.periods = 5000;
+    let mut coder = haptimill_protocol::setpoint::SetpointCoder::new(200, &start);
+    let items = [coder.encode(&far).expect("codes")].into_iter().collect();
+    let refused = bench.ask(Command::Setpoints(
+        haptimill_protocol::message::SetpointBatch { first: 0, items },
+    ));
+    assert_eq!(
+        refused,
+        Err(Refusal::SoftLimit {
+            setpoint: 0,
+            axis: 1
+        })
+    );
+}
+
+#[test]
 fn the_spindle_ends_with_the_job() {
     let mut bench = ready();
     let start = bench.status().wanted;
