@@ -1,4 +1,8 @@
 //! The H-4 arm beyond its poses: strokes, statics, distance from the singularity, and geometries that make no arm.
+#![allow(
+    clippy::needless_range_loop,
+    reason = "an index is an axis here, of several arrays at once"
+)]
 
 use haptimill_firmware::config::{
     AxisKind, Config, Drive, H4Geometry, Homing, JointAxis, Law, LawForm, Model, Stopping,
@@ -280,10 +284,12 @@ proptest! {
                 if let (Ok(back), Ok(_)) = (inverse, answer)
                     && pose.0 != values
                 {
-                    // The slopes are at most 10 per coordinate: errors of a few units in the pose stay below that many.
+                    // A few units in the pose, slopes up to 10, and a long tool on a short platform magnifies the tilt's rounding.
+                    let spacing = geometry.half_spacing.0 as i64;
+                    let bound = 400 + 100 * (geometry.tool.0 as i64 / spacing);
                     for i in 0..4 {
                         let error = (back.0[i].0 as i64 - joints.0[i].0 as i64).abs();
-                        prop_assert!(error <= 400, "{} {:?} {:?}", error, geometry, joints);
+                        prop_assert!(error <= bound, "{} {:?} {:?}", error, geometry, joints);
                     }
                 }
             }

@@ -3,7 +3,7 @@
 //! Geometry of spec h4-milling 2.6: slide i carries its joint at (l_i - s_i w, sigma_i (a - e), sigma_i d - g_e); the platform's joint is at
 //! tip + m_i (sin theta, 0, cos theta) + (0, sigma_i b, 0); a rod is R long.
 
-use super::subject::{Margins, Reals, Sequence, Subject};
+use super::subject::{Margin, Margins, Reals, Sequence, Subject};
 use haptimill_firmware::config::H4Geometry;
 use haptimill_firmware::kinematics::h4::H4;
 use haptimill_firmware::kinematics::{Joints, PoseError};
@@ -156,7 +156,7 @@ impl Arm {
     }
 
     /// A pose from theta and the platform's place (t, q) along and across the line of centres.
-    fn from_line(&self, theta: f64, t: f64, q: f64, x: f64, alpha: f64) -> Reals {
+    fn on_line(&self, theta: f64, t: f64, q: f64, x: f64, alpha: f64) -> Reals {
         let g = &self.lengths;
         let (e, d) = (g.a - g.b - g.e, g.d - g.c * libm::cos(theta));
         let base = libm::hypot(e, d);
@@ -188,7 +188,7 @@ impl Subject for Arm {
         let t = sequence.between(-200.0, 200.0);
         let q = sequence.between(-20.0, 420.0);
         let x = sequence.between(600.0, 1000.0);
-        self.from_line(theta, t, q, x, alpha)
+        self.on_line(theta, t, q, x, alpha)
     }
 
     fn pose_near_a_bound(&self, sequence: &mut Sequence) -> Reals {
@@ -201,13 +201,13 @@ impl Subject for Arm {
         let q = sequence.between(10.0, 400.0);
         match sequence.below(4) {
             // The margin, from both sides, and the branch beyond.
-            0 => self.from_line(theta, t, g.margin + near, x, alpha),
-            1 => self.from_line(theta, t, near, x, alpha),
+            0 => self.on_line(theta, t, g.margin + near, x, alpha),
+            1 => self.on_line(theta, t, near, x, alpha),
             2 => {
                 // The tilt: 1 - sin(theta) goes with the square of this.
                 theta = FRAC_PI_2 - near.abs().min(1.0);
                 theta = if near < 0.0 { -theta } else { theta };
-                self.from_line(theta, t, q, x, alpha)
+                self.on_line(theta, t, q, x, alpha)
             }
             _ => {
                 // A pair of rods at the reach limit: y, Z on the circle of that radius about the pair's rail.
@@ -254,7 +254,7 @@ impl Subject for Arm {
         let g = &self.lengths;
         let tip = self.tip(pose);
         let tilt = |error: &PoseError| *error == PoseError::Tilt;
-        let mut margins: Vec<(f64, fn(&PoseError) -> bool)> = vec![
+        let mut margins: Vec<Margin> = vec![
             // In millimetres at the tip, to compare with the others; the tilt must be less than a quarter turn.
             ((FRAC_PI_2 - pose[3].abs()) * 350.0 - 2.0 * RADIAN, tilt),
             ((FRAC_PI_2 - pose[4].abs()) * 350.0 + 2.0 * RADIAN, tilt),

@@ -2,6 +2,10 @@
 //!
 //! A new machine is one [`subject::Subject`] (a truth in f64, written from the closure of its loops and not from the firmware's formulas)
 //! and one row below.
+#![allow(
+    clippy::needless_range_loop,
+    reason = "an index is an axis here, of several arrays at once"
+)]
 
 mod h4;
 mod subject;

@@ -38,10 +38,13 @@ impl Sequence {
     }
 }
 
+/// How far inside a condition, in millimetres, and whether an error names this condition.
+pub type Margin = (f64, fn(&PoseError) -> bool);
+
 /// How far a pose is inside each of the conditions that make it a right answer; negative is outside.
 ///
 /// Each entry says which error its violation is allowed to give.
-pub struct Margins(pub Vec<(f64, fn(&PoseError) -> bool)>);
+pub struct Margins(pub Vec<Margin>);
 
 impl Margins {
     /// The least of them.
