@@ -33,7 +33,7 @@ impl H4 {
         self.base(joints)
     }
 
-    #[inline(always)]
+    #[inline]
     pub(super) fn base(&self, joints: &Joints) -> Result<BasePose, PoseError> {
         let [l1, l2, l3, l4, ..] = joints.0.map(|joint| joint.0 as i64);
 
