@@ -1,5 +1,9 @@
 //! The H-4 arm against tables of spec h4-milling: golden vectors of 2,000 poses each way, poses that no arm reaches, and the reference
 //! geometry's printed values. Within 0.1 um and 1 urad.
+#![allow(
+    clippy::needless_range_loop,
+    reason = "an index is an axis here, of several arrays at once"
+)]
 
 use haptimill_firmware::config::H4Geometry;
 use haptimill_firmware::kinematics::h4::H4;

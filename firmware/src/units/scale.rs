@@ -51,7 +51,7 @@ pub const fn scale(value: i64, factor: i32, shift: u32) -> i64 {
     (high << (32 - shift)).wrapping_add(round_shift(low, shift))
 }
 
-/// `value * factor / 2^32`, rounded down (by less than 2 units), for any `value` and a `factor` below 2^31 + 1.
+/// `value * factor / 2^32`, rounded down, for any `value` and a `factor` of at most 2^31.
 #[inline]
 #[must_use]
 pub const fn multiply_high(value: i64, factor: u32) -> i64 {
