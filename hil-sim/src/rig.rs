@@ -7,9 +7,10 @@
 //! Nothing here knows the wall clock; whoever wants real time calls `step` at its pace.
 
 use crate::config::{PlantConfig, PlantError};
-use crate::fault::{Fault, FaultError, Schedule};
+use crate::fault::{Fault, FaultError};
 use crate::plant::{Plant, Truth};
 use crate::random::Random;
+use crate::schedule::Schedule;
 use crate::wire::Wire;
 use core::fmt;
 use haptimill_firmware::io::{DriveCommand, Inputs, Outputs, RECEIVE_BYTES, StepSegment};
