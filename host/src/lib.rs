@@ -1,1 +1,3 @@
 //! The library behind the `haptimill` command.
+
+pub mod client;
