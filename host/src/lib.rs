@@ -6,3 +6,4 @@ pub mod machine;
 pub mod port;
 pub mod program;
 pub mod record;
+pub mod client;
