@@ -5,3 +5,4 @@ pub mod kin;
 pub mod machine;
 pub mod port;
 pub mod record;
+pub mod report;
