@@ -116,6 +116,9 @@ impl Chart {
             x = (x.0.min(*px), x.1.max(*px));
             y = (y.0.min(*py), y.1.max(*py));
         }
+        if !self.equal {
+            x.0 = x.0.min(0.0);
+        }
         for range in [&mut x, &mut y] {
             if range.0 > range.1 {
                 *range = (0.0, 1.0);

@@ -16,15 +16,15 @@ body{font:15px/1.45 system-ui,-apple-system,'Segoe UI',Roboto,sans-serif;color:#
 main{max-width:1180px;margin:0 auto;padding:28px 20px 60px}
 h1{font-size:25px;margin:0 0 2px}h2{font-size:17px;margin:34px 0 8px}
 .sub{color:#5b6875;margin:0 0 20px}
-.tiles{display:grid;grid-template-columns:repeat(auto-fit,minmax(165px,1fr));gap:12px}
+.tiles{display:grid;grid-template-columns:repeat(4,1fr);gap:12px}
 .tile{background:#fff;border:1px solid #e0e4e9;border-radius:8px;padding:11px 14px}
 .tile b{display:block;font-size:21px;font-weight:600;font-variant-numeric:tabular-nums}
 .tile span{color:#5b6875;font-size:13px}
-.bad{background:#fdecea;border-color:#f1b5ae}
+.tile.bad,.card.bad{background:#fdecea;border-color:#f1b5ae}
 .card{background:#fff;border:1px solid #e0e4e9;border-radius:8px;padding:12px 12px 4px;margin:0 0 14px}
 .card p{margin:0 4px 6px;color:#5b6875;font-size:13px}
 .pair{display:grid;grid-template-columns:1fr 1fr;gap:14px}
-@media(max-width:800px){.pair{grid-template-columns:1fr}}
+@media(max-width:800px){.tiles{grid-template-columns:1fr 1fr}.pair{grid-template-columns:1fr}}
 svg{display:block;width:100%;height:auto}
 svg path{fill:none;stroke-linejoin:round;stroke-linecap:round}
 svg text{font-size:12px;fill:#3b4754;font-family:inherit}svg .label{fill:#1d2733;font-size:12.5px}
