@@ -103,7 +103,11 @@ fn pose(row: &[f64; 5]) -> Result<Pose, PoseError> {
         return Err(PoseError::Tilt);
     }
     pose[3] = fixed(row[3], PER_DEG).ok_or(PoseError::Tilt)?;
-    pose[4] = fixed(row[4], PER_DEG).ok_or(PoseError::Unreachable)?;
+    // The table is a joint itself: beyond what a coordinate holds it is beyond its stroke.
+    pose[4] = fixed(row[4], PER_DEG).ok_or(PoseError::OutOfStroke {
+        axis: 4,
+        by: if row[4] < 0.0 { i32::MIN } else { i32::MAX },
+    })?;
     Ok(Pose(pose))
 }
 

@@ -7,3 +7,4 @@ pub mod port;
 pub mod program;
 pub mod record;
 pub mod client;
+pub mod report;
