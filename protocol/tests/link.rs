@@ -112,9 +112,11 @@ fn transfer(
             );
             arrived.1 += 1;
         }
-        ended = [host.state(now_us), controller.state(now_us)]
-            .iter()
-            .any(|state| matches!(state, LinkState::Silent | LinkState::Stalled));
+        // While the host still greets, a controller that fell silent is one that it has not heard yet.
+        ended = host.session() != 0
+            && [host.state(now_us), controller.state(now_us)]
+                .iter()
+                .any(|state| matches!(state, LinkState::Silent | LinkState::Stalled));
         if ended {
             break;
         }
