@@ -27,6 +27,20 @@ const IDENTITY: Identity<'static> = Identity {
     queue: 64,
 };
 
+/// Runs a body on the corpus and on short inputs, then on long ones (the engine's own byte strings have 64 bytes at most).
+macro_rules! throw {
+    ($body:expr) => {{
+        let body: fn(&[u8]) = $body;
+        bolero::check!().with_iterations(ROUNDS).for_each(body);
+        let long = bolero::produce::<Vec<u8>>().with().len(0usize..1500);
+        bolero::check!()
+            .with_generator(long)
+            .with_max_len(4096)
+            .with_iterations(ROUNDS / 10)
+            .for_each(|input: &Vec<u8>| body(input));
+    }};
+}
+
 /// Both ends, in session.
 fn pair() -> (HostLink, ControllerLink) {
     let (mut host, mut controller) = (
@@ -47,110 +61,100 @@ fn pair() -> (HostLink, ControllerLink) {
 /// A frame that is accepted is, byte for byte, the one that its content makes; and the decoder is in step after the next zero.
 #[test]
 fn frame_decoder() {
-    bolero::check!()
-        .with_iterations(ROUNDS)
-        .with_max_len(2000)
-        .for_each(|input: &[u8]| {
-            let mut decoder = FrameDecoder::new();
-            decoder.set_session(THEIRS);
-            let mut start = 0;
-            for (end, &byte) in input.iter().enumerate() {
-                if let Some(found) = decoder.push(byte) {
-                    let mut again = FrameBytes::new();
-                    frame::encode(found.header, found.payload, THEIRS, &mut again)
-                        .expect("it fitted");
-                    // A stray code of one (01) at the very end says nothing and is allowed by COBS.
-                    let line = &input[start..=end];
-                    assert!(
-                        line == &again[..] || line.len() == again.len() + 1,
-                        "{line:?} {again:?}"
-                    );
-                }
-                if byte == 0 {
-                    start = end + 1;
-                }
+    throw!(|input: &[u8]| {
+        let mut decoder = FrameDecoder::new();
+        decoder.set_session(THEIRS);
+        let mut start = 0;
+        for (end, &byte) in input.iter().enumerate() {
+            if let Some(found) = decoder.push(byte) {
+                let mut again = FrameBytes::new();
+                frame::encode(found.header, found.payload, THEIRS, &mut again).expect("it fitted");
+                // A stray code of one (01) at the very end says nothing and is allowed by COBS.
+                let line = &input[start..=end];
+                assert!(
+                    line == &again[..] || line.len() == again.len() + 1,
+                    "{line:?} {again:?}"
+                );
             }
-            decoder.push(0);
-            let mut good = FrameBytes::new();
-            frame::encode(
-                Header::Acknowledge(Acknowledgement { next: 1, beyond: 2 }),
-                &[],
-                THEIRS,
-                &mut good,
-            )
-            .expect("it fits");
-            assert_eq!(
-                good.iter()
-                    .filter(|&&byte| decoder.push(byte).is_some())
-                    .count(),
-                1
-            );
-        });
+            if byte == 0 {
+                start = end + 1;
+            }
+        }
+        decoder.push(0);
+        let mut good = FrameBytes::new();
+        frame::encode(
+            Header::Acknowledge(Acknowledgement { next: 1, beyond: 2 }),
+            &[],
+            THEIRS,
+            &mut good,
+        )
+        .expect("it fits");
+        assert_eq!(
+            good.iter()
+                .filter(|&&byte| decoder.push(byte).is_some())
+                .count(),
+            1
+        );
+    });
 }
 
 /// What can be read can be written, and reads the same again; setpoints are decoded or refused.
 #[test]
 fn messages() {
-    bolero::check!()
-        .with_iterations(ROUNDS)
-        .with_max_len(400)
-        .for_each(|input: &[u8]| {
-            let mut buffer = [0; 1024];
-            if let Ok(request) = postcard::from_bytes::<Request>(input) {
-                let bytes = postcard::to_slice(&request, &mut buffer).expect("room");
-                assert_eq!(
-                    postcard::from_bytes::<Request>(bytes).as_ref(),
-                    Ok(&request)
-                );
-                if let Command::Setpoints(batch) = request.command {
-                    let mut coder = SetpointCoder::new(200, &[0; 5].into_iter().collect());
-                    for delta in &batch.items {
-                        let _ = coder.decode(delta);
-                    }
+    throw!(|input: &[u8]| {
+        let mut buffer = [0; 1024];
+        if let Ok(request) = postcard::from_bytes::<Request>(input) {
+            let bytes = postcard::to_slice(&request, &mut buffer).expect("room");
+            assert_eq!(
+                postcard::from_bytes::<Request>(bytes).as_ref(),
+                Ok(&request)
+            );
+            if let Command::Setpoints(batch) = request.command {
+                let mut coder = SetpointCoder::new(200, &[0; 5].into_iter().collect());
+                for delta in &batch.items {
+                    let _ = coder.decode(delta);
                 }
             }
-            if let Ok(report) = postcard::from_bytes::<Report>(input) {
-                let bytes = postcard::to_slice(&report, &mut buffer).expect("room");
-                assert_eq!(postcard::from_bytes::<Report>(bytes).as_ref(), Ok(&report));
-            }
-        });
+        }
+        if let Ok(report) = postcard::from_bytes::<Report>(input) {
+            let bytes = postcard::to_slice(&report, &mut buffer).expect("room");
+            assert_eq!(postcard::from_bytes::<Report>(bytes).as_ref(), Ok(&report));
+        }
+    });
 }
 
 /// No bytes of another session, whole or broken, make a message at either end, and afterwards messages go as if nothing had been.
 #[test]
 fn link_ends() {
-    bolero::check!()
-        .with_iterations(ROUNDS)
-        .with_max_len(2000)
-        .for_each(|input: &[u8]| {
-            let (mut host, mut controller) = pair();
-            let mut now_us = 1;
-            for piece in input.chunks(48) {
-                controller.receive(now_us, piece);
-                host.receive(now_us, piece);
-                now_us += 200;
-                assert_eq!(controller.poll_message(), None);
-                assert_eq!(host.poll_message(), None);
-            }
-            // A greeting among the bytes would be a new session, which a busy controller refuses.
-            let _ = controller.welcome(now_us, &IDENTITY, true);
-            assert_eq!((host.session(), controller.session()), (OURS, OURS));
-            let request = Request {
-                id: 3,
-                command: Command::Hold,
-            };
-            let mut buffer = [0; 512];
-            host.send(&request).expect("open");
-            let mut heard = None;
-            // The first frame may be glued to what came before it; then it is sent again.
-            for _ in 0..200 {
-                now_us += 1000;
-                let count = host.transmit(now_us, &mut buffer);
-                controller.receive(now_us, &buffer[..count]);
-                heard = heard.or(controller.poll_message());
-            }
-            assert_eq!(heard, Some(request));
-        });
+    throw!(|input: &[u8]| {
+        let (mut host, mut controller) = pair();
+        let mut now_us = 1;
+        for piece in input.chunks(48) {
+            controller.receive(now_us, piece);
+            host.receive(now_us, piece);
+            now_us += 200;
+            assert_eq!(controller.poll_message(), None);
+            assert_eq!(host.poll_message(), None);
+        }
+        // A greeting among the bytes would be a new session, which a busy controller refuses.
+        let _ = controller.welcome(now_us, &IDENTITY, true);
+        assert_eq!((host.session(), controller.session()), (OURS, OURS));
+        let request = Request {
+            id: 3,
+            command: Command::Hold,
+        };
+        let mut buffer = [0; 512];
+        host.send(&request).expect("open");
+        let mut heard = None;
+        // The first frame may be glued to what came before it; then it is sent again.
+        for _ in 0..200 {
+            now_us += 1000;
+            let count = host.transmit(now_us, &mut buffer);
+            controller.receive(now_us, &buffer[..count]);
+            heard = heard.or(controller.poll_message());
+        }
+        assert_eq!(heard, Some(request));
+    });
 }
 
 /// Frames and messages as they go over the line, whole and in the ways that lines break them.
