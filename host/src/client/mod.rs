@@ -28,16 +28,18 @@
 //! [`Client::urgent_stop`] is on the line with the next call of `advance`, before everything else.
 
 mod error;
+mod notice;
 mod requests;
 mod stream;
 #[cfg(test)]
 mod tests;
 
 pub use error::{ClientError, RequestError};
+pub use notice::{ClientState, Notice, Options, Ticket};
 pub use stream::{JobEnding, JobProgress};
 
 use haptimill_protocol::frame::crc32;
-use haptimill_protocol::link::{HostLink, LinkState, Timing};
+use haptimill_protocol::link::{HostLink, LinkState};
 use haptimill_protocol::message::{
     AxisValues, CONFIG_CHUNK, Command, ConfigChunk, Event, Refusal, Report, Request, State,
     Telemetry, Welcome,
@@ -47,82 +49,6 @@ use haptimill_protocol::urgent;
 use requests::Requests;
 use std::collections::VecDeque;
 use stream::Stream;
-
-/// Times of a client, microseconds.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Options {
-    /// The link's own times, and the rate of the line.
-    pub timing: Timing,
-    /// How long a controller has to answer the greeting.
-    pub connect_us: u64,
-    /// How long a controller has to answer a request.
-    pub answer_us: u64,
-    /// Time between two urgent stops while no standstill is reported.
-    pub urgent_repeat_us: u64,
-}
-
-impl Default for Options {
-    fn default() -> Self {
-        let timing = Timing {
-            line_ahead_us: 20_000,
-            ..Timing::default()
-        };
-        Self {
-            timing,
-            connect_us: 3_000_000,
-            answer_us: 2_000_000,
-            urgent_repeat_us: 20_000,
-        }
-    }
-}
-
-/// Names a request until it is answered.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct Ticket(u64);
-
-/// Something that happened.
-#[derive(Debug, Clone, PartialEq)]
-pub enum Notice {
-    /// The session is open; this is what the controller says of itself.
-    Connected(Welcome),
-    /// A request is answered.
-    Answered {
-        /// Which.
-        ticket: Ticket,
-        /// What it was called.
-        command: &'static str,
-        /// What came of it.
-        result: Result<(), RequestError>,
-    },
-    /// The controller reports an event.
-    Event {
-        /// The control period in which it happened.
-        period: u64,
-        /// What.
-        event: Event,
-    },
-    /// The controller reports how things stand.
-    Telemetry(Box<Telemetry>),
-    /// A command that asks for no answer (a jog) was refused.
-    Refused(Refusal),
-    /// The job is over, one way or another.
-    Job(JobEnding),
-    /// The session is over.
-    Lost(ClientError),
-}
-
-/// How a client stands.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum ClientState {
-    /// No session.
-    Closed,
-    /// Greets and waits for an answer.
-    Connecting,
-    /// Requests are answered.
-    Ready,
-    /// The session ended, or never began.
-    Failed(ClientError),
-}
 
 /// Telemetry frames that wait to be polled, at most.
 const MOST_TELEMETRY: usize = 4096;
