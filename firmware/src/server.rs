@@ -5,7 +5,7 @@
 
 use crate::io::{Inputs, TRANSMIT_BYTES};
 use crate::safety::Safety;
-use haptimill_protocol::link::{ControllerLink, Identity, Timing};
+use haptimill_protocol::link::{ControllerLink, Identity, SHORT_REPORT, Timing};
 use haptimill_protocol::message::{
     AxisValues, ConfigChunk, Refusal, Report, Request, SetpointBatch, Telemetry,
 };
@@ -233,7 +233,7 @@ impl Server {
             }
             self.answers.pop_front();
         }
-        while self.answers.is_empty() && self.link.room() > 0 {
+        while self.answers.is_empty() && self.link.room(SHORT_REPORT) > 0 {
             let Some(event) = safety.next_event() else {
                 break;
             };

@@ -102,6 +102,7 @@ fn reports_fit_a_frame_and_answers_and_events_are_short() {
         position_kept: true,
         credit: u32::MAX,
         setpoint: u32::MAX,
+        program_periods: u32::MAX,
         path_rate: u16::MAX,
         wanted: values(),
         measured: values(),

@@ -10,7 +10,7 @@ mod axes;
 mod document;
 mod h4;
 mod problem;
-mod scale;
+pub mod scale;
 mod stability;
 #[cfg(test)]
 mod tests;

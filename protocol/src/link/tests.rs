@@ -252,6 +252,7 @@ fn only_newer_latest_values_are_heard() {
             position_kept: false,
             credit: 0,
             setpoint: 0,
+            program_periods: 0,
             path_rate: 0,
             wanted: Default::default(),
             measured: Default::default(),
