@@ -29,9 +29,15 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let (wall, after) = (wall.elapsed(), processor_time());
     let recorded = recorder.finish()?;
     if let (Some(before), Some(after)) = (before, after) {
-        println!("recording: {:?} of processor time a period", (after - before) / count);
+        println!(
+            "recording: {:?} of processor time a period",
+            (after - before) / count
+        );
     }
-    println!("recording: {:?} a period by the clock, disk and hash included", wall / count);
+    println!(
+        "recording: {:?} a period by the clock, disk and hash included",
+        wall / count
+    );
     let begin = Instant::now();
     let sum: u64 = Recording::open(&path)?
         .iter()?

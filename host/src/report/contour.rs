@@ -1,7 +1,7 @@
 //! Contour error: how far the tool is from the programmed path, wherever on it; the error that is seen on the part.
 //!
 //! The path is followed in a window around the place that is programmed at the tool's time. Half a window of the future must be known, so
-//! results come [`LAG`] samples late; [`Contour::finish`] gives the rest. Distances are in mm, of the tip, without the rotary coordinates.
+//! results come 500 samples late; [`Contour::finish`] gives the rest. Distances are in mm, of the tip, without the rotary coordinates.
 
 use std::collections::VecDeque;
 
@@ -28,7 +28,7 @@ pub struct Contour {
 }
 
 impl Contour {
-    /// Takes the next sample; gives the contour error of the sample [`LAG`] before.
+    /// Takes the next sample; gives the contour error of an earlier one, 500 samples before.
     pub fn add(&mut self, programmed: Point, tool: Point) -> Option<f64> {
         let far = |last: &Point| distance(last, &programmed) >= SPACING;
         if self.vertices.back().is_none_or(far) {

@@ -6,6 +6,7 @@
 mod chart;
 mod contour;
 mod html;
+mod pictures;
 mod series;
 mod statistics;
 #[cfg(test)]
