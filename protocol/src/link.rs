@@ -235,7 +235,8 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
     }
 
     /// How the link stands at a time. [`LinkState::Silent`] and [`LinkState::Stalled`] end a host's session; a controller's session stays
-    /// until the next greeting, and what to do in the meantime is the caller's decision.
+    /// until the next greeting, and what to do in the meantime is the caller's decision: a machine that moves should take either for a host that
+    /// is lost, for reports that cannot be brought over stall only here.
     pub fn state(&self, now_us: u64) -> LinkState {
         if !self.open {
             self.end.closed()

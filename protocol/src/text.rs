@@ -380,6 +380,8 @@ mod tests {
     use std::string::ToString;
 
     proptest! {
+        #![proptest_config(ProptestConfig { rng_seed: proptest::test_runner::RngSeed::Fixed(1), failure_persistence: None, ..ProptestConfig::default() })]
+
         /// An amount is the value within half a thousandth, read back as a decimal number.
         #[test]
         fn amounts_are_right(value: i32) {

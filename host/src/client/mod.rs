@@ -53,6 +53,9 @@ use stream::Stream;
 /// Telemetry frames that wait to be polled, at most.
 const MOST_TELEMETRY: usize = 4096;
 
+/// While a job runs, telemetry is asked for when none came for this long, microseconds.
+const ASK_AFTER_US: u64 = 100_000;
+
 /// Drives one session with one controller.
 #[derive(Debug)]
 pub struct Client {
@@ -68,6 +71,8 @@ pub struct Client {
     requests: Requests,
     stream: Option<Stream>,
     telemetry: Option<Telemetry>,
+    /// When telemetry was last heard or asked for.
+    telemetry_us: u64,
     waiting_telemetry: usize,
     notices: VecDeque<Notice>,
     jog_epoch: u16,
@@ -98,6 +103,7 @@ impl Client {
             requests: Requests::default(),
             stream: None,
             telemetry: None,
+            telemetry_us: 0,
             waiting_telemetry: 0,
             notices: VecDeque::new(),
             jog_epoch: 1,
@@ -429,6 +435,7 @@ impl Client {
                 self.finish_job(ending);
             }
             Report::Telemetry(telemetry) => {
+                self.telemetry_us = self.now_us;
                 if let Some(stream) = self.stream.as_mut() {
                     stream.telemetry(&telemetry);
                 }
@@ -479,6 +486,11 @@ impl Client {
         if let Some(stream) = self.stream.as_mut() {
             let ending = late.and_then(|(ticket, error)| stream.failed(ticket, error));
             self.finish_job(ending);
+        }
+        if self.stream.is_some() && self.now_us.saturating_sub(self.telemetry_us) >= ASK_AFTER_US {
+            // The credit comes with telemetry, which may be switched off or too slow.
+            self.requests.tell(Command::Status);
+            self.telemetry_us = self.now_us;
         }
         self.requests
             .send(&mut self.link, self.now_us, self.options.answer_us);

@@ -441,3 +441,22 @@ fn a_setpoint_that_is_refused_ends_the_job_and_stops_the_machine() {
     let error = RequestError::Refused(Refusal::State(State::Fault));
     assert_eq!(world.ending(), Some(&JobEnding::Refused { job: 6, error }));
 }
+
+#[test]
+fn a_job_goes_on_while_telemetry_is_switched_off() {
+    let mut world = World::connected(10, Faults::default());
+    world.responder.every = 0;
+    let path = path(10, 300);
+    world.client.start_job(1, pose(), path.clone()).unwrap();
+    assert!(world.until(30_000_000, |world| world.client.job().is_none()));
+    assert_eq!(
+        world.ending(),
+        Some(&JobEnding::Done {
+            job: 1,
+            setpoints: 300
+        })
+    );
+    assert_eq!(world.responder.reached, path);
+    // 300 setpoints of 20 ms, and no waiting for credit.
+    assert!(world.now_us < 7_000_000, "{} us", world.now_us);
+}

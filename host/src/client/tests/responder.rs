@@ -246,6 +246,10 @@ impl Responder {
                 self.cancelled = self.cancelled.max(epoch);
                 self.jog_left = 0;
             }
+            Command::Status => {
+                let telemetry = self.telemetry();
+                let _ = self.link.send_latest(&Report::Telemetry(telemetry));
+            }
             Command::Home => return Err(Refusal::Input),
             _ => {}
         }
