@@ -56,7 +56,7 @@ enum Command {
     Run(run::RunArgs),
     Jog(jog::JogArgs),
     /// Find the reference of all axes, as one transaction
-    Home(one_shot::OneShotArgs),
+    Home(one_shot::HomeArgs),
     /// How things stand
     Status(one_shot::OneShotArgs),
     /// Drives on; wanted becomes measured, nothing moves
@@ -154,7 +154,7 @@ fn dispatch(cli: Cli) -> Result<(), CliError> {
     match cli.command {
         Command::Run(args) => run::run(args),
         Command::Jog(args) => jog::run(args),
-        Command::Home(args) => one_shot::run(Order::Home, args),
+        Command::Home(args) => one_shot::home(args),
         Command::Status(args) => one_shot::run(Order::Status, args),
         Command::Enable(args) => one_shot::run(Order::Enable, args),
         Command::Disable(args) => one_shot::run(Order::Disable, args),

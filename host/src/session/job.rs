@@ -3,7 +3,7 @@
 use super::{Line, Session};
 use crate::cli::CliError;
 use crate::client::JobEnding;
-use haptimill_protocol::message::{AxisValues, Command, Event, Fault, Telemetry};
+use haptimill_protocol::message::{AxisValues, Command, Event, Fault, State, Telemetry};
 use haptimill_protocol::setpoint::Setpoint;
 
 /// How a job ended, and what happened on the way.
@@ -28,8 +28,11 @@ pub trait Watcher {
     /// Some milliseconds have passed; the newest telemetry.
     fn progress(&mut self, telemetry: &Telemetry);
 
-    /// The program pauses (M0) at a setpoint; true goes on.
-    fn paused(&mut self, setpoint: u32) -> bool;
+    /// The program pauses (M0) at a setpoint.
+    fn paused(&mut self, setpoint: u32);
+
+    /// Whether the pause is over; asked again and again while it lasts.
+    fn goes_on(&mut self) -> bool;
 }
 
 /// Steps between two looks at the telemetry.
@@ -57,6 +60,7 @@ impl<L: Line> Session<L> {
         self.ending = None;
         self.client.start_job(job, start, setpoints).map_err(|error| CliError::new(crate::cli::Exit::Port, error))?;
         let mut stopped = false;
+        let mut paused = false;
         let mut seen = first;
         let mut steps = 0_u32;
         let ending = loop {
@@ -70,11 +74,21 @@ impl<L: Line> Session<L> {
             }
             while let Some((_, event)) = self.events.get(seen) {
                 seen += 1;
-                if let Event::Paused { setpoint } = event
-                    && watcher.paused(*setpoint)
-                {
-                    self.client.request(Command::Resume);
+                match event {
+                    Event::Paused { setpoint } => {
+                        paused = true;
+                        watcher.paused(*setpoint);
+                    }
+                    // Nobody here asked for it: another program on the port sent an urgent stop.
+                    Event::State { from: State::Run, to: State::Hold, .. } if !paused && !stopped => {
+                        self.client.request(Command::Stop);
+                    }
+                    _ => {}
                 }
+            }
+            if paused && watcher.goes_on() {
+                paused = false;
+                self.client.request(Command::Resume);
             }
             steps = steps.wrapping_add(1);
             if steps.is_multiple_of(LOOK_EVERY)
@@ -99,7 +113,6 @@ impl<L: Line> Session<L> {
 
     /// Waits until the controller reports a state in which nothing moves.
     fn settle(&mut self) -> Result<Telemetry, CliError> {
-        use haptimill_protocol::message::State;
         loop {
             let status = self.status()?;
             if !matches!(status.state, State::Run | State::Homing | State::Jog) && (status.state != State::Hold || status.path_rate == 0) {

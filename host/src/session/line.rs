@@ -3,6 +3,10 @@
 use crate::port::{PortError, Transport};
 use std::time::{Duration, Instant};
 
+use super::JobRecording;
+use crate::record::Recorder;
+use haptimill_protocol::message::Telemetry;
+
 /// Carries bytes to a controller and back, and has a clock.
 pub trait Line {
     /// Sends bytes, lets a little time pass, adds what has arrived to `received`, and gives the time in microseconds.
@@ -13,6 +17,18 @@ pub trait Line {
 
     /// What people call it.
     fn name(&self) -> String;
+
+    /// The controller reported how things stand.
+    fn reported(&mut self, _: &Telemetry) {}
+}
+
+/// A line on which a job can be recorded.
+pub trait JobLine: Line {
+    /// Records from now on: every control period where the line sees them all, every telemetry frame otherwise.
+    fn begin_recording(&mut self, recording: JobRecording);
+
+    /// Ends the recording and hands it back.
+    fn end_recording(&mut self) -> Option<Recorder>;
 }
 
 /// Longest wait for bytes in one exchange: a thousand steps a second.
@@ -27,13 +43,14 @@ pub struct PortLine {
     begun: Instant,
     /// Bytes that the port has not taken yet.
     waiting: Vec<u8>,
+    recording: Option<JobRecording>,
 }
 
 impl PortLine {
     /// A line over an open port.
     #[must_use]
     pub fn new(port: Box<dyn Transport>) -> Self {
-        Self { port, begun: Instant::now(), waiting: Vec::new() }
+        Self { port, begun: Instant::now(), waiting: Vec::new(), recording: None }
     }
 }
 
@@ -52,5 +69,21 @@ impl Line for PortLine {
 
     fn name(&self) -> String {
         self.port.name().to_string()
+    }
+
+    fn reported(&mut self, telemetry: &Telemetry) {
+        if let Some(recording) = &mut self.recording {
+            recording.add_telemetry(telemetry);
+        }
+    }
+}
+
+impl JobLine for PortLine {
+    fn begin_recording(&mut self, recording: JobRecording) {
+        self.recording = Some(recording);
+    }
+
+    fn end_recording(&mut self) -> Option<Recorder> {
+        self.recording.take().map(JobRecording::into_recorder)
     }
 }

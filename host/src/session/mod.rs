@@ -6,22 +6,31 @@
 //! Misuse: whoever waits for something must go on stepping; a session that is not stepped falls silent, and the controller stops the
 //! machine.
 
+pub mod interrupt;
 mod job;
 mod line;
 mod sim;
 
 pub use job::{JobEnd, Watcher};
-pub use line::{Line, PortLine};
+pub use line::{JobLine, Line, PortLine};
 pub use sim::{JobRecording, SimLine, rig};
 
 use crate::cli::{CliError, Exit};
 use crate::client::{Client, ClientState, JobEnding, Notice, Options, RequestError, Ticket};
 use crate::machine::MachineFile;
 use crate::model::Model;
-use haptimill_protocol::message::{Command, Event, Fault, State, Telemetry};
+use haptimill_protocol::message::{Command, Event, Fault, Refusal, State, Telemetry};
 use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+
+/// A session number that was never used before, as far as chance can do it.
+#[must_use]
+pub fn fresh_number() -> u32 {
+    use std::hash::{BuildHasher, Hasher, RandomState};
+    // The standard library's hasher is keyed by the system's randomness.
+    RandomState::new().build_hasher().finish() as u32
+}
 
 /// A controller at the other end, and what it said.
 pub struct Session<L> {
@@ -36,6 +45,7 @@ pub struct Session<L> {
     /// Events since the session began, with their control periods.
     pub events: Vec<(u64, Event)>,
     lost: Option<String>,
+    refusal: Option<Refusal>,
     interrupted: Arc<AtomicBool>,
 }
 
@@ -53,6 +63,7 @@ impl<L: Line> Session<L> {
             ending: None,
             events: Vec::new(),
             lost: None,
+            refusal: None,
             interrupted,
         }
     }
@@ -102,7 +113,9 @@ impl<L: Line> Session<L> {
                 Notice::Event { period, event } => self.events.push((period, event)),
                 Notice::Job(ending) => self.ending = Some(ending),
                 Notice::Lost(error) => self.lost = Some(error.to_string()),
-                Notice::Connected(_) | Notice::Telemetry(_) | Notice::Refused(_) => {}
+                Notice::Telemetry(telemetry) => self.line.reported(&telemetry),
+                Notice::Refused(refusal) => self.refusal = Some(refusal),
+                Notice::Connected(_) => {}
             }
         }
         match &self.lost {
@@ -240,6 +253,12 @@ impl<L: Line> Session<L> {
                 }
             }
         }
+    }
+
+    /// A refusal of a command that asks for no answer (a jog), in words, once.
+    pub fn refusal(&mut self) -> Option<String> {
+        let refusal = self.refusal.take()?;
+        Some(self.model.with_axes(|axes| axes.describe(&refusal).to_string()))
     }
 
     /// A fault as an error of the command.

@@ -1,6 +1,6 @@
 //! The built-in simulator as a line: controller, machine and serial line in this process, in virtual time.
 
-use super::Line;
+use super::{JobLine, Line};
 use crate::cli::{CliError, Exit};
 use crate::machine::MachineFile;
 use crate::plan::{Cursor, Plan};
@@ -12,7 +12,7 @@ use haptimill_firmware::motion::program::FULL_RATE;
 use haptimill_hil_sim::config::PlantConfig;
 use haptimill_hil_sim::fault::Fault;
 use haptimill_hil_sim::rig::{Rig, RigOptions};
-use haptimill_protocol::message::{MAX_AXES, State};
+use haptimill_protocol::message::{AxisValues, MAX_AXES, State, Telemetry};
 use std::sync::Arc;
 
 /// A machine that exists in this process only.
@@ -54,15 +54,15 @@ impl SimLine {
     pub fn new(rig: Rig<Controller>) -> Self {
         Self { rig, recording: None }
     }
+}
 
-    /// Records every control period from now on.
-    pub fn record(&mut self, recording: JobRecording) {
+impl JobLine for SimLine {
+    fn begin_recording(&mut self, recording: JobRecording) {
         self.recording = Some(recording);
     }
 
-    /// Ends the recording and hands it back.
-    pub fn end_recording(&mut self) -> Option<Recorder> {
-        self.recording.take().map(|recording| recording.recorder)
+    fn end_recording(&mut self) -> Option<Recorder> {
+        self.recording.take().map(JobRecording::into_recorder)
     }
 }
 
@@ -93,6 +93,54 @@ impl JobRecording {
             *slot = crate::machine::scale::per_unit(axis.kind);
         }
         Self { recorder, plan, cursor: Cursor::default(), units }
+    }
+
+    /// The recorder, to be finished.
+    #[must_use]
+    pub fn into_recorder(self) -> Recorder {
+        self.recorder
+    }
+
+    /// A telemetry frame of a machine of which nothing else is seen: the tool is where the controller measures it.
+    pub fn add_telemetry(&mut self, telemetry: &Telemetry) {
+        let mut record = Record {
+            period: telemetry.period,
+            setpoint: telemetry.setpoint,
+            path_rate: telemetry.path_rate,
+            state: telemetry.state,
+            ..Record::default()
+        };
+        let flags = [
+            (telemetry.homed, flag::HOMED),
+            (telemetry.position_kept, flag::POSITION_KEPT),
+            (!telemetry.measured.is_empty(), flag::TOOL_MEASURED),
+            (telemetry.fault.is_some(), flag::FAULT),
+        ];
+        record.flags = flags.iter().filter(|(set, _)| *set).fold(0, |all, (_, flag)| all | flag);
+        let copy = |to: &mut [i32; MAX_AXES], from: &AxisValues| to.iter_mut().zip(from).for_each(|(to, from)| *to = *from);
+        copy(&mut record.wanted, &telemetry.wanted);
+        copy(&mut record.joints, &telemetry.joints);
+        copy(&mut record.following_error, &telemetry.following_error);
+        copy(&mut record.drive, &telemetry.drive);
+        copy(&mut record.tool, &telemetry.measured);
+        for (wanted, (joint, error)) in record.joints_wanted.iter_mut().zip(record.joints.iter().zip(record.following_error)) {
+            *wanted = joint.wrapping_add(error);
+        }
+        self.add_programmed(&mut record, f64::from(telemetry.program_periods));
+        self.recorder.record(&record);
+    }
+
+    /// The programmed pose, if a job is under way, at a program time in periods.
+    fn add_programmed(&mut self, record: &mut Record, periods: f64) {
+        if !matches!(record.state, State::Run | State::Hold) {
+            return;
+        }
+        let programmed = self.plan.programmed(&mut self.cursor, periods * self.plan.period_s);
+        for (slot, (value, units)) in record.programmed.iter_mut().zip(programmed.iter().zip(&self.units)) {
+            *slot = (value * units).round() as i32;
+        }
+        record.flags |= flag::PROGRAMMED;
+        record.line = self.plan.line_of(record.setpoint as usize);
     }
 
     fn add(&mut self, rig: &Rig<Controller>) {
@@ -128,15 +176,7 @@ impl JobRecording {
             };
             record.tool[axis] = (rig.truth().pose[axis] * self.units[axis]).round() as i32;
         }
-        if matches!(state, State::Run | State::Hold) {
-            let time = program.program_time() as f64 / FULL_RATE as f64 * self.plan.period_s;
-            let programmed = self.plan.programmed(&mut self.cursor, time);
-            for (slot, (value, units)) in record.programmed.iter_mut().zip(programmed.iter().zip(&self.units)) {
-                *slot = (value * units).round() as i32;
-            }
-            record.flags |= flag::PROGRAMMED;
-            record.line = self.plan.line_of(program.reached() as usize);
-        }
+        self.add_programmed(&mut record, program.program_time() as f64 / FULL_RATE as f64);
         self.recorder.record(&record);
     }
 }
