@@ -33,6 +33,7 @@ fn axis(drive: Drive) -> JointAxis {
         still: Coordinate(1 << 17),
         preset: Coordinate(0),
         index: Coordinate(0),
+        index_pitch: Coordinate(10 << 20),
         search: Coordinate(0),
     }
 }

@@ -19,6 +19,11 @@ impl Controller {
     /// Carries out a request and answers it.
     pub(crate) fn command(&mut self, inputs: &Inputs, request: Request) {
         let result = match request.command {
+            Command::Home | Command::JobStart { .. } | Command::Resume | Command::Jog { .. }
+                if self.job.overtaken =>
+            {
+                Err(Refusal::State(self.safety.state()))
+            }
             // Taken apart by the server, one setpoint a period.
             Command::Setpoints(_) | Command::Ping => Ok(()),
             Command::Configure(chunk) => self.server.stage(&chunk),
@@ -112,9 +117,15 @@ impl Controller {
         if inputs.emergency_stop || blocked {
             return Err(Refusal::Input);
         }
+        let counted = machinery.encoders_counted();
         machinery
             .enable()
             .map_err(|error| Refusal::Pose { setpoint: 0, error })?;
+        if !counted {
+            // While the drives were off nobody looked, and the machine may have been moved by hand.
+            self.safety.lose_position();
+            self.job.preset_valid = false;
+        }
         self.job.saturated = 0;
         self.safety.enter(State::Idle);
         Ok(())
@@ -179,6 +190,7 @@ impl Controller {
         for (slot, value) in pose.0.iter_mut().zip(&setpoint.pose) {
             *slot = Coordinate(*value);
         }
+        let pose = machinery.motion.destination(&pose);
         if let Some(axis) = machinery.beyond_soft_limit(&pose) {
             return Err(Refusal::SoftLimit {
                 setpoint: number,
@@ -218,7 +230,7 @@ impl Controller {
             return Err(Refusal::Range);
         }
         // Epochs wrap around: one is older when it lies less than half the circle behind.
-        let age = self.job.jog_epoch.wrapping_sub(epoch) as i16;
+        let age = self.epoch_age(epoch);
         if age > 0 || (age == 0 && self.job.jog_cancelled) {
             return Err(Refusal::OldEpoch);
         }
@@ -247,15 +259,21 @@ impl Controller {
             .motion
             .jog
             .aim(&wanted, u32::from(deadline_ms) * 1000 / period_us);
-        self.job.jog_epoch = epoch;
+        self.job.jog_epoch = Some(epoch);
         self.job.jog_cancelled = false;
         Ok(())
     }
 
+    /// How many epochs this one is older than the newest; negative when it is newer. Any is newer than none.
+    fn epoch_age(&self, epoch: u16) -> i16 {
+        self.job
+            .jog_epoch
+            .map_or(-1, |newest| newest.wrapping_sub(epoch) as i16)
+    }
+
     fn cancel_jog(&mut self, epoch: u16) -> Done {
-        let newer = (epoch.wrapping_sub(self.job.jog_epoch) as i16) >= 0;
-        if newer {
-            self.job.jog_epoch = epoch;
+        if self.epoch_age(epoch) <= 0 {
+            self.job.jog_epoch = Some(epoch);
             self.job.jog_cancelled = true;
             if let Some(machinery) = &mut self.machinery
                 && self.safety.state() != State::Homing

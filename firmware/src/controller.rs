@@ -63,10 +63,8 @@ impl Controller {
     }
 
     fn hear(&mut self, inputs: &Inputs) -> Option<Heard> {
-        let limit = self.machinery.as_ref().map_or(0, |machinery| {
-            u64::from(machinery.config.supervision.heartbeat_ms) * 1000
-        });
-        let busy = self.safety.active() && self.server.silent_us() <= limit;
+        // A silent host loses its machine when the machine has begun to brake for want of it, and not before.
+        let busy = self.safety.active() && self.safety.pending().is_none();
         let identity = match &self.machinery {
             Some(machinery) => Identity {
                 machine: &machinery.config.name,

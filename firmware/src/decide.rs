@@ -5,6 +5,7 @@ use crate::io::{AxisInputs, Inputs};
 use crate::motion::Mode;
 use crate::motion::program::Progress;
 use crate::safety::homing::Outcome;
+use crate::safety::keeps_position;
 use crate::server::Heard;
 use haptimill_protocol::message::{Event, Fault, HomingProblem, Refusal, State};
 
@@ -22,10 +23,14 @@ pub struct Job {
     pub spindle_rpm: u16,
     /// Joints whose saturation was told.
     pub saturated: u8,
-    /// The newest epoch of jogs, and whether it was cancelled.
-    pub jog_epoch: u16,
+    /// The newest epoch of jogs in this session.
+    pub jog_epoch: Option<u16>,
     /// The newest epoch takes no more jogs.
     pub jog_cancelled: bool,
+    /// A new session has begun, and the machine has not been at rest since.
+    pub new_session: bool,
+    /// An urgent stop overtook what the host had said before; nothing of that may set the machine going again.
+    pub overtaken: bool,
     /// The joints stand where their presets say, or moved from there with encoders that can be believed.
     pub preset_valid: bool,
 }
@@ -35,18 +40,21 @@ impl Controller {
         self.watch(inputs);
         if inputs.urgent {
             self.hold();
+            self.job.overtaken = true;
+        } else if heard.is_none() && inputs.waiting == 0 {
+            self.job.overtaken = false;
         }
+        self.greet();
         match heard {
             Some(Heard::Request(request)) => self.command(inputs, request),
             Some(Heard::Setpoint {
                 id,
                 number,
                 setpoint,
-            }) => {
-                if let Err(refusal) = self.take_setpoint(number, &setpoint) {
-                    self.server.refuse_setpoints(id, refusal);
-                }
-            }
+            }) => match self.take_setpoint(number, &setpoint) {
+                Ok(()) => self.server.accept_setpoint(),
+                Err(refusal) => self.server.refuse_setpoints(id, refusal),
+            },
             Some(Heard::BadSetpoint { id, number }) => {
                 self.server
                     .refuse_setpoints(id, Refusal::Setpoint { setpoint: number });
@@ -55,6 +63,21 @@ impl Controller {
         }
         self.advance(inputs);
         self.close_what_faults_end();
+    }
+
+    /// A new session counts its own epochs of jogs, and begins with all coordinates led by the program.
+    fn greet(&mut self) {
+        if self.server.session_begun() {
+            self.job.jog_epoch = None;
+            self.job.jog_cancelled = false;
+            self.job.new_session = true;
+        }
+        if self.job.new_session && !self.safety.active() {
+            self.job.new_session = false;
+            if let Some(machinery) = &mut self.machinery {
+                machinery.motion.reset_sources();
+            }
+        }
     }
 
     /// Everything that can be wrong.
@@ -76,7 +99,7 @@ impl Controller {
         {
             self.safety.raise(fault);
         }
-        if inputs.missed >= machinery.config.supervision.missed_periods && self.safety.active() {
+        if inputs.missed >= machinery.config.supervision.missed_periods {
             self.safety.raise(Fault::LatePeriod {
                 missed: inputs.missed,
             });
@@ -97,9 +120,7 @@ impl Controller {
             State::Jog | State::Homing => self.give_up(),
             _ => {}
         }
-        if let Some(machinery) = &mut self.machinery {
-            machinery.motion.jog.release();
-        }
+        self.end_jogs();
     }
 
     /// Brakes whatever moves, and ends it.
@@ -108,6 +129,12 @@ impl Controller {
             self.safety.enter(State::Hold);
         }
         self.job.stopping = true;
+        self.end_jogs();
+    }
+
+    /// Brakes jogs. What is under way of their epoch must not set the machine going again.
+    fn end_jogs(&mut self) {
+        self.job.jog_cancelled = true;
         if let Some(machinery) = &mut self.machinery {
             machinery.motion.jog.release();
         }
@@ -223,6 +250,7 @@ impl Controller {
     fn come_to_rest(&mut self) {
         self.drop_job();
         self.job.stopping = false;
+        self.job.spindle_rpm = 0;
         if self.safety.pending().is_some() {
             self.safety.settle();
         } else {
@@ -239,8 +267,10 @@ impl Controller {
             self.drop_job();
             self.job.stopping = false;
             self.job.spindle_rpm = 0;
-            self.job.preset_valid &= !self.safety.position_lost();
-            if self.safety.fault() == Some(Fault::Configuration) {
+        }
+        if let Some(fault) = self.safety.take_latched() {
+            self.job.preset_valid &= keeps_position(&fault);
+            if fault == Fault::Configuration {
                 // Nothing that it says can be relied on any more; the host sends a new one.
                 self.machinery = None;
             }
@@ -254,7 +284,6 @@ impl Controller {
                 .as_ref()
                 .map_or(0, |machinery| machinery.motion.program.reached());
             self.safety.tell(Event::JobDropped { job, setpoints });
-            self.job.spindle_rpm = 0;
         }
     }
 }

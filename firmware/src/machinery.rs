@@ -119,6 +119,15 @@ impl Machinery {
         self.measured_pose.as_ref()
     }
 
+    /// Whether the encoders have made no more illegal transitions since they were enabled last than supervision allows.
+    #[must_use]
+    pub fn encoders_counted(&self) -> bool {
+        let limit = u32::from(self.config.supervision.illegal_transitions);
+        self.joints
+            .iter()
+            .all(|joint| joint.sensed().illegal <= limit)
+    }
+
     /// Wanted becomes measured, drives on.
     pub fn enable(&mut self) -> Result<(), PoseError> {
         let pose = self.machine.forward(&self.measured)?;
@@ -189,10 +198,10 @@ impl Machinery {
                 wanted_rate: self.target.rates[index],
                 measured: sensed.coordinate,
                 rate: sensed.rate,
-                error: Coordinate(target.0.saturating_sub(sensed.coordinate.0)),
                 effort: self.driven[index].effort,
                 illegal: sensed.illegal.min(u32::from(u16::MAX)) as u16,
                 steps_off: sensed.slip,
+                period_us: self.config.period_us,
             };
             if let Some(fault) = self.watches[index].look(index as u8, axis, limit, &seen) {
                 return Some(fault);

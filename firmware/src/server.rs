@@ -1,7 +1,8 @@
 //! Messages in, answers and telemetry out: the controller's end of the link.
 //!
 //! A period hears at most 64 bytes and works on one message, or on one setpoint of a batch; the rest waits in the link, whose window stops the
-//! host. A setpoint that is refused ends its batch, and all later ones are out of order until the job is begun anew: nothing is skipped.
+//! host. A setpoint that is refused ends its batch and changes nothing, not even what the next one is relative to: all later ones are out of
+//! order until it comes again, or the job is begun anew. Nothing is skipped.
 
 use crate::io::{Inputs, TRANSMIT_BYTES};
 use crate::safety::Safety;
@@ -57,6 +58,9 @@ pub struct Server {
     now_us: u64,
     batch: Option<Batch>,
     coder: SetpointCoder,
+    /// The coder after the setpoint that was heard last; taken over when that is accepted.
+    ahead: SetpointCoder,
+    session_begun: bool,
     staged: Vec<u8, CONFIG_BYTES>,
     answers: Deque<Report, ANSWERS>,
     every: u16,
@@ -74,6 +78,8 @@ impl Server {
             now_us: 0,
             batch: None,
             coder: SetpointCoder::new(period_us, &AxisValues::new()),
+            ahead: SetpointCoder::new(period_us, &AxisValues::new()),
+            session_begun: false,
             staged: Vec::new(),
             answers: Deque::new(),
             every: 0,
@@ -91,6 +97,7 @@ impl Server {
             let greeted = self.link.welcome(self.now_us, identity, busy);
             if greeted == haptimill_protocol::link::Greeted::Begun {
                 self.forget();
+                self.session_begun = true;
             }
         }
         if self.answers.is_full() {
@@ -119,21 +126,35 @@ impl Server {
             self.answer(id, Ok(()));
             return None;
         };
-        batch.next += 1;
-        let last = batch.next == batch.items.items.len();
-        let heard = match self.coder.decode(delta) {
-            Ok(setpoint) => Heard::Setpoint {
-                id,
-                number,
-                setpoint,
-            },
+        let mut ahead = self.coder.clone();
+        Some(match ahead.decode(delta) {
+            Ok(setpoint) => {
+                self.ahead = ahead;
+                Heard::Setpoint {
+                    id,
+                    number,
+                    setpoint,
+                }
+            }
             Err(_) => Heard::BadSetpoint { id, number },
-        };
-        if last {
+        })
+    }
+
+    /// The setpoint that was heard in this period is in the queue: the next one is told relative to it.
+    pub fn accept_setpoint(&mut self) {
+        let Some(batch) = &mut self.batch else { return };
+        batch.next += 1;
+        self.coder = self.ahead.clone();
+        if batch.next == batch.items.items.len() {
+            let id = batch.id;
             self.batch = None;
             self.answer(id, Ok(()));
         }
-        Some(heard)
+    }
+
+    /// Whether a new session has begun since the last call.
+    pub fn session_begun(&mut self) -> bool {
+        core::mem::take(&mut self.session_begun)
     }
 
     /// What a session leaves behind when it ends.
@@ -149,7 +170,7 @@ impl Server {
         self.coder = SetpointCoder::new(self.period_us, pose);
     }
 
-    /// Drops the rest of the batch, and says why.
+    /// Drops the setpoint that was heard in this period and the rest of its batch, and says why.
     pub fn refuse_setpoints(&mut self, id: u8, refusal: Refusal) {
         self.batch = None;
         self.answer(id, Err(refusal));

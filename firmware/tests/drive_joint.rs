@@ -54,6 +54,7 @@ fn axis(drive: Drive, backlash_mm: f64) -> JointAxis {
         still: Coordinate((0.1 * MM) as i32),
         preset: Coordinate(0),
         index: Coordinate(0),
+        index_pitch: Coordinate(10 << 20),
         search: Coordinate(0),
     }
 }

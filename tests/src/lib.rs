@@ -69,10 +69,17 @@ impl<C: Control> Bench<C> {
 
     /// One control period, and what the host does in it.
     pub fn step(&mut self) {
+        self.step_spoiled(|_| ());
+    }
+
+    /// One control period, with something done to the bytes that the host says in it.
+    pub fn step_spoiled(&mut self, spoil: impl FnOnce(&mut Vec<u8>)) {
         let now = self.rig.time_ns() / 1000;
         let mut buffer = [0; 256];
         let count = self.link.transmit(now, &mut buffer);
-        self.rig.host_write(&buffer[..count]);
+        let mut bytes = buffer[..count].to_vec();
+        spoil(&mut bytes);
+        self.rig.host_write(&bytes);
         self.rig.step();
         let mut received = Vec::new();
         self.rig.host_read(&mut received);
@@ -91,6 +98,19 @@ impl<C: Control> Bench<C> {
         for _ in 0..count {
             self.step();
         }
+    }
+
+    /// Asks without waiting, if there is room; the number that the answer will have.
+    pub fn say(&mut self, command: Command) -> Option<u8> {
+        let id = self.id % 250 + 1;
+        self.link.send(&Request { id, command }).ok()?;
+        self.id = id;
+        Some(id)
+    }
+
+    /// Answers that have come since the last call.
+    pub fn take_answers(&mut self) -> Vec<(u8, Result<(), Refusal>)> {
+        core::mem::take(&mut self.answers)
     }
 
     /// Asks, and waits for the answer.

@@ -81,6 +81,15 @@ impl Jog {
         self.limited = limited;
     }
 
+    /// A coordinate that is moved by something else stands at `place`: the reach is that of the true pose.
+    pub fn carry(&mut self, axis: usize, place: Coordinate) {
+        if let Some(axis) = self.axis.get_mut(axis) {
+            axis.position = i64::from(place.0) << FRACTION;
+            axis.rate = Ramp::default();
+            axis.target = 0;
+        }
+    }
+
     /// New rates, in axis units per second, for so many periods.
     pub fn aim(&mut self, rates: &[i64; MAX_AXES], periods: u32) {
         for (axis, rate) in self.axis.iter_mut().zip(rates) {

@@ -109,6 +109,24 @@ impl Motion {
         self.sources.get(axis).copied().unwrap_or_default()
     }
 
+    /// All coordinates are led by the program again; only while the machine is at rest.
+    pub fn reset_sources(&mut self) {
+        self.sources = [Source::Program; MAX_AXES];
+    }
+
+    /// Where the machine would stand if the program were at `pose`: with offsets, and with coordinates that the program does not lead.
+    #[must_use]
+    pub fn destination(&self, pose: &Pose) -> Pose {
+        let mut destination = *pose;
+        for (axis, coordinate) in destination.0[..self.axes].iter_mut().enumerate() {
+            *coordinate = match self.sources[axis] {
+                Source::Program => Coordinate(coordinate.0.wrapping_add(self.offsets[axis])),
+                Source::Jog | Source::Hold => self.wanted.pose.0[axis],
+            };
+        }
+        destination
+    }
+
     /// Whether any coordinate takes its value from a jog.
     #[must_use]
     pub fn has_jog_source(&self) -> bool {
@@ -131,6 +149,11 @@ impl Motion {
             Mode::Program { halt } => {
                 let (program, progress) = self.program.advance(halt);
                 let (jog, limited) = if self.has_jog_source() {
+                    for axis in 0..self.axes {
+                        if self.sources[axis] != Source::Jog {
+                            self.jog.carry(axis, self.wanted.pose.0[axis]);
+                        }
+                    }
                     self.jog.advance(machine)
                 } else {
                     (Wanted::default(), None)

@@ -284,8 +284,15 @@ impl Program {
         if !self.started {
             let covered = self.queued_periods >= 4 * self.braking_periods || self.queue.is_full();
             self.started = !halt && (self.total.is_some() || covered);
-            // At rest any path rate is the same motion: begin with the one that is wanted.
-            self.path_rate = Ramp::at(self.override_rate);
+            // At rest any path rate is the same motion: begin with the one that is wanted, unless the queue is full of spans so short
+            // that there would be no stopping on them.
+            self.path_rate = Ramp::at(
+                if self.total.is_some() || self.queued_periods >= 4 * self.braking_periods {
+                    self.override_rate
+                } else {
+                    0
+                },
+            );
         }
         if finished || !self.started || self.paused {
             progress.finished = finished;
@@ -318,7 +325,9 @@ impl Program {
             .map_or(u64::MAX, |sum| sum.unsigned_abs() >> 32)
             + 2;
         if self.starving.is_some() {
-            if remaining >= 4 * self.braking_periods || self.queue.is_full() {
+            // A full queue is all that there can be: go on as fast as it covers, with some room so that braking does not begin at once.
+            let most = self.queue.is_full() && remaining > needed + needed / 4 + 8;
+            if remaining >= 4 * self.braking_periods || most {
                 self.starving = None;
             }
         } else if remaining <= needed {

@@ -33,6 +33,8 @@ pub struct Safety {
     pending: Option<Fault>,
     /// The drives hold although a fault is latched.
     holding: bool,
+    /// A fault was latched and [`Safety::take_latched`] has not told it.
+    latched: bool,
     homed: bool,
     position_kept: bool,
     events: Deque<Event, EVENTS>,
@@ -92,10 +94,16 @@ impl Safety {
         self.position_kept
     }
 
-    /// Whether the latched fault is one after which the encoders cannot be believed.
-    #[must_use]
-    pub fn position_lost(&self) -> bool {
-        self.fault.is_some_and(|fault| !keeps_position(&fault))
+    /// A fault that was latched since the last call.
+    pub fn take_latched(&mut self) -> Option<Fault> {
+        let fresh = core::mem::take(&mut self.latched);
+        self.fault.filter(|_| fresh)
+    }
+
+    /// The position cannot be relied on any more.
+    pub fn lose_position(&mut self) {
+        self.position_kept = false;
+        self.homed = false;
     }
 
     /// Whether the drives are to be on in this state.
@@ -155,8 +163,9 @@ impl Safety {
     }
 
     fn latch(&mut self, fault: Fault) {
+        // A latched fault gives way only to one for which the drives that it let hold must go off.
         if matches!(self.state, State::EmergencyStop)
-            || (matches!(self.state, State::Fault) && !self.holding)
+            || (matches!(self.state, State::Fault) && (!self.holding || brakes_first(&fault)))
         {
             return;
         }
@@ -164,10 +173,10 @@ impl Safety {
         self.holding = on && brakes_first(&fault);
         self.pending = None;
         if !keeps_position(&fault) {
-            self.position_kept = false;
-            self.homed = false;
+            self.lose_position();
         }
         self.fault = Some(fault);
+        self.latched = true;
         self.tell(Event::Fault(fault));
         self.enter(State::Fault);
     }
@@ -196,11 +205,15 @@ impl Safety {
         latched
     }
 
-    /// Puts an event into the queue; when it is full the event is counted instead (the state is in the telemetry as well).
+    /// Puts an event into the queue. When nobody listened for so long that it is full, the oldest gives way and is counted: what happened
+    /// last explains how things stand.
     pub fn tell(&mut self, event: Event) {
-        if self.events.push_back(event).is_err() {
+        if self.events.is_full() {
+            self.events.pop_front();
             self.events_lost = self.events_lost.saturating_add(1);
         }
+        // There is room: made above.
+        let _ = self.events.push_back(event);
     }
 
     /// The oldest event that was not told yet.

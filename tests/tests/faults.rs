@@ -1,0 +1,538 @@
+//! Each fault of machine, drives, encoders and board: the right report, the drives safe in the same period, and how far the machine got.
+
+mod scene;
+
+use haptimill_hil_sim::encoder::EncoderCondition;
+use haptimill_hil_sim::plant::{JointCondition, Plant};
+use haptimill_protocol::message::{Command, Event, Fault, Refusal, State};
+use haptimill_tests::Bench;
+use scene::{
+    MM, distance, drives_off, joint_off, line, moving, ready, recover, state, told, tool, wanted,
+};
+
+/// Coulomb friction of a slide over its mass: what stops it when its drive is off, mm/s^2.
+const FRICTION: f64 = 1000.0;
+/// The same of the table, degrees/s^2: 2 N m on 0.2 kg m^2.
+const TABLE_FRICTION: f64 = 573.0;
+
+/// What came of a fault of one joint.
+struct Struck {
+    bench: Bench,
+    fault: Fault,
+    /// Periods from the fault to the drives off.
+    periods: usize,
+    /// Distance of the joint from where it was wanted when the drives went off, mm or degrees.
+    off: f64,
+}
+
+/// Spoils a joint of a moving machine, and goes on until the drives are off; then until friction has stopped the joint.
+fn strike(axis: usize, joint: usize, speed: f64, spoil: impl FnOnce(&mut Plant)) -> Struck {
+    let mut bench = moving(axis, speed);
+    spoil(bench.rig.plant_mut());
+    let mut off = 0.0_f64;
+    for period in 0..5000 {
+        let kept_on = bench.rig.control().safety().drives_on();
+        bench.step();
+        off = off.max(joint_off(&bench, joint));
+        // Safe in the period in which the fault was seen, not in the next one.
+        assert_eq!(
+            drives_off(&bench),
+            !bench.rig.control().safety().drives_on()
+        );
+        if kept_on && drives_off(&bench) {
+            let fault = bench.rig.control().safety().fault().expect("a fault");
+            assert_eq!(state(&bench), State::Fault);
+            let friction = if joint == 4 { TABLE_FRICTION } else { FRICTION };
+            bench.step();
+            let here = bench.rig.plant().bodies().clone();
+            bench.steps(2000);
+            let coasted = (bench.rig.plant().truth().joints[joint] - here.slide[joint]).abs();
+            // Both sides of the joint and the spring of the screw between them give their energy to friction. The spring swings at 80 Hz:
+            // its energy is that of the joint's reduced mass, a quarter of the whole at most, at the rate of its winding.
+            let rate = here.slide_rate[joint]
+                .abs()
+                .max(here.motor_rate[joint].abs());
+            let wound =
+                (here.motor[joint] - here.slide[joint]).abs() * core::f64::consts::TAU * 80.0;
+            let bound = (rate * rate + wound * wound / 4.0) / (2.0 * friction) * 1.3 + 0.02;
+            assert!(coasted < bound, "coasted {coasted}, energy allows {bound}");
+            eprintln!(
+                "{fault:?}: off {off:.3}, at {rate:.1}/s, coasted {coasted:.3}, after {period} periods"
+            );
+            assert_eq!(told(&bench), [&Event::Fault(fault)]);
+            return Struck {
+                bench,
+                fault,
+                periods: period,
+                off,
+            };
+        }
+    }
+    panic!("nobody noticed");
+}
+
+fn spoil_encoder(joint: usize, condition: EncoderCondition) -> impl FnOnce(&mut Plant) {
+    move |plant| plant.set_encoder_condition(joint, condition)
+}
+
+fn spoil_joint(joint: usize, condition: JointCondition) -> impl FnOnce(&mut Plant) {
+    move |plant| plant.set_condition(joint, condition)
+}
+
+/// After a fault that loses the position: the references cannot be trusted until the operator sets the joints up at their presets.
+fn position_is_lost(bench: &mut Bench) {
+    let status = bench.status();
+    assert!(!status.position_kept && !status.homed);
+    recover(bench, State::Disabled);
+    assert_eq!(bench.ask(Command::Home), Err(Refusal::PresetLost));
+    let pose = bench.status().wanted;
+    assert_eq!(
+        bench.ask(Command::JobStart { job: 9, pose }),
+        Err(Refusal::NotHomed)
+    );
+}
+
+fn position_is_kept(bench: &mut Bench) {
+    let status = bench.status();
+    assert!(status.position_kept && status.homed);
+    recover(bench, State::Disabled);
+    // The measured pose is the true one still, but for backlash, friction and a count.
+    let status = bench.status();
+    for axis in 0..3 {
+        let off = f64::from(status.measured[axis]) / MM - bench.rig.truth().pose[axis];
+        assert!(off.abs() < 0.03, "axis {axis} off by {off} mm");
+    }
+}
+
+#[test]
+fn a_reversed_encoder_does_not_run_away() {
+    for joint in 0..4 {
+        for speed in [0.2, 4.0, 40.0, -40.0] {
+            let swapped = EncoderCondition {
+                swapped: true,
+                ..EncoderCondition::default()
+            };
+            let mut struck = strike(0, joint, speed, spoil_encoder(joint, swapped));
+            let named = struck.fault == Fault::EncoderReversed { axis: joint as u8 }
+                || struck.fault == Fault::EncoderStill { axis: joint as u8 };
+            assert!(named, "{:?}", struck.fault);
+            assert!(
+                struck.off < 0.1 && struck.periods < 100,
+                "{} mm, {} periods",
+                struck.off,
+                struck.periods
+            );
+            struck
+                .bench
+                .rig
+                .plant_mut()
+                .set_encoder_condition(joint, EncoderCondition::default());
+            position_is_lost(&mut struck.bench);
+        }
+    }
+}
+
+#[test]
+fn a_reversed_encoder_of_the_table_does_not_run_away() {
+    for speed in [1.0, 10.0] {
+        let swapped = EncoderCondition {
+            swapped: true,
+            ..EncoderCondition::default()
+        };
+        let struck = strike(4, 4, speed, spoil_encoder(4, swapped));
+        assert!(
+            struck.off < 0.3 && struck.periods < 100,
+            "{} degrees, {} periods",
+            struck.off,
+            struck.periods
+        );
+    }
+}
+
+#[test]
+fn a_stuck_channel_is_seen_before_the_slide_is_fast() {
+    let clean = EncoderCondition::default();
+    for (speed, most) in [(1.0, 0.35), (4.0, 0.05), (40.0, 0.05), (-40.0, 0.05)] {
+        for (joint, condition) in [
+            (
+                0,
+                EncoderCondition {
+                    stuck_a: Some(true),
+                    ..clean
+                },
+            ),
+            (
+                3,
+                EncoderCondition {
+                    stuck_b: Some(false),
+                    ..clean
+                },
+            ),
+        ] {
+            let mut struck = strike(0, joint, speed, spoil_encoder(joint, condition));
+            assert_eq!(struck.fault, Fault::EncoderStill { axis: joint as u8 });
+            assert!(struck.off < most, "{speed} mm/s: {} mm", struck.off);
+            struck
+                .bench
+                .rig
+                .plant_mut()
+                .set_encoder_condition(joint, clean);
+            position_is_lost(&mut struck.bench);
+        }
+    }
+}
+
+#[test]
+fn illegal_transitions_lose_the_position() {
+    let noise = EncoderCondition {
+        noise_hz: 5000.0,
+        ..EncoderCondition::default()
+    };
+    let mut struck = strike(0, 2, 4.0, spoil_encoder(2, noise));
+    assert!(matches!(
+        struck.fault,
+        Fault::EncoderIllegal {
+            axis: 2,
+            count: 9..
+        }
+    ));
+    assert!(struck.off < 0.03, "{}", struck.off);
+    struck
+        .bench
+        .rig
+        .plant_mut()
+        .set_encoder_condition(2, EncoderCondition::default());
+    position_is_lost(&mut struck.bench);
+}
+
+#[test]
+fn illegal_transitions_with_the_drives_off_lose_the_position_as_well() {
+    let mut bench = ready();
+    bench.ask(Command::Disable).expect("off");
+    let noise = EncoderCondition {
+        noise_hz: 5000.0,
+        ..EncoderCondition::default()
+    };
+    bench.rig.plant_mut().set_encoder_condition(1, noise);
+    bench.steps(100);
+    bench
+        .rig
+        .plant_mut()
+        .set_encoder_condition(1, EncoderCondition::default());
+    bench.ask(Command::Enable).expect("on");
+    let status = bench.status();
+    assert!(!status.position_kept && !status.homed);
+    assert_eq!(bench.ask(Command::Home), Err(Refusal::PresetLost));
+}
+
+#[test]
+fn a_dead_or_reversed_drive_and_a_jammed_slide_are_told() {
+    let well = JointCondition::default();
+    for speed in [4.0, 40.0] {
+        for (name, condition) in [
+            (
+                "dead",
+                JointCondition {
+                    drive_gain: 0.0,
+                    ..well
+                },
+            ),
+            (
+                "reversed",
+                JointCondition {
+                    drive_gain: -1.0,
+                    ..well
+                },
+            ),
+            (
+                "jammed",
+                JointCondition {
+                    jam: f64::INFINITY,
+                    ..well
+                },
+            ),
+        ] {
+            let mut struck = strike(0, 1, speed, spoil_joint(1, condition));
+            let axis = match struck.fault {
+                Fault::EncoderStill { axis }
+                | Fault::EncoderReversed { axis }
+                | Fault::FollowingError { axis, .. } => axis,
+                other => panic!("{name}: {other:?}"),
+            };
+            assert_eq!(axis, 1);
+            // A slide that is held fast stays behind by the limit of the following error and by what the screw is wound up.
+            assert!(struck.off < 0.75, "{name}: {} mm", struck.off);
+            struck.bench.rig.plant_mut().set_condition(1, well);
+            if matches!(struck.fault, Fault::FollowingError { .. }) {
+                position_is_kept(&mut struck.bench);
+            } else {
+                position_is_lost(&mut struck.bench);
+            }
+        }
+    }
+}
+
+#[test]
+fn the_limit_of_the_following_error_grows_with_the_speed() {
+    for speed in [4.0, 10.0] {
+        let held = JointCondition {
+            jam: f64::INFINITY,
+            ..JointCondition::default()
+        };
+        let struck = strike(0, 0, speed, spoil_joint(0, held));
+        let Fault::FollowingError {
+            axis: 0,
+            error,
+            limit,
+        } = struck.fault
+        else {
+            panic!("{:?}", struck.fault)
+        };
+        let (error, limit) = (f64::from(error) / MM, f64::from(limit) / MM);
+        assert!(
+            (limit - 0.3 - 0.010 * speed).abs() < 1e-3,
+            "{limit} at {speed} mm/s"
+        );
+        assert!(error > limit && error < limit + 0.01, "{error}");
+    }
+}
+
+#[test]
+fn a_tripped_drive_and_a_limit_switch_stop_all_in_one_period() {
+    let well = JointCondition::default();
+    for (condition, fault) in [
+        (
+            JointCondition {
+                drive_tripped: true,
+                ..well
+            },
+            Fault::Drive { axis: 3 },
+        ),
+        (
+            JointCondition {
+                limit_low: Some(true),
+                ..well
+            },
+            Fault::LimitSwitch { axis: 3 },
+        ),
+        (
+            JointCondition {
+                limit_high: Some(true),
+                ..well
+            },
+            Fault::LimitSwitch { axis: 3 },
+        ),
+    ] {
+        let mut struck = strike(0, 3, 20.0, spoil_joint(3, condition));
+        assert_eq!((struck.fault, struck.periods), (fault, 0));
+        struck.bench.ask(Command::Reset).expect("reset");
+        assert_eq!(struck.bench.ask(Command::Enable), Err(Refusal::Input));
+        struck.bench.rig.plant_mut().set_condition(3, well);
+        position_is_kept(&mut struck.bench);
+    }
+}
+
+#[test]
+fn the_emergency_stop_by_wire_and_by_command() {
+    for wire in [true, false] {
+        let mut bench = moving(0, 40.0);
+        let here = tool(&bench);
+        if wire {
+            bench.rig.plant_mut().set_emergency_stop(true);
+            bench.step();
+        } else {
+            bench.say(Command::EmergencyStop).expect("room");
+            bench.steps(2);
+        }
+        assert_eq!(state(&bench), State::EmergencyStop);
+        assert!(drives_off(&bench));
+        bench.steps(2000);
+        // 40 mm/s against friction alone: 0.8 mm, and 8 um a period before.
+        let gone = distance(&bench, here);
+        assert!(gone < 0.9, "{gone} mm");
+        assert!(
+            bench.events.contains(&Event::JobDropped {
+                job: 1,
+                setpoints: 6
+            }),
+            "{:?}",
+            bench.events
+        );
+        if wire {
+            assert_eq!(bench.ask(Command::Reset), Err(Refusal::Input));
+            bench.rig.plant_mut().set_emergency_stop(false);
+        }
+        position_is_kept(&mut bench);
+    }
+}
+
+#[test]
+fn an_emergency_stop_while_homing_leaves_nothing_homed() {
+    let mut bench = Bench::new();
+    bench.steps(500);
+    bench.configure();
+    bench.ask(Command::Enable).expect("enabled");
+    bench.ask(Command::Home).expect("homing");
+    bench.steps(1000);
+    bench.ask(Command::EmergencyStop).expect("stopped");
+    assert_eq!(state(&bench), State::EmergencyStop);
+    assert!(drives_off(&bench));
+    let status = bench.status();
+    assert!(!status.homed && !status.position_kept);
+    recover(&mut bench, State::Disabled);
+    // The encoders went on counting: the presets hold, and homing begins anew.
+    bench.ask(Command::Home).expect("homing");
+    bench.steps(12_000);
+    assert!(bench.status().homed);
+}
+
+#[test]
+fn missed_periods_brake_along_the_path_and_the_drives_hold() {
+    for (missed, fault) in [(2, None), (3, Some(3)), (20, Some(20))] {
+        let mut bench = moving(0, 4.0);
+        let option = haptimill_hil_sim::rig::RigOptions {
+            faults: vec![
+                format!(
+                    "missed-periods count={missed} at={}s",
+                    bench.rig.time_ns() as f64 * 1e-9 + 0.01
+                )
+                .parse()
+                .expect("a fault"),
+            ],
+            ..haptimill_hil_sim::rig::RigOptions::default()
+        };
+        // The same machine again, with the fault in its schedule: it is deterministic.
+        let periods = bench.rig.time_ns() / 200_000;
+        let mut bench2 = Bench::with_options(&option);
+        bench2.make_ready();
+        bench2.steps(500);
+        let start = bench2.status().wanted;
+        bench2.start_job(1, &line(&start, 0, 4.0, 28));
+        while bench2.rig.time_ns() / 200_000 < periods {
+            bench2.step();
+        }
+        bench = bench2;
+        bench.steps(3000);
+        let status = bench.status();
+        assert_eq!(
+            status.fault,
+            fault.map(|missed| Fault::LatePeriod { missed })
+        );
+        assert!(status.position_kept);
+        if fault.is_some() {
+            assert_eq!(status.state, State::Fault);
+            assert!(!drives_off(&bench));
+            assert_eq!((wanted(&bench)[1], wanted(&bench)[2]), (start[1], start[2]));
+            recover(&mut bench, State::Idle);
+        } else {
+            assert_eq!(status.state, State::Run);
+        }
+    }
+}
+
+#[test]
+fn a_host_that_falls_silent_lets_the_machine_brake_on_its_path() {
+    let mut bench = moving(0, 20.0);
+    let (line_y, line_z) = (wanted(&bench)[1], wanted(&bench)[2]);
+    let (mut begun, mut ended) = (None, None);
+    for period in 0..6000 {
+        // Nobody writes: the host is dead, its bytes are lost.
+        bench.step_spoiled(Vec::clear);
+        assert_eq!((wanted(&bench)[1], wanted(&bench)[2]), (line_y, line_z));
+        let safety = bench.rig.control().safety();
+        if begun.is_none() && safety.pending().is_some() {
+            begun = Some(period);
+        }
+        if ended.is_none() && state(&bench) == State::Fault {
+            ended = Some(period);
+        }
+    }
+    // Heard every 40 ms; 500 ms of silence; 300 ms to brake (and 2 ms of rounding).
+    let (begun, ended) = (begun.expect("noticed"), ended.expect("latched"));
+    eprintln!(
+        "silent host: braking after {} ms, at rest {} ms later",
+        begun / 5,
+        (ended - begun) / 5
+    );
+    assert!((2300..=2510).contains(&begun), "{begun}");
+    assert!(ended - begun <= 1550, "{}", ended - begun);
+    let safety = bench.rig.control().safety();
+    assert!(
+        matches!(
+            safety.fault(),
+            Some(Fault::LostHost {
+                silent_ms: 501..=502
+            })
+        ),
+        "{:?}",
+        safety.fault()
+    );
+    assert!(safety.position_kept() && safety.drives_on() && !drives_off(&bench));
+    // A new host takes over.
+    let now = bench.rig.time_ns() / 1000;
+    bench.link.open(78, now);
+    bench.steps(200);
+    assert_eq!(bench.status().state, State::Fault);
+    recover(&mut bench, State::Idle);
+}
+
+#[test]
+fn late_setpoints_slow_the_machine_on_its_path_and_are_named() {
+    let mut bench = ready();
+    let start = bench.status().wanted;
+    let points = line(&start, 0, 10.0, 28);
+    bench
+        .ask(Command::JobStart {
+            job: 4,
+            pose: start.clone(),
+        })
+        .expect("started");
+    let mut coder = haptimill_protocol::setpoint::SetpointCoder::new(200, &start);
+    let mut send = |bench: &mut Bench, range: core::ops::Range<usize>| {
+        for index in range {
+            let items = [coder.encode(&points[index]).expect("codes")]
+                .into_iter()
+                .collect();
+            bench
+                .ask(Command::Setpoints(
+                    haptimill_protocol::message::SetpointBatch {
+                        first: index as u32,
+                        items,
+                    },
+                ))
+                .expect("taken");
+        }
+    };
+    send(&mut bench, 0..15);
+    bench.steps(9000);
+    let status = bench.status();
+    assert_eq!((status.state, status.path_rate), (State::Run, 0));
+    // Stopped before the last setpoint that there was, on the line.
+    assert!(status.wanted[0] < points[14].pose[0]);
+    assert_eq!((status.wanted[1], status.wanted[2]), (start[1], start[2]));
+    assert!(status.position_kept && status.fault.is_none());
+    send(&mut bench, 15..30);
+    bench.ask(Command::JobEnd { count: 30 }).expect("ended");
+    assert!(bench.wait_for(State::Idle, 20_000));
+    let underrun: Vec<_> = bench
+        .events
+        .iter()
+        .filter(|event| matches!(event, Event::Underrun { .. }))
+        .collect();
+    let [
+        Event::Underrun {
+            setpoint: 15,
+            late_periods,
+        },
+    ] = underrun[..]
+    else {
+        panic!("{underrun:?}")
+    };
+    // 1.5 s of setpoints, braking from about 0.15 s before their end; then nothing until 9000 periods and the questions were over.
+    assert!((1500..4000).contains(late_periods), "{late_periods}");
+    assert!(bench.events.contains(&Event::JobDone {
+        job: 4,
+        setpoints: 30
+    }));
+    assert_eq!(wanted(&bench)[0], points[29].pose[0]);
+}
