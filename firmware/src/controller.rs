@@ -118,6 +118,7 @@ impl Controller {
             inputs.period,
             &mut self.safety,
             telemetry,
+            inputs.transmit_room,
             &mut outputs.transmit,
         );
     }

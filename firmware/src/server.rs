@@ -240,12 +240,13 @@ impl Server {
         due
     }
 
-    /// Answers, then events, then telemetry; and the bytes of this period.
+    /// Answers, then events, then telemetry; and the bytes of this period, as many as the board has `room` for.
     pub fn tell(
         &mut self,
         period: u64,
         safety: &mut Safety,
         telemetry: Option<Telemetry>,
+        room: u16,
         transmit: &mut Vec<u8, TRANSMIT_BYTES>,
     ) {
         while let Some(answer) = self.answers.front() {
@@ -275,7 +276,8 @@ impl Server {
             let _ = self.link.send_latest(&Report::Telemetry(telemetry));
         }
         let mut buffer = [0; TRANSMIT_BYTES];
-        let count = self.link.transmit(self.now_us, &mut buffer);
+        let room = usize::from(room).min(TRANSMIT_BYTES);
+        let count = self.link.transmit(self.now_us, &mut buffer[..room]);
         transmit.clear();
         // As long as the buffer: fits.
         let _ = transmit.extend_from_slice(&buffer[..count]);

@@ -17,6 +17,9 @@ use haptimill_firmware::io::{DriveCommand, Inputs, Outputs, RECEIVE_BYTES, StepS
 use haptimill_protocol::urgent::UrgentDetector;
 use std::collections::VecDeque;
 
+/// Bytes that the board's transmit ring holds.
+const TRANSMIT_RING: usize = 256;
+
 /// A controller as the rig sees it.
 pub trait Control {
     /// One control period.
@@ -153,6 +156,8 @@ impl<C: Control> Rig<C> {
         self.inputs.missed = self.missed;
         self.missed = 0;
         self.inputs.lost_bytes = self.lost_bytes;
+        let unsent = self.to_host.unsent(now);
+        self.inputs.transmit_room = TRANSMIT_RING.saturating_sub(unsent) as u16;
         self.inputs.received.clear();
         while self.inputs.received.len() < RECEIVE_BYTES {
             let Some(byte) = self.ring.pop_front() else {

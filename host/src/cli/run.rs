@@ -112,7 +112,7 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
         PortSpec::Simulator => {
             let faults = args.fault.clone();
             let line = SimLine::new(session::rig(&machine, args.seed, args.baud, faults)?);
-            let session = Session::new(line, &machine, Options::default(), interrupted);
+            let session = Session::new(line, &machine, paced(args.baud), interrupted);
             // Always the same number: a simulated job is the same job every time.
             Running { args: &args, machine: &machine, job: &job, home }.carry_out(session, 1, plan)
         }
@@ -121,11 +121,20 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
                 let what = format!("--fault \"{fault}\" is for the simulator only; leave out --port");
                 return Err(CliError::new(Exit::Usage, what));
             }
-            let line = PortLine::new(port::open(spec, args.baud.unwrap_or(DEFAULT_BAUD))?);
-            let session = Session::new(line, &machine, Options::default(), interrupted);
+            let baud = args.baud.unwrap_or(DEFAULT_BAUD);
+            let line = PortLine::new(port::open(spec, baud)?);
+            let serial = matches!(spec, PortSpec::Serial(_));
+            let session = Session::new(line, &machine, paced(serial.then_some(baud)), interrupted);
             Running { args: &args, machine: &machine, job: &job, home }.carry_out(session, session::fresh_number(), plan)
         }
     }
+}
+
+/// Options of a client on a line of so many baud: it says no more than the line carries, so nothing waits where a stop cannot overtake it.
+fn paced(baud: Option<u32>) -> Options {
+    let mut options = Options::default();
+    options.timing.line_rate = baud.map_or(0, |baud| baud / 10);
+    options
 }
 
 /// A part program on disk.
