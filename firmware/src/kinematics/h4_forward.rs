@@ -46,8 +46,9 @@ impl H4 {
         if sum.abs() >= width || upper > twice_rod || lower > twice_rod || !self.sound {
             return Err(PoseError::Unreachable);
         }
-        if 10 * upper < twice_rod || 10 * lower < twice_rod {
-            let pair = (10 * upper >= twice_rod) as u8;
+        // Measuring reaches a little farther than planning: a machine that follows with an error must not go blind at the planned bound.
+        if 100 * upper < 9 * twice_rod || 100 * lower < 9 * twice_rod {
+            let pair = (100 * upper >= 9 * twice_rod) as u8;
             return Err(PoseError::NearReachLimit { pair });
         }
         // Now N and 2 S are words, below 2^31 and at most 2^31: the casts cut nothing, and products of words need no check.

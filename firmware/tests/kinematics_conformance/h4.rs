@@ -167,6 +167,44 @@ impl Arm {
     }
 }
 
+impl Arm {
+    /// How far a pose is from each bound, with the reach limit at this share of R.
+    fn margins_with_reach(&self, pose: &Reals, reach: f64) -> Margins {
+        let g = &self.lengths;
+        let tip = self.tip(pose);
+        let tilt = |error: &PoseError| *error == PoseError::Tilt;
+        let mut margins: Vec<Margin> = vec![
+            // In millimetres at the tip, to compare with the others; the tilt must be less than a quarter turn.
+            ((FRAC_PI_2 - pose[3].abs()) * 350.0 - 2.0 * RADIAN, tilt),
+            ((FRAC_PI_2 - pose[4].abs()) * 350.0 + 2.0 * RADIAN, tilt),
+            // N = 4 c sin(theta) is rounded to a raw unit before it is compared with 4 c.
+            ((1.0 - libm::sin(pose[3]).abs()) * 4.0 * g.c, |error| {
+                *error == PoseError::Unreachable
+            }),
+            (self.distance(tip, pose[3]) - g.margin, |error| {
+                matches!(error, PoseError::NearSingularity { .. })
+            }),
+        ];
+        for (i, names) in [
+            (
+                0,
+                (|error| matches!(error, PoseError::NearReachLimit { pair: 0 })) as fn(&_) -> bool,
+            ),
+            (2, |error| {
+                matches!(error, PoseError::NearReachLimit { pair: 1 })
+            }),
+        ] {
+            let square = self.reach_square(tip, pose[3], i);
+            margins.push((libm::sqrt(square.max(0.0)) - reach * g.r, names));
+            // The root's slope is steep here: the square over 2 R is a length.
+            margins.push((square / (2.0 * g.r), |error| {
+                *error == PoseError::Unreachable
+            }));
+        }
+        Margins(margins)
+    }
+}
+
 impl Subject for Arm {
     type Machine = H4;
 
@@ -233,7 +271,7 @@ impl Subject for Arm {
         for reach in &mut reach {
             // Beyond both bounds, or near one of them, with the wrong sign now and then.
             *reach = match sequence.below(4) {
-                0 => 0.1 * g.r + sequence.logarithmic(-6.5, 1.5),
+                0 => 0.09 * g.r + sequence.logarithmic(-6.5, 1.5),
                 1 => g.r + sequence.logarithmic(-6.5, 1.5),
                 _ => sequence.between(-0.2 * g.r, 1.05 * g.r),
             };
@@ -251,38 +289,11 @@ impl Subject for Arm {
     }
 
     fn margins(&self, pose: &Reals) -> Margins {
-        let g = &self.lengths;
-        let tip = self.tip(pose);
-        let tilt = |error: &PoseError| *error == PoseError::Tilt;
-        let mut margins: Vec<Margin> = vec![
-            // In millimetres at the tip, to compare with the others; the tilt must be less than a quarter turn.
-            ((FRAC_PI_2 - pose[3].abs()) * 350.0 - 2.0 * RADIAN, tilt),
-            ((FRAC_PI_2 - pose[4].abs()) * 350.0 + 2.0 * RADIAN, tilt),
-            // N = 4 c sin(theta) is rounded to a raw unit before it is compared with 4 c.
-            ((1.0 - libm::sin(pose[3]).abs()) * 4.0 * g.c, |error| {
-                *error == PoseError::Unreachable
-            }),
-            (self.distance(tip, pose[3]) - g.margin, |error| {
-                matches!(error, PoseError::NearSingularity { .. })
-            }),
-        ];
-        for (i, names) in [
-            (
-                0,
-                (|error| matches!(error, PoseError::NearReachLimit { pair: 0 })) as fn(&_) -> bool,
-            ),
-            (2, |error| {
-                matches!(error, PoseError::NearReachLimit { pair: 1 })
-            }),
-        ] {
-            let square = self.reach_square(tip, pose[3], i);
-            margins.push((libm::sqrt(square.max(0.0)) - 0.1 * g.r, names));
-            // The root's slope is steep here: the square over 2 R is a length.
-            margins.push((square / (2.0 * g.r), |error| {
-                *error == PoseError::Unreachable
-            }));
-        }
-        Margins(margins)
+        self.margins_with_reach(pose, 0.1)
+    }
+
+    fn measured_margins(&self, pose: &Reals) -> Margins {
+        self.margins_with_reach(pose, 0.09)
     }
 
     fn close(&self, pose: &Reals) -> Option<Reals> {

@@ -87,6 +87,11 @@ pub trait Subject {
     /// How far a pose is inside the conditions of a right answer.
     fn margins(&self, pose: &Reals) -> Margins;
 
+    /// The same for a measured pose, where bounds may lie a little farther out than for a wanted one.
+    fn measured_margins(&self, pose: &Reals) -> Margins {
+        self.margins(pose)
+    }
+
     /// The joints that close the loops at a pose; `None` where none do.
     fn close(&self, pose: &Reals) -> Option<Reals>;
 

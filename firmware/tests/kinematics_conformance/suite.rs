@@ -71,7 +71,11 @@ pub fn inverse_against_closure<S: Subject>(subject: &S, count: usize) -> (f64, f
                 match machine.forward(&joints) {
                     Ok(back) => {
                         let back = real(&back.0, &pose_units);
-                        assert!(subject.margins(&back).least() >= -GREY, "{}", context());
+                        assert!(
+                            subject.measured_margins(&back).least() >= -GREY,
+                            "{}",
+                            context()
+                        );
                         let want = subject.solve(&got, &back).expect("converges");
                         let share = agree(axes, &back, &want, &pose_units, &context);
                         worst_forward = worst_forward.max(share);
@@ -123,7 +127,7 @@ pub fn forward_is_certified<S: Subject>(subject: &S, count: usize) -> f64 {
         };
         answered += 1;
         let got = real(&pose.0, &pose_units);
-        let margins = subject.margins(&got);
+        let margins = subject.measured_margins(&got);
         let context = || format!("{joints:?} {pose:?}, margin {}", margins.least());
         assert!(margins.least() >= -GREY, "wrong pose: {}", context());
         let wanted = real(&joints.0, &joint_units);
@@ -204,7 +208,7 @@ pub fn extremes<S: Subject>(subject: &S, count: usize) {
         if let Ok(pose) = machine.forward(&Joints(values)) {
             let pose = real(&pose.0, &subject.pose_units());
             assert!(
-                subject.margins(&pose).least() >= -GREY,
+                subject.measured_margins(&pose).least() >= -GREY,
                 "{values:?} {pose:?}"
             );
         }
