@@ -1,3 +1,4 @@
 //! The library behind the `haptimill` command.
 
+pub mod plan;
 pub mod program;
