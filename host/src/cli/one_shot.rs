@@ -97,7 +97,13 @@ pub fn home(args: HomeArgs) -> Result<(), CliError> {
     }
     session.enable()?;
     if args.again || !session.status()?.homed {
-        session.home()?;
+        let home = session.model().home(&machine).ok_or_else(|| {
+            CliError::new(Exit::BadInput, format!("{}: the home preset has no pose", machine.file))
+        })?;
+        let end = session.go_home(&machine, &home)?;
+        if let Some(fault) = end.faults.first() {
+            return Err(session.fault(fault));
+        }
     }
     report(&mut session, args.one_shot.json)
 }
@@ -144,7 +150,7 @@ pub(super) fn open(connect: &ConnectArgs, machine: &MachineFile) -> Result<Sessi
 /// Says how things stand.
 pub(super) fn report(session: &mut Session<PortLine>, json: bool) -> Result<(), CliError> {
     let status = session.status()?;
-    let machine = session.client_mut().controller().map(|welcome| welcome.machine.to_string()).unwrap_or_default();
+    let machine = session.machine_name();
     let model = session.model();
     let fault = status.fault.map(|fault| session.sentence(&fault));
     let pose = |values: &AxisValues| -> Vec<(String, f64)> {

@@ -157,28 +157,11 @@ impl PartProgram {
 
     /// The checked motion of the program from a pose.
     fn plan(&self, machine: &MachineFile, model: &Model, start: &AxisValues) -> Result<Plan, CliError> {
-        plan_text(&self.file, &self.text, machine, model, start)
+        let options = program_options(machine, model.to_people(start));
+        let program =
+            program::read(&self.file, &self.text, &options).map_err(|refused| CliError::new(Exit::BadInput, refused))?;
+        Plan::new(&program, &settings(machine), model).map_err(|refused| CliError::new(Exit::Refused, refused))
     }
-}
-
-fn plan_text(
-    file: &str,
-    text: &[u8],
-    machine: &MachineFile,
-    model: &Model,
-    start: &AxisValues,
-) -> Result<Plan, CliError> {
-    let options = program_options(machine, model.to_people(start));
-    let program = program::read(file, text, &options).map_err(|refused| CliError::new(Exit::BadInput, refused))?;
-    Plan::new(&program, &settings(machine), model).map_err(|refused| CliError::new(Exit::Refused, refused))
-}
-
-/// The way from where the machine stands to the home pose, in one straight rapid move.
-fn approach(machine: &MachineFile, model: &Model, from: &AxisValues, to: &AxisValues) -> Result<Plan, CliError> {
-    let letters = ['X', 'Y', 'Z', 'B', 'A'];
-    let words: String =
-        letters.iter().zip(model.to_people(to)).map(|(letter, value)| format!(" {letter}{value:.10}")).collect();
-    plan_text("the way to the home pose", format!("G0{words}\n").as_bytes(), machine, model, from)
 }
 
 /// A run under way.
@@ -202,10 +185,7 @@ impl Running<'_> {
             (status.wanted, plan)
         } else {
             say(self.args, "homing");
-            session.home()?;
-            let here = session.status()?.wanted;
-            let way = approach(self.machine, session.model(), &here, &self.home)?;
-            let end = session.run_job(1, here, way.setpoints, &mut Quiet)?;
+            let end = session.go_home(self.machine, &self.home)?;
             self.well_ended(&session, &end)?;
             (self.home.clone(), planned)
         };
@@ -314,19 +294,6 @@ impl Running<'_> {
 fn say(args: &RunArgs, text: &str) {
     if !args.json && !args.quiet {
         println!("{text}");
-    }
-}
-
-/// Nobody looks on.
-struct Quiet;
-
-impl Watcher for Quiet {
-    fn progress(&mut self, _: &Telemetry) {}
-
-    fn paused(&mut self, _: u32) {}
-
-    fn goes_on(&mut self) -> bool {
-        true
     }
 }
 

@@ -6,6 +6,7 @@
 //! Misuse: whoever waits for something must go on stepping; a session that is not stepped falls silent, and the controller stops the
 //! machine.
 
+mod home;
 pub mod interrupt;
 mod job;
 mod line;
@@ -46,6 +47,8 @@ pub struct Session<L> {
     pub events: Vec<(u64, Event)>,
     lost: Option<String>,
     refusal: Option<Refusal>,
+    /// Name of the configuration that this session made active.
+    configured: Option<String>,
     interrupted: Arc<AtomicBool>,
 }
 
@@ -64,6 +67,7 @@ impl<L: Line> Session<L> {
             events: Vec::new(),
             lost: None,
             refusal: None,
+            configured: None,
             interrupted,
         }
     }
@@ -182,7 +186,9 @@ impl<L: Line> Session<L> {
         if self.client.controller().is_some_and(|welcome| welcome.config_crc == crc) {
             return Ok(());
         }
-        self.reconfigure(&bytes)
+        self.reconfigure(&bytes)?;
+        self.configured = Some(machine.config.name.to_string());
+        Ok(())
     }
 
     /// Sends a configuration in any case: the joints are then taken to stand at their presets.
@@ -192,6 +198,15 @@ impl<L: Line> Session<L> {
     pub fn reconfigure(&mut self, bytes: &[u8]) -> Result<(), CliError> {
         let ticket = self.client.configure(bytes);
         self.wait_for_answer(ticket)
+    }
+
+    /// Name of the machine that the controller is configured as; empty when it is not.
+    #[must_use]
+    pub fn machine_name(&self) -> String {
+        match &self.configured {
+            Some(name) => name.clone(),
+            None => self.client.controller().map(|welcome| welcome.machine.to_string()).unwrap_or_default(),
+        }
     }
 
     /// How things stand now.
