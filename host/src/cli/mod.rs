@@ -1,5 +1,13 @@
 //! The command line: what can be asked, and which room does it.
 
+/// Prints a line on standard output; a reader that has gone (`| head`) is no error.
+macro_rules! tell {
+    ($($argument:tt)*) => {{
+        use std::io::Write as _;
+        let _ = writeln!(std::io::stdout(), $($argument)*);
+    }};
+}
+
 mod exit;
 pub mod jog;
 pub mod kin;

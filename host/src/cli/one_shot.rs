@@ -118,7 +118,7 @@ pub fn stop(args: StopArgs) -> Result<(), CliError> {
         Err(error) if error.exit == Exit::Port && !args.emergency => {
             // Another host has the port, or the link is broken: the stop that needs neither session nor frame.
             port::stop_past_lock(&args.connect.port)?;
-            println!("stop sent past the host that has the port; it sees the machine slow down along its path ({error})");
+            tell!("stop sent past the host that has the port; it sees the machine slow down along its path ({error})");
             return Ok(());
         }
         session => session?,
@@ -177,7 +177,7 @@ pub(super) fn report(session: &mut Session<PortLine>, json: bool) -> Result<(), 
             "following_error": map(joints(&status.following_error)),
             "bad_frames": status.bad_frames,
         });
-        println!("{value:#}");
+        tell!("{value:#}");
         return Ok(());
     }
     let line = |values: Vec<(String, f64)>| -> String {
@@ -185,14 +185,14 @@ pub(super) fn report(session: &mut Session<PortLine>, json: bool) -> Result<(), 
     };
     let yes = |flag: bool| if flag { "yes" } else { "no" };
     let name = if machine.is_empty() { "no configuration".to_string() } else { machine };
-    println!("{name}: {:?}, homed: {}, position kept: {}", status.state, yes(status.homed), yes(status.position_kept));
+    tell!("{name}: {:?}, homed: {}, position kept: {}", status.state, yes(status.homed), yes(status.position_kept));
     if let Some(fault) = fault {
-        println!("fault     {fault}");
+        tell!("fault     {fault}");
     }
     if !status.measured.is_empty() {
-        println!("measured{}", line(pose(&status.measured)));
-        println!("wanted  {}", line(pose(&status.wanted)));
-        println!("joints  {}", line(joints(&status.joints)));
+        tell!("measured{}", line(pose(&status.measured)));
+        tell!("wanted  {}", line(pose(&status.wanted)));
+        tell!("joints  {}", line(joints(&status.joints)));
     }
     Ok(())
 }

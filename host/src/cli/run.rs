@@ -243,10 +243,10 @@ impl Running<'_> {
         let summary = report::write_all(&dir, &recorded, &outcome, self.args.trace_every).map_err(|error| output(&error))?;
         if self.args.json {
             let json = serde_json::to_string_pretty(&summary).map_err(|error| CliError::new(Exit::Internal, error))?;
-            println!("{json}");
+            tell!("{json}");
         } else {
-            print!("{}", summary.terminal());
-            println!("report      {}", dir.join(report::REPORT_FILE).display());
+            tell!("{}", summary.terminal().trim_end());
+            tell!("report      {}", dir.join(report::REPORT_FILE).display());
         }
         self.well_ended(&session, &end?)
     }
@@ -293,7 +293,7 @@ impl Running<'_> {
 /// Says something to people, unless the output is for a program.
 fn say(args: &RunArgs, text: &str) {
     if !args.json && !args.quiet {
-        println!("{text}");
+        tell!("{text}");
     }
 }
 
