@@ -204,12 +204,15 @@ impl<'a> Emitter<'a> {
             return;
         }
         let time = to as f64 * self.period;
-        let (pose, rates) = trajectory.intended(&mut self.cursor, time);
-        let piece = trajectory.seek(&mut self.cursor, time);
-        let place = piece.map_or(Place::default(), |piece| {
-            trajectory.paths[piece.path as usize].0
-        });
-        let rates = if at_rest { [0.0; 6] } else { rates };
+        let (mut pose, mut rates) = trajectory.intended(&mut self.cursor, time);
+        // What the motion towards it belongs to: a setpoint at a corner may be a part of a period late.
+        let piece = trajectory.seek(&mut self.cursor, time - self.period);
+        let (place, path) = &trajectory.paths[piece.map_or(0, |piece| piece.path as usize)];
+        let place = *place;
+        if at_rest {
+            // Exactly, whatever the sums of the phases were rounded to.
+            (pose, rates) = (path.to, [0.0; 6]);
+        }
         if let Err((what, remedy)) = check_pose(&pose, self.settings, model) {
             self.problems.push(Problem {
                 place,
