@@ -228,7 +228,7 @@ impl<'a> Emitter<'a> {
         let (start, t) = (from as f64 * self.period, (to - from) as f64 * self.period);
         let (p0, v0) = trajectory.intended(&mut self.cursor, start);
         let (p1, v1) = trajectory.intended(&mut self.cursor, start + t);
-        let near = (1..8).all(|part| {
+        (1..8).all(|part| {
             let u = f64::from(part) / 8.0;
             let (u2, u3) = (u * u, u * u * u);
             let (pose, _) = trajectory.intended(&mut self.cursor, start + u * t);
@@ -239,9 +239,7 @@ impl<'a> Emitter<'a> {
                     + (u3 - u2) * t * v1[k];
                 (cubic - pose[k]).abs() <= CUBIC_ERROR_MM
             })
-        });
-        let _ = trajectory.seek(&mut self.cursor, start);
-        near
+        })
     }
 }
 

@@ -307,7 +307,7 @@ proptest! {
     #[test]
     fn arcs_are_circles(
         x in -50.0..50.0f64, y in -50.0..50.0f64, radius in 0.5..80.0f64,
-        start in 0.0..6.28f64, sweep in 0.05..6.2f64, clockwise: bool,
+        start in 0.0..std::f64::consts::TAU, sweep in 0.05..6.2f64, clockwise: bool,
     ) {
         let direction = if clockwise { -1.0 } else { 1.0 };
         let point = |angle: f64| (x + radius * angle.cos(), y + radius * angle.sin());

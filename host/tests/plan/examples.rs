@@ -106,6 +106,10 @@ fn pocket_has_the_times_of_the_spec_and_few_setpoints() {
         );
     }
     let (_, mean) = setpoint_rate(&plan);
+    println!(
+        "pocket: {} setpoints, {mean:.2} a second",
+        plan.setpoints.len()
+    );
     assert!(mean < 8.0, "{mean} setpoints a second");
 }
 

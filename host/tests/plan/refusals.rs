@@ -82,6 +82,16 @@ fn the_workspace_is_left_in_one_line_of_many() {
 }
 
 #[test]
+fn a_program_that_never_ends_is_refused() {
+    let refused = plan("G1 X30 F0.0001").unwrap_err();
+    assert!(
+        refused
+            .starts_with("part.ngc:1:4: at its feeds the program would take more than 100 hours"),
+        "{refused}"
+    );
+}
+
+#[test]
 fn several_problems_are_reported_together() {
     let refused = plan("F600\nG1 X400\nX0\nY400\nY0\n").unwrap_err();
     let lines: Vec<&str> = refused.lines().collect();
