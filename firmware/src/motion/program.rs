@@ -280,7 +280,8 @@ impl Program {
         let Some(braking) = self.braking else {
             return (self.wanted(), progress);
         };
-        let finished = self.total == Some(self.reached);
+        // A pause at the last setpoint is waited for like any other.
+        let finished = self.total == Some(self.reached) && !self.paused;
         if !self.started {
             let covered = self.queued_periods >= 4 * self.braking_periods || self.queue.is_full();
             self.started = !halt && (self.total.is_some() || covered);
