@@ -118,6 +118,7 @@ impl Controller {
             inputs.period,
             &mut self.safety,
             telemetry,
+            inputs.transmit_room,
             &mut outputs.transmit,
         );
     }
@@ -137,6 +138,7 @@ impl Controller {
             position_kept: self.safety.position_kept(),
             credit: program.map_or(0, |program| program.credit()),
             setpoint: program.map_or(0, |program| program.reached()),
+            program_periods: program.map_or(0, |program| (program.program_time() >> 32) as u32),
             path_rate: program.map_or(0, |program| {
                 (program.path_rate().clamp(0, FULL_RATE - 1) >> 16) as u16
             }),

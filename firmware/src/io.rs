@@ -54,6 +54,8 @@ pub struct Inputs {
     pub received: Vec<u8, RECEIVE_BYTES>,
     /// Bytes that wait in the board's ring for a later period.
     pub waiting: u16,
+    /// Bytes that the board's transmitter can take in this period; a slow line takes none for many periods.
+    pub transmit_room: u16,
     /// Bytes that the board lost for want of room, free running, wraps around.
     pub lost_bytes: u16,
     /// The receive interrupt saw the urgent stop since the last period.

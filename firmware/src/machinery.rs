@@ -16,6 +16,19 @@ use heapless::Vec;
 /// Parts in which the configuration is checked against its digest: the whole but axes, then each axis.
 const PARTS: usize = 1 + 2 * MAX_AXES;
 
+/// One joint in one period.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct JointReading {
+    /// Where it is.
+    pub measured: Coordinate,
+    /// Where it shall be.
+    pub wanted: Coordinate,
+    /// What its loop works on.
+    pub following_error: Coordinate,
+    /// What its drive was told.
+    pub command: DriveCommand,
+}
+
 /// A configured machine.
 #[derive(Debug)]
 pub struct Machinery {
@@ -305,6 +318,16 @@ impl Machinery {
             DriveCommand::Torque(code) => i32::from(code),
             DriveCommand::Steps(_) => inputs.axes[index].steps,
             DriveCommand::Off => 0,
+        })
+    }
+
+    /// What each joint measured and was told in this period, for recorders.
+    pub fn joints(&self) -> impl Iterator<Item = JointReading> + '_ {
+        (0..self.axes()).map(|index| JointReading {
+            measured: self.measured.0[index],
+            wanted: self.target.joints.0[index],
+            following_error: self.driven[index].following_error,
+            command: self.driven[index].command,
         })
     }
 

@@ -6,7 +6,7 @@
 
 use crate::io::{Inputs, TRANSMIT_BYTES};
 use crate::safety::Safety;
-use haptimill_protocol::link::{ControllerLink, Identity, Timing};
+use haptimill_protocol::link::{ControllerLink, Identity, SHORT_REPORT, Timing};
 use haptimill_protocol::message::{
     AxisValues, ConfigChunk, Refusal, Report, Request, SetpointBatch, Telemetry,
 };
@@ -244,12 +244,13 @@ impl Server {
         due
     }
 
-    /// Answers, then events, then telemetry; and the bytes of this period.
+    /// Answers, then events, then telemetry; and the bytes of this period, as many as the board has `room` for.
     pub fn tell(
         &mut self,
         period: u64,
         safety: &mut Safety,
         telemetry: Option<Telemetry>,
+        room: u16,
         transmit: &mut Vec<u8, TRANSMIT_BYTES>,
     ) {
         while let Some(answer) = self.answers.front() {
@@ -258,7 +259,7 @@ impl Server {
             }
             self.answers.pop_front();
         }
-        while self.answers.is_empty() && self.link.room() > 0 {
+        while self.answers.is_empty() && self.link.room(SHORT_REPORT) > 0 {
             let Some(event) = safety.next_event() else {
                 break;
             };
@@ -279,7 +280,8 @@ impl Server {
             let _ = self.link.send_latest(&Report::Telemetry(telemetry));
         }
         let mut buffer = [0; TRANSMIT_BYTES];
-        let count = self.link.transmit(self.now_us, &mut buffer);
+        let room = usize::from(room).min(TRANSMIT_BYTES);
+        let count = self.link.transmit(self.now_us, &mut buffer[..room]);
         transmit.clear();
         // As long as the buffer: fits.
         let _ = transmit.extend_from_slice(&buffer[..count]);

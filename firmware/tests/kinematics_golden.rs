@@ -1,5 +1,9 @@
 //! The H-4 arm against tables of spec h4-milling: golden vectors of 2,000 poses each way, poses that no arm reaches, and the reference
 //! geometry's printed values. Within 0.1 um and 1 urad.
+#![allow(
+    clippy::needless_range_loop,
+    reason = "an index is an axis here, of several arrays at once"
+)]
 
 use haptimill_firmware::config::H4Geometry;
 use haptimill_firmware::kinematics::h4::H4;
@@ -94,25 +98,13 @@ fn inverse_table() {
 fn forward_table() {
     let rows = table(include_str!("../../tests/golden/h4_fk.csv"), 8);
     assert_eq!(rows.len(), 2000);
-    let mut refused = 0;
     for row in rows {
-        // The table was made without the reach rule S >= 0.1 R; the rule itself is checked on the table's own numbers.
-        if (row[0] - row[1]) / 2.0 - 50.0 < 48.0 || (row[2] - row[3]) / 2.0 - 50.0 < 48.0 {
-            let error = arm().base_pose(&slides(&row)).unwrap_err();
-            assert!(
-                matches!(error, PoseError::NearReachLimit { .. }),
-                "{error:?}"
-            );
-            refused += 1;
-            continue;
-        }
         let base = arm().base_pose(&slides(&row)).unwrap();
         close(base.x.into(), PER_MM, row[4], MM);
         close(base.y.into(), PER_MM, row[5], MM);
         close(base.z.into(), PER_MM, row[6], MM);
         close(base.theta.into(), PER_DEGREE, row[7], DEGREE);
     }
-    assert_eq!(refused, 1);
 }
 
 #[test]

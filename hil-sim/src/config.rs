@@ -228,7 +228,7 @@ pub struct StepDrive {
     pub min_low_ns: f64,
     /// Least time from a change of direction to the next pulse, ns.
     pub setup_ns: f64,
-    /// Least time from the beginning of a pulse to a change of direction, ns.
+    /// Least time from the end of a pulse to a change of direction, ns.
     pub hold_ns: f64,
 }
 

@@ -8,7 +8,7 @@
 //! * [`encoder`], [`stepper`]: the devices between the mechanics and the controller's counts and codes.
 //! * [`geometry`]: where the tool is, from the closed loops of the rods.
 //! * [`plant`]: all of it, one control period at a time.
-//! * [`wire`]: the serial line; [`fault`]: what goes wrong, and when.
+//! * [`wire`]: the serial line; [`fault`], [`schedule`]: what goes wrong, and when.
 //! * [`rig`]: machine, controller and line in lockstep.
 
 pub mod config;
@@ -20,6 +20,7 @@ pub mod mechanics;
 pub mod plant;
 pub mod random;
 pub mod rig;
+pub mod schedule;
 pub mod stepper;
 pub mod wire;
 

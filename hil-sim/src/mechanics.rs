@@ -8,7 +8,7 @@
 //! 25 ppm at 80 Hz, and does not drift; an edge of the gap, which falls somewhere within a step, adds or takes up to that at random. Coulomb friction is the exact implicit form: an impulse that takes away speed up to its bound and stops at zero. So a
 //! joint that sticks has speed 0.0 to the last bit, and nothing chatters.
 //!
-//! Misuse: [`Bodies::step`] is explicit in the springs; [`crate::config::PlantConfig::check`] keeps omega * step below 0.3.
+//! Misuse: [`Mechanics::step`] is explicit in the springs; [`crate::config::PlantConfig::check`] keeps omega * step below 0.3.
 
 use crate::config::JointConfig;
 use haptimill_protocol::message::MAX_AXES;

@@ -7,14 +7,18 @@
 //! Nothing here knows the wall clock; whoever wants real time calls `step` at its pace.
 
 use crate::config::{PlantConfig, PlantError};
-use crate::fault::{Fault, FaultError, Schedule};
+use crate::fault::{Fault, FaultError};
 use crate::plant::{Plant, Truth};
 use crate::random::Random;
+use crate::schedule::Schedule;
 use crate::wire::Wire;
 use core::fmt;
 use haptimill_firmware::io::{DriveCommand, Inputs, Outputs, RECEIVE_BYTES, StepSegment};
 use haptimill_protocol::urgent::UrgentDetector;
 use std::collections::VecDeque;
+
+/// Bytes that the board's transmit ring holds.
+const TRANSMIT_RING: usize = 256;
 
 /// A controller as the rig sees it.
 pub trait Control {
@@ -152,6 +156,8 @@ impl<C: Control> Rig<C> {
         self.inputs.missed = self.missed;
         self.missed = 0;
         self.inputs.lost_bytes = self.lost_bytes;
+        let unsent = self.to_host.unsent(now);
+        self.inputs.transmit_room = TRANSMIT_RING.saturating_sub(unsent) as u16;
         self.inputs.received.clear();
         while self.inputs.received.len() < RECEIVE_BYTES {
             let Some(byte) = self.ring.pop_front() else {

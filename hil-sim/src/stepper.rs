@@ -23,7 +23,7 @@ pub enum PulseProblem {
     Setup,
     /// The direction changed too soon after a pulse.
     Hold,
-    /// It would leave after the end of the period; such a pulse is not emitted.
+    /// It would not be over by the end of the period; such a pulse is not emitted.
     BeyondPeriod,
 }
 
@@ -158,10 +158,9 @@ impl Stepper {
         self.next = 0;
         let up = segment.count > 0;
         if segment.count != 0 && up != self.up {
-            if self
-                .last_pulse
-                .is_some_and(|last| ((self.period_start - last) as f64) < self.hold_ticks)
-            {
+            if self.last_pulse.is_some_and(|last| {
+                ((self.period_start - last) as f64) < self.width_ticks + self.hold_ticks
+            }) {
                 self.violate(self.period_start, PulseProblem::Hold);
             }
             self.up = up;
@@ -191,7 +190,7 @@ impl Stepper {
             let leaves = i64::from(self.segment.delay)
                 + k * i64::from(self.segment.interval)
                 + i64::from(self.segment.ramp) * k * (k - 1) / 2;
-            if leaves >= tick || leaves >= self.period_ticks {
+            if leaves >= tick || leaves as f64 + self.width_ticks > self.period_ticks as f64 {
                 break;
             }
             self.next += 1;

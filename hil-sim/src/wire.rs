@@ -96,6 +96,12 @@ impl Wire {
         self.queue.len()
     }
 
+    /// Bytes that were written and have not left the sender by `time_ns`.
+    pub fn unsent(&self, time_ns: u64) -> usize {
+        let waiting = self.free_at.saturating_sub(time_ns << 16);
+        waiting.div_ceil(self.byte_time.max(1)) as usize
+    }
+
     /// Writes bytes at `time_ns`; they leave when the line is free.
     pub fn write(&mut self, bytes: &[u8], time_ns: u64) {
         for &byte in bytes {

@@ -2,7 +2,8 @@
 
 mod machine;
 
-use haptimill_firmware::io::{DriveCommand, Outputs};
+use haptimill_firmware::io::{DriveCommand, Inputs, Outputs};
+use haptimill_hil_sim::config::{DriveConfig, SwitchConfig, SwitchSide};
 use haptimill_hil_sim::mechanics::{Bodies, Mechanics};
 use haptimill_hil_sim::{Plant, PlantConfig};
 use proptest::prelude::*;
@@ -231,4 +232,71 @@ proptest! {
         prop_assert_eq!(bodies.motor_rate[0], 0.0);
         prop_assert_eq!(bodies.slide_rate[0], 0.0);
     }
+}
+
+#[test]
+fn codes_are_efforts_and_the_amplifier_has_a_limit() {
+    // Slide: 40 kg at 400 N for 10 ms. Table: 0.5 kg m^2 at 20 N m, then at the 10 N m that the amplifier has.
+    for (axis, limit, wanted) in [
+        (0, 800.0, 400.0 / 40.0 * 1000.0 * 0.01),
+        (0, 100.0, 100.0 / 40.0 * 1000.0 * 0.01),
+        (4, 40.0, (20.0_f64 / 0.5 * 0.01).to_degrees()),
+        (4, 10.0, (10.0_f64 / 0.5 * 0.01).to_degrees()),
+    ] {
+        let mut config = machine::reference();
+        config.arm = None;
+        let mut joint = config.joint[axis].clone();
+        joint.coulomb = 0.0;
+        joint.viscous = 0.0;
+        if let DriveConfig::Torque(drive) = &mut joint.drive {
+            drive.limit = limit;
+        }
+        config.joint = vec![joint];
+        for sign in [1, -1] {
+            let mut plant = Plant::new(&config, 200).expect("a joint");
+            for _ in 0..50 {
+                plant.advance(&torque(4096 * sign));
+            }
+            // Momentum does not know of screw and backlash.
+            let momentum = plant.mechanics().momentum(plant.bodies(), 0);
+            let inertia = config.joint[0].inertia / config.joint[0].kind.acceleration_unit();
+            let rate = f64::from(sign) * momentum / inertia;
+            assert!((rate / wanted - 1.0).abs() < 1e-9, "{rate} {wanted}");
+        }
+    }
+}
+
+#[test]
+fn switches_say_where_the_slide_is() {
+    let mut config = machine::slide();
+    let joint = &mut config.joint[0];
+    joint.limit_low = Some(-0.5);
+    joint.limit_high = Some(0.5);
+    joint.home = Some(SwitchConfig {
+        at: 0.1,
+        active: SwitchSide::Above,
+    });
+    let mut plant = Plant::new(&config, 200).expect("a slide");
+    let mut inputs = Inputs::default();
+    let mut seen = [false; 3];
+    for period in 0..8000 {
+        plant.advance(&torque(if (500..3000).contains(&period) {
+            -600
+        } else {
+            600
+        }));
+        plant.latch(&mut inputs);
+        let slide = plant.truth().joints[0];
+        let axis = &inputs.axes[0];
+        assert_eq!(axis.home, slide >= 0.1);
+        assert_eq!(axis.limit_low, slide <= -0.5);
+        assert_eq!(axis.limit_high, slide >= 0.5);
+        for (seen, now) in seen
+            .iter_mut()
+            .zip([axis.home, axis.limit_low, axis.limit_high])
+        {
+            *seen |= now;
+        }
+    }
+    assert_eq!(seen, [true; 3], "the test went everywhere");
 }

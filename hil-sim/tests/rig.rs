@@ -126,8 +126,15 @@ fn plain_loops_hold_the_unfriendly_machine() {
         let time = rig.time_ns() as f64 * 1e-9;
         rig.step();
         assert!(rig.truth().pose_valid);
-        for axis in 0..4 {
-            let error = rig.truth().joints[axis] - start[axis] - swing(time)[axis];
+        let wanted = swing(time);
+        for (now, (start, moved)) in rig
+            .truth()
+            .joints
+            .iter()
+            .zip(start.iter().zip(&wanted))
+            .take(4)
+        {
+            let error = now - start - moved;
             worst = worst.max(error.abs());
             squares += error * error;
             count += 1;

@@ -26,9 +26,11 @@ pub fn status(error: PoseError) -> &'static str {
 
 /// Slides of poses: `xw_mm, yw_mm, zw_mm, theta_deg, alpha_deg` to `l1_mm, l2_mm, l3_mm, l4_mm, status`.
 ///
+/// With `strokes`, slides beyond the machine's strokes are `out_of_stroke` (and still given); without, only the geometry speaks.
+///
 /// # Errors
 /// One line for each bad cell, `name:line:column: what is wrong`.
-pub fn inverse_table(config: &Config, name: &str, csv: &[u8]) -> Result<Vec<u8>, String> {
+pub fn inverse_table(config: &Config, strokes: bool, name: &str, csv: &[u8]) -> Result<Vec<u8>, String> {
     let columns = ["xw_mm", "yw_mm", "zw_mm", "theta_deg", "alpha_deg"];
     let rows = read(name, csv, columns)?;
     let machine = Machine::new(config);
@@ -40,7 +42,7 @@ pub fn inverse_table(config: &Config, name: &str, csv: &[u8]) -> Result<Vec<u8>,
         match answer {
             Ok((Ok(joints), whole)) => {
                 let slides = joints.0.iter().take(4).map(|l| f64::from(l.0) / PER_MM);
-                line(&mut out, slides, whole.err());
+                line(&mut out, slides, whole.err().filter(|_| strokes));
             }
             Ok((Err(error), _)) | Err(error) => line(&mut out, [].into_iter(), Some(error)),
         }
@@ -48,11 +50,11 @@ pub fn inverse_table(config: &Config, name: &str, csv: &[u8]) -> Result<Vec<u8>,
     Ok(out.into_bytes())
 }
 
-/// Poses of slides, in the frame of the slave base: `l1_mm, l2_mm, l3_mm, l4_mm` to `x_mm, y_mm, z_mm, theta_deg, status`.
+/// Poses of slides, in the frame of the slave base: `l1_mm, l2_mm, l3_mm, l4_mm` to `x_mm, y_mm, z_mm, theta_deg, status`; `strokes` as for [`inverse_table`].
 ///
 /// # Errors
 /// One line for each bad cell, `name:line:column: what is wrong`.
-pub fn forward_table(config: &Config, name: &str, csv: &[u8]) -> Result<Vec<u8>, String> {
+pub fn forward_table(config: &Config, strokes: bool, name: &str, csv: &[u8]) -> Result<Vec<u8>, String> {
     let rows = read(name, csv, ["l1_mm", "l2_mm", "l3_mm", "l4_mm"])?;
     let machine = Machine::new(config);
     let Model::H4(geometry) = &config.model;
@@ -78,7 +80,7 @@ pub fn forward_table(config: &Config, name: &str, csv: &[u8]) -> Result<Vec<u8>,
                 let lengths = [base.x, base.y, base.z].map(|l| f64::from(l.0) / PER_MM);
                 let theta = f64::from(base.theta.0) / PER_DEG;
                 let values = lengths.into_iter().chain([theta]);
-                line(&mut out, values, machine.base_pose(&joints).err());
+                line(&mut out, values, machine.base_pose(&joints).err().filter(|_| strokes));
             }
             Err(error) => line(&mut out, [].into_iter(), Some(error)),
         }
@@ -103,7 +105,11 @@ fn pose(row: &[f64; 5]) -> Result<Pose, PoseError> {
         return Err(PoseError::Tilt);
     }
     pose[3] = fixed(row[3], PER_DEG).ok_or(PoseError::Tilt)?;
-    pose[4] = fixed(row[4], PER_DEG).ok_or(PoseError::Unreachable)?;
+    // The table is a joint itself: beyond what a coordinate holds it is beyond its stroke.
+    pose[4] = fixed(row[4], PER_DEG).ok_or(PoseError::OutOfStroke {
+        axis: 4,
+        by: if row[4] < 0.0 { i32::MIN } else { i32::MAX },
+    })?;
     Ok(Pose(pose))
 }
 

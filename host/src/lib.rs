@@ -1,8 +1,13 @@
 //! The library behind the `haptimill` command.
 
 pub mod cli;
+pub mod client;
 pub mod kin;
 pub mod machine;
+pub mod model;
+pub mod plan;
 pub mod port;
 pub mod program;
 pub mod record;
+pub mod report;
+pub mod session;

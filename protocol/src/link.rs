@@ -15,7 +15,7 @@
 //! Both ends, on a line that carries everything at once:
 //!
 //! ```
-//! use haptimill_protocol::link::{ControllerLink, HostLink, Identity, LinkState, Timing};
+//! use haptimill_protocol::link::{ControllerLink, HostLink, Identity, LinkState, SHORT_REPORT, Timing};
 //! use haptimill_protocol::message::{Command, Report, Request};
 //!
 //! let mut host = HostLink::new(Timing::default());
@@ -31,7 +31,9 @@
 //!         let identity = Identity { machine: "H4", config_crc: 0, period_us: 200, axes: 5, queue: 64 };
 //!         controller.welcome(now_us, &identity, false);
 //!     }
-//!     if let Some(Request { id, command: Command::Ping }) = controller.poll_message() {
+//!     if controller.room(SHORT_REPORT) > 0
+//!         && let Some(Request { id, command: Command::Ping }) = controller.poll_message()
+//!     {
 //!         controller.send(&Report::Answer { id, result: Ok(()) }).unwrap();
 //!     }
 //!     let count = controller.transmit(now_us, &mut buffer);
@@ -47,7 +49,7 @@
 //! Misuse: the time must not run backwards. A duplicate that comes more than 240 reliable frames late would be taken for a new one; no
 //! serial line does that. A session number that was used before makes late frames of the old session good again.
 //!
-//! Memory: [`ControllerLink`] has 3 KiB, [`HostLink`] 8 KiB (held by a test).
+//! Memory: [`ControllerLink`] has 2.8 KiB, [`HostLink`] 8 KiB (held by a test).
 
 mod ends;
 mod inbox;
@@ -66,8 +68,11 @@ use outbox::Outbox;
 /// The most reliable frames under way in one direction.
 pub const WINDOW: usize = 8;
 
+/// The most bytes of an answer or an event (of a telemetry frame there are more).
+pub const SHORT_REPORT: usize = 32;
+
 /// The controller's end: takes requests, gives reports. Answers and events are short, so the room to send is small.
-pub type ControllerLink = Link<Controller, 512, 1024>;
+pub type ControllerLink = Link<Controller, { WINDOW * SHORT_REPORT }, 1024>;
 
 /// The host's end: sends requests, takes reports.
 pub type HostLink = Link<Host, 2400, 4096>;
@@ -230,7 +235,8 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
     }
 
     /// How the link stands at a time. [`LinkState::Silent`] and [`LinkState::Stalled`] end a host's session; a controller's session stays
-    /// until the next greeting, and what to do in the meantime is the caller's decision.
+    /// until the next greeting, and what to do in the meantime is the caller's decision: a machine that moves should take either for a host that
+    /// is lost, for reports that cannot be brought over stall only here.
     pub fn state(&self, now_us: u64) -> LinkState {
         if !self.open {
             self.end.closed()
@@ -354,9 +360,15 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
         }
     }
 
-    /// Reliable messages that can surely be sent now.
-    pub fn room(&self) -> usize {
-        if self.open { self.outbox.room() } else { 0 }
+    /// How many reliable messages of up to so many bytes can be sent now. A controller polls a message only when there is room for
+    /// the answer and the events that it may cause ([`SHORT_REPORT`] bytes each): then none of them is ever lost, and a host that asks faster
+    /// than it listens is held back by its own window.
+    pub fn room(&self, bytes: usize) -> usize {
+        if self.open {
+            self.outbox.room(bytes)
+        } else {
+            0
+        }
     }
 
     /// Reliable messages that the peer has not confirmed.

@@ -286,6 +286,8 @@ pub struct Telemetry {
     pub credit: u32,
     /// The setpoint that the motion is heading for.
     pub setpoint: u32,
+    /// Program time of the job in control periods: it stands while the machine waits.
+    pub program_periods: u32,
     /// Speed along the path, 65535 for the programmed one.
     pub path_rate: u16,
     /// Wanted pose, axis units.

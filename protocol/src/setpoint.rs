@@ -13,9 +13,9 @@
 //! ```
 //!
 //! The next coordinate is predicted as p + v h + a h^2 / 2, and, once that coordinate is known, the next rate as the one that a constant
-//! jerk from (p, v, a) through the coordinate gives: v + a h + 3 (p' - prediction) / h. The jerk itself is not carried over: it
-//! changes at every setpoint that a planner puts at a change of jerk, and the rounding of coordinates would be magnified
-//! (measured by `wire_cost` in the tests).
+//! jerk from (p, v, a) through the coordinate gives: v + a h + 3 (p' - prediction) / h. On the motions of the test `wire_cost` a setpoint so
+//! costs 11 to 18 bytes on the line. With p + v h alone it is 13 to 25; the jerk carried over as well gains nothing (18.1 for 18.4 bytes, but
+//! 17.3 for 17.0), since the rounding of the coordinates is magnified and a planner changes the jerk at its setpoints.
 //!
 //! All arithmetic is integer, the same on both ends, and the coding is exact: whatever the prediction, coordinate and rate less prediction
 //! are taken modulo 2^32, so that decoding gives back every bit for every possible setpoint, also where a rotary axis wraps around.

@@ -16,9 +16,10 @@
 //! );
 //! ```
 
+mod plain;
+
 use crate::message::{
-    Action, Command, ConfigField, ConfigProblem, Event, Fault, HelloRefusal, HomingProblem,
-    PoseError, Refusal, Source, State,
+    ConfigField, ConfigProblem, Event, Fault, HelloRefusal, PoseError, Refusal, State,
 };
 use core::fmt::{Display, Formatter, Result};
 
@@ -372,118 +373,6 @@ impl core::error::Error for PoseError {}
 impl core::error::Error for Refusal {}
 impl core::error::Error for HelloRefusal {}
 
-impl Display for HelloRefusal {
-    fn fmt(&self, f: &mut Formatter<'_>) -> Result {
-        f.write_str(match self {
-            Self::Busy => "another program is connected and the machine moves or may move; stop that one first",
-            Self::Version => "the controller speaks another version of the protocol; use the host and the firmware of one release",
-            Self::Schema => "host and controller were built from different sources; use the host and the firmware of one release",
-        })
-    }
-}
-
-impl Display for State {
-    fn fmt(&self, f: &mut Formatter<'_>) -> Result {
-        f.pad(match self {
-            Self::Disabled => "disabled",
-            Self::Idle => "idle",
-            Self::Homing => "homing",
-            Self::Run => "running",
-            Self::Jog => "jogging",
-            Self::Hold => "on hold",
-            Self::Fault => "in fault",
-            Self::EmergencyStop => "in emergency stop",
-        })
-    }
-}
-
-impl Display for Source {
-    fn fmt(&self, f: &mut Formatter<'_>) -> Result {
-        f.pad(match self {
-            Self::Program => "program",
-            Self::Jog => "jog",
-            Self::Hold => "hold",
-        })
-    }
-}
-
-impl Display for Action {
-    fn fmt(&self, f: &mut Formatter<'_>) -> Result {
-        match self {
-            Self::None => f.write_str("nothing"),
-            Self::Spindle(0) => f.write_str("spindle off"),
-            Self::Spindle(speed) => write!(f, "spindle to {speed} rev/min"),
-            Self::Pause => f.write_str("pause"),
-        }
-    }
-}
-
-impl Display for HomingProblem {
-    fn fmt(&self, f: &mut Formatter<'_>) -> Result {
-        f.write_str(match self {
-            Self::NoIndex => "no index pulse within the search distance; check the encoder and the preset",
-            Self::NoSwitch => "the home switch did not change within the search distance; check the switch and the preset",
-            Self::Stalled => "the axis did not follow; look for what blocks it",
-            Self::Implausible => "the reference is too far from the preset; set the slides to their preset positions",
-            Self::Workspace => "the search would leave the workspace; set the slides to their preset positions",
-            Self::Stopped => "it was stopped",
-        })
-    }
-}
-
-impl Display for ConfigField {
-    fn fmt(&self, f: &mut Formatter<'_>) -> Result {
-        f.write_str(match self {
-            Self::Encoding => "its encoding cannot be read",
-            Self::Period => "control period",
-            Self::AxisCount => "number of axes",
-            Self::Geometry => "geometry",
-            Self::Stroke => "stroke",
-            Self::SoftLimit => "soft limits",
-            Self::Rate => "largest rate",
-            Self::Acceleration => "largest acceleration",
-            Self::Jerk => "largest jerk",
-            Self::Encoder => "encoder scale",
-            Self::Drive => "drive",
-            Self::Gain => "gains of the position loop",
-            Self::Filter => "filter of the position loop",
-            Self::Following => "limit of the following error",
-            Self::Backlash => "backlash",
-            Self::Homing => "homing",
-            Self::Heartbeat => "heartbeat",
-            Self::StopTime => "stop time",
-        })
-    }
-}
-
-impl Command {
-    /// What the command is called.
-    pub const fn name(&self) -> &'static str {
-        match self {
-            Self::Setpoints(_) => "setpoints",
-            Self::Ping => "ping",
-            Self::Configure(_) => "configure",
-            Self::Activate { .. } => "activate",
-            Self::Enable => "enable",
-            Self::Disable => "disable",
-            Self::Home => "home",
-            Self::Reset => "reset",
-            Self::JobStart { .. } => "job start",
-            Self::JobEnd { .. } => "job end",
-            Self::Hold => "hold",
-            Self::Resume => "resume",
-            Self::Stop => "stop",
-            Self::EmergencyStop => "emergency stop",
-            Self::Jog { .. } => "jog",
-            Self::JogCancel { .. } => "jog cancel",
-            Self::Source { .. } => "source",
-            Self::Override { .. } => "override",
-            Self::Telemetry { .. } => "telemetry",
-            Self::Status => "status",
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -491,6 +380,8 @@ mod tests {
     use std::string::ToString;
 
     proptest! {
+        #![proptest_config(ProptestConfig { rng_seed: proptest::test_runner::RngSeed::Fixed(1), failure_persistence: None, ..ProptestConfig::default() })]
+
         /// An amount is the value within half a thousandth, read back as a decimal number.
         #[test]
         fn amounts_are_right(value: i32) {

@@ -43,6 +43,17 @@ impl UrgentDetector {
         };
         complete
     }
+
+    /// Takes bytes that came together, where they do not come one by one; true when the pattern was completed among them.
+    pub const fn push_all(&mut self, bytes: &[u8]) -> bool {
+        let mut found = false;
+        let mut rest = bytes;
+        while let [byte, after @ ..] = rest {
+            found |= self.push(*byte);
+            rest = after;
+        }
+        found
+    }
 }
 
 #[cfg(test)]
@@ -52,6 +63,8 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
+        #![proptest_config(ProptestConfig { rng_seed: proptest::test_runner::RngSeed::Fixed(1), failure_persistence: None, ..ProptestConfig::default() })]
+
         /// Any run of frames, whatever they carry, is free of the pattern; and an urgent stop between any of them is found at once.
         #[test]
         fn no_frame_is_a_stop(
@@ -80,6 +93,9 @@ mod tests {
         #[test]
         fn finds_every_stop(bytes in prop::collection::vec(prop_oneof![Just(0u8), Just(STOP_CODE), any::<u8>()], 0..200)) {
             let mut detector = UrgentDetector::new();
+            let mut together = UrgentDetector::new();
+            let stops = bytes.windows(STOP.len()).any(|window| window == STOP);
+            prop_assert_eq!(together.push_all(&bytes), stops);
             for end in 1..=bytes.len() {
                 prop_assert_eq!(detector.push(bytes[end - 1]), bytes[..end].ends_with(&STOP));
             }

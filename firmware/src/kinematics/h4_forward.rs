@@ -13,21 +13,16 @@
 //!
 //! N = 4 c sin(theta) is a sum of slides and 4 c cos(theta) = sqrt((4 c - N) (4 c + N)) is one root, so no sine is evaluated; the angle itself
 //! is their arc tangent, which is well conditioned up to the quarter turn.
+//!
+//! H itself is never worked out: with v = H^2 scaled into 1/4 to 1, sqrt(v) t and sqrt(v) q need no division, and turning them by (E, D) leaves a
+//! division by v, which is one reciprocal of a word beside the root. Two roots, one reciprocal, one arc tangent in all.
 
 use super::h4::{BasePose, H4};
 use super::{Joints, PoseError};
+use crate::units::Length;
 use crate::units::root::{Root, reciprocal};
 use crate::units::scale::{high_product, multiply_high, multiply_shift, round_shift, saturate};
 use crate::units::trig::atan2;
-use crate::units::{Angle, Length};
-
-/// The tool in the frame of the slave base, raw.
-pub(super) struct Base {
-    pub(super) x: i32,
-    pub(super) y: i32,
-    pub(super) z: i32,
-    pub(super) theta: Angle,
-}
 
 impl H4 {
     /// The tool in the frame of the slave base: x, y, z and theta of (3.17)-(3.19), without the table.
@@ -35,17 +30,11 @@ impl H4 {
     /// # Errors
     /// [`PoseError::Unreachable`], [`PoseError::NearReachLimit`], [`PoseError::NearSingularity`]: the slides hold no certified pose.
     pub fn base_pose(&self, joints: &Joints) -> Result<BasePose, PoseError> {
-        let base = self.base(joints)?;
-        Ok(BasePose {
-            x: Length(base.x),
-            y: Length(base.y),
-            z: Length(base.z),
-            theta: base.theta,
-        })
+        self.base(joints)
     }
 
     #[inline]
-    pub(super) fn base(&self, joints: &Joints) -> Result<Base, PoseError> {
+    pub(super) fn base(&self, joints: &Joints) -> Result<BasePose, PoseError> {
         let [l1, l2, l3, l4, ..] = joints.0.map(|joint| joint.0 as i64);
 
         // 2 S of both pairs: exact, and with their sign before it is lost.
@@ -57,8 +46,9 @@ impl H4 {
         if sum.abs() >= width || upper > twice_rod || lower > twice_rod || !self.sound {
             return Err(PoseError::Unreachable);
         }
-        if 10 * upper < twice_rod || 10 * lower < twice_rod {
-            let pair = (10 * upper >= twice_rod) as u8;
+        // Measuring reaches a little farther than planning: a machine that follows with an error must not go blind at the planned bound.
+        if 100 * upper < 9 * twice_rod || 100 * lower < 9 * twice_rod {
+            let pair = (100 * upper >= 9 * twice_rod) as u8;
             return Err(PoseError::NearReachLimit { pair });
         }
         // Now N and 2 S are words, below 2^31 and at most 2^31: the casts cut nothing, and products of words need no check.
@@ -119,8 +109,12 @@ impl H4 {
             round_shift(l1 + l2 + l3 + l4, 2) - multiply_shift(sum, self.ratio, self.ratio_shift);
         let z =
             centre - self.rail_offset as i64 - multiply_shift(cosine, self.ratio, self.ratio_shift);
-        let narrow = |value: i64| i32::try_from(value).map_err(|_| PoseError::Unreachable);
-        Ok(Base {
+        let narrow = |value: i64| {
+            i32::try_from(value)
+                .map(Length)
+                .map_err(|_| PoseError::Unreachable)
+        };
+        Ok(BasePose {
             x: narrow(x)?,
             y: narrow(y)?,
             z: narrow(z)?,

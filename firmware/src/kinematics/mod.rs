@@ -9,6 +9,8 @@ mod h4_motion;
 mod h4_statics;
 pub mod machine;
 
+pub use h4_statics::ToolForce;
+
 use crate::units::{Acceleration, Coordinate, Rate};
 pub use haptimill_protocol::message::{MAX_AXES, PoseError};
 

@@ -90,6 +90,8 @@ pub struct Program {
     segment: Option<Segment>,
     /// Time into the segment, 2^-32 periods.
     time: u64,
+    /// Program time at the start of the segment, in periods.
+    elapsed: u64,
     path_rate: Ramp,
     override_rate: i64,
     accepted: u32,
@@ -152,6 +154,7 @@ impl Program {
         self.from = self.tail;
         self.segment = None;
         self.time = 0;
+        self.elapsed = 0;
         self.path_rate = Ramp::at(FULL_RATE);
         self.accepted = 0;
         self.reached = 0;
@@ -233,6 +236,12 @@ impl Program {
     #[must_use]
     pub const fn accepted(&self) -> u32 {
         self.accepted
+    }
+
+    /// Program time since the job began, in 2^-32 periods: it passes at the path rate.
+    #[must_use]
+    pub const fn program_time(&self) -> u64 {
+        (self.elapsed << 32).wrapping_add(self.time)
     }
 
     /// The path rate, [`FULL_RATE`] for the programmed speed.
@@ -358,6 +367,7 @@ impl Program {
                 return;
             }
             self.time -= end;
+            self.elapsed += u64::from(segment.span.periods());
             self.from = segment.to;
             self.segment = None;
             self.reached = self.reached.wrapping_add(1);

@@ -51,7 +51,7 @@ pub const fn scale(value: i64, factor: i32, shift: u32) -> i64 {
     (high << (32 - shift)).wrapping_add(round_shift(low, shift))
 }
 
-/// `value * factor / 2^32`, rounded down (by less than 2 units), for any `value` and a `factor` below 2^31 + 1.
+/// `value * factor / 2^32`, rounded down, for any `value` and a `factor` of at most 2^31.
 #[inline]
 #[must_use]
 pub const fn multiply_high(value: i64, factor: u32) -> i64 {
@@ -76,12 +76,18 @@ pub const fn high_product(a: u64, b: u64) -> u64 {
 mod tests {
     use super::*;
     use proptest::prelude::*;
+    use proptest::test_runner::RngSeed;
 
     fn exact(product: i128, shift: u32) -> i128 {
         (product + (1i128 << (shift - 1))) >> shift
     }
 
     proptest! {
+        #![proptest_config(ProptestConfig {
+            cases: 2_000,
+            rng_seed: RngSeed::Fixed(1),
+            ..ProptestConfig::default()
+        })]
         #[test]
         fn round_shift_rounds_to_nearest(value in -(1i64 << 62)..(1i64 << 62), shift in 1u32..=62) {
             prop_assert_eq!(round_shift(value, shift) as i128, exact(value as i128, shift));
@@ -105,6 +111,11 @@ mod tests {
     }
 
     proptest! {
+        #![proptest_config(ProptestConfig {
+            cases: 2_000,
+            rng_seed: RngSeed::Fixed(1),
+            ..ProptestConfig::default()
+        })]
         #[test]
         fn high_product_is_short_by_less_than_three(a: u64, b: u64) {
             let exact = ((a as u128 * b as u128) >> 64) as u64;

@@ -1,7 +1,11 @@
 //! `haptimill jog`: move at a rate for a time, with a dead-man deadline.
 
+use super::one_shot::{open, report};
 use super::{CliError, ConnectArgs, Exit, MachineArg, seconds};
+use crate::machine::MachineFile;
+use crate::machine::scale::per_unit;
 use clap::Args;
+use haptimill_protocol::message::{AxisValues, Event, RATE_SHIFT, State};
 use std::str::FromStr;
 
 const LONG: &str = "\
@@ -62,14 +66,70 @@ impl FromStr for AxisRate {
     }
 }
 
+/// Time between two jog commands, as a part of the deadline: two may be lost before the machine stops.
+const REPEAT: f64 = 0.3;
+
 /// Jogs.
 ///
 /// # Errors
 /// See [`Exit`].
 pub fn run(args: JogArgs) -> Result<(), CliError> {
-    let _ = args.machine.load()?;
-    Err(CliError::new(
-        Exit::Internal,
-        "haptimill jog: not built yet",
-    ))
+    let machine = args.machine.load()?;
+    let rates = rates(&args, &machine)?;
+    let mut session = open(&args.connect, &machine)?;
+    session.configure(&machine)?;
+    let first = session.events.len();
+    let begun = session.now_us();
+    let end = begun + (args.duration * 1e6) as u64;
+    let repeat = (f64::from(args.deadline) * 1000.0 * REPEAT) as u64;
+    let mut next = begun;
+    let refused = loop {
+        if session.now_us() >= next {
+            next += repeat;
+            let lost = |error| CliError::new(Exit::Port, error);
+            session.client_mut().jog(rates.clone(), args.deadline).map_err(lost)?;
+        }
+        session.step()?;
+        if session.now_us() >= end || session.interrupted() {
+            break None;
+        }
+        if let Some(refusal) = session.refusal() {
+            break Some(refusal);
+        }
+    };
+    let ticket = session.client_mut().cancel_jog();
+    session.wait_for_answer(ticket)?;
+    while session.status()?.state == State::Jog {}
+    if let Some(refusal) = refused {
+        return Err(CliError::new(Exit::Command, format!("jog: {refusal}")));
+    }
+    for (_, event) in &session.events[first..] {
+        match event {
+            Event::JogLimited { axis } => {
+                let name = machine.pose.get(usize::from(*axis)).map_or("?", |axis| axis.name.as_str());
+                eprintln!("{name} stopped in front of its limit");
+            }
+            Event::Fault(fault) => return Err(session.fault(fault)),
+            _ => {}
+        }
+    }
+    report(&mut session, args.json)
+}
+
+/// Rates of all pose coordinates, as the wire wants them.
+fn rates(args: &JogArgs, machine: &MachineFile) -> Result<AxisValues, CliError> {
+    let mut rates: Vec<i32> = vec![0; machine.pose.len()];
+    let usage = |what: String| CliError::new(Exit::Usage, what);
+    for wanted in &args.axes {
+        let Some(index) = machine.pose.iter().position(|axis| axis.name.to_lowercase() == wanted.axis) else {
+            let names: Vec<&str> = machine.pose.iter().map(|axis| axis.name.as_str()).collect();
+            return Err(usage(format!("there is no axis '{}'; this machine has {}", wanted.axis, names.join(", "))));
+        };
+        let axis = &machine.pose[index];
+        if wanted.rate.abs() > axis.rate {
+            return Err(usage(format!("{}={} is faster than the axis may go; at most {}", wanted.axis, wanted.rate, axis.rate)));
+        }
+        rates[index] = (wanted.rate * per_unit(axis.kind) / f64::from(1 << RATE_SHIFT)).round() as i32;
+    }
+    Ok(rates.into_iter().collect())
 }

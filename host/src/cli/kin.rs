@@ -10,15 +10,15 @@ use std::path::PathBuf;
 const IK_LONG: &str = "\
 Slides of poses: columns xw_mm, yw_mm, zw_mm, theta_deg, alpha_deg to l1_mm, l2_mm, l3_mm, l4_mm, status.
 
-The status is ok, unreachable, out_of_stroke, near_singularity, near_reach_limit or tilt. A row that is out_of_stroke still has the slides \
-that the pose would take; other errors have none. Columns are found by name, others are left out. - is standard input or output.";
+The status is ok, unreachable, near_singularity, near_reach_limit or tilt; such a row has no slides. With --strokes a row whose slides are beyond \
+the strokes of the machine is out_of_stroke, and still has them. Columns are found by name, others are left out. - is standard input or output.";
 
 const FK_LONG: &str = "\
 Poses of slides: columns l1_mm, l2_mm, l3_mm, l4_mm to x_mm, y_mm, z_mm, theta_deg, status, in the frame of the slave base (before table and work \
 offsets).
 
-The status is ok, unreachable, out_of_stroke, near_singularity or near_reach_limit. A row that is out_of_stroke still has its pose; other errors \
-have none. Columns are found by name, others are left out. - is standard input or output.";
+The status is ok, unreachable, near_singularity or near_reach_limit; such a row has no pose. With --strokes a row whose slides are beyond the \
+strokes of the machine is out_of_stroke, and still has its pose. Columns are found by name, others are left out. - is standard input or output.";
 
 /// Arguments of `haptimill kin ik`.
 #[derive(Debug, Clone, Args)]
@@ -44,6 +44,9 @@ pub struct TableArgs {
     #[command(flatten)]
     #[allow(missing_docs)]
     pub machine: MachineArg,
+    /// Check the strokes of the slides as well
+    #[arg(long)]
+    pub strokes: bool,
     /// The table to read
     #[arg(long = "in", value_name = "CSV", default_value = "-")]
     pub input: PathBuf,
@@ -68,7 +71,7 @@ pub fn fk(args: FkArgs) -> Result<(), CliError> {
     table(&args.table, kin::forward_table)
 }
 
-type Calculation = fn(&haptimill_firmware::config::Config, &str, &[u8]) -> Result<Vec<u8>, String>;
+type Calculation = fn(&haptimill_firmware::config::Config, bool, &str, &[u8]) -> Result<Vec<u8>, String>;
 
 fn table(args: &TableArgs, calculate: Calculation) -> Result<(), CliError> {
     let machine = args.machine.load()?;
@@ -85,7 +88,7 @@ fn table(args: &TableArgs, calculate: Calculation) -> Result<(), CliError> {
         File::open(&args.input).and_then(|mut file| file.read_to_end(&mut bytes))
     };
     read.map_err(|error| CliError::new(Exit::BadInput, format!("{name}: {error}")))?;
-    let result = calculate(&machine.config, &name, &bytes)
+    let result = calculate(&machine.config, args.strokes, &name, &bytes)
         .map_err(|message| CliError::new(Exit::BadInput, message))?;
     let written = if standard(&args.output) {
         std::io::stdout().lock().write_all(&result)

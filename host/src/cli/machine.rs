@@ -33,10 +33,10 @@ pub fn check(args: CheckArgs) -> Result<(), CliError> {
     if args.json {
         let problems = result.as_ref().err().map_or(&[][..], |p| &p.0);
         let list: Vec<_> = problems.iter().map(as_json).collect();
-        println!("{}", serde_json::Value::from(list));
+        tell!("{}", serde_json::Value::from(list));
     }
     match result {
-        Ok(machine) if !args.json => print!("{}", summary(&machine)),
+        Ok(machine) if !args.json => tell!("{}", summary(&machine).trim_end()),
         Ok(_) => {}
         Err(problems) => {
             let count = problems.0.len();

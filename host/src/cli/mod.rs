@@ -1,5 +1,13 @@
 //! The command line: what can be asked, and which room does it.
 
+/// Prints a line on standard output; a reader that has gone (`| head`) is no error.
+macro_rules! tell {
+    ($($argument:tt)*) => {{
+        use std::io::Write as _;
+        let _ = writeln!(std::io::stdout(), $($argument)*);
+    }};
+}
+
 mod exit;
 pub mod jog;
 pub mod kin;
@@ -56,7 +64,7 @@ enum Command {
     Run(run::RunArgs),
     Jog(jog::JogArgs),
     /// Find the reference of all axes, as one transaction
-    Home(one_shot::OneShotArgs),
+    Home(one_shot::HomeArgs),
     /// How things stand
     Status(one_shot::OneShotArgs),
     /// Drives on; wanted becomes measured, nothing moves
@@ -154,7 +162,7 @@ fn dispatch(cli: Cli) -> Result<(), CliError> {
     match cli.command {
         Command::Run(args) => run::run(args),
         Command::Jog(args) => jog::run(args),
-        Command::Home(args) => one_shot::run(Order::Home, args),
+        Command::Home(args) => one_shot::home(args),
         Command::Status(args) => one_shot::run(Order::Status, args),
         Command::Enable(args) => one_shot::run(Order::Enable, args),
         Command::Disable(args) => one_shot::run(Order::Disable, args),

@@ -1,7 +1,12 @@
 //! `haptimill home`, `status`, `enable`, `disable`, `stop`, `reset`: one command to a running controller.
 
 use super::{CliError, ConnectArgs, Exit, MachineArg};
+use crate::client::Options;
+use crate::machine::MachineFile;
+use crate::port;
+use crate::session::{self, PortLine, Session, interrupt};
 use clap::Args;
+use haptimill_protocol::message::{AxisValues, Command};
 
 /// Arguments of the one-shot commands.
 #[derive(Debug, Clone, Args)]
@@ -34,8 +39,6 @@ pub struct StopArgs {
 /// Which one-shot command.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Order {
-    /// Find the references.
-    Home,
     /// How things stand.
     Status,
     /// Drives on.
@@ -51,21 +54,145 @@ pub enum Order {
 /// # Errors
 /// See [`Exit`].
 pub fn run(order: Order, args: OneShotArgs) -> Result<(), CliError> {
-    let _ = args.machine.load()?;
-    let name = format!("{order:?}").to_lowercase();
-    Err(CliError::new(
-        Exit::Internal,
-        format!("haptimill {name}: not built yet"),
-    ))
+    let machine = args.machine.load()?;
+    let mut session = open(&args.connect, &machine)?;
+    match order {
+        Order::Status => {}
+        Order::Enable => {
+            session.configure(&machine)?;
+            session.enable()?;
+        }
+        Order::Disable => session.ask(Command::Disable)?,
+        Order::Reset => session.ask(Command::Reset)?,
+    }
+    report(&mut session, args.json)
+}
+
+/// Arguments of `haptimill home`.
+#[derive(Debug, Clone, Args)]
+pub struct HomeArgs {
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub one_shot: OneShotArgs,
+    /// The joints have been set up at their presets by hand, drives off: count from there (after the position was lost)
+    #[arg(long)]
+    pub at_preset: bool,
+    /// Search again although the machine is homed
+    #[arg(long)]
+    pub again: bool,
+}
+
+/// Finds the references.
+///
+/// # Errors
+/// See [`Exit`].
+pub fn home(args: HomeArgs) -> Result<(), CliError> {
+    let machine = args.one_shot.machine.load()?;
+    let mut session = open(&args.one_shot.connect, &machine)?;
+    if args.at_preset {
+        let (bytes, _) = machine.encoded().map_err(|error| CliError::new(Exit::Internal, error))?;
+        session.reconfigure(&bytes)?;
+    } else {
+        session.configure(&machine)?;
+    }
+    session.enable()?;
+    if args.again || !session.status()?.homed {
+        let home = session.model().home(&machine).ok_or_else(|| {
+            CliError::new(Exit::BadInput, format!("{}: the home preset has no pose", machine.file))
+        })?;
+        let end = session.go_home(&machine, &home)?;
+        if let Some(fault) = end.faults.first() {
+            return Err(session.fault(fault));
+        }
+    }
+    report(&mut session, args.one_shot.json)
 }
 
 /// Stops.
 ///
 /// # Errors
 /// See [`Exit`].
-pub fn stop(_args: StopArgs) -> Result<(), CliError> {
-    Err(CliError::new(
-        Exit::Internal,
-        "haptimill stop: not built yet",
-    ))
+pub fn stop(args: StopArgs) -> Result<(), CliError> {
+    let machine = MachineFile::built_in()?;
+    let mut session = match open(&args.connect, &machine) {
+        Err(error) if error.exit == Exit::Port && !args.emergency => {
+            // Another host has the port, or the link is broken: the stop that needs neither session nor frame.
+            port::stop_past_lock(&args.connect.port)?;
+            tell!("stop sent past the host that has the port; it sees the machine slow down along its path ({error})");
+            return Ok(());
+        }
+        session => session?,
+    };
+    if args.emergency {
+        session.ask(Command::EmergencyStop)?;
+    } else {
+        session.client_mut().urgent_stop();
+        session.ask(Command::Stop)?;
+        while session.client_mut().urgent().0 {
+            session.step()?;
+        }
+    }
+    report(&mut session, args.json)
+}
+
+/// Opens a session with the controller of a port.
+///
+/// # Errors
+/// The port, or the session.
+pub(super) fn open(connect: &ConnectArgs, machine: &MachineFile) -> Result<Session<PortLine>, CliError> {
+    let line = PortLine::new(port::open(&connect.port, connect.baud)?);
+    let options = Options { connect_us: (connect.timeout * 1e6) as u64, ..Options::default() };
+    let mut session = Session::new(line, machine, options, interrupt::flag());
+    session.connect(session::fresh_number())?;
+    Ok(session)
+}
+
+/// Says how things stand.
+pub(super) fn report(session: &mut Session<PortLine>, json: bool) -> Result<(), CliError> {
+    let status = session.status()?;
+    let machine = session.machine_name();
+    let model = session.model();
+    let fault = status.fault.map(|fault| session.sentence(&fault));
+    let pose = |values: &AxisValues| -> Vec<(String, f64)> {
+        let people = model.to_people(values);
+        model.pose_names().iter().zip(people).take(values.len()).map(|(name, value)| ((*name).to_string(), value)).collect()
+    };
+    let joints = |values: &AxisValues| -> Vec<(String, f64)> {
+        model.joint_names().iter().map(ToString::to_string).zip(model.joints_to_people(values)).collect()
+    };
+    if json {
+        let map = |values: Vec<(String, f64)>| serde_json::Value::from_iter(values);
+        let value = serde_json::json!({
+            "machine": machine,
+            "state": format!("{:?}", status.state),
+            "homed": status.homed,
+            "position_kept": status.position_kept,
+            "fault": fault,
+            "period": status.period,
+            "setpoint": status.setpoint,
+            "path_rate": f64::from(status.path_rate) / 65_535.0,
+            "wanted": map(pose(&status.wanted)),
+            "measured": map(pose(&status.measured)),
+            "joints": map(joints(&status.joints)),
+            "following_error": map(joints(&status.following_error)),
+            "bad_frames": status.bad_frames,
+        });
+        tell!("{value:#}");
+        return Ok(());
+    }
+    let line = |values: Vec<(String, f64)>| -> String {
+        values.iter().map(|(name, value)| format!("  {name} {value:.4}")).collect()
+    };
+    let yes = |flag: bool| if flag { "yes" } else { "no" };
+    let name = if machine.is_empty() { "no configuration".to_string() } else { machine };
+    tell!("{name}: {:?}, homed: {}, position kept: {}", status.state, yes(status.homed), yes(status.position_kept));
+    if let Some(fault) = fault {
+        tell!("fault     {fault}");
+    }
+    if !status.measured.is_empty() {
+        tell!("measured{}", line(pose(&status.measured)));
+        tell!("wanted  {}", line(pose(&status.wanted)));
+        tell!("joints  {}", line(joints(&status.joints)));
+    }
+    Ok(())
 }

@@ -26,19 +26,19 @@ pub fn run(args: PortsArgs) -> Result<(), CliError> {
             .iter()
             .map(|(port, what)| serde_json::json!({ "port": port, "what": what }))
             .collect();
-        println!("{}", serde_json::Value::from(rows));
+        tell!("{}", serde_json::Value::from(rows));
         return Ok(());
     }
     let width = rows.iter().map(|(port, _)| port.len()).max().unwrap_or(0);
     for (port, what) in &rows {
-        println!("{port:width$}  {what}");
+        tell!("{port:width$}  {what}");
     }
     if serial == 0 {
-        println!(
+        tell!(
             "\nNo serial port was found. A board that is connected may need a driver, or you the right to see it."
         );
     }
-    println!(
+    tell!(
         "\nNot listed: pseudo-terminals and TCP ports. `haptimill sim serve` makes one and prints it."
     );
     Ok(())

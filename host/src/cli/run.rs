@@ -1,9 +1,23 @@
 //! `haptimill run`: a part program, from the file to the report.
 
 use super::{CliError, Exit, MachineArg};
-use crate::port::PortSpec;
+use crate::client::{JobEnding, Options};
+use crate::machine::MachineFile;
+use crate::model::{Model, program_options, settings};
+use crate::plan::Plan;
+use crate::port::{self, DEFAULT_BAUD, PortSpec};
+use crate::program;
+use crate::record::{Header, Recorder};
+use crate::report::{self, Outcome};
+use crate::session::{self, JobEnd, JobLine, JobRecording, PortLine, Session, SimLine, Watcher, interrupt};
 use clap::Args;
-use std::path::PathBuf;
+use haptimill_hil_sim::fault::Fault;
+use haptimill_protocol::message::{Action, AxisValues, Command, State, Telemetry};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use std::io::IsTerminal;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 const LONG: &str = "\
 Run a part program.
@@ -47,6 +61,12 @@ pub struct RunArgs {
     /// Seed of the simulated machine, instead of the one in the machine file
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
+    /// Pass pauses of the program (M0) at once instead of waiting for Enter; the simulator always does
+    #[arg(long)]
+    pub go_on: bool,
+    /// Something that goes wrong in the simulated machine, as "slide-jammed axis=2 at=1.5s"; can be given several times
+    #[arg(long, value_name = "FAULT")]
+    pub fault: Vec<Fault>,
     /// Print the summary as JSON on standard output, and nothing else there
     #[arg(long)]
     pub json: bool,
@@ -72,9 +92,279 @@ impl RunArgs {
 /// # Errors
 /// See [`Exit`].
 pub fn run(args: RunArgs) -> Result<(), CliError> {
-    let _ = args.machine.load()?;
-    Err(CliError::new(
-        Exit::Internal,
-        "haptimill run: not built yet",
-    ))
+    let machine = args.machine.load()?;
+    let model = Model::new(&machine);
+    let home = model.home(&machine).ok_or_else(|| {
+        CliError::new(Exit::BadInput, format!("{}: the home preset has no pose", machine.file))
+    })?;
+    let job = PartProgram::load(&args.program)?;
+    let plan = job.plan(&machine, &model, &home)?;
+    if args.check {
+        let seconds = report::duration(plan.figures.duration_s);
+        say(&args, &format!(
+            "{}: well; {} blocks, {} setpoints, {:.1} mm, {seconds}",
+            job.name, plan.figures.blocks, plan.setpoints.len(), plan.figures.path_length_mm
+        ));
+        return Ok(());
+    }
+    let interrupted = interrupt::flag();
+    match &args.port {
+        PortSpec::Simulator => {
+            let faults = args.fault.clone();
+            let line = SimLine::new(session::rig(&machine, args.seed, args.baud, faults)?);
+            let session = Session::new(line, &machine, paced(args.baud), interrupted);
+            // Always the same number: a simulated job is the same job every time.
+            Running { args: &args, machine: &machine, job: &job, home }.carry_out(session, 1, plan)
+        }
+        spec => {
+            if let Some(fault) = args.fault.first() {
+                let what = format!("--fault \"{fault}\" is for the simulator only; leave out --port");
+                return Err(CliError::new(Exit::Usage, what));
+            }
+            let baud = args.baud.unwrap_or(DEFAULT_BAUD);
+            let line = PortLine::new(port::open(spec, baud)?);
+            let serial = matches!(spec, PortSpec::Serial(_));
+            let session = Session::new(line, &machine, paced(serial.then_some(baud)), interrupted);
+            Running { args: &args, machine: &machine, job: &job, home }.carry_out(session, session::fresh_number(), plan)
+        }
+    }
+}
+
+/// Options of a client on a line of so many baud: it says no more than the line carries, so nothing waits where a stop cannot overtake it.
+fn paced(baud: Option<u32>) -> Options {
+    let mut options = Options::default();
+    options.timing.line_rate = baud.map_or(0, |baud| baud / 10);
+    options
+}
+
+/// A part program on disk.
+struct PartProgram {
+    /// Name of the file, without folders: it goes into the recording, which is the same wherever it was made.
+    name: String,
+    file: String,
+    text: Vec<u8>,
+}
+
+impl PartProgram {
+    fn load(path: &Path) -> Result<Self, CliError> {
+        let file = path.display().to_string();
+        let text = std::fs::read(path).map_err(|error| {
+            CliError::new(Exit::BadInput, format!("{file}: cannot be read: {error}; check the path"))
+        })?;
+        let name = path.file_name().map_or_else(|| file.clone(), |name| name.to_string_lossy().into_owned());
+        Ok(Self { name, file, text })
+    }
+
+    /// The checked motion of the program from a pose.
+    fn plan(&self, machine: &MachineFile, model: &Model, start: &AxisValues) -> Result<Plan, CliError> {
+        let options = program_options(machine, model.to_people(start));
+        let program =
+            program::read(&self.file, &self.text, &options).map_err(|refused| CliError::new(Exit::BadInput, refused))?;
+        Plan::new(&program, &settings(machine), model).map_err(|refused| CliError::new(Exit::Refused, refused))
+    }
+}
+
+/// A run under way.
+struct Running<'a> {
+    args: &'a RunArgs,
+    machine: &'a MachineFile,
+    job: &'a PartProgram,
+    home: AxisValues,
+}
+
+impl Running<'_> {
+    fn carry_out<L: JobLine>(&self, mut session: Session<L>, number: u32, planned: Plan) -> Result<(), CliError> {
+        session.connect(number)?;
+        session.configure(self.machine)?;
+        self.clear(&mut session)?;
+        session.enable()?;
+        let status = session.status()?;
+        let (start, plan) = if status.homed && status.position_kept {
+            // Already homed: the program begins where the machine stands, and is checked again from there.
+            let plan = self.job.plan(self.machine, session.model(), &status.wanted)?;
+            (status.wanted, plan)
+        } else {
+            say(self.args, "homing");
+            let end = session.go_home(self.machine, &self.home)?;
+            self.well_ended(&session, &end)?;
+            (self.home.clone(), planned)
+        };
+        if self.args.feed_override != 100 {
+            session.ask(Command::Override { percent: self.args.feed_override })?;
+        }
+        self.job(session, start, plan)
+    }
+
+    /// A fault of before must be cleared by the one who saw it.
+    fn clear<L: JobLine>(&self, session: &mut Session<L>) -> Result<(), CliError> {
+        let status = session.status()?;
+        match (status.state, status.fault) {
+            (State::Fault, Some(fault)) => {
+                let what = session.sentence(&fault);
+                Err(CliError::new(Exit::Fault, format!("a fault is latched: {what}; remove the cause, then `haptimill reset`")))
+            }
+            (State::EmergencyStop, _) => Err(CliError::new(
+                Exit::Fault,
+                "the emergency stop is latched; release it, then `haptimill reset`",
+            )),
+            _ => Ok(()),
+        }
+    }
+
+    fn job<L: JobLine>(&self, mut session: Session<L>, start: AxisValues, plan: Plan) -> Result<(), CliError> {
+        let dir = self.args.out_dir();
+        let output = |error: &dyn std::fmt::Display| CliError::new(Exit::Output, format!("{}: {error}", dir.display()));
+        std::fs::create_dir_all(&dir).map_err(|error| output(&error))?;
+        let header = Header::of(self.machine, &self.job.name).map_err(|error| CliError::new(Exit::Internal, error))?;
+        let recorder = Recorder::create(&dir.join(report::RECORDING_FILE), &header).map_err(|error| output(&error))?;
+        self.check_pauses(&plan)?;
+        let plan = Arc::new(plan);
+        let setpoints = plan.setpoints.clone();
+        let mut watcher = Bar::new(self.args, &plan);
+        session.line_mut().begin_recording(JobRecording::new(recorder, Arc::clone(&plan), self.machine));
+        let end = session.run_job(2, start, setpoints, &mut watcher);
+        watcher.done();
+        // Whatever happened, what was recorded is kept and reported.
+        let recorder = session.line_mut().end_recording();
+        let recorded = match recorder {
+            Some(recorder) => recorder.finish().map_err(|error| output(&error))?,
+            None => return Err(CliError::new(Exit::Internal, "the recording was lost")),
+        };
+        let outcome = match &end {
+            Ok(end) => Outcome {
+                setpoints: u64::from(end.setpoints),
+                underruns: end.underruns.len() as u64,
+                faults: end.faults.iter().map(|fault| session.sentence(fault)).collect(),
+                final_state: end.status.state,
+                position_kept: end.status.position_kept,
+            },
+            Err(error) => Outcome { faults: vec![error.message.clone()], ..Outcome::default() },
+        };
+        let summary = report::write_all(&dir, &recorded, &outcome, self.args.trace_every).map_err(|error| output(&error))?;
+        if self.args.json {
+            let json = serde_json::to_string_pretty(&summary).map_err(|error| CliError::new(Exit::Internal, error))?;
+            tell!("{json}");
+        } else {
+            tell!("{}", summary.terminal().trim_end());
+            tell!("report      {}", dir.join(report::REPORT_FILE).display());
+        }
+        self.well_ended(&session, &end?)
+    }
+
+    /// A pause waits for Enter: somebody must be able to press it.
+    fn check_pauses(&self, plan: &Plan) -> Result<(), CliError> {
+        let pause = plan.setpoints.iter().position(|setpoint| setpoint.action == Action::Pause);
+        match pause {
+            Some(setpoint) if !passes_pauses(self.args) && !std::io::stdin().is_terminal() => Err(CliError::new(
+                Exit::Usage,
+                format!(
+                    "{}:{}: the program pauses here and there is no terminal to press Enter on; run it in a terminal, or with --go-on",
+                    self.job.file,
+                    plan.line_of(setpoint)
+                ),
+            )),
+            _ => Ok(()),
+        }
+    }
+
+    /// A job that did not reach its end is an error of the command.
+    fn well_ended<L: JobLine>(&self, session: &Session<L>, end: &JobEnd) -> Result<(), CliError> {
+        for (setpoint, late) in &end.underruns {
+            let ms = f64::from(*late) * f64::from(self.machine.config.period_us) / 1000.0;
+            eprintln!("setpoint {setpoint} was {ms:.0} ms late; the machine slowed down along its path and waited");
+        }
+        if let Some(fault) = end.faults.first() {
+            return Err(session.fault(fault));
+        }
+        if end.stopped {
+            return Err(CliError::new(Exit::Stopped, "stopped by the user; the position is kept"));
+        }
+        match &end.ending {
+            JobEnding::Done { .. } => Ok(()),
+            JobEnding::Dropped { setpoints, .. } => {
+                Err(CliError::new(Exit::Stopped, format!("the job was stopped from elsewhere after {setpoints} setpoints")))
+            }
+            JobEnding::Lost { error, .. } => Err(CliError::new(Exit::Port, error)),
+            other => Err(CliError::new(Exit::Command, other)),
+        }
+    }
+}
+
+/// Says something to people, unless the output is for a program.
+fn say(args: &RunArgs, text: &str) {
+    if !args.json && !args.quiet {
+        tell!("{text}");
+    }
+}
+
+/// Whether pauses are passed at once.
+fn passes_pauses(args: &RunArgs) -> bool {
+    args.go_on || args.port == PortSpec::Simulator
+}
+
+/// The progress bar, with the time left.
+struct Bar {
+    bar: ProgressBar,
+    period_s: f64,
+    lines: Vec<u32>,
+    passes_pauses: bool,
+    entered: Arc<AtomicBool>,
+}
+
+impl Bar {
+    fn new(args: &RunArgs, plan: &Plan) -> Self {
+        let total = (plan.figures.duration_s * 1000.0).round() as u64;
+        let shown = !args.json && !args.quiet;
+        let bar = ProgressBar::with_draw_target(
+            Some(total),
+            if shown { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() },
+        );
+        if let Ok(style) = ProgressStyle::with_template("{wide_bar} {percent:>3} %  {msg}") {
+            bar.set_style(style);
+        }
+        let lines = (0..plan.setpoints.len()).map(|setpoint| plan.line_of(setpoint)).collect();
+        Self {
+            bar,
+            period_s: plan.period_s,
+            lines,
+            passes_pauses: passes_pauses(args),
+            entered: Arc::new(AtomicBool::new(false)),
+        }
+    }
+
+    fn done(&self) {
+        self.bar.finish_and_clear();
+    }
+}
+
+impl Watcher for Bar {
+    fn progress(&mut self, telemetry: &Telemetry) {
+        let done = f64::from(telemetry.program_periods) * self.period_s;
+        let total = self.bar.length().unwrap_or(0) as f64 / 1000.0;
+        self.bar.set_position((done * 1000.0) as u64);
+        let line = self.lines.get(telemetry.setpoint as usize).copied().unwrap_or(0);
+        self.bar.set_message(format!("line {line}, {} left", report::duration((total - done).max(0.0))));
+    }
+
+    fn paused(&mut self, setpoint: u32) {
+        let line = self.lines.get(setpoint as usize).copied().unwrap_or(0);
+        if self.passes_pauses {
+            self.bar.println(format!("line {line}: a pause, passed at once"));
+            return;
+        }
+        self.bar.println(format!("line {line}: the program pauses; Enter goes on, Ctrl-C ends it"));
+        self.entered.store(false, Ordering::Relaxed);
+        let entered = Arc::clone(&self.entered);
+        // Reading a line waits; the session must go on meanwhile, or the controller would miss its host.
+        std::thread::spawn(move || {
+            let mut line = String::new();
+            if std::io::stdin().read_line(&mut line).is_ok_and(|count| count > 0) {
+                entered.store(true, Ordering::Relaxed);
+            }
+        });
+    }
+
+    fn goes_on(&mut self) -> bool {
+        self.passes_pauses || self.entered.swap(false, Ordering::Relaxed)
+    }
 }

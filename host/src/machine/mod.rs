@@ -1,7 +1,7 @@
 //! Machine files: everything that makes a controller, a planner and a simulated plant this machine and not another.
 //!
 //! A machine file is TOML in people's units; the unit stands in the name of the key (`rate_mm_s`, `low_deg`, `heartbeat_ms`). It is
-//! turned into the controller's integers ([`Config`]) by one multiplication and one rounding a value (see [`scale`]).
+//! turned into the controller's integers ([`Config`]) by one multiplication and one rounding a value (see `scale.rs`).
 //! Every problem of a file is reported, not just the first, each with its line, its value, what is allowed and what to do.
 //!
 //! Misuse: a machine file that reads without a problem is consistent in itself. Whether it describes the machine in front of you it cannot know.
@@ -10,7 +10,7 @@ mod axes;
 mod document;
 mod h4;
 mod problem;
-mod scale;
+pub mod scale;
 mod stability;
 #[cfg(test)]
 mod tests;

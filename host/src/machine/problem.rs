@@ -7,7 +7,7 @@ use std::fmt;
 pub struct Problem {
     /// Name of the file, as it was given.
     pub file: String,
-    /// Line, from 1.
+    /// Line, from 1; 0 when the file cannot be read at all.
     pub line: usize,
     /// Column in characters, from 1.
     pub column: usize,
@@ -21,7 +21,10 @@ pub struct Problem {
 
 impl fmt::Display for Problem {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(out, "{}:{}:{}: ", self.file, self.line, self.column)?;
+        match self.line {
+            0 => write!(out, "{}: ", self.file)?,
+            line => write!(out, "{}:{line}:{}: ", self.file, self.column)?,
+        }
         if !self.key.is_empty() {
             write!(out, "{}: ", self.key)?;
         }

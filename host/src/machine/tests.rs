@@ -303,3 +303,25 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn deep_nesting_and_odd_bytes_are_problems_like_any_other() {
+    for text in [
+        format!("a = {}", "[".repeat(100_000)),
+        format!("a = {}", "{b = ".repeat(100_000)),
+        format!("[{}a]", "a.".repeat(2_000)),
+        format!("{}a = 1", "a.".repeat(2_000)),
+        "\u{feff}name = \"h4\"\r\n".to_string(),
+        "name = \"h4\0\"".to_string(),
+    ] {
+        assert!(MachineFile::parse("odd", &text).is_err());
+    }
+    let file = crate::record::tests::TemporaryFile::new("odd.toml");
+    std::fs::write(&file.0, [b'a', 0xFF, 0xFE]).unwrap();
+    let Err(problems) = MachineFile::load(&file.0) else {
+        panic!("it reads")
+    };
+    assert!(problems.to_string().contains("is not UTF-8 at byte 1"));
+    std::fs::write(&file.0, b"").unwrap();
+    assert!(MachineFile::load(&file.0).is_err());
+}

@@ -99,6 +99,37 @@ pub fn open(spec: &PortSpec, baud: u32) -> Result<Box<dyn Transport>, PortError>
     }
 }
 
+/// Sends the urgent stop to a port that another host has, some times over: its lock keeps commands out, not a stop.
+///
+/// # Errors
+/// The port cannot be written to at all.
+pub fn stop_past_lock(spec: &PortSpec) -> Result<(), PortError> {
+    const TIMES: u32 = 5;
+    const PAUSE: Duration = Duration::from_millis(20);
+    let failed = |error: std::io::Error| PortError::Open {
+        name: spec.to_string(),
+        reason: error.to_string(),
+        remedy: "use the emergency stop of the machine",
+    };
+    let repeat = |out: &mut dyn std::io::Write| -> std::io::Result<()> {
+        for _ in 0..TIMES {
+            out.write_all(&haptimill_protocol::urgent::STOP)?;
+            out.flush()?;
+            std::thread::sleep(PAUSE);
+        }
+        Ok(())
+    };
+    match spec {
+        PortSpec::Simulator => Err(PortError::NoPort),
+        PortSpec::Tcp(address) => {
+            std::net::TcpStream::connect(address).and_then(|mut stream| repeat(&mut stream)).map_err(failed)
+        }
+        PortSpec::Serial(path) => {
+            std::fs::OpenOptions::new().write(true).open(path).and_then(|mut file| repeat(&mut file)).map_err(failed)
+        }
+    }
+}
+
 /// Why a port cannot be used (any more).
 #[derive(Debug)]
 pub enum PortError {
@@ -141,7 +172,7 @@ impl fmt::Display for PortError {
             } => write!(out, "{name}: cannot be opened: {reason}; {remedy}"),
             Self::Busy { name } => write!(
                 out,
-                "{name}: another program has it; close that program (on Linux `fuser {name}` names it), then try again"
+                "{name}: another program has it; close that program (for a serial port `fuser {name}` names it), then try again"
             ),
             Self::Gone { name, reason } => write!(
                 out,

@@ -20,7 +20,15 @@ impl SerialTransport {
     /// [`PortError::Busy`] when another program has it locked, else [`PortError::Open`] with what to do.
     pub fn open(path: &str, baud: u32) -> Result<Self, PortError> {
         let wait = Duration::from_millis(10);
-        let port = serialport::new(path, baud).timeout(wait).open();
+        let builder = serialport::new(path, baud).timeout(wait);
+        #[cfg(unix)]
+        let port = builder.open_native().map(|mut port| {
+            // The lock on the file keeps other hosts out; the harder one of the terminal would keep out a stop as well.
+            let _ = port.set_exclusive(false);
+            Box::new(port) as Box<dyn SerialPort>
+        });
+        #[cfg(not(unix))]
+        let port = builder.open();
         let port = port.map_err(|error| open_error(path, &error))?;
         Ok(Self {
             name: path.to_string(),

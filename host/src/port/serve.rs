@@ -1,10 +1,15 @@
 //! The device's end, for a simulator that is served in real time: a pseudo-terminal, or a TCP listener.
 //!
+//! A second host is sent away, but a stop that it sends is heard: whoever can reach the port can stop the machine.
+//!
 //! Both outlive their hosts: while none is there, reading gives nothing and what is written is thrown away, as on a cable that is not plugged in.
 
 use super::{BUSY, PortError, TcpTransport, Transport};
+use haptimill_protocol::urgent::{STOP, UrgentDetector};
 use std::io::Write;
 use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 #[cfg(unix)]
@@ -16,6 +21,8 @@ pub struct TcpServer {
     listener: TcpListener,
     host: Option<TcpTransport>,
     asked: Instant,
+    /// A host that was sent away asked for an urgent stop.
+    stop: Arc<AtomicBool>,
 }
 
 /// How often a listener looks for a new host while it has one.
@@ -43,6 +50,7 @@ impl TcpServer {
             listener,
             host: None,
             asked: Instant::now(),
+            stop: Arc::new(AtomicBool::new(false)),
         })
     }
 
@@ -62,7 +70,7 @@ impl TcpServer {
         self.asked = Instant::now();
         while let Ok((stream, peer)) = self.listener.accept() {
             if self.host.is_some() {
-                send_away(stream);
+                send_away(stream, Arc::clone(&self.stop));
             } else if stream.set_nonblocking(false).is_ok() {
                 self.host = TcpTransport::new(stream, format!("tcp:{peer}")).ok();
             }
@@ -72,19 +80,21 @@ impl TcpServer {
 
 /// Says why, and closes. What the other end sent meanwhile is not read: closing would then reset the connection and lose the reason, so
 /// only the sending half is closed and the rest is left to the other end.
-fn send_away(mut stream: TcpStream) {
+fn send_away(mut stream: TcpStream, stop: Arc<AtomicBool>) {
     let _ = stream.set_write_timeout(Some(Duration::from_millis(20)));
     let _ = stream.set_nonblocking(false);
     let _ = stream.write_all(BUSY);
     let _ = stream.shutdown(Shutdown::Write);
-    // A short-lived thread drains what was sent, so that the reason is not overtaken by a reset.
+    // A short-lived thread drains what was sent, so that the reason is not overtaken by a reset; a stop among it counts.
     std::thread::spawn(move || {
         use std::io::Read;
         let _ = stream.set_read_timeout(Some(Duration::from_millis(500)));
         let mut waste = [0; 256];
+        let mut urgent = UrgentDetector::new();
         for _ in 0..64 {
-            if !matches!(stream.read(&mut waste), Ok(1..)) {
-                break;
+            let Ok(count @ 1..) = stream.read(&mut waste) else { break };
+            if urgent.push_all(&waste[..count]) {
+                stop.store(true, Ordering::Relaxed);
             }
         }
     });
@@ -93,6 +103,10 @@ fn send_away(mut stream: TcpStream) {
 impl Transport for TcpServer {
     fn read(&mut self, buffer: &mut [u8], wait: Duration) -> Result<usize, PortError> {
         self.accept();
+        if buffer.len() >= STOP.len() && self.stop.swap(false, Ordering::Relaxed) {
+            buffer[..STOP.len()].copy_from_slice(&STOP);
+            return Ok(STOP.len());
+        }
         let Some(host) = &mut self.host else {
             std::thread::sleep(wait.min(ACCEPT_EVERY));
             return Ok(0);

@@ -12,11 +12,11 @@ use std::path::Path;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread::JoinHandle;
 
-/// Records in a block: 98 kB, which stays in a cache.
-const BLOCK_RECORDS: usize = 512;
+/// Records in a block: 393 kB.
+const BLOCK_RECORDS: usize = 2048;
 
 /// Blocks under way.
-const BLOCKS: usize = 32;
+const BLOCKS: usize = 8;
 
 /// Writes a recording. Dropped without [`Recorder::finish`], it leaves what was recorded so far readable.
 pub struct Recorder {

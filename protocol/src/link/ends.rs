@@ -250,7 +250,10 @@ impl<const SEND: usize, const RECEIVE: usize> Link<Controller, SEND, RECEIVE> {
         }
         let greeted = match refused {
             Some(why) => Greeted::Refused(why),
-            None if running => Greeted::Again,
+            None if running => {
+                self.heard_us = now_us;
+                Greeted::Again
+            }
             None => {
                 if self.open {
                     if self.end.ended.is_full() {

@@ -55,10 +55,10 @@ impl<const BYTES: usize> Outbox<BYTES> {
         self.queue.len()
     }
 
-    /// Messages of the largest size that fit now.
-    pub(super) fn room(&self) -> usize {
-        let bytes = (BYTES - self.payloads.len()) / crate::frame::MAX_PAYLOAD;
-        bytes.min(WINDOW - self.queue.len())
+    /// Messages of a size that fit now.
+    pub(super) fn room(&self, bytes: usize) -> usize {
+        let fit = (BYTES - self.payloads.len()) / bytes.max(1);
+        fit.min(WINDOW - self.queue.len())
     }
 
     /// How long nothing was confirmed although something is under way.

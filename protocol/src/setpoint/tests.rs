@@ -25,6 +25,8 @@ fn setpoint(axes: usize) -> impl Strategy<Value = Setpoint> {
 }
 
 proptest! {
+    #![proptest_config(ProptestConfig { rng_seed: proptest::test_runner::RngSeed::Fixed(1), failure_persistence: None, ..ProptestConfig::default() })]
+
     #[test]
     fn decoding_gives_back_every_bit(
         period_us in prop_oneof![1..=u16::MAX, Just(200)],

@@ -1,0 +1,50 @@
+//! The conformance suite of machine kinematics: what every machine must pass, and the rows of those that do.
+//!
+//! A new machine is one [`subject::Subject`] (a truth in f64, written from the closure of its loops and not from the firmware's formulas)
+//! and one row below.
+#![allow(
+    clippy::needless_range_loop,
+    reason = "an index is an axis here, of several arrays at once"
+)]
+
+mod h4;
+mod subject;
+mod suite;
+
+/// Poses and joints of the big checks.
+const COUNT: usize = 1_000_000;
+
+macro_rules! row {
+    ($name:ident, $subject:expr, $count:expr) => {
+        mod $name {
+            use super::*;
+
+            #[test]
+            fn inverse_is_the_closure_and_forward_turns_it_round() {
+                let (inverse, forward) = suite::inverse_against_closure(&$subject, $count);
+                println!(
+                    "largest error, share of the bound: inverse {inverse:.3}, forward {forward:.3}"
+                );
+            }
+
+            #[test]
+            fn no_wrong_pose() {
+                let worst = suite::forward_is_certified(&$subject, $count);
+                println!("largest error, share of the bound: {worst:.3}");
+            }
+
+            #[test]
+            fn extremes() {
+                suite::extremes(&$subject, $count / 2);
+            }
+
+            #[test]
+            fn derivatives() {
+                suite::derivatives_against_differences(&$subject, $count / 50);
+            }
+        }
+    };
+}
+
+row!(h4_reference, h4::Arm::new(h4::REFERENCE), COUNT);
+row!(h4_other, h4::Arm::new(h4::OTHER), COUNT / 5);

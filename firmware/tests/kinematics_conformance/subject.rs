@@ -1,0 +1,122 @@
+//! What a machine brings along to be tested, and the random numbers it is tested with.
+
+use haptimill_firmware::kinematics::{Joints, Kinematics, MAX_AXES, Pose, PoseError};
+use haptimill_firmware::units::Coordinate;
+
+/// Millimetres or radians, one for each axis.
+pub type Reals = [f64; MAX_AXES];
+
+/// A reproducible sequence (splitmix64).
+pub struct Sequence(pub u64);
+
+impl Sequence {
+    pub fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+
+    /// From 0 to 1.
+    pub fn unit(&mut self) -> f64 {
+        (self.next() >> 11) as f64 / 9_007_199_254_740_992.0
+    }
+
+    pub fn between(&mut self, low: f64, high: f64) -> f64 {
+        low + (high - low) * self.unit()
+    }
+
+    /// A magnitude spaced logarithmically from 10^low to 10^high, with either sign.
+    pub fn logarithmic(&mut self, low: f64, high: f64) -> f64 {
+        let size = libm::exp10(self.between(low, high));
+        if self.next() & 1 == 0 { size } else { -size }
+    }
+
+    pub fn below(&mut self, count: u64) -> u64 {
+        self.next() % count
+    }
+}
+
+/// How far inside a condition, in millimetres, and whether an error names this condition.
+pub type Margin = (f64, fn(&PoseError) -> bool);
+
+/// How far a pose is inside each of the conditions that make it a right answer; negative is outside.
+///
+/// Each entry says which error its violation is allowed to give.
+pub struct Margins(pub Vec<Margin>);
+
+impl Margins {
+    /// The least of them.
+    pub fn least(&self) -> f64 {
+        self.0
+            .iter()
+            .map(|margin| margin.0)
+            .fold(f64::MAX, f64::min)
+    }
+
+    /// Whether an error is deserved: the condition it names is violated, or as good as.
+    pub fn deserve(&self, error: &PoseError, tolerance: f64) -> bool {
+        self.0
+            .iter()
+            .any(|(margin, names)| *margin <= tolerance && names(error))
+    }
+}
+
+/// A machine under test, with a truth in f64 that is written from the closure of its loops.
+pub trait Subject {
+    type Machine: Kinematics;
+
+    fn machine(&self) -> &Self::Machine;
+
+    /// Size of a raw unit of each pose coordinate, in millimetres or radians.
+    fn pose_units(&self) -> Reals;
+
+    /// Size of a raw unit of each joint.
+    fn joint_units(&self) -> Reals;
+
+    /// A pose anywhere in and somewhat around the workspace.
+    fn random_pose(&self, sequence: &mut Sequence) -> Reals;
+
+    /// A pose whose distance from one of the bounds is spaced logarithmically, on either side of it.
+    fn pose_near_a_bound(&self, sequence: &mut Sequence) -> Reals;
+
+    /// Joints anywhere, whether or not they belong to a pose.
+    fn random_joints(&self, sequence: &mut Sequence) -> Joints;
+
+    /// How far a pose is inside the conditions of a right answer.
+    fn margins(&self, pose: &Reals) -> Margins;
+
+    /// The same for a measured pose, where bounds may lie a little farther out than for a wanted one.
+    fn measured_margins(&self, pose: &Reals) -> Margins {
+        self.margins(pose)
+    }
+
+    /// The joints that close the loops at a pose; `None` where none do.
+    fn close(&self, pose: &Reals) -> Option<Reals>;
+
+    /// The pose near `guess` at which the joints close the loops, by Newton's rule on the closure; `None` where it does not converge.
+    fn solve(&self, joints: &Reals, guess: &Reals) -> Option<Reals>;
+}
+
+/// Raw coordinates as millimetres and radians.
+pub fn real(raw: &[Coordinate; MAX_AXES], units: &Reals) -> Reals {
+    std::array::from_fn(|axis| raw[axis].0 as f64 * units[axis])
+}
+
+/// Millimetres and radians as raw coordinates, held at the end of their range.
+pub fn raw(values: &Reals, units: &Reals) -> [Coordinate; MAX_AXES] {
+    std::array::from_fn(|axis| {
+        let value = if units[axis] == 0.0 {
+            0.0
+        } else {
+            values[axis] / units[axis]
+        };
+        Coordinate(libm::round(value) as i32)
+    })
+}
+
+/// The pose of the raw values.
+pub fn raw_pose<S: Subject>(subject: &S, values: &Reals) -> Pose {
+    Pose(raw(values, &subject.pose_units()))
+}

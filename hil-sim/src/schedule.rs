@@ -1,0 +1,205 @@
+//! When the faults of a run come and go, and what they do to the devices.
+//!
+//! A schedule with faults owns the conditions of all devices: at each change it sets them all anew, so what was set by hand is lost then.
+
+use crate::encoder::EncoderCondition;
+use crate::fault::{Channel, Direction, Fault, FaultError, FaultKind, Level, Switch};
+use crate::plant::{JointCondition, Plant};
+use crate::wire::{Wire, WireCondition};
+use haptimill_protocol::message::MAX_AXES;
+
+/// A fault with its times, and whether it is there.
+#[derive(Debug, Clone)]
+struct Entry {
+    kind: FaultKind,
+    begins_ns: u64,
+    ends_ns: u64,
+    active: bool,
+}
+
+/// All faults of a run.
+#[derive(Debug, Clone)]
+pub struct Schedule {
+    entries: Vec<Entry>,
+    /// Nothing changes before this.
+    next_ns: u64,
+    /// Periods still to be missed.
+    misses: u32,
+}
+
+impl Schedule {
+    /// The schedule of these faults on a machine of so many joints.
+    ///
+    /// # Errors
+    /// The first fault that makes no sense there.
+    pub fn new(faults: &[Fault], axes: usize) -> Result<Self, FaultError> {
+        let mut entries = Vec::new();
+        for fault in faults {
+            fault.check(axes)?;
+            let begins_ns = (fault.at_s * 1e9) as u64;
+            let ends_ns = fault
+                .for_s
+                .map_or(u64::MAX, |time| begins_ns + (time * 1e9) as u64);
+            entries.push(Entry {
+                kind: fault.what.clone(),
+                begins_ns,
+                ends_ns,
+                active: false,
+            });
+        }
+        let next_ns = if entries.is_empty() { u64::MAX } else { 0 };
+        Ok(Self {
+            entries,
+            next_ns,
+            misses: 0,
+        })
+    }
+
+    /// Brings everything into the state of `now`; true when the controller misses the period that begins.
+    pub fn apply(
+        &mut self,
+        now: u64,
+        plant: &mut Plant,
+        to_machine: &mut Wire,
+        to_host: &mut Wire,
+    ) -> bool {
+        if now >= self.next_ns {
+            self.change(now, plant, to_machine, to_host);
+        }
+        let miss = self.misses > 0;
+        self.misses = self.misses.saturating_sub(1);
+        miss
+    }
+
+    fn change(&mut self, now: u64, plant: &mut Plant, to_machine: &mut Wire, to_host: &mut Wire) {
+        self.next_ns = u64::MAX;
+        let mut joints = [JointCondition::default(); MAX_AXES];
+        let mut encoders = [EncoderCondition::default(); MAX_AXES];
+        let mut loads = [0.0; MAX_AXES];
+        let mut emergency_stop = false;
+        let mut wires = [WireCondition::HEALTHY; 2];
+        for entry in &mut self.entries {
+            let begins = !entry.active && now >= entry.begins_ns;
+            entry.active = (entry.begins_ns..entry.ends_ns).contains(&now);
+            for edge in [entry.begins_ns, entry.ends_ns] {
+                if edge > now {
+                    self.next_ns = self.next_ns.min(edge);
+                }
+            }
+            match entry.kind {
+                FaultKind::EncoderSlip { axis, counts }
+                    if begins && entry.begins_ns != u64::MAX =>
+                {
+                    plant.slip_encoder(axis, counts);
+                    entry.begins_ns = u64::MAX;
+                }
+                FaultKind::MissedPeriods { count } if begins && entry.begins_ns != u64::MAX => {
+                    self.misses = self.misses.saturating_add(count);
+                    entry.begins_ns = u64::MAX;
+                }
+                _ => {}
+            }
+            if entry.active {
+                spoil(
+                    &entry.kind,
+                    &mut joints,
+                    &mut encoders,
+                    &mut loads,
+                    &mut emergency_stop,
+                    &mut wires,
+                );
+            }
+        }
+        for axis in 0..plant.axes() {
+            plant.set_condition(axis, joints[axis]);
+            plant.set_encoder_condition(axis, encoders[axis]);
+            plant.set_load(axis, loads[axis]);
+        }
+        plant.set_emergency_stop(emergency_stop);
+        to_machine.set_condition(wires[0]);
+        to_host.set_condition(wires[1]);
+    }
+}
+
+/// Adds an active fault to the conditions.
+fn spoil(
+    kind: &FaultKind,
+    joints: &mut [JointCondition; MAX_AXES],
+    encoders: &mut [EncoderCondition; MAX_AXES],
+    loads: &mut [f64; MAX_AXES],
+    emergency_stop: &mut bool,
+    wires: &mut [WireCondition; 2],
+) {
+    let chosen = |direction: Direction| -> &'static [usize] {
+        match direction {
+            Direction::Both => &[0, 1],
+            Direction::ToMachine => &[0],
+            Direction::ToHost => &[1],
+        }
+    };
+    match *kind {
+        FaultKind::EncoderStuck {
+            axis,
+            channel: Channel::A,
+            level,
+        } => {
+            encoders[axis].stuck_a = Some(level == Level::High);
+        }
+        FaultKind::EncoderStuck {
+            axis,
+            channel: Channel::B,
+            level,
+        } => {
+            encoders[axis].stuck_b = Some(level == Level::High);
+        }
+        FaultKind::EncoderSwapped { axis } => encoders[axis].swapped = true,
+        FaultKind::EncoderNoise { axis, per_second } => encoders[axis].noise_hz += per_second,
+        FaultKind::IndexMissing { axis } => encoders[axis].index_missing = true,
+        FaultKind::DriveDead { axis } => joints[axis].drive_gain = 0.0,
+        FaultKind::DriveTripped { axis } => joints[axis].drive_tripped = true,
+        FaultKind::DriveWeak { axis, gain } => joints[axis].drive_gain *= gain,
+        FaultKind::DriveReversed { axis } => joints[axis].drive_gain *= -1.0,
+        FaultKind::SlideJammed { axis, effort } => {
+            joints[axis].jam += effort.unwrap_or(f64::INFINITY)
+        }
+        FaultKind::Push { axis, effort } => loads[axis] += effort,
+        FaultKind::SwitchStuck {
+            axis,
+            switch,
+            active,
+        } => {
+            let joint = &mut joints[axis];
+            let stuck = match switch {
+                Switch::Home => &mut joint.home,
+                Switch::LimitLow => &mut joint.limit_low,
+                Switch::LimitHigh => &mut joint.limit_high,
+            };
+            *stuck = Some(active);
+        }
+        FaultKind::EmergencyStop => *emergency_stop = true,
+        FaultKind::LinkErrors { rate, direction } => {
+            chosen(direction)
+                .iter()
+                .for_each(|&wire| wires[wire].bit_error_rate = rate);
+        }
+        FaultKind::LinkDrop { rate, direction } => {
+            chosen(direction)
+                .iter()
+                .for_each(|&wire| wires[wire].drop_rate = rate);
+        }
+        FaultKind::LinkDuplicate { rate, direction } => {
+            chosen(direction)
+                .iter()
+                .for_each(|&wire| wires[wire].duplicate_rate = rate);
+        }
+        FaultKind::LinkDelay { ms, direction } => {
+            chosen(direction)
+                .iter()
+                .for_each(|&wire| wires[wire].delay_ns = (ms * 1e6) as u64);
+        }
+        FaultKind::LinkCut { direction } => chosen(direction)
+            .iter()
+            .for_each(|&wire| wires[wire].cut = true),
+        FaultKind::EncoderSlip { .. } | FaultKind::MissedPeriods { .. } => {}
+    }
+}

@@ -1,0 +1,303 @@
+//! Streams the setpoints of a job: never more than the controller has room for.
+
+use super::requests::Requests;
+use super::{ClientError, RequestError, Ticket};
+use haptimill_protocol::link::HostLink;
+use haptimill_protocol::message::{
+    AxisValues, Command, Event, Refusal, Request, SETPOINT_BATCH, SetpointBatch, Telemetry, Welcome,
+};
+use haptimill_protocol::setpoint::{Setpoint, SetpointCoder, SetpointError};
+use std::fmt;
+use std::iter::Peekable;
+
+/// Batches under way at most: half the link's window, so that a hold or a stop waits for a few frames and not for many.
+const BATCHES: usize = 4;
+
+/// How a job ended.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum JobEnding {
+    /// The last setpoint was reached, at rest.
+    Done {
+        /// The job.
+        job: u32,
+        /// Setpoints reached.
+        setpoints: u32,
+    },
+    /// The controller dropped it, after a stop or a fault that it reports by itself.
+    Dropped {
+        /// The job.
+        job: u32,
+        /// Setpoints reached.
+        setpoints: u32,
+    },
+    /// The controller refused its start, a setpoint, or its end; the machine was told to stop.
+    Refused {
+        /// The job.
+        job: u32,
+        /// Why.
+        error: RequestError,
+    },
+    /// A setpoint cannot be coded; the machine was told to stop.
+    Setpoint {
+        /// The job.
+        job: u32,
+        /// Number of the setpoint.
+        setpoint: u32,
+        /// Why.
+        error: SetpointError,
+    },
+    /// The session ended.
+    Lost {
+        /// The job.
+        job: u32,
+        /// Why.
+        error: ClientError,
+    },
+}
+
+impl fmt::Display for JobEnding {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Done { setpoints, .. } => write!(f, "done, {setpoints} setpoints"),
+            Self::Dropped { setpoints, .. } => write!(f, "dropped after {setpoints} setpoints"),
+            Self::Refused { error, .. } => write!(f, "refused: {error}"),
+            Self::Setpoint {
+                setpoint, error, ..
+            } => write!(f, "setpoint {setpoint} cannot be sent: {error}"),
+            Self::Lost { error, .. } => error.fmt(f),
+        }
+    }
+}
+
+/// How far a job is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct JobProgress {
+    /// The job.
+    pub job: u32,
+    /// Setpoints handed to the link.
+    pub sent: u32,
+    /// Setpoints that the controller has room for, from the first of the job.
+    pub credit: u32,
+    /// The setpoint that the motion is heading for.
+    pub reached: u32,
+    /// All setpoints are sent.
+    pub complete: bool,
+}
+
+/// Where the setpoints come from.
+type Source = Peekable<Box<dyn Iterator<Item = Setpoint> + Send>>;
+
+/// A job under way.
+pub(super) struct Stream {
+    job: u32,
+    start: Ticket,
+    phase: Phase,
+    /// The start was answered.
+    started: bool,
+    /// Setpoints in a batch: never more than the whole queue takes.
+    batch: usize,
+    setpoints: Source,
+    coder: SetpointCoder,
+    /// A coded batch that the link had no room for.
+    ready: Option<SetpointBatch>,
+    sent: u32,
+    credit: u32,
+    reached: u32,
+    end: Option<Ticket>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Phase {
+    /// The start is asked for.
+    Starting,
+    /// Setpoints go.
+    Streaming,
+    /// The end is asked for; the controller finishes the job.
+    Ending,
+    /// Nothing more is sent: the job is being stopped.
+    Abandoned,
+}
+
+impl fmt::Debug for Stream {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Stream")
+            .field("phase", &self.phase)
+            .field("progress", &self.progress())
+            .finish_non_exhaustive()
+    }
+}
+
+impl Stream {
+    pub(super) fn new(
+        job: u32,
+        start: Ticket,
+        pose: &AxisValues,
+        welcome: &Welcome,
+        setpoints: Box<dyn Iterator<Item = Setpoint> + Send>,
+    ) -> Self {
+        Self {
+            job,
+            start,
+            phase: Phase::Starting,
+            started: false,
+            batch: SETPOINT_BATCH.min(usize::from(welcome.queue)).max(1),
+            setpoints: setpoints.peekable(),
+            coder: SetpointCoder::new(welcome.period_us, pose),
+            ready: None,
+            sent: 0,
+            // The queue of a job that begins is empty.
+            credit: u32::from(welcome.queue),
+            reached: 0,
+            end: None,
+        }
+    }
+
+    pub(super) fn progress(&self) -> JobProgress {
+        JobProgress {
+            job: self.job,
+            sent: self.sent,
+            credit: self.credit,
+            reached: self.reached,
+            complete: self.phase == Phase::Ending,
+        }
+    }
+
+    /// Sends nothing more.
+    pub(super) fn abandon(&mut self) {
+        self.phase = Phase::Abandoned;
+    }
+
+    /// The ending of an abandoned job whose start was never sent.
+    pub(super) fn withdrawn(&self, requests: &Requests) -> Option<JobEnding> {
+        let never = !self.started && !requests.is_under_way(self.start);
+        never.then_some(JobEnding::Refused {
+            job: self.job,
+            error: RequestError::Withdrawn,
+        })
+    }
+
+    pub(super) fn lost(&self, error: ClientError) -> JobEnding {
+        JobEnding::Lost {
+            job: self.job,
+            error,
+        }
+    }
+
+    /// The start or the end of the job was answered.
+    pub(super) fn answered(
+        &mut self,
+        ticket: Ticket,
+        result: Result<(), Refusal>,
+    ) -> Option<JobEnding> {
+        match result {
+            Err(refusal) => self.failed(ticket, RequestError::Refused(refusal)),
+            Ok(()) => {
+                if ticket == self.start {
+                    self.started = true;
+                    if self.phase == Phase::Starting {
+                        self.phase = Phase::Streaming;
+                    }
+                }
+                None
+            }
+        }
+    }
+
+    /// A request failed; the job with it if it was the start or the end.
+    pub(super) fn failed(&mut self, ticket: Ticket, error: RequestError) -> Option<JobEnding> {
+        let ours = ticket == self.start || self.end == Some(ticket);
+        ours.then_some(JobEnding::Refused {
+            job: self.job,
+            error,
+        })
+    }
+
+    /// Something that asks for no answer was refused: a batch, if one was sent.
+    pub(super) fn refused(&mut self, refusal: Refusal) -> Option<JobEnding> {
+        let streaming = self.sent > 0 && self.phase != Phase::Abandoned;
+        streaming.then_some(JobEnding::Refused {
+            job: self.job,
+            error: RequestError::Refused(refusal),
+        })
+    }
+
+    pub(super) fn event(&mut self, event: &Event) -> Option<JobEnding> {
+        match *event {
+            Event::JobDone { job, setpoints } if job == self.job => {
+                Some(JobEnding::Done { job, setpoints })
+            }
+            Event::JobDropped { job, setpoints } if job == self.job => {
+                Some(JobEnding::Dropped { job, setpoints })
+            }
+            _ => None,
+        }
+    }
+
+    pub(super) fn telemetry(&mut self, telemetry: &Telemetry) {
+        // Before the start is answered, what is reported may belong to the job before.
+        if matches!(self.phase, Phase::Streaming | Phase::Ending) {
+            self.credit = self.credit.max(telemetry.credit);
+            self.reached = telemetry.setpoint;
+        }
+    }
+
+    /// Hands batches to the link as long as the controller has room for them, then asks for the end.
+    pub(super) fn send(
+        &mut self,
+        link: &mut HostLink,
+        requests: &mut Requests,
+    ) -> Result<(), JobEnding> {
+        while self.phase == Phase::Streaming && requests.is_idle() && link.under_way() < BATCHES {
+            let Some(batch) = self.next_batch()? else {
+                return Ok(());
+            };
+            if batch.items.is_empty() {
+                self.end = Some(requests.ask(Command::JobEnd { count: self.sent }));
+                self.phase = Phase::Ending;
+                return Ok(());
+            }
+            let count = batch.items.len() as u32;
+            let request = Request {
+                id: 0,
+                command: Command::Setpoints(batch),
+            };
+            if link.send(&request).is_err() {
+                if let Command::Setpoints(batch) = request.command {
+                    self.ready = Some(batch);
+                }
+                return Ok(());
+            }
+            self.sent += count;
+        }
+        Ok(())
+    }
+
+    /// The next batch: as many setpoints as go into one, fewer only at the end of the job. An empty one says that all are sent; none,
+    /// that the controller has no room.
+    fn next_batch(&mut self) -> Result<Option<SetpointBatch>, JobEnding> {
+        if let Some(batch) = self.ready.take() {
+            return Ok(Some(batch));
+        }
+        let room = self.credit.saturating_sub(self.sent) as usize;
+        if room < self.batch && self.setpoints.peek().is_some() {
+            return Ok(None);
+        }
+        let mut batch = SetpointBatch {
+            first: self.sent,
+            items: Default::default(),
+        };
+        for setpoint in self.setpoints.by_ref().take(self.batch) {
+            let delta = self
+                .coder
+                .encode(&setpoint)
+                .map_err(|error| JobEnding::Setpoint {
+                    job: self.job,
+                    setpoint: self.sent + batch.items.len() as u32,
+                    error,
+                })?;
+            // At most SETPOINT_BATCH: always room.
+            let _ = batch.items.push(delta);
+        }
+        Ok(Some(batch))
+    }
+}

@@ -1,0 +1,259 @@
+//! A chart as SVG: axes with units, a grid, lines, a legend.
+
+use std::fmt::Write;
+
+/// A line of a chart; its points in pieces.
+pub struct Line {
+    /// What the legend says.
+    pub label: String,
+    /// CSS colour.
+    pub colour: &'static str,
+    /// Width in pixels.
+    pub width: f64,
+    /// The points, in the units of the axes.
+    pub pieces: Vec<Vec<(f64, f64)>>,
+}
+
+/// A chart.
+pub struct Chart {
+    /// What stands under the horizontal axis, with its unit.
+    pub x_label: String,
+    /// What stands beside the vertical axis, with its unit.
+    pub y_label: String,
+    /// The lines, the first one lowest.
+    pub lines: Vec<Line>,
+    /// Width in pixels.
+    pub width: f64,
+    /// Height in pixels.
+    pub height: f64,
+    /// One millimetre is as long on both axes.
+    pub equal: bool,
+    /// The vertical axis includes 0.
+    pub from_zero: bool,
+}
+
+/// Colours that people with any kind of colour vision can tell apart (Okabe and Ito), on white.
+pub const COLOURS: [&str; 6] = [
+    "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9",
+];
+
+const LEFT: f64 = 68.0;
+const RIGHT: f64 = 14.0;
+const TOP: f64 = 30.0;
+const BOTTOM: f64 = 44.0;
+
+struct Scale {
+    low: f64,
+    high: f64,
+    from: f64,
+    to: f64,
+}
+
+impl Scale {
+    fn at(&self, value: f64) -> f64 {
+        self.from + (value - self.low) / (self.high - self.low) * (self.to - self.from)
+    }
+}
+
+impl Chart {
+    /// The chart as an `<svg>` element.
+    pub fn svg(&self) -> String {
+        let (mut x, mut y) = self.ranges();
+        let (plot_width, plot_height) = (self.width - LEFT - RIGHT, self.height - TOP - BOTTOM);
+        if self.equal {
+            let per_pixel = ((x.1 - x.0) / plot_width).max((y.1 - y.0) / plot_height);
+            widen(&mut x, per_pixel * plot_width);
+            widen(&mut y, per_pixel * plot_height);
+        }
+        let x = Scale {
+            low: x.0,
+            high: x.1,
+            from: LEFT,
+            to: self.width - RIGHT,
+        };
+        let y = Scale {
+            low: y.0,
+            high: y.1,
+            from: self.height - BOTTOM,
+            to: TOP,
+        };
+        let mut svg = format!(
+            "<svg viewBox=\"0 0 {} {}\" role=\"img\" aria-label=\"{} against {}\">",
+            self.width,
+            self.height,
+            escape(&self.y_label),
+            escape(&self.x_label)
+        );
+        self.axes(&mut svg, &x, &y);
+        for line in &self.lines {
+            let mut path = String::new();
+            for piece in &line.pieces {
+                for (index, (px, py)) in piece.iter().enumerate() {
+                    let command = if index == 0 { 'M' } else { 'L' };
+                    put(
+                        &mut path,
+                        format_args!("{command}{:.1} {:.1}", x.at(*px), y.at(*py)),
+                    );
+                }
+            }
+            put(
+                &mut svg,
+                format_args!(
+                    "<path d=\"{path}\" stroke=\"{}\" stroke-width=\"{}\"/>",
+                    line.colour, line.width
+                ),
+            );
+        }
+        self.legend(&mut svg);
+        svg.push_str("</svg>");
+        svg
+    }
+
+    fn ranges(&self) -> ((f64, f64), (f64, f64)) {
+        let mut x = (f64::INFINITY, f64::NEG_INFINITY);
+        let mut y = if self.from_zero { (0.0, 0.0) } else { x };
+        for (px, py) in self.lines.iter().flat_map(|l| &l.pieces).flatten() {
+            x = (x.0.min(*px), x.1.max(*px));
+            y = (y.0.min(*py), y.1.max(*py));
+        }
+        if !self.equal {
+            x.0 = x.0.min(0.0);
+        }
+        for range in [&mut x, &mut y] {
+            if range.0 > range.1 {
+                *range = (0.0, 1.0);
+            }
+            let span = range.1 - range.0;
+            let least = 1e-6 * range.0.abs().max(range.1.abs()).max(1e-3);
+            widen(range, least.max(span));
+        }
+        let margin = 0.06 * (y.1 - y.0);
+        y.1 += margin;
+        if !(self.from_zero && y.0 == 0.0) {
+            y.0 -= margin;
+        }
+        if self.equal {
+            let margin = 0.04 * (x.1 - x.0);
+            x = (x.0 - margin, x.1 + margin);
+        }
+        (x, y)
+    }
+
+    fn axes(&self, svg: &mut String, x: &Scale, y: &Scale) {
+        let (right, bottom) = (self.width - RIGHT, self.height - BOTTOM);
+        let (step, decimals) = tick_step(x.high - x.low, (right - LEFT) / 90.0);
+        for tick in ticks(x, step) {
+            let at = x.at(tick);
+            put(
+                svg,
+                format_args!(
+                    "<line class=\"grid\" x1=\"{at:.1}\" x2=\"{at:.1}\" y1=\"{TOP}\" y2=\"{bottom}\"/><text x=\"{at:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{:.decimals$}</text>",
+                    bottom + 16.0,
+                    tick + 0.0
+                ),
+            );
+        }
+        let (step, decimals) = tick_step(y.high - y.low, (bottom - TOP) / 42.0);
+        for tick in ticks(y, step) {
+            let at = y.at(tick);
+            put(
+                svg,
+                format_args!(
+                    "<line class=\"grid\" x1=\"{LEFT}\" x2=\"{right}\" y1=\"{at:.1}\" y2=\"{at:.1}\"/><text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{:.decimals$}</text>",
+                    LEFT - 7.0,
+                    at + 4.0,
+                    tick + 0.0
+                ),
+            );
+        }
+        put(
+            svg,
+            format_args!(
+                "<rect class=\"frame\" x=\"{LEFT}\" y=\"{TOP}\" width=\"{:.1}\" height=\"{:.1}\"/>",
+                right - LEFT,
+                bottom - TOP
+            ),
+        );
+        put(
+            svg,
+            format_args!(
+                "<text class=\"label\" x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{}</text>",
+                (LEFT + right) / 2.0,
+                self.height - 8.0,
+                escape(&self.x_label)
+            ),
+        );
+        let middle = (TOP + bottom) / 2.0;
+        put(
+            svg,
+            format_args!(
+                "<text class=\"label\" transform=\"translate(15 {middle:.1}) rotate(-90)\" text-anchor=\"middle\">{}</text>",
+                escape(&self.y_label)
+            ),
+        );
+    }
+
+    fn legend(&self, svg: &mut String) {
+        let mut at = LEFT;
+        for line in &self.lines {
+            put(
+                svg,
+                format_args!(
+                    "<line x1=\"{at:.1}\" x2=\"{:.1}\" y1=\"14\" y2=\"14\" stroke=\"{}\" stroke-width=\"{}\"/><text x=\"{:.1}\" y=\"18\">{}</text>",
+                    at + 20.0,
+                    line.colour,
+                    line.width.max(2.0),
+                    at + 26.0,
+                    escape(&line.label)
+                ),
+            );
+            at += 46.0 + 6.6 * line.label.chars().count() as f64;
+        }
+    }
+}
+
+/// Writing to a string cannot fail.
+fn put(out: &mut String, what: std::fmt::Arguments<'_>) {
+    let _ = out.write_fmt(what);
+}
+
+/// Makes a range at least so wide, about its middle.
+fn widen(range: &mut (f64, f64), span: f64) {
+    let missing = (span - (range.1 - range.0)).max(0.0);
+    *range = (range.0 - missing / 2.0, range.1 + missing / 2.0);
+}
+
+/// A step of 1, 2 or 5 times a power of ten for about `count` ticks, and its decimals.
+fn tick_step(span: f64, count: f64) -> (f64, usize) {
+    let rough = span / count.max(2.0);
+    let power = 10_f64.powf(rough.log10().floor());
+    let step = [1.0, 2.0, 5.0, 10.0]
+        .into_iter()
+        .map(|factor| factor * power)
+        .find(|step| *step >= rough * 0.999)
+        .unwrap_or(10.0 * power);
+    let decimals = (-step.log10() + 1e-9).ceil().clamp(0.0, 9.0) as usize;
+    (step, decimals)
+}
+
+fn ticks(scale: &Scale, step: f64) -> impl Iterator<Item = f64> {
+    let first = (scale.low / step).ceil() as i64;
+    let last = (scale.high / step).floor() as i64;
+    // A range that a defect made absurd shall not fill the memory.
+    (first..=last.min(first.saturating_add(50))).map(move |n| n as f64 * step)
+}
+
+/// Text for HTML.
+pub fn escape(text: &str) -> String {
+    let mut escaped = String::with_capacity(text.len());
+    for character in text.chars() {
+        match character {
+            '&' => escaped.push_str("&amp;"),
+            '<' => escaped.push_str("&lt;"),
+            '>' => escaped.push_str("&gt;"),
+            '"' => escaped.push_str("&quot;"),
+            other => escaped.push(other),
+        }
+    }
+    escaped
+}

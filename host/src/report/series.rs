@@ -1,0 +1,112 @@
+//! Thinning a recording to what a picture can show, without losing a peak.
+
+/// Keeps the extremes of each of a number of equal spans of time.
+pub struct Columns {
+    begin: f64,
+    width: f64,
+    columns: Vec<Option<[f64; 2]>>,
+}
+
+/// Spans of time in a picture.
+const COLUMNS: usize = 700;
+
+impl Columns {
+    /// Columns from `begin` to `end`, seconds.
+    pub fn new(begin: f64, end: f64) -> Self {
+        Self {
+            begin,
+            width: ((end - begin) / COLUMNS as f64).max(1e-12),
+            columns: vec![None; COLUMNS],
+        }
+    }
+
+    /// Takes a value; one outside the time is left out.
+    pub fn add(&mut self, time: f64, value: f64) {
+        let column = (time - self.begin) / self.width;
+        if !value.is_finite() || column < 0.0 {
+            return;
+        }
+        if let Some(column) = self.columns.get_mut(column as usize) {
+            let [low, high] = column.get_or_insert([value; 2]);
+            *low = low.min(value);
+            *high = high.max(value);
+        }
+    }
+
+    /// Largest magnitude of all values.
+    pub fn largest(&self) -> f64 {
+        let all = self.columns.iter().flatten().flatten();
+        all.fold(0.0, |most, value| most.max(value.abs()))
+    }
+
+    /// A line through the extremes, in pieces where columns are empty. Times are from `begin`.
+    pub fn line(&self) -> Vec<Vec<(f64, f64)>> {
+        let mut pieces: Vec<Vec<(f64, f64)>> = Vec::new();
+        let mut empty = true;
+        for (index, column) in self.columns.iter().enumerate() {
+            let Some([low, high]) = *column else {
+                empty = true;
+                continue;
+            };
+            if std::mem::take(&mut empty) {
+                pieces.push(Vec::new());
+            }
+            let Some(piece) = pieces.last_mut() else {
+                continue;
+            };
+            let time = (index as f64 + 0.5) * self.width;
+            // The nearer end first, so that the line does not cross itself.
+            let before = piece.last().map_or(low, |(_, value)| *value);
+            let ends = if (before - low).abs() <= (before - high).abs() {
+                [low, high]
+            } else {
+                [high, low]
+            };
+            piece.push((time, ends[0]));
+            if low != high {
+                piece.push((time, ends[1]));
+            }
+        }
+        pieces
+    }
+}
+
+/// Keeps the points of a path that are far enough apart, and between two of them the one with the largest weight.
+pub struct PathPoints {
+    spacing: f64,
+    last: Option<[f64; 3]>,
+    best: Option<(f64, [[f64; 3]; 2])>,
+    /// Programmed point and tool.
+    pub points: Vec<[[f64; 3]; 2]>,
+}
+
+impl PathPoints {
+    /// Points that are `spacing` mm apart.
+    pub fn new(spacing: f64) -> Self {
+        Self {
+            spacing,
+            last: None,
+            best: None,
+            points: Vec::new(),
+        }
+    }
+
+    /// Takes a programmed point and the tool at the same time.
+    pub fn add(&mut self, programmed: [f64; 3], tool: [f64; 3]) {
+        let pair = [programmed, tool];
+        let weight = super::contour::distance(&programmed, &tool);
+        if self.best.is_none_or(|(most, _)| weight > most) {
+            self.best = Some((weight, pair));
+        }
+        let far = |last: [f64; 3]| {
+            super::contour::distance(&last, &programmed) >= self.spacing
+                || super::contour::distance(&last, &tool) >= 4.0 * self.spacing
+        };
+        if self.last.is_none_or(far) {
+            let best = self.best.take().map(|(_, pair)| pair);
+            self.points.extend(best.filter(|best| *best != pair));
+            self.points.push(pair);
+            self.last = Some(programmed);
+        }
+    }
+}

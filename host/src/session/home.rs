@@ -1,0 +1,54 @@
+//! From wherever the search for the references ends to the home pose.
+
+use super::{JobEnd, Line, Session, Watcher};
+use crate::cli::{CliError, Exit};
+use crate::machine::MachineFile;
+use crate::model::{Model, program_options, settings};
+use crate::plan::Plan;
+use crate::program;
+use haptimill_protocol::message::{AxisValues, Telemetry};
+
+/// The host's number of the job that goes to the home pose.
+const HOME_JOB: u32 = 1;
+
+/// Nobody looks on.
+struct Unwatched;
+
+impl Watcher for Unwatched {
+    fn progress(&mut self, _: &Telemetry) {}
+
+    fn paused(&mut self, _: u32) {}
+
+    fn goes_on(&mut self) -> bool {
+        true
+    }
+}
+
+/// A straight rapid move between two poses, in axis units.
+fn way(machine: &MachineFile, model: &Model, from: &AxisValues, to: &AxisValues) -> Result<Plan, CliError> {
+    let options = program_options(machine, model.to_people(from));
+    // Ten decimals: far below an axis unit, so the end is the wanted one to the last bit.
+    let words: String = options
+        .axes
+        .iter()
+        .zip(model.to_people(to))
+        .map(|(axis, value)| format!(" {}{value:.10}", axis.letter))
+        .collect();
+    let name = "the way to the home pose";
+    let program = program::read(name, format!("G0{words}\n").as_bytes(), &options)
+        .map_err(|refused| CliError::new(Exit::Internal, refused))?;
+    Plan::new(&program, &settings(machine), model).map_err(|refused| CliError::new(Exit::Refused, refused))
+}
+
+impl<L: Line> Session<L> {
+    /// Finds the references, then goes to the home pose: the pose of the presets, of which every program can rely.
+    ///
+    /// # Errors
+    /// As [`Session::home`], and when the way is refused.
+    pub fn go_home(&mut self, machine: &MachineFile, home: &AxisValues) -> Result<JobEnd, CliError> {
+        self.home()?;
+        let here = self.status()?.wanted;
+        let plan = way(machine, &self.model, &here, home)?;
+        self.run_job(HOME_JOB, here, plan.setpoints, &mut Unwatched)
+    }
+}

@@ -1,0 +1,123 @@
+//! A job from its first setpoint to rest.
+
+use super::{Line, Session};
+use crate::cli::CliError;
+use crate::client::JobEnding;
+use haptimill_protocol::message::{AxisValues, Command, Event, Fault, State, Telemetry};
+use haptimill_protocol::setpoint::Setpoint;
+
+/// How a job ended, and what happened on the way.
+#[derive(Debug, Clone, PartialEq)]
+pub struct JobEnd {
+    /// How it ended, as the client saw it.
+    pub ending: JobEnding,
+    /// Setpoints that were reached.
+    pub setpoints: u32,
+    /// Setpoints that were late, and by how many periods.
+    pub underruns: Vec<(u32, u32)>,
+    /// Faults that were latched.
+    pub faults: Vec<Fault>,
+    /// The user stopped it.
+    pub stopped: bool,
+    /// How things stood when all was at rest.
+    pub status: Telemetry,
+}
+
+/// Looks on while a job runs.
+pub trait Watcher {
+    /// Some milliseconds have passed; the newest telemetry.
+    fn progress(&mut self, telemetry: &Telemetry);
+
+    /// The program pauses (M0) at a setpoint.
+    fn paused(&mut self, setpoint: u32);
+
+    /// Whether the pause is over; asked again and again while it lasts.
+    fn goes_on(&mut self) -> bool;
+}
+
+/// Steps between two looks at the telemetry.
+const LOOK_EVERY: u32 = 200;
+
+/// Control periods between two telemetry frames during a job, at most one every 20 ms.
+const TELEMETRY_MS: u32 = 20;
+
+impl<L: Line> Session<L> {
+    /// Runs a job from `start`, which must be the controller's wanted pose, and waits until the machine is at rest again.
+    ///
+    /// # Errors
+    /// The session broke. A job that ends early is no error here; see [`JobEnd`].
+    pub fn run_job(
+        &mut self,
+        job: u32,
+        start: AxisValues,
+        setpoints: Vec<Setpoint>,
+        watcher: &mut dyn Watcher,
+    ) -> Result<JobEnd, CliError> {
+        let first = self.events.len();
+        let period_us = self.client.controller().map_or(200, |welcome| u32::from(welcome.period_us));
+        let every = (TELEMETRY_MS * 1000 / period_us.max(1)).clamp(1, u32::from(u16::MAX)) as u16;
+        self.ask(Command::Telemetry { every })?;
+        self.ending = None;
+        self.client.start_job(job, start, setpoints).map_err(|error| CliError::new(crate::cli::Exit::Port, error))?;
+        let mut stopped = false;
+        let mut paused = false;
+        let mut seen = first;
+        let mut steps = 0_u32;
+        let ending = loop {
+            if let Some(ending) = self.ending.take() {
+                break ending;
+            }
+            self.step()?;
+            if self.interrupted() && !stopped {
+                stopped = true;
+                self.client.urgent_stop();
+            }
+            while let Some((_, event)) = self.events.get(seen) {
+                seen += 1;
+                match event {
+                    Event::Paused { setpoint } => {
+                        paused = true;
+                        watcher.paused(*setpoint);
+                    }
+                    // Nobody here asked for it: another program on the port sent an urgent stop.
+                    Event::State { from: State::Run, to: State::Hold, .. } if !paused && !stopped => {
+                        self.client.request(Command::Stop);
+                    }
+                    _ => {}
+                }
+            }
+            if paused && watcher.goes_on() {
+                paused = false;
+                self.client.request(Command::Resume);
+            }
+            steps = steps.wrapping_add(1);
+            if steps.is_multiple_of(LOOK_EVERY)
+                && let Some(telemetry) = self.client.telemetry()
+            {
+                watcher.progress(telemetry);
+            }
+        };
+        let status = self.settle()?;
+        let mut end = JobEnd { ending, setpoints: 0, underruns: Vec::new(), faults: Vec::new(), stopped, status };
+        for (_, event) in &self.events[first..] {
+            match event {
+                Event::Underrun { setpoint, late_periods } => end.underruns.push((*setpoint, *late_periods)),
+                Event::Fault(fault) => end.faults.push(*fault),
+                Event::JobDone { setpoints, .. } | Event::JobDropped { setpoints, .. } => end.setpoints = *setpoints,
+                _ => {}
+            }
+        }
+        self.ask(Command::Telemetry { every: 0 })?;
+        Ok(end)
+    }
+
+    /// Waits until the controller reports a state in which nothing moves.
+    fn settle(&mut self) -> Result<Telemetry, CliError> {
+        loop {
+            let status = self.status()?;
+            if !matches!(status.state, State::Run | State::Homing | State::Jog) && (status.state != State::Hold || status.path_rate == 0) {
+                return Ok(status);
+            }
+        }
+    }
+}

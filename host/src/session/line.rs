@@ -1,0 +1,89 @@
+//! What a session talks over.
+
+use crate::port::{PortError, Transport};
+use std::time::{Duration, Instant};
+
+use super::JobRecording;
+use crate::record::Recorder;
+use haptimill_protocol::message::Telemetry;
+
+/// Carries bytes to a controller and back, and has a clock.
+pub trait Line {
+    /// Sends bytes, lets a little time pass, adds what has arrived to `received`, and gives the time in microseconds.
+    ///
+    /// # Errors
+    /// The port is gone.
+    fn exchange(&mut self, transmit: &[u8], received: &mut Vec<u8>) -> Result<u64, PortError>;
+
+    /// What people call it.
+    fn name(&self) -> String;
+
+    /// The controller reported how things stand.
+    fn reported(&mut self, _: &Telemetry) {}
+}
+
+/// A line on which a job can be recorded.
+pub trait JobLine: Line {
+    /// Records from now on: every control period where the line sees them all, every telemetry frame otherwise.
+    fn begin_recording(&mut self, recording: JobRecording);
+
+    /// Ends the recording and hands it back.
+    fn end_recording(&mut self) -> Option<Recorder>;
+}
+
+/// Longest wait for bytes in one exchange: a thousand steps a second.
+const WAIT: Duration = Duration::from_millis(1);
+
+/// Longest wait for a port to take bytes. A port that takes none for so long is not reading; the link notices the silence.
+const WRITE_WAIT: Duration = Duration::from_millis(20);
+
+/// A controller behind a port, in real time.
+pub struct PortLine {
+    port: Box<dyn Transport>,
+    begun: Instant,
+    /// Bytes that the port has not taken yet.
+    waiting: Vec<u8>,
+    recording: Option<JobRecording>,
+}
+
+impl PortLine {
+    /// A line over an open port.
+    #[must_use]
+    pub fn new(port: Box<dyn Transport>) -> Self {
+        Self { port, begun: Instant::now(), waiting: Vec::new(), recording: None }
+    }
+}
+
+impl Line for PortLine {
+    fn exchange(&mut self, transmit: &[u8], received: &mut Vec<u8>) -> Result<u64, PortError> {
+        self.waiting.extend_from_slice(transmit);
+        if !self.waiting.is_empty() {
+            let taken = self.port.write(&self.waiting, WRITE_WAIT)?;
+            self.waiting.drain(..taken);
+        }
+        let mut buffer = [0; 4096];
+        let count = self.port.read(&mut buffer, WAIT)?;
+        received.extend_from_slice(&buffer[..count]);
+        Ok(self.begun.elapsed().as_micros() as u64)
+    }
+
+    fn name(&self) -> String {
+        self.port.name().to_string()
+    }
+
+    fn reported(&mut self, telemetry: &Telemetry) {
+        if let Some(recording) = &mut self.recording {
+            recording.add_telemetry(telemetry);
+        }
+    }
+}
+
+impl JobLine for PortLine {
+    fn begin_recording(&mut self, recording: JobRecording) {
+        self.recording = Some(recording);
+    }
+
+    fn end_recording(&mut self) -> Option<Recorder> {
+        self.recording.take().map(JobRecording::into_recorder)
+    }
+}

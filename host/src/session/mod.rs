@@ -1,0 +1,288 @@
+//! One person's dealings with one controller: connect, ask and wait, run a job to its end, stop in time.
+//!
+//! A [`Session`] owns a [`Line`] and a [`Client`] and moves both on, step by step. On a [`SimLine`] a step is one control period of the
+//! simulated machine in virtual time, on a [`PortLine`] it is at most a millisecond of real time; nothing else differs.
+//!
+//! Misuse: whoever waits for something must go on stepping; a session that is not stepped falls silent, and the controller stops the
+//! machine.
+
+mod home;
+pub mod interrupt;
+mod job;
+mod line;
+mod sim;
+
+pub use job::{JobEnd, Watcher};
+pub use line::{JobLine, Line, PortLine};
+pub use sim::{JobRecording, SimLine, rig};
+
+use crate::cli::{CliError, Exit};
+use crate::client::{Client, ClientState, JobEnding, Notice, Options, RequestError, Ticket};
+use crate::machine::MachineFile;
+use crate::model::Model;
+use haptimill_protocol::message::{Command, Event, Fault, Refusal, State, Telemetry};
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// A session number that was never used before, as far as chance can do it.
+#[must_use]
+pub fn fresh_number() -> u32 {
+    use std::hash::{BuildHasher, Hasher, RandomState};
+    // The standard library's hasher is keyed by the system's randomness.
+    RandomState::new().build_hasher().finish() as u32
+}
+
+/// A controller at the other end, and what it said.
+pub struct Session<L> {
+    line: L,
+    client: Client,
+    model: Model,
+    received: Vec<u8>,
+    transmit: Vec<u8>,
+    now_us: u64,
+    answers: VecDeque<(Ticket, &'static str, Result<(), RequestError>)>,
+    ending: Option<JobEnding>,
+    /// Events since the session began, with their control periods.
+    pub events: Vec<(u64, Event)>,
+    lost: Option<String>,
+    refusal: Option<Refusal>,
+    /// Name of the configuration that this session made active.
+    configured: Option<String>,
+    interrupted: Arc<AtomicBool>,
+}
+
+impl<L: Line> Session<L> {
+    /// A session over a line; `interrupted` is set when the user wants everything to stop.
+    pub fn new(line: L, machine: &MachineFile, options: Options, interrupted: Arc<AtomicBool>) -> Self {
+        Self {
+            line,
+            client: Client::new(options),
+            model: Model::new(machine),
+            received: Vec::new(),
+            transmit: Vec::new(),
+            now_us: 0,
+            answers: VecDeque::new(),
+            ending: None,
+            events: Vec::new(),
+            lost: None,
+            refusal: None,
+            configured: None,
+            interrupted,
+        }
+    }
+
+    /// The line.
+    pub fn line_mut(&mut self) -> &mut L {
+        &mut self.line
+    }
+
+    /// The line, at the end.
+    pub fn into_line(self) -> L {
+        self.line
+    }
+
+    /// The client.
+    pub fn client_mut(&mut self) -> &mut Client {
+        &mut self.client
+    }
+
+    /// The geometry, for conversions and sentences.
+    pub fn model(&self) -> &Model {
+        &self.model
+    }
+
+    /// Time of the line, microseconds.
+    pub fn now_us(&self) -> u64 {
+        self.now_us
+    }
+
+    /// Whether the user wants everything to stop.
+    pub fn interrupted(&self) -> bool {
+        self.interrupted.load(Ordering::Relaxed)
+    }
+
+    /// One step of line and client; what was said is sorted.
+    ///
+    /// # Errors
+    /// The port broke, or the session with the controller ended.
+    pub fn step(&mut self) -> Result<(), CliError> {
+        self.received.clear();
+        self.now_us = self.line.exchange(&self.transmit, &mut self.received)?;
+        self.transmit.clear();
+        self.client.advance(self.now_us, &self.received, &mut self.transmit);
+        while let Some(notice) = self.client.poll() {
+            match notice {
+                Notice::Answered { ticket, command, result } => self.answers.push_back((ticket, command, result)),
+                Notice::Event { period, event } => self.events.push((period, event)),
+                Notice::Job(ending) => self.ending = Some(ending),
+                Notice::Lost(error) => self.lost = Some(error.to_string()),
+                Notice::Telemetry(telemetry) => self.line.reported(&telemetry),
+                Notice::Refused(refusal) => self.refusal = Some(refusal),
+                Notice::Connected(_) => {}
+            }
+        }
+        match &self.lost {
+            Some(lost) => Err(CliError::new(Exit::Port, format!("{}: {lost}", self.line.name()))),
+            None => Ok(()),
+        }
+    }
+
+    /// Opens the session.
+    ///
+    /// # Errors
+    /// No controller answers, it refuses, or the user gave up.
+    pub fn connect(&mut self, number: u32) -> Result<(), CliError> {
+        self.client.connect(number, self.now_us);
+        while *self.client.state() != ClientState::Ready {
+            self.step()?;
+            if self.interrupted() {
+                return Err(CliError::new(Exit::Stopped, "stopped before the controller answered"));
+            }
+        }
+        Ok(())
+    }
+
+    /// Asks, and waits for the answer.
+    ///
+    /// # Errors
+    /// A refusal, in words, or no answer.
+    pub fn ask(&mut self, command: Command) -> Result<(), CliError> {
+        let ticket = self.client.request(command);
+        self.wait_for_answer(ticket)
+    }
+
+    /// Waits for the answer to a request.
+    ///
+    /// # Errors
+    /// A refusal, in words, or no answer.
+    pub fn wait_for_answer(&mut self, ticket: Ticket) -> Result<(), CliError> {
+        loop {
+            if let Some(index) = self.answers.iter().position(|(answered, _, _)| *answered == ticket)
+                && let Some((_, command, result)) = self.answers.remove(index)
+            {
+                return result.map_err(|error| self.refused(command, &error));
+            }
+            self.step()?;
+        }
+    }
+
+    fn refused(&self, command: &str, error: &RequestError) -> CliError {
+        match error {
+            RequestError::Refused(refusal) => {
+                let why = self.model.with_axes(|axes| axes.describe(refusal).to_string());
+                CliError::new(Exit::Command, format!("{command}: {why}"))
+            }
+            other => CliError::new(Exit::Port, format!("{command}: {other}")),
+        }
+    }
+
+    /// Makes the machine file the controller's configuration, unless it is already.
+    ///
+    /// # Errors
+    /// A refusal: the controller and this program disagree, or the machine is not disabled.
+    pub fn configure(&mut self, machine: &MachineFile) -> Result<(), CliError> {
+        let (bytes, crc) = machine.encoded().map_err(|error| CliError::new(Exit::Internal, error))?;
+        if self.client.controller().is_some_and(|welcome| welcome.config_crc == crc) {
+            return Ok(());
+        }
+        self.reconfigure(&bytes)?;
+        self.configured = Some(machine.config.name.to_string());
+        Ok(())
+    }
+
+    /// Sends a configuration in any case: the joints are then taken to stand at their presets.
+    ///
+    /// # Errors
+    /// As [`Session::configure`].
+    pub fn reconfigure(&mut self, bytes: &[u8]) -> Result<(), CliError> {
+        let ticket = self.client.configure(bytes);
+        self.wait_for_answer(ticket)
+    }
+
+    /// Name of the machine that the controller is configured as; empty when it is not.
+    #[must_use]
+    pub fn machine_name(&self) -> String {
+        match &self.configured {
+            Some(name) => name.clone(),
+            None => self.client.controller().map(|welcome| welcome.machine.to_string()).unwrap_or_default(),
+        }
+    }
+
+    /// How things stand now.
+    ///
+    /// # Errors
+    /// No answer.
+    pub fn status(&mut self) -> Result<Telemetry, CliError> {
+        let before = self.client.telemetry().map(|telemetry| telemetry.period);
+        self.ask(Command::Status)?;
+        let give_up = self.now_us + 2_000_000;
+        loop {
+            if let Some(telemetry) = self.client.telemetry()
+                && Some(telemetry.period) != before
+            {
+                return Ok(telemetry.clone());
+            }
+            if self.now_us > give_up {
+                // One telemetry frame may be lost on a bad line; asking again is cheap.
+                return self.status();
+            }
+            self.step()?;
+        }
+    }
+
+    /// Enables the drives if they are off.
+    ///
+    /// # Errors
+    /// A refusal: a latched fault, an input, a pose out of reach.
+    pub fn enable(&mut self) -> Result<(), CliError> {
+        match self.status()?.state {
+            State::Disabled => self.ask(Command::Enable),
+            _ => Ok(()),
+        }
+    }
+
+    /// Homes, and waits until it is done.
+    ///
+    /// # Errors
+    /// A refusal, a fault while homing, or the user stopped it.
+    pub fn home(&mut self) -> Result<(), CliError> {
+        let first = self.events.len();
+        self.ask(Command::Home)?;
+        let mut stopping = false;
+        loop {
+            self.step()?;
+            if self.interrupted() && !stopping {
+                stopping = true;
+                self.client.urgent_stop();
+            }
+            for (_, event) in &self.events[first..] {
+                match event {
+                    Event::Homed => return Ok(()),
+                    Event::Fault(fault) => return Err(self.fault(fault)),
+                    Event::State { from: State::Homing, to, .. } if *to != State::Homing => {
+                        // The event of success comes before the change of state.
+                        return Err(CliError::new(Exit::Stopped, "homing was stopped; the reference is not found"));
+                    }
+                    _ => {}
+                }
+            }
+        }
+    }
+
+    /// A refusal of a command that asks for no answer (a jog), in words, once.
+    pub fn refusal(&mut self) -> Option<String> {
+        let refusal = self.refusal.take()?;
+        Some(self.model.with_axes(|axes| axes.describe(&refusal).to_string()))
+    }
+
+    /// A fault as an error of the command.
+    pub fn fault(&self, fault: &Fault) -> CliError {
+        CliError::new(Exit::Fault, format!("machine fault: {}", self.sentence(fault)))
+    }
+
+    /// A fault in words.
+    pub fn sentence(&self, fault: &Fault) -> String {
+        self.model.with_axes(|axes| axes.describe(fault).to_string())
+    }
+}

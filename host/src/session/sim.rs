@@ -1,0 +1,182 @@
+//! The built-in simulator as a line: controller, machine and serial line in this process, in virtual time.
+
+use super::{JobLine, Line};
+use crate::cli::{CliError, Exit};
+use crate::machine::MachineFile;
+use crate::plan::{Cursor, Plan};
+use crate::port::PortError;
+use crate::record::{Record, Recorder, flag};
+use haptimill_firmware::controller::Controller;
+use haptimill_firmware::io::DriveCommand;
+use haptimill_firmware::motion::program::FULL_RATE;
+use haptimill_hil_sim::config::PlantConfig;
+use haptimill_hil_sim::fault::Fault;
+use haptimill_hil_sim::rig::{Rig, RigOptions};
+use haptimill_protocol::message::{AxisValues, MAX_AXES, State, Telemetry};
+use std::sync::Arc;
+
+/// A machine that exists in this process only.
+pub struct SimLine {
+    rig: Rig<Controller>,
+    recording: Option<JobRecording>,
+}
+
+/// A recording of a job, with the truth of the simulated machine and the programmed geometry beside it.
+pub struct JobRecording {
+    recorder: Recorder,
+    plan: Arc<Plan>,
+    cursor: Cursor,
+    /// Axis units per millimetre or degree of the pose coordinates.
+    units: [f64; MAX_AXES],
+}
+
+/// Puts the simulated machine of a machine file together.
+///
+/// # Errors
+/// The file has no `[plant]` section, or a fault makes no sense on this machine.
+pub fn rig(
+    machine: &MachineFile,
+    seed: Option<u64>,
+    baud: Option<u32>,
+    faults: Vec<Fault>,
+) -> Result<Rig<Controller>, CliError> {
+    let mut plant: PlantConfig = machine.plant()?;
+    plant.seed = seed.unwrap_or(plant.seed);
+    let period_us = machine.config.period_us;
+    let options = RigOptions { period_us, baud, faults, ..RigOptions::default() };
+    Rig::new(&plant, &options, Controller::new(period_us))
+        .map_err(|error| CliError::new(Exit::BadInput, format!("{}: {error}", machine.file)))
+}
+
+impl SimLine {
+    /// A line to a simulated machine.
+    #[must_use]
+    pub fn new(rig: Rig<Controller>) -> Self {
+        Self { rig, recording: None }
+    }
+}
+
+impl JobLine for SimLine {
+    fn begin_recording(&mut self, recording: JobRecording) {
+        self.recording = Some(recording);
+    }
+
+    fn end_recording(&mut self) -> Option<Recorder> {
+        self.recording.take().map(JobRecording::into_recorder)
+    }
+}
+
+impl Line for SimLine {
+    fn exchange(&mut self, transmit: &[u8], received: &mut Vec<u8>) -> Result<u64, PortError> {
+        if !transmit.is_empty() {
+            self.rig.host_write(transmit);
+        }
+        let ticked = self.rig.step();
+        self.rig.host_read(received);
+        if ticked && let Some(recording) = &mut self.recording {
+            recording.add(&self.rig);
+        }
+        Ok(self.rig.time_ns() / 1000)
+    }
+
+    fn name(&self) -> String {
+        "simulator".to_string()
+    }
+}
+
+impl JobRecording {
+    /// A recording of the job that `plan` is.
+    #[must_use]
+    pub fn new(recorder: Recorder, plan: Arc<Plan>, machine: &MachineFile) -> Self {
+        let mut units = [1.0; MAX_AXES];
+        for (slot, axis) in units.iter_mut().zip(&machine.config.pose) {
+            *slot = crate::machine::scale::per_unit(axis.kind);
+        }
+        Self { recorder, plan, cursor: Cursor::default(), units }
+    }
+
+    /// The recorder, to be finished.
+    #[must_use]
+    pub fn into_recorder(self) -> Recorder {
+        self.recorder
+    }
+
+    /// A telemetry frame of a machine of which nothing else is seen: the tool is where the controller measures it.
+    pub fn add_telemetry(&mut self, telemetry: &Telemetry) {
+        let mut record = Record {
+            period: telemetry.period,
+            setpoint: telemetry.setpoint,
+            path_rate: telemetry.path_rate,
+            state: telemetry.state,
+            ..Record::default()
+        };
+        let flags = [
+            (telemetry.homed, flag::HOMED),
+            (telemetry.position_kept, flag::POSITION_KEPT),
+            (!telemetry.measured.is_empty(), flag::TOOL_MEASURED),
+            (telemetry.fault.is_some(), flag::FAULT),
+        ];
+        record.flags = flags.iter().filter(|(set, _)| *set).fold(0, |all, (_, flag)| all | flag);
+        let copy = |to: &mut [i32; MAX_AXES], from: &AxisValues| to.iter_mut().zip(from).for_each(|(to, from)| *to = *from);
+        copy(&mut record.wanted, &telemetry.wanted);
+        copy(&mut record.joints, &telemetry.joints);
+        copy(&mut record.following_error, &telemetry.following_error);
+        copy(&mut record.drive, &telemetry.drive);
+        copy(&mut record.tool, &telemetry.measured);
+        for (wanted, (joint, error)) in record.joints_wanted.iter_mut().zip(record.joints.iter().zip(record.following_error)) {
+            *wanted = joint.wrapping_add(error);
+        }
+        self.add_programmed(&mut record, f64::from(telemetry.program_periods));
+        self.recorder.record(&record);
+    }
+
+    /// The programmed pose, if a job is under way, at a program time in periods.
+    fn add_programmed(&mut self, record: &mut Record, periods: f64) {
+        if !matches!(record.state, State::Run | State::Hold) {
+            return;
+        }
+        let programmed = self.plan.programmed(&mut self.cursor, periods * self.plan.period_s);
+        for (slot, (value, units)) in record.programmed.iter_mut().zip(programmed.iter().zip(&self.units)) {
+            *slot = (value * units).round() as i32;
+        }
+        record.flags |= flag::PROGRAMMED;
+        record.line = self.plan.line_of(record.setpoint as usize);
+    }
+
+    fn add(&mut self, rig: &Rig<Controller>) {
+        let controller = rig.control();
+        let Some(machinery) = controller.machinery() else { return };
+        let (safety, program) = (controller.safety(), &machinery.motion.program);
+        let state = safety.state();
+        let mut record = Record {
+            period: rig.inputs().period,
+            setpoint: program.reached(),
+            path_rate: (program.path_rate().clamp(0, FULL_RATE - 1) >> 16) as u16,
+            spindle_rpm: controller.spindle_rpm(),
+            state,
+            ..Record::default()
+        };
+        let flags = [
+            (safety.homed(), flag::HOMED),
+            (safety.position_kept(), flag::POSITION_KEPT),
+            (rig.truth().pose_valid, flag::TOOL_TRUE),
+            (safety.fault().is_some(), flag::FAULT),
+        ];
+        record.flags = flags.iter().filter(|(set, _)| *set).fold(0, |all, (_, flag)| all | flag);
+        let wanted = machinery.motion.wanted().pose;
+        for (axis, joint) in machinery.joints().enumerate() {
+            record.wanted[axis] = wanted.0[axis].0;
+            record.joints_wanted[axis] = joint.wanted.0;
+            record.joints[axis] = joint.measured.0;
+            record.following_error[axis] = joint.following_error.0;
+            record.drive[axis] = match joint.command {
+                DriveCommand::Torque(code) => i32::from(code),
+                DriveCommand::Steps(_) => rig.inputs().axes[axis].steps,
+                DriveCommand::Off => 0,
+            };
+            record.tool[axis] = (rig.truth().pose[axis] * self.units[axis]).round() as i32;
+        }
+        self.add_programmed(&mut record, program.program_time() as f64 / FULL_RATE as f64);
+        self.recorder.record(&record);
+    }
+}

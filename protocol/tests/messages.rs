@@ -1,0 +1,170 @@
+//! The largest of every message fits its frame, and each comes back as it went.
+
+use haptimill_protocol::frame::MAX_PAYLOAD;
+use haptimill_protocol::link::SHORT_REPORT;
+use haptimill_protocol::message::*;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use std::fmt::Debug;
+
+/// Bytes of a message, after it has come back unchanged.
+fn size<T: Serialize + DeserializeOwned + PartialEq + Debug>(message: &T) -> usize {
+    let mut buffer = [0; 1024];
+    let bytes = postcard::to_slice(message, &mut buffer).unwrap();
+    assert_eq!(postcard::from_bytes::<T>(bytes).as_ref(), Ok(message));
+    bytes.len()
+}
+
+/// Values whose coding is the longest.
+fn values() -> AxisValues {
+    [i32::MIN; MAX_AXES].into_iter().collect()
+}
+
+#[test]
+fn requests_fit_a_frame() {
+    let delta = SetpointDelta {
+        periods: u16::MAX,
+        moved: 0b11_1111,
+        residuals: [i32::MIN; 2 * MAX_AXES].into_iter().collect(),
+        action: Action::Spindle(u16::MAX),
+    };
+    let items = core::iter::repeat_n(delta, SETPOINT_BATCH).collect();
+    let chunk = ConfigChunk {
+        offset: u16::MAX,
+        bytes: [255; CONFIG_CHUNK].into_iter().collect(),
+    };
+    let commands = [
+        Command::Setpoints(SetpointBatch {
+            first: u32::MAX,
+            items,
+        }),
+        Command::Configure(chunk),
+        Command::Activate {
+            length: u16::MAX,
+            crc: u32::MAX,
+        },
+        Command::JobStart {
+            job: u32::MAX,
+            pose: values(),
+        },
+        Command::JobEnd { count: u32::MAX },
+        Command::Jog {
+            epoch: u16::MAX,
+            deadline_ms: u16::MAX,
+            rates: values(),
+        },
+        Command::Source {
+            axis: 5,
+            source: Source::Hold,
+        },
+        Command::Telemetry { every: u16::MAX },
+        Command::Status,
+    ];
+    let sizes = commands.map(|command| size(&Request { id: 255, command }));
+    println!("requests: {sizes:?} bytes");
+    // The figure in the documentation of MAX_PAYLOAD.
+    assert_eq!(sizes.into_iter().max(), Some(284));
+    assert!(sizes.into_iter().all(|bytes| bytes <= MAX_PAYLOAD));
+}
+
+#[test]
+fn greetings_fit_a_frame() {
+    let hello = Hello {
+        version: u16::MAX,
+        schema: u64::MAX,
+        session: u32::MAX,
+    };
+    let welcome = Welcome {
+        version: u16::MAX,
+        schema: u64::MAX,
+        session: u32::MAX,
+        refused: Some(HelloRefusal::Schema),
+        machine: "ABCDEFGHIJKLMNOPQRSTUVWX".try_into().unwrap(),
+        config_crc: u32::MAX,
+        period_us: u16::MAX,
+        axes: 255,
+        queue: u16::MAX,
+    };
+    assert!(size(&hello) <= MAX_PAYLOAD && size(&welcome) <= MAX_PAYLOAD);
+}
+
+#[test]
+fn reports_fit_a_frame_and_answers_and_events_are_short() {
+    let fault = Fault::FollowingError {
+        axis: 255,
+        error: i32::MIN,
+        limit: i32::MIN,
+    };
+    let telemetry = Telemetry {
+        period: u64::MAX,
+        state: State::EmergencyStop,
+        homed: true,
+        position_kept: true,
+        credit: u32::MAX,
+        setpoint: u32::MAX,
+        program_periods: u32::MAX,
+        path_rate: u16::MAX,
+        wanted: values(),
+        measured: values(),
+        joints: values(),
+        following_error: values(),
+        drive: values(),
+        fault: Some(fault),
+        deferred_bytes: u32::MAX,
+        bad_frames: u32::MAX,
+    };
+    let long = size(&Report::Telemetry(telemetry));
+    println!("telemetry: {long} bytes");
+    assert!(long <= MAX_PAYLOAD);
+
+    let pose = PoseError::OutOfStroke {
+        axis: 255,
+        by: i32::MIN,
+    };
+    let period = u64::MAX;
+    let short = [
+        Report::Answer {
+            id: 255,
+            result: Err(Refusal::Pose {
+                setpoint: u32::MAX,
+                error: pose,
+            }),
+        },
+        Report::Answer {
+            id: 255,
+            result: Ok(()),
+        },
+        Report::Event {
+            period,
+            event: Event::Fault(fault),
+        },
+        Report::Event {
+            period,
+            event: Event::Fault(Fault::Pose(pose)),
+        },
+        Report::Event {
+            period,
+            event: Event::Fault(Fault::StepsLost {
+                axis: 255,
+                by: i32::MIN,
+            }),
+        },
+        Report::Event {
+            period,
+            event: Event::JobDone {
+                job: u32::MAX,
+                setpoints: u32::MAX,
+            },
+        },
+        Report::Event {
+            period,
+            event: Event::Underrun {
+                setpoint: u32::MAX,
+                late_periods: u32::MAX,
+            },
+        },
+    ];
+    let sizes = short.map(|report| size(&report));
+    println!("answers and events: {sizes:?} bytes");
+    assert!(sizes.into_iter().all(|bytes| bytes <= SHORT_REPORT));
+}

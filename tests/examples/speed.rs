@@ -1,0 +1,63 @@
+//! Where the simulator's time goes: `cargo run --release -p haptimill-tests --example speed -- FILE.ngc`.
+use haptimill::client::Options;
+use haptimill::machine::MachineFile;
+use haptimill::model::{Model, program_options, settings};
+use haptimill::plan::Plan;
+use haptimill::record::{Header, Recorder};
+use haptimill::session::{JobLine, JobRecording, Session, SimLine, Watcher, rig};
+use haptimill_protocol::message::Telemetry;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::time::Instant;
+
+struct Nobody;
+impl Watcher for Nobody {
+    fn progress(&mut self, _: &Telemetry) {}
+    fn paused(&mut self, _: u32) {}
+    fn goes_on(&mut self) -> bool {
+        true
+    }
+}
+
+fn main() {
+    let file = std::env::args().nth(1).expect("a part program");
+    let machine = MachineFile::built_in().expect("sound");
+    let model = Model::new(&machine);
+    let home = model.home(&machine).expect("a pose");
+    let text = std::fs::read(&file).expect("readable");
+    let begun = Instant::now();
+    let program = haptimill::program::read(&file, &text, &program_options(&machine, model.to_people(&home))).expect("sound");
+    let plan = Arc::new(Plan::new(&program, &settings(&machine), &model).expect("possible"));
+    println!("plan      {:8.1} ms", begun.elapsed().as_secs_f64() * 1e3);
+    for recorded in [false, true] {
+        let line = SimLine::new(rig(&machine, None, None, vec![]).expect("sound"));
+        let mut session = Session::new(line, &machine, Options::default(), Arc::new(AtomicBool::new(false)));
+        session.connect(1).expect("answers");
+        session.configure(&machine).expect("taken");
+        session.enable().expect("enabled");
+        session.go_home(&machine, &home).expect("homed");
+        let path = std::env::temp_dir().join("haptimill-speed.hmr");
+        if recorded {
+            let header = Header::of(&machine, "speed").expect("encodes");
+            let recorder = Recorder::create(&path, &header).expect("created");
+            session.line_mut().begin_recording(JobRecording::new(recorder, Arc::clone(&plan), &machine));
+        }
+        let (before, begun) = (session.now_us(), Instant::now());
+        session.run_job(2, home.clone(), plan.setpoints.clone(), &mut Nobody).expect("done");
+        let wall = begun.elapsed().as_secs_f64();
+        let simulated = (session.now_us() - before) as f64 / 1e6;
+        println!(
+            "{}  {:8.1} ms for {simulated:.1} s: {:.0} times real time, {:.0} ns a period",
+            if recorded { "recorded" } else { "job     " },
+            wall * 1e3,
+            simulated / wall,
+            wall / simulated * 2e5
+        );
+        if let Some(recorder) = session.line_mut().end_recording() {
+            let begun = Instant::now();
+            let recorded = recorder.finish().expect("written");
+            println!("finish    {:8.1} ms, {} MB", begun.elapsed().as_secs_f64() * 1e3, recorded.bytes / 1_000_000);
+            let _ = std::fs::remove_file(&path);
+        }
+    }
+}
