@@ -206,8 +206,8 @@ pub enum Action {
     /// Nothing.
     #[default]
     None,
-    /// Spindle to this speed in rev/min, 0 for off (M3, M5).
-    Spindle(u16),
+    /// Spindle to this speed in rev/min: clockwise above 0 (M3), counter-clockwise below (M4), 0 for off (M5).
+    Spindle(i16),
     /// Wait for [`Command::Resume`] (M0, M1); the setpoint must have rate zero.
     Pause,
 }

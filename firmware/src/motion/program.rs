@@ -50,7 +50,7 @@ struct Segment {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Progress {
     /// A new spindle speed, rev/min.
-    pub spindle: Option<u16>,
+    pub spindle: Option<i16>,
     /// A pause was reached, at this setpoint.
     pub paused: Option<u32>,
     /// The last setpoint of the job was reached.
