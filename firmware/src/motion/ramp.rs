@@ -116,8 +116,16 @@ impl Ramp {
         } else {
             self.value.signum()
         };
-        let rising = (self.slope * sign).max(0);
-        let peak = self.value * sign + limits.run_out(rising);
+        let slope = self.slope * sign;
+        let end = self.value * sign + limits.run_out(slope);
+        // A slope too steep to be undone before zero carries the value through to the other side.
+        let (sign, rising, peak) = if end < 0 {
+            (-sign, -slope, -end)
+        } else if slope > 0 {
+            (sign, slope, end)
+        } else {
+            (sign, 0, self.value * sign)
+        };
         if peak <= 0 {
             return Some(0);
         }
