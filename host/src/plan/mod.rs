@@ -46,6 +46,9 @@ use trajectory::{Bump, Knot, Piece, Trajectory};
 /// Changes of rate below the resolution of the setpoints (2^-12 mm/s, 2^-24 turn/s) need no rounding.
 const NO_CORNER: f64 = 2e-5;
 
+/// The longest plan, seconds: a hundred hours.
+const LONGEST_PLAN_S: f64 = 360_000.0;
+
 /// A checked motion over time.
 #[derive(Debug, Clone)]
 pub struct Plan {
@@ -223,6 +226,15 @@ impl<'a, M: MachineModel> Builder<'a, M> {
         let mut time = self.emitter.time();
         for (index, block) in blocks.iter().enumerate() {
             time = self.lay(block, index, &junctions, time);
+            if time > LONGEST_PLAN_S {
+                let what = "at its feeds the program would take more than 100 hours up to here";
+                let remedy = "write higher feeds, or divide the program";
+                return self.note(Problem {
+                    place: block.place,
+                    what: what.into(),
+                    remedy: remedy.into(),
+                });
+            }
         }
         self.emitter
             .run(&self.trajectory, &blocks, first_piece, time, self.model);

@@ -204,12 +204,15 @@ impl<'a> Emitter<'a> {
             return;
         }
         let time = to as f64 * self.period;
-        let (pose, rates) = trajectory.intended(&mut self.cursor, time);
-        let piece = trajectory.seek(&mut self.cursor, time);
-        let place = piece.map_or(Place::default(), |piece| {
-            trajectory.paths[piece.path as usize].0
-        });
-        let rates = if at_rest { [0.0; 6] } else { rates };
+        let (mut pose, mut rates) = trajectory.intended(&mut self.cursor, time);
+        // What the motion towards it belongs to: a setpoint at a corner may be a part of a period late.
+        let piece = trajectory.seek(&mut self.cursor, time - self.period);
+        let (place, path) = &trajectory.paths[piece.map_or(0, |piece| piece.path as usize)];
+        let place = *place;
+        if at_rest {
+            // Exactly, whatever the sums of the phases were rounded to.
+            (pose, rates) = (path.to, [0.0; 6]);
+        }
         if let Err((what, remedy)) = check_pose(&pose, self.settings, model) {
             self.problems.push(Problem {
                 place,
@@ -225,7 +228,7 @@ impl<'a> Emitter<'a> {
         let (start, t) = (from as f64 * self.period, (to - from) as f64 * self.period);
         let (p0, v0) = trajectory.intended(&mut self.cursor, start);
         let (p1, v1) = trajectory.intended(&mut self.cursor, start + t);
-        let near = (1..8).all(|part| {
+        (1..8).all(|part| {
             let u = f64::from(part) / 8.0;
             let (u2, u3) = (u * u, u * u * u);
             let (pose, _) = trajectory.intended(&mut self.cursor, start + u * t);
@@ -236,9 +239,7 @@ impl<'a> Emitter<'a> {
                     + (u3 - u2) * t * v1[k];
                 (cubic - pose[k]).abs() <= CUBIC_ERROR_MM
             })
-        });
-        let _ = trajectory.seek(&mut self.cursor, start);
-        near
+        })
     }
 }
 

@@ -25,7 +25,7 @@ fn plan(text: &str, settings: &Settings) -> (Program, Plan) {
 fn polyline() -> impl Strategy<Value = String> {
     let step = (
         prop_oneof![0.001..0.05f64, 0.05..1.0f64, 1.0..25.0f64],
-        0.0..6.283f64,
+        0.0..std::f64::consts::TAU,
         -1.0..1.0f64,
         prop::bool::weighted(0.3),
         -1.0..1.0f64,
@@ -227,7 +227,7 @@ fn check_ends(program: &Program, plan: &Plan, settings: &Settings, text: &str) {
         let Step::Move(step) = step else { continue };
         length += step.path.tip_length();
         let passed = |span: &Span| nearest(span, &step.path.to) <= settings.tolerance_mm + 1e-3;
-        let Some(further) = spans[from..].iter().position(|span| passed(span)) else {
+        let Some(further) = spans[from..].iter().position(passed) else {
             panic!("the end of line {} is not passed\n{text}", step.place.line);
         };
         from += further;
