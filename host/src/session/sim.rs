@@ -54,6 +54,12 @@ impl SimLine {
     pub fn new(rig: Rig<Controller>) -> Self {
         Self { rig, recording: None }
     }
+
+    /// The machine with its controller and its line, for a look at what really was.
+    #[must_use]
+    pub const fn rig(&self) -> &Rig<Controller> {
+        &self.rig
+    }
 }
 
 impl JobLine for SimLine {
