@@ -114,7 +114,8 @@ impl Controller {
         let blocked = inputs.axes[..machinery.axes()]
             .iter()
             .any(|axis| axis.limit_low || axis.limit_high || !axis.drive_ready);
-        if inputs.emergency_stop || blocked {
+        // A machine that still coasts would be caught with all the force of its drives.
+        if inputs.emergency_stop || blocked || !machinery.is_still() {
             return Err(Refusal::Input);
         }
         let counted = machinery.encoders_counted();
@@ -174,6 +175,7 @@ impl Controller {
         self.server.begin_job(pose);
         self.job.number = Some(job);
         self.job.stopping = false;
+        self.job.saturated = 0;
         self.safety.enter(State::Run);
         Ok(())
     }

@@ -168,7 +168,7 @@ impl Controller {
 
     /// Spindle speed that is commanded, rev/min.
     #[must_use]
-    pub const fn spindle_rpm(&self) -> u16 {
+    pub const fn spindle_rpm(&self) -> i16 {
         self.job.spindle_rpm
     }
 }

@@ -19,8 +19,8 @@ pub struct Job {
     pub number: Option<u32>,
     /// The job, the jog or the search is to be given up once the machine is at rest.
     pub stopping: bool,
-    /// Commanded spindle speed, rev/min.
-    pub spindle_rpm: u16,
+    /// Commanded spindle speed, rev/min; counter-clockwise below 0.
+    pub spindle_rpm: i16,
     /// Joints whose saturation was told.
     pub saturated: u8,
     /// The newest epoch of jogs in this session.

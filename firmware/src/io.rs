@@ -95,8 +95,8 @@ pub enum DriveCommand {
 pub struct Outputs {
     /// The joints; [`DriveCommand::Off`] disables the drive.
     pub axes: [DriveCommand; MAX_AXES],
-    /// Spindle speed in rev/min; 0 is off.
-    pub spindle_rpm: u16,
+    /// Spindle speed in rev/min: clockwise above 0, counter-clockwise below, 0 is off.
+    pub spindle_rpm: i16,
     /// Bytes to the host.
     pub transmit: Vec<u8, TRANSMIT_BYTES>,
 }

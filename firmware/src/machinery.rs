@@ -128,6 +128,17 @@ impl Machinery {
             .all(|joint| joint.sensed().illegal <= limit)
     }
 
+    /// Whether no joint moves faster than twice its following error in a second (0.6 mm/s for 0.3 mm).
+    #[must_use]
+    pub fn is_still(&self) -> bool {
+        self.sensed
+            .iter()
+            .zip(&self.config.joints)
+            .all(|(sensed, axis)| {
+                i64::from(sensed.rate.0).abs() <= 2 * i64::from(axis.following.0).abs()
+            })
+    }
+
     /// Wanted becomes measured, drives on.
     pub fn enable(&mut self) -> Result<(), PoseError> {
         let pose = self.machine.forward(&self.measured)?;

@@ -357,7 +357,8 @@ proptest! {
             path.assert_consistent();
             let (acceleration, jerk) = path.dynamics(0, usize::MAX);
             prop_assert!(acceleration <= 200.1, "{acceleration}");
-            prop_assert!(jerk <= 5001.0, "{jerk}");
+            // A ramp that arrives may change its slope by twice the jerk in one of the 16 periods over which this is measured.
+            prop_assert!(jerk <= 5001.0 + 5000.0 / 16.0, "{jerk}");
         }
     }
 }

@@ -30,7 +30,12 @@ pub fn status(error: PoseError) -> &'static str {
 ///
 /// # Errors
 /// One line for each bad cell, `name:line:column: what is wrong`.
-pub fn inverse_table(config: &Config, strokes: bool, name: &str, csv: &[u8]) -> Result<Vec<u8>, String> {
+pub fn inverse_table(
+    config: &Config,
+    strokes: bool,
+    name: &str,
+    csv: &[u8],
+) -> Result<Vec<u8>, String> {
     let columns = ["xw_mm", "yw_mm", "zw_mm", "theta_deg", "alpha_deg"];
     let rows = read(name, csv, columns)?;
     let machine = Machine::new(config);
@@ -54,7 +59,12 @@ pub fn inverse_table(config: &Config, strokes: bool, name: &str, csv: &[u8]) -> 
 ///
 /// # Errors
 /// One line for each bad cell, `name:line:column: what is wrong`.
-pub fn forward_table(config: &Config, strokes: bool, name: &str, csv: &[u8]) -> Result<Vec<u8>, String> {
+pub fn forward_table(
+    config: &Config,
+    strokes: bool,
+    name: &str,
+    csv: &[u8],
+) -> Result<Vec<u8>, String> {
     let rows = read(name, csv, ["l1_mm", "l2_mm", "l3_mm", "l4_mm"])?;
     let machine = Machine::new(config);
     let Model::H4(geometry) = &config.model;
@@ -80,7 +90,11 @@ pub fn forward_table(config: &Config, strokes: bool, name: &str, csv: &[u8]) -> 
                 let lengths = [base.x, base.y, base.z].map(|l| f64::from(l.0) / PER_MM);
                 let theta = f64::from(base.theta.0) / PER_DEG;
                 let values = lengths.into_iter().chain([theta]);
-                line(&mut out, values, machine.base_pose(&joints).err().filter(|_| strokes));
+                line(
+                    &mut out,
+                    values,
+                    machine.base_pose(&joints).err().filter(|_| strokes),
+                );
             }
             Err(error) => line(&mut out, [].into_iter(), Some(error)),
         }

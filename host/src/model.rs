@@ -44,15 +44,27 @@ impl Model {
     pub fn new(machine: &MachineFile) -> Self {
         Self {
             machine: Machine::new(&machine.config),
-            pose: machine.pose.iter().map(|axis| (axis.name.clone(), axis.kind)).collect(),
-            joints: machine.joints.iter().map(|axis| (axis.name.clone(), axis.kind)).collect(),
+            pose: machine
+                .pose
+                .iter()
+                .map(|axis| (axis.name.clone(), axis.kind))
+                .collect(),
+            joints: machine
+                .joints
+                .iter()
+                .map(|axis| (axis.name.clone(), axis.kind))
+                .collect(),
         }
     }
 
     /// Axis units of a pose in millimetres and degrees, to the nearest.
     #[must_use]
     pub fn to_units(&self, pose: &Coordinates) -> AxisValues {
-        self.pose.iter().zip(pose).map(|((_, kind), value)| (value * units(*kind)).round() as i32).collect()
+        self.pose
+            .iter()
+            .zip(pose)
+            .map(|((_, kind), value)| (value * units(*kind)).round() as i32)
+            .collect()
     }
 
     /// Millimetres and degrees of a pose in axis units.
@@ -68,7 +80,11 @@ impl Model {
     /// The same of joints.
     #[must_use]
     pub fn joints_to_people(&self, joints: &AxisValues) -> Vec<f64> {
-        self.joints.iter().zip(joints).map(|((_, kind), value)| f64::from(*value) / units(*kind)).collect()
+        self.joints
+            .iter()
+            .zip(joints)
+            .map(|((_, kind), value)| f64::from(*value) / units(*kind))
+            .collect()
     }
 
     /// Names of the pose coordinates.
@@ -97,7 +113,10 @@ impl Model {
                 .collect()
         }
         let (pose, joints) = (list(&self.pose), list(&self.joints));
-        use_axes(&Axes { pose: &pose, joints: &joints })
+        use_axes(&Axes {
+            pose: &pose,
+            joints: &joints,
+        })
     }
 
     /// The pose at the home preset, to the last bit as the controller has it after an ideal homing.
@@ -108,7 +127,13 @@ impl Model {
             *slot = preset;
         }
         let pose = self.machine.forward(&joints).ok()?;
-        Some(pose.0.iter().take(self.pose.len()).map(|coordinate| coordinate.0).collect())
+        Some(
+            pose.0
+                .iter()
+                .take(self.pose.len())
+                .map(|coordinate| coordinate.0)
+                .collect(),
+        )
     }
 
     fn pose(&self, pose: &Coordinates) -> Option<Pose> {
@@ -126,31 +151,49 @@ impl Model {
 
 impl MachineModel for Model {
     fn joints(&self, pose: &Coordinates) -> Result<[f64; 6], PoseProblem> {
-        let units_of = self.pose(pose).ok_or_else(|| PoseProblem("is beyond the range of numbers".to_string()))?;
+        let units_of = self
+            .pose(pose)
+            .ok_or_else(|| PoseProblem("is beyond the range of numbers".to_string()))?;
         match self.machine.inverse(&units_of) {
             Ok(joints) => {
                 let mut people = [0.0; MAX_AXES];
-                for (slot, ((_, kind), value)) in people.iter_mut().zip(self.joints.iter().zip(joints.0)) {
+                for (slot, ((_, kind), value)) in
+                    people.iter_mut().zip(self.joints.iter().zip(joints.0))
+                {
                     *slot = f64::from(value.0) / units(*kind);
                 }
                 Ok(people)
             }
-            Err(error) => Err(PoseProblem(self.with_axes(|axes| axes.describe(&error).to_string()))),
+            Err(error) => Err(PoseProblem(
+                self.with_axes(|axes| axes.describe(&error).to_string()),
+            )),
         }
     }
 
     fn joint_rates(&self, pose: &Coordinates, rates: &Coordinates) -> [f64; 6] {
         // The firmware's rates end at 2^31 axis units per second; the map is linear, so large ones are asked for smaller.
-        let largest = self.pose.iter().zip(rates).map(|((_, kind), rate)| (rate * units(*kind)).abs()).fold(0.0, f64::max);
+        let largest = self
+            .pose
+            .iter()
+            .zip(rates)
+            .map(|((_, kind), rate)| (rate * units(*kind)).abs())
+            .fold(0.0, f64::max);
         let shrink = if largest > 1e8 { 1e8 / largest } else { 1.0 };
         let mut asked = Rates::default();
         for (slot, ((_, kind), rate)) in asked.iter_mut().zip(self.pose.iter().zip(rates)) {
             *slot = Rate((rate * units(*kind) * shrink).round() as i32);
         }
         let mut people = [0.0; MAX_AXES];
-        let Some(units_of) = self.pose(pose) else { return people };
-        if let Ok(motion) = self.machine.inverse_motion(&units_of, &asked, &Accelerations::default()) {
-            for (slot, ((_, kind), rate)) in people.iter_mut().zip(self.joints.iter().zip(motion.rates)) {
+        let Some(units_of) = self.pose(pose) else {
+            return people;
+        };
+        if let Ok(motion) =
+            self.machine
+                .inverse_motion(&units_of, &asked, &Accelerations::default())
+        {
+            for (slot, ((_, kind), rate)) in
+                people.iter_mut().zip(self.joints.iter().zip(motion.rates))
+            {
                 *slot = f64::from(rate.0) / units(*kind) / shrink;
             }
         }
@@ -205,7 +248,14 @@ pub fn program_options(machine: &MachineFile, start: Coordinates) -> Options {
         .pose
         .iter()
         .zip(LETTERS)
-        .map(|(axis, letter)| ProgramAxis { letter, kind: program_kind(axis.kind) })
+        .map(|(axis, letter)| ProgramAxis {
+            letter,
+            kind: program_kind(axis.kind),
+        })
         .collect();
-    Options { axes, start, optional_stop: false }
+    Options {
+        axes,
+        start,
+        optional_stop: false,
+    }
 }

@@ -125,7 +125,10 @@ fn machine_files_are_checked() {
 #[test]
 fn tables_of_slides_agree_with_the_golden_values() {
     let (names, rows) = golden("h4_ik.csv");
-    let ran = haptimill(&["kin", "ik", "--strokes", "--in", "tests/golden/h4_ik.csv"], "");
+    let ran = haptimill(
+        &["kin", "ik", "--strokes", "--in", "tests/golden/h4_ik.csv"],
+        "",
+    );
     assert_eq!((ran.code, ran.err.as_str()), (0, ""));
     let (header, results) = table(&ran.out);
     assert_eq!(header, ["l1_mm", "l2_mm", "l3_mm", "l4_mm", "status"]);

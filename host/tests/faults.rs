@@ -34,17 +34,26 @@ fn wanted(folder: &Folder, out: &str) -> Vec<Axes> {
     let file = folder.path(&format!("{out}/recording.hmr"));
     let recording = Recording::open(Path::new(&file)).unwrap();
     let records = recording.iter().unwrap().map(Result::unwrap);
-    let mut poses: Vec<Axes> = records.filter(|record| record.has(flag::PROGRAMMED)).map(|record| record.wanted).collect();
+    let mut poses: Vec<Axes> = records
+        .filter(|record| record.has(flag::PROGRAMMED))
+        .map(|record| record.wanted)
+        .collect();
     poses.dedup();
     poses
 }
 
 /// How far a pose is from the way between two others (axis units), and which part of that way it is at.
 fn off(pose: &Axes, from: &Axes, to: &Axes) -> f64 {
-    let difference = |a: &Axes, b: &Axes| -> [f64; 6] { std::array::from_fn(|i| f64::from(a[i]) - f64::from(b[i])) };
+    let difference = |a: &Axes, b: &Axes| -> [f64; 6] {
+        std::array::from_fn(|i| f64::from(a[i]) - f64::from(b[i]))
+    };
     let dot = |a: &[f64; 6], b: &[f64; 6]| -> f64 { a.iter().zip(b).map(|(a, b)| a * b).sum() };
     let (way, here) = (difference(to, from), difference(pose, from));
-    let part = if dot(&way, &way) > 0.0 { (dot(&here, &way) / dot(&way, &way)).clamp(0.0, 1.0) } else { 0.0 };
+    let part = if dot(&way, &way) > 0.0 {
+        (dot(&here, &way) / dot(&way, &way)).clamp(0.0, 1.0)
+    } else {
+        0.0
+    };
     let rest: [f64; 6] = std::array::from_fn(|i| here[i] - part * way[i]);
     dot(&rest, &rest).sqrt()
 }
@@ -60,7 +69,11 @@ fn is_on_the_way(poses: &[Axes], clean: &[Axes]) {
         while at + 1 < clean.len() && off(pose, &clean[at], &clean[at + 1]) > TOLERANCE {
             at += 1;
         }
-        assert!(at + 1 < clean.len(), "pose {index} of {} is not on the way: {pose:?}", poses.len());
+        assert!(
+            at + 1 < clean.len(),
+            "pose {index} of {} is not on the way: {pose:?}",
+            poses.len()
+        );
     }
 }
 
@@ -89,12 +102,23 @@ fn a_bad_line_never_makes_a_wrong_motion() {
         let poses = wanted(&folder, "out");
         is_on_the_way(&poses, &clean);
         let summary = folder.summary("out");
-        println!("{line}: exit code {}, {} of {} poses, {} underruns, {}", ran.code, poses.len(), clean.len(), summary["underruns"], ran.err.trim_end());
+        println!(
+            "{line}: exit code {}, {} of {} poses, {} underruns, {}",
+            ran.code,
+            poses.len(),
+            clean.len(),
+            summary["underruns"],
+            ran.err.trim_end()
+        );
         match ran.code {
             0 => {
                 ended += 1;
                 assert_eq!(poses.last(), clean.last(), "{line}");
-                assert_eq!((&summary["completed"], &summary["position_kept"]), (&true.into(), &true.into()), "{line}");
+                assert_eq!(
+                    (&summary["completed"], &summary["position_kept"]),
+                    (&true.into(), &true.into()),
+                    "{line}"
+                );
                 if summary["underruns"] == 0 {
                     assert_eq!(poses, clean, "{line}");
                 }
@@ -134,9 +158,16 @@ fn a_machine_that_fails_stops_and_says_what_to_do() {
             // In the job: everything up to the stop is kept.
             let summary = folder.summary("out");
             assert_eq!(summary["completed"], false, "{fault}");
-            assert_eq!(summary["faults"].as_array().unwrap().len(), 1, "{fault}: {summary:#}");
+            assert_eq!(
+                summary["faults"].as_array().unwrap().len(),
+                1,
+                "{fault}: {summary:#}"
+            );
             let state = summary["final_state"].as_str().unwrap();
-            assert!(["Fault", "EmergencyStop"].contains(&state), "{fault}: {state}");
+            assert!(
+                ["Fault", "EmergencyStop"].contains(&state),
+                "{fault}: {state}"
+            );
             assert!(folder.read("out/trace.csv").lines().count() > 10);
             assert!(folder.read("out/report.html").contains("Faults"));
         }

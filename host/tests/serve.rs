@@ -20,7 +20,14 @@ fn short_program(folder: &Folder) -> String {
 
 /// A run on a served machine that is in the middle of its way.
 fn under_way(served: &Served, folder: &Folder, program: &str) -> Started {
-    let mut run = start(&["run", program, "--port", &served.port, "--out", &folder.path("out")]);
+    let mut run = start(&[
+        "run",
+        program,
+        "--port",
+        &served.port,
+        "--out",
+        &folder.path("out"),
+    ]);
     run.says("running");
     // Machine time has to pass until it is at speed.
     std::thread::sleep(Duration::from_millis(800));
@@ -35,12 +42,22 @@ fn was_stopped(folder: &Folder) {
     assert_eq!(summary["completed"], false);
     assert_eq!(summary["final_state"], "Idle", "{summary:#}");
     assert_eq!(summary["position_kept"], true);
-    assert_eq!(summary["faults"], serde_json::Value::Array(Vec::new()), "{summary:#}");
-    let (duration, length) = (number(&summary, "duration_s"), number(&summary, "path_length_mm"));
+    assert_eq!(
+        summary["faults"],
+        serde_json::Value::Array(Vec::new()),
+        "{summary:#}"
+    );
+    let (duration, length) = (
+        number(&summary, "duration_s"),
+        number(&summary, "path_length_mm"),
+    );
     assert!((0.3..20.0).contains(&duration), "{summary:#}");
     assert!(length > 1.0 && length < 200.0, "{summary:#}");
     // A stop along the path leaves the tool on the path.
-    assert!(number(&summary, "contour_error_max_mm") < 0.1, "{summary:#}");
+    assert!(
+        number(&summary, "contour_error_max_mm") < 0.1,
+        "{summary:#}"
+    );
     assert!(folder.read("out/trace.csv").lines().count() > 5);
     assert!(folder.read("out/report.html").contains("</html>"));
 }
@@ -48,7 +65,12 @@ fn was_stopped(folder: &Folder) {
 /// A whole job runs, without homing again.
 #[track_caller]
 fn runs_without_homing(served: &Served, folder: &Folder) {
-    let ran = served.does(&["run", &short_program(folder), "--out", &folder.path("again")]);
+    let ran = served.does(&[
+        "run",
+        &short_program(folder),
+        "--out",
+        &folder.path("again"),
+    ]);
     assert!(!ran.out.contains("homing"), "{}", ran.out);
     assert_eq!(folder.summary("again")["completed"], true);
     assert_eq!(folder.summary("again")["final_state"], "Idle");
@@ -58,32 +80,53 @@ fn runs_without_homing(served: &Served, folder: &Folder) {
 fn one_shot_commands_follow_each_other() {
     let served = Served::on_tcp(&[]);
     let status = served.status();
-    assert_eq!((&status["state"], &status["homed"]), (&"Disabled".into(), &false.into()), "{status:#}");
+    assert_eq!(
+        (&status["state"], &status["homed"]),
+        (&"Disabled".into(), &false.into()),
+        "{status:#}"
+    );
     // Nothing to be done yet: told in words, with its own code.
     let refused = served.tries(&["home", "--timeout", "0"]);
     assert_eq!(refused.code, 2);
     assert_eq!(served.does(&["enable", "--json"]).json()["state"], "Idle");
     let homed = served.does(&["home", "--json"]).json();
-    assert_eq!((&homed["state"], &homed["homed"]), (&"Idle".into(), &true.into()), "{homed:#}");
+    assert_eq!(
+        (&homed["state"], &homed["homed"]),
+        (&"Idle".into(), &true.into()),
+        "{homed:#}"
+    );
     assert_eq!(homed["machine"], "h4");
     // The home pose of the presets: X0 Y0 Z21.232.
     let at = |value: &serde_json::Value, name: &str| number(&value["wanted"], name);
-    assert!(at(&homed, "x").abs() < 1e-3 && (at(&homed, "z") - 21.232).abs() < 1e-3, "{homed:#}");
+    assert!(
+        at(&homed, "x").abs() < 1e-3 && (at(&homed, "z") - 21.232).abs() < 1e-3,
+        "{homed:#}"
+    );
     assert!(number(&homed["following_error"], "l1").abs() < 0.02);
 
     // 10 mm/s for a second, less the time to speed up; the stop comes after.
-    let jogged = served.does(&["jog", "x=10", "z=-2", "--for", "1", "--json"]).json();
+    let jogged = served
+        .does(&["jog", "x=10", "z=-2", "--for", "1", "--json"])
+        .json();
     assert_eq!(jogged["state"], "Idle");
     let (x, z) = (at(&jogged, "x"), at(&jogged, "z") - 21.232);
     assert!((8.5..12.0).contains(&x), "{jogged:#}");
-    assert!((z + x / 5.0).abs() < 0.1, "the ratio of the rates is kept: {jogged:#}");
+    assert!(
+        (z + x / 5.0).abs() < 0.1,
+        "the ratio of the rates is kept: {jogged:#}"
+    );
     // Nothing moves afterwards.
     assert_eq!(served.status()["wanted"], jogged["wanted"]);
     // Against the soft limit of 35 degrees, from 1.5 degrees in front of it.
     served.does(&["jog", "theta=25", "--for", "1.3"]);
-    let limited = served.tries(&["jog", "theta=20", "--for", "1.5", "--json"]).ended_with(0);
+    let limited = served
+        .tries(&["jog", "theta=20", "--for", "1.5", "--json"])
+        .ended_with(0);
     let theta = at(&limited.json(), "theta");
-    assert!(limited.err.contains("theta stopped in front of its limit"), "{limited:?}");
+    assert!(
+        limited.err.contains("theta stopped in front of its limit"),
+        "{limited:?}"
+    );
     assert!(theta > 30.0 && theta <= 35.0, "{limited:?}");
     served.does(&["jog", "theta=-20", "--for", "1.5"]);
     let axis = served.tries(&["jog", "q=1"]).ended_with(2);
@@ -92,12 +135,24 @@ fn one_shot_commands_follow_each_other() {
     assert!(fast.err.contains("at most 50"), "{}", fast.err);
 
     assert_eq!(served.does(&["stop", "--json"]).json()["state"], "Idle");
-    assert_eq!(served.does(&["disable", "--json"]).json()["state"], "Disabled");
+    assert_eq!(
+        served.does(&["disable", "--json"]).json()["state"],
+        "Disabled"
+    );
     let refused = served.tries(&["jog", "x=1"]).ended_with(8);
     assert!(refused.err.starts_with("jog: "), "{}", refused.err);
-    assert_eq!(served.does(&["reset", "--json"]).json()["state"], "Disabled");
+    assert_eq!(
+        served.does(&["reset", "--json"]).json()["state"],
+        "Disabled"
+    );
     let shown = served.does(&["status"]);
-    assert!(shown.out.contains("h4: Disabled, homed: yes, position kept: yes"), "{}", shown.out);
+    assert!(
+        shown
+            .out
+            .contains("h4: Disabled, homed: yes, position kept: yes"),
+        "{}",
+        shown.out
+    );
 }
 
 #[test]
@@ -107,12 +162,25 @@ fn a_job_runs_on_a_pseudo_terminal_and_again_without_homing() {
     let mut served = Served::on("pty", &["--link", &link]);
     assert!(served.port.starts_with("/dev/"), "{}", served.port);
     served.port = link.clone();
-    let ran = served.does(&["run", &short_program(&folder), "--out", &folder.path("out"), "--json"]);
+    let ran = served.does(&[
+        "run",
+        &short_program(&folder),
+        "--out",
+        &folder.path("out"),
+        "--json",
+    ]);
     let summary = ran.json();
-    assert_eq!((&summary["completed"], &summary["underruns"]), (&true.into(), &0.into()), "{summary:#}");
+    assert_eq!(
+        (&summary["completed"], &summary["underruns"]),
+        (&true.into(), &0.into()),
+        "{summary:#}"
+    );
     assert_eq!(summary["tool_is_true"], false);
     assert!(number(&summary, "tool_error_max_mm") < 0.05, "{summary:#}");
-    assert!((number(&summary, "path_length_mm") - (10.0 + 5.0 * std::f64::consts::PI)).abs() < 1.0, "{summary:#}");
+    assert!(
+        (number(&summary, "path_length_mm") - (10.0 + 5.0 * std::f64::consts::PI)).abs() < 1.0,
+        "{summary:#}"
+    );
     runs_without_homing(&served, &folder);
     // The link goes with the machine.
     served.process.interrupt();
@@ -126,16 +194,35 @@ fn a_second_program_is_sent_away_and_a_stop_from_it_is_heard() {
     let served = Served::on_tcp(&[]);
     let run = under_way(&served, &folder, &long_program(&folder));
     let second = served.tries(&["status"]).ended_with(5);
-    assert!(second.err.contains("another program has it"), "{}", second.err);
-    let second = served.tries(&["run", &short_program(&folder), "--out", &folder.path("second")]).ended_with(5);
-    assert!(second.err.contains("another program has it"), "{}", second.err);
+    assert!(
+        second.err.contains("another program has it"),
+        "{}",
+        second.err
+    );
+    let second = served
+        .tries(&[
+            "run",
+            &short_program(&folder),
+            "--out",
+            &folder.path("second"),
+        ])
+        .ended_with(5);
+    assert!(
+        second.err.contains("another program has it"),
+        "{}",
+        second.err
+    );
     let stop = served.does(&["stop"]);
     assert!(stop.out.contains("stop sent"), "{}", stop.out);
     let ran = run.end().ended_with(7);
     assert!(ran.err.contains("stopped from elsewhere"), "{}", ran.err);
     was_stopped(&folder);
     let status = served.status();
-    assert_eq!((&status["state"], &status["position_kept"]), (&"Idle".into(), &true.into()), "{status:#}");
+    assert_eq!(
+        (&status["state"], &status["position_kept"]),
+        (&"Idle".into(), &true.into()),
+        "{status:#}"
+    );
     runs_without_homing(&served, &folder);
 }
 
@@ -145,7 +232,11 @@ fn a_second_program_on_a_pseudo_terminal_is_sent_away_and_its_stop_is_heard() {
     let served = Served::on("pty", &[]);
     let run = under_way(&served, &folder, &long_program(&folder));
     let second = served.tries(&["status"]).ended_with(5);
-    assert!(second.err.contains("another program has it"), "{}", second.err);
+    assert!(
+        second.err.contains("another program has it"),
+        "{}",
+        second.err
+    );
     served.does(&["stop"]);
     let ran = run.end().ended_with(7);
     assert!(ran.err.contains("stopped from elsewhere"), "{}", ran.err);
@@ -160,7 +251,12 @@ fn ctrl_c_stops_a_job_on_its_path() {
     let run = under_way(&served, &folder, &long_program(&folder));
     run.interrupt();
     let ran = run.end().ended_with(7);
-    assert!(ran.err.contains("stopped by the user; the position is kept"), "{}", ran.err);
+    assert!(
+        ran.err
+            .contains("stopped by the user; the position is kept"),
+        "{}",
+        ran.err
+    );
     was_stopped(&folder);
     runs_without_homing(&served, &folder);
 }
@@ -180,12 +276,25 @@ fn a_host_that_dies_is_noticed_and_the_machine_stops_on_its_path() {
         }
         assert!(lost.elapsed() < Duration::from_secs(5), "{status:#}");
     };
-    assert!(status["fault"].as_str().unwrap().contains("host"), "{status:#}");
+    assert!(
+        status["fault"].as_str().unwrap().contains("host"),
+        "{status:#}"
+    );
     assert_eq!(status["position_kept"], true, "{status:#}");
     // On the line from X0 to X20.
     let x = number(&status["wanted"], "x");
-    assert!((-0.01..=20.01).contains(&x) && number(&status["wanted"], "y").abs() < 1e-3, "{status:#}");
-    let refused = served.tries(&["run", &short_program(&folder), "--out", &folder.path("again")]).ended_with(6);
+    assert!(
+        (-0.01..=20.01).contains(&x) && number(&status["wanted"], "y").abs() < 1e-3,
+        "{status:#}"
+    );
+    let refused = served
+        .tries(&[
+            "run",
+            &short_program(&folder),
+            "--out",
+            &folder.path("again"),
+        ])
+        .ended_with(6);
     assert!(refused.err.contains("haptimill reset"), "{}", refused.err);
     served.does(&["reset"]);
     runs_without_homing(&served, &folder);
@@ -199,10 +308,18 @@ fn a_machine_that_dies_is_noticed_and_the_trace_is_kept() {
     served.process.kill();
     let died = Instant::now();
     let ran = run.end().ended_with(5);
-    assert!(died.elapsed() < Duration::from_secs(5), "{:?}", died.elapsed());
+    assert!(
+        died.elapsed() < Duration::from_secs(5),
+        "{:?}",
+        died.elapsed()
+    );
     assert!(ran.err.contains("the other end has gone"), "{}", ran.err);
     let summary = folder.summary("out");
-    assert_eq!((&summary["final_state"], &summary["completed"]), (&"Unknown".into(), &false.into()), "{summary:#}");
+    assert_eq!(
+        (&summary["final_state"], &summary["completed"]),
+        (&"Unknown".into(), &false.into()),
+        "{summary:#}"
+    );
     assert!(number(&summary, "duration_s") > 0.3, "{summary:#}");
     assert!(folder.read("out/trace.csv").lines().count() > 5);
     assert!(folder.read("out/report.html").contains("</html>"));
@@ -216,8 +333,16 @@ fn a_frozen_machine_is_given_up_after_a_second() {
     served.process.freeze();
     let froze = Instant::now();
     let ran = run.end().ended_with(5);
-    assert!(froze.elapsed() < Duration::from_secs(5), "{:?}", froze.elapsed());
-    assert!(ran.err.contains("nothing was heard from the controller"), "{}", ran.err);
+    assert!(
+        froze.elapsed() < Duration::from_secs(5),
+        "{:?}",
+        froze.elapsed()
+    );
+    assert!(
+        ran.err.contains("nothing was heard from the controller"),
+        "{}",
+        ran.err
+    );
     assert_eq!(folder.summary("out")["final_state"], "Unknown");
 }
 
@@ -231,9 +356,14 @@ fn an_emergency_stop_is_latched_until_it_is_reset() {
     assert_eq!(served.status()["state"], "EmergencyStop");
     let refused = served.tries(&["enable"]).ended_with(8);
     assert!(refused.err.starts_with("enable: "), "{}", refused.err);
-    let refused = served.tries(&["run", &short_program(&folder), "--out", &folder.path("out")]).ended_with(6);
+    let refused = served
+        .tries(&["run", &short_program(&folder), "--out", &folder.path("out")])
+        .ended_with(6);
     assert!(refused.err.contains("haptimill reset"), "{}", refused.err);
-    assert_eq!(served.does(&["reset", "--json"]).json()["state"], "Disabled");
+    assert_eq!(
+        served.does(&["reset", "--json"]).json()["state"],
+        "Disabled"
+    );
     assert_eq!(served.does(&["enable", "--json"]).json()["state"], "Idle");
     served.does(&["run", &short_program(&folder), "--out", &folder.path("out")]);
     assert_eq!(folder.summary("out")["completed"], true);

@@ -35,7 +35,10 @@ fn mixed(step: &str, torque: &str, from_torque: &[&str]) -> String {
         let mut parts = vec![String::new()];
         for line in text.lines() {
             // The sections of the joints, and what comes behind them.
-            if line.starts_with("[[") || line.starts_with("[planner]") || line.starts_with("[plant]") {
+            if line.starts_with("[[")
+                || line.starts_with("[planner]")
+                || line.starts_with("[plant]")
+            {
                 parts.push(String::new());
             }
             let part = parts.last_mut().unwrap();
@@ -48,8 +51,14 @@ fn mixed(step: &str, torque: &str, from_torque: &[&str]) -> String {
     assert_eq!(step.len(), torque.len());
     let chosen = step.iter().zip(&torque).map(|(step, torque)| {
         let is_joint = step.starts_with("[[joint]]") || step.starts_with("[[plant.joint]]");
-        let named = from_torque.iter().any(|name| step.contains(&format!("name = \"{name}\"")));
-        if is_joint && named { torque.as_str() } else { step.as_str() }
+        let named = from_torque
+            .iter()
+            .any(|name| step.contains(&format!("name = \"{name}\"")));
+        if is_joint && named {
+            torque.as_str()
+        } else {
+            step.as_str()
+        }
     });
     chosen.collect()
 }
@@ -75,20 +84,42 @@ fn run(machine: &MachineFile) -> Result<(JobEnd, SimLine), CliError> {
 /// Every pulse was as the drive's data sheet wants it, and every step that was commanded was made.
 fn pulses_are_clean(machine: &MachineFile, stepped: &[usize]) {
     let (end, line) = run(machine).unwrap();
-    assert_eq!((end.status.state, end.faults.as_slice(), end.underruns.as_slice()), (State::Idle, &[][..], &[][..]));
+    assert_eq!(
+        (
+            end.status.state,
+            end.faults.as_slice(),
+            end.underruns.as_slice()
+        ),
+        (State::Idle, &[][..], &[][..])
+    );
     let rig = line.rig();
     assert_eq!(rig.plant().misdirected(), 0);
     for axis in 0..5 {
         let report = rig.plant().pulse_report(axis);
         assert_eq!(report.is_some(), stepped.contains(&axis), "joint {axis}");
-        let joint = rig.control().machinery().unwrap().joints().nth(axis).unwrap();
-        assert_eq!(matches!(joint.command, DriveCommand::Steps(_)), stepped.contains(&axis));
+        let joint = rig
+            .control()
+            .machinery()
+            .unwrap()
+            .joints()
+            .nth(axis)
+            .unwrap();
+        assert_eq!(
+            matches!(joint.command, DriveCommand::Steps(_)),
+            stepped.contains(&axis)
+        );
         let Some(report) = report else { continue };
         assert_eq!((report.violations, report.first), (0, None), "joint {axis}");
-        assert!(report.shortest_interval.is_some(), "joint {axis} made no step");
+        assert!(
+            report.shortest_interval.is_some(),
+            "joint {axis} made no step"
+        );
         // 320 steps/mm: a lost electrical turn would be four full steps, 0.2 mm.
         let lost = end.status.following_error[axis];
-        assert!(lost.abs() < (0.02 * f64::from(1 << 20)) as i32, "joint {axis} is off by {lost}");
+        assert!(
+            lost.abs() < (0.02 * f64::from(1 << 20)) as i32,
+            "joint {axis} is off by {lost}"
+        );
     }
 }
 
@@ -98,7 +129,16 @@ fn a_machine_with_step_drives_makes_every_step() {
     pulses_are_clean(&machine, &[0, 1, 2, 3]);
     let folder = Folder::new();
     let out = folder.path("out");
-    haptimill(&["run", "examples/e7-slot.ngc", "--machine", "machines/h4-step.toml", "--out", &out, "--json"]).ended_with(0);
+    haptimill(&[
+        "run",
+        "examples/e7-slot.ngc",
+        "--machine",
+        "machines/h4-step.toml",
+        "--out",
+        &out,
+        "--json",
+    ])
+    .ended_with(0);
     let summary = folder.summary("out");
     println!("step drives: {summary:#}");
     assert!(number(&summary, "tool_error_rms_mm") <= 0.02, "{summary:#}");
@@ -116,7 +156,16 @@ fn step_and_torque_drives_work_side_by_side() {
     let machine = MachineFile::load(Path::new(&file)).unwrap();
     pulses_are_clean(&machine, &[0, 3]);
     let out = folder.path("out");
-    haptimill(&["run", "examples/e9-pocket.ngc", "--machine", &file, "--out", &out, "--json"]).ended_with(0);
+    haptimill(&[
+        "run",
+        "examples/e9-pocket.ngc",
+        "--machine",
+        &file,
+        "--out",
+        &out,
+        "--json",
+    ])
+    .ended_with(0);
     let summary = folder.summary("out");
     println!("two step drives, two torque drives: {summary:#}");
     assert!(number(&summary, "tool_error_max_mm") <= 0.05, "{summary:#}");

@@ -95,7 +95,7 @@ pub enum Command {
     Ping,
     /// A piece of a new configuration; staged only.
     Configure(ConfigChunk),
-    /// Check the staged configuration and make it the active one (Disabled or Idle only).
+    /// Check the staged configuration and make it the active one (drives off only).
     Activate {
         /// Length of the whole configuration in bytes.
         length: u16,
@@ -132,7 +132,7 @@ pub enum Command {
     EmergencyStop,
     /// Move at a rate until the deadline; each new one replaces the one before.
     Jog {
-        /// Only the newest epoch is heard; [`Command::JogCancel`] ends an epoch for good.
+        /// Only the newest epoch of the session is heard; [`Command::JogCancel`], and any stop or hold, ends an epoch for good.
         epoch: u16,
         /// Dead-man: the machine stops this long after the command was heard, 1 to 1000 ms.
         deadline_ms: u16,
@@ -206,8 +206,8 @@ pub enum Action {
     /// Nothing.
     #[default]
     None,
-    /// Spindle to this speed in rev/min, 0 for off (M3, M5).
-    Spindle(u16),
+    /// Spindle to this speed in rev/min: clockwise above 0 (M3), counter-clockwise below (M4), 0 for off (M5).
+    Spindle(i16),
     /// Wait for [`Command::Resume`] (M0, M1); the setpoint must have rate zero.
     Pause,
 }
@@ -441,7 +441,7 @@ pub enum Refusal {
     ConfigCheck,
     /// The staged configuration cannot be read or makes no sense.
     Config(ConfigProblem),
-    /// The emergency stop input, a limit switch or a drive fault is active.
+    /// The emergency stop input, a limit switch or a drive fault is active, or a machine that was switched off still coasts.
     Input,
     /// The position was lost: the joints must be set up at their presets again, and the configuration activated.
     PresetLost,

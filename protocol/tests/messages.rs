@@ -26,7 +26,7 @@ fn requests_fit_a_frame() {
         periods: u16::MAX,
         moved: 0b11_1111,
         residuals: [i32::MIN; 2 * MAX_AXES].into_iter().collect(),
-        action: Action::Spindle(u16::MAX),
+        action: Action::Spindle(i16::MIN),
     };
     let items = core::iter::repeat_n(delta, SETPOINT_BATCH).collect();
     let chunk = ConfigChunk {

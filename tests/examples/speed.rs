@@ -26,12 +26,22 @@ fn main() {
     let home = model.home(&machine).expect("a pose");
     let text = std::fs::read(&file).expect("readable");
     let begun = Instant::now();
-    let program = haptimill::program::read(&file, &text, &program_options(&machine, model.to_people(&home))).expect("sound");
+    let program = haptimill::program::read(
+        &file,
+        &text,
+        &program_options(&machine, model.to_people(&home)),
+    )
+    .expect("sound");
     let plan = Arc::new(Plan::new(&program, &settings(&machine), &model).expect("possible"));
     println!("plan      {:8.1} ms", begun.elapsed().as_secs_f64() * 1e3);
     for recorded in [false, true] {
         let line = SimLine::new(rig(&machine, None, None, vec![]).expect("sound"));
-        let mut session = Session::new(line, &machine, Options::default(), Arc::new(AtomicBool::new(false)));
+        let mut session = Session::new(
+            line,
+            &machine,
+            Options::default(),
+            Arc::new(AtomicBool::new(false)),
+        );
         session.connect(1).expect("answers");
         session.configure(&machine).expect("taken");
         session.enable().expect("enabled");
@@ -40,10 +50,16 @@ fn main() {
         if recorded {
             let header = Header::of(&machine, "speed").expect("encodes");
             let recorder = Recorder::create(&path, &header).expect("created");
-            session.line_mut().begin_recording(JobRecording::new(recorder, Arc::clone(&plan), &machine));
+            session.line_mut().begin_recording(JobRecording::new(
+                recorder,
+                Arc::clone(&plan),
+                &machine,
+            ));
         }
         let (before, begun) = (session.now_us(), Instant::now());
-        session.run_job(2, home.clone(), plan.setpoints.clone(), &mut Nobody).expect("done");
+        session
+            .run_job(2, home.clone(), plan.setpoints.clone(), &mut Nobody)
+            .expect("done");
         let wall = begun.elapsed().as_secs_f64();
         let simulated = (session.now_us() - before) as f64 / 1e6;
         println!(
@@ -56,7 +72,11 @@ fn main() {
         if let Some(recorder) = session.line_mut().end_recording() {
             let begun = Instant::now();
             let recorded = recorder.finish().expect("written");
-            println!("finish    {:8.1} ms, {} MB", begun.elapsed().as_secs_f64() * 1e3, recorded.bytes / 1_000_000);
+            println!(
+                "finish    {:8.1} ms, {} MB",
+                begun.elapsed().as_secs_f64() * 1e3,
+                recorded.bytes / 1_000_000
+            );
             let _ = std::fs::remove_file(&path);
         }
     }

@@ -51,7 +51,12 @@ impl<C: Control> Bench<C> {
     /// The built-in machine around any controller.
     #[must_use]
     pub fn with(options: &RigOptions, control: C) -> Self {
-        let machine = MachineFile::built_in().expect("sound");
+        Self::of_machine(MachineFile::built_in().expect("sound"), options, control)
+    }
+
+    /// A machine of a machine file around any controller.
+    #[must_use]
+    pub fn of_machine(machine: MachineFile, options: &RigOptions, control: C) -> Self {
         let plant: PlantConfig = machine.plant().expect("has a plant");
         let rig = Rig::new(&plant, options, control).expect("sound");
         let mut link = HostLink::new(Timing::default());

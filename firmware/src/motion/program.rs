@@ -50,7 +50,7 @@ struct Segment {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Progress {
     /// A new spindle speed, rev/min.
-    pub spindle: Option<u16>,
+    pub spindle: Option<i16>,
     /// A pause was reached, at this setpoint.
     pub paused: Option<u32>,
     /// The last setpoint of the job was reached.
@@ -280,7 +280,8 @@ impl Program {
         let Some(braking) = self.braking else {
             return (self.wanted(), progress);
         };
-        let finished = self.total == Some(self.reached);
+        // A pause at the last setpoint is waited for like any other.
+        let finished = self.total == Some(self.reached) && !self.paused;
         if !self.started {
             let covered = self.queued_periods >= 4 * self.braking_periods || self.queue.is_full();
             self.started = !halt && (self.total.is_some() || covered);

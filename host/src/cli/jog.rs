@@ -87,7 +87,10 @@ pub fn run(args: JogArgs) -> Result<(), CliError> {
         if session.now_us() >= next {
             next += repeat;
             let lost = |error| CliError::new(Exit::Port, error);
-            session.client_mut().jog(rates.clone(), args.deadline).map_err(lost)?;
+            session
+                .client_mut()
+                .jog(rates.clone(), args.deadline)
+                .map_err(lost)?;
         }
         session.step()?;
         if session.now_us() >= end || session.interrupted() {
@@ -106,7 +109,10 @@ pub fn run(args: JogArgs) -> Result<(), CliError> {
     for (_, event) in &session.events[first..] {
         match event {
             Event::JogLimited { axis } => {
-                let name = machine.pose.get(usize::from(*axis)).map_or("?", |axis| axis.name.as_str());
+                let name = machine
+                    .pose
+                    .get(usize::from(*axis))
+                    .map_or("?", |axis| axis.name.as_str());
                 eprintln!("{name} stopped in front of its limit");
             }
             Event::Fault(fault) => return Err(session.fault(fault)),
@@ -121,15 +127,27 @@ fn rates(args: &JogArgs, machine: &MachineFile) -> Result<AxisValues, CliError> 
     let mut rates: Vec<i32> = vec![0; machine.pose.len()];
     let usage = |what: String| CliError::new(Exit::Usage, what);
     for wanted in &args.axes {
-        let Some(index) = machine.pose.iter().position(|axis| axis.name.to_lowercase() == wanted.axis) else {
+        let Some(index) = machine
+            .pose
+            .iter()
+            .position(|axis| axis.name.to_lowercase() == wanted.axis)
+        else {
             let names: Vec<&str> = machine.pose.iter().map(|axis| axis.name.as_str()).collect();
-            return Err(usage(format!("there is no axis '{}'; this machine has {}", wanted.axis, names.join(", "))));
+            return Err(usage(format!(
+                "there is no axis '{}'; this machine has {}",
+                wanted.axis,
+                names.join(", ")
+            )));
         };
         let axis = &machine.pose[index];
         if wanted.rate.abs() > axis.rate {
-            return Err(usage(format!("{}={} is faster than the axis may go; at most {}", wanted.axis, wanted.rate, axis.rate)));
+            return Err(usage(format!(
+                "{}={} is faster than the axis may go; at most {}",
+                wanted.axis, wanted.rate, axis.rate
+            )));
         }
-        rates[index] = (wanted.rate * per_unit(axis.kind) / f64::from(1 << RATE_SHIFT)).round() as i32;
+        rates[index] =
+            (wanted.rate * per_unit(axis.kind) / f64::from(1 << RATE_SHIFT)).round() as i32;
     }
     Ok(rates.into_iter().collect())
 }

@@ -71,7 +71,8 @@ pub fn fk(args: FkArgs) -> Result<(), CliError> {
     table(&args.table, kin::forward_table)
 }
 
-type Calculation = fn(&haptimill_firmware::config::Config, bool, &str, &[u8]) -> Result<Vec<u8>, String>;
+type Calculation =
+    fn(&haptimill_firmware::config::Config, bool, &str, &[u8]) -> Result<Vec<u8>, String>;
 
 fn table(args: &TableArgs, calculate: Calculation) -> Result<(), CliError> {
     let machine = args.machine.load()?;

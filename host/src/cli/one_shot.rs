@@ -90,7 +90,9 @@ pub fn home(args: HomeArgs) -> Result<(), CliError> {
     let machine = args.one_shot.machine.load()?;
     let mut session = open(&args.one_shot.connect, &machine)?;
     if args.at_preset {
-        let (bytes, _) = machine.encoded().map_err(|error| CliError::new(Exit::Internal, error))?;
+        let (bytes, _) = machine
+            .encoded()
+            .map_err(|error| CliError::new(Exit::Internal, error))?;
         session.reconfigure(&bytes)?;
     } else {
         session.configure(&machine)?;
@@ -98,7 +100,10 @@ pub fn home(args: HomeArgs) -> Result<(), CliError> {
     session.enable()?;
     if args.again || !session.status()?.homed {
         let home = session.model().home(&machine).ok_or_else(|| {
-            CliError::new(Exit::BadInput, format!("{}: the home preset has no pose", machine.file))
+            CliError::new(
+                Exit::BadInput,
+                format!("{}: the home preset has no pose", machine.file),
+            )
         })?;
         let end = session.go_home(&machine, &home)?;
         if let Some(fault) = end.faults.first() {
@@ -135,13 +140,20 @@ fn stop_unheard(args: &StopArgs, why: &CliError) -> Result<(), CliError> {
     port::stop_past_lock(&args.connect.port)?;
     if args.emergency {
         // The drives can only be switched off in a session; slowing down is the best there is.
-        let what = format!("{why}\nthe stop that slows down along the path was sent instead; an emergency stop needs the port");
+        let what = format!(
+            "{why}\nthe stop that slows down along the path was sent instead; an emergency stop needs the port"
+        );
         return Err(CliError::new(Exit::Port, what));
     }
     if args.json {
-        tell!("{:#}", serde_json::json!({ "sent": "stop", "heard": false, "why": why.message }));
+        tell!(
+            "{:#}",
+            serde_json::json!({ "sent": "stop", "heard": false, "why": why.message })
+        );
     } else {
-        tell!("stop sent past the host that has the port; it sees the machine slow down along its path ({why})");
+        tell!(
+            "stop sent past the host that has the port; it sees the machine slow down along its path ({why})"
+        );
     }
     Ok(())
 }
@@ -150,9 +162,15 @@ fn stop_unheard(args: &StopArgs, why: &CliError) -> Result<(), CliError> {
 ///
 /// # Errors
 /// The port, or the session.
-pub(super) fn open(connect: &ConnectArgs, machine: &MachineFile) -> Result<Session<PortLine>, CliError> {
+pub(super) fn open(
+    connect: &ConnectArgs,
+    machine: &MachineFile,
+) -> Result<Session<PortLine>, CliError> {
     let line = PortLine::new(port::open(&connect.port, connect.baud)?);
-    let options = Options { connect_us: (connect.timeout * 1e6) as u64, ..Options::default() };
+    let options = Options {
+        connect_us: (connect.timeout * 1e6) as u64,
+        ..Options::default()
+    };
     let mut session = Session::new(line, machine, options, interrupt::flag());
     session.connect(session::fresh_number())?;
     Ok(session)
@@ -166,10 +184,21 @@ pub(super) fn report(session: &mut Session<PortLine>, json: bool) -> Result<(), 
     let fault = status.fault.map(|fault| session.sentence(&fault));
     let pose = |values: &AxisValues| -> Vec<(String, f64)> {
         let people = model.to_people(values);
-        model.pose_names().iter().zip(people).take(values.len()).map(|(name, value)| ((*name).to_string(), value)).collect()
+        model
+            .pose_names()
+            .iter()
+            .zip(people)
+            .take(values.len())
+            .map(|(name, value)| ((*name).to_string(), value))
+            .collect()
     };
     let joints = |values: &AxisValues| -> Vec<(String, f64)> {
-        model.joint_names().iter().map(ToString::to_string).zip(model.joints_to_people(values)).collect()
+        model
+            .joint_names()
+            .iter()
+            .map(ToString::to_string)
+            .zip(model.joints_to_people(values))
+            .collect()
     };
     if json {
         let map = |values: Vec<(String, f64)>| serde_json::Value::from_iter(values);
@@ -192,11 +221,23 @@ pub(super) fn report(session: &mut Session<PortLine>, json: bool) -> Result<(), 
         return Ok(());
     }
     let line = |values: Vec<(String, f64)>| -> String {
-        values.iter().map(|(name, value)| format!("  {name} {value:.4}")).collect()
+        values
+            .iter()
+            .map(|(name, value)| format!("  {name} {value:.4}"))
+            .collect()
     };
     let yes = |flag: bool| if flag { "yes" } else { "no" };
-    let name = if machine.is_empty() { "no configuration".to_string() } else { machine };
-    tell!("{name}: {:?}, homed: {}, position kept: {}", status.state, yes(status.homed), yes(status.position_kept));
+    let name = if machine.is_empty() {
+        "no configuration".to_string()
+    } else {
+        machine
+    };
+    tell!(
+        "{name}: {:?}, homed: {}, position kept: {}",
+        status.state,
+        yes(status.homed),
+        yes(status.position_kept)
+    );
     if let Some(fault) = fault {
         tell!("fault     {fault}");
     }

@@ -9,7 +9,9 @@ use crate::port::{self, DEFAULT_BAUD, PortSpec};
 use crate::program;
 use crate::record::{Header, Recorder};
 use crate::report::{self, Outcome};
-use crate::session::{self, JobEnd, JobLine, JobRecording, Line, PortLine, Session, SimLine, Watcher, interrupt};
+use crate::session::{
+    self, JobEnd, JobLine, JobRecording, Line, PortLine, Session, SimLine, Watcher, interrupt,
+};
 use clap::Args;
 use haptimill_hil_sim::fault::Fault;
 use haptimill_protocol::message::{Action, AxisValues, Command, State, Telemetry};
@@ -96,17 +98,26 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
     let machine = args.machine.load()?;
     let model = Model::new(&machine);
     let home = model.home(&machine).ok_or_else(|| {
-        CliError::new(Exit::BadInput, format!("{}: the home preset has no pose", machine.file))
+        CliError::new(
+            Exit::BadInput,
+            format!("{}: the home preset has no pose", machine.file),
+        )
     })?;
     let job = PartProgram::load(&args.program)?;
     let planned = job.plan(&machine, &model, &home)?;
     if args.check {
         let plan = &planned.plan;
         let seconds = report::duration(plan.figures.duration_s);
-        say(&args, &format!(
-            "{}: well; {} blocks, {} setpoints, {:.1} mm, {seconds}",
-            job.name, plan.figures.blocks, plan.setpoints.len(), plan.figures.path_length_mm
-        ));
+        say(
+            &args,
+            &format!(
+                "{}: well; {} blocks, {} setpoints, {:.1} mm, {seconds}",
+                job.name,
+                plan.figures.blocks,
+                plan.setpoints.len(),
+                plan.figures.path_length_mm
+            ),
+        );
         return Ok(());
     }
     job.check_pauses(&args, &planned)?;
@@ -118,18 +129,31 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
             let line = SimLine::new(session::rig(&machine, args.seed, args.baud, faults)?);
             let session = Session::new(line, &machine, paced(args.baud), interrupted);
             // Always the same number: a simulated job is the same job every time.
-            Running { args: &args, machine: &machine, job: &job, home }.carry_out(session, 1, planned)
+            Running {
+                args: &args,
+                machine: &machine,
+                job: &job,
+                home,
+            }
+            .carry_out(session, 1, planned)
         }
         spec => {
             if let Some(fault) = args.fault.first() {
-                let what = format!("--fault \"{fault}\" is for the simulator only; leave out --port");
+                let what =
+                    format!("--fault \"{fault}\" is for the simulator only; leave out --port");
                 return Err(CliError::new(Exit::Usage, what));
             }
             let baud = args.baud.unwrap_or(DEFAULT_BAUD);
             let line = PortLine::new(port::open(spec, baud)?);
             let serial = matches!(spec, PortSpec::Serial(_));
             let session = Session::new(line, &machine, paced(serial.then_some(baud)), interrupted);
-            Running { args: &args, machine: &machine, job: &job, home }.carry_out(session, session::fresh_number(), planned)
+            Running {
+                args: &args,
+                machine: &machine,
+                job: &job,
+                home,
+            }
+            .carry_out(session, session::fresh_number(), planned)
         }
     }
 }
@@ -160,21 +184,33 @@ impl PartProgram {
     fn load(path: &Path) -> Result<Self, CliError> {
         let file = path.display().to_string();
         let text = std::fs::read(path).map_err(|error| {
-            CliError::new(Exit::BadInput, format!("{file}: cannot be read: {error}; check the path"))
+            CliError::new(
+                Exit::BadInput,
+                format!("{file}: cannot be read: {error}; check the path"),
+            )
         })?;
-        let name = path.file_name().map_or_else(|| file.clone(), |name| name.to_string_lossy().into_owned());
+        let name = path
+            .file_name()
+            .map_or_else(|| file.clone(), |name| name.to_string_lossy().into_owned());
         Ok(Self { name, file, text })
     }
 
     /// The checked motion of the program from a pose.
-    fn plan(&self, machine: &MachineFile, model: &Model, start: &AxisValues) -> Result<Planned, CliError> {
+    fn plan(
+        &self,
+        machine: &MachineFile,
+        model: &Model,
+        start: &AxisValues,
+    ) -> Result<Planned, CliError> {
         let options = program_options(machine, model.to_people(start));
-        let program =
-            program::read(&self.file, &self.text, &options).map_err(|refused| CliError::new(Exit::BadInput, refused))?;
-        let plan =
-            Plan::new(&program, &settings(machine), model).map_err(|refused| CliError::new(Exit::Refused, refused))?;
+        let program = program::read(&self.file, &self.text, &options)
+            .map_err(|refused| CliError::new(Exit::BadInput, refused))?;
+        let plan = Plan::new(&program, &settings(machine), model)
+            .map_err(|refused| CliError::new(Exit::Refused, refused))?;
         // Each pause of the program has a setpoint of its own, in the same order.
-        let setpoints = (0..).zip(&plan.setpoints).filter(|(_, setpoint)| setpoint.action == Action::Pause);
+        let setpoints = (0..)
+            .zip(&plan.setpoints)
+            .filter(|(_, setpoint)| setpoint.action == Action::Pause);
         let lines = program.steps.iter().filter_map(|step| match step {
             program::Step::Pause { place } => Some(place.line),
             _ => None,
@@ -186,13 +222,15 @@ impl PartProgram {
     /// A pause waits for Enter: somebody must be able to press it.
     fn check_pauses(&self, args: &RunArgs, planned: &Planned) -> Result<(), CliError> {
         match planned.pauses.values().next() {
-            Some(line) if !passes_pauses(args) && !std::io::stdin().is_terminal() => Err(CliError::new(
-                Exit::Usage,
-                format!(
-                    "{}:{line}: the program pauses here and there is no terminal to press Enter on; run it in a terminal, or with --go-on",
-                    self.file
-                ),
-            )),
+            Some(line) if !passes_pauses(args) && !std::io::stdin().is_terminal() => {
+                Err(CliError::new(
+                    Exit::Usage,
+                    format!(
+                        "{}:{line}: the program pauses here and there is no terminal to press Enter on; run it in a terminal, or with --go-on",
+                        self.file
+                    ),
+                ))
+            }
             _ => Ok(()),
         }
     }
@@ -204,13 +242,24 @@ fn prepare(dir: &Path) -> Result<(), CliError> {
     let writable = || -> std::io::Result<()> {
         std::fs::create_dir_all(dir)?;
         let there_was_one = file.exists();
-        std::fs::OpenOptions::new().append(true).create(true).open(&file)?;
+        std::fs::OpenOptions::new()
+            .append(true)
+            .create(true)
+            .open(&file)?;
         if !there_was_one {
             std::fs::remove_file(&file)?;
         }
         Ok(())
     };
-    writable().map_err(|error| CliError::new(Exit::Output, format!("{}: {error}; choose another folder with --out", dir.display())))
+    writable().map_err(|error| {
+        CliError::new(
+            Exit::Output,
+            format!(
+                "{}: {error}; choose another folder with --out",
+                dir.display()
+            ),
+        )
+    })
 }
 
 /// A run under way.
@@ -222,7 +271,12 @@ struct Running<'a> {
 }
 
 impl Running<'_> {
-    fn carry_out<L: JobLine>(&self, mut session: Session<L>, number: u32, planned: Planned) -> Result<(), CliError> {
+    fn carry_out<L: JobLine>(
+        &self,
+        mut session: Session<L>,
+        number: u32,
+        planned: Planned,
+    ) -> Result<(), CliError> {
         session.connect(number)?;
         session.configure(self.machine)?;
         self.clear(&mut session)?;
@@ -230,7 +284,9 @@ impl Running<'_> {
         let status = session.status()?;
         let (start, planned) = if status.homed && status.position_kept {
             // Already homed: the program begins where the machine stands, and is checked again from there.
-            let planned = self.job.plan(self.machine, session.model(), &status.wanted)?;
+            let planned = self
+                .job
+                .plan(self.machine, session.model(), &status.wanted)?;
             (status.wanted, planned)
         } else {
             say(self.args, "homing");
@@ -239,7 +295,9 @@ impl Running<'_> {
             (self.home.clone(), planned)
         };
         if self.args.feed_override != 100 {
-            session.ask(Command::Override { percent: self.args.feed_override })?;
+            session.ask(Command::Override {
+                percent: self.args.feed_override,
+            })?;
         }
         self.job(session, start, planned)
     }
@@ -250,24 +308,43 @@ impl Running<'_> {
         match (status.state, status.fault) {
             (State::Fault, Some(fault)) => {
                 let what = session.sentence(&fault);
-                Err(CliError::new(Exit::Fault, format!("a fault is latched: {what}; remove the cause, then `haptimill reset`")))
+                Err(CliError::new(
+                    Exit::Fault,
+                    format!("a fault is latched: {what}; remove the cause, then `haptimill reset`"),
+                ))
             }
             (State::EmergencyStop, _) => Err(CliError::new(Exit::Fault, EMERGENCY_STOP)),
             _ => Ok(()),
         }
     }
 
-    fn job<L: JobLine>(&self, mut session: Session<L>, start: AxisValues, planned: Planned) -> Result<(), CliError> {
+    fn job<L: JobLine>(
+        &self,
+        mut session: Session<L>,
+        start: AxisValues,
+        planned: Planned,
+    ) -> Result<(), CliError> {
         let Planned { plan, pauses } = planned;
         let dir = self.args.out_dir();
-        let output = |error: &dyn std::fmt::Display| CliError::new(Exit::Output, format!("{}: {error}", dir.display()));
-        let header = Header::of(self.machine, &self.job.name).map_err(|error| CliError::new(Exit::Internal, error))?;
-        let recorder = Recorder::create(&dir.join(report::RECORDING_FILE), &header).map_err(|error| output(&error))?;
-        say(self.args, &format!("running, {}", report::duration(plan.figures.duration_s)));
+        let output = |error: &dyn std::fmt::Display| {
+            CliError::new(Exit::Output, format!("{}: {error}", dir.display()))
+        };
+        let header = Header::of(self.machine, &self.job.name)
+            .map_err(|error| CliError::new(Exit::Internal, error))?;
+        let recorder = Recorder::create(&dir.join(report::RECORDING_FILE), &header)
+            .map_err(|error| output(&error))?;
+        say(
+            self.args,
+            &format!("running, {}", report::duration(plan.figures.duration_s)),
+        );
         let plan = Arc::new(plan);
         let setpoints = plan.setpoints.clone();
         let mut watcher = Bar::new(self.args, &plan, pauses);
-        session.line_mut().begin_recording(JobRecording::new(recorder, Arc::clone(&plan), self.machine));
+        session.line_mut().begin_recording(JobRecording::new(
+            recorder,
+            Arc::clone(&plan),
+            self.machine,
+        ));
         let end = session.run_job(2, start, setpoints, &mut watcher);
         watcher.done();
         // Whatever happened, what was recorded is kept and reported.
@@ -284,19 +361,26 @@ impl Running<'_> {
                 completed: matches!(end.ending, JobEnding::Done { .. }),
                 final_state: Some(end.status.state),
                 position_kept: end.status.position_kept,
-                bytes_per_setpoint: f64::from(end.sent.message_bytes) / f64::from(end.setpoints.max(1)),
-                line_bytes_per_setpoint: f64::from(end.sent.bytes) / f64::from(end.setpoints.max(1)),
+                bytes_per_setpoint: f64::from(end.sent.message_bytes)
+                    / f64::from(end.setpoints.max(1)),
+                line_bytes_per_setpoint: f64::from(end.sent.bytes)
+                    / f64::from(end.setpoints.max(1)),
             },
             // The session broke: what the controller does now is not known, only what it said last.
             Err(error) => Outcome {
-                setpoints: session.client_mut().telemetry().map_or(0, |last| u64::from(last.setpoint)),
+                setpoints: session
+                    .client_mut()
+                    .telemetry()
+                    .map_or(0, |last| u64::from(last.setpoint)),
                 faults: vec![error.message.clone()],
                 ..Outcome::default()
             },
         };
-        let summary = report::write_all(&dir, &recorded, &outcome, self.args.trace_every).map_err(|error| output(&error))?;
+        let summary = report::write_all(&dir, &recorded, &outcome, self.args.trace_every)
+            .map_err(|error| output(&error))?;
         if self.args.json {
-            let json = serde_json::to_string_pretty(&summary).map_err(|error| CliError::new(Exit::Internal, error))?;
+            let json = serde_json::to_string_pretty(&summary)
+                .map_err(|error| CliError::new(Exit::Internal, error))?;
             tell!("{json}");
         } else {
             tell!("{}", summary.terminal().trim_end());
@@ -309,7 +393,9 @@ impl Running<'_> {
     fn well_ended<L: JobLine>(&self, session: &Session<L>, end: &JobEnd) -> Result<(), CliError> {
         for (setpoint, late) in &end.underruns {
             let ms = f64::from(*late) * f64::from(self.machine.config.period_us) / 1000.0;
-            eprintln!("setpoint {setpoint} was {ms:.0} ms late; the machine slowed down along its path and waited");
+            eprintln!(
+                "setpoint {setpoint} was {ms:.0} ms late; the machine slowed down along its path and waited"
+            );
         }
         if let Some(fault) = end.faults.first() {
             return Err(session.fault(fault));
@@ -318,13 +404,17 @@ impl Running<'_> {
             return Err(CliError::new(Exit::Fault, EMERGENCY_STOP));
         }
         if end.stopped {
-            return Err(CliError::new(Exit::Stopped, "stopped by the user; the position is kept"));
+            return Err(CliError::new(
+                Exit::Stopped,
+                "stopped by the user; the position is kept",
+            ));
         }
         match &end.ending {
             JobEnding::Done { .. } => Ok(()),
-            JobEnding::Dropped { setpoints, .. } => {
-                Err(CliError::new(Exit::Stopped, format!("the job was stopped from elsewhere after {setpoints} setpoints")))
-            }
+            JobEnding::Dropped { setpoints, .. } => Err(CliError::new(
+                Exit::Stopped,
+                format!("the job was stopped from elsewhere after {setpoints} setpoints"),
+            )),
             JobEnding::Lost { error, .. } => Err(CliError::new(Exit::Port, error)),
             other => Err(CliError::new(Exit::Command, other)),
         }
@@ -332,12 +422,17 @@ impl Running<'_> {
 }
 
 /// The emergency stop, in words.
-const EMERGENCY_STOP: &str = "the emergency stop is latched, the drives are off; release it, then `haptimill reset`";
+const EMERGENCY_STOP: &str =
+    "the emergency stop is latched, the drives are off; release it, then `haptimill reset`";
 
 /// What went wrong with the machine during a job, in words.
 fn faults<L: Line>(session: &Session<L>, end: &JobEnd) -> Vec<String> {
     let stop = (end.status.state == State::EmergencyStop).then(|| EMERGENCY_STOP.to_string());
-    end.faults.iter().map(|fault| session.sentence(fault)).chain(stop).collect()
+    end.faults
+        .iter()
+        .map(|fault| session.sentence(fault))
+        .chain(stop)
+        .collect()
 }
 
 /// Says something to people, unless the output is for a program.
@@ -368,12 +463,18 @@ impl Bar {
         let shown = !args.json && !args.quiet;
         let bar = ProgressBar::with_draw_target(
             Some(total),
-            if shown { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() },
+            if shown {
+                ProgressDrawTarget::stderr()
+            } else {
+                ProgressDrawTarget::hidden()
+            },
         );
         if let Ok(style) = ProgressStyle::with_template("{wide_bar} {percent:>3} %  {msg}") {
             bar.set_style(style);
         }
-        let lines = (0..plan.setpoints.len()).map(|setpoint| plan.line_of(setpoint)).collect();
+        let lines = (0..plan.setpoints.len())
+            .map(|setpoint| plan.line_of(setpoint))
+            .collect();
         Self {
             bar,
             period_s: plan.period_s,
@@ -394,23 +495,36 @@ impl Watcher for Bar {
         let done = f64::from(telemetry.program_periods) * self.period_s;
         let total = self.bar.length().unwrap_or(0) as f64 / 1000.0;
         self.bar.set_position((done * 1000.0) as u64);
-        let line = self.lines.get(telemetry.setpoint as usize).copied().unwrap_or(0);
-        self.bar.set_message(format!("line {line}, {} left", report::duration((total - done).max(0.0))));
+        let line = self
+            .lines
+            .get(telemetry.setpoint as usize)
+            .copied()
+            .unwrap_or(0);
+        self.bar.set_message(format!(
+            "line {line}, {} left",
+            report::duration((total - done).max(0.0))
+        ));
     }
 
     fn paused(&mut self, setpoint: u32) {
         let line = self.pauses.get(&setpoint).copied().unwrap_or(0);
         if self.passes_pauses {
-            self.bar.println(format!("line {line}: a pause, passed at once"));
+            self.bar
+                .println(format!("line {line}: a pause, passed at once"));
             return;
         }
-        self.bar.println(format!("line {line}: the program pauses; Enter goes on, Ctrl-C ends it"));
+        self.bar.println(format!(
+            "line {line}: the program pauses; Enter goes on, Ctrl-C ends it"
+        ));
         self.entered.store(false, Ordering::Relaxed);
         let entered = Arc::clone(&self.entered);
         // Reading a line waits; the session must go on meanwhile, or the controller would miss its host.
         std::thread::spawn(move || {
             let mut line = String::new();
-            if std::io::stdin().read_line(&mut line).is_ok_and(|count| count > 0) {
+            if std::io::stdin()
+                .read_line(&mut line)
+                .is_ok_and(|count| count > 0)
+            {
                 entered.store(true, Ordering::Relaxed);
             }
         });

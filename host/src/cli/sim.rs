@@ -74,15 +74,23 @@ pub fn serve(args: ServeArgs) -> Result<(), CliError> {
     let (mut port, link) = listen(&args)?;
     let output = |error: std::io::Error| CliError::new(Exit::Output, error);
     let mut out = std::io::stdout();
-    writeln!(out, "{}", port.name()).and_then(|()| out.flush()).map_err(output)?;
+    writeln!(out, "{}", port.name())
+        .and_then(|()| out.flush())
+        .map_err(output)?;
     let begun = Instant::now();
     let mut buffer = [0; 4096];
     let mut said = Vec::new();
-    while !interrupted.load(Ordering::Relaxed) && args.duration.is_none_or(|limit| begun.elapsed().as_secs_f64() < limit) {
+    while !interrupted.load(Ordering::Relaxed)
+        && args
+            .duration
+            .is_none_or(|limit| begun.elapsed().as_secs_f64() < limit)
+    {
         // Virtual time follows real time, and after a pause of this process it does not race to catch up.
         let now_ns = begun.elapsed().as_nanos() as u64;
         let mut behind = 0;
-        while rig.time_ns() + u64::from(machine.config.period_us) * 1000 <= now_ns && behind < MOST_PERIODS {
+        while rig.time_ns() + u64::from(machine.config.period_us) * 1000 <= now_ns
+            && behind < MOST_PERIODS
+        {
             rig.step();
             behind += 1;
         }
@@ -124,7 +132,10 @@ fn listen(args: &ServeArgs) -> Result<(Box<dyn Transport>, Option<Link>), CliErr
     match &args.listen {
         Listen::Tcp(address) => {
             if args.link.is_some() {
-                return Err(CliError::new(Exit::Usage, "--link is for a pseudo-terminal; leave it out with tcp:"));
+                return Err(CliError::new(
+                    Exit::Usage,
+                    "--link is for a pseudo-terminal; leave it out with tcp:",
+                ));
             }
             Ok((Box::new(TcpServer::listen(address)?), None))
         }
@@ -134,7 +145,13 @@ fn listen(args: &ServeArgs) -> Result<(Box<dyn Transport>, Option<Link>), CliErr
             let link = match &args.link {
                 Some(path) => {
                     std::os::unix::fs::symlink(port.name(), path).map_err(|error| {
-                        CliError::new(Exit::Output, format!("{}: {error}; take another path, or remove it", path.display()))
+                        CliError::new(
+                            Exit::Output,
+                            format!(
+                                "{}: {error}; take another path, or remove it",
+                                path.display()
+                            ),
+                        )
                     })?;
                     Some(Link(path.clone()))
                 }
@@ -143,6 +160,9 @@ fn listen(args: &ServeArgs) -> Result<(Box<dyn Transport>, Option<Link>), CliErr
             Ok((Box::new(port), link))
         }
         #[cfg(not(unix))]
-        Listen::Pty => Err(CliError::new(Exit::Usage, "this system has no pseudo-terminals; use --listen tcp:HOST:PORT")),
+        Listen::Pty => Err(CliError::new(
+            Exit::Usage,
+            "this system has no pseudo-terminals; use --listen tcp:HOST:PORT",
+        )),
     }
 }

@@ -106,7 +106,7 @@ fn path(seed: u64, count: u32) -> Vec<Setpoint> {
                 pose: [x, 7].into_iter().collect(),
                 rates: [v, 0].into_iter().collect(),
                 action: if number % 50 == 3 {
-                    Action::Spindle(number as u16)
+                    Action::Spindle(number as i16)
                 } else {
                     Action::None
                 },

@@ -121,12 +121,14 @@ pub fn stop_past_lock(spec: &PortSpec) -> Result<(), PortError> {
     };
     match spec {
         PortSpec::Simulator => Err(PortError::NoPort),
-        PortSpec::Tcp(address) => {
-            std::net::TcpStream::connect(address).and_then(|mut stream| repeat(&mut stream)).map_err(failed)
-        }
-        PortSpec::Serial(path) => {
-            std::fs::OpenOptions::new().write(true).open(path).and_then(|mut file| repeat(&mut file)).map_err(failed)
-        }
+        PortSpec::Tcp(address) => std::net::TcpStream::connect(address)
+            .and_then(|mut stream| repeat(&mut stream))
+            .map_err(failed),
+        PortSpec::Serial(path) => std::fs::OpenOptions::new()
+            .write(true)
+            .open(path)
+            .and_then(|mut file| repeat(&mut file))
+            .map_err(failed),
     }
 }
 

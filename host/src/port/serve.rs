@@ -92,7 +92,9 @@ fn send_away(mut stream: TcpStream, stop: Arc<AtomicBool>) {
         let mut waste = [0; 256];
         let mut urgent = UrgentDetector::new();
         for _ in 0..64 {
-            let Ok(count @ 1..) = stream.read(&mut waste) else { break };
+            let Ok(count @ 1..) = stream.read(&mut waste) else {
+                break;
+            };
             if urgent.push_all(&waste[..count]) {
                 stop.store(true, Ordering::Relaxed);
             }

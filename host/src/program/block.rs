@@ -30,6 +30,18 @@ pub(crate) enum Stop {
     End,
 }
 
+/// What the spindle does.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Turn {
+    /// It stands (M5).
+    #[default]
+    Off,
+    /// M3.
+    Clockwise,
+    /// M4.
+    CounterClockwise,
+}
+
 /// The words of a block, sorted out.
 #[derive(Debug, Default)]
 pub(crate) struct Block {
@@ -39,7 +51,7 @@ pub(crate) struct Block {
     pub incremental: Option<bool>,
     pub exact_stop: Option<bool>,
     pub dwell: Option<Place>,
-    pub spindle: Option<(Place, bool)>,
+    pub spindle: Option<(Place, Turn)>,
     pub stop: Option<(Place, Stop)>,
     pub feed: Option<Word>,
     pub speed: Option<Word>,
@@ -269,14 +281,18 @@ fn miscellaneous(word: &Word, block: &mut Block, groups: &mut Groups, problems: 
                 block.stop = Some((word.place, stop));
             }
         }
-        3 | 5 => {
+        3..=5 => {
             if groups.enter("what the spindle does", word, problems) {
-                block.spindle = Some((word.place, code == 3));
+                let turn = match code {
+                    3 => Turn::Clockwise,
+                    4 => Turn::CounterClockwise,
+                    _ => Turn::Off,
+                };
+                block.spindle = Some((word.place, turn));
             }
         }
         _ => {
             let remedy = match code {
-                4 => "the spindle turns clockwise only: write M3 if the tool cuts that way",
                 6 => "this machine has one tool: take it out, one program for each tool",
                 7..=9 => "this machine has no coolant: take it out",
                 98 | 99 => "subprograms are not known: write the moves out",
@@ -299,13 +315,13 @@ fn check_companions(block: &Block, problems: &mut Problems) {
         );
     }
     if let Some(word) = &block.speed
-        && !(word.value.fract() == 0.0 && (0.0..=f64::from(u16::MAX)).contains(&word.value))
+        && !(word.value.fract() == 0.0 && (0.0..=f64::from(i16::MAX)).contains(&word.value))
     {
         let what = format!("{} is not a spindle speed", word.text);
         problems.add(
             word.place,
             what,
-            "write a whole number of rev/min from 0 to 65535",
+            "write a whole number of rev/min from 0 to 32767",
         );
     }
     match (&block.dwell, &block.seconds) {

@@ -131,8 +131,8 @@ pub enum Step {
     Spindle {
         /// The M word, or the S word that changes a running spindle.
         place: Place,
-        /// Rev/min; 0 is off.
-        rpm: u16,
+        /// Rev/min: clockwise above 0 (M3), counter-clockwise below (M4), 0 is off.
+        rpm: i16,
     },
     /// Waits for the operator.
     Pause {

@@ -1,6 +1,6 @@
 //! Block after block: modal state, position, steps.
 
-use super::block::{Block, Motion, Plane, Stop, sort};
+use super::block::{Block, Motion, Plane, Stop, Turn, sort};
 use super::lexer::{Word, lines, read_line};
 use super::path::{AxisKind, Coordinates, Path};
 use super::problem::{Place, Problems, Refused};
@@ -65,8 +65,8 @@ struct Reader<'a> {
     exact_stop: bool,
     /// mm/min or deg/min as written; a rotary feed is not scaled by the unit.
     feed: Option<f64>,
-    speed: Option<u16>,
-    spindle_on: bool,
+    speed: Option<i16>,
+    turn: Turn,
     any_block: bool,
     tape_open: bool,
     ended: Option<Place>,
@@ -89,7 +89,7 @@ impl<'a> Reader<'a> {
             exact_stop: false,
             feed: None,
             speed: None,
-            spindle_on: false,
+            turn: Turn::Off,
             any_block: false,
             tape_open: false,
             ended: None,
@@ -127,7 +127,7 @@ impl<'a> Reader<'a> {
                 Stop::OptionalPause if !self.options.optional_stop => {}
                 Stop::Pause | Stop::OptionalPause => self.steps.push(Step::Pause { place }),
                 Stop::End => {
-                    if self.spindle_on {
+                    if self.turn != Turn::Off {
                         self.steps.push(Step::Spindle { place, rpm: 0 });
                     }
                     self.ended = Some(place);
@@ -159,28 +159,29 @@ impl<'a> Reader<'a> {
         let mut place = None;
         if let Some(word) = &block.speed {
             // Out of range was refused; the conversion saturates.
-            let speed = Some(word.value as u16);
-            if self.spindle_on && speed != self.speed {
+            let speed = Some(word.value as i16);
+            if self.turn != Turn::Off && speed != self.speed {
                 place = Some(word.place);
             }
             self.speed = speed;
         }
-        if let Some((at, on)) = block.spindle {
+        if let Some((at, turn)) = block.spindle {
             place = Some(at);
-            if on && self.speed.unwrap_or(0) == 0 {
+            if turn != Turn::Off && self.speed.unwrap_or(0) == 0 {
                 self.problems.add(
                     at,
                     "the spindle is started without a speed",
                     "write S with the speed in rev/min",
                 );
             }
-            self.spindle_on = on;
+            self.turn = turn;
         }
         if let Some(place) = place {
-            let rpm = if self.spindle_on {
-                self.speed.unwrap_or(0)
-            } else {
-                0
+            let speed = self.speed.unwrap_or(0);
+            let rpm = match self.turn {
+                Turn::Off => 0,
+                Turn::Clockwise => speed,
+                Turn::CounterClockwise => -speed,
             };
             self.steps.push(Step::Spindle { place, rpm });
         }

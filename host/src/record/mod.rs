@@ -24,7 +24,7 @@
 //! | 8 | u32 | setpoint that the motion is heading for |
 //! | 12 | u32 | line of the program, 0 when there is none |
 //! | 16 | u16 | path rate, 65535 for the programmed one |
-//! | 18 | u16 | spindle, rev/min |
+//! | 18 | i16 | spindle, rev/min; counter-clockwise below 0 |
 //! | 20 | u8 | state, in the order of [`State`] |
 //! | 21 | u8 | flags, see [`flag`] |
 //! | 22 | u16 | 0 |
@@ -85,7 +85,7 @@ pub struct Record {
     /// Speed along the path, 65535 for the programmed one.
     pub path_rate: u16,
     /// Spindle, rev/min.
-    pub spindle_rpm: u16,
+    pub spindle_rpm: i16,
     /// State of the controller.
     pub state: State,
     /// See [`flag`].
@@ -159,7 +159,7 @@ impl Record {
             setpoint: word(8) as u32,
             line: word(12) as u32,
             path_rate: half(16),
-            spindle_rpm: half(18),
+            spindle_rpm: half(18) as i16,
             state: *STATES.get(usize::from(bytes[20]))?,
             flags: bytes[21],
             wanted: axes(24),

@@ -54,7 +54,7 @@ fn any_record() -> impl Strategy<Value = Record> {
                     setpoint,
                     line,
                     path_rate,
-                    spindle_rpm,
+                    spindle_rpm: spindle_rpm as i16,
                     state: STATES[state],
                     flags,
                     wanted,

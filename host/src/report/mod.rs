@@ -143,7 +143,9 @@ impl Summary {
             underruns: outcome.underruns,
             faults: outcome.faults.clone(),
             completed: outcome.completed,
-            final_state: outcome.final_state.map_or("Unknown".to_string(), |state| format!("{state:?}")),
+            final_state: outcome
+                .final_state
+                .map_or("Unknown".to_string(), |state| format!("{state:?}")),
             position_kept: outcome.position_kept,
             bytes_per_setpoint: outcome.bytes_per_setpoint,
             line_bytes_per_setpoint: outcome.line_bytes_per_setpoint,

@@ -25,7 +25,12 @@ impl Watcher for Unwatched {
 }
 
 /// A straight rapid move between two poses, in axis units.
-fn way(machine: &MachineFile, model: &Model, from: &AxisValues, to: &AxisValues) -> Result<Plan, CliError> {
+fn way(
+    machine: &MachineFile,
+    model: &Model,
+    from: &AxisValues,
+    to: &AxisValues,
+) -> Result<Plan, CliError> {
     let options = program_options(machine, model.to_people(from));
     // Ten decimals: far below an axis unit, so the end is the wanted one to the last bit.
     let words: String = options
@@ -37,7 +42,8 @@ fn way(machine: &MachineFile, model: &Model, from: &AxisValues, to: &AxisValues)
     let name = "the way to the home pose";
     let program = program::read(name, format!("G0{words}\n").as_bytes(), &options)
         .map_err(|refused| CliError::new(Exit::Internal, refused))?;
-    Plan::new(&program, &settings(machine), model).map_err(|refused| CliError::new(Exit::Refused, refused))
+    Plan::new(&program, &settings(machine), model)
+        .map_err(|refused| CliError::new(Exit::Refused, refused))
 }
 
 impl<L: Line> Session<L> {
@@ -45,7 +51,11 @@ impl<L: Line> Session<L> {
     ///
     /// # Errors
     /// As [`Session::home`], and when the way is refused.
-    pub fn go_home(&mut self, machine: &MachineFile, home: &AxisValues) -> Result<JobEnd, CliError> {
+    pub fn go_home(
+        &mut self,
+        machine: &MachineFile,
+        home: &AxisValues,
+    ) -> Result<JobEnd, CliError> {
         self.home()?;
         let here = self.status()?.wanted;
         let plan = way(machine, &self.model, &here, home)?;

@@ -65,12 +65,17 @@ impl<L: Line> Session<L> {
         watcher: &mut dyn Watcher,
     ) -> Result<JobEnd, CliError> {
         let first = self.events.len();
-        let period_us = self.client.controller().map_or(200, |welcome| u32::from(welcome.period_us));
+        let period_us = self
+            .client
+            .controller()
+            .map_or(200, |welcome| u32::from(welcome.period_us));
         let every = (TELEMETRY_MS * 1000 / period_us.max(1)).clamp(1, u32::from(u16::MAX)) as u16;
         self.ask(Command::Telemetry { every })?;
         self.ending = None;
         let before = self.client.link().counters();
-        self.client.start_job(job, start, setpoints).map_err(|error| CliError::new(crate::cli::Exit::Port, error))?;
+        self.client
+            .start_job(job, start, setpoints)
+            .map_err(|error| CliError::new(crate::cli::Exit::Port, error))?;
         let mut stopped = false;
         let mut paused = false;
         let mut seen = first;
@@ -92,7 +97,11 @@ impl<L: Line> Session<L> {
                         watcher.paused(*setpoint);
                     }
                     // Nobody here asked for it: another program on the port sent an urgent stop.
-                    Event::State { from: State::Run, to: State::Hold, .. } if !paused && !stopped => {
+                    Event::State {
+                        from: State::Run,
+                        to: State::Hold,
+                        ..
+                    } if !paused && !stopped => {
                         self.client.request(Command::Stop);
                     }
                     _ => {}
@@ -115,12 +124,25 @@ impl<L: Line> Session<L> {
             message_bytes: after.message_bytes - before.message_bytes,
         };
         let status = self.settle()?;
-        let mut end = JobEnd { ending, setpoints: 0, underruns: Vec::new(), faults: Vec::new(), stopped, status, sent };
+        let mut end = JobEnd {
+            ending,
+            setpoints: 0,
+            underruns: Vec::new(),
+            faults: Vec::new(),
+            stopped,
+            status,
+            sent,
+        };
         for (_, event) in &self.events[first..] {
             match event {
-                Event::Underrun { setpoint, late_periods } => end.underruns.push((*setpoint, *late_periods)),
+                Event::Underrun {
+                    setpoint,
+                    late_periods,
+                } => end.underruns.push((*setpoint, *late_periods)),
                 Event::Fault(fault) => end.faults.push(*fault),
-                Event::JobDone { setpoints, .. } | Event::JobDropped { setpoints, .. } => end.setpoints = *setpoints,
+                Event::JobDone { setpoints, .. } | Event::JobDropped { setpoints, .. } => {
+                    end.setpoints = *setpoints
+                }
                 _ => {}
             }
         }
@@ -132,7 +154,9 @@ impl<L: Line> Session<L> {
     fn settle(&mut self) -> Result<Telemetry, CliError> {
         loop {
             let status = self.status()?;
-            if !matches!(status.state, State::Run | State::Homing | State::Jog) && (status.state != State::Hold || status.path_rate == 0) {
+            if !matches!(status.state, State::Run | State::Homing | State::Jog)
+                && (status.state != State::Hold || status.path_rate == 0)
+            {
                 return Ok(status);
             }
         }

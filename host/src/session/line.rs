@@ -50,7 +50,12 @@ impl PortLine {
     /// A line over an open port.
     #[must_use]
     pub fn new(port: Box<dyn Transport>) -> Self {
-        Self { port, begun: Instant::now(), waiting: Vec::new(), recording: None }
+        Self {
+            port,
+            begun: Instant::now(),
+            waiting: Vec::new(),
+            recording: None,
+        }
     }
 }
 

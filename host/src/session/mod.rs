@@ -54,7 +54,12 @@ pub struct Session<L> {
 
 impl<L: Line> Session<L> {
     /// A session over a line; `interrupted` is set when the user wants everything to stop.
-    pub fn new(line: L, machine: &MachineFile, options: Options, interrupted: Arc<AtomicBool>) -> Self {
+    pub fn new(
+        line: L,
+        machine: &MachineFile,
+        options: Options,
+        interrupted: Arc<AtomicBool>,
+    ) -> Self {
         Self {
             line,
             client: Client::new(options),
@@ -110,10 +115,15 @@ impl<L: Line> Session<L> {
         self.received.clear();
         self.now_us = self.line.exchange(&self.transmit, &mut self.received)?;
         self.transmit.clear();
-        self.client.advance(self.now_us, &self.received, &mut self.transmit);
+        self.client
+            .advance(self.now_us, &self.received, &mut self.transmit);
         while let Some(notice) = self.client.poll() {
             match notice {
-                Notice::Answered { ticket, command, result } => self.answers.push_back((ticket, command, result)),
+                Notice::Answered {
+                    ticket,
+                    command,
+                    result,
+                } => self.answers.push_back((ticket, command, result)),
                 Notice::Event { period, event } => self.events.push((period, event)),
                 Notice::Job(ending) => self.ending = Some(ending),
                 Notice::Lost(error) => self.lost = Some(error.to_string()),
@@ -123,7 +133,10 @@ impl<L: Line> Session<L> {
             }
         }
         match &self.lost {
-            Some(lost) => Err(CliError::new(Exit::Port, format!("{}: {lost}", self.line.name()))),
+            Some(lost) => Err(CliError::new(
+                Exit::Port,
+                format!("{}: {lost}", self.line.name()),
+            )),
             None => Ok(()),
         }
     }
@@ -137,7 +150,10 @@ impl<L: Line> Session<L> {
         while *self.client.state() != ClientState::Ready {
             self.step()?;
             if self.interrupted() {
-                return Err(CliError::new(Exit::Stopped, "stopped before the controller answered"));
+                return Err(CliError::new(
+                    Exit::Stopped,
+                    "stopped before the controller answered",
+                ));
             }
         }
         Ok(())
@@ -158,7 +174,10 @@ impl<L: Line> Session<L> {
     /// A refusal, in words, or no answer.
     pub fn wait_for_answer(&mut self, ticket: Ticket) -> Result<(), CliError> {
         loop {
-            if let Some(index) = self.answers.iter().position(|(answered, _, _)| *answered == ticket)
+            if let Some(index) = self
+                .answers
+                .iter()
+                .position(|(answered, _, _)| *answered == ticket)
                 && let Some((_, command, result)) = self.answers.remove(index)
             {
                 return result.map_err(|error| self.refused(command, &error));
@@ -170,7 +189,9 @@ impl<L: Line> Session<L> {
     fn refused(&self, command: &str, error: &RequestError) -> CliError {
         match error {
             RequestError::Refused(refusal) => {
-                let why = self.model.with_axes(|axes| axes.describe(refusal).to_string());
+                let why = self
+                    .model
+                    .with_axes(|axes| axes.describe(refusal).to_string());
                 CliError::new(Exit::Command, format!("{command}: {why}"))
             }
             other => CliError::new(Exit::Port, format!("{command}: {other}")),
@@ -182,8 +203,14 @@ impl<L: Line> Session<L> {
     /// # Errors
     /// A refusal: the controller and this program disagree, or the machine is not disabled.
     pub fn configure(&mut self, machine: &MachineFile) -> Result<(), CliError> {
-        let (bytes, crc) = machine.encoded().map_err(|error| CliError::new(Exit::Internal, error))?;
-        if self.client.controller().is_some_and(|welcome| welcome.config_crc == crc) {
+        let (bytes, crc) = machine
+            .encoded()
+            .map_err(|error| CliError::new(Exit::Internal, error))?;
+        if self
+            .client
+            .controller()
+            .is_some_and(|welcome| welcome.config_crc == crc)
+        {
             return Ok(());
         }
         self.reconfigure(&bytes)?;
@@ -205,7 +232,11 @@ impl<L: Line> Session<L> {
     pub fn machine_name(&self) -> String {
         match &self.configured {
             Some(name) => name.clone(),
-            None => self.client.controller().map(|welcome| welcome.machine.to_string()).unwrap_or_default(),
+            None => self
+                .client
+                .controller()
+                .map(|welcome| welcome.machine.to_string())
+                .unwrap_or_default(),
         }
     }
 
@@ -260,9 +291,16 @@ impl<L: Line> Session<L> {
                 match event {
                     Event::Homed => return Ok(()),
                     Event::Fault(fault) => return Err(self.fault(fault)),
-                    Event::State { from: State::Homing, to, .. } if *to != State::Homing => {
+                    Event::State {
+                        from: State::Homing,
+                        to,
+                        ..
+                    } if *to != State::Homing => {
                         // The event of success comes before the change of state.
-                        return Err(CliError::new(Exit::Stopped, "homing was stopped; the reference is not found"));
+                        return Err(CliError::new(
+                            Exit::Stopped,
+                            "homing was stopped; the reference is not found",
+                        ));
                     }
                     _ => {}
                 }
@@ -273,16 +311,23 @@ impl<L: Line> Session<L> {
     /// A refusal of a command that asks for no answer (a jog), in words, once.
     pub fn refusal(&mut self) -> Option<String> {
         let refusal = self.refusal.take()?;
-        Some(self.model.with_axes(|axes| axes.describe(&refusal).to_string()))
+        Some(
+            self.model
+                .with_axes(|axes| axes.describe(&refusal).to_string()),
+        )
     }
 
     /// A fault as an error of the command.
     pub fn fault(&self, fault: &Fault) -> CliError {
-        CliError::new(Exit::Fault, format!("machine fault: {}", self.sentence(fault)))
+        CliError::new(
+            Exit::Fault,
+            format!("machine fault: {}", self.sentence(fault)),
+        )
     }
 
     /// A fault in words.
     pub fn sentence(&self, fault: &Fault) -> String {
-        self.model.with_axes(|axes| axes.describe(fault).to_string())
+        self.model
+            .with_axes(|axes| axes.describe(fault).to_string())
     }
 }

@@ -43,7 +43,12 @@ pub fn rig(
     let mut plant: PlantConfig = machine.plant()?;
     plant.seed = seed.unwrap_or(plant.seed);
     let period_us = machine.config.period_us;
-    let options = RigOptions { period_us, baud, faults, ..RigOptions::default() };
+    let options = RigOptions {
+        period_us,
+        baud,
+        faults,
+        ..RigOptions::default()
+    };
     Rig::new(&plant, &options, Controller::new(period_us))
         .map_err(|error| CliError::new(Exit::BadInput, format!("{}: {error}", machine.file)))
 }
@@ -52,7 +57,10 @@ impl SimLine {
     /// A line to a simulated machine.
     #[must_use]
     pub fn new(rig: Rig<Controller>) -> Self {
-        Self { rig, recording: None }
+        Self {
+            rig,
+            recording: None,
+        }
     }
 
     /// The machine with its controller and its line, for a look at what really was.
@@ -98,7 +106,12 @@ impl JobRecording {
         for (slot, axis) in units.iter_mut().zip(&machine.config.pose) {
             *slot = crate::machine::scale::per_unit(axis.kind);
         }
-        Self { recorder, plan, cursor: Cursor::default(), units }
+        Self {
+            recorder,
+            plan,
+            cursor: Cursor::default(),
+            units,
+        }
     }
 
     /// The recorder, to be finished.
@@ -122,14 +135,23 @@ impl JobRecording {
             (!telemetry.measured.is_empty(), flag::TOOL_MEASURED),
             (telemetry.fault.is_some(), flag::FAULT),
         ];
-        record.flags = flags.iter().filter(|(set, _)| *set).fold(0, |all, (_, flag)| all | flag);
-        let copy = |to: &mut [i32; MAX_AXES], from: &AxisValues| to.iter_mut().zip(from).for_each(|(to, from)| *to = *from);
+        record.flags = flags
+            .iter()
+            .filter(|(set, _)| *set)
+            .fold(0, |all, (_, flag)| all | flag);
+        let copy = |to: &mut [i32; MAX_AXES], from: &AxisValues| {
+            to.iter_mut().zip(from).for_each(|(to, from)| *to = *from)
+        };
         copy(&mut record.wanted, &telemetry.wanted);
         copy(&mut record.joints, &telemetry.joints);
         copy(&mut record.following_error, &telemetry.following_error);
         copy(&mut record.drive, &telemetry.drive);
         copy(&mut record.tool, &telemetry.measured);
-        for (wanted, (joint, error)) in record.joints_wanted.iter_mut().zip(record.joints.iter().zip(record.following_error)) {
+        for (wanted, (joint, error)) in record
+            .joints_wanted
+            .iter_mut()
+            .zip(record.joints.iter().zip(record.following_error))
+        {
             *wanted = joint.wrapping_add(error);
         }
         self.add_programmed(&mut record, f64::from(telemetry.program_periods));
@@ -141,8 +163,14 @@ impl JobRecording {
         if !matches!(record.state, State::Run | State::Hold) {
             return;
         }
-        let programmed = self.plan.programmed(&mut self.cursor, periods * self.plan.period_s);
-        for (slot, (value, units)) in record.programmed.iter_mut().zip(programmed.iter().zip(&self.units)) {
+        let programmed = self
+            .plan
+            .programmed(&mut self.cursor, periods * self.plan.period_s);
+        for (slot, (value, units)) in record
+            .programmed
+            .iter_mut()
+            .zip(programmed.iter().zip(&self.units))
+        {
             *slot = (value * units).round() as i32;
         }
         record.flags |= flag::PROGRAMMED;
@@ -151,7 +179,9 @@ impl JobRecording {
 
     fn add(&mut self, rig: &Rig<Controller>) {
         let controller = rig.control();
-        let Some(machinery) = controller.machinery() else { return };
+        let Some(machinery) = controller.machinery() else {
+            return;
+        };
         let (safety, program) = (controller.safety(), &machinery.motion.program);
         let state = safety.state();
         let mut record = Record {
@@ -168,7 +198,10 @@ impl JobRecording {
             (rig.truth().pose_valid, flag::TOOL_TRUE),
             (safety.fault().is_some(), flag::FAULT),
         ];
-        record.flags = flags.iter().filter(|(set, _)| *set).fold(0, |all, (_, flag)| all | flag);
+        record.flags = flags
+            .iter()
+            .filter(|(set, _)| *set)
+            .fold(0, |all, (_, flag)| all | flag);
         let wanted = machinery.motion.wanted().pose;
         for (axis, joint) in machinery.joints().enumerate() {
             record.wanted[axis] = wanted.0[axis].0;
@@ -182,7 +215,10 @@ impl JobRecording {
             };
             record.tool[axis] = (rig.truth().pose[axis] * self.units[axis]).round() as i32;
         }
-        self.add_programmed(&mut record, program.program_time() as f64 / FULL_RATE as f64);
+        self.add_programmed(
+            &mut record,
+            program.program_time() as f64 / FULL_RATE as f64,
+        );
         self.recorder.record(&record);
     }
 }

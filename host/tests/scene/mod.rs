@@ -14,7 +14,10 @@ pub const LIMIT: Duration = Duration::from_secs(60);
 
 /// The root of the workspace; commands run there.
 pub fn root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap().to_path_buf()
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .parent()
+        .unwrap()
+        .to_path_buf()
 }
 
 /// A folder of a test, gone with it.
@@ -24,7 +27,8 @@ impl Folder {
     pub fn new() -> Self {
         static NEXT: AtomicU32 = AtomicU32::new(0);
         let number = NEXT.fetch_add(1, Ordering::Relaxed);
-        let path = std::env::temp_dir().join(format!("haptimill-test-{}-{number}", std::process::id()));
+        let path =
+            std::env::temp_dir().join(format!("haptimill-test-{}-{number}", std::process::id()));
         std::fs::create_dir_all(&path).unwrap();
         Self(path)
     }
@@ -111,7 +115,12 @@ pub fn start(arguments: &[&str]) -> Started {
         let _ = err.read_to_string(&mut text);
         text
     });
-    Started { child, out: Some(out), said: String::new(), err: Some(err) }
+    Started {
+        child,
+        out: Some(out),
+        said: String::new(),
+        err: Some(err),
+    }
 }
 
 /// Runs the command to its end.
@@ -139,7 +148,10 @@ impl Started {
             if line.is_empty() {
                 let status = self.child.wait();
                 let err = self.err.take().map(|err| err.join());
-                panic!("never said {part:?}, but {:?}; {status:?}, {err:?}", self.said);
+                panic!(
+                    "never said {part:?}, but {:?}; {status:?}, {err:?}",
+                    self.said
+                );
             }
         }
     }
@@ -170,7 +182,10 @@ impl Started {
             if begun.elapsed() > LIMIT {
                 let _ = self.child.kill();
                 let status = self.child.wait().unwrap();
-                panic!("not at its end after {LIMIT:?}: {status}; said {:?}", self.said);
+                panic!(
+                    "not at its end after {LIMIT:?}: {status}; said {:?}",
+                    self.said
+                );
             }
             // The standard library has no waiting with a limit.
             std::thread::sleep(Duration::from_millis(5));
@@ -228,7 +243,8 @@ impl Served {
 
     /// On `tcp:HOST:PORT` or `pty`. It ends by itself after two minutes, whatever becomes of the test.
     pub fn on(listen: &str, more: &[&str]) -> Self {
-        let mut process = start(&[&["sim", "serve", "--for", "120", "--listen", listen], more].concat());
+        let mut process =
+            start(&[&["sim", "serve", "--for", "120", "--listen", listen], more].concat());
         let port = process.line();
         assert!(!port.is_empty(), "{:?}", process.end());
         Self { process, port }
@@ -255,5 +271,7 @@ impl Served {
 /// The number in a field of a JSON object.
 #[track_caller]
 pub fn number(value: &serde_json::Value, field: &str) -> f64 {
-    value[field].as_f64().unwrap_or_else(|| panic!("no number {field} in {value:#}"))
+    value[field]
+        .as_f64()
+        .unwrap_or_else(|| panic!("no number {field} in {value:#}"))
 }

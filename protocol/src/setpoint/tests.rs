@@ -20,7 +20,7 @@ fn setpoint(axes: usize) -> impl Strategy<Value = Setpoint> {
             periods,
             pose: pose.into_iter().collect(),
             rates: rates.into_iter().collect(),
-            action: [Action::None, Action::Pause, Action::Spindle(speed)][usize::from(kind)],
+            action: [Action::None, Action::Pause, Action::Spindle(speed as i16)][usize::from(kind)],
         })
 }
 

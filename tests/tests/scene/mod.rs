@@ -1,9 +1,12 @@
 //! Scenes that the tests of faults begin with, and what they look at.
 #![allow(dead_code, reason = "each test binary uses a part")]
 
-use haptimill_protocol::message::{Action, AxisValues, Command, Event, State};
-use haptimill_protocol::setpoint::Setpoint;
+use haptimill_protocol::message::{
+    Action, AxisValues, Command, Event, SETPOINT_BATCH, SetpointBatch, State,
+};
+use haptimill_protocol::setpoint::{Setpoint, SetpointCoder};
 use haptimill_tests::Bench;
+use std::collections::VecDeque;
 
 /// Axis units of a millimetre.
 pub const MM: f64 = (1 << 20) as f64;
@@ -145,4 +148,90 @@ pub fn rest(pose: &AxisValues, periods: u16) -> Setpoint {
         rates: pose.iter().map(|_| 0).collect(),
         action: Action::None,
     }
+}
+
+/// A circle in x and y that begins and ends at rest, of `count` spans of 50 ms; a fifth-order polynomial leads its angle.
+pub fn circle(start: &AxisValues, radius: f64, count: usize) -> Vec<Setpoint> {
+    use core::f64::consts::TAU;
+    let total = count as f64 * 0.05;
+    (1..=count)
+        .map(|index| {
+            let s = index as f64 / count as f64;
+            let angle = TAU * s * s * s * (10.0 - 15.0 * s + 6.0 * s * s);
+            let rate = TAU * 30.0 * s * s * (1.0 - s) * (1.0 - s) / total;
+            let mut setpoint = rest(start, 250);
+            setpoint.pose[0] += (radius * (angle.cos() - 1.0) * MM) as i32;
+            setpoint.pose[1] += (radius * angle.sin() * MM) as i32;
+            setpoint.rates[0] = (-radius * angle.sin() * rate * MM / 256.0) as i32;
+            setpoint.rates[1] = (radius * angle.cos() * rate * MM / 256.0) as i32;
+            setpoint
+        })
+        .collect()
+}
+
+/// A job as commands: start, batches, end.
+pub fn commands(job: u32, start: &AxisValues, setpoints: &[Setpoint]) -> VecDeque<Command> {
+    let mut coder = SetpointCoder::new(200, start);
+    let begin = Command::JobStart {
+        job,
+        pose: start.clone(),
+    };
+    let batches = setpoints
+        .chunks(SETPOINT_BATCH)
+        .enumerate()
+        .map(|(index, batch)| {
+            Command::Setpoints(SetpointBatch {
+                first: (index * SETPOINT_BATCH) as u32,
+                items: batch
+                    .iter()
+                    .map(|setpoint| coder.encode(setpoint).expect("codes"))
+                    .collect(),
+            })
+        });
+    let end = Command::JobEnd {
+        count: setpoints.len() as u32,
+    };
+    core::iter::once(begin)
+        .chain(batches)
+        .chain([end])
+        .collect()
+}
+
+/// Says as many of the commands as there is room for.
+pub fn pump(bench: &mut Bench, commands: &mut VecDeque<Command>) {
+    while let Some(command) = commands.front() {
+        if bench.say(command.clone()).is_none() {
+            break;
+        }
+        commands.pop_front();
+    }
+}
+
+/// Wanted poses without those at which it stood still.
+pub fn without_pauses(poses: &[[i32; 6]]) -> Vec<[i32; 6]> {
+    let mut path = poses.to_vec();
+    path.dedup();
+    path
+}
+
+/// How far a pose (x, y, z) is from a path of poses, axis units.
+pub fn from_path(path: &[[i32; 6]], pose: &[i32; 6]) -> f64 {
+    let point = |pose: &[i32; 6]| [0, 1, 2].map(|axis| f64::from(pose[axis]));
+    let p = point(pose);
+    path.windows(2)
+        .map(|pair| {
+            let (a, b) = (point(&pair[0]), point(&pair[1]));
+            let along: f64 = (0..3).map(|i| (p[i] - a[i]) * (b[i] - a[i])).sum();
+            let length: f64 = (0..3).map(|i| (b[i] - a[i]).powi(2)).sum();
+            let s = if length > 0.0 {
+                (along / length).clamp(0.0, 1.0)
+            } else {
+                0.0
+            };
+            (0..3)
+                .map(|i| (a[i] + s * (b[i] - a[i]) - p[i]).powi(2))
+                .sum::<f64>()
+        })
+        .fold(f64::INFINITY, f64::min)
+        .sqrt()
 }

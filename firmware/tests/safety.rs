@@ -1,0 +1,517 @@
+//! Supervision, latching, the check of the configuration, and the queue at its worst.
+
+mod reference;
+
+use haptimill_firmware::config::{AxisKind, Config, Drive, JointAxis, Stopping};
+use haptimill_firmware::io::Inputs;
+use haptimill_firmware::kinematics::Pose;
+use haptimill_firmware::machinery::Machinery;
+use haptimill_firmware::motion::program::{FULL_RATE, Program, QUEUE};
+use haptimill_firmware::safety::supervise::{Seen, Watch};
+use haptimill_firmware::safety::{EVENTS, Safety, brakes_first, keeps_position};
+use haptimill_firmware::units::{Coordinate, Effort, Rate};
+use haptimill_protocol::message::{
+    Action, Event, Fault, HomingProblem, MAX_AXES, PoseError, Refusal, State,
+};
+use haptimill_protocol::setpoint::Setpoint;
+use proptest::prelude::*;
+use proptest::test_runner::RngSeed;
+use reference::{degrees, h4, mm};
+
+const LIMIT: u16 = 8;
+
+fn newtons(force: f64) -> Effort {
+    Effort((force * 65536.0) as i32)
+}
+
+/// A slide and what is seen of it when all is well: it stands at 100 mm.
+fn slide() -> (JointAxis, Seen) {
+    let axis = h4().joints[0].clone();
+    let seen = Seen {
+        wanted: Coordinate(mm(100.0)),
+        measured: Coordinate(mm(100.0)),
+        period_us: 200,
+        ..Seen::default()
+    };
+    (axis, seen)
+}
+
+/// What a watch says of the same sight for so many periods.
+fn look(watch: &mut Watch, axis: &JointAxis, seen: &Seen, periods: usize) -> Option<Fault> {
+    (0..periods).find_map(|_| watch.look(2, axis, LIMIT, seen))
+}
+
+#[test]
+fn the_following_error_has_a_limit_that_grows_with_the_wanted_rate() {
+    let (axis, seen) = slide();
+    let limit = |speed: f64| {
+        f64::from(axis.following.0) + f64::from(mm(speed)) * f64::from(axis.following_lag) / 65536.0
+    };
+    for speed in [0.0, 1.0, 20.0, -20.0, 100.0] {
+        let most = limit(f64::abs(speed)) as i32;
+        for (error, faulty) in [
+            (most - 2, false),
+            (most + 2, true),
+            (2 - most, false),
+            (-2 - most, true),
+        ] {
+            let seen = Seen {
+                wanted_rate: Rate(mm(speed)),
+                rate: Rate(mm(speed)),
+                measured: Coordinate(seen.wanted.0 - error),
+                ..seen
+            };
+            let fault = look(&mut Watch::default(), &axis, &seen, 1);
+            let told = matches!(fault, Some(Fault::FollowingError { axis: 2, error: told, limit }) if told == error && (limit - most).abs() <= 1);
+            assert_eq!(told, faulty, "{speed} {error} {fault:?}");
+            assert_eq!(fault.is_some(), faulty);
+        }
+    }
+}
+
+#[test]
+fn the_error_of_a_rotary_joint_goes_the_short_way() {
+    let (mut axis, seen) = slide();
+    axis.kind = AxisKind::Rotary;
+    axis.following = Coordinate(degrees(0.2));
+    axis.still = Coordinate(degrees(0.1));
+    let across = |off: f64| Seen {
+        wanted: Coordinate(i32::MAX),
+        measured: Coordinate(i32::MAX.wrapping_add(degrees(off))),
+        ..seen
+    };
+    assert_eq!(look(&mut Watch::default(), &axis, &across(0.15), 10), None);
+    assert!(look(&mut Watch::default(), &axis, &across(0.25), 10).is_some());
+    // Turning on through the end of the range is motion like any other.
+    let mut watch = Watch::default();
+    for step in 0..200 {
+        let place = Coordinate((i32::MAX - 50 * 100_000).wrapping_add(step * 100_000));
+        let seen = Seen {
+            wanted: place,
+            measured: place,
+            ..seen
+        };
+        assert_eq!(look(&mut watch, &axis, &seen, 1), None, "{step}");
+    }
+}
+
+#[test]
+fn a_joint_that_runs_against_its_drive_is_seen_at_once_and_one_that_is_driven_is_not() {
+    let (axis, seen) = slide();
+    // 50/s times the 0.5 mm of following error at standstill: 25 mm/s.
+    let running = |rate: f64, force: f64| Seen {
+        rate: Rate(mm(rate)),
+        effort: newtons(force),
+        ..seen
+    };
+    for sign in [1.0, -1.0] {
+        let fault = look(
+            &mut Watch::default(),
+            &axis,
+            &running(sign * 26.0, -sign * 200.0),
+            4,
+        );
+        assert_eq!(fault, Some(Fault::EncoderReversed { axis: 2 }));
+        // Three periods are not enough, nor is a push with the motion, a weak push, or a slow motion.
+        assert_eq!(
+            look(
+                &mut Watch::default(),
+                &axis,
+                &running(sign * 26.0, -sign * 200.0),
+                3
+            ),
+            None
+        );
+        assert_eq!(
+            look(
+                &mut Watch::default(),
+                &axis,
+                &running(sign * 26.0, sign * 200.0),
+                50
+            ),
+            None
+        );
+        assert_eq!(
+            look(
+                &mut Watch::default(),
+                &axis,
+                &running(sign * 26.0, -sign * 60.0),
+                50
+            ),
+            None
+        );
+        assert_eq!(
+            look(
+                &mut Watch::default(),
+                &axis,
+                &running(sign * 24.0, -sign * 200.0),
+                50
+            ),
+            None
+        );
+    }
+}
+
+#[test]
+fn a_static_load_is_no_fault_and_a_growing_push_without_a_count_is() {
+    let (axis, seen) = slide();
+    // 300 N against a load, at rest: for ever.
+    let mut watch = Watch::default();
+    let loaded = Seen {
+        effort: newtons(300.0),
+        ..seen
+    };
+    assert_eq!(look(&mut watch, &axis, &loaded, 20_000), None);
+    // The same while it creeps with a count now and then.
+    for period in 0..20_000 {
+        let place = seen.wanted.0 + period * mm(2e-4);
+        let counted = Coordinate(place - place % mm(1.25e-3));
+        let seen = Seen {
+            wanted: Coordinate(place),
+            measured: counted,
+            wanted_rate: Rate(mm(1.0)),
+            ..loaded
+        };
+        assert_eq!(look(&mut watch, &axis, &seen, 1), None, "{period}");
+    }
+    // From there on the encoder is dead, and the loop pushes as 40 kg and 40,000 1/s^2 say: 1.6 N a micrometre.
+    let from = seen.wanted.0 + 19_999 * mm(2e-4);
+    let fault = (0..2000).find_map(|period| {
+        let off = f64::from(period) * 2e-4;
+        let seen = Seen {
+            wanted: Coordinate(from + mm(off)),
+            measured: Coordinate(from),
+            wanted_rate: Rate(mm(1.0)),
+            effort: newtons(300.0 + off * 1600.0),
+            ..seen
+        };
+        look(&mut watch, &axis, &seen, 1).map(|fault| (fault, off))
+    });
+    let Some((Fault::EncoderStill { axis: 2 }, off)) = fault else {
+        panic!("{fault:?}")
+    };
+    // Long before the following error (0.5 mm) would say it.
+    assert!(off < 0.06, "{off} mm");
+}
+
+#[test]
+fn illegal_transitions_and_lost_steps_are_faults_beyond_their_limits() {
+    let (mut axis, seen) = slide();
+    let illegal = |count| Seen {
+        illegal: count,
+        ..seen
+    };
+    assert_eq!(look(&mut Watch::default(), &axis, &illegal(LIMIT), 1), None);
+    assert_eq!(
+        look(&mut Watch::default(), &axis, &illegal(LIMIT + 1), 1),
+        Some(Fault::EncoderIllegal {
+            axis: 2,
+            count: LIMIT + 1
+        })
+    );
+    axis.drive = Drive::Steps {
+        per_step: 1 << 30,
+        ticks_per_us: 16,
+        pulse: 16,
+        setup: 16,
+        hold: 16,
+        lost: Coordinate(mm(0.05)),
+    };
+    for (by, lost) in [
+        (0.049, false),
+        (0.051, true),
+        (-0.049, false),
+        (-0.051, true),
+    ] {
+        let fault = look(
+            &mut Watch::default(),
+            &axis,
+            &Seen {
+                steps_off: Coordinate(mm(by)),
+                ..seen
+            },
+            1,
+        );
+        assert_eq!(
+            fault,
+            lost.then_some(Fault::StepsLost {
+                axis: 2,
+                by: mm(by)
+            })
+        );
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { rng_seed: RngSeed::Fixed(21), failure_persistence: None, ..ProptestConfig::default() })]
+
+    /// No sight, however absurd, and no configuration overflows supervision.
+    #[test]
+    fn no_sight_overflows(sights in prop::collection::vec(any::<[i32; 6]>(), 1..20), numbers: [i32; 4], inertia: u32, per_count: i64, rotary: bool, period_us: u16) {
+        let (mut axis, _) = slide();
+        axis.kind = if rotary { AxisKind::Rotary } else { AxisKind::Linear };
+        axis.following = Coordinate(numbers[0]);
+        axis.following_lag = numbers[1].unsigned_abs();
+        axis.still = Coordinate(numbers[2]);
+        axis.law.coulomb = Effort(numbers[3]);
+        axis.law.inertia = inertia;
+        axis.per_count = per_count;
+        let mut watch = Watch::default();
+        for sight in sights {
+            let seen = Seen {
+                wanted: Coordinate(sight[0]),
+                wanted_rate: Rate(sight[1]),
+                measured: Coordinate(sight[2]),
+                rate: Rate(sight[3]),
+                effort: Effort(sight[4]),
+                illegal: 0,
+                steps_off: Coordinate(sight[5]),
+                period_us,
+            };
+            let _ = watch.look(0, &axis, LIMIT, &seen);
+        }
+    }
+}
+
+fn every_fault() -> [Fault; 14] {
+    [
+        Fault::FollowingError {
+            axis: 0,
+            error: 1,
+            limit: 0,
+        },
+        Fault::SoftLimit { axis: 0 },
+        Fault::Pose(PoseError::Tilt),
+        Fault::LimitSwitch { axis: 0 },
+        Fault::Drive { axis: 0 },
+        Fault::EncoderIllegal { axis: 0, count: 9 },
+        Fault::EncoderStill { axis: 0 },
+        Fault::EncoderReversed { axis: 0 },
+        Fault::StepsLost { axis: 0, by: 1 },
+        Fault::LostHost { silent_ms: 501 },
+        Fault::Configuration,
+        Fault::LatePeriod { missed: 3 },
+        Fault::Homing {
+            axis: 0,
+            problem: HomingProblem::NoIndex,
+        },
+        Fault::Internal { line: 1 },
+    ]
+}
+
+fn in_state(state: State) -> Safety {
+    let mut safety = Safety::default();
+    safety.set_homed(true);
+    safety.enter(state);
+    safety
+}
+
+#[test]
+fn each_fault_in_each_state_latches_once_and_leaves_the_drives_as_it_must() {
+    for fault in every_fault() {
+        for state in [
+            State::Disabled,
+            State::Idle,
+            State::Homing,
+            State::Run,
+            State::Jog,
+            State::Hold,
+        ] {
+            let mut safety = in_state(state);
+            let (on, moving) = (safety.drives_on(), safety.active());
+            safety.raise(fault);
+            if brakes_first(&fault) && moving {
+                // Still moving, in hand, braking.
+                assert_eq!(
+                    (safety.state(), safety.pending(), safety.drives_on()),
+                    (state, Some(fault), true)
+                );
+                assert!(safety.take_latched().is_none());
+                safety.settle();
+            }
+            assert_eq!(
+                (safety.state(), safety.fault()),
+                (State::Fault, Some(fault))
+            );
+            assert_eq!(
+                safety.drives_on(),
+                on && brakes_first(&fault),
+                "{fault:?} in {state:?}"
+            );
+            assert_eq!(safety.position_kept(), keeps_position(&fault));
+            assert_eq!(safety.homed(), keeps_position(&fault));
+            assert_eq!(safety.take_latched(), Some(fault));
+            assert_eq!(safety.take_latched(), None);
+            // The first one stays, but for one that takes the drives off that the first one let hold.
+            let holding = safety.drives_on();
+            for other in every_fault() {
+                let mut both = in_state(state);
+                both.raise(fault);
+                both.settle();
+                both.raise(other);
+                let expected = if holding && !brakes_first(&other) {
+                    other
+                } else {
+                    fault
+                };
+                assert_eq!(both.fault(), Some(expected), "{fault:?}, then {other:?}");
+                assert_eq!(both.drives_on(), holding && brakes_first(&other));
+            }
+            assert!(safety.reset());
+            assert_eq!(
+                safety.state(),
+                if holding {
+                    State::Idle
+                } else {
+                    State::Disabled
+                }
+            );
+            assert_eq!((safety.fault(), safety.pending()), (None, None));
+            assert!(!safety.reset());
+        }
+    }
+}
+
+#[test]
+fn an_emergency_stop_is_above_all_faults() {
+    for fault in every_fault() {
+        let mut safety = in_state(State::Run);
+        safety.raise(fault);
+        safety.emergency_stop();
+        assert_eq!(
+            (safety.state(), safety.drives_on()),
+            (State::EmergencyStop, false)
+        );
+        safety.settle();
+        safety.raise(Fault::Drive { axis: 1 });
+        assert_eq!(safety.state(), State::EmergencyStop);
+        assert!(safety.reset());
+        assert_eq!((safety.state(), safety.fault()), (State::Disabled, None));
+    }
+}
+
+#[test]
+fn of_events_that_nobody_hears_the_newest_stay() {
+    let mut safety = Safety::default();
+    for axis in 0..40 {
+        safety.tell(Event::JogLimited { axis });
+    }
+    let told: Vec<_> = core::iter::from_fn(|| safety.next_event()).collect();
+    let newest: Vec<_> = (40 - EVENTS as u8..40)
+        .map(|axis| Event::JogLimited { axis })
+        .collect();
+    assert_eq!(told, newest);
+}
+
+/// Rounds of the check until a change is seen; the whole configuration takes one for each part.
+fn rounds_until_seen(change: impl FnOnce(&mut Config)) -> Option<usize> {
+    let mut machinery = Machinery::new(h4(), 0, &Inputs::default()).expect("sound");
+    assert!((0..40).all(|_| machinery.configuration_intact()));
+    change(&mut machinery.config);
+    (0..40).find(|_| !machinery.configuration_intact())
+}
+
+#[test]
+fn a_flipped_bit_in_any_part_of_the_configuration_is_seen() {
+    // Bit by bit through the encoding: whatever still decodes is a configuration that differs in one place.
+    let mut buffer = [0; 1024];
+    let bytes = postcard::to_slice(&h4(), &mut buffer)
+        .expect("encodes")
+        .to_vec();
+    let mut tried = 0;
+    for bit in 0..bytes.len() * 8 {
+        let mut flipped = bytes.clone();
+        flipped[bit / 8] ^= 1 << (bit % 8);
+        let Ok(config) = postcard::from_bytes::<Config>(&flipped) else {
+            continue;
+        };
+        if config == h4() || config.name != h4().name {
+            continue;
+        }
+        tried += 1;
+        let seen = rounds_until_seen(|active| *active = config);
+        assert!(seen.is_some(), "bit {bit} of byte {}", bit / 8);
+    }
+    assert!(tried > 2000, "{tried}");
+}
+
+/// A run in x at constant speed with spans of these lengths, up from rest and down to rest.
+fn spans(speed: f64, lengths: &[u16]) -> Vec<Setpoint> {
+    let mut x = 0.0;
+    let mut points = vec![];
+    let mut point = |x: f64, rate: f64, periods: u16| {
+        points.push(Setpoint {
+            periods,
+            pose: [mm(x), 0, mm(20.0), 0, 0].into_iter().collect(),
+            rates: [(rate * 4096.0) as i32, 0, 0, 0, 0].into_iter().collect(),
+            action: Action::None,
+        });
+    };
+    x += speed * 0.02 / 2.0;
+    point(x, speed, 100);
+    for &periods in lengths {
+        x += speed * f64::from(periods) * 2e-4;
+        point(x, speed, periods);
+    }
+    x += speed * 0.02 / 2.0;
+    point(x, 0.0, 100);
+    points
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 60, rng_seed: RngSeed::Fixed(22), failure_persistence: None, ..ProptestConfig::default() })]
+
+    /// Spans so short that a full queue does not cover the way to rest, and a host that comes and goes: slow, but never past the last setpoint.
+    #[test]
+    fn the_queue_never_runs_dry_in_motion(
+        speed in 1.0_f64..20.0,
+        short in 1_u16..6,
+        count in 300_usize..1500,
+        deliveries in prop::collection::vec((1_usize..400, 0_usize..900), 1..30),
+        percent in 5_u8..=100,
+    ) {
+        let lengths: Vec<u16> = (0..count).map(|index| short + (index % 2) as u16).collect();
+        let points = spans(speed, &lengths);
+        let mut config = h4();
+        config.stopping = Stopping { time_ms: 400, ramp_ms: 100 };
+        let mut program = Program::new(&config);
+        let mut pose = Pose([Coordinate(0); MAX_AXES]);
+        pose.0[2] = Coordinate(mm(20.0));
+        program.begin(&pose);
+        program.set_override(percent);
+        let (mut next, mut last_x, mut periods) = (0, 0, 0_u32);
+        let mut deliveries = deliveries.iter().cycle();
+        let (mut bring, mut wait) = (400, 0);
+        loop {
+            if wait == 0 {
+                (bring, wait) = *deliveries.next().expect("endless");
+            }
+            wait = wait.saturating_sub(1);
+            while bring > 0 && next < points.len() {
+                match program.push(&points[next]) {
+                    Ok(()) => next += 1,
+                    Err(Refusal::QueueFull) => break,
+                    Err(other) => prop_assert!(false, "{other:?}"),
+                }
+                bring -= 1;
+            }
+            if next == points.len() {
+                prop_assert!(program.end(next as u32).is_ok());
+            }
+            let (wanted, progress) = program.advance(false);
+            prop_assert!(!progress.ran_dry, "period {periods}, {next} taken, {} reached", program.reached());
+            // A ramp may pass its target by twice its jerk.
+            prop_assert!(program.path_rate() <= FULL_RATE + FULL_RATE / 10_000);
+            let x = wanted.pose.0[0].0;
+            prop_assert!(x >= last_x - 1 && x <= points[next.max(1) - 1].pose[0]);
+            last_x = x;
+            periods += 1;
+            if progress.finished {
+                break;
+            }
+            prop_assert!(periods < 400_000, "stuck: {next} taken, {} reached of {}", program.reached(), points.len());
+        }
+        prop_assert_eq!(program.reached() as usize, points.len());
+        prop_assert!(next > QUEUE);
+    }
+}

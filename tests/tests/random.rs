@@ -1,0 +1,374 @@
+//! Any events in any order: what must hold in every period, whatever is asked and whatever breaks.
+
+mod scene;
+
+use haptimill_hil_sim::encoder::EncoderCondition;
+use haptimill_hil_sim::plant::JointCondition;
+use haptimill_protocol::message::{
+    Action, AxisValues, Command, ConfigChunk, SetpointBatch, SetpointDelta, Source, State,
+};
+use haptimill_protocol::urgent::STOP;
+use haptimill_tests::Bench;
+use proptest::prelude::*;
+use proptest::test_runner::RngSeed;
+use scene::{DEGREE, MM, circle, commands, drives_off, line, pump, ready, state, wanted};
+use std::collections::VecDeque;
+
+/// Something that happens.
+#[derive(Debug, Clone)]
+enum Happening {
+    /// The host says this, whatever the answer.
+    Say(Command),
+    /// The host begins a job where the machine stands: a line of this axis and speed, or a circle.
+    Job {
+        axis: usize,
+        speed: f64,
+    },
+    Circle,
+    /// The host hears nothing and says nothing for so many periods.
+    Away(usize),
+    /// Another host greets.
+    Greet(u32),
+    Urgent,
+    Garbage(Vec<u8>),
+    EmergencyInput(bool),
+    Limit {
+        joint: usize,
+        active: bool,
+    },
+    Tripped {
+        joint: usize,
+        tripped: bool,
+    },
+    Noise {
+        joint: usize,
+        noisy: bool,
+    },
+    /// The host does what gets the machine ready again.
+    Recover,
+}
+
+fn rates() -> impl Strategy<Value = AxisValues> {
+    prop::collection::vec(
+        prop_oneof![3 => Just(0), 2 => -300_000_i32..300_000, 1 => any::<i32>()],
+        4..7,
+    )
+    .prop_map(|values| values.into_iter().take(6).collect())
+}
+
+fn command() -> impl Strategy<Value = Command> {
+    let small = 0_u16..6;
+    prop_oneof![
+        1 => Just(Command::Ping),
+        1 => Just(Command::Enable),
+        1 => Just(Command::Disable),
+        1 => Just(Command::Home),
+        1 => Just(Command::Reset),
+        1 => Just(Command::Hold),
+        3 => Just(Command::Resume),
+        1 => Just(Command::Stop),
+        1 => Just(Command::EmergencyStop),
+        1 => Just(Command::Status),
+        1 => (any::<u16>(), any::<u32>()).prop_map(|(length, crc)| Command::Activate { length, crc }),
+        1 => (any::<u16>(), prop::collection::vec(any::<u8>(), 0..64))
+            .prop_map(|(offset, bytes)| Command::Configure(ConfigChunk { offset, bytes: bytes.into_iter().collect() })),
+        1 => (any::<u32>(), rates()).prop_map(|(job, pose)| Command::JobStart { job, pose }),
+        1 => (0_u32..70).prop_map(|count| Command::JobEnd { count }),
+        6 => (small.clone(), 1_u16..1100, rates())
+            .prop_map(|(epoch, deadline_ms, rates)| Command::Jog { epoch, deadline_ms, rates }),
+        1 => small.prop_map(|epoch| Command::JogCancel { epoch }),
+        4 => (0_u8..7, prop_oneof![Just(Source::Program), Just(Source::Jog), Just(Source::Hold)])
+            .prop_map(|(axis, source)| Command::Source { axis, source }),
+        1 => any::<u8>().prop_map(|percent| Command::Override { percent }),
+        1 => (0_u16..100).prop_map(|every| Command::Telemetry { every }),
+        2 => (0_u32..70, prop::collection::vec((any::<u16>(), any::<u8>(), prop::collection::vec(any::<i32>(), 0..12)), 0..4))
+            .prop_map(|(first, items)| Command::Setpoints(SetpointBatch {
+                first,
+                items: items
+                    .into_iter()
+                    .map(|(periods, moved, residuals)| SetpointDelta {
+                        periods,
+                        moved,
+                        residuals: residuals.into_iter().collect(),
+                        action: Action::Pause,
+                    })
+                    .collect(),
+            })),
+    ]
+}
+
+fn happening() -> impl Strategy<Value = (Happening, usize)> {
+    let what = prop_oneof![
+        14 => command().prop_map(Happening::Say),
+        4 => (0_usize..5, -20.0_f64..20.0).prop_map(|(axis, speed)| Happening::Job { axis, speed }),
+        2 => Just(Happening::Circle),
+        1 => (100_usize..4000).prop_map(Happening::Away),
+        1 => any::<u32>().prop_map(Happening::Greet),
+        1 => Just(Happening::Urgent),
+        1 => prop::collection::vec(any::<u8>(), 0..200).prop_map(Happening::Garbage),
+        1 => any::<bool>().prop_map(Happening::EmergencyInput),
+        1 => (0_usize..5, any::<bool>()).prop_map(|(joint, active)| Happening::Limit { joint, active }),
+        1 => (0_usize..5, any::<bool>()).prop_map(|(joint, tripped)| Happening::Tripped { joint, tripped }),
+        1 => (0_usize..5, any::<bool>()).prop_map(|(joint, noisy)| Happening::Noise { joint, noisy }),
+        4 => Just(Happening::Recover),
+    ];
+    (
+        what,
+        prop_oneof![3 => 1_usize..50, 2 => 50_usize..800, 1 => 800_usize..3000],
+    )
+}
+
+/// Which state may follow which in one period; several events may fall into one.
+fn may_follow(from: State, to: State) -> bool {
+    use State::{Disabled, EmergencyStop, Fault, Hold, Homing, Idle, Jog, Run};
+    from == to
+        || to == EmergencyStop
+        || match from {
+            Disabled => matches!(to, Idle | Fault),
+            Idle => matches!(to, Disabled | Homing | Run | Jog | Fault),
+            Homing | Jog => matches!(to, Idle | Fault),
+            Run => matches!(to, Hold | Idle | Fault),
+            Hold => matches!(to, Run | Idle | Fault),
+            Fault => matches!(to, Disabled | Idle),
+            EmergencyStop => matches!(to, Disabled),
+        }
+}
+
+/// The machine, and what it was a period ago.
+struct Watched {
+    bench: Bench,
+    before: State,
+    wanted: [i32; 6],
+    rates: [i32; 6],
+    drives_on: bool,
+    job: VecDeque<Command>,
+}
+
+impl Watched {
+    fn rates(bench: &Bench) -> [i32; 6] {
+        let machinery = bench.rig.control().machinery().expect("configured");
+        machinery.motion.wanted().rates.map(|rate| rate.0)
+    }
+
+    fn step(&mut self, spoil: impl FnOnce(&mut Vec<u8>)) {
+        self.bench.step_spoiled(spoil);
+        let safety = self.bench.rig.control().safety();
+        let now = safety.state();
+        let drives_on = safety.drives_on();
+        assert!(may_follow(self.before, now), "{:?} -> {now:?}", self.before);
+        assert_eq!(drives_off(&self.bench), !drives_on, "{now:?}");
+        assert!(!matches!(now, State::Disabled | State::EmergencyStop) || !drives_on);
+        assert_eq!(
+            now == State::Fault,
+            safety.fault().is_some() && now != State::EmergencyStop
+        );
+        let place = wanted(&self.bench);
+        let rates = Self::rates(&self.bench);
+        let placed = !self.drives_on || (self.before == State::Homing && now == State::Idle);
+        if drives_on && !placed {
+            let moving =
+                |state| matches!(state, State::Run | State::Hold | State::Jog | State::Homing);
+            for axis in 0..5 {
+                let limits = &self.bench.machine.config.pose[axis];
+                let step = i64::from(place[axis].wrapping_sub(self.wanted[axis]));
+                // 2 % is what a setpoint may be faster, for its rounding; between setpoints a cubic may be half as fast again.
+                let most = i64::from(limits.rate.0) / 5000 * 153 / 100 + 2;
+                assert!(
+                    step.abs() <= most,
+                    "axis {axis} jumped by {step} in {now:?}"
+                );
+                // The rate is the derivative: its mean over the period is what was gone, but for rounding and the bend within the period.
+                let mean = (i64::from(rates[axis]) + i64::from(self.rates[axis])) / 2 / 5000;
+                if moving(now) && moving(self.before) {
+                    assert!(
+                        (step - mean).abs() <= 8 + step.abs() / 100,
+                        "axis {axis}: {step} gone, rate says {mean} in {now:?}"
+                    );
+                }
+                if !moving(now) && !moving(self.before) {
+                    assert_eq!(step, 0, "axis {axis} moves in {now:?}");
+                }
+            }
+        }
+        (self.before, self.wanted, self.rates, self.drives_on) = (now, place, rates, drives_on);
+    }
+
+    fn happens(&mut self, what: &Happening) {
+        let bench = &mut self.bench;
+        let start: AxisValues = wanted(bench)[..5].iter().copied().collect();
+        match what {
+            Happening::Say(command) => {
+                bench.say(command.clone());
+            }
+            Happening::Job { axis, speed } => {
+                self.job = commands(1, &start, &line(&start, *axis, *speed, 10))
+            }
+            Happening::Circle => self.job = commands(2, &start, &circle(&start, 5.0, 60)),
+            Happening::Away(periods) => {
+                for _ in 0..*periods {
+                    self.step(Vec::clear);
+                }
+            }
+            Happening::Greet(session) => {
+                bench.link.open(*session, bench.rig.time_ns() / 1000);
+            }
+            Happening::Urgent => self.step(|bytes| bytes.extend(STOP)),
+            Happening::Garbage(garbage) => self.step(|bytes| bytes.extend(garbage)),
+            Happening::EmergencyInput(open) => bench.rig.plant_mut().set_emergency_stop(*open),
+            Happening::Limit { joint, active } => {
+                let condition = JointCondition {
+                    limit_low: active.then_some(true),
+                    ..JointCondition::default()
+                };
+                bench.rig.plant_mut().set_condition(*joint, condition);
+            }
+            Happening::Tripped { joint, tripped } => {
+                let condition = JointCondition {
+                    drive_tripped: *tripped,
+                    ..JointCondition::default()
+                };
+                bench.rig.plant_mut().set_condition(*joint, condition);
+            }
+            Happening::Noise { joint, noisy } => {
+                let noise_hz = if *noisy { 2000.0 } else { 0.0 };
+                let condition = EncoderCondition {
+                    noise_hz,
+                    ..EncoderCondition::default()
+                };
+                bench
+                    .rig
+                    .plant_mut()
+                    .set_encoder_condition(*joint, condition);
+            }
+            Happening::Recover => {
+                bench.rig.plant_mut().set_emergency_stop(false);
+                for joint in 0..5 {
+                    bench
+                        .rig
+                        .plant_mut()
+                        .set_condition(joint, JointCondition::default());
+                    bench
+                        .rig
+                        .plant_mut()
+                        .set_encoder_condition(joint, EncoderCondition::default());
+                }
+                for command in [
+                    Command::Reset,
+                    Command::Enable,
+                    Command::Override { percent: 100 },
+                ] {
+                    bench.say(command);
+                }
+            }
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 150, rng_seed: RngSeed::Fixed(11), failure_persistence: None, max_shrink_iters: 300, ..ProptestConfig::default() })]
+
+    #[test]
+    fn whatever_happens(happenings in prop::collection::vec(happening(), 10..60)) {
+        let bench = ready();
+        let mut watched = Watched {
+            before: state(&bench),
+            wanted: wanted(&bench),
+            rates: Watched::rates(&bench),
+            drives_on: true,
+            job: VecDeque::new(),
+            bench,
+        };
+        for (what, periods) in &happenings {
+            watched.happens(what);
+            for _ in 0..*periods {
+                pump(&mut watched.bench, &mut watched.job);
+                watched.step(|_| ());
+            }
+        }
+        prop_assert!(f64::from(watched.wanted[0]).abs() < 400.0 * MM && f64::from(watched.wanted[4]).abs() < 90.0 * DEGREE);
+    }
+}
+
+#[test]
+fn a_refused_command_changes_nothing() {
+    use proptest::strategy::ValueTree;
+    use proptest::test_runner::{Config, TestRunner};
+    let mut runner = TestRunner::new(Config {
+        rng_seed: RngSeed::Fixed(12),
+        ..Config::default()
+    });
+    let mut refused = 0;
+    for situation in 0..4 {
+        let mut bench = ready();
+        match situation {
+            0 => {}
+            1 => bench.ask(Command::Disable).expect("off"),
+            2 => {
+                let start = bench.status().wanted;
+                bench.start_job(1, &line(&start, 0, 4.0, 20));
+                bench.steps(2000);
+                bench.ask(Command::Hold).expect("holds");
+                bench.steps(2000);
+            }
+            _ => bench.ask(Command::EmergencyStop).expect("off"),
+        }
+        bench.steps(1000);
+        let summary = |bench: &mut Bench| {
+            let told = bench.status();
+            let machinery = bench.rig.control().machinery().expect("configured");
+            let sources: Vec<_> = (0..5).map(|axis| machinery.motion.source(axis)).collect();
+            (
+                (
+                    told.state,
+                    told.homed,
+                    told.position_kept,
+                    told.credit,
+                    told.setpoint,
+                    told.path_rate,
+                ),
+                (
+                    told.wanted,
+                    told.fault,
+                    sources,
+                    machinery.motion.program.accepted(),
+                ),
+            )
+        };
+        for _ in 0..150 {
+            let command = command()
+                .new_tree(&mut runner)
+                .expect("a command")
+                .current();
+            let before = summary(&mut bench);
+            let harmless = matches!(
+                command,
+                Command::Telemetry { .. } | Command::Configure(_) | Command::Status
+            );
+            // Only what must be refused here is of interest; what is taken would change the situation.
+            let would_move = matches!(
+                (&command, situation),
+                (Command::EmergencyStop | Command::Reset | Command::Stop, _)
+                    | (
+                        Command::Disable
+                            | Command::Home
+                            | Command::Jog { .. }
+                            | Command::Source { .. },
+                        0
+                    )
+                    | (Command::Enable, 1)
+                    | (
+                        Command::Resume | Command::Source { .. } | Command::JobEnd { .. },
+                        2
+                    )
+            );
+            if harmless || would_move {
+                continue;
+            }
+            if bench.ask(command.clone()).is_err() {
+                refused += 1;
+                assert_eq!(summary(&mut bench), before, "{command:?}");
+            }
+        }
+    }
+    assert!(refused > 200, "{refused}");
+}
