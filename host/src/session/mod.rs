@@ -12,7 +12,7 @@ mod job;
 mod line;
 mod sim;
 
-pub use job::{JobEnd, Watcher};
+pub use job::{JobEnd, Sent, Watcher};
 pub use line::{JobLine, Line, PortLine};
 pub use sim::{JobRecording, SimLine, rig};
 

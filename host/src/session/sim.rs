@@ -62,6 +62,12 @@ impl SimLine {
             recording: None,
         }
     }
+
+    /// The machine with its controller and its line, for a look at what really was.
+    #[must_use]
+    pub const fn rig(&self) -> &Rig<Controller> {
+        &self.rig
+    }
 }
 
 impl JobLine for SimLine {
