@@ -193,7 +193,6 @@ impl Responder {
             fault: None,
             deferred_bytes: 0,
             bad_frames: self.link.counters().bad_frames,
-            program_periods: 0,
         }
     }
 
