@@ -206,7 +206,7 @@ fn a_pause_waits_at_its_setpoint() {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(64))]
+    #![proptest_config(ProptestConfig { cases: 64, rng_seed: proptest::test_runner::RngSeed::Fixed(1), failure_persistence: None, ..ProptestConfig::default() })]
 
     /// Hold at any time and go on at any time: same end, no step, braking within its bounds, path never left backwards.
     #[test]
@@ -327,7 +327,7 @@ fn jog_rates(x: f64, y: f64, z: f64) -> [i64; MAX_AXES] {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(48))]
+    #![proptest_config(ProptestConfig { cases: 48, rng_seed: proptest::test_runner::RngSeed::Fixed(1), failure_persistence: None, ..ProptestConfig::default() })]
 
     /// Whatever is asked: inside the soft limits, inside the machine's reach, within rate, acceleration and jerk; at rest after the deadline.
     #[test]
