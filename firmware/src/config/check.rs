@@ -157,7 +157,7 @@ impl Config {
                 require(sound, ConfigField::Drive, here)?;
                 let law = &axis.law;
                 require(
-                    law.kp > 0 && law.kp < 1 << 28 && law.kd > 0 && law.kd < 1 << 22,
+                    law.kp.0 > 0 && law.kp.0 < 1 << 28 && law.kd.0 > 0 && law.kd.0 < 1 << 22,
                     ConfigField::Gain,
                     here,
                 )?;
@@ -167,7 +167,7 @@ impl Config {
                     here,
                 )?;
                 // A sampled rate loop with K_D T above 1 cannot be damped.
-                let damping = u64::from(law.kd) * u64::from(self.period_us) < 256 * 1_000_000;
+                let damping = u64::from(law.kd.0) * u64::from(self.period_us) < 256 * 1_000_000;
                 require(damping, ConfigField::Gain, here)?;
                 require(law.rate_filter_us <= 50_000, ConfigField::Filter, here)
             }

@@ -21,7 +21,7 @@ fn the_built_in_machine_is_well() {
         slide.per_count,
         (0.00125_f64 * 2_f64.powi(44)).round() as i64
     );
-    assert_eq!(slide.law.kp, 40_000 << 8);
+    assert_eq!(slide.law.kp.0, 40_000 << 8);
     assert_eq!(slide.law.rate_filter_us, 1500);
     // 40 kg * 1 mm/s^2 = 0.04 N.
     let effort = f64::from(slide.law.inertia) / 2_f64.powi(20) * 4096.0 / 65_536.0;
