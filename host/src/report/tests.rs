@@ -195,7 +195,7 @@ fn a_recording_without_a_job_makes_a_report() {
     let json = serde_json::to_string(&summary).unwrap();
     assert!(!json.contains("null"), "{json}");
     write_html(&recording, &summary, &statistics, &mut Vec::new()).unwrap();
-    assert!(summary.terminal().contains("not heard at the end"));
+    assert!(summary.terminal().contains("Unknown"));
 }
 
 #[test]
