@@ -106,9 +106,12 @@ pub fn run(args: JogArgs) -> Result<(), CliError> {
     if let Some(refusal) = refused {
         return Err(CliError::new(Exit::Command, format!("jog: {refusal}")));
     }
+    let mut limited = Vec::new();
     for (_, event) in &session.events[first..] {
         match event {
-            Event::JogLimited { axis } => {
+            // Every jog command that runs against the limit says so; once is enough for people.
+            Event::JogLimited { axis } if !limited.contains(axis) => {
+                limited.push(*axis);
                 let name = machine
                     .pose
                     .get(usize::from(*axis))

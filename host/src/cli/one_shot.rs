@@ -128,8 +128,9 @@ pub fn stop(args: StopArgs) -> Result<(), CliError> {
     } else {
         session.client_mut().urgent_stop();
         session.ask(Command::Stop)?;
+        // A machine that stood already tells of no change: it has to be asked.
         while session.client_mut().urgent().0 {
-            session.step()?;
+            session.status()?;
         }
     }
     report(&mut session, args.json)

@@ -21,6 +21,7 @@ use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
 
 const LONG: &str = "\
 Run a part program.
@@ -450,6 +451,9 @@ fn passes_pauses(args: &RunArgs) -> bool {
 /// The progress bar, with the time left.
 struct Bar {
     bar: ProgressBar,
+    begun: Instant,
+    /// The job takes its own time; in the simulator it goes by faster.
+    real_time: bool,
     period_s: f64,
     lines: Vec<u32>,
     pauses: BTreeMap<u32, u32>,
@@ -477,6 +481,8 @@ impl Bar {
             .collect();
         Self {
             bar,
+            begun: Instant::now(),
+            real_time: args.port != PortSpec::Simulator,
             period_s: plan.period_s,
             lines,
             pauses,
@@ -500,10 +506,17 @@ impl Watcher for Bar {
             .get(telemetry.setpoint as usize)
             .copied()
             .unwrap_or(0);
-        self.bar.set_message(format!(
-            "line {line}, {} left",
-            report::duration((total - done).max(0.0))
-        ));
+        let pace = if self.real_time {
+            1.0
+        } else {
+            self.begun.elapsed().as_secs_f64() / done.max(0.1)
+        };
+        let left = ((total - done).max(0.0) * pace).ceil();
+        let left = match left {
+            s if s < 60.0 => format!("{s} s"),
+            s => report::duration(s),
+        };
+        self.bar.set_message(format!("line {line}, {left} left"));
     }
 
     fn paused(&mut self, setpoint: u32) {

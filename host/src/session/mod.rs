@@ -265,10 +265,10 @@ impl<L: Line> Session<L> {
     /// Enables the drives if they are off.
     ///
     /// # Errors
-    /// A refusal: a latched fault, an input, a pose out of reach.
+    /// A refusal: a latched fault or emergency stop, an input, a pose out of reach.
     pub fn enable(&mut self) -> Result<(), CliError> {
         match self.status()?.state {
-            State::Disabled => self.ask(Command::Enable),
+            State::Disabled | State::Fault | State::EmergencyStop => self.ask(Command::Enable),
             _ => Ok(()),
         }
     }
