@@ -21,6 +21,10 @@ const ANSWERS: usize = 8;
 
 /// What was heard in a period.
 #[derive(Debug, Clone, PartialEq, Eq)]
+#[allow(
+    clippy::large_enum_variant,
+    reason = "one lives for one period on the stack; there is no allocator for a box"
+)]
 pub enum Heard {
     /// A request.
     Request(Request),

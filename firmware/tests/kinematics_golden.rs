@@ -7,7 +7,7 @@
 
 use haptimill_firmware::config::H4Geometry;
 use haptimill_firmware::kinematics::h4::H4;
-use haptimill_firmware::kinematics::{Joints, Kinematics, Pose, PoseError};
+use haptimill_firmware::kinematics::{Joints, Kinematics, Pose};
 use haptimill_firmware::units::{Coordinate, Length};
 
 const PER_MM: f64 = 1_048_576.0;

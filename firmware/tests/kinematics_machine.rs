@@ -65,6 +65,7 @@ fn joint(kind: AxisKind, low: Coordinate, high: Coordinate) -> JointAxis {
         still: Coordinate(MM),
         preset: Coordinate::ZERO,
         index: Coordinate::ZERO,
+        index_pitch: Coordinate(MM),
         search: Coordinate::ZERO,
     }
 }
@@ -96,7 +97,7 @@ fn config() -> Config {
         },
         homing: Homing {
             rate: Rate(MM),
-            acceleration: Acceleration(1 << 12),
+            table_rate: Rate(MM),
         },
     }
 }

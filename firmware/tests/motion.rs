@@ -342,8 +342,8 @@ proptest! {
             for _ in 0..periods + 300 {
                 let (wanted, _) = jog.advance(&ball);
                 prop_assert!(ball.inverse(&wanted.pose).is_ok());
-                for axis in 0..3 {
-                    paths[axis].push(wanted.pose.0[axis], wanted.rates[axis]);
+                for (axis, path) in paths.iter_mut().enumerate() {
+                    path.push(wanted.pose.0[axis], wanted.rates[axis]);
                     prop_assert!((config.pose[axis].low..=config.pose[axis].high).contains(&wanted.pose.0[axis]));
                     prop_assert!(wanted.rates[axis].0.abs() <= config.pose[axis].rate.0 + 10);
                 }

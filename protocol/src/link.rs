@@ -162,6 +162,10 @@ impl core::error::Error for SendError {}
 pub struct Counters {
     /// Frames sent, of any kind.
     pub frames_sent: u32,
+    /// Bytes given to the line, of any kind; what is sent again counts again.
+    pub bytes_sent: u32,
+    /// Of those, the bytes of frames with a reliable message, framing and acknowledgement included.
+    pub message_bytes: u32,
     /// Frames with the right check, of any kind.
     pub frames_heard: u32,
     /// Frames refused by their check; those of an old session are among them.
@@ -408,6 +412,7 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
             self.gone += part;
             count += part;
         }
+        self.counters.bytes_sent = self.counters.bytes_sent.saturating_add(count as u32);
         self.charge(now_us, count);
         count
     }
@@ -448,6 +453,7 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
             outbox,
             wire,
             session,
+            counters,
             ..
         } = self;
         let mut buffer = [0; MAX_PAYLOAD];
@@ -470,7 +476,9 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
                     sequence,
                     acknowledgement,
                 };
-                frame::encode(header, payload, *session, wire)
+                let framed = frame::encode(header, payload, *session, wire);
+                counters.message_bytes = counters.message_bytes.saturating_add(wire.len() as u32);
+                framed
             } else if let Some(payload) = self.latest.take() {
                 self.latest_sequence = self.latest_sequence.wrapping_add(1);
                 let header = Header::Latest {

@@ -536,3 +536,104 @@ fn late_setpoints_slow_the_machine_on_its_path_and_are_named() {
     }));
     assert_eq!(wanted(&bench)[0], points[29].pose[0]);
 }
+
+/// The machine with step motors, homed, and then in the middle of a line in x.
+fn stepping(speed: f64) -> Bench {
+    let text = include_str!("../../machines/h4-step.toml");
+    let machine = haptimill::machine::MachineFile::parse("h4-step.toml", text).expect("sound");
+    let options = haptimill_hil_sim::rig::RigOptions::default();
+    let controller = haptimill_firmware::controller::Controller::new(200);
+    let mut bench = Bench::of_machine(machine, &options, controller);
+    bench.make_ready();
+    bench.steps(500);
+    let start = bench.status().wanted;
+    bench.start_job(1, &line(&start, 0, speed, 28));
+    bench.steps(3000);
+    assert_eq!(state(&bench), State::Run);
+    bench
+}
+
+#[test]
+fn a_step_motor_that_cannot_or_an_encoder_that_lies_stops_the_whole_path() {
+    let clean = EncoderCondition::default();
+    let well = JointCondition::default();
+    let cases: [(&str, EncoderCondition, JointCondition); 6] = [
+        (
+            "jammed",
+            clean,
+            JointCondition {
+                jam: f64::INFINITY,
+                ..well
+            },
+        ),
+        (
+            "dead",
+            clean,
+            JointCondition {
+                drive_gain: 0.0,
+                ..well
+            },
+        ),
+        (
+            "stuck a",
+            EncoderCondition {
+                stuck_a: Some(true),
+                ..clean
+            },
+            well,
+        ),
+        (
+            "stuck b",
+            EncoderCondition {
+                stuck_b: Some(false),
+                ..clean
+            },
+            well,
+        ),
+        (
+            "swapped",
+            EncoderCondition {
+                swapped: true,
+                ..clean
+            },
+            well,
+        ),
+        (
+            "tripped",
+            clean,
+            JointCondition {
+                drive_tripped: true,
+                ..well
+            },
+        ),
+    ];
+    for speed in [4.0, -10.0] {
+        for (name, encoder, joint) in &cases {
+            let mut bench = stepping(speed);
+            bench.rig.plant_mut().set_encoder_condition(1, *encoder);
+            bench.rig.plant_mut().set_condition(1, *joint);
+            let mut off = 0.0_f64;
+            let period = (0..2000).find(|_| {
+                off = off.max(joint_off(&bench, 1));
+                bench.step();
+                drives_off(&bench)
+            });
+            let fault = bench.rig.control().safety().fault();
+            println!(
+                "{name} at {speed} mm/s: {fault:?}, off {off:.3} mm, after {period:?} periods"
+            );
+            let kept = match fault {
+                Some(
+                    Fault::StepsLost { axis: 1, .. }
+                    | Fault::EncoderStill { axis: 1 }
+                    | Fault::EncoderReversed { axis: 1 },
+                ) => false,
+                Some(Fault::Drive { axis: 1 } | Fault::FollowingError { axis: 1, .. }) => true,
+                other => panic!("{name}: {other:?}"),
+            };
+            assert_eq!(bench.rig.control().safety().position_kept(), kept);
+            // Steps and encoder may disagree by 0.05 mm; a motor under a jam winds up its screw as well: 1200 N on 2500 N/mm.
+            assert!(off < 0.06 + 1200.0 / 2500.0, "{name}: {off} mm");
+        }
+    }
+}

@@ -16,6 +16,7 @@ use std::collections::VecDeque;
 
 /// Something that happens.
 #[derive(Debug, Clone)]
+#[allow(clippy::large_enum_variant, reason = "a few of them")]
 enum Happening {
     /// The host says this, whatever the answer.
     Say(Command),

@@ -382,7 +382,7 @@ fn a_refused_setpoint_changes_nothing_and_can_be_said_again() {
             let mut far = rest(&start, 50);
             far.pose[2] = (500.0 * MM) as i32;
             let wrong = coder.clone().encode(&far).expect("codes");
-            let refused = bench.ask(batch(index, &[wrong.clone()]));
+            let refused = bench.ask(batch(index, core::slice::from_ref(&wrong)));
             assert_eq!(
                 refused,
                 Err(Refusal::SoftLimit {
@@ -390,7 +390,7 @@ fn a_refused_setpoint_changes_nothing_and_can_be_said_again() {
                     axis: 2
                 })
             );
-            let refused = bench.ask(batch(index + 1, &[wrong.clone()]));
+            let refused = bench.ask(batch(index + 1, core::slice::from_ref(&wrong)));
             assert_eq!(
                 refused,
                 Err(Refusal::OutOfOrder {

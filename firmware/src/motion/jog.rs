@@ -110,15 +110,17 @@ impl Jog {
         self.alive == 0 && self.axis.iter().all(|axis| axis.rate.is_zero())
     }
 
-    /// Where a coordinate comes to rest, at the latest, if it goes on for one period and brakes then; 2^-24 axis units, `None` when it
-    /// is too far to say.
-    fn rest(axis: &Axis, target: i64) -> Option<i64> {
+    /// Between which positions a coordinate stays if it goes on for one period and brakes then; 2^-24 axis units, `None` when they
+    /// are too far to say.
+    fn sweep(axis: &Axis, target: i64) -> Option<(i64, i64)> {
         let limits = axis.limits.as_ref()?;
         let mut rate = axis.rate;
-        rate.advance(target, limits);
-        axis.position
-            .checked_add(rate.value())?
-            .checked_add(rate.stopping_sum(limits)?)
+        let next = axis.position.checked_add(rate.advance(target, limits))?;
+        let (low, high) = rate.stopping_range(limits)?;
+        Some((
+            next.checked_add(low)?.min(axis.position),
+            next.checked_add(high)?.max(axis.position),
+        ))
     }
 
     /// One period. The flag names a coordinate that was kept from going on by its soft limit, or by the machine's reach.
@@ -158,40 +160,42 @@ impl Jog {
 
     /// Whether a coordinate must brake now to stop in front of its soft limit.
     fn blocked(axis: &Axis) -> bool {
-        let Some(rest) = Self::rest(axis, axis.target) else {
+        let Some((low, high)) = Self::sweep(axis, axis.target) else {
             return true;
         };
-        (axis.target > 0 && rest > axis.high) || (axis.target < 0 && rest < axis.low)
+        (axis.target > 0 && high > axis.high) || (axis.target < 0 && low < axis.low)
     }
 
     /// Whether the machine can take the poses through which everything would come to rest if it goes on for one period and brakes then.
     ///
-    /// Coordinates come to rest at different times, so the way lies in the box between here and the resting point: its corners are tried, all of
-    /// them for up to three moving coordinates, those next to here and the far one for more (the pose of every period is checked besides).
+    /// Coordinates come to rest at different times, so the way lies in the box of what each of them sweeps: its corners are tried, all of
+    /// them for up to three moving coordinates, the low and the high one and those next to them for more (the pose of every period is checked
+    /// besides).
     fn reaches(&self, machine: &impl Kinematics, targets: &[i64; MAX_AXES]) -> bool {
-        let (mut here, mut rest) = (Pose::default(), [0_i32; MAX_AXES]);
+        let (mut low, mut high) = (Pose::default(), Pose::default());
         let mut moving = heapless::Vec::<usize, MAX_AXES>::new();
         for (index, axis) in self.axis[..self.axes].iter().enumerate() {
-            let Some(Ok(end)) =
-                Self::rest(axis, targets[index]).map(|end| i32::try_from(end >> FRACTION))
+            let sweep = Self::sweep(axis, targets[index]);
+            let whole = |end: i64| i32::try_from(end >> FRACTION).ok().map(Coordinate);
+            let Some((Some(from), Some(to))) = sweep.map(|(from, to)| (whole(from), whole(to)))
             else {
                 return false;
             };
-            here.0[index] = Coordinate((axis.position >> FRACTION) as i32);
-            rest[index] = end;
-            if targets[index] != 0 || !axis.rate.is_zero() {
+            (low.0[index], high.0[index]) = (from, to);
+            if from != to {
                 // Cannot overflow: there are at most MAX_AXES.
                 let _ = moving.push(index);
             }
         }
         let all = (1_u32 << moving.len()) - 1;
-        (1..=all)
-            .filter(|corner| moving.len() <= 3 || *corner == all || corner.is_power_of_two())
+        let few = moving.len() <= 3;
+        (0..=all)
+            .filter(|corner| few || corner.count_ones() <= 1 || (all & !corner).count_ones() <= 1)
             .all(|corner| {
-                let mut pose = here;
+                let mut pose = low;
                 for (bit, &index) in moving.iter().enumerate() {
                     if corner & (1 << bit) != 0 {
-                        pose.0[index] = Coordinate(rest[index]);
+                        pose.0[index] = high.0[index];
                     }
                 }
                 machine.inverse(&pose).is_ok()

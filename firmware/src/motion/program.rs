@@ -137,8 +137,8 @@ impl Program {
         }
         program.braking_periods = program.braking.map_or(0, |limits| {
             Ramp::at(FULL_RATE)
-                .stopping_sum(&limits)
-                .unwrap_or(0)
+                .stopping_range(&limits)
+                .map_or(0, |(_, ahead)| ahead)
                 .unsigned_abs()
                 >> 32
         });
@@ -322,8 +322,8 @@ impl Program {
         let remaining = self.remaining_periods();
         let needed = self
             .path_rate
-            .stopping_sum(braking)
-            .map_or(u64::MAX, |sum| sum.unsigned_abs() >> 32)
+            .stopping_range(braking)
+            .map_or(u64::MAX, |(_, ahead)| ahead.unsigned_abs() >> 32)
             + 2;
         if self.starving.is_some() {
             // A full queue is all that there can be: go on as fast as it covers, with some room so that braking does not begin at once.

@@ -5,8 +5,6 @@
 //! | the joint runs away from its wanted rate, against its drive | encoder reversed, encoder still |
 //! | the drive pushes more and more, and the encoder does not count | encoder still |
 //! | the error is larger than the limit, which grows with the wanted rate | following error |
-//! | ... and the drive pushes one way while the encoder counts the other way | encoder reversed |
-//! | ... and the encoder has not moved while more and more was wanted or pushed | encoder still (stuck channel, broken drive, jammed slide) |
 //! | motion was wanted, the encoder saw none, or the opposite | encoder still, encoder reversed |
 //! | both channels changed at once, too often | encoder illegal |
 //! | steps and encoder disagree (step/dir) | steps lost |

@@ -120,14 +120,7 @@ pub fn home(args: HomeArgs) -> Result<(), CliError> {
 pub fn stop(args: StopArgs) -> Result<(), CliError> {
     let machine = MachineFile::built_in()?;
     let mut session = match open(&args.connect, &machine) {
-        Err(error) if error.exit == Exit::Port && !args.emergency => {
-            // Another host has the port, or the link is broken: the stop that needs neither session nor frame.
-            port::stop_past_lock(&args.connect.port)?;
-            tell!(
-                "stop sent past the host that has the port; it sees the machine slow down along its path ({error})"
-            );
-            return Ok(());
-        }
+        Err(error) if error.exit == Exit::Port => return stop_unheard(&args, &error),
         session => session?,
     };
     if args.emergency {
@@ -140,6 +133,29 @@ pub fn stop(args: StopArgs) -> Result<(), CliError> {
         }
     }
     report(&mut session, args.json)
+}
+
+/// Another host has the port, or the link is broken: sends the stop that needs neither session nor frame.
+fn stop_unheard(args: &StopArgs, why: &CliError) -> Result<(), CliError> {
+    port::stop_past_lock(&args.connect.port)?;
+    if args.emergency {
+        // The drives can only be switched off in a session; slowing down is the best there is.
+        let what = format!(
+            "{why}\nthe stop that slows down along the path was sent instead; an emergency stop needs the port"
+        );
+        return Err(CliError::new(Exit::Port, what));
+    }
+    if args.json {
+        tell!(
+            "{:#}",
+            serde_json::json!({ "sent": "stop", "heard": false, "why": why.message })
+        );
+    } else {
+        tell!(
+            "stop sent past the host that has the port; it sees the machine slow down along its path ({why})"
+        );
+    }
+    Ok(())
 }
 
 /// Opens a session with the controller of a port.

@@ -10,12 +10,13 @@ use crate::program;
 use crate::record::{Header, Recorder};
 use crate::report::{self, Outcome};
 use crate::session::{
-    self, JobEnd, JobLine, JobRecording, PortLine, Session, SimLine, Watcher, interrupt,
+    self, JobEnd, JobLine, JobRecording, Line, PortLine, Session, SimLine, Watcher, interrupt,
 };
 use clap::Args;
 use haptimill_hil_sim::fault::Fault;
 use haptimill_protocol::message::{Action, AxisValues, Command, State, Telemetry};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use std::collections::BTreeMap;
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -104,8 +105,9 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
         )
     })?;
     let job = PartProgram::load(&args.program)?;
-    let plan = job.plan(&machine, &model, &home)?;
+    let planned = job.plan(&machine, &model, &home)?;
     if args.check {
+        let plan = &planned.plan;
         let seconds = report::duration(plan.figures.duration_s);
         say(
             &args,
@@ -119,6 +121,8 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
         );
         return Ok(());
     }
+    job.check_pauses(&args, &planned)?;
+    prepare(&args.out_dir())?;
     let interrupted = interrupt::flag();
     match &args.port {
         PortSpec::Simulator => {
@@ -132,7 +136,7 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
                 job: &job,
                 home,
             }
-            .carry_out(session, 1, plan)
+            .carry_out(session, 1, planned)
         }
         PortSpec::Emulated(board) => emulated(&args, &machine, &job, home, plan, *board),
         spec => {
@@ -151,7 +155,7 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
                 job: &job,
                 home,
             }
-            .carry_out(session, session::fresh_number(), plan)
+            .carry_out(session, session::fresh_number(), planned)
         }
     }
 }
@@ -225,6 +229,13 @@ fn paced(baud: Option<u32>) -> Options {
     options
 }
 
+/// A program that was checked.
+struct Planned {
+    plan: Plan,
+    /// Setpoints at which the program pauses, with the line that says so.
+    pauses: BTreeMap<u32, u32>,
+}
+
 /// A part program on disk.
 struct PartProgram {
     /// Name of the file, without folders: it goes into the recording, which is the same wherever it was made.
@@ -254,13 +265,65 @@ impl PartProgram {
         machine: &MachineFile,
         model: &Model,
         start: &AxisValues,
-    ) -> Result<Plan, CliError> {
+    ) -> Result<Planned, CliError> {
         let options = program_options(machine, model.to_people(start));
         let program = program::read(&self.file, &self.text, &options)
             .map_err(|refused| CliError::new(Exit::BadInput, refused))?;
-        Plan::new(&program, &settings(machine), model)
-            .map_err(|refused| CliError::new(Exit::Refused, refused))
+        let plan = Plan::new(&program, &settings(machine), model)
+            .map_err(|refused| CliError::new(Exit::Refused, refused))?;
+        // Each pause of the program has a setpoint of its own, in the same order.
+        let setpoints = (0..)
+            .zip(&plan.setpoints)
+            .filter(|(_, setpoint)| setpoint.action == Action::Pause);
+        let lines = program.steps.iter().filter_map(|step| match step {
+            program::Step::Pause { place } => Some(place.line),
+            _ => None,
+        });
+        let pauses = setpoints.map(|(index, _)| index).zip(lines).collect();
+        Ok(Planned { plan, pauses })
     }
+
+    /// A pause waits for Enter: somebody must be able to press it.
+    fn check_pauses(&self, args: &RunArgs, planned: &Planned) -> Result<(), CliError> {
+        match planned.pauses.values().next() {
+            Some(line) if !passes_pauses(args) && !std::io::stdin().is_terminal() => {
+                Err(CliError::new(
+                    Exit::Usage,
+                    format!(
+                        "{}:{line}: the program pauses here and there is no terminal to press Enter on; run it in a terminal, or with --go-on",
+                        self.file
+                    ),
+                ))
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+/// Sees to it that the results can be written, before anything moves.
+fn prepare(dir: &Path) -> Result<(), CliError> {
+    let file = dir.join(report::RECORDING_FILE);
+    let writable = || -> std::io::Result<()> {
+        std::fs::create_dir_all(dir)?;
+        let there_was_one = file.exists();
+        std::fs::OpenOptions::new()
+            .append(true)
+            .create(true)
+            .open(&file)?;
+        if !there_was_one {
+            std::fs::remove_file(&file)?;
+        }
+        Ok(())
+    };
+    writable().map_err(|error| {
+        CliError::new(
+            Exit::Output,
+            format!(
+                "{}: {error}; choose another folder with --out",
+                dir.display()
+            ),
+        )
+    })
 }
 
 /// A run under way.
@@ -276,19 +339,19 @@ impl Running<'_> {
         &self,
         mut session: Session<L>,
         number: u32,
-        planned: Plan,
+        planned: Planned,
     ) -> Result<(), CliError> {
         session.connect(number)?;
         session.configure(self.machine)?;
         self.clear(&mut session)?;
         session.enable()?;
         let status = session.status()?;
-        let (start, plan) = if status.homed && status.position_kept {
+        let (start, planned) = if status.homed && status.position_kept {
             // Already homed: the program begins where the machine stands, and is checked again from there.
-            let plan = self
+            let planned = self
                 .job
                 .plan(self.machine, session.model(), &status.wanted)?;
-            (status.wanted, plan)
+            (status.wanted, planned)
         } else {
             say(self.args, "homing");
             let end = session.go_home(self.machine, &self.home)?;
@@ -300,7 +363,7 @@ impl Running<'_> {
                 percent: self.args.feed_override,
             })?;
         }
-        self.job(session, start, plan)
+        self.job(session, start, planned)
     }
 
     /// A fault of before must be cleared by the one who saw it.
@@ -314,10 +377,7 @@ impl Running<'_> {
                     format!("a fault is latched: {what}; remove the cause, then `haptimill reset`"),
                 ))
             }
-            (State::EmergencyStop, _) => Err(CliError::new(
-                Exit::Fault,
-                "the emergency stop is latched; release it, then `haptimill reset`",
-            )),
+            (State::EmergencyStop, _) => Err(CliError::new(Exit::Fault, EMERGENCY_STOP)),
             _ => Ok(()),
         }
     }
@@ -326,21 +386,24 @@ impl Running<'_> {
         &self,
         mut session: Session<L>,
         start: AxisValues,
-        plan: Plan,
+        planned: Planned,
     ) -> Result<(), CliError> {
+        let Planned { plan, pauses } = planned;
         let dir = self.args.out_dir();
         let output = |error: &dyn std::fmt::Display| {
             CliError::new(Exit::Output, format!("{}: {error}", dir.display()))
         };
-        std::fs::create_dir_all(&dir).map_err(|error| output(&error))?;
         let header = Header::of(self.machine, &self.job.name)
             .map_err(|error| CliError::new(Exit::Internal, error))?;
         let recorder = Recorder::create(&dir.join(report::RECORDING_FILE), &header)
             .map_err(|error| output(&error))?;
-        self.check_pauses(&plan)?;
+        say(
+            self.args,
+            &format!("running, {}", report::duration(plan.figures.duration_s)),
+        );
         let plan = Arc::new(plan);
         let setpoints = plan.setpoints.clone();
-        let mut watcher = Bar::new(self.args, &plan);
+        let mut watcher = Bar::new(self.args, &plan, pauses);
         session.line_mut().begin_recording(JobRecording::new(
             recorder,
             Arc::clone(&plan),
@@ -358,15 +421,21 @@ impl Running<'_> {
             Ok(end) => Outcome {
                 setpoints: u64::from(end.setpoints),
                 underruns: end.underruns.len() as u64,
-                faults: end
-                    .faults
-                    .iter()
-                    .map(|fault| session.sentence(fault))
-                    .collect(),
-                final_state: end.status.state,
+                faults: faults(&session, end),
+                completed: matches!(end.ending, JobEnding::Done { .. }),
+                final_state: Some(end.status.state),
                 position_kept: end.status.position_kept,
+                bytes_per_setpoint: f64::from(end.sent.message_bytes)
+                    / f64::from(end.setpoints.max(1)),
+                line_bytes_per_setpoint: f64::from(end.sent.bytes)
+                    / f64::from(end.setpoints.max(1)),
             },
+            // The session broke: what the controller does now is not known, only what it said last.
             Err(error) => Outcome {
+                setpoints: session
+                    .client_mut()
+                    .telemetry()
+                    .map_or(0, |last| u64::from(last.setpoint)),
                 faults: vec![error.message.clone()],
                 ..Outcome::default()
             },
@@ -384,27 +453,6 @@ impl Running<'_> {
         self.well_ended(&session, &end?)
     }
 
-    /// A pause waits for Enter: somebody must be able to press it.
-    fn check_pauses(&self, plan: &Plan) -> Result<(), CliError> {
-        let pause = plan
-            .setpoints
-            .iter()
-            .position(|setpoint| setpoint.action == Action::Pause);
-        match pause {
-            Some(setpoint) if !passes_pauses(self.args) && !std::io::stdin().is_terminal() => {
-                Err(CliError::new(
-                    Exit::Usage,
-                    format!(
-                        "{}:{}: the program pauses here and there is no terminal to press Enter on; run it in a terminal, or with --go-on",
-                        self.job.file,
-                        plan.line_of(setpoint)
-                    ),
-                ))
-            }
-            _ => Ok(()),
-        }
-    }
-
     /// A job that did not reach its end is an error of the command.
     fn well_ended<L: JobLine>(&self, session: &Session<L>, end: &JobEnd) -> Result<(), CliError> {
         for (setpoint, late) in &end.underruns {
@@ -415,6 +463,9 @@ impl Running<'_> {
         }
         if let Some(fault) = end.faults.first() {
             return Err(session.fault(fault));
+        }
+        if end.status.state == State::EmergencyStop {
+            return Err(CliError::new(Exit::Fault, EMERGENCY_STOP));
         }
         if end.stopped {
             return Err(CliError::new(
@@ -434,6 +485,20 @@ impl Running<'_> {
     }
 }
 
+/// The emergency stop, in words.
+const EMERGENCY_STOP: &str =
+    "the emergency stop is latched, the drives are off; release it, then `haptimill reset`";
+
+/// What went wrong with the machine during a job, in words.
+fn faults<L: Line>(session: &Session<L>, end: &JobEnd) -> Vec<String> {
+    let stop = (end.status.state == State::EmergencyStop).then(|| EMERGENCY_STOP.to_string());
+    end.faults
+        .iter()
+        .map(|fault| session.sentence(fault))
+        .chain(stop)
+        .collect()
+}
+
 /// Says something to people, unless the output is for a program.
 fn say(args: &RunArgs, text: &str) {
     if !args.json && !args.quiet {
@@ -451,12 +516,13 @@ struct Bar {
     bar: ProgressBar,
     period_s: f64,
     lines: Vec<u32>,
+    pauses: BTreeMap<u32, u32>,
     passes_pauses: bool,
     entered: Arc<AtomicBool>,
 }
 
 impl Bar {
-    fn new(args: &RunArgs, plan: &Plan) -> Self {
+    fn new(args: &RunArgs, plan: &Plan, pauses: BTreeMap<u32, u32>) -> Self {
         let total = (plan.figures.duration_s * 1000.0).round() as u64;
         let shown = !args.json && !args.quiet;
         let bar = ProgressBar::with_draw_target(
@@ -477,6 +543,7 @@ impl Bar {
             bar,
             period_s: plan.period_s,
             lines,
+            pauses,
             passes_pauses: passes_pauses(args),
             entered: Arc::new(AtomicBool::new(false)),
         }
@@ -504,7 +571,7 @@ impl Watcher for Bar {
     }
 
     fn paused(&mut self, setpoint: u32) {
-        let line = self.lines.get(setpoint as usize).copied().unwrap_or(0);
+        let line = self.pauses.get(&setpoint).copied().unwrap_or(0);
         if self.passes_pauses {
             self.bar
                 .println(format!("line {line}: a pause, passed at once"));

@@ -165,7 +165,15 @@ impl Client {
     /// Asks for something. The answer is a [`Notice::Answered`] with the same ticket. For jobs, jogs, configurations and urgent stops there
     /// are methods that know more.
     pub fn request(&mut self, command: Command) -> Ticket {
+        if matches!(command, Command::Hold | Command::Stop) {
+            self.next_jog_epoch();
+        }
         self.requests.ask(command)
+    }
+
+    /// Jogs after a stop belong to a new epoch: the controller hears no more of the one that it ended.
+    fn next_jog_epoch(&mut self) {
+        self.jog_epoch = self.jog_epoch.wrapping_add(1).max(1);
     }
 
     /// Makes a configuration (as encoded by the firmware's types) the active one, unless it is already. Answered as `activate`.
@@ -254,7 +262,7 @@ impl Client {
         let ticket = self.requests.ask(Command::JogCancel {
             epoch: self.jog_epoch,
         });
-        self.jog_epoch = self.jog_epoch.wrapping_add(1).max(1);
+        self.next_jog_epoch();
         ticket
     }
 
@@ -266,6 +274,7 @@ impl Client {
         }
         // What was not sent yet is not to come after the stop.
         self.requests.withdraw();
+        self.next_jog_epoch();
         if let Some(stream) = self.stream.as_mut() {
             stream.abandon();
             let ending = stream.withdrawn(&self.requests);

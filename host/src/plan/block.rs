@@ -74,12 +74,15 @@ pub(super) fn check_pose(
         }
     }
     model.joints(pose).map_err(|problem| {
+        // A model may say what to do by itself.
+        let problem = problem.to_string();
+        let (what, remedy) = problem.rsplit_once("; ").unwrap_or((
+            &problem,
+            "move the work, or keep the tool nearer to the middle of the workspace",
+        ));
         (
-            format!(
-                "the machine cannot take {}: {problem}",
-                show(pose, settings)
-            ),
-            "move the work, or keep the tool nearer to the middle of the workspace".to_owned(),
+            format!("the machine cannot take {}: {what}", show(pose, settings)),
+            remedy.to_owned(),
         )
     })
 }

@@ -117,7 +117,7 @@ fn card(page: &mut String, note: &str, svg: &str) {
 
 fn tiles(page: &mut String, summary: &Summary) {
     let um = |mm: f64| format!("{:.1} \u{b5}m", mm * 1000.0);
-    let well = summary.faults.is_empty();
+    let well = summary.faults.is_empty() && summary.completed;
     let tiles = [
         ("duration", duration(summary.duration_s), true),
         (
@@ -399,16 +399,23 @@ fn table(page: &mut String, summary: &Summary) {
         ),
         ("Setpoints", summary.setpoints.to_string()),
         ("Underruns", summary.underruns.to_string()),
+        (
+            "Bytes to the controller for each setpoint: messages / all",
+            format!(
+                "{:.1} / {:.1}",
+                summary.bytes_per_setpoint, summary.line_bytes_per_setpoint
+            ),
+        ),
         ("Control periods recorded", summary.periods.to_string()),
         (
             "Final state",
             format!(
                 "{}, position {}",
                 summary.final_state,
-                if summary.position_kept {
-                    "kept"
-                } else {
-                    "lost"
+                match summary.final_state.as_str() {
+                    "Unknown" => "not known",
+                    _ if summary.position_kept => "kept",
+                    _ => "lost",
                 }
             ),
         ),

@@ -41,10 +41,16 @@ pub struct Outcome {
     pub underruns: u64,
     /// Faults, each as a sentence.
     pub faults: Vec<String>,
-    /// State of the controller at the end.
-    pub final_state: State,
+    /// The program came to its end.
+    pub completed: bool,
+    /// State of the controller at the end; none when it was not heard any more.
+    pub final_state: Option<State>,
     /// The position is known to be right.
     pub position_kept: bool,
+    /// Bytes from host to controller for each setpoint: frames of messages, framing included.
+    pub bytes_per_setpoint: f64,
+    /// The same, with signs of life and acknowledgements.
+    pub line_bytes_per_setpoint: f64,
 }
 
 /// The summary of a job; summary.json has these fields.
@@ -84,10 +90,16 @@ pub struct Summary {
     pub underruns: u64,
     /// Faults, each as a sentence.
     pub faults: Vec<String>,
-    /// State of the controller at the end.
+    /// The program came to its end.
+    pub completed: bool,
+    /// State of the controller at the end; `Unknown` when it was not heard any more.
     pub final_state: String,
     /// The position is known to be right.
     pub position_kept: bool,
+    /// Bytes from host to controller for each setpoint: frames of messages, framing included.
+    pub bytes_per_setpoint: f64,
+    /// The same, with signs of life and acknowledgements.
+    pub line_bytes_per_setpoint: f64,
     /// Control periods recorded.
     pub periods: u64,
     /// SHA-256 of the recording.
@@ -130,8 +142,13 @@ impl Summary {
             setpoints: outcome.setpoints,
             underruns: outcome.underruns,
             faults: outcome.faults.clone(),
-            final_state: format!("{:?}", outcome.final_state),
+            completed: outcome.completed,
+            final_state: outcome
+                .final_state
+                .map_or("Unknown".to_string(), |state| format!("{state:?}")),
             position_kept: outcome.position_kept,
+            bytes_per_setpoint: outcome.bytes_per_setpoint,
+            line_bytes_per_setpoint: outcome.line_bytes_per_setpoint,
             periods: recorded.records,
             trace_sha256: recorded.sha256.clone(),
         };
@@ -149,20 +166,20 @@ impl Summary {
         } else {
             "tool error (measured)"
         };
-        let kept = if self.position_kept {
-            "position kept"
-        } else {
-            "position lost: home again"
+        let kept = match self.final_state.as_str() {
+            "Unknown" => "the controller was not heard at the end; `haptimill status` asks it",
+            _ if self.position_kept => "position kept",
+            _ => "position lost: home again",
         };
         let mut text = format!(
             "{}: {} in {}, {:.1} mm of path, {} setpoints, {} underruns\n\
              {tool}: {:.4} mm rms, {:.4} mm largest (at {:.2} s{line}); contour {:.4} / {:.4} mm\n\
              largest slide error: {:.4} mm ({})\n",
             self.program,
-            if self.faults.is_empty() {
-                "ended"
-            } else {
-                "FAULT"
+            match (self.faults.is_empty(), self.completed) {
+                (false, _) => "FAULT",
+                (true, true) => "ended",
+                (true, false) => "stopped",
             },
             duration(self.duration_s),
             self.path_length_mm,

@@ -68,7 +68,10 @@ fn outcome() -> Outcome {
         setpoints: 236,
         underruns: 0,
         faults: Vec::new(),
-        final_state: State::Idle,
+        completed: true,
+        final_state: Some(State::Idle),
+        bytes_per_setpoint: 20.5,
+        line_bytes_per_setpoint: 31.0,
         position_kept: true,
     }
 }

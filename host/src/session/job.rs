@@ -21,6 +21,17 @@ pub struct JobEnd {
     pub stopped: bool,
     /// How things stood when all was at rest.
     pub status: Telemetry,
+    /// What went to the controller during the job.
+    pub sent: Sent,
+}
+
+/// Bytes that went from the host to the controller during a job; what was sent again counts again.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Sent {
+    /// All bytes, signs of life and acknowledgements included.
+    pub bytes: u32,
+    /// Bytes of the frames that carry messages, which are the setpoints but for a handful; framing included.
+    pub message_bytes: u32,
 }
 
 /// Looks on while a job runs.
@@ -61,6 +72,7 @@ impl<L: Line> Session<L> {
         let every = (TELEMETRY_MS * 1000 / period_us.max(1)).clamp(1, u32::from(u16::MAX)) as u16;
         self.ask(Command::Telemetry { every })?;
         self.ending = None;
+        let before = self.client.link().counters();
         self.client
             .start_job(job, start, setpoints)
             .map_err(|error| CliError::new(crate::cli::Exit::Port, error))?;
@@ -106,6 +118,11 @@ impl<L: Line> Session<L> {
                 watcher.progress(telemetry);
             }
         };
+        let after = self.client.link().counters();
+        let sent = Sent {
+            bytes: after.bytes_sent - before.bytes_sent,
+            message_bytes: after.message_bytes - before.message_bytes,
+        };
         let status = self.settle()?;
         let mut end = JobEnd {
             ending,
@@ -114,6 +131,7 @@ impl<L: Line> Session<L> {
             faults: Vec::new(),
             stopped,
             status,
+            sent,
         };
         for (_, event) in &self.events[first..] {
             match event {

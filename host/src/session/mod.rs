@@ -14,7 +14,7 @@ mod line;
 pub mod pil;
 mod sim;
 
-pub use job::{JobEnd, Watcher};
+pub use job::{JobEnd, Sent, Watcher};
 pub use line::{JobLine, Line, PortLine};
 pub use sim::{JobRecording, SimLine, rig, rig_around};
 

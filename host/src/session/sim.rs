@@ -84,6 +84,12 @@ impl<C: Control> SimLine<C> {
             recording: None,
         }
     }
+
+    /// The machine with its controller and its line, for a look at what really was.
+    #[must_use]
+    pub const fn rig(&self) -> &Rig<Controller> {
+        &self.rig
+    }
 }
 
 impl<C: Control> JobLine for SimLine<C> {

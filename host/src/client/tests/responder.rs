@@ -178,6 +178,12 @@ impl Responder {
             position_kept: true,
             credit: self.done + QUEUE,
             setpoint: self.done,
+            program_periods: self
+                .reached
+                .iter()
+                .map(|setpoint| u32::from(setpoint.periods))
+                .sum::<u32>()
+                + u32::from(self.wait),
             path_rate: u16::MAX,
             wanted: AxisValues::new(),
             measured: AxisValues::new(),
