@@ -46,19 +46,31 @@ pub enum Toolchain {
 impl Toolchain {
     /// The toolchain for a target; `None` when there is none.
     pub fn find(target: &str) -> Option<Self> {
-        let sysroot = Command::new("rustc").args(["--print", "sysroot"]).output().ok()?;
+        let sysroot = Command::new("rustc")
+            .args(["--print", "sysroot"])
+            .output()
+            .ok()?;
         let sysroot = PathBuf::from(String::from_utf8_lossy(&sysroot.stdout).trim().to_string());
-        if sysroot.join("lib/rustlib").join(target).join("lib").is_dir() {
+        if sysroot
+            .join("lib/rustlib")
+            .join(target)
+            .join("lib")
+            .is_dir()
+        {
             return Some(Self::Rustup);
         }
         let sources = Path::new(DEBIAN_SOURCES).is_dir() || library_of_debian().is_some();
-        let debian = Path::new(DEBIAN_CARGO).is_file() && Path::new(DEBIAN_RUSTC).is_file() && sources;
+        let debian =
+            Path::new(DEBIAN_CARGO).is_file() && Path::new(DEBIAN_RUSTC).is_file() && sources;
         let linkers = [
             Some(PathBuf::from("/usr/bin/lld-22")),
             rust_lld(&sysroot),
             Some(PathBuf::from("/usr/bin/arm-none-eabi-ld")),
         ];
-        let linker = linkers.into_iter().flatten().find(|linker| linker.is_file())?;
+        let linker = linkers
+            .into_iter()
+            .flatten()
+            .find(|linker| linker.is_file())?;
         debian.then_some(Self::Debian(linker))
     }
 
@@ -66,7 +78,10 @@ impl Toolchain {
     pub fn name(&self) -> String {
         match self {
             Self::Rustup => "the toolchain's own target".to_string(),
-            Self::Debian(linker) => format!("Debian's rustc-web with rust-web-src, linked by {}", linker.display()),
+            Self::Debian(linker) => format!(
+                "Debian's rustc-web with rust-web-src, linked by {}",
+                linker.display()
+            ),
         }
     }
 
@@ -79,12 +94,19 @@ impl Toolchain {
                 // What the toolchain that runs this has set is not for the other one.
                 for (name, _) in env::vars_os() {
                     let text = name.to_string_lossy();
-                    if text.starts_with("CARGO") && text != "CARGO_HOME" || text.starts_with("RUST") {
+                    if text.starts_with("CARGO") && text != "CARGO_HOME" || text.starts_with("RUST")
+                    {
                         cargo.env_remove(&name);
                     }
                 }
-                let linker_of_target = format!("CARGO_TARGET_{}_LINKER", target.to_uppercase().replace('-', "_"));
-                cargo.env("RUSTC", DEBIAN_RUSTC).env("RUSTC_BOOTSTRAP", "1").env(linker_of_target, linker);
+                let linker_of_target = format!(
+                    "CARGO_TARGET_{}_LINKER",
+                    target.to_uppercase().replace('-', "_")
+                );
+                cargo
+                    .env("RUSTC", DEBIAN_RUSTC)
+                    .env("RUSTC_BOOTSTRAP", "1")
+                    .env(linker_of_target, linker);
                 cargo
             }
         }
@@ -101,7 +123,10 @@ impl Toolchain {
 
 /// Where Debian's compiler looks for the sources of the core library.
 fn library_of_debian() -> Option<PathBuf> {
-    let output = Command::new(DEBIAN_RUSTC).args(["--print", "sysroot"]).output().ok()?;
+    let output = Command::new(DEBIAN_RUSTC)
+        .args(["--print", "sysroot"])
+        .output()
+        .ok()?;
     let sysroot = PathBuf::from(String::from_utf8_lossy(&output.stdout).trim().to_string());
     Some(sysroot.join("lib/rustlib/src/rust/library/core")).filter(|core| core.is_dir())
 }
@@ -109,7 +134,10 @@ fn library_of_debian() -> Option<PathBuf> {
 /// The linker that rustup's toolchains bring.
 fn rust_lld(sysroot: &Path) -> Option<PathBuf> {
     let hosts = fs::read_dir(sysroot.join("lib/rustlib")).ok()?;
-    hosts.flatten().map(|host| host.path().join("bin/rust-lld")).find(|linker| linker.is_file())
+    hosts
+        .flatten()
+        .map(|host| host.path().join("bin/rust-lld"))
+        .find(|linker| linker.is_file())
 }
 
 impl Board {
@@ -118,14 +146,23 @@ impl Board {
         BOARDS.iter().find(|board| board.name == name)
     }
 
+    /// What builds it here.
+    pub fn toolchain(&self) -> Option<Toolchain> {
+        Toolchain::find(self.target)
+    }
+
     /// Its image.
     fn image(&self, root: &Path, binary: &str) -> PathBuf {
-        root.join(self.folder).join("target").join(self.target).join("release").join(binary)
+        root.join(self.folder)
+            .join("target")
+            .join(self.target)
+            .join("release")
+            .join(binary)
     }
 
     /// Builds all images of the board; gives the one of the product.
     pub fn build(&self, root: &Path, quiet: bool) -> Result<PathBuf, String> {
-        let toolchain = Toolchain::find(self.target).ok_or_else(|| {
+        let toolchain = self.toolchain().ok_or_else(|| {
             format!(
                 "nothing here builds for {}: `rustup target add {}`, or on Debian `apt-get install {}`",
                 self.target,
@@ -134,7 +171,12 @@ impl Board {
             )
         })?;
         if !quiet {
-            println!("== board {}: built for {} by {}", self.name, self.target, toolchain.name());
+            println!(
+                "== board {}: built for {} by {}",
+                self.name,
+                self.target,
+                toolchain.name()
+            );
         }
         let mut cargo = toolchain.cargo(self.target);
         cargo
@@ -154,16 +196,23 @@ impl Board {
     /// Says what the image takes of the chip, and whether it may.
     pub fn measure(&self, image: &Path) -> Result<(), String> {
         let bytes = fs::read(image).map_err(|error| format!("{}: {error}", image.display()))?;
-        let sections = sections(&bytes).ok_or_else(|| format!("{}: is no image of a 32-bit chip", image.display()))?;
+        let sections = sections(&bytes)
+            .ok_or_else(|| format!("{}: is no image of a 32-bit chip", image.display()))?;
         println!("{:24} {:>10} {:>8}", "section", "address", "bytes");
         let (mut flash, mut ram) = (0, 0);
-        for section in sections.iter().filter(|section| section.allocated && section.bytes > 0) {
+        for section in sections
+            .iter()
+            .filter(|section| section.allocated && section.bytes > 0)
+        {
             let what = match (section.writable, section.in_file) {
                 (false, _) => "flash",
                 (true, true) => "flash and RAM",
                 (true, false) => "RAM",
             };
-            println!("{:24} {:#010x} {:>8}  {what}", section.name, section.address, section.bytes);
+            println!(
+                "{:24} {:#010x} {:>8}  {what}",
+                section.name, section.address, section.bytes
+            );
             if !section.writable || section.in_file {
                 flash += section.bytes;
             }
@@ -171,7 +220,10 @@ impl Board {
                 ram += section.bytes;
             }
         }
-        println!("flash {flash} of {}, static RAM {ram} of {}", self.flash, self.ram);
+        println!(
+            "flash {flash} of {}, static RAM {ram} of {}",
+            self.flash, self.ram
+        );
         if flash > self.flash || ram > self.ram {
             return Err(format!("the image of {} takes more than it may", self.name));
         }

@@ -138,7 +138,7 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
             }
             .carry_out(session, 1, planned)
         }
-        PortSpec::Emulated(board) => emulated(&args, &machine, &job, home, plan, *board),
+        PortSpec::Emulated(board) => emulated(&args, &machine, &job, home, planned, *board),
         spec => {
             if let Some(fault) = args.fault.first() {
                 let what =
@@ -167,7 +167,7 @@ fn emulated(
     machine: &MachineFile,
     job: &PartProgram,
     home: AxisValues,
-    plan: Plan,
+    planned: Planned,
     board: port::Board,
 ) -> Result<(), CliError> {
     use crate::session::pil::{self, Instructions};
@@ -185,7 +185,7 @@ fn emulated(
         job,
         home,
     }
-    .carry_out(session, 1, plan)?;
+    .carry_out(session, 1, planned)?;
     let instructions = Instructions::of(
         &cost
             .lock()
@@ -213,7 +213,7 @@ fn emulated(
     _: &MachineFile,
     _: &PartProgram,
     _: AxisValues,
-    _: Plan,
+    _: Planned,
     board: port::Board,
 ) -> Result<(), CliError> {
     Err(CliError::new(

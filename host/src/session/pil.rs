@@ -95,6 +95,18 @@ pub struct Emulator {
     serial: UnixStream,
 }
 
+/// Keeps this thread, and the emulator that it starts, on one processor: they take turns, and a hand-over there is four times faster than one
+/// to another processor.
+fn share_processor() {
+    #[cfg(target_os = "linux")]
+    {
+        let mut one = rustix::thread::CpuSet::new();
+        one.set(rustix::thread::sched_getcpu());
+        // Where it is not allowed, it only takes longer.
+        let _ = rustix::thread::sched_setaffinity(None, &one);
+    }
+}
+
 /// A folder that goes when it is dropped.
 #[derive(Debug)]
 struct Folder(PathBuf);
@@ -168,6 +180,7 @@ impl Emulator {
             .open(&pipes[1])
             .map_err(failed)?;
         let console = File::create(folder.0.join("console")).map_err(failed)?;
+        share_processor();
         let child = Command::new(EMULATOR)
             .args([
                 "-M",

@@ -87,7 +87,7 @@ impl<C: Control> SimLine<C> {
 
     /// The machine with its controller and its line, for a look at what really was.
     #[must_use]
-    pub const fn rig(&self) -> &Rig<Controller> {
+    pub const fn rig(&self) -> &Rig<C> {
         &self.rig
     }
 }
