@@ -360,7 +360,8 @@ impl PlantLink for Emulator {
 
 impl Drop for Emulator {
     fn drop(&mut self) {
-        // The image ends by itself once it was told so, or when its pipes are closed; whatever has not ended by now is of no use.
+        // The image ends by itself once it was told so; whatever has not ended a moment later is of no use.
+        self.last_words();
         end(&mut self.child);
     }
 }
