@@ -83,6 +83,8 @@ impl Controller {
     }
 
     /// Checks the staged configuration and makes it the active one. The joints are taken to stand at their presets.
+    #[cold]
+    #[inline(never)]
     fn activate(&mut self, inputs: &Inputs, length: u16, crc: u32) -> Done {
         self.in_state(&[State::Disabled, State::Fault, State::EmergencyStop])?;
         if self.safety.drives_on() {

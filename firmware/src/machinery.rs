@@ -55,6 +55,7 @@ pub struct Machinery {
 
 impl Machinery {
     /// The machine of a checked configuration, standing at its presets.
+    #[cold]
     pub fn new(config: Config, crc: u32, inputs: &Inputs) -> Result<Self, ConfigProblem> {
         config.check()?;
         let mut joints = Vec::new();

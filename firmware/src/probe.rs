@@ -20,6 +20,9 @@ pub enum Stage {
     Gate,
 }
 
+/// How many stages there are.
+pub const STAGES: usize = 7;
+
 /// Sees each stage end; costs nothing when empty.
 pub trait Probe {
     /// The stage has just ended.

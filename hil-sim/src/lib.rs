@@ -19,6 +19,7 @@ pub mod geometry;
 pub mod mechanics;
 pub mod plant;
 pub mod random;
+pub mod remote;
 pub mod rig;
 pub mod schedule;
 pub mod stepper;

@@ -14,6 +14,7 @@ use crate::schedule::Schedule;
 use crate::wire::Wire;
 use core::fmt;
 use haptimill_firmware::io::{DriveCommand, Inputs, Outputs, RECEIVE_BYTES, StepSegment};
+use haptimill_firmware::reading::Reading;
 use haptimill_protocol::urgent::UrgentDetector;
 use std::collections::VecDeque;
 
@@ -24,12 +25,35 @@ const TRANSMIT_RING: usize = 256;
 pub trait Control {
     /// One control period.
     fn tick(&mut self, inputs: &Inputs, outputs: &mut Outputs);
+
+    /// Bytes that have arrived on the line since the last period. A controller with a line of its own takes them from here, not from
+    /// [`Inputs::received`]; lost and waiting ones are then its own affair.
+    fn arrived(&mut self, _bytes: &[u8]) {}
+
+    /// How the controller stands after the last period; `None` before it is configured, and of a controller that does not tell.
+    fn reading(&self, _inputs: &Inputs) -> Option<Reading> {
+        None
+    }
+
+    /// Periods that the last one took beyond its own: they are missed.
+    fn overrun(&self) -> u16 {
+        0
+    }
+
+    /// Why the controller does nothing any more; its outputs are safe from then on.
+    fn failure(&self) -> Option<&str> {
+        None
+    }
 }
 
 /// The controller of this project, in the same process.
 impl Control for haptimill_firmware::controller::Controller {
     fn tick(&mut self, inputs: &Inputs, outputs: &mut Outputs) {
         Self::tick(self, inputs, outputs, &mut ());
+    }
+
+    fn reading(&self, inputs: &Inputs) -> Option<Reading> {
+        Self::reading(self, inputs)
     }
 }
 
@@ -94,6 +118,10 @@ pub struct Rig<C> {
     to_machine: Wire,
     to_host: Wire,
     ring: VecDeque<u8>,
+    /// What arrived in this period.
+    arrived: Vec<u8>,
+    /// Periods that the controller is behind.
+    late: u16,
     ring_bytes: usize,
     urgent: UrgentDetector,
     urgent_seen: bool,
@@ -123,6 +151,8 @@ impl<C: Control> Rig<C> {
             to_machine: Wire::new(options.baud, Random::new(config.seed, 32)),
             to_host: Wire::new(options.baud, Random::new(config.seed, 33)),
             ring: VecDeque::with_capacity(options.ring_bytes),
+            arrived: Vec::new(),
+            late: 0,
             ring_bytes: options.ring_bytes,
             urgent: UrgentDetector::new(),
             urgent_seen: false,
@@ -144,7 +174,8 @@ impl<C: Control> Rig<C> {
             &mut self.to_host,
         );
         self.listen(now);
-        if miss {
+        if miss || self.late > 0 {
+            self.late = self.late.saturating_sub(1);
             self.missed = self.missed.saturating_add(1);
             self.plant.advance(&self.effective);
             end_pulses(&mut self.effective);
@@ -169,6 +200,7 @@ impl<C: Control> Rig<C> {
         self.inputs.waiting = u16::try_from(self.ring.len()).unwrap_or(u16::MAX);
         self.outputs.transmit.clear();
         self.control.tick(&self.inputs, &mut self.outputs);
+        self.late = self.control.overrun();
         self.plant.advance(&self.effective);
         // Said at the end of the period, when the outputs are taken over.
         self.to_host
@@ -180,7 +212,9 @@ impl<C: Control> Rig<C> {
 
     /// Takes from the line what has arrived.
     fn listen(&mut self, now: u64) {
+        self.arrived.clear();
         while let Some(byte) = self.to_machine.read(now) {
+            self.arrived.push(byte);
             if self.urgent.push(byte) {
                 self.urgent_seen = true;
             }
@@ -190,6 +224,7 @@ impl<C: Control> Rig<C> {
                 self.lost_bytes = self.lost_bytes.wrapping_add(1);
             }
         }
+        self.control.arrived(&self.arrived);
     }
 
     /// The host writes to its port, now.

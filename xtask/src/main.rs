@@ -1,15 +1,23 @@
 //! The chores of the project. `cargo xtask help` lists them.
 
+mod board;
+
+use board::Board;
 use std::env;
+use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 use std::time::Instant;
 
 const HELP: &str = "\
 The chores of the project.
 
-  cargo xtask test     everything that must hold: format, lints, all tests, documentation
-  cargo xtask bench    all benchmarks (criterion); figures in target/criterion
-  cargo xtask help     this text
+  cargo xtask test                 everything that must hold: format, lints, all tests, documentation, boards, emulated runs
+  cargo xtask test --native-only   all but boards and emulated runs; says what it left out
+  cargo xtask board NAME           builds the image of a board (mps2), says what it takes of the chip, checks that against the budget
+  cargo xtask board NAME --image   builds it and prints the path of the image, nothing else
+  cargo xtask instructions         counts the instructions of control periods and writes docs/instructions.md anew
+  cargo xtask bench                all benchmarks (criterion); figures in target/criterion
+  cargo xtask help                 this text
 ";
 
 /// One step of a chore.
@@ -57,6 +65,30 @@ const TEST: &[Step] = &[
     },
 ];
 
+/// Needs a board's image and the emulator, so it is built only where these are. Every test takes its time; one by one they do not slow each
+/// other down.
+const EMULATED: &[Step] = &[Step {
+    name: "emulated runs",
+    arguments: &[
+        "test",
+        "--release",
+        "--package",
+        "haptimill-tests",
+        "--features",
+        "emulated",
+        "--test",
+        "emulated",
+        "--",
+        "--nocapture",
+        "--test-threads=1",
+    ],
+    environment: &[],
+    component: None,
+}];
+
+/// The emulator, and the Debian package that has it.
+const EMULATOR: &str = "qemu-system-arm";
+
 const BENCH: &[Step] = &[Step {
     name: "benchmarks",
     arguments: &["bench", "--workspace", "--benches"],
@@ -65,19 +97,128 @@ const BENCH: &[Step] = &[Step {
 }];
 
 fn main() -> ExitCode {
-    let chore = env::args().nth(1).unwrap_or_default();
-    match chore.as_str() {
-        "test" => run(TEST),
-        "bench" => run(BENCH),
-        "help" | "" => {
+    let arguments: Vec<String> = env::args().skip(1).collect();
+    let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
+    let done = match words[..] {
+        ["test"] => test(),
+        ["test", "--native-only"] => run(TEST).map(|()| {
+            println!("LEFT OUT  boards and emulated runs (--native-only): nothing was shown about the controller on a chip");
+        }),
+        ["board", name] => board(name, false),
+        ["board", name, "--image"] => board(name, true),
+        ["instructions"] => instructions(),
+        ["bench"] => run(BENCH),
+        ["help"] | [] => {
             print!("{HELP}");
-            ExitCode::SUCCESS
+            Ok(())
         }
-        other => {
-            eprintln!("xtask: there is no chore '{other}'\n\n{HELP}");
-            ExitCode::from(2)
+        _ => {
+            eprintln!("xtask: there is no chore '{}'\n\n{HELP}", words.join(" "));
+            return ExitCode::from(2);
+        }
+    };
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(problem) => {
+            eprintln!("xtask: {problem}");
+            ExitCode::FAILURE
         }
     }
+}
+
+/// The root of the workspace.
+fn root() -> PathBuf {
+    let here = Path::new(env!("CARGO_MANIFEST_DIR"));
+    here.parent().unwrap_or(here).to_path_buf()
+}
+
+/// Everything.
+fn test() -> Result<(), String> {
+    run(TEST)?;
+    provide()?;
+    for board in board::BOARDS {
+        let image = board.build(&root(), false)?;
+        board.measure(&image)?;
+    }
+    run(EMULATED)
+}
+
+/// Builds one board.
+fn board(name: &str, image_only: bool) -> Result<(), String> {
+    let board = Board::named(name).ok_or_else(|| {
+        let names: Vec<&str> = board::BOARDS.iter().map(|board| board.name).collect();
+        format!("there is no board '{name}'; there is {}", names.join(", "))
+    })?;
+    let image = board.build(&root(), image_only)?;
+    if image_only {
+        println!("{}", image.display());
+        return Ok(());
+    }
+    board.measure(&image)?;
+    println!("{}", image.display());
+    Ok(())
+}
+
+/// Writes the table of instructions anew.
+fn instructions() -> Result<(), String> {
+    provide()?;
+    run(&[Step {
+        name: "instructions",
+        arguments: &[
+            "test",
+            "--release",
+            "--package",
+            "haptimill-tests",
+            "--features",
+            "emulated",
+            "--test",
+            "emulated",
+            "--",
+            "--nocapture",
+            "instructions",
+        ],
+        environment: &[("HAPTIMILL_WRITE", "1")],
+        component: None,
+    }])
+}
+
+/// Installs what building for a chip and emulating it need, where that is possible; says how otherwise.
+fn provide() -> Result<(), String> {
+    let mut missing = Vec::new();
+    for board in board::BOARDS {
+        if board.toolchain().is_none() {
+            missing.extend(board::DEBIAN_PACKAGES);
+        }
+    }
+    if !starts(EMULATOR, "--version") {
+        missing.push(EMULATOR);
+    }
+    if missing.is_empty() {
+        return Ok(());
+    }
+    missing.dedup();
+    let install = [&["install", "-y", "--no-install-recommends"][..], &missing].concat();
+    println!("== packages: apt-get {}", install.join(" "));
+    let apt = |arguments: &[&str]| {
+        let status = Command::new("apt-get")
+            .args(arguments)
+            .env("DEBIAN_FRONTEND", "noninteractive")
+            .status();
+        status.is_ok_and(|status| status.success())
+    };
+    if apt(&["update"]) && apt(&install) {
+        return Ok(());
+    }
+    Err(format!(
+        "boards and emulated runs need packages that cannot be installed from here. As root: apt-get install {}\n\
+         (instead of the compiler packages, `rustup target add thumbv7em-none-eabihf` does). Without them: cargo xtask test --native-only",
+        missing.join(" ")
+    ))
+}
+
+fn starts(program: &str, argument: &str) -> bool {
+    let output = Command::new(program).arg(argument).output();
+    output.is_ok_and(|output| output.status.success())
 }
 
 fn cargo() -> Command {
@@ -91,7 +232,7 @@ fn has(component: &str) -> bool {
         .is_ok_and(|output| output.status.success())
 }
 
-fn run(steps: &[Step]) -> ExitCode {
+fn run(steps: &[Step]) -> Result<(), String> {
     let mut left_out = Vec::new();
     for step in steps {
         if let Some((component, remedy)) = step.component
@@ -118,21 +259,19 @@ fn run(steps: &[Step]) -> ExitCode {
                 );
             }
             Ok(status) => {
-                eprintln!(
-                    "xtask: '{}' failed ({status}); to repeat it alone: cargo {}",
+                return Err(format!(
+                    "'{}' failed ({status}); to repeat it alone: cargo {}",
                     step.name,
                     step.arguments.join(" ")
-                );
-                return ExitCode::FAILURE;
+                ));
             }
             Err(error) => {
-                eprintln!("xtask: cannot start cargo: {error}");
-                return ExitCode::FAILURE;
+                return Err(format!("cannot start cargo: {error}"));
             }
         }
     }
     for line in &left_out {
         println!("LEFT OUT  {line}");
     }
-    ExitCode::SUCCESS
+    Ok(())
 }

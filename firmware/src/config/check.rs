@@ -22,6 +22,8 @@ fn require(condition: bool, field: ConfigField, axis: Option<usize>) -> Check {
 
 impl Config {
     /// Whether the configuration makes sense; the first problem otherwise.
+    #[cold]
+    #[inline(never)]
     pub fn check(&self) -> Result<(), ConfigProblem> {
         require(
             (50..=1000).contains(&self.period_us) && 1_000_000 % u32::from(self.period_us) == 0,

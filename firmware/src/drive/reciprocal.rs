@@ -3,6 +3,8 @@
 //! Pure numbers, no units. A Cortex-M4F divides 32 by 32 bits in at most 12 cycles, but 64 by 64 in several hundred; everything in
 //! the control period goes through here instead. Misuse: [`mul_shift`] is exact only within the range that it states.
 
+use crate::units::scale::{product, total};
+
 /// 1/d as `mantissa / 2^exponent`, mantissa in (2^30, 2^31].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Reciprocal {
@@ -37,7 +39,8 @@ impl Reciprocal {
     /// `value * 2^scale / divisor`, rounded down; `|value| <= 2^31`, `scale <= 31`.
     #[inline]
     pub(crate) const fn scaled(self, value: i64, scale: u32) -> i64 {
-        (value * self.mantissa as i64) >> (self.exponent - scale)
+        // The shift is 0 to 62: the exponent is at least 31, the scale at most that.
+        product(value, self.mantissa as i64).wrapping_shr(self.exponent.wrapping_sub(scale))
     }
 
     /// Mantissa, at most 2^31, and exponent, 31 to 62.
@@ -50,9 +53,9 @@ impl Reciprocal {
 /// `a * b / 2^SHIFT`, rounded down, `SHIFT <= 32`; needs `|a| < 2^(30 + SHIFT)`.
 #[inline]
 pub(crate) const fn mul_shift<const SHIFT: u32>(a: i64, b: u32) -> i64 {
-    let high = (a >> 32) * b as i64;
+    let high = product(a >> 32, b as i64);
     let low = ((a & 0xffff_ffff) as u64 * b as u64) >> SHIFT;
-    (high << (32 - SHIFT)) + low as i64
+    total(high << (32 - SHIFT), low as i64)
 }
 
 /// The nearest `i32`.

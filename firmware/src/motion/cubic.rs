@@ -7,6 +7,7 @@
 //! 2^31 axis units/s. [`Cubic::new`] returns `None` otherwise. Positions are exact at both ends; in between they differ from the real
 //! polynomial by less than 1 axis unit (0.95 nm), held by a test.
 
+use crate::units::scale::{product, total};
 use crate::units::{Acceleration, Coordinate, Rate};
 use haptimill_protocol::message::RATE_SHIFT;
 
@@ -126,10 +127,13 @@ impl Cubic {
     pub fn sample(&self, fraction: u32, span: &Span) -> Sample {
         // |c| < 2^53 (rates < 2^31 au/s, span < 2^20 us, factor 6): no sum or product below leaves 64 bits.
         let c3s = scale(self.c3, fraction);
-        let position = scale(self.c1 + scale(self.c2 + c3s, fraction), fraction);
-        let rate = self.c1 + scale(2 * self.c2 + 3 * c3s, fraction);
-        let acceleration = 2 * self.c2 + 6 * c3s;
-        let position = ((position + (1 << 15)) >> 16) as i32;
+        let bend = total(self.c2, c3s);
+        let position = scale(total(self.c1, scale(bend, fraction)), fraction);
+        // 2 c2 + 3 c3 s, and 2 c2 + 6 c3 s.
+        let steep = total(total(bend, bend), c3s);
+        let rate = total(self.c1, scale(steep, fraction));
+        let acceleration = total(steep, product(3, c3s));
+        let position = (total(position, 1 << 15) >> 16) as i32;
         // Times the span, in axis units per second; bounded so that it can be divided by the span once more.
         let speed = per_second(acceleration, span).clamp(-(1 << 33), 1 << 33);
         Sample {
@@ -143,13 +147,18 @@ impl Cubic {
 /// x * s / 2^32.
 fn scale(x: i64, s: u32) -> i64 {
     let (high, low) = (x >> 32, x & 0xFFFF_FFFF);
-    high * i64::from(s) + ((low as u64 * u64::from(s)) >> 32) as i64
+    total(
+        product(high, i64::from(s)),
+        ((low as u64 * u64::from(s)) >> 32) as i64,
+    )
 }
 
 /// 2^-16 axis units per span -> axis units per second, to 30 bits.
 fn per_second(x: i64, span: &Span) -> i64 {
     let spare = (64 - x.unsigned_abs().leading_zeros()).saturating_sub(32);
-    ((x >> spare) * span.mantissa) >> (span.exponent + 16 - spare)
+    // 32 bits and a sign times 31 bits. The exponent is at least 25 and `spare` at most 32, so the shift is 9 to 63.
+    let shift = span.exponent.wrapping_add(16).wrapping_sub(spare);
+    product(x >> spare, span.mantissa).wrapping_shr(shift)
 }
 
 fn clamp(x: i64) -> i32 {

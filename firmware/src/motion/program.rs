@@ -12,6 +12,7 @@ use super::cubic::{Cubic, Span};
 use super::ramp::{Ramp, RampLimits};
 use crate::config::{AxisKind, Config, Stopping};
 use crate::kinematics::Pose;
+use crate::units::scale::{product, total};
 use crate::units::{Acceleration, Coordinate, Rate};
 use haptimill_protocol::message::{Action, MAX_AXES, Refusal};
 use haptimill_protocol::setpoint::Setpoint;
@@ -342,6 +343,7 @@ impl Program {
     fn remaining_periods(&self) -> u64 {
         let segment = self
             .segment
+            .as_ref()
             .map_or(0, |segment| u64::from(segment.span.periods()));
         (segment + self.queued_periods).saturating_sub((self.time >> 32) + 1)
     }
@@ -361,17 +363,19 @@ impl Program {
                 self.queued_periods -= u64::from(knot.periods);
                 self.segment = self.segment_between(&self.from, &knot);
             }
-            let Some(segment) = self.segment else { return };
-            let end = u64::from(segment.span.periods()) << 32;
+            // A segment is large: it is looked at where it lies.
+            let Some(segment) = &self.segment else { return };
+            let periods = u64::from(segment.span.periods());
+            let end = periods << 32;
             if self.time < end {
                 return;
             }
             self.time -= end;
-            self.elapsed += u64::from(segment.span.periods());
+            self.elapsed += periods;
             self.from = segment.to;
             self.segment = None;
             self.reached = self.reached.wrapping_add(1);
-            match segment.to.action {
+            match self.from.action {
                 Action::None => {}
                 Action::Spindle(speed) => progress.spindle = Some(speed),
                 Action::Pause => {
@@ -400,17 +404,20 @@ impl Program {
         };
         let fraction = segment.span.fraction((self.time >> 16) as u32);
         let rate = self.path_rate.value() >> 2;
-        let rate_squared = (rate * rate) >> 30;
+        let rate_squared = product(rate, rate) >> 30;
         let slope = self.path_rate.slope();
         for axis in 0..self.axes {
             let sample = segment.cubics[axis].sample(fraction, &segment.span);
             wanted.pose.0[axis] = sample.position;
             let speed = i64::from(sample.rate.0);
-            wanted.rates[axis] = Rate(((speed * rate) >> 30) as i32);
+            wanted.rates[axis] = Rate((product(speed, rate) >> 30) as i32);
             // d2p/dt2 = p'' r^2 + p' dr/dt, with dr/dt in 2^-32 per period.
-            let braking = ((speed * slope) >> 32) * self.periods_per_second;
-            let acceleration =
-                ((i64::from(sample.acceleration.0) * rate_squared) >> 30) + (braking >> 8);
+            // Path rate and its square are below 2^31, its slope below 2^32: with 31 bits of speed or acceleration all products fit.
+            let braking = product(product(speed, slope) >> 32, self.periods_per_second);
+            let acceleration = total(
+                product(i64::from(sample.acceleration.0), rate_squared) >> 30,
+                braking >> 8,
+            );
             wanted.accelerations[axis] =
                 Acceleration(acceleration.clamp(i64::from(-i32::MAX), i64::from(i32::MAX)) as i32);
         }

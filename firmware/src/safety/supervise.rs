@@ -171,6 +171,10 @@ impl Watch {
             .max(i64::from(most.0).abs() / 32)
             * if mark.standing { 3 } else { 1 };
         mark.impulse += (growth - friction).max(0);
+        if mark.impulse == 0 {
+            // No limit is below it, and a limit costs a division.
+            return None;
+        }
         let rate = (magnitude(config.following) * 25 / 2) >> 8;
         let momentum = (i64::from(config.law.inertia) * rate) >> 20;
         let limit = momentum * 1_000_000 / i64::from(seen.period_us.max(1));

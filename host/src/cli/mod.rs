@@ -16,6 +16,7 @@ pub mod one_shot;
 pub mod ports;
 pub mod run;
 pub mod sim;
+pub mod trace;
 
 pub use exit::{CliError, EXIT_CODES, Exit};
 
@@ -82,6 +83,8 @@ enum Command {
     #[command(subcommand)]
     Machine(MachineCommand),
     Ports(ports::PortsArgs),
+    /// Recordings
+    Trace(trace::TraceArgs),
     /// The firmware's kinematics over a table
     #[command(subcommand)]
     Kin(KinCommand),
@@ -171,6 +174,7 @@ fn dispatch(cli: Cli) -> Result<(), CliError> {
         Command::Sim(SimCommand::Serve(args)) => sim::serve(args),
         Command::Machine(MachineCommand::Check(args)) => machine::check(args),
         Command::Ports(args) => ports::run(args),
+        Command::Trace(args) => trace::run(&args),
         Command::Kin(KinCommand::Ik(args)) => kin::ik(args),
         Command::Kin(KinCommand::Fk(args)) => kin::fk(args),
     }

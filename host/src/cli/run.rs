@@ -44,7 +44,8 @@ pub struct RunArgs {
     #[command(flatten)]
     #[allow(missing_docs)]
     pub machine: MachineArg,
-    /// Controller: sim (built in), a serial port or pseudo-terminal by its path, or tcp:HOST:PORT
+    /// Controller: sim (built in), pil:mps2 or pil:mps2-m7 (simulated machine, controller on an emulated Cortex-M4F or M7), a serial port or
+    /// pseudo-terminal by its path, or tcp:HOST:PORT
     #[arg(long, value_name = "PORT", default_value = "sim")]
     pub port: PortSpec,
     /// Baud rate of a serial port (default 115200); with the simulator, paces the simulated link (default: unpaced)
@@ -138,6 +139,7 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
             }
             .carry_out(session, 1, planned)
         }
+        PortSpec::Emulated(board) => emulated(&args, &machine, &job, home, planned, *board),
         spec => {
             if let Some(fault) = args.fault.first() {
                 let what =
@@ -157,6 +159,68 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
             .carry_out(session, session::fresh_number(), planned)
         }
     }
+}
+
+/// Runs a part program on an emulated board, with the simulated machine around it.
+#[cfg(unix)]
+fn emulated(
+    args: &RunArgs,
+    machine: &MachineFile,
+    job: &PartProgram,
+    home: AxisValues,
+    planned: Planned,
+    board: port::Board,
+) -> Result<(), CliError> {
+    use crate::session::pil::{self, Instructions};
+    use haptimill_hil_sim::remote::RemoteController;
+    let emulator = pil::Emulator::start(board, &pil::image(board)?)?;
+    let remote = RemoteController::begin(emulator, machine.config.period_us)
+        .map_err(|reason| CliError::new(Exit::Port, format!("{board}: {reason}")))?;
+    let cost = remote.cost();
+    let rig = session::rig_around(remote, machine, args.seed, args.baud, args.fault.clone())?;
+    let line = SimLine::named(rig, &board.to_string());
+    let session = Session::new(line, machine, paced(args.baud), interrupt::flag());
+    Running {
+        args,
+        machine,
+        job,
+        home,
+    }
+    .carry_out(session, 1, planned)?;
+    let instructions = Instructions::of(
+        &cost
+            .lock()
+            .unwrap_or_else(std::sync::PoisonError::into_inner),
+    );
+    say(
+        args,
+        &format!(
+            "{board}  {:.0} instructions a control period, at most {:.0}; {} bytes of stack",
+            instructions.mean, instructions.worst, instructions.stack_bytes
+        ),
+    );
+    let path = args.out_dir().join("instructions.json");
+    let output = |error: &dyn std::fmt::Display| {
+        CliError::new(Exit::Output, format!("{}: {error}", path.display()))
+    };
+    let json = serde_json::to_string_pretty(&instructions).map_err(|error| output(&error))?;
+    std::fs::write(&path, json).map_err(|error| output(&error))
+}
+
+/// Emulated boards need named pipes.
+#[cfg(not(unix))]
+fn emulated(
+    _: &RunArgs,
+    _: &MachineFile,
+    _: &PartProgram,
+    _: AxisValues,
+    _: Planned,
+    board: port::Board,
+) -> Result<(), CliError> {
+    Err(CliError::new(
+        Exit::Usage,
+        format!("{board}: emulated boards need a Unix system"),
+    ))
 }
 
 /// Options of a client on a line of so many baud: it says no more than the line carries, so nothing waits where a stop cannot overtake it.
@@ -445,7 +509,7 @@ fn say(args: &RunArgs, text: &str) {
 
 /// Whether pauses are passed at once.
 fn passes_pauses(args: &RunArgs) -> bool {
-    args.go_on || args.port == PortSpec::Simulator
+    args.go_on || matches!(args.port, PortSpec::Simulator | PortSpec::Emulated(_))
 }
 
 /// The progress bar, with the time left.

@@ -47,10 +47,53 @@ pub trait Transport: Send {
 pub enum PortSpec {
     /// The built-in simulator, in this process.
     Simulator,
+    /// The built-in simulator around a controller on an emulated board.
+    Emulated(Board),
     /// A TCP port, `HOST:PORT`.
     Tcp(String),
     /// A serial port or pseudo-terminal, by its path (on Windows its name).
     Serial(String),
+}
+
+/// A board that can be emulated.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Board {
+    /// The MPS2 with a Cortex-M4F.
+    Mps2,
+    /// The MPS2 with a Cortex-M7; it runs the same image.
+    Mps2M7,
+}
+
+impl Board {
+    /// What the chores call its image.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        "mps2"
+    }
+
+    /// The sources of its image.
+    #[must_use]
+    pub const fn folder(self) -> &'static str {
+        "firmware/boards/mps2"
+    }
+
+    /// What the emulator calls it.
+    #[must_use]
+    pub const fn machine(self) -> &'static str {
+        match self {
+            Self::Mps2 => "mps2-an386",
+            Self::Mps2M7 => "mps2-an500",
+        }
+    }
+}
+
+impl fmt::Display for Board {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(match self {
+            Self::Mps2 => "pil:mps2",
+            Self::Mps2M7 => "pil:mps2-m7",
+        })
+    }
 }
 
 impl FromStr for PortSpec {
@@ -59,6 +102,16 @@ impl FromStr for PortSpec {
     fn from_str(text: &str) -> Result<Self, String> {
         if text == "sim" {
             return Ok(Self::Simulator);
+        }
+        if let Some(board) = text.strip_prefix("pil:") {
+            return match board {
+                "mps2" => Ok(Self::Emulated(Board::Mps2)),
+                "mps2-m7" => Ok(Self::Emulated(Board::Mps2M7)),
+                _ => Err(
+                    "emulated boards are pil:mps2 (Cortex-M4F) and pil:mps2-m7 (Cortex-M7)"
+                        .to_string(),
+                ),
+            };
         }
         if let Some(address) = text.strip_prefix("tcp:") {
             let port = address.rsplit_once(':').and_then(|(host, port)| {
@@ -81,6 +134,7 @@ impl fmt::Display for PortSpec {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Simulator => write!(out, "sim"),
+            Self::Emulated(board) => write!(out, "{board}"),
             Self::Tcp(address) => write!(out, "tcp:{address}"),
             Self::Serial(path) => write!(out, "{path}"),
         }
@@ -93,7 +147,7 @@ impl fmt::Display for PortSpec {
 /// See [`PortError`]; [`PortError::NoPort`] for [`PortSpec::Simulator`].
 pub fn open(spec: &PortSpec, baud: u32) -> Result<Box<dyn Transport>, PortError> {
     match spec {
-        PortSpec::Simulator => Err(PortError::NoPort),
+        PortSpec::Simulator | PortSpec::Emulated(_) => Err(PortError::NoPort),
         PortSpec::Tcp(address) => Ok(Box::new(TcpTransport::connect(address)?)),
         PortSpec::Serial(path) => Ok(Box::new(SerialTransport::open(path, baud)?)),
     }
@@ -120,7 +174,7 @@ pub fn stop_past_lock(spec: &PortSpec) -> Result<(), PortError> {
         Ok(())
     };
     match spec {
-        PortSpec::Simulator => Err(PortError::NoPort),
+        PortSpec::Simulator | PortSpec::Emulated(_) => Err(PortError::NoPort),
         PortSpec::Tcp(address) => std::net::TcpStream::connect(address)
             .and_then(|mut stream| repeat(&mut stream))
             .map_err(failed),
@@ -165,7 +219,7 @@ impl fmt::Display for PortError {
         match self {
             Self::NoPort => write!(
                 out,
-                "the built-in simulator lives only inside `haptimill run`; start one with `haptimill sim serve` and give its port"
+                "the built-in simulator, emulated boards included, lives only inside `haptimill run`; start one with `haptimill sim serve` and give its port"
             ),
             Self::Open {
                 name,

@@ -36,12 +36,14 @@
 //! | 144 | 6 x i32 | the tool in the work, axis units: see [`flag::TOOL_TRUE`] |
 //! | 168 | 6 x i32 | the programmed pose at this time, axis units: see [`flag::PROGRAMMED`] |
 
+mod difference;
 mod export;
 mod reader;
 #[cfg(test)]
 pub(crate) mod tests;
 mod writer;
 
+pub use difference::{Difference, difference};
 pub use export::export_csv;
 pub use reader::{Recording, RecordingError, Records};
 pub use writer::{Recorded, Recorder};

@@ -10,11 +10,13 @@ mod home;
 pub mod interrupt;
 mod job;
 mod line;
+#[cfg(unix)]
+pub mod pil;
 mod sim;
 
 pub use job::{JobEnd, Sent, Watcher};
 pub use line::{JobLine, Line, PortLine};
-pub use sim::{JobRecording, SimLine, rig};
+pub use sim::{JobRecording, SimLine, rig, rig_around};
 
 use crate::cli::{CliError, Exit};
 use crate::client::{Client, ClientState, JobEnding, Notice, Options, RequestError, Ticket};

@@ -7,17 +7,17 @@ use crate::plan::{Cursor, Plan};
 use crate::port::PortError;
 use crate::record::{Record, Recorder, flag};
 use haptimill_firmware::controller::Controller;
-use haptimill_firmware::io::DriveCommand;
 use haptimill_firmware::motion::program::FULL_RATE;
 use haptimill_hil_sim::config::PlantConfig;
 use haptimill_hil_sim::fault::Fault;
-use haptimill_hil_sim::rig::{Rig, RigOptions};
+use haptimill_hil_sim::rig::{Control, Rig, RigOptions};
 use haptimill_protocol::message::{AxisValues, MAX_AXES, State, Telemetry};
 use std::sync::Arc;
 
 /// A machine that exists in this process only.
-pub struct SimLine {
-    rig: Rig<Controller>,
+pub struct SimLine<C = Controller> {
+    rig: Rig<C>,
+    name: String,
     recording: Option<JobRecording>,
 }
 
@@ -40,6 +40,21 @@ pub fn rig(
     baud: Option<u32>,
     faults: Vec<Fault>,
 ) -> Result<Rig<Controller>, CliError> {
+    let controller = Controller::new(machine.config.period_us);
+    rig_around(controller, machine, seed, baud, faults)
+}
+
+/// As [`rig`], around any controller.
+///
+/// # Errors
+/// As [`rig`].
+pub fn rig_around<C: Control>(
+    controller: C,
+    machine: &MachineFile,
+    seed: Option<u64>,
+    baud: Option<u32>,
+    faults: Vec<Fault>,
+) -> Result<Rig<C>, CliError> {
     let mut plant: PlantConfig = machine.plant()?;
     plant.seed = seed.unwrap_or(plant.seed);
     let period_us = machine.config.period_us;
@@ -49,28 +64,35 @@ pub fn rig(
         faults,
         ..RigOptions::default()
     };
-    Rig::new(&plant, &options, Controller::new(period_us))
+    Rig::new(&plant, &options, controller)
         .map_err(|error| CliError::new(Exit::BadInput, format!("{}: {error}", machine.file)))
 }
 
-impl SimLine {
+impl<C: Control> SimLine<C> {
     /// A line to a simulated machine.
     #[must_use]
-    pub fn new(rig: Rig<Controller>) -> Self {
+    pub fn new(rig: Rig<C>) -> Self {
+        Self::named(rig, "simulator")
+    }
+
+    /// A line to a simulated machine whose controller people call something else.
+    #[must_use]
+    pub fn named(rig: Rig<C>, name: &str) -> Self {
         Self {
             rig,
+            name: name.to_string(),
             recording: None,
         }
     }
 
     /// The machine with its controller and its line, for a look at what really was.
     #[must_use]
-    pub const fn rig(&self) -> &Rig<Controller> {
+    pub const fn rig(&self) -> &Rig<C> {
         &self.rig
     }
 }
 
-impl JobLine for SimLine {
+impl<C: Control> JobLine for SimLine<C> {
     fn begin_recording(&mut self, recording: JobRecording) {
         self.recording = Some(recording);
     }
@@ -80,12 +102,18 @@ impl JobLine for SimLine {
     }
 }
 
-impl Line for SimLine {
+impl<C: Control> Line for SimLine<C> {
     fn exchange(&mut self, transmit: &[u8], received: &mut Vec<u8>) -> Result<u64, PortError> {
         if !transmit.is_empty() {
             self.rig.host_write(transmit);
         }
         let ticked = self.rig.step();
+        if let Some(reason) = self.rig.control().failure() {
+            return Err(PortError::Gone {
+                name: self.name.clone(),
+                reason: reason.to_string(),
+            });
+        }
         self.rig.host_read(received);
         if ticked && let Some(recording) = &mut self.recording {
             recording.add(&self.rig);
@@ -94,7 +122,7 @@ impl Line for SimLine {
     }
 
     fn name(&self) -> String {
-        "simulator".to_string()
+        self.name.clone()
     }
 }
 
@@ -177,48 +205,42 @@ impl JobRecording {
         record.line = self.plan.line_of(record.setpoint as usize);
     }
 
-    fn add(&mut self, rig: &Rig<Controller>) {
-        let controller = rig.control();
-        let Some(machinery) = controller.machinery() else {
+    fn add<C: Control>(&mut self, rig: &Rig<C>) {
+        let Some(reading) = rig.control().reading(rig.inputs()) else {
             return;
         };
-        let (safety, program) = (controller.safety(), &machinery.motion.program);
-        let state = safety.state();
         let mut record = Record {
             period: rig.inputs().period,
-            setpoint: program.reached(),
-            path_rate: (program.path_rate().clamp(0, FULL_RATE - 1) >> 16) as u16,
-            spindle_rpm: controller.spindle_rpm(),
-            state,
+            setpoint: reading.setpoint,
+            path_rate: reading.path_rate,
+            spindle_rpm: reading.spindle_rpm,
+            state: reading.state,
+            wanted: reading.wanted,
+            joints_wanted: reading.joints_wanted,
+            joints: reading.joints,
+            following_error: reading.following_error,
+            drive: reading.drive,
             ..Record::default()
         };
         let flags = [
-            (safety.homed(), flag::HOMED),
-            (safety.position_kept(), flag::POSITION_KEPT),
+            (reading.homed, flag::HOMED),
+            (reading.position_kept, flag::POSITION_KEPT),
             (rig.truth().pose_valid, flag::TOOL_TRUE),
-            (safety.fault().is_some(), flag::FAULT),
+            (reading.fault, flag::FAULT),
         ];
         record.flags = flags
             .iter()
             .filter(|(set, _)| *set)
             .fold(0, |all, (_, flag)| all | flag);
-        let wanted = machinery.motion.wanted().pose;
-        for (axis, joint) in machinery.joints().enumerate() {
-            record.wanted[axis] = wanted.0[axis].0;
-            record.joints_wanted[axis] = joint.wanted.0;
-            record.joints[axis] = joint.measured.0;
-            record.following_error[axis] = joint.following_error.0;
-            record.drive[axis] = match joint.command {
-                DriveCommand::Torque(code) => i32::from(code),
-                DriveCommand::Steps(_) => rig.inputs().axes[axis].steps,
-                DriveCommand::Off => 0,
-            };
-            record.tool[axis] = (rig.truth().pose[axis] * self.units[axis]).round() as i32;
+        for (tool, (value, units)) in record
+            .tool
+            .iter_mut()
+            .zip(rig.truth().pose.iter().zip(&self.units))
+            .take(rig.plant().axes())
+        {
+            *tool = (value * units).round() as i32;
         }
-        self.add_programmed(
-            &mut record,
-            program.program_time() as f64 / FULL_RATE as f64,
-        );
+        self.add_programmed(&mut record, reading.program_time as f64 / FULL_RATE as f64);
         self.recorder.record(&record);
     }
 }

@@ -1,0 +1,55 @@
+//! What each stage of a control period costs, counted by TIMER0.
+//!
+//! Under QEMU's `-icount shift=10` an instruction takes 1024 ns of the board's time and the timer counts at 25 MHz, so
+//! a count is exactly 40/1024 of an instruction: instructions, not cycles. (`DWT.CYCCNT` reads 0 on this emulator.)
+
+use crate::registers::{TIMER0, read, write};
+use haptimill_firmware::probe::{Probe, STAGES, Stage};
+
+const CONTROL: usize = 0x0;
+const VALUE: usize = 0x4;
+const RELOAD: usize = 0x8;
+
+/// Starts the timer; it runs round for ever.
+pub fn start() {
+    write(TIMER0, RELOAD, u32::MAX);
+    write(TIMER0, CONTROL, 1);
+}
+
+/// Counts so far; wraps around.
+#[inline(always)]
+pub fn now() -> u32 {
+    // It counts down.
+    !read(TIMER0, VALUE)
+}
+
+/// Counts of each stage.
+#[derive(Debug, Default)]
+pub struct StageCounter {
+    last: u32,
+    /// Counts, in the order of [`Stage`].
+    pub stages: [u32; STAGES],
+}
+
+impl StageCounter {
+    /// Begins to count.
+    #[inline(always)]
+    #[must_use]
+    pub fn begin() -> Self {
+        Self {
+            stages: [0; STAGES],
+            last: now(),
+        }
+    }
+}
+
+impl Probe for StageCounter {
+    #[inline(always)]
+    fn ended(&mut self, stage: Stage) {
+        let now = now();
+        if let Some(count) = self.stages.get_mut(stage as usize) {
+            *count = now.wrapping_sub(self.last);
+        }
+        self.last = now;
+    }
+}

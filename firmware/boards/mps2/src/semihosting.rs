@@ -1,0 +1,104 @@
+//! Files of the machine that emulates: the link to the simulated machine, and the console.
+//!
+//! While a call waits, the emulated processor and its time stand still, so the lockstep is exact.
+
+use core::arch::asm;
+
+const OPEN: usize = 0x01;
+const WRITE_TEXT: usize = 0x04;
+const WRITE: usize = 0x05;
+const READ: usize = 0x06;
+const EXIT: usize = 0x20;
+
+/// The reason "the application ended", which carries an exit code.
+const APPLICATION_EXIT: usize = 0x2_0026;
+
+/// One call of the emulator.
+#[inline(always)]
+fn call(operation: usize, arguments: *const usize) -> isize {
+    let result: isize;
+    // SAFETY: every caller below passes what the operation reads: the address of its arguments, or of a text that ends with a zero. Memory that
+    // the emulator writes (READ) is borrowed mutably for the time of the call.
+    unsafe {
+        asm!("bkpt 0xAB", inout("r0") operation as isize => result, in("r1") arguments, options(nostack));
+    }
+    result
+}
+
+/// The other end of a file has gone.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Gone;
+
+/// An open file.
+#[derive(Debug)]
+pub struct File {
+    handle: usize,
+}
+
+impl File {
+    fn open(name: &core::ffi::CStr, mode: usize) -> Result<Self, Gone> {
+        let arguments = [name.as_ptr() as usize, mode, name.count_bytes()];
+        usize::try_from(call(OPEN, arguments.as_ptr()))
+            .map(|handle| Self { handle })
+            .map_err(|_| Gone)
+    }
+
+    /// Opens a file to be read.
+    ///
+    /// # Errors
+    /// It is not there.
+    pub fn reader(name: &core::ffi::CStr) -> Result<Self, Gone> {
+        Self::open(name, 0)
+    }
+
+    /// Opens a file to be written.
+    ///
+    /// # Errors
+    /// It cannot be made.
+    pub fn writer(name: &core::ffi::CStr) -> Result<Self, Gone> {
+        Self::open(name, 4)
+    }
+
+    /// Reads until `bytes` are full.
+    ///
+    /// # Errors
+    /// The file ends before.
+    pub fn read(&mut self, bytes: &mut [u8]) -> Result<(), Gone> {
+        let mut done = 0;
+        while let Some(rest) = bytes.get_mut(done..).filter(|rest| !rest.is_empty()) {
+            let arguments = [self.handle, rest.as_mut_ptr() as usize, rest.len()];
+            let left = call(READ, arguments.as_ptr()) as usize;
+            if left >= rest.len() {
+                return Err(Gone);
+            }
+            done += rest.len() - left;
+        }
+        Ok(())
+    }
+
+    /// Writes all of `bytes`.
+    ///
+    /// # Errors
+    /// Nobody reads any more.
+    pub fn write(&mut self, bytes: &[u8]) -> Result<(), Gone> {
+        let arguments = [self.handle, bytes.as_ptr() as usize, bytes.len()];
+        match call(WRITE, arguments.as_ptr()) {
+            0 => Ok(()),
+            _ => Err(Gone),
+        }
+    }
+}
+
+/// Writes to the emulator's console.
+pub fn console(text: &core::ffi::CStr) {
+    call(WRITE_TEXT, text.as_ptr().cast());
+}
+
+/// Ends the emulator with an exit code.
+pub fn exit(code: u8) -> ! {
+    let arguments = [APPLICATION_EXIT, usize::from(code)];
+    call(EXIT, arguments.as_ptr());
+    loop {
+        cortex_m::asm::nop();
+    }
+}

@@ -1,0 +1,93 @@
+//! UART0: the line to the host. Its receive interrupt fills the ring, whatever else runs; sending waits for the transmitter.
+
+use crate::registers::{UART0, read, write};
+use core::cell::UnsafeCell;
+use cortex_m::peripheral::NVIC;
+use haptimill_firmware::receive::{ReceiveRing, Receiver, Waiting};
+
+const DATA: usize = 0x0;
+const STATE: usize = 0x4;
+const CONTROL: usize = 0x8;
+const INTERRUPT: usize = 0xC;
+const BAUD_DIVIDER: usize = 0x10;
+
+const TRANSMITTER_FULL: u32 = 1;
+const RECEIVER_FULL: u32 = 2;
+/// Transmitter, receiver and receive interrupt on.
+const ENABLED: u32 = 0b1011;
+
+/// Clock of the device.
+const CLOCK_HZ: u32 = 25_000_000;
+
+/// Size of the receive ring; one byte of it stays free.
+pub const RING: usize = 4096;
+
+/// The receiver, which belongs to the interrupt once it is enabled.
+struct ForInterrupt(UnsafeCell<Option<Receiver<'static>>>);
+
+// SAFETY: written once by `start`, before the interrupt is enabled; used by the interrupt alone from then on.
+unsafe impl Sync for ForInterrupt {}
+
+static RECEIVER: ForInterrupt = ForInterrupt(UnsafeCell::new(None));
+
+/// The number of an interrupt.
+#[derive(Debug, Clone, Copy)]
+struct Number(u16);
+
+// SAFETY: the numbers used are in the table below, and stay the same.
+unsafe impl cortex_m::interrupt::InterruptNumber for Number {
+    fn number(self) -> u16 {
+        self.0
+    }
+}
+
+const UART0_RX_NUMBER: Number = Number(0);
+
+/// Starts the line; gives the end of the ring that the control period reads.
+pub fn start(ring: &'static mut ReceiveRing<RING>, nvic: &mut NVIC, baud: u32) -> Waiting<'static> {
+    let (receiver, waiting) = ring.split();
+    // SAFETY: the interrupt is not enabled yet, so nobody else looks at the cell.
+    unsafe { *RECEIVER.0.get() = Some(receiver) };
+    write(UART0, BAUD_DIVIDER, (CLOCK_HZ / baud.max(1)).max(16));
+    write(UART0, CONTROL, ENABLED);
+    // SAFETY: the receiver is in place. The interrupt is more urgent than the control period (see `tick`), so that no byte waits for it.
+    unsafe {
+        nvic.set_priority(UART0_RX_NUMBER, 0);
+        NVIC::unmask(UART0_RX_NUMBER);
+    }
+    waiting
+}
+
+/// Says bytes to the host.
+pub fn say(bytes: &[u8]) {
+    for &byte in bytes {
+        while read(UART0, STATE) & TRANSMITTER_FULL != 0 {}
+        write(UART0, DATA, u32::from(byte));
+    }
+}
+
+extern "C" fn receive() {
+    // SAFETY: only this interrupt uses the cell while it is enabled, and it does not interrupt itself.
+    let receiver = unsafe { &mut *RECEIVER.0.get() };
+    write(UART0, INTERRUPT, RECEIVER_FULL);
+    while read(UART0, STATE) & RECEIVER_FULL != 0 {
+        let byte = read(UART0, DATA) as u8;
+        if let Some(receiver) = receiver {
+            receiver.push(byte);
+        }
+    }
+}
+
+/// An interrupt that has no handler.
+extern "C" fn unexpected() {
+    panic!("an interrupt came that was not enabled");
+}
+
+/// The interrupts of the board, by number.
+#[unsafe(link_section = ".vector_table.interrupts")]
+#[unsafe(no_mangle)]
+static __INTERRUPTS: [extern "C" fn(); 32] = {
+    let mut table: [extern "C" fn(); 32] = [unexpected; 32];
+    table[UART0_RX_NUMBER.0 as usize] = receive;
+    table
+};

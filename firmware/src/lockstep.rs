@@ -1,0 +1,491 @@
+//! A controller and a machine that are apart: [`Inputs`] and [`Outputs`] as frames of one size, exchanged once a control period.
+//!
+//! ```text
+//! board                                    simulator
+//!   Hello     ------------------------------->
+//!             <-------------------------------  Begin { period_us }
+//!             <-------------------------------  Period { inputs, arrived }
+//!   Done      ------------------------------->
+//!                        ... and so on ...
+//!             <-------------------------------  End
+//!   Ended     ------------------------------->
+//! ```
+//!
+//! The bytes of the host do not stand in the frames: they go over the board's own serial line. A frame says how many were put on it before
+//! (`arrived`), so the board waits until its receive interrupt has seen them all; and how many were said (`said`), so the simulator waits for
+//! these. What the board heard in the period stands in [`Done`], for the simulator to compare with what it should have heard.
+//!
+//! A frame is a row of little-endian words: kind and version, contents, check. The check (FNV-1a over words) finds frames that are cut, shifted or of
+//! another version; it is no CRC, because the transport (a pipe, or memory) does not flip bits.
+//!
+//! Misuse: a frame has no place for what is longer than a period; whoever skips a frame is out of step for good.
+
+use crate::io::{AxisInputs, DriveCommand, Inputs, Outputs, StepSegment};
+use crate::probe::{STAGES, Stage};
+use crate::reading::Reading;
+use haptimill_protocol::message::State;
+
+/// Words of a frame to the board.
+const TO_BOARD_WORDS: usize = 40;
+/// Words of a frame from the board.
+const FROM_BOARD_WORDS: usize = 88;
+/// Bytes of a frame to the board.
+pub const TO_BOARD_BYTES: usize = 4 * TO_BOARD_WORDS;
+/// Bytes of a frame from the board.
+pub const FROM_BOARD_BYTES: usize = 4 * FROM_BOARD_WORDS;
+
+/// Grows whenever a frame changes.
+const VERSION: u32 = 1;
+
+/// What the simulator says.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[allow(
+    clippy::large_enum_variant,
+    reason = "one of them exists, on the stack, once a period"
+)]
+pub enum ToBoard {
+    /// A run begins, with a new controller.
+    Begin {
+        /// Control period, microseconds.
+        period_us: u16,
+    },
+    /// A control period. Of the inputs, what belongs to the serial line (`received`, `waiting`, `lost_bytes`, `urgent`) is the board's own.
+    Period {
+        /// What is sensed.
+        inputs: Inputs,
+        /// Bytes that were put on the serial line since the last frame.
+        arrived: u32,
+    },
+    /// The run is over.
+    End,
+}
+
+/// What the board says.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[allow(
+    clippy::large_enum_variant,
+    reason = "one of them exists, on the stack, once a period"
+)]
+pub enum FromBoard {
+    /// It has started.
+    Hello,
+    /// A control period is done.
+    Done(Done),
+    /// It stops.
+    Ended {
+        /// Bytes of stack that were ever used.
+        stack_bytes: u32,
+        /// The most bytes that ever waited in the receive ring.
+        ring_peak: u32,
+    },
+}
+
+/// A control period that is done.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Done {
+    /// Number of the period.
+    pub period: u64,
+    /// What is to be done; `transmit` is empty here.
+    pub outputs: Outputs,
+    /// Bytes that were said on the serial line.
+    pub said: u16,
+    /// What the board heard.
+    pub heard: Heard,
+    /// Ticks of the board's counter in each stage, in the order of [`Stage`].
+    pub stages: [u32; STAGES],
+    /// How the controller stands, if it is configured.
+    pub reading: Option<Reading>,
+}
+
+/// What came over the serial line for a period.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Heard {
+    /// Bytes handed to the controller.
+    pub received: u16,
+    /// Bytes that wait.
+    pub waiting: u16,
+    /// Bytes lost for want of room.
+    pub lost_bytes: u16,
+    /// The urgent stop was seen.
+    pub urgent: bool,
+}
+
+impl Heard {
+    /// What inputs say was heard.
+    #[must_use]
+    pub fn of(inputs: &Inputs) -> Self {
+        Self {
+            received: inputs.received.len() as u16,
+            waiting: inputs.waiting,
+            lost_bytes: inputs.lost_bytes,
+            urgent: inputs.urgent,
+        }
+    }
+}
+
+/// Why a frame cannot be read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum FrameError {
+    /// The check says that it was damaged, or that the two ends are out of step.
+    Check,
+    /// Another version of this software made it.
+    Version,
+    /// It says something that does not exist.
+    Content,
+}
+
+impl core::fmt::Display for FrameError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(match self {
+            Self::Check => "a frame of the plant link is damaged",
+            Self::Version => "the image is of another version than this program; build it anew",
+            Self::Content => "a frame of the plant link makes no sense",
+        })
+    }
+}
+
+impl core::error::Error for FrameError {}
+
+impl ToBoard {
+    /// The frame.
+    #[must_use]
+    pub fn encode(&self) -> [u8; TO_BOARD_BYTES] {
+        let mut words = Words::<TO_BOARD_WORDS>::new();
+        match self {
+            Self::Begin { period_us } => {
+                words.begin(1);
+                words.put(u32::from(*period_us));
+            }
+            Self::Period { inputs, arrived } => {
+                words.begin(2);
+                words.put_long(inputs.period);
+                words.put(u32::from(inputs.missed) | u32::from(inputs.transmit_room) << 16);
+                words.put(inputs.time_ns);
+                words.put(*arrived);
+                words.put(u32::from(inputs.emergency_stop));
+                for axis in &inputs.axes {
+                    put_axis(&mut words, axis);
+                }
+            }
+            Self::End => words.begin(3),
+        }
+        words.into_bytes()
+    }
+
+    /// What a frame says.
+    ///
+    /// # Errors
+    /// See [`FrameError`].
+    pub fn decode(bytes: &[u8; TO_BOARD_BYTES]) -> Result<Self, FrameError> {
+        let (kind, mut words) = Words::<TO_BOARD_WORDS>::from_bytes(bytes)?;
+        match kind {
+            1 => Ok(Self::Begin {
+                period_us: words.take() as u16,
+            }),
+            2 => {
+                let mut inputs = Inputs {
+                    period: words.take_long(),
+                    ..Inputs::default()
+                };
+                let pair = words.take();
+                inputs.missed = pair as u16;
+                inputs.transmit_room = (pair >> 16) as u16;
+                inputs.time_ns = words.take();
+                let arrived = words.take();
+                inputs.emergency_stop = words.take() & 1 != 0;
+                for axis in &mut inputs.axes {
+                    *axis = take_axis(&mut words);
+                }
+                Ok(Self::Period { inputs, arrived })
+            }
+            3 => Ok(Self::End),
+            _ => Err(FrameError::Content),
+        }
+    }
+}
+
+impl FromBoard {
+    /// The frame.
+    #[must_use]
+    pub fn encode(&self) -> [u8; FROM_BOARD_BYTES] {
+        let mut words = Words::<FROM_BOARD_WORDS>::new();
+        match self {
+            Self::Hello => words.begin(1),
+            Self::Done(done) => {
+                words.begin(2);
+                put_done(&mut words, done);
+            }
+            Self::Ended {
+                stack_bytes,
+                ring_peak,
+            } => {
+                words.begin(3);
+                words.put(*stack_bytes);
+                words.put(*ring_peak);
+            }
+        }
+        words.into_bytes()
+    }
+
+    /// What a frame says.
+    ///
+    /// # Errors
+    /// See [`FrameError`].
+    pub fn decode(bytes: &[u8; FROM_BOARD_BYTES]) -> Result<Self, FrameError> {
+        let (kind, mut words) = Words::<FROM_BOARD_WORDS>::from_bytes(bytes)?;
+        match kind {
+            1 => Ok(Self::Hello),
+            2 => take_done(&mut words).map(Self::Done),
+            3 => Ok(Self::Ended {
+                stack_bytes: words.take(),
+                ring_peak: words.take(),
+            }),
+            _ => Err(FrameError::Content),
+        }
+    }
+}
+
+fn put_axis(words: &mut Words<TO_BOARD_WORDS>, axis: &AxisInputs) {
+    words.put(axis.counts as u32);
+    words.put(axis.edge_time_ns);
+    words.put(axis.index_counts as u32);
+    words.put(axis.steps as u32);
+    let bits = [axis.home, axis.limit_low, axis.limit_high, axis.drive_ready];
+    let bits = bits
+        .iter()
+        .rev()
+        .fold(0, |all, &bit| all << 1 | u32::from(bit));
+    words.put(u32::from(axis.illegal) | u32::from(axis.index_pulses) << 16 | bits << 24);
+}
+
+fn take_axis(words: &mut Words<TO_BOARD_WORDS>) -> AxisInputs {
+    let (counts, edge_time_ns) = (words.take() as i32, words.take());
+    let (index_counts, steps) = (words.take() as i32, words.take() as i32);
+    let rest = words.take();
+    let bit = |index: u32| rest >> (24 + index) & 1 != 0;
+    AxisInputs {
+        counts,
+        edge_time_ns,
+        illegal: rest as u16,
+        index_counts,
+        index_pulses: (rest >> 16) as u8,
+        steps,
+        home: bit(0),
+        limit_low: bit(1),
+        limit_high: bit(2),
+        drive_ready: bit(3),
+    }
+}
+
+fn put_done(words: &mut Words<FROM_BOARD_WORDS>, done: &Done) {
+    words.put_long(done.period);
+    for command in &done.outputs.axes {
+        let (kind, row) = match command {
+            DriveCommand::Off => (0, [0; 3]),
+            DriveCommand::Torque(code) => (1 | u32::from(*code as u16) << 16, [0; 3]),
+            DriveCommand::Steps(steps) => (
+                2 | u32::from(steps.count as u16) << 16,
+                [steps.delay, steps.interval, steps.ramp as u32],
+            ),
+        };
+        words.put(kind);
+        row.into_iter().for_each(|word| words.put(word));
+    }
+    words.put(u32::from(done.outputs.spindle_rpm as u16) | u32::from(done.said) << 16);
+    let heard = &done.heard;
+    words.put(u32::from(heard.received) | u32::from(heard.waiting) << 16);
+    words.put(u32::from(heard.lost_bytes) | u32::from(heard.urgent) << 16);
+    done.stages.iter().for_each(|&ticks| words.put(ticks));
+    let Some(reading) = &done.reading else {
+        words.put(0);
+        return;
+    };
+    let state = STATES
+        .iter()
+        .position(|&state| state == reading.state)
+        .unwrap_or(0) as u32;
+    let flags = u32::from(reading.homed)
+        | u32::from(reading.position_kept) << 1
+        | u32::from(reading.fault) << 2;
+    words.put(1 | state << 8 | flags << 16);
+    words.put(reading.setpoint);
+    words.put(u32::from(reading.path_rate) | u32::from(reading.spindle_rpm as u16) << 16);
+    words.put_long(reading.program_time);
+    let rows = [
+        &reading.wanted,
+        &reading.joints_wanted,
+        &reading.joints,
+        &reading.following_error,
+        &reading.drive,
+    ];
+    rows.into_iter()
+        .flatten()
+        .for_each(|&value| words.put(value as u32));
+}
+
+fn take_done(words: &mut Words<FROM_BOARD_WORDS>) -> Result<Done, FrameError> {
+    let mut done = Done {
+        period: words.take_long(),
+        ..Done::default()
+    };
+    for command in &mut done.outputs.axes {
+        let kind = words.take();
+        let (delay, interval, ramp) = (words.take(), words.take(), words.take() as i32);
+        let value = (kind >> 16) as i16;
+        *command = match kind & 0xFFFF {
+            0 => DriveCommand::Off,
+            1 => DriveCommand::Torque(value),
+            2 => DriveCommand::Steps(StepSegment {
+                count: value,
+                delay,
+                interval,
+                ramp,
+            }),
+            _ => return Err(FrameError::Content),
+        };
+    }
+    let pair = words.take();
+    done.outputs.spindle_rpm = pair as i16;
+    done.said = (pair >> 16) as u16;
+    let (pair, rest) = (words.take(), words.take());
+    done.heard = Heard {
+        received: pair as u16,
+        waiting: (pair >> 16) as u16,
+        lost_bytes: rest as u16,
+        urgent: rest >> 16 & 1 != 0,
+    };
+    for ticks in &mut done.stages {
+        *ticks = words.take();
+    }
+    let head = words.take();
+    if head & 1 == 0 {
+        return Ok(done);
+    }
+    let state = STATES.get((head >> 8 & 0xFF) as usize);
+    let mut reading = Reading {
+        state: *state.ok_or(FrameError::Content)?,
+        homed: head >> 16 & 1 != 0,
+        position_kept: head >> 17 & 1 != 0,
+        fault: head >> 18 & 1 != 0,
+        setpoint: words.take(),
+        ..Reading::default()
+    };
+    let pair = words.take();
+    reading.path_rate = pair as u16;
+    reading.spindle_rpm = (pair >> 16) as i16;
+    reading.program_time = words.take_long();
+    let rows = [
+        &mut reading.wanted,
+        &mut reading.joints_wanted,
+        &mut reading.joints,
+        &mut reading.following_error,
+        &mut reading.drive,
+    ];
+    for value in rows.into_iter().flatten() {
+        *value = words.take() as i32;
+    }
+    done.reading = Some(reading);
+    Ok(done)
+}
+
+const STATES: [State; 8] = [
+    State::Disabled,
+    State::Idle,
+    State::Homing,
+    State::Run,
+    State::Jog,
+    State::Hold,
+    State::Fault,
+    State::EmergencyStop,
+];
+
+/// The stages in the order in which [`Done::stages`] has them.
+pub const STAGE_ORDER: [Stage; STAGES] = [
+    Stage::Hear,
+    Stage::Sense,
+    Stage::Decide,
+    Stage::Place,
+    Stage::Drive,
+    Stage::Tell,
+    Stage::Gate,
+];
+
+/// A frame while it is written or read. Both directions visit the same words; beyond the end nothing is written and zeros are read.
+struct Words<const N: usize> {
+    words: [u32; N],
+    at: usize,
+}
+
+impl<const N: usize> Words<N> {
+    const fn new() -> Self {
+        Self {
+            words: [0; N],
+            at: 0,
+        }
+    }
+
+    fn begin(&mut self, kind: u32) {
+        self.put(kind | VERSION << 16);
+    }
+
+    #[inline]
+    fn put(&mut self, word: u32) {
+        debug_assert!(self.at + 1 < N, "the frame is too short");
+        if let Some(slot) = self.words.get_mut(self.at) {
+            *slot = word;
+            self.at += 1;
+        }
+    }
+
+    fn put_long(&mut self, long: u64) {
+        self.put(long as u32);
+        self.put((long >> 32) as u32);
+    }
+
+    #[inline]
+    fn take(&mut self) -> u32 {
+        let word = self.words.get(self.at).copied().unwrap_or(0);
+        self.at = self.at.wrapping_add(1);
+        word
+    }
+
+    fn take_long(&mut self) -> u64 {
+        u64::from(self.take()) | u64::from(self.take()) << 32
+    }
+
+    fn check(&self) -> u32 {
+        self.words[..N - 1].iter().fold(0x811C_9DC5, |hash, word| {
+            (hash ^ word).wrapping_mul(0x0100_0193)
+        })
+    }
+
+    fn into_bytes<const B: usize>(mut self) -> [u8; B] {
+        const { assert!(B == 4 * N) };
+        self.words[N - 1] = self.check();
+        let mut bytes = [0; B];
+        for (cell, word) in bytes.as_chunks_mut::<4>().0.iter_mut().zip(self.words) {
+            *cell = word.to_le_bytes();
+        }
+        bytes
+    }
+
+    /// The kind of a frame, and its contents.
+    fn from_bytes<const B: usize>(bytes: &[u8; B]) -> Result<(u32, Self), FrameError> {
+        const { assert!(B == 4 * N) };
+        let mut frame = Self::new();
+        for (word, cell) in frame.words.iter_mut().zip(bytes.as_chunks::<4>().0) {
+            *word = u32::from_le_bytes(*cell);
+        }
+        if frame.check() != frame.words[N - 1] {
+            return Err(FrameError::Check);
+        }
+        let head = frame.take();
+        if head >> 16 != VERSION {
+            return Err(FrameError::Version);
+        }
+        Ok((head & 0xFFFF, frame))
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,113 @@
+use super::*;
+use haptimill_protocol::message::MAX_AXES;
+use proptest::prelude::*;
+
+fn config() -> ProptestConfig {
+    ProptestConfig {
+        rng_seed: proptest::test_runner::RngSeed::Fixed(3),
+        failure_persistence: None,
+        ..ProptestConfig::default()
+    }
+}
+
+prop_compose! {
+    fn axis()(
+        counts: i32, edge_time_ns: u32, illegal: u16, index_counts: i32, index_pulses: u8, steps: i32,
+        (home, limit_low, limit_high, drive_ready) in any::<(bool, bool, bool, bool)>(),
+    ) -> AxisInputs {
+        AxisInputs { counts, edge_time_ns, illegal, index_counts, index_pulses, steps, home, limit_low, limit_high, drive_ready }
+    }
+}
+
+fn command() -> impl Strategy<Value = DriveCommand> {
+    prop_oneof![
+        Just(DriveCommand::Off),
+        any::<i16>().prop_map(DriveCommand::Torque),
+        any::<(i16, u32, u32, i32)>().prop_map(|(count, delay, interval, ramp)| {
+            DriveCommand::Steps(StepSegment {
+                count,
+                delay,
+                interval,
+                ramp,
+            })
+        }),
+    ]
+}
+
+prop_compose! {
+    fn reading()(
+        state in prop::sample::select(STATES.to_vec()),
+        (homed, position_kept, fault) in any::<(bool, bool, bool)>(),
+        (setpoint, path_rate, spindle_rpm, program_time) in any::<(u32, u16, i16, u64)>(),
+        rows: [[i32; MAX_AXES]; 5],
+    ) -> Reading {
+        let [wanted, joints_wanted, joints, following_error, drive] = rows;
+        Reading {
+            state, homed, position_kept, fault, setpoint, path_rate, spindle_rpm, program_time,
+            wanted, joints_wanted, joints, following_error, drive,
+        }
+    }
+}
+
+prop_compose! {
+    fn done()(
+        period: u64,
+        axes in prop::array::uniform6(command()),
+        (spindle_rpm, said) in any::<(i16, u16)>(),
+        (received, waiting, lost_bytes, urgent) in any::<(u16, u16, u16, bool)>(),
+        stages: [u32; STAGES],
+        reading in prop::option::of(reading()),
+    ) -> Done {
+        Done {
+            period,
+            outputs: Outputs { axes, spindle_rpm, ..Outputs::default() },
+            said,
+            heard: Heard { received, waiting, lost_bytes, urgent },
+            stages,
+            reading,
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(config())]
+
+    /// Whatever the simulator says arrives as it was said.
+    #[test]
+    fn inputs_arrive(
+        period: u64, missed: u16, time_ns: u32, transmit_room: u16, emergency_stop: bool, arrived: u32,
+        axes in prop::array::uniform6(axis()), period_us: u16,
+    ) {
+        let inputs = Inputs { period, missed, time_ns, transmit_room, emergency_stop, axes, ..Inputs::default() };
+        for said in [ToBoard::Begin { period_us }, ToBoard::Period { inputs, arrived }, ToBoard::End] {
+            prop_assert_eq!(ToBoard::decode(&said.encode()), Ok(said));
+        }
+    }
+
+    /// Whatever the board says arrives as it was said.
+    #[test]
+    fn outputs_arrive(done in done(), stack_bytes: u32, ring_peak: u32) {
+        for said in [FromBoard::Hello, FromBoard::Done(done), FromBoard::Ended { stack_bytes, ring_peak }] {
+            prop_assert_eq!(FromBoard::decode(&said.encode()), Ok(said));
+        }
+    }
+
+    /// A changed bit, or a frame that begins somewhere else, is refused.
+    #[test]
+    fn damage_is_seen(done in done(), bit in 0..FROM_BOARD_BYTES * 8, shift in 1..FROM_BOARD_BYTES) {
+        let mut frame = FromBoard::Done(done).encode();
+        let mut shifted = frame;
+        shifted.rotate_left(shift);
+        prop_assume!(shifted != frame);
+        prop_assert!(FromBoard::decode(&shifted).is_err());
+        frame[bit / 8] ^= 1 << (bit % 8);
+        prop_assert_eq!(FromBoard::decode(&frame), Err(FrameError::Check));
+    }
+
+    /// Noise is refused, and never ends in a panic.
+    #[test]
+    fn noise_is_refused(bytes in prop::collection::vec(any::<u8>(), TO_BOARD_BYTES)) {
+        let frame: [u8; TO_BOARD_BYTES] = bytes.try_into().unwrap();
+        prop_assert!(ToBoard::decode(&frame).is_err());
+    }
+}

@@ -1,0 +1,75 @@
+//! What a controller knows of itself in a period, for recorders: one function makes it, in this process and on a chip alike.
+
+use crate::controller::Controller;
+use crate::io::Inputs;
+use crate::motion::program::FULL_RATE;
+use haptimill_protocol::message::{AxisValues, MAX_AXES, State};
+
+/// Values of all axes, in axis units; those that the machine lacks are 0.
+pub type Axes = [i32; MAX_AXES];
+
+/// A configured controller after one control period.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Reading {
+    /// State of the controller.
+    pub state: State,
+    /// All axes have their reference.
+    pub homed: bool,
+    /// The position is known to be right since homing.
+    pub position_kept: bool,
+    /// A fault is latched.
+    pub fault: bool,
+    /// The setpoint that the motion is heading for.
+    pub setpoint: u32,
+    /// Speed along the path, 65535 for the programmed one.
+    pub path_rate: u16,
+    /// Spindle, rev/min.
+    pub spindle_rpm: i16,
+    /// Program time, periods times 2^32.
+    pub program_time: u64,
+    /// Wanted pose.
+    pub wanted: Axes,
+    /// Wanted joints.
+    pub joints_wanted: Axes,
+    /// Measured joints.
+    pub joints: Axes,
+    /// Following error of the joints.
+    pub following_error: Axes,
+    /// Drive command: DAC code, or steps emitted.
+    pub drive: Axes,
+}
+
+impl Controller {
+    /// How things stand after the period of these inputs; `None` without a configuration.
+    #[must_use]
+    pub fn reading(&self, inputs: &Inputs) -> Option<Reading> {
+        let machinery = self.machinery()?;
+        let safety = self.safety();
+        let program = &machinery.motion.program;
+        let mut reading = Reading {
+            state: safety.state(),
+            homed: safety.homed(),
+            position_kept: safety.position_kept(),
+            fault: safety.fault().is_some(),
+            setpoint: program.reached(),
+            path_rate: (program.path_rate().clamp(0, FULL_RATE - 1) >> 16) as u16,
+            spindle_rpm: self.spindle_rpm(),
+            program_time: program.program_time(),
+            wanted: values(&machinery.wanted_values()),
+            drive: values(&machinery.drive_values(inputs)),
+            ..Reading::default()
+        };
+        for (axis, joint) in machinery.joints().enumerate().take(MAX_AXES) {
+            reading.joints_wanted[axis] = joint.wanted.0;
+            reading.joints[axis] = joint.measured.0;
+            reading.following_error[axis] = joint.following_error.0;
+        }
+        Some(reading)
+    }
+}
+
+fn values(from: &AxisValues) -> Axes {
+    let mut to = [0; MAX_AXES];
+    to.iter_mut().zip(from).for_each(|(to, from)| *to = *from);
+    to
+}

@@ -1,0 +1,248 @@
+//! A controller that is not in this process: the rig's end of the plant link.
+//!
+//! [`RemoteController`] is a [`Control`] like any other; neither the machine nor a scenario knows the difference. What it says is in frames of
+//! [`haptimill_firmware::lockstep`], carried by a [`PlantLink`]; bytes of the host go over the board's serial line beside it.
+//!
+//! What the board heard is compared with what it should have heard: a byte too many or too few is a failure of the link, not a
+//! different simulation.
+
+use crate::rig::Control;
+use haptimill_firmware::io::{Inputs, Outputs, TRANSMIT_BYTES};
+use haptimill_firmware::lockstep::{
+    Done, FROM_BOARD_BYTES, FromBoard, Heard, TO_BOARD_BYTES, ToBoard,
+};
+use haptimill_firmware::probe::STAGES;
+use haptimill_firmware::reading::Reading;
+use haptimill_protocol::message::State;
+use std::io;
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// Carries frames and serial bytes to a board and back.
+///
+/// Every call ends: with an error when the board has gone, or has not answered for so long that it never will.
+pub trait PlantLink {
+    /// Sends a frame.
+    ///
+    /// # Errors
+    /// The board has gone.
+    fn send(&mut self, frame: &[u8; TO_BOARD_BYTES]) -> io::Result<()>;
+
+    /// Waits for a frame.
+    ///
+    /// # Errors
+    /// The board has gone.
+    fn receive(&mut self, frame: &mut [u8; FROM_BOARD_BYTES]) -> io::Result<()>;
+
+    /// Puts bytes on the board's serial line.
+    ///
+    /// # Errors
+    /// The board has gone.
+    fn put_serial(&mut self, bytes: &[u8]) -> io::Result<()>;
+
+    /// Takes so many bytes from the board's serial line.
+    ///
+    /// # Errors
+    /// The board has gone.
+    fn take_serial(&mut self, bytes: &mut [u8]) -> io::Result<()>;
+
+    /// What the board said of its end, when it has gone; what the operating system says of it otherwise.
+    fn last_words(&mut self) -> Option<String>;
+}
+
+/// What the control periods of a run cost, as the board counted it.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Cost {
+    /// Periods in which a program ran, which are those that are counted.
+    pub periods: u64,
+    /// Sum over these periods of each stage's counts, in the order of [`haptimill_firmware::probe::Stage`].
+    pub sums: [u64; STAGES],
+    /// The most that each stage cost in one of them.
+    pub worst: [u32; STAGES],
+    /// The most that a whole one cost.
+    pub worst_period: u32,
+    /// The most that a whole period cost in any state.
+    pub worst_of_all: u32,
+    /// Bytes of stack that were ever used; known at the end of the run.
+    pub stack_bytes: u32,
+    /// The most bytes that ever waited in the receive ring; known at the end of the run.
+    pub ring_peak: u32,
+}
+
+/// The controller of a board, behind a link.
+#[derive(Debug)]
+pub struct RemoteController<L: PlantLink> {
+    link: L,
+    arrived: u32,
+    reading: Option<Reading>,
+    failure: Option<String>,
+    cost: Arc<Mutex<Cost>>,
+    /// Counts that fit into a control period, if that is looked at.
+    budget: Option<u32>,
+    overrun: u16,
+}
+
+impl<L: PlantLink> RemoteController<L> {
+    /// Begins a run: the board makes a new controller.
+    ///
+    /// # Errors
+    /// The board does not answer, or is of another version.
+    pub fn begin(mut link: L, period_us: u16) -> Result<Self, String> {
+        let mut frame = [0; FROM_BOARD_BYTES];
+        let gone =
+            |link: &mut L, error: io::Error| link.last_words().unwrap_or_else(|| error.to_string());
+        if let Err(error) = link.receive(&mut frame) {
+            return Err(gone(&mut link, error));
+        }
+        match FromBoard::decode(&frame) {
+            Ok(FromBoard::Hello) => {}
+            Ok(_) => return Err("the board began in the middle".into()),
+            Err(error) => return Err(error.to_string()),
+        }
+        if let Err(error) = link.send(&ToBoard::Begin { period_us }.encode()) {
+            return Err(gone(&mut link, error));
+        }
+        Ok(Self {
+            link,
+            arrived: 0,
+            reading: None,
+            failure: None,
+            cost: Arc::default(),
+            budget: None,
+            overrun: 0,
+        })
+    }
+
+    /// A control period that costs more than so many counts misses the next ones.
+    pub const fn set_budget(&mut self, counts: u32) {
+        self.budget = Some(counts);
+    }
+
+    /// What the periods cost; stays when this controller has gone.
+    #[must_use]
+    pub fn cost(&self) -> Arc<Mutex<Cost>> {
+        Arc::clone(&self.cost)
+    }
+
+    fn exchange(&mut self, inputs: &Inputs) -> io::Result<Done> {
+        let said = ToBoard::Period {
+            inputs: inputs.clone(),
+            arrived: core::mem::take(&mut self.arrived),
+        };
+        self.link.send(&said.encode())?;
+        let mut done = match self.hear()? {
+            FromBoard::Done(done) => done,
+            _ => return Err(io::Error::other("the board said something else")),
+        };
+        let (should, heard) = (Heard::of(inputs), done.heard);
+        if done.period != inputs.period || heard != should {
+            return Err(io::Error::other(format!(
+                "period {}: the board heard {heard:?} in its period {}, and should have heard {should:?}",
+                inputs.period, done.period
+            )));
+        }
+        let count = usize::from(done.said);
+        let mut bytes = [0; TRANSMIT_BYTES];
+        let Some(bytes) = bytes.get_mut(..count) else {
+            return Err(io::Error::other(
+                "the board said more than it may in a period",
+            ));
+        };
+        self.link.take_serial(bytes)?;
+        // There is room: no more than its capacity.
+        let _ = done.outputs.transmit.extend_from_slice(bytes);
+        Ok(done)
+    }
+
+    fn hear(&mut self) -> io::Result<FromBoard> {
+        let mut frame = [0; FROM_BOARD_BYTES];
+        self.link.receive(&mut frame)?;
+        FromBoard::decode(&frame).map_err(io::Error::other)
+    }
+
+    fn account(&mut self, done: &Done) {
+        let total = done.stages.iter().sum::<u32>();
+        self.overrun = self.budget.map_or(0, |budget| {
+            (total.saturating_sub(1) / budget.max(1)).min(1000) as u16
+        });
+        let mut cost = self.cost.lock().unwrap_or_else(PoisonError::into_inner);
+        cost.worst_of_all = cost.worst_of_all.max(total);
+        if done
+            .reading
+            .is_none_or(|reading| reading.state != State::Run)
+        {
+            return;
+        }
+        cost.periods += 1;
+        cost.worst_period = cost.worst_period.max(total);
+        for (stage, &counts) in done.stages.iter().enumerate() {
+            cost.sums[stage] += u64::from(counts);
+            cost.worst[stage] = cost.worst[stage].max(counts);
+        }
+    }
+
+    fn fail(&mut self, error: &io::Error) {
+        let words = self.link.last_words();
+        self.failure = Some(words.unwrap_or_else(|| error.to_string()));
+    }
+}
+
+impl<L: PlantLink> Control for RemoteController<L> {
+    fn tick(&mut self, inputs: &Inputs, outputs: &mut Outputs) {
+        self.overrun = 0;
+        if self.failure.is_some() {
+            outputs.make_safe();
+            return;
+        }
+        match self.exchange(inputs) {
+            Ok(done) => {
+                self.account(&done);
+                self.reading = done.reading;
+                *outputs = done.outputs;
+            }
+            Err(error) => {
+                self.fail(&error);
+                self.reading = None;
+                outputs.make_safe();
+            }
+        }
+    }
+
+    fn arrived(&mut self, bytes: &[u8]) {
+        if bytes.is_empty() || self.failure.is_some() {
+            return;
+        }
+        self.arrived = self.arrived.wrapping_add(bytes.len() as u32);
+        if let Err(error) = self.link.put_serial(bytes) {
+            self.fail(&error);
+        }
+    }
+
+    fn reading(&self, _: &Inputs) -> Option<Reading> {
+        self.reading
+    }
+
+    fn overrun(&self) -> u16 {
+        self.overrun
+    }
+
+    fn failure(&self) -> Option<&str> {
+        self.failure.as_deref()
+    }
+}
+
+impl<L: PlantLink> Drop for RemoteController<L> {
+    fn drop(&mut self) {
+        if self.failure.is_some() || self.link.send(&ToBoard::End.encode()).is_err() {
+            return;
+        }
+        if let Ok(FromBoard::Ended {
+            stack_bytes,
+            ring_peak,
+        }) = self.hear()
+        {
+            let mut cost = self.cost.lock().unwrap_or_else(PoisonError::into_inner);
+            cost.stack_bytes = stack_bytes;
+            cost.ring_peak = ring_peak;
+        }
+    }
+}

@@ -1,0 +1,260 @@
+//! The controller on an emulated Cortex-M4F and M7 against the controller in this process: the same bits, what they cost, and how a run
+//! ends that is ended from outside. Needs the feature `emulated`, a compiler for the chip and the emulator; `cargo xtask test` sees to that.
+
+use clap::{Args, FromArgMatches};
+use haptimill::cli::run::{self, RunArgs};
+use haptimill::machine::MachineFile;
+use haptimill::port::Board;
+use haptimill::record::{Recording, difference};
+use haptimill::session::pil::{self, Emulator};
+use haptimill::session::rig_around;
+use haptimill_firmware::io::DriveCommand;
+use haptimill_hil_sim::remote::RemoteController;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
+}
+
+/// A place for results that belongs to one test.
+fn results(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_TARGET_TMPDIR")).join(name)
+}
+
+/// Runs a part program as the command line does.
+fn run(program: &Path, port: &str, out: &Path, more: &[&str]) -> Duration {
+    let begun = Instant::now();
+    let program = program.display().to_string();
+    let out = out.display().to_string();
+    let mut words = vec!["run", &program, "--port", port, "--out", &out, "--quiet"];
+    words.extend(more);
+    let command = RunArgs::augment_args(clap::Command::new("run"));
+    let matches = command.try_get_matches_from(words).expect("arguments");
+    run::run(RunArgs::from_arg_matches(&matches).expect("arguments")).expect("runs");
+    begun.elapsed()
+}
+
+/// Runs a program natively, on the M4F and on the M7, and compares what was recorded.
+fn same_bits(name: &str, program: &Path) {
+    let out = |port: &str| results(&format!("{name}-{port}"));
+    run(program, "sim", &out("native"), &[]);
+    let native = Recording::open(&out("native").join("recording.hmr")).expect("recorded");
+    let seconds = native.records() as f64 * native.period_s();
+    for (port, folder) in [("pil:mps2", "m4"), ("pil:mps2-m7", "m7")] {
+        let took = run(program, port, &out(folder), &[]).as_secs_f64();
+        let emulated = Recording::open(&out(folder).join("recording.hmr")).expect("recorded");
+        let found = difference(&native, &emulated).expect("readable");
+        assert!(
+            found.is_none(),
+            "{name}, native and {port}: {}",
+            found.expect("differs")
+        );
+        let read =
+            |folder: &str| std::fs::read(out(folder).join("recording.hmr")).expect("readable");
+        assert!(
+            read("native") == read(folder),
+            "{name}, native and {port}: the headers differ"
+        );
+        println!(
+            "{name}: {} control periods, the same bits natively and on {port}; {:.1} times real time",
+            native.records(),
+            seconds / took
+        );
+    }
+}
+
+/// The beginning of the dome: 5 axes, some seconds of it.
+fn part_of_dome(blocks: usize) -> PathBuf {
+    let text = std::fs::read_to_string(root().join("examples/dome.ngc")).expect("there");
+    let beginning: Vec<&str> = text.lines().take(blocks).collect();
+    let file = results(&format!("dome-{blocks}.ngc"));
+    std::fs::write(&file, beginning.join("\n") + "\nM5\nM30\n").expect("written");
+    file
+}
+
+#[test]
+fn same_bits_in_the_slot() {
+    same_bits("e7", &root().join("examples/e7-slot.ngc"));
+}
+
+#[test]
+fn same_bits_in_the_pocket() {
+    same_bits("e9", &root().join("examples/e9-pocket.ngc"));
+}
+
+#[test]
+fn same_bits_on_the_circle() {
+    same_bits("e11", &root().join("examples/e11-circle.ngc"));
+}
+
+#[test]
+fn same_bits_in_five_axes() {
+    same_bits("dome", &part_of_dome(500));
+}
+
+/// The tool that explains a difference finds the one that was made, and no other.
+#[test]
+fn a_difference_is_named() {
+    let program = root().join("examples/e7-slot.ngc");
+    let (one, other) = (results("seed-1"), results("seed-2"));
+    run(&program, "sim", &one, &["--seed", "1"]);
+    run(&program, "sim", &other, &["--seed", "2"]);
+    let open = |folder: &Path| Recording::open(&folder.join("recording.hmr")).expect("recorded");
+    let found = difference(&open(&one), &open(&other))
+        .expect("readable")
+        .expect("differs");
+    let mut records = open(&one)
+        .iter()
+        .expect("readable")
+        .zip(open(&other).iter().expect("readable"));
+    let first = records.position(|(one, other)| one.expect("whole") != other.expect("whole"));
+    assert_eq!(first, Some(found.record as usize));
+    assert_ne!(found.first, found.second, "{found}");
+}
+
+/// A rig around the emulated board, in the middle of nothing, and the emulator's process.
+fn idle_rig() -> (haptimill_hil_sim::Rig<RemoteController<Emulator>>, u32) {
+    let machine = MachineFile::built_in().expect("sound");
+    let image = pil::image(Board::Mps2).expect("builds");
+    let emulator = Emulator::start(Board::Mps2, &image).expect("starts");
+    let process = emulator.process();
+    let remote = RemoteController::begin(emulator, machine.config.period_us).expect("begins");
+    let mut rig = rig_around(remote, &machine, None, None, Vec::new()).expect("sound");
+    for _ in 0..1000 {
+        assert!(rig.step());
+    }
+    assert_eq!(haptimill_hil_sim::Control::failure(rig.control()), None);
+    (rig, process)
+}
+
+fn exists(process: u32) -> bool {
+    Path::new(&format!("/proc/{process}")).exists()
+}
+
+fn signal(name: &str, process: u32) {
+    let status = Command::new("kill")
+        .args([name, &process.to_string()])
+        .status();
+    assert!(status.expect("kill").success());
+}
+
+/// Steps until the controller is seen to have failed; the reason, and how long that took.
+fn until_failure(
+    rig: &mut haptimill_hil_sim::Rig<RemoteController<Emulator>>,
+) -> (String, Duration) {
+    let begun = Instant::now();
+    loop {
+        rig.step();
+        if let Some(reason) = haptimill_hil_sim::Control::failure(rig.control()) {
+            assert!(
+                rig.outputs()
+                    .axes
+                    .iter()
+                    .all(|axis| *axis == DriveCommand::Off)
+            );
+            return (reason.to_string(), begun.elapsed());
+        }
+        assert!(begun.elapsed() < Duration::from_secs(5), "nobody noticed");
+    }
+}
+
+#[test]
+fn a_killed_emulator_is_noticed_at_once() {
+    let (mut rig, process) = idle_rig();
+    signal("-KILL", process);
+    let (reason, after) = until_failure(&mut rig);
+    println!("after {after:?}: {reason}");
+    assert!(reason.contains("emulator"), "{reason}");
+    assert!(after < Duration::from_secs(2));
+}
+
+#[test]
+fn a_stalled_emulator_is_given_up_and_leaves_nothing() {
+    let (mut rig, process) = idle_rig();
+    signal("-STOP", process);
+    let (reason, after) = until_failure(&mut rig);
+    println!("after {after:?}: {reason}");
+    assert!(after < Duration::from_millis(2500));
+    assert!(exists(process));
+    drop(rig);
+    assert!(!exists(process), "the emulator is still there");
+}
+
+#[test]
+fn a_run_that_is_over_leaves_nothing() {
+    let (rig, process) = idle_rig();
+    let cost = rig.control().cost();
+    drop(rig);
+    assert!(!exists(process), "the emulator is still there");
+    let cost = cost.lock().expect("not poisoned");
+    assert!(cost.stack_bytes > 0, "the image did not end by itself");
+}
+
+/// What a period costs; `cargo xtask instructions` writes the table.
+#[test]
+fn instructions_of_a_period() {
+    let jobs = [
+        ("E11 circle", "e11", root().join("examples/e11-circle.ngc")),
+        ("dome, 5 axes", "dome", part_of_dome(500)),
+    ];
+    let mut table = String::from(TABLE_HEAD);
+    for (title, name, program) in jobs {
+        let out = results(&format!("cost-{name}"));
+        run(&program, "pil:mps2", &out, &["--baud", "1000000"]);
+        let text = std::fs::read_to_string(out.join("instructions.json")).expect("written");
+        let cost: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+        let number = |value: &serde_json::Value| value.as_f64().expect("a number");
+        table += &format!("\n## {title}\n\n| stage | mean | worst |\n| --- | ---: | ---: |\n");
+        for stage in cost["stages"].as_array().expect("stages") {
+            table += &format!(
+                "| {} | {:.0} | {:.0} |\n",
+                stage[0].as_str().expect("name"),
+                number(&stage[1]),
+                number(&stage[2])
+            );
+        }
+        let (mean, worst) = (number(&cost["mean"]), number(&cost["worst"]));
+        table += &format!("| whole period | {mean:.0} | {worst:.0} |\n\n");
+        table += &format!(
+            "{} control periods in which a program ran. Worst period of all, activating the configuration included: {:.0}. Stack used: {} bytes. \
+             Most bytes in the receive ring: {} of {}.\n",
+            cost["periods"],
+            number(&cost["worst_of_all"]),
+            cost["stack_bytes"],
+            cost["ring_peak"],
+            4095
+        );
+        assert!(
+            mean < MEAN_CEILING && worst < WORST_CEILING,
+            "{title}: {mean:.0} and {worst:.0} instructions"
+        );
+    }
+    println!("{table}");
+    let file = root().join("docs/instructions.md");
+    if std::env::var_os("HAPTIMILL_WRITE").is_some() {
+        std::fs::create_dir_all(root().join("docs")).expect("made");
+        std::fs::write(&file, &table).expect("written");
+    }
+    if std::fs::read_to_string(&file).unwrap_or_default() != table {
+        println!(
+            "docs/instructions.md says something else; `cargo xtask instructions` writes it anew"
+        );
+    }
+}
+
+/// A period that costs more than this is a mistake; what is aimed at stands in the table's text.
+const MEAN_CEILING: f64 = 16_000.0;
+const WORST_CEILING: f64 = 40_000.0;
+
+const TABLE_HEAD: &str = "# Instructions of a control period
+
+Counted on an emulated Cortex-M4F (QEMU, mps2-an386), release build, overflow checks on. Made by `cargo xtask instructions`; do not edit.
+
+Instructions are not cycles: no wait states, no caches, no latency of divisions and loads. A board's factor has to be measured on that board. At
+one cycle an instruction and 168 MHz a period of 200 us has 33,600.
+
+Aims: inverse kinematics at most 900, forward at most 1,200; a whole period in 5 axes 5,000 in the mean and 8,000 at worst, a quarter of the
+period. What is above its aim is to be worked on.
+";

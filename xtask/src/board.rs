@@ -1,0 +1,271 @@
+//! Boards: building their images, and what of the chip they take.
+
+use std::env;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+/// A board whose image can be built.
+pub struct Board {
+    /// Its name on the command line.
+    pub name: &'static str,
+    /// Its sources.
+    folder: &'static str,
+    target: &'static str,
+    binary: &'static str,
+    /// The most flash and static RAM that an image may take, bytes.
+    flash: u64,
+    ram: u64,
+}
+
+/// All boards.
+pub const BOARDS: &[Board] = &[Board {
+    name: "mps2",
+    folder: "firmware/boards/mps2",
+    target: "thumbv7em-none-eabihf",
+    binary: "haptimill-mps2",
+    flash: 128 * 1024,
+    ram: 48 * 1024,
+}];
+
+/// Debian's toolchain that brings the sources of the core library.
+const DEBIAN_CARGO: &str = "/usr/bin/cargo";
+const DEBIAN_RUSTC: &str = "/usr/bin/rustc";
+const DEBIAN_SOURCES: &str = "/usr/lib/rustlib/src/rust/library/core";
+/// The packages of it, and the linker.
+pub const DEBIAN_PACKAGES: &[&str] = &["rustc-web", "cargo-web", "rust-web-src", "lld-22"];
+
+/// What builds for a target.
+pub enum Toolchain {
+    /// The one that runs this, which has the target's core library.
+    Rustup,
+    /// Debian's, which builds the core library itself, with this linker.
+    Debian(PathBuf),
+}
+
+impl Toolchain {
+    /// The toolchain for a target; `None` when there is none.
+    pub fn find(target: &str) -> Option<Self> {
+        let sysroot = Command::new("rustc")
+            .args(["--print", "sysroot"])
+            .output()
+            .ok()?;
+        let sysroot = PathBuf::from(String::from_utf8_lossy(&sysroot.stdout).trim().to_string());
+        if sysroot
+            .join("lib/rustlib")
+            .join(target)
+            .join("lib")
+            .is_dir()
+        {
+            return Some(Self::Rustup);
+        }
+        let sources = Path::new(DEBIAN_SOURCES).is_dir() || library_of_debian().is_some();
+        let debian =
+            Path::new(DEBIAN_CARGO).is_file() && Path::new(DEBIAN_RUSTC).is_file() && sources;
+        let linkers = [
+            Some(PathBuf::from("/usr/bin/lld-22")),
+            rust_lld(&sysroot),
+            Some(PathBuf::from("/usr/bin/arm-none-eabi-ld")),
+        ];
+        let linker = linkers
+            .into_iter()
+            .flatten()
+            .find(|linker| linker.is_file())?;
+        debian.then_some(Self::Debian(linker))
+    }
+
+    /// What people call it.
+    pub fn name(&self) -> String {
+        match self {
+            Self::Rustup => "the toolchain's own target".to_string(),
+            Self::Debian(linker) => format!(
+                "Debian's rustc-web with rust-web-src, linked by {}",
+                linker.display()
+            ),
+        }
+    }
+
+    /// Its cargo, set up for a target.
+    pub fn cargo(&self, target: &str) -> Command {
+        match self {
+            Self::Rustup => crate::cargo(),
+            Self::Debian(linker) => {
+                let mut cargo = Command::new(DEBIAN_CARGO);
+                // What the toolchain that runs this has set is not for the other one.
+                for (name, _) in env::vars_os() {
+                    let text = name.to_string_lossy();
+                    if text.starts_with("CARGO") && text != "CARGO_HOME" || text.starts_with("RUST")
+                    {
+                        cargo.env_remove(&name);
+                    }
+                }
+                let linker_of_target = format!(
+                    "CARGO_TARGET_{}_LINKER",
+                    target.to_uppercase().replace('-', "_")
+                );
+                cargo
+                    .env("RUSTC", DEBIAN_RUSTC)
+                    .env("RUSTC_BOOTSTRAP", "1")
+                    .env(linker_of_target, linker);
+                cargo
+            }
+        }
+    }
+
+    /// Arguments of a build.
+    pub fn arguments(&self) -> &'static [&'static str] {
+        match self {
+            Self::Rustup => &[],
+            Self::Debian(_) => &["-Zbuild-std=core"],
+        }
+    }
+}
+
+/// Where Debian's compiler looks for the sources of the core library.
+fn library_of_debian() -> Option<PathBuf> {
+    let output = Command::new(DEBIAN_RUSTC)
+        .args(["--print", "sysroot"])
+        .output()
+        .ok()?;
+    let sysroot = PathBuf::from(String::from_utf8_lossy(&output.stdout).trim().to_string());
+    Some(sysroot.join("lib/rustlib/src/rust/library/core")).filter(|core| core.is_dir())
+}
+
+/// The linker that rustup's toolchains bring.
+fn rust_lld(sysroot: &Path) -> Option<PathBuf> {
+    let hosts = fs::read_dir(sysroot.join("lib/rustlib")).ok()?;
+    hosts
+        .flatten()
+        .map(|host| host.path().join("bin/rust-lld"))
+        .find(|linker| linker.is_file())
+}
+
+impl Board {
+    /// The board of a name.
+    pub fn named(name: &str) -> Option<&'static Self> {
+        BOARDS.iter().find(|board| board.name == name)
+    }
+
+    /// What builds it here.
+    pub fn toolchain(&self) -> Option<Toolchain> {
+        Toolchain::find(self.target)
+    }
+
+    /// Its image.
+    fn image(&self, root: &Path, binary: &str) -> PathBuf {
+        root.join(self.folder)
+            .join("target")
+            .join(self.target)
+            .join("release")
+            .join(binary)
+    }
+
+    /// Builds all images of the board; gives the one of the product.
+    pub fn build(&self, root: &Path, quiet: bool) -> Result<PathBuf, String> {
+        let toolchain = self.toolchain().ok_or_else(|| {
+            format!(
+                "nothing here builds for {}: `rustup target add {}`, or on Debian `apt-get install {}`",
+                self.target,
+                self.target,
+                DEBIAN_PACKAGES.join(" ")
+            )
+        })?;
+        if !quiet {
+            println!(
+                "== board {}: built for {} by {}",
+                self.name,
+                self.target,
+                toolchain.name()
+            );
+        }
+        let mut cargo = toolchain.cargo(self.target);
+        cargo
+            .current_dir(root.join(self.folder))
+            .args(["build", "--release", "--locked", "--target", self.target])
+            .args(toolchain.arguments());
+        if quiet {
+            cargo.arg("--quiet");
+        }
+        match cargo.status() {
+            Ok(status) if status.success() => Ok(self.image(root, self.binary)),
+            Ok(status) => Err(format!("the board {} does not build ({status})", self.name)),
+            Err(error) => Err(format!("cargo cannot be started: {error}")),
+        }
+    }
+
+    /// Says what the image takes of the chip, and whether it may.
+    pub fn measure(&self, image: &Path) -> Result<(), String> {
+        let bytes = fs::read(image).map_err(|error| format!("{}: {error}", image.display()))?;
+        let sections = sections(&bytes)
+            .ok_or_else(|| format!("{}: is no image of a 32-bit chip", image.display()))?;
+        println!("{:24} {:>10} {:>8}", "section", "address", "bytes");
+        let (mut flash, mut ram) = (0, 0);
+        for section in sections
+            .iter()
+            .filter(|section| section.allocated && section.bytes > 0)
+        {
+            let what = match (section.writable, section.in_file) {
+                (false, _) => "flash",
+                (true, true) => "flash and RAM",
+                (true, false) => "RAM",
+            };
+            println!(
+                "{:24} {:#010x} {:>8}  {what}",
+                section.name, section.address, section.bytes
+            );
+            if !section.writable || section.in_file {
+                flash += section.bytes;
+            }
+            if section.writable {
+                ram += section.bytes;
+            }
+        }
+        println!(
+            "flash {flash} of {}, static RAM {ram} of {}",
+            self.flash, self.ram
+        );
+        if flash > self.flash || ram > self.ram {
+            return Err(format!("the image of {} takes more than it may", self.name));
+        }
+        Ok(())
+    }
+}
+
+/// A section of an image.
+struct Section {
+    name: String,
+    address: u64,
+    bytes: u64,
+    allocated: bool,
+    writable: bool,
+    in_file: bool,
+}
+
+/// The sections of a little-endian 32-bit ELF file; `None` if it is none.
+fn sections(bytes: &[u8]) -> Option<Vec<Section>> {
+    let word = |at: usize| Some(u32::from_le_bytes(bytes.get(at..at + 4)?.try_into().ok()?));
+    let half = |at: usize| Some(u16::from_le_bytes(bytes.get(at..at + 2)?.try_into().ok()?));
+    if bytes.get(..6)? != [0x7F, b'E', b'L', b'F', 1, 1] {
+        return None;
+    }
+    let (table, size, count, names) = (word(32)? as usize, half(46)?, half(48)?, half(50)?);
+    let header = |index: u16| table + usize::from(index) * usize::from(size);
+    let names_at = word(header(names) + 16)? as usize;
+    let mut found = Vec::new();
+    for index in 0..count {
+        let at = header(index);
+        let name = bytes.get(names_at + word(at)? as usize..)?;
+        let name = name.split(|&byte| byte == 0).next()?;
+        let flags = word(at + 8)?;
+        found.push(Section {
+            name: String::from_utf8_lossy(name).into_owned(),
+            address: u64::from(word(at + 12)?),
+            bytes: u64::from(word(at + 20)?),
+            allocated: flags & 2 != 0,
+            writable: flags & 1 != 0,
+            // A section without contents in the file (type 8) is cleared memory.
+            in_file: word(at + 4)? != 8,
+        });
+    }
+    Some(found)
+}
