@@ -122,6 +122,22 @@ impl Cubic {
         })
     }
 
+    /// The fraction of the span at which the rate is largest or least, if that is inside.
+    #[must_use]
+    pub fn turning(&self, span: &Span) -> Option<u32> {
+        // Where the acceleration 2 c2 + 6 c3 s is zero; 30 bits of both are plenty to look for a peak.
+        let spare = (64
+            - self
+                .c2
+                .unsigned_abs()
+                .max(self.c3.unsigned_abs())
+                .leading_zeros())
+        .saturating_sub(29);
+        let (c2, c3) = (self.c2 >> spare, 3 * (self.c3 >> spare));
+        let inside = c3 != 0 && (c2 < 0) != (c3 < 0) && c2.abs() < c3.abs() && span.periods > 1;
+        inside.then(|| ((c2.abs() << 32) / c3.abs()) as u32)
+    }
+
     /// Position, rate and acceleration at a fraction of the span.
     #[must_use]
     pub fn sample(&self, fraction: u32, span: &Span) -> Sample {

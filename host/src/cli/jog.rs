@@ -129,7 +129,16 @@ pub fn run(args: JogArgs) -> Result<(), CliError> {
 fn rates(args: &JogArgs, machine: &MachineFile) -> Result<AxisValues, CliError> {
     let mut rates: Vec<i32> = vec![0; machine.pose.len()];
     let usage = |what: String| CliError::new(Exit::Usage, what);
-    for wanted in &args.axes {
+    for (place, wanted) in args.axes.iter().enumerate() {
+        if args.axes[..place]
+            .iter()
+            .any(|before| before.axis == wanted.axis)
+        {
+            return Err(usage(format!(
+                "{} is given twice; leave one out",
+                wanted.axis
+            )));
+        }
         let Some(index) = machine
             .pose
             .iter()

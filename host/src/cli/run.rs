@@ -110,6 +110,16 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
     if args.check {
         let plan = &planned.plan;
         let seconds = report::duration(plan.figures.duration_s);
+        if args.json {
+            let value = serde_json::json!({
+                "program": job.name,
+                "blocks": plan.figures.blocks,
+                "setpoints": plan.setpoints.len(),
+                "path_length_mm": plan.figures.path_length_mm,
+                "duration_s": plan.figures.duration_s,
+            });
+            tell!("{value:#}");
+        }
         say(
             &args,
             &format!(
@@ -272,6 +282,13 @@ impl PartProgram {
             .map_err(|refused| CliError::new(Exit::BadInput, refused))?;
         let plan = Plan::new(&program, &settings(machine), model)
             .map_err(|refused| CliError::new(Exit::Refused, refused))?;
+        if plan.figures.blocks == 0 {
+            let what = format!(
+                "{}: no motion in this program; is the file whole?",
+                self.file
+            );
+            return Err(CliError::new(Exit::BadInput, what));
+        }
         // Each pause of the program has a setpoint of its own, in the same order.
         let setpoints = (0..)
             .zip(&plan.setpoints)
@@ -313,6 +330,18 @@ fn prepare(dir: &Path) -> Result<(), CliError> {
             .open(&file)?;
         if !there_was_one {
             std::fs::remove_file(&file)?;
+        }
+        // What an earlier run left would be taken for the result of this one.
+        for name in [
+            report::RECORDING_FILE,
+            report::TRACE_FILE,
+            report::SUMMARY_FILE,
+            report::REPORT_FILE,
+        ] {
+            let old = dir.join(name);
+            if old.exists() {
+                std::fs::remove_file(old)?;
+            }
         }
         Ok(())
     };
@@ -359,11 +388,9 @@ impl Running<'_> {
             self.well_ended(&session, &end)?;
             (self.home.clone(), planned)
         };
-        if self.args.feed_override != 100 {
-            session.ask(Command::Override {
-                percent: self.args.feed_override,
-            })?;
-        }
+        session.ask(Command::Override {
+            percent: self.args.feed_override,
+        })?;
         self.job(session, start, planned)
     }
 
