@@ -103,8 +103,11 @@ impl Controller {
         if config.period_us != self.period_us {
             return Err(problem(ConfigField::Period));
         }
-        let machinery = Machinery::new(config, crc, inputs).map_err(Refusal::Config)?;
-        self.machinery = Some(machinery);
+        // Moved once: it is the largest thing that ever lies on the stack.
+        match Machinery::new(config, crc, inputs) {
+            Ok(machinery) => self.machinery = Some(machinery),
+            Err(problem) => return Err(Refusal::Config(problem)),
+        }
         self.safety.set_homed(false);
         self.job.preset_valid = true;
         Ok(())
