@@ -108,20 +108,21 @@ impl Controller {
         if config.period_us != self.period_us {
             return Err(problem(ConfigField::Period));
         }
-        let mut machinery = Machinery::new(config, crc, inputs).map_err(Refusal::Config)?;
+        let standing = self.machinery.as_ref().map(Machinery::standing);
+        // Moved once: it is the largest thing that ever lies on the stack.
+        match Machinery::new(config, crc, inputs) {
+            Ok(machinery) => self.machinery = Some(machinery),
+            Err(problem) => return Err(Refusal::Config(problem)),
+        }
         let first = !core::mem::replace(&mut self.job.configured, true);
+        let machinery = self.machinery.as_mut().ok_or(Refusal::NotConfigured)?;
         if at_preset || first {
             self.safety.set_homed(false);
             self.job.preset_valid = true;
-        } else if let Some(before) = &self.machinery
-            && machinery.counts_like(before)
-        {
-            machinery.take_over(before, inputs);
-        } else {
+        } else if !standing.is_some_and(|standing| machinery.take_over(&standing, inputs)) {
             self.safety.lose_position();
             self.job.preset_valid = false;
         }
-        self.machinery = Some(machinery);
         Ok(())
     }
 

@@ -1,6 +1,6 @@
 //! The parts that a configuration makes: geometry, joints, motion; and the stages that are theirs.
 
-use crate::config::Config;
+use crate::config::{AxisKind, Config, JointAxis};
 use crate::drive::{Driven, JointDrive, Sensed, Wanted as JointWanted};
 use crate::io::{DriveCommand, Inputs};
 use crate::kinematics::machine::Machine;
@@ -15,6 +15,25 @@ use heapless::Vec;
 
 /// Parts in which the configuration is checked against its digest: the whole but axes, then each axis.
 const PARTS: usize = 1 + 2 * MAX_AXES;
+
+/// Where each joint stands, and what its counts mean.
+pub type Standing = Vec<(Meaning, Coordinate), MAX_AXES>;
+
+/// What the counts of a joint's encoder mean: kind, axis units per count, preset, index and its pitch.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Meaning(AxisKind, i64, Coordinate, Coordinate, Coordinate);
+
+impl Meaning {
+    fn of(axis: &JointAxis) -> Self {
+        Self(
+            axis.kind,
+            axis.per_count,
+            axis.preset,
+            axis.index,
+            axis.index_pitch,
+        )
+    }
+}
 
 /// One joint in one period.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -92,32 +111,26 @@ impl Machinery {
         Ok(machinery)
     }
 
-    /// Whether encoder counts mean the same as in another configuration: then what is known of the position stays true.
+    /// Where the joints stand, and what their counts mean: what a new configuration may take over.
     #[must_use]
-    pub fn counts_like(&self, other: &Self) -> bool {
-        let meaning = |machinery: &Self| -> Vec<_, MAX_AXES> {
-            let joints = machinery.config.joints.iter();
-            joints
-                .map(|axis| {
-                    (
-                        axis.kind,
-                        axis.per_count,
-                        axis.preset,
-                        axis.index,
-                        axis.index_pitch,
-                    )
-                })
-                .collect()
-        };
-        meaning(self) == meaning(other)
+    pub fn standing(&self) -> Standing {
+        let joints = self.config.joints.iter().zip(&self.joints);
+        joints
+            .map(|(axis, joint)| (Meaning::of(axis), joint.sensed().motor))
+            .collect()
     }
 
-    /// Takes over where the joints of another configuration stand.
-    pub fn take_over(&mut self, other: &Self, inputs: &Inputs) {
-        for (index, (joint, before)) in self.joints.iter_mut().zip(&other.joints).enumerate() {
-            joint.set_reference(inputs.axes[index].counts, before.sensed().motor);
+    /// Takes over where the joints stood under another configuration, if counts mean the same; says whether they do.
+    pub fn take_over(&mut self, standing: &Standing, inputs: &Inputs) -> bool {
+        let meanings = self.config.joints.iter().map(Meaning::of);
+        if !meanings.eq(standing.iter().map(|(meaning, _)| *meaning)) {
+            return false;
+        }
+        for (index, (joint, (_, motor))) in self.joints.iter_mut().zip(standing).enumerate() {
+            joint.set_reference(inputs.axes[index].counts, *motor);
         }
         self.remember_measured();
+        true
     }
 
     /// Number of axes.

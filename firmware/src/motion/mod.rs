@@ -60,12 +60,11 @@ impl Motion {
     /// For the machine of `config`.
     #[must_use]
     pub fn new(config: &Config) -> Self {
-        Self {
-            program: Program::new(config),
-            jog: Jog::new(config),
-            axes: config.pose.len(),
-            ..Self::default()
-        }
+        let mut motion = Self::default();
+        motion.program.set_up(config);
+        motion.jog = Jog::new(config);
+        motion.axes = config.pose.len();
+        motion
     }
 
     /// The wanted pose.

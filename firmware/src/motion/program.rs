@@ -127,14 +127,20 @@ impl Program {
     /// An empty program for the machine of `config`.
     #[must_use]
     pub fn new(config: &Config) -> Self {
-        let mut program = Self {
-            axes: config.pose.len(),
-            period_us: config.period_us,
-            periods_per_second: 1_000_000 / i64::from(config.period_us.max(1)),
-            braking: braking_limits(&config.stopping, config.period_us),
-            override_rate: FULL_RATE,
-            ..Self::default()
-        };
+        // Filled where it lies: the queue is large, and a second one on the stack would be the controller's deepest.
+        let mut program = Self::default();
+        program.set_up(config);
+        program
+    }
+
+    /// An empty program becomes that of the machine of `config`.
+    pub(super) fn set_up(&mut self, config: &Config) {
+        let program = self;
+        program.axes = config.pose.len();
+        program.period_us = config.period_us;
+        program.periods_per_second = 1_000_000 / i64::from(config.period_us.max(1));
+        program.braking = braking_limits(&config.stopping, config.period_us);
+        program.override_rate = FULL_RATE;
         for (axis, pose) in config.pose.iter().enumerate() {
             program.rotary[axis] = pose.kind == AxisKind::Rotary;
             program.rate_limits[axis] = i64::from(pose.rate.0);
@@ -147,7 +153,6 @@ impl Program {
                 .unsigned_abs()
                 >> 32
         });
-        program
     }
 
     /// Begins a job at `pose`.

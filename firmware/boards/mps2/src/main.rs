@@ -3,7 +3,6 @@
 #![no_main]
 
 use cortex_m::singleton;
-use haptimill_firmware::controller::Controller;
 use haptimill_firmware::lockstep::{FromBoard, TO_BOARD_BYTES, ToBoard};
 use haptimill_firmware::receive::ReceiveRing;
 use haptimill_mps2::semihosting::{File, Gone};
@@ -41,9 +40,7 @@ fn serve() -> Result<(), Gone> {
         let mut frame = [0; TO_BOARD_BYTES];
         from_simulator.read(&mut frame)?;
         match ToBoard::decode(&frame) {
-            Ok(ToBoard::Begin { period_us }) => {
-                tick::with(|period| period.controller = Some(Controller::new(period_us)));
-            }
+            Ok(ToBoard::Begin { period_us }) => tick::begin(period_us),
             Ok(ToBoard::Period { inputs, arrived }) => {
                 expected = expected.wrapping_add(arrived);
                 tick::with(|period| period.inputs = inputs);

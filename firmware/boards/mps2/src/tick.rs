@@ -77,6 +77,12 @@ pub fn start(scb: &mut SCB, waiting: Waiting<'static>) {
     PERIOD.started.store(true, Ordering::Relaxed);
 }
 
+/// A run begins, with a new controller. In a frame of its own: it needs much of the stack, once.
+#[inline(never)]
+pub fn begin(period_us: u16) {
+    with(|period| period.controller = Some(Controller::new(period_us)));
+}
+
 /// Looks at the period from the main program, between two of them.
 pub fn with<T>(look: impl FnOnce(&mut Period) -> T) -> Option<T> {
     // SAFETY: the main program is one thread, the closure cannot get hold of `with` a second time without recursion that this crate does
