@@ -4,7 +4,7 @@ use criterion::{Criterion, criterion_group, criterion_main};
 use haptimill_firmware::config::{AxisKind, Drive, JointAxis, Law, LawForm};
 use haptimill_firmware::drive::{JointDrive, Wanted};
 use haptimill_firmware::io::AxisInputs;
-use haptimill_firmware::units::{Acceleration, Coordinate, Effort, Rate};
+use haptimill_firmware::units::{Acceleration, Coordinate, Effort, Gain, Rate};
 use std::hint::black_box;
 
 /// A 40 kg slide on a 10 mm screw with 8000 counts a turn.
@@ -19,14 +19,14 @@ fn axis(drive: Drive) -> JointAxis {
         drive,
         law: Law {
             form: LawForm::ModelBased,
-            kp: 40_000 << 8,
-            kd: 400 << 8,
+            kp: Gain(40_000 << 8),
+            kd: Gain(400 << 8),
             rate_filter_us: 1500,
             inertia: 671_089,
             viscous: 10_000,
             coulomb: Effort(32 << 16),
             coulomb_rate: Rate(104_858),
-            ki: 0,
+            ki: Gain(0),
         },
         following: Coordinate(1 << 18),
         following_lag: 0,

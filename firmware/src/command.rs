@@ -27,7 +27,11 @@ impl Controller {
             // Taken apart by the server, one setpoint a period.
             Command::Setpoints(_) | Command::Ping => Ok(()),
             Command::Configure(chunk) => self.server.stage(&chunk),
-            Command::Activate { length, crc } => self.activate(inputs, length, crc),
+            Command::Activate {
+                length,
+                crc,
+                at_preset,
+            } => self.activate(inputs, length, crc, at_preset),
             Command::Enable => self.enable(inputs),
             Command::Disable => self.disable(),
             Command::Home => self.home(),
@@ -82,10 +86,11 @@ impl Controller {
         self.machinery.as_mut().ok_or(Refusal::NotConfigured)
     }
 
-    /// Checks the staged configuration and makes it the active one. The joints are taken to stand at their presets.
+    /// Checks the staged configuration and makes it the active one. Where the joints stand is known from the presets (said by the operator, or
+    /// taken at the first configuration after power on), or from the configuration before if both count alike; otherwise it is lost.
     #[cold]
     #[inline(never)]
-    fn activate(&mut self, inputs: &Inputs, length: u16, crc: u32) -> Done {
+    fn activate(&mut self, inputs: &Inputs, length: u16, crc: u32, at_preset: bool) -> Done {
         self.in_state(&[State::Disabled, State::Fault, State::EmergencyStop])?;
         if self.safety.drives_on() {
             return Err(Refusal::State(self.safety.state()));
@@ -103,13 +108,24 @@ impl Controller {
         if config.period_us != self.period_us {
             return Err(problem(ConfigField::Period));
         }
-        // Moved once: it is the largest thing that ever lies on the stack.
-        match Machinery::new(config, crc, inputs) {
-            Ok(machinery) => self.machinery = Some(machinery),
+        // The largest thing that ever lies on the stack: moved as little as may be.
+        let mut machinery = match Machinery::new(config, crc, inputs) {
+            Ok(machinery) => machinery,
             Err(problem) => return Err(Refusal::Config(problem)),
+        };
+        let first = !core::mem::replace(&mut self.job.configured, true);
+        if at_preset || first {
+            self.safety.set_homed(false);
+            self.job.preset_valid = true;
+        } else if let Some(before) = &self.machinery
+            && machinery.counts_like(before)
+        {
+            machinery.take_over(before, inputs);
+        } else {
+            self.safety.lose_position();
+            self.job.preset_valid = false;
         }
-        self.safety.set_homed(false);
-        self.job.preset_valid = true;
+        self.machinery = Some(machinery);
         Ok(())
     }
 

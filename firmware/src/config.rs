@@ -5,7 +5,7 @@
 
 mod check;
 
-use crate::units::{Acceleration, Coordinate, Effort, Length, Rate};
+use crate::units::{Acceleration, Coordinate, Effort, Gain, Length, Rate};
 use haptimill_protocol::message::MAX_AXES;
 use heapless::{String, Vec};
 use serde::{Deserialize, Serialize};
@@ -165,10 +165,10 @@ pub enum Drive {
 pub struct Law {
     /// Which form.
     pub form: LawForm,
-    /// K_P in 1/s^2, times 2^8.
-    pub kp: u32,
-    /// K_D in 1/s, times 2^8.
-    pub kd: u32,
+    /// K_P in 1/s^2.
+    pub kp: Gain,
+    /// K_D in 1/s.
+    pub kd: Gain,
     /// Time constant of the first-order filter on the rate of the error, in microseconds; 0 is none.
     pub rate_filter_us: u16,
     /// Inertia: effort units per acceleration unit, times 2^20 (1 kg on a linear axis: 0.016 * 2^20).
@@ -179,8 +179,8 @@ pub struct Law {
     pub coulomb: Effort,
     /// Rate at which the compensation has reached tanh(1) of its full value.
     pub coulomb_rate: Rate,
-    /// K_I in 1/s^3, times 2^8: an integrator with conditional anti-windup; 0 is none (the thesis has none).
-    pub ki: u32,
+    /// K_I in 1/s^3: an integrator with conditional anti-windup; 0 is none (the thesis has none).
+    pub ki: Gain,
 }
 
 /// The two forms of the position loop.

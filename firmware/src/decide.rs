@@ -9,6 +9,9 @@ use crate::safety::keeps_position;
 use crate::server::Heard;
 use haptimill_protocol::message::{Event, Fault, HomingProblem, Refusal, State};
 
+/// How long after an urgent stop older messages may still come in, microseconds: longer than the link waits before it sends one again.
+const OVERTAKEN_US: u64 = 450_000;
+
 /// Periods between two looks at a part of the configuration.
 const INTEGRITY_PERIODS: u64 = 16;
 
@@ -31,6 +34,12 @@ pub struct Job {
     pub new_session: bool,
     /// An urgent stop overtook what the host had said before; nothing of that may set the machine going again.
     pub overtaken: bool,
+    /// There was a configuration since power on.
+    pub configured: bool,
+    /// Periods since an urgent stop came.
+    pub since_urgent: u32,
+    /// Missed periods that are not yet made up for.
+    pub missed: u16,
     /// The joints stand where their presets say, or moved from there with encoders that can be believed.
     pub preset_valid: bool,
 }
@@ -41,8 +50,12 @@ impl Controller {
         if inputs.urgent {
             self.hold();
             self.job.overtaken = true;
-        } else if heard.is_none() && inputs.waiting == 0 {
-            self.job.overtaken = false;
+            self.job.since_urgent = 0;
+        } else if self.job.overtaken {
+            // What was said before it may still be on its way, sent again after a loss; after that long it is not.
+            self.job.since_urgent = self.job.since_urgent.saturating_add(1);
+            let elapsed = u64::from(self.job.since_urgent) * u64::from(self.period_us);
+            self.job.overtaken = elapsed < OVERTAKEN_US;
         }
         self.greet();
         match heard {
@@ -70,12 +83,14 @@ impl Controller {
         if self.server.session_begun() {
             self.job.jog_epoch = None;
             self.job.jog_cancelled = false;
+            self.job.overtaken = false;
             self.job.new_session = true;
         }
         if self.job.new_session && !self.safety.active() {
             self.job.new_session = false;
             if let Some(machinery) = &mut self.machinery {
                 machinery.motion.reset_sources();
+                machinery.motion.program.set_override(100);
             }
         }
     }
@@ -99,7 +114,15 @@ impl Controller {
         {
             self.safety.raise(fault);
         }
-        if inputs.missed >= machinery.config.supervision.missed_periods {
+        // In a row, or again and again: what is missed counts in full and is made up for by one period in time.
+        let limit = machinery.config.supervision.missed_periods;
+        self.job.missed = self
+            .job
+            .missed
+            .saturating_add(inputs.missed)
+            .saturating_sub(1);
+        if inputs.missed >= limit || self.job.missed >= limit.saturating_mul(4) {
+            self.job.missed = 0;
             self.safety.raise(Fault::LatePeriod {
                 missed: inputs.missed,
             });

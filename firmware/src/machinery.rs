@@ -92,6 +92,34 @@ impl Machinery {
         Ok(machinery)
     }
 
+    /// Whether encoder counts mean the same as in another configuration: then what is known of the position stays true.
+    #[must_use]
+    pub fn counts_like(&self, other: &Self) -> bool {
+        let meaning = |machinery: &Self| -> Vec<_, MAX_AXES> {
+            let joints = machinery.config.joints.iter();
+            joints
+                .map(|axis| {
+                    (
+                        axis.kind,
+                        axis.per_count,
+                        axis.preset,
+                        axis.index,
+                        axis.index_pitch,
+                    )
+                })
+                .collect()
+        };
+        meaning(self) == meaning(other)
+    }
+
+    /// Takes over where the joints of another configuration stand.
+    pub fn take_over(&mut self, other: &Self, inputs: &Inputs) {
+        for (index, (joint, before)) in self.joints.iter_mut().zip(&other.joints).enumerate() {
+            joint.set_reference(inputs.axes[index].counts, before.sensed().motor);
+        }
+        self.remember_measured();
+    }
+
     /// Number of axes.
     #[must_use]
     pub fn axes(&self) -> usize {
@@ -167,7 +195,8 @@ impl Machinery {
     /// Begins the search for the references.
     pub fn begin_homing(&mut self) {
         self.motion.begin_jog(false);
-        self.homing = Homing::begin(&self.config, &mut self.motion.jog);
+        let pose = self.motion.wanted().pose;
+        self.homing = Homing::begin(&self.config, &pose, &mut self.motion.jog);
     }
 
     /// Index pulses of this period, for the search.

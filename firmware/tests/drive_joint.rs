@@ -4,7 +4,7 @@ use haptimill_firmware::config::{AxisKind, Drive, JointAxis, Law, LawForm};
 use haptimill_firmware::drive::torque::TorqueOutput;
 use haptimill_firmware::drive::{DriveError, JointDrive, Wanted};
 use haptimill_firmware::io::{AxisInputs, DriveCommand};
-use haptimill_firmware::units::{Acceleration, Coordinate, Effort, Rate};
+use haptimill_firmware::units::{Acceleration, Coordinate, Effort, Gain, Rate};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 
@@ -40,14 +40,14 @@ fn axis(drive: Drive, backlash_mm: f64) -> JointAxis {
         drive,
         law: Law {
             form: LawForm::ModelBased,
-            kp: 40_000 * 256,
-            kd: 400 * 256,
+            kp: Gain(40_000 * 256),
+            kd: Gain(400 * 256),
             rate_filter_us: 1500,
             inertia: (40.0 * 0.016 * 1048576.0) as u32,
             viscous: 0,
             coulomb: Effort((32.0 * NEWTON) as i32),
             coulomb_rate: Rate((0.02 * MM) as i32),
-            ki: 0,
+            ki: Gain(0),
         },
         following: Coordinate((0.2 * MM) as i32),
         following_lag: 0,

@@ -11,7 +11,7 @@ use haptimill_firmware::config::{
 use haptimill_firmware::kinematics::h4::H4;
 use haptimill_firmware::kinematics::machine::Machine;
 use haptimill_firmware::kinematics::{Joints, Kinematics, Pose, PoseError, ToolForce};
-use haptimill_firmware::units::{Acceleration, Angle, Coordinate, Effort, Length, Rate};
+use haptimill_firmware::units::{Acceleration, Angle, Coordinate, Effort, Gain, Length, Rate};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 
@@ -51,14 +51,14 @@ fn joint(kind: AxisKind, low: Coordinate, high: Coordinate) -> JointAxis {
         },
         law: Law {
             form: LawForm::Pd,
-            kp: 0,
-            kd: 0,
+            kp: Gain(0),
+            kd: Gain(0),
             rate_filter_us: 0,
             inertia: 0,
             viscous: 0,
             coulomb: Effort::ZERO,
             coulomb_rate: Rate(1),
-            ki: 0,
+            ki: Gain(0),
         },
         following: Coordinate(MM),
         following_lag: 0,

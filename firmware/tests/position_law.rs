@@ -4,7 +4,7 @@ use haptimill_firmware::config::{Law, LawForm};
 use haptimill_firmware::position::PositionLaw;
 use haptimill_firmware::position::filter::{RATE_FRACTION, RateFilter, approach};
 use haptimill_firmware::position::friction::Friction;
-use haptimill_firmware::units::{Acceleration, Coordinate, Effort, Rate};
+use haptimill_firmware::units::{Acceleration, Coordinate, Effort, Gain, Rate};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 
@@ -18,14 +18,14 @@ const MILLI: f64 = 1e-3;
 fn law(form: LawForm, kp: f64, kd: f64, filter_us: u16) -> Law {
     Law {
         form,
-        kp: (kp * 256.0) as u32,
-        kd: (kd * 256.0) as u32,
+        kp: Gain((kp * 256.0) as u32),
+        kd: Gain((kd * 256.0) as u32),
         rate_filter_us: filter_us,
         inertia: (MASS * MILLI * 65536.0 / 4096.0 * 1048576.0) as u32,
         viscous: 0,
         coulomb: Effort(0),
         coulomb_rate: Rate(0),
-        ki: 0,
+        ki: Gain(0),
     }
 }
 
@@ -106,7 +106,7 @@ proptest! {
         config.viscous = (viscous * NEWTON / MM * 16777216.0) as u32;
         config.coulomb = Effort((coulomb * NEWTON) as i32);
         config.coulomb_rate = rate(knee);
-        config.ki = (ki * 256.0) as u32;
+        config.ki = Gain((ki * 256.0) as u32);
         let mut fixed = PositionLaw::new(&config, Effort(i32::MAX), period);
         fixed.reset(Coordinate(0));
         let step = f64::from(period) * 1e-6;
@@ -124,14 +124,14 @@ proptest! {
             let change = (1.0 - pole) * (e - low);
             low += change;
             let v = f64::from(wanted_rate.0) / MM;
-            let mut a = f64::from(config.kp) / 256.0 * e + f64::from(config.kd) / 256.0 * change / step + integral;
+            let mut a = f64::from(config.kp.0) / 256.0 * e + f64::from(config.kd.0) / 256.0 * change / step + integral;
             let mut exact = coulomb * libm::tanh(v / knee);
             if form == LawForm::ModelBased {
                 a += f64::from(wanted_acceleration.0) / 4096.0;
                 exact += viscous * v;
             }
             exact += inertia * a;
-            integral += f64::from(config.ki) / 256.0 * step * e;
+            integral += f64::from(config.ki.0) / 256.0 * step * e;
             let given = f64::from(effort.0) / NEWTON;
             let bound = 2e-3 + 4e-4 * coulomb + 1e-6 * inertia * a.abs() + 1e-4 * inertia * integral.abs() + 1e-4 * (viscous * v).abs();
             prop_assert!((given - exact).abs() <= bound, "{given} {exact} bound {bound}");
@@ -145,7 +145,7 @@ proptest! {
         frames in prop::collection::vec(any::<(i32, i32, i32)>(), 1..60),
     ) {
         for form in [LawForm::Pd, LawForm::ModelBased] {
-            let config = Law { form, kp, kd, rate_filter_us, inertia, viscous, coulomb: Effort(coulomb), coulomb_rate: Rate(coulomb_rate), ki };
+            let config = Law { form, kp: Gain(kp), kd: Gain(kd), rate_filter_us, inertia, viscous, coulomb: Effort(coulomb), coulomb_rate: Rate(coulomb_rate), ki: Gain(ki) };
             let mut law = PositionLaw::new(&config, Effort(limit), period);
             for &(error, rate, acceleration) in &frames {
                 let (effort, _) = law.effort(Coordinate(error), Rate(rate), Acceleration(acceleration));
@@ -245,7 +245,7 @@ fn the_derivative_brakes() {
 #[test]
 fn the_integrator_does_not_wind_up() {
     let mut config = law(LawForm::Pd, 40_000.0, 400.0, 1500);
-    config.ki = 1_000_000 * 256;
+    config.ki = Gain(1_000_000 * 256);
     let limit = 400.0;
     let mut law = PositionLaw::new(&config, Effort((limit * NEWTON) as i32), 200);
     law.reset(Coordinate(0));

@@ -57,7 +57,7 @@ fn encoder(reversed: bool) -> Encoder {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(40))]
+    #![proptest_config(ProptestConfig { cases: 40, rng_seed: proptest::test_runner::RngSeed::Fixed(1), failure_persistence: None, ..ProptestConfig::default() })]
 
     /// Counting from states and counting edge by edge through the decoder are the same counter.
     #[test]

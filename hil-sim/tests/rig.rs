@@ -463,6 +463,7 @@ fn any_direction() -> impl Strategy<Value = Direction> {
 }
 
 proptest! {
+    #![proptest_config(ProptestConfig { rng_seed: proptest::test_runner::RngSeed::Fixed(1), failure_persistence: None, ..ProptestConfig::default() })]
     /// A fault and its line of text are the same thing.
     #[test]
     fn faults_as_text(

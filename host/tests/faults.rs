@@ -145,7 +145,7 @@ fn a_machine_that_fails_stops_and_says_what_to_do() {
         ("drive-tripped axis=0 at=6s", "l1"),
         ("drive-reversed axis=4 at=6s", "alpha"),
         ("encoder-noise axis=1 per-second=2000 at=6s", "l2"),
-        ("missed-periods count=20 at=6s", ""),
+        ("missed-periods count=5 at=6s", ""),
         ("emergency-stop at=6s", ""),
         ("slide-jammed axis=2", "l3"),
         ("index-missing axis=1", "l2"),

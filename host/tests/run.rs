@@ -7,6 +7,7 @@ use haptimill::record::{RECORD_BYTES, Recording};
 use scene::{Folder, Ran, haptimill, number, root, start};
 use serde_json::Value;
 use std::path::Path;
+use std::time::Duration;
 
 /// Runs a program of examples/ into `out` and gives its summary.
 fn job(folder: &Folder, out: &str, program: &str, more: &[&str]) -> Value {
@@ -441,6 +442,11 @@ fn ctrl_c_stops_the_simulated_job_along_its_path_and_keeps_the_trace() {
     let file = folder.file("long.ngc", format!("G21 G90 F300\n{lines}"));
     let mut run = start(&["run", &file, "--out", &folder.path("out")]);
     run.says("running");
+    let recording = folder.path("out/recording.hmr");
+    while std::fs::metadata(&recording).map_or(0, |file| file.len()) < 1_000_000 {
+        assert!(run.runs());
+        std::thread::sleep(Duration::from_millis(2));
+    }
     run.interrupt();
     let ran = run.end().ended_with(7);
     assert!(

@@ -117,7 +117,6 @@ fn one_shot_commands_follow_each_other() {
     );
     // Nothing moves afterwards.
     assert_eq!(served.status()["wanted"], jogged["wanted"]);
-    // Against the soft limit of 35 degrees, from 1.5 degrees in front of it.
     served.does(&["jog", "theta=25", "--for", "1.3"]);
     let limited = served
         .tries(&["jog", "theta=20", "--for", "1.5", "--json"])
@@ -127,7 +126,9 @@ fn one_shot_commands_follow_each_other() {
         limited.err.contains("theta stopped in front of its limit"),
         "{limited:?}"
     );
-    assert!(theta > 30.0 && theta <= 35.0, "{limited:?}");
+    // Here it is a slide's stroke that ends it, before the soft limit of 35 degrees.
+    assert!(theta > 29.0 && theta <= 35.0, "{limited:?}");
+    assert_eq!(limited.err.lines().count(), 1, "{}", limited.err);
     served.does(&["jog", "theta=-20", "--for", "1.5"]);
     let axis = served.tries(&["jog", "q=1"]).ended_with(2);
     assert!(axis.err.contains("x, y, z, theta, alpha"), "{}", axis.err);
@@ -267,14 +268,22 @@ fn a_host_that_dies_is_noticed_and_the_machine_stops_on_its_path() {
     let served = Served::on_tcp(&[]);
     let mut run = under_way(&served, &folder, &long_program(&folder));
     run.kill();
-    // The heartbeat is 500 ms, slowing down 300 ms; a new host may come at once and must not hide the loss of the old one.
+    // The heartbeat is 500 ms, slowing down 300 ms. A new host that comes at once is sent away until the machine brakes for want of the old
+    // one: it must not hide the loss.
     let lost = Instant::now();
     let status = loop {
-        let status = served.status();
+        assert!(lost.elapsed() < Duration::from_secs(10));
+        let ran = served.tries(&["status", "--json"]);
+        if ran.code != 0 {
+            let why = "another program is connected";
+            assert!(ran.code == 5 && ran.err.contains(why), "{ran:?}");
+            continue;
+        }
+        let status = ran.json();
         if status["state"] == "Fault" {
             break status;
         }
-        assert!(lost.elapsed() < Duration::from_secs(5), "{status:#}");
+        assert_eq!(status["state"], "Hold", "{status:#}");
     };
     assert!(
         status["fault"].as_str().unwrap().contains("host"),

@@ -101,6 +101,9 @@ pub enum Command {
         length: u16,
         /// CRC-32 (ISO-HDLC) of the whole configuration.
         crc: u32,
+        /// The joints stand at their presets, set up by hand: count from there. Otherwise what is known of the position is kept, or given up
+        /// if the new configuration counts differently. The first configuration after power on always counts from the presets.
+        at_preset: bool,
     },
     /// Drives on: wanted becomes measured, nothing moves.
     Enable,

@@ -42,6 +42,7 @@ fn requests_fit_a_frame() {
         Command::Activate {
             length: u16::MAX,
             crc: u32::MAX,
+            at_preset: true,
         },
         Command::JobStart {
             job: u32::MAX,

@@ -157,6 +157,7 @@ impl<C: Control> Bench<C> {
         self.ask(Command::Activate {
             length: bytes.len() as u16,
             crc,
+            at_preset: false,
         })
         .expect("activated");
     }

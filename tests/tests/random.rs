@@ -70,7 +70,7 @@ fn command() -> impl Strategy<Value = Command> {
         1 => Just(Command::Stop),
         1 => Just(Command::EmergencyStop),
         1 => Just(Command::Status),
-        1 => (any::<u16>(), any::<u32>()).prop_map(|(length, crc)| Command::Activate { length, crc }),
+        1 => (any::<u16>(), any::<u32>()).prop_map(|(length, crc)| Command::Activate { length, crc, at_preset: false }),
         1 => (any::<u16>(), prop::collection::vec(any::<u8>(), 0..64))
             .prop_map(|(offset, bytes)| Command::Configure(ConfigChunk { offset, bytes: bytes.into_iter().collect() })),
         1 => (any::<u32>(), rates()).prop_map(|(job, pose)| Command::JobStart { job, pose }),

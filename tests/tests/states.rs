@@ -662,7 +662,14 @@ fn a_moving_machine_refuses_what_needs_rest() {
     assert_eq!(bench.ask(Command::Enable), run);
     assert_eq!(bench.ask(Command::Home), run);
     assert_eq!(bench.ask(Command::JobStart { job: 2, pose }), run);
-    assert_eq!(bench.ask(Command::Activate { length: 1, crc: 0 }), run);
+    assert_eq!(
+        bench.ask(Command::Activate {
+            length: 1,
+            crc: 0,
+            at_preset: false
+        }),
+        run
+    );
     assert_eq!(
         bench.ask(Command::Source {
             axis: 0,

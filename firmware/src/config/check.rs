@@ -1,6 +1,9 @@
 //! What makes a configuration acceptable. A refused one names the field, and the axis it belongs to.
 
-use super::{AxisKind, Config, Drive, JointAxis, Model, PoseAxis};
+use super::{AxisKind, Config, Drive, JointAxis, Law, Model, PoseAxis};
+use crate::kinematics::h4::H4;
+use crate::kinematics::machine::Machine;
+use crate::kinematics::{Joints, Kinematics};
 use crate::motion::{jog, program};
 use haptimill_protocol::message::{ConfigField, ConfigProblem, MAX_AXES};
 
@@ -58,8 +61,29 @@ impl Config {
             None,
         )?;
         require(
-            self.supervision.missed_periods >= 1,
+            (1..=50).contains(&self.supervision.missed_periods),
             ConfigField::Period,
+            None,
+        )?;
+        require(
+            self.supervision.illegal_transitions <= 1000,
+            ConfigField::Encoder,
+            None,
+        )?;
+        // Stopping from the full rate asks for an acceleration of its own; beyond four times that of a jog it would end in a following error.
+        let stop_us = i64::from(self.stopping.time_ms - self.stopping.ramp_ms) * 1000;
+        for (index, axis) in self.pose.iter().enumerate() {
+            let braking = (i64::from(axis.rate.0) * 1_000_000 / stop_us) >> 8;
+            let gentle = braking <= 4 * i64::from(axis.acceleration.0);
+            require(gentle, ConfigField::StopTime, Some(index))?;
+        }
+        let mut presets = Joints::default();
+        for (slot, joint) in presets.0.iter_mut().zip(&self.joints) {
+            *slot = joint.preset;
+        }
+        require(
+            Machine::new(self).forward(&presets).is_ok(),
+            ConfigField::Homing,
             None,
         )?;
         require(
@@ -89,7 +113,7 @@ impl Config {
             ]
             .iter()
             .all(|value| length(value.0, -1000, 1000));
-        require(sound, ConfigField::Geometry, None)?;
+        require(sound && H4::is_sound(geometry), ConfigField::Geometry, None)?;
         // Coordinates of the model: x, y, z linear; theta, alpha rotary; slides linear; table rotary.
         let linear = [true, true, true, false, false];
         let linear_joints = [true, true, true, true, false];
@@ -138,7 +162,10 @@ impl Config {
             here,
         )?;
         require(
-            axis.following.0 > 0 && axis.still.0 > 0 && axis.following_lag < 1 << 16,
+            axis.following.0 > 0
+                && axis.following <= axis.index_pitch
+                && axis.still.0 > 0
+                && axis.following_lag < 1 << 16,
             ConfigField::Following,
             here,
         )?;
@@ -159,7 +186,7 @@ impl Config {
                 require(sound, ConfigField::Drive, here)?;
                 let law = &axis.law;
                 require(
-                    law.kp > 0 && law.kp < 1 << 28 && law.kd > 0 && law.kd < 1 << 22,
+                    law.kp.0 > 0 && law.kp.0 < 1 << 28 && law.kd.0 > 0 && law.kd.0 < 1 << 22,
                     ConfigField::Gain,
                     here,
                 )?;
@@ -169,9 +196,10 @@ impl Config {
                     here,
                 )?;
                 // A sampled rate loop with K_D T above 1 cannot be damped.
-                let damping = u64::from(law.kd) * u64::from(self.period_us) < 256 * 1_000_000;
+                let damping = u64::from(law.kd.0) * u64::from(self.period_us) < 256 * 1_000_000;
                 require(damping, ConfigField::Gain, here)?;
-                require(law.rate_filter_us <= 50_000, ConfigField::Filter, here)
+                require(law.rate_filter_us <= 50_000, ConfigField::Filter, here)?;
+                require(stable(law, self.period_us), ConfigField::Gain, here)
             }
             Drive::Steps {
                 per_step,
@@ -181,7 +209,7 @@ impl Config {
                 hold,
                 lost,
             } => {
-                let steps = (1 << 20..1 << 44).contains(&per_step.unsigned_abs());
+                let steps = (1 << 24..1 << 44).contains(&per_step.unsigned_abs());
                 let clock = (1..=1000).contains(ticks_per_us);
                 let ticks = u32::from(*ticks_per_us) * u32::from(self.period_us);
                 let fits = *pulse > 0
@@ -194,6 +222,21 @@ impl Config {
             }
         }
     }
+}
+
+/// Whether the loop on a mass, with its filter tau and a lag of 1.5 periods T, is damped with a margin of two: the damping that the filter
+/// leaves, K_D / (1 + K_P tau^2), must be twice what the lag takes, 1.5 T K_P; and K_I must stay below a quarter of K_P K_D.
+fn stable(law: &Law, period_us: u16) -> bool {
+    let (kp, kd, ki) = (
+        u128::from(law.kp.0),
+        u128::from(law.kd.0),
+        u128::from(law.ki.0),
+    );
+    let (filter, period) = (u128::from(law.rate_filter_us), u128::from(period_us));
+    // Gains have 8 fraction bits, times are in microseconds.
+    let damping = kd * 256 * 1_000_000_000_000 * 1_000_000;
+    let lag = 3 * kp * period * (256 * 1_000_000_000_000 + kp * filter * filter);
+    damping >= lag && ki * 1024 < kp * kd
 }
 
 fn within(value: i32) -> bool {

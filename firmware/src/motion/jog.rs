@@ -7,18 +7,18 @@
 use super::Wanted;
 use super::ramp::{Ramp, RampLimits};
 use crate::config::{Config, JERK_SHIFT};
-use crate::kinematics::{Kinematics, Pose};
+use crate::kinematics::{Accelerations, Kinematics, Pose, Rates};
 use crate::units::{Acceleration, Coordinate, Rate};
 use haptimill_protocol::message::MAX_AXES;
 
-/// Fraction bits of positions and rates here: 2^-24 axis units (per period).
-const FRACTION: u32 = 24;
+/// Fraction bits of positions and rates here: 2^-20 axis units (per period).
+const FRACTION: u32 = 20;
 
 #[derive(Debug, Clone, Copy, Default)]
 struct Axis {
-    /// Position, 2^-24 axis units.
+    /// Position, 2^-20 axis units.
     position: i64,
-    /// Rate, 2^-24 axis units per period.
+    /// Rate, 2^-20 axis units per period.
     rate: Ramp,
     target: i64,
     limits: Option<RampLimits>,
@@ -33,13 +33,15 @@ pub struct Jog {
     axes: usize,
     period_us: u16,
     axis: [Axis; MAX_AXES],
+    /// Largest rates of the joints, axis units per second.
+    joint_rates: [i64; MAX_AXES],
     /// Periods that the present targets still live.
     alive: u32,
     /// Soft limits are respected (not while homing: coordinates are not yet right).
     limited: bool,
 }
 
-/// Bounds of a rate in 2^-24 axis units per period, from the limits of a pose coordinate; `None` if they make no sense.
+/// Bounds of a rate in 2^-20 axis units per period, from the limits of a pose coordinate; `None` if they make no sense.
 #[must_use]
 pub fn rate_limits(acceleration: Acceleration, jerk: u32, period_us: u16) -> Option<RampLimits> {
     // Once per configuration: wide arithmetic costs nothing here. (au/s^2) (us)^2 / 10^12, (au/s^3) (us)^3 / 10^18.
@@ -66,6 +68,9 @@ impl Jog {
             axis.rate_limit = per_period(i64::from(pose.rate.0), config.period_us);
             axis.low = i64::from(pose.low.0) << FRACTION;
             axis.high = i64::from(pose.high.0) << FRACTION;
+        }
+        for (slot, joint) in jog.joint_rates.iter_mut().zip(&config.joints) {
+            *slot = i64::from(joint.rate.0);
         }
         jog
     }
@@ -110,7 +115,7 @@ impl Jog {
         self.alive == 0 && self.axis.iter().all(|axis| axis.rate.is_zero())
     }
 
-    /// Between which positions a coordinate stays if it goes on for one period and brakes then; 2^-24 axis units, `None` when they
+    /// Between which positions a coordinate stays if it goes on for one period and brakes then; 2^-20 axis units, `None` when they
     /// are too far to say.
     fn sweep(axis: &Axis, target: i64) -> Option<(i64, i64)> {
         let limits = axis.limits.as_ref()?;
@@ -137,6 +142,7 @@ impl Jog {
                     limited = Some(index as u8);
                 }
             }
+            self.slow_for_joints(machine, &mut targets);
             if targets != [0; MAX_AXES] && !self.reaches(machine, &targets) {
                 limited = (0..self.axes)
                     .find(|&index| targets[index] != 0)
@@ -156,6 +162,30 @@ impl Jog {
             ));
         }
         (wanted, limited)
+    }
+
+    /// Makes all targets smaller by the same part where a joint would go faster than it may: near a bound of the workspace slides move many times
+    /// as fast as the tool.
+    fn slow_for_joints(&self, machine: &impl Kinematics, targets: &mut [i64; MAX_AXES]) {
+        let (mut pose, mut rates) = (Pose::default(), Rates::default());
+        for (index, axis) in self.axis[..self.axes].iter().enumerate() {
+            pose.0[index] = Coordinate((axis.position >> FRACTION) as i32);
+            rates[index] = Rate(saturate(per_second(targets[index], self.period_us)));
+        }
+        let Ok(motion) = machine.inverse_motion(&pose, &rates, &Accelerations::default()) else {
+            return;
+        };
+        // The largest part of its limit that a joint takes, in 2^-16.
+        let part = motion.rates[..self.axes]
+            .iter()
+            .zip(&self.joint_rates)
+            .map(|(rate, limit)| (i64::from(rate.0).abs() << 16) / (*limit).max(1))
+            .fold(1 << 16, i64::max);
+        if part > 1 << 16 {
+            for target in targets.iter_mut() {
+                *target = ((*target >> 8) << 16) / part * (1 << 8);
+            }
+        }
     }
 
     /// Whether a coordinate must brake now to stop in front of its soft limit.
@@ -203,15 +233,15 @@ impl Jog {
     }
 }
 
-/// Axis units per second -> 2^-24 axis units per period, for |rate| <= 2^32.
+/// Axis units per second -> 2^-20 axis units per period, for |rate| <= 2^32.
 fn per_period(rate: i64, period_us: u16) -> i64 {
-    // 2^24 / 10^6 = 2^18 / 15625.
-    rate * i64::from(period_us) / 15_625 * (1 << 18)
+    // 2^20 / 10^6 = 2^14 / 15625.
+    (rate * i64::from(period_us) * (1 << 14)) / 15_625
 }
 
-/// 2^-24 axis units per period -> axis units per second.
+/// 2^-20 axis units per period -> axis units per second.
 fn per_second(rate: i64, period_us: u16) -> i64 {
-    ((rate >> 8) * 1_000_000 / i64::from(period_us.max(1))) >> 16
+    ((rate >> 8) * 1_000_000 / i64::from(period_us.max(1))) >> 12
 }
 
 fn saturate(x: i64) -> i32 {

@@ -75,6 +75,7 @@ pub struct Program {
     axes: usize,
     rotary: [bool; MAX_AXES],
     rate_limits: [i64; MAX_AXES],
+    acceleration_limits: [i64; MAX_AXES],
     period_us: u16,
     periods_per_second: i64,
     braking: Option<RampLimits>,
@@ -84,6 +85,8 @@ pub struct Program {
     queue: Deque<Knot, QUEUE>,
     /// Sum of the spans in the queue, in periods.
     queued_periods: u64,
+    /// Setpoints at rest that are not reached yet.
+    rests_ahead: u32,
     /// The newest setpoint taken (or the start pose).
     tail: Knot,
     /// The setpoint reached last (or the start pose).
@@ -141,6 +144,7 @@ impl Program {
         for (axis, pose) in config.pose.iter().enumerate() {
             program.rotary[axis] = pose.kind == AxisKind::Rotary;
             program.rate_limits[axis] = i64::from(pose.rate.0);
+            program.acceleration_limits[axis] = i64::from(pose.acceleration.0) * 16;
         }
         program.braking_periods = program.braking.map_or(0, |limits| {
             Ramp::at(FULL_RATE)
@@ -155,6 +159,7 @@ impl Program {
     pub fn begin(&mut self, pose: &Pose) {
         self.queue.clear();
         self.queued_periods = 0;
+        self.rests_ahead = 0;
         self.tail = Knot::default();
         self.tail.pose = pose.0.map(|coordinate| coordinate.0);
         self.from = self.tail;
@@ -194,12 +199,16 @@ impl Program {
             return Err(bad);
         }
         let segment = self.segment_between(&self.tail, &knot).ok_or(bad)?;
-        if (0..self.axes).any(|axis| self.too_fast(axis, &self.tail, &knot, &segment.span)) {
+        if (0..self.axes).any(|axis| {
+            self.too_fast(axis, &self.tail, &knot, &segment.span)
+                || self.too_fast_between(axis, &segment)
+        }) {
             return Err(bad);
         }
         self.queue.push_back(knot).map_err(|_| Refusal::QueueFull)?;
         self.queued_periods += u64::from(knot.periods);
         self.tail = knot;
+        self.rests_ahead += u32::from(knot.at_rest());
         self.accepted = self.accepted.wrapping_add(1);
         if let Some(starving) = self.starving
             && starving.setpoint == number
@@ -264,6 +273,7 @@ impl Program {
     /// Goes on after a pause.
     pub fn leave_pause(&mut self) {
         self.paused = false;
+        self.started = self.started && self.may_leave_rest();
     }
 
     /// The report on setpoints that were late, once.
@@ -289,12 +299,11 @@ impl Program {
         // A pause at the last setpoint is waited for like any other.
         let finished = self.total == Some(self.reached) && !self.paused;
         if !self.started {
-            let covered = self.queued_periods >= 4 * self.braking_periods || self.queue.is_full();
-            self.started = !halt && (self.total.is_some() || covered);
+            self.started = !halt && self.may_leave_rest();
             // At rest any path rate is the same motion: begin with the one that is wanted, unless the queue is full of spans so short
             // that there would be no stopping on them.
             self.path_rate = Ramp::at(
-                if self.total.is_some() || self.queued_periods >= 4 * self.braking_periods {
+                if !self.queue.is_full() || self.queued_periods >= 4 * self.braking_periods {
                     self.override_rate
                 } else {
                     0
@@ -316,12 +325,22 @@ impl Program {
         (self.wanted(), progress)
     }
 
+    /// Whether the way from a rest is long enough to come to rest again if nothing more arrives: a rest lies ahead, or more than braking takes,
+    /// or all that the queue can hold.
+    fn may_leave_rest(&self) -> bool {
+        self.total.is_some()
+            || self.rests_ahead > 0
+            || self.queued_periods >= 4 * self.braking_periods
+            || self.queue.is_full()
+    }
+
     /// Decides whether the queue still covers the way to rest.
     fn watch_coverage(&mut self, braking: &RampLimits) {
         if let Some(starving) = &mut self.starving {
             starving.periods = starving.periods.saturating_add(1);
         }
-        if self.tail.at_rest() {
+        // At a rest ahead the motion ends by itself, and goes on only when enough has come.
+        if self.rests_ahead > 0 {
             self.starving = None;
             return;
         }
@@ -380,6 +399,9 @@ impl Program {
             self.from = segment.to;
             self.segment = None;
             self.reached = self.reached.wrapping_add(1);
+            if self.from.at_rest() {
+                self.rests_ahead = self.rests_ahead.saturating_sub(1);
+            }
             match self.from.action {
                 Action::None => {}
                 Action::Spindle(speed) => progress.spindle = Some(speed),
@@ -393,6 +415,11 @@ impl Program {
             if self.total == Some(self.reached) {
                 self.time = 0;
                 progress.finished = true;
+                return;
+            }
+            if self.from.at_rest() && !self.may_leave_rest() {
+                self.time = 0;
+                self.started = false;
                 return;
             }
         }
@@ -448,6 +475,20 @@ impl Program {
             )?;
         }
         Some(segment)
+    }
+
+    /// Whether the rate inside the span is beyond the axis' limit (with 2 % for rounding), or the acceleration at its ends beyond 16 times that
+    /// of a jog: such a setpoint is a mistake, not a motion.
+    fn too_fast_between(&self, axis: usize, segment: &Segment) -> bool {
+        let cubic = &segment.cubics[axis];
+        let limit = self.rate_limits[axis] + self.rate_limits[axis] / 50;
+        let most = self.acceleration_limits[axis];
+        let peak = cubic
+            .turning(&segment.span)
+            .map_or(0, |at| i64::from(cubic.sample(at, &segment.span).rate.0));
+        let sharp =
+            |at: u32| i64::from(cubic.sample(at, &segment.span).acceleration.0).abs() > most;
+        peak.abs() > limit || sharp(0) || sharp(u32::MAX)
     }
 
     /// Whether the rate at the setpoint, or the mean rate towards it, is beyond the axis' limit (with 2 % for rounding).

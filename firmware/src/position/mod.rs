@@ -56,14 +56,14 @@ impl PositionLaw {
             limit.0.abs()
         };
         // Q8 to Q20, per second to per period; a gain of more than 4096 1/s^2 per period saturates.
-        let ki = ((law.ki as u64) << 12) * period_us as u64 / 1_000_000;
+        let ki = ((law.ki.0 as u64) << 12) * period_us as u64 / 1_000_000;
         let inertia = if law.inertia == 0 { 1 } else { law.inertia } as i64;
         let most = ((limit as i64) << 28) / inertia;
         let most = if most > 1 << 42 { 1 << 42 } else { most };
         Self {
             form: law.form,
-            kp: law.kp,
-            kd: law.kd,
+            kp: law.kp.0,
+            kd: law.kd.0,
             inertia: law.inertia,
             viscous: law.viscous,
             friction: Friction::new(law.coulomb, law.coulomb_rate),

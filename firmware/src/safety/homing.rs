@@ -6,6 +6,7 @@
 //! index far from where the preset says it is, a pose that the machine cannot take: each ends the homing of all joints.
 
 use crate::config::{AxisKind, Config, JointAxis};
+use crate::kinematics::Pose;
 use crate::motion::jog::Jog;
 use crate::units::Coordinate;
 use haptimill_protocol::message::{Fault, HomingProblem, MAX_AXES};
@@ -47,14 +48,19 @@ const SEARCH_COORDINATES: [usize; 2] = [0, 4];
 impl Homing {
     /// Begins the search: sets the jog going.
     #[must_use]
-    pub fn begin(config: &Config, jog: &mut Jog) -> Self {
+    pub fn begin(config: &Config, pose: &Pose, jog: &mut Jog) -> Self {
         let mut rates = [0_i64; MAX_AXES];
         for coordinate in SEARCH_COORDINATES {
             if let Some(axis) = config.pose.get(coordinate) {
-                rates[coordinate] = i64::from(match axis.kind {
+                let rate = i64::from(match axis.kind {
                     AxisKind::Linear => config.homing.rate.0,
                     AxisKind::Rotary => config.homing.table_rate.0,
                 });
+                // Upwards, but from the upper part of the way back towards its middle.
+                let (low, high) = (i64::from(axis.low.0), i64::from(axis.high.0));
+                let turning = high - (high - low) / 4;
+                let here = i64::from(pose.0[coordinate].0);
+                rates[coordinate] = if here > turning { -rate } else { rate };
             }
         }
         let left = config

@@ -21,6 +21,22 @@ macro_rules! quantity {
     };
 }
 
+/// A gain of a loop, 2^-8 of its unit (1/s^2, 1/s or 1/s^3, by its place), up to 16.7 million.
+#[derive(
+    Debug,
+    Clone,
+    Copy,
+    Default,
+    PartialEq,
+    Eq,
+    PartialOrd,
+    Ord,
+    serde::Serialize,
+    serde::Deserialize,
+)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Gain(pub u32);
+
 quantity! {
     /// A length, 2^-20 mm (0.95 nm), +-2048 mm.
     Length

@@ -4,7 +4,7 @@ use haptimill_firmware::config::{
     AxisKind, Config, Drive, H4Geometry, Homing, JointAxis, Law, LawForm, Model, PoseAxis,
     Stopping, Supervision,
 };
-use haptimill_firmware::units::{Acceleration, Coordinate, Effort, Length, Rate};
+use haptimill_firmware::units::{Acceleration, Coordinate, Effort, Gain, Length, Rate};
 
 /// Millimetres in axis units.
 pub fn mm(x: f64) -> i32 {
@@ -49,14 +49,14 @@ fn slide(preset: f64) -> JointAxis {
         },
         law: Law {
             form: LawForm::ModelBased,
-            kp: 40_000 << 8,
-            kd: 400 << 8,
+            kp: Gain(40_000 << 8),
+            kd: Gain(400 << 8),
             rate_filter_us: 1500,
             inertia: (40.0 * 0.016 * f64::from(1 << 20)) as u32,
             viscous: 0,
             coulomb: Effort(32 << 16),
             coulomb_rate: Rate(mm(0.2)),
-            ki: 0,
+            ki: Gain(0),
         },
         following: Coordinate(mm(0.5)),
         following_lag: 1311,

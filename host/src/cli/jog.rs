@@ -106,9 +106,12 @@ pub fn run(args: JogArgs) -> Result<(), CliError> {
     if let Some(refusal) = refused {
         return Err(CliError::new(Exit::Command, format!("jog: {refusal}")));
     }
+    let mut limited = Vec::new();
     for (_, event) in &session.events[first..] {
         match event {
-            Event::JogLimited { axis } => {
+            // Every jog command that runs against the limit says so; once is enough for people.
+            Event::JogLimited { axis } if !limited.contains(axis) => {
+                limited.push(*axis);
                 let name = machine
                     .pose
                     .get(usize::from(*axis))
@@ -126,7 +129,16 @@ pub fn run(args: JogArgs) -> Result<(), CliError> {
 fn rates(args: &JogArgs, machine: &MachineFile) -> Result<AxisValues, CliError> {
     let mut rates: Vec<i32> = vec![0; machine.pose.len()];
     let usage = |what: String| CliError::new(Exit::Usage, what);
-    for wanted in &args.axes {
+    for (place, wanted) in args.axes.iter().enumerate() {
+        if args.axes[..place]
+            .iter()
+            .any(|before| before.axis == wanted.axis)
+        {
+            return Err(usage(format!(
+                "{} is given twice; leave one out",
+                wanted.axis
+            )));
+        }
         let Some(index) = machine
             .pose
             .iter()

@@ -37,7 +37,7 @@ same protocol, a simulated arm. Without --machine the machine is the built-in H-
 
 const EXAMPLES: &str = "\
 Examples:
-  haptimill run examples/circle.ngc                      a job in the simulator
+  haptimill run examples/e11-circle.ngc                   a job in the simulator
   haptimill run part.ngc --check                         would it run? nothing moves
   haptimill run part.ngc --port /dev/ttyACM0 --out job7  a job on a machine
   haptimill sim serve --listen tcp:127.0.0.1:7000        a machine for other programs to talk to

@@ -90,10 +90,7 @@ pub fn home(args: HomeArgs) -> Result<(), CliError> {
     let machine = args.one_shot.machine.load()?;
     let mut session = open(&args.one_shot.connect, &machine)?;
     if args.at_preset {
-        let (bytes, _) = machine
-            .encoded()
-            .map_err(|error| CliError::new(Exit::Internal, error))?;
-        session.reconfigure(&bytes)?;
+        session.configure_at_preset(&machine)?;
     } else {
         session.configure(&machine)?;
     }
@@ -128,8 +125,9 @@ pub fn stop(args: StopArgs) -> Result<(), CliError> {
     } else {
         session.client_mut().urgent_stop();
         session.ask(Command::Stop)?;
+        // A machine that stood already tells of no change: it has to be asked.
         while session.client_mut().urgent().0 {
-            session.step()?;
+            session.status()?;
         }
     }
     report(&mut session, args.json)

@@ -21,6 +21,7 @@ use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
 
 const LONG: &str = "\
 Run a part program.
@@ -109,6 +110,16 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
     if args.check {
         let plan = &planned.plan;
         let seconds = report::duration(plan.figures.duration_s);
+        if args.json {
+            let value = serde_json::json!({
+                "program": job.name,
+                "blocks": plan.figures.blocks,
+                "setpoints": plan.setpoints.len(),
+                "path_length_mm": plan.figures.path_length_mm,
+                "duration_s": plan.figures.duration_s,
+            });
+            tell!("{value:#}");
+        }
         say(
             &args,
             &format!(
@@ -271,6 +282,13 @@ impl PartProgram {
             .map_err(|refused| CliError::new(Exit::BadInput, refused))?;
         let plan = Plan::new(&program, &settings(machine), model)
             .map_err(|refused| CliError::new(Exit::Refused, refused))?;
+        if plan.figures.blocks == 0 {
+            let what = format!(
+                "{}: no motion in this program; is the file whole?",
+                self.file
+            );
+            return Err(CliError::new(Exit::BadInput, what));
+        }
         // Each pause of the program has a setpoint of its own, in the same order.
         let setpoints = (0..)
             .zip(&plan.setpoints)
@@ -312,6 +330,18 @@ fn prepare(dir: &Path) -> Result<(), CliError> {
             .open(&file)?;
         if !there_was_one {
             std::fs::remove_file(&file)?;
+        }
+        // What an earlier run left would be taken for the result of this one.
+        for name in [
+            report::RECORDING_FILE,
+            report::TRACE_FILE,
+            report::SUMMARY_FILE,
+            report::REPORT_FILE,
+        ] {
+            let old = dir.join(name);
+            if old.exists() {
+                std::fs::remove_file(old)?;
+            }
         }
         Ok(())
     };
@@ -358,11 +388,9 @@ impl Running<'_> {
             self.well_ended(&session, &end)?;
             (self.home.clone(), planned)
         };
-        if self.args.feed_override != 100 {
-            session.ask(Command::Override {
-                percent: self.args.feed_override,
-            })?;
-        }
+        session.ask(Command::Override {
+            percent: self.args.feed_override,
+        })?;
         self.job(session, start, planned)
     }
 
@@ -514,6 +542,9 @@ fn passes_pauses(args: &RunArgs) -> bool {
 /// The progress bar, with the time left.
 struct Bar {
     bar: ProgressBar,
+    begun: Instant,
+    /// The job takes its own time; in the simulator it goes by faster.
+    real_time: bool,
     period_s: f64,
     lines: Vec<u32>,
     pauses: BTreeMap<u32, u32>,
@@ -541,6 +572,8 @@ impl Bar {
             .collect();
         Self {
             bar,
+            begun: Instant::now(),
+            real_time: args.port != PortSpec::Simulator,
             period_s: plan.period_s,
             lines,
             pauses,
@@ -564,10 +597,17 @@ impl Watcher for Bar {
             .get(telemetry.setpoint as usize)
             .copied()
             .unwrap_or(0);
-        self.bar.set_message(format!(
-            "line {line}, {} left",
-            report::duration((total - done).max(0.0))
-        ));
+        let pace = if self.real_time {
+            1.0
+        } else {
+            self.begun.elapsed().as_secs_f64() / done.max(0.1)
+        };
+        let left = ((total - done).max(0.0) * pace).ceil();
+        let left = match left {
+            s if s < 60.0 => format!("{s} s"),
+            s => report::duration(s),
+        };
+        self.bar.set_message(format!("line {line}, {left} left"));
     }
 
     fn paused(&mut self, setpoint: u32) {

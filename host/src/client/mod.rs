@@ -176,15 +176,16 @@ impl Client {
         self.jog_epoch = self.jog_epoch.wrapping_add(1).max(1);
     }
 
-    /// Makes a configuration (as encoded by the firmware's types) the active one, unless it is already. Answered as `activate`.
-    pub fn configure(&mut self, config: &[u8]) -> Ticket {
+    /// Makes a configuration (as encoded by the firmware's types) the active one, unless it is already. Answered as `activate`. With
+    /// `at_preset` it is sent in any case, and the joints are taken to stand at their presets.
+    pub fn configure(&mut self, config: &[u8], at_preset: bool) -> Ticket {
         let crc = crc32(config);
         let Ok(length) = u16::try_from(config.len()) else {
             return self
                 .requests
                 .settled("activate", Err(RequestError::Refused(Refusal::Range)));
         };
-        if length > 0 && crc == self.active_crc {
+        if length > 0 && crc == self.active_crc && !at_preset {
             return self.requests.settled("activate", Ok(()));
         }
         for (index, chunk) in config.chunks(CONFIG_CHUNK).enumerate() {
@@ -194,7 +195,11 @@ impl Client {
             };
             self.requests.tell(Command::Configure(chunk));
         }
-        self.requests.ask(Command::Activate { length, crc })
+        self.requests.ask(Command::Activate {
+            length,
+            crc,
+            at_preset,
+        })
     }
 
     /// Begins a job at `pose`, which must be the wanted pose of the controller to the last bit (see [`Telemetry::wanted`]). The setpoints are

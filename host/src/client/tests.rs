@@ -203,17 +203,17 @@ fn a_configuration_is_sent_once() {
             ..Faults::default()
         },
     );
-    let first = world.client.configure(&config);
+    let first = world.client.configure(&config, false);
     assert!(world.until(5_000_000, |world| world.answer(first).is_some()));
     assert_eq!(world.answer(first), Some(&Ok(())));
     assert_eq!(world.responder.config, config);
-    let again = world.client.configure(&config);
+    let again = world.client.configure(&config, false);
     assert!(world.until(10_000, |world| world.answer(again) == Some(&Ok(()))));
     // A new session with a controller that has it already.
     world.client.connect(0xabcd, world.now_us);
     assert!(world.until(2_000_000, |world| *world.client.state()
         == ClientState::Ready));
-    let third = world.client.configure(&config);
+    let third = world.client.configure(&config, false);
     assert!(world.until(10_000, |world| world.answer(third) == Some(&Ok(()))));
     assert_eq!(world.responder.activated, 1);
 }

@@ -6,7 +6,7 @@ use super::scale::{
 };
 use super::stability::{Gains, spectral_radius};
 use haptimill_firmware::config::{AxisKind, Drive, JointAxis, Law, LawForm, PoseAxis};
-use haptimill_firmware::units::{Acceleration, Coordinate, Effort, Rate};
+use haptimill_firmware::units::{Acceleration, Coordinate, Effort, Gain, Rate};
 
 /// An axis in people's units: millimetres on a linear axis, degrees on a rotary one.
 #[derive(Debug, Clone, PartialEq)]
@@ -305,14 +305,14 @@ fn no_drive() -> Drive {
 fn no_law() -> Law {
     Law {
         form: LawForm::ModelBased,
-        kp: 0,
-        kd: 0,
+        kp: Gain(0),
+        kd: Gain(0),
         rate_filter_us: 0,
         inertia: 0,
         viscous: 0,
         coulomb: Effort(0),
         coulomb_rate: Rate(0),
-        ki: 0,
+        ki: Gain(0),
     }
 }
 
@@ -457,14 +457,14 @@ fn law(
     }
     let law = Law {
         form: form.unwrap_or(LawForm::ModelBased),
-        kp: to_u32(gains.kp * PER_GAIN),
-        kd: to_u32(gains.kd * PER_GAIN),
+        kp: Gain(to_u32(gains.kp * PER_GAIN)),
+        kd: Gain(to_u32(gains.kd * PER_GAIN)),
         rate_filter_us: to_u16(gains.rate_filter * 1e6),
         inertia: scale::inertia(inertia, kind),
         viscous: scale::viscous(viscous, kind),
         coulomb: Effort(to_i32(coulomb * PER_EFFORT)),
         coulomb_rate: Rate(to_i32(coulomb_rate * per_unit(kind))),
-        ki: to_u32(gains.ki * PER_GAIN),
+        ki: Gain(to_u32(gains.ki * PER_GAIN)),
     };
     section.finish();
     law

@@ -123,6 +123,7 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
+        #![proptest_config(ProptestConfig { rng_seed: proptest::test_runner::RngSeed::Fixed(1), failure_persistence: None, ..ProptestConfig::default() })]
         /// Integrating the phases ends at the length and the speed that were asked for, within the limits.
         #[test]
         fn phases_integrate_to_length_and_speed(

@@ -255,6 +255,10 @@ impl Scan<'_> {
                 "a number stands without a letter".into(),
                 "write the letter of the word in front of the number",
             ),
+            b',' => (
+                "a comma is not known".into(),
+                "write decimals with a point: X10.5",
+            ),
             0x20..=0x7E => (
                 format!("'{}' is not known", char::from(byte)),
                 "take it out, or put it in a comment ( )",

@@ -6,7 +6,7 @@ use std::fmt::Write as _;
 use std::io::{self, Write};
 use std::path::PathBuf;
 
-/// Writes every `every`th record (and the last) as a row. Units stand in the names of the columns; a cell is empty where the recording has no value.
+/// Writes a row every `every` control periods, and one for the last record; where a recording has fewer records than that (telemetry), each is a row. Units stand in the names of the columns; a cell is empty where the recording has no value.
 ///
 /// # Errors
 /// The recording cannot be read, or the trace not written.
@@ -22,13 +22,16 @@ pub fn export_csv(
     let every = u64::from(every.max(1));
     let last = recording.records().saturating_sub(1);
     let mut first_period = None;
+    let mut next = 0;
     let mut row = String::new();
     for (index, record) in (0_u64..).zip(recording.iter()?) {
         let record = record?;
         let begin = *first_period.get_or_insert(record.period);
-        if index % every != 0 && index != last {
+        if record.period < next && index != last {
             continue;
         }
+        // Rows stay on the grid that the first one began, as far as there are records.
+        next = begin + (record.period.saturating_sub(begin) / every + 1) * every;
         let time = record.period.saturating_sub(begin) as f64 * recording.period_s();
         row.clear();
         // Writing to a string cannot fail.

@@ -181,6 +181,8 @@ fn paths(page: &mut String, summary: &Summary, statistics: &Statistics, pictures
             let points = points.iter().map(|[p, t]| (shift(p, t, h), shift(p, t, v)));
             vec![points.collect::<Vec<_>>()]
         };
+        // As high as the path needs at this width, so that a long slot is no thin line in an empty square.
+        let height = (70.0 + 520.0 * spans[v] / spans[h].max(1e-3)).clamp(260.0, 500.0);
         let chart = |label: String, colour, factor| Chart {
             x_label: format!("{}, mm", names[h]),
             y_label: format!("{}, mm", names[v]),
@@ -199,7 +201,7 @@ fn paths(page: &mut String, summary: &Summary, statistics: &Statistics, pictures
                 },
             ],
             width: 560.0,
-            height: 500.0,
+            height,
             equal: true,
             from_zero: false,
         };
@@ -327,13 +329,18 @@ fn time_charts(
         line("programmed", "#b7c0ca", 4.0, &pictures.tip_speed[0]),
         line("done", COLOURS[0], 1.2, &pictures.tip_speed[1]),
     ];
+    let over = if statistics.tool_is_true {
+        "averaged over 5 ms"
+    } else {
+        "from one report of the controller to the next"
+    };
     card(
         page,
-        "Speed of the tip in the work, over 25 periods",
+        &format!("Speed of the tip in the work, {over}"),
         &over_time("speed, mm/s", speeds, true),
     );
     let speeds = over_time("speed, mm/s", lines(&slides, &pictures.joint_speed), false);
-    card(page, "Speed of the slides, over 25 periods", &speeds);
+    card(page, &format!("Speed of the slides, {over}"), &speeds);
 
     page.push_str("<h2>Drive commands</h2>");
     let units = recording.drive_units();
@@ -355,7 +362,7 @@ fn time_charts(
         card(
             page,
             "What the drives were asked for",
-            &over_time(label, lines(&axes, &pictures.drives), false),
+            &over_time(label, lines(&axes, &pictures.drives), true),
         );
     }
 }

@@ -203,10 +203,15 @@ impl Summary {
 
 /// A duration for people.
 pub fn duration(seconds: f64) -> String {
-    match seconds {
-        s if s < 60.0 => format!("{s:.2} s"),
-        s if s < 3600.0 => format!("{} min {:02.0} s", (s / 60.0).floor(), s % 60.0),
-        s => format!("{} h {:02.0} min", (s / 3600.0).floor(), s % 3600.0 / 60.0),
+    // Rounded first: 119.7 s is no minute and 60 s.
+    let whole = seconds.round();
+    if seconds < 60.0 {
+        format!("{seconds:.2} s")
+    } else if whole < 3600.0 {
+        format!("{} min {:02} s", (whole / 60.0).floor(), whole % 60.0)
+    } else {
+        let minutes = (seconds / 60.0).round();
+        format!("{} h {:02} min", (minutes / 60.0).floor(), minutes % 60.0)
     }
 }
 

@@ -7,8 +7,9 @@ use crate::record::{Record, Recording, flag};
 use haptimill_firmware::config::AxisKind;
 use std::collections::VecDeque;
 
-/// Periods over which speeds are taken: 5 ms at 200 us, so that a count of an encoder does not look like a jump.
-const SPEED_PERIODS: usize = 25;
+/// Time over which speeds are taken, s: long enough that a count of an encoder does not look like a jump. Where records are farther apart
+/// (telemetry), from one to the next.
+pub const SPEED_SPAN_S: f64 = 0.005;
 
 /// What is gathered for the pictures in one pass over the recording.
 pub struct Pictures {
@@ -39,8 +40,8 @@ pub struct Pictures {
     pub drives: Vec<Columns>,
     /// Each pose coordinate, programmed and done.
     pub angles: Vec<[Columns; 2]>,
-    /// Programmed tip, tool tip and joints of the last periods.
-    history: VecDeque<(Point, Point, Vec<f64>)>,
+    /// Time, programmed tip, tool tip and joints of the last records.
+    history: VecDeque<(f64, Point, Point, Vec<f64>)>,
     linear: [bool; 3],
 }
 
@@ -142,9 +143,11 @@ impl Pictures {
         } else {
             self.path.add(programmed, programmed);
         }
-        self.history.push_back((programmed, tool, joints));
-        if self.history.len() > SPEED_PERIODS {
-            self.add_speeds(time, has_tool);
+        self.history.push_back((time, programmed, tool, joints));
+        // Half a period against rounding.
+        let due = time - SPEED_SPAN_S + self.period_s / 2.0;
+        while self.history.front().is_some_and(|oldest| oldest.0 <= due) {
+            self.add_speeds(has_tool);
         }
     }
 
@@ -161,18 +164,18 @@ impl Pictures {
         }
     }
 
-    fn add_speeds(&mut self, time: f64, has_tool: bool) {
+    /// Speeds between the oldest record of the history, which goes, and the newest.
+    fn add_speeds(&mut self, has_tool: bool) {
         let (Some(old), Some(new)) = (self.history.pop_front(), self.history.back()) else {
             return;
         };
-        let span = SPEED_PERIODS as f64 * self.period_s;
-        let middle = time - span / 2.0;
+        let (span, middle) = (new.0 - old.0, (new.0 + old.0) / 2.0);
         let speed = |a: &Point, b: &Point| distance(a, b) / span;
-        self.tip_speed[0].add(middle, speed(&old.0, &new.0));
+        self.tip_speed[0].add(middle, speed(&old.1, &new.1));
         if has_tool {
-            self.tip_speed[1].add(middle, speed(&old.1, &new.1));
+            self.tip_speed[1].add(middle, speed(&old.2, &new.2));
         }
-        for (axis, (before, after)) in old.2.iter().zip(&new.2).enumerate() {
+        for (axis, (before, after)) in old.3.iter().zip(&new.3).enumerate() {
             self.joint_speed[axis].add(middle, (after - before) / span);
         }
     }

@@ -5,7 +5,13 @@ pub struct Columns {
     begin: f64,
     width: f64,
     columns: Vec<Option<[f64; 2]>>,
+    /// When the last value was, and the least time between two.
+    last: Option<f64>,
+    spacing: f64,
 }
+
+/// A line goes on over so many times the usual distance of values: one of two reports that were lost leaves no hole.
+const BRIDGED: f64 = 4.0;
 
 /// Spans of time in a picture.
 const COLUMNS: usize = 700;
@@ -17,6 +23,8 @@ impl Columns {
             begin,
             width: ((end - begin) / COLUMNS as f64).max(1e-12),
             columns: vec![None; COLUMNS],
+            last: None,
+            spacing: f64::INFINITY,
         }
     }
 
@@ -25,6 +33,11 @@ impl Columns {
         let column = (time - self.begin) / self.width;
         if !value.is_finite() || column < 0.0 {
             return;
+        }
+        if let Some(last) = self.last.replace(time)
+            && time > last
+        {
+            self.spacing = self.spacing.min(time - last);
         }
         if let Some(column) = self.columns.get_mut(column as usize) {
             let [low, high] = column.get_or_insert([value; 2]);
@@ -39,16 +52,17 @@ impl Columns {
         all.fold(0.0, |most, value| most.max(value.abs()))
     }
 
-    /// A line through the extremes, in pieces where columns are empty. Times are from `begin`.
+    /// A line through the extremes, in pieces where values are missing. Times are from `begin`.
     pub fn line(&self) -> Vec<Vec<(f64, f64)>> {
         let mut pieces: Vec<Vec<(f64, f64)>> = Vec::new();
-        let mut empty = true;
+        let bridged = (BRIDGED * self.spacing / self.width).max(1.0);
+        let mut before: Option<usize> = None;
         for (index, column) in self.columns.iter().enumerate() {
             let Some([low, high]) = *column else {
-                empty = true;
                 continue;
             };
-            if std::mem::take(&mut empty) {
+            let near = |before: usize| (index - before) as f64 <= bridged;
+            if !before.replace(index).is_some_and(near) {
                 pieces.push(Vec::new());
             }
             let Some(piece) = pieces.last_mut() else {

@@ -195,7 +195,7 @@ fn a_recording_without_a_job_makes_a_report() {
     let json = serde_json::to_string(&summary).unwrap();
     assert!(!json.contains("null"), "{json}");
     write_html(&recording, &summary, &statistics, &mut Vec::new()).unwrap();
-    assert!(summary.terminal().contains("Disabled"));
+    assert!(summary.terminal().contains("Unknown"));
 }
 
 #[test]
@@ -204,4 +204,29 @@ fn the_terminal_tells_it_in_a_few_lines() {
     let recording = Recording::open(&file.0).unwrap();
     let (summary, _) = Summary::of(&recording, &recorded, &outcome()).unwrap();
     insta::assert_snapshot!("terminal", summary.terminal());
+}
+
+#[test]
+fn durations_are_rounded_as_a_whole() {
+    for (seconds, text) in [
+        (0.0, "0.00 s"),
+        (59.25, "59.25 s"),
+        (60.0, "1 min 00 s"),
+        (119.7, "2 min 00 s"),
+        (3599.4, "59 min 59 s"),
+        (3599.7, "1 h 00 min"),
+        (7199.0, "2 h 00 min"),
+        (3600.0 + 29.0 * 60.0, "1 h 29 min"),
+    ] {
+        assert_eq!(super::duration(seconds), text);
+    }
+}
+
+#[test]
+fn reports_that_are_far_apart_make_one_line_and_a_pause_makes_two() {
+    let mut columns = series::Columns::new(0.0, 10.0);
+    for index in (0..500).filter(|index| !(200..260).contains(index) && index % 7 != 3) {
+        columns.add(f64::from(index) * 0.02, 1.0);
+    }
+    assert_eq!(columns.line().len(), 2);
 }

@@ -52,6 +52,12 @@ const LOOK_EVERY: u32 = 200;
 /// Control periods between two telemetry frames during a job, at most one every 20 ms.
 const TELEMETRY_MS: u32 = 20;
 
+/// Bytes of a telemetry frame, about.
+const TELEMETRY_BYTES: u32 = 150;
+
+/// A controller that stands idle for so long, while its job has not ended here, has told the end and was not heard; microseconds.
+const IDLE_US: u64 = 10_000_000;
+
 impl<L: Line> Session<L> {
     /// Runs a job from `start`, which must be the controller's wanted pose, and waits until the machine is at rest again.
     ///
@@ -69,7 +75,12 @@ impl<L: Line> Session<L> {
             .client
             .controller()
             .map_or(200, |welcome| u32::from(welcome.period_us));
-        let every = (TELEMETRY_MS * 1000 / period_us.max(1)).clamp(1, u32::from(u16::MAX)) as u16;
+        // On a slow line telemetry takes a quarter of it at most.
+        let quarter_ms = (4 * TELEMETRY_BYTES * 1000)
+            .checked_div(self.line_rate)
+            .unwrap_or(0);
+        let every_us = TELEMETRY_MS.max(quarter_ms) * 1000;
+        let every = (every_us / period_us.max(1)).clamp(1, u32::from(u16::MAX)) as u16;
         self.ask(Command::Telemetry { every })?;
         self.ending = None;
         let before = self.client.link().counters();
@@ -78,6 +89,7 @@ impl<L: Line> Session<L> {
             .map_err(|error| CliError::new(crate::cli::Exit::Port, error))?;
         let mut stopped = false;
         let mut paused = false;
+        let mut idle_since = None;
         let mut seen = first;
         let mut steps = 0_u32;
         let ending = loop {
@@ -116,6 +128,15 @@ impl<L: Line> Session<L> {
                 && let Some(telemetry) = self.client.telemetry()
             {
                 watcher.progress(telemetry);
+                if matches!(telemetry.state, State::Idle | State::Disabled) {
+                    let since = *idle_since.get_or_insert(self.now_us);
+                    if self.now_us - since > IDLE_US {
+                        let what = "the controller stands idle and the end of the job was not heard: the line is too slow or too bad";
+                        return Err(CliError::new(crate::cli::Exit::Port, what));
+                    }
+                } else {
+                    idle_since = None;
+                }
             }
         };
         let after = self.client.link().counters();

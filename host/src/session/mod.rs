@@ -52,6 +52,8 @@ pub struct Session<L> {
     /// Name of the configuration that this session made active.
     configured: Option<String>,
     interrupted: Arc<AtomicBool>,
+    /// Bytes per second that the line carries; 0 for no bound.
+    line_rate: u32,
 }
 
 impl<L: Line> Session<L> {
@@ -64,6 +66,7 @@ impl<L: Line> Session<L> {
     ) -> Self {
         Self {
             line,
+            line_rate: options.timing.line_rate,
             client: Client::new(options),
             model: Model::new(machine),
             received: Vec::new(),
@@ -215,17 +218,26 @@ impl<L: Line> Session<L> {
         {
             return Ok(());
         }
-        self.reconfigure(&bytes)?;
+        self.send_configuration(&bytes, false)?;
         self.configured = Some(machine.config.name.to_string());
         Ok(())
     }
 
-    /// Sends a configuration in any case: the joints are then taken to stand at their presets.
+    /// Sends the machine file in any case: the joints have been set up at their presets by hand.
     ///
     /// # Errors
     /// As [`Session::configure`].
-    pub fn reconfigure(&mut self, bytes: &[u8]) -> Result<(), CliError> {
-        let ticket = self.client.configure(bytes);
+    pub fn configure_at_preset(&mut self, machine: &MachineFile) -> Result<(), CliError> {
+        let (bytes, _) = machine
+            .encoded()
+            .map_err(|error| CliError::new(Exit::Internal, error))?;
+        self.send_configuration(&bytes, true)?;
+        self.configured = Some(machine.config.name.to_string());
+        Ok(())
+    }
+
+    fn send_configuration(&mut self, bytes: &[u8], at_preset: bool) -> Result<(), CliError> {
+        let ticket = self.client.configure(bytes, at_preset);
         self.wait_for_answer(ticket)
     }
 
@@ -249,16 +261,17 @@ impl<L: Line> Session<L> {
     pub fn status(&mut self) -> Result<Telemetry, CliError> {
         let before = self.client.telemetry().map(|telemetry| telemetry.period);
         self.ask(Command::Status)?;
-        let give_up = self.now_us + 2_000_000;
+        let mut again = self.now_us + 2_000_000;
         loop {
             if let Some(telemetry) = self.client.telemetry()
                 && Some(telemetry.period) != before
             {
                 return Ok(telemetry.clone());
             }
-            if self.now_us > give_up {
+            if self.now_us > again {
                 // One telemetry frame may be lost on a bad line; asking again is cheap.
-                return self.status();
+                again = self.now_us + 2_000_000;
+                self.ask(Command::Status)?;
             }
             self.step()?;
         }
@@ -267,10 +280,10 @@ impl<L: Line> Session<L> {
     /// Enables the drives if they are off.
     ///
     /// # Errors
-    /// A refusal: a latched fault, an input, a pose out of reach.
+    /// A refusal: a latched fault or emergency stop, an input, a pose out of reach.
     pub fn enable(&mut self) -> Result<(), CliError> {
         match self.status()?.state {
-            State::Disabled => self.ask(Command::Enable),
+            State::Disabled | State::Fault | State::EmergencyStop => self.ask(Command::Enable),
             _ => Ok(()),
         }
     }

@@ -202,7 +202,7 @@ impl Responder {
                 self.staged.truncate(usize::from(chunk.offset));
                 self.staged.extend(&chunk.bytes);
             }
-            Command::Activate { length, crc } => {
+            Command::Activate { length, crc, .. } => {
                 if usize::from(length) != self.staged.len() || crc != crc32(&self.staged) {
                     return Err(Refusal::ConfigCheck);
                 }
