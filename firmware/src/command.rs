@@ -40,10 +40,13 @@ impl Controller {
             Command::JobEnd { count } => self.end_job(count),
             Command::Hold => {
                 self.hold();
+                self.job.overtaken = false;
                 Ok(())
             }
             Command::Resume => self.resume(),
             Command::Stop => {
+                // It came in its place: all that the host said before has been heard.
+                self.job.overtaken = false;
                 if self.safety.active() {
                     self.give_up();
                 }

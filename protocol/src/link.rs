@@ -102,7 +102,7 @@ pub struct Timing {
 impl Default for Timing {
     fn default() -> Self {
         Self {
-            keep_alive_us: 150_000,
+            keep_alive_us: 40_000,
             acknowledge_us: 5_000,
             hello_us: 100_000,
             resend_us: (15_000, 400_000),

@@ -146,6 +146,11 @@ impl<C: Control> Bench<C> {
 
     /// Sends the configuration and activates it.
     pub fn configure(&mut self) {
+        self.configure_as(false);
+    }
+
+    /// Sends the configuration and activates it; `at_preset` as in [`Command::Activate`].
+    pub fn configure_as(&mut self, at_preset: bool) {
         let (bytes, crc) = self.machine.encoded().expect("encodes");
         for (index, chunk) in bytes.chunks(CONFIG_CHUNK).enumerate() {
             let chunk = ConfigChunk {
@@ -157,7 +162,7 @@ impl<C: Control> Bench<C> {
         self.ask(Command::Activate {
             length: bytes.len() as u16,
             crc,
-            at_preset: false,
+            at_preset,
         })
         .expect("activated");
     }

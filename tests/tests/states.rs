@@ -514,7 +514,42 @@ fn a_configuration_that_is_activated_under_a_latched_fault_is_as_good_as_one_aft
     bench.configure();
     bench.ask(Command::Reset).expect("reset");
     bench.ask(Command::Enable).expect("enabled");
+    // An encoder that could not be believed: where the joints are is for the operator to say.
+    assert_eq!(bench.ask(Command::Home), Err(Refusal::PresetLost));
+    bench.ask(Command::Disable).expect("off");
+    bench.configure_as(true);
+    bench.ask(Command::Enable).expect("enabled");
     assert_eq!(bench.ask(Command::Home), Ok(()));
+}
+
+/// A new gain must not make the machine forget, or believe wrongly, where it is.
+#[test]
+fn a_new_configuration_keeps_the_position_or_gives_it_up() {
+    let mut bench = Bench::new();
+    bench.make_ready();
+    let start = bench.status().wanted;
+    bench.start_job(1, &haptimill_tests::line_in_x(&start, -4.0, 20));
+    assert!(bench.wait_for(State::Idle, 20_000));
+    let before = bench.status();
+    bench.ask(Command::Disable).expect("off");
+    bench.machine.config.joints[0].law.kp.0 -= 256;
+    bench.configure();
+    bench.ask(Command::Enable).expect("enabled");
+    let after = bench.status();
+    assert!(after.homed && after.position_kept);
+    for axis in 0..5 {
+        assert!(
+            (after.measured[axis] - before.measured[axis]).abs() < 21_000,
+            "{axis}: {after:?}"
+        );
+    }
+    bench.ask(Command::Disable).expect("off");
+    bench.machine.config.joints[1].per_count -= 1;
+    bench.configure();
+    bench.ask(Command::Enable).expect("enabled");
+    let status = bench.status();
+    assert!(!status.homed && !status.position_kept);
+    assert_eq!(bench.ask(Command::Home), Err(Refusal::PresetLost));
 }
 
 #[test]

@@ -282,13 +282,6 @@ impl PartProgram {
             .map_err(|refused| CliError::new(Exit::BadInput, refused))?;
         let plan = Plan::new(&program, &settings(machine), model)
             .map_err(|refused| CliError::new(Exit::Refused, refused))?;
-        if plan.figures.blocks == 0 {
-            let what = format!(
-                "{}: no motion in this program; is the file whole?",
-                self.file
-            );
-            return Err(CliError::new(Exit::BadInput, what));
-        }
         // Each pause of the program has a setpoint of its own, in the same order.
         let setpoints = (0..)
             .zip(&plan.setpoints)
