@@ -4,8 +4,8 @@
 //! hear -> sense -> decide -> place -> drive -> tell -> gate
 //! ```
 //!
-//! Data goes down it once; nothing reaches back up except what is measured in the next period. What each command does is in [`crate::command`],
-//! what each state does in [`crate::decide`].
+//! Data goes down it once; nothing reaches back up except what is measured in the next period. What each command does is in `command.rs`,
+//! what each state does in `decide.rs`.
 
 use crate::decide::Job;
 use crate::io::{Inputs, Outputs};

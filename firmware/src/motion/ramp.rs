@@ -2,7 +2,7 @@
 //!
 //! One mechanism for the rate along the path (hold, resume, stop, underrun, override) and for the rate of every jogged axis. All is in
 //! the caller's own fixed-point unit per control period; the ramp only adds. A jump of the value, or of its slope, cannot happen:
-//! each period the slope changes by at most [`RampLimits::jerk`] and is at most [`RampLimits::slope`].
+//! each period the slope changes by at most the jerk of its [`RampLimits`] and is at most their slope.
 //!
 //! Values must stay below 2^44 and slopes below 2^31 in magnitude; [`RampLimits::new`] refuses limits beyond that.
 
