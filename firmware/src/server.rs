@@ -182,6 +182,10 @@ impl Server {
 
     /// Answers a request; success of a request without a number is not told.
     pub fn answer(&mut self, id: u8, result: Result<(), Refusal>) {
+        #[cfg(feature = "defmt")]
+        if let Err(refusal) = &result {
+            defmt::warn!("request {} refused: {}", id, refusal);
+        }
         if id != 0 || result.is_err() {
             // There is room: nothing is heard while the answers are full, and a period has at most one request.
             let _ = self.answers.push_back(Report::Answer { id, result });

@@ -52,6 +52,22 @@ const TEST: &[Step] = &[
         component: Some(("clippy", "rustup component add clippy")),
     },
     Step {
+        name: "lints with logging",
+        arguments: &[
+            "clippy",
+            "--quiet",
+            "--package",
+            "haptimill-firmware",
+            "--features",
+            "defmt",
+            "--",
+            "-D",
+            "warnings",
+        ],
+        environment: &[],
+        component: Some(("clippy", "rustup component add clippy")),
+    },
+    Step {
         name: "documentation",
         arguments: &["doc", "--quiet", "--workspace", "--no-deps"],
         environment: &[("RUSTDOCFLAGS", "-D warnings")],

@@ -129,6 +129,8 @@ impl Safety {
     pub fn enter(&mut self, state: State) {
         if state != self.state {
             let from = core::mem::replace(&mut self.state, state);
+            #[cfg(feature = "defmt")]
+            defmt::info!("{} -> {}", from, state);
             self.tell(Event::State {
                 from,
                 to: state,
@@ -176,6 +178,8 @@ impl Safety {
             self.lose_position();
         }
         self.fault = Some(fault);
+        #[cfg(feature = "defmt")]
+        defmt::error!("fault latched: {}", fault);
         self.latched = true;
         self.tell(Event::Fault(fault));
         self.enter(State::Fault);
