@@ -302,10 +302,18 @@ impl Controller {
 
     fn drop_job(&mut self) {
         if let Some(job) = self.job.number.take() {
-            let setpoints = self
+            let program = self
                 .machinery
                 .as_ref()
-                .map_or(0, |machinery| machinery.motion.program.reached());
+                .map(|machinery| &machinery.motion.program);
+            // A setpoint that was waited for and never came is named as one that came late.
+            if let Some(late) = program.and_then(|program| program.starving()) {
+                self.safety.tell(Event::Underrun {
+                    setpoint: late.setpoint,
+                    late_periods: late.periods,
+                });
+            }
+            let setpoints = program.map_or(0, |program| program.reached());
             self.safety.tell(Event::JobDropped { job, setpoints });
         }
     }

@@ -185,12 +185,21 @@ impl<C: Control> Bench<C> {
     /// Starts a job of setpoints where the machine stands, and brings all of them over.
     pub fn start_job(&mut self, job: u32, setpoints: &[Setpoint]) {
         let start = self.status().wanted;
+        self.start_part(job, &start, setpoints);
+        self.ask(Command::JobEnd {
+            count: setpoints.len() as u32,
+        })
+        .expect("ended");
+    }
+
+    /// Starts a job at `start`, where the machine stands, and brings setpoints over without saying that they are all.
+    pub fn start_part(&mut self, job: u32, start: &AxisValues, setpoints: &[Setpoint]) {
         self.ask(Command::JobStart {
             job,
             pose: start.clone(),
         })
         .expect("started");
-        let mut coder = SetpointCoder::new(self.machine.config.period_us, &start);
+        let mut coder = SetpointCoder::new(self.machine.config.period_us, start);
         for (index, batch) in setpoints.chunks(SETPOINT_BATCH).enumerate() {
             let items = batch
                 .iter()
@@ -200,10 +209,6 @@ impl<C: Control> Bench<C> {
             self.ask(Command::Setpoints(SetpointBatch { first, items }))
                 .expect("taken");
         }
-        self.ask(Command::JobEnd {
-            count: setpoints.len() as u32,
-        })
-        .expect("ended");
     }
 
     /// Waits for a state.

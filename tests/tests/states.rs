@@ -715,3 +715,18 @@ fn a_moving_machine_refuses_what_needs_rest() {
     assert_eq!(bench.ask(jog(1, 100, &[(0, 1.0)])), run);
     assert_eq!(state(&bench), State::Run);
 }
+
+/// The host says half of a job and no more: the setpoint that is missing has a name, also when it never comes.
+#[test]
+fn a_setpoint_that_never_comes_is_named() {
+    let mut bench = Bench::new();
+    bench.make_ready();
+    let start = bench.status().wanted;
+    let points = haptimill_tests::line_in_x(&start, -4.0, 20);
+    bench.start_part(1, &start, &points[..12]);
+    bench.steps(10_000);
+    bench.ask(Command::Stop).expect("stops");
+    bench.steps(500);
+    let named = |event: &Event| matches!(event, Event::Underrun { setpoint: 12, late_periods } if *late_periods > 1000);
+    assert!(bench.events.iter().any(named), "{:?}", bench.events);
+}

@@ -281,6 +281,12 @@ impl Program {
         self.late.take()
     }
 
+    /// The setpoint for want of which the machine slows down or waits, and for how long it has.
+    #[must_use]
+    pub const fn starving(&self) -> Option<Late> {
+        self.starving
+    }
+
     /// Whether nothing moves along the path: braked to rest, waiting, or paused.
     #[must_use]
     pub fn is_still(&self) -> bool {
