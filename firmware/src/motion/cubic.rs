@@ -122,6 +122,25 @@ impl Cubic {
         })
     }
 
+    /// Whether the axis stands all the span long.
+    #[must_use]
+    pub const fn is_still(&self) -> bool {
+        self.c1 == 0 && self.c2 == 0 && self.c3 == 0
+    }
+
+    /// Accelerations at the beginning and at the end of the span.
+    #[must_use]
+    pub fn end_accelerations(&self, span: &Span) -> [Acceleration; 2] {
+        [2 * self.c2, 2 * self.c2 + 6 * self.c3].map(|value| Self::acceleration(value, span))
+    }
+
+    /// A second derivative by the fraction of the span, in 2^-16 axis units, as an acceleration.
+    fn acceleration(value: i64, span: &Span) -> Acceleration {
+        // Times the span, in axis units per second; bounded so that it can be divided by the span once more.
+        let speed = per_second(value, span).clamp(-(1 << 33), 1 << 33);
+        Acceleration(clamp(per_second(speed << 16, span) >> 8))
+    }
+
     /// The fraction of the span at which the rate is largest or least, if that is inside.
     #[must_use]
     pub fn turning(&self, span: &Span) -> Option<u32> {
@@ -150,12 +169,10 @@ impl Cubic {
         let rate = total(self.c1, scale(steep, fraction));
         let acceleration = total(steep, product(3, c3s));
         let position = (total(position, 1 << 15) >> 16) as i32;
-        // Times the span, in axis units per second; bounded so that it can be divided by the span once more.
-        let speed = per_second(acceleration, span).clamp(-(1 << 33), 1 << 33);
         Sample {
             position: Coordinate(self.start.0.wrapping_add(position)),
             rate: Rate(clamp(per_second(rate, span))),
-            acceleration: Acceleration(clamp(per_second(speed << 16, span) >> 8)),
+            acceleration: Self::acceleration(acceleration, span),
         }
     }
 }

@@ -487,14 +487,16 @@ impl Program {
     /// of a jog: such a setpoint is a mistake, not a motion.
     fn too_fast_between(&self, axis: usize, segment: &Segment) -> bool {
         let cubic = &segment.cubics[axis];
+        if cubic.is_still() {
+            return false;
+        }
         let limit = self.rate_limits[axis] + self.rate_limits[axis] / 50;
         let most = self.acceleration_limits[axis];
         let peak = cubic
             .turning(&segment.span)
             .map_or(0, |at| i64::from(cubic.sample(at, &segment.span).rate.0));
-        let sharp =
-            |at: u32| i64::from(cubic.sample(at, &segment.span).acceleration.0).abs() > most;
-        peak.abs() > limit || sharp(0) || sharp(u32::MAX)
+        let ends = cubic.end_accelerations(&segment.span);
+        peak.abs() > limit || ends.iter().any(|end| i64::from(end.0).abs() > most)
     }
 
     /// Whether the rate at the setpoint, or the mean rate towards it, is beyond the axis' limit (with 2 % for rounding).
