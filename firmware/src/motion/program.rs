@@ -143,7 +143,8 @@ impl Program {
         program.override_rate = FULL_RATE;
         for (axis, pose) in config.pose.iter().enumerate() {
             program.rotary[axis] = pose.kind == AxisKind::Rotary;
-            program.rate_limits[axis] = i64::from(pose.rate.0);
+            // Two hundredths more, for the rounding of setpoints.
+            program.rate_limits[axis] = i64::from(pose.rate.0) + i64::from(pose.rate.0) / 50;
             program.acceleration_limits[axis] = i64::from(pose.acceleration.0) * 16;
         }
         program.braking_periods = program.braking.map_or(0, |limits| {
@@ -483,14 +484,14 @@ impl Program {
         Some(segment)
     }
 
-    /// Whether the rate inside the span is beyond the axis' limit (with 2 % for rounding), or the acceleration at its ends beyond 16 times that
+    /// Whether the rate inside the span is beyond the axis' limit, or the acceleration at its ends beyond 16 times that
     /// of a jog: such a setpoint is a mistake, not a motion.
     fn too_fast_between(&self, axis: usize, segment: &Segment) -> bool {
         let cubic = &segment.cubics[axis];
         if cubic.is_still() {
             return false;
         }
-        let limit = self.rate_limits[axis] + self.rate_limits[axis] / 50;
+        let limit = self.rate_limits[axis];
         let most = self.acceleration_limits[axis];
         let peak = cubic
             .turning(&segment.span)
@@ -499,9 +500,9 @@ impl Program {
         peak.abs() > limit || ends.iter().any(|end| i64::from(end.0).abs() > most)
     }
 
-    /// Whether the rate at the setpoint, or the mean rate towards it, is beyond the axis' limit (with 2 % for rounding).
+    /// Whether the rate at the setpoint, or the mean rate towards it, is beyond the axis' limit.
     fn too_fast(&self, axis: usize, from: &Knot, to: &Knot, span: &Span) -> bool {
-        let limit = self.rate_limits[axis] + self.rate_limits[axis] / 50;
+        let limit = self.rate_limits[axis];
         let distance = if self.rotary[axis] {
             i64::from(to.pose[axis].wrapping_sub(from.pose[axis]))
         } else {
