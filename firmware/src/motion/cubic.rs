@@ -323,7 +323,7 @@ mod tests {
             prop_assert!((f64::from(sample.rate.0) - v).abs() <= 2.0 + 1e-8 * v.abs() + 1e-3 / h, "rate {} {v}", sample.rate.0);
             if a.abs() / 256.0 < f64::from(i32::MAX) {
                 let error = (f64::from(sample.acceleration.0) - a / 256.0).abs();
-                prop_assert!(error <= 2.0 + 1e-8 * (a / 256.0).abs() + 1.0 / (256.0 * h) + 2e-6 / (h * h), "acceleration {} {}", sample.acceleration.0, a / 256.0);
+                prop_assert!(error <= 2.0 + 4e-8 * (a / 256.0).abs() + 1.0 / (256.0 * h) + 4e-6 / (h * h), "acceleration {} {}", sample.acceleration.0, a / 256.0);
             }
         }
 
