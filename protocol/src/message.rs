@@ -506,6 +506,13 @@ pub enum Fault {
         /// The pose coordinate.
         axis: u8,
     },
+    /// A joint was measured beyond its stroke by more than it may be off at rest.
+    Stroke {
+        /// The joint.
+        axis: u8,
+        /// How far beyond the end of its stroke, axis units; negative beyond the lower end.
+        by: i32,
+    },
     /// The measured joints or the wanted pose left what the machine can do.
     Pose(PoseError),
     /// A hardware limit switch.

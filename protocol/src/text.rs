@@ -242,6 +242,14 @@ impl Describe for Fault {
                     Named(axes.pose, axis)
                 )
             }
+            Self::Stroke { axis, by } => {
+                write!(f, "{} is ", joint(axis))?;
+                match amount(axes.joints, axis, by) {
+                    Some(by) => write!(f, "{by} beyond the end of its stroke")?,
+                    None => f.write_str("beyond the end of its stroke")?,
+                }
+                f.write_str("; move it back by hand, then reset, enable and home")
+            }
             Self::Pose(error) => {
                 f.write_str("the machine is where it must not be: ")?;
                 error.describe(axes, f)

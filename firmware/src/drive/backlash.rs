@@ -22,6 +22,7 @@ use super::encoder::{difference, sum};
 use super::reciprocal::{mul_shift, saturate};
 use crate::config::AxisKind;
 use crate::position::filter::{approach, frequency};
+use crate::safety::integrity::constants;
 use crate::units::{Coordinate, Rate};
 
 /// Time constant of each of the two filters, in microseconds.
@@ -49,6 +50,10 @@ pub struct Backlash {
     second: i64,
     slide: Coordinate,
 }
+
+constants!(Backlash {
+    kind, half, hysteresis, approach, frequency
+} of {} but { side, first, second, slide });
 
 impl Backlash {
     /// Backlash of the whole width `play` (its magnitude counts; 0 switches everything here off).

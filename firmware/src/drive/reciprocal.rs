@@ -6,7 +6,7 @@
 use crate::units::scale::{product, total};
 
 /// 1/d as `mantissa / 2^exponent`, mantissa in (2^30, 2^31].
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(crate) struct Reciprocal {
     mantissa: u32,
     exponent: u32,

@@ -46,7 +46,7 @@ const LEAST_MARGIN: i32 = 1 << 16;
 const SHORTEST_ROD: i32 = 1 << 24;
 
 /// The H-4 arm.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct H4 {
     /// A geometry that is not sound refuses everything.
     pub(super) sound: bool,

@@ -12,7 +12,7 @@ use crate::units::{Coordinate, Length};
 use haptimill_protocol::message::MAX_AXES;
 
 /// A geometry and its strokes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Machine {
     geometry: Geometry,
     /// Lower and upper end of each joint's stroke.
@@ -20,7 +20,7 @@ pub struct Machine {
 }
 
 /// The geometries that this firmware knows.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 enum Geometry {
     H4(H4),
 }

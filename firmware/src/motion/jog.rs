@@ -8,6 +8,7 @@ use super::Wanted;
 use super::ramp::{Ramp, RampLimits};
 use crate::config::{Config, JERK_SHIFT};
 use crate::kinematics::{Accelerations, Kinematics, Pose, Rates};
+use crate::safety::integrity::{Constants, Digest, constants};
 use crate::units::{Acceleration, Coordinate, Rate};
 use haptimill_protocol::message::MAX_AXES;
 
@@ -27,6 +28,8 @@ struct Axis {
     high: i64,
 }
 
+constants!(Axis { limits, rate_limit, low, high } of {} but { position, rate, target });
+
 /// Motion of all pose coordinates at wanted rates.
 #[derive(Debug, Default)]
 pub struct Jog {
@@ -39,6 +42,21 @@ pub struct Jog {
     alive: u32,
     /// Soft limits are respected (not while homing: coordinates are not yet right).
     limited: bool,
+}
+
+impl Constants for Jog {
+    fn digest(&self, digest: &mut Digest) {
+        let Self {
+            axes,
+            period_us,
+            axis,
+            joint_rates,
+            alive: _,
+            limited: _,
+        } = self;
+        digest.add(&(axes, period_us, joint_rates));
+        axis.iter().for_each(|axis| axis.digest(digest));
+    }
 }
 
 /// Bounds of a rate in 2^-20 axis units per period, from the limits of a pose coordinate; `None` if they make no sense.

@@ -12,6 +12,7 @@ pub mod ramp;
 
 use crate::config::Config;
 use crate::kinematics::{Accelerations, Kinematics, Pose, Rates};
+use crate::safety::integrity::constants;
 use crate::units::{Acceleration, Coordinate, Rate};
 use haptimill_protocol::message::{MAX_AXES, Source};
 use jog::Jog;
@@ -55,6 +56,8 @@ pub struct Motion {
     sources: [Source; MAX_AXES],
     offsets: [i32; MAX_AXES],
 }
+
+constants!(Motion { axes } of { program, jog } but { wanted, sources, offsets });
 
 impl Motion {
     /// For the machine of `config`.

@@ -12,6 +12,7 @@ use super::cubic::{Cubic, Span};
 use super::ramp::{Ramp, RampLimits};
 use crate::config::{AxisKind, Config, Stopping};
 use crate::kinematics::Pose;
+use crate::safety::integrity::constants;
 use crate::units::scale::{product, total};
 use crate::units::{Acceleration, Coordinate, Rate};
 use haptimill_protocol::message::{Action, MAX_AXES, Refusal};
@@ -107,6 +108,13 @@ pub struct Program {
     starving: Option<Late>,
     late: Option<Late>,
 }
+
+constants!(Program {
+    axes, rotary, rate_limits, acceleration_limits, period_us, periods_per_second, braking, braking_periods
+} of {} but {
+    queue, queued_periods, rests_ahead, tail, from, segment, time, elapsed, path_rate, override_rate, accepted, reached, total, started, paused,
+    starving, late
+});
 
 /// Bounds of the path rate that a configuration's [`Stopping`] means; `None` if it makes no sense.
 #[must_use]

@@ -19,6 +19,7 @@ pub mod friction;
 
 use crate::config::{Law, LawForm};
 use crate::drive::reciprocal::{mul_shift, saturate};
+use crate::safety::integrity::constants;
 use crate::units::{Acceleration, Coordinate, Effort, Rate};
 use filter::RateFilter;
 use friction::Friction;
@@ -46,6 +47,10 @@ pub struct PositionLaw {
     integral_limit: i64,
     limit: i32,
 }
+
+constants!(PositionLaw {
+    form, kp, kd, inertia, viscous, friction, ki_period, integral_limit, limit
+} of { error_rate } but { integral });
 
 impl PositionLaw {
     /// A loop that runs every `period_us` (50 to 1000) and may ask for `limit` either way.

@@ -4,6 +4,7 @@
 //! | --- | --- |
 //! | the joint runs away from its wanted rate, against its drive | encoder reversed, encoder still |
 //! | the drive pushes more and more, and the encoder does not count | encoder still |
+//! | the joint is beyond its stroke by more than it may be off at rest | stroke |
 //! | the error is larger than the limit, which grows with the wanted rate | following error |
 //! | motion was wanted, the encoder saw none, or the opposite | encoder still, encoder reversed |
 //! | both channels changed at once, too often | encoder illegal |
@@ -94,7 +95,19 @@ impl Watch {
         self.runaway(axis, config, seen)
             .or_else(|| self.pushed(axis, config, seen))
             .or_else(|| self.motion(axis, config, seen))
+            .or_else(|| Self::stroke(axis, config, seen))
             .or_else(|| Self::error(axis, config, seen))
+    }
+
+    /// The measured joint against its stroke. What is wanted is always within (stage *place* sees to it), and what is measured may be off.
+    fn stroke(axis: u8, config: &JointAxis, seen: &Seen) -> Option<Fault> {
+        let measured = i64::from(seen.measured.0);
+        let (low, high) = (i64::from(config.low.0), i64::from(config.high.0));
+        let by = measured - measured.clamp(low, high.max(low));
+        (by.abs() > magnitude(config.following)).then_some(Fault::Stroke {
+            axis,
+            by: saturate(by),
+        })
     }
 
     /// A joint that runs away from its wanted rate while its drive pushes the other way.
