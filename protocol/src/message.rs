@@ -350,6 +350,11 @@ pub enum Event {
         /// The setpoint that carried the pause.
         setpoint: u32,
     },
+    /// What was moved by hand leaves the program no room to stop on the way ahead: it holds. Make room by jogging, then [`Command::Resume`].
+    Blocked {
+        /// The setpoint on the way to which it holds.
+        setpoint: u32,
+    },
     /// All axes have their reference.
     Homed,
     /// A fault was latched.

@@ -7,6 +7,8 @@
 //! Slowing down for want of setpoints begins while the queue still covers the stopping distance, so the last setpoint is never passed.
 //! The bounds on acceleration and jerk of the braking are those of the configuration's [`Stopping`], on top of the program's own.
 
+mod stopping;
+
 use super::Wanted;
 use super::cubic::{Cubic, Span};
 use super::ramp::{Ramp, RampLimits};
@@ -15,7 +17,7 @@ use crate::kinematics::Pose;
 use crate::safety::integrity::constants;
 use crate::units::scale::{product, total};
 use crate::units::{Acceleration, Coordinate, Rate};
-use haptimill_protocol::message::{Action, MAX_AXES, Refusal};
+use haptimill_protocol::message::{Action, MAX_AXES, RATE_SHIFT, Refusal};
 use haptimill_protocol::setpoint::Setpoint;
 use heapless::Deque;
 
@@ -57,6 +59,8 @@ pub struct Progress {
     pub paused: Option<u32>,
     /// The last setpoint of the job was reached.
     pub finished: bool,
+    /// It went no farther, because what was moved by hand leaves no room to stop on the way ahead.
+    pub blocked: bool,
     /// The queue ended in motion: a defect, since braking must have ended before.
     pub ran_dry: bool,
 }
@@ -471,6 +475,15 @@ impl Program {
         wanted
     }
 
+    /// From one place to another; the short way round on a rotary axis.
+    fn distance(&self, axis: usize, from: i32, to: i32) -> i64 {
+        if self.rotary[axis] {
+            i64::from(to.wrapping_sub(from))
+        } else {
+            i64::from(to) - i64::from(from)
+        }
+    }
+
     fn segment_between(&self, from: &Knot, to: &Knot) -> Option<Segment> {
         let span = Span::new(to.periods, self.period_us)?;
         let mut segment = Segment {
@@ -511,13 +524,9 @@ impl Program {
     /// Whether the rate at the setpoint, or the mean rate towards it, is beyond the axis' limit.
     fn too_fast(&self, axis: usize, from: &Knot, to: &Knot, span: &Span) -> bool {
         let limit = self.rate_limits[axis];
-        let distance = if self.rotary[axis] {
-            i64::from(to.pose[axis].wrapping_sub(from.pose[axis]))
-        } else {
-            i64::from(to.pose[axis]) - i64::from(from.pose[axis])
-        };
+        let distance = self.distance(axis, from.pose[axis], to.pose[axis]);
         let microseconds = i64::from(span.periods()) * i64::from(self.period_us);
-        (i64::from(to.rates[axis]) << haptimill_protocol::message::RATE_SHIFT).abs() > limit
+        (i64::from(to.rates[axis]) << RATE_SHIFT).abs() > limit
             || distance.abs() * 1_000_000 > limit * microseconds
     }
 }
