@@ -320,7 +320,7 @@ impl Machinery {
                 digest.add(&(config.period_us, self.crc));
             }
             1 => self.motion.digest(&mut digest),
-            _ if part % 2 == 0 => digest.add(&config.pose.get(part / 2 - 1)),
+            _ if part.is_multiple_of(2) => digest.add(&config.pose.get(part / 2 - 1)),
             _ => {
                 let index = part / 2 - 1;
                 digest.add(&config.joints.get(index));
