@@ -253,6 +253,7 @@ impl Machinery {
                 wanted_rate: self.target.rates[index],
                 measured: sensed.coordinate,
                 rate: sensed.rate,
+                moved: sensed.moved,
                 effort: self.driven[index].effort,
                 illegal: sensed.illegal.min(u32::from(u16::MAX)) as u16,
                 steps_off: sensed.slip,
