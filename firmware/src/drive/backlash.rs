@@ -22,6 +22,7 @@ use super::encoder::{difference, sum};
 use super::reciprocal::{Factor, Scale, saturate};
 use crate::config::AxisKind;
 use crate::position::filter::approach;
+use crate::safety::integrity::constants;
 use crate::units::{Coordinate, Rate};
 
 /// Time constant of each of the two filters, in microseconds.
@@ -55,6 +56,10 @@ pub struct Backlash {
     settled: bool,
     slide: Coordinate,
 }
+
+constants!(Backlash {
+    kind, half, hysteresis, approach, rate, fraction, rounding, flank
+} of {} but { goal, first, second, settled, slide });
 
 impl Backlash {
     /// Backlash of the whole width `play` (its magnitude counts; 0 switches everything here off).
@@ -139,7 +144,10 @@ impl Backlash {
             self.settled = first == 0 && change == 0;
             rate = Rate(self.rate.apply(change));
         }
-        let shift = self.second.wrapping_add(self.rounding).wrapping_shr(self.fraction);
+        let shift = self
+            .second
+            .wrapping_add(self.rounding)
+            .wrapping_shr(self.fraction);
         (Coordinate(shift), rate)
     }
 

@@ -6,7 +6,7 @@
 use crate::units::scale::{product, total};
 
 /// 1/d as `mantissa / 2^exponent`, mantissa in (2^30, 2^31].
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(crate) struct Reciprocal {
     mantissa: u32,
     exponent: u32,
@@ -86,7 +86,11 @@ impl Factor {
 
     /// Their quotient, relative error below 2^-30; by zero as by the smallest.
     pub(crate) const fn over(self, other: Self) -> Self {
-        let divisor = if other.mantissa == 0 { 1 << 30 } else { other.mantissa };
+        let divisor = if other.mantissa == 0 {
+            1 << 30
+        } else {
+            other.mantissa
+        };
         let quotient = Self::of(((self.mantissa as u64) << 32) / divisor as u64);
         Self {
             exponent: quotient.exponent + self.exponent - other.exponent - 32,
@@ -119,19 +123,31 @@ impl Factor {
         // Operand * 2^shift * mantissa / 2^32, with all bits of the mantissa where the shift can take up the exponent.
         let shift = self.exponent + 32;
         if shift > 30 {
-            Scale { mantissa: i32::MAX, shift: 30 }
+            Scale {
+                mantissa: i32::MAX,
+                shift: 30,
+            }
         } else if shift >= 0 {
-            Scale { mantissa: self.mantissa as i32, shift: shift as u32 }
+            Scale {
+                mantissa: self.mantissa as i32,
+                shift: shift as u32,
+            }
         } else if shift > -31 {
-            Scale { mantissa: (self.mantissa >> -shift) as i32, shift: 0 }
+            Scale {
+                mantissa: (self.mantissa >> -shift) as i32,
+                shift: 0,
+            }
         } else {
-            Scale { mantissa: 0, shift: 0 }
+            Scale {
+                mantissa: 0,
+                shift: 0,
+            }
         }
     }
 }
 
 /// A multiplication by a constant factor, six instructions of a 32-bit processor.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(crate) struct Scale {
     mantissa: i32,
     shift: u32,

@@ -7,6 +7,7 @@
 //! dropped, so nothing winds up.
 
 use super::reciprocal::{Factor, Scale};
+use crate::safety::integrity::constants;
 use crate::units::Effort;
 
 /// Largest code, both ways.
@@ -22,6 +23,8 @@ pub struct TorqueOutput {
     /// Left over from rounding, 2^-16 codes.
     carry: i32,
 }
+
+constants!(TorqueOutput { scale, reversed, limit } of {} but { carry });
 
 impl TorqueOutput {
     /// Scale: `full_scale` is the effort at code 8192 (negative: wired the other way round; zero is taken for the smallest), `limit` the largest effort either way.

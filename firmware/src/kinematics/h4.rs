@@ -47,7 +47,7 @@ const LEAST_MARGIN: i32 = 1 << 16;
 const SHORTEST_ROD: i32 = 1 << 24;
 
 /// The H-4 arm.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct H4 {
     /// A geometry that is not sound refuses everything.
     pub(super) sound: bool,
@@ -181,7 +181,8 @@ impl H4 {
             },
             quick_turn: {
                 let tool = geometry.tool.magnitude() as i64 + 2 * spacing.abs();
-                let y = geometry.lateral.magnitude() as i64 + geometry.rod.magnitude() as i64 + tool;
+                let y =
+                    geometry.lateral.magnitude() as i64 + geometry.rod.magnitude() as i64 + tool;
                 let height = geometry.table_height.magnitude() as i64
                     + geometry.rail_offset.magnitude() as i64
                     + geometry.rod.magnitude() as i64

@@ -45,7 +45,10 @@ impl Slope {
                 // S is 64 mm or more: the upper word of the product has bits enough. |U| is below 2^30.
                 word(length.wrapping_shl(1) as i64 * mantissa as i64, 32).wrapping_shr(spare)
             } else {
-                word(length as i64 * mantissa as i64, inverse.shift.wrapping_sub(27))
+                word(
+                    length as i64 * mantissa as i64,
+                    inverse.shift.wrapping_sub(27),
+                )
             }
         };
         Self {
@@ -154,10 +157,14 @@ impl H4 {
     ) {
         let linear = bits([rates[0].0, rates[1].0, rates[2].0]);
         let angular = bits([rates[THETA].0, rates[ALPHA].0, 0]);
-        let by_rate = linear.saturating_sub(QUICK).max(angular.saturating_sub(self.quick_turn));
+        let by_rate = linear
+            .saturating_sub(QUICK)
+            .max(angular.saturating_sub(self.quick_turn));
         let linear = bits([accelerations[0].0, accelerations[1].0, accelerations[2].0]);
         let angular = bits([accelerations[THETA].0, accelerations[ALPHA].0, 0]);
-        let by_acceleration = linear.saturating_sub(QUICK).max(angular.saturating_sub(self.quick_turn));
+        let by_acceleration = linear
+            .saturating_sub(QUICK)
+            .max(angular.saturating_sub(self.quick_turn));
         // Accelerations go with the square of the time.
         let excess = by_rate.max(by_acceleration.div_ceil(2));
         let slow;
@@ -173,7 +180,10 @@ impl H4 {
         let jets = self.jets(placed, pairs, slow_rates, slow_accelerations);
         // What leaves its word is seen once for all.
         let mut beyond = u64::from(excess);
-        let outputs = motion.rates.chunks_exact_mut(2).zip(motion.accelerations.chunks_exact_mut(2));
+        let outputs = motion
+            .rates
+            .chunks_exact_mut(2)
+            .zip(motion.accelerations.chunks_exact_mut(2));
         for ([middle, ahead], (rates, accelerations)) in jets.iter().zip(outputs) {
             for ((rate, acceleration), sign) in rates.iter_mut().zip(accelerations).zip([1, -1]) {
                 let first = total(middle.0, product(sign, ahead.0));
@@ -244,8 +254,10 @@ impl H4 {
         let drop_push = word(sum(sine, spin, cosine, bend), 30);
 
         let mut jets = [PairJet::default(); 2];
-        for ((jet, pair), (length, side)) in
-            jets.iter_mut().zip(pairs).zip([(self.upper, -1), (self.lower, 1)])
+        for ((jet, pair), (length, side)) in jets
+            .iter_mut()
+            .zip(pairs)
+            .zip([(self.upper, -1), (self.lower, 1)])
         {
             let arm = |value: i32| length as i64 * value as i64;
             let slope = Slope::of(pair);

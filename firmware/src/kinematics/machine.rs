@@ -12,7 +12,7 @@ use crate::units::{Coordinate, Length};
 use haptimill_protocol::message::MAX_AXES;
 
 /// A geometry and its strokes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Machine {
     geometry: Geometry,
     /// Lower and upper end of each joint's stroke.
@@ -23,7 +23,7 @@ pub struct Machine {
 }
 
 /// The geometries that this firmware knows.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 enum Geometry {
     H4(H4),
 }
@@ -92,7 +92,11 @@ impl Machine {
             // Whoever is below wraps around to far above.
             inside &= joint.wrapping_sub(*low).0 as u32 <= *width;
         }
-        if inside { Ok(()) } else { Err(self.out_of_stroke(joints)) }
+        if inside {
+            Ok(())
+        } else {
+            Err(self.out_of_stroke(joints))
+        }
     }
 
     /// The first joint outside its stroke.

@@ -7,11 +7,14 @@
 //! Slowing down for want of setpoints begins while the queue still covers the stopping distance, so the last setpoint is never passed.
 //! The bounds on acceleration and jerk of the braking are those of the configuration's [`Stopping`], on top of the program's own.
 
+mod stopping;
+
 use super::Wanted;
 use super::cubic::{Cubic, Derivatives, Span};
 use super::ramp::{Ramp, RampLimits};
 use crate::config::{AxisKind, Config, Stopping};
 use crate::kinematics::Pose;
+use crate::safety::integrity::constants;
 use crate::units::scale::{product, saturate, total};
 use crate::units::{Acceleration, Coordinate, Rate};
 use haptimill_protocol::message::{Action, MAX_AXES, RATE_SHIFT, Refusal};
@@ -57,6 +60,8 @@ pub struct Progress {
     pub paused: Option<u32>,
     /// The last setpoint of the job was reached.
     pub finished: bool,
+    /// It went no farther, because what was moved by hand leaves no room to stop on the way ahead.
+    pub blocked: bool,
     /// The queue ended in motion: a defect, since braking must have ended before.
     pub ran_dry: bool,
 }
@@ -112,6 +117,13 @@ pub struct Program {
     late: Option<Late>,
 }
 
+constants!(Program {
+    axes, rotary, rate_limits, acceleration_limits, period_us, periods_per_second, braking, braking_periods
+} of {} but {
+    queue, queued_periods, rests_ahead, tail, from, segment, time, elapsed, path_rate, override_rate, accepted, reached, total, started, paused,
+    starving, late, spans
+});
+
 /// Bounds of the path rate that a configuration's [`Stopping`] means; `None` if it makes no sense.
 #[must_use]
 pub fn braking_limits(stopping: &Stopping, period_us: u16) -> Option<RampLimits> {
@@ -150,7 +162,8 @@ impl Program {
             // Two hundredths more, for the rounding of setpoints.
             let rate = i64::from(pose.rate.0) + i64::from(pose.rate.0) / 50;
             program.rate_limits[axis] = (rate >> RATE_SHIFT) as i32;
-            program.acceleration_limits[axis] = Acceleration(pose.acceleration.0.saturating_mul(16));
+            program.acceleration_limits[axis] =
+                Acceleration(pose.acceleration.0.saturating_mul(16));
         }
         program.braking_periods = program.braking.map_or(0, |limits| {
             Ramp::at(FULL_RATE)
@@ -454,6 +467,15 @@ impl Program {
             self.slow_down(&mut wanted);
         }
         wanted
+    }
+
+    /// From one place to another; the short way round on a rotary axis.
+    fn distance(&self, axis: usize, from: i32, to: i32) -> i64 {
+        if self.rotary[axis] {
+            i64::from(to.wrapping_sub(from))
+        } else {
+            i64::from(to) - i64::from(from)
+        }
     }
 
     /// From rates and accelerations at the programmed speed to those at the path rate.

@@ -3,6 +3,7 @@
 //! Signals are `i32`, times microseconds. States are convex combinations of the inputs that were seen, so no input can overflow them.
 
 use crate::drive::reciprocal::mul_shift;
+use crate::safety::integrity::constants;
 use crate::units::scale::total;
 
 /// Fractional bits of the low-passed signal: at a pole of 0.99 a difference of 1 still moves the state.
@@ -78,6 +79,8 @@ pub struct RateFilter {
     /// The low-passed signal, Q24, within the range of the signal.
     state: i64,
 }
+
+constants!(RateFilter { approach, frequency } of {} but { state });
 
 impl RateFilter {
     /// A filter with a time constant (0: none), called once a period (50 to 1000 us; a shorter one is taken for 50).

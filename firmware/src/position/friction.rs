@@ -22,7 +22,7 @@ const TANH: [u16; 82] = [
 ];
 
 /// Friction of one joint.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct Friction {
     coulomb: Effort,
     knee: Reciprocal,

@@ -22,6 +22,7 @@ pub mod friction;
 
 use crate::config::{Law, LawForm};
 use crate::drive::reciprocal::{Factor, Scale, mul_shift, saturate};
+use crate::safety::integrity::constants;
 use crate::units::{Acceleration, Coordinate, Effort, Rate};
 use filter::{CHANGE_FRACTION, RateFilter};
 use friction::Friction;
@@ -56,6 +57,10 @@ pub struct PositionLaw {
     /// The opposite for drives of more than 2 kN: bits that efforts inside lack.
     lift: u32,
 }
+
+constants!(PositionLaw {
+    form, proportional, derivative, coarse, acceleration, viscous, friction, inertia, ki_period, integral_limit, limit, fraction, lift
+} of { error_rate } but { integral });
 
 impl PositionLaw {
     /// A loop that runs every `period_us` (50 to 1000) and may ask for `limit` either way.
