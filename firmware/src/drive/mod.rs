@@ -219,7 +219,8 @@ impl JointDrive {
     }
 
     /// Reads the joint's inputs, latched at `time_ns` of the board's clock. Once every period.
-    pub fn sense(&mut self, inputs: &AxisInputs, time_ns: u32) -> Sensed {
+    #[inline(never)]
+    pub fn sense(&mut self, inputs: &AxisInputs, time_ns: u32) -> &Sensed {
         let measured = self.encoder.read(inputs, time_ns);
         if !self.sensed_once {
             self.sensed_once = true;
@@ -245,7 +246,7 @@ impl JointDrive {
             slip,
             lost_steps,
         };
-        self.sensed
+        &self.sensed
     }
 
     /// What was sensed last.

@@ -62,14 +62,11 @@ pub struct Motion {
 constants!(Motion { axes } of { program, jog } but { wanted, sources, offsets });
 
 impl Motion {
-    /// For the machine of `config`.
-    #[must_use]
-    pub fn new(config: &Config) -> Self {
-        let mut motion = Self::default();
-        motion.program.set_up(config);
-        motion.jog = Jog::new(config);
-        motion.axes = config.pose.len();
-        motion
+    /// Becomes that of the machine of `config`, in its place: its queue is large.
+    pub fn set_up(&mut self, config: &Config) {
+        self.program.set_up(config);
+        self.jog = Jog::new(config);
+        self.axes = config.pose.len();
     }
 
     /// The wanted pose.
