@@ -19,7 +19,8 @@ host is served at a time. Ctrl-C ends it.";
 
 /// Arguments of `haptimill sim serve`.
 #[derive(Debug, Clone, Args)]
-#[command(about = "Serve the simulated machine in real time", long_about = LONG)]
+#[command(about = "Serve the simulated machine in real time", long_about = LONG, after_long_help = super::run::faults_help(),
+          after_help = "`haptimill sim serve --help` says more, and lists the faults.")]
 pub struct ServeArgs {
     /// Where: pty (a pseudo-terminal, its path is printed) or tcp:HOST:PORT (port 0 takes a free one)
     #[arg(long, value_name = "WHERE", default_value = "pty")]
@@ -33,7 +34,7 @@ pub struct ServeArgs {
     /// Seed of the simulated machine, instead of the one in the machine file
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
-    /// Something that goes wrong in the machine, as "slide-jammed axis=2 at=1.5s"; can be given several times
+    /// Something that goes wrong in the machine, as "slide-jammed axis=l3 at=1.5s"; can be given several times. --help lists all faults
     #[arg(long, value_name = "FAULT")]
     pub fault: Vec<Fault>,
     /// End after so many seconds
