@@ -30,7 +30,7 @@ Run a part program.
 
 The program is read and checked against the machine first: reach, strokes, singularity, the speed of every slide; nothing moves when a line is \
 refused. Then the machine is homed, the job streamed, and DIR filled with
-  recording.hmr  every control period, binary, hashed
+  recording.hmr  every control period, binary; its SHA-256 is trace_sha256 in summary.json, the same for every run of a job in the simulator
   trace.csv      the recording in mm, degrees and newtons, every --trace-every periods
   summary.json   duration, length, errors, faults
   report.html    one page with pictures
