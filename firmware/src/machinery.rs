@@ -1,7 +1,7 @@
 //! The parts that a configuration makes: geometry, joints, motion; and the stages that are theirs.
 
 use crate::config::{AxisKind, Config, JointAxis};
-use crate::drive::{Driven, JointDrive, Wanted as JointWanted};
+use crate::drive::{JointDrive, Wanted as JointWanted};
 use crate::io::{DriveCommand, Inputs};
 use crate::kinematics::machine::Machine;
 use crate::kinematics::{JointMotion, Joints, Kinematics, Pose, PoseError};
@@ -64,7 +64,6 @@ pub struct Machinery {
     pub homing: Homing,
     joints: Vec<JointDrive, MAX_AXES>,
     watches: [Watch; MAX_AXES],
-    driven: [Driven; MAX_AXES],
     measured: Joints,
     measured_pose: Option<Pose>,
     target: JointMotion,
@@ -136,7 +135,6 @@ impl Machinery {
             homing: Homing::default(),
             joints: Vec::new(),
             watches: [Watch::default(); MAX_AXES],
-            driven: [Driven::default(); MAX_AXES],
             measured: Joints::default(),
             measured_pose: None,
             target: JointMotion::default(),
@@ -246,7 +244,6 @@ impl Machinery {
         for joint in &mut self.joints {
             joint.disable();
         }
-        self.driven = [Driven::default(); MAX_AXES];
     }
 
     fn settle(&mut self) {
@@ -292,21 +289,25 @@ impl Machinery {
     /// Supervision of all joints against what was wanted of them in the period before.
     pub fn supervise(&mut self) -> Option<Fault> {
         let limit = self.config.supervision.illegal_transitions;
-        for (index, axis) in self.config.joints.iter().enumerate() {
-            let sensed = self.joints[index].sensed();
-            let target = self.target.joints.0[index];
+        let targets = self.target.joints.0.iter().zip(&self.target.rates);
+        let joints = self.config.joints.iter().zip(&self.joints);
+        let watches = self.watches.iter_mut();
+        for (index, (((axis, joint), watch), (wanted, wanted_rate))) in
+            joints.zip(watches).zip(targets).enumerate()
+        {
+            let sensed = joint.sensed();
             let seen = Seen {
-                wanted: target,
-                wanted_rate: self.target.rates[index],
+                wanted: *wanted,
+                wanted_rate: *wanted_rate,
                 measured: sensed.coordinate,
                 rate: sensed.rate,
                 moved: sensed.moved,
-                effort: self.driven[index].effort,
+                effort: joint.driven().effort,
                 illegal: sensed.illegal.min(u32::from(u16::MAX)) as u16,
                 steps_off: sensed.slip,
                 period_us: self.config.period_us,
             };
-            if let Some(fault) = self.watches[index].look(index as u8, axis, limit, &seen) {
+            if let Some(fault) = watch.look(index as u8, axis, limit, &seen) {
                 return Some(fault);
             }
         }
@@ -316,10 +317,12 @@ impl Machinery {
     /// Stage *place*: the wanted pose to the joints.
     pub fn place(&mut self) -> Result<(), PoseError> {
         let wanted = self.motion.wanted();
-        self.target =
-            self.machine
-                .inverse_motion(&wanted.pose, &wanted.rates, &wanted.accelerations)?;
-        Ok(())
+        self.machine.place(
+            &wanted.pose,
+            &wanted.rates,
+            &wanted.accelerations,
+            &mut self.target,
+        )
     }
 
     /// Stage *drive*: position loops. Gives a joint whose drive was asked for too much.
@@ -332,11 +335,11 @@ impl Machinery {
             .iter()
             .zip(&target.rates)
             .zip(&target.accelerations);
-        let parts = self.joints.iter_mut().zip(&mut self.driven).zip(commands);
-        for (index, (((joint, driven), command), ((coordinate, rate), acceleration))) in
+        let parts = self.joints.iter_mut().zip(commands);
+        for (index, ((joint, command), ((coordinate, rate), acceleration))) in
             parts.zip(targets).enumerate()
         {
-            *driven = joint.drive(&JointWanted {
+            let driven = joint.drive(&JointWanted {
                 coordinate: *coordinate,
                 rate: *rate,
                 acceleration: *acceleration,
@@ -411,13 +414,13 @@ impl Machinery {
     /// Following errors.
     #[must_use]
     pub fn error_values(&self) -> AxisValues {
-        self.values(|index| self.driven[index].following_error.0)
+        self.values(|index| self.joints[index].driven().following_error.0)
     }
 
     /// Drive commands: DAC codes, or steps emitted.
     #[must_use]
     pub fn drive_values(&self, inputs: &Inputs) -> AxisValues {
-        self.values(|index| match self.driven[index].command {
+        self.values(|index| match self.joints[index].driven().command {
             DriveCommand::Torque(code) => i32::from(code),
             DriveCommand::Steps(_) => inputs.axes[index].steps,
             DriveCommand::Off => 0,
@@ -429,8 +432,8 @@ impl Machinery {
         (0..self.axes()).map(|index| JointReading {
             measured: self.measured.0[index],
             wanted: self.target.joints.0[index],
-            following_error: self.driven[index].following_error,
-            command: self.driven[index].command,
+            following_error: self.joints[index].driven().following_error,
+            command: self.joints[index].driven().command,
         })
     }
 

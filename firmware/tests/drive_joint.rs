@@ -148,7 +148,7 @@ fn follow(lost_motion: f64) -> (f64, f64) {
             rate: Rate((v * MM) as i32),
             acceleration: Acceleration((-w * w * x * 4096.0) as i32),
         };
-        let driven = joint.drive(&wanted);
+        let driven = *joint.drive(&wanted);
         let DriveCommand::Torque(next) = driven.command else {
             panic!()
         };

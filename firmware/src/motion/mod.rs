@@ -149,8 +149,7 @@ impl Motion {
             }
             Mode::Program { halt } => {
                 if !self.led_otherwise() {
-                    let (program, progress) = self.program.advance(halt);
-                    self.wanted = program;
+                    let progress = self.program.advance_to(halt, &mut self.wanted);
                     return (progress, None);
                 }
                 for axis in 0..self.axes {
@@ -178,7 +177,7 @@ impl Motion {
         self.sources[..self.axes]
             .iter()
             .any(|source| *source != Source::Program)
-            || self.offsets != [0; MAX_AXES]
+            || self.offsets.iter().any(|offset| *offset != 0)
     }
 
     /// Looks whether the machine can still come to rest within its bounds if all goes on for one period. Says whether the program must brake now,
