@@ -7,14 +7,15 @@ use crate::kinematics::machine::Machine;
 use crate::kinematics::{JointMotion, Joints, Kinematics, Pose, PoseError};
 use crate::motion::Motion;
 use crate::safety::homing::Homing;
+use crate::safety::integrity::{Constants, Digest};
 use crate::safety::supervise::{Seen, Watch};
 use crate::units::Coordinate;
-use haptimill_protocol::frame::crc32;
 use haptimill_protocol::message::{AxisValues, ConfigField, ConfigProblem, Fault, MAX_AXES};
 use heapless::Vec;
 
-/// Parts in which the configuration is checked against its digest: the whole but axes, then each axis.
-const PARTS: usize = 1 + 2 * MAX_AXES;
+/// Parts in which the configuration, and what was worked out from it, is checked against its digest: geometry and bounds, motion, then each axis of
+/// the pose and each joint.
+const PARTS: usize = 2 + 2 * MAX_AXES;
 
 /// Where each joint stands, and what its counts mean.
 pub type Standing = Vec<(Meaning, Coordinate), MAX_AXES>;
@@ -68,7 +69,7 @@ pub struct Machinery {
     measured: Joints,
     measured_pose: Option<Pose>,
     target: JointMotion,
-    digests: [u32; PARTS],
+    digests: [Digest; PARTS],
     next_part: usize,
 }
 
@@ -99,7 +100,7 @@ impl Machinery {
             measured: Joints::default(),
             measured_pose: None,
             target: JointMotion::default(),
-            digests: [0; PARTS],
+            digests: [Digest::default(); PARTS],
             next_part: 0,
             config,
             crc,
@@ -252,6 +253,7 @@ impl Machinery {
                 wanted_rate: self.target.rates[index],
                 measured: sensed.coordinate,
                 rate: sensed.rate,
+                moved: sensed.moved,
                 effort: self.driven[index].effort,
                 illegal: sensed.illegal.min(u32::from(u16::MAX)) as u16,
                 steps_off: sensed.slip,
@@ -276,15 +278,24 @@ impl Machinery {
     /// Stage *drive*: position loops. Gives a joint whose drive was asked for too much.
     pub fn drive(&mut self, commands: &mut [DriveCommand; MAX_AXES]) -> Option<u8> {
         let mut saturated = None;
-        for (index, joint) in self.joints.iter_mut().enumerate() {
-            let wanted = JointWanted {
-                coordinate: self.target.joints.0[index],
-                rate: self.target.rates[index],
-                acceleration: self.target.accelerations[index],
-            };
-            self.driven[index] = joint.drive(&wanted);
-            commands[index] = self.driven[index].command;
-            if self.driven[index].saturated {
+        let target = &self.target;
+        let targets = target
+            .joints
+            .0
+            .iter()
+            .zip(&target.rates)
+            .zip(&target.accelerations);
+        let parts = self.joints.iter_mut().zip(&mut self.driven).zip(commands);
+        for (index, (((joint, driven), command), ((coordinate, rate), acceleration))) in
+            parts.zip(targets).enumerate()
+        {
+            *driven = joint.drive(&JointWanted {
+                coordinate: *coordinate,
+                rate: *rate,
+                acceleration: *acceleration,
+            });
+            *command = driven.command;
+            if driven.saturated {
                 saturated = Some(index as u8);
             }
         }
@@ -309,24 +320,26 @@ impl Machinery {
         self.digest(part) == self.digests[part]
     }
 
-    fn digest(&self, part: usize) -> u32 {
-        let mut buffer = [0; 192];
+    fn digest(&self, part: usize) -> Digest {
+        let mut digest = Digest::default();
         let config = &self.config;
-        let used = match part {
-            0 => postcard::to_slice(
-                &(
-                    &config.model,
-                    &config.stopping,
-                    &config.supervision,
-                    &config.homing,
-                    config.period_us,
-                ),
-                &mut buffer,
-            ),
-            _ if part % 2 == 1 => postcard::to_slice(&config.pose.get(part / 2), &mut buffer),
-            _ => postcard::to_slice(&config.joints.get(part / 2 - 1), &mut buffer),
-        };
-        used.map_or(0, |bytes| crc32(bytes))
+        match part {
+            0 => {
+                digest.add(&(&config.name, &config.model, &self.machine));
+                digest.add(&(&config.stopping, &config.supervision, &config.homing));
+                digest.add(&(config.period_us, self.crc));
+            }
+            1 => self.motion.digest(&mut digest),
+            _ if part.is_multiple_of(2) => digest.add(&config.pose.get(part / 2 - 1)),
+            _ => {
+                let index = part / 2 - 1;
+                digest.add(&config.joints.get(index));
+                if let Some(joint) = self.joints.get(index) {
+                    joint.digest(&mut digest);
+                }
+            }
+        }
+        digest
     }
 
     /// The wanted pose as values of a message.

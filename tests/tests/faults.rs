@@ -152,7 +152,14 @@ fn a_reversed_encoder_of_the_table_does_not_run_away() {
 #[test]
 fn a_stuck_channel_is_seen_before_the_slide_is_fast() {
     let clean = EncoderCondition::default();
-    for (speed, most) in [(1.0, 0.35), (4.0, 0.05), (40.0, 0.05), (-40.0, 0.05)] {
+    for (speed, most) in [
+        (0.2, 0.6),
+        (-0.5, 0.35),
+        (1.0, 0.35),
+        (4.0, 0.05),
+        (40.0, 0.05),
+        (-40.0, 0.05),
+    ] {
         for (joint, condition) in [
             (
                 0,

@@ -14,6 +14,7 @@
 use super::reciprocal::{Reciprocal, mul_shift, saturate};
 use crate::config::AxisKind;
 use crate::io::AxisInputs;
+use crate::safety::integrity::constants;
 use crate::units::{Coordinate, Rate};
 
 /// After this long without an edge the joint is at rest: half of the range of the clock.
@@ -46,6 +47,12 @@ pub struct Encoder {
     /// Age of the last edge up to which the rate cannot be too large.
     believed_ns: u32,
 }
+
+constants!(Encoder {
+    kind, per_count, half_mantissa, half_exponent
+} of {} but {
+    fresh, raw, counts, reference_counts, reference, illegal_raw, illegal, index_pulses, edge_time_ns, edge, edge_known, rate, believed_ns
+});
 
 /// What an encoder says at the start of a period.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]

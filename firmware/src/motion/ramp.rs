@@ -7,7 +7,7 @@
 //! Values must stay below 2^44 and slopes below 2^31 in magnitude; [`RampLimits::new`] refuses limits beyond that.
 
 /// Bounds of a [`Ramp`], per period.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct RampLimits {
     slope: i64,
     jerk: i64,
