@@ -10,7 +10,7 @@ use haptimill_firmware::controller::Controller;
 use haptimill_firmware::motion::program::FULL_RATE;
 use haptimill_hil_sim::config::PlantConfig;
 use haptimill_hil_sim::fault::Fault;
-use haptimill_hil_sim::rig::{Control, Rig, RigOptions};
+use haptimill_hil_sim::rig::{Control, Rig, RigError, RigOptions};
 use haptimill_protocol::message::{AxisValues, MAX_AXES, State, Telemetry};
 use std::sync::Arc;
 
@@ -67,8 +67,10 @@ pub fn rig_around<C: Control>(
         faults,
         ..RigOptions::default()
     };
-    Rig::new(&plant, &options, controller)
-        .map_err(|error| CliError::new(Exit::BadInput, format!("{}: {error}", machine.file)))
+    Rig::new(&plant, &options, controller).map_err(|error| match error {
+        RigError::Plant(_) => CliError::new(Exit::BadInput, format!("{}: {error}", machine.file)),
+        RigError::Fault(error) => CliError::new(Exit::Usage, format!("--{error}")),
+    })
 }
 
 impl<C: Control> SimLine<C> {
