@@ -62,6 +62,7 @@ quantity! {
     Effort
 }
 
+pub mod force;
 pub mod root;
 pub mod scale;
 pub mod trig;

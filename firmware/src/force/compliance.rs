@@ -1,0 +1,359 @@
+//! The direct-force loop of one axis: the displacement by which the tool yields (spec h4-milling (3.30)-(3.33), in the sign form of 3.3).
+//!
+//! ```text
+//! K_A p_c'' + K_V p_c' = F - sigma f_d     sigma p_c >= 0     p_r = p_d + p_c
+//! ```
+//!
+//! F is the peak force on the tool, sigma the side to which the tool yields: the sign of p_c, or of F while p_c is 0. Here everything is counted in the direction of sigma, *outward*: the
+//! displacement is never negative. A force above f_d moves the tool outward; below f_d it returns at up to f_d / K_V, and stops at 0.
+//!
+//! What is not in the equation:
+//! - **Gate.** Where the gate is shut ([`Gate`]) a force does not push outward; the rate dies away and the tool returns as soon as the force is below f_d.
+//! - **Limit.** At the largest displacement the outward rate ends. A limit that is lowered below the present displacement lets the tool come back by itself.
+//! - **Landing.** The return slows down to 1/64 of the remaining displacement in a period: without it the rate would fall from f_d / K_V to 0 in one period (10 mm/s for K_V = 0.5).
+//! - **Guard.** On a stiff contact a damper acts between the tool and the *work*, D (p_c' + p_d'), see [`super::guard`]. Between the tool and the desired position it would
+//!   raise the force while the desired position still advances. Its push against an approach is at most f_d + F: alone it never moves the tool away from where nothing is.
+//!
+//! A change of gains or of f_d changes the acceleration; displacement and rate go on from where they are, so the tool does not jump. When `place` refuses the reference, [`Compliance::withhold`]
+//! takes the last period back: the displacement stays what it was and the rate is 0, so nothing winds up.
+//!
+//! **Error.** Against the same law in f64 the displacement differs by less than 2^-37 mm a period and 2^-28 of the way gone.
+//!
+//! Misuse: a force that is not the reaction on the tool. With the wrong sign the loop runs into the work; [`super::guard`] looks out for that.
+
+use super::pole::{Pole, RATE_BITS, sound};
+use super::{Gate, LoopSettings, Parameter, Refused};
+use crate::position::filter::frequency;
+use crate::units::force::{Displacement, Force, VirtualDamping, rate_of};
+use crate::units::scale::{round_shift, saturate};
+use crate::units::{Acceleration, Length, Rate};
+
+/// Levels of damping: level i has 2^i K_V.
+pub const LEVELS: usize = 8;
+
+/// The stiffest contact for which the guard answers, N/mm.
+pub const STIFFEST: u32 = 1000;
+
+/// Below this the displacement is 0: 2^-20 mm.
+const NOTHING: i64 = 1 << 20;
+
+/// The largest limit of the displacement, mm.
+pub const LARGEST_LIMIT: Length = Length::millimetres(64);
+
+/// What one axis does in a period.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Yielding {
+    /// p_c.
+    pub displacement: Displacement,
+    /// p_c'.
+    pub rate: Rate,
+    /// p_c''.
+    pub acceleration: Acceleration,
+    /// The displacement is at its limit, and the force would have it go on.
+    pub limited: bool,
+}
+
+/// The law with its numbers for every level of damping.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Law {
+    settings: LoopSettings,
+    poles: [Pole; LEVELS],
+    /// K_V of the lowest level below which a level is prepared; the highest is `highest`.
+    highest: usize,
+    fineness: u32,
+    /// Displacement in a period at the largest rate, in the scale of the rate.
+    rate_limit: i64,
+    /// Apparent contact stiffness at which level 1 begins, 2^-8 N/mm.
+    onset: u32,
+    frequency: u32,
+}
+
+impl Law {
+    /// A law of which only the first level is worked out. The others follow with [`Law::prepare`], one in a period: each takes about 2000 instructions.
+    ///
+    /// `delay_us` is what the guard counts on from a change of the tool's position to a change of the seen force: window of the peak, drive, latch.
+    ///
+    /// # Errors
+    /// The first parameter that cannot be, with its bound.
+    pub fn begin(
+        settings: &LoopSettings,
+        period_us: u16,
+        delay_us: u32,
+        largest_force: Force,
+    ) -> Result<Self, Refused> {
+        let highest = check(settings, period_us, delay_us, largest_force)?;
+        let first = Pole::new(settings.mass, settings.damping, period_us);
+        let fineness = first.fineness();
+        let mut poles = [first; LEVELS];
+        poles[0] = first;
+        // 2^-20 mm/s to 2^-(40 + fineness) mm in a period: below 2^31 * 2^10 * 2^20 / 10^6.
+        let way = i64::from(settings.rate.0.max(1)) * i64::from(period_us) * (1 << 20) / 1_000_000;
+        // K_V / 2 tau, see `guard`: 2^-16 N s/mm to 2^-8 N/mm.
+        let onset = u64::from(settings.damping.0) * 1_000_000 / (2 * u64::from(delay_us)) >> 8;
+        Ok(Self {
+            settings: settings.clone(),
+            poles,
+            highest,
+            fineness,
+            rate_limit: way.min(1 << RATE_BITS) << fineness,
+            onset: onset.min(u64::from(u32::MAX)) as u32,
+            frequency: frequency(period_us),
+        })
+    }
+
+    /// Works out one level of damping.
+    #[cold]
+    pub fn prepare(&mut self, level: usize, period_us: u16) {
+        let damping = VirtualDamping(self.settings.damping.0 << level.min(self.highest));
+        if let Some(pole) = self.poles.get_mut(level) {
+            *pole = Pole::new(self.settings.mass, damping, period_us);
+        }
+    }
+
+    /// A law with all its levels, at once: for a configuration.
+    ///
+    /// # Errors
+    /// As [`Law::begin`].
+    pub fn new(
+        settings: &LoopSettings,
+        period_us: u16,
+        delay_us: u32,
+        largest_force: Force,
+    ) -> Result<Self, Refused> {
+        let mut law = Self::begin(settings, period_us, delay_us, largest_force)?;
+        for level in 1..LEVELS {
+            law.prepare(level, period_us);
+        }
+        Ok(law)
+    }
+
+    /// What it was made from.
+    #[must_use]
+    pub const fn settings(&self) -> &LoopSettings {
+        &self.settings
+    }
+
+    /// The highest level of damping that it has.
+    #[must_use]
+    pub const fn highest(&self) -> usize {
+        self.highest
+    }
+
+    /// Apparent contact stiffness at which level 1 begins, 2^-8 N/mm; level i begins at 2^(i - 1) of it.
+    #[must_use]
+    pub const fn onset(&self) -> u32 {
+        self.onset
+    }
+}
+
+/// Checks settings; gives the highest level of damping, from which on the guard holds a contact of [`STIFFEST`].
+fn check(
+    settings: &LoopSettings,
+    period_us: u16,
+    delay_us: u32,
+    largest_force: Force,
+) -> Result<usize, Refused> {
+    let refuse = |parameter, bound: u64| Refused {
+        parameter,
+        bound: bound.min(i32::MAX as u64) as i32,
+    };
+    let desired = settings.desired;
+    if desired < LoopSettings::LEAST_DESIRED {
+        return Err(refuse(
+            Parameter::DesiredTooSmall,
+            u64::from(LoopSettings::LEAST_DESIRED.magnitude()),
+        ));
+    }
+    // Above three quarters of the range there is no force left to tell the loop by how much it is too high.
+    let most = largest_force.held().0.max(0) / 4 * 3;
+    if desired.0 > most {
+        return Err(refuse(Parameter::DesiredTooLarge, most as u64));
+    }
+    // Level i answers for contacts up to 2^i K_V / 2 tau; the last level must answer for the stiffest.
+    let needed = (2 * u64::from(STIFFEST) * u64::from(delay_us) << 16) / 1_000_000;
+    let least = (needed >> (LEVELS - 1)).max(6554) + 1;
+    if u64::from(settings.damping.0) < least {
+        return Err(refuse(Parameter::DampingTooSmall, least));
+    }
+    if settings.damping.0 > 1 << 26 {
+        return Err(refuse(Parameter::DampingTooLarge, 1 << 26));
+    }
+    let mut highest = 0;
+    while u64::from(settings.damping.0) << highest < needed && highest < LEVELS - 1 {
+        highest += 1;
+    }
+    // K_A >= K_V T for the most damped level, and K_A <= 2^18 K_V T for the least damped one.
+    let step = u64::from(settings.damping.0) * u64::from(period_us);
+    let lightest = ((step << highest).div_ceil(1_000_000)).max(1);
+    if u64::from(settings.mass.0) < lightest {
+        return Err(refuse(Parameter::MassTooSmall, lightest));
+    }
+    let heaviest = ((step << 18) / 1_000_000).min(1 << 26);
+    if u64::from(settings.mass.0) > heaviest || !sound(settings.mass, settings.damping, period_us) {
+        return Err(refuse(Parameter::MassTooLarge, heaviest));
+    }
+    if settings.limit.0 <= 0 || settings.limit > LARGEST_LIMIT {
+        return Err(refuse(Parameter::Limit, LARGEST_LIMIT.0 as u64));
+    }
+    if settings.rate.0 <= 0 {
+        return Err(refuse(Parameter::Rate, 1));
+    }
+    Ok(highest)
+}
+
+/// What an axis is given in a period.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Push {
+    /// Peak force on the tool.
+    pub force: Force,
+    /// p_d'.
+    pub desired_rate: Rate,
+    /// Force control is wanted on this axis. Without it the force counts as none, and the tool returns.
+    pub active: bool,
+    /// Level of damping, from the guard.
+    pub level: usize,
+}
+
+/// The compliance of one axis.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Compliance {
+    law: Law,
+    /// Outward is upward.
+    upward: bool,
+    /// How far the tool has yielded, 2^-40 mm, 0 to 2^46.
+    away: i64,
+    /// Its rate outward, 2^-(40 + fineness) mm in a period.
+    rate: i64,
+    /// `away` before this period.
+    before: i64,
+}
+
+impl Compliance {
+    /// An axis that has not yielded.
+    #[must_use]
+    pub const fn new(law: Law) -> Self {
+        Self {
+            law,
+            upward: true,
+            away: 0,
+            rate: 0,
+            before: 0,
+        }
+    }
+
+    /// The law.
+    #[must_use]
+    pub const fn law(&self) -> &Law {
+        &self.law
+    }
+
+    /// Goes on under another law; displacement and rate stay.
+    pub fn adopt(&mut self, law: Law) {
+        let (from, to) = (self.law.fineness, law.fineness);
+        self.rate = if to >= from {
+            // Below 2^58 in either scale.
+            self.rate << (to - from)
+        } else {
+            self.rate >> (from - to)
+        };
+        self.law = law;
+    }
+
+    /// The tool stands where it is desired: after an enable, or when wanted became measured.
+    pub const fn reset(&mut self) {
+        self.away = 0;
+        self.rate = 0;
+        self.before = 0;
+    }
+
+    /// p_c.
+    #[must_use]
+    pub const fn displacement(&self) -> Displacement {
+        Displacement(if self.upward { self.away } else { -self.away })
+    }
+
+    /// The reference was refused: the displacement is what it was before this period, and stands.
+    pub const fn withhold(&mut self) -> Yielding {
+        self.away = self.before;
+        self.rate = 0;
+        Yielding {
+            displacement: self.displacement(),
+            rate: Rate::ZERO,
+            acceleration: Acceleration::ZERO,
+            limited: true,
+        }
+    }
+
+    /// One period.
+    #[inline]
+    pub fn advance(&mut self, push: &Push) -> Yielding {
+        let law = &self.law;
+        let force = if push.active { push.force.held().0 } else { 0 };
+        if self.away == 0 && self.rate <= 0 {
+            self.rate = 0;
+            self.upward = force >= 0;
+        }
+        let outward = |value: i32| if self.upward { value } else { value.wrapping_neg() };
+        // Below 2^27 in magnitude.
+        let force = outward(force);
+        let desired = law.settings.desired.0;
+        let desired_rate = outward(push.desired_rate.0.max(-i32::MAX));
+        let level = push.level.min(law.highest);
+        let mut drive = force - desired;
+        if level > 0 {
+            // D = (2^level - 1) K_V, 2^-16 N s/mm; below 2^33. The rate below 2^31: products of words.
+            let added = (i64::from(law.settings.damping.0) << level)
+                - i64::from(law.settings.damping.0);
+            let resisted = round_shift(-i64::from(desired_rate) * added.min(1 << 31), 20);
+            let most = i64::from(desired) + i64::from(force.max(0));
+            drive += resisted.clamp(-most, most) as i32;
+        }
+        let open = match law.settings.gate {
+            Gate::AgainstMotion => desired_rate < 0,
+            Gate::Any => true,
+            Gate::Positive => self.upward,
+            Gate::Negative => !self.upward,
+        };
+        if !open {
+            drive = drive.min(0);
+        }
+        let (fineness, most) = (law.fineness, law.rate_limit);
+        let pole = law.poles.get(level).unwrap_or(&law.poles[0]);
+        let (step, rate) = pole.step(drive, self.rate, fineness);
+        // Towards 0 no faster than 1/64 of what is left.
+        let landing = -((self.away >> 6) << fineness).min(most);
+        let step = step.clamp(landing, most);
+        let mut rate = rate.clamp(landing, most);
+        let mut away = self.away + round_shift(step, fineness);
+        // A limit that was lowered does not push the tool.
+        let limit = Displacement::from_length(law.settings.limit).0.max(self.away);
+        let limited = away >= limit && drive > 0;
+        if away > limit {
+            away = limit;
+            rate = rate.min(0);
+        }
+        if away < NOTHING && rate <= 0 {
+            away = 0;
+            rate = 0;
+        }
+        let change = (rate - self.rate) >> fineness;
+        self.before = self.away;
+        self.away = away.max(0);
+        self.rate = rate;
+        self.yielding(change, limited)
+    }
+
+    fn yielding(&self, change: i64, limited: bool) -> Yielding {
+        let frequency = self.law.frequency;
+        let signed = |value: i64| if self.upward { value } else { -value };
+        // Below 2^42 * 2^31: 2^-40 mm/s, Q16 taken off; then 2^-24 mm/s^2.
+        let faster = crate::drive::reciprocal::mul_shift::<16>(signed(change), frequency);
+        let acceleration = crate::drive::reciprocal::mul_shift::<32>(faster, frequency);
+        Yielding {
+            displacement: self.displacement(),
+            rate: rate_of(signed(self.rate >> self.law.fineness), frequency),
+            acceleration: Acceleration(saturate(round_shift(acceleration, 12))),
+            limited,
+        }
+    }
+}

@@ -1,0 +1,191 @@
+//! The stability guard: what a stiff contact would feed into the force loop is damped before it can.
+//!
+//! **The energy.** The force that the loop sees is late: a peak over a revolution falls up to one revolution after the force, the drive lags, a period passes. Let the whole delay be tau. On
+//! a contact of stiffness k an oscillation of the tool sees F(t - tau) = -k p(t - tau), of which the part in phase with the rate is +k sin(w tau)/w p': negative damping, at most k tau. In a cycle
+//! of amplitude A it feeds pi k tau w A^2 into the loop, and K_V takes pi K_V w A^2 out. A loop with a damping of at least k tau takes out more than it is fed.
+//!
+//! The exact limit says the same. K_A s^2 + K_V s + k e^(-s tau) has its roots on the left as long as
+//!
+//! ```text
+//! k < (K_V / tau) y / sin y     with  y tan y = K_V tau / K_A
+//! ```
+//!
+//! (421 N/mm for K_A = 1, K_V = 5, tau = 12 ms; 383 for 13.2 ms), and y / sin y is never below 1: **K_V > k tau is enough, whatever K_A is.**
+//!
+//! **The observer.** k is measured: the regression of the seen peak force on the position of the tool in the work (its reference, which has no noise) over the last 32 looks, four in a revolution.
+//! It counts when at least half of the change of the force is explained by the position, and when the force changes by more than [`NOISE`].
+//! Cutting shows 10 N/mm or so: there the tool goes a long way with the force almost constant.
+//!
+//! **The controller.** Level i of damping stands for k up to 2^(i-1) K_V / tau and has 2^i K_V, twice what is needed, or more. The additional damping acts between the tool and the work
+//! (p_c' + p_d'), so a steady push by the desired motion costs no force. A level is taken at once; it is left, one at a time, when the tool has moved for [`PATIENCE`] looks without showing a
+//! contact so stiff. A tool that stands still proves nothing, and keeps its level. At level 0 the law is the equation alone.
+//!
+//! **The sign.** By the same regression: a force that grows the further the tool goes *along* it comes from a sensor with the wrong sign. It is looked for until the first contact has
+//! shown the right one.
+//!
+//! Misuse: a delay larger than the configured one. The levels are then too low.
+
+use crate::units::Coordinate;
+use crate::units::force::Force;
+
+/// Weight of a look: 2^-5, a memory of 32 looks (8 revolutions).
+const MEMORY: u32 = 5;
+
+/// A change of the force with less than this deviation says nothing, 2^-16 N: 0.05 N.
+pub const NOISE: i64 = 3277;
+
+/// A deviation of the position of at least this is motion: 2^-20 mm, 0.5 um.
+const MOTION: i64 = 524;
+
+/// Looks with motion, and without a contact so stiff, after which a level is left.
+pub const PATIENCE: u8 = 48;
+
+/// Looks in a row with the force growing along itself that are a wrong sign.
+const WRONG_LOOKS: u8 = 6;
+
+/// What is known of the sign of the sensor.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Sign {
+    /// No contact yet.
+    #[default]
+    Unknown,
+    /// The force falls when the tool yields to it.
+    Right,
+    /// The force grows when the tool yields to it.
+    Wrong,
+}
+
+/// The observer of one axis.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Guard {
+    begun: bool,
+    /// Running means, 2^-20 mm and 2^-16 N, with [`MEMORY`] more bits each.
+    mean_position: i64,
+    mean_force: i64,
+    /// Variances and covariance in raw units squared, below 2^54.
+    position_variance: i64,
+    force_variance: i64,
+    covariance: i64,
+    level: u8,
+    calm: u8,
+    wrong: u8,
+    sign: Sign,
+}
+
+/// Deviations are held within this: 16 mm, 256 N.
+const WIDEST: i64 = 1 << 24;
+
+impl Guard {
+    /// The level of damping.
+    #[must_use]
+    pub fn level(&self) -> usize {
+        usize::from(self.level)
+    }
+
+    /// What is known of the sign.
+    #[must_use]
+    pub const fn sign(&self) -> Sign {
+        self.sign
+    }
+
+    /// Forgets the contact; `sign` says whether the sensor must show its sign again.
+    pub fn reset(&mut self, sign: bool) {
+        *self = Self {
+            sign: if sign { Sign::Unknown } else { self.sign },
+            ..Self::default()
+        };
+    }
+
+    /// One look, four times in a revolution: where the tool is wanted in the work, the peak force, the desired force, and the `onset` and `highest` level of the law.
+    pub fn look(&mut self, position: Coordinate, force: Force, desired: Force, onset: u32, highest: usize) {
+        let position = i64::from(position.0) << MEMORY;
+        let seen = i64::from(force.held().0) << MEMORY;
+        if !self.begun {
+            self.begun = true;
+            self.mean_position = position;
+            self.mean_force = seen;
+            return;
+        }
+        let off = ((position - self.mean_position) >> MEMORY).clamp(-WIDEST, WIDEST);
+        let more = ((seen - self.mean_force) >> MEMORY).clamp(-WIDEST, WIDEST);
+        self.mean_position += (position - self.mean_position) >> MEMORY;
+        self.mean_force += (seen - self.mean_force) >> MEMORY;
+        // Products below 2^48; sums below 2^49.
+        self.position_variance = weigh(self.position_variance, off * off);
+        self.force_variance = weigh(self.force_variance, more * more);
+        self.covariance = weigh(self.covariance, off * more);
+        self.judge_stiffness(onset, highest);
+        if self.sign == Sign::Unknown {
+            self.judge_sign(force, desired);
+        }
+    }
+
+    /// Whether the position explains at least half of the variance of the force, and that is more than noise.
+    fn explained(&self) -> bool {
+        if self.force_variance < NOISE * NOISE {
+            return false;
+        }
+        // covariance^2 >= variance * variance / 2, with 31 bits of each.
+        let most = self
+            .position_variance
+            .max(self.force_variance)
+            .max(self.covariance.abs());
+        let shift = 33u32.saturating_sub(most.leading_zeros());
+        let (position, force) = (self.position_variance >> shift, self.force_variance >> shift);
+        let both = self.covariance >> shift;
+        both * both >= (position * force) >> 1
+    }
+
+    fn judge_stiffness(&mut self, onset: u32, highest: usize) {
+        let mut level = 0;
+        if self.covariance < 0 && self.explained() {
+            // N/mm are 2^4 raw units of force per raw unit of position; the onset has 8 bits more: slope * 2^12 against it. Below 2^61 and 2^49 * 2^31: in parts.
+            let fell = -self.covariance;
+            let mut edge = i128_free(self.position_variance, onset);
+            while level < highest && fell >= edge {
+                level += 1;
+                edge = edge.saturating_mul(2);
+            }
+        }
+        let level = level as u8;
+        if level >= self.level {
+            self.level = level;
+            self.calm = 0;
+        } else if self.position_variance >= MOTION * MOTION {
+            self.calm += 1;
+            if self.calm >= PATIENCE {
+                self.calm = 0;
+                self.level -= 1;
+            }
+        }
+    }
+
+    fn judge_sign(&mut self, force: Force, desired: Force) {
+        let telling = self.explained() && self.position_variance >= MOTION * MOTION;
+        let strong = i64::from(force.magnitude());
+        let desired = i64::from(desired.magnitude());
+        if telling && self.covariance < 0 && strong >= desired / 2 {
+            self.sign = Sign::Right;
+        } else if telling && self.covariance > 0 && strong >= 2 * desired {
+            self.wrong += 1;
+            if self.wrong >= WRONG_LOOKS {
+                self.sign = Sign::Wrong;
+            }
+        } else {
+            self.wrong = 0;
+        }
+    }
+}
+
+/// A running mean of squares: `mean` goes 2^-5 of the way to `square`.
+fn weigh(mean: i64, square: i64) -> i64 {
+    mean + ((square - mean) >> MEMORY)
+}
+
+/// `variance * onset / 2^12`, of a variance below 2^49, held at the end of the range.
+fn i128_free(variance: i64, onset: u32) -> i64 {
+    let high = (variance >> 24) * i64::from(onset);
+    let low = (variance & 0xff_ffff) * i64::from(onset);
+    // Below 2^57 + 2^57: high * 2^24 / 2^12.
+    high.saturating_mul(1 << 12).saturating_add(low >> 12)
+}

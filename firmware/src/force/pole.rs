@@ -1,0 +1,177 @@
+//! The exact discretisation of the compliance law (spec h4-milling (3.30) and 3.3): K_A v' + K_V v = u, with u held over a period T.
+//!
+//! With x = K_V T / K_A, a = e^-x and the rate at which it would end, w = u T / K_V (displacements in a period):
+//!
+//! ```text
+//! displacement += w + (v - w) g        g = (1 - a) / x = 1 - x/2 (1 - x/3 (1 - x/4 (...)))
+//! v            -= (v - w) (1 - a)      1 - a = x g
+//! ```
+//!
+//! The series is summed at configuration time to 20 terms (x <= 1: the rest is below 1/22!), with an error below 2^-59; there is no division in a period. Numbers per period:
+//! `terminal` is right to 2^-30, `approach` to 2^-31 of itself, `mean` to 2^-32. The rate keeps so many bits below 2^-40 mm as 1 - a has leading zeros, so a rounding that returns in every
+//! period adds up to no more than 2^-38 mm a period.
+//!
+//! Misuse: [`Pole::step`] needs a rate below [`RATE_BITS`]; [`super::compliance`] holds it there.
+
+use crate::units::force::{VirtualDamping, VirtualMass};
+use crate::units::scale::{high_product, multiply_high, round_shift};
+
+/// The most leading zeros of 1 - a: x >= 2^-18.
+pub const DEEPEST: u32 = 17;
+
+/// Rates stay below 2^41 * 2^-40 mm, 2 mm, in a period; with the finest scale below 2^58.
+pub const RATE_BITS: u32 = 41;
+
+/// 2^64 / k, rounded down, for the terms of the series.
+const RECIPROCALS: [u64; 20] = {
+    let mut table = [0; 20];
+    let mut place = 0;
+    while place < 20 {
+        table[place] = u64::MAX / (place as u64 + 2);
+        place += 1;
+    }
+    table
+};
+
+/// How one period with one damping changes displacement and rate.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Pole {
+    /// 1 - a is this times 2^-(32 + deep); 2^31 to 2^32.
+    approach: u32,
+    deep: u32,
+    /// g, Q32.
+    mean: u32,
+    /// T / K_V in 2^-40 mm per 2^-16 N is this times 2^-exponent; 2^30 to 2^31.
+    terminal: i32,
+    exponent: u32,
+}
+
+/// Whether `mass` and `damping` with this period can be discretised: 2^-18 <= K_V T / K_A <= 1.
+#[must_use]
+pub const fn sound(mass: VirtualMass, damping: VirtualDamping, period_us: u16) -> bool {
+    // Below 2^48 and 2^52.
+    let part = damping.0 as u64 * period_us as u64;
+    let whole = mass.0 as u64 * 1_000_000;
+    part > 0 && part <= whole && whole >> 18 <= part
+}
+
+impl Pole {
+    /// The pole of sound values (see [`sound`]); of others it is meaningless.
+    #[must_use]
+    pub fn new(mass: VirtualMass, damping: VirtualDamping, period_us: u16) -> Self {
+        let x = ratio(
+            u64::from(damping.0) * u64::from(period_us),
+            u64::from(mass.0) * 1_000_000,
+        );
+        // Q63; never above 1 and never below 1/2.
+        let mut mean = 1 << 63;
+        for reciprocal in RECIPROCALS.iter().rev() {
+            // x mean / k, Q63: below 2^62.
+            mean = (1 << 63) - high_product(high_product(x, mean) << 1, *reciprocal);
+        }
+        // Q63, below 2^63.
+        let approach = high_product(x, mean) << 1;
+        let deep = approach.leading_zeros().saturating_sub(1).min(31);
+        let (terminal, exponent) = terminal(damping, period_us);
+        Self {
+            approach: (approach >> (31 - deep)).min(u64::from(u32::MAX)) as u32,
+            deep,
+            mean: (mean >> 31).min(u64::from(u32::MAX)) as u32,
+            terminal,
+            exponent,
+        }
+    }
+
+    /// Leading zeros of 1 - a: how many bits below 2^-40 mm the rate keeps.
+    #[must_use]
+    pub const fn fineness(&self) -> u32 {
+        if self.deep < 1 {
+            1
+        } else if self.deep > DEEPEST {
+            DEEPEST
+        } else {
+            self.deep
+        }
+    }
+
+    /// One period under a force (2^-16 N, up to 2^31). Gives the displacement and the new rate, both in 2^-(40 + `fineness`) mm, below 2^59.
+    ///
+    /// `rate` is of the same scale, below 2^([`RATE_BITS`] + `fineness`); `fineness` is 1 to [`DEEPEST`].
+    #[inline]
+    #[must_use]
+    pub const fn step(&self, force: i32, rate: i64, fineness: u32) -> (i64, i64) {
+        // Below 2^62.
+        let wide = force as i64 * self.terminal as i64;
+        let most = 1i64 << (RATE_BITS + fineness);
+        let end = if self.exponent > fineness {
+            hold(round_shift(wide, self.exponent.wrapping_sub(fineness)), most)
+        } else {
+            let shift = fineness.wrapping_sub(self.exponent);
+            hold(wide, most.wrapping_shr(shift)).wrapping_shl(shift)
+        };
+        // Below 2^60; its upper word times 2^32 is, too.
+        let off = rate - end;
+        let mean = multiply_high(off, self.mean);
+        let change = multiply_high(off, self.approach);
+        let change = if self.deep > 0 {
+            round_shift(change, self.deep)
+        } else {
+            change
+        };
+        (end + mean, rate - change)
+    }
+}
+
+/// `value`, held within +-`most`.
+#[inline]
+const fn hold(value: i64, most: i64) -> i64 {
+    if value > most {
+        most
+    } else if value < -most {
+        -most
+    } else {
+        value
+    }
+}
+
+/// `part` / `whole`, Q63, rounded down; `part <= whole < 2^62`.
+fn ratio(part: u64, whole: u64) -> u64 {
+    let (mut rest, mut quotient) = (part, 0u64);
+    for _ in 0..63 {
+        rest <<= 1;
+        quotient <<= 1;
+        if rest >= whole {
+            rest -= whole;
+            quotient |= 1;
+        }
+    }
+    quotient
+}
+
+/// T / K_V as mantissa and exponent.
+fn terminal(damping: VirtualDamping, period_us: u16) -> (i32, u32) {
+    // T / K_V in 2^-40 mm per 2^-16 N: 2^40 T_us / (K_V 10^6), K_V in 2^-16. Below 2^16 and 2^52.
+    let whole = (u64::from(damping.0) * 1_000_000).max(1);
+    let mut part = u64::from(period_us).max(1);
+    let mut shift = 0;
+    while part < whole && shift < 52 {
+        part <<= 1;
+        shift += 1;
+    }
+    // 1 <= part / whole < 2: 31 bits of it.
+    let mut mantissa = 1u32;
+    let mut rest = part - whole.min(part);
+    for _ in 0..30 {
+        rest <<= 1;
+        mantissa <<= 1;
+        if rest >= whole {
+            rest -= whole;
+            mantissa |= 1;
+        }
+    }
+    // mantissa 2^-30 2^-shift 2^40. K_V of 0.1 N s/mm or more has a shift of 22 or more.
+    (
+        mantissa.min(i32::MAX as u32) as i32,
+        (shift + 30u32).saturating_sub(40),
+    )
+}
