@@ -59,6 +59,9 @@ pub enum Sign {
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Guard {
     begun: bool,
+    /// Least and greatest position since the last look, and between the four looks before.
+    now: Reach,
+    quarters: [Reach; 3],
     /// Running means, 2^-20 mm and 2^-16 N, with [`MEMORY`] more bits each.
     mean_position: i64,
     mean_force: i64,
@@ -70,6 +73,31 @@ pub struct Guard {
     calm: u8,
     wrong: u8,
     sign: Sign,
+}
+
+/// Least and greatest position of a stretch of time.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Reach {
+    low: i32,
+    high: i32,
+}
+
+impl Default for Reach {
+    fn default() -> Self {
+        Self {
+            low: i32::MAX,
+            high: i32::MIN,
+        }
+    }
+}
+
+impl Reach {
+    fn with(self, other: Self) -> Self {
+        Self {
+            low: self.low.min(other.low),
+            high: self.high.max(other.high),
+        }
+    }
 }
 
 /// Deviations are held within this: 16 mm, 256 N.
@@ -96,9 +124,26 @@ impl Guard {
         };
     }
 
+    /// Where the tool is, in every period.
+    #[inline]
+    pub fn note(&mut self, position: Coordinate) {
+        self.now = self.now.with(Reach {
+            low: position.0,
+            high: position.0,
+        });
+    }
+
     /// One look, four times in a revolution: where the tool is wanted in the work, the peak force, the desired force, and the `onset` and `highest` level of the law.
-    pub fn look(&mut self, position: Coordinate, force: Force, desired: Force, onset: u32, highest: usize) {
-        let position = i64::from(position.0) << MEMORY;
+    pub fn look(&mut self, force: Force, desired: Force, onset: u32, highest: usize) {
+        let [first, second, third] = self.quarters;
+        let reach = first.with(second).with(third).with(self.now);
+        self.quarters = [second, third, self.now];
+        self.now = Reach::default();
+        if reach.low > reach.high {
+            return;
+        }
+        let deepest = if force.0 >= 0 { reach.low } else { reach.high };
+        let position = i64::from(deepest) << MEMORY;
         let seen = i64::from(force.held().0) << MEMORY;
         if !self.begun {
             self.begun = true;

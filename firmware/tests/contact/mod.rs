@@ -21,6 +21,8 @@ pub enum Drive {
     Rigid,
     /// As two poles at `omega` 1/s without feed-forward: late by 2 / omega.
     Lag { omega: f64 },
+    /// As a slide under K_P = 40,000 1/s^2 and K_D = 400 1/s on the rate of the error.
+    Servo,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -126,6 +128,14 @@ pub fn run(contact: &Contact, mut trace: impl FnMut(f64, f64, f64, usize)) -> Ou
         // The reference of the last period takes effect.
         match contact.drive {
             Drive::Rigid => tool = reference,
+            Drive::Servo => {
+                for _ in 0..4 {
+                    let h = STEP / 4.0;
+                    let acceleration = 40_000.0 * (reference - tool) + 400.0 * (reference_rate - speed);
+                    speed += acceleration * h;
+                    tool += speed * h;
+                }
+            }
             Drive::Lag { omega } => {
                 for _ in 0..4 {
                     let h = STEP / 4.0;
@@ -135,7 +145,6 @@ pub fn run(contact: &Contact, mut trace: impl FnMut(f64, f64, f64, usize)) -> Ou
                 }
             }
         }
-        let _ = reference_rate;
         stuck = stuck.clamp(tool - contact.stiction, tool + contact.stiction);
         let place = if contact.count > 0.0 {
             (stuck / contact.count).round() * contact.count
@@ -154,6 +163,7 @@ pub fn run(contact: &Contact, mut trace: impl FnMut(f64, f64, f64, usize)) -> Ou
         let code = ((force + contact.noise * noise.next()) / 0.0122).round().clamp(-8192.0, 8191.0);
         let sensed = Force((code * 0.0122 * NEWTON) as i32);
         let peak = peaks.push(sensed).peak();
+        guard.note(Coordinate((place * MM) as i32));
         // Desired motion.
         let end = -contact.depth;
         let rate = if desired > end { -contact.approach } else { 0.0 };
@@ -169,7 +179,7 @@ pub fn run(contact: &Contact, mut trace: impl FnMut(f64, f64, f64, usize)) -> Ou
         reference = desired + yielded.displacement.length().0 as f64 / MM;
         reference_rate = rate + f64::from(yielded.rate.0) / MM;
         if k % (contact.window as usize / 4) == 0 {
-            guard.look(Coordinate((reference * MM) as i32), peak, Force((DESIRED * NEWTON) as i32), onset, highest);
+            guard.look(peak, Force((DESIRED * NEWTON) as i32), onset, highest);
         }
         trace(k as f64 * STEP, force, yielded.displacement.length().0 as f64 / MM, level);
     }
