@@ -25,14 +25,23 @@ use super::pole::{Pole, RATE_BITS, sound};
 use super::{Gate, LoopSettings, Parameter, Refused};
 use crate::position::filter::frequency;
 use crate::units::force::{Displacement, Force, VirtualDamping, rate_of};
-use crate::units::scale::{round_shift, saturate};
+use crate::units::scale::{multiply_shift, round_shift, saturate};
 use crate::units::{Acceleration, Length, Rate};
 
-/// Levels of damping: level i has 2^i K_V.
+/// The most levels of damping: K_V alone, and 7 with more.
 pub const LEVELS: usize = 8;
 
 /// The stiffest contact for which the guard answers, N/mm.
 pub const STIFFEST: u32 = 1000;
+
+/// The damping of a level is at least so many times what the stiffest contact that it stands for needs.
+pub const MARGIN: u32 = 4;
+
+/// Up to here a contact is none of the guard's business, N/mm: cutting looks as stiff as this now and then.
+pub const SOFT: u32 = 20;
+
+/// K_V of 0.1 N s/mm: below, [`Pole`] has no scale for T / K_V.
+const LEAST_DAMPING: u64 = 6554;
 
 /// Below this the displacement is 0: 2^-20 mm.
 const NOTHING: i64 = 1 << 20;
@@ -58,7 +67,8 @@ pub struct Yielding {
 pub struct Law {
     settings: LoopSettings,
     poles: [Pole; LEVELS],
-    /// K_V of the lowest level below which a level is prepared; the highest is `highest`.
+    /// What each level adds to K_V, 2^-16 N s/mm, below 2^31.
+    added: [i32; LEVELS],
     highest: usize,
     fineness: u32,
     /// Displacement in a period at the largest rate, in the scale of the rate.
@@ -81,22 +91,26 @@ impl Law {
         delay_us: u32,
         largest_force: Force,
     ) -> Result<Self, Refused> {
-        let highest = check(settings, period_us, delay_us, largest_force)?;
+        let delay_us = delay_us.clamp(1, DELAY_MOST_US);
+        let onset = onset(settings.damping, delay_us);
+        let highest = check(settings, onset, period_us, delay_us, largest_force)?;
         let first = Pole::new(settings.mass, settings.damping, period_us);
         let fineness = first.fineness();
-        let mut poles = [first; LEVELS];
-        poles[0] = first;
+        let mut added = [0; LEVELS];
+        for (level, added) in added.iter_mut().enumerate() {
+            *added = (damping(settings.damping, onset, delay_us, level.min(highest)).0
+                - settings.damping.0) as i32;
+        }
         // 2^-20 mm/s to 2^-(40 + fineness) mm in a period: below 2^31 * 2^10 * 2^20 / 10^6.
         let way = i64::from(settings.rate.0.max(1)) * i64::from(period_us) * (1 << 20) / 1_000_000;
-        // K_V / 2 tau, see `guard`: 2^-16 N s/mm to 2^-8 N/mm.
-        let onset = u64::from(settings.damping.0) * 1_000_000 / (2 * u64::from(delay_us)) >> 8;
         Ok(Self {
             settings: settings.clone(),
-            poles,
+            poles: [first; LEVELS],
+            added,
             highest,
             fineness,
             rate_limit: way.min(1 << RATE_BITS) << fineness,
-            onset: onset.min(u64::from(u32::MAX)) as u32,
+            onset,
             frequency: frequency(period_us),
         })
     }
@@ -104,7 +118,8 @@ impl Law {
     /// Works out one level of damping.
     #[cold]
     pub fn prepare(&mut self, level: usize, period_us: u16) {
-        let damping = VirtualDamping(self.settings.damping.0 << level.min(self.highest));
+        let added = self.added.get(level).copied().unwrap_or(0);
+        let damping = VirtualDamping(self.settings.damping.0.saturating_add_signed(added));
         if let Some(pole) = self.poles.get_mut(level) {
             *pole = Pole::new(self.settings.mass, damping, period_us);
         }
@@ -146,9 +161,31 @@ impl Law {
     }
 }
 
+/// The longest delay that is counted with: half a second.
+const DELAY_MOST_US: u32 = 500_000;
+
+/// Where level 1 begins, 2^-8 N/mm: K_V / (4 tau), but not below [`SOFT`]. At most 2^42 / 4 before it is held.
+fn onset(damping: VirtualDamping, delay_us: u32) -> u32 {
+    let whole = u64::from(MARGIN) * u64::from(delay_us);
+    let onset = (u64::from(damping.0) * 1_000_000 / whole) >> 8;
+    onset.clamp(u64::from(SOFT) << 8, u64::from(u32::MAX) >> LEVELS) as u32
+}
+
+/// The damping of a level: [`MARGIN`] k tau for its stiffest contact, k = 2^level onset, and K_V at least.
+fn damping(lowest: VirtualDamping, onset: u32, delay_us: u32, level: usize) -> VirtualDamping {
+    if level == 0 {
+        return lowest;
+    }
+    // 2^-8 N/mm * us: below 2^32 * 2^19 * 4.
+    let product = (u64::from(onset) << level) * u64::from(MARGIN) * u64::from(delay_us);
+    let damping = ((product << 8) / 1_000_000).min(1 << 30) as u32;
+    VirtualDamping(damping.max(lowest.0))
+}
+
 /// Checks settings; gives the highest level of damping, from which on the guard holds a contact of [`STIFFEST`].
 fn check(
     settings: &LoopSettings,
+    onset: u32,
     period_us: u16,
     delay_us: u32,
     largest_force: Force,
@@ -169,25 +206,27 @@ fn check(
     if desired.0 > most {
         return Err(refuse(Parameter::DesiredTooLarge, most as u64));
     }
-    // Level i answers for contacts up to 2^i K_V / 2 tau; the last level must answer for the stiffest.
-    let needed = (2 * u64::from(STIFFEST) * u64::from(delay_us) << 16) / 1_000_000;
-    let least = (needed >> (LEVELS - 1)).max(6554) + 1;
+    // Level 0 must hold the contacts of which the guard thinks nothing: K_V >= k tau.
+    let least = ((u64::from(SOFT) * u64::from(delay_us)) << 16).div_ceil(1_000_000);
+    let least = least.max(LEAST_DAMPING);
     if u64::from(settings.damping.0) < least {
         return Err(refuse(Parameter::DampingTooSmall, least));
     }
     if settings.damping.0 > 1 << 26 {
         return Err(refuse(Parameter::DampingTooLarge, 1 << 26));
     }
+    // The last level answers for the stiffest contact.
     let mut highest = 0;
-    while u64::from(settings.damping.0) << highest < needed && highest < LEVELS - 1 {
+    while u64::from(onset) << highest < u64::from(STIFFEST) << 8 && highest < LEVELS - 1 {
         highest += 1;
     }
     // K_A >= K_V T for the most damped level, and K_A <= 2^18 K_V T for the least damped one.
-    let step = u64::from(settings.damping.0) * u64::from(period_us);
-    let lightest = ((step << highest).div_ceil(1_000_000)).max(1);
+    let most = u64::from(damping(settings.damping, onset, delay_us, highest).0);
+    let lightest = (most * u64::from(period_us)).div_ceil(1_000_000).max(1);
     if u64::from(settings.mass.0) < lightest {
         return Err(refuse(Parameter::MassTooSmall, lightest));
     }
+    let step = u64::from(settings.damping.0) * u64::from(period_us);
     let heaviest = ((step << 18) / 1_000_000).min(1 << 26);
     if u64::from(settings.mass.0) > heaviest || !sound(settings.mass, settings.damping, period_us) {
         return Err(refuse(Parameter::MassTooLarge, heaviest));
@@ -301,10 +340,9 @@ impl Compliance {
         let level = push.level.min(law.highest);
         let mut drive = force - desired;
         if level > 0 {
-            // D = (2^level - 1) K_V, 2^-16 N s/mm; below 2^33. The rate below 2^31: products of words.
-            let added = (i64::from(law.settings.damping.0) << level)
-                - i64::from(law.settings.damping.0);
-            let resisted = round_shift(-i64::from(desired_rate) * added.min(1 << 31), 20);
+            // D p_d', 2^-16 N: a product of words.
+            let added = law.added.get(level).copied().unwrap_or(0);
+            let resisted = multiply_shift(-desired_rate, added, 20);
             let most = i64::from(desired) + i64::from(force.max(0));
             drive += resisted.clamp(-most, most) as i32;
         }
