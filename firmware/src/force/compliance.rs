@@ -249,6 +249,8 @@ pub struct Push {
     pub desired_rate: Rate,
     /// Force control is wanted on this axis. Without it the force counts as none, and the tool returns.
     pub active: bool,
+    /// The tool stays where it is, whatever the force: the rate ends as fast as the highest level of damping ends it.
+    pub held: bool,
     /// Level of damping, from the guard.
     pub level: usize,
 }
@@ -337,7 +339,7 @@ impl Compliance {
         let force = outward(force);
         let desired = law.settings.desired.0;
         let desired_rate = outward(push.desired_rate.0.max(-i32::MAX));
-        let level = push.level.min(law.highest);
+        let level = if push.held { LEVELS } else { push.level }.min(law.highest);
         let mut drive = force - desired;
         if level > 0 {
             // D p_d', 2^-16 N: a product of words.
@@ -354,6 +356,9 @@ impl Compliance {
         };
         if !open {
             drive = drive.min(0);
+        }
+        if push.held {
+            drive = 0;
         }
         let (fineness, most) = (law.fineness, law.rate_limit);
         let pole = law.poles.get(level).unwrap_or(&law.poles[0]);

@@ -12,19 +12,21 @@
 //!
 //! (421 N/mm for K_A = 1, K_V = 5, tau = 12 ms; 383 for 13.2 ms), and y / sin y is never below 1: **K_V > k tau is enough, whatever K_A is.**
 //!
-//! **The observer.** k is measured: the regression of the seen peak force on the position of the tool in the work (its reference, which has no noise) over the last 32 looks, four in a revolution.
-//! It counts when at least half of the change of the force is explained by the position, and when the force changes by more than [`NOISE`].
-//! Cutting shows 10 N/mm or so: there the tool goes a long way with the force almost constant.
+//! **The observer.** k is measured: the regression of the peak force of the last revolution on the *deepest measured position* of the same revolution, over the last 32 looks, four in a
+//! revolution. Peak and deepest position belong together whatever the delay of the window or the drive, so the regression has no phase to lose. It counts when at least half of the change of the
+//! force is explained by the position, and when the force changes by more than [`NOISE`]. Cutting shows 10 N/mm or so: there the tool goes a long way with the force almost constant.
 //!
-//! **The controller.** Level i of damping stands for k up to 2^(i-1) K_V / tau and has 2^i K_V, twice what is needed, or more. The additional damping acts between the tool and the work
-//! (p_c' + p_d'), so a steady push by the desired motion costs no force. A level is taken at once; it is left, one at a time, when the tool has moved for [`PATIENCE`] looks without showing a
-//! contact so stiff. A tool that stands still proves nothing, and keeps its level. At level 0 the law is the equation alone.
+//! **The controller.** Level 0 is K_V alone and holds while k is below the onset, K_V / 4 tau, or 20 N/mm if that is more. Level i stands for k up to 2^i of the onset, with four times the damping
+//! that the stiffest of these needs ([`super::compliance::MARGIN`]: two for the delay that friction adds, two for the gain margin). What is added acts between the tool and the work (p_c' + p_d'), so
+//! a steady push by the desired motion costs no force. A level is taken at once; it is left, one at a time, when the tool has moved for [`PATIENCE`] looks without showing a contact so stiff.
+//! A tool that stands still proves nothing, and keeps its level. At level 0 the law is the equation alone.
 //!
 //! **The sign.** By the same regression: a force that grows the further the tool goes *along* it comes from a sensor with the wrong sign. It is looked for until the first contact has
 //! shown the right one.
 //!
 //! Misuse: a delay larger than the configured one. The levels are then too low.
 
+use super::compliance::Law;
 use crate::units::Coordinate;
 use crate::units::force::Force;
 
@@ -59,7 +61,7 @@ pub enum Sign {
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Guard {
     begun: bool,
-    /// Least and greatest position since the last look, and between the four looks before.
+    /// Least and greatest measured position since the last look, and in the three quarters before.
     now: Reach,
     quarters: [Reach; 3],
     /// Running means, 2^-20 mm and 2^-16 N, with [`MEMORY`] more bits each.
@@ -133,8 +135,10 @@ impl Guard {
         });
     }
 
-    /// One look, four times in a revolution: where the tool is wanted in the work, the peak force, the desired force, and the `onset` and `highest` level of the law.
-    pub fn look(&mut self, force: Force, desired: Force, onset: u32, highest: usize) {
+    /// One look, four times in a revolution: the peak force, and the law that is to be guarded.
+    pub fn look(&mut self, force: Force, law: &Law) {
+        let (onset, highest) = (law.onset(), law.highest());
+        let desired = law.settings().desired;
         let [first, second, third] = self.quarters;
         let reach = first.with(second).with(third).with(self.now);
         self.quarters = [second, third, self.now];
@@ -184,9 +188,9 @@ impl Guard {
     fn judge_stiffness(&mut self, onset: u32, highest: usize) {
         let mut level = 0;
         if self.covariance < 0 && self.explained() {
-            // N/mm are 2^4 raw units of force per raw unit of position; the onset has 8 bits more: slope * 2^12 against it. Below 2^61 and 2^49 * 2^31: in parts.
+            // N/mm are 2^-4 raw units of force per raw unit of position, and the onset has 8 more bits.
             let fell = -self.covariance;
-            let mut edge = i128_free(self.position_variance, onset);
+            let mut edge = stiff(self.position_variance, onset);
             while level < highest && fell >= edge {
                 level += 1;
                 edge = edge.saturating_mul(2);
@@ -227,10 +231,10 @@ fn weigh(mean: i64, square: i64) -> i64 {
     mean + ((square - mean) >> MEMORY)
 }
 
-/// `variance * onset / 2^12`, of a variance below 2^49, held at the end of the range.
-fn i128_free(variance: i64, onset: u32) -> i64 {
+/// The fall of the force (as a covariance) that `onset` means at this variance of the position: `variance * onset / 2^12`, for a variance below 2^49; held at the end of the range.
+fn stiff(variance: i64, onset: u32) -> i64 {
     let high = (variance >> 24) * i64::from(onset);
     let low = (variance & 0xff_ffff) * i64::from(onset);
-    // Below 2^57 + 2^57: high * 2^24 / 2^12.
+    // high * 2^24 / 2^12; both products below 2^57.
     high.saturating_mul(1 << 12).saturating_add(low >> 12)
 }

@@ -109,7 +109,6 @@ pub fn run(contact: &Contact, mut trace: impl FnMut(f64, f64, f64, usize)) -> Ou
         Force::millinewtons(95_000),
     )
     .expect("sound settings");
-    let (onset, highest) = (law.onset(), law.highest());
     let mut compliance = Compliance::new(law);
     let mut peaks = SlidingExtremes::new(Window::of(contact.window).expect("window"));
     let mut guard = Guard::default();
@@ -172,6 +171,7 @@ pub fn run(contact: &Contact, mut trace: impl FnMut(f64, f64, f64, usize)) -> Ou
             force: peak,
             desired_rate: Rate((rate * MM) as i32),
             active: true,
+            held: false,
             level: if contact.guarded { guard.level() } else { 0 },
         };
         level = push.level;
@@ -179,7 +179,7 @@ pub fn run(contact: &Contact, mut trace: impl FnMut(f64, f64, f64, usize)) -> Ou
         reference = desired + yielded.displacement.length().0 as f64 / MM;
         reference_rate = rate + f64::from(yielded.rate.0) / MM;
         if k % (contact.window as usize / 4) == 0 {
-            guard.look(peak, Force((DESIRED * NEWTON) as i32), onset, highest);
+            guard.look(peak, compliance.law());
         }
         trace(k as f64 * STEP, force, yielded.displacement.length().0 as f64 / MM, level);
     }
