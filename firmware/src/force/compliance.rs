@@ -360,7 +360,10 @@ impl Compliance {
         if push.held {
             drive = 0;
         }
-        let (fineness, most) = (law.fineness, law.rate_limit);
+        let fineness = law.fineness;
+        // A limit that was lowered is reached within some hundred periods: no jump of the rate.
+        let fast = self.rate.abs();
+        let most = law.rate_limit.max(fast - (fast >> 8));
         let pole = law.poles.get(level).unwrap_or(&law.poles[0]);
         let (step, rate) = pole.step(drive, self.rate, fineness);
         // Towards 0 no faster than 1/64 of what is left.

@@ -3,12 +3,12 @@
 //! With x = K_V T / K_A, a = e^-x and the rate at which it would end, w = u T / K_V (displacements in a period):
 //!
 //! ```text
-//! displacement += w + (v - w) g        g = (1 - a) / x = 1 - x/2 (1 - x/3 (1 - x/4 (...)))
-//! v            -= (v - w) (1 - a)      1 - a = x g
+//! displacement += v - (v - w) (1 - g)     g = (1 - a) / x = 1 - x/2 (1 - x/3 (1 - x/4 (...)))
+//! v            -= (v - w) (1 - a)         1 - a = x g
 //! ```
 //!
 //! The series is summed at configuration time to 20 terms (x <= 1: the rest is below 1/22!), with an error below 2^-59; there is no division in a period. Numbers per period:
-//! `terminal` is right to 2^-30, `approach` to 2^-31 of itself, `mean` to 2^-32. The rate keeps so many bits below 2^-40 mm as 1 - a has leading zeros, so a rounding that returns in every
+//! 1 - g and 1 - a are right to 2^-31 of themselves, T / K_V to 2^-30. The rate keeps so many bits below 2^-40 mm as 1 - a has leading zeros, so a rounding that returns in every
 //! period adds up to no more than 2^-38 mm a period.
 //!
 //! Misuse: [`Pole::step`] needs a rate below [`RATE_BITS`]; [`super::compliance`] holds it there.
@@ -33,14 +33,50 @@ const RECIPROCALS: [u64; 20] = {
     table
 };
 
+/// A part of a whole, to 31 bits: `mantissa` times 2^-(32 + deep).
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+struct Part {
+    /// 2^31 to 2^32.
+    mantissa: u32,
+    deep: u32,
+}
+
+impl Part {
+    /// Of a number below 1 in Q63.
+    const fn new(value: u64) -> Self {
+        let zeros = value.leading_zeros();
+        let deep = if zeros < 1 {
+            0
+        } else if zeros > 32 {
+            31
+        } else {
+            zeros - 1
+        };
+        Self {
+            mantissa: (value >> (31 - deep)) as u32,
+            deep,
+        }
+    }
+
+    /// This part of a number below 2^60: two products of words.
+    #[inline]
+    const fn of(self, whole: i64) -> i64 {
+        let part = multiply_high(whole, self.mantissa);
+        if self.deep > 0 {
+            round_shift(part, self.deep)
+        } else {
+            part
+        }
+    }
+}
+
 /// How one period with one damping changes displacement and rate.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Pole {
-    /// 1 - a is this times 2^-(32 + deep); 2^31 to 2^32.
-    approach: u32,
-    deep: u32,
-    /// g, Q32.
-    mean: u32,
+    /// 1 - a.
+    approach: Part,
+    /// 1 - g.
+    lag: Part,
     /// T / K_V in 2^-40 mm per 2^-16 N is this times 2^-exponent; 2^30 to 2^31.
     terminal: i32,
     exponent: u32,
@@ -69,14 +105,12 @@ impl Pole {
             // x mean / k, Q63: below 2^62.
             mean = (1 << 63) - high_product(high_product(x, mean) << 1, *reciprocal);
         }
-        // Q63, below 2^63.
-        let approach = high_product(x, mean) << 1;
-        let deep = approach.leading_zeros().saturating_sub(1).min(31);
+        // Q63, at most 0.64.
+        let approach = Part::new(high_product(x, mean) << 1);
         let (terminal, exponent) = terminal(damping, period_us);
         Self {
-            approach: (approach >> (31 - deep)).min(u64::from(u32::MAX)) as u32,
-            deep,
-            mean: (mean >> 31).min(u64::from(u32::MAX)) as u32,
+            approach,
+            lag: Part::new((1 << 63) - mean),
             terminal,
             exponent,
         }
@@ -85,12 +119,13 @@ impl Pole {
     /// Leading zeros of 1 - a: how many bits below 2^-40 mm the rate keeps.
     #[must_use]
     pub const fn fineness(&self) -> u32 {
-        if self.deep < 1 {
+        let deep = self.approach.deep;
+        if deep < 1 {
             1
-        } else if self.deep > DEEPEST {
+        } else if deep > DEEPEST {
             DEEPEST
         } else {
-            self.deep
+            deep
         }
     }
 
@@ -109,16 +144,9 @@ impl Pole {
             let shift = fineness.wrapping_sub(self.exponent);
             hold(wide, most.wrapping_shr(shift)).wrapping_shl(shift)
         };
-        // Below 2^60; its upper word times 2^32 is, too.
+        // Below 2^59.
         let off = rate - end;
-        let mean = multiply_high(off, self.mean);
-        let change = multiply_high(off, self.approach);
-        let change = if self.deep > 0 {
-            round_shift(change, self.deep)
-        } else {
-            change
-        };
-        (end + mean, rate - change)
+        (rate - self.lag.of(off), rate - self.approach.of(off))
     }
 }
 
