@@ -32,6 +32,7 @@ fn push(force: f64, desired_rate: f64) -> Push {
         active: true,
         held: false,
         level: 0,
+        touching: true,
     }
 }
 
@@ -138,7 +139,7 @@ proptest! {
         let mut compliance = Compliance::new(law);
         for (force, desired_rate, active, held, level, periods) in inputs {
             for _ in 0..periods {
-                let push = Push { force: Force(force), desired_rate: Rate(desired_rate), active, held, level };
+                let push = Push { force: Force(force), desired_rate: Rate(desired_rate), active, held, level, touching: force % 2 == 0 };
                 let before = compliance.displacement();
                 let now = compliance.advance(&push);
                 prop_assert!(now.displacement.0.abs() <= i64::from(limit) << 20);

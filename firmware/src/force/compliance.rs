@@ -12,7 +12,8 @@
 //! - **Limit.** At the largest displacement the outward rate ends. A limit that is lowered below the present displacement lets the tool come back by itself.
 //! - **Landing.** The return slows down to 1/64 of the remaining displacement in a period: without it the rate would fall from f_d / K_V to 0 in one period (10 mm/s for K_V = 0.5).
 //! - **Guard.** On a stiff contact a damper acts between the tool and the *work*, D (p_c' + p_d'), see [`super::guard`]. Between the tool and the desired position it would
-//!   raise the force while the desired position still advances. Its push against an approach is at most f_d + F: alone it never moves the tool away from where nothing is.
+//!   raise the force while the desired position still advances. While nothing is touched, and against a retreat, its push is at most f_d: it neither moves the tool away from where
+//!   nothing is nor keeps it where it shall not stay.
 //!
 //! A change of gains or of f_d changes the acceleration; displacement and rate go on from where they are, so the tool does not jump. When `place` refuses the reference, [`Compliance::withhold`]
 //! takes the last period back: the displacement stays what it was and the rate is 0, so nothing winds up.
@@ -253,6 +254,8 @@ pub struct Push {
     pub held: bool,
     /// Level of damping, from the guard.
     pub level: usize,
+    /// The tool touches something, or did some revolutions ago.
+    pub touching: bool,
 }
 
 /// The compliance of one axis.
@@ -345,8 +348,9 @@ impl Compliance {
             // D p_d', 2^-16 N: a product of words.
             let added = law.added.get(level).copied().unwrap_or(0);
             let resisted = multiply_shift(-desired_rate, added, 20);
-            let most = i64::from(desired) + i64::from(force.max(0));
-            drive += resisted.clamp(-most, most) as i32;
+            let desired = i64::from(desired);
+            let most = if push.touching { 1 << 29 } else { desired };
+            drive += resisted.clamp(-desired, most) as i32;
         }
         let open = match law.settings.gate {
             Gate::AgainstMotion => desired_rate < 0,

@@ -42,6 +42,9 @@ const MOTION: i64 = 524;
 /// Looks with motion, and without a contact so stiff, after which a level is left.
 pub const PATIENCE: u8 = 48;
 
+/// Looks after which a contact that is not felt any more is gone: four revolutions.
+const TOUCH: u8 = 16;
+
 /// Looks in a row with the force growing along itself that are a wrong sign.
 const WRONG_LOOKS: u8 = 6;
 
@@ -73,6 +76,7 @@ pub struct Guard {
     covariance: i64,
     level: u8,
     calm: u8,
+    touch: u8,
     wrong: u8,
     sign: Sign,
 }
@@ -112,6 +116,12 @@ impl Guard {
         usize::from(self.level)
     }
 
+    /// The peak force was at least half of the desired one in the last four revolutions.
+    #[must_use]
+    pub const fn touching(&self) -> bool {
+        self.touch > 0
+    }
+
     /// What is known of the sign.
     #[must_use]
     pub const fn sign(&self) -> Sign {
@@ -139,6 +149,11 @@ impl Guard {
     pub fn look(&mut self, force: Force, law: &Law) {
         let (onset, highest) = (law.onset(), law.highest());
         let desired = law.settings().desired;
+        self.touch = if force.magnitude() >= desired.magnitude() / 2 {
+            TOUCH
+        } else {
+            self.touch.saturating_sub(1)
+        };
         let [first, second, third] = self.quarters;
         let reach = first.with(second).with(third).with(self.now);
         self.quarters = [second, third, self.now];

@@ -282,6 +282,7 @@ impl ForceControl {
                 active: tared && self.mask & (1 << component) != 0,
                 held: self.held,
                 level: axis.guard.level(),
+                touching: axis.guard.touching(),
             };
             yielding[component] = axis.compliance.advance(&push);
         }

@@ -70,8 +70,6 @@ pub struct Outcome {
     pub swing: f64,
     pub mean: f64,
     pub level: usize,
-    /// Growth: swing of the last part over the one of the part before.
-    pub earlier_swing: f64,
 }
 
 pub fn settings(mass: f64, damping: f64) -> LoopSettings {
@@ -172,6 +170,7 @@ pub fn run(contact: &Contact, mut trace: impl FnMut(f64, f64, f64, usize)) -> Ou
             desired_rate: Rate((rate * MM) as i32),
             active: true,
             held: false,
+            touching: guard.touching(),
             level: if contact.guarded { guard.level() } else { 0 },
         };
         level = push.level;
@@ -183,13 +182,9 @@ pub fn run(contact: &Contact, mut trace: impl FnMut(f64, f64, f64, usize)) -> Ou
         }
         trace(k as f64 * STEP, force, yielded.displacement.length().0 as f64 / MM, level);
     }
-    let part = |from: f64, to: f64| {
-        let part = &forces[(periods as f64 * from) as usize..(periods as f64 * to) as usize];
-        let high = part.iter().copied().fold(f64::MIN, f64::max);
-        let low = part.iter().copied().fold(f64::MAX, f64::min);
-        (high - low, part.iter().sum::<f64>() / part.len() as f64)
-    };
-    let (swing, mean) = part(0.7, 1.0);
-    let (earlier_swing, _) = part(0.4, 0.7);
-    Outcome { first_peak, largest, swing, mean, level, earlier_swing }
+    let part = &forces[periods * 7 / 10..];
+    let high = part.iter().copied().fold(f64::MIN, f64::max);
+    let low = part.iter().copied().fold(f64::MAX, f64::min);
+    let (swing, mean) = (high - low, part.iter().sum::<f64>() / part.len() as f64);
+    Outcome { first_peak, largest, swing, mean, level }
 }
