@@ -4,6 +4,7 @@
 
 mod contact;
 
+use haptimill_firmware::force::guard::Sign;
 use contact::{Contact, DESIRED, Drive, Outcome, run};
 
 /// Resolution of the encoders at the tool, mm.
@@ -92,6 +93,7 @@ fn the_guard_holds_up_to_a_thousand() {
                         let first = DESIRED + 1.2 * (5.0 * approach + approach * stiffness.sqrt());
                         assert!(outcome.swing <= bearable(stiffness), "{contact:?} {outcome:?}");
                         assert!(outcome.first_peak <= first && outcome.largest <= first, "{contact:?} {outcome:?} {first}");
+                        assert_eq!(outcome.sign, Sign::Right, "{contact:?}");
                         assert!(stiction > 0.0 || (outcome.mean - DESIRED).abs() <= 0.25, "{contact:?} {outcome:?}");
                         worst_swing = worst_swing.max(outcome.swing / bearable(stiffness));
                         worst_mean = worst_mean.max((outcome.mean - DESIRED).abs());

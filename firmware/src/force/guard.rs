@@ -46,7 +46,7 @@ pub const PATIENCE: u8 = 48;
 const TOUCH: u8 = 16;
 
 /// Looks in a row with the force growing along itself that are a wrong sign.
-const WRONG_LOOKS: u8 = 6;
+const WRONG_LOOKS: u8 = 4;
 
 /// What is known of the sign of the sensor.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]

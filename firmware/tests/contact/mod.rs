@@ -1,7 +1,7 @@
 //! A tool against a spring, in f64: sensor noise, 14-bit codes, the peak window, a drive, encoder counts, friction.
 
 use haptimill_firmware::force::compliance::{Compliance, Law, Push};
-use haptimill_firmware::force::guard::Guard;
+use haptimill_firmware::force::guard::{Guard, Sign};
 use haptimill_firmware::force::peak::{SlidingExtremes, Window};
 use haptimill_firmware::force::{Gate, LoopSettings};
 use haptimill_firmware::units::force::{Force, VirtualDamping, VirtualMass};
@@ -70,6 +70,7 @@ pub struct Outcome {
     pub swing: f64,
     pub mean: f64,
     pub level: usize,
+    pub sign: Sign,
 }
 
 pub fn settings(mass: f64, damping: f64) -> LoopSettings {
@@ -186,5 +187,5 @@ pub fn run(contact: &Contact, mut trace: impl FnMut(f64, f64, f64, usize)) -> Ou
     let high = part.iter().copied().fold(f64::MIN, f64::max);
     let low = part.iter().copied().fold(f64::MAX, f64::min);
     let (swing, mean) = (high - low, part.iter().sum::<f64>() / part.len() as f64);
-    Outcome { first_peak, largest, swing, mean, level }
+    Outcome { first_peak, largest, swing, mean, level, sign: guard.sign() }
 }
