@@ -210,12 +210,18 @@ proptest! {
 /// The largest jump of the tool when the gains change from (1, 5) to (0.25, 0.5) and back at 1 mm/s, printed with `--nocapture`.
 #[test]
 fn jump_of_the_tool_at_a_change_of_gains() {
-    let law = |mass, damping| Law::new(&settings(mass, damping, Gate::Any), 200, DELAY_US, RANGE).expect("sound");
+    let law = |mass, damping| {
+        Law::new(&settings(mass, damping, Gate::Any), 200, DELAY_US, RANGE).expect("sound")
+    };
     let mut compliance = Compliance::new(law(1.0, 5.0));
     let (mut largest, mut last, mut speed) = (0.0f64, 0.0, 0.0);
     for k in 0..10_000 {
         if k % 500 == 0 && k > 0 {
-            compliance.adopt(if k % 1000 == 0 { law(1.0, 5.0) } else { law(0.25, 0.5) });
+            compliance.adopt(if k % 1000 == 0 {
+                law(1.0, 5.0)
+            } else {
+                law(0.25, 0.5)
+            });
         }
         let now = compliance.advance(&push(10.0, 0.0));
         let way = millimetres(now.displacement) - last;
@@ -231,7 +237,9 @@ fn jump_of_the_tool_at_a_change_of_gains() {
 /// The integral of F - f_d is K_V times the displacement plus K_A times the rate, to 1e-6, and the thesis's slew of 1 mm/s at 5 N of excess is there.
 #[test]
 fn the_loop_is_the_equation() {
-    let mut compliance = Compliance::new(Law::new(&settings(1.0, 5.0, Gate::Any), 200, DELAY_US, RANGE).expect("sound"));
+    let mut compliance = Compliance::new(
+        Law::new(&settings(1.0, 5.0, Gate::Any), 200, DELAY_US, RANGE).expect("sound"),
+    );
     let (mut impulse, mut now) = (0.0, Yielding::default());
     for k in 0..25_000 {
         let force = 8.0 + 2.0 * libm::sin(f64::from(k) * 0.002);
@@ -249,13 +257,18 @@ fn the_loop_is_the_equation() {
 /// The acceleration is the change of the rate, and the rate that of the displacement.
 #[test]
 fn feed_forward_is_the_derivative() {
-    let mut compliance = Compliance::new(Law::new(&settings(0.5, 3.0, Gate::Any), 200, DELAY_US, RANGE).expect("sound"));
+    let mut compliance = Compliance::new(
+        Law::new(&settings(0.5, 3.0, Gate::Any), 200, DELAY_US, RANGE).expect("sound"),
+    );
     let mut last = Yielding::default();
     for k in 0..4000 {
         let now = compliance.advance(&push(-12.0 - 4.0 * libm::sin(f64::from(k) * 0.01), 0.0));
         let gained = f64::from(now.rate.0 - last.rate.0) / MM / 200e-6;
         let acceleration = f64::from(now.acceleration.0) / 4096.0;
-        assert!((gained - acceleration).abs() < 0.01, "{k}: {gained} {acceleration}");
+        assert!(
+            (gained - acceleration).abs() < 0.01,
+            "{k}: {gained} {acceleration}"
+        );
         let mean = f64::from(now.rate.0 + last.rate.0) / 2.0 / MM;
         let way = (millimetres(now.displacement) - millimetres(last.displacement)) / 200e-6;
         assert!((way - mean).abs() < 1e-3, "{k}: {way} {mean}");
@@ -268,8 +281,13 @@ fn feed_forward_is_the_derivative() {
 #[test]
 fn the_gate_is_shut_along_the_motion_and_at_rest() {
     let run = |gate, force, rate| {
-        let mut compliance = Compliance::new(Law::new(&settings(1.0, 5.0, gate), 200, DELAY_US, RANGE).expect("sound"));
-        (0..5000).map(|_| compliance.advance(&push(force, rate))).last().map_or(0.0, |last| millimetres(last.displacement))
+        let mut compliance = Compliance::new(
+            Law::new(&settings(1.0, 5.0, gate), 200, DELAY_US, RANGE).expect("sound"),
+        );
+        (0..5000)
+            .map(|_| compliance.advance(&push(force, rate)))
+            .last()
+            .map_or(0.0, |last| millimetres(last.displacement))
     };
     assert!(run(Gate::AgainstMotion, 10.0, -2.0) > 0.5);
     assert!(run(Gate::AgainstMotion, -10.0, 2.0) < -0.5);
@@ -279,7 +297,15 @@ fn the_gate_is_shut_along_the_motion_and_at_rest() {
     assert_eq!(run(Gate::Positive, -10.0, 0.0), 0.0);
     assert!(run(Gate::Negative, -10.0, 0.0) < -0.5);
     assert_eq!(run(Gate::Any, 4.9, -2.0), 0.0);
-    let mut compliance = Compliance::new(Law::new(&settings(1.0, 5.0, Gate::AgainstMotion), 200, DELAY_US, RANGE).expect("sound"));
+    let mut compliance = Compliance::new(
+        Law::new(
+            &settings(1.0, 5.0, Gate::AgainstMotion),
+            200,
+            DELAY_US,
+            RANGE,
+        )
+        .expect("sound"),
+    );
     for _ in 0..10_000 {
         compliance.advance(&push(10.0, -2.0));
     }
@@ -298,7 +324,9 @@ fn the_gate_is_shut_along_the_motion_and_at_rest() {
 /// A held tool stays within micrometres, and a reference that is refused for a second does not wind up.
 #[test]
 fn held_and_withheld() {
-    let mut compliance = Compliance::new(Law::new(&settings(1.0, 5.0, Gate::Any), 200, DELAY_US, RANGE).expect("sound"));
+    let mut compliance = Compliance::new(
+        Law::new(&settings(1.0, 5.0, Gate::Any), 200, DELAY_US, RANGE).expect("sound"),
+    );
     for _ in 0..10_000 {
         compliance.advance(&push(10.0, 0.0));
     }
@@ -315,7 +343,10 @@ fn held_and_withheld() {
     }
     let at = millimetres(compliance.displacement());
     for _ in 0..5000 {
-        let held = Push { held: true, ..push(-80.0, 0.0) };
+        let held = Push {
+            held: true,
+            ..push(-80.0, 0.0)
+        };
         compliance.advance(&held);
     }
     assert!((millimetres(compliance.displacement()) - at).abs() < 0.015);
@@ -326,17 +357,46 @@ fn bad_parameters_are_refused_with_their_bound() {
     let refuse = |change: fn(&mut LoopSettings)| {
         let mut settings = settings(1.0, 5.0, Gate::Any);
         change(&mut settings);
-        Law::new(&settings, 200, DELAY_US, RANGE).map(|_| ()).map_err(|refused| refused.parameter)
+        Law::new(&settings, 200, DELAY_US, RANGE)
+            .map(|_| ())
+            .map_err(|refused| refused.parameter)
     };
-    assert_eq!(refuse(|settings| settings.desired = Force(0)), Err(Parameter::DesiredTooSmall));
-    assert_eq!(refuse(|settings| settings.desired = Force(-5 << 16)), Err(Parameter::DesiredTooSmall));
-    assert_eq!(refuse(|settings| settings.desired = Force(96 << 16)), Err(Parameter::DesiredTooLarge));
-    assert_eq!(refuse(|settings| settings.damping = VirtualDamping(0)), Err(Parameter::DampingTooSmall));
-    assert_eq!(refuse(|settings| settings.damping = VirtualDamping(u32::MAX)), Err(Parameter::DampingTooLarge));
-    assert_eq!(refuse(|settings| settings.mass = VirtualMass(0)), Err(Parameter::MassTooSmall));
-    assert_eq!(refuse(|settings| settings.mass = VirtualMass(u32::MAX)), Err(Parameter::MassTooLarge));
-    assert_eq!(refuse(|settings| settings.limit = Length(0)), Err(Parameter::Limit));
-    assert_eq!(refuse(|settings| settings.rate = Rate(-1)), Err(Parameter::Rate));
+    assert_eq!(
+        refuse(|settings| settings.desired = Force(0)),
+        Err(Parameter::DesiredTooSmall)
+    );
+    assert_eq!(
+        refuse(|settings| settings.desired = Force(-5 << 16)),
+        Err(Parameter::DesiredTooSmall)
+    );
+    assert_eq!(
+        refuse(|settings| settings.desired = Force(96 << 16)),
+        Err(Parameter::DesiredTooLarge)
+    );
+    assert_eq!(
+        refuse(|settings| settings.damping = VirtualDamping(0)),
+        Err(Parameter::DampingTooSmall)
+    );
+    assert_eq!(
+        refuse(|settings| settings.damping = VirtualDamping(u32::MAX)),
+        Err(Parameter::DampingTooLarge)
+    );
+    assert_eq!(
+        refuse(|settings| settings.mass = VirtualMass(0)),
+        Err(Parameter::MassTooSmall)
+    );
+    assert_eq!(
+        refuse(|settings| settings.mass = VirtualMass(u32::MAX)),
+        Err(Parameter::MassTooLarge)
+    );
+    assert_eq!(
+        refuse(|settings| settings.limit = Length(0)),
+        Err(Parameter::Limit)
+    );
+    assert_eq!(
+        refuse(|settings| settings.rate = Rate(-1)),
+        Err(Parameter::Rate)
+    );
     for (mass, damping) in [(1.0, 5.0), (0.25, 5.0), (1.0, 20.0), (0.25, 0.5)] {
         assert!(Law::new(&settings(mass, damping, Gate::Any), 200, DELAY_US, RANGE).is_ok());
     }

@@ -22,7 +22,10 @@ fn settings(mass: f64, damping: f64, gate: Gate) -> LoopSettings {
 }
 
 fn config(sign: f64, loops: &LoopSettings) -> ForceConfig {
-    let channel = || Channel { per_code: (-sign * PER_CODE * f64::exp2(32.0)) as i32, saturation: 7782 };
+    let channel = || Channel {
+        per_code: (-sign * PER_CODE * f64::exp2(32.0)) as i32,
+        saturation: 7782,
+    };
     ForceConfig {
         sensor: Sensor {
             channels: [channel(), channel(), channel()],
@@ -59,7 +62,15 @@ impl Rig {
     fn new(config: &ForceConfig) -> Self {
         let mut rig = Self {
             control: ForceControl::new(config, 200).expect("sound"),
-            desired: 0.0, tool: 0.0, speed: 0.0, yielded: 0.0, yield_rate: 0.0, number: 0, random: 3, turned: 0.0, rpm: 5000,
+            desired: 0.0,
+            tool: 0.0,
+            speed: 0.0,
+            yielded: 0.0,
+            yield_rate: 0.0,
+            number: 0,
+            random: 3,
+            turned: 0.0,
+            rpm: 5000,
         };
         rig.control.begin_tare();
         for _ in 0..300 {
@@ -70,24 +81,47 @@ impl Rig {
     }
 
     fn noise(&mut self) -> f64 {
-        (0..4).map(|_| {
-            self.random = self.random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            (self.random >> 33) as f64 / f64::exp2(31.0) - 0.5
-        }).sum::<f64>() * 2.0
+        (0..4)
+            .map(|_| {
+                self.random = self
+                    .random
+                    .wrapping_mul(6_364_136_223_846_793_005)
+                    .wrapping_add(1_442_695_040_888_963_407);
+                (self.random >> 33) as f64 / f64::exp2(31.0) - 0.5
+            })
+            .sum::<f64>()
+            * 2.0
     }
 
     /// One period: the force on the tool in x, and the desired speed.
     fn period(&mut self, force: f64, speed: f64) -> Option<Condition> {
         self.number = self.number.wrapping_add(1);
         // The sensor sees the tool's push on the work.
-        let code = (-force / PER_CODE + self.noise()).round().clamp(-8192.0, 8191.0) as i16;
-        let codes = [code, self.noise().round() as i16, self.noise().round() as i16];
-        let sample = ForceSample { codes, conversions: self.number, overload: false };
-        let position = [Coordinate((self.tool * MM) as i32), Coordinate(0), Coordinate(0)];
-        self.control.sense(&sample, self.rpm, &position, Angle(0), false);
+        let code = (-force / PER_CODE + self.noise())
+            .round()
+            .clamp(-8192.0, 8191.0) as i16;
+        let codes = [
+            code,
+            self.noise().round() as i16,
+            self.noise().round() as i16,
+        ];
+        let sample = ForceSample {
+            codes,
+            conversions: self.number,
+            overload: false,
+        };
+        let position = [
+            Coordinate((self.tool * MM) as i32),
+            Coordinate(0),
+            Coordinate(0),
+        ];
+        self.control
+            .sense(&sample, self.rpm, &position, Angle(0), false);
         let condition = self.control.condition();
         self.desired += speed * STEP;
-        let [x, ..] = self.control.advance(&[Rate((speed * MM) as i32), Rate(0), Rate(0)]);
+        let [x, ..] = self
+            .control
+            .advance(&[Rate((speed * MM) as i32), Rate(0), Rate(0)]);
         self.yielded = f64::from(x.displacement.length().0) / MM;
         self.yield_rate = f64::from(x.rate.0) / MM;
         let tool = self.desired + self.yielded;
@@ -128,7 +162,16 @@ fn cutting_is_left_to_the_equation() {
                 if rig.yielded > 0.0 {
                     impulse += (rig.peak() - 5.0) * STEP;
                 }
-                if rig.control.levels()[0] > 0 && levels == 0 { println!("at {} peak {} yielded {} rate {} tool {}", f64::from(k as u32)*STEP, rig.peak(), rig.yielded, rig.yield_rate, rig.tool); }
+                if rig.control.levels()[0] > 0 && levels == 0 {
+                    println!(
+                        "at {} peak {} yielded {} rate {} tool {}",
+                        f64::from(k as u32) * STEP,
+                        rig.peak(),
+                        rig.yielded,
+                        rig.yield_rate,
+                        rig.tool
+                    );
+                }
                 levels += usize::from(rig.control.levels()[0]);
                 if k > periods / 2 {
                     late += rig.peak();
@@ -136,7 +179,10 @@ fn cutting_is_left_to_the_equation() {
                 }
             }
             let (yielded, made) = (rig.yielded, damping * rig.yielded + mass * rig.yield_rate);
-            println!("K_A {mass}, K_V {damping}, {feed} mm/s: p_c {yielded:.2} mm, mean peak force of the last half {:.2} N", late / f64::from(samples));
+            println!(
+                "K_A {mass}, K_V {damping}, {feed} mm/s: p_c {yielded:.2} mm, mean peak force of the last half {:.2} N",
+                late / f64::from(samples)
+            );
             assert_eq!(levels, 0, "the guard interfered");
             assert!((impulse / made - 1.0).abs() < 0.01, "{impulse} {made}");
             for _ in 0..100_000 {
@@ -158,7 +204,14 @@ fn wall(rig: &Rig, stiffness: f64) -> f64 {
 #[test]
 fn a_wrong_sign_is_told_in_the_first_contact() {
     for gate in [Gate::Any, Gate::AgainstMotion] {
-        for (stiffness, speed) in [(5.0, 1.0), (20.0, 1.0), (100.0, 1.0), (100.0, 4.0), (500.0, 0.5), (1000.0, 0.2)] {
+        for (stiffness, speed) in [
+            (5.0, 1.0),
+            (20.0, 1.0),
+            (100.0, 1.0),
+            (100.0, 4.0),
+            (500.0, 0.5),
+            (1000.0, 0.2),
+        ] {
             for sign in [1.0, -1.0] {
                 let mut rig = Rig::new(&config(sign, &settings(1.0, 5.0, gate)));
                 let mut told = None;
@@ -170,9 +223,14 @@ fn a_wrong_sign_is_told_in_the_first_contact() {
                     }
                 }
                 if sign > 0.0 {
-                    assert!(!matches!(told, Some((Condition::WrongSign { .. }, _))), "{gate:?} {stiffness} {told:?}");
+                    assert!(
+                        !matches!(told, Some((Condition::WrongSign { .. }, _))),
+                        "{gate:?} {stiffness} {told:?}"
+                    );
                 } else {
-                    let Some((Condition::WrongSign { component: 0 }, force)) = told else { panic!("{gate:?} {stiffness} {speed} {told:?}") };
+                    let Some((Condition::WrongSign { component: 0 }, force)) = told else {
+                        panic!("{gate:?} {stiffness} {speed} {told:?}")
+                    };
                     println!("{gate:?}, {stiffness} N/mm at {speed} mm/s: told at {force:.1} N");
                     assert!(force < 50.0, "{gate:?} {stiffness} {speed} {force}");
                 }
@@ -214,21 +272,34 @@ fn settings_change_at_run_time_without_a_jump() {
             let mut gentle = settings(0.25, 0.5, Gate::Any);
             gentle.desired = Force::millinewtons(9000);
             assert_eq!(rig.control.set(0, &gentle), Ok(()));
-            assert_eq!(rig.control.set(0, &gentle).map_err(|refused| refused.parameter), Err(Parameter::Busy));
+            assert_eq!(
+                rig.control
+                    .set(0, &gentle)
+                    .map_err(|refused| refused.parameter),
+                Err(Parameter::Busy)
+            );
         }
         if k > 100 {
             largest = largest.max((rig.yielded - last - speed * STEP).abs());
         }
         (last, speed) = (rig.yielded, rig.yield_rate);
     }
-    assert_eq!(rig.control.settings(0).map(|settings| settings.desired), Some(Force::millinewtons(9000)));
+    assert_eq!(
+        rig.control.settings(0).map(|settings| settings.desired),
+        Some(Force::millinewtons(9000))
+    );
     println!("largest jump of the tool {:.1} nm", largest * 1e6);
     // Two roundings to 2^-20 mm, and half of 20 mm/s^2 (200 us)^2.
     assert!(largest < 2.5e-6, "{largest}");
     assert!(rig.control.set(3, &settings(1.0, 5.0, Gate::Any)).is_err());
     let mut bad = settings(1.0, 5.0, Gate::Any);
     bad.desired = Force(0);
-    assert_eq!(rig.control.set(0, &bad).map_err(|refused| (refused.parameter, refused.bound)), Err((Parameter::DesiredTooSmall, 32_768)));
+    assert_eq!(
+        rig.control
+            .set(0, &bad)
+            .map_err(|refused| (refused.parameter, refused.bound)),
+        Err((Parameter::DesiredTooSmall, 32_768))
+    );
 }
 
 /// Without a tare, or out of the mask, a force moves nothing; taken out of the mask the tool returns.
@@ -237,9 +308,17 @@ fn only_tared_axes_of_the_mask_yield() {
     let config = config(1.0, &settings(1.0, 5.0, Gate::Any));
     let mut bare = ForceControl::new(&config, 200).expect("sound");
     for k in 0..1000u32 {
-        let sample = ForceSample { codes: [-2000 + (k % 3) as i16; 3], conversions: k as u8, overload: false };
+        let sample = ForceSample {
+            codes: [-2000 + (k % 3) as i16; 3],
+            conversions: k as u8,
+            overload: false,
+        };
         bare.sense(&sample, 5000, &[Coordinate(0); 3], Angle(0), false);
-        assert!(bare.advance(&[Rate(0); 3]).iter().all(|axis| axis.displacement.0 == 0));
+        assert!(
+            bare.advance(&[Rate(0); 3])
+                .iter()
+                .all(|axis| axis.displacement.0 == 0)
+        );
     }
     let mut rig = Rig::new(&config);
     for _ in 0..5000 {
@@ -260,7 +339,10 @@ fn only_tared_axes_of_the_mask_yield() {
 fn the_spindle_sets_the_window() {
     let mut rig = Rig::new(&config(1.0, &settings(1.0, 5.0, Gate::Any)));
     rig.rpm = 3000;
-    assert_eq!(rig.period(0.0, 0.0), Some(Condition::SlowSpindle { rpm: 3000 }));
+    assert_eq!(
+        rig.period(0.0, 0.0),
+        Some(Condition::SlowSpindle { rpm: 3000 })
+    );
     rig.control.set_mask(0);
     assert_eq!(rig.period(0.0, 0.0), None);
     rig.control.set_mask(1);
@@ -271,8 +353,15 @@ fn the_spindle_sets_the_window() {
     let mut slow = config(1.0, &settings(1.0, 5.0, Gate::Any));
     slow.slowest_rpm = 100;
     let refused = ForceControl::new(&slow, 200).map(|_| ());
-    let Err((0, refused)) = refused else { panic!("{refused:?}") };
-    assert_eq!((refused.parameter, refused.bound), (Parameter::SlowestSpindle, 147));
+    let Err((0, refused)) = refused else {
+        panic!("{refused:?}")
+    };
+    assert_eq!(
+        (refused.parameter, refused.bound),
+        (Parameter::SlowestSpindle, 147)
+    );
     slow.sensor.limit = Force(0);
-    assert!(matches!(ForceControl::new(&slow, 200), Err((0, refused)) if refused.parameter == Parameter::Sensor));
+    assert!(
+        matches!(ForceControl::new(&slow, 200), Err((0, refused)) if refused.parameter == Parameter::Sensor)
+    );
 }

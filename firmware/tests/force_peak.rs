@@ -82,17 +82,24 @@ fn a_revolution_is_rounded_up() {
     assert_eq!(samples(0, 200), None);
     assert_eq!(samples(100, 200), None);
     for rpm in 150..=i16::MAX {
-        let Some(window) = Window::revolution(rpm, 200) else { continue };
+        let Some(window) = Window::revolution(rpm, 200) else {
+            continue;
+        };
         let exact = 60.0 / f64::from(rpm) / 200e-6;
         assert!(f64::from(window.least_samples()) >= exact - 1e-9, "{rpm}");
-        assert!(f64::from(window.least_samples()) < exact * (1.0 + 2.0 / 63.0) + 1.0, "{rpm}");
+        assert!(
+            f64::from(window.least_samples()) < exact * (1.0 + 2.0 / 63.0) + 1.0,
+            "{rpm}"
+        );
     }
 }
 
 /// Two teeth with run-out at speeds between whole windows: the peak moves by no more than sampling a crest allows. One sample less than rounded up would lose the crest.
 #[test]
 fn a_steady_cut_has_a_steady_peak() {
-    for rpm in [4000.0, 4357.0, 5000.0, 5099.0, 5100.0, 6151.0, 12_345.0, 1017.0] {
+    for rpm in [
+        4000.0, 4357.0, 5000.0, 5099.0, 5100.0, 6151.0, 12_345.0, 1017.0,
+    ] {
         let turn = rpm / 60.0 * 200e-6;
         let force = |sample: f64| {
             let angle = 2.0 * std::f64::consts::PI * (sample * turn + 0.137);
@@ -104,13 +111,23 @@ fn a_steady_cut_has_a_steady_peak() {
         let crest = 6.0 * libm::cos(std::f64::consts::PI * turn);
         let dip = |window: Window| {
             let mut peaks = SlidingExtremes::new(window);
-            (0..40_000).map(|k| peaks.push(Force((force(f64::from(k)) * NEWTON) as i32))).skip(4000)
-                .map(|found| f64::from(found.peak().0) / NEWTON).fold(f64::MAX, f64::min)
+            (0..40_000)
+                .map(|k| peaks.push(Force((force(f64::from(k)) * NEWTON) as i32)))
+                .skip(4000)
+                .map(|found| f64::from(found.peak().0) / NEWTON)
+                .fold(f64::MAX, f64::min)
         };
-        assert!(dip(window) >= crest - 1e-4, "{rpm}: {} {crest}", dip(window));
+        assert!(
+            dip(window) >= crest - 1e-4,
+            "{rpm}: {} {crest}",
+            dip(window)
+        );
         if window.samples() > 1 && window.samples() as usize <= LEAVES {
             let half = Window::of(window.samples() / 2).expect("fits");
-            assert!(dip(half) < crest - 0.5, "the test must see a window that is too short");
+            assert!(
+                dip(half) < crest - 0.5,
+                "the test must see a window that is too short"
+            );
         }
     }
 }

@@ -1,6 +1,8 @@
 //! The sensor's conditioning: scale and sign, tare, and every watch with its name.
 
-use haptimill_firmware::force::conditioning::{Channel, Condition, Conditioner, ForceSample, Sensor, TareRefusal};
+use haptimill_firmware::force::conditioning::{
+    Channel, Condition, Conditioner, ForceSample, Sensor, TareRefusal,
+};
 use haptimill_firmware::units::Angle;
 use haptimill_firmware::units::force::Force;
 use proptest::prelude::*;
@@ -36,20 +38,33 @@ struct Bench {
 impl Bench {
     fn new(sensor: &Sensor) -> Self {
         assert!(sensor.is_sound());
-        Self { conditioner: Conditioner::new(sensor), number: 0, random: 7 }
+        Self {
+            conditioner: Conditioner::new(sensor),
+            number: 0,
+            random: 7,
+        }
     }
 
     /// About 0.6 codes of deviation: the sum of four uniforms.
     fn noise(&mut self) -> f64 {
-        (0..4).map(|_| {
-            self.random = self.random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            (self.random >> 33) as f64 / f64::exp2(31.0) - 0.5
-        }).sum()
+        (0..4)
+            .map(|_| {
+                self.random = self
+                    .random
+                    .wrapping_mul(6_364_136_223_846_793_005)
+                    .wrapping_add(1_442_695_040_888_963_407);
+                (self.random >> 33) as f64 / f64::exp2(31.0) - 0.5
+            })
+            .sum()
     }
 
     fn codes(&mut self, codes: [i16; 3], unloaded: bool) -> Option<Condition> {
         self.number = self.number.wrapping_add(1);
-        let sample = ForceSample { codes, conversions: self.number, overload: false };
+        let sample = ForceSample {
+            codes,
+            conversions: self.number,
+            overload: false,
+        };
         self.conditioner.take(&sample, unloaded)
     }
 
@@ -72,8 +87,15 @@ impl Bench {
 fn codes_become_the_reaction_on_the_tool() {
     let mut bench = Bench::new(&sensor());
     bench.codes([1000, -500, 250], false);
-    let [x, y, z] = bench.conditioner.forces().map(|force| f64::from(force.0) / NEWTON);
-    assert!((x + 1000.0 * PER_CODE).abs() < 1e-4 && (y - 500.0 * PER_CODE).abs() < 1e-4 && (z - 250.0 * PER_CODE).abs() < 1e-4);
+    let [x, y, z] = bench
+        .conditioner
+        .forces()
+        .map(|force| f64::from(force.0) / NEWTON);
+    assert!(
+        (x + 1000.0 * PER_CODE).abs() < 1e-4
+            && (y - 500.0 * PER_CODE).abs() < 1e-4
+            && (z - 250.0 * PER_CODE).abs() < 1e-4
+    );
     assert!((f64::from(sensor().range(0).0) / NEWTON - 95.0).abs() < 0.01);
 }
 
@@ -101,21 +123,44 @@ fn a_tare_is_refused_when_it_cannot_be_right() {
     for k in 0..256 {
         bench.quiet([0.0, f64::from(k % 32), 0.0], false);
     }
-    assert!(matches!(bench.conditioner.tare_result(), Some(Err(TareRefusal::Moving { component: 1, .. }))));
+    assert!(matches!(
+        bench.conditioner.tare_result(),
+        Some(Err(TareRefusal::Moving { component: 1, .. }))
+    ));
     bench.conditioner.begin_tare();
     for k in 0..256 {
         bench.codes([k % 2, 3, k % 3], false);
     }
-    assert_eq!(bench.conditioner.tare_result(), Some(Err(TareRefusal::Stuck { component: 1 })));
-    assert_eq!(bench.tare([0.0, 0.0, 5000.0]), Some(Err(TareRefusal::Offset { component: 2 })));
+    assert_eq!(
+        bench.conditioner.tare_result(),
+        Some(Err(TareRefusal::Stuck { component: 1 }))
+    );
+    assert_eq!(
+        bench.tare([0.0, 0.0, 5000.0]),
+        Some(Err(TareRefusal::Offset { component: 2 }))
+    );
     bench.conditioner.begin_tare();
     for _ in 0..10 {
-        bench.conditioner.take(&ForceSample { codes: [0; 3], conversions: bench.number, overload: false }, false);
+        bench.conditioner.take(
+            &ForceSample {
+                codes: [0; 3],
+                conversions: bench.number,
+                overload: false,
+            },
+            false,
+        );
     }
-    assert_eq!(bench.conditioner.tare_result(), Some(Err(TareRefusal::Silent)));
+    assert_eq!(
+        bench.conditioner.tare_result(),
+        Some(Err(TareRefusal::Silent))
+    );
     // A refused tare leaves the zero that was.
     bench.codes([10; 3], false);
-    let mut before = Bench { conditioner: before, number: bench.number.wrapping_sub(1), random: 7 };
+    let mut before = Bench {
+        conditioner: before,
+        number: bench.number.wrapping_sub(1),
+        random: 7,
+    };
     before.codes([10; 3], false);
     assert_eq!(bench.conditioner.forces(), before.conditioner.forces());
 }
@@ -124,10 +169,25 @@ fn a_tare_is_refused_when_it_cannot_be_right() {
 fn a_dropout_is_borne_for_some_samples_and_then_told() {
     let mut bench = Bench::new(&sensor());
     bench.codes([100; 3], false);
-    let stale = ForceSample { codes: [7; 3], conversions: bench.number, overload: false };
+    let stale = ForceSample {
+        codes: [7; 3],
+        conversions: bench.number,
+        overload: false,
+    };
     let forces = *bench.conditioner.forces();
-    let told: Vec<_> = (0..5).map(|_| bench.conditioner.take(&stale, false)).collect();
-    assert_eq!(told, [None, None, None, Some(Condition::Silent), Some(Condition::Silent)]);
+    let told: Vec<_> = (0..5)
+        .map(|_| bench.conditioner.take(&stale, false))
+        .collect();
+    assert_eq!(
+        told,
+        [
+            None,
+            None,
+            None,
+            Some(Condition::Silent),
+            Some(Condition::Silent)
+        ]
+    );
     assert_eq!(*bench.conditioner.forces(), forces);
     assert_eq!(bench.codes([100; 3], false), None);
 }
@@ -138,9 +198,19 @@ fn saturation_is_told_after_three_samples_and_the_amplifier_at_once() {
     assert_eq!(bench.codes([0, 8191, 0], false), None);
     assert_eq!(bench.codes([0, 100, 0], false), None);
     let told: Vec<_> = (0..3).map(|_| bench.codes([0, 7782, 0], false)).collect();
-    assert_eq!(told, [None, None, Some(Condition::Overload { component: 1 })]);
-    let sample = ForceSample { codes: [0; 3], conversions: bench.number.wrapping_add(1), overload: true };
-    assert_eq!(bench.conditioner.take(&sample, false), Some(Condition::Overload { component: 3 }));
+    assert_eq!(
+        told,
+        [None, None, Some(Condition::Overload { component: 1 })]
+    );
+    let sample = ForceSample {
+        codes: [0; 3],
+        conversions: bench.number.wrapping_add(1),
+        overload: true,
+    };
+    assert_eq!(
+        bench.conditioner.take(&sample, false),
+        Some(Condition::Overload { component: 3 })
+    );
 }
 
 /// A channel that sticks is told in 0.1 s; one with noise of 0.58 codes is not told in a million samples; and the bound of the module's documentation is above what is seen.
@@ -157,7 +227,18 @@ fn a_stuck_channel_is_told_and_noise_is_not() {
     }
     // 0.61^n = 1e-6: n = 28; 40 is beyond by far.
     assert!((10..40).contains(&longest), "{longest}");
-    let told = (0..501).filter_map(|k| bench.codes([if k % 2 == 0 { 1 } else { 0 }, if k % 3 == 0 { 1 } else { 0 }, 17], false)).last();
+    let told = (0..501)
+        .filter_map(|k| {
+            bench.codes(
+                [
+                    if k % 2 == 0 { 1 } else { 0 },
+                    if k % 3 == 0 { 1 } else { 0 },
+                    17,
+                ],
+                false,
+            )
+        })
+        .last();
     assert_eq!(told, Some(Condition::Stuck { component: 2 }));
 }
 
@@ -175,7 +256,16 @@ fn drift_is_told_only_when_nothing_touches_the_tool() {
             break;
         }
     }
-    let Some((when, Some(Condition::Drift { component: 1, force }))) = told else { panic!("{told:?}") };
+    let Some((
+        when,
+        Some(Condition::Drift {
+            component: 1,
+            force,
+        }),
+    )) = told
+    else {
+        panic!("{told:?}")
+    };
     assert!((45_000..50_000).contains(&when), "{when}");
     assert!(force.magnitude() > sensor().drift.magnitude());
     for _ in 0..20_000 {
@@ -186,9 +276,15 @@ fn drift_is_told_only_when_nothing_touches_the_tool() {
 #[test]
 fn a_force_beyond_the_limit_is_told() {
     let mut bench = Bench::new(&sensor());
-    assert_eq!(bench.codes([3500, 0, 0], false), None, "without a zero nothing is known of a force");
+    assert_eq!(
+        bench.codes([3500, 0, 0], false),
+        None,
+        "without a zero nothing is known of a force"
+    );
     bench.tare([0.0; 3]);
-    assert!(matches!(bench.codes([3300, 0, 0], false), Some(Condition::Limit { component: 0, force }) if force.0 < -40 << 16));
+    assert!(
+        matches!(bench.codes([3300, 0, 0], false), Some(Condition::Limit { component: 0, force }) if force.0 < -40 << 16)
+    );
     assert_eq!(bench.codes([3200, 0, 0], false), None);
 }
 
@@ -201,7 +297,11 @@ fn the_weight_of_the_vise_is_taken_off() {
     let seen = |degrees: f64| {
         let angle = degrees.to_radians();
         // Reaction on the tool +W sin, +W cos; channel y is negative.
-        [0.0, -60.0 * libm::sin(angle) / PER_CODE, 60.0 * libm::cos(angle) / PER_CODE]
+        [
+            0.0,
+            -60.0 * libm::sin(angle) / PER_CODE,
+            60.0 * libm::cos(angle) / PER_CODE,
+        ]
     };
     bench.conditioner.set_table(Angle::degrees(5));
     // The zero of z is 4900 codes: beyond half of the range. A sensor that is reset at the tare shows changes only.
@@ -215,7 +315,11 @@ fn the_weight_of_the_vise_is_taken_off() {
         bench.conditioner.set_table(Angle::degrees(degrees));
         bench.quiet(since(f64::from(degrees)), false);
         for force in bench.conditioner.forces() {
-            assert!((f64::from(force.0) / NEWTON).abs() < 0.04, "{degrees} {:?}", bench.conditioner.forces());
+            assert!(
+                (f64::from(force.0) / NEWTON).abs() < 0.04,
+                "{degrees} {:?}",
+                bench.conditioner.forces()
+            );
         }
     }
 }

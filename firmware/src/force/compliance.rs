@@ -22,11 +22,11 @@
 //!
 //! Misuse: a force that is not the reaction on the tool. With the wrong sign the loop runs into the work; [`super::guard`] looks out for that.
 
-use super::pole::{Pole, RATE_BITS, sound};
+use super::pole::{Part, Pole, RATE_BITS, sound};
 use super::{Gate, LoopSettings, Parameter, Refused};
 use crate::position::filter::frequency;
-use crate::units::force::{Displacement, Force, VirtualDamping, rate_of};
-use crate::units::scale::{multiply_shift, round_shift, saturate};
+use crate::units::force::{Displacement, Force, VirtualDamping};
+use crate::units::scale::{multiply_shift, saturate};
 use crate::units::{Acceleration, Length, Rate};
 
 /// The most levels of damping: K_V alone, and 7 with more.
@@ -74,6 +74,10 @@ pub struct Law {
     fineness: u32,
     /// Displacement in a period at the largest rate, in the scale of the rate.
     rate_limit: i64,
+    /// Largest displacement, 2^-40 mm.
+    limit: i64,
+    /// From the scale of the rate to 2^-20 mm/s.
+    to_rate: Part,
     /// Apparent contact stiffness at which level 1 begins, 2^-8 N/mm.
     onset: u32,
     frequency: u32,
@@ -111,6 +115,9 @@ impl Law {
             highest,
             fineness,
             rate_limit: way.min(1 << RATE_BITS) << fineness,
+            limit: Displacement::from_length(settings.limit).0,
+            // 10^6 / T_us / 2^(20 + fineness), below 1.
+            to_rate: Part::ratio(1_000_000, u64::from(period_us.max(1)) << (20 + fineness)),
             onset,
             frequency: frequency(period_us),
         })
@@ -270,6 +277,8 @@ pub struct Compliance {
     rate: i64,
     /// `away` before this period.
     before: i64,
+    /// The rate that was given last.
+    shown: Rate,
 }
 
 impl Compliance {
@@ -282,6 +291,7 @@ impl Compliance {
             away: 0,
             rate: 0,
             before: 0,
+            shown: Rate::ZERO,
         }
     }
 
@@ -308,6 +318,7 @@ impl Compliance {
         self.away = 0;
         self.rate = 0;
         self.before = 0;
+        self.shown = Rate::ZERO;
     }
 
     /// p_c.
@@ -320,6 +331,7 @@ impl Compliance {
     pub const fn withhold(&mut self) -> Yielding {
         self.away = self.before;
         self.rate = 0;
+        self.shown = Rate::ZERO;
         Yielding {
             displacement: self.displacement(),
             rate: Rate::ZERO,
@@ -331,52 +343,39 @@ impl Compliance {
     /// One period.
     #[inline]
     pub fn advance(&mut self, push: &Push) -> Yielding {
-        let law = &self.law;
         let force = if push.active { push.force.held().0 } else { 0 };
         if self.away == 0 && self.rate <= 0 {
             self.rate = 0;
             self.upward = force >= 0;
         }
-        let outward = |value: i32| if self.upward { value } else { value.wrapping_neg() };
-        // Below 2^27 in magnitude.
-        let force = outward(force);
-        let desired = law.settings.desired.0;
-        let desired_rate = outward(push.desired_rate.0.max(-i32::MAX));
-        let level = if push.held { LEVELS } else { push.level }.min(law.highest);
-        let mut drive = force - desired;
-        if level > 0 {
-            // D p_d', 2^-16 N: a product of words.
-            let added = law.added.get(level).copied().unwrap_or(0);
-            let resisted = multiply_shift(-desired_rate, added, 20);
-            let desired = i64::from(desired);
-            let most = if push.touching { 1 << 29 } else { desired };
-            drive += resisted.clamp(-desired, most) as i32;
+        let level = if push.held { LEVELS } else { push.level }.min(self.law.highest);
+        let drive = self.drive(push, force, level);
+        self.before = self.away;
+        if self.away == 0 && self.rate == 0 && drive <= 0 {
+            return self.yielding(false);
         }
-        let open = match law.settings.gate {
-            Gate::AgainstMotion => desired_rate < 0,
-            Gate::Any => true,
-            Gate::Positive => self.upward,
-            Gate::Negative => !self.upward,
-        };
-        if !open {
-            drive = drive.min(0);
-        }
-        if push.held {
-            drive = 0;
-        }
+        let law = &self.law;
         let fineness = law.fineness;
-        // A limit that was lowered is reached within some hundred periods: no jump of the rate.
-        let fast = self.rate.abs();
-        let most = law.rate_limit.max(fast - (fast >> 8));
-        let pole = law.poles.get(level).unwrap_or(&law.poles[0]);
+        let Some(pole) = law.poles.get(level) else {
+            return self.yielding(false);
+        };
         let (step, rate) = pole.step(drive, self.rate, fineness);
-        // Towards 0 no faster than 1/64 of what is left.
-        let landing = -((self.away >> 6) << fineness).min(most);
-        let step = step.clamp(landing, most);
-        let mut rate = rate.clamp(landing, most);
-        let mut away = self.away + round_shift(step, fineness);
+        let mut most = law.rate_limit;
+        if self.rate > most || self.rate < -most {
+            // A limit that was lowered is reached within some hundred periods: no jump of the rate.
+            let fast = self.rate.abs();
+            most = most.max(fast - (fast >> 8));
+        }
+        let (mut step, mut rate) = (step.min(most), rate.min(most));
+        if step < 0 || rate < 0 {
+            // Towards 0 no faster than 1/64 of what is left: 2^40 units in the finest scale are below 2^58.
+            let landing = -((self.away >> 6).wrapping_shl(fineness).min(most));
+            (step, rate) = (step.max(landing), rate.max(landing));
+        }
+        // Below 2^46 + 2^41.
+        let mut away = self.away.wrapping_add(step.wrapping_shr(fineness));
         // A limit that was lowered does not push the tool.
-        let limit = Displacement::from_length(law.settings.limit).0.max(self.away);
+        let limit = law.limit.max(self.away);
         let limited = away >= limit && drive > 0;
         if away > limit {
             away = limit;
@@ -386,23 +385,62 @@ impl Compliance {
             away = 0;
             rate = 0;
         }
-        let change = (rate - self.rate) >> fineness;
-        self.before = self.away;
         self.away = away.max(0);
         self.rate = rate;
-        self.yielding(change, limited)
+        self.yielding(limited)
     }
 
-    fn yielding(&self, change: i64, limited: bool) -> Yielding {
-        let frequency = self.law.frequency;
-        let signed = |value: i64| if self.upward { value } else { -value };
-        // Below 2^42 * 2^31: 2^-40 mm/s, Q16 taken off; then 2^-24 mm/s^2.
-        let faster = crate::drive::reciprocal::mul_shift::<16>(signed(change), frequency);
-        let acceleration = crate::drive::reciprocal::mul_shift::<32>(faster, frequency);
+    /// What moves the virtual mass outward, 2^-16 N, within +-2^27.
+    #[inline]
+    fn drive(&self, push: &Push, force: i32, level: usize) -> i32 {
+        if push.held {
+            return 0;
+        }
+        let law = &self.law;
+        let outward = |value: i32| {
+            if self.upward {
+                value
+            } else {
+                value.wrapping_neg()
+            }
+        };
+        let desired = law.settings.desired.0;
+        let desired_rate = outward(push.desired_rate.0.max(-i32::MAX));
+        let mut drive = outward(force).wrapping_sub(desired);
+        if level > 0 {
+            // D p_d', 2^-16 N: a product of words.
+            let added = law.added.get(level).copied().unwrap_or(0);
+            let resisted = multiply_shift(-desired_rate, added, 20);
+            let desired = i64::from(desired);
+            let most = if push.touching { 1 << 28 } else { desired };
+            drive = drive.wrapping_add(resisted.min(most).max(-desired) as i32);
+        }
+        let open = match law.settings.gate {
+            Gate::AgainstMotion => desired_rate < 0,
+            Gate::Any => true,
+            Gate::Positive => self.upward,
+            Gate::Negative => !self.upward,
+        };
+        let most = if open { Force::MOST.0 } else { 0 };
+        drive.min(most).max(-Force::MOST.0)
+    }
+
+    #[inline]
+    fn yielding(&mut self, limited: bool) -> Yielding {
+        let rate = saturate(self.law.to_rate.of(self.rate));
+        let rate = if self.upward {
+            rate
+        } else {
+            rate.wrapping_neg()
+        };
+        // 2^-20 mm/s times periods per second in Q16: 2^-36, to 2^-12 mm/s^2. The rate is below 2^31 * (1 - 2^-8): see `Law::begin`.
+        let change = i64::from(rate).wrapping_sub(i64::from(self.shown.0));
+        let acceleration = multiply_shift(saturate(change), self.law.frequency as i32, 24);
+        self.shown = Rate(rate);
         Yielding {
             displacement: self.displacement(),
-            rate: rate_of(signed(self.rate >> self.law.fineness), frequency),
-            acceleration: Acceleration(saturate(round_shift(acceleration, 12))),
+            rate: Rate(rate),
+            acceleration: Acceleration(saturate(acceleration)),
             limited,
         }
     }

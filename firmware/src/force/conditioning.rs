@@ -23,7 +23,7 @@
 
 use crate::units::force::Force;
 use crate::units::scale::{multiply_shift, saturate};
-use crate::units::trig::sin_cos;
+use crate::units::trig::{ONE, sin_cos};
 use crate::units::{Angle, scale};
 use serde::{Deserialize, Serialize};
 
@@ -203,7 +203,8 @@ pub struct Conditioner {
     /// What the weight adds now, less what it added at the tare.
     weight: [Force; COMPONENTS],
     table: Angle,
-    tared_at: Angle,
+    /// Sine and cosine of the table at the tare, Q30.
+    tared_at: (i32, i32),
     tared: bool,
     conversions: u8,
     silent: u16,
@@ -221,7 +222,7 @@ impl Conditioner {
             forces: [Force::ZERO; COMPONENTS],
             weight: [Force::ZERO; COMPONENTS],
             table: Angle::ZERO,
-            tared_at: Angle::ZERO,
+            tared_at: (0, ONE),
             tared: false,
             conversions: 0,
             silent: 0,
@@ -277,13 +278,21 @@ impl Conditioner {
 
     fn weigh(&mut self) {
         let (sine, cosine) = sin_cos(self.table);
-        let (sine_then, cosine_then) = sin_cos(self.tared_at);
+        let (sine_then, cosine_then) = self.tared_at;
         // Q30, differences within 2^31.
         let share = |now: i32, then: i32| {
             let difference = saturate(i64::from(now) - i64::from(then));
-            Force(saturate(multiply_shift(self.sensor.weight.0, difference, 30)))
+            Force(saturate(multiply_shift(
+                self.sensor.weight.0,
+                difference,
+                30,
+            )))
         };
-        self.weight = [Force::ZERO, share(sine, sine_then), share(cosine, cosine_then)];
+        self.weight = [
+            Force::ZERO,
+            share(sine, sine_then),
+            share(cosine, cosine_then),
+        ];
     }
 
     /// Takes the sample of a period; `unloaded` says that nothing touches the tool, as far as the controller knows. Gives what ends force control.
@@ -330,16 +339,19 @@ impl Conditioner {
             0
         };
         // Below 2^23 and 2^31; in 2^-40 N, to 2^-16 N.
-        let off = (i32::from(code) << 8) - memory.zero;
-        let force = multiply_shift(off, channel.per_code, 24) - i64::from(self.weight[component].0);
-        let force = Force(saturate(force)).held();
+        let off = (i32::from(code) << 8).wrapping_sub(memory.zero);
+        // Below 2^53 >> 24 and 2^28: words.
+        let force = (multiply_shift(off, channel.per_code, 24) as i32)
+            .wrapping_sub(self.weight[component].0);
+        let force = Force(force).held();
         self.forces[component] = force;
-        if unloaded && self.tared {
+        let drifted = if unloaded && self.tared {
             memory.mean += i64::from(force.0) - (memory.mean >> DRIFT_SHIFT);
+            Force((memory.mean >> DRIFT_SHIFT) as i32)
         } else {
             memory.mean = 0;
-        }
-        let drifted = Force((memory.mean >> DRIFT_SHIFT) as i32);
+            Force::ZERO
+        };
         if memory.saturated >= OVERLOAD_SAMPLES {
             Some(Condition::Overload { component: name })
         } else if self.sensor.stuck_samples > 0 && memory.repeated >= self.sensor.stuck_samples {
@@ -408,7 +420,7 @@ impl Conditioner {
             memory.mean = 0;
         }
         self.tared = true;
-        self.tared_at = self.table;
+        self.tared_at = sin_cos(self.table);
         self.weigh();
         Ok(())
     }

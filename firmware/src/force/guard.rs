@@ -195,7 +195,10 @@ impl Guard {
             .max(self.force_variance)
             .max(self.covariance.abs());
         let shift = 33u32.saturating_sub(most.leading_zeros());
-        let (position, force) = (self.position_variance >> shift, self.force_variance >> shift);
+        let (position, force) = (
+            self.position_variance >> shift,
+            self.force_variance >> shift,
+        );
         let both = self.covariance >> shift;
         both * both >= (position * force) >> 1
     }

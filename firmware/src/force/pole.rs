@@ -9,12 +9,12 @@
 //!
 //! The series is summed at configuration time to 20 terms (x <= 1: the rest is below 1/22!), with an error below 2^-59; there is no division in a period. Numbers per period:
 //! 1 - g and 1 - a are right to 2^-31 of themselves, T / K_V to 2^-30. The rate keeps so many bits below 2^-40 mm as 1 - a has leading zeros, so a rounding that returns in every
-//! period adds up to no more than 2^-38 mm a period.
+//! period adds up to no more than 2^-37 mm a period.
 //!
 //! Misuse: [`Pole::step`] needs a rate below [`RATE_BITS`]; [`super::compliance`] holds it there.
 
 use crate::units::force::{VirtualDamping, VirtualMass};
-use crate::units::scale::{high_product, multiply_high, round_shift};
+use crate::units::scale::{high_product, multiply_high};
 
 /// The most leading zeros of 1 - a: x >= 2^-18.
 pub const DEEPEST: u32 = 17;
@@ -35,7 +35,7 @@ const RECIPROCALS: [u64; 20] = {
 
 /// A part of a whole, to 31 bits: `mantissa` times 2^-(32 + deep).
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-struct Part {
+pub(super) struct Part {
     /// 2^31 to 2^32.
     mantissa: u32,
     deep: u32,
@@ -43,7 +43,7 @@ struct Part {
 
 impl Part {
     /// Of a number below 1 in Q63.
-    const fn new(value: u64) -> Self {
+    pub(super) const fn new(value: u64) -> Self {
         let zeros = value.leading_zeros();
         let deep = if zeros < 1 {
             0
@@ -58,15 +58,15 @@ impl Part {
         }
     }
 
-    /// This part of a number below 2^60: two products of words.
+    /// `numerator` / `denominator`, where the denominator is larger than the numerator, and below 2^62.
+    pub(super) fn ratio(numerator: u64, denominator: u64) -> Self {
+        Self::new(ratio(numerator, denominator))
+    }
+
+    /// This part of a number below 2^62, rounded down twice: at most two units too small. Two products of words.
     #[inline]
-    const fn of(self, whole: i64) -> i64 {
-        let part = multiply_high(whole, self.mantissa);
-        if self.deep > 0 {
-            round_shift(part, self.deep)
-        } else {
-            part
-        }
+    pub(super) const fn of(self, whole: i64) -> i64 {
+        multiply_high(whole, self.mantissa).wrapping_shr(self.deep)
     }
 }
 
@@ -129,36 +129,25 @@ impl Pole {
         }
     }
 
-    /// One period under a force (2^-16 N, up to 2^31). Gives the displacement and the new rate, both in 2^-(40 + `fineness`) mm, below 2^59.
+    /// One period under a force (2^-16 N, up to 2^27). Gives the displacement and the new rate, both in 2^-(40 + `fineness`) mm, below 2^62.
     ///
     /// `rate` is of the same scale, below 2^([`RATE_BITS`] + `fineness`); `fineness` is 1 to [`DEEPEST`].
     #[inline]
     #[must_use]
     pub const fn step(&self, force: i32, rate: i64, fineness: u32) -> (i64, i64) {
-        // Below 2^62.
+        // Below 2^58.
         let wide = force as i64 * self.terminal as i64;
-        let most = 1i64 << (RATE_BITS + fineness);
+        // 2048 N at the least K_V make 20 mm in a millisecond, 2^44.4: below 2^62 in any scale.
         let end = if self.exponent > fineness {
-            hold(round_shift(wide, self.exponent.wrapping_sub(fineness)), most)
+            wide.wrapping_shr(self.exponent.wrapping_sub(fineness))
         } else {
-            let shift = fineness.wrapping_sub(self.exponent);
-            hold(wide, most.wrapping_shr(shift)).wrapping_shl(shift)
+            wide.wrapping_shl(fineness.wrapping_sub(self.exponent))
         };
-        // Below 2^59.
-        let off = rate - end;
-        (rate - self.lag.of(off), rate - self.approach.of(off))
-    }
-}
-
-/// `value`, held within +-`most`.
-#[inline]
-const fn hold(value: i64, most: i64) -> i64 {
-    if value > most {
-        most
-    } else if value < -most {
-        -most
-    } else {
-        value
+        let off = rate.wrapping_sub(end);
+        (
+            rate.wrapping_sub(self.lag.of(off)),
+            rate.wrapping_sub(self.approach.of(off)),
+        )
     }
 }
 

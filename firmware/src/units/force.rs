@@ -9,7 +9,7 @@
 //!
 //! Misuse: a [`Force`] is what the work does to the tool (spec h4-milling 1.3), not what a drive exerts: that is an [`super::Effort`].
 
-use super::{Length, Rate, scale};
+use super::{Length, scale};
 
 quantity! {
     /// A force on the tool along an axis of the work, 2^-16 N.
@@ -52,14 +52,32 @@ impl Force {
 
 /// K_A of spec h4-milling (3.30): 2^-16 N s^2/mm.
 #[derive(
-    Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, serde::Serialize, serde::Deserialize,
+    Debug,
+    Clone,
+    Copy,
+    Default,
+    PartialEq,
+    Eq,
+    PartialOrd,
+    Ord,
+    serde::Serialize,
+    serde::Deserialize,
 )]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct VirtualMass(pub u32);
 
 /// K_V of spec h4-milling (3.30): 2^-16 N s/mm.
 #[derive(
-    Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, serde::Serialize, serde::Deserialize,
+    Debug,
+    Clone,
+    Copy,
+    Default,
+    PartialEq,
+    Eq,
+    PartialOrd,
+    Ord,
+    serde::Serialize,
+    serde::Deserialize,
 )]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct VirtualDamping(pub u32);
@@ -85,16 +103,6 @@ impl Displacement {
     }
 }
 
-/// The rate of `displacement` (2^-40 mm, |.| <= 2^61) in a period, where `frequency` is periods per second, Q16, below 2^32.
-#[inline]
-#[must_use]
-pub const fn rate_of(displacement: i64, frequency: u32) -> Rate {
-    Rate(scale::saturate(scale::round_shift(
-        crate::drive::reciprocal::mul_shift::<32>(displacement, frequency),
-        4,
-    )))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -113,18 +121,6 @@ mod tests {
         assert_eq!(Displacement(1 << 19).length(), Length(1));
         assert_eq!(Displacement((1 << 19) - 1).length(), Length(0));
         assert_eq!(Displacement(i64::MIN).length(), Length::MIN);
-        assert_eq!(
-            Displacement::from_length(Length(-7)).length(),
-            Length(-7)
-        );
-    }
-
-    #[test]
-    fn a_rate_is_displacement_times_frequency() {
-        // 0.001 mm in 200 us is 5 mm/s.
-        let displacement = (1i64 << 40) / 1000;
-        let rate = rate_of(displacement, 5000 << 16);
-        assert!((rate.0 - (5 << 20)).abs() <= 1);
-        assert_eq!(rate_of(-(1 << 61), u32::MAX), Rate::MIN);
+        assert_eq!(Displacement::from_length(Length(-7)).length(), Length(-7));
     }
 }

@@ -94,7 +94,8 @@ impl Noise {
             self.0 ^= self.0 >> 12;
             self.0 ^= self.0 << 25;
             self.0 ^= self.0 >> 27;
-            sum += (self.0.wrapping_mul(0x2545_F491_4F6C_DD1D) >> 11) as f64 / 9_007_199_254_740_992.0;
+            sum +=
+                (self.0.wrapping_mul(0x2545_F491_4F6C_DD1D) >> 11) as f64 / 9_007_199_254_740_992.0;
         }
         sum
     }
@@ -129,7 +130,8 @@ pub fn run(contact: &Contact, mut trace: impl FnMut(f64, f64, f64, usize)) -> Ou
             Drive::Servo => {
                 for _ in 0..4 {
                     let h = STEP / 4.0;
-                    let acceleration = 40_000.0 * (reference - tool) + 400.0 * (reference_rate - speed);
+                    let acceleration =
+                        40_000.0 * (reference - tool) + 400.0 * (reference_rate - speed);
                     speed += acceleration * h;
                     tool += speed * h;
                 }
@@ -158,13 +160,19 @@ pub fn run(contact: &Contact, mut trace: impl FnMut(f64, f64, f64, usize)) -> Ou
         }
         largest = largest.max(force);
         forces.push(force);
-        let code = ((force + contact.noise * noise.next()) / 0.0122).round().clamp(-8192.0, 8191.0);
+        let code = ((force + contact.noise * noise.next()) / 0.0122)
+            .round()
+            .clamp(-8192.0, 8191.0);
         let sensed = Force((code * 0.0122 * NEWTON) as i32);
         let peak = peaks.push(sensed).peak();
         guard.note(Coordinate((place * MM) as i32));
         // Desired motion.
         let end = -contact.depth;
-        let rate = if desired > end { -contact.approach } else { 0.0 };
+        let rate = if desired > end {
+            -contact.approach
+        } else {
+            0.0
+        };
         desired = (desired + rate * STEP).max(end);
         let push = Push {
             force: peak,
@@ -181,11 +189,23 @@ pub fn run(contact: &Contact, mut trace: impl FnMut(f64, f64, f64, usize)) -> Ou
         if k % (contact.window as usize / 4) == 0 {
             guard.look(peak, compliance.law());
         }
-        trace(k as f64 * STEP, force, yielded.displacement.length().0 as f64 / MM, level);
+        trace(
+            k as f64 * STEP,
+            force,
+            yielded.displacement.length().0 as f64 / MM,
+            level,
+        );
     }
     let part = &forces[periods * 7 / 10..];
     let high = part.iter().copied().fold(f64::MIN, f64::max);
     let low = part.iter().copied().fold(f64::MAX, f64::min);
     let (swing, mean) = (high - low, part.iter().sum::<f64>() / part.len() as f64);
-    Outcome { first_peak, largest, swing, mean, level, sign: guard.sign() }
+    Outcome {
+        first_peak,
+        largest,
+        swing,
+        mean,
+        level,
+        sign: guard.sign(),
+    }
 }
