@@ -7,11 +7,13 @@
 //! * [`mechanics`]: masses, screws, frictions, hard stops.
 //! * [`encoder`], [`stepper`]: the devices between the mechanics and the controller's counts and codes.
 //! * [`geometry`]: where the tool is, from the closed loops of the rods.
+//! * [`cutting`]: the mill, the workpiece that it shapes, and the force between them.
 //! * [`plant`]: all of it, one control period at a time.
 //! * [`wire`]: the serial line; [`fault`], [`schedule`]: what goes wrong, and when.
 //! * [`rig`]: machine, controller and line in lockstep.
 
 pub mod config;
+pub mod cutting;
 pub mod encoder;
 pub mod fault;
 mod fault_text;
