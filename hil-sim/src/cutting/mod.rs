@@ -13,9 +13,9 @@
 //!
 //! where the chip thickness h is the distance, along the normal of the ball, from the edge to what earlier teeth left. Two stores know that:
 //!
-//! * *the way of the teeth* of the last [`PASSES`] tooth periods (module `path`), exact: a tooth feeds less than a cell of any
-//!   map. With d the travel of the ball's centre since the tooth before stood at this angle and n the normal, h = d.n + (d^2 - (d.n)^2) / 2R; for
-//!   plain feed that is f_t sin(Psi) sin(kappa) of the spec. The thinnest of the remembered passes counts.
+//! * *the way of the teeth* of the last [`PASSES`] tooth periods (module `path`): a tooth feeds less than a cell of any map.
+//!   With d the travel of the ball's centre since the tooth before stood at this angle and n the normal, h = d.n; for plain feed that is
+//!   f_t sin(Psi) sin(kappa) of the spec. The thinnest of the remembered passes counts.
 //! * *the map* ([`Workpiece`]) of all that is older. It decides whether there is material at all, and thins the chip where its surface is
 //!   nearer than the pass before: entry, exit, one-sided cuts, inclines, second passes.
 //!
@@ -149,27 +149,17 @@ impl Frame {
     }
 }
 
-/// Travel of the ball since an earlier pass, in the frame of the tool.
-#[derive(Debug, Clone, Copy, Default)]
-struct Travel {
-    by: Vector,
-    /// Square of its length over twice the radius, on the ball and across the shank.
-    ball: f64,
-    shank: f64,
-}
-
 /// What the edges see in a step.
 struct View<'a> {
     workpiece: &'a Workpiece,
     frame: Frame,
     centre: Vector,
-    passes: [Travel; PASSES],
+    /// Travel of the ball since earlier passes, in the frame of the tool.
+    passes: [Vector; PASSES],
     /// How many of `passes` count.
     count: usize,
     /// Thickest chip.
     thickest: f64,
-    /// Half of the ball's curvature, 1/mm.
-    half_curvature: f64,
     /// Direction of travel in the frame of the table; 0 when there is none.
     heading: Vector,
     /// How far the map lags behind the tool, mm.
@@ -179,7 +169,7 @@ struct View<'a> {
 /// An edge at a node.
 #[derive(Debug, Clone, Copy, Default)]
 struct Touch {
-    /// Chip thickness, mm; 0 when nothing is cut.
+    /// Chip thickness, mm; 0 and below when the earlier passes left nothing.
     chip: f64,
     /// Depth below the map, mm, less what the map may be wrong by; 0 when it was not looked at.
     depth: f64,
@@ -188,12 +178,10 @@ struct Touch {
 impl View<'_> {
     /// Distance along the normal (frame of the tool) to what the remembered passes left, mm; negative when it is in the air.
     #[inline(always)]
-    fn left_by_passes(&self, node: &Node, normal: Vector) -> f64 {
+    fn left_by_passes(&self, normal: Vector) -> f64 {
         let mut thinnest = self.thickest;
-        for pass in &self.passes[..self.count] {
-            let by = pass.by[0] * normal[0] + pass.by[1] * normal[1] + pass.by[2] * normal[2];
-            let square = if node.height < 0.0 { pass.ball } else { pass.shank };
-            let chip = by + square - by * by * self.half_curvature;
+        for by in &self.passes[..self.count] {
+            let chip = by[0] * normal[0] + by[1] * normal[1] + by[2] * normal[2];
             thinnest = if chip < thinnest { chip } else { thinnest };
         }
         thinnest
@@ -207,9 +195,9 @@ impl View<'_> {
             node.sin_kappa * radial[1],
             -node.cos_kappa,
         ];
-        let chip = self.left_by_passes(node, normal) - behind;
+        let chip = self.left_by_passes(normal) - behind;
         if chip < NO_CHIP {
-            return Touch::default();
+            return Touch { chip, depth: 0.0 };
         }
         let place = self.frame.to_table([
             node.radius * radial[0],
@@ -220,9 +208,8 @@ impl View<'_> {
         let ahead = 4.0 * node.tolerance - self.lag;
         let ahead = if ahead > 0.0 { ahead } else { 0.0 };
         let inward = node.tolerance + behind;
-        let at = |i: usize| {
-            self.centre[i] + place[i] + ahead * self.heading[i] - inward * normal[i]
-        };
+        let at =
+            |i: usize| self.centre[i] + place[i] + ahead * self.heading[i] - inward * normal[i];
         let (x, y, z) = (at(0), at(1), at(2));
         if z >= self.workpiece.highest() {
             return Touch {
@@ -297,7 +284,8 @@ impl Cutting {
     /// the cut goes on after it, the first few teeth find a little less than they should.
     pub fn settle(&mut self) {
         for passed in self.path.remembered() {
-            self.carver.follow(&mut self.workpiece, passed);
+            self.carver
+                .follow(&mut self.workpiece, passed, passed.centre);
         }
         self.carver.finish(&mut self.workpiece);
         self.path = ToothPath::new(self.centre);
@@ -331,8 +319,9 @@ impl Cutting {
         self.centre = to;
         let (carver, workpiece) = (&mut self.carver, &mut self.workpiece);
         let pitches = turns * self.config.teeth as f64;
-        self.path
-            .advance(pitches, from, to, |passed| carver.follow(workpiece, passed));
+        self.path.advance(pitches, from, to, |passed| {
+            carver.follow(workpiece, passed, to)
+        });
         let angle = self.angle + turns;
         self.angle = angle - angle.floor();
         // All edges are above all material.
@@ -363,8 +352,7 @@ impl Cutting {
     fn view(&self, frame: Frame) -> View<'_> {
         let radius = self.config.radius_mm;
         let thickest = radius / 4.0;
-        let half_curvature = 0.5 / radius;
-        let mut passes = [Travel::default(); PASSES];
+        let mut passes = [Vector::default(); PASSES];
         let mut count = 0;
         let mut heading = [0.0; 3];
         for pitches in 1..=PASSES {
@@ -383,12 +371,7 @@ impl Cutting {
                 let length = square.sqrt();
                 heading = by.map(|part| part / length);
             }
-            let by = frame.to_tool(by);
-            passes[count] = Travel {
-                by,
-                ball: square * half_curvature,
-                shank: (by[0] * by[0] + by[1] * by[1]) * half_curvature,
-            };
+            passes[count] = frame.to_tool(by);
             count += 1;
         }
         let cut = self.carver.cut();
@@ -403,7 +386,6 @@ impl Cutting {
             passes,
             count,
             thickest,
-            half_curvature,
             heading,
             lag: lag.sqrt(),
         }
@@ -412,11 +394,6 @@ impl Cutting {
     /// Force of all edges on the tool in its own frame, whether one is in the material, and the volume of chips per radian, mm^3.
     fn edges(&self, view: &View<'_>) -> (Vector, bool, f64) {
         let material = &self.config.coefficients;
-        let per_onset = if self.config.edge_onset_mm > 0.0 {
-            1.0 / self.config.edge_onset_mm
-        } else {
-            f64::INFINITY
-        };
         let upright = view.frame.z[2] >= 1.0;
         let nodes = self.cutter.nodes();
         let mut force = [0.0; 3];
@@ -433,16 +410,13 @@ impl Cutting {
                     cos * node.cos_lag + sin * node.sin_lag,
                 ];
                 let touch = view.touch(node, radial, 0.0);
-                let cuts = touch.chip > 0.0 && touch.depth > 0.0;
                 let mut here = Edge {
                     touch,
+                    cuts: touch.chip >= NO_CHIP && touch.depth > 0.0,
                     ..Edge::default()
                 };
-                if cuts {
+                if here.cuts {
                     engaged = true;
-                    let onset = touch.chip * per_onset;
-                    let onset = if onset < 1.0 { onset } else { 1.0 };
-                    here.chip = touch.chip;
                     here.arm = touch.chip * node.radius;
                     here.cutting = rotated(
                         node,
@@ -458,17 +432,22 @@ impl Cutting {
                             material.tangential_edge,
                             material.axial_edge,
                         ],
-                        onset,
+                        1.0,
                     );
                 }
-                if k > 0 && (here.chip > 0.0 || below.chip > 0.0) {
+                if k > 0 && (here.cuts || below.cuts) {
                     let slice = &self.cutter.slices()[k - 1];
-                    let (low, high) = below.parts(&here);
+                    let (low, high, onset) = below.parts(&here, self.config.edge_onset_mm);
+                    let (low_edge, high_edge) =
+                        (low * onset * slice.edge, high * onset * slice.edge);
+                    let (low, high) = (low * slice.width, high * slice.width);
                     for (i, sum) in force.iter_mut().enumerate() {
-                        *sum += slice.width * (low * below.cutting[i] + high * here.cutting[i])
-                            + slice.edge * (low * below.edge[i] + high * here.edge[i]);
+                        *sum += low * below.cutting[i]
+                            + high * here.cutting[i]
+                            + low_edge * below.edge[i]
+                            + high_edge * here.edge[i];
                     }
-                    volume += slice.width * (low * below.arm + high * here.arm);
+                    volume += low * below.arm + high * here.arm;
                 }
                 below = here;
                 if upright && view.centre[2] + node.height > view.workpiece.highest() {
@@ -483,7 +462,7 @@ impl Cutting {
     fn body(&self, view: &View<'_>) -> Option<Vector> {
         let relief = self.config.relief_mm;
         if view.count > 0 {
-            let by = view.passes[0].by;
+            let by = view.passes[0];
             if by[0] * by[0] + by[1] * by[1] + by[2] * by[2] <= relief * relief {
                 return None;
             }
@@ -519,34 +498,60 @@ impl Cutting {
 #[derive(Debug, Clone, Copy, Default)]
 struct Edge {
     touch: Touch,
-    chip: f64,
+    /// There is a chip.
+    cuts: bool,
     /// Chip thickness times radius, mm^2.
     arm: f64,
     /// Per mm of chip width.
     cutting: Vector,
-    /// Per mm of edge.
+    /// Per mm of edge, at its full size.
     edge: Vector,
 }
 
 impl Edge {
-    /// How much of the slice between two nodes counts with the force at the lower and at the upper.
+    /// How much of the slice between two nodes counts with the force at the lower and at the upper, and how much of that the edge force has.
     #[inline(always)]
-    fn parts(&self, upper: &Self) -> (f64, f64) {
-        let share = |inside: &Touch, outside: &Touch| {
-            if outside.depth < 0.0 {
-                // The surface crosses the slice.
-                inside.depth / (inside.depth - outside.depth)
-            } else {
-                // The chip runs out within the slice.
-                0.5
-            }
+    fn parts(&self, upper: &Self, onset: f64) -> (f64, f64, f64) {
+        let (inside, outside) = match (self.cuts, upper.cuts) {
+            (true, false) => (&self.touch, &upper.touch),
+            (false, true) => (&upper.touch, &self.touch),
+            _ => return (0.5, 0.5, eased(self.touch.chip, upper.touch.chip, onset)),
         };
-        match (self.chip > 0.0, upper.chip > 0.0) {
-            (true, false) => (share(&self.touch, &upper.touch), 0.0),
-            (false, true) => (0.0, share(&upper.touch, &self.touch)),
-            _ => (0.5, 0.5),
+        let (share, edge) = if outside.chip < NO_CHIP {
+            // The chip runs out within the slice: half of it on average, but the edge has all its length.
+            let share = inside.chip / (inside.chip - outside.chip);
+            (0.5 * share, 2.0 * eased(0.0, inside.chip, onset))
+        } else {
+            // The surface crosses the slice.
+            let share = inside.depth / (inside.depth - outside.depth);
+            (share, eased(inside.chip, inside.chip, onset))
+        };
+        if self.cuts {
+            (share, 0.0, edge)
+        } else {
+            (0.0, share, edge)
         }
     }
+}
+
+/// Mean over chips between two thicknesses of how much of the edge force is there: it grows with the chip up to `onset`.
+#[inline(always)]
+fn eased(a: f64, b: f64, onset: f64) -> f64 {
+    let (low, high) = if a < b { (a, b) } else { (b, a) };
+    if low >= onset {
+        return 1.0;
+    }
+    if high - low < 1e-3 * onset {
+        return high / onset;
+    }
+    let sum = |chip: f64| {
+        if chip < onset {
+            0.5 * chip * chip / onset
+        } else {
+            chip - 0.5 * onset
+        }
+    };
+    (sum(high) - sum(low)) / (high - low)
 }
 
 /// Radial, tangential and axial parts, times `size`, as a force on the tool in its frame (the matrix of spec h4-milling 5.1).

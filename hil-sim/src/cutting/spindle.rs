@@ -45,7 +45,11 @@ impl Spindle {
         } else {
             let next = command_rpm + (before - command_rpm) * self.keeps;
             // Under one turn a minute it stands.
-            if command_rpm == 0.0 && next.abs() < 1.0 { 0.0 } else { next }
+            if command_rpm == 0.0 && next.abs() < 1.0 {
+                0.0
+            } else {
+                next
+            }
         };
         0.5 * (before + self.rpm) * self.period_s / 60.0
     }

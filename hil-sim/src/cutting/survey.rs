@@ -196,8 +196,7 @@ impl Workpiece {
             (groove.begins > 0.0).then(|| [at(groove.begins), at(groove.middle()), at(groove.ends)])
         };
         for ray in 0..rays {
-            let [near, half, far] =
-                along(core::f64::consts::TAU * ray as f64 / rays as f64)?;
+            let [near, half, far] = along(core::f64::consts::TAU * ray as f64 / rays as f64)?;
             inner.push(near);
             middle.push(half);
             outer.push(far);
@@ -265,11 +264,18 @@ pub fn circle(points: &[[f64; 2]]) -> Option<Circle> {
     };
     let mut radius = 0.0;
     for _ in 0..50 {
-        radius = points.iter().map(|point| distance(point, &centre)).sum::<f64>() / count;
+        radius = points
+            .iter()
+            .map(|point| distance(point, &centre))
+            .sum::<f64>()
+            / count;
         // Normal equations of the distances in the centre, the radius eliminated: u is the unit vector to a point, less the mean of all.
         let unit = |point: &[f64; 2]| {
             let length = distance(point, &centre).max(1e-12);
-            [(point[0] - centre[0]) / length, (point[1] - centre[1]) / length]
+            [
+                (point[0] - centre[0]) / length,
+                (point[1] - centre[1]) / length,
+            ]
         };
         let mut mean = [0.0; 2];
         for point in points {
@@ -292,10 +298,7 @@ pub fn circle(points: &[[f64; 2]]) -> Option<Circle> {
         if determinant <= 1e-9 * count * count {
             return None;
         }
-        let step = [
-            (c * p - b * q) / determinant,
-            (a * q - b * p) / determinant,
-        ];
+        let step = [(c * p - b * q) / determinant, (a * q - b * p) / determinant];
         centre[0] += step[0];
         centre[1] += step[1];
         if step[0].abs() + step[1].abs() < 1e-12 {

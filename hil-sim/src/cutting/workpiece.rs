@@ -3,7 +3,8 @@
 //! The surface is a height above each point of a square grid in the frame of the table; it turns with the table and does not move in
 //! it. Heights are kept as f32: 0.004 um at 30 mm, far below what the grid itself loses. Between its points the surface is bilinear. On a
 //! surface that a ball of radius R has cut, where its normal leans by kappa from the vertical, that lies within
-//! cell^2 / (4 R cos^2 kappa) of the truth along the normal (0.2 um on the floor of an 8 mm ball, 0.6 um at 60 degrees), and within 1.5 cells on a wall.
+//! cell^2 / (4 R cos^2 kappa) of the truth along the normal (0.2 um on the floor of an 8 mm ball, 0.6 um at 60 degrees), and within 1.5 cells on a wall
+//! and the part of the ball that is so near to it.
 //!
 //! What a height map cannot hold: undercuts. A leaning tool removes what its ball sweeps and all above it; its leaning shank removes nothing.
 //!
@@ -57,7 +58,11 @@ impl Workpiece {
         for x in [config.stock.x_min, config.stock.x_max] {
             for y in [config.stock.y_min, config.stock.y_max] {
                 let corner = piece.plane(x, y);
-                piece.highest = if corner > piece.highest { corner } else { piece.highest };
+                piece.highest = if corner > piece.highest {
+                    corner
+                } else {
+                    piece.highest
+                };
             }
         }
         piece
@@ -185,7 +190,11 @@ impl Workpiece {
 
         let first = |low: f64, origin: f64, count: usize| -> usize {
             let at = ((low - origin) / cell).ceil();
-            if at > 0.0 { (at as usize).min(count) } else { 0 }
+            if at > 0.0 {
+                (at as usize).min(count)
+            } else {
+                0
+            }
         };
         let sweep = Sweep::new(radius, from, to);
         let bottom = self.config.bottom_mm as f32;
@@ -293,10 +302,13 @@ impl Sweep {
         if past < 0.0 {
             return None;
         }
-        let travelled = if past < self.length { past } else { self.length };
+        let travelled = if past < self.length {
+            past
+        } else {
+            self.length
+        };
         let off = ahead - travelled;
         let depth = square - off * off;
-        (depth > 0.0)
-            .then(|| self.height + travelled * self.per_length * self.rise - depth.sqrt())
+        (depth > 0.0).then(|| self.height + travelled * self.per_length * self.rise - depth.sqrt())
     }
 }
