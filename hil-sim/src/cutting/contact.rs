@@ -1,6 +1,7 @@
 //! An elastic body that is touched and not cut: for sweeps over the stiffness of a contact.
 
-use crate::cutting::Vector;
+use crate::config::{Check, PlantError};
+use crate::cutting::{ToolPose, Vector};
 
 /// An elastic half space with a plane face.
 #[derive(Debug, Clone, PartialEq)]
@@ -18,8 +19,31 @@ pub struct ElasticWall {
 }
 
 impl ElasticWall {
+    /// Checks everything.
+    ///
+    /// # Errors
+    /// Every problem.
+    pub fn check(&self) -> Result<(), Vec<PlantError>> {
+        let mut check = Check::default();
+        let mut square = 0.0;
+        for i in 0..3 {
+            check.within(format!("wall: point {i}"), self.point[i], -2000.0, 2000.0);
+            square += self.normal[i] * self.normal[i];
+        }
+        check.within(
+            "wall: length of normal".into(),
+            square,
+            0.999_999,
+            1.000_001,
+        );
+        check.within("wall: stiffness".into(), self.stiffness, 0.0, 1e6);
+        check.within("wall: damping".into(), self.damping, 0.0, 1e4);
+        check.within("wall: radius".into(), self.radius, 0.0, 100.0);
+        check.done()
+    }
+
     /// How deep the tool is in the face, mm; negative in the air. `pose` must be the tool's in the same frame.
-    pub fn depth(&self, pose: &crate::cutting::ToolPose) -> f64 {
+    pub fn depth(&self, pose: &ToolPose) -> f64 {
         let mut outside = -self.radius;
         for i in 0..3 {
             let nearest = pose.tip[i] + self.radius * pose.axis[i];
@@ -29,7 +53,7 @@ impl ElasticWall {
     }
 
     /// Force on the tool, N, for its velocity (mm/s).
-    pub fn force(&self, pose: &crate::cutting::ToolPose, velocity: Vector) -> Vector {
+    pub fn force(&self, pose: &ToolPose, velocity: Vector) -> Vector {
         let depth = self.depth(pose);
         if depth <= 0.0 {
             return [0.0; 3];
