@@ -216,6 +216,12 @@ impl Controller {
         if let Some(speed) = progress.spindle {
             self.job.spindle_rpm = speed;
         }
+        if progress.blocked && state == State::Run {
+            self.safety.tell(Event::Blocked {
+                setpoint: machinery.motion.program.reached(),
+            });
+            self.safety.enter(State::Hold);
+        }
         if let Some(setpoint) = progress.paused {
             self.safety.tell(Event::Paused { setpoint });
             self.safety.enter(State::Hold);

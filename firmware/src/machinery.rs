@@ -253,6 +253,7 @@ impl Machinery {
                 wanted_rate: self.target.rates[index],
                 measured: sensed.coordinate,
                 rate: sensed.rate,
+                moved: sensed.moved,
                 effort: self.driven[index].effort,
                 illegal: sensed.illegal.min(u32::from(u16::MAX)) as u16,
                 steps_off: sensed.slip,
@@ -277,15 +278,24 @@ impl Machinery {
     /// Stage *drive*: position loops. Gives a joint whose drive was asked for too much.
     pub fn drive(&mut self, commands: &mut [DriveCommand; MAX_AXES]) -> Option<u8> {
         let mut saturated = None;
-        for (index, joint) in self.joints.iter_mut().enumerate() {
-            let wanted = JointWanted {
-                coordinate: self.target.joints.0[index],
-                rate: self.target.rates[index],
-                acceleration: self.target.accelerations[index],
-            };
-            self.driven[index] = joint.drive(&wanted);
-            commands[index] = self.driven[index].command;
-            if self.driven[index].saturated {
+        let target = &self.target;
+        let targets = target
+            .joints
+            .0
+            .iter()
+            .zip(&target.rates)
+            .zip(&target.accelerations);
+        let parts = self.joints.iter_mut().zip(&mut self.driven).zip(commands);
+        for (index, (((joint, driven), command), ((coordinate, rate), acceleration))) in
+            parts.zip(targets).enumerate()
+        {
+            *driven = joint.drive(&JointWanted {
+                coordinate: *coordinate,
+                rate: *rate,
+                acceleration: *acceleration,
+            });
+            *command = driven.command;
+            if driven.saturated {
                 saturated = Some(index as u8);
             }
         }
@@ -320,7 +330,7 @@ impl Machinery {
                 digest.add(&(config.period_us, self.crc));
             }
             1 => self.motion.digest(&mut digest),
-            _ if part % 2 == 0 => digest.add(&config.pose.get(part / 2 - 1)),
+            _ if part.is_multiple_of(2) => digest.add(&config.pose.get(part / 2 - 1)),
             _ => {
                 let index = part / 2 - 1;
                 digest.add(&config.joints.get(index));

@@ -18,7 +18,6 @@ pub mod config;
 pub mod cutting;
 pub mod encoder;
 pub mod fault;
-mod fault_text;
 pub mod geometry;
 pub mod mechanics;
 pub mod plant;

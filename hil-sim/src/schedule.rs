@@ -12,6 +12,8 @@ use haptimill_protocol::message::MAX_AXES;
 #[derive(Debug, Clone)]
 struct Entry {
     kind: FaultKind,
+    /// Place of the joint that it is about.
+    axis: usize,
     begins_ns: u64,
     ends_ns: u64,
     active: bool,
@@ -28,20 +30,21 @@ pub struct Schedule {
 }
 
 impl Schedule {
-    /// The schedule of these faults on a machine of so many joints.
+    /// The schedule of these faults on a machine of these joints.
     ///
     /// # Errors
     /// The first fault that makes no sense there.
-    pub fn new(faults: &[Fault], axes: usize) -> Result<Self, FaultError> {
+    pub fn new(faults: &[Fault], joints: &[&str]) -> Result<Self, FaultError> {
         let mut entries = Vec::new();
         for fault in faults {
-            fault.check(axes)?;
+            let axis = fault.place(joints)?;
             let begins_ns = (fault.at_s * 1e9) as u64;
             let ends_ns = fault
                 .for_s
                 .map_or(u64::MAX, |time| begins_ns + (time * 1e9) as u64);
             entries.push(Entry {
                 kind: fault.what.clone(),
+                axis,
                 begins_ns,
                 ends_ns,
                 active: false,
@@ -87,10 +90,8 @@ impl Schedule {
                 }
             }
             match entry.kind {
-                FaultKind::EncoderSlip { axis, counts }
-                    if begins && entry.begins_ns != u64::MAX =>
-                {
-                    plant.slip_encoder(axis, counts);
+                FaultKind::EncoderSlip { counts, .. } if begins && entry.begins_ns != u64::MAX => {
+                    plant.slip_encoder(entry.axis, counts);
                     entry.begins_ns = u64::MAX;
                 }
                 FaultKind::MissedPeriods { count } if begins && entry.begins_ns != u64::MAX => {
@@ -102,6 +103,7 @@ impl Schedule {
             if entry.active {
                 spoil(
                     &entry.kind,
+                    entry.axis,
                     &mut joints,
                     &mut encoders,
                     &mut loads,
@@ -124,6 +126,7 @@ impl Schedule {
 /// Adds an active fault to the conditions.
 fn spoil(
     kind: &FaultKind,
+    axis: usize,
     joints: &mut [JointCondition; MAX_AXES],
     encoders: &mut [EncoderCondition; MAX_AXES],
     loads: &mut [f64; MAX_AXES],
@@ -139,35 +142,31 @@ fn spoil(
     };
     match *kind {
         FaultKind::EncoderStuck {
-            axis,
             channel: Channel::A,
             level,
+            ..
         } => {
             encoders[axis].stuck_a = Some(level == Level::High);
         }
         FaultKind::EncoderStuck {
-            axis,
             channel: Channel::B,
             level,
+            ..
         } => {
             encoders[axis].stuck_b = Some(level == Level::High);
         }
-        FaultKind::EncoderSwapped { axis } => encoders[axis].swapped = true,
-        FaultKind::EncoderNoise { axis, per_second } => encoders[axis].noise_hz += per_second,
-        FaultKind::IndexMissing { axis } => encoders[axis].index_missing = true,
-        FaultKind::DriveDead { axis } => joints[axis].drive_gain = 0.0,
-        FaultKind::DriveTripped { axis } => joints[axis].drive_tripped = true,
-        FaultKind::DriveWeak { axis, gain } => joints[axis].drive_gain *= gain,
-        FaultKind::DriveReversed { axis } => joints[axis].drive_gain *= -1.0,
-        FaultKind::SlideJammed { axis, effort } => {
+        FaultKind::EncoderSwapped { .. } => encoders[axis].swapped = true,
+        FaultKind::EncoderNoise { per_second, .. } => encoders[axis].noise_hz += per_second,
+        FaultKind::IndexMissing { .. } => encoders[axis].index_missing = true,
+        FaultKind::DriveDead { .. } => joints[axis].drive_gain = 0.0,
+        FaultKind::DriveTripped { .. } => joints[axis].drive_tripped = true,
+        FaultKind::DriveWeak { gain, .. } => joints[axis].drive_gain *= gain,
+        FaultKind::DriveReversed { .. } => joints[axis].drive_gain *= -1.0,
+        FaultKind::SlideJammed { effort, .. } => {
             joints[axis].jam += effort.unwrap_or(f64::INFINITY)
         }
-        FaultKind::Push { axis, effort } => loads[axis] += effort,
-        FaultKind::SwitchStuck {
-            axis,
-            switch,
-            active,
-        } => {
+        FaultKind::Push { effort, .. } => loads[axis] += effort,
+        FaultKind::SwitchStuck { switch, active, .. } => {
             let joint = &mut joints[axis];
             let stuck = match switch {
                 Switch::Home => &mut joint.home,

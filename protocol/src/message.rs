@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 pub const MAX_AXES: usize = 6;
 
 /// Version of this protocol; both ends must have the same.
-pub const PROTOCOL_VERSION: u16 = 1;
+pub const PROTOCOL_VERSION: u16 = 2;
 
 /// A rate on the wire is in axis units per second divided by 2^8: 2^-12 mm/s, or 2^-24 turn/s.
 pub const RATE_SHIFT: u32 = 8;
@@ -348,6 +348,11 @@ pub enum Event {
     /// A pause in the program was reached; [`Command::Resume`] goes on.
     Paused {
         /// The setpoint that carried the pause.
+        setpoint: u32,
+    },
+    /// What was moved by hand leaves the program no room to stop on the way ahead: it holds. Make room by jogging, then [`Command::Resume`].
+    Blocked {
+        /// The setpoint on the way to which it holds.
         setpoint: u32,
     },
     /// All axes have their reference.

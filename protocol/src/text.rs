@@ -346,6 +346,10 @@ impl Describe for Event {
                 f,
                 "the program pauses at setpoint {setpoint}; resume to go on"
             ),
+            Self::Blocked { setpoint } => write!(
+                f,
+                "held before setpoint {setpoint}: what was moved by hand leaves the program no room to stop ahead; make room by jogging, then resume"
+            ),
             Self::Homed => f.write_str("all axes have their reference"),
             Self::Fault(ref fault) => {
                 f.write_str("fault: ")?;

@@ -7,15 +7,17 @@
 //! Slowing down for want of setpoints begins while the queue still covers the stopping distance, so the last setpoint is never passed.
 //! The bounds on acceleration and jerk of the braking are those of the configuration's [`Stopping`], on top of the program's own.
 
+mod stopping;
+
 use super::Wanted;
-use super::cubic::{Cubic, Span};
+use super::cubic::{Cubic, Derivatives, Span};
 use super::ramp::{Ramp, RampLimits};
 use crate::config::{AxisKind, Config, Stopping};
 use crate::kinematics::Pose;
 use crate::safety::integrity::constants;
-use crate::units::scale::{product, total};
+use crate::units::scale::{product, saturate, total};
 use crate::units::{Acceleration, Coordinate, Rate};
-use haptimill_protocol::message::{Action, MAX_AXES, Refusal};
+use haptimill_protocol::message::{Action, MAX_AXES, RATE_SHIFT, Refusal};
 use haptimill_protocol::setpoint::Setpoint;
 use heapless::Deque;
 
@@ -44,6 +46,7 @@ impl Knot {
 #[derive(Debug, Clone, Copy, Default)]
 struct Segment {
     cubics: [Cubic; MAX_AXES],
+    derivatives: [Derivatives; MAX_AXES],
     span: Span,
     to: Knot,
 }
@@ -57,6 +60,8 @@ pub struct Progress {
     pub paused: Option<u32>,
     /// The last setpoint of the job was reached.
     pub finished: bool,
+    /// It went no farther, because what was moved by hand leaves no room to stop on the way ahead.
+    pub blocked: bool,
     /// The queue ended in motion: a defect, since braking must have ended before.
     pub ran_dry: bool,
 }
@@ -75,10 +80,13 @@ pub struct Late {
 pub struct Program {
     axes: usize,
     rotary: [bool; MAX_AXES],
-    rate_limits: [i64; MAX_AXES],
-    acceleration_limits: [i64; MAX_AXES],
+    /// Wire units.
+    rate_limits: [i32; MAX_AXES],
+    acceleration_limits: [Acceleration; MAX_AXES],
     period_us: u16,
     periods_per_second: i64,
+    /// The spans of the setpoint that was taken last, and of the segment: most have the length of the one before.
+    spans: [Span; 2],
     braking: Option<RampLimits>,
     /// Program time that braking from the full rate takes, in periods.
     braking_periods: u64,
@@ -113,7 +121,7 @@ constants!(Program {
     axes, rotary, rate_limits, acceleration_limits, period_us, periods_per_second, braking, braking_periods
 } of {} but {
     queue, queued_periods, rests_ahead, tail, from, segment, time, elapsed, path_rate, override_rate, accepted, reached, total, started, paused,
-    starving, late
+    starving, late, spans
 });
 
 /// Bounds of the path rate that a configuration's [`Stopping`] means; `None` if it makes no sense.
@@ -152,8 +160,10 @@ impl Program {
         for (axis, pose) in config.pose.iter().enumerate() {
             program.rotary[axis] = pose.kind == AxisKind::Rotary;
             // Two hundredths more, for the rounding of setpoints.
-            program.rate_limits[axis] = i64::from(pose.rate.0) + i64::from(pose.rate.0) / 50;
-            program.acceleration_limits[axis] = i64::from(pose.acceleration.0) * 16;
+            let rate = i64::from(pose.rate.0) + i64::from(pose.rate.0) / 50;
+            program.rate_limits[axis] = (rate >> RATE_SHIFT) as i32;
+            program.acceleration_limits[axis] =
+                Acceleration(pose.acceleration.0.saturating_mul(16));
         }
         program.braking_periods = program.braking.map_or(0, |limits| {
             Ramp::at(FULL_RATE)
@@ -207,11 +217,8 @@ impl Program {
         if matches!(knot.action, Action::Pause) && !knot.at_rest() {
             return Err(bad);
         }
-        let segment = self.segment_between(&self.tail, &knot).ok_or(bad)?;
-        if (0..self.axes).any(|axis| {
-            self.too_fast(axis, &self.tail, &knot, &segment.span)
-                || self.too_fast_between(axis, &segment)
-        }) {
+        let span = self.span(0, knot.periods).ok_or(bad)?;
+        if (0..self.axes).any(|axis| !self.may_go(axis, &knot, &span)) {
             return Err(bad);
         }
         self.queue.push_back(knot).map_err(|_| Refusal::QueueFull)?;
@@ -400,7 +407,7 @@ impl Program {
                     return;
                 };
                 self.queued_periods -= u64::from(knot.periods);
-                self.segment = self.segment_between(&self.from, &knot);
+                self.begin_segment(&knot);
             }
             // A segment is large: it is looked at where it lies.
             let Some(segment) = &self.segment else { return };
@@ -450,74 +457,100 @@ impl Program {
             return wanted;
         };
         let fraction = segment.span.fraction((self.time >> 16) as u32);
-        let rate = self.path_rate.value() >> 2;
-        let rate_squared = product(rate, rate) >> 30;
-        let slope = self.path_rate.slope();
         for axis in 0..self.axes {
-            let sample = segment.cubics[axis].sample(fraction, &segment.span);
+            let sample = segment.cubics[axis].sample(&segment.derivatives[axis], fraction);
             wanted.pose.0[axis] = sample.position;
-            let speed = i64::from(sample.rate.0);
-            wanted.rates[axis] = Rate((product(speed, rate) >> 30) as i32);
-            // d2p/dt2 = p'' r^2 + p' dr/dt, with dr/dt in 2^-32 per period.
-            // Path rate and its square are below 2^31, its slope below 2^32: with 31 bits of speed or acceleration all products fit.
-            let braking = product(product(speed, slope) >> 32, self.periods_per_second);
-            let acceleration = total(
-                product(i64::from(sample.acceleration.0), rate_squared) >> 30,
-                braking >> 8,
-            );
-            wanted.accelerations[axis] =
-                Acceleration(acceleration.clamp(i64::from(-i32::MAX), i64::from(i32::MAX)) as i32);
+            wanted.rates[axis] = sample.rate;
+            wanted.accelerations[axis] = sample.acceleration;
+        }
+        if self.path_rate != Ramp::at(FULL_RATE) {
+            self.slow_down(&mut wanted);
         }
         wanted
     }
 
-    fn segment_between(&self, from: &Knot, to: &Knot) -> Option<Segment> {
-        let span = Span::new(to.periods, self.period_us)?;
+    /// From one place to another; the short way round on a rotary axis.
+    fn distance(&self, axis: usize, from: i32, to: i32) -> i64 {
+        if self.rotary[axis] {
+            i64::from(to.wrapping_sub(from))
+        } else {
+            i64::from(to) - i64::from(from)
+        }
+    }
+
+    /// From rates and accelerations at the programmed speed to those at the path rate.
+    #[inline(never)]
+    fn slow_down(&self, wanted: &mut Wanted) {
+        let rate = self.path_rate.value() >> 2;
+        let rate_squared = product(rate, rate) >> 30;
+        let slope = self.path_rate.slope();
+        let motions = wanted.rates.iter_mut().zip(&mut wanted.accelerations);
+        for (axis_rate, acceleration) in motions.take(self.axes) {
+            let speed = i64::from(axis_rate.0);
+            *axis_rate = Rate((product(speed, rate) >> 30) as i32);
+            // d2p/dt2 = p'' r^2 + p' dr/dt, with dr/dt in 2^-32 per period.
+            // Path rate and its square are below 2^31, its slope below 2^32: with 31 bits of speed or acceleration all products fit.
+            let braking = product(product(speed, slope) >> 32, self.periods_per_second);
+            let sum = total(
+                product(i64::from(acceleration.0), rate_squared) >> 30,
+                braking >> 8,
+            );
+            *acceleration = Acceleration(saturate(sum));
+        }
+    }
+
+    /// A span of so many periods; the one before of its `kind` (taken, begun) if it was as long.
+    fn span(&mut self, kind: usize, periods: u16) -> Option<Span> {
+        if self.spans[kind].periods() != periods || periods == 0 {
+            self.spans[kind] = Span::new(periods, self.period_us)?;
+        }
+        Some(self.spans[kind])
+    }
+
+    fn cubic(&self, axis: usize, from: &Knot, to: &Knot, span: &Span) -> Option<Cubic> {
+        Cubic::new(
+            Coordinate(from.pose[axis]),
+            from.rates[axis],
+            Coordinate(to.pose[axis]),
+            to.rates[axis],
+            span,
+            self.rotary[axis],
+        )
+    }
+
+    /// The way from the setpoint reached last to the next one. There is none to a setpoint that could not have been taken.
+    fn begin_segment(&mut self, to: &Knot) {
+        let Some(span) = self.span(1, to.periods) else {
+            return;
+        };
         let mut segment = Segment {
             span,
             to: *to,
             ..Segment::default()
         };
         for axis in 0..self.axes {
-            segment.cubics[axis] = Cubic::new(
-                Coordinate(from.pose[axis]),
-                from.rates[axis],
-                Coordinate(to.pose[axis]),
-                to.rates[axis],
-                &span,
-                self.period_us,
-                self.rotary[axis],
-            )?;
+            let Some(cubic) = self.cubic(axis, &self.from, to, &span) else {
+                return;
+            };
+            segment.derivatives[axis] = cubic.derivatives(&span);
+            segment.cubics[axis] = cubic;
         }
-        Some(segment)
+        self.segment = Some(segment);
     }
 
-    /// Whether the rate inside the span is beyond the axis' limit, or the acceleration at its ends beyond 16 times that
-    /// of a jog: such a setpoint is a mistake, not a motion.
-    fn too_fast_between(&self, axis: usize, segment: &Segment) -> bool {
-        let cubic = &segment.cubics[axis];
-        if cubic.is_still() {
+    /// Whether an axis may go from the newest setpoint to the next one: neither the rate there nor the mean rate nor any in between is beyond the axis' limit, nor
+    /// the acceleration beyond 16 times that of a jog. Such a setpoint is a mistake, not a motion.
+    fn may_go(&self, axis: usize, to: &Knot, span: &Span) -> bool {
+        let limit = self.rate_limits[axis];
+        if to.rates[axis].unsigned_abs() > limit.unsigned_abs() {
             return false;
         }
-        let limit = self.rate_limits[axis];
-        let most = self.acceleration_limits[axis];
-        let peak = cubic
-            .turning(&segment.span)
-            .map_or(0, |at| i64::from(cubic.sample(at, &segment.span).rate.0));
-        let ends = cubic.end_accelerations(&segment.span);
-        peak.abs() > limit || ends.iter().any(|end| i64::from(end.0).abs() > most)
-    }
-
-    /// Whether the rate at the setpoint, or the mean rate towards it, is beyond the axis' limit.
-    fn too_fast(&self, axis: usize, from: &Knot, to: &Knot, span: &Span) -> bool {
-        let limit = self.rate_limits[axis];
-        let distance = if self.rotary[axis] {
-            i64::from(to.pose[axis].wrapping_sub(from.pose[axis]))
-        } else {
-            i64::from(to.pose[axis]) - i64::from(from.pose[axis])
+        let Some(cubic) = self.cubic(axis, &self.tail, to, span) else {
+            return false;
         };
-        let microseconds = i64::from(span.periods()) * i64::from(self.period_us);
-        (i64::from(to.rates[axis]) << haptimill_protocol::message::RATE_SHIFT).abs() > limit
-            || distance.abs() * 1_000_000 > limit * microseconds
+        cubic.is_still()
+            || (cubic.keeps_mean_rate(limit, span)
+                && cubic.keeps_rate(limit, span)
+                && cubic.keeps_acceleration(self.acceleration_limits[axis], span))
     }
 }

@@ -27,6 +27,8 @@ pub struct Seen {
     pub measured: Coordinate,
     /// Measured rate.
     pub rate: Rate,
+    /// Encoder counts since the period before.
+    pub moved: i32,
     /// What the drive was told in the period before (torque drives).
     pub effort: Effort,
     /// Illegal transitions since the joint was enabled.
@@ -52,7 +54,11 @@ pub struct Watch {
 #[derive(Debug, Clone, Copy, Default)]
 struct Mark {
     measured: Coordinate,
+    wanted: Coordinate,
     effort: Effort,
+    /// How often the counts turned round since then, and which way they went last.
+    turns: u8,
+    last: i32,
     /// Which way motion is wanted since then.
     direction: i64,
     /// It stood, or turned round: friction has yet to be overcome.
@@ -63,6 +69,10 @@ struct Mark {
 
 /// So many periods in a row against the drive are no chance: one wrong rate between two edges is over sooner.
 const AGAINST_PERIODS: u8 = 4;
+
+/// A count that turned round so often, while so many counts of motion were wanted one way, has a stuck channel.
+const TURNS: u8 = 8;
+const COUNTS: i64 = 10;
 
 impl Watch {
     /// Forgets what was; after enabling and after the coordinate was set.
@@ -155,6 +165,9 @@ impl Watch {
     /// following error of 320 N, sets 40 kg going at 150 mm/s. So the push is summed up from the last count on: what it grew by since, less
     /// friction (what is compensated, and no less than a 32nd of the drive's limit; three times that after the joint stood or turned round), is an impulse that must have set the joint moving.
     /// It may be that of 12.5/s times the following error (4 mm/s for 0.3 mm). Static loads do not grow, and do not count.
+    ///
+    /// At creeping speeds that takes millimetres. But there a stuck channel gives itself away: the other one goes on, and its edges count up and down in
+    /// turn. A slide that sticks may swing over an edge as well, so they count only together with a wanted motion of more than it may stick for.
     fn pushed(&mut self, axis: u8, config: &JointAxis, seen: &Seen) -> Option<Fault> {
         let Drive::Torque { limit: most, .. } = config.drive else {
             return None;
@@ -162,14 +175,18 @@ impl Watch {
         let direction = i64::from(seen.wanted_rate.0).signum();
         let fresh = |standing| Mark {
             measured: seen.measured,
+            wanted: seen.wanted,
             effort: seen.effort,
+            turns: 0,
+            last: seen.moved.signum(),
             direction,
             standing,
             impulse: 0,
         };
         let mark = self.mark.get_or_insert(fresh(true));
         // A stuck channel lets the count go to and fro by one.
-        let still = (config.per_count.saturating_abs() >> 24).saturating_mul(5) / 2;
+        let count = config.per_count.saturating_abs() >> 24;
+        let still = count.saturating_mul(5) / 2;
         if direction == 0 || direction != mark.direction {
             *mark = fresh(true);
             return None;
@@ -177,6 +194,16 @@ impl Watch {
         if difference(config, seen.measured, mark.measured).abs() > still {
             *mark = fresh(false);
             return None;
+        }
+        if seen.moved.signum() == -mark.last && mark.last != 0 {
+            mark.turns = mark.turns.saturating_add(1);
+        }
+        if seen.moved != 0 {
+            mark.last = seen.moved.signum();
+        }
+        let gone = difference(config, seen.wanted, mark.wanted).abs();
+        if mark.turns >= TURNS && gone > count.saturating_mul(COUNTS) {
+            return Some(Fault::EncoderStill { axis });
         }
         let growth = (i64::from(seen.effort.0) - i64::from(mark.effort.0)) * direction;
         let friction = i64::from(config.law.coulomb.0)

@@ -90,6 +90,24 @@ enum Command {
     Kin(KinCommand),
 }
 
+impl Command {
+    /// Whether a program reads the standard output.
+    fn json(&self) -> bool {
+        match self {
+            Self::Run(args) => args.json,
+            Self::Jog(args) => args.json,
+            Self::Home(args) => args.one_shot.json,
+            Self::Status(args) | Self::Enable(args) | Self::Disable(args) | Self::Reset(args) => {
+                args.json
+            }
+            Self::Stop(args) => args.json,
+            Self::Ports(args) => args.json,
+            Self::Machine(MachineCommand::Check(args)) => args.json,
+            Self::Sim(_) | Self::Trace(_) | Self::Kin(_) => false,
+        }
+    }
+}
+
 #[derive(Debug, Subcommand)]
 enum SimCommand {
     Serve(sim::ServeArgs),
@@ -151,9 +169,14 @@ fn seconds(text: &str) -> Result<f64, String> {
 
 /// Runs the command line of this process.
 pub fn main() -> ExitCode {
-    match dispatch(Cli::parse()) {
+    let cli = Cli::parse();
+    let json = cli.command.json();
+    match dispatch(cli) {
         Ok(()) => ExitCode::from(Exit::Done as u8),
         Err(error) => {
+            if json && !error.told {
+                tell!("{:#}", error.to_json());
+            }
             eprintln!("{}", error.message);
             ExitCode::from(error.exit as u8)
         }

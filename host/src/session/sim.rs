@@ -30,6 +30,9 @@ pub struct JobRecording {
     units: [f64; MAX_AXES],
 }
 
+/// Telemetry frames, 20 ms apart or more, after which the recording is handed to the disk.
+const SPILL_EVERY: u64 = 12;
+
 /// Puts the simulated machine of a machine file together.
 ///
 /// # Errors
@@ -184,6 +187,10 @@ impl JobRecording {
         }
         self.add_programmed(&mut record, f64::from(telemetry.program_periods));
         self.recorder.record(&record);
+        // A block takes long to fill at this pace: a quarter of a second is what a host that dies may lose.
+        if self.recorder.records().is_multiple_of(SPILL_EVERY) {
+            self.recorder.spill();
+        }
     }
 
     /// The programmed pose, if a job is under way, at a program time in periods.
