@@ -2,14 +2,14 @@
 
 mod machine;
 
-use haptimill_firmware::io::{DriveCommand, Outputs};
+use haptimill_firmware::io::{DriveCommand, Inputs, Outputs};
 use haptimill_hil_sim::config::DriveConfig;
 use haptimill_hil_sim::cutting::config::Area;
 use haptimill_hil_sim::cutting::{CuttingConfig, ElasticWall, SpindleConfig, WorkpieceConfig};
 use haptimill_hil_sim::process::ProcessConfig;
 use haptimill_hil_sim::sensor::SensorConfig;
 use haptimill_hil_sim::structure::{Structure, StructureConfig};
-use haptimill_hil_sim::{Plant, PlantConfig};
+use haptimill_hil_sim::{Control, Plant, PlantConfig, Rig, RigOptions};
 
 const PERIOD: f64 = 200e-6;
 
@@ -335,4 +335,73 @@ fn a_contact_ten_times_as_stiff_as_the_structure_is_stable() {
         (deflection[0] - exact).abs() < 1e-6,
         "{deflection:?} {exact}"
     );
+}
+
+/// Faults of the sensor and the spindle come and go on time.
+#[test]
+fn sensor_and_spindle_can_be_spoilt_for_a_time() {
+    struct Pressed;
+    impl Control for Pressed {
+        fn tick(&mut self, _: &Inputs, outputs: &mut Outputs) {
+            outputs.spindle_rpm = 5000;
+        }
+    }
+    let config = smooth();
+    let options = RigOptions {
+        faults: [
+            "sensor-saturated along=x level=high at=100ms for=100ms",
+            "sensor-dropped along=y at=100ms for=100ms",
+            "sensor-reversed along=z at=100ms for=100ms",
+            "spindle-stalled at=100ms for=100ms",
+            "sensor-drift along=x rate=50 at=300ms for=100ms",
+            "sensor-stuck along=z at=300ms for=100ms",
+        ]
+        .map(|line| line.parse().expect(line))
+        .to_vec(),
+        ..RigOptions::default()
+    };
+    let mut rig = Rig::new(&config, &options, Pressed).expect("a rig");
+    rig.plant_mut()
+        .fit(&ProcessConfig {
+            // Its drift stands for a force.
+            sensor: Some(SensorConfig {
+                drift_n_s: [8.0, 8.0, 8.0],
+                ..SensorConfig::ideal()
+            }),
+            ..ProcessConfig::default()
+        })
+        .expect("a sensor");
+    let at = |ms: usize, rig: &mut Rig<Pressed>| {
+        while rig.time_ns() < ms as u64 * 1_000_000 {
+            rig.step();
+        }
+        let process = rig.plant().process().expect("a process");
+        (
+            rig.plant().force_codes().expect("a sensor"),
+            process.spindle().rpm(),
+        )
+    };
+    // 8 N/s is 65.5 codes in 100 ms.
+    let (codes, rpm) = at(99, &mut rig);
+    assert!(
+        codes.iter().all(|code| (60..70).contains(code)),
+        "{codes:?}"
+    );
+    assert!(rpm > 1000.0);
+    let (codes, rpm) = at(150, &mut rig);
+    assert_eq!((codes[0], codes[1], rpm), (8191, 0, 0.0));
+    assert!((-105..-90).contains(&codes[2]), "{codes:?}");
+    let (codes, rpm) = at(290, &mut rig);
+    assert!(
+        codes.iter().all(|code| (180..200).contains(code)),
+        "{codes:?}"
+    );
+    assert!(rpm > 500.0);
+    let (codes, _) = at(399, &mut rig);
+    assert!(
+        (630..690).contains(&codes[0]) && (190..200).contains(&codes[2]),
+        "{codes:?}"
+    );
+    let (codes, _) = at(410, &mut rig);
+    assert!((260..280).contains(&codes[2]), "{codes:?}");
 }
