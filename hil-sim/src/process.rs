@@ -7,6 +7,7 @@
 //! All parts but the spindle may be missing. Frames and signs are those of [`crate::cutting`]: the frame of the table, and the force on the tool.
 
 use crate::config::PlantError;
+use crate::cutting::vector::plus;
 use crate::cutting::{
     Cut, Cutting, CuttingConfig, ElasticWall, Spindle, SpindleConfig, ToolPose, Vector,
 };
@@ -121,9 +122,7 @@ impl Process {
         let mut pose = *pose;
         if let Some(structure) = &self.structure {
             let deflection = Arm::to_work(structure.deflection(), alpha);
-            for i in 0..3 {
-                pose.tip[i] += deflection[i];
-            }
+            pose.tip = plus(pose.tip, deflection);
         }
         let velocity = core::array::from_fn(|i| (pose.tip[i] - self.tip[i]) / self.period_s);
         self.tip = pose.tip;
@@ -135,9 +134,7 @@ impl Process {
         self.force = self.cut.force;
         if let Some(wall) = &self.wall {
             let push = wall.force(&pose, velocity);
-            for i in 0..3 {
-                self.force[i] += push[i];
-            }
+            self.force = plus(self.force, push);
         }
         if let Some(structure) = &mut self.structure {
             structure.advance(Arm::to_base(self.force, alpha));

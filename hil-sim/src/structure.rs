@@ -83,9 +83,9 @@ impl Structure {
 
     /// One period under a force on the tool (base frame, N); gives the deflection at its end, mm.
     pub fn advance(&mut self, force: [f64; 3]) -> [f64; 3] {
-        for i in 0..3 {
+        for (i, deflection) in self.deflection.iter_mut().enumerate() {
             let goal = force[i] * self.compliance[i];
-            self.deflection[i] = goal + (self.deflection[i] - goal) * self.keeps;
+            *deflection = goal + (*deflection - goal) * self.keeps;
         }
         self.deflection
     }

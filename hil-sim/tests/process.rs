@@ -117,10 +117,10 @@ fn a_wall_pushes_the_slides_back_as_virtual_work_says() {
     let mut outputs = Outputs::default();
     let shares = [-0.375, -0.375, 0.875, 0.875];
     for _ in 0..30_000 {
-        for axis in 0..4 {
+        for (axis, share) in shares.into_iter().enumerate() {
             let rate = plant.bodies().motor_rate[axis];
             // With damping of the test's own, to come to rest.
-            let effort: f64 = -20.0 * shares[axis] - 2.0 * rate;
+            let effort: f64 = -20.0 * share - 2.0 * rate;
             outputs.axes[axis] = DriveCommand::Torque((effort / 800.0 * 8192.0).round() as i16);
         }
         plant.advance(&outputs);

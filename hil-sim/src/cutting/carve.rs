@@ -7,8 +7,8 @@
 //! fresh cut, and the edges must not see that. When the way turns back, and the tool has come back by 2 um, everything is cut at once, for then
 //! it comes to where it was.
 
-use crate::cutting::Vector;
 use crate::cutting::path::Passed;
+use crate::cutting::vector::{Vector, dot, minus};
 use crate::cutting::workpiece::Workpiece;
 
 /// A stretch is whole when it reaches this far, mm.
@@ -38,14 +38,6 @@ pub struct Carver {
     end: Vector,
     /// Furthest from the beginning of the present stretch, mm.
     furthest: f64,
-}
-
-fn minus(a: Vector, b: Vector) -> Vector {
-    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
-}
-
-fn dot(a: Vector, b: Vector) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
 impl Carver {

@@ -38,30 +38,29 @@ pub mod carve;
 pub mod config;
 pub mod contact;
 pub mod cutter;
+mod edge;
 pub mod path;
 pub mod spindle;
 pub mod survey;
+pub(crate) mod vector;
 pub mod workpiece;
 
 pub use config::{Area, Coefficients, CutterConfig, CuttingConfig, SpindleConfig, WorkpieceConfig};
 pub use contact::ElasticWall;
 pub use path::PASSES;
 pub use spindle::Spindle;
+pub use vector::Vector;
 pub use workpiece::Workpiece;
 
 use crate::config::PlantError;
 use carve::Carver;
 use cutter::{Cutter, Node};
+use edge::{Edge, Frame, NO_CHIP, View, rotated};
 use path::ToothPath;
-
-/// x, y, z.
-pub type Vector = [f64; 3];
+use vector::{dot, minus, plus};
 
 /// Azimuths at which the body is looked at when it touches.
 const BODY_AZIMUTHS: usize = 24;
-
-/// Thinner than this is no chip, mm.
-const NO_CHIP: f64 = 1e-9;
 
 /// Where the tool really is, in the frame of the table.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -115,126 +114,6 @@ pub struct Cut {
     pub engaged: bool,
     /// The body of the cutter presses on the material.
     pub pressed: bool,
-}
-
-/// The axes of the tool in the frame of the table: x and y across, z along.
-#[derive(Debug, Clone, Copy)]
-struct Frame {
-    x: Vector,
-    y: Vector,
-    z: Vector,
-}
-
-impl Frame {
-    /// x lies above the table's x; upright it is the frame of the table.
-    fn of(axis: Vector) -> Self {
-        let across = (axis[1] * axis[1] + axis[2] * axis[2]).sqrt();
-        let (j, k) = (axis[1] / across, axis[2] / across);
-        Self {
-            x: [across, -axis[0] * j, -axis[0] * k],
-            y: [0.0, k, -j],
-            z: axis,
-        }
-    }
-
-    #[inline(always)]
-    fn to_table(self, v: Vector) -> Vector {
-        let part = |i: usize| self.x[i] * v[0] + self.y[i] * v[1] + self.z[i] * v[2];
-        [part(0), part(1), part(2)]
-    }
-
-    fn to_tool(self, v: Vector) -> Vector {
-        let part = |axis: &Vector| axis[0] * v[0] + axis[1] * v[1] + axis[2] * v[2];
-        [part(&self.x), part(&self.y), part(&self.z)]
-    }
-}
-
-/// What the edges see in a step.
-struct View<'a> {
-    workpiece: &'a Workpiece,
-    frame: Frame,
-    centre: Vector,
-    /// Travel of the ball since earlier passes, in the frame of the tool.
-    passes: [Vector; PASSES],
-    /// How many of `passes` count.
-    count: usize,
-    /// Thickest chip.
-    thickest: f64,
-    /// Direction of travel in the frame of the table; 0 when there is none.
-    heading: Vector,
-    /// How far the map lags behind the tool, mm.
-    lag: f64,
-}
-
-/// An edge at a node.
-#[derive(Debug, Clone, Copy, Default)]
-struct Touch {
-    /// Chip thickness, mm; 0 and below when the earlier passes left nothing.
-    chip: f64,
-    /// Depth below the map, mm, less what the map may be wrong by; 0 when it was not looked at.
-    depth: f64,
-}
-
-impl View<'_> {
-    /// Distance along the normal (frame of the tool) to what the remembered passes left, mm; negative when it is in the air.
-    #[inline(always)]
-    fn left_by_passes(&self, normal: Vector) -> f64 {
-        let mut thinnest = self.thickest;
-        for by in &self.passes[..self.count] {
-            let chip = by[0] * normal[0] + by[1] * normal[1] + by[2] * normal[2];
-            thinnest = if chip < thinnest { chip } else { thinnest };
-        }
-        thinnest
-    }
-
-    /// Looks at a node that stands out by `normal` from the axis of the tool, `behind` mm within the envelope of the edges.
-    #[inline(always)]
-    fn touch(&self, node: &Node, radial: [f64; 2], behind: f64) -> Touch {
-        let normal = [
-            node.sin_kappa * radial[0],
-            node.sin_kappa * radial[1],
-            -node.cos_kappa,
-        ];
-        let chip = self.left_by_passes(normal) - behind;
-        if chip < NO_CHIP {
-            return Touch { chip, depth: 0.0 };
-        }
-        let place = self.frame.to_table([
-            node.radius * radial[0],
-            node.radius * radial[1],
-            node.height,
-        ]);
-        let normal = self.frame.to_table(normal);
-        let ahead = 4.0 * node.tolerance - self.lag;
-        let ahead = if ahead > 0.0 { ahead } else { 0.0 };
-        let inward = node.tolerance + behind;
-        let at =
-            |i: usize| self.centre[i] + place[i] + ahead * self.heading[i] - inward * normal[i];
-        let (x, y, z) = (at(0), at(1), at(2));
-        if z >= self.workpiece.highest() {
-            return Touch {
-                chip,
-                depth: self.workpiece.highest() - z,
-            };
-        }
-        let depth = self.workpiece.height(x, y) - z;
-        if depth <= 0.0 {
-            return Touch { chip, depth };
-        }
-        // The far side of the chip: when it is in the air, the surface lies between.
-        let (x, y, z) = (
-            x - chip * normal[0],
-            y - chip * normal[1],
-            z - chip * normal[2],
-        );
-        let beyond = self.workpiece.height(x, y) - z;
-        let chip = if beyond < 0.0 {
-            chip * depth / (depth - beyond)
-        } else {
-            chip
-        };
-        Touch { chip, depth }
-    }
 }
 
 /// A cutter in a workpiece.
@@ -332,9 +211,7 @@ impl Cutting {
         let (mut force, engaged, volume) = self.edges(&view);
         let pressed = match self.body(&view) {
             Some(push) => {
-                for i in 0..3 {
-                    force[i] += push[i];
-                }
+                force = plus(force, push);
                 true
             }
             None => false,
@@ -356,13 +233,8 @@ impl Cutting {
         let mut count = 0;
         let mut heading = [0.0; 3];
         for pitches in 1..=PASSES {
-            let then = self.path.ago(pitches);
-            let by = [
-                self.centre[0] - then[0],
-                self.centre[1] - then[1],
-                self.centre[2] - then[2],
-            ];
-            let square = by[0] * by[0] + by[1] * by[1] + by[2] * by[2];
+            let by = minus(self.centre, self.path.ago(pitches));
+            let square = dot(by, by);
             // A ball that stood so far off is described by the map alone.
             if square > thickest * thickest {
                 continue;
@@ -374,11 +246,7 @@ impl Cutting {
             passes[count] = frame.to_tool(by);
             count += 1;
         }
-        let cut = self.carver.cut();
-        let mut lag = 0.0;
-        for i in 0..3 {
-            lag += (self.centre[i] - cut[i]) * (self.centre[i] - cut[i]);
-        }
+        let behind = minus(self.centre, self.carver.cut());
         View {
             workpiece: &self.workpiece,
             frame,
@@ -387,15 +255,27 @@ impl Cutting {
             count,
             thickest,
             heading,
-            lag: lag.sqrt(),
+            lag: dot(behind, behind).sqrt(),
         }
+    }
+
+    /// The nodes that are not above all material, from the tip up to the first that is.
+    fn reaching(&self, view: &View<'_>) -> &[Node] {
+        let nodes = self.cutter.nodes();
+        let upright = view.frame.z[2];
+        let lean = (1.0 - upright * upright).max(0.0).sqrt();
+        let room = view.workpiece.highest() - view.centre[2];
+        // The lowest point of a circle rises with the node from where kappa is the lean.
+        let above = nodes.iter().position(|node| {
+            node.height * upright - node.radius * lean > room && node.sin_kappa >= lean
+        });
+        &nodes[..above.map_or(nodes.len(), |first| first + 1)]
     }
 
     /// Force of all edges on the tool in its own frame, whether one is in the material, and the volume of chips per radian, mm^3.
     fn edges(&self, view: &View<'_>) -> (Vector, bool, f64) {
         let material = &self.config.coefficients;
-        let upright = view.frame.z[2] >= 1.0;
-        let nodes = self.cutter.nodes();
+        let nodes = self.reaching(view);
         let mut force = [0.0; 3];
         let mut volume = 0.0;
         let mut engaged = false;
@@ -450,9 +330,6 @@ impl Cutting {
                     volume += low * below.arm + high * here.arm;
                 }
                 below = here;
-                if upright && view.centre[2] + node.height > view.workpiece.highest() {
-                    break;
-                }
             }
         }
         (force, engaged, volume)
@@ -463,14 +340,14 @@ impl Cutting {
         let relief = self.config.relief_mm;
         if view.count > 0 {
             let by = view.passes[0];
-            if by[0] * by[0] + by[1] * by[1] + by[2] * by[2] <= relief * relief {
+            if dot(by, by) <= relief * relief {
                 return None;
             }
         }
         let mut force = [0.0; 3];
         let mut touched = false;
         let step = core::f64::consts::TAU / BODY_AZIMUTHS as f64;
-        let nodes = self.cutter.nodes();
+        let nodes = self.reaching(view);
         let slices = self.cutter.slices();
         for azimuth in 0..BODY_AZIMUTHS {
             let (sin, cos) = libm::sincos(azimuth as f64 * step);
@@ -492,76 +369,4 @@ impl Cutting {
         }
         touched.then_some(force)
     }
-}
-
-/// Force of an edge at a node, per mm.
-#[derive(Debug, Clone, Copy, Default)]
-struct Edge {
-    touch: Touch,
-    /// There is a chip.
-    cuts: bool,
-    /// Chip thickness times radius, mm^2.
-    arm: f64,
-    /// Per mm of chip width.
-    cutting: Vector,
-    /// Per mm of edge, at its full size.
-    edge: Vector,
-}
-
-impl Edge {
-    /// How much of the slice between two nodes counts with the force at the lower and at the upper, and how much of that the edge force has.
-    #[inline(always)]
-    fn parts(&self, upper: &Self, onset: f64) -> (f64, f64, f64) {
-        let (inside, outside) = match (self.cuts, upper.cuts) {
-            (true, false) => (&self.touch, &upper.touch),
-            (false, true) => (&upper.touch, &self.touch),
-            _ => return (0.5, 0.5, eased(self.touch.chip, upper.touch.chip, onset)),
-        };
-        let (share, edge) = if outside.chip < NO_CHIP {
-            // The chip runs out within the slice: half of it on average, but the edge has all its length.
-            let share = inside.chip / (inside.chip - outside.chip);
-            (0.5 * share, 2.0 * eased(0.0, inside.chip, onset))
-        } else {
-            // The surface crosses the slice.
-            let share = inside.depth / (inside.depth - outside.depth);
-            (share, eased(inside.chip, inside.chip, onset))
-        };
-        if self.cuts {
-            (share, 0.0, edge)
-        } else {
-            (0.0, share, edge)
-        }
-    }
-}
-
-/// Mean over chips between two thicknesses of how much of the edge force is there: it grows with the chip up to `onset`.
-#[inline(always)]
-fn eased(a: f64, b: f64, onset: f64) -> f64 {
-    let (low, high) = if a < b { (a, b) } else { (b, a) };
-    if low >= onset {
-        return 1.0;
-    }
-    if high - low < 1e-3 * onset {
-        return high / onset;
-    }
-    let sum = |chip: f64| {
-        if chip < onset {
-            0.5 * chip * chip / onset
-        } else {
-            chip - 0.5 * onset
-        }
-    };
-    (sum(high) - sum(low)) / (high - low)
-}
-
-/// Radial, tangential and axial parts, times `size`, as a force on the tool in its frame (the matrix of spec h4-milling 5.1).
-#[inline(always)]
-fn rotated(node: &Node, radial: [f64; 2], parts: Vector, size: f64) -> Vector {
-    let [r, t, a] = parts;
-    let inward = r * node.sin_kappa + a * node.cos_kappa;
-    [
-        size * (-inward * radial[0] - t * radial[1]),
-        size * (-inward * radial[1] + t * radial[0]),
-        size * (r * node.cos_kappa - a * node.sin_kappa),
-    ]
 }

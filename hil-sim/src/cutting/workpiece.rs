@@ -19,6 +19,7 @@ pub struct Workpiece {
     config: WorkpieceConfig,
     /// Rise of the top for each mm in x and y.
     slope: [f64; 2],
+    per_cell: f64,
     columns: usize,
     rows: usize,
     heights: Vec<f32>,
@@ -42,6 +43,7 @@ impl Workpiece {
         let mut piece = Self {
             config: config.clone(),
             slope,
+            per_cell: 1.0 / config.cell_mm,
             columns,
             rows,
             heights: Vec::with_capacity(columns * rows),
@@ -122,9 +124,8 @@ impl Workpiece {
     /// Height of the surface, mm.
     #[inline]
     pub fn height(&self, x: f64, y: f64) -> f64 {
-        let per_cell = 1.0 / self.config.cell_mm;
-        let column = (x - self.config.map.x_min) * per_cell;
-        let row = (y - self.config.map.y_min) * per_cell;
+        let column = (x - self.config.map.x_min) * self.per_cell;
+        let row = (y - self.config.map.y_min) * self.per_cell;
         // The last column and row are left out, so that the four neighbours are always there.
         let inside = column >= 0.0
             && row >= 0.0
