@@ -5,6 +5,7 @@
 use crate::encoder::EncoderCondition;
 use crate::fault::{Channel, Direction, Fault, FaultError, FaultKind, Level, Switch};
 use crate::plant::{JointCondition, Plant};
+use crate::sensor::{End, SensorCondition};
 use crate::wire::{Wire, WireCondition};
 use haptimill_protocol::message::MAX_AXES;
 
@@ -81,6 +82,8 @@ impl Schedule {
         let mut loads = [0.0; MAX_AXES];
         let mut emergency_stop = false;
         let mut wires = [WireCondition::HEALTHY; 2];
+        let mut sensors = [SensorCondition::default(); 3];
+        let mut stalled = false;
         for entry in &mut self.entries {
             let begins = !entry.active && now >= entry.begins_ns;
             entry.active = (entry.begins_ns..entry.ends_ns).contains(&now);
@@ -101,6 +104,7 @@ impl Schedule {
                 _ => {}
             }
             if entry.active {
+                spoil_process(&entry.kind, &mut sensors, &mut stalled);
                 spoil(
                     &entry.kind,
                     entry.axis,
@@ -118,6 +122,14 @@ impl Schedule {
             plant.set_load(axis, loads[axis]);
         }
         plant.set_emergency_stop(emergency_stop);
+        if let Some(process) = plant.process_mut() {
+            process.spindle_mut().set_stalled(stalled);
+            if let Some(sensor) = process.sensor_mut() {
+                for (axis, condition) in sensors.into_iter().enumerate() {
+                    sensor.set_condition(axis, condition);
+                }
+            }
+        }
         to_machine.set_condition(wires[0]);
         to_host.set_condition(wires[1]);
     }
@@ -199,6 +211,31 @@ fn spoil(
         FaultKind::LinkCut { direction } => chosen(direction)
             .iter()
             .for_each(|&wire| wires[wire].cut = true),
-        FaultKind::EncoderSlip { .. } | FaultKind::MissedPeriods { .. } => {}
+        FaultKind::EncoderSlip { .. }
+        | FaultKind::MissedPeriods { .. }
+        | FaultKind::SensorStuck { .. }
+        | FaultKind::SensorDropped { .. }
+        | FaultKind::SensorReversed { .. }
+        | FaultKind::SensorDrift { .. }
+        | FaultKind::SensorSaturated { .. }
+        | FaultKind::SpindleStalled => {}
+    }
+}
+
+/// Adds an active fault of the sensor or the spindle to their conditions.
+fn spoil_process(kind: &FaultKind, sensors: &mut [SensorCondition; 3], stalled: &mut bool) {
+    match *kind {
+        FaultKind::SensorStuck { along } => sensors[along as usize].stuck = true,
+        FaultKind::SensorDropped { along } => sensors[along as usize].dropped = true,
+        FaultKind::SensorReversed { along } => sensors[along as usize].gain *= -1.0,
+        FaultKind::SensorDrift { along, rate } => sensors[along as usize].drift_n_s += rate,
+        FaultKind::SensorSaturated { along, level } => {
+            sensors[along as usize].saturated = Some(match level {
+                Level::High => End::High,
+                Level::Low => End::Low,
+            });
+        }
+        FaultKind::SpindleStalled => *stalled = true,
+        _ => {}
     }
 }

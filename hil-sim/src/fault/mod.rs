@@ -119,6 +119,37 @@ pub enum FaultKind {
         /// How it stands.
         active: bool,
     },
+    /// The codes of the force sensor stand still. A machine without a sensor does not notice; so for the next four.
+    SensorStuck {
+        /// Which of its axes.
+        along: Along,
+    },
+    /// The signal of the force sensor is lost: its codes are 0.
+    SensorDropped {
+        /// Which of its axes.
+        along: Along,
+    },
+    /// The force sensor is wired the wrong way round.
+    SensorReversed {
+        /// Which of its axes.
+        along: Along,
+    },
+    /// The force sensor drifts.
+    SensorDrift {
+        /// Which of its axes.
+        along: Along,
+        /// N/s.
+        rate: f64,
+    },
+    /// The force sensor stands at an end of its range.
+    SensorSaturated {
+        /// Which of its axes.
+        along: Along,
+        /// At which end.
+        level: Level,
+    },
+    /// The spindle stands, whatever it is told.
+    SpindleStalled,
     /// The emergency stop circuit is open.
     EmergencyStop,
     /// The controller is not called for some periods, once.
@@ -196,6 +227,18 @@ pub enum Switch {
     LimitLow,
     /// Upper end.
     LimitHigh,
+}
+
+/// Axis of the force sensor.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Along {
+    /// x_w.
+    X,
+    /// y_w.
+    Y,
+    /// z_w.
+    Z,
 }
 
 /// Direction on the serial line.
@@ -294,8 +337,9 @@ impl Fault {
         {
             return refuse(format!("{value} is not within 0 to {most}"));
         }
-        if let FaultKind::DriveWeak { gain: number, .. } | FaultKind::Push { effort: number, .. } =
-            self.what
+        if let FaultKind::DriveWeak { gain: number, .. }
+        | FaultKind::Push { effort: number, .. }
+        | FaultKind::SensorDrift { rate: number, .. } = self.what
             && !number.is_finite()
         {
             return refuse(format!("{number} is no number to reckon with"));

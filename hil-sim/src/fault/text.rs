@@ -1,6 +1,6 @@
 //! Faults as one line of text: `name key=value ... at=1.5s for=200ms`, keys in any order, parted by blanks or commas.
 
-use super::{Channel, Direction, Fault, FaultError, FaultKind, Level, Switch};
+use super::{Along, Channel, Direction, Fault, FaultError, FaultKind, Level, Switch};
 use core::fmt;
 use core::str::FromStr;
 
@@ -30,6 +30,11 @@ impl Word for Switch {
         ("limit-low", Self::LimitLow),
         ("limit-high", Self::LimitHigh),
     ];
+}
+
+impl Word for Along {
+    const WORDS: &'static [(&'static str, Self)] =
+        &[("x", Self::X), ("y", Self::Y), ("z", Self::Z)];
 }
 
 impl Word for Direction {
@@ -195,6 +200,24 @@ fn kind(name: &str, keys: &mut Keys<'_>) -> Result<FaultKind, String> {
             switch: keys.word("switch")?,
             active: keys.word("active")?,
         },
+        "sensor-stuck" => FaultKind::SensorStuck {
+            along: keys.word("along")?,
+        },
+        "sensor-dropped" => FaultKind::SensorDropped {
+            along: keys.word("along")?,
+        },
+        "sensor-reversed" => FaultKind::SensorReversed {
+            along: keys.word("along")?,
+        },
+        "sensor-drift" => FaultKind::SensorDrift {
+            along: keys.word("along")?,
+            rate: keys.number("rate")?,
+        },
+        "sensor-saturated" => FaultKind::SensorSaturated {
+            along: keys.word("along")?,
+            level: keys.word("level")?,
+        },
+        "spindle-stalled" => FaultKind::SpindleStalled,
         "emergency-stop" => FaultKind::EmergencyStop,
         "missed-periods" => FaultKind::MissedPeriods {
             count: keys.number("count")?,
@@ -247,7 +270,7 @@ const fn entry(name: &'static str, keys: &'static str, what: &'static str) -> En
 }
 
 /// All faults.
-const CATALOGUE: [Entry; 19] = [
+const CATALOGUE: [Entry; 25] = [
     entry(
         "encoder-stuck",
         "axis=NAME channel=a|b level=low|high",
@@ -304,6 +327,32 @@ const CATALOGUE: [Entry; 19] = [
         "axis=NAME switch=home|limit-low|limit-high active=yes|no",
         "a switch stands still",
     ),
+    entry(
+        "sensor-stuck",
+        "along=x|y|z",
+        "the force sensor's codes stand still",
+    ),
+    entry(
+        "sensor-dropped",
+        "along=x|y|z",
+        "the force sensor's signal is lost: codes of 0",
+    ),
+    entry(
+        "sensor-reversed",
+        "along=x|y|z",
+        "the force sensor is wired the wrong way round",
+    ),
+    entry(
+        "sensor-drift",
+        "along=x|y|z rate=X",
+        "the force sensor drifts by X N/s",
+    ),
+    entry(
+        "sensor-saturated",
+        "along=x|y|z level=low|high",
+        "the force sensor stands at an end of its range",
+    ),
+    entry("spindle-stalled", "", "the spindle stands"),
     entry("emergency-stop", "", "the emergency stop circuit is open"),
     entry(
         "missed-periods",
@@ -392,6 +441,25 @@ impl fmt::Display for Fault {
                     active.word()
                 )
             }
+            FaultKind::SensorStuck { along } => write!(f, "sensor-stuck along={}", along.word()),
+            FaultKind::SensorDropped { along } => {
+                write!(f, "sensor-dropped along={}", along.word())
+            }
+            FaultKind::SensorReversed { along } => {
+                write!(f, "sensor-reversed along={}", along.word())
+            }
+            FaultKind::SensorDrift { along, rate } => {
+                write!(f, "sensor-drift along={} rate={rate}", along.word())
+            }
+            FaultKind::SensorSaturated { along, level } => {
+                write!(
+                    f,
+                    "sensor-saturated along={} level={}",
+                    along.word(),
+                    level.word()
+                )
+            }
+            FaultKind::SpindleStalled => f.write_str("spindle-stalled"),
             FaultKind::EmergencyStop => f.write_str("emergency-stop"),
             FaultKind::MissedPeriods { count } => write!(f, "missed-periods count={count}"),
             FaultKind::LinkErrors { rate, direction } => {
