@@ -1,5 +1,6 @@
 use super::*;
 use crate::machine::MachineFile;
+use haptimill_firmware::reading::ForceReading;
 use proptest::prelude::*;
 use sha2::{Digest, Sha256};
 use std::path::PathBuf;
