@@ -11,7 +11,7 @@ use heapless::{String, Vec};
 use serde::{Deserialize, Serialize};
 
 /// Everything that makes a controller this machine.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Config {
     /// Name of the machine.
     pub name: String<24>,
@@ -32,14 +32,14 @@ pub struct Config {
 }
 
 /// Which geometry, and its lengths.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Model {
     /// The hybrid H-4 arm with its rotary table.
     H4(H4Geometry),
 }
 
 /// Lengths of the H-4 arm (spec h4-milling.md 2.5-2.6), 2^-20 mm.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct H4Geometry {
     /// E = a - b - e: the lateral distance between rail joint and platform joint at y = 0.
     pub lateral: Length,
@@ -70,7 +70,7 @@ pub struct H4Geometry {
 }
 
 /// Linear or rotary.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum AxisKind {
     /// Axis units are 2^-20 mm.
     Linear,
@@ -79,7 +79,7 @@ pub enum AxisKind {
 }
 
 /// A pose coordinate: its soft limits and what a jog may ask of it.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct PoseAxis {
     /// Linear or rotary.
     pub kind: AxisKind,
@@ -99,7 +99,7 @@ pub struct PoseAxis {
 pub const JERK_SHIFT: u32 = 16;
 
 /// A joint: its screw, encoder, drive, loop and limits.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct JointAxis {
     /// Linear or rotary.
     pub kind: AxisKind,
@@ -134,7 +134,7 @@ pub struct JointAxis {
 }
 
 /// What drives a joint.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Drive {
     /// A current-mode amplifier behind a 14-bit DAC.
     Torque {
@@ -161,7 +161,7 @@ pub enum Drive {
 }
 
 /// The position loop of a joint (spec 3.1, 3.2).
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Law {
     /// Which form.
     pub form: LawForm,
@@ -184,7 +184,7 @@ pub struct Law {
 }
 
 /// The two forms of the position loop.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum LawForm {
     /// (3.29) with the corrected sign: inertia * (K_P e + K_D e') + friction compensation.
     Pd,
@@ -193,7 +193,7 @@ pub enum LawForm {
 }
 
 /// How the machine slows down along its path.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Stopping {
     /// Time from the programmed speed to rest, in milliseconds, 5 to 2000; sets the greatest change of the path rate.
     pub time_ms: u16,
@@ -202,7 +202,7 @@ pub struct Stopping {
 }
 
 /// Limits of supervision.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Supervision {
     /// Silence of the host that ends a job or a jog, in milliseconds.
     pub heartbeat_ms: u16,
@@ -213,7 +213,7 @@ pub struct Supervision {
 }
 
 /// How fast the pose moves while the index pulses are looked for.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Homing {
     /// Rate of linear coordinates.
     pub rate: Rate,

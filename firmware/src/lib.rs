@@ -4,6 +4,8 @@
 //! what is to be done ([`io::Outputs`]). It owns no pin, no clock, no allocator and no interrupt. All of it is integer or
 //! fixed-point arithmetic, so the same inputs give the same bits on every target.
 #![no_std]
+// Not a float in the corridor, outside of tests.
+#![cfg_attr(not(test), deny(clippy::float_arithmetic))]
 
 mod command;
 pub mod config;

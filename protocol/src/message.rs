@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 pub const MAX_AXES: usize = 6;
 
 /// Version of this protocol; both ends must have the same.
-pub const PROTOCOL_VERSION: u16 = 1;
+pub const PROTOCOL_VERSION: u16 = 2;
 
 /// A rate on the wire is in axis units per second divided by 2^8: 2^-12 mm/s, or 2^-24 turn/s.
 pub const RATE_SHIFT: u32 = 8;
@@ -350,6 +350,11 @@ pub enum Event {
         /// The setpoint that carried the pause.
         setpoint: u32,
     },
+    /// What was moved by hand leaves the program no room to stop on the way ahead: it holds. Make room by jogging, then [`Command::Resume`].
+    Blocked {
+        /// The setpoint on the way to which it holds.
+        setpoint: u32,
+    },
     /// All axes have their reference.
     Homed,
     /// A fault was latched.
@@ -505,6 +510,13 @@ pub enum Fault {
     SoftLimit {
         /// The pose coordinate.
         axis: u8,
+    },
+    /// A joint was measured beyond its stroke by more than it may be off at rest.
+    Stroke {
+        /// The joint.
+        axis: u8,
+        /// How far beyond the end of its stroke, axis units; negative beyond the lower end.
+        by: i32,
     },
     /// The measured joints or the wanted pose left what the machine can do.
     Pose(PoseError),

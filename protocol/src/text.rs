@@ -242,6 +242,14 @@ impl Describe for Fault {
                     Named(axes.pose, axis)
                 )
             }
+            Self::Stroke { axis, by } => {
+                write!(f, "{} is ", joint(axis))?;
+                match amount(axes.joints, axis, by) {
+                    Some(by) => write!(f, "{by} beyond the end of its stroke")?,
+                    None => f.write_str("beyond the end of its stroke")?,
+                }
+                f.write_str("; move it back by hand, then reset, enable and home")
+            }
             Self::Pose(error) => {
                 f.write_str("the machine is where it must not be: ")?;
                 error.describe(axes, f)
@@ -337,6 +345,10 @@ impl Describe for Event {
             Self::Paused { setpoint } => write!(
                 f,
                 "the program pauses at setpoint {setpoint}; resume to go on"
+            ),
+            Self::Blocked { setpoint } => write!(
+                f,
+                "held before setpoint {setpoint}: what was moved by hand leaves the program no room to stop ahead; make room by jogging, then resume"
             ),
             Self::Homed => f.write_str("all axes have their reference"),
             Self::Fault(ref fault) => {

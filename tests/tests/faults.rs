@@ -152,7 +152,14 @@ fn a_reversed_encoder_of_the_table_does_not_run_away() {
 #[test]
 fn a_stuck_channel_is_seen_before_the_slide_is_fast() {
     let clean = EncoderCondition::default();
-    for (speed, most) in [(1.0, 0.35), (4.0, 0.05), (40.0, 0.05), (-40.0, 0.05)] {
+    for (speed, most) in [
+        (0.2, 0.6),
+        (-0.5, 0.35),
+        (1.0, 0.35),
+        (4.0, 0.05),
+        (40.0, 0.05),
+        (-40.0, 0.05),
+    ] {
         for (joint, condition) in [
             (
                 0,
@@ -447,14 +454,14 @@ fn a_host_that_falls_silent_lets_the_machine_brake_on_its_path() {
             ended = Some(period);
         }
     }
-    // Heard every 40 ms; 500 ms of silence; 300 ms to brake (and 2 ms of rounding).
+    // Heard every 70 ms; 500 ms of silence; 300 ms to brake (and 2 ms of rounding).
     let (begun, ended) = (begun.expect("noticed"), ended.expect("latched"));
     eprintln!(
         "silent host: braking after {} ms, at rest {} ms later",
         begun / 5,
         (ended - begun) / 5
     );
-    assert!((2300..=2510).contains(&begun), "{begun}");
+    assert!((2150..=2510).contains(&begun), "{begun}");
     assert!(ended - begun <= 1550, "{}", ended - begun);
     let safety = bench.rig.control().safety();
     assert!(

@@ -11,7 +11,8 @@ use haptimill_protocol::message::{
 };
 use haptimill_tests::Bench;
 use scene::{
-    DEGREE, MM, distance, drives_off, line, moving, ready, recover, state, told, tool, wanted,
+    DEGREE, MM, distance, drives_off, jog, line, moving, ready, recover, state, step_smoothly,
+    told, tool, wanted,
 };
 
 /// The built-in machine with some lines of its file changed.
@@ -40,18 +41,6 @@ fn pose_off(bench: &mut Bench) -> (f64, f64) {
     };
     let linear = (0..3).map(|axis| off(axis, MM)).fold(0.0, f64::max);
     (linear, off(3, DEGREE).max(off(4, DEGREE)))
-}
-
-/// One period; the tool and the wanted pose must not have jumped.
-fn step_smoothly(bench: &mut Bench, most: f64) {
-    let before = wanted(bench);
-    bench.step();
-    let after = wanted(bench);
-    for axis in 0..5 {
-        let unit = if axis < 3 { MM } else { DEGREE };
-        let step = f64::from(after[axis].wrapping_sub(before[axis])).abs() / unit;
-        assert!(step <= most, "axis {axis} jumped by {step}");
-    }
 }
 
 #[test]
@@ -175,22 +164,6 @@ fn homing_can_be_stopped_and_done_again() {
     }
 }
 
-fn rates(of: &[(usize, f64)]) -> AxisValues {
-    let mut rates = [0; 5];
-    for &(axis, rate) in of {
-        rates[axis] = (rate * if axis < 3 { MM } else { DEGREE } / 256.0) as i32;
-    }
-    rates.into_iter().collect()
-}
-
-fn jog(epoch: u16, deadline_ms: u16, of: &[(usize, f64)]) -> Command {
-    Command::Jog {
-        epoch,
-        deadline_ms,
-        rates: rates(of),
-    }
-}
-
 #[test]
 fn a_jog_lives_until_its_deadline() {
     let mut bench = ready();
@@ -302,81 +275,6 @@ fn a_jog_stops_before_soft_limits_strokes_and_the_reach() {
         bench.events.clear();
     }
     assert!(limited >= 5, "{limited} were limited");
-}
-
-#[test]
-fn sources_change_without_a_jump() {
-    let mut bench = ready();
-    let start = bench.status().wanted;
-    bench.start_job(1, &line(&start, 0, 4.0, 60));
-    let pause = |bench: &mut Bench| {
-        bench.ask(Command::Hold).expect("holds");
-        for _ in 0..2000 {
-            step_smoothly(bench, 0.0011);
-        }
-    };
-    let resume = |bench: &mut Bench, periods: usize| {
-        bench.ask(Command::Resume).expect("goes on");
-        for _ in 0..periods {
-            step_smoothly(bench, 0.0011);
-        }
-    };
-    for _ in 0..2000 {
-        step_smoothly(&mut bench, 0.0011);
-    }
-    // y by hand beside the program.
-    pause(&mut bench);
-    bench
-        .ask(Command::Source {
-            axis: 1,
-            source: Source::Jog,
-        })
-        .expect("chosen");
-    step_smoothly(&mut bench, 1e-6);
-    resume(&mut bench, 500);
-    bench
-        .ask(jog(1, 200, &[(1, 3.0), (0, 40.0)]))
-        .expect("jogs");
-    for _ in 0..2500 {
-        step_smoothly(&mut bench, 0.0011);
-    }
-    let jogged = wanted(&bench)[1];
-    assert!(jogged > start[1] + (0.3 * MM) as i32);
-    // x is the program's: the jog of it was not heard. Now x holds while the program goes on.
-    pause(&mut bench);
-    bench
-        .ask(Command::Source {
-            axis: 0,
-            source: Source::Hold,
-        })
-        .expect("chosen");
-    let held = wanted(&bench)[0];
-    resume(&mut bench, 1500);
-    assert_eq!(wanted(&bench)[0], held);
-    // Both are the program's again: they go on from where they stand, with what happened meanwhile as their offset.
-    pause(&mut bench);
-    for axis in [0, 1] {
-        bench
-            .ask(Command::Source {
-                axis,
-                source: Source::Program,
-            })
-            .expect("chosen");
-        step_smoothly(&mut bench, 1e-6);
-    }
-    assert_eq!((wanted(&bench)[0], wanted(&bench)[1]), (held, jogged));
-    resume(&mut bench, 1000);
-    assert!(wanted(&bench)[0] > held);
-    assert_eq!(wanted(&bench)[1], jogged);
-    assert!(bench.wait_for(State::Idle, 60_000));
-    let end = wanted(&bench);
-    assert!(end[0] < start[0] + (24.0 * MM) as i32 && end[0] > held);
-    // The next job begins where the machine stands, without offsets.
-    let start = bench.status().wanted;
-    bench.start_job(2, &line(&start, 1, -4.0, 3));
-    assert!(bench.wait_for(State::Idle, 10_000));
-    let gone = f64::from(start[1] - wanted(&bench)[1]) / MM;
-    assert!((gone - 1.6).abs() < 0.001, "{gone}");
 }
 
 #[test]
@@ -577,51 +475,6 @@ fn missed_periods_while_it_holds_are_told_as_well() {
     bench.steps(2);
     assert!(drives_off(&bench));
     assert_eq!(bench.status().fault, Some(Fault::Drive { axis: 2 }));
-}
-
-#[test]
-fn setpoints_are_checked_where_they_will_be_with_their_offset() {
-    let mut bench = ready();
-    let start = bench.status().wanted;
-    bench
-        .ask(Command::JobStart {
-            job: 1,
-            pose: start.clone(),
-        })
-        .expect("started");
-    bench.ask(Command::Hold).expect("holds");
-    bench
-        .ask(Command::Source {
-            axis: 1,
-            source: Source::Jog,
-        })
-        .expect("chosen");
-    bench.ask(jog(1, 1000, &[(1, 30.0)])).expect("jogs");
-    bench.steps(8000);
-    bench
-        .ask(Command::Source {
-            axis: 1,
-            source: Source::Program,
-        })
-        .expect("chosen");
-    let offset = wanted(&bench)[1] - start[1];
-    assert!(offset > (20.0 * MM) as i32);
-    // Within the soft limits by itself, beyond them with the offset.
-    let mut far = scene::rest(&start, 40_000);
-    far.pose[1] = bench.machine.config.pose[1].high.0 - offset / 2;
-    far.periods = 5000;
-    let mut coder = haptimill_protocol::setpoint::SetpointCoder::new(200, &start);
-    let items = [coder.encode(&far).expect("codes")].into_iter().collect();
-    let refused = bench.ask(Command::Setpoints(
-        haptimill_protocol::message::SetpointBatch { first: 0, items },
-    ));
-    assert_eq!(
-        refused,
-        Err(Refusal::SoftLimit {
-            setpoint: 0,
-            axis: 1
-        })
-    );
 }
 
 #[test]

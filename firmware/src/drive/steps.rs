@@ -19,13 +19,14 @@ use super::encoder::difference;
 use super::reciprocal::Reciprocal;
 use crate::config::AxisKind;
 use crate::io::StepSegment;
+use crate::safety::integrity::constants;
 use crate::units::{Coordinate, Rate};
 
 /// One step in the scale of positions (Q32).
 const STEP: i64 = 1 << 32;
 
 /// Times that a step/dir drive needs, in ticks of the step clock.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct PulseTiming {
     /// Ticks of a control period, 1 to 1,000,000.
     pub period: u32,
@@ -89,6 +90,10 @@ pub struct StepPlanner {
     /// Ticks into the coming period before which the direction must stay.
     held: u32,
 }
+
+constants!(StepPlanner {
+    kind, timing, steps_per_unit, steps_per_rate
+} of {} but { last, travel, position, rate, emitted, folded, origin, level, ready, held });
 
 impl StepPlanner {
     /// A generator with `per_step` axis units a step, times 2^24 (negative: a positive step goes down); a magnitude below one axis unit is taken for one.

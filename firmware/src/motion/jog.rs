@@ -6,8 +6,10 @@
 
 use super::Wanted;
 use super::ramp::{Ramp, RampLimits};
+use super::sweep::Sweep;
 use crate::config::{Config, JERK_SHIFT};
 use crate::kinematics::{Accelerations, Kinematics, Pose, Rates};
+use crate::safety::integrity::{Constants, Digest, constants};
 use crate::units::{Acceleration, Coordinate, Rate};
 use haptimill_protocol::message::MAX_AXES;
 
@@ -27,6 +29,8 @@ struct Axis {
     high: i64,
 }
 
+constants!(Axis { limits, rate_limit, low, high } of {} but { position, rate, target });
+
 /// Motion of all pose coordinates at wanted rates.
 #[derive(Debug, Default)]
 pub struct Jog {
@@ -39,6 +43,21 @@ pub struct Jog {
     alive: u32,
     /// Soft limits are respected (not while homing: coordinates are not yet right).
     limited: bool,
+}
+
+impl Constants for Jog {
+    fn digest(&self, digest: &mut Digest) {
+        let Self {
+            axes,
+            period_us,
+            axis,
+            joint_rates,
+            alive: _,
+            limited: _,
+        } = self;
+        digest.add(&(axes, period_us, joint_rates));
+        axis.iter().for_each(|axis| axis.digest(digest));
+    }
 }
 
 /// Bounds of a rate in 2^-20 axis units per period, from the limits of a pose coordinate; `None` if they make no sense.
@@ -197,39 +216,40 @@ impl Jog {
     }
 
     /// Whether the machine can take the poses through which everything would come to rest if it goes on for one period and brakes then.
-    ///
-    /// Coordinates come to rest at different times, so the way lies in the box of what each of them sweeps: its corners are tried, all of
-    /// them for up to three moving coordinates, the low and the high one and those next to them for more (the pose of every period is checked
-    /// besides).
     fn reaches(&self, machine: &impl Kinematics, targets: &[i64; MAX_AXES]) -> bool {
-        let (mut low, mut high) = (Pose::default(), Pose::default());
-        let mut moving = heapless::Vec::<usize, MAX_AXES>::new();
+        self.sweep_to(targets)
+            .is_some_and(|sweep| sweep.is_reachable(self.axes, machine))
+    }
+
+    /// What is swept if everything goes on towards these rates for one period and brakes then; `None` if it is too far to say.
+    fn sweep_to(&self, targets: &[i64; MAX_AXES]) -> Option<Sweep> {
+        let mut sweep = Sweep::at(&Pose::default());
         for (index, axis) in self.axis[..self.axes].iter().enumerate() {
-            let sweep = Self::sweep(axis, targets[index]);
+            let (low, high) = Self::sweep(axis, targets[index])?;
             let whole = |end: i64| i32::try_from(end >> FRACTION).ok().map(Coordinate);
-            let Some((Some(from), Some(to))) = sweep.map(|(from, to)| (whole(from), whole(to)))
-            else {
-                return false;
-            };
-            (low.0[index], high.0[index]) = (from, to);
-            if from != to {
-                // Cannot overflow: there are at most MAX_AXES.
-                let _ = moving.push(index);
+            (sweep.low.0[index], sweep.high.0[index]) = (whole(low)?, whole(high)?);
+        }
+        Some(sweep)
+    }
+
+    /// What is swept if the jog goes on for one period (or brakes already) and brakes then.
+    #[must_use]
+    pub fn stopping(&self, goes_on: bool) -> Option<Sweep> {
+        let mut targets = [0; MAX_AXES];
+        if goes_on && self.alive > 0 {
+            for (target, axis) in targets.iter_mut().zip(&self.axis) {
+                *target = axis.target;
             }
         }
-        let all = (1_u32 << moving.len()) - 1;
-        let few = moving.len() <= 3;
-        (0..=all)
-            .filter(|corner| few || corner.count_ones() <= 1 || (all & !corner).count_ones() <= 1)
-            .all(|corner| {
-                let mut pose = low;
-                for (bit, &index) in moving.iter().enumerate() {
-                    if corner & (1 << bit) != 0 {
-                        pose.0[index] = high.0[index];
-                    }
-                }
-                machine.inverse(&pose).is_ok()
-            })
+        self.sweep_to(&targets)
+    }
+
+    /// Whether a coordinate stays within its soft limits.
+    #[must_use]
+    pub fn allows(&self, axis: usize, sweep: &Sweep) -> bool {
+        let (low, high) = (sweep.low.0[axis].0, sweep.high.0[axis].0);
+        let axis = &self.axis[axis];
+        i64::from(low) << FRACTION >= axis.low && i64::from(high) << FRACTION <= axis.high
     }
 }
 

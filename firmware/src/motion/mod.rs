@@ -9,13 +9,16 @@ pub mod cubic;
 pub mod jog;
 pub mod program;
 pub mod ramp;
+pub mod sweep;
 
 use crate::config::Config;
 use crate::kinematics::{Accelerations, Kinematics, Pose, Rates};
+use crate::safety::integrity::constants;
 use crate::units::{Acceleration, Coordinate, Rate};
 use haptimill_protocol::message::{MAX_AXES, Source};
 use jog::Jog;
 use program::{Program, Progress};
+use sweep::Sweep;
 
 /// The wanted pose and its motion.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -56,15 +59,14 @@ pub struct Motion {
     offsets: [i32; MAX_AXES],
 }
 
+constants!(Motion { axes } of { program, jog } but { wanted, sources, offsets });
+
 impl Motion {
-    /// For the machine of `config`.
-    #[must_use]
-    pub fn new(config: &Config) -> Self {
-        let mut motion = Self::default();
-        motion.program.set_up(config);
-        motion.jog = Jog::new(config);
-        motion.axes = config.pose.len();
-        motion
+    /// Becomes that of the machine of `config`, in its place: its queue is large.
+    pub fn set_up(&mut self, config: &Config) {
+        self.program.set_up(config);
+        self.jog = Jog::new(config);
+        self.axes = config.pose.len();
     }
 
     /// The wanted pose.
@@ -146,23 +148,69 @@ impl Motion {
                 (Progress::default(), limited)
             }
             Mode::Program { halt } => {
-                let (program, progress) = self.program.advance(halt);
-                let (jog, limited) = if self.has_jog_source() {
-                    for axis in 0..self.axes {
-                        if self.sources[axis] != Source::Jog {
-                            self.jog.carry(axis, self.wanted.pose.0[axis]);
-                        }
+                if !self.led_otherwise() {
+                    let progress = self.program.advance_to(halt, &mut self.wanted);
+                    return (progress, None);
+                }
+                for axis in 0..self.axes {
+                    if self.sources[axis] != Source::Jog {
+                        self.jog.carry(axis, self.wanted.pose.0[axis]);
                     }
-                    self.jog.advance(machine)
-                } else {
-                    (Wanted::default(), None)
-                };
+                }
+                let (blocked, clipped) = self.foresee(machine);
+                if clipped.is_some() {
+                    self.jog.release();
+                }
+                let (program, mut progress) = self.program.advance(halt || blocked);
+                progress.blocked = blocked;
+                let (jog, limited) = self.jog.advance(machine);
                 for axis in 0..self.axes {
                     self.merge(axis, &program, &jog);
                 }
-                (progress, limited)
+                (progress, clipped.or(limited))
             }
         }
+    }
+
+    /// Whether the wanted pose is another one than the program's, whose setpoints were checked when they were taken.
+    fn led_otherwise(&self) -> bool {
+        self.sources[..self.axes]
+            .iter()
+            .any(|source| *source != Source::Program)
+            || self.offsets.iter().any(|offset| *offset != 0)
+    }
+
+    /// Looks whether the machine can still come to rest within its bounds if all goes on for one period. Says whether the program must brake now,
+    /// and the coordinate whose jog must.
+    fn foresee(&self, machine: &impl Kinematics) -> (bool, Option<u8>) {
+        let program = self.program.sweep();
+        let fits = |goes_on| {
+            let Some(jog) = self.jog.stopping(goes_on) else {
+                return false;
+            };
+            let mut sweep = Sweep::at(&self.wanted.pose);
+            let mut allowed = true;
+            for axis in 0..self.axes {
+                match self.sources[axis] {
+                    Source::Program => {
+                        sweep.take(axis, &program, self.offsets[axis]);
+                        allowed &= self.offsets[axis] == 0 || self.jog.allows(axis, &sweep);
+                    }
+                    Source::Jog => sweep.take(axis, &jog, 0),
+                    Source::Hold => {}
+                }
+            }
+            allowed && sweep.is_reachable(self.axes, machine)
+        };
+        if fits(true) {
+            return (false, None);
+        }
+        let jogged = self.sources[..self.axes]
+            .iter()
+            .position(|source| *source == Source::Jog)
+            .filter(|_| !self.jog.is_still())
+            .map(|axis| axis as u8);
+        (jogged.is_none() || !fits(false), jogged)
     }
 
     fn merge(&mut self, axis: usize, program: &Wanted, jog: &Wanted) {

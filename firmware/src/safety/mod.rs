@@ -16,6 +16,7 @@
 //! kept: it is lost only when an encoder or the configuration cannot be believed, or steps were lost.
 
 pub mod homing;
+pub mod integrity;
 pub mod supervise;
 
 use haptimill_protocol::message::{Event, Fault, State};

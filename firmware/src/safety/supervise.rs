@@ -4,6 +4,7 @@
 //! | --- | --- |
 //! | the joint runs away from its wanted rate, against its drive | encoder reversed, encoder still |
 //! | the drive pushes more and more, and the encoder does not count | encoder still |
+//! | the joint is beyond its stroke by more than it may be off at rest | stroke |
 //! | the error is larger than the limit, which grows with the wanted rate | following error |
 //! | motion was wanted, the encoder saw none, or the opposite | encoder still, encoder reversed |
 //! | both channels changed at once, too often | encoder illegal |
@@ -26,6 +27,8 @@ pub struct Seen {
     pub measured: Coordinate,
     /// Measured rate.
     pub rate: Rate,
+    /// Encoder counts since the period before.
+    pub moved: i32,
     /// What the drive was told in the period before (torque drives).
     pub effort: Effort,
     /// Illegal transitions since the joint was enabled.
@@ -51,7 +54,11 @@ pub struct Watch {
 #[derive(Debug, Clone, Copy, Default)]
 struct Mark {
     measured: Coordinate,
+    wanted: Coordinate,
     effort: Effort,
+    /// How often the counts turned round since then, and which way they went last.
+    turns: u8,
+    last: i32,
     /// Which way motion is wanted since then.
     direction: i64,
     /// It stood, or turned round: friction has yet to be overcome.
@@ -62,6 +69,10 @@ struct Mark {
 
 /// So many periods in a row against the drive are no chance: one wrong rate between two edges is over sooner.
 const AGAINST_PERIODS: u8 = 4;
+
+/// A count that turned round so often, while so many counts of motion were wanted one way, has a stuck channel.
+const TURNS: u8 = 8;
+const COUNTS: u32 = 10;
 
 impl Watch {
     /// Forgets what was; after enabling and after the coordinate was set.
@@ -94,7 +105,22 @@ impl Watch {
         self.runaway(axis, config, seen)
             .or_else(|| self.pushed(axis, config, seen))
             .or_else(|| self.motion(axis, config, seen))
+            .or_else(|| Self::stroke(axis, config, seen))
             .or_else(|| Self::error(axis, config, seen))
+    }
+
+    /// The measured joint against its stroke. What is wanted is always within (stage *place* sees to it), and what is measured may be off.
+    fn stroke(axis: u8, config: &JointAxis, seen: &Seen) -> Option<Fault> {
+        if (config.low..=config.high).contains(&seen.measured) {
+            return None;
+        }
+        let measured = i64::from(seen.measured.0);
+        let (low, high) = (i64::from(config.low.0), i64::from(config.high.0));
+        let by = measured - measured.clamp(low, high.max(low));
+        (by.abs() > magnitude(config.following)).then_some(Fault::Stroke {
+            axis,
+            by: saturate(by),
+        })
     }
 
     /// A joint that runs away from its wanted rate while its drive pushes the other way.
@@ -107,13 +133,16 @@ impl Watch {
         let Drive::Torque { limit: most, .. } = config.drive else {
             return None;
         };
+        if seen.effort.0.unsigned_abs() < most.0.unsigned_abs() / 8 {
+            // Nearly always.
+            self.against = 0;
+            return None;
+        }
         let wanted = i64::from(seen.wanted_rate.0);
         let off = i64::from(seen.rate.0) - wanted;
         let effort = i64::from(seen.effort.0);
         let limit = magnitude(config.following) * 50 + wanted.abs() / 4;
-        let against = off.abs() > limit
-            && effort.signum() == -off.signum()
-            && effort.abs() >= i64::from(most.0).abs() / 8;
+        let against = off.abs() > limit && effort.signum() == -off.signum();
         self.against = if against { self.against + 1 } else { 0 };
         if self.against < AGAINST_PERIODS {
             return None;
@@ -142,6 +171,9 @@ impl Watch {
     /// following error of 320 N, sets 40 kg going at 150 mm/s. So the push is summed up from the last count on: what it grew by since, less
     /// friction (what is compensated, and no less than a 32nd of the drive's limit; three times that after the joint stood or turned round), is an impulse that must have set the joint moving.
     /// It may be that of 12.5/s times the following error (4 mm/s for 0.3 mm). Static loads do not grow, and do not count.
+    ///
+    /// At creeping speeds that takes millimetres. But there a stuck channel gives itself away: the other one goes on, and its edges count up and down in
+    /// turn. A slide that sticks may swing over an edge as well, so they count only together with a wanted motion of more than it may stick for.
     fn pushed(&mut self, axis: u8, config: &JointAxis, seen: &Seen) -> Option<Fault> {
         let Drive::Torque { limit: most, .. } = config.drive else {
             return None;
@@ -149,21 +181,36 @@ impl Watch {
         let direction = i64::from(seen.wanted_rate.0).signum();
         let fresh = |standing| Mark {
             measured: seen.measured,
+            wanted: seen.wanted,
             effort: seen.effort,
+            turns: 0,
+            last: seen.moved.signum(),
             direction,
             standing,
             impulse: 0,
         };
         let mark = self.mark.get_or_insert(fresh(true));
         // A stuck channel lets the count go to and fro by one.
-        let still = (config.per_count.saturating_abs() >> 24).saturating_mul(5) / 2;
+        let count = u32::try_from(config.per_count.unsigned_abs() >> 24).unwrap_or(u32::MAX);
+        let still = count.saturating_mul(5) / 2;
         if direction == 0 || direction != mark.direction {
             *mark = fresh(true);
             return None;
         }
-        if difference(config, seen.measured, mark.measured).abs() > still {
+        if distance(config, seen.measured, mark.measured) > still {
             *mark = fresh(false);
             return None;
+        }
+        if seen.moved.signum() == -mark.last && mark.last != 0 {
+            mark.turns = mark.turns.saturating_add(1);
+        }
+        if seen.moved != 0 {
+            mark.last = seen.moved.signum();
+        }
+        if mark.turns >= TURNS
+            && distance(config, seen.wanted, mark.wanted) > count.saturating_mul(COUNTS)
+        {
+            return Some(Fault::EncoderStill { axis });
         }
         let growth = (i64::from(seen.effort.0) - i64::from(mark.effort.0)) * direction;
         let friction = i64::from(config.law.coulomb.0)
@@ -184,10 +231,10 @@ impl Watch {
     /// Motion that was wanted and not seen, or seen the other way round.
     fn motion(&mut self, axis: u8, config: &JointAxis, seen: &Seen) -> Option<Fault> {
         let (wanted_then, measured_then) = *self.since.get_or_insert((seen.wanted, seen.measured));
-        let wanted = difference(config, seen.wanted, wanted_then);
-        if wanted.abs() < magnitude(config.still) {
+        if distance(config, seen.wanted, wanted_then) < config.still.magnitude() {
             return None;
         }
+        let wanted = difference(config, seen.wanted, wanted_then);
         let measured = difference(config, seen.measured, measured_then);
         self.since = None;
         if measured.abs() < wanted.abs() / 8 {
@@ -198,6 +245,9 @@ impl Watch {
 
     /// The following error against its limit.
     fn error(axis: u8, config: &JointAxis, seen: &Seen) -> Option<Fault> {
+        if distance(config, seen.wanted, seen.measured) <= config.following.magnitude() {
+            return None;
+        }
         let speed = i64::from(seen.wanted_rate.0).abs();
         let limit = magnitude(config.following) + ((speed * i64::from(config.following_lag)) >> 16);
         let error = difference(config, seen.wanted, seen.measured);
@@ -209,6 +259,15 @@ impl Watch {
             error: saturate(error),
             limit: saturate(limit),
         })
+    }
+}
+
+/// How far it is from `b` to `a`; the shorter way round on a rotary joint.
+#[inline]
+fn distance(config: &JointAxis, a: Coordinate, b: Coordinate) -> u32 {
+    match config.kind {
+        AxisKind::Linear => a.0.abs_diff(b.0),
+        AxisKind::Rotary => a.0.wrapping_sub(b.0).unsigned_abs(),
     }
 }
 

@@ -235,3 +235,32 @@ pub fn from_path(path: &[[i32; 6]], pose: &[i32; 6]) -> f64 {
         .fold(f64::INFINITY, f64::min)
         .sqrt()
 }
+
+/// One period; the tool and the wanted pose must not have jumped.
+pub fn step_smoothly(bench: &mut Bench, most: f64) {
+    let before = wanted(bench);
+    bench.step();
+    let after = wanted(bench);
+    for axis in 0..5 {
+        let unit = if axis < 3 { MM } else { DEGREE };
+        let step = f64::from(after[axis].wrapping_sub(before[axis])).abs() / unit;
+        assert!(step <= most, "axis {axis} jumped by {step}");
+    }
+}
+
+pub fn rates(of: &[(usize, f64)]) -> AxisValues {
+    let mut rates = [0; 5];
+    for &(axis, rate) in of {
+        rates[axis] = (rate * if axis < 3 { MM } else { DEGREE } / 256.0) as i32;
+    }
+    rates.into_iter().collect()
+}
+
+/// A jog of some coordinates, mm/s or degrees/s.
+pub fn jog(epoch: u16, deadline_ms: u16, of: &[(usize, f64)]) -> Command {
+    Command::Jog {
+        epoch,
+        deadline_ms,
+        rates: rates(of),
+    }
+}

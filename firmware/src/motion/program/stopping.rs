@@ -1,0 +1,90 @@
+//! What a program still sweeps before it can be at rest on its path.
+
+use super::{Program, Ramp};
+use crate::motion::sweep::Sweep;
+use haptimill_protocol::message::{Action, RATE_SHIFT};
+
+impl Program {
+    /// What the program's coordinates sweep if it goes on for one period and brakes along its path then.
+    ///
+    /// A cubic stays within the hull of its control points: its ends, and what its end rates would reach in a third of its time. The present segment is
+    /// looked at from now on, those in the queue as a whole, so this takes as long as setpoints lie within the way to rest.
+    #[must_use]
+    pub fn sweep(&self) -> Sweep {
+        let wanted = self.wanted().pose;
+        let mut sweep = Sweep::at(&wanted);
+        let Some(braking) = self.braking.filter(|_| !self.paused) else {
+            return sweep;
+        };
+        let mut rate = if self.started {
+            self.path_rate
+        } else {
+            Ramp::at(self.override_rate)
+        };
+        let next = rate.advance(self.override_rate, &braking).max(0) as u64;
+        let stopping = rate.stopping_range(&braking);
+        let mut ahead =
+            next.saturating_add(stopping.map_or(u64::MAX, |(_, far)| far.unsigned_abs()));
+        let mut from = self.from;
+        if let Some(segment) = &self.segment {
+            let left = (u64::from(segment.span.periods()) << 32).saturating_sub(self.time);
+            let time = self.time + left.min(ahead);
+            let microseconds = ((left.min(ahead) >> 16) as i64 * i64::from(self.period_us)) >> 16;
+            let fraction = |time: u64| segment.span.fraction((time >> 16) as u32);
+            for axis in 0..self.axes {
+                let [begin, end] = [self.time, time].map(|time| {
+                    segment.cubics[axis].sample(&segment.derivatives[axis], fraction(time))
+                });
+                self.hull(
+                    &mut sweep,
+                    axis,
+                    [begin.position.0, end.position.0],
+                    [begin.rate.0, end.rate.0].map(i64::from),
+                    microseconds,
+                );
+            }
+            ahead = ahead.saturating_sub(left);
+            from = segment.to;
+        }
+        for knot in &self.queue {
+            if ahead == 0 || matches!(from.action, Action::Pause) {
+                break;
+            }
+            let microseconds = i64::from(knot.periods) * i64::from(self.period_us);
+            for axis in 0..self.axes {
+                self.hull(
+                    &mut sweep,
+                    axis,
+                    [from.pose[axis], knot.pose[axis]],
+                    [from.rates[axis], knot.rates[axis]].map(|rate| i64::from(rate) << RATE_SHIFT),
+                    microseconds,
+                );
+            }
+            ahead = ahead.saturating_sub(u64::from(knot.periods) << 32);
+            from = *knot;
+        }
+        sweep
+    }
+
+    /// The control points of one axis between two places, with rates in axis units per second (below 2^32) and a time below 2^26 us.
+    fn hull(
+        &self,
+        sweep: &mut Sweep,
+        axis: usize,
+        [from, to]: [i32; 2],
+        rates: [i64; 2],
+        microseconds: i64,
+    ) {
+        let distance = self.distance(axis, from, to);
+        let [first, second] = rates.map(|rate| rate * microseconds / 3_000_000);
+        let from = i64::from(from);
+        for point in [
+            from,
+            from + first,
+            from + distance - second,
+            from + distance,
+        ] {
+            sweep.reach(axis, point);
+        }
+    }
+}
