@@ -160,7 +160,7 @@ impl Workpiece {
     }
 
     /// Takes away what a ball sweeps whose centre goes straight from one place to another. The ball must have stood at `from` before, or
-    /// `from` must equal `to`: points that it lowers already at `from`, and no further, are left out.
+    /// `from` must equal `to`: points behind it are left out.
     pub fn sweep(&mut self, radius: f64, from: [f64; 3], to: [f64; 3]) {
         let lowest = if from[2] < to[2] { from[2] } else { to[2] };
         if lowest - radius >= self.highest {
@@ -219,41 +219,64 @@ impl Workpiece {
                 continue;
             }
             let half = inside.sqrt();
-            let start = first(left - half, map.x_min, self.columns).max(columns.start);
-            let end = first(right + half + cell, map.x_min, self.columns).min(columns.end);
+            let (ahead_from, ahead_to) = sweep.ahead(y - from[1], reach + sweep.length);
+            let start = first(
+                (left - half).max(from[0] + ahead_from),
+                map.x_min,
+                self.columns,
+            )
+            .max(columns.start);
+            let end = first(
+                (right + half).min(from[0] + ahead_to) + cell,
+                map.x_min,
+                self.columns,
+            )
+            .min(columns.end);
             if start >= end {
                 continue;
             }
             let line = &mut self.heights[row * self.columns + start..row * self.columns + end];
-            let y = y - from[1];
-            for (offset, height) in line.iter_mut().enumerate() {
-                let x = map.x_min + (start + offset) as f64 * cell - from[0];
-                let Some(z) = sweep.lowest(x, y) else {
-                    continue;
-                };
-                let z = z as f32;
-                let z = if z > bottom { z } else { bottom };
-                if z < *height {
-                    lowered += f64::from(*height) - f64::from(z);
-                    *height = z;
-                }
-            }
+            let (x, y) = (map.x_min + start as f64 * cell - from[0], y - from[1]);
+            lowered += if sweep.lead == 0.0 {
+                lower(line, bottom, |offset| {
+                    sweep.level(x + offset as f64 * cell, y)
+                })
+            } else {
+                lower(line, bottom, |offset| {
+                    sweep.sloping(x + offset as f64 * cell, y)
+                })
+            };
         }
         self.removed_mm3 += lowered * cell * cell;
     }
 }
 
+/// Lowers a row of points to these heights where they are lower; gives the sum of what they lost.
+#[inline(always)]
+fn lower(line: &mut [f32], bottom: f32, height: impl Fn(usize) -> f64) -> f64 {
+    let mut lowered = 0.0;
+    for (offset, point) in line.iter_mut().enumerate() {
+        let z = height(offset) as f32;
+        let z = if z > bottom { z } else { bottom };
+        let z = if z < *point { z } else { *point };
+        lowered += f64::from(*point) - f64::from(z);
+        *point = z;
+    }
+    lowered
+}
+
 /// A ball on a straight way.
 struct Sweep {
     square: f64,
+    radius: f64,
     height: f64,
     /// Unit vector of the way, seen from above.
     along: [f64; 2],
-    /// Length of the way seen from above, and its rise.
+    /// Length of the way seen from above, and its rise for each mm of that.
     length: f64,
-    rise: f64,
-    per_length: f64,
-    /// Sine of the slope: how far ahead of its middle the ball is lowest at a point, in parts of its radius there.
+    slope: f64,
+    /// Sine of the slope: how far ahead of its middle the ball is lowest at a point, in parts of its radius there. Below 1/1000 it counts as
+    /// level, which is wrong by 2 nm.
     lead: f64,
 }
 
@@ -261,55 +284,86 @@ impl Sweep {
     fn new(radius: f64, from: [f64; 3], to: [f64; 3]) -> Self {
         let (x, y, rise) = (to[0] - from[0], to[1] - from[1], to[2] - from[2]);
         let length = (x * x + y * y).sqrt();
+        let square = radius * radius;
         // Straight up or down, and standing still, are a way of no length with the ball at its lower end.
-        let flat = length < 1e-9;
-        let (along, per_length) = if flat {
-            ([1.0, 0.0], 0.0)
-        } else {
-            ([x / length, y / length], 1.0 / length)
-        };
+        if length < 1e-9 {
+            return Self {
+                square,
+                radius,
+                height: if rise < 0.0 { to[2] } else { from[2] },
+                along: [1.0, 0.0],
+                length: 0.0,
+                slope: 0.0,
+                lead: 0.0,
+            };
+        }
+        let lead = rise / (length * length + rise * rise).sqrt();
         Self {
-            square: radius * radius,
-            height: if flat && rise < 0.0 { to[2] } else { from[2] },
-            along,
-            length: if flat { 0.0 } else { length },
-            rise: if flat { 0.0 } else { rise },
-            per_length,
-            lead: if flat {
-                f64::NEG_INFINITY
-            } else {
-                rise / (length * length + rise * rise).sqrt()
-            },
+            square,
+            radius,
+            height: from[2],
+            along: [x / length, y / length],
+            length,
+            slope: rise / length,
+            lead: if lead.abs() < 1e-3 { 0.0 } else { lead },
         }
     }
 
-    /// Lowest height of the ball's underside over a point (relative to the start), when it is lower on the way than at its start.
+    /// Where in a row at `y` the way can lower anything: not behind the start, where the ball stood before. `far` is beyond all.
+    fn ahead(&self, y: f64, far: f64) -> (f64, f64) {
+        if self.length == 0.0 {
+            return (-far, far);
+        }
+        // A sinking ball is lowest behind its middle.
+        let least = if self.lead < 0.0 {
+            self.lead * self.radius
+        } else {
+            0.0
+        };
+        let [x_part, y_part] = self.along;
+        let bound = least - y * y_part;
+        if x_part > 1e-6 {
+            (bound / x_part, far)
+        } else if x_part < -1e-6 {
+            (-far, bound / x_part)
+        } else if bound <= 1e-5 {
+            (-far, far)
+        } else {
+            (far, -far)
+        }
+    }
+
+    /// Lowest height of the ball's underside over a point (relative to the start) on a level way; infinity beside it.
     #[inline(always)]
-    fn lowest(&self, x: f64, y: f64) -> Option<f64> {
+    fn level(&self, x: f64, y: f64) -> f64 {
+        let ahead = x * self.along[0] + y * self.along[1];
+        let aside = y * self.along[0] - x * self.along[1];
+        self.underside(self.square - aside * aside, ahead, ahead)
+    }
+
+    /// The same on any way: the disc of the ball at this distance aside is lowest where its slope is that of the way.
+    #[inline(always)]
+    fn sloping(&self, x: f64, y: f64) -> f64 {
         let ahead = x * self.along[0] + y * self.along[1];
         let aside = y * self.along[0] - x * self.along[1];
         let square = self.square - aside * aside;
-        if square <= 0.0 {
-            return None;
-        }
-        // The lower side of the disc at this distance from the way, at its own lowest: from the derivative along the way.
-        let past = if self.lead == 0.0 {
-            ahead
-        } else if self.lead == f64::NEG_INFINITY {
-            0.0
-        } else {
-            ahead - square.sqrt() * self.lead
-        };
-        if past < 0.0 {
-            return None;
-        }
-        let travelled = if past < self.length {
-            past
+        let root = if square > 0.0 { square.sqrt() } else { 0.0 };
+        self.underside(square, ahead, ahead - root * self.lead)
+    }
+
+    #[inline(always)]
+    fn underside(&self, square: f64, ahead: f64, best: f64) -> f64 {
+        let travelled = if best > 0.0 { best } else { 0.0 };
+        let travelled = if travelled < self.length {
+            travelled
         } else {
             self.length
         };
         let off = ahead - travelled;
         let depth = square - off * off;
-        (depth > 0.0).then(|| self.height + travelled * self.per_length * self.rise - depth.sqrt())
+        let inside = depth > 0.0;
+        let root = (if inside { depth } else { 0.0 }).sqrt();
+        let height = self.height + travelled * self.slope - root;
+        if inside { height } else { f64::INFINITY }
     }
 }
