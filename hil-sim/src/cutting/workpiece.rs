@@ -134,11 +134,19 @@ impl Workpiece {
         if !inside {
             return self.original(x, y);
         }
-        let (i, j) = (column as usize, row as usize);
-        let (u, v) = (column - i as f64, row - j as f64);
-        let at = j * self.columns + i;
-        let below = &self.heights[at..at + 2];
-        let above = &self.heights[at + self.columns..at + self.columns + 2];
+        // Not negative, and below 2^31: the shortest way to an integer.
+        let (i, j) = (column as i32, row as i32);
+        let (u, v) = (column - f64::from(i), row - f64::from(j));
+        let at = (j as usize)
+            .wrapping_mul(self.columns)
+            .wrapping_add(i as usize);
+        let next = at.wrapping_add(self.columns);
+        let (Some(below), Some(above)) = (
+            self.heights.get(at..at.wrapping_add(2)),
+            self.heights.get(next..next.wrapping_add(2)),
+        ) else {
+            return self.original(x, y);
+        };
         let near = f64::from(below[0]) + u * (f64::from(below[1]) - f64::from(below[0]));
         let far = f64::from(above[0]) + u * (f64::from(above[1]) - f64::from(above[0]));
         near + v * (far - near)
