@@ -233,6 +233,41 @@ fn the_machine_cuts_a_slot_and_feels_it() {
     );
 }
 
+/// A machine with its friction stops in the middle of a slot: the chips run out, and nothing is left but the load that was on the screws.
+#[test]
+fn standing_in_the_material_is_quiet() {
+    let mut config = machine::reference();
+    for joint in &mut config.joint {
+        joint.start_spread = 0.0;
+    }
+    let plant = Plant::new(&config, 200).expect("a machine");
+    let start = plant.truth().pose;
+    let mut cutting = block(start[2] + 2.0, start[0], start[1]);
+    cutting.workpiece.stock.x_max = start[0] - 5.0;
+    let process = ProcessConfig {
+        spindle: SpindleConfig { run_up_s: 0.05 },
+        cutting: Some(cutting),
+        structure: Some(StructureConfig::default()),
+        ..ProcessConfig::default()
+    };
+    let mut held = Held::new(&config, &process);
+    for _ in 0..10_000 {
+        held.step(-4.0, 5000);
+    }
+    assert!(held.plant.truth().force[0].abs() > 0.1);
+    for _ in 0..5000 {
+        held.step(0.0, 5000);
+    }
+    let mut most = 0.0_f64;
+    for _ in 0..2500 {
+        held.step(0.0, 5000);
+        for part in held.plant.truth().force {
+            most = most.max(part.abs());
+        }
+    }
+    assert!(most < 0.05, "{most}");
+}
+
 #[test]
 fn emergency_stop_takes_the_power_from_the_spindle() {
     let config = smooth();
