@@ -46,19 +46,6 @@ fn volume_is_the_sweep_of_the_ball() {
             (ours / exact - 1.0).abs() < tolerance,
             "{depth}: {ours}, {exact}"
         );
-        // The map's own account: what is missing from the block.
-        let piece = bench.cutting.workpiece();
-        let [columns, rows] = piece.size();
-        let mut missing = 0.0;
-        for row in 0..rows {
-            for column in 0..columns {
-                let [x, y] = piece.place(column, row);
-                missing +=
-                    piece.original(x, y) - f64::from(piece.heights()[row * columns + column]);
-            }
-        }
-        missing *= 0.05 * 0.05;
-        assert!((ours / missing - 1.0).abs() < 1e-9, "{ours} {missing}");
     }
 }
 

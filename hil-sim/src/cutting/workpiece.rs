@@ -25,7 +25,6 @@ pub struct Workpiece {
     heights: Vec<f32>,
     /// Highest point of the stock over the map.
     highest: f64,
-    removed_mm3: f64,
     missed: u64,
 }
 
@@ -48,7 +47,6 @@ impl Workpiece {
             rows,
             heights: Vec::with_capacity(columns * rows),
             highest: f64::NEG_INFINITY,
-            removed_mm3: 0.0,
             missed: 0,
         };
         for row in 0..rows {
@@ -157,9 +155,17 @@ impl Workpiece {
         self.highest
     }
 
-    /// Volume that has been taken away from the map, mm^3.
-    pub const fn removed_mm3(&self) -> f64 {
-        self.removed_mm3
+    /// Volume that has been taken away from the map, mm^3. It looks at every point: about a millisecond.
+    pub fn removed_mm3(&self) -> f64 {
+        let mut depths = 0.0;
+        for (row, line) in self.heights.chunks_exact(self.columns).enumerate() {
+            for (column, height) in line.iter().enumerate() {
+                let [x, y] = self.place(column, row);
+                // As it was rounded when it was new: what is untouched counts exactly nothing.
+                depths += f64::from(self.original(x, y) as f32) - f64::from(*height);
+            }
+        }
+        depths * self.config.cell_mm * self.config.cell_mm
     }
 
     /// Sweeps through the stock that lay partly outside of the map and were lost there.
@@ -211,7 +217,6 @@ impl Workpiece {
             ..first(far + reach + cell, map.y_min, self.rows);
         let columns = first(left - reach, map.x_min, self.columns)
             ..first(right + reach + cell, map.x_min, self.columns);
-        let mut lowered = 0.0;
         for row in rows {
             let y = map.y_min + row as f64 * cell;
             // Part of the row under the ball on its way, with a cell to spare.
@@ -245,32 +250,23 @@ impl Workpiece {
             }
             let line = &mut self.heights[row * self.columns + start..row * self.columns + end];
             let (x, y) = (map.x_min + start as f64 * cell - from[0], y - from[1]);
-            lowered += if sweep.lead == 0.0 {
-                lower(line, bottom, |offset| {
-                    sweep.level(x + offset as f64 * cell, y)
-                })
+            if sweep.lead == 0.0 {
+                lower(line, bottom, |column| sweep.level(x + column * cell, y));
             } else {
-                lower(line, bottom, |offset| {
-                    sweep.sloping(x + offset as f64 * cell, y)
-                })
-            };
+                lower(line, bottom, |column| sweep.sloping(x + column * cell, y));
+            }
         }
-        self.removed_mm3 += lowered * cell * cell;
     }
 }
 
-/// Lowers a row of points to these heights where they are lower; gives the sum of what they lost.
+/// Lowers a row of points to these heights where they are lower. Without a branch, so that several are worked out at once.
 #[inline(always)]
-fn lower(line: &mut [f32], bottom: f32, height: impl Fn(usize) -> f64) -> f64 {
-    let mut lowered = 0.0;
-    for (offset, point) in line.iter_mut().enumerate() {
-        let z = height(offset) as f32;
+fn lower(line: &mut [f32], bottom: f32, height: impl Fn(f64) -> f64) {
+    for (column, point) in (0_i32..).zip(line) {
+        let z = height(f64::from(column)) as f32;
         let z = if z > bottom { z } else { bottom };
-        let z = if z < *point { z } else { *point };
-        lowered += f64::from(*point) - f64::from(z);
-        *point = z;
+        *point = if z < *point { z } else { *point };
     }
-    lowered
 }
 
 /// A ball on a straight way.
