@@ -201,6 +201,9 @@ fn the_machine_cuts_a_slot_and_feels_it() {
     let cutting = process.cutting_mut().expect("a cut");
     cutting.settle();
     let piece = cutting.workpiece();
+    // What the edges took is what the map lost, though the tool swings.
+    let (chips, lost) = (cutting.chips_mm3(), piece.removed_mm3());
+    assert!((chips / lost - 1.0).abs() < 0.02, "{chips} {lost}");
     let groove = piece
         .groove(
             [start[0] - 7.0, start[1] - 8.0],
