@@ -335,6 +335,54 @@ fn three_slides_carry_a_tool_and_fewer_do_not() {
     assert!((50.0..150.0).contains(&force[2]), "{force:?}");
 }
 
+/// A slide without friction bounces off a wall: a damping of k T / 2 makes up for the force that is held for a period.
+#[test]
+fn a_held_wall_feeds_what_half_a_period_of_damping_takes() {
+    let bounce = |damping: f64| {
+        let mut config = machine::ideal_slide();
+        let joint = config.joint[0].clone();
+        config.joint = vec![joint.clone(), joint.clone(), joint];
+        let mut plant = Plant::new(&config, 200).expect("three slides");
+        let process = ProcessConfig {
+            wall: Some(ElasticWall {
+                point: [0.0, 0.0, -4.0],
+                normal: [0.0, 0.0, 1.0],
+                stiffness: 1000.0,
+                damping,
+                radius: 0.0,
+            }),
+            ..ProcessConfig::default()
+        };
+        plant.fit(&process).expect("a wall");
+        // A push for 20 ms, then it flies.
+        let mut outputs = Outputs::default();
+        outputs.axes[2] = DriveCommand::Torque(-1000);
+        for _ in 0..100 {
+            plant.advance(&outputs);
+        }
+        outputs.axes[2] = DriveCommand::Torque(0);
+        plant.advance(&outputs);
+        let energy = |plant: &Plant| plant.mechanics().energy(plant.bodies(), 2);
+        let before = energy(&plant);
+        let mut touched = false;
+        for _ in 0..5000 {
+            plant.advance(&outputs);
+            let force = plant.truth().force[2];
+            touched |= force > 0.0;
+            if touched && force == 0.0 && plant.bodies().slide[2] > -3.0 {
+                return energy(&plant) / before;
+            }
+        }
+        panic!("no bounce: {:?}", plant.bodies());
+    };
+    let (bare, made_up) = (bounce(0.0), bounce(0.1));
+    assert!(bare > 1.01, "{bare}");
+    assert!(
+        (made_up - 1.0).abs() < 0.2 * (bare - 1.0),
+        "{made_up} {bare}"
+    );
+}
+
 #[test]
 fn structure_gives_way_with_its_stiffness_and_time_constant() {
     let config = StructureConfig {
