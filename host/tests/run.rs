@@ -362,7 +362,7 @@ fn files_that_are_none_are_told_apart() {
     );
     tell(
         "a fault of an axis that is not there",
-        3,
+        2,
         &[
             "run",
             &good,

@@ -468,3 +468,39 @@ fn a_run_refuses_what_means_nothing_on_a_port() {
     }
     assert!(!std::path::Path::new(&out).exists());
 }
+
+#[test]
+fn a_pause_waits_for_enter_and_for_no_enter_of_before() {
+    use haptimill::port::{PtyServer, Transport};
+    let folder = Folder::new();
+    let served = Served::on_tcp(&[]);
+    let program = folder.file("pause.ngc", "G1 X3 F600\nM0 (turn the work)\nG1 X0\nM30\n");
+    // A person's terminal.
+    let mut terminal = PtyServer::open().unwrap();
+    let input = std::fs::OpenOptions::new()
+        .read(true)
+        .write(true)
+        .open(terminal.name())
+        .unwrap();
+    let mut enter = || {
+        let pressed = terminal.write(b"\n", Duration::from_secs(1)).unwrap();
+        assert_eq!(pressed, 1);
+    };
+    let out = folder.path("out");
+    let run = ["run", &program, "--port", &served.port, "--out", &out];
+    let mut run = scene::start_with(&run, input.into());
+    // Impatience while it homes passes nothing.
+    enter();
+    run.complains("line 2: the program pauses; Enter goes on");
+    let paused = Instant::now();
+    while paused.elapsed() < Duration::from_millis(700) {
+        assert!(run.runs(), "{:?}", run.end());
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    enter();
+    run.end().ended_with(0);
+    let summary = folder.summary("out");
+    assert_eq!(summary["completed"], true, "{summary:#}");
+    // The pause is in the time that the job took: there and back is 0.8 s.
+    assert!(number(&summary, "duration_s") > 1.2, "{summary:#}");
+}

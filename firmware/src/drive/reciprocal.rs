@@ -106,6 +106,11 @@ impl Factor {
         }
     }
 
+    /// Mantissa, below 2^31, and exponent.
+    pub(crate) const fn parts(self) -> (i32, i32) {
+        (self.mantissa as i32, self.exponent)
+    }
+
     /// By how many bits an operand of more than 31 may be shifted right before a [`Scale`] multiplies it, without loss in the product; at most 56.
     pub(crate) const fn coarseness(self) -> u32 {
         let bits = -32 - self.exponent;

@@ -265,6 +265,21 @@ impl H4 {
         })
     }
 
+    /// [`Kinematics::inverse_motion`], written where it shall be.
+    #[inline(always)]
+    pub(super) fn place_motion(
+        &self,
+        pose: &Pose,
+        rates: &Rates,
+        accelerations: &Accelerations,
+        motion: &mut JointMotion,
+    ) -> Result<(), PoseError> {
+        let (placed, pairs) = self.place(pose)?;
+        motion.joints = self.joints(&placed, &pairs, pose.0[ALPHA])?;
+        self.derivatives(&placed, &pairs, rates, accelerations, motion);
+        Ok(())
+    }
+
     /// The pose with both pairs of rods, every condition but the strokes fulfilled.
     #[inline(always)]
     pub(super) fn place(&self, pose: &Pose) -> Result<(Placed, [Pair; 2]), PoseError> {
@@ -412,12 +427,8 @@ impl Kinematics for H4 {
         rates: &Rates,
         accelerations: &Accelerations,
     ) -> Result<JointMotion, PoseError> {
-        let (placed, pairs) = self.place(pose)?;
-        let mut motion = JointMotion {
-            joints: self.joints(&placed, &pairs, pose.0[ALPHA])?,
-            ..JointMotion::default()
-        };
-        self.derivatives(&placed, &pairs, rates, accelerations, &mut motion);
+        let mut motion = JointMotion::default();
+        self.place_motion(pose, rates, accelerations, &mut motion)?;
         Ok(motion)
     }
 

@@ -68,6 +68,23 @@ impl Machine {
         }
     }
 
+    /// [`Kinematics::inverse_motion`], written where it shall be. After an error what stands there is of no use.
+    ///
+    /// # Errors
+    /// As [`Kinematics::inverse_motion`].
+    pub fn place(
+        &self,
+        pose: &Pose,
+        rates: &Rates,
+        accelerations: &Accelerations,
+        motion: &mut JointMotion,
+    ) -> Result<(), PoseError> {
+        match &self.geometry {
+            Geometry::H4(arm) => arm.place_motion(pose, rates, accelerations, motion)?,
+        }
+        self.check_strokes(&motion.joints)
+    }
+
     /// Signed distance from the parallel singularity, positive on the configured branch.
     ///
     /// # Errors
@@ -143,10 +160,8 @@ impl Kinematics for Machine {
         rates: &Rates,
         accelerations: &Accelerations,
     ) -> Result<JointMotion, PoseError> {
-        let motion = match &self.geometry {
-            Geometry::H4(arm) => arm.inverse_motion(pose, rates, accelerations)?,
-        };
-        self.check_strokes(&motion.joints)?;
+        let mut motion = JointMotion::default();
+        self.place(pose, rates, accelerations, &mut motion)?;
         Ok(motion)
     }
 

@@ -38,7 +38,7 @@ struct Knot {
 
 impl Knot {
     fn at_rest(&self) -> bool {
-        self.rates == [0; MAX_AXES]
+        self.rates.iter().all(|rate| *rate == 0)
     }
 }
 
@@ -314,9 +314,22 @@ impl Program {
 
     /// One period along the path; `halt` brakes to rest and keeps the place.
     pub fn advance(&mut self, halt: bool) -> (Wanted, Progress) {
+        let mut wanted = Wanted::default();
+        let progress = self.advance_to(halt, &mut wanted);
+        (wanted, progress)
+    }
+
+    /// The same, with the pose, rates and accelerations written where they shall be.
+    pub fn advance_to(&mut self, halt: bool, wanted: &mut Wanted) -> Progress {
+        let progress = self.go(halt);
+        self.sample(wanted);
+        progress
+    }
+
+    fn go(&mut self, halt: bool) -> Progress {
         let mut progress = Progress::default();
         let Some(braking) = self.braking else {
-            return (self.wanted(), progress);
+            return progress;
         };
         // A pause at the last setpoint is waited for like any other.
         let finished = self.total == Some(self.reached) && !self.paused;
@@ -334,7 +347,7 @@ impl Program {
         }
         if finished || !self.started || self.paused {
             progress.finished = finished;
-            return (self.wanted(), progress);
+            return progress;
         }
         self.watch_coverage(&braking);
         let target = if halt || self.starving.is_some() {
@@ -344,7 +357,7 @@ impl Program {
         };
         self.time += self.path_rate.advance(target, &braking).max(0) as u64;
         self.walk(&mut progress);
-        (self.wanted(), progress)
+        progress
     }
 
     /// Whether the way from a rest is long enough to come to rest again if nothing more arrives: a rest lies ahead, or more than braking takes,
@@ -367,11 +380,13 @@ impl Program {
             return;
         }
         let remaining = self.remaining_periods();
-        let needed = self
-            .path_rate
-            .stopping_range(braking)
-            .map_or(u64::MAX, |(_, ahead)| ahead.unsigned_abs() >> 32)
-            + 2;
+        let needed = if self.path_rate == Ramp::at(FULL_RATE) {
+            self.braking_periods
+        } else {
+            self.path_rate
+                .stopping_range(braking)
+                .map_or(u64::MAX - 2, |(_, ahead)| ahead.unsigned_abs() >> 32)
+        } + 2;
         if self.starving.is_some() {
             // A full queue is all that there can be: go on as fast as it covers, with some room so that braking does not begin at once.
             let most = self.queue.is_full() && remaining > needed + needed / 4 + 8;
@@ -449,24 +464,31 @@ impl Program {
 
     /// Pose, rates and accelerations at the present time and path rate.
     fn wanted(&self) -> Wanted {
-        let mut wanted = Wanted {
-            pose: Pose(self.from.pose.map(Coordinate)),
-            ..Wanted::default()
-        };
+        let mut wanted = Wanted::default();
+        self.sample(&mut wanted);
+        wanted
+    }
+
+    /// The same, written where they shall be.
+    fn sample(&self, wanted: &mut Wanted) {
         let Some(segment) = &self.segment else {
-            return wanted;
+            *wanted = Wanted {
+                pose: Pose(self.from.pose.map(Coordinate)),
+                ..Wanted::default()
+            };
+            return;
         };
         let fraction = segment.span.fraction((self.time >> 16) as u32);
-        for axis in 0..self.axes {
-            let sample = segment.cubics[axis].sample(&segment.derivatives[axis], fraction);
+        let parts = segment.cubics.iter().zip(&segment.derivatives);
+        for (axis, (cubic, derivatives)) in parts.take(self.axes).enumerate() {
+            let sample = cubic.sample(derivatives, fraction);
             wanted.pose.0[axis] = sample.position;
             wanted.rates[axis] = sample.rate;
             wanted.accelerations[axis] = sample.acceleration;
         }
         if self.path_rate != Ramp::at(FULL_RATE) {
-            self.slow_down(&mut wanted);
+            self.slow_down(wanted);
         }
-        wanted
     }
 
     /// From one place to another; the short way round on a rotary axis.

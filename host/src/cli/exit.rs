@@ -45,8 +45,8 @@ Exit codes:
   7  stopped by the user; the machine slowed down along its path
   8  the controller refused a command in its present state; with `trace diff`: the recordings differ
   9  the result cannot be written
-With --json an error is also an object on standard output: {\"error\", \"exit_code\", \"problems\"}, unless the command
-line could not be understood.";
+With --json an error is an object on standard output too, unless the command line
+cannot be understood: {\"error\", \"exit_code\", \"problems\": [...]}.";
 
 /// Why the command did not do what it was asked.
 #[derive(Debug, Clone, PartialEq, Eq)]

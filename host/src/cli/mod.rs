@@ -21,7 +21,7 @@ pub mod trace;
 pub use exit::{CliError, EXIT_CODES, Exit};
 
 use crate::machine::MachineFile;
-use crate::port::{DEFAULT_BAUD, PortSpec};
+use crate::port::PortSpec;
 use clap::{Args, Parser, Subcommand};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -151,9 +151,9 @@ pub struct ConnectArgs {
     /// Serial port or pseudo-terminal by its path, or tcp:HOST:PORT
     #[arg(long, value_name = "PORT")]
     pub port: PortSpec,
-    /// Baud rate of a serial port
-    #[arg(long, value_name = "N", default_value_t = DEFAULT_BAUD, value_parser = clap::value_parser!(u32).range(1200..=12_000_000))]
-    pub baud: u32,
+    /// Baud rate of a serial port (default 115200)
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1200..=12_000_000))]
+    pub baud: Option<u32>,
     /// Give up when the controller has not answered for so long
     #[arg(long, value_name = "SECONDS", default_value_t = 5.0, value_parser = seconds)]
     pub timeout: f64,

@@ -3,7 +3,7 @@
 use super::{CliError, ConnectArgs, Exit, MachineArg};
 use crate::client::Options;
 use crate::machine::MachineFile;
-use crate::port;
+use crate::port::{self, DEFAULT_BAUD, PortSpec};
 use crate::session::{self, PortLine, Session, interrupt};
 use clap::Args;
 use haptimill_protocol::message::{AxisValues, Command, State};
@@ -177,7 +177,12 @@ pub(super) fn open(
     connect: &ConnectArgs,
     machine: &MachineFile,
 ) -> Result<Session<PortLine>, CliError> {
-    let line = PortLine::new(port::open(&connect.port, connect.baud)?);
+    if let (PortSpec::Tcp(_), Some(baud)) = (&connect.port, connect.baud) {
+        let what = format!("--baud {baud} is for a serial port; leave it out with tcp:");
+        return Err(CliError::new(Exit::Usage, what));
+    }
+    let baud = connect.baud.unwrap_or(DEFAULT_BAUD);
+    let line = PortLine::new(port::open(&connect.port, baud)?);
     let options = Options {
         connect_us: (connect.timeout * 1e6) as u64,
         ..Options::default()

@@ -10,7 +10,7 @@ use haptimill_firmware::controller::Controller;
 use haptimill_firmware::motion::program::FULL_RATE;
 use haptimill_hil_sim::config::PlantConfig;
 use haptimill_hil_sim::fault::Fault;
-use haptimill_hil_sim::rig::{Control, Rig, RigOptions};
+use haptimill_hil_sim::rig::{Control, Rig, RigError, RigOptions};
 use haptimill_protocol::message::{AxisValues, MAX_AXES, State, Telemetry};
 use std::sync::Arc;
 
@@ -67,8 +67,10 @@ pub fn rig_around<C: Control>(
         faults,
         ..RigOptions::default()
     };
-    Rig::new(&plant, &options, controller)
-        .map_err(|error| CliError::new(Exit::BadInput, format!("{}: {error}", machine.file)))
+    Rig::new(&plant, &options, controller).map_err(|error| match error {
+        RigError::Plant(_) => CliError::new(Exit::BadInput, format!("{}: {error}", machine.file)),
+        RigError::Fault(error) => CliError::new(Exit::Usage, format!("--{error}")),
+    })
 }
 
 impl<C: Control> SimLine<C> {
@@ -227,9 +229,15 @@ impl JobRecording {
             joints: reading.joints,
             following_error: reading.following_error,
             drive: reading.drive,
+            force: reading.force,
+            true_force: rig
+                .truth()
+                .force
+                .map(|newtons| (newtons * 65_536.0).round() as i32),
             ..Record::default()
         };
         let flags = [
+            (rig.plant().force_codes().is_some(), flag::FORCE),
             (reading.homed, flag::HOMED),
             (reading.position_kept, flag::POSITION_KEPT),
             (rig.truth().pose_valid, flag::TOOL_TRUE),

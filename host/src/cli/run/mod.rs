@@ -43,7 +43,7 @@ pub(super) fn faults_help() -> String {
     format!(
         "Faults of the simulated machine (--fault \"NAME KEY=VALUE ...\"):\n{}\n\
          NAME of an axis is that of a joint in the machine file: l1, l2, l3, l4, alpha on the H-4 arm.\n\
-         at=TIME is when it begins and for=TIME how long it stays, as 1.5s, 200ms or 40us; without at= from the start, without for= to the end. The\n\
+         at=TIME is when it begins and for=TIME how long it stays, as 1.5s, 200ms or 40us; without at= from the start, without for= to the end. The \
          time is that of the machine, homing included.",
         haptimill_hil_sim::fault::catalogue()
     )

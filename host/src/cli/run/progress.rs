@@ -22,6 +22,8 @@ pub(super) struct Bar {
     lines: Vec<u32>,
     pauses: BTreeMap<u32, u32>,
     passes_pauses: bool,
+    /// The line at which it stands until Enter is pressed.
+    waits_at: Option<u32>,
     entered: Arc<AtomicBool>,
 }
 
@@ -53,6 +55,7 @@ impl Bar {
             lines,
             pauses,
             passes_pauses: args.passes_pauses(),
+            waits_at: None,
             entered: Arc::new(AtomicBool::new(false)),
         }
     }
@@ -73,6 +76,11 @@ impl Watcher for Bar {
             .get(telemetry.setpoint as usize)
             .copied()
             .unwrap_or(0);
+        if let Some(line) = self.waits_at {
+            self.bar
+                .set_message(format!("line {line}, waits for Enter"));
+            return;
+        }
         let measured = || self.begun.elapsed().as_secs_f64() / done.max(0.1);
         let pace = self.pace.unwrap_or_else(measured);
         let left = ((total - done).max(0.0) * pace).ceil();
@@ -90,10 +98,18 @@ impl Watcher for Bar {
                 .println(format!("line {line}: a pause, passed at once"));
             return;
         }
-        self.bar.println(format!(
-            "line {line}: the program pauses; Enter goes on, Ctrl-C ends it"
-        ));
+        let what = format!("line {line}: the program pauses; Enter goes on, Ctrl-C ends it");
+        if self.bar.is_hidden() {
+            // Without a bar, by --quiet or because standard error goes elsewhere, it must be said all the same.
+            eprintln!("{what}");
+        } else {
+            self.bar.println(what);
+        }
+        self.waits_at = Some(line);
         self.entered.store(false, Ordering::Relaxed);
+        // An Enter of before the pause does not pass it.
+        #[cfg(unix)]
+        let _ = rustix::termios::tcflush(std::io::stdin(), rustix::termios::QueueSelector::IFlush);
         let entered = Arc::clone(&self.entered);
         // Reading a line waits; the session must go on meanwhile, or the controller would miss its host.
         std::thread::spawn(move || {
@@ -108,6 +124,10 @@ impl Watcher for Bar {
     }
 
     fn goes_on(&mut self) -> bool {
-        self.passes_pauses || self.entered.swap(false, Ordering::Relaxed)
+        let goes_on = self.passes_pauses || self.entered.swap(false, Ordering::Relaxed);
+        if goes_on {
+            self.waits_at = None;
+        }
+        goes_on
     }
 }
