@@ -1,7 +1,6 @@
 //! What arrived and waits: reliable messages put into order, latest values as they come.
 
 use crate::frame::{Acknowledgement, MAX_PAYLOAD};
-use heapless::Vec;
 
 /// Bytes in front of each stored payload: its kind, its number, its length.
 const PREFIX: usize = 4;
@@ -12,9 +11,10 @@ const RELIABLE: u8 = 1;
 const LATEST: u8 = 2;
 
 /// Messages that arrived, one after the other: kind, number, length (two bytes), payload.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Inbox<const BYTES: usize> {
-    stored: Vec<u8, BYTES>,
+    bytes: [u8; BYTES],
+    used: usize,
     /// The reliable frame that is missing first.
     missing: u8,
     /// Bit `k`: frame `missing + 1 + k` arrived.
@@ -29,6 +29,21 @@ pub(super) struct Inbox<const BYTES: usize> {
     pub(super) no_room: u32,
 }
 
+impl<const BYTES: usize> Default for Inbox<BYTES> {
+    fn default() -> Self {
+        Self {
+            bytes: [0; BYTES],
+            used: 0,
+            missing: 0,
+            beyond: 0,
+            give: 0,
+            newest: None,
+            duplicates: 0,
+            no_room: 0,
+        }
+    }
+}
+
 impl<const BYTES: usize> Inbox<BYTES> {
     /// A message of the largest size must fit beside one that came too early.
     const ENOUGH: () = assert!(BYTES >= 2 * (PREFIX + MAX_PAYLOAD));
@@ -36,11 +51,11 @@ impl<const BYTES: usize> Inbox<BYTES> {
     /// Forgets everything but the counts.
     pub(super) fn clear(&mut self) {
         let () = Self::ENOUGH;
-        *self = Self {
-            duplicates: self.duplicates,
-            no_room: self.no_room,
-            ..Self::default()
-        };
+        self.used = 0;
+        self.missing = 0;
+        self.beyond = 0;
+        self.give = 0;
+        self.newest = None;
     }
 
     /// What is to be told to the peer.
@@ -106,22 +121,38 @@ impl<const BYTES: usize> Inbox<BYTES> {
         self.store(LATEST, sequence, payload, reserve);
     }
 
-    /// The next message in order.
-    pub(super) fn next(&mut self) -> Option<Vec<u8, MAX_PAYLOAD>> {
-        let give = self.give;
-        let (start, end) = self.find(|kind, sequence| kind == LATEST || sequence == give)?;
-        let kind = self.stored.get(start).copied()?;
-        let payload = Vec::from_slice(self.stored.get(start + PREFIX..end)?).ok()?;
+    /// The next message in order; it stays.
+    pub(super) fn first(&self) -> Option<&[u8]> {
+        let (start, end) = self.place()?;
+        self.stored().get(start + PREFIX..end)
+    }
+
+    /// Drops the next message in order.
+    pub(super) fn drop_first(&mut self) {
+        let Some((start, end)) = self.place() else {
+            return;
+        };
+        let kind = self.stored().get(start).copied();
         self.remove(start, end);
-        if kind == RELIABLE {
+        if kind == Some(RELIABLE) {
             self.give = self.give.wrapping_add(1);
         }
-        Some(payload)
+    }
+
+    /// Where the next message in order lies.
+    fn place(&self) -> Option<(usize, usize)> {
+        let give = self.give;
+        self.find(|kind, sequence| kind == LATEST || sequence == give)
+    }
+
+    /// What is stored.
+    fn stored(&self) -> &[u8] {
+        self.bytes.get(..self.used).unwrap_or_default()
     }
 
     /// Bytes that are free.
     fn free(&self) -> usize {
-        BYTES - self.stored.len()
+        BYTES - self.used
     }
 
     /// Stores a payload if that leaves `reserve` bytes free.
@@ -131,17 +162,25 @@ impl<const BYTES: usize> Inbox<BYTES> {
             return false;
         }
         let [low, high] = (payload.len() as u16).to_le_bytes();
-        self.stored
-            .extend_from_slice(&[kind, sequence, low, high])
-            .is_ok()
-            && self.stored.extend_from_slice(payload).is_ok()
+        let end = self.used + PREFIX + payload.len();
+        let Some((prefix, place)) = self
+            .bytes
+            .get_mut(self.used..end)
+            .and_then(|place| place.split_first_chunk_mut::<PREFIX>())
+        else {
+            return false;
+        };
+        *prefix = [kind, sequence, low, high];
+        place.copy_from_slice(payload);
+        self.used = end;
+        true
     }
 
     /// Where the first stored message lies that is wanted.
     fn find(&self, wanted: impl Fn(u8, u8) -> bool) -> Option<(usize, usize)> {
         let mut start = 0;
         while let Some(&[kind, sequence, low, high]) = self
-            .stored
+            .stored()
             .get(start..)
             .and_then(|rest| rest.first_chunk::<PREFIX>())
         {
@@ -156,9 +195,9 @@ impl<const BYTES: usize> Inbox<BYTES> {
 
     /// Removes what lies between two places.
     fn remove(&mut self, start: usize, end: usize) {
-        let end = end.min(self.stored.len());
-        self.stored.copy_within(end.., start);
-        self.stored
-            .truncate(self.stored.len() - (end - start.min(end)));
+        let end = end.min(self.used);
+        let start = start.min(end);
+        self.bytes.copy_within(end..self.used, start);
+        self.used -= end - start;
     }
 }
