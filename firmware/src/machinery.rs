@@ -344,7 +344,11 @@ impl Machinery {
                 rate: *rate,
                 acceleration: *acceleration,
             });
-            *command = driven.command;
+            *command = match driven.command {
+                // Two words, where the whole would be copied bytewise.
+                DriveCommand::Torque(code) => DriveCommand::Torque(code),
+                ref other => *other,
+            };
             if driven.saturated {
                 saturated = Some(index as u8);
             }

@@ -233,6 +233,7 @@ pub struct Link<E: End, const SEND: usize, const RECEIVE: usize> {
     /// The next latest value, if one waits; its number.
     latest: Payload,
     latest_waits: bool,
+    latest_held: bool,
     latest_sequence: u8,
     /// The frame that is going out, and how much of it has gone.
     wire: FrameBytes,
@@ -263,6 +264,7 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
             outbox: Outbox::default(),
             latest: Payload::new(),
             latest_waits: false,
+            latest_held: false,
             latest_sequence: 0,
             wire: FrameBytes::new(),
             gone: 0,
@@ -459,6 +461,16 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
         self.latest_waits
     }
 
+    /// A latest value is kept back while `held`: it gets no frame in [`Link::transmit`].
+    pub fn hold_latest(&mut self, held: bool) {
+        self.latest_held = held;
+    }
+
+    /// Whether [`Link::transmit`] has something to say now, leaving the line's rate aside.
+    pub fn is_ready(&mut self, now_us: u64) -> bool {
+        self.gone < self.wire.len() || self.compose(now_us)
+    }
+
     /// Fills a buffer with the next bytes for the line and says how many they are.
     pub fn transmit(&mut self, now_us: u64, buffer: &mut [u8]) -> usize {
         let allowed = self.allowed(now_us).min(buffer.len());
@@ -548,7 +560,7 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
                 let framed = frame::encode(header, payload, *session, wire);
                 counters.message_bytes = counters.message_bytes.saturating_add(wire.len() as u32);
                 framed
-            } else if self.latest_waits {
+            } else if self.latest_waits && !self.latest_held {
                 self.latest_waits = false;
                 self.latest_sequence = self.latest_sequence.wrapping_add(1);
                 let header = Header::Latest {

@@ -286,6 +286,16 @@ impl Program {
         self.override_rate = FULL_RATE * i64::from(percent.clamp(1, 100)) / 100;
     }
 
+    /// Whether the next setpoint may be reached in this period, and a new segment begun: more to do than in others.
+    #[must_use]
+    pub fn turns(&self) -> bool {
+        self.started
+            && self.segment.as_ref().is_none_or(|segment| {
+                let end = u64::from(segment.span.periods()) << 32;
+                self.time + FULL_RATE as u64 >= end
+            })
+    }
+
     /// Goes on after a pause.
     pub fn leave_pause(&mut self) {
         self.paused = false;
