@@ -10,10 +10,22 @@ const RELIABLE: u8 = 1;
 /// A stored latest value.
 const LATEST: u8 = 2;
 
+/// Bytes that lie as words do, so that they are moved as words.
+#[derive(Debug)]
+#[repr(align(4))]
+struct Words<const BYTES: usize>([u8; BYTES]);
+
+/// Bytes that a stored payload takes: whole words.
+const fn stride(payload: usize) -> usize {
+    PREFIX + payload.next_multiple_of(PREFIX)
+}
+
 /// Messages that arrived, one after the other: kind, number, length (two bytes), payload.
 #[derive(Debug)]
 pub(super) struct Inbox<const BYTES: usize> {
-    bytes: [u8; BYTES],
+    bytes: Words<BYTES>,
+    /// The stored ones lie between these.
+    head: usize,
     used: usize,
     /// The reliable frame that is missing first.
     missing: u8,
@@ -32,7 +44,8 @@ pub(super) struct Inbox<const BYTES: usize> {
 impl<const BYTES: usize> Default for Inbox<BYTES> {
     fn default() -> Self {
         Self {
-            bytes: [0; BYTES],
+            bytes: Words([0; BYTES]),
+            head: 0,
             used: 0,
             missing: 0,
             beyond: 0,
@@ -46,11 +59,12 @@ impl<const BYTES: usize> Default for Inbox<BYTES> {
 
 impl<const BYTES: usize> Inbox<BYTES> {
     /// A message of the largest size must fit beside one that came too early.
-    const ENOUGH: () = assert!(BYTES >= 2 * (PREFIX + MAX_PAYLOAD));
+    const ENOUGH: () = assert!(BYTES >= 2 * stride(MAX_PAYLOAD) && BYTES.is_multiple_of(PREFIX));
 
     /// Forgets everything but the counts.
     pub(super) fn clear(&mut self) {
         let () = Self::ENOUGH;
+        self.head = 0;
         self.used = 0;
         self.missing = 0;
         self.beyond = 0;
@@ -111,8 +125,8 @@ impl<const BYTES: usize> Inbox<BYTES> {
         self.newest = Some(sequence);
         // A reliable message that comes in order must find its room whatever else is here.
         let reserve = PREFIX + MAX_PAYLOAD;
-        while self.free() < PREFIX + payload.len() + reserve {
-            let Some((start, end)) = self.find(|kind, _| kind == LATEST) else {
+        while self.free() < stride(payload.len()) + reserve {
+            let Some((start, _, end)) = self.find(|kind, _| kind == LATEST) else {
                 break;
             };
             self.remove(start, end);
@@ -123,13 +137,13 @@ impl<const BYTES: usize> Inbox<BYTES> {
 
     /// The next message in order; it stays.
     pub(super) fn first(&self) -> Option<&[u8]> {
-        let (start, end) = self.place()?;
+        let (start, end, _) = self.place()?;
         self.stored().get(start + PREFIX..end)
     }
 
     /// Drops the next message in order.
     pub(super) fn drop_first(&mut self) {
-        let Some((start, end)) = self.place() else {
+        let Some((start, _, end)) = self.place() else {
             return;
         };
         let kind = self.stored().get(start).copied();
@@ -139,32 +153,40 @@ impl<const BYTES: usize> Inbox<BYTES> {
         }
     }
 
-    /// Where the next message in order lies.
-    fn place(&self) -> Option<(usize, usize)> {
+    /// The next message in order: where it begins, where its payload ends, where the next one begins.
+    fn place(&self) -> Option<(usize, usize, usize)> {
         let give = self.give;
         self.find(|kind, sequence| kind == LATEST || sequence == give)
     }
 
     /// What is stored.
     fn stored(&self) -> &[u8] {
-        self.bytes.get(..self.used).unwrap_or_default()
+        self.bytes.0.get(self.head..self.used).unwrap_or_default()
     }
 
     /// Bytes that are free.
     fn free(&self) -> usize {
-        BYTES - self.used
+        BYTES - (self.used - self.head)
     }
 
     /// Stores a payload if that leaves `reserve` bytes free.
     fn store(&mut self, kind: u8, sequence: u8, payload: &[u8], reserve: usize) -> bool {
-        if payload.len() > MAX_PAYLOAD || self.free() < PREFIX + payload.len() + reserve {
+        let length = stride(payload.len());
+        if payload.len() > MAX_PAYLOAD || self.free() < length + reserve {
             self.no_room = self.no_room.saturating_add(1);
             return false;
         }
         let [low, high] = (payload.len() as u16).to_le_bytes();
+        if self.used + length > BYTES {
+            // Only now, for it takes long: nearly always the inbox is empty before, and begins anew.
+            self.bytes.0.copy_within(self.head..self.used, 0);
+            self.used -= self.head;
+            self.head = 0;
+        }
         let end = self.used + PREFIX + payload.len();
         let Some((prefix, place)) = self
             .bytes
+            .0
             .get_mut(self.used..end)
             .and_then(|place| place.split_first_chunk_mut::<PREFIX>())
         else {
@@ -172,21 +194,22 @@ impl<const BYTES: usize> Inbox<BYTES> {
         };
         *prefix = [kind, sequence, low, high];
         place.copy_from_slice(payload);
-        self.used = end;
+        self.used += length;
         true
     }
 
-    /// Where the first stored message lies that is wanted.
-    fn find(&self, wanted: impl Fn(u8, u8) -> bool) -> Option<(usize, usize)> {
+    /// The first stored message that is wanted: where it begins, where its payload ends, where the next one begins.
+    fn find(&self, wanted: impl Fn(u8, u8) -> bool) -> Option<(usize, usize, usize)> {
         let mut start = 0;
         while let Some(&[kind, sequence, low, high]) = self
             .stored()
             .get(start..)
             .and_then(|rest| rest.first_chunk::<PREFIX>())
         {
-            let end = start + PREFIX + usize::from(u16::from_le_bytes([low, high]));
+            let length = usize::from(u16::from_le_bytes([low, high]));
+            let end = start + stride(length);
             if wanted(kind, sequence) {
-                return Some((start, end));
+                return Some((start, start + PREFIX + length, end));
             }
             start = end;
         }
@@ -195,9 +218,17 @@ impl<const BYTES: usize> Inbox<BYTES> {
 
     /// Removes what lies between two places.
     fn remove(&mut self, start: usize, end: usize) {
-        let end = end.min(self.used);
+        if start == 0 {
+            self.head = (self.head + end).min(self.used);
+            if self.head == self.used {
+                self.head = 0;
+                self.used = 0;
+            }
+            return;
+        }
+        let (start, end) = (self.head + start, (self.head + end).min(self.used));
         let start = start.min(end);
-        self.bytes.copy_within(end..self.used, start);
+        self.bytes.0.copy_within(end..self.used, start);
         self.used -= end - start;
     }
 }
