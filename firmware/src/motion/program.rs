@@ -100,7 +100,9 @@ pub struct Program {
     tail: Knot,
     /// The setpoint reached last (or the start pose).
     from: Knot,
-    segment: Option<Segment>,
+    /// The way to the next setpoint; it holds while it is `begun`. Large, and made where it lies.
+    segment: Segment,
+    begun: bool,
     /// Time into the segment, 2^-32 periods.
     time: u64,
     /// Program time at the start of the segment, in periods.
@@ -120,7 +122,7 @@ pub struct Program {
 constants!(Program {
     axes, rotary, rate_limits, acceleration_limits, period_us, periods_per_second, braking, braking_periods
 } of {} but {
-    queue, queued_periods, rests_ahead, tail, from, segment, time, elapsed, path_rate, override_rate, accepted, reached, total, started, paused,
+    queue, queued_periods, rests_ahead, tail, from, segment, begun, time, elapsed, path_rate, override_rate, accepted, reached, total, started, paused,
     starving, late, spans
 });
 
@@ -182,7 +184,7 @@ impl Program {
         self.tail = Knot::default();
         self.tail.pose = pose.0.map(|coordinate| coordinate.0);
         self.from = self.tail;
-        self.segment = None;
+        self.begun = false;
         self.time = 0;
         self.elapsed = 0;
         self.path_rate = Ramp::at(FULL_RATE);
@@ -286,6 +288,16 @@ impl Program {
         self.override_rate = FULL_RATE * i64::from(percent.clamp(1, 100)) / 100;
     }
 
+    /// Whether the next setpoint may be reached in this period, and a new segment begun: more to do than in others.
+    #[must_use]
+    pub fn turns(&self) -> bool {
+        self.started
+            && self.segment().is_none_or(|segment| {
+                let end = u64::from(segment.span.periods()) << 32;
+                self.time + FULL_RATE as u64 >= end
+            })
+    }
+
     /// Goes on after a pause.
     pub fn leave_pause(&mut self) {
         self.paused = false;
@@ -309,7 +321,7 @@ impl Program {
         self.path_rate.is_zero()
             || self.paused
             || !self.started
-            || (self.segment.is_none() && self.queue.is_empty())
+            || (!self.begun && self.queue.is_empty())
     }
 
     /// One period along the path; `halt` brakes to rest and keeps the place.
@@ -403,8 +415,7 @@ impl Program {
 
     fn remaining_periods(&self) -> u64 {
         let segment = self
-            .segment
-            .as_ref()
+            .segment()
             .map_or(0, |segment| u64::from(segment.span.periods()));
         (segment + self.queued_periods).saturating_sub((self.time >> 32) + 1)
     }
@@ -412,7 +423,7 @@ impl Program {
     /// Goes from setpoint to setpoint until the time lies within a segment.
     fn walk(&mut self, progress: &mut Progress) {
         loop {
-            if self.segment.is_none() {
+            if !self.begun {
                 let Some(knot) = self.queue.pop_front() else {
                     progress.ran_dry = !self.from.at_rest();
                     self.time = 0;
@@ -424,17 +435,18 @@ impl Program {
                 self.queued_periods -= u64::from(knot.periods);
                 self.begin_segment(&knot);
             }
-            // A segment is large: it is looked at where it lies.
-            let Some(segment) = &self.segment else { return };
-            let periods = u64::from(segment.span.periods());
+            if !self.begun {
+                return;
+            }
+            let periods = u64::from(self.segment.span.periods());
             let end = periods << 32;
             if self.time < end {
                 return;
             }
             self.time -= end;
             self.elapsed += periods;
-            self.from = segment.to;
-            self.segment = None;
+            self.from = self.segment.to;
+            self.begun = false;
             self.reached = self.reached.wrapping_add(1);
             if self.from.at_rest() {
                 self.rests_ahead = self.rests_ahead.saturating_sub(1);
@@ -471,7 +483,7 @@ impl Program {
 
     /// The same, written where they shall be.
     fn sample(&self, wanted: &mut Wanted) {
-        let Some(segment) = &self.segment else {
+        let Some(segment) = self.segment() else {
             *wanted = Wanted {
                 pose: Pose(self.from.pose.map(Coordinate)),
                 ..Wanted::default()
@@ -545,19 +557,20 @@ impl Program {
         let Some(span) = self.span(1, to.periods) else {
             return;
         };
-        let mut segment = Segment {
-            span,
-            to: *to,
-            ..Segment::default()
-        };
         for axis in 0..self.axes {
             let Some(cubic) = self.cubic(axis, &self.from, to, &span) else {
                 return;
             };
-            segment.derivatives[axis] = cubic.derivatives(&span);
-            segment.cubics[axis] = cubic;
+            self.segment.derivatives[axis] = cubic.derivatives(&span);
+            self.segment.cubics[axis] = cubic;
         }
-        self.segment = Some(segment);
+        self.segment.span = span;
+        self.segment.to = *to;
+        self.begun = true;
+    }
+
+    fn segment(&self) -> Option<&Segment> {
+        self.begun.then_some(&self.segment)
     }
 
     /// Whether an axis may go from the newest setpoint to the next one: neither the rate there nor the mean rate nor any in between is beyond the axis' limit, nor
