@@ -15,6 +15,7 @@ The chores of the project.
   cargo xtask test --native-only   all but boards and emulated runs; says what it left out
   cargo xtask board NAME           builds the image of a board (mps2), says what it takes of the chip, checks that against the budget
   cargo xtask board NAME --image   builds it and prints the path of the image, nothing else
+  cargo xtask board NAME --image OTHER   the same with another image of the board (mps2 has faults)
   cargo xtask instructions         counts the instructions of control periods and writes docs/instructions.md anew
   cargo xtask bench                all benchmarks (criterion); figures in target/criterion
   cargo xtask help                 this text
@@ -93,7 +94,7 @@ const EMULATED: &[Step] = &[Step {
         "--features",
         "emulated",
         "--test",
-        "emulated",
+        "emulated*",
         "--",
         "--nocapture",
         "--test-threads=1",
@@ -120,8 +121,9 @@ fn main() -> ExitCode {
         ["test", "--native-only"] => run(TEST).map(|()| {
             println!("LEFT OUT  boards and emulated runs (--native-only): nothing was shown about the controller on a chip");
         }),
-        ["board", name] => board(name, false),
-        ["board", name, "--image"] => board(name, true),
+        ["board", name] => board(name),
+        ["board", name, "--image"] => image(name, None),
+        ["board", name, "--image", other] => image(name, Some(other)),
         ["instructions"] => instructions(),
         ["bench"] => run(BENCH),
         ["help"] | [] => {
@@ -159,18 +161,30 @@ fn test() -> Result<(), String> {
     run(EMULATED)
 }
 
-/// Builds one board.
-fn board(name: &str, image_only: bool) -> Result<(), String> {
-    let board = Board::named(name).ok_or_else(|| {
+/// The board of a name.
+fn named(name: &str) -> Result<&'static Board, String> {
+    Board::named(name).ok_or_else(|| {
         let names: Vec<&str> = board::BOARDS.iter().map(|board| board.name).collect();
         format!("there is no board '{name}'; there is {}", names.join(", "))
-    })?;
-    let image = board.build(&root(), image_only)?;
-    if image_only {
-        println!("{}", image.display());
-        return Ok(());
-    }
+    })
+}
+
+/// Builds one board, and says what it takes of the chip.
+fn board(name: &str) -> Result<(), String> {
+    let board = named(name)?;
+    let image = board.build(&root(), false)?;
     board.measure(&image)?;
+    println!("{}", image.display());
+    Ok(())
+}
+
+/// Builds an image of a board, and says where it is.
+fn image(name: &str, other: Option<&str>) -> Result<(), String> {
+    let board = named(name)?;
+    let image = match other {
+        Some(other) => board.build_other(&root(), other)?,
+        None => board.build(&root(), true)?,
+    };
     println!("{}", image.display());
     Ok(())
 }

@@ -72,6 +72,19 @@ pub struct RunArgs {
     /// Something that goes wrong in the simulated machine, as "slide-jammed axis=2 at=1.5s"; can be given several times
     #[arg(long, value_name = "FAULT")]
     pub fault: Vec<Fault>,
+    /// With an emulated board: this image, instead of the one that is built
+    #[arg(long, value_name = "FILE")]
+    pub image: Option<PathBuf>,
+    /// With an emulated board: a word of the image's command line; can be given several times
+    #[arg(long, value_name = "WORD", hide = true)]
+    pub image_word: Vec<String>,
+    /// With an emulated board whose image logs: the file for what it logs, as it comes (`cargo xtask log` makes text of it)
+    #[arg(long, value_name = "FILE")]
+    pub log: Option<PathBuf>,
+    /// With an emulated board: instructions that fit into a control period; one that takes more misses the next ones. A chip of
+    /// 168 MHz has 33600 in 200 us at one cycle an instruction [default: not looked at]
+    #[arg(long, value_name = "INSTRUCTIONS", value_parser = clap::value_parser!(u32).range(1000..))]
+    pub budget: Option<u32>,
     /// Print the summary as JSON on standard output, and nothing else there
     #[arg(long)]
     pub json: bool,
@@ -183,9 +196,21 @@ fn emulated(
 ) -> Result<(), CliError> {
     use crate::session::pil::{self, Instructions};
     use haptimill_hil_sim::remote::RemoteController;
-    let emulator = pil::Emulator::start(board, &pil::image(board)?)?;
-    let remote = RemoteController::begin(emulator, machine.config.period_us)
+    let setup = pil::Setup {
+        words: args.image_word.clone(),
+        log: args.log.clone(),
+    };
+    let image = match &args.image {
+        Some(image) => image.clone(),
+        None => pil::image(board)?,
+    };
+    let emulator = pil::Emulator::start_with(board, &image, &setup)?;
+    let period_us = machine.config.period_us;
+    let mut remote = RemoteController::begin(emulator, period_us)
         .map_err(|reason| CliError::new(Exit::Port, format!("{board}: {reason}")))?;
+    if let Some(budget) = args.budget {
+        remote.set_budget(pil::counts(budget));
+    }
     let cost = remote.cost();
     let rig = session::rig_around(remote, machine, args.seed, args.baud, args.fault.clone())?;
     let line = SimLine::named(rig, &board.to_string());
@@ -205,10 +230,25 @@ fn emulated(
     say(
         args,
         &format!(
-            "{board}  {:.0} instructions a control period, at most {:.0}; {} bytes of stack",
-            instructions.mean, instructions.worst, instructions.stack_bytes
+            "{board}  {:.0} instructions a control period, at most {:.0}; {} bytes of stack; at most {} bytes in the receive ring; {} to {} setpoints \
+             in the queue",
+            instructions.mean,
+            instructions.worst,
+            instructions.stack_bytes,
+            instructions.ring_peak,
+            instructions.queue_low.unwrap_or(instructions.queue_high),
+            instructions.queue_high
         ),
     );
+    if instructions.missed > 0 {
+        say(
+            args,
+            &format!(
+                "{board}  {} control periods were missed: one before took more instructions than there are in a period",
+                instructions.missed
+            ),
+        );
+    }
     let path = args.out_dir().join("instructions.json");
     let output = |error: &dyn std::fmt::Display| {
         CliError::new(Exit::Output, format!("{}: {error}", path.display()))
