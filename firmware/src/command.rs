@@ -112,11 +112,7 @@ impl Controller {
             return Err(problem(ConfigField::Period));
         }
         let standing = self.machinery.as_ref().map(Machinery::standing);
-        // Moved once: it is the largest thing that ever lies on the stack.
-        match Machinery::new(config, crc, inputs) {
-            Ok(machinery) => self.machinery = Some(machinery),
-            Err(problem) => return Err(Refusal::Config(problem)),
-        }
+        Machinery::install(&mut self.machinery, config, crc, inputs).map_err(Refusal::Config)?;
         let first = !core::mem::replace(&mut self.job.configured, true);
         let machinery = self.machinery.as_mut().ok_or(Refusal::NotConfigured)?;
         if at_preset || first {

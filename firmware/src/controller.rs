@@ -30,6 +30,7 @@ pub struct Controller {
 impl Controller {
     /// A controller without a configuration, on a board whose control period has so many microseconds.
     #[must_use]
+    #[inline(never)]
     pub fn new(period_us: u16) -> Self {
         Self {
             period_us,

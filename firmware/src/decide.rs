@@ -127,11 +127,11 @@ impl Controller {
                 missed: inputs.missed,
             });
         }
-        let silent_ms = self.server.silent_us() / 1000;
-        if self.safety.active() && silent_ms > u64::from(machinery.config.supervision.heartbeat_ms)
-        {
+        let patience_us = (u64::from(machinery.config.supervision.heartbeat_ms) + 1) * 1000;
+        let silent_us = self.server.silent_us();
+        if self.safety.active() && silent_us >= patience_us {
             self.safety.raise(Fault::LostHost {
-                silent_ms: silent_ms.min(u64::from(u32::MAX)) as u32,
+                silent_ms: (silent_us / 1000).min(u64::from(u32::MAX)) as u32,
             });
         }
     }

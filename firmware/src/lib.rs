@@ -12,6 +12,7 @@ pub mod config;
 pub mod controller;
 mod decide;
 pub mod drive;
+pub mod force;
 pub mod io;
 pub mod kinematics;
 pub mod lockstep;

@@ -1,7 +1,7 @@
 //! The parts that a configuration makes: geometry, joints, motion; and the stages that are theirs.
 
 use crate::config::{AxisKind, Config, JointAxis};
-use crate::drive::{Driven, JointDrive, Sensed, Wanted as JointWanted};
+use crate::drive::{JointDrive, Wanted as JointWanted};
 use crate::io::{DriveCommand, Inputs};
 use crate::kinematics::machine::Machine;
 use crate::kinematics::{JointMotion, Joints, Kinematics, Pose, PoseError};
@@ -64,8 +64,6 @@ pub struct Machinery {
     pub homing: Homing,
     joints: Vec<JointDrive, MAX_AXES>,
     watches: [Watch; MAX_AXES],
-    sensed: [Sensed; MAX_AXES],
-    driven: [Driven; MAX_AXES],
     measured: Joints,
     measured_pose: Option<Pose>,
     target: JointMotion,
@@ -74,9 +72,45 @@ pub struct Machinery {
 }
 
 impl Machinery {
-    /// The machine of a checked configuration, standing at its presets.
-    #[cold]
+    /// The machine of a configuration, standing at its presets.
+    ///
+    /// # Errors
+    /// What is wrong with the configuration.
     pub fn new(config: Config, crc: u32, inputs: &Inputs) -> Result<Self, ConfigProblem> {
+        let joints = Self::joints_of(&config, inputs)?;
+        let mut machinery = Self::bare(config, crc);
+        machinery.set_up(joints);
+        Ok(machinery)
+    }
+
+    /// The machine of a configuration takes its place in `slot`, where it stays: with its queue it is too large to be handed from one function to the
+    /// next on the stack of a microcontroller. A refused configuration leaves the slot as it was.
+    ///
+    /// # Errors
+    /// What is wrong with the configuration.
+    #[cold]
+    #[inline(never)]
+    pub fn install(
+        slot: &mut Option<Self>,
+        config: Config,
+        crc: u32,
+        inputs: &Inputs,
+    ) -> Result<(), ConfigProblem> {
+        let joints = Self::joints_of(&config, inputs)?;
+        *slot = Some(Self::bare(config, crc));
+        if let Some(machinery) = slot {
+            machinery.set_up(joints);
+        }
+        Ok(())
+    }
+
+    /// The joints of a configuration that has been checked, at their presets.
+    #[cold]
+    #[inline(never)]
+    fn joints_of(
+        config: &Config,
+        inputs: &Inputs,
+    ) -> Result<Vec<JointDrive, MAX_AXES>, ConfigProblem> {
         config.check()?;
         let mut joints = Vec::new();
         for (index, axis) in config.joints.iter().enumerate() {
@@ -89,14 +123,18 @@ impl Machinery {
             joint.set_reference(inputs.axes[index].counts, axis.preset);
             joints.push(joint).map_err(|_| problem)?;
         }
-        let mut machinery = Self {
+        Ok(joints)
+    }
+
+    /// Without joints and motion.
+    #[inline(always)]
+    fn bare(config: Config, crc: u32) -> Self {
+        Self {
             machine: Machine::new(&config),
-            motion: Motion::new(&config),
+            motion: Motion::default(),
             homing: Homing::default(),
-            joints,
+            joints: Vec::new(),
             watches: [Watch::default(); MAX_AXES],
-            sensed: [Sensed::default(); MAX_AXES],
-            driven: [Driven::default(); MAX_AXES],
             measured: Joints::default(),
             measured_pose: None,
             target: JointMotion::default(),
@@ -104,12 +142,18 @@ impl Machinery {
             next_part: 0,
             config,
             crc,
-        };
-        for part in 0..PARTS {
-            machinery.digests[part] = machinery.digest(part);
         }
-        machinery.remember_measured();
-        Ok(machinery)
+    }
+
+    #[cold]
+    #[inline(never)]
+    fn set_up(&mut self, joints: Vec<JointDrive, MAX_AXES>) {
+        self.joints = joints;
+        self.motion.set_up(&self.config);
+        for part in 0..PARTS {
+            self.digests[part] = self.digest(part);
+        }
+        self.remember_measured();
     }
 
     /// Where the joints stand, and what their counts mean: what a new configuration may take over.
@@ -142,16 +186,17 @@ impl Machinery {
 
     /// Stage *sense*: encoders to joints, joints to pose.
     pub fn sense(&mut self, inputs: &Inputs) {
-        for (index, joint) in self.joints.iter_mut().enumerate() {
-            self.sensed[index] = joint.sense(&inputs.axes[index], inputs.time_ns);
+        let time_ns = inputs.time_ns;
+        let measured = self.measured.0.iter_mut();
+        for ((joint, inputs), measured) in self.joints.iter_mut().zip(&inputs.axes).zip(measured) {
+            *measured = joint.sense(inputs, time_ns).coordinate;
         }
-        self.remember_measured();
+        self.measured_pose = self.machine.forward(&self.measured).ok();
     }
 
     fn remember_measured(&mut self) {
-        for (index, joint) in self.joints.iter().enumerate() {
-            self.sensed[index] = *joint.sensed();
-            self.measured.0[index] = self.sensed[index].coordinate;
+        for (measured, joint) in self.measured.0.iter_mut().zip(&self.joints) {
+            *measured = joint.sensed().coordinate;
         }
         self.measured_pose = self.machine.forward(&self.measured).ok();
     }
@@ -174,11 +219,11 @@ impl Machinery {
     /// Whether no joint moves faster than twice its following error in a second (0.6 mm/s for 0.3 mm).
     #[must_use]
     pub fn is_still(&self) -> bool {
-        self.sensed
+        self.joints
             .iter()
             .zip(&self.config.joints)
-            .all(|(sensed, axis)| {
-                i64::from(sensed.rate.0).abs() <= 2 * i64::from(axis.following.0).abs()
+            .all(|(joint, axis)| {
+                i64::from(joint.sensed().rate.0).abs() <= 2 * i64::from(axis.following.0).abs()
             })
     }
 
@@ -199,7 +244,6 @@ impl Machinery {
         for joint in &mut self.joints {
             joint.disable();
         }
-        self.driven = [Driven::default(); MAX_AXES];
     }
 
     fn settle(&mut self) {
@@ -216,7 +260,7 @@ impl Machinery {
     /// Index pulses of this period, for the search.
     pub fn note_indexes(&mut self) -> Result<(), Fault> {
         for (index, axis) in self.config.joints.iter().enumerate() {
-            if let Some((_, coordinate)) = self.sensed[index].index
+            if let Some((_, coordinate)) = self.joints[index].sensed().index
                 && let Some(fault) = self.homing.index(index, axis, coordinate)
             {
                 return Err(fault);
@@ -245,21 +289,25 @@ impl Machinery {
     /// Supervision of all joints against what was wanted of them in the period before.
     pub fn supervise(&mut self) -> Option<Fault> {
         let limit = self.config.supervision.illegal_transitions;
-        for (index, axis) in self.config.joints.iter().enumerate() {
-            let sensed = &self.sensed[index];
-            let target = self.target.joints.0[index];
+        let targets = self.target.joints.0.iter().zip(&self.target.rates);
+        let joints = self.config.joints.iter().zip(&self.joints);
+        let watches = self.watches.iter_mut();
+        for (index, (((axis, joint), watch), (wanted, wanted_rate))) in
+            joints.zip(watches).zip(targets).enumerate()
+        {
+            let sensed = joint.sensed();
             let seen = Seen {
-                wanted: target,
-                wanted_rate: self.target.rates[index],
+                wanted: *wanted,
+                wanted_rate: *wanted_rate,
                 measured: sensed.coordinate,
                 rate: sensed.rate,
                 moved: sensed.moved,
-                effort: self.driven[index].effort,
+                effort: joint.driven().effort,
                 illegal: sensed.illegal.min(u32::from(u16::MAX)) as u16,
                 steps_off: sensed.slip,
                 period_us: self.config.period_us,
             };
-            if let Some(fault) = self.watches[index].look(index as u8, axis, limit, &seen) {
+            if let Some(fault) = watch.look(index as u8, axis, limit, &seen) {
                 return Some(fault);
             }
         }
@@ -269,24 +317,35 @@ impl Machinery {
     /// Stage *place*: the wanted pose to the joints.
     pub fn place(&mut self) -> Result<(), PoseError> {
         let wanted = self.motion.wanted();
-        self.target =
-            self.machine
-                .inverse_motion(&wanted.pose, &wanted.rates, &wanted.accelerations)?;
-        Ok(())
+        self.machine.place(
+            &wanted.pose,
+            &wanted.rates,
+            &wanted.accelerations,
+            &mut self.target,
+        )
     }
 
     /// Stage *drive*: position loops. Gives a joint whose drive was asked for too much.
     pub fn drive(&mut self, commands: &mut [DriveCommand; MAX_AXES]) -> Option<u8> {
         let mut saturated = None;
-        for (index, joint) in self.joints.iter_mut().enumerate() {
-            let wanted = JointWanted {
-                coordinate: self.target.joints.0[index],
-                rate: self.target.rates[index],
-                acceleration: self.target.accelerations[index],
-            };
-            self.driven[index] = joint.drive(&wanted);
-            commands[index] = self.driven[index].command;
-            if self.driven[index].saturated {
+        let target = &self.target;
+        let targets = target
+            .joints
+            .0
+            .iter()
+            .zip(&target.rates)
+            .zip(&target.accelerations);
+        let parts = self.joints.iter_mut().zip(commands);
+        for (index, ((joint, command), ((coordinate, rate), acceleration))) in
+            parts.zip(targets).enumerate()
+        {
+            let driven = joint.drive(&JointWanted {
+                coordinate: *coordinate,
+                rate: *rate,
+                acceleration: *acceleration,
+            });
+            *command = driven.command;
+            if driven.saturated {
                 saturated = Some(index as u8);
             }
         }
@@ -355,13 +414,13 @@ impl Machinery {
     /// Following errors.
     #[must_use]
     pub fn error_values(&self) -> AxisValues {
-        self.values(|index| self.driven[index].following_error.0)
+        self.values(|index| self.joints[index].driven().following_error.0)
     }
 
     /// Drive commands: DAC codes, or steps emitted.
     #[must_use]
     pub fn drive_values(&self, inputs: &Inputs) -> AxisValues {
-        self.values(|index| match self.driven[index].command {
+        self.values(|index| match self.joints[index].driven().command {
             DriveCommand::Torque(code) => i32::from(code),
             DriveCommand::Steps(_) => inputs.axes[index].steps,
             DriveCommand::Off => 0,
@@ -373,8 +432,8 @@ impl Machinery {
         (0..self.axes()).map(|index| JointReading {
             measured: self.measured.0[index],
             wanted: self.target.joints.0[index],
-            following_error: self.driven[index].following_error,
-            command: self.driven[index].command,
+            following_error: self.joints[index].driven().following_error,
+            command: self.joints[index].driven().command,
         })
     }
 

@@ -132,7 +132,7 @@ fn follow(lost_motion: f64) -> (f64, f64) {
     for period in 1..100_000u64 {
         let time = period as f64 * 200e-6;
         plant.run(f64::from(code) / 8192.0 * 1000.0, period * 200_000);
-        let sensed = joint.sense(&plant.inputs, (period * 200_000) as u32);
+        let sensed = *joint.sense(&plant.inputs, (period * 200_000) as u32);
         // Runs up smoothly over the first second.
         let ease = (time / 1.0).min(1.0);
         let ease = ease * ease * (3.0 - 2.0 * ease);
@@ -148,7 +148,7 @@ fn follow(lost_motion: f64) -> (f64, f64) {
             rate: Rate((v * MM) as i32),
             acceleration: Acceleration((-w * w * x * 4096.0) as i32),
         };
-        let driven = joint.drive(&wanted);
+        let driven = *joint.drive(&wanted);
         let DriveCommand::Torque(next) = driven.command else {
             panic!()
         };

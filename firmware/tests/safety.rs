@@ -271,7 +271,7 @@ proptest! {
 
     /// No sight, however absurd, and no configuration overflows supervision.
     #[test]
-    fn no_sight_overflows(sights in prop::collection::vec(any::<[i32; 6]>(), 1..20), numbers: [i32; 4], inertia: u32, per_count: i64, rotary: bool, period_us: u16) {
+    fn no_sight_overflows(sights in prop::collection::vec(any::<[i32; 7]>(), 1..20), numbers: [i32; 4], inertia: u32, per_count: i64, rotary: bool, period_us: u16) {
         let (mut axis, _) = slide();
         axis.kind = if rotary { AxisKind::Rotary } else { AxisKind::Linear };
         axis.following = Coordinate(numbers[0]);
@@ -287,6 +287,7 @@ proptest! {
                 wanted_rate: Rate(sight[1]),
                 measured: Coordinate(sight[2]),
                 rate: Rate(sight[3]),
+                moved: sight[6],
                 effort: Effort(sight[4]),
                 illegal: 0,
                 steps_off: Coordinate(sight[5]),

@@ -250,16 +250,25 @@ impl fmt::Display for PlantError {
 impl core::error::Error for PlantError {}
 
 /// Gathers every problem, so that a machine file is mended in one go.
-struct Check(Vec<PlantError>);
+#[derive(Default)]
+pub(crate) struct Check(Vec<PlantError>);
 
 impl Check {
-    fn refuse(&mut self, field: String, problem: String) {
+    pub(crate) fn refuse(&mut self, field: String, problem: String) {
         self.0.push(PlantError { field, problem });
     }
 
-    fn within(&mut self, field: String, value: f64, low: f64, high: f64) {
+    pub(crate) fn within(&mut self, field: String, value: f64, low: f64, high: f64) {
         if !(low..=high).contains(&value) {
             self.refuse(field, format!("{value} is not within {low} to {high}"));
+        }
+    }
+
+    pub(crate) fn done(self) -> Result<(), Vec<PlantError>> {
+        if self.0.is_empty() {
+            Ok(())
+        } else {
+            Err(self.0)
         }
     }
 }
@@ -270,7 +279,7 @@ impl PlantConfig {
     /// # Errors
     /// The list is not empty.
     pub fn check(&self, period_us: u16) -> Result<(), Vec<PlantError>> {
-        let mut check = Check(Vec::new());
+        let mut check = Check::default();
         check.within("substep_us".into(), f64::from(self.substep_us), 5.0, 50.0);
         if self.substep_us == 0 || period_us == 0 || !period_us.is_multiple_of(self.substep_us) {
             check.refuse(
@@ -294,11 +303,7 @@ impl PlantConfig {
                 &mut check,
             );
         }
-        if check.0.is_empty() {
-            Ok(())
-        } else {
-            Err(check.0)
-        }
+        check.done()
     }
 
     fn check_arm(&self, arm: &ArmGeometry, check: &mut Check) {

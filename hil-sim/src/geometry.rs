@@ -250,6 +250,63 @@ impl Arm {
             alpha,
         ]
     }
+
+    /// A vector of the table's axes (turned by `alpha` degrees) in the axes of the arm's base.
+    #[inline]
+    pub fn to_base(vector: [f64; 3], alpha: f64) -> [f64; 3] {
+        let (sin, cos) = libm::sincos(alpha * (core::f64::consts::PI / 180.0));
+        let [x, y, z] = vector;
+        [x, y * cos - z * sin, y * sin + z * cos]
+    }
+
+    /// A vector of the base's axes in the axes of the table, turned by `alpha` degrees.
+    #[inline]
+    pub fn to_work(vector: [f64; 3], alpha: f64) -> [f64; 3] {
+        let (sin, cos) = libm::sincos(alpha * (core::f64::consts::PI / 180.0));
+        let [x, y, z] = vector;
+        [x, y * cos + z * sin, z * cos - y * sin]
+    }
+
+    /// What a force between tool and work does to the joints: N on each slide, N m on the table.
+    ///
+    /// `force` acts on the tool and its opposite on the work, N along x_w, y_w, z_w, in a point on the tool's axis `above` mm over the tip. From virtual
+    /// work on the loops: with the rows A of the rods' lengths by the tip's coordinates, A dq = diag(rod_x / R) dl, so
+    /// f = diag(rod_x / R) A^-T F. The power is whole: force times the point's velocity in the work is the sum of loads times rates.
+    ///
+    /// `None` at the parallel singularity.
+    pub fn joint_loads(
+        &self,
+        tip: &Tip,
+        slides: &[f64; 4],
+        alpha: f64,
+        force: [f64; 3],
+        above: f64,
+    ) -> Option<[f64; 5]> {
+        let g = &self.geometry;
+        let q = [tip.x, tip.y, tip.z, tip.sin_theta];
+        let (_, rods, _) = self.residuals(&q, slides);
+        let (inverse, _) = invert(&self.jacobian(&q, &rods))?;
+        let (sin, cos) = libm::sincos(alpha * (core::f64::consts::PI / 180.0));
+        let [x, y, z] = [
+            force[0],
+            force[1] * cos - force[2] * sin,
+            force[1] * sin + force[2] * cos,
+        ];
+        let cos_theta = libm::sqrt(1.0 - tip.sin_theta * tip.sin_theta);
+        // By sin theta: the point moves by `above` along x and falls with the cosine.
+        let turning = above * (x - z * tip.sin_theta / cos_theta);
+        let mut loads = [0.0; 5];
+        for i in 0..4 {
+            let tension =
+                inverse[0][i] * x + inverse[1][i] * y + inverse[2][i] * z + inverse[3][i] * turning;
+            loads[i] = tension * rods[i][0] / g.r;
+        }
+        // The point as seen from the table's axis.
+        let (across, up) = (tip.y, tip.z + above * cos_theta + g.h);
+        let (across, up) = (across * cos + up * sin, up * cos - across * sin);
+        loads[4] = (force[1] * up - force[2] * across) * 1e-3;
+        Some(loads)
+    }
 }
 
 /// Inverse and determinant by Gauss-Jordan with row pivots; `None` when the matrix is singular for all that matters.

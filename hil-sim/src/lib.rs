@@ -7,22 +7,28 @@
 //! * [`mechanics`]: masses, screws, frictions, hard stops.
 //! * [`encoder`], [`stepper`]: the devices between the mechanics and the controller's counts and codes.
 //! * [`geometry`]: where the tool is, from the closed loops of the rods.
+//! * [`cutting`]: the mill, the workpiece that it shapes, and the force between them.
+//! * [`structure`]: what gives way between slides and tool; [`sensor`]: what measures the force under the work.
+//! * [`process`]: all of that, one control period at a time.
 //! * [`plant`]: all of it, one control period at a time.
 //! * [`wire`]: the serial line; [`fault`], [`schedule`]: what goes wrong, and when.
 //! * [`rig`]: machine, controller and line in lockstep.
 
 pub mod config;
+pub mod cutting;
 pub mod encoder;
 pub mod fault;
-mod fault_text;
 pub mod geometry;
 pub mod mechanics;
 pub mod plant;
+pub mod process;
 pub mod random;
 pub mod remote;
 pub mod rig;
 pub mod schedule;
+pub mod sensor;
 pub mod stepper;
+pub mod structure;
 pub mod wire;
 
 pub use config::PlantConfig;

@@ -2,6 +2,7 @@
 //!
 //! [`Plant::advance`] carries out the [`Outputs`] of one control period in steps of 20 us; [`Plant::latch`] fills the [`Inputs`] that the
 //! controller sees at the start of the next. [`Plant::truth`] tells what no controller can know: where slides and tool really are.
+//! A machine that is given a [`ProcessConfig`] has a spindle, and whatever else that names; the force on its tool loads the joints.
 //!
 //! What is modelled: each joint as two masses on a screw with stiffness, damping and backlash; Coulomb friction that sticks; drives
 //! with limits; hard stops; the encoder on the motor shaft, to its edges. What is not: the inertia of the platform couples no slides,
@@ -9,10 +10,12 @@
 //!
 //! A command of the wrong kind for a drive ([`DriveCommand::Steps`] on a torque drive) leaves the drive off and is counted.
 
-use crate::config::{DriveConfig, JointConfig, PlantConfig, PlantError, SwitchSide};
+use crate::config::{DriveConfig, JointConfig, JointKind, PlantConfig, PlantError, SwitchSide};
+use crate::cutting::ToolPose;
 use crate::encoder::{Encoder, EncoderCondition, Track};
-use crate::geometry::Arm;
+use crate::geometry::{Arm, Tip};
 use crate::mechanics::{Bodies, Lanes, Mechanics};
+use crate::process::{Process, ProcessConfig};
 use crate::random::Random;
 use crate::stepper::{PulseReport, Stepper};
 use haptimill_firmware::io::{DriveCommand, Inputs, Outputs};
@@ -23,10 +26,13 @@ use haptimill_protocol::message::MAX_AXES;
 pub struct Truth {
     /// Where the joints' slide sides are, mm or degrees.
     pub joints: [f64; MAX_AXES],
-    /// The tool in the work, mm and degrees (H-4: x_w, y_w, z_w, theta, alpha); without an arm, the joints.
+    /// The tool in the work, mm and degrees (H-4: x_w, y_w, z_w, theta, alpha); without an arm, the joints. The tip is where it really is, the
+    /// structure's deflection included.
     pub pose: [f64; MAX_AXES],
     /// The rods close; otherwise `pose` is the last one that was good.
     pub pose_valid: bool,
+    /// Force on the tool in the work, N.
+    pub force: [f64; 3],
 }
 
 /// What is wrong with a joint at the moment, its encoder apart.
@@ -104,11 +110,17 @@ pub struct Plant {
     bodies: Bodies,
     joints: Vec<Joint>,
     arm: Option<Arm>,
+    /// Tip in the arm's base frame, as the slides hold it.
+    tip: Tip,
+    process: Option<Process>,
+    /// What the process does to the joints in this period.
+    process_load: Lanes,
     load: Lanes,
     /// Motor positions of the last period, one row a step, the start included.
     history: Vec<Lanes>,
     step_ns: u64,
     period_us: u16,
+    seed: u64,
     /// Periods since the start.
     period: u64,
     emergency_stop: bool,
@@ -163,9 +175,13 @@ impl Plant {
             bodies,
             joints,
             arm,
+            tip: Tip::default(),
+            process: None,
+            process_load: [0.0; MAX_AXES],
             load: [0.0; MAX_AXES],
             step_ns: u64::from(config.substep_us) * 1000,
             period_us,
+            seed: config.seed,
             period: 0,
             emergency_stop: false,
             misdirected: 0,
@@ -304,6 +320,7 @@ impl Plant {
                 _ => self.misdirected += 1,
             }
         }
+        let load = core::array::from_fn(|lane| self.load[lane] + self.process_load[lane]);
         let mut bodies = self.bodies.clone();
         let steps = self.history.len() - 1;
         self.history[0] = bodies.motor;
@@ -320,7 +337,7 @@ impl Plant {
                     &mut drive,
                 );
             }
-            self.mechanics.step(&mut bodies, &drive, &self.load);
+            self.mechanics.step(&mut bodies, &drive, &load);
             self.history[step + 1] = bodies.motor;
             for lane in 0..MAX_AXES {
                 let at = bodies.motor[lane];
@@ -339,6 +356,103 @@ impl Plant {
         }
         self.period += 1;
         self.see_truth();
+        if self.process.is_some() {
+            let rpm = if powered {
+                f64::from(outputs.spindle_rpm)
+            } else {
+                0.0
+            };
+            self.work(rpm);
+        }
+    }
+
+    /// The tool works for a period; what it feels loads the joints in the next.
+    fn work(&mut self, rpm: f64) {
+        if !self.truth.pose_valid {
+            self.truth.force = [0.0; 3];
+            self.process_load = [0.0; MAX_AXES];
+            return;
+        }
+        let pose = self.tool_pose();
+        let alpha = if self.arm.is_some() {
+            self.truth.pose[4]
+        } else {
+            0.0
+        };
+        let Some(process) = &mut self.process else {
+            return;
+        };
+        let felt = process.step(&pose, alpha, rpm);
+        let above = process.force_height();
+        self.truth.pose[..3].copy_from_slice(&felt.tip);
+        self.truth.force = felt.force;
+        self.process_load = [0.0; MAX_AXES];
+        match &self.arm {
+            None => self.process_load[..3].copy_from_slice(&felt.force),
+            Some(arm) => {
+                let held = slides(&self.bodies.slide);
+                if let Some(loads) = arm
+                    .joint_loads(&self.tip, &held, alpha, felt.force, above)
+                    .filter(|_| felt.force != [0.0; 3])
+                {
+                    self.process_load[..5].copy_from_slice(&loads);
+                }
+            }
+        }
+    }
+
+    /// Where the slides hold the tool.
+    fn tool_pose(&self) -> ToolPose {
+        let [x, y, z, theta, alpha, _] = self.truth.pose;
+        if self.arm.is_some() {
+            ToolPose::leaning([x, y, z], theta, alpha)
+        } else {
+            ToolPose::upright([x, y, z])
+        }
+    }
+
+    /// Gives the machine a spindle and what it works on; what was there before is taken away. A machine without an arm works with its first three
+    /// joints as x, y and z.
+    ///
+    /// # Errors
+    /// Every problem of the configuration, or the machine has no three linear joints to move a tool with.
+    pub fn fit(&mut self, config: &ProcessConfig) -> Result<(), Vec<PlantError>> {
+        let linear = self
+            .joints
+            .iter()
+            .take(3)
+            .filter(|joint| joint.config.kind == JointKind::Linear)
+            .count();
+        if self.arm.is_none() && linear < 3 {
+            return Err(vec![PlantError {
+                field: "process".into(),
+                problem: "needs an arm, or three linear joints for x, y and z".into(),
+            }]);
+        }
+        self.see_truth();
+        self.process_load = [0.0; MAX_AXES];
+        self.process = Some(Process::new(
+            config,
+            f64::from(self.period_us) * 1e-6,
+            &self.tool_pose(),
+            Random::new(self.seed, 48),
+        )?);
+        Ok(())
+    }
+
+    /// What happens at the tool; `None` on a machine without.
+    pub const fn process(&self) -> Option<&Process> {
+        self.process.as_ref()
+    }
+
+    /// What happens at the tool, to be meddled with.
+    pub const fn process_mut(&mut self) -> Option<&mut Process> {
+        self.process.as_mut()
+    }
+
+    /// What the ADC of the force sensor gave at the start of the period; `None` on a machine without.
+    pub fn force_codes(&self) -> Option<[i16; 3]> {
+        Some(self.process.as_ref()?.sensor()?.codes())
     }
 
     fn see_truth(&mut self) {
@@ -350,6 +464,7 @@ impl Plant {
         };
         match arm.follow(&slides(&self.bodies.slide)) {
             Ok(tip) => {
+                self.tip = tip;
                 self.truth.pose[..5].copy_from_slice(&arm.in_work(&tip, self.bodies.slide[4]));
                 self.truth.pose_valid = true;
             }

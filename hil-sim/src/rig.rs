@@ -142,7 +142,12 @@ impl<C: Control> Rig<C> {
     /// The machine or a fault makes no sense.
     pub fn new(config: &PlantConfig, options: &RigOptions, control: C) -> Result<Self, RigError> {
         let plant = Plant::new(config, options.period_us).map_err(RigError::Plant)?;
-        let schedule = Schedule::new(&options.faults, plant.axes()).map_err(RigError::Fault)?;
+        let joints: Vec<&str> = config
+            .joint
+            .iter()
+            .map(|joint| joint.name.as_str())
+            .collect();
+        let schedule = Schedule::new(&options.faults, &joints).map_err(RigError::Fault)?;
         Ok(Self {
             control,
             truth: *plant.truth(),

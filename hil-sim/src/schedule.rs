@@ -5,6 +5,7 @@
 use crate::encoder::EncoderCondition;
 use crate::fault::{Channel, Direction, Fault, FaultError, FaultKind, Level, Switch};
 use crate::plant::{JointCondition, Plant};
+use crate::sensor::{End, SensorCondition};
 use crate::wire::{Wire, WireCondition};
 use haptimill_protocol::message::MAX_AXES;
 
@@ -12,6 +13,8 @@ use haptimill_protocol::message::MAX_AXES;
 #[derive(Debug, Clone)]
 struct Entry {
     kind: FaultKind,
+    /// Place of the joint that it is about.
+    axis: usize,
     begins_ns: u64,
     ends_ns: u64,
     active: bool,
@@ -28,20 +31,21 @@ pub struct Schedule {
 }
 
 impl Schedule {
-    /// The schedule of these faults on a machine of so many joints.
+    /// The schedule of these faults on a machine of these joints.
     ///
     /// # Errors
     /// The first fault that makes no sense there.
-    pub fn new(faults: &[Fault], axes: usize) -> Result<Self, FaultError> {
+    pub fn new(faults: &[Fault], joints: &[&str]) -> Result<Self, FaultError> {
         let mut entries = Vec::new();
         for fault in faults {
-            fault.check(axes)?;
+            let axis = fault.place(joints)?;
             let begins_ns = (fault.at_s * 1e9) as u64;
             let ends_ns = fault
                 .for_s
                 .map_or(u64::MAX, |time| begins_ns + (time * 1e9) as u64);
             entries.push(Entry {
                 kind: fault.what.clone(),
+                axis,
                 begins_ns,
                 ends_ns,
                 active: false,
@@ -78,6 +82,8 @@ impl Schedule {
         let mut loads = [0.0; MAX_AXES];
         let mut emergency_stop = false;
         let mut wires = [WireCondition::HEALTHY; 2];
+        let mut sensors = [SensorCondition::default(); 3];
+        let mut stalled = false;
         for entry in &mut self.entries {
             let begins = !entry.active && now >= entry.begins_ns;
             entry.active = (entry.begins_ns..entry.ends_ns).contains(&now);
@@ -87,10 +93,8 @@ impl Schedule {
                 }
             }
             match entry.kind {
-                FaultKind::EncoderSlip { axis, counts }
-                    if begins && entry.begins_ns != u64::MAX =>
-                {
-                    plant.slip_encoder(axis, counts);
+                FaultKind::EncoderSlip { counts, .. } if begins && entry.begins_ns != u64::MAX => {
+                    plant.slip_encoder(entry.axis, counts);
                     entry.begins_ns = u64::MAX;
                 }
                 FaultKind::MissedPeriods { count } if begins && entry.begins_ns != u64::MAX => {
@@ -100,8 +104,10 @@ impl Schedule {
                 _ => {}
             }
             if entry.active {
+                spoil_process(&entry.kind, &mut sensors, &mut stalled);
                 spoil(
                     &entry.kind,
+                    entry.axis,
                     &mut joints,
                     &mut encoders,
                     &mut loads,
@@ -116,6 +122,14 @@ impl Schedule {
             plant.set_load(axis, loads[axis]);
         }
         plant.set_emergency_stop(emergency_stop);
+        if let Some(process) = plant.process_mut() {
+            process.spindle_mut().set_stalled(stalled);
+            if let Some(sensor) = process.sensor_mut() {
+                for (axis, condition) in sensors.into_iter().enumerate() {
+                    sensor.set_condition(axis, condition);
+                }
+            }
+        }
         to_machine.set_condition(wires[0]);
         to_host.set_condition(wires[1]);
     }
@@ -124,6 +138,7 @@ impl Schedule {
 /// Adds an active fault to the conditions.
 fn spoil(
     kind: &FaultKind,
+    axis: usize,
     joints: &mut [JointCondition; MAX_AXES],
     encoders: &mut [EncoderCondition; MAX_AXES],
     loads: &mut [f64; MAX_AXES],
@@ -139,35 +154,31 @@ fn spoil(
     };
     match *kind {
         FaultKind::EncoderStuck {
-            axis,
             channel: Channel::A,
             level,
+            ..
         } => {
             encoders[axis].stuck_a = Some(level == Level::High);
         }
         FaultKind::EncoderStuck {
-            axis,
             channel: Channel::B,
             level,
+            ..
         } => {
             encoders[axis].stuck_b = Some(level == Level::High);
         }
-        FaultKind::EncoderSwapped { axis } => encoders[axis].swapped = true,
-        FaultKind::EncoderNoise { axis, per_second } => encoders[axis].noise_hz += per_second,
-        FaultKind::IndexMissing { axis } => encoders[axis].index_missing = true,
-        FaultKind::DriveDead { axis } => joints[axis].drive_gain = 0.0,
-        FaultKind::DriveTripped { axis } => joints[axis].drive_tripped = true,
-        FaultKind::DriveWeak { axis, gain } => joints[axis].drive_gain *= gain,
-        FaultKind::DriveReversed { axis } => joints[axis].drive_gain *= -1.0,
-        FaultKind::SlideJammed { axis, effort } => {
+        FaultKind::EncoderSwapped { .. } => encoders[axis].swapped = true,
+        FaultKind::EncoderNoise { per_second, .. } => encoders[axis].noise_hz += per_second,
+        FaultKind::IndexMissing { .. } => encoders[axis].index_missing = true,
+        FaultKind::DriveDead { .. } => joints[axis].drive_gain = 0.0,
+        FaultKind::DriveTripped { .. } => joints[axis].drive_tripped = true,
+        FaultKind::DriveWeak { gain, .. } => joints[axis].drive_gain *= gain,
+        FaultKind::DriveReversed { .. } => joints[axis].drive_gain *= -1.0,
+        FaultKind::SlideJammed { effort, .. } => {
             joints[axis].jam += effort.unwrap_or(f64::INFINITY)
         }
-        FaultKind::Push { axis, effort } => loads[axis] += effort,
-        FaultKind::SwitchStuck {
-            axis,
-            switch,
-            active,
-        } => {
+        FaultKind::Push { effort, .. } => loads[axis] += effort,
+        FaultKind::SwitchStuck { switch, active, .. } => {
             let joint = &mut joints[axis];
             let stuck = match switch {
                 Switch::Home => &mut joint.home,
@@ -200,6 +211,31 @@ fn spoil(
         FaultKind::LinkCut { direction } => chosen(direction)
             .iter()
             .for_each(|&wire| wires[wire].cut = true),
-        FaultKind::EncoderSlip { .. } | FaultKind::MissedPeriods { .. } => {}
+        FaultKind::EncoderSlip { .. }
+        | FaultKind::MissedPeriods { .. }
+        | FaultKind::SensorStuck { .. }
+        | FaultKind::SensorDropped { .. }
+        | FaultKind::SensorReversed { .. }
+        | FaultKind::SensorDrift { .. }
+        | FaultKind::SensorSaturated { .. }
+        | FaultKind::SpindleStalled => {}
+    }
+}
+
+/// Adds an active fault of the sensor or the spindle to their conditions.
+fn spoil_process(kind: &FaultKind, sensors: &mut [SensorCondition; 3], stalled: &mut bool) {
+    match *kind {
+        FaultKind::SensorStuck { along } => sensors[along as usize].stuck = true,
+        FaultKind::SensorDropped { along } => sensors[along as usize].dropped = true,
+        FaultKind::SensorReversed { along } => sensors[along as usize].gain *= -1.0,
+        FaultKind::SensorDrift { along, rate } => sensors[along as usize].drift_n_s += rate,
+        FaultKind::SensorSaturated { along, level } => {
+            sensors[along as usize].saturated = Some(match level {
+                Level::High => End::High,
+                Level::Low => End::Low,
+            });
+        }
+        FaultKind::SpindleStalled => *stalled = true,
+        _ => {}
     }
 }

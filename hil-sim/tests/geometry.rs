@@ -227,3 +227,111 @@ proptest! {
         prop_assert!((up[1] - one[1] - alpha.to_radians().sin()).abs() < 1e-9);
     }
 }
+
+/// A place of the slides, with rates, at which the arm closes.
+fn moving() -> impl Strategy<Value = ([f64; 4], [f64; 4], f64, f64)> {
+    (
+        prop::array::uniform4(-40.0..40.0_f64),
+        prop::array::uniform4(-10.0..10.0_f64),
+        -30.0..30.0_f64,
+        -5.0..5.0_f64,
+    )
+        .prop_map(|(offsets, rates, alpha, turning)| {
+            (
+                std::array::from_fn(|i| HOME[i] + offsets[i]),
+                rates,
+                alpha,
+                turning,
+            )
+        })
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(200))]
+
+    /// Power goes nowhere: what the force does on the tool's point is what the joints' loads do on the joints. The velocity is by differences of the
+    /// closed loops, not by the Jacobian.
+    #[test]
+    fn joint_loads_balance_power(
+        (slides, rates, alpha, turning) in moving(),
+        force in prop::array::uniform3(-50.0..50.0_f64),
+        above in 0.0..20.0_f64,
+    ) {
+        let mut arm = Arm::new(&reference(), &HOME).expect("an arm");
+        walk(&mut arm, &slides);
+        let step = 1e-4;
+        let mut point = |side: f64| {
+            let at: [f64; 4] = std::array::from_fn(|i| slides[i] + side * step * rates[i]);
+            let tip = arm.follow(&at).expect("closes");
+            let cos = (1.0 - tip.sin_theta * tip.sin_theta).sqrt();
+            let raised = Tip {
+                x: tip.x + above * tip.sin_theta,
+                z: tip.z + above * cos,
+                ..tip
+            };
+            arm.in_work(&raised, alpha + side * step * turning)
+        };
+        let (after, before) = (point(1.0), point(-1.0));
+        let tip = arm.follow(&slides).expect("closes");
+        let loads = arm.joint_loads(&tip, &slides, alpha, force, above).expect("regular");
+        let (mut outside, mut inside) = (0.0, 0.0);
+        for i in 0..3 {
+            outside += force[i] * (after[i] - before[i]) / (2.0 * step);
+        }
+        for i in 0..4 {
+            inside += loads[i] * rates[i];
+        }
+        // N m and degrees per second to N mm per second.
+        inside += loads[4] * 1e3 * turning * std::f64::consts::PI / 180.0;
+        let size: f64 = force.iter().map(|part| part.abs()).sum::<f64>() * 50.0;
+        prop_assert!((outside - inside).abs() < 1e-5 * size + 1e-6, "{outside} {inside}");
+    }
+
+    /// Turning a vector into the base and back changes nothing, and agrees with how places are turned.
+    #[test]
+    fn vectors_turn_like_places(vector in prop::array::uniform3(-50.0..50.0_f64), alpha in -80.0..80.0_f64) {
+        let base = Arm::to_base(vector, alpha);
+        let again = Arm::to_work(base, alpha);
+        for i in 0..3 {
+            prop_assert!((again[i] - vector[i]).abs() < 1e-12);
+        }
+        let arm = Arm::new(&reference(), &HOME).expect("an arm");
+        let origin = arm.in_work(&Tip::default(), alpha);
+        let place = arm.in_work(
+            &Tip { x: base[0], y: base[1], z: base[2], sin_theta: 0.0 },
+            alpha,
+        );
+        for i in 0..3 {
+            prop_assert!((place[i] - origin[i] - vector[i]).abs() < 1e-9);
+        }
+    }
+}
+
+/// At home the table of slide coordinates gives the Jacobian by hand (spec h4-milling 7.2): f = J^-T F.
+#[test]
+fn joint_loads_at_home_are_those_of_the_reference_jacobian() {
+    let mut arm = Arm::new(&reference(), &HOME).expect("an arm");
+    let tip = arm.follow(&HOME).expect("closes");
+    let loads = arm
+        .joint_loads(&tip, &HOME, 0.0, [12.0, 0.0, 0.0], 0.0)
+        .expect("regular");
+    // J^T f = F with the rows of dl/d(x, y, z, theta).
+    let rows = [
+        [1.0, 0.90909, 1.10461, 350.0],
+        [1.0, -0.90909, -1.10461, 350.0],
+        [1.0, -0.90909, 1.10461, 150.0],
+        [1.0, 0.90909, -1.10461, 150.0],
+    ];
+    for force in [[12.0, 0.0, 0.0], [0.0, -7.0, 0.0], [0.0, 0.0, 5.0]] {
+        let loads = arm
+            .joint_loads(&tip, &HOME, 0.0, force, 0.0)
+            .expect("regular");
+        for (column, wanted) in [force[0], force[1], force[2], 0.0].into_iter().enumerate() {
+            let sum: f64 = (0..4).map(|i| rows[i][column] * loads[i]).sum();
+            assert!((sum - wanted).abs() < 2e-3, "{column}: {sum} {wanted}");
+        }
+    }
+    // Fx alone, without turning the platform: the lower pair must hold the tilt, the upper pair pulls back.
+    assert!((loads[0] - loads[1]).abs() < 1e-6 && (loads[2] - loads[3]).abs() < 1e-6);
+    assert!((loads.iter().take(4).sum::<f64>() - 12.0).abs() < 1e-6);
+}

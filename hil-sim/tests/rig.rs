@@ -177,7 +177,7 @@ fn same_seed_same_bits() {
     let spoilt = || RigOptions {
         baud: Some(115_200),
         ..faults(&[
-            "encoder-noise axis=1 per-second=2000 at=100ms for=200ms",
+            "encoder-noise axis=l2 per-second=2000 at=100ms for=200ms",
             "link-errors rate=1e-3",
             "link-drop rate=0.01 at=0.3s",
             "missed-periods count=3 at=0.5s",
@@ -314,10 +314,10 @@ fn faults_come_and_go_on_time() {
     let mut rig = rig(
         faults(&[
             "emergency-stop at=2ms for=1ms",
-            "drive-tripped axis=3 at=4ms for=2ms",
-            "switch-stuck axis=1 switch=limit-high active=yes at=1ms",
-            "slide-jammed axis=0 at=20ms",
-            "encoder-slip axis=2 counts=5000 at=5ms",
+            "drive-tripped axis=l4 at=4ms for=2ms",
+            "switch-stuck axis=l2 switch=limit-high active=yes at=1ms",
+            "slide-jammed axis=l1 at=20ms",
+            "encoder-slip axis=l3 counts=5000 at=5ms",
         ]),
         still,
     );
@@ -340,7 +340,7 @@ fn faults_come_and_go_on_time() {
 
 #[test]
 fn a_jammed_slide_stands_and_a_healed_one_goes_on() {
-    let mut rig = rig(faults(&["slide-jammed axis=0 at=0.5s for=200ms"]), swing);
+    let mut rig = rig(faults(&["slide-jammed axis=l1 at=0.5s for=200ms"]), swing);
     let mut stood = Vec::new();
     for period in 0..6000 {
         let before = rig.plant().truth().joints[0];
@@ -401,13 +401,17 @@ fn error_rates_are_met() {
 fn nonsense_is_refused_in_words() {
     for (line, part) in [
         ("", "empty"),
-        ("slide-jamed axis=1", "no fault is called `slide-jamed`"),
+        ("slide-jamed axis=l2", "no fault is called `slide-jamed`"),
         ("slide-jammed", "`axis=` is missing"),
-        ("slide-jammed axis=x", "not a number"),
-        ("slide-jammed axis=1 at=3", "must be a time"),
-        ("slide-jammed axis=1 axis=2", "twice"),
-        ("slide-jammed axis=1 gain=2", "means nothing"),
-        ("encoder-stuck axis=1 channel=c level=low", "must be a or b"),
+        ("slide-jammed axis=", "`axis=` is empty"),
+        ("slide-jammed axis=l2 effort=much", "not a number"),
+        ("slide-jammed axis=l2 at=3", "must be a time"),
+        ("slide-jammed axis=l2 axis=l3", "twice"),
+        ("slide-jammed axis=l2 gain=2", "means nothing"),
+        (
+            "encoder-stuck axis=l2 channel=c level=low",
+            "must be a or b",
+        ),
         ("link-cut direction=up", "both or to-machine or to-host"),
         ("link-cut cut", "must be key=value"),
     ] {
@@ -416,10 +420,12 @@ fn nonsense_is_refused_in_words() {
     }
     for line in [
         "drive-dead axis=5",
+        "drive-dead axis=0",
+        "drive-dead axis=L1",
         "link-errors rate=1.5",
-        "slide-jammed axis=0 effort=-1",
-        "drive-weak axis=0 gain=inf",
-        "drive-dead axis=0 at=-1s",
+        "slide-jammed axis=l1 effort=-1",
+        "drive-weak axis=l1 gain=inf",
+        "drive-dead axis=l1 at=-1s",
     ] {
         let options = faults(&[line]);
         assert!(
@@ -440,7 +446,7 @@ fn a_plant_is_checked_whole() {
     assert!(
         problems[0]
             .to_string()
-            .contains("joint 1 (slide 2): motor_share"),
+            .contains("joint 1 (l2): motor_share"),
         "{}",
         problems[0]
     );
@@ -467,7 +473,7 @@ proptest! {
     /// A fault and its line of text are the same thing.
     #[test]
     fn faults_as_text(
-        axis in 0..6_usize,
+        axis in "[a-z][a-z0-9]{0,5}",
         number in 0.0..1.0_f64,
         counts: i32,
         direction in any_direction(),

@@ -14,7 +14,7 @@ use haptimill_protocol::message::{AxisValues, MAX_AXES};
 use haptimill_protocol::text::{Axes, Axis, AxisKind as TextKind};
 
 /// Letters by which programs call the coordinates of the H-4 arm: x, y, z, theta (tool tilt), alpha (table).
-const LETTERS: [char; 5] = ['X', 'Y', 'Z', 'B', 'A'];
+pub const LETTERS: [char; 5] = ['X', 'Y', 'Z', 'B', 'A'];
 
 /// A machine file's geometry.
 #[derive(Debug, Clone)]

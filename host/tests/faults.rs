@@ -138,17 +138,17 @@ fn a_machine_that_fails_stops_and_says_what_to_do() {
     let folder = Folder::new();
     let mut text = String::new();
     let faults = [
-        ("encoder-stuck axis=1 channel=a level=high at=6s", "l2"),
-        ("encoder-swapped axis=2 at=6s", "l3"),
-        ("slide-jammed axis=0 at=6s", "l1"),
-        ("drive-dead axis=3 at=6s", "l4"),
-        ("drive-tripped axis=0 at=6s", "l1"),
-        ("drive-reversed axis=4 at=6s", "alpha"),
-        ("encoder-noise axis=1 per-second=2000 at=6s", "l2"),
+        ("encoder-stuck axis=l2 channel=a level=high at=6s", "l2"),
+        ("encoder-swapped axis=l3 at=6s", "l3"),
+        ("slide-jammed axis=l1 at=6s", "l1"),
+        ("drive-dead axis=l4 at=6s", "l4"),
+        ("drive-tripped axis=l1 at=6s", "l1"),
+        ("drive-reversed axis=alpha at=6s", "alpha"),
+        ("encoder-noise axis=l2 per-second=2000 at=6s", "l2"),
         ("missed-periods count=5 at=6s", ""),
         ("emergency-stop at=6s", ""),
-        ("slide-jammed axis=2", "l3"),
-        ("index-missing axis=1", "l2"),
+        ("slide-jammed axis=l3", "l3"),
+        ("index-missing axis=l2", "l2"),
     ];
     for (fault, joint) in faults {
         let ran = run(&folder, "out", &[fault], &[]).ended_with(6);
@@ -178,7 +178,7 @@ fn a_machine_that_fails_stops_and_says_what_to_do() {
 #[test]
 fn a_fault_before_the_job_moves_nothing_in_it() {
     let folder = Folder::new();
-    let ran = run(&folder, "out", &["drive-dead axis=1"], &[]).ended_with(6);
+    let ran = run(&folder, "out", &["drive-dead axis=l2"], &[]).ended_with(6);
     assert!(ran.err.contains("l2"), "{}", ran.err);
     assert!(!Path::new(&folder.path("out/recording.hmr")).exists());
 }

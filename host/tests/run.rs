@@ -34,7 +34,7 @@ fn job(folder: &Folder, out: &str, program: &str, more: &[&str]) -> Value {
 #[track_caller]
 fn is_good(summary: &Value) {
     println!(
-        "{}: {:.2} s, {:.1} mm, tool {:.4} mm rms, {:.4} mm largest, slide {:.4} mm; {} setpoints of {:.1} bytes ({:.1} with signs of life)",
+        "{}: {:.2} s, {:.1} mm, tool {:.4} mm rms, {:.4} mm largest, slide {:.4} mm; {} setpoints of {:.1} bytes ({:.1} with all that is said besides)",
         summary["program"],
         number(summary, "duration_s"),
         number(summary, "path_length_mm"),
@@ -157,7 +157,11 @@ fn the_pocket_and_the_circle_are_within_their_errors() {
     let folder = Folder::new();
     let pocket = job(&folder, "pocket", "e9-pocket.ngc", &[]);
     is_good(&pocket);
-    assert!(number(&pocket, "bytes_per_setpoint") <= 24.0, "{pocket:#}");
+    // All that goes from the host to the machine: setpoints, acknowledgements, signs of life.
+    assert!(
+        number(&pocket, "line_bytes_per_setpoint") <= 24.0,
+        "{pocket:#}"
+    );
     let circle = job(&folder, "circle", "e11-circle.ngc", &[]);
     is_good(&circle);
     // Round: a circle of 30 mm, in the trace's own words.
@@ -191,7 +195,7 @@ fn the_dome_streams_over_115200_baud_without_an_underrun() {
     is_good(&dome);
     assert!(number(&dome, "setpoints") > 2000.0);
     assert!(number(&dome, "angle_error_max_deg") < 0.05, "{dome:#}");
-    assert!(number(&dome, "bytes_per_setpoint") <= 40.0, "{dome:#}");
+    assert!(number(&dome, "line_bytes_per_setpoint") <= 40.0, "{dome:#}");
 }
 
 #[test]
@@ -358,7 +362,7 @@ fn files_that_are_none_are_told_apart() {
     );
     tell(
         "a fault of an axis that is not there",
-        3,
+        2,
         &[
             "run",
             &good,
@@ -431,22 +435,142 @@ fn pauses_are_passed_in_the_simulator_and_need_a_terminal_on_a_machine() {
     );
 }
 
-#[cfg(unix)]
-#[test]
-fn ctrl_c_stops_the_simulated_job_along_its_path_and_keeps_the_trace() {
-    let folder = Folder::new();
-    // Long enough in any case: an hour of machine time.
+/// A program that takes an hour of machine time.
+fn hour_long(folder: &Folder) -> String {
     let lines: String = (0..900)
         .map(|turn| format!("G1 X{} Y0\nG1 Y5\nG1 X0\nG1 Y0\n", 10 + turn % 3))
         .collect();
-    let file = folder.file("long.ngc", format!("G21 G90 F300\n{lines}"));
-    let mut run = start(&["run", &file, "--out", &folder.path("out")]);
+    folder.file("long.ngc", format!("G21 G90 F300\n{lines}"))
+}
+
+/// A run of it that has recorded for some seconds of machine time.
+fn long_under_way(folder: &Folder) -> scene::Started {
+    let mut run = start(&["run", &hour_long(folder), "--out", &folder.path("out")]);
     run.says("running");
     let recording = folder.path("out/recording.hmr");
     while std::fs::metadata(&recording).map_or(0, |file| file.len()) < 1_000_000 {
         assert!(run.runs());
         std::thread::sleep(Duration::from_millis(2));
     }
+    run
+}
+
+#[test]
+fn two_runs_never_write_into_one_folder_and_a_run_that_died_holds_none() {
+    let folder = Folder::new();
+    let mut first = long_under_way(&folder);
+    let recording = folder.path("out/recording.hmr");
+    let short = folder.file("short.ngc", "G1 X1 F600\nM30\n");
+    let out = folder.path("out");
+    let second = haptimill(&["run", &short, "--json", "--out", &out]).ended_with(9);
+    let said = "another run is writing its results there; choose another folder with --out";
+    assert!(second.err.contains(said), "{}", second.err);
+    assert_eq!(second.json()["exit_code"], 9);
+    // The first one's recording is still there, and grows.
+    assert!(first.runs() && std::fs::metadata(&recording).unwrap().len() >= 1_000_000);
+    first.kill();
+    haptimill(&["run", &short, "--out", &out]).ended_with(0);
+    assert_eq!(folder.summary("out")["program"], "short.ngc");
+    // Nothing but results is left there.
+    let mut names: Vec<String> = std::fs::read_dir(&out)
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+        .collect();
+    names.sort();
+    assert_eq!(
+        names,
+        ["recording.hmr", "report.html", "summary.json", "trace.csv"]
+    );
+}
+
+#[test]
+fn mistakes_are_told_as_json_too() {
+    let folder = Folder::new();
+    let out = folder.path("out");
+    let bad = folder.file("bad.ngc", "G21 G90\nG1 X1 F100\nG1 Q5 X2\n   M98 P1\n");
+    let far = folder.file("far.ngc", "G21 G90 F600\n\nG1 X1999\n");
+    let wrong = folder.file("wrong.toml", "name = 5\n");
+    for (arguments, code, places) in [
+        (
+            &["run", &bad, "--json", "--out", &out][..],
+            3,
+            &[(3, 4), (4, 4)][..],
+        ),
+        (&["run", &bad, "--check", "--json"], 3, &[(3, 4), (4, 4)]),
+        (&["run", &far, "--json", "--out", &out], 4, &[(3, 4)]),
+        (&["run", &bad, "--machine", &wrong, "--json"], 3, &[(1, 8)]),
+    ] {
+        let ran = haptimill(arguments).ended_with(code);
+        let told = ran.json();
+        assert_eq!(told["exit_code"], code, "{told:#}");
+        assert_eq!(told["error"].as_str(), Some(ran.err.trim_end()), "{told:#}");
+        let problems = told["problems"].as_array().unwrap();
+        for (line, column) in places {
+            let found = problems
+                .iter()
+                .find(|problem| problem["line"] == *line && problem["column"] == *column)
+                .unwrap_or_else(|| panic!("nothing at {line}:{column} in {told:#}"));
+            // The same as in words.
+            let words = format!(
+                "{}:{line}:{column}: {}",
+                found["file"].as_str().unwrap(),
+                found["message"].as_str().unwrap()
+            );
+            assert!(ran.err.contains(&words), "{words}\n{}", ran.err);
+        }
+    }
+    assert!(!Path::new(&out).exists());
+    let missing = haptimill(&["run", "none.ngc", "--json"]).ended_with(3);
+    assert_eq!(missing.json()["problems"], Value::Array(Vec::new()));
+}
+
+#[test]
+fn the_speed_that_was_asked_for_is_in_the_time_that_is_announced() {
+    let folder = Folder::new();
+    let time = |more: &[&str]| {
+        let check = ["run", "examples/e7-slot.ngc", "--check", "--json"];
+        number(&haptimill(&[&check, more].concat()).json(), "duration_s")
+    };
+    let (whole, half) = (time(&[]), time(&["--override", "50"]));
+    assert!((half - 2.0 * whole).abs() < 1e-9, "{whole} {half}");
+    let out = folder.path("out");
+    let run = [
+        "run",
+        "examples/e7-slot.ngc",
+        "--override",
+        "50",
+        "--out",
+        &out,
+    ];
+    let ran = haptimill(&run).ended_with(0);
+    let announced = format!("running, {half:.2} s at 50 %");
+    assert!(ran.out.contains(&announced), "{announced}: {}", ran.out);
+    // And it takes that long: the machine speeds up and slows down along the path as slowly.
+    let took = number(&folder.summary("out"), "duration_s");
+    assert!((took - half).abs() < 0.5, "{took} instead of {half}");
+}
+
+#[test]
+fn an_optional_stop_pauses_where_it_is_asked_for() {
+    let folder = Folder::new();
+    let file = folder.file("m1.ngc", "G1 X5 F600\nM1\nG1 X0\nM30\n");
+    let out = folder.path("none");
+    let run = ["run", &file, "--port", "tcp:localhost:1", "--out", &out];
+    // Without it there is nothing to pause at, and the port is looked for.
+    haptimill(&run).ended_with(5);
+    let ran = haptimill(&[&run[..], &["--optional-stop"]].concat()).ended_with(2);
+    assert!(
+        ran.err.contains("m1.ngc:2: the program pauses"),
+        "{}",
+        ran.err
+    );
+}
+
+#[cfg(unix)]
+#[test]
+fn ctrl_c_stops_the_simulated_job_along_its_path_and_keeps_the_trace() {
+    let folder = Folder::new();
+    let run = long_under_way(&folder);
     run.interrupt();
     let ran = run.end().ended_with(7);
     assert!(

@@ -4,6 +4,7 @@
 
 mod scene;
 
+use haptimill::record::RECORD_BYTES;
 use scene::{Folder, Served, Started, number, start};
 use std::time::{Duration, Instant};
 
@@ -29,9 +30,15 @@ fn under_way(served: &Served, folder: &Folder, program: &str) -> Started {
         &folder.path("out"),
     ]);
     run.says("running");
-    // Machine time has to pass until it is at speed.
-    std::thread::sleep(Duration::from_millis(800));
-    assert!(run.runs());
+    // Machine time has to pass until it is at speed, and it may be slower than real time: the recording tells, a record every 20 ms.
+    let recording = folder.path("out/recording.hmr");
+    let size = || std::fs::metadata(&recording).map_or(0, |file| file.len());
+    let mut header = 0;
+    while header == 0 || size() < header + 40 * RECORD_BYTES as u64 {
+        header = if header == 0 { size() } else { header };
+        assert!(run.runs());
+        std::thread::sleep(Duration::from_millis(5));
+    }
     run
 }
 
@@ -131,7 +138,18 @@ fn one_shot_commands_follow_each_other() {
     assert_eq!(limited.err.lines().count(), 1, "{}", limited.err);
     served.does(&["jog", "theta=-20", "--for", "1.5"]);
     let axis = served.tries(&["jog", "q=1"]).ended_with(2);
-    assert!(axis.err.contains("x, y, z, theta, alpha"), "{}", axis.err);
+    assert!(
+        axis.err.contains("x, y, z, theta (or B), alpha (or A)"),
+        "{}",
+        axis.err
+    );
+    // By the letters of part programs: A is the table, B the tilt.
+    let turned = served
+        .does(&["jog", "a=5", "--for", "0.5", "--json"])
+        .json();
+    assert!(at(&turned, "alpha") > 1.5, "{turned:#}");
+    let twice = served.tries(&["jog", "A=5", "alpha=5"]).ended_with(2);
+    assert!(twice.err.contains("alpha is given twice"), "{}", twice.err);
     let fast = served.tries(&["jog", "x=500"]).ended_with(2);
     assert!(fast.err.contains("at most 50"), "{}", fast.err);
 
@@ -194,12 +212,14 @@ fn a_second_program_is_sent_away_and_a_stop_from_it_is_heard() {
     let folder = Folder::new();
     let served = Served::on_tcp(&[]);
     let run = under_way(&served, &folder, &long_program(&folder));
-    let second = served.tries(&["status"]).ended_with(5);
+    let second = served.tries(&["status", "--json"]).ended_with(5);
     assert!(
-        second.err.contains("another program has it"),
+        second.err.contains("another host is connected") && !second.err.contains("fuser"),
         "{}",
         second.err
     );
+    assert_eq!(second.json()["exit_code"], 5);
+    assert_eq!(second.json()["error"].as_str(), Some(second.err.trim_end()));
     let second = served
         .tries(&[
             "run",
@@ -209,7 +229,7 @@ fn a_second_program_is_sent_away_and_a_stop_from_it_is_heard() {
         ])
         .ended_with(5);
     assert!(
-        second.err.contains("another program has it"),
+        second.err.contains("another host is connected"),
         "{}",
         second.err
     );
@@ -234,7 +254,7 @@ fn a_second_program_on_a_pseudo_terminal_is_sent_away_and_its_stop_is_heard() {
     let run = under_way(&served, &folder, &long_program(&folder));
     let second = served.tries(&["status"]).ended_with(5);
     assert!(
-        second.err.contains("another program has it"),
+        second.err.contains("another program has it") && second.err.contains("fuser /dev/"),
         "{}",
         second.err
     );
@@ -376,4 +396,111 @@ fn an_emergency_stop_is_latched_until_it_is_reset() {
     assert_eq!(served.does(&["enable", "--json"]).json()["state"], "Idle");
     served.does(&["run", &short_program(&folder), "--out", &folder.path("out")]);
     assert_eq!(folder.summary("out")["completed"], true);
+}
+
+#[test]
+fn a_machine_that_lost_its_position_is_homed_from_its_presets() {
+    // The machine is long at its home pose, which is that of the presets, when the encoder goes mad.
+    let fault = "encoder-noise axis=l2 per-second=5000 at=10s for=200ms";
+    let served = Served::on_tcp(&["--fault", fault]);
+    served.does(&["home"]);
+    let refused = served.tries(&["home", "--at-preset"]).ended_with(8);
+    assert!(
+        refused
+            .err
+            .contains("the drives are on; `haptimill disable`"),
+        "{}",
+        refused.err
+    );
+    let begun = Instant::now();
+    let lost = loop {
+        let status = served.status();
+        // Periods of 200 us: the noise is over.
+        if status["state"] == "Fault" && number(&status, "period") > 52_000.0 {
+            break status;
+        }
+        assert!(begun.elapsed() < scene::LIMIT, "{status:#}");
+        std::thread::sleep(Duration::from_millis(100));
+    };
+    assert_eq!(
+        (&lost["position_kept"], &lost["homed"]),
+        (&false.into(), &false.into()),
+        "{lost:#}"
+    );
+    let refused = served.tries(&["home", "--at-preset"]).ended_with(8);
+    assert!(
+        refused
+            .err
+            .contains("a fault is latched; `haptimill reset`"),
+        "{}",
+        refused.err
+    );
+    served.does(&["reset"]);
+    // Nothing was set by the attempt: the search still has nothing to begin from.
+    let refused = served.tries(&["home"]).ended_with(8);
+    assert!(refused.err.contains("--at-preset"), "{}", refused.err);
+    served.does(&["disable"]);
+    let homed = served.does(&["home", "--at-preset", "--json"]).json();
+    assert_eq!(
+        (&homed["homed"], &homed["position_kept"], &homed["state"]),
+        (&true.into(), &true.into(), &"Idle".into()),
+        "{homed:#}"
+    );
+    for (joint, preset) in [("l1", 1135.0), ("l2", 485.0), ("l3", 1135.0), ("l4", 485.0)] {
+        let at = number(&homed["joints"], joint);
+        assert!((at - preset).abs() < 0.05, "{joint} at {at}");
+    }
+}
+
+#[test]
+fn a_run_refuses_what_means_nothing_on_a_port() {
+    let folder = Folder::new();
+    let program = short_program(&folder);
+    let out = folder.path("none");
+    for (option, value, part) in [
+        ("--seed", "7", "--seed 7 is for the simulator"),
+        ("--fault", "drive-dead axis=l1 at=1s", "haptimill sim serve"),
+        ("--baud", "9600", "leave it out with tcp:"),
+    ] {
+        let run = ["run", &program, "--port", "tcp:localhost:1", "--out", &out];
+        let ran = scene::haptimill(&[&run[..], &[option, value]].concat()).ended_with(2);
+        assert!(ran.err.contains(part), "{}", ran.err);
+    }
+    assert!(!std::path::Path::new(&out).exists());
+}
+
+#[test]
+fn a_pause_waits_for_enter_and_for_no_enter_of_before() {
+    use haptimill::port::{PtyServer, Transport};
+    let folder = Folder::new();
+    let served = Served::on_tcp(&[]);
+    let program = folder.file("pause.ngc", "G1 X3 F600\nM0 (turn the work)\nG1 X0\nM30\n");
+    // A person's terminal.
+    let mut terminal = PtyServer::open().unwrap();
+    let input = std::fs::OpenOptions::new()
+        .read(true)
+        .write(true)
+        .open(terminal.name())
+        .unwrap();
+    let mut enter = || {
+        let pressed = terminal.write(b"\n", Duration::from_secs(1)).unwrap();
+        assert_eq!(pressed, 1);
+    };
+    let out = folder.path("out");
+    let run = ["run", &program, "--port", &served.port, "--out", &out];
+    let mut run = scene::start_with(&run, input.into());
+    // Impatience while it homes passes nothing.
+    enter();
+    run.complains("line 2: the program pauses; Enter goes on");
+    let paused = Instant::now();
+    while paused.elapsed() < Duration::from_millis(700) {
+        assert!(run.runs(), "{:?}", run.end());
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    enter();
+    run.end().ended_with(0);
+    let summary = folder.summary("out");
+    assert_eq!(summary["completed"], true, "{summary:#}");
+    // The pause is in the time that the job took: there and back is 0.8 s.
+    assert!(number(&summary, "duration_s") > 1.2, "{summary:#}");
 }

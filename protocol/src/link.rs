@@ -10,7 +10,8 @@
 //!   a sequence number, each frame in the other direction says what arrived, also beyond a gap. A frame is sent again as
 //!   soon as one that was sent after it has arrived, or after a time that follows the measured round trip.
 //! * **Latest values** ([`Link::send_latest`]) are sent once and replaced by the next; an older one that comes late is dropped.
-//! * **Life.** An end that has nothing to say says so every [`Timing::keep_alive_us`]; [`Link::peer_silent_us`] feeds the heartbeat.
+//! * **Life.** An end that said nothing for [`Timing::keep_alive_us`] says that it is there, in four bytes; whatever else it says is a sign of life too.
+//!   [`Link::peer_silent_us`] feeds the heartbeat.
 //!
 //! Both ends, on a line that carries everything at once:
 //!
@@ -68,6 +69,9 @@ use outbox::Outbox;
 /// The most reliable frames under way in one direction.
 pub const WINDOW: usize = 8;
 
+/// How often an acknowledgement is said again, half a [`Timing::keep_alive_us`] apart, by an end that has nothing else to say.
+const REPEATS: u8 = 2;
+
 /// The most bytes of an answer or an event (of a telemetry frame there are more).
 pub const SHORT_REPORT: usize = 32;
 
@@ -80,7 +84,9 @@ pub type HostLink = Link<Host, 2400, 4096>;
 /// Times and rate of a link. The defaults suit a serial line of 115,200 baud and anything faster.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Timing {
-    /// The longest silence of a living end, microseconds.
+    /// The longest silence of a living end, microseconds. The default leaves seven signs of life in the 500 ms after which a machine gives its host
+    /// up: with a bit in a thousand wrong one of them is lost in thirty, and never all of them in the life of a machine. A line that carries nothing but
+    /// garbage for 350 ms is borne.
     pub keep_alive_us: u32,
     /// How long an acknowledgement waits for a frame to ride on, microseconds.
     pub acknowledge_us: u32,
@@ -102,7 +108,7 @@ pub struct Timing {
 impl Default for Timing {
     fn default() -> Self {
         Self {
-            keep_alive_us: 40_000,
+            keep_alive_us: 70_000,
             acknowledge_us: 5_000,
             hello_us: 100_000,
             resend_us: (15_000, 400_000),
@@ -206,6 +212,8 @@ pub struct Link<E: End, const SEND: usize, const RECEIVE: usize> {
     /// Since when an acknowledgement waits; how many frames it covers.
     acknowledge_since: Option<u64>,
     acknowledge_count: u8,
+    /// How often the last acknowledgement is still to be repeated where nothing else is said.
+    repeats: u8,
     /// When a frame was last begun; when the peer was last heard.
     spoke_us: u64,
     heard_us: u64,
@@ -231,6 +239,7 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
             gone: 0,
             acknowledge_since: None,
             acknowledge_count: 0,
+            repeats: 0,
             spoke_us: 0,
             heard_us: 0,
             line_free_ns: 0,
@@ -311,6 +320,7 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
                     self.acknowledge_since.get_or_insert(now_us);
                     let more = if urgent { WINDOW as u8 } else { 1 };
                     self.acknowledge_count = self.acknowledge_count.saturating_add(more);
+                    self.repeats = REPEATS;
                 }
                 Header::Latest {
                     sequence,
@@ -322,6 +332,7 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
                 Header::Acknowledge(acknowledgement) => {
                     outbox.acknowledge(now_us, acknowledgement);
                 }
+                Header::Alive => {}
             }
             heard = true;
         }
@@ -428,6 +439,7 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
         self.latest_sequence = 0;
         self.acknowledge_since = None;
         self.acknowledge_count = 0;
+        self.repeats = 0;
         self.heard_us = now_us;
         self.spoke_us = now_us;
         // A frame that has begun to go out goes out whole; the peer will not hear it.
@@ -442,7 +454,8 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
     }
 
     /// Encodes the next frame into `wire`; false when there is nothing to say. What is said first: greetings, then frames to be
-    /// sent again and new ones, then the latest value, then an acknowledgement that found nothing to ride on.
+    /// sent again and new ones, then the latest value, then an acknowledgement that found nothing to ride on, then
+    /// a sign of life.
     fn compose(&mut self, now_us: u64) -> bool {
         self.gone = 0;
         self.wire.clear();
@@ -470,7 +483,10 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
                 usize::from(self.acknowledge_count) >= WINDOW / 2
                     || now_us.saturating_sub(since) >= u64::from(timing.acknowledge_us)
             });
-            let silent = now_us.saturating_sub(self.spoke_us) >= u64::from(timing.keep_alive_us);
+            let silent_us = now_us.saturating_sub(self.spoke_us);
+            // An acknowledgement may have been lost, and would be missed until the peer sends its frames again.
+            let again = self.repeats > 0 && silent_us >= u64::from(timing.keep_alive_us / 2);
+            let silent = silent_us >= u64::from(timing.keep_alive_us);
             let framed = if let Some((sequence, payload)) = outbox.next(now_us, timing.resend_us) {
                 let header = Header::Reliable {
                     sequence,
@@ -486,12 +502,18 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
                     acknowledgement,
                 };
                 frame::encode(header, &payload, *session, wire)
-            } else if due || silent {
+            } else if due || again {
+                self.repeats -= u8::from(again);
                 frame::encode(Header::Acknowledge(acknowledgement), &[], *session, wire)
+            } else if silent {
+                // A zero in front, as with a greeting: one that follows the rest of a broken frame would be lost with it.
+                frame::encode(Header::Alive, &[], *session, wire).map(|()| {
+                    let _ = wire.insert(0, 0);
+                })
             } else {
                 return false;
             };
-            // Each of them carries the acknowledgement.
+            // Each of them carries the acknowledgement; a sign of life comes only after all its repetitions.
             self.acknowledge_since = None;
             self.acknowledge_count = 0;
             framed.is_ok()

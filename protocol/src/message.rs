@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 pub const MAX_AXES: usize = 6;
 
 /// Version of this protocol; both ends must have the same.
-pub const PROTOCOL_VERSION: u16 = 1;
+pub const PROTOCOL_VERSION: u16 = 2;
 
 /// A rate on the wire is in axis units per second divided by 2^8: 2^-12 mm/s, or 2^-24 turn/s.
 pub const RATE_SHIFT: u32 = 8;

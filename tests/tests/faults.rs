@@ -454,14 +454,14 @@ fn a_host_that_falls_silent_lets_the_machine_brake_on_its_path() {
             ended = Some(period);
         }
     }
-    // Heard every 40 ms; 500 ms of silence; 300 ms to brake (and 2 ms of rounding).
+    // Heard every 70 ms; 500 ms of silence; 300 ms to brake (and 2 ms of rounding).
     let (begun, ended) = (begun.expect("noticed"), ended.expect("latched"));
     eprintln!(
         "silent host: braking after {} ms, at rest {} ms later",
         begun / 5,
         (ended - begun) / 5
     );
-    assert!((2300..=2510).contains(&begun), "{begun}");
+    assert!((2150..=2510).contains(&begun), "{begun}");
     assert!(ended - begun <= 1550, "{}", ended - begun);
     let safety = bench.rig.control().safety();
     assert!(

@@ -22,13 +22,13 @@ The chores of the project.
 ";
 
 /// One step of a chore.
-struct Step {
-    name: &'static str,
-    arguments: &'static [&'static str],
+struct Step<'a> {
+    name: &'a str,
+    arguments: &'a [&'a str],
     /// Settings of the environment.
-    environment: &'static [(&'static str, &'static str)],
+    environment: &'a [(&'a str, &'a str)],
     /// A component that a toolchain may lack, with what to do then.
-    component: Option<(&'static str, &'static str)>,
+    component: Option<(&'a str, &'a str)>,
 }
 
 const TEST: &[Step] = &[
@@ -81,27 +81,6 @@ const TEST: &[Step] = &[
         component: None,
     },
 ];
-
-/// Needs a board's image and the emulator, so it is built only where these are. Every test takes its time; one by one they do not slow each
-/// other down.
-const EMULATED: &[Step] = &[Step {
-    name: "emulated runs",
-    arguments: &[
-        "test",
-        "--release",
-        "--package",
-        "haptimill-tests",
-        "--features",
-        "emulated",
-        "--test",
-        "emulated*",
-        "--",
-        "--nocapture",
-        "--test-threads=1",
-    ],
-    environment: &[],
-    component: None,
-}];
 
 /// The emulator, and the Debian package that has it.
 const EMULATOR: &str = "qemu-system-arm";
@@ -158,7 +137,8 @@ fn test() -> Result<(), String> {
         let image = board.build(&root(), false)?;
         board.measure(&image)?;
     }
-    run(EMULATED)
+    // Every test takes its time; one by one they do not slow each other down.
+    emulated("emulated runs", "emulated*", "--test-threads=1", &[])
 }
 
 /// The board of a name.
@@ -192,8 +172,23 @@ fn image(name: &str, other: Option<&str>) -> Result<(), String> {
 /// Writes the table of instructions anew.
 fn instructions() -> Result<(), String> {
     provide()?;
+    emulated(
+        "instructions",
+        "emulated",
+        "instructions",
+        &[("HAPTIMILL_WRITE", "1")],
+    )
+}
+
+/// The tests of emulated runs, with one more argument. They need a board's image and the emulator, so they are built only where these are.
+fn emulated(
+    name: &str,
+    tests: &str,
+    last: &str,
+    environment: &[(&str, &str)],
+) -> Result<(), String> {
     run(&[Step {
-        name: "instructions",
+        name,
         arguments: &[
             "test",
             "--release",
@@ -202,12 +197,12 @@ fn instructions() -> Result<(), String> {
             "--features",
             "emulated",
             "--test",
-            "emulated",
+            tests,
             "--",
             "--nocapture",
-            "instructions",
+            last,
         ],
-        environment: &[("HAPTIMILL_WRITE", "1")],
+        environment,
         component: None,
     }])
 }

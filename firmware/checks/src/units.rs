@@ -86,7 +86,7 @@ fn sines() {
         (2, (0, -(1 << 30))),
         (3, (-(1 << 30), 0)),
     ] {
-        assert_eq!(sin_cos(Angle((quarter << 30) as i32)), want);
+        assert_eq!(sin_cos(Angle(quarter << 30)), want);
     }
 }
 

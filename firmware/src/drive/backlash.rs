@@ -19,16 +19,16 @@
 //! has no gain within the play and limit-cycles across it.
 
 use super::encoder::{difference, sum};
-use super::reciprocal::{mul_shift, saturate};
+use super::reciprocal::{Factor, Scale, saturate};
 use crate::config::AxisKind;
-use crate::position::filter::{approach, frequency};
+use crate::position::filter::approach;
 use crate::safety::integrity::constants;
 use crate::units::{Coordinate, Rate};
 
 /// Time constant of each of the two filters, in microseconds.
 pub const SHIFT_US: u16 = 4_000;
 
-/// Fractional bits of the filters' states.
+/// The most fractional bits of the filters' states; a play of more than 0.12 um has fewer, so that a state is a word.
 const FRACTION: u32 = 24;
 
 /// Backlash of one joint.
@@ -39,36 +39,52 @@ pub struct Backlash {
     half: i32,
     /// Rate beyond which the wanted direction is believed.
     hysteresis: i32,
-    /// 1 - pole of each filter, Q32.
-    approach: u32,
-    /// Periods per second, Q16.
-    frequency: u32,
-    /// The side wanted: -1, 0 (not known yet) or 1.
-    side: i32,
-    /// States of the filters, axis units Q24; both within +-half.
-    first: i64,
-    second: i64,
+    /// 1 - pole of each filter, Q31.
+    approach: i32,
+    /// From changes of a state in a period to a rate.
+    rate: Scale,
+    /// Fractional bits of the states; half a unit with them; half of the play with them.
+    fraction: u32,
+    rounding: i32,
+    flank: i32,
+    /// Where the states shall go; unknown until a direction is wanted: where they started.
+    goal: i32,
+    /// States of the filters, axis units; both within +-half, which is below 2^30 with their fraction.
+    first: i32,
+    second: i32,
+    /// The states no longer change.
+    settled: bool,
     slide: Coordinate,
 }
 
 constants!(Backlash {
-    kind, half, hysteresis, approach, frequency
-} of {} but { side, first, second, slide });
+    kind, half, hysteresis, approach, rate, fraction, rounding, flank
+} of {} but { goal, first, second, settled, slide });
 
 impl Backlash {
     /// Backlash of the whole width `play` (its magnitude counts; 0 switches everything here off).
     pub const fn new(kind: AxisKind, play: Coordinate, period_us: u16) -> Self {
-        // At most 2^30.
         let half = (play.0.unsigned_abs() / 2) as i32;
+        let half = if half >= 1 << 30 { (1 << 30) - 1 } else { half };
+        let room = half.leading_zeros() - 2;
+        let fraction = if room > FRACTION { FRACTION } else { room };
+        let period = if period_us < 50 { 50 } else { period_us as u64 };
         Self {
             kind,
             half,
             hysteresis: saturate(2 * half as i64),
-            approach: approach(period_us, SHIFT_US),
-            frequency: frequency(period_us),
-            side: 0,
+            approach: (approach(period_us, SHIFT_US) >> 1) as i32,
+            rate: Factor::of(1_000_000)
+                .over(Factor::of(period))
+                .shifted(-(fraction as i32))
+                .scale(),
+            fraction,
+            rounding: (1 << fraction) >> 1,
+            flank: half << fraction,
+            goal: 0,
             first: 0,
             second: 0,
+            settled: true,
             slide: Coordinate(0),
         }
     }
@@ -98,9 +114,10 @@ impl Backlash {
         let ahead = difference(self.kind, motor, self.slide)
             .0
             .clamp(-self.half, self.half);
-        self.side = 0;
-        self.first = i64::from(ahead) << FRACTION;
-        self.second = self.first;
+        self.goal = ahead << self.fraction;
+        self.first = self.goal;
+        self.second = self.goal;
+        self.settled = true;
     }
 
     /// What is to be added to the wanted coordinate and rate of the slide, one period on, for a wanted rate of the slide.
@@ -109,25 +126,33 @@ impl Backlash {
         if self.half == 0 {
             return (Coordinate(0), Rate(0));
         }
-        if rate.0 > self.hysteresis {
-            self.side = 1;
-        } else if rate.0 < -self.hysteresis {
-            self.side = -1;
-        }
-        // With no side known yet it stays where it started. States within +-2^54, differences within 2^55.
-        let goal = if self.side == 0 {
-            self.first
+        let goal = if rate.0 > self.hysteresis {
+            self.flank
+        } else if rate.0 < self.hysteresis.wrapping_neg() {
+            self.flank.wrapping_neg()
         } else {
-            i64::from(self.side * self.half) << FRACTION
+            self.goal
         };
-        self.first += mul_shift::<32>(goal - self.first, self.approach);
-        let change = mul_shift::<32>(self.first - self.second, self.approach);
-        self.second += change;
-        // Q24 * Q16 / 2^32 = Q8.
-        let rate = mul_shift::<32>(change, self.frequency) >> 8;
-        (
-            Coordinate(saturate((self.second + (1 << (FRACTION - 1))) >> FRACTION)),
-            Rate(saturate(rate)),
-        )
+        let mut rate = Rate(0);
+        if goal != self.goal || !self.settled {
+            self.goal = goal;
+            // All three are within +-2^30, differences within the word.
+            let first = self.part(goal.wrapping_sub(self.first));
+            self.first = self.first.wrapping_add(first);
+            let change = self.part(self.first.wrapping_sub(self.second));
+            self.second = self.second.wrapping_add(change);
+            self.settled = first == 0 && change == 0;
+            rate = Rate(self.rate.apply(change));
+        }
+        let shift = self
+            .second
+            .wrapping_add(self.rounding)
+            .wrapping_shr(self.fraction);
+        (Coordinate(shift), rate)
+    }
+
+    /// What a filter goes of the way to its input in a period.
+    const fn part(&self, way: i32) -> i32 {
+        ((way as i64 * self.approach as i64) >> 31) as i32
     }
 }

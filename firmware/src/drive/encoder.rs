@@ -9,12 +9,13 @@
 //! the last edge, so that it goes to zero by itself when the motion ends, and is zero after 2.1 s.
 //! An edge that is crossed back and forth is one place: a reversal reads as zero, not as a count.
 //!
-//! Misuse: more than 2^31 counts in a period cannot be told from a step the other way.
+//! Misuse: more than 2^31 counts in a period cannot be told from a step the other way, and more than 2^30 give a wrong rate.
 
-use super::reciprocal::{Reciprocal, mul_shift, saturate};
+use super::reciprocal::{Factor, Reciprocal, high, saturate};
 use crate::config::AxisKind;
 use crate::io::AxisInputs;
 use crate::safety::integrity::constants;
+use crate::units::scale::{product, total};
 use crate::units::{Coordinate, Rate};
 
 /// After this long without an edge the joint is at rest: half of the range of the clock.
@@ -26,8 +27,10 @@ pub struct Encoder {
     kind: AxisKind,
     /// Axis units per count, Q24.
     per_count: i64,
+    /// So many counts are within the range of a coordinate.
+    most: u32,
     /// Half a count in au/s * ns: `mantissa * 2^exponent`, with the sign of `per_count`.
-    half_mantissa: u32,
+    half_mantissa: i32,
     half_exponent: i32,
     /// Nothing was read yet.
     fresh: bool,
@@ -39,17 +42,17 @@ pub struct Encoder {
     illegal: u32,
     index_pulses: u8,
     edge_time_ns: u32,
-    /// Place of the last edge, in half counts.
-    edge: i64,
+    /// Place of the last edge, in half counts; wraps around.
+    edge: i32,
     /// `edge_time_ns` and `edge` belong to an edge that was seen, not too long ago.
     edge_known: bool,
-    rate: i64,
+    rate: i32,
     /// Age of the last edge up to which the rate cannot be too large.
     believed_ns: u32,
 }
 
 constants!(Encoder {
-    kind, per_count, half_mantissa, half_exponent
+    kind, per_count, most, half_mantissa, half_exponent
 } of {} but {
     fresh, raw, counts, reference_counts, reference, illegal_raw, illegal, index_pulses, edge_time_ns, edge, edge_known, rate, believed_ns
 });
@@ -70,19 +73,24 @@ pub struct Measured {
 impl Encoder {
     /// An encoder with `per_count` axis units a count, times 2^24; negative when it counts backwards.
     pub const fn new(kind: AxisKind, per_count: i64) -> Self {
-        // |per_count| <= 2^63, 5e8 < 2^29: fits.
-        let half = per_count.unsigned_abs() as u128 * 500_000_000;
-        let zeros = half.leading_zeros() as i32;
-        let (half_mantissa, half_exponent) = if half == 0 {
-            (0, 0)
-        } else if zeros < 96 {
-            ((half >> (96 - zeros)) as u32, 96 - zeros - 24)
+        let size = per_count.unsigned_abs();
+        let (half_mantissa, half_exponent) = Factor::of(size)
+            .times(Factor::of(500_000_000))
+            .shifted(-24)
+            .parts();
+        let most = if size == 0 {
+            u64::MAX
         } else {
-            ((half << (zeros - 96)) as u32, 96 - zeros - 24)
+            (1 << 55) / size
         };
         Self {
             kind,
             per_count,
+            most: if most > u32::MAX as u64 {
+                u32::MAX
+            } else {
+                most as u32
+            },
             half_mantissa,
             half_exponent,
             fresh: true,
@@ -128,7 +136,7 @@ impl Encoder {
         };
         Measured {
             coordinate: self.coordinate_of(self.counts),
-            rate: Rate(saturate(self.rate)),
+            rate: Rate(self.rate),
             moved,
             index,
         }
@@ -170,20 +178,30 @@ impl Encoder {
     fn coordinate_of(&self, counts: i64) -> Coordinate {
         let counts = counts.wrapping_sub(self.reference_counts);
         match self.kind {
-            // A product that saturates at 2^63 is 2^39 axis units, far outside: the coordinate saturates as it should.
             AxisKind::Linear => {
-                let travel = counts
-                    .saturating_mul(self.per_count)
-                    .saturating_add(1 << 23)
-                    >> 24;
-                Coordinate(saturate(travel.saturating_add(i64::from(self.reference.0))))
+                let word = counts as i32;
+                if i64::from(word) != counts || word.unsigned_abs() > self.most {
+                    return self.far(counts);
+                }
+                let travel = total(product(counts, self.per_count), 1 << 23) >> 24;
+                Coordinate(saturate(total(travel, i64::from(self.reference.0))))
             }
-            // Bits 24 to 55 of the product are the turn; they are right however far the product wraps around.
             AxisKind::Rotary => {
                 let travel = counts.wrapping_mul(self.per_count).wrapping_add(1 << 23) >> 24;
                 Coordinate((travel as i32).wrapping_add(self.reference.0))
             }
         }
+    }
+
+    /// A linear coordinate that may be out of its range: a product that saturates at 2^63 is 2^39 axis units, far outside, and saturates as it should.
+    #[cold]
+    #[inline(never)]
+    fn far(&self, counts: i64) -> Coordinate {
+        let travel = counts
+            .saturating_mul(self.per_count)
+            .saturating_add(1 << 23)
+            >> 24;
+        Coordinate(saturate(travel.saturating_add(i64::from(self.reference.0))))
     }
 
     /// Brings `rate` up to date.
@@ -195,7 +213,7 @@ impl Encoder {
             // crossed back and forth about the place of the last one.
             let edge = match moved.signum() {
                 0 => self.edge,
-                sign => self.counts.wrapping_mul(2).wrapping_sub(i64::from(sign)),
+                sign => (self.counts as i32).wrapping_shl(1).wrapping_sub(sign),
             };
             let interval = edge_time_ns.wrapping_sub(self.edge_time_ns);
             if !self.edge_known {
@@ -220,30 +238,41 @@ impl Encoder {
             self.rate = 0;
         } else if !edge_seen && self.rate != 0 && age > self.believed_ns {
             let bound = self.rate_of(2, age).saturating_abs();
-            self.rate = self.rate.clamp(-bound, bound);
+            self.rate = self.rate.min(bound).max(-bound);
         }
     }
 
     /// au/s of some half counts in some nanoseconds.
     #[inline]
-    fn rate_of(&self, half_counts: i64, interval_ns: u32) -> i64 {
+    fn rate_of(&self, half_counts: i32, interval_ns: u32) -> i32 {
         let (mantissa, exponent) = Reciprocal::new(interval_ns).parts();
-        // Below 2^30 * 2^31.
-        let quotient = half_counts.clamp(1 - (1 << 30), (1 << 30) - 1) * i64::from(mantissa);
-        let product = mul_shift::<32>(quotient, self.half_mantissa);
-        // product * 2^(32 + half_exponent - exponent); the exponents are within +-200.
-        let shift = exponent as i32 - 32 - self.half_exponent;
-        let magnitude = if shift >= 0 {
-            product >> shift.min(63)
+        // Au/s of one half count, 29 bits at least; a mantissa of 2^31 is taken for a hair less.
+        let one = high(self.half_mantissa, mantissa.min(i32::MAX as u32) as i32);
+        let product = i64::from(half_counts) * i64::from(one);
+        // product * 2^(32 + half_exponent - exponent); the exponents are within +-100.
+        let shift = (exponent as i32)
+            .wrapping_sub(32)
+            .wrapping_sub(self.half_exponent);
+        let magnitude = if (0..64).contains(&shift) {
+            saturate(product.wrapping_shr(shift as u32))
         } else {
-            product.saturating_mul(1i64 << (-shift).min(62))
+            Self::fast(product, shift)
         };
-        // 2^40 au/s is far outside of Rate; bounded here so that nothing after it can overflow.
-        let magnitude = magnitude.clamp(-(1 << 40), 1 << 40);
         if self.per_count < 0 {
-            -magnitude
+            magnitude.saturating_neg()
         } else {
             magnitude
+        }
+    }
+
+    /// A rate of intervals of less than a microsecond.
+    #[cold]
+    #[inline(never)]
+    fn fast(product: i64, shift: i32) -> i32 {
+        if shift > 0 {
+            0
+        } else {
+            saturate(product.saturating_mul(1 << (-shift).min(62)))
         }
     }
 }

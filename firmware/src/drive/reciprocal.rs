@@ -50,6 +50,134 @@ impl Reciprocal {
     }
 }
 
+/// A positive factor that is known since the configuration: `mantissa * 2^exponent`, mantissa in [2^30, 2^31), or zero. Worked out once, where a division
+/// costs nothing; in the control period there is only its [`Scale`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Factor {
+    mantissa: u32,
+    exponent: i32,
+}
+
+impl Factor {
+    /// A whole number.
+    pub(crate) const fn of(value: u64) -> Self {
+        let bits = 64 - value.leading_zeros() as i32;
+        let mantissa = if bits > 31 {
+            value >> (bits - 31)
+        } else if bits == 0 {
+            0
+        } else {
+            value << (31 - bits)
+        };
+        Self {
+            mantissa: mantissa as u32,
+            exponent: bits - 31,
+        }
+    }
+
+    /// Their product, relative error below 2^-30.
+    pub(crate) const fn times(self, other: Self) -> Self {
+        let product = Self::of(self.mantissa as u64 * other.mantissa as u64);
+        Self {
+            exponent: product.exponent + self.exponent + other.exponent,
+            ..product
+        }
+    }
+
+    /// Their quotient, relative error below 2^-30; by zero as by the smallest.
+    pub(crate) const fn over(self, other: Self) -> Self {
+        let divisor = if other.mantissa == 0 {
+            1 << 30
+        } else {
+            other.mantissa
+        };
+        let quotient = Self::of(((self.mantissa as u64) << 32) / divisor as u64);
+        Self {
+            exponent: quotient.exponent + self.exponent - other.exponent - 32,
+            ..quotient
+        }
+    }
+
+    /// Times 2^bits.
+    pub(crate) const fn shifted(self, bits: i32) -> Self {
+        Self {
+            exponent: self.exponent + bits,
+            ..self
+        }
+    }
+
+    /// Mantissa, below 2^31, and exponent.
+    pub(crate) const fn parts(self) -> (i32, i32) {
+        (self.mantissa as i32, self.exponent)
+    }
+
+    /// By how many bits an operand of more than 31 may be shifted right before a [`Scale`] multiplies it, without loss in the product; at most 56.
+    pub(crate) const fn coarseness(self) -> u32 {
+        let bits = -32 - self.exponent;
+        if bits < 0 {
+            0
+        } else if bits > 56 {
+            56
+        } else {
+            bits as u32
+        }
+    }
+
+    /// What multiplies by it.
+    pub(crate) const fn scale(self) -> Scale {
+        // Operand * 2^shift * mantissa / 2^32, with all bits of the mantissa where the shift can take up the exponent.
+        let shift = self.exponent + 32;
+        if shift > 30 {
+            Scale {
+                mantissa: i32::MAX,
+                shift: 30,
+            }
+        } else if shift >= 0 {
+            Scale {
+                mantissa: self.mantissa as i32,
+                shift: shift as u32,
+            }
+        } else if shift > -31 {
+            Scale {
+                mantissa: (self.mantissa >> -shift) as i32,
+                shift: 0,
+            }
+        } else {
+            Scale {
+                mantissa: 0,
+                shift: 0,
+            }
+        }
+    }
+}
+
+/// A multiplication by a constant factor, six instructions of a 32-bit processor.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub(crate) struct Scale {
+    mantissa: i32,
+    shift: u32,
+}
+
+impl Scale {
+    /// `value` times the factor, rounded down; what is beyond about 2^30 either way (2^29 to 2^30, by the factor) is held there. No value overflows.
+    #[inline(always)]
+    pub(crate) const fn apply(self, value: i32) -> i32 {
+        let wide = value.wrapping_shl(self.shift);
+        let held = if wide.wrapping_shr(self.shift) == value {
+            wide
+        } else {
+            i32::MAX ^ (value >> 31)
+        };
+        high(held, self.mantissa)
+    }
+}
+
+/// `a * b / 2^32`, rounded down: one instruction.
+#[inline(always)]
+pub(crate) const fn high(a: i32, b: i32) -> i32 {
+    ((a as i64 * b as i64) >> 32) as i32
+}
+
 /// `a * b / 2^SHIFT`, rounded down, `SHIFT <= 32`; needs `|a| < 2^(30 + SHIFT)`.
 #[inline]
 pub(crate) const fn mul_shift<const SHIFT: u32>(a: i64, b: u32) -> i64 {
@@ -61,12 +189,11 @@ pub(crate) const fn mul_shift<const SHIFT: u32>(a: i64, b: u32) -> i64 {
 /// The nearest `i32`.
 #[inline]
 pub(crate) const fn saturate(value: i64) -> i32 {
-    if value > i32::MAX as i64 {
-        i32::MAX
-    } else if value < i32::MIN as i64 {
-        i32::MIN
+    let word = value as i32;
+    if word as i64 == value {
+        word
     } else {
-        value as i32
+        i32::MAX ^ (value >> 63) as i32
     }
 }
 
@@ -87,6 +214,22 @@ mod tests {
             let value = f64::from(reciprocal.mantissa) / f64::exp2(f64::from(reciprocal.exponent));
             prop_assert!((value * f64::from(divisor) - 1.0).abs() < f64::exp2(-28.0));
             prop_assert!(reciprocal.mantissa > (1 << 30) - 8 && reciprocal.mantissa <= 1 << 31);
+        }
+
+        #[test]
+        fn a_factor_is_its_number(a: u64, b in 1u64.., value: i32, down in 0u32..64, bits in -40i32..10) {
+            let a = a >> down;
+            let factor = Factor::of(a).times(Factor::of(b)).over(Factor::of(b)).shifted(bits);
+            let exact = a as f64 * f64::exp2(f64::from(bits));
+            let given = f64::from(factor.mantissa) * f64::exp2(f64::from(factor.exponent));
+            prop_assert!((given - exact).abs() <= exact * f64::exp2(-28.0), "{given} {exact}");
+            let product = f64::from(factor.scale().apply(value));
+            let limit = f64::from(1 << 29);
+            if exact * f64::from(value).abs() < limit {
+                prop_assert!((product - exact * f64::from(value)).abs() <= 1.5 + f64::from(value).abs() * f64::exp2(-32.0) + limit * f64::exp2(-27.0));
+            } else {
+                prop_assert!(product.abs() >= limit * 0.999 - 1.0 && (product < 0.0) == (value < 0));
+            }
         }
 
         #[test]

@@ -6,7 +6,7 @@
 //! carry the mean of the codes is exact and the error of rounding lies at half the control rate, where the mass swallows it. At a clamp the carry is
 //! dropped, so nothing winds up.
 
-use super::reciprocal::Reciprocal;
+use super::reciprocal::{Factor, Scale};
 use crate::safety::integrity::constants;
 use crate::units::Effort;
 
@@ -16,20 +16,24 @@ pub const CODE_LIMIT: i16 = 8191;
 /// Output of one torque axis.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct TorqueOutput {
-    reciprocal: Reciprocal,
+    /// Codes per effort, Q16.
+    scale: Scale,
     reversed: bool,
     limit: i32,
     /// Left over from rounding, 2^-16 codes.
-    carry: i64,
+    carry: i32,
 }
 
-constants!(TorqueOutput { reciprocal, reversed, limit } of {} but { carry });
+constants!(TorqueOutput { scale, reversed, limit } of {} but { carry });
 
 impl TorqueOutput {
     /// Scale: `full_scale` is the effort at code 8192 (negative: wired the other way round; zero is taken for the smallest), `limit` the largest effort either way.
     pub const fn new(full_scale: Effort, limit: Effort) -> Self {
         Self {
-            reciprocal: Reciprocal::new(full_scale.0.unsigned_abs()),
+            // 2^13 codes with 16 bits of fraction: 2^29 / full_scale.
+            scale: Factor::of(1 << 29)
+                .over(Factor::of(full_scale.0.unsigned_abs() as u64))
+                .scale(),
             reversed: full_scale.0 < 0,
             limit: if limit.0 == i32::MIN {
                 i32::MAX
@@ -49,20 +53,17 @@ impl TorqueOutput {
     #[inline]
     pub fn code(&mut self, effort: Effort) -> (i16, bool) {
         let allowed = effort.0.clamp(-self.limit, self.limit);
-        let signed = if self.reversed {
-            -i64::from(allowed)
-        } else {
-            i64::from(allowed)
-        };
-        // 2^13 codes with 16 bits of fraction: 2^29 / full_scale; at most 2^31 * 2^29.
-        let exact = self.reciprocal.scaled(signed, 29) + self.carry;
-        let code = (exact + (1 << 15)) >> 16;
-        let limit = i64::from(CODE_LIMIT);
+        // Both are limits of magnitude: nothing is the least of its type.
+        let signed = if self.reversed { -allowed } else { allowed };
+        // Full scale is 2^29, what is beyond is held below 2^30; the carry is below 2^16.
+        let exact = self.scale.apply(signed).wrapping_add(self.carry);
+        let code = exact.wrapping_add(1 << 15) >> 16;
+        let limit = i32::from(CODE_LIMIT);
         if code > limit || code < -limit {
             self.carry = 0;
             return (if code > 0 { CODE_LIMIT } else { -CODE_LIMIT }, true);
         }
-        self.carry = exact - (code << 16);
+        self.carry = exact.wrapping_sub(code << 16);
         (code as i16, allowed != effort.0)
     }
 }

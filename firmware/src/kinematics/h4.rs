@@ -23,6 +23,7 @@
 //!
 //! Misuse: strokes and soft limits are not known here; see [`super::machine::Machine`].
 
+use super::h4_motion::quick_turn;
 use super::{Accelerations, Jacobian, JointMotion, Joints, Kinematics, Pose, PoseError, Rates};
 use crate::config::H4Geometry;
 use crate::units::root::{Root, hypot};
@@ -83,6 +84,8 @@ pub struct H4 {
     pub(super) margin: i32,
     /// Its square.
     pub(super) margin_square: u64,
+    /// Bits of angular rates that are multiplied as words.
+    pub(super) quick_turn: u32,
 }
 
 /// The tool in the frame of the slave base: the pose without table and offsets.
@@ -176,6 +179,17 @@ impl H4 {
                 let margin = geometry.singularity_margin.magnitude() as u64;
                 margin * margin
             },
+            quick_turn: {
+                let tool = geometry.tool.magnitude() as i64 + 2 * spacing.abs();
+                let y =
+                    geometry.lateral.magnitude() as i64 + geometry.rod.magnitude() as i64 + tool;
+                let height = geometry.table_height.magnitude() as i64
+                    + geometry.rail_offset.magnitude() as i64
+                    + geometry.rod.magnitude() as i64
+                    + geometry.half_height.magnitude() as i64
+                    + tool;
+                quick_turn(if y > height { y } else { height })
+            },
         }
     }
 
@@ -236,7 +250,8 @@ impl H4 {
         // Before anything is squared: an absurd pose would not fit.
         let rod = self.rod as i64;
         let longest = (upper.0.abs().max(upper.1.abs())).max(lower.0.abs().max(lower.1.abs()));
-        if longest > rod || !self.sound {
+        // y is a word because U is; z + h is one by this.
+        if longest > rod || !self.sound || height != height as i32 as i64 {
             return Err(PoseError::Unreachable);
         }
         Ok(Placed {
@@ -248,6 +263,21 @@ impl H4 {
             upper: (upper.0 as i32, upper.1 as i32),
             lower: (lower.0 as i32, lower.1 as i32),
         })
+    }
+
+    /// [`Kinematics::inverse_motion`], written where it shall be.
+    #[inline(always)]
+    pub(super) fn place_motion(
+        &self,
+        pose: &Pose,
+        rates: &Rates,
+        accelerations: &Accelerations,
+        motion: &mut JointMotion,
+    ) -> Result<(), PoseError> {
+        let (placed, pairs) = self.place(pose)?;
+        motion.joints = self.joints(&placed, &pairs, pose.0[ALPHA])?;
+        self.derivatives(&placed, &pairs, rates, accelerations, motion);
+        Ok(())
     }
 
     /// The pose with both pairs of rods, every condition but the strokes fulfilled.
@@ -397,14 +427,9 @@ impl Kinematics for H4 {
         rates: &Rates,
         accelerations: &Accelerations,
     ) -> Result<JointMotion, PoseError> {
-        let (placed, pairs) = self.place(pose)?;
-        let joints = self.joints(&placed, &pairs, pose.0[ALPHA])?;
-        let (rates, accelerations) = self.derivatives(&placed, &pairs, rates, accelerations);
-        Ok(JointMotion {
-            joints,
-            rates,
-            accelerations,
-        })
+        let mut motion = JointMotion::default();
+        self.place_motion(pose, rates, accelerations, &mut motion)?;
+        Ok(motion)
     }
 
     fn forward(&self, joints: &Joints) -> Result<Pose, PoseError> {

@@ -9,16 +9,16 @@
 //! S'  = -(U U' + V V') / S            S'' = -(U'^2 + V'^2 + S'^2 + U U'' + V V'') / S
 //! ```
 //!
-//! Scales: lengths 2^-20 mm, rates 2^-20 mm/s, accelerations 2^-12 mm/s^2, all in `i64` because a sum of what fits an `i32` need not; U / S and V / S
-//! are at most 10, in Q27. Angular rates are radians per second in Q29 (at most pi), angular accelerations radians per second squared in Q21
-//! (at most 814).
+//! Scales: lengths 2^-20 mm, rates 2^-20 mm/s, accelerations 2^-12 mm/s^2; U / S and V / S are at most 10, in Q27. Angular rates are radians per second
+//! in Q30, angular accelerations radians per second squared in Q22. Everything that is multiplied is a word, so that a product is one instruction and
+//! cannot overflow: a motion too fast for that is calculated at a half, a quarter or an eighth of its speed.
 //!
 //! Limits: a joint's rate or acceleration that leaves its type is held at its end (2048 mm/s, 524 m/s^2), far above what a drive does.
 
 use super::h4::{ALPHA, AXES, H4, Pair, Placed, THETA};
-use super::{Accelerations, Jacobian, Rates};
+use super::{Accelerations, Jacobian, JointMotion, Rates};
 use crate::units::root::Reciprocal;
-use crate::units::scale::{multiply_high, multiply_shift, round_shift, scale};
+use crate::units::scale::{multiply_high, multiply_shift, product, round_shift, scale, total};
 use crate::units::trig::QUARTER_PI_Q31;
 use crate::units::{Acceleration, Rate};
 
@@ -37,8 +37,19 @@ impl Slope {
     fn of(pair: &Pair) -> Self {
         // S is 0.1 R to R, so both ratios are at most 10 and fit Q27. S >= 1.6 mm makes the shift 24 or more.
         let inverse = pair.root.reciprocal();
+        // A mantissa of 2^31 is taken for a hair less.
+        let mantissa = inverse.mantissa.min(i32::MAX as u32) as i32;
+        let spare = inverse.shift.wrapping_sub(27 + 31);
         let ratio = |length: i32| {
-            round_shift(length as i64 * inverse.mantissa as i64, inverse.shift - 27) as i32
+            if spare < 32 {
+                // S is 64 mm or more: the upper word of the product has bits enough. |U| is below 2^30.
+                word(length.wrapping_shl(1) as i64 * mantissa as i64, 32).wrapping_shr(spare)
+            } else {
+                word(
+                    length as i64 * mantissa as i64,
+                    inverse.shift.wrapping_sub(27),
+                )
+            }
         };
         Self {
             u: ratio(pair.u),
@@ -48,138 +59,227 @@ impl Slope {
     }
 }
 
-/// First and second derivative by time: a rate and an acceleration.
-#[derive(Clone, Copy)]
-struct Jet {
-    first: i64,
-    second: i64,
+/// `value / 2^shift` of what is known to fit a word.
+#[inline(always)]
+const fn word(value: i64, shift: u32) -> i32 {
+    value.wrapping_shr(shift) as i32
 }
 
-/// S' and S'' from the derivatives of U and V.
+/// Linear rates below 2^28 (256 mm/s) and accelerations below 2^28 (65 m/s^2), and angular ones as the geometry allows, leave every derivative of U and V
+/// within a word. Faster motions are halved as often as needed.
+const QUICK: u32 = 28;
+
+/// The most angular rates (2^QUICK_TURN / 2^32 turn/s: 1.57 rad/s) and angular accelerations (402 rad/s^2) that are calculated without being halved.
+const QUICK_TURN: u32 = 30;
+
+/// How many bits angular rates and accelerations may have so that what they make of a `lever` (the longest y and tool, or z + h; 2^-20 mm), beside the
+/// linear rates and the products of two rates, is below 2^31.
+pub(super) const fn quick_turn(lever: i64) -> u32 {
+    let lever = if lever >= 1 << 32 { 1 << 32 } else { lever };
+    let mut bits = QUICK_TURN;
+    // At 2^27, 0.196 rad/s, 2^32 becomes 8.5e8.
+    while bits > 27 {
+        // 2^28.5 of two linear coordinates, and 2^26: 2 Z' alpha', y alpha'^2, T theta'^2, all over 2^8.
+        let turned = (lever >> 2) * QUARTER_PI_Q31 as i64 >> (58 - bits);
+        if turned + 380_000_000 < (1 << 31) - (1 << 26) {
+            break;
+        }
+        bits -= 1;
+    }
+    bits
+}
+
+/// The nearest to `value / 2^shift` of what is known to fit a word.
+#[inline(always)]
+const fn nearest(value: i64, shift: u32) -> i32 {
+    word(value.wrapping_add(1 << (shift - 1)), shift)
+}
+
+/// The products of the words, added: two instructions of a 32-bit processor. The caller has proven that the sum fits.
+#[inline(always)]
+fn sum(a: i32, b: i32, c: i32, d: i32) -> i64 {
+    total(a as i64 * b as i64, c as i64 * d as i64)
+}
+
+/// S' and S'' from the derivatives of U and V, all in words.
 #[inline]
-fn root_jet(slope: &Slope, u: Jet, v: Jet) -> Jet {
-    // |U'|, |V'| < 2^35, so |S'| < 2^39.4.
-    let first = -(scale(u.first, slope.u, 27) + scale(v.first, slope.v, 27));
-    // Squares of rates in 2^-12 mm/s: their sum stays below 2^63.
-    let squares = [u.first, v.first, first].map(|rate| {
-        let coarse = round_shift(rate, 8);
-        coarse * coarse
-    });
-    let sum = squares[0] + squares[1] + squares[2];
-    // 2^-24 (mm/s)^2 over 2^-20 mm, to 2^-12 mm/s^2: times 2^8.
-    let bent = round_shift(
-        multiply_high(sum, slope.inverse.mantissa),
-        slope.inverse.shift - 40,
+fn root_jet(slope: &Slope, u: (i32, i32), v: (i32, i32)) -> (i64, i64) {
+    // Below 2^63: slopes up to 10 in Q27, each 2^30.4 and with 2^31 at most.
+    let first = sum(slope.u, u.0, slope.v, v.0);
+    // Squares of rates in 2^-12 mm/s: each below 2^56.
+    let coarse = word(first, 35);
+    let squares = total(
+        sum(u.0 >> 8, u.0 >> 8, v.0 >> 8, v.0 >> 8),
+        coarse as i64 * coarse as i64,
     );
-    let second = -(bent + scale(u.second, slope.u, 27) + scale(v.second, slope.v, 27));
-    Jet { first, second }
+    // 2^-24 (mm/s)^2 over 2^-20 mm, to 2^-12 mm/s^2: times 2^8.
+    let bent = multiply_high(squares, slope.inverse.mantissa)
+        .wrapping_shr(slope.inverse.shift.wrapping_sub(40));
+    let second = total(bent, sum(slope.u, u.1, slope.v, v.1) >> 27);
+    ((first >> 27).wrapping_neg(), second.wrapping_neg())
+}
+
+/// The bits of the largest magnitude; a negative one may count for one more.
+#[inline(always)]
+fn bits(values: [i32; 3]) -> u32 {
+    let [a, b, c] = values.map(|value| value ^ (value >> 31));
+    32 - (a | b | c).leading_zeros()
+}
+
+/// What a pair of slides does: the middle of both, and by how much the first is ahead of it, by rate and acceleration.
+type PairJet = [(i64, i64); 2];
+
+/// Rates and accelerations that leave their words, or were made slower: held at the ends.
+#[cold]
+#[inline(never)]
+fn hold(jets: &[PairJet; 2], excess: u32, motion: &mut JointMotion) {
+    for (index, [middle, ahead]) in jets.iter().enumerate() {
+        for (joint, sign) in [(2 * index, 1), (2 * index + 1, -1)] {
+            // Below 2^45, and at most 3 and 6 bits more.
+            let first = (middle.0 + sign * ahead.0) << excess;
+            let second = (middle.1 + sign * ahead.1) << (2 * excess);
+            motion.rates[joint] = Rate::saturating_from(first);
+            motion.accelerations[joint] = Acceleration::saturating_from(second);
+        }
+    }
 }
 
 impl H4 {
     /// Rates and accelerations of the joints at a placed pose that moves.
+    #[inline(always)]
     pub(super) fn derivatives(
         &self,
         placed: &Placed,
         pairs: &[Pair; 2],
         rates: &Rates,
         accelerations: &Accelerations,
-    ) -> (Rates, Accelerations) {
-        let rate = |axis: usize| rates.get(axis).map_or(0, |rate| rate.0);
-        let acceleration = |axis: usize| {
-            accelerations
-                .get(axis)
-                .map_or(0, |acceleration| acceleration.0)
+        motion: &mut JointMotion,
+    ) {
+        let linear = bits([rates[0].0, rates[1].0, rates[2].0]);
+        let angular = bits([rates[THETA].0, rates[ALPHA].0, 0]);
+        let by_rate = linear
+            .saturating_sub(QUICK)
+            .max(angular.saturating_sub(self.quick_turn));
+        let linear = bits([accelerations[0].0, accelerations[1].0, accelerations[2].0]);
+        let angular = bits([accelerations[THETA].0, accelerations[ALPHA].0, 0]);
+        let by_acceleration = linear
+            .saturating_sub(QUICK)
+            .max(angular.saturating_sub(self.quick_turn));
+        // Accelerations go with the square of the time.
+        let excess = by_rate.max(by_acceleration.div_ceil(2));
+        let slow;
+        let (slow_rates, slow_accelerations) = if excess == 0 {
+            (rates, accelerations)
+        } else {
+            slow = (
+                rates.map(|rate| Rate(rate.0 >> excess)),
+                accelerations.map(|value| Acceleration(value.0 >> (2 * excess))),
+            );
+            (&slow.0, &slow.1)
         };
-        // Radians: rate * 2 pi / 2^32 in Q29, acceleration * 2 pi / 2^24 in Q21; squares of rates in Q27 (at most pi^2).
-        let omega = |axis| multiply_shift(rate(axis), QUARTER_PI_Q31, 31) as i32;
-        let spin = |axis| multiply_shift(acceleration(axis), QUARTER_PI_Q31, 31);
-
-        // The table.
-        let (sine, cosine) = (placed.table.0 as i64, placed.table.1 as i64);
-        let turn = |across: i32, up: i32| {
-            let (across, up) = (across as i64, up as i64);
-            (
-                round_shift(across * cosine - up * sine, 30),
-                round_shift(across * sine + up * cosine, 30),
-            )
-        };
-        let (y, height) = (placed.y, placed.height);
-        let alpha = omega(ALPHA);
-        let alpha_square = multiply_shift(alpha, alpha, 31) as i32;
-        let alpha_spin = spin(ALPHA) as i32;
-        let (y_rate, z_rate) = turn(rate(1), rate(2));
-        let (y_acceleration, z_acceleration) = turn(acceleration(1), acceleration(2));
-        // scale() takes shifts up to 32: the products below are brought from Q29 2^-20 to 2^-12 by shifts of 28 + 8.
-        let across = Jet {
-            first: y_rate - scale(height, alpha, 29),
-            second: y_acceleration
-                - scale(height, alpha_spin, 29)
-                - round_shift(scale(z_rate, alpha, 28), 8)
-                - round_shift(scale(y, alpha_square, 27), 8),
-        };
-        let up = Jet {
-            first: z_rate + scale(y, alpha, 29),
-            second: z_acceleration
-                + scale(y, alpha_spin, 29)
-                + round_shift(scale(y_rate, alpha, 28), 8)
-                - round_shift(scale(height, alpha_square, 27), 8),
-        };
-
-        // The tilt: derivatives of sin(theta) and cos(theta), Q29 and Q21.
-        let theta = omega(THETA);
-        let theta_square = multiply_shift(theta, theta, 31);
-        let theta_spin = spin(THETA);
-        let (sine, cosine) = (placed.tilt.0 as i64, placed.tilt.1 as i64);
-        let sine_jet = (
-            round_shift(cosine * theta as i64, 30) as i32,
-            (round_shift(cosine * theta_spin, 30) - round_shift(sine * theta_square, 36)) as i32,
-        );
-        let cosine_jet = (
-            -round_shift(sine * theta as i64, 30) as i32,
-            -(round_shift(sine * theta_spin, 30) + round_shift(cosine * theta_square, 36)) as i32,
-        );
-        let arm = |length: i32, jet: (i32, i32)| Jet {
-            first: multiply_shift(length, jet.0, 29),
-            second: multiply_shift(length, jet.1, 29),
-        };
-
-        let mut out_rates = Rates::default();
-        let mut out_accelerations = Accelerations::default();
-        let slides = [(self.upper, 1), (self.lower, -1)];
-        let outputs = out_rates
+        let jets = self.jets(placed, pairs, slow_rates, slow_accelerations);
+        // What leaves its word is seen once for all.
+        let mut beyond = u64::from(excess);
+        let outputs = motion
+            .rates
             .chunks_exact_mut(2)
-            .zip(out_accelerations.chunks_exact_mut(2));
-        for (((length, side), pair), (rates, accelerations)) in
-            slides.into_iter().zip(pairs).zip(outputs)
-        {
-            let along = arm(length, sine_jet);
-            let drop = arm(length, cosine_jet);
-            let u = Jet {
-                first: -side * across.first,
-                second: -side * across.second,
-            };
-            let v = Jet {
-                first: -up.first - drop.first,
-                second: -up.second - drop.second,
-            };
-            let root = root_jet(&Slope::of(pair), u, v);
-            let middle = Jet {
-                first: rate(0) as i64 + along.first,
-                second: acceleration(0) as i64 + along.second,
-            };
+            .zip(motion.accelerations.chunks_exact_mut(2));
+        for ([middle, ahead], (rates, accelerations)) in jets.iter().zip(outputs) {
             for ((rate, acceleration), sign) in rates.iter_mut().zip(accelerations).zip([1, -1]) {
-                *rate = Rate::saturating_from(middle.first + sign * root.first);
-                *acceleration = Acceleration::saturating_from(middle.second + sign * root.second);
+                let first = total(middle.0, product(sign, ahead.0));
+                let second = total(middle.1, product(sign, ahead.1));
+                *rate = Rate(first as i32);
+                *acceleration = Acceleration(second as i32);
+                beyond |= (first ^ i64::from(first as i32)) as u64;
+                beyond |= (second ^ i64::from(second as i32)) as u64;
             }
         }
-        if let (Some(to), Some(from)) = (out_rates.get_mut(ALPHA), rates.get(ALPHA)) {
-            *to = *from;
+        motion.rates[ALPHA] = rates[ALPHA];
+        motion.accelerations[ALPHA] = accelerations[ALPHA];
+        if beyond != 0 {
+            hold(&jets, excess, motion);
         }
-        if let (Some(to), Some(from)) = (out_accelerations.get_mut(ALPHA), accelerations.get(ALPHA))
+    }
+
+    /// The derivatives of both pairs, for motions that are [`QUICK`] at most.
+    #[inline(always)]
+    fn jets(
+        &self,
+        placed: &Placed,
+        pairs: &[Pair; 2],
+        rates: &Rates,
+        accelerations: &Accelerations,
+    ) -> [PairJet; 2] {
+        let [x, across, up, tilt, turn, _] = rates.map(|rate| rate.0);
+        let [x_push, across_push, up_push, tilt_push, turn_push, _] =
+            accelerations.map(|acceleration| acceleration.0);
+        // Radians: rate * 2 pi / 2^32 in Q30, acceleration * 2 pi / 2^24 in Q22; both are the value times pi / 2.
+        let radians = |value: i32| nearest(value as i64 * QUARTER_PI_Q31 as i64, 30);
+
+        // The table. Sums of products in Q30; rates 2^-20 mm/s, accelerations 2^-12 mm/s^2.
+        let (sine, cosine) = placed.table;
+        let (y, height) = (placed.y as i32, placed.height as i32);
+        let (omega, spin) = (radians(turn), radians(turn_push));
+        // Q28.
+        let bend = word(omega as i64 * omega as i64, 32);
+        let y_along = sum(across, cosine, up.wrapping_neg(), sine);
+        let z_along = sum(across, sine, up, cosine);
+        let y_rate = total(y_along, -(height as i64 * omega as i64));
+        let z_rate = total(z_along, y as i64 * omega as i64);
+        // 2 alpha' Z' + alpha'^2 y, with 48 bits: a rate, halved, times Q30, and a length times Q28. The others have 30 more than 2^-12 mm/s^2, which is 42.
+        let (y_along, z_along) = (word(y_along, 31), word(z_along, 31));
+        let y_push = total(
+            total(
+                sum(across_push, cosine, up_push.wrapping_neg(), sine),
+                -(height as i64 * spin as i64),
+            ),
+            -(sum(z_along, omega, y, bend) >> 6),
+        );
+        let z_push = total(
+            total(
+                sum(across_push, sine, up_push, cosine),
+                y as i64 * spin as i64,
+            ),
+            sum(y_along, omega, height.wrapping_neg(), bend) >> 6,
+        );
+        let u = (nearest(y_rate, 30), word(y_push, 30));
+
+        // The tilt: derivatives of sin(theta) and cos(theta), Q30 and Q22, the latter with its sign turned.
+        let (sine, cosine) = placed.tilt;
+        let (omega, spin) = (radians(tilt), radians(tilt_push));
+        let bend = word(omega as i64 * omega as i64, 38);
+        let sine_rate = nearest(cosine as i64 * omega as i64, 30);
+        let drop_rate = nearest(sine as i64 * omega as i64, 30);
+        let sine_push = word(sum(cosine, spin, sine.wrapping_neg(), bend), 30);
+        let drop_push = word(sum(sine, spin, cosine, bend), 30);
+
+        let mut jets = [PairJet::default(); 2];
+        for ((jet, pair), (length, side)) in jets
+            .iter_mut()
+            .zip(pairs)
+            .zip([(self.upper, -1), (self.lower, 1)])
         {
-            *to = *from;
+            let arm = |value: i32| length as i64 * value as i64;
+            let slope = Slope::of(pair);
+            // U' = -+y', V' = -z' + m sin(theta) theta'.
+            let v = (
+                nearest(total(arm(drop_rate), z_rate.wrapping_neg()), 30),
+                word(total(arm(drop_push), z_push.wrapping_neg()), 30),
+            );
+            // U' enters squared and with U / S: its sign is given to that.
+            let slope = Slope {
+                u: slope.u.wrapping_mul(side),
+                ..slope
+            };
+            *jet = [
+                (
+                    total(x as i64, arm(sine_rate) >> 30),
+                    total(x_push as i64, arm(sine_push) >> 30),
+                ),
+                root_jet(&slope, u, v),
+            ];
         }
-        (out_rates, out_accelerations)
+        jets
     }
 
     /// The Jacobian in table coordinates: spec h4-milling 2.7, chained with the table.

@@ -17,6 +17,9 @@ pub struct Machine {
     geometry: Geometry,
     /// Lower and upper end of each joint's stroke.
     strokes: [(Coordinate, Coordinate); MAX_AXES],
+    /// Their lower ends and lengths; a joint that the geometry lacks may be anywhere.
+    lows: [Coordinate; MAX_AXES],
+    widths: [u32; MAX_AXES],
 }
 
 /// The geometries that this firmware knows.
@@ -38,7 +41,20 @@ impl Machine {
         for (stroke, joint) in strokes.iter_mut().zip(&config.joints) {
             *stroke = (joint.low, joint.high);
         }
-        Self { geometry, strokes }
+        let axes = match &geometry {
+            Geometry::H4(arm) => arm.axes(),
+        };
+        let widths = core::array::from_fn(|index| match strokes[index] {
+            _ if index >= axes => u32::MAX,
+            (low, high) if low <= high => high.0.wrapping_sub(low.0) as u32,
+            _ => 0,
+        });
+        Self {
+            geometry,
+            strokes,
+            lows: strokes.map(|(low, _)| low),
+            widths,
+        }
     }
 
     /// The tool in the frame of the machine's base, without table and work offsets.
@@ -50,6 +66,23 @@ impl Machine {
         match &self.geometry {
             Geometry::H4(arm) => arm.base_pose(joints),
         }
+    }
+
+    /// [`Kinematics::inverse_motion`], written where it shall be. After an error what stands there is of no use.
+    ///
+    /// # Errors
+    /// As [`Kinematics::inverse_motion`].
+    pub fn place(
+        &self,
+        pose: &Pose,
+        rates: &Rates,
+        accelerations: &Accelerations,
+        motion: &mut JointMotion,
+    ) -> Result<(), PoseError> {
+        match &self.geometry {
+            Geometry::H4(arm) => arm.place_motion(pose, rates, accelerations, motion)?,
+        }
+        self.check_strokes(&motion.joints)
     }
 
     /// Signed distance from the parallel singularity, positive on the configured branch.
@@ -71,8 +104,25 @@ impl Machine {
     /// The first joint outside its stroke is an error.
     #[inline]
     fn check_strokes(&self, joints: &Joints) -> Result<(), PoseError> {
+        let mut inside = true;
+        for ((joint, low), width) in joints.0.iter().zip(&self.lows).zip(&self.widths) {
+            // Whoever is below wraps around to far above.
+            inside &= joint.wrapping_sub(*low).0 as u32 <= *width;
+        }
+        if inside {
+            Ok(())
+        } else {
+            Err(self.out_of_stroke(joints))
+        }
+    }
+
+    /// The first joint outside its stroke.
+    #[cold]
+    #[inline(never)]
+    fn out_of_stroke(&self, joints: &Joints) -> PoseError {
         let ends = joints.0.iter().zip(&self.strokes).take(self.axes());
-        for (axis, (joint, (low, high))) in ends.enumerate() {
+        let mut found = PoseError::Unreachable;
+        for (axis, (joint, (low, high))) in ends.enumerate().rev() {
             let by = if joint > high {
                 joint.saturating_sub(*high)
             } else if joint < low {
@@ -80,12 +130,12 @@ impl Machine {
             } else {
                 continue;
             };
-            return Err(PoseError::OutOfStroke {
+            found = PoseError::OutOfStroke {
                 axis: axis as u8,
                 by: by.0,
-            });
+            };
         }
-        Ok(())
+        found
     }
 }
 
@@ -110,10 +160,8 @@ impl Kinematics for Machine {
         rates: &Rates,
         accelerations: &Accelerations,
     ) -> Result<JointMotion, PoseError> {
-        let motion = match &self.geometry {
-            Geometry::H4(arm) => arm.inverse_motion(pose, rates, accelerations)?,
-        };
-        self.check_strokes(&motion.joints)?;
+        let mut motion = JointMotion::default();
+        self.place(pose, rates, accelerations, &mut motion)?;
         Ok(motion)
     }
 

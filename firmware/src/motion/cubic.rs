@@ -5,9 +5,11 @@
 //!
 //! Limits: a span lasts at most [`SPAN_MAX_US`] while anything moves (any time at rest); rates at the ends and the mean rate are below
 //! 2^31 axis units/s. [`Cubic::new`] returns `None` otherwise. Positions are exact at both ends; in between they differ from the real
-//! polynomial by less than 1 axis unit (0.95 nm), held by a test.
+//! polynomial by less than 1 axis unit (0.95 nm), rates and accelerations by a 2^26th of the
+//! largest that occurs in the span, held by a test.
 
-use crate::units::scale::{product, total};
+use crate::drive::reciprocal::high;
+use crate::units::scale::{product, saturate, total};
 use crate::units::{Acceleration, Coordinate, Rate};
 use haptimill_protocol::message::RATE_SHIFT;
 
@@ -18,21 +20,39 @@ pub const SPAN_MAX_US: u32 = 1 << 20;
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Cubic {
     start: Coordinate,
-    /// Coefficients of s, s^2, s^3 in 2^-16 axis units.
+    /// Coefficients of s, s^2, s^3 in 2^-16 axis units; below 2^53 (rates < 2^31 au/s, span < 2^20 us, factor 6).
     c1: i64,
     c2: i64,
     c3: i64,
+}
+
+/// The derivatives of a [`Cubic`], in words of a common scale, so that a period has nothing to divide or to shift far.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Derivatives {
+    /// Rate: r1 + r2 s / 2 + r3 s^2 / 4, in 2^-`rate_fraction` axis units per second.
+    r1: i32,
+    r2: i32,
+    r3: i32,
+    rate_fraction: i32,
+    /// Acceleration: a1 + a2 s / 2, in 2^-`acceleration_fraction` of its unit.
+    a1: i32,
+    a2: i32,
+    acceleration_fraction: i32,
 }
 
 /// The span of time that the cubics of all axes share.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Span {
     periods: u16,
+    microseconds: u32,
     /// 2^48 / periods.
     inverse: u64,
     /// 1 / span in 1/s is `mantissa` * 2^-`exponent`; the mantissa has 31 bits.
-    mantissa: i64,
+    mantissa: i32,
     exponent: u32,
+    /// Span * 2^24 in s (what turns a rate of the wire into 2^-16 axis units) is `travel` * 2^-`travel_shift`; 39 bits.
+    travel: i64,
+    travel_shift: u32,
 }
 
 /// Where one axis is at a time, in program time.
@@ -54,14 +74,20 @@ impl Span {
         if microseconds == 0 {
             return None;
         }
-        // 10^6 / microseconds lies between 2^-7 and 2^15.
+        // 10^6 / microseconds lies between 2^-13 and 2^15.
         let quotient = (1_000_000_u64 << 40) / u64::from(microseconds);
         let excess = 64 - quotient.leading_zeros() - 31;
+        // microseconds * 2^24 / 10^6 = microseconds * 2^18 / 15625, with 39 bits: the numerator has at most 53.
+        let bits = 32 - microseconds.leading_zeros();
+        let numerator = u64::from(microseconds) << (53 - bits);
         Some(Self {
             periods,
+            microseconds,
             inverse: (1 << 48) / u64::from(periods),
-            mantissa: (quotient >> excess) as i64,
+            mantissa: (quotient >> excess) as i32,
             exponent: 40 - excess,
+            travel: (numerator / 15_625) as i64,
+            travel_shift: 53 - bits - 18,
         })
     }
 
@@ -73,9 +99,16 @@ impl Span {
 
     /// Fraction of the span, 2^-32, at a time in 2^-16 periods; times beyond the end count as just before it.
     #[must_use]
+    #[inline]
     pub fn fraction(&self, time: u32) -> u32 {
         let last = (u32::from(self.periods) << 16).wrapping_sub(1);
-        ((u64::from(time.min(last)) * self.inverse) >> 32) as u32
+        (u64::from(time.min(last)).wrapping_mul(self.inverse) >> 32) as u32
+    }
+
+    /// The way, in 2^-16 axis units, that a rate of the wire (below 2^24 in magnitude) goes in the span.
+    #[inline]
+    fn travel(&self, rate: i32) -> i64 {
+        product(i64::from(rate), self.travel).wrapping_shr(self.travel_shift)
     }
 }
 
@@ -88,7 +121,6 @@ impl Cubic {
         to: Coordinate,
         to_rate: i32,
         span: &Span,
-        period_us: u16,
         wrap: bool,
     ) -> Option<Self> {
         let distance = if wrap {
@@ -102,23 +134,22 @@ impl Cubic {
                 ..Self::default()
             });
         }
-        let microseconds = u32::from(span.periods) * u32::from(period_us);
-        let rate_max = 1_i64 << (31 - RATE_SHIFT);
-        if microseconds > SPAN_MAX_US
-            || i64::from(from_rate).abs() >= rate_max
-            || i64::from(to_rate).abs() >= rate_max
-            || distance.abs() * 1_000_000 >= i64::from(microseconds) << 31
+        let rate_max = 1_u32 << (31 - RATE_SHIFT);
+        if span.microseconds > SPAN_MAX_US
+            || from_rate.unsigned_abs() >= rate_max
+            || to_rate.unsigned_abs() >= rate_max
+            || product(distance.abs(), 1_000_000) >= i64::from(span.microseconds) << 31
         {
             return None;
         }
-        // rate (256 au/s) * span (us) * 256 / 10^6 * 2^16 = rate * span * 2^18 / 15625; the product is below 2^61.
-        let travel = |rate: i32| i64::from(rate) * i64::from(microseconds) * (1 << 18) / 15_625;
-        let (m0, m1, d) = (travel(from_rate), travel(to_rate), distance << 16);
+        // Both below 2^47 * 2^4: a rate below 2^31 au/s for at most 1.05 s, in 2^-16.
+        let (m0, m1, d) = (span.travel(from_rate), span.travel(to_rate), distance << 16);
+        let sum = total(m0, m1);
         Some(Self {
             start: from,
             c1: m0,
-            c2: 3 * d - 2 * m0 - m1,
-            c3: m0 + m1 - 2 * d,
+            c2: total(product(3, d), total(m0, sum).wrapping_neg()),
+            c3: total(sum, product(-2, d)),
         })
     }
 
@@ -128,22 +159,35 @@ impl Cubic {
         self.c1 == 0 && self.c2 == 0 && self.c3 == 0
     }
 
-    /// Accelerations at the beginning and at the end of the span.
+    /// Whether the mean rate is within `limit` (wire units, below 2^24).
     #[must_use]
-    pub fn end_accelerations(&self, span: &Span) -> [Acceleration; 2] {
-        [2 * self.c2, 2 * self.c2 + 6 * self.c3].map(|value| Self::acceleration(value, span))
+    pub fn keeps_mean_rate(&self, limit: i32, span: &Span) -> bool {
+        // The coefficients add up to the way, to the last bit.
+        let way = total(total(self.c1, self.c2), self.c3);
+        way.abs() <= span.travel(limit)
     }
 
-    /// A second derivative by the fraction of the span, in 2^-16 axis units, as an acceleration.
-    fn acceleration(value: i64, span: &Span) -> Acceleration {
-        // Times the span, in axis units per second; bounded so that it can be divided by the span once more.
-        let speed = per_second(value, span).clamp(-(1 << 33), 1 << 33);
-        Acceleration(clamp(per_second(speed << 16, span) >> 8))
+    /// Whether the rate stays within `limit` (wire units, below 2^24) all along, given that it does at both ends. Without the exact peak: the rate is within
+    /// the hull of its ends and c1 + c2, the middle one of its control points, and only where that is outside the peak is looked for.
+    #[must_use]
+    pub fn keeps_rate(&self, limit: i32, span: &Span) -> bool {
+        let middle = total(self.c1, self.c2).abs();
+        middle <= span.travel(limit) || self.peak_within(limit, span)
+    }
+
+    /// Whether the rate at its peak, if there is one inside the span, is within `limit` (wire units).
+    #[cold]
+    #[inline(never)]
+    fn peak_within(&self, limit: i32, span: &Span) -> bool {
+        let Some(at) = self.turning(span) else {
+            return true;
+        };
+        let rate = self.sample(&self.derivatives(span), at).rate.0;
+        rate.unsigned_abs() >> RATE_SHIFT <= limit.unsigned_abs()
     }
 
     /// The fraction of the span at which the rate is largest or least, if that is inside.
-    #[must_use]
-    pub fn turning(&self, span: &Span) -> Option<u32> {
+    fn turning(&self, span: &Span) -> Option<u32> {
         // Where the acceleration 2 c2 + 6 c3 s is zero; 30 bits of both are plenty to look for a peak.
         let spare = (64
             - self
@@ -157,27 +201,64 @@ impl Cubic {
         inside.then(|| ((c2.abs() << 32) / c3.abs()) as u32)
     }
 
+    /// Whether the acceleration, which is largest at an end of the span, stays within a limit.
+    #[must_use]
+    pub fn keeps_acceleration(&self, limit: Acceleration, span: &Span) -> bool {
+        let derivatives = self.derivatives(span);
+        let end = derivatives.a1.saturating_add(derivatives.a2 >> 1);
+        [derivatives.a1, end].iter().all(|end| {
+            let end = shifted(*end, derivatives.acceleration_fraction);
+            end.unsigned_abs() <= limit.0.unsigned_abs()
+        })
+    }
+
+    /// What rate and acceleration need in every period.
+    #[must_use]
+    pub fn derivatives(&self, span: &Span) -> Derivatives {
+        // c1, 4 c2, 12 c3 in 31 bits and a sign: r1 = c1 / T, r2 / 2 = 2 c2 / T, r3 / 4 = 3 c3 / T.
+        let (c2, c3) = (self.c2 << 2, product(12, self.c3));
+        let magnitude = |value: i64| (value ^ (value >> 63)) as u64;
+        let all = magnitude(self.c1) | magnitude(c2) | magnitude(c3);
+        let spare = (64 - all.leading_zeros()).saturating_sub(31);
+        let [r1, r2, r3] =
+            [self.c1, c2, c3].map(|value| high(value.wrapping_shr(spare) as i32, span.mantissa));
+        // high() has taken 32 bits away, the coefficients have 16 of fraction. Spare is at most 27, the exponent 16 to 53.
+        let rate_fraction = span.exponent as i32 - 16 - spare as i32;
+        Derivatives {
+            r1,
+            r2,
+            r3,
+            rate_fraction,
+            a1: high(r2, span.mantissa) >> 1,
+            a2: high(r3, span.mantissa),
+            // An acceleration is in 2^8 axis units.
+            acceleration_fraction: rate_fraction + span.exponent as i32 - 24,
+        }
+    }
+
     /// Position, rate and acceleration at a fraction of the span.
     #[must_use]
-    pub fn sample(&self, fraction: u32, span: &Span) -> Sample {
-        // |c| < 2^53 (rates < 2^31 au/s, span < 2^20 us, factor 6): no sum or product below leaves 64 bits.
-        let c3s = scale(self.c3, fraction);
-        let bend = total(self.c2, c3s);
+    #[inline]
+    pub fn sample(&self, derivatives: &Derivatives, fraction: u32) -> Sample {
+        // |c| < 2^53: no sum or product below leaves 64 bits.
+        let bend = total(self.c2, scale(self.c3, fraction));
         let position = scale(total(self.c1, scale(bend, fraction)), fraction);
-        // 2 c2 + 3 c3 s, and 2 c2 + 6 c3 s.
-        let steep = total(total(bend, bend), c3s);
-        let rate = total(self.c1, scale(steep, fraction));
-        let acceleration = total(steep, product(3, c3s));
         let position = (total(position, 1 << 15) >> 16) as i32;
+        // The product of words halves what the fraction multiplies: the coefficients are twice and four times what they are. Each is below 2^30.
+        let half = (fraction >> 1) as i32;
+        let steep = derivatives.r2.wrapping_add(high(derivatives.r3, half));
+        let rate = derivatives.r1.wrapping_add(high(steep, half));
+        let acceleration = derivatives.a1.wrapping_add(high(derivatives.a2, half));
         Sample {
             position: Coordinate(self.start.0.wrapping_add(position)),
-            rate: Rate(clamp(per_second(rate, span))),
-            acceleration: Self::acceleration(acceleration, span),
+            rate: Rate(shifted(rate, derivatives.rate_fraction)),
+            acceleration: Acceleration(shifted(acceleration, derivatives.acceleration_fraction)),
         }
     }
 }
 
 /// x * s / 2^32.
+#[inline]
 fn scale(x: i64, s: u32) -> i64 {
     let (high, low) = (x >> 32, x & 0xFFFF_FFFF);
     total(
@@ -186,16 +267,17 @@ fn scale(x: i64, s: u32) -> i64 {
     )
 }
 
-/// 2^-16 axis units per span -> axis units per second, to 30 bits.
-fn per_second(x: i64, span: &Span) -> i64 {
-    let spare = (64 - x.unsigned_abs().leading_zeros()).saturating_sub(32);
-    // 32 bits and a sign times 31 bits. The exponent is at least 25 and `spare` at most 32, so the shift is 9 to 63.
-    let shift = span.exponent.wrapping_add(16).wrapping_sub(spare);
-    product(x >> spare, span.mantissa).wrapping_shr(shift)
-}
-
-fn clamp(x: i64) -> i32 {
-    x.clamp(i64::from(-i32::MAX), i64::from(i32::MAX)) as i32
+/// `value` / 2^fraction, for a value below 2^31; what a fraction below 0 makes too large is held.
+#[inline]
+fn shifted(value: i32, fraction: i32) -> i32 {
+    if (1..32).contains(&fraction) {
+        // To nearest.
+        (value.wrapping_shr(fraction as u32 - 1).wrapping_add(1)) >> 1
+    } else if fraction <= 0 {
+        saturate(i64::from(value) << fraction.unsigned_abs().min(31)).max(-i32::MAX)
+    } else {
+        0
+    }
 }
 
 #[cfg(test)]
@@ -231,18 +313,21 @@ mod tests {
             let span = Span::new(periods, PERIOD_US).expect("span");
             let h = f64::from(periods) * 2e-4;
             let p1 = p0 + (mean * h * f64::from(1 << 20)) as i32;
-            let cubic = Cubic::new(Coordinate(p0), v0, Coordinate(p1), v1, &span, PERIOD_US, false).expect("in range");
+            let cubic = Cubic::new(Coordinate(p0), v0, Coordinate(p1), v1, &span, false).expect("in range");
             let time = ((f64::from(periods) * 65536.0 - 1.0) * at) as u32;
-            let sample = cubic.sample(span.fraction(time), &span);
+            let sample = cubic.sample(&cubic.derivatives(&span), span.fraction(time));
             let (p, v, a) = hermite(f64::from(p0), f64::from(v0) * 256.0, f64::from(p1), f64::from(v1) * 256.0, h,
                 f64::from(time) / 65536.0 * 2e-4);
             // The time itself is cut to 2^-32 of the span: at most the speed times that.
             let slack = 1.0 + 2.0 * (60.0 + 120.0) * f64::from(1 << 20) * h / 4e9;
             prop_assert!((f64::from(sample.position.0) - p).abs() <= slack, "position {} {p}", sample.position.0);
-            prop_assert!((f64::from(sample.rate.0) - v).abs() <= 2.0 + 1e-8 * v.abs() + 6e-5 / h, "rate {} {v}", sample.rate.0);
+            // The largest coefficient of the rate, of which each has 28 bits at least; those of the acceleration have 26.
+            let (v0, v1, mean) = (f64::from(v0) * 256.0, f64::from(v1) * 256.0, f64::from(p1 - p0) / h);
+            let coarse = (12.0 * (v0 + v1 - 2.0 * mean).abs()).max(4.0 * (3.0 * mean - 2.0 * v0 - v1).abs()).max(v0.abs()) * f64::exp2(-28.0);
+            prop_assert!((f64::from(sample.rate.0) - v).abs() <= 1.5 + 3.0 * coarse + 6e-5 / h, "rate {} {v}", sample.rate.0);
             if a.abs() / 256.0 < f64::from(i32::MAX) {
                 let error = (f64::from(sample.acceleration.0) - a / 256.0).abs();
-                prop_assert!(error <= 2.0 + 1e-8 * (a / 256.0).abs() + 1.0 / (256.0 * h) + 2e-6 / (h * h), "acceleration {} {}", sample.acceleration.0, a / 256.0);
+                prop_assert!(error <= 1.5 + 12.0 * coarse / (256.0 * h) + 1.0 / (256.0 * h) + 2e-6 / (h * h), "acceleration {} {}", sample.acceleration.0, a / 256.0);
             }
         }
 
@@ -251,18 +336,18 @@ mod tests {
             p0: i32, p1: i32, v0: i32, v1: i32, periods: u16, period_us in 50_u16..=1000, time: u32, wrap: bool,
         ) {
             if let Some(span) = Span::new(periods, period_us)
-                && let Some(cubic) = Cubic::new(Coordinate(p0), v0, Coordinate(p1), v1, &span, period_us, wrap)
+                && let Some(cubic) = Cubic::new(Coordinate(p0), v0, Coordinate(p1), v1, &span, wrap)
             {
-                let _ = cubic.sample(span.fraction(time), &span);
+                let _ = cubic.sample(&cubic.derivatives(&span), span.fraction(time));
             }
         }
 
         #[test]
         fn starts_exactly_and_ends_within_a_unit(p0 in -(1_i32 << 28)..1 << 28, d in -100_000_i32..100_000, v in -4000_i32..4000, periods in 10_u16..5000) {
             let span = Span::new(periods, PERIOD_US).expect("span");
-            let cubic = Cubic::new(Coordinate(p0), v, Coordinate(p0 + d), v, &span, PERIOD_US, false).expect("in range");
-            prop_assert_eq!(cubic.sample(0, &span).position, Coordinate(p0));
-            let end = cubic.sample(u32::MAX, &span).position;
+            let cubic = Cubic::new(Coordinate(p0), v, Coordinate(p0 + d), v, &span, false).expect("in range");
+            prop_assert_eq!(cubic.sample(&cubic.derivatives(&span), 0).position, Coordinate(p0));
+            let end = cubic.sample(&cubic.derivatives(&span), u32::MAX).position;
             prop_assert!((end.0 - (p0 + d)).abs() <= 1);
         }
     }
@@ -276,11 +361,10 @@ mod tests {
             Coordinate(i32::MIN + 1000),
             0,
             &span,
-            PERIOD_US,
             true,
         )
         .expect("short");
-        let middle = cubic.sample(1 << 31, &span).position;
+        let middle = cubic.sample(&cubic.derivatives(&span), 1 << 31).position;
         assert!(middle.0 > i32::MAX - 10 || middle.0 < i32::MIN + 10);
         assert!(
             Cubic::new(
@@ -289,7 +373,6 @@ mod tests {
                 Coordinate(i32::MIN),
                 0,
                 &span,
-                PERIOD_US,
                 false
             )
             .is_none()

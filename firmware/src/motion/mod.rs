@@ -62,14 +62,11 @@ pub struct Motion {
 constants!(Motion { axes } of { program, jog } but { wanted, sources, offsets });
 
 impl Motion {
-    /// For the machine of `config`.
-    #[must_use]
-    pub fn new(config: &Config) -> Self {
-        let mut motion = Self::default();
-        motion.program.set_up(config);
-        motion.jog = Jog::new(config);
-        motion.axes = config.pose.len();
-        motion
+    /// Becomes that of the machine of `config`, in its place: its queue is large.
+    pub fn set_up(&mut self, config: &Config) {
+        self.program.set_up(config);
+        self.jog = Jog::new(config);
+        self.axes = config.pose.len();
     }
 
     /// The wanted pose.
@@ -152,8 +149,7 @@ impl Motion {
             }
             Mode::Program { halt } => {
                 if !self.led_otherwise() {
-                    let (program, progress) = self.program.advance(halt);
-                    self.wanted = program;
+                    let progress = self.program.advance_to(halt, &mut self.wanted);
                     return (progress, None);
                 }
                 for axis in 0..self.axes {
@@ -181,7 +177,7 @@ impl Motion {
         self.sources[..self.axes]
             .iter()
             .any(|source| *source != Source::Program)
-            || self.offsets != [0; MAX_AXES]
+            || self.offsets.iter().any(|offset| *offset != 0)
     }
 
     /// Looks whether the machine can still come to rest within its bounds if all goes on for one period. Says whether the program must brake now,

@@ -10,12 +10,12 @@
 mod stopping;
 
 use super::Wanted;
-use super::cubic::{Cubic, Span};
+use super::cubic::{Cubic, Derivatives, Span};
 use super::ramp::{Ramp, RampLimits};
 use crate::config::{AxisKind, Config, Stopping};
 use crate::kinematics::Pose;
 use crate::safety::integrity::constants;
-use crate::units::scale::{product, total};
+use crate::units::scale::{product, saturate, total};
 use crate::units::{Acceleration, Coordinate, Rate};
 use haptimill_protocol::message::{Action, MAX_AXES, RATE_SHIFT, Refusal};
 use haptimill_protocol::setpoint::Setpoint;
@@ -38,7 +38,7 @@ struct Knot {
 
 impl Knot {
     fn at_rest(&self) -> bool {
-        self.rates == [0; MAX_AXES]
+        self.rates.iter().all(|rate| *rate == 0)
     }
 }
 
@@ -46,6 +46,7 @@ impl Knot {
 #[derive(Debug, Clone, Copy, Default)]
 struct Segment {
     cubics: [Cubic; MAX_AXES],
+    derivatives: [Derivatives; MAX_AXES],
     span: Span,
     to: Knot,
 }
@@ -79,10 +80,13 @@ pub struct Late {
 pub struct Program {
     axes: usize,
     rotary: [bool; MAX_AXES],
-    rate_limits: [i64; MAX_AXES],
-    acceleration_limits: [i64; MAX_AXES],
+    /// Wire units.
+    rate_limits: [i32; MAX_AXES],
+    acceleration_limits: [Acceleration; MAX_AXES],
     period_us: u16,
     periods_per_second: i64,
+    /// The spans of the setpoint that was taken last, and of the segment: most have the length of the one before.
+    spans: [Span; 2],
     braking: Option<RampLimits>,
     /// Program time that braking from the full rate takes, in periods.
     braking_periods: u64,
@@ -117,7 +121,7 @@ constants!(Program {
     axes, rotary, rate_limits, acceleration_limits, period_us, periods_per_second, braking, braking_periods
 } of {} but {
     queue, queued_periods, rests_ahead, tail, from, segment, time, elapsed, path_rate, override_rate, accepted, reached, total, started, paused,
-    starving, late
+    starving, late, spans
 });
 
 /// Bounds of the path rate that a configuration's [`Stopping`] means; `None` if it makes no sense.
@@ -156,8 +160,10 @@ impl Program {
         for (axis, pose) in config.pose.iter().enumerate() {
             program.rotary[axis] = pose.kind == AxisKind::Rotary;
             // Two hundredths more, for the rounding of setpoints.
-            program.rate_limits[axis] = i64::from(pose.rate.0) + i64::from(pose.rate.0) / 50;
-            program.acceleration_limits[axis] = i64::from(pose.acceleration.0) * 16;
+            let rate = i64::from(pose.rate.0) + i64::from(pose.rate.0) / 50;
+            program.rate_limits[axis] = (rate >> RATE_SHIFT) as i32;
+            program.acceleration_limits[axis] =
+                Acceleration(pose.acceleration.0.saturating_mul(16));
         }
         program.braking_periods = program.braking.map_or(0, |limits| {
             Ramp::at(FULL_RATE)
@@ -211,11 +217,8 @@ impl Program {
         if matches!(knot.action, Action::Pause) && !knot.at_rest() {
             return Err(bad);
         }
-        let segment = self.segment_between(&self.tail, &knot).ok_or(bad)?;
-        if (0..self.axes).any(|axis| {
-            self.too_fast(axis, &self.tail, &knot, &segment.span)
-                || self.too_fast_between(axis, &segment)
-        }) {
+        let span = self.span(0, knot.periods).ok_or(bad)?;
+        if (0..self.axes).any(|axis| !self.may_go(axis, &knot, &span)) {
             return Err(bad);
         }
         self.queue.push_back(knot).map_err(|_| Refusal::QueueFull)?;
@@ -323,9 +326,22 @@ impl Program {
 
     /// One period along the path; `halt` brakes to rest and keeps the place.
     pub fn advance(&mut self, halt: bool) -> (Wanted, Progress) {
+        let mut wanted = Wanted::default();
+        let progress = self.advance_to(halt, &mut wanted);
+        (wanted, progress)
+    }
+
+    /// The same, with the pose, rates and accelerations written where they shall be.
+    pub fn advance_to(&mut self, halt: bool, wanted: &mut Wanted) -> Progress {
+        let progress = self.go(halt);
+        self.sample(wanted);
+        progress
+    }
+
+    fn go(&mut self, halt: bool) -> Progress {
         let mut progress = Progress::default();
         let Some(braking) = self.braking else {
-            return (self.wanted(), progress);
+            return progress;
         };
         // A pause at the last setpoint is waited for like any other.
         let finished = self.total == Some(self.reached) && !self.paused;
@@ -343,7 +359,7 @@ impl Program {
         }
         if finished || !self.started || self.paused {
             progress.finished = finished;
-            return (self.wanted(), progress);
+            return progress;
         }
         self.watch_coverage(&braking);
         let target = if halt || self.starving.is_some() {
@@ -353,7 +369,7 @@ impl Program {
         };
         self.time += self.path_rate.advance(target, &braking).max(0) as u64;
         self.walk(&mut progress);
-        (self.wanted(), progress)
+        progress
     }
 
     /// Whether the way from a rest is long enough to come to rest again if nothing more arrives: a rest lies ahead, or more than braking takes,
@@ -376,11 +392,13 @@ impl Program {
             return;
         }
         let remaining = self.remaining_periods();
-        let needed = self
-            .path_rate
-            .stopping_range(braking)
-            .map_or(u64::MAX, |(_, ahead)| ahead.unsigned_abs() >> 32)
-            + 2;
+        let needed = if self.path_rate == Ramp::at(FULL_RATE) {
+            self.braking_periods
+        } else {
+            self.path_rate
+                .stopping_range(braking)
+                .map_or(u64::MAX - 2, |(_, ahead)| ahead.unsigned_abs() >> 32)
+        } + 2;
         if self.starving.is_some() {
             // A full queue is all that there can be: go on as fast as it covers, with some room so that braking does not begin at once.
             let most = self.queue.is_full() && remaining > needed + needed / 4 + 8;
@@ -416,7 +434,7 @@ impl Program {
                     return;
                 };
                 self.queued_periods -= u64::from(knot.periods);
-                self.segment = self.segment_between(&self.from, &knot);
+                self.begin_segment(&knot);
             }
             // A segment is large: it is looked at where it lies.
             let Some(segment) = &self.segment else { return };
@@ -458,33 +476,31 @@ impl Program {
 
     /// Pose, rates and accelerations at the present time and path rate.
     fn wanted(&self) -> Wanted {
-        let mut wanted = Wanted {
-            pose: Pose(self.from.pose.map(Coordinate)),
-            ..Wanted::default()
-        };
+        let mut wanted = Wanted::default();
+        self.sample(&mut wanted);
+        wanted
+    }
+
+    /// The same, written where they shall be.
+    fn sample(&self, wanted: &mut Wanted) {
         let Some(segment) = &self.segment else {
-            return wanted;
+            *wanted = Wanted {
+                pose: Pose(self.from.pose.map(Coordinate)),
+                ..Wanted::default()
+            };
+            return;
         };
         let fraction = segment.span.fraction((self.time >> 16) as u32);
-        let rate = self.path_rate.value() >> 2;
-        let rate_squared = product(rate, rate) >> 30;
-        let slope = self.path_rate.slope();
-        for axis in 0..self.axes {
-            let sample = segment.cubics[axis].sample(fraction, &segment.span);
+        let parts = segment.cubics.iter().zip(&segment.derivatives);
+        for (axis, (cubic, derivatives)) in parts.take(self.axes).enumerate() {
+            let sample = cubic.sample(derivatives, fraction);
             wanted.pose.0[axis] = sample.position;
-            let speed = i64::from(sample.rate.0);
-            wanted.rates[axis] = Rate((product(speed, rate) >> 30) as i32);
-            // d2p/dt2 = p'' r^2 + p' dr/dt, with dr/dt in 2^-32 per period.
-            // Path rate and its square are below 2^31, its slope below 2^32: with 31 bits of speed or acceleration all products fit.
-            let braking = product(product(speed, slope) >> 32, self.periods_per_second);
-            let acceleration = total(
-                product(i64::from(sample.acceleration.0), rate_squared) >> 30,
-                braking >> 8,
-            );
-            wanted.accelerations[axis] =
-                Acceleration(acceleration.clamp(i64::from(-i32::MAX), i64::from(i32::MAX)) as i32);
+            wanted.rates[axis] = sample.rate;
+            wanted.accelerations[axis] = sample.acceleration;
         }
-        wanted
+        if self.path_rate != Ramp::at(FULL_RATE) {
+            self.slow_down(wanted);
+        }
     }
 
     /// From one place to another; the short way round on a rotary axis.
@@ -496,49 +512,79 @@ impl Program {
         }
     }
 
-    fn segment_between(&self, from: &Knot, to: &Knot) -> Option<Segment> {
-        let span = Span::new(to.periods, self.period_us)?;
+    /// From rates and accelerations at the programmed speed to those at the path rate.
+    #[inline(never)]
+    fn slow_down(&self, wanted: &mut Wanted) {
+        let rate = self.path_rate.value() >> 2;
+        let rate_squared = product(rate, rate) >> 30;
+        let slope = self.path_rate.slope();
+        let motions = wanted.rates.iter_mut().zip(&mut wanted.accelerations);
+        for (axis_rate, acceleration) in motions.take(self.axes) {
+            let speed = i64::from(axis_rate.0);
+            *axis_rate = Rate((product(speed, rate) >> 30) as i32);
+            // d2p/dt2 = p'' r^2 + p' dr/dt, with dr/dt in 2^-32 per period.
+            // Path rate and its square are below 2^31, its slope below 2^32: with 31 bits of speed or acceleration all products fit.
+            let braking = product(product(speed, slope) >> 32, self.periods_per_second);
+            let sum = total(
+                product(i64::from(acceleration.0), rate_squared) >> 30,
+                braking >> 8,
+            );
+            *acceleration = Acceleration(saturate(sum));
+        }
+    }
+
+    /// A span of so many periods; the one before of its `kind` (taken, begun) if it was as long.
+    fn span(&mut self, kind: usize, periods: u16) -> Option<Span> {
+        if self.spans[kind].periods() != periods || periods == 0 {
+            self.spans[kind] = Span::new(periods, self.period_us)?;
+        }
+        Some(self.spans[kind])
+    }
+
+    fn cubic(&self, axis: usize, from: &Knot, to: &Knot, span: &Span) -> Option<Cubic> {
+        Cubic::new(
+            Coordinate(from.pose[axis]),
+            from.rates[axis],
+            Coordinate(to.pose[axis]),
+            to.rates[axis],
+            span,
+            self.rotary[axis],
+        )
+    }
+
+    /// The way from the setpoint reached last to the next one. There is none to a setpoint that could not have been taken.
+    fn begin_segment(&mut self, to: &Knot) {
+        let Some(span) = self.span(1, to.periods) else {
+            return;
+        };
         let mut segment = Segment {
             span,
             to: *to,
             ..Segment::default()
         };
         for axis in 0..self.axes {
-            segment.cubics[axis] = Cubic::new(
-                Coordinate(from.pose[axis]),
-                from.rates[axis],
-                Coordinate(to.pose[axis]),
-                to.rates[axis],
-                &span,
-                self.period_us,
-                self.rotary[axis],
-            )?;
+            let Some(cubic) = self.cubic(axis, &self.from, to, &span) else {
+                return;
+            };
+            segment.derivatives[axis] = cubic.derivatives(&span);
+            segment.cubics[axis] = cubic;
         }
-        Some(segment)
+        self.segment = Some(segment);
     }
 
-    /// Whether the rate inside the span is beyond the axis' limit, or the acceleration at its ends beyond 16 times that
-    /// of a jog: such a setpoint is a mistake, not a motion.
-    fn too_fast_between(&self, axis: usize, segment: &Segment) -> bool {
-        let cubic = &segment.cubics[axis];
-        if cubic.is_still() {
+    /// Whether an axis may go from the newest setpoint to the next one: neither the rate there nor the mean rate nor any in between is beyond the axis' limit, nor
+    /// the acceleration beyond 16 times that of a jog. Such a setpoint is a mistake, not a motion.
+    fn may_go(&self, axis: usize, to: &Knot, span: &Span) -> bool {
+        let limit = self.rate_limits[axis];
+        if to.rates[axis].unsigned_abs() > limit.unsigned_abs() {
             return false;
         }
-        let limit = self.rate_limits[axis];
-        let most = self.acceleration_limits[axis];
-        let peak = cubic
-            .turning(&segment.span)
-            .map_or(0, |at| i64::from(cubic.sample(at, &segment.span).rate.0));
-        let ends = cubic.end_accelerations(&segment.span);
-        peak.abs() > limit || ends.iter().any(|end| i64::from(end.0).abs() > most)
-    }
-
-    /// Whether the rate at the setpoint, or the mean rate towards it, is beyond the axis' limit.
-    fn too_fast(&self, axis: usize, from: &Knot, to: &Knot, span: &Span) -> bool {
-        let limit = self.rate_limits[axis];
-        let distance = self.distance(axis, from.pose[axis], to.pose[axis]);
-        let microseconds = i64::from(span.periods()) * i64::from(self.period_us);
-        (i64::from(to.rates[axis]) << RATE_SHIFT).abs() > limit
-            || distance.abs() * 1_000_000 > limit * microseconds
+        let Some(cubic) = self.cubic(axis, &self.tail, to, span) else {
+            return false;
+        };
+        cubic.is_still()
+            || (cubic.keeps_mean_rate(limit, span)
+                && cubic.keeps_rate(limit, span)
+                && cubic.keeps_acceleration(self.acceleration_limits[axis], span))
     }
 }

@@ -72,6 +72,9 @@ impl Ramp {
     /// One period towards `target`. Gives the mean of the value before and after: what a position gains in the period, so that the value
     /// is the derivative of the position at the period's end.
     pub fn advance(&mut self, target: i64, limits: &RampLimits) -> i64 {
+        if self.slope == 0 && self.value == target {
+            return target;
+        }
         let before = self.value;
         self.step(target, limits);
         (before + self.value) >> 1

@@ -4,9 +4,13 @@
 
 use crate::drive::reciprocal::mul_shift;
 use crate::safety::integrity::constants;
+use crate::units::scale::total;
 
 /// Fractional bits of the low-passed signal: at a pole of 0.99 a difference of 1 still moves the state.
 const FRACTION: u32 = 24;
+
+/// Fractional bits of a change of the filtered signal.
+pub const CHANGE_FRACTION: u32 = FRACTION;
 
 /// Fractional bits of the rate.
 pub const RATE_FRACTION: u32 = 8;
@@ -94,13 +98,20 @@ impl RateFilter {
         self.state = (signal as i64) << FRACTION;
     }
 
+    /// Takes the signal of a period; gives by how much it has changed since the last one, low-passed, with [`CHANGE_FRACTION`]; within +-2^56.
+    #[inline]
+    pub fn change(&mut self, signal: i32) -> i64 {
+        // State within +-2^55, difference within +-2^56.
+        let difference = total(i64::from(signal) << FRACTION, self.state.wrapping_neg());
+        let change = mul_shift::<32>(difference, self.approach);
+        self.state = total(self.state, change);
+        change
+    }
+
     /// Takes the signal of a period; gives its rate per second with [`RATE_FRACTION`], within +-[`RATE_LIMIT`].
     #[inline]
     pub fn rate(&mut self, signal: i32) -> i64 {
-        // State within +-2^55, difference within +-2^56.
-        let change = mul_shift::<32>((i64::from(signal) << FRACTION) - self.state, self.approach);
-        self.state += change;
         // Q24 * Q16 / 2^32 = Q8.
-        mul_shift::<32>(change, self.frequency).clamp(-RATE_LIMIT, RATE_LIMIT)
+        mul_shift::<32>(self.change(signal), self.frequency).clamp(-RATE_LIMIT, RATE_LIMIT)
     }
 }

@@ -7,6 +7,7 @@
 //! 4e-4, continuous, odd, never decreasing.
 
 use crate::drive::reciprocal::Reciprocal;
+use crate::units::scale::{product, total};
 use crate::units::{Effort, Rate};
 
 /// tanh(i / 16), Q15; the last one is 1.
@@ -25,20 +26,32 @@ const TANH: [u16; 82] = [
 pub struct Friction {
     coulomb: Effort,
     knee: Reciprocal,
+    /// Five knees: from here on the compensation is whole.
+    full: u32,
 }
 
 impl Friction {
     /// Full compensation `coulomb`, of which tanh(1) = 76 % is reached at the rate `knee` (its magnitude counts; zero is taken for the smallest).
     pub const fn new(coulomb: Effort, knee: Rate) -> Self {
+        let knee = knee.0.unsigned_abs();
         Self {
             coulomb,
-            knee: Reciprocal::new(knee.0.unsigned_abs()),
+            knee: Reciprocal::new(knee),
+            full: if knee == 0 { 5 } else { knee.saturating_mul(5) },
         }
     }
 
     /// Effort that overcomes the friction at a wanted rate, rounded; within +-`coulomb`.
     #[inline]
     pub fn effort(&self, wanted: Rate) -> Effort {
+        if wanted.0.unsigned_abs() >= self.full {
+            // Nearly always, in motion.
+            return if wanted.0 < 0 {
+                self.coulomb.saturating_neg()
+            } else {
+                self.coulomb
+            };
+        }
         // In 1/16 of the knee, Q16. A rate of 2^31 over a knee of 1 is 2^31 * 2^20: no overflow before the clamp.
         let ratio = self
             .knee
@@ -52,9 +65,9 @@ impl Friction {
         };
         let (low, high) = (i64::from(low), i64::from(high));
         // Q31; never decreasing.
-        let tanh = (low << 16) + (high - low) * part;
+        let tanh = total(low << 16, product(total(high, -low), part));
         // Below 2^31 * 2^31.
-        let effort = (i64::from(self.coulomb.0) * tanh + (1 << 30)) >> 31;
+        let effort = total(product(i64::from(self.coulomb.0), tanh), 1 << 30) >> 31;
         let signed = if wanted.0 < 0 { -effort } else { effort };
         Effort(crate::drive::reciprocal::saturate(signed))
     }

@@ -10,6 +10,9 @@
 //! K_D / period times a count. Friction is compensated by the wanted rate ([`friction`]). The integrator is optional; it stands still while the output is at
 //! its limit and the error would drive it further in, and never holds more than the limit.
 //!
+//! All gains are brought into factors of effort when the configuration becomes active, so a period costs one word product a term. A term is held at four times the drive's
+//! limit at least, the sum saturates.
+//!
 //! Units are those of [`crate::units`]; gains come from [`crate::config::Law`]. No input can overflow: what is too large saturates, and is reported.
 //!
 //! Misuse: feeding the error of a wanted position that jumps. [`PositionLaw::reset`] belongs before the first period after an enable.
@@ -18,38 +21,45 @@ pub mod filter;
 pub mod friction;
 
 use crate::config::{Law, LawForm};
-use crate::drive::reciprocal::{mul_shift, saturate};
+use crate::drive::reciprocal::{Factor, Scale, mul_shift, saturate};
 use crate::safety::integrity::constants;
 use crate::units::{Acceleration, Coordinate, Effort, Rate};
-use filter::RateFilter;
+use filter::{CHANGE_FRACTION, RateFilter};
 use friction::Friction;
-
-/// The largest acceleration that is asked for, au/s^2; 2^37 mm/s^2.
-const ACCELERATION_LIMIT: i64 = 1 << 57;
 
 /// Fractional bits of the integrator.
 const INTEGRAL_FRACTION: u32 = 20;
 
 /// Position loop of one joint.
+///
+/// Efforts inside have `fraction` more bits than outside, as many as leave a term room for four times the limit.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct PositionLaw {
     form: LawForm,
-    kp: u32,
-    kd: u32,
-    inertia: u32,
-    viscous: u32,
+    /// Effort of the error.
+    proportional: Scale,
+    /// Effort of a change of the error in a period, which is shifted right by `coarse` before.
+    derivative: Scale,
+    coarse: u32,
+    /// Effort of the wanted acceleration, and of the wanted rate.
+    acceleration: Scale,
+    viscous: Scale,
     friction: Friction,
     error_rate: RateFilter,
+    inertia: u32,
     /// K_I times the period, 1/s^2, Q20.
     ki_period: u32,
     /// au/s^2, Q20.
     integral: i64,
     integral_limit: i64,
     limit: i32,
+    fraction: u32,
+    /// The opposite for drives of more than 2 kN: bits that efforts inside lack.
+    lift: u32,
 }
 
 constants!(PositionLaw {
-    form, kp, kd, inertia, viscous, friction, ki_period, integral_limit, limit
+    form, proportional, derivative, coarse, acceleration, viscous, friction, inertia, ki_period, integral_limit, limit, fraction, lift
 } of { error_rate } but { integral });
 
 impl PositionLaw {
@@ -65,14 +75,48 @@ impl PositionLaw {
         let inertia = if law.inertia == 0 { 1 } else { law.inertia } as i64;
         let most = ((limit as i64) << 28) / inertia;
         let most = if most > 1 << 42 { 1 << 42 } else { most };
+        // A term holds 2^29 at least, the limit is below 2^27.
+        let fraction = limit.leading_zeros().saturating_sub(5);
+        let fraction = if fraction > 16 { 16 } else { fraction };
+        let lift = 5_u32.saturating_sub(limit.leading_zeros());
+        let bits = fraction as i32 - lift as i32;
+        // 256 au/s^2 a unit and Q20 of inertia: 28 bits.
+        let force = Factor::of(inertia as u64).shifted(bits - 28);
+        let period = if period_us < 50 { 50 } else { period_us as u64 };
+        // Gains have 8 fraction bits.
+        let derivative = force
+            .times(Factor::of(law.kd.0 as u64))
+            .times(Factor::of(1_000_000))
+            .over(Factor::of(period))
+            .shifted(-8 - CHANGE_FRACTION as i32);
+        // The largest change that makes a difference has 31 bits after the shift.
+        let coarse = derivative.coarseness();
+        let (acceleration, viscous) = match law.form {
+            LawForm::Pd => (Factor::of(0), Factor::of(0)),
+            LawForm::ModelBased => (
+                force.shifted(8),
+                Factor::of(law.viscous as u64).shifted(bits - 24),
+            ),
+        };
+        let coulomb = ((law.coulomb.0 as i64) << fraction) >> lift;
+        let most_coulomb = 1 << 30;
+        let coulomb = if coulomb > most_coulomb {
+            most_coulomb
+        } else if coulomb < -most_coulomb {
+            -most_coulomb
+        } else {
+            coulomb
+        };
         Self {
             form: law.form,
-            kp: law.kp.0,
-            kd: law.kd.0,
-            inertia: law.inertia,
-            viscous: law.viscous,
-            friction: Friction::new(law.coulomb, law.coulomb_rate),
+            proportional: force.times(Factor::of(law.kp.0 as u64)).shifted(-8).scale(),
+            derivative: derivative.shifted(coarse as i32).scale(),
+            coarse,
+            acceleration: acceleration.scale(),
+            viscous: viscous.scale(),
+            friction: Friction::new(Effort(coulomb as i32), law.coulomb_rate),
             error_rate: RateFilter::new(period_us, law.rate_filter_us),
+            inertia: law.inertia,
             ki_period: if ki > u32::MAX as u64 {
                 u32::MAX
             } else {
@@ -81,6 +125,8 @@ impl PositionLaw {
             integral: 0,
             integral_limit: most << INTEGRAL_FRACTION,
             limit,
+            fraction,
+            lift,
         }
     }
 
@@ -91,33 +137,44 @@ impl PositionLaw {
     }
 
     /// The effort of a period, and whether it was cut at the limit.
-    #[inline]
+    #[inline(always)]
     pub fn effort(
         &mut self,
         error: Coordinate,
         rate: Rate,
         acceleration: Acceleration,
     ) -> (Effort, bool) {
-        let error_rate = self.error_rate.rate(error.0);
-        // Each is below 2^63: 2^32 * 2^31; 2^44 * 2^32 / 2^16; the sum of the four is below 2^61.
-        let proportional = (i64::from(error.0) * i64::from(self.kp)) >> 8;
-        let derivative = mul_shift::<16>(error_rate, self.kd);
-        let integral = self.integral >> INTEGRAL_FRACTION;
-        let mut asked = proportional + derivative + integral;
-        let mut effort = i64::from(self.friction.effort(rate).0);
+        let change = saturate(self.error_rate.change(error.0).wrapping_shr(self.coarse));
+        let mut sum = self
+            .proportional
+            .apply(error.0)
+            .saturating_add(self.derivative.apply(change))
+            .saturating_add(self.friction.effort(rate).0);
         if self.form == LawForm::ModelBased {
-            asked += i64::from(acceleration.0) << 8;
-            effort += (i64::from(rate.0) * i64::from(self.viscous)) >> 24;
+            sum = sum
+                .saturating_add(self.acceleration.apply(acceleration.0))
+                .saturating_add(self.viscous.apply(rate.0));
         }
-        // 256 au/s^2 a unit and Q20 of inertia: 28 bits. 2^57 * 2^32 / 2^28 = 2^61.
-        effort += mul_shift::<28>(
-            asked.clamp(-ACCELERATION_LIMIT, ACCELERATION_LIMIT),
-            self.inertia,
-        );
-        let limit = i64::from(self.limit);
-        let allowed = effort.clamp(-limit, limit);
-        let deeper = allowed != effort && (effort < 0) == (error.0 < 0);
-        if self.ki_period != 0 && !deeper {
+        if self.ki_period != 0 {
+            // 256 au/s^2 a unit and Q20 of inertia: 28 bits. 2^42 * 2^32 / 2^28 = 2^46, and the fraction 2^16.
+            let effort = mul_shift::<28>(self.integral >> INTEGRAL_FRACTION, self.inertia);
+            sum = sum.saturating_add(saturate((effort << self.fraction) >> self.lift));
+        }
+        let half = 1_i32.wrapping_shl(self.fraction) >> 1;
+        let mut effort = sum.saturating_add(half).wrapping_shr(self.fraction);
+        if self.lift != 0 {
+            effort = saturate(i64::from(effort) << self.lift);
+        }
+        let allowed = effort.clamp(-self.limit, self.limit);
+        if self.ki_period != 0 {
+            self.integrate(error, allowed != effort && (effort < 0) == (error.0 < 0));
+        }
+        (Effort(allowed), allowed != effort)
+    }
+
+    /// The integrator stands still where it would go `deeper` into the limit.
+    fn integrate(&mut self, error: Coordinate, deeper: bool) {
+        if !deeper {
             // The integrator is within +-2^62 and a step below 2^63.
             let step = i64::from(error.0) * i64::from(self.ki_period);
             self.integral = self
@@ -125,6 +182,5 @@ impl PositionLaw {
                 .saturating_add(step)
                 .clamp(-self.integral_limit, self.integral_limit);
         }
-        (Effort(saturate(allowed)), allowed != effort)
     }
 }

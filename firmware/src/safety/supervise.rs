@@ -72,7 +72,7 @@ const AGAINST_PERIODS: u8 = 4;
 
 /// A count that turned round so often, while so many counts of motion were wanted one way, has a stuck channel.
 const TURNS: u8 = 8;
-const COUNTS: i64 = 10;
+const COUNTS: u32 = 10;
 
 impl Watch {
     /// Forgets what was; after enabling and after the coordinate was set.
@@ -111,6 +111,9 @@ impl Watch {
 
     /// The measured joint against its stroke. What is wanted is always within (stage *place* sees to it), and what is measured may be off.
     fn stroke(axis: u8, config: &JointAxis, seen: &Seen) -> Option<Fault> {
+        if (config.low..=config.high).contains(&seen.measured) {
+            return None;
+        }
         let measured = i64::from(seen.measured.0);
         let (low, high) = (i64::from(config.low.0), i64::from(config.high.0));
         let by = measured - measured.clamp(low, high.max(low));
@@ -130,13 +133,16 @@ impl Watch {
         let Drive::Torque { limit: most, .. } = config.drive else {
             return None;
         };
+        if seen.effort.0.unsigned_abs() < most.0.unsigned_abs() / 8 {
+            // Nearly always.
+            self.against = 0;
+            return None;
+        }
         let wanted = i64::from(seen.wanted_rate.0);
         let off = i64::from(seen.rate.0) - wanted;
         let effort = i64::from(seen.effort.0);
         let limit = magnitude(config.following) * 50 + wanted.abs() / 4;
-        let against = off.abs() > limit
-            && effort.signum() == -off.signum()
-            && effort.abs() >= i64::from(most.0).abs() / 8;
+        let against = off.abs() > limit && effort.signum() == -off.signum();
         self.against = if against { self.against + 1 } else { 0 };
         if self.against < AGAINST_PERIODS {
             return None;
@@ -185,13 +191,13 @@ impl Watch {
         };
         let mark = self.mark.get_or_insert(fresh(true));
         // A stuck channel lets the count go to and fro by one.
-        let count = config.per_count.saturating_abs() >> 24;
+        let count = u32::try_from(config.per_count.unsigned_abs() >> 24).unwrap_or(u32::MAX);
         let still = count.saturating_mul(5) / 2;
         if direction == 0 || direction != mark.direction {
             *mark = fresh(true);
             return None;
         }
-        if difference(config, seen.measured, mark.measured).abs() > still {
+        if distance(config, seen.measured, mark.measured) > still {
             *mark = fresh(false);
             return None;
         }
@@ -201,8 +207,9 @@ impl Watch {
         if seen.moved != 0 {
             mark.last = seen.moved.signum();
         }
-        let gone = difference(config, seen.wanted, mark.wanted).abs();
-        if mark.turns >= TURNS && gone > count.saturating_mul(COUNTS) {
+        if mark.turns >= TURNS
+            && distance(config, seen.wanted, mark.wanted) > count.saturating_mul(COUNTS)
+        {
             return Some(Fault::EncoderStill { axis });
         }
         let growth = (i64::from(seen.effort.0) - i64::from(mark.effort.0)) * direction;
@@ -224,10 +231,10 @@ impl Watch {
     /// Motion that was wanted and not seen, or seen the other way round.
     fn motion(&mut self, axis: u8, config: &JointAxis, seen: &Seen) -> Option<Fault> {
         let (wanted_then, measured_then) = *self.since.get_or_insert((seen.wanted, seen.measured));
-        let wanted = difference(config, seen.wanted, wanted_then);
-        if wanted.abs() < magnitude(config.still) {
+        if distance(config, seen.wanted, wanted_then) < config.still.magnitude() {
             return None;
         }
+        let wanted = difference(config, seen.wanted, wanted_then);
         let measured = difference(config, seen.measured, measured_then);
         self.since = None;
         if measured.abs() < wanted.abs() / 8 {
@@ -238,6 +245,9 @@ impl Watch {
 
     /// The following error against its limit.
     fn error(axis: u8, config: &JointAxis, seen: &Seen) -> Option<Fault> {
+        if distance(config, seen.wanted, seen.measured) <= config.following.magnitude() {
+            return None;
+        }
         let speed = i64::from(seen.wanted_rate.0).abs();
         let limit = magnitude(config.following) + ((speed * i64::from(config.following_lag)) >> 16);
         let error = difference(config, seen.wanted, seen.measured);
@@ -249,6 +259,15 @@ impl Watch {
             error: saturate(error),
             limit: saturate(limit),
         })
+    }
+}
+
+/// How far it is from `b` to `a`; the shorter way round on a rotary joint.
+#[inline]
+fn distance(config: &JointAxis, a: Coordinate, b: Coordinate) -> u32 {
+    match config.kind {
+        AxisKind::Linear => a.0.abs_diff(b.0),
+        AxisKind::Rotary => a.0.wrapping_sub(b.0).unsigned_abs(),
     }
 }
 

@@ -63,6 +63,7 @@ quantity! {
     Effort
 }
 
+pub mod force;
 pub mod root;
 pub mod scale;
 pub mod trig;

@@ -29,12 +29,11 @@ pub const fn total(a: i64, b: i64) -> i64 {
 #[inline]
 #[must_use]
 pub const fn saturate(value: i64) -> i32 {
-    if value > i32::MAX as i64 {
-        i32::MAX
-    } else if value < i32::MIN as i64 {
-        i32::MIN
+    let word = value as i32;
+    if word as i64 == value {
+        word
     } else {
-        value as i32
+        i32::MAX ^ (value >> 63) as i32
     }
 }
 

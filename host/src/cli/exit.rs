@@ -2,6 +2,8 @@
 
 use crate::machine::Problems;
 use crate::port::PortError;
+use crate::program::Refused;
+use serde::Serialize;
 use std::fmt;
 
 /// Exit codes of `haptimill`.
@@ -41,8 +43,10 @@ Exit codes:
   5  the port cannot be opened, is taken, or the link broke
   6  the machine latched a fault
   7  stopped by the user; the machine slowed down along its path
-  8  the controller refused a command in its present state
-  9  the result cannot be written";
+  8  the controller refused a command in its present state; with `trace diff`: the recordings differ
+  9  the result cannot be written
+With --json an error is an object on standard output too, unless the command line
+cannot be understood: {\"error\", \"exit_code\", \"problems\": [...]}.";
 
 /// Why the command did not do what it was asked.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -51,6 +55,25 @@ pub struct CliError {
     pub exit: Exit,
     /// What to tell, on standard error; may have several lines, ends without one.
     pub message: String,
+    /// The single mistakes of an input file, where that is the reason.
+    pub problems: Vec<Located>,
+    /// With --json: what there is to say on standard output has been said.
+    pub told: bool,
+}
+
+/// A mistake in a file, for a program to read.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Located {
+    /// The file, as it was given.
+    pub file: String,
+    /// Line, from 1; 0 when the file cannot be read at all.
+    pub line: usize,
+    /// Column in characters, from 1.
+    pub column: usize,
+    /// What is wrong.
+    pub message: String,
+    /// What to do about it.
+    pub remedy: String,
 }
 
 impl CliError {
@@ -59,7 +82,41 @@ impl CliError {
         Self {
             exit,
             message: message.to_string(),
+            problems: Vec::new(),
+            told: false,
         }
+    }
+
+    /// A part program was refused.
+    pub fn refused(exit: Exit, refused: &Refused) -> Self {
+        let located = |problem: &crate::program::Problem| Located {
+            file: refused.file.clone(),
+            line: problem.place.line as usize,
+            column: problem.place.column as usize,
+            message: problem.what.clone(),
+            remedy: problem.remedy.clone(),
+        };
+        Self {
+            problems: refused.problems.iter().map(located).collect(),
+            ..Self::new(exit, refused)
+        }
+    }
+
+    /// The same, where standard output has its JSON already.
+    #[must_use]
+    pub fn told(mut self) -> Self {
+        self.told = true;
+        self
+    }
+
+    /// For a program that reads standard output.
+    #[must_use]
+    pub fn to_json(&self) -> serde_json::Value {
+        serde_json::json!({
+            "error": self.message,
+            "exit_code": self.exit as u8,
+            "problems": self.problems,
+        })
     }
 }
 
@@ -73,7 +130,20 @@ impl std::error::Error for CliError {}
 
 impl From<Problems> for CliError {
     fn from(problems: Problems) -> Self {
-        Self::new(Exit::BadInput, problems)
+        let located = |problem: &crate::machine::Problem| Located {
+            file: problem.file.clone(),
+            line: problem.line,
+            column: problem.column,
+            message: match problem.key.as_str() {
+                "" => problem.what.clone(),
+                key => format!("{key}: {}", problem.what),
+            },
+            remedy: problem.remedy.clone(),
+        };
+        Self {
+            problems: problems.0.iter().map(located).collect(),
+            ..Self::new(Exit::BadInput, problems)
+        }
     }
 }
 
@@ -103,7 +173,7 @@ mod tests {
         ];
         let listed: Vec<u8> = EXIT_CODES
             .lines()
-            .skip(1)
+            .filter(|line| line.starts_with("  "))
             .map(|line| line.split_whitespace().next().unwrap().parse().unwrap())
             .collect();
         assert_eq!(listed, all.map(|exit| exit as u8));

@@ -4,6 +4,7 @@ use super::one_shot::{open, report};
 use super::{CliError, ConnectArgs, Exit, MachineArg, seconds};
 use crate::machine::MachineFile;
 use crate::machine::scale::per_unit;
+use crate::model::LETTERS;
 use clap::Args;
 use haptimill_protocol::message::{AxisValues, Event, RATE_SHIFT, State};
 use std::str::FromStr;
@@ -11,7 +12,8 @@ use std::str::FromStr;
 const LONG: &str = "\
 Move pose coordinates at a rate for a time.
 
-Rates are in mm/s and degrees/s: `haptimill jog x=5 theta=-2 --for 1.5`. The controller clips the motion to the soft limits, and stops by itself \
+Rates are in mm/s and degrees/s: `haptimill jog x=5 theta=-2 --for 1.5`. An axis is called by its name in the machine file (x, y, z, theta, alpha) \
+or by its letter in part programs: A is alpha (the table), B is theta (the tool's tilt). The controller clips the motion to the soft limits, and stops by itself \
 when this command falls silent for --deadline milliseconds. Ctrl-C stops.";
 
 /// Arguments of `haptimill jog`.
@@ -45,7 +47,7 @@ pub struct JogArgs {
 /// A pose coordinate and its rate.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AxisRate {
-    /// Name of the coordinate, as in the machine file.
+    /// Name of the coordinate, as in the machine file, or its letter in part programs; in lower case.
     pub axis: String,
     /// Rate, mm/s or deg/s; finite.
     pub rate: f64,
@@ -129,22 +131,25 @@ pub fn run(args: JogArgs) -> Result<(), CliError> {
 fn rates(args: &JogArgs, machine: &MachineFile) -> Result<AxisValues, CliError> {
     let mut rates: Vec<i32> = vec![0; machine.pose.len()];
     let usage = |what: String| CliError::new(Exit::Usage, what);
-    for (place, wanted) in args.axes.iter().enumerate() {
-        if args.axes[..place]
-            .iter()
-            .any(|before| before.axis == wanted.axis)
-        {
-            return Err(usage(format!(
-                "{} is given twice; leave one out",
-                wanted.axis
-            )));
-        }
+    let mut given = vec![false; machine.pose.len()];
+    for wanted in &args.axes {
+        let letters = || LETTERS.map(|letter| letter.to_lowercase().to_string());
         let Some(index) = machine
             .pose
             .iter()
             .position(|axis| axis.name.to_lowercase() == wanted.axis)
+            .or_else(|| letters().iter().position(|letter| *letter == wanted.axis))
+            .filter(|index| *index < machine.pose.len())
         else {
-            let names: Vec<&str> = machine.pose.iter().map(|axis| axis.name.as_str()).collect();
+            let names: Vec<String> = machine
+                .pose
+                .iter()
+                .zip(LETTERS)
+                .map(|(axis, letter)| match axis.name.to_uppercase() {
+                    name if name == letter.to_string() => axis.name.clone(),
+                    _ => format!("{} (or {letter})", axis.name),
+                })
+                .collect();
             return Err(usage(format!(
                 "there is no axis '{}'; this machine has {}",
                 wanted.axis,
@@ -152,6 +157,12 @@ fn rates(args: &JogArgs, machine: &MachineFile) -> Result<AxisValues, CliError> 
             )));
         };
         let axis = &machine.pose[index];
+        if std::mem::replace(&mut given[index], true) {
+            return Err(usage(format!(
+                "{} is given twice; leave one out",
+                axis.name
+            )));
+        }
         if wanted.rate.abs() > axis.rate {
             return Err(usage(format!(
                 "{}={} is faster than the axis may go; at most {}",

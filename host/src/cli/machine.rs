@@ -42,7 +42,7 @@ pub fn check(args: CheckArgs) -> Result<(), CliError> {
             let count = problems.0.len();
             let plural = if count == 1 { "" } else { "s" };
             let message = format!("{problems}\n{count} problem{plural}");
-            return Err(CliError::new(Exit::BadInput, message));
+            return Err(CliError::new(Exit::BadInput, message).told());
         }
     }
     Ok(())

@@ -21,7 +21,7 @@ pub mod trace;
 pub use exit::{CliError, EXIT_CODES, Exit};
 
 use crate::machine::MachineFile;
-use crate::port::{DEFAULT_BAUD, PortSpec};
+use crate::port::PortSpec;
 use clap::{Args, Parser, Subcommand};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -90,6 +90,24 @@ enum Command {
     Kin(KinCommand),
 }
 
+impl Command {
+    /// Whether a program reads the standard output.
+    fn json(&self) -> bool {
+        match self {
+            Self::Run(args) => args.json,
+            Self::Jog(args) => args.json,
+            Self::Home(args) => args.one_shot.json,
+            Self::Status(args) | Self::Enable(args) | Self::Disable(args) | Self::Reset(args) => {
+                args.json
+            }
+            Self::Stop(args) => args.json,
+            Self::Ports(args) => args.json,
+            Self::Machine(MachineCommand::Check(args)) => args.json,
+            Self::Sim(_) | Self::Trace(_) | Self::Kin(_) => false,
+        }
+    }
+}
+
 #[derive(Debug, Subcommand)]
 enum SimCommand {
     Serve(sim::ServeArgs),
@@ -133,9 +151,9 @@ pub struct ConnectArgs {
     /// Serial port or pseudo-terminal by its path, or tcp:HOST:PORT
     #[arg(long, value_name = "PORT")]
     pub port: PortSpec,
-    /// Baud rate of a serial port
-    #[arg(long, value_name = "N", default_value_t = DEFAULT_BAUD, value_parser = clap::value_parser!(u32).range(1200..=12_000_000))]
-    pub baud: u32,
+    /// Baud rate of a serial port (default 115200)
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1200..=12_000_000))]
+    pub baud: Option<u32>,
     /// Give up when the controller has not answered for so long
     #[arg(long, value_name = "SECONDS", default_value_t = 5.0, value_parser = seconds)]
     pub timeout: f64,
@@ -151,9 +169,14 @@ fn seconds(text: &str) -> Result<f64, String> {
 
 /// Runs the command line of this process.
 pub fn main() -> ExitCode {
-    match dispatch(Cli::parse()) {
+    let cli = Cli::parse();
+    let json = cli.command.json();
+    match dispatch(cli) {
         Ok(()) => ExitCode::from(Exit::Done as u8),
         Err(error) => {
+            if json && !error.told {
+                tell!("{:#}", error.to_json());
+            }
             eprintln!("{}", error.message);
             ExitCode::from(error.exit as u8)
         }

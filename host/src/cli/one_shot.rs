@@ -3,10 +3,10 @@
 use super::{CliError, ConnectArgs, Exit, MachineArg};
 use crate::client::Options;
 use crate::machine::MachineFile;
-use crate::port;
+use crate::port::{self, DEFAULT_BAUD, PortSpec};
 use crate::session::{self, PortLine, Session, interrupt};
 use clap::Args;
-use haptimill_protocol::message::{AxisValues, Command};
+use haptimill_protocol::message::{AxisValues, Command, State};
 
 /// Arguments of the one-shot commands.
 #[derive(Debug, Clone, Args)]
@@ -90,6 +90,19 @@ pub fn home(args: HomeArgs) -> Result<(), CliError> {
     let machine = args.one_shot.machine.load()?;
     let mut session = open(&args.one_shot.connect, &machine)?;
     if args.at_preset {
+        // Said before the position is set: afterwards it would be, and the search refused.
+        let first = match session.status()?.state {
+            State::Disabled => None,
+            State::Fault | State::EmergencyStop => Some("a fault is latched; `haptimill reset`"),
+            _ => Some("the drives are on; `haptimill disable`"),
+        };
+        if let Some(first) = first {
+            let then = "set the joints up at their presets by hand, then try again";
+            return Err(CliError::new(
+                Exit::Command,
+                format!("home --at-preset: {first}, {then}"),
+            ));
+        }
         session.configure_at_preset(&machine)?;
     } else {
         session.configure(&machine)?;
@@ -164,7 +177,12 @@ pub(super) fn open(
     connect: &ConnectArgs,
     machine: &MachineFile,
 ) -> Result<Session<PortLine>, CliError> {
-    let line = PortLine::new(port::open(&connect.port, connect.baud)?);
+    if let (PortSpec::Tcp(_), Some(baud)) = (&connect.port, connect.baud) {
+        let what = format!("--baud {baud} is for a serial port; leave it out with tcp:");
+        return Err(CliError::new(Exit::Usage, what));
+    }
+    let baud = connect.baud.unwrap_or(DEFAULT_BAUD);
+    let line = PortLine::new(port::open(&connect.port, baud)?);
     let options = Options {
         connect_us: (connect.timeout * 1e6) as u64,
         ..Options::default()

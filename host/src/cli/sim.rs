@@ -19,7 +19,8 @@ host is served at a time. Ctrl-C ends it.";
 
 /// Arguments of `haptimill sim serve`.
 #[derive(Debug, Clone, Args)]
-#[command(about = "Serve the simulated machine in real time", long_about = LONG)]
+#[command(about = "Serve the simulated machine in real time", long_about = LONG, after_long_help = super::run::faults_help(),
+          after_help = "`haptimill sim serve --help` says more, and lists the faults.")]
 pub struct ServeArgs {
     /// Where: pty (a pseudo-terminal, its path is printed) or tcp:HOST:PORT (port 0 takes a free one)
     #[arg(long, value_name = "WHERE", default_value = "pty")]
@@ -33,7 +34,7 @@ pub struct ServeArgs {
     /// Seed of the simulated machine, instead of the one in the machine file
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
-    /// Something that goes wrong in the machine, as "slide-jammed axis=2 at=1.5s"; can be given several times
+    /// Something that goes wrong in the machine, as "slide-jammed axis=l3 at=1.5s"; can be given several times. --help lists all faults
     #[arg(long, value_name = "FAULT")]
     pub fault: Vec<Fault>,
     /// End after so many seconds
@@ -78,6 +79,7 @@ pub fn serve(args: ServeArgs) -> Result<(), CliError> {
         .and_then(|()| out.flush())
         .map_err(output)?;
     let begun = Instant::now();
+    let mut pace = Pace::new(u64::from(machine.config.period_us) * 1000);
     let mut buffer = [0; 4096];
     let mut said = Vec::new();
     while !interrupted.load(Ordering::Relaxed)
@@ -85,14 +87,9 @@ pub fn serve(args: ServeArgs) -> Result<(), CliError> {
             .duration
             .is_none_or(|limit| begun.elapsed().as_secs_f64() < limit)
     {
-        // Virtual time follows real time, and after a pause of this process it does not race to catch up.
-        let now_ns = begun.elapsed().as_nanos() as u64;
-        let mut behind = 0;
-        while rig.time_ns() + u64::from(machine.config.period_us) * 1000 <= now_ns
-            && behind < MOST_PERIODS
-        {
+        let now_ns = u64::try_from(begun.elapsed().as_nanos()).unwrap_or(u64::MAX);
+        for _ in 0..pace.due(now_ns, rig.time_ns()) {
             rig.step();
-            behind += 1;
         }
         rig.host_read(&mut said);
         if !said.is_empty() {
@@ -113,8 +110,39 @@ pub fn serve(args: ServeArgs) -> Result<(), CliError> {
 /// Longest wait for bytes between two looks at the clock.
 const POLL: Duration = Duration::from_micros(200);
 
-/// Periods that are made up for at once when this process was held up.
-const MOST_PERIODS: u32 = 5000;
+/// Virtual time that is made up for at once when this process was held up. What the host said in the meantime still waits in the port: a machine
+/// that lived through all that time before it listens would find its host silent, and a job would end for nothing but a busy computer.
+const MOST_BEHIND: Duration = Duration::from_millis(20);
+
+/// Keeps virtual time with real time.
+struct Pace {
+    period_ns: u64,
+    /// Real time that virtual time has given up for good.
+    given_up_ns: u64,
+}
+
+impl Pace {
+    const fn new(period_ns: u64) -> Self {
+        Self {
+            period_ns,
+            given_up_ns: 0,
+        }
+    }
+
+    /// Periods to go through now. Of a longer delay the most that may be made up for is, and the rest is given up: for the machine this process stood
+    /// still, with the time in it.
+    fn due(&mut self, real_ns: u64, virtual_ns: u64) -> u64 {
+        let behind = real_ns.saturating_sub(virtual_ns.saturating_add(self.given_up_ns));
+        let most = MOST_BEHIND.as_nanos() as u64;
+        let behind = if behind > most {
+            self.given_up_ns += behind - most;
+            most
+        } else {
+            behind
+        };
+        behind / self.period_ns.max(1)
+    }
+}
 
 /// Bytes that wait for a host that does not read.
 const MOST_UNREAD: usize = 1 << 16;
@@ -164,5 +192,38 @@ fn listen(args: &ServeArgs) -> Result<(Box<dyn Transport>, Option<Link>), CliErr
             Exit::Usage,
             "this system has no pseudo-terminals; use --listen tcp:HOST:PORT",
         )),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: u64 = 1_000_000;
+
+    #[test]
+    fn virtual_time_follows_real_time_and_gives_up_what_it_cannot_make_up() {
+        let mut pace = Pace::new(200_000);
+        let mut virtual_ns = 0;
+        let mut step = |real_ns: u64| {
+            let periods = pace.due(real_ns, virtual_ns);
+            virtual_ns += periods * 200_000;
+            (periods, virtual_ns)
+        };
+        // Looked at often: exactly in step, to the period.
+        for real_us in (0..100_000).step_by(130) {
+            let (periods, virtual_ns) = step(real_us * 1000);
+            assert!(periods <= 1);
+            assert_eq!(virtual_ns / 200_000, real_us / 200);
+        }
+        // Held up a little: made up for at once.
+        assert_eq!(step(115 * MS).1, 115 * MS);
+        // Held up for three seconds, longer than any heartbeat: 20 ms pass for the machine, then it hears its host.
+        let before = step(115 * MS).1;
+        let (periods, after) = step(3_115 * MS);
+        assert_eq!((periods, after - before), (100, 20 * MS));
+        assert_eq!(step(3_115 * MS).0, 0);
+        // And goes on at its pace.
+        assert_eq!(step(3_125 * MS).1, after + 10 * MS);
     }
 }

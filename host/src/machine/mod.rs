@@ -9,6 +9,7 @@
 mod axes;
 mod document;
 mod h4;
+mod plant;
 mod problem;
 pub mod scale;
 mod stability;
@@ -25,7 +26,6 @@ use haptimill_firmware::config::{
 use haptimill_firmware::kinematics::machine::Machine;
 use haptimill_firmware::kinematics::{Joints, Kinematics};
 use haptimill_firmware::units::{Coordinate, Length, Rate};
-use haptimill_hil_sim::config::PlantConfig;
 use scale::{PER_DEG, PER_MM, to_i32, to_u16};
 use serde::de::DeserializeOwned;
 use std::path::Path;
@@ -133,7 +133,7 @@ impl MachineFile {
             ..read
         };
         if machine.has_plant && machine.config.period_us > 0 {
-            plant(&document, root.get_ref(), &machine);
+            plant::check(&document, root.get_ref(), &machine);
         }
         document.finish()?;
         Ok(machine)
@@ -146,7 +146,7 @@ impl MachineFile {
         Ok((bytes, crc))
     }
 
-    /// The `[plant]` section as the type that the simulator wants, [`PlantConfig`]. What cannot be read is found one at a time.
+    /// The `[plant]` section as the type that the simulator wants, [`PlantConfig`](haptimill_hil_sim::config::PlantConfig). What cannot be read is found one at a time.
     ///
     /// # Errors
     /// There is no such section, or it is not of that type.
@@ -268,36 +268,6 @@ fn home_pose(document: &Document<'_>, root: &DeTable<'_>, config: &Config) {
                 what,
                 "correct the presets or the soft limits",
             );
-        }
-    }
-}
-
-/// What the simulator says of its section.
-fn plant(document: &Document<'_>, root: &DeTable<'_>, machine: &MachineFile) {
-    let offset = root.get("plant").map_or(0, |value| value.span().start);
-    match machine.plant::<PlantConfig>() {
-        Err(Problems(problems)) => problems.into_iter().for_each(|p| document.add(p)),
-        Ok(plant) => {
-            if plant.joint.len() != machine.config.joints.len() {
-                let what = format!(
-                    "has {} joints, the controller {}",
-                    plant.joint.len(),
-                    machine.config.joints.len()
-                );
-                document.report(offset, "plant.joint", what, "write one for each joint");
-            }
-            for error in plant
-                .check(machine.config.period_us)
-                .err()
-                .unwrap_or_default()
-            {
-                document.report(
-                    offset,
-                    format!("plant: {}", error.field),
-                    error.problem,
-                    "correct it",
-                );
-            }
         }
     }
 }

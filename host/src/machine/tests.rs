@@ -166,6 +166,11 @@ fn every_kind_of_mistake_is_named_with_its_line() {
         ("substep_us = 20", "substep_us = 20\nwind = 3"),
         ("motor_share = 0.5", "motor_share = 0.0"),
         ("mode_hz = 80.0", "mode_hz = \"80\""),
+        ("index = 1136.2 }", "index = 11360.2 }"),
+        (
+            "[[plant.joint]]\nname = \"l1\"",
+            "[[plant.joint]]\nname = \"slide\"",
+        ),
         ("[planner]", "[[planner]]"),
     ];
     let said: Vec<String> = mistakes.iter().map(|(f, t)| broken(f, t)).collect();

@@ -233,9 +233,13 @@ impl fmt::Display for PortError {
                 reason,
                 remedy,
             } => write!(out, "{name}: cannot be opened: {reason}; {remedy}"),
+            Self::Busy { name } if name.starts_with("tcp:") => write!(
+                out,
+                "{name}: another host is connected to it; end that one, then try again (`haptimill stop` is heard all the same)"
+            ),
             Self::Busy { name } => write!(
                 out,
-                "{name}: another program has it; close that program (for a serial port `fuser {name}` names it), then try again"
+                "{name}: another program has it; close that program (`fuser {name}` names it), then try again (`haptimill stop` is heard all the same)"
             ),
             Self::Failed { name, reason } => write!(
                 out,

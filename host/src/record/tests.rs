@@ -104,6 +104,35 @@ fn states_keep_their_numbers() {
 }
 
 #[test]
+fn what_was_spilled_is_on_disk_while_the_recorder_lives() {
+    let file = TemporaryFile::new("spilled.hmr");
+    let mut recorder = Recorder::create(&file.0, &header()).unwrap();
+    recorder.spill();
+    for period in 0..30 {
+        recorder.record(&Record {
+            period,
+            ..Record::default()
+        });
+        if period == 11 || period == 23 {
+            recorder.spill();
+        }
+    }
+    // The writing thread takes its time; nothing else is waited for.
+    let whole = (header().encode().len() + 24 * RECORD_BYTES) as u64;
+    while std::fs::metadata(&file.0).unwrap().len() < whole {
+        std::thread::yield_now();
+    }
+    let recording = Recording::open(&file.0).unwrap();
+    assert_eq!((recording.records(), recording.cut_bytes()), (24, 0));
+    // A recorder that spills is hashed like any other.
+    let recorded = recorder.finish().unwrap();
+    assert_eq!(recorded.records, 30);
+    let digest = Sha256::digest(std::fs::read(&file.0).unwrap());
+    let expected: String = digest.iter().map(|byte| format!("{byte:02x}")).collect();
+    assert_eq!(recorded.sha256, expected);
+}
+
+#[test]
 fn a_recording_comes_back_whole_hashed_and_cut() {
     let file = TemporaryFile::new("whole.hmr");
     let header = header();

@@ -9,7 +9,7 @@ use std::fmt::Write as _;
 use std::fs::File;
 use std::io::{self, Write};
 use std::path::Path;
-use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::thread::JoinHandle;
 
 /// Records in a block: 393 kB.
@@ -84,15 +84,34 @@ impl Recorder {
         }
     }
 
+    /// Hands what was recorded so far to the disk, unless that is behind: this never waits. If the process dies later, what was spilled stays.
+    pub fn spill(&mut self) {
+        let Some(full) = &self.full else {
+            return;
+        };
+        if self.block.is_empty() {
+            return;
+        }
+        match full.try_send(std::mem::take(&mut self.block)) {
+            Err(TrySendError::Full(block)) => self.block = block,
+            // Handed over; or the writer ended with an error, which `finish` tells.
+            Ok(()) | Err(TrySendError::Disconnected(_)) => self.block = self.fresh_block(),
+        }
+    }
+
     /// Records so far.
     pub fn records(&self) -> u64 {
         self.records
     }
 
+    fn fresh_block(&self) -> Vec<u8> {
+        let fresh = self.empty.try_recv();
+        fresh.unwrap_or_else(|_| Vec::with_capacity(BLOCK_RECORDS * RECORD_BYTES))
+    }
+
     #[cold]
     fn hand_over(&mut self) {
-        let fresh = self.empty.try_recv();
-        let fresh = fresh.unwrap_or_else(|_| Vec::with_capacity(BLOCK_RECORDS * RECORD_BYTES));
+        let fresh = self.fresh_block();
         let block = std::mem::replace(&mut self.block, fresh);
         if let Some(full) = &self.full {
             // Fails only when the writer ended with an error, which `finish` tells.

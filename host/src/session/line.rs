@@ -66,10 +66,13 @@ impl Line for PortLine {
             let taken = self.port.write(&self.waiting, WRITE_WAIT)?;
             self.waiting.drain(..taken);
         }
+        // The time of before the read: if this process is held up at whatever point, what the controller said until then is read before its silence
+        // is judged. Taken afterwards, a delay between the two would count as silence of a controller that has not been listened to.
+        let now_us = u64::try_from(self.begun.elapsed().as_micros()).unwrap_or(u64::MAX);
         let mut buffer = [0; 4096];
         let count = self.port.read(&mut buffer, WAIT)?;
         received.extend_from_slice(&buffer[..count]);
-        Ok(self.begun.elapsed().as_micros() as u64)
+        Ok(now_us)
     }
 
     fn name(&self) -> String {

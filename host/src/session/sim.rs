@@ -10,7 +10,7 @@ use haptimill_firmware::controller::Controller;
 use haptimill_firmware::motion::program::FULL_RATE;
 use haptimill_hil_sim::config::PlantConfig;
 use haptimill_hil_sim::fault::Fault;
-use haptimill_hil_sim::rig::{Control, Rig, RigOptions};
+use haptimill_hil_sim::rig::{Control, Rig, RigError, RigOptions};
 use haptimill_protocol::message::{AxisValues, MAX_AXES, State, Telemetry};
 use std::sync::Arc;
 
@@ -29,6 +29,9 @@ pub struct JobRecording {
     /// Axis units per millimetre or degree of the pose coordinates.
     units: [f64; MAX_AXES],
 }
+
+/// Telemetry frames, 20 ms apart or more, after which the recording is handed to the disk.
+const SPILL_EVERY: u64 = 12;
 
 /// Puts the simulated machine of a machine file together.
 ///
@@ -64,8 +67,10 @@ pub fn rig_around<C: Control>(
         faults,
         ..RigOptions::default()
     };
-    Rig::new(&plant, &options, controller)
-        .map_err(|error| CliError::new(Exit::BadInput, format!("{}: {error}", machine.file)))
+    Rig::new(&plant, &options, controller).map_err(|error| match error {
+        RigError::Plant(_) => CliError::new(Exit::BadInput, format!("{}: {error}", machine.file)),
+        RigError::Fault(error) => CliError::new(Exit::Usage, format!("--{error}")),
+    })
 }
 
 impl<C: Control> SimLine<C> {
@@ -184,6 +189,10 @@ impl JobRecording {
         }
         self.add_programmed(&mut record, f64::from(telemetry.program_periods));
         self.recorder.record(&record);
+        // A block takes long to fill at this pace: a quarter of a second is what a host that dies may lose.
+        if self.recorder.records().is_multiple_of(SPILL_EVERY) {
+            self.recorder.spill();
+        }
     }
 
     /// The programmed pose, if a job is under way, at a program time in periods.

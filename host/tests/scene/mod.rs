@@ -7,6 +7,7 @@ use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 /// No command of a test takes longer than this, on a loaded machine too.
@@ -94,31 +95,43 @@ pub struct Started {
     child: Child,
     out: Option<BufReader<std::process::ChildStdout>>,
     said: String,
-    err: Option<std::thread::JoinHandle<String>>,
+    /// What it said on standard error so far, and who reads it.
+    complaints: Arc<Mutex<String>>,
+    err: Option<std::thread::JoinHandle<()>>,
 }
 
 /// Starts the command in the root of the workspace, without a terminal and with an empty input.
 pub fn start(arguments: &[&str]) -> Started {
+    start_with(arguments, Stdio::null())
+}
+
+/// Starts the command with this input.
+pub fn start_with(arguments: &[&str], input: Stdio) -> Started {
     let mut child = Command::new(env!("CARGO_BIN_EXE_haptimill"))
         .args(arguments)
         .current_dir(root())
         .env("COLUMNS", "120")
-        .stdin(Stdio::null())
+        .stdin(input)
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
         .spawn()
         .unwrap();
     let out = BufReader::new(child.stdout.take().unwrap());
     let mut err = child.stderr.take().unwrap();
+    let complaints = Arc::new(Mutex::new(String::new()));
+    let heard = Arc::clone(&complaints);
     let err = std::thread::spawn(move || {
-        let mut text = String::new();
-        let _ = err.read_to_string(&mut text);
-        text
+        let mut buffer = [0; 4096];
+        while let Ok(count @ 1..) = err.read(&mut buffer) {
+            let text = String::from_utf8_lossy(&buffer[..count]);
+            heard.lock().unwrap().push_str(&text);
+        }
     });
     Started {
         child,
         out: Some(out),
         said: String::new(),
+        complaints,
         err: Some(err),
     }
 }
@@ -147,12 +160,31 @@ impl Started {
             }
             if line.is_empty() {
                 let status = self.child.wait();
-                let err = self.err.take().map(|err| err.join());
+                let err = self.complained();
                 panic!(
                     "never said {part:?}, but {:?}; {status:?}, {err:?}",
                     self.said
                 );
             }
+        }
+    }
+
+    /// All that is said on standard error until it is closed.
+    fn complained(&mut self) -> String {
+        if let Some(err) = self.err.take() {
+            err.join().unwrap();
+        }
+        self.complaints.lock().unwrap().clone()
+    }
+
+    /// Waits until standard error has `part` in it.
+    #[track_caller]
+    pub fn complains(&mut self, part: &str) {
+        while !self.complaints.lock().unwrap().contains(part) {
+            if !self.runs() {
+                panic!("never complained of {part:?}, but {:?}", self.complained());
+            }
+            std::thread::sleep(Duration::from_millis(5));
         }
     }
 
@@ -169,7 +201,7 @@ impl Started {
         Ran {
             code: status.code().unwrap_or(-1),
             out: std::mem::take(&mut self.said),
-            err: self.err.take().unwrap().join().unwrap(),
+            err: self.complained(),
         }
     }
 

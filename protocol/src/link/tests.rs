@@ -200,6 +200,28 @@ fn other_versions_and_schemas_are_refused_by_both_ends() {
 }
 
 #[test]
+fn an_end_with_nothing_to_say_costs_sixty_bytes_a_second() {
+    let mut pair = Pair::open(3);
+    pair.run(100_000);
+    let before = pair.host.counters();
+    pair.run(1_500_000);
+    let after = pair.host.counters();
+    let frames = after.frames_sent - before.frames_sent;
+    assert!((20..=22).contains(&frames), "{frames}");
+    assert_eq!(after.bytes_sent - before.bytes_sent, 4 * frames);
+    assert_eq!(pair.controller.counters().bad_frames, 0);
+    // What has to be acknowledged is, at once and not with the next sign of life.
+    pair.controller
+        .send(&Report::Answer {
+            id: 1,
+            result: Ok(()),
+        })
+        .unwrap();
+    pair.run(10_000);
+    assert_eq!(pair.controller.under_way(), 0);
+}
+
+#[test]
 fn a_living_end_is_never_silent_for_long() {
     let mut pair = Pair::open(3);
     let limit = u64::from(Timing::default().keep_alive_us) + 2_000;

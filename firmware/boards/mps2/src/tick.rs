@@ -77,10 +77,15 @@ pub fn start(scb: &mut SCB, waiting: Waiting<'static>) {
     PERIOD.started.store(true, Ordering::Relaxed);
 }
 
-/// A run begins, with a new controller. In a frame of its own: it needs much of the stack, once.
-#[inline(never)]
+/// A run begins, with a new controller.
 pub fn begin(period_us: u16) {
-    with(|period| period.controller = Some(Controller::new(period_us)));
+    with(|period| put(&mut period.controller, period_us));
+}
+
+/// Makes a controller in its place: on the way over the stack it would be the largest thing there.
+#[inline(never)]
+fn put(place: &mut Option<Controller>, period_us: u16) {
+    *place = Some(Controller::new(period_us));
 }
 
 /// Looks at the period from the main program, between two of them.

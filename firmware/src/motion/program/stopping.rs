@@ -32,8 +32,9 @@ impl Program {
             let microseconds = ((left.min(ahead) >> 16) as i64 * i64::from(self.period_us)) >> 16;
             let fraction = |time: u64| segment.span.fraction((time >> 16) as u32);
             for axis in 0..self.axes {
-                let [begin, end] = [self.time, time]
-                    .map(|time| segment.cubics[axis].sample(fraction(time), &segment.span));
+                let [begin, end] = [self.time, time].map(|time| {
+                    segment.cubics[axis].sample(&segment.derivatives[axis], fraction(time))
+                });
                 self.hull(
                     &mut sweep,
                     axis,

@@ -1,6 +1,6 @@
 //! Faults as one line of text: `name key=value ... at=1.5s for=200ms`, keys in any order, parted by blanks or commas.
 
-use crate::fault::{Channel, Direction, Fault, FaultError, FaultKind, Level, Switch};
+use super::{Along, Channel, Direction, Fault, FaultError, FaultKind, Level, Switch};
 use core::fmt;
 use core::str::FromStr;
 
@@ -32,6 +32,11 @@ impl Word for Switch {
     ];
 }
 
+impl Word for Along {
+    const WORDS: &'static [(&'static str, Self)] =
+        &[("x", Self::X), ("y", Self::Y), ("z", Self::Z)];
+}
+
 impl Word for Direction {
     const WORDS: &'static [(&'static str, Self)] = &[
         ("both", Self::Both),
@@ -55,6 +60,14 @@ impl<'a> Keys<'a> {
 
     fn need(&mut self, key: &str) -> Result<&'a str, String> {
         self.take(key).ok_or_else(|| format!("`{key}=` is missing"))
+    }
+
+    /// The name of a joint; whether the machine has it shows when the fault meets the machine.
+    fn axis(&mut self) -> Result<String, String> {
+        match self.need("axis")? {
+            "" => Err("`axis=` is empty".into()),
+            name => Ok(name.to_owned()),
+        }
     }
 
     fn number<T: FromStr>(&mut self, key: &str) -> Result<T, String> {
@@ -112,12 +125,21 @@ fn parse(text: &str) -> Result<Fault, String> {
     let mut words = text.split([' ', ',', '\t']).filter(|word| !word.is_empty());
     let name = words
         .next()
-        .ok_or("empty; must be a name and its keys, like `slide-jammed axis=2 at=1.5s`")?;
+        .ok_or("empty; must be a name and its keys, like `slide-jammed axis=l3 at=1.5s`")?;
+    let entry = CATALOGUE.iter().find(|entry| entry.name == name);
+    let entry = entry.ok_or_else(|| {
+        let names: Vec<_> = CATALOGUE.iter().map(|entry| entry.name).collect();
+        format!(
+            "no fault is called `{name}`; there are {}",
+            names.join(", ")
+        )
+    })?;
+    let takes = |problem: String| format!("{problem}; {}", entry.usage());
     let mut pairs: Vec<(&str, &str)> = Vec::new();
     for word in words {
         let (key, value) = word
             .split_once('=')
-            .ok_or_else(|| format!("`{word}`: must be key=value"))?;
+            .ok_or_else(|| takes(format!("`{word}`: must be key=value")))?;
         if pairs.iter().any(|(known, _)| *known == key) {
             return Err(format!("`{key}=` is there twice"));
         }
@@ -126,9 +148,9 @@ fn parse(text: &str) -> Result<Fault, String> {
     let mut keys = Keys(pairs);
     let at_s = keys.seconds("at")?.unwrap_or(0.0);
     let for_s = keys.seconds("for")?;
-    let what = kind(name, &mut keys)?;
+    let what = kind(name, &mut keys).map_err(takes)?;
     match keys.0.first() {
-        Some((key, _)) => Err(format!("`{key}=` means nothing for {name}")),
+        Some((key, _)) => Err(takes(format!("`{key}=` means nothing here"))),
         None => Ok(Fault { at_s, for_s, what }),
     }
 }
@@ -136,39 +158,29 @@ fn parse(text: &str) -> Result<Fault, String> {
 fn kind(name: &str, keys: &mut Keys<'_>) -> Result<FaultKind, String> {
     Ok(match name {
         "encoder-stuck" => FaultKind::EncoderStuck {
-            axis: keys.number("axis")?,
+            axis: keys.axis()?,
             channel: keys.word("channel")?,
             level: keys.word("level")?,
         },
-        "encoder-swapped" => FaultKind::EncoderSwapped {
-            axis: keys.number("axis")?,
-        },
+        "encoder-swapped" => FaultKind::EncoderSwapped { axis: keys.axis()? },
         "encoder-slip" => FaultKind::EncoderSlip {
-            axis: keys.number("axis")?,
+            axis: keys.axis()?,
             counts: keys.number("counts")?,
         },
         "encoder-noise" => FaultKind::EncoderNoise {
-            axis: keys.number("axis")?,
+            axis: keys.axis()?,
             per_second: keys.number("per-second")?,
         },
-        "index-missing" => FaultKind::IndexMissing {
-            axis: keys.number("axis")?,
-        },
-        "drive-dead" => FaultKind::DriveDead {
-            axis: keys.number("axis")?,
-        },
-        "drive-tripped" => FaultKind::DriveTripped {
-            axis: keys.number("axis")?,
-        },
+        "index-missing" => FaultKind::IndexMissing { axis: keys.axis()? },
+        "drive-dead" => FaultKind::DriveDead { axis: keys.axis()? },
+        "drive-tripped" => FaultKind::DriveTripped { axis: keys.axis()? },
         "drive-weak" => FaultKind::DriveWeak {
-            axis: keys.number("axis")?,
+            axis: keys.axis()?,
             gain: keys.number("gain")?,
         },
-        "drive-reversed" => FaultKind::DriveReversed {
-            axis: keys.number("axis")?,
-        },
+        "drive-reversed" => FaultKind::DriveReversed { axis: keys.axis()? },
         "slide-jammed" => {
-            let axis = keys.number("axis")?;
+            let axis = keys.axis()?;
             let given = keys.0.iter().any(|(key, _)| *key == "effort");
             FaultKind::SlideJammed {
                 axis,
@@ -180,14 +192,32 @@ fn kind(name: &str, keys: &mut Keys<'_>) -> Result<FaultKind, String> {
             }
         }
         "push" => FaultKind::Push {
-            axis: keys.number("axis")?,
+            axis: keys.axis()?,
             effort: keys.number("effort")?,
         },
         "switch-stuck" => FaultKind::SwitchStuck {
-            axis: keys.number("axis")?,
+            axis: keys.axis()?,
             switch: keys.word("switch")?,
             active: keys.word("active")?,
         },
+        "sensor-stuck" => FaultKind::SensorStuck {
+            along: keys.word("along")?,
+        },
+        "sensor-dropped" => FaultKind::SensorDropped {
+            along: keys.word("along")?,
+        },
+        "sensor-reversed" => FaultKind::SensorReversed {
+            along: keys.word("along")?,
+        },
+        "sensor-drift" => FaultKind::SensorDrift {
+            along: keys.word("along")?,
+            rate: keys.number("rate")?,
+        },
+        "sensor-saturated" => FaultKind::SensorSaturated {
+            along: keys.word("along")?,
+            level: keys.word("level")?,
+        },
+        "spindle-stalled" => FaultKind::SpindleStalled,
         "emergency-stop" => FaultKind::EmergencyStop,
         "missed-periods" => FaultKind::MissedPeriods {
             count: keys.number("count")?,
@@ -211,37 +241,157 @@ fn kind(name: &str, keys: &mut Keys<'_>) -> Result<FaultKind, String> {
         "link-cut" => FaultKind::LinkCut {
             direction: keys.direction()?,
         },
-        _ => {
-            return Err(format!(
-                "no fault is called `{name}`; there are {}",
-                NAMES.join(", ")
-            ));
-        }
+        _ => return Err(format!("{name} is in the catalogue only")),
     })
 }
 
-/// Names of all faults.
-pub(crate) const NAMES: [&str; 19] = [
-    "encoder-stuck",
-    "encoder-swapped",
-    "encoder-slip",
-    "encoder-noise",
-    "index-missing",
-    "drive-dead",
-    "drive-tripped",
-    "drive-weak",
-    "drive-reversed",
-    "slide-jammed",
-    "push",
-    "switch-stuck",
-    "emergency-stop",
-    "missed-periods",
-    "link-errors",
-    "link-drop",
-    "link-duplicate",
-    "link-delay",
-    "link-cut",
+/// A fault as people are told of it.
+struct Entry {
+    name: &'static str,
+    /// Its own keys, optional ones in brackets.
+    keys: &'static str,
+    /// What goes wrong.
+    what: &'static str,
+}
+
+impl Entry {
+    /// The line that asks for it.
+    fn usage(&self) -> String {
+        let blank = if self.keys.is_empty() { "" } else { " " };
+        format!(
+            "write {}{blank}{} [at=TIME] [for=TIME]",
+            self.name, self.keys
+        )
+    }
+}
+
+const fn entry(name: &'static str, keys: &'static str, what: &'static str) -> Entry {
+    Entry { name, keys, what }
+}
+
+/// All faults.
+const CATALOGUE: [Entry; 25] = [
+    entry(
+        "encoder-stuck",
+        "axis=NAME channel=a|b level=low|high",
+        "a channel of an encoder stands still",
+    ),
+    entry(
+        "encoder-swapped",
+        "axis=NAME",
+        "the channels of an encoder are swapped: it counts backwards",
+    ),
+    entry(
+        "encoder-slip",
+        "axis=NAME counts=N",
+        "a counter slips, once",
+    ),
+    entry(
+        "encoder-noise",
+        "axis=NAME per-second=N",
+        "noise pulses on the channels of an encoder",
+    ),
+    entry("index-missing", "axis=NAME", "the index line is dead"),
+    entry(
+        "drive-dead",
+        "axis=NAME",
+        "the drive gives nothing and says that it is well",
+    ),
+    entry(
+        "drive-tripped",
+        "axis=NAME",
+        "the drive gives nothing and says so",
+    ),
+    entry(
+        "drive-weak",
+        "axis=NAME gain=X",
+        "the drive gives X times what it is asked for",
+    ),
+    entry(
+        "drive-reversed",
+        "axis=NAME",
+        "the drive pulls the wrong way",
+    ),
+    entry(
+        "slide-jammed",
+        "axis=NAME [effort=X]",
+        "X N (or N m) of friction more; without X it is held fast",
+    ),
+    entry(
+        "push",
+        "axis=NAME effort=X",
+        "something pushes with X N (or N m)",
+    ),
+    entry(
+        "switch-stuck",
+        "axis=NAME switch=home|limit-low|limit-high active=yes|no",
+        "a switch stands still",
+    ),
+    entry(
+        "sensor-stuck",
+        "along=x|y|z",
+        "the force sensor's codes stand still",
+    ),
+    entry(
+        "sensor-dropped",
+        "along=x|y|z",
+        "the force sensor's signal is lost: codes of 0",
+    ),
+    entry(
+        "sensor-reversed",
+        "along=x|y|z",
+        "the force sensor is wired the wrong way round",
+    ),
+    entry(
+        "sensor-drift",
+        "along=x|y|z rate=X",
+        "the force sensor drifts by X N/s",
+    ),
+    entry(
+        "sensor-saturated",
+        "along=x|y|z level=low|high",
+        "the force sensor stands at an end of its range",
+    ),
+    entry("spindle-stalled", "", "the spindle stands"),
+    entry("emergency-stop", "", "the emergency stop circuit is open"),
+    entry(
+        "missed-periods",
+        "count=N",
+        "the controller is not called for N periods, once",
+    ),
+    entry(
+        "link-errors",
+        "rate=X [direction=both|to-machine|to-host]",
+        "bits are flipped, each with probability X",
+    ),
+    entry(
+        "link-drop",
+        "rate=X [direction=...]",
+        "bytes are lost, each with probability X",
+    ),
+    entry(
+        "link-duplicate",
+        "rate=X [direction=...]",
+        "bytes come twice, each with probability X",
+    ),
+    entry(
+        "link-delay",
+        "ms=X [direction=...]",
+        "bytes come X milliseconds later",
+    ),
+    entry("link-cut", "[direction=...]", "nothing gets through"),
 ];
+
+/// All faults with their keys and what they do, as a help text: a line that asks for each, and an indented one that explains it.
+pub fn catalogue() -> String {
+    CATALOGUE
+        .iter()
+        .map(|entry| {
+            let keys = format!("{} {}", entry.name, entry.keys);
+            format!("  {}\n      {}\n", keys.trim_end(), entry.what)
+        })
+        .collect()
+}
 
 impl fmt::Display for Fault {
     /// The line that parses back to the same fault.
@@ -291,6 +441,25 @@ impl fmt::Display for Fault {
                     active.word()
                 )
             }
+            FaultKind::SensorStuck { along } => write!(f, "sensor-stuck along={}", along.word()),
+            FaultKind::SensorDropped { along } => {
+                write!(f, "sensor-dropped along={}", along.word())
+            }
+            FaultKind::SensorReversed { along } => {
+                write!(f, "sensor-reversed along={}", along.word())
+            }
+            FaultKind::SensorDrift { along, rate } => {
+                write!(f, "sensor-drift along={} rate={rate}", along.word())
+            }
+            FaultKind::SensorSaturated { along, level } => {
+                write!(
+                    f,
+                    "sensor-saturated along={} level={}",
+                    along.word(),
+                    level.word()
+                )
+            }
+            FaultKind::SpindleStalled => f.write_str("spindle-stalled"),
             FaultKind::EmergencyStop => f.write_str("emergency-stop"),
             FaultKind::MissedPeriods { count } => write!(f, "missed-periods count={count}"),
             FaultKind::LinkErrors { rate, direction } => {
@@ -318,5 +487,39 @@ impl fmt::Display for Fault {
             write!(f, " for={time}s")?;
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Every entry of the catalogue, with values in place of its words, is a fault that reads back; each of its keys is known or needed.
+    #[test]
+    fn the_catalogue_is_what_can_be_read() {
+        for entry in &CATALOGUE {
+            let mut line = entry.name.to_owned();
+            for key in entry.keys.split(' ').filter(|key| !key.is_empty()) {
+                let optional = key.starts_with('[');
+                let (key, values) = key.trim_matches(['[', ']']).split_once('=').expect(key);
+                let value = match values {
+                    "NAME" => "l1",
+                    "N" => "3",
+                    "X" => "0.5",
+                    "..." => "to-host",
+                    words => words.split('|').next_back().expect(words),
+                };
+                let without = line.parse::<Fault>();
+                assert_eq!(
+                    without.is_ok(),
+                    optional,
+                    "{line} without {key}: {without:?}"
+                );
+                line = format!("{line} {key}={value}");
+            }
+            let fault: Fault = line.parse().expect(&line);
+            assert_eq!(fault.to_string(), format!("{line} at=0s"));
+            assert!(catalogue().contains(entry.what));
+        }
     }
 }

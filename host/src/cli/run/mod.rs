@@ -1,42 +1,58 @@
 //! `haptimill run`: a part program, from the file to the report.
 
+mod emulated;
+mod folder;
+mod part;
+mod progress;
+
 use super::{CliError, Exit, MachineArg};
 use crate::client::{JobEnding, Options};
 use crate::machine::MachineFile;
-use crate::model::{Model, program_options, settings};
-use crate::plan::Plan;
+use crate::model::Model;
 use crate::port::{self, DEFAULT_BAUD, PortSpec};
-use crate::program;
 use crate::record::{Header, Recorder};
 use crate::report::{self, Outcome};
 use crate::session::{
-    self, JobEnd, JobLine, JobRecording, Line, PortLine, Session, SimLine, Watcher, interrupt,
+    self, JobEnd, JobLine, JobRecording, Line, PortLine, Session, SimLine, interrupt,
 };
 use clap::Args;
+use emulated::emulated;
+use folder::Folder;
 use haptimill_hil_sim::fault::Fault;
-use haptimill_protocol::message::{Action, AxisValues, Command, State, Telemetry};
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use std::collections::BTreeMap;
-use std::io::IsTerminal;
-use std::path::{Path, PathBuf};
+use haptimill_protocol::message::{AxisValues, Command, State};
+use part::{PartProgram, Planned};
+use progress::Bar;
+use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Instant;
 
 const LONG: &str = "\
 Run a part program.
 
 The program is read and checked against the machine first: reach, strokes, singularity, the speed of every slide; nothing moves when a line is \
 refused. Then the machine is homed, the job streamed, and DIR filled with
-  recording.hmr  every control period, binary, hashed
+  recording.hmr  every control period, binary; its SHA-256 is trace_sha256 in summary.json, the same for every run of a job in the simulator
   trace.csv      the recording in mm, degrees and newtons, every --trace-every periods
   summary.json   duration, length, errors, faults
   report.html    one page with pictures
-Ctrl-C stops the machine along its path; the recording is kept.";
+Ctrl-C stops the machine along its path; the recording is kept.
+
+At M0 the machine stands until Enter is pressed, so a program with M0 needs a terminal, or --go-on. M1 is passed unless --optional-stop is given.";
+
+/// What `--help` says of the faults of the simulated machine.
+pub(super) fn faults_help() -> String {
+    format!(
+        "Faults of the simulated machine (--fault \"NAME KEY=VALUE ...\"):\n{}\n\
+         NAME of an axis is that of a joint in the machine file: l1, l2, l3, l4, alpha on the H-4 arm.\n\
+         at=TIME is when it begins and for=TIME how long it stays, as 1.5s, 200ms or 40us; without at= from the start, without for= to the end. The \
+         time is that of the machine, homing included.",
+        haptimill_hil_sim::fault::catalogue()
+    )
+}
 
 /// Arguments of `haptimill run`.
 #[derive(Debug, Clone, Args)]
-#[command(about = "Run a part program", long_about = LONG)]
+#[command(about = "Run a part program", long_about = LONG, after_long_help = faults_help(),
+          after_help = "`haptimill run --help` says more, and lists the faults.")]
 pub struct RunArgs {
     /// The part program (G-code)
     #[arg(value_name = "FILE")]
@@ -63,13 +79,16 @@ pub struct RunArgs {
     /// A row of trace.csv every so many control periods
     #[arg(long, value_name = "N", default_value_t = 25, value_parser = clap::value_parser!(u32).range(1..))]
     pub trace_every: u32,
-    /// Seed of the simulated machine, instead of the one in the machine file
+    /// Seed of the simulated machine, instead of the one in the machine file; with the simulator only
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
     /// Pass pauses of the program (M0) at once instead of waiting for Enter; the simulator always does
     #[arg(long)]
     pub go_on: bool,
-    /// Something that goes wrong in the simulated machine, as "slide-jammed axis=2 at=1.5s"; can be given several times
+    /// Pause at M1 too (otherwise M1 is passed)
+    #[arg(long)]
+    pub optional_stop: bool,
+    /// Something that goes wrong in the simulated machine, as "slide-jammed axis=l3 at=1.5s"; can be given several times. --help lists all faults
     #[arg(long, value_name = "FAULT")]
     pub fault: Vec<Fault>,
     /// With an emulated board: this image, instead of the one that is built
@@ -85,7 +104,8 @@ pub struct RunArgs {
     /// 168 MHz has 33600 in 200 us at one cycle an instruction [default: not looked at]
     #[arg(long, value_name = "INSTRUCTIONS", value_parser = clap::value_parser!(u32).range(1000..))]
     pub budget: Option<u32>,
-    /// Print the summary as JSON on standard output, and nothing else there
+    /// Print the summary as JSON on standard output, and nothing else there; if there is none, {"error", "exit_code", "problems": [{"file", "line",
+    /// "column", "message", "remedy"}]}
     #[arg(long)]
     pub json: bool,
     /// No progress bar
@@ -94,6 +114,46 @@ pub struct RunArgs {
 }
 
 impl RunArgs {
+    /// What cannot be meant is refused, not passed over.
+    fn check(&self) -> Result<(), CliError> {
+        let simulated = matches!(self.port, PortSpec::Simulator | PortSpec::Emulated(_));
+        let what = if self.check || simulated {
+            return Ok(());
+        } else if let Some(fault) = self.fault.first() {
+            format!(
+                "--fault \"{fault}\": faults are for the simulator in this process; leave out --port, or give the fault to `haptimill sim serve`"
+            )
+        } else if let Some(seed) = self.seed {
+            format!(
+                "--seed {seed} is for the simulator in this process; leave out --port, or give the seed to `haptimill sim serve`"
+            )
+        } else if let (PortSpec::Tcp(_), Some(baud)) = (&self.port, self.baud) {
+            format!("--baud {baud} is for a serial port or the simulator; leave it out with tcp:")
+        } else {
+            return Ok(());
+        };
+        Err(CliError::new(Exit::Usage, what))
+    }
+
+    /// Whether pauses are passed at once.
+    fn passes_pauses(&self) -> bool {
+        self.go_on || matches!(self.port, PortSpec::Simulator | PortSpec::Emulated(_))
+    }
+
+    /// Speed along the path as a part of the programmed one.
+    fn rate(&self) -> f64 {
+        f64::from(self.feed_override) / 100.0
+    }
+
+    /// A programmed duration as it will really be, for people.
+    fn announced(&self, programmed_s: f64) -> String {
+        let time = report::duration(programmed_s / self.rate());
+        match self.feed_override {
+            100 => time,
+            percent => format!("{time} at {percent} %"),
+        }
+    }
+
     /// The folder for the results.
     pub fn out_dir(&self) -> PathBuf {
         let beside = || {
@@ -110,6 +170,7 @@ impl RunArgs {
 /// # Errors
 /// See [`Exit`].
 pub fn run(args: RunArgs) -> Result<(), CliError> {
+    args.check()?;
     let machine = args.machine.load()?;
     let model = Model::new(&machine);
     let home = model.home(&machine).ok_or_else(|| {
@@ -118,18 +179,18 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
             format!("{}: the home preset has no pose", machine.file),
         )
     })?;
-    let job = PartProgram::load(&args.program)?;
+    let job = PartProgram::load(&args)?;
     let planned = job.plan(&machine, &model, &home)?;
     if args.check {
         let plan = &planned.plan;
-        let seconds = report::duration(plan.figures.duration_s);
+        let seconds = args.announced(plan.figures.duration_s);
         if args.json {
             let value = serde_json::json!({
                 "program": job.name,
                 "blocks": plan.figures.blocks,
                 "setpoints": plan.setpoints.len(),
                 "path_length_mm": plan.figures.path_length_mm,
-                "duration_s": plan.figures.duration_s,
+                "duration_s": plan.figures.duration_s / args.rate(),
             });
             tell!("{value:#}");
         }
@@ -146,7 +207,8 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
         return Ok(());
     }
     job.check_pauses(&args, &planned)?;
-    prepare(&args.out_dir())?;
+    // Held to the end: nobody else writes there.
+    let _folder = Folder::take(&args.out_dir())?;
     let interrupted = interrupt::flag();
     match &args.port {
         PortSpec::Simulator => {
@@ -164,11 +226,6 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
         }
         PortSpec::Emulated(board) => emulated(&args, &machine, &job, home, planned, *board),
         spec => {
-            if let Some(fault) = args.fault.first() {
-                let what =
-                    format!("--fault \"{fault}\" is for the simulator only; leave out --port");
-                return Err(CliError::new(Exit::Usage, what));
-            }
             let baud = args.baud.unwrap_or(DEFAULT_BAUD);
             let line = PortLine::new(port::open(spec, baud)?);
             let serial = matches!(spec, PortSpec::Serial(_));
@@ -184,209 +241,11 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
     }
 }
 
-/// Runs a part program on an emulated board, with the simulated machine around it.
-#[cfg(unix)]
-fn emulated(
-    args: &RunArgs,
-    machine: &MachineFile,
-    job: &PartProgram,
-    home: AxisValues,
-    planned: Planned,
-    board: port::Board,
-) -> Result<(), CliError> {
-    use crate::session::pil::{self, Instructions};
-    use haptimill_hil_sim::remote::RemoteController;
-    let setup = pil::Setup {
-        words: args.image_word.clone(),
-        log: args.log.clone(),
-    };
-    let image = match &args.image {
-        Some(image) => image.clone(),
-        None => pil::image(board)?,
-    };
-    let emulator = pil::Emulator::start_with(board, &image, &setup)?;
-    let period_us = machine.config.period_us;
-    let mut remote = RemoteController::begin(emulator, period_us)
-        .map_err(|reason| CliError::new(Exit::Port, format!("{board}: {reason}")))?;
-    if let Some(budget) = args.budget {
-        remote.set_budget(pil::counts(budget));
-    }
-    let cost = remote.cost();
-    let rig = session::rig_around(remote, machine, args.seed, args.baud, args.fault.clone())?;
-    let line = SimLine::named(rig, &board.to_string());
-    let session = Session::new(line, machine, paced(args.baud), interrupt::flag());
-    Running {
-        args,
-        machine,
-        job,
-        home,
-    }
-    .carry_out(session, 1, planned)?;
-    let instructions = Instructions::of(
-        &cost
-            .lock()
-            .unwrap_or_else(std::sync::PoisonError::into_inner),
-    );
-    say(
-        args,
-        &format!(
-            "{board}  {:.0} instructions a control period, at most {:.0}; {} bytes of stack; at most {} bytes in the receive ring; {} to {} setpoints \
-             in the queue",
-            instructions.mean,
-            instructions.worst,
-            instructions.stack_bytes,
-            instructions.ring_peak,
-            instructions.queue_low.unwrap_or(instructions.queue_high),
-            instructions.queue_high
-        ),
-    );
-    if instructions.missed > 0 {
-        say(
-            args,
-            &format!(
-                "{board}  {} control periods were missed: one before took more instructions than there are in a period",
-                instructions.missed
-            ),
-        );
-    }
-    let path = args.out_dir().join("instructions.json");
-    let output = |error: &dyn std::fmt::Display| {
-        CliError::new(Exit::Output, format!("{}: {error}", path.display()))
-    };
-    let json = serde_json::to_string_pretty(&instructions).map_err(|error| output(&error))?;
-    std::fs::write(&path, json).map_err(|error| output(&error))
-}
-
-/// Emulated boards need named pipes.
-#[cfg(not(unix))]
-fn emulated(
-    _: &RunArgs,
-    _: &MachineFile,
-    _: &PartProgram,
-    _: AxisValues,
-    _: Planned,
-    board: port::Board,
-) -> Result<(), CliError> {
-    Err(CliError::new(
-        Exit::Usage,
-        format!("{board}: emulated boards need a Unix system"),
-    ))
-}
-
 /// Options of a client on a line of so many baud: it says no more than the line carries, so nothing waits where a stop cannot overtake it.
 fn paced(baud: Option<u32>) -> Options {
     let mut options = Options::default();
     options.timing.line_rate = baud.map_or(0, |baud| baud / 10);
     options
-}
-
-/// A program that was checked.
-struct Planned {
-    plan: Plan,
-    /// Setpoints at which the program pauses, with the line that says so.
-    pauses: BTreeMap<u32, u32>,
-}
-
-/// A part program on disk.
-struct PartProgram {
-    /// Name of the file, without folders: it goes into the recording, which is the same wherever it was made.
-    name: String,
-    file: String,
-    text: Vec<u8>,
-}
-
-impl PartProgram {
-    fn load(path: &Path) -> Result<Self, CliError> {
-        let file = path.display().to_string();
-        let text = std::fs::read(path).map_err(|error| {
-            CliError::new(
-                Exit::BadInput,
-                format!("{file}: cannot be read: {error}; check the path"),
-            )
-        })?;
-        let name = path
-            .file_name()
-            .map_or_else(|| file.clone(), |name| name.to_string_lossy().into_owned());
-        Ok(Self { name, file, text })
-    }
-
-    /// The checked motion of the program from a pose.
-    fn plan(
-        &self,
-        machine: &MachineFile,
-        model: &Model,
-        start: &AxisValues,
-    ) -> Result<Planned, CliError> {
-        let options = program_options(machine, model.to_people(start));
-        let program = program::read(&self.file, &self.text, &options)
-            .map_err(|refused| CliError::new(Exit::BadInput, refused))?;
-        let plan = Plan::new(&program, &settings(machine), model)
-            .map_err(|refused| CliError::new(Exit::Refused, refused))?;
-        // Each pause of the program has a setpoint of its own, in the same order.
-        let setpoints = (0..)
-            .zip(&plan.setpoints)
-            .filter(|(_, setpoint)| setpoint.action == Action::Pause);
-        let lines = program.steps.iter().filter_map(|step| match step {
-            program::Step::Pause { place } => Some(place.line),
-            _ => None,
-        });
-        let pauses = setpoints.map(|(index, _)| index).zip(lines).collect();
-        Ok(Planned { plan, pauses })
-    }
-
-    /// A pause waits for Enter: somebody must be able to press it.
-    fn check_pauses(&self, args: &RunArgs, planned: &Planned) -> Result<(), CliError> {
-        match planned.pauses.values().next() {
-            Some(line) if !passes_pauses(args) && !std::io::stdin().is_terminal() => {
-                Err(CliError::new(
-                    Exit::Usage,
-                    format!(
-                        "{}:{line}: the program pauses here and there is no terminal to press Enter on; run it in a terminal, or with --go-on",
-                        self.file
-                    ),
-                ))
-            }
-            _ => Ok(()),
-        }
-    }
-}
-
-/// Sees to it that the results can be written, before anything moves.
-fn prepare(dir: &Path) -> Result<(), CliError> {
-    let file = dir.join(report::RECORDING_FILE);
-    let writable = || -> std::io::Result<()> {
-        std::fs::create_dir_all(dir)?;
-        let there_was_one = file.exists();
-        std::fs::OpenOptions::new()
-            .append(true)
-            .create(true)
-            .open(&file)?;
-        if !there_was_one {
-            std::fs::remove_file(&file)?;
-        }
-        // What an earlier run left would be taken for the result of this one.
-        for name in [
-            report::RECORDING_FILE,
-            report::TRACE_FILE,
-            report::SUMMARY_FILE,
-            report::REPORT_FILE,
-        ] {
-            let old = dir.join(name);
-            if old.exists() {
-                std::fs::remove_file(old)?;
-            }
-        }
-        Ok(())
-    };
-    writable().map_err(|error| {
-        CliError::new(
-            Exit::Output,
-            format!(
-                "{}: {error}; choose another folder with --out",
-                dir.display()
-            ),
-        )
-    })
 }
 
 /// A run under way.
@@ -460,7 +319,7 @@ impl Running<'_> {
             .map_err(|error| output(&error))?;
         say(
             self.args,
-            &format!("running, {}", report::duration(plan.figures.duration_s)),
+            &format!("running, {}", self.args.announced(plan.figures.duration_s)),
         );
         let plan = Arc::new(plan);
         let setpoints = plan.setpoints.clone();
@@ -511,7 +370,8 @@ impl Running<'_> {
             tell!("{}", summary.terminal().trim_end());
             tell!("report      {}", dir.join(report::REPORT_FILE).display());
         }
-        self.well_ended(&session, &end?)
+        end.and_then(|end| self.well_ended(&session, &end))
+            .map_err(CliError::told)
     }
 
     /// A job that did not reach its end is an error of the command.
@@ -564,110 +424,5 @@ fn faults<L: Line>(session: &Session<L>, end: &JobEnd) -> Vec<String> {
 fn say(args: &RunArgs, text: &str) {
     if !args.json && !args.quiet {
         tell!("{text}");
-    }
-}
-
-/// Whether pauses are passed at once.
-fn passes_pauses(args: &RunArgs) -> bool {
-    args.go_on || matches!(args.port, PortSpec::Simulator | PortSpec::Emulated(_))
-}
-
-/// The progress bar, with the time left.
-struct Bar {
-    bar: ProgressBar,
-    begun: Instant,
-    /// The job takes its own time; in the simulator it goes by faster.
-    real_time: bool,
-    period_s: f64,
-    lines: Vec<u32>,
-    pauses: BTreeMap<u32, u32>,
-    passes_pauses: bool,
-    entered: Arc<AtomicBool>,
-}
-
-impl Bar {
-    fn new(args: &RunArgs, plan: &Plan, pauses: BTreeMap<u32, u32>) -> Self {
-        let total = (plan.figures.duration_s * 1000.0).round() as u64;
-        let shown = !args.json && !args.quiet;
-        let bar = ProgressBar::with_draw_target(
-            Some(total),
-            if shown {
-                ProgressDrawTarget::stderr()
-            } else {
-                ProgressDrawTarget::hidden()
-            },
-        );
-        if let Ok(style) = ProgressStyle::with_template("{wide_bar} {percent:>3} %  {msg}") {
-            bar.set_style(style);
-        }
-        let lines = (0..plan.setpoints.len())
-            .map(|setpoint| plan.line_of(setpoint))
-            .collect();
-        Self {
-            bar,
-            begun: Instant::now(),
-            real_time: args.port != PortSpec::Simulator,
-            period_s: plan.period_s,
-            lines,
-            pauses,
-            passes_pauses: passes_pauses(args),
-            entered: Arc::new(AtomicBool::new(false)),
-        }
-    }
-
-    fn done(&self) {
-        self.bar.finish_and_clear();
-    }
-}
-
-impl Watcher for Bar {
-    fn progress(&mut self, telemetry: &Telemetry) {
-        let done = f64::from(telemetry.program_periods) * self.period_s;
-        let total = self.bar.length().unwrap_or(0) as f64 / 1000.0;
-        self.bar.set_position((done * 1000.0) as u64);
-        let line = self
-            .lines
-            .get(telemetry.setpoint as usize)
-            .copied()
-            .unwrap_or(0);
-        let pace = if self.real_time {
-            1.0
-        } else {
-            self.begun.elapsed().as_secs_f64() / done.max(0.1)
-        };
-        let left = ((total - done).max(0.0) * pace).ceil();
-        let left = match left {
-            s if s < 60.0 => format!("{s} s"),
-            s => report::duration(s),
-        };
-        self.bar.set_message(format!("line {line}, {left} left"));
-    }
-
-    fn paused(&mut self, setpoint: u32) {
-        let line = self.pauses.get(&setpoint).copied().unwrap_or(0);
-        if self.passes_pauses {
-            self.bar
-                .println(format!("line {line}: a pause, passed at once"));
-            return;
-        }
-        self.bar.println(format!(
-            "line {line}: the program pauses; Enter goes on, Ctrl-C ends it"
-        ));
-        self.entered.store(false, Ordering::Relaxed);
-        let entered = Arc::clone(&self.entered);
-        // Reading a line waits; the session must go on meanwhile, or the controller would miss its host.
-        std::thread::spawn(move || {
-            let mut line = String::new();
-            if std::io::stdin()
-                .read_line(&mut line)
-                .is_ok_and(|count| count > 0)
-            {
-                entered.store(true, Ordering::Relaxed);
-            }
-        });
-    }
-
-    fn goes_on(&mut self) -> bool {
-        self.passes_pauses || self.entered.swap(false, Ordering::Relaxed)
     }
 }

@@ -4,30 +4,19 @@
 //!
 //! ```
 //! use haptimill_hil_sim::fault::{Fault, FaultKind};
-//! let fault: Fault = "slide-jammed axis=2 effort=500 at=1.5s for=200ms".parse().unwrap();
-//! assert_eq!(fault.what, FaultKind::SlideJammed { axis: 2, effort: Some(500.0) });
+//! let fault: Fault = "slide-jammed axis=l3 effort=500 at=1.5s for=200ms".parse().unwrap();
+//! assert_eq!(fault.what, FaultKind::SlideJammed { axis: "l3".into(), effort: Some(500.0) });
 //! assert_eq!(fault.for_s, Some(0.2));
 //! ```
 //!
-//! | name | keys besides `at=` and `for=` |
-//! | --- | --- |
-//! | `encoder-stuck` | `axis`, `channel=a\|b`, `level=low\|high` |
-//! | `encoder-swapped`, `index-missing` | `axis` |
-//! | `encoder-slip` | `axis`, `counts`; happens once |
-//! | `encoder-noise` | `axis`, `per-second` |
-//! | `drive-dead` (it does not say so), `drive-tripped` (it does), `drive-reversed` | `axis` |
-//! | `drive-weak` | `axis`, `gain` |
-//! | `slide-jammed` | `axis`, and `effort` (friction that is added; without it the slide is held fast) |
-//! | `push` | `axis`, `effort` |
-//! | `switch-stuck` | `axis`, `switch=home\|limit-low\|limit-high`, `active=yes\|no` |
-//! | `emergency-stop` | |
-//! | `missed-periods` | `count`; happens once |
-//! | `link-errors`, `link-drop`, `link-duplicate` | `rate` (per bit, per byte, per byte), `direction=both\|to-machine\|to-host` |
-//! | `link-delay` | `ms`, `direction` |
-//! | `link-cut` | `direction` |
+//! [`catalogue`] lists all of them with their keys, for people.
 //!
-//! Axes count from 0. Without `at` a fault is there from the start, without `for` it stays. Two faults on one device add up; where they
-//! contradict each other the later in the list holds.
+//! An axis is called by the name of its joint in the machine's configuration. Without `at` a fault is there from the start, without `for` it stays. Two faults on
+//! one device add up; where they contradict each other the later in the list holds.
+
+mod text;
+
+pub use text::catalogue;
 
 use core::fmt;
 use serde::{Deserialize, Serialize};
@@ -46,14 +35,14 @@ pub struct Fault {
     pub what: FaultKind,
 }
 
-/// What goes wrong. Axes count from 0.
+/// What goes wrong.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum FaultKind {
     /// A channel of an encoder stands still.
     EncoderStuck {
-        /// The joint.
-        axis: usize,
+        /// Name of the joint.
+        axis: String,
         /// The channel.
         channel: Channel,
         /// The level at which it stands.
@@ -61,75 +50,106 @@ pub enum FaultKind {
     },
     /// The channels of an encoder are swapped: it counts backwards.
     EncoderSwapped {
-        /// The joint.
-        axis: usize,
+        /// Name of the joint.
+        axis: String,
     },
     /// The counter slips, once.
     EncoderSlip {
-        /// The joint.
-        axis: usize,
+        /// Name of the joint.
+        axis: String,
         /// By how much.
         counts: i32,
     },
     /// Noise pulses on A, B or both.
     EncoderNoise {
-        /// The joint.
-        axis: usize,
+        /// Name of the joint.
+        axis: String,
         /// How many, on average.
         #[serde(rename = "per-second")]
         per_second: f64,
     },
     /// The index line is dead.
     IndexMissing {
-        /// The joint.
-        axis: usize,
+        /// Name of the joint.
+        axis: String,
     },
     /// The drive gives nothing and says it is well.
     DriveDead {
-        /// The joint.
-        axis: usize,
+        /// Name of the joint.
+        axis: String,
     },
     /// The drive gives nothing and says that it is not well.
     DriveTripped {
-        /// The joint.
-        axis: usize,
+        /// Name of the joint.
+        axis: String,
     },
     /// The drive gives less (or more) than it is asked for.
     DriveWeak {
-        /// The joint.
-        axis: usize,
+        /// Name of the joint.
+        axis: String,
         /// By this factor.
         gain: f64,
     },
     /// The drive pulls the wrong way.
     DriveReversed {
-        /// The joint.
-        axis: usize,
+        /// Name of the joint.
+        axis: String,
     },
     /// A slide is hard to move.
     SlideJammed {
-        /// The joint.
-        axis: usize,
+        /// Name of the joint.
+        axis: String,
         /// Friction that is added, N or N m; without it the slide is held fast.
         #[serde(default)]
         effort: Option<f64>,
     },
     /// Something pushes a slide.
     Push {
-        /// The joint.
-        axis: usize,
+        /// Name of the joint.
+        axis: String,
         /// N or N m.
         effort: f64,
     },
     /// A switch stands still.
     SwitchStuck {
-        /// The joint.
-        axis: usize,
+        /// Name of the joint.
+        axis: String,
         /// The switch.
         switch: Switch,
         /// How it stands.
         active: bool,
     },
+    /// The codes of the force sensor stand still. A machine without a sensor does not notice; so for the next four.
+    SensorStuck {
+        /// Which of its axes.
+        along: Along,
+    },
+    /// The signal of the force sensor is lost: its codes are 0.
+    SensorDropped {
+        /// Which of its axes.
+        along: Along,
+    },
+    /// The force sensor is wired the wrong way round.
+    SensorReversed {
+        /// Which of its axes.
+        along: Along,
+    },
+    /// The force sensor drifts.
+    SensorDrift {
+        /// Which of its axes.
+        along: Along,
+        /// N/s.
+        rate: f64,
+    },
+    /// The force sensor stands at an end of its range.
+    SensorSaturated {
+        /// Which of its axes.
+        along: Along,
+        /// At which end.
+        level: Level,
+    },
+    /// The spindle stands, whatever it is told.
+    SpindleStalled,
     /// The emergency stop circuit is open.
     EmergencyStop,
     /// The controller is not called for some periods, once.
@@ -209,6 +229,18 @@ pub enum Switch {
     LimitHigh,
 }
 
+/// Axis of the force sensor.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Along {
+    /// x_w.
+    X,
+    /// y_w.
+    Y,
+    /// z_w.
+    Z,
+}
+
 /// Direction on the serial line.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -238,7 +270,8 @@ impl fmt::Display for FaultError {
 impl core::error::Error for FaultError {}
 
 impl FaultKind {
-    const fn axis(&self) -> Option<usize> {
+    /// Name of the joint that it is about, if it is about one.
+    pub fn axis(&self) -> Option<&str> {
         match self {
             Self::EncoderStuck { axis, .. }
             | Self::EncoderSwapped { axis }
@@ -251,7 +284,7 @@ impl FaultKind {
             | Self::DriveReversed { axis }
             | Self::SlideJammed { axis, .. }
             | Self::Push { axis, .. }
-            | Self::SwitchStuck { axis, .. } => Some(*axis),
+            | Self::SwitchStuck { axis, .. } => Some(axis),
             _ => None,
         }
     }
@@ -274,23 +307,29 @@ impl FaultKind {
 }
 
 impl Fault {
-    /// Checks the fault against a machine of so many joints.
+    /// Checks the fault against a machine of these joints. Gives the place of its joint among them; 0 for a fault that is about none.
     ///
     /// # Errors
     /// There is no such joint, or a number is out of its range.
-    pub fn check(&self, axes: usize) -> Result<(), FaultError> {
+    pub fn place(&self, joints: &[&str]) -> Result<usize, FaultError> {
         let refuse = |problem: String| {
             Err(FaultError {
                 fault: self.to_string(),
                 problem,
             })
         };
-        if let Some(axis) = self.what.axis().filter(|axis| *axis >= axes) {
-            return refuse(format!(
-                "there is no axis {axis}; they count from 0 to {}",
-                axes.saturating_sub(1)
-            ));
-        }
+        let place = match self.what.axis() {
+            None => 0,
+            Some(axis) => match joints.iter().position(|joint| *joint == axis) {
+                Some(place) => place,
+                None => {
+                    return refuse(format!(
+                        "there is no axis `{axis}`; this machine has {}",
+                        joints.join(", ")
+                    ));
+                }
+            },
+        };
         if let Some((value, most)) = self
             .what
             .bounded()
@@ -298,8 +337,9 @@ impl Fault {
         {
             return refuse(format!("{value} is not within 0 to {most}"));
         }
-        if let FaultKind::DriveWeak { gain: number, .. } | FaultKind::Push { effort: number, .. } =
-            self.what
+        if let FaultKind::DriveWeak { gain: number, .. }
+        | FaultKind::Push { effort: number, .. }
+        | FaultKind::SensorDrift { rate: number, .. } = self.what
             && !number.is_finite()
         {
             return refuse(format!("{number} is no number to reckon with"));
@@ -308,6 +348,6 @@ impl Fault {
         if !span.contains(&self.at_s) || self.for_s.is_some_and(|time| !span.contains(&time)) {
             return refuse("times are 0 to 1e6 seconds".into());
         }
-        Ok(())
+        Ok(place)
     }
 }

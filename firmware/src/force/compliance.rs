@@ -1,0 +1,447 @@
+//! The direct-force loop of one axis: the displacement by which the tool yields (spec h4-milling (3.30)-(3.33), in the sign form of 3.3).
+//!
+//! ```text
+//! K_A p_c'' + K_V p_c' = F - sigma f_d     sigma p_c >= 0     p_r = p_d + p_c
+//! ```
+//!
+//! F is the peak force on the tool, sigma the side to which the tool yields: the sign of p_c, or of F while p_c is 0. Here everything is counted in the direction of sigma, *outward*: the
+//! displacement is never negative. A force above f_d moves the tool outward; below f_d it returns at up to f_d / K_V, and stops at 0.
+//!
+//! What is not in the equation:
+//! - **Gate.** Where the gate is shut ([`Gate`]) a force does not push outward; the rate dies away and the tool returns as soon as the force is below f_d.
+//! - **Limit.** At the largest displacement the outward rate ends. A limit that is lowered below the present displacement lets the tool come back by itself.
+//! - **Landing.** The return slows down to 1/64 of the remaining displacement in a period: without it the rate would fall from f_d / K_V to 0 in one period (10 mm/s for K_V = 0.5).
+//! - **Guard.** On a stiff contact a damper acts between the tool and the *work*, D (p_c' + p_d'), see [`super::guard`]. Between the tool and the desired position it would
+//!   raise the force while the desired position still advances. While nothing is touched, and against a retreat, its push is at most f_d: it neither moves the tool away from where
+//!   nothing is nor keeps it where it shall not stay.
+//!
+//! A change of gains or of f_d changes the acceleration; displacement and rate go on from where they are, so the tool does not jump. When `place` refuses the reference, [`Compliance::withhold`]
+//! takes the last period back: the displacement stays what it was and the rate is 0, so nothing winds up.
+//!
+//! **Error.** Against the same law in f64 the displacement differs by less than 2^-37 mm a period and 2^-28 of the way gone.
+//!
+//! Misuse: a force that is not the reaction on the tool. With the wrong sign the loop runs into the work; [`super::guard`] looks out for that.
+
+use super::pole::{Part, Pole, RATE_BITS, sound};
+use super::{Gate, LoopSettings, Parameter, Refused};
+use crate::position::filter::frequency;
+use crate::units::force::{Displacement, Force, VirtualDamping};
+use crate::units::scale::{multiply_shift, saturate};
+use crate::units::{Acceleration, Length, Rate};
+
+/// The most levels of damping: K_V alone, and 7 with more.
+pub const LEVELS: usize = 8;
+
+/// The stiffest contact for which the guard answers, N/mm.
+pub const STIFFEST: u32 = 1000;
+
+/// The damping of a level is at least so many times what the stiffest contact that it stands for needs.
+pub const MARGIN: u32 = 4;
+
+/// Up to here a contact is none of the guard's business, N/mm: cutting looks as stiff as this now and then.
+pub const SOFT: u32 = 20;
+
+/// K_V of 0.1 N s/mm: below, [`Pole`] has no scale for T / K_V.
+const LEAST_DAMPING: u64 = 6554;
+
+/// Below this the displacement is 0: 2^-20 mm.
+const NOTHING: i64 = 1 << 20;
+
+/// The largest limit of the displacement, mm.
+pub const LARGEST_LIMIT: Length = Length::millimetres(64);
+
+/// What one axis does in a period.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Yielding {
+    /// p_c.
+    pub displacement: Displacement,
+    /// p_c'.
+    pub rate: Rate,
+    /// p_c''.
+    pub acceleration: Acceleration,
+    /// The displacement is at its limit, and the force would have it go on.
+    pub limited: bool,
+}
+
+/// The law with its numbers for every level of damping.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Law {
+    settings: LoopSettings,
+    poles: [Pole; LEVELS],
+    /// What each level adds to K_V, 2^-16 N s/mm, below 2^31.
+    added: [i32; LEVELS],
+    highest: usize,
+    fineness: u32,
+    /// Displacement in a period at the largest rate, in the scale of the rate.
+    rate_limit: i64,
+    /// Largest displacement, 2^-40 mm.
+    limit: i64,
+    /// From the scale of the rate to 2^-20 mm/s.
+    to_rate: Part,
+    /// Apparent contact stiffness at which level 1 begins, 2^-8 N/mm.
+    onset: u32,
+    frequency: u32,
+}
+
+impl Law {
+    /// A law of which only the first level is worked out. The others follow with [`Law::prepare`], one in a period: each takes about 2000 instructions.
+    ///
+    /// `delay_us` is what the guard counts on from a change of the tool's position to a change of the seen force: window of the peak, drive, latch.
+    ///
+    /// # Errors
+    /// The first parameter that cannot be, with its bound.
+    pub fn begin(
+        settings: &LoopSettings,
+        period_us: u16,
+        delay_us: u32,
+        largest_force: Force,
+    ) -> Result<Self, Refused> {
+        let delay_us = delay_us.clamp(1, DELAY_MOST_US);
+        let onset = onset(settings.damping, delay_us);
+        let highest = check(settings, onset, period_us, delay_us, largest_force)?;
+        let first = Pole::new(settings.mass, settings.damping, period_us);
+        let fineness = first.fineness();
+        let mut added = [0; LEVELS];
+        for (level, added) in added.iter_mut().enumerate() {
+            *added = (damping(settings.damping, onset, delay_us, level.min(highest)).0
+                - settings.damping.0) as i32;
+        }
+        // 2^-20 mm/s to 2^-(40 + fineness) mm in a period: below 2^31 * 2^10 * 2^20 / 10^6.
+        let way = i64::from(settings.rate.0.max(1)) * i64::from(period_us) * (1 << 20) / 1_000_000;
+        Ok(Self {
+            settings: settings.clone(),
+            poles: [first; LEVELS],
+            added,
+            highest,
+            fineness,
+            rate_limit: way.min(1 << RATE_BITS) << fineness,
+            limit: Displacement::from_length(settings.limit).0,
+            // 10^6 / T_us / 2^(20 + fineness), below 1.
+            to_rate: Part::ratio(1_000_000, u64::from(period_us.max(1)) << (20 + fineness)),
+            onset,
+            frequency: frequency(period_us),
+        })
+    }
+
+    /// Works out one level of damping.
+    #[cold]
+    pub fn prepare(&mut self, level: usize, period_us: u16) {
+        let added = self.added.get(level).copied().unwrap_or(0);
+        let damping = VirtualDamping(self.settings.damping.0.saturating_add_signed(added));
+        if let Some(pole) = self.poles.get_mut(level) {
+            *pole = Pole::new(self.settings.mass, damping, period_us);
+        }
+    }
+
+    /// A law with all its levels, at once: for a configuration.
+    ///
+    /// # Errors
+    /// As [`Law::begin`].
+    pub fn new(
+        settings: &LoopSettings,
+        period_us: u16,
+        delay_us: u32,
+        largest_force: Force,
+    ) -> Result<Self, Refused> {
+        let mut law = Self::begin(settings, period_us, delay_us, largest_force)?;
+        for level in 1..LEVELS {
+            law.prepare(level, period_us);
+        }
+        Ok(law)
+    }
+
+    /// What it was made from.
+    #[must_use]
+    pub const fn settings(&self) -> &LoopSettings {
+        &self.settings
+    }
+
+    /// The highest level of damping that it has.
+    #[must_use]
+    pub const fn highest(&self) -> usize {
+        self.highest
+    }
+
+    /// Apparent contact stiffness at which level 1 begins, 2^-8 N/mm; level i begins at 2^(i - 1) of it.
+    #[must_use]
+    pub const fn onset(&self) -> u32 {
+        self.onset
+    }
+}
+
+/// The longest delay that is counted with: half a second.
+const DELAY_MOST_US: u32 = 500_000;
+
+/// Where level 1 begins, 2^-8 N/mm: K_V / (4 tau), but not below [`SOFT`]. At most 2^42 / 4 before it is held.
+fn onset(damping: VirtualDamping, delay_us: u32) -> u32 {
+    let whole = u64::from(MARGIN) * u64::from(delay_us);
+    let onset = (u64::from(damping.0) * 1_000_000 / whole) >> 8;
+    onset.clamp(u64::from(SOFT) << 8, u64::from(u32::MAX) >> LEVELS) as u32
+}
+
+/// The damping of a level: [`MARGIN`] k tau for its stiffest contact, k = 2^level onset, and K_V at least.
+fn damping(lowest: VirtualDamping, onset: u32, delay_us: u32, level: usize) -> VirtualDamping {
+    if level == 0 {
+        return lowest;
+    }
+    // 2^-8 N/mm * us: below 2^32 * 2^19 * 4.
+    let product = (u64::from(onset) << level) * u64::from(MARGIN) * u64::from(delay_us);
+    let damping = ((product << 8) / 1_000_000).min(1 << 30) as u32;
+    VirtualDamping(damping.max(lowest.0))
+}
+
+/// Checks settings; gives the highest level of damping, from which on the guard holds a contact of [`STIFFEST`].
+fn check(
+    settings: &LoopSettings,
+    onset: u32,
+    period_us: u16,
+    delay_us: u32,
+    largest_force: Force,
+) -> Result<usize, Refused> {
+    let refuse = |parameter, bound: u64| Refused {
+        parameter,
+        bound: bound.min(i32::MAX as u64) as i32,
+    };
+    let desired = settings.desired;
+    if desired < LoopSettings::LEAST_DESIRED {
+        return Err(refuse(
+            Parameter::DesiredTooSmall,
+            u64::from(LoopSettings::LEAST_DESIRED.magnitude()),
+        ));
+    }
+    // Above three quarters of the range there is no force left to tell the loop by how much it is too high.
+    let most = largest_force.held().0.max(0) / 4 * 3;
+    if desired.0 > most {
+        return Err(refuse(Parameter::DesiredTooLarge, most as u64));
+    }
+    // Level 0 must hold the contacts of which the guard thinks nothing: K_V >= k tau.
+    let least = ((u64::from(SOFT) * u64::from(delay_us)) << 16).div_ceil(1_000_000);
+    let least = least.max(LEAST_DAMPING);
+    if u64::from(settings.damping.0) < least {
+        return Err(refuse(Parameter::DampingTooSmall, least));
+    }
+    if settings.damping.0 > 1 << 26 {
+        return Err(refuse(Parameter::DampingTooLarge, 1 << 26));
+    }
+    // The last level answers for the stiffest contact.
+    let mut highest = 0;
+    while u64::from(onset) << highest < u64::from(STIFFEST) << 8 && highest < LEVELS - 1 {
+        highest += 1;
+    }
+    // K_A >= K_V T for the most damped level, and K_A <= 2^18 K_V T for the least damped one.
+    let most = u64::from(damping(settings.damping, onset, delay_us, highest).0);
+    let lightest = (most * u64::from(period_us)).div_ceil(1_000_000).max(1);
+    if u64::from(settings.mass.0) < lightest {
+        return Err(refuse(Parameter::MassTooSmall, lightest));
+    }
+    let step = u64::from(settings.damping.0) * u64::from(period_us);
+    let heaviest = ((step << 18) / 1_000_000).min(1 << 26);
+    if u64::from(settings.mass.0) > heaviest || !sound(settings.mass, settings.damping, period_us) {
+        return Err(refuse(Parameter::MassTooLarge, heaviest));
+    }
+    if settings.limit.0 <= 0 || settings.limit > LARGEST_LIMIT {
+        return Err(refuse(Parameter::Limit, LARGEST_LIMIT.0 as u64));
+    }
+    if settings.rate.0 <= 0 {
+        return Err(refuse(Parameter::Rate, 1));
+    }
+    Ok(highest)
+}
+
+/// What an axis is given in a period.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Push {
+    /// Peak force on the tool.
+    pub force: Force,
+    /// p_d'.
+    pub desired_rate: Rate,
+    /// Force control is wanted on this axis. Without it the force counts as none, and the tool returns.
+    pub active: bool,
+    /// The tool stays where it is, whatever the force: the rate ends as fast as the highest level of damping ends it.
+    pub held: bool,
+    /// Level of damping, from the guard.
+    pub level: usize,
+    /// The tool touches something, or did some revolutions ago.
+    pub touching: bool,
+}
+
+/// The compliance of one axis.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Compliance {
+    law: Law,
+    /// Outward is upward.
+    upward: bool,
+    /// How far the tool has yielded, 2^-40 mm, 0 to 2^46.
+    away: i64,
+    /// Its rate outward, 2^-(40 + fineness) mm in a period.
+    rate: i64,
+    /// `away` before this period.
+    before: i64,
+    /// The rate that was given last.
+    shown: Rate,
+}
+
+impl Compliance {
+    /// An axis that has not yielded.
+    #[must_use]
+    pub const fn new(law: Law) -> Self {
+        Self {
+            law,
+            upward: true,
+            away: 0,
+            rate: 0,
+            before: 0,
+            shown: Rate::ZERO,
+        }
+    }
+
+    /// The law.
+    #[must_use]
+    pub const fn law(&self) -> &Law {
+        &self.law
+    }
+
+    /// Goes on under another law; displacement and rate stay.
+    pub fn adopt(&mut self, law: Law) {
+        let (from, to) = (self.law.fineness, law.fineness);
+        self.rate = if to >= from {
+            // Below 2^58 in either scale.
+            self.rate << (to - from)
+        } else {
+            self.rate >> (from - to)
+        };
+        self.law = law;
+    }
+
+    /// The tool stands where it is desired: after an enable, or when wanted became measured.
+    pub const fn reset(&mut self) {
+        self.away = 0;
+        self.rate = 0;
+        self.before = 0;
+        self.shown = Rate::ZERO;
+    }
+
+    /// p_c.
+    #[must_use]
+    pub const fn displacement(&self) -> Displacement {
+        Displacement(if self.upward { self.away } else { -self.away })
+    }
+
+    /// The reference was refused: the displacement is what it was before this period, and stands.
+    pub const fn withhold(&mut self) -> Yielding {
+        self.away = self.before;
+        self.rate = 0;
+        self.shown = Rate::ZERO;
+        Yielding {
+            displacement: self.displacement(),
+            rate: Rate::ZERO,
+            acceleration: Acceleration::ZERO,
+            limited: true,
+        }
+    }
+
+    /// One period.
+    #[inline]
+    pub fn advance(&mut self, push: &Push) -> Yielding {
+        let force = if push.active { push.force.held().0 } else { 0 };
+        if self.away == 0 && self.rate <= 0 {
+            self.rate = 0;
+            self.upward = force >= 0;
+        }
+        let level = if push.held { LEVELS } else { push.level }.min(self.law.highest);
+        let drive = self.drive(push, force, level);
+        self.before = self.away;
+        if self.away == 0 && self.rate == 0 && drive <= 0 {
+            return self.yielding(false);
+        }
+        let law = &self.law;
+        let fineness = law.fineness;
+        let Some(pole) = law.poles.get(level) else {
+            return self.yielding(false);
+        };
+        let (step, rate) = pole.step(drive, self.rate, fineness);
+        let mut most = law.rate_limit;
+        if self.rate > most || self.rate < -most {
+            // A limit that was lowered is reached within some hundred periods: no jump of the rate.
+            let fast = self.rate.abs();
+            most = most.max(fast - (fast >> 8));
+        }
+        let (mut step, mut rate) = (step.min(most), rate.min(most));
+        if step < 0 || rate < 0 {
+            // Towards 0 no faster than 1/64 of what is left: 2^40 units in the finest scale are below 2^58.
+            let landing = -((self.away >> 6).wrapping_shl(fineness).min(most));
+            (step, rate) = (step.max(landing), rate.max(landing));
+        }
+        // Below 2^46 + 2^41.
+        let mut away = self.away.wrapping_add(step.wrapping_shr(fineness));
+        // A limit that was lowered does not push the tool.
+        let limit = law.limit.max(self.away);
+        let limited = away >= limit && drive > 0;
+        if away > limit {
+            away = limit;
+            rate = rate.min(0);
+        }
+        if away < NOTHING && rate <= 0 {
+            away = 0;
+            rate = 0;
+        }
+        self.away = away.max(0);
+        self.rate = rate;
+        self.yielding(limited)
+    }
+
+    /// What moves the virtual mass outward, 2^-16 N, within +-2^27.
+    #[inline]
+    fn drive(&self, push: &Push, force: i32, level: usize) -> i32 {
+        if push.held {
+            return 0;
+        }
+        let law = &self.law;
+        let outward = |value: i32| {
+            if self.upward {
+                value
+            } else {
+                value.wrapping_neg()
+            }
+        };
+        let desired = law.settings.desired.0;
+        let desired_rate = outward(push.desired_rate.0.max(-i32::MAX));
+        let mut drive = outward(force).wrapping_sub(desired);
+        if level > 0 {
+            // D p_d', 2^-16 N: a product of words.
+            let added = law.added.get(level).copied().unwrap_or(0);
+            let resisted = multiply_shift(-desired_rate, added, 20);
+            let desired = i64::from(desired);
+            let most = if push.touching { 1 << 28 } else { desired };
+            drive = drive.wrapping_add(resisted.min(most).max(-desired) as i32);
+        }
+        let open = match law.settings.gate {
+            Gate::AgainstMotion => desired_rate < 0,
+            Gate::Any => true,
+            Gate::Positive => self.upward,
+            Gate::Negative => !self.upward,
+        };
+        let most = if open { Force::MOST.0 } else { 0 };
+        drive.min(most).max(-Force::MOST.0)
+    }
+
+    #[inline]
+    fn yielding(&mut self, limited: bool) -> Yielding {
+        let rate = saturate(self.law.to_rate.of(self.rate));
+        let rate = if self.upward {
+            rate
+        } else {
+            rate.wrapping_neg()
+        };
+        // 2^-20 mm/s times periods per second in Q16: 2^-36, to 2^-12 mm/s^2. The rate is below 2^31 * (1 - 2^-8): see `Law::begin`.
+        let change = i64::from(rate).wrapping_sub(i64::from(self.shown.0));
+        let acceleration = multiply_shift(saturate(change), self.law.frequency as i32, 24);
+        self.shown = Rate(rate);
+        Yielding {
+            displacement: self.displacement(),
+            rate: Rate(rate),
+            acceleration: Acceleration(saturate(acceleration)),
+            limited,
+        }
+    }
+}

@@ -1,0 +1,434 @@
+//! From the codes of a three-component sensor to the force on the tool, and whether it can be believed.
+//!
+//! The sensor is a quartz element under the work with a charge amplifier and a 14-bit converter (spec h4-milling 1.2, 7.1 items 24-26). It measures what the tool does to the
+//! work; the force that everything else here speaks of is the reaction on the tool (spec 1.3), so a channel usually has a negative scale.
+//!
+//! | watch | what it says | why its limit is right |
+//! | --- | --- | --- |
+//! | silent | no new conversion for `silent_samples` periods | a counter of conversions, so an old value cannot pass for a new one |
+//! | overload | the amplifier says so, or a code beyond `saturation` for 3 samples in a row | beyond 95 % the peak is not known; a single sample may be a spark |
+//! | stuck | the same code `stuck_samples` times in a row | see below |
+//! | drift | the mean force while nothing touches the tool is beyond `drift` | a charge leaks away, and an amplifier's zero wanders; cutting hides it, so it is looked for only unloaded |
+//! | limit | a force beyond `limit` | the tool, the work or the sensor would suffer: the spindle stands, or the feed is wrong |
+//!
+//! **Stuck.** A converter behind quartz and charge amplifier has noise. With a deviation of s codes, a code repeats with a probability of at most erf(1 / (2 sqrt 2 s)), when the
+//! signal stands in the middle of a code: 0.90 for s = 0.3. 500 repetitions (0.1 s at 200 us) then happen with 1e-22, not once in the life of the machine (1e13 samples a century and channel). Noise below 0.25
+//! codes (0.954; 500 times: 6e-11, once in 40 days) needs more samples or dither. 0 switches the watch off, for a sensor without noise.
+//!
+//! **Tare.** The mean of `tare_samples` becomes the zero. It is refused when the codes move by more than `tare_spread` (the spindle runs, the machine moves, a hand is on the table), when a channel
+//! does not move at all though it has noise (it is stuck), near saturation, and when samples are missing. The weight of the vise turns with the table: what it adds at another angle than that of the
+//! tare is taken off by [`Conditioner::set_table`].
+//!
+//! Arithmetic: codes are held within 14 bits, scales within 0.5 N a code, so a force is below 2^15 codes * 0.5 N: no input overflows.
+
+use crate::units::force::Force;
+use crate::units::scale::{multiply_shift, saturate};
+use crate::units::trig::{ONE, sin_cos};
+use crate::units::{Angle, scale};
+use serde::{Deserialize, Serialize};
+
+/// Components of the force: x, y, z of the work.
+pub const COMPONENTS: usize = 3;
+
+/// The largest code of a 14-bit converter.
+pub const CODE_MOST: i16 = 8191;
+
+/// Samples in a row beyond saturation that are an overload.
+const OVERLOAD_SAMPLES: u8 = 3;
+
+/// Time constant of the mean that is watched for drift: 2^9 samples (0.1 s at 200 us).
+const DRIFT_SHIFT: u32 = 9;
+
+/// What the board's converter says in a period.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct ForceSample {
+    /// Codes of x, y, z: -8192 to 8191.
+    pub codes: [i16; COMPONENTS],
+    /// Conversions so far, free running, wraps around; without a change there is no new sample.
+    pub conversions: u8,
+    /// The charge amplifier reports an overload.
+    pub overload: bool,
+}
+
+/// One channel of the sensor.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Channel {
+    /// Force on the tool per code, 2^-32 N, up to 0.5 N; negative where a positive code is a push of the tool on the work. 10 N/V at 1.2207 mV a code: 52,428,800.
+    pub per_code: i32,
+    /// Codes of this magnitude, and beyond, are saturated: 7782 is 95 %.
+    pub saturation: i16,
+}
+
+/// The sensor and its watches.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Sensor {
+    /// x, y, z of the work.
+    pub channels: [Channel; COMPONENTS],
+    /// Periods without a new sample that are borne.
+    pub silent_samples: u16,
+    /// Equal codes in a row that are a stuck channel; 0 switches the watch off.
+    pub stuck_samples: u16,
+    /// Largest mean force while nothing touches the tool.
+    pub drift: Force,
+    /// Largest force.
+    pub limit: Force,
+    /// Samples of a tare, 16 to 32768.
+    pub tare_samples: u16,
+    /// Codes from lowest to highest that a tare bears.
+    pub tare_spread: u16,
+    /// Weight of what the sensor carries and the table tilts; 0 where it does not tilt.
+    pub weight: Force,
+}
+
+impl Sensor {
+    /// Whether the values make sense.
+    #[must_use]
+    pub fn is_sound(&self) -> bool {
+        self.channels.iter().all(|channel| {
+            channel.per_code != 0
+                && channel.per_code.unsigned_abs() <= 1 << 31
+                && channel.per_code != i32::MIN
+                && (64..=CODE_MOST).contains(&channel.saturation)
+        }) && self.silent_samples >= 1
+            && self.drift.0 > 0
+            && self.limit.0 > 0
+            && self.limit <= Force::MOST
+            && (16..=32_768).contains(&self.tare_samples)
+            && self.tare_spread >= 1
+            && self.weight.0 >= 0
+            && self.weight <= Force::MOST
+    }
+
+    /// The largest force that a channel shows.
+    #[must_use]
+    pub fn range(&self, component: usize) -> Force {
+        self.channels.get(component).map_or(Force::ZERO, |channel| {
+            let raw = multiply_shift(channel.per_code, i32::from(channel.saturation), 16);
+            Force(saturate(raw.abs())).held()
+        })
+    }
+}
+
+/// What ends force control, with its name.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Condition {
+    /// No new samples.
+    Silent,
+    /// A channel, or the amplifier, is beyond its range.
+    Overload {
+        /// The component; 3 for the amplifier.
+        component: u8,
+    },
+    /// A channel repeats one code.
+    Stuck {
+        /// The component.
+        component: u8,
+    },
+    /// The zero has wandered.
+    Drift {
+        /// The component.
+        component: u8,
+        /// How far.
+        force: Force,
+    },
+    /// The force is larger than may be.
+    Limit {
+        /// The component.
+        component: u8,
+        /// The force.
+        force: Force,
+    },
+    /// The force grows when the tool yields to it.
+    WrongSign {
+        /// The component.
+        component: u8,
+    },
+    /// The spindle turns so slowly that the peak of a revolution comes later than the loop was laid out for.
+    SlowSpindle {
+        /// rev/min.
+        rpm: i16,
+    },
+}
+
+/// Why a tare is refused.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum TareRefusal {
+    /// Samples were missing.
+    Silent,
+    /// The codes move.
+    Moving {
+        /// The component.
+        component: u8,
+        /// Codes from lowest to highest.
+        spread: u16,
+    },
+    /// A channel does not move at all.
+    Stuck {
+        /// The component.
+        component: u8,
+    },
+    /// The zero would be so far off that less than half of the range is left.
+    Offset {
+        /// The component.
+        component: u8,
+    },
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Tare {
+    left: u16,
+    sums: [i32; COMPONENTS],
+    lows: [i16; COMPONENTS],
+    highs: [i16; COMPONENTS],
+}
+
+/// One channel's memory.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+struct Memory {
+    /// Zero, codes with 8 more bits.
+    zero: i32,
+    code: i16,
+    repeated: u16,
+    saturated: u8,
+    /// Mean force while unloaded, with [`DRIFT_SHIFT`] more bits.
+    mean: i64,
+}
+
+/// The sensor at work.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Conditioner {
+    sensor: Sensor,
+    memories: [Memory; COMPONENTS],
+    forces: [Force; COMPONENTS],
+    /// What the weight adds now, less what it added at the tare.
+    weight: [Force; COMPONENTS],
+    table: Angle,
+    /// Sine and cosine of the table at the tare, Q30.
+    tared_at: (i32, i32),
+    tared: bool,
+    conversions: u8,
+    silent: u16,
+    tare: Option<Tare>,
+    last_tare: Option<Result<(), TareRefusal>>,
+}
+
+impl Conditioner {
+    /// For a sound sensor; nothing is tared.
+    #[must_use]
+    pub fn new(sensor: &Sensor) -> Self {
+        Self {
+            sensor: sensor.clone(),
+            memories: [Memory::default(); COMPONENTS],
+            forces: [Force::ZERO; COMPONENTS],
+            weight: [Force::ZERO; COMPONENTS],
+            table: Angle::ZERO,
+            tared_at: (0, ONE),
+            tared: false,
+            conversions: 0,
+            silent: 0,
+            tare: None,
+            last_tare: None,
+        }
+    }
+
+    /// The sensor.
+    #[must_use]
+    pub const fn sensor(&self) -> &Sensor {
+        &self.sensor
+    }
+
+    /// Force on the tool, held within the range of [`Force::MOST`].
+    #[must_use]
+    pub const fn forces(&self) -> &[Force; COMPONENTS] {
+        &self.forces
+    }
+
+    /// Whether a zero is known.
+    #[must_use]
+    pub const fn tared(&self) -> bool {
+        self.tared
+    }
+
+    /// Begins a tare; it ends after `tare_samples`, see [`Conditioner::tare_result`].
+    pub fn begin_tare(&mut self) {
+        self.last_tare = None;
+        self.tare = Some(Tare {
+            left: self.sensor.tare_samples,
+            sums: [0; COMPONENTS],
+            lows: [i16::MAX; COMPONENTS],
+            highs: [i16::MIN; COMPONENTS],
+        });
+    }
+
+    /// How the last tare ended; `None` while one runs, and before the first.
+    #[must_use]
+    pub const fn tare_result(&self) -> Option<Result<(), TareRefusal>> {
+        self.last_tare
+    }
+
+    /// Tells the angle of the table (alpha, spec (3.15)-(3.16)), from which the share of the weight follows: +W sin alpha along y, +W cos alpha along z of the work, as a reaction on the tool
+    /// would show. Costs a sine: once in some periods is enough.
+    pub fn set_table(&mut self, angle: Angle) {
+        if self.sensor.weight.0 == 0 || angle == self.table {
+            return;
+        }
+        self.table = angle;
+        self.weigh();
+    }
+
+    fn weigh(&mut self) {
+        let (sine, cosine) = sin_cos(self.table);
+        let (sine_then, cosine_then) = self.tared_at;
+        // Q30, differences within 2^31.
+        let share = |now: i32, then: i32| {
+            let difference = saturate(i64::from(now) - i64::from(then));
+            Force(saturate(multiply_shift(
+                self.sensor.weight.0,
+                difference,
+                30,
+            )))
+        };
+        self.weight = [
+            Force::ZERO,
+            share(sine, sine_then),
+            share(cosine, cosine_then),
+        ];
+    }
+
+    /// Takes the sample of a period; `unloaded` says that nothing touches the tool, as far as the controller knows. Gives what ends force control.
+    #[inline]
+    pub fn take(&mut self, sample: &ForceSample, unloaded: bool) -> Option<Condition> {
+        if sample.conversions == self.conversions {
+            self.silent = self.silent.saturating_add(1);
+            if self.silent > self.sensor.silent_samples {
+                self.end_tare(Err(TareRefusal::Silent));
+                return Some(Condition::Silent);
+            }
+            return None;
+        }
+        self.conversions = sample.conversions;
+        self.silent = 0;
+        let mut found = sample.overload.then_some(Condition::Overload {
+            component: COMPONENTS as u8,
+        });
+        for component in 0..COMPONENTS {
+            let code = sample.codes[component].clamp(-CODE_MOST - 1, CODE_MOST);
+            let seen = self.look(component, code, unloaded);
+            found = found.or(seen);
+        }
+        if self.tare.is_some() {
+            self.gather(&sample.codes);
+        }
+        found
+    }
+
+    #[inline]
+    fn look(&mut self, component: usize, code: i16, unloaded: bool) -> Option<Condition> {
+        let name = component as u8;
+        let channel = &self.sensor.channels[component];
+        let memory = &mut self.memories[component];
+        memory.repeated = if code == memory.code {
+            memory.repeated.saturating_add(1)
+        } else {
+            0
+        };
+        memory.code = code;
+        memory.saturated = if code.unsigned_abs() >= channel.saturation.unsigned_abs() {
+            memory.saturated.saturating_add(1)
+        } else {
+            0
+        };
+        // Below 2^23 and 2^31; in 2^-40 N, to 2^-16 N.
+        let off = (i32::from(code) << 8).wrapping_sub(memory.zero);
+        // Below 2^53 >> 24 and 2^28: words.
+        let force = (multiply_shift(off, channel.per_code, 24) as i32)
+            .wrapping_sub(self.weight[component].0);
+        let force = Force(force).held();
+        self.forces[component] = force;
+        let drifted = if unloaded && self.tared {
+            memory.mean += i64::from(force.0) - (memory.mean >> DRIFT_SHIFT);
+            Force((memory.mean >> DRIFT_SHIFT) as i32)
+        } else {
+            memory.mean = 0;
+            Force::ZERO
+        };
+        if memory.saturated >= OVERLOAD_SAMPLES {
+            Some(Condition::Overload { component: name })
+        } else if self.sensor.stuck_samples > 0 && memory.repeated >= self.sensor.stuck_samples {
+            Some(Condition::Stuck { component: name })
+        } else if self.tared && force.magnitude() > self.sensor.limit.magnitude() {
+            Some(Condition::Limit {
+                component: name,
+                force,
+            })
+        } else if drifted.magnitude() > self.sensor.drift.magnitude() {
+            Some(Condition::Drift {
+                component: name,
+                force: drifted,
+            })
+        } else {
+            None
+        }
+    }
+
+    fn gather(&mut self, codes: &[i16; COMPONENTS]) {
+        let Some(tare) = &mut self.tare else {
+            return;
+        };
+        for (component, code) in codes.iter().enumerate() {
+            let code = (*code).clamp(-CODE_MOST - 1, CODE_MOST);
+            // At most 32768 samples of 2^13: 2^28.
+            tare.sums[component] += i32::from(code);
+            tare.lows[component] = tare.lows[component].min(code);
+            tare.highs[component] = tare.highs[component].max(code);
+        }
+        tare.left = tare.left.saturating_sub(1);
+        if tare.left == 0 {
+            let result = self.judge_tare();
+            self.end_tare(result);
+        }
+    }
+
+    fn judge_tare(&mut self) -> Result<(), TareRefusal> {
+        let Some(tare) = self.tare else {
+            return Err(TareRefusal::Silent);
+        };
+        let samples = i64::from(self.sensor.tare_samples.max(1));
+        let mut zeros = [0; COMPONENTS];
+        for (component, zero) in zeros.iter_mut().enumerate() {
+            let name = component as u8;
+            // Within 16 bits.
+            let spread = i32::from(tare.highs[component]) - i32::from(tare.lows[component]);
+            if spread > i32::from(self.sensor.tare_spread) {
+                return Err(TareRefusal::Moving {
+                    component: name,
+                    spread: spread as u16,
+                });
+            }
+            if spread == 0 && self.sensor.stuck_samples > 0 {
+                return Err(TareRefusal::Stuck { component: name });
+            }
+            let mean = ((i64::from(tare.sums[component]) << 8) + samples / 2).div_euclid(samples);
+            *zero = scale::saturate(mean);
+            let half = i32::from(self.sensor.channels[component].saturation) << 7;
+            if zero.unsigned_abs() > half.unsigned_abs() {
+                return Err(TareRefusal::Offset { component: name });
+            }
+        }
+        for (memory, zero) in self.memories.iter_mut().zip(zeros) {
+            memory.zero = zero;
+            memory.mean = 0;
+        }
+        self.tared = true;
+        self.tared_at = sin_cos(self.table);
+        self.weigh();
+        Ok(())
+    }
+
+    /// A refused tare leaves the zero that was.
+    fn end_tare(&mut self, result: Result<(), TareRefusal>) {
+        if self.tare.take().is_some() {
+            self.last_tare = Some(result);
+        }
+    }
+}

@@ -1,0 +1,250 @@
+//! The highest and lowest force of the last revolution of the spindle (spec h4-milling 7.1 item 17).
+//!
+//! A milling force has a crest for every tooth. What the compliance law works on is the largest magnitude of one whole revolution, sign kept: of
+//! a force that repeats every revolution this is a constant, whatever the run-out of the teeth.
+//!
+//! **Rounding.** A revolution is 60 / (rpm * period) samples: 60 at 5000 rpm and 200 us, but 58.82 at 5100. The window is rounded *up*: it holds
+//! one whole revolution and less than one sample more. Rounded down it would miss the crest for one sample in every revolution, and the law would see a force
+//! that dips. A revolution of more than [`LEAVES`] samples is taken in groups of 2, 3, ... samples, of which each keeps its highest and lowest; the window then
+//! holds one revolution and less than one group more (1/63 of a revolution).
+//!
+//! **Cost.** A tournament tree over a ring: a new sample is one leaf and its log2(window) parents, at most 7 pairs of comparisons, every sample the same. There is no worst
+//! case that is worse than the mean, as a monotonic queue would have.
+//!
+//! Misuse: changing the window at every measured revolution. Each change keeps the present peaks for one revolution (nothing is forgotten, nothing jumps down), so a
+//! window that always changes never forgets. Use the commanded speed.
+
+use crate::units::force::Force;
+
+/// The most groups of samples in a window.
+pub const LEAVES: usize = 128;
+
+/// The most samples in a group: the window ends at 2048 samples, 0.41 s at 200 us.
+const GROUP_MOST: u32 = 16;
+
+/// Highest and lowest force of a stretch of time.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Extremes {
+    /// Highest.
+    pub high: Force,
+    /// Lowest.
+    pub low: Force,
+}
+
+impl Default for Extremes {
+    fn default() -> Self {
+        Self::of(Force(0))
+    }
+}
+
+impl Extremes {
+    /// Nothing was seen yet: less than any high, more than any low.
+    const NONE: Self = Self {
+        high: Force(i32::MIN),
+        low: Force(i32::MAX),
+    };
+
+    const fn of(force: Force) -> Self {
+        Self {
+            high: force,
+            low: force,
+        }
+    }
+
+    #[inline]
+    const fn with(self, other: Self) -> Self {
+        Self {
+            high: if other.high.0 > self.high.0 {
+                other.high
+            } else {
+                self.high
+            },
+            low: if other.low.0 < self.low.0 {
+                other.low
+            } else {
+                self.low
+            },
+        }
+    }
+
+    /// The force of the largest magnitude, with its sign: the *high* force of the thesis. Of two equal ones the positive one.
+    #[must_use]
+    pub const fn peak(&self) -> Force {
+        if self.high.magnitude() >= self.low.magnitude() {
+            self.high
+        } else {
+            self.low
+        }
+    }
+
+    /// The other end: the *low* force of the thesis.
+    #[must_use]
+    pub const fn other(&self) -> Force {
+        if self.high.magnitude() >= self.low.magnitude() {
+            self.low
+        } else {
+            self.high
+        }
+    }
+}
+
+/// How many samples a window has.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Window {
+    /// Groups in the ring, 1 to [`LEAVES`].
+    leaves: u16,
+    /// Samples in a group, 1 to 16.
+    group: u16,
+}
+
+impl Window {
+    /// A window of `samples`, rounded up to whole groups; `None` for none or more than 2048.
+    #[must_use]
+    pub const fn of(samples: u32) -> Option<Self> {
+        if samples == 0 || samples > GROUP_MOST * LEAVES as u32 {
+            return None;
+        }
+        let mut group = samples.div_ceil(LEAVES as u32);
+        // While a group is begun its oldest one is dropped: what is whole, and one sample, must be a revolution.
+        if (samples - 1).div_ceil(group) >= LEAVES as u32 {
+            group += 1;
+        }
+        Some(Self {
+            leaves: ((samples - 1).div_ceil(group) + 1) as u16,
+            group: group as u16,
+        })
+    }
+
+    /// One revolution at a speed (the sign is the direction), rounded up; `None` at standstill and for a speed so low that 2048 samples do not hold a revolution.
+    #[must_use]
+    pub const fn revolution(rpm: i16, period_us: u16) -> Option<Self> {
+        // At most 32768 * 65535: fits 32 bits.
+        let turned = rpm.unsigned_abs() as u32 * period_us as u32;
+        if turned == 0 {
+            return None;
+        }
+        Self::of(60_000_000u32.div_ceil(turned))
+    }
+
+    /// The most samples that it covers: when its newest group is full.
+    #[must_use]
+    pub const fn samples(self) -> u32 {
+        self.leaves as u32 * self.group as u32
+    }
+
+    /// The fewest samples that it covers: when its newest group has been begun.
+    #[must_use]
+    pub const fn least_samples(self) -> u32 {
+        (self.leaves as u32 - 1) * self.group as u32 + 1
+    }
+}
+
+/// Extremes of one axis over a sliding window.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct SlidingExtremes {
+    window: Window,
+    /// Leaves of the tree: the least power of two that holds the window.
+    size: usize,
+    /// Node 1 is the root, node i has the children 2i and 2i+1, leaves begin at `size`.
+    tree: [Extremes; 2 * LEAVES],
+    /// The leaf that is being filled.
+    leaf: usize,
+    /// Samples in it.
+    filled: u16,
+}
+
+impl SlidingExtremes {
+    /// A window that has seen no force.
+    #[must_use]
+    pub fn new(window: Window) -> Self {
+        let mut new = Self {
+            window,
+            size: 1,
+            tree: [Extremes::NONE; 2 * LEAVES],
+            leaf: 0,
+            filled: 0,
+        };
+        new.fill(Extremes::default());
+        new
+    }
+
+    /// The window.
+    #[must_use]
+    pub const fn window(&self) -> Window {
+        self.window
+    }
+
+    /// Changes the window. What was the highest and the lowest stays so for the length of the new window. The same window changes nothing.
+    pub fn set_window(&mut self, window: Window) {
+        if window != self.window {
+            let now = self.extremes();
+            self.window = window;
+            self.fill(now);
+        }
+    }
+
+    /// Forgets everything: no force was seen.
+    pub fn clear(&mut self) {
+        self.fill(Extremes::default());
+    }
+
+    #[cold]
+    fn fill(&mut self, with: Extremes) {
+        let leaves = usize::from(self.window.leaves);
+        self.size = leaves.next_power_of_two();
+        self.tree = [Extremes::NONE; 2 * LEAVES];
+        self.tree
+            .iter_mut()
+            .skip(self.size)
+            .take(leaves)
+            .for_each(|leaf| *leaf = with);
+        for node in (1..self.size).rev() {
+            let children = self.at(2 * node).with(self.at(2 * node + 1));
+            if let Some(node) = self.tree.get_mut(node) {
+                *node = children;
+            }
+        }
+        self.leaf = 0;
+        self.filled = 0;
+    }
+
+    /// Takes the force of a sample; gives the extremes of the window that ends with it.
+    #[inline]
+    pub fn push(&mut self, force: Force) -> Extremes {
+        let mut now = Extremes::of(force);
+        let mut node = self.size + self.leaf;
+        if self.filled > 0 {
+            now = now.with(self.at(node));
+        }
+        self.filled += 1;
+        if self.filled >= self.window.group {
+            self.filled = 0;
+            self.leaf += 1;
+            if self.leaf >= usize::from(self.window.leaves) {
+                self.leaf = 0;
+            }
+        }
+        if let Some(leaf) = self.tree.get_mut(node) {
+            *leaf = now;
+        }
+        while node > 1 {
+            now = now.with(self.at(node ^ 1));
+            node >>= 1;
+            if let Some(parent) = self.tree.get_mut(node) {
+                *parent = now;
+            }
+        }
+        now
+    }
+
+    #[inline]
+    fn at(&self, node: usize) -> Extremes {
+        self.tree.get(node).copied().unwrap_or(Extremes::NONE)
+    }
+
+    /// The extremes of the window.
+    #[must_use]
+    pub fn extremes(&self) -> Extremes {
+        self.at(1)
+    }
+}

@@ -1,0 +1,194 @@
+//! The exact discretisation of the compliance law (spec h4-milling (3.30) and 3.3): K_A v' + K_V v = u, with u held over a period T.
+//!
+//! With x = K_V T / K_A, a = e^-x and the rate at which it would end, w = u T / K_V (displacements in a period):
+//!
+//! ```text
+//! displacement += v - (v - w) (1 - g)     g = (1 - a) / x = 1 - x/2 (1 - x/3 (1 - x/4 (...)))
+//! v            -= (v - w) (1 - a)         1 - a = x g
+//! ```
+//!
+//! The series is summed at configuration time to 20 terms (x <= 1: the rest is below 1/22!), with an error below 2^-59; there is no division in a period. Numbers per period:
+//! 1 - g and 1 - a are right to 2^-31 of themselves, T / K_V to 2^-30. The rate keeps so many bits below 2^-40 mm as 1 - a has leading zeros, so a rounding that returns in every
+//! period adds up to no more than 2^-37 mm a period.
+//!
+//! Misuse: [`Pole::step`] needs a rate below [`RATE_BITS`]; [`super::compliance`] holds it there.
+
+use crate::units::force::{VirtualDamping, VirtualMass};
+use crate::units::scale::{high_product, multiply_high};
+
+/// The most leading zeros of 1 - a: x >= 2^-18.
+pub const DEEPEST: u32 = 17;
+
+/// Rates stay below 2^41 * 2^-40 mm, 2 mm, in a period; with the finest scale below 2^58.
+pub const RATE_BITS: u32 = 41;
+
+/// 2^64 / k, rounded down, for the terms of the series.
+const RECIPROCALS: [u64; 20] = {
+    let mut table = [0; 20];
+    let mut place = 0;
+    while place < 20 {
+        table[place] = u64::MAX / (place as u64 + 2);
+        place += 1;
+    }
+    table
+};
+
+/// A part of a whole, to 31 bits: `mantissa` times 2^-(32 + deep).
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub(super) struct Part {
+    /// 2^31 to 2^32.
+    mantissa: u32,
+    deep: u32,
+}
+
+impl Part {
+    /// Of a number below 1 in Q63.
+    pub(super) const fn new(value: u64) -> Self {
+        let zeros = value.leading_zeros();
+        let deep = if zeros < 1 {
+            0
+        } else if zeros > 32 {
+            31
+        } else {
+            zeros - 1
+        };
+        Self {
+            mantissa: (value >> (31 - deep)) as u32,
+            deep,
+        }
+    }
+
+    /// `numerator` / `denominator`, where the denominator is larger than the numerator, and below 2^62.
+    pub(super) fn ratio(numerator: u64, denominator: u64) -> Self {
+        Self::new(ratio(numerator, denominator))
+    }
+
+    /// This part of a number below 2^62, rounded down twice: at most two units too small. Two products of words.
+    #[inline]
+    pub(super) const fn of(self, whole: i64) -> i64 {
+        multiply_high(whole, self.mantissa).wrapping_shr(self.deep)
+    }
+}
+
+/// How one period with one damping changes displacement and rate.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Pole {
+    /// 1 - a.
+    approach: Part,
+    /// 1 - g.
+    lag: Part,
+    /// T / K_V in 2^-40 mm per 2^-16 N is this times 2^-exponent; 2^30 to 2^31.
+    terminal: i32,
+    exponent: u32,
+}
+
+/// Whether `mass` and `damping` with this period can be discretised: 2^-18 <= K_V T / K_A <= 1.
+#[must_use]
+pub const fn sound(mass: VirtualMass, damping: VirtualDamping, period_us: u16) -> bool {
+    // Below 2^48 and 2^52.
+    let part = damping.0 as u64 * period_us as u64;
+    let whole = mass.0 as u64 * 1_000_000;
+    part > 0 && part <= whole && whole >> 18 <= part
+}
+
+impl Pole {
+    /// The pole of sound values (see [`sound`]); of others it is meaningless.
+    #[must_use]
+    pub fn new(mass: VirtualMass, damping: VirtualDamping, period_us: u16) -> Self {
+        let x = ratio(
+            u64::from(damping.0) * u64::from(period_us),
+            u64::from(mass.0) * 1_000_000,
+        );
+        // Q63; never above 1 and never below 1/2.
+        let mut mean = 1 << 63;
+        for reciprocal in RECIPROCALS.iter().rev() {
+            // x mean / k, Q63: below 2^62.
+            mean = (1 << 63) - high_product(high_product(x, mean) << 1, *reciprocal);
+        }
+        // Q63, at most 0.64.
+        let approach = Part::new(high_product(x, mean) << 1);
+        let (terminal, exponent) = terminal(damping, period_us);
+        Self {
+            approach,
+            lag: Part::new((1 << 63) - mean),
+            terminal,
+            exponent,
+        }
+    }
+
+    /// Leading zeros of 1 - a: how many bits below 2^-40 mm the rate keeps.
+    #[must_use]
+    pub const fn fineness(&self) -> u32 {
+        let deep = self.approach.deep;
+        if deep < 1 {
+            1
+        } else if deep > DEEPEST {
+            DEEPEST
+        } else {
+            deep
+        }
+    }
+
+    /// One period under a force (2^-16 N, up to 2^27). Gives the displacement and the new rate, both in 2^-(40 + `fineness`) mm, below 2^62.
+    ///
+    /// `rate` is of the same scale, below 2^([`RATE_BITS`] + `fineness`); `fineness` is 1 to [`DEEPEST`].
+    #[inline]
+    #[must_use]
+    pub const fn step(&self, force: i32, rate: i64, fineness: u32) -> (i64, i64) {
+        // Below 2^58.
+        let wide = force as i64 * self.terminal as i64;
+        // 2048 N at the least K_V make 20 mm in a millisecond, 2^44.4: below 2^62 in any scale.
+        let end = if self.exponent > fineness {
+            wide.wrapping_shr(self.exponent.wrapping_sub(fineness))
+        } else {
+            wide.wrapping_shl(fineness.wrapping_sub(self.exponent))
+        };
+        let off = rate.wrapping_sub(end);
+        (
+            rate.wrapping_sub(self.lag.of(off)),
+            rate.wrapping_sub(self.approach.of(off)),
+        )
+    }
+}
+
+/// `part` / `whole`, Q63, rounded down; `part <= whole < 2^62`.
+fn ratio(part: u64, whole: u64) -> u64 {
+    let (mut rest, mut quotient) = (part, 0u64);
+    for _ in 0..63 {
+        rest <<= 1;
+        quotient <<= 1;
+        if rest >= whole {
+            rest -= whole;
+            quotient |= 1;
+        }
+    }
+    quotient
+}
+
+/// T / K_V as mantissa and exponent.
+fn terminal(damping: VirtualDamping, period_us: u16) -> (i32, u32) {
+    // T / K_V in 2^-40 mm per 2^-16 N: 2^40 T_us / (K_V 10^6), K_V in 2^-16. Below 2^16 and 2^52.
+    let whole = (u64::from(damping.0) * 1_000_000).max(1);
+    let mut part = u64::from(period_us).max(1);
+    let mut shift = 0;
+    while part < whole && shift < 52 {
+        part <<= 1;
+        shift += 1;
+    }
+    // 1 <= part / whole < 2: 31 bits of it.
+    let mut mantissa = 1u32;
+    let mut rest = part - whole.min(part);
+    for _ in 0..30 {
+        rest <<= 1;
+        mantissa <<= 1;
+        if rest >= whole {
+            rest -= whole;
+            mantissa |= 1;
+        }
+    }
+    // mantissa 2^-30 2^-shift 2^40. K_V of 0.1 N s/mm or more has a shift of 22 or more.
+    (
+        mantissa.min(i32::MAX as u32) as i32,
+        (shift + 30u32).saturating_sub(40),
+    )
+}

@@ -1,0 +1,126 @@
+//! Quantities of force control: forces at the tool, gains of the compliance law, and the displacement that it makes.
+//!
+//! | type | resolution | range |
+//! | --- | --- | --- |
+//! | [`Force`] | 2^-16 N | +-32768 N; what a sensor may show ends at [`Force::MOST`], 2048 N |
+//! | [`VirtualMass`] | 2^-16 N s^2/mm | below 65536 |
+//! | [`VirtualDamping`] | 2^-16 N s/mm | below 65536 |
+//! | [`Displacement`] | 2^-40 mm | +-8.4 m |
+//!
+//! Misuse: a [`Force`] is what the work does to the tool (spec h4-milling 1.3), not what a drive exerts: that is an [`super::Effort`].
+
+use super::{Length, scale};
+
+quantity! {
+    /// A force on the tool along an axis of the work, 2^-16 N.
+    Force
+}
+
+impl Force {
+    /// Raw units in a newton.
+    pub const PER_NEWTON: i32 = 1 << 16;
+    /// No force.
+    pub const ZERO: Self = Self(0);
+    /// The largest force that any sensor of this controller shows: 2048 N.
+    pub const MOST: Self = Self(1 << 27);
+
+    /// A force in thousandths of a newton, rounded to the nearest raw unit, held at the end of the range.
+    #[must_use]
+    pub const fn millinewtons(millinewtons: i32) -> Self {
+        let raw = millinewtons as i64 * Self::PER_NEWTON as i64;
+        Self(scale::saturate((raw + 500).div_euclid(1000)))
+    }
+
+    /// The magnitude as a plain number.
+    #[must_use]
+    pub const fn magnitude(self) -> u32 {
+        self.0.unsigned_abs()
+    }
+
+    /// This force, held within +-[`Force::MOST`].
+    #[must_use]
+    pub const fn held(self) -> Self {
+        Self(if self.0 > Self::MOST.0 {
+            Self::MOST.0
+        } else if self.0 < -Self::MOST.0 {
+            -Self::MOST.0
+        } else {
+            self.0
+        })
+    }
+}
+
+/// K_A of spec h4-milling (3.30): 2^-16 N s^2/mm.
+#[derive(
+    Debug,
+    Clone,
+    Copy,
+    Default,
+    PartialEq,
+    Eq,
+    PartialOrd,
+    Ord,
+    serde::Serialize,
+    serde::Deserialize,
+)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct VirtualMass(pub u32);
+
+/// K_V of spec h4-milling (3.30): 2^-16 N s/mm.
+#[derive(
+    Debug,
+    Clone,
+    Copy,
+    Default,
+    PartialEq,
+    Eq,
+    PartialOrd,
+    Ord,
+    serde::Serialize,
+    serde::Deserialize,
+)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct VirtualDamping(pub u32);
+
+/// A displacement that is integrated for a long time: 2^-40 mm.
+///
+/// At 2^-20 mm the compliance law would be deaf: a force of 0.024 N moves K_V = 5 N s/mm by less than one such unit in a period of 200 us.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Displacement(pub i64);
+
+impl Displacement {
+    /// The nearest length; beyond its range, the end of it.
+    #[must_use]
+    pub const fn length(self) -> Length {
+        Length(scale::saturate(scale::round_shift(self.0, 20)))
+    }
+
+    /// A length as a displacement.
+    #[must_use]
+    pub const fn from_length(length: Length) -> Self {
+        Self((length.0 as i64) << 20)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn forces_round_and_hold() {
+        assert_eq!(Force::millinewtons(1000), Force(65_536));
+        assert_eq!(Force::millinewtons(-1), Force(-66));
+        assert_eq!(Force(i32::MIN).held(), Force(-Force::MOST.0));
+        assert_eq!(Force(i32::MAX).held(), Force::MOST);
+        assert_eq!(Force(i32::MIN).magnitude(), 1 << 31);
+    }
+
+    #[test]
+    fn displacements_round_to_lengths() {
+        assert_eq!(Displacement(1 << 19).length(), Length(1));
+        assert_eq!(Displacement((1 << 19) - 1).length(), Length(0));
+        assert_eq!(Displacement(i64::MIN).length(), Length::MIN);
+        assert_eq!(Displacement::from_length(Length(-7)).length(), Length(-7));
+    }
+}

@@ -1,0 +1,367 @@
+//! Force control as a whole, from codes to displacements: cutting, a sensor with the wrong sign, leaving a stiff contact, changes at run time, spindle speeds.
+
+use haptimill_firmware::force::conditioning::{Channel, Condition, ForceSample, Sensor};
+use haptimill_firmware::force::{ForceConfig, ForceControl, Gate, LoopSettings, Parameter};
+use haptimill_firmware::units::force::{Force, VirtualDamping, VirtualMass};
+use haptimill_firmware::units::{Angle, Coordinate, Length, Rate};
+
+const MM: f64 = 1_048_576.0;
+const NEWTON: f64 = 65_536.0;
+const PER_CODE: f64 = 200.0 / 16_384.0;
+const STEP: f64 = 200e-6;
+
+fn settings(mass: f64, damping: f64, gate: Gate) -> LoopSettings {
+    LoopSettings {
+        desired: Force::millinewtons(5000),
+        mass: VirtualMass((mass * NEWTON) as u32),
+        damping: VirtualDamping((damping * NEWTON) as u32),
+        limit: Length::millimetres(10),
+        rate: Rate(50 << 20),
+        gate,
+    }
+}
+
+fn config(sign: f64, loops: &LoopSettings) -> ForceConfig {
+    let channel = || Channel {
+        per_code: (-sign * PER_CODE * f64::exp2(32.0)) as i32,
+        saturation: 7782,
+    };
+    ForceConfig {
+        sensor: Sensor {
+            channels: [channel(), channel(), channel()],
+            silent_samples: 3,
+            stuck_samples: 500,
+            drift: Force::millinewtons(500),
+            limit: Force::millinewtons(80_000),
+            tare_samples: 256,
+            tare_spread: 30,
+            weight: Force::ZERO,
+        },
+        axes: [loops.clone(), loops.clone(), loops.clone()],
+        mask: 1,
+        drive_lag_us: 5000,
+        slowest_rpm: 4000,
+    }
+}
+
+/// A tool whose x follows its reference in the next period.
+struct Rig {
+    control: ForceControl,
+    desired: f64,
+    tool: f64,
+    speed: f64,
+    yielded: f64,
+    yield_rate: f64,
+    number: u8,
+    random: u64,
+    turned: f64,
+    rpm: i16,
+}
+
+impl Rig {
+    fn new(config: &ForceConfig) -> Self {
+        let mut rig = Self {
+            control: ForceControl::new(config, 200).expect("sound"),
+            desired: 0.0,
+            tool: 0.0,
+            speed: 0.0,
+            yielded: 0.0,
+            yield_rate: 0.0,
+            number: 0,
+            random: 3,
+            turned: 0.0,
+            rpm: 5000,
+        };
+        rig.control.begin_tare();
+        for _ in 0..300 {
+            rig.period(0.0, 0.0);
+        }
+        assert_eq!(rig.control.conditioner().tare_result(), Some(Ok(())));
+        rig
+    }
+
+    fn noise(&mut self) -> f64 {
+        (0..4)
+            .map(|_| {
+                self.random = self
+                    .random
+                    .wrapping_mul(6_364_136_223_846_793_005)
+                    .wrapping_add(1_442_695_040_888_963_407);
+                (self.random >> 33) as f64 / f64::exp2(31.0) - 0.5
+            })
+            .sum::<f64>()
+            * 2.0
+    }
+
+    /// One period: the force on the tool in x, and the desired speed.
+    fn period(&mut self, force: f64, speed: f64) -> Option<Condition> {
+        self.number = self.number.wrapping_add(1);
+        // The sensor sees the tool's push on the work.
+        let code = (-force / PER_CODE + self.noise())
+            .round()
+            .clamp(-8192.0, 8191.0) as i16;
+        let codes = [
+            code,
+            self.noise().round() as i16,
+            self.noise().round() as i16,
+        ];
+        let sample = ForceSample {
+            codes,
+            conversions: self.number,
+            overload: false,
+        };
+        let position = [
+            Coordinate((self.tool * MM) as i32),
+            Coordinate(0),
+            Coordinate(0),
+        ];
+        self.control
+            .sense(&sample, self.rpm, &position, Angle(0), false);
+        let condition = self.control.condition();
+        self.desired += speed * STEP;
+        let [x, ..] = self
+            .control
+            .advance(&[Rate((speed * MM) as i32), Rate(0), Rate(0)]);
+        self.yielded = f64::from(x.displacement.length().0) / MM;
+        self.yield_rate = f64::from(x.rate.0) / MM;
+        let tool = self.desired + self.yielded;
+        self.speed = (tool - self.tool) / STEP;
+        self.tool = tool;
+        self.turned += f64::from(self.rpm) / 60.0 * STEP;
+        condition
+    }
+
+    fn peak(&self) -> f64 {
+        f64::from(self.control.extremes()[0].peak().0) / NEWTON
+    }
+
+    /// A cut towards -x: two teeth with 10 % of run-out, force with the speed into the work, the depth and the engagement.
+    fn cut(&self, scale: f64) -> f64 {
+        let angle = self.turned * 2.0 * std::f64::consts::PI;
+        let teeth = libm::sin(angle).max(0.0) + 0.9 * libm::sin(-angle).max(0.0);
+        let travel = -self.tool;
+        let engaged = (travel / 2.0).clamp(0.0, 1.0);
+        let depth = 1.0 + libm::tan(10f64.to_radians()) * travel;
+        scale * 0.65 * (-self.speed).clamp(0.0, 20.0) * depth * engaged * teeth
+    }
+}
+
+/// The 10-degree incline with force control on x: the guard never interferes, the loop is the equation within 1 %, and the tool comes back.
+#[test]
+fn cutting_is_left_to_the_equation() {
+    for (mass, damping) in [(1.0, 5.0), (0.25, 5.0), (1.0, 20.0), (0.25, 0.5)] {
+        for feed in [2.0, 4.0] {
+            let mut loops = settings(mass, damping, Gate::AgainstMotion);
+            loops.limit = Length::millimetres(20);
+            let mut rig = Rig::new(&config(1.0, &loops));
+            let (mut impulse, mut levels, mut late, mut samples) = (0.0, 0, 0.0, 0);
+            let periods = (20.0 / feed / STEP) as usize;
+            for k in 0..periods {
+                let force = rig.cut(3.0);
+                assert_eq!(rig.period(force, -feed), None);
+                if rig.yielded > 0.0 {
+                    impulse += (rig.peak() - 5.0) * STEP;
+                }
+                if rig.control.levels()[0] > 0 && levels == 0 {
+                    println!(
+                        "at {} peak {} yielded {} rate {} tool {}",
+                        f64::from(k as u32) * STEP,
+                        rig.peak(),
+                        rig.yielded,
+                        rig.yield_rate,
+                        rig.tool
+                    );
+                }
+                levels += usize::from(rig.control.levels()[0]);
+                if k > periods / 2 {
+                    late += rig.peak();
+                    samples += 1;
+                }
+            }
+            let (yielded, made) = (rig.yielded, damping * rig.yielded + mass * rig.yield_rate);
+            println!(
+                "K_A {mass}, K_V {damping}, {feed} mm/s: p_c {yielded:.2} mm, mean peak force of the last half {:.2} N",
+                late / f64::from(samples)
+            );
+            assert_eq!(levels, 0, "the guard interfered");
+            assert!((impulse / made - 1.0).abs() < 0.01, "{impulse} {made}");
+            for _ in 0..100_000 {
+                let force = rig.cut(3.0);
+                rig.period(force, 0.0);
+                assert_eq!(rig.control.levels()[0], 0);
+            }
+            assert!(rig.yielded < 0.05, "{}", rig.yielded);
+        }
+    }
+}
+
+/// A wall of this stiffness beyond x = -0.5, as the tool feels it.
+fn wall(rig: &Rig, stiffness: f64) -> f64 {
+    stiffness * (-0.5 - rig.tool).max(0.0)
+}
+
+/// In the first contact a wrong sign is told before the force is 10 times the desired one; a right one never is.
+#[test]
+fn a_wrong_sign_is_told_in_the_first_contact() {
+    for gate in [Gate::Any, Gate::AgainstMotion] {
+        for (stiffness, speed) in [
+            (5.0, 1.0),
+            (20.0, 1.0),
+            (100.0, 1.0),
+            (100.0, 4.0),
+            (500.0, 0.5),
+            (1000.0, 0.2),
+        ] {
+            for sign in [1.0, -1.0] {
+                let mut rig = Rig::new(&config(sign, &settings(1.0, 5.0, gate)));
+                let mut told = None;
+                for _ in 0..(6.0 / speed / STEP) as usize {
+                    let force = wall(&rig, stiffness);
+                    if let Some(condition) = rig.period(force, -speed) {
+                        told = Some((condition, force));
+                        break;
+                    }
+                }
+                if sign > 0.0 {
+                    assert!(
+                        !matches!(told, Some((Condition::WrongSign { .. }, _))),
+                        "{gate:?} {stiffness} {told:?}"
+                    );
+                } else {
+                    let Some((Condition::WrongSign { component: 0 }, force)) = told else {
+                        panic!("{gate:?} {stiffness} {speed} {told:?}")
+                    };
+                    println!("{gate:?}, {stiffness} N/mm at {speed} mm/s: told at {force:.1} N");
+                    assert!(force < 50.0, "{gate:?} {stiffness} {speed} {force}");
+                }
+            }
+        }
+    }
+}
+
+/// What the guard learnt from a wall is forgotten in a second of free motion, and a retreat is not held up.
+#[test]
+fn a_stiff_contact_is_left_behind() {
+    let mut rig = Rig::new(&config(1.0, &settings(1.0, 5.0, Gate::Any)));
+    for k in 0..20_000 {
+        let force = wall(&rig, 1000.0);
+        rig.period(force, if k < 4000 { -1.0 } else { 0.0 });
+    }
+    assert!(rig.control.levels()[0] >= 4);
+    let before = rig.tool;
+    for _ in 0..1000 {
+        let force = wall(&rig, 1000.0);
+        rig.period(force, 4.0);
+    }
+    // In 0.2 s the desired position retreats by 0.8 mm.
+    assert!(rig.tool - before > 0.7, "{}", rig.tool - before);
+    for _ in 0..5000 {
+        rig.period(0.0, 4.0);
+    }
+    assert_eq!(rig.control.levels()[0], 0);
+}
+
+/// Settings change while the tool yields: the law takes over some periods later and the tool does not jump.
+#[test]
+fn settings_change_at_run_time_without_a_jump() {
+    let mut rig = Rig::new(&config(1.0, &settings(1.0, 5.0, Gate::Any)));
+    let (mut largest, mut last, mut speed) = (0.0f64, 0.0, 0.0);
+    for k in 0..10_000 {
+        rig.period(10.0, 0.0);
+        if k == 5000 {
+            let mut gentle = settings(0.25, 0.5, Gate::Any);
+            gentle.desired = Force::millinewtons(9000);
+            assert_eq!(rig.control.set(0, &gentle), Ok(()));
+            assert_eq!(
+                rig.control
+                    .set(0, &gentle)
+                    .map_err(|refused| refused.parameter),
+                Err(Parameter::Busy)
+            );
+        }
+        if k > 100 {
+            largest = largest.max((rig.yielded - last - speed * STEP).abs());
+        }
+        (last, speed) = (rig.yielded, rig.yield_rate);
+    }
+    assert_eq!(
+        rig.control.settings(0).map(|settings| settings.desired),
+        Some(Force::millinewtons(9000))
+    );
+    println!("largest jump of the tool {:.1} nm", largest * 1e6);
+    // Two roundings to 2^-20 mm, and half of 20 mm/s^2 (200 us)^2.
+    assert!(largest < 2.5e-6, "{largest}");
+    assert!(rig.control.set(3, &settings(1.0, 5.0, Gate::Any)).is_err());
+    let mut bad = settings(1.0, 5.0, Gate::Any);
+    bad.desired = Force(0);
+    assert_eq!(
+        rig.control
+            .set(0, &bad)
+            .map_err(|refused| (refused.parameter, refused.bound)),
+        Err((Parameter::DesiredTooSmall, 32_768))
+    );
+}
+
+/// Without a tare, or out of the mask, a force moves nothing; taken out of the mask the tool returns.
+#[test]
+fn only_tared_axes_of_the_mask_yield() {
+    let config = config(1.0, &settings(1.0, 5.0, Gate::Any));
+    let mut bare = ForceControl::new(&config, 200).expect("sound");
+    for k in 0..1000u32 {
+        let sample = ForceSample {
+            codes: [-2000 + (k % 3) as i16; 3],
+            conversions: k as u8,
+            overload: false,
+        };
+        bare.sense(&sample, 5000, &[Coordinate(0); 3], Angle(0), false);
+        assert!(
+            bare.advance(&[Rate(0); 3])
+                .iter()
+                .all(|axis| axis.displacement.0 == 0)
+        );
+    }
+    let mut rig = Rig::new(&config);
+    for _ in 0..5000 {
+        rig.period(10.0, 0.0);
+    }
+    assert!(rig.yielded > 0.5 && rig.control.displacements()[1].0 == 0);
+    rig.control.set_mask(0);
+    for _ in 0..20_000 {
+        rig.period(10.0, 0.0);
+    }
+    assert_eq!(rig.control.displacements()[0].0, 0);
+    rig.control.set_mask(0xff);
+    assert_eq!(rig.control.mask(), 7);
+}
+
+/// The window follows the spindle; too slow a spindle is told while force control is on.
+#[test]
+fn the_spindle_sets_the_window() {
+    let mut rig = Rig::new(&config(1.0, &settings(1.0, 5.0, Gate::Any)));
+    rig.rpm = 3000;
+    assert_eq!(
+        rig.period(0.0, 0.0),
+        Some(Condition::SlowSpindle { rpm: 3000 })
+    );
+    rig.control.set_mask(0);
+    assert_eq!(rig.period(0.0, 0.0), None);
+    rig.control.set_mask(1);
+    for rpm in [0, 8000, -6000, 4000] {
+        rig.rpm = rpm;
+        assert_eq!(rig.period(0.0, 0.0), None);
+    }
+    let mut slow = config(1.0, &settings(1.0, 5.0, Gate::Any));
+    slow.slowest_rpm = 100;
+    let refused = ForceControl::new(&slow, 200).map(|_| ());
+    let Err((0, refused)) = refused else {
+        panic!("{refused:?}")
+    };
+    assert_eq!(
+        (refused.parameter, refused.bound),
+        (Parameter::SlowestSpindle, 147)
+    );
+    slow.sensor.limit = Force(0);
+    assert!(
+        matches!(ForceControl::new(&slow, 200), Err((0, refused)) if refused.parameter == Parameter::Sensor)
+    );
+}

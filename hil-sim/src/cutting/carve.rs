@@ -1,0 +1,160 @@
+//! Cutting a way into a workpiece with as few sweeps as it needs.
+//!
+//! Places come in at short intervals. They are gathered into stretches of 0.1 mm; a stretch is cut in one straight sweep, or in up to four when a place lies
+//! more than 0.2 um aside. On a circle of 15 mm radius one sweep leaves 0.1 um of the arc.
+//!
+//! A stretch is cut when the next one is whole, so that the map ends some cells behind the tool: between its points it rounds off the rim of a
+//! fresh cut, and the edges must not see that. When the way turns back, and the tool has come back by 2 um, everything is cut at once, for then
+//! it comes to where it was.
+
+use crate::cutting::path::Passed;
+use crate::cutting::vector::{Vector, dot, minus};
+use crate::cutting::workpiece::Workpiece;
+
+/// A stretch is whole when it reaches this far, mm.
+const LONGEST: f64 = 0.1;
+
+/// Places nearer to each other than this are one, mm.
+const SAME: f64 = 0.0002;
+
+/// A place may lie this far off the sweep, mm.
+const ASIDE: f64 = 0.0002;
+
+/// Sweeps in one stretch at most.
+const PIECES: usize = 4;
+
+/// How far the way may turn back, mm.
+const BACK: f64 = 0.002;
+
+/// The way that is cut.
+#[derive(Debug, Clone)]
+pub struct Carver {
+    radius: f64,
+    /// The stretch that waits, from where the workpiece is cut up to.
+    waiting: Vec<Vector>,
+    /// The stretch that is gathered; it begins where the other ends.
+    present: Vec<Vector>,
+    /// Latest place.
+    end: Vector,
+    /// Furthest from the beginning of the present stretch, mm.
+    furthest: f64,
+}
+
+impl Carver {
+    /// A ball of this radius that stands in the air.
+    pub fn new(radius: f64, centre: Vector) -> Self {
+        Self {
+            radius,
+            waiting: vec![centre],
+            present: vec![centre],
+            end: centre,
+            furthest: 0.0,
+        }
+    }
+
+    /// Where the centre was when the workpiece was cut last.
+    pub fn cut(&self) -> Vector {
+        self.waiting[0]
+    }
+
+    /// The ball was at a place, and now it is at another.
+    pub fn follow(&mut self, workpiece: &mut Workpiece, passed: Passed, now: Vector) {
+        let place = passed.centre;
+        if passed.apart {
+            self.finish(workpiece);
+            workpiece.sweep(self.radius, place, place);
+            self.begin(place);
+            return;
+        }
+        let latest = self.present[self.present.len() - 1];
+        let step = minus(place, latest);
+        self.end = place;
+        if dot(step, step) < SAME * SAME {
+            return;
+        }
+        let chord = minus(place, self.present[0]);
+        let length = dot(chord, chord).sqrt();
+        let ahead = minus(now, self.present[0]);
+        let back = self.furthest - BACK;
+        if length < back || (length < self.furthest - SAME && dot(ahead, ahead) < back * back) {
+            self.present.push(place);
+            self.finish(workpiece);
+            return;
+        }
+        self.furthest = if length > self.furthest {
+            length
+        } else {
+            self.furthest
+        };
+        self.present.push(place);
+        if length > LONGEST {
+            cut(workpiece, self.radius, &self.waiting);
+            core::mem::swap(&mut self.waiting, &mut self.present);
+            self.present.clear();
+            self.present.push(place);
+            self.furthest = 0.0;
+        }
+    }
+
+    /// Cuts up to the latest place.
+    pub fn finish(&mut self, workpiece: &mut Workpiece) {
+        cut(workpiece, self.radius, &self.waiting);
+        self.present.push(self.end);
+        cut(workpiece, self.radius, &self.present);
+        self.begin(self.end);
+    }
+
+    fn begin(&mut self, place: Vector) {
+        self.end = place;
+        self.furthest = 0.0;
+        for stretch in [&mut self.waiting, &mut self.present] {
+            stretch.clear();
+            stretch.push(place);
+        }
+    }
+}
+
+/// Sweeps the ball along these places, straight where that is near enough.
+fn cut(workpiece: &mut Workpiece, radius: f64, way: &[Vector]) {
+    let mut corners = [0; PIECES + 1];
+    let mut pieces = 1;
+    corners[1] = way.len() - 1;
+    if corners[1] == 0 {
+        return;
+    }
+    while pieces < PIECES {
+        // The place that lies furthest aside from its piece becomes a corner.
+        let (mut most, mut split, mut after) = (ASIDE * ASIDE, 0, 0);
+        for piece in 0..pieces {
+            let (from, to) = (way[corners[piece]], way[corners[piece + 1]]);
+            let line = minus(to, from);
+            let square = dot(line, line);
+            for (k, place) in way
+                .iter()
+                .enumerate()
+                .take(corners[piece + 1])
+                .skip(corners[piece] + 1)
+            {
+                let off = minus(*place, from);
+                let along = dot(off, line);
+                let along = if along > 0.0 { along } else { 0.0 };
+                let along = if along < square { along } else { square };
+                let part = if square > 0.0 { along / square } else { 0.0 };
+                let aside = minus(off, line.map(|value| value * part));
+                let aside = dot(aside, aside);
+                if aside > most {
+                    (most, split, after) = (aside, k, piece);
+                }
+            }
+        }
+        if split == 0 {
+            break;
+        }
+        corners.copy_within(after + 1..=pieces, after + 2);
+        corners[after + 1] = split;
+        pieces += 1;
+    }
+    for piece in 0..pieces {
+        workpiece.sweep(radius, way[corners[piece]], way[corners[piece + 1]]);
+    }
+}

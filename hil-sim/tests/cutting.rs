@@ -1,0 +1,596 @@
+//! What the mill takes away, where it finds material and where not.
+
+mod mill;
+
+use haptimill_hil_sim::cutting::survey::circle;
+use haptimill_hil_sim::cutting::{
+    Coefficients, CuttingConfig, ElasticWall, Spindle, SpindleConfig, ToolPose, Workpiece,
+};
+use mill::{Bench, TURN, block, config, largest, mean, peaks};
+use proptest::prelude::*;
+use std::f64::consts::PI;
+
+const R: f64 = 4.0;
+
+fn slotted(feed: f64, depth: f64) -> Bench {
+    let config = config(block(-26.0, 6.0, -6.0, 6.0), Coefficients::P1);
+    let mut bench = Bench::new(&config, [0.0, 0.0, 1.0]);
+    bench.line([0.0, 0.0, -depth], 4.0);
+    bench.line([-20.0, 0.0, -depth], feed);
+    bench
+}
+
+/// Area of the slot's cross-section: a segment of the circle, and above the ball the width of the shank.
+fn section(depth: f64) -> f64 {
+    let ball = depth.min(R);
+    let half = ((R - ball) / R).acos();
+    R * R * (half - half.sin() * half.cos()) + (depth - ball) * 2.0 * R
+}
+
+/// Volume of the ball (and shank) below the surface.
+fn pit(depth: f64) -> f64 {
+    let ball = depth.min(R);
+    PI * ball * ball * (R - ball / 3.0) + PI * R * R * (depth - ball)
+}
+
+#[test]
+fn volume_is_the_sweep_of_the_ball() {
+    for depth in [1.0, 2.0, 3.0, 5.0] {
+        let mut bench = slotted(10.0, depth);
+        bench.cutting.settle();
+        let exact = pit(depth) + 20.0 * section(depth);
+        let ours = bench.cutting.workpiece().removed_mm3();
+        // Vertical walls are true to half a cell a side.
+        let tolerance = if depth > R { 0.003 } else { 0.0005 };
+        assert!(
+            (ours / exact - 1.0).abs() < tolerance,
+            "{depth}: {ours}, {exact}"
+        );
+        // The map's own account: what is missing from the block.
+        let piece = bench.cutting.workpiece();
+        let [columns, rows] = piece.size();
+        let mut missing = 0.0;
+        for row in 0..rows {
+            for column in 0..columns {
+                let [x, y] = piece.place(column, row);
+                missing +=
+                    piece.original(x, y) - f64::from(piece.heights()[row * columns + column]);
+            }
+        }
+        missing *= 0.05 * 0.05;
+        assert!((ours / missing - 1.0).abs() < 1e-9, "{ours} {missing}");
+    }
+}
+
+#[test]
+fn chips_are_what_the_map_loses() {
+    for (depth, feed) in [(1.0, 4.0), (2.0, 4.0), (2.0, 10.0), (5.0, 4.0)] {
+        let mut bench = slotted(feed, depth);
+        // Away from the plunge, over many whole turns.
+        let before = bench.cutting.chips_mm3();
+        bench.line([-24.0, 0.0, -depth], feed);
+        let chips = bench.cutting.chips_mm3() - before;
+        let exact = 4.0 * section(depth);
+        assert!(
+            (chips / exact - 1.0).abs() < 0.01,
+            "{depth} mm, {feed} mm/s: {chips} mm3 of chips, {exact} mm3 of slot"
+        );
+    }
+}
+
+#[test]
+fn air_has_no_force() {
+    let config = config(block(-26.0, 6.0, -6.0, 6.0), Coefficients::P1);
+    let mut bench = Bench::new(&config, [0.0, 0.0, 0.001]);
+    let cuts = bench.line([-20.0, 3.0, 0.001], 20.0);
+    assert!(cuts.iter().all(|cut| cut.force == [0.0; 3] && !cut.engaged));
+    assert_eq!(bench.cutting.workpiece().removed_mm3(), 0.0);
+    assert_eq!(bench.cutting.chips_mm3(), 0.0);
+}
+
+#[test]
+fn a_second_pass_takes_nothing() {
+    for (depth, feed) in [(2.0, 4.0), (3.5, 2.0), (5.0, 4.0)] {
+        let mut bench = slotted(feed, depth);
+        let first = bench.line([-20.5, 0.0, -depth], feed);
+        // Back along the slot, out at its start, and once more.
+        let back = bench.line([0.0, 0.0, -depth], feed);
+        let volume = bench.cutting.workpiece().removed_mm3();
+        let chips = bench.cutting.chips_mm3();
+        let again = bench.line([-20.0, 0.0, -depth], feed);
+        assert!(largest(&first) > 3.0);
+        // The way back has the last tooth's chip to finish. At the ends of the slot, steep walls are met up to 0.3 mm too early.
+        let ends = (0.4 / (feed * mill::PERIOD)) as usize;
+        let middle =
+            |cuts: &[haptimill_hil_sim::cutting::Cut]| largest(&cuts[ends..cuts.len() - ends]);
+        assert_eq!(middle(&back), 0.0, "{depth} back");
+        assert_eq!(middle(&again), 0.0, "{depth} again");
+        if depth < 3.0 {
+            assert_eq!(largest(&back[2 * ends..]), 0.0);
+            assert_eq!(largest(&again), 0.0);
+            assert_eq!(bench.cutting.chips_mm3(), chips);
+        }
+        bench.cutting.settle();
+        let more = bench.cutting.workpiece().removed_mm3() - volume;
+        assert!(more.abs() < 1e-3 * volume, "{more} of {volume}");
+    }
+}
+
+#[test]
+fn a_tool_that_stands_has_no_force_and_goes_on_as_before() {
+    let mut bench = slotted(4.0, 2.0);
+    let running = bench.line([-21.0, 0.0, -2.0], 4.0);
+    let standing = bench.stand(20 * TURN);
+    assert!(
+        largest(&standing[2 * TURN..]) < 1e-9,
+        "no chip without feed"
+    );
+    let again = bench.line([-22.0, 0.0, -2.0], 4.0);
+    let (was, is) = (mean(&running, 8), mean(&again, 8));
+    for i in 0..3 {
+        assert!((was[i] - is[i]).abs() < 0.01 * was[0], "{was:?} {is:?}");
+    }
+    // Pulled back slowly by 0.3 mm and sent on again: air until it is where it was, to less than the shank's tolerance.
+    let back = bench.line([-21.7, 0.0, -2.0], 1.0);
+    assert_eq!(largest(&back[2 * TURN..]), 0.0);
+    let air = bench.line([-21.99, 0.0, -2.0], 1.0);
+    assert_eq!(largest(&air), 0.0);
+    let fresh = bench.line([-22.3, 0.0, -2.0], 1.0);
+    assert!(largest(&fresh[4 * TURN..]) > 1.0);
+}
+
+#[test]
+fn forces_repeat_with_the_teeth() {
+    let mut bench = slotted(4.0, 2.0);
+    let cuts = bench.line([-21.0, 0.0, -2.0], 4.0);
+    let (high, _) = peaks(&cuts, 10);
+    let tail = &cuts[cuts.len() - 4 * TURN..];
+    for (now, later) in tail.iter().zip(&tail[TURN / 2..]) {
+        for i in 0..3 {
+            assert!((now.force[i] - later.force[i]).abs() < 0.01 * high[0]);
+        }
+    }
+    // Within a tooth they do change.
+    let (high, low) = peaks(&cuts, 10);
+    assert!(high[0] - low[0] > 3.0);
+    // One tooth alone: half the work, at once a turn.
+    let mut config = config(block(-26.0, 6.0, -6.0, 6.0), Coefficients::P2);
+    config.cutter.teeth = 1;
+    let mut one = Bench::new(&config, [0.0, 0.0, 1.0]);
+    one.line([0.0, 0.0, -2.0], 4.0);
+    let single = one.line([-3.0, 0.0, -2.0], 4.0);
+    config.cutter.teeth = 2;
+    let mut two = Bench::new(&config, [0.0, 0.0, 1.0]);
+    two.line([0.0, 0.0, -2.0], 4.0);
+    let double = two.line([-3.0, 0.0, -2.0], 4.0);
+    // The same material goes away in a turn, so without edges the mean force is the same.
+    let (single, double) = (mean(&single, 8), mean(&double, 8));
+    for i in 0..3 {
+        assert!(
+            (single[i] - double[i]).abs() < 0.01 * double[0],
+            "{single:?} {double:?}"
+        );
+    }
+}
+
+#[test]
+fn force_grows_with_feed_and_scale() {
+    // Without edges the force is as the feed.
+    let force = |feed: f64, scale: f64| {
+        let mut config = config(block(-26.0, 6.0, -6.0, 6.0), Coefficients::P2);
+        config.cutter.force_scale = scale;
+        let mut bench = Bench::new(&config, [0.0, 0.0, 1.0]);
+        bench.line([0.0, 0.0, -2.0], 4.0);
+        mean(&bench.line([-3.0, 0.0, -2.0], feed), 8)
+    };
+    let (slow, fast, strong) = (force(2.0, 1.0), force(8.0, 1.0), force(2.0, 3.0));
+    for i in 0..3 {
+        assert!((fast[i] / slow[i] - 4.0).abs() < 0.03, "{slow:?} {fast:?}");
+        assert!((strong[i] / slow[i] - 3.0).abs() < 1e-12);
+    }
+    assert!(slow[0] > 0.0 && slow[1] < 0.0 && slow[2] > 0.0, "-x: + - +");
+}
+
+#[test]
+fn spindle_speed_sets_the_chip() {
+    let mut bench = slotted(4.0, 2.0);
+    let full = mean(&bench.line([-21.0, 0.0, -2.0], 4.0), 8);
+    // Half the speed is twice the feed per tooth: P1 has edge forces, so a little less than twice.
+    bench.rpm = 2500.0;
+    let half = mean(&bench.line([-22.5, 0.0, -2.0], 4.0), 8);
+    let twice = mean(&slotted(8.0, 2.0).line([-21.5, 0.0, -2.0], 8.0), 8);
+    for i in 0..3 {
+        assert!(
+            (half[i] - twice[i]).abs() < 0.02 * twice[0],
+            "{half:?} {twice:?}"
+        );
+        assert!(half[i].abs() > 1.2 * full[i].abs());
+    }
+}
+
+/// A pass beside a slot: 2 mm aside. Feed +x with the material on the -y side is down milling with this spindle, feed -x up milling
+/// (spec h4-milling 5.2: the pocket's passes have Fx + - +, the second the smallest).
+#[test]
+fn up_and_down_milling_have_their_signs() {
+    let config = config(block(-36.0, 6.0, -11.0, 6.0), Coefficients::P1);
+    let mut bench = Bench::new(&config, [0.0, 0.0, 1.0]);
+    bench.line([0.0, 0.0, -2.0], 4.0);
+    let signed = |cuts: &[haptimill_hil_sim::cutting::Cut]| {
+        let (high, low) = peaks(cuts, 8);
+        core::array::from_fn::<f64, 3, _>(|i| if high[i] > -low[i] { high[i] } else { low[i] })
+    };
+    bench.line([-28.0, 0.0, -2.0], 4.0);
+    let first = signed(&bench.line([-30.0, 0.0, -2.0], 4.0));
+    bench.line([-30.0, -2.0, -2.0], 1.0);
+    bench.line([-10.0, -2.0, -2.0], 4.0);
+    let second = signed(&bench.line([-8.0, -2.0, -2.0], 4.0));
+    bench.line([0.0, -2.0, -2.0], 4.0);
+    bench.line([0.0, -4.0, -2.0], 1.0);
+    bench.line([-20.0, -4.0, -2.0], 4.0);
+    let third = signed(&bench.line([-22.0, -4.0, -2.0], 4.0));
+    // The spec's own model: +5.6 / -2.2 / +5.6 in x; negative, positive, positive in y.
+    assert!((first[0] - 5.6).abs() < 0.15, "{first:?}");
+    assert!((second[0] + 2.2).abs() < 0.4, "{second:?}");
+    assert!((third[0] - 5.6).abs() < 0.4, "{third:?}");
+    assert!(
+        first[1] < 0.0 && second[1] > 0.0 && third[1] > 0.0,
+        "{first:?} {second:?} {third:?}"
+    );
+    println!("{first:?} {second:?} {third:?}");
+}
+
+#[test]
+fn entry_and_exit_follow_the_stock() {
+    let mut piece = block(-10.0, 10.0, -6.0, 6.0);
+    piece.stock.x_min = -5.0;
+    piece.stock.x_max = 5.0;
+    let mut bench = Bench::new(&config(piece, Coefficients::P1), [9.5, 0.0, -2.0]);
+    let cuts = bench.line([-9.6, 0.0, -2.0], 4.0);
+    // The ball's radius at the surface is 3.46 mm: first touch with its front at x = 5.
+    let half = (2.0 * R * 2.0 - 4.0_f64).sqrt();
+    let place = |step: usize| 9.5 - (step + 1) as f64 * 4.0 * mill::PERIOD;
+    let first = cuts.iter().position(|cut| cut.engaged).expect("cuts");
+    let last = cuts.iter().rposition(|cut| cut.engaged).expect("cuts");
+    assert!(
+        (place(first) - (5.0 + half)).abs() < 0.1,
+        "{}",
+        place(first)
+    );
+    // The trailing half cuts nothing: it is over when the middle reaches the far edge, but for the sides that are wider than the block.
+    assert!((place(last) - -5.0).abs() < 0.15, "{}", place(last));
+    // The force rises and falls without a step larger than a tooth.
+    let full = peaks(&cuts[..cuts.len() / 2], 8).0[0];
+    assert!(full > 5.0);
+    let first_turns = &cuts[first..first + 2 * TURN];
+    assert!(
+        largest(first_turns) < 0.1 * full,
+        "{}",
+        largest(first_turns)
+    );
+    bench.cutting.settle();
+    let exact = 10.0 * section(2.0);
+    let ours = bench.cutting.workpiece().removed_mm3();
+    assert!((ours / exact - 1.0).abs() < 0.01, "{ours} {exact}");
+}
+
+#[test]
+fn incline_cuts_deeper_as_it_goes() {
+    let mut piece = block(-27.0, 7.0, -6.0, 6.0);
+    piece.rise_x_deg = -10.0;
+    let mut bench = Bench::new(&config(piece, Coefficients::P2), [0.0, 0.0, 3.0]);
+    // 1 mm deep at x = 0; 4.53 mm at x = -20 (experiment E3).
+    bench.line([0.0, 0.0, -1.0], 4.0);
+    let cuts = bench.line([-20.0, 0.0, -1.0], 2.0);
+    let mut before = 0.0;
+    for part in cuts.chunks(cuts.len() / 10) {
+        let now = peaks(part, 4).0[0];
+        assert!(now > before, "{now} after {before}");
+        before = now;
+    }
+    bench.cutting.settle();
+    let groove = bench
+        .cutting
+        .workpiece()
+        .groove([-20.0, -6.0], [-20.0, 6.0], 0.1)
+        .expect("a groove");
+    let depth = 1.0 + 20.0 * (10.0_f64 * PI / 180.0).tan();
+    assert!((groove.depth - depth).abs() < 1e-3, "{groove:?} {depth}");
+    assert!((groove.width() - 8.0).abs() < 0.1, "{groove:?}");
+    assert!((groove.middle() - 6.0).abs() < 0.01);
+}
+
+#[test]
+fn leaning_tool_cuts_the_same_slot_with_turned_forces() {
+    // Leaning about x (alpha) by 20 degrees, feed along x: the ball sweeps the same slot, the edges meet it elsewhere.
+    let config = config(block(-26.0, 6.0, -6.0, 6.0), Coefficients::P2);
+    let run = |alpha: f64| {
+        let start = ToolPose::leaning([0.0, 0.0, 5.0], 0.0, alpha);
+        let mut cutting =
+            haptimill_hil_sim::cutting::Cutting::new(&config, &start).expect("a mill");
+        let mut chips = 0.0;
+        let mut force = [0.0; 3];
+        let steps = 20_000;
+        for step in 0..steps {
+            let x = -(step as f64) * 4.0 * mill::PERIOD;
+            // The centre goes at the same height for every lean.
+            let centre = [x, 0.0, R - 2.0];
+            let tip = core::array::from_fn(|i| centre[i] - R * start.axis[i]);
+            let pose = ToolPose { tip, ..start };
+            if step == 0 {
+                cutting.place(&pose);
+            }
+            if step == steps / 2 {
+                chips = cutting.chips_mm3();
+            }
+            let cut = cutting.step(&pose, mill::RPM / 60.0 * mill::PERIOD);
+            if step >= steps - 10 * TURN {
+                for i in 0..3 {
+                    force[i] += cut.force[i] / (10 * TURN) as f64;
+                }
+            }
+        }
+        (cutting.chips_mm3() - chips, force)
+    };
+    let exact = 8.0 * section(2.0);
+    for alpha in [0.0, 20.0, -20.0] {
+        let (chips, force) = run(alpha);
+        assert!(
+            (chips / exact - 1.0).abs() < 0.01,
+            "{alpha}: {chips} {exact}"
+        );
+        assert!(force[0] > 0.0, "{alpha}: {force:?}");
+    }
+}
+
+#[test]
+fn stopped_spindle_presses_and_lets_go() {
+    let mut bench = slotted(4.0, 2.0);
+    let cutting = largest(&bench.line([-20.5, 0.0, -2.0], 4.0));
+    bench.rpm = 0.0;
+    let volume = bench.cutting.workpiece().removed_mm3();
+    let pressed = bench.line([-21.5, 0.0, -2.0], 4.0);
+    let last = pressed.last().expect("a step");
+    assert!(
+        last.pressed && last.force[0] > 10.0 * cutting,
+        "{last:?} {cutting}"
+    );
+    // It grows all the way.
+    let quarter = pressed.len() / 4;
+    for pair in pressed.chunks(quarter).collect::<Vec<_>>().windows(2) {
+        assert!(pair[1][0].force[0] > pair[0][0].force[0]);
+    }
+    assert_eq!(
+        bench.cutting.workpiece().removed_mm3(),
+        volume,
+        "nothing is cut"
+    );
+    // It backs off along its path: free when it is where it cut last.
+    let back = bench.line([-20.0, 0.0, -2.0], 4.0);
+    assert!(
+        back.last()
+            .is_some_and(|cut| cut.force == [0.0; 3] && !cut.pressed)
+    );
+    // And with the spindle on, it goes on from there.
+    bench.rpm = mill::RPM;
+    let air = bench.line([-20.4, 0.0, -2.0], 4.0);
+    assert_eq!(largest(&air[5 * TURN..]), 0.0);
+    let again = bench.line([-22.0, 0.0, -2.0], 4.0);
+    let (high, _) = peaks(&again, 8);
+    assert!((high[0] / cutting - 1.0).abs() < 0.05, "{high:?} {cutting}");
+}
+
+#[test]
+fn jogging_with_the_spindle_off_cuts_nothing() {
+    let config = config(block(-26.0, 6.0, -6.0, 6.0), Coefficients::P1);
+    let mut bench = Bench::new(&config, [4.0, -4.0, 5.0]);
+    bench.stand(200);
+    bench.rpm = 0.0;
+    // Around and back to a place above another point; the straight line between passes through nothing that may be cut.
+    bench.line([4.0, 4.0, 0.5], 50.0);
+    bench.line([-20.0, 4.0, 0.5], 50.0);
+    bench.rpm = mill::RPM;
+    let cuts = bench.line([-20.0, 4.0, 0.2], 1.0);
+    assert_eq!(largest(&cuts), 0.0);
+    bench.cutting.settle();
+    assert_eq!(bench.cutting.workpiece().removed_mm3(), 0.0);
+}
+
+#[test]
+fn slot_and_circle_are_measured_as_they_were_cut() {
+    let mut bench = slotted(20.0, 2.0);
+    bench.cutting.settle();
+    let piece = bench.cutting.workpiece();
+    let groove = piece
+        .groove([-10.0, -6.0], [-10.0, 6.0], 0.1)
+        .expect("a groove");
+    let half = (R * R - (R - 1.9) * (R - 1.9)).sqrt();
+    assert!(
+        (groove.width() - 2.0 * half).abs() < 0.01,
+        "{groove:?} {half}"
+    );
+    assert!((groove.depth - 2.0).abs() < 1e-3);
+    let extents = piece.extents(0.1).expect("a slot");
+    assert!((extents.x_min - (-20.0 - half)).abs() < 0.02, "{extents:?}");
+    assert!((extents.x_max - half).abs() < 0.02);
+    assert!((extents.y_max - half).abs() < 0.02 && (extents.y_min + half).abs() < 0.02);
+
+    // The circle of the experiment: 30 mm, from (0, 0) towards -x and -y, here 0.3 mm flat in y to see that it is seen.
+    let config = config(block(-36.0, 6.0, -21.0, 21.0), Coefficients::P2);
+    let mut bench = Bench::new(&config, [0.0, 0.0, 1.0]);
+    bench.line([0.0, 0.0, -2.0], 10.0);
+    let steps = 12_000;
+    for step in 1..=steps {
+        let angle = 2.0 * PI * f64::from(step) / f64::from(steps);
+        bench.step([-15.0 + 15.0 * angle.cos(), -14.85 * angle.sin(), -2.0]);
+    }
+    bench.cutting.settle();
+    let ring = bench.cutting.workpiece().ring(0.1, 180).expect("a ring");
+    assert!((ring.extent_x - 30.0).abs() < 0.01, "{ring:?}");
+    assert!((ring.extent_y - 29.7).abs() < 0.01, "{ring:?}");
+    assert!((ring.middle.centre[0] + 15.0).abs() < 0.005);
+    assert!((ring.middle.roundness - 0.15).abs() < 0.02, "{ring:?}");
+    assert!((ring.outer.radius - ring.inner.radius - 2.0 * half).abs() < 0.02);
+    assert_eq!(bench.cutting.workpiece().missed(), 0);
+
+    let picture = bench.cutting.workpiece().picture(200);
+    assert!(picture.columns <= 200 && picture.rows <= 200);
+    assert_eq!(picture.heights.len(), picture.columns * picture.rows);
+    let sum: f64 = picture.depths.iter().map(|depth| f64::from(*depth)).sum();
+    let cell = (picture.area.x_max - picture.area.x_min) / picture.columns as f64;
+    let volume = bench.cutting.workpiece().removed_mm3();
+    assert!((sum * cell * cell / volume - 1.0).abs() < 0.02);
+}
+
+#[test]
+fn leaving_the_map_is_told() {
+    let config = config(block(-5.0, 5.0, -5.0, 5.0), Coefficients::P2);
+    let mut bench = Bench::new(&config, [0.0, 0.0, 1.0]);
+    bench.line([0.0, 0.0, -1.0], 5.0);
+    bench.line([-2.0, 0.0, -1.0], 10.0);
+    assert_eq!(bench.cutting.workpiece().missed(), 0);
+    bench.line([-8.0, 0.0, -1.0], 10.0);
+    assert!(bench.cutting.workpiece().missed() > 0);
+}
+
+#[test]
+fn the_same_cut_gives_the_same_bits() {
+    let run = || {
+        let mut bench = slotted(7.3, 2.2);
+        let cuts = bench.line([-23.0, 1.7, -1.4], 3.1);
+        let bits: Vec<u64> = cuts
+            .iter()
+            .flat_map(|cut| cut.force)
+            .map(f64::to_bits)
+            .collect();
+        let heights: Vec<u32> = bench
+            .cutting
+            .workpiece()
+            .heights()
+            .iter()
+            .map(|height| height.to_bits())
+            .collect();
+        (bits, heights)
+    };
+    assert!(run() == run());
+}
+
+#[test]
+fn spindle_runs_up_and_stands() {
+    let mut spindle = Spindle::new(&SpindleConfig { run_up_s: 0.3 }, mill::PERIOD);
+    let mut turns = 0.0;
+    for _ in 0..7500 {
+        turns += spindle.advance(5000.0);
+    }
+    // 1.5 s: the speed is n (1 - e^-5), the way n / 60 (t - T (1 - e^-5)).
+    let left = (-5.0_f64).exp();
+    assert!((spindle.rpm() - 5000.0 * (1.0 - left)).abs() < 1e-6);
+    let exact = 5000.0 / 60.0 * (1.5 - 0.3 * (1.0 - left));
+    assert!((turns - exact).abs() < 1e-3, "{turns} {exact}");
+    spindle.set_stalled(true);
+    spindle.advance(5000.0);
+    assert_eq!(spindle.rpm(), 0.0);
+    assert_eq!(spindle.advance(5000.0), 0.0);
+    spindle.set_stalled(false);
+    for _ in 0..50_000 {
+        spindle.advance(0.0);
+    }
+    assert_eq!(spindle.rpm(), 0.0);
+}
+
+#[test]
+fn elastic_wall_pushes_and_never_pulls() {
+    let wall = ElasticWall {
+        point: [-10.0, 0.0, 0.0],
+        normal: [0.8, 0.0, 0.6],
+        stiffness: 300.0,
+        damping: 0.5,
+        radius: R,
+    };
+    let pose = |depth: f64| {
+        // The ball's point nearest to the face is centre - R n.
+        let tip = [-10.0 + 0.8 * (R - depth), 3.0, 0.6 * (R - depth) - R];
+        ToolPose::upright(tip)
+    };
+    assert_eq!(wall.force(&pose(-0.001), [-5.0, 0.0, 0.0]), [0.0; 3]);
+    let force = wall.force(&pose(0.02), [0.0; 3]);
+    assert!((force[0] - 0.8 * 6.0).abs() < 1e-9 && (force[2] - 0.6 * 6.0).abs() < 1e-9);
+    assert!(force[1].abs() < 1e-12);
+    let closing = wall.force(&pose(0.02), [-8.0, 0.0, -6.0]);
+    assert!((closing[0] - 0.8 * (6.0 + 5.0)).abs() < 1e-9);
+    assert_eq!(wall.force(&pose(0.02), [80.0, 0.0, 60.0]), [0.0; 3]);
+}
+
+#[test]
+fn nonsense_is_refused_whole() {
+    let mut config = CuttingConfig::default();
+    assert!(config.check().is_ok());
+    config.cutter.teeth = 0;
+    config.cutter.radius_mm = f64::NAN;
+    config.cutter.coefficients.radial = f64::INFINITY;
+    config.workpiece.cell_mm = 1e-6;
+    config.workpiece.map.x_max = config.workpiece.map.x_min;
+    let problems = config.check().expect_err("nonsense");
+    for part in ["teeth", "radius_mm", "radial", "cell_mm", "map: x_max"] {
+        assert!(
+            problems.iter().any(|problem| problem.field.contains(part)),
+            "{part}: {problems:?}"
+        );
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(40))]
+
+    /// After any sweeps every point of the map is exactly as low as the lowest ball that passed over it.
+    #[test]
+    fn sweeps_leave_the_envelope_of_the_ball(
+        places in prop::collection::vec((-3.0..3.0_f64, -3.0..3.0_f64, 2.0..7.0_f64), 2..6)
+    ) {
+        let mut shape = block(-8.0, 8.0, -8.0, 8.0);
+        shape.cell_mm = 0.25;
+        shape.bottom_mm = -20.0;
+        let mut piece = Workpiece::new(&shape);
+        let places: Vec<[f64; 3]> = places.iter().map(|(x, y, z)| [*x, *y, *z]).collect();
+        piece.sweep(R, places[0], places[0]);
+        for pair in places.windows(2) {
+            piece.sweep(R, pair[0], pair[1]);
+        }
+        let [columns, rows] = piece.size();
+        for row in (0..rows).step_by(5) {
+            for column in (0..columns).step_by(5) {
+                let [x, y] = piece.place(column, row);
+                // Dense balls along the way.
+                let mut lowest = 0.0_f64;
+                for pair in places.windows(2) {
+                    for step in 0..=400 {
+                        let part = f64::from(step) / 400.0;
+                        let at: [f64; 3] =
+                            core::array::from_fn(|i| pair[0][i] + part * (pair[1][i] - pair[0][i]));
+                        let square = R * R - (x - at[0]).powi(2) - (y - at[1]).powi(2);
+                        if square > 0.0 {
+                            lowest = lowest.min(at[2] - square.sqrt());
+                        }
+                    }
+                }
+                let ours = f64::from(piece.heights()[row * columns + column]);
+                // Steps of 20 um: near a wall the dense balls lie higher by what the slope makes of them.
+                prop_assert!(ours <= lowest + 1e-5, "{ours} {lowest}");
+                prop_assert!(ours > lowest - 0.15, "{ours} {lowest}");
+            }
+        }
+    }
+
+    /// The circle through points of a circle is that circle.
+    #[test]
+    fn circle_fit_is_exact(x in -50.0..50.0_f64, y in -50.0..50.0_f64, radius in 0.5..40.0_f64, part in 0.3..1.0_f64) {
+        let points: Vec<[f64; 2]> = (0..60)
+            .map(|k| {
+                let angle = 2.0 * PI * part * f64::from(k) / 60.0;
+                [x + radius * angle.cos(), y + radius * angle.sin()]
+            })
+            .collect();
+        let fit = circle(&points).expect("a circle");
+        prop_assert!((fit.centre[0] - x).abs() < 1e-6 && (fit.centre[1] - y).abs() < 1e-6);
+        prop_assert!((fit.radius - radius).abs() < 1e-6 && fit.roundness < 1e-6);
+    }
+}

@@ -1,0 +1,94 @@
+//! The part program of a run: read, checked against the machine, planned.
+
+use super::{CliError, Exit, RunArgs};
+use crate::machine::MachineFile;
+use crate::model::{Model, program_options, settings};
+use crate::plan::Plan;
+use crate::program;
+use haptimill_protocol::message::{Action, AxisValues};
+use std::collections::BTreeMap;
+use std::io::IsTerminal;
+use std::path::Path;
+
+/// A program that was checked.
+pub(super) struct Planned {
+    pub(super) plan: Plan,
+    /// Setpoints at which the program pauses, with the line that says so.
+    pub(super) pauses: BTreeMap<u32, u32>,
+}
+
+/// A part program on disk.
+pub(super) struct PartProgram {
+    /// Name of the file, without folders: it goes into the recording, which is the same wherever it was made.
+    pub(super) name: String,
+    file: String,
+    text: Vec<u8>,
+    /// M1 pauses.
+    optional_stop: bool,
+}
+
+impl PartProgram {
+    /// Reads the file.
+    pub(super) fn load(args: &RunArgs) -> Result<Self, CliError> {
+        let path: &Path = &args.program;
+        let file = path.display().to_string();
+        let text = std::fs::read(path).map_err(|error| {
+            CliError::new(
+                Exit::BadInput,
+                format!("{file}: cannot be read: {error}; check the path"),
+            )
+        })?;
+        let name = path
+            .file_name()
+            .map_or_else(|| file.clone(), |name| name.to_string_lossy().into_owned());
+        Ok(Self {
+            name,
+            file,
+            text,
+            optional_stop: args.optional_stop,
+        })
+    }
+
+    /// The checked motion of the program from a pose.
+    pub(super) fn plan(
+        &self,
+        machine: &MachineFile,
+        model: &Model,
+        start: &AxisValues,
+    ) -> Result<Planned, CliError> {
+        let options = program::Options {
+            optional_stop: self.optional_stop,
+            ..program_options(machine, model.to_people(start))
+        };
+        let program = program::read(&self.file, &self.text, &options)
+            .map_err(|refused| CliError::refused(Exit::BadInput, &refused))?;
+        let plan = Plan::new(&program, &settings(machine), model)
+            .map_err(|refused| CliError::refused(Exit::Refused, &refused))?;
+        // Each pause of the program has a setpoint of its own, in the same order.
+        let setpoints = (0..)
+            .zip(&plan.setpoints)
+            .filter(|(_, setpoint)| setpoint.action == Action::Pause);
+        let lines = program.steps.iter().filter_map(|step| match step {
+            program::Step::Pause { place } => Some(place.line),
+            _ => None,
+        });
+        let pauses = setpoints.map(|(index, _)| index).zip(lines).collect();
+        Ok(Planned { plan, pauses })
+    }
+
+    /// A pause waits for Enter: somebody must be able to press it.
+    pub(super) fn check_pauses(&self, args: &RunArgs, planned: &Planned) -> Result<(), CliError> {
+        match planned.pauses.values().next() {
+            Some(line) if !args.passes_pauses() && !std::io::stdin().is_terminal() => {
+                Err(CliError::new(
+                    Exit::Usage,
+                    format!(
+                        "{}:{line}: the program pauses here and there is no terminal to press Enter on; run it in a terminal, or with --go-on",
+                        self.file
+                    ),
+                ))
+            }
+            _ => Ok(()),
+        }
+    }
+}

@@ -1,0 +1,91 @@
+//! What the simulator says of its section of a machine file, with the lines that it speaks of.
+
+use super::document::Document;
+use super::{MachineFile, Problems};
+use haptimill_hil_sim::config::PlantConfig;
+use toml::Spanned;
+use toml::de::{DeTable, DeValue};
+
+/// Reports every problem of the simulated machine, and what does not fit its controller.
+pub(super) fn check(document: &Document<'_>, root: &DeTable<'_>, machine: &MachineFile) {
+    let offset = root.get("plant").map_or(0, |value| value.span().start);
+    match machine.plant::<PlantConfig>() {
+        Err(Problems(problems)) => problems.into_iter().for_each(|p| document.add(p)),
+        Ok(plant) => {
+            if plant.joint.len() != machine.config.joints.len() {
+                let what = format!(
+                    "has {} joints, the controller {}",
+                    plant.joint.len(),
+                    machine.config.joints.len()
+                );
+                document.report(offset, "plant.joint", what, "write one for each joint");
+            } else {
+                joint_names(document, root, &plant, machine);
+            }
+            for error in plant
+                .check(machine.config.period_us)
+                .err()
+                .unwrap_or_default()
+            {
+                let (offset, key) = place_in_plant(root, &error.field);
+                document.report(offset, key, error.problem, "correct it");
+            }
+        }
+    }
+}
+
+/// Joints go by their names, in faults and reports: both sides must call them the same.
+fn joint_names(
+    document: &Document<'_>,
+    root: &DeTable<'_>,
+    plant: &PlantConfig,
+    machine: &MachineFile,
+) {
+    for (index, (plant, joint)) in plant.joint.iter().zip(&machine.joints).enumerate() {
+        if plant.name != joint.name {
+            let (offset, key) = place_in_plant(root, &format!("joint {index}: name"));
+            let (here, there) = (&plant.name, &joint.name);
+            let what = format!("is \"{here}\", the controller's joint is \"{there}\"");
+            document.report(offset, key, what, "give it the same name");
+        }
+    }
+}
+
+/// A key of a table.
+fn inside<'d, 'i>(
+    value: Option<&'d Spanned<DeValue<'i>>>,
+    key: &str,
+) -> Option<&'d Spanned<DeValue<'i>>> {
+    match value?.get_ref() {
+        DeValue::Table(table) => table.get(key),
+        _ => None,
+    }
+}
+
+/// Where a field of the simulator stands in the file, and its key as the other sections call theirs: `joint 0 (l1): drive: limit` is
+/// `plant.joint[1].drive.limit`. Where a part is not written down, the place of what should hold it.
+fn place_in_plant(root: &DeTable<'_>, field: &str) -> (usize, String) {
+    let mut key = String::from("plant");
+    let mut value = root.get("plant");
+    let mut offset = value.map_or(0, |value| value.span().start);
+    for part in field.split(": ") {
+        let index = part
+            .strip_prefix("joint ")
+            .and_then(|rest| rest.split(' ').next()?.parse::<usize>().ok());
+        value = match index {
+            Some(index) => {
+                key.push_str(&format!(".joint[{}]", index + 1));
+                inside(value, "joint").and_then(|joints| match joints.get_ref() {
+                    DeValue::Array(joints) => joints.get(index),
+                    _ => None,
+                })
+            }
+            None => {
+                key.push_str(&format!(".{part}"));
+                inside(value, part)
+            }
+        };
+        offset = value.map_or(offset, |value| value.span().start);
+    }
+    (offset, key)
+}
