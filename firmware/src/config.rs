@@ -5,6 +5,7 @@
 
 mod check;
 
+use crate::force::ForceConfig;
 use crate::units::{Acceleration, Coordinate, Effort, Gain, Length, Rate};
 use haptimill_protocol::message::MAX_AXES;
 use heapless::{String, Vec};
@@ -29,6 +30,8 @@ pub struct Config {
     pub supervision: Supervision,
     /// How the reference is found.
     pub homing: Homing,
+    /// Force sensor and force control, if the machine has them.
+    pub force: Option<ForceConfig>,
 }
 
 /// Which geometry, and its lengths.

@@ -37,6 +37,20 @@ pub struct AxisInputs {
     pub drive_ready: bool,
 }
 
+/// Components of a force: x, y, z of the work.
+pub const COMPONENTS: usize = 3;
+
+/// What the board's converter of a force sensor says in a period.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct ForceSample {
+    /// Codes of x, y, z: -8192 to 8191.
+    pub codes: [i16; COMPONENTS],
+    /// Conversions so far, free running, wraps around; without a change there is no new sample.
+    pub conversions: u8,
+    /// The charge amplifier reports an overload.
+    pub overload: bool,
+}
+
 /// All that is sensed, latched at the start of the period.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Inputs {
@@ -48,6 +62,8 @@ pub struct Inputs {
     pub time_ns: u32,
     /// The joints.
     pub axes: [AxisInputs; MAX_AXES],
+    /// The force sensor; nothing changes on a machine without.
+    pub force: ForceSample,
     /// Emergency stop circuit is open.
     pub emergency_stop: bool,
     /// Bytes from the host, oldest first.

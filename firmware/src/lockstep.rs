@@ -20,7 +20,7 @@
 //!
 //! Misuse: a frame has no place for what is longer than a period; whoever skips a frame is out of step for good.
 
-use crate::io::{AxisInputs, DriveCommand, Inputs, Outputs, StepSegment};
+use crate::io::{AxisInputs, DriveCommand, ForceSample, Inputs, Outputs, StepSegment};
 use crate::probe::{STAGES, Stage};
 use crate::reading::Reading;
 use haptimill_protocol::message::State;
@@ -35,7 +35,7 @@ pub const TO_BOARD_BYTES: usize = 4 * TO_BOARD_WORDS;
 pub const FROM_BOARD_BYTES: usize = 4 * FROM_BOARD_WORDS;
 
 /// Grows whenever a frame changes.
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
 
 /// What the simulator says.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -163,6 +163,7 @@ impl ToBoard {
                 words.put(inputs.time_ns);
                 words.put(*arrived);
                 words.put(u32::from(inputs.emergency_stop));
+                put_force(&mut words, &inputs.force);
                 for axis in &inputs.axes {
                     put_axis(&mut words, axis);
                 }
@@ -193,6 +194,7 @@ impl ToBoard {
                 inputs.time_ns = words.take();
                 let arrived = words.take();
                 inputs.emergency_stop = words.take() & 1 != 0;
+                inputs.force = take_force(&mut words);
                 for axis in &mut inputs.axes {
                     *axis = take_axis(&mut words);
                 }
@@ -242,6 +244,21 @@ impl FromBoard {
             }),
             _ => Err(FrameError::Content),
         }
+    }
+}
+
+fn put_force(words: &mut Words<TO_BOARD_WORDS>, force: &ForceSample) {
+    let [x, y, z] = force.codes.map(|code| u32::from(code as u16));
+    words.put(x | y << 16);
+    words.put(z | u32::from(force.conversions) << 16 | u32::from(force.overload) << 24);
+}
+
+fn take_force(words: &mut Words<TO_BOARD_WORDS>) -> ForceSample {
+    let (pair, rest) = (words.take(), words.take());
+    ForceSample {
+        codes: [pair, pair >> 16, rest].map(|code| code as u16 as i16),
+        conversions: (rest >> 16) as u8,
+        overload: rest >> 24 & 1 != 0,
     }
 }
 
@@ -319,8 +336,11 @@ fn put_done(words: &mut Words<FROM_BOARD_WORDS>, done: &Done) {
         &reading.following_error,
         &reading.drive,
     ];
+    let force = &reading.force;
+    let forces = [&force.high, &force.low, &force.yielded];
     rows.into_iter()
         .flatten()
+        .chain(forces.into_iter().flatten())
         .for_each(|&value| words.put(value as u32));
 }
 
@@ -384,7 +404,13 @@ fn take_done(words: &mut Words<FROM_BOARD_WORDS>) -> Result<Done, FrameError> {
         &mut reading.following_error,
         &mut reading.drive,
     ];
-    for value in rows.into_iter().flatten() {
+    let force = &mut reading.force;
+    let forces = [&mut force.high, &mut force.low, &mut force.yielded];
+    for value in rows
+        .into_iter()
+        .flatten()
+        .chain(forces.into_iter().flatten())
+    {
         *value = words.take() as i32;
     }
     done.reading = Some(reading);

@@ -1,7 +1,7 @@
 //! What a controller knows of itself in a period, for recorders: one function makes it, in this process and on a chip alike.
 
 use crate::controller::Controller;
-use crate::io::Inputs;
+use crate::io::{COMPONENTS, Inputs};
 use crate::motion::program::FULL_RATE;
 #[cfg(doc)]
 use crate::motion::program::QUEUE;
@@ -43,6 +43,19 @@ pub struct Reading {
     pub following_error: Axes,
     /// Drive command: DAC code, or steps emitted.
     pub drive: Axes,
+    /// What is felt, on a machine with a force sensor.
+    pub force: ForceReading,
+}
+
+/// What the controller knows of the force on the tool; zeros on a machine without a sensor.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct ForceReading {
+    /// Force on the tool of largest magnitude in the last revolution of the spindle, 2^-16 N: the peak.
+    pub high: [i32; COMPONENTS],
+    /// The opposite end of what it was in that revolution, 2^-16 N.
+    pub low: [i32; COMPONENTS],
+    /// By how much the tool yields, p_c, 2^-20 mm.
+    pub yielded: [i32; COMPONENTS],
 }
 
 impl Controller {

@@ -99,6 +99,7 @@ fn config() -> Config {
             rate: Rate(MM),
             table_rate: Rate(MM),
         },
+        force: None,
     }
 }
 

@@ -18,7 +18,7 @@ use crate::mechanics::{Bodies, Lanes, Mechanics};
 use crate::process::{Process, ProcessConfig};
 use crate::random::Random;
 use crate::stepper::{PulseReport, Stepper};
-use haptimill_firmware::io::{DriveCommand, Inputs, Outputs};
+use haptimill_firmware::io::{DriveCommand, ForceSample, Inputs, Outputs};
 use haptimill_protocol::message::MAX_AXES;
 
 /// What really is, at the start of a period.
@@ -275,6 +275,13 @@ impl Plant {
         inputs.period = self.period;
         inputs.time_ns = self.time_ns() as u32;
         inputs.emergency_stop = self.emergency_stop;
+        if let Some(sensor) = self.process.as_ref().and_then(Process::sensor) {
+            inputs.force = ForceSample {
+                codes: sensor.codes(),
+                conversions: self.period as u8,
+                overload: sensor.overloaded(),
+            };
+        }
         for (axis, joint) in self.joints.iter().enumerate() {
             let slide = self.bodies.slide[axis];
             let reading = joint.encoder.reading();

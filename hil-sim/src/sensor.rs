@@ -228,6 +228,13 @@ impl Sensor {
         self.codes
     }
 
+    /// Whether the amplifier stands at an end of its range, and says so.
+    pub fn overloaded(&self) -> bool {
+        self.signal
+            .iter()
+            .any(|signal| signal.abs() >= self.config.range_n)
+    }
+
     /// What the ADC saw, N: the amplifier's output within its range, not rounded.
     pub const fn signal(&self) -> [f64; 3] {
         self.signal

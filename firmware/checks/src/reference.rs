@@ -146,6 +146,7 @@ pub fn h4() -> Config {
             rate: Rate(mm(10.0)),
             table_rate: Rate(degrees(4.0)),
         },
+        force: None,
     }
 }
 

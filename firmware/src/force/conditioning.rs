@@ -27,8 +27,7 @@ use crate::units::trig::{ONE, sin_cos};
 use crate::units::{Angle, scale};
 use serde::{Deserialize, Serialize};
 
-/// Components of the force: x, y, z of the work.
-pub const COMPONENTS: usize = 3;
+pub use crate::io::{COMPONENTS, ForceSample};
 
 /// The largest code of a 14-bit converter.
 pub const CODE_MOST: i16 = 8191;
@@ -39,19 +38,8 @@ const OVERLOAD_SAMPLES: u8 = 3;
 /// Time constant of the mean that is watched for drift: 2^9 samples (0.1 s at 200 us).
 const DRIFT_SHIFT: u32 = 9;
 
-/// What the board's converter says in a period.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct ForceSample {
-    /// Codes of x, y, z: -8192 to 8191.
-    pub codes: [i16; COMPONENTS],
-    /// Conversions so far, free running, wraps around; without a change there is no new sample.
-    pub conversions: u8,
-    /// The charge amplifier reports an overload.
-    pub overload: bool,
-}
-
 /// One channel of the sensor.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Channel {
     /// Force on the tool per code, 2^-32 N, up to 0.5 N; negative where a positive code is a push of the tool on the work. 10 N/V at 1.2207 mV a code: 52,428,800.
     pub per_code: i32,
@@ -60,7 +48,7 @@ pub struct Channel {
 }
 
 /// The sensor and its watches.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Sensor {
     /// x, y, z of the work.
     pub channels: [Channel; COMPONENTS],

@@ -28,7 +28,7 @@ use peak::{Extremes, SlidingExtremes, Window};
 use serde::{Deserialize, Serialize};
 
 /// When a force above the desired one moves the tool away (spec h4-milling 7.1 item 20).
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Gate {
     /// Only while it opposes the desired motion of the axis: F p_d' < 0. At rest, and across the motion, the tool only returns.
@@ -43,7 +43,7 @@ pub enum Gate {
 }
 
 /// The loop of one axis.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct LoopSettings {
     /// f_d, a magnitude: the side on which it acts is that of the contact.
     pub desired: Force,
@@ -106,7 +106,7 @@ pub enum Parameter {
 }
 
 /// Everything that the machine file says of force control.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct ForceConfig {
     /// The sensor.
     pub sensor: Sensor,

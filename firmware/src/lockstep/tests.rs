@@ -1,4 +1,5 @@
 use super::*;
+use crate::reading::ForceReading;
 use haptimill_protocol::message::MAX_AXES;
 use proptest::prelude::*;
 
@@ -40,11 +41,13 @@ prop_compose! {
         (homed, position_kept, fault, more, queued) in (any::<bool>(), any::<bool>(), any::<bool>(), any::<bool>(), 0_u16..0x1000),
         (setpoint, path_rate, spindle_rpm, program_time) in any::<(u32, u16, i16, u64)>(),
         rows: [[i32; MAX_AXES]; 5],
+        [high, low, yielded]: [[i32; 3]; 3],
     ) -> Reading {
         let [wanted, joints_wanted, joints, following_error, drive] = rows;
         Reading {
             state, homed, position_kept, fault, more, queued, setpoint, path_rate, spindle_rpm, program_time,
             wanted, joints_wanted, joints, following_error, drive,
+            force: ForceReading { high, low, yielded },
         }
     }
 }
@@ -76,9 +79,10 @@ proptest! {
     #[test]
     fn inputs_arrive(
         period: u64, missed: u16, time_ns: u32, transmit_room: u16, emergency_stop: bool, arrived: u32,
-        axes in prop::array::uniform6(axis()), period_us: u16,
+        axes in prop::array::uniform6(axis()), period_us: u16, codes: [i16; 3], conversions: u8, overload: bool,
     ) {
-        let inputs = Inputs { period, missed, time_ns, transmit_room, emergency_stop, axes, ..Inputs::default() };
+        let force = ForceSample { codes, conversions, overload };
+        let inputs = Inputs { force, period, missed, time_ns, transmit_room, emergency_stop, axes, ..Inputs::default() };
         for said in [ToBoard::Begin { period_us }, ToBoard::Period { inputs, arrived }, ToBoard::End] {
             prop_assert_eq!(ToBoard::decode(&said.encode()), Ok(said));
         }

@@ -60,6 +60,7 @@ impl Force {
     Eq,
     PartialOrd,
     Ord,
+    Hash,
     serde::Serialize,
     serde::Deserialize,
 )]
@@ -76,6 +77,7 @@ pub struct VirtualMass(pub u32);
     Eq,
     PartialOrd,
     Ord,
+    Hash,
     serde::Serialize,
     serde::Deserialize,
 )]

@@ -224,6 +224,7 @@ fn read(document: &Document<'_>, root: &Spanned<DeTable<'_>>) -> MachineFile {
                 rate: Rate(0),
                 table_rate: Rate(0),
             }),
+            force: None,
         },
         pose: pose_limits,
         joints: joint_limits,

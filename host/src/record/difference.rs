@@ -130,5 +130,22 @@ fn field(one: &Record, other: &Record, recording: &Recording) -> (String, String
             }
         }
     }
+    let forces = [
+        ("peak force", &one.force.high, &other.force.high),
+        ("low force", &one.force.low, &other.force.low),
+        ("yielding", &one.force.yielded, &other.force.yielded),
+        ("true force", &one.true_force, &other.true_force),
+    ];
+    for (name, first, second) in forces {
+        for (axis, (first, second)) in ["x", "y", "z"].iter().zip(first.iter().zip(second)) {
+            if first != second {
+                return (
+                    format!("{name} {axis}"),
+                    first.to_string(),
+                    second.to_string(),
+                );
+            }
+        }
+    }
     ("nothing".to_string(), String::new(), String::new())
 }

@@ -1,10 +1,14 @@
 //! The trace: a recording as CSV, in mm, degrees and newtons.
 
-use super::{Axes, Recording, RecordingError, flag};
+use super::{Recording, RecordingError, flag};
 use haptimill_firmware::config::AxisKind;
+use haptimill_firmware::io::COMPONENTS;
 use std::fmt::Write as _;
 use std::io::{self, Write};
 use std::path::PathBuf;
+
+/// Axis units of a millimetre.
+const MM: f64 = (1 << 20) as f64;
 
 /// Writes a row every `every` control periods, and one for the last record; where a recording has fewer records than that (telemetry), each is a row. Units stand in the names of the columns; a cell is empty where the recording has no value.
 ///
@@ -56,6 +60,14 @@ pub fn export_csv(
         cells(&mut row, &record.joints, &joints, true);
         cells(&mut row, &record.following_error, &joints, true);
         cells(&mut row, &record.drive, &drives, true);
+        let felt = record.has(flag::FORCE);
+        let force = &record.force;
+        let newtons = [1.0 / 65_536.0; COMPONENTS];
+        cells(&mut row, &force.high, &newtons, felt);
+        cells(&mut row, &force.low, &newtons, felt);
+        cells(&mut row, &force.yielded, &[1.0 / MM; COMPONENTS], felt);
+        let known = felt && record.has(flag::TOOL_TRUE);
+        cells(&mut row, &record.true_force, &newtons, known);
         row.push('\n');
         out.write_all(row.as_bytes()).map_err(io)?;
     }
@@ -84,11 +96,21 @@ fn heading(recording: &Recording) -> String {
     for (name, (_, unit)) in header.joints.iter().zip(recording.drive_units()) {
         let _ = write!(text, ",{name}_drive_{unit}");
     }
+    for (what, unit) in [
+        ("force_high", "n"),
+        ("force_low", "n"),
+        ("yielded", "mm"),
+        ("force_true", "n"),
+    ] {
+        for axis in ["x", "y", "z"] {
+            let _ = write!(text, ",{axis}_{what}_{unit}");
+        }
+    }
     text.push('\n');
     text
 }
 
-fn cells(row: &mut String, values: &Axes, scales: &[f64], there: bool) {
+fn cells(row: &mut String, values: &[i32], scales: &[f64], there: bool) {
     for (value, scale) in values.iter().zip(scales) {
         if there {
             let _ = write!(row, ",{:.6}", f64::from(*value) * scale);

@@ -1,6 +1,6 @@
 //! The recording of a job: every control period, binary, hashed. The trace (CSV), the summary and the report are made from it.
 //!
-//! ## Format, version 1
+//! ## Format, version 2
 //!
 //! All numbers are little-endian. The file is a header and then records of one size, nothing else; a recording that was cut off is
 //! readable up to its last whole record. No clock time is in it, so the same job gives the same bytes.
@@ -8,7 +8,7 @@
 //! | header | |
 //! | --- | --- |
 //! | 8 bytes | magic `HMRECORD` |
-//! | u16 | version, 1 |
+//! | u16 | version, 2 |
 //! | u16 | size of a record, [`RECORD_BYTES`] |
 //! | u32 | size of the header in bytes, this table included |
 //! | u32 | CRC-32 (ISO-HDLC) of the configuration |
@@ -35,6 +35,10 @@
 //! | 120 | 6 x i32 | drive command: DAC code, or steps emitted |
 //! | 144 | 6 x i32 | the tool in the work, axis units: see [`flag::TOOL_TRUE`] |
 //! | 168 | 6 x i32 | the programmed pose at this time, axis units: see [`flag::PROGRAMMED`] |
+//! | 192 | 3 x i32 | peak force on the tool in x, y, z of the work, 2^-16 N: see [`flag::FORCE`] |
+//! | 204 | 3 x i32 | the opposite end of what it was in the last revolution of the spindle, 2^-16 N |
+//! | 216 | 3 x i32 | by how much the tool yields, 2^-20 mm |
+//! | 228 | 3 x i32 | the true force on the tool, 2^-16 N, if [`flag::TOOL_TRUE`] is set |
 
 mod difference;
 mod export;
@@ -48,13 +52,15 @@ pub use export::export_csv;
 pub use reader::{Recording, RecordingError, Records};
 pub use writer::{Recorded, Recorder};
 
+use haptimill_firmware::io::COMPONENTS;
+use haptimill_firmware::reading::ForceReading;
 use haptimill_protocol::message::{MAX_AXES, State};
 
 /// Size of a record.
-pub const RECORD_BYTES: usize = 192;
+pub const RECORD_BYTES: usize = 240;
 
 const MAGIC: &[u8; 8] = b"HMRECORD";
-const VERSION: u16 = 1;
+const VERSION: u16 = 2;
 
 /// Flags of a record.
 pub mod flag {
@@ -70,6 +76,8 @@ pub mod flag {
     pub const PROGRAMMED: u8 = 16;
     /// A fault is latched.
     pub const FAULT: u8 = 32;
+    /// The machine has a force sensor.
+    pub const FORCE: u8 = 64;
 }
 
 /// Values of all axes, in axis units; those that the machine lacks are 0.
@@ -106,6 +114,10 @@ pub struct Record {
     pub tool: Axes,
     /// The programmed pose at this time, whatever the controller makes of it.
     pub programmed: Axes,
+    /// Peak force, its opposite end, and by how much the tool yields.
+    pub force: ForceReading,
+    /// The true force on the tool, 2^-16 N.
+    pub true_force: [i32; COMPONENTS],
 }
 
 const STATES: [State; 8] = [
@@ -144,7 +156,12 @@ impl Record {
             &self.tool,
             &self.programmed,
         ];
-        let cells = rows.into_iter().flatten();
+        let force = &self.force;
+        let forces = [&force.high, &force.low, &force.yielded, &self.true_force];
+        let cells = rows
+            .into_iter()
+            .flatten()
+            .chain(forces.into_iter().flatten());
         for (cell, value) in bytes[24..].as_chunks_mut::<4>().0.iter_mut().zip(cells) {
             *cell = value.to_le_bytes();
         }
@@ -156,6 +173,7 @@ impl Record {
         let half = |at: usize| u16::from_le_bytes([bytes[at], bytes[at + 1]]);
         let word = |at: usize| i32::from_le_bytes(std::array::from_fn(|i| bytes[at + i]));
         let axes = |at: usize| std::array::from_fn(|axis| word(at + 4 * axis));
+        let forces = |at: usize| std::array::from_fn(|component| word(at + 4 * component));
         Some(Self {
             period: u64::from_le_bytes(std::array::from_fn(|i| bytes[i])),
             setpoint: word(8) as u32,
@@ -171,6 +189,12 @@ impl Record {
             drive: axes(120),
             tool: axes(144),
             programmed: axes(168),
+            force: ForceReading {
+                high: forces(192),
+                low: forces(204),
+                yielded: forces(216),
+            },
+            true_force: forces(228),
         })
     }
 }

@@ -1,5 +1,6 @@
 use super::*;
 use crate::machine::MachineFile;
+use haptimill_firmware::reading::ForceReading;
 use proptest::prelude::*;
 use sha2::{Digest, Sha256};
 use std::path::PathBuf;
@@ -37,9 +38,15 @@ fn any_record() -> impl Strategy<Value = Record> {
         ),
         (0..STATES.len(), any::<u8>()),
         prop::array::uniform7(axes()),
+        any::<[[i32; 3]; 4]>(),
     )
         .prop_map(
-            |((period, setpoint, line, path_rate, spindle_rpm), (state, flags), rows)| {
+            |(
+                (period, setpoint, line, path_rate, spindle_rpm),
+                (state, flags),
+                rows,
+                [high, low, yielded, true_force],
+            )| {
                 let [
                     wanted,
                     joints_wanted,
@@ -64,6 +71,8 @@ fn any_record() -> impl Strategy<Value = Record> {
                     drive,
                     tool,
                     programmed,
+                    force: ForceReading { high, low, yielded },
+                    true_force,
                 }
             },
         )

@@ -57,6 +57,7 @@ fn circle(outside: f64, late: f64, name: &str) -> (TemporaryFile, Recorded) {
             }),
             tool: row(done),
             programmed: row(wanted),
+            ..Record::default()
         });
     }
     let recorded = recorder.finish().unwrap();

@@ -229,9 +229,15 @@ impl JobRecording {
             joints: reading.joints,
             following_error: reading.following_error,
             drive: reading.drive,
+            force: reading.force,
+            true_force: rig
+                .truth()
+                .force
+                .map(|newtons| (newtons * 65_536.0).round() as i32),
             ..Record::default()
         };
         let flags = [
+            (rig.plant().force_codes().is_some(), flag::FORCE),
             (reading.homed, flag::HOMED),
             (reading.position_kept, flag::POSITION_KEPT),
             (rig.truth().pose_valid, flag::TOOL_TRUE),
