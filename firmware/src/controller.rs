@@ -131,7 +131,7 @@ impl Controller {
     /// How things stand in this period.
     #[must_use]
     pub fn telemetry(&self, inputs: &Inputs) -> Telemetry {
-        let (deferred_bytes, bad_frames) = self.server.counters();
+        let line = self.server.counters();
         let machinery = self.machinery.as_ref();
         let values =
             |values: fn(&Machinery) -> AxisValues| machinery.map_or_else(AxisValues::new, values);
@@ -154,8 +154,9 @@ impl Controller {
             drive: machinery
                 .map_or_else(AxisValues::new, |machinery| machinery.drive_values(inputs)),
             fault: self.safety.fault(),
-            deferred_bytes,
-            bad_frames,
+            deferred_bytes: line.deferred_bytes,
+            bad_frames: line.bad_frames,
+            lost_bytes: line.lost_bytes,
         }
     }
 

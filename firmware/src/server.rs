@@ -70,6 +70,20 @@ pub struct Server {
     every: u16,
     until_telemetry: u16,
     deferred: u32,
+    lost: u32,
+    /// The board's own count of lost bytes in the period before.
+    lost_before: u16,
+}
+
+/// What happened to the bytes of the line, in all.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct LineCount {
+    /// Bytes that had to wait for a later period.
+    pub deferred_bytes: u32,
+    /// Frames refused by their check.
+    pub bad_frames: u32,
+    /// Bytes that the board lost for want of room.
+    pub lost_bytes: u32,
 }
 
 impl Server {
@@ -93,6 +107,8 @@ impl Server {
             every: 0,
             until_telemetry: 0,
             deferred: 0,
+            lost: 0,
+            lost_before: 0,
         }
     }
 
@@ -107,6 +123,9 @@ impl Server {
     ) -> Option<Heard> {
         self.now_us = inputs.period.wrapping_mul(u64::from(self.period_us));
         self.deferred = self.deferred.saturating_add(u32::from(inputs.waiting));
+        let lost = inputs.lost_bytes.wrapping_sub(self.lost_before);
+        self.lost = self.lost.saturating_add(u32::from(lost));
+        self.lost_before = inputs.lost_bytes;
         self.link.receive(self.now_us, &inputs.received);
         if self.link.hello().is_some() {
             let greeted = self.link.welcome(self.now_us, identity, busy);
@@ -265,10 +284,14 @@ impl Server {
         self.link.peer_silent_us(self.now_us)
     }
 
-    /// Bytes that had to wait for a later period, and frames refused by their check.
+    /// What happened to the bytes of the line.
     #[must_use]
-    pub fn counters(&self) -> (u32, u32) {
-        (self.deferred, self.link.counters().bad_frames)
+    pub fn counters(&self) -> LineCount {
+        LineCount {
+            deferred_bytes: self.deferred,
+            bad_frames: self.link.counters().bad_frames,
+            lost_bytes: self.lost,
+        }
     }
 
     /// Answers, then events, then telemetry; and the bytes of this period, as many as the board has `room` for.

@@ -259,6 +259,18 @@ impl Program {
             .wrapping_add((QUEUE - self.queue.len()) as u32)
     }
 
+    /// Setpoints that wait in the queue.
+    #[must_use]
+    pub fn queued(&self) -> usize {
+        self.queue.len()
+    }
+
+    /// Whether the host has said that all setpoints of the job are here.
+    #[must_use]
+    pub const fn is_complete(&self) -> bool {
+        self.total.is_some()
+    }
+
     /// Setpoints that were reached.
     #[must_use]
     pub const fn reached(&self) -> u32 {
