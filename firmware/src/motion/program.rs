@@ -7,6 +7,7 @@
 //! Slowing down for want of setpoints begins while the queue still covers the stopping distance, so the last setpoint is never passed.
 //! The bounds on acceleration and jerk of the braking are those of the configuration's [`Stopping`], on top of the program's own.
 
+mod retreat;
 mod stopping;
 
 use super::Wanted;
@@ -20,6 +21,7 @@ use crate::units::{Acceleration, Coordinate, Rate};
 use haptimill_protocol::message::{Action, MAX_AXES, RATE_SHIFT, Refusal};
 use haptimill_protocol::setpoint::Setpoint;
 use heapless::Deque;
+use retreat::PASSED;
 
 /// How many setpoints the queue holds.
 pub const QUEUE: usize = 256;
@@ -92,6 +94,10 @@ pub struct Program {
     braking_periods: u64,
 
     queue: Deque<Knot, QUEUE>,
+    /// The setpoints that were passed last, newest last.
+    passed: Deque<Knot, PASSED>,
+    /// Program time that is still to be gone back once the machine rests, 2^-32 periods.
+    back: u64,
     /// Sum of the spans in the queue, in periods.
     queued_periods: u64,
     /// Setpoints at rest that are not reached yet.
@@ -123,7 +129,7 @@ constants!(Program {
     axes, rotary, rate_limits, acceleration_limits, period_us, periods_per_second, braking, braking_periods
 } of {} but {
     queue, queued_periods, rests_ahead, tail, from, segment, begun, time, elapsed, path_rate, override_rate, accepted, reached, total, started, paused,
-    starving, late, spans
+    starving, late, spans, passed, back
 });
 
 /// Bounds of the path rate that a configuration's [`Stopping`] means; `None` if it makes no sense.
@@ -178,6 +184,8 @@ impl Program {
 
     /// Begins a job at `pose`.
     pub fn begin(&mut self, pose: &Pose) {
+        self.passed.clear();
+        self.back = 0;
         self.queue.clear();
         self.queued_periods = 0;
         self.rests_ahead = 0;
@@ -330,7 +338,7 @@ impl Program {
     /// Whether nothing moves along the path: braked to rest, waiting, or paused.
     #[must_use]
     pub fn is_still(&self) -> bool {
-        self.path_rate.is_zero()
+        (self.path_rate.is_zero() && self.back == 0)
             || self.paused
             || !self.started
             || (!self.begun && self.queue.is_empty())
@@ -371,6 +379,9 @@ impl Program {
         }
         if finished || !self.started || self.paused {
             progress.finished = finished;
+            return progress;
+        }
+        if halt && self.back > 0 && self.goes_back(&braking) {
             return progress;
         }
         self.watch_coverage(&braking);
@@ -457,6 +468,7 @@ impl Program {
             }
             self.time -= end;
             self.elapsed += periods;
+            self.remember(self.from);
             self.from = self.segment.to;
             self.begun = false;
             self.reached = self.reached.wrapping_add(1);
