@@ -82,7 +82,9 @@ impl Controller {
                 queue: QUEUE as u16,
             },
         };
-        self.server.hear(inputs, &identity, busy)
+        let machinery = self.machinery.as_ref();
+        let turns = machinery.is_some_and(|machinery| machinery.motion.program.turns());
+        self.server.hear(inputs, &identity, busy, turns)
     }
 
     fn place(&mut self) {
@@ -114,14 +116,16 @@ impl Controller {
     }
 
     fn tell(&mut self, inputs: &Inputs, outputs: &mut Outputs) {
-        let telemetry = self.server.telemetry_due().then(|| self.telemetry(inputs));
         self.server.tell(
             inputs.period,
             &mut self.safety,
-            telemetry,
             inputs.transmit_room,
             &mut outputs.transmit,
         );
+        if self.server.telemetry_due() {
+            let telemetry = self.telemetry(inputs);
+            self.server.send_telemetry(telemetry);
+        }
     }
 
     /// How things stand in this period.

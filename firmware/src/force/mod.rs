@@ -168,6 +168,7 @@ pub struct ForceControl {
     /// The tool stays where it is: the forces are not believed.
     held: bool,
     condition: Option<Condition>,
+    yielding: [Yielding; COMPONENTS],
 }
 
 impl ForceControl {
@@ -209,6 +210,7 @@ impl ForceControl {
             rpm: 0,
             held: false,
             condition: None,
+            yielding: [Yielding::default(); COMPONENTS],
         })
     }
 
@@ -271,10 +273,9 @@ impl ForceControl {
     }
 
     /// Stage *yield*: one period of the loops with the rates of the desired motion.
-    pub fn advance(&mut self, desired_rates: &[Rate; COMPONENTS]) -> [Yielding; COMPONENTS] {
+    pub fn advance(&mut self, desired_rates: &[Rate; COMPONENTS]) -> &[Yielding; COMPONENTS] {
         self.prepare();
         let tared = self.conditioner.tared();
-        let mut yielding = [Yielding::default(); COMPONENTS];
         for (component, axis) in self.axes.iter_mut().enumerate() {
             let push = Push {
                 force: axis.extremes.peak(),
@@ -284,9 +285,9 @@ impl ForceControl {
                 level: axis.guard.level(),
                 touching: axis.guard.touching(),
             };
-            yielding[component] = axis.compliance.advance(&push);
+            self.yielding[component] = axis.compliance.advance(&push);
         }
-        yielding
+        &self.yielding
     }
 
     /// Works out one level of one law that was changed: some 2000 instructions in a period.
@@ -307,9 +308,11 @@ impl ForceControl {
     }
 
     /// The reference p_d + p_c was refused: takes the displacements of this period back. Try once more with these; if that is refused too, it is p_d that cannot be.
-    pub fn withhold(&mut self) -> [Yielding; COMPONENTS] {
-        let [x, y, z] = &mut self.axes;
-        [x, y, z].map(|axis| axis.compliance.withhold())
+    pub fn withhold(&mut self) -> &[Yielding; COMPONENTS] {
+        for (axis, yielding) in self.axes.iter_mut().zip(&mut self.yielding) {
+            *yielding = axis.compliance.withhold();
+        }
+        &self.yielding
     }
 
     /// Other settings of one axis; in force some periods later, without a jump of the tool.
@@ -366,6 +369,7 @@ impl ForceControl {
             axis.compliance.reset();
             axis.guard.reset(true);
         }
+        self.yielding = [Yielding::default(); COMPONENTS];
     }
 
     /// Begins a tare; the peaks go on meanwhile. Not while the tool may touch something: that is for the caller to know.
@@ -386,6 +390,12 @@ impl ForceControl {
     #[must_use]
     pub fn extremes(&self) -> [Extremes; COMPONENTS] {
         self.axes.each_ref().map(|axis| axis.extremes)
+    }
+
+    /// What the axes did in this period.
+    #[must_use]
+    pub const fn yielding(&self) -> &[Yielding; COMPONENTS] {
+        &self.yielding
     }
 
     /// p_c.
