@@ -116,7 +116,7 @@ impl Watch {
         }
         let measured = i64::from(seen.measured.0);
         let (low, high) = (i64::from(config.low.0), i64::from(config.high.0));
-        let by = measured - measured.clamp(low, high.max(low));
+        let by = measured - measured.max(low).min(high.max(low));
         (by.abs() > magnitude(config.following)).then_some(Fault::Stroke {
             axis,
             by: saturate(by),
