@@ -229,12 +229,14 @@ fn instructions_of_a_period() {
         table += &format!("| whole period | {mean:.0} | {worst:.0} |\n\n");
         table += &format!(
             "{} control periods in which a program ran. Worst period of all, activating the configuration included: {:.0}. Stack used: {} bytes. \
-             Most bytes in the receive ring: {} of {}.\n",
+             Most bytes in the receive ring: {} of {}. Setpoints in the queue: at most {} of 256, then at least {} while more were to come.\n",
             cost["periods"],
             number(&cost["worst_of_all"]),
             cost["stack_bytes"],
             cost["ring_peak"],
-            4095
+            haptimill_firmware::receive::RING_BYTES,
+            cost["queue_high"],
+            cost["queue_low"]
         );
         assert!(
             mean < MEAN_CEILING && worst < WORST_CEILING,
