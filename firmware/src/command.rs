@@ -197,7 +197,7 @@ impl Controller {
         Ok(())
     }
 
-    /// Whether the machine can go to a setpoint that is to be taken in the next period.
+    /// Whether the machine can go to a setpoint.
     pub(crate) fn try_setpoint(&mut self, number: u32, values: &AxisValues) -> Done {
         let machinery = self.machinery_for(number)?;
         let mut pose = Pose::default();

@@ -1,16 +1,13 @@
 //! Messages in, answers and telemetry out: the controller's end of the link.
 //!
-//! A period hears at most 64 bytes and does at most one thing that takes long: it reads a message or a setpoint of a batch, or takes one of three steps with a
-//! setpoint that was read before (decodes it, tries whether the machine can go there, puts it into the queue if it may go there as fast), or encodes telemetry, or makes the frame of telemetry that was encoded before. Hearing and telling take turns; the rest waits in the
+//! A period hears at most 64 bytes and does at most one thing that takes long: it reads a message or a setpoint of a batch, or tries a setpoint that was read before, or encodes telemetry, or makes the frame of telemetry that was encoded before. Hearing and telling take turns; the rest waits in the
 //! link, whose window stops the host. A setpoint that is refused ends its batch and changes nothing, not even what the next one is relative to: all later ones are out of
 //! order until it comes again, or the job is begun anew. Nothing is skipped.
 
 use crate::io::{Inputs, TRANSMIT_BYTES};
 use crate::safety::Safety;
 use haptimill_protocol::link::{ControllerLink, Identity, SHORT_REPORT, Timing};
-use haptimill_protocol::message::{
-    AxisValues, ConfigChunk, Refusal, Report, Request, SetpointDelta, Telemetry,
-};
+use haptimill_protocol::message::{AxisValues, ConfigChunk, Refusal, Report, Request, Telemetry};
 use haptimill_protocol::setpoint::{BatchReader, Setpoint, SetpointCoder};
 use heapless::{Deque, Vec};
 
@@ -29,14 +26,7 @@ const ANSWERS: usize = 8;
 pub enum Heard {
     /// A request.
     Request(Request),
-    /// Where the next setpoint of a batch is: can the machine go there?
-    Place {
-        /// The setpoint's number in the job.
-        number: u32,
-        /// Its pose.
-        pose: AxisValues,
-    },
-    /// That setpoint, in the next period: it belongs into the queue, if the machine may go there as fast.
+    /// The next setpoint of a batch, which was read in an earlier period.
     Setpoint {
         /// The setpoint's number in the job.
         number: u32,
@@ -50,20 +40,6 @@ pub enum Heard {
     },
 }
 
-/// How far the next setpoint of a batch is. Each step takes a period: all of them take too long for one.
-#[derive(Debug, Default)]
-enum Step {
-    /// It is yet to be read.
-    #[default]
-    Unread,
-    /// It was read.
-    Read(SetpointDelta),
-    /// It is known.
-    Decoded(Setpoint),
-    /// The machine can go there.
-    Placed(Setpoint),
-}
-
 /// The controller's end of the link.
 #[derive(Debug)]
 pub struct Server {
@@ -73,7 +49,7 @@ pub struct Server {
     /// The batch of setpoints that is being worked through; its bytes wait in the link.
     batch: Option<BatchReader>,
     /// Its next setpoint.
-    step: Step,
+    decoded: Option<Setpoint>,
     /// Something long was done in this period.
     worked: bool,
     /// This period did not work although it might have.
@@ -114,7 +90,7 @@ impl Server {
             period_us,
             now_us: 0,
             batch: None,
-            step: Step::Unread,
+            decoded: None,
             worked: false,
             held: false,
             telemetry_waits: false,
@@ -160,26 +136,11 @@ impl Server {
         if yields || self.held || self.answers.is_full() {
             return None;
         }
-        let number = self.batch.map_or(0, |batch| batch.number.wrapping_sub(1));
         self.worked = true;
-        match core::mem::take(&mut self.step) {
-            Step::Unread => self.read(),
-            Step::Read(delta) => {
-                self.ahead = self.coder.clone();
-                match self.ahead.decode(&delta) {
-                    Ok(setpoint) => {
-                        self.step = Step::Decoded(setpoint);
-                        None
-                    }
-                    Err(_) => Some(Heard::BadSetpoint { number }),
-                }
-            }
-            Step::Decoded(setpoint) => {
-                let pose = setpoint.pose.clone();
-                self.step = Step::Placed(setpoint);
-                Some(Heard::Place { number, pose })
-            }
-            Step::Placed(setpoint) => Some(Heard::Setpoint { number, setpoint }),
+        let number = self.batch.map_or(0, |batch| batch.number.wrapping_sub(1));
+        match self.decoded.take() {
+            Some(setpoint) => Some(Heard::Setpoint { number, setpoint }),
+            None => self.read(),
         }
     }
 
@@ -204,18 +165,20 @@ impl Server {
             self.end_batch(Ok(()));
             return None;
         }
-        match batch.next(payload) {
-            Some(delta) => {
-                self.step = Step::Read(delta);
+        let delta = batch.next(payload);
+        self.ahead = self.coder.clone();
+        match delta.map(|delta| self.ahead.decode(&delta)) {
+            Some(Ok(setpoint)) => {
+                self.decoded = Some(setpoint);
                 None
             }
-            None => Some(Heard::BadSetpoint { number }),
+            _ => Some(Heard::BadSetpoint { number }),
         }
     }
 
     /// The batch is done with.
     fn end_batch(&mut self, result: Result<(), Refusal>) {
-        self.step = Step::Unread;
+        self.decoded = None;
         if let Some(batch) = self.batch.take() {
             self.link.drop_first();
             self.answer(batch.id, result);
@@ -248,7 +211,7 @@ impl Server {
     /// What a session leaves behind when it ends.
     fn forget(&mut self) {
         self.batch = None;
-        self.step = Step::Unread;
+        self.decoded = None;
         self.telemetry_waits = false;
         self.answers.clear();
         self.staged.clear();
