@@ -106,8 +106,22 @@ impl Controller {
         if inputs.period.is_multiple_of(INTEGRITY_PERIODS) && !machinery.configuration_intact() {
             self.safety.raise(Fault::Configuration);
         }
+        if let Some(force) = &mut machinery.force
+            && let Some(result) = force.take_tare_result()
+        {
+            self.safety.tell(match result {
+                Ok(()) => Event::Tared,
+                Err(refusal) => Event::TareRefused(refusal),
+            });
+        }
         if !self.safety.drives_on() {
             return;
+        }
+        if let Some(force) = &machinery.force
+            && self.safety.active()
+            && let Some(problem) = force.stops(self.safety.state() == State::Jog)
+        {
+            self.safety.raise(Fault::Force(problem));
         }
         if let Some(fault) =
             hardware(&inputs.axes[..machinery.axes()]).or_else(|| machinery.supervise())

@@ -269,6 +269,10 @@ pub enum State {
 /// What the controller says.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[allow(
+    clippy::large_enum_variant,
+    reason = "few of them exist at a time; there is no allocator for a box"
+)]
 pub enum Report {
     /// The answer to a request.
     Answer {
