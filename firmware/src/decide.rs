@@ -1,6 +1,7 @@
 //! Stage *decide*: faults first, then the one thing that was heard, then what each state does.
 
 use crate::controller::Controller;
+use crate::force::conditioning::is_force;
 use crate::io::{AxisInputs, Inputs};
 use crate::motion::Mode;
 use crate::motion::program::Progress;
@@ -11,6 +12,9 @@ use haptimill_protocol::message::{Event, Fault, HomingProblem, Refusal, State};
 
 /// How long after an urgent stop older messages may still come in, microseconds: longer than the link waits before it sends one again.
 const OVERTAKEN_US: u64 = 450_000;
+
+/// How far a machine goes back along its path from a force that is too large: microseconds of the program.
+const BACK_OFF_US: u32 = 1_000_000;
 
 /// Periods between two looks at a part of the configuration.
 const INTEGRITY_PERIODS: u64 = 16;
@@ -34,6 +38,8 @@ pub struct Job {
     pub new_session: bool,
     /// An urgent stop overtook what the host had said before; nothing of that may set the machine going again.
     pub overtaken: bool,
+    /// A part of the configuration is yet to be looked at.
+    pub unchecked: bool,
     /// There was a configuration since power on.
     pub configured: bool,
     /// Periods since an urgent stop came.
@@ -61,16 +67,14 @@ impl Controller {
         match heard {
             Some(Heard::Request(request)) => self.command(inputs, request),
             Some(Heard::Setpoint {
-                id,
-                number,
-                setpoint,
+                number, setpoint, ..
             }) => match self.take_setpoint(number, &setpoint) {
                 Ok(()) => self.server.accept_setpoint(),
-                Err(refusal) => self.server.refuse_setpoints(id, refusal),
+                Err(refusal) => self.server.refuse_setpoints(refusal),
             },
-            Some(Heard::BadSetpoint { id, number }) => {
+            Some(Heard::BadSetpoint { number, .. }) => {
                 self.server
-                    .refuse_setpoints(id, Refusal::Setpoint { setpoint: number });
+                    .refuse_setpoints(Refusal::Setpoint { setpoint: number });
             }
             None => {}
         }
@@ -103,8 +107,15 @@ impl Controller {
         let Some(machinery) = &mut self.machinery else {
             return;
         };
-        if inputs.period.is_multiple_of(INTEGRITY_PERIODS) && !machinery.configuration_intact() {
-            self.safety.raise(Fault::Configuration);
+        let due = inputs.period.is_multiple_of(INTEGRITY_PERIODS);
+        // A period with something else to do leaves it to the next one, but not for ever.
+        if (due && self.job.unchecked) || ((due || self.job.unchecked) && self.server.claim()) {
+            self.job.unchecked = false;
+            if !machinery.configuration_intact() {
+                self.safety.raise(Fault::Configuration);
+            }
+        } else {
+            self.job.unchecked |= due;
         }
         if let Some(force) = &mut machinery.force
             && let Some(result) = force.take_tare_result()
@@ -117,10 +128,15 @@ impl Controller {
         if !self.safety.drives_on() {
             return;
         }
-        if let Some(force) = &machinery.force
-            && self.safety.active()
+        if self.safety.active()
+            && let Some(force) = &machinery.force
             && let Some(problem) = force.stops(self.safety.state() == State::Jog)
         {
+            if is_force(&problem) && self.safety.pending().is_none() {
+                // What pushes so hard is not cut: away from it, by the way that was come.
+                let periods = BACK_OFF_US / u32::from(self.period_us.max(1));
+                machinery.motion.program.back_off(periods);
+            }
             self.safety.raise(Fault::Force(problem));
         }
         if let Some(fault) =

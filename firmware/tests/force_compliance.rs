@@ -1,7 +1,7 @@
 //! The direct-force loop against the equation in f64: K_A p'' + K_V p' = F - sigma f_d, its bounds, its changes at run time.
 
 use haptimill_firmware::force::compliance::{Compliance, Law, Push, Yielding};
-use haptimill_firmware::force::pole::{Pole, sound};
+use haptimill_firmware::force::pole::{FINENESS, Pole, sound};
 use haptimill_firmware::force::{ForceParameter, Gate, LoopSettings};
 use haptimill_firmware::units::force::{Displacement, Force, VirtualDamping, VirtualMass};
 use haptimill_firmware::units::{Length, Rate};
@@ -53,14 +53,14 @@ proptest! {
         let (mass, damping) = (VirtualMass(mass_raw), VirtualDamping(damping_raw));
         prop_assume!(sound(mass, damping, period));
         let pole = Pole::new(mass, damping, period);
-        let fineness = pole.fineness();
+        let fineness = FINENESS;
         let unit = f64::exp2(40.0 + f64::from(fineness));
         let (ka, kv) = (f64::from(mass_raw) / NEWTON, f64::from(damping_raw) / NEWTON);
         let time = f64::from(period) * 1e-6;
         let fade = -libm::expm1(-kv * time / ka);
         // Rates stay below 1 mm in a period.
         let most = scale.min(0.9 * kv / time);
-        let (mut rate, mut way, mut path) = (0i64, 0i64, 0.0f64);
+        let (mut rate, mut way, mut path) = (0i64, 0i128, 0.0f64);
         let (mut exact_rate, mut exact_way) = (0.0f64, 0.0f64);
         let mut random = seed | 1;
         let mut force = 0;
@@ -70,8 +70,8 @@ proptest! {
                 random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
                 force = (((random >> 33) as f64 / f64::exp2(30.0) - 1.0) * most * NEWTON) as i32;
             }
-            let (step, next) = pole.step(force, rate, fineness);
-            (rate, way) = (next, way + step);
+            let (step, next) = pole.step(force, rate);
+            (rate, way) = (next, way + i128::from(step));
             let end = f64::from(force) / NEWTON / kv;
             let off = exact_rate - end;
             let exact_step = end * time + off * ka / kv * fade;

@@ -5,6 +5,9 @@ use haptimill_firmware::force::{ForceConfig, ForceControl, ForceParameter, Gate,
 use haptimill_firmware::units::force::{Force, VirtualDamping, VirtualMass};
 use haptimill_firmware::units::{Angle, Coordinate, Length, Rate};
 
+use proptest::prelude::*;
+use proptest::test_runner::RngSeed;
+
 const MM: f64 = 1_048_576.0;
 const NEWTON: f64 = 65_536.0;
 const PER_CODE: f64 = 200.0 / 16_384.0;
@@ -353,7 +356,7 @@ fn the_spindle_sets_the_window() {
     let mut slow = config(1.0, &settings(1.0, 5.0, Gate::Any));
     slow.slowest_rpm = 100;
     let refused = ForceControl::new(&slow, 200).map(|_| ());
-    let Err((0, refused)) = refused else {
+    let Err((None, refused)) = refused else {
         panic!("{refused:?}")
     };
     assert_eq!(
@@ -362,6 +365,46 @@ fn the_spindle_sets_the_window() {
     );
     slow.sensor.limit = Force(0);
     assert!(
-        matches!(ForceControl::new(&slow, 200), Err((0, refused)) if refused.parameter == ForceParameter::Sensor)
+        matches!(ForceControl::new(&slow, 200), Err((None, refused)) if refused.parameter == ForceParameter::Sensor)
     );
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 60, rng_seed: RngSeed::Fixed(21), failure_persistence: None, ..ProptestConfig::default() })]
+
+    /// Whatever sensor, spindle, pose and program say, and in whatever order: nothing overflows, and no displacement leaves its limit.
+    #[test]
+    fn any_input_is_borne(
+        inputs in prop::collection::vec(
+            (any::<[i16; 3]>(), any::<u8>(), any::<[bool; 3]>(), any::<i16>(), any::<[i32; 3]>(), any::<[i32; 3]>(), any::<i32>(), 1u16..80), 1..80,
+        ),
+        gentle: bool,
+    ) {
+        let loops = if gentle { settings(0.25, 0.5, Gate::Any) } else { settings(1.0, 5.0, Gate::AgainstMotion) };
+        let mut config = config(1.0, &loops);
+        config.sensor.weight = Force::millinewtons(60_000);
+        config.sensor.tare_samples = 16;
+        let mut control = ForceControl::new(&config, 200).expect("sound");
+        for (codes, conversions, [overload, unloaded, hold], rpm, position, rates, table, periods) in inputs {
+            match conversions % 16 {
+                0 => control.begin_tare(),
+                1 => control.reset(),
+                2 => control.set_mask(codes[0] as u8),
+                3 => { let _ = control.set(usize::from(conversions >> 6), &settings(1.0, 20.0, Gate::Any)); }
+                _ => {}
+            }
+            control.hold(hold);
+            for k in 0..periods {
+                let sample = ForceSample { codes: codes.map(|code| code.wrapping_add(k as i16)), conversions: conversions.wrapping_add(k as u8), overload };
+                control.sense(&sample, rpm, &position.map(Coordinate), Angle(table), unloaded);
+                control.advance(&rates.map(Rate));
+                if k % 7 == 3 {
+                    control.withhold();
+                }
+                for yielding in control.yielding() {
+                    prop_assert!(yielding.displacement.0.abs() <= 10 << 40);
+                }
+            }
+        }
+    }
 }

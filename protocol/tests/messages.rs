@@ -134,6 +134,7 @@ fn reports_fit_a_frame_and_answers_and_events_are_short() {
         fault: Some(fault),
         deferred_bytes: u32::MAX,
         bad_frames: u32::MAX,
+        lost_bytes: u32::MAX,
         force: None,
     };
     let without = size(&Report::Telemetry(telemetry.clone()));

@@ -22,7 +22,7 @@
 //!
 //! Misuse: a force that is not the reaction on the tool. With the wrong sign the loop runs into the work; [`super::guard`] looks out for that.
 
-use super::pole::{Part, Pole, RATE_BITS, sound};
+use super::pole::{FINENESS, Part, Pole, RATE_BITS, sound};
 use super::{ForceParameter, ForceRefusal, Gate, LoopSettings};
 use crate::position::filter::frequency;
 use crate::safety::integrity::constants;
@@ -72,7 +72,6 @@ pub struct Law {
     /// What each level adds to K_V, 2^-16 N s/mm, below 2^31.
     added: [i32; LEVELS],
     highest: usize,
-    fineness: u32,
     /// Displacement in a period at the largest rate, in the scale of the rate.
     rate_limit: i64,
     /// Largest displacement, 2^-40 mm.
@@ -101,24 +100,22 @@ impl Law {
         let onset = onset(settings.damping, delay_us);
         let highest = check(settings, onset, period_us, delay_us, largest_force)?;
         let first = Pole::new(settings.mass, settings.damping, period_us);
-        let fineness = first.fineness();
         let mut added = [0; LEVELS];
         for (level, added) in added.iter_mut().enumerate() {
             *added = (damping(settings.damping, onset, delay_us, level.min(highest)).0
                 - settings.damping.0) as i32;
         }
-        // 2^-20 mm/s to 2^-(40 + fineness) mm in a period: below 2^31 * 2^10 * 2^20 / 10^6.
+        // 2^-20 mm/s to 2^-(40 + FINENESS) mm in a period: below 2^31 * 2^10 * 2^20 / 10^6.
         let way = i64::from(settings.rate.0.max(1)) * i64::from(period_us) * (1 << 20) / 1_000_000;
         Ok(Self {
             settings: settings.clone(),
             poles: [first; LEVELS],
             added,
             highest,
-            fineness,
-            rate_limit: way.min(1 << RATE_BITS) << fineness,
+            rate_limit: way.min(1 << RATE_BITS) << FINENESS,
             limit: Displacement::from_length(settings.limit).0,
-            // 10^6 / T_us / 2^(20 + fineness), below 1.
-            to_rate: Part::ratio(1_000_000, u64::from(period_us.max(1)) << (20 + fineness)),
+            // 10^6 / T_us / 2^(20 + FINENESS), below 1.
+            to_rate: Part::ratio(1_000_000, u64::from(period_us.max(1)) << (20 + FINENESS)),
             onset,
             frequency: frequency(period_us),
         })
@@ -274,7 +271,7 @@ pub struct Compliance {
     upward: bool,
     /// How far the tool has yielded, 2^-40 mm, 0 to 2^46.
     away: i64,
-    /// Its rate outward, 2^-(40 + fineness) mm in a period.
+    /// Its rate outward, 2^-(40 + FINENESS) mm in a period.
     rate: i64,
     /// `away` before this period.
     before: i64,
@@ -306,13 +303,6 @@ impl Compliance {
 
     /// Goes on under another law; displacement and rate stay.
     pub fn adopt(&mut self, law: Law) {
-        let (from, to) = (self.law.fineness, law.fineness);
-        self.rate = if to >= from {
-            // Below 2^58 in either scale.
-            self.rate << (to - from)
-        } else {
-            self.rate >> (from - to)
-        };
         self.law = law;
     }
 
@@ -327,7 +317,11 @@ impl Compliance {
     /// p_c.
     #[must_use]
     pub const fn displacement(&self) -> Displacement {
-        Displacement(if self.upward { self.away } else { -self.away })
+        Displacement(if self.upward {
+            self.away
+        } else {
+            self.away.wrapping_neg()
+        })
     }
 
     /// The reference was refused: the displacement is what it was before this period, and stands.
@@ -361,8 +355,8 @@ impl Compliance {
         }
     }
 
-    /// One period.
-    #[inline]
+    /// One period. Three copies of it in their caller's loop would be no faster: registers run out.
+    #[inline(never)]
     pub fn advance(&mut self, push: &Push) -> Yielding {
         let force = if push.active { push.force.held().0 } else { 0 };
         if self.away == 0 && self.rate <= 0 {
@@ -372,29 +366,31 @@ impl Compliance {
         let level = if push.held { LEVELS } else { push.level }.min(self.law.highest);
         let drive = self.drive(push, force, level);
         self.before = self.away;
-        if self.away == 0 && self.rate == 0 && drive <= 0 {
-            return self.yielding(false);
+        if self.away == 0 && self.rate == 0 && drive <= 0 && self.shown.0 == 0 {
+            return Yielding::default();
         }
         let law = &self.law;
-        let fineness = law.fineness;
         let Some(pole) = law.poles.get(level) else {
             return self.yielding(false);
         };
-        let (step, rate) = pole.step(drive, self.rate, fineness);
+        let (step, rate) = pole.step(drive, self.rate);
         let mut most = law.rate_limit;
         if self.rate > most || self.rate < -most {
             // A limit that was lowered is reached within some hundred periods: no jump of the rate.
             let fast = self.rate.abs();
-            most = most.max(fast - (fast >> 8));
+            most = most.max(fast.wrapping_sub(fast >> 8));
         }
         let (mut step, mut rate) = (step.min(most), rate.min(most));
         if step < 0 || rate < 0 {
             // Towards 0 no faster than 1/64 of what is left: 2^40 units in the finest scale are below 2^58.
-            let landing = -((self.away >> 6).wrapping_shl(fineness).min(most));
+            let landing = (self.away >> 6)
+                .wrapping_shl(FINENESS)
+                .min(most)
+                .wrapping_neg();
             (step, rate) = (step.max(landing), rate.max(landing));
         }
         // Below 2^46 + 2^41.
-        let mut away = self.away.wrapping_add(step.wrapping_shr(fineness));
+        let mut away = self.away.wrapping_add(step.wrapping_shr(FINENESS));
         // A limit that was lowered does not push the tool.
         let limit = law.limit.max(self.away);
         let limited = away >= limit && drive > 0;

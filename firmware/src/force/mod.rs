@@ -142,10 +142,11 @@ pub struct ForceControl {
     /// A law was adopted in this period.
     adopted: bool,
     condition: Option<ForceProblem>,
+    yielding: [Yielding; COMPONENTS],
 }
 
 constants!(ForceControl { slowest_rpm, period_us, delay_us } of { conditioner }
-    but { axes, mask, rpm, stopped, held, suspended, known, adopted, condition });
+    but { axes, mask, rpm, stopped, held, suspended, known, adopted, condition, yielding });
 
 /// What is worked out from a configuration before it is taken.
 #[derive(Debug, Clone)]
@@ -234,6 +235,7 @@ impl ForceControl {
             known: false,
             adopted: false,
             condition: None,
+            yielding: [Yielding::default(); COMPONENTS],
         }
     }
 
@@ -342,10 +344,9 @@ impl ForceControl {
     }
 
     /// Stage *yield*: one period of the loops with the rates of the desired motion.
-    pub fn advance(&mut self, desired_rates: &[Rate; COMPONENTS]) -> [Yielding; COMPONENTS] {
+    pub fn advance(&mut self, desired_rates: &[Rate; COMPONENTS]) -> &[Yielding; COMPONENTS] {
         self.prepare();
         let tared = self.conditioner.tared();
-        let mut yielding = [Yielding::default(); COMPONENTS];
         for (component, axis) in self.axes.iter_mut().enumerate() {
             let push = Push {
                 force: axis.extremes.peak(),
@@ -355,9 +356,9 @@ impl ForceControl {
                 level: axis.guard.level(),
                 touching: axis.guard.touching(),
             };
-            yielding[component] = axis.compliance.advance(&push);
+            self.yielding[component] = axis.compliance.advance(&push);
         }
-        yielding
+        &self.yielding
     }
 
     /// Works out one level of one law that was changed: some 2000 instructions in a period.
@@ -380,15 +381,17 @@ impl ForceControl {
     }
 
     /// The reference p_d + p_c was refused: takes the displacements of this period back. Try once more with these; if that is refused too, it is p_d that cannot be.
-    pub fn withhold(&mut self) -> [Yielding; COMPONENTS] {
-        let [x, y, z] = &mut self.axes;
-        [x, y, z].map(|axis| axis.compliance.withhold())
+    pub fn withhold(&mut self) -> &[Yielding; COMPONENTS] {
+        for (axis, yielding) in self.axes.iter_mut().zip(&mut self.yielding) {
+            *yielding = axis.compliance.withhold();
+        }
+        &self.yielding
     }
 
     /// One axis may have yielded no further than `most`: the rest is taken back.
     pub fn confine(&mut self, component: usize, most: Displacement) {
         if let Some(axis) = self.axes.get_mut(component) {
-            axis.compliance.confine(most);
+            self.yielding[component] = axis.compliance.confine(most);
         }
     }
 
@@ -467,6 +470,7 @@ impl ForceControl {
             axis.compliance.reset();
             axis.guard.reset(true);
         }
+        self.yielding = [Yielding::default(); COMPONENTS];
     }
 
     /// Begins a tare; the peaks go on meanwhile. Not while the tool may touch something: that is for the caller to know.
@@ -487,6 +491,12 @@ impl ForceControl {
     #[must_use]
     pub fn extremes(&self) -> [Extremes; COMPONENTS] {
         self.axes.each_ref().map(|axis| axis.extremes)
+    }
+
+    /// What the axes did in this period.
+    #[must_use]
+    pub const fn yielding(&self) -> &[Yielding; COMPONENTS] {
+        &self.yielding
     }
 
     /// p_c.

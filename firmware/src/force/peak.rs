@@ -8,8 +8,8 @@
 //! that dips. A revolution of more than [`LEAVES`] samples is taken in groups of 2, 3, ... samples, of which each keeps its highest and lowest; the window then
 //! holds one revolution and less than one group more (1/63 of a revolution).
 //!
-//! **Cost.** A tournament tree over a ring: a new sample is one leaf and its log2(window) parents, at most 7 pairs of comparisons, every sample the same. There is no worst
-//! case that is worse than the mean, as a monotonic queue would have.
+//! **Cost.** A tournament tree over a ring: a new sample is one leaf and those of its log2(window) parents that it changes, at most 7 pairs of comparisons. A monotonic queue is
+//! as cheap in the mean, but takes the whole window in its worst sample.
 //!
 //! Misuse: changing the window at every measured revolution. Each change keeps the present peaks for one revolution (nothing is forgotten, nothing jumps down), so a
 //! window that always changes never forgets. Use the commanded speed.
@@ -224,22 +224,28 @@ impl SlidingExtremes {
                 self.leaf = 0;
             }
         }
-        if let Some(leaf) = self.tree.get_mut(node) {
-            *leaf = now;
-        }
+        self.put(node, now);
         while node > 1 {
             now = now.with(self.at(node ^ 1));
             node >>= 1;
-            if let Some(parent) = self.tree.get_mut(node) {
-                *parent = now;
+            if self.at(node) == now {
+                // What is above knows no more of this node than that.
+                return self.at(1);
             }
+            self.put(node, now);
         }
         now
     }
 
     #[inline]
     fn at(&self, node: usize) -> Extremes {
-        self.tree.get(node).copied().unwrap_or(Extremes::NONE)
+        self.tree[node % (2 * LEAVES)]
+    }
+
+    /// Nodes are below 2 * LEAVES; the remainder, a mask, only spares the check of it.
+    #[inline]
+    fn put(&mut self, node: usize, extremes: Extremes) {
+        self.tree[node % (2 * LEAVES)] = extremes;
     }
 
     /// The extremes of the window.

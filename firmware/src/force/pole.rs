@@ -8,7 +8,7 @@
 //! ```
 //!
 //! The series is summed at configuration time to 20 terms (x <= 1: the rest is below 1/22!), with an error below 2^-59; there is no division in a period. Numbers per period:
-//! 1 - g and 1 - a are right to 2^-31 of themselves, T / K_V to 2^-30. The rate keeps so many bits below 2^-40 mm as 1 - a has leading zeros, so a rounding that returns in every
+//! 1 - g and 1 - a are right to 2^-31 of themselves, T / K_V to 2^-30. The rate keeps 17 bits below 2^-40 mm, so a rounding that returns in every
 //! period adds up to no more than 2^-37 mm a period.
 //!
 //! Misuse: [`Pole::step`] needs a rate below [`RATE_BITS`]; [`super::compliance`] holds it there.
@@ -16,11 +16,14 @@
 use crate::units::force::{VirtualDamping, VirtualMass};
 use crate::units::scale::{high_product, multiply_high};
 
-/// The most leading zeros of 1 - a: x >= 2^-18.
-pub const DEEPEST: u32 = 17;
+/// Bits of a rate below 2^-40 mm in a period: as many as 1 - a has leading zeros at most (x >= 2^-18).
+pub const FINENESS: u32 = 17;
 
 /// Rates stay below 2^41 * 2^-40 mm, 2 mm, in a period; with the finest scale below 2^58.
 pub const RATE_BITS: u32 = 41;
+
+/// Products of force and T / K_V are below 2^58, so they may be shifted by so much before they are scaled down.
+const HEADROOM: u32 = 4;
 
 /// 2^64 / k, rounded down, for the terms of the series.
 const RECIPROCALS: [u64; 20] = {
@@ -77,9 +80,9 @@ pub struct Pole {
     approach: Part,
     /// 1 - g.
     lag: Part,
-    /// T / K_V in 2^-40 mm per 2^-16 N is this times 2^-exponent; 2^30 to 2^31.
+    /// T / K_V in 2^-(40 + FINENESS) mm per 2^-16 N is this times 2^(HEADROOM - shift); 2^30 to 2^31.
     terminal: i32,
-    exponent: u32,
+    shift: u32,
 }
 
 /// Whether `mass` and `damping` with this period can be discretised: 2^-18 <= K_V T / K_A <= 1.
@@ -107,42 +110,24 @@ impl Pole {
         }
         // Q63, at most 0.64.
         let approach = Part::new(high_product(x, mean) << 1);
-        let (terminal, exponent) = terminal(damping, period_us);
+        let (terminal, shift) = terminal(damping, period_us);
         Self {
             approach,
             lag: Part::new((1 << 63) - mean),
             terminal,
-            exponent,
+            shift,
         }
     }
 
-    /// Leading zeros of 1 - a: how many bits below 2^-40 mm the rate keeps.
-    #[must_use]
-    pub const fn fineness(&self) -> u32 {
-        let deep = self.approach.deep;
-        if deep < 1 {
-            1
-        } else if deep > DEEPEST {
-            DEEPEST
-        } else {
-            deep
-        }
-    }
-
-    /// One period under a force (2^-16 N, up to 2^27). Gives the displacement and the new rate, both in 2^-(40 + `fineness`) mm, below 2^62.
+    /// One period under a force (2^-16 N, up to 2^27). Gives the displacement and the new rate, both in 2^-(40 + [`FINENESS`]) mm, below 2^62.
     ///
-    /// `rate` is of the same scale, below 2^([`RATE_BITS`] + `fineness`); `fineness` is 1 to [`DEEPEST`].
+    /// `rate` is of the same scale, below 2^([`RATE_BITS`] + [`FINENESS`]).
     #[inline]
     #[must_use]
-    pub const fn step(&self, force: i32, rate: i64, fineness: u32) -> (i64, i64) {
-        // Below 2^58.
+    pub const fn step(&self, force: i32, rate: i64) -> (i64, i64) {
+        // Below 2^58. 2048 N at the least K_V make 20 mm in a millisecond, 2^44.4: below 2^62 in this scale.
         let wide = force as i64 * self.terminal as i64;
-        // 2048 N at the least K_V make 20 mm in a millisecond, 2^44.4: below 2^62 in any scale.
-        let end = if self.exponent > fineness {
-            wide.wrapping_shr(self.exponent.wrapping_sub(fineness))
-        } else {
-            wide.wrapping_shl(fineness.wrapping_sub(self.exponent))
-        };
+        let end = wide.wrapping_shl(HEADROOM).wrapping_shr(self.shift);
         let off = rate.wrapping_sub(end);
         (
             rate.wrapping_sub(self.lag.of(off)),
@@ -186,9 +171,9 @@ fn terminal(damping: VirtualDamping, period_us: u16) -> (i32, u32) {
             mantissa |= 1;
         }
     }
-    // mantissa 2^-30 2^-shift 2^40. K_V of 0.1 N s/mm or more has a shift of 22 or more.
+    // mantissa 2^-30 2^-shift 2^(40 + FINENESS). K_V of 0.1 N s/mm and a period of 1 ms have a shift of 23; no sound ones have less.
     (
         mantissa.min(i32::MAX as u32) as i32,
-        (shift + 30u32).saturating_sub(40),
+        (shift + 30 + HEADROOM).saturating_sub(40 + FINENESS),
     )
 }

@@ -73,7 +73,7 @@ impl Machinery {
         force.suspend(homing);
         let wanted = self.motion.wanted();
         let [x, y, z, ..] = wanted.rates;
-        let yielding = force.advance(&[x, y, z]);
+        let yielding = *force.advance(&[x, y, z]);
         self.reference = *wanted;
         let mut limited = 0;
         for (component, yielding) in yielding.iter().enumerate() {
@@ -159,7 +159,7 @@ impl Machinery {
         let Some(force) = self.force.as_mut().filter(|force| force.displaced()) else {
             return Err(refused);
         };
-        let yielding = force.withhold();
+        let yielding = *force.withhold();
         let mut limited = 0;
         for (component, yielding) in yielding.iter().enumerate() {
             let wanted = self.motion.wanted();

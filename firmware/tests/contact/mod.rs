@@ -21,7 +21,7 @@ pub enum Drive {
     Rigid,
     /// As two poles at `omega` 1/s without feed-forward: late by 2 / omega.
     Lag { omega: f64 },
-    /// As a slide under K_P = 40,000 1/s^2 and K_D = 400 1/s on the rate of the error.
+    /// As a frictionless slide under K_P = 40,000 1/s^2 and K_D = 400 1/s on the rate of the error.
     Servo,
 }
 
@@ -84,6 +84,14 @@ pub fn settings(mass: f64, damping: f64) -> LoopSettings {
     }
 }
 
+fn counted(position: f64, count: f64) -> f64 {
+    if count > 0.0 {
+        (position / count).round() * count
+    } else {
+        position
+    }
+}
+
 struct Noise(u64);
 
 impl Noise {
@@ -116,6 +124,7 @@ pub fn run(contact: &Contact, mut trace: impl FnMut(f64, f64, f64, usize)) -> Ou
     let start = contact.approach * 0.1;
     let mut desired = start;
     let (mut tool, mut speed, mut stuck) = (start, 0.0, start);
+    let mut filtered = start;
     let mut reference = start;
     let mut reference_rate = 0.0;
     let mut forces = Vec::new();
@@ -128,13 +137,14 @@ pub fn run(contact: &Contact, mut trace: impl FnMut(f64, f64, f64, usize)) -> Ou
         match contact.drive {
             Drive::Rigid => tool = reference,
             Drive::Servo => {
-                for _ in 0..4 {
-                    let h = STEP / 4.0;
-                    let acceleration =
-                        40_000.0 * (reference - tool) + 400.0 * (reference_rate - speed);
-                    speed += acceleration * h;
-                    tool += speed * h;
-                }
+                // The loop sees counts, once a period, and their rate through a filter of 1.5 ms.
+                let seen = counted(tool, contact.count);
+                let change = (seen - filtered) * (1.0 - libm::exp(-STEP / 1.5e-3));
+                filtered += change;
+                let acceleration =
+                    40_000.0 * (reference - seen) + 400.0 * (reference_rate - change / STEP);
+                tool += speed * STEP + acceleration * STEP * STEP / 2.0;
+                speed += acceleration * STEP;
             }
             Drive::Lag { omega } => {
                 for _ in 0..4 {
@@ -146,10 +156,12 @@ pub fn run(contact: &Contact, mut trace: impl FnMut(f64, f64, f64, usize)) -> Ou
             }
         }
         stuck = stuck.clamp(tool - contact.stiction, tool + contact.stiction);
-        let place = if contact.count > 0.0 {
-            (stuck / contact.count).round() * contact.count
-        } else {
+        // A drive that only steps has the tool at whole counts; behind the servo it is where it is, and only measured in counts.
+        let measured = counted(stuck, contact.count);
+        let place = if contact.drive == Drive::Servo {
             stuck
+        } else {
+            measured
         };
         let force = contact.stiffness * (-place).max(0.0);
         if rising && force > 1.0 {
@@ -165,7 +177,7 @@ pub fn run(contact: &Contact, mut trace: impl FnMut(f64, f64, f64, usize)) -> Ou
             .clamp(-8192.0, 8191.0);
         let sensed = Force((code * 0.0122 * NEWTON) as i32);
         let peak = peaks.push(sensed).peak();
-        guard.note(Coordinate((place * MM) as i32));
+        guard.note(Coordinate((measured * MM) as i32));
         // Desired motion.
         let end = -contact.depth;
         let rate = if desired > end {
