@@ -2,6 +2,9 @@
 
 mod scene;
 
+use haptimill::machine::{BUILT_IN, MachineFile};
+use haptimill_firmware::controller::Controller;
+use haptimill_hil_sim::RigOptions;
 use haptimill_hil_sim::cutting::{
     Area, Coefficients, CutterConfig, CuttingConfig, ElasticWall, WorkpieceConfig,
 };
@@ -76,7 +79,7 @@ fn block(at: [f64; 3], force_scale: f64) -> ProcessConfig {
     ProcessConfig {
         cutting: Some(CuttingConfig {
             cutter: CutterConfig {
-                coefficients: Coefficients::P1,
+                coefficients: Coefficients::P2,
                 force_scale,
                 ..CutterConfig::default()
             },
@@ -150,6 +153,12 @@ fn yield_rate(bench: &Bench) -> f64 {
     f64::from(yielding.rate.0) / MM
 }
 
+/// Levels of damping.
+fn levels(bench: &Bench) -> [u8; 3] {
+    let machinery = bench.rig.control().machinery().expect("configured");
+    machinery.force.as_ref().expect("has a sensor").levels()
+}
+
 fn control(bench: &mut Bench, axis: u8, settings: ForceLoop) {
     bench
         .ask(Command::ForceLoop { axis, settings })
@@ -195,16 +204,8 @@ fn the_loop_is_the_equation_and_the_tool_returns() {
             "{pushed} and {gone}"
         );
         // Levels of damping are for stiff contacts: a cut is left to the equation.
-        let levels = bench
-            .rig
-            .control()
-            .machinery()
-            .expect("configured")
-            .force
-            .as_ref()
-            .expect("there")
-            .levels();
-        assert_eq!(levels, [0; 3]);
+        let levels = levels(&bench);
+        assert_eq!(levels[0], 0, "{levels:?}");
         while state(&bench) == State::Run {
             bench.step();
         }
@@ -236,10 +237,6 @@ fn the_tool_does_not_jump_when_parameters_change() {
         desired: (2.0 * NEWTON) as i32,
         ..loop_of(1.0, 5.0, Gate::Any)
     };
-    let short = ForceLoop {
-        limit: (0.05 * MM) as i32,
-        ..loop_of(1.0, 5.0, Gate::AgainstMotion)
-    };
     let changes = [
         Command::ForceLoop {
             axis: 0,
@@ -255,10 +252,6 @@ fn the_tool_does_not_jump_when_parameters_change() {
         },
         Command::ForceMask { mask: 0 },
         Command::ForceMask { mask: 5 },
-        Command::ForceLoop {
-            axis: 0,
-            settings: short,
-        },
     ];
     let mut worst = 0.0_f64;
     for change in changes {
@@ -284,11 +277,45 @@ fn the_tool_does_not_jump_when_parameters_change() {
     assert!(worst < 1e-5, "{worst} mm");
 }
 
-/// A contact that is pressed by the desired motion, up to 1000 N/mm, on the real plant with friction and backlash.
+/// The built-in machine, or one without friction and backlash.
+fn machine(ideal: bool) -> Bench {
+    let mut text = BUILT_IN.to_string();
+    if ideal {
+        for (from, to) in [
+            ("coulomb = 40.0", "coulomb = 0.0"),
+            ("coulomb = 2.0", "coulomb = 0.0"),
+            ("coulomb_n = 32.0", "coulomb_n = 0.0"),
+            ("coulomb_n_m = 1.6", "coulomb_n_m = 0.0"),
+            ("backlash = 0.010", "backlash = 0.0"),
+            ("backlash = 0.005", "backlash = 0.0"),
+            ("backlash_mm = 0.018", "backlash_mm = 0.0"),
+            ("backlash_deg = 0.005", "backlash_deg = 0.0"),
+        ] {
+            assert!(text.contains(from), "{from}");
+            text = text.replace(from, to);
+        }
+    }
+    let machine = MachineFile::parse("machine.toml", &text).expect("sound");
+    let mut bench = Bench::of_machine(machine, &RigOptions::default(), Controller::new(200));
+    bench.make_ready();
+    bench.steps(500);
+    bench
+}
+
+/// A contact that is pressed by the desired motion, up to 1000 N/mm, on the plant with and without friction and backlash.
 #[test]
 fn stiff_contacts_are_held() {
-    for (stiffness, speed) in [(10.0, 2.0), (100.0, 1.0), (300.0, 1.0), (1000.0, 1.0)] {
-        let mut bench = scene::ready();
+    for (stiffness, speed, ideal) in [
+        (10.0, 2.0, false),
+        (100.0, 1.0, false),
+        (300.0, 1.0, false),
+        (1000.0, 1.0, false),
+        (10.0, 2.0, true),
+        (100.0, 1.0, true),
+        (300.0, 1.0, true),
+        (1000.0, 1.0, true),
+    ] {
+        let mut bench = machine(ideal);
         let process = wall(tool(&bench), 0.5, stiffness);
         bench.rig.plant_mut().fit(&process).expect("sound");
         bench.steps(100);
@@ -315,14 +342,23 @@ fn stiff_contacts_are_held() {
         }
         let mean = sum / 20_000.0;
         let bound = 5.0 + 1.2 * (5.0 * speed + speed * stiffness.sqrt());
-        let swing = f64::max(0.2, 2.0 * 0.00125 * stiffness);
+        let levels = levels(&bench);
         println!(
-            "{stiffness} N/mm at {speed} mm/s: first peak {first:.2} N (at most {bound:.2}), then {mean:.2} N, from {low:.2} to {high:.2}"
+            "{stiffness} N/mm at {speed} mm/s, {}: first peak {first:.2} N (at most {bound:.2}), then {mean:.2} N, from {low:.2} to {high:.2}, level {}",
+            if ideal {
+                "no friction"
+            } else {
+                "friction and backlash"
+            },
+            levels[0]
         );
         assert!(first <= bound, "{first} and {bound}");
+        // Two encoder counts; and the backlash of 10 um, which no encoder sees.
+        let unseen = if ideal { 0.0025 } else { 0.0125 };
+        let swing = f64::max(0.2, unseen * stiffness);
         assert!(high - low <= swing, "{stiffness} N/mm: {low} to {high} N");
-        // Reported: with friction and backlash the tool may rest a little off.
-        assert!((mean - 5.0).abs() <= 0.5, "{mean}");
+        let off = if ideal { 0.25 } else { 0.5 };
+        assert!((mean - 5.0).abs() <= off, "{mean}");
     }
 }
 
@@ -338,7 +374,8 @@ fn broken(bench: &mut Bench, condition: SensorCondition) {
 /// Waits for the end, and sees to it that it is a controlled stop: drives holding, position kept, nothing jumps, the tool stays.
 fn controlled_stop(bench: &mut Bench) -> ForceProblem {
     let mut fastest = 0.0_f64;
-    for _ in 0..15_000 {
+    // A saturated channel may be a force: then it goes back along its path first, slowly.
+    for _ in 0..50_000 {
         let before = tool(bench);
         bench.step();
         fastest = fastest.max(distance(bench, before));
@@ -384,9 +421,10 @@ fn every_sensor_fault_ends_in_a_controlled_stop_with_its_name() {
             ..healthy
         },
     );
-    assert_eq!(
-        controlled_stop(&mut bench),
-        ForceProblem::Overload { component: 0 }
+    let problem = controlled_stop(&mut bench);
+    assert!(
+        matches!(problem, ForceProblem::Overload { .. }),
+        "{problem:?}"
     );
 
     let mut bench = scene(0.2, Gate::AgainstMotion);
@@ -456,7 +494,7 @@ fn every_sensor_fault_ends_in_a_controlled_stop_with_its_name() {
     );
     let problem = controlled_stop(&mut bench);
     assert!(
-        matches!(problem, ForceProblem::Drift { component: 0, force } if force >= 3 << 15),
+        matches!(problem, ForceProblem::Drift { component: 0, force } if force.abs() >= 3 << 15),
         "{problem:?}"
     );
 }
@@ -725,4 +763,39 @@ fn the_tool_yields_no_further_than_it_may() {
     assert!((0.49..=0.5).contains(&most), "{most}");
     assert_eq!(limited, 1);
     assert!(told(&bench).is_empty());
+}
+
+/// A force pushes the tool towards a soft limit, at rest: the reference stands at the limit, whatever the force; the tool comes back when it is gone.
+#[test]
+fn soft_limits_hold_for_the_reference() {
+    let text = BUILT_IN.replacen("high_mm = 200.0", "high_mm = 1.0", 1);
+    let machine = MachineFile::parse("machine.toml", &text).expect("sound");
+    let mut bench = Bench::of_machine(machine, &RigOptions::default(), Controller::new(200));
+    bench.make_ready();
+    bench.steps(500);
+    let at = tool(&bench);
+    bench.rig.plant_mut().fit(&sensor_alone()).expect("sound");
+    bench.steps(100);
+    tare(&mut bench);
+    control(&mut bench, 0, loop_of(1.0, 5.0, Gate::Any));
+    bench.events.clear();
+    let face = |x: f64| wall([x, at[1], at[2]], 0.0, 10.0).wall;
+    let process = bench.rig.plant_mut().process_mut().expect("there");
+    process.set_wall(face(at[0] + 3.0));
+    let mut most = f64::NEG_INFINITY;
+    for _ in 0..20_000 {
+        bench.step();
+        let reference = bench.rig.control().machinery().expect("there").reference();
+        most = most.max(f64::from(reference.pose.0[0].0) / MM);
+    }
+    assert_eq!(most, 1.0);
+    assert!((tool(&bench)[0] - 1.0).abs() < 0.03, "{}", tool(&bench)[0]);
+    assert_eq!(state(&bench), State::Idle, "{:?}", bench.events);
+    assert_eq!(bench.events, [Event::YieldLimited { axis: 0 }]);
+    assert_eq!(bench.ask(Command::Tare), Err(Refusal::Yielding));
+    let process = bench.rig.plant_mut().process_mut().expect("there");
+    process.set_wall(None);
+    bench.steps(15_000);
+    assert_eq!(yielded(&bench), 0.0);
+    assert!((tool(&bench)[0] - at[0]).abs() < 0.03);
 }
