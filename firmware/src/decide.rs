@@ -357,6 +357,12 @@ impl Controller {
 
 /// A limit switch or a drive that reports a fault.
 fn hardware(axes: &[AxisInputs]) -> Option<Fault> {
+    if axes
+        .iter()
+        .all(|axis| axis.drive_ready & !(axis.limit_low | axis.limit_high))
+    {
+        return None;
+    }
     for (index, axis) in axes.iter().enumerate() {
         if axis.limit_low || axis.limit_high {
             return Some(Fault::LimitSwitch { axis: index as u8 });
