@@ -772,7 +772,11 @@ fn soft_limits_hold_for_the_reference() {
     let machine = MachineFile::parse("machine.toml", &text).expect("sound");
     let mut bench = Bench::of_machine(machine, &RigOptions::default(), Controller::new(200));
     bench.make_ready();
-    bench.steps(500);
+    // From where homing ended, to 1 mm before the limit.
+    let start = bench.status().wanted;
+    let way = -f64::from(start[0]) / MM;
+    bench.start_job(1, &line(&start, 0, way / 2.0, 19));
+    assert!(bench.wait_for(State::Idle, 20_000));
     let at = tool(&bench);
     bench.rig.plant_mut().fit(&sensor_alone()).expect("sound");
     bench.steps(100);
@@ -780,6 +784,10 @@ fn soft_limits_hold_for_the_reference() {
     control(&mut bench, 0, loop_of(1.0, 5.0, Gate::Any));
     bench.events.clear();
     let face = |x: f64| wall([x, at[1], at[2]], 0.0, 10.0).wall;
+    let process = bench.rig.plant_mut().process_mut().expect("there");
+    // Softly first: the sensor has to show its sign before a body may push that comes by itself.
+    process.set_wall(face(at[0] + 0.95));
+    bench.steps(5000);
     let process = bench.rig.plant_mut().process_mut().expect("there");
     process.set_wall(face(at[0] + 3.0));
     let mut most = f64::NEG_INFINITY;
@@ -789,7 +797,8 @@ fn soft_limits_hold_for_the_reference() {
         most = most.max(f64::from(reference.pose.0[0].0) / MM);
     }
     assert_eq!(most, 1.0);
-    assert!((tool(&bench)[0] - 1.0).abs() < 0.03, "{}", tool(&bench)[0]);
+    // 20 N push the arm on its servo by some hundredths.
+    assert!((tool(&bench)[0] - 1.0).abs() < 0.1, "{}", tool(&bench)[0]);
     assert_eq!(state(&bench), State::Idle, "{:?}", bench.events);
     assert_eq!(bench.events, [Event::YieldLimited { axis: 0 }]);
     assert_eq!(bench.ask(Command::Tare), Err(Refusal::Yielding));
