@@ -66,13 +66,18 @@ impl Controller {
         self.greet();
         match heard {
             Some(Heard::Request(request)) => self.command(inputs, request),
-            Some(Heard::Setpoint {
-                number, setpoint, ..
-            }) => match self.take_setpoint(number, &setpoint) {
-                Ok(()) => self.server.accept_setpoint(),
-                Err(refusal) => self.server.refuse_setpoints(refusal),
-            },
-            Some(Heard::BadSetpoint { number, .. }) => {
+            Some(Heard::Place { number, pose }) => {
+                if let Err(refusal) = self.try_setpoint(number, &pose) {
+                    self.server.refuse_setpoints(refusal);
+                }
+            }
+            Some(Heard::Setpoint { number, setpoint }) => {
+                match self.take_setpoint(number, &setpoint) {
+                    Ok(()) => self.server.accept_setpoint(),
+                    Err(refusal) => self.server.refuse_setpoints(refusal),
+                }
+            }
+            Some(Heard::BadSetpoint { number }) => {
                 self.server
                     .refuse_setpoints(Refusal::Setpoint { setpoint: number });
             }

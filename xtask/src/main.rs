@@ -15,7 +15,7 @@ The chores of the project.
   cargo xtask test --native-only   all but boards and emulated runs; says what it left out
   cargo xtask board NAME           builds the image of a board (mps2), says what it takes of the chip, checks that against the budget
   cargo xtask board NAME --image   builds it and prints the path of the image, nothing else
-  cargo xtask board NAME --image OTHER   the same with another image of the board (mps2 has faults)
+  cargo xtask board NAME --image OTHER   the same with another image of the board (mps2 has faults, checks, logging)
   cargo xtask instructions         counts the instructions of control periods and writes docs/instructions.md anew
   cargo xtask log FILE ...         runs a part program on the emulated board (options as of haptimill run) and prints what the chip logs
   cargo xtask bench                all benchmarks (criterion); figures in target/criterion

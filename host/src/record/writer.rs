@@ -12,7 +12,7 @@ use std::path::Path;
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::thread::JoinHandle;
 
-/// Records in a block: 393 kB.
+/// Records in a block: 492 kB.
 const BLOCK_RECORDS: usize = 2048;
 
 /// Blocks under way.
