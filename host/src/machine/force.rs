@@ -139,7 +139,7 @@ fn read_sensor(section: &Section<'_, '_>, period_us: f64) -> (Sensor, f64, f64) 
     let spread = section.number("tare_spread_codes", whole(1, 8192, "codes"));
     let weight = section.number("weight_n", real(0.0, 2048.0, "N"));
     let samples = periods(tare);
-    if samples < 16.0 || samples > 32_768.0 {
+    if !samples.is_nan() && !(16.0..=32_768.0).contains(&samples) {
         let what = format!("{tare} ms are {samples} control periods, allowed are 16 to 32768");
         section.report("tare_ms", what, "correct it");
     }
