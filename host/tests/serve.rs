@@ -504,3 +504,60 @@ fn a_pause_waits_for_enter_and_for_no_enter_of_before() {
     // The pause is in the time that the job took: there and back is 0.8 s.
     assert!(number(&summary, "duration_s") > 1.2, "{summary:#}");
 }
+
+#[test]
+fn force_control_is_shown_and_set_and_refused_in_words() {
+    let served = Served::on_tcp(&[]);
+    let nothing = served.tries(&["force", "show"]).ended_with(8);
+    assert!(nothing.err.contains("[force]"), "{}", nothing.err);
+    served.does(&["home"]);
+    let shown = served.does(&["force", "show", "--json"]).json();
+    assert_eq!(shown["under_control"], serde_json::json!([]), "{shown:#}");
+    assert_eq!(shown["tared"], false);
+    let set = [
+        "force", "set", "z,x", "--fd", "6", "--ka", "1.5", "--kv", "4", "--gate", "any", "--json",
+    ];
+    let set = served.does(&set).json();
+    assert_eq!(
+        set["under_control"],
+        serde_json::json!(["x", "z"]),
+        "{set:#}"
+    );
+    for (option, value, bound) in [
+        ("--fd", "0", "0.500 N or more"),
+        ("--fd", "-5", "0.500 N or more"),
+        ("--fd", "90", "71.246 N or less"),
+        ("--kv", "0.1", "0.406 N s/mm or more"),
+        ("--ka", "0.0001", "N s^2/mm or more"),
+    ] {
+        let refused = served
+            .tries(&["force", "set", "x", option, value])
+            .ended_with(8);
+        assert!(refused.err.contains("force loop of x"), "{}", refused.err);
+        assert!(refused.err.contains(bound), "{}", refused.err);
+    }
+    served
+        .tries(&["force", "set", "x", "--fd", "nan"])
+        .ended_with(2);
+    served.tries(&["force", "set", "alpha"]).ended_with(2);
+    let none = served.does(&["force", "set", "none", "--json"]).json();
+    assert_eq!(none["under_control"], serde_json::json!([]), "{none:#}");
+}
+
+#[test]
+fn force_control_needs_a_sensor() {
+    let folder = Folder::new();
+    let text = include_str!("../../machines/h4.toml");
+    let begins = text.find("[force]").expect("there");
+    let ends = text.find("[plant]").expect("there");
+    let blind = folder.file(
+        "blind.toml",
+        format!("{}{}", &text[..begins], &text[ends..]),
+    );
+    let program = short_program(&folder);
+    let refused =
+        scene::haptimill(&["run", &program, "--machine", &blind, "--force", "x"]).ended_with(3);
+    assert!(refused.err.contains("no force sensor"), "{}", refused.err);
+    let refused = scene::haptimill(&["run", &program, "--fd", "5"]).ended_with(2);
+    assert!(refused.err.contains("--force"), "{}", refused.err);
+}
