@@ -15,6 +15,7 @@ pub mod scale;
 mod stability;
 #[cfg(test)]
 mod tests;
+pub mod work;
 
 pub use axes::AxisLimits;
 pub use problem::{Problem, Problems};
