@@ -82,7 +82,9 @@ impl Controller {
                 queue: QUEUE as u16,
             },
         };
-        self.server.hear(inputs, &identity, busy)
+        let machinery = self.machinery.as_ref();
+        let turns = machinery.is_some_and(|machinery| machinery.motion.program.turns());
+        self.server.hear(inputs, &identity, busy, turns)
     }
 
     fn place(&mut self) {
@@ -114,20 +116,22 @@ impl Controller {
     }
 
     fn tell(&mut self, inputs: &Inputs, outputs: &mut Outputs) {
-        let telemetry = self.server.telemetry_due().then(|| self.telemetry(inputs));
         self.server.tell(
             inputs.period,
             &mut self.safety,
-            telemetry,
             inputs.transmit_room,
             &mut outputs.transmit,
         );
+        if self.server.telemetry_due() {
+            let telemetry = self.telemetry(inputs);
+            self.server.send_telemetry(telemetry);
+        }
     }
 
     /// How things stand in this period.
     #[must_use]
     pub fn telemetry(&self, inputs: &Inputs) -> Telemetry {
-        let (deferred_bytes, bad_frames) = self.server.counters();
+        let line = self.server.counters();
         let machinery = self.machinery.as_ref();
         let values =
             |values: fn(&Machinery) -> AxisValues| machinery.map_or_else(AxisValues::new, values);
@@ -150,8 +154,9 @@ impl Controller {
             drive: machinery
                 .map_or_else(AxisValues::new, |machinery| machinery.drive_values(inputs)),
             fault: self.safety.fault(),
-            deferred_bytes,
-            bad_frames,
+            deferred_bytes: line.deferred_bytes,
+            bad_frames: line.bad_frames,
+            lost_bytes: line.lost_bytes,
         }
     }
 

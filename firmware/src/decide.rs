@@ -34,6 +34,8 @@ pub struct Job {
     pub new_session: bool,
     /// An urgent stop overtook what the host had said before; nothing of that may set the machine going again.
     pub overtaken: bool,
+    /// A part of the configuration is yet to be looked at.
+    pub unchecked: bool,
     /// There was a configuration since power on.
     pub configured: bool,
     /// Periods since an urgent stop came.
@@ -61,16 +63,14 @@ impl Controller {
         match heard {
             Some(Heard::Request(request)) => self.command(inputs, request),
             Some(Heard::Setpoint {
-                id,
-                number,
-                setpoint,
+                number, setpoint, ..
             }) => match self.take_setpoint(number, &setpoint) {
                 Ok(()) => self.server.accept_setpoint(),
-                Err(refusal) => self.server.refuse_setpoints(id, refusal),
+                Err(refusal) => self.server.refuse_setpoints(refusal),
             },
-            Some(Heard::BadSetpoint { id, number }) => {
+            Some(Heard::BadSetpoint { number, .. }) => {
                 self.server
-                    .refuse_setpoints(id, Refusal::Setpoint { setpoint: number });
+                    .refuse_setpoints(Refusal::Setpoint { setpoint: number });
             }
             None => {}
         }
@@ -103,8 +103,15 @@ impl Controller {
         let Some(machinery) = &mut self.machinery else {
             return;
         };
-        if inputs.period.is_multiple_of(INTEGRITY_PERIODS) && !machinery.configuration_intact() {
-            self.safety.raise(Fault::Configuration);
+        let due = inputs.period.is_multiple_of(INTEGRITY_PERIODS);
+        // A period with something else to do leaves it to the next one, but not for ever.
+        if (due && self.job.unchecked) || ((due || self.job.unchecked) && self.server.claim()) {
+            self.job.unchecked = false;
+            if !machinery.configuration_intact() {
+                self.safety.raise(Fault::Configuration);
+            }
+        } else {
+            self.job.unchecked |= due;
         }
         if !self.safety.drives_on() {
             return;

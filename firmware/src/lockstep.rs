@@ -35,7 +35,7 @@ pub const TO_BOARD_BYTES: usize = 4 * TO_BOARD_WORDS;
 pub const FROM_BOARD_BYTES: usize = 4 * FROM_BOARD_WORDS;
 
 /// Grows whenever a frame changes.
-const VERSION: u32 = 1;
+const VERSION: u32 = 3;
 
 /// What the simulator says.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -323,8 +323,9 @@ fn put_done(words: &mut Words<FROM_BOARD_WORDS>, done: &Done) {
         .unwrap_or(0) as u32;
     let flags = u32::from(reading.homed)
         | u32::from(reading.position_kept) << 1
-        | u32::from(reading.fault) << 2;
-    words.put(1 | state << 8 | flags << 16);
+        | u32::from(reading.fault) << 2
+        | u32::from(reading.more) << 3;
+    words.put(1 | state << 8 | flags << 16 | u32::from(reading.queued & 0xFFF) << 20);
     words.put(reading.setpoint);
     words.put(u32::from(reading.path_rate) | u32::from(reading.spindle_rpm as u16) << 16);
     words.put_long(reading.program_time);
@@ -387,6 +388,8 @@ fn take_done(words: &mut Words<FROM_BOARD_WORDS>) -> Result<Done, FrameError> {
         homed: head >> 16 & 1 != 0,
         position_kept: head >> 17 & 1 != 0,
         fault: head >> 18 & 1 != 0,
+        more: head >> 19 & 1 != 0,
+        queued: (head >> 20) as u16,
         setpoint: words.take(),
         ..Reading::default()
     };

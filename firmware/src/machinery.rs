@@ -289,23 +289,20 @@ impl Machinery {
     /// Supervision of all joints against what was wanted of them in the period before.
     pub fn supervise(&mut self) -> Option<Fault> {
         let limit = self.config.supervision.illegal_transitions;
-        let targets = self.target.joints.0.iter().zip(&self.target.rates);
-        let joints = self.config.joints.iter().zip(&self.joints);
-        let watches = self.watches.iter_mut();
-        for (index, (((axis, joint), watch), (wanted, wanted_rate))) in
-            joints.zip(watches).zip(targets).enumerate()
-        {
+        let period_us = self.config.period_us;
+        for (index, (axis, joint)) in self.config.joints.iter().zip(&self.joints).enumerate() {
+            let watch = &mut self.watches[index];
             let sensed = joint.sensed();
             let seen = Seen {
-                wanted: *wanted,
-                wanted_rate: *wanted_rate,
+                wanted: self.target.joints.0[index],
+                wanted_rate: self.target.rates[index],
                 measured: sensed.coordinate,
                 rate: sensed.rate,
                 moved: sensed.moved,
                 effort: joint.driven().effort,
                 illegal: sensed.illegal.min(u32::from(u16::MAX)) as u16,
                 steps_off: sensed.slip,
-                period_us: self.config.period_us,
+                period_us,
             };
             if let Some(fault) = watch.look(index as u8, axis, limit, &seen) {
                 return Some(fault);
@@ -329,22 +326,17 @@ impl Machinery {
     pub fn drive(&mut self, commands: &mut [DriveCommand; MAX_AXES]) -> Option<u8> {
         let mut saturated = None;
         let target = &self.target;
-        let targets = target
-            .joints
-            .0
-            .iter()
-            .zip(&target.rates)
-            .zip(&target.accelerations);
-        let parts = self.joints.iter_mut().zip(commands);
-        for (index, ((joint, command), ((coordinate, rate), acceleration))) in
-            parts.zip(targets).enumerate()
-        {
+        for (index, (joint, command)) in self.joints.iter_mut().zip(commands).enumerate() {
             let driven = joint.drive(&JointWanted {
-                coordinate: *coordinate,
-                rate: *rate,
-                acceleration: *acceleration,
+                coordinate: target.joints.0[index],
+                rate: target.rates[index],
+                acceleration: target.accelerations[index],
             });
-            *command = driven.command;
+            *command = match driven.command {
+                // Two words, where the whole would be copied bytewise.
+                DriveCommand::Torque(code) => DriveCommand::Torque(code),
+                ref other => *other,
+            };
             if driven.saturated {
                 saturated = Some(index as u8);
             }

@@ -3,6 +3,8 @@
 use crate::controller::Controller;
 use crate::io::{COMPONENTS, Inputs};
 use crate::motion::program::FULL_RATE;
+#[cfg(doc)]
+use crate::motion::program::QUEUE;
 use haptimill_protocol::message::{AxisValues, MAX_AXES, State};
 
 /// Values of all axes, in axis units; those that the machine lacks are 0.
@@ -21,6 +23,10 @@ pub struct Reading {
     pub fault: bool,
     /// The setpoint that the motion is heading for.
     pub setpoint: u32,
+    /// Setpoints that wait in the queue, at most [`QUEUE`].
+    pub queued: u16,
+    /// More setpoints of the job are to come.
+    pub more: bool,
     /// Speed along the path, 65535 for the programmed one.
     pub path_rate: u16,
     /// Spindle, rev/min.
@@ -65,6 +71,8 @@ impl Controller {
             position_kept: safety.position_kept(),
             fault: safety.fault().is_some(),
             setpoint: program.reached(),
+            queued: program.queued() as u16,
+            more: !program.is_complete(),
             path_rate: (program.path_rate().clamp(0, FULL_RATE - 1) >> 16) as u16,
             spindle_rpm: self.spindle_rpm(),
             program_time: program.program_time(),

@@ -10,6 +10,9 @@ use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use haptimill_protocol::urgent::UrgentDetector;
 use heapless::spsc::{Consumer, Producer, Queue};
 
+/// Bytes that wait at most on a board with the usual ring, `ReceiveRing<{ RING_BYTES + 1 }>`.
+pub const RING_BYTES: usize = 4095;
+
 /// What both ends see, besides the bytes.
 #[derive(Debug, Default)]
 struct Shared {

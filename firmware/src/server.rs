@@ -1,16 +1,15 @@
 //! Messages in, answers and telemetry out: the controller's end of the link.
 //!
-//! A period hears at most 64 bytes and works on one message, or on one setpoint of a batch; the rest waits in the link, whose window stops the
-//! host. A setpoint that is refused ends its batch and changes nothing, not even what the next one is relative to: all later ones are out of
+//! A period hears at most 64 bytes and does at most one thing that takes long: it reads a message or a setpoint of a batch, or tries a setpoint that was
+//! read before, or encodes telemetry, or makes the frame of telemetry that was encoded before. Hearing and telling take turns; the rest waits in the
+//! link, whose window stops the host. A setpoint that is refused ends its batch and changes nothing, not even what the next one is relative to: all later ones are out of
 //! order until it comes again, or the job is begun anew. Nothing is skipped.
 
 use crate::io::{Inputs, TRANSMIT_BYTES};
 use crate::safety::Safety;
 use haptimill_protocol::link::{ControllerLink, Identity, SHORT_REPORT, Timing};
-use haptimill_protocol::message::{
-    AxisValues, ConfigChunk, Refusal, Report, Request, SetpointBatch, Telemetry,
-};
-use haptimill_protocol::setpoint::{Setpoint, SetpointCoder};
+use haptimill_protocol::message::{AxisValues, ConfigChunk, Refusal, Report, Request, Telemetry};
+use haptimill_protocol::setpoint::{BatchReader, Setpoint, SetpointCoder};
 use heapless::{Deque, Vec};
 
 /// Room for a staged configuration, bytes.
@@ -46,21 +45,22 @@ pub enum Heard {
     },
 }
 
-/// A batch of setpoints that is being worked through.
-#[derive(Debug)]
-struct Batch {
-    id: u8,
-    items: SetpointBatch,
-    next: usize,
-}
-
 /// The controller's end of the link.
 #[derive(Debug)]
 pub struct Server {
     link: ControllerLink,
     period_us: u16,
     now_us: u64,
-    batch: Option<Batch>,
+    /// The batch of setpoints that is being worked through; its bytes wait in the link.
+    batch: Option<BatchReader>,
+    /// Its next setpoint.
+    decoded: Option<Setpoint>,
+    /// Something long was done in this period.
+    worked: bool,
+    /// This period did not work although it might have.
+    held: bool,
+    /// Telemetry is due.
+    telemetry_waits: bool,
     coder: SetpointCoder,
     /// The coder after the setpoint that was heard last; taken over when that is accepted.
     ahead: SetpointCoder,
@@ -70,6 +70,20 @@ pub struct Server {
     every: u16,
     until_telemetry: u16,
     deferred: u32,
+    lost: u32,
+    /// The board's own count of lost bytes in the period before.
+    lost_before: u16,
+}
+
+/// What happened to the bytes of the line, in all.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct LineCount {
+    /// Bytes that had to wait for a later period.
+    pub deferred_bytes: u32,
+    /// Frames refused by their check.
+    pub bad_frames: u32,
+    /// Bytes that the board lost for want of room.
+    pub lost_bytes: u32,
 }
 
 impl Server {
@@ -81,6 +95,10 @@ impl Server {
             period_us,
             now_us: 0,
             batch: None,
+            decoded: None,
+            worked: false,
+            held: false,
+            telemetry_waits: false,
             coder: SetpointCoder::new(period_us, &AxisValues::new()),
             ahead: SetpointCoder::new(period_us, &AxisValues::new()),
             session_begun: false,
@@ -89,13 +107,25 @@ impl Server {
             every: 0,
             until_telemetry: 0,
             deferred: 0,
+            lost: 0,
+            lost_before: 0,
         }
     }
 
-    /// Takes the period's bytes; gives the next thing to do. `busy`: no other host may break in.
-    pub fn hear(&mut self, inputs: &Inputs, identity: &Identity<'_>, busy: bool) -> Option<Heard> {
+    /// Takes the period's bytes; gives the next thing to do. `busy`: no other host may break in. `hold_back`: the period has much to do already; that
+    /// counts only if the one before did not hold back.
+    pub fn hear(
+        &mut self,
+        inputs: &Inputs,
+        identity: &Identity<'_>,
+        busy: bool,
+        hold_back: bool,
+    ) -> Option<Heard> {
         self.now_us = inputs.period.wrapping_mul(u64::from(self.period_us));
         self.deferred = self.deferred.saturating_add(u32::from(inputs.waiting));
+        let lost = inputs.lost_bytes.wrapping_sub(self.lost_before);
+        self.lost = self.lost.saturating_add(u32::from(lost));
+        self.lost_before = inputs.lost_bytes;
         self.link.receive(self.now_us, &inputs.received);
         if self.link.hello().is_some() {
             let greeted = self.link.welcome(self.now_us, identity, busy);
@@ -104,56 +134,80 @@ impl Server {
                 self.session_begun = true;
             }
         }
-        if self.answers.is_full() {
+        // What tells has its turn when this has had one.
+        let yields = self.worked && self.tells_much();
+        self.held = hold_back && !self.held;
+        self.worked = false;
+        if yields || self.held || self.answers.is_full() {
             return None;
         }
+        if let (Some(setpoint), Some(batch)) = (self.decoded.take(), &self.batch) {
+            self.worked = true;
+            return Some(Heard::Setpoint {
+                id: batch.id,
+                number: batch.number.wrapping_sub(1),
+                setpoint,
+            });
+        }
+        let payload = self.link.peek()?;
+        self.worked = true;
         if self.batch.is_none() {
-            match self.link.poll_message()? {
-                Request {
-                    id,
-                    command: haptimill_protocol::message::Command::Setpoints(items),
-                } => {
-                    self.batch = Some(Batch { id, items, next: 0 });
-                }
-                request => return Some(Heard::Request(request)),
+            if !BatchReader::fits(payload) {
+                return self.link.poll_message().map(Heard::Request);
+            }
+            self.batch = BatchReader::open(payload);
+            if self.batch.is_none() {
+                self.link.drop_unreadable();
+                return None;
             }
         }
-        self.next_setpoint()
+        self.decode_setpoint()
     }
 
-    fn next_setpoint(&mut self) -> Option<Heard> {
+    /// Decodes the next setpoint of the batch. It is heard in the next period: to decode it and to try it takes too long for one.
+    fn decode_setpoint(&mut self) -> Option<Heard> {
         let batch = self.batch.as_mut()?;
-        let number = batch.items.first.wrapping_add(batch.next as u32);
-        let id = batch.id;
-        let Some(delta) = batch.items.items.get(batch.next) else {
-            self.batch = None;
-            self.answer(id, Ok(()));
+        let (id, number) = (batch.id, batch.number);
+        if batch.left == 0 {
+            self.end_batch(Ok(()));
             return None;
-        };
-        let mut ahead = self.coder.clone();
-        Some(match ahead.decode(delta) {
-            Ok(setpoint) => {
-                self.ahead = ahead;
-                Heard::Setpoint {
-                    id,
-                    number,
-                    setpoint,
-                }
+        }
+        let delta = self.link.peek().and_then(|payload| batch.next(payload));
+        self.ahead = self.coder.clone();
+        match delta.map(|delta| self.ahead.decode(&delta)) {
+            Some(Ok(setpoint)) => {
+                self.decoded = Some(setpoint);
+                None
             }
-            Err(_) => Heard::BadSetpoint { id, number },
-        })
+            _ => Some(Heard::BadSetpoint { id, number }),
+        }
+    }
+
+    /// The batch is done with.
+    fn end_batch(&mut self, result: Result<(), Refusal>) {
+        self.decoded = None;
+        if let Some(batch) = self.batch.take() {
+            self.link.drop_first();
+            self.answer(batch.id, result);
+        }
     }
 
     /// The setpoint that was heard in this period is in the queue: the next one is told relative to it.
     pub fn accept_setpoint(&mut self) {
-        let Some(batch) = &mut self.batch else { return };
-        batch.next += 1;
         self.coder = self.ahead.clone();
-        if batch.next == batch.items.items.len() {
-            let id = batch.id;
-            self.batch = None;
-            self.answer(id, Ok(()));
+        if self.batch.is_some_and(|batch| batch.left == 0) {
+            self.end_batch(Ok(()));
         }
+    }
+
+    /// Whether something long is to be done by [`Server::tell`].
+    fn tells_much(&self) -> bool {
+        self.telemetry_waits || self.link.latest_waits()
+    }
+
+    /// Whether this period still has time for something long; it is used up.
+    pub fn claim(&mut self) -> bool {
+        !core::mem::replace(&mut self.worked, true)
     }
 
     /// Whether a new session has begun since the last call.
@@ -164,6 +218,8 @@ impl Server {
     /// What a session leaves behind when it ends.
     fn forget(&mut self) {
         self.batch = None;
+        self.decoded = None;
+        self.telemetry_waits = false;
         self.answers.clear();
         self.staged.clear();
         self.every = 0;
@@ -175,9 +231,8 @@ impl Server {
     }
 
     /// Drops the setpoint that was heard in this period and the rest of its batch, and says why.
-    pub fn refuse_setpoints(&mut self, id: u8, refusal: Refusal) {
-        self.batch = None;
-        self.answer(id, Err(refusal));
+    pub fn refuse_setpoints(&mut self, refusal: Refusal) {
+        self.end_batch(Err(refusal));
     }
 
     /// Answers a request; success of a request without a number is not told.
@@ -229,23 +284,14 @@ impl Server {
         self.link.peer_silent_us(self.now_us)
     }
 
-    /// Bytes that had to wait for a later period, and frames refused by their check.
+    /// What happened to the bytes of the line.
     #[must_use]
-    pub fn counters(&self) -> (u32, u32) {
-        (self.deferred, self.link.counters().bad_frames)
-    }
-
-    /// Whether telemetry is due in this period; call once a period.
-    pub fn telemetry_due(&mut self) -> bool {
-        if self.until_telemetry == 0 {
-            return false;
+    pub fn counters(&self) -> LineCount {
+        LineCount {
+            deferred_bytes: self.deferred,
+            bad_frames: self.link.counters().bad_frames,
+            lost_bytes: self.lost,
         }
-        self.until_telemetry -= 1;
-        let due = self.until_telemetry == 0;
-        if due {
-            self.until_telemetry = self.every;
-        }
-        due
     }
 
     /// Answers, then events, then telemetry; and the bytes of this period, as many as the board has `room` for.
@@ -253,7 +299,6 @@ impl Server {
         &mut self,
         period: u64,
         safety: &mut Safety,
-        telemetry: Option<Telemetry>,
         room: u16,
         transmit: &mut Vec<u8, TRANSMIT_BYTES>,
     ) {
@@ -279,15 +324,37 @@ impl Server {
                 break;
             }
         }
-        if let Some(telemetry) = telemetry {
-            // Not open, or too long for a frame (which a test of the protocol excludes): nobody to tell.
-            let _ = self.link.send_latest(&Report::Telemetry(telemetry));
-        }
-        let mut buffer = [0; TRANSMIT_BYTES];
-        let room = usize::from(room).min(TRANSMIT_BYTES);
-        let count = self.link.transmit(self.now_us, &mut buffer[..room]);
+        // The frame of telemetry is long, and made in a period that had nothing else to do.
+        let waited = self.link.latest_waits();
+        self.link.hold_latest(self.worked);
         transmit.clear();
-        // As long as the buffer: fits.
-        let _ = transmit.extend_from_slice(&buffer[..count]);
+        if room > 0 && self.link.is_ready(self.now_us) {
+            let mut buffer = [0; TRANSMIT_BYTES];
+            let room = usize::from(room).min(TRANSMIT_BYTES);
+            let count = self.link.transmit(self.now_us, &mut buffer[..room]);
+            // As long as the buffer: fits.
+            let _ = transmit.extend_from_slice(&buffer[..count]);
+        }
+        self.worked |= waited && !self.link.latest_waits();
+    }
+
+    /// Counts the periods until telemetry is due; says whether it is to be sent in this one. Call once a period.
+    pub fn telemetry_due(&mut self) -> bool {
+        if self.until_telemetry != 0 {
+            self.until_telemetry -= 1;
+            if self.until_telemetry == 0 {
+                self.until_telemetry = self.every;
+                self.telemetry_waits = true;
+            }
+        }
+        // A period that had much to do leaves it to the next one.
+        self.telemetry_waits && self.claim()
+    }
+
+    /// Sends telemetry.
+    pub fn send_telemetry(&mut self, telemetry: Telemetry) {
+        self.telemetry_waits = false;
+        // Not open, or too long for a frame (which a test of the protocol excludes): nobody to tell.
+        let _ = self.link.send_latest(&Report::Telemetry(telemetry));
     }
 }

@@ -69,6 +69,13 @@ impl Path {
         self.rate.push(f64::from(rate.0) * UNIT_MM);
     }
 
+    /// What comes after.
+    fn take(&mut self, then: Self) {
+        self.x.extend(then.x);
+        self.rate.extend(then.rate);
+        self.finished |= then.finished;
+    }
+
     /// The rate must be the derivative of the position: its sum, by trapezoids, is the way that was gone.
     fn assert_consistent(&self) {
         let mut integral = self.x[0];
@@ -243,6 +250,42 @@ proptest! {
     }
 
     /// Setpoints that come late: the machine brakes in front of the last one, never passes it, and goes on when they come.
+    /// The way back is the way there, as far as was asked for or is remembered, and it ends at rest.
+    #[test]
+    fn backing_off_goes_back_on_the_path(speed in 1.0_f64..40.0, hold_at in 700_usize..9000, back in 1_u32..3000) {
+        let config = h4();
+        let mut program = start(&config);
+        for point in straight(speed, 100, 100) {
+            program.push(&point).expect("room");
+        }
+        program.end(102).expect("complete");
+        let mut path = walk(&mut program, hold_at, |_| false);
+        path.take(walk(&mut program, 1500, |_| true));
+        prop_assert!(program.is_still());
+        let rest = *path.x.last().expect("some");
+        let reached = program.reached();
+        program.back_off(back);
+        prop_assert!(!program.is_still());
+        path.take(walk(&mut program, 4 * back as usize + 3000, |_| true));
+        prop_assert!(program.is_still());
+        path.assert_consistent();
+        let end = *path.x.last().expect("some");
+        for pair in path.x[hold_at + 1500..].windows(2) {
+            prop_assert!(pair[1] <= pair[0] + UNIT_MM && pair[0] - pair[1] <= speed * PERIOD_S / 4.0 + 2.0 * UNIT_MM);
+        }
+        // 16 setpoints, 20 ms apart, and what was gone since the last of them.
+        let remembered = 16.0 * 0.02;
+        let asked = f64::from(back) * PERIOD_S;
+        let gone = (rest - end) / speed;
+        if rest - speed * (asked.min(remembered) + 0.04) > 0.0 && hold_at < 8000 {
+            prop_assert!(gone <= asked + 1e-4 && gone <= remembered + 0.0201, "{gone} {asked}");
+            prop_assert!(gone >= asked.min(remembered) - 1e-4, "{gone} of {asked}");
+        }
+        prop_assert!(end >= 0.0 && program.reached() <= reached);
+        let (acceleration, _) = path.dynamics(hold_at + 1501, path.x.len());
+        prop_assert!(acceleration <= speed / 0.09 * 1.02 + 1.0, "{acceleration}");
+    }
+
     #[test]
     fn late_setpoints_slow_the_machine_on_its_path(speed in 1.0_f64..40.0, delivered in 14_usize..50, gap in 1_usize..3000) {
         let config = h4();

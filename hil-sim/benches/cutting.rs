@@ -1,7 +1,12 @@
 //! Cost of the cut: one control period of 200 us in a slot, in a second pass, in the air, and with the body on the material.
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use haptimill_hil_sim::cutting::{Cutting, CuttingConfig, ToolPose};
+use haptimill_firmware::io::{DriveCommand, Outputs};
+use haptimill_hil_sim::cutting::{Area, Cutting, CuttingConfig, ToolPose, WorkpieceConfig};
+use haptimill_hil_sim::process::ProcessConfig;
+use haptimill_hil_sim::sensor::SensorConfig;
+use haptimill_hil_sim::structure::StructureConfig;
+use haptimill_hil_sim::{Plant, PlantConfig};
 use std::hint::black_box;
 
 const TURNS: f64 = 5000.0 / 60.0 * 200e-6;
@@ -76,5 +81,79 @@ fn cutting(criterion: &mut Criterion) {
     );
 }
 
-criterion_group!(benches, cutting);
+/// The whole machine in a slot at 4 mm/s: a loop of the bench's own holds the slides.
+fn machine(criterion: &mut Criterion) {
+    #[derive(serde::Deserialize)]
+    struct File {
+        plant: PlantConfig,
+    }
+    let config = toml::from_str::<File>(include_str!("../tests/refg.toml"))
+        .expect("a plant")
+        .plant;
+    let fresh = || {
+        let mut plant = Plant::new(&config, 200).expect("a machine");
+        let [x, y, z, ..] = plant.truth().pose;
+        let around = |reach: f64| Area {
+            x_min: x - reach,
+            x_max: x + 5.0,
+            y_min: y - 0.3 * reach,
+            y_max: y + 0.3 * reach,
+        };
+        let workpiece = WorkpieceConfig {
+            stock: Area {
+                x_max: x - 4.0,
+                ..around(90.0)
+            },
+            map: around(60.0),
+            top_mm: z + 2.0,
+            bottom_mm: z - 20.0,
+            ..WorkpieceConfig::default()
+        };
+        let process = ProcessConfig {
+            cutting: Some(CuttingConfig {
+                workpiece,
+                ..CuttingConfig::default()
+            }),
+            structure: Some(StructureConfig::default()),
+            sensor: Some(SensorConfig::default()),
+            ..ProcessConfig::default()
+        };
+        plant.fit(&process).expect("a process");
+        let goal = plant.bodies().motor;
+        (plant, goal, 0.0)
+    };
+    let (mut plant, mut goal, mut way) = fresh();
+    let mut outputs = Outputs {
+        spindle_rpm: 5000,
+        ..Outputs::default()
+    };
+    criterion.bench_function(
+        "plant: one period, slot 2 mm deep at 4 mm/s, structure, sensor",
+        |bencher| {
+            bencher.iter(|| {
+                way += 4.0 * 200e-6;
+                if way > 55.0 {
+                    (plant, goal, way) = fresh();
+                }
+                for (axis, joint) in config.joint.iter().enumerate() {
+                    let rate = if axis < 4 { -4.0 } else { 0.0 };
+                    goal[axis] += rate * 200e-6;
+                    let bodies = plant.bodies();
+                    let effort = (25_600.0 * (goal[axis] - bodies.motor[axis])
+                        + 320.0 * (rate - bodies.motor_rate[axis]))
+                        * joint.inertia
+                        / joint.kind.acceleration_unit();
+                    let full = if axis < 4 { 800.0 } else { 40.0 };
+                    outputs.axes[axis] = DriveCommand::Torque(
+                        (effort / full * 8192.0).clamp(-8192.0, 8191.0) as i16,
+                    );
+                }
+                plant.advance(black_box(&outputs));
+                black_box(plant.force_codes())
+            });
+        },
+    );
+}
+
+criterion_group!(benches, cutting, machine);
 criterion_main!(benches);

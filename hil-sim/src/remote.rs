@@ -7,7 +7,7 @@
 //! different simulation.
 
 use crate::rig::Control;
-use haptimill_firmware::io::{Inputs, Outputs, TRANSMIT_BYTES};
+use haptimill_firmware::io::{DriveCommand, Inputs, Outputs, TRANSMIT_BYTES};
 use haptimill_firmware::lockstep::{
     Done, FROM_BOARD_BYTES, FromBoard, Heard, TO_BOARD_BYTES, ToBoard,
 };
@@ -62,6 +62,12 @@ pub struct Cost {
     pub worst_period: u32,
     /// The most that a whole period cost in any state.
     pub worst_of_all: u32,
+    /// The fewest setpoints that waited in the queue while the path was under way and more of them were to come; `None` if that never was.
+    pub queue_low: Option<u16>,
+    /// The most setpoints that ever waited in the queue.
+    pub queue_high: u16,
+    /// Control periods that were missed because one cost more than its budget.
+    pub missed: u64,
     /// Bytes of stack that were ever used; known at the end of the run.
     pub stack_bytes: u32,
     /// The most bytes that ever waited in the receive ring; known at the end of the run.
@@ -112,7 +118,9 @@ impl<L: PlantLink> RemoteController<L> {
         })
     }
 
-    /// A control period that costs more than so many counts misses the next ones.
+    /// A control period that costs more than so many counts misses the next ones, while a drive is on.
+    ///
+    /// With all drives off it does not: a configuration is activated then, which takes any chip some periods, and nothing is late for it.
     pub const fn set_budget(&mut self, counts: u32) {
         self.budget = Some(counts);
     }
@@ -161,16 +169,24 @@ impl<L: PlantLink> RemoteController<L> {
 
     fn account(&mut self, done: &Done) {
         let total = done.stages.iter().sum::<u32>();
-        self.overrun = self.budget.map_or(0, |budget| {
+        let driven = done
+            .outputs
+            .axes
+            .iter()
+            .any(|&axis| axis != DriveCommand::Off);
+        self.overrun = self.budget.filter(|_| driven).map_or(0, |budget| {
             (total.saturating_sub(1) / budget.max(1)).min(1000) as u16
         });
         let mut cost = self.cost.lock().unwrap_or_else(PoisonError::into_inner);
         cost.worst_of_all = cost.worst_of_all.max(total);
-        if done
-            .reading
-            .is_none_or(|reading| reading.state != State::Run)
-        {
+        cost.missed += u64::from(self.overrun);
+        let Some(reading) = done.reading.filter(|reading| reading.state == State::Run) else {
             return;
+        };
+        cost.queue_high = cost.queue_high.max(reading.queued);
+        if reading.more && reading.program_time > 0 {
+            let low = cost.queue_low.unwrap_or(u16::MAX);
+            cost.queue_low = Some(low.min(reading.queued));
         }
         cost.periods += 1;
         cost.worst_period = cost.worst_period.max(total);

@@ -75,7 +75,7 @@ impl Default for RigOptions {
         Self {
             period_us: 200,
             baud: None,
-            ring_bytes: 4096,
+            ring_bytes: haptimill_firmware::receive::RING_BYTES,
             faults: Vec::new(),
         }
     }

@@ -201,6 +201,9 @@ fn the_machine_cuts_a_slot_and_feels_it() {
     let cutting = process.cutting_mut().expect("a cut");
     cutting.settle();
     let piece = cutting.workpiece();
+    // What the edges took is what the map lost, though the tool swings.
+    let (chips, lost) = (cutting.chips_mm3(), piece.removed_mm3());
+    assert!((chips / lost - 1.0).abs() < 0.02, "{chips} {lost}");
     let groove = piece
         .groove(
             [start[0] - 7.0, start[1] - 8.0],
@@ -231,6 +234,41 @@ fn the_machine_cuts_a_slot_and_feels_it() {
         "{:?}",
         held.plant.truth().force
     );
+}
+
+/// A machine with its friction stops in the middle of a slot: the chips run out, and nothing is left but the load that was on the screws.
+#[test]
+fn standing_in_the_material_is_quiet() {
+    let mut config = machine::reference();
+    for joint in &mut config.joint {
+        joint.start_spread = 0.0;
+    }
+    let plant = Plant::new(&config, 200).expect("a machine");
+    let start = plant.truth().pose;
+    let mut cutting = block(start[2] + 2.0, start[0], start[1]);
+    cutting.workpiece.stock.x_max = start[0] - 5.0;
+    let process = ProcessConfig {
+        spindle: SpindleConfig { run_up_s: 0.05 },
+        cutting: Some(cutting),
+        structure: Some(StructureConfig::default()),
+        ..ProcessConfig::default()
+    };
+    let mut held = Held::new(&config, &process);
+    for _ in 0..10_000 {
+        held.step(-4.0, 5000);
+    }
+    assert!(held.plant.truth().force[0].abs() > 0.1);
+    for _ in 0..5000 {
+        held.step(0.0, 5000);
+    }
+    let mut most = 0.0_f64;
+    for _ in 0..2500 {
+        held.step(0.0, 5000);
+        for part in held.plant.truth().force {
+            most = most.max(part.abs());
+        }
+    }
+    assert!(most < 0.05, "{most}");
 }
 
 #[test]
@@ -295,6 +333,54 @@ fn three_slides_carry_a_tool_and_fewer_do_not() {
     let force = plant.truth().force;
     assert!(force[0] == 0.0 && force[1] == 0.0);
     assert!((50.0..150.0).contains(&force[2]), "{force:?}");
+}
+
+/// A slide without friction bounces off a wall: a damping of k T / 2 makes up for the force that is held for a period.
+#[test]
+fn a_held_wall_feeds_what_half_a_period_of_damping_takes() {
+    let bounce = |damping: f64| {
+        let mut config = machine::ideal_slide();
+        let joint = config.joint[0].clone();
+        config.joint = vec![joint.clone(), joint.clone(), joint];
+        let mut plant = Plant::new(&config, 200).expect("three slides");
+        let process = ProcessConfig {
+            wall: Some(ElasticWall {
+                point: [0.0, 0.0, -4.0],
+                normal: [0.0, 0.0, 1.0],
+                stiffness: 1000.0,
+                damping,
+                radius: 0.0,
+            }),
+            ..ProcessConfig::default()
+        };
+        plant.fit(&process).expect("a wall");
+        // A push for 20 ms, then it flies.
+        let mut outputs = Outputs::default();
+        outputs.axes[2] = DriveCommand::Torque(-1000);
+        for _ in 0..100 {
+            plant.advance(&outputs);
+        }
+        outputs.axes[2] = DriveCommand::Torque(0);
+        plant.advance(&outputs);
+        let energy = |plant: &Plant| plant.mechanics().energy(plant.bodies(), 2);
+        let before = energy(&plant);
+        let mut touched = false;
+        for _ in 0..5000 {
+            plant.advance(&outputs);
+            let force = plant.truth().force[2];
+            touched |= force > 0.0;
+            if touched && force == 0.0 && plant.bodies().slide[2] > -3.0 {
+                return energy(&plant) / before;
+            }
+        }
+        panic!("no bounce: {:?}", plant.bodies());
+    };
+    let (bare, made_up) = (bounce(0.0), bounce(0.1));
+    assert!(bare > 1.01, "{bare}");
+    assert!(
+        (made_up - 1.0).abs() < 0.2 * (bare - 1.0),
+        "{made_up} {bare}"
+    );
 }
 
 #[test]

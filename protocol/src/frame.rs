@@ -22,8 +22,6 @@
 //! Misuse: a frame is only as good as its session number. Two sessions must not have the same one.
 
 use crate::urgent;
-use cobs::{DecodeResult, DecoderState};
-use crc::{CRC_32_ISO_HDLC, Crc, Table};
 use heapless::Vec;
 
 /// The most bytes of payload in a frame; the largest message, a full batch of setpoints far from their prediction, has 284.
@@ -44,12 +42,47 @@ pub const MAX_FRAME: usize = MAX_CONTENT + 2 + 1;
 /// The encoded frame, its closing zero included.
 pub type FrameBytes = Vec<u8, MAX_FRAME>;
 
-/// CRC-32 as in Ethernet and zip.
-const CRC32: Crc<u32, Table<1>> = Crc::<u32, Table<1>>::new(&CRC_32_ISO_HDLC);
+/// CRC-32 as in Ethernet and zip, byte by byte.
+static CRC_TABLE: [u32; 256] = crc_table();
+
+const fn crc_table() -> [u32; 256] {
+    let mut table = [0; 256];
+    let mut byte = 0;
+    while byte < table.len() {
+        let mut value = byte as u32;
+        let mut bit = 0;
+        while bit < 8 {
+            let odd = value & 1;
+            value = (value >> 1) ^ (0xEDB8_8320 & odd.wrapping_neg());
+            bit += 1;
+        }
+        table[byte] = value;
+        byte += 1;
+    }
+    table
+}
+
+/// The register before the first byte; the CRC is the opposite of the register after the last.
+const CRC_START: u32 = !0;
+
+/// The register after one more byte.
+#[inline(always)]
+fn crc_step(register: u32, byte: u8) -> u32 {
+    // The mask cuts nothing: the index is a byte.
+    CRC_TABLE[((register ^ u32::from(byte)) & 0xFF) as usize] ^ (register >> 8)
+}
 
 /// CRC-32 (ISO-HDLC) of some bytes, as it stands in [`crate::message::Command::Activate`].
-pub const fn crc32(bytes: &[u8]) -> u32 {
-    CRC32.checksum(bytes)
+pub fn crc32(bytes: &[u8]) -> u32 {
+    !bytes
+        .iter()
+        .fold(CRC_START, |register, &byte| crc_step(register, byte))
+}
+
+/// The register after content and check of a good frame of a session. The check is the CRC combined with the session's key, so what is left of the register does not depend on the
+/// content: it is what four bytes of zero make of the opposite of the key.
+fn crc_of_good(session: u32) -> u32 {
+    (0..CRC_BYTES).fold(!session_key(session), |register, _| crc_step(register, 0))
 }
 
 /// What is combined with the CRC of a session's frames: 0 for session 0, different for different sessions, and differing in many
@@ -106,7 +139,7 @@ const BEYOND: u8 = 0x80;
 
 impl Header {
     /// Appends the header.
-    fn write(&self, content: &mut Vec<u8, MAX_CONTENT>) -> Result<(), u8> {
+    fn write(&self, content: &mut FrameBytes) -> Result<(), u8> {
         let (kind, sequence, acknowledgement) = match *self {
             Self::Hello => return content.push(1),
             Self::Welcome => return content.push(2),
@@ -207,22 +240,58 @@ pub fn encode(
     if payload.len() > MAX_PAYLOAD {
         return Err(TooLong);
     }
-    let mut content: Vec<u8, MAX_CONTENT> = Vec::new();
+    compose(header, payload, session, frame).map_err(|_| TooLong)
+}
+
+/// Content behind a place for the first code, then the codes of COBS where the zeros were: nothing is copied twice.
+fn compose(header: Header, payload: &[u8], session: u32, frame: &mut FrameBytes) -> Result<(), u8> {
+    frame.push(0)?;
     if header == Header::Alive {
-        content.push(sign_of_life(session)).map_err(|_| TooLong)?;
+        frame.push(sign_of_life(session))?;
     } else {
-        header.write(&mut content).map_err(|_| TooLong)?;
-        content.extend_from_slice(payload).map_err(|_| TooLong)?;
-        let check = crc32(&content) ^ session_key(header.session(session));
-        content
-            .extend_from_slice(&check.to_le_bytes())
-            .map_err(|_| TooLong)?;
+        header.write(frame)?;
+        let start = frame.len();
+        frame.resize(start + payload.len(), 0).map_err(|_| 0)?;
+        if let Some(place) = frame.get_mut(start..) {
+            place.copy_from_slice(payload);
+        }
+        let content = frame.get(1..).unwrap_or_default();
+        let check = crc32(content) ^ session_key(header.session(session));
+        for byte in check.to_le_bytes() {
+            frame.push(byte)?;
+        }
     }
-    frame.resize(MAX_FRAME, 0).map_err(|_| TooLong)?;
-    let length = cobs::try_encode(&content, frame).map_err(|_| TooLong)?;
-    // The byte after the encoded ones is still zero: the end of the frame.
-    frame.truncate(length + 1);
+    stuff(frame)?;
+    frame.push(0)
+}
+
+/// COBS in place: each zero, and the place in front, becomes the distance to the next one; behind 254 bytes without a zero a place is made.
+fn stuff(frame: &mut FrameBytes) -> Result<(), u8> {
+    let (mut code_at, mut code, mut at) = (0, 1_u8, 1);
+    while let Some(&byte) = frame.get(at) {
+        if byte == 0 {
+            set(frame, code_at, code);
+            (code_at, code) = (at, 1);
+        } else {
+            code += 1;
+            if code == u8::MAX {
+                set(frame, code_at, code);
+                at += 1;
+                frame.insert(at, 0)?;
+                (code_at, code) = (at, 1);
+            }
+        }
+        at += 1;
+    }
+    set(frame, code_at, code);
     Ok(())
+}
+
+#[inline(always)]
+fn set(frame: &mut FrameBytes, at: usize, code: u8) {
+    if let Some(place) = frame.get_mut(at) {
+        *place = code;
+    }
 }
 
 /// A frame whose check is right.
@@ -240,10 +309,12 @@ pub struct Frame<'a> {
 /// after the next zero.
 #[derive(Debug, Default)]
 pub struct FrameDecoder {
-    /// COBS.
-    state: DecoderState,
-    /// Content of the frame so far.
+    /// COBS: bytes that follow before the next code, and whether that stands for a zero.
+    left: u8,
+    zero: bool,
+    /// Content of the frame so far, and the register of its CRC.
     content: Vec<u8, MAX_CONTENT>,
+    register: u32,
     /// Everything up to the next zero is to be skipped.
     skip: bool,
     /// Encoded bytes since the last zero, and the first of them: to know a stray urgent stop from a broken frame.
@@ -270,61 +341,77 @@ impl FrameDecoder {
         self.bad
     }
 
-    /// Takes the next byte of the line; gives the frame that it ends, if its check is right.
+    /// Takes the next byte of the line; gives the frame that it ends, if its check is right. All bytes cost the same: the check is done when the
+    /// last one comes.
     pub fn push(&mut self, byte: u8) -> Option<Frame<'_>> {
-        if byte != 0 {
-            if self.seen.0 == 0 {
-                self.seen.1 = byte;
-                self.content.clear();
-            }
-            self.seen.0 = self.seen.0.saturating_add(1);
-            if !self.skip {
-                self.skip = match self.state.feed(byte) {
-                    Ok(DecodeResult::DataContinue(data)) => self.content.push(data).is_err(),
-                    Ok(_) => false,
-                    Err(_) => true,
-                };
-            }
-            return None;
+        if byte == 0 {
+            return self.end();
         }
-        let whole = !self.skip && matches!(self.state.feed(0), Ok(DecodeResult::DataComplete));
-        let seen = core::mem::take(&mut self.seen);
+        if self.seen.0 == 0 {
+            self.begin(byte);
+        }
+        self.seen.0 = self.seen.0.saturating_add(1);
+        if self.left != 0 {
+            self.left -= 1;
+            self.take(byte);
+        } else {
+            if self.zero {
+                self.take(0);
+            }
+            self.left = byte - 1;
+            self.zero = byte != u8::MAX;
+        }
+        None
+    }
+
+    /// The first byte of a frame.
+    fn begin(&mut self, byte: u8) {
+        self.seen.1 = byte;
+        self.content.clear();
+        self.register = CRC_START;
+        self.left = 0;
+        self.zero = false;
         self.skip = false;
-        self.state = DecoderState::Idle;
+    }
+
+    /// One byte of content.
+    #[inline(always)]
+    fn take(&mut self, byte: u8) {
+        self.register = crc_step(self.register, byte);
+        self.skip |= self.content.push(byte).is_err();
+    }
+
+    /// The end of a frame.
+    fn end(&mut self) -> Option<Frame<'_>> {
+        let seen = core::mem::take(&mut self.seen);
         if seen.0 == 0 || seen == (1, urgent::STOP_CODE) {
             return None;
         }
-        let Self {
-            content,
-            session,
-            bad,
-            ..
-        } = self;
+        let whole = !self.skip && self.left == 0;
         let frame = if whole {
-            check(content, *session)
+            check(&self.content, self.register, self.session)
         } else {
             None
         };
         if frame.is_none() {
-            *bad = bad.saturating_add(1);
+            self.bad = self.bad.saturating_add(1);
         }
         frame
     }
 }
 
 /// The frame of a content, if its check is right.
-fn check(content: &[u8], session: u32) -> Option<Frame<'_>> {
+fn check(content: &[u8], register: u32, session: u32) -> Option<Frame<'_>> {
     if let [sign] = *content {
         return (session != 0 && sign == sign_of_life(session)).then_some(Frame {
             header: Header::Alive,
             payload: &[],
         });
     }
-    let (body, sum) = content.split_last_chunk::<CRC_BYTES>()?;
+    let (body, _) = content.split_last_chunk::<CRC_BYTES>()?;
     let (header, payload) = Header::read(body)?;
-    let right = crc32(body) ^ session_key(header.session(session));
-    (payload.len() <= MAX_PAYLOAD && right == u32::from_le_bytes(*sum))
-        .then_some(Frame { header, payload })
+    let right = register == crc_of_good(header.session(session));
+    (right && payload.len() <= MAX_PAYLOAD).then_some(Frame { header, payload })
 }
 
 #[cfg(test)]

@@ -65,6 +65,7 @@ use crate::message::HelloRefusal;
 use heapless::Vec;
 use inbox::Inbox;
 use outbox::Outbox;
+use serde::Serialize;
 
 /// The most reliable frames under way in one direction.
 pub const WINDOW: usize = 8;
@@ -186,6 +187,32 @@ pub struct Counters {
     pub unreadable: u32,
 }
 
+/// An encoded message.
+type Payload = Vec<u8, MAX_PAYLOAD>;
+
+/// Encodes a message into a buffer that is cleared first.
+fn encode(message: &impl Serialize, payload: &mut Payload) -> Result<(), SendError> {
+    payload.clear();
+    postcard::serialize_with_flavor(message, Writer(payload)).map_err(|_| SendError::TooLong)
+}
+
+/// Where postcard writes: nothing is cleared before, and nothing copied after.
+struct Writer<'a>(&'a mut Payload);
+
+impl postcard::ser_flavors::Flavor for Writer<'_> {
+    type Output = ();
+
+    fn try_push(&mut self, byte: u8) -> postcard::Result<()> {
+        self.0
+            .push(byte)
+            .map_err(|_| postcard::Error::SerializeBufferFull)
+    }
+
+    fn finalize(self) -> postcard::Result<()> {
+        Ok(())
+    }
+}
+
 /// One end of a link. `SEND` and `RECEIVE` are the bytes kept of messages under way in either direction.
 #[derive(Debug)]
 pub struct Link<E: End, const SEND: usize, const RECEIVE: usize> {
@@ -204,7 +231,9 @@ pub struct Link<E: End, const SEND: usize, const RECEIVE: usize> {
     /// What is under way.
     outbox: Outbox<SEND>,
     /// The next latest value, if one waits; its number.
-    latest: Option<Vec<u8, MAX_PAYLOAD>>,
+    latest: Payload,
+    latest_waits: bool,
+    latest_held: bool,
     latest_sequence: u8,
     /// The frame that is going out, and how much of it has gone.
     wire: FrameBytes,
@@ -233,7 +262,9 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
             decoder: FrameDecoder::new(),
             inbox: Inbox::default(),
             outbox: Outbox::default(),
-            latest: None,
+            latest: Payload::new(),
+            latest_waits: false,
+            latest_held: false,
             latest_sequence: 0,
             wire: FrameBytes::new(),
             gone: 0,
@@ -346,15 +377,35 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
 
     /// The next message, if there is one. A reliable one comes once and in order.
     pub fn poll_message(&mut self) -> Option<E::Hears> {
-        while let Some(payload) = self.inbox.next() {
-            match postcard::from_bytes(&payload) {
+        while let Some(payload) = self.inbox.first() {
+            let message = postcard::from_bytes(payload);
+            self.inbox.drop_first();
+            match message {
                 Ok(message) => return Some(message),
-                Err(_) => {
-                    self.counters.unreadable = self.counters.unreadable.saturating_add(1);
-                }
+                Err(_) => self.count_unreadable(),
             }
         }
         None
+    }
+
+    /// The bytes of the next message, for whoever takes it apart bit by bit; it stays until [`Link::drop_first`].
+    pub fn peek(&self) -> Option<&[u8]> {
+        self.inbox.first()
+    }
+
+    /// Drops the message that [`Link::peek`] gives.
+    pub fn drop_first(&mut self) {
+        self.inbox.drop_first();
+    }
+
+    /// The message that [`Link::peek`] gives cannot be read.
+    pub fn drop_unreadable(&mut self) {
+        self.inbox.drop_first();
+        self.count_unreadable();
+    }
+
+    fn count_unreadable(&mut self) {
+        self.counters.unreadable = self.counters.unreadable.saturating_add(1);
     }
 
     /// Sends a message that must arrive, once and in order.
@@ -366,9 +417,9 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
         if !self.open {
             return Err(SendError::NotOpen);
         }
-        let mut buffer = [0; MAX_PAYLOAD];
-        let payload = postcard::to_slice(message, &mut buffer).map_err(|_| SendError::TooLong)?;
-        if self.outbox.push(payload) {
+        let mut payload = Payload::new();
+        encode(message, &mut payload)?;
+        if self.outbox.push(&payload) {
             Ok(())
         } else {
             Err(SendError::Full)
@@ -400,10 +451,24 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
         if !self.open {
             return Err(SendError::NotOpen);
         }
-        let mut buffer = [0; MAX_PAYLOAD];
-        let payload = postcard::to_slice(message, &mut buffer).map_err(|_| SendError::TooLong)?;
-        self.latest = Some(Vec::from_slice(payload).map_err(|_| SendError::TooLong)?);
-        Ok(())
+        let encoded = encode(message, &mut self.latest);
+        self.latest_waits = encoded.is_ok();
+        encoded
+    }
+
+    /// Whether a latest value waits to be sent. Making its frame is the longest that [`Link::transmit`] may have to do.
+    pub fn latest_waits(&self) -> bool {
+        self.latest_waits
+    }
+
+    /// A latest value is kept back while `held`: it gets no frame in [`Link::transmit`].
+    pub fn hold_latest(&mut self, held: bool) {
+        self.latest_held = held;
+    }
+
+    /// Whether [`Link::transmit`] has something to say now, leaving the line's rate aside.
+    pub fn is_ready(&mut self, now_us: u64) -> bool {
+        self.gone < self.wire.len() || self.compose(now_us)
     }
 
     /// Fills a buffer with the next bytes for the line and says how many they are.
@@ -417,8 +482,8 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
             let ready = self.wire.get(self.gone..).unwrap_or_default();
             let free = buffer.get_mut(count..allowed).unwrap_or_default();
             let part = ready.len().min(free.len());
-            for (to, from) in free.iter_mut().zip(ready) {
-                *to = *from;
+            if let (Some(to), Some(from)) = (free.get_mut(..part), ready.get(..part)) {
+                to.copy_from_slice(from);
             }
             self.gone += part;
             count += part;
@@ -435,7 +500,7 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
         self.decoder.set_session(session);
         self.inbox.clear();
         self.outbox.clear();
-        self.latest = None;
+        self.latest_waits = false;
         self.latest_sequence = 0;
         self.acknowledge_since = None;
         self.acknowledge_count = 0;
@@ -469,12 +534,12 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
             counters,
             ..
         } = self;
-        let mut buffer = [0; MAX_PAYLOAD];
-        let composed = if let Some((header, payload)) =
-            end.greeting(now_us, timing.hello_us, &mut buffer)
+        let composed = if let Some(header) = end.greeting(now_us, timing.hello_us, &mut self.latest)
         {
+            // It has taken the place of a latest value, which nobody was listening to.
+            self.latest_waits = false;
             // A zero in front: what the line had before is unknown.
-            frame::encode(header, payload, 0, wire).is_ok() && wire.insert(0, 0).is_ok()
+            frame::encode(header, &self.latest, 0, wire).is_ok() && wire.insert(0, 0).is_ok()
         } else if !self.open {
             return false;
         } else {
@@ -495,13 +560,14 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
                 let framed = frame::encode(header, payload, *session, wire);
                 counters.message_bytes = counters.message_bytes.saturating_add(wire.len() as u32);
                 framed
-            } else if let Some(payload) = self.latest.take() {
+            } else if self.latest_waits && !self.latest_held {
+                self.latest_waits = false;
                 self.latest_sequence = self.latest_sequence.wrapping_add(1);
                 let header = Header::Latest {
                     sequence: self.latest_sequence,
                     acknowledgement,
                 };
-                frame::encode(header, &payload, *session, wire)
+                frame::encode(header, &self.latest, *session, wire)
             } else if due || again {
                 self.repeats -= u8::from(again);
                 frame::encode(Header::Acknowledge(acknowledgement), &[], *session, wire)

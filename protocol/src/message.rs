@@ -309,6 +309,8 @@ pub struct Telemetry {
     pub deferred_bytes: u32,
     /// Frames refused by their check, in all.
     pub bad_frames: u32,
+    /// Received bytes that the board lost for want of room, in all.
+    pub lost_bytes: u32,
 }
 
 /// Something that happened.

@@ -23,7 +23,7 @@
 //! Misuse: the two coders must see the same setpoints in the same order, from the same start. A refused setpoint leaves the coder as it
 //! was; a batch that may be refused half way is decoded with a clone.
 
-use crate::message::{Action, AxisValues, MAX_AXES, RATE_SHIFT, SetpointDelta};
+use crate::message::{Action, AxisValues, MAX_AXES, RATE_SHIFT, SETPOINT_BATCH, SetpointDelta};
 
 /// A setpoint: where the machine is to be, and how fast, at the end of a span of time.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -63,6 +63,51 @@ impl core::fmt::Display for SetpointError {
 }
 
 impl core::error::Error for SetpointError {}
+
+/// A request with setpoints that is taken apart one setpoint after the other, so that no period of a controller has to decode all of it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct BatchReader {
+    /// The request's number.
+    pub id: u8,
+    /// Number of the next setpoint in the job.
+    pub number: u32,
+    /// Setpoints that are left.
+    pub left: u8,
+    /// Where the next one begins.
+    at: u16,
+}
+
+impl BatchReader {
+    /// Whether the payload is a request with setpoints: its second byte is the number of [`Command::Setpoints`](crate::message::Command::Setpoints).
+    pub fn fits(payload: &[u8]) -> bool {
+        payload.get(1) == Some(&0)
+    }
+
+    /// The beginning of such a request; `None` when it cannot be read.
+    pub fn open(payload: &[u8]) -> Option<Self> {
+        // The number, the kind, the first setpoint, how many there are.
+        let ((id, kind, number, left), rest) =
+            postcard::take_from_bytes::<(u8, u32, u32, u32)>(payload).ok()?;
+        let whole = kind == 0 && left as usize <= SETPOINT_BATCH;
+        whole.then_some(Self {
+            id,
+            number,
+            left: left as u8,
+            at: (payload.len() - rest.len()) as u16,
+        })
+    }
+
+    /// The next setpoint of the same payload; `None` when it cannot be read, or when there is none.
+    pub fn next(&mut self, payload: &[u8]) -> Option<SetpointDelta> {
+        let left = self.left.checked_sub(1)?;
+        let bytes = payload.get(usize::from(self.at)..)?;
+        let (delta, rest) = postcard::take_from_bytes(bytes).ok()?;
+        self.at = (payload.len() - rest.len()) as u16;
+        self.left = left;
+        self.number = self.number.wrapping_add(1);
+        Some(delta)
+    }
+}
 
 /// Times of the prediction are in 2^-24 s.
 const TIME_SHIFT: u32 = 24;
@@ -112,7 +157,7 @@ impl Span {
     /// The mean rate over a way, in rate units divided by 2^[`FINE`]: |way| <= 2^33, reciprocal <= 2^30, so |product| < 2^63.
     fn mean_rate(&self, way: i64) -> i64 {
         // way / time is in axis units per 2^-24 s; a fine rate unit is 2^(RATE_SHIFT - FINE) axis units per second.
-        (way * self.reciprocal) >> (40 - TIME_SHIFT + RATE_SHIFT - FINE)
+        way.wrapping_mul(self.reciprocal) >> (40 - TIME_SHIFT + RATE_SHIFT - FINE)
     }
 }
 
@@ -257,26 +302,28 @@ impl Axis {
     /// The coordinate that is expected after a span, and the change of rate that goes with it.
     fn predict(&self, span: Span, ratio: i64) -> (i32, i64) {
         // |gain| <= 2^40 and ratio <= 2^20.
-        let gain = ((self.gain * ratio) >> 16).clamp(-RATE_BOUND, RATE_BOUND);
+        let gain = (self.gain.wrapping_mul(ratio) >> 16).clamp(-RATE_BOUND, RATE_BOUND);
         // |rate| <= 2^31 + 2^29 wire units, 2^35 + 2^33 fine ones; time <= 2^26: |product| < 2^62.
-        let mean = (i64::from(self.rate) << FINE) + gain / 2;
-        let way = (mean * span.time) >> (TIME_SHIFT - RATE_SHIFT + FINE);
+        let mean = (i64::from(self.rate) << FINE).wrapping_add(gain / 2);
+        let way = mean.wrapping_mul(span.time) >> (TIME_SHIFT - RATE_SHIFT + FINE);
         // Modulo 2^32 by intent: a rotary axis wraps around, and the residual is taken modulo 2^32 as well.
         (i64::from(self.pose).wrapping_add(way) as i32, gain)
     }
 
     /// The rate that is expected once the coordinate is known to be `residual` beyond its prediction.
     fn predict_rate(&self, span: Span, gain: i64, residual: i32) -> i32 {
-        let fine = gain + 3 * span.mean_rate(i64::from(residual));
+        // |gain| <= 2^34, the mean rate is below 2^61.
+        let fine = gain.wrapping_add(span.mean_rate(i64::from(residual)).wrapping_mul(3));
         // Half is added so that the shift rounds to nearest; modulo 2^32 by intent, as above.
-        i64::from(self.rate).wrapping_add((fine + (1 << (FINE - 1))) >> FINE) as i32
+        i64::from(self.rate).wrapping_add(fine.wrapping_add(1 << (FINE - 1)) >> FINE) as i32
     }
 
     /// Takes over the setpoint that was reached.
     fn advance(&mut self, span: Span, pose: i32, rate: i32) {
         // The shorter way round, for an axis that wraps.
         let mean = span.mean_rate(i64::from(pose.wrapping_sub(self.pose)));
-        let gain = ((2 * i64::from(self.rate) + 4 * i64::from(rate)) << FINE) - 6 * mean;
+        let rates = (i64::from(self.rate) << 1).wrapping_add(i64::from(rate) << 2);
+        let gain = (rates << FINE).wrapping_sub(mean.wrapping_mul(6));
         self.gain = gain.clamp(-(1 << 40), 1 << 40);
         self.pose = pose;
         self.rate = rate;

@@ -113,6 +113,7 @@ fn reports_fit_a_frame_and_answers_and_events_are_short() {
         fault: Some(fault),
         deferred_bytes: u32::MAX,
         bad_frames: u32::MAX,
+        lost_bytes: u32::MAX,
     };
     let long = size(&Report::Telemetry(telemetry));
     println!("telemetry: {long} bytes");

@@ -13,6 +13,8 @@ pub struct Board {
     folder: &'static str,
     target: &'static str,
     binary: &'static str,
+    /// Other images than the product's: name, and feature that it is built with.
+    others: &'static [(&'static str, &'static str)],
     /// The most flash and static RAM that an image may take, bytes.
     flash: u64,
     ram: u64,
@@ -24,6 +26,7 @@ pub const BOARDS: &[Board] = &[Board {
     folder: "firmware/boards/mps2",
     target: "thumbv7em-none-eabihf",
     binary: "haptimill-mps2",
+    others: &[("faults", "faults"), ("checks", "checks")],
     flash: 128 * 1024,
     ram: 48 * 1024,
 }];
@@ -160,8 +163,35 @@ impl Board {
             .join(binary)
     }
 
-    /// Builds all images of the board; gives the one of the product.
+    /// Builds the image of the product.
     pub fn build(&self, root: &Path, quiet: bool) -> Result<PathBuf, String> {
+        self.cargo(root, quiet, self.binary, &[])
+    }
+
+    /// Builds another image, or the product's by its name.
+    pub fn build_other(&self, root: &Path, name: &str) -> Result<PathBuf, String> {
+        match self.others.iter().find(|(other, _)| *other == name) {
+            Some((_, feature)) => self.cargo(root, true, name, &["--features", feature]),
+            None if name == self.binary => self.build(root, true),
+            None => {
+                let others: Vec<&str> = self.others.iter().map(|(other, _)| *other).collect();
+                Err(format!(
+                    "the board {} has no image '{name}'; it has {} and {}",
+                    self.name,
+                    self.binary,
+                    others.join(", ")
+                ))
+            }
+        }
+    }
+
+    fn cargo(
+        &self,
+        root: &Path,
+        quiet: bool,
+        binary: &str,
+        more: &[&str],
+    ) -> Result<PathBuf, String> {
         let toolchain = self.toolchain().ok_or_else(|| {
             format!(
                 "nothing here builds for {}: `rustup target add {}`, or on Debian `apt-get install {}`",
@@ -182,12 +212,14 @@ impl Board {
         cargo
             .current_dir(root.join(self.folder))
             .args(["build", "--release", "--locked", "--target", self.target])
+            .args(["--bin", binary])
+            .args(more)
             .args(toolchain.arguments());
         if quiet {
             cargo.arg("--quiet");
         }
         match cargo.status() {
-            Ok(status) if status.success() => Ok(self.image(root, self.binary)),
+            Ok(status) if status.success() => Ok(self.image(root, binary)),
             Ok(status) => Err(format!("the board {} does not build ({status})", self.name)),
             Err(error) => Err(format!("cargo cannot be started: {error}")),
         }

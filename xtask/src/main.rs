@@ -15,6 +15,7 @@ The chores of the project.
   cargo xtask test --native-only   all but boards and emulated runs; says what it left out
   cargo xtask board NAME           builds the image of a board (mps2), says what it takes of the chip, checks that against the budget
   cargo xtask board NAME --image   builds it and prints the path of the image, nothing else
+  cargo xtask board NAME --image OTHER   the same with another image of the board (mps2 has faults)
   cargo xtask instructions         counts the instructions of control periods and writes docs/instructions.md anew
   cargo xtask bench                all benchmarks (criterion); figures in target/criterion
   cargo xtask help                 this text
@@ -99,8 +100,9 @@ fn main() -> ExitCode {
         ["test", "--native-only"] => run(TEST).map(|()| {
             println!("LEFT OUT  boards and emulated runs (--native-only): nothing was shown about the controller on a chip");
         }),
-        ["board", name] => board(name, false),
-        ["board", name, "--image"] => board(name, true),
+        ["board", name] => board(name),
+        ["board", name, "--image"] => image(name, None),
+        ["board", name, "--image", other] => image(name, Some(other)),
         ["instructions"] => instructions(),
         ["bench"] => run(BENCH),
         ["help"] | [] => {
@@ -136,21 +138,33 @@ fn test() -> Result<(), String> {
         board.measure(&image)?;
     }
     // Every test takes its time; one by one they do not slow each other down.
-    emulated("emulated runs", "--test-threads=1", &[])
+    emulated("emulated runs", "emulated*", "--test-threads=1", &[])
 }
 
-/// Builds one board.
-fn board(name: &str, image_only: bool) -> Result<(), String> {
-    let board = Board::named(name).ok_or_else(|| {
+/// The board of a name.
+fn named(name: &str) -> Result<&'static Board, String> {
+    Board::named(name).ok_or_else(|| {
         let names: Vec<&str> = board::BOARDS.iter().map(|board| board.name).collect();
         format!("there is no board '{name}'; there is {}", names.join(", "))
-    })?;
-    let image = board.build(&root(), image_only)?;
-    if image_only {
-        println!("{}", image.display());
-        return Ok(());
-    }
+    })
+}
+
+/// Builds one board, and says what it takes of the chip.
+fn board(name: &str) -> Result<(), String> {
+    let board = named(name)?;
+    let image = board.build(&root(), false)?;
     board.measure(&image)?;
+    println!("{}", image.display());
+    Ok(())
+}
+
+/// Builds an image of a board, and says where it is.
+fn image(name: &str, other: Option<&str>) -> Result<(), String> {
+    let board = named(name)?;
+    let image = match other {
+        Some(other) => board.build_other(&root(), other)?,
+        None => board.build(&root(), true)?,
+    };
     println!("{}", image.display());
     Ok(())
 }
@@ -158,11 +172,21 @@ fn board(name: &str, image_only: bool) -> Result<(), String> {
 /// Writes the table of instructions anew.
 fn instructions() -> Result<(), String> {
     provide()?;
-    emulated("instructions", "instructions", &[("HAPTIMILL_WRITE", "1")])
+    emulated(
+        "instructions",
+        "emulated",
+        "instructions",
+        &[("HAPTIMILL_WRITE", "1")],
+    )
 }
 
 /// The tests of emulated runs, with one more argument. They need a board's image and the emulator, so they are built only where these are.
-fn emulated(name: &str, last: &str, environment: &[(&str, &str)]) -> Result<(), String> {
+fn emulated(
+    name: &str,
+    tests: &str,
+    last: &str,
+    environment: &[(&str, &str)],
+) -> Result<(), String> {
     run(&[Step {
         name,
         arguments: &[
@@ -173,7 +197,7 @@ fn emulated(name: &str, last: &str, environment: &[(&str, &str)]) -> Result<(), 
             "--features",
             "emulated",
             "--test",
-            "emulated",
+            tests,
             "--",
             "--nocapture",
             last,

@@ -1,8 +1,19 @@
 //! Where the linker finds this board's memory map.
 
+use std::path::PathBuf;
+use std::{env, fs};
+
 fn main() {
-    println!("cargo:rustc-link-search={}", env!("CARGO_MANIFEST_DIR"));
+    let here = PathBuf::from(env::var_os("CARGO_MANIFEST_DIR").unwrap_or_default());
+    let out = PathBuf::from(env::var_os("OUT_DIR").unwrap_or_default());
+    // The checks are larger than the product, and keep whole machines on their stack.
+    let checks = env::var_os("CARGO_FEATURE_CHECKS").is_some();
+    let map = if checks { "checks.x" } else { "product.x" };
+    let copied = fs::copy(here.join("memory").join(map), out.join("memory.x"));
+    copied.expect("the memory map can be copied");
+    println!("cargo:rustc-link-search={}", out.display());
+    println!("cargo:rustc-link-search={}", here.display());
     println!("cargo:rustc-link-arg-bins=-Tlink.x");
-    println!("cargo:rerun-if-changed=memory.x");
+    println!("cargo:rerun-if-changed=memory");
     println!("cargo:rerun-if-changed=device.x");
 }

@@ -78,10 +78,9 @@ impl Encoder {
             .times(Factor::of(500_000_000))
             .shifted(-24)
             .parts();
-        let most = if size == 0 {
-            u64::MAX
-        } else {
-            (1 << 55) / size
+        let most = match (1_u64 << 55).checked_div(size) {
+            Some(most) => most,
+            None => u64::MAX,
         };
         Self {
             kind,

@@ -328,29 +328,23 @@ impl JointDrive {
         let rate = Rate(wanted.rate.0.saturating_add(shift_rate.0));
         let target = sum(self.kind, wanted.coordinate, shift);
         let following_error = difference(self.kind, target, self.sensed.motor);
-        self.driven = match &mut self.output {
+        let driven = &mut self.driven;
+        driven.following_error = following_error;
+        match &mut self.output {
             Output::Torque { law, output } => {
                 let (effort, cut) = law.effort(following_error, rate, wanted.acceleration);
                 let (code, clamped) = output.code(effort);
-                Driven {
-                    command: DriveCommand::Torque(code),
-                    following_error,
-                    effort,
-                    saturated: cut || clamped,
-                    lag: 0,
-                }
+                driven.command = DriveCommand::Torque(code);
+                driven.effort = effort;
+                driven.saturated = cut || clamped;
             }
             Output::Steps { planner, .. } => {
                 let planned = planner.plan(target, rate);
-                Driven {
-                    command: DriveCommand::Steps(planned.segment),
-                    following_error,
-                    effort: Effort(0),
-                    saturated: planned.ceiling,
-                    lag: planned.lag,
-                }
+                driven.command = DriveCommand::Steps(planned.segment);
+                driven.saturated = planned.ceiling;
+                driven.lag = planned.lag;
             }
-        };
+        }
         &self.driven
     }
 }

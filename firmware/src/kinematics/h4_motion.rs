@@ -80,7 +80,7 @@ pub(super) const fn quick_turn(lever: i64) -> u32 {
     // At 2^27, 0.196 rad/s, 2^32 becomes 8.5e8.
     while bits > 27 {
         // 2^28.5 of two linear coordinates, and 2^26: 2 Z' alpha', y alpha'^2, T theta'^2, all over 2^8.
-        let turned = (lever >> 2) * QUARTER_PI_Q31 as i64 >> (58 - bits);
+        let turned = ((lever >> 2) * QUARTER_PI_Q31 as i64) >> (58 - bits);
         if turned + 380_000_000 < (1 << 31) - (1 << 26) {
             break;
         }

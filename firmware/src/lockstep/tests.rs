@@ -38,14 +38,14 @@ fn command() -> impl Strategy<Value = DriveCommand> {
 prop_compose! {
     fn reading()(
         state in prop::sample::select(STATES.to_vec()),
-        (homed, position_kept, fault) in any::<(bool, bool, bool)>(),
+        (homed, position_kept, fault, more, queued) in (any::<bool>(), any::<bool>(), any::<bool>(), any::<bool>(), 0_u16..0x1000),
         (setpoint, path_rate, spindle_rpm, program_time) in any::<(u32, u16, i16, u64)>(),
         rows: [[i32; MAX_AXES]; 5],
         [high, low, yielded]: [[i32; 3]; 3],
     ) -> Reading {
         let [wanted, joints_wanted, joints, following_error, drive] = rows;
         Reading {
-            state, homed, position_kept, fault, setpoint, path_rate, spindle_rpm, program_time,
+            state, homed, position_kept, fault, more, queued, setpoint, path_rate, spindle_rpm, program_time,
             wanted, joints_wanted, joints, following_error, drive,
             force: ForceReading { high, low, yielded },
         }

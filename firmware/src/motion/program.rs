@@ -7,6 +7,7 @@
 //! Slowing down for want of setpoints begins while the queue still covers the stopping distance, so the last setpoint is never passed.
 //! The bounds on acceleration and jerk of the braking are those of the configuration's [`Stopping`], on top of the program's own.
 
+mod retreat;
 mod stopping;
 
 use super::Wanted;
@@ -20,6 +21,7 @@ use crate::units::{Acceleration, Coordinate, Rate};
 use haptimill_protocol::message::{Action, MAX_AXES, RATE_SHIFT, Refusal};
 use haptimill_protocol::setpoint::Setpoint;
 use heapless::Deque;
+use retreat::PASSED;
 
 /// How many setpoints the queue holds.
 pub const QUEUE: usize = 256;
@@ -92,6 +94,10 @@ pub struct Program {
     braking_periods: u64,
 
     queue: Deque<Knot, QUEUE>,
+    /// The setpoints that were passed last, newest last.
+    passed: Deque<Knot, PASSED>,
+    /// Program time that is still to be gone back once the machine rests, 2^-32 periods.
+    back: u64,
     /// Sum of the spans in the queue, in periods.
     queued_periods: u64,
     /// Setpoints at rest that are not reached yet.
@@ -100,7 +106,9 @@ pub struct Program {
     tail: Knot,
     /// The setpoint reached last (or the start pose).
     from: Knot,
-    segment: Option<Segment>,
+    /// The way to the next setpoint; it holds while it is `begun`. Large, and made where it lies.
+    segment: Segment,
+    begun: bool,
     /// Time into the segment, 2^-32 periods.
     time: u64,
     /// Program time at the start of the segment, in periods.
@@ -120,8 +128,8 @@ pub struct Program {
 constants!(Program {
     axes, rotary, rate_limits, acceleration_limits, period_us, periods_per_second, braking, braking_periods
 } of {} but {
-    queue, queued_periods, rests_ahead, tail, from, segment, time, elapsed, path_rate, override_rate, accepted, reached, total, started, paused,
-    starving, late, spans
+    queue, queued_periods, rests_ahead, tail, from, segment, begun, time, elapsed, path_rate, override_rate, accepted, reached, total, started, paused,
+    starving, late, spans, passed, back
 });
 
 /// Bounds of the path rate that a configuration's [`Stopping`] means; `None` if it makes no sense.
@@ -176,13 +184,15 @@ impl Program {
 
     /// Begins a job at `pose`.
     pub fn begin(&mut self, pose: &Pose) {
+        self.passed.clear();
+        self.back = 0;
         self.queue.clear();
         self.queued_periods = 0;
         self.rests_ahead = 0;
         self.tail = Knot::default();
         self.tail.pose = pose.0.map(|coordinate| coordinate.0);
         self.from = self.tail;
-        self.segment = None;
+        self.begun = false;
         self.time = 0;
         self.elapsed = 0;
         self.path_rate = Ramp::at(FULL_RATE);
@@ -257,6 +267,18 @@ impl Program {
             .wrapping_add((QUEUE - self.queue.len()) as u32)
     }
 
+    /// Setpoints that wait in the queue.
+    #[must_use]
+    pub fn queued(&self) -> usize {
+        self.queue.len()
+    }
+
+    /// Whether the host has said that all setpoints of the job are here.
+    #[must_use]
+    pub const fn is_complete(&self) -> bool {
+        self.total.is_some()
+    }
+
     /// Setpoints that were reached.
     #[must_use]
     pub const fn reached(&self) -> u32 {
@@ -286,6 +308,16 @@ impl Program {
         self.override_rate = FULL_RATE * i64::from(percent.clamp(1, 100)) / 100;
     }
 
+    /// Whether the next setpoint may be reached in this period, and a new segment begun: more to do than in others.
+    #[must_use]
+    pub fn turns(&self) -> bool {
+        self.started
+            && self.segment().is_none_or(|segment| {
+                let end = u64::from(segment.span.periods()) << 32;
+                self.time + FULL_RATE as u64 >= end
+            })
+    }
+
     /// Goes on after a pause.
     pub fn leave_pause(&mut self) {
         self.paused = false;
@@ -306,10 +338,10 @@ impl Program {
     /// Whether nothing moves along the path: braked to rest, waiting, or paused.
     #[must_use]
     pub fn is_still(&self) -> bool {
-        self.path_rate.is_zero()
+        (self.path_rate.is_zero() && self.back == 0)
             || self.paused
             || !self.started
-            || (self.segment.is_none() && self.queue.is_empty())
+            || (!self.begun && self.queue.is_empty())
     }
 
     /// One period along the path; `halt` brakes to rest and keeps the place.
@@ -347,6 +379,9 @@ impl Program {
         }
         if finished || !self.started || self.paused {
             progress.finished = finished;
+            return progress;
+        }
+        if halt && self.back > 0 && self.goes_back(&braking) {
             return progress;
         }
         self.watch_coverage(&braking);
@@ -403,8 +438,7 @@ impl Program {
 
     fn remaining_periods(&self) -> u64 {
         let segment = self
-            .segment
-            .as_ref()
+            .segment()
             .map_or(0, |segment| u64::from(segment.span.periods()));
         (segment + self.queued_periods).saturating_sub((self.time >> 32) + 1)
     }
@@ -412,7 +446,7 @@ impl Program {
     /// Goes from setpoint to setpoint until the time lies within a segment.
     fn walk(&mut self, progress: &mut Progress) {
         loop {
-            if self.segment.is_none() {
+            if !self.begun {
                 let Some(knot) = self.queue.pop_front() else {
                     progress.ran_dry = !self.from.at_rest();
                     self.time = 0;
@@ -424,17 +458,19 @@ impl Program {
                 self.queued_periods -= u64::from(knot.periods);
                 self.begin_segment(&knot);
             }
-            // A segment is large: it is looked at where it lies.
-            let Some(segment) = &self.segment else { return };
-            let periods = u64::from(segment.span.periods());
+            if !self.begun {
+                return;
+            }
+            let periods = u64::from(self.segment.span.periods());
             let end = periods << 32;
             if self.time < end {
                 return;
             }
             self.time -= end;
             self.elapsed += periods;
-            self.from = segment.to;
-            self.segment = None;
+            self.remember(self.from);
+            self.from = self.segment.to;
+            self.begun = false;
             self.reached = self.reached.wrapping_add(1);
             if self.from.at_rest() {
                 self.rests_ahead = self.rests_ahead.saturating_sub(1);
@@ -471,7 +507,7 @@ impl Program {
 
     /// The same, written where they shall be.
     fn sample(&self, wanted: &mut Wanted) {
-        let Some(segment) = &self.segment else {
+        let Some(segment) = self.segment() else {
             *wanted = Wanted {
                 pose: Pose(self.from.pose.map(Coordinate)),
                 ..Wanted::default()
@@ -545,19 +581,20 @@ impl Program {
         let Some(span) = self.span(1, to.periods) else {
             return;
         };
-        let mut segment = Segment {
-            span,
-            to: *to,
-            ..Segment::default()
-        };
         for axis in 0..self.axes {
             let Some(cubic) = self.cubic(axis, &self.from, to, &span) else {
                 return;
             };
-            segment.derivatives[axis] = cubic.derivatives(&span);
-            segment.cubics[axis] = cubic;
+            self.segment.derivatives[axis] = cubic.derivatives(&span);
+            self.segment.cubics[axis] = cubic;
         }
-        self.segment = Some(segment);
+        self.segment.span = span;
+        self.segment.to = *to;
+        self.begun = true;
+    }
+
+    fn segment(&self) -> Option<&Segment> {
+        self.begun.then_some(&self.segment)
     }
 
     /// Whether an axis may go from the newest setpoint to the next one: neither the rate there nor the mean rate nor any in between is beyond the axis' limit, nor

@@ -1,10 +1,10 @@
 //! Cutting a way into a workpiece with as few sweeps as it needs.
 //!
-//! Places come in at short intervals. They are gathered into stretches of 0.1 mm; a stretch is cut in one straight sweep, or in up to four when a place lies
-//! more than 0.2 um aside. On a circle of 15 mm radius one sweep leaves 0.1 um of the arc.
+//! Places come in at short intervals. They are gathered into stretches of 0.2 mm; a stretch is cut in one straight sweep, or in two with the corner at the
+//! place that lies furthest aside, when that is more than 1 um. On a circle of 15 mm radius one sweep leaves 0.3 um of the arc.
 //!
 //! A stretch is cut when the next one is whole, so that the map ends some cells behind the tool: between its points it rounds off the rim of a
-//! fresh cut, and the edges must not see that. When the way turns back, and the tool has come back by 2 um, everything is cut at once, for then
+//! fresh cut, and the edges must not see that. When the tool has come back by 2 um behind the latest place, everything is cut at once, for then
 //! it comes to where it was.
 
 use crate::cutting::path::Passed;
@@ -12,16 +12,16 @@ use crate::cutting::vector::{Vector, dot, minus};
 use crate::cutting::workpiece::Workpiece;
 
 /// A stretch is whole when it reaches this far, mm.
-const LONGEST: f64 = 0.1;
+const LONGEST: f64 = 0.2;
 
 /// Places nearer to each other than this are one, mm.
 const SAME: f64 = 0.0002;
 
 /// A place may lie this far off the sweep, mm.
-const ASIDE: f64 = 0.0002;
+const ASIDE: f64 = 0.001;
 
 /// Sweeps in one stretch at most.
-const PIECES: usize = 4;
+const PIECES: usize = 2;
 
 /// How far the way may turn back, mm.
 const BACK: f64 = 0.002;
@@ -36,8 +36,13 @@ pub struct Carver {
     present: Vec<Vector>,
     /// Latest place.
     end: Vector,
-    /// Furthest from the beginning of the present stretch, mm.
+    /// Furthest from where the workpiece is cut up to, mm.
     furthest: f64,
+}
+
+fn distance(a: Vector, b: Vector) -> f64 {
+    let off = minus(a, b);
+    dot(off, off).sqrt()
 }
 
 impl Carver {
@@ -72,27 +77,24 @@ impl Carver {
         if dot(step, step) < SAME * SAME {
             return;
         }
-        let chord = minus(place, self.present[0]);
-        let length = dot(chord, chord).sqrt();
-        let ahead = minus(now, self.present[0]);
+        let from_cut = distance(place, self.waiting[0]);
         let back = self.furthest - BACK;
-        if length < back || (length < self.furthest - SAME && dot(ahead, ahead) < back * back) {
-            self.present.push(place);
+        self.present.push(place);
+        if from_cut < back || distance(now, self.waiting[0]) < back {
             self.finish(workpiece);
             return;
         }
-        self.furthest = if length > self.furthest {
-            length
+        self.furthest = if from_cut > self.furthest {
+            from_cut
         } else {
             self.furthest
         };
-        self.present.push(place);
-        if length > LONGEST {
+        if distance(place, self.present[0]) > LONGEST {
             cut(workpiece, self.radius, &self.waiting);
             core::mem::swap(&mut self.waiting, &mut self.present);
             self.present.clear();
             self.present.push(place);
-            self.furthest = 0.0;
+            self.furthest = distance(place, self.waiting[0]);
         }
     }
 

@@ -112,7 +112,8 @@ impl View<'_> {
             };
         }
         let depth = self.workpiece.height(x, y) - z;
-        if depth <= 0.0 {
+        // Deep under any surface but a wall, the chip is whole; a wall is not known to its thickness anyway.
+        if depth <= 0.0 || depth > 4.0 * chip {
             return Touch { chip, depth };
         }
         // The far side of the chip: when it is in the air, the surface lies between.

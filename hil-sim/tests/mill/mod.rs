@@ -119,3 +119,12 @@ pub fn largest(cuts: &[Cut]) -> f64 {
         .flat_map(|cut| cut.force)
         .fold(0.0, |most: f64, part| most.max(part.abs()))
 }
+
+/// A slot of 20 mm from the origin towards -x, the tool at its end.
+pub fn slotted(feed: f64, depth: f64) -> Bench {
+    let config = config(block(-26.0, 6.0, -6.0, 6.0), Coefficients::P1);
+    let mut bench = Bench::new(&config, [0.0, 0.0, 1.0]);
+    bench.line([0.0, 0.0, -depth], 4.0);
+    bench.line([-20.0, 0.0, -depth], feed);
+    bench
+}

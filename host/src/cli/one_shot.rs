@@ -232,6 +232,7 @@ pub(super) fn report(session: &mut Session<PortLine>, json: bool) -> Result<(), 
             "joints": map(joints(&status.joints)),
             "following_error": map(joints(&status.following_error)),
             "bad_frames": status.bad_frames,
+            "lost_bytes": status.lost_bytes,
         });
         tell!("{value:#}");
         return Ok(());
@@ -256,6 +257,12 @@ pub(super) fn report(session: &mut Session<PortLine>, json: bool) -> Result<(), 
     );
     if let Some(fault) = fault {
         tell!("fault     {fault}");
+    }
+    if status.lost_bytes > 0 {
+        tell!(
+            "line      the controller lost {} bytes for want of room",
+            status.lost_bytes
+        );
     }
     if !status.measured.is_empty() {
         tell!("measured{}", line(pose(&status.measured)));

@@ -205,6 +205,13 @@ pub enum PortError {
         /// The port.
         name: String,
     },
+    /// The controller of a simulated machine has failed.
+    Failed {
+        /// The controller.
+        name: String,
+        /// What it said of that.
+        reason: String,
+    },
     /// The other end has gone.
     Gone {
         /// The port.
@@ -233,6 +240,10 @@ impl fmt::Display for PortError {
             Self::Busy { name } => write!(
                 out,
                 "{name}: another program has it; close that program (`fuser {name}` names it), then try again (`haptimill stop` is heard all the same)"
+            ),
+            Self::Failed { name, reason } => write!(
+                out,
+                "{name}: the controller has failed, its drives are off: {reason}"
             ),
             Self::Gone { name, reason } => write!(
                 out,

@@ -35,6 +35,12 @@ pub const STALL: Duration = Duration::from_millis(1500);
 /// Instructions a count of the board's timer stands for: 25 MHz, and 1024 ns an instruction.
 pub const INSTRUCTIONS_PER_COUNT: f64 = 40.0 / 1024.0;
 
+/// The counts of the board's timer that so many instructions take.
+#[must_use]
+pub fn counts(instructions: u32) -> u32 {
+    (f64::from(instructions) / INSTRUCTIONS_PER_COUNT) as u32
+}
+
 /// Builds the image of a board where its sources are, and says where it is.
 ///
 /// The variable `HAPTIMILL_IMAGE` names one that is already there.
@@ -42,9 +48,21 @@ pub const INSTRUCTIONS_PER_COUNT: f64 = 40.0 / 1024.0;
 /// # Errors
 /// There are neither sources nor an image, or the build failed.
 pub fn image(board: Board) -> Result<PathBuf, CliError> {
-    if let Some(image) = std::env::var_os("HAPTIMILL_IMAGE") {
-        return Ok(PathBuf::from(image));
+    match std::env::var_os("HAPTIMILL_IMAGE") {
+        Some(image) => Ok(PathBuf::from(image)),
+        None => build(board, None),
     }
+}
+
+/// Builds another image of a board than the product's, such as the one that checks itself.
+///
+/// # Errors
+/// There are no sources, or the build failed.
+pub fn other_image(board: Board, name: &str) -> Result<PathBuf, CliError> {
+    build(board, Some(name))
+}
+
+fn build(board: Board, other: Option<&str>) -> Result<PathBuf, CliError> {
     let folder = board.folder();
     let here = std::env::current_dir().unwrap_or_default();
     let root = here
@@ -60,6 +78,7 @@ pub fn image(board: Board) -> Result<PathBuf, CliError> {
     let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
     let built = Command::new(cargo)
         .args(["xtask", "board", board.name(), "--image"])
+        .args(other)
         .current_dir(root)
         .stdin(Stdio::null())
         .stderr(Stdio::inherit())
@@ -93,6 +112,28 @@ pub struct Emulator {
     to_board: File,
     from_board: File,
     serial: UnixStream,
+}
+
+/// What an emulator is started with, besides its image.
+#[derive(Debug, Clone, Default)]
+pub struct Setup {
+    /// Words for the image: its command line.
+    pub words: Vec<String>,
+    /// Where what comes over the board's log line goes; nowhere without it.
+    pub log: Option<PathBuf>,
+}
+
+impl Setup {
+    /// The option of the emulator: semihosting on, and the image's command line, which begins with a name.
+    fn semihosting(&self) -> String {
+        let mut option = "enable=on,target=native,arg=image".to_string();
+        for word in &self.words {
+            option += ",arg=";
+            // A comma stands for itself when it is doubled.
+            option += &word.replace(',', ",,");
+        }
+        option
+    }
 }
 
 /// Keeps this thread, and the emulator that it starts, on one processor: they take turns, and a hand-over there is four times faster than one
@@ -154,6 +195,14 @@ impl Emulator {
     /// # Errors
     /// The emulator is not installed, or the image does not start.
     pub fn start(board: Board, image: &Path) -> Result<Self, CliError> {
+        Self::start_with(board, image, &Setup::default())
+    }
+
+    /// Starts the emulator with an image that is told something, or says something beside the links.
+    ///
+    /// # Errors
+    /// As [`Emulator::start`]; or the log cannot be written.
+    pub fn start_with(board: Board, image: &Path, setup: &Setup) -> Result<Self, CliError> {
         let failed = |error: io::Error| CliError::new(Exit::Port, format!("{board}: {error}"));
         let image = image.canonicalize().map_err(|error| {
             CliError::new(
@@ -180,6 +229,15 @@ impl Emulator {
             .open(&pipes[1])
             .map_err(failed)?;
         let console = File::create(folder.0.join("console")).map_err(failed)?;
+        if let Some(log) = &setup.log {
+            let target =
+                std::path::absolute(log).and_then(|path| File::create(&path).map(|_| path));
+            let target =
+                target.and_then(|path| std::os::unix::fs::symlink(path, folder.0.join("log")));
+            target.map_err(|error| {
+                CliError::new(Exit::Output, format!("{}: {error}", log.display()))
+            })?;
+        }
         share_processor();
         let child = Command::new(EMULATOR)
             .args([
@@ -196,8 +254,15 @@ impl Emulator {
                 "-serial",
                 "chardev:host",
             ])
+            // UART1 is not used, UART2 is the log line.
+            .args(["-serial", "null", "-serial"])
+            .arg(if setup.log.is_some() {
+                "file:log"
+            } else {
+                "null"
+            })
             .args(["-icount", "shift=10,sleep=off"])
-            .args(["-semihosting-config", "enable=on,target=native"])
+            .args(["-semihosting-config", &setup.semihosting()])
             .arg("-kernel")
             .arg(&image)
             .current_dir(&folder.0)
@@ -383,6 +448,12 @@ pub struct Instructions {
     pub stack_bytes: u32,
     /// Most bytes that waited in the receive ring.
     pub ring_peak: u32,
+    /// Fewest setpoints that waited in the queue while more of them were to come; `None` if all were there before the path was under way.
+    pub queue_low: Option<u16>,
+    /// Most setpoints that waited in the queue.
+    pub queue_high: u16,
+    /// Control periods that were missed because one before took more instructions than there are in a period.
+    pub missed: u64,
 }
 
 /// Names of the stages, in their order.
@@ -411,6 +482,9 @@ impl Instructions {
             worst_of_all: worst(cost.worst_of_all),
             stack_bytes: cost.stack_bytes,
             ring_peak: cost.ring_peak,
+            queue_low: cost.queue_low,
+            queue_high: cost.queue_high,
+            missed: cost.missed,
         }
     }
 }

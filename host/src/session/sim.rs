@@ -127,7 +127,7 @@ impl<C: Control> Line for SimLine<C> {
         }
         let ticked = self.rig.step();
         if let Some(reason) = self.rig.control().failure() {
-            return Err(PortError::Gone {
+            return Err(PortError::Failed {
                 name: self.name.clone(),
                 reason: reason.to_string(),
             });

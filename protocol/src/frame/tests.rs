@@ -45,6 +45,18 @@ fn frames(decoder: &mut FrameDecoder, bytes: &[u8]) -> StdVec<(Header, StdVec<u8
 proptest! {
     #![proptest_config(ProptestConfig { rng_seed: proptest::test_runner::RngSeed::Fixed(1), failure_persistence: None, ..ProptestConfig::default() })]
 
+    /// Against the codes of another implementation.
+    #[test]
+    fn stuffed_as_others_do(header in header(), payload in payload(), session: u32) {
+        let mut frame = FrameBytes::new();
+        encode(header, &payload, session, &mut frame).unwrap();
+        let mut content = [0; MAX_FRAME];
+        let length = cobs::decode(&frame, &mut content).unwrap().frame_size();
+        let mut again = [0; MAX_FRAME];
+        let count = cobs::encode(&content[..length], &mut again);
+        prop_assert_eq!(&frame[..frame.len() - 1], &again[..count]);
+    }
+
     #[test]
     fn round_trip_after_any_garbage(garbage in prop::collection::vec(any::<u8>(), 0..700), header in header(), payload in payload(), session: u32) {
         let mut frame = FrameBytes::new();

@@ -1,6 +1,6 @@
 //! What differs between the two ends: who greets, who answers, and what each says.
 
-use super::{Link, LinkState};
+use super::{Link, LinkState, Payload, encode};
 use crate::frame::Header;
 use crate::message::{Hello, HelloRefusal, PROTOCOL_VERSION, Report, Request, Welcome};
 use crate::schema::schema_hash;
@@ -16,9 +16,9 @@ pub trait End: greet::Greet {
     type Hears: DeserializeOwned;
 }
 
-/// Greeting, which is no business of a caller.
+/// Payload, which is no business of a caller.
 pub(super) mod greet {
-    use super::{Header, LinkState};
+    use super::{Header, LinkState, Payload};
 
     /// How an end greets.
     pub trait Greet: Default {
@@ -26,13 +26,9 @@ pub(super) mod greet {
         fn greeted(&mut self, header: Header, payload: &[u8]) -> bool;
         /// The session that was just opened.
         fn accepted(&mut self) -> Option<u32>;
-        /// The greeting that is due, written into the buffer.
-        fn greeting<'b>(
-            &mut self,
-            now_us: u64,
-            every_us: u32,
-            buffer: &'b mut [u8],
-        ) -> Option<(Header, &'b [u8])>;
+        /// The greeting that is due, if one is; its payload is written.
+        fn greeting(&mut self, now_us: u64, every_us: u32, payload: &mut Payload)
+        -> Option<Header>;
         /// How it stands while no session is open.
         fn closed(&self) -> LinkState;
     }
@@ -95,12 +91,7 @@ impl greet::Greet for Host {
         Some(session)
     }
 
-    fn greeting<'b>(
-        &mut self,
-        now_us: u64,
-        every_us: u32,
-        buffer: &'b mut [u8],
-    ) -> Option<(Header, &'b [u8])> {
+    fn greeting(&mut self, now_us: u64, every_us: u32, payload: &mut Payload) -> Option<Header> {
         let Phase::Opening { session, next_us } = self.phase else {
             return None;
         };
@@ -114,8 +105,8 @@ impl greet::Greet for Host {
             schema: schema_hash(),
             session,
         };
-        let payload = postcard::to_slice(&hello, buffer).ok()?;
-        Some((Header::Hello, payload))
+        encode(&hello, payload).ok()?;
+        Some(Header::Hello)
     }
 
     fn closed(&self) -> LinkState {
@@ -186,10 +177,10 @@ impl greet::Greet for Controller {
         None
     }
 
-    fn greeting<'b>(&mut self, _: u64, _: u32, buffer: &'b mut [u8]) -> Option<(Header, &'b [u8])> {
+    fn greeting(&mut self, _: u64, _: u32, payload: &mut Payload) -> Option<Header> {
         let welcome = self.welcome.take()?;
-        let payload = postcard::to_slice(&welcome, buffer).ok()?;
-        Some((Header::Welcome, payload))
+        encode(&welcome, payload).ok()?;
+        Some(Header::Welcome)
     }
 
     fn closed(&self) -> LinkState {

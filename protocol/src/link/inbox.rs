@@ -1,7 +1,6 @@
 //! What arrived and waits: reliable messages put into order, latest values as they come.
 
 use crate::frame::{Acknowledgement, MAX_PAYLOAD};
-use heapless::Vec;
 
 /// Bytes in front of each stored payload: its kind, its number, its length.
 const PREFIX: usize = 4;
@@ -11,10 +10,23 @@ const RELIABLE: u8 = 1;
 /// A stored latest value.
 const LATEST: u8 = 2;
 
+/// Bytes that lie as words do, so that they are moved as words.
+#[derive(Debug)]
+#[repr(align(4))]
+struct Words<const BYTES: usize>([u8; BYTES]);
+
+/// Bytes that a stored payload takes: whole words.
+const fn stride(payload: usize) -> usize {
+    PREFIX + payload.next_multiple_of(PREFIX)
+}
+
 /// Messages that arrived, one after the other: kind, number, length (two bytes), payload.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Inbox<const BYTES: usize> {
-    stored: Vec<u8, BYTES>,
+    bytes: Words<BYTES>,
+    /// The stored ones lie between these.
+    head: usize,
+    used: usize,
     /// The reliable frame that is missing first.
     missing: u8,
     /// Bit `k`: frame `missing + 1 + k` arrived.
@@ -29,18 +41,35 @@ pub(super) struct Inbox<const BYTES: usize> {
     pub(super) no_room: u32,
 }
 
+impl<const BYTES: usize> Default for Inbox<BYTES> {
+    fn default() -> Self {
+        Self {
+            bytes: Words([0; BYTES]),
+            head: 0,
+            used: 0,
+            missing: 0,
+            beyond: 0,
+            give: 0,
+            newest: None,
+            duplicates: 0,
+            no_room: 0,
+        }
+    }
+}
+
 impl<const BYTES: usize> Inbox<BYTES> {
     /// A message of the largest size must fit beside one that came too early.
-    const ENOUGH: () = assert!(BYTES >= 2 * (PREFIX + MAX_PAYLOAD));
+    const ENOUGH: () = assert!(BYTES >= 2 * stride(MAX_PAYLOAD) && BYTES.is_multiple_of(PREFIX));
 
     /// Forgets everything but the counts.
     pub(super) fn clear(&mut self) {
         let () = Self::ENOUGH;
-        *self = Self {
-            duplicates: self.duplicates,
-            no_room: self.no_room,
-            ..Self::default()
-        };
+        self.head = 0;
+        self.used = 0;
+        self.missing = 0;
+        self.beyond = 0;
+        self.give = 0;
+        self.newest = None;
     }
 
     /// What is to be told to the peer.
@@ -96,8 +125,8 @@ impl<const BYTES: usize> Inbox<BYTES> {
         self.newest = Some(sequence);
         // A reliable message that comes in order must find its room whatever else is here.
         let reserve = PREFIX + MAX_PAYLOAD;
-        while self.free() < PREFIX + payload.len() + reserve {
-            let Some((start, end)) = self.find(|kind, _| kind == LATEST) else {
+        while self.free() < stride(payload.len()) + reserve {
+            let Some((start, _, end)) = self.find(|kind, _| kind == LATEST) else {
                 break;
             };
             self.remove(start, end);
@@ -106,48 +135,81 @@ impl<const BYTES: usize> Inbox<BYTES> {
         self.store(LATEST, sequence, payload, reserve);
     }
 
-    /// The next message in order.
-    pub(super) fn next(&mut self) -> Option<Vec<u8, MAX_PAYLOAD>> {
-        let give = self.give;
-        let (start, end) = self.find(|kind, sequence| kind == LATEST || sequence == give)?;
-        let kind = self.stored.get(start).copied()?;
-        let payload = Vec::from_slice(self.stored.get(start + PREFIX..end)?).ok()?;
+    /// The next message in order; it stays.
+    pub(super) fn first(&self) -> Option<&[u8]> {
+        let (start, end, _) = self.place()?;
+        self.stored().get(start + PREFIX..end)
+    }
+
+    /// Drops the next message in order.
+    pub(super) fn drop_first(&mut self) {
+        let Some((start, _, end)) = self.place() else {
+            return;
+        };
+        let kind = self.stored().get(start).copied();
         self.remove(start, end);
-        if kind == RELIABLE {
+        if kind == Some(RELIABLE) {
             self.give = self.give.wrapping_add(1);
         }
-        Some(payload)
+    }
+
+    /// The next message in order: where it begins, where its payload ends, where the next one begins.
+    fn place(&self) -> Option<(usize, usize, usize)> {
+        let give = self.give;
+        self.find(|kind, sequence| kind == LATEST || sequence == give)
+    }
+
+    /// What is stored.
+    fn stored(&self) -> &[u8] {
+        self.bytes.0.get(self.head..self.used).unwrap_or_default()
     }
 
     /// Bytes that are free.
     fn free(&self) -> usize {
-        BYTES - self.stored.len()
+        BYTES - (self.used - self.head)
     }
 
     /// Stores a payload if that leaves `reserve` bytes free.
     fn store(&mut self, kind: u8, sequence: u8, payload: &[u8], reserve: usize) -> bool {
-        if payload.len() > MAX_PAYLOAD || self.free() < PREFIX + payload.len() + reserve {
+        let length = stride(payload.len());
+        if payload.len() > MAX_PAYLOAD || self.free() < length + reserve {
             self.no_room = self.no_room.saturating_add(1);
             return false;
         }
         let [low, high] = (payload.len() as u16).to_le_bytes();
-        self.stored
-            .extend_from_slice(&[kind, sequence, low, high])
-            .is_ok()
-            && self.stored.extend_from_slice(payload).is_ok()
+        if self.used + length > BYTES {
+            // Only now, for it takes long: nearly always the inbox is empty before, and begins anew.
+            self.bytes.0.copy_within(self.head..self.used, 0);
+            self.used -= self.head;
+            self.head = 0;
+        }
+        let end = self.used + PREFIX + payload.len();
+        let Some((prefix, place)) = self
+            .bytes
+            .0
+            .get_mut(self.used..end)
+            .and_then(|place| place.split_first_chunk_mut::<PREFIX>())
+        else {
+            return false;
+        };
+        *prefix = [kind, sequence, low, high];
+        place.copy_from_slice(payload);
+        self.used += length;
+        true
     }
 
-    /// Where the first stored message lies that is wanted.
-    fn find(&self, wanted: impl Fn(u8, u8) -> bool) -> Option<(usize, usize)> {
+    /// The first stored message that is wanted: where it begins, where its payload ends, where the next one begins.
+    fn find(&self, wanted: impl Fn(u8, u8) -> bool) -> Option<(usize, usize, usize)> {
         let mut start = 0;
         while let Some(&[kind, sequence, low, high]) = self
-            .stored
+            .stored()
             .get(start..)
             .and_then(|rest| rest.first_chunk::<PREFIX>())
         {
-            let end = start + PREFIX + usize::from(u16::from_le_bytes([low, high]));
+            let length = usize::from(u16::from_le_bytes([low, high]));
+            let end = start + stride(length);
             if wanted(kind, sequence) {
-                return Some((start, end));
+                return Some((start, start + PREFIX + length, end));
             }
             start = end;
         }
@@ -156,9 +218,17 @@ impl<const BYTES: usize> Inbox<BYTES> {
 
     /// Removes what lies between two places.
     fn remove(&mut self, start: usize, end: usize) {
-        let end = end.min(self.stored.len());
-        self.stored.copy_within(end.., start);
-        self.stored
-            .truncate(self.stored.len() - (end - start.min(end)));
+        if start == 0 {
+            self.head = (self.head + end).min(self.used);
+            if self.head == self.used {
+                self.head = 0;
+                self.used = 0;
+            }
+            return;
+        }
+        let (start, end) = (self.head + start, (self.head + end).min(self.used));
+        let start = start.min(end);
+        self.bytes.0.copy_within(end..self.used, start);
+        self.used -= end - start;
     }
 }

@@ -284,6 +284,7 @@ fn only_newer_latest_values_are_heard() {
             fault: None,
             deferred_bytes: 0,
             bad_frames: 0,
+            lost_bytes: 0,
         })
     };
     let (mut frames, mut buffer) = (StdVec::new(), [0; 400]);

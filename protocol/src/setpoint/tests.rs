@@ -1,7 +1,6 @@
 //! The coding is exact for every setpoint, and cheap for the ones that a planner makes.
 
 use super::*;
-use crate::message::SETPOINT_BATCH;
 use proptest::prelude::*;
 use std::vec::Vec as StdVec;
 
@@ -224,5 +223,59 @@ fn wire_cost() {
     for (name, bytes, limit) in figures {
         std::println!("{name:36} {bytes:5.1} bytes a setpoint on the line, at most {limit}");
         assert!(bytes <= limit, "{name}");
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { rng_seed: proptest::test_runner::RngSeed::Fixed(4), failure_persistence: None, ..ProptestConfig::default() })]
+
+    /// Taken apart bit by bit, a batch is what it is as a whole; cut off anywhere, it ends there.
+    #[test]
+    fn a_batch_is_the_sum_of_its_setpoints(
+        id: u8, first: u32,
+        items in prop::collection::vec((1..=u16::MAX, 0u8..64, any::<[i32; 12]>(), any::<i16>()), 0..=SETPOINT_BATCH),
+        cut: prop::sample::Index,
+    ) {
+        let items: StdVec<SetpointDelta> = items
+            .into_iter()
+            .map(|(periods, moved, residuals, speed)| SetpointDelta {
+                periods,
+                moved,
+                residuals: residuals.into_iter().take(2 * moved.count_ones() as usize).collect(),
+                action: if speed < 0 { Action::None } else { Action::Spindle(speed) },
+            })
+            .collect();
+        let batch = crate::message::SetpointBatch { first, items: items.iter().cloned().collect() };
+        let request = crate::message::Request { id, command: crate::message::Command::Setpoints(batch) };
+        let mut buffer = [0; 400];
+        let payload = postcard::to_slice(&request, &mut buffer).unwrap();
+        prop_assert!(BatchReader::fits(payload));
+        let mut reader = BatchReader::open(payload).unwrap();
+        prop_assert_eq!((reader.id, usize::from(reader.left)), (id, items.len()));
+        for (index, item) in items.iter().enumerate() {
+            prop_assert_eq!(reader.number, first.wrapping_add(index as u32));
+            prop_assert_eq!(&reader.next(payload), &Some(item.clone()));
+        }
+        prop_assert_eq!(reader.next(payload), None);
+        let part = &payload[..cut.index(payload.len())];
+        if let Some(mut reader) = BatchReader::open(part) {
+            let read = core::iter::from_fn(|| reader.next(part)).count();
+            prop_assert!(read < items.len());
+        }
+    }
+}
+
+/// No other request is taken for a batch.
+#[test]
+fn only_a_batch_is_taken_apart() {
+    let mut buffer = [0; 400];
+    for command in [
+        crate::message::Command::Ping,
+        crate::message::Command::Status,
+        crate::message::Command::Hold,
+    ] {
+        let request = crate::message::Request { id: 0, command };
+        let payload = postcard::to_slice(&request, &mut buffer).unwrap();
+        assert!(!BatchReader::fits(payload) && BatchReader::open(payload).is_none());
     }
 }

@@ -51,5 +51,7 @@ impl Probe for StageCounter {
             *count = now.wrapping_sub(self.last);
         }
         self.last = now;
+        #[cfg(feature = "faults")]
+        crate::faults::ended(stage);
     }
 }

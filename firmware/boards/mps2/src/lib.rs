@@ -4,13 +4,24 @@
 //! any board; the machine is at the other end of two named pipes, which semihosting reads and writes ([`haptimill_firmware::lockstep`] says what
 //! goes over them). Memory accesses and instructions that the compiler cannot vouch for stand in this crate and nowhere else.
 //!
+//! | image | feature | what it is |
+//! | --- | --- | --- |
+//! | `haptimill-mps2` | | the product |
+//! | `faults` | `faults` | the same, and something goes wrong in it: [`faults`] |
+//! | `logging` | `defmt` | the same, and it logs over UART2: [`log`] |
+//! | `checks` | `checks` | the checks of `haptimill-checks`, on the chip |
+//!
 //! Misuse: semihosting lets an image open any file of the user who runs it; run only your own.
 #![no_std]
 
 pub mod counter;
 pub mod ending;
+#[cfg(feature = "faults")]
+pub mod faults;
 mod registers;
 pub mod semihosting;
 pub mod serial;
+pub mod serve;
 pub mod stack;
 pub mod tick;
+pub mod wiring;

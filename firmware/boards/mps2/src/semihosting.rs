@@ -8,12 +8,13 @@ const OPEN: usize = 0x01;
 const WRITE_TEXT: usize = 0x04;
 const WRITE: usize = 0x05;
 const READ: usize = 0x06;
+const COMMAND_LINE: usize = 0x15;
 const EXIT: usize = 0x20;
 
 /// The reason "the application ended", which carries an exit code.
 const APPLICATION_EXIT: usize = 0x2_0026;
 
-/// One call of the emulator.
+/// One call of the emulator, which may write where `arguments` points to.
 #[inline(always)]
 fn call(operation: usize, arguments: *const usize) -> isize {
     let result: isize;
@@ -87,6 +88,21 @@ impl File {
             _ => Err(Gone),
         }
     }
+}
+
+/// The words that the emulator was given for the image; empty when they do not fit.
+pub fn command_line(room: &mut [u8]) -> &str {
+    let mut arguments = [room.as_mut_ptr() as usize, room.len()];
+    // Through a mutable pointer: the emulator writes the length.
+    if call(COMMAND_LINE, arguments.as_mut_ptr()) != 0 {
+        return "";
+    }
+    // The length is written by the emulator, which the compiler does not know.
+    let length = core::hint::black_box(arguments)[1].min(room.len());
+    let text = &room[..length];
+    core::str::from_utf8(text)
+        .unwrap_or("")
+        .trim_end_matches('\0')
 }
 
 /// Writes to the emulator's console.

@@ -3,7 +3,7 @@
 use crate::registers::{UART0, read, write};
 use core::cell::UnsafeCell;
 use cortex_m::peripheral::NVIC;
-use haptimill_firmware::receive::{ReceiveRing, Receiver, Waiting};
+use haptimill_firmware::receive::{RING_BYTES, ReceiveRing, Receiver, Waiting};
 
 const DATA: usize = 0x0;
 const STATE: usize = 0x4;
@@ -20,7 +20,7 @@ const ENABLED: u32 = 0b1011;
 const CLOCK_HZ: u32 = 25_000_000;
 
 /// Size of the receive ring; one byte of it stays free.
-pub const RING: usize = 4096;
+pub const RING: usize = RING_BYTES + 1;
 
 /// The receiver, which belongs to the interrupt once it is enabled.
 struct ForInterrupt(UnsafeCell<Option<Receiver<'static>>>);
@@ -50,9 +50,10 @@ pub fn start(ring: &'static mut ReceiveRing<RING>, nvic: &mut NVIC, baud: u32) -
     unsafe { *RECEIVER.0.get() = Some(receiver) };
     write(UART0, BAUD_DIVIDER, (CLOCK_HZ / baud.max(1)).max(16));
     write(UART0, CONTROL, ENABLED);
-    // SAFETY: the receiver is in place. The interrupt is more urgent than the control period (see `tick`), so that no byte waits for it.
+    // SAFETY: the receiver is in place. The interrupt is more urgent than the control period (see `tick`), so that no byte waits for it, and
+    // less urgent than a fault (see `ending`).
     unsafe {
-        nvic.set_priority(UART0_RX_NUMBER, 0);
+        nvic.set_priority(UART0_RX_NUMBER, 0x40);
         NVIC::unmask(UART0_RX_NUMBER);
     }
     waiting

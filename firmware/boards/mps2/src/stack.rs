@@ -28,9 +28,16 @@ pub fn used_bytes() -> u32 {
     (high - at) as u32
 }
 
-/// Whether a stack pointer has left the stack.
+/// Bytes of stack that there are.
+#[must_use]
+pub fn bytes() -> usize {
+    let (low, high) = bounds();
+    high - low
+}
+
+/// Whether a stack pointer has left the stack, or has been stopped at its end: what is pushed at once is less than 64 bytes.
 #[must_use]
 pub fn overflown(stack_pointer: usize) -> bool {
     let (low, _) = bounds();
-    stack_pointer < low + 32
+    stack_pointer < low + 64
 }

@@ -132,6 +132,8 @@ fn SysTick() {
         return;
     };
     waiting.take(&mut period.inputs);
+    #[cfg(feature = "faults")]
+    crate::faults::begin(period.inputs.period);
     period.counter = StageCounter::begin();
     controller.tick(&period.inputs, &mut period.outputs, &mut period.counter);
 }

@@ -26,7 +26,7 @@ impl Program {
         let mut ahead =
             next.saturating_add(stopping.map_or(u64::MAX, |(_, far)| far.unsigned_abs()));
         let mut from = self.from;
-        if let Some(segment) = &self.segment {
+        if let Some(segment) = self.segment() {
             let left = (u64::from(segment.span.periods()) << 32).saturating_sub(self.time);
             let time = self.time + left.min(ahead);
             let microseconds = ((left.min(ahead) >> 16) as i64 * i64::from(self.period_us)) >> 16;

@@ -18,9 +18,21 @@ pub(super) fn emulated(
 ) -> Result<(), CliError> {
     use crate::session::pil::{self, Instructions};
     use haptimill_hil_sim::remote::RemoteController;
-    let emulator = pil::Emulator::start(board, &pil::image(board)?)?;
-    let remote = RemoteController::begin(emulator, machine.config.period_us)
+    let setup = pil::Setup {
+        words: args.image_word.clone(),
+        log: args.log.clone(),
+    };
+    let image = match &args.image {
+        Some(image) => image.clone(),
+        None => pil::image(board)?,
+    };
+    let emulator = pil::Emulator::start_with(board, &image, &setup)?;
+    let period_us = machine.config.period_us;
+    let mut remote = RemoteController::begin(emulator, period_us)
         .map_err(|reason| CliError::new(Exit::Port, format!("{board}: {reason}")))?;
+    if let Some(budget) = args.budget {
+        remote.set_budget(pil::counts(budget));
+    }
     let cost = remote.cost();
     let rig = session::rig_around(remote, machine, args.seed, args.baud, args.fault.clone())?;
     let line = SimLine::named(rig, &board.to_string());
@@ -42,10 +54,25 @@ pub(super) fn emulated(
     say(
         args,
         &format!(
-            "{board}  {:.0} instructions a control period, at most {:.0}; {} bytes of stack",
-            instructions.mean, instructions.worst, instructions.stack_bytes
+            "{board}  {:.0} instructions a control period, at most {:.0}; {} bytes of stack; at most {} bytes in the receive ring; {} to {} setpoints \
+             in the queue",
+            instructions.mean,
+            instructions.worst,
+            instructions.stack_bytes,
+            instructions.ring_peak,
+            instructions.queue_low.unwrap_or(instructions.queue_high),
+            instructions.queue_high
         ),
     );
+    if instructions.missed > 0 {
+        say(
+            args,
+            &format!(
+                "{board}  {} control periods were missed: one before took more instructions than there are in a period",
+                instructions.missed
+            ),
+        );
+    }
     let path = args.out_dir().join("instructions.json");
     let output = |error: &dyn std::fmt::Display| {
         CliError::new(Exit::Output, format!("{}: {error}", path.display()))

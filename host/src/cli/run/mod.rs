@@ -96,6 +96,19 @@ pub struct RunArgs {
     /// Something that goes wrong in the simulated machine, as "slide-jammed axis=l3 at=1.5s"; can be given several times. --help lists all faults
     #[arg(long, value_name = "FAULT")]
     pub fault: Vec<Fault>,
+    /// With an emulated board: this image, instead of the one that is built
+    #[arg(long, value_name = "FILE")]
+    pub image: Option<PathBuf>,
+    /// With an emulated board: a word of the image's command line; can be given several times
+    #[arg(long, value_name = "WORD", hide = true)]
+    pub image_word: Vec<String>,
+    /// With an emulated board whose image logs: the file for what it logs, as it comes (`cargo xtask log` makes text of it)
+    #[arg(long, value_name = "FILE")]
+    pub log: Option<PathBuf>,
+    /// With an emulated board: instructions that fit into a control period; one that takes more misses the next ones. A chip of
+    /// 168 MHz has 33600 in 200 us at one cycle an instruction [default: not looked at]
+    #[arg(long, value_name = "INSTRUCTIONS", value_parser = clap::value_parser!(u32).range(1000..))]
+    pub budget: Option<u32>,
     /// Print the summary as JSON on standard output, and nothing else there; if there is none, {"error", "exit_code", "problems": [{"file", "line",
     /// "column", "message", "remedy"}]}
     #[arg(long)]

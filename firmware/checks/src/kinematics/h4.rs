@@ -4,11 +4,12 @@
 //! tip + m_i (sin theta, 0, cos theta) + (0, sigma_i b, 0); a rod is R long.
 
 use super::subject::{Margin, Margins, Reals, Sequence, Subject};
+use core::f64::consts::{FRAC_PI_2, PI};
 use haptimill_firmware::config::H4Geometry;
 use haptimill_firmware::kinematics::h4::H4;
 use haptimill_firmware::kinematics::{Joints, PoseError};
 use haptimill_firmware::units::{Coordinate, Length};
-use std::f64::consts::{FRAC_PI_2, PI};
+use heapless::Vec;
 
 const MM: f64 = 1.0 / 1_048_576.0;
 const RADIAN: f64 = 2.0 * PI / 4_294_967_296.0;
@@ -18,18 +19,31 @@ const PAIRS: [f64; 4] = [1.0, 1.0, -1.0, -1.0];
 /// Lengths in mm under the names of the specification.
 #[derive(Clone, Copy)]
 pub struct Lengths {
+    /// Half the distance of the rail pairs across.
     pub a: f64,
+    /// The same of the platform's joints.
     pub b: f64,
+    /// Offset of the slide's joint across.
     pub e: f64,
+    /// Half the distance of the platform's joints along the tool.
     pub c: f64,
+    /// Half the height between the rail pairs.
     pub d: f64,
+    /// Offset of the slide's joint along the rail.
     pub w: f64,
+    /// Length of the rods.
     pub r: f64,
+    /// Height offset of the rails.
     pub g_e: f64,
+    /// Tool length.
     pub t_l: f64,
+    /// Height of the table's axis below the slave's origin.
     pub h: f64,
+    /// Origin of the work.
     pub offset: [f64; 3],
+    /// The platform hangs below the rails.
     pub below: bool,
+    /// Least distance from the parallel singularity.
     pub margin: f64,
 }
 
@@ -67,12 +81,18 @@ pub const OTHER: Lengths = Lengths {
     margin: 5.0,
 };
 
+/// An arm with its truth and its machine.
 pub struct Arm {
     lengths: Lengths,
     machine: H4,
 }
 
 impl Arm {
+    /// The arm of these lengths.
+    ///
+    /// # Panics
+    /// The firmware refuses them.
+    #[must_use]
     pub fn new(lengths: Lengths) -> Self {
         let raw = |value: f64| Length(libm::round(value / MM) as i32);
         let geometry = H4Geometry {
@@ -173,7 +193,8 @@ impl Arm {
         let g = &self.lengths;
         let tip = self.tip(pose);
         let tilt = |error: &PoseError| *error == PoseError::Tilt;
-        let mut margins: Vec<Margin> = vec![
+        let mut margins: Vec<Margin, 12> = Vec::new();
+        let first: [Margin; 4] = [
             // In millimetres at the tip, to compare with the others; the tilt must be less than a quarter turn.
             ((FRAC_PI_2 - pose[3].abs()) * 350.0 - 2.0 * RADIAN, tilt),
             ((FRAC_PI_2 - pose[4].abs()) * 350.0 + 2.0 * RADIAN, tilt),
@@ -185,6 +206,7 @@ impl Arm {
                 matches!(error, PoseError::NearSingularity { .. })
             }),
         ];
+        margins.extend(first);
         for (i, names) in [
             (
                 0,
@@ -195,11 +217,14 @@ impl Arm {
             }),
         ] {
             let square = self.reach_square(tip, pose[3], i);
-            margins.push((libm::sqrt(square.max(0.0)) - reach * g.r, names));
-            // The root's slope is steep here: the square over 2 R is a length.
-            margins.push((square / (2.0 * g.r), |error| {
-                *error == PoseError::Unreachable
-            }));
+            let pair: [Margin; 2] = [
+                (libm::sqrt(square.max(0.0)) - reach * g.r, names),
+                // The root's slope is steep here: the square over 2 R is a length.
+                (square / (2.0 * g.r), |error| {
+                    *error == PoseError::Unreachable
+                }),
+            ];
+            margins.extend(pair);
         }
         Margins(margins)
     }

@@ -1,6 +1,7 @@
 //! The checks, for any machine. Figures: 0.1 um and 1 urad against f64, no wrong pose in a million.
 
 use super::subject::{Reals, Sequence, Subject, raw_pose, real};
+use core::fmt::Debug;
 use haptimill_firmware::kinematics::{Joints, Kinematics, MAX_AXES, Pose, PoseError};
 use haptimill_firmware::units::{Acceleration, Coordinate, Rate};
 
@@ -14,22 +15,16 @@ const GREY: f64 = 1e-4;
 
 /// Whether the coordinates agree; an angle of one turn more is not agreement.
 #[track_caller]
-fn agree(
-    axes: usize,
-    got: &Reals,
-    want: &Reals,
-    units: &Reals,
-    context: &dyn Fn() -> String,
-) -> f64 {
+fn agree(axes: usize, got: &Reals, want: &Reals, units: &Reals, context: &dyn Debug) -> f64 {
     let mut worst: f64 = 0.0;
     for axis in 0..axes {
         let share = (got[axis] - want[axis]).abs() / tolerance(units[axis]);
         assert!(
             share <= 1.0,
-            "axis {axis}: {} instead of {}; {}",
+            "axis {axis}: {} instead of {}; {:?}",
             got[axis],
             want[axis],
-            context()
+            context
         );
         worst = worst.max(share);
     }
@@ -49,6 +44,9 @@ fn any_pose<S: Subject>(subject: &S, sequence: &mut Sequence) -> Pose {
 /// The inverse is the closure of the loops, and is refused exactly where a condition is violated. Then it is turned round.
 ///
 /// Gives the largest errors of inverse and forward as shares of their tolerance.
+///
+/// # Panics
+/// It is not so.
 pub fn inverse_against_closure<S: Subject>(subject: &S, count: usize) -> (f64, f64) {
     let (machine, axes) = (subject.machine(), subject.machine().axes());
     let (pose_units, joint_units) = (subject.pose_units(), subject.joint_units());
@@ -59,11 +57,11 @@ pub fn inverse_against_closure<S: Subject>(subject: &S, count: usize) -> (f64, f
         let pose = any_pose(subject, &mut sequence);
         let truth = real(&pose.0, &pose_units);
         let margins = subject.margins(&truth);
-        let context = || format!("{pose:?}, margin {}", margins.least());
+        let context = (pose, margins.least());
         match machine.inverse(&pose) {
             Ok(joints) => {
                 answered += 1;
-                assert!(margins.least() >= -GREY, "taken: {}", context());
+                assert!(margins.least() >= -GREY, "taken: {context:?}");
                 let want = subject.close(&truth).expect("closes");
                 let got = real(&joints.0, &joint_units);
                 worst = worst.max(agree(axes, &got, &want, &joint_units, &context));
@@ -73,8 +71,7 @@ pub fn inverse_against_closure<S: Subject>(subject: &S, count: usize) -> (f64, f
                         let back = real(&back.0, &pose_units);
                         assert!(
                             subject.measured_margins(&back).least() >= -GREY,
-                            "{}",
-                            context()
+                            "{context:?}"
                         );
                         let want = subject.solve(&got, &back).expect("converges");
                         let share = agree(axes, &back, &want, &pose_units, &context);
@@ -83,8 +80,7 @@ pub fn inverse_against_closure<S: Subject>(subject: &S, count: usize) -> (f64, f
                     Err(error) => {
                         assert!(
                             margins.deserve(&error, GREY),
-                            "lost, {error:?}: {}",
-                            context()
+                            "lost, {error:?}: {context:?}"
                         );
                     }
                 }
@@ -93,8 +89,7 @@ pub fn inverse_against_closure<S: Subject>(subject: &S, count: usize) -> (f64, f
                 refused += 1;
                 assert!(
                     margins.deserve(&error, GREY),
-                    "refused, {error:?}: {}",
-                    context()
+                    "refused, {error:?}: {context:?}"
                 );
             }
         }
@@ -105,6 +100,9 @@ pub fn inverse_against_closure<S: Subject>(subject: &S, count: usize) -> (f64, f
 }
 
 /// Whatever joints are given, an answered pose fulfils every condition and closes the loops with just these joints.
+///
+/// # Panics
+/// It is not so.
 pub fn forward_is_certified<S: Subject>(subject: &S, count: usize) -> f64 {
     let (machine, axes) = (subject.machine(), subject.machine().axes());
     let (pose_units, joint_units) = (subject.pose_units(), subject.joint_units());
@@ -128,8 +126,8 @@ pub fn forward_is_certified<S: Subject>(subject: &S, count: usize) -> f64 {
         answered += 1;
         let got = real(&pose.0, &pose_units);
         let margins = subject.measured_margins(&got);
-        let context = || format!("{joints:?} {pose:?}, margin {}", margins.least());
-        assert!(margins.least() >= -GREY, "wrong pose: {}", context());
+        let context = (joints, pose, margins.least());
+        assert!(margins.least() >= -GREY, "wrong pose: {context:?}");
         let wanted = real(&joints.0, &joint_units);
         let want = subject.solve(&wanted, &got).expect("closes");
         worst = worst.max(agree(axes, &got, &want, &pose_units, &context));
@@ -139,6 +137,9 @@ pub fn forward_is_certified<S: Subject>(subject: &S, count: usize) -> f64 {
 }
 
 /// Any numbers whatever: an answer that holds or an error, and no panic.
+///
+/// # Panics
+/// It is not so.
 pub fn extremes<S: Subject>(subject: &S, count: usize) {
     let machine = subject.machine();
     let corners = [
@@ -169,14 +170,14 @@ pub fn extremes<S: Subject>(subject: &S, count: usize) {
         let pose = Pose(values);
         let truth = real(&values, &subject.pose_units());
         let fast = round % 2 == 0;
-        let rates = std::array::from_fn(|_| {
+        let rates = core::array::from_fn(|_| {
             Rate(if fast {
                 i32::MIN
             } else {
                 sequence.next() as i32
             })
         });
-        let accelerations = std::array::from_fn(|_| {
+        let accelerations = core::array::from_fn(|_| {
             Acceleration(if fast {
                 i32::MAX
             } else {
@@ -226,12 +227,15 @@ fn differences(values: [Reals; 5], step: f64, joint: usize) -> (f64, f64) {
 
 /// The pose after a time, with constant acceleration.
 fn moved(pose: &Reals, rate: &Reals, acceleration: &Reals, time: f64) -> Reals {
-    std::array::from_fn(|axis| {
+    core::array::from_fn(|axis| {
         pose[axis] + rate[axis] * time + 0.5 * acceleration[axis] * time * time
     })
 }
 
 /// The Jacobian and the motion of the joints are the derivatives of the closure.
+///
+/// # Panics
+/// It is not so.
 pub fn derivatives_against_differences<S: Subject>(subject: &S, count: usize) {
     let (machine, axes) = (subject.machine(), subject.machine().axes());
     let (pose_units, joint_units) = (subject.pose_units(), subject.joint_units());
@@ -289,9 +293,9 @@ pub fn derivatives_against_differences<S: Subject>(subject: &S, count: usize) {
             let unit = pose_units[axis] * 256.0;
             accelerations[axis] = Acceleration((sequence.between(-hard, hard) / unit) as i32);
         }
-        let rate: Reals = std::array::from_fn(|axis| rates[axis].0 as f64 * pose_units[axis]);
+        let rate: Reals = core::array::from_fn(|axis| rates[axis].0 as f64 * pose_units[axis]);
         let acceleration: Reals =
-            std::array::from_fn(|axis| accelerations[axis].0 as f64 * pose_units[axis] * 256.0);
+            core::array::from_fn(|axis| accelerations[axis].0 as f64 * pose_units[axis] * 256.0);
         let motion = machine
             .inverse_motion(&pose, &rates, &accelerations)
             .expect("inside");

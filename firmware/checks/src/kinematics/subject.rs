@@ -2,6 +2,7 @@
 
 use haptimill_firmware::kinematics::{Joints, Kinematics, MAX_AXES, Pose, PoseError};
 use haptimill_firmware::units::Coordinate;
+use heapless::Vec;
 
 /// Millimetres or radians, one for each axis.
 pub type Reals = [f64; MAX_AXES];
@@ -10,6 +11,11 @@ pub type Reals = [f64; MAX_AXES];
 pub struct Sequence(pub u64);
 
 impl Sequence {
+    /// The next 64 bits.
+    #[allow(
+        clippy::should_implement_trait,
+        reason = "it never ends, so it is no iterator's"
+    )]
     pub fn next(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mut z = self.0;
@@ -23,6 +29,7 @@ impl Sequence {
         (self.next() >> 11) as f64 / 9_007_199_254_740_992.0
     }
 
+    /// From `low` to `high`.
     pub fn between(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * self.unit()
     }
@@ -33,6 +40,7 @@ impl Sequence {
         if self.next() & 1 == 0 { size } else { -size }
     }
 
+    /// A whole number below `count`.
     pub fn below(&mut self, count: u64) -> u64 {
         self.next() % count
     }
@@ -44,7 +52,7 @@ pub type Margin = (f64, fn(&PoseError) -> bool);
 /// How far a pose is inside each of the conditions that make it a right answer; negative is outside.
 ///
 /// Each entry says which error its violation is allowed to give.
-pub struct Margins(pub Vec<Margin>);
+pub struct Margins(pub Vec<Margin, 12>);
 
 impl Margins {
     /// The least of them.
@@ -65,8 +73,10 @@ impl Margins {
 
 /// A machine under test, with a truth in f64 that is written from the closure of its loops.
 pub trait Subject {
+    /// Its kinematics in the firmware.
     type Machine: Kinematics;
 
+    /// Its kinematics in the firmware.
     fn machine(&self) -> &Self::Machine;
 
     /// Size of a raw unit of each pose coordinate, in millimetres or radians.
@@ -101,12 +111,12 @@ pub trait Subject {
 
 /// Raw coordinates as millimetres and radians.
 pub fn real(raw: &[Coordinate; MAX_AXES], units: &Reals) -> Reals {
-    std::array::from_fn(|axis| raw[axis].0 as f64 * units[axis])
+    core::array::from_fn(|axis| raw[axis].0 as f64 * units[axis])
 }
 
 /// Millimetres and radians as raw coordinates, held at the end of their range.
 pub fn raw(values: &Reals, units: &Reals) -> [Coordinate; MAX_AXES] {
-    std::array::from_fn(|axis| {
+    core::array::from_fn(|axis| {
         let value = if units[axis] == 0.0 {
             0.0
         } else {

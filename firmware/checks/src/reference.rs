@@ -1,0 +1,170 @@
+//! The reference H-4 machine as a configuration.
+
+use haptimill_firmware::config::{
+    AxisKind, Config, Drive, H4Geometry, Homing, JointAxis, Law, LawForm, Model, PoseAxis,
+    Stopping, Supervision,
+};
+use haptimill_firmware::units::{Acceleration, Coordinate, Effort, Gain, Length, Rate};
+
+/// Millimetres in axis units.
+#[must_use]
+pub fn mm(x: f64) -> i32 {
+    libm::round(x * f64::from(1 << 20)) as i32
+}
+
+/// Degrees in axis units.
+#[must_use]
+pub fn degrees(x: f64) -> i32 {
+    libm::round(x / 360.0 * 4_294_967_296.0) as i32
+}
+
+fn pose_axis(
+    kind: AxisKind,
+    unit: fn(f64) -> i32,
+    low: f64,
+    high: f64,
+    rate: f64,
+    acceleration: f64,
+    jerk: f64,
+) -> PoseAxis {
+    PoseAxis {
+        kind,
+        low: Coordinate(unit(low)),
+        high: Coordinate(unit(high)),
+        rate: Rate(unit(rate)),
+        acceleration: Acceleration(unit(acceleration / 256.0)),
+        jerk: unit(jerk / 65536.0).unsigned_abs(),
+    }
+}
+
+fn slide(preset: f64) -> JointAxis {
+    JointAxis {
+        kind: AxisKind::Linear,
+        low: Coordinate(mm(preset - 250.0)),
+        high: Coordinate(mm(preset + 250.0)),
+        rate: Rate(mm(100.0)),
+        per_count: i64::from(mm(10.0)) * (1 << 24) / 8000,
+        backlash: Coordinate(mm(0.010)),
+        drive: Drive::Torque {
+            full_scale: Effort(800 << 16),
+            limit: Effort(700 << 16),
+        },
+        law: Law {
+            form: LawForm::ModelBased,
+            kp: Gain(40_000 << 8),
+            kd: Gain(400 << 8),
+            rate_filter_us: 1500,
+            inertia: (40.0 * 0.016 * f64::from(1 << 20)) as u32,
+            viscous: 0,
+            coulomb: Effort(32 << 16),
+            coulomb_rate: Rate(mm(0.2)),
+            ki: Gain(0),
+        },
+        following: Coordinate(mm(0.5)),
+        following_lag: 1311,
+        still: Coordinate(mm(0.25)),
+        preset: Coordinate(mm(preset)),
+        index: Coordinate(mm(preset + 3.0)),
+        index_pitch: Coordinate(mm(10.0)),
+        search: Coordinate(mm(3.0)),
+    }
+}
+
+fn table() -> JointAxis {
+    JointAxis {
+        kind: AxisKind::Rotary,
+        low: Coordinate(degrees(-45.0)),
+        high: Coordinate(degrees(45.0)),
+        rate: Rate(degrees(40.0)),
+        per_count: (i64::from(degrees(4.0)) << 24) / 8000,
+        backlash: Coordinate(0),
+        preset: Coordinate(0),
+        index: Coordinate(degrees(1.0)),
+        index_pitch: Coordinate(degrees(4.0)),
+        search: Coordinate(degrees(1.5)),
+        following: Coordinate(degrees(0.5)),
+        still: Coordinate(degrees(0.2)),
+        ..slide(0.0)
+    }
+}
+
+/// The reference geometry of the H-4 arm with its usual limits.
+///
+/// # Panics
+/// Never: its name is short.
+#[must_use]
+pub fn h4() -> Config {
+    let length = |x: f64| Length(mm(x));
+    let linear = |low, high| pose_axis(AxisKind::Linear, mm, low, high, 50.0, 200.0, 5000.0);
+    let rotary = |low, high| pose_axis(AxisKind::Rotary, degrees, low, high, 30.0, 100.0, 2500.0);
+    Config {
+        name: "reference".try_into().expect("short"),
+        period_us: 200,
+        model: Model::H4(H4Geometry {
+            lateral: length(250.0),
+            half_spacing: length(100.0),
+            half_height: length(100.0),
+            joint_offset: length(50.0),
+            rod: length(480.0),
+            rail_offset: length(25.0),
+            tool: length(150.0),
+            x_offset: length(810.0),
+            y_offset: length(0.0),
+            z_offset: length(0.0),
+            table_height: length(600.0),
+            below: true,
+            singularity_margin: length(5.0),
+        }),
+        pose: [
+            linear(-200.0, 200.0),
+            linear(-120.0, 120.0),
+            linear(-60.0, 140.0),
+            rotary(-35.0, 35.0),
+            rotary(-40.0, 40.0),
+        ]
+        .into_iter()
+        .collect(),
+        joints: [
+            slide(1135.0),
+            slide(485.0),
+            slide(1135.0),
+            slide(485.0),
+            table(),
+        ]
+        .into_iter()
+        .collect(),
+        stopping: Stopping {
+            time_ms: 120,
+            ramp_ms: 30,
+        },
+        supervision: Supervision {
+            heartbeat_ms: 500,
+            missed_periods: 5,
+            illegal_transitions: 10,
+        },
+        homing: Homing {
+            rate: Rate(mm(10.0)),
+            table_rate: Rate(degrees(4.0)),
+        },
+        force: None,
+    }
+}
+
+/// The same machine with step/direction drives, a step for every count of the encoders.
+#[must_use]
+pub fn h4_with_steps() -> Config {
+    let mut config = h4();
+    for joint in &mut config.joints {
+        joint.drive = Drive::Steps {
+            per_step: joint.per_count,
+            ticks_per_us: 84,
+            pulse: 210,
+            setup: 420,
+            hold: 420,
+            lost: joint.still,
+        };
+        joint.backlash = Coordinate(0);
+        joint.rate = Rate(joint.rate.0 / 2);
+    }
+    config
+}

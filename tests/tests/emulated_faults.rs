@@ -1,0 +1,127 @@
+//! What goes wrong in an image: a panic in each stage, a fault of the processor, a stack that overflows, a period that never ends. The drives go
+//! off, the reason reaches the host, and the command ends with an error.
+//!
+//! Needs the feature `emulated`; see `emulated.rs`.
+
+mod chip;
+
+use chip::{BOARDS, Remote, image, remote, results, root, run};
+use haptimill::cli::Exit;
+use haptimill::port::Board;
+use haptimill_firmware::io::DriveCommand;
+use haptimill_hil_sim::rig::{Control, RigOptions};
+use haptimill_protocol::message::Command;
+use haptimill_tests::Bench;
+use std::time::{Duration, Instant};
+
+/// The stages of a period by name, and the main program between two of them.
+const PLACES: [&str; 8] = [
+    "hear", "sense", "decide", "place", "drive", "tell", "gate", "main",
+];
+
+/// A period in which the drives hold the machine.
+const PERIOD: u32 = 4000;
+
+/// Enables the drives of a machine whose image has something in store for it, and waits for that: the reason, and how long the step took in which it was
+/// noticed.
+fn until_it_happens(board: Board, words: &[&str; 3]) -> (String, Duration) {
+    let control = remote(board, &image("faults"), words);
+    let mut bench: Bench<Remote> = Bench::with(&RigOptions::default(), control);
+    bench.steps(500);
+    bench.configure();
+    bench.ask(Command::Enable).expect("enabled");
+    bench.steps(200);
+    let off = |bench: &Bench<Remote>| {
+        let outputs = bench.rig.outputs();
+        let off = |axis: &DriveCommand| *axis == DriveCommand::Off;
+        outputs.axes.iter().all(off) && outputs.spindle_rpm == 0
+    };
+    assert!(!off(&bench), "the drives are not on by period {PERIOD}");
+    while bench.rig.inputs().period < u64::from(PERIOD) + 10 {
+        let begun = Instant::now();
+        bench.rig.step();
+        if let Some(reason) = bench.rig.control().failure() {
+            let reason = reason.to_string();
+            assert_eq!(bench.rig.inputs().period, u64::from(PERIOD), "{words:?}");
+            // In this very period, so in effect from the next one on.
+            assert!(off(&bench), "{words:?}");
+            bench.rig.step();
+            assert!(off(&bench), "{words:?}");
+            return (reason, begun.elapsed());
+        }
+    }
+    panic!("{words:?}: nothing happened");
+}
+
+#[test]
+fn a_panic_in_any_stage_switches_the_drives_off_and_is_told() {
+    for place in PLACES {
+        let words = ["panic", place, &PERIOD.to_string()];
+        let (reason, after) = until_it_happens(Board::Mps2, &words);
+        println!("{place}, after {after:?}: {reason}");
+        let cause = format!("injected in stage {place} of period {PERIOD}");
+        assert!(reason.contains(&cause), "{reason}");
+        assert!(reason.contains("panicked at"), "{reason}");
+        assert!(after < Duration::from_secs(2), "{after:?}");
+    }
+}
+
+#[test]
+fn a_stack_that_overflows_is_told() {
+    for board in BOARDS {
+        for what in ["recurse", "frame"] {
+            for place in ["drive", "main"] {
+                let (reason, after) = until_it_happens(board, &[what, place, &PERIOD.to_string()]);
+                println!("{board}, {what} in {place}, after {after:?}: {reason}");
+                assert!(reason.contains("the stack has overflown"), "{reason}");
+                assert!(after < Duration::from_secs(2), "{after:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_fault_of_the_processor_is_told() {
+    for board in BOARDS {
+        let words = ["fault", "decide", &PERIOD.to_string()];
+        let (reason, after) = until_it_happens(board, &words);
+        println!("{board}, after {after:?}: {reason}");
+        assert!(reason.contains("processor fault at 0x"), "{reason}");
+        assert!(after < Duration::from_secs(2), "{after:?}");
+    }
+}
+
+#[test]
+fn a_period_that_never_ends_is_given_up() {
+    let words = ["hang", "tell", &PERIOD.to_string()];
+    let (reason, after) = until_it_happens(Board::Mps2, &words);
+    println!("after {after:?}: {reason}");
+    assert!(reason.contains("stood still"), "{reason}");
+    assert!(after < Duration::from_millis(2500), "{after:?}");
+}
+
+/// The same by the command, while the machine moves (it homes): exit code 5, and the reason in words.
+#[test]
+fn the_command_says_what_happened_and_fails() {
+    let image = image("faults").display().to_string();
+    let program = root().join("examples/e11-circle.ngc");
+    for place in PLACES {
+        let begun = Instant::now();
+        let more = [
+            "--image",
+            &image,
+            "--image-word",
+            "panic",
+            "--image-word",
+            place,
+            "--image-word",
+            "8000",
+        ];
+        let error = run(&program, "pil:mps2", &results("panicked"), &more);
+        let error = error.expect_err("the image panicked");
+        println!("{place}, after {:?}: {error}", begun.elapsed());
+        assert_eq!(error.exit, Exit::Port);
+        let cause = format!("injected in stage {place} of period 8000");
+        assert!(error.to_string().contains(&cause), "{error}");
+    }
+}
