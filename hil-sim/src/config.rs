@@ -321,7 +321,13 @@ impl PlantConfig {
             .and_then(|process| process.check().err())
             .into_iter()
             .flatten()
-            .chain(self.workpiece.is_none().then(|| cutter.problems()).into_iter().flatten())
+            .chain(
+                self.workpiece
+                    .is_none()
+                    .then(|| cutter.problems())
+                    .into_iter()
+                    .flatten(),
+            )
         {
             check.refuse(problem.field, problem.problem);
         }

@@ -191,7 +191,11 @@ impl Process {
     ///
     /// # Errors
     /// Every problem of the configuration.
-    pub fn clamp(&mut self, config: &CuttingConfig, pose: &ToolPose) -> Result<(), Vec<PlantError>> {
+    pub fn clamp(
+        &mut self,
+        config: &CuttingConfig,
+        pose: &ToolPose,
+    ) -> Result<(), Vec<PlantError>> {
         self.cutting = Some(Cutting::new(config, pose)?);
         Ok(())
     }

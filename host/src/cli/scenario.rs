@@ -84,9 +84,8 @@ fn run_named(args: &RunArgs) -> Result<(), CliError> {
         })?;
         vec![known]
     };
-    let runnable = |scenario: &Scenario| {
-        machine.config.force.is_some() || !scenario.needs_force_control()
-    };
+    let runnable =
+        |scenario: &Scenario| machine.config.force.is_some() || !scenario.needs_force_control();
     if let [only] = &scenarios[..]
         && !runnable(only)
     {

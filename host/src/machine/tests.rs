@@ -171,6 +171,19 @@ fn every_kind_of_mistake_is_named_with_its_line() {
             "[[plant.joint]]\nname = \"l1\"",
             "[[plant.joint]]\nname = \"slide\"",
         ),
+        ("material = \"P1\"", "material = \"wood\""),
+        (
+            "material = \"P1\"",
+            "material = { tangential = 60.5, radial = 82.6, axial = 32.1 }",
+        ),
+        ("force_scale = 1.0", "force_scale = -1.0"),
+        ("relief_mm = 0.15", "releif_mm = 0.15"),
+        ("time_constant_s = 0.001", "time_constant_s = 2"),
+        ("high_pass_s = 1000.0", "high_pass_s = 0.0"),
+        (
+            "[plant.structure]",
+            "[plant.workpiece]\ntop_mm = 1e9\n[plant.structure]",
+        ),
         ("[planner]", "[[planner]]"),
     ];
     let said: Vec<String> = mistakes.iter().map(|(f, t)| broken(f, t)).collect();

@@ -169,13 +169,18 @@ impl Chart {
 
     fn axes(&self, svg: &mut String, x: &Scale, y: &Scale) {
         let (right, bottom) = (self.width - RIGHT, self.height - BOTTOM);
+        // A picture is not to be ruled over.
+        let grid = match self.backdrop {
+            Some(_) => "grid faint",
+            None => "grid",
+        };
         let (step, decimals) = tick_step(x.high - x.low, (right - LEFT) / 90.0);
         for tick in ticks(x, step) {
             let at = x.at(tick);
             put(
                 svg,
                 format_args!(
-                    "<line class=\"grid\" x1=\"{at:.1}\" x2=\"{at:.1}\" y1=\"{TOP}\" y2=\"{bottom}\"/><text x=\"{at:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{:.decimals$}</text>",
+                    "<line class=\"{grid}\" x1=\"{at:.1}\" x2=\"{at:.1}\" y1=\"{TOP}\" y2=\"{bottom}\"/><text x=\"{at:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{:.decimals$}</text>",
                     bottom + 16.0,
                     tick + 0.0
                 ),
@@ -187,7 +192,7 @@ impl Chart {
             put(
                 svg,
                 format_args!(
-                    "<line class=\"grid\" x1=\"{LEFT}\" x2=\"{right}\" y1=\"{at:.1}\" y2=\"{at:.1}\"/><text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{:.decimals$}</text>",
+                    "<line class=\"{grid}\" x1=\"{LEFT}\" x2=\"{right}\" y1=\"{at:.1}\" y2=\"{at:.1}\"/><text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{:.decimals$}</text>",
                     LEFT - 7.0,
                     at + 4.0,
                     tick + 0.0

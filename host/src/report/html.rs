@@ -28,7 +28,7 @@ h1{font-size:25px;margin:0 0 2px}h2{font-size:17px;margin:34px 0 8px}
 svg{display:block;width:100%;height:auto}
 svg path{fill:none;stroke-linejoin:round;stroke-linecap:round}
 svg text{font-size:12px;fill:#3b4754;font-family:inherit}svg .label{fill:#1d2733;font-size:12.5px}
-.grid{stroke:#e8ebef;stroke-width:1}.frame{fill:none;stroke:#b9c1ca;stroke-width:1}
+.grid{stroke:#e8ebef;stroke-width:1}.grid.faint{stroke-opacity:.25}.frame{fill:none;stroke:#b9c1ca;stroke-width:1}
 table{border-collapse:collapse;background:#fff;border:1px solid #e0e4e9;border-radius:8px;width:100%;font-variant-numeric:tabular-nums}
 td{padding:6px 14px;border-bottom:1px solid #eef0f3;vertical-align:top}td:first-child{color:#5b6875;width:40%}
 code{font-size:12px;overflow-wrap:anywhere}";

@@ -96,8 +96,8 @@ pub fn carry(
     well_ended(&session, pass, &end)?;
     session.line_mut().clamp(&cutting)?;
 
-    let header = Header::of(&machine, pass.program)
-        .map_err(|error| CliError::new(Exit::Internal, error))?;
+    let header =
+        Header::of(&machine, pass.program).map_err(|error| CliError::new(Exit::Internal, error))?;
     let recorder = Recorder::create(&dir.join(report::RECORDING_FILE), &header)
         .map_err(|error| output(&error))?;
     let setpoints = plan.setpoints.clone();
@@ -122,8 +122,8 @@ pub fn carry(
         bytes_per_setpoint: f64::from(end.sent.message_bytes) / f64::from(end.setpoints.max(1)),
         line_bytes_per_setpoint: f64::from(end.sent.bytes) / f64::from(end.setpoints.max(1)),
     };
-    let summary = report::write_all(dir, &recorded, &outcome, TRACE_EVERY)
-        .map_err(|error| output(&error))?;
+    let summary =
+        report::write_all(dir, &recorded, &outcome, TRACE_EVERY).map_err(|error| output(&error))?;
     let recording =
         Recording::open(&dir.join(report::RECORDING_FILE)).map_err(|error| output(&error))?;
     let course = Course::of(&recording).map_err(|error| output(&error))?;

@@ -30,16 +30,34 @@ pub(super) fn position_only(cuts: &[Cut]) -> Vec<Claim> {
         growth(&fast.course, 0.5, 4.8),
     );
     vec![
-        measured("depth at the end, 2 mm/s", "4.53 mm (1 mm + 3.53)", depth(slow), "mm").within(
-            4.43, 4.63, Derived,
-        ),
-        measured("depth at the end, 4 mm/s", "4.53 mm (1 mm + 3.53)", depth(fast), "mm").within(
-            4.43, 4.63, Derived,
-        ),
-        measured("growth of Fx high at 2 mm/s", "grows with distance", slow_growth, "N/s")
-            .at_least(0.1, Derived),
-        measured("growth of Fx high at 4 mm/s", "grows with distance", fast_growth, "N/s")
-            .at_least(0.1, Derived),
+        measured(
+            "depth at the end, 2 mm/s",
+            "4.53 mm (1 mm + 3.53)",
+            depth(slow),
+            "mm",
+        )
+        .within(4.43, 4.63, Derived),
+        measured(
+            "depth at the end, 4 mm/s",
+            "4.53 mm (1 mm + 3.53)",
+            depth(fast),
+            "mm",
+        )
+        .within(4.43, 4.63, Derived),
+        measured(
+            "growth of Fx high at 2 mm/s",
+            "grows with distance",
+            slow_growth,
+            "N/s",
+        )
+        .at_least(0.1, Derived),
+        measured(
+            "growth of Fx high at 4 mm/s",
+            "grows with distance",
+            fast_growth,
+            "N/s",
+        )
+        .at_least(0.1, Derived),
         measured(
             "growth at 4 mm/s over growth at 2 mm/s",
             "faster at 4 mm/s",
@@ -67,9 +85,7 @@ fn behind(sample: &Sample) -> f64 {
     sample.tool[0] - sample.desired[0]
 }
 
-/// Between the position and the force, the thesis moves by what its own equation does not explain.
-const GAIN: &str = "(3.30) with a smooth force gives 0.25 and 1.0 almost the same p_c; the thesis's 1 mm between them is not explained by its equation \
-     (spec 4.3), and a fifth of it comes from the peak of a revolution";
+const GAIN: &str = "(3.30) with a smooth force gives K_A 0.25 and 1 almost the same p_c; the thesis's 1 mm between them is not explained by its equation (spec 4.3)";
 
 /// E4.
 pub(super) fn gain_study(cuts: &[Cut]) -> Vec<Claim> {
@@ -81,9 +97,14 @@ pub(super) fn gain_study(cuts: &[Cut]) -> Vec<Claim> {
         measured("p_c at 10 s, K_A 0.25, K_V 5", "6 mm", at_10(light), "mm")
             .within(4.2, 7.8, Derived)
             .because(GAIN),
-        measured("p_c at 10 s, K_A 1, K_V 5", "5 mm", at_10(recommended), "mm")
-            .within(3.5, 6.5, Derived)
-            .because(FORCE_SCALE),
+        measured(
+            "p_c at 10 s, K_A 1, K_V 5",
+            "5 mm",
+            at_10(recommended),
+            "mm",
+        )
+        .within(3.5, 6.5, Derived)
+        .because(FORCE_SCALE),
         measured("p_c at 10 s, K_A 1, K_V 20", "1.8 mm", at_10(stiff), "mm")
             .within(1.2, 2.4, Derived)
             .because(FORCE_SCALE),
@@ -117,8 +138,7 @@ fn equation(cut: &Cut, mass: f64, damping: f64) -> f64 {
     }
     let (a, b) = (&samples[first], &samples[last]);
     let pushed = b.impulse - a.impulse - 5.0 * (b.time - a.time);
-    let yielded =
-        damping * (b.yielded[0] - a.yielded[0]) + mass * (rate(last) - rate(first));
+    let yielded = damping * (b.yielded[0] - a.yielded[0]) + mass * (rate(last) - rate(first));
     100.0 * (pushed / yielded - 1.0)
 }
 

@@ -154,21 +154,25 @@ impl Result {
     /// The result of a scenario whose passes were cut.
     #[must_use]
     pub fn of(scenario: &Scenario, cuts: &[Cut]) -> Self {
-        let passes = scenario.passes.iter().zip(cuts).map(|(pass, cut)| PassResult {
-            name: pass.name,
-            program: pass.program,
-            work: pass.work.file().0,
-            force_scale: pass.force_scale,
-            control: pass.control,
-            forces: cut.course.source,
-            duration_s: rounded(cut.summary.duration_s),
-            tool_error_max_mm: pass
-                .control
-                .is_none()
-                .then(|| rounded(cut.summary.tool_error_max_mm)),
-            removed_mm3: rounded(cut.work.removed_mm3()),
-            trace_sha256: cut.summary.trace_sha256.clone(),
-        });
+        let passes = scenario
+            .passes
+            .iter()
+            .zip(cuts)
+            .map(|(pass, cut)| PassResult {
+                name: pass.name,
+                program: pass.program,
+                work: pass.work.file().0,
+                force_scale: pass.force_scale,
+                control: pass.control,
+                forces: cut.course.source,
+                duration_s: rounded(cut.summary.duration_s),
+                tool_error_max_mm: pass
+                    .control
+                    .is_none()
+                    .then(|| rounded(cut.summary.tool_error_max_mm)),
+                removed_mm3: rounded(cut.work.removed_mm3()),
+                trace_sha256: cut.summary.trace_sha256.clone(),
+            });
         Self {
             scenario: scenario.name,
             title: scenario.title,

@@ -118,10 +118,7 @@ fn surface(page: &mut String, cut: &Cut, of: &str) {
     let Some(backdrop) = picture::surface(&cut.work) else {
         return;
     };
-    let (wide, high) = (
-        backdrop.x.1 - backdrop.x.0,
-        backdrop.y.1 - backdrop.y.0,
-    );
+    let (wide, high) = (backdrop.x.1 - backdrop.x.0, backdrop.y.1 - backdrop.y.0);
     let width = 1120.0;
     // Margins of a chart are 82 and 74 pixels.
     let height = ((width - 82.0) * high / wide + 74.0).min(720.0);
@@ -255,7 +252,12 @@ fn curves(page: &mut String, pass: &Pass, cut: &Cut) {
         let desired = columns(samples, |s| s.desired[axis]);
         lines.push(line(format!("{name} desired"), WANTED, 4.0, desired));
         let tool = columns(samples, |s| s.tool[axis]);
-        lines.push(line(format!("{name} of the tool"), COLOURS[axis], 1.4, tool));
+        lines.push(line(
+            format!("{name} of the tool"),
+            COLOURS[axis],
+            1.4,
+            tool,
+        ));
     }
     card(
         page,
@@ -271,7 +273,12 @@ fn curves(page: &mut String, pass: &Pass, cut: &Cut) {
     for (axis, name) in AXES.iter().enumerate() {
         let lines = vec![
             line("low", GREY, 1.0, columns(samples, |s| s.low[axis])),
-            line("high", COLOURS[axis], 1.3, columns(samples, |s| s.high[axis])),
+            line(
+                "high",
+                COLOURS[axis],
+                1.3,
+                columns(samples, |s| s.high[axis]),
+            ),
         ];
         card(
             page,
@@ -301,14 +308,28 @@ fn curves(page: &mut String, pass: &Pass, cut: &Cut) {
             .collect();
         let mut chart = half("tool less desired, \u{b5}m", lines);
         chart.from_zero = true;
-        card(page, "Error of the tool", &chart.svg());
+        card(
+            page,
+            "Error of the tool; the width of the bands is the ripple of the teeth",
+            &chart.svg(),
+        );
     }
     let chart = Chart {
         x_label: "x, mm".into(),
         y_label: "y, mm".into(),
         lines: vec![
-            line("desired", WANTED, 4.0, vec![thinned(samples, |s| (s.desired[0], s.desired[1]))]),
-            line("tool", COLOURS[0], 1.4, vec![thinned(samples, |s| (s.tool[0], s.tool[1]))]),
+            line(
+                "desired",
+                WANTED,
+                4.0,
+                vec![thinned(samples, |s| (s.desired[0], s.desired[1]))],
+            ),
+            line(
+                "tool",
+                COLOURS[0],
+                1.4,
+                vec![thinned(samples, |s| (s.tool[0], s.tool[1]))],
+            ),
         ],
         equal: true,
         ..half("", Vec::new())

@@ -56,17 +56,16 @@ pub(super) const TOP: [f64; 3] = [240.0, 236.0, 226.0];
 pub(super) const DEEP: [f64; 3] = [38.0, 92.0, 148.0];
 
 fn pixel(picture: &Picture, column: usize, row: usize, cell: f64, deepest: f32) -> [u8; 3] {
-    let height = |column: usize, row: usize| {
-        f64::from(picture.heights[row * picture.columns + column])
-    };
+    let height =
+        |column: usize, row: usize| f64::from(picture.heights[row * picture.columns + column]);
     let (left, right) = (
         column.saturating_sub(1),
         (column + 1).min(picture.columns - 1),
     );
     let (below, above) = (row.saturating_sub(1), (row + 1).min(picture.rows - 1));
     let slope_x = (height(right, row) - height(left, row)) / ((right - left).max(1) as f64 * cell);
-    let slope_y = (height(column, above) - height(column, below))
-        / ((above - below).max(1) as f64 * cell);
+    let slope_y =
+        (height(column, above) - height(column, below)) / ((above - below).max(1) as f64 * cell);
     // Light from the upper left, 45 degrees high; walls are softened, or they would be black and white.
     let (slope_x, slope_y) = (0.6 * slope_x, 0.6 * slope_y);
     let length = (1.0 + slope_x * slope_x + slope_y * slope_y).sqrt();

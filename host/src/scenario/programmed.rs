@@ -12,7 +12,7 @@ const LEVEL: f64 = 0.2;
 /// Radius of the mill, mm.
 const RADIUS: f64 = 4.0;
 
-/// Seconds that are left out behind a change of speed or direction where a settled value is meant.
+/// Seconds that are left out behind the start and before the end of a motion where a settled value is meant.
 const SETTLING: f64 = 0.3;
 
 /// Half the width of what a ball leaves at [`LEVEL`] in a groove of this depth, mm.
@@ -29,13 +29,14 @@ fn where_(way: &[Sample], condition: impl Fn(&Sample) -> bool) -> Vec<Sample> {
         .collect()
 }
 
-/// The same without the first moments.
+/// The same without the first moments and the last, in which the tool slows down.
 fn settled(samples: &[Sample]) -> &[Sample] {
-    let Some(first) = samples.first() else {
+    let (Some(first), Some(last)) = (samples.first(), samples.last()) else {
         return samples;
     };
     let begins = samples.partition_point(|sample| sample.time < first.time + SETTLING);
-    &samples[begins..]
+    let ends = samples.partition_point(|sample| sample.time < last.time - SETTLING);
+    &samples[begins..ends.max(begins)]
 }
 
 /// Tool against the program in x and y, largest in either, after the start.
@@ -118,7 +119,7 @@ pub(super) fn feed_sweep(cuts: &[Cut]) -> Vec<Claim> {
             "N",
         )
         .within(1.0, 3.0, Derived)
-        .because(LOW_IS_AIR),
+        .because(LOW_FY),
         measured("Fz high, smallest", "3 to 7 N", smallest(moving, |s| s.high[2]), "N").within(
             3.0, 7.0, Stated,
         ),
@@ -131,12 +132,15 @@ pub(super) fn feed_sweep(cuts: &[Cut]) -> Vec<Claim> {
             largest(moving, |sample| sample.low[2].abs()),
             "N",
         )
-        .at_most(1.0, Derived),
+        .at_most(1.0, Derived)
+        .because(LOW_FZ),
     ]
 }
 
-const LOW_IS_AIR: &str = "the thesis does not say how a low force is taken; here it is the opposite end of a revolution, in which a two-flute mill in a slot leaves \
-     the chip at both sides: little remains but the edges";
+const LOW_FY: &str = "the coefficients were fitted to the high forces; in the model Fy of a tooth turns its sign on the way through the slot, and what it is where the tooth \
+     enters is the low force. The thesis does not say how its low forces were taken";
+const LOW_FZ: &str = "with two flutes in a slot, a part of one is always in the cut: the model's Fz never falls to nothing, and the less so the faster the feed. The thesis does \
+     not say how its low forces were taken";
 
 /// E2.
 pub(super) fn depth_sweep(cuts: &[Cut]) -> Vec<Claim> {
@@ -203,7 +207,7 @@ pub(super) fn depth_sweep(cuts: &[Cut]) -> Vec<Claim> {
             "N",
         )
         .within(1.0, 3.0, Stated)
-        .because(LOW_IS_AIR),
+        .because(LOW_FY),
         measured("Fz high at 1 mm", "3 to 7 N", fz(&one), "N")
             .within(3.0, 7.0, Stated)
             .because(SHALLOW),
@@ -224,9 +228,9 @@ pub(super) fn depth_sweep(cuts: &[Cut]) -> Vec<Claim> {
     ]
 }
 
-const SHALLOW: &str = "the coefficients were fitted at a depth of 2 mm and feeds of 2 to 10 mm/s; at 2 mm/s the model's chip is 12 um thick";
-const EQUATOR: &str = "at 5 mm the cut reaches the shank, whose edge presses nothing along z: in the model Fz stops to grow at the equator of the ball, and the thesis's \
-     oscillation at this depth (the arm swings) is not in it";
+const SHALLOW: &str = "the coefficients were fitted at a depth of 2 mm (spec 5.2); in the model Fz grows with the depth of the ball, the thesis gives one range for all depths";
+const EQUATOR: &str = "at 5 mm the cut reaches above the equator of the ball (4 mm), where the helix pulls the tool down: the model's Fz falls there. The thesis's oscillation at \
+     this depth is not in the model either";
 
 /// E7.
 pub(super) fn slot(cuts: &[Cut]) -> Vec<Claim> {
@@ -383,16 +387,14 @@ pub(super) fn pocket(cuts: &[Cut]) -> Vec<Claim> {
             "N",
         )
         .at_least(0.0, Derived),
+        // Equal is allowed: to a code of the ADC.
         measured(
             "magnitude of Fx: pass 1 less pass 3",
-            "not below 0",
+            "not below 0 (to a code of the ADC)",
             fx(&first).abs() - fx(&third).abs(),
             "N",
         )
-        .at_least(0.0, Derived)
-        .because(
-            "both passes meet the same chip in x (spec 5.2 has +5.6 in both); the difference is that of the material beside the tool, which the model has in Fy",
-        ),
+        .at_least(-0.012, Derived),
         measured(
             "Fx high in the steps along Y, largest",
             "at most +5 N",
@@ -522,7 +524,8 @@ pub(super) fn circle(cuts: &[Cut]) -> Vec<Claim> {
         )
         .within(11.0, 13.0, Derived)
         .because(
-            "the mill pushes aside as well as back: Fx of a slot changes its sign when the motion has turned by some 30 degrees more than a right angle (Fy is 0.85 of Fx in E1)",
+            "in the model the force of a full slot does not oppose the motion alone, it leans to the side (Fy of a slot is 0.87 of Fx): along X it turns over some 30 degrees of \
+             the circle before the motion does",
         ),
         measured(
             "Fy high, largest magnitude",
@@ -532,7 +535,7 @@ pub(super) fn circle(cuts: &[Cut]) -> Vec<Claim> {
         )
         .at_most(5.0, Stated)
         .because(
-            "the model's force turns with the motion: what opposes it along Y is as large as along X; the thesis has 5 to 10 N in X and at most 5 N in Y",
+            "the model cuts alike in every direction: its largest force along Y is that along X; the thesis has 5 to 10 N in X and at most 5 N in Y",
         ),
         measured(
             "Fy high opposes the motion (part of the time above 2 mm/s)",

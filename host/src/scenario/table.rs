@@ -1,7 +1,7 @@
 //! The table on the terminal.
 
-use super::stated::{Band, Claim};
 use super::Result;
+use super::stated::{Band, Claim};
 use std::fmt::Write as _;
 
 /// A value as the tables show it.
