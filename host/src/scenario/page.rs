@@ -15,9 +15,7 @@ td.n{white-space:nowrap}tr.out td{background:#fdf3e7}
 .in{color:#00704a;font-weight:600}.outside{color:#b04a00;font-weight:600}.why{display:block;color:#5b6875;font-size:13px;max-width:720px}
 .source{color:#7a8691;font-size:12px}h3{font-size:15px;margin:20px 0 8px;color:#3b4754}
 a{color:#0060a0;text-decoration:none}a:hover{text-decoration:underline}
-.depth{display:inline-block;width:120px;height:10px;margin:0 6px;vertical-align:middle;border:1px solid #b9c1ca}
-.cards{display:grid;grid-template-columns:1fr 1fr;gap:14px}.cards .card svg{margin-bottom:8px}
-@media(max-width:800px){.cards{grid-template-columns:1fr}}";
+.depth{display:inline-block;width:120px;height:10px;margin:0 6px;vertical-align:middle;border:1px solid #b9c1ca}";
 
 const GREY: &str = "#9aa5b1";
 const WANTED: &str = "#b7c0ca";
@@ -94,7 +92,7 @@ fn claims(page: &mut String, result: &Result) {
             format_args!(
                 "<tr{row}><td>{}{why}</td><td>{}</td><td class=\"n\">{} <span class=\"source\">{}</span></td><td class=\"n\">{} {}</td><td class=\"n {class}\">{}</td></tr>",
                 escape(&claim.what),
-                escape(&claim.stated),
+                stated(&claim.stated),
                 escape(band),
                 source.trim_end_matches(')'),
                 value(claim.ours),
@@ -104,6 +102,14 @@ fn claims(page: &mut String, result: &Result) {
         );
     }
     page.push_str("</table><p class=\"sub\" style=\"margin:8px 2px\">Bands: <i>stated</i> by the thesis itself; <i>derived</i> from its numbers; <i>own</i>: what this project asks of itself.</p>");
+}
+
+/// What the thesis says, or that it says nothing.
+fn stated(text: &str) -> String {
+    match text {
+        "" => "<span class=\"source\">not stated</span>".to_string(),
+        other => escape(other),
+    }
 }
 
 fn card(page: &mut String, note: &str, svg: &str) {
@@ -119,9 +125,9 @@ fn surface(page: &mut String, cut: &Cut, of: &str) {
         return;
     };
     let (wide, high) = (backdrop.x.1 - backdrop.x.0, backdrop.y.1 - backdrop.y.0);
-    let width = 1120.0;
-    // Margins of a chart are 82 and 74 pixels.
-    let height = ((width - 82.0) * high / wide + 74.0).min(720.0);
+    // As wide as the page or 720 pixels high; margins of a chart are 82 and 74 pixels.
+    let scale = (1038.0 / wide).min(646.0 / high);
+    let (width, height) = (scale * wide + 82.0, scale * high + 74.0);
     let path: Vec<(f64, f64)> = thinned(&cut.course.way(), |s| (s.desired[0], s.desired[1]));
     let chart = Chart {
         x_label: "x, mm".into(),
@@ -146,7 +152,11 @@ fn surface(page: &mut String, cut: &Cut, of: &str) {
         picture::deepest(&cut.work)
     );
     put(page, format_args!("<h2>The cut surface{of}</h2>"));
-    card(page, &note, &chart.svg());
+    let centred = format!(
+        "<div style=\"max-width:{width:.0}px;margin:0 auto\">{}</div>",
+        chart.svg()
+    );
+    card(page, &note, &centred);
 }
 
 /// Points of a path that are 0.02 mm apart.
@@ -409,7 +419,7 @@ pub fn index(machine: &str, results: &[Result]) -> String {
             .filter(|claim| !claim.inside)
             .map(|claim| {
                 format!(
-                    "{}: {} {} ({})",
+                    "{}: {} {}, band {}",
                     escape(&claim.what),
                     value(claim.ours),
                     claim.unit,
