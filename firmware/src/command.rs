@@ -197,16 +197,11 @@ impl Controller {
         Ok(())
     }
 
-    /// Takes a setpoint into the queue, if the machine can go there.
-    pub(crate) fn take_setpoint(&mut self, number: u32, setpoint: &Setpoint) -> Done {
-        self.in_state(&[State::Run, State::Hold])?;
-        let machinery = self.machinery.as_mut().ok_or(Refusal::NotConfigured)?;
-        let expected = machinery.motion.program.accepted();
-        if number != expected {
-            return Err(Refusal::OutOfOrder { expected });
-        }
+    /// Whether the machine can go to a setpoint that is to be taken in the next period.
+    pub(crate) fn try_setpoint(&mut self, number: u32, values: &AxisValues) -> Done {
+        let machinery = self.machinery_for(number)?;
         let mut pose = Pose::default();
-        for (slot, value) in pose.0.iter_mut().zip(&setpoint.pose) {
+        for (slot, value) in pose.0.iter_mut().zip(values) {
             *slot = Coordinate(*value);
         }
         let pose = machinery.motion.destination(&pose);
@@ -223,7 +218,23 @@ impl Controller {
                 setpoint: number,
                 error,
             })?;
-        machinery.motion.program.push(setpoint)
+        Ok(())
+    }
+
+    /// Takes a setpoint into the queue, if the machine may go there as fast as it says.
+    pub(crate) fn take_setpoint(&mut self, number: u32, setpoint: &Setpoint) -> Done {
+        self.machinery_for(number)?.motion.program.push(setpoint)
+    }
+
+    /// The machine, if it now takes the setpoint of this number.
+    fn machinery_for(&mut self, number: u32) -> Result<&mut Machinery, Refusal> {
+        self.in_state(&[State::Run, State::Hold])?;
+        let machinery = self.machinery.as_mut().ok_or(Refusal::NotConfigured)?;
+        let expected = machinery.motion.program.accepted();
+        if number != expected {
+            return Err(Refusal::OutOfOrder { expected });
+        }
+        Ok(machinery)
     }
 
     fn end_job(&mut self, count: u32) -> Done {

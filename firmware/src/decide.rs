@@ -62,13 +62,18 @@ impl Controller {
         self.greet();
         match heard {
             Some(Heard::Request(request)) => self.command(inputs, request),
-            Some(Heard::Setpoint {
-                number, setpoint, ..
-            }) => match self.take_setpoint(number, &setpoint) {
-                Ok(()) => self.server.accept_setpoint(),
-                Err(refusal) => self.server.refuse_setpoints(refusal),
-            },
-            Some(Heard::BadSetpoint { number, .. }) => {
+            Some(Heard::Place { number, pose }) => {
+                if let Err(refusal) = self.try_setpoint(number, &pose) {
+                    self.server.refuse_setpoints(refusal);
+                }
+            }
+            Some(Heard::Setpoint { number, setpoint }) => {
+                match self.take_setpoint(number, &setpoint) {
+                    Ok(()) => self.server.accept_setpoint(),
+                    Err(refusal) => self.server.refuse_setpoints(refusal),
+                }
+            }
+            Some(Heard::BadSetpoint { number }) => {
                 self.server
                     .refuse_setpoints(Refusal::Setpoint { setpoint: number });
             }
@@ -334,6 +339,12 @@ impl Controller {
 
 /// A limit switch or a drive that reports a fault.
 fn hardware(axes: &[AxisInputs]) -> Option<Fault> {
+    if axes
+        .iter()
+        .all(|axis| axis.drive_ready & !(axis.limit_low | axis.limit_high))
+    {
+        return None;
+    }
     for (index, axis) in axes.iter().enumerate() {
         if axis.limit_low || axis.limit_high {
             return Some(Fault::LimitSwitch { axis: index as u8 });

@@ -177,6 +177,8 @@ impl ToBoard {
     ///
     /// # Errors
     /// See [`FrameError`].
+    #[cold]
+    #[inline(never)]
     pub fn decode(bytes: &[u8; TO_BOARD_BYTES]) -> Result<Self, FrameError> {
         let (kind, mut words) = Words::<TO_BOARD_WORDS>::from_bytes(bytes)?;
         match kind {
@@ -209,6 +211,8 @@ impl ToBoard {
 impl FromBoard {
     /// The frame.
     #[must_use]
+    #[cold]
+    #[inline(never)]
     pub fn encode(&self) -> [u8; FROM_BOARD_BYTES] {
         let mut words = Words::<FROM_BOARD_WORDS>::new();
         match self {

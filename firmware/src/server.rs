@@ -1,14 +1,16 @@
 //! Messages in, answers and telemetry out: the controller's end of the link.
 //!
-//! A period hears at most 64 bytes and does at most one thing that takes long: it reads a message or a setpoint of a batch, or tries a setpoint that was
-//! read before, or encodes telemetry, or makes the frame of telemetry that was encoded before. Hearing and telling take turns; the rest waits in the
+//! A period hears at most 64 bytes and does at most one thing that takes long: it reads a message or a setpoint of a batch, or takes one of three steps with a
+//! setpoint that was read before (decodes it, tries whether the machine can go there, puts it into the queue if it may go there as fast), or encodes telemetry, or makes the frame of telemetry that was encoded before. Hearing and telling take turns; the rest waits in the
 //! link, whose window stops the host. A setpoint that is refused ends its batch and changes nothing, not even what the next one is relative to: all later ones are out of
 //! order until it comes again, or the job is begun anew. Nothing is skipped.
 
 use crate::io::{Inputs, TRANSMIT_BYTES};
 use crate::safety::Safety;
 use haptimill_protocol::link::{ControllerLink, Identity, SHORT_REPORT, Timing};
-use haptimill_protocol::message::{AxisValues, ConfigChunk, Refusal, Report, Request, Telemetry};
+use haptimill_protocol::message::{
+    AxisValues, ConfigChunk, Refusal, Report, Request, SetpointDelta, Telemetry,
+};
 use haptimill_protocol::setpoint::{BatchReader, Setpoint, SetpointCoder};
 use heapless::{Deque, Vec};
 
@@ -27,10 +29,15 @@ const ANSWERS: usize = 8;
 pub enum Heard {
     /// A request.
     Request(Request),
-    /// The next setpoint of a batch.
+    /// Where the next setpoint of a batch is: can the machine go there?
+    Place {
+        /// The setpoint's number in the job.
+        number: u32,
+        /// Its pose.
+        pose: AxisValues,
+    },
+    /// That setpoint, in the next period: it belongs into the queue, if the machine may go there as fast.
     Setpoint {
-        /// The request's number.
-        id: u8,
         /// The setpoint's number in the job.
         number: u32,
         /// The setpoint.
@@ -38,11 +45,23 @@ pub enum Heard {
     },
     /// A setpoint that cannot be read.
     BadSetpoint {
-        /// The request's number.
-        id: u8,
         /// The setpoint's number in the job.
         number: u32,
     },
+}
+
+/// How far the next setpoint of a batch is. Each step takes a period: all of them take too long for one.
+#[derive(Debug, Default)]
+enum Step {
+    /// It is yet to be read.
+    #[default]
+    Unread,
+    /// It was read.
+    Read(SetpointDelta),
+    /// It is known.
+    Decoded(Setpoint),
+    /// The machine can go there.
+    Placed(Setpoint),
 }
 
 /// The controller's end of the link.
@@ -54,7 +73,7 @@ pub struct Server {
     /// The batch of setpoints that is being worked through; its bytes wait in the link.
     batch: Option<BatchReader>,
     /// Its next setpoint.
-    decoded: Option<Setpoint>,
+    step: Step,
     /// Something long was done in this period.
     worked: bool,
     /// This period did not work although it might have.
@@ -95,7 +114,7 @@ impl Server {
             period_us,
             now_us: 0,
             batch: None,
-            decoded: None,
+            step: Step::Unread,
             worked: false,
             held: false,
             telemetry_waits: false,
@@ -141,51 +160,62 @@ impl Server {
         if yields || self.held || self.answers.is_full() {
             return None;
         }
-        if let (Some(setpoint), Some(batch)) = (self.decoded.take(), &self.batch) {
-            self.worked = true;
-            return Some(Heard::Setpoint {
-                id: batch.id,
-                number: batch.number.wrapping_sub(1),
-                setpoint,
-            });
-        }
-        let payload = self.link.peek()?;
+        let number = self.batch.map_or(0, |batch| batch.number.wrapping_sub(1));
         self.worked = true;
+        match core::mem::take(&mut self.step) {
+            Step::Unread => self.read(),
+            Step::Read(delta) => {
+                self.ahead = self.coder.clone();
+                match self.ahead.decode(&delta) {
+                    Ok(setpoint) => {
+                        self.step = Step::Decoded(setpoint);
+                        None
+                    }
+                    Err(_) => Some(Heard::BadSetpoint { number }),
+                }
+            }
+            Step::Decoded(setpoint) => {
+                let pose = setpoint.pose.clone();
+                self.step = Step::Placed(setpoint);
+                Some(Heard::Place { number, pose })
+            }
+            Step::Placed(setpoint) => Some(Heard::Setpoint { number, setpoint }),
+        }
+    }
+
+    /// Reads the next message, or the next setpoint of a batch.
+    fn read(&mut self) -> Option<Heard> {
+        let Some(payload) = self.link.peek() else {
+            self.worked = false;
+            return None;
+        };
         if self.batch.is_none() {
             if !BatchReader::fits(payload) {
                 return self.link.poll_message().map(Heard::Request);
             }
             self.batch = BatchReader::open(payload);
-            if self.batch.is_none() {
-                self.link.drop_unreadable();
-                return None;
-            }
         }
-        self.decode_setpoint()
-    }
-
-    /// Decodes the next setpoint of the batch. It is heard in the next period: to decode it and to try it takes too long for one.
-    fn decode_setpoint(&mut self) -> Option<Heard> {
-        let batch = self.batch.as_mut()?;
-        let (id, number) = (batch.id, batch.number);
+        let Some(batch) = &mut self.batch else {
+            self.link.drop_unreadable();
+            return None;
+        };
+        let number = batch.number;
         if batch.left == 0 {
             self.end_batch(Ok(()));
             return None;
         }
-        let delta = self.link.peek().and_then(|payload| batch.next(payload));
-        self.ahead = self.coder.clone();
-        match delta.map(|delta| self.ahead.decode(&delta)) {
-            Some(Ok(setpoint)) => {
-                self.decoded = Some(setpoint);
+        match batch.next(payload) {
+            Some(delta) => {
+                self.step = Step::Read(delta);
                 None
             }
-            _ => Some(Heard::BadSetpoint { id, number }),
+            None => Some(Heard::BadSetpoint { number }),
         }
     }
 
     /// The batch is done with.
     fn end_batch(&mut self, result: Result<(), Refusal>) {
-        self.decoded = None;
+        self.step = Step::Unread;
         if let Some(batch) = self.batch.take() {
             self.link.drop_first();
             self.answer(batch.id, result);
@@ -218,7 +248,7 @@ impl Server {
     /// What a session leaves behind when it ends.
     fn forget(&mut self) {
         self.batch = None;
-        self.decoded = None;
+        self.step = Step::Unread;
         self.telemetry_waits = false;
         self.answers.clear();
         self.staged.clear();

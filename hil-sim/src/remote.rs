@@ -62,7 +62,7 @@ pub struct Cost {
     pub worst_period: u32,
     /// The most that a whole period cost in any state.
     pub worst_of_all: u32,
-    /// The fewest setpoints that waited in the queue while the path was under way and more of them were to come; `None` if that never was.
+    /// The fewest setpoints that waited in the queue after it had been fullest, while more of them were to come; `None` if none were.
     pub queue_low: Option<u16>,
     /// The most setpoints that ever waited in the queue.
     pub queue_high: u16,
@@ -183,9 +183,11 @@ impl<L: PlantLink> RemoteController<L> {
         let Some(reading) = done.reading.filter(|reading| reading.state == State::Run) else {
             return;
         };
-        cost.queue_high = cost.queue_high.max(reading.queued);
-        if reading.more && reading.program_time > 0 {
-            let low = cost.queue_low.unwrap_or(u16::MAX);
+        if reading.queued > cost.queue_high {
+            cost.queue_high = reading.queued;
+            cost.queue_low = None;
+        } else if reading.more {
+            let low = cost.queue_low.unwrap_or(reading.queued);
             cost.queue_low = Some(low.min(reading.queued));
         }
         cost.periods += 1;

@@ -1,5 +1,8 @@
 //! What the whole-system tests and benchmarks share: a simulated machine with a host that says one thing after the other.
 
+#[cfg(feature = "emulated")]
+pub mod log;
+
 use haptimill::machine::MachineFile;
 use haptimill_firmware::controller::Controller;
 use haptimill_hil_sim::config::PlantConfig;

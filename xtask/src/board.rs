@@ -26,7 +26,11 @@ pub const BOARDS: &[Board] = &[Board {
     folder: "firmware/boards/mps2",
     target: "thumbv7em-none-eabihf",
     binary: "haptimill-mps2",
-    others: &[("faults", "faults"), ("checks", "checks")],
+    others: &[
+        ("faults", "faults"),
+        ("checks", "checks"),
+        ("logging", "defmt"),
+    ],
     flash: 128 * 1024,
     ram: 48 * 1024,
 }];

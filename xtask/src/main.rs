@@ -15,8 +15,9 @@ The chores of the project.
   cargo xtask test --native-only   all but boards and emulated runs; says what it left out
   cargo xtask board NAME           builds the image of a board (mps2), says what it takes of the chip, checks that against the budget
   cargo xtask board NAME --image   builds it and prints the path of the image, nothing else
-  cargo xtask board NAME --image OTHER   the same with another image of the board (mps2 has faults)
+  cargo xtask board NAME --image OTHER   the same with another image of the board (mps2 has faults, checks, logging)
   cargo xtask instructions         counts the instructions of control periods and writes docs/instructions.md anew
+  cargo xtask log FILE ...         runs a part program on the emulated board (options as of haptimill run) and prints what the chip logs
   cargo xtask bench                all benchmarks (criterion); figures in target/criterion
   cargo xtask help                 this text
 ";
@@ -104,6 +105,7 @@ fn main() -> ExitCode {
         ["board", name, "--image"] => image(name, None),
         ["board", name, "--image", other] => image(name, Some(other)),
         ["instructions"] => instructions(),
+        ["log", program, ref more @ ..] => log(program, more),
         ["bench"] => run(BENCH),
         ["help"] | [] => {
             print!("{HELP}");
@@ -167,6 +169,49 @@ fn image(name: &str, other: Option<&str>) -> Result<(), String> {
     };
     println!("{}", image.display());
     Ok(())
+}
+
+/// Runs a part program on the emulated board with the image that logs, and prints its log, however the run ended.
+fn log(program: &str, more: &[&str]) -> Result<(), String> {
+    provide()?;
+    let image = named("mps2")?.build_other(&root(), "logging")?;
+    let image = image.display().to_string();
+    let folder = root().join("target").join("log");
+    let file = folder.join("log.bin").display().to_string();
+    std::fs::create_dir_all(&folder).map_err(|error| format!("{}: {error}", folder.display()))?;
+    let cargo = |arguments: &[&str]| {
+        let status = cargo()
+            .args(["run", "--quiet", "--release"])
+            .args(arguments)
+            .status();
+        status.map_err(|error| format!("cargo cannot be started: {error}"))
+    };
+    let out = folder.display().to_string();
+    let command = [
+        "--package",
+        "haptimill",
+        "--",
+        "run",
+        program,
+        "--port",
+        "pil:mps2",
+    ];
+    let options = ["--image", &image, "--log", &file, "--out", &out];
+    let ran = cargo(&[&command[..], &options, more].concat())?;
+    let decoder = [
+        "--package",
+        "haptimill-tests",
+        "--features",
+        "emulated",
+        "--example",
+        "log",
+    ];
+    let told = cargo(&[&decoder[..], &["--", &image, &file]].concat())?;
+    if ran.success() && told.success() {
+        Ok(())
+    } else {
+        Err("the run ended with an error".to_string())
+    }
 }
 
 /// Writes the table of instructions anew.

@@ -94,7 +94,8 @@ impl Backlash {
     pub fn carry(&mut self, motor: Coordinate) -> Coordinate {
         let ahead = difference(self.kind, motor, self.slide)
             .0
-            .clamp(-self.half, self.half);
+            .max(-self.half)
+            .min(self.half);
         self.slide = difference(self.kind, motor, Coordinate(ahead));
         self.slide
     }
@@ -113,7 +114,8 @@ impl Backlash {
     pub fn hold(&mut self, motor: Coordinate) {
         let ahead = difference(self.kind, motor, self.slide)
             .0
-            .clamp(-self.half, self.half);
+            .max(-self.half)
+            .min(self.half);
         self.goal = ahead << self.fraction;
         self.first = self.goal;
         self.second = self.goal;

@@ -237,7 +237,7 @@ impl StepPlanner {
         );
         // How far behind the start of the period the first crossing lies; positive when it is ahead of it.
         let first_crossing = (self.emitted * STEP - start) * sign + STEP / 2;
-        let first = ideal.time(first_crossing).clamp(earliest, latest);
+        let first = ideal.time(first_crossing).max(earliest).min(latest);
         let signed = |count: u32| (count as i16) * (sign as i16);
         if count == 1 {
             return Some(StepSegment {
@@ -249,7 +249,7 @@ impl StepPlanner {
         }
         let intervals = count - 1;
         let last_crossing = first_crossing + i64::from(intervals) * STEP;
-        let mut last = ideal.time(last_crossing).clamp(first, latest);
+        let mut last = ideal.time(last_crossing).max(first).min(latest);
         let mut delay = first;
         let mut ramp = 0;
         if last - delay < intervals * gap {
@@ -344,7 +344,7 @@ impl Ideal {
         let scaled = (distance >> shift) as u32;
         let reciprocal = Reciprocal::new(scaled);
         let most = (i64::from(scaled) * 3) / 4;
-        let bend = (bend >> shift).clamp(-most, most);
+        let bend = (bend >> shift).max(-most).min(most);
         let bend = if scaled == 0 {
             0
         } else {

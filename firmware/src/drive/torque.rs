@@ -52,7 +52,7 @@ impl TorqueOutput {
     /// The code of an effort, within 1 code of the exact quotient (0.5 for rounding, 0.5 for the carry) and right in the mean; and whether it was clamped.
     #[inline]
     pub fn code(&mut self, effort: Effort) -> (i16, bool) {
-        let allowed = effort.0.clamp(-self.limit, self.limit);
+        let allowed = effort.0.max(-self.limit).min(self.limit);
         // Both are limits of magnitude: nothing is the least of its type.
         let signed = if self.reversed { -allowed } else { allowed };
         // Full scale is 2^29, what is beyond is held below 2^30; the carry is below 2^16.

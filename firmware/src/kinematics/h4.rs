@@ -356,19 +356,26 @@ impl H4 {
         let sine = placed.tilt.0;
         let upper = placed.x + multiply_shift(self.upper, sine, 30);
         let lower = placed.x + multiply_shift(self.lower, sine, 30);
-        let spread = pairs.map(|pair| self.joint_offset as i64 + pair.root.rounded() as i64);
-        let slides = [
-            upper + spread[0],
-            upper - spread[0],
-            lower + spread[1],
-            lower - spread[1],
-        ];
-        let mut joints = Joints::default();
-        for (joint, slide) in joints.0.iter_mut().zip(slides) {
-            *joint = Coordinate(i32::try_from(slide).map_err(|_| PoseError::Unreachable)?);
+        let first = self.joint_offset as i64 + pairs[0].root.rounded() as i64;
+        let second = self.joint_offset as i64 + pairs[1].root.rounded() as i64;
+        let slides = [upper + first, upper - first, lower + second, lower - second];
+        // What leaves its word is seen once for all.
+        let beyond = slides
+            .iter()
+            .fold(0, |bits, slide| bits | (*slide as i32 as i64 ^ slide));
+        if beyond != 0 {
+            return Err(PoseError::Unreachable);
         }
-        joints.0[ALPHA] = alpha;
-        Ok(joints)
+        let [first, second, third, fourth] = slides;
+        let slide = |value: i64| Coordinate(value as i32);
+        Ok(Joints([
+            slide(first),
+            slide(second),
+            slide(third),
+            slide(fourth),
+            alpha,
+            Coordinate::ZERO,
+        ]))
     }
 }
 

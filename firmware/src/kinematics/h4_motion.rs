@@ -253,33 +253,30 @@ impl H4 {
         let sine_push = word(sum(cosine, spin, sine.wrapping_neg(), bend), 30);
         let drop_push = word(sum(sine, spin, cosine, bend), 30);
 
-        let mut jets = [PairJet::default(); 2];
-        for ((jet, pair), (length, side)) in jets
-            .iter_mut()
-            .zip(pairs)
-            .zip([(self.upper, -1), (self.lower, 1)])
-        {
+        // U' = -+y', V' = -z' + m sin(theta) theta'. U' enters squared and with U / S: its sign is given to that.
+        let jet = |pair: &Pair, length: i32, side: i32| -> PairJet {
             let arm = |value: i32| length as i64 * value as i64;
-            let slope = Slope::of(pair);
-            // U' = -+y', V' = -z' + m sin(theta) theta'.
             let v = (
                 nearest(total(arm(drop_rate), z_rate.wrapping_neg()), 30),
                 word(total(arm(drop_push), z_push.wrapping_neg()), 30),
             );
-            // U' enters squared and with U / S: its sign is given to that.
+            let slope = Slope::of(pair);
             let slope = Slope {
                 u: slope.u.wrapping_mul(side),
                 ..slope
             };
-            *jet = [
+            [
                 (
                     total(x as i64, arm(sine_rate) >> 30),
                     total(x_push as i64, arm(sine_push) >> 30),
                 ),
                 root_jet(&slope, u, v),
-            ];
-        }
-        jets
+            ]
+        };
+        [
+            jet(&pairs[0], self.upper, -1),
+            jet(&pairs[1], self.lower, 1),
+        ]
     }
 
     /// The Jacobian in table coordinates: spec h4-milling 2.7, chained with the table.

@@ -118,7 +118,7 @@ impl Jog {
     pub fn aim(&mut self, rates: &[i64; MAX_AXES], periods: u32) {
         for (axis, rate) in self.axis.iter_mut().zip(rates) {
             let rate = per_period((*rate).clamp(-(1 << 32), 1 << 32), self.period_us);
-            axis.target = rate.clamp(-axis.rate_limit, axis.rate_limit);
+            axis.target = rate.max(-axis.rate_limit).min(axis.rate_limit);
         }
         self.alive = periods;
     }

@@ -85,7 +85,9 @@ impl Ramp {
         let gap = target - self.value;
         if gap.abs() <= limits.jerk && self.slope.abs() <= limits.jerk {
             // Near enough to arrive in one period: the change of slope is then at most twice the jerk over two periods.
-            let step = gap.clamp(self.slope - limits.jerk, self.slope + limits.jerk);
+            let step = gap
+                .max(self.slope - limits.jerk)
+                .min(self.slope + limits.jerk);
             self.slope = step;
             self.value += step;
             if self.value == target && step.abs() <= limits.jerk {

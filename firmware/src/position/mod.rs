@@ -165,7 +165,7 @@ impl PositionLaw {
         if self.lift != 0 {
             effort = saturate(i64::from(effort) << self.lift);
         }
-        let allowed = effort.clamp(-self.limit, self.limit);
+        let allowed = effort.max(-self.limit).min(self.limit);
         if self.ki_period != 0 {
             self.integrate(error, allowed != effort && (effort < 0) == (error.0 < 0));
         }
@@ -180,7 +180,8 @@ impl PositionLaw {
             self.integral = self
                 .integral
                 .saturating_add(step)
-                .clamp(-self.integral_limit, self.integral_limit);
+                .max(-self.integral_limit)
+                .min(self.integral_limit);
         }
     }
 }

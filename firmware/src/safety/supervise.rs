@@ -60,7 +60,7 @@ struct Mark {
     turns: u8,
     last: i32,
     /// Which way motion is wanted since then.
-    direction: i64,
+    direction: i32,
     /// It stood, or turned round: friction has yet to be overcome.
     standing: bool,
     /// What the drive pushed since then, beyond what friction may have taken; effort units times periods.
@@ -116,7 +116,7 @@ impl Watch {
         }
         let measured = i64::from(seen.measured.0);
         let (low, high) = (i64::from(config.low.0), i64::from(config.high.0));
-        let by = measured - measured.clamp(low, high.max(low));
+        let by = measured - measured.max(low).min(high.max(low));
         (by.abs() > magnitude(config.following)).then_some(Fault::Stroke {
             axis,
             by: saturate(by),
@@ -178,7 +178,7 @@ impl Watch {
         let Drive::Torque { limit: most, .. } = config.drive else {
             return None;
         };
-        let direction = i64::from(seen.wanted_rate.0).signum();
+        let direction = seen.wanted_rate.0.signum();
         let fresh = |standing| Mark {
             measured: seen.measured,
             wanted: seen.wanted,
@@ -212,7 +212,7 @@ impl Watch {
         {
             return Some(Fault::EncoderStill { axis });
         }
-        let growth = (i64::from(seen.effort.0) - i64::from(mark.effort.0)) * direction;
+        let growth = (i64::from(seen.effort.0) - i64::from(mark.effort.0)) * i64::from(direction);
         let friction = i64::from(config.law.coulomb.0)
             .abs()
             .max(i64::from(most.0).abs() / 32)

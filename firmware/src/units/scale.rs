@@ -10,7 +10,7 @@
 /// `a * b`, for operands of which the caller has proven that the product fits: builds with debug assertions (all tests) check it.
 ///
 /// Checking a wide product for overflow costs a 32-bit processor ten times the product itself.
-#[inline]
+#[inline(always)]
 #[must_use]
 pub const fn product(a: i64, b: i64) -> i64 {
     debug_assert!(a.checked_mul(b).is_some());
@@ -18,7 +18,7 @@ pub const fn product(a: i64, b: i64) -> i64 {
 }
 
 /// `a + b`, likewise.
-#[inline]
+#[inline(always)]
 #[must_use]
 pub const fn total(a: i64, b: i64) -> i64 {
     debug_assert!(a.checked_add(b).is_some());
@@ -26,7 +26,7 @@ pub const fn total(a: i64, b: i64) -> i64 {
 }
 
 /// `value`, held within the range of `i32`.
-#[inline]
+#[inline(always)]
 #[must_use]
 pub const fn saturate(value: i64) -> i32 {
     let word = value as i32;
@@ -40,7 +40,7 @@ pub const fn saturate(value: i64) -> i32 {
 /// `value / 2^shift`, rounded to nearest; `shift` is 1 to 62.
 ///
 /// Right for every value, but for `i64::MAX` with a shift of 1, which wraps.
-#[inline]
+#[inline(always)]
 #[must_use]
 pub const fn round_shift(value: i64, shift: u32) -> i64 {
     // Shifting twice keeps the half bit without an addition that could overflow at the top.
@@ -49,7 +49,7 @@ pub const fn round_shift(value: i64, shift: u32) -> i64 {
 }
 
 /// `a * b / 2^shift`, rounded to nearest, for any two `i32`; `shift` is 1 to 62.
-#[inline]
+#[inline(always)]
 #[must_use]
 pub const fn multiply_shift(a: i32, b: i32, shift: u32) -> i64 {
     round_shift(a as i64 * b as i64, shift)
@@ -58,7 +58,7 @@ pub const fn multiply_shift(a: i32, b: i32, shift: u32) -> i64 {
 /// `value * factor / 2^shift`, rounded to nearest, for a wide value; `shift` is 1 to 32.
 ///
 /// The result must fit in 62 bits: it does whenever `|value| < 2^(30 + shift)`.
-#[inline]
+#[inline(always)]
 #[must_use]
 pub const fn scale(value: i64, factor: i32, shift: u32) -> i64 {
     let high = product(value >> 32, factor as i64);
@@ -69,7 +69,7 @@ pub const fn scale(value: i64, factor: i32, shift: u32) -> i64 {
 }
 
 /// `value * factor / 2^32`, rounded down, for any `value` and a `factor` of at most 2^31.
-#[inline]
+#[inline(always)]
 #[must_use]
 pub const fn multiply_high(value: i64, factor: u32) -> i64 {
     let high = product(value >> 32, factor as i64);
@@ -78,7 +78,7 @@ pub const fn multiply_high(value: i64, factor: u32) -> i64 {
 }
 
 /// `a * b / 2^64`, too small by less than 3 units, for any two numbers: three products of words.
-#[inline]
+#[inline(always)]
 #[must_use]
 pub const fn high_product(a: u64, b: u64) -> u64 {
     let (a_high, a_low) = (a >> 32, a & 0xffff_ffff);

@@ -11,6 +11,7 @@ use crate::program;
 use crate::record::{Header, Recorder, Recording};
 use crate::report::{self, Outcome, Summary};
 use crate::session::{self, JobEnd, JobLine, JobRecording, Session, SimLine, Watcher};
+use haptimill_firmware::units::Length;
 use haptimill_firmware::units::force::{Force, VirtualDamping, VirtualMass};
 use haptimill_hil_sim::config::PlantConfig;
 use haptimill_hil_sim::cutting::Workpiece;
@@ -31,6 +32,9 @@ pub struct Cut {
     /// The summary of the job.
     pub summary: Summary,
 }
+
+/// The most that a tool under force control may yield, mm: no scenario is to end at it.
+const LIMIT_MM: i32 = 20;
 
 struct Unwatched;
 
@@ -54,6 +58,7 @@ fn controlled(machine: &MachineFile, control: Option<Control>) -> Option<Machine
         x.desired = Force((control.desired_n * 65_536.0).round() as i32);
         x.mass = VirtualMass(scaled(control.mass));
         x.damping = VirtualDamping(scaled(control.damping));
+        x.limit = Length(LIMIT_MM << 20);
         force.mask = 1;
     }
     Some(machine)

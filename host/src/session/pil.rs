@@ -35,6 +35,12 @@ pub const STALL: Duration = Duration::from_millis(1500);
 /// Instructions a count of the board's timer stands for: 25 MHz, and 1024 ns an instruction.
 pub const INSTRUCTIONS_PER_COUNT: f64 = 40.0 / 1024.0;
 
+/// Instructions in a control period of so many microseconds, on a chip of 168 MHz at one cycle an instruction.
+#[must_use]
+pub const fn budget(period_us: u16) -> u32 {
+    period_us as u32 * 168
+}
+
 /// The counts of the board's timer that so many instructions take.
 #[must_use]
 pub fn counts(instructions: u32) -> u32 {
@@ -448,7 +454,7 @@ pub struct Instructions {
     pub stack_bytes: u32,
     /// Most bytes that waited in the receive ring.
     pub ring_peak: u32,
-    /// Fewest setpoints that waited in the queue while more of them were to come; `None` if all were there before the path was under way.
+    /// Fewest setpoints that waited in the queue after it had been fullest, while more of them were to come; `None` if none were.
     pub queue_low: Option<u16>,
     /// Most setpoints that waited in the queue.
     pub queue_high: u16,

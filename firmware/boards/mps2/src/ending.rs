@@ -61,6 +61,8 @@ pub fn end(code: u8, reason: fmt::Arguments<'_>) -> ! {
 #[panic_handler]
 fn panicked(info: &core::panic::PanicInfo<'_>) -> ! {
     cortex_m::interrupt::disable();
+    #[cfg(feature = "defmt")]
+    defmt::error!("{}", defmt::Display2Format(info));
     end(PANIC, format_args!("{info}"))
 }
 

@@ -18,6 +18,8 @@ pub mod counter;
 pub mod ending;
 #[cfg(feature = "faults")]
 pub mod faults;
+#[cfg(feature = "defmt")]
+pub mod log;
 mod registers;
 pub mod semihosting;
 pub mod serial;

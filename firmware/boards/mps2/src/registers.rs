@@ -2,6 +2,9 @@
 
 /// UART0 of the CMSDK.
 pub const UART0: usize = 0x4000_4000;
+/// UART2 of the CMSDK.
+#[cfg(feature = "defmt")]
+pub const UART2: usize = 0x4000_6000;
 /// TIMER0 of the CMSDK.
 pub const TIMER0: usize = 0x4000_0000;
 

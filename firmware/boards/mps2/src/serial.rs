@@ -61,9 +61,14 @@ pub fn start(ring: &'static mut ReceiveRing<RING>, nvic: &mut NVIC, baud: u32) -
 
 /// Says bytes to the host.
 pub fn say(bytes: &[u8]) {
+    send(UART0, bytes);
+}
+
+/// Sends bytes over a line, as fast as its transmitter takes them.
+pub(crate) fn send(line: usize, bytes: &[u8]) {
     for &byte in bytes {
-        while read(UART0, STATE) & TRANSMITTER_FULL != 0 {}
-        write(UART0, DATA, u32::from(byte));
+        while read(line, STATE) & TRANSMITTER_FULL != 0 {}
+        write(line, DATA, u32::from(byte));
     }
 }
 

@@ -14,6 +14,8 @@ const PATIENCE: u32 = 200_000_000;
 ///
 /// # Panics
 /// The simulator says what makes no sense, or bytes that it announced do not come.
+#[cold]
+#[inline(never)]
 pub fn serve() -> Result<(), Gone> {
     let mut to_simulator = File::writer(c"from-board")?;
     let mut from_simulator = File::reader(c"to-board")?;

@@ -80,6 +80,8 @@ pub fn start(scb: &mut SCB, waiting: Waiting<'static>) {
 /// A run begins, with a new controller.
 pub fn begin(period_us: u16) {
     with(|period| put(&mut period.controller, period_us));
+    #[cfg(feature = "defmt")]
+    defmt::info!("a run begins, {=u16} us a period", period_us);
 }
 
 /// Makes a controller in its place: on the way over the stack it would be the largest thing there.
@@ -134,6 +136,8 @@ fn SysTick() {
     waiting.take(&mut period.inputs);
     #[cfg(feature = "faults")]
     crate::faults::begin(period.inputs.period);
+    #[cfg(feature = "defmt")]
+    crate::log::begin(period.inputs.period);
     period.counter = StageCounter::begin();
     controller.tick(&period.inputs, &mut period.outputs, &mut period.counter);
 }

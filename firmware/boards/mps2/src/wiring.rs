@@ -18,6 +18,8 @@ pub fn run() -> ! {
     };
     ending::watch(&mut core.SCB, &mut core.MPU);
     counter::start();
+    #[cfg(feature = "defmt")]
+    crate::log::start();
     #[cfg(feature = "faults")]
     crate::faults::read();
     tick::start(&mut core.SCB, serial::start(ring, &mut core.NVIC, BAUD));

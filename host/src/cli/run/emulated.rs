@@ -30,9 +30,8 @@ pub(super) fn emulated(
     let period_us = machine.config.period_us;
     let mut remote = RemoteController::begin(emulator, period_us)
         .map_err(|reason| CliError::new(Exit::Port, format!("{board}: {reason}")))?;
-    if let Some(budget) = args.budget {
-        remote.set_budget(pil::counts(budget));
-    }
+    let budget = args.budget.unwrap_or_else(|| pil::budget(period_us));
+    remote.set_budget(pil::counts(budget));
     let cost = remote.cost();
     let rig = session::rig_around(remote, machine, args.seed, args.baud, args.fault.clone())?;
     let line = SimLine::named(rig, &board.to_string());

@@ -105,8 +105,8 @@ pub struct RunArgs {
     /// With an emulated board whose image logs: the file for what it logs, as it comes (`cargo xtask log` makes text of it)
     #[arg(long, value_name = "FILE")]
     pub log: Option<PathBuf>,
-    /// With an emulated board: instructions that fit into a control period; one that takes more misses the next ones. A chip of
-    /// 168 MHz has 33600 in 200 us at one cycle an instruction [default: not looked at]
+    /// With an emulated board: instructions that fit into a control period; one that takes more while a drive is on misses
+    /// the next ones [default: as many as a chip of 168 MHz has at one cycle an instruction, 33600 in 200 us]
     #[arg(long, value_name = "INSTRUCTIONS", value_parser = clap::value_parser!(u32).range(1000..))]
     pub budget: Option<u32>,
     /// Print the summary as JSON on standard output, and nothing else there; if there is none, {"error", "exit_code", "problems": [{"file", "line",

@@ -1,0 +1,82 @@
+//! The log of the emulated chip: its lines come out, its texts take no flash, and it changes nothing of what the controller does.
+//!
+//! Needs the feature `emulated`; see `emulated.rs`.
+
+mod chip;
+
+use chip::{image, results, root, run};
+use haptimill::cli::Exit;
+use haptimill::record::{Recording, difference};
+use haptimill_tests::log;
+
+/// Bytes of an image that go into the chip's memory: its loadable segments.
+fn loaded(image: &[u8]) -> Vec<u8> {
+    let word =
+        |at: usize| u32::from_le_bytes(image[at..at + 4].try_into().expect("a word")) as usize;
+    let half = |at: usize| {
+        usize::from(u16::from_le_bytes(
+            image[at..at + 2].try_into().expect("two bytes"),
+        ))
+    };
+    let (table, size, count) = (word(28), half(42), half(44));
+    let headers = (0..count).map(|index| table + index * size);
+    let load = headers.filter(|&header| word(header) == 1);
+    load.flat_map(|header| image[word(header + 4)..][..word(header + 16)].to_vec())
+        .collect()
+}
+
+fn contains(bytes: &[u8], text: &str) -> bool {
+    bytes
+        .windows(text.len())
+        .any(|window| window == text.as_bytes())
+}
+
+#[test]
+fn the_log_tells_states_and_faults_and_changes_no_bit() {
+    let program = root().join("examples/e7-slot.ngc");
+    let image = image("logging");
+    let bytes = std::fs::read(&image).expect("built");
+    let image = image.display().to_string();
+    let file = results("chip.log");
+    let name = file.display().to_string();
+    let fault = ["--fault", "drive-tripped axis=l2 at=8s"];
+    let native = run(&program, "sim", &results("log-native"), &fault).expect_err("tripped");
+    let more = ["--image", &image, "--log", &name, fault[0], fault[1]];
+    let emulated = run(&program, "pil:mps2", &results("log-m4"), &more).expect_err("tripped");
+    assert_eq!((native.exit, emulated.exit), (Exit::Fault, Exit::Fault));
+    let open =
+        |name: &str| Recording::open(&results(name).join("recording.hmr")).expect("recorded");
+    let found = difference(&open("log-native"), &open("log-m4")).expect("readable");
+    assert!(found.is_none(), "{}", found.expect("differs"));
+
+    let lines =
+        log::decode(&bytes, &std::fs::read(&file).expect("written")).expect("of this image");
+    lines.iter().for_each(|line| println!("{line}"));
+    let said: Vec<&str> = lines.iter().map(|line| line[11..].trim()).collect();
+    let expected = [
+        "info  a run begins, 200 us a period",
+        "info  Disabled -> Idle",
+        "info  Idle -> Homing",
+        "info  Homing -> Idle",
+        "info  Idle -> Run",
+        "error fault latched: Drive { axis: 1 }",
+    ];
+    let mut rest = said.iter();
+    for text in expected {
+        assert!(
+            rest.any(|line| *line == text),
+            "{text} does not come: {said:#?}"
+        );
+    }
+    // The stamps are control periods: they grow, and the fault comes 8 s after the start.
+    let stamp = |line: &String| line[..10].trim().parse::<u32>().expect("a number");
+    assert!(lines.is_sorted_by_key(stamp));
+    let fault = lines.iter().find(|line| line.contains("latched"));
+    assert_eq!(fault.map(stamp), Some(40_000));
+
+    // Texts are in the file and not in the flash; a text of the product is in both.
+    let flash = loaded(&bytes);
+    assert!(contains(&bytes, "fault latched") && !contains(&flash, "fault latched"));
+    assert!(contains(&flash, "the simulator has gone"));
+    assert!(log::decode(&bytes, &[1, 2, 3, 0]).is_err());
+}
