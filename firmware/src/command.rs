@@ -2,6 +2,8 @@
 
 use crate::config::Config;
 use crate::controller::Controller;
+use crate::force::conditioning::COMPONENTS;
+use crate::force::{ForceControl, ForceLoop, LoopSettings};
 use crate::io::Inputs;
 use crate::kinematics::{Kinematics, Pose};
 use crate::machinery::Machinery;
@@ -72,6 +74,9 @@ impl Controller {
                 self.server.telemetry_now();
                 Ok(())
             }
+            Command::ForceMask { mask } => self.set_force_mask(mask),
+            Command::ForceLoop { axis, settings } => self.set_force_loop(axis, &settings),
+            Command::Tare => self.tare(),
         };
         self.server.answer(request.id, result);
     }
@@ -171,6 +176,13 @@ impl Controller {
         if inputs.emergency_stop {
             return Err(Refusal::Input);
         }
+        if self.safety.drives_on()
+            && self.safety.state() == State::Fault
+            && let Some(machinery) = &mut self.machinery
+        {
+            // The tool stays where it yielded to; to go back from there is for whoever has looked at it.
+            machinery.absorb();
+        }
         self.safety.reset();
         Ok(())
     }
@@ -187,6 +199,17 @@ impl Controller {
         }
         if let Some(axis) = pose.iter().zip(&wanted).position(|(said, is)| said != is) {
             return Err(Refusal::StartPose { axis: axis as u8 });
+        }
+        if let Some(force) = &machinery.force
+            && force.mask() != 0
+        {
+            // Who believes that the tool yields must not be wrong.
+            if !force.conditioner().tared() {
+                return Err(Refusal::NotTared);
+            }
+            if let Some(problem) = force.condition() {
+                return Err(Refusal::ForceSensor(problem));
+            }
         }
         machinery.motion.begin_program();
         self.server.begin_job(pose);
@@ -335,6 +358,46 @@ impl Controller {
             return Err(Refusal::Range);
         }
         self.configured()?.motion.program.set_override(percent);
+        Ok(())
+    }
+
+    fn force(&mut self) -> Result<&mut ForceControl, Refusal> {
+        let machinery = self.configured()?;
+        machinery.force.as_mut().ok_or(Refusal::NoForceSensor)
+    }
+
+    /// In any state: an axis that is taken out returns by its law, one that is put in begins where it is.
+    fn set_force_mask(&mut self, mask: u8) -> Done {
+        let force = self.force()?;
+        if mask >> COMPONENTS != 0 {
+            return Err(Refusal::Range);
+        }
+        let tared = force.conditioner().tared();
+        let moving = self.safety.active();
+        if mask != 0 && moving && !tared {
+            return Err(Refusal::NotTared);
+        }
+        self.force()?.set_mask(mask);
+        Ok(())
+    }
+
+    fn set_force_loop(&mut self, axis: u8, settings: &ForceLoop) -> Done {
+        self.force()?
+            .set(usize::from(axis), &LoopSettings::from(settings))
+            .map_err(|refusal| Refusal::Force { axis, refusal })
+    }
+
+    /// Only at rest, with the spindle off (it is, in these states), and where the tool does not lean on anything.
+    fn tare(&mut self) -> Done {
+        let state = self.safety.state();
+        let force = self.force()?;
+        if !matches!(state, State::Disabled | State::Idle) {
+            return Err(Refusal::State(state));
+        }
+        if force.displaced() {
+            return Err(Refusal::Yielding);
+        }
+        force.begin_tare();
         Ok(())
     }
 }

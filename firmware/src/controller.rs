@@ -1,13 +1,14 @@
 //! The controller: one function, one control period, one corridor.
 //!
 //! ```text
-//! hear -> sense -> decide -> place -> drive -> tell -> gate
+//! hear -> sense -> decide -> yield -> place -> drive -> tell -> gate
 //! ```
 //!
 //! Data goes down it once; nothing reaches back up except what is measured in the next period. What each command does is in `command.rs`,
 //! what each state does in `decide.rs`.
 
 use crate::decide::Job;
+use crate::force::{ForceControl, ForceProblem};
 use crate::io::{Inputs, Outputs};
 use crate::machinery::Machinery;
 use crate::motion::program::{FULL_RATE, QUEUE};
@@ -15,7 +16,7 @@ use crate::probe::{Probe, Stage};
 use crate::safety::Safety;
 use crate::server::{Heard, Server};
 use haptimill_protocol::link::Identity;
-use haptimill_protocol::message::{AxisValues, Event, Fault, Telemetry};
+use haptimill_protocol::message::{AxisValues, Event, Fault, State, Telemetry};
 
 /// The controller. Give it [`Inputs`] every control period, carry out its [`Outputs`].
 #[derive(Debug)]
@@ -47,10 +48,13 @@ impl Controller {
         probe.ended(Stage::Hear);
         if let Some(machinery) = &mut self.machinery {
             machinery.sense(inputs);
+            machinery.sense_force(inputs, self.job.spindle_rpm, self.safety.active());
         }
         probe.ended(Stage::Sense);
         self.decide(inputs, heard);
         probe.ended(Stage::Decide);
+        self.give_way();
+        probe.ended(Stage::Yield);
         self.place();
         probe.ended(Stage::Place);
         self.drive(outputs);
@@ -87,6 +91,23 @@ impl Controller {
         self.server.hear(inputs, &identity, busy, turns)
     }
 
+    fn give_way(&mut self) {
+        let Some(machinery) = &mut self.machinery else {
+            return;
+        };
+        if !self.safety.drives_on() {
+            machinery.release_force();
+            return;
+        }
+        let stopped = match (self.safety.fault(), self.safety.pending()) {
+            (Some(Fault::Force(_)), _) => true,
+            // While the machine brakes, the tool goes on yielding to a force that is too large.
+            (_, Some(Fault::Force(problem))) => !matches!(problem, ForceProblem::Limit { .. }),
+            _ => false,
+        };
+        machinery.give_way(stopped, self.safety.state() == State::Homing);
+    }
+
     fn place(&mut self) {
         let Some(machinery) = &mut self.machinery else {
             return;
@@ -95,6 +116,9 @@ impl Controller {
             && let Err(error) = machinery.place()
         {
             self.safety.raise(Fault::Pose(error));
+        }
+        while let Some(axis) = machinery.take_limited() {
+            self.safety.tell(Event::YieldLimited { axis });
         }
     }
 
@@ -157,6 +181,9 @@ impl Controller {
             deferred_bytes: line.deferred_bytes,
             bad_frames: line.bad_frames,
             lost_bytes: line.lost_bytes,
+            force: machinery
+                .and_then(|machinery| machinery.force.as_ref())
+                .map(ForceControl::telemetry),
         }
     }
 

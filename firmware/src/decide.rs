@@ -1,6 +1,7 @@
 //! Stage *decide*: faults first, then the one thing that was heard, then what each state does.
 
 use crate::controller::Controller;
+use crate::force::conditioning::is_force;
 use crate::io::{AxisInputs, Inputs};
 use crate::motion::Mode;
 use crate::motion::program::Progress;
@@ -11,6 +12,9 @@ use haptimill_protocol::message::{Event, Fault, HomingProblem, Refusal, State};
 
 /// How long after an urgent stop older messages may still come in, microseconds: longer than the link waits before it sends one again.
 const OVERTAKEN_US: u64 = 450_000;
+
+/// How far a machine goes back along its path from a force that is too large: microseconds of the program.
+const BACK_OFF_US: u32 = 1_000_000;
 
 /// Periods between two looks at a part of the configuration.
 const INTEGRITY_PERIODS: u64 = 16;
@@ -118,8 +122,27 @@ impl Controller {
         } else {
             self.job.unchecked |= due;
         }
+        if let Some(force) = &mut machinery.force
+            && let Some(result) = force.take_tare_result()
+        {
+            self.safety.tell(match result {
+                Ok(()) => Event::Tared,
+                Err(refusal) => Event::TareRefused(refusal),
+            });
+        }
         if !self.safety.drives_on() {
             return;
+        }
+        if self.safety.active()
+            && let Some(force) = &machinery.force
+            && let Some(problem) = force.stops(self.safety.state() == State::Jog)
+        {
+            if is_force(&problem) && self.safety.pending().is_none() {
+                // What pushes so hard is not cut: away from it, by the way that was come.
+                let periods = BACK_OFF_US / u32::from(self.period_us.max(1));
+                machinery.motion.program.back_off(periods);
+            }
+            self.safety.raise(Fault::Force(problem));
         }
         if let Some(fault) =
             hardware(&inputs.axes[..machinery.axes()]).or_else(|| machinery.supervise())

@@ -35,7 +35,7 @@ pub const TO_BOARD_BYTES: usize = 4 * TO_BOARD_WORDS;
 pub const FROM_BOARD_BYTES: usize = 4 * FROM_BOARD_WORDS;
 
 /// Grows whenever a frame changes.
-const VERSION: u32 = 3;
+const VERSION: u32 = 4;
 
 /// What the simulator says.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -437,6 +437,7 @@ pub const STAGE_ORDER: [Stage; STAGES] = [
     Stage::Hear,
     Stage::Sense,
     Stage::Decide,
+    Stage::Yield,
     Stage::Place,
     Stage::Drive,
     Stage::Tell,

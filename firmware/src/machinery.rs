@@ -1,11 +1,15 @@
-//! The parts that a configuration makes: geometry, joints, motion; and the stages that are theirs.
+//! The parts that a configuration makes: geometry, joints, motion, force control; and the stages that are theirs.
+
+mod yielding;
 
 use crate::config::{AxisKind, Config, JointAxis};
 use crate::drive::{JointDrive, Wanted as JointWanted};
+use crate::force::conditioning::COMPONENTS;
+use crate::force::{Design, ForceControl};
 use crate::io::{DriveCommand, Inputs};
 use crate::kinematics::machine::Machine;
 use crate::kinematics::{JointMotion, Joints, Kinematics, Pose, PoseError};
-use crate::motion::Motion;
+use crate::motion::{Motion, Wanted};
 use crate::safety::homing::Homing;
 use crate::safety::integrity::{Constants, Digest};
 use crate::safety::supervise::{Seen, Watch};
@@ -14,8 +18,11 @@ use haptimill_protocol::message::{AxisValues, ConfigField, ConfigProblem, Fault,
 use heapless::Vec;
 
 /// Parts in which the configuration, and what was worked out from it, is checked against its digest: geometry and bounds, motion, then each axis of
-/// the pose and each joint.
-const PARTS: usize = 2 + 2 * MAX_AXES;
+/// the pose and each joint, then the force sensor and each axis of force control.
+const PARTS: usize = FORCE_PART + 1 + COMPONENTS;
+
+/// The part of the force sensor.
+const FORCE_PART: usize = 2 + 2 * MAX_AXES;
 
 /// Where each joint stands, and what its counts mean.
 pub type Standing = Vec<(Meaning, Coordinate), MAX_AXES>;
@@ -62,6 +69,14 @@ pub struct Machinery {
     pub motion: Motion,
     /// The search for the references.
     pub homing: Homing,
+    /// Force sensor and force control, on a machine that has them.
+    pub force: Option<ForceControl>,
+    /// p_r on a machine with force control: what is placed. Without it that is what is wanted.
+    reference: Wanted,
+    /// Periods for which a component that could not yield any further is still taken for one.
+    limited: [u16; COMPONENTS],
+    /// Components that could not yield any further in this period, and could before.
+    newly_limited: u8,
     joints: Vec<JointDrive, MAX_AXES>,
     watches: [Watch; MAX_AXES],
     measured: Joints,
@@ -78,8 +93,9 @@ impl Machinery {
     /// What is wrong with the configuration.
     pub fn new(config: Config, crc: u32, inputs: &Inputs) -> Result<Self, ConfigProblem> {
         let joints = Self::joints_of(&config, inputs)?;
+        let design = Self::force_of(&config)?;
         let mut machinery = Self::bare(config, crc);
-        machinery.set_up(joints);
+        machinery.set_up(joints, design);
         Ok(machinery)
     }
 
@@ -97,9 +113,10 @@ impl Machinery {
         inputs: &Inputs,
     ) -> Result<(), ConfigProblem> {
         let joints = Self::joints_of(&config, inputs)?;
+        let design = Self::force_of(&config)?;
         *slot = Some(Self::bare(config, crc));
         if let Some(machinery) = slot {
-            machinery.set_up(joints);
+            machinery.set_up(joints, design);
         }
         Ok(())
     }
@@ -133,6 +150,10 @@ impl Machinery {
             machine: Machine::new(&config),
             motion: Motion::default(),
             homing: Homing::default(),
+            force: None,
+            reference: Wanted::default(),
+            limited: [0; COMPONENTS],
+            newly_limited: 0,
             joints: Vec::new(),
             watches: [Watch::default(); MAX_AXES],
             measured: Joints::default(),
@@ -147,8 +168,9 @@ impl Machinery {
 
     #[cold]
     #[inline(never)]
-    fn set_up(&mut self, joints: Vec<JointDrive, MAX_AXES>) {
+    fn set_up(&mut self, joints: Vec<JointDrive, MAX_AXES>, design: Option<Design>) {
         self.joints = joints;
+        self.set_up_force(design);
         self.motion.set_up(&self.config);
         for part in 0..PARTS {
             self.digests[part] = self.digest(part);
@@ -235,6 +257,7 @@ impl Machinery {
             joint.enable();
         }
         self.motion.place(&pose);
+        self.forget_force();
         self.settle();
         Ok(())
     }
@@ -252,6 +275,7 @@ impl Machinery {
 
     /// Begins the search for the references.
     pub fn begin_homing(&mut self) {
+        self.absorb();
         self.motion.begin_jog(false);
         let pose = self.motion.wanted().pose;
         self.homing = Homing::begin(&self.config, &pose, &mut self.motion.jog);
@@ -282,6 +306,7 @@ impl Machinery {
         self.remember_measured();
         let pose = self.machine.forward(&self.measured)?;
         self.motion.place(&pose);
+        self.forget_force();
         self.settle();
         Ok(())
     }
@@ -311,8 +336,11 @@ impl Machinery {
         None
     }
 
-    /// Stage *place*: the wanted pose to the joints.
+    /// Stage *place*: the wanted pose, or on a machine with force control its reference, to the joints.
     pub fn place(&mut self) -> Result<(), PoseError> {
+        if self.force.is_some() {
+            return self.place_reference();
+        }
         let wanted = self.motion.wanted();
         self.machine.place(
             &wanted.pose,
@@ -372,6 +400,7 @@ impl Machinery {
                 digest.add(&(config.period_us, self.crc));
             }
             1 => self.motion.digest(&mut digest),
+            FORCE_PART.. => self.digest_force(part - FORCE_PART, &mut digest),
             _ if part.is_multiple_of(2) => digest.add(&config.pose.get(part / 2 - 1)),
             _ => {
                 let index = part / 2 - 1;

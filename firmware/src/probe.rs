@@ -10,6 +10,8 @@ pub enum Stage {
     Sense,
     /// States, faults, what is wanted.
     Decide,
+    /// What the tool yields to a force.
+    Yield,
     /// Inverse kinematics.
     Place,
     /// Position loops, pulses.
@@ -21,7 +23,7 @@ pub enum Stage {
 }
 
 /// How many stages there are.
-pub const STAGES: usize = 7;
+pub const STAGES: usize = 8;
 
 /// Sees each stage end; costs nothing when empty.
 pub trait Probe {

@@ -80,6 +80,14 @@ impl Controller {
             drive: values(&machinery.drive_values(inputs)),
             ..Reading::default()
         };
+        if let Some(force) = &machinery.force {
+            let extremes = force.extremes();
+            reading.force = ForceReading {
+                high: extremes.map(|extremes| extremes.peak().0),
+                low: extremes.map(|extremes| extremes.other().0),
+                yielded: force.displacements().map(|by| by.length().0),
+            };
+        }
         for (axis, joint) in machinery.joints().enumerate().take(MAX_AXES) {
             reading.joints_wanted[axis] = joint.wanted.0;
             reading.joints[axis] = joint.measured.0;

@@ -2,7 +2,7 @@
 
 use haptimill_firmware::force::compliance::{Compliance, Law, Push, Yielding};
 use haptimill_firmware::force::pole::{FINENESS, Pole, sound};
-use haptimill_firmware::force::{Gate, LoopSettings, Parameter};
+use haptimill_firmware::force::{ForceParameter, Gate, LoopSettings};
 use haptimill_firmware::units::force::{Displacement, Force, VirtualDamping, VirtualMass};
 use haptimill_firmware::units::{Length, Rate};
 use proptest::prelude::*;
@@ -165,11 +165,11 @@ proptest! {
             prop_assert!(repairs <= 10, "{refused:?} {settings:?}");
             let bound = refused.bound;
             let changed = match refused.parameter {
-                Parameter::DesiredTooSmall | Parameter::DesiredTooLarge => core::mem::replace(&mut settings.desired, Force(bound)).0 != bound,
-                Parameter::DampingTooSmall | Parameter::DampingTooLarge => core::mem::replace(&mut settings.damping, VirtualDamping(bound as u32)).0 != bound as u32,
-                Parameter::MassTooSmall | Parameter::MassTooLarge => core::mem::replace(&mut settings.mass, VirtualMass(bound as u32)).0 != bound as u32,
-                Parameter::Limit => core::mem::replace(&mut settings.limit, Length(bound)).0 != bound,
-                Parameter::Rate => core::mem::replace(&mut settings.rate, Rate(bound)).0 != bound,
+                ForceParameter::DesiredTooSmall | ForceParameter::DesiredTooLarge => core::mem::replace(&mut settings.desired, Force(bound)).0 != bound,
+                ForceParameter::DampingTooSmall | ForceParameter::DampingTooLarge => core::mem::replace(&mut settings.damping, VirtualDamping(bound as u32)).0 != bound as u32,
+                ForceParameter::MassTooSmall | ForceParameter::MassTooLarge => core::mem::replace(&mut settings.mass, VirtualMass(bound as u32)).0 != bound as u32,
+                ForceParameter::Limit => core::mem::replace(&mut settings.limit, Length(bound)).0 != bound,
+                ForceParameter::Rate => core::mem::replace(&mut settings.rate, Rate(bound)).0 != bound,
                 other => panic!("{other:?}"),
             };
             prop_assert!(changed, "{refused:?} refuses its own bound");
@@ -363,39 +363,39 @@ fn bad_parameters_are_refused_with_their_bound() {
     };
     assert_eq!(
         refuse(|settings| settings.desired = Force(0)),
-        Err(Parameter::DesiredTooSmall)
+        Err(ForceParameter::DesiredTooSmall)
     );
     assert_eq!(
         refuse(|settings| settings.desired = Force(-5 << 16)),
-        Err(Parameter::DesiredTooSmall)
+        Err(ForceParameter::DesiredTooSmall)
     );
     assert_eq!(
         refuse(|settings| settings.desired = Force(96 << 16)),
-        Err(Parameter::DesiredTooLarge)
+        Err(ForceParameter::DesiredTooLarge)
     );
     assert_eq!(
         refuse(|settings| settings.damping = VirtualDamping(0)),
-        Err(Parameter::DampingTooSmall)
+        Err(ForceParameter::DampingTooSmall)
     );
     assert_eq!(
         refuse(|settings| settings.damping = VirtualDamping(u32::MAX)),
-        Err(Parameter::DampingTooLarge)
+        Err(ForceParameter::DampingTooLarge)
     );
     assert_eq!(
         refuse(|settings| settings.mass = VirtualMass(0)),
-        Err(Parameter::MassTooSmall)
+        Err(ForceParameter::MassTooSmall)
     );
     assert_eq!(
         refuse(|settings| settings.mass = VirtualMass(u32::MAX)),
-        Err(Parameter::MassTooLarge)
+        Err(ForceParameter::MassTooLarge)
     );
     assert_eq!(
         refuse(|settings| settings.limit = Length(0)),
-        Err(Parameter::Limit)
+        Err(ForceParameter::Limit)
     );
     assert_eq!(
         refuse(|settings| settings.rate = Rate(-1)),
-        Err(Parameter::Rate)
+        Err(ForceParameter::Rate)
     );
     for (mass, damping) in [(1.0, 5.0), (0.25, 5.0), (1.0, 20.0), (0.25, 0.5)] {
         assert!(Law::new(&settings(mass, damping, Gate::Any), 200, DELAY_US, RANGE).is_ok());

@@ -1,7 +1,7 @@
 //! Force control as a whole, from codes to displacements: cutting, a sensor with the wrong sign, leaving a stiff contact, changes at run time, spindle speeds.
 
-use haptimill_firmware::force::conditioning::{Channel, Condition, ForceSample, Sensor};
-use haptimill_firmware::force::{ForceConfig, ForceControl, Gate, LoopSettings, Parameter};
+use haptimill_firmware::force::conditioning::{Channel, ForceProblem, ForceSample, Sensor};
+use haptimill_firmware::force::{ForceConfig, ForceControl, ForceParameter, Gate, LoopSettings};
 use haptimill_firmware::units::force::{Force, VirtualDamping, VirtualMass};
 use haptimill_firmware::units::{Angle, Coordinate, Length, Rate};
 
@@ -97,7 +97,7 @@ impl Rig {
     }
 
     /// One period: the force on the tool in x, and the desired speed.
-    fn period(&mut self, force: f64, speed: f64) -> Option<Condition> {
+    fn period(&mut self, force: f64, speed: f64) -> Option<ForceProblem> {
         self.number = self.number.wrapping_add(1);
         // The sensor sees the tool's push on the work.
         let code = (-force / PER_CODE + self.noise())
@@ -227,11 +227,11 @@ fn a_wrong_sign_is_told_in_the_first_contact() {
                 }
                 if sign > 0.0 {
                     assert!(
-                        !matches!(told, Some((Condition::WrongSign { .. }, _))),
+                        !matches!(told, Some((ForceProblem::WrongSign { .. }, _))),
                         "{gate:?} {stiffness} {told:?}"
                     );
                 } else {
-                    let Some((Condition::WrongSign { component: 0 }, force)) = told else {
+                    let Some((ForceProblem::WrongSign { component: 0 }, force)) = told else {
                         panic!("{gate:?} {stiffness} {speed} {told:?}")
                     };
                     println!("{gate:?}, {stiffness} N/mm at {speed} mm/s: told at {force:.1} N");
@@ -279,7 +279,7 @@ fn settings_change_at_run_time_without_a_jump() {
                 rig.control
                     .set(0, &gentle)
                     .map_err(|refused| refused.parameter),
-                Err(Parameter::Busy)
+                Err(ForceParameter::Busy)
             );
         }
         if k > 100 {
@@ -301,7 +301,7 @@ fn settings_change_at_run_time_without_a_jump() {
         rig.control
             .set(0, &bad)
             .map_err(|refused| (refused.parameter, refused.bound)),
-        Err((Parameter::DesiredTooSmall, 32_768))
+        Err((ForceParameter::DesiredTooSmall, 32_768))
     );
 }
 
@@ -344,7 +344,7 @@ fn the_spindle_sets_the_window() {
     rig.rpm = 3000;
     assert_eq!(
         rig.period(0.0, 0.0),
-        Some(Condition::SlowSpindle { rpm: 3000 })
+        Some(ForceProblem::SlowSpindle { rpm: 3000 })
     );
     rig.control.set_mask(0);
     assert_eq!(rig.period(0.0, 0.0), None);
@@ -356,16 +356,16 @@ fn the_spindle_sets_the_window() {
     let mut slow = config(1.0, &settings(1.0, 5.0, Gate::Any));
     slow.slowest_rpm = 100;
     let refused = ForceControl::new(&slow, 200).map(|_| ());
-    let Err((0, refused)) = refused else {
+    let Err((None, refused)) = refused else {
         panic!("{refused:?}")
     };
     assert_eq!(
         (refused.parameter, refused.bound),
-        (Parameter::SlowestSpindle, 147)
+        (ForceParameter::SlowestSpindle, 147)
     );
     slow.sensor.limit = Force(0);
     assert!(
-        matches!(ForceControl::new(&slow, 200), Err((0, refused)) if refused.parameter == Parameter::Sensor)
+        matches!(ForceControl::new(&slow, 200), Err((None, refused)) if refused.parameter == ForceParameter::Sensor)
     );
 }
 

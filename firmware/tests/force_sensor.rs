@@ -1,7 +1,7 @@
 //! The sensor's conditioning: scale and sign, tare, and every watch with its name.
 
 use haptimill_firmware::force::conditioning::{
-    Channel, Condition, Conditioner, ForceSample, Sensor, TareRefusal,
+    Channel, Conditioner, ForceProblem, ForceSample, Sensor, TareRefusal,
 };
 use haptimill_firmware::units::Angle;
 use haptimill_firmware::units::force::Force;
@@ -58,7 +58,7 @@ impl Bench {
             .sum()
     }
 
-    fn codes(&mut self, codes: [i16; 3], unloaded: bool) -> Option<Condition> {
+    fn codes(&mut self, codes: [i16; 3], unloaded: bool) -> Option<ForceProblem> {
         self.number = self.number.wrapping_add(1);
         let sample = ForceSample {
             codes,
@@ -68,7 +68,7 @@ impl Bench {
         self.conditioner.take(&sample, unloaded)
     }
 
-    fn quiet(&mut self, offsets: [f64; 3], unloaded: bool) -> Option<Condition> {
+    fn quiet(&mut self, offsets: [f64; 3], unloaded: bool) -> Option<ForceProblem> {
         let codes = offsets.map(|offset| (offset + self.noise()).round() as i16);
         self.codes(codes, unloaded)
     }
@@ -184,8 +184,8 @@ fn a_dropout_is_borne_for_some_samples_and_then_told() {
             None,
             None,
             None,
-            Some(Condition::Silent),
-            Some(Condition::Silent)
+            Some(ForceProblem::Silent),
+            Some(ForceProblem::Silent)
         ]
     );
     assert_eq!(*bench.conditioner.forces(), forces);
@@ -200,7 +200,7 @@ fn saturation_is_told_after_three_samples_and_the_amplifier_at_once() {
     let told: Vec<_> = (0..3).map(|_| bench.codes([0, 7782, 0], false)).collect();
     assert_eq!(
         told,
-        [None, None, Some(Condition::Overload { component: 1 })]
+        [None, None, Some(ForceProblem::Overload { component: 1 })]
     );
     let sample = ForceSample {
         codes: [0; 3],
@@ -209,7 +209,7 @@ fn saturation_is_told_after_three_samples_and_the_amplifier_at_once() {
     };
     assert_eq!(
         bench.conditioner.take(&sample, false),
-        Some(Condition::Overload { component: 3 })
+        Some(ForceProblem::Overload { component: 3 })
     );
 }
 
@@ -239,7 +239,7 @@ fn a_stuck_channel_is_told_and_noise_is_not() {
             )
         })
         .last();
-    assert_eq!(told, Some(Condition::Stuck { component: 2 }));
+    assert_eq!(told, Some(ForceProblem::Stuck { component: 2 }));
 }
 
 #[test]
@@ -258,7 +258,7 @@ fn drift_is_told_only_when_nothing_touches_the_tool() {
     }
     let Some((
         when,
-        Some(Condition::Drift {
+        Some(ForceProblem::Drift {
             component: 1,
             force,
         }),
@@ -267,7 +267,7 @@ fn drift_is_told_only_when_nothing_touches_the_tool() {
         panic!("{told:?}")
     };
     assert!((45_000..50_000).contains(&when), "{when}");
-    assert!(force.magnitude() > sensor().drift.magnitude());
+    assert!(force.unsigned_abs() > sensor().drift.magnitude());
     for _ in 0..20_000 {
         assert_eq!(bench.quiet([0.0, drift(60_000.0), 0.0], false), None);
     }
@@ -283,7 +283,7 @@ fn a_force_beyond_the_limit_is_told() {
     );
     bench.tare([0.0; 3]);
     assert!(
-        matches!(bench.codes([3300, 0, 0], false), Some(Condition::Limit { component: 0, force }) if force.0 < -40 << 16)
+        matches!(bench.codes([3300, 0, 0], false), Some(ForceProblem::Limit { component: 0, force }) if force < -40 << 16)
     );
     assert_eq!(bench.codes([3200, 0, 0], false), None);
 }

@@ -3,6 +3,7 @@
 //! Three layers, each usable alone and none of them touching a port or a clock:
 //!
 //! * [`message`]: the commands and reports, as plain types (postcard payloads).
+//! * [`mod@force`]: what is said of force control.
 //! * [`setpoint`]: the compact coding of timed setpoints.
 //! * [`frame`]: COBS framing with a CRC-32 around every payload.
 //! * [`link`]: sequence numbers, acknowledgement, retransmission, window, session.
@@ -14,6 +15,7 @@
 #[cfg(test)]
 extern crate std;
 
+pub mod force;
 pub mod frame;
 pub mod link;
 pub mod message;

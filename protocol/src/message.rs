@@ -5,6 +5,7 @@
 //!
 //! Misuse: a message says nothing of its own integrity. Only bytes that came through [`crate::link`] may be decoded here.
 
+use crate::force::{ForceLoop, ForceProblem, ForceRefusal, ForceTelemetry, TareRefusal};
 use heapless::{String, Vec};
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
@@ -13,7 +14,7 @@ use serde::{Deserialize, Serialize};
 pub const MAX_AXES: usize = 6;
 
 /// Version of this protocol; both ends must have the same.
-pub const PROTOCOL_VERSION: u16 = 2;
+pub const PROTOCOL_VERSION: u16 = 3;
 
 /// A rate on the wire is in axis units per second divided by 2^8: 2^-12 mm/s, or 2^-24 turn/s.
 pub const RATE_SHIFT: u32 = 8;
@@ -166,6 +167,20 @@ pub enum Command {
     },
     /// One telemetry frame now.
     Status,
+    /// Which axes are under force control. One that is taken out returns to the desired position at f_d / K_V.
+    ForceMask {
+        /// Bit 0 for x, 1 for y, 2 for z of the work.
+        mask: u8,
+    },
+    /// Other settings of the force loop of one axis; in force some periods later, without a jump of the tool.
+    ForceLoop {
+        /// The component: 0 for x, 1 for y, 2 for z of the work.
+        axis: u8,
+        /// The settings.
+        settings: ForceLoop,
+    },
+    /// Take what the force sensor shows now as its zero. Answered when it has begun; [`Event::Tared`] or [`Event::TareRefused`] tells how it ended.
+    Tare,
 }
 
 /// A piece of the configuration.
@@ -254,6 +269,10 @@ pub enum State {
 /// What the controller says.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[allow(
+    clippy::large_enum_variant,
+    reason = "few of them exist at a time; there is no allocator for a box"
+)]
 pub enum Report {
     /// The answer to a request.
     Answer {
@@ -311,6 +330,8 @@ pub struct Telemetry {
     pub bad_frames: u32,
     /// Received bytes that the board lost for want of room, in all.
     pub lost_bytes: u32,
+    /// How the forces stand; one byte on a machine without a sensor.
+    pub force: Option<ForceTelemetry>,
 }
 
 /// Something that happened.
@@ -369,6 +390,15 @@ pub enum Event {
     /// A drive was asked for more than it can give; counted, clipped.
     Saturated {
         /// The joint.
+        axis: u8,
+    },
+    /// The force sensor has a new zero.
+    Tared,
+    /// The force sensor has no new zero.
+    TareRefused(TareRefusal),
+    /// The tool cannot yield any further: its limit, a soft limit, or where the machine can go. Told once until it can again.
+    YieldLimited {
+        /// The component of the force.
         axis: u8,
     },
 }
@@ -455,6 +485,21 @@ pub enum Refusal {
     Input,
     /// The position was lost: the joints must be set up at their presets again, and the configuration activated.
     PresetLost,
+    /// The machine has no force sensor.
+    NoForceSensor,
+    /// Settings of a force loop that cannot be.
+    Force {
+        /// The component of the force.
+        axis: u8,
+        /// What is wrong, and the bound.
+        refusal: ForceRefusal,
+    },
+    /// Force control is wanted and the sensor has no zero.
+    NotTared,
+    /// The tool yields to a force: what it feels is no zero.
+    Yielding,
+    /// Force control is wanted and the sensor cannot be believed now.
+    ForceSensor(ForceProblem),
 }
 
 /// What is wrong in a configuration.
@@ -493,6 +538,7 @@ pub enum ConfigField {
     Homing,
     Heartbeat,
     StopTime,
+    Force,
 }
 
 /// Why the controller stopped by itself; latched until reset.
@@ -575,6 +621,8 @@ pub enum Fault {
         /// How.
         problem: HomingProblem,
     },
+    /// The force sensor, or what it feels; the machine slowed down along its path first, and the tool stays where it yielded to.
+    Force(ForceProblem),
     /// An arithmetic limit was reached inside the controller: a defect, reported rather than hidden.
     Internal {
         /// Source line, to report.

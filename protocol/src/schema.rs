@@ -115,6 +115,14 @@ mod tests {
             "NearReachLimit",
             "JogLimited",
             "config_crc",
+            "ForceLoop",
+            "AgainstMotion",
+            "DampingTooSmall",
+            "WrongSign",
+            "TareRefused",
+            "Interrupted",
+            "yielded",
+            "NotTared",
         ] {
             if part == "HomingProblem" {
                 assert!(all.contains("NoIndex"));

@@ -16,8 +16,10 @@
 //! );
 //! ```
 
+mod force;
 mod plain;
 
+use crate::force::{ForceProblem, ForceRefusal, TareRefusal};
 use crate::message::{
     ConfigField, ConfigProblem, Event, Fault, HelloRefusal, PoseError, Refusal, State,
 };
@@ -198,6 +200,21 @@ impl Describe for Refusal {
             Self::PresetLost => f.write_str(
                 "the position was lost; set the joints up at their presets by hand, then home with --at-preset",
             ),
+            Self::NoForceSensor => f.write_str(
+                "the machine has no force sensor; add a section [force] to the machine file and configure the controller with it",
+            ),
+            Self::Force { axis, refusal } => {
+                write!(f, "force loop of {}: ", Named(axes.pose, axis))?;
+                refusal.describe(axes, f)
+            }
+            Self::NotTared => f.write_str("force control is on and the force sensor has no zero; tare it first, with nothing at the tool"),
+            Self::Yielding => {
+                f.write_str("the tool yields to a force; take it off the work, or take the axes out of force control, then tare")
+            }
+            Self::ForceSensor(problem) => {
+                f.write_str("force control is on and its sensor cannot be believed: ")?;
+                problem.describe(axes, f)
+            }
         }
     }
 }
@@ -209,7 +226,10 @@ impl Describe for ConfigProblem {
         if let Some(axis) = self.axis {
             // Which list the axis belongs to depends on the field.
             let list = match field {
-                ConfigField::SoftLimit | ConfigField::Acceleration | ConfigField::Jerk => axes.pose,
+                ConfigField::SoftLimit
+                | ConfigField::Acceleration
+                | ConfigField::Jerk
+                | ConfigField::Force => axes.pose,
                 _ => axes.joints,
             };
             write!(f, " of {}", Named(list, axis))?;
@@ -306,6 +326,10 @@ impl Describe for Fault {
                     joint(axis)
                 )
             }
+            Self::Force(problem) => {
+                problem.describe(axes, f)?;
+                f.write_str("; the machine slowed down along its path and the tool stayed where it was, remove the cause and reset")
+            }
             Self::Internal { line } => write!(
                 f,
                 "an arithmetic limit was reached inside the controller (line {line}); report this"
@@ -365,6 +389,16 @@ impl Describe for Event {
                 "the drive of {} was asked for more than it can give",
                 Named(axes.joints, axis)
             ),
+            Self::Tared => f.write_str("the force sensor has a new zero"),
+            Self::TareRefused(refusal) => {
+                f.write_str("the force sensor keeps its zero: ")?;
+                refusal.describe(axes, f)
+            }
+            Self::YieldLimited { axis } => write!(
+                f,
+                "the tool cannot yield any further along {}: its limit, a soft limit or the end of the machine's reach",
+                Named(axes.pose, axis)
+            ),
         }
     }
 }
@@ -379,7 +413,16 @@ macro_rules! display {
         }
     )*};
 }
-display!(PoseError, Refusal, ConfigProblem, Fault, Event);
+display!(
+    PoseError,
+    Refusal,
+    ConfigProblem,
+    Fault,
+    Event,
+    ForceProblem,
+    ForceRefusal,
+    TareRefusal
+);
 
 impl core::error::Error for PoseError {}
 impl core::error::Error for Refusal {}

@@ -1,5 +1,9 @@
 //! The largest of every message fits its frame, and each comes back as it went.
 
+use haptimill_protocol::force::{
+    COMPONENTS, ForceLoop, ForceParameter, ForceProblem, ForceRefusal, ForceTelemetry, Gate,
+    TareRefusal,
+};
 use haptimill_protocol::frame::MAX_PAYLOAD;
 use haptimill_protocol::link::SHORT_REPORT;
 use haptimill_protocol::message::*;
@@ -60,6 +64,19 @@ fn requests_fit_a_frame() {
         },
         Command::Telemetry { every: u16::MAX },
         Command::Status,
+        Command::ForceMask { mask: u8::MAX },
+        Command::ForceLoop {
+            axis: u8::MAX,
+            settings: ForceLoop {
+                desired: i32::MIN,
+                mass: u32::MAX,
+                damping: u32::MAX,
+                limit: i32::MIN,
+                rate: i32::MIN,
+                gate: Gate::Negative,
+            },
+        },
+        Command::Tare,
     ];
     let sizes = commands.map(|command| size(&Request { id: 255, command }));
     println!("requests: {sizes:?} bytes");
@@ -96,6 +113,10 @@ fn reports_fit_a_frame_and_answers_and_events_are_short() {
         error: i32::MIN,
         limit: i32::MIN,
     };
+    let problem = ForceProblem::Limit {
+        component: 255,
+        force: i32::MIN,
+    };
     let telemetry = Telemetry {
         period: u64::MAX,
         state: State::EmergencyStop,
@@ -114,8 +135,22 @@ fn reports_fit_a_frame_and_answers_and_events_are_short() {
         deferred_bytes: u32::MAX,
         bad_frames: u32::MAX,
         lost_bytes: u32::MAX,
+        force: None,
+    };
+    let without = size(&Report::Telemetry(telemetry.clone()));
+    let telemetry = Telemetry {
+        force: Some(ForceTelemetry {
+            high: [i32::MIN; COMPONENTS],
+            low: [i32::MIN; COMPONENTS],
+            yielded: [i32::MIN; COMPONENTS],
+            mask: u8::MAX,
+            tared: true,
+            problem: Some(problem),
+        }),
+        ..telemetry
     };
     let long = size(&Report::Telemetry(telemetry));
+    println!("telemetry without a force sensor: {without} bytes");
     println!("telemetry: {long} bytes");
     assert!(long <= MAX_PAYLOAD);
 
@@ -149,6 +184,31 @@ fn reports_fit_a_frame_and_answers_and_events_are_short() {
             event: Event::Fault(Fault::StepsLost {
                 axis: 255,
                 by: i32::MIN,
+            }),
+        },
+        Report::Event {
+            period,
+            event: Event::Fault(Fault::Force(problem)),
+        },
+        Report::Event {
+            period,
+            event: Event::TareRefused(TareRefusal::Moving {
+                component: 255,
+                spread: u16::MAX,
+            }),
+        },
+        Report::Answer {
+            id: 255,
+            result: Err(Refusal::ForceSensor(problem)),
+        },
+        Report::Answer {
+            id: 255,
+            result: Err(Refusal::Force {
+                axis: 255,
+                refusal: ForceRefusal {
+                    parameter: ForceParameter::Busy,
+                    bound: i32::MIN,
+                },
             }),
         },
         Report::Event {

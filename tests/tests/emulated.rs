@@ -6,10 +6,19 @@ use haptimill::cli::run::{self, RunArgs};
 use haptimill::machine::MachineFile;
 use haptimill::port::Board;
 use haptimill::record::{Recording, difference};
-use haptimill::session::pil::{self, Emulator};
+use haptimill::session::pil::{self, Emulator, Instructions};
 use haptimill::session::rig_around;
-use haptimill_firmware::io::DriveCommand;
+use haptimill_firmware::controller::Controller;
+use haptimill_firmware::io::{DriveCommand, Outputs};
+use haptimill_firmware::reading::Reading;
+use haptimill_hil_sim::RigOptions;
+use haptimill_hil_sim::cutting::ElasticWall;
+use haptimill_hil_sim::process::ProcessConfig;
 use haptimill_hil_sim::remote::RemoteController;
+use haptimill_hil_sim::sensor::SensorConfig;
+use haptimill_protocol::force::{ForceLoop, Gate};
+use haptimill_protocol::message::{Command as Say, Event};
+use haptimill_tests::{Bench, line_in_x};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::{Duration, Instant};
@@ -92,6 +101,75 @@ fn same_bits_on_the_circle() {
 #[test]
 fn same_bits_in_five_axes() {
     same_bits("dome", &part_of_dome(500));
+}
+
+/// A tool under force control runs into a wall, in a machine around any controller: what the controller knew and did in every period.
+fn against_a_wall<C: haptimill_hil_sim::Control>(control: C) -> Vec<(Reading, Outputs)> {
+    let mut bench = Bench::with(&RigOptions::default(), control);
+    bench.make_ready();
+    bench.steps(500);
+    let pose = bench.rig.truth().pose;
+    let process = ProcessConfig {
+        wall: Some(ElasticWall {
+            point: [pose[0] - 0.4, pose[1], pose[2]],
+            normal: [1.0, 0.0, 0.0],
+            stiffness: 300.0,
+            damping: 0.03,
+            radius: 0.0,
+        }),
+        sensor: Some(SensorConfig::default()),
+        ..ProcessConfig::default()
+    };
+    bench.rig.plant_mut().fit(&process).expect("sound");
+    bench.steps(100);
+    bench.ask(Say::Tare).expect("begun");
+    bench.steps(1500);
+    assert!(bench.events.contains(&Event::Tared), "{:?}", bench.events);
+    let raw = |value: f64| (value * 65_536.0) as u32;
+    let settings = ForceLoop {
+        desired: raw(5.0) as i32,
+        mass: raw(0.8),
+        damping: raw(4.0),
+        limit: 10 << 20,
+        rate: 20 << 20,
+        gate: Gate::Any,
+    };
+    bench
+        .ask(Say::ForceLoop { axis: 0, settings })
+        .expect("taken");
+    bench.ask(Say::ForceMask { mask: 5 }).expect("taken");
+    let start = bench.status().wanted;
+    bench.start_job(1, &line_in_x(&start, -1.0, 15));
+    let mut seen = Vec::new();
+    for _ in 0..9000 {
+        bench.step();
+        let reading = bench.rig.control().reading(bench.rig.inputs());
+        seen.push((reading.expect("configured"), bench.rig.outputs().clone()));
+    }
+    seen
+}
+
+#[test]
+fn same_bits_with_a_force() {
+    let machine = MachineFile::built_in().expect("sound");
+    let native = against_a_wall(Controller::new(machine.config.period_us));
+    let yielded = native.iter().map(|(reading, _)| reading.force.yielded[0]);
+    let most = yielded.max().unwrap_or(0);
+    assert!(most > 1 << 19, "the tool yielded by {most} units only");
+    let image = pil::image(Board::Mps2).expect("builds");
+    let emulator = Emulator::start(Board::Mps2, &image).expect("starts");
+    let remote = RemoteController::begin(emulator, machine.config.period_us).expect("begins");
+    let cost = remote.cost();
+    let emulated = against_a_wall(remote);
+    for (period, (native, emulated)) in native.iter().zip(&emulated).enumerate() {
+        assert_eq!(native, emulated, "period {period}");
+    }
+    assert_eq!(native.len(), emulated.len());
+    let cost = Instructions::of(&cost.lock().expect("not poisoned"));
+    println!(
+        "force control against a wall, {} periods: {cost:?}",
+        native.len()
+    );
 }
 
 /// The tool that explains a difference finds the one that was made, and no other.

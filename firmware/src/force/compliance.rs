@@ -23,8 +23,9 @@
 //! Misuse: a force that is not the reaction on the tool. With the wrong sign the loop runs into the work; [`super::guard`] looks out for that.
 
 use super::pole::{FINENESS, Part, Pole, RATE_BITS, sound};
-use super::{Gate, LoopSettings, Parameter, Refused};
+use super::{ForceParameter, ForceRefusal, Gate, LoopSettings};
 use crate::position::filter::frequency;
+use crate::safety::integrity::constants;
 use crate::units::force::{Displacement, Force, VirtualDamping};
 use crate::units::scale::{multiply_shift, saturate};
 use crate::units::{Acceleration, Length, Rate};
@@ -64,7 +65,7 @@ pub struct Yielding {
 }
 
 /// The law with its numbers for every level of damping.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct Law {
     settings: LoopSettings,
     poles: [Pole; LEVELS],
@@ -94,7 +95,7 @@ impl Law {
         period_us: u16,
         delay_us: u32,
         largest_force: Force,
-    ) -> Result<Self, Refused> {
+    ) -> Result<Self, ForceRefusal> {
         let delay_us = delay_us.clamp(1, DELAY_MOST_US);
         let onset = onset(settings.damping, delay_us);
         let highest = check(settings, onset, period_us, delay_us, largest_force)?;
@@ -139,7 +140,7 @@ impl Law {
         period_us: u16,
         delay_us: u32,
         largest_force: Force,
-    ) -> Result<Self, Refused> {
+    ) -> Result<Self, ForceRefusal> {
         let mut law = Self::begin(settings, period_us, delay_us, largest_force)?;
         for level in 1..LEVELS {
             law.prepare(level, period_us);
@@ -194,31 +195,31 @@ fn check(
     period_us: u16,
     delay_us: u32,
     largest_force: Force,
-) -> Result<usize, Refused> {
-    let refuse = |parameter, bound: u64| Refused {
+) -> Result<usize, ForceRefusal> {
+    let refuse = |parameter, bound: u64| ForceRefusal {
         parameter,
         bound: bound.min(i32::MAX as u64) as i32,
     };
     let desired = settings.desired;
     if desired < LoopSettings::LEAST_DESIRED {
         return Err(refuse(
-            Parameter::DesiredTooSmall,
+            ForceParameter::DesiredTooSmall,
             u64::from(LoopSettings::LEAST_DESIRED.magnitude()),
         ));
     }
     // Above three quarters of the range there is no force left to tell the loop by how much it is too high.
     let most = largest_force.held().0.max(0) / 4 * 3;
     if desired.0 > most {
-        return Err(refuse(Parameter::DesiredTooLarge, most as u64));
+        return Err(refuse(ForceParameter::DesiredTooLarge, most as u64));
     }
     // Level 0 must hold the contacts of which the guard thinks nothing: K_V >= k tau.
     let least = ((u64::from(SOFT) * u64::from(delay_us)) << 16).div_ceil(1_000_000);
     let least = least.max(LEAST_DAMPING);
     if u64::from(settings.damping.0) < least {
-        return Err(refuse(Parameter::DampingTooSmall, least));
+        return Err(refuse(ForceParameter::DampingTooSmall, least));
     }
     if settings.damping.0 > 1 << 26 {
-        return Err(refuse(Parameter::DampingTooLarge, 1 << 26));
+        return Err(refuse(ForceParameter::DampingTooLarge, 1 << 26));
     }
     // The last level answers for the stiffest contact.
     let mut highest = 0;
@@ -229,18 +230,18 @@ fn check(
     let most = u64::from(damping(settings.damping, onset, delay_us, highest).0);
     let lightest = (most * u64::from(period_us)).div_ceil(1_000_000).max(1);
     if u64::from(settings.mass.0) < lightest {
-        return Err(refuse(Parameter::MassTooSmall, lightest));
+        return Err(refuse(ForceParameter::MassTooSmall, lightest));
     }
     let step = u64::from(settings.damping.0) * u64::from(period_us);
     let heaviest = ((step << 18) / 1_000_000).min(1 << 26);
     if u64::from(settings.mass.0) > heaviest || !sound(settings.mass, settings.damping, period_us) {
-        return Err(refuse(Parameter::MassTooLarge, heaviest));
+        return Err(refuse(ForceParameter::MassTooLarge, heaviest));
     }
     if settings.limit.0 <= 0 || settings.limit > LARGEST_LIMIT {
-        return Err(refuse(Parameter::Limit, LARGEST_LIMIT.0 as u64));
+        return Err(refuse(ForceParameter::Limit, LARGEST_LIMIT.0 as u64));
     }
     if settings.rate.0 <= 0 {
-        return Err(refuse(Parameter::Rate, 1));
+        return Err(refuse(ForceParameter::Rate, 1));
     }
     Ok(highest)
 }
@@ -277,6 +278,8 @@ pub struct Compliance {
     /// The rate that was given last.
     shown: Rate,
 }
+
+constants!(Compliance { law } of {} but { upward, away, rate, before, shown });
 
 impl Compliance {
     /// An axis that has not yielded.
@@ -324,6 +327,24 @@ impl Compliance {
     /// The reference was refused: the displacement is what it was before this period, and stands.
     pub const fn withhold(&mut self) -> Yielding {
         self.away = self.before;
+        self.rate = 0;
+        self.shown = Rate::ZERO;
+        Yielding {
+            displacement: self.displacement(),
+            rate: Rate::ZERO,
+            acceleration: Acceleration::ZERO,
+            limited: true,
+        }
+    }
+
+    /// The displacement may be no further from 0 than `most`: the rest of it is taken back, and it stands.
+    pub fn confine(&mut self, most: Displacement) -> Yielding {
+        let outward = if self.upward {
+            most.0
+        } else {
+            most.0.saturating_neg()
+        };
+        self.away = outward.clamp(0, self.away);
         self.rate = 0;
         self.shown = Rate::ZERO;
         Yielding {
@@ -403,7 +424,8 @@ impl Compliance {
         let desired = law.settings.desired.0;
         let desired_rate = outward(push.desired_rate.0.max(-i32::MAX));
         let mut drive = outward(force).wrapping_sub(desired);
-        if level > 0 {
+        // An axis that is not under control resists nothing: its guard may look on, but must not move the tool.
+        if level > 0 && push.active {
             // D p_d', 2^-16 N: a product of words.
             let added = law.added.get(level).copied().unwrap_or(0);
             let resisted = multiply_shift(-desired_rate, added, 20);

@@ -9,7 +9,7 @@
 //! | overload | the amplifier says so, or a code beyond `saturation` for 3 samples in a row | beyond 95 % the peak is not known; a single sample may be a spark |
 //! | stuck | the same code `stuck_samples` times in a row | see below |
 //! | drift | the mean force while nothing touches the tool is beyond `drift` | a charge leaks away, and an amplifier's zero wanders; cutting hides it, so it is looked for only unloaded |
-//! | limit | a force beyond `limit` | the tool, the work or the sensor would suffer: the spindle stands, or the feed is wrong |
+//! | limit | a force beyond `limit`, not saturated | the tool, the work or the sensor would suffer: the spindle stands, or the feed is wrong |
 //!
 //! **Stuck.** A converter behind quartz and charge amplifier has noise. With a deviation of s codes, a code repeats with a probability of at most erf(1 / (2 sqrt 2 s)), when the
 //! signal stands in the middle of a code: 0.90 for s = 0.3. 500 repetitions (0.1 s at 200 us) then happen with 1e-22, not once in the life of the machine (1e13 samples a century and channel). Noise below 0.25
@@ -21,6 +21,7 @@
 //!
 //! Arithmetic: codes are held within 14 bits, scales within 0.5 N a code, so a force is below 2^15 codes * 0.5 N: no input overflows.
 
+use crate::safety::integrity::constants;
 use crate::units::force::Force;
 use crate::units::scale::{multiply_shift, saturate};
 use crate::units::trig::{ONE, sin_cos};
@@ -28,6 +29,7 @@ use crate::units::{Angle, scale};
 use serde::{Deserialize, Serialize};
 
 pub use crate::io::{COMPONENTS, ForceSample};
+pub use haptimill_protocol::force::{ForceProblem, TareRefusal};
 
 /// The largest code of a 14-bit converter.
 pub const CODE_MOST: i16 = 8191;
@@ -97,71 +99,6 @@ impl Sensor {
     }
 }
 
-/// What ends force control, with its name.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Condition {
-    /// No new samples.
-    Silent,
-    /// A channel, or the amplifier, is beyond its range.
-    Overload {
-        /// The component; 3 for the amplifier.
-        component: u8,
-    },
-    /// A channel repeats one code.
-    Stuck {
-        /// The component.
-        component: u8,
-    },
-    /// The zero has wandered.
-    Drift {
-        /// The component.
-        component: u8,
-        /// How far.
-        force: Force,
-    },
-    /// The force is larger than may be.
-    Limit {
-        /// The component.
-        component: u8,
-        /// The force.
-        force: Force,
-    },
-    /// The force grows when the tool yields to it.
-    WrongSign {
-        /// The component.
-        component: u8,
-    },
-    /// The spindle turns so slowly that the peak of a revolution comes later than the loop was laid out for.
-    SlowSpindle {
-        /// rev/min.
-        rpm: i16,
-    },
-}
-
-/// Why a tare is refused.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum TareRefusal {
-    /// Samples were missing.
-    Silent,
-    /// The codes move.
-    Moving {
-        /// The component.
-        component: u8,
-        /// Codes from lowest to highest.
-        spread: u16,
-    },
-    /// A channel does not move at all.
-    Stuck {
-        /// The component.
-        component: u8,
-    },
-    /// The zero would be so far off that less than half of the range is left.
-    Offset {
-        /// The component.
-        component: u8,
-    },
-}
-
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Tare {
     left: u16,
@@ -182,6 +119,15 @@ struct Memory {
     mean: i64,
 }
 
+/// Whether a problem is a force that is too large, and not a sensor that is broken: a saturated channel may be either.
+#[must_use]
+pub const fn is_force(problem: &ForceProblem) -> bool {
+    matches!(
+        problem,
+        ForceProblem::Limit { .. } | ForceProblem::Overload { .. }
+    )
+}
+
 /// The sensor at work.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Conditioner {
@@ -199,6 +145,8 @@ pub struct Conditioner {
     tare: Option<Tare>,
     last_tare: Option<Result<(), TareRefusal>>,
 }
+
+constants!(Conditioner { sensor } of {} but { memories, forces, weight, table, tared_at, tared, conversions, silent, tare, last_tare });
 
 impl Conditioner {
     /// For a sound sensor; nothing is tared.
@@ -248,6 +196,22 @@ impl Conditioner {
         });
     }
 
+    /// The machine moves: a tare that runs ends without a new zero.
+    pub fn interrupt_tare(&mut self) {
+        self.end_tare(Err(TareRefusal::Interrupted));
+    }
+
+    /// Whether a tare runs.
+    #[must_use]
+    pub const fn taring(&self) -> bool {
+        self.tare.is_some()
+    }
+
+    /// How the last tare ended, once.
+    pub const fn take_tare_result(&mut self) -> Option<Result<(), TareRefusal>> {
+        self.last_tare.take()
+    }
+
     /// How the last tare ended; `None` while one runs, and before the first.
     #[must_use]
     pub const fn tare_result(&self) -> Option<Result<(), TareRefusal>> {
@@ -285,24 +249,27 @@ impl Conditioner {
 
     /// Takes the sample of a period; `unloaded` says that nothing touches the tool, as far as the controller knows. Gives what ends force control.
     #[inline]
-    pub fn take(&mut self, sample: &ForceSample, unloaded: bool) -> Option<Condition> {
+    pub fn take(&mut self, sample: &ForceSample, unloaded: bool) -> Option<ForceProblem> {
         if sample.conversions == self.conversions {
             self.silent = self.silent.saturating_add(1);
             if self.silent > self.sensor.silent_samples {
                 self.end_tare(Err(TareRefusal::Silent));
-                return Some(Condition::Silent);
+                return Some(ForceProblem::Silent);
             }
             return None;
         }
         self.conversions = sample.conversions;
         self.silent = 0;
-        let mut found = sample.overload.then_some(Condition::Overload {
+        let mut found = sample.overload.then_some(ForceProblem::Overload {
             component: COMPONENTS as u8,
         });
         for component in 0..COMPONENTS {
             let code = sample.codes[component].clamp(-CODE_MOST - 1, CODE_MOST);
             let seen = self.look(component, code, unloaded);
-            found = found.or(seen);
+            // A force that is too large stops the machine even where nothing is under force control: nothing else may hide it.
+            let graver =
+                !found.as_ref().is_some_and(is_force) && seen.as_ref().is_some_and(is_force);
+            found = if graver { seen } else { found.or(seen) };
         }
         if self.tare.is_some() {
             self.gather(&sample.codes);
@@ -311,7 +278,7 @@ impl Conditioner {
     }
 
     #[inline]
-    fn look(&mut self, component: usize, code: i16, unloaded: bool) -> Option<Condition> {
+    fn look(&mut self, component: usize, code: i16, unloaded: bool) -> Option<ForceProblem> {
         let name = component as u8;
         let channel = &self.sensor.channels[component];
         let memory = &mut self.memories[component];
@@ -341,18 +308,21 @@ impl Conditioner {
             Force::ZERO
         };
         if memory.saturated >= OVERLOAD_SAMPLES {
-            Some(Condition::Overload { component: name })
+            Some(ForceProblem::Overload { component: name })
         } else if self.sensor.stuck_samples > 0 && memory.repeated >= self.sensor.stuck_samples {
-            Some(Condition::Stuck { component: name })
-        } else if self.tared && force.magnitude() > self.sensor.limit.magnitude() {
-            Some(Condition::Limit {
+            Some(ForceProblem::Stuck { component: name })
+        } else if self.tared
+            && memory.saturated == 0
+            && force.magnitude() > self.sensor.limit.magnitude()
+        {
+            Some(ForceProblem::Limit {
                 component: name,
-                force,
+                force: force.0,
             })
         } else if drifted.magnitude() > self.sensor.drift.magnitude() {
-            Some(Condition::Drift {
+            Some(ForceProblem::Drift {
                 component: name,
-                force: drifted,
+                force: drifted.0,
             })
         } else {
             None

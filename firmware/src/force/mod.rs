@@ -19,28 +19,17 @@ pub mod guard;
 pub mod peak;
 pub mod pole;
 
+use crate::safety::integrity::{Constants, Digest, constants};
 use crate::units::force::{Displacement, Force, VirtualDamping, VirtualMass};
 use crate::units::{Angle, Coordinate, Length, Rate};
 use compliance::{Compliance, LEVELS, Law, Push, Yielding};
-use conditioning::{COMPONENTS, Condition, Conditioner, ForceSample, Sensor};
+use conditioning::{COMPONENTS, Conditioner, ForceSample, Sensor, is_force};
 use guard::{Guard, Sign};
+pub use haptimill_protocol::force::{
+    ForceLoop, ForceParameter, ForceProblem, ForceRefusal, ForceTelemetry, Gate, TareRefusal,
+};
 use peak::{Extremes, SlidingExtremes, Window};
 use serde::{Deserialize, Serialize};
-
-/// When a force above the desired one moves the tool away (spec h4-milling 7.1 item 20).
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Gate {
-    /// Only while it opposes the desired motion of the axis: F p_d' < 0. At rest, and across the motion, the tool only returns.
-    #[default]
-    AgainstMotion,
-    /// Always.
-    Any,
-    /// Only upwards along the axis: contact from above.
-    Positive,
-    /// Only downwards.
-    Negative,
-}
 
 /// The loop of one axis.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -67,42 +56,17 @@ impl LoopSettings {
     pub const LEAST_DESIRED: Force = Force::millinewtons(500);
 }
 
-/// A parameter that cannot be.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Refused {
-    /// What is wrong.
-    pub parameter: Parameter,
-    /// The nearest value that is taken, in the raw unit of the parameter.
-    pub bound: i32,
-}
-
-/// What can be wrong with settings.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Parameter {
-    /// f_d is zero, negative, or lost in the noise.
-    DesiredTooSmall,
-    /// f_d is above three quarters of what the sensor shows: the loop could not see by how much a force is too high.
-    DesiredTooLarge,
-    /// K_V does not hold a soft contact with this delay: K_V >= k tau.
-    DampingTooSmall,
-    /// K_V is beyond its range.
-    DampingTooLarge,
-    /// K_A is less than K_V T at the highest level of damping.
-    MassTooSmall,
-    /// K_A / K_V is beyond 2^18 periods.
-    MassTooLarge,
-    /// The limit of p_c is not above 0, or too large.
-    Limit,
-    /// The rate is not above 0.
-    Rate,
-    /// The sensor's values make no sense.
-    Sensor,
-    /// A revolution at the slowest spindle does not fit the window.
-    SlowestSpindle,
-    /// There is no such axis, or it is not linear.
-    Axis,
-    /// The last change of this axis is still being worked out; a few periods later it will be taken.
-    Busy,
+impl From<&ForceLoop> for LoopSettings {
+    fn from(settings: &ForceLoop) -> Self {
+        Self {
+            desired: Force(settings.desired),
+            mass: VirtualMass(settings.mass),
+            damping: VirtualDamping(settings.damping),
+            limit: Length(settings.limit),
+            rate: Rate(settings.rate),
+            gate: settings.gate,
+        }
+    }
 }
 
 /// Everything that the machine file says of force control.
@@ -155,63 +119,124 @@ struct Axis {
     until_look: u16,
 }
 
+constants!(Axis {} of { compliance } but { peaks, extremes, guard, preparing, until_look });
+
 /// Force control of a machine.
 #[derive(Debug, Clone)]
 pub struct ForceControl {
-    config: ForceConfig,
+    slowest_rpm: u16,
     period_us: u16,
     delay_us: u32,
     conditioner: Conditioner,
     axes: [Axis; COMPONENTS],
     mask: u8,
     rpm: i16,
+    /// Periods since the spindle was switched off.
+    stopped: u16,
     /// The tool stays where it is: the forces are not believed.
     held: bool,
-    condition: Option<Condition>,
+    /// No axis is under force control for the time being.
+    suspended: bool,
+    /// A force that is too large was there before the machine began to move.
+    known: bool,
+    /// A law was adopted in this period.
+    adopted: bool,
+    condition: Option<ForceProblem>,
     yielding: [Yielding; COMPONENTS],
 }
 
-impl ForceControl {
-    /// The force control of a configuration. Costs some 10^5 instructions: for the activation of a configuration.
+constants!(ForceControl { slowest_rpm, period_us, delay_us } of { conditioner }
+    but { axes, mask, rpm, stopped, held, suspended, known, adopted, condition, yielding });
+
+/// What is worked out from a configuration before it is taken.
+#[derive(Debug, Clone)]
+pub struct Design {
+    window: Window,
+    laws: [Law; COMPONENTS],
+}
+
+impl Design {
+    /// Checks a configuration and works out its laws: some 10^5 instructions.
     ///
     /// # Errors
-    /// The axis, and what is wrong.
-    pub fn new(config: &ForceConfig, period_us: u16) -> Result<Self, (usize, Refused)> {
-        let refuse = |parameter, bound| Refused { parameter, bound };
+    /// The axis, if it is one's fault, and what is wrong.
+    #[cold]
+    #[inline(never)]
+    pub fn new(
+        config: &ForceConfig,
+        period_us: u16,
+    ) -> Result<Self, (Option<usize>, ForceRefusal)> {
+        let refuse = |parameter, bound| (None, ForceRefusal { parameter, bound });
         if !config.sensor.is_sound() {
-            return Err((0, refuse(Parameter::Sensor, 0)));
+            return Err(refuse(ForceParameter::Sensor, 0));
+        }
+        if config.mask >> COMPONENTS != 0 {
+            return Err(refuse(ForceParameter::Axis, COMPONENTS as i32 - 1));
         }
         let Some(window) = config.window(period_us) else {
             // 2048 samples hold a revolution.
             let bound = 60_000_000 / (2048 * i32::from(period_us.max(1))) + 1;
-            return Err((0, refuse(Parameter::SlowestSpindle, bound)));
+            return Err(refuse(ForceParameter::SlowestSpindle, bound));
         };
         let delay_us = config.delay_us(period_us);
-        let axis = |component: usize| {
+        let law = |component: usize| {
             let range = config.sensor.range(component);
-            let law = Law::new(&config.axes[component], period_us, delay_us, range)
-                .map_err(|refused| (component, refused))?;
-            Ok(Axis {
-                peaks: SlidingExtremes::new(window),
-                extremes: Extremes::default(),
-                compliance: Compliance::new(law),
-                guard: Guard::default(),
-                preparing: None,
-                until_look: component as u16 + 1,
-            })
+            Law::new(&config.axes[component], period_us, delay_us, range)
+                .map_err(|refusal| (Some(component), refusal))
         };
         Ok(Self {
+            window,
+            laws: [law(0)?, law(1)?, law(2)?],
+        })
+    }
+}
+
+/// How long a spindle runs on after it was switched off, microseconds.
+const RUN_DOWN_US: u32 = 1_000_000;
+
+impl ForceControl {
+    /// The force control of a configuration.
+    ///
+    /// # Errors
+    /// The axis, if it is one's fault, and what is wrong.
+    pub fn new(
+        config: &ForceConfig,
+        period_us: u16,
+    ) -> Result<Self, (Option<usize>, ForceRefusal)> {
+        Ok(Self::of(config, Design::new(config, period_us)?, period_us))
+    }
+
+    /// The force control of a configuration that was checked.
+    #[must_use]
+    pub fn of(config: &ForceConfig, design: Design, period_us: u16) -> Self {
+        let Design { window, laws } = design;
+        let mut until_look = 0;
+        Self {
             conditioner: Conditioner::new(&config.sensor),
-            axes: [axis(0)?, axis(1)?, axis(2)?],
+            axes: laws.map(|law| {
+                until_look += 1;
+                Axis {
+                    peaks: SlidingExtremes::new(window),
+                    extremes: Extremes::default(),
+                    compliance: Compliance::new(law),
+                    guard: Guard::default(),
+                    preparing: None,
+                    until_look,
+                }
+            }),
             mask: config.mask,
-            config: config.clone(),
+            slowest_rpm: config.slowest_rpm,
+            delay_us: config.delay_us(period_us),
             period_us,
-            delay_us,
             rpm: 0,
+            stopped: 0,
             held: false,
+            suspended: false,
+            known: false,
+            adopted: false,
             condition: None,
             yielding: [Yielding::default(); COMPONENTS],
-        })
+        }
     }
 
     /// Stage *sense*: the sample of this period, the commanded speed of the spindle, where the tool was measured (or wanted, where there is no certified pose), the angle of the table, and
@@ -227,6 +252,11 @@ impl ForceControl {
         if spindle_rpm != self.rpm {
             self.turn(spindle_rpm);
         }
+        self.stopped = if spindle_rpm == 0 {
+            self.stopped.saturating_add(1)
+        } else {
+            0
+        };
         let mut found = self.conditioner.take(sample, unloaded);
         let forces = *self.conditioner.forces();
         for (component, axis) in self.axes.iter_mut().enumerate() {
@@ -241,13 +271,13 @@ impl ForceControl {
                 }
             }
             if axis.guard.sign() == Sign::Wrong && self.mask & (1 << component) != 0 {
-                found = found.or(Some(Condition::WrongSign {
+                found = found.or(Some(ForceProblem::WrongSign {
                     component: component as u8,
                 }));
             }
         }
-        if self.mask != 0 && self.rpm != 0 && self.rpm.unsigned_abs() < self.config.slowest_rpm {
-            found = found.or(Some(Condition::SlowSpindle { rpm: self.rpm }));
+        if self.mask != 0 && self.rpm != 0 && self.rpm.unsigned_abs() < self.slowest_rpm {
+            found = found.or(Some(ForceProblem::SlowSpindle { rpm: self.rpm }));
         }
         self.condition = found;
     }
@@ -256,7 +286,7 @@ impl ForceControl {
     #[cold]
     fn turn(&mut self, rpm: i16) {
         self.rpm = rpm;
-        if rpm.unsigned_abs() < self.config.slowest_rpm {
+        if rpm.unsigned_abs() < self.slowest_rpm {
             return;
         }
         if let Some(window) = Window::revolution(rpm, self.period_us) {
@@ -266,10 +296,51 @@ impl ForceControl {
         }
     }
 
-    /// What is wrong with sensor or contact in this period; a reason for a controlled stop while any axis is under force control, and [`ForceControl::hold`] with it.
+    /// Whether nothing touches the tool, as far as it can be known; `active` while something moves or may move.
+    ///
+    /// The answer decides whether a mean force is called drift. A cut, or a tool that has yielded, is a load. So the spindle must have been off for as long as it runs on, and no axis
+    /// may have yielded. While the machine moves a force of half the desired one is taken for a contact; drift is found on its way there. At rest it is not: a zero that wandered
+    /// far, and something that leans on the tool, must both be gone before a job begins.
     #[must_use]
-    pub const fn condition(&self) -> Option<Condition> {
+    pub fn unloaded(&self, active: bool) -> bool {
+        u32::from(self.stopped) >= RUN_DOWN_US / u32::from(self.period_us.max(1))
+            && !self.displaced()
+            && !(active && self.axes.iter().any(|axis| axis.guard.touching()))
+    }
+
+    /// What is wrong with sensor or contact in this period.
+    #[must_use]
+    pub const fn condition(&self) -> Option<ForceProblem> {
         self.condition
+    }
+
+    /// What must stop a machine that moves; `jogged` says that a person moves it.
+    ///
+    /// A force beyond its limit stops always, except that a person may jog away from one that was there before: otherwise nobody could. A sensor that cannot be believed stops what is
+    /// under force control; without force control, nothing hangs on it.
+    #[must_use]
+    pub fn stops(&self, jogged: bool) -> Option<ForceProblem> {
+        let problem = self.condition?;
+        let counts = if is_force(&problem) {
+            self.conditioner.tared() && !(jogged && self.known)
+        } else {
+            self.mask != 0 && !self.suspended
+        };
+        counts.then_some(problem)
+    }
+
+    /// Minds whether the machine moves: a tare ends with it, and a force that is too large is known from before. To be told in every period.
+    pub fn mind(&mut self, active: bool) {
+        let large = self.condition.as_ref().is_some_and(is_force);
+        self.known = large && (self.known || !active);
+        if active {
+            self.conditioner.interrupt_tare();
+        }
+    }
+
+    /// How a tare ended, once.
+    pub const fn take_tare_result(&mut self) -> Option<Result<(), TareRefusal>> {
+        self.conditioner.take_tare_result()
     }
 
     /// Stage *yield*: one period of the loops with the rates of the desired motion.
@@ -280,7 +351,7 @@ impl ForceControl {
             let push = Push {
                 force: axis.extremes.peak(),
                 desired_rate: desired_rates[component],
-                active: tared && self.mask & (1 << component) != 0,
+                active: tared && !self.suspended && self.mask & (1 << component) != 0,
                 held: self.held,
                 level: axis.guard.level(),
                 touching: axis.guard.touching(),
@@ -292,6 +363,7 @@ impl ForceControl {
 
     /// Works out one level of one law that was changed: some 2000 instructions in a period.
     fn prepare(&mut self) {
+        self.adopted = false;
         for axis in &mut self.axes {
             let Some(preparing) = &mut axis.preparing else {
                 continue;
@@ -302,6 +374,7 @@ impl ForceControl {
             } else {
                 axis.compliance.adopt(preparing.law.clone());
                 axis.preparing = None;
+                self.adopted = true;
             }
             return;
         }
@@ -315,21 +388,44 @@ impl ForceControl {
         &self.yielding
     }
 
+    /// One axis may have yielded no further than `most`: the rest is taken back.
+    pub fn confine(&mut self, component: usize, most: Displacement) {
+        if let Some(axis) = self.axes.get_mut(component) {
+            self.yielding[component] = axis.compliance.confine(most);
+        }
+    }
+
+    /// One period with the drives off: nothing is held where it yielded to.
+    pub fn release(&mut self) {
+        self.prepare();
+        if self.displaced() || self.held {
+            self.reset();
+        }
+    }
+
+    /// Whether the tool has yielded.
+    #[must_use]
+    pub fn displaced(&self) -> bool {
+        self.axes
+            .iter()
+            .any(|axis| axis.compliance.displacement() != Displacement::default())
+    }
+
     /// Other settings of one axis; in force some periods later, without a jump of the tool.
     ///
     /// # Errors
     /// What is wrong, with its bound; nothing changes.
-    pub fn set(&mut self, component: usize, settings: &LoopSettings) -> Result<(), Refused> {
+    pub fn set(&mut self, component: usize, settings: &LoopSettings) -> Result<(), ForceRefusal> {
         let range = self.conditioner.sensor().range(component);
         let Some(axis) = self.axes.get_mut(component) else {
-            return Err(Refused {
-                parameter: Parameter::Axis,
+            return Err(ForceRefusal {
+                parameter: ForceParameter::Axis,
                 bound: COMPONENTS as i32 - 1,
             });
         };
         if axis.preparing.is_some() {
-            return Err(Refused {
-                parameter: Parameter::Busy,
+            return Err(ForceRefusal {
+                parameter: ForceParameter::Busy,
                 bound: 0,
             });
         }
@@ -360,6 +456,11 @@ impl ForceControl {
     /// The displacements stay what they are (the rates end within some periods), or not any longer: for a stop whose reason is the sensor. A tool that returned would go blindly into the work.
     pub const fn hold(&mut self, held: bool) {
         self.held = held;
+    }
+
+    /// No axis is under force control for the time being (while the machine looks for its references): the tool only returns.
+    pub const fn suspend(&mut self, suspended: bool) {
+        self.suspended = suspended;
     }
 
     /// The tool stands where it is desired: after wanted became measured. The sensor must show its sign again.
@@ -404,6 +505,33 @@ impl ForceControl {
         self.axes
             .each_ref()
             .map(|axis| axis.compliance.displacement())
+    }
+
+    /// Adds the constants of one axis to a digest. They change when settings were [changed](Self::set): see [`ForceControl::adopted`].
+    pub fn digest_axis(&self, component: usize, digest: &mut Digest) {
+        if let Some(axis) = self.axes.get(component) {
+            Constants::digest(axis, digest);
+        }
+    }
+
+    /// Whether the settings of an axis changed in this period.
+    #[must_use]
+    pub const fn adopted(&self) -> bool {
+        self.adopted
+    }
+
+    /// How the forces stand, for telemetry.
+    #[must_use]
+    pub fn telemetry(&self) -> ForceTelemetry {
+        let extremes = self.extremes();
+        ForceTelemetry {
+            high: extremes.map(|extremes| extremes.peak().0),
+            low: extremes.map(|extremes| extremes.other().0),
+            yielded: self.displacements().map(|by| by.length().0),
+            mask: self.mask,
+            tared: self.conditioner.tared(),
+            problem: self.condition,
+        }
     }
 
     /// Levels of damping.

@@ -37,7 +37,7 @@ const RECIPROCALS: [u64; 20] = {
 };
 
 /// A part of a whole, to 31 bits: `mantissa` times 2^-(32 + deep).
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
 pub(super) struct Part {
     /// 2^31 to 2^32.
     mantissa: u32,
@@ -74,7 +74,7 @@ impl Part {
 }
 
 /// How one period with one damping changes displacement and rate.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
 pub struct Pole {
     /// 1 - a.
     approach: Part,

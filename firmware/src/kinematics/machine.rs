@@ -8,7 +8,7 @@
 use super::h4::{BasePose, H4};
 use super::{Accelerations, Jacobian, JointMotion, Joints, Kinematics, Pose, PoseError, Rates};
 use crate::config::{Config, Model};
-use crate::units::{Coordinate, Length};
+use crate::units::{Angle, Coordinate, Length};
 use haptimill_protocol::message::MAX_AXES;
 
 /// A geometry and its strokes.
@@ -92,6 +92,14 @@ impl Machine {
     pub fn singularity_distance(&self, pose: &Pose) -> Result<Length, PoseError> {
         match &self.geometry {
             Geometry::H4(arm) => arm.singularity_distance(pose),
+        }
+    }
+
+    /// The angle by which a pose turns the table, and what it carries, out of the level.
+    #[must_use]
+    pub const fn table(&self, pose: &Pose) -> Angle {
+        match &self.geometry {
+            Geometry::H4(_) => pose.0[4].angle(),
         }
     }
 

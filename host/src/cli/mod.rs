@@ -9,6 +9,7 @@ macro_rules! tell {
 }
 
 mod exit;
+pub mod force;
 pub mod jog;
 pub mod kin;
 pub mod machine;
@@ -47,6 +48,8 @@ Examples:
   haptimill home --port tcp:localhost:7000               home it from another terminal
   haptimill jog x=5 z=-2 --for 1.5 --port /dev/ttyACM0   5 and -2 mm/s for 1.5 s
   haptimill status --port /dev/ttyACM0 --json            how things stand, for a script
+  haptimill run part.ngc --force x,z --fd 5              the tool yields to more than 5 N in x and z
+  haptimill force tare --port /dev/ttyACM0               what the force sensor shows now is none
   haptimill machine check mine.toml                      every mistake in a machine file
   haptimill kin ik --in poses.csv --out slides.csv       the firmware's kinematics over a table";
 
@@ -82,6 +85,9 @@ enum Command {
     /// The thesis's experiments in the simulator, beside what the thesis states
     #[command(subcommand)]
     Scenario(scenario::ScenarioCommand),
+    /// The force sensor and the force loop
+    #[command(subcommand)]
+    Force(force::ForceCommand),
     /// The simulated machine
     #[command(subcommand)]
     Sim(SimCommand),
@@ -108,6 +114,7 @@ impl Command {
             }
             Self::Stop(args) => args.json,
             Self::Ports(args) => args.json,
+            Self::Force(command) => command.json(),
             Self::Machine(MachineCommand::Check(args)) => args.json,
             Self::Scenario(scenario::ScenarioCommand::Run(args)) => args.json,
             Self::Scenario(_) | Self::Sim(_) | Self::Trace(_) | Self::Kin(_) => false,
@@ -202,6 +209,7 @@ fn dispatch(cli: Cli) -> Result<(), CliError> {
         Command::Stop(args) => one_shot::stop(args),
         Command::Reset(args) => one_shot::run(Order::Reset, args),
         Command::Scenario(command) => scenario::run(command),
+        Command::Force(command) => force::run(command),
         Command::Sim(SimCommand::Serve(args)) => sim::serve(args),
         Command::Machine(MachineCommand::Check(args)) => machine::check(args),
         Command::Ports(args) => ports::run(args),

@@ -275,6 +275,37 @@ impl<'d, 'i> Section<'d, 'i> {
         found.map(|(_, value)| *value)
     }
 
+    /// A list of a few words, each at most once; empty when it is absent, and after a report.
+    pub fn words<T: Copy + PartialEq>(&self, key: &'static str, choices: &[(&str, T)]) -> Vec<T> {
+        let Some(value) = self.get(key) else {
+            return Vec::new();
+        };
+        let words: Vec<String> = choices.iter().map(|(w, _)| format!("\"{w}\"")).collect();
+        let remedy = format!("write a list of {}", words.join(", "));
+        let DeValue::Array(items) = value.get_ref() else {
+            self.wrong_type(key, value.get_ref(), "a list");
+            return Vec::new();
+        };
+        let mut found = Vec::new();
+        for item in items.iter() {
+            let word = match item.get_ref() {
+                DeValue::String(word) => word,
+                other => {
+                    self.report(key, format!("has {}", named_type(other)), remedy.as_str());
+                    continue;
+                }
+            };
+            match choices.iter().find(|(choice, _)| *choice == *word) {
+                None => self.report(key, format!("\"{word}\" is not known"), remedy.as_str()),
+                Some((_, value)) if found.contains(value) => {
+                    self.report(key, format!("\"{word}\" is there twice"), "remove one");
+                }
+                Some((_, value)) => found.push(*value),
+            }
+        }
+        found
+    }
+
     /// A section below this one; `None` after a report.
     pub fn section(&self, key: &'static str) -> Option<Section<'d, 'i>> {
         let value = self.required(key, || format!("add a section [{}]", self.path_of(key)))?;

@@ -8,6 +8,7 @@
 
 mod axes;
 mod document;
+mod force;
 mod h4;
 mod plant;
 mod problem;
@@ -18,6 +19,7 @@ mod tests;
 pub mod work;
 
 pub use axes::AxisLimits;
+pub use force::GATES;
 pub use problem::{Problem, Problems};
 
 use document::{Document, Section, real, whole};
@@ -198,6 +200,12 @@ fn read(document: &Document<'_>, root: &Spanned<DeTable<'_>>) -> MachineFile {
         .map(|(section, place)| axes::joint_axis(section, *place, period_us / 1e6))
         .collect();
     across(&pose, &joints);
+    let force = if root.skip("force") {
+        root.section("force")
+            .map(|section| force::force_control(&section, period_us))
+    } else {
+        None
+    };
     let has_plant = root.skip("plant");
     root.finish();
 
@@ -225,7 +233,7 @@ fn read(document: &Document<'_>, root: &Spanned<DeTable<'_>>) -> MachineFile {
                 rate: Rate(0),
                 table_rate: Rate(0),
             }),
-            force: None,
+            force,
         },
         pose: pose_limits,
         joints: joint_limits,

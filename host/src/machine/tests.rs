@@ -185,6 +185,34 @@ fn every_kind_of_mistake_is_named_with_its_line() {
             "[plant.workpiece]\ntop_mm = 1e9\n[plant.structure]",
         ),
         ("[planner]", "[[planner]]"),
+        ("under_control = []", "under_control = [\"x\", \"alpha\"]"),
+        ("under_control = []", "under_control = [\"z\", \"z\", 3]"),
+        ("under_control = []", "under_control = \"x\""),
+        ("slowest_rpm = 4000", "slowest_rpm = 100"),
+        ("drive_lag_ms = 5.0", "drive_lag_ms = -1"),
+        ("[force.sensor]", "[force.sensors]"),
+        ("converter_v = 10.0", "converter_v = 1e9"),
+        ("converter_v = 10.0", "converter_v = 100.0\nvolts = 3"),
+        ("saturation_part = 0.95", "saturation_part = 95"),
+        ("stuck_ms = 100.0", "stuck_ms = \"never\""),
+        ("tare_ms = 200.0", "tare_ms = 1e-3"),
+        ("limit_n = 80.0", "limit_n = 0"),
+        ("newtons_per_volt = 10.0", "newtons_per_volt = 1000.0"),
+        ("sign = -1 ", "sign = 0 "),
+        ("desired_n = 5.0", "desired_n = 0.0"),
+        ("desired_n = 5.0", "desired_n = -5.0"),
+        ("desired_n = 5.0", "desired_n = 90.0"),
+        ("desired_n = 5.0", "desired_n = inf"),
+        ("mass_n_s2_per_mm = 1.0", "mass_n_s2_per_mm = 0.001"),
+        ("damping_n_s_per_mm = 5.0", "damping_n_s_per_mm = 0.2"),
+        ("limit_mm = 10.0", "limit_mm = 0.0"),
+        ("rate_mm_s = 20.0", "rate_mm_s = 0.0"),
+        ("gate = \"against_motion\"", "gate = \"open\""),
+        (
+            "[[force.axis]]\nname = \"x\"",
+            "[[force.axis]]\nname = \"w\"",
+        ),
+        ("[[force.axis]]\nname = \"x\"", "[[force.ax]]\nname = \"x\""),
     ];
     let said: Vec<String> = mistakes.iter().map(|(f, t)| broken(f, t)).collect();
     for text in &said {
@@ -255,6 +283,8 @@ fn every_key_that_is_not_optional_is_missed() {
         "viscous_n_m_per_deg_s",
         "coulomb_n",
         "coulomb_n_m",
+        "under_control",
+        "sign",
     ];
     // The plant is read by the simulator.
     let own = BUILT_IN.lines().position(|line| line == "[plant]").unwrap();

@@ -59,7 +59,6 @@ fn controlled(machine: &MachineFile, control: Option<Control>) -> Option<Machine
         x.mass = VirtualMass(scaled(control.mass));
         x.damping = VirtualDamping(scaled(control.damping));
         x.limit = Length(LIMIT_MM << 20);
-        force.mask = 1;
     }
     Some(machine)
 }
@@ -100,6 +99,12 @@ pub fn carry(
     let end = session.go_home(&machine, &home)?;
     well_ended(&session, pass, &end)?;
     session.line_mut().clamp(&cutting)?;
+    if machine.config.force.is_some() {
+        session.tare()?;
+        if pass.control.is_some() {
+            session.set_force_mask(&[0])?;
+        }
+    }
 
     let header =
         Header::of(&machine, pass.program).map_err(|error| CliError::new(Exit::Internal, error))?;

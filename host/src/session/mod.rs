@@ -6,6 +6,7 @@
 //! Misuse: whoever waits for something must go on stepping; a session that is not stepped falls silent, and the controller stops the
 //! machine.
 
+mod force;
 mod home;
 pub mod interrupt;
 mod job;
@@ -14,6 +15,7 @@ mod line;
 pub mod pil;
 mod sim;
 
+pub use force::{LoopChoice, force_of};
 pub use job::{JobEnd, Sent, Watcher};
 pub use line::{JobLine, Line, PortLine};
 pub use sim::{JobRecording, SimLine, rig, rig_around};

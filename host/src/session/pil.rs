@@ -463,7 +463,9 @@ pub struct Instructions {
 }
 
 /// Names of the stages, in their order.
-const STAGE_NAMES: [&str; STAGES] = ["hear", "sense", "decide", "place", "drive", "tell", "gate"];
+const STAGE_NAMES: [&str; STAGES] = [
+    "hear", "sense", "decide", "yield", "place", "drive", "tell", "gate",
+];
 
 impl Instructions {
     /// From the counts of the board.

@@ -8,6 +8,7 @@ use crate::port::PortError;
 use crate::record::{Record, Recorder, flag};
 use haptimill_firmware::controller::Controller;
 use haptimill_firmware::motion::program::FULL_RATE;
+use haptimill_firmware::reading::ForceReading;
 use haptimill_hil_sim::config::PlantConfig;
 use haptimill_hil_sim::cutting::CuttingConfig;
 use haptimill_hil_sim::fault::Fault;
@@ -175,7 +176,15 @@ impl JobRecording {
             state: telemetry.state,
             ..Record::default()
         };
+        if let Some(force) = &telemetry.force {
+            record.force = ForceReading {
+                high: force.high,
+                low: force.low,
+                yielded: force.yielded,
+            };
+        }
         let flags = [
+            (telemetry.force.is_some(), flag::FORCE),
             (telemetry.homed, flag::HOMED),
             (telemetry.position_kept, flag::POSITION_KEPT),
             (!telemetry.measured.is_empty(), flag::TOOL_MEASURED),

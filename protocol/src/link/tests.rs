@@ -285,6 +285,7 @@ fn only_newer_latest_values_are_heard() {
             deferred_bytes: 0,
             bad_frames: 0,
             lost_bytes: 0,
+            force: None,
         })
     };
     let (mut frames, mut buffer) = (StdVec::new(), [0; 400]);

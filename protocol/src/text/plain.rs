@@ -83,6 +83,7 @@ impl Display for ConfigField {
             Self::Homing => "homing",
             Self::Heartbeat => "heartbeat",
             Self::StopTime => "stop time",
+            Self::Force => "force sensor or force loop",
         })
     }
 }
@@ -111,6 +112,9 @@ impl Command {
             Self::Override { .. } => "override",
             Self::Telemetry { .. } => "telemetry",
             Self::Status => "status",
+            Self::ForceMask { .. } => "force mask",
+            Self::ForceLoop { .. } => "force loop",
+            Self::Tare => "tare",
         }
     }
 }

@@ -5,7 +5,7 @@ mod folder;
 mod part;
 mod progress;
 
-use super::{CliError, Exit, MachineArg};
+use super::{CliError, Exit, MachineArg, force};
 use crate::client::{JobEnding, Options};
 use crate::machine::MachineFile;
 use crate::model::Model;
@@ -109,6 +109,12 @@ pub struct RunArgs {
     /// the next ones [default: as many as a chip of 168 MHz has at one cycle an instruction, 33600 in 200 us]
     #[arg(long, value_name = "INSTRUCTIONS", value_parser = clap::value_parser!(u32).range(1000..))]
     pub budget: Option<u32>,
+    /// Axes under force control, as x,z, or none; the sensor is tared first [default: those of the machine file]
+    #[arg(long, value_name = "AXES", value_parser = force::axes)]
+    pub force: Option<force::Axes>,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub gains: force::LoopArgs,
     /// Print the summary as JSON on standard output, and nothing else there; if there is none, {"error", "exit_code", "problems": [{"file", "line",
     /// "column", "message", "remedy"}]}
     #[arg(long)]
@@ -121,6 +127,11 @@ pub struct RunArgs {
 impl RunArgs {
     /// What cannot be meant is refused, not passed over.
     fn check(&self) -> Result<(), CliError> {
+        if self.force.is_none() && !self.gains.is_empty() {
+            let what =
+                "--fd, --ka and --kv are for the axes under force control; say which with --force";
+            return Err(CliError::new(Exit::Usage, what));
+        }
         let simulated = matches!(self.port, PortSpec::Simulator | PortSpec::Emulated(_));
         let what = if self.check || simulated {
             return Ok(());
@@ -192,6 +203,9 @@ impl RunArgs {
 pub fn run(args: RunArgs) -> Result<(), CliError> {
     args.check()?;
     let machine = args.machine.load()?;
+    if args.force.is_some() {
+        session::force_of(&machine)?;
+    }
     let model = Model::new(&machine);
     let home = model.home(&machine).ok_or_else(|| {
         CliError::new(
@@ -310,7 +324,28 @@ impl Running<'_> {
         session.ask(Command::Override {
             percent: self.args.feed_override,
         })?;
+        self.feel(&mut session)?;
         self.job(session, start, planned)
+    }
+
+    /// Force control of the job: settings, a zero of the sensor with nothing at the tool, then the axes.
+    fn feel<L: JobLine>(&self, session: &mut Session<L>) -> Result<(), CliError> {
+        let Some(force) = &self.machine.config.force else {
+            return Ok(());
+        };
+        match &self.args.force {
+            Some(force::Axes(axes)) => {
+                session.set_force_loops(self.machine, axes, &self.args.gains.choice())?;
+                // Those that are not named may be under control from before.
+                session.set_force_mask(&[])?;
+                if !axes.is_empty() {
+                    session.tare()?;
+                }
+                session.set_force_mask(axes)
+            }
+            None if force.mask != 0 => session.tare(),
+            None => Ok(()),
+        }
     }
 
     /// A fault of before must be cleared by the one who saw it.

@@ -193,6 +193,7 @@ impl Responder {
             fault: None,
             deferred_bytes: 0,
             bad_frames: self.link.counters().bad_frames,
+            force: None,
             lost_bytes: 0,
         }
     }

@@ -1,0 +1,246 @@
+//! `haptimill force`: the force sensor and the force loop of a running controller.
+
+use super::one_shot::open;
+use super::{CliError, ConnectArgs, Exit, MachineArg};
+use crate::machine::GATES;
+use crate::session::{LoopChoice, PortLine, Session, force_of};
+use clap::{Args, Subcommand};
+use haptimill_protocol::force::{COMPONENTS, ForceTelemetry, Gate};
+
+/// Names of the components.
+const NAMES: [&str; COMPONENTS] = ["x", "y", "z"];
+
+/// What can be done with the force.
+#[derive(Debug, Subcommand)]
+pub enum ForceCommand {
+    /// Forces, how far the tool yields, and which axes are under force control
+    Show(ForceArgs),
+    /// Take what the sensor shows now as its zero; only at rest, with nothing at the tool
+    Tare(ForceArgs),
+    /// Set which axes are under force control, and their loops
+    ///
+    /// What is not given is taken from the machine file. It can be changed while a job runs: the tool does not jump. An axis that is taken out returns to the programmed position
+    /// at f_d / K_V.
+    Set(SetArgs),
+}
+
+impl ForceCommand {
+    /// Whether a program reads the standard output.
+    pub(super) fn json(&self) -> bool {
+        match self {
+            Self::Show(args) | Self::Tare(args) => args.json,
+            Self::Set(args) => args.force.json,
+        }
+    }
+}
+
+/// Arguments of every force command.
+#[derive(Debug, Clone, Args)]
+pub struct ForceArgs {
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub connect: ConnectArgs,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub machine: MachineArg,
+    /// Print the result as JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Arguments of `haptimill force set`.
+#[derive(Debug, Clone, Args)]
+pub struct SetArgs {
+    /// Axes under force control, as x,z; none for none
+    #[arg(value_name = "AXES", value_parser = axes)]
+    pub axes: Axes,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub gains: LoopArgs,
+    /// The most that the tool yields, mm
+    #[arg(long, value_name = "MM", value_parser = finite, allow_negative_numbers = true)]
+    pub limit: Option<f64>,
+    /// The fastest that the tool yields, mm/s
+    #[arg(long, value_name = "MM/S", value_parser = finite, allow_negative_numbers = true)]
+    pub rate: Option<f64>,
+    /// When a force moves the tool away: against_motion, any, positive or negative
+    #[arg(long, value_name = "WHEN", value_parser = gate)]
+    pub gate: Option<Gate>,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub force: ForceArgs,
+}
+
+/// Desired force and gains.
+#[derive(Debug, Clone, Default, Args)]
+pub struct LoopArgs {
+    /// Desired force f_d, N
+    #[arg(long, value_name = "N", value_parser = finite, allow_negative_numbers = true)]
+    pub fd: Option<f64>,
+    /// Virtual mass K_A, N s^2/mm
+    #[arg(long, value_name = "GAIN", value_parser = finite, allow_negative_numbers = true)]
+    pub ka: Option<f64>,
+    /// Virtual damping K_V, N s/mm
+    #[arg(long, value_name = "GAIN", value_parser = finite, allow_negative_numbers = true)]
+    pub kv: Option<f64>,
+}
+
+impl LoopArgs {
+    /// What was said, and nothing else.
+    #[must_use]
+    pub fn choice(&self) -> LoopChoice {
+        LoopChoice {
+            desired_n: self.fd,
+            mass: self.ka,
+            damping: self.kv,
+            ..LoopChoice::default()
+        }
+    }
+
+    /// Whether nothing was said.
+    #[must_use]
+    pub const fn is_empty(&self) -> bool {
+        self.fd.is_none() && self.ka.is_none() && self.kv.is_none()
+    }
+}
+
+/// Axes of force, in order.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Axes(pub Vec<u8>);
+
+/// Reads axes, as `x,z`.
+pub(super) fn axes(text: &str) -> Result<Axes, String> {
+    if text == "none" {
+        return Ok(Axes(Vec::new()));
+    }
+    let mut found = Vec::new();
+    for word in text.split(',') {
+        let axis = NAMES.iter().position(|name| *name == word.trim());
+        let axis = axis.ok_or_else(|| {
+            format!("\"{word}\" has no force sensor; write x, y, z, or several as x,z, or none")
+        })? as u8;
+        if !found.contains(&axis) {
+            found.push(axis);
+        }
+    }
+    found.sort_unstable();
+    Ok(Axes(found))
+}
+
+fn finite(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value.is_finite() => Ok(value),
+        _ => Err("write a finite number".to_string()),
+    }
+}
+
+fn gate(text: &str) -> Result<Gate, String> {
+    let found = GATES.iter().find(|(word, _)| *word == text);
+    found
+        .map(|(_, gate)| *gate)
+        .ok_or_else(|| "write against_motion, any, positive or negative".to_string())
+}
+
+/// Carries out a force command.
+///
+/// # Errors
+/// See [`Exit`].
+pub fn run(command: ForceCommand) -> Result<(), CliError> {
+    match command {
+        ForceCommand::Show(args) => {
+            let mut session = open(&args.connect, &args.machine.load()?)?;
+            show(&mut session, args.json)
+        }
+        ForceCommand::Tare(args) => {
+            let mut session = open(&args.connect, &args.machine.load()?)?;
+            session.tare()?;
+            show(&mut session, args.json)
+        }
+        ForceCommand::Set(args) => {
+            let machine = args.force.machine.load()?;
+            force_of(&machine)?;
+            let mut session = open(&args.force.connect, &machine)?;
+            let choice = LoopChoice {
+                limit_mm: args.limit,
+                rate_mm_s: args.rate,
+                gate: args.gate,
+                ..args.gains.choice()
+            };
+            session.set_force_loops(&machine, &args.axes.0, &choice)?;
+            session.set_force_mask(&args.axes.0)?;
+            show(&mut session, args.force.json)
+        }
+    }
+}
+
+/// Says how the forces stand.
+fn show(session: &mut Session<PortLine>, json: bool) -> Result<(), CliError> {
+    let status = session.status()?;
+    let Some(force) = status.force else {
+        let what = "the controller has no force sensor in its configuration; configure it with a machine file that has a section [force]";
+        return Err(CliError::new(Exit::Command, what));
+    };
+    let problem = force.problem.as_ref().map(|problem| {
+        session
+            .model()
+            .with_axes(|axes| axes.describe(problem).to_string())
+    });
+    if json {
+        tell!("{:#}", to_json(&force, problem.as_deref()));
+        return Ok(());
+    }
+    let row = |what: &str, unit: &str, values: [f64; COMPONENTS]| {
+        let [x, y, z] = values;
+        tell!("{what:<14}{x:>10.3}{y:>10.3}{z:>10.3}  {unit}");
+    };
+    tell!("{:<14}{:>10}{:>10}{:>10}", "", "x", "y", "z");
+    row("force, high", "N", newtons(force.high));
+    row("force, low", "N", newtons(force.low));
+    row("tool yields", "mm", millimetres(force.yielded));
+    let under: Vec<&str> = under_control(&force);
+    let under = if under.is_empty() {
+        "none".to_string()
+    } else {
+        under.join(", ")
+    };
+    let zero = if force.tared {
+        "known"
+    } else {
+        "not known; tare it"
+    };
+    tell!("under force control: {under}; zero of the sensor: {zero}");
+    if let Some(problem) = problem {
+        tell!("{problem}");
+    }
+    Ok(())
+}
+
+fn newtons(values: [i32; COMPONENTS]) -> [f64; COMPONENTS] {
+    values.map(|value| f64::from(value) / 65_536.0)
+}
+
+fn millimetres(values: [i32; COMPONENTS]) -> [f64; COMPONENTS] {
+    values.map(|value| f64::from(value) / 1_048_576.0)
+}
+
+fn under_control(force: &ForceTelemetry) -> Vec<&'static str> {
+    let axes = NAMES.iter().enumerate();
+    axes.filter(|(axis, _)| force.mask & (1 << axis) != 0)
+        .map(|(_, name)| *name)
+        .collect()
+}
+
+/// How the forces stand, for a program.
+pub(super) fn to_json(force: &ForceTelemetry, problem: Option<&str>) -> serde_json::Value {
+    let named = |values: [f64; COMPONENTS]| -> serde_json::Value {
+        NAMES.iter().copied().zip(values).collect()
+    };
+    serde_json::json!({
+        "high_n": named(newtons(force.high)),
+        "low_n": named(newtons(force.low)),
+        "yielded_mm": named(millimetres(force.yielded)),
+        "under_control": under_control(force),
+        "tared": force.tared,
+        "problem": problem,
+    })
+}

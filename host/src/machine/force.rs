@@ -1,0 +1,241 @@
+//! The `[force]` section of a machine file: the force sensor, and the loops of x, y and z of the work (spec h4-milling 1.3, 3.3, 7.1 items 20 to 26).
+
+use super::document::{Section, real, whole};
+use super::scale::{PER_EFFORT, PER_MM, to_i32, to_u16, to_u32};
+use haptimill_firmware::force::compliance::Law;
+use haptimill_firmware::force::conditioning::{COMPONENTS, Channel, Sensor};
+use haptimill_firmware::force::{
+    Design, ForceConfig, ForceParameter, ForceRefusal, Gate, LoopSettings,
+};
+use haptimill_firmware::units::force::{Force, VirtualDamping, VirtualMass};
+use haptimill_firmware::units::{Length, Rate};
+
+/// Components of the force, in order.
+pub const AXES: [(&str, usize); COMPONENTS] = [("x", 0), ("y", 1), ("z", 2)];
+
+/// The gates, by the words of a machine file and of the command line.
+pub const GATES: [(&str, Gate); 4] = [
+    ("against_motion", Gate::AgainstMotion),
+    ("any", Gate::Any),
+    ("positive", Gate::Positive),
+    ("negative", Gate::Negative),
+];
+
+/// Codes of a 14-bit converter from 0 to the end of its range.
+const CODES: f64 = 8192.0;
+
+/// A force in newtons.
+fn force(newtons: f64) -> Force {
+    Force(to_i32(newtons * PER_EFFORT))
+}
+
+/// One axis of force: its channel of the sensor, and its loop.
+struct Axis<'d, 'i> {
+    section: Section<'d, 'i>,
+    channel: Channel,
+    settings: LoopSettings,
+    /// All its numbers could be read.
+    read: bool,
+}
+
+/// Reads force sensor and force control; `period_us` is NaN when it is not known.
+pub fn force_control(section: &Section<'_, '_>, period_us: f64) -> ForceConfig {
+    let slowest = section.number("slowest_rpm", whole(60, 30_000, "rev/min"));
+    let lag = section.number("drive_lag_ms", real(0.0, 60.0, "ms"));
+    let mask = section
+        .words("under_control", &AXES)
+        .into_iter()
+        .fold(0, |mask, axis| mask | 1 << axis);
+    let sections = section.list("axis");
+    if !sections.is_empty() && sections.len() != COMPONENTS {
+        let what = format!("has {} sections, a force has {COMPONENTS}", sections.len());
+        section.report("axis", what, "write one for each of x, y, z");
+    }
+    let sensor = section
+        .section("sensor")
+        .map(|sensor| read_sensor(&sensor, period_us));
+    let (volts, saturation) = sensor
+        .as_ref()
+        .map_or((f64::NAN, f64::NAN), |(_, volts, part)| (*volts, *part));
+    let axes: Vec<Axis<'_, '_>> = sections
+        .into_iter()
+        .enumerate()
+        .map(|(place, section)| axis(section, place, volts, saturation))
+        .collect();
+    section.finish();
+    let place = |index: usize| axes.get(index);
+    let channels =
+        [0, 1, 2].map(|index| place(index).map_or_else(no_channel, |axis| axis.channel.clone()));
+    let config = ForceConfig {
+        sensor: Sensor {
+            channels,
+            ..sensor.map_or_else(no_sensor, |(sensor, _, _)| sensor)
+        },
+        axes: [0, 1, 2]
+            .map(|index| place(index).map_or_else(no_loop, |axis| axis.settings.clone())),
+        mask,
+        drive_lag_us: to_u16(lag * 1000.0),
+        slowest_rpm: to_u16(slowest),
+    };
+    let known = [slowest, lag, period_us, volts, saturation]
+        .iter()
+        .all(|value| !value.is_nan());
+    if known && axes.len() == COMPONENTS {
+        check(section, &axes, &config, to_u16(period_us));
+    }
+    config
+}
+
+/// What the controller would refuse, with its bound, each at its key.
+fn check(section: &Section<'_, '_>, axes: &[Axis<'_, '_>], config: &ForceConfig, period_us: u16) {
+    let mut well = true;
+    for (index, axis) in axes.iter().enumerate() {
+        well &= axis.read;
+        if !axis.read {
+            continue;
+        }
+        let range = config.sensor.range(index);
+        let law = Law::new(&axis.settings, period_us, config.delay_us(period_us), range);
+        if let Err(refusal) = law {
+            well = false;
+            axis.section
+                .report(key(refusal.parameter), refusal.to_string(), "correct it");
+        }
+    }
+    if !well {
+        return;
+    }
+    if let Err((_, refusal)) = Design::new(config, period_us) {
+        let ForceRefusal { parameter, .. } = refusal;
+        section.report(key(parameter), refusal.to_string(), "correct it");
+    }
+}
+
+/// The key that a parameter of the controller comes from.
+const fn key(parameter: ForceParameter) -> &'static str {
+    match parameter {
+        ForceParameter::DesiredTooSmall | ForceParameter::DesiredTooLarge => "desired_n",
+        ForceParameter::DampingTooSmall | ForceParameter::DampingTooLarge => "damping_n_s_per_mm",
+        ForceParameter::MassTooSmall | ForceParameter::MassTooLarge => "mass_n_s2_per_mm",
+        ForceParameter::Limit => "limit_mm",
+        ForceParameter::Rate => "rate_mm_s",
+        ForceParameter::Sensor => "sensor",
+        ForceParameter::SlowestSpindle => "slowest_rpm",
+        ForceParameter::Axis | ForceParameter::Busy => "under_control",
+    }
+}
+
+/// The sensor without its channels, the range of its converter in volts, and the part of it that is usable.
+fn read_sensor(section: &Section<'_, '_>, period_us: f64) -> (Sensor, f64, f64) {
+    let volts = section.number("converter_v", real(0.1, 100.0, "V"));
+    let part = section.number("saturation_part", real(0.1, 0.999, ""));
+    // Periods of a time; a time that is too short for one is one.
+    let periods = |ms: f64| (ms * 1000.0 / period_us).round();
+    let silent = section.number("silent_ms", real(0.1, 1000.0, "ms"));
+    let stuck = section.number("stuck_ms", real(0.0, 3000.0, "ms"));
+    let tare = section.number("tare_ms", real(5.0, 1500.0, "ms"));
+    let drift = section.number("drift_n", real(0.01, 1000.0, "N"));
+    let limit = section.number("limit_n", real(0.1, 2048.0, "N"));
+    let spread = section.number("tare_spread_codes", whole(1, 8192, "codes"));
+    let weight = section.number("weight_n", real(0.0, 2048.0, "N"));
+    let samples = periods(tare);
+    if samples < 16.0 || samples > 32_768.0 {
+        let what = format!("{tare} ms are {samples} control periods, allowed are 16 to 32768");
+        section.report("tare_ms", what, "correct it");
+    }
+    section.finish();
+    let sensor = Sensor {
+        silent_samples: to_u16(periods(silent).max(1.0)),
+        stuck_samples: to_u16(periods(stuck)),
+        drift: force(drift),
+        limit: force(limit),
+        tare_samples: to_u16(samples),
+        tare_spread: to_u16(spread),
+        weight: force(weight),
+        ..no_sensor()
+    };
+    (sensor, volts, part)
+}
+
+fn axis<'d, 'i>(
+    section: Section<'d, 'i>,
+    place: usize,
+    volts: f64,
+    saturation: f64,
+) -> Axis<'d, 'i> {
+    let name = section.text("name", "name the axis");
+    let wanted = AXES.get(place).map_or("", |(name, _)| name);
+    if let Some(name) = name
+        && name != wanted
+    {
+        let what = format!("\"{name}\" is not what a force has at this place");
+        section.report("name", what, format!("write \"{wanted}\""));
+    }
+    let newtons = section.number("newtons_per_volt", real(1e-3, 4000.0, "N/V"));
+    let sign = section.direction("sign");
+    let desired = section.number("desired_n", real(-2048.0, 2048.0, "N"));
+    let mass = section.number("mass_n_s2_per_mm", real(0.0, 65_535.0, "N s^2/mm"));
+    let damping = section.number("damping_n_s_per_mm", real(0.0, 65_535.0, "N s/mm"));
+    let limit = section.number("limit_mm", real(-64.0, 1000.0, "mm"));
+    let rate = section.number("rate_mm_s", real(-2000.0, 2000.0, "mm/s"));
+    let gate = section.choice("gate", &GATES);
+    section.finish();
+    let per_code = sign * newtons * volts / CODES;
+    if per_code.abs() > 0.5 {
+        let what = format!("{newtons} N/V is {per_code:.3} N a code, at most 0.5 are allowed");
+        section.report("newtons_per_volt", what, "lower it");
+    }
+    let numbers = [
+        newtons, sign, desired, mass, damping, limit, rate, volts, saturation,
+    ];
+    Axis {
+        read: gate.is_some() && numbers.iter().all(|value| !value.is_nan()),
+        channel: Channel {
+            per_code: to_i32(per_code * 4_294_967_296.0),
+            saturation: to_u16(saturation * CODES).min(8191) as i16,
+        },
+        settings: LoopSettings {
+            desired: force(desired),
+            mass: VirtualMass(to_u32(mass * PER_EFFORT)),
+            damping: VirtualDamping(to_u32(damping * PER_EFFORT)),
+            limit: Length(to_i32(limit * PER_MM)),
+            rate: Rate(to_i32(rate * PER_MM)),
+            gate: gate.unwrap_or_default(),
+        },
+        section,
+    }
+}
+
+/// Stands where the file has none; never leaves this module without a report.
+const fn no_channel() -> Channel {
+    Channel {
+        per_code: 0,
+        saturation: 0,
+    }
+}
+
+/// Likewise.
+const fn no_sensor() -> Sensor {
+    Sensor {
+        channels: [no_channel(), no_channel(), no_channel()],
+        silent_samples: 0,
+        stuck_samples: 0,
+        drift: Force::ZERO,
+        limit: Force::ZERO,
+        tare_samples: 0,
+        tare_spread: 0,
+        weight: Force::ZERO,
+    }
+}
+
+/// Likewise.
+const fn no_loop() -> LoopSettings {
+    LoopSettings {
+        desired: Force::ZERO,
+        mass: VirtualMass(0),
+        damping: VirtualDamping(0),
+        limit: Length::ZERO,
+        rate: Rate::ZERO,
+        gate: Gate::AgainstMotion,
+    }
+}
