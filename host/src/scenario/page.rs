@@ -48,17 +48,26 @@ pub fn page(scenario: &Scenario, cuts: &[Cut], result: &Result) -> String {
         ),
     );
     claims(&mut page, result);
+    if scenario.needs_force_control() {
+        yielding(&mut page, scenario, cuts);
+    }
+    // Several surfaces stand side by side.
+    let (open, close) = match cuts {
+        [_] => ("<div>", "</div>"),
+        _ => ("<div class=\"pair\">", "</div>"),
+    };
+    page.push_str(open);
     for (pass, cut) in scenario.passes.iter().zip(cuts) {
         let of = if pass.title.is_empty() {
             String::new()
         } else {
             format!(", {}", escape(pass.title))
         };
+        page.push_str("<div>");
         surface(&mut page, cut, &of);
+        page.push_str("</div>");
     }
-    if scenario.needs_force_control() {
-        yielding(&mut page, scenario, cuts);
-    }
+    page.push_str(close);
     for (pass, cut) in scenario.passes.iter().zip(cuts) {
         curves(&mut page, pass, cut);
     }
