@@ -6,6 +6,10 @@
 //! The plant is the truth of the simulation. Nothing here is read by the controller, and it may disagree with the controller's own
 //! configuration on purpose: a longer rod, more friction, an index somewhere else.
 
+use crate::cutting::{CutterConfig, CuttingConfig, SpindleConfig, WorkpieceConfig};
+use crate::process::ProcessConfig;
+use crate::sensor::SensorConfig;
+use crate::structure::StructureConfig;
 use core::fmt;
 use haptimill_protocol::message::MAX_AXES;
 use serde::{Deserialize, Serialize};
@@ -22,6 +26,21 @@ pub struct PlantConfig {
     /// The arm that the joints carry; without it the pose is the joints.
     #[serde(default)]
     pub arm: Option<ArmGeometry>,
+    /// The spindle.
+    #[serde(default)]
+    pub spindle: Option<SpindleConfig>,
+    /// The cutter in the spindle; it cuts nothing while no work is clamped.
+    #[serde(default)]
+    pub cutter: Option<CutterConfig>,
+    /// A work that is clamped from the start, homing included; see [`crate::plant::Plant::clamp`] for one that comes later.
+    #[serde(default)]
+    pub workpiece: Option<WorkpieceConfig>,
+    /// What gives way between the slides and the tool; without it the arm is rigid.
+    #[serde(default)]
+    pub structure: Option<StructureConfig>,
+    /// The force sensor under the work.
+    #[serde(default)]
+    pub sensor: Option<SensorConfig>,
     /// The joints, in the machine's order (H-4: four slides, then the table). 1 to 6.
     pub joint: Vec<JointConfig>,
 }
@@ -296,6 +315,22 @@ impl PlantConfig {
         if let Some(arm) = &self.arm {
             self.check_arm(arm, &mut check);
         }
+        let cutter = self.cutter.clone().unwrap_or_default();
+        for problem in self
+            .process()
+            .and_then(|process| process.check().err())
+            .into_iter()
+            .flatten()
+            .chain(
+                self.workpiece
+                    .is_none()
+                    .then(|| cutter.problems())
+                    .into_iter()
+                    .flatten(),
+            )
+        {
+            check.refuse(problem.field, problem.problem);
+        }
         for (index, joint) in self.joint.iter().enumerate() {
             joint.check(
                 &format!("joint {index} ({})", joint.name),
@@ -304,6 +339,32 @@ impl PlantConfig {
             );
         }
         check.done()
+    }
+
+    /// What there is at the tool, if anything is named.
+    #[must_use]
+    pub fn process(&self) -> Option<ProcessConfig> {
+        let named = self.spindle.is_some()
+            || self.cutter.is_some()
+            || self.workpiece.is_some()
+            || self.structure.is_some()
+            || self.sensor.is_some();
+        named.then(|| ProcessConfig {
+            spindle: self.spindle.clone().unwrap_or_default(),
+            cutting: self.workpiece.clone().map(|work| self.cutting(work)),
+            wall: None,
+            structure: self.structure.clone(),
+            sensor: self.sensor.clone(),
+        })
+    }
+
+    /// The machine's cutter in a work.
+    #[must_use]
+    pub fn cutting(&self, workpiece: WorkpieceConfig) -> CuttingConfig {
+        CuttingConfig {
+            cutter: self.cutter.clone().unwrap_or_default(),
+            workpiece,
+        }
     }
 
     fn check_arm(&self, arm: &ArmGeometry, check: &mut Check) {

@@ -2,7 +2,7 @@
 //!
 //! [`Plant::advance`] carries out the [`Outputs`] of one control period in steps of 20 us; [`Plant::latch`] fills the [`Inputs`] that the
 //! controller sees at the start of the next. [`Plant::truth`] tells what no controller can know: where slides and tool really are.
-//! A machine that is given a [`ProcessConfig`] has a spindle, and whatever else that names; the force on its tool loads the joints.
+//! A machine whose configuration names them, or that is given a [`ProcessConfig`], has a spindle, and whatever else that names; the force on its tool loads the joints.
 //!
 //! What is modelled: each joint as two masses on a screw with stiffness, damping and backlash; Coulomb friction that sticks; drives
 //! with limits; hard stops; the encoder on the motor shaft, to its edges. What is not: the inertia of the platform couples no slides,
@@ -11,7 +11,7 @@
 //! A command of the wrong kind for a drive ([`DriveCommand::Steps`] on a torque drive) leaves the drive off and is counted.
 
 use crate::config::{DriveConfig, JointConfig, JointKind, PlantConfig, PlantError, SwitchSide};
-use crate::cutting::ToolPose;
+use crate::cutting::{CuttingConfig, ToolPose};
 use crate::encoder::{Encoder, EncoderCondition, Track};
 use crate::geometry::{Arm, Tip};
 use crate::mechanics::{Bodies, Lanes, Mechanics};
@@ -188,6 +188,9 @@ impl Plant {
             truth: Truth::default(),
         };
         plant.see_truth();
+        if let Some(process) = config.process() {
+            plant.fit(&process)?;
+        }
         Ok(plant)
     }
 
@@ -445,6 +448,22 @@ impl Plant {
             Random::new(self.seed, 48),
         )?);
         Ok(())
+    }
+
+    /// Clamps a work on the table, with the tool where it stands: in the air, or it begins in the material. As [`Plant::fit`], but spindle and sensor
+    /// stay as they are.
+    ///
+    /// # Errors
+    /// As [`Plant::fit`].
+    pub fn clamp(&mut self, config: &CuttingConfig) -> Result<(), Vec<PlantError>> {
+        let pose = self.tool_pose();
+        match &mut self.process {
+            Some(process) => process.clamp(config, &pose),
+            None => self.fit(&ProcessConfig {
+                cutting: Some(config.clone()),
+                ..ProcessConfig::default()
+            }),
+        }
     }
 
     /// What happens at the tool; `None` on a machine without.

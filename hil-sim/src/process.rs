@@ -187,6 +187,19 @@ impl Process {
         self.cutting.as_mut()
     }
 
+    /// Clamps a work on the table, with the tool where it stands; what was there before is taken away. Spindle, structure and sensor stay as they are.
+    ///
+    /// # Errors
+    /// Every problem of the configuration.
+    pub fn clamp(
+        &mut self,
+        config: &CuttingConfig,
+        pose: &ToolPose,
+    ) -> Result<(), Vec<PlantError>> {
+        self.cutting = Some(Cutting::new(config, pose)?);
+        Ok(())
+    }
+
     /// Puts an elastic body beside the tool, or takes it away.
     pub fn set_wall(&mut self, wall: Option<ElasticWall>) {
         self.wall = wall;

@@ -12,6 +12,7 @@
 
 use crate::config::{Check, PlantError};
 use crate::random::Random;
+use serde::{Deserialize, Serialize};
 
 /// Standard acceleration of gravity, m/s^2.
 const GRAVITY: f64 = 9.80665;
@@ -20,7 +21,8 @@ const GRAVITY: f64 = 9.80665;
 pub const FULL_CODE: i16 = 8191;
 
 /// The sensor and what is wrong with it in good health.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct SensorConfig {
     /// Force at the end of the ADC's range, code 8192, N: sensitivity of amplifier and ADC together (10 N/V over 10 V is 100 N).
     pub full_scale_n: f64,

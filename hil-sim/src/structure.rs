@@ -14,9 +14,11 @@
 //! A force that is held for a period makes the solution exact: u goes towards F / K_s by 1 - a.
 
 use crate::config::{Check, PlantError};
+use serde::{Deserialize, Serialize};
 
 /// How stiff the structure is.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct StructureConfig {
     /// Stiffness K_s at the tool in x, y and z of the arm's base frame, N/mm; infinity is rigid.
     pub stiffness: [f64; 3],

@@ -10,4 +10,5 @@ pub mod port;
 pub mod program;
 pub mod record;
 pub mod report;
+pub mod scenario;
 pub mod session;

@@ -1,11 +1,14 @@
-//! Where the simulator's time goes: `cargo run --release -p haptimill-tests --example speed -- FILE.ngc`.
+//! Where the simulator's time goes: `cargo run --release -p haptimill-tests --example speed -- FILE.ngc [WORK.toml]`. With a work it is cut: mill, structure and
+//! sensor are computed in every period. The recording is written by a second thread; `taskset -c 0` puts both on one core.
 use haptimill::client::Options;
-use haptimill::machine::MachineFile;
+use haptimill::machine::{MachineFile, work};
 use haptimill::model::{Model, program_options, settings};
 use haptimill::plan::Plan;
 use haptimill::record::{Header, Recorder};
 use haptimill::session::{JobLine, JobRecording, Session, SimLine, Watcher, rig};
+use haptimill_hil_sim::config::PlantConfig;
 use haptimill_protocol::message::Telemetry;
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
@@ -22,6 +25,10 @@ impl Watcher for Nobody {
 fn main() {
     let file = std::env::args().nth(1).expect("a part program");
     let machine = MachineFile::built_in().expect("sound");
+    let cutting = std::env::args().nth(2).map(|work| {
+        let plant: PlantConfig = machine.plant().expect("a plant");
+        plant.cutting(work::load(Path::new(&work)).expect("sound"))
+    });
     let model = Model::new(&machine);
     let home = model.home(&machine).expect("a pose");
     let text = std::fs::read(&file).expect("readable");
@@ -46,6 +53,9 @@ fn main() {
         session.configure(&machine).expect("taken");
         session.enable().expect("enabled");
         session.go_home(&machine, &home).expect("homed");
+        if let Some(cutting) = &cutting {
+            session.line_mut().clamp(cutting).expect("clamped");
+        }
         let path = std::env::temp_dir().join("haptimill-speed.hmr");
         if recorded {
             let header = Header::of(&machine, "speed").expect("encodes");

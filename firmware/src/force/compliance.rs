@@ -424,7 +424,8 @@ impl Compliance {
         let desired = law.settings.desired.0;
         let desired_rate = outward(push.desired_rate.0.max(-i32::MAX));
         let mut drive = outward(force).wrapping_sub(desired);
-        if level > 0 {
+        // An axis that is not under control resists nothing: its guard may look on, but must not move the tool.
+        if level > 0 && push.active {
             // D p_d', 2^-16 N: a product of words.
             let added = law.added.get(level).copied().unwrap_or(0);
             let resisted = multiply_shift(-desired_rate, added, 20);

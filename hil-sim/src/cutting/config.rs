@@ -3,9 +3,14 @@
 //! Lengths in mm, angles in degrees, forces in N. All places are in the frame of the table (x_w, y_w, z_w), z away from the table.
 
 use crate::config::{Check, PlantError};
+use core::fmt;
+use serde::de::value::MapAccessDeserializer;
+use serde::de::{Error, MapAccess, Visitor};
+use serde::{Deserialize, Deserializer, Serialize};
 
 /// What the material resists with: the six coefficients of Altintas and Lee (spec h4-milling 5.1).
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Coefficients {
     /// Tangential cutting coefficient K_tc, N/mm^2.
     pub tangential: f64,
@@ -43,8 +48,34 @@ impl Coefficients {
     };
 }
 
+/// Reads a material: the name of a preset, or the six numbers.
+fn material<'de, D: Deserializer<'de>>(from: D) -> Result<Coefficients, D::Error> {
+    struct Material;
+    impl<'de> Visitor<'de> for Material {
+        type Value = Coefficients;
+
+        fn expecting(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+            out.write_str("\"P1\", \"P2\" or the six coefficients")
+        }
+
+        fn visit_str<E: Error>(self, name: &str) -> Result<Coefficients, E> {
+            match name {
+                "P1" => Ok(Coefficients::P1),
+                "P2" => Ok(Coefficients::P2),
+                other => Err(E::unknown_variant(other, &["P1", "P2"])),
+            }
+        }
+
+        fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<Coefficients, A::Error> {
+            Coefficients::deserialize(MapAccessDeserializer::new(map))
+        }
+    }
+    from.deserialize_any(Material)
+}
+
 /// A ball-end mill, and what happens to the part of it that does not cut.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct CutterConfig {
     /// Radius of the ball and of the shank R_0. 0.5 to 25.
     pub radius_mm: f64,
@@ -56,7 +87,8 @@ pub struct CutterConfig {
     pub flute_length_mm: f64,
     /// Slices of the ball from tip to equator, of equal angle; the shank is sliced as finely. 4 to 128.
     pub slices: usize,
-    /// The material.
+    /// The material; in a machine file `material`, by the name of a preset ("P1", "P2") or the six numbers.
+    #[serde(rename = "material", deserialize_with = "material")]
     pub coefficients: Coefficients,
     /// All forces of the cut are multiplied by this.
     pub force_scale: f64,
@@ -93,7 +125,8 @@ impl Default for CutterConfig {
 }
 
 /// A rectangle of the table, mm.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Area {
     /// Lower end in x.
     pub x_min: f64,
@@ -114,7 +147,8 @@ impl Area {
 }
 
 /// A block of material with a plane top.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct WorkpieceConfig {
     /// Where there is material.
     pub stock: Area,
@@ -158,7 +192,8 @@ impl Default for WorkpieceConfig {
 }
 
 /// The spindle, as a speed that follows its command.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct SpindleConfig {
     /// Time constant with which the speed follows, seconds; 0 is at once.
     pub run_up_s: f64,
@@ -193,6 +228,13 @@ impl CuttingConfig {
 }
 
 impl CutterConfig {
+    /// Every problem of the cutter alone.
+    pub(crate) fn problems(&self) -> Vec<PlantError> {
+        let mut check = Check::default();
+        self.check(&mut check);
+        check.done().err().unwrap_or_default()
+    }
+
     fn check(&self, check: &mut Check) {
         check.within("cutter: radius_mm".into(), self.radius_mm, 0.5, 25.0);
         check.within("cutter: helix_deg".into(), self.helix_deg, 0.0, 60.0);
@@ -223,7 +265,7 @@ impl CutterConfig {
             ("radial_edge", material.radial_edge),
             ("axial_edge", material.axial_edge),
         ] {
-            check.within(format!("cutter: coefficients: {name}"), value, -1e5, 1e5);
+            check.within(format!("cutter: material: {name}"), value, -1e5, 1e5);
         }
     }
 }

@@ -16,6 +16,7 @@ pub mod machine;
 pub mod one_shot;
 pub mod ports;
 pub mod run;
+pub mod scenario;
 pub mod sim;
 pub mod trace;
 
@@ -41,6 +42,8 @@ Examples:
   haptimill run examples/e11-circle.ngc                   a job in the simulator
   haptimill run part.ngc --check                         would it run? nothing moves
   haptimill run part.ngc --port /dev/ttyACM0 --out job7  a job on a machine
+  haptimill run examples/e7-slot.ngc --work examples/block.toml   the same, and it cuts
+  haptimill scenario run all                             the thesis's experiments, beside what the thesis states
   haptimill sim serve --listen tcp:127.0.0.1:7000        a machine for other programs to talk to
   haptimill home --port tcp:localhost:7000               home it from another terminal
   haptimill jog x=5 z=-2 --for 1.5 --port /dev/ttyACM0   5 and -2 mm/s for 1.5 s
@@ -79,6 +82,9 @@ enum Command {
     Stop(one_shot::StopArgs),
     /// Clear a latched fault or emergency stop
     Reset(one_shot::OneShotArgs),
+    /// The thesis's experiments in the simulator, beside what the thesis states
+    #[command(subcommand)]
+    Scenario(scenario::ScenarioCommand),
     /// The force sensor and the force loop
     #[command(subcommand)]
     Force(force::ForceCommand),
@@ -110,7 +116,8 @@ impl Command {
             Self::Ports(args) => args.json,
             Self::Force(command) => command.json(),
             Self::Machine(MachineCommand::Check(args)) => args.json,
-            Self::Sim(_) | Self::Trace(_) | Self::Kin(_) => false,
+            Self::Scenario(scenario::ScenarioCommand::Run(args)) => args.json,
+            Self::Scenario(_) | Self::Sim(_) | Self::Trace(_) | Self::Kin(_) => false,
         }
     }
 }
@@ -201,6 +208,7 @@ fn dispatch(cli: Cli) -> Result<(), CliError> {
         Command::Disable(args) => one_shot::run(Order::Disable, args),
         Command::Stop(args) => one_shot::stop(args),
         Command::Reset(args) => one_shot::run(Order::Reset, args),
+        Command::Scenario(command) => scenario::run(command),
         Command::Force(command) => force::run(command),
         Command::Sim(SimCommand::Serve(args)) => sim::serve(args),
         Command::Machine(MachineCommand::Check(args)) => machine::check(args),

@@ -16,6 +16,7 @@ pub mod scale;
 mod stability;
 #[cfg(test)]
 mod tests;
+pub mod work;
 
 pub use axes::AxisLimits;
 pub use force::GATES;

@@ -30,6 +30,18 @@ pub struct Chart {
     pub equal: bool,
     /// The vertical axis includes 0.
     pub from_zero: bool,
+    /// A picture behind the lines; the axes then end where it does.
+    pub backdrop: Option<Backdrop>,
+}
+
+/// A picture that lies in the coordinates of a chart.
+pub struct Backdrop {
+    /// The picture as a `data:` address.
+    pub data: String,
+    /// Its left and right edge.
+    pub x: (f64, f64),
+    /// Its lower and upper edge.
+    pub y: (f64, f64),
 }
 
 /// Colours that people with any kind of colour vision can tell apart (Okabe and Ito), on white.
@@ -84,6 +96,19 @@ impl Chart {
             escape(&self.y_label),
             escape(&self.x_label)
         );
+        if let Some(backdrop) = &self.backdrop {
+            let (left, right) = (x.at(backdrop.x.0), x.at(backdrop.x.1));
+            let (top, bottom) = (y.at(backdrop.y.1), y.at(backdrop.y.0));
+            put(
+                &mut svg,
+                format_args!(
+                    "<image x=\"{left:.1}\" y=\"{top:.1}\" width=\"{:.1}\" height=\"{:.1}\" preserveAspectRatio=\"none\" href=\"{}\"/>",
+                    right - left,
+                    bottom - top,
+                    backdrop.data
+                ),
+            );
+        }
         self.axes(&mut svg, &x, &y);
         for line in &self.lines {
             let mut path = String::new();
@@ -116,6 +141,9 @@ impl Chart {
             x = (x.0.min(*px), x.1.max(*px));
             y = (y.0.min(*py), y.1.max(*py));
         }
+        if let Some(backdrop) = &self.backdrop {
+            return (backdrop.x, backdrop.y);
+        }
         if !self.equal {
             x.0 = x.0.min(0.0);
         }
@@ -141,13 +169,18 @@ impl Chart {
 
     fn axes(&self, svg: &mut String, x: &Scale, y: &Scale) {
         let (right, bottom) = (self.width - RIGHT, self.height - BOTTOM);
+        // A picture is not to be ruled over.
+        let grid = match self.backdrop {
+            Some(_) => "grid faint",
+            None => "grid",
+        };
         let (step, decimals) = tick_step(x.high - x.low, (right - LEFT) / 90.0);
         for tick in ticks(x, step) {
             let at = x.at(tick);
             put(
                 svg,
                 format_args!(
-                    "<line class=\"grid\" x1=\"{at:.1}\" x2=\"{at:.1}\" y1=\"{TOP}\" y2=\"{bottom}\"/><text x=\"{at:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{:.decimals$}</text>",
+                    "<line class=\"{grid}\" x1=\"{at:.1}\" x2=\"{at:.1}\" y1=\"{TOP}\" y2=\"{bottom}\"/><text x=\"{at:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{:.decimals$}</text>",
                     bottom + 16.0,
                     tick + 0.0
                 ),
@@ -159,7 +192,7 @@ impl Chart {
             put(
                 svg,
                 format_args!(
-                    "<line class=\"grid\" x1=\"{LEFT}\" x2=\"{right}\" y1=\"{at:.1}\" y2=\"{at:.1}\"/><text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{:.decimals$}</text>",
+                    "<line class=\"{grid}\" x1=\"{LEFT}\" x2=\"{right}\" y1=\"{at:.1}\" y2=\"{at:.1}\"/><text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{:.decimals$}</text>",
                     LEFT - 7.0,
                     at + 4.0,
                     tick + 0.0

@@ -11,7 +11,7 @@ use std::fmt::Write as _;
 use std::io::{self, Write};
 use std::path::PathBuf;
 
-const STYLE: &str = "\
+pub(crate) const STYLE: &str = "\
 body{font:15px/1.45 system-ui,-apple-system,'Segoe UI',Roboto,sans-serif;color:#1d2733;background:#f5f6f8;margin:0}
 main{max-width:1180px;margin:0 auto;padding:28px 20px 60px}
 h1{font-size:25px;margin:0 0 2px}h2{font-size:17px;margin:34px 0 8px}
@@ -28,7 +28,7 @@ h1{font-size:25px;margin:0 0 2px}h2{font-size:17px;margin:34px 0 8px}
 svg{display:block;width:100%;height:auto}
 svg path{fill:none;stroke-linejoin:round;stroke-linecap:round}
 svg text{font-size:12px;fill:#3b4754;font-family:inherit}svg .label{fill:#1d2733;font-size:12.5px}
-.grid{stroke:#e8ebef;stroke-width:1}.frame{fill:none;stroke:#b9c1ca;stroke-width:1}
+.grid{stroke:#e8ebef;stroke-width:1}.grid.faint{stroke-opacity:.25}.frame{fill:none;stroke:#b9c1ca;stroke-width:1}
 table{border-collapse:collapse;background:#fff;border:1px solid #e0e4e9;border-radius:8px;width:100%;font-variant-numeric:tabular-nums}
 td{padding:6px 14px;border-bottom:1px solid #eef0f3;vertical-align:top}td:first-child{color:#5b6875;width:40%}
 code{font-size:12px;overflow-wrap:anywhere}";
@@ -72,6 +72,7 @@ fn over_time(y_label: impl Into<String>, lines: Vec<Line>, from_zero: bool) -> S
         height: 290.0,
         equal: false,
         from_zero,
+        backdrop: None,
     };
     chart.svg()
 }
@@ -204,6 +205,7 @@ fn paths(page: &mut String, summary: &Summary, statistics: &Statistics, pictures
             height,
             equal: true,
             from_zero: false,
+            backdrop: None,
         };
         page.push_str("<div class=\"pair\">");
         let done = chart("done".into(), COLOURS[0], 1.0).svg();

@@ -3,11 +3,11 @@
 //! Everything is made from the recording, so it can be made again. Misuse: on a real machine the tool is what the controller measured through its
 //! own kinematics; an error of the geometry is not in it. The summary says which it was.
 
-mod chart;
+pub(crate) mod chart;
 mod contour;
-mod html;
+pub(crate) mod html;
 mod pictures;
-mod series;
+pub(crate) mod series;
 mod statistics;
 #[cfg(test)]
 mod tests;

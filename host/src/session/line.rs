@@ -4,7 +4,9 @@ use crate::port::{PortError, Transport};
 use std::time::{Duration, Instant};
 
 use super::JobRecording;
+use crate::cli::{CliError, Exit};
 use crate::record::Recorder;
+use haptimill_hil_sim::cutting::CuttingConfig;
 use haptimill_protocol::message::Telemetry;
 
 /// Carries bytes to a controller and back, and has a clock.
@@ -26,6 +28,17 @@ pub trait Line {
 pub trait JobLine: Line {
     /// Records from now on: every control period where the line sees them all, every telemetry frame otherwise.
     fn begin_recording(&mut self, recording: JobRecording);
+
+    /// Clamps a work on the table, with the tool where it stands. A real machine has its operator for that.
+    ///
+    /// # Errors
+    /// The line has no table in reach, or the work makes no sense.
+    fn clamp(&mut self, _: &CuttingConfig) -> Result<(), CliError> {
+        Err(CliError::new(
+            Exit::Usage,
+            "--work is for the simulated machine; clamp the work by hand",
+        ))
+    }
 
     /// Ends the recording and hands it back.
     fn end_recording(&mut self) -> Option<Recorder>;

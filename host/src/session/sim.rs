@@ -10,6 +10,7 @@ use haptimill_firmware::controller::Controller;
 use haptimill_firmware::motion::program::FULL_RATE;
 use haptimill_firmware::reading::ForceReading;
 use haptimill_hil_sim::config::PlantConfig;
+use haptimill_hil_sim::cutting::CuttingConfig;
 use haptimill_hil_sim::fault::Fault;
 use haptimill_hil_sim::rig::{Control, Rig, RigError, RigOptions};
 use haptimill_protocol::message::{AxisValues, MAX_AXES, State, Telemetry};
@@ -91,6 +92,11 @@ impl<C: Control> SimLine<C> {
         }
     }
 
+    /// The machine with its controller and its line, to be meddled with.
+    pub const fn rig_mut(&mut self) -> &mut Rig<C> {
+        &mut self.rig
+    }
+
     /// The machine with its controller and its line, for a look at what really was.
     #[must_use]
     pub const fn rig(&self) -> &Rig<C> {
@@ -101,6 +107,13 @@ impl<C: Control> SimLine<C> {
 impl<C: Control> JobLine for SimLine<C> {
     fn begin_recording(&mut self, recording: JobRecording) {
         self.recording = Some(recording);
+    }
+
+    fn clamp(&mut self, work: &CuttingConfig) -> Result<(), CliError> {
+        self.rig.plant_mut().clamp(work).map_err(|problems| {
+            let problems: Vec<String> = problems.iter().map(ToString::to_string).collect();
+            CliError::new(Exit::BadInput, problems.join("\n"))
+        })
     }
 
     fn end_recording(&mut self) -> Option<Recorder> {

@@ -35,12 +35,14 @@ pub(super) fn emulated(
     let cost = remote.cost();
     let rig = session::rig_around(remote, machine, args.seed, args.baud, args.fault.clone())?;
     let line = SimLine::named(rig, &board.to_string());
+    let work = args.clamped(machine)?;
     let session = Session::new(line, machine, paced(args.baud), interrupt::flag());
     Running {
         args,
         machine,
         job,
         home,
+        work,
     }
     .carry_out(session, 1, planned)?;
     let instructions = Instructions::of(

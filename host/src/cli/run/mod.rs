@@ -18,6 +18,8 @@ use crate::session::{
 use clap::Args;
 use emulated::emulated;
 use folder::Folder;
+use haptimill_hil_sim::config::PlantConfig;
+use haptimill_hil_sim::cutting::CuttingConfig;
 use haptimill_hil_sim::fault::Fault;
 use haptimill_protocol::message::{AxisValues, Command, State};
 use part::{PartProgram, Planned};
@@ -82,6 +84,9 @@ pub struct RunArgs {
     /// Seed of the simulated machine, instead of the one in the machine file; with the simulator only
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
+    /// What is clamped on the simulated machine's table after homing: a file like examples/block.toml. Without it nothing is cut
+    #[arg(long, value_name = "FILE")]
+    pub work: Option<PathBuf>,
     /// Pass pauses of the program (M0) at once instead of waiting for Enter; the simulator always does
     #[arg(long)]
     pub go_on: bool,
@@ -134,6 +139,11 @@ impl RunArgs {
             format!(
                 "--fault \"{fault}\": faults are for the simulator in this process; leave out --port, or give the fault to `haptimill sim serve`"
             )
+        } else if let Some(work) = &self.work {
+            format!(
+                "--work {}: a work for the simulator in this process; leave it out, and clamp the work by hand",
+                work.display()
+            )
         } else if let Some(seed) = self.seed {
             format!(
                 "--seed {seed} is for the simulator in this process; leave out --port, or give the seed to `haptimill sim serve`"
@@ -163,6 +173,16 @@ impl RunArgs {
             100 => time,
             percent => format!("{time} at {percent} %"),
         }
+    }
+
+    /// The work that shall be clamped, in the machine's cutter.
+    fn clamped(&self, machine: &MachineFile) -> Result<Option<CuttingConfig>, CliError> {
+        let Some(path) = &self.work else {
+            return Ok(None);
+        };
+        let work = crate::machine::work::load(path)?;
+        let plant: PlantConfig = machine.plant()?;
+        Ok(Some(plant.cutting(work)))
     }
 
     /// The folder for the results.
@@ -221,6 +241,7 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
         return Ok(());
     }
     job.check_pauses(&args, &planned)?;
+    let work = args.clamped(&machine)?;
     // Held to the end: nobody else writes there.
     let _folder = Folder::take(&args.out_dir())?;
     let interrupted = interrupt::flag();
@@ -235,6 +256,7 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
                 machine: &machine,
                 job: &job,
                 home,
+                work,
             }
             .carry_out(session, 1, planned)
         }
@@ -249,6 +271,7 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
                 machine: &machine,
                 job: &job,
                 home,
+                work,
             }
             .carry_out(session, session::fresh_number(), planned)
         }
@@ -268,6 +291,7 @@ struct Running<'a> {
     machine: &'a MachineFile,
     job: &'a PartProgram,
     home: AxisValues,
+    work: Option<CuttingConfig>,
 }
 
 impl Running<'_> {
@@ -294,6 +318,9 @@ impl Running<'_> {
             self.well_ended(&session, &end)?;
             (self.home.clone(), planned)
         };
+        if let Some(work) = &self.work {
+            session.line_mut().clamp(work)?;
+        }
         session.ask(Command::Override {
             percent: self.args.feed_override,
         })?;

@@ -1,0 +1,190 @@
+//! Carrying out a pass: the simulated machine is homed, the work clamped, the program run, everything recorded.
+
+use super::course::Course;
+use super::{Control, Pass};
+use crate::cli::{CliError, Exit};
+use crate::client::{JobEnding, Options};
+use crate::machine::{MachineFile, work};
+use crate::model::{Model, program_options, settings};
+use crate::plan::Plan;
+use crate::program;
+use crate::record::{Header, Recorder, Recording};
+use crate::report::{self, Outcome, Summary};
+use crate::session::{self, JobEnd, JobLine, JobRecording, Session, SimLine, Watcher};
+use haptimill_firmware::units::Length;
+use haptimill_firmware::units::force::{Force, VirtualDamping, VirtualMass};
+use haptimill_hil_sim::config::PlantConfig;
+use haptimill_hil_sim::cutting::Workpiece;
+use haptimill_protocol::message::{AxisValues, Telemetry};
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+/// A row of the trace every so many control periods: 5 ms at 5 kHz.
+const TRACE_EVERY: u32 = 25;
+
+/// What a pass left.
+pub struct Cut {
+    /// What was recorded, at a thousand samples a second.
+    pub course: Course,
+    /// The work with its cut surface.
+    pub work: Workpiece,
+    /// The summary of the job.
+    pub summary: Summary,
+}
+
+/// The most that a tool under force control may yield, mm: no scenario is to end at it.
+const LIMIT_MM: i32 = 20;
+
+struct Unwatched;
+
+impl Watcher for Unwatched {
+    fn progress(&mut self, _: &Telemetry) {}
+
+    fn paused(&mut self, _: u32) {}
+
+    fn goes_on(&mut self) -> bool {
+        true
+    }
+}
+
+/// The machine with the force loop of a pass; `None` when the machine has no force control.
+fn controlled(machine: &MachineFile, control: Option<Control>) -> Option<MachineFile> {
+    let mut machine = machine.clone();
+    if let Some(control) = control {
+        let force = machine.config.force.as_mut()?;
+        let x = force.axes.first_mut()?;
+        let scaled = |value: f64| (value * 65_536.0).round() as u32;
+        x.desired = Force((control.desired_n * 65_536.0).round() as i32);
+        x.mass = VirtualMass(scaled(control.mass));
+        x.damping = VirtualDamping(scaled(control.damping));
+        x.limit = Length(LIMIT_MM << 20);
+    }
+    Some(machine)
+}
+
+/// Carries out a pass; `dir` gets the recording, the trace, the summary and the report of the job.
+///
+/// # Errors
+/// The program is refused, the job does not end as it should, or a file cannot be written.
+pub fn carry(
+    machine: &MachineFile,
+    pass: &Pass,
+    dir: &Path,
+    interrupted: &Arc<AtomicBool>,
+) -> Result<Cut, CliError> {
+    let output = |error: &dyn std::fmt::Display| {
+        CliError::new(Exit::Output, format!("{}: {error}", dir.display()))
+    };
+    let machine = controlled(machine, pass.control)
+        .ok_or_else(|| CliError::new(Exit::Refused, NO_FORCE_CONTROL))?;
+    let model = Model::new(&machine);
+    let home = model.home(&machine).ok_or_else(|| {
+        let what = format!("{}: the home preset has no pose", machine.file);
+        CliError::new(Exit::BadInput, what)
+    })?;
+    let plan = planned(&machine, &model, &home, pass)?;
+
+    let plant: PlantConfig = machine.plant()?;
+    let (file, text) = pass.work.file();
+    let mut cutting = plant.cutting(work::parse(file, text)?);
+    cutting.cutter.force_scale *= pass.force_scale;
+
+    std::fs::create_dir_all(dir).map_err(|error| output(&error))?;
+    let line = SimLine::new(session::rig(&machine, None, None, Vec::new())?);
+    let mut session = Session::new(line, &machine, Options::default(), Arc::clone(interrupted));
+    session.connect(1)?;
+    session.configure(&machine)?;
+    session.enable()?;
+    let end = session.go_home(&machine, &home)?;
+    well_ended(&session, pass, &end)?;
+    session.line_mut().clamp(&cutting)?;
+    if machine.config.force.is_some() {
+        session.tare()?;
+        if pass.control.is_some() {
+            session.set_force_mask(&[0])?;
+        }
+    }
+
+    let header =
+        Header::of(&machine, pass.program).map_err(|error| CliError::new(Exit::Internal, error))?;
+    let recorder = Recorder::create(&dir.join(report::RECORDING_FILE), &header)
+        .map_err(|error| output(&error))?;
+    let setpoints = plan.setpoints.clone();
+    session
+        .line_mut()
+        .begin_recording(JobRecording::new(recorder, Arc::new(plan), &machine));
+    let end = session.run_job(2, home, setpoints, &mut Unwatched)?;
+    well_ended(&session, pass, &end)?;
+    let recorded = session
+        .line_mut()
+        .end_recording()
+        .ok_or_else(|| CliError::new(Exit::Internal, "the recording was lost"))?
+        .finish()
+        .map_err(|error| output(&error))?;
+    let outcome = Outcome {
+        setpoints: u64::from(end.setpoints),
+        underruns: end.underruns.len() as u64,
+        faults: Vec::new(),
+        completed: true,
+        final_state: Some(end.status.state),
+        position_kept: end.status.position_kept,
+        bytes_per_setpoint: f64::from(end.sent.message_bytes) / f64::from(end.setpoints.max(1)),
+        line_bytes_per_setpoint: f64::from(end.sent.bytes) / f64::from(end.setpoints.max(1)),
+    };
+    let summary =
+        report::write_all(dir, &recorded, &outcome, TRACE_EVERY).map_err(|error| output(&error))?;
+    let recording =
+        Recording::open(&dir.join(report::RECORDING_FILE)).map_err(|error| output(&error))?;
+    let course = Course::of(&recording).map_err(|error| output(&error))?;
+    let mut line = session.into_line();
+    let cutting = line
+        .rig_mut()
+        .plant_mut()
+        .process_mut()
+        .and_then(|process| process.cutting_mut())
+        .ok_or_else(|| CliError::new(Exit::Internal, "the work is gone"))?;
+    cutting.settle();
+    Ok(Cut {
+        course,
+        work: cutting.workpiece().clone(),
+        summary,
+    })
+}
+
+/// Why a scenario with force control is not run.
+pub const NO_FORCE_CONTROL: &str = "this machine has no force control";
+
+fn planned(
+    machine: &MachineFile,
+    model: &Model,
+    home: &AxisValues,
+    pass: &Pass,
+) -> Result<Plan, CliError> {
+    let options = program_options(machine, model.to_people(home));
+    let program = program::read(pass.program, pass.text.as_bytes(), &options)
+        .map_err(|refused| CliError::refused(Exit::BadInput, &refused))?;
+    Plan::new(&program, &settings(machine), model)
+        .map_err(|refused| CliError::refused(Exit::Refused, &refused))
+}
+
+/// A job that did not reach its end leaves nothing to measure.
+fn well_ended(session: &Session<SimLine>, pass: &Pass, end: &JobEnd) -> Result<(), CliError> {
+    if let Some(fault) = end.faults.first() {
+        let error = session.fault(fault);
+        return Err(CliError::new(
+            error.exit,
+            format!("{}: {}", pass.program, error.message),
+        ));
+    }
+    if end.stopped || session.interrupted() {
+        return Err(CliError::new(Exit::Stopped, "stopped by the user"));
+    }
+    match &end.ending {
+        JobEnding::Done { .. } => Ok(()),
+        other => Err(CliError::new(
+            Exit::Command,
+            format!("{}: {other}", pass.program),
+        )),
+    }
+}

@@ -1,0 +1,105 @@
+//! The table on the terminal.
+
+use super::Result;
+use super::stated::{Band, Claim};
+use std::fmt::Write as _;
+
+/// A value as the tables show it.
+pub(super) fn value(number: f64) -> String {
+    match number.abs() {
+        _ if !number.is_finite() => "none".to_string(),
+        large if large >= 100.0 => format!("{number:.0}"),
+        middle if middle >= 10.0 => format!("{number:.1}"),
+        middle if middle >= 1.0 => format!("{number:.2}"),
+        _ => format!("{number:.3}"),
+    }
+}
+
+/// A band with its unit and where it is from.
+pub(super) fn band(band: &Band, unit: &str) -> String {
+    let space = if unit.is_empty() { "" } else { " " };
+    // The slope of the incline is a number with many digits.
+    let short = |end: f64| (end * 1e4).round() / 1e4;
+    let shown = Band {
+        low: band.low.map(short),
+        high: band.high.map(short),
+        ..*band
+    };
+    format!("{shown}{space}{unit} ({})", band.source)
+}
+
+/// Inside or outside, in a word.
+pub(super) const fn verdict(claim: &Claim) -> &'static str {
+    if claim.inside { "inside" } else { "OUTSIDE" }
+}
+
+/// What came out, as a table for the terminal; ends with a line feed.
+#[must_use]
+pub fn table(results: &[Result]) -> String {
+    let mut rows = Vec::new();
+    let mut reasons = Vec::new();
+    for result in results {
+        if let Some(why) = &result.not_run {
+            rows.push([
+                result.scenario.to_string(),
+                result.title.to_string(),
+                String::new(),
+                String::new(),
+                String::new(),
+                format!("not run: {why}"),
+            ]);
+        }
+        for claim in &result.claims {
+            let mut told = verdict(claim).to_string();
+            if let Some(reason) = &claim.reason {
+                let known = reasons.iter().position(|known| known == reason);
+                let number = known.unwrap_or_else(|| {
+                    reasons.push(reason.clone());
+                    reasons.len() - 1
+                });
+                let _ = write!(told, " [{}]", number + 1);
+            }
+            let space = if claim.unit.is_empty() { "" } else { " " };
+            rows.push([
+                result.scenario.to_string(),
+                claim.what.clone(),
+                claim.stated.clone(),
+                band(&claim.band, claim.unit),
+                format!("{}{space}{}", value(claim.ours), claim.unit),
+                told,
+            ]);
+        }
+    }
+    let heading = ["", "what", "stated", "band", "ours", ""].map(String::from);
+    let mut widths = [0; 6];
+    for row in rows.iter().chain([&heading]) {
+        for (width, cell) in widths.iter_mut().zip(row) {
+            *width = cell.chars().count().max(*width);
+        }
+    }
+    let mut text = String::new();
+    for row in [&heading].into_iter().chain(&rows) {
+        let mut line = String::new();
+        for (width, cell) in widths.iter().zip(row) {
+            let _ = write!(line, "{cell:<width$}  ");
+        }
+        text.push_str(line.trim_end());
+        text.push('\n');
+    }
+    for (index, reason) in reasons.iter().enumerate() {
+        let _ = writeln!(text, "[{}] {reason}", index + 1);
+    }
+    let (inside, all) = results.iter().fold((0, 0), |(inside, all), result| {
+        (inside + result.inside(), all + result.claims.len())
+    });
+    let not_run = results.iter().filter(|result| result.not_run.is_some());
+    let _ = write!(text, "{inside} of {all} inside");
+    match not_run.count() {
+        0 => text.push('\n'),
+        count => {
+            let plural = if count == 1 { "" } else { "s" };
+            let _ = writeln!(text, ", {count} scenario{plural} not run");
+        }
+    }
+    text
+}
