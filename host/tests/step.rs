@@ -48,18 +48,22 @@ fn mixed(step: &str, torque: &str, from_torque: &[&str]) -> String {
         parts
     };
     let (step, torque) = (parts(step), parts(torque));
-    assert_eq!(step.len(), torque.len());
-    let chosen = step.iter().zip(&torque).map(|(step, torque)| {
-        let is_joint = step.starts_with("[[joint]]") || step.starts_with("[[plant.joint]]");
-        let named = from_torque
+    let taken = |part: &String| {
+        let of_a_joint = ["[[joint]]", "[[plant.joint]]"]
+            .into_iter()
+            .find(|heading| part.starts_with(heading))?;
+        let name = from_torque
             .iter()
-            .any(|name| step.contains(&format!("name = \"{name}\"")));
-        if is_joint && named {
-            torque.as_str()
-        } else {
-            step.as_str()
-        }
-    });
+            .map(|name| format!("name = \"{name}\""))
+            .find(|name| part.contains(name))?;
+        let other = torque
+            .iter()
+            .find(|part| part.starts_with(of_a_joint) && part.contains(&name));
+        Some(other.expect("the joint is in both files").clone())
+    };
+    let chosen = step
+        .iter()
+        .map(|part| taken(part).unwrap_or_else(|| part.clone()));
     chosen.collect()
 }
 

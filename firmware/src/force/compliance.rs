@@ -314,6 +314,12 @@ impl Compliance {
         self.shown = Rate::ZERO;
     }
 
+    /// Whether the tool stands where it is desired, and stood there in the period before.
+    #[must_use]
+    pub const fn is_at_rest(&self) -> bool {
+        self.away == 0 && self.before == 0 && self.rate == 0 && self.shown.0 == 0
+    }
+
     /// p_c.
     #[must_use]
     pub const fn displacement(&self) -> Displacement {

@@ -348,10 +348,16 @@ impl ForceControl {
         self.prepare();
         let tared = self.conditioner.tared();
         for (component, axis) in self.axes.iter_mut().enumerate() {
+            let active = tared && !self.suspended && self.mask & (1 << component) != 0;
+            if !active && axis.compliance.is_at_rest() {
+                // Nothing pushes it, and it has nowhere to return from.
+                self.yielding[component] = Yielding::default();
+                continue;
+            }
             let push = Push {
                 force: axis.extremes.peak(),
                 desired_rate: desired_rates[component],
-                active: tared && !self.suspended && self.mask & (1 << component) != 0,
+                active,
                 held: self.held,
                 level: axis.guard.level(),
                 touching: axis.guard.touching(),
