@@ -52,7 +52,7 @@ fn same_bits(name: &str, program: &Path) {
     let native = Recording::open(&out("native").join("recording.hmr")).expect("recorded");
     let seconds = native.records() as f64 * native.period_s();
     for (port, folder) in [("pil:mps2", "m4"), ("pil:mps2-m7", "m7")] {
-        let took = run(program, port, &out(folder), &[]).as_secs_f64();
+        let took = run(program, port, &out(folder), &["--budget", BUDGET]).as_secs_f64();
         let emulated = Recording::open(&out(folder).join("recording.hmr")).expect("recorded");
         let found = difference(&native, &emulated).expect("readable");
         assert!(
@@ -350,3 +350,7 @@ one cycle an instruction and 168 MHz a period of 200 us has 33,600.
 Aims: inverse kinematics at most 900, forward at most 1,200; a whole period in 5 axes 5,000 in the mean and 8,000 at worst, a quarter of the
 period. What is above its aim is to be worked on.
 ";
+
+/// Instructions that a period may take where only the bits count: a chip that is late in a period has other bits, and the table above says what a period
+/// costs.
+const BUDGET: &str = "1000000";
