@@ -15,8 +15,8 @@ use haptimill_tests::Bench;
 use std::time::{Duration, Instant};
 
 /// The stages of a period by name, and the main program between two of them.
-const PLACES: [&str; 8] = [
-    "hear", "sense", "decide", "place", "drive", "tell", "gate", "main",
+const PLACES: [&str; 9] = [
+    "hear", "sense", "decide", "yield", "place", "drive", "tell", "gate", "main",
 ];
 
 /// A period in which the drives hold the machine.
