@@ -127,10 +127,9 @@ fn may_follow(from: State, to: State) -> bool {
         || match from {
             Disabled => matches!(to, Idle | Fault),
             Idle => matches!(to, Disabled | Homing | Run | Jog | Fault),
-            // A reset that was on its way may be heard in the period of the fault.
-            Homing | Jog => matches!(to, Idle | Fault | Disabled),
-            Run => matches!(to, Hold | Idle | Fault | Disabled),
-            Hold => matches!(to, Run | Idle | Fault | Disabled),
+            Homing | Jog => matches!(to, Idle | Fault),
+            Run => matches!(to, Hold | Idle | Fault),
+            Hold => matches!(to, Run | Idle | Fault),
             Fault => matches!(to, Disabled | Idle),
             EmergencyStop => matches!(to, Disabled),
         }
