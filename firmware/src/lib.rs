@@ -22,6 +22,7 @@ pub mod position;
 pub mod probe;
 pub mod reading;
 pub mod receive;
+pub mod reflection;
 pub mod safety;
 pub mod server;
 pub mod units;
