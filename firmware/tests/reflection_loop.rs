@@ -225,7 +225,11 @@ fn the_loop_through_the_hand_does_not_swing_up() {
                     watched.most
                 );
                 // Swings get smaller, or are below what a finger feels as motion.
-                assert!(watched.growth < 0.05 + 0.15 * watched.late, "{name} {delay} {}", watched.growth);
+                assert!(
+                    watched.growth < 0.05 + 0.15 * watched.late,
+                    "{name} {delay} {}",
+                    watched.growth
+                );
                 if contacts[0] < 50.0 {
                     assert!(
                         watched.late < 0.2 + 20.0 * delay,

@@ -6,6 +6,7 @@
 //! Misuse: [`Motion::place`] sets the wanted pose without moving there. It is for enabling and homing, when wanted must become measured.
 
 pub mod cubic;
+pub mod follow;
 pub mod jog;
 pub mod program;
 pub mod ramp;
