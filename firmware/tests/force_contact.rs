@@ -294,14 +294,17 @@ fn the_mean_is_the_desired_force() {
         (Drive::Rigid, 0.0, 0.25),
         (Drive::Servo, COUNT, 0.25),
         (Drive::Lag { omega: 200.0 }, COUNT, 0.25),
-        (Drive::Rigid, COUNT, 0.4),
+        (Drive::Rigid, COUNT, 0.25),
     ] {
         let (mut stiffness, mut worst) = (50.0, (0.0f64, 0.0));
+        // From one count to the next and back takes seconds where one of them is near f_d: a mean over 3.6 s would be that of the moment.
+        let time = if count > 0.0 { 60.0 } else { 12.0 };
         while stiffness < 1000.0 {
             let contact = Contact {
                 drive,
                 count,
                 approach: 0.5,
+                time,
                 ..Contact::new(stiffness)
             };
             let outcome = quiet(&contact);
