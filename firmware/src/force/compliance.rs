@@ -17,7 +17,7 @@
 //!   nothing is nor keeps it where it shall not stay.
 //! - **Rest.** A drive with friction and lost motion does not follow a reference that creeps: the tool stands, the reference winds up against it, and some time later the tool goes
 //!   off by more than its error was. On a stiff contact (level 1 and more), while the desired position stands, the tool therefore moves at the creep rate v_c or not at
-//!   all. It comes to rest where the error falls below a quarter of D v_c, stays at rest while the error is below D v_c (f_d / 2 at most), and then goes again at v_c or faster. See
+//!   all. It comes to rest where the error falls below D v_c / 8, stays at rest while the error is below D v_c / 2 (f_d / 2 at most), and then goes again at v_c or faster. See
 //!   [`Law::resting_below`]; without a creep rate there is no rest.
 //!
 //! A change of gains or of f_d changes the acceleration; displacement and rate go on from where they are, so the tool does not jump. When `place` refuses the reference, [`Compliance::withhold`]
@@ -110,8 +110,8 @@ impl Law {
         let first = Pole::new(settings.mass, settings.damping, period_us);
         let mut added = [0; LEVELS];
         for (level, added) in added.iter_mut().enumerate() {
-            *added = (damping(settings, delay_us, level.min(highest)).0
-                - settings.damping.0) as i32;
+            *added =
+                (damping(settings, delay_us, level.min(highest)).0 - settings.damping.0) as i32;
         }
         Ok(Self {
             settings: settings.clone(),
@@ -458,7 +458,7 @@ impl Compliance {
             return (drive, level);
         }
         let error = drive.wrapping_abs();
-        let zone = creeping.min(law.settings.desired.0 / 2);
+        let zone = creeping.min(law.settings.desired.0) / 2;
         let going = self.rate.abs() > law.creep / 4 && (self.rate > 0) == (drive > 0);
         self.resting = error <= zone && (self.resting || !going || error <= zone / 4);
         if self.resting {
@@ -500,6 +500,8 @@ impl Compliance {
             Gate::Positive => self.upward,
             Gate::Negative => !self.upward,
         };
+        // From where it is desired only a force above f_d moves the tool, not what the guard holds against the desired motion.
+        let open = open && (self.away > 0 || outward(force) > desired);
         let most = if open { Force::MOST.0 } else { 0 };
         drive.min(most).max(-Force::MOST.0)
     }

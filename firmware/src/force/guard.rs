@@ -16,7 +16,8 @@
 //! revolution. Peak and deepest position belong together whatever the delay of the window or the drive, so the regression has no phase to lose. It counts when at least half of the change of the
 //! force is explained by the position, and when the force changes by more than [`NOISE`]. Cutting shows 10 N/mm or so: there the tool goes a long way with the force almost constant. Deepest is
 //! towards the side on which the tool is pressed. A force that changes its side, as along the axes across a plunge, is not that of one contact, and its regression begins anew: deepest positions of both sides
-//! in one regression would be a stiffness by themselves.
+//! in one regression would be a stiffness by themselves. Nor does it count while the loop is open: a tool that has not yielded, under a force up to f_d, stays where it is desired whatever the force does. So where a
+//! feed begins, and the force of the cut rises with it within some um, is no contact either.
 //!
 //! **The controller.** Level 0 is K_V alone and stands for k below 20 N/mm ([`ONSET`]). Level i stands for k up to 2^i of that, with K_V or more: four times the damping
 //! that the stiffest of these needs ([`super::compliance::MARGIN`]: two for the delay that friction adds, two for the gain margin), and with critical damping: less of it swings across the lost motion of
@@ -41,6 +42,10 @@ pub const NOISE: i64 = 3277;
 
 /// A deviation of the position of at least this is motion: 2^-20 mm, 0.5 um.
 const MOTION: i64 = 524;
+
+/// The least deviation of the position of which a stiffness is worked out: 2^-20 mm, 1.5 um, some times what is lost in the counts of an encoder. A force that comes and goes with less is no contact that moves
+/// the loop: the tool is pushed aside by a plunge, or stands.
+const TELLING: i64 = 1573;
 
 /// Looks without a contact so stiff after which a level may be left.
 pub const PATIENCE: u8 = 48;
@@ -155,8 +160,8 @@ impl Guard {
         });
     }
 
-    /// One look, four times in a revolution: the peak force, and the law that is to be guarded.
-    pub fn look(&mut self, force: Force, law: &Law) {
+    /// One look, four times in a revolution: the peak force, the law that is to be guarded, and whether the tool has yielded.
+    pub fn look(&mut self, force: Force, law: &Law, yielded: bool) {
         let highest = law.highest();
         let desired = law.settings().desired;
         self.touch = if force.magnitude() >= desired.magnitude() / 2 {
@@ -172,8 +177,12 @@ impl Guard {
             return;
         }
         let downward = force.0 < 0;
-        if downward != self.downward && force.magnitude() >= desired.magnitude() / 4 {
+        let turned = downward != self.downward && force.magnitude() >= desired.magnitude() / 4;
+        if turned {
             self.downward = downward;
+        }
+        let open = !yielded && force.magnitude() <= desired.magnitude();
+        if turned || open {
             self.begun = false;
             self.position_variance = 0;
             self.force_variance = 0;
@@ -184,10 +193,9 @@ impl Guard {
         let position = i64::from(deepest) << MEMORY;
         let seen = i64::from(force.held().0) << MEMORY;
         if !self.begun {
-            self.begun = true;
+            self.begun = !open;
             self.mean_position = position;
             self.mean_force = seen;
-            return;
         }
         let off = ((position - self.mean_position) >> MEMORY).clamp(-WIDEST, WIDEST);
         let more = ((seen - self.mean_force) >> MEMORY).clamp(-WIDEST, WIDEST);
@@ -224,7 +232,8 @@ impl Guard {
 
     fn judge_stiffness(&mut self, highest: usize, now: (i32, i32)) {
         let mut level = 0;
-        if self.covariance < 0 && self.explained() {
+        let telling = self.position_variance >= TELLING * TELLING;
+        if telling && self.covariance < 0 && self.explained() {
             // N/mm are 2^-4 raw units of force per raw unit of position, and the onset has 8 more bits.
             let fell = -self.covariance;
             let mut edge = stiff(self.position_variance);

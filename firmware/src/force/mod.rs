@@ -270,7 +270,9 @@ impl ForceControl {
             axis.until_look = axis.until_look.saturating_sub(1);
             if axis.until_look == 0 {
                 axis.until_look = (axis.peaks.window().samples() / 4).max(1) as u16;
-                axis.guard.look(axis.extremes.peak(), axis.compliance.law());
+                let yielded = axis.compliance.displacement() != Displacement::default();
+                axis.guard
+                    .look(axis.extremes.peak(), axis.compliance.law(), yielded);
                 if component == 0 {
                     self.conditioner.set_table(table);
                 }
