@@ -51,6 +51,38 @@ pub struct ForceSample {
     pub overload: bool,
 }
 
+/// Legs of the haptic arm.
+pub const LEGS: usize = 3;
+
+/// What the hardware of one leg of the haptic arm says, latched at the start of the period (spec h4-milling.md 2.2).
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct LegInputs {
+    /// Quadrature x4 counters, free running, wrapping around: the slide d, the turn theta3 about its axis, the angle theta4 of the link.
+    pub counts: [i32; 3],
+    /// Illegal transitions of the three encoders, free running, wrapping around.
+    pub illegal: [u16; 3],
+}
+
+/// What the haptic arm's hardware says, latched at the start of the period.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct HapticInputs {
+    /// The legs.
+    pub legs: [LegInputs; LEGS],
+    /// The button on the handle is held: the hand leads the tool. Let go, the handle moves alone (the clutch).
+    pub engaged: bool,
+    /// The amplifiers report that they are well.
+    pub drives_ready: bool,
+}
+
+/// Current commands of the haptic arm's amplifiers, effective at the start of the next period.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct HapticOutputs {
+    /// Amplifiers enabled.
+    pub enabled: bool,
+    /// Codes of 14-bit converters, -8192 to 8191: for each leg the force along its slide (f_j), then the torque about it (tau_j).
+    pub currents: [[i16; 2]; LEGS],
+}
+
 /// All that is sensed, latched at the start of the period.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Inputs {
