@@ -1,9 +1,11 @@
-//! Writing a recording: the caller fills blocks of memory, a second thread hashes them and writes them to disk.
+//! Writing a recording: the caller fills blocks of memory, a second thread checks, hashes and writes them to disk.
 //!
-//! A block is handed over when it is full and comes back when it is on disk, so a disk that is too slow for a while costs memory of a few blocks
-//! and then time, never a record.
+//! A block is handed over when it is full, and the memory of one comes back when it is on disk, so a disk that is too slow for a while costs memory of a
+//! few blocks and then time, never a record.
 
-use super::{Header, RECORD_BYTES, Record};
+use super::blocks::{HEAD_BYTES, Head, Kind};
+use super::{Header, RECORD_BYTES, Record, Tape};
+use haptimill_firmware::io::{Inputs, Outputs};
 use sha2::{Digest, Sha256};
 use std::fmt::Write as _;
 use std::fs::File;
@@ -18,14 +20,27 @@ const BLOCK_RECORDS: usize = 2048;
 /// Blocks under way.
 const BLOCKS: usize = 8;
 
+/// A block for the disk.
+struct Full {
+    kind: Kind,
+    count: u32,
+    contents: Vec<u8>,
+}
+
 /// Writes a recording. Dropped without [`Recorder::finish`], it leaves what was recorded so far readable.
 pub struct Recorder {
     block: Vec<u8>,
-    full: Option<SyncSender<Vec<u8>>>,
+    tape: Option<Tape>,
+    full: Option<SyncSender<Full>>,
     empty: Receiver<Vec<u8>>,
-    writer: Option<JoinHandle<io::Result<[u8; 32]>>>,
+    writer: Option<JoinHandle<io::Result<Written>>>,
     records: u64,
-    header_bytes: u64,
+}
+
+/// What the second thread did.
+struct Written {
+    bytes: u64,
+    sha256: [u8; 32],
 }
 
 /// A recording that is whole and on disk.
@@ -45,33 +60,48 @@ impl Recorder {
     /// # Errors
     /// The file cannot be created.
     pub fn create(path: &Path, header: &Header) -> io::Result<Self> {
-        let mut file = File::create(path)?;
+        let file = File::create(path)?;
         let header = header.encode();
-        let header_bytes = header.len() as u64;
-        let (full, blocks) = sync_channel::<Vec<u8>>(BLOCKS);
+        let (full, blocks) = sync_channel(BLOCKS);
         let (back, empty) = sync_channel::<Vec<u8>>(BLOCKS + 1);
         let writer = std::thread::spawn(move || {
-            let mut hash = Sha256::new();
-            hash.update(&header);
-            file.write_all(&header)?;
-            for mut block in blocks {
-                hash.update(&block);
-                file.write_all(&block)?;
-                block.clear();
-                // The recorder may be gone already; its blocks are then of no use.
-                let _ = back.try_send(block);
-            }
-            file.flush()?;
-            Ok(hash.finalize().into())
+            write(file, &header, &blocks, |mut memory| {
+                memory.clear();
+                // The recorder may be gone already; its memory is then of no use.
+                let _ = back.try_send(memory);
+            })
         });
         Ok(Self {
             block: Vec::with_capacity(BLOCK_RECORDS * RECORD_BYTES),
+            tape: None,
             full: Some(full),
             empty,
             writer: Some(writer),
             records: 0,
-            header_bytes,
         })
+    }
+
+    /// Goes on with a tape that has all periods of the controller up to now; [`Recorder::period`] must be told each that follows.
+    pub fn take_up(&mut self, mut tape: Tape) {
+        if !tape.is_whole() {
+            return;
+        }
+        for block in tape.take() {
+            send(&self.full, Kind::Periods, block.count, block.bytes);
+        }
+        self.tape = Some(tape);
+    }
+
+    /// Takes down a period of the tape that was taken up; without one, nothing.
+    #[inline]
+    pub fn period(&mut self, inputs: &Inputs, outputs: &Outputs) {
+        let Some(tape) = &mut self.tape else {
+            return;
+        };
+        tape.add(inputs, outputs);
+        for block in tape.take() {
+            send(&self.full, Kind::Periods, block.count, block.bytes);
+        }
     }
 
     /// Records a period. A failure of the disk is said by [`Recorder::finish`].
@@ -84,7 +114,17 @@ impl Recorder {
         }
     }
 
-    /// Hands what was recorded so far to the disk, unless that is behind: this never waits. If the process dies later, what was spilled stays.
+    /// Records what happened, in words; `level` is 0 for news, 1 for a warning, 2 for an error.
+    pub fn event(&mut self, period: u64, level: u8, text: &str) {
+        let text = &text.as_bytes()[..text.len().min(usize::from(u16::MAX))];
+        let mut contents = period.to_le_bytes().to_vec();
+        contents.push(level);
+        contents.extend_from_slice(&(text.len() as u16).to_le_bytes());
+        contents.extend_from_slice(text);
+        send(&self.full, Kind::Events, 1, contents);
+    }
+
+    /// Hands the records so far to the disk, unless that is behind: this never waits. If the process dies later, what was spilled stays.
     pub fn spill(&mut self) {
         let Some(full) = &self.full else {
             return;
@@ -92,8 +132,8 @@ impl Recorder {
         if self.block.is_empty() {
             return;
         }
-        match full.try_send(std::mem::take(&mut self.block)) {
-            Err(TrySendError::Full(block)) => self.block = block,
+        match full.try_send(records(std::mem::take(&mut self.block))) {
+            Err(TrySendError::Full(block)) => self.block = block.contents,
             // Handed over; or the writer ended with an error, which `finish` tells.
             Ok(()) | Err(TrySendError::Disconnected(_)) => self.block = self.fresh_block(),
         }
@@ -112,11 +152,8 @@ impl Recorder {
     #[cold]
     fn hand_over(&mut self) {
         let fresh = self.fresh_block();
-        let block = std::mem::replace(&mut self.block, fresh);
-        if let Some(full) = &self.full {
-            // Fails only when the writer ended with an error, which `finish` tells.
-            let _ = full.send(block);
-        }
+        let block = records(std::mem::replace(&mut self.block, fresh));
+        send(&self.full, block.kind, block.count, block.contents);
     }
 
     /// Writes the rest and waits until all is handed to the system.
@@ -124,23 +161,35 @@ impl Recorder {
     /// # Errors
     /// The disk is full, or the like; the file ends where it did.
     pub fn finish(mut self) -> io::Result<Recorded> {
-        let hash = self.close()?;
+        self.rest();
+        send(&self.full, Kind::End, self.records as u32, Vec::new());
+        let written = self.close()?;
         let mut sha256 = String::with_capacity(64);
-        for byte in hash {
+        for byte in written.sha256 {
             // Writing to a string cannot fail.
             let _ = write!(sha256, "{byte:02x}");
         }
         Ok(Recorded {
             records: self.records,
-            bytes: self.header_bytes + self.records * RECORD_BYTES as u64,
+            bytes: written.bytes,
             sha256,
         })
     }
 
-    fn close(&mut self) -> io::Result<[u8; 32]> {
+    /// Hands over blocks that are not full.
+    fn rest(&mut self) {
         if !self.block.is_empty() {
             self.hand_over();
         }
+        if let Some(mut tape) = self.tape.take() {
+            tape.close();
+            for block in tape.take() {
+                send(&self.full, Kind::Periods, block.count, block.bytes);
+            }
+        }
+    }
+
+    fn close(&mut self) -> io::Result<Written> {
         self.full = None;
         let gone = || Err(io::Error::other("the writing thread ended unexpectedly"));
         match self.writer.take() {
@@ -153,7 +202,56 @@ impl Recorder {
 impl Drop for Recorder {
     fn drop(&mut self) {
         if self.writer.is_some() {
+            self.rest();
             let _ = self.close();
         }
     }
+}
+
+fn records(contents: Vec<u8>) -> Full {
+    Full {
+        kind: Kind::Records,
+        count: (contents.len() / RECORD_BYTES) as u32,
+        contents,
+    }
+}
+
+fn send(full: &Option<SyncSender<Full>>, kind: Kind, count: u32, contents: Vec<u8>) {
+    if let Some(full) = full {
+        // Fails only when the writer ended with an error, which `finish` tells.
+        let _ = full.send(Full {
+            kind,
+            count,
+            contents,
+        });
+    }
+}
+
+/// The second thread.
+fn write(
+    mut file: File,
+    header: &[u8],
+    blocks: &Receiver<Full>,
+    give_back: impl Fn(Vec<u8>),
+) -> io::Result<Written> {
+    let mut hash = Sha256::new();
+    hash.update(header);
+    file.write_all(header)?;
+    let mut bytes = header.len() as u64;
+    for block in blocks {
+        let head = Head::of(block.kind, block.count, &block.contents).encode();
+        hash.update(head);
+        hash.update(&block.contents);
+        file.write_all(&head)?;
+        file.write_all(&block.contents)?;
+        bytes += (HEAD_BYTES + block.contents.len()) as u64;
+        if block.kind == Kind::Records {
+            give_back(block.contents);
+        }
+    }
+    file.flush()?;
+    Ok(Written {
+        bytes,
+        sha256: hash.finalize().into(),
+    })
 }
