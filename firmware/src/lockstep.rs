@@ -150,6 +150,17 @@ impl ToBoard {
     /// The frame.
     #[must_use]
     pub fn encode(&self) -> [u8; TO_BOARD_BYTES] {
+        self.words().into_bytes()
+    }
+
+    /// The frame without its check; see [`seal`].
+    #[must_use]
+    pub fn encode_unsealed(&self) -> [u8; TO_BOARD_BYTES] {
+        self.words().into_unsealed()
+    }
+
+    #[inline(always)]
+    fn words(&self) -> Words<TO_BOARD_WORDS> {
         let mut words = Words::<TO_BOARD_WORDS>::new();
         match self {
             Self::Begin { period_us } => {
@@ -170,7 +181,7 @@ impl ToBoard {
             }
             Self::End => words.begin(3),
         }
-        words.into_bytes()
+        words
     }
 
     /// What a frame says.
@@ -214,6 +225,17 @@ impl FromBoard {
     #[cold]
     #[inline(never)]
     pub fn encode(&self) -> [u8; FROM_BOARD_BYTES] {
+        self.words().into_bytes()
+    }
+
+    /// The frame without its check; see [`seal`].
+    #[must_use]
+    pub fn encode_unsealed(&self) -> [u8; FROM_BOARD_BYTES] {
+        self.words().into_unsealed()
+    }
+
+    #[inline(always)]
+    fn words(&self) -> Words<FROM_BOARD_WORDS> {
         let mut words = Words::<FROM_BOARD_WORDS>::new();
         match self {
             Self::Hello => words.begin(1),
@@ -230,7 +252,7 @@ impl FromBoard {
                 words.put(*ring_peak);
             }
         }
-        words.into_bytes()
+        words
     }
 
     /// What a frame says.
@@ -494,8 +516,12 @@ impl<const N: usize> Words<N> {
     }
 
     fn into_bytes<const B: usize>(mut self) -> [u8; B] {
-        const { assert!(B == 4 * N) };
         self.words[N - 1] = self.check();
+        self.into_unsealed()
+    }
+
+    fn into_unsealed<const B: usize>(self) -> [u8; B] {
+        const { assert!(B == 4 * N) };
         let mut bytes = [0; B];
         for (cell, word) in bytes.as_chunks_mut::<4>().0.iter_mut().zip(self.words) {
             *cell = word.to_le_bytes();

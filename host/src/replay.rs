@@ -7,7 +7,7 @@
 //!
 //! Misuse: equal says that this program and the one that recorded behave alike on these inputs, not that either of them is right.
 
-use crate::record::{Header, Period, Record, Records, Recording, RecordingError, unequal};
+use crate::record::{Header, Period, Record, Recording, RecordingError, Records, unequal};
 use haptimill_firmware::controller::Controller;
 use haptimill_firmware::io::Outputs;
 use serde::Serialize;
@@ -164,7 +164,11 @@ fn record_of(
 }
 
 /// The first thing that was said otherwise.
-fn said(recorded: &Outputs, replayed: &Outputs, header: &Header) -> Option<(String, String, String)> {
+fn said(
+    recorded: &Outputs,
+    replayed: &Outputs,
+    header: &Header,
+) -> Option<(String, String, String)> {
     if recorded == replayed {
         return None;
     }

@@ -69,7 +69,9 @@ impl Head {
         };
         let sound = CRC.checksum(&bytes[..16]) == word(16)
             && match kind {
-                Kind::Records => u64::from(head.bytes) == u64::from(head.count) * RECORD_BYTES as u64,
+                Kind::Records => {
+                    u64::from(head.bytes) == u64::from(head.count) * RECORD_BYTES as u64
+                }
                 // Each takes a byte at least.
                 Kind::Periods | Kind::Events => head.count <= head.bytes,
                 Kind::End => head.bytes == 0,

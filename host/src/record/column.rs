@@ -118,7 +118,12 @@ pub fn columns(recording: &Recording) -> Vec<Column> {
         Column::plain("path_rate", "state", "", Field::PathRate),
         Column::plain("spindle_rpm", "state", "rpm", Field::Spindle),
         Column::plain("homed", "state", "", Field::Flag(flag::HOMED)),
-        Column::plain("position_kept", "state", "", Field::Flag(flag::POSITION_KEPT)),
+        Column::plain(
+            "position_kept",
+            "state",
+            "",
+            Field::Flag(flag::POSITION_KEPT),
+        ),
     ];
     let unit = |kind: AxisKind| match kind {
         AxisKind::Linear => "mm",
@@ -134,7 +139,12 @@ pub fn columns(recording: &Recording) -> Vec<Column> {
         for (axis, (name, shape)) in header.pose.iter().zip(&config.pose).enumerate() {
             let unit = unit(shape.kind);
             let field = Field::Axis(row, axis, scales[axis]);
-            all.push(Column::plain(&format!("{name}_{group}_{unit}"), group, unit, field));
+            all.push(Column::plain(
+                &format!("{name}_{group}_{unit}"),
+                group,
+                unit,
+                field,
+            ));
         }
     }
     let joints: [(&'static str, fn(&Record) -> &Axes); 3] = [
@@ -147,12 +157,27 @@ pub fn columns(recording: &Recording) -> Vec<Column> {
         for (axis, (name, shape)) in header.joints.iter().zip(&config.joints).enumerate() {
             let unit = unit(shape.kind);
             let field = Field::Axis(row, axis, scales[axis]);
-            all.push(Column::plain(&format!("{name}_{group}_{unit}"), group, unit, field));
+            all.push(Column::plain(
+                &format!("{name}_{group}_{unit}"),
+                group,
+                unit,
+                field,
+            ));
         }
     }
-    for (axis, (name, (scale, unit))) in header.joints.iter().zip(recording.drive_units()).enumerate() {
+    for (axis, (name, (scale, unit))) in header
+        .joints
+        .iter()
+        .zip(recording.drive_units())
+        .enumerate()
+    {
         let field = Field::Axis(|record| &record.drive, axis, scale);
-        all.push(Column::plain(&format!("{name}_drive_{unit}"), "drive", unit, field));
+        all.push(Column::plain(
+            &format!("{name}_drive_{unit}"),
+            "drive",
+            unit,
+            field,
+        ));
     }
     const NEWTON: f64 = 1.0 / 65_536.0;
     type Forces = fn(&Record) -> &[i32; COMPONENTS];
@@ -165,7 +190,12 @@ pub fn columns(recording: &Recording) -> Vec<Column> {
     for (group, unit, row, scale) in forces {
         for (axis, name) in ["x", "y", "z"].iter().enumerate() {
             let field = Field::Force(row, axis, scale);
-            all.push(Column::plain(&format!("{name}_{group}_{unit}"), group, unit, field));
+            all.push(Column::plain(
+                &format!("{name}_{group}_{unit}"),
+                group,
+                unit,
+                field,
+            ));
         }
     }
     all
@@ -179,7 +209,10 @@ impl Selection {
     /// Reads a list of names.
     #[must_use]
     pub fn new(text: &str) -> Self {
-        let names = text.split(',').map(str::trim).filter(|name| !name.is_empty());
+        let names = text
+            .split(',')
+            .map(str::trim)
+            .filter(|name| !name.is_empty());
         Self(names.map(str::to_string).collect())
     }
 
@@ -192,7 +225,10 @@ impl Selection {
         for pattern in &self.0 {
             let pattern = pattern.as_bytes();
             let mut found = false;
-            for column in columns.iter().filter(|column| matches(pattern, column.name.as_bytes())) {
+            for column in columns
+                .iter()
+                .filter(|column| matches(pattern, column.name.as_bytes()))
+            {
                 found = true;
                 if chosen.iter().all(|known| known.name != column.name) {
                     chosen.push(column.clone());
@@ -255,7 +291,11 @@ mod tests {
             ("state", "states", false),
             ("", "state", false),
         ] {
-            assert_eq!(matches(pattern.as_bytes(), name.as_bytes()), fits, "{pattern} {name}");
+            assert_eq!(
+                matches(pattern.as_bytes(), name.as_bytes()),
+                fits,
+                "{pattern} {name}"
+            );
         }
     }
 

@@ -191,8 +191,11 @@ impl<W: Write + Seek> Export<'_, W> {
             let title = format!("haptimill{}", topic.replace('/', "."));
             let schema = schema(&title, &fields).to_string();
             let none = BTreeMap::new();
-            let schema = self.writer.add_schema(&title, "jsonschema", schema.as_bytes());
-            let id = schema.and_then(|schema| self.writer.add_channel(schema, &topic, "json", &none));
+            let schema = self
+                .writer
+                .add_schema(&title, "jsonschema", schema.as_bytes());
+            let id =
+                schema.and_then(|schema| self.writer.add_channel(schema, &topic, "json", &none));
             topics.push(Topic {
                 id: id.map_err(failed)?,
                 sequence: 0,
@@ -200,8 +203,13 @@ impl<W: Write + Seek> Export<'_, W> {
             });
         }
         let log = log_schema().to_string();
-        let log = self.writer.add_schema("foxglove.Log", "jsonschema", log.as_bytes());
-        let log = log.and_then(|log| self.writer.add_channel(log, EVENTS, "json", &BTreeMap::new()));
+        let log = self
+            .writer
+            .add_schema("foxglove.Log", "jsonschema", log.as_bytes());
+        let log = log.and_then(|log| {
+            self.writer
+                .add_channel(log, EVENTS, "json", &BTreeMap::new())
+        });
         let log = log.map_err(failed)?;
         let events = recording.events()?;
         let mut events = (0_u32..).zip(events).peekable();
@@ -225,7 +233,9 @@ impl<W: Write + Seek> Export<'_, W> {
         for (sequence, event) in events {
             self.event(log, sequence, &event)?;
         }
-        self.writer.finish().map_err(|error| super::mcap::failed(self.path, error))?;
+        self.writer
+            .finish()
+            .map_err(|error| super::mcap::failed(self.path, error))?;
         Ok(topics.len() + 1)
     }
 
@@ -240,10 +250,16 @@ impl<W: Write + Seek> Export<'_, W> {
             ("machine", header.machine.clone()),
             ("program", header.program.clone()),
             ("recorded_by", format!("haptimill {}", header.software)),
-            ("written_by", concat!("haptimill ", env!("CARGO_PKG_VERSION")).to_string()),
+            (
+                "written_by",
+                concat!("haptimill ", env!("CARGO_PKG_VERSION")).to_string(),
+            ),
             ("message_schema", format!("{:016x}", header.schema)),
             ("configuration_crc", format!("{:08x}", header.config_crc)),
-            ("control_period_us", recording.config().period_us.to_string()),
+            (
+                "control_period_us",
+                recording.config().period_us.to_string(),
+            ),
             ("every_control_periods", thinning.every.to_string()),
             ("records", recording.records().to_string()),
             ("recording_whole", recording.is_whole().to_string()),
@@ -258,9 +274,17 @@ impl<W: Write + Seek> Export<'_, W> {
             name => name,
         };
         let attachments = [
-            ("machine.toml", "application/toml", header.machine_text.as_bytes()),
+            (
+                "machine.toml",
+                "application/toml",
+                header.machine_text.as_bytes(),
+            ),
             (program, "text/plain", header.program_text.as_slice()),
-            ("configuration.postcard", "application/octet-stream", header.config.as_slice()),
+            (
+                "configuration.postcard",
+                "application/octet-stream",
+                header.config.as_slice(),
+            ),
         ];
         let mut done = self.writer.write_metadata(&metadata);
         for (name, media_type, data) in attachments {
@@ -295,7 +319,10 @@ impl<W: Write + Seek> Export<'_, W> {
             // Writing to a string cannot fail; no name has a letter that JSON would quote otherwise.
             let _ = match column.value(record, time_s) {
                 Some(Value::Real(value, decimals)) => {
-                    write!(text, "{}:{value:.decimals$}", quoted(name))
+                    let from = text.len();
+                    let done = write!(text, "{}:{value:.decimals$}", quoted(name));
+                    shorten(text, from);
+                    done
                 }
                 Some(Value::Whole(value)) => write!(text, "{}:{value}", quoted(name)),
                 Some(Value::Flag(set)) => write!(text, "{}:{set}", quoted(name)),
@@ -342,8 +369,18 @@ impl<W: Write + Seek> Export<'_, W> {
             publish_time: time,
         };
         self.messages += 1;
-        let written = self.writer.write_to_known_channel(&header, self.text.as_bytes());
+        let written = self
+            .writer
+            .write_to_known_channel(&header, self.text.as_bytes());
         written.map_err(|error| failed(self.path, error))
+    }
+}
+
+/// Takes zeros from the end of a decimal fraction that begins behind `from`: a third of all digits.
+fn shorten(text: &mut String, from: usize) {
+    if text[from..].contains('.') {
+        let kept = text.trim_end_matches('0').trim_end_matches('.').len();
+        text.truncate(kept);
     }
 }
 

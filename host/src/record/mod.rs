@@ -30,7 +30,7 @@
 //!
 //! | block | |
 //! | --- | --- |
-//! | 4 bytes | what it has: `RECS` records, `PERI` periods (see `tape.rs`), `EVNT` events, `DONE` nothing: the recording is whole |
+//! | 4 bytes | what it has: `RECS` records, `PERI` periods (see [`haptimill_hil_sim::tape`]), `EVNT` events, `DONE` nothing: the recording is whole |
 //! | u32 n | bytes of its contents |
 //! | u32 | how many records, periods or events; in `DONE` how many records there are in all |
 //! | u32 | CRC-32 of the contents |
@@ -68,7 +68,6 @@ mod export;
 mod header;
 mod mcap;
 mod reader;
-mod tape;
 #[cfg(test)]
 pub(crate) mod tests;
 mod writer;
@@ -79,8 +78,9 @@ pub use export::{Thinning, export_csv, export_table};
 pub use header::Header;
 pub use mcap::{MCAP_RATE, McapWritten, write_mcap};
 pub use reader::{Happening, Periods, Recording, RecordingError, Records};
-pub use tape::{Period, Tape};
 pub use writer::{Recorded, Recorder};
+
+pub use haptimill_hil_sim::tape::{Period, Tape};
 
 use haptimill_firmware::io::COMPONENTS;
 use haptimill_firmware::reading::{ForceReading, Reading};
@@ -93,7 +93,8 @@ const MAGIC: &[u8; 8] = b"HMRECORD";
 const VERSION: u16 = 3;
 
 /// Check of everything in a recording.
-const CRC: crc::Crc<u32, crc::Table<16>> = crc::Crc::<u32, crc::Table<16>>::new(&crc::CRC_32_ISO_HDLC);
+const CRC: crc::Crc<u32, crc::Table<16>> =
+    crc::Crc::<u32, crc::Table<16>>::new(&crc::CRC_32_ISO_HDLC);
 
 /// Flags of a record.
 pub mod flag {

@@ -2,9 +2,9 @@
 
 use super::blocks::{HEAD_BYTES, Head, Kind};
 use super::header::{Cursor, START_BYTES};
-use super::tape::{Period, Reel};
 use super::{CRC, Header, MAGIC, RECORD_BYTES, Record, VERSION};
 use haptimill_firmware::config::{AxisKind, Config, Drive};
+use haptimill_hil_sim::tape::{Period, Reel};
 use sha2::{Digest, Sha256};
 use std::collections::VecDeque;
 use std::fmt::{self, Write as _};
@@ -128,7 +128,11 @@ impl Recording {
                 Kind::Events => {}
                 Kind::End => {
                     if head.count != self.records as u32 {
-                        return Err(damaged(&self.path, at, "records are missing before the end"));
+                        return Err(damaged(
+                            &self.path,
+                            at,
+                            "records are missing before the end",
+                        ));
                     }
                     self.whole = true;
                 }
@@ -349,7 +353,9 @@ fn read_header(
             "is a recording of version {version}, this program reads version {VERSION}; use the version of haptimill that recorded it"
         )));
     }
-    let header_bytes = u64::from(u32::from_le_bytes([start[12], start[13], start[14], start[15]]));
+    let header_bytes = u64::from(u32::from_le_bytes([
+        start[12], start[13], start[14], start[15],
+    ]));
     let damage = || format("is damaged in its header (before byte 16); take it from a copy".into());
     if header_bytes < START_BYTES as u64 + 4 || header_bytes > MOST_HEADER_BYTES {
         return Err(damage());
@@ -414,7 +420,11 @@ impl Blocks {
         self.file.read_exact(&mut contents).map_err(io)?;
         if CRC.checksum(&contents) != place.head.crc {
             let at = place.offset - HEAD_BYTES as u64;
-            return Err(damaged(&self.path, at, "the check of the block there fails"));
+            return Err(damaged(
+                &self.path,
+                at,
+                "the check of the block there fails",
+            ));
         }
         Ok(contents)
     }

@@ -186,9 +186,15 @@ fn read_all(path: &std::path::Path) -> Result<(u64, u64, bool), RecordingError> 
         periods += 1;
     }
     for event in recording.events()? {
-        assert_eq!((event.period, event.text.as_str()), (3, "the slide is warm"));
+        assert_eq!(
+            (event.period, event.text.as_str()),
+            (3, "the slide is warm")
+        );
     }
-    assert_eq!((records, periods), (recording.records(), recording.periods()));
+    assert_eq!(
+        (records, periods),
+        (recording.records(), recording.periods())
+    );
     Ok((records, periods, recording.is_whole()))
 }
 
@@ -217,42 +223,57 @@ fn any_period() -> impl Strategy<Value = Period> {
     let command = prop_oneof![
         Just(DriveCommand::Off),
         any::<i16>().prop_map(DriveCommand::Torque),
-        (any::<i16>(), word(), word()).prop_map(|(count, delay, ramp)| DriveCommand::Steps(StepSegment {
-            count,
-            delay: delay as u32,
-            interval: 0,
-            ramp,
-        })),
+        (any::<i16>(), word(), word()).prop_map(|(count, delay, ramp)| DriveCommand::Steps(
+            StepSegment {
+                count,
+                delay: delay as u32,
+                interval: 0,
+                ramp,
+            }
+        )),
     ];
     let bytes = || prop::collection::vec(any::<u8>(), 0..=64);
     (
-        (any::<u64>(), any::<u16>(), word(), any::<[i16; 3]>(), any::<(u16, u16, bool, bool)>()),
+        (
+            any::<u64>(),
+            any::<u16>(),
+            word(),
+            any::<[i16; 3]>(),
+            any::<(u16, u16, bool, bool)>(),
+        ),
         prop::array::uniform6(axis),
         prop::array::uniform6(command),
         (any::<i16>(), bytes(), bytes()),
     )
-        .prop_map(|((period, missed, time, codes, line), axes, commands, (spindle_rpm, received, transmit))| {
-            let mut inputs = Inputs {
-                period,
-                missed,
-                time_ns: time as u32,
+        .prop_map(
+            |(
+                (period, missed, time, codes, line),
                 axes,
-                waiting: line.0,
-                lost_bytes: line.1,
-                urgent: line.2,
-                emergency_stop: line.3,
-                received: heapless::Vec::from_slice(&received).unwrap(),
-                ..Inputs::default()
-            };
-            inputs.force.codes = codes;
-            let outputs = Outputs {
-                axes: commands,
-                spindle_rpm,
-                transmit: heapless::Vec::from_slice(&transmit).unwrap(),
-                ..Outputs::default()
-            };
-            Period { inputs, outputs }
-        })
+                commands,
+                (spindle_rpm, received, transmit),
+            )| {
+                let mut inputs = Inputs {
+                    period,
+                    missed,
+                    time_ns: time as u32,
+                    axes,
+                    waiting: line.0,
+                    lost_bytes: line.1,
+                    urgent: line.2,
+                    emergency_stop: line.3,
+                    received: heapless::Vec::from_slice(&received).unwrap(),
+                    ..Inputs::default()
+                };
+                inputs.force.codes = codes;
+                let outputs = Outputs {
+                    axes: commands,
+                    spindle_rpm,
+                    transmit: heapless::Vec::from_slice(&transmit).unwrap(),
+                    ..Outputs::default()
+                };
+                Period { inputs, outputs }
+            },
+        )
 }
 
 #[test]

@@ -1,10 +1,10 @@
-//! Writing a recording: the caller fills blocks of memory, a second thread checks, hashes and writes them to disk.
+//! Writing a recording: the caller fills blocks of memory, a second thread codes, checks, hashes and writes them to disk.
 //!
 //! A block is handed over when it is full, and the memory of one comes back when it is on disk, so a disk that is too slow for a while costs memory of a
 //! few blocks and then time, never a record.
 
-use super::blocks::{HEAD_BYTES, Head, Kind};
-use super::{Header, RECORD_BYTES, Record, Tape};
+use super::blocks::{Head, Kind};
+use super::{Header, Period, RECORD_BYTES, Record, Tape};
 use haptimill_firmware::io::{Inputs, Outputs};
 use sha2::{Digest, Sha256};
 use std::fmt::Write as _;
@@ -17,22 +17,40 @@ use std::thread::JoinHandle;
 /// Records in a block: 492 kB.
 const BLOCK_RECORDS: usize = 2048;
 
-/// Blocks under way.
-const BLOCKS: usize = 8;
+/// Periods that are handed over at once: 160 kB.
+const BATCH_PERIODS: usize = 256;
 
-/// A block for the disk.
-struct Full {
-    kind: Kind,
-    count: u32,
-    contents: Vec<u8>,
+/// Blocks and batches under way.
+const BLOCKS: usize = 24;
+
+/// What the second thread is given.
+enum Task {
+    /// A block as it stands on disk.
+    Block {
+        kind: Kind,
+        count: u32,
+        contents: Vec<u8>,
+    },
+    /// A tape to be written, and to go on with.
+    Tape(Tape),
+    /// The next periods of the tape.
+    Periods(Vec<Period>),
+}
+
+/// Memory that the second thread gives back.
+struct Memory {
+    blocks: SyncSender<Vec<u8>>,
+    batches: SyncSender<Vec<Period>>,
 }
 
 /// Writes a recording. Dropped without [`Recorder::finish`], it leaves what was recorded so far readable.
 pub struct Recorder {
     block: Vec<u8>,
-    tape: Option<Tape>,
-    full: Option<SyncSender<Full>>,
+    /// Periods that are not handed over yet, if a tape was taken up.
+    periods: Option<Vec<Period>>,
+    full: Option<SyncSender<Task>>,
     empty: Receiver<Vec<u8>>,
+    empty_batches: Receiver<Vec<Period>>,
     writer: Option<JoinHandle<io::Result<Written>>>,
     records: u64,
 }
@@ -62,45 +80,45 @@ impl Recorder {
     pub fn create(path: &Path, header: &Header) -> io::Result<Self> {
         let file = File::create(path)?;
         let header = header.encode();
-        let (full, blocks) = sync_channel(BLOCKS);
-        let (back, empty) = sync_channel::<Vec<u8>>(BLOCKS + 1);
-        let writer = std::thread::spawn(move || {
-            write(file, &header, &blocks, |mut memory| {
-                memory.clear();
-                // The recorder may be gone already; its memory is then of no use.
-                let _ = back.try_send(memory);
-            })
-        });
+        let (full, tasks) = sync_channel(BLOCKS);
+        let (blocks, empty) = sync_channel(BLOCKS + 1);
+        let (batches, empty_batches) = sync_channel(BLOCKS + 1);
+        let memory = Memory { blocks, batches };
+        let writer = std::thread::spawn(move || write(file, &header, &tasks, &memory));
         Ok(Self {
             block: Vec::with_capacity(BLOCK_RECORDS * RECORD_BYTES),
-            tape: None,
+            periods: None,
             full: Some(full),
             empty,
+            empty_batches,
             writer: Some(writer),
             records: 0,
         })
     }
 
     /// Goes on with a tape that has all periods of the controller up to now; [`Recorder::period`] must be told each that follows.
-    pub fn take_up(&mut self, mut tape: Tape) {
-        if !tape.is_whole() {
-            return;
+    pub fn take_up(&mut self, tape: Tape) {
+        if tape.is_whole() {
+            self.send(Task::Tape(tape));
+            self.periods = Some(Vec::with_capacity(BATCH_PERIODS));
         }
-        for block in tape.take() {
-            send(&self.full, Kind::Periods, block.count, block.bytes);
-        }
-        self.tape = Some(tape);
     }
 
     /// Takes down a period of the tape that was taken up; without one, nothing.
     #[inline]
     pub fn period(&mut self, inputs: &Inputs, outputs: &Outputs) {
-        let Some(tape) = &mut self.tape else {
+        let Some(periods) = &mut self.periods else {
             return;
         };
-        tape.add(inputs, outputs);
-        for block in tape.take() {
-            send(&self.full, Kind::Periods, block.count, block.bytes);
+        periods.push(Period {
+            inputs: inputs.clone(),
+            outputs: outputs.clone(),
+        });
+        if periods.len() == BATCH_PERIODS {
+            let fresh = self.empty_batches.try_recv();
+            let fresh = fresh.unwrap_or_else(|_| Vec::with_capacity(BATCH_PERIODS));
+            let batch = std::mem::replace(periods, fresh);
+            self.send(Task::Periods(batch));
         }
     }
 
@@ -121,7 +139,11 @@ impl Recorder {
         contents.push(level);
         contents.extend_from_slice(&(text.len() as u16).to_le_bytes());
         contents.extend_from_slice(text);
-        send(&self.full, Kind::Events, 1, contents);
+        self.send(Task::Block {
+            kind: Kind::Events,
+            count: 1,
+            contents,
+        });
     }
 
     /// Hands the records so far to the disk, unless that is behind: this never waits. If the process dies later, what was spilled stays.
@@ -133,9 +155,9 @@ impl Recorder {
             return;
         }
         match full.try_send(records(std::mem::take(&mut self.block))) {
-            Err(TrySendError::Full(block)) => self.block = block.contents,
+            Err(TrySendError::Full(Task::Block { contents, .. })) => self.block = contents,
             // Handed over; or the writer ended with an error, which `finish` tells.
-            Ok(()) | Err(TrySendError::Disconnected(_)) => self.block = self.fresh_block(),
+            _ => self.block = self.fresh_block(),
         }
     }
 
@@ -152,8 +174,15 @@ impl Recorder {
     #[cold]
     fn hand_over(&mut self) {
         let fresh = self.fresh_block();
-        let block = records(std::mem::replace(&mut self.block, fresh));
-        send(&self.full, block.kind, block.count, block.contents);
+        let block = std::mem::replace(&mut self.block, fresh);
+        self.send(records(block));
+    }
+
+    fn send(&self, task: Task) {
+        if let Some(full) = &self.full {
+            // Fails only when the writer ended with an error, which `finish` tells.
+            let _ = full.send(task);
+        }
     }
 
     /// Writes the rest and waits until all is handed to the system.
@@ -162,7 +191,11 @@ impl Recorder {
     /// The disk is full, or the like; the file ends where it did.
     pub fn finish(mut self) -> io::Result<Recorded> {
         self.rest();
-        send(&self.full, Kind::End, self.records as u32, Vec::new());
+        self.send(Task::Block {
+            kind: Kind::End,
+            count: self.records as u32,
+            contents: Vec::new(),
+        });
         let written = self.close()?;
         let mut sha256 = String::with_capacity(64);
         for byte in written.sha256 {
@@ -181,11 +214,10 @@ impl Recorder {
         if !self.block.is_empty() {
             self.hand_over();
         }
-        if let Some(mut tape) = self.tape.take() {
-            tape.close();
-            for block in tape.take() {
-                send(&self.full, Kind::Periods, block.count, block.bytes);
-            }
+        if let Some(periods) = self.periods.take() {
+            // Ends the tape too.
+            self.send(Task::Periods(periods));
+            self.send(Task::Tape(Tape::new()));
         }
     }
 
@@ -208,50 +240,88 @@ impl Drop for Recorder {
     }
 }
 
-fn records(contents: Vec<u8>) -> Full {
-    Full {
+fn records(contents: Vec<u8>) -> Task {
+    Task::Block {
         kind: Kind::Records,
         count: (contents.len() / RECORD_BYTES) as u32,
         contents,
     }
 }
 
-fn send(full: &Option<SyncSender<Full>>, kind: Kind, count: u32, contents: Vec<u8>) {
-    if let Some(full) = full {
-        // Fails only when the writer ended with an error, which `finish` tells.
-        let _ = full.send(Full {
-            kind,
-            count,
-            contents,
-        });
+/// The second thread.
+struct Writer {
+    file: File,
+    hash: Sha256,
+    bytes: u64,
+}
+
+impl Writer {
+    fn put(&mut self, bytes: &[u8]) -> io::Result<()> {
+        self.hash.update(bytes);
+        self.bytes += bytes.len() as u64;
+        self.file.write_all(bytes)
+    }
+
+    fn block(&mut self, kind: Kind, count: u32, contents: &[u8]) -> io::Result<()> {
+        self.put(&Head::of(kind, count, contents).encode())?;
+        self.put(contents)
+    }
+
+    /// Whole blocks of a tape.
+    fn tape(&mut self, tape: &mut Tape) -> io::Result<()> {
+        for block in tape.take() {
+            self.block(Kind::Periods, block.count, &block.bytes)?;
+        }
+        Ok(())
     }
 }
 
-/// The second thread.
 fn write(
-    mut file: File,
+    file: File,
     header: &[u8],
-    blocks: &Receiver<Full>,
-    give_back: impl Fn(Vec<u8>),
+    tasks: &Receiver<Task>,
+    memory: &Memory,
 ) -> io::Result<Written> {
-    let mut hash = Sha256::new();
-    hash.update(header);
-    file.write_all(header)?;
-    let mut bytes = header.len() as u64;
-    for block in blocks {
-        let head = Head::of(block.kind, block.count, &block.contents).encode();
-        hash.update(head);
-        hash.update(&block.contents);
-        file.write_all(&head)?;
-        file.write_all(&block.contents)?;
-        bytes += (HEAD_BYTES + block.contents.len()) as u64;
-        if block.kind == Kind::Records {
-            give_back(block.contents);
+    let mut writer = Writer {
+        file,
+        hash: Sha256::new(),
+        bytes: 0,
+    };
+    writer.put(header)?;
+    let mut tape = Tape::new();
+    for task in tasks {
+        match task {
+            Task::Block {
+                kind,
+                count,
+                mut contents,
+            } => {
+                writer.block(kind, count, &contents)?;
+                if kind == Kind::Records {
+                    contents.clear();
+                    // The recorder may be gone already; its memory is then of no use.
+                    let _ = memory.blocks.try_send(contents);
+                }
+            }
+            Task::Tape(next) => {
+                tape.close();
+                writer.tape(&mut tape)?;
+                tape = next;
+                writer.tape(&mut tape)?;
+            }
+            Task::Periods(mut periods) => {
+                for period in &periods {
+                    tape.add(&period.inputs, &period.outputs);
+                }
+                writer.tape(&mut tape)?;
+                periods.clear();
+                let _ = memory.batches.try_send(periods);
+            }
         }
     }
-    file.flush()?;
+    writer.file.flush()?;
     Ok(Written {
-        bytes,
-        sha256: hash.finalize().into(),
+        bytes: writer.bytes,
+        sha256: writer.hash.finalize().into(),
     })
 }

@@ -39,7 +39,12 @@ fn standing() -> &'static [Period] {
             let now = rig.time_ns() / 1000;
             if number > 500
                 && let Some((id, command)) = commands.peek()
-                && link.send(&Request { id: *id, command: command.clone() }).is_ok()
+                && link
+                    .send(&Request {
+                        id: *id,
+                        command: command.clone(),
+                    })
+                    .is_ok()
             {
                 commands.next();
             }
@@ -85,9 +90,9 @@ fn a_recording_replays_equal() {
 #[test]
 fn a_bit_of_what_was_sensed_is_a_difference_with_a_name() {
     let file = TemporaryFile::new("replay-counts.hmr");
-    // 2^12 counts of slide l3 more, once: 5 mm.
+    // Two counts of slide l3, once: 2.5 um.
     let mut periods = standing().to_vec();
-    periods[3500].inputs.axes[2].counts ^= 1 << 12;
+    periods[3500].inputs.axes[2].counts ^= 2;
     let recording = record(&file.0, &periods);
     let difference = replay(&recording).unwrap().unwrap_err();
     assert_eq!(difference.period, 3500);
@@ -97,22 +102,33 @@ fn a_bit_of_what_was_sensed_is_a_difference_with_a_name() {
     assert_ne!(difference.replayed, difference.recorded);
     assert!((difference.time_s - 0.7).abs() < 1e-9);
     let text = difference.to_string();
-    assert!(text.starts_with("control period 3500 (0.7000 s): the command to drive l3 was Torque("), "{text}");
+    assert!(
+        text.starts_with("control period 3500 (0.7000 s): the command to drive l3 was Torque("),
+        "{text}"
+    );
 }
 
 #[test]
 fn a_bit_of_what_was_heard_or_said_is_one_too() {
     let file = TemporaryFile::new("replay-bytes.hmr");
     let mut periods = standing().to_vec();
-    let said = periods.iter().rposition(|period| !period.outputs.transmit.is_empty());
+    let said = periods
+        .iter()
+        .rposition(|period| !period.outputs.transmit.is_empty());
     let said = said.unwrap();
     periods[said].outputs.transmit[0] ^= 1;
     let difference = replay(&record(&file.0, &periods)).unwrap().unwrap_err();
-    assert_eq!((difference.period, difference.field.as_str()), (said as u64, "what was said to the host"));
+    assert_eq!(
+        (difference.period, difference.field.as_str()),
+        (said as u64, "what was said to the host")
+    );
 
     // A configuration that never came through: the drives stay off.
     let mut periods = standing().to_vec();
-    let heard = periods.iter().position(|period| period.inputs.received.len() == 64).unwrap();
+    let heard = periods
+        .iter()
+        .position(|period| period.inputs.received.len() == 64)
+        .unwrap();
     periods[heard].inputs.received[20] ^= 4;
     let difference = replay(&record(&file.0, &periods)).unwrap().unwrap_err();
     assert!(difference.period >= heard as u64, "{difference}");
@@ -122,14 +138,27 @@ fn a_bit_of_what_was_heard_or_said_is_one_too() {
 fn what_began_before_or_has_no_periods_is_refused() {
     let file = TemporaryFile::new("replay-late.hmr");
     let error = replay(&record(&file.0, &standing()[100..])).unwrap_err();
-    assert!(error.to_string().contains("begins at control period 100 of its controller"), "{error}");
+    assert!(
+        error
+            .to_string()
+            .contains("begins at control period 100 of its controller"),
+        "{error}"
+    );
     let error = replay(&record(&file.0, &[])).unwrap_err();
-    assert!(error.to_string().ends_with("nothing was recorded in it"), "{error}");
+    assert!(
+        error.to_string().ends_with("nothing was recorded in it"),
+        "{error}"
+    );
     let mut recorder = Recorder::create(&file.0, &header()).unwrap();
     recorder.record(&Record::default());
     recorder.finish().unwrap();
     let error = replay(&Recording::open(&file.0).unwrap()).unwrap_err();
-    assert!(error.to_string().contains("only what its controller reported"), "{error}");
+    assert!(
+        error
+            .to_string()
+            .contains("only what its controller reported"),
+        "{error}"
+    );
 }
 
 proptest! {

@@ -45,7 +45,12 @@ impl Plot {
             to_s: end,
             columns: columns
                 .iter()
-                .map(|column| (column.clone(), Columns::new(thinning.from_s, end * (1.0 + 1e-12))))
+                .map(|column| {
+                    (
+                        column.clone(),
+                        Columns::new(thinning.from_s, end * (1.0 + 1e-12)),
+                    )
+                })
                 .collect(),
         };
         thinning.apply(recording, |record, time_s| {
@@ -62,7 +67,9 @@ impl Plot {
     /// Whether there is nothing to show.
     #[must_use]
     pub fn is_empty(&self) -> bool {
-        self.columns.iter().all(|(_, series)| series.line().is_empty())
+        self.columns
+            .iter()
+            .all(|(_, series)| series.line().is_empty())
     }
 
     /// The picture, with a chart for each unit.
@@ -76,7 +83,11 @@ impl Plot {
         }
         let mut charts = Vec::new();
         for unit in units {
-            let of_unit: Vec<_> = self.columns.iter().filter(|(column, _)| column.unit == unit).collect();
+            let of_unit: Vec<_> = self
+                .columns
+                .iter()
+                .filter(|(column, _)| column.unit == unit)
+                .collect();
             charts.extend(of_unit.chunks(LINES).map(|chunk| self.chart(unit, chunk)));
         }
         let height = HEIGHT * charts.len() as f64;
@@ -97,12 +108,15 @@ impl Plot {
     }
 
     fn chart(&self, unit: &str, columns: &[&(Column, Columns)]) -> Chart {
-        let lines = columns.iter().zip(COLOURS).map(|((column, series), colour)| Line {
-            label: column.name.clone(),
-            colour,
-            width: 1.3,
-            pieces: series.line(),
-        });
+        let lines = columns
+            .iter()
+            .zip(COLOURS)
+            .map(|((column, series), colour)| Line {
+                label: column.name.clone(),
+                colour,
+                width: 1.3,
+                pieces: series.line(),
+            });
         Chart {
             x_label: if self.from_s > 0.0 {
                 format!("time after {} s, s", self.from_s)
@@ -131,9 +145,10 @@ impl Plot {
         for (column, series) in &self.columns {
             let line = series.line();
             let points = line.iter().flatten();
-            let (low, high) = points.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), (_, value)| {
-                (low.min(*value), high.max(*value))
-            });
+            let (low, high) = points.fold(
+                (f64::INFINITY, f64::NEG_INFINITY),
+                |(low, high), (_, value)| (low.min(*value), high.max(*value)),
+            );
             // Writing to a string cannot fail.
             if low > high {
                 let _ = writeln!(text, "{}: nothing recorded", column.name);

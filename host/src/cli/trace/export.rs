@@ -10,7 +10,9 @@ use std::path::PathBuf;
 
 /// Arguments of `haptimill trace csv`.
 #[derive(Debug, Clone, Args)]
-#[command(about = "Write a recording as CSV: mm, degrees, newtons; units stand in the names of the columns")]
+#[command(
+    about = "Write a recording as CSV: mm, degrees, newtons; units stand in the names of the columns"
+)]
 pub struct CsvArgs {
     /// The recording (recording.hmr)
     #[arg(value_name = "TRACE")]
@@ -28,7 +30,9 @@ pub struct CsvArgs {
 
 /// Arguments of `haptimill trace plot`.
 #[derive(Debug, Clone, Args)]
-#[command(about = "Draw columns of a recording over time: on the terminal, or as a picture (SVG) with --out")]
+#[command(
+    about = "Draw columns of a recording over time: on the terminal, or as a picture (SVG) with --out"
+)]
 pub struct PlotArgs {
     /// The recording (recording.hmr)
     #[arg(value_name = "TRACE")]
@@ -76,8 +80,9 @@ pub(super) fn csv(args: &CsvArgs) -> Result<(), CliError> {
     let write = |out: &mut dyn Write| export_table(&recording, &columns, &thinning, out);
     match &args.out {
         Some(path) => {
-            let file = File::create(path)
-                .map_err(|error| CliError::new(Exit::Output, format!("{}: {error}", path.display())))?;
+            let file = File::create(path).map_err(|error| {
+                CliError::new(Exit::Output, format!("{}: {error}", path.display()))
+            })?;
             write(&mut BufWriter::new(file))
         }
         None => match write(&mut BufWriter::new(std::io::stdout().lock())) {
@@ -98,7 +103,8 @@ pub(super) fn plot(args: &PlotArgs) -> Result<(), CliError> {
     let columns = chosen(&recording, Some(&args.columns.join(",")))?;
     let thinning = args.window.thinning()?;
     tell_cut(&recording);
-    let plot = Plot::of(&recording, &columns, &thinning).map_err(|error| failed(&recording, error))?;
+    let plot =
+        Plot::of(&recording, &columns, &thinning).map_err(|error| failed(&recording, error))?;
     if plot.is_empty() {
         let what = format!(
             "{}: nothing was recorded in these columns at that time",
@@ -123,10 +129,14 @@ pub(super) fn mcap(args: &McapArgs) -> Result<(), CliError> {
     let out = args.out.clone();
     let out = out.unwrap_or_else(|| args.trace.with_extension("mcap"));
     if out == args.trace {
-        let what = format!("{}: the recording would be overwritten; name another file with --out", out.display());
+        let what = format!(
+            "{}: the recording would be overwritten; name another file with --out",
+            out.display()
+        );
         return Err(CliError::new(Exit::Usage, what));
     }
-    let written = write_mcap(&recording, &out, args.rate).map_err(|error| failed(&recording, error))?;
+    let written =
+        write_mcap(&recording, &out, args.rate).map_err(|error| failed(&recording, error))?;
     tell!(
         "{}: {} channels, {} messages, {:.1} MB",
         out.display(),

@@ -11,7 +11,9 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 /// Arguments of `haptimill trace info`.
 #[derive(Debug, Clone, Args)]
-#[command(about = "What a recording is: of what, how long, its columns, its events, whether it can be replayed")]
+#[command(
+    about = "What a recording is: of what, how long, its columns, its events, whether it can be replayed"
+)]
 pub struct InfoArgs {
     /// The recording (recording.hmr)
     #[arg(value_name = "TRACE")]
@@ -26,9 +28,16 @@ pub(super) fn run(args: &InfoArgs) -> Result<(), CliError> {
     let recording = open(&args.trace)?;
     let header = recording.header();
     let hash = recording.sha256().map_err(bad)?;
-    let first = recording.iter().map_err(bad)?.next().transpose().map_err(bad)?;
+    let first = recording
+        .iter()
+        .map_err(bad)?
+        .next()
+        .transpose()
+        .map_err(bad)?;
     let last = recording.last().map_err(bad)?;
-    let ends = first.zip(last).map(|(first, last)| (first.period, last.period));
+    let ends = first
+        .zip(last)
+        .map(|(first, last)| (first.period, last.period));
     let period_s = recording.period_s();
     let duration_s = ends.map_or(0.0, |(first, last)| (last + 1 - first) as f64 * period_s);
     let events = recording.events().map_err(bad)?;
@@ -74,7 +83,11 @@ pub(super) fn run(args: &InfoArgs) -> Result<(), CliError> {
         "file        {}, {:.1} MB{}",
         args.trace.display(),
         recording.bytes() as f64 / 1e6,
-        if recording.is_whole() { "" } else { ", cut off: its end is missing" }
+        if recording.is_whole() {
+            ""
+        } else {
+            ", cut off: its end is missing"
+        }
     );
     tell!("recorded    {written}, by haptimill {}", header.software);
     tell!(
@@ -122,7 +135,9 @@ const LEVELS: [&str; 3] = ["event", "warning", "error"];
 
 /// A time as a date, UTC.
 fn date(time: SystemTime) -> String {
-    let seconds = time.duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
+    let seconds = time
+        .duration_since(UNIX_EPOCH)
+        .map_or(0, |since| since.as_secs());
     let (days, minutes) = (seconds / 86_400, seconds % 86_400 / 60);
     // Days since 1 March of the year 0, in cycles of 400 years: the leap day ends a year then.
     let days = days + 719_468;

@@ -4,9 +4,7 @@ mod export;
 mod info;
 
 use super::{CliError, Exit};
-use crate::record::{
-    Column, Recording, RecordingError, Selection, Thinning, columns, difference,
-};
+use crate::record::{Column, Recording, RecordingError, Selection, Thinning, columns, difference};
 use clap::{Args, Subcommand};
 use std::path::{Path, PathBuf};
 
@@ -106,7 +104,9 @@ fn chosen(recording: &Recording, wish: Option<&str>) -> Result<Vec<Column>, CliE
 /// An error of a file that was to be written, or of the recording.
 fn failed(recording: &Recording, error: RecordingError) -> CliError {
     match &error {
-        RecordingError::Io(path, _) if path != recording.path() => CliError::new(Exit::Output, error),
+        RecordingError::Io(path, _) if path != recording.path() => {
+            CliError::new(Exit::Output, error)
+        }
         _ => bad(error),
     }
 }

@@ -1,4 +1,4 @@
-//! The periods of a recording: all that a controller sensed and said, from its power-on, in some forty bytes a period.
+//! All that a controller sensed and said, from its power-on, in some thirty bytes a period: what a recording keeps, and a replay needs.
 //!
 //! A period is the two frames of the plant link that carry it ([`haptimill_firmware::lockstep`]: what is sensed, and what is to be done), so that what they
 //! know this knows, and then the bytes of the serial line as they are. Of the frames only those words are kept that are not what was expected. Expected is
@@ -28,6 +28,15 @@ const TO: usize = TO_BOARD_BYTES / 4 - 1;
 const FROM: usize = FROM_BOARD_BYTES / 4 - 1;
 const WORDS: usize = TO + FROM;
 
+/// Words that are compared at once.
+const ROW: usize = 8;
+/// The words in whole rows; those at the end are always 0.
+const ROWS: usize = WORDS.div_ceil(ROW);
+type Words = [[u32; ROW]; ROWS];
+
+/// The most bytes that the words of a period can take: a byte and a difference of four for each, and the end.
+const MOST_BYTES: usize = 5 * WORDS + 1;
+
 /// Periods in a block.
 const BLOCK_PERIODS: u32 = 2048;
 
@@ -52,9 +61,11 @@ pub struct Period {
 
 /// A whole block of periods.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub(super) struct Block {
-    pub(super) count: u32,
-    pub(super) bytes: Vec<u8>,
+pub struct Block {
+    /// How many.
+    pub count: u32,
+    /// As they are kept.
+    pub bytes: Vec<u8>,
 }
 
 /// Takes down the periods of a controller, from its first one.
@@ -92,7 +103,8 @@ impl Tape {
         if self.full {
             return;
         }
-        self.expected.encode(&mut self.block.bytes, &words(inputs, outputs));
+        self.expected
+            .encode(&mut self.block.bytes, &words(inputs, outputs));
         self.block.bytes.extend_from_slice(&inputs.received);
         self.block.bytes.extend_from_slice(&outputs.transmit);
         self.block.count += 1;
@@ -102,13 +114,13 @@ impl Tape {
     }
 
     /// Whole blocks since the last call.
-    pub(super) fn take(&mut self) -> std::vec::Drain<'_, Block> {
+    pub fn take(&mut self) -> std::vec::Drain<'_, Block> {
         self.kept_bytes = 0;
         self.kept.drain(..)
     }
 
     /// Ends a block that has begun, so that it can be taken.
-    pub(super) fn close(&mut self) {
+    pub fn close(&mut self) {
         if self.block.count == 0 {
             return;
         }
@@ -131,88 +143,106 @@ impl Tape {
     }
 
     /// Whether it has all periods since its first.
-    pub(super) const fn is_whole(&self) -> bool {
+    #[must_use]
+    pub const fn is_whole(&self) -> bool {
         !self.full
     }
 }
 
 /// The words of both frames.
-fn words(inputs: &Inputs, outputs: &Outputs) -> [u32; WORDS] {
+fn words(inputs: &Inputs, outputs: &Outputs) -> Words {
     let to = ToBoard::Period {
-        inputs: Inputs {
-            received: heapless::Vec::new(),
-            ..inputs.clone()
-        },
+        inputs: inputs.clone(),
         arrived: 0,
     };
     let from = FromBoard::Done(Done {
         period: inputs.period,
-        outputs: Outputs {
-            transmit: heapless::Vec::new(),
-            ..outputs.clone()
-        },
+        outputs: outputs.clone(),
         said: outputs.transmit.len() as u16,
         heard: Heard::of(inputs),
         ..Done::default()
     });
-    let (to, from) = (to.encode(), from.encode());
-    let bytes = to.as_chunks::<4>().0[..TO]
-        .iter()
-        .chain(&from.as_chunks::<4>().0[..FROM]);
-    let mut words = [0; WORDS];
-    for (word, bytes) in words.iter_mut().zip(bytes) {
+    let mut words = [[0; ROW]; ROWS];
+    let (first, second) = words.as_flattened_mut().split_at_mut(TO);
+    fill(first, &to.encode_unsealed());
+    fill(second, &from.encode_unsealed());
+    words
+}
+
+/// The words of a frame; its check, which is the last, is left out.
+fn fill(words: &mut [u32], frame: &[u8]) {
+    for (word, bytes) in words
+        .iter_mut()
+        .zip(&frame.as_chunks::<4>().0[..frame.len() / 4 - 1])
+    {
         *word = u32::from_le_bytes(*bytes);
     }
-    words
 }
 
 /// What stands in the frames, as far as it can be foreseen.
 #[derive(Debug, Clone)]
 struct Expected {
-    last: [u32; WORDS],
-    change: [u32; WORDS],
-    next: [u32; WORDS],
+    last: Words,
+    change: Words,
+    next: Words,
 }
 
 impl Expected {
     const fn new() -> Self {
         Self {
-            last: [0; WORDS],
-            change: [0; WORDS],
-            next: [0; WORDS],
+            last: [[0; ROW]; ROWS],
+            change: [[0; ROW]; ROWS],
+            next: [[0; ROW]; ROWS],
         }
     }
 
-    fn learn(&mut self, words: &[u32; WORDS]) {
-        for (index, word) in words.iter().enumerate() {
-            let change = word.wrapping_sub(self.last[index]);
-            let again = if change == self.change[index] { change } else { 0 };
-            self.next[index] = word.wrapping_add(again);
-            self.change[index] = change;
-            self.last[index] = *word;
+    fn learn(&mut self, words: &Words) {
+        let last = self.last.as_flattened_mut().iter_mut();
+        let change = self.change.as_flattened_mut().iter_mut();
+        let next = self.next.as_flattened_mut().iter_mut();
+        for (word, (last, (change, next))) in
+            words.as_flattened().iter().zip(last.zip(change.zip(next)))
+        {
+            let now = word.wrapping_sub(*last);
+            let again = if now == *change { now } else { 0 };
+            *next = word.wrapping_add(again);
+            (*last, *change) = (*word, now);
         }
     }
 
-    fn encode(&mut self, bytes: &mut Vec<u8>, words: &[u32; WORDS]) {
+    fn encode(&mut self, bytes: &mut Vec<u8>, words: &Words) {
+        let mut coded = Coded::new();
         let mut from = 0;
-        for (index, (word, next)) in words.iter().zip(&self.next).enumerate() {
-            if word == next {
+        // Most rows are as expected.
+        for (row, (words, next)) in words.iter().zip(&self.next).enumerate() {
+            let unlike = words
+                .iter()
+                .zip(next)
+                .fold(0, |unlike, (word, next)| unlike | (word ^ next));
+            if unlike == 0 {
                 continue;
             }
-            let mut passed = index - from;
-            while passed >= PASSED {
-                bytes.push(PASS);
-                passed -= PASSED;
+            for (place, (word, next)) in words.iter().zip(next).enumerate() {
+                if word == next {
+                    continue;
+                }
+                let index = row * ROW + place;
+                let mut passed = index - from;
+                while passed >= PASSED {
+                    coded.put(PASS, 0, 0);
+                    passed -= PASSED;
+                }
+                coded.put_difference(passed as u8, word.wrapping_sub(*next));
+                from = index + 1;
             }
-            put(bytes, passed as u8, word.wrapping_sub(*next));
-            from = index + 1;
         }
-        bytes.push(END);
+        coded.put(END, 0, 0);
+        bytes.extend_from_slice(coded.bytes());
         self.learn(words);
     }
 
     /// `None` when the bytes end too soon or say what cannot be.
-    fn decode(&mut self, bytes: &mut &[u8]) -> Option<[u32; WORDS]> {
+    fn decode(&mut self, bytes: &mut &[u8]) -> Option<Words> {
         let mut words = self.next;
         let mut index = 0_usize;
         loop {
@@ -225,7 +255,7 @@ impl Expected {
                 continue;
             }
             index += usize::from(head & 31);
-            let word = words.get_mut(index)?;
+            let word = words.as_flattened_mut().get_mut(index)?;
             *word = word.wrapping_add(difference(bytes, head >> 5)?);
             index += 1;
         }
@@ -234,28 +264,55 @@ impl Expected {
     }
 }
 
-fn put(bytes: &mut Vec<u8>, passed: u8, difference: u32) {
-    let le = difference.to_le_bytes();
-    let (low, high) = (difference as u16 as i16, (difference >> 16) as i16);
-    let signed = difference as i32;
-    let small = |half: i16| i8::try_from(half).is_ok();
-    let (kind, content): (u8, &[u8]) = if i8::try_from(signed).is_ok() {
-        (0, &le[..1])
-    } else if low == 0 && small(high) {
-        (2, &le[2..3])
-    } else if i16::try_from(signed).is_ok() {
-        (1, &le[..2])
-    } else if low == 0 {
-        (3, &le[2..])
-    } else if small(low) && small(high) {
-        (4, &[le[0], le[2]])
-    } else if (-(1 << 23)..1 << 23).contains(&signed) {
-        (5, &le[..3])
-    } else {
-        (6, &le)
-    };
-    bytes.push(kind << 5 | passed);
-    bytes.extend_from_slice(content);
+/// The words of a period on their way into a block.
+struct Coded {
+    bytes: [u8; MOST_BYTES + 4],
+    at: usize,
+}
+
+impl Coded {
+    const fn new() -> Self {
+        Self {
+            bytes: [0; MOST_BYTES + 4],
+            at: 0,
+        }
+    }
+
+    /// A byte, and the lowest `count` bytes of `content`. All four are written; what follows overwrites those too many.
+    fn put(&mut self, head: u8, content: u32, count: usize) {
+        let slot = self.bytes.get_mut(self.at..self.at + 5);
+        if let Some(slot) = slot {
+            slot[0] = head;
+            slot[1..].copy_from_slice(&content.to_le_bytes());
+            self.at += 1 + count;
+        }
+    }
+
+    fn put_difference(&mut self, passed: u8, difference: u32) {
+        let signed = difference as i32;
+        let (low, high) = (difference as u16 as i16, (difference >> 16) as i16);
+        let small = |half: i16| i8::try_from(half).is_ok();
+        let (kind, content, count) = if i8::try_from(signed).is_ok() {
+            (0, difference, 1)
+        } else if low == 0 && small(high) {
+            (2, difference >> 16, 1)
+        } else if i16::try_from(signed).is_ok() {
+            (1, difference, 2)
+        } else if low == 0 {
+            (3, difference >> 16, 2)
+        } else if small(low) && small(high) {
+            (4, difference & 0xFF | difference >> 16 << 8, 2)
+        } else if (-(1 << 23)..1 << 23).contains(&signed) {
+            (5, difference, 3)
+        } else {
+            (6, difference, 4)
+        };
+        self.put(kind << 5 | passed, content, count);
+    }
+
+    fn bytes(&self) -> &[u8] {
+        self.bytes.get(..self.at).unwrap_or_default()
+    }
 }
 
 fn difference(bytes: &mut &[u8], kind: u8) -> Option<u32> {
@@ -291,7 +348,8 @@ fn take<'a>(bytes: &mut &'a [u8], count: usize) -> Option<&'a [u8]> {
 }
 
 /// Reads the periods of a block.
-pub(super) struct Reel {
+#[derive(Debug)]
+pub struct Reel {
     expected: Expected,
     bytes: Vec<u8>,
     at: usize,
@@ -299,7 +357,9 @@ pub(super) struct Reel {
 }
 
 impl Reel {
-    pub(super) fn new(count: u32, bytes: Vec<u8>) -> Self {
+    /// Of a block of so many periods.
+    #[must_use]
+    pub fn new(count: u32, bytes: Vec<u8>) -> Self {
         Self {
             expected: Expected::new(),
             bytes,
@@ -312,7 +372,7 @@ impl Reel {
     ///
     /// # Errors
     /// The contents are not what this version writes; bytes of the block that were understood.
-    pub(super) fn next(&mut self) -> Option<Result<Period, usize>> {
+    pub fn next(&mut self) -> Option<Result<Period, usize>> {
         if self.left == 0 {
             return (self.at != self.bytes.len()).then(|| {
                 let at = self.at;
@@ -322,7 +382,11 @@ impl Reel {
         }
         self.left -= 1;
         let mut rest = &self.bytes[self.at..];
-        let Some(period) = self.expected.decode(&mut rest).and_then(|words| period(&words, &mut rest)) else {
+        let Some(period) = self
+            .expected
+            .decode(&mut rest)
+            .and_then(|words| period(&words, &mut rest))
+        else {
             let at = self.at;
             (self.left, self.at) = (0, self.bytes.len());
             return Some(Err(at));
@@ -333,8 +397,8 @@ impl Reel {
 }
 
 /// The period of frames and the bytes of the line behind them.
-fn period(words: &[u32; WORDS], bytes: &mut &[u8]) -> Option<Period> {
-    let (to, from) = words.split_at(TO);
+fn period(words: &Words, bytes: &mut &[u8]) -> Option<Period> {
+    let (to, from) = words.as_flattened()[..WORDS].split_at(TO);
     let ToBoard::Period { mut inputs, .. } = ToBoard::decode(&frame(to)).ok()? else {
         return None;
     };
@@ -349,8 +413,14 @@ fn period(words: &[u32; WORDS], bytes: &mut &[u8]) -> Option<Period> {
     if received > RECEIVE_BYTES || said > TRANSMIT_BYTES || done.period != inputs.period {
         return None;
     }
-    inputs.received = heapless::Vec::from_slice(take(bytes, received)?).ok()?;
-    outputs.transmit = heapless::Vec::from_slice(take(bytes, said)?).ok()?;
+    inputs
+        .received
+        .extend_from_slice(take(bytes, received)?)
+        .ok()?;
+    outputs
+        .transmit
+        .extend_from_slice(take(bytes, said)?)
+        .ok()?;
     Some(Period { inputs, outputs })
 }
 
