@@ -372,7 +372,7 @@ impl Reel {
     ///
     /// # Errors
     /// The contents are not what this version writes; bytes of the block that were understood.
-    pub fn next(&mut self) -> Option<Result<Period, usize>> {
+    pub fn period(&mut self) -> Option<Result<Period, usize>> {
         if self.left == 0 {
             return (self.at != self.bytes.len()).then(|| {
                 let at = self.at;
