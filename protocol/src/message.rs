@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 pub const MAX_AXES: usize = 6;
 
 /// Version of this protocol; both ends must have the same.
-pub const PROTOCOL_VERSION: u16 = 3;
+pub const PROTOCOL_VERSION: u16 = 4;
 
 /// A rate on the wire is in axis units per second divided by 2^8: 2^-12 mm/s, or 2^-24 turn/s.
 pub const RATE_SHIFT: u32 = 8;
@@ -181,6 +181,11 @@ pub enum Command {
     },
     /// Take what the force sensor shows now as its zero. Answered when it has begun; [`Event::Tared`] or [`Event::TareRefused`] tells how it ended.
     Tare,
+    /// Say which settings the force loop of an axis has: [`Event::ForceSettings`] comes before the answer.
+    ForceSettings {
+        /// The component: 0 for x, 1 for y, 2 for z of the work.
+        axis: u8,
+    },
 }
 
 /// A piece of the configuration.
@@ -400,6 +405,13 @@ pub enum Event {
     YieldLimited {
         /// The component of the force.
         axis: u8,
+    },
+    /// The settings of a force loop that are in force now, as they were asked for with [`Command::ForceSettings`].
+    ForceSettings {
+        /// The component of the force.
+        axis: u8,
+        /// The settings.
+        settings: ForceLoop,
     },
 }
 

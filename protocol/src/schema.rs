@@ -123,6 +123,7 @@ mod tests {
             "Interrupted",
             "yielded",
             "NotTared",
+            "ForceSettings",
         ] {
             if part == "HomingProblem" {
                 assert!(all.contains("NoIndex"));

@@ -399,6 +399,13 @@ impl Describe for Event {
                 "the tool cannot yield any further along {}: its limit, a soft limit or the end of the machine's reach",
                 Named(axes.pose, axis)
             ),
+            Self::ForceSettings { axis, .. } => {
+                write!(
+                    f,
+                    "settings of the force loop of {}",
+                    Named(axes.pose, axis)
+                )
+            }
         }
     }
 }

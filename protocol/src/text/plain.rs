@@ -115,6 +115,7 @@ impl Command {
             Self::ForceMask { .. } => "force mask",
             Self::ForceLoop { .. } => "force loop",
             Self::Tare => "tare",
+            Self::ForceSettings { .. } => "force settings",
         }
     }
 }
