@@ -176,7 +176,11 @@ pub fn run(command: ForceCommand) -> Result<(), CliError> {
 fn show(session: &mut Session<PortLine>, json: bool) -> Result<(), CliError> {
     let status = session.status()?;
     let Some(force) = status.force else {
-        let what = "the controller has no force sensor in its configuration; configure it with a machine file that has a section [force]";
+        let what = if session.machine_name().is_empty() {
+            "the controller has no configuration yet; `haptimill home` sends it the machine file"
+        } else {
+            "the controller has no force sensor in its configuration; configure it with a machine file that has a section [force]"
+        };
         return Err(CliError::new(Exit::Command, what));
     };
     let problem = force.problem.as_ref().map(|problem| {

@@ -112,8 +112,8 @@ impl Command {
             Self::Override { .. } => "override",
             Self::Telemetry { .. } => "telemetry",
             Self::Status => "status",
-            Self::ForceMask { .. } => "force mask",
-            Self::ForceLoop { .. } => "force loop",
+            Self::ForceMask { .. } => "force axes",
+            Self::ForceLoop { .. } => "force set",
             Self::Tare => "tare",
             Self::ForceSettings { .. } => "force settings",
         }
