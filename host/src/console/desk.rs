@@ -1,0 +1,666 @@
+//! The desk: everything between the keys and the controller. It waits for nobody.
+//!
+//! [`Desk::step`] is called again and again, at least every few milliseconds; it moves the line, the session and the jog on and never waits longer than a
+//! line's own millisecond. Keys come in between through [`Desk::key`] (see `orders.rs`). What is to be seen is taken out as a [`Shown`].
+//!
+//! After a lost link the desk opens the port and a session again by itself, and that is all that it does by itself: jogs, programs and homing end with
+//! the session that they belong to. A stop that is asked for meanwhile goes out first when the line is back.
+
+use super::connect::{Connection, Reached};
+use super::job::Work;
+use super::jogging::{Jogging, Order};
+use super::recording::Recording;
+use super::shown::{
+    Axis, Confirm, Contact, Counters, Fixed, JogShown, Log, Overlay, ProgramShown, Shown, Weight,
+};
+use crate::cli::{CliError, Exit};
+use crate::client::{Client, ClientState, Notice, Options, RequestError, Ticket};
+use crate::machine::MachineFile;
+use crate::machine::scale::per_unit;
+use crate::model::Model;
+use crate::port::PortError;
+use crate::session::fresh_number;
+use haptimill_firmware::config::Drive;
+use haptimill_protocol::force::ForceLoop;
+use haptimill_protocol::message::{
+    AxisValues, Command, Event, Fault, MAX_AXES, RATE_SHIFT, Source, State, Telemetry,
+};
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+/// Time between two telemetry frames, ms; on a slow line they take a quarter of it at most.
+const TELEMETRY_MS: u32 = 20;
+
+/// Bytes of a telemetry frame, about.
+const TELEMETRY_BYTES: u32 = 150;
+
+/// How long a machine may take to come to rest when the console is left.
+const LEAVE: Duration = Duration::from_millis(2000);
+
+/// Full scales of the force bars, N, and how long one that is too large stays.
+const SCALES: [f64; 5] = [5.0, 10.0, 20.0, 50.0, 100.0];
+const SCALE_STAYS: Duration = Duration::from_secs(5);
+
+/// What is done when a request is answered with yes.
+#[derive(Debug, Clone)]
+pub(super) enum Then {
+    Nothing,
+    Configured,
+    Enabled,
+    Override(u8),
+    Source(u8, Source),
+    Loop(u8, ForceLoop),
+    Say(&'static str),
+}
+
+/// A stop that cannot be said now, because there is no session.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Owed {
+    Nothing,
+    Stop,
+    Emergency,
+}
+
+/// Settings of a console.
+pub(super) struct Settings {
+    pub(super) dead_man_ms: u16,
+    pub(super) folder: PathBuf,
+    /// The program to begin with.
+    pub(super) program: Option<PathBuf>,
+    pub(super) options: Options,
+}
+
+/// See the module.
+pub(super) struct Desk {
+    pub(super) machine: Arc<MachineFile>,
+    pub(super) model: Model,
+    pub(super) settings: Settings,
+    pub(super) client: Client,
+    pub(super) connection: Connection,
+    fixed: Arc<Fixed>,
+    transmit: Vec<u8>,
+    received: Vec<u8>,
+    begun: Instant,
+    contact: Contact,
+    /// There was a session once: a port that fails now is tried again, not reported as a mistake of the command line.
+    connected_once: bool,
+    reconnects: u32,
+    /// The controller has the configuration of our machine file.
+    pub(super) configured: bool,
+    asked: Vec<(Ticket, Then)>,
+    pub(super) owed: Owed,
+    pub(super) telemetry: Option<Telemetry>,
+    telemetry_at: Instant,
+    /// The period of the last change of state: what was reported before it is about another state.
+    changed: u64,
+    pub(super) log: Log,
+    pub(super) overlay: Overlay,
+    pub(super) sources: [Source; MAX_AXES],
+    pub(super) feed_override: u8,
+    pub(super) jogging: Jogging,
+    pub(super) work: Work,
+    pub(super) loops: Option<[ForceLoop; 3]>,
+    force_scale: (usize, Instant),
+    pub(super) recording: Option<Recording>,
+    pub(super) stopping: Option<&'static str>,
+    fault: Option<Fault>,
+    /// When the question that is open was asked.
+    pub(super) asked_us: u64,
+    /// The console is to end, when the machine is at rest.
+    pub(super) leaving: bool,
+}
+
+impl Desk {
+    pub(super) fn new(machine: Arc<MachineFile>, connection: Connection, settings: Settings) -> Self {
+        let limits: Vec<f64> = machine.pose.iter().map(|axis| axis.rate).collect();
+        let fixed = Arc::new(Fixed {
+            port: connection.name(),
+            pose: Axis::all(&machine.pose),
+            joints: Axis::all(&machine.joints),
+            period_s: f64::from(machine.config.period_us) * 1e-6,
+            analogue: machine
+                .config
+                .joints
+                .iter()
+                .map(|joint| matches!(joint.drive, Drive::Torque { .. }))
+                .collect(),
+        });
+        let loops = machine.config.force.as_ref().map(|force| {
+            force
+                .axes
+                .each_ref()
+                .map(|axis| crate::session::LoopChoice::default().of(axis))
+        });
+        let now = Instant::now();
+        Self {
+            model: Model::new(&machine),
+            work: Work::new(settings.program.clone()),
+            client: Client::new(settings.options),
+            jogging: Jogging::new(&limits, settings.dead_man_ms),
+            settings,
+            connection,
+            fixed,
+            transmit: Vec::new(),
+            received: Vec::new(),
+            begun: now,
+            contact: Contact::Opening,
+            connected_once: false,
+            reconnects: 0,
+            configured: false,
+            asked: Vec::new(),
+            owed: Owed::Nothing,
+            telemetry: None,
+            telemetry_at: now,
+            changed: 0,
+            log: Log::default(),
+            overlay: Overlay::None,
+            sources: [Source::Program; MAX_AXES],
+            feed_override: 100,
+            loops,
+            force_scale: (0, now),
+            recording: None,
+            stopping: None,
+            fault: None,
+            asked_us: 0,
+            leaving: false,
+            machine,
+        }
+    }
+
+    /// Microseconds since the console began.
+    pub(super) fn now_us(&self) -> u64 {
+        u64::try_from(self.begun.elapsed().as_micros()).unwrap_or(u64::MAX)
+    }
+
+    pub(super) fn say(&mut self, weight: Weight, text: impl Into<String>) {
+        self.log.add(self.begun.elapsed(), weight, text);
+    }
+
+    pub(super) const fn contact(&self) -> &Contact {
+        &self.contact
+    }
+
+    pub(super) fn ready(&self) -> bool {
+        self.contact == Contact::Ready
+    }
+
+    /// The state, if it is known now.
+    pub(super) fn state(&self) -> Option<State> {
+        let telemetry = self.telemetry.as_ref().filter(|_| self.ready())?;
+        Some(telemetry.state)
+    }
+
+    /// Something moves, or may.
+    pub(super) fn moves(&self) -> bool {
+        matches!(
+            self.telemetry.as_ref().map(|telemetry| telemetry.state),
+            Some(State::Run | State::Jog | State::Homing | State::Hold)
+        )
+    }
+
+    /// The wanted pose of a machine that stands idle, to the last bit.
+    pub(super) fn standing(&self) -> Option<AxisValues> {
+        let telemetry = self.telemetry.as_ref().filter(|_| self.ready())?;
+        let known = telemetry.state == State::Idle && telemetry.period >= self.changed;
+        known.then(|| telemetry.wanted.clone())
+    }
+
+    /// Asks the controller, and remembers what follows.
+    pub(super) fn ask(&mut self, command: Command, then: Then) {
+        let ticket = self.client.request(command);
+        self.asked.push((ticket, then));
+    }
+
+    /// Moves everything on.
+    ///
+    /// # Errors
+    /// There never was a controller: the port, or the session.
+    pub(super) fn step(&mut self) -> Result<(), CliError> {
+        match self.connection.advance() {
+            Reached::Nothing => {}
+            Reached::Line => self.greet(),
+            Reached::Failed(error) => self.port_failed(&error)?,
+        }
+        if self.contact == Contact::Opening && self.connection.line().is_some() {
+            // The simulator in this process is there from the start.
+            self.greet();
+        }
+        self.order_jog();
+        let Some(line) = self.connection.line() else {
+            std::thread::sleep(Duration::from_millis(2));
+            return Ok(());
+        };
+        self.received.clear();
+        match line.exchange(&self.transmit, &mut self.received) {
+            Ok(now_us) => {
+                self.transmit.clear();
+                self.client
+                    .advance(now_us, &self.received, &mut self.transmit);
+            }
+            Err(error) => return self.port_failed(&error),
+        }
+        while let Some(notice) = self.client.poll() {
+            self.hear(notice)?;
+        }
+        self.advance_work();
+        Ok(())
+    }
+
+    /// Begins a session on a line that was opened.
+    fn greet(&mut self) {
+        self.client = Client::new(self.settings.options);
+        self.transmit.clear();
+        self.asked.clear();
+        self.client.connect(fresh_number(), 0);
+        if self.owed != Owed::Nothing {
+            // Needs no session: the bytes go before the greeting.
+            self.client.urgent_stop();
+        }
+        self.contact = Contact::Greeting;
+    }
+
+    fn port_failed(&mut self, error: &PortError) -> Result<(), CliError> {
+        if !self.connected_once {
+            return Err(CliError::new(Exit::Port, error));
+        }
+        self.lose(&error.to_string());
+        Ok(())
+    }
+
+    /// The link is gone: nothing that belonged to it goes on.
+    fn lose(&mut self, why: &str) {
+        if self.contact == Contact::Ready || self.contact == Contact::Configuring {
+            let ms = self.machine.config.supervision.heartbeat_ms;
+            self.say(
+                Weight::Alarm,
+                format!("link lost: {why}. What moves stops by itself after {ms} ms of silence"),
+            );
+        }
+        let now_us = self.now_us();
+        self.jogging.release_all(now_us);
+        self.work.forget();
+        self.sources = [Source::Program; MAX_AXES];
+        self.feed_override = 100;
+        self.configured = false;
+        self.stopping = None;
+        self.contact = Contact::Lost(why.to_string());
+        self.connection.drop_line();
+    }
+
+    fn hear(&mut self, notice: Notice) -> Result<(), CliError> {
+        match notice {
+            Notice::Connected(_) => self.begin(),
+            Notice::Answered {
+                ticket,
+                command,
+                result,
+            } => self.answered(ticket, command, result),
+            Notice::Event { period, event } => self.event(period, &event),
+            Notice::Telemetry(telemetry) => self.report(*telemetry),
+            Notice::Refused(refusal) => {
+                let why = self
+                    .model
+                    .with_axes(|axes| axes.describe(&refusal).to_string());
+                self.say(Weight::Warning, format!("jog: {why}"));
+            }
+            Notice::Job(ending) => self.job_ended(&ending),
+            Notice::Lost(error) => {
+                if !self.connected_once {
+                    let what = format!("{}: {error}", self.connection.name());
+                    return Err(CliError::new(Exit::Port, what));
+                }
+                self.lose(&error.to_string());
+            }
+        }
+        Ok(())
+    }
+
+    /// A session is open.
+    fn begin(&mut self) {
+        if self.connected_once {
+            self.reconnects += 1;
+            self.say(
+                Weight::Note,
+                "connected again; nothing moves until it is asked to",
+            );
+        }
+        self.connected_once = true;
+        self.connection.is_good();
+        self.contact = Contact::Configuring;
+        match std::mem::replace(&mut self.owed, Owed::Nothing) {
+            Owed::Nothing => {}
+            Owed::Stop => self.stopping = Some("stop"),
+            Owed::Emergency => {
+                self.ask(Command::EmergencyStop, Then::Nothing);
+                self.stopping = Some("emergency stop");
+            }
+        }
+        self.send_configuration();
+        let quarter_ms = (4 * TELEMETRY_BYTES * 1000)
+            .checked_div(self.settings.options.timing.line_rate)
+            .unwrap_or(0);
+        let period_us = self
+            .client
+            .controller()
+            .map_or(200, |welcome| u32::from(welcome.period_us))
+            .max(1);
+        let every = TELEMETRY_MS.max(quarter_ms) * 1000 / period_us;
+        let every = every.clamp(1, u32::from(u16::MAX)) as u16;
+        self.ask(Command::Telemetry { every }, Then::Nothing);
+        self.ask(Command::Status, Then::Nothing);
+    }
+
+    /// Makes our machine file the active configuration, unless it is.
+    pub(super) fn send_configuration(&mut self) {
+        match self.machine.encoded() {
+            Ok((bytes, _)) => {
+                let ticket = self.client.configure(&bytes, false);
+                self.asked.push((ticket, Then::Configured));
+            }
+            Err(error) => self.say(Weight::Alarm, format!("defect: {error}")),
+        }
+    }
+
+    fn answered(&mut self, ticket: Ticket, command: &str, result: Result<(), RequestError>) {
+        let then = self
+            .asked
+            .iter()
+            .position(|(asked, _)| *asked == ticket)
+            .map_or(Then::Nothing, |index| self.asked.swap_remove(index).1);
+        if let Then::Configured = then {
+            // Refused is heard all the same: what stops a machine needs no configuration.
+            self.contact = Contact::Ready;
+            self.configured = result.is_ok();
+        }
+        if let Err(error) = result {
+            let why = match &error {
+                RequestError::Refused(refusal) => self
+                    .model
+                    .with_axes(|axes| axes.describe(refusal).to_string()),
+                RequestError::Withdrawn | RequestError::Lost(_) => return,
+                other => other.to_string(),
+            };
+            self.say(Weight::Warning, format!("{command}: {why}"));
+            return;
+        }
+        match then {
+            Then::Nothing | Then::Configured => {}
+            Then::Enabled => self.say(Weight::Note, "drives on"),
+            Then::Override(percent) => self.feed_override = percent,
+            Then::Source(axis, source) => {
+                self.sources[usize::from(axis)] = source;
+                let name = &self.fixed.pose[usize::from(axis)].name;
+                let what = format!("{name}: {source}");
+                self.say(Weight::Note, what);
+            }
+            Then::Loop(axis, settings) => {
+                if let Some(loops) = &mut self.loops {
+                    loops[usize::from(axis)] = settings;
+                }
+            }
+            Then::Say(what) => self.say(Weight::Note, what),
+        }
+    }
+
+    fn event(&mut self, period: u64, event: &Event) {
+        if let Event::State { to, .. } = event {
+            self.changed = period;
+            if let Some(telemetry) = &mut self.telemetry {
+                telemetry.state = *to;
+            }
+            self.rests(*to);
+        }
+        let weight = match event {
+            Event::Fault(fault) => {
+                self.fault = Some(*fault);
+                Weight::Alarm
+            }
+            Event::State {
+                to: State::EmergencyStop,
+                ..
+            } => Weight::Alarm,
+            Event::Underrun { .. }
+            | Event::Blocked { .. }
+            | Event::JogLimited { .. }
+            | Event::Saturated { .. }
+            | Event::TareRefused(_)
+            | Event::YieldLimited { .. }
+            | Event::Paused { .. } => Weight::Warning,
+            _ => Weight::Note,
+        };
+        self.work_event(event);
+        // Begin and end of every jog and step is no news.
+        let usual = matches!(
+            event,
+            Event::State {
+                from: State::Idle,
+                to: State::Jog | State::Run,
+                position_kept: true
+            } | Event::State {
+                from: State::Jog | State::Run,
+                to: State::Idle,
+                position_kept: true
+            } | Event::JobDone { .. }
+        );
+        if !usual {
+            let text = self
+                .model
+                .with_axes(|axes| axes.describe(event).to_string());
+            self.say(weight, text);
+        }
+    }
+
+    /// A state in which nothing moves answers a stop.
+    fn rests(&mut self, state: State) {
+        if !matches!(state, State::Run | State::Jog | State::Homing | State::Hold)
+            && !self.client.urgent().0
+        {
+            self.stopping = None;
+        }
+    }
+
+    fn report(&mut self, telemetry: Telemetry) {
+        self.telemetry_at = Instant::now();
+        self.fault = telemetry.fault;
+        if telemetry.period >= self.changed {
+            self.rests(telemetry.state);
+        }
+        if let Some(force) = &telemetry.force {
+            let largest = force
+                .high
+                .iter()
+                .chain(&force.low)
+                .map(|value| f64::from(*value).abs() / 65_536.0)
+                .fold(0.0, f64::max);
+            let fits = SCALES
+                .iter()
+                .position(|scale| largest <= *scale)
+                .unwrap_or(SCALES.len() - 1);
+            let (shown, since) = &mut self.force_scale;
+            if fits >= *shown {
+                (*shown, *since) = (fits, Instant::now());
+            } else if since.elapsed() > SCALE_STAYS {
+                (*shown, *since) = (fits, Instant::now());
+            }
+        }
+        if let Some(recording) = &mut self.recording
+            && let Err(why) = recording.add(&telemetry)
+        {
+            self.recording = None;
+            self.say(Weight::Alarm, format!("recording ended: {why}"));
+        }
+        self.telemetry = Some(telemetry);
+    }
+
+    /// Tells the controller what the jog keys ask for.
+    fn order_jog(&mut self) {
+        let now_us = self.now_us();
+        match self.jogging.order(now_us) {
+            Order::None => {}
+            Order::Cancel => {
+                self.client.cancel_jog();
+            }
+            Order::Go { rates, deadline_ms } if self.ready() => {
+                let rates = rates
+                    .iter()
+                    .zip(&self.fixed.pose)
+                    .map(|(rate, axis)| {
+                        (rate * per_unit(axis.kind) / f64::from(1 << RATE_SHIFT)).round() as i32
+                    })
+                    .collect();
+                // Without a session there is nothing to be kept moving.
+                let _ = self.client.jog(rates, deadline_ms);
+            }
+            Order::Go { .. } => {}
+        }
+    }
+
+    /// Brings the machine to rest before the console is left, as far as it can be reached, and says whether it is known to be.
+    pub(super) fn leave(&mut self) -> bool {
+        let now_us = self.now_us();
+        self.jogging.release_all(now_us);
+        let until = Instant::now() + LEAVE;
+        if self.moves() && *self.client.state() == ClientState::Ready {
+            self.client.urgent_stop();
+            self.stopping = Some("stop");
+        }
+        while self.stopping.is_some() && self.ready() && Instant::now() < until {
+            if self.step().is_err() {
+                return false;
+            }
+        }
+        // Closes the file.
+        self.recording = None;
+        !self.moves() && self.ready()
+    }
+
+    /// What to do next, or what is wrong and what to do about it.
+    fn prompt(&self) -> (Weight, String) {
+        let alarm = |text: String| (Weight::Alarm, text);
+        let note = |text: &str| (Weight::Note, text.to_string());
+        match &self.contact {
+            Contact::Opening => return note("opening the port"),
+            Contact::Greeting => return note("waiting for the controller's answer"),
+            Contact::Configuring => return note("sending the machine file to the controller"),
+            Contact::Lost(why) => {
+                let owed = match self.owed {
+                    Owed::Nothing => "",
+                    Owed::Stop => " A STOP goes out first.",
+                    Owed::Emergency => " An EMERGENCY STOP goes out first.",
+                };
+                return alarm(format!("NO LINK, trying again.{owed} ({why})"));
+            }
+            Contact::Ready => {}
+        }
+        let Some(telemetry) = &self.telemetry else {
+            return note("waiting for the controller's report");
+        };
+        if let (State::Fault, Some(fault)) = (telemetry.state, &self.fault) {
+            let what = self
+                .model
+                .with_axes(|axes| axes.describe(fault).to_string());
+            return alarm(format!("FAULT: {what}. Key: x resets"));
+        }
+        if !self.configured && telemetry.state != State::EmergencyStop {
+            return (
+                Weight::Warning,
+                "the controller has another configuration: names and numbers may be wrong. d disables, e sends the machine file".to_string(),
+            );
+        }
+        match telemetry.state {
+            State::Fault => alarm("FAULT; x resets".to_string()),
+            State::EmergencyStop => {
+                alarm("EMERGENCY STOP: drives off. Release the cause, then x resets".to_string())
+            }
+            State::Disabled => note("drives off. e enables them"),
+            State::Idle if !telemetry.homed => note("not homed. h homes: the machine moves"),
+            State::Idle if !telemetry.position_kept => {
+                (Weight::Warning, "position lost. h homes".to_string())
+            }
+            State::Idle => match &self.work.checked {
+                Some(checked) => (
+                    Weight::Note,
+                    format!("ready. Jog, or p runs {}", checked.name),
+                ),
+                None => note("ready. Jog, or p chooses a part program"),
+            },
+            State::Homing => note("homing. Space stops"),
+            State::Run if self.work.runs_step() => note("step. Space stops"),
+            State::Run => note("running. Space holds, Ctrl-X stops"),
+            State::Jog => note("jogging. Ends with the key, or with Space"),
+            State::Hold if self.stopping.is_some() => note("stopping"),
+            State::Hold => (
+                Weight::Warning,
+                match self.work.pause_line {
+                    Some(line) => {
+                        format!("pause of the program in line {line}. Ctrl-R goes on, Ctrl-X drops it")
+                    }
+                    None => "on hold. Ctrl-R resumes, Ctrl-X drops the program".to_string(),
+                },
+            ),
+        }
+    }
+
+    /// The picture of now.
+    pub(super) fn shown(&self) -> Shown {
+        let now_us = self.now_us();
+        let counters = self.client.link().counters();
+        let program = self.work.checked.as_ref().map(|checked| ProgramShown {
+            name: checked.name.clone(),
+            duration_s: checked.plan.figures.duration_s,
+            runs: self.work.runs_program(),
+            line: self
+                .telemetry
+                .as_ref()
+                .filter(|_| self.work.runs_program())
+                .map_or(0, |telemetry| {
+                    checked.plan.line_of(telemetry.setpoint as usize)
+                }),
+            lines: checked.lines,
+        });
+        Shown {
+            fixed: Arc::clone(&self.fixed),
+            elapsed: self.begun.elapsed(),
+            machine: self.machine.config.name.to_string(),
+            contact: self.contact.clone(),
+            counters: Counters {
+                round_trip_us: self.client.link().round_trip_us(),
+                bad_frames: counters.bad_frames,
+                resent: counters.resent,
+                reconnects: self.reconnects,
+            },
+            telemetry: self.telemetry.clone(),
+            age: self.telemetry_at.elapsed(),
+            prompt: self.prompt(),
+            log: self.log.clone(),
+            overlay: self.overlay.clone(),
+            sources: self.sources,
+            feed_override: self.feed_override,
+            jog: JogShown {
+                mode: self.jogging.mode(),
+                rate: self.jogging.rate(),
+                step: self.jogging.step(),
+                dead_man_ms: self.jogging.dead_man_ms(),
+                releases_told: self.jogging.releases_told(),
+                held: self.jogging.held(now_us),
+            },
+            program,
+            loops: self.loops,
+            force_scale_n: SCALES[self.force_scale.0],
+            recording: self.recording.as_ref().map(|recording| {
+                let name = recording.path.file_name().unwrap_or_default();
+                (name.to_string_lossy().into_owned(), recording.rows)
+            }),
+            stopping: self.stopping,
+        }
+    }
+
+    /// Opens a question.
+    pub(super) fn confirm(&mut self, confirm: Confirm) {
+        let now_us = self.now_us();
+        self.jogging.release_all(now_us);
+        self.asked_us = now_us;
+        self.overlay = Overlay::Confirm(confirm);
+    }
+}
