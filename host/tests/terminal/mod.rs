@@ -35,6 +35,7 @@ pub struct Terminal {
     device: Option<Arc<OwnedFd>>,
     screen: Arc<Mutex<vt100::Parser>>,
     ended: Arc<AtomicBool>,
+    stuck: Arc<AtomicBool>,
     reader: Option<JoinHandle<()>>,
     child: Child,
 }
@@ -53,7 +54,13 @@ fn size(columns: u16, rows: u16) -> Winsize {
 }
 
 /// Reads what the program writes, and answers what it asks of a terminal.
-fn read(device: &OwnedFd, screen: &Mutex<vt100::Parser>, ended: &AtomicBool, keyboard: Keyboard) {
+fn read(
+    device: &OwnedFd,
+    screen: &Mutex<vt100::Parser>,
+    ended: &AtomicBool,
+    stuck: &AtomicBool,
+    keyboard: Keyboard,
+) {
     let wait = Timespec {
         tv_sec: 0,
         tv_nsec: 20_000_000,
@@ -61,6 +68,10 @@ fn read(device: &OwnedFd, screen: &Mutex<vt100::Parser>, ended: &AtomicBool, key
     let mut buffer = [0; 8192];
     let mut tail: Vec<u8> = Vec::new();
     while !ended.load(Ordering::Relaxed) {
+        if stuck.load(Ordering::Relaxed) {
+            std::thread::sleep(Duration::from_millis(5));
+            continue;
+        }
         let mut fds = [PollFd::new(device, PollFlags::IN)];
         if !matches!(poll(&mut fds, Some(&wait)), Ok(1..)) {
             continue;
@@ -120,18 +131,17 @@ impl Terminal {
         let device = Arc::new(device);
         let screen = Arc::new(Mutex::new(vt100::Parser::new(cells(rows), cells(columns), 0)));
         let ended = Arc::new(AtomicBool::new(false));
+        let stuck = Arc::new(AtomicBool::new(false));
         let reader = {
-            let (device, screen, ended) = (
-                Arc::clone(&device),
-                Arc::clone(&screen),
-                Arc::clone(&ended),
-            );
-            std::thread::spawn(move || read(&device, &screen, &ended, keyboard))
+            let (device, screen) = (Arc::clone(&device), Arc::clone(&screen));
+            let (ended, stuck) = (Arc::clone(&ended), Arc::clone(&stuck));
+            std::thread::spawn(move || read(&device, &screen, &ended, &stuck, keyboard))
         };
         Self {
             device: Some(device),
             screen,
             ended,
+            stuck,
             reader: Some(reader),
             child,
         }
@@ -209,6 +219,20 @@ impl Terminal {
             && self.with_screen(|screen| {
                 !screen.alternate_screen() && !screen.hide_cursor() && !screen.bracketed_paste()
             })
+    }
+
+    /// The terminal takes nothing any more, or takes it again; keys go through.
+    pub fn is_stuck(&self, stuck: bool) {
+        self.stuck.store(stuck, Ordering::Relaxed);
+    }
+
+    /// The number in a column of a row of the screen that begins with a name; 1 is the first column after the name.
+    pub fn number(&self, name: &str, column: usize) -> Option<f64> {
+        let text = self.text();
+        let row = text
+            .lines()
+            .find(|row| row.split_whitespace().next() == Some(name))?;
+        row.split_whitespace().nth(column)?.parse().ok()
     }
 
     /// The window is closed.

@@ -233,7 +233,7 @@ fn keys_line(width: u16) -> Paragraph<'static> {
         let style = Style::new().add_modifier(Modifier::REVERSED);
         spans.push(Span::styled(format!(" {key} "), style));
         spans.push(Span::raw(if width >= 74 {
-            format!(" {what}  ")
+            format!(" {what} ")
         } else {
             what.to_string()
         }));

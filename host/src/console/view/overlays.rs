@@ -21,7 +21,7 @@ pub(super) fn draw(frame: &mut Frame<'_>, area: Rect, shown: &Shown) {
         Overlay::Help { from } => {
             let rows = BINDINGS.iter().flat_map(|row| {
                 let mark = if row.always { " (always)" } else { "" };
-                wrapped(&format!("{:<11}{}{mark}", row.name, row.what), width)
+                wrapped(&format!("{:<11}{}{mark}", row.name, row.what), width, 11)
             });
             (
                 "Keys: arrows scroll, Esc closes",
@@ -29,7 +29,7 @@ pub(super) fn draw(frame: &mut Frame<'_>, area: Rect, shown: &Shown) {
             )
         }
         Overlay::Problems { lines, from } => {
-            let rows = lines.iter().skip(*from).flat_map(|line| wrapped(line, width));
+            let rows = lines.iter().skip(*from).flat_map(|line| wrapped(line, width, 2));
             (
                 "The program is refused: arrows scroll, Esc closes",
                 rows.map(Line::from).collect(),
@@ -46,7 +46,7 @@ pub(super) fn draw(frame: &mut Frame<'_>, area: Rect, shown: &Shown) {
                 Confirm::Run(text) => format!("Run {text}? The machine moves."),
                 Confirm::Quit(text) => format!("Quit? {text}."),
             };
-            let mut rows: Vec<Line<'_>> = wrapped(&text, width).into_iter().map(Line::from).collect();
+            let mut rows: Vec<Line<'_>> = wrapped(&text, width, 0).into_iter().map(Line::from).collect();
             rows.push(Line::styled("Enter does it, any other key does not", marked));
             ("Sure?", rows)
         }

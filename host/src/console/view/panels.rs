@@ -62,6 +62,10 @@ fn fresh(shown: &Shown) -> Style {
 /// A row for each pose coordinate.
 pub(super) fn pose_rows(frame: &mut Frame<'_>, area: Rect, shown: &Shown, wide: bool) {
     let telemetry = shown.telemetry.as_ref();
+    // With the drives off nothing is wanted.
+    let wants = telemetry
+        .filter(|t| !matches!(t.state, State::Disabled | State::EmergencyStop))
+        .map(|t| &t.wanted);
     let (name, number) = if wide { (7, 11) } else { (6, 10) };
     let rows: Vec<Line<'_>> = shown
         .fixed
@@ -69,12 +73,7 @@ pub(super) fn pose_rows(frame: &mut Frame<'_>, area: Rect, shown: &Shown, wide: 
         .iter()
         .enumerate()
         .map(|(index, axis)| {
-            let wanted = value(
-                &shown.fixed.pose,
-                telemetry.map(|t| &t.wanted),
-                index,
-                number,
-            );
+            let wanted = value(&shown.fixed.pose, wants, index, number);
             let actual = value(
                 &shown.fixed.pose,
                 telemetry.map(|t| &t.measured),
@@ -346,7 +345,7 @@ pub(super) fn message_rows(frame: &mut Frame<'_>, area: Rect, shown: &Shown) {
             times => format!(" ({times} times)"),
         };
         let text = format!(" {} {}{times}", clock(entry.at), entry.text);
-        for row in wrapped(&text, width) {
+        for row in wrapped(&text, width, 9) {
             rows.push(Line::styled(row, style));
         }
     }
@@ -354,13 +353,13 @@ pub(super) fn message_rows(frame: &mut Frame<'_>, area: Rect, shown: &Shown) {
     frame.render_widget(Paragraph::new(rows.split_off(surplus)), area);
 }
 
-/// Broken at spaces; what follows the first row is indented.
-pub(super) fn wrapped(text: &str, width: usize) -> Vec<String> {
+/// Broken at spaces; what follows the first row is indented by so many columns.
+pub(super) fn wrapped(text: &str, width: usize, indent: usize) -> Vec<String> {
     let mut rows = vec![String::new()];
     for word in text.split_inclusive(' ') {
         let used = rows.last().map_or(0, |row| row.chars().count());
-        if used > 9 && used + word.trim_end().chars().count() > width {
-            rows.push("         ".to_string());
+        if used > indent && used + word.trim_end().chars().count() > width {
+            rows.push(" ".repeat(indent));
         }
         if let Some(row) = rows.last_mut() {
             row.push_str(word);
