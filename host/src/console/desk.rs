@@ -21,9 +21,9 @@ use crate::model::Model;
 use crate::port::PortError;
 use crate::session::fresh_number;
 use haptimill_firmware::config::Drive;
-use haptimill_protocol::force::ForceLoop;
+use haptimill_protocol::force::{ForceLoop, ForceParameter};
 use haptimill_protocol::message::{
-    AxisValues, Command, Event, Fault, MAX_AXES, RATE_SHIFT, Source, State, Telemetry,
+    AxisValues, Command, Event, Fault, MAX_AXES, RATE_SHIFT, Refusal, Source, State, Telemetry,
 };
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -54,6 +54,26 @@ pub(super) enum Then {
     Say(&'static str),
 }
 
+/// Settings of a force loop that are wanted and not yet taken: the newest ones, one request at a time.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct WantedLoop {
+    pub(super) settings: Option<ForceLoop>,
+    /// A request for these is under way.
+    asked: Option<ForceLoop>,
+    /// Not before then: the controller still works the last change out.
+    after_us: u64,
+}
+
+impl WantedLoop {
+    /// The newest settings that were wanted and are not yet taken.
+    pub(super) fn newest(&self) -> Option<ForceLoop> {
+        self.settings.or(self.asked)
+    }
+}
+
+/// Pause after a controller said that it is busy with the last change, microseconds.
+const BUSY_US: u64 = 20_000;
+
 /// A stop that cannot be said now, because there is no session.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Owed {
@@ -81,6 +101,8 @@ pub(super) struct Desk {
     fixed: Arc<Fixed>,
     transmit: Vec<u8>,
     received: Vec<u8>,
+    /// Time of the line at the last exchange.
+    line_us: u64,
     begun: Instant,
     contact: Contact,
     /// There was a session once: a port that fails now is tried again, not reported as a mistake of the command line.
@@ -98,9 +120,12 @@ pub(super) struct Desk {
     pub(super) overlay: Overlay,
     pub(super) sources: [Source; MAX_AXES],
     pub(super) feed_override: u8,
+    /// The override that was asked for last.
+    pub(super) wanted_override: u8,
     pub(super) jogging: Jogging,
     pub(super) work: Work,
     pub(super) loops: Option<[ForceLoop; 3]>,
+    pub(super) wanted_loops: [WantedLoop; 3],
     force_scale: (usize, Instant),
     pub(super) recording: Option<Recording>,
     pub(super) stopping: Option<&'static str>,
@@ -143,6 +168,7 @@ impl Desk {
             fixed,
             transmit: Vec::new(),
             received: Vec::new(),
+            line_us: 0,
             begun: now,
             contact: Contact::Opening,
             connected_once: false,
@@ -157,7 +183,9 @@ impl Desk {
             overlay: Overlay::None,
             sources: [Source::Program; MAX_AXES],
             feed_override: 100,
+            wanted_override: 100,
             loops,
+            wanted_loops: [WantedLoop::default(); 3],
             force_scale: (0, now),
             recording: None,
             stopping: None,
@@ -227,14 +255,19 @@ impl Desk {
             self.greet();
         }
         self.order_jog();
+        self.ask_loops();
         let Some(line) = self.connection.line() else {
             std::thread::sleep(Duration::from_millis(2));
             return Ok(());
         };
+        // What was ordered goes out with this exchange, not with the next one.
+        self.client
+            .advance(self.line_us, &[], &mut self.transmit);
         self.received.clear();
         match line.exchange(&self.transmit, &mut self.received) {
             Ok(now_us) => {
                 self.transmit.clear();
+                self.line_us = now_us;
                 self.client
                     .advance(now_us, &self.received, &mut self.transmit);
             }
@@ -252,6 +285,7 @@ impl Desk {
         self.client = Client::new(self.settings.options);
         self.transmit.clear();
         self.asked.clear();
+        self.line_us = 0;
         self.client.connect(fresh_number(), 0);
         if self.owed != Owed::Nothing {
             // Needs no session: the bytes go before the greeting.
@@ -281,7 +315,8 @@ impl Desk {
         self.jogging.release_all(now_us);
         self.work.forget();
         self.sources = [Source::Program; MAX_AXES];
-        self.feed_override = 100;
+        (self.feed_override, self.wanted_override) = (100, 100);
+        self.wanted_loops = [WantedLoop::default(); 3];
         self.configured = false;
         self.stopping = None;
         self.contact = Contact::Lost(why.to_string());
@@ -374,6 +409,15 @@ impl Desk {
             self.configured = result.is_ok();
         }
         if let Err(error) = result {
+            match then {
+                Then::Override(_) => self.wanted_override = self.feed_override,
+                Then::Loop(axis, settings) => {
+                    if self.loop_refused(axis, settings, &error) {
+                        return;
+                    }
+                }
+                _ => {}
+            }
             let why = match &error {
                 RequestError::Refused(refusal) => self
                     .model
@@ -395,11 +439,49 @@ impl Desk {
                 self.say(Weight::Note, what);
             }
             Then::Loop(axis, settings) => {
+                let axis = usize::from(axis);
+                self.wanted_loops[axis].asked = None;
                 if let Some(loops) = &mut self.loops {
-                    loops[usize::from(axis)] = settings;
+                    loops[axis] = settings;
                 }
             }
             Then::Say(what) => self.say(Weight::Note, what),
+        }
+    }
+
+    /// True when it is to be asked again: a newer wish waits already, or the controller works the last change out.
+    fn loop_refused(&mut self, axis: u8, settings: ForceLoop, error: &RequestError) -> bool {
+        let now_us = self.now_us();
+        let wanted = &mut self.wanted_loops[usize::from(axis)];
+        wanted.asked = None;
+        let busy = matches!(
+            error,
+            RequestError::Refused(Refusal::Force { refusal, .. })
+                if refusal.parameter == ForceParameter::Busy
+        );
+        if busy {
+            wanted.settings.get_or_insert(settings);
+            wanted.after_us = now_us + BUSY_US;
+        }
+        busy
+    }
+
+    /// Asks for the settings of force loops that are wanted.
+    fn ask_loops(&mut self) {
+        let now_us = self.now_us();
+        for axis in 0..self.wanted_loops.len() {
+            let wanted = &mut self.wanted_loops[axis];
+            if wanted.asked.is_some() || now_us < wanted.after_us {
+                continue;
+            }
+            if let Some(settings) = wanted.settings.take() {
+                wanted.asked = Some(settings);
+                let axis = axis as u8;
+                self.ask(
+                    Command::ForceLoop { axis, settings },
+                    Then::Loop(axis, settings),
+                );
+            }
         }
     }
 

@@ -6,7 +6,7 @@ use super::keys::{Action, BINDINGS, Key};
 use super::recording::Recording;
 use super::shown::{Confirm, Contact, Overlay, Weight};
 use haptimill_protocol::message::{Command, Source, State};
-use ratatui::crossterm::event::{Event, KeyCode, KeyEvent, KeyEventKind};
+use ratatui::crossterm::event::{Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 
 /// Feed overrides to choose from, percent.
 const OVERRIDES: [u8; 13] = [1, 2, 5, 10, 20, 30, 40, 50, 60, 70, 80, 90, 100];
@@ -40,7 +40,7 @@ impl Desk {
     }
 
     fn key(&mut self, event: &KeyEvent) {
-        let key = Key::of(event);
+        let mut key = Key::of(event);
         let press = match event.kind {
             KeyEventKind::Press => Press::Down,
             KeyEventKind::Repeat => Press::Again,
@@ -59,6 +59,10 @@ impl Desk {
                 self.order(action);
             }
             return;
+        }
+        if event.modifiers.contains(KeyModifiers::ALT) {
+            // Escape and a key in one read look like this: the Escape counts, for the key may be a part of something torn.
+            key = Key::of(&KeyEvent::from(KeyCode::Esc));
         }
         match std::mem::replace(&mut self.overlay, Overlay::None) {
             Overlay::None => match key.action() {
@@ -252,7 +256,7 @@ impl Desk {
     }
 
     fn choose_override(&mut self, up: bool) {
-        let now = self.feed_override;
+        let now = self.wanted_override;
         let next = if up {
             OVERRIDES.iter().find(|percent| **percent > now)
         } else {
@@ -260,6 +264,7 @@ impl Desk {
         };
         if let Some(percent) = next {
             let percent = *percent;
+            self.wanted_override = percent;
             self.ask(Command::Override { percent }, Then::Override(percent));
         }
     }
@@ -362,13 +367,10 @@ impl Desk {
         };
         self.overlay = Overlay::Force { at };
         if change != 0 {
-            let mut settings = loops[at];
+            let wanted = &mut self.wanted_loops[at];
+            let mut settings = wanted.newest().unwrap_or(loops[at]);
             settings.desired = settings.desired.saturating_add(change);
-            let axis = at as u8;
-            self.ask(
-                Command::ForceLoop { axis, settings },
-                Then::Loop(axis, settings),
-            );
+            wanted.settings = Some(settings);
         }
     }
 }

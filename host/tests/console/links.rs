@@ -29,7 +29,7 @@ fn a_lost_line_is_found_again_and_nothing_moves_by_itself() {
     // Keys are heard all the same.
     terminal.keys(b"?");
     terminal.sees("Keys: arrows scroll");
-    terminal.keys(ESCAPE);
+    terminal.escape();
     terminal.keys(RIGHT);
     terminal.sees("no link to the controller");
     cable.mend();

@@ -3,7 +3,6 @@
 use haptimill::machine::MachineFile;
 use haptimill::port::{TcpServer, Transport};
 use haptimill::session;
-use haptimill_hil_sim::rig::Control;
 use haptimill_protocol::message::State;
 use std::io::{Read, Write};
 use std::net::{Shutdown, TcpListener, TcpStream};

@@ -49,7 +49,6 @@ const UP: &[u8] = b"\x1b[A";
 const DOWN: &[u8] = b"\x1b[B";
 const PAGE_UP: &[u8] = b"\x1b[5~";
 const PAGE_DOWN: &[u8] = b"\x1b[6~";
-const ESCAPE: &[u8] = b"\x1b";
 const ENTER: &[u8] = b"\r";
 const SPACE: &[u8] = b" ";
 const RESUME: &[u8] = b"\x12";

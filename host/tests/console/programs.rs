@@ -48,7 +48,7 @@ fn hold_resume_stop_and_emergency_are_heard_whatever_is_open() {
             .find(|row| row.starts_with(" x "))
             .map(|row| row[..20].to_string())
     };
-    terminal.keys(ESCAPE);
+    terminal.escape();
     terminal.sees("on hold. Ctrl-R resumes");
     let (before, after) = held();
     assert_eq!(row(&before), row(&after));
@@ -62,7 +62,7 @@ fn hold_resume_stop_and_emergency_are_heard_whatever_is_open() {
     terminal.keys(STOP);
     terminal.state("IDLE");
     terminal.sees("long.ngc: dropped");
-    terminal.keys(ESCAPE);
+    terminal.escape();
     // From where it stands, again, with less speed; then the emergency stop, while a question is open.
     for _ in 0..5 {
         terminal.keys(b"-");
@@ -75,7 +75,7 @@ fn hold_resume_stop_and_emergency_are_heard_whatever_is_open() {
     terminal.keys(EMERGENCY);
     terminal.state("EMERGENCY STOP");
     terminal.sees("EMERGENCY STOP: drives off");
-    terminal.keys(ESCAPE);
+    terminal.escape();
     terminal.keys(b"e");
     terminal.sees("enable: not possible while the machine is in emergency stop");
     terminal.keys(b"x");
@@ -146,7 +146,7 @@ fn a_program_with_a_mistake_is_refused_with_its_line() {
     terminal.keys(ENTER);
     terminal.sees("The program is refused");
     terminal.sees("bad.ngc:3:");
-    terminal.keys(ESCAPE);
+    terminal.escape();
     terminal.state("IDLE");
     terminal.keys(b"p");
     terminal.keys(b"\x15/nowhere.ngc\r");
@@ -162,7 +162,7 @@ fn axes_and_force_loop_are_set_from_the_screen() {
     terminal.keys(DOWN);
     terminal.keys(b"h");
     terminal.sees("y: hold");
-    terminal.keys(ESCAPE);
+    terminal.escape();
     terminal.waits("held y", |text| {
         text.lines()
             .any(|row| row.starts_with(" y ") && row.contains("hold"))
@@ -182,7 +182,7 @@ fn axes_and_force_loop_are_set_from_the_screen() {
         terminal.keys(b"-");
     }
     terminal.sees("force loop of x");
-    terminal.keys(ESCAPE);
+    terminal.escape();
     terminal.waits("yielding x", |text| {
         text.lines()
             .any(|row| row.contains("yield x>"))

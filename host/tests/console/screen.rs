@@ -40,6 +40,6 @@ fn the_screen_follows_the_size_of_the_terminal() {
     terminal.sees("Keys: arrows scroll");
     terminal.keys(DOWN);
     terminal.keys(PAGE_DOWN);
-    terminal.keys(ESCAPE);
+    terminal.escape();
     terminal.waits("closed", |text| !text.contains("Keys: arrows scroll"));
 }

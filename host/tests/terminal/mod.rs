@@ -156,6 +156,12 @@ impl Terminal {
         assert_eq!(rustix::io::write(self.device(), bytes), Ok(bytes.len()));
     }
 
+    /// Escape, which together with what comes at once after it would be another key.
+    pub fn escape(&self) {
+        self.keys(b"\x1b");
+        std::thread::sleep(Duration::from_millis(150));
+    }
+
     /// What is on the screen.
     pub fn text(&self) -> String {
         self.screen.lock().unwrap().screen().contents()
