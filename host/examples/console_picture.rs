@@ -38,7 +38,9 @@ mod linux {
             "console",
             "--out",
             out.to_str().ok_or("not UTF-8")?,
-            "examples/e11-circle.ngc",
+            "--work",
+            "examples/block.toml",
+            "examples/e7-slot.ngc",
         ];
         let terminal = Terminal::start(&program, &arguments, &root, (80, 24), Keyboard::Plain);
         terminal.state("DISABLED");
@@ -47,7 +49,7 @@ mod linux {
         terminal.keys(b"h");
         terminal.sees("Home?");
         terminal.keys(b"\r");
-        terminal.sees("way to the home pose: done");
+        terminal.sees("the work is clamped");
         terminal.keys(b"t");
         terminal.sees("Tare?");
         terminal.keys(b"\r");
@@ -59,6 +61,17 @@ mod linux {
         }
         picture(&terminal, &root.join("docs/console-jog.svg"))?;
         terminal.state("IDLE");
+        // Back to where the program begins, exactly: by a step of 10 mm would be elsewhere, so home again.
+        terminal.keys(b"h");
+        terminal.sees("Home?");
+        terminal.keys(b"\r");
+        terminal.state("HOMING");
+        terminal.state("IDLE");
+        terminal.keys(b"y");
+        terminal.sees("Force loop");
+        terminal.keys(b"\r");
+        terminal.sees("x yields");
+        terminal.escape();
         terminal.keys(b"l");
         terminal.sees("REC console-");
         terminal.keys(b"p");

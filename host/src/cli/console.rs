@@ -42,6 +42,9 @@ pub struct ConsoleArgs {
     /// Folder for recordings (console-TIME.csv)
     #[arg(long, value_name = "DIR", default_value = ".")]
     pub out: PathBuf,
+    /// What is clamped on the simulated machine's table after homing: a file like examples/block.toml; with the simulator only
+    #[arg(long, value_name = "FILE")]
+    pub work: Option<PathBuf>,
     /// Seed of the simulated machine, instead of the one in the machine file; with the simulator only
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,

@@ -8,6 +8,7 @@ use crate::machine::MachineFile;
 use crate::port::{self, PortError, PortSpec, Transport};
 use crate::session::{self, Line, PortLine};
 use haptimill_firmware::controller::Controller;
+use haptimill_hil_sim::cutting::CuttingConfig;
 use haptimill_hil_sim::fault::Fault;
 use haptimill_hil_sim::rig::Rig;
 use std::sync::mpsc::{self, Receiver, TryRecvError};
@@ -63,7 +64,8 @@ enum Stage {
     Opening(Receiver<Result<Box<dyn Transport>, PortError>>),
     /// It is tried again then.
     Waiting(Instant),
-    Open(Box<dyn Line>),
+    Open(PortLine),
+    Simulated(Box<PacedSim>),
 }
 
 /// The line to the controller, and how it is got.
@@ -94,7 +96,7 @@ impl Connection {
         faults: Vec<Fault>,
     ) -> Result<Self, CliError> {
         let stage = match spec {
-            PortSpec::Simulator => Stage::Open(Box::new(PacedSim {
+            PortSpec::Simulator => Stage::Simulated(Box::new(PacedSim {
                 rig: session::rig(machine, seed, None, faults)?,
                 pace: Pace::new(u64::from(machine.config.period_us) * 1000),
                 begun: Instant::now(),
@@ -112,9 +114,24 @@ impl Connection {
     /// The open line.
     pub(super) fn line(&mut self) -> Option<&mut dyn Line> {
         match &mut self.stage {
-            Stage::Open(line) => Some(line.as_mut()),
+            Stage::Open(line) => Some(line),
+            Stage::Simulated(sim) => Some(sim.as_mut()),
             _ => None,
         }
+    }
+
+    /// Clamps a work on the table of the simulated machine in this process, with the tool where it stands.
+    ///
+    /// # Errors
+    /// In words: the work makes no sense there.
+    pub(super) fn clamp(&mut self, work: &CuttingConfig) -> Result<(), String> {
+        let Stage::Simulated(sim) = &mut self.stage else {
+            return Err("there is no simulated machine in this process".to_string());
+        };
+        sim.rig.plant_mut().clamp(work).map_err(|problems| {
+            let problems: Vec<String> = problems.iter().map(ToString::to_string).collect();
+            problems.join("; ")
+        })
     }
 
     /// What people call it.
@@ -143,7 +160,7 @@ impl Connection {
     /// Goes on with the way to the port. Does not wait.
     pub(super) fn advance(&mut self) -> Reached {
         match &self.stage {
-            Stage::Open(_) => Reached::Nothing,
+            Stage::Open(_) | Stage::Simulated(_) => Reached::Nothing,
             Stage::Waiting(until) if Instant::now() < *until => Reached::Nothing,
             Stage::Waiting(_) => {
                 self.stage = opening(&self.spec, self.baud);
@@ -151,7 +168,7 @@ impl Connection {
             }
             Stage::Opening(receiver) => match receiver.try_recv() {
                 Ok(Ok(port)) => {
-                    self.stage = Stage::Open(Box::new(PortLine::new(port)));
+                    self.stage = Stage::Open(PortLine::new(port));
                     Reached::Line
                 }
                 Ok(Err(error)) => {

@@ -21,6 +21,7 @@ use crate::model::Model;
 use crate::port::PortError;
 use crate::session::fresh_number;
 use haptimill_firmware::config::Drive;
+use haptimill_hil_sim::cutting::CuttingConfig;
 use haptimill_protocol::force::{ForceLoop, ForceParameter};
 use haptimill_protocol::message::{
     AxisValues, Command, Event, Fault, MAX_AXES, RATE_SHIFT, Refusal, Source, State, Telemetry,
@@ -88,6 +89,8 @@ pub(super) struct Settings {
     pub(super) folder: PathBuf,
     /// The program to begin with.
     pub(super) program: Option<PathBuf>,
+    /// A work that is clamped on the simulated table after homing.
+    pub(super) work: Option<CuttingConfig>,
     pub(super) options: Options,
 }
 
@@ -660,11 +663,8 @@ impl Desk {
             State::Idle if !telemetry.position_kept => {
                 (Weight::Warning, "position lost. h homes".to_string())
             }
-            State::Idle => match &self.work.checked {
-                Some(checked) => (
-                    Weight::Note,
-                    format!("ready. Jog, or p runs {}", checked.name),
-                ),
+            State::Idle => match self.work.offered() {
+                Some(name) => (Weight::Note, format!("ready. Jog, or p runs {name}")),
                 None => note("ready. Jog, or p chooses a part program"),
             },
             State::Homing => note("homing. Space stops"),
@@ -728,6 +728,7 @@ impl Desk {
                 held: self.jogging.held(now_us),
             },
             program,
+            offered: self.work.offered(),
             loops: self.loops,
             force_scale_n: SCALES[self.force_scale.0],
             recording: self.recording.as_ref().map(|recording| {

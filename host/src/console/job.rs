@@ -102,6 +102,12 @@ impl Work {
         }
     }
 
+    /// Name of the program that was chosen last, without folders.
+    pub(super) fn offered(&self) -> Option<String> {
+        let name = self.path.as_ref()?.file_name()?;
+        Some(name.to_string_lossy().into_owned())
+    }
+
     /// The program that was chosen last.
     pub(super) fn path(&self) -> String {
         self.path
@@ -207,6 +213,16 @@ impl Desk {
         }
     }
 
+    /// The work that was given is clamped once the machine is at its home pose, as an operator does it.
+    fn clamp(&mut self) {
+        if let Some(work) = self.settings.work.take() {
+            match self.connection.clamp(&work) {
+                Ok(()) => self.say(Weight::Note, "the work is clamped on the simulated table"),
+                Err(why) => self.say(Weight::Warning, why),
+            }
+        }
+    }
+
     fn start(&mut self, job: Job, plan: &Plan) -> bool {
         self.work.numbers += 1;
         let setpoints = plan.setpoints.clone();
@@ -301,7 +317,12 @@ impl Desk {
         };
         match ending {
             JobEnding::Done { .. } if job == Some(Job::Step) => {}
-            JobEnding::Done { .. } => self.say(Weight::Note, format!("{name}: done")),
+            JobEnding::Done { .. } => {
+                self.say(Weight::Note, format!("{name}: done"));
+                if job == Some(Job::Home) {
+                    self.clamp();
+                }
+            }
             JobEnding::Dropped { .. } => self.say(Weight::Warning, format!("{name}: dropped")),
             // The loss of the link says it.
             JobEnding::Lost { .. } => {}

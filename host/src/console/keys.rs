@@ -349,7 +349,7 @@ impl Key {
     }
 }
 
-/// The table in Markdown, for the documentation.
+/// The table in Markdown, as docs/console.md has it.
 #[must_use]
 pub fn markdown() -> String {
     let rows: String = BINDINGS
@@ -411,6 +411,12 @@ mod tests {
             key(KeyCode::Char('X'), KeyModifiers::CONTROL).always(),
             Some(Action::Stop)
         );
+    }
+
+    #[test]
+    fn the_documentation_has_this_table() {
+        let page = include_str!("../../../docs/console.md");
+        assert!(page.contains(&markdown()), "{}", markdown());
     }
 
     /// A torn escape sequence leaves these; of arrows, function keys, and answers of the terminal.

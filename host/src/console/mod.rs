@@ -34,6 +34,7 @@ use crate::client::Options;
 use crate::model::Model;
 use crate::port::{DEFAULT_BAUD, PortSpec};
 use connect::Connection;
+use haptimill_hil_sim::config::PlantConfig;
 use desk::{Desk, Settings};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -81,11 +82,20 @@ pub fn run(args: ConsoleArgs) -> Result<(), CliError> {
     if matches!(args.port, PortSpec::Serial(_)) {
         options.timing.line_rate = baud / 10;
     }
+    let work = match &args.work {
+        Some(path) => {
+            let work = crate::machine::work::load(path)?;
+            let plant: PlantConfig = machine.plant()?;
+            Some(plant.cutting(work))
+        }
+        None => None,
+    };
     let connection = Connection::new(&args.port, baud, &machine, args.seed, args.fault)?;
     let settings = Settings {
         dead_man_ms: args.dead_man,
         folder: args.out,
         program: args.program,
+        work,
         options,
     };
     let signals = signals();
@@ -98,7 +108,13 @@ pub fn run(args: ConsoleArgs) -> Result<(), CliError> {
     // First the machine, then the screen.
     let rests = desk.leave();
     painter.show(desk.shown());
-    painter.end();
+    if !painter.end() {
+        std::process::exit(i32::from(match ended {
+            Ok(End::Wanted) => Exit::Done,
+            Ok(_) => Exit::Stopped,
+            Err(error) => error.exit,
+        } as u8));
+    }
     terminal::restore();
     told(ended?, rests, &desk)
 }
@@ -111,6 +127,8 @@ fn check(args: &ConsoleArgs) -> Result<(), CliError> {
             "{}: an emulated controller is slower than real time; use --port sim, or a machine",
             args.port
         )
+    } else if !simulated && args.work.is_some() {
+        "--work is for the simulator in this process; clamp the work by hand".to_string()
     } else if !simulated && (args.seed.is_some() || !args.fault.is_empty()) {
         "--seed and --fault are for the simulator in this process; give them to `haptimill sim serve`"
             .to_string()

@@ -182,6 +182,8 @@ pub(super) struct Shown {
     pub(super) feed_override: u8,
     pub(super) jog: JogShown,
     pub(super) program: Option<ProgramShown>,
+    /// Name of the program that was chosen, checked or not.
+    pub(super) offered: Option<String>,
     /// Force loops of x, y, z; none on a machine without a force sensor.
     pub(super) loops: Option<[ForceLoop; 3]>,
     pub(super) force_scale_n: f64,

@@ -27,6 +27,9 @@ use std::time::{Duration, Instant};
 /// The terminal is ours.
 static TAKEN: AtomicBool = AtomicBool::new(false);
 
+/// The terminal was asked to tell of releases.
+static ENHANCED: AtomicBool = AtomicBool::new(false);
+
 /// Least time between two pictures: 30 a second.
 const FRAME: Duration = Duration::from_millis(33);
 
@@ -42,9 +45,11 @@ pub(super) fn restore() {
         return;
     }
     let _ = disable_raw_mode();
+    if ENHANCED.swap(false, Ordering::SeqCst) {
+        let _ = execute!(stdout(), PopKeyboardEnhancementFlags);
+    }
     let _ = execute!(
         stdout(),
-        PopKeyboardEnhancementFlags,
         DisableFocusChange,
         DisableBracketedPaste,
         LeaveAlternateScreen,
@@ -76,14 +81,19 @@ pub(super) fn check() -> Result<(), CliError> {
 /// # Errors
 /// The system does not let it.
 pub(super) fn take() -> Result<(), CliError> {
-    let failed =
-        |error: std::io::Error| CliError::new(Exit::Usage, format!("console: the terminal: {error}"));
     let before = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic| {
         restore();
         before(panic);
     }));
-    enable_raw_mode().map_err(failed)?;
+    prepare().map_err(|error| {
+        restore();
+        CliError::new(Exit::Usage, format!("console: the terminal: {error}"))
+    })
+}
+
+fn prepare() -> std::io::Result<()> {
+    enable_raw_mode()?;
     TAKEN.store(true, Ordering::SeqCst);
     execute!(
         stdout(),
@@ -92,13 +102,13 @@ pub(super) fn take() -> Result<(), CliError> {
         Clear(ClearType::All),
         EnableBracketedPaste,
         EnableFocusChange
-    )
-    .map_err(failed)?;
+    )?;
     // Asks the terminal; one that answers nothing at all costs two seconds.
     if supports_keyboard_enhancement().unwrap_or(false) {
         let flags = KeyboardEnhancementFlags::DISAMBIGUATE_ESCAPE_CODES
             | KeyboardEnhancementFlags::REPORT_EVENT_TYPES;
-        execute!(stdout(), PushKeyboardEnhancementFlags(flags)).map_err(failed)?;
+        execute!(stdout(), PushKeyboardEnhancementFlags(flags))?;
+        ENHANCED.store(true, Ordering::SeqCst);
     }
     Ok(())
 }
@@ -169,8 +179,8 @@ impl Painter {
         self.thread.is_finished()
     }
 
-    /// Ends, after the last picture; a terminal that is stuck is left as it is.
-    pub(super) fn end(self) {
+    /// Ends, after the last picture. False when the terminal is stuck: whoever writes to it would wait for ever.
+    pub(super) fn end(self) -> bool {
         if let Ok(mut newest) = self.shared.newest.lock() {
             newest.1 = true;
         }
@@ -179,11 +189,13 @@ impl Painter {
         while !self.thread.is_finished() && Instant::now() < until {
             std::thread::sleep(Duration::from_millis(5));
         }
-        if !self.thread.is_finished() {
-            // It holds the output: what follows would wait for it for ever. The mode of the terminal can be set all the same.
+        let ended = self.thread.is_finished();
+        if !ended {
+            // The mode of the terminal can be set all the same.
             TAKEN.store(false, Ordering::SeqCst);
             let _ = disable_raw_mode();
         }
+        ended
     }
 }
 

@@ -17,7 +17,7 @@ fn hold_down(terminal: &Terminal, key: &[u8], time: Duration) {
     }
 }
 
-fn signal(terminal: &Terminal, signal: Signal) {
+pub fn signal(terminal: &Terminal, signal: Signal) {
     let process = Pid::from_raw(terminal.process() as i32).unwrap();
     kill_process(process, signal).unwrap();
 }
@@ -134,4 +134,42 @@ fn a_port_that_is_not_there_is_told_at_the_beginning() {
     assert!(terminal.is_as_before());
     let text = terminal.text();
     assert!(text.contains("cannot be opened"), "{text}");
+}
+
+#[test]
+fn what_stops_the_machine_by_itself_is_told_with_its_remedy() {
+    let terminal = homed(
+        &[
+            "--fault",
+            "emergency-stop at=8s for=1s",
+            "--fault",
+            "slide-jammed axis=l1 at=14s",
+        ],
+        Keyboard::Plain,
+    );
+    terminal.state("EMERGENCY STOP");
+    terminal.sees("EMERGENCY STOP: drives off. Release the cause, then x resets");
+    let reset = || {
+        let begun = Instant::now();
+        while terminal.row(0).starts_with(" FAULT") || terminal.row(0).starts_with(" EMERG") {
+            terminal.keys(b"x");
+            std::thread::sleep(Duration::from_millis(200));
+            assert!(begun.elapsed() < terminal::PATIENCE, "{}", terminal.text());
+        }
+    };
+    reset();
+    terminal.keys(b"e");
+    terminal.state("IDLE");
+    // To and fro until the slide sticks.
+    let begun = Instant::now();
+    for key in [RIGHT, LEFT].iter().cycle() {
+        if terminal.row(0).starts_with(" FAULT") {
+            break;
+        }
+        hold_down(&terminal, key, Duration::from_millis(300));
+        assert!(begun.elapsed() < terminal::PATIENCE, "{}", terminal.text());
+    }
+    terminal.sees("FAULT: l1 ");
+    terminal.sees("Key: x resets");
+    reset();
 }

@@ -86,4 +86,34 @@ fn a_terminal_that_is_stuck_keeps_neither_the_line_nor_a_stop() {
     terminal.is_stuck(false);
     terminal.state("IDLE");
     terminal.sees("way.ngc: dropped");
+    // Nor its end.
+    terminal.is_stuck(true);
+    std::thread::sleep(Duration::from_millis(2500));
+    closing::signal(&terminal, rustix::process::Signal::TERM);
+    let mut terminal = terminal;
+    assert_eq!(terminal.end(), 7);
+}
+
+#[test]
+fn a_bad_line_is_shown_and_borne() {
+    let terminal = homed(
+        &["--fault", "link-errors rate=0.0003"],
+        Keyboard::Plain,
+    );
+    terminal.keys(b"\t");
+    terminal.sees("step 0.1 mm");
+    let before = terminal.number("x", 1).unwrap();
+    for _ in 0..5 {
+        terminal.keys(RIGHT);
+        terminal.state("RUN");
+        terminal.state("IDLE");
+    }
+    terminal.waits("0.5 mm further", |_| {
+        terminal
+            .number("x", 1)
+            .is_some_and(|x| (x - before - 0.5).abs() < 1e-6)
+    });
+    terminal.waits("bad frames", |text| {
+        text.contains("bad frames ") && !text.contains("bad frames 0+0")
+    });
 }

@@ -44,7 +44,10 @@ fn value(axes: &[Axis], values: Option<&AxisValues>, index: usize, width: usize)
     let known = values.and_then(|values| values.get(index));
     match (known, axes.get(index)) {
         (Some(value), Some(axis)) => {
-            format!("{:>width$.4}", f64::from(*value) / per_unit(axis.kind))
+            let value = f64::from(*value) / per_unit(axis.kind);
+            // No minus before what is shown as zero.
+            let value = if value.abs() < 5e-5 { 0.0 } else { value };
+            format!("{value:>width$.4}")
         }
         _ => format!("{:>width$}", "-"),
     }
@@ -293,7 +296,11 @@ fn program_rows(shown: &Shown, width: u16) -> Vec<Line<'static>> {
         shown.feed_override
     ));
     let Some(program) = &shown.program else {
-        return vec![Line::raw(" none; p chooses one"), Line::default(), feed];
+        let name = match &shown.offered {
+            Some(name) => format!(" {name}; p checks it"),
+            None => " none; p chooses one".to_string(),
+        };
+        return vec![Line::raw(name), Line::default(), feed];
     };
     let part = done(shown).clamp(0.0, 1.0);
     let left_s =
