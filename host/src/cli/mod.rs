@@ -120,11 +120,9 @@ impl Command {
             Self::Force(command) => command.json(),
             Self::Machine(MachineCommand::Check(args)) => args.json,
             Self::Scenario(scenario::ScenarioCommand::Run(args)) => args.json,
-            Self::Scenario(_)
-            | Self::Console(_)
-            | Self::Sim(_)
-            | Self::Trace(_)
-            | Self::Kin(_) => false,
+            Self::Scenario(_) | Self::Console(_) | Self::Sim(_) | Self::Trace(_) | Self::Kin(_) => {
+                false
+            }
         }
     }
 }

@@ -64,7 +64,7 @@ enum Stage {
     Opening(Receiver<Result<Box<dyn Transport>, PortError>>),
     /// It is tried again then.
     Waiting(Instant),
-    Open(PortLine),
+    Open(Box<PortLine>),
     Simulated(Box<PacedSim>),
 }
 
@@ -114,7 +114,7 @@ impl Connection {
     /// The open line.
     pub(super) fn line(&mut self) -> Option<&mut dyn Line> {
         match &mut self.stage {
-            Stage::Open(line) => Some(line),
+            Stage::Open(line) => Some(line.as_mut()),
             Stage::Simulated(sim) => Some(sim.as_mut()),
             _ => None,
         }
@@ -168,7 +168,7 @@ impl Connection {
             }
             Stage::Opening(receiver) => match receiver.try_recv() {
                 Ok(Ok(port)) => {
-                    self.stage = Stage::Open(PortLine::new(port));
+                    self.stage = Stage::Open(Box::new(PortLine::new(port)));
                     Reached::Line
                 }
                 Ok(Err(error)) => {

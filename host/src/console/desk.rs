@@ -1,7 +1,7 @@
 //! The desk: everything between the keys and the controller. It waits for nobody.
 //!
 //! [`Desk::step`] is called again and again, at least every few milliseconds; it moves the line, the session and the jog on and never waits longer than a
-//! line's own millisecond. Keys come in between through [`Desk::key`] (see `orders.rs`). What is to be seen is taken out as a [`Shown`].
+//! line's own millisecond. Keys come in between through [`Desk::input`] (see `orders.rs`), what the controller says is taken in `hearing.rs`, and what is to be seen is made in `picture.rs`.
 //!
 //! After a lost link the desk opens the port and a session again by itself, and that is all that it does by itself: jogs, programs and homing end with
 //! the session that they belong to. A stop that is asked for meanwhile goes out first when the line is back.
@@ -10,11 +10,9 @@ use super::connect::{Connection, Reached};
 use super::job::Work;
 use super::jogging::{Jogging, Order};
 use super::recording::Recording;
-use super::shown::{
-    Axis, Confirm, Contact, Counters, Fixed, JogShown, Log, Overlay, ProgramShown, Shown, Weight,
-};
+use super::shown::{Axis, Confirm, Contact, Fixed, Log, Overlay, Weight};
 use crate::cli::{CliError, Exit};
-use crate::client::{Client, ClientState, Notice, Options, RequestError, Ticket};
+use crate::client::{Client, ClientState, Options, Ticket};
 use crate::machine::MachineFile;
 use crate::machine::scale::per_unit;
 use crate::model::Model;
@@ -22,9 +20,9 @@ use crate::port::PortError;
 use crate::session::fresh_number;
 use haptimill_firmware::config::Drive;
 use haptimill_hil_sim::cutting::CuttingConfig;
-use haptimill_protocol::force::{ForceLoop, ForceParameter};
+use haptimill_protocol::force::ForceLoop;
 use haptimill_protocol::message::{
-    AxisValues, Command, Event, Fault, MAX_AXES, RATE_SHIFT, Refusal, Source, State, Telemetry,
+    AxisValues, Command, Fault, MAX_AXES, RATE_SHIFT, Source, State, Telemetry,
 };
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -39,9 +37,8 @@ const TELEMETRY_BYTES: u32 = 150;
 /// How long a machine may take to come to rest when the console is left.
 const LEAVE: Duration = Duration::from_millis(2000);
 
-/// Full scales of the force bars, N, and how long one that is too large stays.
-const SCALES: [f64; 5] = [5.0, 10.0, 20.0, 50.0, 100.0];
-const SCALE_STAYS: Duration = Duration::from_secs(5);
+/// Full scales of the force bars, N.
+pub(super) const SCALES: [f64; 5] = [5.0, 10.0, 20.0, 50.0, 100.0];
 
 /// What is done when a request is answered with yes.
 #[derive(Debug, Clone)]
@@ -60,9 +57,9 @@ pub(super) enum Then {
 pub(super) struct WantedLoop {
     pub(super) settings: Option<ForceLoop>,
     /// A request for these is under way.
-    asked: Option<ForceLoop>,
+    pub(super) asked: Option<ForceLoop>,
     /// Not before then: the controller still works the last change out.
-    after_us: u64,
+    pub(super) after_us: u64,
 }
 
 impl WantedLoop {
@@ -71,9 +68,6 @@ impl WantedLoop {
         self.settings.or(self.asked)
     }
 }
-
-/// Pause after a controller said that it is busy with the last change, microseconds.
-const BUSY_US: u64 = 20_000;
 
 /// A stop that cannot be said now, because there is no session.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -101,24 +95,24 @@ pub(super) struct Desk {
     pub(super) settings: Settings,
     pub(super) client: Client,
     pub(super) connection: Connection,
-    fixed: Arc<Fixed>,
-    transmit: Vec<u8>,
-    received: Vec<u8>,
+    pub(super) fixed: Arc<Fixed>,
+    pub(super) transmit: Vec<u8>,
+    pub(super) received: Vec<u8>,
     /// Time of the line at the last exchange.
-    line_us: u64,
-    begun: Instant,
-    contact: Contact,
+    pub(super) line_us: u64,
+    pub(super) begun: Instant,
+    pub(super) contact: Contact,
     /// There was a session once: a port that fails now is tried again, not reported as a mistake of the command line.
-    connected_once: bool,
-    reconnects: u32,
+    pub(super) connected_once: bool,
+    pub(super) reconnects: u32,
     /// The controller has the configuration of our machine file.
     pub(super) configured: bool,
-    asked: Vec<(Ticket, Then)>,
+    pub(super) asked: Vec<(Ticket, Then)>,
     pub(super) owed: Owed,
     pub(super) telemetry: Option<Telemetry>,
-    telemetry_at: Instant,
+    pub(super) telemetry_at: Instant,
     /// The period of the last change of state: what was reported before it is about another state.
-    changed: u64,
+    pub(super) changed: u64,
     pub(super) log: Log,
     pub(super) overlay: Overlay,
     pub(super) sources: [Source; MAX_AXES],
@@ -129,10 +123,10 @@ pub(super) struct Desk {
     pub(super) work: Work,
     pub(super) loops: Option<[ForceLoop; 3]>,
     pub(super) wanted_loops: [WantedLoop; 3],
-    force_scale: (usize, Instant),
+    pub(super) force_scale: (usize, Instant),
     pub(super) recording: Option<Recording>,
     pub(super) stopping: Option<&'static str>,
-    fault: Option<Fault>,
+    pub(super) fault: Option<Fault>,
     /// When the question that is open was asked.
     pub(super) asked_us: u64,
     /// The console is to end, when the machine is at rest.
@@ -140,7 +134,11 @@ pub(super) struct Desk {
 }
 
 impl Desk {
-    pub(super) fn new(machine: Arc<MachineFile>, connection: Connection, settings: Settings) -> Self {
+    pub(super) fn new(
+        machine: Arc<MachineFile>,
+        connection: Connection,
+        settings: Settings,
+    ) -> Self {
         let limits: Vec<f64> = machine.pose.iter().map(|axis| axis.rate).collect();
         let fixed = Arc::new(Fixed {
             port: connection.name(),
@@ -208,10 +206,6 @@ impl Desk {
         self.log.add(self.begun.elapsed(), weight, text);
     }
 
-    pub(super) const fn contact(&self) -> &Contact {
-        &self.contact
-    }
-
     pub(super) fn ready(&self) -> bool {
         self.contact == Contact::Ready
     }
@@ -264,8 +258,7 @@ impl Desk {
             return Ok(());
         };
         // What was ordered goes out with this exchange, not with the next one.
-        self.client
-            .advance(self.line_us, &[], &mut self.transmit);
+        self.client.advance(self.line_us, &[], &mut self.transmit);
         self.received.clear();
         match line.exchange(&self.transmit, &mut self.received) {
             Ok(now_us) => {
@@ -306,7 +299,7 @@ impl Desk {
     }
 
     /// The link is gone: nothing that belonged to it goes on.
-    fn lose(&mut self, why: &str) {
+    pub(super) fn lose(&mut self, why: &str) {
         if self.contact == Contact::Ready || self.contact == Contact::Configuring {
             let ms = self.machine.config.supervision.heartbeat_ms;
             self.say(
@@ -326,36 +319,8 @@ impl Desk {
         self.connection.drop_line();
     }
 
-    fn hear(&mut self, notice: Notice) -> Result<(), CliError> {
-        match notice {
-            Notice::Connected(_) => self.begin(),
-            Notice::Answered {
-                ticket,
-                command,
-                result,
-            } => self.answered(ticket, command, result),
-            Notice::Event { period, event } => self.event(period, &event),
-            Notice::Telemetry(telemetry) => self.report(*telemetry),
-            Notice::Refused(refusal) => {
-                let why = self
-                    .model
-                    .with_axes(|axes| axes.describe(&refusal).to_string());
-                self.say(Weight::Warning, format!("jog: {why}"));
-            }
-            Notice::Job(ending) => self.job_ended(&ending),
-            Notice::Lost(error) => {
-                if !self.connected_once {
-                    let what = format!("{}: {error}", self.connection.name());
-                    return Err(CliError::new(Exit::Port, what));
-                }
-                self.lose(&error.to_string());
-            }
-        }
-        Ok(())
-    }
-
     /// A session is open.
-    fn begin(&mut self) {
+    pub(super) fn begin(&mut self) {
         if self.connected_once {
             self.reconnects += 1;
             self.say(
@@ -400,184 +365,6 @@ impl Desk {
         }
     }
 
-    fn answered(&mut self, ticket: Ticket, command: &str, result: Result<(), RequestError>) {
-        let then = self
-            .asked
-            .iter()
-            .position(|(asked, _)| *asked == ticket)
-            .map_or(Then::Nothing, |index| self.asked.swap_remove(index).1);
-        if let Then::Configured = then {
-            // Refused is heard all the same: what stops a machine needs no configuration.
-            self.contact = Contact::Ready;
-            self.configured = result.is_ok();
-        }
-        if let Err(error) = result {
-            match then {
-                Then::Override(_) => self.wanted_override = self.feed_override,
-                Then::Loop(axis, settings) => {
-                    if self.loop_refused(axis, settings, &error) {
-                        return;
-                    }
-                }
-                _ => {}
-            }
-            let why = match &error {
-                RequestError::Refused(refusal) => self
-                    .model
-                    .with_axes(|axes| axes.describe(refusal).to_string()),
-                RequestError::Withdrawn | RequestError::Lost(_) => return,
-                other => other.to_string(),
-            };
-            self.say(Weight::Warning, format!("{command}: {why}"));
-            return;
-        }
-        match then {
-            Then::Nothing | Then::Configured => {}
-            Then::Enabled => self.say(Weight::Note, "drives on"),
-            Then::Override(percent) => self.feed_override = percent,
-            Then::Source(axis, source) => {
-                self.sources[usize::from(axis)] = source;
-                let name = &self.fixed.pose[usize::from(axis)].name;
-                let what = format!("{name}: {source}");
-                self.say(Weight::Note, what);
-            }
-            Then::Loop(axis, settings) => {
-                let axis = usize::from(axis);
-                self.wanted_loops[axis].asked = None;
-                if let Some(loops) = &mut self.loops {
-                    loops[axis] = settings;
-                }
-            }
-            Then::Say(what) => self.say(Weight::Note, what),
-        }
-    }
-
-    /// True when it is to be asked again: a newer wish waits already, or the controller works the last change out.
-    fn loop_refused(&mut self, axis: u8, settings: ForceLoop, error: &RequestError) -> bool {
-        let now_us = self.now_us();
-        let wanted = &mut self.wanted_loops[usize::from(axis)];
-        wanted.asked = None;
-        let busy = matches!(
-            error,
-            RequestError::Refused(Refusal::Force { refusal, .. })
-                if refusal.parameter == ForceParameter::Busy
-        );
-        if busy {
-            wanted.settings.get_or_insert(settings);
-            wanted.after_us = now_us + BUSY_US;
-        }
-        busy
-    }
-
-    /// Asks for the settings of force loops that are wanted.
-    fn ask_loops(&mut self) {
-        let now_us = self.now_us();
-        for axis in 0..self.wanted_loops.len() {
-            let wanted = &mut self.wanted_loops[axis];
-            if wanted.asked.is_some() || now_us < wanted.after_us {
-                continue;
-            }
-            if let Some(settings) = wanted.settings.take() {
-                wanted.asked = Some(settings);
-                let axis = axis as u8;
-                self.ask(
-                    Command::ForceLoop { axis, settings },
-                    Then::Loop(axis, settings),
-                );
-            }
-        }
-    }
-
-    fn event(&mut self, period: u64, event: &Event) {
-        if let Event::State { to, .. } = event {
-            self.changed = period;
-            if let Some(telemetry) = &mut self.telemetry {
-                telemetry.state = *to;
-            }
-            self.rests(*to);
-        }
-        let weight = match event {
-            Event::Fault(fault) => {
-                self.fault = Some(*fault);
-                Weight::Alarm
-            }
-            Event::State {
-                to: State::EmergencyStop,
-                ..
-            } => Weight::Alarm,
-            Event::Underrun { .. }
-            | Event::Blocked { .. }
-            | Event::JogLimited { .. }
-            | Event::Saturated { .. }
-            | Event::TareRefused(_)
-            | Event::YieldLimited { .. }
-            | Event::Paused { .. } => Weight::Warning,
-            _ => Weight::Note,
-        };
-        self.work_event(event);
-        // Begin and end of every jog and step is no news.
-        let usual = matches!(
-            event,
-            Event::State {
-                from: State::Idle,
-                to: State::Jog | State::Run,
-                position_kept: true
-            } | Event::State {
-                from: State::Jog | State::Run,
-                to: State::Idle,
-                position_kept: true
-            } | Event::JobDone { .. }
-        );
-        if !usual {
-            let text = self
-                .model
-                .with_axes(|axes| axes.describe(event).to_string());
-            self.say(weight, text);
-        }
-    }
-
-    /// A state in which nothing moves answers a stop.
-    fn rests(&mut self, state: State) {
-        if !matches!(state, State::Run | State::Jog | State::Homing | State::Hold)
-            && !self.client.urgent().0
-        {
-            self.stopping = None;
-        }
-    }
-
-    fn report(&mut self, telemetry: Telemetry) {
-        self.telemetry_at = Instant::now();
-        self.fault = telemetry.fault;
-        if telemetry.period >= self.changed {
-            self.rests(telemetry.state);
-        }
-        if let Some(force) = &telemetry.force {
-            let largest = force
-                .high
-                .iter()
-                .chain(&force.low)
-                .map(|value| f64::from(*value).abs() / 65_536.0)
-                .fold(0.0, f64::max);
-            let fits = SCALES
-                .iter()
-                .position(|scale| largest <= *scale)
-                .unwrap_or(SCALES.len() - 1);
-            let (shown, since) = &mut self.force_scale;
-            if fits >= *shown {
-                (*shown, *since) = (fits, Instant::now());
-            } else if since.elapsed() > SCALE_STAYS {
-                (*shown, *since) = (fits, Instant::now());
-            }
-        }
-        if let Some(recording) = &mut self.recording
-            && let Err(why) = recording.add(&telemetry)
-        {
-            self.recording = None;
-            self.say(Weight::Alarm, format!("recording ended: {why}"));
-        }
-        self.telemetry = Some(telemetry);
-    }
-
     /// Tells the controller what the jog keys ask for.
     fn order_jog(&mut self) {
         let now_us = self.now_us();
@@ -618,125 +405,6 @@ impl Desk {
         // Closes the file.
         self.recording = None;
         !self.moves() && self.ready()
-    }
-
-    /// What to do next, or what is wrong and what to do about it.
-    fn prompt(&self) -> (Weight, String) {
-        let alarm = |text: String| (Weight::Alarm, text);
-        let note = |text: &str| (Weight::Note, text.to_string());
-        match &self.contact {
-            Contact::Opening => return note("opening the port"),
-            Contact::Greeting => return note("waiting for the controller's answer"),
-            Contact::Configuring => return note("sending the machine file to the controller"),
-            Contact::Lost(why) => {
-                let owed = match self.owed {
-                    Owed::Nothing => "",
-                    Owed::Stop => " A STOP goes out first.",
-                    Owed::Emergency => " An EMERGENCY STOP goes out first.",
-                };
-                return alarm(format!("NO LINK, trying again.{owed} ({why})"));
-            }
-            Contact::Ready => {}
-        }
-        let Some(telemetry) = &self.telemetry else {
-            return note("waiting for the controller's report");
-        };
-        if let (State::Fault, Some(fault)) = (telemetry.state, &self.fault) {
-            let what = self
-                .model
-                .with_axes(|axes| axes.describe(fault).to_string());
-            return alarm(format!("FAULT: {what}. Key: x resets"));
-        }
-        if !self.configured && telemetry.state != State::EmergencyStop {
-            return (
-                Weight::Warning,
-                "the controller has another configuration: names and numbers may be wrong. d disables, e sends the machine file".to_string(),
-            );
-        }
-        match telemetry.state {
-            State::Fault => alarm("FAULT; x resets".to_string()),
-            State::EmergencyStop => {
-                alarm("EMERGENCY STOP: drives off. Release the cause, then x resets".to_string())
-            }
-            State::Disabled => note("drives off. e enables them"),
-            State::Idle if !telemetry.homed => note("not homed. h homes: the machine moves"),
-            State::Idle if !telemetry.position_kept => {
-                (Weight::Warning, "position lost. h homes".to_string())
-            }
-            State::Idle => match self.work.offered() {
-                Some(name) => (Weight::Note, format!("ready. Jog, or p runs {name}")),
-                None => note("ready. Jog, or p chooses a part program"),
-            },
-            State::Homing => note("homing. Space stops"),
-            State::Run if self.work.runs_step() => note("step. Space stops"),
-            State::Run => note("running. Space holds, Ctrl-X stops"),
-            State::Jog => note("jogging. Ends with the key, or with Space"),
-            State::Hold if self.stopping.is_some() => note("stopping"),
-            State::Hold => (
-                Weight::Warning,
-                match self.work.pause_line {
-                    Some(line) => {
-                        format!("pause of the program in line {line}. Ctrl-R goes on, Ctrl-X drops it")
-                    }
-                    None => "on hold. Ctrl-R resumes, Ctrl-X drops the program".to_string(),
-                },
-            ),
-        }
-    }
-
-    /// The picture of now.
-    pub(super) fn shown(&self) -> Shown {
-        let now_us = self.now_us();
-        let counters = self.client.link().counters();
-        let program = self.work.checked.as_ref().map(|checked| ProgramShown {
-            name: checked.name.clone(),
-            duration_s: checked.plan.figures.duration_s,
-            runs: self.work.runs_program(),
-            line: self
-                .telemetry
-                .as_ref()
-                .filter(|_| self.work.runs_program())
-                .map_or(0, |telemetry| {
-                    checked.plan.line_of(telemetry.setpoint as usize)
-                }),
-            lines: checked.lines,
-        });
-        Shown {
-            fixed: Arc::clone(&self.fixed),
-            elapsed: self.begun.elapsed(),
-            machine: self.machine.config.name.to_string(),
-            contact: self.contact.clone(),
-            counters: Counters {
-                round_trip_us: self.client.link().round_trip_us(),
-                bad_frames: counters.bad_frames,
-                resent: counters.resent,
-                reconnects: self.reconnects,
-            },
-            telemetry: self.telemetry.clone(),
-            age: self.telemetry_at.elapsed(),
-            prompt: self.prompt(),
-            log: self.log.clone(),
-            overlay: self.overlay.clone(),
-            sources: self.sources,
-            feed_override: self.feed_override,
-            jog: JogShown {
-                mode: self.jogging.mode(),
-                rate: self.jogging.rate(),
-                step: self.jogging.step(),
-                dead_man_ms: self.jogging.dead_man_ms(),
-                releases_told: self.jogging.releases_told(),
-                held: self.jogging.held(now_us),
-            },
-            program,
-            offered: self.work.offered(),
-            loops: self.loops,
-            force_scale_n: SCALES[self.force_scale.0],
-            recording: self.recording.as_ref().map(|recording| {
-                let name = recording.path.file_name().unwrap_or_default();
-                (name.to_string_lossy().into_owned(), recording.rows)
-            }),
-            stopping: self.stopping,
-        }
     }
 
     /// Opens a question.

@@ -10,11 +10,14 @@ use crate::plan::Plan;
 use crate::program;
 use crate::report::duration;
 use crate::session::way;
-use haptimill_protocol::message::{Action, AxisValues, Event};
+use haptimill_protocol::message::{Action, AxisValues, Event, State};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::mpsc::{self, Receiver};
+
+/// How long a step is meant after its key was pressed, microseconds.
+const MEANT_US: u64 = 150_000;
 
 /// A part program that was checked from a pose.
 #[derive(Debug, Clone)]
@@ -46,6 +49,9 @@ pub(super) struct Work {
     homing: bool,
     /// They are found.
     found: bool,
+    /// A step that was pressed when the machine had just come to rest, and until when it is still meant (microseconds): the report of where it
+    /// stands may be some milliseconds behind.
+    step: Option<(usize, bool, u64)>,
     /// The line at which the program pauses.
     pub(super) pause_line: Option<u32>,
     numbers: u32,
@@ -135,6 +141,7 @@ impl Work {
     pub(super) fn nothing_follows(&mut self) {
         self.homing = false;
         self.found = false;
+        self.step = None;
     }
 
     /// Homing begins.
@@ -193,7 +200,9 @@ impl Desk {
             return;
         }
         let Some(from) = self.standing() else {
-            self.say(Weight::Warning, "a step begins where the machine stands idle");
+            if self.state() == Some(State::Idle) {
+                self.work.step = Some((axis, up, self.now_us() + MEANT_US));
+            }
             return;
         };
         if !self.telemetry.as_ref().is_some_and(|now| now.homed) {
@@ -271,6 +280,13 @@ impl Desk {
                         from: 0,
                     };
                 }
+            }
+        }
+        if let Some((axis, up, until_us)) = self.work.step.take() {
+            if self.standing().is_some() {
+                self.step_axis(axis, up);
+            } else if self.now_us() < until_us {
+                self.work.step = Some((axis, up, until_us));
             }
         }
         if self.work.found

@@ -7,22 +7,24 @@
 //! | --- | --- |
 //! | `keys.rs` | the one table of keys |
 //! | `jogging.rs` | jog keys, the dead-man time, releases |
-//! | `desk.rs` | session, reports, what is shown |
+//! | `desk.rs`, `hearing.rs` | the session, and what the controller says |
 //! | `orders.rs` | from keys to orders |
 //! | `job.rs` | part programs, steps, the way home |
 //! | `connect.rs` | the port, lost and found; the simulator in real time |
 //! | `recording.rs` | telemetry as CSV |
-//! | `shown.rs`, `view/` | what is to be seen, and its drawing |
+//! | `picture.rs`, `shown.rs`, `view/` | what is to be seen, and its drawing |
 //! | `terminal.rs` | the terminal, taken and given back |
 //!
 //! Misuse: a key on a terminal is no emergency stop. The line, the computer and the terminal may each be slow or dead; the machine needs one of its own.
 
 mod connect;
 mod desk;
+mod hearing;
 mod job;
 pub mod jogging;
 pub mod keys;
 mod orders;
+mod picture;
 mod recording;
 mod shown;
 mod terminal;
@@ -34,8 +36,8 @@ use crate::client::Options;
 use crate::model::Model;
 use crate::port::{DEFAULT_BAUD, PortSpec};
 use connect::Connection;
-use haptimill_hil_sim::config::PlantConfig;
 use desk::{Desk, Settings};
+use haptimill_hil_sim::config::PlantConfig;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::mpsc::{self, Receiver};

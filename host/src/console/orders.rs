@@ -70,7 +70,10 @@ impl Desk {
                 Some(action) if press == Press::Down => self.order(action),
                 _ => {}
             },
-            Overlay::Help { from } => self.overlay = scrolled(key, from, BINDINGS.len()).map_or(Overlay::None, |from| Overlay::Help { from }),
+            Overlay::Help { from } => {
+                self.overlay = scrolled(key, from, BINDINGS.len())
+                    .map_or(Overlay::None, |from| Overlay::Help { from })
+            }
             Overlay::Problems { lines, from } => {
                 if let Some(from) = scrolled(key, from, lines.len()) {
                     self.overlay = Overlay::Problems { lines, from };
@@ -197,7 +200,7 @@ impl Desk {
 
     fn quit(&mut self) {
         let ms = self.machine.config.supervision.heartbeat_ms;
-        let text = match (self.contact(), self.state()) {
+        let text = match (&self.contact, self.state()) {
             (Contact::Ready, Some(State::Disabled | State::EmergencyStop)) => {
                 self.leaving = true;
                 return;
@@ -232,7 +235,9 @@ impl Desk {
             _ => false,
         };
         if !possible || !self.configured {
-            let state = self.state().map_or_else(String::new, |state| state.to_string());
+            let state = self
+                .state()
+                .map_or_else(String::new, |state| state.to_string());
             if self.configured {
                 self.say(
                     Weight::Warning,
@@ -329,8 +334,16 @@ impl Desk {
     fn axes_key(&mut self, at: usize, key: Key) {
         let last = self.machine.pose.len().saturating_sub(1);
         let source = match key.code {
-            KeyCode::Up => return self.overlay = Overlay::Axes { at: at.saturating_sub(1) },
-            KeyCode::Down => return self.overlay = Overlay::Axes { at: (at + 1).min(last) },
+            KeyCode::Up => {
+                return self.overlay = Overlay::Axes {
+                    at: at.saturating_sub(1),
+                };
+            }
+            KeyCode::Down => {
+                return self.overlay = Overlay::Axes {
+                    at: (at + 1).min(last),
+                };
+            }
             KeyCode::Char('p') => Source::Program,
             KeyCode::Char('h') => Source::Hold,
             KeyCode::Char('j') => Source::Jog,
@@ -339,17 +352,22 @@ impl Desk {
         };
         self.overlay = Overlay::Axes { at };
         let axis = at as u8;
-        self.ask(
-            Command::Source { axis, source },
-            Then::Source(axis, source),
-        );
+        self.ask(Command::Source { axis, source }, Then::Source(axis, source));
     }
 
     fn force_key(&mut self, at: usize, key: Key) {
         let Some(loops) = self.loops else { return };
         let change = match key.code {
-            KeyCode::Up => return self.overlay = Overlay::Force { at: at.saturating_sub(1) },
-            KeyCode::Down => return self.overlay = Overlay::Force { at: (at + 1).min(2) },
+            KeyCode::Up => {
+                return self.overlay = Overlay::Force {
+                    at: at.saturating_sub(1),
+                };
+            }
+            KeyCode::Down => {
+                return self.overlay = Overlay::Force {
+                    at: (at + 1).min(2),
+                };
+            }
             KeyCode::Enter => {
                 let mask = self
                     .telemetry

@@ -13,8 +13,8 @@ use ratatui::crossterm::event::{
     Event, KeyboardEnhancementFlags, PopKeyboardEnhancementFlags, PushKeyboardEnhancementFlags,
 };
 use ratatui::crossterm::terminal::{
-    Clear, ClearType, EnterAlternateScreen, LeaveAlternateScreen, disable_raw_mode, enable_raw_mode,
-    supports_keyboard_enhancement,
+    Clear, ClearType, EnterAlternateScreen, LeaveAlternateScreen, disable_raw_mode,
+    enable_raw_mode, supports_keyboard_enhancement,
 };
 use ratatui::crossterm::{cursor, execute};
 use std::io::{IsTerminal, stdin, stdout};
@@ -208,9 +208,9 @@ fn paint(shared: &Shared) -> std::io::Result<()> {
             let Ok(newest) = shared.newest.lock() else {
                 return Ok(());
             };
-            let waited = shared.there.wait_timeout_while(newest, IDLE_FRAME, |(shown, end)| {
-                shown.is_none() && !*end
-            });
+            let waited = shared
+                .there
+                .wait_timeout_while(newest, IDLE_FRAME, |(shown, end)| shown.is_none() && !*end);
             let Ok((mut newest, _)) = waited else {
                 return Ok(());
             };

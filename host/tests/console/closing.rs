@@ -78,8 +78,10 @@ fn a_console_that_is_killed_in_a_jog_stops_the_machine_by_its_dead_man() {
     stands(&machine);
     assert_eq!(terminal.end(), -1);
     let seen = machine.seen();
-    let last = seen.windows(2).filter(|two| two[0].wanted != two[1].wanted);
-    let stood = last.last().unwrap()[1].at.saturating_duration_since(killed);
+    let mut moves = seen.windows(2).filter(|two| two[0].wanted != two[1].wanted);
+    let stood = moves.next_back().unwrap()[1]
+        .at
+        .saturating_duration_since(killed);
     // The deadline of the last command, and 63 ms of braking; the rest is for a busy computer.
     assert!(stood < Duration::from_millis(200 + 63 + 500), "{stood:?}");
 }
@@ -118,7 +120,8 @@ fn it_asks_before_it_leaves_a_machine_whose_drives_are_on() {
 fn without_a_terminal_it_says_so() {
     let ran = haptimill(&["console"]).ended_with(2);
     assert!(
-        ran.err.contains("standard input is not a terminal; run it in one"),
+        ran.err
+            .contains("standard input is not a terminal; run it in one"),
         "{}",
         ran.err
     );

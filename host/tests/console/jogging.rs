@@ -31,7 +31,10 @@ fn every_axis_goes_both_ways_and_ends_with_the_dead_man_time() {
         terminal.state("JOG");
         let after = at(&terminal, axis);
         // 5 mm/s for 200 ms.
-        assert!((after - before - 1.0).abs() < 0.15, "{axis} {before} {after}");
+        assert!(
+            (after - before - 1.0).abs() < 0.15,
+            "{axis} {before} {after}"
+        );
         terminal.keys(down);
         terminal.state("JOG");
         let back = at(&terminal, axis);
@@ -96,10 +99,7 @@ fn a_held_key_goes_on_and_a_release_ends_it_at_once() {
     terminal.keys(b"\x1b[1;1:1C");
     let begun = Instant::now();
     std::thread::sleep(Duration::from_millis(450));
-    assert_eq!(
-        machine.now().state,
-        haptimill_protocol::message::State::Jog
-    );
+    assert_eq!(machine.now().state, haptimill_protocol::message::State::Jog);
     for _ in 0..10 {
         terminal.keys(b"\x1b[1;1:2C");
         std::thread::sleep(Duration::from_millis(30));

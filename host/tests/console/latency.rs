@@ -93,7 +93,9 @@ fn measure(keyboard: Keyboard, down: &[u8], again: &[u8], up: Option<&[u8]>) -> 
 }
 
 fn report(which: &str, end: &str, presses: &[Press]) {
-    println!("\n| {which}, ms | min | median | p95 | max | n |\n| --- | --- | --- | --- | --- | --- |");
+    println!(
+        "\n| {which}, ms | min | median | p95 | max | n |\n| --- | --- | --- | --- | --- | --- |"
+    );
     let column = |of: fn(&Press) -> f64| presses.iter().map(of).collect::<Vec<f64>>();
     print("key to commanded motion", column(|press| press.to_wanted));
     print("key to 5 um of the tool", column(|press| press.to_tool));

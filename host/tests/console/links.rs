@@ -96,16 +96,14 @@ fn a_terminal_that_is_stuck_keeps_neither_the_line_nor_a_stop() {
 
 #[test]
 fn a_bad_line_is_shown_and_borne() {
-    let terminal = homed(
-        &["--fault", "link-errors rate=0.0003"],
-        Keyboard::Plain,
-    );
+    let terminal = homed(&["--fault", "link-errors rate=0.0003"], Keyboard::Plain);
     terminal.keys(b"\t");
     terminal.sees("step 0.1 mm");
     let before = terminal.number("x", 1).unwrap();
     for _ in 0..5 {
         terminal.keys(RIGHT);
         terminal.state("RUN");
+        // Pressed again in the moment in which it comes to rest, whatever is on its way.
         terminal.state("IDLE");
     }
     terminal.waits("0.5 mm further", |_| {

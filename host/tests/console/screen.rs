@@ -8,7 +8,17 @@ use std::time::Duration;
 fn the_screen_follows_the_size_of_the_terminal() {
     let terminal = homed(&[], Keyboard::Plain);
     let always = ["IDLE", "hold", "stop"];
-    for (columns, rows) in [(40, 10), (200, 60), (80, 24), (20, 5), (3, 2), (1, 1), (100, 8), (30, 50), (80, 24)] {
+    for (columns, rows) in [
+        (40, 10),
+        (200, 60),
+        (80, 24),
+        (20, 5),
+        (3, 2),
+        (1, 1),
+        (100, 8),
+        (30, 50),
+        (80, 24),
+    ] {
         terminal.resize(columns, rows);
         std::thread::sleep(Duration::from_millis(250));
         if columns >= 40 && rows >= 10 {
@@ -21,7 +31,9 @@ fn the_screen_follows_the_size_of_the_terminal() {
             }
         }
         if columns >= 80 && rows >= 24 {
-            for panel in ["Position", "Slides", "Force", "Jog", "Program", "Messages", "link "] {
+            for panel in [
+                "Position", "Slides", "Force", "Jog", "Program", "Messages", "link ",
+            ] {
                 terminal.sees(panel);
             }
             for joint in ["l1", "l2", "l3", "l4"] {

@@ -81,7 +81,8 @@ fn read(
                 let said = &buffer[..count];
                 screen.lock().unwrap().process(said);
                 tail.extend_from_slice(said);
-                let asks = |question: &[u8]| tail.windows(question.len()).any(|part| part == question);
+                let asks =
+                    |question: &[u8]| tail.windows(question.len()).any(|part| part == question);
                 if asks(b"\x1b[c") {
                     if keyboard == Keyboard::Kitty && asks(b"\x1b[?u") {
                         let _ = rustix::io::write(device, b"\x1b[?0u");
@@ -107,7 +108,8 @@ impl Terminal {
         (columns, rows): (u16, u16),
         keyboard: Keyboard,
     ) -> Self {
-        let device = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC).unwrap();
+        let device =
+            openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC).unwrap();
         grantpt(&device).unwrap();
         unlockpt(&device).unwrap();
         tcsetwinsize(&device, size(columns, rows)).unwrap();
@@ -129,7 +131,11 @@ impl Terminal {
             .spawn()
             .expect("setsid, of util-linux");
         let device = Arc::new(device);
-        let screen = Arc::new(Mutex::new(vt100::Parser::new(cells(rows), cells(columns), 0)));
+        let screen = Arc::new(Mutex::new(vt100::Parser::new(
+            cells(rows),
+            cells(columns),
+            0,
+        )));
         let ended = Arc::new(AtomicBool::new(false));
         let stuck = Arc::new(AtomicBool::new(false));
         let reader = {
@@ -214,7 +220,11 @@ impl Terminal {
 
     /// The window has another size.
     pub fn resize(&self, columns: u16, rows: u16) {
-        self.screen.lock().unwrap().screen_mut().set_size(cells(rows), cells(columns));
+        self.screen
+            .lock()
+            .unwrap()
+            .screen_mut()
+            .set_size(cells(rows), cells(columns));
         tcsetwinsize(self.device(), size(columns, rows)).unwrap();
     }
 

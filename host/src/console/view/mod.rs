@@ -145,7 +145,10 @@ fn state_word(shown: &Shown) -> (String, Style) {
         return (word.to_string(), style_of(Weight::Alarm));
     }
     if let Some(stopping) = shown.stopping {
-        return (format!("{} SENT", stopping.to_uppercase()), on(Color::Yellow));
+        return (
+            format!("{} SENT", stopping.to_uppercase()),
+            on(Color::Yellow),
+        );
     }
     let Some(telemetry) = &shown.telemetry else {
         return ("?".to_string(), on(Color::Gray));

@@ -29,7 +29,10 @@ pub(super) fn draw(frame: &mut Frame<'_>, area: Rect, shown: &Shown) {
             )
         }
         Overlay::Problems { lines, from } => {
-            let rows = lines.iter().skip(*from).flat_map(|line| wrapped(line, width, 2));
+            let rows = lines
+                .iter()
+                .skip(*from)
+                .flat_map(|line| wrapped(line, width, 2));
             (
                 "The program is refused: arrows scroll, Esc closes",
                 rows.map(Line::from).collect(),
@@ -46,8 +49,14 @@ pub(super) fn draw(frame: &mut Frame<'_>, area: Rect, shown: &Shown) {
                 Confirm::Run(text) => format!("Run {text}? The machine moves."),
                 Confirm::Quit(text) => format!("Quit? {text}."),
             };
-            let mut rows: Vec<Line<'_>> = wrapped(&text, width, 0).into_iter().map(Line::from).collect();
-            rows.push(Line::styled("Enter does it, any other key does not", marked));
+            let mut rows: Vec<Line<'_>> = wrapped(&text, width, 0)
+                .into_iter()
+                .map(Line::from)
+                .collect();
+            rows.push(Line::styled(
+                "Enter does it, any other key does not",
+                marked,
+            ));
             ("Sure?", rows)
         }
         Overlay::Prompt { title, text } => {
@@ -80,7 +89,9 @@ pub(super) fn draw(frame: &mut Frame<'_>, area: Rect, shown: &Shown) {
                     Line::styled(text, if index == *at { marked } else { Style::new() })
                 })
                 .collect();
-            rows.push(Line::raw("arrows choose; p program, h hold, j jog; Esc closes"));
+            rows.push(Line::raw(
+                "arrows choose; p program, h hold, j jog; Esc closes",
+            ));
             ("Axes: changed at standstill", rows)
         }
         Overlay::Force { at } => {
@@ -103,7 +114,9 @@ pub(super) fn draw(frame: &mut Frame<'_>, area: Rect, shown: &Shown) {
                     Line::styled(text, if index == *at { marked } else { Style::new() })
                 })
                 .collect();
-            rows.push(Line::raw("arrows choose; Enter yields or not; + - f_d; Esc closes"));
+            rows.push(Line::raw(
+                "arrows choose; Enter yields or not; + - f_d; Esc closes",
+            ));
             ("Force loop: above f_d the tool yields", rows)
         }
     };

@@ -93,7 +93,10 @@ pub(super) fn pose_rows(frame: &mut Frame<'_>, area: Rect, shown: &Shown, wide: 
                 None => (source.to_string(), style_of(Weight::Warning)),
             };
             Line::from(vec![
-                Span::styled(format!(" {:<name$}{wanted}{actual}  ", axis.name), fresh(shown)),
+                Span::styled(
+                    format!(" {:<name$}{wanted}{actual}  ", axis.name),
+                    fresh(shown),
+                ),
                 Span::styled(what, style),
             ])
         })
@@ -113,24 +116,24 @@ pub(super) fn left(frame: &mut Frame<'_>, area: Rect, shown: &Shown) {
     frame.render_widget(Paragraph::new(title), part(0, 1));
     pose_rows(frame, part(1, pose), shown, true);
     let telemetry = shown.telemetry.as_ref();
-    let mut rows = vec![heading("Slides ─ mm, deg ── error um, mdeg ─ motor", area.width)];
+    let mut rows = vec![heading(
+        "Slides ─ mm, deg ── error um, mdeg ─ motor",
+        area.width,
+    )];
     let bar = usize::from(area.width).saturating_sub(35).clamp(6, 30);
     for (index, axis) in shown.fixed.joints.iter().enumerate() {
         let place = value(&shown.fixed.joints, telemetry.map(|t| &t.joints), index, 11);
-        let error = telemetry
-            .and_then(|t| t.following_error.get(index))
-            .map_or("-".to_string(), |error| {
-                // Thousandths of a millimetre, or of a degree.
-                format!("{:.1}", f64::from(*error) / per_unit(axis.kind) * 1000.0)
-            });
+        let error =
+            telemetry
+                .and_then(|t| t.following_error.get(index))
+                .map_or("-".to_string(), |error| {
+                    // Thousandths of a millimetre, or of a degree.
+                    format!("{:.1}", f64::from(*error) / per_unit(axis.kind) * 1000.0)
+                });
         let motor = match telemetry.and_then(|t| t.drive.get(index)) {
             Some(code) if shown.fixed.analogue.get(index) == Some(&true) => {
                 let part = f64::from(*code) / FULL_CODE;
-                format!(
-                    "{} {:>4.0} %",
-                    around_zero(part, part, bar),
-                    part * 100.0
-                )
+                format!("{} {:>4.0} %", around_zero(part, part, bar), part * 100.0)
             }
             Some(steps) => format!("{steps} steps"),
             None => "-".to_string(),
@@ -163,7 +166,10 @@ fn force_rows(shown: &Shown, width: u16) -> Vec<Line<'static>> {
         return rows;
     };
     let scale = shown.force_scale_n;
-    let mut rows = vec![heading(&format!("Force ─ high ── low ─ +-{scale} N"), width)];
+    let mut rows = vec![heading(
+        &format!("Force ─ high ── low ─ +-{scale} N"),
+        width,
+    )];
     let force = telemetry.and_then(|t| t.force.as_ref());
     let bar = usize::from(width).saturating_sub(21).clamp(6, 40);
     for (index, name) in ["x", "y", "z"].iter().enumerate() {
@@ -208,10 +214,7 @@ fn force_rows(shown: &Shown, width: u16) -> Vec<Line<'static>> {
         Some(problem) => Line::styled(format!(" {problem}"), style_of(Weight::Warning)),
         None => {
             let mm = force.yielded.map(|value| f64::from(value) / PER_MM);
-            Line::raw(format!(
-                " by{:>8.3}{:>8.3}{:>8.3} mm",
-                mm[0], mm[1], mm[2]
-            ))
+            Line::raw(format!(" by{:>8.3}{:>8.3}{:>8.3} mm", mm[0], mm[1], mm[2]))
         }
     };
     rows.push(last);
@@ -248,10 +251,7 @@ fn jog_rows(shown: &Shown) -> Vec<Line<'static>> {
         _ => " arrows  PgUp/Dn",
     };
     vec![
-        Line::from(vec![
-            Span::raw(" "),
-            Span::styled(chosen(shown), style),
-        ]),
+        Line::from(vec![Span::raw(" "), Span::styled(chosen(shown), style)]),
         Line::raw(ends),
         Line::raw(keys),
     ]
