@@ -16,6 +16,8 @@ pub mod pil;
 mod sim;
 
 pub use force::{LoopChoice, force_of};
+#[cfg(feature = "console")]
+pub(crate) use home::way;
 pub use job::{JobEnd, Sent, Watcher};
 pub use line::{JobLine, Line, PortLine};
 pub use sim::{JobRecording, SimLine, rig, rig_around};
