@@ -167,13 +167,15 @@ fn traced(part: &ReferencePart, turns: f64, press_n: f64, reflected: f64) -> Vec
         centre_mm: part.centre_mm,
         radius_mm: part.path_radius(),
         turns,
-        pace_mm_s: 5.5,
+        pace_mm_s: 6.0,
         ramp_s: 0.3,
         press_n,
     }));
     run(&mut arm, 30.0, |_, truth| {
-        let [x, y, _] = truth.tip_velocity;
-        let speed = (x * x + y * y).sqrt().max(0.5);
+        // Against the motion of the platform, where it acts: against that of the tip, 150 mm further, it would feed the handle's swinging about the grip. In full from 3 mm/s on: a
+        // law that switches with the sign of the speed would chatter.
+        let [x, y, ..] = truth.twist;
+        let speed = (x * x + y * y).sqrt().max(3.0);
         [-reflected * x / speed, -reflected * y / speed, 0.0]
     })
 }

@@ -5,7 +5,7 @@
 //! ```text
 //! felt     F_r' = (F(t - T_r) . s - F_r) / T_s                 what the hand felt along its way s, after the reaction time
 //! pace     v = v_0 (1 - F_r / F_0), within 0 and v_0           the person slows down against resistance, and stops at F_0
-//! effort   E' = (K / T_e) e(t - T_r)                           the person sees that the tip is off by e, and pushes harder
+//! effort   T_e E' = G K e(t - T_r) - E                          the person sees that the tip is off by e, and pushes harder
 //! force    F = K (x_d - x) + B (v - x') + E, at most F_max     the arm's own spring and damper, at once
 //! ```
 //!
@@ -45,7 +45,8 @@ use std::collections::VecDeque;
 /// moment_limit_n_mm = 2000.0
 /// reaction_s = 0.2
 /// smoothing_s = 0.3
-/// effort_s = 0.35
+/// effort_gain = 4.0
+/// effort_s = 1.2
 /// stop_force_n = 7.0
 /// "#;
 /// let written: haptimill_hil_sim::hand::HandConfig = toml::from_str(text).unwrap();
@@ -74,7 +75,9 @@ pub struct HandConfig {
     pub reaction_s: f64,
     /// Time constant T_s with which felt force is smoothed, s.
     pub smoothing_s: f64,
-    /// Time T_e in which the hand makes up for what it sees to be off, s; infinity: it does not.
+    /// How many times its stiffness the hand pushes, in the end, against what it sees to be off: G. 0: it does not.
+    pub effort_gain: f64,
+    /// Time constant T_e of that, s.
     pub effort_s: f64,
     /// Force F_0 along the way that stops the hand, N; infinity: it does not slow down.
     pub stop_force_n: f64,
@@ -93,7 +96,8 @@ impl Default for HandConfig {
             moment_limit_n_mm: 2000.0,
             reaction_s: 0.2,
             smoothing_s: 0.3,
-            effort_s: 0.35,
+            effort_gain: 4.0,
+            effort_s: 1.2,
             stop_force_n: 7.0,
         }
     }
@@ -119,7 +123,8 @@ impl HandConfig {
         check.within(field("moment_limit_n_mm"), self.moment_limit_n_mm, 0.0, 1e5);
         check.within(field("reaction_s"), self.reaction_s, 0.0, 2.0);
         check.within(field("smoothing_s"), self.smoothing_s, 0.0, 10.0);
-        check.within(field("effort_s"), self.effort_s, 1e-2, f64::INFINITY);
+        check.within(field("effort_gain"), self.effort_gain, 0.0, 100.0);
+        check.within(field("effort_s"), self.effort_s, 1e-2, 100.0);
         check.within(
             field("stop_force_n"),
             self.stop_force_n,
@@ -250,17 +255,15 @@ impl Hand {
         self.felt += (seen.resistance - self.felt) * keep;
         self.pace = (1.0 - self.felt / config.stop_force_n).clamp(0.0, 1.0);
         self.wish = self.carried.advance(dt, self.pace, handle.tip);
-        let gain = dt * config.stiffness / config.effort_s;
-        self.effort = plus(self.effort, times(seen.off, gain));
+        let (gain, step) = (config.effort_gain, dt / (config.effort_s + dt));
+        let towards = |from: Vector, to: Vector| plus(from, times(minus(to, from), step));
+        self.effort = towards(self.effort, times(seen.off, gain * config.stiffness));
         if let Some((normal, _)) = self.wish.press {
             self.effort = without(self.effort, normal);
         }
         self.effort = within(self.effort, config.force_limit_n);
-        let gain = -dt * config.turn_stiffness / config.effort_s;
-        self.moment = within(
-            plus(self.moment, times(seen.turned, gain)),
-            config.moment_limit_n_mm,
-        );
+        let upright = times(seen.turned, -gain * config.turn_stiffness);
+        self.moment = within(towards(self.moment, upright), config.moment_limit_n_mm);
     }
 
     /// Force (N, at the grip) and moment (N mm) on the handle. `place` of the grip from its home and `turned` as they are, with their rates, `later` seconds after the period began.
