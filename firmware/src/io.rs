@@ -96,6 +96,8 @@ pub struct Inputs {
     pub axes: [AxisInputs; MAX_AXES],
     /// The force sensor; nothing changes on a machine without.
     pub force: ForceSample,
+    /// The haptic arm; nothing changes on a machine without.
+    pub haptic: HapticInputs,
     /// Emergency stop circuit is open.
     pub emergency_stop: bool,
     /// Bytes from the host, oldest first.
@@ -145,14 +147,17 @@ pub struct Outputs {
     pub axes: [DriveCommand; MAX_AXES],
     /// Spindle speed in rev/min: clockwise above 0, counter-clockwise below, 0 is off.
     pub spindle_rpm: i16,
+    /// The haptic arm's amplifiers.
+    pub haptic: HapticOutputs,
     /// Bytes to the host.
     pub transmit: Vec<u8, TRANSMIT_BYTES>,
 }
 
 impl Outputs {
-    /// The safe state: drives and spindle off. Bytes to the host still go out.
+    /// The safe state: drives, spindle and the haptic arm off. Bytes to the host still go out.
     pub fn make_safe(&mut self) {
         self.axes = [DriveCommand::Off; MAX_AXES];
         self.spindle_rpm = 0;
+        self.haptic = HapticOutputs::default();
     }
 }

@@ -296,6 +296,9 @@ impl Plant {
                 overload: sensor.overloaded(),
             };
         }
+        if let Some(arm) = &self.haptic {
+            inputs.haptic = arm.inputs();
+        }
         for (axis, joint) in self.joints.iter().enumerate() {
             let slide = self.bodies.slide[axis];
             let reading = joint.encoder.reading();
@@ -374,6 +377,9 @@ impl Plant {
             if let Drive::Steps(stepper) = &mut joint.drive {
                 stepper.end();
             }
+        }
+        if let Some(arm) = &mut self.haptic {
+            arm.advance(&outputs.haptic, powered);
         }
         self.period += 1;
         self.see_truth();
