@@ -69,8 +69,8 @@ fn joints_of_a_pose_are_those_of_the_table() {
             assert!((ours - told).abs() < 2e-8, "{ours} {told}");
         }
         let tip = row.pose.point(geometry.tip());
-        for axis in 0..3 {
-            assert!((tip[axis] - row.tip[axis]).abs() < 1e-7);
+        for (ours, told) in tip.iter().zip(row.tip) {
+            assert!((ours - told).abs() < 1e-7, "{ours} {told}");
         }
     }
 }

@@ -76,19 +76,10 @@ impl Body {
 
     /// Moment of mass and inertia in the base.
     fn in_base(&self, frame: &Matrix) -> (Vector, Matrix) {
-        let mut half = [[0.0; 3]; 3];
-        let mut inertia = [[0.0; 3]; 3];
-        for i in 0..3 {
-            for k in 0..3 {
-                half[i][k] = dot(self.inertia[i], frame[k]);
-            }
-        }
-        for i in 0..3 {
-            for k in 0..3 {
-                inertia[i][k] =
-                    frame[i][0] * half[0][k] + frame[i][1] * half[1][k] + frame[i][2] * half[2][k];
-            }
-        }
+        let half = self.inertia.map(|row| frame.map(|axis| dot(row, axis)));
+        let inertia = core::array::from_fn(|i| {
+            core::array::from_fn(|k| dot(frame[i], [half[0][k], half[1][k], half[2][k]]))
+        });
         (turned(frame, self.moment), inertia)
     }
 }
@@ -127,8 +118,8 @@ impl Acting {
 
     /// Adds a moment.
     pub fn turn(&mut self, moment: Vector) {
-        for axis in 0..3 {
-            self.wrench[3 + axis] += moment[axis];
+        for (part, moment) in self.wrench[3..].iter_mut().zip(moment) {
+            *part += moment;
         }
     }
 
@@ -177,10 +168,8 @@ impl Triangle {
         let mut over = [0.0; 6];
         for row in 0..6 {
             for column in 0..=row {
-                let mut sum = matrix[row][column];
-                for k in 0..column {
-                    sum -= rows[row][k] * rows[column][k];
-                }
+                let done = (0..column).map(|k| rows[row][k] * rows[column][k]);
+                let sum = done.fold(matrix[row][column], |sum, part| sum - part);
                 if row == column {
                     // A mass matrix: the body's inertia is positive.
                     rows[row][row] = libm::sqrt(sum);

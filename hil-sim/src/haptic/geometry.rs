@@ -414,8 +414,9 @@ pub fn solved(mut rows: [Twist; 6], mut right: Twist) -> Option<Twist> {
         }
         for row in column + 1..6 {
             let factor = rows[row][column] / rows[column][column];
-            for k in column..6 {
-                rows[row][k] -= factor * rows[column][k];
+            let pivot = rows[column];
+            for (part, pivot) in rows[row].iter_mut().zip(pivot) {
+                *part -= factor * pivot;
             }
             right[row] -= factor * right[column];
         }
