@@ -153,6 +153,49 @@ fn strokes_end_where_they_are_meant_to() {
     assert!(end.tip[0].abs() < 0.3 && end.done, "{:?}", end.tip);
 }
 
+/// A tool that follows the hand by 60 ms and cuts with 1.4 N per mm/s (spec h4-milling 4.3), of which 40 % come back to the hand, at most 3.2 N: the loop through the hand does not swing.
+#[test]
+fn a_reflected_cut_slows_the_hand_and_does_not_shake_it() {
+    let mut arm = led(Some(Rail::along(X)));
+    arm.intend(Intention::Strokes(vec![Stroke {
+        ramp_s: 2.0,
+        ..stroke(0.2, -60.0, 12.0)
+    }]));
+    let (mut tool, mut felt) = (0.0, Vec::new());
+    for _ in 0..(11.0 / PERIOD) as usize {
+        let hand = arm.truth().centre[0];
+        let rate = (hand - tool) / 0.06;
+        tool += rate * PERIOD;
+        let force = (0.4 * 1.4 * -rate).clamp(-3.2, 3.2);
+        let outputs = codes(&arm, [force, 0.0, 0.0]);
+        arm.advance(&outputs, true);
+        felt.push((force, *arm.truth()));
+    }
+    let speeds: Vec<f64> = (5..50)
+        .map(|k| {
+            let place = |seconds: f64| felt[(seconds / PERIOD) as usize].1.tip[0];
+            (place(0.2 * f64::from(k)) - place(0.2 * f64::from(k + 1))) / 0.2
+        })
+        .collect();
+    let there = felt
+        .iter()
+        .position(|(_, truth)| truth.tip[0] < -29.5)
+        .expect("arrives");
+    let swing = |speeds: &[f64]| {
+        let (least, most) = speeds
+            .iter()
+            .fold((f64::MAX, 0.0_f64), |m, v| (m.0.min(*v), m.1.max(*v)));
+        most - least
+    };
+    let (early, late) = (swing(&speeds[..20]), swing(&speeds[25..]));
+    println!(
+        "30 mm in {:.2} s; swing of the speed {early:.2}, then {late:.2} mm/s; {speeds:.1?}",
+        there as f64 * PERIOD - 0.2
+    );
+    assert!(late < 0.5 * early && late < 1.0, "{early} {late}");
+    assert!((4.0..6.0).contains(&(there as f64 * PERIOD)));
+}
+
 fn traced(part: &ReferencePart, turns: f64, press_n: f64, reflected: f64) -> Vec<HapticTruth> {
     let mut arm = led(None);
     arm.clamp_part(Some(part.clone())).expect("fine");

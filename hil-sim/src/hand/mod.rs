@@ -45,7 +45,7 @@ use std::collections::VecDeque;
 /// moment_limit_n_mm = 2000.0
 /// reaction_s = 0.2
 /// smoothing_s = 0.3
-/// effort_gain = 4.0
+/// effort_gain = 3.0
 /// effort_s = 1.2
 /// stop_force_n = 7.0
 /// "#;
@@ -96,7 +96,7 @@ impl Default for HandConfig {
             moment_limit_n_mm: 2000.0,
             reaction_s: 0.2,
             smoothing_s: 0.3,
-            effort_gain: 4.0,
+            effort_gain: 3.0,
             effort_s: 1.2,
             stop_force_n: 7.0,
         }
