@@ -378,7 +378,7 @@ fn rub(triangle: &Triangle, twist: &mut Twist, acting: &Acting, dt: f64) {
             given[index] = now;
         }
         // Rates in mm/s and rad/s: nobody moves any more.
-        if changed < 1e-12 {
+        if changed < 1e-9 {
             break;
         }
     }

@@ -18,6 +18,7 @@
 mod config;
 pub mod dynamics;
 pub mod geometry;
+mod motion;
 pub mod motor;
 pub mod sensors;
 
@@ -27,12 +28,13 @@ pub use motor::ActuatorConfig;
 pub use sensors::{HapticEncoders, Readings};
 
 use crate::config::PlantError;
-use crate::cutting::vector::{Vector, cross, dot, minus, plus, times};
+use crate::cutting::vector::{Vector, minus, plus, times};
 use crate::encoder::EncoderCondition;
 use crate::hand::{Hand, HandConfig, Handle, Intention, Live, Rail, ReferencePart};
 use dynamics::{Acting, Body, Dynamics, Friction, product};
 use geometry::{Leg, Matrix, OutOfReach, Twist, turned};
 use haptimill_firmware::io::{HapticInputs, HapticOutputs, LEGS};
+use motion::Motion;
 use motor::Motors;
 use sensors::Sensors;
 
@@ -70,88 +72,6 @@ pub struct HapticTruth {
     pub depth: f64,
     /// Substeps in which no leg could hold the handle.
     pub jammed: u64,
-}
-
-#[derive(Debug, Clone)]
-struct Motion {
-    centre: Vector,
-    /// w, x, y, z.
-    attitude: [f64; 4],
-    twist: Twist,
-}
-
-impl Motion {
-    fn frame(&self) -> Matrix {
-        let [w, x, y, z] = self.attitude;
-        [
-            [
-                1.0 - 2.0 * (y * y + z * z),
-                2.0 * (x * y - w * z),
-                2.0 * (x * z + w * y),
-            ],
-            [
-                2.0 * (x * y + w * z),
-                1.0 - 2.0 * (x * x + z * z),
-                2.0 * (y * z - w * x),
-            ],
-            [
-                2.0 * (x * z - w * y),
-                2.0 * (y * z + w * x),
-                1.0 - 2.0 * (x * x + y * y),
-            ],
-        ]
-    }
-
-    fn pose(&self) -> HandlePose {
-        HandlePose {
-            centre: self.centre,
-            frame: self.frame(),
-        }
-    }
-
-    fn velocity(&self) -> Vector {
-        [self.twist[0], self.twist[1], self.twist[2]]
-    }
-
-    fn spin(&self) -> Vector {
-        [self.twist[3], self.twist[4], self.twist[5]]
-    }
-
-    /// Velocity of a point `lever` from the centre.
-    fn at(&self, lever: Vector) -> Vector {
-        plus(self.velocity(), cross(self.spin(), lever))
-    }
-
-    /// How far it is turned from upright, as a rotation vector; 2 sin(angle / 2) for its length, which is the angle as far as a hand or a rail lets it turn.
-    fn turned(&self) -> Vector {
-        let [w, x, y, z] = self.attitude;
-        times([x, y, z], if w < 0.0 { -2.0 } else { 2.0 })
-    }
-
-    fn drift(&mut self, dt: f64) {
-        self.centre = plus(self.centre, times(self.velocity(), dt));
-        let half = times(self.spin(), 0.5 * dt);
-        let square = dot(half, half);
-        let (sin, cos) = if square < 1e-4 {
-            // To the last bit at such angles, and four times as fast.
-            let sinc = 1.0 - square / 6.0 * (1.0 - square / 20.0);
-            (sinc, 1.0 - square / 2.0 * (1.0 - square / 12.0))
-        } else {
-            let angle = libm::sqrt(square);
-            (libm::sin(angle) / angle, libm::cos(angle))
-        };
-        let [x, y, z] = times(half, sin);
-        let [w, a, b, c] = self.attitude;
-        let turned = [
-            cos * w - x * a - y * b - z * c,
-            cos * a + x * w + y * c - z * b,
-            cos * b - x * c + y * w + z * a,
-            cos * c + x * b - y * a + z * w,
-        ];
-        let square: f64 = turned.iter().map(|part| part * part).sum();
-        // One step of Newton for one over the root of a number next to 1.
-        self.attitude = turned.map(|part| part * (1.5 - 0.5 * square));
-    }
 }
 
 /// What there is beside the arm itself.
@@ -212,11 +132,10 @@ impl HapticArm {
         }
         let geometry = Geometry::new(&config.geometry);
         let home = geometry.home();
-        let motion = Motion {
+        let motion = Motion::at(&HandlePose {
             centre: plus(home.centre, config.start_mm),
-            attitude: [1.0, 0.0, 0.0, 0.0],
-            twist: [0.0; 6],
-        };
+            ..home
+        });
         geometry
             .legs(&home)
             .map_err(|error| refuse("haptic: geometry", format!("at home {error}")))?;
@@ -371,11 +290,7 @@ impl HapticArm {
     /// A leg does not reach; nothing has changed then.
     pub fn put(&mut self, pose: &HandlePose) -> Result<(), OutOfReach> {
         self.legs = self.geometry.legs(pose)?;
-        self.motion = Motion {
-            centre: pose.centre,
-            attitude: attitude(&pose.frame),
-            twist: [0.0; 6],
-        };
+        self.motion = Motion::at(pose);
         let now = readings(&self.geometry, &self.legs);
         self.sensors.follow(&now, self.time_ns);
         self.see_truth();
@@ -482,7 +397,7 @@ impl HapticArm {
             let tip = self.geometry.tip();
             let lever = turned(frame, tip);
             let place = minus(plus(centre, lever), tip);
-            if let Some(touch) = part.touch(place, motion.at(lever)) {
+            if let Some(touch) = part.touch(place, motion.of_point(lever)) {
                 acting.push(times(touch.normal, touch.push), lever);
                 let bound = part.friction * touch.push;
                 acting.rub(touch.tangent, lever, bound);
@@ -494,7 +409,7 @@ impl HapticArm {
             let lever = turned(frame, grip);
             let place = minus(plus(centre, lever), grip);
             let (force, moment) = hand.act(
-                (place, motion.at(lever)),
+                (place, motion.of_point(lever)),
                 (motion.turned(), motion.spin()),
                 later,
             );
@@ -550,7 +465,7 @@ impl HapticArm {
         let lever = turned(&frame, tip);
         let from_home = minus(motion.centre, self.geometry.home().centre);
         let place = minus(plus(from_home, lever), tip);
-        let velocity = motion.at(lever);
+        let velocity = motion.of_point(lever);
         let forces = self.motors.force();
         let mut reflected = [0.0; 6];
         for (force, row) in forces.iter().zip(Dynamics::rows(&self.legs)) {
@@ -580,23 +495,6 @@ impl HapticArm {
             depth: touch.map_or(0.0, |touch| touch.depth),
             jammed: self.truth.jammed,
         };
-    }
-}
-
-/// The quaternion of a frame.
-fn attitude(frame: &Matrix) -> [f64; 4] {
-    let [[a, b, c], [d, e, f], [g, h, i]] = *frame;
-    // Of the four ways to begin, the one with the largest root.
-    let traces = [a + e + i, a - e - i, e - a - i, i - a - e];
-    let first = (1..4).fold(0, |best, k| if traces[k] > traces[best] { k } else { best });
-    let root = libm::sqrt(1.0 + traces[first]);
-    let by = 0.5 / root;
-    let half = 0.5 * root;
-    match first {
-        0 => [half, (h - f) * by, (c - g) * by, (d - b) * by],
-        1 => [(h - f) * by, half, (b + d) * by, (c + g) * by],
-        2 => [(c - g) * by, (b + d) * by, half, (f + h) * by],
-        _ => [(d - b) * by, (c + g) * by, (f + h) * by, half],
     }
 }
 

@@ -1,5 +1,6 @@
 //! The built-in simulator as a line: controller, machine and serial line in this process, in virtual time.
 
+use super::hand::{HandCourse, HandRecorder};
 use super::{JobLine, Line};
 use crate::cli::{CliError, Exit};
 use crate::machine::MachineFile;
@@ -21,6 +22,7 @@ pub struct SimLine<C = Controller> {
     rig: Rig<C>,
     name: String,
     recording: Option<JobRecording>,
+    hand: Option<HandRecorder>,
 }
 
 /// A recording of a job, with the truth of the simulated machine and the programmed geometry beside it.
@@ -89,7 +91,18 @@ impl<C: Control> SimLine<C> {
             rig,
             name: name.to_string(),
             recording: None,
+            hand: None,
         }
+    }
+
+    /// Looks at hand and tool from now on, a thousand times a second.
+    pub fn begin_hand(&mut self) {
+        self.hand = Some(HandRecorder::default());
+    }
+
+    /// Stops looking, and tells what was seen.
+    pub fn end_hand(&mut self) -> Option<HandCourse> {
+        self.hand.take().map(HandRecorder::into_course)
     }
 
     /// The machine with its controller and its line, to be meddled with.
@@ -136,6 +149,12 @@ impl<C: Control> Line for SimLine<C> {
         self.rig.host_read(received);
         if ticked && let Some(recording) = &mut self.recording {
             recording.add(&self.rig);
+        }
+        if ticked
+            && let Some(hand) = &mut self.hand
+            && let Some(reading) = self.rig.control().reading(self.rig.inputs())
+        {
+            hand.look(self.rig.plant(), &reading);
         }
         Ok(self.rig.time_ns() / 1000)
     }
