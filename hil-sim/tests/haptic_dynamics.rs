@@ -146,6 +146,29 @@ fn the_same_blow_gives_the_same_bits() {
     assert!(first.0.tip.iter().all(|x| x.is_finite()));
 }
 
+/// An arm that nobody wants anything of is not stepped any more; it wakes at once.
+#[test]
+fn an_arm_at_rest_sleeps_and_wakes() {
+    let mut arm = arm(&HapticConfig::default());
+    arm.take(Some(&HandConfig::default())).expect("fine");
+    run(&mut arm, 1.0, |_| {});
+    let before = *arm.truth();
+    assert_eq!(before.twist, [0.0; 6]);
+    let mut outputs = HapticOutputs {
+        enabled: true,
+        ..HapticOutputs::default()
+    };
+    for _ in 0..10 {
+        arm.advance(&outputs, true);
+    }
+    assert_eq!(*arm.truth(), before);
+    outputs.currents[1] = [1500, 500];
+    for _ in 0..500 {
+        arm.advance(&outputs, true);
+    }
+    assert!(arm.truth().tip.iter().any(|x| x.abs() > 0.5));
+}
+
 /// Whatever the motors do, the arm stays an arm.
 #[test]
 fn full_torque_in_every_direction_ends_at_the_stops() {

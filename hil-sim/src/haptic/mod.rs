@@ -41,6 +41,12 @@ use sensors::Sensors;
 /// Acceleration of free fall, mm/s^2.
 const GRAVITY: f64 = 9806.65;
 
+/// Rates below which nothing moves, mm/s and rad/s.
+const RESTS: f64 = 1e-7;
+
+/// Periods at rest, with nobody who wants anything, after which the arm is no longer stepped: its friction holds it.
+const ASLEEP: u32 = 2500;
+
 /// What really is, at the end of a period.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct HapticTruth {
@@ -105,6 +111,8 @@ pub struct HapticArm {
     time_ns: u64,
     powered: bool,
     engaged: bool,
+    /// Periods for which nothing has moved and nobody wanted anything.
+    idle: u32,
     truth: HapticTruth,
 }
 
@@ -177,6 +185,7 @@ impl HapticArm {
             time_ns: 0,
             powered: true,
             engaged: false,
+            idle: 0,
             truth: HapticTruth::default(),
             config: config.clone(),
             geometry,
@@ -190,6 +199,7 @@ impl HapticArm {
     /// # Errors
     /// Every problem of the configuration.
     pub fn take(&mut self, hand: Option<&HandConfig>) -> Result<(), Vec<PlantError>> {
+        self.idle = 0;
         self.dynamics.body = self.bare.clone();
         self.around.hand = None;
         if let Some(config) = hand {
@@ -207,6 +217,7 @@ impl HapticArm {
     /// Every problem of the rail.
     pub fn fit_rail(&mut self, rail: Option<Rail>) -> Result<(), Vec<PlantError>> {
         rail.as_ref().map_or(Ok(()), Rail::check)?;
+        self.idle = 0;
         self.around.rail = rail;
         Ok(())
     }
@@ -217,12 +228,14 @@ impl HapticArm {
     /// Every problem of the part.
     pub fn clamp_part(&mut self, part: Option<ReferencePart>) -> Result<(), Vec<PlantError>> {
         part.as_ref().map_or(Ok(()), ReferencePart::check)?;
+        self.idle = 0;
         self.around.part = part;
         Ok(())
     }
 
     /// The hand means to do something else; nothing happens without a hand.
     pub fn intend(&mut self, intention: Intention) {
+        self.idle = 0;
         if let Some(hand) = &mut self.around.hand {
             hand.intend(intention);
         }
@@ -230,6 +243,7 @@ impl HapticArm {
 
     /// Says anew where somebody outside wants the tip, and whether the button is held. The hand's intention becomes a live one.
     pub fn live(&mut self, live: Live) {
+        self.idle = 0;
         self.engaged = live.engaged;
         if let Some(hand) = &mut self.around.hand {
             if matches!(hand.intention(), Intention::Live(_)) {
@@ -275,12 +289,14 @@ impl HapticArm {
 
     /// Gives the platform a velocity (mm/s) and a turning (rad/s): a blow.
     pub fn strike(&mut self, twist: Twist) {
+        self.idle = 0;
         self.motion.twist = twist;
         self.see_truth();
     }
 
     /// Lets something push at the platform's centre (N), until it is changed.
     pub const fn set_push(&mut self, force: Vector) {
+        self.idle = 0;
         self.around.push = force;
     }
 
@@ -290,6 +306,7 @@ impl HapticArm {
     /// A leg does not reach; nothing has changed then.
     pub fn put(&mut self, pose: &HandlePose) -> Result<(), OutOfReach> {
         self.legs = self.geometry.legs(pose)?;
+        self.idle = 0;
         self.motion = Motion::at(pose);
         let now = readings(&self.geometry, &self.legs);
         self.sensors.follow(&now, self.time_ns);
@@ -330,6 +347,16 @@ impl HapticArm {
     pub fn advance(&mut self, outputs: &HapticOutputs, powered: bool) {
         self.powered = powered;
         self.motors.command(outputs, powered);
+        if !self.motors.still() {
+            self.idle = 0;
+        }
+        if self.idle >= ASLEEP {
+            // The encoders may have their faults.
+            let joints = self.truth.joints;
+            self.sensors.follow(&joints, self.time_ns);
+            self.time_ns += self.period_ns;
+            return;
+        }
         let handle = self.handle();
         let period_s = self.period_s();
         if let Some(hand) = &mut self.around.hand {
@@ -342,6 +369,18 @@ impl HapticArm {
         self.sensors.follow(&now, self.time_ns);
         self.time_ns += self.period_ns;
         self.see_truth();
+        let holds = |hand: &Hand| matches!(hand.intention(), Intention::Hold);
+        let content = self.around.hand.as_ref().is_none_or(holds);
+        let rests = content && self.motion.twist.iter().all(|rate| rate.abs() < RESTS);
+        self.idle = if rests {
+            self.idle.saturating_add(1)
+        } else {
+            0
+        };
+        if self.idle == ASLEEP {
+            self.motion.twist = [0.0; 6];
+            self.see_truth();
+        }
     }
 
     fn period_s(&self) -> f64 {

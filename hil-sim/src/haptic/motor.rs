@@ -80,6 +80,12 @@ impl Motors {
         }
     }
 
+    /// No motor pushes, and none is asked to.
+    pub fn still(&self) -> bool {
+        let small = |force: &f64| force.abs() < 1e-9;
+        self.wanted.iter().all(|wanted| *wanted == 0.0) && self.force.iter().all(small)
+    }
+
     /// One step; gives the forces in the joints, slide and turn of each leg.
     #[inline]
     pub fn step(&mut self) -> [f64; 2 * LEGS] {
