@@ -145,19 +145,19 @@ pub enum DriveCommand {
 pub struct Outputs {
     /// The joints; [`DriveCommand::Off`] disables the drive.
     pub axes: [DriveCommand; MAX_AXES],
-    /// Spindle speed in rev/min: clockwise above 0, counter-clockwise below, 0 is off.
-    pub spindle_rpm: i16,
     /// The haptic arm's amplifiers.
     pub haptic: HapticOutputs,
+    /// Spindle speed in rev/min: clockwise above 0, counter-clockwise below, 0 is off.
+    pub spindle_rpm: i16,
     /// Bytes to the host.
     pub transmit: Vec<u8, TRANSMIT_BYTES>,
 }
 
 impl Outputs {
-    /// The safe state: drives, spindle and the haptic arm off. Bytes to the host still go out.
+    /// The safe state: drives, haptic arm and spindle off. Bytes to the host still go out.
     pub fn make_safe(&mut self) {
         self.axes = [DriveCommand::Off; MAX_AXES];
-        self.spindle_rpm = 0;
         self.haptic = HapticOutputs::default();
+        self.spindle_rpm = 0;
     }
 }

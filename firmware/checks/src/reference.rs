@@ -147,6 +147,8 @@ pub fn h4() -> Config {
             table_rate: Rate(degrees(4.0)),
         },
         force: None,
+        follow: None,
+        haptic: None,
     }
 }
 
