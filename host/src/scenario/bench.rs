@@ -23,6 +23,10 @@ use std::sync::atomic::AtomicBool;
 /// A row of the trace every so many control periods: 5 ms at 5 kHz.
 const TRACE_EVERY: u32 = 25;
 
+/// The table of what hand and tool did while a hand led, and a row of it every so many milliseconds.
+pub const HAND_FILE: &str = "hand.csv";
+const HAND_EVERY: usize = 5;
+
 /// What a pass left.
 pub struct Cut {
     /// What was recorded, at a thousand samples a second.
@@ -163,6 +167,10 @@ pub fn carry(
     let recording =
         Recording::open(&dir.join(report::RECORDING_FILE)).map_err(|error| output(&error))?;
     let course = Course::of(&recording).map_err(|error| output(&error))?;
+    if let Some(course) = &hand {
+        std::fs::write(dir.join(HAND_FILE), course.table(HAND_EVERY))
+            .map_err(|error| output(&error))?;
+    }
     let mut line = session.into_line();
     let cutting = line
         .rig_mut()

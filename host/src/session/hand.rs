@@ -46,6 +46,49 @@ pub struct HandCourse {
 }
 
 impl HandCourse {
+    /// The samples as a table (CSV), a row every so many: mm, N, s.
+    #[must_use]
+    pub fn table(&self, every: usize) -> String {
+        const VECTORS: [&str; 9] = [
+            "hand_mm",
+            "hand_mm_s",
+            "desired_mm",
+            "tool_mm",
+            "yielded_mm",
+            "high_n",
+            "reflected_n",
+            "hand_n",
+            "part_n",
+        ];
+        let mut text = String::from("time_s");
+        for name in VECTORS {
+            for axis in ["x", "y", "z"] {
+                let (what, unit) = name.split_once('_').unwrap_or((name, ""));
+                text.push_str(&format!(",{what}_{axis}_{unit}"));
+            }
+        }
+        text.push_str(",pace\n");
+        for s in self.samples.iter().step_by(every.max(1)) {
+            text.push_str(&format!("{:.3}", s.time));
+            let rows = [
+                s.hand,
+                s.velocity,
+                s.desired,
+                s.tool,
+                s.yielded,
+                s.high,
+                s.reflected,
+                s.push,
+                s.contact,
+            ];
+            for value in rows.iter().flatten() {
+                text.push_str(&format!(",{:.4}", value + 0.0));
+            }
+            text.push_str(&format!(",{:.3}\n", s.pace));
+        }
+        text
+    }
+
     /// The samples of a span of time.
     #[must_use]
     pub fn between(&self, from: f64, to: f64) -> &[HandSample] {
