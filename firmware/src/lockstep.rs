@@ -153,6 +153,17 @@ impl ToBoard {
     /// The frame.
     #[must_use]
     pub fn encode(&self) -> [u8; TO_BOARD_BYTES] {
+        self.words().into_bytes()
+    }
+
+    /// The frame without its check; see [`seal`].
+    #[must_use]
+    pub fn encode_unsealed(&self) -> [u8; TO_BOARD_BYTES] {
+        self.words().into_unsealed()
+    }
+
+    #[inline(always)]
+    fn words(&self) -> Words<TO_BOARD_WORDS> {
         let mut words = Words::<TO_BOARD_WORDS>::new();
         match self {
             Self::Begin { period_us } => {
@@ -174,7 +185,7 @@ impl ToBoard {
             }
             Self::End => words.begin(3),
         }
-        words.into_bytes()
+        words
     }
 
     /// What a frame says.
@@ -219,6 +230,17 @@ impl FromBoard {
     #[cold]
     #[inline(never)]
     pub fn encode(&self) -> [u8; FROM_BOARD_BYTES] {
+        self.words().into_bytes()
+    }
+
+    /// The frame without its check; see [`seal`].
+    #[must_use]
+    pub fn encode_unsealed(&self) -> [u8; FROM_BOARD_BYTES] {
+        self.words().into_unsealed()
+    }
+
+    #[inline(always)]
+    fn words(&self) -> Words<FROM_BOARD_WORDS> {
         let mut words = Words::<FROM_BOARD_WORDS>::new();
         match self {
             Self::Hello => words.begin(1),
@@ -235,7 +257,7 @@ impl FromBoard {
                 words.put(*ring_peak);
             }
         }
-        words.into_bytes()
+        words
     }
 
     /// What a frame says.
@@ -376,10 +398,7 @@ fn put_done(words: &mut Words<FROM_BOARD_WORDS>, done: &Done) {
         words.put(0);
         return;
     };
-    let state = STATES
-        .iter()
-        .position(|&state| state == reading.state)
-        .unwrap_or(0) as u32;
+    let state = u32::from(reading.state.number());
     let flags = u32::from(reading.homed)
         | u32::from(reading.position_kept) << 1
         | u32::from(reading.fault) << 2
@@ -442,7 +461,7 @@ fn take_done(words: &mut Words<FROM_BOARD_WORDS>) -> Result<Done, FrameError> {
     if head & 1 == 0 {
         return Ok(done);
     }
-    let state = STATES.get((head >> 8 & 0xFF) as usize);
+    let state = State::ALL.get((head >> 8 & 0xFF) as usize);
     let mut reading = Reading {
         state: *state.ok_or(FrameError::Content)?,
         homed: head >> 16 & 1 != 0,
@@ -477,17 +496,6 @@ fn take_done(words: &mut Words<FROM_BOARD_WORDS>) -> Result<Done, FrameError> {
     Ok(done)
 }
 
-const STATES: [State; 8] = [
-    State::Disabled,
-    State::Idle,
-    State::Homing,
-    State::Run,
-    State::Jog,
-    State::Hold,
-    State::Fault,
-    State::EmergencyStop,
-];
-
 /// The stages in the order in which [`Done::stages`] has them.
 pub const STAGE_ORDER: [Stage; STAGES] = [
     Stage::Hear,
@@ -500,6 +508,22 @@ pub const STAGE_ORDER: [Stage; STAGES] = [
     Stage::Tell,
     Stage::Gate,
 ];
+
+/// FNV-1a over words.
+fn check(words: impl Iterator<Item = u32>) -> u32 {
+    words.fold(0x811C_9DC5, |hash, word| {
+        (hash ^ word).wrapping_mul(0x0100_0193)
+    })
+}
+
+/// Puts the check, which is the last word, into a frame whose other words are there: for those who keep frames without it, as recordings do.
+pub fn seal(frame: &mut [u8]) {
+    let (words, _) = frame.as_chunks_mut::<4>();
+    if let Some((last, words)) = words.split_last_mut() {
+        let sum = check(words.iter().map(|word| u32::from_le_bytes(*word)));
+        *last = sum.to_le_bytes();
+    }
+}
 
 /// A frame while it is written or read. Both directions visit the same words; beyond the end nothing is written and zeros are read.
 struct Words<const N: usize> {
@@ -545,14 +569,16 @@ impl<const N: usize> Words<N> {
     }
 
     fn check(&self) -> u32 {
-        self.words[..N - 1].iter().fold(0x811C_9DC5, |hash, word| {
-            (hash ^ word).wrapping_mul(0x0100_0193)
-        })
+        check(self.words[..N - 1].iter().copied())
     }
 
     fn into_bytes<const B: usize>(mut self) -> [u8; B] {
-        const { assert!(B == 4 * N) };
         self.words[N - 1] = self.check();
+        self.into_unsealed()
+    }
+
+    fn into_unsealed<const B: usize>(self) -> [u8; B] {
+        const { assert!(B == 4 * N) };
         let mut bytes = [0; B];
         for (cell, word) in bytes.as_chunks_mut::<4>().0.iter_mut().zip(self.words) {
             *cell = word.to_le_bytes();

@@ -304,6 +304,26 @@ pub enum State {
     EmergencyStop,
 }
 
+impl State {
+    /// All states in their order; recorders and links number them by their place here.
+    pub const ALL: [Self; 8] = [
+        Self::Disabled,
+        Self::Idle,
+        Self::Homing,
+        Self::Run,
+        Self::Jog,
+        Self::Hold,
+        Self::Fault,
+        Self::EmergencyStop,
+    ];
+
+    /// The place in [`State::ALL`].
+    #[must_use]
+    pub const fn number(self) -> u8 {
+        self as u8
+    }
+}
+
 /// What the controller says.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]

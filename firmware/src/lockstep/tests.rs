@@ -44,7 +44,7 @@ fn command() -> impl Strategy<Value = DriveCommand> {
 
 prop_compose! {
     fn reading()(
-        state in prop::sample::select(STATES.to_vec()),
+        state in prop::sample::select(State::ALL.to_vec()),
         (homed, position_kept, fault, more, queued) in (any::<bool>(), any::<bool>(), any::<bool>(), any::<bool>(), 0_u16..0x1000),
         (setpoint, path_rate, spindle_rpm, program_time) in any::<(u32, u16, i16, u64)>(),
         rows: [[i32; MAX_AXES]; 5],
@@ -121,5 +121,17 @@ proptest! {
     fn noise_is_refused(bytes in prop::collection::vec(any::<u8>(), TO_BOARD_BYTES)) {
         let frame: [u8; TO_BOARD_BYTES] = bytes.try_into().unwrap();
         prop_assert!(ToBoard::decode(&frame).is_err());
+    }
+}
+
+#[test]
+fn a_frame_is_sealed_as_it_was() {
+    let whole = ToBoard::Begin { period_us: 200 }.encode();
+    let mut kept = ToBoard::Begin { period_us: 200 }.encode_unsealed();
+    assert_eq!(ToBoard::decode(&kept), Err(FrameError::Check));
+    seal(&mut kept);
+    assert_eq!(kept, whole);
+    for (number, state) in State::ALL.iter().enumerate() {
+        assert_eq!(usize::from(state.number()), number);
     }
 }

@@ -162,7 +162,7 @@ impl Machinery {
     }
 
     pub(super) fn digest_hand(&self, digest: &mut Digest) {
-        debug_assert!(HAND_PART < super::PARTS);
+        const { assert!(HAND_PART < super::PARTS) };
         digest.add(&(&self.config.haptic, &self.config.follow));
         digest.add(&(self.hands.periods_per_second, self.hands.stale));
         if let Some(arm) = &self.hands.arm {

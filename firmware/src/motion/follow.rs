@@ -60,7 +60,7 @@ impl MoverLimits {
         let step = ((i128::from(axis.acceleration.0) * period * period) << (8 + FRACTION))
             / 1_000_000_000_000;
         let rate = ((i128::from(axis.rate.0) * period) << FRACTION) / 1_000_000;
-        let pull = (i128::from(gain) * period << 32) / 1_000_000;
+        let pull = ((i128::from(gain) * period) << 32) / 1_000_000;
         if step < 8 || rate < 1 || period_us == 0 || !(1..=1000).contains(&gain) || pull >= 1 << 31
         {
             return None;

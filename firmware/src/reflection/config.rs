@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 /// An encoder of a leg.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Encoder {
-    /// Axis units (2^-20 mm for the slide, 2^-32 turn for an angle) per count, times 2^24; negative when it counts backwards. Below 2^40.
+    /// Axis units (2^-20 mm for the slide, 2^-32 turn for an angle) per count, times 2^24; negative when it counts backwards. Below 2^46.
     pub per_count: i64,
     /// Coordinate at the handle's home, where the operator holds it when the configuration is activated.
     pub preset: Coordinate,
@@ -93,7 +93,7 @@ impl HapticConfig {
             && self.ranges[0].0.0 >= -slide
             && self.ranges[0].1.0 <= slide;
         let sensor = |(encoder, (low, high)): (&Encoder, &(Coordinate, Coordinate))| {
-            (1 << 12..1 << 40).contains(&encoder.per_count.unsigned_abs())
+            (1 << 12..1 << 46).contains(&encoder.per_count.unsigned_abs())
                 && (low..=high).contains(&&encoder.preset)
         };
         let sensors = self

@@ -47,6 +47,8 @@ const FEEL_US: u32 = 100_000;
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
 struct Sensor {
     per_count: i64,
+    /// Counts beyond which nothing is looked at.
+    most: u32,
     preset: i32,
     low: i32,
     high: i32,
@@ -121,6 +123,8 @@ impl Haptic {
                 let (low, high) = config.ranges[index];
                 Sensor {
                     per_count: leg[index].per_count,
+                    most: ((1 << 57) / leg[index].per_count.unsigned_abs().max(1)).min(1 << 30)
+                        as u32,
                     preset: leg[index].preset.0,
                     low: low.0,
                     high: high.0,
@@ -216,12 +220,9 @@ impl Haptic {
                 }
                 let encoder = &self.sensors[index][sensor];
                 let counts = leg.counts[sensor].wrapping_sub(self.zero[index][sensor]);
-                // A sound scale is below 2^40; more counts than 2^22 are out of any range.
-                let far = counts.unsigned_abs() >= 1 << 22;
-                let by = product(
-                    i64::from(counts.clamp(-(1 << 22), 1 << 22)),
-                    encoder.per_count,
-                ) >> 24;
+                // As many counts make two turns, or 4 m: below 2^58 with the scale.
+                let far = counts.unsigned_abs() > encoder.most;
+                let by = product(i64::from(if far { 0 } else { counts }), encoder.per_count) >> 24;
                 *value = saturate(i64::from(encoder.preset) + by);
                 if far || *value < encoder.low || *value > encoder.high {
                     return Err(HandProblem::Range {
