@@ -158,7 +158,8 @@ impl Controller {
         if self.server.telemetry_due() {
             let telemetry = self.telemetry(inputs);
             self.server.send_telemetry(telemetry);
-        } else if self.server.hand_due() {
+        }
+        if self.server.hand_due() {
             let arm = self
                 .machinery
                 .as_ref()

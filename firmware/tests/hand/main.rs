@@ -726,3 +726,24 @@ fn a_force_is_felt_in_the_period_in_which_it_was_sampled() {
     }
     assert!(last.abs() < 0.01);
 }
+
+/// While the drives are off a problem is told, and gone when it is gone.
+#[test]
+fn a_problem_without_power_is_only_told() {
+    let mut bed = Bed::new(mill());
+    assert_eq!(bed.configure(), Ok(()));
+    bed.lie = Some((0, 0, |counts| counts + 3000));
+    bed.steps(50);
+    assert!(
+        bed.events
+            .iter()
+            .any(|event| matches!(event, Event::Hand(HandProblem::Encoder { leg: 0, .. }))),
+        "{:?}",
+        bed.events
+    );
+    bed.lie = None;
+    bed.steps(5);
+    assert_eq!(bed.ask(Command::Enable), Ok(()));
+    bed.steps(5);
+    assert!(bed.outputs.haptic.enabled && bed.state() == State::Idle);
+}
