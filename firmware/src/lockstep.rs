@@ -20,22 +20,25 @@
 //!
 //! Misuse: a frame has no place for what is longer than a period; whoever skips a frame is out of step for good.
 
-use crate::io::{AxisInputs, DriveCommand, ForceSample, Inputs, Outputs, StepSegment};
+use crate::io::{
+    AxisInputs, DriveCommand, ForceSample, HapticInputs, HapticOutputs, Inputs, LegInputs, Outputs,
+    StepSegment,
+};
 use crate::probe::{STAGES, Stage};
 use crate::reading::Reading;
 use haptimill_protocol::message::State;
 
 /// Words of a frame to the board.
-const TO_BOARD_WORDS: usize = 40;
+const TO_BOARD_WORDS: usize = 56;
 /// Words of a frame from the board.
-const FROM_BOARD_WORDS: usize = 88;
+const FROM_BOARD_WORDS: usize = 93;
 /// Bytes of a frame to the board.
 pub const TO_BOARD_BYTES: usize = 4 * TO_BOARD_WORDS;
 /// Bytes of a frame from the board.
 pub const FROM_BOARD_BYTES: usize = 4 * FROM_BOARD_WORDS;
 
 /// Grows whenever a frame changes.
-const VERSION: u32 = 4;
+const VERSION: u32 = 5;
 
 /// What the simulator says.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -175,6 +178,7 @@ impl ToBoard {
                 words.put(*arrived);
                 words.put(u32::from(inputs.emergency_stop));
                 put_force(&mut words, &inputs.force);
+                put_hand(&mut words, &inputs.haptic);
                 for axis in &inputs.axes {
                     put_axis(&mut words, axis);
                 }
@@ -208,6 +212,7 @@ impl ToBoard {
                 let arrived = words.take();
                 inputs.emergency_stop = words.take() & 1 != 0;
                 inputs.force = take_force(&mut words);
+                inputs.haptic = take_hand(&mut words);
                 for axis in &mut inputs.axes {
                     *axis = take_axis(&mut words);
                 }
@@ -288,6 +293,55 @@ fn take_force(words: &mut Words<TO_BOARD_WORDS>) -> ForceSample {
     }
 }
 
+fn put_hand(words: &mut Words<TO_BOARD_WORDS>, hand: &HapticInputs) {
+    words.put(u32::from(hand.engaged) | u32::from(hand.drives_ready) << 1);
+    for leg in &hand.legs {
+        leg.counts
+            .iter()
+            .for_each(|&counts| words.put(counts as u32));
+        let [first, second, third] = leg.illegal.map(u32::from);
+        words.put(first | second << 16);
+        words.put(third);
+    }
+}
+
+fn take_hand(words: &mut Words<TO_BOARD_WORDS>) -> HapticInputs {
+    let bits = words.take();
+    let mut hand = HapticInputs {
+        engaged: bits & 1 != 0,
+        drives_ready: bits & 2 != 0,
+        ..HapticInputs::default()
+    };
+    for leg in &mut hand.legs {
+        let counts = [words.take(), words.take(), words.take()].map(|word| word as i32);
+        let (pair, third) = (words.take(), words.take());
+        *leg = LegInputs {
+            counts,
+            illegal: [pair as u16, (pair >> 16) as u16, third as u16],
+        };
+    }
+    hand
+}
+
+fn put_currents(words: &mut Words<FROM_BOARD_WORDS>, hand: &HapticOutputs) {
+    words.put(u32::from(hand.enabled));
+    for [force, torque] in hand.currents {
+        words.put(u32::from(force as u16) | u32::from(torque as u16) << 16);
+    }
+}
+
+fn take_currents(words: &mut Words<FROM_BOARD_WORDS>) -> HapticOutputs {
+    let mut hand = HapticOutputs {
+        enabled: words.take() & 1 != 0,
+        ..HapticOutputs::default()
+    };
+    for leg in &mut hand.currents {
+        let pair = words.take();
+        *leg = [pair as i16, (pair >> 16) as i16];
+    }
+    hand
+}
+
 fn put_axis(words: &mut Words<TO_BOARD_WORDS>, axis: &AxisInputs) {
     words.put(axis.counts as u32);
     words.put(axis.edge_time_ns);
@@ -334,6 +388,7 @@ fn put_done(words: &mut Words<FROM_BOARD_WORDS>, done: &Done) {
         words.put(kind);
         row.into_iter().for_each(|word| words.put(word));
     }
+    put_currents(words, &done.outputs.haptic);
     words.put(u32::from(done.outputs.spindle_rpm as u16) | u32::from(done.said) << 16);
     let heard = &done.heard;
     words.put(u32::from(heard.received) | u32::from(heard.waiting) << 16);
@@ -388,6 +443,7 @@ fn take_done(words: &mut Words<FROM_BOARD_WORDS>) -> Result<Done, FrameError> {
             _ => return Err(FrameError::Content),
         };
     }
+    done.outputs.haptic = take_currents(words);
     let pair = words.take();
     done.outputs.spindle_rpm = pair as i16;
     done.said = (pair >> 16) as u16;
@@ -448,6 +504,7 @@ pub const STAGE_ORDER: [Stage; STAGES] = [
     Stage::Yield,
     Stage::Place,
     Stage::Drive,
+    Stage::Feel,
     Stage::Tell,
     Stage::Gate,
 ];

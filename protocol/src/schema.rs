@@ -123,6 +123,11 @@ mod tests {
             "Interrupted",
             "yielded",
             "NotTared",
+            "age_ms",
+            "boost_below",
+            "Singular",
+            "WallTooNear",
+            "reflected",
         ] {
             if part == "HomingProblem" {
                 assert!(all.contains("NoIndex"));

@@ -34,6 +34,7 @@ impl Display for Source {
             Self::Program => "program",
             Self::Jog => "jog",
             Self::Hold => "hold",
+            Self::Master => "master",
         })
     }
 }
@@ -84,6 +85,8 @@ impl Display for ConfigField {
             Self::Heartbeat => "heartbeat",
             Self::StopTime => "stop time",
             Self::Force => "force sensor or force loop",
+            Self::Haptic => "haptic arm",
+            Self::Follow => "following a hand",
         })
     }
 }
@@ -115,6 +118,12 @@ impl Command {
             Self::ForceMask { .. } => "force mask",
             Self::ForceLoop { .. } => "force loop",
             Self::Tare => "tare",
+            Self::Hand { .. } => "hand",
+            Self::Feel { .. } => "feel",
+            Self::Reflect(_) => "reflect",
+            Self::Wall { .. } => "wall",
+            Self::HandScale { .. } => "hand scale",
+            Self::HandTelemetry { .. } => "hand telemetry",
         }
     }
 }
