@@ -94,7 +94,9 @@ fn a_change_of_what_was_worked_out_is_seen() {
     };
     let stroke = changed(|config| config.joints[2].high.0 += 1);
     let rod = changed(|config| {
-        let Model::H4(geometry) = &mut config.model;
+        let Model::H4(geometry) = &mut config.model else {
+            panic!("an H-4 arm");
+        };
         geometry.rod.0 ^= 1 << 9;
     });
     for config in [&stroke, &rod] {

@@ -12,7 +12,7 @@
 //! * [`process`]: all of that, one control period at a time.
 //! * [`plant`]: all of it, one control period at a time.
 //! * [`wire`]: the serial line; [`fault`], [`schedule`]: what goes wrong, and when.
-//! * [`rig`]: machine, controller and line in lockstep.
+//! * [`rig`]: machine, controller and line in lockstep; [`tape`]: all that the controller sensed and said.
 
 pub mod config;
 pub mod cutting;
@@ -29,6 +29,7 @@ pub mod schedule;
 pub mod sensor;
 pub mod stepper;
 pub mod structure;
+pub mod tape;
 pub mod wire;
 
 pub use config::PlantConfig;

@@ -124,6 +124,11 @@ mod tests {
             "yielded",
             "NotTared",
             "ForceSettings",
+            "age_ms",
+            "boost_below",
+            "Singular",
+            "WallTooNear",
+            "reflected",
         ] {
             if part == "HomingProblem" {
                 assert!(all.contains("NoIndex"));

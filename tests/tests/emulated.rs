@@ -6,6 +6,7 @@ use haptimill::cli::run::{self, RunArgs};
 use haptimill::machine::MachineFile;
 use haptimill::port::Board;
 use haptimill::record::{Recording, difference};
+use haptimill::replay::replay;
 use haptimill::session::pil::{self, Emulator, Instructions};
 use haptimill::session::rig_around;
 use haptimill_firmware::controller::Controller;
@@ -66,6 +67,10 @@ fn same_bits(name: &str, program: &Path) {
             read("native") == read(folder),
             "{name}, native and {port}: the headers differ"
         );
+        // What the chip said is what a controller in this process says to the same inputs.
+        let replayed = replay(&emulated).expect("has its periods");
+        let replayed = replayed.unwrap_or_else(|difference| panic!("{name}, {port}: {difference}"));
+        assert_eq!(replayed.records, native.records());
         println!(
             "{name}: {} control periods, the same bits natively and on {port}; {:.1} times real time",
             native.records(),

@@ -334,6 +334,12 @@ impl ForceControl {
         self.condition
     }
 
+    /// Whether the sensor can be believed: nothing is wrong with it but, at most, that the force is large.
+    #[must_use]
+    pub fn believed(&self) -> bool {
+        self.condition.as_ref().is_none_or(is_force)
+    }
+
     /// What must stop a machine that moves; `jogged` says that a person moves it.
     ///
     /// A force beyond its limit stops always, except that a person may jog away from one that was there before: otherwise nobody could. A sensor that cannot be believed stops what is

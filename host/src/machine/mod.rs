@@ -234,6 +234,8 @@ fn read(document: &Document<'_>, root: &Spanned<DeTable<'_>>) -> MachineFile {
                 table_rate: Rate(0),
             }),
             force,
+            follow: None,
+            haptic: None,
         },
         pose: pose_limits,
         joints: joint_limits,

@@ -29,6 +29,23 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+/// How much an event matters: 0 is news, 1 a warning, 2 an error.
+fn level(event: &Event) -> u8 {
+    match event {
+        Event::Fault(_)
+        | Event::State {
+            to: State::Fault | State::EmergencyStop,
+            ..
+        } => 2,
+        Event::State { .. }
+        | Event::JobDone { .. }
+        | Event::Paused { .. }
+        | Event::Homed
+        | Event::Tared => 0,
+        _ => 1,
+    }
+}
+
 /// A session number that was never used before, as far as chance can do it.
 #[must_use]
 pub fn fresh_number() -> u32 {
@@ -131,7 +148,13 @@ impl<L: Line> Session<L> {
                     command,
                     result,
                 } => self.answers.push_back((ticket, command, result)),
-                Notice::Event { period, event } => self.events.push((period, event)),
+                Notice::Event { period, event } => {
+                    let text = self
+                        .model
+                        .with_axes(|axes| axes.describe(&event).to_string());
+                    self.line.happened(period, level(&event), &text);
+                    self.events.push((period, event));
+                }
                 Notice::Job(ending) => self.ending = Some(ending),
                 Notice::Lost(error) => self.lost = Some(error.to_string()),
                 Notice::Telemetry(telemetry) => self.line.reported(&telemetry),

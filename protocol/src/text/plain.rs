@@ -34,6 +34,7 @@ impl Display for Source {
             Self::Program => "program",
             Self::Jog => "jog",
             Self::Hold => "hold",
+            Self::Master => "master",
         })
     }
 }
@@ -84,6 +85,8 @@ impl Display for ConfigField {
             Self::Heartbeat => "heartbeat",
             Self::StopTime => "stop time",
             Self::Force => "force sensor or force loop",
+            Self::Haptic => "haptic arm",
+            Self::Follow => "following a hand",
         })
     }
 }
@@ -116,6 +119,12 @@ impl Command {
             Self::ForceLoop { .. } => "force set",
             Self::Tare => "tare",
             Self::ForceSettings { .. } => "force settings",
+            Self::Hand { .. } => "hand",
+            Self::Feel { .. } => "feel",
+            Self::Reflect(_) => "reflect",
+            Self::Wall { .. } => "wall",
+            Self::HandScale { .. } => "hand scale",
+            Self::HandTelemetry { .. } => "hand telemetry",
         }
     }
 }
