@@ -15,7 +15,7 @@ use crate::units::{Coordinate, Length, Rate};
 use haptimill_protocol::frame::crc32;
 use haptimill_protocol::haptic::{Hand, Reflection, Wall};
 use haptimill_protocol::message::{
-    AxisValues, Command, ConfigField, ConfigProblem, MAX_AXES, RATE_SHIFT, Refusal, Request,
+    AxisValues, Command, ConfigField, ConfigProblem, Event, MAX_AXES, RATE_SHIFT, Refusal, Request,
     Source, State,
 };
 use haptimill_protocol::setpoint::Setpoint;
@@ -81,6 +81,7 @@ impl Controller {
             }
             Command::ForceMask { mask } => self.set_force_mask(mask),
             Command::ForceLoop { axis, settings } => self.set_force_loop(axis, &settings),
+            Command::ForceSettings { axis } => self.tell_force_settings(axis),
             Command::Tare => self.tare(),
             Command::Hand {
                 epoch,
@@ -484,6 +485,13 @@ impl Controller {
         self.force()?
             .set(usize::from(axis), &LoopSettings::from(settings))
             .map_err(|refusal| Refusal::Force { axis, refusal })
+    }
+
+    fn tell_force_settings(&mut self, axis: u8) -> Done {
+        let settings = self.force()?.settings(usize::from(axis));
+        let settings = settings.map(ForceLoop::from).ok_or(Refusal::Range)?;
+        self.safety.tell(Event::ForceSettings { axis, settings });
+        Ok(())
     }
 
     /// Only at rest, with the spindle off (it is, in these states), and where the tool does not lean on anything.

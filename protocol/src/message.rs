@@ -217,6 +217,11 @@ pub enum Command {
         /// Periods between two reports.
         every: u16,
     },
+    /// Say which settings the force loop of an axis has: [`Event::ForceSettings`] comes before the answer.
+    ForceSettings {
+        /// The component: 0 for x, 1 for y, 2 for z of the work.
+        axis: u8,
+    },
 }
 
 /// A piece of the configuration.
@@ -472,6 +477,13 @@ pub enum Event {
     HandLimited {
         /// The pose coordinate.
         axis: u8,
+    },
+    /// The settings of a force loop that are in force now, as they were asked for with [`Command::ForceSettings`].
+    ForceSettings {
+        /// The component of the force.
+        axis: u8,
+        /// The settings.
+        settings: ForceLoop,
     },
 }
 

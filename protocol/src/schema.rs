@@ -128,6 +128,7 @@ mod tests {
             "Singular",
             "WallTooNear",
             "reflected",
+            "ForceSettings",
         ] {
             if part == "HomingProblem" {
                 assert!(all.contains("NoIndex"));

@@ -174,7 +174,7 @@ impl Describe for Refusal {
                     State::Idle => "",
                 })
             }
-            Self::NotConfigured => f.write_str("the controller has no configuration; send the machine file first"),
+            Self::NotConfigured => f.write_str("the controller has no configuration; home or enable the machine, which sends the machine file"),
             Self::NotHomed => f.write_str("the machine does not know where it is; home it first"),
             Self::Range => f.write_str("a value is out of its range"),
             Self::AxisCount => f.write_str("the number of values is not the number of axes of the machine"),
@@ -424,6 +424,13 @@ impl Describe for Event {
                 "the tool cannot yield any further along {}: its limit, a soft limit or the end of the machine's reach",
                 Named(axes.pose, axis)
             ),
+            Self::ForceSettings { axis, .. } => {
+                write!(
+                    f,
+                    "settings of the force loop of {}",
+                    Named(axes.pose, axis)
+                )
+            }
         }
     }
 }

@@ -69,6 +69,19 @@ impl From<&ForceLoop> for LoopSettings {
     }
 }
 
+impl From<&LoopSettings> for ForceLoop {
+    fn from(settings: &LoopSettings) -> Self {
+        Self {
+            desired: settings.desired.0,
+            mass: settings.mass.0,
+            damping: settings.damping.0,
+            limit: settings.limit.0,
+            rate: settings.rate.0,
+            gate: settings.gate,
+        }
+    }
+}
+
 /// Everything that the machine file says of force control.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct ForceConfig {

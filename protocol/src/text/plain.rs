@@ -115,8 +115,8 @@ impl Command {
             Self::Override { .. } => "override",
             Self::Telemetry { .. } => "telemetry",
             Self::Status => "status",
-            Self::ForceMask { .. } => "force mask",
-            Self::ForceLoop { .. } => "force loop",
+            Self::ForceMask { .. } => "force axes",
+            Self::ForceLoop { .. } => "force set",
             Self::Tare => "tare",
             Self::Hand { .. } => "hand",
             Self::Feel { .. } => "feel",
@@ -124,6 +124,7 @@ impl Command {
             Self::Wall { .. } => "wall",
             Self::HandScale { .. } => "hand scale",
             Self::HandTelemetry { .. } => "hand telemetry",
+            Self::ForceSettings { .. } => "force settings",
         }
     }
 }
