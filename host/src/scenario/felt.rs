@@ -359,7 +359,7 @@ pub(super) fn circle(cuts: &[Cut]) -> Vec<Claim> {
         sample.high[0] < 0.0
     });
     let yielded = |axis: usize| most(all, |sample| sample.yielded[axis].abs());
-    let back = last_when(all, |sample| sample.yielded[0].abs() > 0.05) - ends;
+    let back = (last_when(all, |sample| sample.yielded[0].abs() > 0.05) - ends).max(0.0);
     let in_plane = most(all, |s| s.reflected[0].hypot(s.reflected[1]));
     vec![
         measured("Y reverses first at", "8 s", extreme(1, -1.0), "s").within(6.0, 10.0, Derived),
