@@ -25,7 +25,7 @@ mod programmed;
 mod stated;
 mod table;
 
-pub use bench::{Cut, NO_FORCE_CONTROL, carry};
+pub use bench::{Cut, NO_FORCE_CONTROL, On, carry};
 pub use course::{Course, ForceSource, Sample};
 pub use led::{Led, NO_HAPTIC_ARM};
 pub use list::{all, named};
