@@ -60,16 +60,23 @@ impl Constants for Jog {
     }
 }
 
-/// Bounds of a rate in 2^-20 axis units per period, from the limits of a pose coordinate; `None` if they make no sense.
-#[must_use]
-pub fn rate_limits(acceleration: Acceleration, jerk: u32, period_us: u16) -> Option<RampLimits> {
-    // Once per configuration: wide arithmetic costs nothing here. (au/s^2) (us)^2 / 10^12, (au/s^3) (us)^3 / 10^18.
+/// Most change of a rate in a period, 2^-20 axis units per period; `None` where it is beyond 63 bits.
+pub(super) fn slope(acceleration: Acceleration, period_us: u16) -> Option<i64> {
+    // Once per configuration: wide arithmetic costs nothing here. (au/s^2) (us)^2 / 10^12.
     let period = i128::from(period_us);
     let slope =
         ((i128::from(acceleration.0) * period * period) << (8 + FRACTION)) / 1_000_000_000_000;
+    i64::try_from(slope).ok()
+}
+
+/// Bounds of a rate in 2^-20 axis units per period, from the limits of a pose coordinate; `None` if they make no sense.
+#[must_use]
+pub fn rate_limits(acceleration: Acceleration, jerk: u32, period_us: u16) -> Option<RampLimits> {
+    let period = i128::from(period_us);
+    // (au/s^3) (us)^3 / 10^18.
     let jerk = ((i128::from(jerk) * period * period * period) << (JERK_SHIFT + FRACTION))
         / 1_000_000_000_000_000_000;
-    let slope = i64::try_from(slope).ok()?;
+    let slope = slope(acceleration, period_us)?;
     RampLimits::new(slope, i64::try_from(jerk).ok()?.min(slope))
 }
 
@@ -254,7 +261,7 @@ impl Jog {
 }
 
 /// Axis units per second -> 2^-20 axis units per period, for |rate| <= 2^32.
-fn per_period(rate: i64, period_us: u16) -> i64 {
+pub(super) fn per_period(rate: i64, period_us: u16) -> i64 {
     // 2^20 / 10^6 = 2^14 / 15625.
     (rate * i64::from(period_us) * (1 << 14)) / 15_625
 }

@@ -24,6 +24,7 @@ pub mod wall;
 use crate::io::{HapticInputs, HapticOutputs, LEGS};
 use crate::kinematics::haptic::{ArmError, HandPose, HapticArm, LegReading};
 use crate::kinematics::haptic_statics::Wrench;
+use crate::reading::HandReading;
 use crate::safety::integrity::{Constants, Digest, constants};
 use crate::units::force::Force;
 use crate::units::scale::{product, saturate};
@@ -417,6 +418,18 @@ impl Haptic {
     #[must_use]
     pub const fn pose(&self) -> Option<&HandPose> {
         self.pose.as_ref()
+    }
+
+    /// What recorders want to know.
+    #[must_use]
+    pub fn reading(&self) -> HandReading {
+        let raw = |forces: &[Force; COMPONENTS]| forces.map(|force| force.0);
+        HandReading {
+            tip: self.tip,
+            force: raw(&self.force),
+            reflected: raw(&self.reflected),
+            wall: raw(&self.wall),
+        }
     }
 
     /// How the hand stands.
