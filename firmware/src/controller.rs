@@ -67,6 +67,7 @@ impl Controller {
         probe.ended(Stage::Gate);
     }
 
+    #[inline]
     fn hear(&mut self, inputs: &Inputs) -> Option<Heard> {
         // A silent host loses its machine when the machine has begun to brake for want of it, and not before.
         let busy = self.safety.active() && self.safety.pending().is_none();
@@ -91,6 +92,7 @@ impl Controller {
         self.server.hear(inputs, &identity, busy, turns)
     }
 
+    #[inline]
     fn give_way(&mut self) {
         let Some(machinery) = &mut self.machinery else {
             return;
@@ -108,6 +110,7 @@ impl Controller {
         machinery.give_way(stopped, self.safety.state() == State::Homing);
     }
 
+    #[inline]
     fn place(&mut self) {
         let Some(machinery) = &mut self.machinery else {
             return;
@@ -122,6 +125,7 @@ impl Controller {
         }
     }
 
+    #[inline]
     fn drive(&mut self, outputs: &mut Outputs) {
         let Some(machinery) = &mut self.machinery else {
             return;
@@ -139,6 +143,7 @@ impl Controller {
         }
     }
 
+    #[inline]
     fn tell(&mut self, inputs: &Inputs, outputs: &mut Outputs) {
         self.server.tell(
             inputs.period,
@@ -147,9 +152,14 @@ impl Controller {
             &mut outputs.transmit,
         );
         if self.server.telemetry_due() {
-            let telemetry = self.telemetry(inputs);
-            self.server.send_telemetry(telemetry);
+            self.tell_telemetry(inputs);
         }
+    }
+
+    #[inline(never)]
+    fn tell_telemetry(&mut self, inputs: &Inputs) {
+        let telemetry = self.telemetry(inputs);
+        self.server.send_telemetry(telemetry);
     }
 
     /// How things stand in this period.

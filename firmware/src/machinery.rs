@@ -9,10 +9,10 @@ use crate::force::{Design, ForceControl};
 use crate::io::{DriveCommand, Inputs};
 use crate::kinematics::machine::Machine;
 use crate::kinematics::{JointMotion, Joints, Kinematics, Pose, PoseError};
-use crate::motion::{Motion, Wanted};
+use crate::motion::program::Progress;
+use crate::motion::{Mode, Motion, Wanted};
 use crate::safety::homing::Homing;
 use crate::safety::integrity::{Constants, Digest};
-use crate::safety::supervise::{Seen, Watch};
 use crate::units::Coordinate;
 use haptimill_protocol::message::{AxisValues, ConfigField, ConfigProblem, Fault, MAX_AXES};
 use heapless::Vec;
@@ -78,7 +78,6 @@ pub struct Machinery {
     /// Components that could not yield any further in this period, and could before.
     newly_limited: u8,
     joints: Vec<JointDrive, MAX_AXES>,
-    watches: [Watch; MAX_AXES],
     measured: Joints,
     measured_pose: Option<Pose>,
     target: JointMotion,
@@ -155,7 +154,6 @@ impl Machinery {
             limited: [0; COMPONENTS],
             newly_limited: 0,
             joints: Vec::new(),
-            watches: [Watch::default(); MAX_AXES],
             measured: Joints::default(),
             measured_pose: None,
             target: JointMotion::default(),
@@ -202,11 +200,13 @@ impl Machinery {
 
     /// Number of axes.
     #[must_use]
+    #[inline]
     pub fn axes(&self) -> usize {
         self.joints.len()
     }
 
     /// Stage *sense*: encoders to joints, joints to pose.
+    #[inline]
     pub fn sense(&mut self, inputs: &Inputs) {
         let time_ns = inputs.time_ns;
         let measured = self.measured.0.iter_mut();
@@ -225,12 +225,14 @@ impl Machinery {
 
     /// The measured pose, if the forward kinematics certifies one.
     #[must_use]
+    #[inline]
     pub const fn measured_pose(&self) -> Option<&Pose> {
         self.measured_pose.as_ref()
     }
 
     /// Whether the encoders have made no more illegal transitions since they were enabled last than supervision allows.
     #[must_use]
+    #[inline]
     pub fn encoders_counted(&self) -> bool {
         let limit = u32::from(self.config.supervision.illegal_transitions);
         self.joints
@@ -263,6 +265,7 @@ impl Machinery {
     }
 
     /// Drives off.
+    #[inline]
     pub fn disable(&mut self) {
         for joint in &mut self.joints {
             joint.disable();
@@ -270,7 +273,7 @@ impl Machinery {
     }
 
     fn settle(&mut self) {
-        self.watches.iter_mut().for_each(Watch::reset);
+        self.joints.iter_mut().for_each(JointDrive::settle);
     }
 
     /// Begins the search for the references.
@@ -282,6 +285,7 @@ impl Machinery {
     }
 
     /// Index pulses of this period, for the search.
+    #[inline]
     pub fn note_indexes(&mut self) -> Result<(), Fault> {
         for (index, axis) in self.config.joints.iter().enumerate() {
             if let Some((_, coordinate)) = self.joints[index].sensed().index
@@ -312,33 +316,28 @@ impl Machinery {
     }
 
     /// Supervision of all joints against what was wanted of them in the period before.
+    #[inline]
     pub fn supervise(&mut self) -> Option<Fault> {
-        let limit = self.config.supervision.illegal_transitions;
-        let period_us = self.config.period_us;
-        for (index, (axis, joint)) in self.config.joints.iter().zip(&self.joints).enumerate() {
-            let watch = &mut self.watches[index];
-            let sensed = joint.sensed();
-            let seen = Seen {
-                wanted: self.target.joints.0[index],
-                wanted_rate: self.target.rates[index],
-                measured: sensed.coordinate,
-                rate: sensed.rate,
-                moved: sensed.moved,
-                effort: joint.driven().effort,
-                illegal: sensed.illegal.min(u32::from(u16::MAX)) as u16,
-                steps_off: sensed.slip,
-                period_us,
-            };
-            if let Some(fault) = watch.look(index as u8, axis, limit, &seen) {
-                return Some(fault);
+        let Config {
+            supervision,
+            period_us,
+            joints,
+            ..
+        } = &self.config;
+        let joints = self.joints.iter_mut().zip(joints);
+        for (index, (joint, axis)) in joints.enumerate() {
+            let fault = joint.supervise(index as u8, axis, supervision, *period_us);
+            if fault.is_some() {
+                return fault;
             }
         }
         None
     }
 
-    /// Stage *place*: the wanted pose, or on a machine with force control its reference, to the joints.
+    /// Stage *place*: the wanted pose, or its reference where the tool yields, to the joints.
+    #[inline]
     pub fn place(&mut self) -> Result<(), PoseError> {
-        if self.force.is_some() {
+        if self.yields() {
             return self.place_reference();
         }
         let wanted = self.motion.wanted();
@@ -351,10 +350,12 @@ impl Machinery {
     }
 
     /// Stage *drive*: position loops. Gives a joint whose drive was asked for too much.
+    #[inline]
     pub fn drive(&mut self, commands: &mut [DriveCommand; MAX_AXES]) -> Option<u8> {
         let mut saturated = None;
         let target = &self.target;
-        for (index, (joint, command)) in self.joints.iter_mut().zip(commands).enumerate() {
+        let joints = self.joints.iter_mut().zip(commands);
+        for (index, (joint, command)) in joints.enumerate() {
             let driven = joint.drive(&JointWanted {
                 coordinate: target.joints.0[index],
                 rate: target.rates[index],
@@ -372,18 +373,34 @@ impl Machinery {
         saturated
     }
 
+    /// What is wanted in this period. The number is a coordinate whose jog was kept from going on.
+    #[inline]
+    pub fn advance(&mut self, mode: Mode) -> (Progress, Option<u8>) {
+        match self.motion.follow(mode) {
+            Some(progress) => (progress, None),
+            None => self.advance_by_hand(mode),
+        }
+    }
+
+    #[inline(never)]
+    fn advance_by_hand(&mut self, mode: Mode) -> (Progress, Option<u8>) {
+        self.motion.advance(mode, &self.machine)
+    }
+
     /// The first coordinate of the wanted pose that is beyond its soft limits.
     #[must_use]
+    #[inline]
     pub fn beyond_soft_limit(&self, pose: &Pose) -> Option<u8> {
         self.config
             .pose
             .iter()
-            .zip(pose.0)
-            .position(|(axis, coordinate)| coordinate < axis.low || coordinate > axis.high)
+            .zip(&pose.0)
+            .position(|(axis, coordinate)| *coordinate < axis.low || *coordinate > axis.high)
             .map(|index| index as u8)
     }
 
     /// Compares one part of the configuration with its digest, another one each time.
+    #[inline(never)]
     pub fn configuration_intact(&mut self) -> bool {
         let part = self.next_part;
         self.next_part = (part + 1) % PARTS;

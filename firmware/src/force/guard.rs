@@ -146,6 +146,7 @@ impl Guard {
     }
 
     /// One look, four times in a revolution: the peak force, and the law that is to be guarded.
+    #[inline(never)]
     pub fn look(&mut self, force: Force, law: &Law) {
         let (onset, highest) = (law.onset(), law.highest());
         let desired = law.settings().desired;

@@ -189,6 +189,7 @@ impl SlidingExtremes {
     }
 
     #[cold]
+    #[inline(never)]
     fn fill(&mut self, with: Extremes) {
         let leaves = usize::from(self.window.leaves);
         self.size = leaves.next_power_of_two();

@@ -439,6 +439,7 @@ impl Kinematics for H4 {
         Ok(motion)
     }
 
+    #[inline]
     fn forward(&self, joints: &Joints) -> Result<Pose, PoseError> {
         let alpha = joints.0[ALPHA];
         check_table(alpha)?;

@@ -72,6 +72,7 @@ impl Machine {
     ///
     /// # Errors
     /// As [`Kinematics::inverse_motion`].
+    #[inline(never)]
     pub fn place(
         &self,
         pose: &Pose,
@@ -97,6 +98,7 @@ impl Machine {
 
     /// The angle by which a pose turns the table, and what it carries, out of the level.
     #[must_use]
+    #[inline]
     pub const fn table(&self, pose: &Pose) -> Angle {
         match &self.geometry {
             Geometry::H4(_) => pose.0[4].angle(),
@@ -173,6 +175,7 @@ impl Kinematics for Machine {
         Ok(motion)
     }
 
+    #[inline(never)]
     fn forward(&self, joints: &Joints) -> Result<Pose, PoseError> {
         self.check_strokes(joints)?;
         match &self.geometry {

@@ -130,6 +130,7 @@ impl Jog {
 
     /// Whether nothing moves.
     #[must_use]
+    #[inline]
     pub fn is_still(&self) -> bool {
         self.alive == 0 && self.axis.iter().all(|axis| axis.rate.is_zero())
     }

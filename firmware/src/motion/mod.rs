@@ -57,9 +57,11 @@ pub struct Motion {
     wanted: Wanted,
     sources: [Source; MAX_AXES],
     offsets: [i32; MAX_AXES],
+    /// The wanted pose is another one than the program's, whose setpoints were checked when they were taken.
+    led_otherwise: bool,
 }
 
-constants!(Motion { axes } of { program, jog } but { wanted, sources, offsets });
+constants!(Motion { axes } of { program, jog } but { wanted, sources, offsets, led_otherwise });
 
 impl Motion {
     /// Becomes that of the machine of `config`, in its place: its queue is large.
@@ -71,6 +73,7 @@ impl Motion {
 
     /// The wanted pose.
     #[must_use]
+    #[inline]
     pub const fn wanted(&self) -> &Wanted {
         &self.wanted
     }
@@ -88,6 +91,7 @@ impl Motion {
     pub fn begin_program(&mut self) {
         self.program.begin(&self.wanted.pose);
         self.offsets = [0; MAX_AXES];
+        self.note_leaders();
         self.jog.begin(&self.wanted.pose, true);
     }
 
@@ -100,6 +104,7 @@ impl Motion {
     pub fn set_source(&mut self, axis: usize, source: Source) {
         if let Some(slot) = self.sources.get_mut(axis) {
             *slot = source;
+            self.note_leaders();
             self.jog.begin(&self.wanted.pose, true);
         }
     }
@@ -113,6 +118,7 @@ impl Motion {
     /// All coordinates are led by the program again; only while the machine is at rest.
     pub fn reset_sources(&mut self) {
         self.sources = [Source::Program; MAX_AXES];
+        self.note_leaders();
     }
 
     /// Where the machine would stand if the program were at `pose`: with offsets, and with coordinates that the program does not lead.
@@ -134,24 +140,34 @@ impl Motion {
         self.sources[..self.axes].contains(&Source::Jog)
     }
 
-    /// One period. The number is a coordinate whose jog was kept from going on.
-    pub fn advance(&mut self, mode: Mode, machine: &impl Kinematics) -> (Progress, Option<u8>) {
+    /// One period of what is nearly always: nothing moves, or a program alone. `None` where it is something else, for [`Motion::advance`].
+    #[inline]
+    pub fn follow(&mut self, mode: Mode) -> Option<Progress> {
         match mode {
             Mode::Still => {
                 self.wanted.rates = Rates::default();
                 self.wanted.accelerations = Accelerations::default();
-                (Progress::default(), None)
+                Some(Progress::default())
             }
-            Mode::Jog => {
+            Mode::Program { halt } if !self.led_otherwise => {
+                Some(self.program.advance_to(halt, &mut self.wanted))
+            }
+            _ => None,
+        }
+    }
+
+    /// One period. The number is a coordinate whose jog was kept from going on.
+    pub fn advance(&mut self, mode: Mode, machine: &impl Kinematics) -> (Progress, Option<u8>) {
+        if let Some(progress) = self.follow(mode) {
+            return (progress, None);
+        }
+        match mode {
+            Mode::Still | Mode::Jog => {
                 let (wanted, limited) = self.jog.advance(machine);
                 self.wanted = wanted;
                 (Progress::default(), limited)
             }
             Mode::Program { halt } => {
-                if !self.led_otherwise() {
-                    let progress = self.program.advance_to(halt, &mut self.wanted);
-                    return (progress, None);
-                }
                 for axis in 0..self.axes {
                     if self.sources[axis] != Source::Jog {
                         self.jog.carry(axis, self.wanted.pose.0[axis]);
@@ -167,17 +183,18 @@ impl Motion {
                 for axis in 0..self.axes {
                     self.merge(axis, &program, &jog);
                 }
+                self.note_leaders();
                 (progress, clipped.or(limited))
             }
         }
     }
 
-    /// Whether the wanted pose is another one than the program's, whose setpoints were checked when they were taken.
-    fn led_otherwise(&self) -> bool {
-        self.sources[..self.axes]
+    /// After a change of a source or an offset.
+    fn note_leaders(&mut self) {
+        self.led_otherwise = self.sources[..self.axes]
             .iter()
             .any(|source| *source != Source::Program)
-            || self.offsets.iter().any(|offset| *offset != 0)
+            || self.offsets.iter().any(|offset| *offset != 0);
     }
 
     /// Looks whether the machine can still come to rest within its bounds if all goes on for one period. Says whether the program must brake now,

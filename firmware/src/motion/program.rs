@@ -281,6 +281,7 @@ impl Program {
 
     /// Setpoints that were reached.
     #[must_use]
+    #[inline]
     pub const fn reached(&self) -> u32 {
         self.reached
     }
@@ -299,6 +300,7 @@ impl Program {
 
     /// The path rate, [`FULL_RATE`] for the programmed speed.
     #[must_use]
+    #[inline]
     pub const fn path_rate(&self) -> i64 {
         self.path_rate.value()
     }
@@ -310,6 +312,7 @@ impl Program {
 
     /// Whether the next setpoint may be reached in this period, and a new segment begun: more to do than in others.
     #[must_use]
+    #[inline]
     pub fn turns(&self) -> bool {
         self.started
             && self.segment().is_none_or(|segment| {
@@ -325,6 +328,7 @@ impl Program {
     }
 
     /// The report on setpoints that were late, once.
+    #[inline]
     pub fn take_late(&mut self) -> Option<Late> {
         self.late.take()
     }
@@ -337,6 +341,7 @@ impl Program {
 
     /// Whether nothing moves along the path: braked to rest, waiting, or paused.
     #[must_use]
+    #[inline]
     pub fn is_still(&self) -> bool {
         (self.path_rate.is_zero() && self.back == 0)
             || self.paused
@@ -352,12 +357,14 @@ impl Program {
     }
 
     /// The same, with the pose, rates and accelerations written where they shall be.
+    #[inline]
     pub fn advance_to(&mut self, halt: bool, wanted: &mut Wanted) -> Progress {
         let progress = self.go(halt);
         self.sample(wanted);
         progress
     }
 
+    #[inline]
     fn go(&mut self, halt: bool) -> Progress {
         let mut progress = Progress::default();
         let Some(braking) = self.braking else {
@@ -405,6 +412,7 @@ impl Program {
     }
 
     /// Decides whether the queue still covers the way to rest.
+    #[inline]
     fn watch_coverage(&mut self, braking: &RampLimits) {
         if let Some(starving) = &mut self.starving {
             starving.periods = starving.periods.saturating_add(1);
@@ -436,6 +444,7 @@ impl Program {
         }
     }
 
+    #[inline]
     fn remaining_periods(&self) -> u64 {
         let segment = self
             .segment()
@@ -444,6 +453,7 @@ impl Program {
     }
 
     /// Goes from setpoint to setpoint until the time lies within a segment.
+    #[inline]
     fn walk(&mut self, progress: &mut Progress) {
         loop {
             if !self.begun {
@@ -506,6 +516,7 @@ impl Program {
     }
 
     /// The same, written where they shall be.
+    #[inline]
     fn sample(&self, wanted: &mut Wanted) {
         let Some(segment) = self.segment() else {
             *wanted = Wanted {
@@ -577,6 +588,7 @@ impl Program {
     }
 
     /// The way from the setpoint reached last to the next one. There is none to a setpoint that could not have been taken.
+    #[inline(never)]
     fn begin_segment(&mut self, to: &Knot) {
         let Some(span) = self.span(1, to.periods) else {
             return;
@@ -593,6 +605,7 @@ impl Program {
         self.begun = true;
     }
 
+    #[inline]
     fn segment(&self) -> Option<&Segment> {
         self.begun.then_some(&self.segment)
     }

@@ -53,6 +53,7 @@ impl Ramp {
 
     /// The value.
     #[must_use]
+    #[inline]
     pub const fn value(&self) -> i64 {
         self.value
     }
@@ -65,12 +66,14 @@ impl Ramp {
 
     /// Whether the value is zero and stays so.
     #[must_use]
+    #[inline]
     pub const fn is_zero(&self) -> bool {
         self.value == 0 && self.slope == 0
     }
 
     /// One period towards `target`. Gives the mean of the value before and after: what a position gains in the period, so that the value
     /// is the derivative of the position at the period's end.
+    #[inline]
     pub fn advance(&mut self, target: i64, limits: &RampLimits) -> i64 {
         if self.slope == 0 && self.value == target {
             return target;
