@@ -19,9 +19,11 @@
 
 use super::h4::{BasePose, H4};
 use super::{Joints, PoseError};
-use crate::units::Length;
+use crate::units::{Coordinate, Length};
 use crate::units::root::{Root, reciprocal};
-use crate::units::scale::{high_product, multiply_high, multiply_shift, round_shift, saturate};
+use crate::units::scale::{
+    high_product, multiply_high, multiply_shift, round_shift, saturate, total,
+};
 use crate::units::trig::atan2;
 
 impl H4 {
@@ -35,20 +37,26 @@ impl H4 {
 
     #[inline]
     pub(super) fn base(&self, joints: &Joints) -> Result<BasePose, PoseError> {
-        let [l1, l2, l3, l4, ..] = joints.0.map(|joint| joint.0 as i64);
+        let [l1, l2, l3, l4, ..] = joints.0;
+        // Sums of some words: no more than 36 bits.
+        let plus = |a: Coordinate, b: Coordinate| total(a.0 as i64, b.0 as i64);
+        let minus = |a: Coordinate, b: Coordinate| total(a.0 as i64, -(b.0 as i64));
+        let less = |a: i64, b: i64| total(a, b.wrapping_neg());
 
         // 2 S of both pairs: exact, and with their sign before it is lost.
-        let upper = l1 - l2 - 2 * self.joint_offset as i64;
-        let lower = l3 - l4 - 2 * self.joint_offset as i64;
-        let twice_rod = 2 * self.rod as i64;
-        let width = 4 * self.half_spacing as i64;
-        let sum = l1 + l2 - l3 - l4;
+        let twice_offset = (self.joint_offset as i64) << 1;
+        let upper = less(minus(l1, l2), twice_offset);
+        let lower = less(minus(l3, l4), twice_offset);
+        let twice_rod = (self.rod as i64) << 1;
+        let width = (self.half_spacing as i64) << 2;
+        let sum = less(plus(l1, l2), plus(l3, l4));
         if sum.abs() >= width || upper > twice_rod || lower > twice_rod || !self.sound {
             return Err(PoseError::Unreachable);
         }
         // Measuring reaches a little farther than planning: a machine that follows with an error must not go blind at the planned bound.
-        if 100 * upper < 9 * twice_rod || 100 * lower < 9 * twice_rod {
-            let pair = (100 * upper >= 9 * twice_rod) as u8;
+        let least = self.least_measured as i64;
+        if upper < least || lower < least {
+            let pair = (upper >= least) as u8;
             return Err(PoseError::NearReachLimit { pair });
         }
         // Now N and 2 S are words, below 2^31 and at most 2^31: the casts cut nothing, and products of words need no check.
@@ -57,8 +65,8 @@ impl H4 {
         let (upper_square, lower_square) = (square(upper), square(lower));
 
         // The tilt: N and 4 c cos(theta), both below 2^31.
-        let (less, more) = ((width - sum) as u32, (width + sum) as u32);
-        let cosine = Root::of(less as u64 * more as u64).rounded();
+        let (below, above) = (less(width, sum) as u32, total(width, sum) as u32);
+        let cosine = Root::of(below as u64 * above as u64).rounded();
         let sum = sum as i32;
         let theta = atan2(sum, cosine);
         // |drop| < 2^30 + 2^29.
@@ -105,19 +113,22 @@ impl H4 {
         let inverse = reciprocal(top << odd) >> 1;
         let y = round_shift(multiply_high(numerator_y, inverse), 29 - odd);
         let centre = round_shift(multiply_high(numerator_z, inverse), 29 - odd);
-        let x =
-            round_shift(l1 + l2 + l3 + l4, 2) - multiply_shift(sum, self.ratio, self.ratio_shift);
-        let z =
-            centre - self.rail_offset as i64 - multiply_shift(cosine, self.ratio, self.ratio_shift);
-        let narrow = |value: i64| {
-            i32::try_from(value)
-                .map(Length)
-                .map_err(|_| PoseError::Unreachable)
-        };
+        let x = less(
+            round_shift(total(plus(l1, l2), plus(l3, l4)), 2),
+            multiply_shift(sum, self.ratio, self.ratio_shift),
+        );
+        let z = less(
+            less(centre, self.rail_offset as i64),
+            multiply_shift(cosine, self.ratio, self.ratio_shift),
+        );
+        let leaves = |value: i64| value ^ value as i32 as i64;
+        if leaves(x) | leaves(y) | leaves(z) != 0 {
+            return Err(PoseError::Unreachable);
+        }
         Ok(BasePose {
-            x: narrow(x)?,
-            y: narrow(y)?,
-            z: narrow(z)?,
+            x: Length(x as i32),
+            y: Length(y as i32),
+            z: Length(z as i32),
             theta,
         })
     }
