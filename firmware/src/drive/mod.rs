@@ -28,8 +28,8 @@ use crate::safety::supervise::{Seen, Watch};
 use crate::units::{Acceleration, Coordinate, Effort, Rate};
 use backlash::Backlash;
 use encoder::{Encoder, difference, sum};
-use steps::{PulseTiming, StepPlanner};
 use haptimill_protocol::message::Fault;
+use steps::{PulseTiming, StepPlanner};
 use torque::TorqueOutput;
 
 /// Why a joint's configuration cannot work.

@@ -19,12 +19,12 @@
 
 use super::h4::{BasePose, H4};
 use super::{Joints, PoseError};
-use crate::units::{Coordinate, Length};
 use crate::units::root::{Root, reciprocal};
 use crate::units::scale::{
-    high_product, multiply_high, multiply_shift, round_shift, saturate, total,
+    high_product, multiply_high, round_shift, saturate, shift_left, shift_right, total,
 };
 use crate::units::trig::atan2;
+use crate::units::{Coordinate, Length};
 
 impl H4 {
     /// The tool in the frame of the slave base: x, y, z and theta of (3.17)-(3.19), without the table.
@@ -76,16 +76,16 @@ impl H4 {
         let base_square = (square(self.lateral.unsigned_abs()) as u64)
             .wrapping_add(square(drop.unsigned_abs()) as u64);
         let half_shift = base_square.leading_zeros() / 2;
-        let scaled = base_square << (2 * half_shift);
+        let scaled = shift_left(base_square, 2 * half_shift);
         let grow = half_shift.saturating_sub(1);
         let (along_y, along_z) = (self.lateral << grow, drop << grow);
 
         // sqrt(v) t, and v q^2 = v (R^2 - (S12^2 + S34^2) / 2 - H^2) - v t^2: the division by H^2 waits for the end, where it only scales.
         let difference = round_shift(upper_square.wrapping_sub(lower_square), 4);
-        if difference.unsigned_abs() >> (63 - half_shift) != 0 {
+        let fine = shift_left(difference as u64, half_shift) as i64;
+        if shift_right(fine, half_shift) != difference {
             return Err(PoseError::Unreachable);
         }
-        let fine = difference << half_shift;
         let along_square = high_product(fine.unsigned_abs(), fine.unsigned_abs());
         // R^2 and the mean of the S^2 are 0 to 2^60, H^2 below 2^62: this fits.
         let free = self
@@ -113,14 +113,19 @@ impl H4 {
         let inverse = reciprocal(top << odd) >> 1;
         let y = round_shift(multiply_high(numerator_y, inverse), 29 - odd);
         let centre = round_shift(multiply_high(numerator_z, inverse), 29 - odd);
+        // To nearest; the shift is 1 to 32.
+        let by_ratio = |value: i32| {
+            let twice = shift_right(
+                value as i64 * self.ratio as i64,
+                self.ratio_shift.wrapping_sub(1),
+            );
+            total(twice, 1) >> 1
+        };
         let x = less(
             round_shift(total(plus(l1, l2), plus(l3, l4)), 2),
-            multiply_shift(sum, self.ratio, self.ratio_shift),
+            by_ratio(sum),
         );
-        let z = less(
-            less(centre, self.rail_offset as i64),
-            multiply_shift(cosine, self.ratio, self.ratio_shift),
-        );
+        let z = less(less(centre, self.rail_offset as i64), by_ratio(cosine));
         let leaves = |value: i64| value ^ value as i32 as i64;
         if leaves(x) | leaves(y) | leaves(z) != 0 {
             return Err(PoseError::Unreachable);

@@ -18,7 +18,7 @@
 use super::h4::{ALPHA, AXES, H4, Pair, Placed, THETA};
 use super::{Accelerations, Jacobian, JointMotion, Rates};
 use crate::units::root::Reciprocal;
-use crate::units::scale::{multiply_high, multiply_shift, round_shift, scale, total};
+use crate::units::scale::{multiply_high, multiply_shift, round_shift, scale, shift_right, total};
 use crate::units::trig::QUARTER_PI_Q31;
 use crate::units::{Acceleration, Rate};
 
@@ -113,8 +113,10 @@ fn root_jet(slope: &Slope, u: (i32, i32), v: (i32, i32)) -> (i64, i64) {
         coarse as i64 * coarse as i64,
     );
     // 2^-24 (mm/s)^2 over 2^-20 mm, to 2^-12 mm/s^2: times 2^8.
-    let bent = multiply_high(squares, slope.inverse.mantissa)
-        .wrapping_shr(slope.inverse.shift.wrapping_sub(40));
+    let bent = shift_right(
+        multiply_high(squares, slope.inverse.mantissa),
+        slope.inverse.shift.wrapping_sub(40),
+    );
     let second = total(bent, sum(slope.u, u.1, slope.v, v.1) >> 27);
     ((first >> 27).wrapping_neg(), second.wrapping_neg())
 }

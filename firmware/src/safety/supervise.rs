@@ -174,7 +174,11 @@ impl Watch {
             *mark = Mark::of(seen, false);
         } else {
             let grown = seen.effort.0.saturating_sub(mark.effort.0);
-            let grown = if direction < 0 { grown.saturating_neg() } else { grown };
+            let grown = if direction < 0 {
+                grown.saturating_neg()
+            } else {
+                grown
+            };
             if mark.turns >= TURNS || grown > bounds.friction || !mark.counts_on(seen.moved) {
                 return false;
             }
