@@ -69,27 +69,27 @@ impl Controller {
 
     #[inline]
     fn hear(&mut self, inputs: &Inputs) -> Option<Heard> {
-        // A silent host loses its machine when the machine has begun to brake for want of it, and not before.
-        let busy = self.safety.active() && self.safety.pending().is_none();
-        let identity = match &self.machinery {
-            Some(machinery) => Identity {
-                machine: &machinery.config.name,
-                config_crc: machinery.crc,
-                period_us: self.period_us,
-                axes: machinery.axes() as u8,
-                queue: QUEUE as u16,
-            },
-            None => Identity {
-                machine: "",
-                config_crc: 0,
-                period_us: self.period_us,
-                axes: 0,
-                queue: QUEUE as u16,
-            },
-        };
+        if self.server.listen(inputs) {
+            self.welcome();
+        }
         let machinery = self.machinery.as_ref();
         let turns = machinery.is_some_and(|machinery| machinery.motion.program.turns());
-        self.server.hear(inputs, &identity, busy, turns)
+        self.server.next(turns)
+    }
+
+    #[inline(never)]
+    fn welcome(&mut self) {
+        // A silent host loses its machine when the machine has begun to brake for want of it, and not before.
+        let busy = self.safety.active() && self.safety.pending().is_none();
+        let machinery = self.machinery.as_ref();
+        let identity = Identity {
+            machine: machinery.map_or("", |machinery| &machinery.config.name),
+            config_crc: machinery.map_or(0, |machinery| machinery.crc),
+            period_us: self.period_us,
+            axes: machinery.map_or(0, |machinery| machinery.axes() as u8),
+            queue: QUEUE as u16,
+        };
+        self.server.welcome(&identity, busy);
     }
 
     #[inline]

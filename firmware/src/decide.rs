@@ -383,12 +383,16 @@ impl Controller {
 /// A limit switch or a drive that reports a fault.
 #[inline]
 fn hardware(axes: &[AxisInputs]) -> Option<Fault> {
-    if axes
-        .iter()
-        .all(|axis| axis.drive_ready & !(axis.limit_low | axis.limit_high))
-    {
+    let well = |axis: &AxisInputs| axis.drive_ready & !(axis.limit_low | axis.limit_high);
+    if axes.iter().all(well) {
         return None;
     }
+    name_hardware(axes)
+}
+
+#[cold]
+#[inline(never)]
+fn name_hardware(axes: &[AxisInputs]) -> Option<Fault> {
     for (index, axis) in axes.iter().enumerate() {
         if axis.limit_low || axis.limit_high {
             return Some(Fault::LimitSwitch { axis: index as u8 });

@@ -353,19 +353,22 @@ impl Machinery {
     #[inline]
     pub fn drive(&mut self, commands: &mut [DriveCommand; MAX_AXES]) -> Option<u8> {
         let mut saturated = None;
-        let target = &self.target;
-        let joints = self.joints.iter_mut().zip(commands);
-        for (index, (joint, command)) in joints.enumerate() {
+        let JointMotion {
+            joints,
+            rates,
+            accelerations,
+        } = &self.target;
+        for (index, joint) in self.joints.iter_mut().enumerate() {
             let driven = joint.drive(&JointWanted {
-                coordinate: target.joints.0[index],
-                rate: target.rates[index],
-                acceleration: target.accelerations[index],
+                coordinate: joints.0[index],
+                rate: rates[index],
+                acceleration: accelerations[index],
             });
-            *command = match driven.command {
+            match driven.command {
                 // Two words, where the whole would be copied bytewise.
-                DriveCommand::Torque(code) => DriveCommand::Torque(code),
-                ref other => *other,
-            };
+                DriveCommand::Torque(code) => commands[index] = DriveCommand::Torque(code),
+                ref other => commands[index] = *other,
+            }
             if driven.saturated {
                 saturated = Some(index as u8);
             }

@@ -107,27 +107,23 @@ impl Server {
         }
     }
 
-    /// Takes the period's bytes; gives the next thing to do. `busy`: no other host may break in. `hold_back`: the period has much to do already; that
-    /// counts only if the one before did not hold back.
+    /// Takes the period's bytes; says whether a host greets, which [`Server::welcome`] answers.
     #[inline]
-    pub fn hear(
-        &mut self,
-        inputs: &Inputs,
-        identity: &Identity<'_>,
-        busy: bool,
-        hold_back: bool,
-    ) -> Option<Heard> {
+    pub fn listen(&mut self, inputs: &Inputs) -> bool {
         self.now_us = inputs.period.wrapping_mul(u64::from(self.period_us));
         self.deferred = self.deferred.saturating_add(u32::from(inputs.waiting));
         let lost = inputs.lost_bytes.wrapping_sub(self.lost_before);
         self.lost = self.lost.saturating_add(u32::from(lost));
         self.lost_before = inputs.lost_bytes;
         if !inputs.received.is_empty() {
-            self.listen(&inputs.received);
+            self.receive(&inputs.received);
         }
-        if self.link.hello().is_some() {
-            self.welcome(identity, busy);
-        }
+        self.link.hello().is_some()
+    }
+
+    /// Gives the next thing to do. `hold_back`: the period has much to do already; that counts only if the one before did not hold back.
+    #[inline]
+    pub fn next(&mut self, hold_back: bool) -> Option<Heard> {
         // What tells has its turn when this has had one.
         let yields = self.worked && self.tells_much();
         self.held = hold_back && !self.held;
@@ -145,13 +141,13 @@ impl Server {
 
     /// Takes bytes from the line.
     #[inline(never)]
-    fn listen(&mut self, bytes: &[u8]) {
+    fn receive(&mut self, bytes: &[u8]) {
         self.link.receive(self.now_us, bytes);
     }
 
-    /// Answers a greeting.
+    /// Answers a greeting. `busy`: no other host may break in.
     #[inline(never)]
-    fn welcome(&mut self, identity: &Identity<'_>, busy: bool) {
+    pub fn welcome(&mut self, identity: &Identity<'_>, busy: bool) {
         let greeted = self.link.welcome(self.now_us, identity, busy);
         if greeted == Greeted::Begun {
             self.forget();

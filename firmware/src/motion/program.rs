@@ -47,8 +47,7 @@ impl Knot {
 /// The cubics on the way to the next setpoint.
 #[derive(Debug, Clone, Copy, Default)]
 struct Segment {
-    cubics: [Cubic; MAX_AXES],
-    derivatives: [Derivatives; MAX_AXES],
+    ways: [(Cubic, Derivatives); MAX_AXES],
     span: Span,
     to: Knot,
 }
@@ -526,12 +525,16 @@ impl Program {
             return;
         };
         let fraction = segment.span.fraction((self.time >> 16) as u32);
-        let parts = segment.cubics.iter().zip(&segment.derivatives);
-        for (axis, (cubic, derivatives)) in parts.take(self.axes).enumerate() {
+        let Wanted {
+            pose,
+            rates,
+            accelerations,
+        } = &mut *wanted;
+        for (axis, (cubic, derivatives)) in segment.ways.iter().enumerate().take(self.axes) {
             let sample = cubic.sample(derivatives, fraction);
-            wanted.pose.0[axis] = sample.position;
-            wanted.rates[axis] = sample.rate;
-            wanted.accelerations[axis] = sample.acceleration;
+            pose.0[axis] = sample.position;
+            rates[axis] = sample.rate;
+            accelerations[axis] = sample.acceleration;
         }
         if self.path_rate != Ramp::at(FULL_RATE) {
             self.slow_down(wanted);
@@ -597,8 +600,7 @@ impl Program {
             let Some(cubic) = self.cubic(axis, &self.from, to, &span) else {
                 return;
             };
-            self.segment.derivatives[axis] = cubic.derivatives(&span);
-            self.segment.cubics[axis] = cubic;
+            self.segment.ways[axis] = (cubic, cubic.derivatives(&span));
         }
         self.segment.span = span;
         self.segment.to = *to;
