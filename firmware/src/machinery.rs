@@ -79,6 +79,7 @@ pub struct Machinery {
     newly_limited: u8,
     joints: Vec<JointDrive, MAX_AXES>,
     measured: Joints,
+    /// On a machine with a force sensor; without one the pose is worked out for whoever asks.
     measured_pose: Option<Pose>,
     target: JointMotion,
     digests: [Digest; PARTS],
@@ -205,7 +206,7 @@ impl Machinery {
         self.joints.len()
     }
 
-    /// Stage *sense*: encoders to joints, joints to pose.
+    /// Stage *sense*: encoders to joints, and where a force is felt joints to pose.
     #[inline]
     pub fn sense(&mut self, inputs: &Inputs) {
         let time_ns = inputs.time_ns;
@@ -213,21 +214,32 @@ impl Machinery {
         for ((joint, inputs), measured) in self.joints.iter_mut().zip(&inputs.axes).zip(measured) {
             *measured = joint.sense(inputs, time_ns).coordinate;
         }
-        self.measured_pose = self.machine.forward(&self.measured).ok();
+        self.measure_pose();
     }
 
     fn remember_measured(&mut self) {
         for (measured, joint) in self.measured.0.iter_mut().zip(&self.joints) {
             *measured = joint.sensed().coordinate;
         }
-        self.measured_pose = self.machine.forward(&self.measured).ok();
+        self.measure_pose();
+    }
+
+    /// What a force acts on is needed in every period.
+    #[inline]
+    fn measure_pose(&mut self) {
+        if self.force.is_some() {
+            self.measured_pose = self.machine.forward(&self.measured).ok();
+        }
     }
 
     /// The measured pose, if the forward kinematics certifies one.
     #[must_use]
     #[inline]
-    pub const fn measured_pose(&self) -> Option<&Pose> {
-        self.measured_pose.as_ref()
+    pub fn measured_pose(&self) -> Option<Pose> {
+        match self.force {
+            Some(_) => self.measured_pose,
+            None => self.machine.forward(&self.measured).ok(),
+        }
     }
 
     /// Whether the encoders have made no more illegal transitions since they were enabled last than supervision allows.
@@ -442,7 +454,7 @@ impl Machinery {
     /// The measured pose as values of a message; empty when it is not certified.
     #[must_use]
     pub fn measured_values(&self) -> AxisValues {
-        self.measured_pose
+        self.measured_pose()
             .map_or_else(AxisValues::new, |pose| self.values(|index| pose.0[index].0))
     }
 
