@@ -1,7 +1,7 @@
 //! The hand on a haptic arm: where it is, and what it shall feel (spec h4-milling 2.2, 2.4, 3.4, 3.5).
 //!
 //! Two stages of the corridor are here. *Sense* ([`Haptic::sense`]): nine counters to the pose of the handle, and whether they can be believed. *Feel* ([`Haptic::feel`]): the force on the tool through the [`law`],
-//! the [`wall`]s, the damping that [`passivity`] asks for, not faster than the configured step in a period, through the statics of the arm to six currents, all clamped together so that
+//! the [`wall`]s, the damping that [`passivity`] and [`swing`] ask for, not faster than the configured step in a period, through the statics of the arm to six currents, all clamped together so that
 //! the direction stays. What is sensed of a force in a period is felt in the next: outputs take effect at its beginning.
 //!
 //! The force that is reflected is the peak that force control works on: high forces are what the hand shall know of (spec 3.3), it rises in the period in which it was sampled, and a hand cannot follow the ripple of the teeth.
@@ -18,6 +18,7 @@ pub mod config;
 pub mod law;
 pub mod lead;
 pub mod passivity;
+pub mod swing;
 pub mod wall;
 
 use crate::io::{HapticInputs, HapticOutputs, LEGS};
@@ -34,6 +35,7 @@ use law::Law;
 use lead::Frame;
 use motors::Motors;
 use passivity::Passivity;
+use swing::Swings;
 use wall::{TooSmall, Walls};
 
 mod motors;
@@ -86,6 +88,7 @@ pub struct Haptic {
     law: Law,
     walls: Walls,
     passivity: Passivity,
+    swings: Swings,
     /// Counts at the presets.
     zero: [[i32; 3]; LEGS],
     illegal: [[u16; 3]; LEGS],
@@ -111,7 +114,7 @@ pub struct Haptic {
 }
 
 constants!(Haptic { arm, sensors, motors, illegal_most, smoothing, step, periods_per_second, blend_step, feel_periods } of {} but {
-    law, walls, passivity, zero, illegal, pose, tip, moved, rates, engaged, ready, blend, afar, force, reflected, wall, enabled, problem, latched, fresh
+    law, walls, passivity, swings, zero, illegal, pose, tip, moved, rates, engaged, ready, blend, afar, force, reflected, wall, enabled, problem, latched, fresh
 });
 
 impl Haptic {
@@ -149,6 +152,7 @@ impl Haptic {
             law: Law::new(&config.reflection, period_us),
             walls: Walls::new(&config.wall, config.ball, period_us),
             passivity: Passivity::new(&config.passivity, period_us),
+            swings: Swings::new(&config.passivity, period_us),
             zero: inputs.legs.map(|leg| leg.counts),
             illegal: inputs.legs.map(|leg| leg.illegal),
             pose: None,
@@ -351,17 +355,19 @@ impl Haptic {
         self.wall = self.walls.push(&pose.tip);
         self.passivity
             .observe(&self.force, &self.moved, self.walls.stored());
+        let swings = self.swings.watch(&self.force, &self.moved, &rates);
         let damping = self.passivity.damp(&rates);
         let mut force = self.force;
         for (axis, force) in force.iter_mut().enumerate() {
             // Each is below 2^28 but the damping, which is saturated.
             let wanted = damping[axis]
                 .0
+                .saturating_add(swings[axis].0)
                 .saturating_add(self.reflected[axis].0 + self.wall[axis].0);
             let change = wanted.saturating_sub(force.0).clamp(-self.step, self.step);
             force.0 += change;
         }
-        let wrench = Wrench::of(&force);
+        let wrench = Wrench::at_tip(&force, pose);
         match self.motors.currents(&self.arm, pose, &wrench) {
             Ok((currents, share)) => {
                 outputs.enabled = true;
@@ -387,6 +393,7 @@ impl Haptic {
         self.reflected = self.force;
         self.wall = self.force;
         self.passivity.reset();
+        self.swings.reset();
     }
 
     /// Other settings of the reflection.

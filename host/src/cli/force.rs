@@ -1,7 +1,7 @@
 //! `haptimill force`: the force sensor and the force loop of a running controller.
 
-use super::one_shot::open;
-use super::{CliError, ConnectArgs, Exit, MachineArg};
+use super::one_shot::{OneShotArgs, open};
+use super::{CliError, Exit};
 use crate::machine::GATES;
 use crate::session::{LoopChoice, PortLine, Session};
 use clap::{Args, Subcommand};
@@ -14,9 +14,9 @@ const NAMES: [&str; COMPONENTS] = ["x", "y", "z"];
 #[derive(Debug, Subcommand)]
 pub enum ForceCommand {
     /// Forces, how far the tool yields, which axes are under force control, and the settings of their loops on the controller
-    Show(ForceArgs),
+    Show(OneShotArgs),
     /// Take what the sensor shows now as its zero; only at rest, with nothing at the tool
-    Tare(ForceArgs),
+    Tare(OneShotArgs),
     /// Set which axes are under force control, and their loops
     ///
     /// What is not given stays as the controller has it. It can be changed while a job runs: the tool does not jump. An axis that is taken out returns to the programmed position
@@ -32,20 +32,6 @@ impl ForceCommand {
             Self::Set(args) => args.force.json,
         }
     }
-}
-
-/// Arguments of every force command.
-#[derive(Debug, Clone, Args)]
-pub struct ForceArgs {
-    #[command(flatten)]
-    #[allow(missing_docs)]
-    pub connect: ConnectArgs,
-    #[command(flatten)]
-    #[allow(missing_docs)]
-    pub machine: MachineArg,
-    /// Print the result as JSON
-    #[arg(long)]
-    pub json: bool,
 }
 
 /// Arguments of `haptimill force set`.
@@ -68,7 +54,7 @@ pub struct SetArgs {
     pub gate: Option<Gate>,
     #[command(flatten)]
     #[allow(missing_docs)]
-    pub force: ForceArgs,
+    pub force: OneShotArgs,
 }
 
 /// Desired force and gains.

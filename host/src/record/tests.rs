@@ -269,6 +269,8 @@ fn any_period() -> impl Strategy<Value = Period> {
                     inputs,
                     ..Period::default()
                 };
+                period.inputs.haptic.legs[1].counts = [period.inputs.axes[0].counts, 3, -7];
+                period.outputs.haptic.currents[2] = [codes[1], codes[2]];
                 period.outputs.axes = commands;
                 period.outputs.spindle_rpm = spindle_rpm;
                 period.outputs.transmit = heapless::Vec::from_slice(&transmit).unwrap();

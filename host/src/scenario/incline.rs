@@ -119,8 +119,9 @@ pub(super) fn gain_study(cuts: &[Cut]) -> Vec<Claim> {
     ]
 }
 
-const FORCE_SCALE: &str = "the forces on the incline are not stated, and one scale of them serves all gains (2, spec 5.2): what meets K_V 5 is too much for K_V 20";
-const RETURN: &str = "by (3.30) the tool returns at (f_d - F) / K_V: 3 mm in 5 s need a mean peak force of 2 N while it cuts its way back; the model's is larger";
+const FORCE_SCALE: &str = "the forces on the incline are not stated, and one scale of them serves all gains (2, spec 5.2): what meets K_V 5 is too much for K_V 20. With an edge of 12 um instead of 6 (not stated either) it is 2.0 mm";
+const RETURN: &str = "by (3.30) the tool returns at (f_d - F) / K_V: 3 mm in 5 s need a mean peak force of 2 N while it cuts its way back; the model's is 3.4 N. It is the force of chips thinner than the edge, whose radius is not stated: \
+     6 um here, with 12 um the tool is at 2.4 mm";
 const OWN: &str = "what this project asks of itself, and does not reach";
 
 /// Samples to either side over which a rate is taken.

@@ -11,6 +11,7 @@ use crate::machine::scale::{PER_EFFORT, to_i32};
 use crate::session::{HandCourse, Session, SimLine};
 use haptimill_hil_sim::hand::{Intention, Rail, ReferencePart, Stroke, Trace};
 use haptimill_hil_sim::haptic::HapticArm;
+use haptimill_hil_sim::rig::Control;
 use haptimill_protocol::haptic::{ReflectAxis, Reflection, Wall};
 use haptimill_protocol::message::{Command, RATE_SHIFT, Source};
 
@@ -52,13 +53,13 @@ impl PartialEq for Led {
 /// Why a scenario with a hand is not run.
 pub const NO_HAPTIC_ARM: &str = "this machine has no haptic arm";
 
-/// The handle along a rail towards -X, 30 mm, to and fro as often as there are times; a person who begins gently.
+/// The handle along a rail towards -X, 30 mm, to and fro as often as there are times; a person who begins gently and is fastest late, as the thesis's (E8: 3 to 4.5 s).
 fn strokes(times: &[f64]) -> Intention {
     let stroke = |(index, at_s): (usize, &f64)| Stroke {
         at_s: *at_s,
         to_mm: [if index % 2 == 0 { -30.0 } else { 0.0 }, 0.0, 0.0],
-        pace_mm_s: 12.0,
-        ramp_s: 2.0,
+        pace_mm_s: 14.0,
+        ramp_s: 3.0,
     };
     Intention::Strokes(times.iter().enumerate().map(stroke).collect())
 }
@@ -106,14 +107,14 @@ pub fn round() -> Intention {
         centre_mm: part.centre_mm,
         radius_mm: part.path_radius(),
         turns: -1.0,
-        pace_mm_s: 6.0,
+        pace_mm_s: 5.5,
         ramp_s: 1.0,
         press_n: 2.0,
     })
 }
 
 /// The simulated arm of a session.
-fn arm(session: &mut Session<SimLine>) -> Result<&mut HapticArm, CliError> {
+fn arm<C: Control>(session: &mut Session<SimLine<C>>) -> Result<&mut HapticArm, CliError> {
     let plant = session.line_mut().rig_mut().plant_mut();
     plant
         .haptic_mut()
@@ -136,7 +137,7 @@ impl Led {
     ///
     /// # Errors
     /// There is no haptic arm, or the controller refuses.
-    pub fn set_up(&self, session: &mut Session<SimLine>) -> Result<(), CliError> {
+    pub fn set_up<C: Control>(&self, session: &mut Session<SimLine<C>>) -> Result<(), CliError> {
         let (rail, part) = (self.rail, self.part);
         let arm = arm(session)?;
         arm.fit_rail(rail.map(Rail::along)).map_err(nonsense)?;
@@ -157,7 +158,7 @@ impl Led {
     ///
     /// # Errors
     /// The controller refuses.
-    pub fn begin(&self, session: &mut Session<SimLine>) -> Result<(), CliError> {
+    pub fn begin<C: Control>(&self, session: &mut Session<SimLine<C>>) -> Result<(), CliError> {
         for axis in self.axes {
             session.ask(Command::Source {
                 axis: *axis,
@@ -186,7 +187,10 @@ impl Led {
     ///
     /// # Errors
     /// The controller refuses.
-    pub fn end(&self, session: &mut Session<SimLine>) -> Result<Option<HandCourse>, CliError> {
+    pub fn end<C: Control>(
+        &self,
+        session: &mut Session<SimLine<C>>,
+    ) -> Result<Option<HandCourse>, CliError> {
         let course = session.line_mut().end_hand();
         arm(session)?.set_engaged(false);
         if self.wall_mm_s.is_some() {

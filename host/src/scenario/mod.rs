@@ -25,7 +25,7 @@ mod programmed;
 mod stated;
 mod table;
 
-pub use bench::{Cut, NO_FORCE_CONTROL, carry};
+pub use bench::{Cut, NO_FORCE_CONTROL, On, carry};
 pub use course::{Course, ForceSource, Sample};
 pub use led::{Led, NO_HAPTIC_ARM};
 pub use list::{all, named};
@@ -92,6 +92,14 @@ pub struct Pass {
     pub control: Option<Control>,
     /// What a hand does in it, if there is one.
     pub led: Option<Led>,
+}
+
+impl Pass {
+    /// Whether the tool does anything: at the wall of E6 only the hand moves.
+    #[must_use]
+    pub fn cuts(&self) -> bool {
+        self.led.is_none_or(|led| !led.axes.is_empty())
+    }
 }
 
 /// An experiment.
