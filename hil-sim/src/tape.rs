@@ -347,7 +347,7 @@ fn take<'a>(bytes: &mut &'a [u8], count: usize) -> Option<&'a [u8]> {
     Some(taken)
 }
 
-/// Reads the periods of a block.
+/// Reads the periods of a block. An error is how many bytes of the block were understood: its contents are not what this version writes.
 #[derive(Debug)]
 pub struct Reel {
     expected: Expected,
@@ -368,31 +368,35 @@ impl Reel {
         }
     }
 
-    /// The next period; `None` at the end.
-    ///
-    /// # Errors
-    /// The contents are not what this version writes; bytes of the block that were understood.
-    pub fn period(&mut self) -> Option<Result<Period, usize>> {
+    fn fail(&mut self) -> Option<Result<Period, usize>> {
+        let at = self.at;
+        (self.left, self.at) = (0, self.bytes.len());
+        Some(Err(at))
+    }
+}
+
+impl Iterator for Reel {
+    type Item = Result<Period, usize>;
+
+    fn next(&mut self) -> Option<Self::Item> {
         if self.left == 0 {
-            return (self.at != self.bytes.len()).then(|| {
-                let at = self.at;
-                self.at = self.bytes.len();
-                Err(at)
-            });
+            // What follows the last one belongs to nothing.
+            return if self.at == self.bytes.len() {
+                None
+            } else {
+                self.fail()
+            };
         }
         self.left -= 1;
         let mut rest = &self.bytes[self.at..];
-        let Some(period) = self
-            .expected
-            .decode(&mut rest)
-            .and_then(|words| period(&words, &mut rest))
-        else {
-            let at = self.at;
-            (self.left, self.at) = (0, self.bytes.len());
-            return Some(Err(at));
-        };
-        self.at = self.bytes.len() - rest.len();
-        Some(Ok(period))
+        let words = self.expected.decode(&mut rest);
+        match words.and_then(|words| period(&words, &mut rest)) {
+            Some(period) => {
+                self.at = self.bytes.len() - rest.len();
+                Some(Ok(period))
+            }
+            None => self.fail(),
+        }
     }
 }
 

@@ -2,6 +2,8 @@
 
 pub mod cli;
 pub mod client;
+#[cfg(feature = "console")]
+pub mod console;
 pub mod kin;
 pub mod machine;
 pub mod model;

@@ -191,6 +191,25 @@ fn said(
             replayed.spindle_rpm.to_string(),
         ));
     }
+    let (one, other) = (&recorded.haptic, &replayed.haptic);
+    if one.enabled != other.enabled {
+        return Some((
+            "the motors of the haptic arm".to_string(),
+            on(one.enabled).to_string(),
+            on(other.enabled).to_string(),
+        ));
+    }
+    for (leg, (one, other)) in one.currents.iter().zip(&other.currents).enumerate() {
+        for (kind, (one, other)) in ["force", "torque"].iter().zip(one.iter().zip(other)) {
+            if one != other {
+                return Some((
+                    format!("the {kind} current of leg {} of the haptic arm", leg + 1),
+                    one.to_string(),
+                    other.to_string(),
+                ));
+            }
+        }
+    }
     if recorded.transmit != replayed.transmit {
         return Some((
             "what was said to the host".to_string(),
@@ -203,6 +222,10 @@ fn said(
         format!("{recorded:?}"),
         format!("{replayed:?}"),
     ))
+}
+
+const fn on(enabled: bool) -> &'static str {
+    if enabled { "on" } else { "off" }
 }
 
 fn hexadecimal(bytes: &[u8]) -> String {

@@ -4,6 +4,7 @@ mod scene;
 
 use haptimill::record::{Period, Record, Recorder, Recording, Tape};
 use haptimill::replay::replay;
+use mcap::read::Options as ReadOptions;
 use mcap::{MessageStream, Summary};
 use scene::{Folder, Ran, Served, haptimill, number, start};
 use serde_json::Value;
@@ -230,6 +231,11 @@ fn a_table_has_the_columns_rows_and_time_that_were_asked_for() {
     );
 }
 
+/// The messages of an MCAP file; the check of each chunk is verified.
+fn checked(bytes: &[u8]) -> MessageStream<'_> {
+    MessageStream::new_with_options(bytes, ReadOptions::ValidateChunkCrcs.into()).unwrap()
+}
+
 #[test]
 fn mcap_has_everything_and_its_checks_hold() {
     let folder = Folder::new();
@@ -255,8 +261,7 @@ fn mcap_has_everything_and_its_checks_hold() {
         assert_eq!(schema["type"], "object", "{}", channel.topic);
     }
     let mut topics: BTreeMap<String, Vec<(u64, Value)>> = BTreeMap::new();
-    // The reader verifies the check of each chunk.
-    for message in MessageStream::new(&bytes).unwrap() {
+    for message in checked(&bytes) {
         let message = message.unwrap();
         let value = serde_json::from_slice(&message.data).unwrap();
         topics
@@ -331,11 +336,7 @@ fn mcap_has_everything_and_its_checks_hold() {
         .position(u8::is_ascii_digit)
         .unwrap();
     damaged[middle + at + digit] ^= 1;
-    assert!(
-        MessageStream::new(&damaged)
-            .unwrap()
-            .any(|message| message.is_err())
-    );
+    assert!(checked(&damaged).any(|message| message.is_err()));
 }
 
 #[test]

@@ -182,11 +182,6 @@ pub enum Command {
     },
     /// Take what the force sensor shows now as its zero. Answered when it has begun; [`Event::Tared`] or [`Event::TareRefused`] tells how it ended.
     Tare,
-    /// Say which settings the force loop of an axis has: [`Event::ForceSettings`] comes before the answer.
-    ForceSettings {
-        /// The component: 0 for x, 1 for y, 2 for z of the work.
-        axis: u8,
-    },
     /// Where a hand is that leads the tool from afar. A latest value: each one replaces the one before, and a lost one is not sent again.
     Hand {
         /// Only the newest epoch of the session is heard; any stop or hold ends an epoch for good, as with [`Command::Jog`].
@@ -221,6 +216,11 @@ pub enum Command {
     HandTelemetry {
         /// Periods between two reports.
         every: u16,
+    },
+    /// Say which settings the force loop of an axis has: [`Event::ForceSettings`] comes before the answer.
+    ForceSettings {
+        /// The component: 0 for x, 1 for y, 2 for z of the work.
+        axis: u8,
     },
 }
 
@@ -466,13 +466,6 @@ pub enum Event {
         /// The component of the force.
         axis: u8,
     },
-    /// The settings of a force loop that are in force now, as they were asked for with [`Command::ForceSettings`].
-    ForceSettings {
-        /// The component of the force.
-        axis: u8,
-        /// The settings.
-        settings: ForceLoop,
-    },
     /// Something is wrong with the haptic arm while nothing is led by it: it is off until reset.
     Hand(HandProblem),
     /// Nothing new was heard of the hand that leads the tool: the machine slows down and holds. [`Command::Resume`] goes on from where both are then.
@@ -484,6 +477,13 @@ pub enum Event {
     HandLimited {
         /// The pose coordinate.
         axis: u8,
+    },
+    /// The settings of a force loop that are in force now, as they were asked for with [`Command::ForceSettings`].
+    ForceSettings {
+        /// The component of the force.
+        axis: u8,
+        /// The settings.
+        settings: ForceLoop,
     },
 }
 

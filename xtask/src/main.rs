@@ -32,6 +32,9 @@ struct Step<'a> {
     component: Option<(&'a str, &'a str)>,
 }
 
+/// The one part of the host that is not built by default.
+const CONSOLE: &str = "haptimill/console";
+
 const TEST: &[Step] = &[
     Step {
         name: "format",
@@ -45,6 +48,8 @@ const TEST: &[Step] = &[
             "clippy",
             "--quiet",
             "--workspace",
+            "--features",
+            CONSOLE,
             "--all-targets",
             "--",
             "-D",
@@ -71,13 +76,20 @@ const TEST: &[Step] = &[
     },
     Step {
         name: "documentation",
-        arguments: &["doc", "--quiet", "--workspace", "--no-deps"],
+        arguments: &[
+            "doc",
+            "--quiet",
+            "--workspace",
+            "--features",
+            CONSOLE,
+            "--no-deps",
+        ],
         environment: &[("RUSTDOCFLAGS", "-D warnings")],
         component: None,
     },
     Step {
         name: "tests",
-        arguments: &["test", "--workspace"],
+        arguments: &["test", "--workspace", "--features", CONSOLE],
         environment: &[],
         component: None,
     },

@@ -8,6 +8,7 @@ macro_rules! tell {
     }};
 }
 
+pub mod console;
 mod exit;
 pub mod force;
 pub mod jog;
@@ -48,6 +49,7 @@ Examples:
   haptimill sim serve --listen tcp:127.0.0.1:7000        a machine for other programs to talk to
   haptimill home --port tcp:localhost:7000               home it from another terminal
   haptimill jog x=5 z=-2 --for 1.5 --port /dev/ttyACM0   5 and -2 mm/s for 1.5 s
+  haptimill console --port /dev/ttyACM0 part.ngc         the operator's full-screen console
   haptimill status --port /dev/ttyACM0 --json            how things stand, for a script
   haptimill run part.ngc --force x,z --fd 5              the tool yields to more than 5 N in x and z
   haptimill force tare --port /dev/ttyACM0               what the force sensor shows now is none
@@ -75,6 +77,7 @@ enum Command {
     Jog(jog::JogArgs),
     /// Find the reference of all axes, as one transaction
     Home(one_shot::HomeArgs),
+    Console(console::ConsoleArgs),
     /// How things stand
     Status(one_shot::OneShotArgs),
     /// Drives on; wanted becomes measured, nothing moves
@@ -123,7 +126,7 @@ impl Command {
             Self::Scenario(scenario::ScenarioCommand::Run(args)) => args.json,
             Self::Trace(args) => args.what.json(),
             Self::Replay(args) => args.json,
-            Self::Scenario(_) | Self::Sim(_) | Self::Kin(_) => false,
+            Self::Scenario(_) | Self::Console(_) | Self::Sim(_) | Self::Kin(_) => false,
         }
     }
 }
@@ -189,6 +192,7 @@ fn seconds(text: &str) -> Result<f64, String> {
 
 /// Runs the command line of this process.
 pub fn main() -> ExitCode {
+    use std::io::Write as _;
     let cli = Cli::parse();
     let json = cli.command.json();
     match dispatch(cli) {
@@ -197,7 +201,8 @@ pub fn main() -> ExitCode {
             if json && !error.told {
                 tell!("{:#}", error.to_json());
             }
-            eprintln!("{}", error.message);
+            // A terminal that was closed is no reason for a panic on top.
+            let _ = writeln!(std::io::stderr(), "{}", error.message);
             ExitCode::from(error.exit as u8)
         }
     }
@@ -208,6 +213,7 @@ fn dispatch(cli: Cli) -> Result<(), CliError> {
     match cli.command {
         Command::Run(args) => run::run(args),
         Command::Jog(args) => jog::run(args),
+        Command::Console(args) => console::run(args),
         Command::Home(args) => one_shot::home(args),
         Command::Status(args) => one_shot::run(Order::Status, args),
         Command::Enable(args) => one_shot::run(Order::Enable, args),

@@ -3,7 +3,7 @@
 use super::{CliError, Exit, MachineArg};
 use crate::machine::MachineFile;
 use crate::port::{Board, PortSpec};
-use crate::scenario::{self, Cut, NO_FORCE_CONTROL, On, Result as Outcome, Scenario};
+use crate::scenario::{self, Cut, On, Result as Outcome, Scenario};
 use crate::session::interrupt;
 #[cfg(unix)]
 use crate::session::pil;
@@ -90,16 +90,15 @@ fn run_named(args: &RunArgs) -> Result<(), CliError> {
         })?;
         vec![known]
     };
-    let runnable =
-        |scenario: &Scenario| machine.config.force.is_some() || !scenario.needs_force_control();
     if let [only] = &scenarios[..]
-        && !runnable(only)
+        && let Some(why) = only.lacks(&machine)
     {
-        let what = format!("{}: {NO_FORCE_CONTROL}", only.name);
+        let what = format!("{}: {why}", only.name);
         return Err(CliError::new(Exit::Refused, what));
     }
-    let (can, _): (Vec<&Scenario>, Vec<&Scenario>) =
-        scenarios.iter().partition(|scenario| runnable(scenario));
+    let (can, _): (Vec<&Scenario>, Vec<&Scenario>) = scenarios
+        .iter()
+        .partition(|scenario| scenario.lacks(&machine).is_none());
     let image = image(&args.port)?;
     let on = image
         .as_ref()
@@ -107,7 +106,8 @@ fn run_named(args: &RunArgs) -> Result<(), CliError> {
     let mut cut = carry_all(&machine, &can, &args.out, on)?.into_iter();
     let mut results = Vec::new();
     for scenario in &scenarios {
-        let result = if runnable(scenario) {
+        let lacks = scenario.lacks(&machine);
+        let result = if lacks.is_none() {
             let cuts = cut.next().unwrap_or_default();
             let result = Outcome::of(scenario, &cuts);
             let dir = args.out.join(scenario.name);
@@ -118,7 +118,7 @@ fn run_named(args: &RunArgs) -> Result<(), CliError> {
             write(&dir.join("summary.json"), &(json + "\n"))?;
             result
         } else {
-            Outcome::not_run(scenario, NO_FORCE_CONTROL)
+            Outcome::not_run(scenario, lacks.unwrap_or_default())
         };
         results.push(result);
     }

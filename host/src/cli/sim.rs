@@ -115,14 +115,14 @@ const POLL: Duration = Duration::from_micros(200);
 const MOST_BEHIND: Duration = Duration::from_millis(20);
 
 /// Keeps virtual time with real time.
-struct Pace {
+pub(crate) struct Pace {
     period_ns: u64,
     /// Real time that virtual time has given up for good.
     given_up_ns: u64,
 }
 
 impl Pace {
-    const fn new(period_ns: u64) -> Self {
+    pub(crate) const fn new(period_ns: u64) -> Self {
         Self {
             period_ns,
             given_up_ns: 0,
@@ -131,7 +131,7 @@ impl Pace {
 
     /// Periods to go through now. Of a longer delay the most that may be made up for is, and the rest is given up: for the machine this process stood
     /// still, with the time in it.
-    fn due(&mut self, real_ns: u64, virtual_ns: u64) -> u64 {
+    pub(crate) fn due(&mut self, real_ns: u64, virtual_ns: u64) -> u64 {
         let behind = real_ns.saturating_sub(virtual_ns.saturating_add(self.given_up_ns));
         let most = MOST_BEHIND.as_nanos() as u64;
         let behind = if behind > most {

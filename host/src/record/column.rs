@@ -19,6 +19,10 @@ pub struct Column {
     field: Field,
 }
 
+/// Where a row of a record is.
+type Row = fn(&Record) -> &Axes;
+type Forces = fn(&Record) -> &[i32; COMPONENTS];
+
 #[derive(Debug, Clone, Copy)]
 enum Field {
     Time,
@@ -29,8 +33,8 @@ enum Field {
     PathRate,
     Spindle,
     Flag(u8),
-    Axis(fn(&Record) -> &Axes, usize, f64),
-    Force(fn(&Record) -> &[i32; COMPONENTS], usize, f64),
+    Axis(Row, usize, f64),
+    Force(Forces, usize, f64),
 }
 
 /// What stands in a column.
@@ -129,7 +133,7 @@ pub fn columns(recording: &Recording) -> Vec<Column> {
         AxisKind::Linear => "mm",
         AxisKind::Rotary => "deg",
     };
-    let pose: [(&'static str, fn(&Record) -> &Axes); 3] = [
+    let pose: [(&'static str, Row); 3] = [
         ("wanted", |record| &record.wanted),
         ("programmed", |record| &record.programmed),
         ("tool", |record| &record.tool),
@@ -147,7 +151,7 @@ pub fn columns(recording: &Recording) -> Vec<Column> {
             ));
         }
     }
-    let joints: [(&'static str, fn(&Record) -> &Axes); 3] = [
+    let joints: [(&'static str, Row); 3] = [
         ("joint_wanted", |record| &record.joints_wanted),
         ("joint_measured", |record| &record.joints),
         ("joint_error", |record| &record.following_error),
@@ -180,7 +184,6 @@ pub fn columns(recording: &Recording) -> Vec<Column> {
         ));
     }
     const NEWTON: f64 = 1.0 / 65_536.0;
-    type Forces = fn(&Record) -> &[i32; COMPONENTS];
     let forces: [(&'static str, &'static str, Forces, f64); 4] = [
         ("force_high", "n", |record| &record.force.high, NEWTON),
         ("force_low", "n", |record| &record.force.low, NEWTON),

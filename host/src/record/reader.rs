@@ -473,7 +473,7 @@ impl Iterator for Periods {
     fn next(&mut self) -> Option<Self::Item> {
         loop {
             if let Some(reel) = &mut self.reel
-                && let Some(period) = reel.period()
+                && let Some(period) = reel.next()
             {
                 return Some(period.map_err(|at| {
                     RecordingError::Format(

@@ -199,7 +199,7 @@ fn read_all(path: &std::path::Path) -> Result<(u64, u64, bool), RecordingError> 
 }
 
 fn any_period() -> impl Strategy<Value = Period> {
-    use haptimill_firmware::io::{AxisInputs, DriveCommand, Inputs, Outputs, StepSegment};
+    use haptimill_firmware::io::{AxisInputs, DriveCommand, Inputs, StepSegment};
     // Small and large differences, and halves of words.
     let word = || {
         prop_oneof![
@@ -265,13 +265,16 @@ fn any_period() -> impl Strategy<Value = Period> {
                     ..Inputs::default()
                 };
                 inputs.force.codes = codes;
-                let outputs = Outputs {
-                    axes: commands,
-                    spindle_rpm,
-                    transmit: heapless::Vec::from_slice(&transmit).unwrap(),
-                    ..Outputs::default()
+                let mut period = Period {
+                    inputs,
+                    ..Period::default()
                 };
-                Period { inputs, outputs }
+                period.inputs.haptic.legs[1].counts = [period.inputs.axes[0].counts, 3, -7];
+                period.outputs.haptic.currents[2] = [codes[1], codes[2]];
+                period.outputs.axes = commands;
+                period.outputs.spindle_rpm = spindle_rpm;
+                period.outputs.transmit = heapless::Vec::from_slice(&transmit).unwrap();
+                period
             },
         )
 }

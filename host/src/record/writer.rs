@@ -32,7 +32,7 @@ enum Task {
         contents: Vec<u8>,
     },
     /// A tape to be written, and to go on with.
-    Tape(Tape),
+    Tape(Box<Tape>),
     /// The next periods of the tape.
     Periods(Vec<Period>),
 }
@@ -99,7 +99,7 @@ impl Recorder {
     /// Goes on with a tape that has all periods of the controller up to now; [`Recorder::period`] must be told each that follows.
     pub fn take_up(&mut self, tape: Tape) {
         if tape.is_whole() {
-            self.send(Task::Tape(tape));
+            self.send(Task::Tape(Box::new(tape)));
             self.periods = Some(Vec::with_capacity(BATCH_PERIODS));
         }
     }
@@ -217,7 +217,7 @@ impl Recorder {
         if let Some(periods) = self.periods.take() {
             // Ends the tape too.
             self.send(Task::Periods(periods));
-            self.send(Task::Tape(Tape::new()));
+            self.send(Task::Tape(Box::default()));
         }
     }
 
@@ -288,7 +288,7 @@ fn write(
         bytes: 0,
     };
     writer.put(header)?;
-    let mut tape = Tape::new();
+    let mut tape = Box::<Tape>::default();
     for task in tasks {
         match task {
             Task::Block {

@@ -1,7 +1,7 @@
 //! Carrying out a pass: the simulated machine is homed, the work clamped, the program run, everything recorded.
 
+use super::Pass;
 use super::course::Course;
-use super::{Control, Pass};
 use crate::cli::{CliError, Exit};
 use crate::client::{JobEnding, Options};
 use crate::machine::{MachineFile, work};
@@ -13,7 +13,7 @@ use crate::record::{Header, Recorder, Recording};
 use crate::report::{self, Outcome, Summary};
 #[cfg(unix)]
 use crate::session::pil;
-use crate::session::{self, JobEnd, JobLine, JobRecording, Session, SimLine, Watcher};
+use crate::session::{self, HandCourse, JobEnd, JobLine, JobRecording, Session, SimLine, Watcher};
 use haptimill_firmware::units::Length;
 use haptimill_firmware::units::force::{Force, VirtualDamping, VirtualMass};
 use haptimill_hil_sim::config::PlantConfig;
@@ -29,6 +29,10 @@ use std::sync::atomic::AtomicBool;
 /// A row of the trace every so many control periods: 5 ms at 5 kHz.
 const TRACE_EVERY: u32 = 25;
 
+/// The table of what hand and tool did while a hand led, and a row of it every so many milliseconds.
+pub const HAND_FILE: &str = "hand.csv";
+const HAND_EVERY: usize = 5;
+
 /// What a pass left.
 pub struct Cut {
     /// What was recorded, at a thousand samples a second.
@@ -37,6 +41,8 @@ pub struct Cut {
     pub work: Workpiece,
     /// The summary of the job.
     pub summary: Summary,
+    /// What hand and tool did while a hand led.
+    pub hand: Option<HandCourse>,
 }
 
 /// The most that a tool under force control may yield, mm: the machine file's 10 mm are enough for the thesis's gains (6 mm), and too little for (0.25, 0.5) at 4 mm/s, which yields 13 mm and would press with
@@ -55,17 +61,24 @@ impl Watcher for Unwatched {
     }
 }
 
+/// Axes of the work along which the tool yields in a pass.
+fn yields(pass: &Pass) -> &'static [u8] {
+    pass.led.map_or(&[0], |led| led.yields)
+}
+
 /// The machine with the force loop of a pass; `None` when the machine has no force control.
-fn controlled(machine: &MachineFile, control: Option<Control>) -> Option<MachineFile> {
+fn controlled(machine: &MachineFile, pass: &Pass) -> Option<MachineFile> {
     let mut machine = machine.clone();
-    if let Some(control) = control {
+    if let Some(control) = pass.control {
         let force = machine.config.force.as_mut()?;
-        let x = force.axes.first_mut()?;
         let scaled = |value: f64| (value * 65_536.0).round() as u32;
-        x.desired = Force((control.desired_n * 65_536.0).round() as i32);
-        x.mass = VirtualMass(scaled(control.mass));
-        x.damping = VirtualDamping(scaled(control.damping));
-        x.limit = Length(LIMIT_MM << 20);
+        for axis in yields(pass) {
+            let axis = force.axes.get_mut(usize::from(*axis))?;
+            axis.desired = Force(scaled(control.desired_n) as i32);
+            axis.mass = VirtualMass(scaled(control.mass));
+            axis.damping = VirtualDamping(scaled(control.damping));
+            axis.limit = Length(LIMIT_MM << 20);
+        }
     }
     Some(machine)
 }
@@ -90,8 +103,12 @@ pub fn carry(
     on: On<'_>,
     interrupted: &Arc<AtomicBool>,
 ) -> Result<Cut, CliError> {
-    let machine = controlled(machine, pass.control)
-        .ok_or_else(|| CliError::new(Exit::Refused, NO_FORCE_CONTROL))?;
+    let machine = match &pass.led {
+        Some(_) => machine.with_hand()?,
+        None => machine.clone(),
+    };
+    let machine =
+        controlled(&machine, pass).ok_or_else(|| CliError::new(Exit::Refused, NO_FORCE_CONTROL))?;
     match on {
         On::Here => {
             let line = SimLine::new(session::rig(&machine, None, None, Vec::new())?);
@@ -168,8 +185,11 @@ fn cut<C: Controlled>(
     if machine.config.force.is_some() {
         session.tare()?;
         if pass.control.is_some() {
-            session.set_force_mask(&[0])?;
+            session.set_force_mask(yields(pass))?;
         }
+    }
+    if let Some(led) = &pass.led {
+        led.set_up(&mut session)?;
     }
 
     let header =
@@ -180,7 +200,17 @@ fn cut<C: Controlled>(
     session
         .line_mut()
         .begin_recording(JobRecording::new(recorder, Arc::new(plan), machine));
-    let end = session.run_job(2, home, setpoints, &mut Unwatched)?;
+    let mut hand = None;
+    let mut pauses = 0;
+    let mut at_pause = |session: &mut Session<SimLine<C>>| {
+        pauses += 1;
+        match (&pass.led, pauses) {
+            (Some(led), 1) => led.begin(session),
+            (Some(led), 2) => led.end(session).map(|course| hand = course),
+            _ => Ok(()),
+        }
+    };
+    let end = session.run_job_with(2, home, setpoints, &mut Unwatched, &mut at_pause)?;
     well_ended(&session, pass, &end)?;
     let recorded = session
         .line_mut()
@@ -203,6 +233,10 @@ fn cut<C: Controlled>(
     let recording =
         Recording::open(&dir.join(report::RECORDING_FILE)).map_err(|error| output(&error))?;
     let course = Course::of(&recording).map_err(|error| output(&error))?;
+    if let Some(course) = &hand {
+        std::fs::write(dir.join(HAND_FILE), course.table(HAND_EVERY))
+            .map_err(|error| output(&error))?;
+    }
     let mut line = session.into_line();
     let cutting = line
         .rig_mut()
@@ -215,6 +249,7 @@ fn cut<C: Controlled>(
         course,
         work: cutting.workpiece().clone(),
         summary,
+        hand,
     })
 }
 

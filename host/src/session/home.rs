@@ -24,12 +24,13 @@ impl Watcher for Unwatched {
     }
 }
 
-/// A straight rapid move between two poses, in axis units.
-fn way(
+/// A straight move between two poses, in axis units: at a feed, mm/min or deg/min, or rapid.
+pub(crate) fn way(
     machine: &MachineFile,
     model: &Model,
     from: &AxisValues,
     to: &AxisValues,
+    feed: Option<f64>,
 ) -> Result<Plan, CliError> {
     let options = program_options(machine, model.to_people(from));
     // Ten decimals: far below an axis unit, so the end is the wanted one to the last bit.
@@ -39,8 +40,12 @@ fn way(
         .zip(model.to_people(to))
         .map(|(axis, value)| format!(" {}{value:.10}", axis.letter))
         .collect();
-    let name = "the way to the home pose";
-    let program = program::read(name, format!("G0{words}\n").as_bytes(), &options)
+    let name = "the way";
+    let block = match feed {
+        Some(feed) => format!("G1 F{feed:.6}{words}\n"),
+        None => format!("G0{words}\n"),
+    };
+    let program = program::read(name, block.as_bytes(), &options)
         .map_err(|refused| CliError::new(Exit::Internal, refused))?;
     Plan::new(&program, &settings(machine), model)
         .map_err(|refused| CliError::new(Exit::Refused, refused))
@@ -58,7 +63,7 @@ impl<L: Line> Session<L> {
     ) -> Result<JobEnd, CliError> {
         self.home()?;
         let here = self.status()?.wanted;
-        let plan = way(machine, &self.model, &here, home)?;
+        let plan = way(machine, &self.model, &here, home, None)?;
         self.run_job(HOME_JOB, here, plan.setpoints, &mut Unwatched)
     }
 }

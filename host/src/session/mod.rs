@@ -7,6 +7,7 @@
 //! machine.
 
 mod force;
+mod hand;
 mod home;
 pub mod interrupt;
 mod job;
@@ -16,6 +17,9 @@ pub mod pil;
 mod sim;
 
 pub use force::{LoopChoice, force_of};
+pub use hand::{HandCourse, HandSample};
+#[cfg(feature = "console")]
+pub(crate) use home::way;
 pub use job::{JobEnd, Sent, Watcher};
 pub use line::{JobLine, Line, PortLine};
 pub use sim::{JobRecording, SimLine, rig, rig_around};

@@ -1,5 +1,6 @@
 //! The built-in simulator as a line: controller, machine and serial line in this process, in virtual time.
 
+use super::hand::{HandCourse, HandRecorder};
 use super::{JobLine, Line};
 use crate::cli::{CliError, Exit};
 use crate::machine::MachineFile;
@@ -25,6 +26,7 @@ pub struct SimLine<C = Controller> {
     /// What happened before there was a recording.
     happened: Vec<(u64, u8, String)>,
     recording: Option<JobRecording>,
+    hand: Option<HandRecorder>,
 }
 
 /// Events that are kept until there is a recording for them.
@@ -100,7 +102,18 @@ impl<C: Control> SimLine<C> {
             tape,
             happened: Vec::new(),
             recording: None,
+            hand: None,
         }
+    }
+
+    /// Looks at hand and tool from now on, a thousand times a second.
+    pub fn begin_hand(&mut self) {
+        self.hand = Some(HandRecorder::default());
+    }
+
+    /// Stops looking, and tells what was seen.
+    pub fn end_hand(&mut self) -> Option<HandCourse> {
+        self.hand.take().map(HandRecorder::into_course)
     }
 
     /// The machine with its controller and its line, to be meddled with.
@@ -157,6 +170,12 @@ impl<C: Control> Line for SimLine<C> {
                 (None, Some(tape)) => tape.add(self.rig.inputs(), self.rig.outputs()),
                 (None, None) => {}
             }
+        }
+        if ticked
+            && let Some(hand) = &mut self.hand
+            && let Some(reading) = self.rig.control().reading(self.rig.inputs())
+        {
+            hand.look(self.rig.plant(), &reading);
         }
         Ok(self.rig.time_ns() / 1000)
     }

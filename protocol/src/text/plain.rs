@@ -118,13 +118,13 @@ impl Command {
             Self::ForceMask { .. } => "force axes",
             Self::ForceLoop { .. } => "force set",
             Self::Tare => "tare",
-            Self::ForceSettings { .. } => "force settings",
             Self::Hand { .. } => "hand",
             Self::Feel { .. } => "feel",
             Self::Reflect(_) => "reflect",
             Self::Wall { .. } => "wall",
             Self::HandScale { .. } => "hand scale",
             Self::HandTelemetry { .. } => "hand telemetry",
+            Self::ForceSettings { .. } => "force settings",
         }
     }
 }

@@ -1,0 +1,54 @@
+//! Bars of characters that every terminal has.
+
+/// A bar from the middle, for a range of parts of full scale (-1 to 1): each cell is filled that the range touches.
+pub(super) fn around_zero(low: f64, high: f64, width: usize) -> String {
+    let half = width / 2;
+    let cell = |index: usize, side: f64| (index as f64 / half.max(1) as f64) * side;
+    let mut bar = String::new();
+    for index in (0..half).rev() {
+        // The cell from -(index + 1) to -index.
+        let (far, near) = (cell(index + 1, -1.0), cell(index, -1.0));
+        bar.push(fill(low.min(0.0), high, far, near));
+    }
+    bar.push('│');
+    for index in 0..half {
+        let (near, far) = (cell(index, 1.0), cell(index + 1, 1.0));
+        bar.push(fill(low, high.max(0.0), near, far));
+    }
+    bar
+}
+
+fn fill(low: f64, high: f64, from: f64, to: f64) -> char {
+    let middle = (from + to) / 2.0;
+    // From zero to the nearer end it is filled as well: a bar begins at zero.
+    let (low, high) = (low.min(0.0), high.max(0.0));
+    if middle >= low && middle <= high {
+        '█'
+    } else {
+        '·'
+    }
+}
+
+/// A bar from the left.
+pub(super) fn from_left(part: f64, width: usize) -> String {
+    let filled = (part.clamp(0.0, 1.0) * width as f64).round() as usize;
+    "█".repeat(filled) + &"·".repeat(width - filled)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bars_begin_at_zero() {
+        assert_eq!(around_zero(0.0, 0.0, 8), "····│····");
+        assert_eq!(around_zero(0.0, 0.5, 8), "····│██··");
+        assert_eq!(around_zero(-1.0, 0.0, 8), "████│····");
+        assert_eq!(around_zero(-0.25, 1.0, 8), "···█│████");
+        assert_eq!(around_zero(-9.0, 9.0, 8), "████│████");
+        assert_eq!(around_zero(0.6, 0.7, 8), "····│███·");
+        assert_eq!(from_left(0.5, 10), "█████·····");
+        assert_eq!(from_left(f64::NAN, 2), "··");
+        assert_eq!(from_left(7.0, 2), "██");
+    }
+}

@@ -1,0 +1,245 @@
+//! The drawing. Knows a [`Shown`] and an area, nothing else.
+//!
+//! From 76 columns and 22 rows on there are all panels; below, the least that is needed to operate: state, what to do next, pose, jog, the last messages.
+//! State, prompt and the keys that are always heard stay in sight whatever is open. Colours only repeat what words say.
+
+mod bars;
+mod overlays;
+mod panels;
+
+use super::shown::{Contact, Shown, Weight};
+use haptimill_protocol::message::{State, Telemetry};
+use ratatui::Frame;
+use ratatui::layout::{Constraint, Layout, Rect};
+use ratatui::style::{Color, Modifier, Style};
+use ratatui::text::{Line, Span};
+use ratatui::widgets::{Paragraph, Wrap};
+
+/// Least size for all panels.
+const FULL: (u16, u16) = (76, 22);
+
+/// A report that is older than this is marked.
+const OLD_MS: u128 = 500;
+
+/// Draws everything.
+pub(super) fn draw(frame: &mut Frame<'_>, shown: &Shown) {
+    let area = frame.area();
+    if area.width == 0 || area.height == 0 {
+        return;
+    }
+    let free = if area.width >= FULL.0 && area.height >= FULL.1 {
+        full(frame, area, shown)
+    } else {
+        compact(frame, area, shown)
+    };
+    overlays::draw(frame, free, shown);
+}
+
+/// All panels. Gives the area in which overlays may lie.
+fn full(frame: &mut Frame<'_>, area: Rect, shown: &Shown) -> Rect {
+    let axes = shown.fixed.pose.len().max(shown.fixed.joints.len()) as u16;
+    let body = (2 * (axes + 1)).max(panels::RIGHT_ROWS);
+    let [status, prompt, body, messages, link, keys] = Layout::vertical([
+        Constraint::Length(1),
+        Constraint::Length(2),
+        Constraint::Length(body),
+        Constraint::Min(2),
+        Constraint::Length(1),
+        Constraint::Length(1),
+    ])
+    .areas(area);
+    frame.render_widget(status_line(shown, status.width), status);
+    frame.render_widget(prompt_text(shown), prompt);
+    let left = (body.width * 9 / 16).clamp(45, 80);
+    let [left, _, right] = Layout::horizontal([
+        Constraint::Length(left),
+        Constraint::Length(1),
+        Constraint::Min(0),
+    ])
+    .areas(body);
+    panels::left(frame, left, shown);
+    panels::right(frame, right, shown);
+    panels::messages(frame, messages, shown);
+    frame.render_widget(panels::link_line(shown), link);
+    frame.render_widget(keys_line(keys.width), keys);
+    let bottom = link.y;
+    Rect {
+        y: prompt.y + prompt.height,
+        height: bottom.saturating_sub(prompt.y + prompt.height),
+        ..area
+    }
+}
+
+/// What fits on a small terminal, the most needed first.
+fn compact(frame: &mut Frame<'_>, area: Rect, shown: &Shown) -> Rect {
+    let row = |from_top: u16| Rect {
+        y: area.y + from_top,
+        height: 1,
+        ..area
+    };
+    frame.render_widget(status_line(shown, area.width), row(0));
+    if area.height == 1 {
+        return row(0);
+    }
+    frame.render_widget(keys_line(area.width), row(area.height - 1));
+    if area.height == 2 {
+        return row(0);
+    }
+    let rows = area.height - 2;
+    let pose = (shown.fixed.pose.len() as u16).min(rows.saturating_sub(1));
+    let rest = rows - pose;
+    // Prompt, jog, messages.
+    let prompt = if rest > 5 { 2 } else { 1 };
+    let mut at = 1;
+    let mut take = |count: u16| {
+        let taken = Rect {
+            y: area.y + at,
+            height: count.min(rows + 1 - at),
+            ..area
+        };
+        at += taken.height;
+        taken
+    };
+    frame.render_widget(prompt_text(shown), take(prompt));
+    panels::pose_rows(frame, take(pose), shown, false);
+    let jog = take(1);
+    if jog.height > 0 {
+        frame.render_widget(panels::jog_line(shown), jog);
+    }
+    let messages = take(rows);
+    if messages.height > 0 {
+        panels::message_rows(frame, messages, shown);
+    }
+    Rect {
+        y: area.y + 1 + prompt,
+        height: rows.saturating_sub(prompt),
+        ..area
+    }
+}
+
+/// How a weight looks.
+fn style_of(weight: Weight) -> Style {
+    match weight {
+        Weight::Note => Style::new().add_modifier(Modifier::BOLD),
+        Weight::Warning => Style::new().fg(Color::Black).bg(Color::Yellow),
+        Weight::Alarm => Style::new()
+            .fg(Color::White)
+            .bg(Color::Red)
+            .add_modifier(Modifier::BOLD),
+    }
+}
+
+/// The state as a word in capitals, and its colour.
+fn state_word(shown: &Shown) -> (String, Style) {
+    let on = |color: Color| {
+        Style::new()
+            .fg(Color::Black)
+            .bg(color)
+            .add_modifier(Modifier::BOLD)
+    };
+    if shown.contact != Contact::Ready {
+        let word = match shown.contact {
+            Contact::Lost(_) => "NO LINK",
+            _ => "CONNECTING",
+        };
+        return (word.to_string(), style_of(Weight::Alarm));
+    }
+    if let Some(stopping) = shown.stopping {
+        return (
+            format!("{} SENT", stopping.to_uppercase()),
+            on(Color::Yellow),
+        );
+    }
+    let Some(telemetry) = &shown.telemetry else {
+        return ("?".to_string(), on(Color::Gray));
+    };
+    match telemetry.state {
+        State::Disabled => ("DISABLED".to_string(), on(Color::Gray)),
+        State::Idle => ("IDLE".to_string(), on(Color::Green)),
+        State::Homing => ("HOMING".to_string(), on(Color::Cyan)),
+        State::Run => ("RUN".to_string(), on(Color::Cyan)),
+        State::Jog => ("JOG".to_string(), on(Color::Cyan)),
+        State::Hold => ("HOLD".to_string(), on(Color::Yellow)),
+        State::Fault => ("FAULT".to_string(), style_of(Weight::Alarm)),
+        State::EmergencyStop => ("EMERGENCY STOP".to_string(), style_of(Weight::Alarm)),
+    }
+}
+
+fn status_line(shown: &Shown, width: u16) -> Paragraph<'static> {
+    let (word, style) = state_word(shown);
+    let flags = match &shown.telemetry {
+        Some(Telemetry {
+            homed: true,
+            position_kept: true,
+            ..
+        }) => "homed",
+        Some(Telemetry { homed: true, .. }) => "position lost",
+        Some(_) => "not homed",
+        None => "",
+    };
+    let mut spans = vec![Span::styled(format!(" {word} "), style)];
+    let mut right = panels::clock(shown.elapsed);
+    if width >= 70 {
+        spans.push(Span::raw(format!(
+            " {flags}  {} on {}",
+            shown.machine, shown.fixed.port
+        )));
+        if let Some((name, rows)) = &shown.recording {
+            right = format!("REC {name} {rows}  {right}");
+        }
+    } else {
+        spans.push(Span::raw(format!(" {flags} ")));
+        if shown.recording.is_some() {
+            right = format!("REC {right}");
+        }
+    }
+    let used: usize = spans.iter().map(Span::width).sum();
+    let gap = usize::from(width).saturating_sub(used + right.chars().count() + 1);
+    spans.push(Span::raw(" ".repeat(gap.max(1))));
+    let style = if shown.recording.is_some() {
+        Style::new().fg(Color::Red).add_modifier(Modifier::BOLD)
+    } else {
+        Style::new()
+    };
+    spans.push(Span::styled(right, style));
+    Paragraph::new(Line::from(spans))
+}
+
+fn prompt_text(shown: &Shown) -> Paragraph<'_> {
+    let (weight, text) = &shown.prompt;
+    Paragraph::new(format!(" {text}"))
+        .style(style_of(*weight))
+        .wrap(Wrap { trim: true })
+}
+
+fn keys_line(width: u16) -> Paragraph<'static> {
+    let keys: &[(&str, &str)] = if width >= 74 {
+        &[
+            ("Space", "hold"),
+            ("Ctrl-R", "resume"),
+            ("Ctrl-X", "stop"),
+            ("Ctrl-E", "emergency"),
+            ("?", "keys"),
+            ("q", "quit"),
+        ]
+    } else {
+        &[
+            ("Spc", "hold"),
+            ("^R", "go"),
+            ("^X", "stop"),
+            ("^E", "EMERG"),
+            ("?", ""),
+        ]
+    };
+    let mut spans = Vec::new();
+    for (key, what) in keys {
+        let style = Style::new().add_modifier(Modifier::REVERSED);
+        spans.push(Span::styled(format!(" {key} "), style));
+        spans.push(Span::raw(if width >= 74 {
+            format!(" {what} ")
+        } else {
+            what.to_string()
+        }));
+    }
+    Paragraph::new(Line::from(spans))
+}

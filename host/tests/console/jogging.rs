@@ -1,0 +1,148 @@
+//! Jogs and steps by keys.
+
+use super::terminal::Keyboard;
+use super::*;
+use machine::Machine;
+use std::time::{Duration, Instant};
+
+/// The wanted coordinate of an axis on the screen, once it stands.
+#[track_caller]
+fn at(terminal: &Terminal, axis: &str) -> f64 {
+    terminal.state("IDLE");
+    // The picture of the state may be older than the end of the motion.
+    std::thread::sleep(Duration::from_millis(120));
+    terminal
+        .number(axis, 1)
+        .unwrap_or_else(|| panic!("no {axis} in\n{}", terminal.text()))
+}
+
+#[test]
+fn every_axis_goes_both_ways_and_ends_with_the_dead_man_time() {
+    let terminal = homed(&[], Keyboard::Plain);
+    for (axis, up, down) in [
+        ("x", RIGHT, LEFT),
+        ("y", UP, DOWN),
+        ("z", PAGE_UP, PAGE_DOWN),
+        ("theta", b".".as_slice(), b",".as_slice()),
+        ("alpha", b"m".as_slice(), b"n".as_slice()),
+    ] {
+        let before = at(&terminal, axis);
+        terminal.keys(up);
+        terminal.state("JOG");
+        let after = at(&terminal, axis);
+        // 5 mm/s for 200 ms.
+        assert!(
+            (after - before - 1.0).abs() < 0.15,
+            "{axis} {before} {after}"
+        );
+        terminal.keys(down);
+        terminal.state("JOG");
+        let back = at(&terminal, axis);
+        assert!((back - after + 1.0).abs() < 0.15, "{axis} {after} {back}");
+    }
+    // A slower rate goes less far.
+    terminal.keys(b"sss");
+    terminal.sees("continuous 0.5 mm/s");
+    let before = at(&terminal, "x");
+    terminal.keys(RIGHT);
+    terminal.state("JOG");
+    let after = at(&terminal, "x");
+    assert!((after - before - 0.1).abs() < 0.02, "{before} {after}");
+}
+
+#[test]
+fn steps_are_exact_and_one_for_each_press() {
+    let terminal = homed(&[], Keyboard::Plain);
+    terminal.keys(b"\t");
+    terminal.sees("step 0.1 mm");
+    let before = at(&terminal, "y");
+    terminal.keys(b"ss");
+    terminal.sees("step 0.001 mm");
+    for _ in 0..3 {
+        terminal.keys(UP);
+        std::thread::sleep(Duration::from_millis(300));
+    }
+    let after = at(&terminal, "y");
+    assert!((after - before - 0.003).abs() < 1e-6, "{before} {after}");
+    terminal.keys(b"ffff");
+    terminal.sees("step 10 mm");
+    terminal.keys(DOWN);
+    terminal.state("RUN");
+    let down = at(&terminal, "y");
+    assert!((down - after + 10.0).abs() < 1e-6, "{after} {down}");
+    // A step ends with the hold key, and nothing of it is left to be resumed.
+    terminal.keys(UP);
+    terminal.state("RUN");
+    terminal.keys(SPACE);
+    let stopped = at(&terminal, "y");
+    assert!(stopped > down && stopped < down + 9.9, "{down} {stopped}");
+    // A tilt goes in steps of degrees.
+    terminal.keys(b"s");
+    terminal.sees("step 1 mm");
+    let tilt = at(&terminal, "theta");
+    terminal.keys(b".");
+    terminal.state("RUN");
+    assert!((at(&terminal, "theta") - tilt - 1.0).abs() < 1e-6);
+}
+
+#[test]
+fn a_held_key_goes_on_and_a_release_ends_it_at_once() {
+    let machine = Machine::start();
+    let terminal = homed(&["--port", &machine.port], Keyboard::Kitty);
+    // The first release tells the console that releases are told.
+    terminal.keys(b"\x1b[1;1:1C");
+    machine.comes_to(haptimill_protocol::message::State::Jog);
+    terminal.keys(b"\x1b[1;1:3C");
+    machine.rests(Duration::from_millis(300));
+    terminal.sees("ends with the key");
+    // Longer than the dead-man time without a repeat, as until keyboards begin to repeat.
+    terminal.keys(b"\x1b[1;1:1C");
+    let begun = Instant::now();
+    std::thread::sleep(Duration::from_millis(450));
+    assert_eq!(machine.now().state, haptimill_protocol::message::State::Jog);
+    for _ in 0..10 {
+        terminal.keys(b"\x1b[1;1:2C");
+        std::thread::sleep(Duration::from_millis(30));
+    }
+    let released = machine.now().wanted;
+    terminal.keys(b"\x1b[1;1:3C");
+    machine.rests(Duration::from_millis(300));
+    let went = machine.now().wanted - released;
+    // 5 mm/s for the way of the release, then 63 ms of braking; without the release it would be 1 mm and more.
+    assert!(
+        went < 0.7 || begun.elapsed() > Duration::from_secs(3),
+        "{went} mm after the release"
+    );
+    // The repeat of a key that was let go by a hold moves nothing.
+    terminal.keys(b"\x1b[1;1:1C");
+    machine.comes_to(haptimill_protocol::message::State::Jog);
+    terminal.keys(SPACE);
+    machine.rests(Duration::from_millis(400));
+    let stopped = machine.now().wanted;
+    for _ in 0..5 {
+        terminal.keys(b"\x1b[1;1:2C");
+        std::thread::sleep(Duration::from_millis(30));
+    }
+    machine.rests(Duration::from_millis(200));
+    assert_eq!(machine.now().wanted, stopped);
+}
+
+#[test]
+fn what_must_not_jog_does_not() {
+    let terminal = console(&[], Keyboard::Plain);
+    terminal.state("DISABLED");
+    terminal.keys(RIGHT);
+    terminal.sees("jog: not possible while the machine is disabled");
+    terminal.keys(b"e");
+    terminal.state("IDLE");
+    terminal.keys(RIGHT);
+    terminal.sees("jog: home the machine first");
+    // A pasted text is no keys, a torn escape sequence neither.
+    terminal.keys(b"\x1b[200~hhh\reee\x1b[201~");
+    terminal.sees("pasted text is not heard as keys");
+    terminal.keys(b"[C");
+    terminal.keys(b"[15~ABCD");
+    std::thread::sleep(Duration::from_millis(200));
+    assert!(terminal.text().contains("continuous 5 mm/s"));
+    assert!(!terminal.text().contains("Home?"), "{}", terminal.text());
+}

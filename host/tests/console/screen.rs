@@ -1,0 +1,57 @@
+//! Sizes of the screen.
+
+use super::terminal::Keyboard;
+use super::*;
+use std::time::Duration;
+
+#[test]
+fn the_screen_follows_the_size_of_the_terminal() {
+    let terminal = homed(&[], Keyboard::Plain);
+    let always = ["IDLE", "hold", "stop"];
+    for (columns, rows) in [
+        (40, 10),
+        (200, 60),
+        (80, 24),
+        (20, 5),
+        (3, 2),
+        (1, 1),
+        (100, 8),
+        (30, 50),
+        (80, 24),
+    ] {
+        terminal.resize(columns, rows);
+        std::thread::sleep(Duration::from_millis(250));
+        if columns >= 40 && rows >= 10 {
+            for word in always {
+                terminal.sees(word);
+            }
+            // Every axis with its numbers.
+            for axis in ["x", "y", "z", "theta", "alpha"] {
+                terminal.waits(axis, |_| terminal.number(axis, 2).is_some());
+            }
+        }
+        if columns >= 80 && rows >= 24 {
+            for panel in [
+                "Position", "Slides", "Force", "Jog", "Program", "Messages", "link ",
+            ] {
+                terminal.sees(panel);
+            }
+            for joint in ["l1", "l2", "l3", "l4"] {
+                assert!(terminal.number(joint, 1).is_some(), "{}", terminal.text());
+            }
+        }
+    }
+    // Still heard after all that; and in an overlay on a screen that is too small for it.
+    terminal.keys(RIGHT);
+    terminal.state("JOG");
+    terminal.state("IDLE");
+    terminal.keys(b"?");
+    terminal.resize(12, 4);
+    std::thread::sleep(Duration::from_millis(250));
+    terminal.resize(80, 24);
+    terminal.sees("Keys: arrows scroll");
+    terminal.keys(DOWN);
+    terminal.keys(PAGE_DOWN);
+    terminal.escape();
+    terminal.waits("closed", |text| !text.contains("Keys: arrows scroll"));
+}
