@@ -7,10 +7,15 @@ use crate::force::{ForceControl, ForceLoop, LoopSettings};
 use crate::io::Inputs;
 use crate::kinematics::{Kinematics, Pose};
 use crate::machinery::Machinery;
-use crate::units::Coordinate;
+use crate::reflection::Haptic;
+use crate::reflection::config::scale_is_sound;
+use crate::reflection::law;
+use crate::reflection::lead::LED;
+use crate::units::{Coordinate, Length, Rate};
 use haptimill_protocol::frame::crc32;
+use haptimill_protocol::haptic::{Hand, Reflection, Wall};
 use haptimill_protocol::message::{
-    AxisValues, Command, ConfigField, ConfigProblem, MAX_AXES, RATE_SHIFT, Refusal, Request,
+    AxisValues, Command, ConfigField, ConfigProblem, Event, MAX_AXES, RATE_SHIFT, Refusal, Request,
     Source, State,
 };
 use haptimill_protocol::setpoint::Setpoint;
@@ -76,7 +81,21 @@ impl Controller {
             }
             Command::ForceMask { mask } => self.set_force_mask(mask),
             Command::ForceLoop { axis, settings } => self.set_force_loop(axis, &settings),
+            Command::ForceSettings { axis } => self.tell_force_settings(axis),
             Command::Tare => self.tare(),
+            Command::Hand {
+                epoch,
+                age_ms,
+                hand,
+            } => self.hear_hand(epoch, age_ms, &hand),
+            Command::Feel { force } => self.haptic().map(|arm| arm.feel_afar(force)),
+            Command::Reflect(settings) => self.set_reflection(&settings),
+            Command::Wall { axis, upper, wall } => self.set_wall(axis, upper, wall),
+            Command::HandScale { scale } => self.set_hand_scale(scale),
+            Command::HandTelemetry { every } => {
+                self.server.set_hand_telemetry(every);
+                Ok(())
+            }
         };
         self.server.answer(request.id, result);
     }
@@ -117,6 +136,7 @@ impl Controller {
             return Err(problem(ConfigField::Period));
         }
         let standing = self.machinery.as_ref().map(Machinery::standing);
+        let hand = self.machinery.as_ref().and_then(Machinery::hand_standing);
         Machinery::install(&mut self.machinery, config, crc, inputs).map_err(Refusal::Config)?;
         let first = !core::mem::replace(&mut self.job.configured, true);
         let machinery = self.machinery.as_mut().ok_or(Refusal::NotConfigured)?;
@@ -126,6 +146,9 @@ impl Controller {
         } else if !standing.is_some_and(|standing| machinery.take_over(&standing, inputs)) {
             self.safety.lose_position();
             self.job.preset_valid = false;
+        }
+        if let (Some(standing), false) = (&hand, at_preset) {
+            machinery.take_over_hand(standing);
         }
         Ok(())
     }
@@ -182,6 +205,11 @@ impl Controller {
         {
             // The tool stays where it yielded to; to go back from there is for whoever has looked at it.
             machinery.absorb();
+        }
+        if let Some(machinery) = &mut self.machinery
+            && let Some(arm) = &mut machinery.hands.arm
+        {
+            arm.reset();
         }
         self.safety.reset();
         Ok(())
@@ -337,14 +365,26 @@ impl Controller {
         Ok(())
     }
 
+    /// To a jog, and from one, only at rest; otherwise also while the coordinate moves.
     fn choose_source(&mut self, axis: u8, source: Source) -> Done {
-        self.in_state(&[State::Idle, State::Hold])?;
+        self.in_state(&[State::Idle, State::Hold, State::Run])?;
         let state = self.safety.state();
         let machinery = self.configured()?;
         if usize::from(axis) >= machinery.axes() {
             return Err(Refusal::Range);
         }
-        if state == State::Hold
+        let follows = machinery.config.follow.is_some() && usize::from(axis) < LED;
+        if source == Source::Master && !follows {
+            return Err(Refusal::NoHand);
+        }
+        machinery.hands.lead.release_one(usize::from(axis));
+        let jogs =
+            source == Source::Jog || machinery.motion.source(usize::from(axis)) == Source::Jog;
+        if jogs && state == State::Run {
+            return Err(Refusal::State(state));
+        }
+        if jogs
+            && state == State::Hold
             && !(machinery.motion.program.is_still() && machinery.motion.jog.is_still())
         {
             return Err(Refusal::State(state));
@@ -358,6 +398,66 @@ impl Controller {
             return Err(Refusal::Range);
         }
         self.configured()?.motion.program.set_override(percent);
+        Ok(())
+    }
+
+    fn haptic(&mut self) -> Result<&mut Haptic, Refusal> {
+        let machinery = self.configured()?;
+        machinery.hands.arm.as_mut().ok_or(Refusal::NoHand)
+    }
+
+    /// Epochs as those of jogs.
+    fn hear_hand(&mut self, epoch: u16, age_ms: u8, hand: &Hand) -> Done {
+        if self.configured()?.config.follow.is_none() {
+            return Err(Refusal::NoHand);
+        }
+        let newest = self.job.hand_epoch;
+        let age = newest.map_or(-1, |newest| newest.wrapping_sub(epoch) as i16);
+        if age > 0 || (age == 0 && self.job.hand_cancelled) {
+            return Err(Refusal::OldEpoch);
+        }
+        self.job.hand_epoch = Some(epoch);
+        self.job.hand_cancelled = false;
+        self.configured()?.hear_hand(hand, age_ms);
+        Ok(())
+    }
+
+    fn set_reflection(&mut self, settings: &Reflection) -> Done {
+        let arm = self.haptic()?;
+        if !law::is_sound(settings) {
+            return Err(Refusal::Range);
+        }
+        arm.set_reflection(settings);
+        Ok(())
+    }
+
+    fn set_wall(&mut self, axis: u8, upper: bool, wall: Option<Wall>) -> Done {
+        let arm = self.haptic()?;
+        let wall = match wall {
+            None => None,
+            Some(Wall { at, rate }) => {
+                let rate = rate.checked_mul(1 << RATE_SHIFT).ok_or(Refusal::Range)?;
+                Some((at.map(Length), Rate(rate)))
+            }
+        };
+        if usize::from(axis) >= COMPONENTS {
+            return Err(Refusal::Range);
+        }
+        arm.set_wall(usize::from(axis), upper, wall)
+            .map_err(|_| Refusal::WallTooNear)
+    }
+
+    /// The tool does not jump: hand and tool are latched anew.
+    fn set_hand_scale(&mut self, scale: u16) -> Done {
+        let machinery = self.configured()?;
+        if machinery.config.follow.is_none() {
+            return Err(Refusal::NoHand);
+        }
+        if !scale_is_sound(scale) {
+            return Err(Refusal::Range);
+        }
+        let frame = machinery.hand();
+        machinery.hands.lead.set_scale(scale, frame.as_ref());
         Ok(())
     }
 
@@ -385,6 +485,13 @@ impl Controller {
         self.force()?
             .set(usize::from(axis), &LoopSettings::from(settings))
             .map_err(|refusal| Refusal::Force { axis, refusal })
+    }
+
+    fn tell_force_settings(&mut self, axis: u8) -> Done {
+        let settings = self.force()?.settings(usize::from(axis));
+        let settings = settings.map(ForceLoop::from).ok_or(Refusal::Range)?;
+        self.safety.tell(Event::ForceSettings { axis, settings });
+        Ok(())
     }
 
     /// Only at rest, with the spindle off (it is, in these states), and where the tool does not lean on anything.

@@ -6,6 +6,7 @@
 mod check;
 
 use crate::force::ForceConfig;
+use crate::reflection::config::{FollowConfig, HapticConfig};
 use crate::units::{Acceleration, Coordinate, Effort, Gain, Length, Rate};
 use haptimill_protocol::message::MAX_AXES;
 use heapless::{String, Vec};
@@ -32,6 +33,10 @@ pub struct Config {
     pub homing: Homing,
     /// Force sensor and force control, if the machine has them.
     pub force: Option<ForceConfig>,
+    /// How the tool follows a hand, if one can lead it.
+    pub follow: Option<FollowConfig>,
+    /// The haptic arm, if there is one.
+    pub haptic: Option<HapticConfig>,
 }
 
 /// Which geometry, and its lengths.
@@ -39,6 +44,8 @@ pub struct Config {
 pub enum Model {
     /// The hybrid H-4 arm with its rotary table.
     H4(H4Geometry),
+    /// No machine: a haptic arm alone, which leads one afar.
+    None,
 }
 
 /// Lengths of the H-4 arm (spec h4-milling.md 2.5-2.6), 2^-20 mm.

@@ -1,7 +1,7 @@
 //! The controller: one function, one control period, one corridor.
 //!
 //! ```text
-//! hear -> sense -> decide -> yield -> place -> drive -> tell -> gate
+//! hear -> sense -> decide -> yield -> place -> drive -> feel -> tell -> gate
 //! ```
 //!
 //! Data goes down it once; nothing reaches back up except what is measured in the next period. What each command does is in `command.rs`,
@@ -59,6 +59,8 @@ impl Controller {
         probe.ended(Stage::Place);
         self.drive(outputs);
         probe.ended(Stage::Drive);
+        self.feel(outputs);
+        probe.ended(Stage::Feel);
         self.tell(inputs, outputs);
         probe.ended(Stage::Tell);
         if !self.safety.drives_on() {
@@ -139,6 +141,13 @@ impl Controller {
         }
     }
 
+    fn feel(&mut self, outputs: &mut Outputs) {
+        let powered = self.safety.drives_on() && self.safety.state() != State::Fault;
+        if let Some(machinery) = &mut self.machinery {
+            machinery.feel(powered, &mut outputs.haptic);
+        }
+    }
+
     fn tell(&mut self, inputs: &Inputs, outputs: &mut Outputs) {
         self.server.tell(
             inputs.period,
@@ -149,6 +158,13 @@ impl Controller {
         if self.server.telemetry_due() {
             let telemetry = self.telemetry(inputs);
             self.server.send_telemetry(telemetry);
+        } else if self.server.hand_due() {
+            let arm = self
+                .machinery
+                .as_ref()
+                .and_then(|machinery| machinery.hands.arm.as_ref());
+            self.server
+                .send_hand(arm.map(|arm| arm.telemetry(inputs.period)));
         }
     }
 

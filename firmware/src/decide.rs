@@ -3,6 +3,7 @@
 use crate::controller::Controller;
 use crate::force::conditioning::is_force;
 use crate::io::{AxisInputs, Inputs};
+use crate::machinery::hand::Leading;
 use crate::motion::Mode;
 use crate::motion::program::Progress;
 use crate::safety::homing::Outcome;
@@ -34,6 +35,10 @@ pub struct Job {
     pub jog_epoch: Option<u16>,
     /// The newest epoch takes no more jogs.
     pub jog_cancelled: bool,
+    /// The newest epoch of a hand afar, and whether it takes no more.
+    pub hand_epoch: Option<u16>,
+    /// That one takes no more words of the hand.
+    pub hand_cancelled: bool,
     /// A new session has begun, and the machine has not been at rest since.
     pub new_session: bool,
     /// An urgent stop overtook what the host had said before; nothing of that may set the machine going again.
@@ -88,8 +93,13 @@ impl Controller {
         if self.server.session_begun() {
             self.job.jog_epoch = None;
             self.job.jog_cancelled = false;
+            self.job.hand_epoch = None;
+            self.job.hand_cancelled = false;
             self.job.overtaken = false;
             self.job.new_session = true;
+            if let Some(machinery) = &mut self.machinery {
+                machinery.hands.afar.forget();
+            }
         }
         if self.job.new_session && !self.safety.active() {
             self.job.new_session = false;
@@ -125,6 +135,14 @@ impl Controller {
                 Ok(()) => Event::Tared,
                 Err(refusal) => Event::TareRefused(refusal),
             });
+        }
+        if let Some(problem) = machinery.take_hand_problem() {
+            let led = self.safety.drives_on() && machinery.depends_on_hand();
+            if led {
+                self.safety.raise(Fault::Hand(problem));
+            } else {
+                self.safety.tell(Event::Hand(problem));
+            }
         }
         if !self.safety.drives_on() {
             return;
@@ -189,8 +207,10 @@ impl Controller {
     /// Brakes jogs. What is under way of their epoch must not set the machine going again.
     fn end_jogs(&mut self) {
         self.job.jog_cancelled = true;
+        self.job.hand_cancelled = true;
         if let Some(machinery) = &mut self.machinery {
             machinery.motion.jog.release();
+            machinery.hands.afar.forget();
         }
     }
 
@@ -199,6 +219,7 @@ impl Controller {
         if self.safety.pending().is_some() && !self.job.stopping {
             self.give_up();
         }
+        self.lead();
         let state = self.safety.state();
         let Some(machinery) = &mut self.machinery else {
             return;
@@ -216,11 +237,28 @@ impl Controller {
             machinery.motion.jog.release();
             self.safety.tell(Event::JogLimited { axis });
         }
+        if let Some(axis) = machinery.motion.take_limited() {
+            self.safety.tell(Event::HandLimited { axis });
+        }
         match state {
             State::Run | State::Hold => self.follow_program(state, &progress),
             State::Jog if machinery.motion.jog.is_still() => self.come_to_rest(),
             State::Homing => self.follow_homing(inputs, limited.is_some()),
             _ => {}
+        }
+    }
+
+    /// A hand leads in a job that runs. When nothing new is heard of it the job holds.
+    fn lead(&mut self) {
+        let running = self.safety.state() == State::Run && !self.job.stopping;
+        let Some(machinery) = &mut self.machinery else {
+            return;
+        };
+        if !running {
+            machinery.release_hand();
+        } else if let Leading::Lost(age_ms) = machinery.lead() {
+            self.safety.tell(Event::HandLost { age_ms });
+            self.hold();
         }
     }
 
@@ -257,7 +295,8 @@ impl Controller {
             self.safety.tell(Event::Paused { setpoint });
             self.safety.enter(State::Hold);
         }
-        let still = machinery.motion.program.is_still() && machinery.motion.jog.is_still();
+        let motion = &machinery.motion;
+        let still = motion.program.is_still() && motion.jog.is_still() && motion.movers_still();
         if progress.finished && still {
             let setpoints = machinery.motion.program.reached();
             if let Some(job) = self.job.number.take() {

@@ -96,6 +96,8 @@ pub struct Inputs {
     pub axes: [AxisInputs; MAX_AXES],
     /// The force sensor; nothing changes on a machine without.
     pub force: ForceSample,
+    /// The haptic arm; nothing changes on a machine without.
+    pub haptic: HapticInputs,
     /// Emergency stop circuit is open.
     pub emergency_stop: bool,
     /// Bytes from the host, oldest first.
@@ -143,6 +145,8 @@ pub enum DriveCommand {
 pub struct Outputs {
     /// The joints; [`DriveCommand::Off`] disables the drive.
     pub axes: [DriveCommand; MAX_AXES],
+    /// The haptic arm's amplifiers.
+    pub haptic: HapticOutputs,
     /// Spindle speed in rev/min: clockwise above 0, counter-clockwise below, 0 is off.
     pub spindle_rpm: i16,
     /// Bytes to the host.
@@ -150,9 +154,10 @@ pub struct Outputs {
 }
 
 impl Outputs {
-    /// The safe state: drives and spindle off. Bytes to the host still go out.
+    /// The safe state: drives, haptic arm and spindle off. Bytes to the host still go out.
     pub fn make_safe(&mut self) {
         self.axes = [DriveCommand::Off; MAX_AXES];
+        self.haptic = HapticOutputs::default();
         self.spindle_rpm = 0;
     }
 }

@@ -20,22 +20,25 @@
 //!
 //! Misuse: a frame has no place for what is longer than a period; whoever skips a frame is out of step for good.
 
-use crate::io::{AxisInputs, DriveCommand, ForceSample, Inputs, Outputs, StepSegment};
+use crate::io::{
+    AxisInputs, DriveCommand, ForceSample, HapticInputs, HapticOutputs, Inputs, LegInputs, Outputs,
+    StepSegment,
+};
 use crate::probe::{STAGES, Stage};
 use crate::reading::Reading;
 use haptimill_protocol::message::State;
 
 /// Words of a frame to the board.
-const TO_BOARD_WORDS: usize = 40;
+const TO_BOARD_WORDS: usize = 56;
 /// Words of a frame from the board.
-const FROM_BOARD_WORDS: usize = 88;
+const FROM_BOARD_WORDS: usize = 93;
 /// Bytes of a frame to the board.
 pub const TO_BOARD_BYTES: usize = 4 * TO_BOARD_WORDS;
 /// Bytes of a frame from the board.
 pub const FROM_BOARD_BYTES: usize = 4 * FROM_BOARD_WORDS;
 
 /// Grows whenever a frame changes.
-const VERSION: u32 = 4;
+const VERSION: u32 = 5;
 
 /// What the simulator says.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -150,6 +153,17 @@ impl ToBoard {
     /// The frame.
     #[must_use]
     pub fn encode(&self) -> [u8; TO_BOARD_BYTES] {
+        self.words().into_bytes()
+    }
+
+    /// The frame without its check; see [`seal`].
+    #[must_use]
+    pub fn encode_unsealed(&self) -> [u8; TO_BOARD_BYTES] {
+        self.words().into_unsealed()
+    }
+
+    #[inline(always)]
+    fn words(&self) -> Words<TO_BOARD_WORDS> {
         let mut words = Words::<TO_BOARD_WORDS>::new();
         match self {
             Self::Begin { period_us } => {
@@ -164,13 +178,14 @@ impl ToBoard {
                 words.put(*arrived);
                 words.put(u32::from(inputs.emergency_stop));
                 put_force(&mut words, &inputs.force);
+                put_hand(&mut words, &inputs.haptic);
                 for axis in &inputs.axes {
                     put_axis(&mut words, axis);
                 }
             }
             Self::End => words.begin(3),
         }
-        words.into_bytes()
+        words
     }
 
     /// What a frame says.
@@ -197,6 +212,7 @@ impl ToBoard {
                 let arrived = words.take();
                 inputs.emergency_stop = words.take() & 1 != 0;
                 inputs.force = take_force(&mut words);
+                inputs.haptic = take_hand(&mut words);
                 for axis in &mut inputs.axes {
                     *axis = take_axis(&mut words);
                 }
@@ -214,6 +230,17 @@ impl FromBoard {
     #[cold]
     #[inline(never)]
     pub fn encode(&self) -> [u8; FROM_BOARD_BYTES] {
+        self.words().into_bytes()
+    }
+
+    /// The frame without its check; see [`seal`].
+    #[must_use]
+    pub fn encode_unsealed(&self) -> [u8; FROM_BOARD_BYTES] {
+        self.words().into_unsealed()
+    }
+
+    #[inline(always)]
+    fn words(&self) -> Words<FROM_BOARD_WORDS> {
         let mut words = Words::<FROM_BOARD_WORDS>::new();
         match self {
             Self::Hello => words.begin(1),
@@ -230,7 +257,7 @@ impl FromBoard {
                 words.put(*ring_peak);
             }
         }
-        words.into_bytes()
+        words
     }
 
     /// What a frame says.
@@ -264,6 +291,55 @@ fn take_force(words: &mut Words<TO_BOARD_WORDS>) -> ForceSample {
         conversions: (rest >> 16) as u8,
         overload: rest >> 24 & 1 != 0,
     }
+}
+
+fn put_hand(words: &mut Words<TO_BOARD_WORDS>, hand: &HapticInputs) {
+    words.put(u32::from(hand.engaged) | u32::from(hand.drives_ready) << 1);
+    for leg in &hand.legs {
+        leg.counts
+            .iter()
+            .for_each(|&counts| words.put(counts as u32));
+        let [first, second, third] = leg.illegal.map(u32::from);
+        words.put(first | second << 16);
+        words.put(third);
+    }
+}
+
+fn take_hand(words: &mut Words<TO_BOARD_WORDS>) -> HapticInputs {
+    let bits = words.take();
+    let mut hand = HapticInputs {
+        engaged: bits & 1 != 0,
+        drives_ready: bits & 2 != 0,
+        ..HapticInputs::default()
+    };
+    for leg in &mut hand.legs {
+        let counts = [words.take(), words.take(), words.take()].map(|word| word as i32);
+        let (pair, third) = (words.take(), words.take());
+        *leg = LegInputs {
+            counts,
+            illegal: [pair as u16, (pair >> 16) as u16, third as u16],
+        };
+    }
+    hand
+}
+
+fn put_currents(words: &mut Words<FROM_BOARD_WORDS>, hand: &HapticOutputs) {
+    words.put(u32::from(hand.enabled));
+    for [force, torque] in hand.currents {
+        words.put(u32::from(force as u16) | u32::from(torque as u16) << 16);
+    }
+}
+
+fn take_currents(words: &mut Words<FROM_BOARD_WORDS>) -> HapticOutputs {
+    let mut hand = HapticOutputs {
+        enabled: words.take() & 1 != 0,
+        ..HapticOutputs::default()
+    };
+    for leg in &mut hand.currents {
+        let pair = words.take();
+        *leg = [pair as i16, (pair >> 16) as i16];
+    }
+    hand
 }
 
 fn put_axis(words: &mut Words<TO_BOARD_WORDS>, axis: &AxisInputs) {
@@ -312,6 +388,7 @@ fn put_done(words: &mut Words<FROM_BOARD_WORDS>, done: &Done) {
         words.put(kind);
         row.into_iter().for_each(|word| words.put(word));
     }
+    put_currents(words, &done.outputs.haptic);
     words.put(u32::from(done.outputs.spindle_rpm as u16) | u32::from(done.said) << 16);
     let heard = &done.heard;
     words.put(u32::from(heard.received) | u32::from(heard.waiting) << 16);
@@ -321,10 +398,7 @@ fn put_done(words: &mut Words<FROM_BOARD_WORDS>, done: &Done) {
         words.put(0);
         return;
     };
-    let state = STATES
-        .iter()
-        .position(|&state| state == reading.state)
-        .unwrap_or(0) as u32;
+    let state = u32::from(reading.state.number());
     let flags = u32::from(reading.homed)
         | u32::from(reading.position_kept) << 1
         | u32::from(reading.fault) << 2
@@ -369,6 +443,7 @@ fn take_done(words: &mut Words<FROM_BOARD_WORDS>) -> Result<Done, FrameError> {
             _ => return Err(FrameError::Content),
         };
     }
+    done.outputs.haptic = take_currents(words);
     let pair = words.take();
     done.outputs.spindle_rpm = pair as i16;
     done.said = (pair >> 16) as u16;
@@ -386,7 +461,7 @@ fn take_done(words: &mut Words<FROM_BOARD_WORDS>) -> Result<Done, FrameError> {
     if head & 1 == 0 {
         return Ok(done);
     }
-    let state = STATES.get((head >> 8 & 0xFF) as usize);
+    let state = State::ALL.get((head >> 8 & 0xFF) as usize);
     let mut reading = Reading {
         state: *state.ok_or(FrameError::Content)?,
         homed: head >> 16 & 1 != 0,
@@ -421,17 +496,6 @@ fn take_done(words: &mut Words<FROM_BOARD_WORDS>) -> Result<Done, FrameError> {
     Ok(done)
 }
 
-const STATES: [State; 8] = [
-    State::Disabled,
-    State::Idle,
-    State::Homing,
-    State::Run,
-    State::Jog,
-    State::Hold,
-    State::Fault,
-    State::EmergencyStop,
-];
-
 /// The stages in the order in which [`Done::stages`] has them.
 pub const STAGE_ORDER: [Stage; STAGES] = [
     Stage::Hear,
@@ -440,9 +504,26 @@ pub const STAGE_ORDER: [Stage; STAGES] = [
     Stage::Yield,
     Stage::Place,
     Stage::Drive,
+    Stage::Feel,
     Stage::Tell,
     Stage::Gate,
 ];
+
+/// FNV-1a over words.
+fn check(words: impl Iterator<Item = u32>) -> u32 {
+    words.fold(0x811C_9DC5, |hash, word| {
+        (hash ^ word).wrapping_mul(0x0100_0193)
+    })
+}
+
+/// Puts the check, which is the last word, into a frame whose other words are there: for those who keep frames without it, as recordings do.
+pub fn seal(frame: &mut [u8]) {
+    let (words, _) = frame.as_chunks_mut::<4>();
+    if let Some((last, words)) = words.split_last_mut() {
+        let sum = check(words.iter().map(|word| u32::from_le_bytes(*word)));
+        *last = sum.to_le_bytes();
+    }
+}
 
 /// A frame while it is written or read. Both directions visit the same words; beyond the end nothing is written and zeros are read.
 struct Words<const N: usize> {
@@ -488,14 +569,16 @@ impl<const N: usize> Words<N> {
     }
 
     fn check(&self) -> u32 {
-        self.words[..N - 1].iter().fold(0x811C_9DC5, |hash, word| {
-            (hash ^ word).wrapping_mul(0x0100_0193)
-        })
+        check(self.words[..N - 1].iter().copied())
     }
 
     fn into_bytes<const B: usize>(mut self) -> [u8; B] {
-        const { assert!(B == 4 * N) };
         self.words[N - 1] = self.check();
+        self.into_unsealed()
+    }
+
+    fn into_unsealed<const B: usize>(self) -> [u8; B] {
+        const { assert!(B == 4 * N) };
         let mut bytes = [0; B];
         for (cell, word) in bytes.as_chunks_mut::<4>().0.iter_mut().zip(self.words) {
             *cell = word.to_le_bytes();

@@ -1,5 +1,6 @@
-//! The parts that a configuration makes: geometry, joints, motion, force control; and the stages that are theirs.
+//! The parts that a configuration makes: geometry, joints, motion, force control, haptic arm; and the stages that are theirs.
 
+pub mod hand;
 mod yielding;
 
 use crate::config::{AxisKind, Config, JointAxis};
@@ -14,15 +15,19 @@ use crate::safety::homing::Homing;
 use crate::safety::integrity::{Constants, Digest};
 use crate::safety::supervise::{Seen, Watch};
 use crate::units::Coordinate;
+use hand::Hands;
 use haptimill_protocol::message::{AxisValues, ConfigField, ConfigProblem, Fault, MAX_AXES};
 use heapless::Vec;
 
 /// Parts in which the configuration, and what was worked out from it, is checked against its digest: geometry and bounds, motion, then each axis of
-/// the pose and each joint, then the force sensor and each axis of force control.
+/// the pose and each joint, then the haptic arm, then the force sensor and each axis of force control.
 const PARTS: usize = FORCE_PART + 1 + COMPONENTS;
 
+/// The part of the haptic arm.
+const HAND_PART: usize = 2 + 2 * MAX_AXES;
+
 /// The part of the force sensor.
-const FORCE_PART: usize = 2 + 2 * MAX_AXES;
+const FORCE_PART: usize = HAND_PART + 1;
 
 /// Where each joint stands, and what its counts mean.
 pub type Standing = Vec<(Meaning, Coordinate), MAX_AXES>;
@@ -71,6 +76,8 @@ pub struct Machinery {
     pub homing: Homing,
     /// Force sensor and force control, on a machine that has them.
     pub force: Option<ForceControl>,
+    /// The haptic arm, and the hands that lead.
+    pub hands: Hands,
     /// p_r on a machine with force control: what is placed. Without it that is what is wanted.
     reference: Wanted,
     /// Periods for which a component that could not yield any further is still taken for one.
@@ -95,7 +102,7 @@ impl Machinery {
         let joints = Self::joints_of(&config, inputs)?;
         let design = Self::force_of(&config)?;
         let mut machinery = Self::bare(config, crc);
-        machinery.set_up(joints, design);
+        machinery.set_up(joints, design, inputs);
         Ok(machinery)
     }
 
@@ -116,7 +123,7 @@ impl Machinery {
         let design = Self::force_of(&config)?;
         *slot = Some(Self::bare(config, crc));
         if let Some(machinery) = slot {
-            machinery.set_up(joints, design);
+            machinery.set_up(joints, design, inputs);
         }
         Ok(())
     }
@@ -151,6 +158,7 @@ impl Machinery {
             motion: Motion::default(),
             homing: Homing::default(),
             force: None,
+            hands: Hands::default(),
             reference: Wanted::default(),
             limited: [0; COMPONENTS],
             newly_limited: 0,
@@ -168,9 +176,15 @@ impl Machinery {
 
     #[cold]
     #[inline(never)]
-    fn set_up(&mut self, joints: Vec<JointDrive, MAX_AXES>, design: Option<Design>) {
+    fn set_up(
+        &mut self,
+        joints: Vec<JointDrive, MAX_AXES>,
+        design: Option<Design>,
+        inputs: &Inputs,
+    ) {
         self.joints = joints;
         self.set_up_force(design);
+        self.set_up_hand(&inputs.haptic);
         self.motion.set_up(&self.config);
         for part in 0..PARTS {
             self.digests[part] = self.digest(part);
@@ -214,6 +228,7 @@ impl Machinery {
             *measured = joint.sense(inputs, time_ns).coordinate;
         }
         self.measured_pose = self.machine.forward(&self.measured).ok();
+        self.sense_hand(&inputs.haptic);
     }
 
     fn remember_measured(&mut self) {
@@ -400,6 +415,7 @@ impl Machinery {
                 digest.add(&(config.period_us, self.crc));
             }
             1 => self.motion.digest(&mut digest),
+            HAND_PART => self.digest_hand(&mut digest),
             FORCE_PART.. => self.digest_force(part - FORCE_PART, &mut digest),
             _ if part.is_multiple_of(2) => digest.add(&config.pose.get(part / 2 - 1)),
             _ => {

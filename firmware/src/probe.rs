@@ -16,6 +16,8 @@ pub enum Stage {
     Place,
     /// Position loops, pulses.
     Drive,
+    /// What the hand shall feel.
+    Feel,
     /// Telemetry and answers.
     Tell,
     /// Safe outputs where anything went wrong.
@@ -23,7 +25,7 @@ pub enum Stage {
 }
 
 /// How many stages there are.
-pub const STAGES: usize = 8;
+pub const STAGES: usize = 9;
 
 /// Sees each stage end; costs nothing when empty.
 pub trait Probe {

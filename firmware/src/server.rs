@@ -6,6 +6,7 @@
 
 use crate::io::{Inputs, TRANSMIT_BYTES};
 use crate::safety::Safety;
+use haptimill_protocol::haptic::HandTelemetry;
 use haptimill_protocol::link::{ControllerLink, Identity, SHORT_REPORT, Timing};
 use haptimill_protocol::message::{AxisValues, ConfigChunk, Refusal, Report, Request, Telemetry};
 use haptimill_protocol::setpoint::{BatchReader, Setpoint, SetpointCoder};
@@ -64,6 +65,10 @@ pub struct Server {
     answers: Deque<Report, ANSWERS>,
     every: u16,
     until_telemetry: u16,
+    /// Telemetry of the hand, likewise.
+    hand_every: u16,
+    until_hand: u16,
+    hand_waits: bool,
     deferred: u32,
     lost: u32,
     /// The board's own count of lost bytes in the period before.
@@ -101,6 +106,9 @@ impl Server {
             answers: Deque::new(),
             every: 0,
             until_telemetry: 0,
+            hand_every: 0,
+            until_hand: 0,
+            hand_waits: false,
             deferred: 0,
             lost: 0,
             lost_before: 0,
@@ -216,6 +224,9 @@ impl Server {
         self.answers.clear();
         self.staged.clear();
         self.every = 0;
+        self.hand_every = 0;
+        self.until_hand = 0;
+        self.hand_waits = false;
     }
 
     /// A job begins at `pose`.
@@ -264,6 +275,12 @@ impl Server {
     pub fn set_telemetry(&mut self, every: u16) {
         self.every = every;
         self.until_telemetry = every;
+    }
+
+    /// Telemetry of the hand every so many periods.
+    pub fn set_hand_telemetry(&mut self, every: u16) {
+        self.hand_every = every;
+        self.until_hand = every;
     }
 
     /// Telemetry in this period.
@@ -342,6 +359,26 @@ impl Server {
         }
         // A period that had much to do leaves it to the next one.
         self.telemetry_waits && self.claim()
+    }
+
+    /// The same for telemetry of the hand; after the other one, and never in place of what still waits.
+    pub fn hand_due(&mut self) -> bool {
+        if self.until_hand != 0 {
+            self.until_hand -= 1;
+            if self.until_hand == 0 {
+                self.until_hand = self.hand_every;
+                self.hand_waits = true;
+            }
+        }
+        self.hand_waits && !self.link.latest_waits() && self.claim()
+    }
+
+    /// Sends telemetry of the hand, if there is an arm.
+    pub fn send_hand(&mut self, telemetry: Option<HandTelemetry>) {
+        self.hand_waits = false;
+        if let Some(telemetry) = telemetry {
+            let _ = self.link.send_latest(&Report::Hand(telemetry));
+        }
     }
 
     /// Sends telemetry.

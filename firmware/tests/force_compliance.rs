@@ -114,13 +114,14 @@ proptest! {
             let end = drive / kv;
             let off = rate - end;
             let landing = -(away / 64.0).min(50.0 * time);
-            let step = (end * time + off * ka / kv * fade).clamp(landing, 50.0 * time);
-            rate = (rate - off * fade).clamp(landing / time, 50.0);
+            let stopping = ((10.0 - away) / 64.0).min(50.0 * time);
+            let step = (end * time + off * ka / kv * fade).clamp(landing, stopping);
+            rate = (rate - off * fade).clamp(landing / time, stopping / time);
             away += step;
             path += step.abs();
-            if away > 10.0 { away = 10.0; rate = rate.min(0.0); }
+            if away > 10.0 - 1.0 / MM && drive > 0.0 { away = 10.0; rate = rate.min(0.0); }
             if away < 1.0 / MM && rate <= 0.0 { away = 0.0; rate = 0.0; }
-            // Where the two leave 0 or land one period apart, they differ by 2^-20 mm at most.
+            // Where the two leave 0, land or reach the limit one period apart, they differ by 2^-20 mm at most.
             let bound = f64::from(k + 1) * f64::exp2(-37.0) + path * f64::exp2(-28.0) + 2.0 / MM;
             prop_assert!((millimetres(fixed.displacement) - side * away).abs() <= bound, "{k}: {} {}", millimetres(fixed.displacement), side * away);
             prop_assert!((f64::from(fixed.rate.0) / MM - side * rate).abs() <= 0.002 + 1e-6 * rate.abs(), "{k}: {} {}", f64::from(fixed.rate.0) / MM, rate);

@@ -287,7 +287,8 @@ fn a_steady_push_costs_what_the_equation_says() {
         }
     }
 }
-/// The mean force over all stiffnesses. A tool that sits on whole counts alone goes to and fro between two of them, and the peak holds the higher one for a revolution longer: it may be 0.4 N off.
+/// The mean force over all stiffnesses. What the loop holds is the peak of a revolution. A tool that sits on whole counts alone goes to and fro between two of them (1.1 N apart at 879 N/mm), and the peak shows the
+/// higher one for a revolution longer than it is there: the mean of the peak is f_d, that of the force is below it. An arm behind a servo does not sit on counts.
 #[test]
 fn the_mean_is_the_desired_force() {
     for (drive, count, most) in [
@@ -296,7 +297,7 @@ fn the_mean_is_the_desired_force() {
         (Drive::Lag { omega: 200.0 }, COUNT, 0.25),
         (Drive::Rigid, COUNT, 0.4),
     ] {
-        let (mut stiffness, mut worst) = (50.0, (0.0f64, 0.0));
+        let (mut stiffness, mut worst, mut worst_peak) = (50.0, (0.0f64, 0.0), 0.0f64);
         while stiffness < 1000.0 {
             let contact = Contact {
                 drive,
@@ -313,12 +314,14 @@ fn the_mean_is_the_desired_force() {
             if off > worst.0 {
                 worst = (off, stiffness);
             }
+            worst_peak = worst_peak.max((outcome.mean_peak - DESIRED).abs());
             stiffness *= 1.03;
         }
         println!(
-            "{drive:?}, counts {count} mm: |mean - f_d| at most {:.3} N, at {:.0} N/mm",
+            "{drive:?}, counts {count} mm: |mean - f_d| at most {:.3} N, at {:.0} N/mm; of the peak {worst_peak:.3} N",
             worst.0, worst.1
         );
         assert!(worst.0 <= most, "{drive:?} {worst:?}");
+        assert!(worst_peak <= 0.25, "{drive:?} {worst_peak}");
     }
 }

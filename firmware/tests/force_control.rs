@@ -43,6 +43,7 @@ fn config(sign: f64, loops: &LoopSettings) -> ForceConfig {
         axes: [loops.clone(), loops.clone(), loops.clone()],
         mask: 1,
         drive_lag_us: 5000,
+        creep: Rate::ZERO,
         slowest_rpm: 4000,
     }
 }

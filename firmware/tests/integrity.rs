@@ -4,18 +4,57 @@ mod reference;
 
 use haptimill_firmware::config::{Config, JointAxis, Model};
 use haptimill_firmware::drive::{JointDrive, Wanted};
+use haptimill_firmware::force::conditioning::{Channel, Sensor};
+use haptimill_firmware::force::{ForceConfig, ForceControl, Gate, LoopSettings};
 use haptimill_firmware::io::{AxisInputs, Inputs};
 use haptimill_firmware::kinematics::machine::Machine;
 use haptimill_firmware::machinery::Machinery;
 use haptimill_firmware::motion::jog::Jog;
 use haptimill_firmware::motion::program::Program;
 use haptimill_firmware::safety::integrity::{Constants, Digest};
-use haptimill_firmware::units::{Coordinate, Rate};
+use haptimill_firmware::units::force::{Force, VirtualDamping, VirtualMass};
+use haptimill_firmware::units::{Coordinate, Length, Rate};
 use reference::h4;
+
+/// The arm with a force sensor.
+fn forced() -> Config {
+    let channel = || Channel {
+        per_code: -52_428_800,
+        saturation: 7782,
+    };
+    let axis = || LoopSettings {
+        desired: Force::millinewtons(5000),
+        mass: VirtualMass(1 << 16),
+        damping: VirtualDamping(5 << 16),
+        limit: Length::millimetres(10),
+        rate: Rate(20 << 20),
+        gate: Gate::AgainstMotion,
+    };
+    Config {
+        force: Some(ForceConfig {
+            sensor: Sensor {
+                channels: [channel(), channel(), channel()],
+                silent_samples: 10,
+                stuck_samples: 500,
+                drift: Force::millinewtons(1500),
+                limit: Force::millinewtons(80_000),
+                tare_samples: 1000,
+                tare_spread: 60,
+                weight: Force::millinewtons(29_420),
+            },
+            axes: [axis(), axis(), axis()],
+            mask: 5,
+            drive_lag_us: 5000,
+            creep: Rate(26_214),
+            slowest_rpm: 4000,
+        }),
+        ..h4()
+    }
+}
 
 /// Rounds of the check until a change is seen; the whole configuration takes one for each part.
 fn rounds_until_seen(change: impl FnOnce(&mut Machinery)) -> Option<usize> {
-    let mut machinery = Machinery::new(h4(), 0, &Inputs::default()).expect("sound");
+    let mut machinery = Machinery::new(forced(), 0, &Inputs::default()).expect("sound");
     assert!((0..40).all(|_| machinery.configuration_intact()));
     change(&mut machinery);
     (0..40).find(|_| !machinery.configuration_intact())
@@ -25,7 +64,7 @@ fn rounds_until_seen(change: impl FnOnce(&mut Machinery)) -> Option<usize> {
 fn a_flipped_bit_in_any_part_of_the_configuration_is_seen() {
     // Bit by bit through the encoding: whatever still decodes is a configuration that differs in one place.
     let mut buffer = [0; 1024];
-    let bytes = postcard::to_slice(&h4(), &mut buffer)
+    let bytes = postcard::to_slice(&forced(), &mut buffer)
         .expect("encodes")
         .to_vec();
     let mut tried = 0;
@@ -35,7 +74,7 @@ fn a_flipped_bit_in_any_part_of_the_configuration_is_seen() {
         let Ok(config) = postcard::from_bytes::<Config>(&flipped) else {
             continue;
         };
-        if config == h4() {
+        if config == forced() {
             continue;
         }
         tried += 1;
@@ -49,13 +88,15 @@ fn a_flipped_bit_in_any_part_of_the_configuration_is_seen() {
 #[test]
 fn a_change_of_what_was_worked_out_is_seen() {
     let changed = |change: fn(&mut Config)| {
-        let mut config = h4();
+        let mut config = forced();
         change(&mut config);
         config
     };
     let stroke = changed(|config| config.joints[2].high.0 += 1);
     let rod = changed(|config| {
-        let Model::H4(geometry) = &mut config.model;
+        let Model::H4(geometry) = &mut config.model else {
+            panic!("an H-4 arm");
+        };
         geometry.rod.0 ^= 1 << 9;
     });
     for config in [&stroke, &rod] {
@@ -72,6 +113,42 @@ fn a_change_of_what_was_worked_out_is_seen() {
     for config in [&stopping, &rate] {
         assert!(rounds_until_seen(|active| active.motion.program = Program::new(config)).is_some());
     }
+}
+
+/// The laws of force control, with their levels of damping, and the sensor: what was worked out from another gain, scale, delay or creep rate is seen.
+#[test]
+fn a_change_of_force_control_is_seen() {
+    let changes: [fn(&mut ForceConfig); 8] = [
+        |force| force.axes[0].damping.0 += 1 << 12,
+        |force| force.axes[1].mass.0 += 1 << 10,
+        |force| force.axes[2].limit.0 -= 1 << 18,
+        |force| force.axes[2].gate = Gate::Any,
+        |force| force.sensor.channels[1].per_code = 52_428_800,
+        |force| force.sensor.limit.0 += 1 << 16,
+        |force| force.drive_lag_us += 100,
+        |force| force.creep.0 *= 2,
+    ];
+    for (index, change) in changes.into_iter().enumerate() {
+        let mut config = forced().force.expect("there");
+        change(&mut config);
+        let other = ForceControl::new(&config, 200).expect("sound");
+        let seen = rounds_until_seen(|active| active.force = Some(other));
+        assert!(seen.is_some(), "change {index}");
+    }
+    // Settings that a person changes at run time are no fault: the digest goes with them.
+    let mut machinery = Machinery::new(forced(), 0, &Inputs::default()).expect("sound");
+    let force = machinery.force.as_mut().expect("there");
+    let gentle = LoopSettings {
+        damping: VirtualDamping(2 << 16),
+        ..force.settings(0).expect("there").clone()
+    };
+    force.set(0, &gentle).expect("taken");
+    for _ in 0..100 {
+        machinery.give_way(false, false);
+        assert!(machinery.configuration_intact());
+    }
+    let force = machinery.force.as_ref().expect("there");
+    assert_eq!(force.settings(0), Some(&gentle));
 }
 
 /// The digest of a joint is that of its constants: every one of them changes it, motion does not.

@@ -100,6 +100,8 @@ fn config() -> Config {
             table_rate: Rate(MM),
         },
         force: None,
+        follow: None,
+        haptic: None,
     }
 }
 

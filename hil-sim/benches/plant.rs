@@ -1,8 +1,10 @@
 //! Cost of one control period of the simulated machine.
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use haptimill_firmware::io::{DriveCommand, Inputs, Outputs};
+use haptimill_firmware::io::{DriveCommand, HapticOutputs, Inputs, Outputs};
 use haptimill_hil_sim::geometry::Arm;
+use haptimill_hil_sim::hand::{HandConfig, Intention, ReferencePart, Trace};
+use haptimill_hil_sim::haptic::{HapticArm, HapticConfig};
 use haptimill_hil_sim::{Control, Plant, PlantConfig, Rig, RigOptions};
 use std::hint::black_box;
 
@@ -63,6 +65,29 @@ fn plant(criterion: &mut Criterion) {
             black_box(rig.truth());
         });
     });
+
+    let mut haptic = HapticArm::new(&HapticConfig::default(), 200, 20, 1).expect("an arm");
+    haptic.take(Some(&HandConfig::default())).expect("a hand");
+    let part = ReferencePart::default();
+    haptic.clamp_part(Some(part.clone())).expect("a part");
+    haptic.intend(Intention::Trace(Trace {
+        at_s: 0.0,
+        centre_mm: part.centre_mm,
+        radius_mm: part.path_radius(),
+        turns: 1e4,
+        pace_mm_s: 5.0,
+        ramp_s: 0.3,
+        press_n: 2.0,
+    }));
+    criterion.bench_function(
+        "haptic arm: one period, led along the edge of a part",
+        |bencher| {
+            bencher.iter(|| {
+                haptic.advance(black_box(&HapticOutputs::default()), true);
+                black_box(haptic.inputs())
+            });
+        },
+    );
 
     let slides = [1135.0, 485.0, 1135.0, 485.0];
     let mut arm = Arm::new(config().arm.as_ref().expect("an arm"), &slides).expect("an arm");

@@ -7,6 +7,8 @@
 //! configuration on purpose: a longer rod, more friction, an index somewhere else.
 
 use crate::cutting::{CutterConfig, CuttingConfig, SpindleConfig, WorkpieceConfig};
+use crate::hand::HandConfig;
+use crate::haptic::HapticConfig;
 use crate::process::ProcessConfig;
 use crate::sensor::SensorConfig;
 use crate::structure::StructureConfig;
@@ -41,6 +43,12 @@ pub struct PlantConfig {
     /// The force sensor under the work.
     #[serde(default)]
     pub sensor: Option<SensorConfig>,
+    /// The haptic arm; without it there is none.
+    #[serde(default)]
+    pub haptic: Option<HapticConfig>,
+    /// The hand at the haptic arm; it holds the handle from the start.
+    #[serde(default)]
+    pub hand: Option<HandConfig>,
     /// The joints, in the machine's order (H-4: four slides, then the table). 1 to 6.
     pub joint: Vec<JointConfig>,
 }
@@ -330,6 +338,14 @@ impl PlantConfig {
             )
         {
             check.refuse(problem.field, problem.problem);
+        }
+        let haptic = self.haptic.as_ref().and_then(|haptic| haptic.check().err());
+        let hand = self.hand.as_ref().and_then(|hand| hand.check().err());
+        for problem in haptic.into_iter().chain(hand).flatten() {
+            check.refuse(problem.field, problem.problem);
+        }
+        if self.hand.is_some() && self.haptic.is_none() {
+            check.refuse("hand".into(), "needs [plant.haptic] to hold on to".into());
         }
         for (index, joint) in self.joint.iter().enumerate() {
             joint.check(

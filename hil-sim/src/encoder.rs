@@ -164,6 +164,9 @@ pub struct Encoder {
     random: Random,
 }
 
+/// Count states between the index states of an encoder whose index nobody reads.
+const NO_TURN: i64 = 1 << 60;
+
 /// Largest whole number that is not above; valid for any coordinate that a joint can have.
 #[inline(always)]
 fn floor(value: f64) -> i64 {
@@ -184,6 +187,25 @@ impl Encoder {
             counts_per_turn,
             turn_start: state.div_euclid(counts_per_turn) * counts_per_turn,
             reversed: joint.encoder.reversed,
+            state,
+            zero: state,
+            reading: Reading::default(),
+            condition: EncoderCondition::default(),
+            edges: None,
+            random,
+        }
+    }
+
+    /// An encoder of `scale` counts per axis unit whose index line leads nowhere, on a shaft that stands at `start`; the counter starts at 0.
+    pub fn without_index(scale: f64, reversed: bool, start: f64, random: Random) -> Self {
+        let state = floor(start * scale);
+        Self {
+            scale,
+            origin: 0.0,
+            // Longer than any way of a shaft; what the index line says is read by nobody.
+            counts_per_turn: NO_TURN,
+            turn_start: -NO_TURN / 2,
+            reversed,
             state,
             zero: state,
             reading: Reading::default(),

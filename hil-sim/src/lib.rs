@@ -9,16 +9,19 @@
 //! * [`geometry`]: where the tool is, from the closed loops of the rods.
 //! * [`cutting`]: the mill, the workpiece that it shapes, and the force between them.
 //! * [`structure`]: what gives way between slides and tool; [`sensor`]: what measures the force under the work.
+//! * [`haptic`]: the master arm that a hand leads; [`hand`]: the person at it.
 //! * [`process`]: all of that, one control period at a time.
 //! * [`plant`]: all of it, one control period at a time.
 //! * [`wire`]: the serial line; [`fault`], [`schedule`]: what goes wrong, and when.
-//! * [`rig`]: machine, controller and line in lockstep.
+//! * [`rig`]: machine, controller and line in lockstep; [`tape`]: all that the controller sensed and said.
 
 pub mod config;
 pub mod cutting;
 pub mod encoder;
 pub mod fault;
 pub mod geometry;
+pub mod hand;
+pub mod haptic;
 pub mod mechanics;
 pub mod plant;
 pub mod process;
@@ -29,6 +32,7 @@ pub mod schedule;
 pub mod sensor;
 pub mod stepper;
 pub mod structure;
+pub mod tape;
 pub mod wire;
 
 pub use config::PlantConfig;

@@ -14,6 +14,7 @@ use crate::config::{DriveConfig, JointConfig, JointKind, PlantConfig, PlantError
 use crate::cutting::{CuttingConfig, ToolPose};
 use crate::encoder::{Encoder, EncoderCondition, Track};
 use crate::geometry::{Arm, Tip};
+use crate::haptic::HapticArm;
 use crate::mechanics::{Bodies, Lanes, Mechanics};
 use crate::process::{Process, ProcessConfig};
 use crate::random::Random;
@@ -113,6 +114,7 @@ pub struct Plant {
     /// Tip in the arm's base frame, as the slides hold it.
     tip: Tip,
     process: Option<Process>,
+    haptic: Option<HapticArm>,
     /// What the process does to the joints in this period.
     process_load: Lanes,
     load: Lanes,
@@ -177,6 +179,15 @@ impl Plant {
             arm,
             tip: Tip::default(),
             process: None,
+            haptic: match &config.haptic {
+                Some(haptic) => {
+                    let mut arm =
+                        HapticArm::new(haptic, period_us, config.substep_us, config.seed)?;
+                    arm.take(config.hand.as_ref())?;
+                    Some(arm)
+                }
+                None => None,
+            },
             process_load: [0.0; MAX_AXES],
             load: [0.0; MAX_AXES],
             step_ns: u64::from(config.substep_us) * 1000,
@@ -285,6 +296,9 @@ impl Plant {
                 overload: sensor.overloaded(),
             };
         }
+        if let Some(arm) = &self.haptic {
+            inputs.haptic = arm.inputs();
+        }
         for (axis, joint) in self.joints.iter().enumerate() {
             let slide = self.bodies.slide[axis];
             let reading = joint.encoder.reading();
@@ -363,6 +377,9 @@ impl Plant {
             if let Drive::Steps(stepper) = &mut joint.drive {
                 stepper.end();
             }
+        }
+        if let Some(arm) = &mut self.haptic {
+            arm.advance(&outputs.haptic, powered);
         }
         self.period += 1;
         self.see_truth();
@@ -474,6 +491,16 @@ impl Plant {
     /// What happens at the tool, to be meddled with.
     pub const fn process_mut(&mut self) -> Option<&mut Process> {
         self.process.as_mut()
+    }
+
+    /// The haptic arm; `None` on a machine without.
+    pub const fn haptic(&self) -> Option<&HapticArm> {
+        self.haptic.as_ref()
+    }
+
+    /// The haptic arm, to be led and to be meddled with.
+    pub const fn haptic_mut(&mut self) -> Option<&mut HapticArm> {
+        self.haptic.as_mut()
     }
 
     /// What the ADC of the force sensor gave at the start of the period; `None` on a machine without.

@@ -212,6 +212,7 @@ impl<C: Control> Rig<C> {
             .write(&self.outputs.transmit, self.plant.time_ns());
         self.effective.axes = self.outputs.axes;
         self.effective.spindle_rpm = self.outputs.spindle_rpm;
+        self.effective.haptic = self.outputs.haptic;
         true
     }
 

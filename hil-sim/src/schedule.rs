@@ -3,10 +3,14 @@
 //! A schedule with faults owns the conditions of all devices: at each change it sets them all anew, so what was set by hand is lost then.
 
 use crate::encoder::EncoderCondition;
-use crate::fault::{Channel, Direction, Fault, FaultError, FaultKind, Level, Switch};
+use crate::fault::{
+    Channel, Direction, Fault, FaultError, FaultKind, HandEncoder, HandFault, Level, Switch,
+};
+use crate::haptic::sensors::SENSORS;
 use crate::plant::{JointCondition, Plant};
 use crate::sensor::{End, SensorCondition};
 use crate::wire::{Wire, WireCondition};
+use haptimill_firmware::io::LEGS;
 use haptimill_protocol::message::MAX_AXES;
 
 /// A fault with its times, and whether it is there.
@@ -84,6 +88,7 @@ impl Schedule {
         let mut wires = [WireCondition::HEALTHY; 2];
         let mut sensors = [SensorCondition::default(); 3];
         let mut stalled = false;
+        let mut hand = HandCondition::default();
         for entry in &mut self.entries {
             let begins = !entry.active && now >= entry.begins_ns;
             entry.active = (entry.begins_ns..entry.ends_ns).contains(&now);
@@ -97,6 +102,15 @@ impl Schedule {
                     plant.slip_encoder(entry.axis, counts);
                     entry.begins_ns = u64::MAX;
                 }
+                FaultKind::Hand(HandFault::EncoderSlip { place, counts })
+                    if begins && entry.begins_ns != u64::MAX =>
+                {
+                    if let Some(arm) = plant.haptic_mut() {
+                        let (leg, sensor) = index(place);
+                        arm.slip_encoder(leg, sensor, counts);
+                    }
+                    entry.begins_ns = u64::MAX;
+                }
                 FaultKind::MissedPeriods { count } if begins && entry.begins_ns != u64::MAX => {
                     self.misses = self.misses.saturating_add(count);
                     entry.begins_ns = u64::MAX;
@@ -105,6 +119,9 @@ impl Schedule {
             }
             if entry.active {
                 spoil_process(&entry.kind, &mut sensors, &mut stalled);
+                if let FaultKind::Hand(fault) = &entry.kind {
+                    spoil_hand(fault, &mut hand);
+                }
                 spoil(
                     &entry.kind,
                     entry.axis,
@@ -127,6 +144,14 @@ impl Schedule {
             if let Some(sensor) = process.sensor_mut() {
                 for (axis, condition) in sensors.into_iter().enumerate() {
                     sensor.set_condition(axis, condition);
+                }
+            }
+        }
+        if let Some(arm) = plant.haptic_mut() {
+            arm.set_tripped(hand.tripped);
+            for (leg, encoders) in hand.encoders.into_iter().enumerate() {
+                for (sensor, condition) in encoders.into_iter().enumerate() {
+                    arm.set_encoder_condition(leg, sensor, condition);
                 }
             }
         }
@@ -218,7 +243,48 @@ fn spoil(
         | FaultKind::SensorReversed { .. }
         | FaultKind::SensorDrift { .. }
         | FaultKind::SensorSaturated { .. }
+        | FaultKind::Hand(_)
         | FaultKind::SpindleStalled => {}
+    }
+}
+
+/// What is wrong at the haptic arm.
+#[derive(Default)]
+struct HandCondition {
+    encoders: [[EncoderCondition; SENSORS]; LEGS],
+    tripped: bool,
+}
+
+/// Leg and sensor from 0.
+fn index(place: HandEncoder) -> (usize, usize) {
+    // Checked when the fault met the machine.
+    let leg = usize::from(place.leg.saturating_sub(1)).min(LEGS - 1);
+    (leg, place.sensor as usize)
+}
+
+/// Adds an active fault of the haptic arm to its conditions.
+fn spoil_hand(fault: &HandFault, hand: &mut HandCondition) {
+    let Some(place) = fault.encoder() else {
+        hand.tripped = true;
+        return;
+    };
+    let (leg, sensor) = index(place);
+    let encoder = &mut hand.encoders[leg][sensor];
+    match *fault {
+        HandFault::EncoderStuck { channel, level, .. } => {
+            let stuck = match channel {
+                Channel::A => &mut encoder.stuck_a,
+                Channel::B => &mut encoder.stuck_b,
+            };
+            *stuck = Some(level == Level::High);
+        }
+        HandFault::EncoderSwapped(_) => encoder.swapped = true,
+        HandFault::EncoderDropped(_) => {
+            encoder.stuck_a = Some(false);
+            encoder.stuck_b = Some(false);
+        }
+        HandFault::EncoderNoise { per_second, .. } => encoder.noise_hz += per_second,
+        HandFault::EncoderSlip { .. } | HandFault::AmplifiersTripped => {}
     }
 }
 

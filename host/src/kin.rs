@@ -39,8 +39,7 @@ pub fn inverse_table(
     let columns = ["xw_mm", "yw_mm", "zw_mm", "theta_deg", "alpha_deg"];
     let rows = read(name, csv, columns)?;
     let machine = Machine::new(config);
-    let Model::H4(geometry) = &config.model;
-    let arm = H4::new(geometry);
+    let arm = arm(config)?;
     let mut out = String::from("l1_mm,l2_mm,l3_mm,l4_mm,status\n");
     for row in rows {
         let answer = pose(&row).map(|pose| (arm.inverse(&pose), machine.inverse(&pose)));
@@ -55,6 +54,14 @@ pub fn inverse_table(
     Ok(out.into_bytes())
 }
 
+/// The arm of a machine.
+fn arm(config: &Config) -> Result<H4, String> {
+    match &config.model {
+        Model::H4(geometry) => Ok(H4::new(geometry)),
+        Model::None => Err(format!("{} has no axes to tabulate", config.name)),
+    }
+}
+
 /// Poses of slides, in the frame of the slave base: `l1_mm, l2_mm, l3_mm, l4_mm` to `x_mm, y_mm, z_mm, theta_deg, status`; `strokes` as for [`inverse_table`].
 ///
 /// # Errors
@@ -67,8 +74,7 @@ pub fn forward_table(
 ) -> Result<Vec<u8>, String> {
     let rows = read(name, csv, ["l1_mm", "l2_mm", "l3_mm", "l4_mm"])?;
     let machine = Machine::new(config);
-    let Model::H4(geometry) = &config.model;
-    let arm = H4::new(geometry);
+    let arm = arm(config)?;
     let mut out = String::from("x_mm,y_mm,z_mm,theta_deg,status\n");
     for row in rows {
         let mut joints = Joints::default();

@@ -11,6 +11,7 @@ pub mod plan;
 pub mod port;
 pub mod program;
 pub mod record;
+pub mod replay;
 pub mod report;
 pub mod scenario;
 pub mod session;

@@ -509,7 +509,7 @@ fn a_pause_waits_for_enter_and_for_no_enter_of_before() {
 fn force_control_is_shown_and_set_and_refused_in_words() {
     let served = Served::on_tcp(&[]);
     let nothing = served.tries(&["force", "show"]).ended_with(8);
-    assert!(nothing.err.contains("[force]"), "{}", nothing.err);
+    assert!(nothing.err.contains("haptimill home"), "{}", nothing.err);
     served.does(&["home"]);
     let shown = served.does(&["force", "show", "--json"]).json();
     assert_eq!(shown["under_control"], serde_json::json!([]), "{shown:#}");
@@ -560,4 +560,41 @@ fn force_control_needs_a_sensor() {
     assert!(refused.err.contains("no force sensor"), "{}", refused.err);
     let refused = scene::haptimill(&["run", &program, "--fd", "5"]).ended_with(2);
     assert!(refused.err.contains("--force"), "{}", refused.err);
+}
+
+/// What a person sees who sets up force control by hand, word for word; forces are noise, and not shown.
+#[test]
+fn force_control_by_hand() {
+    let served = Served::on("pty", &[]);
+    let mut text = String::new();
+    for command in [
+        &["force", "show"][..],
+        &["force", "tare"],
+        &["force", "set", "x", "--fd", "4"],
+        &["home"],
+        &["force", "show"],
+        &["force", "tare"],
+        &[
+            "force", "set", "x,z", "--fd", "4", "--kv", "8", "--gate", "any",
+        ],
+        &["force", "set", "z", "--limit", "3"],
+        &["force", "set", "x", "--fd", "0"],
+        &["force", "set", "x", "--fd", "90"],
+        &["force", "set", "x", "--kv", "0.1"],
+        &["force", "set", "x", "--ka", "0.001"],
+        &["force", "set", "x", "--limit", "100"],
+        &["force", "set", "none"],
+    ] {
+        let ran = served.tries(command);
+        text.push_str(&format!("$ haptimill {}\n", command.join(" ")));
+        if command[0] == "force" {
+            let told = ran.out.lines();
+            for line in told.filter(|line| !line.starts_with("force, ")) {
+                text.push_str(&format!("{line}\n"));
+            }
+            text.push_str(&ran.err);
+        }
+        text.push_str(&format!("--- exit code {}\n", ran.code));
+    }
+    insta::assert_snapshot!(text);
 }

@@ -17,6 +17,7 @@ extern crate std;
 
 pub mod force;
 pub mod frame;
+pub mod haptic;
 pub mod link;
 pub mod message;
 pub mod schema;

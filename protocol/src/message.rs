@@ -6,6 +6,7 @@
 //! Misuse: a message says nothing of its own integrity. Only bytes that came through [`crate::link`] may be decoded here.
 
 use crate::force::{ForceLoop, ForceProblem, ForceRefusal, ForceTelemetry, TareRefusal};
+use crate::haptic::{COMPONENTS, Hand, HandProblem, HandTelemetry, Reflection, Wall};
 use heapless::{String, Vec};
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
@@ -14,7 +15,7 @@ use serde::{Deserialize, Serialize};
 pub const MAX_AXES: usize = 6;
 
 /// Version of this protocol; both ends must have the same.
-pub const PROTOCOL_VERSION: u16 = 3;
+pub const PROTOCOL_VERSION: u16 = 4;
 
 /// A rate on the wire is in axis units per second divided by 2^8: 2^-12 mm/s, or 2^-24 turn/s.
 pub const RATE_SHIFT: u32 = 8;
@@ -181,6 +182,46 @@ pub enum Command {
     },
     /// Take what the force sensor shows now as its zero. Answered when it has begun; [`Event::Tared`] or [`Event::TareRefused`] tells how it ended.
     Tare,
+    /// Where a hand is that leads the tool from afar. A latest value: each one replaces the one before, and a lost one is not sent again.
+    Hand {
+        /// Only the newest epoch of the session is heard; any stop or hold ends an epoch for good, as with [`Command::Jog`].
+        epoch: u16,
+        /// How old it was when it was sent, in milliseconds.
+        age_ms: u8,
+        /// The hand.
+        hand: Hand,
+    },
+    /// What a tool feels that a hand leads from here: forces on it along x, y, z, 2^-6 N. A latest value.
+    Feel {
+        /// The forces.
+        force: [i16; COMPONENTS],
+    },
+    /// What part of the force on the tool the hand feels, from now on; approached within a second.
+    Reflect(Reflection),
+    /// A virtual wall: a face of the box in which the hand is kept.
+    Wall {
+        /// The component.
+        axis: u8,
+        /// The upper face, or the lower one.
+        upper: bool,
+        /// The face; none takes it away.
+        wall: Option<Wall>,
+    },
+    /// G_P: how far the tool goes for a way of the hand, 2^-12; 0.1 to 2.
+    HandScale {
+        /// The scale.
+        scale: u16,
+    },
+    /// Telemetry of the hand every so many periods; 0 switches it off.
+    HandTelemetry {
+        /// Periods between two reports.
+        every: u16,
+    },
+    /// Say which settings the force loop of an axis has: [`Event::ForceSettings`] comes before the answer.
+    ForceSettings {
+        /// The component: 0 for x, 1 for y, 2 for z of the work.
+        axis: u8,
+    },
 }
 
 /// A piece of the configuration.
@@ -241,6 +282,8 @@ pub enum Source {
     Jog,
     /// It stays where it is.
     Hold,
+    /// The hand on a haptic arm, here or afar.
+    Master,
 }
 
 /// State of the controller.
@@ -264,6 +307,26 @@ pub enum State {
     Fault,
     /// Emergency stop is latched; drives off.
     EmergencyStop,
+}
+
+impl State {
+    /// All states in their order; recorders and links number them by their place here.
+    pub const ALL: [Self; 8] = [
+        Self::Disabled,
+        Self::Idle,
+        Self::Homing,
+        Self::Run,
+        Self::Jog,
+        Self::Hold,
+        Self::Fault,
+        Self::EmergencyStop,
+    ];
+
+    /// The place in [`State::ALL`].
+    #[must_use]
+    pub const fn number(self) -> u8 {
+        self as u8
+    }
 }
 
 /// What the controller says.
@@ -290,6 +353,8 @@ pub enum Report {
     },
     /// How things stand.
     Telemetry(Telemetry),
+    /// How the hand stands.
+    Hand(HandTelemetry),
 }
 
 /// How things stand at the end of a period.
@@ -401,6 +466,25 @@ pub enum Event {
         /// The component of the force.
         axis: u8,
     },
+    /// Something is wrong with the haptic arm while nothing is led by it: it is off until reset.
+    Hand(HandProblem),
+    /// Nothing new was heard of the hand that leads the tool: the machine slows down and holds. [`Command::Resume`] goes on from where both are then.
+    HandLost {
+        /// How old the newest word of it is, in milliseconds.
+        age_ms: u16,
+    },
+    /// The hand leads where the machine cannot go; it stays in front of it. Told once until it can go on.
+    HandLimited {
+        /// The pose coordinate.
+        axis: u8,
+    },
+    /// The settings of a force loop that are in force now, as they were asked for with [`Command::ForceSettings`].
+    ForceSettings {
+        /// The component of the force.
+        axis: u8,
+        /// The settings.
+        settings: ForceLoop,
+    },
 }
 
 /// Why a pose cannot be taken. Never a number instead.
@@ -500,6 +584,10 @@ pub enum Refusal {
     Yielding,
     /// Force control is wanted and the sensor cannot be believed now.
     ForceSensor(ForceProblem),
+    /// The machine has no haptic arm, or its tool cannot be led by one.
+    NoHand,
+    /// A virtual wall so near the opposite one that the ball at the tip does not fit between them.
+    WallTooNear,
 }
 
 /// What is wrong in a configuration.
@@ -539,6 +627,8 @@ pub enum ConfigField {
     Heartbeat,
     StopTime,
     Force,
+    Haptic,
+    Follow,
 }
 
 /// Why the controller stopped by itself; latched until reset.
@@ -623,6 +713,8 @@ pub enum Fault {
     },
     /// The force sensor, or what it feels; the machine slowed down along its path first, and the tool stays where it yielded to.
     Force(ForceProblem),
+    /// The haptic arm that leads the tool; its motors are off, and the machine slowed down first.
+    Hand(HandProblem),
     /// An arithmetic limit was reached inside the controller: a defect, reported rather than hidden.
     Internal {
         /// Source line, to report.

@@ -123,6 +123,12 @@ mod tests {
             "Interrupted",
             "yielded",
             "NotTared",
+            "age_ms",
+            "boost_below",
+            "Singular",
+            "WallTooNear",
+            "reflected",
+            "ForceSettings",
         ] {
             if part == "HomingProblem" {
                 assert!(all.contains("NoIndex"));

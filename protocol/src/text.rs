@@ -17,9 +17,11 @@
 //! ```
 
 mod force;
+mod haptic;
 mod plain;
 
 use crate::force::{ForceProblem, ForceRefusal, TareRefusal};
+use crate::haptic::HandProblem;
 use crate::message::{
     ConfigField, ConfigProblem, Event, Fault, HelloRefusal, PoseError, Refusal, State,
 };
@@ -172,7 +174,7 @@ impl Describe for Refusal {
                     State::Idle => "",
                 })
             }
-            Self::NotConfigured => f.write_str("the controller has no configuration; send the machine file first"),
+            Self::NotConfigured => f.write_str("the controller has no configuration; home or enable the machine, which sends the machine file"),
             Self::NotHomed => f.write_str("the machine does not know where it is; home it first"),
             Self::Range => f.write_str("a value is out of its range"),
             Self::AxisCount => f.write_str("the number of values is not the number of axes of the machine"),
@@ -215,6 +217,10 @@ impl Describe for Refusal {
                 f.write_str("force control is on and its sensor cannot be believed: ")?;
                 problem.describe(axes, f)
             }
+            Self::NoHand => f.write_str(
+                "no hand can lead this machine; add the sections [haptic] or [follow] to the machine file and configure the controller with it",
+            ),
+            Self::WallTooNear => f.write_str("the ball at the tip does not fit between this wall and the opposite one; move one of them outwards"),
         }
     }
 }
@@ -330,6 +336,12 @@ impl Describe for Fault {
                 problem.describe(axes, f)?;
                 f.write_str("; the machine slowed down along its path and the tool stayed where it was, remove the cause and reset")
             }
+            Self::Hand(problem) => {
+                problem.describe(axes, f)?;
+                f.write_str(
+                    "; the hand is free and the machine slowed down, remove the cause and reset",
+                )
+            }
             Self::Internal { line } => write!(
                 f,
                 "an arithmetic limit was reached inside the controller (line {line}); report this"
@@ -394,11 +406,31 @@ impl Describe for Event {
                 f.write_str("the force sensor keeps its zero: ")?;
                 refusal.describe(axes, f)
             }
+            Self::Hand(problem) => {
+                problem.describe(axes, f)?;
+                f.write_str("; its motors are off until reset")
+            }
+            Self::HandLost { age_ms } => write!(
+                f,
+                "nothing new was heard of the hand for {age_ms} ms; the machine slows down and holds, resume when the hand is there again"
+            ),
+            Self::HandLimited { axis } => write!(
+                f,
+                "the hand leads {} where the machine cannot go; it waits in front of it",
+                Named(axes.pose, axis)
+            ),
             Self::YieldLimited { axis } => write!(
                 f,
                 "the tool cannot yield any further along {}: its limit, a soft limit or the end of the machine's reach",
                 Named(axes.pose, axis)
             ),
+            Self::ForceSettings { axis, .. } => {
+                write!(
+                    f,
+                    "settings of the force loop of {}",
+                    Named(axes.pose, axis)
+                )
+            }
         }
     }
 }
@@ -421,7 +453,8 @@ display!(
     Event,
     ForceProblem,
     ForceRefusal,
-    TareRefusal
+    TareRefusal,
+    HandProblem
 );
 
 impl core::error::Error for PoseError {}

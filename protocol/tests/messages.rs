@@ -5,6 +5,7 @@ use haptimill_protocol::force::{
     TareRefusal,
 };
 use haptimill_protocol::frame::MAX_PAYLOAD;
+use haptimill_protocol::haptic::{Hand, HandProblem, HandTelemetry, ReflectAxis, Reflection, Wall};
 use haptimill_protocol::link::SHORT_REPORT;
 use haptimill_protocol::message::*;
 use serde::Serialize;
@@ -23,6 +24,14 @@ fn size<T: Serialize + DeserializeOwned + PartialEq + Debug>(message: &T) -> usi
 fn values() -> AxisValues {
     [i32::MIN; MAX_AXES].into_iter().collect()
 }
+
+/// A hand whose coding is the longest.
+const HAND: Hand = Hand {
+    tip: [i32::MIN; COMPONENTS],
+    rate: [i32::MIN; COMPONENTS],
+    axes: [[i16::MIN; COMPONENTS]; 2],
+    engaged: true,
+};
 
 #[test]
 fn requests_fit_a_frame() {
@@ -77,6 +86,32 @@ fn requests_fit_a_frame() {
             },
         },
         Command::Tare,
+        Command::Hand {
+            epoch: u16::MAX,
+            age_ms: u8::MAX,
+            hand: HAND,
+        },
+        Command::Feel {
+            force: [i16::MIN; COMPONENTS],
+        },
+        Command::Reflect(Reflection {
+            axes: [ReflectAxis {
+                percent: u8::MAX,
+                most: i32::MIN,
+            }; COMPONENTS],
+            boost: u16::MAX,
+            boost_below: i32::MIN,
+        }),
+        Command::Wall {
+            axis: u8::MAX,
+            upper: true,
+            wall: Some(Wall {
+                at: Some(i32::MIN),
+                rate: i32::MIN,
+            }),
+        },
+        Command::HandScale { scale: u16::MAX },
+        Command::HandTelemetry { every: u16::MAX },
     ];
     let sizes = commands.map(|command| size(&Request { id: 255, command }));
     println!("requests: {sizes:?} bytes");
@@ -153,6 +188,21 @@ fn reports_fit_a_frame_and_answers_and_events_are_short() {
     println!("telemetry without a force sensor: {without} bytes");
     println!("telemetry: {long} bytes");
     assert!(long <= MAX_PAYLOAD);
+    let hand = size(&Report::Hand(HandTelemetry {
+        period: u64::MAX,
+        hand: HAND,
+        force: [i16::MIN; COMPONENTS],
+        reflected: [i16::MIN; COMPONENTS],
+        wall: [i16::MIN; COMPONENTS],
+        energy: i16::MIN,
+        enabled: true,
+        problem: Some(HandProblem::Encoder {
+            leg: u8::MAX,
+            by: i32::MIN,
+        }),
+    }));
+    println!("hand: {hand} bytes");
+    assert!(hand <= MAX_PAYLOAD);
 
     let pose = PoseError::OutOfStroke {
         axis: 255,
@@ -196,6 +246,13 @@ fn reports_fit_a_frame_and_answers_and_events_are_short() {
                 component: 255,
                 spread: u16::MAX,
             }),
+        },
+        Report::Event {
+            period,
+            event: Event::Fault(Fault::Hand(HandProblem::Encoder {
+                leg: u8::MAX,
+                by: i32::MIN,
+            })),
         },
         Report::Answer {
             id: 255,

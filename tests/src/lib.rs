@@ -7,6 +7,7 @@ use haptimill::machine::MachineFile;
 use haptimill_firmware::controller::Controller;
 use haptimill_hil_sim::config::PlantConfig;
 use haptimill_hil_sim::rig::{Control, Rig, RigOptions};
+use haptimill_protocol::haptic::HandTelemetry;
 use haptimill_protocol::link::{HostLink, Timing};
 use haptimill_protocol::message::{
     Action, AxisValues, CONFIG_CHUNK, Command, ConfigChunk, Event, Refusal, Report, Request,
@@ -24,6 +25,8 @@ pub struct Bench<C = Controller> {
     pub machine: MachineFile,
     /// The newest telemetry.
     pub telemetry: Option<Telemetry>,
+    /// The newest telemetry of the hand.
+    pub hand: Option<HandTelemetry>,
     /// All events so far.
     pub events: Vec<Event>,
     answers: Vec<(u8, Result<(), Refusal>)>,
@@ -69,6 +72,7 @@ impl<C: Control> Bench<C> {
             link,
             machine,
             telemetry: None,
+            hand: None,
             events: vec![],
             answers: vec![],
             id: 0,
@@ -97,6 +101,7 @@ impl<C: Control> Bench<C> {
                 Report::Answer { id, result } => self.answers.push((id, result)),
                 Report::Event { event, .. } => self.events.push(event),
                 Report::Telemetry(telemetry) => self.telemetry = Some(telemetry),
+                Report::Hand(hand) => self.hand = Some(hand),
             }
         }
     }

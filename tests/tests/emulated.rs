@@ -1,11 +1,13 @@
 //! The controller on an emulated Cortex-M4F and M7 against the controller in this process: the same bits, what they cost, and how a run
 //! ends that is ended from outside. Needs the feature `emulated`, a compiler for the chip and the emulator; `cargo xtask test` sees to that.
 
-use clap::{Args, FromArgMatches};
+use clap::{Args, FromArgMatches, Subcommand};
 use haptimill::cli::run::{self, RunArgs};
+use haptimill::cli::scenario::{self, ScenarioCommand};
 use haptimill::machine::MachineFile;
 use haptimill::port::Board;
 use haptimill::record::{Recording, difference};
+use haptimill::replay::replay;
 use haptimill::session::pil::{self, Emulator, Instructions};
 use haptimill::session::rig_around;
 use haptimill_firmware::controller::Controller;
@@ -66,6 +68,10 @@ fn same_bits(name: &str, program: &Path) {
             read("native") == read(folder),
             "{name}, native and {port}: the headers differ"
         );
+        // What the chip said is what a controller in this process says to the same inputs.
+        let replayed = replay(&emulated).expect("has its periods");
+        let replayed = replayed.unwrap_or_else(|difference| panic!("{name}, {port}: {difference}"));
+        assert_eq!(replayed.records, native.records());
         println!(
             "{name}: {} control periods, the same bits natively and on {port}; {:.1} times real time",
             native.records(),
@@ -170,6 +176,35 @@ fn same_bits_with_a_force() {
         "force control against a wall, {} periods: {cost:?}",
         native.len()
     );
+}
+
+/// A scenario cuts, feels and measures with the controller on the chip as it does with the one in this process.
+#[test]
+fn a_scenario_runs_on_the_chip() {
+    let out = results("scenario-m4");
+    let folder = out.display().to_string();
+    let words = [
+        "scenario", "run", "e7", "--port", "pil:mps2", "--out", &folder,
+    ];
+    let command = ScenarioCommand::augment_subcommands(clap::Command::new("scenario"));
+    let matches = command.try_get_matches_from(words).expect("arguments");
+    let command = ScenarioCommand::from_arg_matches(&matches).expect("arguments");
+    scenario::run(command).expect("runs");
+    let summary = std::fs::read_to_string(out.join("e7/summary.json")).expect("written");
+    let summary: serde_json::Value = serde_json::from_str(&summary).expect("JSON");
+    let claims = summary["claims"].as_array().expect("a table");
+    assert!(claims.len() > 5, "{summary:#}");
+    for claim in claims {
+        assert_eq!(claim["inside"], true, "{claim:#}");
+    }
+    let begun = Instant::now();
+    let real = ["scenario", "run", "e7", "--port", "tcp:localhost:1"];
+    let command = ScenarioCommand::augment_subcommands(clap::Command::new("scenario"));
+    let matches = command.try_get_matches_from(real).expect("arguments");
+    let command = ScenarioCommand::from_arg_matches(&matches).expect("arguments");
+    let refused = scenario::run(command).expect_err("has no simulated work");
+    assert!(refused.message.contains("pil:mps2"), "{refused}");
+    assert!(begun.elapsed() < Duration::from_secs(2));
 }
 
 /// The tool that explains a difference finds the one that was made, and no other.

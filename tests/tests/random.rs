@@ -2,8 +2,12 @@
 
 mod scene;
 
+use haptimill_firmware::force::compliance::LARGEST_LIMIT;
+use haptimill_hil_sim::cutting::ElasticWall;
 use haptimill_hil_sim::encoder::EncoderCondition;
 use haptimill_hil_sim::plant::JointCondition;
+use haptimill_hil_sim::sensor::SensorCondition;
+use haptimill_protocol::force::{ForceLoop, Gate};
 use haptimill_protocol::message::{
     Action, AxisValues, Command, ConfigChunk, SetpointBatch, SetpointDelta, Source, State,
 };
@@ -11,7 +15,7 @@ use haptimill_protocol::urgent::STOP;
 use haptimill_tests::Bench;
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
-use scene::{DEGREE, MM, circle, commands, drives_off, line, pump, ready, state, wanted};
+use scene::{DEGREE, MM, circle, commands, drives_off, line, pump, ready, state, tool, wanted};
 use std::collections::VecDeque;
 
 /// Something that happens.
@@ -45,6 +49,13 @@ enum Happening {
         joint: usize,
         noisy: bool,
     },
+    /// An elastic body beside the tool, so many mm away towards -x; or none.
+    Wall(Option<f64>),
+    /// A channel of the force sensor breaks, or is whole again.
+    Sensor {
+        component: usize,
+        condition: SensorCondition,
+    },
     /// The host does what gets the machine ready again.
     Recover,
 }
@@ -55,6 +66,38 @@ fn rates() -> impl Strategy<Value = AxisValues> {
         4..7,
     )
     .prop_map(|values| values.into_iter().take(6).collect())
+}
+
+/// Settings that are taken, and any others.
+fn force_loop() -> impl Strategy<Value = ForceLoop> {
+    let gate = prop_oneof![
+        Just(Gate::AgainstMotion),
+        Just(Gate::Any),
+        Just(Gate::Positive),
+        Just(Gate::Negative)
+    ];
+    let sound = (1_i32..20, 1_u32..200, 1_u32..40, 1_i32..20, 1_i32..20).prop_map(
+        |(desired, mass, damping, limit, rate)| {
+            (
+                desired << 16,
+                mass << 14,
+                damping << 16,
+                limit << 20,
+                rate << 20,
+            )
+        },
+    );
+    let any = any::<(i32, u32, u32, i32, i32)>();
+    (prop_oneof![4 => sound, 1 => any], gate).prop_map(
+        |((desired, mass, damping, limit, rate), gate)| ForceLoop {
+            desired,
+            mass,
+            damping,
+            limit,
+            rate,
+            gate,
+        },
+    )
 }
 
 fn command() -> impl Strategy<Value = Command> {
@@ -82,6 +125,10 @@ fn command() -> impl Strategy<Value = Command> {
             .prop_map(|(axis, source)| Command::Source { axis, source }),
         1 => any::<u8>().prop_map(|percent| Command::Override { percent }),
         1 => (0_u16..100).prop_map(|every| Command::Telemetry { every }),
+        2 => (0_u8..9).prop_map(|mask| Command::ForceMask { mask }),
+        2 => (0_u8..4, force_loop()).prop_map(|(axis, settings)| Command::ForceLoop { axis, settings }),
+        1 => (0_u8..4).prop_map(|axis| Command::ForceSettings { axis }),
+        2 => Just(Command::Tare),
         2 => (0_u32..70, prop::collection::vec((any::<u16>(), any::<u8>(), prop::collection::vec(any::<i32>(), 0..12)), 0..4))
             .prop_map(|(first, items)| Command::Setpoints(SetpointBatch {
                 first,
@@ -111,6 +158,12 @@ fn happening() -> impl Strategy<Value = (Happening, usize)> {
         1 => (0_usize..5, any::<bool>()).prop_map(|(joint, active)| Happening::Limit { joint, active }),
         1 => (0_usize..5, any::<bool>()).prop_map(|(joint, tripped)| Happening::Tripped { joint, tripped }),
         1 => (0_usize..5, any::<bool>()).prop_map(|(joint, noisy)| Happening::Noise { joint, noisy }),
+        2 => prop::option::of(-0.5_f64..2.0).prop_map(Happening::Wall),
+        1 => (0_usize..3, any::<bool>(), any::<bool>(), prop_oneof![4 => Just(1.0), 1 => Just(-1.0)])
+            .prop_map(|(component, stuck, dropped, gain)| Happening::Sensor {
+                component,
+                condition: SensorCondition { stuck, dropped, gain, ..SensorCondition::default() },
+            }),
         4 => Just(Happening::Recover),
     ];
     (
@@ -191,6 +244,19 @@ impl Watched {
                 }
             }
         }
+        // The tool yields no further than it may, and not at all where the drives are off.
+        let machinery = self.bench.rig.control().machinery().expect("configured");
+        let force = machinery.force.as_ref().expect("has a sensor");
+        let reference = machinery.reference();
+        for (axis, by) in force.displacements().iter().enumerate() {
+            let yielded = i64::from(by.length().0);
+            assert!(yielded.abs() <= i64::from(LARGEST_LIMIT.0));
+            assert!(drives_on || yielded == 0, "{now:?}: {yielded}");
+            let limits = &self.bench.machine.config.pose[axis];
+            let (low, high) = (limits.low.0, limits.high.0);
+            let inside = (low..=high).contains(&place[axis]);
+            assert!(!inside || (low..=high).contains(&reference.pose.0[axis].0));
+        }
         (self.before, self.wanted, self.rates, self.drives_on) = (now, place, rates, drives_on);
     }
 
@@ -241,8 +307,34 @@ impl Watched {
                     .plant_mut()
                     .set_encoder_condition(*joint, condition);
             }
+            Happening::Wall(gap) => {
+                let at = tool(bench);
+                let wall = gap.map(|gap| ElasticWall {
+                    point: [at[0] - gap, at[1], at[2]],
+                    normal: [1.0, 0.0, 0.0],
+                    stiffness: 20.0,
+                    damping: 0.002,
+                    radius: 0.0,
+                });
+                let process = bench.rig.plant_mut().process_mut().expect("there");
+                process.set_wall(wall);
+            }
+            Happening::Sensor {
+                component,
+                condition,
+            } => {
+                let process = bench.rig.plant_mut().process_mut().expect("there");
+                let sensor = process.sensor_mut().expect("has one");
+                sensor.set_condition(*component, *condition);
+            }
             Happening::Recover => {
                 bench.rig.plant_mut().set_emergency_stop(false);
+                let process = bench.rig.plant_mut().process_mut().expect("there");
+                process.set_wall(None);
+                for component in 0..3 {
+                    let sensor = process.sensor_mut().expect("has one");
+                    sensor.set_condition(component, SensorCondition::default());
+                }
                 for joint in 0..5 {
                     bench
                         .rig
@@ -318,7 +410,10 @@ fn a_refused_command_changes_nothing() {
             let told = bench.status();
             let machinery = bench.rig.control().machinery().expect("configured");
             let sources: Vec<_> = (0..5).map(|axis| machinery.motion.source(axis)).collect();
+            let force = machinery.force.as_ref().expect("has a sensor");
+            let loops = [0, 1, 2].map(|axis| force.settings(axis).cloned());
             (
+                (force.mask(), force.conditioner().tared(), loops),
                 (
                     told.state,
                     told.homed,

@@ -76,7 +76,14 @@ const TEST: &[Step] = &[
     },
     Step {
         name: "documentation",
-        arguments: &["doc", "--quiet", "--workspace", "--features", CONSOLE, "--no-deps"],
+        arguments: &[
+            "doc",
+            "--quiet",
+            "--workspace",
+            "--features",
+            CONSOLE,
+            "--no-deps",
+        ],
         environment: &[("RUSTDOCFLAGS", "-D warnings")],
         component: None,
     },

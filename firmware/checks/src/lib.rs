@@ -7,6 +7,7 @@
 //! Nothing here is in the product; float is allowed, an allocator is not there.
 #![no_std]
 
+pub mod haptic;
 pub mod kinematics;
 pub mod link;
 pub mod queue;
@@ -27,6 +28,7 @@ pub struct Check {
 pub const CHECKS: &[&[Check]] = &[
     units::CHECKS,
     kinematics::CHECKS,
+    haptic::CHECKS,
     link::CHECKS,
     queue::CHECKS,
     states::CHECKS,

@@ -4,7 +4,13 @@ use haptimill_firmware::config::{
     AxisKind, Config, Drive, H4Geometry, Homing, JointAxis, Law, LawForm, Model, PoseAxis,
     Stopping, Supervision,
 };
-use haptimill_firmware::units::{Acceleration, Coordinate, Effort, Gain, Length, Rate};
+use haptimill_firmware::kinematics::haptic::HapticGeometry;
+use haptimill_firmware::reflection::config::{Amplifier, Encoder, FollowConfig, HapticConfig};
+use haptimill_firmware::reflection::passivity::PassivityConfig;
+use haptimill_firmware::reflection::wall::WallConfig;
+use haptimill_firmware::units::force::Force;
+use haptimill_firmware::units::{Acceleration, Angle, Coordinate, Effort, Gain, Length, Rate};
+use haptimill_protocol::haptic::{ReflectAxis, Reflection};
 
 /// Millimetres in axis units.
 #[must_use]
@@ -147,6 +153,89 @@ pub fn h4() -> Config {
             table_rate: Rate(degrees(4.0)),
         },
         force: None,
+        follow: None,
+        haptic: None,
+    }
+}
+
+/// REF-M of spec h4-milling 7.2 with the reflection of its section 4.2; the arm counts 2.5 um and 65,536 to the turn.
+#[must_use]
+pub fn haptic() -> HapticConfig {
+    let length = |x: f64| Length(mm(x));
+    let newton = |x: f64| (x * 65_536.0) as i32;
+    let slide = Encoder {
+        per_count: (0.0025 * 1_048_576.0 * 16_777_216.0) as i64,
+        preset: Coordinate(mm(295.329_466)),
+    };
+    let angle = |preset: f64| Encoder {
+        per_count: 1 << 40,
+        preset: Coordinate(degrees(preset)),
+    };
+    let motor = |full: f64, limit: f64| Amplifier {
+        full_scale: Effort(newton(full)),
+        limit: Effort(newton(limit)),
+    };
+    let reflect = |percent, most| ReflectAxis {
+        percent,
+        most: newton(most),
+    };
+    HapticConfig {
+        geometry: HapticGeometry {
+            base_radius: length(150.0),
+            platform_radius: length(50.0),
+            link: length(200.0),
+            tilt: Angle::degrees(30),
+            tip: [Length::ZERO, Length::ZERO, length(150.0)],
+            side_tolerance: length(0.4),
+        },
+        sensors: [[slide, angle(0.0), angle(43.787_6)]; 3],
+        ranges: [
+            (Coordinate(mm(100.0)), Coordinate(mm(500.0))),
+            (Coordinate(degrees(-60.0)), Coordinate(degrees(60.0))),
+            (Coordinate(degrees(5.0)), Coordinate(degrees(88.0))),
+        ],
+        drives: [[motor(20.0, 15.0), motor(2.0, 1.5)]; 3],
+        illegal_transitions: 10,
+        condition: 20,
+        rate_filter_us: 5000,
+        ball: length(5.0),
+        step: Force(newton(0.05)),
+        reflection: Reflection {
+            axes: [reflect(40, 3.2), reflect(10, 3.2), reflect(20, 1.2)],
+            boost: 0,
+            boost_below: newton(2.0),
+        },
+        wall: WallConfig {
+            stiffness: newton(0.35) as u32,
+            most: Force(newton(5.5)),
+        },
+        passivity: PassivityConfig {
+            credit: newton(0.5) as u32,
+            debt: newton(1.0) as u32,
+            damping: newton(0.3) as u32,
+        },
+    }
+}
+
+/// A tool that follows a hand one to one.
+#[must_use]
+pub const fn follow() -> FollowConfig {
+    FollowConfig {
+        scale: 1 << 12,
+        gain: 100,
+        stale_ms: 50,
+    }
+}
+
+/// A haptic arm alone, which leads a tool afar.
+#[must_use]
+pub fn master() -> Config {
+    Config {
+        model: Model::None,
+        pose: Default::default(),
+        joints: Default::default(),
+        haptic: Some(haptic()),
+        ..h4()
     }
 }
 

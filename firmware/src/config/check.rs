@@ -4,7 +4,9 @@ use super::{AxisKind, Config, Drive, JointAxis, Law, Model, PoseAxis};
 use crate::kinematics::h4::H4;
 use crate::kinematics::machine::Machine;
 use crate::kinematics::{Joints, Kinematics};
+use crate::motion::follow::MoverLimits;
 use crate::motion::{jog, program};
+use crate::reflection::config::HapticConfig;
 use haptimill_protocol::message::{ConfigField, ConfigProblem, MAX_AXES};
 
 /// Largest magnitude of a linear or rotary coordinate that the arithmetic of the loops is made for: 1900 mm, or 0.46 turn.
@@ -35,10 +37,12 @@ impl Config {
         )?;
         let axes = match &self.model {
             Model::H4(_) => 5,
+            Model::None => 0,
         };
         let counts = self.pose.len() == axes && self.joints.len() == axes && axes <= MAX_AXES;
         require(counts, ConfigField::AxisCount, None)?;
         self.check_geometry()?;
+        self.check_hand()?;
         for (index, axis) in self.pose.iter().enumerate() {
             self.check_pose(index, axis)?;
         }
@@ -87,14 +91,36 @@ impl Config {
             None,
         )?;
         require(
-            self.homing.rate.0 > 0 && self.homing.table_rate.0 > 0,
+            axes == 0 || (self.homing.rate.0 > 0 && self.homing.table_rate.0 > 0),
             ConfigField::Homing,
             None,
         )
     }
 
+    /// A haptic arm, and what follows a hand. A machine without axes is one if it has an arm.
+    fn check_hand(&self) -> Check {
+        let sound = self.haptic.as_ref().is_none_or(HapticConfig::is_sound);
+        let something = self.haptic.is_some() || !self.pose.is_empty();
+        require(sound && something, ConfigField::Haptic, None)?;
+        let Some(follow) = &self.follow else {
+            return Ok(());
+        };
+        require(
+            follow.is_sound() && !self.pose.is_empty(),
+            ConfigField::Follow,
+            None,
+        )?;
+        for (index, axis) in self.pose.iter().enumerate() {
+            let bounds = MoverLimits::new(axis, follow.gain, self.period_us);
+            require(bounds.is_some(), ConfigField::Follow, Some(index))?;
+        }
+        Ok(())
+    }
+
     fn check_geometry(&self) -> Check {
-        let Model::H4(geometry) = &self.model;
+        let Model::H4(geometry) = &self.model else {
+            return Ok(());
+        };
         let length =
             |value: i32, low: i64, high: i64| (low << 20..=high << 20).contains(&i64::from(value));
         let sound = length(geometry.rod.0, 10, 1000)

@@ -9,11 +9,16 @@
 //!
 //! What is not in the equation:
 //! - **Gate.** Where the gate is shut ([`Gate`]) a force does not push outward; the rate dies away and the tool returns as soon as the force is below f_d.
-//! - **Limit.** At the largest displacement the outward rate ends. A limit that is lowered below the present displacement lets the tool come back by itself.
+//! - **Limit.** Towards the largest displacement the tool goes no faster than 1/64 of what is left in a period. A limit that is lowered to where it could not be reached so stands as far
+//!   out as the tool needs to end its rate, and follows it back: the tool comes back by itself.
 //! - **Landing.** The return slows down to 1/64 of the remaining displacement in a period: without it the rate would fall from f_d / K_V to 0 in one period (10 mm/s for K_V = 0.5).
 //! - **Guard.** On a stiff contact a damper acts between the tool and the *work*, D (p_c' + p_d'), see [`super::guard`]. Between the tool and the desired position it would
 //!   raise the force while the desired position still advances. While nothing is touched, and against a retreat, its push is at most f_d: it neither moves the tool away from where
 //!   nothing is nor keeps it where it shall not stay.
+//! - **Rest.** A drive with friction and lost motion does not follow a reference that creeps: the tool stands, the reference winds up against it, and some time later the tool goes
+//!   off by more than its error was. On a stiff contact (level 1 and more), while the desired position stands, the tool therefore moves at the creep rate v_c or not at
+//!   all. It comes to rest where the error falls below D v_c / 8, stays at rest while the error is below D v_c / 2 (f_d / 2 at most), and then goes again at v_c or faster. See
+//!   [`Law::resting_below`]; without a creep rate there is no rest.
 //!
 //! A change of gains or of f_d changes the acceleration; displacement and rate go on from where they are, so the tool does not jump. When `place` refuses the reference, [`Compliance::withhold`]
 //! takes the last period back: the displacement stays what it was and the rate is 0, so nothing winds up.
@@ -41,6 +46,9 @@ pub const MARGIN: u32 = 4;
 
 /// Up to here a contact is none of the guard's business, N/mm: cutting looks as stiff as this now and then.
 pub const SOFT: u32 = 20;
+
+/// Apparent contact stiffness at which level 1 begins, 2^-8 N/mm; level i begins at 2^(i - 1) of it.
+pub const ONSET: u32 = SOFT << 8;
 
 /// K_V of 0.1 N s/mm: below, [`Pole`] has no scale for T / K_V.
 const LEAST_DAMPING: u64 = 6554;
@@ -78,8 +86,9 @@ pub struct Law {
     limit: i64,
     /// From the scale of the rate to 2^-20 mm/s.
     to_rate: Part,
-    /// Apparent contact stiffness at which level 1 begins, 2^-8 N/mm.
-    onset: u32,
+    /// The creep rate in the scale of the rate; what it takes on each level to move at it, D v_c, 2^-16 N.
+    creep: i64,
+    creeping: [i32; LEVELS],
     frequency: u32,
 }
 
@@ -97,28 +106,39 @@ impl Law {
         largest_force: Force,
     ) -> Result<Self, ForceRefusal> {
         let delay_us = delay_us.clamp(1, DELAY_MOST_US);
-        let onset = onset(settings.damping, delay_us);
-        let highest = check(settings, onset, period_us, delay_us, largest_force)?;
+        let highest = check(settings, period_us, delay_us, largest_force)?;
         let first = Pole::new(settings.mass, settings.damping, period_us);
         let mut added = [0; LEVELS];
         for (level, added) in added.iter_mut().enumerate() {
-            *added = (damping(settings.damping, onset, delay_us, level.min(highest)).0
-                - settings.damping.0) as i32;
+            *added =
+                (damping(settings, delay_us, level.min(highest)).0 - settings.damping.0) as i32;
         }
-        // 2^-20 mm/s to 2^-(40 + FINENESS) mm in a period: below 2^31 * 2^10 * 2^20 / 10^6.
-        let way = i64::from(settings.rate.0.max(1)) * i64::from(period_us) * (1 << 20) / 1_000_000;
         Ok(Self {
             settings: settings.clone(),
             poles: [first; LEVELS],
             added,
             highest,
-            rate_limit: way.min(1 << RATE_BITS) << FINENESS,
+            rate_limit: way(i64::from(settings.rate.0.max(1)), period_us),
             limit: Displacement::from_length(settings.limit).0,
             // 10^6 / T_us / 2^(20 + FINENESS), below 1.
             to_rate: Part::ratio(1_000_000, u64::from(period_us.max(1)) << (20 + FINENESS)),
-            onset,
+            creep: 0,
+            creeping: [0; LEVELS],
             frequency: frequency(period_us),
         })
+    }
+
+    /// The same law for a drive that does not follow a reference slower than `creep` (its magnitude counts): on a stiff contact the tool moves as fast or rests. 0 is a drive that follows at any rate.
+    #[must_use]
+    pub fn resting_below(mut self, creep: Rate, period_us: u16) -> Self {
+        let creep = u64::from(creep.0.unsigned_abs());
+        self.creep = way(creep as i64, period_us);
+        for (creeping, added) in self.creeping.iter_mut().zip(self.added) {
+            // Below 2^27 + 2^31, times 2^31.
+            let damping = u64::from(self.settings.damping.0.saturating_add_signed(added));
+            *creeping = ((damping * creep) >> 20).min(Force::MOST.0 as u64) as i32;
+        }
+        self
     }
 
     /// Works out one level of damping.
@@ -159,39 +179,35 @@ impl Law {
     pub const fn highest(&self) -> usize {
         self.highest
     }
-
-    /// Apparent contact stiffness at which level 1 begins, 2^-8 N/mm; level i begins at 2^(i - 1) of it.
-    #[must_use]
-    pub const fn onset(&self) -> u32 {
-        self.onset
-    }
 }
 
 /// The longest delay that is counted with: half a second.
 const DELAY_MOST_US: u32 = 500_000;
 
-/// Where level 1 begins, 2^-8 N/mm: K_V / (4 tau), but not below [`SOFT`]. At most 2^42 / 4 before it is held.
-fn onset(damping: VirtualDamping, delay_us: u32) -> u32 {
-    let whole = u64::from(MARGIN) * u64::from(delay_us);
-    let onset = (u64::from(damping.0) * 1_000_000 / whole) >> 8;
-    onset.clamp(u64::from(SOFT) << 8, u64::from(u32::MAX) >> LEVELS) as u32
+/// From 2^-20 mm/s to 2^-(40 + FINENESS) mm in a period: below 2^31 * 2^10 * 2^20 / 10^6 before it is held.
+fn way(rate: i64, period_us: u16) -> i64 {
+    (rate * i64::from(period_us) * (1 << 20) / 1_000_000).min(1 << RATE_BITS) << FINENESS
 }
 
-/// The damping of a level: [`MARGIN`] k tau for its stiffest contact, k = 2^level onset, and K_V at least.
-fn damping(lowest: VirtualDamping, onset: u32, delay_us: u32, level: usize) -> VirtualDamping {
+/// The damping of a level for its stiffest contact, k = 2^level [`ONSET`]: [`MARGIN`] k tau for the delay, 2 sqrt(k K_A) so that it does not swing, and K_V at least.
+fn damping(settings: &LoopSettings, delay_us: u32, level: usize) -> VirtualDamping {
+    let lowest = settings.damping;
     if level == 0 {
         return lowest;
     }
-    // 2^-8 N/mm * us: below 2^32 * 2^19 * 4.
-    let product = (u64::from(onset) << level) * u64::from(MARGIN) * u64::from(delay_us);
-    let damping = ((product << 8) / 1_000_000).min(1 << 30) as u32;
+    let stiffest = u64::from(ONSET) << level;
+    // 2^-8 N/mm * us: below 2^21 * 2^19 * 4.
+    let product = stiffest * u64::from(MARGIN) * u64::from(delay_us);
+    let late = (product << 8) / 1_000_000;
+    // The root of 2^-8 N/mm * 2^-16 N s^2/mm is 2^-12 N s/mm; the stiffest is below 2^21, a mass that is taken 2^26.
+    let critical = (stiffest * u64::from(settings.mass.0.min(1 << 26))).isqrt() << 5;
+    let damping = late.max(critical).min(1 << 30) as u32;
     VirtualDamping(damping.max(lowest.0))
 }
 
 /// Checks settings; gives the highest level of damping, from which on the guard holds a contact of [`STIFFEST`].
 fn check(
     settings: &LoopSettings,
-    onset: u32,
     period_us: u16,
     delay_us: u32,
     largest_force: Force,
@@ -223,11 +239,11 @@ fn check(
     }
     // The last level answers for the stiffest contact.
     let mut highest = 0;
-    while u64::from(onset) << highest < u64::from(STIFFEST) << 8 && highest < LEVELS - 1 {
+    while ONSET << highest < STIFFEST << 8 && highest < LEVELS - 1 {
         highest += 1;
     }
     // K_A >= K_V T for the most damped level, and K_A <= 2^18 K_V T for the least damped one.
-    let most = u64::from(damping(settings.damping, onset, delay_us, highest).0);
+    let most = u64::from(damping(settings, delay_us, highest).0);
     let lightest = (most * u64::from(period_us)).div_ceil(1_000_000).max(1);
     if u64::from(settings.mass.0) < lightest {
         return Err(refuse(ForceParameter::MassTooSmall, lightest));
@@ -277,15 +293,21 @@ pub struct Compliance {
     before: i64,
     /// The rate that was given last.
     shown: Rate,
+    /// How far it may go, 2^-40 mm: the limit of the law, or further where that was lowered.
+    limit: i64,
+    /// It stands, and does not mind a small error.
+    resting: bool,
 }
 
-constants!(Compliance { law } of {} but { upward, away, rate, before, shown });
+constants!(Compliance { law } of {} but { upward, away, rate, before, shown, limit, resting });
 
 impl Compliance {
     /// An axis that has not yielded.
     #[must_use]
     pub const fn new(law: Law) -> Self {
         Self {
+            limit: law.limit,
+            resting: false,
             law,
             upward: true,
             away: 0,
@@ -304,6 +326,9 @@ impl Compliance {
     /// Goes on under another law; displacement and rate stay.
     pub fn adopt(&mut self, law: Law) {
         self.law = law;
+        // From where 1/64 of the way is left for each period, its rate ends by itself: below 2^46 + 2^50.
+        let needed = self.rate.max(0).wrapping_shr(FINENESS).wrapping_shl(6);
+        self.limit = self.law.limit.max(self.away.wrapping_add(needed));
     }
 
     /// The tool stands where it is desired: after an enable, or when wanted became measured.
@@ -371,6 +396,7 @@ impl Compliance {
         }
         let level = if push.held { LEVELS } else { push.level }.min(self.law.highest);
         let drive = self.drive(push, force, level);
+        let (drive, level) = self.rest(push, drive, level);
         self.before = self.away;
         if self.away == 0 && self.rate == 0 && drive <= 0 && self.shown.0 == 0 {
             return Yielding::default();
@@ -395,14 +421,22 @@ impl Compliance {
                 .wrapping_neg();
             (step, rate) = (step.max(landing), rate.max(landing));
         }
-        // Below 2^46 + 2^41.
+        if step > 0 || rate > 0 {
+            // The same towards the limit.
+            let room = self.limit.wrapping_sub(self.away).max(0) >> 6;
+            let landing = room.wrapping_shl(FINENESS);
+            (step, rate) = (step.min(landing), rate.min(landing));
+        }
+        // Below 2^50 + 2^41.
         let mut away = self.away.wrapping_add(step.wrapping_shr(FINENESS));
-        // A limit that was lowered does not push the tool.
-        let limit = law.limit.max(self.away);
-        let limited = away >= limit && drive > 0;
-        if away > limit {
-            away = limit;
+        let limited = drive > 0 && away > self.limit.wrapping_sub(NOTHING);
+        if limited {
+            away = self.limit;
             rate = rate.min(0);
+        }
+        if rate <= 0 {
+            // A limit that was lowered follows the tool back.
+            self.limit = law.limit.max(away);
         }
         if away < NOTHING && rate <= 0 {
             away = 0;
@@ -411,6 +445,27 @@ impl Compliance {
         self.away = away.max(0);
         self.rate = rate;
         self.yielding(limited)
+    }
+
+    /// A reference that creeps moves nothing: the drive and the level with which the tool moves at the creep rate at least, or rests.
+    #[inline]
+    fn rest(&mut self, push: &Push, drive: i32, level: usize) -> (i32, usize) {
+        let law = &self.law;
+        let creeping = law.creeping.get(level).copied().unwrap_or(0);
+        let stands = push.active && !push.held && push.desired_rate.0 == 0 && self.away > 0;
+        if level == 0 || creeping == 0 || !stands {
+            self.resting = false;
+            return (drive, level);
+        }
+        let error = drive.wrapping_abs();
+        let zone = creeping.min(law.settings.desired.0) / 2;
+        let going = self.rate.abs() > law.creep / 4 && (self.rate > 0) == (drive > 0);
+        self.resting = error <= zone && (self.resting || !going || error <= zone / 4);
+        if self.resting {
+            return (0, law.highest);
+        }
+        let least = drive.signum().wrapping_mul(creeping);
+        (if error < creeping { least } else { drive }, level)
     }
 
     /// What moves the virtual mass outward, 2^-16 N, within +-2^27.
@@ -445,6 +500,8 @@ impl Compliance {
             Gate::Positive => self.upward,
             Gate::Negative => !self.upward,
         };
+        // From where it is desired only a force above f_d moves the tool, not what the guard holds against the desired motion.
+        let open = open && (self.away > 0 || outward(force) > desired);
         let most = if open { Force::MOST.0 } else { 0 };
         drive.min(most).max(-Force::MOST.0)
     }

@@ -14,19 +14,23 @@
 //!
 //! **The observer.** k is measured: the regression of the peak force of the last revolution on the *deepest measured position* of the same revolution, over the last 32 looks, four in a
 //! revolution. Peak and deepest position belong together whatever the delay of the window or the drive, so the regression has no phase to lose. It counts when at least half of the change of the
-//! force is explained by the position, and when the force changes by more than [`NOISE`]. Cutting shows 10 N/mm or so: there the tool goes a long way with the force almost constant.
+//! force is explained by the position, and when the force changes by more than [`NOISE`]. Cutting shows 10 N/mm or so: there the tool goes a long way with the force almost constant. Deepest is
+//! towards the side on which the tool is pressed. A force that changes its side, as along the axes across a plunge, is not that of one contact, and its regression begins anew: deepest positions of both sides
+//! in one regression would be a stiffness by themselves. Nor does it count while the loop is open: a tool that has not yielded, under a force up to f_d, stays where it is desired whatever the force does. So where a
+//! feed begins, and the force of the cut rises with it within some um, is no contact either.
 //!
-//! **The controller.** Level 0 is K_V alone and holds while k is below the onset, K_V / 4 tau, or 20 N/mm if that is more. Level i stands for k up to 2^i of the onset, with four times the damping
-//! that the stiffest of these needs ([`super::compliance::MARGIN`]: two for the delay that friction adds, two for the gain margin). What is added acts between the tool and the work (p_c' + p_d'), so
-//! a steady push by the desired motion costs no force. A level is taken at once; it is left, one at a time, when the tool has moved for [`PATIENCE`] looks without showing a contact so stiff.
-//! A tool that stands still proves nothing, and keeps its level. At level 0 the law is the equation alone.
+//! **The controller.** Level 0 is K_V alone and stands for k below 20 N/mm ([`ONSET`]). Level i stands for k up to 2^i of that, with K_V or more: four times the damping
+//! that the stiffest of these needs ([`super::compliance::MARGIN`]: two for the delay that friction adds, two for the gain margin), and with critical damping: less of it swings across the lost motion of
+//! a drive without end. What is added acts between the tool and the work (p_c' + p_d'), so a steady push by the desired motion costs no force. A level is taken at once. It is left, one at a time, when [`PATIENCE`] looks have
+//! not shown a contact so stiff, and the tool has gone [`WAY`] from where it was last shown, while the force changed by less than half of what such a contact would have done on that way (the other half
+//! is for lost motion, which the encoders do not see). A tool that stands still proves nothing, and keeps its level. At level 0 the law is the equation alone.
 //!
 //! **The sign.** By the same regression: a force that grows the further the tool goes *along* it comes from a sensor with the wrong sign. It is looked for until the first contact has
 //! shown the right one.
 //!
 //! Misuse: a delay larger than the configured one. The levels are then too low.
 
-use super::compliance::Law;
+use super::compliance::{Law, ONSET};
 use crate::units::Coordinate;
 use crate::units::force::Force;
 
@@ -39,8 +43,15 @@ pub const NOISE: i64 = 3277;
 /// A deviation of the position of at least this is motion: 2^-20 mm, 0.5 um.
 const MOTION: i64 = 524;
 
-/// Looks with motion, and without a contact so stiff, after which a level is left.
+/// The least deviation of the position of which a stiffness is worked out: 2^-20 mm, 1.5 um, some times what is lost in the counts of an encoder. A force that comes and goes with less is no contact that moves
+/// the loop: the tool is pushed aside by a plunge, or stands.
+const TELLING: i64 = 1573;
+
+/// Looks without a contact so stiff after which a level may be left.
 pub const PATIENCE: u8 = 48;
+
+/// The way on which a contact must show whether it is still there, 2^-20 mm: 50 um, some times the lost motion of a drive.
+pub const WAY: i64 = 52_429;
 
 /// Looks after which a contact that is not felt any more is gone: four revolutions.
 const TOUCH: u8 = 16;
@@ -76,6 +87,10 @@ pub struct Guard {
     covariance: i64,
     level: u8,
     calm: u8,
+    /// Deepest position and peak force when the level was last shown, or left for the one below.
+    shown: (i32, i32),
+    /// The tool is pressed downwards.
+    downward: bool,
     touch: u8,
     wrong: u8,
     sign: Sign,
@@ -145,9 +160,9 @@ impl Guard {
         });
     }
 
-    /// One look, four times in a revolution: the peak force, and the law that is to be guarded.
-    pub fn look(&mut self, force: Force, law: &Law) {
-        let (onset, highest) = (law.onset(), law.highest());
+    /// One look, four times in a revolution: the peak force, the law that is to be guarded, and whether the tool has yielded.
+    pub fn look(&mut self, force: Force, law: &Law, yielded: bool) {
+        let highest = law.highest();
         let desired = law.settings().desired;
         self.touch = if force.magnitude() >= desired.magnitude() / 2 {
             TOUCH
@@ -161,14 +176,26 @@ impl Guard {
         if reach.low > reach.high {
             return;
         }
-        let deepest = if force.0 >= 0 { reach.low } else { reach.high };
+        let downward = force.0 < 0;
+        let turned = downward != self.downward && force.magnitude() >= desired.magnitude() / 4;
+        if turned {
+            self.downward = downward;
+        }
+        let open = !yielded && force.magnitude() <= desired.magnitude();
+        if turned || open {
+            self.begun = false;
+            self.position_variance = 0;
+            self.force_variance = 0;
+            self.covariance = 0;
+        }
+        // What presses the tool downwards is above it.
+        let deepest = if self.downward { reach.high } else { reach.low };
         let position = i64::from(deepest) << MEMORY;
         let seen = i64::from(force.held().0) << MEMORY;
         if !self.begun {
-            self.begun = true;
+            self.begun = !open;
             self.mean_position = position;
             self.mean_force = seen;
-            return;
         }
         let off = ((position - self.mean_position) >> MEMORY).clamp(-WIDEST, WIDEST);
         let more = ((seen - self.mean_force) >> MEMORY).clamp(-WIDEST, WIDEST);
@@ -178,7 +205,7 @@ impl Guard {
         self.position_variance = weigh(self.position_variance, off * off);
         self.force_variance = weigh(self.force_variance, more * more);
         self.covariance = weigh(self.covariance, off * more);
-        self.judge_stiffness(onset, highest);
+        self.judge_stiffness(highest, (deepest, force.held().0));
         if self.sign == Sign::Unknown {
             self.judge_sign(force, desired);
         }
@@ -203,12 +230,13 @@ impl Guard {
         both * both >= (position * force) >> 1
     }
 
-    fn judge_stiffness(&mut self, onset: u32, highest: usize) {
+    fn judge_stiffness(&mut self, highest: usize, now: (i32, i32)) {
         let mut level = 0;
-        if self.covariance < 0 && self.explained() {
+        let telling = self.position_variance >= TELLING * TELLING;
+        if telling && self.covariance < 0 && self.explained() {
             // N/mm are 2^-4 raw units of force per raw unit of position, and the onset has 8 more bits.
             let fell = -self.covariance;
-            let mut edge = stiff(self.position_variance, onset);
+            let mut edge = stiff(self.position_variance);
             while level < highest && fell >= edge {
                 level += 1;
                 edge = edge.saturating_mul(2);
@@ -218,13 +246,22 @@ impl Guard {
         if level >= self.level {
             self.level = level;
             self.calm = 0;
-        } else if self.position_variance >= MOTION * MOTION {
-            self.calm += 1;
-            if self.calm >= PATIENCE {
-                self.calm = 0;
-                self.level -= 1;
-            }
+            self.shown = now;
+            return;
         }
+        self.calm = self.calm.saturating_add(1);
+        let way = (i64::from(now.0) - i64::from(self.shown.0)).abs();
+        if self.calm < PATIENCE || way < WAY {
+            return;
+        }
+        let change = (i64::from(now.1) - i64::from(self.shown.1)).abs();
+        // The softest contact of this level; half of its force: below 2^24 * 2^21.
+        let softest = i64::from(ONSET) << (self.level - 1);
+        if change < (way.min(WIDEST) * softest) >> 13 {
+            self.level -= 1;
+        }
+        self.calm = 0;
+        self.shown = now;
     }
 
     fn judge_sign(&mut self, force: Force, desired: Force) {
@@ -249,10 +286,10 @@ fn weigh(mean: i64, square: i64) -> i64 {
     mean + ((square - mean) >> MEMORY)
 }
 
-/// The fall of the force (as a covariance) that `onset` means at this variance of the position: `variance * onset / 2^12`, for a variance below 2^49; held at the end of the range.
-fn stiff(variance: i64, onset: u32) -> i64 {
-    let high = (variance >> 24) * i64::from(onset);
-    let low = (variance & 0xff_ffff) * i64::from(onset);
-    // high * 2^24 / 2^12; both products below 2^57.
-    high.saturating_mul(1 << 12).saturating_add(low >> 12)
+/// The fall of the force (as a covariance) that [`ONSET`] means at this variance of the position: `variance * ONSET / 2^12`, for a variance below 2^49.
+fn stiff(variance: i64) -> i64 {
+    let high = (variance >> 24) * i64::from(ONSET);
+    let low = (variance & 0xff_ffff) * i64::from(ONSET);
+    // high * 2^24 / 2^12 is below 2^51; both products below 2^38.
+    (high << 12) + (low >> 12)
 }

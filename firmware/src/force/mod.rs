@@ -69,6 +69,19 @@ impl From<&ForceLoop> for LoopSettings {
     }
 }
 
+impl From<&LoopSettings> for ForceLoop {
+    fn from(settings: &LoopSettings) -> Self {
+        Self {
+            desired: settings.desired.0,
+            mass: settings.mass.0,
+            damping: settings.damping.0,
+            limit: settings.limit.0,
+            rate: settings.rate.0,
+            gate: settings.gate,
+        }
+    }
+}
+
 /// Everything that the machine file says of force control.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct ForceConfig {
@@ -80,6 +93,8 @@ pub struct ForceConfig {
     pub mask: u8,
     /// How late the tool follows its reference, microseconds.
     pub drive_lag_us: u16,
+    /// The slowest rate at which the drives follow their reference, in spite of friction and lost motion: on a stiff contact the tool moves as fast or rests. 0 for drives that follow at any rate.
+    pub creep: Rate,
     /// The slowest speed of the spindle at which force control works, rev/min: it gives the longest window of the peak.
     pub slowest_rpm: u16,
 }
@@ -127,6 +142,7 @@ pub struct ForceControl {
     slowest_rpm: u16,
     period_us: u16,
     delay_us: u32,
+    creep: Rate,
     conditioner: Conditioner,
     axes: [Axis; COMPONENTS],
     mask: u8,
@@ -145,7 +161,7 @@ pub struct ForceControl {
     yielding: [Yielding; COMPONENTS],
 }
 
-constants!(ForceControl { slowest_rpm, period_us, delay_us } of { conditioner }
+constants!(ForceControl { slowest_rpm, period_us, delay_us, creep } of { conditioner }
     but { axes, mask, rpm, stopped, held, suspended, known, adopted, condition, yielding });
 
 /// What is worked out from a configuration before it is taken.
@@ -182,6 +198,7 @@ impl Design {
         let law = |component: usize| {
             let range = config.sensor.range(component);
             Law::new(&config.axes[component], period_us, delay_us, range)
+                .map(|law| law.resting_below(config.creep, period_us))
                 .map_err(|refusal| (Some(component), refusal))
         };
         Ok(Self {
@@ -227,6 +244,7 @@ impl ForceControl {
             mask: config.mask,
             slowest_rpm: config.slowest_rpm,
             delay_us: config.delay_us(period_us),
+            creep: config.creep,
             period_us,
             rpm: 0,
             stopped: 0,
@@ -265,7 +283,9 @@ impl ForceControl {
             axis.until_look = axis.until_look.saturating_sub(1);
             if axis.until_look == 0 {
                 axis.until_look = (axis.peaks.window().samples() / 4).max(1) as u16;
-                axis.guard.look(axis.extremes.peak(), axis.compliance.law());
+                let yielded = axis.compliance.displacement() != Displacement::default();
+                axis.guard
+                    .look(axis.extremes.peak(), axis.compliance.law(), yielded);
                 if component == 0 {
                     self.conditioner.set_table(table);
                 }
@@ -312,6 +332,12 @@ impl ForceControl {
     #[must_use]
     pub const fn condition(&self) -> Option<ForceProblem> {
         self.condition
+    }
+
+    /// Whether the sensor can be believed: nothing is wrong with it but, at most, that the force is large.
+    #[must_use]
+    pub fn believed(&self) -> bool {
+        self.condition.as_ref().is_none_or(is_force)
     }
 
     /// What must stop a machine that moves; `jogged` says that a person moves it.
@@ -435,7 +461,8 @@ impl ForceControl {
                 bound: 0,
             });
         }
-        let law = Law::begin(settings, self.period_us, self.delay_us, range)?;
+        let law = Law::begin(settings, self.period_us, self.delay_us, range)?
+            .resting_below(self.creep, self.period_us);
         axis.preparing = Some(Preparing { law, next: 1 });
         Ok(())
     }

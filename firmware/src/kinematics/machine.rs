@@ -26,6 +26,7 @@ pub struct Machine {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 enum Geometry {
     H4(H4),
+    None,
 }
 
 impl Machine {
@@ -36,6 +37,7 @@ impl Machine {
     pub fn new(config: &Config) -> Self {
         let geometry = match &config.model {
             Model::H4(lengths) => Geometry::H4(H4::new(lengths)),
+            Model::None => Geometry::None,
         };
         let mut strokes = [(Coordinate::ZERO, Coordinate::ZERO); MAX_AXES];
         for (stroke, joint) in strokes.iter_mut().zip(&config.joints) {
@@ -43,6 +45,7 @@ impl Machine {
         }
         let axes = match &geometry {
             Geometry::H4(arm) => arm.axes(),
+            Geometry::None => 0,
         };
         let widths = core::array::from_fn(|index| match strokes[index] {
             _ if index >= axes => u32::MAX,
@@ -65,6 +68,7 @@ impl Machine {
         self.check_strokes(joints)?;
         match &self.geometry {
             Geometry::H4(arm) => arm.base_pose(joints),
+            Geometry::None => Err(PoseError::Unreachable),
         }
     }
 
@@ -81,6 +85,7 @@ impl Machine {
     ) -> Result<(), PoseError> {
         match &self.geometry {
             Geometry::H4(arm) => arm.place_motion(pose, rates, accelerations, motion)?,
+            Geometry::None => *motion = JointMotion::default(),
         }
         self.check_strokes(&motion.joints)
     }
@@ -92,6 +97,7 @@ impl Machine {
     pub fn singularity_distance(&self, pose: &Pose) -> Result<Length, PoseError> {
         match &self.geometry {
             Geometry::H4(arm) => arm.singularity_distance(pose),
+            Geometry::None => Err(PoseError::Unreachable),
         }
     }
 
@@ -100,6 +106,7 @@ impl Machine {
     pub const fn table(&self, pose: &Pose) -> Angle {
         match &self.geometry {
             Geometry::H4(_) => pose.0[4].angle(),
+            Geometry::None => Angle::ZERO,
         }
     }
 
@@ -151,12 +158,14 @@ impl Kinematics for Machine {
     fn axes(&self) -> usize {
         match &self.geometry {
             Geometry::H4(arm) => arm.axes(),
+            Geometry::None => 0,
         }
     }
 
     fn inverse(&self, pose: &Pose) -> Result<Joints, PoseError> {
         let joints = match &self.geometry {
             Geometry::H4(arm) => arm.inverse(pose)?,
+            Geometry::None => Joints::default(),
         };
         self.check_strokes(&joints)?;
         Ok(joints)
@@ -177,12 +186,14 @@ impl Kinematics for Machine {
         self.check_strokes(joints)?;
         match &self.geometry {
             Geometry::H4(arm) => arm.forward(joints),
+            Geometry::None => Ok(Pose::default()),
         }
     }
 
     fn jacobian(&self, pose: &Pose) -> Result<Jacobian, PoseError> {
         match &self.geometry {
             Geometry::H4(arm) => arm.jacobian(pose),
+            Geometry::None => Err(PoseError::Unreachable),
         }
     }
 }

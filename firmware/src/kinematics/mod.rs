@@ -7,6 +7,8 @@ pub mod h4;
 mod h4_forward;
 mod h4_motion;
 mod h4_statics;
+pub mod haptic;
+pub mod haptic_statics;
 pub mod machine;
 
 pub use h4_statics::ToolForce;

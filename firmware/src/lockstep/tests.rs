@@ -20,6 +20,13 @@ prop_compose! {
     }
 }
 
+prop_compose! {
+    fn hand()(counts: [[i32; 3]; 3], illegal: [[u16; 3]; 3], engaged: bool, drives_ready: bool) -> HapticInputs {
+        let legs = core::array::from_fn(|leg| LegInputs { counts: counts[leg], illegal: illegal[leg] });
+        HapticInputs { legs, engaged, drives_ready }
+    }
+}
+
 fn command() -> impl Strategy<Value = DriveCommand> {
     prop_oneof![
         Just(DriveCommand::Off),
@@ -37,7 +44,7 @@ fn command() -> impl Strategy<Value = DriveCommand> {
 
 prop_compose! {
     fn reading()(
-        state in prop::sample::select(STATES.to_vec()),
+        state in prop::sample::select(State::ALL.to_vec()),
         (homed, position_kept, fault, more, queued) in (any::<bool>(), any::<bool>(), any::<bool>(), any::<bool>(), 0_u16..0x1000),
         (setpoint, path_rate, spindle_rpm, program_time) in any::<(u32, u16, i16, u64)>(),
         rows: [[i32; MAX_AXES]; 5],
@@ -59,11 +66,12 @@ prop_compose! {
         (spindle_rpm, said) in any::<(i16, u16)>(),
         (received, waiting, lost_bytes, urgent) in any::<(u16, u16, u16, bool)>(),
         stages: [u32; STAGES],
+        (enabled, currents) in any::<(bool, [[i16; 2]; 3])>(),
         reading in prop::option::of(reading()),
     ) -> Done {
         Done {
             period,
-            outputs: Outputs { axes, spindle_rpm, ..Outputs::default() },
+            outputs: Outputs { axes, spindle_rpm, haptic: HapticOutputs { enabled, currents }, ..Outputs::default() },
             said,
             heard: Heard { received, waiting, lost_bytes, urgent },
             stages,
@@ -79,10 +87,10 @@ proptest! {
     #[test]
     fn inputs_arrive(
         period: u64, missed: u16, time_ns: u32, transmit_room: u16, emergency_stop: bool, arrived: u32,
-        axes in prop::array::uniform6(axis()), period_us: u16, codes: [i16; 3], conversions: u8, overload: bool,
+        axes in prop::array::uniform6(axis()), period_us: u16, haptic in hand(), codes: [i16; 3], conversions: u8, overload: bool,
     ) {
         let force = ForceSample { codes, conversions, overload };
-        let inputs = Inputs { force, period, missed, time_ns, transmit_room, emergency_stop, axes, ..Inputs::default() };
+        let inputs = Inputs { force, haptic, period, missed, time_ns, transmit_room, emergency_stop, axes, ..Inputs::default() };
         for said in [ToBoard::Begin { period_us }, ToBoard::Period { inputs, arrived }, ToBoard::End] {
             prop_assert_eq!(ToBoard::decode(&said.encode()), Ok(said));
         }
@@ -113,5 +121,17 @@ proptest! {
     fn noise_is_refused(bytes in prop::collection::vec(any::<u8>(), TO_BOARD_BYTES)) {
         let frame: [u8; TO_BOARD_BYTES] = bytes.try_into().unwrap();
         prop_assert!(ToBoard::decode(&frame).is_err());
+    }
+}
+
+#[test]
+fn a_frame_is_sealed_as_it_was() {
+    let whole = ToBoard::Begin { period_us: 200 }.encode();
+    let mut kept = ToBoard::Begin { period_us: 200 }.encode_unsealed();
+    assert_eq!(ToBoard::decode(&kept), Err(FrameError::Check));
+    seal(&mut kept);
+    assert_eq!(kept, whole);
+    for (number, state) in State::ALL.iter().enumerate() {
+        assert_eq!(usize::from(state.number()), number);
     }
 }

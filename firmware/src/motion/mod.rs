@@ -1,11 +1,13 @@
 //! What is wanted: the pose of this period, with its rate and acceleration.
 //!
-//! A pose coordinate takes its wanted value from the program, from a jog, or holds ([`Source`]). Sources change only while the
-//! coordinate is at rest; the difference between where it stands and where the program would have it stays as an offset, so nothing jumps.
+//! A pose coordinate takes its wanted value from the program, from a jog, from a hand, or holds ([`Source`]). To a jog, and from one, it changes only
+//! at rest. Otherwise it changes while it moves: a [`Mover`] takes over place and rate, and follows the hand, or brakes. Back at the program, the
+//! difference between where it is and where the program would have it stays as an offset, whose rate the mover brakes; so nothing jumps.
 //!
 //! Misuse: [`Motion::place`] sets the wanted pose without moving there. It is for enabling and homing, when wanted must become measured.
 
 pub mod cubic;
+pub mod follow;
 pub mod jog;
 pub mod program;
 pub mod ramp;
@@ -15,6 +17,7 @@ use crate::config::Config;
 use crate::kinematics::{Accelerations, Kinematics, Pose, Rates};
 use crate::safety::integrity::constants;
 use crate::units::{Acceleration, Coordinate, Rate};
+use follow::{Mover, MoverLimits};
 use haptimill_protocol::message::{MAX_AXES, Source};
 use jog::Jog;
 use program::{Program, Progress};
@@ -57,9 +60,28 @@ pub struct Motion {
     wanted: Wanted,
     sources: [Source; MAX_AXES],
     offsets: [i32; MAX_AXES],
+    bounds: [MoverLimits; MAX_AXES],
+    /// What follows the hand or brakes; where the program leads, its offset while that is under way.
+    movers: [Mover; MAX_AXES],
+    /// Rates of the program in the last period.
+    program_rates: Rates,
+    /// Where the hand wants the coordinates that it leads.
+    targets: [Option<Coordinate>; MAX_AXES],
+    /// The hand leads on where there is no room to stop: what follows it brakes to rest.
+    confined: bool,
+    /// That was told.
+    told: bool,
+    limited: Option<u8>,
+    /// The job is over: what follows the hand comes to rest.
+    ending: bool,
 }
 
-constants!(Motion { axes } of { program, jog } but { wanted, sources, offsets });
+constants!(Motion { axes, bounds } of { program, jog } but {
+    wanted, sources, offsets, movers, program_rates, targets, confined, told, limited, ending
+});
+
+/// Gain of the movers of a machine that no hand leads, 1/s: they only brake.
+const GAIN: u16 = 100;
 
 impl Motion {
     /// Becomes that of the machine of `config`, in its place: its queue is large.
@@ -67,6 +89,10 @@ impl Motion {
         self.program.set_up(config);
         self.jog = Jog::new(config);
         self.axes = config.pose.len();
+        let gain = config.follow.map_or(GAIN, |follow| follow.gain);
+        for (bounds, axis) in self.bounds.iter_mut().zip(&config.pose) {
+            *bounds = MoverLimits::new(axis, gain, config.period_us).unwrap_or_default();
+        }
     }
 
     /// The wanted pose.
@@ -82,6 +108,19 @@ impl Motion {
             ..Wanted::default()
         };
         self.jog.begin(pose, true);
+        self.stand();
+    }
+
+    /// All movers stand at the wanted pose.
+    fn stand(&mut self) {
+        for axis in 0..self.axes {
+            let place = self.wanted.pose.0[axis];
+            self.movers[axis] = Mover::at(place, Rate::ZERO, &self.bounds[axis]);
+        }
+        self.targets = [None; MAX_AXES];
+        self.confined = false;
+        self.told = false;
+        self.ending = false;
     }
 
     /// Begins a job at the wanted pose.
@@ -89,6 +128,7 @@ impl Motion {
         self.program.begin(&self.wanted.pose);
         self.offsets = [0; MAX_AXES];
         self.jog.begin(&self.wanted.pose, true);
+        self.stand();
     }
 
     /// Begins jogging at the wanted pose; `limited` says whether soft limits count.
@@ -96,12 +136,60 @@ impl Motion {
         self.jog.begin(&self.wanted.pose, limited);
     }
 
-    /// Chooses the source of one coordinate; only while the machine is at rest.
+    /// Chooses the source of one coordinate: to a jog, or from one, only while the machine is at rest.
     pub fn set_source(&mut self, axis: usize, source: Source) {
-        if let Some(slot) = self.sources.get_mut(axis) {
-            *slot = source;
+        let Some(before) = self.sources.get(axis).copied() else {
+            return;
+        };
+        let bounds = &self.bounds[axis];
+        let (place, rate) = (self.wanted.pose.0[axis], self.wanted.rates[axis]);
+        if before == Source::Jog || source == Source::Jog {
             self.jog.begin(&self.wanted.pose, true);
         }
+        if source != before {
+            self.movers[axis] = if source == Source::Program {
+                let rate = rate.saturating_sub(self.program_rates[axis]);
+                Mover::at(Coordinate(self.offsets[axis]), rate, bounds)
+            } else {
+                Mover::at(place, rate, bounds)
+            };
+        }
+        self.sources[axis] = source;
+        self.targets[axis] = None;
+    }
+
+    /// Coordinates that a hand leads: a bit each.
+    #[must_use]
+    pub fn hand_mask(&self) -> u8 {
+        let axes = self.sources[..self.axes].iter().enumerate();
+        axes.fold(0, |mask, (axis, source)| {
+            mask | u8::from(*source == Source::Master) << axis
+        })
+    }
+
+    /// Where the hand wants the coordinates that it leads, in this period.
+    pub const fn lead(&mut self, targets: &[Option<Coordinate>; MAX_AXES]) {
+        self.targets = *targets;
+    }
+
+    /// Where a coordinate that follows a hand comes to rest if nothing leads it any more.
+    #[must_use]
+    pub fn rest(&self, axis: usize) -> Coordinate {
+        match self.sources.get(axis) {
+            Some(Source::Master) => self.movers[axis].rest(&self.bounds[axis]),
+            _ => self.wanted.pose.0.get(axis).copied().unwrap_or_default(),
+        }
+    }
+
+    /// Whether no mover is under way.
+    #[must_use]
+    pub fn movers_still(&self) -> bool {
+        self.movers[..self.axes].iter().all(Mover::is_still)
+    }
+
+    /// A coordinate that the hand leads where the machine cannot go; once until it goes on.
+    pub const fn take_limited(&mut self) -> Option<u8> {
+        self.limited.take()
     }
 
     /// Where a coordinate takes its wanted value from.
@@ -122,7 +210,7 @@ impl Motion {
         for (axis, coordinate) in destination.0[..self.axes].iter_mut().enumerate() {
             *coordinate = match self.sources[axis] {
                 Source::Program => Coordinate(coordinate.0.wrapping_add(self.offsets[axis])),
-                Source::Jog | Source::Hold => self.wanted.pose.0[axis],
+                Source::Jog | Source::Hold | Source::Master => self.wanted.pose.0[axis],
             };
         }
         destination
@@ -150,6 +238,7 @@ impl Motion {
             Mode::Program { halt } => {
                 if !self.led_otherwise() {
                     let progress = self.program.advance_to(halt, &mut self.wanted);
+                    self.program_rates = self.wanted.rates;
                     return (progress, None);
                 }
                 for axis in 0..self.axes {
@@ -163,9 +252,12 @@ impl Motion {
                 }
                 let (program, mut progress) = self.program.advance(halt || blocked);
                 progress.blocked = blocked;
+                self.program_rates = program.rates;
+                let moving = self.follow(halt);
+                self.ending = progress.finished;
                 let (jog, limited) = self.jog.advance(machine);
                 for axis in 0..self.axes {
-                    self.merge(axis, &program, &jog);
+                    self.merge(axis, &program, &jog, moving & (1 << axis) != 0);
                 }
                 (progress, clipped.or(limited))
             }
@@ -178,48 +270,129 @@ impl Motion {
             .iter()
             .any(|source| *source != Source::Program)
             || self.offsets.iter().any(|offset| *offset != 0)
+            || !self.movers_still()
+    }
+
+    /// One period of the movers; a bit for each that was under way in it.
+    fn follow(&mut self, halt: bool) -> u8 {
+        let free = !(halt || self.confined || self.ending);
+        let mut moving = 0;
+        for axis in 0..self.axes {
+            let mover = &mut self.movers[axis];
+            match self.sources[axis] {
+                Source::Master => {
+                    let target = self.targets[axis].filter(|_| free);
+                    mover.advance(target, &self.bounds[axis]);
+                }
+                Source::Hold | Source::Program if !mover.is_still() => {
+                    mover.advance(None, &self.bounds[axis])
+                }
+                _ => continue,
+            }
+            moving |= 1 << axis;
+        }
+        moving
+    }
+
+    /// Whether the hand leads on; what follows it has come to rest and may try again, if it had to brake.
+    fn hand_goes_on(&mut self) -> bool {
+        self.confined = self.confined && !self.movers_still();
+        !self.confined
     }
 
     /// Looks whether the machine can still come to rest within its bounds if all goes on for one period. Says whether the program must brake now,
     /// and the coordinate whose jog must.
-    fn foresee(&self, machine: &impl Kinematics) -> (bool, Option<u8>) {
-        let program = self.program.sweep();
-        let fits = |goes_on| {
-            let Some(jog) = self.jog.stopping(goes_on) else {
-                return false;
-            };
-            let mut sweep = Sweep::at(&self.wanted.pose);
-            let mut allowed = true;
-            for axis in 0..self.axes {
-                match self.sources[axis] {
-                    Source::Program => {
-                        sweep.take(axis, &program, self.offsets[axis]);
-                        allowed &= self.offsets[axis] == 0 || self.jog.allows(axis, &sweep);
-                    }
-                    Source::Jog => sweep.take(axis, &jog, 0),
-                    Source::Hold => {}
-                }
-            }
-            allowed && sweep.is_reachable(self.axes, machine)
-        };
-        if fits(true) {
+    fn foresee(&mut self, machine: &impl Kinematics) -> (bool, Option<u8>) {
+        let led = self.hand_goes_on();
+        if self.fits(true, led, machine) {
+            self.told &= self.movers_still();
             return (false, None);
         }
-        let jogged = self.sources[..self.axes]
-            .iter()
-            .position(|source| *source == Source::Jog)
-            .filter(|_| !self.jog.is_still())
-            .map(|axis| axis as u8);
-        (jogged.is_none() || !fits(false), jogged)
+        let first = |source| {
+            let mut sources = self.sources[..self.axes].iter();
+            sources
+                .position(|other| *other == source)
+                .map(|axis| axis as u8)
+        };
+        let jogged = first(Source::Jog).filter(|_| !self.jog.is_still());
+        let followed = first(Source::Master);
+        if followed.is_some() {
+            self.confined = true;
+            if !self.told {
+                self.told = true;
+                self.limited = followed;
+            }
+        }
+        let braked = jogged.or(followed).is_some();
+        (!braked || !self.fits(false, false, machine), jogged)
     }
 
-    fn merge(&mut self, axis: usize, program: &Wanted, jog: &Wanted) {
+    /// Whether the machine can come to rest within its bounds if jogs and what follows the hand go on for one period, or brake already.
+    fn fits(&self, jog_goes_on: bool, hand_goes_on: bool, machine: &impl Kinematics) -> bool {
+        let program = self.program.sweep();
+        let Some(jog) = self.jog.stopping(jog_goes_on) else {
+            return false;
+        };
+        let mut sweep = Sweep::at(&self.wanted.pose);
+        let mut allowed = true;
+        for axis in 0..self.axes {
+            let (mover, bounds) = (&self.movers[axis], &self.bounds[axis]);
+            match self.sources[axis] {
+                Source::Program => {
+                    sweep.take(axis, &program, self.offsets[axis]);
+                    if !mover.is_still() {
+                        let (low, high) = mover.sweep(None, bounds);
+                        let of = |end: Coordinate, by: i64| i64::from(end.0) + by;
+                        sweep.reach(axis, of(program.low.0[axis], low));
+                        sweep.reach(axis, of(program.high.0[axis], high));
+                    }
+                    allowed &= self.offsets[axis] == 0 || self.jog.allows(axis, &sweep);
+                }
+                Source::Jog => sweep.take(axis, &jog, 0),
+                Source::Master => {
+                    let target = self.targets[axis].filter(|_| hand_goes_on);
+                    let (low, high) = mover.sweep(target, bounds);
+                    // A mover at rest stays in its place, to the last bit.
+                    if target.is_some() || !mover.is_still() {
+                        sweep.reach(axis, low);
+                        sweep.reach(axis, high);
+                    }
+                }
+                Source::Hold if !mover.is_still() => {
+                    let (low, high) = mover.sweep(None, bounds);
+                    sweep.reach(axis, low);
+                    sweep.reach(axis, high);
+                }
+                Source::Hold => {}
+            }
+        }
+        allowed && sweep.is_reachable(self.axes, machine)
+    }
+
+    fn merge(&mut self, axis: usize, program: &Wanted, jog: &Wanted, moves: bool) {
+        let mut moved = Wanted::default();
+        if moves {
+            self.movers[axis].tell(axis, &self.bounds[axis], &mut moved);
+            if self.sources[axis] == Source::Program {
+                self.offsets[axis] = moved.pose.0[axis].0;
+            }
+        }
         let offset = self.offsets[axis];
         let (position, rate, acceleration) = match self.sources[axis] {
             Source::Program => (
                 program.pose.0[axis].0.wrapping_add(offset),
-                program.rates[axis],
-                program.accelerations[axis],
+                program.rates[axis].saturating_add(moved.rates[axis]),
+                program.accelerations[axis].saturating_add(moved.accelerations[axis]),
+            ),
+            Source::Master => (
+                moved.pose.0[axis].0,
+                moved.rates[axis],
+                moved.accelerations[axis],
+            ),
+            Source::Hold if moves => (
+                moved.pose.0[axis].0,
+                moved.rates[axis],
+                moved.accelerations[axis],
             ),
             Source::Jog => (jog.pose.0[axis].0, jog.rates[axis], jog.accelerations[axis]),
             Source::Hold => (self.wanted.pose.0[axis].0, Rate(0), Acceleration(0)),

@@ -50,39 +50,15 @@ impl Force {
     }
 }
 
-/// K_A of spec h4-milling (3.30): 2^-16 N s^2/mm.
-#[derive(
-    Debug,
-    Clone,
-    Copy,
-    Default,
-    PartialEq,
-    Eq,
-    PartialOrd,
-    Ord,
-    Hash,
-    serde::Serialize,
-    serde::Deserialize,
-)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct VirtualMass(pub u32);
+quantity! {
+    /// K_A of spec h4-milling (3.30): 2^-16 N s^2/mm.
+    VirtualMass: u32
+}
 
-/// K_V of spec h4-milling (3.30): 2^-16 N s/mm.
-#[derive(
-    Debug,
-    Clone,
-    Copy,
-    Default,
-    PartialEq,
-    Eq,
-    PartialOrd,
-    Ord,
-    Hash,
-    serde::Serialize,
-    serde::Deserialize,
-)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct VirtualDamping(pub u32);
+quantity! {
+    /// K_V of spec h4-milling (3.30): 2^-16 N s/mm.
+    VirtualDamping: u32
+}
 
 /// A displacement that is integrated for a long time: 2^-40 mm.
 ///

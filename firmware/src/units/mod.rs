@@ -11,32 +11,23 @@
 //! | [`Acceleration`] | 2^-12 mm/s^2 | +-524 m/s^2 | 2^-24 turn/s^2 | +-128 turn/s^2 |
 //! | [`Effort`] | 2^-16 N | +-32768 N | 2^-16 N m | +-32768 N m |
 
-/// Defines a newtype over `i32` with its raw value public.
+/// Defines a newtype over `i32`, or over another integer that is named, with its raw value public.
 macro_rules! quantity {
     ($(#[$doc:meta])* $name:ident) => {
+        quantity! { $(#[$doc])* $name: i32 }
+    };
+    ($(#[$doc:meta])* $name:ident: $raw:ty) => {
         $(#[$doc])*
         #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize, serde::Deserialize)]
         #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-        pub struct $name(pub i32);
+        pub struct $name(pub $raw);
     };
 }
 
-/// A gain of a loop, 2^-8 of its unit (1/s^2, 1/s or 1/s^3, by its place), up to 16.7 million.
-#[derive(
-    Debug,
-    Clone,
-    Copy,
-    Default,
-    PartialEq,
-    Eq,
-    PartialOrd,
-    Ord,
-    Hash,
-    serde::Serialize,
-    serde::Deserialize,
-)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Gain(pub u32);
+quantity! {
+    /// A gain of a loop, 2^-8 of its unit (1/s^2, 1/s or 1/s^3, by its place), up to 16.7 million.
+    Gain: u32
+}
 
 quantity! {
     /// A length, 2^-20 mm (0.95 nm), +-2048 mm.

@@ -69,6 +69,8 @@ pub struct Outcome {
     pub largest: f64,
     pub swing: f64,
     pub mean: f64,
+    /// Mean of the peak of a revolution, which is what the loop holds.
+    pub mean_peak: f64,
     pub level: usize,
     pub sign: Sign,
 }
@@ -127,7 +129,7 @@ pub fn run(contact: &Contact, mut trace: impl FnMut(f64, f64, f64, usize)) -> Ou
     let mut filtered = start;
     let mut reference = start;
     let mut reference_rate = 0.0;
-    let mut forces = Vec::new();
+    let (mut forces, mut felt) = (Vec::new(), Vec::new());
     let mut rising = true;
     let (mut first_peak, mut largest) = (0.0f64, 0.0f64);
     let periods = (contact.time / STEP) as usize;
@@ -177,6 +179,7 @@ pub fn run(contact: &Contact, mut trace: impl FnMut(f64, f64, f64, usize)) -> Ou
             .clamp(-8192.0, 8191.0);
         let sensed = Force((code * 0.0122 * NEWTON) as i32);
         let peak = peaks.push(sensed).peak();
+        felt.push(f64::from(peak.0) / NEWTON);
         guard.note(Coordinate((measured * MM) as i32));
         // Desired motion.
         let end = -contact.depth;
@@ -199,7 +202,7 @@ pub fn run(contact: &Contact, mut trace: impl FnMut(f64, f64, f64, usize)) -> Ou
         reference = desired + yielded.displacement.length().0 as f64 / MM;
         reference_rate = rate + f64::from(yielded.rate.0) / MM;
         if k % (contact.window as usize / 4) == 0 {
-            guard.look(peak, compliance.law());
+            guard.look(peak, compliance.law(), yielded.displacement.0 != 0);
         }
         trace(
             k as f64 * STEP,
@@ -211,12 +214,14 @@ pub fn run(contact: &Contact, mut trace: impl FnMut(f64, f64, f64, usize)) -> Ou
     let part = &forces[periods * 7 / 10..];
     let high = part.iter().copied().fold(f64::MIN, f64::max);
     let low = part.iter().copied().fold(f64::MAX, f64::min);
-    let (swing, mean) = (high - low, part.iter().sum::<f64>() / part.len() as f64);
+    let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
+    let (swing, mean, mean_peak) = (high - low, mean(part), mean(&felt[periods * 7 / 10..]));
     Outcome {
         first_peak,
         largest,
         swing,
         mean,
+        mean_peak,
         level,
         sign: guard.sign(),
     }

@@ -20,3 +20,25 @@ pub fn plus(a: Vector, b: Vector) -> Vector {
 pub fn dot(a: Vector, b: Vector) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
+
+/// a x b.
+#[inline(always)]
+pub fn cross(a: Vector, b: Vector) -> Vector {
+    [
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    ]
+}
+
+/// a times a number.
+#[inline(always)]
+pub fn times(a: Vector, factor: f64) -> Vector {
+    [a[0] * factor, a[1] * factor, a[2] * factor]
+}
+
+/// Length of a.
+#[inline(always)]
+pub fn length(a: Vector) -> f64 {
+    libm::sqrt(dot(a, a))
+}

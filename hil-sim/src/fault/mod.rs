@@ -14,11 +14,14 @@
 //! An axis is called by the name of its joint in the machine's configuration. Without `at` a fault is there from the start, without `for` it stays. Two faults on
 //! one device add up; where they contradict each other the later in the list holds.
 
+mod hand;
 mod text;
 
+pub use hand::{HandEncoder, HandFault, HandSensor};
 pub use text::catalogue;
 
 use core::fmt;
+use haptimill_firmware::io::LEGS;
 use serde::{Deserialize, Serialize};
 
 /// A fault in time.
@@ -148,6 +151,8 @@ pub enum FaultKind {
         /// At which end.
         level: Level,
     },
+    /// Something at the haptic arm.
+    Hand(HandFault),
     /// The spindle stands, whatever it is told.
     SpindleStalled,
     /// The emergency stop circuit is open.
@@ -292,7 +297,10 @@ impl FaultKind {
     /// A number that must not be negative (or must be a probability), with its largest value.
     const fn bounded(&self) -> Option<(f64, f64)> {
         match self {
-            Self::EncoderNoise { per_second, .. } => Some((*per_second, 50_000.0)),
+            Self::EncoderNoise { per_second, .. }
+            | Self::Hand(HandFault::EncoderNoise { per_second, .. }) => {
+                Some((*per_second, 50_000.0))
+            }
             Self::SlideJammed {
                 effort: Some(effort),
                 ..
@@ -336,6 +344,14 @@ impl Fault {
             .filter(|(value, most)| !(0.0..=*most).contains(value))
         {
             return refuse(format!("{value} is not within 0 to {most}"));
+        }
+        if let FaultKind::Hand(fault) = &self.what
+            && let Some(HandEncoder { leg, .. }) = fault.encoder()
+            && !(1..=LEGS).contains(&usize::from(leg))
+        {
+            return refuse(format!(
+                "there is no leg {leg}; the haptic arm has 1 to {LEGS}"
+            ));
         }
         if let FaultKind::DriveWeak { gain: number, .. }
         | FaultKind::Push { effort: number, .. }

@@ -1,11 +1,11 @@
 //! Faults as one line of text: `name key=value ... at=1.5s for=200ms`, keys in any order, parted by blanks or commas.
 
-use super::{Along, Channel, Direction, Fault, FaultError, FaultKind, Level, Switch};
+use super::{Along, Channel, Direction, Fault, FaultError, FaultKind, HandFault, Level, Switch};
 use core::fmt;
 use core::str::FromStr;
 
 /// A word that stands for a value of a small enumeration.
-trait Word: Sized + Copy + PartialEq + 'static {
+pub(super) trait Word: Sized + Copy + PartialEq + 'static {
     const WORDS: &'static [(&'static str, Self)];
 
     fn word(self) -> &'static str {
@@ -50,7 +50,7 @@ impl Word for bool {
 }
 
 /// The keys of a line that have not been used yet.
-struct Keys<'a>(Vec<(&'a str, &'a str)>);
+pub(super) struct Keys<'a>(Vec<(&'a str, &'a str)>);
 
 impl<'a> Keys<'a> {
     fn take(&mut self, key: &str) -> Option<&'a str> {
@@ -70,13 +70,13 @@ impl<'a> Keys<'a> {
         }
     }
 
-    fn number<T: FromStr>(&mut self, key: &str) -> Result<T, String> {
+    pub(super) fn number<T: FromStr>(&mut self, key: &str) -> Result<T, String> {
         let text = self.need(key)?;
         text.parse()
             .map_err(|_| format!("`{key}={text}`: not a number that fits"))
     }
 
-    fn word<T: Word>(&mut self, key: &str) -> Result<T, String> {
+    pub(super) fn word<T: Word>(&mut self, key: &str) -> Result<T, String> {
         let text = self.need(key)?;
         T::WORDS
             .iter()
@@ -241,7 +241,10 @@ fn kind(name: &str, keys: &mut Keys<'_>) -> Result<FaultKind, String> {
         "link-cut" => FaultKind::LinkCut {
             direction: keys.direction()?,
         },
-        _ => return Err(format!("{name} is in the catalogue only")),
+        _ => match name.strip_prefix("hand-") {
+            Some(rest) => FaultKind::Hand(HandFault::read(rest, keys)?),
+            None => return Err(format!("{name} is in the catalogue only")),
+        },
     })
 }
 
@@ -270,7 +273,7 @@ const fn entry(name: &'static str, keys: &'static str, what: &'static str) -> En
 }
 
 /// All faults.
-const CATALOGUE: [Entry; 25] = [
+const CATALOGUE: [Entry; 31] = [
     entry(
         "encoder-stuck",
         "axis=NAME channel=a|b level=low|high",
@@ -351,6 +354,36 @@ const CATALOGUE: [Entry; 25] = [
         "sensor-saturated",
         "along=x|y|z level=low|high",
         "the force sensor stands at an end of its range",
+    ),
+    entry(
+        "hand-encoder-stuck",
+        "leg=N sensor=slide|turn|hinge channel=a|b level=low|high",
+        "a channel of an encoder of the haptic arm stands still",
+    ),
+    entry(
+        "hand-encoder-swapped",
+        "leg=N sensor=slide|turn|hinge",
+        "the channels of an encoder of the haptic arm are swapped",
+    ),
+    entry(
+        "hand-encoder-slip",
+        "leg=N sensor=slide|turn|hinge counts=N",
+        "a counter of the haptic arm jumps, once",
+    ),
+    entry(
+        "hand-encoder-dropped",
+        "leg=N sensor=slide|turn|hinge",
+        "the plug of an encoder of the haptic arm is out",
+    ),
+    entry(
+        "hand-encoder-noise",
+        "leg=N sensor=slide|turn|hinge per-second=N",
+        "noise pulses on the channels of an encoder of the haptic arm",
+    ),
+    entry(
+        "hand-amplifiers-tripped",
+        "",
+        "the amplifiers of the haptic arm give nothing and say so",
     ),
     entry("spindle-stalled", "", "the spindle stands"),
     entry("emergency-stop", "", "the emergency stop circuit is open"),
@@ -459,6 +492,7 @@ impl fmt::Display for Fault {
                     level.word()
                 )
             }
+            FaultKind::Hand(fault) => write!(f, "{fault}"),
             FaultKind::SpindleStalled => f.write_str("spindle-stalled"),
             FaultKind::EmergencyStop => f.write_str("emergency-stop"),
             FaultKind::MissedPeriods { count } => write!(f, "missed-periods count={count}"),

@@ -43,7 +43,7 @@ Exit codes:
   5  the port cannot be opened, is taken, or the link broke
   6  the machine latched a fault
   7  stopped by the user; the machine slowed down along its path
-  8  the controller refused a command in its present state; with `trace diff`: the recordings differ
+  8  the controller refused a command in its present state; `trace diff`, `replay`: there is a difference
   9  the result cannot be written
 With --json an error is an object on standard output too, unless the command line
 cannot be understood: {\"error\", \"exit_code\", \"problems\": [...]}.";

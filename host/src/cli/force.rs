@@ -1,11 +1,11 @@
 //! `haptimill force`: the force sensor and the force loop of a running controller.
 
-use super::one_shot::open;
-use super::{CliError, ConnectArgs, Exit, MachineArg};
+use super::one_shot::{OneShotArgs, open};
+use super::{CliError, Exit};
 use crate::machine::GATES;
-use crate::session::{LoopChoice, PortLine, Session, force_of};
+use crate::session::{LoopChoice, PortLine, Session};
 use clap::{Args, Subcommand};
-use haptimill_protocol::force::{COMPONENTS, ForceTelemetry, Gate};
+use haptimill_protocol::force::{COMPONENTS, ForceLoop, ForceTelemetry, Gate};
 
 /// Names of the components.
 const NAMES: [&str; COMPONENTS] = ["x", "y", "z"];
@@ -13,13 +13,13 @@ const NAMES: [&str; COMPONENTS] = ["x", "y", "z"];
 /// What can be done with the force.
 #[derive(Debug, Subcommand)]
 pub enum ForceCommand {
-    /// Forces, how far the tool yields, and which axes are under force control
-    Show(ForceArgs),
+    /// Forces, how far the tool yields, which axes are under force control, and the settings of their loops on the controller
+    Show(OneShotArgs),
     /// Take what the sensor shows now as its zero; only at rest, with nothing at the tool
-    Tare(ForceArgs),
+    Tare(OneShotArgs),
     /// Set which axes are under force control, and their loops
     ///
-    /// What is not given is taken from the machine file. It can be changed while a job runs: the tool does not jump. An axis that is taken out returns to the programmed position
+    /// What is not given stays as the controller has it. It can be changed while a job runs: the tool does not jump. An axis that is taken out returns to the programmed position
     /// at f_d / K_V.
     Set(SetArgs),
 }
@@ -32,20 +32,6 @@ impl ForceCommand {
             Self::Set(args) => args.force.json,
         }
     }
-}
-
-/// Arguments of every force command.
-#[derive(Debug, Clone, Args)]
-pub struct ForceArgs {
-    #[command(flatten)]
-    #[allow(missing_docs)]
-    pub connect: ConnectArgs,
-    #[command(flatten)]
-    #[allow(missing_docs)]
-    pub machine: MachineArg,
-    /// Print the result as JSON
-    #[arg(long)]
-    pub json: bool,
 }
 
 /// Arguments of `haptimill force set`.
@@ -68,7 +54,7 @@ pub struct SetArgs {
     pub gate: Option<Gate>,
     #[command(flatten)]
     #[allow(missing_docs)]
-    pub force: ForceArgs,
+    pub force: OneShotArgs,
 }
 
 /// Desired force and gains.
@@ -158,7 +144,6 @@ pub fn run(command: ForceCommand) -> Result<(), CliError> {
         }
         ForceCommand::Set(args) => {
             let machine = args.force.machine.load()?;
-            force_of(&machine)?;
             let mut session = open(&args.force.connect, &machine)?;
             let choice = LoopChoice {
                 limit_mm: args.limit,
@@ -166,7 +151,7 @@ pub fn run(command: ForceCommand) -> Result<(), CliError> {
                 gate: args.gate,
                 ..args.gains.choice()
             };
-            session.set_force_loops(&machine, &args.axes.0, &choice)?;
+            session.change_force_loops(&args.axes.0, &choice)?;
             session.set_force_mask(&args.axes.0)?;
             show(&mut session, args.force.json)
         }
@@ -177,7 +162,11 @@ pub fn run(command: ForceCommand) -> Result<(), CliError> {
 fn show(session: &mut Session<PortLine>, json: bool) -> Result<(), CliError> {
     let status = session.status()?;
     let Some(force) = status.force else {
-        let what = "the controller has no force sensor in its configuration; configure it with a machine file that has a section [force]";
+        let what = if session.machine_name().is_empty() {
+            "the controller has no configuration yet; `haptimill home` sends it the machine file"
+        } else {
+            "the controller has no force sensor in its configuration; configure it with a machine file that has a section [force]"
+        };
         return Err(CliError::new(Exit::Command, what));
     };
     let problem = force.problem.as_ref().map(|problem| {
@@ -185,8 +174,19 @@ fn show(session: &mut Session<PortLine>, json: bool) -> Result<(), CliError> {
             .model()
             .with_axes(|axes| axes.describe(problem).to_string())
     });
+    let loops = [
+        session.force_loop(0)?,
+        session.force_loop(1)?,
+        session.force_loop(2)?,
+    ];
     if json {
-        tell!("{:#}", to_json(&force, problem.as_deref()));
+        let mut value = to_json(&force, problem.as_deref());
+        value["loops"] = NAMES
+            .iter()
+            .zip(&loops)
+            .map(|(name, settings)| ((*name).to_string(), loop_to_json(settings)))
+            .collect();
+        tell!("{value:#}");
         return Ok(());
     }
     let row = |what: &str, unit: &str, values: [f64; COMPONENTS]| {
@@ -197,6 +197,21 @@ fn show(session: &mut Session<PortLine>, json: bool) -> Result<(), CliError> {
     row("force, high", "N", newtons(force.high));
     row("force, low", "N", newtons(force.low));
     row("tool yields", "mm", millimetres(force.yielded));
+    row("f_d", "N", newtons(loops.map(|x| x.desired)));
+    row(
+        "K_A",
+        "N s^2/mm",
+        loops.map(|x| f64::from(x.mass) / 65_536.0),
+    );
+    row(
+        "K_V",
+        "N s/mm",
+        loops.map(|x| f64::from(x.damping) / 65_536.0),
+    );
+    row("yields most", "mm", millimetres(loops.map(|x| x.limit)));
+    row("fastest", "mm/s", millimetres(loops.map(|x| x.rate)));
+    let [x, y, z] = loops.map(|settings| word(settings.gate));
+    tell!("{:<14}x {x}, y {y}, z {z}", "yields when");
     let under: Vec<&str> = under_control(&force);
     let under = if under.is_empty() {
         "none".to_string()
@@ -221,6 +236,24 @@ fn newtons(values: [i32; COMPONENTS]) -> [f64; COMPONENTS] {
 
 fn millimetres(values: [i32; COMPONENTS]) -> [f64; COMPONENTS] {
     values.map(|value| f64::from(value) / 1_048_576.0)
+}
+
+/// A gate as the machine file and the command line call it.
+fn word(gate: Gate) -> &'static str {
+    let found = GATES.iter().find(|(_, known)| *known == gate);
+    found.map_or("", |(word, _)| word)
+}
+
+/// The settings of a loop, for a program: the names are those of the machine file.
+fn loop_to_json(settings: &ForceLoop) -> serde_json::Value {
+    serde_json::json!({
+        "desired_n": f64::from(settings.desired) / 65_536.0,
+        "mass_n_s2_per_mm": f64::from(settings.mass) / 65_536.0,
+        "damping_n_s_per_mm": f64::from(settings.damping) / 65_536.0,
+        "limit_mm": f64::from(settings.limit) / 1_048_576.0,
+        "rate_mm_s": f64::from(settings.rate) / 1_048_576.0,
+        "gate": word(settings.gate),
+    })
 }
 
 fn under_control(force: &ForceTelemetry) -> Vec<&'static str> {

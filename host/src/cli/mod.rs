@@ -16,6 +16,7 @@ pub mod kin;
 pub mod machine;
 pub mod one_shot;
 pub mod ports;
+pub mod replay;
 pub mod run;
 pub mod scenario;
 pub mod sim;
@@ -53,6 +54,8 @@ Examples:
   haptimill run part.ngc --force x,z --fd 5              the tool yields to more than 5 N in x and z
   haptimill force tare --port /dev/ttyACM0               what the force sensor shows now is none
   haptimill machine check mine.toml                      every mistake in a machine file
+  haptimill replay e11-circle.out/recording.hmr          the job again through a new controller: the same bits?
+  haptimill trace plot e11-circle.out/recording.hmr 'l?_joint_error_mm'   on the terminal; info, csv and mcap too
   haptimill kin ik --in poses.csv --out slides.csv       the firmware's kinematics over a table";
 
 fn after_help() -> String {
@@ -98,8 +101,9 @@ enum Command {
     #[command(subcommand)]
     Machine(MachineCommand),
     Ports(ports::PortsArgs),
-    /// Recordings
+    /// Recordings: what is in them, as CSV, as a picture, as MCAP, the first difference of two
     Trace(trace::TraceArgs),
+    Replay(replay::ReplayArgs),
     /// The firmware's kinematics over a table
     #[command(subcommand)]
     Kin(KinCommand),
@@ -120,9 +124,9 @@ impl Command {
             Self::Force(command) => command.json(),
             Self::Machine(MachineCommand::Check(args)) => args.json,
             Self::Scenario(scenario::ScenarioCommand::Run(args)) => args.json,
-            Self::Scenario(_) | Self::Console(_) | Self::Sim(_) | Self::Trace(_) | Self::Kin(_) => {
-                false
-            }
+            Self::Trace(args) => args.what.json(),
+            Self::Replay(args) => args.json,
+            Self::Scenario(_) | Self::Console(_) | Self::Sim(_) | Self::Kin(_) => false,
         }
     }
 }
@@ -222,6 +226,7 @@ fn dispatch(cli: Cli) -> Result<(), CliError> {
         Command::Machine(MachineCommand::Check(args)) => machine::check(args),
         Command::Ports(args) => ports::run(args),
         Command::Trace(args) => trace::run(&args),
+        Command::Replay(args) => replay::run(&args),
         Command::Kin(KinCommand::Ik(args)) => kin::ik(args),
         Command::Kin(KinCommand::Fk(args)) => kin::fk(args),
     }

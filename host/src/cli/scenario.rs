@@ -2,8 +2,11 @@
 
 use super::{CliError, Exit, MachineArg};
 use crate::machine::MachineFile;
-use crate::scenario::{self, Cut, NO_FORCE_CONTROL, Result as Outcome, Scenario};
+use crate::port::{Board, PortSpec};
+use crate::scenario::{self, Cut, On, Result as Outcome, Scenario};
 use crate::session::interrupt;
+#[cfg(unix)]
+use crate::session::pil;
 use clap::{Args, Subcommand};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -37,6 +40,9 @@ pub struct RunArgs {
     #[command(flatten)]
     #[allow(missing_docs)]
     pub machine: MachineArg,
+    /// What controls the simulated machine: sim (the controller in this process), pil:mps2 or pil:mps2-m7 (the controller on an emulated Cortex-M4F or M7)
+    #[arg(long, value_name = "PORT", default_value = "sim")]
+    pub port: PortSpec,
     /// Folder for the results; made when it is not there
     #[arg(long, value_name = "DIR", default_value = "scenarios.out")]
     pub out: PathBuf,
@@ -84,20 +90,24 @@ fn run_named(args: &RunArgs) -> Result<(), CliError> {
         })?;
         vec![known]
     };
-    let runnable =
-        |scenario: &Scenario| machine.config.force.is_some() || !scenario.needs_force_control();
     if let [only] = &scenarios[..]
-        && !runnable(only)
+        && let Some(why) = only.lacks(&machine)
     {
-        let what = format!("{}: {NO_FORCE_CONTROL}", only.name);
+        let what = format!("{}: {why}", only.name);
         return Err(CliError::new(Exit::Refused, what));
     }
-    let (can, _): (Vec<&Scenario>, Vec<&Scenario>) =
-        scenarios.iter().partition(|scenario| runnable(scenario));
-    let mut cut = carry_all(&machine, &can, &args.out)?.into_iter();
+    let (can, _): (Vec<&Scenario>, Vec<&Scenario>) = scenarios
+        .iter()
+        .partition(|scenario| scenario.lacks(&machine).is_none());
+    let image = image(&args.port)?;
+    let on = image
+        .as_ref()
+        .map_or(On::Here, |(board, image)| On::Board(*board, image));
+    let mut cut = carry_all(&machine, &can, &args.out, on)?.into_iter();
     let mut results = Vec::new();
     for scenario in &scenarios {
-        let result = if runnable(scenario) {
+        let lacks = scenario.lacks(&machine);
+        let result = if lacks.is_none() {
             let cuts = cut.next().unwrap_or_default();
             let result = Outcome::of(scenario, &cuts);
             let dir = args.out.join(scenario.name);
@@ -108,7 +118,7 @@ fn run_named(args: &RunArgs) -> Result<(), CliError> {
             write(&dir.join("summary.json"), &(json + "\n"))?;
             result
         } else {
-            Outcome::not_run(scenario, NO_FORCE_CONTROL)
+            Outcome::not_run(scenario, lacks.unwrap_or_default())
         };
         results.push(result);
     }
@@ -125,6 +135,22 @@ fn run_named(args: &RunArgs) -> Result<(), CliError> {
     Ok(())
 }
 
+/// The board and its image, where the controller is on one.
+fn image(port: &PortSpec) -> Result<Option<(Board, PathBuf)>, CliError> {
+    match port {
+        PortSpec::Simulator => Ok(None),
+        #[cfg(unix)]
+        PortSpec::Emulated(board) => pil::image(*board).map(|image| Some((*board, image))),
+        other => {
+            let what = format!(
+                "a scenario cuts a simulated work and measures it afterwards, so its machine is simulated: --port sim, pil:mps2 or pil:mps2-m7, not {other}; \
+                 on a machine, `haptimill run` runs the program"
+            );
+            Err(CliError::new(Exit::Usage, what))
+        }
+    }
+}
+
 fn write(path: &Path, text: &str) -> Result<(), CliError> {
     let failed = |error| CliError::new(Exit::Output, format!("{}: {error}", path.display()));
     path.parent()
@@ -138,6 +164,7 @@ fn carry_all(
     machine: &MachineFile,
     scenarios: &[&Scenario],
     out: &Path,
+    on: On<'_>,
 ) -> Result<Vec<Vec<Cut>>, CliError> {
     let interrupted: Arc<AtomicBool> = interrupt::flag();
     let mut jobs = Vec::new();
@@ -158,7 +185,7 @@ fn carry_all(
                     let (Some((pass, dir)), Some(slot)) = (jobs.get(index), done.get(index)) else {
                         break;
                     };
-                    let cut = scenario::carry(machine, pass, dir, &interrupted);
+                    let cut = scenario::carry(machine, pass, dir, on, &interrupted);
                     *slot.lock().unwrap_or_else(PoisonError::into_inner) = Some(cut);
                 }
             });

@@ -39,6 +39,7 @@ pub use notice::{ClientState, Notice, Options, Ticket};
 pub use stream::{JobEnding, JobProgress};
 
 use haptimill_protocol::frame::crc32;
+use haptimill_protocol::haptic::HandTelemetry;
 use haptimill_protocol::link::{HostLink, LinkState};
 use haptimill_protocol::message::{
     AxisValues, CONFIG_CHUNK, Command, ConfigChunk, Event, Refusal, Report, Request, State,
@@ -71,6 +72,7 @@ pub struct Client {
     requests: Requests,
     stream: Option<Stream>,
     telemetry: Option<Telemetry>,
+    hand: Option<HandTelemetry>,
     /// When telemetry was last heard or asked for.
     telemetry_us: u64,
     waiting_telemetry: usize,
@@ -103,6 +105,7 @@ impl Client {
             requests: Requests::default(),
             stream: None,
             telemetry: None,
+            hand: None,
             telemetry_us: 0,
             waiting_telemetry: 0,
             notices: VecDeque::new(),
@@ -124,6 +127,7 @@ impl Client {
         self.jog_epoch = 1;
         self.welcome = None;
         self.telemetry = None;
+        self.hand = None;
     }
 
     /// Ends the session from this side. The controller notices by the silence.
@@ -146,6 +150,11 @@ impl Client {
     /// The newest report of how things stand.
     pub fn telemetry(&self) -> Option<&Telemetry> {
         self.telemetry.as_ref()
+    }
+
+    /// The newest report of how the hand on its haptic arm stands.
+    pub fn hand(&self) -> Option<&HandTelemetry> {
+        self.hand.as_ref()
     }
 
     /// The link, for its counters and round trip.
@@ -448,6 +457,7 @@ impl Client {
                 self.notices.push_back(Notice::Event { period, event });
                 self.finish_job(ending);
             }
+            Report::Hand(hand) => self.hand = Some(hand),
             Report::Telemetry(telemetry) => {
                 self.telemetry_us = self.now_us;
                 if let Some(stream) = self.stream.as_mut() {

@@ -156,7 +156,7 @@ impl Desk {
             force
                 .axes
                 .each_ref()
-                .map(|axis| crate::session::LoopChoice::default().of(axis))
+                .map(haptimill_protocol::force::ForceLoop::from)
         });
         let now = Instant::now();
         Self {

@@ -42,6 +42,7 @@ struct Axis<'d, 'i> {
 pub fn force_control(section: &Section<'_, '_>, period_us: f64) -> ForceConfig {
     let slowest = section.number("slowest_rpm", whole(60, 30_000, "rev/min"));
     let lag = section.number("drive_lag_ms", real(0.0, 60.0, "ms"));
+    let creep = section.number("creep_mm_s", real(0.0, 1.0, "mm/s"));
     let mask = section
         .words("under_control", &AXES)
         .into_iter()
@@ -75,9 +76,10 @@ pub fn force_control(section: &Section<'_, '_>, period_us: f64) -> ForceConfig {
             .map(|index| place(index).map_or_else(no_loop, |axis| axis.settings.clone())),
         mask,
         drive_lag_us: to_u16(lag * 1000.0),
+        creep: Rate(to_i32(creep * PER_MM)),
         slowest_rpm: to_u16(slowest),
     };
-    let known = [slowest, lag, period_us, volts, saturation]
+    let known = [slowest, lag, creep, period_us, volts, saturation]
         .iter()
         .all(|value| !value.is_nan());
     if known && axes.len() == COMPONENTS {

@@ -10,6 +10,7 @@ mod axes;
 mod document;
 mod force;
 mod h4;
+mod haptic;
 mod plant;
 mod problem;
 pub mod scale;
@@ -40,6 +41,9 @@ pub const BUILT_IN: &str = include_str!("../../../machines/h4.toml");
 
 /// Name under which problems of [`BUILT_IN`] are reported.
 pub const BUILT_IN_NAME: &str = "machines/h4.toml (built in)";
+
+/// Sections that give an H-4 arm a haptic arm, with the hand of the simulator.
+pub const HAND: &str = include_str!("../../../machines/hand.toml");
 
 /// How the planner joins the blocks of a program; its rates, accelerations and jerks are those of the axes.
 #[derive(Debug, Clone, PartialEq)]
@@ -79,6 +83,18 @@ impl MachineFile {
     /// The built-in H-4 arm.
     pub fn built_in() -> Result<Self, Problems> {
         Self::parse(BUILT_IN_NAME, BUILT_IN)
+    }
+
+    /// The same machine with the reference haptic arm and its hand ([`HAND`]); itself when it has one.
+    ///
+    /// # Errors
+    /// What is written there does not fit this machine.
+    pub fn with_hand(&self) -> Result<Self, Problems> {
+        if self.config.haptic.is_some() {
+            return Ok(self.clone());
+        }
+        let file = format!("{} with machines/hand.toml", self.file);
+        Self::parse(&file, &format!("{}\n{HAND}", self.text))
     }
 
     /// Reads a machine file from disk. A file that cannot be read is a problem of line 0.
@@ -206,6 +222,18 @@ fn read(document: &Document<'_>, root: &Spanned<DeTable<'_>>) -> MachineFile {
     } else {
         None
     };
+    let follow = if root.skip("follow") {
+        root.section("follow")
+            .map(|section| haptic::follow(&section))
+    } else {
+        None
+    };
+    let arm = if root.skip("haptic") {
+        root.section("haptic")
+            .map(|section| haptic::haptic(&section))
+    } else {
+        None
+    };
     let has_plant = root.skip("plant");
     root.finish();
 
@@ -234,6 +262,8 @@ fn read(document: &Document<'_>, root: &Spanned<DeTable<'_>>) -> MachineFile {
                 table_rate: Rate(0),
             }),
             force,
+            follow,
+            haptic: arm,
         },
         pose: pose_limits,
         joints: joint_limits,

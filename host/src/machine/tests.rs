@@ -8,7 +8,9 @@ const STEP: &str = include_str!("../../../machines/h4-step.toml");
 fn the_built_in_machine_is_well() {
     let machine = MachineFile::built_in().unwrap_or_else(|problems| panic!("\n{problems}"));
     let config = &machine.config;
-    let Model::H4(geometry) = &config.model;
+    let Model::H4(geometry) = &config.model else {
+        panic!("an H-4 arm");
+    };
     assert_eq!(geometry.lateral, Length(250 << 20));
     assert_eq!(geometry.x_offset, Length(810 << 20));
     assert_eq!(geometry.singularity_margin, Length(5 << 20));

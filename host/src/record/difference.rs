@@ -39,7 +39,9 @@ pub fn difference(
     for (number, (one, other)) in first.iter()?.zip(second.iter()?).enumerate() {
         let (one, other) = (one?, other?);
         if one != other {
-            let (field, first, second) = field(&one, &other, first);
+            let Some((field, first, second)) = unequal(&one, &other, first) else {
+                continue;
+            };
             return Ok(Some(Difference {
                 record: number as u64,
                 period: one.period,
@@ -59,8 +61,13 @@ pub fn difference(
     }))
 }
 
-/// The first field in which two records differ.
-fn field(one: &Record, other: &Record, recording: &Recording) -> (String, String, String) {
+/// The first field in which two records differ, and its value in each.
+#[must_use]
+pub fn unequal(
+    one: &Record,
+    other: &Record,
+    recording: &Recording,
+) -> Option<(String, String, String)> {
     let plain = [
         ("period", one.period.to_string(), other.period.to_string()),
         (
@@ -91,7 +98,7 @@ fn field(one: &Record, other: &Record, recording: &Recording) -> (String, String
         ),
     ];
     if let Some((name, first, second)) = plain.into_iter().find(|(_, a, b)| a != b) {
-        return (name.to_string(), first, second);
+        return Some((name.to_string(), first, second));
     }
     let header = recording.header();
     let rows: [(&str, &[String], &Axes, &Axes); 7] = [
@@ -122,11 +129,11 @@ fn field(one: &Record, other: &Record, recording: &Recording) -> (String, String
         for (axis, (first, second)) in first.iter().zip(second).enumerate() {
             if first != second {
                 let axis = axes.get(axis).cloned().unwrap_or_else(|| axis.to_string());
-                return (
+                return Some((
                     format!("{name} {axis}"),
                     first.to_string(),
                     second.to_string(),
-                );
+                ));
             }
         }
     }
@@ -139,13 +146,13 @@ fn field(one: &Record, other: &Record, recording: &Recording) -> (String, String
     for (name, first, second) in forces {
         for (axis, (first, second)) in ["x", "y", "z"].iter().zip(first.iter().zip(second)) {
             if first != second {
-                return (
+                return Some((
                     format!("{name} {axis}"),
                     first.to_string(),
                     second.to_string(),
-                );
+                ));
             }
         }
     }
-    ("nothing".to_string(), String::new(), String::new())
+    None
 }

@@ -1,22 +1,43 @@
 //! The recording of a job: every control period, binary, hashed. The trace (CSV), the summary and the report are made from it.
 //!
-//! ## Format, version 2
+//! It keeps two things of a job. The *records* say how the job went: of a controller in this process or on an emulated board one for every control period,
+//! of one behind a port one for every telemetry frame. The *periods* are all that the controller sensed and said since its power-on, homing
+//! included; a new controller that is given the same must say the same, bit by bit, which is what `haptimill replay` proves. A controller behind a port
+//! began before this program looked, and is seen through its telemetry only: such a recording has no periods.
 //!
-//! All numbers are little-endian. The file is a header and then records of one size, nothing else; a recording that was cut off is
-//! readable up to its last whole record. No clock time is in it, so the same job gives the same bytes.
+//! ## Format, version 3
+//!
+//! All numbers are little-endian. The file is a header and then blocks, each with its own check; a recording that was cut off is readable up to its last
+//! whole block, one that was damaged up to the damage. No clock time is in it, so the same job gives the same bytes.
 //!
 //! | header | |
 //! | --- | --- |
 //! | 8 bytes | magic `HMRECORD` |
-//! | u16 | version, 2 |
+//! | u16 | version, 3 |
 //! | u16 | size of a record, [`RECORD_BYTES`] |
-//! | u32 | size of the header in bytes, this table included |
-//! | u32 | CRC-32 (ISO-HDLC) of the configuration |
+//! | u32 | size of the header in bytes, all of this table |
+//! | u32 | CRC-32 (ISO-HDLC, as all here) of the configuration |
 //! | u32 n, n bytes | the controller's configuration, postcard |
 //! | u16 n, n bytes | name of the machine, UTF-8 |
 //! | u16 n, n bytes | name of the program, UTF-8 |
 //! | u8 n, n x (u8 m, m bytes) | names of the pose coordinates |
 //! | u8 n, n x (u8 m, m bytes) | names of the joints |
+//! | u16 n, n bytes | version of the program that recorded |
+//! | u64 | schema of its messages |
+//! | u32 n, n bytes | the machine file |
+//! | u32 n, n bytes | the part program; empty when the recorder was not given it |
+//! | u32 | CRC-32 of the header up to here |
+//!
+//! | block | |
+//! | --- | --- |
+//! | 4 bytes | what it has: `RECS` records, `PERI` periods (see [`haptimill_hil_sim::tape`]), `EVNT` events, `DONE` nothing: the recording is whole |
+//! | u32 n | bytes of its contents |
+//! | u32 | how many records, periods or events; in `DONE` how many records there are in all |
+//! | u32 | CRC-32 of the contents |
+//! | u32 | CRC-32 of the four fields above |
+//! | n bytes | the contents |
+//!
+//! An event is a u64 (control period), a u8 (0 news, 1 warning, 2 error), a u16 n, and a sentence of n bytes, UTF-8.
 //!
 //! | offset | record | |
 //! | --- | --- | --- |
@@ -40,27 +61,40 @@
 //! | 216 | 3 x i32 | by how much the tool yields, 2^-20 mm |
 //! | 228 | 3 x i32 | the true force on the tool, 2^-16 N, if [`flag::TOOL_TRUE`] is set |
 
+mod blocks;
+mod column;
 mod difference;
 mod export;
+mod header;
+mod mcap;
 mod reader;
 #[cfg(test)]
 pub(crate) mod tests;
 mod writer;
 
-pub use difference::{Difference, difference};
-pub use export::export_csv;
-pub use reader::{Recording, RecordingError, Records};
+pub use column::{Column, Selection, Value, columns};
+pub use difference::{Difference, difference, unequal};
+pub use export::{Thinning, export_csv, export_table};
+pub use header::Header;
+pub use mcap::{MCAP_RATE, McapWritten, write_mcap};
+pub use reader::{Happening, Periods, Recording, RecordingError, Records};
 pub use writer::{Recorded, Recorder};
 
+pub use haptimill_hil_sim::tape::{Period, Tape};
+
 use haptimill_firmware::io::COMPONENTS;
-use haptimill_firmware::reading::ForceReading;
+use haptimill_firmware::reading::{ForceReading, Reading};
 use haptimill_protocol::message::{MAX_AXES, State};
 
 /// Size of a record.
 pub const RECORD_BYTES: usize = 240;
 
 const MAGIC: &[u8; 8] = b"HMRECORD";
-const VERSION: u16 = 2;
+const VERSION: u16 = 3;
+
+/// Check of everything in a recording.
+const CRC: crc::Crc<u32, crc::Table<16>> =
+    crc::Crc::<u32, crc::Table<16>>::new(&crc::CRC_32_ISO_HDLC);
 
 /// Flags of a record.
 pub mod flag {
@@ -120,21 +154,32 @@ pub struct Record {
     pub true_force: [i32; COMPONENTS],
 }
 
-const STATES: [State; 8] = [
-    State::Disabled,
-    State::Idle,
-    State::Homing,
-    State::Run,
-    State::Jog,
-    State::Hold,
-    State::Fault,
-    State::EmergencyStop,
-];
-
 impl Record {
     /// Whether a flag is set.
     pub fn has(&self, flag: u8) -> bool {
         self.flags & flag != 0
+    }
+
+    /// What the controller knew of itself in a period; truth and programmed geometry are left as they are.
+    pub fn set_reading(&mut self, period: u64, reading: &Reading) {
+        self.period = period;
+        self.setpoint = reading.setpoint;
+        self.path_rate = reading.path_rate;
+        self.spindle_rpm = reading.spindle_rpm;
+        self.state = reading.state;
+        self.wanted = reading.wanted;
+        self.joints_wanted = reading.joints_wanted;
+        self.joints = reading.joints;
+        self.following_error = reading.following_error;
+        self.drive = reading.drive;
+        self.force = reading.force;
+        for (set, flag) in [
+            (reading.homed, flag::HOMED),
+            (reading.position_kept, flag::POSITION_KEPT),
+            (reading.fault, flag::FAULT),
+        ] {
+            self.flags = self.flags & !flag | if set { flag } else { 0 };
+        }
     }
 
     /// The record as bytes.
@@ -145,7 +190,7 @@ impl Record {
         bytes[12..16].copy_from_slice(&self.line.to_le_bytes());
         bytes[16..18].copy_from_slice(&self.path_rate.to_le_bytes());
         bytes[18..20].copy_from_slice(&self.spindle_rpm.to_le_bytes());
-        bytes[20] = state_number(self.state);
+        bytes[20] = self.state.number();
         bytes[21] = self.flags;
         let rows = [
             &self.wanted,
@@ -180,7 +225,7 @@ impl Record {
             line: word(12) as u32,
             path_rate: half(16),
             spindle_rpm: half(18) as i16,
-            state: *STATES.get(usize::from(bytes[20]))?,
+            state: *State::ALL.get(usize::from(bytes[20]))?,
             flags: bytes[21],
             wanted: axes(24),
             joints_wanted: axes(48),
@@ -196,87 +241,5 @@ impl Record {
             },
             true_force: forces(228),
         })
-    }
-}
-
-/// The number of a state in a record: its place in the enumeration.
-fn state_number(state: State) -> u8 {
-    match state {
-        State::Disabled => 0,
-        State::Idle => 1,
-        State::Homing => 2,
-        State::Run => 3,
-        State::Jog => 4,
-        State::Hold => 5,
-        State::Fault => 6,
-        State::EmergencyStop => 7,
-    }
-}
-
-/// What a recording says of itself.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Header {
-    /// The controller's configuration, postcard; it has the control period, the kinds of the axes and the scale of the drives.
-    pub config: Vec<u8>,
-    /// CRC-32 (ISO-HDLC) of the configuration.
-    pub config_crc: u32,
-    /// Name of the machine.
-    pub machine: String,
-    /// Name of the program.
-    pub program: String,
-    /// Names of the pose coordinates.
-    pub pose: Vec<String>,
-    /// Names of the joints.
-    pub joints: Vec<String>,
-}
-
-impl Header {
-    /// The header of a job.
-    ///
-    /// # Errors
-    /// The configuration cannot be encoded.
-    pub fn of(
-        machine: &crate::machine::MachineFile,
-        program: &str,
-    ) -> Result<Self, postcard::Error> {
-        let (config, config_crc) = machine.encoded()?;
-        let names = |axes: &[crate::machine::AxisLimits]| {
-            axes.iter().map(|axis| axis.name.clone()).collect()
-        };
-        Ok(Self {
-            config,
-            config_crc,
-            machine: machine.config.name.to_string(),
-            program: program.to_string(),
-            pose: names(&machine.pose),
-            joints: names(&machine.joints),
-        })
-    }
-
-    /// The header as bytes. Names are cut at what their length can say.
-    fn encode(&self) -> Vec<u8> {
-        let mut body = Vec::new();
-        body.extend_from_slice(&self.config_crc.to_le_bytes());
-        body.extend_from_slice(&(self.config.len() as u32).to_le_bytes());
-        body.extend_from_slice(&self.config);
-        for text in [&self.machine, &self.program] {
-            let bytes = &text.as_bytes()[..text.len().min(usize::from(u16::MAX))];
-            body.extend_from_slice(&(bytes.len() as u16).to_le_bytes());
-            body.extend_from_slice(bytes);
-        }
-        for names in [&self.pose, &self.joints] {
-            body.push(names.len().min(MAX_AXES) as u8);
-            for name in names.iter().take(MAX_AXES) {
-                let bytes = &name.as_bytes()[..name.len().min(255)];
-                body.push(bytes.len() as u8);
-                body.extend_from_slice(bytes);
-            }
-        }
-        let mut bytes = MAGIC.to_vec();
-        bytes.extend_from_slice(&VERSION.to_le_bytes());
-        bytes.extend_from_slice(&(RECORD_BYTES as u16).to_le_bytes());
-        bytes.extend_from_slice(&(16 + body.len() as u32).to_le_bytes());
-        bytes.extend_from_slice(&body);
-        bytes
     }
 }

@@ -1,11 +1,19 @@
 //! Reading a recording.
 
-use super::{Header, MAGIC, RECORD_BYTES, Record, VERSION};
+use super::blocks::{HEAD_BYTES, Head, Kind};
+use super::header::{Cursor, START_BYTES};
+use super::{CRC, Header, MAGIC, RECORD_BYTES, Record, VERSION};
 use haptimill_firmware::config::{AxisKind, Config, Drive};
-use std::fmt;
+use haptimill_hil_sim::tape::{Period, Reel};
+use sha2::{Digest, Sha256};
+use std::collections::VecDeque;
+use std::fmt::{self, Write as _};
 use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
+
+/// Longest header that is read: machine file and part program are in it.
+const MOST_HEADER_BYTES: u64 = 1 << 30;
 
 /// A recording on disk.
 #[derive(Debug, Clone)]
@@ -13,9 +21,31 @@ pub struct Recording {
     path: PathBuf,
     header: Header,
     config: Config,
-    header_bytes: u64,
+    blocks: Vec<Place>,
     records: u64,
+    periods: u64,
+    bytes: u64,
     cut_bytes: u64,
+    whole: bool,
+}
+
+/// A block in its file.
+#[derive(Debug, Clone, Copy)]
+struct Place {
+    head: Head,
+    /// Where its contents begin.
+    offset: u64,
+}
+
+/// What happened, in words.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Happening {
+    /// Control period.
+    pub period: u64,
+    /// 0 for news, 1 for a warning, 2 for an error.
+    pub level: u8,
+    /// A sentence.
+    pub text: String,
 }
 
 /// Why a recording cannot be read.
@@ -39,52 +69,86 @@ impl fmt::Display for RecordingError {
 impl std::error::Error for RecordingError {}
 
 impl Recording {
-    /// Opens a recording and reads its header.
+    /// Opens a recording, reads its header and finds its blocks; their contents are checked when they are read.
     ///
     /// # Errors
     /// It cannot be read, or is none.
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
         let io = |error| RecordingError::Io(path.to_path_buf(), error);
-        let format = |what: &str| RecordingError::Format(path.to_path_buf(), what.to_string());
-        let mut file = File::open(path).map_err(io)?;
-        let length = file.metadata().map_err(io)?.len();
-        let mut start = [0; 16];
-        let short = |_| format("is no recording: it is too short");
-        file.read_exact(&mut start).map_err(short)?;
-        if &start[..8] != MAGIC {
-            return Err(format("is no recording of haptimill"));
-        }
-        let version = u16::from_le_bytes([start[8], start[9]]);
-        let record_bytes = u16::from_le_bytes([start[10], start[11]]);
-        if version != VERSION || usize::from(record_bytes) != RECORD_BYTES {
-            return Err(format(&format!(
-                "is a recording of version {version}, this program reads version {VERSION}"
-            )));
-        }
-        let header_bytes = u32::from_le_bytes([start[12], start[13], start[14], start[15]]);
-        let header_bytes = u64::from(header_bytes);
-        if header_bytes < 16 || header_bytes > length {
-            return Err(format("is cut off in its header"));
-        }
-        let mut body = vec![0; (header_bytes - 16) as usize];
-        file.read_exact(&mut body).map_err(io)?;
-        let header = Cursor(&body).header();
-        let header = header.ok_or_else(|| format("has a damaged header"))?;
+        let format = |what: String| RecordingError::Format(path.to_path_buf(), what);
+        let file = File::open(path).map_err(io)?;
+        let bytes = file.metadata().map_err(io)?.len();
+        let mut file = BufReader::with_capacity(1 << 12, file);
+        let (header, header_bytes) = read_header(&mut file, bytes, &io, &format)?;
         let crc = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC).checksum(&header.config);
-        if crc != header.config_crc {
-            return Err(format("has a damaged configuration"));
-        }
-        let config: Config = postcard::from_bytes(&header.config)
-            .map_err(|_| format("has a configuration of another version"))?;
-        let rest = length - header_bytes;
-        Ok(Self {
+        let config: Option<Config> = postcard::from_bytes(&header.config).ok();
+        let config = config.filter(|_| crc == header.config_crc).ok_or_else(|| {
+            format(format!(
+                "has a configuration that this program cannot read; it was recorded by haptimill {}, use that version",
+                header.software
+            ))
+        })?;
+        let mut recording = Self {
             path: path.to_path_buf(),
             header,
             config,
-            header_bytes,
-            records: rest / RECORD_BYTES as u64,
-            cut_bytes: rest % RECORD_BYTES as u64,
-        })
+            blocks: Vec::new(),
+            records: 0,
+            periods: 0,
+            bytes,
+            cut_bytes: 0,
+            whole: false,
+        };
+        recording.find_blocks(&mut file, header_bytes)?;
+        Ok(recording)
+    }
+
+    fn find_blocks(&mut self, file: &mut BufReader<File>, from: u64) -> Result<(), RecordingError> {
+        let io = |error| RecordingError::Io(self.path.clone(), error);
+        let mut at = from;
+        while at < self.bytes {
+            if self.whole {
+                return Err(damaged(&self.path, at, "bytes follow the end"));
+            }
+            let left = self.bytes - at;
+            let mut head = [0; HEAD_BYTES];
+            if left < HEAD_BYTES as u64 {
+                break;
+            }
+            file.read_exact(&mut head).map_err(io)?;
+            let head = Head::decode(&head)
+                .ok_or_else(|| damaged(&self.path, at, "no block begins there"))?;
+            let whole = HEAD_BYTES as u64 + u64::from(head.bytes);
+            if left < whole {
+                break;
+            }
+            match head.kind {
+                Kind::Records => self.records += u64::from(head.count),
+                Kind::Periods => self.periods += u64::from(head.count),
+                Kind::Events => {}
+                Kind::End => {
+                    if head.count != self.records as u32 {
+                        return Err(damaged(
+                            &self.path,
+                            at,
+                            "records are missing before the end",
+                        ));
+                    }
+                    self.whole = true;
+                }
+            }
+            let offset = at + HEAD_BYTES as u64;
+            self.blocks.push(Place { head, offset });
+            file.seek_relative(i64::from(head.bytes)).map_err(io)?;
+            at += whole;
+        }
+        self.cut_bytes = self.bytes - at;
+        Ok(())
+    }
+
+    /// Where it is.
+    pub fn path(&self) -> &Path {
+        &self.path
     }
 
     /// What the recording says of itself.
@@ -97,12 +161,33 @@ impl Recording {
         &self.config
     }
 
-    /// Whole records.
+    /// Records.
     pub fn records(&self) -> u64 {
         self.records
     }
 
-    /// Bytes behind the last whole record: not 0 when the recording was cut off.
+    /// Periods since the power-on of the controller; 0 when it was seen through its telemetry only.
+    pub fn periods(&self) -> u64 {
+        self.periods
+    }
+
+    /// Size of the file.
+    pub fn bytes(&self) -> u64 {
+        self.bytes
+    }
+
+    /// Bytes of the periods in the file.
+    pub fn period_bytes(&self) -> u64 {
+        let all = self.of(Kind::Periods);
+        all.iter().map(|place| u64::from(place.head.bytes)).sum()
+    }
+
+    /// Whether the recorder came to its end; otherwise the recording was cut off.
+    pub fn is_whole(&self) -> bool {
+        self.whole
+    }
+
+    /// Bytes behind the last whole block.
     pub fn cut_bytes(&self) -> u64 {
         self.cut_bytes
     }
@@ -147,15 +232,160 @@ impl Recording {
     /// # Errors
     /// The file cannot be opened again.
     pub fn iter(&self) -> Result<Records, RecordingError> {
-        let io = |error| RecordingError::Io(self.path.clone(), error);
-        let mut file = File::open(&self.path).map_err(io)?;
-        file.seek(SeekFrom::Start(self.header_bytes)).map_err(io)?;
         Ok(Records {
-            path: self.path.clone(),
-            file: BufReader::with_capacity(1 << 20, file),
-            left: self.records,
+            blocks: self.contents(Kind::Records)?,
+            block: Vec::new(),
+            at: 0,
         })
     }
+
+    /// The last record; none in a recording without records.
+    ///
+    /// # Errors
+    /// The last block of records is damaged.
+    pub fn last(&self) -> Result<Option<Record>, RecordingError> {
+        let mut blocks = self.contents(Kind::Records)?;
+        let last = blocks.left.len().saturating_sub(1);
+        blocks.left.drain(..last);
+        let records = Records {
+            blocks,
+            block: Vec::new(),
+            at: 0,
+        };
+        records.last().transpose()
+    }
+
+    /// The periods, from the power-on of the controller.
+    ///
+    /// # Errors
+    /// The file cannot be opened again.
+    pub fn read_periods(&self) -> Result<Periods, RecordingError> {
+        Ok(Periods {
+            blocks: self.contents(Kind::Periods)?,
+            reel: None,
+        })
+    }
+
+    /// What happened.
+    ///
+    /// # Errors
+    /// A block is damaged.
+    pub fn events(&self) -> Result<Vec<Happening>, RecordingError> {
+        let mut events = Vec::new();
+        let mut blocks = self.contents(Kind::Events)?;
+        while let Some(block) = blocks.next() {
+            let (place, contents) = block?;
+            let mut cursor = Cursor(&contents);
+            for _ in 0..place.head.count {
+                let mut event = || {
+                    Some(Happening {
+                        period: cursor.number(8)?,
+                        level: cursor.number(1)? as u8,
+                        text: cursor.text(2)?,
+                    })
+                };
+                let what = "an event makes no sense";
+                events.push(event().ok_or_else(|| damaged(&self.path, place.offset, what))?);
+            }
+        }
+        Ok(events)
+    }
+
+    /// SHA-256 of the file, hexadecimal: `trace_sha256` in the summary of the job.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn sha256(&self) -> Result<String, RecordingError> {
+        let io = |error| RecordingError::Io(self.path.clone(), error);
+        let mut hash = Sha256::new();
+        let mut file = File::open(&self.path).map_err(io)?;
+        let mut buffer = vec![0; 1 << 16];
+        loop {
+            match file.read(&mut buffer).map_err(io)? {
+                0 => break,
+                count => hash.update(&buffer[..count]),
+            }
+        }
+        let mut text = String::with_capacity(64);
+        for byte in hash.finalize() {
+            // Writing to a string cannot fail.
+            let _ = write!(text, "{byte:02x}");
+        }
+        Ok(text)
+    }
+
+    fn of(&self, kind: Kind) -> VecDeque<Place> {
+        let all = self.blocks.iter().copied();
+        all.filter(|place| place.head.kind == kind).collect()
+    }
+
+    fn contents(&self, kind: Kind) -> Result<Blocks, RecordingError> {
+        let io = |error| RecordingError::Io(self.path.clone(), error);
+        Ok(Blocks {
+            path: self.path.clone(),
+            file: File::open(&self.path).map_err(io)?,
+            left: self.of(kind),
+        })
+    }
+}
+
+/// The header, and how long it is.
+fn read_header(
+    file: &mut BufReader<File>,
+    bytes: u64,
+    io: &dyn Fn(io::Error) -> RecordingError,
+    format: &dyn Fn(String) -> RecordingError,
+) -> Result<(Header, u64), RecordingError> {
+    let mut start = [0; START_BYTES];
+    if bytes < START_BYTES as u64 {
+        return Err(format("is no recording: it is too short".into()));
+    }
+    file.read_exact(&mut start).map_err(io)?;
+    if &start[..8] != MAGIC {
+        return Err(format(
+            "is no recording of haptimill (those of a run are called recording.hmr)".into(),
+        ));
+    }
+    let version = u16::from_le_bytes([start[8], start[9]]);
+    let record_bytes = u16::from_le_bytes([start[10], start[11]]);
+    if version != VERSION || usize::from(record_bytes) != RECORD_BYTES {
+        return Err(format(format!(
+            "is a recording of version {version}, this program reads version {VERSION}; use the version of haptimill that recorded it"
+        )));
+    }
+    let header_bytes = u64::from(u32::from_le_bytes([
+        start[12], start[13], start[14], start[15],
+    ]));
+    let damage = || format("is damaged in its header (before byte 16); take it from a copy".into());
+    if header_bytes < START_BYTES as u64 + 4 || header_bytes > MOST_HEADER_BYTES {
+        return Err(damage());
+    }
+    if header_bytes > bytes {
+        return Err(format(format!(
+            "is cut off in its header, at byte {bytes} of {header_bytes}; nothing was recorded in it"
+        )));
+    }
+    let mut header = start.to_vec();
+    header.resize(header_bytes as usize, 0);
+    file.read_exact(&mut header[START_BYTES..]).map_err(io)?;
+    let (content, check) = header.split_at(header.len() - 4);
+    if CRC.checksum(content).to_le_bytes() != check {
+        return Err(format(format!(
+            "is damaged in its header (before byte {header_bytes}); take it from a copy"
+        )));
+    }
+    let header = Header::decode(&content[START_BYTES..]).ok_or_else(damage)?;
+    Ok((header, header_bytes))
+}
+
+/// What is said of damage, and what can be done.
+fn damaged(path: &Path, at: u64, what: &str) -> RecordingError {
+    RecordingError::Format(
+        path.to_path_buf(),
+        format!(
+            "is damaged at byte {at}: {what}; take it from a copy, or read what is before: head -c {at} FILE > PART"
+        ),
+    )
 }
 
 /// Millimetres or degrees of one axis unit.
@@ -166,64 +396,98 @@ pub(crate) fn per_axis_unit(kind: AxisKind) -> f64 {
     }
 }
 
+/// The contents of blocks of one kind, checked.
+struct Blocks {
+    path: PathBuf,
+    file: File,
+    left: VecDeque<Place>,
+}
+
+impl Blocks {
+    fn next(&mut self) -> Option<Result<(Place, Vec<u8>), RecordingError>> {
+        let place = self.left.pop_front()?;
+        let read = self.read(place);
+        if read.is_err() {
+            self.left.clear();
+        }
+        Some(read.map(|contents| (place, contents)))
+    }
+
+    fn read(&mut self, place: Place) -> Result<Vec<u8>, RecordingError> {
+        let io = |error| RecordingError::Io(self.path.clone(), error);
+        let mut contents = vec![0; place.head.bytes as usize];
+        self.file.seek(SeekFrom::Start(place.offset)).map_err(io)?;
+        self.file.read_exact(&mut contents).map_err(io)?;
+        if CRC.checksum(&contents) != place.head.crc {
+            let at = place.offset - HEAD_BYTES as u64;
+            return Err(damaged(
+                &self.path,
+                at,
+                "the check of the block there fails",
+            ));
+        }
+        Ok(contents)
+    }
+}
+
 /// The records of a recording.
 pub struct Records {
-    path: PathBuf,
-    file: BufReader<File>,
-    left: u64,
+    blocks: Blocks,
+    block: Vec<u8>,
+    at: usize,
 }
 
 impl Iterator for Records {
     type Item = Result<Record, RecordingError>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        self.left = self.left.checked_sub(1)?;
-        let mut bytes = [0; RECORD_BYTES];
-        if let Err(error) = self.file.read_exact(&mut bytes) {
-            self.left = 0;
-            return Some(Err(RecordingError::Io(self.path.clone(), error)));
+        loop {
+            let rest = self.block.get(self.at..).unwrap_or_default();
+            if let Some((bytes, _)) = rest.split_first_chunk::<RECORD_BYTES>() {
+                self.at += RECORD_BYTES;
+                let foreign = || {
+                    RecordingError::Format(
+                        self.blocks.path.clone(),
+                        "has a record of a state that does not exist".into(),
+                    )
+                };
+                return Some(Record::decode(bytes).ok_or_else(foreign));
+            }
+            match self.blocks.next()? {
+                Ok((_, contents)) => (self.block, self.at) = (contents, 0),
+                Err(error) => return Some(Err(error)),
+            }
         }
-        let damaged = || RecordingError::Format(self.path.clone(), "has a damaged record".into());
-        Some(Record::decode(&bytes).ok_or_else(damaged))
     }
 }
 
-/// Takes a header apart; `None` where it ends too soon.
-struct Cursor<'a>(&'a [u8]);
+/// The periods of a recording.
+pub struct Periods {
+    blocks: Blocks,
+    reel: Option<Reel>,
+}
 
-impl<'a> Cursor<'a> {
-    fn take(&mut self, count: usize) -> Option<&'a [u8]> {
-        let (taken, rest) = self.0.split_at_checked(count)?;
-        self.0 = rest;
-        Some(taken)
-    }
+impl Iterator for Periods {
+    type Item = Result<Period, RecordingError>;
 
-    fn number(&mut self, bytes: usize) -> Option<usize> {
-        let taken = self.take(bytes)?.iter().rev();
-        Some(taken.fold(0, |sum, byte| sum << 8 | usize::from(*byte)))
-    }
-
-    fn text(&mut self, length_bytes: usize) -> Option<String> {
-        let count = self.number(length_bytes)?;
-        Some(String::from_utf8_lossy(self.take(count)?).into_owned())
-    }
-
-    fn names(&mut self) -> Option<Vec<String>> {
-        let count = self.number(1)?;
-        (0..count).map(|_| self.text(1)).collect()
-    }
-
-    fn header(mut self) -> Option<Header> {
-        Some(Header {
-            config_crc: self.number(4)? as u32,
-            config: {
-                let count = self.number(4)?;
-                self.take(count)?.to_vec()
-            },
-            machine: self.text(2)?,
-            program: self.text(2)?,
-            pose: self.names()?,
-            joints: self.names()?,
-        })
+    fn next(&mut self) -> Option<Self::Item> {
+        loop {
+            if let Some(reel) = &mut self.reel
+                && let Some(period) = reel.next()
+            {
+                return Some(period.map_err(|at| {
+                    RecordingError::Format(
+                        self.blocks.path.clone(),
+                        format!(
+                            "has periods that this version of haptimill cannot read (byte {at} of a block); use the one that recorded it"
+                        ),
+                    )
+                }));
+            }
+            match self.blocks.next()? {
+                Ok((place, contents)) => self.reel = Some(Reel::new(place.head.count, contents)),
+                Err(error) => return Some(Err(error)),
+            }
+        }
     }
 }

@@ -36,7 +36,7 @@ fn any_record() -> impl Strategy<Value = Record> {
             any::<u16>(),
             any::<u16>(),
         ),
-        (0..STATES.len(), any::<u8>()),
+        (0..State::ALL.len(), any::<u8>()),
         prop::array::uniform7(axes()),
         any::<[[i32; 3]; 4]>(),
     )
@@ -62,7 +62,7 @@ fn any_record() -> impl Strategy<Value = Record> {
                     line,
                     path_rate,
                     spindle_rpm: spindle_rpm as i16,
-                    state: STATES[state],
+                    state: State::ALL[state],
                     flags,
                     wanted,
                     joints_wanted,
@@ -86,30 +86,240 @@ proptest! {
     }
 
     #[test]
+    fn periods_come_back_as_they_were(periods in prop::collection::vec(any_period(), 0..40), steady in 0usize..9) {
+        let file = TemporaryFile::new("periods.hmr");
+        let mut recorder = Recorder::create(&file.0, &header()).unwrap();
+        let mut tape = Tape::new();
+        let (before, after) = periods.split_at(periods.len() / 2);
+        before.iter().for_each(|period| tape.add(&period.inputs, &period.outputs));
+        recorder.take_up(tape);
+        after.iter().for_each(|period| recorder.period(&period.inputs, &period.outputs));
+        // Counters that run evenly, as most do.
+        let mut last = periods.last().cloned().unwrap_or_default();
+        let mut all = periods;
+        for _ in 0..steady {
+            last.inputs.period = last.inputs.period.wrapping_add(1);
+            last.inputs.time_ns = last.inputs.time_ns.wrapping_add(200_000);
+            recorder.period(&last.inputs, &last.outputs);
+            all.push(last.clone());
+        }
+        recorder.finish().unwrap();
+        let recording = Recording::open(&file.0).unwrap();
+        prop_assert_eq!(recording.periods(), all.len() as u64);
+        let read: Vec<Period> = recording.read_periods().unwrap().map(|period| period.unwrap()).collect();
+        prop_assert_eq!(read, all);
+    }
+
+    #[test]
     fn a_damaged_recording_is_an_error_not_a_panic(
-        at in 0usize..400,
-        bytes in prop::collection::vec(any::<u8>(), 1..20),
-        cut in 0usize..1000,
+        at in any::<prop::sample::Index>(),
+        flip in 1u8..=255,
+        cut in any::<prop::sample::Index>(),
+        how in 0..3,
     ) {
         let file = TemporaryFile::new("damaged.hmr");
-        let mut content = header().encode();
-        content.extend_from_slice(&Record::default().encode());
-        let at = at.min(content.len());
-        let end = (at + bytes.len()).min(content.len());
-        content[at..end].copy_from_slice(&bytes[..end - at]);
-        content.truncate(content.len().saturating_sub(cut));
-        std::fs::write(&file.0, &content).unwrap();
-        if let Ok(recording) = Recording::open(&file.0) {
-            let _ = recording.iter().unwrap().count();
+        let whole = small();
+        let mut content = whole.clone();
+        if how != 1 {
+            content[at.index(whole.len())] ^= flip;
         }
+        if how != 0 {
+            content.truncate(cut.index(whole.len()));
+        }
+        std::fs::write(&file.0, &content).unwrap();
+        let said = match read_all(&file.0) {
+            Ok((records, periods, true)) => {
+                prop_assert!(content == whole && records == 50 && periods == 70);
+                return Ok(());
+            }
+            // Cut off: what is there is as it was.
+            Ok((records, periods, false)) => {
+                prop_assert!(content.len() < whole.len() && records <= 50 && periods <= 70);
+                return Ok(());
+            }
+            Err(error) => error.to_string(),
+        };
+        // A sentence that names the file, and where.
+        prop_assert!(said.contains("damaged.hmr: "), "{}", said);
+        let place = said.contains(" at byte ") || said.contains("before byte ") || said.contains("too short");
+        let foreign = said.contains("no recording of haptimill") || said.contains("of version");
+        prop_assert!(place || foreign, "{}", said);
     }
 }
 
-#[test]
-fn states_keep_their_numbers() {
-    for (number, state) in STATES.iter().enumerate() {
-        assert_eq!(usize::from(state_number(*state)), number);
+/// A recording of 70 periods and 50 records, with an event.
+fn small() -> Vec<u8> {
+    static SMALL: std::sync::OnceLock<Vec<u8>> = std::sync::OnceLock::new();
+    let make = || {
+        let file = TemporaryFile::new("small.hmr");
+        let mut recorder = Recorder::create(&file.0, &header()).unwrap();
+        recorder.take_up(Tape::new());
+        recorder.event(3, 1, "the slide is warm");
+        for number in 0..70_u64 {
+            let mut period = Period::default();
+            period.inputs.period = number;
+            period.inputs.axes[2].counts = (number * number) as i32;
+            recorder.period(&period.inputs, &period.outputs);
+            if number >= 20 {
+                recorder.record(&Record {
+                    period: number,
+                    ..Record::default()
+                });
+            }
+        }
+        recorder.finish().unwrap();
+        std::fs::read(&file.0).unwrap()
+    };
+    SMALL.get_or_init(make).clone()
+}
+
+/// Records, periods, and whether it is whole.
+fn read_all(path: &std::path::Path) -> Result<(u64, u64, bool), RecordingError> {
+    let recording = Recording::open(path)?;
+    let (mut records, mut periods) = (0, 0);
+    for record in recording.iter()? {
+        assert_eq!(record?.period, records + 20);
+        records += 1;
     }
+    for period in recording.read_periods()? {
+        assert_eq!(period?.inputs.period, periods);
+        periods += 1;
+    }
+    for event in recording.events()? {
+        assert_eq!(
+            (event.period, event.text.as_str()),
+            (3, "the slide is warm")
+        );
+    }
+    assert_eq!(
+        (records, periods),
+        (recording.records(), recording.periods())
+    );
+    Ok((records, periods, recording.is_whole()))
+}
+
+fn any_period() -> impl Strategy<Value = Period> {
+    use haptimill_firmware::io::{AxisInputs, DriveCommand, Inputs, StepSegment};
+    // Small and large differences, and halves of words.
+    let word = || {
+        prop_oneof![
+            -3..3_i32,
+            -40_000..40_000_i32,
+            (-3..3_i32).prop_map(|value| value << 16),
+            any::<i32>()
+        ]
+    };
+    let axis = (word(), word(), any::<u16>(), any::<u8>(), any::<bool>()).prop_map(
+        |(counts, edge, illegal, index_pulses, bit)| AxisInputs {
+            counts,
+            edge_time_ns: edge as u32,
+            illegal,
+            index_pulses,
+            home: bit,
+            drive_ready: !bit,
+            ..AxisInputs::default()
+        },
+    );
+    let command = prop_oneof![
+        Just(DriveCommand::Off),
+        any::<i16>().prop_map(DriveCommand::Torque),
+        (any::<i16>(), word(), word()).prop_map(|(count, delay, ramp)| DriveCommand::Steps(
+            StepSegment {
+                count,
+                delay: delay as u32,
+                interval: 0,
+                ramp,
+            }
+        )),
+    ];
+    let bytes = || prop::collection::vec(any::<u8>(), 0..=64);
+    (
+        (
+            any::<u64>(),
+            any::<u16>(),
+            word(),
+            any::<[i16; 3]>(),
+            any::<(u16, u16, bool, bool)>(),
+        ),
+        prop::array::uniform6(axis),
+        prop::array::uniform6(command),
+        (any::<i16>(), bytes(), bytes()),
+    )
+        .prop_map(
+            |(
+                (period, missed, time, codes, line),
+                axes,
+                commands,
+                (spindle_rpm, received, transmit),
+            )| {
+                let mut inputs = Inputs {
+                    period,
+                    missed,
+                    time_ns: time as u32,
+                    axes,
+                    waiting: line.0,
+                    lost_bytes: line.1,
+                    urgent: line.2,
+                    emergency_stop: line.3,
+                    received: heapless::Vec::from_slice(&received).unwrap(),
+                    ..Inputs::default()
+                };
+                inputs.force.codes = codes;
+                let mut period = Period {
+                    inputs,
+                    ..Period::default()
+                };
+                period.inputs.haptic.legs[1].counts = [period.inputs.axes[0].counts, 3, -7];
+                period.outputs.haptic.currents[2] = [codes[1], codes[2]];
+                period.outputs.axes = commands;
+                period.outputs.spindle_rpm = spindle_rpm;
+                period.outputs.transmit = heapless::Vec::from_slice(&transmit).unwrap();
+                period
+            },
+        )
+}
+
+#[test]
+fn what_is_foreign_or_of_another_version_is_told_apart() {
+    let file = TemporaryFile::new("foreign.hmr");
+    let said = |content: &[u8]| {
+        std::fs::write(&file.0, content).unwrap();
+        let error = Recording::open(&file.0).unwrap_err().to_string();
+        error.split_once(": ").unwrap().1.to_string()
+    };
+    let whole = small();
+    let mut old = whole.clone();
+    old[8..10].copy_from_slice(&2_u16.to_le_bytes());
+    let mut damaged = whole.clone();
+    let last = damaged.len() - 60;
+    damaged[last] ^= 1;
+    let texts = [
+        said(b"time_s,period\n"),
+        said(b"time_s,period,state,setpoint\n0.0,1,Run,3\n"),
+        said(&old),
+        said(&whole[..100]),
+        said(&[&whole[..], b"more"].concat()),
+    ];
+    insta::assert_snapshot!(texts.join("\n"));
+    assert!(Recording::open(std::path::Path::new("/there/is/none.hmr")).is_err());
+}
+
+#[test]
+fn a_clock_and_a_counter_that_run_evenly_cost_nothing() {
+    let file = TemporaryFile::new("even.hmr");
+    let mut recorder = Recorder::create(&file.0, &header()).unwrap();
+    recorder.take_up(Tape::new());
+    let mut period = Period::default();
+    for number in 0..20_000_u64 {
+        period.inputs.period = number;
+        period.inputs.time_ns = (number * 200_000) as u32;
+        period.inputs.axes[0].counts = number as i32 * 3;
+        recorder.period(&period.inputs, &period.outputs);
+    }
+    recorder.finish().unwrap();
+    let recording = Recording::open(&file.0).unwrap();
+    let each = recording.period_bytes() as f64 / recording.periods() as f64;
+    assert!(each < 1.1, "{each} bytes a period");
 }
 
 #[test]
@@ -127,12 +337,13 @@ fn what_was_spilled_is_on_disk_while_the_recorder_lives() {
         }
     }
     // The writing thread takes its time; nothing else is waited for.
-    let whole = (header().encode().len() + 24 * RECORD_BYTES) as u64;
+    let whole = (header().encode().len() + 2 * (blocks::HEAD_BYTES + 12 * RECORD_BYTES)) as u64;
     while std::fs::metadata(&file.0).unwrap().len() < whole {
         std::thread::yield_now();
     }
     let recording = Recording::open(&file.0).unwrap();
     assert_eq!((recording.records(), recording.cut_bytes()), (24, 0));
+    assert!(!recording.is_whole());
     // A recorder that spills is hashed like any other.
     let recorded = recorder.finish().unwrap();
     assert_eq!(recorded.records, 30);
@@ -178,11 +389,14 @@ fn a_recording_comes_back_whole_hashed_and_cut() {
     }
     assert_eq!(seen, count);
 
-    // Cut off in the middle of a record.
-    std::fs::write(&file.0, &bytes[..bytes.len() - 100]).unwrap();
+    // Cut off in the middle of its last block of records, which is 1808 long: what is before is there.
+    let end = bytes.len() - blocks::HEAD_BYTES;
+    std::fs::write(&file.0, &bytes[..end - 100]).unwrap();
     let recording = Recording::open(&file.0).unwrap();
-    assert_eq!(recording.records(), count - 1);
-    assert_eq!(recording.cut_bytes(), RECORD_BYTES as u64 - 100);
+    assert!(!recording.is_whole());
+    assert_eq!(recording.records(), count - 1808);
+    let rest = blocks::HEAD_BYTES + 1808 * RECORD_BYTES - 100;
+    assert_eq!(recording.cut_bytes(), rest as u64);
     assert!(recording.iter().unwrap().all(|record| record.is_ok()));
 }
 

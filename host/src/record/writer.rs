@@ -1,9 +1,11 @@
-//! Writing a recording: the caller fills blocks of memory, a second thread hashes them and writes them to disk.
+//! Writing a recording: the caller fills blocks of memory, a second thread codes, checks, hashes and writes them to disk.
 //!
-//! A block is handed over when it is full and comes back when it is on disk, so a disk that is too slow for a while costs memory of a few blocks
-//! and then time, never a record.
+//! A block is handed over when it is full, and the memory of one comes back when it is on disk, so a disk that is too slow for a while costs memory of a
+//! few blocks and then time, never a record.
 
-use super::{Header, RECORD_BYTES, Record};
+use super::blocks::{Head, Kind};
+use super::{Header, Period, RECORD_BYTES, Record, Tape};
+use haptimill_firmware::io::{Inputs, Outputs};
 use sha2::{Digest, Sha256};
 use std::fmt::Write as _;
 use std::fs::File;
@@ -15,17 +17,48 @@ use std::thread::JoinHandle;
 /// Records in a block: 492 kB.
 const BLOCK_RECORDS: usize = 2048;
 
-/// Blocks under way.
-const BLOCKS: usize = 8;
+/// Periods that are handed over at once: 160 kB.
+const BATCH_PERIODS: usize = 256;
+
+/// Blocks and batches under way.
+const BLOCKS: usize = 24;
+
+/// What the second thread is given.
+enum Task {
+    /// A block as it stands on disk.
+    Block {
+        kind: Kind,
+        count: u32,
+        contents: Vec<u8>,
+    },
+    /// A tape to be written, and to go on with.
+    Tape(Box<Tape>),
+    /// The next periods of the tape.
+    Periods(Vec<Period>),
+}
+
+/// Memory that the second thread gives back.
+struct Memory {
+    blocks: SyncSender<Vec<u8>>,
+    batches: SyncSender<Vec<Period>>,
+}
 
 /// Writes a recording. Dropped without [`Recorder::finish`], it leaves what was recorded so far readable.
 pub struct Recorder {
     block: Vec<u8>,
-    full: Option<SyncSender<Vec<u8>>>,
+    /// Periods that are not handed over yet, if a tape was taken up.
+    periods: Option<Vec<Period>>,
+    full: Option<SyncSender<Task>>,
     empty: Receiver<Vec<u8>>,
-    writer: Option<JoinHandle<io::Result<[u8; 32]>>>,
+    empty_batches: Receiver<Vec<Period>>,
+    writer: Option<JoinHandle<io::Result<Written>>>,
     records: u64,
-    header_bytes: u64,
+}
+
+/// What the second thread did.
+struct Written {
+    bytes: u64,
+    sha256: [u8; 32],
 }
 
 /// A recording that is whole and on disk.
@@ -45,33 +78,48 @@ impl Recorder {
     /// # Errors
     /// The file cannot be created.
     pub fn create(path: &Path, header: &Header) -> io::Result<Self> {
-        let mut file = File::create(path)?;
+        let file = File::create(path)?;
         let header = header.encode();
-        let header_bytes = header.len() as u64;
-        let (full, blocks) = sync_channel::<Vec<u8>>(BLOCKS);
-        let (back, empty) = sync_channel::<Vec<u8>>(BLOCKS + 1);
-        let writer = std::thread::spawn(move || {
-            let mut hash = Sha256::new();
-            hash.update(&header);
-            file.write_all(&header)?;
-            for mut block in blocks {
-                hash.update(&block);
-                file.write_all(&block)?;
-                block.clear();
-                // The recorder may be gone already; its blocks are then of no use.
-                let _ = back.try_send(block);
-            }
-            file.flush()?;
-            Ok(hash.finalize().into())
-        });
+        let (full, tasks) = sync_channel(BLOCKS);
+        let (blocks, empty) = sync_channel(BLOCKS + 1);
+        let (batches, empty_batches) = sync_channel(BLOCKS + 1);
+        let memory = Memory { blocks, batches };
+        let writer = std::thread::spawn(move || write(file, &header, &tasks, &memory));
         Ok(Self {
             block: Vec::with_capacity(BLOCK_RECORDS * RECORD_BYTES),
+            periods: None,
             full: Some(full),
             empty,
+            empty_batches,
             writer: Some(writer),
             records: 0,
-            header_bytes,
         })
+    }
+
+    /// Goes on with a tape that has all periods of the controller up to now; [`Recorder::period`] must be told each that follows.
+    pub fn take_up(&mut self, tape: Tape) {
+        if tape.is_whole() {
+            self.send(Task::Tape(Box::new(tape)));
+            self.periods = Some(Vec::with_capacity(BATCH_PERIODS));
+        }
+    }
+
+    /// Takes down a period of the tape that was taken up; without one, nothing.
+    #[inline]
+    pub fn period(&mut self, inputs: &Inputs, outputs: &Outputs) {
+        let Some(periods) = &mut self.periods else {
+            return;
+        };
+        periods.push(Period {
+            inputs: inputs.clone(),
+            outputs: outputs.clone(),
+        });
+        if periods.len() == BATCH_PERIODS {
+            let fresh = self.empty_batches.try_recv();
+            let fresh = fresh.unwrap_or_else(|_| Vec::with_capacity(BATCH_PERIODS));
+            let batch = std::mem::replace(periods, fresh);
+            self.send(Task::Periods(batch));
+        }
     }
 
     /// Records a period. A failure of the disk is said by [`Recorder::finish`].
@@ -84,7 +132,21 @@ impl Recorder {
         }
     }
 
-    /// Hands what was recorded so far to the disk, unless that is behind: this never waits. If the process dies later, what was spilled stays.
+    /// Records what happened, in words; `level` is 0 for news, 1 for a warning, 2 for an error.
+    pub fn event(&mut self, period: u64, level: u8, text: &str) {
+        let text = &text.as_bytes()[..text.len().min(usize::from(u16::MAX))];
+        let mut contents = period.to_le_bytes().to_vec();
+        contents.push(level);
+        contents.extend_from_slice(&(text.len() as u16).to_le_bytes());
+        contents.extend_from_slice(text);
+        self.send(Task::Block {
+            kind: Kind::Events,
+            count: 1,
+            contents,
+        });
+    }
+
+    /// Hands the records so far to the disk, unless that is behind: this never waits. If the process dies later, what was spilled stays.
     pub fn spill(&mut self) {
         let Some(full) = &self.full else {
             return;
@@ -92,10 +154,10 @@ impl Recorder {
         if self.block.is_empty() {
             return;
         }
-        match full.try_send(std::mem::take(&mut self.block)) {
-            Err(TrySendError::Full(block)) => self.block = block,
+        match full.try_send(records(std::mem::take(&mut self.block))) {
+            Err(TrySendError::Full(Task::Block { contents, .. })) => self.block = contents,
             // Handed over; or the writer ended with an error, which `finish` tells.
-            Ok(()) | Err(TrySendError::Disconnected(_)) => self.block = self.fresh_block(),
+            _ => self.block = self.fresh_block(),
         }
     }
 
@@ -113,9 +175,13 @@ impl Recorder {
     fn hand_over(&mut self) {
         let fresh = self.fresh_block();
         let block = std::mem::replace(&mut self.block, fresh);
+        self.send(records(block));
+    }
+
+    fn send(&self, task: Task) {
         if let Some(full) = &self.full {
             // Fails only when the writer ended with an error, which `finish` tells.
-            let _ = full.send(block);
+            let _ = full.send(task);
         }
     }
 
@@ -124,23 +190,38 @@ impl Recorder {
     /// # Errors
     /// The disk is full, or the like; the file ends where it did.
     pub fn finish(mut self) -> io::Result<Recorded> {
-        let hash = self.close()?;
+        self.rest();
+        self.send(Task::Block {
+            kind: Kind::End,
+            count: self.records as u32,
+            contents: Vec::new(),
+        });
+        let written = self.close()?;
         let mut sha256 = String::with_capacity(64);
-        for byte in hash {
+        for byte in written.sha256 {
             // Writing to a string cannot fail.
             let _ = write!(sha256, "{byte:02x}");
         }
         Ok(Recorded {
             records: self.records,
-            bytes: self.header_bytes + self.records * RECORD_BYTES as u64,
+            bytes: written.bytes,
             sha256,
         })
     }
 
-    fn close(&mut self) -> io::Result<[u8; 32]> {
+    /// Hands over blocks that are not full.
+    fn rest(&mut self) {
         if !self.block.is_empty() {
             self.hand_over();
         }
+        if let Some(periods) = self.periods.take() {
+            // Ends the tape too.
+            self.send(Task::Periods(periods));
+            self.send(Task::Tape(Box::default()));
+        }
+    }
+
+    fn close(&mut self) -> io::Result<Written> {
         self.full = None;
         let gone = || Err(io::Error::other("the writing thread ended unexpectedly"));
         match self.writer.take() {
@@ -153,7 +234,94 @@ impl Recorder {
 impl Drop for Recorder {
     fn drop(&mut self) {
         if self.writer.is_some() {
+            self.rest();
             let _ = self.close();
         }
     }
+}
+
+fn records(contents: Vec<u8>) -> Task {
+    Task::Block {
+        kind: Kind::Records,
+        count: (contents.len() / RECORD_BYTES) as u32,
+        contents,
+    }
+}
+
+/// The second thread.
+struct Writer {
+    file: File,
+    hash: Sha256,
+    bytes: u64,
+}
+
+impl Writer {
+    fn put(&mut self, bytes: &[u8]) -> io::Result<()> {
+        self.hash.update(bytes);
+        self.bytes += bytes.len() as u64;
+        self.file.write_all(bytes)
+    }
+
+    fn block(&mut self, kind: Kind, count: u32, contents: &[u8]) -> io::Result<()> {
+        self.put(&Head::of(kind, count, contents).encode())?;
+        self.put(contents)
+    }
+
+    /// Whole blocks of a tape.
+    fn tape(&mut self, tape: &mut Tape) -> io::Result<()> {
+        for block in tape.take() {
+            self.block(Kind::Periods, block.count, &block.bytes)?;
+        }
+        Ok(())
+    }
+}
+
+fn write(
+    file: File,
+    header: &[u8],
+    tasks: &Receiver<Task>,
+    memory: &Memory,
+) -> io::Result<Written> {
+    let mut writer = Writer {
+        file,
+        hash: Sha256::new(),
+        bytes: 0,
+    };
+    writer.put(header)?;
+    let mut tape = Box::<Tape>::default();
+    for task in tasks {
+        match task {
+            Task::Block {
+                kind,
+                count,
+                mut contents,
+            } => {
+                writer.block(kind, count, &contents)?;
+                if kind == Kind::Records {
+                    contents.clear();
+                    // The recorder may be gone already; its memory is then of no use.
+                    let _ = memory.blocks.try_send(contents);
+                }
+            }
+            Task::Tape(next) => {
+                tape.close();
+                writer.tape(&mut tape)?;
+                tape = next;
+                writer.tape(&mut tape)?;
+            }
+            Task::Periods(mut periods) => {
+                for period in &periods {
+                    tape.add(&period.inputs, &period.outputs);
+                }
+                writer.tape(&mut tape)?;
+                periods.clear();
+                let _ = memory.batches.try_send(periods);
+            }
+        }
+    }
+    writer.file.flush()?;
+    Ok(Written {
+        bytes: writer.bytes,
+        sha256: writer.hash.finalize().into(),
+    })
 }

@@ -7,6 +7,7 @@ pub(crate) mod chart;
 mod contour;
 pub(crate) mod html;
 mod pictures;
+pub mod plot;
 pub(crate) mod series;
 mod statistics;
 #[cfg(test)]
@@ -29,6 +30,8 @@ pub const RECORDING_FILE: &str = "recording.hmr";
 pub const TRACE_FILE: &str = "trace.csv";
 /// The summary.
 pub const SUMMARY_FILE: &str = "summary.json";
+/// The recording as MCAP.
+pub const MCAP_FILE: &str = "recording.mcap";
 /// The report.
 pub const REPORT_FILE: &str = "report.html";
 

@@ -1,20 +1,26 @@
 //! Carrying out a pass: the simulated machine is homed, the work clamped, the program run, everything recorded.
 
+use super::Pass;
 use super::course::Course;
-use super::{Control, Pass};
 use crate::cli::{CliError, Exit};
 use crate::client::{JobEnding, Options};
 use crate::machine::{MachineFile, work};
 use crate::model::{Model, program_options, settings};
 use crate::plan::Plan;
+use crate::port::Board;
 use crate::program;
 use crate::record::{Header, Recorder, Recording};
 use crate::report::{self, Outcome, Summary};
-use crate::session::{self, JobEnd, JobLine, JobRecording, Session, SimLine, Watcher};
+#[cfg(unix)]
+use crate::session::pil;
+use crate::session::{self, HandCourse, JobEnd, JobLine, JobRecording, Session, SimLine, Watcher};
 use haptimill_firmware::units::Length;
 use haptimill_firmware::units::force::{Force, VirtualDamping, VirtualMass};
 use haptimill_hil_sim::config::PlantConfig;
 use haptimill_hil_sim::cutting::Workpiece;
+#[cfg(unix)]
+use haptimill_hil_sim::remote::RemoteController;
+use haptimill_hil_sim::rig::Control as Controlled;
 use haptimill_protocol::message::{AxisValues, Telemetry};
 use std::path::Path;
 use std::sync::Arc;
@@ -22,6 +28,10 @@ use std::sync::atomic::AtomicBool;
 
 /// A row of the trace every so many control periods: 5 ms at 5 kHz.
 const TRACE_EVERY: u32 = 25;
+
+/// The table of what hand and tool did while a hand led, and a row of it every so many milliseconds.
+pub const HAND_FILE: &str = "hand.csv";
+const HAND_EVERY: usize = 5;
 
 /// What a pass left.
 pub struct Cut {
@@ -31,9 +41,12 @@ pub struct Cut {
     pub work: Workpiece,
     /// The summary of the job.
     pub summary: Summary,
+    /// What hand and tool did while a hand led.
+    pub hand: Option<HandCourse>,
 }
 
-/// The most that a tool under force control may yield, mm: no scenario is to end at it.
+/// The most that a tool under force control may yield, mm: the machine file's 10 mm are enough for the thesis's gains (6 mm), and too little for (0.25, 0.5) at 4 mm/s, which yields 13 mm and would press with
+/// 10 N at the limit instead of showing what the gains do. It is a setting of the loop, not of the plant.
 const LIMIT_MM: i32 = 20;
 
 struct Unwatched;
@@ -48,19 +61,35 @@ impl Watcher for Unwatched {
     }
 }
 
+/// Axes of the work along which the tool yields in a pass.
+fn yields(pass: &Pass) -> &'static [u8] {
+    pass.led.map_or(&[0], |led| led.yields)
+}
+
 /// The machine with the force loop of a pass; `None` when the machine has no force control.
-fn controlled(machine: &MachineFile, control: Option<Control>) -> Option<MachineFile> {
+fn controlled(machine: &MachineFile, pass: &Pass) -> Option<MachineFile> {
     let mut machine = machine.clone();
-    if let Some(control) = control {
+    if let Some(control) = pass.control {
         let force = machine.config.force.as_mut()?;
-        let x = force.axes.first_mut()?;
         let scaled = |value: f64| (value * 65_536.0).round() as u32;
-        x.desired = Force((control.desired_n * 65_536.0).round() as i32);
-        x.mass = VirtualMass(scaled(control.mass));
-        x.damping = VirtualDamping(scaled(control.damping));
-        x.limit = Length(LIMIT_MM << 20);
+        for axis in yields(pass) {
+            let axis = force.axes.get_mut(usize::from(*axis))?;
+            axis.desired = Force(scaled(control.desired_n) as i32);
+            axis.mass = VirtualMass(scaled(control.mass));
+            axis.damping = VirtualDamping(scaled(control.damping));
+            axis.limit = Length(LIMIT_MM << 20);
+        }
     }
     Some(machine)
+}
+
+/// What carries out the control periods of a pass.
+#[derive(Debug, Clone, Copy)]
+pub enum On<'a> {
+    /// The controller in this process.
+    Here,
+    /// The controller on an emulated board, from this image. The machine around it is the simulated one in either case.
+    Board(Board, &'a Path),
 }
 
 /// Carries out a pass; `dir` gets the recording, the trace, the summary and the report of the job.
@@ -71,19 +100,74 @@ pub fn carry(
     machine: &MachineFile,
     pass: &Pass,
     dir: &Path,
+    on: On<'_>,
+    interrupted: &Arc<AtomicBool>,
+) -> Result<Cut, CliError> {
+    let machine = match &pass.led {
+        Some(_) => machine.with_hand()?,
+        None => machine.clone(),
+    };
+    let machine =
+        controlled(&machine, pass).ok_or_else(|| CliError::new(Exit::Refused, NO_FORCE_CONTROL))?;
+    match on {
+        On::Here => {
+            let line = SimLine::new(session::rig(&machine, None, None, Vec::new())?);
+            cut(line, &machine, pass, dir, interrupted)
+        }
+        On::Board(board, image) => on_board(board, image, &machine, pass, dir, interrupted),
+    }
+}
+
+/// On an emulated board.
+#[cfg(unix)]
+fn on_board(
+    board: Board,
+    image: &Path,
+    machine: &MachineFile,
+    pass: &Pass,
+    dir: &Path,
+    interrupted: &Arc<AtomicBool>,
+) -> Result<Cut, CliError> {
+    let emulator = pil::Emulator::start(board, image)?;
+    let period_us = machine.config.period_us;
+    let mut remote = RemoteController::begin(emulator, period_us)
+        .map_err(|reason| CliError::new(Exit::Port, format!("{board}: {reason}")))?;
+    remote.set_budget(pil::counts(pil::budget(period_us)));
+    let rig = session::rig_around(remote, machine, None, None, Vec::new())?;
+    let line = SimLine::named(rig, &board.to_string());
+    cut(line, machine, pass, dir, interrupted)
+}
+
+/// Emulated boards need named pipes.
+#[cfg(not(unix))]
+fn on_board(
+    board: Board,
+    _: &Path,
+    _: &MachineFile,
+    _: &Pass,
+    _: &Path,
+    _: &Arc<AtomicBool>,
+) -> Result<Cut, CliError> {
+    let what = format!("{board}: emulated boards need a Unix system");
+    Err(CliError::new(Exit::Usage, what))
+}
+
+fn cut<C: Controlled>(
+    line: SimLine<C>,
+    machine: &MachineFile,
+    pass: &Pass,
+    dir: &Path,
     interrupted: &Arc<AtomicBool>,
 ) -> Result<Cut, CliError> {
     let output = |error: &dyn std::fmt::Display| {
         CliError::new(Exit::Output, format!("{}: {error}", dir.display()))
     };
-    let machine = controlled(machine, pass.control)
-        .ok_or_else(|| CliError::new(Exit::Refused, NO_FORCE_CONTROL))?;
-    let model = Model::new(&machine);
-    let home = model.home(&machine).ok_or_else(|| {
+    let model = Model::new(machine);
+    let home = model.home(machine).ok_or_else(|| {
         let what = format!("{}: the home preset has no pose", machine.file);
         CliError::new(Exit::BadInput, what)
     })?;
-    let plan = planned(&machine, &model, &home, pass)?;
+    let plan = planned(machine, &model, &home, pass)?;
 
     let plant: PlantConfig = machine.plant()?;
     let (file, text) = pass.work.file();
@@ -91,30 +175,42 @@ pub fn carry(
     cutting.cutter.force_scale *= pass.force_scale;
 
     std::fs::create_dir_all(dir).map_err(|error| output(&error))?;
-    let line = SimLine::new(session::rig(&machine, None, None, Vec::new())?);
-    let mut session = Session::new(line, &machine, Options::default(), Arc::clone(interrupted));
+    let mut session = Session::new(line, machine, Options::default(), Arc::clone(interrupted));
     session.connect(1)?;
-    session.configure(&machine)?;
+    session.configure(machine)?;
     session.enable()?;
-    let end = session.go_home(&machine, &home)?;
+    let end = session.go_home(machine, &home)?;
     well_ended(&session, pass, &end)?;
     session.line_mut().clamp(&cutting)?;
     if machine.config.force.is_some() {
         session.tare()?;
         if pass.control.is_some() {
-            session.set_force_mask(&[0])?;
+            session.set_force_mask(yields(pass))?;
         }
+    }
+    if let Some(led) = &pass.led {
+        led.set_up(&mut session)?;
     }
 
     let header =
-        Header::of(&machine, pass.program).map_err(|error| CliError::new(Exit::Internal, error))?;
+        Header::of(machine, pass.program).map_err(|error| CliError::new(Exit::Internal, error))?;
     let recorder = Recorder::create(&dir.join(report::RECORDING_FILE), &header)
         .map_err(|error| output(&error))?;
     let setpoints = plan.setpoints.clone();
     session
         .line_mut()
-        .begin_recording(JobRecording::new(recorder, Arc::new(plan), &machine));
-    let end = session.run_job(2, home, setpoints, &mut Unwatched)?;
+        .begin_recording(JobRecording::new(recorder, Arc::new(plan), machine));
+    let mut hand = None;
+    let mut pauses = 0;
+    let mut at_pause = |session: &mut Session<SimLine<C>>| {
+        pauses += 1;
+        match (&pass.led, pauses) {
+            (Some(led), 1) => led.begin(session),
+            (Some(led), 2) => led.end(session).map(|course| hand = course),
+            _ => Ok(()),
+        }
+    };
+    let end = session.run_job_with(2, home, setpoints, &mut Unwatched, &mut at_pause)?;
     well_ended(&session, pass, &end)?;
     let recorded = session
         .line_mut()
@@ -137,6 +233,10 @@ pub fn carry(
     let recording =
         Recording::open(&dir.join(report::RECORDING_FILE)).map_err(|error| output(&error))?;
     let course = Course::of(&recording).map_err(|error| output(&error))?;
+    if let Some(course) = &hand {
+        std::fs::write(dir.join(HAND_FILE), course.table(HAND_EVERY))
+            .map_err(|error| output(&error))?;
+    }
     let mut line = session.into_line();
     let cutting = line
         .rig_mut()
@@ -149,6 +249,7 @@ pub fn carry(
         course,
         work: cutting.workpiece().clone(),
         summary,
+        hand,
     })
 }
 
@@ -169,7 +270,11 @@ fn planned(
 }
 
 /// A job that did not reach its end leaves nothing to measure.
-fn well_ended(session: &Session<SimLine>, pass: &Pass, end: &JobEnd) -> Result<(), CliError> {
+fn well_ended<C: Controlled>(
+    session: &Session<SimLine<C>>,
+    pass: &Pass,
+    end: &JobEnd,
+) -> Result<(), CliError> {
     if let Some(fault) = end.faults.first() {
         let error = session.fault(fault);
         return Err(CliError::new(

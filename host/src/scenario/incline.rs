@@ -119,18 +119,17 @@ pub(super) fn gain_study(cuts: &[Cut]) -> Vec<Claim> {
     ]
 }
 
-const FORCE_SCALE: &str = "the forces on the incline are not stated, and one scale of them serves all gains (2, spec 5.2): what meets K_V 5 is too much for K_V 20";
-const RETURN: &str = "by (3.30) the tool returns at (f_d - F) / K_V: 3 mm in 5 s need a mean peak force of 2 N while it cuts its way back; the model's is larger";
-const GUARD: &str = "the stability guard adds damping in the first half second: while the mill plunges, the peak along X changes its sign from one revolution to the next, \
-     which it takes for an oscillation";
+const FORCE_SCALE: &str = "the forces on the incline are not stated, and one scale of them serves all gains (2, spec 5.2): what meets K_V 5 is too much for K_V 20. With an edge of 12 um instead of 6 (not stated either) it is 2.0 mm";
+const RETURN: &str = "by (3.30) the tool returns at (f_d - F) / K_V: 3 mm in 5 s need a mean peak force of 2 N while it cuts its way back; the model's is 3.4 N. It is the force of chips thinner than the edge, whose radius is not stated: \
+     6 um here, with 12 um the tool is at 2.4 mm";
 const OWN: &str = "what this project asks of itself, and does not reach";
 
 /// Samples to either side over which a rate is taken.
 const REACH: usize = 5;
 
-/// Difference of both sides of (3.30), integrated over the cut from a time on, in percent: while the tool yields and moves.
-fn equation(cut: &Cut, mass: f64, damping: f64, from: f64) -> f64 {
-    let samples = cut.course.between(from, 9.8);
+/// Difference of both sides of (3.30), integrated over the cut, in percent: while the tool yields and moves.
+fn equation(cut: &Cut, mass: f64, damping: f64) -> f64 {
+    let samples = cut.course.between(0.0, 9.8);
     let rate = |index: usize| {
         let (before, after) = (&samples[index - REACH], &samples[index + REACH]);
         (after.yielded[0] - before.yielded[0]) / (after.time - before.time)
@@ -195,15 +194,7 @@ pub(super) fn force_control(cuts: &[Cut]) -> Vec<Claim> {
         measured(
             "both sides of (3.30) over the cut, K_A 1, K_V 5",
             "equal",
-            equation(recommended, 1.0, 5.0, 0.0),
-            "%",
-        )
-        .within(-1.0, 1.0, Own)
-        .because(GUARD),
-        measured(
-            "both sides of (3.30) from 1 s on, K_A 1, K_V 5",
-            "equal",
-            equation(recommended, 1.0, 5.0, 1.0),
+            equation(recommended, 1.0, 5.0),
             "%",
         )
         .within(-1.0, 1.0, Own)

@@ -1,6 +1,6 @@
 //! The scenarios.
 
-use super::{Control, Pass, Scenario, Work, incline, programmed};
+use super::{Control, Led, Pass, Scenario, Work, felt, incline, led, programmed};
 
 /// A pass over the flat block, as fitted, without force control.
 const fn flat(program: &'static str, text: &'static str) -> Pass {
@@ -12,6 +12,7 @@ const fn flat(program: &'static str, text: &'static str) -> Pass {
         work: Work::Block,
         force_scale: 1.0,
         control: None,
+        led: None,
     }
 }
 
@@ -33,6 +34,7 @@ const fn tilted(
         work: Work::Incline,
         force_scale: INCLINE_SCALE,
         control,
+        led: None,
     }
 }
 
@@ -66,6 +68,56 @@ const fn yielding(
         ),
     }
 }
+
+/// A pass that a hand leads, f_d 5 N, K_A 1, K_V 5 (the gains recommended by E5; those of the experiments with a hand are not restated).
+const fn by_hand(
+    name: &'static str,
+    title: &'static str,
+    program: &'static str,
+    text: &'static str,
+    led: Led,
+) -> Pass {
+    let control = if led.axes.is_empty() {
+        None
+    } else {
+        Some(Control {
+            desired_n: 5.0,
+            mass: 1.0,
+            damping: 5.0,
+        })
+    };
+    Pass {
+        name,
+        title,
+        program,
+        text,
+        work: Work::Block,
+        force_scale: 1.0,
+        control,
+        led: Some(led),
+    }
+}
+
+/// X on the rail, with the reflection of slot and pocket (spec h4-milling 3.4; the limit of Y in them is not stated).
+const ON_THE_RAIL: Led = Led {
+    axes: &[0],
+    yields: &[0],
+    rail: Some([-1.0, 0.0, 0.0]),
+    part: false,
+    reflect: [(40, 3.2), (10, 3.2), (20, 1.2)],
+    boost: 0.0,
+    wall_mm_s: None,
+    intention: led::once,
+};
+
+/// The wall of E6, on a rail; nothing is cut.
+const AT_THE_WALL: Led = Led {
+    axes: &[],
+    reflect: [(0, 0.0), (0, 0.0), (0, 0.0)],
+    wall_mm_s: Some(-4.0),
+    intention: led::swiftly,
+    ..ON_THE_RAIL
+};
 
 /// All scenarios, in the order of the thesis.
 #[must_use]
@@ -150,6 +202,33 @@ pub fn all() -> Vec<Scenario> {
             claims: incline::force_control,
         },
         Scenario {
+            name: "e6",
+            title: "Moving wall",
+            setting: "The handle on its rail, away towards -X; a virtual wall of 0.35 N/mm (derived, spec 3.5) follows at 4 mm/s. In the second pass, not of the thesis, the hand stays behind the \
+                      wall.",
+            figures: "figures 4.16 and 4.17, p. 50-52",
+            passes: vec![
+                by_hand(
+                    "swift",
+                    "faster than the wall",
+                    "e6-hand.ngc",
+                    include_str!("../../../examples/e6-hand.ngc"),
+                    AT_THE_WALL,
+                ),
+                by_hand(
+                    "slow",
+                    "behind the wall",
+                    "e6-hand.ngc",
+                    include_str!("../../../examples/e6-hand.ngc"),
+                    Led {
+                        intention: led::slowly,
+                        ..AT_THE_WALL
+                    },
+                ),
+            ],
+            claims: felt::moving_wall,
+        },
+        Scenario {
             name: "e7",
             title: "Slot, no force control",
             setting: "30 mm towards -X at 4 mm/s, 2 mm deep.",
@@ -159,6 +238,21 @@ pub fn all() -> Vec<Scenario> {
                 include_str!("../../../examples/e7-slot.ngc"),
             )],
             claims: programmed::slot,
+        },
+        Scenario {
+            name: "e8",
+            title: "Slot by hand, with force control",
+            setting: "A hand on the rail leads X by 30 mm towards -X; 2 mm deep, force control along X with f_d 5 N; 40 % of Fx up to 3.2 N, 10 % of Fy and 20 % of Fz up to 1.2 N come back to \
+                      the hand.",
+            figures: "figures 4.23 to 4.28, p. 56-60",
+            passes: vec![by_hand(
+                "cut",
+                "",
+                "e8-hand.ngc",
+                include_str!("../../../examples/e8-hand.ngc"),
+                ON_THE_RAIL,
+            )],
+            claims: felt::slot,
         },
         Scenario {
             name: "e9",
@@ -172,6 +266,39 @@ pub fn all() -> Vec<Scenario> {
             claims: programmed::pocket,
         },
         Scenario {
+            name: "e10",
+            title: "Pocket by hand, with force control",
+            setting: "A hand on the rail leads X to and fro by 30 mm, the program Y by -2 mm between; 2 mm deep, force control along X and Z with f_d 5 N. Where the reflection is too weak to be felt, 0.1 N \
+                      for each mm/s of the hand is added; the second pass goes without.",
+            figures: "figures 4.34 to 4.39, p. 65-70",
+            passes: vec![
+                by_hand(
+                    "boost",
+                    "with boost",
+                    "e10-hand.ngc",
+                    include_str!("../../../examples/e10-hand.ngc"),
+                    Led {
+                        yields: &[0, 2],
+                        boost: 0.1,
+                        intention: led::three_times,
+                        ..ON_THE_RAIL
+                    },
+                ),
+                by_hand(
+                    "plain",
+                    "without boost",
+                    "e10-hand.ngc",
+                    include_str!("../../../examples/e10-hand.ngc"),
+                    Led {
+                        yields: &[0, 2],
+                        intention: led::three_times,
+                        ..ON_THE_RAIL
+                    },
+                ),
+            ],
+            claims: felt::pocket,
+        },
+        Scenario {
             name: "e11",
             title: "Circle, no force control",
             setting: "A circle of 30 mm at 4 mm/s, 2 mm deep, from X0 Y0 first towards -X and -Y.",
@@ -181,6 +308,29 @@ pub fn all() -> Vec<Scenario> {
                 include_str!("../../../examples/e11-circle.ngc"),
             )],
             claims: programmed::circle,
+        },
+        Scenario {
+            name: "e12",
+            title: "Circle by hand, with force control",
+            setting: "A free hand leads X and Y: the ball of 5 mm at the handle's tip goes round in a hole of 35 mm, pressed against its edge with 2 N. 2 mm deep, force control along X and Y with f_d 5 N; \
+                      40 % of Fx and Fy up to 3.2 N, 20 % of Fz up to 1.2 N come back.",
+            figures: "figures 4.45 to 4.50, p. 74-79",
+            passes: vec![by_hand(
+                "cut",
+                "",
+                "e12-hand.ngc",
+                include_str!("../../../examples/e12-hand.ngc"),
+                Led {
+                    axes: &[0, 1],
+                    yields: &[0, 1],
+                    rail: None,
+                    part: true,
+                    reflect: [(40, 3.2), (40, 3.2), (20, 1.2)],
+                    intention: led::round,
+                    ..ON_THE_RAIL
+                },
+            )],
+            claims: felt::circle,
         },
     ]
 }

@@ -4,6 +4,8 @@
 //! `haptimill run` leaves (recording, trace, summary, report); each scenario a summary and a page with the curves of the thesis's figures, the cut
 //! surface seen from above, and a table of [`Claim`]s: what the thesis states, the band that counts as reproduced, and what came out here.
 //!
+//! E6, E8, E10 and E12 have a person at the haptic arm ([`Led`]): one hand for all four.
+//!
 //! One machine file, with one plant, serves all scenarios. The scale of the forces is the one exception (spec h4-milling 5.2: the forces on the incline are not stated and
 //! need about twice the coefficients P1), and it is shown. A band is never fitted to what comes out: what is outside is shown as outside, with the reason.
 //!
@@ -12,7 +14,10 @@
 
 mod bench;
 mod course;
+mod felt;
 mod incline;
+mod led;
+mod led_page;
 mod list;
 mod page;
 mod picture;
@@ -20,13 +25,15 @@ mod programmed;
 mod stated;
 mod table;
 
-pub use bench::{Cut, NO_FORCE_CONTROL, carry};
+pub use bench::{Cut, NO_FORCE_CONTROL, On, carry};
 pub use course::{Course, ForceSource, Sample};
+pub use led::{Led, NO_HAPTIC_ARM};
 pub use list::{all, named};
 pub use page::{index, page};
 pub use stated::{Band, Claim};
 pub use table::table;
 
+use crate::machine::MachineFile;
 use serde::Serialize;
 
 /// What a pass cuts.
@@ -83,12 +90,14 @@ pub struct Pass {
     pub force_scale: f64,
     /// Force control, if there is any.
     pub control: Option<Control>,
+    /// What a hand does in it, if there is one.
+    pub led: Option<Led>,
 }
 
 /// An experiment.
 #[derive(Clone)]
 pub struct Scenario {
-    /// Short name: e1 to e11.
+    /// Short name: e1 to e12.
     pub name: &'static str,
     /// What it is.
     pub title: &'static str,
@@ -107,6 +116,21 @@ impl Scenario {
     #[must_use]
     pub fn needs_force_control(&self) -> bool {
         self.passes.iter().any(|pass| pass.control.is_some())
+    }
+
+    /// Whether it needs a haptic arm.
+    #[must_use]
+    pub fn needs_hand(&self) -> bool {
+        self.passes.iter().any(|pass| pass.led.is_some())
+    }
+
+    /// What a machine lacks to run it.
+    #[must_use]
+    pub fn lacks(&self, machine: &MachineFile) -> Option<&'static str> {
+        if self.needs_force_control() && machine.config.force.is_none() {
+            return Some(NO_FORCE_CONTROL);
+        }
+        (self.needs_hand() && !Led::fits(machine)).then_some(NO_HAPTIC_ARM)
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::course::Sample;
 use super::table::{band, value, verdict};
-use super::{Cut, ForceSource, Pass, Result, Scenario, picture};
+use super::{Cut, ForceSource, Pass, Result, Scenario, led_page, picture};
 use crate::report::chart::{COLOURS, Chart, Line, escape};
 use crate::report::html::STYLE;
 use crate::report::series::Columns;
@@ -69,6 +69,9 @@ pub fn page(scenario: &Scenario, cuts: &[Cut], result: &Result) -> String {
     }
     page.push_str(close);
     for (pass, cut) in scenario.passes.iter().zip(cuts) {
+        led_page::curves(&mut page, pass, cut);
+    }
+    for (pass, cut) in scenario.passes.iter().zip(cuts) {
         curves(&mut page, pass, cut);
     }
     files(&mut page, scenario, result);
@@ -121,7 +124,7 @@ fn stated(text: &str) -> String {
     }
 }
 
-fn card(page: &mut String, note: &str, svg: &str) {
+pub(super) fn card(page: &mut String, note: &str, svg: &str) {
     put(
         page,
         format_args!("<div class=\"card\"><p>{note}</p>{svg}</div>"),
@@ -209,7 +212,12 @@ fn line(
     }
 }
 
-fn over_time(y_label: impl Into<String>, lines: Vec<Line>, height: f64, from_zero: bool) -> String {
+pub(super) fn over_time(
+    y_label: impl Into<String>,
+    lines: Vec<Line>,
+    height: f64,
+    from_zero: bool,
+) -> String {
     Chart {
         x_label: "time since the way began, s".into(),
         y_label: y_label.into(),

@@ -11,6 +11,8 @@ pub(super) fn value(number: f64) -> String {
         large if large >= 100.0 => format!("{number:.0}"),
         middle if middle >= 10.0 => format!("{number:.1}"),
         middle if middle >= 1.0 => format!("{number:.2}"),
+        // What is rounded to nothing has no sign.
+        small if small < 0.0005 => "0.000".to_string(),
         _ => format!("{number:.3}"),
     }
 }

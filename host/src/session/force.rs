@@ -4,11 +4,11 @@ use super::{Line, Session};
 use crate::cli::{CliError, Exit};
 use crate::machine::MachineFile;
 use crate::machine::scale::{PER_EFFORT, PER_MM, to_i32, to_u32};
-use haptimill_firmware::force::{ForceConfig, LoopSettings};
+use haptimill_firmware::force::ForceConfig;
 use haptimill_protocol::force::{ForceLoop, Gate};
 use haptimill_protocol::message::{Command, Event};
 
-/// What is to be changed in the loop of an axis; what is not said stays as the machine file has it.
+/// What is to be changed in the loop of an axis; what is not said stays as it is.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct LoopChoice {
     /// f_d, N.
@@ -28,16 +28,16 @@ pub struct LoopChoice {
 impl LoopChoice {
     /// The settings of one axis.
     #[must_use]
-    pub fn of(&self, default: &LoopSettings) -> ForceLoop {
+    pub fn of(&self, default: &ForceLoop) -> ForceLoop {
         let force = |newtons: f64| to_i32(newtons * PER_EFFORT);
         let gain = |gain: f64| to_u32(gain * PER_EFFORT);
         let length = |length: f64| to_i32(length * PER_MM);
         ForceLoop {
-            desired: self.desired_n.map_or(default.desired.0, force),
-            mass: self.mass.map_or(default.mass.0, gain),
-            damping: self.damping.map_or(default.damping.0, gain),
-            limit: self.limit_mm.map_or(default.limit.0, length),
-            rate: self.rate_mm_s.map_or(default.rate.0, length),
+            desired: self.desired_n.map_or(default.desired, force),
+            mass: self.mass.map_or(default.mass, gain),
+            damping: self.damping.map_or(default.damping, gain),
+            limit: self.limit_mm.map_or(default.limit, length),
+            rate: self.rate_mm_s.map_or(default.rate, length),
             gate: self.gate.unwrap_or(default.gate),
         }
     }
@@ -58,7 +58,7 @@ pub fn force_of(machine: &MachineFile) -> Result<&ForceConfig, CliError> {
 }
 
 impl<L: Line> Session<L> {
-    /// Other settings for some axes.
+    /// Settings for some axes, as the machine file has them but for the choice.
     ///
     /// # Errors
     /// The machine has no force sensor, or the controller refuses a value, with its bound.
@@ -75,10 +75,60 @@ impl<L: Line> Session<L> {
             };
             self.ask(Command::ForceLoop {
                 axis: *axis,
-                settings: choice.of(default),
+                settings: choice.of(&ForceLoop::from(default)),
             })?;
         }
         Ok(())
+    }
+
+    /// Other settings for some axes, as the controller has them but for the choice; they are in force when this returns.
+    ///
+    /// # Errors
+    /// The controller has no force sensor, or refuses a value, with its bound.
+    pub fn change_force_loops(&mut self, axes: &[u8], choice: &LoopChoice) -> Result<(), CliError> {
+        for axis in axes {
+            let settings = choice.of(&self.force_loop(*axis)?);
+            self.ask(Command::ForceLoop {
+                axis: *axis,
+                settings,
+            })?;
+            // It works them out first, some periods long.
+            let by = self.now_us + 1_000_000;
+            while self.force_loop(*axis)? != settings {
+                if self.now_us > by {
+                    let what = "the controller took the settings of the force loop and does not use them; report this";
+                    return Err(CliError::new(Exit::Internal, what));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// The settings of the loop of an axis that are in force on the controller.
+    ///
+    /// # Errors
+    /// The controller has no force sensor.
+    pub fn force_loop(&mut self, axis: u8) -> Result<ForceLoop, CliError> {
+        let first = self.events.len();
+        self.ask(Command::ForceSettings { axis })?;
+        let by = self.now_us + 5_000_000;
+        loop {
+            // Told before the answer, but on a way of its own.
+            let told = self.events[first..]
+                .iter()
+                .find_map(|(_, event)| match event {
+                    Event::ForceSettings { axis: of, settings } if *of == axis => Some(*settings),
+                    _ => None,
+                });
+            if let Some(settings) = told {
+                return Ok(settings);
+            }
+            if self.now_us > by {
+                let what = "force: the settings were asked for, and not heard of for 5 s";
+                return Err(CliError::new(Exit::Port, what));
+            }
+            self.step()?;
+        }
     }
 
     /// Which axes are under force control.

@@ -70,6 +70,21 @@ impl<L: Line> Session<L> {
         setpoints: Vec<Setpoint>,
         watcher: &mut dyn Watcher,
     ) -> Result<JobEnd, CliError> {
+        self.run_job_with(job, start, setpoints, watcher, &mut |_| Ok(()))
+    }
+
+    /// As [`Session::run_job`]; what is to happen at the end of each pause, before the program goes on, is done by `at_pause`.
+    ///
+    /// # Errors
+    /// As [`Session::run_job`], and what `at_pause` refuses.
+    pub fn run_job_with(
+        &mut self,
+        job: u32,
+        start: AxisValues,
+        setpoints: Vec<Setpoint>,
+        watcher: &mut dyn Watcher,
+        at_pause: &mut dyn FnMut(&mut Self) -> Result<(), CliError>,
+    ) -> Result<JobEnd, CliError> {
         let first = self.events.len();
         let period_us = self
             .client
@@ -121,6 +136,7 @@ impl<L: Line> Session<L> {
             }
             if paused && watcher.goes_on() {
                 paused = false;
+                at_pause(self)?;
                 self.client.request(Command::Resume);
             }
             steps = steps.wrapping_add(1);

@@ -22,6 +22,9 @@ pub trait Line {
 
     /// The controller reported how things stand.
     fn reported(&mut self, _: &Telemetry) {}
+
+    /// The controller said that something happened; `level` is 0 for news, 1 for a warning, 2 for an error.
+    fn happened(&mut self, _period: u64, _level: u8, _text: &str) {}
 }
 
 /// A line on which a job can be recorded.
@@ -95,6 +98,12 @@ impl Line for PortLine {
     fn reported(&mut self, telemetry: &Telemetry) {
         if let Some(recording) = &mut self.recording {
             recording.add_telemetry(telemetry);
+        }
+    }
+
+    fn happened(&mut self, period: u64, level: u8, text: &str) {
+        if let Some(recording) = &mut self.recording {
+            recording.add_event(period, level, text);
         }
     }
 }

@@ -7,6 +7,7 @@
 //! machine.
 
 mod force;
+mod hand;
 mod home;
 pub mod interrupt;
 mod job;
@@ -16,6 +17,7 @@ pub mod pil;
 mod sim;
 
 pub use force::{LoopChoice, force_of};
+pub use hand::{HandCourse, HandSample};
 #[cfg(feature = "console")]
 pub(crate) use home::way;
 pub use job::{JobEnd, Sent, Watcher};
@@ -30,6 +32,23 @@ use haptimill_protocol::message::{Command, Event, Fault, Refusal, State, Telemet
 use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+
+/// How much an event matters: 0 is news, 1 a warning, 2 an error.
+fn level(event: &Event) -> u8 {
+    match event {
+        Event::Fault(_)
+        | Event::State {
+            to: State::Fault | State::EmergencyStop,
+            ..
+        } => 2,
+        Event::State { .. }
+        | Event::JobDone { .. }
+        | Event::Paused { .. }
+        | Event::Homed
+        | Event::Tared => 0,
+        _ => 1,
+    }
+}
 
 /// A session number that was never used before, as far as chance can do it.
 #[must_use]
@@ -133,7 +152,13 @@ impl<L: Line> Session<L> {
                     command,
                     result,
                 } => self.answers.push_back((ticket, command, result)),
-                Notice::Event { period, event } => self.events.push((period, event)),
+                Notice::Event { period, event } => {
+                    let text = self
+                        .model
+                        .with_axes(|axes| axes.describe(&event).to_string());
+                    self.line.happened(period, level(&event), &text);
+                    self.events.push((period, event));
+                }
                 Notice::Job(ending) => self.ending = Some(ending),
                 Notice::Lost(error) => self.lost = Some(error.to_string()),
                 Notice::Telemetry(telemetry) => self.line.reported(&telemetry),

@@ -464,7 +464,7 @@ pub struct Instructions {
 
 /// Names of the stages, in their order.
 const STAGE_NAMES: [&str; STAGES] = [
-    "hear", "sense", "decide", "yield", "place", "drive", "tell", "gate",
+    "hear", "sense", "decide", "yield", "place", "drive", "feel", "tell", "gate",
 ];
 
 impl Instructions {

@@ -1,11 +1,12 @@
 //! The built-in simulator as a line: controller, machine and serial line in this process, in virtual time.
 
+use super::hand::{HandCourse, HandRecorder};
 use super::{JobLine, Line};
 use crate::cli::{CliError, Exit};
 use crate::machine::MachineFile;
 use crate::plan::{Cursor, Plan};
 use crate::port::PortError;
-use crate::record::{Record, Recorder, flag};
+use crate::record::{Record, Recorder, Tape, flag};
 use haptimill_firmware::controller::Controller;
 use haptimill_firmware::motion::program::FULL_RATE;
 use haptimill_firmware::reading::ForceReading;
@@ -20,8 +21,16 @@ use std::sync::Arc;
 pub struct SimLine<C = Controller> {
     rig: Rig<C>,
     name: String,
+    /// Periods since the power-on of the controller, until a recording takes them up.
+    tape: Option<Tape>,
+    /// What happened before there was a recording.
+    happened: Vec<(u64, u8, String)>,
     recording: Option<JobRecording>,
+    hand: Option<HandRecorder>,
 }
+
+/// Events that are kept until there is a recording for them.
+const MOST_EVENTS: usize = 1000;
 
 /// A recording of a job, with the truth of the simulated machine and the programmed geometry beside it.
 pub struct JobRecording {
@@ -85,11 +94,26 @@ impl<C: Control> SimLine<C> {
     /// A line to a simulated machine whose controller people call something else.
     #[must_use]
     pub fn named(rig: Rig<C>, name: &str) -> Self {
+        // A controller that has run already cannot be followed from its beginning.
+        let tape = (rig.time_ns() == 0).then(Tape::new);
         Self {
             rig,
             name: name.to_string(),
+            tape,
+            happened: Vec::new(),
             recording: None,
+            hand: None,
         }
+    }
+
+    /// Looks at hand and tool from now on, a thousand times a second.
+    pub fn begin_hand(&mut self) {
+        self.hand = Some(HandRecorder::default());
+    }
+
+    /// Stops looking, and tells what was seen.
+    pub fn end_hand(&mut self) -> Option<HandCourse> {
+        self.hand.take().map(HandRecorder::into_course)
     }
 
     /// The machine with its controller and its line, to be meddled with.
@@ -105,7 +129,13 @@ impl<C: Control> SimLine<C> {
 }
 
 impl<C: Control> JobLine for SimLine<C> {
-    fn begin_recording(&mut self, recording: JobRecording) {
+    fn begin_recording(&mut self, mut recording: JobRecording) {
+        if let Some(tape) = self.tape.take() {
+            recording.recorder.take_up(tape);
+        }
+        for (period, level, text) in self.happened.drain(..) {
+            recording.recorder.event(period, level, &text);
+        }
         self.recording = Some(recording);
     }
 
@@ -134,14 +164,34 @@ impl<C: Control> Line for SimLine<C> {
             });
         }
         self.rig.host_read(received);
-        if ticked && let Some(recording) = &mut self.recording {
-            recording.add(&self.rig);
+        if ticked {
+            match (&mut self.recording, &mut self.tape) {
+                (Some(recording), _) => recording.add(&self.rig),
+                (None, Some(tape)) => tape.add(self.rig.inputs(), self.rig.outputs()),
+                (None, None) => {}
+            }
+        }
+        if ticked
+            && let Some(hand) = &mut self.hand
+            && let Some(reading) = self.rig.control().reading(self.rig.inputs())
+        {
+            hand.look(self.rig.plant(), &reading);
         }
         Ok(self.rig.time_ns() / 1000)
     }
 
     fn name(&self) -> String {
         self.name.clone()
+    }
+
+    fn happened(&mut self, period: u64, level: u8, text: &str) {
+        match &mut self.recording {
+            Some(recording) => recording.add_event(period, level, text),
+            None if self.happened.len() < MOST_EVENTS => {
+                self.happened.push((period, level, text.to_string()));
+            }
+            None => {}
+        }
     }
 }
 
@@ -165,6 +215,11 @@ impl JobRecording {
     #[must_use]
     pub fn into_recorder(self) -> Recorder {
         self.recorder
+    }
+
+    /// What happened, in words.
+    pub fn add_event(&mut self, period: u64, level: u8, text: &str) {
+        self.recorder.event(period, level, text);
     }
 
     /// A telemetry frame of a machine of which nothing else is seen: the tool is where the controller measures it.
@@ -237,38 +292,26 @@ impl JobRecording {
     }
 
     fn add<C: Control>(&mut self, rig: &Rig<C>) {
+        self.recorder.period(rig.inputs(), rig.outputs());
         let Some(reading) = rig.control().reading(rig.inputs()) else {
             return;
         };
         let mut record = Record {
-            period: rig.inputs().period,
-            setpoint: reading.setpoint,
-            path_rate: reading.path_rate,
-            spindle_rpm: reading.spindle_rpm,
-            state: reading.state,
-            wanted: reading.wanted,
-            joints_wanted: reading.joints_wanted,
-            joints: reading.joints,
-            following_error: reading.following_error,
-            drive: reading.drive,
-            force: reading.force,
             true_force: rig
                 .truth()
                 .force
                 .map(|newtons| (newtons * 65_536.0).round() as i32),
             ..Record::default()
         };
-        let flags = [
+        record.set_reading(rig.inputs().period, &reading);
+        for (set, flag) in [
             (rig.plant().force_codes().is_some(), flag::FORCE),
-            (reading.homed, flag::HOMED),
-            (reading.position_kept, flag::POSITION_KEPT),
             (rig.truth().pose_valid, flag::TOOL_TRUE),
-            (reading.fault, flag::FAULT),
-        ];
-        record.flags = flags
-            .iter()
-            .filter(|(set, _)| *set)
-            .fold(0, |all, (_, flag)| all | flag);
+        ] {
+            if set {
+                record.flags |= flag;
+            }
+        }
         for (tool, (value, units)) in record
             .tool
             .iter_mut()

@@ -34,6 +34,7 @@ impl Display for Source {
             Self::Program => "program",
             Self::Jog => "jog",
             Self::Hold => "hold",
+            Self::Master => "master",
         })
     }
 }
@@ -84,6 +85,8 @@ impl Display for ConfigField {
             Self::Heartbeat => "heartbeat",
             Self::StopTime => "stop time",
             Self::Force => "force sensor or force loop",
+            Self::Haptic => "haptic arm",
+            Self::Follow => "following a hand",
         })
     }
 }
@@ -112,9 +115,16 @@ impl Command {
             Self::Override { .. } => "override",
             Self::Telemetry { .. } => "telemetry",
             Self::Status => "status",
-            Self::ForceMask { .. } => "force mask",
-            Self::ForceLoop { .. } => "force loop",
+            Self::ForceMask { .. } => "force axes",
+            Self::ForceLoop { .. } => "force set",
             Self::Tare => "tare",
+            Self::Hand { .. } => "hand",
+            Self::Feel { .. } => "feel",
+            Self::Reflect(_) => "reflect",
+            Self::Wall { .. } => "wall",
+            Self::HandScale { .. } => "hand scale",
+            Self::HandTelemetry { .. } => "hand telemetry",
+            Self::ForceSettings { .. } => "force settings",
         }
     }
 }

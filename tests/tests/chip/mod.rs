@@ -94,7 +94,8 @@ pub fn run_alone(board: Board, image: &Path, words: &[&str]) -> (Option<i32>, St
         if let Some(status) = child.try_wait().expect("a child") {
             break status;
         }
-        if begun.elapsed() > Duration::from_secs(60) {
+        // A guard against a hang, no measure of speed.
+        if begun.elapsed() > Duration::from_secs(600) {
             child.kill().expect("killed");
             break child.wait().expect("a child");
         }

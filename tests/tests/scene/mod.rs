@@ -1,6 +1,8 @@
 //! Scenes that the tests of faults begin with, and what they look at.
 #![allow(dead_code, reason = "each test binary uses a part")]
 
+pub mod force;
+
 use haptimill_protocol::message::{
     Action, AxisValues, Command, Event, SETPOINT_BATCH, SetpointBatch, State,
 };

@@ -17,7 +17,7 @@ use haptimill_firmware::probe::{STAGES, Stage};
 
 /// The stages by name.
 const NAMES: [&str; STAGES + 1] = [
-    "hear", "sense", "decide", "yield", "place", "drive", "tell", "gate", "main",
+    "hear", "sense", "decide", "yield", "place", "drive", "feel", "tell", "gate", "main",
 ];
 /// The place between two periods.
 pub const MAIN: usize = STAGES;

@@ -61,6 +61,7 @@ fn empty(dir: &Path) -> std::io::Result<()> {
     File::options().append(true).create(true).open(&recording)?;
     for name in [
         report::RECORDING_FILE,
+        report::MCAP_FILE,
         report::TRACE_FILE,
         report::SUMMARY_FILE,
         report::REPORT_FILE,

@@ -10,7 +10,7 @@ use crate::client::{JobEnding, Options};
 use crate::machine::MachineFile;
 use crate::model::Model;
 use crate::port::{self, DEFAULT_BAUD, PortSpec};
-use crate::record::{Header, Recorder};
+use crate::record::{Header, MCAP_RATE, Recorder, Recording, write_mcap};
 use crate::report::{self, Outcome};
 use crate::session::{
     self, JobEnd, JobLine, JobRecording, Line, PortLine, Session, SimLine, interrupt,
@@ -36,6 +36,7 @@ refused. Then the machine is homed, the job streamed, and DIR filled with
   trace.csv      the recording in mm, degrees and newtons, every --trace-every periods
   summary.json   duration, length, errors, faults
   report.html    one page with pictures
+  recording.mcap with --mcap: the recording for Foxglove and PlotJuggler
 Ctrl-C stops the machine along its path; the recording is kept.
 
 At M0 the machine stands until Enter is pressed, so a program with M0 needs a terminal, or --go-on. M1 is passed unless --optional-stop is given.";
@@ -81,6 +82,9 @@ pub struct RunArgs {
     /// A row of trace.csv every so many control periods
     #[arg(long, value_name = "N", default_value_t = 25, value_parser = clap::value_parser!(u32).range(1..))]
     pub trace_every: u32,
+    /// Leave recording.mcap too, 1000 samples a second, for Foxglove and PlotJuggler (`haptimill trace mcap` makes it later)
+    #[arg(long)]
+    pub mcap: bool,
     /// Seed of the simulated machine, instead of the one in the machine file; with the simulator only
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
@@ -376,7 +380,8 @@ impl Running<'_> {
             CliError::new(Exit::Output, format!("{}: {error}", dir.display()))
         };
         let header = Header::of(self.machine, &self.job.name)
-            .map_err(|error| CliError::new(Exit::Internal, error))?;
+            .map_err(|error| CliError::new(Exit::Internal, error))?
+            .with_program(&self.job.text);
         let recorder = Recorder::create(&dir.join(report::RECORDING_FILE), &header)
             .map_err(|error| output(&error))?;
         say(
@@ -424,6 +429,13 @@ impl Running<'_> {
         };
         let summary = report::write_all(&dir, &recorded, &outcome, self.args.trace_every)
             .map_err(|error| output(&error))?;
+        if self.args.mcap {
+            Recording::open(&dir.join(report::RECORDING_FILE))
+                .and_then(|recording| {
+                    write_mcap(&recording, &dir.join(report::MCAP_FILE), MCAP_RATE)
+                })
+                .map_err(|error| output(&error))?;
+        }
         if self.args.json {
             let json = serde_json::to_string_pretty(&summary)
                 .map_err(|error| CliError::new(Exit::Internal, error))?;

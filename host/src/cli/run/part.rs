@@ -22,7 +22,7 @@ pub(super) struct PartProgram {
     /// Name of the file, without folders: it goes into the recording, which is the same wherever it was made.
     pub(super) name: String,
     file: String,
-    text: Vec<u8>,
+    pub(super) text: Vec<u8>,
     /// M1 pauses.
     optional_stop: bool,
 }

@@ -83,6 +83,7 @@ pub(super) fn draw(frame: &mut Frame<'_>, area: Rect, shown: &Shown) {
                     let what = match source {
                         Source::Program => "program: led by the part program",
                         Source::Hold => "hold: stays where it is",
+                        Source::Master => "master: led by the haptic arm's hand",
                         Source::Jog => "jog: led by the jog keys, also beside a program",
                     };
                     let text = format!("{:<7}{what}", axis.name);

@@ -1,0 +1,193 @@
+//! A coordinate that follows what is not planned: a hand.
+//!
+//! A [`Mover`] has a place and a rate and goes where it is told, in every period anew. Its acceleration is within a bound whatever it is told, its rate goes to within its own, and both are what is fed forward: they are not
+//! differences of the target. So a coordinate changes hands while it moves: the mover takes over place and rate, and nothing steps.
+//!
+//! The target passes two stages of 1/k. The first smooths it (encoders make steps, a remote hand makes stairs). The second asks for the rate at which the way that is left can still be braked on: k e near the target, sqrt(2 a e) farther off. So a
+//! target that stands is not overshot if it can be stopped at, and is come to with no rest. The lag behind a hand at rate v is 1/k + 1/k up to v = a'/k, and 1/k + v / 2a' + a' / (2 k^2 v) above, a' being 7/8 of the acceleration: 20 ms for k = 100/s and a slow hand, 39 ms at 10 mm/s and 200 mm/s^2.
+//!
+//! Units as in [`super::jog`]: 2^-20 axis units (per period). Misuse: a target beyond the bounds of the coordinate. The mover stops where it is told; whoever tells it holds the target within them.
+
+use super::Wanted;
+use crate::config::PoseAxis;
+use crate::safety::integrity::constants;
+use crate::units::root::Root;
+use crate::units::scale::{multiply_high, saturate};
+use crate::units::{Acceleration, Coordinate, Rate};
+
+/// Fraction bits of places and rates.
+const FRACTION: u32 = 20;
+
+/// Bounds of a mover, worked out from those of a pose coordinate.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
+pub struct MoverLimits {
+    /// Most change of the rate in a period.
+    step: i64,
+    rate: i64,
+    /// k T, 2^-32.
+    pull: u32,
+    /// Where the profile of the rate is a root: from here on, and as far as the rate may rise.
+    bend: i64,
+    far: i64,
+    /// Twice the acceleration of the profile, and half the shift with which its product with a distance fits a word of 62 bits.
+    twice: i64,
+    shift: u32,
+    low: i64,
+    high: i64,
+    periods_per_second: i64,
+}
+
+/// A coordinate under way.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Mover {
+    place: i64,
+    rate: i64,
+    /// Change of the rate in the last period.
+    change: i64,
+    /// The smoothed target.
+    led: i64,
+}
+
+constants!(MoverLimits { step, rate, pull, bend, far, twice, shift, low, high, periods_per_second } of {} but {});
+
+impl MoverLimits {
+    /// Bounds for a coordinate that follows with the gain k in 1/s, 1 to 1000; `None` where they make no sense.
+    #[must_use]
+    #[cold]
+    pub fn new(axis: &PoseAxis, gain: u16, period_us: u16) -> Option<Self> {
+        let period = i128::from(period_us);
+        // (au/s^2) (us)^2 / 10^12, (au/s) us / 10^6; wide arithmetic costs nothing here.
+        let step = ((i128::from(axis.acceleration.0) * period * period) << (8 + FRACTION))
+            / 1_000_000_000_000;
+        let rate = ((i128::from(axis.rate.0) * period) << FRACTION) / 1_000_000;
+        let pull = ((i128::from(gain) * period) << 32) / 1_000_000;
+        if step < 8 || rate < 1 || period_us == 0 || !(1..=1000).contains(&gain) || pull >= 1 << 31
+        {
+            return None;
+        }
+        let gentle = step * 7 / 8;
+        // a' / (k T)^2, and where the root comes to the largest rate.
+        let bend = ((gentle << 62) / (pull * pull)) << 2;
+        let far = (rate * rate / (2 * gentle) + bend / 2).max(bend);
+        let bits = 128 - (rate * rate).max(2 * gentle * bend).leading_zeros();
+        Some(Self {
+            step: i64::try_from(step).ok()?,
+            rate: i64::try_from(rate).ok()?,
+            pull: pull as u32,
+            bend: i64::try_from(bend).ok()?,
+            far: i64::try_from(far).ok()?,
+            twice: i64::try_from(2 * gentle).ok()?,
+            shift: bits.saturating_sub(60).div_ceil(2),
+            low: i64::from(axis.low.0) << FRACTION,
+            high: i64::from(axis.high.0) << FRACTION,
+            periods_per_second: 1_000_000 / i64::from(period_us),
+        })
+    }
+
+    /// The rate at which a way can still be braked on.
+    fn profile(&self, way: i64) -> i64 {
+        let distance = way.abs();
+        if distance <= self.bend {
+            return multiply_high(way, self.pull).clamp(-self.rate, self.rate);
+        }
+        let distance = distance.min(self.far) - self.bend / 2;
+        let square = (distance >> (2 * self.shift)).wrapping_mul(self.twice);
+        let root = i64::from(Root::of(square as u64).rounded()) << self.shift;
+        root.min(self.rate) * way.signum()
+    }
+
+    /// A rate in axis units per second.
+    fn per_second(&self, rate: i64) -> i64 {
+        (rate * self.periods_per_second) >> FRACTION
+    }
+}
+
+impl Mover {
+    /// At a place, under way at a rate.
+    #[must_use]
+    pub fn at(place: Coordinate, rate: Rate, limits: &MoverLimits) -> Self {
+        let place = i64::from(place.0) << FRACTION;
+        Self {
+            place,
+            rate: (i64::from(rate.0) << FRACTION) / limits.periods_per_second.max(1),
+            change: 0,
+            led: place,
+        }
+    }
+
+    /// Whether it stands.
+    #[must_use]
+    pub const fn is_still(&self) -> bool {
+        self.rate == 0
+    }
+
+    /// Where it is.
+    #[must_use]
+    pub fn place(&self) -> Coordinate {
+        // To nearest; within the range of a coordinate, or at its end.
+        Coordinate(saturate((self.place + (1 << (FRACTION - 1))) >> FRACTION))
+    }
+
+    /// How far it goes if it brakes from now on, and a little more.
+    fn stopping(&self, limits: &MoverLimits) -> i64 {
+        if self.rate == 0 {
+            return 0;
+        }
+        let periods = self.rate.abs() / limits.step.max(1) + 2;
+        self.rate.saturating_mul(periods) / 2
+    }
+
+    /// Where it would come to rest.
+    #[must_use]
+    pub fn rest(&self, limits: &MoverLimits) -> Coordinate {
+        Coordinate(saturate(
+            self.place.saturating_add(self.stopping(limits)) >> FRACTION,
+        ))
+    }
+
+    /// Between which values it stays if it goes on towards a target for one period, or brakes already, and brakes then.
+    #[must_use]
+    pub fn sweep(&self, target: Option<Coordinate>, limits: &MoverLimits) -> (i64, i64) {
+        let mut next = *self;
+        if target.is_some() {
+            next.advance(target, limits);
+        }
+        let ends = [
+            self.place,
+            next.place,
+            next.place.saturating_add(next.stopping(limits)),
+        ];
+        let least = ends.iter().fold(i64::MAX, |least, end| least.min(*end));
+        let most = ends.iter().fold(i64::MIN, |most, end| most.max(*end));
+        (least >> FRACTION, (most >> FRACTION) + 1)
+    }
+
+    /// One period: towards a target within the bounds of the coordinate, or to rest without one.
+    pub fn advance(&mut self, target: Option<Coordinate>, limits: &MoverLimits) {
+        let wanted = match target {
+            Some(target) => {
+                let target = (i64::from(target.0) << FRACTION)
+                    .min(limits.high)
+                    .max(limits.low);
+                self.led += multiply_high(target - self.led, limits.pull);
+                limits.profile(self.led - self.place)
+            }
+            None => 0,
+        };
+        self.change = (wanted - self.rate).clamp(-limits.step, limits.step);
+        self.rate += self.change;
+        // The rate of the period's end is the derivative of the place there: the mean of both ends is the way.
+        self.place += self.rate - self.change / 2;
+        if target.is_none() {
+            self.led = self.place;
+        }
+    }
+
+    /// Becomes the wanted value of a coordinate.
+    pub fn tell(&self, axis: usize, limits: &MoverLimits, wanted: &mut Wanted) {
+        wanted.pose.0[axis] = self.place();
+        wanted.rates[axis] = Rate(saturate(limits.per_second(self.rate)));
+        let acceleration = (limits.per_second(self.change) * limits.periods_per_second) >> 8;
+        wanted.accelerations[axis] = Acceleration(saturate(acceleration));
+    }
+}

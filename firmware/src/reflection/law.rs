@@ -1,0 +1,117 @@
+//! What part of the cutting force the hand feels (spec h4-milling 3.4, 7.1 items 27-29).
+//!
+//! Each axis reflects a percentage of the force on the tool, with its sign, up to a limit. Where that is too weak to be felt (below 2 N), a tenth of a newton for each mm/s of the hand is added against its
+//! motion. The boost fades out over the last half newton below that threshold, so nothing steps; it only ever takes energy from the hand.
+//!
+//! Forces 2^-16 N, rates 2^-20 mm/s. New settings are approached at [`RAMP_US`] for the whole range. Misuse: the force on the work instead of the one on the tool: the hand would be pulled into the cut.
+
+use crate::units::Rate;
+use crate::units::force::Force;
+use crate::units::scale::saturate;
+use haptimill_protocol::haptic::{COMPONENTS, ReflectAxis, Reflection};
+
+/// How long settings take for a change by their whole range (100 %, [`MOST`]), microseconds.
+const RAMP_US: i64 = 1_000_000;
+
+/// The largest limit of an axis: 10 N.
+pub const MOST: Force = Force(10 << 16);
+
+/// The largest boost: 1 N for each mm/s, in 2^-16 N s/mm.
+pub const BOOST_MOST: u16 = u16::MAX;
+
+/// Over how much force the boost fades out: 0.5 N. A power of two in its unit.
+const FADE_SHIFT: u32 = 15;
+
+/// The law with its settings on their way.
+#[derive(Debug, Clone, Default)]
+pub struct Law {
+    /// Percentages, 2^-24 of one, and limits, 2^-24 N.
+    percent: [i32; COMPONENTS],
+    most: [i32; COMPONENTS],
+    /// Boost, 2^-24 N s/mm, and where it ends.
+    boost: i32,
+    below: i32,
+    wanted: Reflection,
+    period_us: i64,
+}
+
+/// Whether settings are within their ranges: at most 100 %, limits from 0 to 10 N, a threshold from 0.5 N to 10 N.
+#[must_use]
+pub fn is_sound(reflection: &Reflection) -> bool {
+    let axis = |axis: &ReflectAxis| axis.percent <= 100 && (0..=MOST.0).contains(&axis.most);
+    reflection.axes.iter().all(axis) && (1 << FADE_SHIFT..=MOST.0).contains(&reflection.boost_below)
+}
+
+/// `value` goes towards `wanted` by at most `step`.
+fn approach(value: &mut i32, wanted: i32, step: i32) {
+    *value = wanted.clamp(value.saturating_sub(step), value.saturating_add(step));
+}
+
+impl Law {
+    /// With these settings in force.
+    #[must_use]
+    pub fn new(settings: &Reflection, period_us: u16) -> Self {
+        let mut law = Self {
+            wanted: *settings,
+            period_us: i64::from(period_us),
+            ..Self::default()
+        };
+        law.approach(i32::MAX);
+        law
+    }
+
+    /// Other settings from now on, gently.
+    pub const fn set(&mut self, settings: &Reflection) {
+        self.wanted = *settings;
+    }
+
+    /// The settings that are wanted.
+    #[must_use]
+    pub const fn settings(&self) -> &Reflection {
+        &self.wanted
+    }
+
+    fn approach(&mut self, step: i32) {
+        for (axis, wanted) in self.wanted.axes.iter().enumerate() {
+            // 2^24 / 100, to nearest.
+            approach(
+                &mut self.percent[axis],
+                i32::from(wanted.percent) * 167_772,
+                step,
+            );
+            approach(
+                &mut self.most[axis],
+                wanted.most << 8,
+                step.saturating_mul(10),
+            );
+        }
+        approach(&mut self.boost, i32::from(self.wanted.boost) << 8, step);
+        approach(
+            &mut self.below,
+            self.wanted.boost_below << 8,
+            step.saturating_mul(10),
+        );
+    }
+
+    /// One period: what the hand shall feel of a force on the tool while it moves at `rates`.
+    pub fn reflect(
+        &mut self,
+        forces: &[Force; COMPONENTS],
+        rates: &[Rate; COMPONENTS],
+    ) -> [Force; COMPONENTS] {
+        self.approach((self.period_us * (1 << 24) / RAMP_US) as i32);
+        core::array::from_fn(|axis| {
+            let share = (i64::from(forces[axis].0) * i64::from(self.percent[axis])) >> 24;
+            // 1 below the threshold less the fade, 0 above, in 2^-15.
+            let under = i64::from(self.below >> 8) - share.abs();
+            let fade = under.clamp(0, 1 << FADE_SHIFT);
+            // 2^-20 mm/s times 2^-24 N s/mm is 2^-44 N; |rate| < 2^31, boost < 2^24: below 2^55 before the fade takes its turn.
+            let against = (i64::from(rates[axis].0) * i64::from(self.boost)) >> 28;
+            let boost = (against * fade) >> FADE_SHIFT;
+            let most = i64::from(self.most[axis] >> 8);
+            // An axis that reflects nothing is not boosted either.
+            let boost = if self.percent[axis] == 0 { 0 } else { boost };
+            Force(saturate((share - boost).clamp(-most, most)))
+        })
+    }
+}

@@ -1,0 +1,234 @@
+//! From the hand to the tool: spec h4-milling (3.1)-(3.8) in a form without a division by zero.
+//!
+//! When the hand begins to lead (the button goes down, a coordinate is given to it, the scale changes), where it is and where the tool is are latched, coordinate by coordinate. From then on
+//!
+//! ```text
+//! X_sd = G_P (X_m - X_mr) + X_sr          R_sd = (R_m R_mr^T) R_sr
+//! ```
+//!
+//! so at that moment the tool is told to be where it is, and nothing jumps. Of R_sd only the tool's axis can be followed: with s its direction at the latch, R_mr^T s =: h is a fixed direction in the handle, and R_m h is where the axis shall point.
+//! (3.27)-(3.28) make theta and alpha of it.
+//!
+//! Misuse: latching while the tool moves, with where it is. It would be called back; latch where it comes to rest.
+
+use super::Hand;
+use crate::kinematics::haptic::Vector;
+use crate::units::root::hypot;
+use crate::units::scale::{multiply_shift, round_shift, saturate};
+use crate::units::trig::{atan2, sin_cos};
+use crate::units::{Coordinate, Rate};
+use haptimill_protocol::message::MAX_AXES;
+
+/// Coordinates that a hand can lead: x, y, z, and theta and alpha by the direction of the tool.
+pub const LED: usize = 5;
+
+/// The first of the two angles.
+const THETA: usize = 3;
+
+/// One of the position scale.
+pub const SCALE_ONE: u16 = 1 << 12;
+
+/// A handle in a period.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Frame {
+    /// The tip, 2^-20 mm.
+    pub tip: Vector,
+    /// n, o and a, Q30.
+    pub axes: [Vector; 3],
+    /// The button is held.
+    pub engaged: bool,
+}
+
+impl Frame {
+    /// What was said of a hand afar, `age` periods ago of which `per_second` make a second. For a fiftieth of a second it is taken to go on as it went.
+    #[must_use]
+    pub fn of(hand: &Hand, age: u32, per_second: u32) -> Self {
+        let age = i64::from(age.min(per_second / 50));
+        let on = |axis: usize| {
+            // 2^-12 mm/s times periods: below 2^31 * 2^9 * 2^8.
+            let way = (i64::from(hand.rate[axis]) << 8) * age / i64::from(per_second.max(1));
+            saturate(i64::from(hand.tip[axis]) + way)
+        };
+        let wide = |axis: [i16; 3]| axis.map(|part| i32::from(part) << 15);
+        let (n, a) = (wide(hand.axes[0]), wide(hand.axes[1]));
+        let product = |i: usize, j: usize| {
+            (multiply_shift(a[i], n[j], 30) - multiply_shift(a[j], n[i], 30)) as i32
+        };
+        Self {
+            tip: [on(0), on(1), on(2)],
+            axes: [n, [product(1, 2), product(2, 0), product(0, 1)], a],
+            engaged: hand.engaged,
+        }
+    }
+}
+
+/// What leads the tool.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Lead {
+    scale: i64,
+    /// Coordinates that are latched, a bit each.
+    latched: u8,
+    hand: Vector,
+    tool: [i32; LED],
+    /// The tool's axis at the latch, in the handle.
+    held: Vector,
+    targets: [Option<Coordinate>; MAX_AXES],
+}
+
+impl Lead {
+    /// With a position scale, 2^-12.
+    #[must_use]
+    pub fn new(scale: u16) -> Self {
+        Self {
+            scale: i64::from(scale),
+            ..Self::default()
+        }
+    }
+
+    /// The hand lets go.
+    pub const fn release(&mut self) {
+        self.latched = 0;
+        self.targets = [None; MAX_AXES];
+    }
+
+    /// One coordinate is latched anew when it is led next.
+    pub const fn release_one(&mut self, axis: usize) {
+        if axis < LED {
+            self.latched &= !(1 << axis);
+            self.targets[axis] = None;
+        }
+    }
+
+    /// Another scale, from where the hand has brought the tool to.
+    pub fn set_scale(&mut self, scale: u16, frame: Option<&Frame>) {
+        self.scale = i64::from(scale);
+        for axis in 0..THETA {
+            if let (Some(target), Some(frame)) = (self.targets[axis], frame) {
+                (self.hand[axis], self.tool[axis]) = (frame.tip[axis], target.0);
+            } else {
+                self.release_one(axis);
+            }
+        }
+    }
+
+    /// Whether the hand leads anything.
+    #[must_use]
+    pub const fn leads(&self) -> bool {
+        self.latched != 0
+    }
+
+    /// Where the coordinates shall go that are led.
+    #[must_use]
+    pub const fn targets(&self) -> &[Option<Coordinate>; MAX_AXES] {
+        &self.targets
+    }
+
+    /// One period: the hand leads the coordinates of `led` (a bit each); `rest` says where they come to rest if nothing leads them.
+    pub fn follow(&mut self, frame: &Frame, led: u8, rest: impl Fn(usize) -> Coordinate) {
+        self.targets = [None; MAX_AXES];
+        let fresh = led & !self.latched;
+        for axis in 0..THETA {
+            if led & (1 << axis) == 0 {
+                continue;
+            }
+            if fresh & (1 << axis) != 0 {
+                (self.hand[axis], self.tool[axis]) = (frame.tip[axis], rest(axis).0);
+            }
+            // Below 2^32 * 2^13.
+            let way = (i64::from(frame.tip[axis]) - i64::from(self.hand[axis])) * self.scale;
+            let target = i64::from(self.tool[axis]) + round_shift(way, 12);
+            self.targets[axis] = Some(Coordinate(saturate(target)));
+        }
+        let angles = led >> THETA & 3;
+        if angles != 0 {
+            if fresh >> THETA & 3 != 0 {
+                self.hold(frame, rest(THETA), rest(THETA + 1));
+            }
+            let [theta, alpha] = self.angles(frame);
+            for (bit, angle) in [theta, alpha].into_iter().enumerate() {
+                if angles & (1 << bit) != 0 {
+                    self.targets[THETA + bit] = Some(angle);
+                }
+            }
+        }
+        self.latched = led & ((1 << LED) - 1);
+    }
+
+    /// Latches the tool's axis: (sin theta, cos theta sin alpha, cos theta cos alpha) in the handle.
+    #[cold]
+    fn hold(&mut self, frame: &Frame, theta: Coordinate, alpha: Coordinate) {
+        let ((s, c), (sa, ca)) = (sin_cos(theta.angle()), sin_cos(alpha.angle()));
+        let axis = [
+            s,
+            multiply_shift(c, sa, 30) as i32,
+            multiply_shift(c, ca, 30) as i32,
+        ];
+        self.held = frame
+            .axes
+            .map(|column| round_shift(dot(column, axis), 30) as i32);
+    }
+
+    /// (3.27), (3.28).
+    fn angles(&self, frame: &Frame) -> [Coordinate; 2] {
+        let row = |k: usize| {
+            let parts = [frame.axes[0][k], frame.axes[1][k], frame.axes[2][k]];
+            round_shift(dot(parts, self.held), 30) as i32
+        };
+        let [i, j, k] = [row(0), row(1), row(2)];
+        let flat = hypot(j, k).min(i32::MAX as u32) as i32;
+        [atan2(i, flat).into(), atan2(j, k).into()]
+    }
+}
+
+fn dot(a: Vector, b: Vector) -> i64 {
+    // Directions: below 3 * 2^60.
+    (0..3)
+        .map(|axis| i64::from(a[axis]) * i64::from(b[axis]))
+        .sum()
+}
+
+/// What was said last of a hand afar.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Afar {
+    hand: Hand,
+    /// Periods since it was so; `None` when nothing was said.
+    age: Option<u32>,
+}
+
+impl Afar {
+    /// A new word of it, already so many periods old.
+    pub const fn hear(&mut self, hand: &Hand, age: u32) {
+        self.hand = *hand;
+        self.age = Some(age);
+    }
+
+    /// Nothing is known any more.
+    pub const fn forget(&mut self) {
+        self.age = None;
+    }
+
+    /// A period goes by.
+    pub const fn grow(&mut self) {
+        if let Some(age) = &mut self.age {
+            *age = age.saturating_add(1);
+        }
+    }
+
+    /// Its age in periods.
+    #[must_use]
+    pub const fn age(&self) -> Option<u32> {
+        self.age
+    }
+
+    /// Where it is.
+    #[must_use]
+    pub fn frame(&self, per_second: u32) -> Option<Frame> {
+        self.age.map(|age| Frame::of(&self.hand, age, per_second))
+    }
+
+    /// Its rates.
+    #[must_use]
+    pub fn rates(&self) -> [Rate; 3] {
+        self.hand.rate.map(|rate| Rate(rate.saturating_mul(256)))
+    }
+}

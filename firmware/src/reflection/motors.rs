@@ -1,0 +1,103 @@
+//! The six motors of the arm: from what the hand shall feel to codes of the current amplifiers.
+//!
+//! f32, as the statics. A motor that is asked for more than its limit makes all six smaller by the same part, so that the force keeps its direction.
+#![allow(
+    clippy::float_arithmetic,
+    reason = "behind the 6 x 6 system of the haptic arm, which is f32"
+)]
+
+use super::COMPONENTS;
+use super::config::Amplifier;
+use crate::io::LEGS;
+use crate::kinematics::haptic::{HandPose, HapticArm};
+use crate::kinematics::haptic_statics::{Singular, Wrench};
+use crate::units::force::Force;
+use core::hash::{Hash, Hasher};
+
+/// Most magnitude of a code.
+const CODE_MAX: f32 = 8191.0;
+
+/// The amplifiers: codes for a unit of effort, and most effort, in N or N mm.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Motors {
+    gains: [[f32; 2]; LEGS],
+    limits: [[f32; 2]; LEGS],
+    condition: f32,
+}
+
+impl Hash for Motors {
+    fn hash<H: Hasher>(&self, state: &mut H) {
+        for value in self.gains.iter().chain(&self.limits).flatten() {
+            value.to_bits().hash(state);
+        }
+        self.condition.to_bits().hash(state);
+    }
+}
+
+impl Wrench {
+    /// A force at the platform's centre, without a moment (spec h4-milling 7.1 item 31).
+    #[must_use]
+    pub fn of(force: &[Force; COMPONENTS]) -> Self {
+        Self {
+            force: force.map(|part| part.0 as f32 * (1.0 / 65_536.0)),
+            moment: [0.0; 3],
+        }
+    }
+}
+
+impl Motors {
+    /// Those of a sound configuration.
+    #[must_use]
+    pub fn new(amplifiers: &[[Amplifier; 2]; LEGS], condition: u16) -> Self {
+        // Efforts are in 2^-16 N or N m; the statics speak of N and N mm.
+        let unit = |index: usize| {
+            if index == 0 {
+                1.0 / 65_536.0
+            } else {
+                1000.0 / 65_536.0
+            }
+        };
+        let each = |value: fn(&Amplifier, f32) -> f32| {
+            amplifiers.map(|leg| core::array::from_fn(|index| value(&leg[index], unit(index))))
+        };
+        Self {
+            gains: each(|amplifier, unit| 8192.0 / (amplifier.full_scale.0 as f32 * unit)),
+            limits: each(|amplifier, unit| amplifier.limit.0 as f32 * unit),
+            condition: f32::from(condition),
+        }
+    }
+
+    /// Codes for a wrench, and which part of it they make, 2^-16.
+    ///
+    /// # Errors
+    /// [`Singular`].
+    pub fn currents(
+        &self,
+        arm: &HapticArm,
+        pose: &HandPose,
+        wrench: &Wrench,
+    ) -> Result<([[i16; 2]; LEGS], i32), Singular> {
+        let efforts = arm.efforts(pose, wrench, self.condition)?;
+        let mut share = 1.0_f32;
+        for (effort, limit) in efforts
+            .iter()
+            .zip(&self.limits)
+            .flat_map(|(efforts, limits)| efforts.iter().zip(limits))
+        {
+            let size = effort.abs();
+            if size * share > *limit {
+                share = limit / size;
+            }
+        }
+        let mut codes = [[0; 2]; LEGS];
+        for (leg, codes) in codes.iter_mut().enumerate() {
+            for (index, code) in codes.iter_mut().enumerate() {
+                let value = efforts[leg][index] * share * self.gains[leg][index];
+                let rounded = value + if value < 0.0 { -0.5 } else { 0.5 };
+                // A cast cuts towards zero, and saturates.
+                *code = rounded.clamp(-CODE_MAX, CODE_MAX) as i16;
+            }
+        }
+        Ok((codes, (share * 65_536.0) as i32))
+    }
+}

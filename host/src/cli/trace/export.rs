@@ -1,0 +1,148 @@
+//! `haptimill trace csv`, `plot` and `mcap`: recordings for other programs, and for the eye.
+
+use super::{CliError, Exit, WindowArgs, chosen, failed, open, tell_cut};
+use crate::record::{MCAP_RATE, RecordingError, export_table, write_mcap};
+use crate::report::plot::Plot;
+use clap::Args;
+use std::fs::File;
+use std::io::{BufWriter, ErrorKind, Write};
+use std::path::PathBuf;
+
+/// Arguments of `haptimill trace csv`.
+#[derive(Debug, Clone, Args)]
+#[command(
+    about = "Write a recording as CSV: mm, degrees, newtons; units stand in the names of the columns"
+)]
+pub struct CsvArgs {
+    /// The recording (recording.hmr)
+    #[arg(value_name = "TRACE")]
+    pub trace: PathBuf,
+    /// Columns, as time_s,x_*_mm,l?_drive_n; a star stands for any letters [default: all]
+    #[arg(long, value_name = "NAMES")]
+    pub columns: Option<String>,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub window: WindowArgs,
+    /// File to write, instead of standard output
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+}
+
+/// Arguments of `haptimill trace plot`.
+#[derive(Debug, Clone, Args)]
+#[command(
+    about = "Draw columns of a recording over time: on the terminal, or as a picture (SVG) with --out"
+)]
+pub struct PlotArgs {
+    /// The recording (recording.hmr)
+    #[arg(value_name = "TRACE")]
+    pub trace: PathBuf,
+    /// Columns, as l?_joint_error_mm; a star stands for any letters
+    #[arg(value_name = "NAMES", required = true)]
+    pub columns: Vec<String>,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub window: WindowArgs,
+    /// Picture to write (SVG, a chart for each unit)
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+}
+
+/// Arguments of `haptimill trace mcap`.
+#[derive(Debug, Clone, Args)]
+#[command(about = "Write a recording as MCAP, for Foxglove and PlotJuggler")]
+pub struct McapArgs {
+    /// The recording (recording.hmr)
+    #[arg(value_name = "TRACE")]
+    pub trace: PathBuf,
+    /// Samples a second, as near as whole control periods come to it
+    #[arg(long, value_name = "HZ", default_value_t = MCAP_RATE, value_parser = rate)]
+    pub rate: f64,
+    /// File to write [default: the recording's name with .mcap]
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+}
+
+/// Reads a rate.
+fn rate(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value > 0.0 && value.is_finite() => Ok(value),
+        _ => Err("write samples a second, above 0".to_string()),
+    }
+}
+
+/// Writes a table.
+pub(super) fn csv(args: &CsvArgs) -> Result<(), CliError> {
+    let recording = open(&args.trace)?;
+    let columns = chosen(&recording, args.columns.as_deref())?;
+    let thinning = args.window.thinning()?;
+    tell_cut(&recording);
+    let write = |out: &mut dyn Write| export_table(&recording, &columns, &thinning, out);
+    match &args.out {
+        Some(path) => {
+            let file = File::create(path).map_err(|error| {
+                CliError::new(Exit::Output, format!("{}: {error}", path.display()))
+            })?;
+            write(&mut BufWriter::new(file))
+        }
+        None => match write(&mut BufWriter::new(std::io::stdout().lock())) {
+            // A reader that has gone (`| head`) has what it wanted.
+            Err(RecordingError::Io(_, error)) if error.kind() == ErrorKind::BrokenPipe => Ok(()),
+            done => done,
+        },
+    }
+    .map_err(|error| failed(&recording, error))
+}
+
+/// Characters of a sketch on the terminal.
+const SKETCH: (usize, usize) = (78, 8);
+
+/// Draws.
+pub(super) fn plot(args: &PlotArgs) -> Result<(), CliError> {
+    let recording = open(&args.trace)?;
+    let columns = chosen(&recording, Some(&args.columns.join(",")))?;
+    let thinning = args.window.thinning()?;
+    tell_cut(&recording);
+    let plot =
+        Plot::of(&recording, &columns, &thinning).map_err(|error| failed(&recording, error))?;
+    if plot.is_empty() {
+        let what = format!(
+            "{}: nothing was recorded in these columns at that time",
+            args.trace.display()
+        );
+        return Err(CliError::new(Exit::BadInput, what));
+    }
+    match &args.out {
+        Some(path) => std::fs::write(path, plot.svg())
+            .map_err(|error| CliError::new(Exit::Output, format!("{}: {error}", path.display()))),
+        None => {
+            tell!("{}", plot.sketch(SKETCH.0, SKETCH.1).trim_end());
+            Ok(())
+        }
+    }
+}
+
+/// Writes MCAP.
+pub(super) fn mcap(args: &McapArgs) -> Result<(), CliError> {
+    let recording = open(&args.trace)?;
+    tell_cut(&recording);
+    let out = args.out.clone();
+    let out = out.unwrap_or_else(|| args.trace.with_extension("mcap"));
+    if out == args.trace {
+        let what = format!(
+            "{}: the recording would be overwritten; name another file with --out",
+            out.display()
+        );
+        return Err(CliError::new(Exit::Usage, what));
+    }
+    let written =
+        write_mcap(&recording, &out, args.rate).map_err(|error| failed(&recording, error))?;
+    tell!(
+        "{}: {} channels, {} messages, {:.1} MB",
+        out.display(),
+        written.channels,
+        written.messages,
+        written.bytes as f64 / 1e6
+    );
+    Ok(())
+}

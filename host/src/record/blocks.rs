@@ -1,0 +1,81 @@
+//! The blocks of a recording: what they have, how long they are, and a check that finds what was damaged.
+
+use super::{CRC, RECORD_BYTES};
+
+/// Size of what stands before the contents of a block.
+pub(super) const HEAD_BYTES: usize = 20;
+
+/// What a block has.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Kind {
+    Records,
+    Periods,
+    Events,
+    End,
+}
+
+const TAGS: [(Kind, &[u8; 4]); 4] = [
+    (Kind::Records, b"RECS"),
+    (Kind::Periods, b"PERI"),
+    (Kind::Events, b"EVNT"),
+    (Kind::End, b"DONE"),
+];
+
+/// What stands before the contents of a block.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Head {
+    pub(super) kind: Kind,
+    /// Bytes of its contents.
+    pub(super) bytes: u32,
+    /// Records, periods or events in it.
+    pub(super) count: u32,
+    /// Check of the contents.
+    pub(super) crc: u32,
+}
+
+impl Head {
+    pub(super) fn of(kind: Kind, count: u32, contents: &[u8]) -> Self {
+        Self {
+            kind,
+            bytes: contents.len() as u32,
+            count,
+            crc: CRC.checksum(contents),
+        }
+    }
+
+    pub(super) fn encode(&self) -> [u8; HEAD_BYTES] {
+        let mut bytes = [0; HEAD_BYTES];
+        let tag = TAGS.iter().find(|(kind, _)| *kind == self.kind);
+        if let Some((_, tag)) = tag {
+            bytes[..4].copy_from_slice(*tag);
+        }
+        bytes[4..8].copy_from_slice(&self.bytes.to_le_bytes());
+        bytes[8..12].copy_from_slice(&self.count.to_le_bytes());
+        bytes[12..16].copy_from_slice(&self.crc.to_le_bytes());
+        let check = CRC.checksum(&bytes[..16]);
+        bytes[16..].copy_from_slice(&check.to_le_bytes());
+        bytes
+    }
+
+    /// `None` when its check fails, or it says what cannot be.
+    pub(super) fn decode(bytes: &[u8; HEAD_BYTES]) -> Option<Self> {
+        let word = |at: usize| u32::from_le_bytes(std::array::from_fn(|i| bytes[at + i]));
+        let (kind, _) = TAGS.iter().find(|(_, tag)| bytes[..4] == tag[..])?;
+        let head = Self {
+            kind: *kind,
+            bytes: word(4),
+            count: word(8),
+            crc: word(12),
+        };
+        let sound = CRC.checksum(&bytes[..16]) == word(16)
+            && match kind {
+                Kind::Records => {
+                    u64::from(head.bytes) == u64::from(head.count) * RECORD_BYTES as u64
+                }
+                // Each takes a byte at least.
+                Kind::Periods | Kind::Events => head.count <= head.bytes,
+                Kind::End => head.bytes == 0,
+            };
+        sound.then_some(head)
+    }
+}

@@ -1,0 +1,390 @@
+//! A recording as MCAP, for Foxglove, PlotJuggler and whatever else reads that.
+//!
+//! A channel a group of columns: `/state`, `/pose/wanted`, `/joints/error`, `/drives`, `/force/high` and so on, one JSON message a sample, with its JSON schema: both
+//! programs read that without any plug-in. What happened is on `/events` as `foxglove.Log`. Times are those of the machine, from the power-on of its controller. The
+//! machine file, the part program and the configuration are attached; versions and hash are metadata.
+//!
+//! Chunks have their checks and are not compressed: zstd and lz4 would need a C compiler to build this program.
+
+use super::{Column, Recording, RecordingError, Thinning, Value, columns};
+use haptimill_protocol::message::State;
+use mcap::records::{MessageHeader, Metadata};
+use mcap::{Attachment, McapError, WriteOptions, Writer};
+use serde_json::{Map, json};
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::io::{self, BufWriter, Seek, Write};
+use std::path::Path;
+
+/// Samples a second, unless another number is asked for.
+pub const MCAP_RATE: f64 = 1000.0;
+
+/// Topic of what happened.
+const EVENTS: &str = "/events";
+
+/// What a file got.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct McapWritten {
+    /// Channels.
+    pub channels: usize,
+    /// Messages.
+    pub messages: u64,
+    /// Bytes.
+    pub bytes: u64,
+}
+
+/// A channel under way.
+struct Topic {
+    id: u16,
+    sequence: u32,
+    columns: Vec<(String, Column)>,
+}
+
+/// The topic of a group of columns.
+fn topic(group: &str) -> String {
+    match group {
+        "wanted" | "programmed" | "tool" => format!("/pose/{group}"),
+        "joint_wanted" => "/joints/wanted".to_string(),
+        "joint_measured" => "/joints/measured".to_string(),
+        "joint_error" => "/joints/error".to_string(),
+        "drive" => "/drives".to_string(),
+        "force_high" => "/force/high".to_string(),
+        "force_low" => "/force/low".to_string(),
+        "force_true" => "/force/true".to_string(),
+        other => format!("/{other}"),
+    }
+}
+
+/// What Foxglove's log panel takes.
+fn log_schema() -> serde_json::Value {
+    json!({
+        "title": "foxglove.Log",
+        "type": "object",
+        "properties": {
+            "timestamp": {
+                "type": "object",
+                "title": "time",
+                "properties": {
+                    "sec": {"type": "integer", "minimum": 0},
+                    "nsec": {"type": "integer", "minimum": 0, "maximum": 999_999_999}
+                }
+            },
+            "level": {
+                "title": "foxglove.LogLevel",
+                "oneOf": [
+                    {"title": "UNKNOWN", "const": 0}, {"title": "DEBUG", "const": 1}, {"title": "INFO", "const": 2},
+                    {"title": "WARNING", "const": 3}, {"title": "ERROR", "const": 4}, {"title": "FATAL", "const": 5}
+                ]
+            },
+            "message": {"type": "string"},
+            "name": {"type": "string"},
+            "file": {"type": "string"},
+            "line": {"type": "integer", "minimum": 0}
+        }
+    })
+}
+
+/// The JSON schema of a channel.
+fn schema(title: &str, fields: &[(String, Column)]) -> serde_json::Value {
+    let mut properties = Map::new();
+    for (name, column) in fields {
+        let kind = match (column.name.as_str(), column.unit) {
+            ("state", _) => json!({"type": "string"}),
+            ("homed" | "position_kept", _) => json!({"type": "boolean"}),
+            ("setpoint" | "line" | "spindle_rpm" | "period", _) => json!({"type": "integer"}),
+            (_, "") => json!({"type": "number"}),
+            (_, unit) => json!({"type": "number", "description": unit}),
+        };
+        properties.insert(name.clone(), kind);
+        if column.name == "state" {
+            let states = State::ALL.map(|state| format!("{} {state:?}", state.number()));
+            let description = states.join(", ");
+            properties.insert(
+                STATE_NUMBER.to_string(),
+                json!({"type": "integer", "description": description}),
+            );
+        }
+    }
+    json!({"title": title, "type": "object", "properties": properties})
+}
+
+/// The state as a number, for plots.
+const STATE_NUMBER: &str = "state_number";
+
+/// Writes a recording to `path`, `rate` samples a second (as near as whole control periods come to it).
+///
+/// # Errors
+/// The recording cannot be read, or the file not written.
+pub fn write_mcap(
+    recording: &Recording,
+    path: &Path,
+    rate: f64,
+) -> Result<McapWritten, RecordingError> {
+    let io = |error: io::Error| RecordingError::Io(path.to_path_buf(), error);
+    let file = std::fs::File::create(path).map_err(io)?;
+    let every = (1.0 / (rate * recording.period_s())).round().max(1.0);
+    let mut export = Export {
+        writer: WriteOptions::new()
+            .compression(None)
+            .library(concat!("haptimill ", env!("CARGO_PKG_VERSION")))
+            .calculate_chunk_crcs(true)
+            .create(BufWriter::new(file))
+            .map_err(|error| failed(path, error))?,
+        path,
+        period_ns: u64::from(recording.config().period_us) * 1000,
+        messages: 0,
+        text: String::new(),
+    };
+    let thinning = Thinning {
+        every: every as u32,
+        ..Thinning::default()
+    };
+    let channels = export.export(recording, &thinning)?;
+    let messages = export.messages;
+    drop(export);
+    let bytes = std::fs::metadata(path).map_err(io)?.len();
+    Ok(McapWritten {
+        channels,
+        messages,
+        bytes,
+    })
+}
+
+fn failed(path: &Path, error: McapError) -> RecordingError {
+    let error = match error {
+        McapError::Io(error) => error,
+        other => io::Error::other(other.to_string()),
+    };
+    RecordingError::Io(path.to_path_buf(), error)
+}
+
+struct Export<'a, W: Write + Seek> {
+    writer: Writer<W>,
+    path: &'a Path,
+    period_ns: u64,
+    messages: u64,
+    text: String,
+}
+
+impl<W: Write + Seek> Export<'_, W> {
+    fn export(
+        &mut self,
+        recording: &Recording,
+        thinning: &Thinning,
+    ) -> Result<usize, RecordingError> {
+        let failed = |error| failed(self.path, error);
+        self.describe(recording, thinning)?;
+        let mut topics: Vec<Topic> = Vec::new();
+        let mut all = columns(recording);
+        all.retain(|column| column.group != "time");
+        for columns in all.chunk_by(|one, next| one.group == next.group) {
+            let group = columns[0].group;
+            let fields: Vec<(String, Column)> = columns
+                .iter()
+                .map(|column| {
+                    let name = column.name.replace(&format!("_{group}_"), "_");
+                    (name, column.clone())
+                })
+                .collect();
+            let topic = topic(group);
+            let title = format!("haptimill{}", topic.replace('/', "."));
+            let schema = schema(&title, &fields).to_string();
+            let none = BTreeMap::new();
+            let schema = self
+                .writer
+                .add_schema(&title, "jsonschema", schema.as_bytes());
+            let id =
+                schema.and_then(|schema| self.writer.add_channel(schema, &topic, "json", &none));
+            topics.push(Topic {
+                id: id.map_err(failed)?,
+                sequence: 0,
+                columns: fields,
+            });
+        }
+        let log = log_schema().to_string();
+        let log = self
+            .writer
+            .add_schema("foxglove.Log", "jsonschema", log.as_bytes());
+        let log = log.and_then(|log| {
+            self.writer
+                .add_channel(log, EVENTS, "json", &BTreeMap::new())
+        });
+        let log = log.map_err(failed)?;
+        let events = recording.events()?;
+        let mut events = (0_u32..).zip(events).peekable();
+        thinning.apply(recording, |record, time_s| {
+            while let Some((sequence, event)) =
+                events.next_if(|(_, event)| event.period <= record.period)
+            {
+                self.event(log, sequence, &event)?;
+            }
+            for topic in &mut topics {
+                let there = topic
+                    .columns
+                    .first()
+                    .is_some_and(|(_, column)| column.value(record, time_s).is_some());
+                if there {
+                    self.sample(topic, record, time_s)?;
+                }
+            }
+            Ok(())
+        })?;
+        for (sequence, event) in events {
+            self.event(log, sequence, &event)?;
+        }
+        self.writer
+            .finish()
+            .map_err(|error| super::mcap::failed(self.path, error))?;
+        Ok(topics.len() + 1)
+    }
+
+    /// Metadata and attachments.
+    fn describe(
+        &mut self,
+        recording: &Recording,
+        thinning: &Thinning,
+    ) -> Result<(), RecordingError> {
+        let header = recording.header();
+        let about = [
+            ("machine", header.machine.clone()),
+            ("program", header.program.clone()),
+            ("recorded_by", format!("haptimill {}", header.software)),
+            (
+                "written_by",
+                concat!("haptimill ", env!("CARGO_PKG_VERSION")).to_string(),
+            ),
+            ("message_schema", format!("{:016x}", header.schema)),
+            ("configuration_crc", format!("{:08x}", header.config_crc)),
+            (
+                "control_period_us",
+                recording.config().period_us.to_string(),
+            ),
+            ("every_control_periods", thinning.every.to_string()),
+            ("records", recording.records().to_string()),
+            ("recording_whole", recording.is_whole().to_string()),
+            ("recording_sha256", recording.sha256()?),
+        ];
+        let metadata = Metadata {
+            name: "haptimill".to_string(),
+            metadata: about.map(|(name, value)| (name.to_string(), value)).into(),
+        };
+        let program = match header.program.as_str() {
+            "" => "program",
+            name => name,
+        };
+        let attachments = [
+            (
+                "machine.toml",
+                "application/toml",
+                header.machine_text.as_bytes(),
+            ),
+            (program, "text/plain", header.program_text.as_slice()),
+            (
+                "configuration.postcard",
+                "application/octet-stream",
+                header.config.as_slice(),
+            ),
+        ];
+        let mut done = self.writer.write_metadata(&metadata);
+        for (name, media_type, data) in attachments {
+            if data.is_empty() {
+                continue;
+            }
+            let attachment = Attachment {
+                log_time: 0,
+                create_time: 0,
+                name: name.to_string(),
+                media_type: media_type.to_string(),
+                data: Cow::Borrowed(data),
+            };
+            done = done.and_then(|()| self.writer.attach(&attachment));
+        }
+        done.map_err(|error| failed(self.path, error))
+    }
+
+    fn sample(
+        &mut self,
+        topic: &mut Topic,
+        record: &super::Record,
+        time_s: f64,
+    ) -> Result<(), RecordingError> {
+        self.text.clear();
+        self.text.push('{');
+        for (index, (name, column)) in topic.columns.iter().enumerate() {
+            if index > 0 {
+                self.text.push(',');
+            }
+            let text = &mut self.text;
+            // Writing to a string cannot fail; no name has a letter that JSON would quote otherwise.
+            let _ = match column.value(record, time_s) {
+                Some(Value::Real(value, decimals)) => {
+                    let from = text.len();
+                    let done = write!(text, "{}:{value:.decimals$}", quoted(name));
+                    shorten(text, from);
+                    done
+                }
+                Some(Value::Whole(value)) => write!(text, "{}:{value}", quoted(name)),
+                Some(Value::Flag(set)) => write!(text, "{}:{set}", quoted(name)),
+                Some(Value::State(state)) => write!(
+                    text,
+                    "{}:\"{state:?}\",\"{STATE_NUMBER}\":{}",
+                    quoted(name),
+                    state.number()
+                ),
+                None => write!(text, "{}:null", quoted(name)),
+            };
+        }
+        self.text.push('}');
+        let time = record.period * self.period_ns;
+        let sequence = topic.sequence;
+        topic.sequence += 1;
+        self.message(topic.id, sequence, time)
+    }
+
+    fn event(
+        &mut self,
+        log: u16,
+        sequence: u32,
+        event: &super::Happening,
+    ) -> Result<(), RecordingError> {
+        let time = event.period * self.period_ns;
+        self.text = json!({
+            "timestamp": {"sec": time / 1_000_000_000, "nsec": time % 1_000_000_000},
+            "level": event.level + 2,
+            "message": event.text,
+            "name": "controller",
+            "file": "",
+            "line": 0,
+        })
+        .to_string();
+        self.message(log, sequence, time)
+    }
+
+    fn message(&mut self, channel_id: u16, sequence: u32, time: u64) -> Result<(), RecordingError> {
+        let header = MessageHeader {
+            channel_id,
+            sequence,
+            log_time: time,
+            publish_time: time,
+        };
+        self.messages += 1;
+        let written = self
+            .writer
+            .write_to_known_channel(&header, self.text.as_bytes());
+        written.map_err(|error| failed(self.path, error))
+    }
+}
+
+/// Takes zeros from the end of a decimal fraction that begins behind `from`: a third of all digits.
+fn shorten(text: &mut String, from: usize) {
+    if text[from..].contains('.') {
+        let kept = text.trim_end_matches('0').trim_end_matches('.').len();
+        text.truncate(kept);
+    }
+}
+
+/// A name in quotes.
+fn quoted(name: &str) -> String {
+    json!(name).to_string()
+}

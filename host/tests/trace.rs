@@ -1,0 +1,465 @@
+//! Recordings and what reads them: replayed bit by bit, looked at, exported; and files that are damaged, cut off or foreign.
+
+mod scene;
+
+use haptimill::record::{Period, Record, Recorder, Recording, Tape};
+use haptimill::replay::replay;
+use mcap::read::Options as ReadOptions;
+use mcap::{MessageStream, Summary};
+use scene::{Folder, Ran, Served, haptimill, number, start};
+use serde_json::Value;
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::time::Duration;
+
+/// Runs a program of examples/ into `out`; where its recording is.
+fn recorded(folder: &Folder, out: &str, program: &str, more: &[&str], code: i32) -> String {
+    let program = format!("examples/{program}");
+    let out = folder.path(out);
+    let run = [&["run", &program, "--quiet", "--out", &out], more].concat();
+    haptimill(&run).ended_with(code);
+    format!("{out}/recording.hmr")
+}
+
+/// Replays a recording, which must be equal, and gives what is said of it.
+#[track_caller]
+fn replays(recording: &str) -> Value {
+    let ran = haptimill(&["replay", recording, "--json"]).ended_with(0);
+    assert_eq!(ran.err, "");
+    let said = ran.json();
+    assert_eq!(
+        (&said["equal"], &said["whole"]),
+        (&true.into(), &true.into())
+    );
+    said
+}
+
+#[test]
+fn the_circle_replays_equal_and_its_hash_is_that_of_the_summary() {
+    let folder = Folder::new();
+    let trace = recorded(&folder, "out", "e11-circle.ngc", &[], 0);
+    let said = replays(&trace);
+    let summary = folder.summary("out");
+    assert_eq!(said["sha256"], summary["trace_sha256"]);
+    assert_eq!(said["records"], summary["periods"]);
+    // Homing is in it too.
+    let (all, job) = (number(&said, "periods"), number(&summary, "periods"));
+    assert!(all > job + 10_000.0, "{all} of them, {job} in the job");
+
+    let ran = haptimill(&["replay", &trace]).ended_with(0);
+    assert!(
+        ran.out.starts_with("the same bits in ") && ran.out.contains("times real time"),
+        "{}",
+        ran.out
+    );
+    let recording = Recording::open(Path::new(&trace)).unwrap();
+    let per_period = recording.period_bytes() as f64 / recording.periods() as f64;
+    println!(
+        "{per_period:.1} bytes a period: {:.0} kB a second beside {:.0} kB of records",
+        per_period / recording.period_s() / 1e3,
+        haptimill::record::RECORD_BYTES as f64 / recording.period_s() / 1e3
+    );
+    assert!(per_period < 60.0, "{per_period} bytes a period");
+}
+
+#[test]
+fn a_scenario_under_force_control_replays_equal() {
+    let folder = Folder::new();
+    haptimill(&["scenario", "run", "e4", "--out", &folder.path("out")]).ended_with(0);
+    for pass in ["ka0.25-kv5", "ka1-kv5", "ka1-kv20"] {
+        let said = replays(&folder.path(&format!("out/e4/{pass}/recording.hmr")));
+        assert!(number(&said, "records") > 10_000.0);
+    }
+}
+
+#[test]
+fn a_job_that_ends_in_a_fault_over_a_bad_line_replays_equal() {
+    let folder = Folder::new();
+    let fault = [
+        "--fault",
+        "encoder-stuck axis=l2 channel=a level=high at=6s",
+        "--fault",
+        "missed-periods count=2 at=5.5s",
+        "--baud",
+        "115200",
+    ];
+    let trace = recorded(&folder, "out", "e7-slot.ngc", &fault, 6);
+    replays(&trace);
+    let info = haptimill(&["trace", "info", &trace, "--json"])
+        .ended_with(0)
+        .json();
+    let events = info["events"].as_array().unwrap();
+    assert!(
+        events.iter().any(
+            |event| event["level"] == "error" && event["text"].as_str().unwrap().contains("l2")
+        )
+    );
+    // And a machine with step motors.
+    let steps = ["--machine", "machines/h4-step.toml"];
+    replays(&recorded(&folder, "steps", "e7-slot.ngc", &steps, 0));
+}
+
+#[test]
+fn one_bit_of_one_input_is_named_with_both_values() {
+    let folder = Folder::new();
+    let trace = recorded(&folder, "out", "e7-slot.ngc", &[], 0);
+    let recording = Recording::open(Path::new(&trace)).unwrap();
+    let first = recording.iter().unwrap().next().unwrap().unwrap().period;
+    let flipped = first + 20_000;
+    let changed = folder.path("changed.hmr");
+    let mut recorder = Recorder::create(Path::new(&changed), recording.header()).unwrap();
+    recorder.take_up(Tape::new());
+    for period in recording.read_periods().unwrap() {
+        let mut period: Period = period.unwrap();
+        if period.inputs.period == flipped {
+            period.inputs.axes[2].counts ^= 1;
+        }
+        recorder.period(&period.inputs, &period.outputs);
+    }
+    for record in recording.iter().unwrap() {
+        let record: Record = record.unwrap();
+        recorder.record(&record);
+    }
+    recorder.finish().unwrap();
+    let ran = haptimill(&["replay", &changed]).ended_with(8);
+    assert_eq!(ran.out, "");
+    let expected = format!("control period {flipped} (");
+    assert!(
+        ran.err.starts_with(&expected) && ran.err.contains(" l3 was "),
+        "{}",
+        ran.err
+    );
+    let said = haptimill(&["replay", &changed, "--json"])
+        .ended_with(8)
+        .json();
+    assert_eq!(said["equal"], false);
+    let difference = &said["difference"];
+    assert_eq!(difference["period"], flipped);
+    assert!(difference["field"].as_str().unwrap().ends_with("l3"));
+    assert_ne!(difference["recorded"], difference["replayed"]);
+    // The periods alone differ, the records do not.
+    haptimill(&["trace", "diff", &trace, &changed]).ended_with(0);
+}
+
+/// Numbers and names of folders taken out of what was said.
+fn plain(folder: &Folder, ran: &Ran) -> String {
+    let text = folder.anonymous(&format!("{}{}", ran.out, ran.err));
+    let mut plain = String::new();
+    for line in text.lines() {
+        let words: Vec<String> = line.split(' ').map(masked).collect();
+        plain += words.join(" ").trim_end();
+        plain.push('\n');
+    }
+    format!("{plain}--- exit code {}\n", ran.code)
+}
+
+/// A word with a number in it, but for names.
+fn masked(word: &str) -> String {
+    let hexadecimal = word.len() >= 8 && word.bytes().all(|byte| byte.is_ascii_hexdigit());
+    let number = word.starts_with(|first: char| first.is_ascii_digit() || first == '-');
+    match word {
+        _ if hexadecimal => "HEX".to_string(),
+        _ if number && word.bytes().any(|byte| byte.is_ascii_digit()) => {
+            let rest = word.trim_start_matches(|c: char| c.is_ascii_digit() || "-.:".contains(c));
+            format!("#{rest}")
+        }
+        _ => word.to_string(),
+    }
+}
+
+#[test]
+fn a_recording_tells_what_it_is_and_is_drawn() {
+    let folder = Folder::new();
+    let trace = recorded(&folder, "out", "e7-slot.ngc", &[], 0);
+    let info = haptimill(&["trace", "info", &trace]).ended_with(0);
+    insta::assert_snapshot!("info", plain(&folder, &info));
+
+    let plot = |more: &[&str]| haptimill(&[&["trace", "plot", &trace], more].concat());
+    let sketch = plot(&["x_programmed_mm", "spindle_rpm"]).ended_with(0).out;
+    let lines: Vec<&str> = sketch.lines().collect();
+    assert_eq!(lines.len(), 18, "{sketch}");
+    assert!(
+        lines[0].starts_with("x_programmed_mm: -30.0") && lines[9].starts_with("spindle_rpm: "),
+        "{sketch}"
+    );
+    // From the height of the start down to the end of the slot and back: dots in the first and the last row, on the way and at both ends.
+    let braille = |line: &str| line.chars().any(|c| ('\u{2801}'..='\u{28ff}').contains(&c));
+    assert!(lines[1..9].iter().all(|line| braille(line)), "{sketch}");
+
+    let picture = folder.path("errors.svg");
+    plot(&[
+        "l?_joint_error_mm",
+        "l1_drive_n",
+        "--from",
+        "2",
+        "--to",
+        "5",
+        "--out",
+        &picture,
+    ])
+    .ended_with(0);
+    let svg = folder.read("errors.svg");
+    assert!(svg.starts_with("<svg xmlns=") && svg.trim_end().ends_with("</svg>"));
+    // Two units, two charts; four lines and one.
+    assert_eq!(svg.matches("<svg ").count(), 3);
+    assert_eq!(svg.matches("<path").count(), 5);
+    assert!(svg.contains("l3_joint_error_mm") && svg.contains("time after 2 s"));
+    plot(&["x_force_high_n", "--from", "1000"]).ended_with(3);
+}
+
+#[test]
+fn a_table_has_the_columns_rows_and_time_that_were_asked_for() {
+    let folder = Folder::new();
+    let trace = recorded(&folder, "out", "e7-slot.ngc", &[], 0);
+    let whole = folder.path("whole.csv");
+    haptimill(&["trace", "csv", &trace, "--every", "25", "--out", &whole]).ended_with(0);
+    assert_eq!(folder.read("whole.csv"), folder.read("out/trace.csv"));
+    let columns = "time_s,x_*_mm,state";
+    let window = ["--from", "1", "--to", "1.01", "--every", "5"];
+    let ran = haptimill(&[&["trace", "csv", &trace, "--columns", columns], &window[..]].concat())
+        .ended_with(0);
+    let rows: Vec<&str> = ran.out.lines().collect();
+    assert_eq!(
+        rows[0],
+        "time_s,x_wanted_mm,x_programmed_mm,x_tool_mm,x_yielded_mm,state"
+    );
+    assert_eq!(rows.len(), 12, "{}", ran.out);
+    assert!(
+        rows[1].starts_with("1.000000,")
+            && rows[11].starts_with("1.010000,")
+            && rows[11].ends_with(",Run")
+    );
+}
+
+/// The messages of an MCAP file; the check of each chunk is verified.
+fn checked(bytes: &[u8]) -> MessageStream<'_> {
+    MessageStream::new_with_options(bytes, ReadOptions::ValidateChunkCrcs.into()).unwrap()
+}
+
+#[test]
+fn mcap_has_everything_and_its_checks_hold() {
+    let folder = Folder::new();
+    let trace = recorded(&folder, "out", "e7-slot.ngc", &["--mcap"], 0);
+    let again = folder.path("again.mcap");
+    haptimill(&["trace", "mcap", &trace, "--out", &again]).ended_with(0);
+    let bytes = std::fs::read(folder.path("out/recording.mcap")).unwrap();
+    assert!(
+        bytes == std::fs::read(&again).unwrap(),
+        "not the same when it is made again"
+    );
+
+    let recording = Recording::open(Path::new(&trace)).unwrap();
+    let summary = Summary::read(&bytes).unwrap().unwrap();
+    let statistics = summary.stats.as_ref().unwrap();
+    assert_eq!(statistics.attachment_count, 3);
+    assert!(summary.channels.values().all(|channel| {
+        channel.message_encoding == "json"
+            && channel.schema.as_ref().unwrap().encoding == "jsonschema"
+    }));
+    for channel in summary.channels.values() {
+        let schema: Value = serde_json::from_slice(&channel.schema.as_ref().unwrap().data).unwrap();
+        assert_eq!(schema["type"], "object", "{}", channel.topic);
+    }
+    let mut topics: BTreeMap<String, Vec<(u64, Value)>> = BTreeMap::new();
+    for message in checked(&bytes) {
+        let message = message.unwrap();
+        let value = serde_json::from_slice(&message.data).unwrap();
+        topics
+            .entry(message.channel.topic.clone())
+            .or_default()
+            .push((message.log_time, value));
+    }
+    let names: Vec<&str> = topics.keys().map(String::as_str).collect();
+    assert_eq!(
+        names,
+        [
+            "/drives",
+            "/events",
+            "/force/high",
+            "/force/low",
+            "/force/true",
+            "/joints/error",
+            "/joints/measured",
+            "/joints/wanted",
+            "/pose/programmed",
+            "/pose/tool",
+            "/pose/wanted",
+            "/state",
+            "/yielded"
+        ]
+    );
+    // A thousand a second, with the values of the recording.
+    let state = &topics["/state"];
+    assert_eq!(
+        state.len() as u64,
+        recording.records().div_ceil(5) + u64::from(recording.records() % 5 != 1)
+    );
+    let tool = &topics["/pose/tool"];
+    let scale = f64::from(1 << 20);
+    let mut compared = 0;
+    for record in recording.iter().unwrap() {
+        let record = record.unwrap();
+        let time = record.period * 200_000;
+        if let Ok(at) = tool.binary_search_by_key(&time, |(time, _)| *time) {
+            let x = tool[at].1["x_mm"].as_f64().unwrap();
+            assert!((x - f64::from(record.tool[0]) / scale).abs() < 1e-6);
+            compared += 1;
+        }
+    }
+    assert_eq!(compared, tool.len());
+    assert!(
+        state
+            .iter()
+            .any(|(_, value)| value["state"] == "Run" && value["state_number"] == 3)
+    );
+    let events = &topics["/events"];
+    let done = events
+        .iter()
+        .find(|(_, event)| event["message"].as_str().unwrap().contains("done"));
+    let (time, event) = done.expect("the job was done");
+    assert_eq!(
+        event["timestamp"]["sec"].as_u64().unwrap(),
+        time / 1_000_000_000
+    );
+    let times: Vec<u64> = events.iter().map(|(time, _)| *time).collect();
+    assert!(times.is_sorted());
+    // A digit of a measure in the middle that is another one is found.
+    let mut damaged = bytes.clone();
+    let middle = damaged.len() / 2;
+    let name = b"\"x_mm\":";
+    let at = damaged[middle..]
+        .windows(name.len())
+        .position(|part| part == name)
+        .unwrap();
+    let digit = damaged[middle + at..]
+        .iter()
+        .position(u8::is_ascii_digit)
+        .unwrap();
+    damaged[middle + at + digit] ^= 1;
+    assert!(checked(&damaged).any(|message| message.is_err()));
+}
+
+#[test]
+fn files_that_are_no_good_are_told_apart() {
+    let folder = Folder::new();
+    let trace = recorded(&folder, "out", "e7-slot.ngc", &[], 0);
+    let whole = std::fs::read(&trace).unwrap();
+    let mut damaged = whole.clone();
+    let middle = damaged.len() / 2;
+    damaged[middle] ^= 0x10;
+    let damaged = folder.file("damaged.hmr", damaged);
+    let cut = folder.file("cut.hmr", &whole[..whole.len() * 2 / 3]);
+    let foreign = folder.file("foreign.hmr", b"time_s,period,state\n0.0,0,Run\n");
+    let mut old = whole.clone();
+    old[8] = 2;
+    let old = folder.file("old.hmr", old);
+    let missing = folder.path("none.hmr");
+    let mut text = String::new();
+    for (arguments, code) in [
+        (&["replay", &damaged][..], 3),
+        (&["replay", &cut], 0),
+        (
+            &[
+                "trace",
+                "csv",
+                &cut,
+                "--columns",
+                "period",
+                "--every",
+                "1000000",
+            ],
+            0,
+        ),
+        (&["trace", "info", &foreign], 3),
+        (&["replay", &old], 3),
+        (&["trace", "mcap", &missing], 3),
+        (&["trace", "csv", &trace, "--columns", "x_mm"], 2),
+        (
+            &["trace", "plot", &trace, "--from", "2", "--to", "1", "line"],
+            2,
+        ),
+        (&["trace", "mcap", &trace, "--out", &trace], 2),
+        (
+            &["trace", "mcap", &trace, "--out", "/there/is/none.mcap"],
+            9,
+        ),
+    ] {
+        let ran = haptimill(arguments).ended_with(code);
+        text += &format!(
+            "$ haptimill {}\n{}\n",
+            folder.anonymous(&arguments.join(" ")),
+            plain(&folder, &ran)
+        );
+    }
+    insta::assert_snapshot!("no_good", text);
+}
+
+#[test]
+fn what_a_killed_host_left_replays_as_far_as_it_goes() {
+    let folder = Folder::new();
+    let lines: String = (0..900)
+        .map(|turn| format!("G1 X{} Y0\nG1 Y5\nG1 X0\nG1 Y0\n", 10 + turn % 3))
+        .collect();
+    let program = folder.file("long.ngc", format!("G21 G90 F300\n{lines}"));
+    let out = folder.path("out");
+    let mut run = start(&["run", &program, "--out", &out]);
+    run.says("running");
+    let trace = folder.path("out/recording.hmr");
+    while std::fs::metadata(&trace).map_or(0, |file| file.len()) < 8_000_000 {
+        assert!(run.runs());
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    run.kill();
+    let ran = haptimill(&["replay", &trace, "--json"]).ended_with(0);
+    let said = ran.json();
+    assert_eq!(
+        (&said["equal"], &said["whole"]),
+        (&true.into(), &false.into())
+    );
+    assert!(
+        number(&said, "periods") > 20_000.0 && number(&said, "records") > 10_000.0,
+        "{said:#}"
+    );
+    assert!(ran.err.contains("was cut off"), "{}", ran.err);
+    let recording = Recording::open(Path::new(&trace)).unwrap();
+    assert_eq!(
+        replay(&recording).unwrap().unwrap().periods,
+        recording.periods()
+    );
+}
+
+#[test]
+fn a_job_through_a_port_cannot_be_replayed_and_says_so() {
+    let folder = Folder::new();
+    let served = Served::on_tcp(&[]);
+    let program = folder.file("short.ngc", "G21 G90 F600\nG1 X1\nG1 X0\nM30\n");
+    let out = folder.path("out");
+    haptimill(&[
+        "run",
+        &program,
+        "--port",
+        &served.port,
+        "--quiet",
+        "--out",
+        &out,
+    ])
+    .ended_with(0);
+    let trace = folder.path("out/recording.hmr");
+    let ran = haptimill(&["replay", &trace]).ended_with(3);
+    let said =
+        "has only what its controller reported, not what it sensed: it was recorded through a port";
+    assert!(ran.err.contains(said), "{}", ran.err);
+    let info = haptimill(&["trace", "info", &trace, "--json"])
+        .ended_with(0)
+        .json();
+    assert_eq!(info["replayable"], false);
+    // What happened is known all the same.
+    let events = info["events"].as_array().unwrap();
+    assert!(
+        events
+            .iter()
+            .any(|event| event["text"].as_str().unwrap().contains("done")),
+        "{info:#}"
+    );
+    haptimill(&["trace", "plot", &trace, "x_tool_mm"]).ended_with(0);
+}

@@ -1,0 +1,246 @@
+//! Force control in the whole machine: what breaks a sensor, and a spindle that stands.
+
+mod scene;
+
+use haptimill_hil_sim::process::ProcessConfig;
+use haptimill_hil_sim::sensor::{End, SensorCondition};
+use haptimill_protocol::force::{ForceProblem, Gate};
+use haptimill_protocol::message::{Command, Event, Fault, State};
+use haptimill_tests::Bench;
+use scene::force::{block, control, job, loop_of, ready_at, sensor_alone, tare, wall, yielded};
+use scene::{distance, line, state, told, tool};
+
+/// What breaks the sensor, and what it must be called.
+fn broken(bench: &mut Bench, condition: SensorCondition) {
+    let process = bench.rig.plant_mut().process_mut().expect("there");
+    process
+        .sensor_mut()
+        .expect("there")
+        .set_condition(0, condition);
+}
+
+/// Waits for the end, and sees to it that it is a controlled stop: drives holding, position kept, nothing jumps, the tool stays.
+fn controlled_stop(bench: &mut Bench) -> ForceProblem {
+    let mut fastest = 0.0_f64;
+    // A saturated channel may be a force: then it goes back along its path first, slowly.
+    for _ in 0..50_000 {
+        let before = tool(bench);
+        bench.step();
+        fastest = fastest.max(distance(bench, before));
+        if state(bench) == State::Fault {
+            break;
+        }
+    }
+    assert_eq!(state(bench), State::Fault, "{:?}", bench.events);
+    assert!(fastest < 0.02, "{fastest} mm in a period");
+    let latched = tool(bench);
+    bench.steps(5000);
+    assert!(distance(bench, latched) < 0.05, "the tool went on");
+    assert!(bench.rig.control().safety().position_kept());
+    assert!(bench.rig.control().safety().drives_on());
+    let told = told(bench);
+    let [Event::Fault(Fault::Force(problem))] = told[..] else {
+        panic!("{told:?}")
+    };
+    *problem
+}
+
+#[test]
+fn every_sensor_fault_ends_in_a_controlled_stop_with_its_name() {
+    let healthy = SensorCondition::default();
+    let scene = |gap: f64, gate: Gate| {
+        let mut bench = scene::ready();
+        let process = wall(tool(&bench), gap, 100.0);
+        bench.rig.plant_mut().fit(&process).expect("sound");
+        bench.steps(100);
+        tare(&mut bench);
+        control(&mut bench, 0, loop_of(1.0, 5.0, gate));
+        job(&mut bench, -1.0, 40, 0.0);
+        // Spindle up to speed, and into the contact.
+        bench.steps(6000);
+        assert_eq!(state(&bench), State::Run);
+        bench
+    };
+    let mut bench = scene(0.2, Gate::AgainstMotion);
+    broken(
+        &mut bench,
+        SensorCondition {
+            saturated: Some(End::High),
+            ..healthy
+        },
+    );
+    let problem = controlled_stop(&mut bench);
+    assert!(
+        matches!(problem, ForceProblem::Overload { .. }),
+        "{problem:?}"
+    );
+
+    let mut bench = scene(0.2, Gate::AgainstMotion);
+    broken(
+        &mut bench,
+        SensorCondition {
+            stuck: true,
+            ..healthy
+        },
+    );
+    assert_eq!(
+        controlled_stop(&mut bench),
+        ForceProblem::Stuck { component: 0 }
+    );
+
+    // A lost signal is the code of nothing, again and again.
+    let mut bench = scene(0.2, Gate::AgainstMotion);
+    broken(
+        &mut bench,
+        SensorCondition {
+            dropped: true,
+            ..healthy
+        },
+    );
+    assert_eq!(
+        controlled_stop(&mut bench),
+        ForceProblem::Stuck { component: 0 }
+    );
+
+    // The converter says nothing more.
+    let mut bench = scene(0.2, Gate::AgainstMotion);
+    bench
+        .rig
+        .plant_mut()
+        .fit(&ProcessConfig::default())
+        .expect("sound");
+    assert_eq!(controlled_stop(&mut bench), ForceProblem::Silent);
+
+    for gate in [Gate::AgainstMotion, Gate::Any] {
+        let mut bench = scene(3.0, gate);
+        broken(
+            &mut bench,
+            SensorCondition {
+                gain: -1.0,
+                ..healthy
+            },
+        );
+        assert_eq!(
+            controlled_stop(&mut bench),
+            ForceProblem::WrongSign { component: 0 },
+            "{gate:?}"
+        );
+    }
+
+    // In the air with the spindle off.
+    let mut bench = ready_at(&sensor_alone());
+    control(&mut bench, 0, loop_of(1.0, 5.0, Gate::AgainstMotion));
+    let start = bench.status().wanted;
+    bench.start_job(1, &line(&start, 0, -1.0, 60));
+    bench.steps(3000);
+    broken(
+        &mut bench,
+        SensorCondition {
+            drift_n_s: 2.0,
+            ..healthy
+        },
+    );
+    let problem = controlled_stop(&mut bench);
+    assert!(
+        matches!(problem, ForceProblem::Drift { component: 0, force } if force.abs() >= 3 << 15),
+        "{problem:?}"
+    );
+}
+
+/// After a fault of the force the tool stays where it yielded to, a reset moves nothing, and a jog leads out of it.
+#[test]
+fn after_a_fault_the_tool_stays_and_can_be_jogged_away() {
+    let mut bench = scene::ready();
+    let process = wall(tool(&bench), 0.2, 100.0);
+    bench.rig.plant_mut().fit(&process).expect("sound");
+    bench.steps(100);
+    tare(&mut bench);
+    control(&mut bench, 0, loop_of(1.0, 5.0, Gate::AgainstMotion));
+    job(&mut bench, -1.0, 60, 0.0);
+    while yielded(&bench) < 0.5 {
+        bench.step();
+    }
+    bench
+        .rig
+        .plant_mut()
+        .process_mut()
+        .expect("there")
+        .sensor_mut()
+        .expect("there")
+        .set_condition(
+            0,
+            SensorCondition {
+                stuck: true,
+                ..SensorCondition::default()
+            },
+        );
+    controlled_stop(&mut bench);
+    assert!(yielded(&bench) > 0.4);
+    let before = tool(&bench);
+    broken(&mut bench, SensorCondition::default());
+    bench.steps(1000);
+    bench.ask(Command::Reset).expect("reset");
+    bench.steps(2500);
+    assert_eq!(state(&bench), State::Idle);
+    assert!(
+        distance(&bench, before) < 0.02,
+        "the tool moved by {} mm",
+        distance(&bench, before)
+    );
+    assert_eq!(yielded(&bench), 0.0);
+    let rates = [4096, 0, 0, 0, 0].into_iter().collect();
+    bench
+        .ask(Command::Jog {
+            epoch: 1,
+            deadline_ms: 1000,
+            rates,
+        })
+        .expect("jogged");
+    bench.steps(7500);
+    assert_eq!(state(&bench), State::Idle, "{:?}", bench.events);
+    assert!(tool(&bench)[0] - before[0] > 0.5);
+}
+
+/// The spindle stops in the cut, without force control: the force limit trips, and the tool goes back by the way it came.
+#[test]
+fn a_spindle_that_stands_trips_the_force_limit() {
+    let mut bench = scene::ready();
+    let process = block(tool(&bench), 1.0);
+    bench.rig.plant_mut().fit(&process).expect("sound");
+    bench.steps(100);
+    tare(&mut bench);
+    job(&mut bench, -4.0, 80, 0.0);
+    bench.steps(20_000);
+    assert_eq!(state(&bench), State::Run, "{:?}", bench.events);
+    bench
+        .rig
+        .plant_mut()
+        .process_mut()
+        .expect("there")
+        .spindle_mut()
+        .set_stalled(true);
+    let mut most = 0.0_f64;
+    let mut farthest = f64::INFINITY;
+    for _ in 0..40_000 {
+        bench.step();
+        most = most.max(bench.rig.truth().force[0].abs());
+        farthest = farthest.min(tool(&bench)[0]);
+        if state(&bench) == State::Fault {
+            break;
+        }
+    }
+    bench.steps(500);
+    let told = told(&bench);
+    assert!(
+        matches!(
+            told[..],
+            [Event::Fault(Fault::Force(ForceProblem::Limit { .. }))]
+        ),
+        "{told:?}"
+    );
+    let left = bench.rig.truth().force[0].abs();
+    let back = tool(&bench)[0] - farthest;
+    println!("at most {most:.1} N; {back:.3} mm back, {left:.1} N left");
+    assert!(back > 0.5 && left < 40.0);
+    assert!(bench.rig.control().safety().position_kept());
+}

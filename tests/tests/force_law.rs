@@ -1,0 +1,345 @@
+//! Force control in the whole machine: the law, its settings and its limits, on the simulated arm with its friction and backlash, a cutter or an elastic wall, the sensor with its noise, and the link.
+
+mod scene;
+
+use haptimill::machine::{BUILT_IN, MachineFile};
+use haptimill_firmware::controller::Controller;
+use haptimill_hil_sim::RigOptions;
+use haptimill_protocol::force::{ForceLoop, ForceParameter, ForceRefusal, Gate};
+use haptimill_protocol::message::{Command, Event, Refusal, State};
+use haptimill_tests::Bench;
+use scene::force::{
+    NEWTON, PERIOD, block, control, job, levels, loop_of, peak, ready_at, sensor_alone, tare, wall,
+    yield_rate, yielded,
+};
+use scene::{MM, distance, line, state, told, tool};
+
+/// The integral of F - f_d is K_V times the change of p_c, and K_A times that of its rate; afterwards the tool returns.
+#[test]
+fn the_loop_is_the_equation_and_the_tool_returns() {
+    for (mass, damping) in [(1.0, 5.0), (0.25, 0.5)] {
+        let mut bench = scene::ready();
+        let process = block(tool(&bench), 3.0);
+        bench.rig.plant_mut().fit(&process).expect("sound");
+        bench.steps(100);
+        tare(&mut bench);
+        control(&mut bench, 0, loop_of(mass, damping, Gate::AgainstMotion));
+        let end = job(&mut bench, -4.0, 40, 20.0);
+        let mut before = 0.0;
+        while yielded(&bench) < 0.02 {
+            before = peak(&bench);
+            bench.step();
+            assert_eq!(state(&bench), State::Run, "{:?}", bench.events);
+        }
+        assert!(before > 5.0);
+        let (from, rate_from) = (yielded(&bench), yield_rate(&bench));
+        let (mut pushed, mut most) = (0.0, 0.0_f64);
+        for _ in 0..7500 {
+            bench.step();
+            pushed += (peak(&bench) - 5.0) * PERIOD;
+            most = most.max(peak(&bench));
+        }
+        let gone = damping * (yielded(&bench) - from) + mass * (yield_rate(&bench) - rate_from);
+        println!(
+            "K_A {mass}, K_V {damping}: pushed {pushed:.4} N s, gone {gone:.4} N s, peak {most:.2} N, p_c {:.3} mm",
+            yielded(&bench)
+        );
+        assert!(pushed.abs() > 0.2, "nothing was felt");
+        assert!(
+            (pushed - gone).abs() <= 0.01 * pushed.abs(),
+            "{pushed} and {gone}"
+        );
+        // Levels of damping are for stiff contacts: a cut is left to the equation.
+        let levels = levels(&bench);
+        assert_eq!(levels[0], 0, "{levels:?}");
+        while state(&bench) == State::Run {
+            bench.step();
+        }
+        assert_eq!(state(&bench), State::Idle, "{:?}", bench.events);
+        let desired = [0, 1, 2].map(|axis| f64::from(end[axis]) / MM);
+        let off = distance(&bench, desired);
+        println!("20 s after the stop the tool is {off:.4} mm from where it is desired");
+        assert!(off <= 0.05, "{off}");
+    }
+}
+
+/// Limit, gains, f_d and mask change in the middle of a cut: the step from one period to the next changes by no more than the acceleration of the law.
+#[test]
+fn the_tool_does_not_jump_when_parameters_change() {
+    let mut bench = scene::ready();
+    let process = block(tool(&bench), 3.0);
+    bench.rig.plant_mut().fit(&process).expect("sound");
+    bench.steps(100);
+    tare(&mut bench);
+    control(&mut bench, 0, loop_of(1.0, 5.0, Gate::AgainstMotion));
+    job(&mut bench, -4.0, 80, 0.0);
+    while yielded(&bench) < 0.3 {
+        bench.step();
+        assert_eq!(state(&bench), State::Run, "{:?}", bench.events);
+    }
+    let soft = loop_of(0.25, 0.5, Gate::AgainstMotion);
+    let stiff = loop_of(4.0, 40.0, Gate::Any);
+    let eager = ForceLoop {
+        desired: (2.0 * NEWTON) as i32,
+        ..loop_of(1.0, 5.0, Gate::Any)
+    };
+    let short = ForceLoop {
+        limit: (0.1 * MM) as i32,
+        ..loop_of(1.0, 5.0, Gate::AgainstMotion)
+    };
+    let changes = [
+        // The tool is beyond this limit, and on its way out.
+        Command::ForceLoop {
+            axis: 0,
+            settings: short,
+        },
+        Command::ForceLoop {
+            axis: 0,
+            settings: soft,
+        },
+        Command::ForceLoop {
+            axis: 0,
+            settings: stiff,
+        },
+        Command::ForceLoop {
+            axis: 0,
+            settings: eager,
+        },
+        Command::ForceMask { mask: 0 },
+        Command::ForceMask { mask: 5 },
+    ];
+    let mut worst = 0.0_f64;
+    for change in changes {
+        let id = bench.say(change.clone()).expect("room");
+        let (mut before, mut step_before) = (yielded(&bench), f64::NAN);
+        for _ in 0..1500 {
+            bench.step();
+            let step = yielded(&bench) - before;
+            if step_before.is_finite() {
+                worst = worst.max((step - step_before).abs());
+            }
+            (before, step_before) = (yielded(&bench), step);
+            assert_eq!(state(&bench), State::Run, "{change:?}: {:?}", bench.events);
+        }
+        let answers = bench.take_answers();
+        assert!(answers.contains(&(id, Ok(()))), "{change:?}: {answers:?}");
+    }
+    // 30 N on the lightest mass are 120 mm/s^2: 4.8e-6 mm from one period to the next.
+    println!(
+        "largest change of the step between two periods: {:.2} nm",
+        worst * 1e6
+    );
+    assert!(worst < 1e-5, "{worst} mm");
+}
+
+#[test]
+fn settings_that_cannot_be_are_refused_with_their_bound() {
+    let mut bench = ready_at(&sensor_alone());
+    let good = loop_of(1.0, 5.0, Gate::AgainstMotion);
+    let newtons = |value: f64| ForceLoop {
+        desired: (value * NEWTON) as i32,
+        ..good
+    };
+    let cases = [
+        (newtons(0.0), ForceParameter::DesiredTooSmall, 0.5),
+        (newtons(-5.0), ForceParameter::DesiredTooSmall, 0.5),
+        (
+            newtons(90.0),
+            ForceParameter::DesiredTooLarge,
+            0.75 * 0.95 * 100.0,
+        ),
+        // K_V >= 20 N/mm * (15 ms + 5 ms + 0.3 ms).
+        (
+            loop_of(1.0, 0.2, Gate::Any),
+            ForceParameter::DampingTooSmall,
+            20.0 * 0.0203,
+        ),
+        (
+            loop_of(0.001, 5.0, Gate::Any),
+            ForceParameter::MassTooSmall,
+            f64::NAN,
+        ),
+        (
+            ForceLoop {
+                mass: u32::MAX,
+                ..good
+            },
+            ForceParameter::MassTooLarge,
+            f64::NAN,
+        ),
+        (
+            ForceLoop {
+                damping: u32::MAX,
+                ..good
+            },
+            ForceParameter::DampingTooLarge,
+            1024.0,
+        ),
+    ];
+    for (settings, parameter, bound) in cases {
+        let refused = bench.ask(Command::ForceLoop { axis: 0, settings });
+        let Err(Refusal::Force {
+            axis: 0,
+            refusal:
+                ForceRefusal {
+                    parameter: what,
+                    bound: found,
+                },
+        }) = refused
+        else {
+            panic!("{settings:?}: {refused:?}")
+        };
+        assert_eq!(what, parameter);
+        let found = f64::from(found) / NEWTON;
+        assert!(
+            bound.is_nan() || (found - bound).abs() < 0.02 * bound,
+            "{parameter:?}: {found} and {bound}"
+        );
+    }
+    let limit = ForceLoop { limit: 0, ..good };
+    let rate = ForceLoop { rate: 0, ..good };
+    for (settings, parameter) in [(limit, ForceParameter::Limit), (rate, ForceParameter::Rate)] {
+        let refused = bench.ask(Command::ForceLoop { axis: 2, settings });
+        assert!(
+            matches!(refused, Err(Refusal::Force { axis: 2, refusal }) if refusal.parameter == parameter),
+            "{refused:?}"
+        );
+    }
+    let refused = bench.ask(Command::ForceLoop {
+        axis: 3,
+        settings: good,
+    });
+    assert!(
+        matches!(refused, Err(Refusal::Force { axis: 3, refusal }) if refusal.parameter == ForceParameter::Axis),
+        "{refused:?}"
+    );
+    assert_eq!(
+        bench.ask(Command::ForceMask { mask: 8 }),
+        Err(Refusal::Range)
+    );
+}
+
+/// A tare is for a machine at rest with nothing at its tool; a job under force control is for a sensor with a zero.
+#[test]
+fn tares_and_jobs_have_their_order() {
+    let mut bench = scene::ready();
+    bench.rig.plant_mut().fit(&sensor_alone()).expect("sound");
+    bench.ask(Command::ForceMask { mask: 1 }).expect("taken");
+    let start = bench.status().wanted;
+    let begin = Command::JobStart {
+        job: 1,
+        pose: start.clone(),
+    };
+    assert_eq!(bench.ask(begin.clone()), Err(Refusal::NotTared));
+    tare(&mut bench);
+    bench.start_job(1, &line(&start, 0, -1.0, 20));
+    bench.steps(200);
+    assert_eq!(bench.ask(Command::Tare), Err(Refusal::State(State::Run)));
+    bench.ask(Command::Stop).expect("stopped");
+    assert!(bench.wait_for(State::Idle, 5000));
+    // A tare that is overtaken by a motion ends without a zero.
+    bench.events.clear();
+    bench.ask(Command::Tare).expect("begun");
+    let rates = [4096, 0, 0, 0, 0].into_iter().collect();
+    bench
+        .ask(Command::Jog {
+            epoch: 1,
+            deadline_ms: 100,
+            rates,
+        })
+        .expect("jogged");
+    bench.steps(2000);
+    assert!(
+        bench
+            .events
+            .iter()
+            .any(|event| matches!(event, Event::TareRefused(_))),
+        "{:?}",
+        bench.events
+    );
+    let status = bench.status();
+    let force = status.force.expect("has a sensor");
+    assert!(force.tared && force.mask == 1);
+}
+
+/// The tool yields as far as it may and no further, which is told once; soft limits hold for the reference as for the program.
+#[test]
+fn the_tool_yields_no_further_than_it_may() {
+    let mut bench = scene::ready();
+    let at = tool(&bench);
+    bench
+        .rig
+        .plant_mut()
+        .fit(&wall(at, 0.2, 20.0))
+        .expect("sound");
+    bench.steps(100);
+    tare(&mut bench);
+    let short = ForceLoop {
+        limit: (0.5 * MM) as i32,
+        ..loop_of(1.0, 5.0, Gate::AgainstMotion)
+    };
+    control(&mut bench, 0, short);
+    bench.events.clear();
+    job(&mut bench, -1.0, 15, 1.0);
+    let mut most = 0.0_f64;
+    for _ in 0..20_000 {
+        bench.step();
+        most = most.max(yielded(&bench));
+    }
+    let limited = bench
+        .events
+        .iter()
+        .filter(|event| **event == Event::YieldLimited { axis: 0 })
+        .count();
+    println!(
+        "yielded at most {most:.4} mm, told {limited} times: {:?}",
+        bench.events
+    );
+    assert!((0.49..=0.5).contains(&most), "{most}");
+    assert_eq!(limited, 1);
+    assert!(told(&bench).is_empty());
+}
+
+/// A force pushes the tool towards a soft limit, at rest: the reference stands at the limit, whatever the force; the tool comes back when it is gone.
+#[test]
+fn soft_limits_hold_for_the_reference() {
+    let text = BUILT_IN.replacen("high_mm = 200.0", "high_mm = 1.0", 1);
+    let machine = MachineFile::parse("machine.toml", &text).expect("sound");
+    let mut bench = Bench::of_machine(machine, &RigOptions::default(), Controller::new(200));
+    bench.make_ready();
+    // From where homing ended, to 1 mm before the limit.
+    let start = bench.status().wanted;
+    let way = -f64::from(start[0]) / MM;
+    bench.start_job(1, &line(&start, 0, way / 2.0, 19));
+    assert!(bench.wait_for(State::Idle, 20_000));
+    let at = tool(&bench);
+    bench.rig.plant_mut().fit(&sensor_alone()).expect("sound");
+    bench.steps(100);
+    tare(&mut bench);
+    control(&mut bench, 0, loop_of(1.0, 5.0, Gate::Any));
+    bench.events.clear();
+    let face = |x: f64| wall([x, at[1], at[2]], 0.0, 10.0).wall;
+    let process = bench.rig.plant_mut().process_mut().expect("there");
+    // Softly first: the sensor has to show its sign before a body may push that comes by itself.
+    process.set_wall(face(at[0] + 0.95));
+    bench.steps(5000);
+    let process = bench.rig.plant_mut().process_mut().expect("there");
+    process.set_wall(face(at[0] + 3.0));
+    let mut most = f64::NEG_INFINITY;
+    for _ in 0..20_000 {
+        bench.step();
+        let reference = bench.rig.control().machinery().expect("there").reference();
+        most = most.max(f64::from(reference.pose.0[0].0) / MM);
+    }
+    assert_eq!(most, 1.0);
+    // 20 N push the arm on its servo by some hundredths.
+    assert!((tool(&bench)[0] - 1.0).abs() < 0.1, "{}", tool(&bench)[0]);
+    assert_eq!(state(&bench), State::Idle, "{:?}", bench.events);
+    assert_eq!(bench.events, [Event::YieldLimited { axis: 0 }]);
+    assert_eq!(bench.ask(Command::Tare), Err(Refusal::Yielding));
+    let process = bench.rig.plant_mut().process_mut().expect("there");
+    process.set_wall(None);
+    bench.steps(15_000);
+    assert_eq!(yielded(&bench), 0.0);
+    assert!((tool(&bench)[0] - at[0]).abs() < 0.03);
+}
