@@ -168,7 +168,7 @@ impl Controller {
             let arm = self
                 .machinery
                 .as_ref()
-                .and_then(|machinery| machinery.hands.arm.as_ref());
+                .and_then(|machinery| machinery.hands.arm());
             self.server
                 .send_hand(arm.map(|arm| arm.telemetry(inputs.period)));
         }

@@ -15,6 +15,7 @@ pub mod sweep;
 
 use crate::config::Config;
 use crate::kinematics::{Accelerations, Kinematics, Pose, Rates};
+use crate::machinery::hand::HAND;
 use crate::safety::integrity::constants;
 use crate::units::{Acceleration, Coordinate, Rate};
 use follow::{Mover, MoverLimits};
@@ -169,6 +170,9 @@ impl Motion {
     /// Coordinates that a hand leads: a bit each.
     #[must_use]
     pub fn hand_mask(&self) -> u8 {
+        if !HAND {
+            return 0;
+        }
         let axes = self.sources[..self.axes].iter().enumerate();
         axes.fold(0, |mask, (axis, source)| {
             mask | u8::from(*source == Source::Master) << axis
