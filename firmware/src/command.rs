@@ -128,8 +128,14 @@ impl Controller {
             return Err(Refusal::ConfigCheck);
         }
         let problem = |field| Refusal::Config(ConfigProblem { field, axis: None });
-        let (config, rest) = postcard::take_from_bytes::<Config>(staged)
-            .map_err(|_| problem(ConfigField::Encoding))?;
+        // The check and the schema fit: what cannot be read is a part that this controller was built without.
+        let unreadable = if HAND {
+            ConfigField::Encoding
+        } else {
+            ConfigField::Haptic
+        };
+        let (config, rest) =
+            postcard::take_from_bytes::<Config>(staged).map_err(|_| problem(unreadable))?;
         if !rest.is_empty() {
             return Err(problem(ConfigField::Encoding));
         }
@@ -379,8 +385,10 @@ impl Controller {
             return Err(Refusal::NoHand);
         }
         machinery.hands.lead.release_one(usize::from(axis));
-        let jogs =
-            source == Source::Jog || machinery.motion.source(usize::from(axis)) == Source::Jog;
+        // Without a hand there is nothing that takes a coordinate over while it moves.
+        let jogs = !HAND
+            || source == Source::Jog
+            || machinery.motion.source(usize::from(axis)) == Source::Jog;
         if jogs && state == State::Run {
             return Err(Refusal::State(state));
         }

@@ -102,10 +102,10 @@ impl Config {
     fn check_hand(&self) -> Check {
         require(HAND || self.haptic.is_none(), ConfigField::Haptic, None)?;
         require(HAND || self.follow.is_none(), ConfigField::Follow, None)?;
-        let sound = self.haptic.as_ref().is_none_or(HapticConfig::is_sound);
+        let sound = !HAND || self.haptic.as_ref().is_none_or(HapticConfig::is_sound);
         let something = self.haptic.is_some() || !self.pose.is_empty();
         require(sound && something, ConfigField::Haptic, None)?;
-        let Some(follow) = &self.follow else {
+        let Some(follow) = self.follow.as_ref().filter(|_| HAND) else {
             return Ok(());
         };
         require(

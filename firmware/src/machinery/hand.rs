@@ -210,6 +210,9 @@ impl Machinery {
 
     pub(super) fn digest_hand(&self, digest: &mut Digest) {
         const { assert!(HAND_PART < super::PARTS) };
+        if !HAND {
+            return;
+        }
         digest.add(&(&self.config.haptic, &self.config.follow));
         digest.add(&(self.hands.periods_per_second, self.hands.stale));
         if let Some(arm) = self.hands.arm() {

@@ -94,7 +94,9 @@ impl Motion {
         self.axes = config.pose.len();
         let gain = config.follow.map_or(GAIN, |follow| follow.gain);
         for (bounds, axis) in self.bounds.iter_mut().zip(&config.pose) {
-            *bounds = MoverLimits::new(axis, gain, config.period_us).unwrap_or_default();
+            if HAND {
+                *bounds = MoverLimits::new(axis, gain, config.period_us).unwrap_or_default();
+            }
         }
     }
 
@@ -154,7 +156,7 @@ impl Motion {
         if before == Source::Jog || source == Source::Jog {
             self.jog.begin(&self.wanted.pose, true);
         }
-        if source != before {
+        if HAND && source != before {
             self.movers[axis] = if source == Source::Program {
                 let rate = rate.saturating_sub(self.program_rates[axis]);
                 Mover::at(Coordinate(self.offsets[axis]), rate, bounds)
@@ -196,7 +198,7 @@ impl Motion {
     /// Whether no mover is under way.
     #[must_use]
     pub fn movers_still(&self) -> bool {
-        self.movers[..self.axes].iter().all(Mover::is_still)
+        !HAND || self.movers[..self.axes].iter().all(Mover::is_still)
     }
 
     /// A coordinate that the hand leads where the machine cannot go; once until it goes on.
@@ -298,6 +300,9 @@ impl Motion {
 
     /// One period of the movers; a bit for each that was under way in it.
     fn follow(&mut self, halt: bool) -> u8 {
+        if !HAND {
+            return 0;
+        }
         let free = !(halt || self.confined || self.ending);
         let mut moving = 0;
         for axis in 0..self.axes {
@@ -363,7 +368,7 @@ impl Motion {
             match self.sources[axis] {
                 Source::Program => {
                     sweep.take(axis, &program, self.offsets[axis]);
-                    if !mover.is_still() {
+                    if HAND && !mover.is_still() {
                         let (low, high) = mover.sweep(None, bounds);
                         let of = |end: Coordinate, by: i64| i64::from(end.0) + by;
                         sweep.reach(axis, of(program.low.0[axis], low));
@@ -372,7 +377,7 @@ impl Motion {
                     allowed &= self.offsets[axis] == 0 || self.jog.allows(axis, &sweep);
                 }
                 Source::Jog => sweep.take(axis, &jog, 0),
-                Source::Master => {
+                Source::Master if HAND => {
                     let target = self.targets[axis].filter(|_| hand_goes_on);
                     let (low, high) = mover.sweep(target, bounds);
                     // A mover at rest stays in its place, to the last bit.
@@ -381,12 +386,12 @@ impl Motion {
                         sweep.reach(axis, high);
                     }
                 }
-                Source::Hold if !mover.is_still() => {
+                Source::Hold if HAND && !mover.is_still() => {
                     let (low, high) = mover.sweep(None, bounds);
                     sweep.reach(axis, low);
                     sweep.reach(axis, high);
                 }
-                Source::Hold => {}
+                Source::Hold | Source::Master => {}
             }
         }
         allowed && sweep.is_reachable(self.axes, machine)
