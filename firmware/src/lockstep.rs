@@ -31,7 +31,7 @@ use haptimill_protocol::message::State;
 /// Words of a frame to the board.
 const TO_BOARD_WORDS: usize = 56;
 /// Words of a frame from the board.
-const FROM_BOARD_WORDS: usize = 93;
+const FROM_BOARD_WORDS: usize = 105;
 /// Bytes of a frame to the board.
 pub const TO_BOARD_BYTES: usize = 4 * TO_BOARD_WORDS;
 /// Bytes of a frame from the board.
@@ -415,10 +415,12 @@ fn put_done(words: &mut Words<FROM_BOARD_WORDS>, done: &Done) {
         &reading.drive,
     ];
     let force = &reading.force;
+    let hand = &reading.hand;
     let forces = [&force.high, &force.low, &force.yielded];
+    let hands = [&hand.tip, &hand.force, &hand.reflected, &hand.wall];
     rows.into_iter()
         .flatten()
-        .chain(forces.into_iter().flatten())
+        .chain(forces.into_iter().chain(hands).flatten())
         .for_each(|&value| words.put(value as u32));
 }
 
@@ -485,10 +487,17 @@ fn take_done(words: &mut Words<FROM_BOARD_WORDS>) -> Result<Done, FrameError> {
     ];
     let force = &mut reading.force;
     let forces = [&mut force.high, &mut force.low, &mut force.yielded];
+    let hand = &mut reading.hand;
+    let hands = [
+        &mut hand.tip,
+        &mut hand.force,
+        &mut hand.reflected,
+        &mut hand.wall,
+    ];
     for value in rows
         .into_iter()
         .flatten()
-        .chain(forces.into_iter().flatten())
+        .chain(forces.into_iter().chain(hands).flatten())
     {
         *value = words.take() as i32;
     }

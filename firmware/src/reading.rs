@@ -45,6 +45,8 @@ pub struct Reading {
     pub drive: Axes,
     /// What is felt, on a machine with a force sensor.
     pub force: ForceReading,
+    /// The hand, on a machine with a haptic arm.
+    pub hand: HandReading,
 }
 
 /// What the controller knows of the force on the tool; zeros on a machine without a sensor.
@@ -56,6 +58,19 @@ pub struct ForceReading {
     pub low: [i32; COMPONENTS],
     /// By how much the tool yields, p_c, 2^-20 mm.
     pub yielded: [i32; COMPONENTS],
+}
+
+/// What the controller knows of the hand on its haptic arm; zeros on a machine without.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct HandReading {
+    /// The tip, 2^-20 mm.
+    pub tip: [i32; COMPONENTS],
+    /// What the arm does to the hand, 2^-16 N.
+    pub force: [i32; COMPONENTS],
+    /// What the law of reflection alone makes of the force on the tool, 2^-16 N.
+    pub reflected: [i32; COMPONENTS],
+    /// What the virtual walls push, 2^-16 N.
+    pub wall: [i32; COMPONENTS],
 }
 
 impl Controller {
@@ -87,6 +102,9 @@ impl Controller {
                 low: extremes.map(|extremes| extremes.other().0),
                 yielded: force.displacements().map(|by| by.length().0),
             };
+        }
+        if let Some(arm) = &machinery.hands.arm {
+            reading.hand = arm.reading();
         }
         for (axis, joint) in machinery.joints().enumerate().take(MAX_AXES) {
             reading.joints_wanted[axis] = joint.wanted.0;

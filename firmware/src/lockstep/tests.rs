@@ -1,5 +1,5 @@
 use super::*;
-use crate::reading::ForceReading;
+use crate::reading::{ForceReading, HandReading};
 use haptimill_protocol::message::MAX_AXES;
 use proptest::prelude::*;
 
@@ -49,12 +49,14 @@ prop_compose! {
         (setpoint, path_rate, spindle_rpm, program_time) in any::<(u32, u16, i16, u64)>(),
         rows: [[i32; MAX_AXES]; 5],
         [high, low, yielded]: [[i32; 3]; 3],
+        [tip, felt, reflected, wall]: [[i32; 3]; 4],
     ) -> Reading {
         let [wanted, joints_wanted, joints, following_error, drive] = rows;
         Reading {
             state, homed, position_kept, fault, more, queued, setpoint, path_rate, spindle_rpm, program_time,
             wanted, joints_wanted, joints, following_error, drive,
             force: ForceReading { high, low, yielded },
+            hand: HandReading { tip, force: felt, reflected, wall },
         }
     }
 }

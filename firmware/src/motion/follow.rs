@@ -9,6 +9,7 @@
 //! Units as in [`super::jog`]: 2^-20 axis units (per period). Misuse: a target beyond the bounds of the coordinate. The mover stops where it is told; whoever tells it holds the target within them.
 
 use super::Wanted;
+use super::jog::{per_period, slope};
 use crate::config::PoseAxis;
 use crate::safety::integrity::constants;
 use crate::units::root::Root;
@@ -55,32 +56,40 @@ impl MoverLimits {
     #[must_use]
     #[cold]
     pub fn new(axis: &PoseAxis, gain: u16, period_us: u16) -> Option<Self> {
-        let period = i128::from(period_us);
-        // (au/s^2) (us)^2 / 10^12, (au/s) us / 10^6; wide arithmetic costs nothing here.
-        let step = ((i128::from(axis.acceleration.0) * period * period) << (8 + FRACTION))
-            / 1_000_000_000_000;
-        let rate = ((i128::from(axis.rate.0) * period) << FRACTION) / 1_000_000;
-        let pull = ((i128::from(gain) * period) << 32) / 1_000_000;
-        if step < 8 || rate < 1 || period_us == 0 || !(1..=1000).contains(&gain) || pull >= 1 << 31
-        {
+        let step = slope(axis.acceleration, period_us)?;
+        let rate = per_period(i64::from(axis.rate.0), period_us);
+        if !(8..1 << 41).contains(&step) || rate < 1 || !(1..=1000).contains(&gain) {
+            return None;
+        }
+        // k T, below 2^20 * 2^32 / 10^6.
+        let pull = ((u64::from(gain) * u64::from(period_us)) << 32) / 1_000_000;
+        if !(1 << 10..1 << 31).contains(&pull) {
             return None;
         }
         let gentle = step * 7 / 8;
-        // a' / (k T)^2, and where the root comes to the largest rate.
-        let bend = ((gentle << 62) / (pull * pull)) << 2;
-        let far = (rate * rate / (2 * gentle) + bend / 2).max(bend);
-        let bits = 128 - (rate * rate).max(2 * gentle * bend).leading_zeros();
+        // a' / k T / k T, each quotient below 2^63; the first one ends at 2 mm in a period, which nothing does.
+        let coarse = pull as i64 >> 10;
+        let bend = ((((gentle << 22) / coarse).min(1 << 41)) << 22) / coarse.max(1);
+        // Where the root comes to the largest rate, v^2 / 2 a' farther: v with 31 bits.
+        let spare = (64 - rate.leading_zeros()).saturating_sub(31);
+        let whole = rate >> spare;
+        let reach = (whole * whole / (2 * gentle)).min(1 << (52 - 2 * spare)) << (2 * spare);
+        let far = (reach + bend / 2).max(bend);
+        let mut shift = 0;
+        while (far >> (2 * shift)) > (1 << 61) / (2 * gentle) {
+            shift += 1;
+        }
         Some(Self {
-            step: i64::try_from(step).ok()?,
-            rate: i64::try_from(rate).ok()?,
+            step,
+            rate,
             pull: pull as u32,
-            bend: i64::try_from(bend).ok()?,
-            far: i64::try_from(far).ok()?,
-            twice: i64::try_from(2 * gentle).ok()?,
-            shift: bits.saturating_sub(60).div_ceil(2),
+            bend,
+            far,
+            twice: 2 * gentle,
+            shift,
             low: i64::from(axis.low.0) << FRACTION,
             high: i64::from(axis.high.0) << FRACTION,
-            periods_per_second: 1_000_000 / i64::from(period_us),
+            periods_per_second: 1_000_000 / i64::from(period_us.max(1)),
         })
     }
 

@@ -74,10 +74,12 @@ pub struct Motion {
     limited: Option<u8>,
     /// The job is over: what follows the hand comes to rest.
     ending: bool,
+    /// The wanted pose is another one than the program's, whose setpoints were checked when they were taken.
+    led_otherwise: bool,
 }
 
 constants!(Motion { axes, bounds } of { program, jog } but {
-    wanted, sources, offsets, movers, program_rates, targets, confined, told, limited, ending
+    wanted, sources, offsets, movers, program_rates, targets, confined, told, limited, ending, led_otherwise
 });
 
 /// Gain of the movers of a machine that no hand leads, 1/s: they only brake.
@@ -97,6 +99,7 @@ impl Motion {
 
     /// The wanted pose.
     #[must_use]
+    #[inline]
     pub const fn wanted(&self) -> &Wanted {
         &self.wanted
     }
@@ -129,6 +132,7 @@ impl Motion {
         self.offsets = [0; MAX_AXES];
         self.jog.begin(&self.wanted.pose, true);
         self.stand();
+        self.note_leaders();
     }
 
     /// Begins jogging at the wanted pose; `limited` says whether soft limits count.
@@ -141,6 +145,9 @@ impl Motion {
         let Some(before) = self.sources.get(axis).copied() else {
             return;
         };
+        if !self.led_otherwise {
+            self.program_rates = self.wanted.rates;
+        }
         let bounds = &self.bounds[axis];
         let (place, rate) = (self.wanted.pose.0[axis], self.wanted.rates[axis]);
         if before == Source::Jog || source == Source::Jog {
@@ -156,6 +163,7 @@ impl Motion {
         }
         self.sources[axis] = source;
         self.targets[axis] = None;
+        self.note_leaders();
     }
 
     /// Coordinates that a hand leads: a bit each.
@@ -201,6 +209,7 @@ impl Motion {
     /// All coordinates are led by the program again; only while the machine is at rest.
     pub fn reset_sources(&mut self) {
         self.sources = [Source::Program; MAX_AXES];
+        self.note_leaders();
     }
 
     /// Where the machine would stand if the program were at `pose`: with offsets, and with coordinates that the program does not lead.
@@ -222,25 +231,34 @@ impl Motion {
         self.sources[..self.axes].contains(&Source::Jog)
     }
 
-    /// One period. The number is a coordinate whose jog was kept from going on.
-    pub fn advance(&mut self, mode: Mode, machine: &impl Kinematics) -> (Progress, Option<u8>) {
+    /// One period of what is nearly always: nothing moves, or a program alone. `None` where it is something else, for [`Motion::advance`].
+    #[inline]
+    pub fn advance_alone(&mut self, mode: Mode) -> Option<Progress> {
         match mode {
             Mode::Still => {
                 self.wanted.rates = Rates::default();
                 self.wanted.accelerations = Accelerations::default();
-                (Progress::default(), None)
+                Some(Progress::default())
             }
-            Mode::Jog => {
+            Mode::Program { halt } if !self.led_otherwise => {
+                Some(self.program.advance_to(halt, &mut self.wanted))
+            }
+            _ => None,
+        }
+    }
+
+    /// One period. The number is a coordinate whose jog was kept from going on.
+    pub fn advance(&mut self, mode: Mode, machine: &impl Kinematics) -> (Progress, Option<u8>) {
+        if let Some(progress) = self.advance_alone(mode) {
+            return (progress, None);
+        }
+        match mode {
+            Mode::Still | Mode::Jog => {
                 let (wanted, limited) = self.jog.advance(machine);
                 self.wanted = wanted;
                 (Progress::default(), limited)
             }
             Mode::Program { halt } => {
-                if !self.led_otherwise() {
-                    let progress = self.program.advance_to(halt, &mut self.wanted);
-                    self.program_rates = self.wanted.rates;
-                    return (progress, None);
-                }
                 for axis in 0..self.axes {
                     if self.sources[axis] != Source::Jog {
                         self.jog.carry(axis, self.wanted.pose.0[axis]);
@@ -259,18 +277,19 @@ impl Motion {
                 for axis in 0..self.axes {
                     self.merge(axis, &program, &jog, moving & (1 << axis) != 0);
                 }
+                self.note_leaders();
                 (progress, clipped.or(limited))
             }
         }
     }
 
-    /// Whether the wanted pose is another one than the program's, whose setpoints were checked when they were taken.
-    fn led_otherwise(&self) -> bool {
-        self.sources[..self.axes]
+    /// After a change of a source or an offset.
+    fn note_leaders(&mut self) {
+        self.led_otherwise = self.sources[..self.axes]
             .iter()
             .any(|source| *source != Source::Program)
             || self.offsets.iter().any(|offset| *offset != 0)
-            || !self.movers_still()
+            || !self.movers_still();
     }
 
     /// One period of the movers; a bit for each that was under way in it.

@@ -1,7 +1,7 @@
 //! The hand on a haptic arm: where it is, and what it shall feel (spec h4-milling 2.2, 2.4, 3.4, 3.5).
 //!
 //! Two stages of the corridor are here. *Sense* ([`Haptic::sense`]): nine counters to the pose of the handle, and whether they can be believed. *Feel* ([`Haptic::feel`]): the force on the tool through the [`law`],
-//! the [`wall`]s, the damping that [`passivity`] asks for, not faster than the configured step in a period, through the statics of the arm to six currents, all clamped together so that
+//! the [`wall`]s, the damping that [`passivity`] and [`swing`] ask for, not faster than the configured step in a period, through the statics of the arm to six currents, all clamped together so that
 //! the direction stays. What is sensed of a force in a period is felt in the next: outputs take effect at its beginning.
 //!
 //! The force that is reflected is the peak that force control works on: high forces are what the hand shall know of (spec 3.3), it rises in the period in which it was sampled, and a hand cannot follow the ripple of the teeth.
@@ -12,17 +12,19 @@
 //! | forces | 2^-16 N; the force on the tool, and what the arm does to the hand |
 //! | torques of the motors | N mm, in f32, where the statics are |
 //!
-//! A problem with the arm takes its motors off in the period in which it is seen, and they stay off until [`Haptic::reset`]. Misuse: [`Haptic::feel`] without [`Haptic::sense`] before it in the same period.
+//! A problem with the arm takes its motors off in the period in which it is seen, and they stay off until [`Haptic::reset`]; one that comes and goes while they are off anyway is only told. Misuse: [`Haptic::feel`] without [`Haptic::sense`] before it in the same period.
 
 pub mod config;
 pub mod law;
 pub mod lead;
 pub mod passivity;
+pub mod swing;
 pub mod wall;
 
 use crate::io::{HapticInputs, HapticOutputs, LEGS};
 use crate::kinematics::haptic::{ArmError, HandPose, HapticArm, LegReading};
 use crate::kinematics::haptic_statics::Wrench;
+use crate::reading::HandReading;
 use crate::safety::integrity::{Constants, Digest, constants};
 use crate::units::force::Force;
 use crate::units::scale::{product, saturate};
@@ -33,6 +35,7 @@ use law::Law;
 use lead::Frame;
 use motors::Motors;
 use passivity::Passivity;
+use swing::Swings;
 use wall::{TooSmall, Walls};
 
 mod motors;
@@ -85,6 +88,7 @@ pub struct Haptic {
     law: Law,
     walls: Walls,
     passivity: Passivity,
+    swings: Swings,
     /// Counts at the presets.
     zero: [[i32; 3]; LEGS],
     illegal: [[u16; 3]; LEGS],
@@ -103,12 +107,14 @@ pub struct Haptic {
     wall: [Force; COMPONENTS],
     enabled: bool,
     problem: Option<HandProblem>,
+    /// It stays until it is reset.
+    latched: bool,
     /// The problem has not been told.
     fresh: bool,
 }
 
 constants!(Haptic { arm, sensors, motors, illegal_most, smoothing, step, periods_per_second, blend_step, feel_periods } of {} but {
-    law, walls, passivity, zero, illegal, pose, tip, moved, rates, engaged, ready, blend, afar, force, reflected, wall, enabled, problem, fresh
+    law, walls, passivity, swings, zero, illegal, pose, tip, moved, rates, engaged, ready, blend, afar, force, reflected, wall, enabled, problem, latched, fresh
 });
 
 impl Haptic {
@@ -146,6 +152,7 @@ impl Haptic {
             law: Law::new(&config.reflection, period_us),
             walls: Walls::new(&config.wall, config.ball, period_us),
             passivity: Passivity::new(&config.passivity, period_us),
+            swings: Swings::new(&config.passivity, period_us),
             zero: inputs.legs.map(|leg| leg.counts),
             illegal: inputs.legs.map(|leg| leg.illegal),
             pose: None,
@@ -161,6 +168,7 @@ impl Haptic {
             wall: [Force::ZERO; COMPONENTS],
             enabled: false,
             problem: None,
+            latched: false,
             fresh: false,
         };
         haptic.sense(inputs);
@@ -199,7 +207,7 @@ impl Haptic {
             Err(problem) => {
                 self.pose = None;
                 self.rates = [0; COMPONENTS];
-                self.raise(problem);
+                self.raise(problem, self.enabled);
             }
         }
     }
@@ -256,13 +264,17 @@ impl Haptic {
         }
         self.tip = pose.tip;
         self.pose = Some(pose);
+        if !self.latched {
+            self.problem = None;
+        }
     }
 
-    fn raise(&mut self, problem: HandProblem) {
+    fn raise(&mut self, problem: HandProblem, latched: bool) {
         if self.problem.is_none() {
             self.problem = Some(problem);
             self.fresh = true;
         }
+        self.latched |= latched;
     }
 
     /// A problem that was not told yet.
@@ -280,6 +292,7 @@ impl Haptic {
     /// The problem was looked after. What is still wrong is found again.
     pub const fn reset(&mut self) {
         self.problem = None;
+        self.latched = false;
         self.fresh = false;
     }
 
@@ -317,7 +330,7 @@ impl Haptic {
         outputs: &mut HapticOutputs,
     ) {
         if powered && !self.ready {
-            self.raise(HandProblem::Drive);
+            self.raise(HandProblem::Drive, true);
         }
         let Some(pose) = self
             .pose
@@ -342,17 +355,19 @@ impl Haptic {
         self.wall = self.walls.push(&pose.tip);
         self.passivity
             .observe(&self.force, &self.moved, self.walls.stored());
+        let swings = self.swings.watch(&self.force, &self.moved, &rates);
         let damping = self.passivity.damp(&rates);
         let mut force = self.force;
         for (axis, force) in force.iter_mut().enumerate() {
             // Each is below 2^28 but the damping, which is saturated.
             let wanted = damping[axis]
                 .0
+                .saturating_add(swings[axis].0)
                 .saturating_add(self.reflected[axis].0 + self.wall[axis].0);
             let change = wanted.saturating_sub(force.0).clamp(-self.step, self.step);
             force.0 += change;
         }
-        let wrench = Wrench::of(&force);
+        let wrench = Wrench::at_tip(&force, pose);
         match self.motors.currents(&self.arm, pose, &wrench) {
             Ok((currents, share)) => {
                 outputs.enabled = true;
@@ -363,7 +378,7 @@ impl Haptic {
                     .map(|force| Force(saturate((i64::from(force.0) * i64::from(share)) >> 16)));
             }
             Err(_) => {
-                self.raise(HandProblem::Singular);
+                self.raise(HandProblem::Singular, true);
                 self.let_go(outputs);
             }
         }
@@ -378,6 +393,7 @@ impl Haptic {
         self.reflected = self.force;
         self.wall = self.force;
         self.passivity.reset();
+        self.swings.reset();
     }
 
     /// Other settings of the reflection.
@@ -410,6 +426,18 @@ impl Haptic {
     #[must_use]
     pub const fn pose(&self) -> Option<&HandPose> {
         self.pose.as_ref()
+    }
+
+    /// What recorders want to know.
+    #[must_use]
+    pub fn reading(&self) -> HandReading {
+        let raw = |forces: &[Force; COMPONENTS]| forces.map(|force| force.0);
+        HandReading {
+            tip: self.tip,
+            force: raw(&self.force),
+            reflected: raw(&self.reflected),
+            wall: raw(&self.wall),
+        }
     }
 
     /// How the hand stands.

@@ -29,6 +29,8 @@ pub struct Bed {
     /// Leg and sensor that shows something else: what it makes of the true reading in counts.
     #[allow(clippy::type_complexity, reason = "one fault, once")]
     pub lie: Option<(usize, usize, fn(i32) -> i32)>,
+    /// Codes of the force sensor, give or take one; none is connected without.
+    pub codes: Option<[i16; 3]>,
     home: [[f64; 3]; 3],
 }
 
@@ -58,6 +60,7 @@ impl Bed {
             centre: HOME,
             turn,
             lie: None,
+            codes: None,
             home: inverse(HOME, turn).expect("home"),
         }
     }
@@ -107,6 +110,10 @@ impl Bed {
         self.move_axes();
         self.move_arm();
         self.inputs.period += 1;
+        // Sampled in every period, whether anyone looks or not.
+        let noise = (self.inputs.period * 7 % 3) as i16 - 1;
+        self.inputs.force.codes = self.codes.unwrap_or_default().map(|code| code + noise);
+        self.inputs.force.conversions = self.inputs.force.conversions.wrapping_add(1);
         self.inputs.time_ns = self.inputs.time_ns.wrapping_add(200_000);
         let now_us = self.inputs.period * 200;
         let mut room = [0; 64];

@@ -12,6 +12,10 @@ use arm::{rotation, times};
 use bed::Bed;
 use haptimill_checks::reference;
 use haptimill_firmware::config::Config;
+use haptimill_firmware::force::conditioning::{Channel, Sensor};
+use haptimill_firmware::force::{ForceConfig, Gate, LoopSettings};
+use haptimill_firmware::units::force::{Force, VirtualDamping, VirtualMass};
+use haptimill_firmware::units::{Length, Rate};
 use haptimill_protocol::haptic::{Hand, HandProblem, ReflectAxis, Reflection, Wall};
 use haptimill_protocol::message::{Command, Event, Fault, Refusal, Request, Source, State};
 
@@ -499,13 +503,15 @@ fn virtual_walls_push_back_and_a_moving_one_goes_along() {
     bed.lead([-9.0, 0.0, 0.0], 5000);
     assert_eq!(force(&bed), 0.0);
     bed.lead([-6.0, 0.0, 0.0], 5000);
-    bed.steps(500);
+    // At rest: what watches the swings takes some tenths of a second to see that there is none.
+    bed.steps(4000);
     assert!((force(&bed) - 5.0 * 0.35).abs() < 0.02, "{}", force(&bed));
     bed.lead([-20.0, 0.0, 0.0], 9000);
-    bed.steps(500);
+    bed.steps(4000);
     assert!((force(&bed) - 5.5).abs() < 0.01, "{}", force(&bed));
     bed.lead([35.0, 0.0, 0.0], 9000);
-    assert_eq!(force(&bed), 0.0);
+    bed.steps(4000);
+    assert!(force(&bed).abs() < 0.01, "{}", force(&bed));
     // E6: from the handle, 4 mm/s in -X.
     let moving = Wall {
         at: None,
@@ -642,4 +648,104 @@ fn what_cannot_be_is_refused() {
     }
     assert_eq!(reference::master().check(), Ok(()));
     assert_eq!(mill().check(), Ok(()));
+}
+
+/// A sensor of +-100 N with 14 bits.
+fn sensor() -> ForceConfig {
+    let channel = || Channel {
+        per_code: (100.0 / 8192.0 * 65_536.0 * 65_536.0) as i32,
+        saturation: 7782,
+    };
+    let settings = LoopSettings {
+        desired: Force::millinewtons(5000),
+        mass: VirtualMass(1 << 16),
+        damping: VirtualDamping(5 << 16),
+        limit: Length::millimetres(10),
+        rate: Rate(10 << 20),
+        gate: Gate::AgainstMotion,
+    };
+    ForceConfig {
+        sensor: Sensor {
+            channels: [channel(), channel(), channel()],
+            silent_samples: 3,
+            stuck_samples: 500,
+            drift: Force::millinewtons(500),
+            limit: Force::millinewtons(80_000),
+            tare_samples: 256,
+            tare_spread: 30,
+            weight: Force::ZERO,
+        },
+        axes: [settings.clone(), settings.clone(), settings],
+        mask: 0,
+        drive_lag_us: 5000,
+        creep: Rate::ZERO,
+        slowest_rpm: 4000,
+    }
+}
+
+/// From the sensor here to the hand here: the currents of the period in which the force was sampled, and its law in steady contact.
+#[test]
+fn a_force_is_felt_in_the_period_in_which_it_was_sampled() {
+    let config = Config {
+        force: Some(sensor()),
+        ..mill()
+    };
+    let mut bed = Bed::ready(config);
+    bed.codes = Some([0; 3]);
+    assert_eq!(bed.ask(Command::Tare), Ok(()));
+    bed.steps(600);
+    assert!(bed.events.contains(&Event::Tared), "{:?}", bed.events);
+    master(&mut bed, 0);
+    bed.start_job();
+    bed.inputs.haptic.engaged = true;
+    bed.steps(1500);
+    let before = bed.outputs.haptic.currents;
+    // 5 N in x: 410 codes.
+    bed.codes = Some([410, 0, 0]);
+    bed.step();
+    assert_ne!(bed.outputs.haptic.currents, before);
+    let felt = |bed: &Bed| {
+        let arm = bed
+            .controller
+            .machinery()
+            .expect("configured")
+            .hands
+            .arm
+            .as_ref()
+            .expect("an arm");
+        f64::from(arm.force()[0].0) / 65_536.0
+    };
+    assert!((felt(&bed) - 0.05).abs() < 0.02, "{}", felt(&bed));
+    bed.steps(200);
+    assert!((felt(&bed) - 2.0).abs() < 0.05, "{}", felt(&bed));
+    // Lifted, the handle is free; nothing jumps.
+    bed.inputs.haptic.engaged = false;
+    let mut last = felt(&bed);
+    for _ in 0..1000 {
+        bed.step();
+        assert!((felt(&bed) - last).abs() <= 0.0501);
+        last = felt(&bed);
+    }
+    assert!(last.abs() < 0.01);
+}
+
+/// While the drives are off a problem is told, and gone when it is gone.
+#[test]
+fn a_problem_without_power_is_only_told() {
+    let mut bed = Bed::new(mill());
+    assert_eq!(bed.configure(), Ok(()));
+    bed.lie = Some((0, 0, |counts| counts + 3000));
+    bed.steps(50);
+    assert!(
+        bed.events
+            .iter()
+            .any(|event| matches!(event, Event::Hand(HandProblem::Encoder { leg: 0, .. }))),
+        "{:?}",
+        bed.events
+    );
+    bed.lie = None;
+    bed.steps(5);
+    assert_eq!(bed.ask(Command::Enable), Ok(()));
+    bed.steps(5);
+    assert!(bed.outputs.haptic.enabled && bed.state() == State::Idle);
 }

@@ -31,26 +31,26 @@ pub struct Rail {
 
 impl Rail {
     const fn stiffness() -> f64 {
-        50.0
+        300.0
     }
 
     const fn damping() -> f64 {
-        0.15
+        0.4
     }
 
     const fn turn_stiffness() -> f64 {
-        2e5
+        2e6
     }
 
     const fn turn_damping() -> f64 {
-        250.0
+        1000.0
     }
 
     const fn coulomb() -> f64 {
         0.2
     }
 
-    /// A rail along a direction: 50 N/mm across, 0.2 N of friction along. Chosen.
+    /// A rail along a direction: 300 N/mm across and 2 kN m/rad against turning, as a small linear guide has, 0.2 N of friction along. Chosen.
     pub const fn along(direction: [f64; 3]) -> Self {
         Self {
             direction,

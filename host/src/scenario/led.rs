@@ -53,13 +53,13 @@ impl PartialEq for Led {
 /// Why a scenario with a hand is not run.
 pub const NO_HAPTIC_ARM: &str = "this machine has no haptic arm";
 
-/// The handle along a rail towards -X, 30 mm, to and fro as often as there are times; a person who begins gently.
+/// The handle along a rail towards -X, 30 mm, to and fro as often as there are times; a person who begins gently and is fastest late, as the thesis's (E8: 3 to 4.5 s).
 fn strokes(times: &[f64]) -> Intention {
     let stroke = |(index, at_s): (usize, &f64)| Stroke {
         at_s: *at_s,
         to_mm: [if index % 2 == 0 { -30.0 } else { 0.0 }, 0.0, 0.0],
-        pace_mm_s: 12.0,
-        ramp_s: 2.0,
+        pace_mm_s: 14.0,
+        ramp_s: 3.0,
     };
     Intention::Strokes(times.iter().enumerate().map(stroke).collect())
 }
@@ -107,7 +107,7 @@ pub fn round() -> Intention {
         centre_mm: part.centre_mm,
         radius_mm: part.path_radius(),
         turns: -1.0,
-        pace_mm_s: 6.0,
+        pace_mm_s: 5.5,
         ramp_s: 1.0,
         press_n: 2.0,
     })

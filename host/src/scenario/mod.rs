@@ -94,6 +94,14 @@ pub struct Pass {
     pub led: Option<Led>,
 }
 
+impl Pass {
+    /// Whether the tool does anything: at the wall of E6 only the hand moves.
+    #[must_use]
+    pub fn cuts(&self) -> bool {
+        self.led.is_none_or(|led| !led.axes.is_empty())
+    }
+}
+
 /// An experiment.
 #[derive(Clone)]
 pub struct Scenario {

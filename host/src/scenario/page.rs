@@ -57,7 +57,8 @@ pub fn page(scenario: &Scenario, cuts: &[Cut], result: &Result) -> String {
         _ => ("<div class=\"pair\">", "</div>", 440.0),
     };
     page.push_str(open);
-    for (pass, cut) in scenario.passes.iter().zip(cuts) {
+    let passes = || scenario.passes.iter().zip(cuts);
+    for (pass, cut) in passes().filter(|(pass, _)| pass.cuts()) {
         let of = if pass.title.is_empty() {
             String::new()
         } else {
@@ -68,10 +69,10 @@ pub fn page(scenario: &Scenario, cuts: &[Cut], result: &Result) -> String {
         page.push_str("</div>");
     }
     page.push_str(close);
-    for (pass, cut) in scenario.passes.iter().zip(cuts) {
+    for (pass, cut) in passes() {
         led_page::curves(&mut page, pass, cut);
     }
-    for (pass, cut) in scenario.passes.iter().zip(cuts) {
+    for (pass, cut) in passes().filter(|(pass, _)| pass.cuts()) {
         curves(&mut page, pass, cut);
     }
     files(&mut page, scenario, result);
