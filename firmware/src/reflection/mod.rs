@@ -355,7 +355,8 @@ impl Haptic {
         self.wall = self.walls.push(&pose.tip);
         self.passivity
             .observe(&self.force, &self.moved, self.walls.stored());
-        let swings = self.swings.watch(&self.force, &self.moved, &rates);
+        let stored = self.walls.stored();
+        let swings = self.swings.watch(&self.force, &self.moved, &rates, stored);
         let damping = self.passivity.damp(&rates);
         let mut force = self.force;
         for (axis, force) in force.iter_mut().enumerate() {

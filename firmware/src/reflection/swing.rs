@@ -2,7 +2,7 @@
 //!
 //! A hand that leads a cut is opposed by a force that grows with its speed and comes late: tool, cut, the peak over a revolution. On a light hand that swings, at some 5 to 10 Hz and by half a millimetre, although the hand
 //! as a whole puts in 20 mW all the time. The watch over the whole energy ([`super::passivity`]) credits it with them and sees nothing: a swing takes 1 N mm. So the same observer and controller are used once more, on force and motion
-//! without their slow parts, which are means over some tenth of a second. In a steady cut both are nothing; slow swings, of a hand afar, are those of the whole energy.
+//! without their slow parts, which are means over some tenth of a second. In a steady cut both are nothing, and at rest there is no damping; slow swings, of a hand afar, are those of the whole energy.
 //!
 //! Units as in [`super::passivity`].
 
@@ -65,18 +65,23 @@ impl Swings {
         self.rates = self.force;
     }
 
-    /// Once a period: `force` acted while the tip moved by `moved` (2^-20 mm), it moves at `rates` now. Gives the force against what swings of that.
+    /// Once a period: `force` acted while the tip moved by `moved` (2^-20 mm), it moves at `rates` now, and the virtual walls hold `stored`. Gives the force against what swings of that.
     pub fn watch(
         &mut self,
         force: &[Force; COMPONENTS],
         moved: &[i32; COMPONENTS],
         rates: &[Rate; COMPONENTS],
+        stored: i64,
     ) -> [Force; COMPONENTS] {
         let shift = self.shift;
         let force = core::array::from_fn(|axis| Force(self.force[axis].of(force[axis].0, shift)));
         let moved = core::array::from_fn(|axis| self.moved[axis].of(moved[axis], shift));
-        self.watch.observe(&force, &moved, 0);
-        let rates = core::array::from_fn(|axis| Rate(self.rates[axis].of(rates[axis].0, shift)));
+        self.watch.observe(&force, &moved, stored);
+        // A hand that has stopped is not damped, though its slow part goes on for a while: no more than it moves.
+        let rates = core::array::from_fn(|axis| {
+            let most = rates[axis].0.saturating_abs();
+            Rate(self.rates[axis].of(rates[axis].0, shift).clamp(-most, most))
+        });
         self.watch.damp(&rates)
     }
 }
@@ -107,6 +112,7 @@ mod tests {
                     &[Force((force * 65_536.0) as i32), Force(0), Force(0)],
                     &[(rate * 200e-6 * 1_048_576.0) as i32, 0, 0],
                     &[Rate((rate * 1_048_576.0) as i32), Rate(0), Rate(0)],
+                    0,
                 );
                 if period > 10_000 {
                     most = most.max(got[0].0.abs());

@@ -510,8 +510,10 @@ fn virtual_walls_push_back_and_a_moving_one_goes_along() {
     bed.steps(4000);
     assert!((force(&bed) - 5.5).abs() < 0.01, "{}", force(&bed));
     bed.lead([35.0, 0.0, 0.0], 9000);
-    bed.steps(4000);
-    assert!(force(&bed).abs() < 0.01, "{}", force(&bed));
+    // Thrown back by the wall, the hand may be damped while it moves.
+    assert!(force(&bed).abs() < 0.5);
+    bed.steps(500);
+    assert_eq!(force(&bed), 0.0);
     // E6: from the handle, 4 mm/s in -X.
     let moving = Wall {
         at: None,
