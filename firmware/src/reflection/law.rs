@@ -3,7 +3,7 @@
 //! Each axis reflects a percentage of the force on the tool, with its sign, up to a limit. Where that is too weak to be felt (below 2 N), a tenth of a newton for each mm/s of the hand is added against its
 //! motion. The boost fades out over the last half newton below that threshold, so nothing steps; it only ever takes energy from the hand.
 //!
-//! Forces 2^-16 N, rates 2^-20 mm/s. New settings are approached at [`RAMP_US`] for the whole range. Misuse: the force on the work instead of the one on the tool: the hand would be pulled into the cut.
+//! Forces 2^-16 N, rates 2^-20 mm/s. New settings are approached at `RAMP_US` for the whole range. Misuse: the force on the work instead of the one on the tool: the hand would be pulled into the cut.
 
 use crate::units::Rate;
 use crate::units::force::Force;

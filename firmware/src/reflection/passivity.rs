@@ -5,7 +5,7 @@
 //! fifty swings). What the virtual walls store is added to the cap, because they are springs that give it back.
 //!
 //! *Controller.* Where more came out than went in there is debt. Damping in proportion to it acts against the hand's motion, whole at [`PassivityConfig::debt`] and beyond. At rest it is nothing, so in steady contact the
-//! force is that of the law, whatever the debt. More than [`COUNTED`] times that debt is not counted, and a debt is forgiven over [`FORGET_US`]: a soft hand that is pushed back by a force takes energy that it will keep. So
+//! force is that of the law, whatever the debt. More than `COUNTED` times that debt is not counted, and a debt is forgiven over `FORGET_US`: a soft hand that is pushed back by a force takes energy that it will keep. So
 //! at most some milliwatts come out for long, which a hand's own damping takes.
 //!
 //! A passive arm on a passive hand cannot swing up; that is all there is to know of hand, contact, mill and delay. `tests/reflection_loop.rs` sweeps them.

@@ -1,6 +1,6 @@
 //! `haptimill console`: one operator, one screen, one machine, whatever becomes of terminal and line.
 //!
-//! Three threads. This one owns the port and everything that is known ([`desk`]); one reads keys; one draws. Keys never wait for the port or for the screen, the
+//! Three threads. This one owns the port and everything that is known (`desk`); one reads keys; one draws. Keys never wait for the port or for the screen, the
 //! port never waits for the screen. Built with the feature `console` only.
 //!
 //! | file | |
