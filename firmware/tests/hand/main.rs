@@ -530,8 +530,8 @@ fn virtual_walls_push_back_and_a_moving_one_goes_along() {
     // 20 mm in a second, the wall 4 mm behind: 16 mm ahead of it, 5.5 N at the most.
     assert!((force(&bed) - 5.5).abs() < 0.15, "{}", force(&bed));
     bed.lead([-1.0, 0.0, 0.0], 5000);
-    // It comes after: 13 mm.
-    assert!((force(&bed) - 13.0 * 0.35).abs() < 0.15, "{}", force(&bed));
+    // It comes after: 13 mm; and the whole damping of a hand at 1 mm/s is 0.3 N.
+    assert!((force(&bed) - 13.0 * 0.35).abs() < 0.3, "{}", force(&bed));
 }
 
 #[test]
