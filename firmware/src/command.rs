@@ -7,6 +7,7 @@ use crate::force::{ForceControl, ForceLoop, LoopSettings};
 use crate::io::Inputs;
 use crate::kinematics::{Kinematics, Pose};
 use crate::machinery::Machinery;
+use crate::machinery::hand::HAND;
 use crate::reflection::Haptic;
 use crate::reflection::config::scale_is_sound;
 use crate::reflection::law;
@@ -127,8 +128,14 @@ impl Controller {
             return Err(Refusal::ConfigCheck);
         }
         let problem = |field| Refusal::Config(ConfigProblem { field, axis: None });
-        let (config, rest) = postcard::take_from_bytes::<Config>(staged)
-            .map_err(|_| problem(ConfigField::Encoding))?;
+        // The check and the schema fit: what cannot be read is a part that this controller was built without.
+        let unreadable = if HAND {
+            ConfigField::Encoding
+        } else {
+            ConfigField::Haptic
+        };
+        let (config, rest) =
+            postcard::take_from_bytes::<Config>(staged).map_err(|_| problem(unreadable))?;
         if !rest.is_empty() {
             return Err(problem(ConfigField::Encoding));
         }
@@ -207,7 +214,7 @@ impl Controller {
             machinery.absorb();
         }
         if let Some(machinery) = &mut self.machinery
-            && let Some(arm) = &mut machinery.hands.arm
+            && let Some(arm) = machinery.hands.arm_mut()
         {
             arm.reset();
         }
@@ -373,13 +380,15 @@ impl Controller {
         if usize::from(axis) >= machinery.axes() {
             return Err(Refusal::Range);
         }
-        let follows = machinery.config.follow.is_some() && usize::from(axis) < LED;
+        let follows = HAND && machinery.config.follow.is_some() && usize::from(axis) < LED;
         if source == Source::Master && !follows {
             return Err(Refusal::NoHand);
         }
         machinery.hands.lead.release_one(usize::from(axis));
-        let jogs =
-            source == Source::Jog || machinery.motion.source(usize::from(axis)) == Source::Jog;
+        // Without a hand there is nothing that takes a coordinate over while it moves.
+        let jogs = !HAND
+            || source == Source::Jog
+            || machinery.motion.source(usize::from(axis)) == Source::Jog;
         if jogs && state == State::Run {
             return Err(Refusal::State(state));
         }
@@ -403,12 +412,12 @@ impl Controller {
 
     fn haptic(&mut self) -> Result<&mut Haptic, Refusal> {
         let machinery = self.configured()?;
-        machinery.hands.arm.as_mut().ok_or(Refusal::NoHand)
+        machinery.hands.arm_mut().ok_or(Refusal::NoHand)
     }
 
     /// Epochs as those of jogs.
     fn hear_hand(&mut self, epoch: u16, age_ms: u8, hand: &Hand) -> Done {
-        if self.configured()?.config.follow.is_none() {
+        if !HAND || self.configured()?.config.follow.is_none() {
             return Err(Refusal::NoHand);
         }
         let newest = self.job.hand_epoch;
@@ -450,7 +459,7 @@ impl Controller {
     /// The tool does not jump: hand and tool are latched anew.
     fn set_hand_scale(&mut self, scale: u16) -> Done {
         let machinery = self.configured()?;
-        if machinery.config.follow.is_none() {
+        if !HAND || machinery.config.follow.is_none() {
             return Err(Refusal::NoHand);
         }
         if !scale_is_sound(scale) {

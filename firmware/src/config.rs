@@ -34,8 +34,10 @@ pub struct Config {
     /// Force sensor and force control, if the machine has them.
     pub force: Option<ForceConfig>,
     /// How the tool follows a hand, if one can lead it.
+    #[cfg_attr(not(feature = "hand"), serde(deserialize_with = "absent"))]
     pub follow: Option<FollowConfig>,
     /// The haptic arm, if there is one.
+    #[cfg_attr(not(feature = "hand"), serde(deserialize_with = "absent"))]
     pub haptic: Option<HapticConfig>,
 }
 
@@ -229,4 +231,16 @@ pub struct Homing {
     pub rate: Rate,
     /// Rate of rotary coordinates.
     pub table_rate: Rate,
+}
+
+/// A part that this controller was built without: it is not there, or the configuration cannot be read. Nothing of the part is decoded, which saves the code for it.
+#[cfg(not(feature = "hand"))]
+fn absent<'de, D: serde::Deserializer<'de>, T>(deserializer: D) -> Result<Option<T>, D::Error> {
+    enum Never {}
+    impl<'de> Deserialize<'de> for Never {
+        fn deserialize<D: serde::Deserializer<'de>>(_: D) -> Result<Self, D::Error> {
+            Err(serde::de::Error::custom("built without it"))
+        }
+    }
+    Ok(Option::<Never>::deserialize(deserializer)?.map(|never| match never {}))
 }

@@ -69,30 +69,32 @@ impl Controller {
         probe.ended(Stage::Gate);
     }
 
+    #[inline]
     fn hear(&mut self, inputs: &Inputs) -> Option<Heard> {
-        // A silent host loses its machine when the machine has begun to brake for want of it, and not before.
-        let busy = self.safety.active() && self.safety.pending().is_none();
-        let identity = match &self.machinery {
-            Some(machinery) => Identity {
-                machine: &machinery.config.name,
-                config_crc: machinery.crc,
-                period_us: self.period_us,
-                axes: machinery.axes() as u8,
-                queue: QUEUE as u16,
-            },
-            None => Identity {
-                machine: "",
-                config_crc: 0,
-                period_us: self.period_us,
-                axes: 0,
-                queue: QUEUE as u16,
-            },
-        };
+        if self.server.listen(inputs) {
+            self.welcome();
+        }
         let machinery = self.machinery.as_ref();
         let turns = machinery.is_some_and(|machinery| machinery.motion.program.turns());
-        self.server.hear(inputs, &identity, busy, turns)
+        self.server.next(turns)
     }
 
+    #[inline(never)]
+    fn welcome(&mut self) {
+        // A silent host loses its machine when the machine has begun to brake for want of it, and not before.
+        let busy = self.safety.active() && self.safety.pending().is_none();
+        let machinery = self.machinery.as_ref();
+        let identity = Identity {
+            machine: machinery.map_or("", |machinery| &machinery.config.name),
+            config_crc: machinery.map_or(0, |machinery| machinery.crc),
+            period_us: self.period_us,
+            axes: machinery.map_or(0, |machinery| machinery.axes() as u8),
+            queue: QUEUE as u16,
+        };
+        self.server.welcome(&identity, busy);
+    }
+
+    #[inline]
     fn give_way(&mut self) {
         let Some(machinery) = &mut self.machinery else {
             return;
@@ -110,6 +112,7 @@ impl Controller {
         machinery.give_way(stopped, self.safety.state() == State::Homing);
     }
 
+    #[inline]
     fn place(&mut self) {
         let Some(machinery) = &mut self.machinery else {
             return;
@@ -124,6 +127,7 @@ impl Controller {
         }
     }
 
+    #[inline]
     fn drive(&mut self, outputs: &mut Outputs) {
         let Some(machinery) = &mut self.machinery else {
             return;
@@ -141,6 +145,7 @@ impl Controller {
         }
     }
 
+    #[inline]
     fn feel(&mut self, outputs: &mut Outputs) {
         let powered = self.safety.drives_on() && self.safety.state() != State::Fault;
         if let Some(machinery) = &mut self.machinery {
@@ -148,6 +153,7 @@ impl Controller {
         }
     }
 
+    #[inline]
     fn tell(&mut self, inputs: &Inputs, outputs: &mut Outputs) {
         self.server.tell(
             inputs.period,
@@ -156,16 +162,22 @@ impl Controller {
             &mut outputs.transmit,
         );
         if self.server.telemetry_due() {
-            let telemetry = self.telemetry(inputs);
-            self.server.send_telemetry(telemetry);
-        } else if self.server.hand_due() {
+            self.tell_telemetry(inputs);
+        }
+        if self.server.hand_due() {
             let arm = self
                 .machinery
                 .as_ref()
-                .and_then(|machinery| machinery.hands.arm.as_ref());
+                .and_then(|machinery| machinery.hands.arm());
             self.server
                 .send_hand(arm.map(|arm| arm.telemetry(inputs.period)));
         }
+    }
+
+    #[inline(never)]
+    fn tell_telemetry(&mut self, inputs: &Inputs) {
+        let telemetry = self.telemetry(inputs);
+        self.server.send_telemetry(telemetry);
     }
 
     /// How things stand in this period.

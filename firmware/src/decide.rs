@@ -56,6 +56,7 @@ pub struct Job {
 }
 
 impl Controller {
+    #[inline]
     pub(crate) fn decide(&mut self, inputs: &Inputs, heard: Option<Heard>) {
         self.watch(inputs);
         if inputs.urgent {
@@ -69,26 +70,34 @@ impl Controller {
             self.job.overtaken = elapsed < OVERTAKEN_US;
         }
         self.greet();
+        if let Some(heard) = heard {
+            self.heed(inputs, heard);
+        }
+        self.advance(inputs);
+        self.close_what_faults_end();
+    }
+
+    /// The one thing that was heard.
+    #[inline(never)]
+    fn heed(&mut self, inputs: &Inputs, heard: Heard) {
         match heard {
-            Some(Heard::Request(request)) => self.command(inputs, request),
-            Some(Heard::Setpoint { number, setpoint }) => {
+            Heard::Request(request) => self.command(inputs, request),
+            Heard::Setpoint { number, setpoint } => {
                 let tried = self.try_setpoint(number, &setpoint.pose);
                 match tried.and_then(|()| self.take_setpoint(number, &setpoint)) {
                     Ok(()) => self.server.accept_setpoint(),
                     Err(refusal) => self.server.refuse_setpoints(refusal),
                 }
             }
-            Some(Heard::BadSetpoint { number }) => {
+            Heard::BadSetpoint { number } => {
                 self.server
                     .refuse_setpoints(Refusal::Setpoint { setpoint: number });
             }
-            None => {}
         }
-        self.advance(inputs);
-        self.close_what_faults_end();
     }
 
     /// A new session counts its own epochs of jogs, and begins with all coordinates led by the program.
+    #[inline]
     fn greet(&mut self) {
         if self.server.session_begun() {
             self.job.jog_epoch = None;
@@ -102,15 +111,21 @@ impl Controller {
             }
         }
         if self.job.new_session && !self.safety.active() {
-            self.job.new_session = false;
-            if let Some(machinery) = &mut self.machinery {
-                machinery.motion.reset_sources();
-                machinery.motion.program.set_override(100);
-            }
+            self.begin_session();
+        }
+    }
+
+    #[inline(never)]
+    fn begin_session(&mut self) {
+        self.job.new_session = false;
+        if let Some(machinery) = &mut self.machinery {
+            machinery.motion.reset_sources();
+            machinery.motion.program.set_override(100);
         }
     }
 
     /// Everything that can be wrong.
+    #[inline]
     fn watch(&mut self, inputs: &Inputs) {
         if inputs.emergency_stop && self.safety.state() != State::EmergencyStop {
             self.safety.emergency_stop();
@@ -186,6 +201,7 @@ impl Controller {
     }
 
     /// Brakes whatever moves; a job keeps its place.
+    #[inline(never)]
     pub(crate) fn hold(&mut self) {
         match self.safety.state() {
             State::Run => self.safety.enter(State::Hold),
@@ -196,6 +212,7 @@ impl Controller {
     }
 
     /// Brakes whatever moves, and ends it.
+    #[inline(never)]
     pub(crate) fn give_up(&mut self) {
         if self.safety.state() == State::Run {
             self.safety.enter(State::Hold);
@@ -205,6 +222,7 @@ impl Controller {
     }
 
     /// Brakes jogs. What is under way of their epoch must not set the machine going again.
+    #[inline(never)]
     fn end_jogs(&mut self) {
         self.job.jog_cancelled = true;
         self.job.hand_cancelled = true;
@@ -215,6 +233,7 @@ impl Controller {
     }
 
     /// One period of the state that the machine is in.
+    #[inline]
     fn advance(&mut self, inputs: &Inputs) {
         if self.safety.pending().is_some() && !self.job.stopping {
             self.give_up();
@@ -230,7 +249,7 @@ impl Controller {
             State::Jog | State::Homing => Mode::Jog,
             _ => Mode::Still,
         };
-        let (progress, limited) = machinery.motion.advance(mode, &machinery.machine);
+        let (progress, limited) = machinery.advance(mode);
         if let Some(axis) = limited
             && state != State::Homing
         {
@@ -262,6 +281,7 @@ impl Controller {
         }
     }
 
+    #[inline]
     fn follow_program(&mut self, state: State, progress: &Progress) {
         let Some(machinery) = &mut self.machinery else {
             return;
@@ -308,6 +328,7 @@ impl Controller {
         }
     }
 
+    #[inline(never)]
     fn follow_homing(&mut self, inputs: &Inputs, limited: bool) {
         let Some(machinery) = &mut self.machinery else {
             return;
@@ -346,6 +367,7 @@ impl Controller {
     }
 
     /// Whatever moved has ended, at rest, drives holding.
+    #[inline(never)]
     fn come_to_rest(&mut self) {
         self.drop_job();
         self.job.stopping = false;
@@ -358,6 +380,7 @@ impl Controller {
     }
 
     /// A latched fault, or an emergency stop, ends the job.
+    #[inline]
     fn close_what_faults_end(&mut self) {
         if matches!(
             self.safety.state(),
@@ -376,6 +399,7 @@ impl Controller {
         }
     }
 
+    #[inline(never)]
     fn drop_job(&mut self) {
         if let Some(job) = self.job.number.take() {
             let program = self
@@ -396,13 +420,18 @@ impl Controller {
 }
 
 /// A limit switch or a drive that reports a fault.
+#[inline]
 fn hardware(axes: &[AxisInputs]) -> Option<Fault> {
-    if axes
-        .iter()
-        .all(|axis| axis.drive_ready & !(axis.limit_low | axis.limit_high))
-    {
+    let well = |axis: &AxisInputs| axis.drive_ready & !(axis.limit_low | axis.limit_high);
+    if axes.iter().all(well) {
         return None;
     }
+    name_hardware(axes)
+}
+
+#[cold]
+#[inline(never)]
+fn name_hardware(axes: &[AxisInputs]) -> Option<Fault> {
     for (index, axis) in axes.iter().enumerate() {
         if axis.limit_low || axis.limit_high {
             return Some(Fault::LimitSwitch { axis: index as u8 });

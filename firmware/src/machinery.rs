@@ -10,10 +10,10 @@ use crate::force::{Design, ForceControl};
 use crate::io::{DriveCommand, Inputs};
 use crate::kinematics::machine::Machine;
 use crate::kinematics::{JointMotion, Joints, Kinematics, Pose, PoseError};
-use crate::motion::{Motion, Wanted};
+use crate::motion::program::Progress;
+use crate::motion::{Mode, Motion, Wanted};
 use crate::safety::homing::Homing;
 use crate::safety::integrity::{Constants, Digest};
-use crate::safety::supervise::{Seen, Watch};
 use crate::units::Coordinate;
 use hand::Hands;
 use haptimill_protocol::message::{AxisValues, ConfigField, ConfigProblem, Fault, MAX_AXES};
@@ -85,8 +85,8 @@ pub struct Machinery {
     /// Components that could not yield any further in this period, and could before.
     newly_limited: u8,
     joints: Vec<JointDrive, MAX_AXES>,
-    watches: [Watch; MAX_AXES],
     measured: Joints,
+    /// On a machine with a force sensor; without one the pose is worked out for whoever asks.
     measured_pose: Option<Pose>,
     target: JointMotion,
     digests: [Digest; PARTS],
@@ -163,7 +163,6 @@ impl Machinery {
             limited: [0; COMPONENTS],
             newly_limited: 0,
             joints: Vec::new(),
-            watches: [Watch::default(); MAX_AXES],
             measured: Joints::default(),
             measured_pose: None,
             target: JointMotion::default(),
@@ -216,18 +215,20 @@ impl Machinery {
 
     /// Number of axes.
     #[must_use]
+    #[inline]
     pub fn axes(&self) -> usize {
         self.joints.len()
     }
 
-    /// Stage *sense*: encoders to joints, joints to pose.
+    /// Stage *sense*: encoders to joints, and where a force is felt joints to pose.
+    #[inline]
     pub fn sense(&mut self, inputs: &Inputs) {
         let time_ns = inputs.time_ns;
         let measured = self.measured.0.iter_mut();
         for ((joint, inputs), measured) in self.joints.iter_mut().zip(&inputs.axes).zip(measured) {
             *measured = joint.sense(inputs, time_ns).coordinate;
         }
-        self.measured_pose = self.machine.forward(&self.measured).ok();
+        self.measure_pose();
         self.sense_hand(&inputs.haptic);
     }
 
@@ -235,17 +236,30 @@ impl Machinery {
         for (measured, joint) in self.measured.0.iter_mut().zip(&self.joints) {
             *measured = joint.sensed().coordinate;
         }
-        self.measured_pose = self.machine.forward(&self.measured).ok();
+        self.measure_pose();
+    }
+
+    /// What a force acts on is needed in every period.
+    #[inline]
+    fn measure_pose(&mut self) {
+        if self.force.is_some() {
+            self.measured_pose = self.machine.forward(&self.measured).ok();
+        }
     }
 
     /// The measured pose, if the forward kinematics certifies one.
     #[must_use]
-    pub const fn measured_pose(&self) -> Option<&Pose> {
-        self.measured_pose.as_ref()
+    #[inline]
+    pub fn measured_pose(&self) -> Option<Pose> {
+        match self.force {
+            Some(_) => self.measured_pose,
+            None => self.machine.forward(&self.measured).ok(),
+        }
     }
 
     /// Whether the encoders have made no more illegal transitions since they were enabled last than supervision allows.
     #[must_use]
+    #[inline]
     pub fn encoders_counted(&self) -> bool {
         let limit = u32::from(self.config.supervision.illegal_transitions);
         self.joints
@@ -278,6 +292,7 @@ impl Machinery {
     }
 
     /// Drives off.
+    #[inline]
     pub fn disable(&mut self) {
         for joint in &mut self.joints {
             joint.disable();
@@ -285,7 +300,7 @@ impl Machinery {
     }
 
     fn settle(&mut self) {
-        self.watches.iter_mut().for_each(Watch::reset);
+        self.joints.iter_mut().for_each(JointDrive::settle);
     }
 
     /// Begins the search for the references.
@@ -297,6 +312,7 @@ impl Machinery {
     }
 
     /// Index pulses of this period, for the search.
+    #[inline]
     pub fn note_indexes(&mut self) -> Result<(), Fault> {
         for (index, axis) in self.config.joints.iter().enumerate() {
             if let Some((_, coordinate)) = self.joints[index].sensed().index
@@ -327,33 +343,28 @@ impl Machinery {
     }
 
     /// Supervision of all joints against what was wanted of them in the period before.
+    #[inline]
     pub fn supervise(&mut self) -> Option<Fault> {
-        let limit = self.config.supervision.illegal_transitions;
-        let period_us = self.config.period_us;
-        for (index, (axis, joint)) in self.config.joints.iter().zip(&self.joints).enumerate() {
-            let watch = &mut self.watches[index];
-            let sensed = joint.sensed();
-            let seen = Seen {
-                wanted: self.target.joints.0[index],
-                wanted_rate: self.target.rates[index],
-                measured: sensed.coordinate,
-                rate: sensed.rate,
-                moved: sensed.moved,
-                effort: joint.driven().effort,
-                illegal: sensed.illegal.min(u32::from(u16::MAX)) as u16,
-                steps_off: sensed.slip,
-                period_us,
-            };
-            if let Some(fault) = watch.look(index as u8, axis, limit, &seen) {
-                return Some(fault);
+        let Config {
+            supervision,
+            period_us,
+            joints,
+            ..
+        } = &self.config;
+        let joints = self.joints.iter_mut().zip(joints);
+        for (index, (joint, axis)) in joints.enumerate() {
+            let fault = joint.supervise(index as u8, axis, supervision, *period_us);
+            if fault.is_some() {
+                return fault;
             }
         }
         None
     }
 
-    /// Stage *place*: the wanted pose, or on a machine with force control its reference, to the joints.
+    /// Stage *place*: the wanted pose, or its reference where the tool yields, to the joints.
+    #[inline]
     pub fn place(&mut self) -> Result<(), PoseError> {
-        if self.force.is_some() {
+        if self.yields() {
             return self.place_reference();
         }
         let wanted = self.motion.wanted();
@@ -366,20 +377,25 @@ impl Machinery {
     }
 
     /// Stage *drive*: position loops. Gives a joint whose drive was asked for too much.
+    #[inline]
     pub fn drive(&mut self, commands: &mut [DriveCommand; MAX_AXES]) -> Option<u8> {
         let mut saturated = None;
-        let target = &self.target;
-        for (index, (joint, command)) in self.joints.iter_mut().zip(commands).enumerate() {
+        let JointMotion {
+            joints,
+            rates,
+            accelerations,
+        } = &self.target;
+        for (index, joint) in self.joints.iter_mut().enumerate() {
             let driven = joint.drive(&JointWanted {
-                coordinate: target.joints.0[index],
-                rate: target.rates[index],
-                acceleration: target.accelerations[index],
+                coordinate: joints.0[index],
+                rate: rates[index],
+                acceleration: accelerations[index],
             });
-            *command = match driven.command {
+            match driven.command {
                 // Two words, where the whole would be copied bytewise.
-                DriveCommand::Torque(code) => DriveCommand::Torque(code),
-                ref other => *other,
-            };
+                DriveCommand::Torque(code) => commands[index] = DriveCommand::Torque(code),
+                ref other => commands[index] = *other,
+            }
             if driven.saturated {
                 saturated = Some(index as u8);
             }
@@ -387,18 +403,34 @@ impl Machinery {
         saturated
     }
 
+    /// What is wanted in this period. The number is a coordinate whose jog was kept from going on.
+    #[inline]
+    pub fn advance(&mut self, mode: Mode) -> (Progress, Option<u8>) {
+        match self.motion.advance_alone(mode) {
+            Some(progress) => (progress, None),
+            None => self.advance_by_hand(mode),
+        }
+    }
+
+    #[inline(never)]
+    fn advance_by_hand(&mut self, mode: Mode) -> (Progress, Option<u8>) {
+        self.motion.advance(mode, &self.machine)
+    }
+
     /// The first coordinate of the wanted pose that is beyond its soft limits.
     #[must_use]
+    #[inline]
     pub fn beyond_soft_limit(&self, pose: &Pose) -> Option<u8> {
         self.config
             .pose
             .iter()
-            .zip(pose.0)
-            .position(|(axis, coordinate)| coordinate < axis.low || coordinate > axis.high)
+            .zip(&pose.0)
+            .position(|(axis, coordinate)| *coordinate < axis.low || *coordinate > axis.high)
             .map(|index| index as u8)
     }
 
     /// Compares one part of the configuration with its digest, another one each time.
+    #[inline(never)]
     pub fn configuration_intact(&mut self) -> bool {
         let part = self.next_part;
         self.next_part = (part + 1) % PARTS;
@@ -438,7 +470,7 @@ impl Machinery {
     /// The measured pose as values of a message; empty when it is not certified.
     #[must_use]
     pub fn measured_values(&self) -> AxisValues {
-        self.measured_pose
+        self.measured_pose()
             .map_or_else(AxisValues::new, |pose| self.values(|index| pose.0[index].0))
     }
 

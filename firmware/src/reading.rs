@@ -103,7 +103,7 @@ impl Controller {
                 yielded: force.displacements().map(|by| by.length().0),
             };
         }
-        if let Some(arm) = &machinery.hands.arm {
+        if let Some(arm) = machinery.hands.arm() {
             reading.hand = arm.reading();
         }
         for (axis, joint) in machinery.joints().enumerate().take(MAX_AXES) {

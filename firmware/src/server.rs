@@ -7,7 +7,7 @@
 use crate::io::{Inputs, TRANSMIT_BYTES};
 use crate::safety::Safety;
 use haptimill_protocol::haptic::HandTelemetry;
-use haptimill_protocol::link::{ControllerLink, Identity, SHORT_REPORT, Timing};
+use haptimill_protocol::link::{ControllerLink, Greeted, Identity, SHORT_REPORT, Timing};
 use haptimill_protocol::message::{AxisValues, ConfigChunk, Refusal, Report, Request, Telemetry};
 use haptimill_protocol::setpoint::{BatchReader, Setpoint, SetpointCoder};
 use heapless::{Deque, Vec};
@@ -115,28 +115,23 @@ impl Server {
         }
     }
 
-    /// Takes the period's bytes; gives the next thing to do. `busy`: no other host may break in. `hold_back`: the period has much to do already; that
-    /// counts only if the one before did not hold back.
-    pub fn hear(
-        &mut self,
-        inputs: &Inputs,
-        identity: &Identity<'_>,
-        busy: bool,
-        hold_back: bool,
-    ) -> Option<Heard> {
+    /// Takes the period's bytes; says whether a host greets, which [`Server::welcome`] answers.
+    #[inline]
+    pub fn listen(&mut self, inputs: &Inputs) -> bool {
         self.now_us = inputs.period.wrapping_mul(u64::from(self.period_us));
         self.deferred = self.deferred.saturating_add(u32::from(inputs.waiting));
         let lost = inputs.lost_bytes.wrapping_sub(self.lost_before);
         self.lost = self.lost.saturating_add(u32::from(lost));
         self.lost_before = inputs.lost_bytes;
-        self.link.receive(self.now_us, &inputs.received);
-        if self.link.hello().is_some() {
-            let greeted = self.link.welcome(self.now_us, identity, busy);
-            if greeted == haptimill_protocol::link::Greeted::Begun {
-                self.forget();
-                self.session_begun = true;
-            }
+        if !inputs.received.is_empty() {
+            self.receive(&inputs.received);
         }
+        self.link.hello().is_some()
+    }
+
+    /// Gives the next thing to do. `hold_back`: the period has much to do already; that counts only if the one before did not hold back.
+    #[inline]
+    pub fn next(&mut self, hold_back: bool) -> Option<Heard> {
         // What tells has its turn when this has had one.
         let yields = self.worked && self.tells_much();
         self.held = hold_back && !self.held;
@@ -152,7 +147,24 @@ impl Server {
         }
     }
 
+    /// Takes bytes from the line.
+    #[inline(never)]
+    fn receive(&mut self, bytes: &[u8]) {
+        self.link.receive(self.now_us, bytes);
+    }
+
+    /// Answers a greeting. `busy`: no other host may break in.
+    #[inline(never)]
+    pub fn welcome(&mut self, identity: &Identity<'_>, busy: bool) {
+        let greeted = self.link.welcome(self.now_us, identity, busy);
+        if greeted == Greeted::Begun {
+            self.forget();
+            self.session_begun = true;
+        }
+    }
+
     /// Reads the next message, or the next setpoint of a batch.
+    #[inline(never)]
     fn read(&mut self) -> Option<Heard> {
         let Some(payload) = self.link.peek() else {
             self.worked = false;
@@ -185,6 +197,7 @@ impl Server {
     }
 
     /// The batch is done with.
+    #[inline(never)]
     fn end_batch(&mut self, result: Result<(), Refusal>) {
         self.decoded = None;
         if let Some(batch) = self.batch.take() {
@@ -194,6 +207,7 @@ impl Server {
     }
 
     /// The setpoint that was heard in this period is in the queue: the next one is told relative to it.
+    #[inline(never)]
     pub fn accept_setpoint(&mut self) {
         self.coder = self.ahead.clone();
         if self.batch.is_some_and(|batch| batch.left == 0) {
@@ -202,21 +216,25 @@ impl Server {
     }
 
     /// Whether something long is to be done by [`Server::tell`].
+    #[inline]
     fn tells_much(&self) -> bool {
         self.telemetry_waits || self.link.latest_waits()
     }
 
     /// Whether this period still has time for something long; it is used up.
+    #[inline]
     pub fn claim(&mut self) -> bool {
         !core::mem::replace(&mut self.worked, true)
     }
 
     /// Whether a new session has begun since the last call.
+    #[inline]
     pub fn session_begun(&mut self) -> bool {
         core::mem::take(&mut self.session_begun)
     }
 
     /// What a session leaves behind when it ends.
+    #[inline(never)]
     fn forget(&mut self) {
         self.batch = None;
         self.decoded = None;
@@ -290,6 +308,7 @@ impl Server {
 
     /// How long the host has been silent, microseconds.
     #[must_use]
+    #[inline]
     pub fn silent_us(&self) -> u64 {
         self.link.peer_silent_us(self.now_us)
     }
@@ -305,6 +324,7 @@ impl Server {
     }
 
     /// Answers, then events, then telemetry; and the bytes of this period, as many as the board has `room` for.
+    #[inline]
     pub fn tell(
         &mut self,
         period: u64,
@@ -312,6 +332,35 @@ impl Server {
         room: u16,
         transmit: &mut Vec<u8, TRANSMIT_BYTES>,
     ) {
+        if !self.answers.is_empty() || safety.has_events() {
+            self.report(period, safety);
+        }
+        // The frame of telemetry is long, and made in a period that had nothing else to do.
+        let waited = self.link.latest_waits();
+        self.link.hold_latest(self.worked);
+        transmit.clear();
+        if room > 0 {
+            self.say(room, transmit);
+        }
+        self.worked |= waited && !self.link.latest_waits();
+    }
+
+    /// Gives the line's next bytes.
+    #[inline(never)]
+    fn say(&mut self, room: u16, transmit: &mut Vec<u8, TRANSMIT_BYTES>) {
+        if !self.link.is_ready(self.now_us) {
+            return;
+        }
+        let mut buffer = [0; TRANSMIT_BYTES];
+        let room = usize::from(room).min(TRANSMIT_BYTES);
+        let count = self.link.transmit(self.now_us, &mut buffer[..room]);
+        // As long as the buffer: fits.
+        let _ = transmit.extend_from_slice(&buffer[..count]);
+    }
+
+    /// Hands answers and events to the link, as many as it has room for.
+    #[inline(never)]
+    fn report(&mut self, period: u64, safety: &mut Safety) {
         while let Some(answer) = self.answers.front() {
             if self.link.send(answer).is_err() {
                 break;
@@ -334,21 +383,10 @@ impl Server {
                 break;
             }
         }
-        // The frame of telemetry is long, and made in a period that had nothing else to do.
-        let waited = self.link.latest_waits();
-        self.link.hold_latest(self.worked);
-        transmit.clear();
-        if room > 0 && self.link.is_ready(self.now_us) {
-            let mut buffer = [0; TRANSMIT_BYTES];
-            let room = usize::from(room).min(TRANSMIT_BYTES);
-            let count = self.link.transmit(self.now_us, &mut buffer[..room]);
-            // As long as the buffer: fits.
-            let _ = transmit.extend_from_slice(&buffer[..count]);
-        }
-        self.worked |= waited && !self.link.latest_waits();
     }
 
     /// Counts the periods until telemetry is due; says whether it is to be sent in this one. Call once a period.
+    #[inline]
     pub fn telemetry_due(&mut self) -> bool {
         if self.until_telemetry != 0 {
             self.until_telemetry -= 1;
@@ -382,6 +420,7 @@ impl Server {
     }
 
     /// Sends telemetry.
+    #[inline(never)]
     pub fn send_telemetry(&mut self, telemetry: Telemetry) {
         self.telemetry_waits = false;
         // Not open, or too long for a frame (which a test of the protocol excludes): nobody to tell.

@@ -60,7 +60,7 @@ fn the_following_error_has_a_limit_that_grows_with_the_wanted_rate() {
                 measured: Coordinate(seen.wanted.0 - error),
                 ..seen
             };
-            let fault = look(&mut Watch::default(), &axis, &seen, 1);
+            let fault = look(&mut Watch::of(&axis), &axis, &seen, 1);
             let told = matches!(fault, Some(Fault::FollowingError { axis: 2, error: told, limit }) if told == error && (limit - most).abs() <= 1);
             assert_eq!(told, faulty, "{speed} {error} {fault:?}");
             assert_eq!(fault.is_some(), faulty);
@@ -85,7 +85,7 @@ fn a_joint_beyond_its_stroke_is_a_fault_that_says_by_how_much() {
                 measured: Coordinate(end + sign * beyond),
                 ..seen
             };
-            let fault = look(&mut Watch::default(), &axis, &seen, 3);
+            let fault = look(&mut Watch::of(&axis), &axis, &seen, 3);
             let by = sign * beyond;
             assert_eq!(fault, faulty.then_some(Fault::Stroke { axis: 2, by }));
         }
@@ -104,10 +104,10 @@ fn the_error_of_a_rotary_joint_goes_the_short_way() {
         measured: Coordinate(i32::MAX.wrapping_add(degrees(off))),
         ..seen
     };
-    assert_eq!(look(&mut Watch::default(), &axis, &across(0.15), 10), None);
-    assert!(look(&mut Watch::default(), &axis, &across(0.25), 10).is_some());
+    assert_eq!(look(&mut Watch::of(&axis), &axis, &across(0.15), 10), None);
+    assert!(look(&mut Watch::of(&axis), &axis, &across(0.25), 10).is_some());
     // Turning on through the end of the range is motion like any other.
-    let mut watch = Watch::default();
+    let mut watch = Watch::of(&axis);
     for step in 0..200 {
         let place = Coordinate((i32::MAX - 50 * 100_000).wrapping_add(step * 100_000));
         let seen = Seen {
@@ -130,7 +130,7 @@ fn a_joint_that_runs_against_its_drive_is_seen_at_once_and_one_that_is_driven_is
     };
     for sign in [1.0, -1.0] {
         let fault = look(
-            &mut Watch::default(),
+            &mut Watch::of(&axis),
             &axis,
             &running(sign * 26.0, -sign * 200.0),
             4,
@@ -139,7 +139,7 @@ fn a_joint_that_runs_against_its_drive_is_seen_at_once_and_one_that_is_driven_is
         // Three periods are not enough, nor is a push with the motion, a weak push, or a slow motion.
         assert_eq!(
             look(
-                &mut Watch::default(),
+                &mut Watch::of(&axis),
                 &axis,
                 &running(sign * 26.0, -sign * 200.0),
                 3
@@ -148,7 +148,7 @@ fn a_joint_that_runs_against_its_drive_is_seen_at_once_and_one_that_is_driven_is
         );
         assert_eq!(
             look(
-                &mut Watch::default(),
+                &mut Watch::of(&axis),
                 &axis,
                 &running(sign * 26.0, sign * 200.0),
                 50
@@ -157,7 +157,7 @@ fn a_joint_that_runs_against_its_drive_is_seen_at_once_and_one_that_is_driven_is
         );
         assert_eq!(
             look(
-                &mut Watch::default(),
+                &mut Watch::of(&axis),
                 &axis,
                 &running(sign * 26.0, -sign * 60.0),
                 50
@@ -166,7 +166,7 @@ fn a_joint_that_runs_against_its_drive_is_seen_at_once_and_one_that_is_driven_is
         );
         assert_eq!(
             look(
-                &mut Watch::default(),
+                &mut Watch::of(&axis),
                 &axis,
                 &running(sign * 24.0, -sign * 200.0),
                 50
@@ -180,7 +180,7 @@ fn a_joint_that_runs_against_its_drive_is_seen_at_once_and_one_that_is_driven_is
 fn a_static_load_is_no_fault_and_a_growing_push_without_a_count_is() {
     let (axis, seen) = slide();
     // 300 N against a load, at rest: for ever.
-    let mut watch = Watch::default();
+    let mut watch = Watch::of(&axis);
     let loaded = Seen {
         effort: newtons(300.0),
         ..seen
@@ -225,9 +225,9 @@ fn illegal_transitions_and_lost_steps_are_faults_beyond_their_limits() {
         illegal: count,
         ..seen
     };
-    assert_eq!(look(&mut Watch::default(), &axis, &illegal(LIMIT), 1), None);
+    assert_eq!(look(&mut Watch::of(&axis), &axis, &illegal(LIMIT), 1), None);
     assert_eq!(
-        look(&mut Watch::default(), &axis, &illegal(LIMIT + 1), 1),
+        look(&mut Watch::of(&axis), &axis, &illegal(LIMIT + 1), 1),
         Some(Fault::EncoderIllegal {
             axis: 2,
             count: LIMIT + 1
@@ -248,7 +248,7 @@ fn illegal_transitions_and_lost_steps_are_faults_beyond_their_limits() {
         (-0.051, true),
     ] {
         let fault = look(
-            &mut Watch::default(),
+            &mut Watch::of(&axis),
             &axis,
             &Seen {
                 steps_off: Coordinate(mm(by)),
@@ -280,7 +280,7 @@ proptest! {
         axis.law.coulomb = Effort(numbers[3]);
         axis.law.inertia = inertia;
         axis.per_count = per_count;
-        let mut watch = Watch::default();
+        let mut watch = Watch::of(&axis);
         for sight in sights {
             let seen = Seen {
                 wanted: Coordinate(sight[0]),

@@ -4,6 +4,7 @@ use super::{AxisKind, Config, Drive, JointAxis, Law, Model, PoseAxis};
 use crate::kinematics::h4::H4;
 use crate::kinematics::machine::Machine;
 use crate::kinematics::{Joints, Kinematics};
+use crate::machinery::hand::HAND;
 use crate::motion::follow::MoverLimits;
 use crate::motion::{jog, program};
 use crate::reflection::config::HapticConfig;
@@ -99,10 +100,12 @@ impl Config {
 
     /// A haptic arm, and what follows a hand. A machine without axes is one if it has an arm.
     fn check_hand(&self) -> Check {
-        let sound = self.haptic.as_ref().is_none_or(HapticConfig::is_sound);
+        require(HAND || self.haptic.is_none(), ConfigField::Haptic, None)?;
+        require(HAND || self.follow.is_none(), ConfigField::Follow, None)?;
+        let sound = !HAND || self.haptic.as_ref().is_none_or(HapticConfig::is_sound);
         let something = self.haptic.is_some() || !self.pose.is_empty();
         require(sound && something, ConfigField::Haptic, None)?;
-        let Some(follow) = &self.follow else {
+        let Some(follow) = self.follow.as_ref().filter(|_| HAND) else {
             return Ok(());
         };
         require(

@@ -15,7 +15,7 @@ use super::reciprocal::{Factor, Reciprocal, high, saturate};
 use crate::config::AxisKind;
 use crate::io::AxisInputs;
 use crate::safety::integrity::constants;
-use crate::units::scale::{product, total};
+use crate::units::scale::{product, shift_right, total};
 use crate::units::{Coordinate, Rate};
 
 /// After this long without an edge the joint is at rest: half of the range of the clock.
@@ -253,7 +253,7 @@ impl Encoder {
             .wrapping_sub(32)
             .wrapping_sub(self.half_exponent);
         let magnitude = if (0..64).contains(&shift) {
-            saturate(product.wrapping_shr(shift as u32))
+            saturate(shift_right(product, shift as u32))
         } else {
             Self::fast(product, shift)
         };

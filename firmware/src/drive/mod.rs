@@ -20,13 +20,15 @@ pub(crate) mod reciprocal;
 pub mod steps;
 pub mod torque;
 
-use crate::config::{AxisKind, Drive, JointAxis};
+use crate::config::{AxisKind, Drive, JointAxis, Supervision};
 use crate::io::{AxisInputs, DriveCommand};
 use crate::position::PositionLaw;
 use crate::safety::integrity::{Constants, Digest, constants};
+use crate::safety::supervise::{Seen, Watch};
 use crate::units::{Acceleration, Coordinate, Effort, Rate};
 use backlash::Backlash;
 use encoder::{Encoder, difference, sum};
+use haptimill_protocol::message::Fault;
 use steps::{PulseTiming, StepPlanner};
 use torque::TorqueOutput;
 
@@ -127,13 +129,15 @@ pub struct JointDrive {
     encoder: Encoder,
     backlash: Backlash,
     output: Output,
+    watch: Watch,
+    wanted: Wanted,
     sensed: Sensed,
     driven: Driven,
     sensed_once: bool,
     enabled: bool,
 }
 
-constants!(JointDrive { kind } of { encoder, backlash, output } but { sensed, driven, sensed_once, enabled });
+constants!(JointDrive { kind } of { encoder, backlash, output, watch } but { wanted, sensed, driven, sensed_once, enabled });
 
 impl Constants for Output {
     fn digest(&self, digest: &mut Digest) {
@@ -213,6 +217,8 @@ impl JointDrive {
             encoder: Encoder::new(axis.kind, axis.per_count),
             backlash: Backlash::new(axis.kind, axis.backlash, period_us),
             output,
+            watch: Watch::of(axis),
+            wanted: Wanted::default(),
             sensed: Sensed::default(),
             driven: Driven::default(),
             sensed_once: false,
@@ -252,6 +258,7 @@ impl JointDrive {
     }
 
     /// What was sensed last.
+    #[inline]
     pub const fn sensed(&self) -> &Sensed {
         &self.sensed
     }
@@ -288,6 +295,7 @@ impl JointDrive {
     }
 
     /// What the last period of driving came to.
+    #[inline]
     pub const fn driven(&self) -> &Driven {
         &self.driven
     }
@@ -316,10 +324,41 @@ impl JointDrive {
         shift
     }
 
+    /// Supervision: does the joint do what it was told in the period before? `joint` is its number, `axis` its configuration.
+    #[inline(never)]
+    pub fn supervise(
+        &mut self,
+        joint: u8,
+        axis: &JointAxis,
+        limits: &Supervision,
+        period_us: u16,
+    ) -> Option<Fault> {
+        let sensed = &self.sensed;
+        let seen = Seen {
+            wanted: self.wanted.coordinate,
+            wanted_rate: self.wanted.rate,
+            measured: sensed.coordinate,
+            rate: sensed.rate,
+            moved: sensed.moved,
+            effort: self.driven.effort,
+            illegal: sensed.illegal.min(u32::from(u16::MAX)) as u16,
+            steps_off: sensed.slip,
+            period_us,
+        };
+        self.watch
+            .look(joint, axis, limits.illegal_transitions, &seen)
+    }
+
+    /// Supervision forgets what it saw: the drives go on, or the coordinate was set.
+    pub fn settle(&mut self) {
+        self.watch.reset();
+    }
+
     /// The command of a period, for where the slide shall be. Off while disabled.
     // Called, not inlined: with registers of its own it is a third shorter than as a part of the whole period.
     #[inline(never)]
     pub fn drive(&mut self, wanted: &Wanted) -> &Driven {
+        self.wanted = *wanted;
         if !self.enabled {
             return &self.driven;
         }
@@ -357,6 +396,7 @@ impl StepSupervision {
     }
 
     /// Steps less encoder, and whether that is too much.
+    #[inline(never)]
     fn compare(
         &mut self,
         kind: AxisKind,

@@ -145,6 +145,7 @@ impl StepPlanner {
     }
 
     /// The pulses of the coming period, at whose end the motor shall be at `target` with `rate`.
+    #[inline(never)]
     pub fn plan(&mut self, target: Coordinate, rate: Rate) -> Planned {
         if self.emitted.unsigned_abs() > 1 << 24 {
             self.fold();

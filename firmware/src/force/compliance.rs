@@ -337,6 +337,8 @@ impl Compliance {
         self.rate = 0;
         self.before = 0;
         self.shown = Rate::ZERO;
+        self.limit = self.law.limit;
+        self.resting = false;
     }
 
     /// Whether the tool stands where it is desired, and stood there in the period before.

@@ -197,6 +197,7 @@ impl Conditioner {
     }
 
     /// The machine moves: a tare that runs ends without a new zero.
+    #[inline]
     pub fn interrupt_tare(&mut self) {
         self.end_tare(Err(TareRefusal::Interrupted));
     }
@@ -208,6 +209,7 @@ impl Conditioner {
     }
 
     /// How the last tare ended, once.
+    #[inline]
     pub const fn take_tare_result(&mut self) -> Option<Result<(), TareRefusal>> {
         self.last_tare.take()
     }
@@ -220,6 +222,7 @@ impl Conditioner {
 
     /// Tells the angle of the table (alpha, spec (3.15)-(3.16)), from which the share of the weight follows: +W sin alpha along y, +W cos alpha along z of the work, as a reaction on the tool
     /// would show. Costs a sine: once in some periods is enough.
+    #[inline]
     pub fn set_table(&mut self, angle: Angle) {
         if self.sensor.weight.0 == 0 || angle == self.table {
             return;
@@ -228,6 +231,7 @@ impl Conditioner {
         self.weigh();
     }
 
+    #[inline(never)]
     fn weigh(&mut self) {
         let (sine, cosine) = sin_cos(self.table);
         let (sine_then, cosine_then) = self.tared_at;
@@ -329,6 +333,7 @@ impl Conditioner {
         }
     }
 
+    #[inline(never)]
     fn gather(&mut self, codes: &[i16; COMPONENTS]) {
         let Some(tare) = &mut self.tare else {
             return;
@@ -384,6 +389,7 @@ impl Conditioner {
     }
 
     /// A refused tare leaves the zero that was.
+    #[inline]
     fn end_tare(&mut self, result: Result<(), TareRefusal>) {
         if self.tare.take().is_some() {
             self.last_tare = Some(result);

@@ -161,6 +161,7 @@ impl Guard {
     }
 
     /// One look, four times in a revolution: the peak force, the law that is to be guarded, and whether the tool has yielded.
+    #[inline(never)]
     pub fn look(&mut self, force: Force, law: &Law, yielded: bool) {
         let highest = law.highest();
         let desired = law.settings().desired;

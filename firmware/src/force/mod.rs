@@ -159,10 +159,12 @@ pub struct ForceControl {
     adopted: bool,
     condition: Option<ForceProblem>,
     yielding: [Yielding; COMPONENTS],
+    /// No axis is under force control, none has yielded, and no law is being worked out: there is nothing to do in *yield*.
+    rests: bool,
 }
 
 constants!(ForceControl { slowest_rpm, period_us, delay_us, creep } of { conditioner }
-    but { axes, mask, rpm, stopped, held, suspended, known, adopted, condition, yielding });
+    but { axes, mask, rpm, stopped, held, suspended, known, adopted, condition, yielding, rests });
 
 /// What is worked out from a configuration before it is taken.
 #[derive(Debug, Clone)]
@@ -254,11 +256,13 @@ impl ForceControl {
             adopted: false,
             condition: None,
             yielding: [Yielding::default(); COMPONENTS],
+            rests: false,
         }
     }
 
     /// Stage *sense*: the sample of this period, the commanded speed of the spindle, where the tool was measured (or wanted, where there is no certified pose), the angle of the table, and
     /// whether nothing touches the tool.
+    #[inline]
     pub fn sense(
         &mut self,
         sample: &ForceSample,
@@ -304,6 +308,7 @@ impl ForceControl {
 
     /// Another speed of the spindle: another window. A standing spindle leaves the window as it was.
     #[cold]
+    #[inline(never)]
     fn turn(&mut self, rpm: i16) {
         self.rpm = rpm;
         if rpm.unsigned_abs() < self.slowest_rpm {
@@ -322,6 +327,7 @@ impl ForceControl {
     /// may have yielded. While the machine moves a force of half the desired one is taken for a contact; drift is found on its way there. At rest it is not: a zero that wandered
     /// far, and something that leans on the tool, must both be gone before a job begins.
     #[must_use]
+    #[inline]
     pub fn unloaded(&self, active: bool) -> bool {
         u32::from(self.stopped) >= RUN_DOWN_US / u32::from(self.period_us.max(1))
             && !self.displaced()
@@ -345,6 +351,7 @@ impl ForceControl {
     /// A force beyond its limit stops always, except that a person may jog away from one that was there before: otherwise nobody could. A sensor that cannot be believed stops what is
     /// under force control; without force control, nothing hangs on it.
     #[must_use]
+    #[inline]
     pub fn stops(&self, jogged: bool) -> Option<ForceProblem> {
         let problem = self.condition?;
         let counts = if is_force(&problem) {
@@ -356,6 +363,7 @@ impl ForceControl {
     }
 
     /// Minds whether the machine moves: a tare ends with it, and a force that is too large is known from before. To be told in every period.
+    #[inline]
     pub fn mind(&mut self, active: bool) {
         let large = self.condition.as_ref().is_some_and(is_force);
         self.known = large && (self.known || !active);
@@ -365,6 +373,7 @@ impl ForceControl {
     }
 
     /// How a tare ended, once.
+    #[inline]
     pub const fn take_tare_result(&mut self) -> Option<Result<(), TareRefusal>> {
         self.conditioner.take_tare_result()
     }
@@ -390,7 +399,18 @@ impl ForceControl {
             };
             self.yielding[component] = axis.compliance.advance(&push);
         }
+        self.rests = self.mask == 0
+            && !self.adopted
+            && (self.axes.iter())
+                .all(|axis| axis.preparing.is_none() && axis.compliance.is_at_rest());
         &self.yielding
+    }
+
+    /// Whether no axis is under force control, nothing has yielded, and no settings wait: then [`ForceControl::advance`] would change nothing, and need not be
+    /// called.
+    #[must_use]
+    pub const fn rests(&self) -> bool {
+        self.rests
     }
 
     /// Works out one level of one law that was changed: some 2000 instructions in a period.
@@ -437,6 +457,7 @@ impl ForceControl {
 
     /// Whether the tool has yielded.
     #[must_use]
+    #[inline]
     pub fn displaced(&self) -> bool {
         self.axes
             .iter()
@@ -464,6 +485,7 @@ impl ForceControl {
         let law = Law::begin(settings, self.period_us, self.delay_us, range)?
             .resting_below(self.creep, self.period_us);
         axis.preparing = Some(Preparing { law, next: 1 });
+        self.rests = false;
         Ok(())
     }
 
@@ -477,6 +499,7 @@ impl ForceControl {
 
     /// Which axes are under force control: bit 0 for x. An axis that is taken out returns to the desired position at f_d / K_V.
     pub const fn set_mask(&mut self, mask: u8) {
+        self.rests = false;
         self.mask = mask & ((1 << COMPONENTS) - 1);
     }
 

@@ -145,7 +145,7 @@ pub struct SlidingExtremes {
     window: Window,
     /// Leaves of the tree: the least power of two that holds the window.
     size: usize,
-    /// Node 1 is the root, node i has the children 2i and 2i+1, leaves begin at `size`.
+    /// Node 1 is the root, node i has the children 2i and 2i+1, leaves begin at `size`; what lies behind them is not read.
     tree: [Extremes; 2 * LEAVES],
     /// The leaf that is being filled.
     leaf: usize,
@@ -189,20 +189,20 @@ impl SlidingExtremes {
     }
 
     #[cold]
+    #[inline(never)]
     fn fill(&mut self, with: Extremes) {
         let leaves = usize::from(self.window.leaves);
         self.size = leaves.next_power_of_two();
-        self.tree = [Extremes::NONE; 2 * LEAVES];
-        self.tree
-            .iter_mut()
-            .skip(self.size)
-            .take(leaves)
-            .for_each(|leaf| *leaf = with);
-        for node in (1..self.size).rev() {
-            let children = self.at(2 * node).with(self.at(2 * node + 1));
-            if let Some(node) = self.tree.get_mut(node) {
-                *node = children;
-            }
+        // Level by level from the root: its nodes up to that of the last leaf hold the value, the others nothing.
+        let (mut level, mut below) = (1, self.size);
+        while level <= self.size {
+            let used = leaves.div_ceil(below);
+            let nodes = self.tree.get_mut(level..2 * level).unwrap_or_default();
+            let (used, unused) = nodes.split_at_mut(used.min(level));
+            used.fill(with);
+            unused.fill(Extremes::NONE);
+            level *= 2;
+            below /= 2;
         }
         self.leaf = 0;
         self.filled = 0;

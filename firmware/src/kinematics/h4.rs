@@ -27,7 +27,7 @@ use super::h4_motion::quick_turn;
 use super::{Accelerations, Jacobian, JointMotion, Joints, Kinematics, Pose, PoseError, Rates};
 use crate::config::H4Geometry;
 use crate::units::root::{Root, hypot};
-use crate::units::scale::{multiply_shift, round_shift, saturate};
+use crate::units::scale::{multiply_shift, round_shift, saturate, total};
 use crate::units::trig::sin_cos;
 use crate::units::{Angle, Coordinate, Length};
 
@@ -65,6 +65,8 @@ pub struct H4 {
     pub(super) rod_square: i64,
     /// The least S^2 that is accepted: (0.1 R)^2.
     least_square: i64,
+    /// The least 2 S at which measured slides are certified: 0.18 R.
+    pub(super) least_measured: i32,
     /// m of rods 1 and 2: T_L + 2 c.
     pub(super) upper: i32,
     /// m of rods 3 and 4: T_L.
@@ -157,6 +159,8 @@ impl H4 {
             rod,
             rod_square,
             least_square: rod_square / 100 + (rod_square % 100 != 0) as i64,
+            // Rounded up.
+            least_measured: ((18 * rod as i64 + 99) / 100) as i32,
             // Fits wherever the geometry is sound.
             upper: saturate(geometry.tool.0 as i64 + 2 * spacing),
             lower: geometry.tool.0,
@@ -238,14 +242,26 @@ impl H4 {
         };
         let (y, height) = turn(across, up, table);
 
-        let below = self.table_height as i64 - self.rail_offset as i64 - height;
+        // Words, and y and the height below 2^33: no sum leaves 36 bits.
+        let less = |a: i64, b: i64| total(a, b.wrapping_neg());
+        let below = less(
+            less(self.table_height as i64, self.rail_offset as i64),
+            height,
+        );
+        let half_height = self.half_height as i64;
         let upper = (
-            self.lateral as i64 - y,
-            below + self.half_height as i64 - multiply_shift(self.upper, tilt.1, 30),
+            less(self.lateral as i64, y),
+            less(
+                total(below, half_height),
+                multiply_shift(self.upper, tilt.1, 30),
+            ),
         );
         let lower = (
-            self.lateral as i64 + y,
-            below - self.half_height as i64 - multiply_shift(self.lower, tilt.1, 30),
+            total(self.lateral as i64, y),
+            less(
+                less(below, half_height),
+                multiply_shift(self.lower, tilt.1, 30),
+            ),
         );
         // Before anything is squared: an absurd pose would not fit.
         let rod = self.rod as i64;
@@ -255,7 +271,7 @@ impl H4 {
             return Err(PoseError::Unreachable);
         }
         Ok(Placed {
-            x: x_w.0 as i64 + self.offset[0] as i64,
+            x: total(x_w.0 as i64, self.offset[0] as i64),
             y,
             height,
             tilt,
@@ -354,19 +370,21 @@ impl H4 {
         alpha: Coordinate,
     ) -> Result<Joints, PoseError> {
         let sine = placed.tilt.0;
-        let upper = placed.x + multiply_shift(self.upper, sine, 30);
-        let lower = placed.x + multiply_shift(self.lower, sine, 30);
-        let first = self.joint_offset as i64 + pairs[0].root.rounded() as i64;
-        let second = self.joint_offset as i64 + pairs[1].root.rounded() as i64;
-        let slides = [upper + first, upper - first, lower + second, lower - second];
+        // x is below 2^32, all others are words: no sum leaves 36 bits.
+        let upper = total(placed.x, multiply_shift(self.upper, sine, 30));
+        let lower = total(placed.x, multiply_shift(self.lower, sine, 30));
+        let ahead = self.joint_offset as i64;
+        let front = total(ahead, pairs[0].root.rounded() as i64);
+        let rear = total(ahead, pairs[1].root.rounded() as i64);
+        let first = total(upper, front);
+        let second = total(upper, front.wrapping_neg());
+        let third = total(lower, rear);
+        let fourth = total(lower, rear.wrapping_neg());
         // What leaves its word is seen once for all.
-        let beyond = slides
-            .iter()
-            .fold(0, |bits, slide| bits | (*slide as i32 as i64 ^ slide));
-        if beyond != 0 {
+        let leaves = |slide: i64| slide ^ slide as i32 as i64;
+        if leaves(first) | leaves(second) | leaves(third) | leaves(fourth) != 0 {
             return Err(PoseError::Unreachable);
         }
-        let [first, second, third, fourth] = slides;
         let slide = |value: i64| Coordinate(value as i32);
         Ok(Joints([
             slide(first),
@@ -439,6 +457,7 @@ impl Kinematics for H4 {
         Ok(motion)
     }
 
+    #[inline]
     fn forward(&self, joints: &Joints) -> Result<Pose, PoseError> {
         let alpha = joints.0[ALPHA];
         check_table(alpha)?;
@@ -448,16 +467,23 @@ impl Kinematics for H4 {
         let height = i32::try_from(base.z.0 as i64 + self.table_height as i64)
             .map_err(|_| PoseError::Unreachable)?;
         let (across, up) = turn(base.y.0, height, (-sine, cosine));
-        let mut pose = Pose::default();
-        let table = [base.x.0 as i64, across, up];
-        for ((coordinate, value), offset) in pose.0.iter_mut().zip(table).zip(self.offset) {
-            *coordinate = Coordinate(
-                i32::try_from(value - offset as i64).map_err(|_| PoseError::Unreachable)?,
-            );
+        // Below 2^32, less a word.
+        let [x, y, z] = self.offset;
+        let x = total(base.x.0 as i64, -(x as i64));
+        let y = total(across, -(y as i64));
+        let z = total(up, -(z as i64));
+        let leaves = |value: i64| value ^ value as i32 as i64;
+        if leaves(x) | leaves(y) | leaves(z) != 0 {
+            return Err(PoseError::Unreachable);
         }
-        pose.0[THETA] = base.theta.into();
-        pose.0[ALPHA] = alpha;
-        Ok(pose)
+        Ok(Pose([
+            Coordinate(x as i32),
+            Coordinate(y as i32),
+            Coordinate(z as i32),
+            base.theta.into(),
+            alpha,
+            Coordinate::ZERO,
+        ]))
     }
 
     fn jacobian(&self, pose: &Pose) -> Result<Jacobian, PoseError> {

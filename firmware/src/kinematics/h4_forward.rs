@@ -19,10 +19,12 @@
 
 use super::h4::{BasePose, H4};
 use super::{Joints, PoseError};
-use crate::units::Length;
 use crate::units::root::{Root, reciprocal};
-use crate::units::scale::{high_product, multiply_high, multiply_shift, round_shift, saturate};
+use crate::units::scale::{
+    high_product, multiply_high, round_shift, saturate, shift_left, shift_right, total,
+};
 use crate::units::trig::atan2;
+use crate::units::{Coordinate, Length};
 
 impl H4 {
     /// The tool in the frame of the slave base: x, y, z and theta of (3.17)-(3.19), without the table.
@@ -35,20 +37,26 @@ impl H4 {
 
     #[inline]
     pub(super) fn base(&self, joints: &Joints) -> Result<BasePose, PoseError> {
-        let [l1, l2, l3, l4, ..] = joints.0.map(|joint| joint.0 as i64);
+        let [l1, l2, l3, l4, ..] = joints.0;
+        // Sums of some words: no more than 36 bits.
+        let plus = |a: Coordinate, b: Coordinate| total(a.0 as i64, b.0 as i64);
+        let minus = |a: Coordinate, b: Coordinate| total(a.0 as i64, -(b.0 as i64));
+        let less = |a: i64, b: i64| total(a, b.wrapping_neg());
 
         // 2 S of both pairs: exact, and with their sign before it is lost.
-        let upper = l1 - l2 - 2 * self.joint_offset as i64;
-        let lower = l3 - l4 - 2 * self.joint_offset as i64;
-        let twice_rod = 2 * self.rod as i64;
-        let width = 4 * self.half_spacing as i64;
-        let sum = l1 + l2 - l3 - l4;
+        let twice_offset = (self.joint_offset as i64) << 1;
+        let upper = less(minus(l1, l2), twice_offset);
+        let lower = less(minus(l3, l4), twice_offset);
+        let twice_rod = (self.rod as i64) << 1;
+        let width = (self.half_spacing as i64) << 2;
+        let sum = less(plus(l1, l2), plus(l3, l4));
         if sum.abs() >= width || upper > twice_rod || lower > twice_rod || !self.sound {
             return Err(PoseError::Unreachable);
         }
         // Measuring reaches a little farther than planning: a machine that follows with an error must not go blind at the planned bound.
-        if 100 * upper < 9 * twice_rod || 100 * lower < 9 * twice_rod {
-            let pair = (100 * upper >= 9 * twice_rod) as u8;
+        let least = self.least_measured as i64;
+        if upper < least || lower < least {
+            let pair = (upper >= least) as u8;
             return Err(PoseError::NearReachLimit { pair });
         }
         // Now N and 2 S are words, below 2^31 and at most 2^31: the casts cut nothing, and products of words need no check.
@@ -57,8 +65,8 @@ impl H4 {
         let (upper_square, lower_square) = (square(upper), square(lower));
 
         // The tilt: N and 4 c cos(theta), both below 2^31.
-        let (less, more) = ((width - sum) as u32, (width + sum) as u32);
-        let cosine = Root::of(less as u64 * more as u64).rounded();
+        let (below, above) = (less(width, sum) as u32, total(width, sum) as u32);
+        let cosine = Root::of(below as u64 * above as u64).rounded();
         let sum = sum as i32;
         let theta = atan2(sum, cosine);
         // |drop| < 2^30 + 2^29.
@@ -68,16 +76,16 @@ impl H4 {
         let base_square = (square(self.lateral.unsigned_abs()) as u64)
             .wrapping_add(square(drop.unsigned_abs()) as u64);
         let half_shift = base_square.leading_zeros() / 2;
-        let scaled = base_square << (2 * half_shift);
+        let scaled = shift_left(base_square, 2 * half_shift);
         let grow = half_shift.saturating_sub(1);
         let (along_y, along_z) = (self.lateral << grow, drop << grow);
 
         // sqrt(v) t, and v q^2 = v (R^2 - (S12^2 + S34^2) / 2 - H^2) - v t^2: the division by H^2 waits for the end, where it only scales.
         let difference = round_shift(upper_square.wrapping_sub(lower_square), 4);
-        if difference.unsigned_abs() >> (63 - half_shift) != 0 {
+        let fine = shift_left(difference as u64, half_shift) as i64;
+        if shift_right(fine, half_shift) != difference {
             return Err(PoseError::Unreachable);
         }
-        let fine = difference << half_shift;
         let along_square = high_product(fine.unsigned_abs(), fine.unsigned_abs());
         // R^2 and the mean of the S^2 are 0 to 2^60, H^2 below 2^62: this fits.
         let free = self
@@ -105,19 +113,27 @@ impl H4 {
         let inverse = reciprocal(top << odd) >> 1;
         let y = round_shift(multiply_high(numerator_y, inverse), 29 - odd);
         let centre = round_shift(multiply_high(numerator_z, inverse), 29 - odd);
-        let x =
-            round_shift(l1 + l2 + l3 + l4, 2) - multiply_shift(sum, self.ratio, self.ratio_shift);
-        let z =
-            centre - self.rail_offset as i64 - multiply_shift(cosine, self.ratio, self.ratio_shift);
-        let narrow = |value: i64| {
-            i32::try_from(value)
-                .map(Length)
-                .map_err(|_| PoseError::Unreachable)
+        // To nearest; the shift is 1 to 32.
+        let by_ratio = |value: i32| {
+            let twice = shift_right(
+                value as i64 * self.ratio as i64,
+                self.ratio_shift.wrapping_sub(1),
+            );
+            total(twice, 1) >> 1
         };
+        let x = less(
+            round_shift(total(plus(l1, l2), plus(l3, l4)), 2),
+            by_ratio(sum),
+        );
+        let z = less(less(centre, self.rail_offset as i64), by_ratio(cosine));
+        let leaves = |value: i64| value ^ value as i32 as i64;
+        if leaves(x) | leaves(y) | leaves(z) != 0 {
+            return Err(PoseError::Unreachable);
+        }
         Ok(BasePose {
-            x: narrow(x)?,
-            y: narrow(y)?,
-            z: narrow(z)?,
+            x: Length(x as i32),
+            y: Length(y as i32),
+            z: Length(z as i32),
             theta,
         })
     }

@@ -18,7 +18,7 @@
 use super::h4::{ALPHA, AXES, H4, Pair, Placed, THETA};
 use super::{Accelerations, Jacobian, JointMotion, Rates};
 use crate::units::root::Reciprocal;
-use crate::units::scale::{multiply_high, multiply_shift, product, round_shift, scale, total};
+use crate::units::scale::{multiply_high, multiply_shift, round_shift, scale, shift_right, total};
 use crate::units::trig::QUARTER_PI_Q31;
 use crate::units::{Acceleration, Rate};
 
@@ -113,17 +113,18 @@ fn root_jet(slope: &Slope, u: (i32, i32), v: (i32, i32)) -> (i64, i64) {
         coarse as i64 * coarse as i64,
     );
     // 2^-24 (mm/s)^2 over 2^-20 mm, to 2^-12 mm/s^2: times 2^8.
-    let bent = multiply_high(squares, slope.inverse.mantissa)
-        .wrapping_shr(slope.inverse.shift.wrapping_sub(40));
+    let bent = shift_right(
+        multiply_high(squares, slope.inverse.mantissa),
+        slope.inverse.shift.wrapping_sub(40),
+    );
     let second = total(bent, sum(slope.u, u.1, slope.v, v.1) >> 27);
     ((first >> 27).wrapping_neg(), second.wrapping_neg())
 }
 
 /// The bits of the largest magnitude; a negative one may count for one more.
 #[inline(always)]
-fn bits(values: [i32; 3]) -> u32 {
-    let [a, b, c] = values.map(|value| value ^ (value >> 31));
-    32 - (a | b | c).leading_zeros()
+const fn bits([a, b, c]: [i32; 3]) -> u32 {
+    32 - ((a ^ (a >> 31)) | (b ^ (b >> 31)) | (c ^ (c >> 31))).leading_zeros()
 }
 
 /// What a pair of slides does: the middle of both, and by how much the first is ahead of it, by rate and acceleration.
@@ -180,22 +181,27 @@ impl H4 {
         let jets = self.jets(placed, pairs, slow_rates, slow_accelerations);
         // What leaves its word is seen once for all.
         let mut beyond = u64::from(excess);
-        let outputs = motion
-            .rates
-            .chunks_exact_mut(2)
-            .zip(motion.accelerations.chunks_exact_mut(2));
-        for ([middle, ahead], (rates, accelerations)) in jets.iter().zip(outputs) {
-            for ((rate, acceleration), sign) in rates.iter_mut().zip(accelerations).zip([1, -1]) {
-                let first = total(middle.0, product(sign, ahead.0));
-                let second = total(middle.1, product(sign, ahead.1));
-                *rate = Rate(first as i32);
-                *acceleration = Acceleration(second as i32);
-                beyond |= (first ^ i64::from(first as i32)) as u64;
-                beyond |= (second ^ i64::from(second as i32)) as u64;
-            }
-        }
-        motion.rates[ALPHA] = rates[ALPHA];
-        motion.accelerations[ALPHA] = accelerations[ALPHA];
+        let mut narrow = |value: i64| {
+            beyond |= (value ^ i64::from(value as i32)) as u64;
+            value as i32
+        };
+        let [[middle, ahead], [rear_middle, rear_ahead]] = jets;
+        motion.rates = [
+            Rate(narrow(total(middle.0, ahead.0))),
+            Rate(narrow(total(middle.0, ahead.0.wrapping_neg()))),
+            Rate(narrow(total(rear_middle.0, rear_ahead.0))),
+            Rate(narrow(total(rear_middle.0, rear_ahead.0.wrapping_neg()))),
+            rates[ALPHA],
+            Rate::ZERO,
+        ];
+        motion.accelerations = [
+            Acceleration(narrow(total(middle.1, ahead.1))),
+            Acceleration(narrow(total(middle.1, ahead.1.wrapping_neg()))),
+            Acceleration(narrow(total(rear_middle.1, rear_ahead.1))),
+            Acceleration(narrow(total(rear_middle.1, rear_ahead.1.wrapping_neg()))),
+            accelerations[ALPHA],
+            Acceleration::ZERO,
+        ];
         if beyond != 0 {
             hold(&jets, excess, motion);
         }
@@ -210,9 +216,16 @@ impl H4 {
         rates: &Rates,
         accelerations: &Accelerations,
     ) -> [PairJet; 2] {
-        let [x, across, up, tilt, turn, _] = rates.map(|rate| rate.0);
-        let [x_push, across_push, up_push, tilt_push, turn_push, _] =
-            accelerations.map(|acceleration| acceleration.0);
+        let [Rate(x), Rate(across), Rate(up), Rate(tilt), Rate(turn), _] = *rates;
+        let [
+            Acceleration(x_push),
+            Acceleration(across_push),
+            Acceleration(up_push),
+            Acceleration(tilt_push),
+            Acceleration(turn_push),
+            _,
+        ] = *accelerations;
+        // Products of words: no sign below can turn the least of its type.
         // Radians: rate * 2 pi / 2^32 in Q30, acceleration * 2 pi / 2^24 in Q22; both are the value times pi / 2.
         let radians = |value: i32| nearest(value as i64 * QUARTER_PI_Q31 as i64, 30);
 
@@ -224,16 +237,16 @@ impl H4 {
         let bend = word(omega as i64 * omega as i64, 32);
         let y_along = sum(across, cosine, up.wrapping_neg(), sine);
         let z_along = sum(across, sine, up, cosine);
-        let y_rate = total(y_along, -(height as i64 * omega as i64));
+        let y_rate = total(y_along, (height as i64 * omega as i64).wrapping_neg());
         let z_rate = total(z_along, y as i64 * omega as i64);
         // 2 alpha' Z' + alpha'^2 y, with 48 bits: a rate, halved, times Q30, and a length times Q28. The others have 30 more than 2^-12 mm/s^2, which is 42.
         let (y_along, z_along) = (word(y_along, 31), word(z_along, 31));
         let y_push = total(
             total(
                 sum(across_push, cosine, up_push.wrapping_neg(), sine),
-                -(height as i64 * spin as i64),
+                (height as i64 * spin as i64).wrapping_neg(),
             ),
-            -(sum(z_along, omega, y, bend) >> 6),
+            (sum(z_along, omega, y, bend) >> 6).wrapping_neg(),
         );
         let z_push = total(
             total(

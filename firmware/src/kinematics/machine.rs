@@ -76,6 +76,7 @@ impl Machine {
     ///
     /// # Errors
     /// As [`Kinematics::inverse_motion`].
+    #[inline(never)]
     pub fn place(
         &self,
         pose: &Pose,
@@ -103,6 +104,7 @@ impl Machine {
 
     /// The angle by which a pose turns the table, and what it carries, out of the level.
     #[must_use]
+    #[inline]
     pub const fn table(&self, pose: &Pose) -> Angle {
         match &self.geometry {
             Geometry::H4(_) => pose.0[4].angle(),
@@ -119,12 +121,17 @@ impl Machine {
     /// The first joint outside its stroke is an error.
     #[inline]
     fn check_strokes(&self, joints: &Joints) -> Result<(), PoseError> {
-        let mut inside = true;
-        for ((joint, low), width) in joints.0.iter().zip(&self.lows).zip(&self.widths) {
-            // Whoever is below wraps around to far above.
-            inside &= joint.wrapping_sub(*low).0 as u32 <= *width;
-        }
-        if inside {
+        // Whoever is below wraps around to far above.
+        let [a, b, c, d, e, f] = &joints.0;
+        let [low_a, low_b, low_c, low_d, low_e, low_f] = &self.lows;
+        let [width_a, width_b, width_c, width_d, width_e, width_f] = &self.widths;
+        if a.wrapping_sub(*low_a).0 as u32 <= *width_a
+            && b.wrapping_sub(*low_b).0 as u32 <= *width_b
+            && c.wrapping_sub(*low_c).0 as u32 <= *width_c
+            && d.wrapping_sub(*low_d).0 as u32 <= *width_d
+            && e.wrapping_sub(*low_e).0 as u32 <= *width_e
+            && f.wrapping_sub(*low_f).0 as u32 <= *width_f
+        {
             Ok(())
         } else {
             Err(self.out_of_stroke(joints))
@@ -182,6 +189,7 @@ impl Kinematics for Machine {
         Ok(motion)
     }
 
+    #[inline(never)]
     fn forward(&self, joints: &Joints) -> Result<Pose, PoseError> {
         self.check_strokes(joints)?;
         match &self.geometry {

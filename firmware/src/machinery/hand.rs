@@ -10,6 +10,9 @@ use crate::reflection::{HandProblem, Haptic, Zero};
 use crate::safety::integrity::Digest;
 use haptimill_protocol::haptic::Hand;
 
+/// Whether this controller was built for a hand (feature `hand`). Where it was not, a configuration with one is refused, and the compiler leaves out what nothing can reach.
+pub const HAND: bool = cfg!(feature = "hand");
+
 /// What leads, of the hands that can.
 #[derive(Debug, Default)]
 pub struct Hands {
@@ -22,6 +25,21 @@ pub struct Hands {
     periods_per_second: u32,
     /// Periods after which a word of the hand afar is too old.
     stale: u32,
+}
+
+impl Hands {
+    /// The arm, for reading.
+    #[must_use]
+    #[inline]
+    pub const fn arm(&self) -> Option<&Haptic> {
+        if HAND { self.arm.as_ref() } else { None }
+    }
+
+    /// The arm.
+    #[inline]
+    pub const fn arm_mut(&mut self) -> Option<&mut Haptic> {
+        if HAND { self.arm.as_mut() } else { None }
+    }
 }
 
 /// The encoders of a haptic arm, and what they showed at its home.
@@ -42,6 +60,9 @@ impl Machinery {
     #[cold]
     #[inline(never)]
     pub(super) fn set_up_hand(&mut self, inputs: &HapticInputs) {
+        if !HAND {
+            return;
+        }
         let config = &self.config;
         let period_us = config.period_us;
         let per_second = 1_000_000 / u32::from(period_us.max(1));
@@ -58,12 +79,12 @@ impl Machinery {
     #[must_use]
     pub fn hand_standing(&self) -> Option<HandStanding> {
         let sensors = self.config.haptic.as_ref()?.sensors;
-        Some((sensors, self.hands.arm.as_ref()?.zero()))
+        Some((sensors, self.hands.arm()?.zero()))
     }
 
     /// Takes over what the counts of the haptic arm mean, if they mean the same under both configurations.
     pub fn take_over_hand(&mut self, (sensors, zero): &HandStanding) {
-        if let (Some(own), Some(haptic)) = (&mut self.hands.arm, &self.config.haptic)
+        if let (Some(own), Some(haptic)) = (self.hands.arm_mut(), &self.config.haptic)
             && haptic.sensors == *sensors
         {
             own.take_over(zero);
@@ -71,9 +92,12 @@ impl Machinery {
     }
 
     /// The haptic part of stage *sense*.
+    #[inline]
     pub fn sense_hand(&mut self, inputs: &HapticInputs) {
-        self.hands.afar.grow();
-        if let Some(arm) = &mut self.hands.arm {
+        if HAND {
+            self.hands.afar.grow();
+        }
+        if let Some(arm) = self.hands.arm_mut() {
             arm.sense(inputs);
         }
     }
@@ -87,16 +111,27 @@ impl Machinery {
     /// The hand that can lead: that on the arm here, or the one afar.
     #[must_use]
     pub fn hand(&self) -> Option<Frame> {
-        match &self.hands.arm {
+        match self.hands.arm() {
             Some(arm) => arm.frame(),
+            None if !HAND => None,
             None => self.hands.afar.frame(self.hands.periods_per_second),
         }
     }
 
     /// The hand leads the coordinates that are given to it, if its button is held.
+    #[inline]
     pub fn lead(&mut self) -> Leading {
+        if HAND {
+            self.lead_by_hand()
+        } else {
+            Leading::No
+        }
+    }
+
+    #[inline(never)]
+    fn lead_by_hand(&mut self) -> Leading {
         let mask = self.motion.hand_mask();
-        let afar = self.hands.arm.is_none();
+        let afar = self.hands.arm().is_none();
         let age = self.hands.afar.age().unwrap_or(u32::MAX);
         let late = afar && age > self.hands.stale;
         let frame = self
@@ -120,14 +155,26 @@ impl Machinery {
     }
 
     /// Nothing is led; the next time that it is, hand and tool are latched where they are then.
+    #[inline]
     pub fn release_hand(&mut self) {
+        if !HAND {
+            return;
+        }
         self.hands.lead.release();
         self.motion.lead(self.hands.lead.targets());
     }
 
     /// Stage *feel*.
+    #[inline]
     pub fn feel(&mut self, powered: bool, outputs: &mut HapticOutputs) {
-        let Some(arm) = &mut self.hands.arm else {
+        if self.hands.arm().is_some() {
+            self.feel_by_hand(powered, outputs);
+        }
+    }
+
+    #[inline(never)]
+    fn feel_by_hand(&mut self, powered: bool, outputs: &mut HapticOutputs) {
+        let Some(arm) = self.hands.arm.as_mut() else {
             return;
         };
         let here = !self.joints.is_empty();
@@ -152,7 +199,7 @@ impl Machinery {
 
     /// A problem of the haptic arm that was not told yet.
     pub fn take_hand_problem(&mut self) -> Option<HandProblem> {
-        self.hands.arm.as_mut()?.take_problem()
+        self.hands.arm_mut()?.take_problem()
     }
 
     /// Whether the machine is there for the hand alone, or a hand leads it: what is wrong with the arm is then its own fault.
@@ -163,9 +210,12 @@ impl Machinery {
 
     pub(super) fn digest_hand(&self, digest: &mut Digest) {
         const { assert!(HAND_PART < super::PARTS) };
+        if !HAND {
+            return;
+        }
         digest.add(&(&self.config.haptic, &self.config.follow));
         digest.add(&(self.hands.periods_per_second, self.hands.stale));
-        if let Some(arm) = &self.hands.arm {
+        if let Some(arm) = self.hands.arm() {
             arm.digest(digest);
         }
     }

@@ -48,6 +48,7 @@ impl Machinery {
     }
 
     /// The force part of stage *sense*: codes to forces; `active` while something moves or may move.
+    #[inline]
     pub fn sense_force(&mut self, inputs: &Inputs, spindle_rpm: i16, active: bool) {
         let Some(force) = &mut self.force else {
             return;
@@ -60,8 +61,30 @@ impl Machinery {
         force.mind(active);
     }
 
+    /// Whether the reference may be another pose than the wanted one.
+    #[inline]
+    pub(super) fn yields(&self) -> bool {
+        self.force.as_ref().is_some_and(|force| !force.rests())
+    }
+
     /// Stage *yield*: the reference of this period. `stopped` by a fault of the force, `homing` while the references are looked for.
+    #[inline]
     pub fn give_way(&mut self, stopped: bool, homing: bool) {
+        let Some(force) = &mut self.force else {
+            return;
+        };
+        force.suspend(homing);
+        if force.rests() && self.limited == [0; COMPONENTS] {
+            // No axis is under force control, and nothing is left of what was.
+            force.hold(stopped);
+            self.reference.pose = self.motion.wanted().pose;
+            return;
+        }
+        self.yield_to_force(stopped);
+    }
+
+    #[inline(never)]
+    fn yield_to_force(&mut self, stopped: bool) {
         let Some(force) = &mut self.force else {
             return;
         };
@@ -70,7 +93,6 @@ impl Machinery {
             .condition()
             .is_some_and(|problem| !matches!(problem, ForceProblem::Limit { .. }));
         force.hold(stopped || (unbelieved && force.mask() != 0));
-        force.suspend(homing);
         let wanted = self.motion.wanted();
         let [x, y, z, ..] = wanted.rates;
         let yielding = *force.advance(&[x, y, z]);
@@ -152,6 +174,7 @@ impl Machinery {
     }
 
     /// Stage *place* with force control.
+    #[inline(never)]
     pub(super) fn place_reference(&mut self) -> Result<(), PoseError> {
         let Err(refused) = self.place_once() else {
             return Ok(());
@@ -243,12 +266,13 @@ impl Machinery {
         }
     }
 
-    /// What is placed: p_r, or without force control what is wanted.
+    /// What is placed: p_r, or where nothing yields what is wanted.
     #[must_use]
-    pub const fn reference(&self) -> &crate::motion::Wanted {
-        match self.force {
-            Some(_) => &self.reference,
-            None => self.motion.wanted(),
+    pub fn reference(&self) -> &crate::motion::Wanted {
+        if self.yields() {
+            &self.reference
+        } else {
+            self.motion.wanted()
         }
     }
 }

@@ -9,7 +9,7 @@
 //! largest that occurs in the span, held by a test.
 
 use crate::drive::reciprocal::high;
-use crate::units::scale::{product, saturate, total};
+use crate::units::scale::{product, saturate, shift_right, total};
 use crate::units::{Acceleration, Coordinate, Rate};
 use haptimill_protocol::message::RATE_SHIFT;
 
@@ -108,7 +108,7 @@ impl Span {
     /// The way, in 2^-16 axis units, that a rate of the wire (below 2^24 in magnitude) goes in the span.
     #[inline]
     fn travel(&self, rate: i32) -> i64 {
-        product(i64::from(rate), self.travel).wrapping_shr(self.travel_shift)
+        shift_right(product(i64::from(rate), self.travel), self.travel_shift)
     }
 }
 
@@ -221,7 +221,7 @@ impl Cubic {
         let all = magnitude(self.c1) | magnitude(c2) | magnitude(c3);
         let spare = (64 - all.leading_zeros()).saturating_sub(31);
         let [r1, r2, r3] =
-            [self.c1, c2, c3].map(|value| high(value.wrapping_shr(spare) as i32, span.mantissa));
+            [self.c1, c2, c3].map(|value| high(shift_right(value, spare) as i32, span.mantissa));
         // high() has taken 32 bits away, the coefficients have 16 of fraction. Spare is at most 27, the exponent 16 to 53.
         let rate_fraction = span.exponent as i32 - 16 - spare as i32;
         Derivatives {

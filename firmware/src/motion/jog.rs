@@ -36,6 +36,8 @@ constants!(Axis { limits, rate_limit, low, high } of {} but { position, rate, ta
 pub struct Jog {
     axes: usize,
     period_us: u16,
+    /// A whole number: the configuration sees to it.
+    periods_per_second: i64,
     axis: [Axis; MAX_AXES],
     /// Largest rates of the joints, axis units per second.
     joint_rates: [i64; MAX_AXES],
@@ -50,12 +52,13 @@ impl Constants for Jog {
         let Self {
             axes,
             period_us,
+            periods_per_second,
             axis,
             joint_rates,
             alive: _,
             limited: _,
         } = self;
-        digest.add(&(axes, period_us, joint_rates));
+        digest.add(&(axes, period_us, periods_per_second, joint_rates));
         axis.iter().for_each(|axis| axis.digest(digest));
     }
 }
@@ -87,6 +90,7 @@ impl Jog {
         let mut jog = Self {
             axes: config.pose.len(),
             period_us: config.period_us,
+            periods_per_second: 1_000_000 / i64::from(config.period_us.max(1)),
             ..Self::default()
         };
         for (axis, pose) in jog.axis.iter_mut().zip(&config.pose) {
@@ -137,6 +141,7 @@ impl Jog {
 
     /// Whether nothing moves.
     #[must_use]
+    #[inline]
     pub fn is_still(&self) -> bool {
         self.alive == 0 && self.axis.iter().all(|axis| axis.rate.is_zero())
     }
@@ -181,11 +186,13 @@ impl Jog {
             let Some(limits) = axis.limits else { continue };
             axis.position += axis.rate.advance(targets[index], &limits);
             wanted.pose.0[index] = Coordinate((axis.position >> FRACTION) as i32);
-            wanted.rates[index] = Rate(saturate(per_second(axis.rate.value(), self.period_us)));
-            let slope = per_second(axis.rate.slope(), self.period_us);
-            wanted.accelerations[index] = Acceleration(saturate(
-                (slope * 1_000_000 / i64::from(self.period_us)) >> 8,
-            ));
+            wanted.rates[index] = Rate(saturate(per_second(
+                axis.rate.value(),
+                self.periods_per_second,
+            )));
+            let slope = per_second(axis.rate.slope(), self.periods_per_second);
+            wanted.accelerations[index] =
+                Acceleration(saturate((slope * self.periods_per_second) >> 8));
         }
         (wanted, limited)
     }
@@ -196,7 +203,10 @@ impl Jog {
         let (mut pose, mut rates) = (Pose::default(), Rates::default());
         for (index, axis) in self.axis[..self.axes].iter().enumerate() {
             pose.0[index] = Coordinate((axis.position >> FRACTION) as i32);
-            rates[index] = Rate(saturate(per_second(targets[index], self.period_us)));
+            rates[index] = Rate(saturate(per_second(
+                targets[index],
+                self.periods_per_second,
+            )));
         }
         let Ok(motion) = machine.inverse_motion(&pose, &rates, &Accelerations::default()) else {
             return;
@@ -205,7 +215,10 @@ impl Jog {
         let part = motion.rates[..self.axes]
             .iter()
             .zip(&self.joint_rates)
-            .map(|(rate, limit)| (i64::from(rate.0).abs() << 16) / (*limit).max(1))
+            .map(|(rate, limit)| (i64::from(rate.0).abs(), (*limit).max(1)))
+            // Nearly always none is left to be divided.
+            .filter(|(rate, limit)| rate > limit)
+            .map(|(rate, limit)| (rate << 16) / limit)
             .fold(1 << 16, i64::max);
         if part > 1 << 16 {
             for target in targets.iter_mut() {
@@ -266,9 +279,9 @@ pub(super) fn per_period(rate: i64, period_us: u16) -> i64 {
     (rate * i64::from(period_us) * (1 << 14)) / 15_625
 }
 
-/// 2^-20 axis units per period -> axis units per second.
-fn per_second(rate: i64, period_us: u16) -> i64 {
-    ((rate >> 8) * 1_000_000 / i64::from(period_us.max(1))) >> 12
+/// 2^-20 axis units per period -> axis units per second, with so many whole periods in a second.
+fn per_second(rate: i64, periods_per_second: i64) -> i64 {
+    ((rate >> 8) * periods_per_second) >> 12
 }
 
 fn saturate(x: i64) -> i32 {

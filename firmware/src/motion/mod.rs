@@ -15,6 +15,7 @@ pub mod sweep;
 
 use crate::config::Config;
 use crate::kinematics::{Accelerations, Kinematics, Pose, Rates};
+use crate::machinery::hand::HAND;
 use crate::safety::integrity::constants;
 use crate::units::{Acceleration, Coordinate, Rate};
 use follow::{Mover, MoverLimits};
@@ -74,10 +75,12 @@ pub struct Motion {
     limited: Option<u8>,
     /// The job is over: what follows the hand comes to rest.
     ending: bool,
+    /// The wanted pose is another one than the program's, whose setpoints were checked when they were taken.
+    led_otherwise: bool,
 }
 
 constants!(Motion { axes, bounds } of { program, jog } but {
-    wanted, sources, offsets, movers, program_rates, targets, confined, told, limited, ending
+    wanted, sources, offsets, movers, program_rates, targets, confined, told, limited, ending, led_otherwise
 });
 
 /// Gain of the movers of a machine that no hand leads, 1/s: they only brake.
@@ -91,12 +94,15 @@ impl Motion {
         self.axes = config.pose.len();
         let gain = config.follow.map_or(GAIN, |follow| follow.gain);
         for (bounds, axis) in self.bounds.iter_mut().zip(&config.pose) {
-            *bounds = MoverLimits::new(axis, gain, config.period_us).unwrap_or_default();
+            if HAND {
+                *bounds = MoverLimits::new(axis, gain, config.period_us).unwrap_or_default();
+            }
         }
     }
 
     /// The wanted pose.
     #[must_use]
+    #[inline]
     pub const fn wanted(&self) -> &Wanted {
         &self.wanted
     }
@@ -129,6 +135,7 @@ impl Motion {
         self.offsets = [0; MAX_AXES];
         self.jog.begin(&self.wanted.pose, true);
         self.stand();
+        self.note_leaders();
     }
 
     /// Begins jogging at the wanted pose; `limited` says whether soft limits count.
@@ -141,12 +148,15 @@ impl Motion {
         let Some(before) = self.sources.get(axis).copied() else {
             return;
         };
+        if !self.led_otherwise {
+            self.program_rates = self.wanted.rates;
+        }
         let bounds = &self.bounds[axis];
         let (place, rate) = (self.wanted.pose.0[axis], self.wanted.rates[axis]);
         if before == Source::Jog || source == Source::Jog {
             self.jog.begin(&self.wanted.pose, true);
         }
-        if source != before {
+        if HAND && source != before {
             self.movers[axis] = if source == Source::Program {
                 let rate = rate.saturating_sub(self.program_rates[axis]);
                 Mover::at(Coordinate(self.offsets[axis]), rate, bounds)
@@ -156,11 +166,15 @@ impl Motion {
         }
         self.sources[axis] = source;
         self.targets[axis] = None;
+        self.note_leaders();
     }
 
     /// Coordinates that a hand leads: a bit each.
     #[must_use]
     pub fn hand_mask(&self) -> u8 {
+        if !HAND {
+            return 0;
+        }
         let axes = self.sources[..self.axes].iter().enumerate();
         axes.fold(0, |mask, (axis, source)| {
             mask | u8::from(*source == Source::Master) << axis
@@ -184,7 +198,7 @@ impl Motion {
     /// Whether no mover is under way.
     #[must_use]
     pub fn movers_still(&self) -> bool {
-        self.movers[..self.axes].iter().all(Mover::is_still)
+        !HAND || self.movers[..self.axes].iter().all(Mover::is_still)
     }
 
     /// A coordinate that the hand leads where the machine cannot go; once until it goes on.
@@ -201,6 +215,7 @@ impl Motion {
     /// All coordinates are led by the program again; only while the machine is at rest.
     pub fn reset_sources(&mut self) {
         self.sources = [Source::Program; MAX_AXES];
+        self.note_leaders();
     }
 
     /// Where the machine would stand if the program were at `pose`: with offsets, and with coordinates that the program does not lead.
@@ -222,25 +237,34 @@ impl Motion {
         self.sources[..self.axes].contains(&Source::Jog)
     }
 
-    /// One period. The number is a coordinate whose jog was kept from going on.
-    pub fn advance(&mut self, mode: Mode, machine: &impl Kinematics) -> (Progress, Option<u8>) {
+    /// One period of what is nearly always: nothing moves, or a program alone. `None` where it is something else, for [`Motion::advance`].
+    #[inline]
+    pub fn advance_alone(&mut self, mode: Mode) -> Option<Progress> {
         match mode {
             Mode::Still => {
                 self.wanted.rates = Rates::default();
                 self.wanted.accelerations = Accelerations::default();
-                (Progress::default(), None)
+                Some(Progress::default())
             }
-            Mode::Jog => {
+            Mode::Program { halt } if !self.led_otherwise => {
+                Some(self.program.advance_to(halt, &mut self.wanted))
+            }
+            _ => None,
+        }
+    }
+
+    /// One period. The number is a coordinate whose jog was kept from going on.
+    pub fn advance(&mut self, mode: Mode, machine: &impl Kinematics) -> (Progress, Option<u8>) {
+        if let Some(progress) = self.advance_alone(mode) {
+            return (progress, None);
+        }
+        match mode {
+            Mode::Still | Mode::Jog => {
                 let (wanted, limited) = self.jog.advance(machine);
                 self.wanted = wanted;
                 (Progress::default(), limited)
             }
             Mode::Program { halt } => {
-                if !self.led_otherwise() {
-                    let progress = self.program.advance_to(halt, &mut self.wanted);
-                    self.program_rates = self.wanted.rates;
-                    return (progress, None);
-                }
                 for axis in 0..self.axes {
                     if self.sources[axis] != Source::Jog {
                         self.jog.carry(axis, self.wanted.pose.0[axis]);
@@ -259,22 +283,26 @@ impl Motion {
                 for axis in 0..self.axes {
                     self.merge(axis, &program, &jog, moving & (1 << axis) != 0);
                 }
+                self.note_leaders();
                 (progress, clipped.or(limited))
             }
         }
     }
 
-    /// Whether the wanted pose is another one than the program's, whose setpoints were checked when they were taken.
-    fn led_otherwise(&self) -> bool {
-        self.sources[..self.axes]
+    /// After a change of a source or an offset.
+    fn note_leaders(&mut self) {
+        self.led_otherwise = self.sources[..self.axes]
             .iter()
             .any(|source| *source != Source::Program)
             || self.offsets.iter().any(|offset| *offset != 0)
-            || !self.movers_still()
+            || !self.movers_still();
     }
 
     /// One period of the movers; a bit for each that was under way in it.
     fn follow(&mut self, halt: bool) -> u8 {
+        if !HAND {
+            return 0;
+        }
         let free = !(halt || self.confined || self.ending);
         let mut moving = 0;
         for axis in 0..self.axes {
@@ -340,7 +368,7 @@ impl Motion {
             match self.sources[axis] {
                 Source::Program => {
                     sweep.take(axis, &program, self.offsets[axis]);
-                    if !mover.is_still() {
+                    if HAND && !mover.is_still() {
                         let (low, high) = mover.sweep(None, bounds);
                         let of = |end: Coordinate, by: i64| i64::from(end.0) + by;
                         sweep.reach(axis, of(program.low.0[axis], low));
@@ -349,7 +377,7 @@ impl Motion {
                     allowed &= self.offsets[axis] == 0 || self.jog.allows(axis, &sweep);
                 }
                 Source::Jog => sweep.take(axis, &jog, 0),
-                Source::Master => {
+                Source::Master if HAND => {
                     let target = self.targets[axis].filter(|_| hand_goes_on);
                     let (low, high) = mover.sweep(target, bounds);
                     // A mover at rest stays in its place, to the last bit.
@@ -358,12 +386,12 @@ impl Motion {
                         sweep.reach(axis, high);
                     }
                 }
-                Source::Hold if !mover.is_still() => {
+                Source::Hold if HAND && !mover.is_still() => {
                     let (low, high) = mover.sweep(None, bounds);
                     sweep.reach(axis, low);
                     sweep.reach(axis, high);
                 }
-                Source::Hold => {}
+                Source::Hold | Source::Master => {}
             }
         }
         allowed && sweep.is_reachable(self.axes, machine)

@@ -47,8 +47,7 @@ impl Knot {
 /// The cubics on the way to the next setpoint.
 #[derive(Debug, Clone, Copy, Default)]
 struct Segment {
-    cubics: [Cubic; MAX_AXES],
-    derivatives: [Derivatives; MAX_AXES],
+    ways: [(Cubic, Derivatives); MAX_AXES],
     span: Span,
     to: Knot,
 }
@@ -281,6 +280,7 @@ impl Program {
 
     /// Setpoints that were reached.
     #[must_use]
+    #[inline]
     pub const fn reached(&self) -> u32 {
         self.reached
     }
@@ -299,6 +299,7 @@ impl Program {
 
     /// The path rate, [`FULL_RATE`] for the programmed speed.
     #[must_use]
+    #[inline]
     pub const fn path_rate(&self) -> i64 {
         self.path_rate.value()
     }
@@ -310,6 +311,7 @@ impl Program {
 
     /// Whether the next setpoint may be reached in this period, and a new segment begun: more to do than in others.
     #[must_use]
+    #[inline]
     pub fn turns(&self) -> bool {
         self.started
             && self.segment().is_none_or(|segment| {
@@ -325,6 +327,7 @@ impl Program {
     }
 
     /// The report on setpoints that were late, once.
+    #[inline]
     pub fn take_late(&mut self) -> Option<Late> {
         self.late.take()
     }
@@ -337,6 +340,7 @@ impl Program {
 
     /// Whether nothing moves along the path: braked to rest, waiting, or paused.
     #[must_use]
+    #[inline]
     pub fn is_still(&self) -> bool {
         (self.path_rate.is_zero() && self.back == 0)
             || self.paused
@@ -352,12 +356,14 @@ impl Program {
     }
 
     /// The same, with the pose, rates and accelerations written where they shall be.
+    #[inline]
     pub fn advance_to(&mut self, halt: bool, wanted: &mut Wanted) -> Progress {
         let progress = self.go(halt);
         self.sample(wanted);
         progress
     }
 
+    #[inline]
     fn go(&mut self, halt: bool) -> Progress {
         let mut progress = Progress::default();
         let Some(braking) = self.braking else {
@@ -405,6 +411,7 @@ impl Program {
     }
 
     /// Decides whether the queue still covers the way to rest.
+    #[inline]
     fn watch_coverage(&mut self, braking: &RampLimits) {
         if let Some(starving) = &mut self.starving {
             starving.periods = starving.periods.saturating_add(1);
@@ -436,6 +443,7 @@ impl Program {
         }
     }
 
+    #[inline]
     fn remaining_periods(&self) -> u64 {
         let segment = self
             .segment()
@@ -444,6 +452,7 @@ impl Program {
     }
 
     /// Goes from setpoint to setpoint until the time lies within a segment.
+    #[inline]
     fn walk(&mut self, progress: &mut Progress) {
         loop {
             if !self.begun {
@@ -506,6 +515,7 @@ impl Program {
     }
 
     /// The same, written where they shall be.
+    #[inline]
     fn sample(&self, wanted: &mut Wanted) {
         let Some(segment) = self.segment() else {
             *wanted = Wanted {
@@ -515,12 +525,16 @@ impl Program {
             return;
         };
         let fraction = segment.span.fraction((self.time >> 16) as u32);
-        let parts = segment.cubics.iter().zip(&segment.derivatives);
-        for (axis, (cubic, derivatives)) in parts.take(self.axes).enumerate() {
+        let Wanted {
+            pose,
+            rates,
+            accelerations,
+        } = &mut *wanted;
+        for (axis, (cubic, derivatives)) in segment.ways.iter().enumerate().take(self.axes) {
             let sample = cubic.sample(derivatives, fraction);
-            wanted.pose.0[axis] = sample.position;
-            wanted.rates[axis] = sample.rate;
-            wanted.accelerations[axis] = sample.acceleration;
+            pose.0[axis] = sample.position;
+            rates[axis] = sample.rate;
+            accelerations[axis] = sample.acceleration;
         }
         if self.path_rate != Ramp::at(FULL_RATE) {
             self.slow_down(wanted);
@@ -577,6 +591,7 @@ impl Program {
     }
 
     /// The way from the setpoint reached last to the next one. There is none to a setpoint that could not have been taken.
+    #[inline(never)]
     fn begin_segment(&mut self, to: &Knot) {
         let Some(span) = self.span(1, to.periods) else {
             return;
@@ -585,14 +600,14 @@ impl Program {
             let Some(cubic) = self.cubic(axis, &self.from, to, &span) else {
                 return;
             };
-            self.segment.derivatives[axis] = cubic.derivatives(&span);
-            self.segment.cubics[axis] = cubic;
+            self.segment.ways[axis] = (cubic, cubic.derivatives(&span));
         }
         self.segment.span = span;
         self.segment.to = *to;
         self.begun = true;
     }
 
+    #[inline]
     fn segment(&self) -> Option<&Segment> {
         self.begun.then_some(&self.segment)
     }

@@ -11,6 +11,8 @@
 pub struct RampLimits {
     slope: i64,
     jerk: i64,
+    /// Slope over jerk: periods in which the slope builds up.
+    rise: i64,
 }
 
 /// A value on its way to a target.
@@ -31,7 +33,8 @@ impl RampLimits {
     #[must_use]
     pub const fn new(slope: i64, jerk: i64) -> Option<Self> {
         if jerk > 0 && jerk <= slope && slope <= SLOPE_MAX {
-            Some(Self { slope, jerk })
+            let rise = slope / jerk;
+            Some(Self { slope, jerk, rise })
         } else {
             None
         }
@@ -39,6 +42,9 @@ impl RampLimits {
 
     /// What the value still changes, from `slope` on (itself included), while the slope goes to zero.
     fn run_out(&self, slope: i64) -> i64 {
+        if slope == 0 {
+            return 0;
+        }
         let magnitude = slope.abs();
         slope.signum() * (magnitude * (magnitude + self.jerk) / (2 * self.jerk))
     }
@@ -53,6 +59,7 @@ impl Ramp {
 
     /// The value.
     #[must_use]
+    #[inline]
     pub const fn value(&self) -> i64 {
         self.value
     }
@@ -65,12 +72,14 @@ impl Ramp {
 
     /// Whether the value is zero and stays so.
     #[must_use]
+    #[inline]
     pub const fn is_zero(&self) -> bool {
         self.value == 0 && self.slope == 0
     }
 
     /// One period towards `target`. Gives the mean of the value before and after: what a position gains in the period, so that the value
     /// is the derivative of the position at the period's end.
+    #[inline]
     pub fn advance(&mut self, target: i64, limits: &RampLimits) -> i64 {
         if self.slope == 0 && self.value == target {
             return target;
@@ -143,8 +152,8 @@ impl Ramp {
             return Some(0);
         }
         // Trapezoid of the slope: its duration is peak / slope + slope / jerk, its mean value is half the peak; four periods for the first half period and rounding.
-        let periods =
-            peak / limits.slope + limits.slope / limits.jerk + 2 * (rising / limits.jerk) + 4;
+        let rising = if rising == 0 { 0 } else { rising / limits.jerk };
+        let periods = peak / limits.slope + limits.rise + 2 * rising + 4;
         Some(peak.checked_mul(periods)? / 2)
     }
 }

@@ -23,6 +23,7 @@ pub mod friction;
 use crate::config::{Law, LawForm};
 use crate::drive::reciprocal::{Factor, Scale, mul_shift, saturate};
 use crate::safety::integrity::constants;
+use crate::units::scale::shift_right;
 use crate::units::{Acceleration, Coordinate, Effort, Rate};
 use filter::{CHANGE_FRACTION, RateFilter};
 use friction::Friction;
@@ -144,7 +145,7 @@ impl PositionLaw {
         rate: Rate,
         acceleration: Acceleration,
     ) -> (Effort, bool) {
-        let change = saturate(self.error_rate.change(error.0).wrapping_shr(self.coarse));
+        let change = saturate(shift_right(self.error_rate.change(error.0), self.coarse));
         let mut sum = self
             .proportional
             .apply(error.0)

@@ -12,7 +12,7 @@
 //! | forces | 2^-16 N; the force on the tool, and what the arm does to the hand |
 //! | torques of the motors | N mm, in f32, where the statics are |
 //!
-//! A problem with the arm takes its motors off in the period in which it is seen, and they stay off until [`Haptic::reset`]. Misuse: [`Haptic::feel`] without [`Haptic::sense`] before it in the same period.
+//! A problem with the arm takes its motors off in the period in which it is seen, and they stay off until [`Haptic::reset`]; one that comes and goes while they are off anyway is only told. Misuse: [`Haptic::feel`] without [`Haptic::sense`] before it in the same period.
 
 pub mod config;
 pub mod law;
@@ -107,12 +107,14 @@ pub struct Haptic {
     wall: [Force; COMPONENTS],
     enabled: bool,
     problem: Option<HandProblem>,
+    /// It stays until it is reset.
+    latched: bool,
     /// The problem has not been told.
     fresh: bool,
 }
 
 constants!(Haptic { arm, sensors, motors, illegal_most, smoothing, step, periods_per_second, blend_step, feel_periods } of {} but {
-    law, walls, passivity, swings, zero, illegal, pose, tip, moved, rates, engaged, ready, blend, afar, force, reflected, wall, enabled, problem, fresh
+    law, walls, passivity, swings, zero, illegal, pose, tip, moved, rates, engaged, ready, blend, afar, force, reflected, wall, enabled, problem, latched, fresh
 });
 
 impl Haptic {
@@ -166,6 +168,7 @@ impl Haptic {
             wall: [Force::ZERO; COMPONENTS],
             enabled: false,
             problem: None,
+            latched: false,
             fresh: false,
         };
         haptic.sense(inputs);
@@ -204,7 +207,7 @@ impl Haptic {
             Err(problem) => {
                 self.pose = None;
                 self.rates = [0; COMPONENTS];
-                self.raise(problem);
+                self.raise(problem, self.enabled);
             }
         }
     }
@@ -261,13 +264,17 @@ impl Haptic {
         }
         self.tip = pose.tip;
         self.pose = Some(pose);
+        if !self.latched {
+            self.problem = None;
+        }
     }
 
-    fn raise(&mut self, problem: HandProblem) {
+    fn raise(&mut self, problem: HandProblem, latched: bool) {
         if self.problem.is_none() {
             self.problem = Some(problem);
             self.fresh = true;
         }
+        self.latched |= latched;
     }
 
     /// A problem that was not told yet.
@@ -285,6 +292,7 @@ impl Haptic {
     /// The problem was looked after. What is still wrong is found again.
     pub const fn reset(&mut self) {
         self.problem = None;
+        self.latched = false;
         self.fresh = false;
     }
 
@@ -322,7 +330,7 @@ impl Haptic {
         outputs: &mut HapticOutputs,
     ) {
         if powered && !self.ready {
-            self.raise(HandProblem::Drive);
+            self.raise(HandProblem::Drive, true);
         }
         let Some(pose) = self
             .pose
@@ -371,7 +379,7 @@ impl Haptic {
                     .map(|force| Force(saturate((i64::from(force.0) * i64::from(share)) >> 16)));
             }
             Err(_) => {
-                self.raise(HandProblem::Singular);
+                self.raise(HandProblem::Singular, true);
                 self.let_go(outputs);
             }
         }

@@ -71,18 +71,21 @@ pub const fn keeps_position(fault: &Fault) -> bool {
 impl Safety {
     /// The state.
     #[must_use]
+    #[inline]
     pub const fn state(&self) -> State {
         self.state
     }
 
     /// The latched fault.
     #[must_use]
+    #[inline]
     pub const fn fault(&self) -> Option<Fault> {
         self.fault
     }
 
     /// The fault for which the machine is braking.
     #[must_use]
+    #[inline]
     pub const fn pending(&self) -> Option<Fault> {
         self.pending
     }
@@ -100,6 +103,7 @@ impl Safety {
     }
 
     /// A fault that was latched since the last call.
+    #[inline]
     pub fn take_latched(&mut self) -> Option<Fault> {
         let fresh = core::mem::take(&mut self.latched);
         self.fault.filter(|_| fresh)
@@ -113,6 +117,7 @@ impl Safety {
 
     /// Whether the drives are to be on in this state.
     #[must_use]
+    #[inline]
     pub const fn drives_on(&self) -> bool {
         match self.state {
             State::Idle | State::Homing | State::Run | State::Jog | State::Hold => true,
@@ -123,6 +128,7 @@ impl Safety {
 
     /// Whether something moves, or may begin to move without being asked again.
     #[must_use]
+    #[inline]
     pub const fn active(&self) -> bool {
         matches!(
             self.state,
@@ -131,6 +137,7 @@ impl Safety {
     }
 
     /// Goes to a state and tells it.
+    #[inline(never)]
     pub fn enter(&mut self, state: State) {
         if state != self.state {
             let from = core::mem::replace(&mut self.state, state);
@@ -154,6 +161,7 @@ impl Safety {
     }
 
     /// A fault: brakes first where that is right, else latches now. The first one stays.
+    #[inline(never)]
     pub fn raise(&mut self, fault: Fault) {
         if brakes_first(&fault) && self.active() {
             self.pending.get_or_insert(fault);
@@ -216,6 +224,7 @@ impl Safety {
 
     /// Puts an event into the queue. When nobody listened for so long that it is full, the oldest gives way and is counted: what happened
     /// last explains how things stand.
+    #[inline(never)]
     pub fn tell(&mut self, event: Event) {
         if self.events.is_full() {
             self.events.pop_front();
@@ -223,6 +232,12 @@ impl Safety {
         }
         // There is room: made above.
         let _ = self.events.push_back(event);
+    }
+
+    /// Whether there are events that were not told yet.
+    #[must_use]
+    pub fn has_events(&self) -> bool {
+        !self.events.is_empty()
     }
 
     /// The oldest event that was not told yet.

@@ -13,6 +13,7 @@
 //! Limits are in axis units of the joint; all of them come from its [`JointAxis`].
 
 use crate::config::{AxisKind, Drive, JointAxis};
+use crate::safety::integrity::constants;
 use crate::units::{Coordinate, Effort, Rate};
 use haptimill_protocol::message::Fault;
 
@@ -39,9 +40,31 @@ pub struct Seen {
     pub period_us: u16,
 }
 
+/// What a glance at a joint needs, worked out from its configuration once. Within these bounds nothing is wrong; beyond them something may be.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
+struct Bounds {
+    /// An eighth of the effort that a torque drive may make; 0 on a step/dir axis, at which a glance is never enough.
+    weak: u32,
+    /// Motion that a stuck channel cannot show.
+    still: i32,
+    /// Effort that friction may take.
+    friction: i32,
+    /// Error that is allowed at rest.
+    following: i32,
+    /// Wanted motion after which the measured one is compared with it.
+    stretch: i32,
+    /// Lower end of the stroke, and its length.
+    low: Coordinate,
+    width: u32,
+}
+
+/// The widest bound of a glance: 64 mm. Strokes end at 1900 mm, so two places that are farther apart do not seem nearer around the ends of the type.
+const WIDEST: u32 = 64 << 20;
+
 /// The memory of supervision of one joint.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Watch {
+    bounds: Bounds,
     /// Wanted and measured position when the present stretch of motion was begun to be looked at.
     since: Option<(Coordinate, Coordinate)>,
     /// Periods in a row in which the joint ran against its drive.
@@ -50,8 +73,10 @@ pub struct Watch {
     mark: Option<Mark>,
 }
 
+constants!(Watch { bounds } of {} but { since, against, mark });
+
 /// How a joint was when its encoder counted last, or when motion began to be wanted.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 struct Mark {
     measured: Coordinate,
     wanted: Coordinate,
@@ -75,13 +100,96 @@ const TURNS: u8 = 8;
 const COUNTS: u32 = 10;
 
 impl Watch {
-    /// Forgets what was; after enabling and after the coordinate was set.
-    pub fn reset(&mut self) {
-        *self = Self::default();
+    /// Supervision of the joint of a configuration, with nothing seen yet.
+    #[must_use]
+    pub fn of(config: &JointAxis) -> Self {
+        let held = |bound: u32| bound.min(WIDEST) as i32;
+        let most = match config.drive {
+            Drive::Torque { limit, .. } => limit.0.unsigned_abs(),
+            Drive::Steps { .. } => 0,
+        };
+        Self {
+            bounds: Bounds {
+                weak: most / 8,
+                still: held(still(config)),
+                friction: friction(config, most).min(1 << 28) as i32,
+                following: held(config.following.magnitude()),
+                stretch: held(config.still.magnitude()),
+                low: config.low,
+                width: if config.low <= config.high {
+                    config.high.0.wrapping_sub(config.low.0) as u32
+                } else {
+                    0
+                },
+            },
+            ..Self::default()
+        }
     }
 
-    /// Looks at one period of joint `axis`.
+    /// Forgets what was; after enabling and after the coordinate was set.
+    pub fn reset(&mut self) {
+        *self = Self {
+            bounds: self.bounds,
+            ..Self::default()
+        };
+    }
+
+    /// Looks at one period of joint `axis`, of whose configuration it was [made](Self::of).
+    #[inline]
     pub fn look(
+        &mut self,
+        axis: u8,
+        config: &JointAxis,
+        illegal_limit: u16,
+        seen: &Seen,
+    ) -> Option<Fault> {
+        if seen.illegal <= illegal_limit && self.glance(seen) {
+            return None;
+        }
+        self.examine(axis, config, illegal_limit, seen)
+    }
+
+    /// Whether the period is one of those in which nothing can be wrong: nearly all are. It is noted then as [`Watch::examine`] would note it; otherwise
+    /// nothing has changed.
+    #[inline(always)]
+    fn glance(&mut self, seen: &Seen) -> bool {
+        let bounds = &self.bounds;
+        let Some((begun, _)) = self.since else {
+            return false;
+        };
+        if seen.effort.0.unsigned_abs() >= bounds.weak
+            || !within(seen.wanted, begun, bounds.stretch - 1)
+            || !within(seen.wanted, seen.measured, bounds.following)
+            || seen.measured.0.wrapping_sub(bounds.low.0) as u32 > bounds.width
+        {
+            return false;
+        }
+        let Some(mark) = &mut self.mark else {
+            return false;
+        };
+        let direction = seen.wanted_rate.0.signum();
+        if direction != mark.direction || direction == 0 {
+            *mark = Mark::of(seen, true);
+        } else if !within(seen.measured, mark.measured, bounds.still) {
+            *mark = Mark::of(seen, false);
+        } else {
+            let grown = seen.effort.0.saturating_sub(mark.effort.0);
+            let grown = if direction < 0 {
+                grown.saturating_neg()
+            } else {
+                grown
+            };
+            if mark.turns >= TURNS || grown > bounds.friction || !mark.counts_on(seen.moved) {
+                return false;
+            }
+        }
+        self.against = 0;
+        true
+    }
+
+    /// Looks at everything.
+    #[inline(never)]
+    fn examine(
         &mut self,
         axis: u8,
         config: &JointAxis,
@@ -94,19 +202,23 @@ impl Watch {
                 count: seen.illegal,
             });
         }
-        if let Drive::Steps { lost, .. } = config.drive
-            && magnitude(seen.steps_off) > magnitude(lost)
-        {
-            return Some(Fault::StepsLost {
-                axis,
-                by: seen.steps_off.0,
-            });
-        }
-        self.runaway(axis, config, seen)
+        Self::slip(axis, config, seen)
+            .or_else(|| self.runaway(axis, config, seen))
             .or_else(|| self.pushed(axis, config, seen))
             .or_else(|| self.motion(axis, config, seen))
             .or_else(|| Self::stroke(axis, config, seen))
             .or_else(|| Self::error(axis, config, seen))
+    }
+
+    /// Steps that were lost.
+    fn slip(axis: u8, config: &JointAxis, seen: &Seen) -> Option<Fault> {
+        let Drive::Steps { lost, .. } = config.drive else {
+            return None;
+        };
+        (magnitude(seen.steps_off) > magnitude(lost)).then_some(Fault::StepsLost {
+            axis,
+            by: seen.steps_off.0,
+        })
     }
 
     /// The measured joint against its stroke. What is wanted is always within (stage *place* sees to it), and what is measured may be off.
@@ -179,26 +291,13 @@ impl Watch {
             return None;
         };
         let direction = seen.wanted_rate.0.signum();
-        let fresh = |standing| Mark {
-            measured: seen.measured,
-            wanted: seen.wanted,
-            effort: seen.effort,
-            turns: 0,
-            last: seen.moved.signum(),
-            direction,
-            standing,
-            impulse: 0,
-        };
-        let mark = self.mark.get_or_insert(fresh(true));
-        // A stuck channel lets the count go to and fro by one.
-        let count = u32::try_from(config.per_count.unsigned_abs() >> 24).unwrap_or(u32::MAX);
-        let still = count.saturating_mul(5) / 2;
+        let mark = self.mark.get_or_insert(Mark::of(seen, true));
         if direction == 0 || direction != mark.direction {
-            *mark = fresh(true);
+            *mark = Mark::of(seen, true);
             return None;
         }
-        if distance(config, seen.measured, mark.measured) > still {
-            *mark = fresh(false);
+        if distance(config, seen.measured, mark.measured) > still(config) {
+            *mark = Mark::of(seen, false);
             return None;
         }
         if seen.moved.signum() == -mark.last && mark.last != 0 {
@@ -208,15 +307,13 @@ impl Watch {
             mark.last = seen.moved.signum();
         }
         if mark.turns >= TURNS
-            && distance(config, seen.wanted, mark.wanted) > count.saturating_mul(COUNTS)
+            && distance(config, seen.wanted, mark.wanted) > count(config).saturating_mul(COUNTS)
         {
             return Some(Fault::EncoderStill { axis });
         }
         let growth = (i64::from(seen.effort.0) - i64::from(mark.effort.0)) * i64::from(direction);
-        let friction = i64::from(config.law.coulomb.0)
-            .abs()
-            .max(i64::from(most.0).abs() / 32)
-            * if mark.standing { 3 } else { 1 };
+        let friction =
+            i64::from(friction(config, most.0.unsigned_abs())) * if mark.standing { 3 } else { 1 };
         mark.impulse += (growth - friction).max(0);
         if mark.impulse == 0 {
             // No limit is below it, and a limit costs a division.
@@ -260,6 +357,57 @@ impl Watch {
             limit: saturate(limit),
         })
     }
+}
+
+impl Mark {
+    /// Here motion begins to be looked at; the joint is `standing` where friction has yet to be overcome.
+    #[inline(always)]
+    fn of(seen: &Seen, standing: bool) -> Self {
+        Self {
+            measured: seen.measured,
+            wanted: seen.wanted,
+            effort: seen.effort,
+            turns: 0,
+            last: seen.moved.signum(),
+            direction: seen.wanted_rate.0.signum(),
+            standing,
+            impulse: 0,
+        }
+    }
+
+    /// Notes which way the encoder counted, unless that is the opposite of the way it counted last.
+    #[inline(always)]
+    const fn counts_on(&mut self, moved: i32) -> bool {
+        if moved == 0 {
+            return true;
+        }
+        let way = moved.signum();
+        if self.last == 0 {
+            self.last = way;
+        }
+        self.last == way
+    }
+}
+
+/// A count of a joint's encoder, axis units.
+fn count(config: &JointAxis) -> u32 {
+    u32::try_from(config.per_count.unsigned_abs() >> 24).unwrap_or(u32::MAX)
+}
+
+/// Motion that a stuck channel, which lets the count go to and fro by one, cannot show.
+fn still(config: &JointAxis) -> u32 {
+    count(config).saturating_mul(5) / 2
+}
+
+/// Effort that friction may take: what is compensated, and no less than a 32nd of the drive's limit `most`.
+fn friction(config: &JointAxis, most: u32) -> u32 {
+    config.law.coulomb.0.unsigned_abs().max(most / 32)
+}
+
+/// Whether two places are no farther apart than `bound`, which is below 2^30; around the ends of the type they are near to each other.
+#[inline(always)]
+const fn within(a: Coordinate, b: Coordinate, bound: i32) -> bool {
+    a.0.wrapping_sub(b.0).wrapping_add(bound) as u32 <= (bound as u32).wrapping_mul(2)
 }
 
 /// How far it is from `b` to `a`; the shorter way round on a rotary joint.

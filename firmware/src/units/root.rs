@@ -11,6 +11,8 @@
 //! Cost: about seven multiplications 32 x 32 -> 64. The start value has 9 right bits (384 half words of table), one step gives 17, and the
 //! last step works on the remainder of the 64-bit number, which gives all 32.
 
+use super::scale::shift_left;
+
 /// 1 / (2 sqrt(v)) in Q16 for v = (i + 1/2) / 512; v runs from 1/4 (i = 128) to 1. Below that the table is never read: it only spares the
 /// bounds check.
 static RECIPROCAL_ROOT: [u16; 512] = reciprocal_roots();
@@ -44,7 +46,7 @@ impl Root {
     #[must_use]
     pub const fn of(square: u64) -> Self {
         let zeros = (square | 1).leading_zeros() & !1;
-        let scaled = square << zeros;
+        let scaled = shift_left(square, zeros);
         let high = scaled >> 32;
         // v = high / 2^32 is 1/4 to 1: the mask cuts nothing.
         let start = RECIPROCAL_ROOT[(high >> 23) as usize & 511] as u64;

@@ -37,6 +37,35 @@ pub const fn saturate(value: i64) -> i32 {
     }
 }
 
+/// `value >> by`, for `by` below 64; with more, meaningless.
+///
+/// By words: where code is to be small, the compiler would call a function that takes three times as long.
+#[inline(always)]
+#[must_use]
+pub const fn shift_right(value: i64, by: u32) -> i64 {
+    let (high, low) = ((value >> 32) as i32, value as u32);
+    let (high, low) = if by >= 32 {
+        (high >> 31, high as u32)
+    } else {
+        (high, low)
+    };
+    let part = by & 31;
+    // What goes from word to word goes in two steps, for a shift by 32 is none.
+    let low = (low >> part) | (high as u32) << 1 << (31 - part);
+    ((high >> part) as i64) << 32 | low as i64
+}
+
+/// `value << by`, likewise.
+#[inline(always)]
+#[must_use]
+pub const fn shift_left(value: u64, by: u32) -> u64 {
+    let (high, low) = ((value >> 32) as u32, value as u32);
+    let (high, low) = if by >= 32 { (low, 0) } else { (high, low) };
+    let part = by & 31;
+    let high = (high << part) | low >> 1 >> (31 - part);
+    (high as u64) << 32 | (low << part) as u64
+}
+
 /// `value / 2^shift`, rounded to nearest; `shift` is 1 to 62.
 ///
 /// Right for every value, but for `i64::MAX` with a shift of 1, which wraps.
@@ -137,6 +166,21 @@ mod tests {
         fn high_product_is_short_by_less_than_three(a: u64, b: u64) {
             let exact = ((a as u128 * b as u128) >> 64) as u64;
             prop_assert!((0..3).contains(&(exact - high_product(a, b))));
+        }
+    }
+
+    #[test]
+    fn shifts_by_words_are_shifts() {
+        for value in [
+            0x8123_4567_89ab_cdef_u64,
+            1,
+            u64::MAX,
+            0x7fff_ffff_8000_0001,
+        ] {
+            for by in 0..64 {
+                assert_eq!(shift_left(value, by), value << by);
+                assert_eq!(shift_right(value as i64, by), value as i64 >> by);
+            }
         }
     }
 

@@ -503,10 +503,11 @@ fn virtual_walls_push_back_and_a_moving_one_goes_along() {
     bed.lead([-9.0, 0.0, 0.0], 5000);
     assert_eq!(force(&bed), 0.0);
     bed.lead([-6.0, 0.0, 0.0], 5000);
-    bed.steps(500);
+    // At rest: what watches the swings takes some tenths of a second to see that there is none.
+    bed.steps(4000);
     assert!((force(&bed) - 5.0 * 0.35).abs() < 0.02, "{}", force(&bed));
     bed.lead([-20.0, 0.0, 0.0], 9000);
-    bed.steps(500);
+    bed.steps(4000);
     assert!((force(&bed) - 5.5).abs() < 0.01, "{}", force(&bed));
     bed.lead([35.0, 0.0, 0.0], 9000);
     // Thrown back by the wall, the hand may be damped while it moves.
@@ -530,8 +531,9 @@ fn virtual_walls_push_back_and_a_moving_one_goes_along() {
     // 20 mm in a second, the wall 4 mm behind: 16 mm ahead of it, 5.5 N at the most.
     assert!((force(&bed) - 5.5).abs() < 0.15, "{}", force(&bed));
     bed.lead([-1.0, 0.0, 0.0], 5000);
-    // It comes after: 13 mm; and the whole damping of a hand at 1 mm/s is 0.3 N.
-    assert!((force(&bed) - 13.0 * 0.35).abs() < 0.3, "{}", force(&bed));
+    // It comes after: 13 mm, and 0.4 mm less a tenth of a second later, when a hand at rest is not damped any more.
+    bed.steps(500);
+    assert!((force(&bed) - 12.6 * 0.35).abs() < 0.02, "{}", force(&bed));
 }
 
 #[test]
@@ -728,4 +730,25 @@ fn a_force_is_felt_in_the_period_in_which_it_was_sampled() {
         last = felt(&bed);
     }
     assert!(last.abs() < 0.01);
+}
+
+/// While the drives are off a problem is told, and gone when it is gone.
+#[test]
+fn a_problem_without_power_is_only_told() {
+    let mut bed = Bed::new(mill());
+    assert_eq!(bed.configure(), Ok(()));
+    bed.lie = Some((0, 0, |counts| counts + 3000));
+    bed.steps(50);
+    assert!(
+        bed.events
+            .iter()
+            .any(|event| matches!(event, Event::Hand(HandProblem::Encoder { leg: 0, .. }))),
+        "{:?}",
+        bed.events
+    );
+    bed.lie = None;
+    bed.steps(5);
+    assert_eq!(bed.ask(Command::Enable), Ok(()));
+    bed.steps(5);
+    assert!(bed.outputs.haptic.enabled && bed.state() == State::Idle);
 }

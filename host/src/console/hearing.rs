@@ -14,6 +14,9 @@ const SCALE_STAYS: Duration = Duration::from_secs(5);
 /// Pause after a controller said that it is busy with the last change, microseconds.
 const BUSY_US: u64 = 20_000;
 
+/// Time between two reports of the hand, ms.
+const HAND_MS: u32 = 100;
+
 impl Desk {
     pub(super) fn hear(&mut self, notice: Notice) -> Result<(), CliError> {
         match notice {
@@ -53,6 +56,9 @@ impl Desk {
             // Refused is heard all the same: what stops a machine needs no configuration.
             self.contact = Contact::Ready;
             self.configured = result.is_ok();
+            if self.configured {
+                self.ask_settings();
+            }
         }
         if let Err(error) = result {
             match then {
@@ -88,6 +94,20 @@ impl Desk {
                 }
             }
             Then::Say(what) => self.say(Weight::Note, what),
+        }
+    }
+
+    /// What the controller has by itself of what is shown: force loops may have been set by another host.
+    fn ask_settings(&mut self) {
+        if self.loops.is_some() {
+            for axis in 0..3 {
+                self.ask(Command::ForceSettings { axis }, Then::Nothing);
+            }
+        }
+        if self.machine.config.haptic.is_some() {
+            let every = HAND_MS * 1000 / u32::from(self.machine.config.period_us.max(1));
+            let every = every.clamp(1, u32::from(u16::MAX)) as u16;
+            self.ask(Command::HandTelemetry { every }, Then::Nothing);
         }
     }
 
@@ -138,6 +158,16 @@ impl Desk {
                 // Where it stands, to the last bit: what comes next begins there.
                 self.ask(Command::Status, Then::Nothing);
             }
+        }
+        if let Event::ForceSettings { axis, settings } = event {
+            if let Some(slot) = self
+                .loops
+                .as_mut()
+                .and_then(|loops| loops.get_mut(usize::from(*axis)))
+            {
+                *slot = *settings;
+            }
+            return;
         }
         let weight = match event {
             Event::Fault(fault) => {

@@ -347,6 +347,7 @@ impl Desk {
             KeyCode::Char('p') => Source::Program,
             KeyCode::Char('h') => Source::Hold,
             KeyCode::Char('j') => Source::Jog,
+            KeyCode::Char('m') => Source::Master,
             KeyCode::Esc | KeyCode::Enter | KeyCode::Char('a' | 'q') => return,
             _ => return self.overlay = Overlay::Axes { at },
         };

@@ -119,6 +119,10 @@ impl Desk {
             offered: self.work.offered(),
             loops: self.loops,
             force_scale_n: SCALES[self.force_scale.0],
+            hand_n: self
+                .client
+                .hand()
+                .map(|hand| hand.force.map(|force| f64::from(force) / 256.0)),
             recording: self.recording.as_ref().map(|recording| {
                 let name = recording.path.file_name().unwrap_or_default();
                 (name.to_string_lossy().into_owned(), recording.rows)

@@ -187,6 +187,8 @@ pub(super) struct Shown {
     /// Force loops of x, y, z; none on a machine without a force sensor.
     pub(super) loops: Option<[ForceLoop; 3]>,
     pub(super) force_scale_n: f64,
+    /// What the hand on a haptic arm is made to feel, N, if the controller reports of one.
+    pub(super) hand_n: Option<[f64; 3]>,
     pub(super) recording: Option<(String, u64)>,
     /// A stop that has not been answered yet.
     pub(super) stopping: Option<&'static str>,

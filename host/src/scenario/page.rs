@@ -10,7 +10,7 @@ use std::fmt::Write as _;
 
 const MORE_STYLE: &str = "\
 th{text-align:left;padding:7px 14px;border-bottom:1px solid #d5dae0;font-weight:600;color:#3b4754;font-size:13px}
-table.claims td{padding:6px 14px}table.claims td:first-child{color:#1d2733;width:auto}
+table.claims td{padding:6px 14px}table.claims td:first-child{color:#1d2733;width:auto}table.claims td:nth-child(2){min-width:5em}
 td.n{white-space:nowrap}tr.out td{background:#fdf3e7}
 .in{color:#00704a;font-weight:600}.outside{color:#b04a00;font-weight:600}.why{display:block;color:#5b6875;font-size:13px;max-width:720px}
 .source{color:#7a8691;font-size:12px}h3{font-size:15px;margin:20px 0 8px;color:#3b4754}
@@ -51,10 +51,10 @@ pub fn page(scenario: &Scenario, cuts: &[Cut], result: &Result) -> String {
     if scenario.needs_force_control() {
         yielding(&mut page, scenario, cuts);
     }
-    // Several surfaces stand side by side.
-    let (open, close) = match cuts {
-        [_] => ("<div>", "</div>"),
-        _ => ("<div class=\"pair\">", "</div>"),
+    // Several surfaces stand side by side, each half as wide.
+    let (open, close, room) = match cuts {
+        [_] => ("<div>", "</div>", 1038.0),
+        _ => ("<div class=\"pair\">", "</div>", 440.0),
     };
     page.push_str(open);
     let passes = || scenario.passes.iter().zip(cuts);
@@ -65,7 +65,7 @@ pub fn page(scenario: &Scenario, cuts: &[Cut], result: &Result) -> String {
             format!(", {}", escape(pass.title))
         };
         page.push_str("<div>");
-        surface(&mut page, cut, &of);
+        surface(&mut page, cut, &of, room);
         page.push_str("</div>");
     }
     page.push_str(close);
@@ -132,14 +132,14 @@ pub(super) fn card(page: &mut String, note: &str, svg: &str) {
     );
 }
 
-/// The cut surface from above, with the desired path.
-fn surface(page: &mut String, cut: &Cut, of: &str) {
+/// The cut surface from above, with the desired path, in so many pixels of width.
+fn surface(page: &mut String, cut: &Cut, of: &str, room: f64) {
     let Some(backdrop) = picture::surface(&cut.work) else {
         return;
     };
     let (wide, high) = (backdrop.x.1 - backdrop.x.0, backdrop.y.1 - backdrop.y.0);
-    // As wide as the page or 720 pixels high; margins of a chart are 82 and 74 pixels.
-    let scale = (1038.0 / wide).min(646.0 / high);
+    // As wide as there is room, or 720 pixels high; margins of a chart are 82 and 74 pixels.
+    let scale = (room / wide).min(646.0 / high);
     let (width, height) = (scale * wide + 82.0, scale * high + 74.0);
     let path: Vec<(f64, f64)> = thinned(&cut.course.way(), |s| (s.desired[0], s.desired[1]));
     let chart = Chart {

@@ -30,15 +30,14 @@ fn every_axis_goes_both_ways_and_ends_with_the_dead_man_time() {
         terminal.keys(up);
         terminal.state("JOG");
         let after = at(&terminal, axis);
-        // 5 mm/s for 200 ms.
-        assert!(
-            (after - before - 1.0).abs() < 0.15,
-            "{axis} {before} {after}"
-        );
+        // 5 mm/s for 200 ms at most; less when a busy computer held the simulated machine up meanwhile, never more.
+        let went = after - before;
+        assert!((0.2..1.15).contains(&went), "{axis} {before} {after}");
         terminal.keys(down);
         terminal.state("JOG");
         let back = at(&terminal, axis);
-        assert!((back - after + 1.0).abs() < 0.15, "{axis} {after} {back}");
+        let went = after - back;
+        assert!((0.2..1.15).contains(&went), "{axis} {after} {back}");
     }
     // A slower rate goes less far.
     terminal.keys(b"sss");
@@ -47,7 +46,7 @@ fn every_axis_goes_both_ways_and_ends_with_the_dead_man_time() {
     terminal.keys(RIGHT);
     terminal.state("JOG");
     let after = at(&terminal, "x");
-    assert!((after - before - 0.1).abs() < 0.02, "{before} {after}");
+    assert!((0.02..0.12).contains(&(after - before)), "{before} {after}");
 }
 
 #[test]

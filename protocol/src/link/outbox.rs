@@ -95,6 +95,9 @@ impl<const BYTES: usize> Outbox<BYTES> {
 
     /// The next frame to send, or to send again: its number and payload.
     pub(super) fn next(&mut self, now_us: u64, bounds: (u32, u32)) -> Option<(u8, &[u8])> {
+        if self.queue.is_empty() {
+            return None;
+        }
         let patience = self.patience_us(bounds);
         let mut start = 0;
         for (index, outgoing) in self.queue.iter_mut().enumerate() {

@@ -33,7 +33,8 @@ impl Program {
             let fraction = |time: u64| segment.span.fraction((time >> 16) as u32);
             for axis in 0..self.axes {
                 let [begin, end] = [self.time, time].map(|time| {
-                    segment.cubics[axis].sample(&segment.derivatives[axis], fraction(time))
+                    let (cubic, derivatives) = &segment.ways[axis];
+                    cubic.sample(derivatives, fraction(time))
                 });
                 self.hull(
                     &mut sweep,

@@ -91,9 +91,9 @@ pub(super) fn draw(frame: &mut Frame<'_>, area: Rect, shown: &Shown) {
                 })
                 .collect();
             rows.push(Line::raw(
-                "arrows choose; p program, h hold, j jog; Esc closes",
+                "arrows choose; p program, h hold, j jog, m master; Esc closes",
             ));
-            ("Axes: changed at standstill", rows)
+            ("Axes: a jog begins and ends at rest", rows)
         }
         Overlay::Force { at } => {
             let Some(loops) = &shown.loops else { return };

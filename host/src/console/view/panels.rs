@@ -19,6 +19,9 @@ pub(super) const RIGHT_ROWS: u16 = 14;
 /// Codes of a converter at full scale.
 const FULL_CODE: f64 = 8191.0;
 
+/// Full scale of the bar of the force at the hand: 5.5 N really hold a hand back (spec h4-milling 3.4).
+const HAND_SCALE_N: f64 = 5.5;
+
 /// Hours, minutes, seconds.
 pub(super) fn clock(time: Duration) -> String {
     let seconds = time.as_secs();
@@ -246,14 +249,22 @@ fn jog_rows(shown: &Shown) -> Vec<Line<'static>> {
             format!(" ends {} ms after the last key", jog.dead_man_ms)
         }
     };
-    let keys = match shown.fixed.pose.len() {
-        5.. => " arrows x y  PgUp/Dn z  ,. nm",
-        _ => " arrows  PgUp/Dn",
+    let last = match (&shown.hand_n, shown.fixed.pose.len()) {
+        (Some(hand), _) => {
+            let size = hand.iter().map(|part| part * part).sum::<f64>().sqrt();
+            let bar = from_left(size / HAND_SCALE_N, 6);
+            format!(
+                " hand{:>6.2}{:>6.2}{:>6.2} N {bar}",
+                hand[0], hand[1], hand[2]
+            )
+        }
+        (None, 5..) => " arrows x y  PgUp/Dn z  ,. nm".to_string(),
+        (None, _) => " arrows  PgUp/Dn".to_string(),
     };
     vec![
         Line::from(vec![Span::raw(" "), Span::styled(chosen(shown), style)]),
         Line::raw(ends),
-        Line::raw(keys),
+        Line::raw(last),
     ]
 }
 
