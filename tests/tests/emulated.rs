@@ -351,28 +351,28 @@ fn instructions_of_a_period() {
             "dome-bare",
             &dome,
             bare(),
-            [6_600.0, 17_200.0],
+            [6_650.0, 18_300.0],
         ),
         job(
             "E11 circle, a machine without a force sensor",
             "e11-bare",
             &circle,
             bare(),
-            [6_600.0, 17_200.0],
+            [6_650.0, 18_300.0],
         ),
         job(
             "dome, 5 axes, with a force sensor, nothing under force control",
             "dome",
             &dome,
             Vec::new(),
-            [8_700.0, 21_000.0],
+            [8_750.0, 21_200.0],
         ),
         job(
             "E11 circle, cut under force control of x and z",
             "e11-force",
             &circle,
             yielding(),
-            [9_700.0, 21_000.0],
+            [9_700.0, 21_800.0],
         ),
     ];
     let mut table = String::from(TABLE_HEAD);
