@@ -32,8 +32,8 @@ struct Step<'a> {
     component: Option<(&'a str, &'a str)>,
 }
 
-/// The one part of the host that is not built by default.
-const CONSOLE: &str = "haptimill/console";
+/// All parts of the host, those too that are not built by default.
+const FULL: &str = "haptimill/full";
 
 const TEST: &[Step] = &[
     Step {
@@ -49,7 +49,7 @@ const TEST: &[Step] = &[
             "--quiet",
             "--workspace",
             "--features",
-            CONSOLE,
+            FULL,
             "--all-targets",
             "--",
             "-D",
@@ -81,7 +81,7 @@ const TEST: &[Step] = &[
             "--quiet",
             "--workspace",
             "--features",
-            CONSOLE,
+            FULL,
             "--no-deps",
         ],
         environment: &[("RUSTDOCFLAGS", "-D warnings")],
@@ -89,7 +89,7 @@ const TEST: &[Step] = &[
     },
     Step {
         name: "tests",
-        arguments: &["test", "--workspace", "--features", CONSOLE],
+        arguments: &["test", "--workspace", "--features", FULL],
         environment: &[],
         component: None,
     },

@@ -6,7 +6,7 @@
 //!
 //! Chunks have their checks and are not compressed: zstd and lz4 would need a C compiler to build this program.
 
-use super::{Column, Recording, RecordingError, Thinning, Value, columns};
+use super::{Column, McapWritten, Recording, RecordingError, Thinning, Value, columns};
 use haptimill_protocol::message::State;
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Attachment, McapError, WriteOptions, Writer};
@@ -17,22 +17,8 @@ use std::fmt::Write as _;
 use std::io::{self, BufWriter, Seek, Write};
 use std::path::Path;
 
-/// Samples a second, unless another number is asked for.
-pub const MCAP_RATE: f64 = 1000.0;
-
 /// Topic of what happened.
 const EVENTS: &str = "/events";
-
-/// What a file got.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct McapWritten {
-    /// Channels.
-    pub channels: usize,
-    /// Messages.
-    pub messages: u64,
-    /// Bytes.
-    pub bytes: u64,
-}
 
 /// A channel under way.
 struct Topic {

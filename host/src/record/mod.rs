@@ -66,6 +66,7 @@ mod column;
 mod difference;
 mod export;
 mod header;
+#[cfg(feature = "mcap")]
 mod mcap;
 mod reader;
 #[cfg(test)]
@@ -76,7 +77,8 @@ pub use column::{Column, Selection, Value, columns};
 pub use difference::{Difference, difference, unequal};
 pub use export::{Thinning, export_csv, export_table};
 pub use header::Header;
-pub use mcap::{MCAP_RATE, McapWritten, write_mcap};
+#[cfg(feature = "mcap")]
+pub use mcap::write_mcap;
 pub use reader::{Happening, Periods, Recording, RecordingError, Records};
 pub use writer::{Recorded, Recorder};
 
@@ -85,6 +87,36 @@ pub use haptimill_hil_sim::tape::{Period, Tape};
 use haptimill_firmware::io::COMPONENTS;
 use haptimill_firmware::reading::{ForceReading, Reading};
 use haptimill_protocol::message::{MAX_AXES, State};
+
+/// Samples a second in an MCAP file, unless another number is asked for.
+pub const MCAP_RATE: f64 = 1000.0;
+
+/// What a file got.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct McapWritten {
+    /// Channels.
+    pub channels: usize,
+    /// Messages.
+    pub messages: u64,
+    /// Bytes.
+    pub bytes: u64,
+}
+
+/// Whether this build writes MCAP.
+pub const MCAP: bool = cfg!(feature = "mcap");
+
+/// Writes no MCAP: this build cannot.
+///
+/// # Errors
+/// Always.
+#[cfg(not(feature = "mcap"))]
+pub fn write_mcap(
+    _: &Recording,
+    _: &std::path::Path,
+    _: f64,
+) -> Result<McapWritten, RecordingError> {
+    Err(RecordingError::NoMcap)
+}
 
 /// Size of a record.
 pub const RECORD_BYTES: usize = 240;

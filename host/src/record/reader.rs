@@ -55,6 +55,8 @@ pub enum RecordingError {
     Io(PathBuf, io::Error),
     /// It is no recording, or not one of this version.
     Format(PathBuf, String),
+    /// This build writes no MCAP.
+    NoMcap,
 }
 
 impl fmt::Display for RecordingError {
@@ -62,6 +64,9 @@ impl fmt::Display for RecordingError {
         match self {
             Self::Io(path, error) => write!(out, "{}: {error}", path.display()),
             Self::Format(path, what) => write!(out, "{}: {what}", path.display()),
+            Self::NoMcap => out.write_str(
+                "this haptimill was built without MCAP; build it with: cargo build --release --features mcap",
+            ),
         }
     }
 }

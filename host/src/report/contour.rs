@@ -83,19 +83,27 @@ impl Contour {
 
 /// Distance of two points.
 pub fn distance(a: &Point, b: &Point) -> f64 {
-    let square: f64 = a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum();
-    square.sqrt()
+    let out = difference(a, b);
+    dot(&out, &out).sqrt()
 }
 
 fn distance_to_segment(point: &Point, from: &Point, to: &Point) -> f64 {
-    let along: Point = std::array::from_fn(|i| to[i] - from[i]);
-    let out: Point = std::array::from_fn(|i| point[i] - from[i]);
-    let square: f64 = along.iter().map(|a| a * a).sum();
-    let dot: f64 = along.iter().zip(&out).map(|(a, b)| a * b).sum();
+    let along = difference(to, from);
+    let square = dot(&along, &along);
     let part = if square > 0.0 {
-        (dot / square).clamp(0.0, 1.0)
+        (dot(&along, &difference(point, from)) / square).clamp(0.0, 1.0)
     } else {
         0.0
     };
-    distance(point, &std::array::from_fn(|i| from[i] + part * along[i]))
+    let [x, y, z] = along;
+    let nearest = [from[0] + part * x, from[1] + part * y, from[2] + part * z];
+    distance(point, &nearest)
+}
+
+fn difference(a: &Point, b: &Point) -> Point {
+    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
+}
+
+fn dot(a: &Point, b: &Point) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }

@@ -10,7 +10,7 @@ use crate::client::{JobEnding, Options};
 use crate::machine::MachineFile;
 use crate::model::Model;
 use crate::port::{self, DEFAULT_BAUD, PortSpec};
-use crate::record::{Header, MCAP_RATE, Recorder, Recording, write_mcap};
+use crate::record::{Header, MCAP, MCAP_RATE, Recorder, Recording, RecordingError, write_mcap};
 use crate::report::{self, Outcome};
 use crate::session::{
     self, JobEnd, JobLine, JobRecording, Line, PortLine, Session, SimLine, interrupt,
@@ -135,6 +135,9 @@ impl RunArgs {
             let what =
                 "--fd, --ka and --kv are for the axes under force control; say which with --force";
             return Err(CliError::new(Exit::Usage, what));
+        }
+        if self.mcap && !MCAP {
+            return Err(CliError::new(Exit::Usage, RecordingError::NoMcap));
         }
         let simulated = matches!(self.port, PortSpec::Simulator | PortSpec::Emulated(_));
         let what = if self.check || simulated {

@@ -107,6 +107,7 @@ fn failed(recording: &Recording, error: RecordingError) -> CliError {
         RecordingError::Io(path, _) if path != recording.path() => {
             CliError::new(Exit::Output, error)
         }
+        RecordingError::NoMcap => CliError::new(Exit::Usage, error),
         _ => bad(error),
     }
 }
