@@ -13,6 +13,7 @@ use arm::{
 use haptimill_firmware::kinematics::haptic::{ArmError, HandPose, HapticArm, HapticGeometry};
 use haptimill_firmware::kinematics::haptic_statics::Wrench;
 use haptimill_firmware::units::{Angle, Length};
+use nalgebra::Matrix6;
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 
@@ -192,7 +193,7 @@ fn orthonormal(pose: &HandPose) -> Result<(), TestCaseError> {
     Ok(())
 }
 
-/// B of (3.41) in f64 from the loop-closure geometry, moments divided by r_p: rows as in the firmware.
+/// B of (3.41) in f64 from the loop-closure geometry, moments divided by r_p.
 fn matrix(centre: V, turn: arm::M) -> Option<[[f64; 6]; 6]> {
     let legs = inverse(centre, turn)?;
     let mut b = [[0.0; 6]; 6];
@@ -226,59 +227,10 @@ fn matrix(centre: V, turn: arm::M) -> Option<[[f64; 6]; 6]> {
     Some(b)
 }
 
-/// Condition number by Jacobi rotations of B^T B.
+/// Condition number, by singular values.
 fn condition(b: &[[f64; 6]; 6]) -> f64 {
-    let mut a = [[0.0; 6]; 6];
-    for i in 0..6 {
-        for j in 0..6 {
-            a[i][j] = (0..6).map(|k| b[k][i] * b[k][j]).sum();
-        }
-    }
-    for _ in 0..30 {
-        for p in 0..6 {
-            for q in p + 1..6 {
-                if a[p][q].abs() < 1e-300 {
-                    continue;
-                }
-                let theta = (a[q][q] - a[p][p]) / (2.0 * a[p][q]);
-                let t = theta.signum() / (theta.abs() + libm::sqrt(theta * theta + 1.0));
-                let c = 1.0 / libm::sqrt(t * t + 1.0);
-                let s = t * c;
-                for k in 0..6 {
-                    (a[k][p], a[k][q]) = (c * a[k][p] - s * a[k][q], s * a[k][p] + c * a[k][q]);
-                }
-                for k in 0..6 {
-                    (a[p][k], a[q][k]) = (c * a[p][k] - s * a[q][k], s * a[p][k] + c * a[q][k]);
-                }
-            }
-        }
-    }
-    let values: Vec<f64> = (0..6).map(|k| a[k][k]).collect();
-    let most = values.iter().fold(0.0_f64, |m, v| m.max(*v));
-    let least = values.iter().fold(f64::MAX, |m, v| m.min(*v));
-    libm::sqrt(most / least.max(1e-300))
-}
-
-/// By elimination, in f64.
-fn determinant(mut a: [[f64; 6]; 6]) -> f64 {
-    let mut product = 1.0;
-    for k in 0..6 {
-        let best = (k..6)
-            .max_by(|i, j| a[*i][k].abs().total_cmp(&a[*j][k].abs()))
-            .unwrap_or(k);
-        if best != k {
-            a.swap(k, best);
-            product = -product;
-        }
-        product *= a[k][k];
-        for i in k + 1..6 {
-            let factor = a[i][k] / a[k][k];
-            for j in k..6 {
-                a[i][j] -= factor * a[k][j];
-            }
-        }
-    }
-    product
+    let values = Matrix6::from(*b).singular_values();
+    values.max() / values.min().max(1e-300)
 }
 
 /// The guard refuses whatever has a condition above its limit, all the way to the singularity, and nothing in the workspace.
@@ -316,7 +268,11 @@ fn the_guard_bounds_the_condition() {
             matrix(centre, rotation(axis, angle))?,
             inverse(centre, rotation(axis, angle))?,
         );
-        Some((b, determinant(b), arm.pose(&readings(legs)).ok()?))
+        Some((
+            b,
+            Matrix6::from(b).determinant(),
+            arm.pose(&readings(legs)).ok()?,
+        ))
     };
     while refused < 300 {
         let mut wide = |size: f64| [0; 3].map(|_| sequence.between(-size, size));

@@ -3,7 +3,7 @@
 //! A leg pushes the platform at joint 5 along its link (I_j) and across it (M_j). With the six pushes lambda, B^T lambda = \[M; F\] and tau = A^T lambda: no division by A, so a link in line with its
 //! slide only loses one motor. Moments are about the platform's centre and divided by r_p, so all entries of B are numbers of the same kind.
 //!
-//! The one place of the firmware with floating point: the 6 x 6 system in f32, by elimination with row pivots on nalgebra's storage. Only additions, products, quotients and comparisons occur, each
+//! The one place of the firmware with floating point: the 6 x 6 system in f32, by elimination with row pivots. Only additions, products, quotients and comparisons occur, each
 //! rounded once, so every target gives the same bits (held by a check that runs on the chip). The directions come from fixed-point sines. Virtual work balances to 1e-4 of the largest term.
 //!
 //! The guard: det B is the product of the pivots, and for any matrix cond_2(B) < 2 / |det B| (|B|_F^2 / 6)^3 (Guggenheimer, Edelman and Johnson, 1995). So a bound on the right side is one on the
@@ -17,7 +17,6 @@
 )]
 
 use super::haptic::{HandPose, HapticArm, LEGS, Vector};
-use nalgebra::SMatrix;
 
 /// What the hand shall feel, about the platform's centre.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -38,8 +37,8 @@ pub struct Singular {
 /// What the motors of the legs do: force along the slide in N, torque about it in N mm.
 pub type Efforts = [[f32; 2]; LEGS];
 
-/// Six equations and their right side.
-type System = SMatrix<f32, 7, 6>;
+/// Six equations: parts 0 to 5 belong to lambda, part 6 is the right side.
+type System = [[f32; 7]; 6];
 
 /// Q30 to a number, and 2^-20 mm to mm.
 const Q30: f32 = 1.0 / (1 << 30) as f32;
@@ -71,26 +70,25 @@ impl HapticArm {
     ) -> Result<Efforts, Singular> {
         let radius = self.platform_radius().0 as f32 * MILLIMETRE;
         let inverse_radius = 1.0 / radius;
-        // A column of the storage is an equation, so that the elimination runs along memory: parts 0 to 5 belong to lambda, part 6 is the right side.
-        let mut system = System::zeros();
+        let mut system = System::default();
         let mut norm = 0.0;
         for (index, leg) in pose.legs.iter().enumerate() {
             let arm = core::array::from_fn(|axis| pose.centre[axis].wrapping_sub(leg.joint[axis]));
             let arm = numbers(arm, MILLIMETRE * inverse_radius);
             let along = numbers(leg.link, -Q30);
             let across = numbers(leg.normal, Q30);
-            for (push, row) in [(along, 2 * index), (across, 2 * index + 1)] {
+            for (push, part) in [(along, 2 * index), (across, 2 * index + 1)] {
                 let moment = cross(push, arm);
                 for axis in 0..3 {
-                    system[(row, axis)] = moment[axis];
-                    system[(row, axis + 3)] = push[axis];
+                    system[axis][part] = moment[axis];
+                    system[axis + 3][part] = push[axis];
                     norm += moment[axis] * moment[axis] + push[axis] * push[axis];
                 }
             }
         }
         for axis in 0..3 {
-            system[(6, axis)] = wrench.moment[axis] * inverse_radius;
-            system[(6, axis + 3)] = wrench.force[axis];
+            system[axis][6] = wrench.moment[axis] * inverse_radius;
+            system[axis + 3][6] = wrench.force[axis];
         }
         let determinant = eliminate(&mut system);
         let mean = norm * (1.0 / 6.0);
@@ -120,23 +118,25 @@ fn eliminate(system: &mut System) -> f32 {
     for step in 0..6 {
         let mut best = step;
         for row in step + 1..6 {
-            if system[(step, row)].abs() > system[(step, best)].abs() {
+            if system[row][step].abs() > system[best][step].abs() {
                 best = row;
             }
         }
         if best != step {
-            system.swap_columns(step, best);
+            system.swap(step, best);
         }
-        let pivot = system[(step, step)];
+        let pivot = system[step][step];
         determinant *= pivot.abs();
         if pivot == 0.0 {
             return 0.0;
         }
         let inverse = 1.0 / pivot;
-        for row in step + 1..6 {
-            let factor = system[(step, row)] * inverse;
-            for part in step + 1..7 {
-                system[(part, row)] -= factor * system[(part, step)];
+        let (above, below) = system.split_at_mut(step + 1);
+        let equation = &above[step];
+        for row in below {
+            let factor = row[step] * inverse;
+            for (part, of) in row.iter_mut().zip(equation).skip(step + 1) {
+                *part -= factor * of;
             }
         }
     }
@@ -147,11 +147,11 @@ fn eliminate(system: &mut System) -> f32 {
 fn substitute(system: &System) -> [f32; 6] {
     let mut solution = [0.0; 6];
     for row in (0..6).rev() {
-        let mut rest = system[(6, row)];
+        let mut rest = system[row][6];
         for part in row + 1..6 {
-            rest -= system[(part, row)] * solution[part];
+            rest -= system[row][part] * solution[part];
         }
-        solution[row] = rest / system[(row, row)];
+        solution[row] = rest / system[row][row];
     }
     solution
 }
