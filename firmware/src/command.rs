@@ -23,6 +23,9 @@ use haptimill_protocol::setpoint::Setpoint;
 
 type Done = Result<(), Refusal>;
 
+/// Coordinates that are tried in the first half of a setpoint's trial, beside the pose.
+const TRIED_FIRST: usize = 2;
+
 impl Controller {
     /// Carries out a request and answers it.
     pub(crate) fn command(&mut self, inputs: &Inputs, request: Request) {
@@ -255,11 +258,11 @@ impl Controller {
         Ok(())
     }
 
-    /// Whether the machine can go to a setpoint.
-    pub(crate) fn try_setpoint(&mut self, number: u32, values: &AxisValues) -> Done {
+    /// Whether the machine can go to a setpoint, and some of its coordinates as fast as it says: half of the trial.
+    pub(crate) fn try_setpoint(&mut self, number: u32, setpoint: &Setpoint) -> Done {
         let machinery = self.machinery_for(number)?;
         let mut pose = Pose::default();
-        for (slot, value) in pose.0.iter_mut().zip(values) {
+        for (slot, value) in pose.0.iter_mut().zip(&setpoint.pose) {
             *slot = Coordinate(*value);
         }
         let pose = machinery.motion.destination(&pose);
@@ -276,12 +279,13 @@ impl Controller {
                 setpoint: number,
                 error,
             })?;
-        Ok(())
+        machinery.motion.program.allows(setpoint, TRIED_FIRST)
     }
 
-    /// Takes a setpoint into the queue, if the machine may go there as fast as it says.
+    /// The other half: takes a setpoint into the queue, if the machine may go there as fast as it says.
     pub(crate) fn take_setpoint(&mut self, number: u32, setpoint: &Setpoint) -> Done {
-        self.machinery_for(number)?.motion.program.push(setpoint)
+        let program = &mut self.machinery_for(number)?.motion.program;
+        program.push_tried(setpoint, TRIED_FIRST)
     }
 
     /// The machine, if it now takes the setpoint of this number.

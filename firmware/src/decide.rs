@@ -82,13 +82,14 @@ impl Controller {
     fn heed(&mut self, inputs: &Inputs, heard: Heard) {
         match heard {
             Heard::Request(request) => self.command(inputs, request),
-            Heard::Setpoint { number, setpoint } => {
-                let tried = self.try_setpoint(number, &setpoint.pose);
-                match tried.and_then(|()| self.take_setpoint(number, &setpoint)) {
-                    Ok(()) => self.server.accept_setpoint(),
-                    Err(refusal) => self.server.refuse_setpoints(refusal),
-                }
-            }
+            Heard::Setpoint { number, setpoint } => match self.try_setpoint(number, &setpoint) {
+                Ok(()) => self.server.pass_setpoint(setpoint),
+                Err(refusal) => self.server.refuse_setpoints(refusal),
+            },
+            Heard::Tried { number, setpoint } => match self.take_setpoint(number, &setpoint) {
+                Ok(()) => self.server.accept_setpoint(),
+                Err(refusal) => self.server.refuse_setpoints(refusal),
+            },
             Heard::BadSetpoint { number } => {
                 self.server
                     .refuse_setpoints(Refusal::Setpoint { setpoint: number });

@@ -1,6 +1,7 @@
 //! Messages in, answers and telemetry out: the controller's end of the link.
 //!
-//! A period hears at most 64 bytes and does at most one thing that takes long: it reads a message or a setpoint of a batch, or tries a setpoint that was read before, or encodes telemetry, or makes the frame of telemetry that was encoded before. Hearing and telling take turns; the rest waits in the
+//! A period hears at most 64 bytes and does at most one thing that takes long: it reads a message or a setpoint of a batch, or tries whether the machine can go to a setpoint that was read before, or takes one that was tried before,
+//! or encodes telemetry, or makes the frame of telemetry that was encoded before. Hearing and telling take turns; the rest waits in the
 //! link, whose window stops the host. A setpoint that is refused ends its batch and changes nothing, not even what the next one is relative to: all later ones are out of
 //! order until it comes again, or the job is begun anew. Nothing is skipped.
 
@@ -34,6 +35,13 @@ pub enum Heard {
         /// The setpoint.
         setpoint: Setpoint,
     },
+    /// The same setpoint again, in the period after it was tried.
+    Tried {
+        /// The setpoint's number in the job.
+        number: u32,
+        /// The setpoint.
+        setpoint: Setpoint,
+    },
     /// A setpoint that cannot be read.
     BadSetpoint {
         /// The setpoint's number in the job.
@@ -49,8 +57,8 @@ pub struct Server {
     now_us: u64,
     /// The batch of setpoints that is being worked through; its bytes wait in the link.
     batch: Option<BatchReader>,
-    /// Its next setpoint.
-    decoded: Option<Setpoint>,
+    /// Its next setpoint, and whether that was tried.
+    decoded: Option<(Setpoint, bool)>,
     /// Something long was done in this period.
     worked: bool,
     /// This period did not work although it might have.
@@ -142,7 +150,8 @@ impl Server {
         self.worked = true;
         let number = self.batch.map_or(0, |batch| batch.number.wrapping_sub(1));
         match self.decoded.take() {
-            Some(setpoint) => Some(Heard::Setpoint { number, setpoint }),
+            Some((setpoint, false)) => Some(Heard::Setpoint { number, setpoint }),
+            Some((setpoint, true)) => Some(Heard::Tried { number, setpoint }),
             None => self.read(),
         }
     }
@@ -189,7 +198,7 @@ impl Server {
         self.ahead = self.coder.clone();
         match delta.map(|delta| self.ahead.decode(&delta)) {
             Some(Ok(setpoint)) => {
-                self.decoded = Some(setpoint);
+                self.decoded = Some((setpoint, false));
                 None
             }
             _ => Some(Heard::BadSetpoint { number }),
@@ -204,6 +213,11 @@ impl Server {
             self.link.drop_first();
             self.answer(batch.id, result);
         }
+    }
+
+    /// The machine can go to the setpoint that was heard in this period: it is heard again, to be taken.
+    pub fn pass_setpoint(&mut self, setpoint: Setpoint) {
+        self.decoded = Some((setpoint, true));
     }
 
     /// The setpoint that was heard in this period is in the queue: the next one is told relative to it.

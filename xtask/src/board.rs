@@ -13,12 +13,15 @@ pub struct Board {
     folder: &'static str,
     target: &'static str,
     binary: &'static str,
-    /// Other images than the product's: name, and feature that it is built with.
-    others: &'static [(&'static str, &'static str)],
+    /// Other images than the product's: name, feature that it is built with, and what else is said to cargo.
+    others: &'static [(&'static str, &'static str, &'static [&'static str])],
     /// The most flash and static RAM that an image may take, bytes.
     flash: u64,
     ram: u64,
 }
+
+/// The controller built for speed.
+const FOR_SPEED: &str = "profile.release.package.haptimill-firmware.opt-level=3";
 
 /// All boards.
 pub const BOARDS: &[Board] = &[Board {
@@ -27,10 +30,11 @@ pub const BOARDS: &[Board] = &[Board {
     target: "thumbv7em-none-eabihf",
     binary: "haptimill-mps2",
     others: &[
-        ("hand", "hand"),
-        ("faults", "faults"),
-        ("checks", "checks"),
-        ("logging", "defmt"),
+        // It does not fit the plain image's flash, and built for size it would not fit its periods.
+        ("hand", "hand", &["--config", FOR_SPEED]),
+        ("faults", "faults", &[]),
+        ("checks", "checks", &[]),
+        ("logging", "defmt", &[]),
     ],
     flash: 128 * 1024,
     ram: 48 * 1024,
@@ -175,11 +179,14 @@ impl Board {
 
     /// Builds another image, or the product's by its name.
     pub fn build_other(&self, root: &Path, name: &str) -> Result<PathBuf, String> {
-        match self.others.iter().find(|(other, _)| *other == name) {
-            Some((_, feature)) => self.cargo(root, true, name, &["--features", feature]),
+        match self.others.iter().find(|(other, ..)| *other == name) {
+            Some((_, feature, more)) => {
+                let words = [&["--features", feature][..], more].concat();
+                self.cargo(root, true, name, &words)
+            }
             None if name == self.binary => self.build(root, true),
             None => {
-                let others: Vec<&str> = self.others.iter().map(|(other, _)| *other).collect();
+                let others: Vec<&str> = self.others.iter().map(|(other, ..)| *other).collect();
                 Err(format!(
                     "the board {} has no image '{name}'; it has {} and {}",
                     self.name,

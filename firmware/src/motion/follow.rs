@@ -22,8 +22,10 @@ const FRACTION: u32 = 20;
 /// Bounds of a mover, worked out from those of a pose coordinate.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
 pub struct MoverLimits {
-    /// Most change of the rate in a period.
+    /// Most change of the rate in a period, and 1 / it: 2^(`whole` + 31) / step, 2^30 to 2^31, so that nothing is divided in a period.
     step: i64,
+    inverse: u32,
+    whole: u32,
     rate: i64,
     /// k T, 2^-32.
     pull: u32,
@@ -49,7 +51,7 @@ pub struct Mover {
     led: i64,
 }
 
-constants!(MoverLimits { step, rate, pull, bend, far, twice, shift, low, high, periods_per_second } of {} but {});
+constants!(MoverLimits { step, inverse, whole, rate, pull, bend, far, twice, shift, low, high, periods_per_second } of {} but {});
 
 impl MoverLimits {
     /// Bounds for a coordinate that follows with the gain k in 1/s, 1 to 1000; `None` where they make no sense.
@@ -79,8 +81,16 @@ impl MoverLimits {
         while (far >> (2 * shift)) > (1 << 61) / (2 * gentle) {
             shift += 1;
         }
+        let whole = 63 - step.leading_zeros();
+        let quotient = (1_u64 << 62) / step as u64;
+        let inverse = match whole {
+            ..=31 => quotient >> (31 - whole),
+            _ => quotient << (whole - 31),
+        };
         Some(Self {
             step,
+            inverse: inverse as u32,
+            whole,
             rate,
             pull: pull as u32,
             bend,
@@ -142,7 +152,9 @@ impl Mover {
         if self.rate == 0 {
             return 0;
         }
-        let periods = self.rate.abs() / limits.step.max(1) + 2;
+        // Rounded down twice, by less than a period each time.
+        let periods =
+            (multiply_high(self.rate.abs(), limits.inverse) >> (limits.whole.max(1) - 1)) + 3;
         self.rate.saturating_mul(periods) / 2
     }
 

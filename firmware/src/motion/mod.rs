@@ -404,7 +404,13 @@ impl Motion {
                 Source::Hold | Source::Master => {}
             }
         }
-        allowed && self.reach.holds(&sweep, &self.room, self.axes, machine)
+        // A machine that no hand leads has its boxes for jogs alone, and little flash.
+        let reachable = if HAND {
+            self.reach.holds(&sweep, &self.room, self.axes, machine)
+        } else {
+            sweep.is_reachable(self.axes, machine)
+        };
+        allowed && reachable
     }
 
     fn merge(&mut self, axis: usize, program: &Wanted, jog: &Wanted, moves: bool) {

@@ -206,6 +206,33 @@ impl Program {
 
     /// Takes the next setpoint; a refused one changes nothing.
     pub fn push(&mut self, setpoint: &Setpoint) -> Result<(), Refusal> {
+        self.push_tried(setpoint, 0)
+    }
+
+    /// Whether the first `axes` coordinates may go to the next setpoint as it says; a part of what [`Program::push`] looks at.
+    pub fn allows(&mut self, setpoint: &Setpoint, axes: usize) -> Result<(), Refusal> {
+        self.knot(setpoint, 0, axes).map(|_| ())
+    }
+
+    /// Takes the next setpoint, whose first `tried` coordinates may go to it; a refused one changes nothing.
+    pub fn push_tried(&mut self, setpoint: &Setpoint, tried: usize) -> Result<(), Refusal> {
+        let number = self.accepted;
+        let knot = self.knot(setpoint, tried, self.axes)?;
+        self.queue.push_back(knot).map_err(|_| Refusal::QueueFull)?;
+        self.queued_periods += u64::from(knot.periods);
+        self.tail = knot;
+        self.rests_ahead += u32::from(knot.at_rest());
+        self.accepted = self.accepted.wrapping_add(1);
+        if let Some(starving) = self.starving
+            && starving.setpoint == number
+        {
+            self.late = Some(starving);
+        }
+        Ok(())
+    }
+
+    /// The next setpoint as it lies in the queue, if so many coordinates of it, from `first` on, may go there as it says.
+    fn knot(&mut self, setpoint: &Setpoint, first: usize, end: usize) -> Result<Knot, Refusal> {
         let number = self.accepted;
         let bad = Refusal::Setpoint { setpoint: number };
         if setpoint.pose.len() != self.axes || setpoint.rates.len() != self.axes {
@@ -227,20 +254,10 @@ impl Program {
             return Err(bad);
         }
         let span = self.span(0, knot.periods).ok_or(bad)?;
-        if (0..self.axes).any(|axis| !self.may_go(axis, &knot, &span)) {
+        if (first..end.min(self.axes)).any(|axis| !self.may_go(axis, &knot, &span)) {
             return Err(bad);
         }
-        self.queue.push_back(knot).map_err(|_| Refusal::QueueFull)?;
-        self.queued_periods += u64::from(knot.periods);
-        self.tail = knot;
-        self.rests_ahead += u32::from(knot.at_rest());
-        self.accepted = self.accepted.wrapping_add(1);
-        if let Some(starving) = self.starving
-            && starving.setpoint == number
-        {
-            self.late = Some(starving);
-        }
-        Ok(())
+        Ok(knot)
     }
 
     /// Says how many setpoints the job has.
