@@ -47,7 +47,10 @@ impl Hasher for Digest {
     }
 
     fn write(&mut self, bytes: &[u8]) {
-        bytes.iter().for_each(|&byte| self.word(u32::from(byte)));
+        // Arrays of numbers come as bytes: four of them a word.
+        let (words, rest) = bytes.as_chunks();
+        words.iter().for_each(|word| self.word(u32::from_le_bytes(*word)));
+        rest.iter().for_each(|&byte| self.word(u32::from(byte)));
     }
 
     fn write_u8(&mut self, value: u8) {
