@@ -406,7 +406,8 @@ impl Motion {
         }
         // A machine that no hand leads has its boxes for jogs alone, and little flash.
         let reachable = if HAND {
-            self.reach.holds(&sweep, &self.room, self.axes, machine)
+            let room = (&self.room, self.hand_mask());
+            self.reach.holds(&sweep, room, self.axes, machine)
         } else {
             sweep.is_reachable(self.axes, machine)
         };

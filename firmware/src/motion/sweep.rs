@@ -49,13 +49,13 @@ impl Sweep {
         })
     }
 
-    /// The box with so much more room for each coordinate that moves, either way.
+    /// The box with so much more room for each coordinate that moves, either way; and for those that may, a bit each.
     #[must_use]
-    fn with_room(&self, room: &[i32; MAX_AXES]) -> Self {
+    fn with_room(&self, room: &[i32; MAX_AXES], may: u8) -> Self {
         let mut wide = *self;
         for (axis, room) in room.iter().enumerate() {
             let (low, high) = (self.low.0[axis].0, self.high.0[axis].0);
-            if low != high {
+            if low != high || may & (1 << axis) != 0 {
                 wide.reach(axis, i64::from(low) - i64::from(*room));
                 wide.reach(axis, i64::from(high) + i64::from(*room));
             }
@@ -113,15 +113,16 @@ pub struct Reach {
 }
 
 impl Reach {
-    /// Whether the machine can take a sweep: see [`Sweep::is_reachable`]. `room`: how much wider a box is made; call it once a period.
+    /// Whether the machine can take a sweep: see [`Sweep::is_reachable`]. `room`: how much wider a box is made, `may`: the coordinates that
+    /// may move from now on, a bit each. Call it once a period.
     pub fn holds(
         &mut self,
         sweep: &Sweep,
-        room: &[i32; MAX_AXES],
+        (room, may): (&[i32; MAX_AXES], u8),
         axes: usize,
         machine: &impl Kinematics,
     ) -> bool {
-        self.look_ahead(sweep, room, axes, machine);
+        self.look_ahead(sweep, (room, may), axes, machine);
         let known = self.known.as_ref();
         known.is_some_and(|known| sweep.is_within(known, axes)) || sweep.is_reachable(axes, machine)
     }
@@ -130,7 +131,7 @@ impl Reach {
     fn look_ahead(
         &mut self,
         sweep: &Sweep,
-        room: &[i32; MAX_AXES],
+        (room, may): (&[i32; MAX_AXES], u8),
         axes: usize,
         machine: &impl Kinematics,
     ) {
@@ -150,12 +151,13 @@ impl Reach {
             }
             _ => {
                 let half = room.map(|room| room / 2);
-                let near = sweep.with_room(&half);
+                let near = sweep.with_room(&half, may);
                 let enough = self
                     .known
                     .as_ref()
                     .is_some_and(|known| near.is_within(known, axes));
-                self.next = (!enough && self.patience == 0).then(|| (sweep.with_room(room), 0));
+                self.next =
+                    (!enough && self.patience == 0).then(|| (sweep.with_room(room, may), 0));
             }
         }
     }

@@ -49,7 +49,9 @@ impl Hasher for Digest {
     fn write(&mut self, bytes: &[u8]) {
         // Arrays of numbers come as bytes: four of them a word.
         let (words, rest) = bytes.as_chunks();
-        words.iter().for_each(|word| self.word(u32::from_le_bytes(*word)));
+        words
+            .iter()
+            .for_each(|word| self.word(u32::from_le_bytes(*word)));
         rest.iter().for_each(|&byte| self.word(u32::from(byte)));
     }
 

@@ -30,8 +30,12 @@ impl Program {
             let left = (u64::from(segment.span.periods()) << 32).saturating_sub(self.time);
             let time = self.time + left.min(ahead);
             let microseconds = ((left.min(ahead) >> 16) as i64 * i64::from(self.period_us)) >> 16;
+            let third = third(microseconds);
             let fraction = |time: u64| segment.span.fraction((time >> 16) as u32);
             for axis in 0..self.axes {
+                if segment.ways[axis].0.is_still() {
+                    continue;
+                }
                 let [begin, end] = [self.time, time].map(|time| {
                     let (cubic, derivatives) = &segment.ways[axis];
                     cubic.sample(derivatives, fraction(time))
@@ -41,7 +45,7 @@ impl Program {
                     axis,
                     [begin.position.0, end.position.0],
                     [begin.rate.0, end.rate.0].map(i64::from),
-                    microseconds,
+                    third,
                 );
             }
             ahead = ahead.saturating_sub(left);
@@ -52,13 +56,20 @@ impl Program {
                 break;
             }
             let microseconds = i64::from(knot.periods) * i64::from(self.period_us);
+            let third = third(microseconds);
             for axis in 0..self.axes {
+                let ends = [from.pose[axis], knot.pose[axis]];
+                let rates = [from.rates[axis], knot.rates[axis]];
+                if rates == [0; 2] && ends[0] == ends[1] {
+                    sweep.reach(axis, i64::from(ends[0]));
+                    continue;
+                }
                 self.hull(
                     &mut sweep,
                     axis,
-                    [from.pose[axis], knot.pose[axis]],
-                    [from.rates[axis], knot.rates[axis]].map(|rate| i64::from(rate) << RATE_SHIFT),
-                    microseconds,
+                    ends,
+                    rates.map(|rate| i64::from(rate) << RATE_SHIFT),
+                    third,
                 );
             }
             ahead = ahead.saturating_sub(u64::from(knot.periods) << 32);
@@ -67,17 +78,17 @@ impl Program {
         sweep
     }
 
-    /// The control points of one axis between two places, with rates in axis units per second (below 2^32) and a time below 2^26 us.
+    /// The control points of one axis between two places, with rates in axis units per second (below 2^32) and a [`third`] of the time.
     fn hull(
         &self,
         sweep: &mut Sweep,
         axis: usize,
         [from, to]: [i32; 2],
         rates: [i64; 2],
-        microseconds: i64,
+        third: i64,
     ) {
         let distance = self.distance(axis, from, to);
-        let [first, second] = rates.map(|rate| rate * microseconds / 3_000_000);
+        let [first, second] = rates.map(|rate| (rate * third) >> 22);
         let from = i64::from(from);
         for point in [
             from,
@@ -88,4 +99,9 @@ impl Program {
             sweep.reach(axis, point);
         }
     }
+}
+
+/// A third of a time below 2^26 us, in 2^-22 s: below 2^27.
+fn third(microseconds: i64) -> i64 {
+    (microseconds << 22) / 3_000_000
 }
