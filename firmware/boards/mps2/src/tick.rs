@@ -111,6 +111,7 @@ pub fn done(period: &Period) -> Done {
         period: period.inputs.period,
         outputs: Outputs {
             axes: period.outputs.axes,
+            haptic: period.outputs.haptic,
             spindle_rpm: period.outputs.spindle_rpm,
             ..Outputs::default()
         },

@@ -58,17 +58,11 @@ impl Program {
             let microseconds = i64::from(knot.periods) * i64::from(self.period_us);
             let third = third(microseconds);
             for axis in 0..self.axes {
-                let ends = [from.pose[axis], knot.pose[axis]];
-                let rates = [from.rates[axis], knot.rates[axis]];
-                if rates == [0; 2] && ends[0] == ends[1] {
-                    sweep.reach(axis, i64::from(ends[0]));
-                    continue;
-                }
                 self.hull(
                     &mut sweep,
                     axis,
-                    ends,
-                    rates.map(|rate| i64::from(rate) << RATE_SHIFT),
+                    [from.pose[axis], knot.pose[axis]],
+                    [from.rates[axis], knot.rates[axis]].map(|rate| i64::from(rate) << RATE_SHIFT),
                     third,
                 );
             }
