@@ -133,6 +133,30 @@ impl Toolchain {
     }
 }
 
+/// A panic names its file: by a short path that is the same wherever the sources lie, or the image would be another one, and larger, in each folder.
+fn nameless(root: &Path) -> String {
+    let home = env::var_os("CARGO_HOME").map(PathBuf::from);
+    let home = home.or_else(|| env::var_os("HOME").map(|home| Path::new(&home).join(".cargo")));
+    let packages = home
+        .and_then(|home| fs::read_dir(home.join("registry/src")).ok())
+        .into_iter()
+        .flatten()
+        .filter_map(|folder| Some(folder.ok()?.path()));
+    let library = Path::new(DEBIAN_SOURCES).parent().map(Path::to_path_buf);
+    let flags: Vec<String> = [root.to_path_buf()]
+        .into_iter()
+        .chain(packages)
+        .chain(library)
+        .map(|folder| {
+            format!(
+                "{:?}",
+                format!("--remap-path-prefix={}/=", folder.display())
+            )
+        })
+        .collect();
+    format!("build.rustflags=[{}]", flags.join(", "))
+}
+
 /// Where Debian's compiler looks for the sources of the core library.
 fn library_of_debian() -> Option<PathBuf> {
     let output = Command::new(DEBIAN_RUSTC)
@@ -225,6 +249,7 @@ impl Board {
             .current_dir(root.join(self.folder))
             .args(["build", "--release", "--locked", "--target", self.target])
             .args(["--bin", binary])
+            .args(["--config", &nameless(root)])
             .args(more)
             .args(toolchain.arguments());
         if quiet {
