@@ -63,6 +63,8 @@ pub struct Server {
     worked: bool,
     /// This period did not work although it might have.
     held: bool,
+    /// Answers and events waited, because the period before had worked.
+    kept: bool,
     /// Telemetry is due.
     telemetry_waits: bool,
     coder: SetpointCoder,
@@ -106,6 +108,7 @@ impl Server {
             decoded: None,
             worked: false,
             held: false,
+            kept: false,
             telemetry_waits: false,
             coder: SetpointCoder::new(period_us, &AxisValues::new()),
             ahead: SetpointCoder::new(period_us, &AxisValues::new()),
@@ -346,7 +349,10 @@ impl Server {
         room: u16,
         transmit: &mut Vec<u8, TRANSMIT_BYTES>,
     ) {
-        if !self.answers.is_empty() || safety.has_events() {
+        // What is to be said of what was done long is said in the next period.
+        let due = !self.answers.is_empty() || safety.has_events();
+        self.kept = due && self.worked && !self.kept;
+        if due && !self.kept {
             self.report(period, safety);
         }
         // The frame of telemetry is long, and made in a period that had nothing else to do.
