@@ -1,0 +1,270 @@
+//! The hand, the contact and the line, around the controllers.
+
+use crate::bed::{Bed, HOME};
+use haptimill_checks::reference;
+use haptimill_firmware::config::Config;
+use haptimill_firmware::force::conditioning::{Channel, Sensor};
+use haptimill_firmware::force::{ForceConfig, Gate, LoopSettings};
+use haptimill_firmware::reflection::Haptic;
+use haptimill_firmware::units::force::{Force, VirtualDamping, VirtualMass};
+use haptimill_firmware::units::{Length, Rate};
+use haptimill_protocol::haptic::{Hand, ReflectAxis, Reflection};
+use haptimill_protocol::message::{Command, Event, Request, Source};
+use std::collections::VecDeque;
+
+/// The period, s.
+pub const T: f64 = 2e-4;
+const NEWTON: f64 = 65_536.0;
+/// Of the hand and what it holds of the arm, kg.
+const MASS: f64 = 0.8;
+/// Part of the critical damping that the hand has.
+const RATIO: f64 = 0.35;
+/// Of the amplifiers of the arm's motors, s.
+const AMPLIFIER: f64 = 5e-4;
+/// Two poles of the drives, 1/s: 8 ms.
+const DRIVE: f64 = 250.0;
+/// Newtons of a code.
+const CODE: f64 = 100.0 / 8192.0;
+/// Periods between two words on the line.
+const WORD: usize = 50;
+
+#[derive(Debug, Clone, Copy)]
+pub struct Case {
+    /// Stiffness of the hand, N/mm.
+    pub grip: f64,
+    /// Of the contact at the tool, N/mm.
+    pub contact: f64,
+    /// Of the line one way, s; 0: one board.
+    pub delay: f64,
+    /// How long, s.
+    pub time: f64,
+    /// The tool yields to forces.
+    pub yields: bool,
+    /// How far into the contact the hand means to go, mm.
+    pub depth: f64,
+}
+
+impl Default for Case {
+    fn default() -> Self {
+        Self {
+            grip: 0.3,
+            contact: 20.0,
+            delay: 0.0,
+            time: 24.0,
+            yields: true,
+            depth: 4.0,
+        }
+    }
+}
+
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Outcome {
+    /// Swing of the hand from peak to peak within 1.5 s, in the first half of the contact and in the second, mm.
+    pub early: f64,
+    pub late: f64,
+    /// That of the force at the hand in the second half, N.
+    pub force_swing: f64,
+    /// Largest force on the tool, N.
+    pub peak: f64,
+    /// Means of the second half: force at the hand, and what the law makes of the force on the tool, N.
+    pub felt: f64,
+    pub law: f64,
+    /// Mean of what was added to the law, N.
+    pub damped: f64,
+    pub state: &'static str,
+}
+
+fn sensor(yields: bool) -> ForceConfig {
+    let channel = || Channel {
+        per_code: (CODE * NEWTON * NEWTON) as i32,
+        saturation: 7782,
+    };
+    let settings = LoopSettings {
+        desired: Force::millinewtons(5000),
+        mass: VirtualMass(1 << 16),
+        damping: VirtualDamping(5 << 16),
+        limit: Length::millimetres(10),
+        rate: Rate(20 << 20),
+        gate: Gate::Any,
+    };
+    ForceConfig {
+        sensor: Sensor {
+            channels: [channel(), channel(), channel()],
+            silent_samples: 3,
+            stuck_samples: 500,
+            drift: Force::millinewtons(500),
+            limit: Force::millinewtons(95_000),
+            tare_samples: 256,
+            tare_spread: 30,
+            weight: Force::ZERO,
+        },
+        axes: [settings.clone(), settings.clone(), settings],
+        mask: u8::from(yields),
+        drive_lag_us: 8000,
+        creep: Rate::ZERO,
+        slowest_rpm: 5000,
+    }
+}
+
+fn reflection() -> Reflection {
+    let axis = ReflectAxis {
+        percent: 40,
+        most: (3.2 * NEWTON) as i32,
+    };
+    Reflection {
+        axes: [axis; 3],
+        boost: 0,
+        boost_below: 2 << 16,
+    }
+}
+
+fn arm(bed: &Bed) -> &Haptic {
+    let machinery = bed.controller.machinery().expect("configured");
+    machinery.hands.arm.as_ref().expect("an arm")
+}
+
+fn say(bed: &mut Bed, command: Command) {
+    bed.link.send_latest(&Request { id: 0, command }).expect("open");
+}
+
+/// The largest swing within any second and a half.
+fn swing(values: &[f64]) -> f64 {
+    values
+        .chunks((1.5 / T) as usize)
+        .map(|chunk| {
+            let (low, high) = chunk.iter().fold((f64::MAX, f64::MIN), |(low, high), x| (low.min(*x), high.max(*x)));
+            high - low
+        })
+        .fold(0.0, f64::max)
+}
+
+pub fn run(case: &Case) -> Outcome {
+    trace(case, |_| ())
+}
+
+/// A moment.
+#[derive(Debug, Clone, Copy)]
+pub struct Moment {
+    pub time: f64,
+    pub hand: f64,
+    pub tool: f64,
+    pub force: f64,
+    pub felt: f64,
+    pub reflected: f64,
+}
+
+pub fn trace(case: &Case, mut look: impl FnMut(&Moment)) -> Outcome {
+    let haptic = || {
+        let mut haptic = reference::haptic();
+        haptic.reflection = reflection();
+        haptic
+    };
+    let afar = case.delay > 0.0;
+    let config = Config {
+        follow: Some(reference::follow()),
+        haptic: (!afar).then(haptic),
+        force: Some(sensor(case.yields)),
+        ..reference::h4_with_steps()
+    };
+    let mut mill = Bed::ready(config);
+    let mut master = afar.then(|| {
+        let mut master = Bed::ready(Config {
+            haptic: Some(haptic()),
+            ..reference::master()
+        });
+        master.inputs.haptic.engaged = true;
+        master
+    });
+    mill.codes = Some([0; 3]);
+    assert_eq!(mill.ask(Command::Tare), Ok(()));
+    mill.steps(600);
+    assert!(mill.events.contains(&Event::Tared));
+    let source = Source::Master;
+    assert_eq!(mill.ask(Command::Source { axis: 0, source }), Ok(()));
+    mill.start_job();
+    mill.inputs.haptic.engaged = true;
+    mill.steps(10);
+    let surface = mill.at(0).0 - 10.0;
+
+    let stiffness = case.grip * 1000.0; // N/m
+    let damping = 2.0 * RATIO * (stiffness * MASS).sqrt();
+    // From the surface, as the tool is; mm, mm/s.
+    let (mut x, mut v) = (10.0_f64, 0.0_f64);
+    let (mut tool, mut tool_rate) = (10.0_f64, 0.0_f64);
+    let mut motor = 0.0_f64;
+    let lag = (case.delay / T).round() as usize;
+    let mut out: VecDeque<(usize, Hand)> = VecDeque::new();
+    let mut back: VecDeque<(usize, [i16; 3])> = VecDeque::new();
+    // The law's share comes in within 0.1 s.
+    let begin = (0.3 / T) as usize;
+    let total = (case.time / T) as usize;
+    let (mut places, mut forces) = (Vec::with_capacity(total), Vec::with_capacity(total));
+    let mut outcome = Outcome::default();
+    let way = 10.0 + case.depth;
+    for period in 0..total {
+        let time = (period as f64 - begin as f64) * T;
+        let going = time >= 0.0 && time < way / 10.0;
+        let intention = (10.0 - 10.0 * time.max(0.0)).max(-case.depth);
+        let felt = f64::from(arm(master.as_ref().unwrap_or(&mill)).force()[0].0) / NEWTON;
+        for _ in 0..4 {
+            motor += (felt - motor) * (T / 4.0 / AMPLIFIER);
+            let pace = if going { -0.01 } else { 0.0 };
+            let force = stiffness * (intention - x) / 1000.0 + damping * (pace - v / 1000.0) + motor;
+            v += force / MASS * 1000.0 * T / 4.0;
+            x += v * T / 4.0;
+        }
+        let machinery = mill.controller.machinery().expect("configured");
+        let reference = f64::from(machinery.reference().pose.0[0].0) / 1_048_576.0 - surface;
+        tool_rate += (DRIVE * DRIVE * (reference - tool) - 2.0 * DRIVE * tool_rate) * T;
+        tool += tool_rate * T;
+        let force = (-case.contact * tool).max(0.0);
+        let peak = machinery.force.as_ref().map_or(0.0, |force| f64::from(force.extremes()[0].peak().0) / NEWTON);
+        mill.codes = Some([(force / CODE).round().min(8000.0) as i16, 0, 0]);
+        let hand = master.as_mut().unwrap_or(&mut mill);
+        hand.centre = [HOME[0] + x - 10.0, HOME[1], HOME[2]];
+        if let Some(master) = &mut master {
+            if period % WORD == 0 {
+                let hand = arm(master).telemetry(0).hand;
+                out.push_back((period + lag, hand));
+                back.push_back((period + lag, [(peak * 64.0).round() as i16, 0, 0]));
+            }
+            while let Some((_, hand)) = out.front().copied().filter(|(at, _)| *at <= period) {
+                out.pop_front();
+                say(&mut mill, Command::Hand { epoch: 1, age_ms: 0, hand });
+            }
+            while let Some((_, force)) = back.front().copied().filter(|(at, _)| *at <= period) {
+                back.pop_front();
+                say(master, Command::Feel { force });
+            }
+            master.step();
+        }
+        mill.step();
+        places.push(x);
+        forces.push(felt);
+        let reflected = f64::from(arm(master.as_ref().unwrap_or(&mill)).reading().reflected[0]) / NEWTON;
+        if period > total * 5 / 8 {
+            outcome.felt += felt;
+            outcome.law += (0.4 * peak).min(3.2);
+            outcome.damped += felt - reflected;
+        }
+        outcome.peak = outcome.peak.max(force);
+        look(&Moment { time, hand: x, tool, force, felt, reflected });
+    }
+    let count = (total - total * 5 / 8 - 1) as f64;
+    outcome.felt /= count;
+    outcome.law /= count;
+    outcome.damped /= count;
+    let (first, middle) = ((3.0 / T) as usize, total * 9 / 16);
+    outcome.early = swing(&places[first..middle]);
+    outcome.late = swing(&places[middle..]);
+    outcome.force_swing = swing(&forces[middle..]);
+    if let Some(fault) = mill.controller.safety().fault() {
+        println!("{case:?}: {fault:?}");
+    }
+    outcome.state = match mill.controller.safety().fault() {
+        Some(_) => "fault",
+        None if mill.state() == haptimill_protocol::message::State::Run => "run",
+        None => "other",
+    };
+    outcome
+}
