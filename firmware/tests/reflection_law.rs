@@ -165,7 +165,7 @@ proptest! {
     /// Neither does any force, way or rate the watch; its energy stays within its bounds.
     #[test]
     fn the_watch_holds_its_bounds(forces: [i32; 3], ways: [i32; 3], rates: [i32; 3], stored in 0_i64..1 << 45, credit in 0_u32..100 << 16, debt in 655_u32..100 << 16) {
-        let mut watch = Passivity::new(&PassivityConfig { credit, debt, damping: 1 << 15 }, 200);
+        let mut watch = Passivity::new(&PassivityConfig { credit, debt, damping: 1 << 15 }, 200, 10_000_000);
         for _ in 0..20 {
             watch.observe(&forces.map(Force), &ways, stored);
             let damping = watch.damp(&rates.map(Rate));
@@ -203,7 +203,7 @@ fn only_what_comes_out_is_damped() {
         debt: 65_536,
         damping: 19_661,
     };
-    let mut watch = Passivity::new(&config, 200);
+    let mut watch = Passivity::new(&config, 200, 10_000_000);
     let rates = [Rate((20.0 * MM) as i32), Rate(0), Rate(0)];
     for k in 0..5000 {
         // 20 mm/s, freely, then against 2 N.

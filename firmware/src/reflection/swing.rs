@@ -6,13 +6,16 @@
 //!
 //! Units as in [`super::passivity`].
 
-use super::passivity::{Passivity, PassivityConfig};
+use super::passivity::{Passivity, PassivityConfig, WHOLE};
 use crate::units::Rate;
 use crate::units::force::Force;
 use haptimill_protocol::haptic::COMPONENTS;
 
 /// The mean that is taken for the slow part is over at least so long, microseconds; the next power of two of periods.
 const SLOW_US: u32 = 100_000;
+
+/// How long it takes until most (63 %) of what swings took out is forgiven, microseconds. A hand that does not swing any more pays nothing back.
+const FORGET_US: u32 = 10_000_000;
 
 /// Fraction bits of the slow parts.
 const FRACTION: u32 = 12;
@@ -49,7 +52,7 @@ impl Swings {
     pub fn new(config: &PassivityConfig, period_us: u16) -> Self {
         let periods = SLOW_US / u32::from(period_us.max(1));
         Self {
-            watch: Passivity::new(config, period_us),
+            watch: Passivity::new(config, period_us, FORGET_US),
             shift: periods.next_power_of_two().trailing_zeros(),
             force: Default::default(),
             moved: Default::default(),
@@ -65,24 +68,23 @@ impl Swings {
         self.rates = self.force;
     }
 
-    /// Once a period: `force` acted while the tip moved by `moved` (2^-20 mm), it moves at `rates` now, and the virtual walls hold `stored`. Gives the force against what swings of that.
+    /// Once a period: `force` acted while the tip moved by `moved` (2^-20 mm), and the virtual walls hold `stored`.
     pub fn watch(
         &mut self,
         force: &[Force; COMPONENTS],
         moved: &[i32; COMPONENTS],
-        rates: &[Rate; COMPONENTS],
         stored: i64,
-    ) -> [Force; COMPONENTS] {
+    ) {
         let shift = self.shift;
         let force = core::array::from_fn(|axis| Force(self.force[axis].of(force[axis].0, shift)));
         let moved = core::array::from_fn(|axis| self.moved[axis].of(moved[axis], shift));
         self.watch.observe(&force, &moved, stored);
-        // A hand that has stopped is not damped, though its slow part goes on for a while: no more than it moves.
-        let rates = core::array::from_fn(|axis| {
-            let most = rates[axis].0.saturating_abs();
-            Rate(self.rates[axis].of(rates[axis].0, shift).clamp(-most, most))
-        });
-        self.watch.damp(&rates)
+    }
+
+    /// The debt of the swings, as [`Passivity::owed`].
+    #[must_use]
+    pub fn owed(&self) -> i64 {
+        self.watch.owed()
     }
 }
 
@@ -112,6 +114,7 @@ mod tests {
                     &[Force((force * 65_536.0) as i32), Force(0), Force(0)],
                     &[(rate * 200e-6 * 1_048_576.0) as i32, 0, 0],
                     &[Rate((rate * 1_048_576.0) as i32), Rate(0), Rate(0)],
+                    0,
                     0,
                 );
                 if period > 10_000 {

@@ -57,6 +57,17 @@ fn table(cases: &[Case]) -> Vec<Outcome> {
 #[test]
 fn the_whole_chain() {
     let mut cases = vec![];
+    if std::env::var("QUICK").is_ok() {
+        for delay in [0.0, 0.05] {
+            for contact in [2.0, 20.0, 200.0] {
+                for grip in [0.1, 0.3, 2.0] {
+                    cases.push(Case { grip, contact, delay, ..Case::default() });
+                }
+            }
+        }
+        table(&cases);
+        return;
+    }
     for delay in DELAYS {
         for contact in CONTACTS {
             for grip in GRIPS {
@@ -65,4 +76,20 @@ fn the_whole_chain() {
         }
     }
     table(&cases);
+}
+
+#[test]
+#[ignore = "look"]
+fn look() {
+    let get = |name: &str, default: f64| std::env::var(name).map_or(default, |text| text.parse().unwrap());
+    let case = Case { grip: get("GRIP", 0.3), contact: get("CONTACT", 200.0), delay: get("DELAY", 0.0), time: get("TIME", 6.0), ..Case::default() };
+    let mut k = 0;
+    let every = get("EVERY", 100.0) as usize;
+    let outcome = rig::trace(&case, |moment| {
+        if k % every == 0 {
+            println!("{:6.3} hand {:7.3} tool {:7.3} F {:6.1} felt {:6.3} reflected {:6.3}", moment.time, moment.hand, moment.tool, moment.force, moment.felt, moment.reflected);
+        }
+        k += 1;
+    });
+    println!("{outcome:?}");
 }

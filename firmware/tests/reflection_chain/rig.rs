@@ -92,7 +92,7 @@ fn sensor(yields: bool) -> ForceConfig {
             channels: [channel(), channel(), channel()],
             silent_samples: 3,
             stuck_samples: 500,
-            drift: Force::millinewtons(500),
+            drift: Force::millinewtons(20_000),
             limit: Force::millinewtons(95_000),
             tare_samples: 256,
             tare_spread: 30,
