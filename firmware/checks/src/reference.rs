@@ -212,7 +212,7 @@ pub fn haptic() -> HapticConfig {
         passivity: PassivityConfig {
             credit: newton(0.5) as u32,
             debt: newton(1.0) as u32,
-            damping: newton(0.15) as u32,
+            damping: newton(0.3) as u32,
         },
     }
 }

@@ -35,9 +35,9 @@ pub use haptimill_protocol::haptic::{COMPONENTS, Hand, HandProblem, HandTelemetr
 use law::Law;
 use lead::Frame;
 use motors::Motors;
-use passivity::Passivity;
+use passivity::{Passivity, WHOLE};
 use smooth::Smoothing;
-use swing::Swings;
+use swing::{Supply, Swings};
 use wall::{TooSmall, Walls};
 
 mod motors;
@@ -95,6 +95,7 @@ pub struct Haptic {
     passivity: Passivity,
     swings: Swings,
     shares: Smoothing,
+    supply: Supply,
     /// Counts at the presets.
     zero: [[i32; 3]; LEGS],
     illegal: [[u16; 3]; LEGS],
@@ -120,7 +121,7 @@ pub struct Haptic {
 }
 
 constants!(Haptic { arm, sensors, motors, illegal_most, smoothing, step, periods_per_second, blend_step, feel_periods } of {} but {
-    law, walls, passivity, swings, shares, zero, illegal, pose, tip, moved, rates, engaged, ready, blend, afar, force, reflected, wall, enabled, problem, latched, fresh
+    law, walls, passivity, swings, shares, supply, zero, illegal, pose, tip, moved, rates, engaged, ready, blend, afar, force, reflected, wall, enabled, problem, latched, fresh
 });
 
 impl Haptic {
@@ -160,6 +161,7 @@ impl Haptic {
             passivity: Passivity::new(&config.passivity, period_us, FORGET_US),
             swings: Swings::new(&config.passivity, period_us),
             shares: Smoothing::new(period_us),
+            supply: Supply::new(period_us),
             zero: inputs.legs.map(|leg| leg.counts),
             illegal: inputs.legs.map(|leg| leg.illegal),
             pose: None,
@@ -359,22 +361,27 @@ impl Haptic {
         self.wall = self.walls.push(&pose.tip);
         let stored = self.walls.stored();
         self.passivity.observe(&self.force, &self.moved, stored);
-        self.swings
-            .watch(&self.force, &self.moved, stored);
-        let owed = self.passivity.owed().max(self.swings.owed());
-        let damping = self.passivity.damp_by(owed, &rates);
+        self.swings.watch(&self.force, &self.moved, stored);
+        let (all, swinging) = (self.passivity.owed(), self.swings.owed());
+        let idle = self.supply.watch(&self.force, &self.moved);
+        let owed = idle.map(|idle| all.max((swinging * idle) >> 16));
+        // Of what is not led the whole motion is damped, half as much.
+        let damped = owed.map(|owed| owed.min(WHOLE) / 2);
+        let swings = self.swings.damp(&rates, &idle, &damped);
         let shares = self.law.shares(&tool);
         // What is let through is not smoothed: who lets go feels nothing more.
         let shares = self
             .shares
-            .smooth(&shares, owed)
+            .smooth(&shares, &owed)
             .map(|share| Force(saturate((i64::from(share.0) * i64::from(self.blend)) >> 16)));
         self.reflected = self.law.boosted(&shares, &rates);
         let mut force = self.force;
         for (axis, force) in force.iter_mut().enumerate() {
-            let wanted =
-                self.law
-                    .together(axis, self.reflected[axis], damping[axis], self.wall[axis]);
+            let damping = self.passivity.damp_by(damped[axis], rates[axis]);
+            let damping = Force(damping.0.saturating_add(swings[axis].0));
+            let wanted = self
+                .law
+                .together(axis, self.reflected[axis], damping, self.wall[axis]);
             let change = wanted.0.saturating_sub(force.0);
             force.0 += change.clamp(-self.step, self.step);
         }
@@ -406,6 +413,7 @@ impl Haptic {
         self.passivity.reset();
         self.swings.reset();
         self.shares.reset();
+        self.supply.reset();
     }
 
     /// Other settings of the reflection.

@@ -40,6 +40,12 @@ impl PassivityConfig {
     }
 }
 
+/// The work of a force on a tip that moved along an axis, 2^-36 N mm.
+pub(super) fn work(force: Force, moved: i32) -> i64 {
+    // Below 2^22 (64 N) times 2^24 (16 mm).
+    i64::from(force.0.clamp(-(1 << 22), 1 << 22)) * i64::from(moved.clamp(-(1 << 24), 1 << 24))
+}
+
 /// How many times the debt of the whole damping is counted.
 pub const COUNTED: i64 = 3;
 
@@ -88,15 +94,8 @@ impl Passivity {
 
     /// Observer: `force` acted while the tip moved by `moved` (2^-20 mm); the walls hold `stored` now.
     pub fn observe(&mut self, force: &[Force; COMPONENTS], moved: &[i32; COMPONENTS], stored: i64) {
-        let work: i64 = force
-            .iter()
-            .zip(moved)
-            .map(|(force, moved)| {
-                // Below 2^22 (64 N) times 2^24 (16 mm).
-                i64::from(force.0.clamp(-(1 << 22), 1 << 22))
-                    * i64::from((*moved).clamp(-(1 << 24), 1 << 24))
-            })
-            .sum();
+        let axes = force.iter().zip(moved);
+        let work: i64 = axes.map(|(force, moved)| work(*force, *moved)).sum();
         self.energy = (self.energy - work).clamp(-COUNTED * self.debt, self.cap + stored);
         if self.energy < 0 {
             self.energy -= ((self.energy >> 8) * self.forget) >> 24;
@@ -113,14 +112,15 @@ impl Passivity {
     /// Controller: the force against a motion of the hand.
     #[must_use]
     pub fn damp(&self, rates: &[Rate; COMPONENTS]) -> [Force; COMPONENTS] {
-        self.damp_by(self.owed().min(WHOLE), rates)
+        let part = self.owed().min(WHOLE);
+        rates.map(|rate| self.damp_by(part, rate))
     }
 
-    /// A part of the whole damping, 2^-16, against a motion of the hand.
+    /// A part of the whole damping, 2^-16, against a motion of the hand along an axis.
     #[must_use]
-    pub fn damp_by(&self, part: i64, rates: &[Rate; COMPONENTS]) -> [Force; COMPONENTS] {
+    pub fn damp_by(&self, part: i64, rate: Rate) -> Force {
         // At most 2^15.
         let damping = (self.damping * part.clamp(0, WHOLE)) >> 16;
-        rates.map(|rate| Force(saturate(-(i64::from(rate.0) * damping) >> 20)))
+        Force(saturate(-(i64::from(rate.0) * damping) >> 20))
     }
 }

@@ -10,6 +10,7 @@
 //!
 //! Misuse: what does not come from a tool. A force that depends on the hand at once, delayed, feeds it.
 
+use super::passivity::{COUNTED, WHOLE};
 use crate::units::force::Force;
 use crate::units::scale::multiply_high;
 use haptimill_protocol::haptic::COMPONENTS;
@@ -43,18 +44,21 @@ impl Smoothing {
         self.slow = [0; COMPONENTS];
     }
 
-    /// One period: the shares, smoothed by what is owed.
-    pub fn smooth(&mut self, shares: &[Force; COMPONENTS], owed: i64) -> [Force; COMPONENTS] {
-        // Periods of the time constant: at most 3 * 350,000.
-        let constant = ((self.periods * owed.clamp(0, 3 << 16)) >> 16) as u32;
-        let part = u32::MAX / (constant + 1);
+    /// One period: the shares, each smoothed by what is owed along its axis.
+    pub fn smooth(
+        &mut self,
+        shares: &[Force; COMPONENTS],
+        owed: &[i64; COMPONENTS],
+    ) -> [Force; COMPONENTS] {
         core::array::from_fn(|axis| {
+            // Periods of the time constant: at most 3 * 350,000.
+            let constant = ((self.periods * owed[axis].clamp(0, COUNTED * WHOLE)) >> 16) as u32;
             let share = i64::from(shares[axis].0) << FRACTION;
             let slow = &mut self.slow[axis];
             *slow = if constant == 0 {
                 share
             } else {
-                *slow + multiply_high(share - *slow, part)
+                *slow + multiply_high(share - *slow, u32::MAX / (constant + 1))
             };
             // Between shares, which are forces.
             Force(((*slow + (1 << (FRACTION - 1))) >> FRACTION) as i32)

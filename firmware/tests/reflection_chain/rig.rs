@@ -1,4 +1,8 @@
 //! The hand, the contact and the line, around the controllers.
+//!
+//! With a line there are two controllers, one with the arm and one with the mill; a word each way every 10 ms, so late as the line makes it. Without, one has both.
+//!
+//! The hand is a mass of 0.8 kg on spring and damper that follow an intention: 4 mm into the contact at 10 mm/s, and there it stays. There is no friction in hand, arm and mill, which is the worst case.
 
 use crate::bed::{Bed, HOME};
 use haptimill_checks::reference;
@@ -9,7 +13,7 @@ use haptimill_firmware::reflection::Haptic;
 use haptimill_firmware::units::force::{Force, VirtualDamping, VirtualMass};
 use haptimill_firmware::units::{Length, Rate};
 use haptimill_protocol::haptic::{Hand, ReflectAxis, Reflection};
-use haptimill_protocol::message::{Command, Event, Request, Source};
+use haptimill_protocol::message::{Command, Event, Request, Source, State};
 use std::collections::VecDeque;
 
 /// The period, s.
@@ -36,42 +40,33 @@ pub struct Case {
     pub contact: f64,
     /// Of the line one way, s; 0: one board.
     pub delay: f64,
-    /// How long, s.
-    pub time: f64,
-    /// The tool yields to forces.
+    /// The tool yields to forces above 5 N.
     pub yields: bool,
-    /// How far into the contact the hand means to go, mm.
-    pub depth: f64,
 }
 
-impl Default for Case {
-    fn default() -> Self {
-        Self {
-            grip: 0.3,
-            contact: 20.0,
-            delay: 0.0,
-            time: 24.0,
-            yields: true,
-            depth: 4.0,
-        }
-    }
-}
+/// How long, s, and from when on the second part of it counts.
+const TIME: f64 = 27.0;
+const LATE: f64 = 15.0;
+/// How far into the contact the hand means to go, mm.
+const DEPTH: f64 = 4.0;
 
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Outcome {
-    /// Swing of the hand from peak to peak within 1.5 s, in the first half of the contact and in the second, mm.
+    /// Largest swing of the hand from peak to peak within 1.5 s, from 3 s on, and from 15 s on; mm.
     pub early: f64,
     pub late: f64,
-    /// That of the force at the hand in the second half, N.
+    /// That of the force at the hand from 15 s on, N.
     pub force_swing: f64,
     /// Largest force on the tool, N.
     pub peak: f64,
-    /// Means of the second half: force at the hand, and what the law makes of the force on the tool, N.
+    /// Means from 15 s on: force at the hand, and what the law makes of the force on the tool; N.
     pub felt: f64,
     pub law: f64,
-    /// Mean of what was added to the law, N.
-    pub damped: f64,
-    pub state: &'static str,
+    /// The most that is ever felt, and by which it changes in a period, N.
+    pub most: f64,
+    pub step: f64,
+    /// The mill is still running.
+    pub runs: bool,
 }
 
 fn sensor(yields: bool) -> ForceConfig {
@@ -92,6 +87,7 @@ fn sensor(yields: bool) -> ForceConfig {
             channels: [channel(), channel(), channel()],
             silent_samples: 3,
             stuck_samples: 500,
+            // No spindle turns here, and a force at rest is not that of an empty sensor.
             drift: Force::millinewtons(20_000),
             limit: Force::millinewtons(95_000),
             tare_samples: 256,
@@ -124,7 +120,9 @@ fn arm(bed: &Bed) -> &Haptic {
 }
 
 fn say(bed: &mut Bed, command: Command) {
-    bed.link.send_latest(&Request { id: 0, command }).expect("open");
+    bed.link
+        .send_latest(&Request { id: 0, command })
+        .expect("open");
 }
 
 /// The largest swing within any second and a half.
@@ -132,28 +130,15 @@ fn swing(values: &[f64]) -> f64 {
     values
         .chunks((1.5 / T) as usize)
         .map(|chunk| {
-            let (low, high) = chunk.iter().fold((f64::MAX, f64::MIN), |(low, high), x| (low.min(*x), high.max(*x)));
+            let (low, high) = chunk.iter().fold((f64::MAX, f64::MIN), |(low, high), x| {
+                (low.min(*x), high.max(*x))
+            });
             high - low
         })
         .fold(0.0, f64::max)
 }
 
 pub fn run(case: &Case) -> Outcome {
-    trace(case, |_| ())
-}
-
-/// A moment.
-#[derive(Debug, Clone, Copy)]
-pub struct Moment {
-    pub time: f64,
-    pub hand: f64,
-    pub tool: f64,
-    pub force: f64,
-    pub felt: f64,
-    pub reflected: f64,
-}
-
-pub fn trace(case: &Case, mut look: impl FnMut(&Moment)) -> Outcome {
     let haptic = || {
         let mut haptic = reference::haptic();
         haptic.reflection = reflection();
@@ -197,19 +182,20 @@ pub fn trace(case: &Case, mut look: impl FnMut(&Moment)) -> Outcome {
     let mut back: VecDeque<(usize, [i16; 3])> = VecDeque::new();
     // The law's share comes in within 0.1 s.
     let begin = (0.3 / T) as usize;
-    let total = (case.time / T) as usize;
+    let (total, late) = ((TIME / T) as usize, (LATE / T) as usize);
     let (mut places, mut forces) = (Vec::with_capacity(total), Vec::with_capacity(total));
     let mut outcome = Outcome::default();
-    let way = 10.0 + case.depth;
+    let way = 10.0 + DEPTH;
     for period in 0..total {
         let time = (period as f64 - begin as f64) * T;
         let going = time >= 0.0 && time < way / 10.0;
-        let intention = (10.0 - 10.0 * time.max(0.0)).max(-case.depth);
+        let intention = (10.0 - 10.0 * time.max(0.0)).max(-DEPTH);
         let felt = f64::from(arm(master.as_ref().unwrap_or(&mill)).force()[0].0) / NEWTON;
         for _ in 0..4 {
             motor += (felt - motor) * (T / 4.0 / AMPLIFIER);
             let pace = if going { -0.01 } else { 0.0 };
-            let force = stiffness * (intention - x) / 1000.0 + damping * (pace - v / 1000.0) + motor;
+            let force =
+                stiffness * (intention - x) / 1000.0 + damping * (pace - v / 1000.0) + motor;
             v += force / MASS * 1000.0 * T / 4.0;
             x += v * T / 4.0;
         }
@@ -218,7 +204,9 @@ pub fn trace(case: &Case, mut look: impl FnMut(&Moment)) -> Outcome {
         tool_rate += (DRIVE * DRIVE * (reference - tool) - 2.0 * DRIVE * tool_rate) * T;
         tool += tool_rate * T;
         let force = (-case.contact * tool).max(0.0);
-        let peak = machinery.force.as_ref().map_or(0.0, |force| f64::from(force.extremes()[0].peak().0) / NEWTON);
+        let peak = machinery.force.as_ref().map_or(0.0, |force| {
+            f64::from(force.extremes()[0].peak().0) / NEWTON
+        });
         mill.codes = Some([(force / CODE).round().min(8000.0) as i16, 0, 0]);
         let hand = master.as_mut().unwrap_or(&mut mill);
         hand.centre = [HOME[0] + x - 10.0, HOME[1], HOME[2]];
@@ -230,7 +218,14 @@ pub fn trace(case: &Case, mut look: impl FnMut(&Moment)) -> Outcome {
             }
             while let Some((_, hand)) = out.front().copied().filter(|(at, _)| *at <= period) {
                 out.pop_front();
-                say(&mut mill, Command::Hand { epoch: 1, age_ms: 0, hand });
+                say(
+                    &mut mill,
+                    Command::Hand {
+                        epoch: 1,
+                        age_ms: 0,
+                        hand,
+                    },
+                );
             }
             while let Some((_, force)) = back.front().copied().filter(|(at, _)| *at <= period) {
                 back.pop_front();
@@ -240,31 +235,19 @@ pub fn trace(case: &Case, mut look: impl FnMut(&Moment)) -> Outcome {
         }
         mill.step();
         places.push(x);
-        forces.push(felt);
-        let reflected = f64::from(arm(master.as_ref().unwrap_or(&mill)).reading().reflected[0]) / NEWTON;
-        if period > total * 5 / 8 {
-            outcome.felt += felt;
-            outcome.law += (0.4 * peak).min(3.2);
-            outcome.damped += felt - reflected;
-        }
+        let before = forces.last().copied().unwrap_or_default();
+        outcome.step = outcome.step.max(f64::abs(felt - before));
+        outcome.most = outcome.most.max(felt.abs());
         outcome.peak = outcome.peak.max(force);
-        look(&Moment { time, hand: x, tool, force, felt, reflected });
+        forces.push(felt);
+        if period >= late {
+            outcome.felt += felt / (total - late) as f64;
+            outcome.law += (0.4 * peak).min(3.2) / (total - late) as f64;
+        }
     }
-    let count = (total - total * 5 / 8 - 1) as f64;
-    outcome.felt /= count;
-    outcome.law /= count;
-    outcome.damped /= count;
-    let (first, middle) = ((3.0 / T) as usize, total * 9 / 16);
-    outcome.early = swing(&places[first..middle]);
-    outcome.late = swing(&places[middle..]);
-    outcome.force_swing = swing(&forces[middle..]);
-    if let Some(fault) = mill.controller.safety().fault() {
-        println!("{case:?}: {fault:?}");
-    }
-    outcome.state = match mill.controller.safety().fault() {
-        Some(_) => "fault",
-        None if mill.state() == haptimill_protocol::message::State::Run => "run",
-        None => "other",
-    };
+    outcome.early = swing(&places[(3.0 / T) as usize..late]);
+    outcome.late = swing(&places[late..]);
+    outcome.force_swing = swing(&forces[late..]);
+    outcome.runs = mill.state() == State::Run;
     outcome
 }
