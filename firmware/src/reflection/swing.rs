@@ -22,7 +22,7 @@ const SLOW_US: u32 = 100_000;
 const FORGET_US: u32 = 10_000_000;
 
 /// The mean of what the hand puts in is over at least so long, microseconds; the next power of two of periods.
-const MEAN_US: u32 = 500_000;
+const MEAN_US: u32 = 1_000_000;
 
 /// What a hand puts in that leads, N mm/s, which are mW.
 const LEADS_N_MM_S: i64 = 5;

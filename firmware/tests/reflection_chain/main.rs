@@ -101,6 +101,12 @@ fn the_loop_through_the_hand_does_not_swing_up() {
     );
 }
 
+/// The tool need not yield, as on a machine without force control.
+#[test]
+fn nor_does_it_where_the_tool_does_not_yield() {
+    check(&[0.3, 2.0], &[2.0, 20.0], &[0.0, 0.05], false);
+}
+
 /// The same with more of each; a minute and more.
 #[test]
 #[ignore = "long: run by hand when the loop is changed"]

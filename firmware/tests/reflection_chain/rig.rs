@@ -27,8 +27,8 @@ const RATIO: f64 = 0.35;
 const AMPLIFIER: f64 = 5e-4;
 /// Two poles of the drives, 1/s: 8 ms.
 const DRIVE: f64 = 250.0;
-/// Newtons of a code.
-const CODE: f64 = 100.0 / 8192.0;
+/// Newtons of a code: a sensor of +-200 N, so that what a hit on 200 N/mm does to the loop is seen, too. (One of 100 N stops the mill there; see the largest force.)
+const CODE: f64 = 200.0 / 8192.0;
 /// Periods between two words on the line.
 const WORD: usize = 50;
 
@@ -49,6 +49,8 @@ const TIME: f64 = 27.0;
 const LATE: f64 = 15.0;
 /// How far into the contact the hand means to go, mm.
 const DEPTH: f64 = 4.0;
+/// How fast, mm/s.
+const PACE: f64 = 10.0;
 
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Outcome {
@@ -89,7 +91,7 @@ fn sensor(yields: bool) -> ForceConfig {
             stuck_samples: 500,
             // No spindle turns here, and a force at rest is not that of an empty sensor.
             drift: Force::millinewtons(20_000),
-            limit: Force::millinewtons(95_000),
+            limit: Force::millinewtons(185_000),
             tare_samples: 256,
             tare_spread: 30,
             weight: Force::ZERO,
@@ -188,12 +190,12 @@ pub fn run(case: &Case) -> Outcome {
     let way = 10.0 + DEPTH;
     for period in 0..total {
         let time = (period as f64 - begin as f64) * T;
-        let going = time >= 0.0 && time < way / 10.0;
-        let intention = (10.0 - 10.0 * time.max(0.0)).max(-DEPTH);
+        let going = time >= 0.0 && time < way / PACE;
+        let intention = (10.0 - PACE * time.max(0.0)).max(-DEPTH);
         let felt = f64::from(arm(master.as_ref().unwrap_or(&mill)).force()[0].0) / NEWTON;
         for _ in 0..4 {
             motor += (felt - motor) * (T / 4.0 / AMPLIFIER);
-            let pace = if going { -0.01 } else { 0.0 };
+            let pace = if going { -PACE / 1000.0 } else { 0.0 };
             let force =
                 stiffness * (intention - x) / 1000.0 + damping * (pace - v / 1000.0) + motor;
             v += force / MASS * 1000.0 * T / 4.0;
