@@ -36,7 +36,7 @@ fn sweep(cases: &[Case]) -> Vec<Outcome> {
 }
 
 /// Sweeps, shows, and checks what holds for every hand, contact and line.
-fn check(grips: &[f64], contacts: &[f64], delays: &[f64], yields: bool) {
+fn check(grips: &[f64], contacts: &[f64], delays: &[f64], yields: bool, time: f64) {
     let mut cases = vec![];
     for &delay in delays {
         for &contact in contacts {
@@ -46,6 +46,7 @@ fn check(grips: &[f64], contacts: &[f64], delays: &[f64], yields: bool) {
                     contact,
                     delay,
                     yields,
+                    time,
                 });
             }
         }
@@ -98,16 +99,17 @@ fn the_loop_through_the_hand_does_not_swing_up() {
         &[2.0, 20.0, 50.0, 200.0],
         &[0.0, 0.01, 0.05],
         true,
+        27.0,
     );
 }
 
 /// The tool need not yield, as on a machine without force control.
 #[test]
 fn nor_does_it_where_the_tool_does_not_yield() {
-    check(&[0.3, 2.0], &[2.0, 20.0], &[0.0, 0.05], false);
+    check(&[0.3, 2.0], &[2.0, 20.0], &[0.0, 0.05], false, 27.0);
 }
 
-/// The same with more of each; a minute and more.
+/// The same with more of each, and means over 36 s where they are over 12 s above: a soft hand breathes in seconds, and a mean over some breaths is off by 5 %. Some minutes.
 #[test]
 #[ignore = "long: run by hand when the loop is changed"]
 fn the_whole_sweep() {
@@ -119,5 +121,6 @@ fn the_whole_sweep() {
         &contacts,
         &[0.0, 0.005, 0.01, 0.025, 0.05],
         true,
+        51.0,
     );
 }

@@ -42,10 +42,11 @@ pub struct Case {
     pub delay: f64,
     /// The tool yields to forces above 5 N.
     pub yields: bool,
+    /// How long, s.
+    pub time: f64,
 }
 
-/// How long, s, and from when on the second part of it counts.
-const TIME: f64 = 27.0;
+/// From when on the second part of it counts, s.
 const LATE: f64 = 15.0;
 /// How far into the contact the hand means to go, mm.
 const DEPTH: f64 = 4.0;
@@ -184,7 +185,7 @@ pub fn run(case: &Case) -> Outcome {
     let mut back: VecDeque<(usize, [i16; 3])> = VecDeque::new();
     // The law's share comes in within 0.1 s.
     let begin = (0.3 / T) as usize;
-    let (total, late) = ((TIME / T) as usize, (LATE / T) as usize);
+    let (total, late) = ((case.time / T) as usize, (LATE / T) as usize);
     let (mut places, mut forces) = (Vec::with_capacity(total), Vec::with_capacity(total));
     let mut outcome = Outcome::default();
     let way = 10.0 + DEPTH;
