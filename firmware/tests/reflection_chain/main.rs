@@ -3,6 +3,11 @@
 //!
 //! `cargo test -p haptimill-firmware --test reflection_chain -- --nocapture` shows the sweep as a table; `--ignored` the whole one, with more hands, contacts and lines.
 
+#![allow(
+    clippy::needless_range_loop,
+    reason = "an index is an axis here, of several arrays at once"
+)]
+
 #[path = "../arm/mod.rs"]
 mod arm;
 #[path = "../hand/bed.rs"]
