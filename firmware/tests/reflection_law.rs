@@ -9,7 +9,8 @@ mod arm;
 use arm::{M, Sequence, apply, rotation, times, transposed};
 use haptimill_firmware::reflection::law::Law;
 use haptimill_firmware::reflection::lead::{Frame, Lead};
-use haptimill_firmware::reflection::passivity::{Passivity, PassivityConfig};
+use haptimill_firmware::reflection::passivity::{COUNTED, Passivity, PassivityConfig, WHOLE};
+use haptimill_firmware::reflection::smooth::{SLOW_US, Smoothing};
 use haptimill_firmware::reflection::wall::{WallConfig, Walls};
 use haptimill_firmware::units::force::Force;
 use haptimill_firmware::units::trig::sin_cos;
@@ -85,6 +86,49 @@ proptest! {
         }
         if (newtons * 0.4).abs() > 2.001 {
             prop_assert!(extra == 0.0);
+        }
+    }
+
+    /// Reflection and damping have one limit together, to the last bit; a wall pushes beyond it by itself and no more. The damping never adds along the motion, and where it does not fit the whole limit opposes the motion.
+    #[test]
+    fn one_limit_for_reflection_and_damping(tool: [i32; 3], damping: i32, wall in -10.0_f64..10.0, most in prop::array::uniform3(0.0_f64..10.0), rates: [i32; 3]) {
+        let mut law = Law::new(&settings([100; 3], most, 0.1), 200);
+        let felt = law.reflect(&tool.map(Force), &rates.map(Rate));
+        for axis in 0..3 {
+            let (limit, wall) = (law.most(axis).0, force(wall));
+            prop_assert_eq!(limit, force(most[axis]).0);
+            prop_assert!(felt[axis].0.abs() <= limit);
+            let alone = law.together(axis, felt[axis], Force(damping), Force(0)).0;
+            prop_assert!(alone.abs() <= limit);
+            let all = law.together(axis, felt[axis], Force(damping), wall).0;
+            prop_assert!(all <= limit + wall.0.max(0) && all >= -limit + wall.0.min(0));
+            let without = law.together(axis, felt[axis], Force(0), wall).0;
+            prop_assert_eq!(without, felt[axis].0 + wall.0);
+            // Against a motion upwards the damping is downwards, and the sum not above what it was.
+            if damping <= 0 {
+                prop_assert!(all <= without);
+                prop_assert!(i64::from(all) == i64::from(without) + i64::from(damping) || all == -limit + wall.0.min(0));
+            }
+        }
+    }
+
+    /// Without debt the shares pass as they are; with it they go the way of a first-order filter with a gain of 1, and never beyond the largest of them.
+    #[test]
+    fn smoothed_by_the_debt(shares in prop::collection::vec(-10.0_f64..10.0, 3..20), owed in 0_i64..4 * WHOLE, hold in 50_usize..4000) {
+        let mut smoothing = Smoothing::new(200);
+        let constant = SLOW_US as f64 / 200.0 * (owed.min(COUNTED * WHOLE) as f64 / WHOLE as f64);
+        let (mut slow, mut most) = (0.0_f64, 0.0_f64);
+        for share in shares {
+            most = most.max(share.abs());
+            for _ in 0..hold {
+                slow += (share - slow) / (constant.floor() + 1.0);
+                let got = smoothing.smooth(&[force(share), force(-share), Force(0)], &[owed, owed, 0]);
+                prop_assert!((f64::from(got[0].0) / NEWTON - slow).abs() < 2e-4, "{} {slow}", got[0].0);
+                prop_assert!(f64::from(got[1].0).abs() <= most * NEWTON + 1.0);
+            }
+            let plain = smoothing.smooth(&[Force(0), Force(0), force(share)], &[owed, owed, 0]);
+            prop_assert_eq!(plain[2], force(share));
+            slow -= slow / (constant.floor() + 1.0);
         }
     }
 
@@ -165,7 +209,7 @@ proptest! {
     /// Neither does any force, way or rate the watch; its energy stays within its bounds.
     #[test]
     fn the_watch_holds_its_bounds(forces: [i32; 3], ways: [i32; 3], rates: [i32; 3], stored in 0_i64..1 << 45, credit in 0_u32..100 << 16, debt in 655_u32..100 << 16) {
-        let mut watch = Passivity::new(&PassivityConfig { credit, debt, damping: 1 << 15 }, 200);
+        let mut watch = Passivity::new(&PassivityConfig { credit, debt, damping: 1 << 15 }, 200, 10_000_000);
         for _ in 0..20 {
             watch.observe(&forces.map(Force), &ways, stored);
             let damping = watch.damp(&rates.map(Rate));
@@ -203,7 +247,7 @@ fn only_what_comes_out_is_damped() {
         debt: 65_536,
         damping: 19_661,
     };
-    let mut watch = Passivity::new(&config, 200);
+    let mut watch = Passivity::new(&config, 200, 10_000_000);
     let rates = [Rate((20.0 * MM) as i32), Rate(0), Rate(0)];
     for k in 0..5000 {
         // 20 mm/s, freely, then against 2 N.

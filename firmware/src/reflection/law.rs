@@ -93,15 +93,46 @@ impl Law {
         );
     }
 
+    /// The limit of an axis that is in force now.
+    #[must_use]
+    pub fn most(&self, axis: usize) -> Force {
+        Force(self.most.get(axis).map_or(0, |most| most >> 8))
+    }
+
     /// One period: what the hand shall feel of a force on the tool while it moves at `rates`.
     pub fn reflect(
         &mut self,
         forces: &[Force; COMPONENTS],
         rates: &[Rate; COMPONENTS],
     ) -> [Force; COMPONENTS] {
+        let shares = self.shares(forces);
+        self.boosted(&shares, rates)
+    }
+
+    /// The first half of a period: the percentage of each force. What is more than can be felt, by limit and boost, is cut off already.
+    pub fn shares(&mut self, forces: &[Force; COMPONENTS]) -> [Force; COMPONENTS] {
         self.approach((self.period_us * (1 << 24) / RAMP_US) as i32);
         core::array::from_fn(|axis| {
             let share = (i64::from(forces[axis].0) * i64::from(self.percent[axis])) >> 24;
+            let most = if self.boost == 0 {
+                self.most[axis]
+            } else {
+                self.most[axis].max(self.below)
+            };
+            let most = i64::from(most >> 8);
+            Force(saturate(share.clamp(-most, most)))
+        })
+    }
+
+    /// The second half: shares with the boost, within the limits.
+    #[must_use]
+    pub fn boosted(
+        &self,
+        shares: &[Force; COMPONENTS],
+        rates: &[Rate; COMPONENTS],
+    ) -> [Force; COMPONENTS] {
+        core::array::from_fn(|axis| {
+            let share = i64::from(shares[axis].0);
             // 1 below the threshold less the fade, 0 above, in 2^-15.
             let under = i64::from(self.below >> 8) - share.abs();
             let fade = under.clamp(0, 1 << FADE_SHIFT);
@@ -113,5 +144,15 @@ impl Law {
             let boost = if self.percent[axis] == 0 { 0 } else { boost };
             Force(saturate((share - boost).clamp(-most, most)))
         })
+    }
+
+    /// What acts on an axis: reflection, damping and the push of a wall. The limit of the reflection is one for all that is not a wall: the sum is within it on either side, and beyond it only as far as a wall pushes. Where not everything
+    /// fits, the damping has the precedence: against a force at its limit it has twice the limit to act in, and along it the limit itself opposes the motion.
+    #[must_use]
+    pub fn together(&self, axis: usize, reflected: Force, damping: Force, wall: Force) -> Force {
+        let most = i64::from(self.most(axis).0);
+        let wall = i64::from(wall.0);
+        let all = i64::from(reflected.0) + i64::from(damping.0) + wall;
+        Force(saturate(all.clamp(wall.min(0) - most, wall.max(0) + most)))
     }
 }

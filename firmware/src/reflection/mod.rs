@@ -1,7 +1,7 @@
 //! The hand on a haptic arm: where it is, and what it shall feel (spec h4-milling 2.2, 2.4, 3.4, 3.5).
 //!
 //! Two stages of the corridor are here. *Sense* ([`Haptic::sense`]): nine counters to the pose of the handle, and whether they can be believed. *Feel* ([`Haptic::feel`]): the force on the tool through the [`law`],
-//! the [`wall`]s, the damping that [`passivity`] and [`swing`] ask for, not faster than the configured step in a period, through the statics of the arm to six currents, all clamped together so that
+//! smoothed while the hand owes energy ([`smooth`]), the [`wall`]s, the damping that [`passivity`] and [`swing`] ask for, all within the limit of the axis and not faster than the configured step in a period, through the statics of the arm to six currents, all clamped together so that
 //! the direction stays. What is sensed of a force in a period is felt in the next: outputs take effect at its beginning.
 //!
 //! The force that is reflected is the peak that force control works on: high forces are what the hand shall know of (spec 3.3), it rises in the period in which it was sampled, and a hand cannot follow the ripple of the teeth.
@@ -18,6 +18,7 @@ pub mod config;
 pub mod law;
 pub mod lead;
 pub mod passivity;
+pub mod smooth;
 pub mod swing;
 pub mod wall;
 
@@ -34,14 +35,18 @@ pub use haptimill_protocol::haptic::{COMPONENTS, Hand, HandProblem, HandTelemetr
 use law::Law;
 use lead::Frame;
 use motors::Motors;
-use passivity::Passivity;
-use swing::Swings;
+use passivity::{Passivity, WHOLE};
+use smooth::Smoothing;
+use swing::{Supply, Swings};
 use wall::{TooSmall, Walls};
 
 mod motors;
 
 /// How long the reflection takes to come in, or to go, when the hand begins to lead or lets go, microseconds.
 const BLEND_US: u32 = 100_000;
+
+/// How long it takes until most (63 %) of a debt of the hand is forgiven, microseconds: as long as it takes to feel that a contact is one that swings.
+const FORGET_US: u32 = 10_000_000;
 
 /// How old the last word of a tool afar may be, microseconds.
 const FEEL_US: u32 = 100_000;
@@ -89,6 +94,8 @@ pub struct Haptic {
     walls: Walls,
     passivity: Passivity,
     swings: Swings,
+    shares: Smoothing,
+    supply: Supply,
     /// Counts at the presets.
     zero: [[i32; 3]; LEGS],
     illegal: [[u16; 3]; LEGS],
@@ -114,7 +121,7 @@ pub struct Haptic {
 }
 
 constants!(Haptic { arm, sensors, motors, illegal_most, smoothing, step, periods_per_second, blend_step, feel_periods } of {} but {
-    law, walls, passivity, swings, zero, illegal, pose, tip, moved, rates, engaged, ready, blend, afar, force, reflected, wall, enabled, problem, latched, fresh
+    law, walls, passivity, swings, shares, supply, zero, illegal, pose, tip, moved, rates, engaged, ready, blend, afar, force, reflected, wall, enabled, problem, latched, fresh
 });
 
 impl Haptic {
@@ -151,8 +158,10 @@ impl Haptic {
             feel_periods: FEEL_US / period,
             law: Law::new(&config.reflection, period_us),
             walls: Walls::new(&config.wall, config.ball, period_us),
-            passivity: Passivity::new(&config.passivity, period_us),
+            passivity: Passivity::new(&config.passivity, period_us, FORGET_US),
             swings: Swings::new(&config.passivity, period_us),
+            shares: Smoothing::new(period_us),
+            supply: Supply::new(period_us),
             zero: inputs.legs.map(|leg| leg.counts),
             illegal: inputs.legs.map(|leg| leg.illegal),
             pose: None,
@@ -348,25 +357,33 @@ impl Haptic {
         let tool = tool.unwrap_or(there);
         let towards = if leads { 1 << 16 } else { 0 };
         self.blend += (towards - self.blend).clamp(-self.blend_step, self.blend_step);
-        let tool =
-            tool.map(|force| Force(saturate((i64::from(force.0) * i64::from(self.blend)) >> 16)));
         let rates = self.rates.map(|rate| Rate(saturate(rate >> 8)));
-        self.reflected = self.law.reflect(&tool, &rates);
         self.wall = self.walls.push(&pose.tip);
-        self.passivity
-            .observe(&self.force, &self.moved, self.walls.stored());
         let stored = self.walls.stored();
-        let swings = self.swings.watch(&self.force, &self.moved, &rates, stored);
-        let damping = self.passivity.damp(&rates);
+        self.passivity.observe(&self.force, &self.moved, stored);
+        self.swings.watch(&self.force, &self.moved, stored);
+        let (all, swinging) = (self.passivity.owed(), self.swings.owed());
+        let idle = self.supply.watch(&self.force, &self.moved);
+        let owed = idle.map(|idle| all.max((swinging * idle) >> 16));
+        // Of what is not led the whole motion is damped, half as much.
+        let damped = owed.map(|owed| owed.min(WHOLE) / 2);
+        let swings = self.swings.damp(&rates, &idle, &damped);
+        let shares = self.law.shares(&tool);
+        // What is let through is not smoothed: who lets go feels nothing more.
+        let shares = self
+            .shares
+            .smooth(&shares, &owed)
+            .map(|share| Force(saturate((i64::from(share.0) * i64::from(self.blend)) >> 16)));
+        self.reflected = self.law.boosted(&shares, &rates);
         let mut force = self.force;
         for (axis, force) in force.iter_mut().enumerate() {
-            // Each is below 2^28 but the damping, which is saturated.
-            let wanted = damping[axis]
-                .0
-                .saturating_add(swings[axis].0)
-                .saturating_add(self.reflected[axis].0 + self.wall[axis].0);
-            let change = wanted.saturating_sub(force.0).clamp(-self.step, self.step);
-            force.0 += change;
+            let damping = self.passivity.damp_by(damped[axis], rates[axis]);
+            let damping = Force(damping.0.saturating_add(swings[axis].0));
+            let wanted = self
+                .law
+                .together(axis, self.reflected[axis], damping, self.wall[axis]);
+            let change = wanted.0.saturating_sub(force.0);
+            force.0 += change.clamp(-self.step, self.step);
         }
         let wrench = Wrench::at_tip(&force, pose);
         match self.motors.currents(&self.arm, pose, &wrench) {
@@ -395,6 +412,8 @@ impl Haptic {
         self.wall = self.force;
         self.passivity.reset();
         self.swings.reset();
+        self.shares.reset();
+        self.supply.reset();
     }
 
     /// Other settings of the reflection.

@@ -5,10 +5,11 @@
 //! fifty swings). What the virtual walls store is added to the cap, because they are springs that give it back.
 //!
 //! *Controller.* Where more came out than went in there is debt. Damping in proportion to it acts against the hand's motion, whole at [`PassivityConfig::debt`] and beyond. At rest it is nothing, so in steady contact the
-//! force is that of the law, whatever the debt. More than `COUNTED` times that debt is not counted, and a debt is forgiven over `FORGET_US`: a soft hand that is pushed back by a force takes energy that it will keep. So
-//! at most some milliwatts come out for long, which a hand's own damping takes.
+//! force is that of the law, whatever the debt. More than [`COUNTED`] times that debt is not counted: a soft hand that is pushed back by a force takes energy that it will keep. What is left is forgiven over the time that whoever owns
+//! the watch gives it; a hand that moves against the damping has paid it before.
 //!
-//! A passive arm on a passive hand cannot swing up; that is all there is to know of hand, contact, mill and delay. `tests/reflection_loop.rs` sweeps them.
+//! A damper behind a filter and a limit on the step of the force can be made only so strong. What is more than it can take is taken out of the reflection: see [`super::smooth`], which works by the same debt.
+//! `tests/reflection_chain` sweeps hands, contacts and lines.
 //!
 //! Energies 2^-36 N mm (a newton in 2^-16 times a millimetre in 2^-20). Misuse: observing a force that was not the one that acted. After a clamp, observe what is left of it.
 
@@ -39,17 +40,25 @@ impl PassivityConfig {
     }
 }
 
-/// How long it takes until most (63 %) of a debt is forgiven, microseconds.
-const FORGET_US: i64 = 3_000_000;
+/// The work of a force on a tip that moved along an axis, 2^-36 N mm.
+pub(super) fn work(force: Force, moved: i32) -> i64 {
+    // Below 2^22 (64 N) times 2^24 (16 mm).
+    i64::from(force.0.clamp(-(1 << 22), 1 << 22)) * i64::from(moved.clamp(-(1 << 24), 1 << 24))
+}
 
 /// How many times the debt of the whole damping is counted.
-const COUNTED: i64 = 3;
+pub const COUNTED: i64 = 3;
 
-/// The watch over the energy at the hand.
+/// Parts of a debt: 1, at which the damping is whole.
+pub const WHOLE: i64 = 1 << 16;
+
+/// Observer and controller.
 #[derive(Debug, Clone)]
 pub struct Passivity {
     cap: i64,
     debt: i64,
+    /// 2^58 by the debt.
+    per_debt: i64,
     damping: i64,
     /// Part of a debt that is forgiven in a period, 2^-32.
     forget: i64,
@@ -58,14 +67,16 @@ pub struct Passivity {
 }
 
 impl Passivity {
-    /// Without credit or debt.
+    /// Without credit or debt; of a debt 63 % are forgiven in `forget_us`.
     #[must_use]
-    pub fn new(config: &PassivityConfig, period_us: u16) -> Self {
+    pub fn new(config: &PassivityConfig, period_us: u16, forget_us: u32) -> Self {
+        let debt = (i64::from(config.debt) << 20).max(1 << 29);
         Self {
             cap: i64::from(config.credit) << 20,
-            debt: (i64::from(config.debt) << 20).max(1),
+            debt,
+            per_debt: (1 << 58) / debt,
             damping: i64::from(config.damping),
-            forget: (i64::from(period_us) << 32) / FORGET_US,
+            forget: (i64::from(period_us) << 32) / i64::from(forget_us.max(1)),
             energy: 0,
         }
     }
@@ -83,27 +94,33 @@ impl Passivity {
 
     /// Observer: `force` acted while the tip moved by `moved` (2^-20 mm); the walls hold `stored` now.
     pub fn observe(&mut self, force: &[Force; COMPONENTS], moved: &[i32; COMPONENTS], stored: i64) {
-        let work: i64 = force
-            .iter()
-            .zip(moved)
-            .map(|(force, moved)| {
-                // Below 2^22 (64 N) times 2^24 (16 mm).
-                i64::from(force.0.clamp(-(1 << 22), 1 << 22))
-                    * i64::from((*moved).clamp(-(1 << 24), 1 << 24))
-            })
-            .sum();
+        let axes = force.iter().zip(moved);
+        let work: i64 = axes.map(|(force, moved)| work(*force, *moved)).sum();
         self.energy = (self.energy - work).clamp(-COUNTED * self.debt, self.cap + stored);
         if self.energy < 0 {
             self.energy -= ((self.energy >> 8) * self.forget) >> 24;
         }
     }
 
+    /// The debt in parts of that of the whole damping, 2^-16: 0 to [`COUNTED`] of them.
+    #[must_use]
+    pub fn owed(&self) -> i64 {
+        // Of at most 3 * 2^43: below 2^33, and times 2^58 / debt below 2^48.
+        (((-self.energy).max(0) >> 12) * self.per_debt) >> 30
+    }
+
     /// Controller: the force against a motion of the hand.
     #[must_use]
     pub fn damp(&self, rates: &[Rate; COMPONENTS]) -> [Force; COMPONENTS] {
-        let debt = (-self.energy).clamp(0, self.debt);
-        // Both by 2^8 less: debt is below 2^43, damping at most 2^15.
-        let damping = self.damping * (debt >> 8) / (self.debt >> 8).max(1);
-        rates.map(|rate| Force(saturate(-(i64::from(rate.0) * damping) >> 20)))
+        let part = self.owed().min(WHOLE);
+        rates.map(|rate| self.damp_by(part, rate))
+    }
+
+    /// A part of the whole damping, 2^-16, against a motion of the hand along an axis.
+    #[must_use]
+    pub fn damp_by(&self, part: i64, rate: Rate) -> Force {
+        // At most 2^15.
+        let damping = (self.damping * part.clamp(0, WHOLE)) >> 16;
+        Force(saturate(-(i64::from(rate.0) * damping) >> 20))
     }
 }

@@ -1,5 +1,7 @@
 //! A controller, a machine of steps that is where it was told to be, a haptic arm in a hand of f64, and a host.
 
+#![allow(dead_code, reason = "each test uses its part")]
+
 use crate::arm::{M, V, inverse, rotation};
 use haptimill_firmware::config::Config;
 use haptimill_firmware::controller::Controller;
