@@ -7,6 +7,7 @@ use super::JobRecording;
 use crate::cli::{CliError, Exit};
 use crate::record::Recorder;
 use haptimill_hil_sim::cutting::CuttingConfig;
+use haptimill_firmware::reading::Reading;
 use haptimill_protocol::message::Telemetry;
 
 /// Carries bytes to a controller and back, and has a clock.
@@ -19,6 +20,11 @@ pub trait Line {
 
     /// What people call it.
     fn name(&self) -> String;
+
+    /// What the controller knew of itself in the last period; `None` where it cannot be looked into.
+    fn reading(&self) -> Option<Reading> {
+        None
+    }
 
     /// The controller reported how things stand.
     fn reported(&mut self, _: &Telemetry) {}

@@ -202,6 +202,17 @@ impl<L: Line> Session<L> {
         self.wait_for_answer(ticket)
     }
 
+    /// The answer to a request, if it came; asked once.
+    ///
+    /// # Errors
+    /// A refusal, in words, or no answer.
+    pub fn answer(&mut self, ticket: Ticket) -> Option<Result<(), CliError>> {
+        let mut answers = self.answers.iter();
+        let index = answers.position(|(answered, _, _)| *answered == ticket)?;
+        let (_, command, result) = self.answers.remove(index)?;
+        Some(result.map_err(|error| self.refused(command, &error)))
+    }
+
     /// Waits for the answer to a request.
     ///
     /// # Errors

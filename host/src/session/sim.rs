@@ -9,7 +9,7 @@ use crate::port::PortError;
 use crate::record::{Record, Recorder, Tape, flag};
 use haptimill_firmware::controller::Controller;
 use haptimill_firmware::motion::program::FULL_RATE;
-use haptimill_firmware::reading::ForceReading;
+use haptimill_firmware::reading::{ForceReading, Reading};
 use haptimill_hil_sim::config::PlantConfig;
 use haptimill_hil_sim::cutting::CuttingConfig;
 use haptimill_hil_sim::fault::Fault;
@@ -35,7 +35,8 @@ const MOST_EVENTS: usize = 1000;
 /// A recording of a job, with the truth of the simulated machine and the programmed geometry beside it.
 pub struct JobRecording {
     recorder: Recorder,
-    plan: Arc<Plan>,
+    /// None where a hand leads and nothing is programmed.
+    plan: Option<Arc<Plan>>,
     cursor: Cursor,
     /// Axis units per millimetre or degree of the pose coordinates.
     units: [f64; MAX_AXES],
@@ -184,6 +185,10 @@ impl<C: Control> Line for SimLine<C> {
         self.name.clone()
     }
 
+    fn reading(&self) -> Option<Reading> {
+        self.rig.control().reading(self.rig.inputs())
+    }
+
     fn happened(&mut self, period: u64, level: u8, text: &str) {
         match &mut self.recording {
             Some(recording) => recording.add_event(period, level, text),
@@ -199,13 +204,22 @@ impl JobRecording {
     /// A recording of the job that `plan` is.
     #[must_use]
     pub fn new(recorder: Recorder, plan: Arc<Plan>, machine: &MachineFile) -> Self {
+        Self {
+            plan: Some(plan),
+            ..Self::unplanned(recorder, machine)
+        }
+    }
+
+    /// A recording of a job in which a hand leads, and nothing is programmed.
+    #[must_use]
+    pub fn unplanned(recorder: Recorder, machine: &MachineFile) -> Self {
         let mut units = [1.0; MAX_AXES];
         for (slot, axis) in units.iter_mut().zip(&machine.config.pose) {
             *slot = crate::machine::scale::per_unit(axis.kind);
         }
         Self {
             recorder,
-            plan,
+            plan: None,
             cursor: Cursor::default(),
             units,
         }
@@ -274,12 +288,13 @@ impl JobRecording {
 
     /// The programmed pose, if a job is under way, at a program time in periods.
     fn add_programmed(&mut self, record: &mut Record, periods: f64) {
+        let Some(plan) = &self.plan else {
+            return;
+        };
         if !matches!(record.state, State::Run | State::Hold) {
             return;
         }
-        let programmed = self
-            .plan
-            .programmed(&mut self.cursor, periods * self.plan.period_s);
+        let programmed = plan.programmed(&mut self.cursor, periods * plan.period_s);
         for (slot, (value, units)) in record
             .programmed
             .iter_mut()
@@ -288,7 +303,7 @@ impl JobRecording {
             *slot = (value * units).round() as i32;
         }
         record.flags |= flag::PROGRAMMED;
-        record.line = self.plan.line_of(record.setpoint as usize);
+        record.line = plan.line_of(record.setpoint as usize);
     }
 
     fn add<C: Control>(&mut self, rig: &Rig<C>) {

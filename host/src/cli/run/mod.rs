@@ -1,7 +1,7 @@
 //! `haptimill run`: a part program, from the file to the report.
 
 mod emulated;
-mod folder;
+pub(super) mod folder;
 mod part;
 mod progress;
 
