@@ -69,6 +69,10 @@ pub struct TeleopArgs {
     /// G_P: how far the tool goes for a way of the hand, 0.1 to 2 [default: that of the machine file]
     #[arg(long, value_name = "SCALE", value_parser = gp)]
     pub gp: Option<f64>,
+    /// How old the newest word of the hand may be before the machine holds, ms; more than the way from the arm to the machine takes [default: that of the
+    /// machine file, 50]
+    #[arg(long, value_name = "MS", value_parser = clap::value_parser!(u16).range(5..=1000))]
+    pub stale: Option<u16>,
     /// End after so many seconds [default: with a script when it says so, otherwise never]
     #[arg(long = "for", value_name = "SECONDS", value_parser = seconds)]
     pub duration: Option<f64>,
@@ -265,7 +269,10 @@ pub fn run(args: TeleopArgs) -> Result<(), CliError> {
         );
         return Err(CliError::new(Exit::BadInput, what));
     }
-    let machine = machine.with_follow()?;
+    let mut machine = machine.with_follow()?;
+    if let (Some(follow), Some(stale)) = (&mut machine.config.follow, args.stale) {
+        follow.stale_ms = stale;
+    }
     let axes = args.led(&machine)?;
     // All that can be wrong with the hand is told before the machine moves.
     let script = match &args.hand {
@@ -277,6 +284,7 @@ pub fn run(args: TeleopArgs) -> Result<(), CliError> {
         Some(file) => MachineFile::load(file)?,
         None => MachineFile::built_in_master()?,
     };
+    Arm::<PersonLine>::check(&arm_machine)?;
     let options = TeleopOptions {
         axes,
         scale: args.gp,

@@ -129,6 +129,21 @@ fn newtons(force: [i16; COMPONENTS]) -> [f64; COMPONENTS] {
 const MOST_FELT: usize = 10_000;
 
 impl<L: Line> Arm<L> {
+    /// Whether a machine file is one of a haptic arm alone.
+    ///
+    /// # Errors
+    /// It is not.
+    pub fn check(machine: &MachineFile) -> Result<(), CliError> {
+        if !machine.is_master() {
+            let what = format!(
+                "{}: not a haptic arm alone; write role = \"master\", as machines/hand-master.toml has it",
+                machine.file
+            );
+            return Err(CliError::new(Exit::BadInput, what));
+        }
+        Ok(())
+    }
+
     /// The arm of a machine file behind a line. Session numbers must never have been used on it before.
     ///
     /// # Errors
@@ -140,13 +155,7 @@ impl<L: Line> Arm<L> {
         mut numbers: Numbers,
         reopen: Option<Reopen<L>>,
     ) -> Result<Self, CliError> {
-        if !machine.is_master() {
-            let what = format!(
-                "{}: not a haptic arm alone; write role = \"master\", as machines/hand-master.toml has it",
-                machine.file
-            );
-            return Err(CliError::new(Exit::BadInput, what));
-        }
+        Self::check(machine)?;
         let (config, _) = machine
             .encoded()
             .map_err(|error| CliError::new(Exit::Internal, error))?;

@@ -26,6 +26,9 @@ const SAME: f64 = 0.006;
 /// Forces are only waited for when they differ from the one before by so much, N.
 const APART: f64 = 0.03;
 
+/// And when it is no noise of the sensor, N.
+const CLEAR: f64 = 0.2;
+
 /// A force that was not seen at the hand for so long never will be, microseconds.
 const PATIENCE_US: u64 = 500_000;
 
@@ -44,6 +47,7 @@ pub struct Latency {
     sensed: ([i16; COMPONENTS], u64),
     last: [f64; COMPONENTS],
     under_way: VecDeque<Told>,
+    seen: [f64; COMPONENTS],
     samples: Vec<u64>,
 }
 
@@ -92,7 +96,8 @@ impl Latency {
             share.clamp(-most, most)
         });
         // A force that was told later than it was sensed belongs to a report of before.
-        if force == self.sensed.0 && differ(&expected, &self.last, APART) {
+        let clear = expected.iter().any(|part| part.abs() >= CLEAR);
+        if clear && force == self.sensed.0 && differ(&expected, &self.last, APART) {
             self.under_way.push_back(Told {
                 sensed_us: self.sensed.1,
                 expected,
@@ -103,6 +108,10 @@ impl Latency {
 
     /// The arm's controller has this.
     pub fn felt(&mut self, felt: &Felt) {
+        if !differ(&felt.reflected, &self.seen, SAME) {
+            return;
+        }
+        self.seen = felt.reflected;
         self.under_way
             .retain(|told| felt.at_us.saturating_sub(told.sensed_us) < PATIENCE_US);
         let seen = self
