@@ -110,6 +110,25 @@ fn the_command_of_the_readme_cuts_feels_and_leaves_the_same_bits_every_time() {
         "{latency}"
     );
     println!("no delay: {latency}");
+    // What the arm's recording has of the hand is what it reported.
+    let trace = folder.path("one/hand.hmr");
+    let columns = "time_s,?_hand_mm,hand_held,?_hand_force_n,?_hand_reflected_n,?_hand_wall_n";
+    let ran = haptimill(&["trace", "csv", &trace, "--columns", columns, "--every", "50"]);
+    let rows: Vec<Vec<f64>> = ran
+        .ended_with(0)
+        .out
+        .lines()
+        .skip(1)
+        .map(|line| line.split(',').map(|value| value.parse().unwrap()).collect())
+        .collect();
+    let most = |column: usize| rows.iter().fold(0.0, |most: f64, row| most.max(row[column].abs()));
+    assert!(rows.iter().any(|row| row[4] == 1.0) && rows.iter().any(|row| row[4] == 0.0));
+    assert!((599.0..600.5).contains(&rows[0][3]), "{:?}", rows[0]);
+    assert!(most(7) > 0.4 && most(10) > 0.2 && most(10) <= 1.2001, "{} {}", most(7), most(10));
+    assert_eq!(most(13), 0.0);
+    let info = haptimill(&["trace", "info", &trace]).ended_with(0);
+    assert!(info.out.contains("x_hand_reflected_n"), "{}", info.out);
+
     let made = records(&folder.path("one/recording.hmr"));
     within_limits(&made);
     let lowest = made.iter().map(|record| record.tool[2]).min().unwrap();

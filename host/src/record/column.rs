@@ -191,17 +191,35 @@ pub fn columns(recording: &Recording) -> Vec<Column> {
         ("force_true", "n", |record| &record.true_force, NEWTON),
     ];
     for (group, unit, row, scale) in forces {
-        for (axis, name) in ["x", "y", "z"].iter().enumerate() {
-            let field = Field::Force(row, axis, scale);
-            all.push(Column::plain(
-                &format!("{name}_{group}_{unit}"),
-                group,
-                unit,
-                field,
-            ));
+        all.extend(three(group, unit, row, scale));
+    }
+    if header.hand {
+        all.extend(three("hand", "mm", |record| &record.hand.tip, 1.0 / MM));
+        let held = Field::Flag(flag::HAND_HELD);
+        all.push(Column::plain("hand_held", "hand", "", held));
+        let hands: [(&'static str, Forces); 3] = [
+            ("hand_force", |record| &record.hand.force),
+            ("hand_reflected", |record| &record.hand.reflected),
+            ("hand_wall", |record| &record.hand.wall),
+        ];
+        for (group, row) in hands {
+            all.extend(three(group, "n", row, NEWTON));
         }
     }
     all
+}
+
+/// The columns of x, y and z.
+fn three(
+    group: &'static str,
+    unit: &'static str,
+    row: Forces,
+    scale: f64,
+) -> impl Iterator<Item = Column> {
+    ["x", "y", "z"].iter().enumerate().map(move |(axis, name)| {
+        let field = Field::Force(row, axis, scale);
+        Column::plain(&format!("{name}_{group}_{unit}"), group, unit, field)
+    })
 }
 
 /// Columns by name, as `x_*_mm,l?_drive_n`: a star stands for any letters, a question mark for one.

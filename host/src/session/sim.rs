@@ -322,6 +322,7 @@ impl JobRecording {
         for (set, flag) in [
             (rig.plant().force_codes().is_some(), flag::FORCE),
             (rig.truth().pose_valid, flag::TOOL_TRUE),
+            (rig.inputs().haptic.engaged, flag::HAND_HELD),
         ] {
             if set {
                 record.flags |= flag;
