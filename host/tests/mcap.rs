@@ -21,8 +21,10 @@ mod built {
     fn a_hand_has_its_channels() {
         let folder = Folder::new();
         let out = folder.path("out");
-        haptimill(&["teleop", "--hand", "sim", "--for", "1.5", "--quiet", "--out", &out])
-            .ended_with(0);
+        haptimill(&[
+            "teleop", "--hand", "sim", "--for", "1.5", "--quiet", "--out", &out,
+        ])
+        .ended_with(0);
         let (trace, file) = (folder.path("out/hand.hmr"), folder.path("hand.mcap"));
         haptimill(&["trace", "mcap", &trace, "--out", &file]).ended_with(0);
         let bytes = std::fs::read(&file).unwrap();
@@ -39,14 +41,22 @@ mod built {
             let record = records.find(|record| record.period == period).unwrap();
             let value: Value = serde_json::from_slice(&message.data).unwrap();
             let tip = f64::from(record.hand.tip[2]) / f64::from(1 << 20);
-            assert!((value["z_mm"].as_f64().unwrap() - tip).abs() < 1e-6, "{value}");
+            assert!(
+                (value["z_mm"].as_f64().unwrap() - tip).abs() < 1e-6,
+                "{value}"
+            );
             held += u64::from(value["hand_held"] == true);
             seen += 1;
         }
         assert!(seen > 1000 && held > 500 && held < seen, "{held} of {seen}");
         let summary = Summary::read(&bytes).unwrap().unwrap();
         for topic in ["/hand/force", "/hand/reflected", "/hand/wall"] {
-            assert!(summary.channels.values().any(|channel| channel.topic == topic));
+            assert!(
+                summary
+                    .channels
+                    .values()
+                    .any(|channel| channel.topic == topic)
+            );
         }
     }
 

@@ -1,6 +1,8 @@
 //! A hand leads the machine from afar: scripted and live, over links that are late, cut and stalled, from an arm, a stick and nothing at all.
 
 mod scene;
+#[cfg(unix)]
+mod terminal;
 
 use haptimill::machine::MachineFile;
 use haptimill::record::{Record, Recording};
@@ -52,7 +54,9 @@ fn motion(records: &[Record], axis: usize) -> (f64, f64) {
     let change = rates
         .windows(11)
         .map(|rates| ((rates[10] - rates[0]) / (10.0 * period_s)).abs());
-    let fastest = rates.iter().fold(0.0, |most: f64, rate| most.max(rate.abs()));
+    let fastest = rates
+        .iter()
+        .fold(0.0, |most: f64, rate| most.max(rate.abs()));
     (change.fold(0.0, f64::max), fastest)
 }
 
@@ -93,7 +97,10 @@ fn the_command_of_the_readme_cuts_feels_and_leaves_the_same_bits_every_time() {
         let said = haptimill(&["replay", &folder.path(&format!("one/{file}")), "--json"])
             .ended_with(0)
             .json();
-        assert!(said["equal"] == true && number(&said, "records") > 40_000.0, "{said}");
+        assert!(
+            said["equal"] == true && number(&said, "records") > 40_000.0,
+            "{said}"
+        );
     }
     let session = &one["session"];
     assert_eq!(session["ended"], "done");
@@ -113,18 +120,38 @@ fn the_command_of_the_readme_cuts_feels_and_leaves_the_same_bits_every_time() {
     // What the arm's recording has of the hand is what it reported.
     let trace = folder.path("one/hand.hmr");
     let columns = "time_s,?_hand_mm,hand_held,?_hand_force_n,?_hand_reflected_n,?_hand_wall_n";
-    let ran = haptimill(&["trace", "csv", &trace, "--columns", columns, "--every", "50"]);
+    let ran = haptimill(&[
+        "trace",
+        "csv",
+        &trace,
+        "--columns",
+        columns,
+        "--every",
+        "50",
+    ]);
     let rows: Vec<Vec<f64>> = ran
         .ended_with(0)
         .out
         .lines()
         .skip(1)
-        .map(|line| line.split(',').map(|value| value.parse().unwrap()).collect())
+        .map(|line| {
+            line.split(',')
+                .map(|value| value.parse().unwrap())
+                .collect()
+        })
         .collect();
-    let most = |column: usize| rows.iter().fold(0.0, |most: f64, row| most.max(row[column].abs()));
+    let most = |column: usize| {
+        rows.iter()
+            .fold(0.0, |most: f64, row| most.max(row[column].abs()))
+    };
     assert!(rows.iter().any(|row| row[4] == 1.0) && rows.iter().any(|row| row[4] == 0.0));
     assert!((599.0..600.5).contains(&rows[0][3]), "{:?}", rows[0]);
-    assert!(most(7) > 0.4 && most(10) > 0.2 && most(10) <= 1.2001, "{} {}", most(7), most(10));
+    assert!(
+        most(7) > 0.4 && most(10) > 0.2 && most(10) <= 1.2001,
+        "{} {}",
+        most(7),
+        most(10)
+    );
     assert_eq!(most(13), 0.0);
     let info = haptimill(&["trace", "info", &trace]).ended_with(0);
     assert!(info.out.contains("x_hand_reflected_n"), "{}", info.out);
@@ -157,16 +184,23 @@ fn the_tool_goes_as_far_as_the_scale_says_and_a_late_link_is_measured() {
         let led: Vec<&Vec<f64>> = rows.iter().filter(|row| row[5] == 1.0).collect();
         // Means of the last second: the hand swings a little, and the tool follows 20 to 40 ms later.
         let (first, last) = (led[0], &led[led.len() - 200..]);
-        let way = |column: usize| last.iter().map(|row| row[column]).sum::<f64>() / 200.0 - first[column];
+        let way =
+            |column: usize| last.iter().map(|row| row[column]).sum::<f64>() / 200.0 - first[column];
         let scale: f64 = scale.parse().unwrap();
         for axis in 0..3 {
             let (hand, tool) = (way(2 + axis), way(7 + axis));
-            assert!((tool - scale * hand).abs() < 0.15 * scale, "{axis}: {tool} of {hand}");
+            assert!(
+                (tool - scale * hand).abs() < 0.15 * scale,
+                "{axis}: {tool} of {hand}"
+            );
         }
         assert!(way(2) < -30.0);
         let trip = number(&said["session"], "hand_round_trip_ms");
         let delay: f64 = delay.parse().unwrap();
-        assert!((2.0 * delay..2.0 * delay + 3.0).contains(&trip), "{trip} ms");
+        assert!(
+            (2.0 * delay..2.0 * delay + 3.0).contains(&trip),
+            "{trip} ms"
+        );
         within_limits(&records(&folder.path("out/recording.hmr")));
     }
 }
@@ -197,16 +231,32 @@ what = \"resume\"
     // While nobody was heard, going on was refused.
     let refused = session["refused"].as_array().unwrap();
     assert_eq!(refused.len(), 1);
-    assert!(refused[0].as_str().unwrap().starts_with("not resumed: the hand: "));
+    assert!(
+        refused[0]
+            .as_str()
+            .unwrap()
+            .starts_with("not resumed: the hand: ")
+    );
     assert_eq!(session["ended"], "done");
 
     let made = records(&folder.path("out/recording.hmr"));
     within_limits(&made);
-    let first = made.iter().position(|record| record.state == State::Hold).unwrap();
-    let last = made.iter().rposition(|record| record.state == State::Hold).unwrap();
-    assert!(made[first..=last].iter().all(|record| record.state == State::Hold));
+    let first = made
+        .iter()
+        .position(|record| record.state == State::Hold)
+        .unwrap();
+    let last = made
+        .iter()
+        .rposition(|record| record.state == State::Hold)
+        .unwrap();
+    assert!(
+        made[first..=last]
+            .iter()
+            .all(|record| record.state == State::Hold)
+    );
     // It went, it braked within what its acceleration takes (12 mm/s, 200 mm/s^2: 60 ms), and then it stood to the last bit, though the hand went on and came back.
-    let rate = |index: usize| f64::from(made[index].wanted[0] - made[index - 1].wanted[0]) / MM / 2e-4;
+    let rate =
+        |index: usize| f64::from(made[index].wanted[0] - made[index - 1].wanted[0]) / MM / 2e-4;
     assert!(rate(first) < -5.0, "{}", rate(first));
     let stood = first + (0.15 / 2e-4) as usize;
     let still = |record: &Record| record.wanted == made[stood].wanted;
@@ -225,17 +275,50 @@ what = \"resume\"
 fn a_link_that_stalls_holds_the_machine_and_nothing_late_sets_it_going() {
     let folder = Folder::new();
     // Words come again after 0.4 s, all at once and late; nobody says that it may go on.
-    let stall = ["--hand-fault", "link-delay ms=400 at=2s for=1s", "--for", "6"];
+    let stall = [
+        "--hand-fault",
+        "link-delay ms=400 at=2s for=1s",
+        "--for",
+        "6",
+    ];
     let said = scripted(&folder, "out", AWAY, &stall);
     let holds = said["session"]["holds"].as_array().unwrap();
     assert_eq!(holds.len(), 1, "{said:#}");
     assert_eq!(holds[0]["resumed_s"], Value::Null);
     let made = records(&folder.path("out/recording.hmr"));
     within_limits(&made);
-    let first = made.iter().position(|record| record.state == State::Hold).unwrap();
+    let first = made
+        .iter()
+        .position(|record| record.state == State::Hold)
+        .unwrap();
     let stood = first + (0.15 / 2e-4) as usize;
-    assert!(made[stood..].iter().all(|record| record.wanted == made[stood].wanted));
+    assert!(
+        made[stood..]
+            .iter()
+            .all(|record| record.wanted == made[stood].wanted)
+    );
     assert_eq!(said["session"]["final_state"], "Idle");
+}
+
+#[test]
+fn an_arm_that_fails_leads_nothing_until_it_was_looked_after() {
+    let folder = Folder::new();
+    let order = "\n[[order]]\nat_s = 3.0\nwhat = \"reset-hand\"\n";
+    let trip = ["--hand-fault", "hand-amplifiers-tripped at=2s for=0.5s"];
+    let said = scripted(&folder, "out", &format!("end_s = 5.0\n{AWAY}{order}"), &trip);
+    let notes = said["session"]["notes"].as_array().unwrap();
+    assert!(notes.iter().any(|note| note.as_str().unwrap().starts_with("the arm: ")), "{said:#}");
+    let made = records(&folder.path("out/recording.hmr"));
+    within_limits(&made);
+    let at = |time_s: f64| &made[(time_s / 2e-4) as usize];
+    let x = |time_s: f64| f64::from(at(time_s).wanted[0]) / MM;
+    // It follows, stands while the arm is off although the hand goes on, and follows again from there.
+    assert!(x(1.9) < -10.0 && at(2.3).wanted == at(2.95).wanted, "{} {} {}", x(1.9), x(2.3), x(2.95));
+    assert!(x(4.0) < x(2.95) - 5.0, "{} {}", x(4.0), x(2.95));
+    // The motors of the arm gave nothing in between.
+    let hand = records(&folder.path("out/hand.hmr"));
+    let off = hand.iter().filter(|record| (11_000..14_000).contains(&record.period));
+    assert!(off.clone().count() > 2000 && off.into_iter().all(|record| record.hand.force == [0; 3]));
 }
 
 #[test]
@@ -270,16 +353,52 @@ what = \"end\"
     };
     let script = folder.file("gp.toml", "[[order]]\nat_s = 1.0\nwhat = \"gp=3\"\n");
     let script = format!("script:{script}");
-    refused(&["--hand", "sim", "--gp", "2.5"], 2, "G_P of 2.5 is out of its range: 0.1 to 2");
-    refused(&["--hand", &script], 3, "order 1: G_P of 3 is out of its range: 0.1 to 2");
-    refused(&["--hand", "keyboard"], 2, "needs a terminal on standard input");
-    refused(&["--hand", "joystick:/dev/none"], 5, "/dev/none: no game controller there");
-    refused(&["--hand", "mouse3d:/dev/none"], 5, "/dev/none: no 3D mouse there");
-    refused(&["--hand", "sim", "--axes", "x,w"], 2, "there is no axis 'w'; this machine has x, y, z, theta, alpha");
+    refused(
+        &["--hand", "sim", "--gp", "2.5"],
+        2,
+        "G_P of 2.5 is out of its range: 0.1 to 2",
+    );
+    refused(
+        &["--hand", &script],
+        3,
+        "order 1: G_P of 3 is out of its range: 0.1 to 2",
+    );
+    refused(
+        &["--hand", "keyboard"],
+        2,
+        "needs a terminal on standard input",
+    );
+    refused(
+        &["--hand", "joystick:/dev/none"],
+        5,
+        "/dev/none: no game controller there",
+    );
+    refused(
+        &["--hand", "mouse3d:/dev/none"],
+        5,
+        "/dev/none: no 3D mouse there",
+    );
+    refused(
+        &["--hand", "sim", "--axes", "x,w"],
+        2,
+        "there is no axis 'w'; this machine has x, y, z, theta, alpha",
+    );
     let master = ["--machine", "machines/hand-master.toml"];
-    refused(&[&["--hand", "sim"], &master[..]].concat(), 3, "a haptic arm alone");
-    refused(&["--hand", "sim", "--hand-machine", "machines/h4.toml"], 3, "write role = \"master\"");
-    refused(&["--hand", "keyboard", "--delay", "5"], 2, "--delay and --hand-fault are for the simulated arm");
+    refused(
+        &[&["--hand", "sim"], &master[..]].concat(),
+        3,
+        "a haptic arm alone",
+    );
+    refused(
+        &["--hand", "sim", "--hand-machine", "machines/h4.toml"],
+        3,
+        "write role = \"master\"",
+    );
+    refused(
+        &["--hand", "keyboard", "--delay", "5"],
+        2,
+        "--delay and --hand-fault are for the simulated arm",
+    );
     // A machine with an arm of its own is led by that one.
     let own = [haptimill::machine::BUILT_IN, haptimill::machine::HAND].join("\n");
     let own = folder.file("own.toml", own);
@@ -298,13 +417,28 @@ fn two_boards_are_connected_over_ports_and_orders_come_line_by_line() {
     let machine = Served::on_tcp(&[]);
     let arm = Served::on(
         "pty",
-        &["--machine", "machines/hand-master.toml", "--person", &script],
+        &[
+            "--machine",
+            "machines/hand-master.toml",
+            "--person",
+            &script,
+        ],
     );
     let out = folder.path("out");
     let (orders, mut input) = std::io::pipe().unwrap();
     let mut session = start_with(
         &[
-            "teleop", "--port", &machine.port, "--hand", &arm.port, "--hand-baud", "1000000", "--out", &out, "--for", "8",
+            "teleop",
+            "--port",
+            &machine.port,
+            "--hand",
+            &arm.port,
+            "--hand-baud",
+            "1000000",
+            "--out",
+            &out,
+            "--for",
+            "8",
         ],
         Stdio::from(orders),
     );
@@ -332,7 +466,15 @@ fn two_boards_are_connected_over_ports_and_orders_come_line_by_line() {
     assert!(*tool.last().unwrap() < -10.0, "{tool:?}");
     // Exchanged, both say what they are.
     let ran = haptimill(&[
-        "teleop", "--port", &arm.port, "--hand", &machine.port, "--out", &out, "--for", "1",
+        "teleop",
+        "--port",
+        &arm.port,
+        "--hand",
+        &machine.port,
+        "--out",
+        &out,
+        "--for",
+        "1",
     ]);
     assert!(ran.code != 0);
 }
@@ -352,11 +494,17 @@ fn a_stick_leads_while_its_button_is_held() {
     )
     .unwrap();
     // Held open from the start: a pipe without a writer is at its end.
-    let mut stick = std::fs::File::options().read(true).write(true).open(&device).unwrap();
+    let mut stick = std::fs::File::options()
+        .read(true)
+        .write(true)
+        .open(&device)
+        .unwrap();
     let out = folder.path("out");
     let hand = format!("joystick:{device}");
     let mut session = start_with(
-        &["teleop", "--hand", &hand, "--out", &out, "--for", "5", "--speed", "10"],
+        &[
+            "teleop", "--hand", &hand, "--out", &out, "--for", "5", "--speed", "10",
+        ],
         Stdio::null(),
     );
     session.says("idle -> running");
@@ -376,4 +524,73 @@ fn a_stick_leads_while_its_button_is_held() {
     // 10 mm/s for about a second and a half, as this computer keeps time.
     assert!((8.0..20.0).contains(&x), "{x} mm");
     haptimill(&["replay", &format!("{out}/recording.hmr")]).ended_with(0);
+}
+
+/// Keys in a real terminal, and a window that is closed while the machine moves.
+#[cfg(unix)]
+#[test]
+fn a_key_is_a_step_and_a_closed_window_stops_the_machine() {
+    use terminal::{Keyboard, Terminal};
+    let folder = Folder::new();
+    let out = folder.path("out");
+    let open = |more: &[&str]| {
+        let words = ["teleop", "--hand", "keyboard", "--out", &out];
+        Terminal::start(
+            Path::new(env!("CARGO_BIN_EXE_haptimill")),
+            &[&words, more].concat(),
+            &scene::root(),
+            (150, 30),
+            Keyboard::Plain,
+        )
+    };
+    let mut window = open(&[]);
+    window.sees("idle -> running");
+    assert!(!window.is_as_before());
+    for _ in 0..3 {
+        window.keys(b"d");
+        std::thread::sleep(std::time::Duration::from_millis(200));
+    }
+    window.keys(b"\x1b[6~");
+    window.sees("led ");
+    window.sees("free");
+    window.keys(b" ");
+    window.sees("running -> on hold");
+    window.keys(b"g");
+    window.sees("on hold -> running");
+    window.keys(b"q");
+    assert_eq!(window.end(), 0, "{}", window.text());
+    assert!(window.is_as_before());
+    let made = records(&format!("{out}/recording.hmr"));
+    within_limits(&made);
+    let way =
+        |axis: usize| f64::from(made.last().unwrap().wanted[axis] - made[0].wanted[axis]) / MM;
+    // Three steps of 0.2 mm along x and one down, and the filter comes to rest within 2 um.
+    assert!(
+        (way(0) - 0.6).abs() < 0.002 && (way(2) + 0.2).abs() < 0.002,
+        "{} {}",
+        way(0),
+        way(2)
+    );
+
+    let machine = Served::on_tcp(&[]);
+    let mut window = open(&["--port", &machine.port, "--speed", "2"]);
+    window.sees("idle -> running");
+    window.keys(b"++d");
+    window.sees("led ");
+    window.close();
+    // Whatever the process still could say: the machine stands, and knows where.
+    let begun = std::time::Instant::now();
+    let at_rest = loop {
+        let tried = machine.tries(&["status", "--json"]);
+        if tried.code == 0 {
+            let status = tried.json();
+            if status["state"] != "Run" {
+                break status;
+            }
+        }
+        assert!(begun.elapsed().as_secs() < 20, "{tried:?}");
+    };
+    assert_eq!(at_rest["position_kept"], true, "{at_rest:#}");
+    let again = machine.status();
+    assert_eq!(at_rest["wanted"], again["wanted"]);
 }

@@ -1,9 +1,9 @@
 //! `haptimill sim serve`: the simulated machine as a device that any serial program can talk to, in real time.
 
 use super::{CliError, Exit, MachineArg};
+use crate::machine::MachineFile;
 use crate::port::{TcpServer, Transport};
 use crate::session::{self, interrupt};
-use crate::machine::MachineFile;
 use crate::teleop::script::{Person, Script};
 use clap::Args;
 use haptimill_hil_sim::config::PlantConfig;

@@ -35,7 +35,7 @@ A hand leads the machine from afar: the tool follows it, and the force on the to
   keyboard          arrows or wasd for x and y, r and f (page up and down) for z, + and - for the step; space holds, g goes on, q ends
 The machine is the built-in one in the simulator, or behind --port. With a script and the simulator all runs in virtual time, and leaves the same bits every time.
 
-Orders are read from standard input, one a line, where the hand is not a script: hold, resume, stop, end, gp=SCALE. When the hand is not heard of for stale_ms (50) the machine slows down along \
+Orders are read from standard input, one a line, where the hand is not a script: hold, resume, stop, end, reset-hand, gp=SCALE. When the hand is not heard of for stale_ms (50) the machine slows down along \
 its path and holds. It goes on when `resume` says so, and from where hand and tool are then. Ctrl-C stops.
 
 DIR gets recording.hmr (`haptimill replay`, `trace`), trace.csv, hand.csv (each report: hand, tool, forces) and summary.json; with a simulated arm also hand.hmr, its own recording.";
@@ -64,7 +64,12 @@ pub struct TeleopArgs {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1200..=12_000_000))]
     pub hand_baud: Option<u32>,
     /// Coordinates that the hand leads, by their names in the machine file
-    #[arg(long, value_name = "AXES", value_delimiter = ',', default_value = "x,y,z")]
+    #[arg(
+        long,
+        value_name = "AXES",
+        value_delimiter = ',',
+        default_value = "x,y,z"
+    )]
     pub axes: Vec<String>,
     /// G_P: how far the tool goes for a way of the hand, 0.1 to 2 [default: that of the machine file]
     #[arg(long, value_name = "SCALE", value_parser = gp)]
@@ -185,13 +190,19 @@ impl TeleopArgs {
         let simulated = self.port == PortSpec::Simulator;
         let what = if let PortSpec::Emulated(board) = self.port {
             format!("--port {board}: an emulated board is no port here; use sim, or a port")
-        } else if matches!(self.hand, HandSpec::Port(PortSpec::Simulator | PortSpec::Emulated(_))) {
+        } else if matches!(
+            self.hand,
+            HandSpec::Port(PortSpec::Simulator | PortSpec::Emulated(_))
+        ) {
             "--hand: write sim, or the port of an arm".to_string()
         } else if !scripted && (self.delay.is_some() || !self.hand_fault.is_empty()) {
-            "--delay and --hand-fault are for the simulated arm; use --hand sim or script:FILE".to_string()
+            "--delay and --hand-fault are for the simulated arm; use --hand sim or script:FILE"
+                .to_string()
         } else if !armed && (self.hand_machine.is_some() || self.hand_baud.is_some()) {
             "--hand-machine and --hand-baud are for a haptic arm".to_string()
-        } else if !simulated && (self.work.is_some() || self.seed.is_some() || !self.fault.is_empty()) {
+        } else if !simulated
+            && (self.work.is_some() || self.seed.is_some() || !self.fault.is_empty())
+        {
             "--work, --seed and --fault are for the simulated machine; leave out --port".to_string()
         } else {
             return Ok(());
@@ -493,7 +504,8 @@ impl Run<'_> {
                 .map_err(|error| RecordingError::Io(path.clone(), error))?;
             let mut file = BufWriter::new(file);
             export_csv(&recording, &mut file, self.args.trace_every)?;
-            file.flush().map_err(|error| RecordingError::Io(path, error))
+            file.flush()
+                .map_err(|error| RecordingError::Io(path, error))
         };
         trace().map_err(|error| self.output(&error))?;
         Ok((outcome, recorded))
@@ -502,10 +514,19 @@ impl Run<'_> {
     /// Homed, with nothing latched, the work clamped and the sensor tared.
     fn make_ready<L: JobLine>(&self, session: &mut Session<L>) -> Result<(), CliError> {
         let (args, machine) = (self.args, self.machine);
+        let other = session.client_mut().controller();
+        if let Some(arm) = other.filter(|other| other.config_crc != 0 && other.axes == 0) {
+            let what = format!(
+                "\"{}\" is a haptic arm, not a machine; --hand is for the arm, --port for the machine",
+                arm.machine
+            );
+            return Err(CliError::new(Exit::Command, what));
+        }
         let status = session.status()?;
         if let (State::Fault | State::EmergencyStop, fault) = (status.state, status.fault) {
             let what = fault.map_or("the emergency stop".to_string(), |f| session.sentence(&f));
-            let what = format!("a fault is latched: {what}; remove the cause, then `haptimill reset`");
+            let what =
+                format!("a fault is latched: {what}; remove the cause, then `haptimill reset`");
             return Err(CliError::new(Exit::Fault, what));
         }
         session.configure(machine)?;
@@ -582,9 +603,9 @@ fn terminal(outcome: &Outcome) -> String {
         outcome.final_state
     );
     for hold in &outcome.holds {
-        let resumed = hold
-            .resumed_s
-            .map_or("not resumed".to_string(), |at| format!("resumed at {at:.2} s"));
+        let resumed = hold.resumed_s.map_or("not resumed".to_string(), |at| {
+            format!("resumed at {at:.2} s")
+        });
         text += &format!("held at {:.2} s: {}; {resumed}\n", hold.at_s, hold.why);
     }
     for why in &outcome.refused {
@@ -682,14 +703,26 @@ mod tests {
     fn hands_are_told_apart() {
         let spec = |text: &str| text.parse::<HandSpec>();
         assert_eq!(spec("sim"), Ok(HandSpec::Script(None)));
-        assert_eq!(spec("script:a.toml"), Ok(HandSpec::Script(Some("a.toml".into()))));
-        assert_eq!(spec("joystick"), Ok(HandSpec::Joystick("/dev/input/js0".into())));
-        assert_eq!(spec("mouse3d:/dev/x"), Ok(HandSpec::Mouse3d("/dev/x".into())));
+        assert_eq!(
+            spec("script:a.toml"),
+            Ok(HandSpec::Script(Some("a.toml".into())))
+        );
+        assert_eq!(
+            spec("joystick"),
+            Ok(HandSpec::Joystick("/dev/input/js0".into()))
+        );
+        assert_eq!(
+            spec("mouse3d:/dev/x"),
+            Ok(HandSpec::Mouse3d("/dev/x".into()))
+        );
         assert_eq!(
             spec("tcp:localhost:7001"),
             Ok(HandSpec::Port(PortSpec::Tcp("localhost:7001".to_string())))
         );
-        assert!(matches!(spec("/dev/ttyACM1"), Ok(HandSpec::Port(PortSpec::Serial(_)))));
+        assert!(matches!(
+            spec("/dev/ttyACM1"),
+            Ok(HandSpec::Port(PortSpec::Serial(_)))
+        ));
         assert!(spec("mouse3d").is_err() && spec("script:").is_err() && spec("pil:mps2").is_err());
         assert!(gp("3").unwrap_err().ends_with("0.1 to 2"));
     }

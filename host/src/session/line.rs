@@ -6,8 +6,8 @@ use std::time::{Duration, Instant};
 use super::JobRecording;
 use crate::cli::{CliError, Exit};
 use crate::record::Recorder;
-use haptimill_hil_sim::cutting::CuttingConfig;
 use haptimill_firmware::reading::Reading;
+use haptimill_hil_sim::cutting::CuttingConfig;
 use haptimill_protocol::message::Telemetry;
 
 /// Carries bytes to a controller and back, and has a clock.

@@ -116,13 +116,19 @@ pub struct Arm<L> {
     newest: Option<u64>,
     standing: Option<HandTelemetry>,
     felt: VecDeque<Felt>,
-    /// Events of its controller, in words, that were not taken.
-    pub happened: Vec<String>,
+    /// What its controller said, in words.
+    happened: VecDeque<String>,
 }
 
 /// Newtons of a force in 2^-8 N.
 fn newtons(force: [i16; COMPONENTS]) -> [f64; COMPONENTS] {
     force.map(|part| f64::from(part) / 256.0)
+}
+
+/// What its controller says, in words: it has no axes that could be named.
+fn said<T: Describe>(what: &T) -> String {
+    let (pose, joints) = (&[], &[]);
+    Axes { pose, joints }.describe(what).to_string()
 }
 
 /// More moments than any two steps can leave.
@@ -152,7 +158,7 @@ impl<L: Line> Arm<L> {
         line: L,
         machine: &MachineFile,
         pace: Pace,
-        mut numbers: Numbers,
+        numbers: Numbers,
         reopen: Option<Reopen<L>>,
     ) -> Result<Self, CliError> {
         Self::check(machine)?;
@@ -163,11 +169,9 @@ impl<L: Line> Arm<L> {
         options.timing.line_rate = pace.line_rate;
         options.connect_us = 1_000_000;
         let period_us = u32::from(machine.config.period_us.max(1));
-        let mut client = Client::new(options);
-        client.connect(numbers(), 0);
         Ok(Self {
             line,
-            client,
+            client: Client::new(options),
             machine: machine.config.name.to_string(),
             config,
             reflection: machine.config.haptic.as_ref().map(|arm| arm.reflection),
@@ -184,7 +188,7 @@ impl<L: Line> Arm<L> {
             newest: None,
             standing: None,
             felt: VecDeque::new(),
-            happened: Vec::new(),
+            happened: VecDeque::new(),
         })
     }
 
@@ -249,14 +253,10 @@ impl<L: Line> Arm<L> {
                 self.connect(why);
             }
             Notice::Event { period, event } => {
-                let text = match event {
-                    Event::Fault(fault) => format!("the arm: {fault:?}"),
-                    Event::Hand(problem) => format!("the arm: {problem:?}"),
-                    _ => String::new(),
-                };
-                if !text.is_empty() {
+                if matches!(event, Event::Fault(_) | Event::Hand(_)) {
+                    let text = format!("the arm: {}", said(&event));
                     self.line.happened(period, 2, &text);
-                    self.happened.push(text);
+                    self.happened.push_back(text);
                 }
             }
             Notice::Telemetry(_) | Notice::Refused(_) | Notice::Job(_) => {}
@@ -286,9 +286,12 @@ impl<L: Line> Arm<L> {
         };
         let name = self.line.name();
         let what = if ticket == *configured {
-            format!("{name}: does not take the machine file of \"{}\": {refused:?}; is it switched off, and built for a hand?", self.machine)
+            format!(
+                "{name}: does not take the machine file of \"{}\": {refused:?}; is it switched off, and built for a hand?",
+                self.machine
+            )
         } else {
-            format!("{name}: the haptic arm cannot lead: {refused:?}")
+            format!("{name}: the haptic arm cannot lead: {}", said(&refused))
         };
         Err(CliError::new(Exit::Command, what))
     }
@@ -339,8 +342,7 @@ impl<L: Line> Arm<L> {
             self.now_us = 0;
             self.origin = None;
             self.transmit.clear();
-            let why = std::mem::take(&mut self.why);
-            self.connect(why);
+            self.phase = Phase::Connecting;
         }
     }
 }
@@ -351,7 +353,19 @@ impl<L: Line> Source for Arm<L> {
             self.open_again(now_us);
             return Ok(None);
         }
-        let (loop_us, line_us) = *self.origin.get_or_insert((now_us, self.now_us));
+        let (loop_us, line_us) = match self.origin {
+            Some(origin) => origin,
+            // The line's clock may have run for long before anybody looked at it.
+            None => {
+                self.step()?;
+                if let Phase::Gone = self.phase {
+                    return Ok(None);
+                }
+                let why = std::mem::take(&mut self.why);
+                self.connect(why);
+                *self.origin.insert((now_us, self.now_us))
+            }
+        };
         let mut newest = None;
         loop {
             self.step()?;
@@ -372,7 +386,7 @@ impl<L: Line> Source for Arm<L> {
         match (&self.phase, &self.standing) {
             (Phase::Ready, Some(standing)) => match standing.problem {
                 None => Standing::Ready,
-                Some(problem) => Standing::Waiting(format!("the arm is off: {problem:?}")),
+                Some(problem) => Standing::Waiting(format!("the arm is off: {}", said(&Event::Hand(problem)))),
             },
             (Phase::Ready, None) => Standing::Waiting("has said nothing yet".to_string()),
             _ => Standing::Waiting(self.why.clone()),
@@ -399,6 +413,17 @@ impl<L: Line> Source for Arm<L> {
 
     fn reflection(&self) -> Option<Reflection> {
         self.reflection
+    }
+
+    fn reset(&mut self) {
+        if let Phase::Ready = self.phase {
+            self.client.request(Command::Reset);
+            self.client.request(Command::Enable);
+        }
+    }
+
+    fn happened(&mut self) -> Option<String> {
+        self.happened.pop_front()
     }
 
     fn round_trip_us(&self) -> u32 {

@@ -142,6 +142,9 @@ const STEPS: [f64; 4] = [0.05, 0.2, 1.0, 5.0];
 /// The dead man's switch of a keyboard: so long after the last key, microseconds.
 const KEY_US: u64 = 700_000;
 
+/// The handle stands still for so long after the switch was pressed, microseconds: where it is then is latched, and a step is to be a whole one.
+const LATCH_US: u64 = 25_000;
+
 /// Keys that came as bytes of a terminal.
 #[derive(Debug, Clone)]
 pub struct Keys<R> {
@@ -152,6 +155,8 @@ pub struct Keys<R> {
     step: usize,
     left: [f64; COMPONENTS],
     last_us: Option<u64>,
+    /// Since when keys hold the dead man's switch.
+    held_us: Option<u64>,
 }
 
 impl<R: Read> Keys<R> {
@@ -164,6 +169,7 @@ impl<R: Read> Keys<R> {
             step: 1,
             left: [0.0; COMPONENTS],
             last_us: None,
+            held_us: None,
         }
     }
 
@@ -241,7 +247,16 @@ impl<R: Read> Device for Keys<R> {
         let held = self
             .last_us
             .is_some_and(|last| now_us.saturating_sub(last) < KEY_US);
-        if !held {
+        if held {
+            let since = *self.held_us.get_or_insert(now_us);
+            if now_us.saturating_sub(since) < LATCH_US {
+                return Ok(Wish {
+                    held,
+                    ..Wish::default()
+                });
+            }
+        } else {
+            self.held_us = None;
             self.left = [0.0; COMPONENTS];
         }
         let within = self.left.map(f64::abs);
@@ -420,7 +435,9 @@ pub fn open(path: &Path, what: &str) -> Result<File, CliError> {
     options.open(path).map_err(|error| {
         let remedy = match error.kind() {
             io::ErrorKind::NotFound => "is it plugged in?",
-            io::ErrorKind::PermissionDenied => "add yourself to the group that may read it (input, on most systems)",
+            io::ErrorKind::PermissionDenied => {
+                "add yourself to the group that may read it (input, on most systems)"
+            }
             _ => "is it the device?",
         };
         let what = format!("{}: no {what} there: {error}; {remedy}", path.display());
@@ -534,28 +551,51 @@ mod tests {
         let last = heard.last().unwrap().hand;
         // 0.2 mm along x, then two steps of 1 mm down.
         let mm = last.tip.map(|raw| f64::from(raw) / PER_MM);
-        assert!((mm[0] - 0.2).abs() < 1e-5 && (mm[2] + 2.0).abs() < 1e-5, "{mm:?}");
+        assert!(
+            (mm[0] - 0.2).abs() < 1e-5 && (mm[2] + 2.0).abs() < 1e-5,
+            "{mm:?}"
+        );
         assert!(!last.engaged && heard[5].hand.engaged);
-        assert!(heard.iter().all(|word| word.hand.rate[2].abs() <= (10.0 * 4096.0) as i32 + 1));
+        assert!(
+            heard
+                .iter()
+                .all(|word| word.hand.rate[2].abs() <= (10.0 * 4096.0) as i32 + 1)
+        );
         let orders: Vec<Order> = std::iter::from_fn(|| held.order()).collect();
-        assert_eq!(orders, [Order::Hold, Order::Resume, Order::Hold, Order::End]);
+        assert_eq!(
+            orders,
+            [Order::Hold, Order::Resume, Order::Hold, Order::End]
+        );
         assert_eq!(held.standing(), Standing::Ready);
     }
 
     #[test]
     fn sticks_move_the_handle_while_the_button_is_held() {
         let start = [joystick(0, 0x82, 0), joystick(0, 0x81, 1)].concat();
-        let push = [joystick(-32767, 2, 1), joystick(1, 1, 0), joystick(1500, 2, 0)].concat();
+        let push = [
+            joystick(-32767, 2, 1),
+            joystick(1, 1, 0),
+            joystick(1500, 2, 0),
+        ]
+        .concat();
         let (one, other) = push.split_at(11);
         let mut held = Held::new(Joystick::new(pieces([&start, one, other]), 20.0), "js");
         let heard = words(&mut held, 0, 505_000);
-        let mm = heard.last().unwrap().hand.tip.map(|raw| f64::from(raw) / PER_MM);
+        let mm = heard
+            .last()
+            .unwrap()
+            .hand
+            .tip
+            .map(|raw| f64::from(raw) / PER_MM);
         // Forward is +y, at the whole speed; x is within its dead zone.
         assert!((mm[1] - 10.0).abs() < 0.2 && mm[0] == 0.0, "{mm:?}");
         let release = [joystick(0, 1, 0), joystick(1, 1, 3)].concat();
         held.device.input = pieces([&release]);
         let rest = words(&mut held, 505_000, 800_000);
-        assert!(rest.iter().all(|word| !word.hand.engaged && word.hand.rate == [0; 3]));
+        assert!(
+            rest.iter()
+                .all(|word| !word.hand.engaged && word.hand.rate == [0; 3])
+        );
         assert_eq!(held.order(), Some(Order::Resume));
         // Unplugged: no more words.
         held.device.input = pieces([b""]);
@@ -568,16 +608,26 @@ mod tests {
         let push = [event(1, 0x100, 1), event(2, 2, -350), event(3, 1, 350)].concat();
         let mut held = Held::new(SpaceMouse::new(pieces([&push]), 20.0), "mouse");
         let heard = words(&mut held, 0, 505_000);
-        let mm = heard.last().unwrap().hand.tip.map(|raw| f64::from(raw) / PER_MM);
+        let mm = heard
+            .last()
+            .unwrap()
+            .hand
+            .tip
+            .map(|raw| f64::from(raw) / PER_MM);
         // Up for a tenth of a second; towards the person all the time, for that one is absolute.
-        assert!((1.8..2.6).contains(&mm[2]) && (mm[1] + 10.0).abs() < 0.2, "{mm:?}");
+        assert!(
+            (1.8..2.6).contains(&mm[2]) && (mm[1] + 10.0).abs() < 0.2,
+            "{mm:?}"
+        );
     }
 
     #[test]
     fn a_device_that_is_not_there_is_named() {
         let error = open(Path::new("/dev/input/none"), "game controller").unwrap_err();
         assert!(
-            error.message.starts_with("/dev/input/none: no game controller there: "),
+            error
+                .message
+                .starts_with("/dev/input/none: no game controller there: "),
             "{error}"
         );
     }

@@ -121,8 +121,7 @@ impl Latency {
         if let Some(index) = seen {
             let told = self.under_way[index];
             self.under_way.drain(..=index);
-            self.samples
-                .push(felt.at_us.saturating_sub(told.sensed_us));
+            self.samples.push(felt.at_us.saturating_sub(told.sensed_us));
         }
     }
 

@@ -88,6 +88,14 @@ pub trait Source {
         None
     }
 
+    /// Its fault was looked after.
+    fn reset(&mut self) {}
+
+    /// What went wrong with it, in words.
+    fn happened(&mut self) -> Option<String> {
+        None
+    }
+
     /// What the operator orders on it.
     fn order(&mut self) -> Option<Order> {
         None

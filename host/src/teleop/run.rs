@@ -259,6 +259,10 @@ impl<'a, L: JobLine> Teleop<'a, L> {
             self.go_on()?;
             let now_s = self.time_s();
             self.hear_events(look);
+            while let Some(what) = self.source.happened() {
+                look(None, Some(&what));
+                self.outcome.notes.push(what);
+            }
             if let Some(row) = self.hear_report() {
                 look(Some(&row), None);
             }
@@ -523,8 +527,7 @@ impl<'a, L: JobLine> Teleop<'a, L> {
         let tells = told(&high);
         if !self.outcome.latency_is_exact {
             let trip = u64::from(self.session.client_mut().link().round_trip_us());
-            self.latency
-                .sensed(now_us.saturating_sub(trip / 2), tells);
+            self.latency.sensed(now_us.saturating_sub(trip / 2), tells);
         }
         if self.state == State::Run {
             self.latency.told(tells);
@@ -572,6 +575,7 @@ impl<'a, L: JobLine> Teleop<'a, L> {
         };
         match order {
             Order::Hold => ask(Command::Hold, "hold", self),
+            Order::ResetHand => self.source.reset(),
             Order::Stop => {
                 self.ending = true;
                 self.outcome.ended = Ended::Stopped;

@@ -24,12 +24,14 @@ pub enum Order {
     Stop,
     /// The hand leads no more; the job comes to its end.
     End,
+    /// The fault of the arm was looked after: it may have power again.
+    ResetHand,
     /// Another G_P.
     Scale(f64),
 }
 
 /// How orders are written.
-pub const ORDERS: &str = "hold, resume, stop, end, or gp=SCALE (0.1 to 2)";
+pub const ORDERS: &str = "hold, resume, stop, end, reset-hand, or gp=SCALE (0.1 to 2)";
 
 impl FromStr for Order {
     type Err = String;
@@ -40,6 +42,7 @@ impl FromStr for Order {
             "resume" => Ok(Self::Resume),
             "stop" => Ok(Self::Stop),
             "end" => Ok(Self::End),
+            "reset-hand" => Ok(Self::ResetHand),
             other => match other.strip_prefix("gp=").map(str::parse) {
                 Some(Ok(scale)) => Ok(Self::Scale(scale)),
                 _ => Err(format!("\"{other}\" is no order; write {ORDERS}")),
@@ -229,7 +232,10 @@ mod tests {
         let said = |text: &str| Script::parse("s.toml", text).unwrap_err().message;
         assert!(said("[[stroke]]\nat_s = 1\n").starts_with("s.toml:1: missing field"));
         assert!(said("\n[[button]]\nat_s = 1\nheld = 2\n").starts_with("s.toml:4: "));
-        assert!(said("[[order]]\nat_s = 1\nwhat = \"go\"\n").contains("order 1: \"go\" is no order; write hold,"));
+        assert!(
+            said("[[order]]\nat_s = 1\nwhat = \"go\"\n")
+                .contains("order 1: \"go\" is no order; write hold,")
+        );
         let bound = said("[[order]]\nat_s = 1\nwhat = \"gp=3\"\n");
         assert!(
             bound.ends_with("G_P of 3 is out of its range: 0.1 to 2"),
