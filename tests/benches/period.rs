@@ -1,9 +1,13 @@
-//! What a control period costs natively: the controller alone, and the whole simulator around it.
+//! What a control period costs natively: the controller alone, also in a cut under force control, and the whole simulator around it.
+
+#[path = "../tests/scene/mod.rs"]
+mod scene;
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use haptimill_firmware::controller::Controller;
 use haptimill_firmware::io::{Inputs, Outputs};
 use haptimill_hil_sim::rig::{Control, RigOptions};
+use haptimill_protocol::force::Gate;
 use haptimill_tests::{Bench, line_in_x};
 use std::time::{Duration, Instant};
 
@@ -11,7 +15,15 @@ use std::time::{Duration, Instant};
 struct Timed {
     controller: Controller,
     spent: Duration,
-    calls: u32,
+}
+
+impl Timed {
+    fn new() -> Self {
+        Self {
+            controller: Controller::new(200),
+            spent: Duration::ZERO,
+        }
+    }
 }
 
 impl Control for Timed {
@@ -19,7 +31,6 @@ impl Control for Timed {
         let start = Instant::now();
         self.controller.tick(inputs, outputs, &mut ());
         self.spent += start.elapsed();
-        self.calls += 1;
     }
 }
 
@@ -33,38 +44,58 @@ fn moving<C: Control>(control: C) -> Bench<C> {
     bench
 }
 
+/// A machine that cuts at 4 mm/s under force control of x, and yields; 1 s of it is left.
+fn cutting() -> Bench<Timed> {
+    let mut bench = Bench::with(&RigOptions::default(), Timed::new());
+    bench.make_ready();
+    bench.steps(500);
+    let yields = |bench: &Bench<Timed>| {
+        let machinery = bench.rig.control().controller.machinery();
+        let force = &machinery.expect("configured").force;
+        force.as_ref().expect("has a sensor").yielding()[0]
+            .displacement
+            .0
+            != 0
+    };
+    let process = scene::force::block(scene::tool(&bench), 3.0);
+    bench.rig.plant_mut().fit(&process).expect("sound");
+    bench.steps(100);
+    scene::force::tare(&mut bench);
+    let law = scene::force::loop_of(1.0, 5.0, Gate::AgainstMotion);
+    scene::force::control(&mut bench, 0, law);
+    scene::force::job(&mut bench, -4.0, 40, 0.0);
+    while !yields(&bench) {
+        bench.step();
+    }
+    bench
+}
+
+/// Mean time of the controller in periods of which a machine has `most`.
+fn controller(iterations: u64, most: u64, machine: impl Fn() -> Bench<Timed>) -> Duration {
+    let mut spent = Duration::ZERO;
+    let mut left = iterations;
+    while left > 0 {
+        let now = left.min(most);
+        let mut bench = machine();
+        bench.rig.control_mut().spent = Duration::ZERO;
+        for _ in 0..now {
+            bench.rig.step();
+        }
+        spent += bench.rig.control().spent;
+        left -= now;
+    }
+    spent
+}
 fn period(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("period");
     group
         .measurement_time(Duration::from_secs(5))
         .sample_size(30);
     group.bench_function("controller", |bencher| {
-        bencher.iter_custom(|iterations| {
-            let mut bench = moving(Timed {
-                controller: Controller::new(200),
-                spent: Duration::ZERO,
-                calls: 0,
-            });
-            let mut spent = Duration::ZERO;
-            let mut left = iterations;
-            while left > 0 {
-                let now = left.min(80_000);
-                bench.rig.control_mut().spent = Duration::ZERO;
-                for _ in 0..now {
-                    bench.rig.step();
-                }
-                spent += bench.rig.control().spent;
-                left -= now;
-                if left > 0 {
-                    bench = moving(Timed {
-                        controller: Controller::new(200),
-                        spent: Duration::ZERO,
-                        calls: 0,
-                    });
-                }
-            }
-            spent
-        });
+        bencher.iter_custom(|iterations| controller(iterations, 80_000, || moving(Timed::new())));
+    });
+    group.bench_function("controller under force control", |bencher| {
+        bencher.iter_custom(|iterations| controller(iterations, 5_000, cutting));
     });
     group.bench_function("simulator", |bencher| {
         bencher.iter_custom(|iterations| {

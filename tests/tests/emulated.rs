@@ -2,6 +2,7 @@
 //! ends that is ended from outside. Needs the feature `emulated`, a compiler for the chip and the emulator; `cargo xtask test` sees to that.
 
 use clap::{Args, FromArgMatches, Subcommand};
+use haptimill::cli::CliError;
 use haptimill::cli::run::{self, RunArgs};
 use haptimill::cli::scenario::{self, ScenarioCommand};
 use haptimill::machine::MachineFile;
@@ -45,6 +46,15 @@ fn run(program: &Path, port: &str, out: &Path, more: &[&str]) -> Duration {
     let matches = command.try_get_matches_from(words).expect("arguments");
     run::run(RunArgs::from_arg_matches(&matches).expect("arguments")).expect("runs");
     begun.elapsed()
+}
+
+/// Runs a scenario as the command line does.
+fn scenario(name: &str, port: &str, out: &Path) -> Result<(), CliError> {
+    let out = out.display().to_string();
+    let words = ["scenario", "run", name, "--port", port, "--out", &out];
+    let command = ScenarioCommand::augment_subcommands(clap::Command::new("scenario"));
+    let matches = command.try_get_matches_from(words).expect("arguments");
+    scenario::run(ScenarioCommand::from_arg_matches(&matches).expect("arguments"))
 }
 
 /// Runs a program natively, on the M4F and on the M7, and compares what was recorded.
@@ -182,14 +192,7 @@ fn same_bits_with_a_force() {
 #[test]
 fn a_scenario_runs_on_the_chip() {
     let out = results("scenario-m4");
-    let folder = out.display().to_string();
-    let words = [
-        "scenario", "run", "e7", "--port", "pil:mps2", "--out", &folder,
-    ];
-    let command = ScenarioCommand::augment_subcommands(clap::Command::new("scenario"));
-    let matches = command.try_get_matches_from(words).expect("arguments");
-    let command = ScenarioCommand::from_arg_matches(&matches).expect("arguments");
-    scenario::run(command).expect("runs");
+    scenario("e7", "pil:mps2", &out).expect("runs");
     let summary = std::fs::read_to_string(out.join("e7/summary.json")).expect("written");
     let summary: serde_json::Value = serde_json::from_str(&summary).expect("JSON");
     let claims = summary["claims"].as_array().expect("a table");
@@ -198,13 +201,26 @@ fn a_scenario_runs_on_the_chip() {
         assert_eq!(claim["inside"], true, "{claim:#}");
     }
     let begun = Instant::now();
-    let real = ["scenario", "run", "e7", "--port", "tcp:localhost:1"];
-    let command = ScenarioCommand::augment_subcommands(clap::Command::new("scenario"));
-    let matches = command.try_get_matches_from(real).expect("arguments");
-    let command = ScenarioCommand::from_arg_matches(&matches).expect("arguments");
-    let refused = scenario::run(command).expect_err("has no simulated work");
+    let refused = scenario("e7", "tcp:localhost:1", &out).expect_err("has no simulated work");
     assert!(refused.message.contains("pil:mps2"), "{refused}");
     assert!(begun.elapsed() < Duration::from_secs(2));
+}
+
+/// A hand leads the tool, and feels what it cuts: the haptic arm's kinematics, statics and reflection, and the following, on the chip.
+#[test]
+fn same_bits_where_a_hand_leads() {
+    let out = |port: &str| results(&format!("e8-{port}"));
+    scenario("e8", "sim", &out("native")).expect("runs");
+    scenario("e8", "pil:mps2", &out("m4")).expect("runs");
+    let recording = |folder: &str| out(folder).join("e8/cut/recording.hmr");
+    let open = |folder: &str| Recording::open(&recording(folder)).expect("recorded");
+    let (native, emulated) = (open("native"), open("m4"));
+    assert!(native.records() > 40_000, "{}", native.records());
+    if let Some(found) = difference(&native, &emulated).expect("readable") {
+        panic!("{found}");
+    }
+    let read = |folder: &str| std::fs::read(recording(folder)).expect("readable");
+    assert!(read("native") == read("m4"), "the headers differ");
 }
 
 /// The tool that explains a difference finds the one that was made, and no other.
@@ -316,14 +332,40 @@ fn machine_without_force() -> PathBuf {
     file
 }
 
-/// A job of the table of instructions: its title, the folder of its results, its program, what else is said to `run`, and the ceilings: a period that costs
-/// more in the mean, or at worst, is a mistake. What is aimed at stands in the table's text.
+/// A job of the table of instructions: its title, the folder of its results, what is run, and the ceilings: a period that costs more in the mean, or at worst, is a
+/// mistake. What is aimed at stands in the table's text.
 struct Job {
     title: &'static str,
     name: &'static str,
-    program: PathBuf,
-    more: Vec<String>,
+    what: What,
     ceilings: [f64; 2],
+}
+
+/// What a job runs: a program and what else is said to `run`, or the one pass of a scenario.
+enum What {
+    Program(PathBuf, Vec<String>),
+    Scenario(&'static str),
+}
+
+impl What {
+    /// Runs it; what it cost.
+    fn cost(&self, port: &str, out: &Path) -> serde_json::Value {
+        let folder = match self {
+            Self::Program(program, more) => {
+                let mut words = vec!["--baud", "1000000"];
+                words.extend(more.iter().map(String::as_str));
+                run(program, port, out, &words);
+                out.to_path_buf()
+            }
+            Self::Scenario(name) => {
+                scenario(name, port, out).expect("runs");
+                out.join(name).join("cut")
+            }
+        };
+        let file = folder.join(pil::INSTRUCTIONS_FILE);
+        let text = std::fs::read_to_string(file).expect("written");
+        serde_json::from_str(&text).expect("JSON")
+    }
 }
 
 /// What a period costs; `cargo xtask instructions` writes the table.
@@ -341,8 +383,7 @@ fn instructions_of_a_period() {
     let job = |title, name, program: &PathBuf, more, ceilings| Job {
         title,
         name,
-        program: program.clone(),
-        more,
+        what: What::Program(program.clone(), more),
         ceilings,
     };
     let jobs = [
@@ -374,23 +415,24 @@ fn instructions_of_a_period() {
             yielding(),
             [9_700.0, 21_800.0],
         ),
+        Job {
+            title: "E8, a hand leads and feels the cut, force control of x, y and z, the image with the haptic arm",
+            name: "e8",
+            what: What::Scenario("e8"),
+            ceilings: [20_000.0, 33_600.0],
+        },
     ];
     let mut table = String::from(TABLE_HEAD);
     for Job {
         title,
         name,
-        program,
-        more,
+        what,
         ceilings: [mean_ceiling, worst_ceiling],
     } in jobs
     {
         let [cost, other] = ["pil:mps2", "pil:mps2-m7"].map(|port| {
             let out = results(&format!("cost-{name}-{}", &port[4..]));
-            let mut words = vec!["--baud", "1000000"];
-            words.extend(more.iter().map(String::as_str));
-            run(&program, port, &out, &words);
-            let text = std::fs::read_to_string(out.join("instructions.json")).expect("written");
-            serde_json::from_str::<serde_json::Value>(&text).expect("JSON")
+            what.cost(port, &out)
         });
         let number = |value: &serde_json::Value| value.as_f64().expect("a number");
         table += &format!("\n## {title}\n\n| stage | mean | worst |\n| --- | ---: | ---: |\n");

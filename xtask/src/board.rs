@@ -27,6 +27,7 @@ pub const BOARDS: &[Board] = &[Board {
     target: "thumbv7em-none-eabihf",
     binary: "haptimill-mps2",
     others: &[
+        ("hand", "hand"),
         ("faults", "faults"),
         ("checks", "checks"),
         ("logging", "defmt"),

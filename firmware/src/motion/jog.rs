@@ -161,6 +161,16 @@ impl Jog {
 
     /// One period. The flag names a coordinate that was kept from going on by its soft limit, or by the machine's reach.
     pub fn advance(&mut self, machine: &impl Kinematics) -> (Wanted, Option<u8>) {
+        if self.is_still() {
+            let pose = self.standing();
+            return (
+                Wanted {
+                    pose,
+                    ..Wanted::default()
+                },
+                None,
+            );
+        }
         let mut limited = None;
         let braking = self.alive == 0;
         self.alive = self.alive.saturating_sub(1);
@@ -195,6 +205,15 @@ impl Jog {
                 Acceleration(saturate((slope * self.periods_per_second) >> 8));
         }
         (wanted, limited)
+    }
+
+    /// Where everything is, to the whole unit below.
+    fn standing(&self) -> Pose {
+        let mut pose = Pose::default();
+        for (place, axis) in pose.0.iter_mut().zip(&self.axis[..self.axes]) {
+            *place = Coordinate((axis.position >> FRACTION) as i32);
+        }
+        pose
     }
 
     /// Makes all targets smaller by the same part where a joint would go faster than it may: near a bound of the workspace slides move many times
@@ -255,6 +274,9 @@ impl Jog {
     /// What is swept if the jog goes on for one period (or brakes already) and brakes then.
     #[must_use]
     pub fn stopping(&self, goes_on: bool) -> Option<Sweep> {
+        if self.is_still() {
+            return Some(Sweep::at(&self.standing()));
+        }
         let mut targets = [0; MAX_AXES];
         if goes_on && self.alive > 0 {
             for (target, axis) in targets.iter_mut().zip(&self.axis) {

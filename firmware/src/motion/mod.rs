@@ -22,7 +22,7 @@ use follow::{Mover, MoverLimits};
 use haptimill_protocol::message::{MAX_AXES, Source};
 use jog::Jog;
 use program::{Program, Progress};
-use sweep::Sweep;
+use sweep::{Reach, Sweep};
 
 /// The wanted pose and its motion.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -77,14 +77,20 @@ pub struct Motion {
     ending: bool,
     /// The wanted pose is another one than the program's, whose setpoints were checked when they were taken.
     led_otherwise: bool,
+    /// How much room a box around a sweep has, and what is known of the reach.
+    room: [i32; MAX_AXES],
+    reach: Reach,
 }
 
-constants!(Motion { axes, bounds } of { program, jog } but {
-    wanted, sources, offsets, movers, program_rates, targets, confined, told, limited, ending, led_otherwise
+constants!(Motion { axes, bounds, room } of { program, jog } but {
+    wanted, sources, offsets, movers, program_rates, targets, confined, told, limited, ending, led_otherwise, reach
 });
 
 /// Gain of the movers of a machine that no hand leads, 1/s: they only brake.
 const GAIN: u16 = 100;
+
+/// The room of a box around a sweep is this power of two of the range of a coordinate: 0.1 mm of 200, some 25 periods at 20 mm/s.
+const ROOM_SHIFT: u32 = 11;
 
 impl Motion {
     /// Becomes that of the machine of `config`, in its place: its queue is large.
@@ -93,6 +99,10 @@ impl Motion {
         self.jog = Jog::new(config);
         self.axes = config.pose.len();
         let gain = config.follow.map_or(GAIN, |follow| follow.gain);
+        self.reach = Reach::default();
+        for (room, axis) in self.room.iter_mut().zip(&config.pose) {
+            *room = ((i64::from(axis.high.0) - i64::from(axis.low.0)).max(0) >> ROOM_SHIFT) as i32;
+        }
         for (bounds, axis) in self.bounds.iter_mut().zip(&config.pose) {
             if HAND {
                 *bounds = MoverLimits::new(axis, gain, config.period_us).unwrap_or_default();
@@ -356,7 +366,7 @@ impl Motion {
     }
 
     /// Whether the machine can come to rest within its bounds if jogs and what follows the hand go on for one period, or brake already.
-    fn fits(&self, jog_goes_on: bool, hand_goes_on: bool, machine: &impl Kinematics) -> bool {
+    fn fits(&mut self, jog_goes_on: bool, hand_goes_on: bool, machine: &impl Kinematics) -> bool {
         let program = self.program.sweep();
         let Some(jog) = self.jog.stopping(jog_goes_on) else {
             return false;
@@ -394,7 +404,7 @@ impl Motion {
                 Source::Hold | Source::Master => {}
             }
         }
-        allowed && sweep.is_reachable(self.axes, machine)
+        allowed && self.reach.holds(&sweep, &self.room, self.axes, machine)
     }
 
     fn merge(&mut self, axis: usize, program: &Wanted, jog: &Wanted, moves: bool) {

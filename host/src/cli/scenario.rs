@@ -2,11 +2,9 @@
 
 use super::{CliError, Exit, MachineArg};
 use crate::machine::MachineFile;
-use crate::port::{Board, PortSpec};
+use crate::port::PortSpec;
 use crate::scenario::{self, Cut, On, Result as Outcome, Scenario};
 use crate::session::interrupt;
-#[cfg(unix)]
-use crate::session::pil;
 use clap::{Args, Subcommand};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -99,10 +97,7 @@ fn run_named(args: &RunArgs) -> Result<(), CliError> {
     let (can, _): (Vec<&Scenario>, Vec<&Scenario>) = scenarios
         .iter()
         .partition(|scenario| scenario.lacks(&machine).is_none());
-    let image = image(&args.port)?;
-    let on = image
-        .as_ref()
-        .map_or(On::Here, |(board, image)| On::Board(*board, image));
+    let on = on(&args.port)?;
     let mut cut = carry_all(&machine, &can, &args.out, on)?.into_iter();
     let mut results = Vec::new();
     for scenario in &scenarios {
@@ -135,12 +130,11 @@ fn run_named(args: &RunArgs) -> Result<(), CliError> {
     Ok(())
 }
 
-/// The board and its image, where the controller is on one.
-fn image(port: &PortSpec) -> Result<Option<(Board, PathBuf)>, CliError> {
+/// What carries the scenarios out.
+fn on(port: &PortSpec) -> Result<On, CliError> {
     match port {
-        PortSpec::Simulator => Ok(None),
-        #[cfg(unix)]
-        PortSpec::Emulated(board) => pil::image(*board).map(|image| Some((*board, image))),
+        PortSpec::Simulator => Ok(On::Here),
+        PortSpec::Emulated(board) => Ok(On::Board(*board)),
         other => {
             let what = format!(
                 "a scenario cuts a simulated work and measures it afterwards, so its machine is simulated: --port sim, pil:mps2 or pil:mps2-m7, not {other}; \
@@ -164,7 +158,7 @@ fn carry_all(
     machine: &MachineFile,
     scenarios: &[&Scenario],
     out: &Path,
-    on: On<'_>,
+    on: On,
 ) -> Result<Vec<Vec<Cut>>, CliError> {
     let interrupted: Arc<AtomicBool> = interrupt::flag();
     let mut jobs = Vec::new();

@@ -85,11 +85,11 @@ fn controlled(machine: &MachineFile, pass: &Pass) -> Option<MachineFile> {
 
 /// What carries out the control periods of a pass.
 #[derive(Debug, Clone, Copy)]
-pub enum On<'a> {
+pub enum On {
     /// The controller in this process.
     Here,
-    /// The controller on an emulated board, from this image. The machine around it is the simulated one in either case.
-    Board(Board, &'a Path),
+    /// The controller on an emulated board, which leaves what it cost as well. The machine around it is the simulated one in either case.
+    Board(Board),
 }
 
 /// Carries out a pass; `dir` gets the recording, the trace, the summary and the report of the job.
@@ -100,7 +100,7 @@ pub fn carry(
     machine: &MachineFile,
     pass: &Pass,
     dir: &Path,
-    on: On<'_>,
+    on: On,
     interrupted: &Arc<AtomicBool>,
 ) -> Result<Cut, CliError> {
     let machine = match &pass.led {
@@ -114,7 +114,7 @@ pub fn carry(
             let line = SimLine::new(session::rig(&machine, None, None, Vec::new())?);
             cut(line, &machine, pass, dir, interrupted)
         }
-        On::Board(board, image) => on_board(board, image, &machine, pass, dir, interrupted),
+        On::Board(board) => on_board(board, &machine, pass, dir, interrupted),
     }
 }
 
@@ -122,27 +122,29 @@ pub fn carry(
 #[cfg(unix)]
 fn on_board(
     board: Board,
-    image: &Path,
     machine: &MachineFile,
     pass: &Pass,
     dir: &Path,
     interrupted: &Arc<AtomicBool>,
 ) -> Result<Cut, CliError> {
-    let emulator = pil::Emulator::start(board, image)?;
+    let image = pil::image_for(board, machine)?;
+    let emulator = pil::Emulator::start(board, &image)?;
     let period_us = machine.config.period_us;
     let mut remote = RemoteController::begin(emulator, period_us)
         .map_err(|reason| CliError::new(Exit::Port, format!("{board}: {reason}")))?;
     remote.set_budget(pil::counts(pil::budget(period_us)));
+    let cost = remote.cost();
     let rig = session::rig_around(remote, machine, None, None, Vec::new())?;
     let line = SimLine::named(rig, &board.to_string());
-    cut(line, machine, pass, dir, interrupted)
+    let cut = cut(line, machine, pass, dir, interrupted)?;
+    pil::Instructions::leave(&cost, dir)?;
+    Ok(cut)
 }
 
 /// Emulated boards need named pipes.
 #[cfg(not(unix))]
 fn on_board(
     board: Board,
-    _: &Path,
     _: &MachineFile,
     _: &Pass,
     _: &Path,

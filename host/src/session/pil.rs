@@ -8,11 +8,13 @@
 //! An emulator that was killed is noticed at the next exchange, one that stands still after [`STALL`].
 
 use crate::cli::{CliError, Exit};
+use crate::machine::MachineFile;
 use crate::port::Board;
 use haptimill_firmware::lockstep::{FROM_BOARD_BYTES, TO_BOARD_BYTES};
 use haptimill_firmware::probe::STAGES;
 use haptimill_hil_sim::remote::{Cost, PlantLink};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
 use std::io::{self, Read, Write};
 use std::os::unix::fs::OpenOptionsExt;
@@ -21,6 +23,7 @@ use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 /// The emulator.
@@ -60,6 +63,17 @@ pub fn image(board: Board) -> Result<PathBuf, CliError> {
     }
 }
 
+/// The same for a machine: one with a haptic arm needs an image that can lead it.
+///
+/// # Errors
+/// There are neither sources nor an image, or the build failed.
+pub fn image_for(board: Board, machine: &MachineFile) -> Result<PathBuf, CliError> {
+    match &machine.config.haptic {
+        Some(_) if std::env::var_os("HAPTIMILL_IMAGE").is_none() => build(board, Some("hand")),
+        _ => image(board),
+    }
+}
+
 /// Builds another image of a board than the product's, such as the one that checks itself.
 ///
 /// # Errors
@@ -68,7 +82,20 @@ pub fn other_image(board: Board, name: &str) -> Result<PathBuf, CliError> {
     build(board, Some(name))
 }
 
+/// Every image is built once in a process.
 fn build(board: Board, other: Option<&str>) -> Result<PathBuf, CliError> {
+    static BUILT: Mutex<BTreeMap<(&str, String), PathBuf>> = Mutex::new(BTreeMap::new());
+    let mut built = BUILT.lock().unwrap_or_else(PoisonError::into_inner);
+    let name = (board.name(), other.unwrap_or_default().to_string());
+    if let Some(image) = built.get(&name) {
+        return Ok(image.clone());
+    }
+    let image = build_anew(board, other)?;
+    built.insert(name, image.clone());
+    Ok(image)
+}
+
+fn build_anew(board: Board, other: Option<&str>) -> Result<PathBuf, CliError> {
     let folder = board.folder();
     let here = std::env::current_dir().unwrap_or_default();
     let root = here
@@ -437,6 +464,9 @@ impl Drop for Emulator {
     }
 }
 
+/// What a run cost, in its folder.
+pub const INSTRUCTIONS_FILE: &str = "instructions.json";
+
 /// What a run cost, in instructions, for people and for the table in the documentation.
 #[derive(Debug, Clone, serde::Serialize)]
 pub struct Instructions {
@@ -494,5 +524,19 @@ impl Instructions {
             queue_high: cost.queue_high,
             missed: cost.missed,
         }
+    }
+
+    /// What a run cost that is over, also written into its folder.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn leave(cost: &Mutex<Cost>, dir: &Path) -> Result<Self, CliError> {
+        let path = dir.join(INSTRUCTIONS_FILE);
+        let instructions = Self::of(&cost.lock().unwrap_or_else(PoisonError::into_inner));
+        let json = serde_json::to_string_pretty(&instructions)
+            .map_err(|error| CliError::new(Exit::Internal, error))?;
+        std::fs::write(&path, json)
+            .map_err(|error| CliError::new(Exit::Output, format!("{}: {error}", path.display())))?;
+        Ok(instructions)
     }
 }

@@ -12,10 +12,8 @@ use haptimill_firmware::reading::Reading;
 use haptimill_hil_sim::remote::RemoteController;
 use haptimill_hil_sim::rig::{Control, RigOptions};
 use haptimill_tests::Bench;
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
 /// The chips.
@@ -44,12 +42,9 @@ pub fn run(program: &Path, port: &str, out: &Path, more: &[&str]) -> Result<(), 
     run::run(RunArgs::from_arg_matches(&matches).expect("arguments"))
 }
 
-/// The image of the board with this name, `faults` for instance; built once.
+/// The image of the board with this name, `faults` for instance.
 pub fn image(name: &'static str) -> PathBuf {
-    static BUILT: Mutex<BTreeMap<&str, PathBuf>> = Mutex::new(BTreeMap::new());
-    let mut built = BUILT.lock().expect("not poisoned");
-    let build = || pil::other_image(Board::Mps2, name).expect("builds");
-    built.entry(name).or_insert_with(build).clone()
+    pil::other_image(Board::Mps2, name).expect("builds")
 }
 
 /// The controller on a chip, begun.

@@ -5,6 +5,7 @@ use haptimill_hil_sim::cutting::{
     Area, Coefficients, CutterConfig, CuttingConfig, ElasticWall, WorkpieceConfig,
 };
 use haptimill_hil_sim::process::ProcessConfig;
+use haptimill_hil_sim::rig::Control;
 use haptimill_hil_sim::sensor::SensorConfig;
 use haptimill_protocol::force::{ForceLoop, Gate};
 use haptimill_protocol::message::{Action, AxisValues, Command, Event};
@@ -40,7 +41,7 @@ pub fn ready_at(process: &ProcessConfig) -> Bench {
     bench
 }
 
-pub fn tare(bench: &mut Bench) {
+pub fn tare<C: Control>(bench: &mut Bench<C>) {
     bench.events.clear();
     bench.ask(Command::Tare).expect("begun");
     bench.steps(1500);
@@ -102,7 +103,7 @@ pub fn block(at: [f64; 3], force_scale: f64) -> ProcessConfig {
 }
 
 /// A job: spindle on and up to speed, a line in x at `speed`, and a rest of so many seconds with the spindle on.
-pub fn job(bench: &mut Bench, speed: f64, spans: usize, rest_s: f64) -> AxisValues {
+pub fn job<C: Control>(bench: &mut Bench<C>, speed: f64, spans: usize, rest_s: f64) -> AxisValues {
     let start = bench.status().wanted;
     let spun = Setpoint {
         action: Action::Spindle(RPM),
@@ -154,7 +155,7 @@ pub fn levels(bench: &Bench) -> [u8; 3] {
     machinery.force.as_ref().expect("has a sensor").levels()
 }
 
-pub fn control(bench: &mut Bench, axis: u8, settings: ForceLoop) {
+pub fn control<C: Control>(bench: &mut Bench<C>, axis: u8, settings: ForceLoop) {
     bench
         .ask(Command::ForceLoop { axis, settings })
         .expect("taken");

@@ -3,6 +3,7 @@
 
 pub mod force;
 
+use haptimill_hil_sim::rig::Control;
 use haptimill_protocol::message::{
     Action, AxisValues, Command, Event, SETPOINT_BATCH, SetpointBatch, State,
 };
@@ -83,7 +84,7 @@ pub fn distance(bench: &Bench, pose: [f64; 3]) -> f64 {
 }
 
 /// Where the true tool is, mm.
-pub fn tool(bench: &Bench) -> [f64; 3] {
+pub fn tool<C: Control>(bench: &Bench<C>) -> [f64; 3] {
     let truth = bench.rig.plant().truth().pose;
     [truth[0], truth[1], truth[2]]
 }

@@ -24,7 +24,7 @@ pub(super) fn emulated(
     };
     let image = match &args.image {
         Some(image) => image.clone(),
-        None => pil::image(board)?,
+        None => pil::image_for(board, machine)?,
     };
     let emulator = pil::Emulator::start_with(board, &image, &setup)?;
     let period_us = machine.config.period_us;
@@ -45,11 +45,7 @@ pub(super) fn emulated(
         work,
     }
     .carry_out(session, 1, planned)?;
-    let instructions = Instructions::of(
-        &cost
-            .lock()
-            .unwrap_or_else(std::sync::PoisonError::into_inner),
-    );
+    let instructions = Instructions::leave(&cost, &args.out_dir())?;
     say(
         args,
         &format!(
@@ -72,12 +68,7 @@ pub(super) fn emulated(
             ),
         );
     }
-    let path = args.out_dir().join("instructions.json");
-    let output = |error: &dyn std::fmt::Display| {
-        CliError::new(Exit::Output, format!("{}: {error}", path.display()))
-    };
-    let json = serde_json::to_string_pretty(&instructions).map_err(|error| output(&error))?;
-    std::fs::write(&path, json).map_err(|error| output(&error))
+    Ok(())
 }
 
 /// Emulated boards need named pipes.
