@@ -305,20 +305,40 @@ fn an_arm_that_fails_leads_nothing_until_it_was_looked_after() {
     let folder = Folder::new();
     let order = "\n[[order]]\nat_s = 3.0\nwhat = \"reset-hand\"\n";
     let trip = ["--hand-fault", "hand-amplifiers-tripped at=2s for=0.5s"];
-    let said = scripted(&folder, "out", &format!("end_s = 5.0\n{AWAY}{order}"), &trip);
+    let said = scripted(
+        &folder,
+        "out",
+        &format!("end_s = 5.0\n{AWAY}{order}"),
+        &trip,
+    );
     let notes = said["session"]["notes"].as_array().unwrap();
-    assert!(notes.iter().any(|note| note.as_str().unwrap().starts_with("the arm: ")), "{said:#}");
+    assert!(
+        notes
+            .iter()
+            .any(|note| note.as_str().unwrap().starts_with("the arm: ")),
+        "{said:#}"
+    );
     let made = records(&folder.path("out/recording.hmr"));
     within_limits(&made);
     let at = |time_s: f64| &made[(time_s / 2e-4) as usize];
     let x = |time_s: f64| f64::from(at(time_s).wanted[0]) / MM;
     // It follows, stands while the arm is off although the hand goes on, and follows again from there.
-    assert!(x(1.9) < -10.0 && at(2.3).wanted == at(2.95).wanted, "{} {} {}", x(1.9), x(2.3), x(2.95));
+    assert!(
+        x(1.9) < -10.0 && at(2.3).wanted == at(2.95).wanted,
+        "{} {} {}",
+        x(1.9),
+        x(2.3),
+        x(2.95)
+    );
     assert!(x(4.0) < x(2.95) - 5.0, "{} {}", x(4.0), x(2.95));
     // The motors of the arm gave nothing in between.
     let hand = records(&folder.path("out/hand.hmr"));
-    let off = hand.iter().filter(|record| (11_000..14_000).contains(&record.period));
-    assert!(off.clone().count() > 2000 && off.into_iter().all(|record| record.hand.force == [0; 3]));
+    let off = hand
+        .iter()
+        .filter(|record| (11_000..14_000).contains(&record.period));
+    assert!(
+        off.clone().count() > 2000 && off.into_iter().all(|record| record.hand.force == [0; 3])
+    );
 }
 
 #[test]

@@ -16,6 +16,7 @@ use crate::session::{JobLine, JobRecording, Line, SimLine};
 use haptimill_firmware::reading::Reading;
 use haptimill_protocol::haptic::{COMPONENTS, HandTelemetry, Reflection};
 use haptimill_protocol::message::{Command, Event, Refusal};
+use haptimill_protocol::text::{Axes, Describe};
 use std::collections::VecDeque;
 
 /// A simulated arm with a person at it.
@@ -386,7 +387,9 @@ impl<L: Line> Source for Arm<L> {
         match (&self.phase, &self.standing) {
             (Phase::Ready, Some(standing)) => match standing.problem {
                 None => Standing::Ready,
-                Some(problem) => Standing::Waiting(format!("the arm is off: {}", said(&Event::Hand(problem)))),
+                Some(problem) => {
+                    Standing::Waiting(format!("the arm is off: {}", said(&Event::Hand(problem))))
+                }
             },
             (Phase::Ready, None) => Standing::Waiting("has said nothing yet".to_string()),
             _ => Standing::Waiting(self.why.clone()),
