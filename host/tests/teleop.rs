@@ -614,3 +614,43 @@ fn a_key_is_a_step_and_a_closed_window_stops_the_machine() {
     let again = machine.status();
     assert_eq!(at_rest["wanted"], again["wanted"]);
 }
+
+/// A machine with an arm on its own board, behind a port: the recording has what was reported of the hand.
+#[test]
+fn a_hand_behind_a_port_is_recorded_as_it_is_reported() {
+    let folder = Folder::new();
+    let own = [haptimill::machine::BUILT_IN, haptimill::machine::HAND].join("\n");
+    let own = folder.file("own.toml", own);
+    let served = Served::on_tcp(&["--machine", &own]);
+    let program = folder.file("short.ngc", "G21 G90 F600\nG1 X2\nG1 X0\nM30\n");
+    let out = folder.path("out");
+    let run = [
+        "run",
+        &program,
+        "--machine",
+        &own,
+        "--port",
+        &served.port,
+        "--quiet",
+        "--out",
+        &out,
+    ];
+    haptimill(&run).ended_with(0);
+    let trace = format!("{out}/recording.hmr");
+    let made = records(&trace);
+    let known = made.iter().filter(|record| record.hand_flags != 0).count();
+    assert!(
+        known > 3 && made.len() < 2 * known + 10,
+        "{known} of {}",
+        made.len()
+    );
+    let ran =
+        haptimill(&["trace", "csv", &trace, "--columns", "z_hand_mm,hand_held"]).ended_with(0);
+    assert!(
+        ran.out
+            .lines()
+            .any(|line| line.starts_with("600.0") && line.ends_with(",0")),
+        "{}",
+        ran.out
+    );
+}

@@ -81,6 +81,11 @@ pub fn unequal(
             format!("{:#010b}", other.flags),
         ),
         (
+            "flags of the hand",
+            one.hand_flags.to_string(),
+            other.hand_flags.to_string(),
+        ),
+        (
             "setpoint",
             one.setpoint.to_string(),
             other.setpoint.to_string(),

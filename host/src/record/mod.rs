@@ -62,10 +62,11 @@
 //! | 204 | 3 x i32 | the opposite end of what it was in the last revolution of the spindle, 2^-16 N |
 //! | 216 | 3 x i32 | by how much the tool yields, 2^-20 mm |
 //! | 228 | 3 x i32 | the true force on the tool, 2^-16 N, if [`flag::TOOL_TRUE`] is set |
-//! | 240 | 3 x i32 | version 4: the tip of the handle in the frame of the arm's base, 2^-20 mm |
-//! | 252 | 3 x i32 | what the arm does to the hand, 2^-16 N |
-//! | 264 | 3 x i32 | what the law of reflection alone makes of the force on the tool, 2^-16 N |
-//! | 276 | 3 x i32 | what the virtual walls push, 2^-16 N |
+//! | 240 | u32 | version 4: 1 if the hand is known, 2 if the button on its handle is held, see [`flag::HAND_KNOWN`] |
+//! | 244 | 3 x i32 | the tip of the handle in the frame of the arm's base, 2^-20 mm |
+//! | 256 | 3 x i32 | what the arm does to the hand, 2^-16 N |
+//! | 268 | 3 x i32 | what the law of reflection alone makes of the force on the tool, 2^-16 N |
+//! | 280 | 3 x i32 | what the virtual walls push, 2^-16 N |
 
 mod blocks;
 mod column;
@@ -128,7 +129,7 @@ pub fn write_mcap(
 pub const RECORD_BYTES: usize = 240;
 
 /// How much longer it is with one.
-pub const HAND_BYTES: usize = 48;
+pub const HAND_BYTES: usize = 52;
 
 const MAGIC: &[u8; 8] = b"HMRECORD";
 
@@ -156,8 +157,10 @@ pub mod flag {
     pub const FAULT: u8 = 32;
     /// The machine has a force sensor.
     pub const FORCE: u8 = 64;
-    /// The button on the handle of the haptic arm is held.
-    pub const HAND_HELD: u8 = 128;
+    /// Of the hand: it is known. Through a port it is when the controller was asked to report it.
+    pub const HAND_KNOWN: u32 = 1;
+    /// Of the hand: the button on the handle is held.
+    pub const HAND_HELD: u32 = 2;
 }
 
 /// Values of all axes, in axis units; those that the machine lacks are 0.
@@ -200,6 +203,8 @@ pub struct Record {
     pub true_force: [i32; COMPONENTS],
     /// The hand, where there is a haptic arm.
     pub hand: HandReading,
+    /// What is known of it, see [`flag::HAND_KNOWN`].
+    pub hand_flags: u32,
 }
 
 impl Record {
@@ -222,6 +227,7 @@ impl Record {
         self.drive = reading.drive;
         self.force = reading.force;
         self.hand = reading.hand;
+        self.hand_flags |= flag::HAND_KNOWN;
         for (set, flag) in [
             (reading.homed, flag::HOMED),
             (reading.position_kept, flag::POSITION_KEPT),
@@ -236,7 +242,8 @@ impl Record {
         let hand = &self.hand;
         let cells = [hand.tip, hand.force, hand.reflected, hand.wall];
         let mut bytes = [0; HAND_BYTES];
-        let slots = bytes.as_chunks_mut::<4>().0;
+        bytes[..4].copy_from_slice(&self.hand_flags.to_le_bytes());
+        let slots = bytes[4..].as_chunks_mut::<4>().0;
         for (slot, value) in slots.iter_mut().zip(cells.as_flattened()) {
             *slot = value.to_le_bytes();
         }
@@ -245,11 +252,10 @@ impl Record {
 
     /// Takes the hand from those bytes.
     pub fn decode_hand(&mut self, bytes: &[u8; HAND_BYTES]) {
+        let word = |at: usize| std::array::from_fn(|i| bytes[at + i]);
+        self.hand_flags = u32::from_le_bytes(word(0));
         let three = |row: usize| {
-            std::array::from_fn(|axis| {
-                let at = 12 * row + 4 * axis;
-                i32::from_le_bytes(std::array::from_fn(|i| bytes[at + i]))
-            })
+            std::array::from_fn(|axis| i32::from_le_bytes(word(4 + 12 * row + 4 * axis)))
         };
         self.hand = HandReading {
             tip: three(0),
@@ -318,6 +324,7 @@ impl Record {
             },
             true_force: forces(228),
             hand: HandReading::default(),
+            hand_flags: 0,
         })
     }
 }

@@ -96,7 +96,7 @@ proptest! {
             let mut recorder = Recorder::create(&file.0, &header).unwrap();
             let mut wanted = Vec::new();
             for (record, [tip, force, reflected, wall]) in &records {
-                let with = Record { hand: HandReading { tip: *tip, force: *force, reflected: *reflected, wall: *wall }, ..*record };
+                let with = Record { hand_flags: 3, hand: HandReading { tip: *tip, force: *force, reflected: *reflected, wall: *wall }, ..*record };
                 recorder.record(&with);
                 wanted.push(if hand { with } else { *record });
             }

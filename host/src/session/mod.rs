@@ -68,6 +68,8 @@ pub struct Session<L> {
     now_us: u64,
     answers: VecDeque<(Ticket, &'static str, Result<(), RequestError>)>,
     ending: Option<JobEnding>,
+    /// Period of the newest report of a hand.
+    hand: Option<u64>,
     /// Events since the session began, with their control periods.
     pub events: Vec<(u64, Event)>,
     lost: Option<String>,
@@ -97,6 +99,7 @@ impl<L: Line> Session<L> {
             now_us: 0,
             answers: VecDeque::new(),
             ending: None,
+            hand: None,
             events: Vec::new(),
             lost: None,
             refusal: None,
@@ -145,6 +148,11 @@ impl<L: Line> Session<L> {
         self.transmit.clear();
         self.client
             .advance(self.now_us, &self.received, &mut self.transmit);
+        if let Some(hand) = self.client.hand()
+            && self.hand.replace(hand.period) != Some(hand.period)
+        {
+            self.line.reported_hand(hand);
+        }
         while let Some(notice) = self.client.poll() {
             match notice {
                 Notice::Answered {

@@ -9,11 +9,12 @@ use crate::port::PortError;
 use crate::record::{Record, Recorder, Tape, flag};
 use haptimill_firmware::controller::Controller;
 use haptimill_firmware::motion::program::FULL_RATE;
-use haptimill_firmware::reading::{ForceReading, Reading};
+use haptimill_firmware::reading::{ForceReading, HandReading, Reading};
 use haptimill_hil_sim::config::PlantConfig;
 use haptimill_hil_sim::cutting::CuttingConfig;
 use haptimill_hil_sim::fault::Fault;
 use haptimill_hil_sim::rig::{Control, Rig, RigError, RigOptions};
+use haptimill_protocol::haptic::{COMPONENTS, HandTelemetry};
 use haptimill_protocol::message::{AxisValues, MAX_AXES, State, Telemetry};
 use std::sync::Arc;
 
@@ -40,6 +41,8 @@ pub struct JobRecording {
     cursor: Cursor,
     /// Axis units per millimetre or degree of the pose coordinates.
     units: [f64; MAX_AXES],
+    /// The newest report of a hand, for a controller behind a port.
+    hand: Option<HandTelemetry>,
 }
 
 /// Telemetry frames, 20 ms apart or more, after which the recording is handed to the disk.
@@ -222,6 +225,7 @@ impl JobRecording {
             plan: None,
             cursor: Cursor::default(),
             units,
+            hand: None,
         }
     }
 
@@ -234,6 +238,11 @@ impl JobRecording {
     /// What happened, in words.
     pub fn add_event(&mut self, period: u64, level: u8, text: &str) {
         self.recorder.event(period, level, text);
+    }
+
+    /// A report of the hand of a machine of which nothing else is seen; it goes with the next telemetry frame.
+    pub const fn add_hand(&mut self, hand: &HandTelemetry) {
+        self.hand = Some(*hand);
     }
 
     /// A telemetry frame of a machine of which nothing else is seen: the tool is where the controller measures it.
@@ -266,6 +275,19 @@ impl JobRecording {
         let copy = |to: &mut [i32; MAX_AXES], from: &AxisValues| {
             to.iter_mut().zip(from).for_each(|(to, from)| *to = *from)
         };
+        if let Some(hand) = self.hand.take() {
+            let newtons = |force: [i16; COMPONENTS]| force.map(|part| i32::from(part) << 8);
+            record.hand = HandReading {
+                tip: hand.hand.tip,
+                force: newtons(hand.force),
+                reflected: newtons(hand.reflected),
+                wall: newtons(hand.wall),
+            };
+            record.hand_flags = flag::HAND_KNOWN;
+            if hand.hand.engaged {
+                record.hand_flags |= flag::HAND_HELD;
+            }
+        }
         copy(&mut record.wanted, &telemetry.wanted);
         copy(&mut record.joints, &telemetry.joints);
         copy(&mut record.following_error, &telemetry.following_error);
@@ -319,10 +341,12 @@ impl JobRecording {
             ..Record::default()
         };
         record.set_reading(rig.inputs().period, &reading);
+        if rig.inputs().haptic.engaged {
+            record.hand_flags |= flag::HAND_HELD;
+        }
         for (set, flag) in [
             (rig.plant().force_codes().is_some(), flag::FORCE),
             (rig.truth().pose_valid, flag::TOOL_TRUE),
-            (rig.inputs().haptic.engaged, flag::HAND_HELD),
         ] {
             if set {
                 record.flags |= flag;
