@@ -8,7 +8,7 @@
 use super::script::Person;
 use super::{Feeling, Felt, Source, Standing, Word};
 use crate::cli::{CliError, Exit};
-use crate::client::{Client, Notice, Options, RequestError, Ticket};
+use crate::client::{Client, ClientError, Notice, Options, RequestError, Ticket};
 use crate::machine::MachineFile;
 use crate::port::PortError;
 use crate::record::Recorder;
@@ -249,6 +249,8 @@ impl<L: Line> Arm<L> {
                 ]);
             }
             Notice::Answered { ticket, result, .. } => self.answered(ticket, result)?,
+            // The session that was dropped for a new one.
+            Notice::Lost(ClientError::Closed) => {}
             Notice::Lost(error) => {
                 let why = format!("{}: {error}", self.line.name());
                 self.connect(why);
