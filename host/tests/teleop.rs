@@ -654,3 +654,53 @@ fn a_hand_behind_a_port_is_recorded_as_it_is_reported() {
         ran.out
     );
 }
+
+/// The arm's controller is gone with its port, and comes back.
+#[cfg(unix)]
+#[test]
+fn an_arm_that_goes_and_comes_back_leads_again_when_it_is_told_to() {
+    let folder = Folder::new();
+    let script = folder.file("person.toml", AWAY);
+    let machine = Served::on_tcp(&[]);
+    let more = [
+        "--machine",
+        "machines/hand-master.toml",
+        "--person",
+        &script,
+    ];
+    let mut arm = Served::on_tcp(&more);
+    let out = folder.path("out");
+    let (orders, mut input) = std::io::pipe().unwrap();
+    let mut session = start_with(
+        &[
+            "teleop",
+            "--port",
+            &machine.port,
+            "--hand",
+            &arm.port,
+            "--out",
+            &out,
+            "--for",
+            "60",
+        ],
+        Stdio::from(orders),
+    );
+    session.says("idle -> running");
+    std::thread::sleep(std::time::Duration::from_millis(1500));
+    arm.process.kill();
+    session.says("running -> on hold");
+    input.write_all(b"resume\n").unwrap();
+    session.says("not resumed: the hand: ");
+    let again = Served::on(&arm.port, &more);
+    std::thread::sleep(std::time::Duration::from_millis(2500));
+    input.write_all(b"resume\n").unwrap();
+    session.says("on hold -> running");
+    input.write_all(b"gp=7\nend\n").unwrap();
+    session.says("G_P of 7 is out of its range: 0.1 to 2");
+    session.end().ended_with(0);
+    drop(again);
+    let said = folder.summary("out");
+    let holds = said["session"]["holds"].as_array().unwrap();
+    assert_eq!(holds.len(), 1, "{said:#}");
+    assert_eq!(said["session"]["refused"].as_array().unwrap().len(), 2);
+}
