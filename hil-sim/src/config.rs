@@ -49,7 +49,8 @@ pub struct PlantConfig {
     /// The hand at the haptic arm; it holds the handle from the start.
     #[serde(default)]
     pub hand: Option<HandConfig>,
-    /// The joints, in the machine's order (H-4: four slides, then the table). 1 to 6.
+    /// The joints, in the machine's order (H-4: four slides, then the table). 1 to 6; none where there is a haptic arm alone.
+    #[serde(default)]
     pub joint: Vec<JointConfig>,
 }
 
@@ -314,7 +315,8 @@ impl PlantConfig {
                 format!("the control period of {period_us} us is not a whole multiple"),
             );
         }
-        if self.joint.is_empty() || self.joint.len() > MAX_AXES {
+        let alone = self.joint.is_empty() && self.haptic.is_some() && self.arm.is_none();
+        if (self.joint.is_empty() && !alone) || self.joint.len() > MAX_AXES {
             check.refuse(
                 "joint".into(),
                 format!("1 to {MAX_AXES} joints, not {}", self.joint.len()),

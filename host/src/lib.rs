@@ -15,3 +15,4 @@ pub mod replay;
 pub mod report;
 pub mod scenario;
 pub mod session;
+pub mod teleop;

@@ -126,7 +126,12 @@ impl Model {
         for (slot, preset) in joints.0.iter_mut().zip(machine.preset()) {
             *slot = preset;
         }
-        let pose = self.machine.forward(&joints).ok()?;
+        // A haptic arm alone has no pose of a tool.
+        let pose = self
+            .machine
+            .forward(&joints)
+            .ok()
+            .filter(|_| !self.pose.is_empty())?;
         Some(
             pose.0
                 .iter()

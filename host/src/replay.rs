@@ -253,6 +253,10 @@ fn known(
     };
     let mut now = *record;
     now.set_reading(period.inputs.period, &reading);
+    if !recording.header().hand {
+        // Recorded before there were hands in records; what the arm's motors were told is compared all the same.
+        (now.hand, now.hand_flags) = (record.hand, record.hand_flags);
+    }
     unequal(record, &now, recording)
 }
 

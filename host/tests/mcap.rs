@@ -18,6 +18,49 @@ mod built {
     }
 
     #[test]
+    fn a_hand_has_its_channels() {
+        let folder = Folder::new();
+        let out = folder.path("out");
+        haptimill(&[
+            "teleop", "--hand", "sim", "--for", "1.5", "--quiet", "--out", &out,
+        ])
+        .ended_with(0);
+        let (trace, file) = (folder.path("out/hand.hmr"), folder.path("hand.mcap"));
+        haptimill(&["trace", "mcap", &trace, "--out", &file]).ended_with(0);
+        let bytes = std::fs::read(&file).unwrap();
+        let recording = Recording::open(Path::new(&trace)).unwrap();
+        let mut records = recording.iter().unwrap().map(Result::unwrap);
+        let mut held = 0;
+        let mut seen = 0;
+        for message in checked(&bytes) {
+            let message = message.unwrap();
+            if message.channel.topic != "/hand" {
+                continue;
+            }
+            let period = message.log_time / 200_000;
+            let record = records.find(|record| record.period == period).unwrap();
+            let value: Value = serde_json::from_slice(&message.data).unwrap();
+            let tip = f64::from(record.hand.tip[2]) / f64::from(1 << 20);
+            assert!(
+                (value["z_mm"].as_f64().unwrap() - tip).abs() < 1e-6,
+                "{value}"
+            );
+            held += u64::from(value["hand_held"] == true);
+            seen += 1;
+        }
+        assert!(seen > 1000 && held > 500 && held < seen, "{held} of {seen}");
+        let summary = Summary::read(&bytes).unwrap().unwrap();
+        for topic in ["/hand/force", "/hand/reflected", "/hand/wall"] {
+            assert!(
+                summary
+                    .channels
+                    .values()
+                    .any(|channel| channel.topic == topic)
+            );
+        }
+    }
+
+    #[test]
     fn mcap_has_everything_and_its_checks_hold() {
         let folder = Folder::new();
         let out = folder.path("out");

@@ -70,6 +70,58 @@ fn a_scenario_under_force_control_replays_equal() {
 }
 
 #[test]
+fn a_slot_led_by_hand_replays_equal_and_a_count_of_the_haptic_arm_is_missed() {
+    let folder = Folder::new();
+    haptimill(&["scenario", "run", "e8", "--out", &folder.path("out")]).ended_with(0);
+    let passes = std::fs::read_dir(folder.path("out/e8")).unwrap();
+    let traces: Vec<_> = passes
+        .map(|pass| pass.unwrap().path().join("recording.hmr"))
+        .filter(|trace| trace.exists())
+        .collect();
+    assert!(!traces.is_empty());
+    for trace in &traces {
+        let said = replays(trace.to_str().unwrap());
+        assert!(number(&said, "records") > 50_000.0);
+        // A hand was there: its button was pressed, and the arm's motors did something.
+        let recording = Recording::open(trace).unwrap();
+        let mut led = 0_u64;
+        let mut pushed = 0_u64;
+        for period in recording.read_periods().unwrap() {
+            let period: Period = period.unwrap();
+            led += u64::from(period.inputs.haptic.engaged);
+            let currents = period.outputs.haptic.currents;
+            pushed += u64::from(currents.iter().flatten().any(|current| *current != 0));
+        }
+        assert!(led > 10_000 && pushed > 10_000, "{led}, {pushed}");
+    }
+    // One count of one leg, for one period, while the hand leads.
+    let recording = Recording::open(&traces[0]).unwrap();
+    let changed = folder.path("changed.hmr");
+    let mut recorder = Recorder::create(Path::new(&changed), recording.header()).unwrap();
+    recorder.take_up(Tape::new());
+    let mut engaged = 0_u32;
+    let mut flipped = 0;
+    for period in recording.read_periods().unwrap() {
+        let mut period: Period = period.unwrap();
+        engaged += u32::from(period.inputs.haptic.engaged);
+        if engaged == 5000 && flipped == 0 {
+            flipped = period.inputs.period;
+            period.inputs.haptic.legs[1].counts[0] ^= 1;
+        }
+        recorder.period(&period.inputs, &period.outputs);
+    }
+    recorder.finish().unwrap();
+    let said = haptimill(&["replay", &changed, "--json"])
+        .ended_with(8)
+        .json();
+    let difference = &said["difference"];
+    assert_eq!(difference["period"], flipped);
+    // The hand leads x, so the slides are told otherwise in the same period.
+    assert_eq!(difference["field"], "the command to drive l1");
+    assert_ne!(difference["recorded"], difference["replayed"]);
+}
+
+#[test]
 fn a_job_that_ends_in_a_fault_over_a_bad_line_replays_equal() {
     let folder = Folder::new();
     let fault = [

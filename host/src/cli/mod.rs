@@ -20,6 +20,7 @@ pub mod replay;
 pub mod run;
 pub mod scenario;
 pub mod sim;
+pub mod teleop;
 pub mod trace;
 
 pub use exit::{CliError, EXIT_CODES, Exit};
@@ -50,6 +51,7 @@ Examples:
   haptimill home --port tcp:localhost:7000               home it from another terminal
   haptimill jog x=5 z=-2 --for 1.5 --port /dev/ttyACM0   5 and -2 mm/s for 1.5 s
   haptimill console --port /dev/ttyACM0 part.ngc         the operator's full-screen console
+  haptimill teleop --hand sim --work examples/block.toml --spindle 5000   a hand leads the tool, and feels what it cuts
   haptimill status --port /dev/ttyACM0 --json            how things stand, for a script
   haptimill run part.ngc --force x,z --fd 5              the tool yields to more than 5 N in x and z
   haptimill force tare --port /dev/ttyACM0               what the force sensor shows now is none
@@ -78,6 +80,7 @@ enum Command {
     /// Find the reference of all axes, as one transaction
     Home(one_shot::HomeArgs),
     Console(console::ConsoleArgs),
+    Teleop(teleop::TeleopArgs),
     /// How things stand
     Status(one_shot::OneShotArgs),
     /// Drives on; wanted becomes measured, nothing moves
@@ -115,6 +118,7 @@ impl Command {
         match self {
             Self::Run(args) => args.json,
             Self::Jog(args) => args.json,
+            Self::Teleop(args) => args.json,
             Self::Home(args) => args.one_shot.json,
             Self::Status(args) | Self::Enable(args) | Self::Disable(args) | Self::Reset(args) => {
                 args.json
@@ -214,6 +218,7 @@ fn dispatch(cli: Cli) -> Result<(), CliError> {
         Command::Run(args) => run::run(args),
         Command::Jog(args) => jog::run(args),
         Command::Console(args) => console::run(args),
+        Command::Teleop(args) => teleop::run(args),
         Command::Home(args) => one_shot::home(args),
         Command::Status(args) => one_shot::run(Order::Status, args),
         Command::Enable(args) => one_shot::run(Order::Enable, args),

@@ -1,9 +1,12 @@
 //! `haptimill sim serve`: the simulated machine as a device that any serial program can talk to, in real time.
 
 use super::{CliError, Exit, MachineArg};
+use crate::machine::MachineFile;
 use crate::port::{TcpServer, Transport};
 use crate::session::{self, interrupt};
+use crate::teleop::script::{Person, Script};
 use clap::Args;
+use haptimill_hil_sim::config::PlantConfig;
 use haptimill_hil_sim::fault::Fault;
 use std::io::Write;
 use std::path::PathBuf;
@@ -37,6 +40,9 @@ pub struct ServeArgs {
     /// Something that goes wrong in the machine, as "slide-jammed axis=l3 at=1.5s"; can be given several times. --help lists all faults
     #[arg(long, value_name = "FAULT")]
     pub fault: Vec<Fault>,
+    /// A person at the haptic arm of the machine file, who does what this script says once the arm's motors are on (as examples/teleop.toml; orders in it are not heard)
+    #[arg(long, value_name = "FILE")]
+    pub person: Option<PathBuf>,
     /// End after so many seconds
     #[arg(long = "for", value_name = "SECONDS", value_parser = super::seconds)]
     pub duration: Option<f64>,
@@ -69,6 +75,18 @@ impl FromStr for Listen {
 /// See [`Exit`].
 pub fn serve(args: ServeArgs) -> Result<(), CliError> {
     let machine = args.machine.load()?;
+    let person = match &args.person {
+        Some(_) if rig_has_no_hand(&machine)? => {
+            let what = format!(
+                "--person: {}: has no [plant.haptic] and [plant.hand] to lead it; use machines/hand-master.toml",
+                machine.file
+            );
+            return Err(CliError::new(Exit::Usage, what));
+        }
+        Some(file) => Some(Script::load(file)?),
+        None => None,
+    };
+    let mut person = person.as_ref().map(Person::new);
     // A port paces its bytes by itself; the simulated line in between adds nothing.
     let mut rig = session::rig(&machine, args.seed, None, args.fault.clone())?;
     let interrupted = interrupt::flag();
@@ -89,6 +107,9 @@ pub fn serve(args: ServeArgs) -> Result<(), CliError> {
     {
         let now_ns = u64::try_from(begun.elapsed().as_nanos()).unwrap_or(u64::MAX);
         for _ in 0..pace.due(now_ns, rig.time_ns()) {
+            if let Some(person) = &mut person {
+                person.act(&mut rig);
+            }
             rig.step();
         }
         rig.host_read(&mut said);
@@ -105,6 +126,12 @@ pub fn serve(args: ServeArgs) -> Result<(), CliError> {
     }
     drop(link);
     Ok(())
+}
+
+/// Whether nobody can be at the simulated arm.
+fn rig_has_no_hand(machine: &MachineFile) -> Result<bool, CliError> {
+    let plant: PlantConfig = machine.plant()?;
+    Ok(plant.hand.is_none())
 }
 
 /// Longest wait for bytes between two looks at the clock.

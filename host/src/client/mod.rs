@@ -39,7 +39,7 @@ pub use notice::{ClientState, Notice, Options, Ticket};
 pub use stream::{JobEnding, JobProgress};
 
 use haptimill_protocol::frame::crc32;
-use haptimill_protocol::haptic::HandTelemetry;
+use haptimill_protocol::haptic::{COMPONENTS, Hand, HandTelemetry};
 use haptimill_protocol::link::{HostLink, LinkState};
 use haptimill_protocol::message::{
     AxisValues, CONFIG_CHUNK, Command, ConfigChunk, Event, Refusal, Report, Request, State,
@@ -78,6 +78,7 @@ pub struct Client {
     waiting_telemetry: usize,
     notices: VecDeque<Notice>,
     jog_epoch: u16,
+    hand_epoch: u16,
     urgent: Option<Urgent>,
     urgent_sent: u32,
 }
@@ -110,6 +111,7 @@ impl Client {
             waiting_telemetry: 0,
             notices: VecDeque::new(),
             jog_epoch: 1,
+            hand_epoch: 1,
             urgent: None,
             urgent_sent: 0,
         }
@@ -125,6 +127,7 @@ impl Client {
         self.connect_by_us = now_us.saturating_add(self.options.connect_us);
         // The controller forgets its epochs when a session begins.
         self.jog_epoch = 1;
+        self.hand_epoch = 1;
         self.welcome = None;
         self.telemetry = None;
         self.hand = None;
@@ -278,6 +281,39 @@ impl Client {
         });
         self.next_jog_epoch();
         ticket
+    }
+
+    /// Says where a hand is that leads the tool from afar, and how old that is. Only the newest word counts, and a lost one is not sent again.
+    ///
+    /// # Errors
+    ///
+    /// [`ClientError::Closed`] when no session is open.
+    pub fn lead(&mut self, hand: Hand, age_ms: u8) -> Result<(), ClientError> {
+        let command = Command::Hand {
+            epoch: self.hand_epoch,
+            age_ms,
+            hand,
+        };
+        self.link
+            .send_latest(&Request { id: 0, command })
+            .map_err(|_| ClientError::Closed)
+    }
+
+    /// The hand leads anew, after a hold: what was said of it before is not heard any more, whenever it arrives.
+    pub fn lead_anew(&mut self) {
+        self.hand_epoch = self.hand_epoch.wrapping_add(1).max(1);
+    }
+
+    /// Says what the tool feels to the controller of the arm whose hand leads it: forces along x, y, z, 2^-6 N. Only the newest word counts.
+    ///
+    /// # Errors
+    ///
+    /// [`ClientError::Closed`] when no session is open.
+    pub fn feel(&mut self, force: [i16; COMPONENTS]) -> Result<(), ClientError> {
+        let command = Command::Feel { force };
+        self.link
+            .send_latest(&Request { id: 0, command })
+            .map_err(|_| ClientError::Closed)
     }
 
     /// Stops the machine by the shortest way: the urgent bytes go out with the next [`Client::advance`] before everything else, and again until

@@ -45,6 +45,15 @@ pub const BUILT_IN_NAME: &str = "machines/h4.toml (built in)";
 /// Sections that give an H-4 arm a haptic arm, with the hand of the simulator.
 pub const HAND: &str = include_str!("../../../machines/hand.toml");
 
+/// The reference haptic arm on a board of its own: a master.
+pub const MASTER: &str = include_str!("../../../machines/hand-master.toml");
+
+/// Name under which problems of [`MASTER`] are reported.
+pub const MASTER_NAME: &str = "machines/hand-master.toml (built in)";
+
+/// The section that lets a machine follow a hand afar.
+pub const FOLLOW: &str = include_str!("../../../machines/follow.toml");
+
 /// How the planner joins the blocks of a program; its rates, accelerations and jerks are those of the axes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Planner {
@@ -95,6 +104,32 @@ impl MachineFile {
         }
         let file = format!("{} with machines/hand.toml", self.file);
         Self::parse(&file, &format!("{}\n{HAND}", self.text))
+    }
+
+    /// The same machine, which can follow a hand afar ([`FOLLOW`]); itself when it can.
+    ///
+    /// # Errors
+    /// What is written there does not fit this machine.
+    pub fn with_follow(&self) -> Result<Self, Problems> {
+        if self.config.follow.is_some() {
+            return Ok(self.clone());
+        }
+        let file = format!("{} with machines/follow.toml", self.file);
+        Self::parse(&file, &format!("{}\n{FOLLOW}", self.text))
+    }
+
+    /// The built-in haptic arm on a board of its own.
+    ///
+    /// # Errors
+    /// None, unless this program is broken.
+    pub fn built_in_master() -> Result<Self, Problems> {
+        Self::parse(MASTER_NAME, MASTER)
+    }
+
+    /// Whether it is a haptic arm alone, which leads a machine afar.
+    #[must_use]
+    pub fn is_master(&self) -> bool {
+        self.config.model == Model::None
     }
 
     /// Reads a machine file from disk. A file that cannot be read is a problem of line 0.
@@ -191,6 +226,12 @@ fn read(document: &Document<'_>, root: &Spanned<DeTable<'_>>) -> MachineFile {
     let root = Section::root(document, root.get_ref());
     let name = name(&root);
     let period_us = root.number("period_us", whole(50, 1000, "us"));
+    if root.skip("role") {
+        let role = root.choice("role", &[("slave", false), ("master", true)]);
+        if role == Some(true) {
+            return master(&root, name, period_us);
+        }
+    }
 
     let stopping = root.section("stopping").map(stopping);
     let (supervision, margin) = match root.section("supervision").map(supervision) {
@@ -267,16 +308,67 @@ fn read(document: &Document<'_>, root: &Spanned<DeTable<'_>>) -> MachineFile {
         },
         pose: pose_limits,
         joints: joint_limits,
-        planner: planner.unwrap_or(Planner {
-            corner_tolerance_mm: f64::NAN,
-            corner_tolerance_deg: f64::NAN,
-            curvature_step: f64::NAN,
-            longest_span_ms: f64::NAN,
-            shortest_span_ms: f64::NAN,
-        }),
+        planner: planner.unwrap_or(NO_PLANNER),
         has_plant,
     }
 }
+
+/// A haptic arm alone: no axes, nothing to plan, nothing to brake.
+fn master(root: &Section<'_, '_>, name: heapless::String<24>, period_us: f64) -> MachineFile {
+    let supervision = root.section("supervision").map(|section| {
+        let heartbeat = section.number("heartbeat_ms", whole(20, 60_000, "ms"));
+        let missed = section.number("missed_periods", whole(1, 1000, "periods"));
+        section.finish();
+        (to_u16(heartbeat), to_u16(missed))
+    });
+    let (heartbeat_ms, missed_periods) = supervision.unwrap_or_default();
+    let arm = root
+        .section("haptic")
+        .map(|section| haptic::haptic(&section));
+    let has_plant = root.skip("plant");
+    root.finish();
+    MachineFile {
+        file: String::new(),
+        text: String::new(),
+        config: Config {
+            name,
+            period_us: to_u16(period_us),
+            model: Model::None,
+            pose: heapless::Vec::new(),
+            joints: heapless::Vec::new(),
+            // Of no consequence without axes, and sound.
+            stopping: Stopping {
+                time_ms: 100,
+                ramp_ms: 20,
+            },
+            supervision: Supervision {
+                heartbeat_ms,
+                missed_periods,
+                illegal_transitions: 0,
+            },
+            homing: Homing {
+                rate: Rate(0),
+                table_rate: Rate(0),
+            },
+            force: None,
+            follow: None,
+            haptic: arm,
+        },
+        pose: Vec::new(),
+        joints: Vec::new(),
+        planner: NO_PLANNER,
+        has_plant,
+    }
+}
+
+/// Stands where the file has no planner.
+const NO_PLANNER: Planner = Planner {
+    corner_tolerance_mm: f64::NAN,
+    corner_tolerance_deg: f64::NAN,
+    curvature_step: f64::NAN,
+    longest_span_ms: f64::NAN,
+    shortest_span_ms: f64::NAN,
+};
 
 /// The pose at the home preset must exist and lie inside the soft limits: that is where every job begins.
 fn home_pose(document: &Document<'_>, root: &DeTable<'_>, config: &Config) {

@@ -1,5 +1,6 @@
 use super::*;
 use haptimill_firmware::config::{Drive, LawForm};
+use haptimill_hil_sim::config::PlantConfig;
 use proptest::prelude::*;
 
 const STEP: &str = include_str!("../../../machines/h4-step.toml");
@@ -375,4 +376,40 @@ fn deep_nesting_and_odd_bytes_are_problems_like_any_other() {
     assert!(problems.to_string().contains("is not UTF-8 at byte 1"));
     std::fs::write(&file.0, b"").unwrap();
     assert!(MachineFile::load(&file.0).is_err());
+}
+
+#[test]
+fn a_haptic_arm_alone_is_the_one_of_the_hand_and_is_told_what_it_lacks() {
+    let master = MachineFile::built_in_master().unwrap();
+    let hand = MachineFile::built_in().unwrap().with_hand().unwrap();
+    assert_eq!(master.config.haptic, hand.config.haptic);
+    assert_eq!(master.config.period_us, hand.config.period_us);
+    assert!(master.is_master() && !hand.is_master());
+    assert_eq!(master.config.check(), Ok(()));
+    // The simulated arm and the person at it are the same too.
+    let plant = |machine: &MachineFile| machine.plant::<PlantConfig>().unwrap();
+    assert_eq!(plant(&master).haptic, plant(&hand).haptic);
+    assert_eq!(plant(&master).hand, plant(&hand).hand);
+    // A machine follows a hand afar as it follows one on its own board.
+    let afar = MachineFile::built_in().unwrap().with_follow().unwrap();
+    assert_eq!(afar.config.follow, hand.config.follow);
+    assert!(afar.config.haptic.is_none());
+    let twice = afar.with_follow().unwrap();
+    assert_eq!(twice.text, afar.text);
+
+    let said = |text: &str| MachineFile::parse("m.toml", text).unwrap_err().to_string();
+    let without = MASTER.replace("role = \"master\"", "role = \"leader\"");
+    assert!(
+        said(&without).contains("\"leader\" is not known; write \"slave\" or \"master\""),
+        "{}",
+        said(&without)
+    );
+    let homing = format!("{MASTER}\n[homing]\nrate_mm_s = 5.0\n");
+    assert!(said(&homing).contains("homing"), "{}", said(&homing));
+    let bare = "name = \"m\"\nrole = \"master\"\nperiod_us = 200\n";
+    let bare = said(bare);
+    assert!(
+        bare.contains("[supervision]") && bare.contains("[haptic]"),
+        "{bare}"
+    );
 }

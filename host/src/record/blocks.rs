@@ -1,6 +1,6 @@
 //! The blocks of a recording: what they have, how long they are, and a check that finds what was damaged.
 
-use super::{CRC, RECORD_BYTES};
+use super::CRC;
 
 /// Size of what stands before the contents of a block.
 pub(super) const HEAD_BYTES: usize = 20;
@@ -57,8 +57,8 @@ impl Head {
         bytes
     }
 
-    /// `None` when its check fails, or it says what cannot be.
-    pub(super) fn decode(bytes: &[u8; HEAD_BYTES]) -> Option<Self> {
+    /// `None` when its check fails, or it says what cannot be of records of so many bytes.
+    pub(super) fn decode(bytes: &[u8; HEAD_BYTES], record_bytes: usize) -> Option<Self> {
         let word = |at: usize| u32::from_le_bytes(std::array::from_fn(|i| bytes[at + i]));
         let (kind, _) = TAGS.iter().find(|(_, tag)| bytes[..4] == tag[..])?;
         let head = Self {
@@ -70,7 +70,7 @@ impl Head {
         let sound = CRC.checksum(&bytes[..16]) == word(16)
             && match kind {
                 Kind::Records => {
-                    u64::from(head.bytes) == u64::from(head.count) * RECORD_BYTES as u64
+                    u64::from(head.bytes) == u64::from(head.count) * record_bytes as u64
                 }
                 // Each takes a byte at least.
                 Kind::Periods | Kind::Events => head.count <= head.bytes,

@@ -33,6 +33,7 @@ enum Field {
     PathRate,
     Spindle,
     Flag(u8),
+    Held,
     Axis(Row, usize, f64),
     Force(Forces, usize, f64),
 }
@@ -82,6 +83,9 @@ impl Column {
             "tool" => record.has(tool),
             "force_high" | "force_low" | "yielded" => record.has(flag::FORCE),
             "force_true" => record.has(flag::FORCE) && record.has(flag::TOOL_TRUE),
+            "hand" | "hand_force" | "hand_reflected" | "hand_wall" => {
+                record.hand_flags & flag::HAND_KNOWN != 0
+            }
             _ => true,
         };
         let scaled = |raw: i32, scale: f64| Value::Real(f64::from(raw) * scale, 6);
@@ -94,6 +98,7 @@ impl Column {
             Field::PathRate => Value::Real(f64::from(record.path_rate) / 65_535.0, 5),
             Field::Spindle => Value::Whole(i64::from(record.spindle_rpm)),
             Field::Flag(flag) => Value::Flag(record.has(flag)),
+            Field::Held => Value::Flag(record.hand_flags & flag::HAND_HELD != 0),
             Field::Axis(row, axis, scale) => scaled(row(record)[axis], scale),
             Field::Force(row, axis, scale) => scaled(row(record)[axis], scale),
         })
@@ -104,7 +109,16 @@ impl Column {
     pub fn is_always_there(&self) -> bool {
         !matches!(
             self.group,
-            "programmed" | "tool" | "force_high" | "force_low" | "yielded" | "force_true"
+            "programmed"
+                | "tool"
+                | "force_high"
+                | "force_low"
+                | "yielded"
+                | "force_true"
+                | "hand"
+                | "hand_force"
+                | "hand_reflected"
+                | "hand_wall"
         )
     }
 }
@@ -191,17 +205,34 @@ pub fn columns(recording: &Recording) -> Vec<Column> {
         ("force_true", "n", |record| &record.true_force, NEWTON),
     ];
     for (group, unit, row, scale) in forces {
-        for (axis, name) in ["x", "y", "z"].iter().enumerate() {
-            let field = Field::Force(row, axis, scale);
-            all.push(Column::plain(
-                &format!("{name}_{group}_{unit}"),
-                group,
-                unit,
-                field,
-            ));
+        all.extend(three(group, unit, row, scale));
+    }
+    if header.hand {
+        all.extend(three("hand", "mm", |record| &record.hand.tip, 1.0 / MM));
+        all.push(Column::plain("hand_held", "hand", "", Field::Held));
+        let hands: [(&'static str, Forces); 3] = [
+            ("hand_force", |record| &record.hand.force),
+            ("hand_reflected", |record| &record.hand.reflected),
+            ("hand_wall", |record| &record.hand.wall),
+        ];
+        for (group, row) in hands {
+            all.extend(three(group, "n", row, NEWTON));
         }
     }
     all
+}
+
+/// The columns of x, y and z.
+fn three(
+    group: &'static str,
+    unit: &'static str,
+    row: Forces,
+    scale: f64,
+) -> impl Iterator<Item = Column> {
+    ["x", "y", "z"].iter().enumerate().map(move |(axis, name)| {
+        let field = Field::Force(row, axis, scale);
+        Column::plain(&format!("{name}_{group}_{unit}"), group, unit, field)
+    })
 }
 
 /// Columns by name, as `x_*_mm,l?_drive_n`: a star stands for any letters, a question mark for one.

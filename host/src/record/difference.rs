@@ -81,6 +81,11 @@ pub fn unequal(
             format!("{:#010b}", other.flags),
         ),
         (
+            "flags of the hand",
+            one.hand_flags.to_string(),
+            other.hand_flags.to_string(),
+        ),
+        (
             "setpoint",
             one.setpoint.to_string(),
             other.setpoint.to_string(),
@@ -142,6 +147,10 @@ pub fn unequal(
         ("low force", &one.force.low, &other.force.low),
         ("yielding", &one.force.yielded, &other.force.yielded),
         ("true force", &one.true_force, &other.true_force),
+        ("tip of the handle", &one.hand.tip, &other.hand.tip),
+        ("force at the hand", &one.hand.force, &other.hand.force),
+        ("reflection", &one.hand.reflected, &other.hand.reflected),
+        ("push of the walls", &one.hand.wall, &other.hand.wall),
     ];
     for (name, first, second) in forces {
         for (axis, (first, second)) in ["x", "y", "z"].iter().zip(first.iter().zip(second)) {

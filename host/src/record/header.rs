@@ -1,6 +1,6 @@
 //! What stands at the beginning of a recording.
 
-use super::{CRC, MAGIC, RECORD_BYTES, VERSION};
+use super::{CRC, HAND_BYTES, HAND_VERSION, MAGIC, RECORD_BYTES, VERSION};
 use haptimill_protocol::message::MAX_AXES;
 use haptimill_protocol::schema::SCHEMA_HASH;
 
@@ -30,6 +30,8 @@ pub struct Header {
     pub machine_text: String,
     /// Text of the part program; empty when the recorder was not given it.
     pub program_text: Vec<u8>,
+    /// The controller has a haptic arm: every record has its hand.
+    pub hand: bool,
 }
 
 impl Header {
@@ -56,7 +58,18 @@ impl Header {
             schema: SCHEMA_HASH,
             machine_text: machine.text.clone(),
             program_text: Vec::new(),
+            hand: machine.config.haptic.is_some(),
         })
+    }
+
+    /// Size of a record.
+    #[must_use]
+    pub const fn record_bytes(&self) -> usize {
+        if self.hand {
+            RECORD_BYTES + HAND_BYTES
+        } else {
+            RECORD_BYTES
+        }
     }
 
     /// The same with the text of the part program.
@@ -69,8 +82,9 @@ impl Header {
     /// The header as bytes. Names are cut at what their length can say.
     pub(super) fn encode(&self) -> Vec<u8> {
         let mut bytes = MAGIC.to_vec();
-        bytes.extend_from_slice(&VERSION.to_le_bytes());
-        bytes.extend_from_slice(&(RECORD_BYTES as u16).to_le_bytes());
+        let version = if self.hand { HAND_VERSION } else { VERSION };
+        bytes.extend_from_slice(&version.to_le_bytes());
+        bytes.extend_from_slice(&(self.record_bytes() as u16).to_le_bytes());
         bytes.extend_from_slice(&[0; 4]);
         bytes.extend_from_slice(&self.config_crc.to_le_bytes());
         long(&mut bytes, &self.config);
@@ -153,6 +167,7 @@ impl<'a> Cursor<'a> {
             schema: self.number(8)?,
             machine_text: self.text(4)?,
             program_text: self.content(4)?.to_vec(),
+            hand: false,
         })
     }
 }

@@ -1,6 +1,6 @@
 //! A recording as MCAP, for Foxglove, PlotJuggler and whatever else reads that.
 //!
-//! A channel a group of columns: `/state`, `/pose/wanted`, `/joints/error`, `/drives`, `/force/high` and so on, one JSON message a sample, with its JSON schema: both
+//! A channel a group of columns: `/state`, `/pose/wanted`, `/joints/error`, `/drives`, `/force/high`, of a haptic arm `/hand` and so on, one JSON message a sample, with its JSON schema: both
 //! programs read that without any plug-in. What happened is on `/events` as `foxglove.Log`. Times are those of the machine, from the power-on of its controller. The
 //! machine file, the part program and the configuration are attached; versions and hash are metadata.
 //!
@@ -38,6 +38,9 @@ fn topic(group: &str) -> String {
         "force_high" => "/force/high".to_string(),
         "force_low" => "/force/low".to_string(),
         "force_true" => "/force/true".to_string(),
+        "hand_force" => "/hand/force".to_string(),
+        "hand_reflected" => "/hand/reflected".to_string(),
+        "hand_wall" => "/hand/wall".to_string(),
         other => format!("/{other}"),
     }
 }
@@ -77,7 +80,7 @@ fn schema(title: &str, fields: &[(String, Column)]) -> serde_json::Value {
     for (name, column) in fields {
         let kind = match (column.name.as_str(), column.unit) {
             ("state", _) => json!({"type": "string"}),
-            ("homed" | "position_kept", _) => json!({"type": "boolean"}),
+            ("homed" | "position_kept" | "hand_held", _) => json!({"type": "boolean"}),
             ("setpoint" | "line" | "spindle_rpm" | "period", _) => json!({"type": "integer"}),
             (_, "") => json!({"type": "number"}),
             (_, unit) => json!({"type": "number", "description": unit}),

@@ -5,7 +5,9 @@
 //! included; a new controller that is given the same must say the same, bit by bit, which is what `haptimill replay` proves. A controller behind a port
 //! began before this program looked, and is seen through its telemetry only: such a recording has no periods.
 //!
-//! ## Format, version 3
+//! ## Format, versions 3 and 4
+//!
+//! Version 4 is version 3 with a longer record, for a controller with a haptic arm; a recording of one without is still of version 3, to the last bit.
 //!
 //! All numbers are little-endian. The file is a header and then blocks, each with its own check; a recording that was cut off is readable up to its last
 //! whole block, one that was damaged up to the damage. No clock time is in it, so the same job gives the same bytes.
@@ -13,8 +15,8 @@
 //! | header | |
 //! | --- | --- |
 //! | 8 bytes | magic `HMRECORD` |
-//! | u16 | version, 3 |
-//! | u16 | size of a record, [`RECORD_BYTES`] |
+//! | u16 | version: 3, or 4 with a haptic arm |
+//! | u16 | size of a record: [`RECORD_BYTES`], with a haptic arm [`HAND_BYTES`] more |
 //! | u32 | size of the header in bytes, all of this table |
 //! | u32 | CRC-32 (ISO-HDLC, as all here) of the configuration |
 //! | u32 n, n bytes | the controller's configuration, postcard |
@@ -60,6 +62,11 @@
 //! | 204 | 3 x i32 | the opposite end of what it was in the last revolution of the spindle, 2^-16 N |
 //! | 216 | 3 x i32 | by how much the tool yields, 2^-20 mm |
 //! | 228 | 3 x i32 | the true force on the tool, 2^-16 N, if [`flag::TOOL_TRUE`] is set |
+//! | 240 | u32 | version 4: 1 if the hand is known, 2 if the button on its handle is held, see [`flag::HAND_KNOWN`] |
+//! | 244 | 3 x i32 | the tip of the handle in the frame of the arm's base, 2^-20 mm |
+//! | 256 | 3 x i32 | what the arm does to the hand, 2^-16 N |
+//! | 268 | 3 x i32 | what the law of reflection alone makes of the force on the tool, 2^-16 N |
+//! | 280 | 3 x i32 | what the virtual walls push, 2^-16 N |
 
 mod blocks;
 mod column;
@@ -85,7 +92,7 @@ pub use writer::{Recorded, Recorder};
 pub use haptimill_hil_sim::tape::{Period, Tape};
 
 use haptimill_firmware::io::COMPONENTS;
-use haptimill_firmware::reading::{ForceReading, Reading};
+use haptimill_firmware::reading::{ForceReading, HandReading, Reading};
 use haptimill_protocol::message::{MAX_AXES, State};
 
 /// Samples a second in an MCAP file, unless another number is asked for.
@@ -118,11 +125,17 @@ pub fn write_mcap(
     Err(RecordingError::NoMcap)
 }
 
-/// Size of a record.
+/// Size of a record of a machine without a haptic arm.
 pub const RECORD_BYTES: usize = 240;
 
+/// How much longer it is with one.
+pub const HAND_BYTES: usize = 52;
+
 const MAGIC: &[u8; 8] = b"HMRECORD";
+
+/// The version without a hand, and with one.
 const VERSION: u16 = 3;
+const HAND_VERSION: u16 = 4;
 
 /// Check of everything in a recording.
 const CRC: crc::Crc<u32, crc::Table<16>> =
@@ -144,6 +157,10 @@ pub mod flag {
     pub const FAULT: u8 = 32;
     /// The machine has a force sensor.
     pub const FORCE: u8 = 64;
+    /// Of the hand: it is known. Through a port it is when the controller was asked to report it.
+    pub const HAND_KNOWN: u32 = 1;
+    /// Of the hand: the button on the handle is held.
+    pub const HAND_HELD: u32 = 2;
 }
 
 /// Values of all axes, in axis units; those that the machine lacks are 0.
@@ -184,6 +201,10 @@ pub struct Record {
     pub force: ForceReading,
     /// The true force on the tool, 2^-16 N.
     pub true_force: [i32; COMPONENTS],
+    /// The hand, where there is a haptic arm.
+    pub hand: HandReading,
+    /// What is known of it, see [`flag::HAND_KNOWN`].
+    pub hand_flags: u32,
 }
 
 impl Record {
@@ -205,6 +226,8 @@ impl Record {
         self.following_error = reading.following_error;
         self.drive = reading.drive;
         self.force = reading.force;
+        self.hand = reading.hand;
+        self.hand_flags |= flag::HAND_KNOWN;
         for (set, flag) in [
             (reading.homed, flag::HOMED),
             (reading.position_kept, flag::POSITION_KEPT),
@@ -214,7 +237,35 @@ impl Record {
         }
     }
 
-    /// The record as bytes.
+    /// The hand of the record, as the bytes behind those of [`Record::encode`].
+    pub fn encode_hand(&self) -> [u8; HAND_BYTES] {
+        let hand = &self.hand;
+        let cells = [hand.tip, hand.force, hand.reflected, hand.wall];
+        let mut bytes = [0; HAND_BYTES];
+        bytes[..4].copy_from_slice(&self.hand_flags.to_le_bytes());
+        let slots = bytes[4..].as_chunks_mut::<4>().0;
+        for (slot, value) in slots.iter_mut().zip(cells.as_flattened()) {
+            *slot = value.to_le_bytes();
+        }
+        bytes
+    }
+
+    /// Takes the hand from those bytes.
+    pub fn decode_hand(&mut self, bytes: &[u8; HAND_BYTES]) {
+        let word = |at: usize| std::array::from_fn(|i| bytes[at + i]);
+        self.hand_flags = u32::from_le_bytes(word(0));
+        let three = |row: usize| {
+            std::array::from_fn(|axis| i32::from_le_bytes(word(4 + 12 * row + 4 * axis)))
+        };
+        self.hand = HandReading {
+            tip: three(0),
+            force: three(1),
+            reflected: three(2),
+            wall: three(3),
+        };
+    }
+
+    /// The record as bytes, without the hand.
     pub fn encode(&self) -> [u8; RECORD_BYTES] {
         let mut bytes = [0; RECORD_BYTES];
         bytes[0..8].copy_from_slice(&self.period.to_le_bytes());
@@ -245,7 +296,7 @@ impl Record {
         bytes
     }
 
-    /// The record of bytes; `None` when the state is not known.
+    /// The record of bytes, without the hand; `None` when the state is not known.
     pub fn decode(bytes: &[u8; RECORD_BYTES]) -> Option<Self> {
         let half = |at: usize| u16::from_le_bytes([bytes[at], bytes[at + 1]]);
         let word = |at: usize| i32::from_le_bytes(std::array::from_fn(|i| bytes[at + i]));
@@ -272,6 +323,8 @@ impl Record {
                 yielded: forces(216),
             },
             true_force: forces(228),
+            hand: HandReading::default(),
+            hand_flags: 0,
         })
     }
 }

@@ -2,7 +2,7 @@
 
 use super::blocks::{HEAD_BYTES, Head, Kind};
 use super::header::{Cursor, START_BYTES};
-use super::{CRC, Header, MAGIC, RECORD_BYTES, Record, VERSION};
+use super::{CRC, HAND_BYTES, HAND_VERSION, Header, MAGIC, RECORD_BYTES, Record, VERSION};
 use haptimill_firmware::config::{AxisKind, Config, Drive};
 use haptimill_hil_sim::tape::{Period, Reel};
 use sha2::{Digest, Sha256};
@@ -121,7 +121,7 @@ impl Recording {
                 break;
             }
             file.read_exact(&mut head).map_err(io)?;
-            let head = Head::decode(&head)
+            let head = Head::decode(&head, self.header.record_bytes())
                 .ok_or_else(|| damaged(&self.path, at, "no block begins there"))?;
             let whole = HEAD_BYTES as u64 + u64::from(head.bytes);
             if left < whole {
@@ -239,6 +239,7 @@ impl Recording {
     pub fn iter(&self) -> Result<Records, RecordingError> {
         Ok(Records {
             blocks: self.contents(Kind::Records)?,
+            hand: self.header.hand,
             block: Vec::new(),
             at: 0,
         })
@@ -254,6 +255,7 @@ impl Recording {
         blocks.left.drain(..last);
         let records = Records {
             blocks,
+            hand: self.header.hand,
             block: Vec::new(),
             at: 0,
         };
@@ -353,11 +355,15 @@ fn read_header(
     }
     let version = u16::from_le_bytes([start[8], start[9]]);
     let record_bytes = u16::from_le_bytes([start[10], start[11]]);
-    if version != VERSION || usize::from(record_bytes) != RECORD_BYTES {
-        return Err(format(format!(
-            "is a recording of version {version}, this program reads version {VERSION}; use the version of haptimill that recorded it"
-        )));
-    }
+    let hand = match (version, usize::from(record_bytes)) {
+        (VERSION, RECORD_BYTES) => false,
+        (HAND_VERSION, bytes) if bytes == RECORD_BYTES + HAND_BYTES => true,
+        _ => {
+            return Err(format(format!(
+                "is a recording of version {version}, this program reads versions {VERSION} and {HAND_VERSION}; use the version of haptimill that recorded it"
+            )));
+        }
+    };
     let header_bytes = u64::from(u32::from_le_bytes([
         start[12], start[13], start[14], start[15],
     ]));
@@ -379,7 +385,8 @@ fn read_header(
             "is damaged in its header (before byte {header_bytes}); take it from a copy"
         )));
     }
-    let header = Header::decode(&content[START_BYTES..]).ok_or_else(damage)?;
+    let mut header = Header::decode(&content[START_BYTES..]).ok_or_else(damage)?;
+    header.hand = hand;
     Ok((header, header_bytes))
 }
 
@@ -438,6 +445,7 @@ impl Blocks {
 /// The records of a recording.
 pub struct Records {
     blocks: Blocks,
+    hand: bool,
     block: Vec<u8>,
     at: usize,
 }
@@ -450,13 +458,22 @@ impl Iterator for Records {
             let rest = self.block.get(self.at..).unwrap_or_default();
             if let Some((bytes, _)) = rest.split_first_chunk::<RECORD_BYTES>() {
                 self.at += RECORD_BYTES;
+                let mut record = Record::decode(bytes);
+                if let (true, Some(record), Some((hand, _))) = (
+                    self.hand,
+                    &mut record,
+                    rest[RECORD_BYTES..].split_first_chunk::<HAND_BYTES>(),
+                ) {
+                    record.decode_hand(hand);
+                    self.at += HAND_BYTES;
+                }
                 let foreign = || {
                     RecordingError::Format(
                         self.blocks.path.clone(),
                         "has a record of a state that does not exist".into(),
                     )
                 };
-                return Some(Record::decode(bytes).ok_or_else(foreign));
+                return Some(record.ok_or_else(foreign));
             }
             match self.blocks.next()? {
                 Ok((_, contents)) => (self.block, self.at) = (contents, 0),

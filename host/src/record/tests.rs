@@ -1,6 +1,6 @@
 use super::*;
 use crate::machine::MachineFile;
-use haptimill_firmware::reading::ForceReading;
+use haptimill_firmware::reading::{ForceReading, HandReading};
 use proptest::prelude::*;
 use sha2::{Digest, Sha256};
 use std::path::PathBuf;
@@ -73,6 +73,7 @@ fn any_record() -> impl Strategy<Value = Record> {
                     programmed,
                     force: ForceReading { high, low, yielded },
                     true_force,
+                    ..Record::default()
                 }
             },
         )
@@ -83,6 +84,33 @@ proptest! {
     #[test]
     fn a_record_comes_back_as_it_was(record in any_record()) {
         prop_assert_eq!(Record::decode(&record.encode()), Some(record));
+    }
+
+    #[test]
+    fn the_hand_of_a_machine_with_an_arm_comes_back_and_that_of_another_is_left_out(
+        records in prop::collection::vec((any_record(), any::<[[i32; 3]; 4]>()), 1..5),
+    ) {
+        for hand in [false, true] {
+            let file = TemporaryFile::new("hand.hmr");
+            let header = Header { hand, ..header() };
+            let mut recorder = Recorder::create(&file.0, &header).unwrap();
+            let mut wanted = Vec::new();
+            for (record, [tip, force, reflected, wall]) in &records {
+                let with = Record { hand_flags: 3, hand: HandReading { tip: *tip, force: *force, reflected: *reflected, wall: *wall }, ..*record };
+                recorder.record(&with);
+                wanted.push(if hand { with } else { *record });
+            }
+            recorder.finish().unwrap();
+            let recording = Recording::open(&file.0).unwrap();
+            prop_assert_eq!(recording.header(), &header);
+            let version = std::fs::read(&file.0).unwrap()[8];
+            prop_assert_eq!(version, if hand { 4 } else { 3 });
+            let read: Vec<Record> = recording.iter().unwrap().map(|record| record.unwrap()).collect();
+            prop_assert_eq!(&read, &wanted);
+            prop_assert_eq!(recording.last().unwrap(), wanted.last().copied());
+            let named = columns(&recording).iter().any(|column| column.name == "z_hand_reflected_n");
+            prop_assert_eq!(named, hand);
+        }
     }
 
     #[test]

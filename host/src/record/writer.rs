@@ -4,7 +4,7 @@
 //! few blocks and then time, never a record.
 
 use super::blocks::{Head, Kind};
-use super::{Header, Period, RECORD_BYTES, Record, Tape};
+use super::{Header, Period, Record, Tape};
 use haptimill_firmware::io::{Inputs, Outputs};
 use sha2::{Digest, Sha256};
 use std::fmt::Write as _;
@@ -46,6 +46,9 @@ struct Memory {
 /// Writes a recording. Dropped without [`Recorder::finish`], it leaves what was recorded so far readable.
 pub struct Recorder {
     block: Vec<u8>,
+    /// Records have the hand of a haptic arm.
+    hand: bool,
+    record_bytes: usize,
     /// Periods that are not handed over yet, if a tape was taken up.
     periods: Option<Vec<Period>>,
     full: Option<SyncSender<Task>>,
@@ -79,6 +82,7 @@ impl Recorder {
     /// The file cannot be created.
     pub fn create(path: &Path, header: &Header) -> io::Result<Self> {
         let file = File::create(path)?;
+        let (hand, record_bytes) = (header.hand, header.record_bytes());
         let header = header.encode();
         let (full, tasks) = sync_channel(BLOCKS);
         let (blocks, empty) = sync_channel(BLOCKS + 1);
@@ -86,7 +90,9 @@ impl Recorder {
         let memory = Memory { blocks, batches };
         let writer = std::thread::spawn(move || write(file, &header, &tasks, &memory));
         Ok(Self {
-            block: Vec::with_capacity(BLOCK_RECORDS * RECORD_BYTES),
+            block: Vec::with_capacity(BLOCK_RECORDS * record_bytes),
+            hand,
+            record_bytes,
             periods: None,
             full: Some(full),
             empty,
@@ -126,8 +132,11 @@ impl Recorder {
     #[inline]
     pub fn record(&mut self, record: &Record) {
         self.block.extend_from_slice(&record.encode());
+        if self.hand {
+            self.block.extend_from_slice(&record.encode_hand());
+        }
         self.records += 1;
-        if self.block.len() == BLOCK_RECORDS * RECORD_BYTES {
+        if self.block.len() == BLOCK_RECORDS * self.record_bytes {
             self.hand_over();
         }
     }
@@ -154,7 +163,7 @@ impl Recorder {
         if self.block.is_empty() {
             return;
         }
-        match full.try_send(records(std::mem::take(&mut self.block))) {
+        match full.try_send(records(std::mem::take(&mut self.block), self.record_bytes)) {
             Err(TrySendError::Full(Task::Block { contents, .. })) => self.block = contents,
             // Handed over; or the writer ended with an error, which `finish` tells.
             _ => self.block = self.fresh_block(),
@@ -168,14 +177,14 @@ impl Recorder {
 
     fn fresh_block(&self) -> Vec<u8> {
         let fresh = self.empty.try_recv();
-        fresh.unwrap_or_else(|_| Vec::with_capacity(BLOCK_RECORDS * RECORD_BYTES))
+        fresh.unwrap_or_else(|_| Vec::with_capacity(BLOCK_RECORDS * self.record_bytes))
     }
 
     #[cold]
     fn hand_over(&mut self) {
         let fresh = self.fresh_block();
         let block = std::mem::replace(&mut self.block, fresh);
-        self.send(records(block));
+        self.send(records(block, self.record_bytes));
     }
 
     fn send(&self, task: Task) {
@@ -240,10 +249,10 @@ impl Drop for Recorder {
     }
 }
 
-fn records(contents: Vec<u8>) -> Task {
+fn records(contents: Vec<u8>, record_bytes: usize) -> Task {
     Task::Block {
         kind: Kind::Records,
-        count: (contents.len() / RECORD_BYTES) as u32,
+        count: (contents.len() / record_bytes) as u32,
         contents,
     }
 }

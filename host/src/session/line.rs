@@ -6,7 +6,9 @@ use std::time::{Duration, Instant};
 use super::JobRecording;
 use crate::cli::{CliError, Exit};
 use crate::record::Recorder;
+use haptimill_firmware::reading::Reading;
 use haptimill_hil_sim::cutting::CuttingConfig;
+use haptimill_protocol::haptic::HandTelemetry;
 use haptimill_protocol::message::Telemetry;
 
 /// Carries bytes to a controller and back, and has a clock.
@@ -20,8 +22,16 @@ pub trait Line {
     /// What people call it.
     fn name(&self) -> String;
 
+    /// What the controller knew of itself in the last period; `None` where it cannot be looked into.
+    fn reading(&self) -> Option<Reading> {
+        None
+    }
+
     /// The controller reported how things stand.
     fn reported(&mut self, _: &Telemetry) {}
+
+    /// The controller reported how a hand stands at its haptic arm.
+    fn reported_hand(&mut self, _: &HandTelemetry) {}
 
     /// The controller said that something happened; `level` is 0 for news, 1 for a warning, 2 for an error.
     fn happened(&mut self, _period: u64, _level: u8, _text: &str) {}
@@ -98,6 +108,12 @@ impl Line for PortLine {
     fn reported(&mut self, telemetry: &Telemetry) {
         if let Some(recording) = &mut self.recording {
             recording.add_telemetry(telemetry);
+        }
+    }
+
+    fn reported_hand(&mut self, hand: &HandTelemetry) {
+        if let Some(recording) = &mut self.recording {
+            recording.add_hand(hand);
         }
     }
 

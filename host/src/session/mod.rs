@@ -68,6 +68,8 @@ pub struct Session<L> {
     now_us: u64,
     answers: VecDeque<(Ticket, &'static str, Result<(), RequestError>)>,
     ending: Option<JobEnding>,
+    /// Period of the newest report of a hand.
+    hand: Option<u64>,
     /// Events since the session began, with their control periods.
     pub events: Vec<(u64, Event)>,
     lost: Option<String>,
@@ -97,6 +99,7 @@ impl<L: Line> Session<L> {
             now_us: 0,
             answers: VecDeque::new(),
             ending: None,
+            hand: None,
             events: Vec::new(),
             lost: None,
             refusal: None,
@@ -145,6 +148,11 @@ impl<L: Line> Session<L> {
         self.transmit.clear();
         self.client
             .advance(self.now_us, &self.received, &mut self.transmit);
+        if let Some(hand) = self.client.hand()
+            && self.hand.replace(hand.period) != Some(hand.period)
+        {
+            self.line.reported_hand(hand);
+        }
         while let Some(notice) = self.client.poll() {
             match notice {
                 Notice::Answered {
@@ -200,6 +208,17 @@ impl<L: Line> Session<L> {
     pub fn ask(&mut self, command: Command) -> Result<(), CliError> {
         let ticket = self.client.request(command);
         self.wait_for_answer(ticket)
+    }
+
+    /// The answer to a request, if it came; asked once.
+    ///
+    /// # Errors
+    /// A refusal, in words, or no answer.
+    pub fn answer(&mut self, ticket: Ticket) -> Option<Result<(), CliError>> {
+        let mut answers = self.answers.iter();
+        let index = answers.position(|(answered, _, _)| *answered == ticket)?;
+        let (_, command, result) = self.answers.remove(index)?;
+        Some(result.map_err(|error| self.refused(command, &error)))
     }
 
     /// Waits for the answer to a request.

@@ -9,11 +9,12 @@ use crate::port::PortError;
 use crate::record::{Record, Recorder, Tape, flag};
 use haptimill_firmware::controller::Controller;
 use haptimill_firmware::motion::program::FULL_RATE;
-use haptimill_firmware::reading::ForceReading;
+use haptimill_firmware::reading::{ForceReading, HandReading, Reading};
 use haptimill_hil_sim::config::PlantConfig;
 use haptimill_hil_sim::cutting::CuttingConfig;
 use haptimill_hil_sim::fault::Fault;
 use haptimill_hil_sim::rig::{Control, Rig, RigError, RigOptions};
+use haptimill_protocol::haptic::{COMPONENTS, HandTelemetry};
 use haptimill_protocol::message::{AxisValues, MAX_AXES, State, Telemetry};
 use std::sync::Arc;
 
@@ -35,10 +36,13 @@ const MOST_EVENTS: usize = 1000;
 /// A recording of a job, with the truth of the simulated machine and the programmed geometry beside it.
 pub struct JobRecording {
     recorder: Recorder,
-    plan: Arc<Plan>,
+    /// None where a hand leads and nothing is programmed.
+    plan: Option<Arc<Plan>>,
     cursor: Cursor,
     /// Axis units per millimetre or degree of the pose coordinates.
     units: [f64; MAX_AXES],
+    /// The newest report of a hand, for a controller behind a port.
+    hand: Option<HandTelemetry>,
 }
 
 /// Telemetry frames, 20 ms apart or more, after which the recording is handed to the disk.
@@ -184,6 +188,10 @@ impl<C: Control> Line for SimLine<C> {
         self.name.clone()
     }
 
+    fn reading(&self) -> Option<Reading> {
+        self.rig.control().reading(self.rig.inputs())
+    }
+
     fn happened(&mut self, period: u64, level: u8, text: &str) {
         match &mut self.recording {
             Some(recording) => recording.add_event(period, level, text),
@@ -199,15 +207,25 @@ impl JobRecording {
     /// A recording of the job that `plan` is.
     #[must_use]
     pub fn new(recorder: Recorder, plan: Arc<Plan>, machine: &MachineFile) -> Self {
+        Self {
+            plan: Some(plan),
+            ..Self::unplanned(recorder, machine)
+        }
+    }
+
+    /// A recording of a job in which a hand leads, and nothing is programmed.
+    #[must_use]
+    pub fn unplanned(recorder: Recorder, machine: &MachineFile) -> Self {
         let mut units = [1.0; MAX_AXES];
         for (slot, axis) in units.iter_mut().zip(&machine.config.pose) {
             *slot = crate::machine::scale::per_unit(axis.kind);
         }
         Self {
             recorder,
-            plan,
+            plan: None,
             cursor: Cursor::default(),
             units,
+            hand: None,
         }
     }
 
@@ -220,6 +238,11 @@ impl JobRecording {
     /// What happened, in words.
     pub fn add_event(&mut self, period: u64, level: u8, text: &str) {
         self.recorder.event(period, level, text);
+    }
+
+    /// A report of the hand of a machine of which nothing else is seen; it goes with the next telemetry frame.
+    pub const fn add_hand(&mut self, hand: &HandTelemetry) {
+        self.hand = Some(*hand);
     }
 
     /// A telemetry frame of a machine of which nothing else is seen: the tool is where the controller measures it.
@@ -252,6 +275,19 @@ impl JobRecording {
         let copy = |to: &mut [i32; MAX_AXES], from: &AxisValues| {
             to.iter_mut().zip(from).for_each(|(to, from)| *to = *from)
         };
+        if let Some(hand) = self.hand.take() {
+            let newtons = |force: [i16; COMPONENTS]| force.map(|part| i32::from(part) << 8);
+            record.hand = HandReading {
+                tip: hand.hand.tip,
+                force: newtons(hand.force),
+                reflected: newtons(hand.reflected),
+                wall: newtons(hand.wall),
+            };
+            record.hand_flags = flag::HAND_KNOWN;
+            if hand.hand.engaged {
+                record.hand_flags |= flag::HAND_HELD;
+            }
+        }
         copy(&mut record.wanted, &telemetry.wanted);
         copy(&mut record.joints, &telemetry.joints);
         copy(&mut record.following_error, &telemetry.following_error);
@@ -274,12 +310,13 @@ impl JobRecording {
 
     /// The programmed pose, if a job is under way, at a program time in periods.
     fn add_programmed(&mut self, record: &mut Record, periods: f64) {
+        let Some(plan) = &self.plan else {
+            return;
+        };
         if !matches!(record.state, State::Run | State::Hold) {
             return;
         }
-        let programmed = self
-            .plan
-            .programmed(&mut self.cursor, periods * self.plan.period_s);
+        let programmed = plan.programmed(&mut self.cursor, periods * plan.period_s);
         for (slot, (value, units)) in record
             .programmed
             .iter_mut()
@@ -288,7 +325,7 @@ impl JobRecording {
             *slot = (value * units).round() as i32;
         }
         record.flags |= flag::PROGRAMMED;
-        record.line = self.plan.line_of(record.setpoint as usize);
+        record.line = plan.line_of(record.setpoint as usize);
     }
 
     fn add<C: Control>(&mut self, rig: &Rig<C>) {
@@ -304,6 +341,9 @@ impl JobRecording {
             ..Record::default()
         };
         record.set_reading(rig.inputs().period, &reading);
+        if rig.inputs().haptic.engaged {
+            record.hand_flags |= flag::HAND_HELD;
+        }
         for (set, flag) in [
             (rig.plant().force_codes().is_some(), flag::FORCE),
             (rig.truth().pose_valid, flag::TOOL_TRUE),

@@ -7,7 +7,7 @@ use std::path::Path;
 
 /// The folder of a run that is under way.
 #[derive(Debug)]
-pub(super) struct Folder {
+pub(in crate::cli) struct Folder {
     /// Its lock goes with this file, however the process ends; nothing stays behind.
     _lock: Option<File>,
 }
@@ -17,7 +17,7 @@ impl Folder {
     ///
     /// # Errors
     /// [`Exit::Output`]: it cannot be written, or another run has it.
-    pub(super) fn take(dir: &Path) -> Result<Self, CliError> {
+    pub(in crate::cli) fn take(dir: &Path) -> Result<Self, CliError> {
         let failed = |what: &dyn std::fmt::Display| {
             CliError::new(
                 Exit::Output,
@@ -65,6 +65,8 @@ fn empty(dir: &Path) -> std::io::Result<()> {
         report::TRACE_FILE,
         report::SUMMARY_FILE,
         report::REPORT_FILE,
+        "hand.csv",
+        "hand.hmr",
     ] {
         let old = dir.join(name);
         if old.exists() {

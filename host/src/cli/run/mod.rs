@@ -1,7 +1,7 @@
 //! `haptimill run`: a part program, from the file to the report.
 
 mod emulated;
-mod folder;
+pub(super) mod folder;
 mod part;
 mod progress;
 
@@ -292,6 +292,9 @@ fn paced(baud: Option<u32>) -> Options {
     options
 }
 
+/// Time between two reports of a hand behind a port, microseconds.
+const HAND_US: u32 = 20_000;
+
 /// A run under way.
 struct Running<'a> {
     args: &'a RunArgs,
@@ -332,6 +335,13 @@ impl Running<'_> {
             percent: self.args.feed_override,
         })?;
         self.feel(&mut session)?;
+        let simulated = matches!(self.args.port, PortSpec::Simulator | PortSpec::Emulated(_));
+        if self.machine.config.haptic.is_some() && !simulated {
+            // Of a controller in this process the recording has the hand anyway.
+            let every = HAND_US / u32::from(self.machine.config.period_us.max(1));
+            let every = every.clamp(1, u32::from(u16::MAX)) as u16;
+            session.ask(Command::HandTelemetry { every })?;
+        }
         self.job(session, start, planned)
     }
 

@@ -1,0 +1,681 @@
+//! The loop itself.
+
+use super::script::{Order, scale};
+use super::{Feeling, Latency, LatencyFigures, Source, Standing, Word};
+use crate::cli::{CliError, Exit};
+use crate::client::Ticket;
+use crate::session::{JobLine, Session};
+use haptimill_protocol::haptic::COMPONENTS;
+use haptimill_protocol::message::{
+    Action, Command, Event, SetpointBatch, Source as Leader, State, Telemetry,
+};
+use haptimill_protocol::setpoint::{Setpoint, SetpointCoder};
+use serde::Serialize;
+use std::fmt::Write as _;
+use std::sync::mpsc::Receiver;
+use std::time::{Duration, Instant};
+
+/// The host's number of the job in which a hand leads.
+const JOB: u32 = 2;
+
+/// How long a source may take until it can lead, microseconds.
+const PATIENCE_US: u64 = 10_000_000;
+
+/// How long the machine may take to come to rest at the end, microseconds.
+const REST_US: u64 = 10_000_000;
+
+/// A hand that was not heard of for so long leads nothing, so nothing is resumed, microseconds.
+const FRESH_US: u64 = 100_000;
+
+/// How a session is to go.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct TeleopOptions {
+    /// Pose coordinates that the hand leads.
+    pub axes: Vec<u8>,
+    /// G_P; that of the machine file when it is not given.
+    pub scale: Option<f64>,
+    /// Time between two reports of the machine, microseconds.
+    pub every_us: u32,
+    /// When it ends by itself, s.
+    pub duration_s: Option<f64>,
+    /// Speed of the spindle, rev/min; clockwise above 0.
+    pub spindle_rpm: i16,
+    /// Orders at their times, s, in order.
+    pub orders: Vec<(f64, Order)>,
+    /// The machine is simulated in this process, and a person, or a port, keeps real time with it.
+    pub real_time: bool,
+}
+
+/// One moment of a session. Places in mm, forces in N.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Row {
+    /// Seconds since the hand may lead.
+    pub time_s: f64,
+    /// State of the machine's controller.
+    pub state: State,
+    /// The newest word of the hand; the tip from its home.
+    pub hand: [f64; COMPONENTS],
+    /// Its button is held.
+    pub engaged: bool,
+    /// How old it is, ms.
+    pub age_ms: f64,
+    /// Where the tool is wanted.
+    pub wanted: [f64; COMPONENTS],
+    /// Where it is measured.
+    pub tool: [f64; COMPONENTS],
+    /// Force on the tool: the peak of the last revolution.
+    pub force: [f64; COMPONENTS],
+    /// What the hand is made to feel.
+    pub felt: [f64; COMPONENTS],
+    /// What the law alone makes of the force.
+    pub reflected: [f64; COMPONENTS],
+}
+
+impl Row {
+    /// Names of the columns of [`Row::line`].
+    pub const HEAD: &str = "time_s,state,hand_x_mm,hand_y_mm,hand_z_mm,engaged,age_ms,wanted_x_mm,wanted_y_mm,wanted_z_mm,\
+        tool_x_mm,tool_y_mm,tool_z_mm,force_x_n,force_y_n,force_z_n,felt_x_n,felt_y_n,felt_z_n,reflected_x_n,reflected_y_n,reflected_z_n\n";
+
+    /// As a line of a table (CSV).
+    #[must_use]
+    pub fn line(&self) -> String {
+        let mut text = format!("{:.4},{:?}", self.time_s, self.state);
+        // Writing to a string cannot fail; adding 0 makes a 0 of -0.
+        let mut put = |values: &[f64; COMPONENTS]| {
+            for value in values {
+                let _ = write!(text, ",{:.4}", value + 0.0);
+            }
+        };
+        put(&self.hand);
+        let _ = write!(text, ",{},{:.1}", u8::from(self.engaged), self.age_ms);
+        let mut put = |values: &[f64; COMPONENTS]| {
+            for value in values {
+                let _ = write!(text, ",{:.4}", value + 0.0);
+            }
+        };
+        put(&self.wanted);
+        put(&self.tool);
+        put(&self.force);
+        put(&self.felt);
+        put(&self.reflected);
+        text.push('\n');
+        text
+    }
+}
+
+/// The machine slowed down and waited.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Stop {
+    /// Seconds since the hand may lead.
+    pub at_s: f64,
+    /// Why, in words.
+    pub why: String,
+    /// When it was told to go on, s; none when it was not.
+    pub resumed_s: Option<f64>,
+}
+
+/// How a session ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Ended {
+    /// As it was to: its time was over, or the operator ended it.
+    Done,
+    /// The operator stopped it, or Ctrl-C.
+    Stopped,
+    /// The machine latched a fault.
+    Fault,
+}
+
+/// What came of a session.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Outcome {
+    /// How it ended.
+    pub ended: Ended,
+    /// How long the hand might lead, s.
+    pub duration_s: f64,
+    /// Words of the hand that were sent on.
+    pub words: u64,
+    /// Times that the machine held.
+    pub holds: Vec<Stop>,
+    /// Orders that were not carried out, and why.
+    pub refused: Vec<String>,
+    /// Faults, each as a sentence.
+    pub faults: Vec<String>,
+    /// Other things that happened, each once, as sentences.
+    pub notes: Vec<String>,
+    /// Largest magnitude of the force on the tool along x, y, z, N.
+    pub largest_force_n: [f64; COMPONENTS],
+    /// The same of what the hand was made to feel.
+    pub largest_felt_n: [f64; COMPONENTS],
+    /// From the force sensed at the tool to the force at the hand.
+    pub latency: Option<LatencyFigures>,
+    /// Whether that is exact, to the period: with both controllers in the simulator.
+    pub latency_is_exact: bool,
+    /// Time from here to the machine's controller and back, ms.
+    pub machine_round_trip_ms: f64,
+    /// The same of the hand's.
+    pub hand_round_trip_ms: f64,
+    /// State of the machine's controller at the end.
+    pub final_state: String,
+    /// The position is known to be right.
+    pub position_kept: bool,
+}
+
+/// A session under way.
+pub struct Teleop<'a, L: JobLine> {
+    session: &'a mut Session<L>,
+    source: &'a mut dyn Source,
+    options: &'a TeleopOptions,
+    outcome: Outcome,
+    latency: Latency,
+    begun_us: u64,
+    /// Events that were looked at.
+    seen: usize,
+    /// Telemetry that was looked at.
+    newest: Option<u64>,
+    state: State,
+    word: Word,
+    word_us: Option<u64>,
+    ending: bool,
+    over: bool,
+    asked: Vec<(Ticket, String)>,
+    /// The last word about a hand that is lost.
+    lost: Option<String>,
+    setpoints: u32,
+    wall: Option<Instant>,
+    lines: Option<Receiver<Result<Order, String>>>,
+}
+
+/// Gives up real time that a simulated machine is behind by more than this, microseconds.
+const MOST_BEHIND_US: u64 = 20_000;
+
+impl<'a, L: JobLine> Teleop<'a, L> {
+    /// A session over a machine that is homed and stands idle.
+    pub fn new(
+        session: &'a mut Session<L>,
+        source: &'a mut dyn Source,
+        options: &'a TeleopOptions,
+    ) -> Self {
+        let latency = Latency::new(source.reflection());
+        let seen = session.events.len();
+        Self {
+            session,
+            source,
+            options,
+            latency,
+            outcome: Outcome {
+                ended: Ended::Done,
+                duration_s: 0.0,
+                words: 0,
+                holds: Vec::new(),
+                refused: Vec::new(),
+                faults: Vec::new(),
+                notes: Vec::new(),
+                largest_force_n: [0.0; COMPONENTS],
+                largest_felt_n: [0.0; COMPONENTS],
+                latency: None,
+                latency_is_exact: false,
+                machine_round_trip_ms: 0.0,
+                hand_round_trip_ms: 0.0,
+                final_state: String::new(),
+                position_kept: false,
+            },
+            begun_us: 0,
+            seen,
+            newest: None,
+            state: State::Idle,
+            word: Word::default(),
+            word_us: None,
+            ending: false,
+            over: false,
+            asked: Vec::new(),
+            lost: None,
+            setpoints: 0,
+            wall: None,
+            lines: None,
+        }
+    }
+
+    /// With orders that come from elsewhere, or words that are none.
+    #[must_use]
+    pub fn hearing(mut self, lines: Option<Receiver<Result<Order, String>>>) -> Self {
+        self.lines = lines;
+        self
+    }
+
+    /// Lets the hand lead until the end; `look` is shown every moment that was reported, and is told what happens, in words.
+    ///
+    /// # Errors
+    /// The controller refuses, a port of the machine is gone, or what is there is no source. How the machine fared is no error, see [`Outcome`].
+    pub fn run(
+        mut self,
+        look: &mut dyn FnMut(Option<&Row>, Option<&str>),
+    ) -> Result<Outcome, CliError> {
+        self.wait_for_source(look)?;
+        self.begin()?;
+        let mut orders = self.options.orders.iter().peekable();
+        let mut stopping_us = None;
+        while !self.over {
+            self.go_on()?;
+            let now_s = self.time_s();
+            self.hear_events(look);
+            while let Some(what) = self.source.happened() {
+                look(None, Some(&what));
+                self.outcome.notes.push(what);
+            }
+            if let Some(row) = self.hear_report() {
+                look(Some(&row), None);
+            }
+            while let Some((_, order)) = orders.next_if(|(at_s, _)| *at_s <= now_s) {
+                self.carry_out(*order, look);
+            }
+            while let Some(order) = self.source.order() {
+                self.carry_out(order, look);
+            }
+            while let Some(line) = self.lines.as_ref().and_then(|lines| lines.try_recv().ok()) {
+                match line {
+                    Ok(order) => self.carry_out(order, look),
+                    Err(what) => look(None, Some(&what)),
+                }
+            }
+            self.hear_answers(look);
+            let time_is_over = self.options.duration_s.is_some_and(|end| now_s >= end);
+            if time_is_over && !self.ending {
+                self.carry_out(Order::End, look);
+            }
+            if self.session.interrupted() && stopping_us.is_none() {
+                self.outcome.ended = Ended::Stopped;
+                self.session.client_mut().urgent_stop();
+                self.ending = true;
+            }
+            if self.ending {
+                let since = *stopping_us.get_or_insert(self.session.now_us());
+                if self.session.now_us() - since > REST_US {
+                    let what = "the machine was told to come to rest and did not say that it has";
+                    return Err(CliError::new(Exit::Port, what));
+                }
+            }
+        }
+        self.finish()
+    }
+
+    fn time_s(&self) -> f64 {
+        self.session.now_us().saturating_sub(self.begun_us) as f64 * 1e-6
+    }
+
+    /// A step of everything; the newest word goes to the machine.
+    fn go_on(&mut self) -> Result<(), CliError> {
+        self.keep_pace()?;
+        let now_us = self.session.now_us();
+        if let Some(word) = self.source.advance(now_us)? {
+            self.word = word;
+            self.word_us = Some(now_us.saturating_sub(word.age_us));
+            self.tell();
+        }
+        while let Some(felt) = self.source.felt() {
+            self.latency.felt(&felt);
+        }
+        Ok(())
+    }
+
+    /// One step of the machine, or as many as real time wants of a simulated one.
+    fn keep_pace(&mut self) -> Result<(), CliError> {
+        if !self.options.real_time {
+            self.session.step()?;
+            return self.look_inside();
+        }
+        let wall = *self.wall.get_or_insert_with(Instant::now);
+        let from = self.begun_us;
+        loop {
+            self.session.step()?;
+            self.look_inside()?;
+            let virtual_us = self.session.now_us().saturating_sub(from);
+            let real_us = u64::try_from(wall.elapsed().as_micros()).unwrap_or(u64::MAX);
+            if virtual_us >= real_us {
+                let ahead = virtual_us - real_us;
+                if ahead > 1000 {
+                    std::thread::sleep(Duration::from_micros(ahead));
+                }
+                return Ok(());
+            }
+            let behind = real_us - virtual_us;
+            if behind > MOST_BEHIND_US {
+                // For the machine this process stood still, with the time in it.
+                self.wall = Some(wall + Duration::from_micros(behind));
+                return Ok(());
+            }
+        }
+    }
+
+    /// What a simulated controller senses, in the period in which it does.
+    fn look_inside(&mut self) -> Result<(), CliError> {
+        let period_us = self
+            .session
+            .client_mut()
+            .controller()
+            .map_or(200, |welcome| u64::from(welcome.period_us));
+        let at_us = self.session.now_us().saturating_sub(period_us);
+        if let Some(reading) = self.session.line_mut().reading() {
+            self.outcome.latency_is_exact = true;
+            self.latency.sensed(at_us, told(&reading.force.high));
+        }
+        Ok(())
+    }
+
+    fn tell(&mut self) {
+        if self.state != State::Run || self.over {
+            return;
+        }
+        let mut hand = self.word.hand;
+        hand.engaged &= !self.ending;
+        let age_ms = (self.word.age_us / 1000).min(u64::from(u8::MAX)) as u8;
+        if self.session.client_mut().lead(hand, age_ms).is_ok() {
+            self.outcome.words += 1;
+        }
+    }
+
+    fn wait_for_source(
+        &mut self,
+        look: &mut dyn FnMut(Option<&Row>, Option<&str>),
+    ) -> Result<(), CliError> {
+        self.begun_us = self.session.now_us();
+        let begun_us = self.begun_us;
+        let mut told = String::new();
+        loop {
+            match self.source.standing() {
+                Standing::Ready => return Ok(()),
+                Standing::Waiting(why) => {
+                    if self.session.now_us() - begun_us > PATIENCE_US {
+                        let what = format!("the hand cannot lead: {why}; nothing moved");
+                        return Err(CliError::new(Exit::Port, what));
+                    }
+                    if why != told {
+                        look(None, Some(&format!("the hand: {why}")));
+                        told = why;
+                    }
+                }
+            }
+            if self.session.interrupted() {
+                return Err(CliError::new(
+                    Exit::Stopped,
+                    "stopped before the hand could lead",
+                ));
+            }
+            self.go_on()?;
+        }
+    }
+
+    /// The job begins, with no setpoint but that of the spindle.
+    fn begin(&mut self) -> Result<(), CliError> {
+        if let Some(wanted) = self.options.scale {
+            let scale = scale(wanted).map_err(|what| CliError::new(Exit::Usage, what))?;
+            self.session.ask(Command::HandScale { scale })?;
+        }
+        for axis in &self.options.axes {
+            self.session.ask(Command::Source {
+                axis: *axis,
+                source: Leader::Master,
+            })?;
+        }
+        let period_us = self
+            .session
+            .client_mut()
+            .controller()
+            .map_or(200, |welcome| welcome.period_us);
+        let every = (self.options.every_us / u32::from(period_us.max(1))).clamp(1, 60_000) as u16;
+        self.session.ask(Command::Telemetry { every })?;
+        let pose = self.session.status()?.wanted;
+        self.session.ask(Command::JobStart {
+            job: JOB,
+            pose: pose.clone(),
+        })?;
+        self.state = State::Run;
+        if self.options.spindle_rpm != 0 {
+            let rest = Setpoint {
+                periods: 1,
+                pose: pose.clone(),
+                rates: pose.iter().map(|_| 0).collect(),
+                action: Action::Spindle(self.options.spindle_rpm),
+            };
+            let delta = SetpointCoder::new(period_us, &pose)
+                .encode(&rest)
+                .map_err(|error| CliError::new(Exit::Internal, error))?;
+            let mut batch = SetpointBatch {
+                first: 0,
+                items: Default::default(),
+            };
+            // There is room for one.
+            let _ = batch.items.push(delta);
+            self.setpoints = 1;
+            self.session.ask(Command::Setpoints(batch))?;
+        }
+        self.begun_us = self.session.now_us();
+        self.wall = None;
+        Ok(())
+    }
+
+    fn hear_events(&mut self, look: &mut dyn FnMut(Option<&Row>, Option<&str>)) {
+        while let Some((_, event)) = self.session.events.get(self.seen) {
+            let event = event.clone();
+            self.seen += 1;
+            let sentence = self
+                .session
+                .model()
+                .with_axes(|axes| axes.describe(&event).to_string());
+            match &event {
+                Event::HandLost { .. } => {
+                    let why = match self.source.standing() {
+                        Standing::Waiting(why) => format!("{sentence} ({why})"),
+                        Standing::Ready => sentence.clone(),
+                    };
+                    self.lost = Some(why);
+                }
+                Event::State { to, .. } => self.enters(*to),
+                Event::JobDone { job: JOB, .. } => self.over = true,
+                Event::JobDropped { job: JOB, .. } => {
+                    self.over = true;
+                    if self.outcome.ended == Ended::Done && !self.ending {
+                        self.outcome.ended = Ended::Stopped;
+                    }
+                }
+                Event::Fault(fault) => {
+                    self.outcome.ended = Ended::Fault;
+                    let fault = self.session.sentence(fault);
+                    self.outcome.faults.push(fault);
+                }
+                _ if !self.outcome.notes.contains(&sentence) => {
+                    self.outcome.notes.push(sentence.clone());
+                }
+                _ => {}
+            }
+            look(None, Some(&sentence));
+        }
+    }
+
+    fn enters(&mut self, to: State) {
+        let at_s = self.time_s();
+        if to == State::Hold && self.state == State::Run && !self.ending {
+            let why = self.lost.take();
+            let why = why.unwrap_or_else(|| "it was ordered".to_string());
+            self.outcome.holds.push(Stop {
+                at_s,
+                why,
+                resumed_s: None,
+            });
+        }
+        if to == State::Run
+            && self.state == State::Hold
+            && let Some(hold) = self.outcome.holds.last_mut()
+        {
+            hold.resumed_s = Some(at_s);
+        }
+        self.state = to;
+    }
+
+    /// A report of the machine: what the tool feels goes to the hand.
+    fn hear_report(&mut self) -> Option<Row> {
+        let telemetry: Telemetry = self.session.client_mut().telemetry()?.clone();
+        if self.newest.replace(telemetry.period) == Some(telemetry.period) {
+            return None;
+        }
+        let now_us = self.session.now_us();
+        let force = telemetry
+            .force
+            .as_ref()
+            .filter(|force| force.tared && force.problem.is_none());
+        let high = force.map_or([0; COMPONENTS], |force| force.high);
+        let tells = told(&high);
+        if !self.outcome.latency_is_exact {
+            let trip = u64::from(self.session.client_mut().link().round_trip_us());
+            self.latency.sensed(now_us.saturating_sub(trip / 2), tells);
+        }
+        if self.state == State::Run {
+            self.latency.told(tells);
+        }
+        // In free air, in a hold and without a sensor it feels nothing.
+        self.source.feel(if self.state == State::Run {
+            tells
+        } else {
+            [0; COMPONENTS]
+        });
+        let Feeling { force, reflected } = self.source.feeling().unwrap_or_default();
+        let newtons = high.map(|part| f64::from(part) / 65_536.0);
+        let largest = |most: &mut [f64; COMPONENTS], now: &[f64; COMPONENTS]| {
+            for (most, now) in most.iter_mut().zip(now) {
+                *most = most.max(now.abs());
+            }
+        };
+        largest(&mut self.outcome.largest_force_n, &newtons);
+        largest(&mut self.outcome.largest_felt_n, &force);
+        let three = |values: &[f64]| {
+            std::array::from_fn(|axis| values.get(axis).copied().unwrap_or_default())
+        };
+        let model = self.session.model();
+        let mm = |raw: i32| f64::from(raw) / crate::machine::scale::PER_MM;
+        Some(Row {
+            time_s: self.time_s(),
+            state: telemetry.state,
+            hand: self.word.hand.tip.map(mm),
+            engaged: self.word.hand.engaged,
+            age_ms: self
+                .word_us
+                .map_or(0.0, |at| now_us.saturating_sub(at) as f64 / 1000.0),
+            wanted: three(&model.to_people(&telemetry.wanted)),
+            tool: three(&model.to_people(&telemetry.measured)),
+            force: newtons,
+            felt: force,
+            reflected,
+        })
+    }
+
+    fn carry_out(&mut self, order: Order, look: &mut dyn FnMut(Option<&Row>, Option<&str>)) {
+        let ask = |command: Command, name: &str, this: &mut Self| {
+            let ticket = this.session.client_mut().request(command);
+            this.asked.push((ticket, name.to_string()));
+        };
+        match order {
+            Order::Hold => ask(Command::Hold, "hold", self),
+            Order::ResetHand => self.source.reset(),
+            Order::Stop => {
+                self.ending = true;
+                self.outcome.ended = Ended::Stopped;
+                ask(Command::Stop, "stop", self);
+            }
+            Order::End if self.ending => {}
+            Order::End => {
+                self.ending = true;
+                if self.state == State::Run {
+                    let count = self.setpoints;
+                    ask(Command::JobEnd { count }, "end", self);
+                    // The last word: the hand has let go.
+                    self.tell();
+                } else {
+                    ask(Command::Stop, "end", self);
+                }
+            }
+            Order::Scale(wanted) => match scale(wanted) {
+                Ok(scale) => ask(Command::HandScale { scale }, "gp", self),
+                Err(why) => self.refuse(why, look),
+            },
+            Order::Resume => {
+                let now_us = self.session.now_us();
+                let fresh = self
+                    .word_us
+                    .is_some_and(|at| now_us.saturating_sub(at) < FRESH_US);
+                let ready = self.source.standing();
+                if let Standing::Waiting(why) = ready {
+                    self.refuse(format!("not resumed: the hand: {why}"), look);
+                } else if !fresh {
+                    self.refuse("not resumed: the hand is not heard".to_string(), look);
+                } else {
+                    // What is still under way of before is not heard any more.
+                    self.session.client_mut().lead_anew();
+                    ask(Command::Resume, "resume", self);
+                }
+            }
+        }
+    }
+
+    fn refuse(&mut self, why: String, look: &mut dyn FnMut(Option<&Row>, Option<&str>)) {
+        look(None, Some(&why));
+        self.outcome.refused.push(why);
+    }
+
+    fn hear_answers(&mut self, look: &mut dyn FnMut(Option<&Row>, Option<&str>)) {
+        let mut refused = Vec::new();
+        let session = &mut *self.session;
+        self.asked
+            .retain(|(ticket, name)| match session.answer(*ticket) {
+                None => true,
+                Some(Ok(())) => false,
+                Some(Err(error)) => {
+                    refused.push(format!("{name}: {}", error.message));
+                    false
+                }
+            });
+        // A word that was under way when the machine began to hold is refused, as it should be.
+        if let Some(why) = session.refusal()
+            && self.state == State::Run
+            && !self.ending
+            && !self.outcome.notes.contains(&why)
+        {
+            self.outcome.notes.push(why);
+        }
+        for why in refused {
+            self.refuse(why, look);
+        }
+    }
+
+    fn finish(mut self) -> Result<Outcome, CliError> {
+        self.outcome.duration_s = self.time_s();
+        let begun_us = self.session.now_us();
+        let status = loop {
+            let status = self.session.status()?;
+            let moves = matches!(status.state, State::Run | State::Hold);
+            if !moves || self.session.now_us() - begun_us > REST_US {
+                break status;
+            }
+        };
+        self.session.ask(Command::Telemetry { every: 0 })?;
+        if status.state == State::Idle {
+            for axis in &self.options.axes {
+                self.session.ask(Command::Source {
+                    axis: *axis,
+                    source: Leader::Program,
+                })?;
+            }
+        }
+        let ms = |us: u32| f64::from(us) / 1000.0;
+        self.outcome.latency = self.latency.figures();
+        self.outcome.machine_round_trip_ms = ms(self.session.client_mut().link().round_trip_us());
+        self.outcome.hand_round_trip_ms = ms(self.source.round_trip_us());
+        self.outcome.final_state = format!("{:?}", status.state);
+        self.outcome.position_kept = status.position_kept;
+        Ok(self.outcome)
+    }
+}
+
+/// A force as it is told to the arm: 2^-16 N to 2^-6 N.
+fn told(force: &[i32; COMPONENTS]) -> [i16; COMPONENTS] {
+    force.map(|part| (part >> 10).clamp(-32768, 32767) as i16)
+}

@@ -1,0 +1,706 @@
+//! A hand leads the machine from afar: scripted and live, over links that are late, cut and stalled, from an arm, a stick and nothing at all.
+
+mod scene;
+#[cfg(unix)]
+mod terminal;
+
+use haptimill::machine::MachineFile;
+use haptimill::record::{Record, Recording};
+use haptimill_protocol::message::State;
+use scene::{Folder, Served, haptimill, number, start_with};
+use serde_json::Value;
+use std::io::Write;
+use std::path::Path;
+use std::process::Stdio;
+
+/// Axis units in a millimetre.
+const MM: f64 = (1 << 20) as f64;
+
+/// Away by 40 mm in some 4 s, holding the button.
+const AWAY: &str = "
+[[button]]
+at_s = 0.3
+held = true
+[[stroke]]
+at_s = 0.5
+to_mm = [-40.0, 5.0, 3.0]
+pace_mm_s = 12.0
+ramp_s = 0.3
+";
+
+/// A scripted session in the simulator.
+fn scripted(folder: &Folder, out: &str, script: &str, more: &[&str]) -> Value {
+    let hand = format!("script:{}", folder.file("script.toml", script));
+    let out = folder.path(out);
+    let session = ["teleop", "--hand", &hand, "--out", &out, "--json"];
+    haptimill(&[&session, more].concat()).ended_with(0).json()
+}
+
+fn records(path: &str) -> Vec<Record> {
+    let recording = Recording::open(Path::new(path)).unwrap();
+    assert!(recording.is_whole());
+    recording.iter().unwrap().map(Result::unwrap).collect()
+}
+
+/// Largest change of the rate between two periods, as an acceleration in mm/s^2, and the largest rate, mm/s.
+fn motion(records: &[Record], axis: usize) -> (f64, f64) {
+    let period_s = 2e-4;
+    let at = |record: &Record| f64::from(record.wanted[axis]) / MM;
+    let rates: Vec<f64> = records
+        .windows(2)
+        .map(|two| (at(&two[1]) - at(&two[0])) / period_s)
+        .collect();
+    // Over ten periods, so that the rounding of a place to 2^-20 mm does not count.
+    let change = rates
+        .windows(11)
+        .map(|rates| ((rates[10] - rates[0]) / (10.0 * period_s)).abs());
+    let fastest = rates
+        .iter()
+        .fold(0.0, |most: f64, rate| most.max(rate.abs()));
+    (change.fold(0.0, f64::max), fastest)
+}
+
+/// Nothing was ever told to be faster than its axis may be, and nothing jumped.
+#[track_caller]
+fn within_limits(records: &[Record]) {
+    let machine = MachineFile::built_in().unwrap();
+    for (axis, limits) in machine.pose.iter().enumerate().take(3) {
+        let (change, fastest) = motion(records, axis);
+        // 5 mm/s^2 for the rounding of the ten periods.
+        assert!(
+            change <= limits.acceleration + 5.0,
+            "{}: {change} mm/s^2",
+            limits.name
+        );
+        assert!(fastest <= limits.rate, "{}: {fastest} mm/s", limits.name);
+    }
+}
+
+#[test]
+fn the_command_of_the_readme_cuts_feels_and_leaves_the_same_bits_every_time() {
+    let folder = Folder::new();
+    let session = |out: &str| {
+        let out = folder.path(out);
+        let command = "teleop --hand sim --work examples/block.toml --spindle 5000 --json --out";
+        let words: Vec<&str> = command.split(' ').chain([out.as_str()]).collect();
+        haptimill(&words).ended_with(0).json()
+    };
+    let (one, other) = (session("one"), session("other"));
+    assert_eq!(one, other);
+    assert_eq!(one, folder.summary("one"));
+    for file in ["recording.hmr", "hand.hmr", "hand.csv", "trace.csv"] {
+        let read = |out: &str| std::fs::read(folder.path(&format!("{out}/{file}"))).unwrap();
+        assert!(read("one") == read("other"), "{file}");
+    }
+    // Both controllers, the machine's and the arm's, do the same once more.
+    for file in ["recording.hmr", "hand.hmr"] {
+        let said = haptimill(&["replay", &folder.path(&format!("one/{file}")), "--json"])
+            .ended_with(0)
+            .json();
+        assert!(
+            said["equal"] == true && number(&said, "records") > 40_000.0,
+            "{said}"
+        );
+    }
+    let session = &one["session"];
+    assert_eq!(session["ended"], "done");
+    assert_eq!(session["holds"].as_array().unwrap().len(), 0);
+    assert_eq!(session["position_kept"], true);
+    // It cut, and the cut came back within the limits of the law; what swings at a free hand is damped on top.
+    let felt = session["largest_felt_n"][2].as_f64().unwrap();
+    let force = session["largest_force_n"][2].as_f64().unwrap();
+    assert!(force > 2.0 && felt > 0.4, "{force} N, {felt} N");
+    let latency = &session["latency"];
+    assert!(number(latency, "count") > 100.0);
+    assert!(
+        (0.2..5.0).contains(&number(latency, "median_ms")) && number(latency, "largest_ms") < 12.0,
+        "{latency}"
+    );
+    println!("no delay: {latency}");
+    // What the arm's recording has of the hand is what it reported.
+    let trace = folder.path("one/hand.hmr");
+    let columns = "time_s,?_hand_mm,hand_held,?_hand_force_n,?_hand_reflected_n,?_hand_wall_n";
+    let ran = haptimill(&[
+        "trace",
+        "csv",
+        &trace,
+        "--columns",
+        columns,
+        "--every",
+        "50",
+    ]);
+    let rows: Vec<Vec<f64>> = ran
+        .ended_with(0)
+        .out
+        .lines()
+        .skip(1)
+        .map(|line| {
+            line.split(',')
+                .map(|value| value.parse().unwrap())
+                .collect()
+        })
+        .collect();
+    let most = |column: usize| {
+        rows.iter()
+            .fold(0.0, |most: f64, row| most.max(row[column].abs()))
+    };
+    assert!(rows.iter().any(|row| row[4] == 1.0) && rows.iter().any(|row| row[4] == 0.0));
+    assert!((599.0..600.5).contains(&rows[0][3]), "{:?}", rows[0]);
+    assert!(
+        most(7) > 0.4 && most(10) > 0.2 && most(10) <= 1.2001,
+        "{} {}",
+        most(7),
+        most(10)
+    );
+    assert_eq!(most(13), 0.0);
+    let info = haptimill(&["trace", "info", &trace]).ended_with(0);
+    assert!(info.out.contains("x_hand_reflected_n"), "{}", info.out);
+
+    let made = records(&folder.path("one/recording.hmr"));
+    within_limits(&made);
+    let lowest = made.iter().map(|record| record.tool[2]).min().unwrap();
+    let depth = 21.232 - f64::from(lowest) / MM;
+    assert!((0.7..1.6).contains(&depth), "{depth} mm deep");
+}
+
+#[test]
+fn the_tool_goes_as_far_as_the_scale_says_and_a_late_link_is_measured() {
+    let folder = Folder::new();
+    for (scale, delay) in [("0.5", "0"), ("1.0", "10"), ("2.0", "25")] {
+        let said = scripted(
+            &folder,
+            "out",
+            AWAY,
+            &["--gp", scale, "--delay", delay, "--for", "6"],
+        );
+        assert_eq!(said["session"]["holds"].as_array().unwrap().len(), 0);
+        let table = folder.read("out/hand.csv");
+        let row = |line: &str| -> Vec<f64> {
+            line.split(',')
+                .map(|value| value.parse().unwrap_or(f64::NAN))
+                .collect()
+        };
+        let rows: Vec<Vec<f64>> = table.lines().skip(1).map(row).collect();
+        let led: Vec<&Vec<f64>> = rows.iter().filter(|row| row[5] == 1.0).collect();
+        // Means of the last second: the hand swings a little, and the tool follows 20 to 40 ms later.
+        let (first, last) = (led[0], &led[led.len() - 200..]);
+        let way =
+            |column: usize| last.iter().map(|row| row[column]).sum::<f64>() / 200.0 - first[column];
+        let scale: f64 = scale.parse().unwrap();
+        for axis in 0..3 {
+            let (hand, tool) = (way(2 + axis), way(7 + axis));
+            assert!(
+                (tool - scale * hand).abs() < 0.15 * scale,
+                "{axis}: {tool} of {hand}"
+            );
+        }
+        assert!(way(2) < -30.0);
+        let trip = number(&said["session"], "hand_round_trip_ms");
+        let delay: f64 = delay.parse().unwrap();
+        assert!(
+            (2.0 * delay..2.0 * delay + 3.0).contains(&trip),
+            "{trip} ms"
+        );
+        within_limits(&records(&folder.path("out/recording.hmr")));
+    }
+}
+
+#[test]
+fn a_link_that_drops_holds_the_machine_until_it_is_told_to_go_on() {
+    let folder = Folder::new();
+    let orders = "
+[[order]]
+at_s = 3.0
+what = \"resume\"
+[[order]]
+at_s = 5.2
+what = \"resume\"
+";
+    let script = format!("end_s = 7.0\n{AWAY}{orders}");
+    let cut = ["--hand-fault", "link-cut at=2s for=2s"];
+    let said = scripted(&folder, "out", &script, &cut);
+    let session = &said["session"];
+    let holds = session["holds"].as_array().unwrap();
+    assert_eq!(holds.len(), 1, "{session:#}");
+    let (held, resumed) = (number(&holds[0], "at_s"), number(&holds[0], "resumed_s"));
+    // 50 ms of silence, one report, and the arm's clock began a little before the session.
+    assert!((1.95..2.10).contains(&held), "{held}");
+    assert!((5.2..5.25).contains(&resumed), "{resumed}");
+    let why = holds[0]["why"].as_str().unwrap();
+    assert!(why.contains("50 ms") && why.contains("holds"), "{why}");
+    // While nobody was heard, going on was refused.
+    let refused = session["refused"].as_array().unwrap();
+    assert_eq!(refused.len(), 1);
+    assert!(
+        refused[0]
+            .as_str()
+            .unwrap()
+            .starts_with("not resumed: the hand: ")
+    );
+    assert_eq!(session["ended"], "done");
+
+    let made = records(&folder.path("out/recording.hmr"));
+    within_limits(&made);
+    let first = made
+        .iter()
+        .position(|record| record.state == State::Hold)
+        .unwrap();
+    let last = made
+        .iter()
+        .rposition(|record| record.state == State::Hold)
+        .unwrap();
+    assert!(
+        made[first..=last]
+            .iter()
+            .all(|record| record.state == State::Hold)
+    );
+    // It went, it braked within what its acceleration takes (12 mm/s, 200 mm/s^2: 60 ms), and then it stood to the last bit, though the hand went on and came back.
+    let rate =
+        |index: usize| f64::from(made[index].wanted[0] - made[index - 1].wanted[0]) / MM / 2e-4;
+    assert!(rate(first) < -5.0, "{}", rate(first));
+    let stood = first + (0.15 / 2e-4) as usize;
+    let still = |record: &Record| record.wanted == made[stood].wanted;
+    assert!(made[stood..=last].iter().all(still));
+    let braked = f64::from(made[stood].wanted[0] - made[first].wanted[0]).abs() / MM;
+    assert!(braked < 1.0, "{braked} mm");
+    let held_s = (last - first) as f64 * 2e-4;
+    assert!((3.0..3.3).contains(&held_s), "{held_s} s");
+    // Afterwards the hand leads again, from where both are.
+    assert_eq!(made[last + 1].state, State::Run);
+    haptimill(&["replay", &folder.path("out/recording.hmr")]).ended_with(0);
+    haptimill(&["replay", &folder.path("out/hand.hmr")]).ended_with(0);
+}
+
+#[test]
+fn a_link_that_stalls_holds_the_machine_and_nothing_late_sets_it_going() {
+    let folder = Folder::new();
+    // Words come again after 0.4 s, all at once and late; nobody says that it may go on.
+    let stall = [
+        "--hand-fault",
+        "link-delay ms=400 at=2s for=1s",
+        "--for",
+        "6",
+    ];
+    let said = scripted(&folder, "out", AWAY, &stall);
+    let holds = said["session"]["holds"].as_array().unwrap();
+    assert_eq!(holds.len(), 1, "{said:#}");
+    assert_eq!(holds[0]["resumed_s"], Value::Null);
+    let made = records(&folder.path("out/recording.hmr"));
+    within_limits(&made);
+    let first = made
+        .iter()
+        .position(|record| record.state == State::Hold)
+        .unwrap();
+    let stood = first + (0.15 / 2e-4) as usize;
+    assert!(
+        made[stood..]
+            .iter()
+            .all(|record| record.wanted == made[stood].wanted)
+    );
+    assert_eq!(said["session"]["final_state"], "Idle");
+}
+
+#[test]
+fn an_arm_that_fails_leads_nothing_until_it_was_looked_after() {
+    let folder = Folder::new();
+    let order = "\n[[order]]\nat_s = 3.0\nwhat = \"reset-hand\"\n";
+    let trip = ["--hand-fault", "hand-amplifiers-tripped at=2s for=0.5s"];
+    let said = scripted(
+        &folder,
+        "out",
+        &format!("end_s = 5.0\n{AWAY}{order}"),
+        &trip,
+    );
+    let notes = said["session"]["notes"].as_array().unwrap();
+    assert!(
+        notes
+            .iter()
+            .any(|note| note.as_str().unwrap().starts_with("the arm: ")),
+        "{said:#}"
+    );
+    let made = records(&folder.path("out/recording.hmr"));
+    within_limits(&made);
+    let at = |time_s: f64| &made[(time_s / 2e-4) as usize];
+    let x = |time_s: f64| f64::from(at(time_s).wanted[0]) / MM;
+    // It follows, stands while the arm is off although the hand goes on, and follows again from there.
+    assert!(
+        x(1.9) < -10.0 && at(2.3).wanted == at(2.95).wanted,
+        "{} {} {}",
+        x(1.9),
+        x(2.3),
+        x(2.95)
+    );
+    assert!(x(4.0) < x(2.95) - 5.0, "{} {}", x(4.0), x(2.95));
+    // The motors of the arm gave nothing in between.
+    let hand = records(&folder.path("out/hand.hmr"));
+    let off = hand
+        .iter()
+        .filter(|record| (11_000..14_000).contains(&record.period));
+    assert!(
+        off.clone().count() > 2000 && off.into_iter().all(|record| record.hand.force == [0; 3])
+    );
+}
+
+#[test]
+fn orders_are_carried_out_and_what_makes_no_sense_is_refused_before_anything_moves() {
+    let folder = Folder::new();
+    let orders = "
+[[order]]
+at_s = 1.5
+what = \"hold\"
+[[order]]
+at_s = 2.5
+what = \"resume\"
+[[order]]
+at_s = 3.0
+what = \"gp=0.25\"
+[[order]]
+at_s = 3.5
+what = \"end\"
+";
+    let said = scripted(&folder, "out", &format!("{AWAY}{orders}"), &[]);
+    let holds = said["session"]["holds"].as_array().unwrap();
+    assert_eq!(holds.len(), 1);
+    assert_eq!(holds[0]["why"], "it was ordered");
+    assert!((3.5..3.8).contains(&number(&said["session"], "duration_s")));
+    within_limits(&records(&folder.path("out/recording.hmr")));
+
+    let out = folder.path("none");
+    let refused = |arguments: &[&str], code: i32, why: &str| {
+        let ran = haptimill(&[&["teleop", "--out", &out], arguments].concat()).ended_with(code);
+        assert!(ran.err.contains(why), "{arguments:?}: {}", ran.err);
+        assert!(!Path::new(&out).exists(), "{arguments:?}");
+    };
+    let script = folder.file("gp.toml", "[[order]]\nat_s = 1.0\nwhat = \"gp=3\"\n");
+    let script = format!("script:{script}");
+    refused(
+        &["--hand", "sim", "--gp", "2.5"],
+        2,
+        "G_P of 2.5 is out of its range: 0.1 to 2",
+    );
+    refused(
+        &["--hand", &script],
+        3,
+        "order 1: G_P of 3 is out of its range: 0.1 to 2",
+    );
+    refused(
+        &["--hand", "keyboard"],
+        2,
+        "needs a terminal on standard input",
+    );
+    refused(
+        &["--hand", "joystick:/dev/none"],
+        5,
+        "/dev/none: no game controller there",
+    );
+    refused(
+        &["--hand", "mouse3d:/dev/none"],
+        5,
+        "/dev/none: no 3D mouse there",
+    );
+    refused(
+        &["--hand", "sim", "--axes", "x,w"],
+        2,
+        "there is no axis 'w'; this machine has x, y, z, theta, alpha",
+    );
+    let master = ["--machine", "machines/hand-master.toml"];
+    refused(
+        &[&["--hand", "sim"], &master[..]].concat(),
+        3,
+        "a haptic arm alone",
+    );
+    refused(
+        &["--hand", "sim", "--hand-machine", "machines/h4.toml"],
+        3,
+        "write role = \"master\"",
+    );
+    refused(
+        &["--hand", "keyboard", "--delay", "5"],
+        2,
+        "--delay and --hand-fault are for the simulated arm",
+    );
+    // A machine with an arm of its own is led by that one.
+    let own = [haptimill::machine::BUILT_IN, haptimill::machine::HAND].join("\n");
+    let own = folder.file("own.toml", own);
+    refused(&["--hand", "sim", "--machine", &own], 3, "on its own board");
+    // A haptic arm runs no programs.
+    let ran = haptimill(&[&["run", "examples/e7-slot.ngc", "--check"], &master[..]].concat());
+    assert_eq!(ran.code, 3, "{}", ran.err);
+}
+
+/// Two controllers, each behind a port of its own, in real time.
+#[cfg(unix)]
+#[test]
+fn two_boards_are_connected_over_ports_and_orders_come_line_by_line() {
+    let folder = Folder::new();
+    let script = folder.file("person.toml", AWAY);
+    let machine = Served::on_tcp(&[]);
+    let arm = Served::on(
+        "pty",
+        &[
+            "--machine",
+            "machines/hand-master.toml",
+            "--person",
+            &script,
+        ],
+    );
+    let out = folder.path("out");
+    let (orders, mut input) = std::io::pipe().unwrap();
+    let mut session = start_with(
+        &[
+            "teleop",
+            "--port",
+            &machine.port,
+            "--hand",
+            &arm.port,
+            "--hand-baud",
+            "1000000",
+            "--out",
+            &out,
+            "--for",
+            "8",
+        ],
+        Stdio::from(orders),
+    );
+    session.says("the hand leads");
+    session.says("idle -> running");
+    std::thread::sleep(std::time::Duration::from_millis(1500));
+    input.write_all(b"hold\n").unwrap();
+    session.says("running -> on hold");
+    input.write_all(b"nonsense\nresume\n").unwrap();
+    session.says("no order");
+    session.says("on hold -> running");
+    let ran = session.end().ended_with(0);
+    println!("{}", ran.out);
+    let said = folder.summary("out");
+    let session = &said["session"];
+    assert_eq!(session["ended"], "done");
+    assert_eq!(session["latency_is_exact"], false);
+    assert!(number(session, "words") > 200.0);
+    let table = folder.read("out/hand.csv");
+    let tool: Vec<f64> = table
+        .lines()
+        .skip(1)
+        .map(|line| line.split(',').nth(10).unwrap().parse().unwrap())
+        .collect();
+    assert!(*tool.last().unwrap() < -10.0, "{tool:?}");
+    // Exchanged, both say what they are.
+    let ran = haptimill(&[
+        "teleop",
+        "--port",
+        &arm.port,
+        "--hand",
+        &machine.port,
+        "--out",
+        &out,
+        "--for",
+        "1",
+    ]);
+    assert!(ran.code != 0);
+}
+
+/// A game controller whose device file is a pipe.
+#[cfg(unix)]
+#[test]
+fn a_stick_leads_while_its_button_is_held() {
+    let folder = Folder::new();
+    let device = folder.path("js0");
+    rustix::fs::mknodat(
+        rustix::fs::CWD,
+        &device,
+        rustix::fs::FileType::Fifo,
+        rustix::fs::Mode::from_raw_mode(0o600),
+        0,
+    )
+    .unwrap();
+    // Held open from the start: a pipe without a writer is at its end.
+    let mut stick = std::fs::File::options()
+        .read(true)
+        .write(true)
+        .open(&device)
+        .unwrap();
+    let out = folder.path("out");
+    let hand = format!("joystick:{device}");
+    let mut session = start_with(
+        &[
+            "teleop", "--hand", &hand, "--out", &out, "--for", "5", "--speed", "10",
+        ],
+        Stdio::null(),
+    );
+    session.says("idle -> running");
+    let record = |value: i16, kind: u8, number: u8| {
+        let [low, high] = value.to_le_bytes();
+        [0, 0, 0, 0, low, high, kind, number]
+    };
+    stick.write_all(&record(32767, 2, 0)).unwrap();
+    std::thread::sleep(std::time::Duration::from_millis(500));
+    stick.write_all(&record(1, 1, 0)).unwrap();
+    std::thread::sleep(std::time::Duration::from_millis(1500));
+    stick.write_all(&record(0, 1, 0)).unwrap();
+    session.end().ended_with(0);
+    let made = records(&format!("{out}/recording.hmr"));
+    within_limits(&made);
+    let x = f64::from(made.last().unwrap().wanted[0] - made[0].wanted[0]) / MM;
+    // 10 mm/s for about a second and a half, as this computer keeps time.
+    assert!((8.0..20.0).contains(&x), "{x} mm");
+    haptimill(&["replay", &format!("{out}/recording.hmr")]).ended_with(0);
+}
+
+/// Keys in a real terminal, and a window that is closed while the machine moves.
+#[cfg(unix)]
+#[test]
+fn a_key_is_a_step_and_a_closed_window_stops_the_machine() {
+    use terminal::{Keyboard, Terminal};
+    let folder = Folder::new();
+    let out = folder.path("out");
+    let open = |more: &[&str]| {
+        let words = ["teleop", "--hand", "keyboard", "--out", &out];
+        Terminal::start(
+            Path::new(env!("CARGO_BIN_EXE_haptimill")),
+            &[&words, more].concat(),
+            &scene::root(),
+            (150, 30),
+            Keyboard::Plain,
+        )
+    };
+    let mut window = open(&[]);
+    window.sees("idle -> running");
+    assert!(!window.is_as_before());
+    for _ in 0..3 {
+        window.keys(b"d");
+        std::thread::sleep(std::time::Duration::from_millis(200));
+    }
+    window.keys(b"\x1b[6~");
+    window.sees("led ");
+    window.sees("free");
+    window.keys(b" ");
+    window.sees("running -> on hold");
+    window.keys(b"g");
+    window.sees("on hold -> running");
+    window.keys(b"q");
+    assert_eq!(window.end(), 0, "{}", window.text());
+    assert!(window.is_as_before());
+    let made = records(&format!("{out}/recording.hmr"));
+    within_limits(&made);
+    let way =
+        |axis: usize| f64::from(made.last().unwrap().wanted[axis] - made[0].wanted[axis]) / MM;
+    // Three steps of 0.2 mm along x and one down, and the filter comes to rest within 2 um.
+    assert!(
+        (way(0) - 0.6).abs() < 0.002 && (way(2) + 0.2).abs() < 0.002,
+        "{} {}",
+        way(0),
+        way(2)
+    );
+
+    let machine = Served::on_tcp(&[]);
+    let mut window = open(&["--port", &machine.port, "--speed", "2"]);
+    window.sees("idle -> running");
+    window.keys(b"++d");
+    window.sees("led ");
+    window.close();
+    // Whatever the process still could say: the machine stands, and knows where.
+    let begun = std::time::Instant::now();
+    let at_rest = loop {
+        let tried = machine.tries(&["status", "--json"]);
+        if tried.code == 0 {
+            let status = tried.json();
+            if status["state"] != "Run" {
+                break status;
+            }
+        }
+        assert!(begun.elapsed().as_secs() < 20, "{tried:?}");
+    };
+    assert_eq!(at_rest["position_kept"], true, "{at_rest:#}");
+    let again = machine.status();
+    assert_eq!(at_rest["wanted"], again["wanted"]);
+}
+
+/// A machine with an arm on its own board, behind a port: the recording has what was reported of the hand.
+#[test]
+fn a_hand_behind_a_port_is_recorded_as_it_is_reported() {
+    let folder = Folder::new();
+    let own = [haptimill::machine::BUILT_IN, haptimill::machine::HAND].join("\n");
+    let own = folder.file("own.toml", own);
+    let served = Served::on_tcp(&["--machine", &own]);
+    let program = folder.file("short.ngc", "G21 G90 F600\nG1 X2\nG1 X0\nM30\n");
+    let out = folder.path("out");
+    let run = [
+        "run",
+        &program,
+        "--machine",
+        &own,
+        "--port",
+        &served.port,
+        "--quiet",
+        "--out",
+        &out,
+    ];
+    haptimill(&run).ended_with(0);
+    let trace = format!("{out}/recording.hmr");
+    let made = records(&trace);
+    let known = made.iter().filter(|record| record.hand_flags != 0).count();
+    assert!(
+        known > 3 && made.len() < 2 * known + 10,
+        "{known} of {}",
+        made.len()
+    );
+    let ran =
+        haptimill(&["trace", "csv", &trace, "--columns", "z_hand_mm,hand_held"]).ended_with(0);
+    assert!(
+        ran.out
+            .lines()
+            .any(|line| line.starts_with("600.0") && line.ends_with(",0")),
+        "{}",
+        ran.out
+    );
+}
+
+/// The arm's controller is gone with its port, and comes back.
+#[cfg(unix)]
+#[test]
+fn an_arm_that_goes_and_comes_back_leads_again_when_it_is_told_to() {
+    let folder = Folder::new();
+    let script = folder.file("person.toml", AWAY);
+    let machine = Served::on_tcp(&[]);
+    let more = [
+        "--machine",
+        "machines/hand-master.toml",
+        "--person",
+        &script,
+    ];
+    let mut arm = Served::on_tcp(&more);
+    let out = folder.path("out");
+    let (orders, mut input) = std::io::pipe().unwrap();
+    let mut session = start_with(
+        &[
+            "teleop",
+            "--port",
+            &machine.port,
+            "--hand",
+            &arm.port,
+            "--out",
+            &out,
+            "--for",
+            "60",
+        ],
+        Stdio::from(orders),
+    );
+    session.says("idle -> running");
+    std::thread::sleep(std::time::Duration::from_millis(1500));
+    arm.process.kill();
+    session.says("running -> on hold");
+    input.write_all(b"resume\n").unwrap();
+    session.says("not resumed: the hand: ");
+    let again = Served::on(&arm.port, &more);
+    std::thread::sleep(std::time::Duration::from_millis(2500));
+    input.write_all(b"resume\n").unwrap();
+    session.says("on hold -> running");
+    input.write_all(b"gp=7\nend\n").unwrap();
+    session.says("G_P of 7 is out of its range: 0.1 to 2");
+    session.end().ended_with(0);
+    drop(again);
+    let said = folder.summary("out");
+    let holds = said["session"]["holds"].as_array().unwrap();
+    assert_eq!(holds.len(), 1, "{said:#}");
+    assert_eq!(said["session"]["refused"].as_array().unwrap().len(), 2);
+}
