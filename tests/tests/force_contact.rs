@@ -27,7 +27,7 @@ fn machine(ideal: bool) -> Bench {
             ("backlash = 0.005", "backlash = 0.0"),
             ("backlash_mm = 0.018", "backlash_mm = 0.0"),
             ("backlash_deg = 0.005", "backlash_deg = 0.0"),
-            ("creep_mm_s = 0.025", "creep_mm_s = 0.007"),
+            ("creep_mm_s = 0.025", "creep_mm_s = 0.010"),
         ] {
             assert!(text.contains(from), "{from}");
             text = text.replace(from, to);
