@@ -38,7 +38,7 @@ pub struct HandTelemetry {
     pub reflected: [i16; COMPONENTS],
     /// What the virtual walls push, 2^-8 N.
     pub wall: [i16; COMPONENTS],
-    /// Credit of energy at the hand, below 0 debt, 2^-8 N mm.
+    /// Credit of energy at the hand, below 0 debt, 2^-8 N mm: the lesser one of all motion and of swings.
     pub energy: i16,
     /// The motors' amplifiers are on.
     pub enabled: bool,

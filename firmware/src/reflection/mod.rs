@@ -479,7 +479,8 @@ impl Haptic {
             force: short(&self.force),
             reflected: short(&self.reflected),
             wall: short(&self.wall),
-            energy: (self.passivity.energy() >> 28).clamp(-32768, 32767) as i16,
+            energy: (self.passivity.energy().min(self.swings.energy()) >> 28).clamp(-32768, 32767)
+                as i16,
             enabled: self.enabled,
             problem: self.problem,
         }

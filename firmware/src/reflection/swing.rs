@@ -105,6 +105,12 @@ impl Swings {
         })
     }
 
+    /// Credit of the swings, or below 0 debt, as [`Passivity::energy`].
+    #[must_use]
+    pub const fn energy(&self) -> i64 {
+        self.watch.energy()
+    }
+
     /// The debt of the swings, as [`Passivity::owed`].
     #[must_use]
     pub fn owed(&self) -> i64 {

@@ -331,7 +331,12 @@ impl<L: Line> Arm<L> {
             None => at_us.saturating_sub(age_us),
         };
         if self.felt.len() < MOST_FELT {
-            self.felt.push_back(Felt { at_us, reflected });
+            let owes = self.standing.is_some_and(|standing| standing.energy < 0);
+            self.felt.push_back(Felt {
+                at_us,
+                reflected,
+                owes,
+            });
         }
     }
 

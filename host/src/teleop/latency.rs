@@ -1,7 +1,8 @@
 //! From the force that the tool feels to the force at the hand: how long it takes.
 //!
 //! Every force that is told to the arm is kept with the moment at which it was sensed, and with what the law of reflection will make of it. When the arm's controller shows that value, the way is
-//! over. Values are told apart by their size, so a force that stays as it is, or that the law clamps to the same limit, measures nothing.
+//! over. Values are told apart by their size, so a force that stays as it is, or that the law clamps to the same limit, measures nothing. Nor is anything measured while the hand owes energy: its arm then
+//! smooths what is reflected, and shows the law's values late or never.
 //!
 //! With a simulated controller the moment is exact, to the control period. Behind a port it is that of the report, half a round trip before it came; the wait for the next report is not in it then.
 //!
@@ -18,6 +19,8 @@ pub struct Felt {
     pub at_us: u64,
     /// The law's force, N.
     pub reflected: [f64; COMPONENTS],
+    /// The hand owes energy.
+    pub owes: bool,
 }
 
 /// Two forces are the same when they differ by less, N: the coarsest step of what is told is 1/256.
@@ -112,6 +115,9 @@ impl Latency {
             return;
         }
         self.seen = felt.reflected;
+        if felt.owes {
+            self.under_way.clear();
+        }
         self.under_way
             .retain(|told| felt.at_us.saturating_sub(told.sensed_us) < PATIENCE_US);
         let seen = self
@@ -170,14 +176,16 @@ mod tests {
             latency.felt(&Felt {
                 at_us: now + 3000,
                 reflected,
+                owes: step == 2,
             });
             latency.felt(&Felt {
                 at_us: now + 3200,
                 reflected,
+                owes: false,
             });
         }
         let figures = latency.figures().unwrap();
-        assert_eq!(figures.count, 4);
+        assert_eq!(figures.count, 3);
         assert_eq!((figures.median_ms, figures.largest_ms), (3.0, 3.0));
         assert_eq!(Latency::new(None).figures(), None);
     }
