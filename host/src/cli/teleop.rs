@@ -45,7 +45,7 @@ DIR gets recording.hmr (`haptimill replay`, `trace`), trace.csv, hand.csv (each 
 #[command(about = "A hand leads the machine from afar, and feels the force on the tool", long_about = LONG, after_long_help = run::faults_help(),
           after_help = "`haptimill teleop --help` says more.")]
 pub struct TeleopArgs {
-    /// The hand: sim, script:FILE, a port of a haptic arm, joystick[:PATH], mouse3d:PATH or keyboard
+    /// The hand: sim, script:FILE, a port of a haptic arm, joystick or joystick:PATH, mouse3d:PATH or keyboard
     #[arg(long, value_name = "HAND")]
     pub hand: HandSpec,
     #[command(flatten)]
