@@ -20,8 +20,11 @@ pub struct Board {
     ram: u64,
 }
 
-/// The controller built for speed.
-const FOR_SPEED: &str = "profile.release.package.haptimill-firmware.opt-level=3";
+/// The controller and its end of the link built for speed.
+const FOR_SPEED: [&str; 2] = [
+    "profile.release.package.haptimill-firmware.opt-level=3",
+    "profile.release.package.haptimill-protocol.opt-level=3",
+];
 
 /// All boards.
 pub const BOARDS: &[Board] = &[Board {
@@ -31,7 +34,11 @@ pub const BOARDS: &[Board] = &[Board {
     binary: "haptimill-mps2",
     others: &[
         // It does not fit the plain image's flash, and built for size it would not fit its periods.
-        ("hand", "hand", &["--config", FOR_SPEED]),
+        (
+            "hand",
+            "hand",
+            &["--config", FOR_SPEED[0], "--config", FOR_SPEED[1]],
+        ),
         ("faults", "faults", &[]),
         ("checks", "checks", &[]),
         ("logging", "defmt", &[]),
