@@ -351,10 +351,13 @@ impl Controller {
             });
             return;
         }
-        match machinery
-            .homing
-            .advance(&machinery.config, &mut machinery.motion.jog, limited)
-        {
+        let pose = machinery.motion.wanted().pose;
+        match machinery.homing.advance(
+            &machinery.config,
+            &pose,
+            &mut machinery.motion.jog,
+            limited,
+        ) {
             Outcome::Searching => {}
             Outcome::Failed(fault) => self.safety.raise(fault),
             Outcome::Found(corrections) => match machinery.correct(&corrections, inputs) {

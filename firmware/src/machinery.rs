@@ -307,8 +307,7 @@ impl Machinery {
     pub fn begin_homing(&mut self) {
         self.absorb();
         self.motion.begin_jog(false);
-        let pose = self.motion.wanted().pose;
-        self.homing = Homing::begin(&self.config, &pose, &mut self.motion.jog);
+        self.homing = Homing::default();
     }
 
     /// Index pulses of this period, for the search.

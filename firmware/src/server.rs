@@ -146,7 +146,8 @@ impl Server {
         // What tells has its turn when this has had one.
         let yields = self.worked && self.tells_much();
         self.held = hold_back && !self.held;
-        self.worked = false;
+        // What is told waits as well: a period that was held back has no time for it either.
+        self.worked = self.held;
         if yields || self.held || self.answers.is_full() {
             return None;
         }

@@ -14,8 +14,10 @@ use haptimill_protocol::message::{Fault, HomingProblem, MAX_AXES};
 /// Where the homing is.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 enum Phase {
-    /// Moving, looking for index pulses.
+    /// To set out: the period of the command had enough to do.
     #[default]
+    Aim,
+    /// Moving, looking for index pulses.
     Search,
     /// All found; coming to rest.
     Rest,
@@ -46,9 +48,9 @@ pub struct Homing {
 const SEARCH_COORDINATES: [usize; 2] = [0, 4];
 
 impl Homing {
-    /// Begins the search: sets the jog going.
-    #[must_use]
-    pub fn begin(config: &Config, pose: &Pose, jog: &mut Jog) -> Self {
+    /// Sets the jog going from `pose`.
+    #[inline(never)]
+    fn aim(&mut self, config: &Config, pose: &Pose, jog: &mut Jog) {
         let mut rates = [0_i64; MAX_AXES];
         for coordinate in SEARCH_COORDINATES {
             if let Some(axis) = config.pose.get(coordinate) {
@@ -63,17 +65,14 @@ impl Homing {
                 rates[coordinate] = if here > turning { -rate } else { rate };
             }
         }
-        let left = config
+        self.left = config
             .joints
             .iter()
             .map(|joint| search_periods(config, joint))
             .max()
             .unwrap_or(0);
-        jog.aim(&rates, left);
-        Self {
-            left,
-            ..Self::default()
-        }
+        jog.aim(&rates, self.left);
+        self.phase = Phase::Search;
     }
 
     /// Takes the index pulse of a joint: the coordinate, by the preset, at which it came.
@@ -101,10 +100,20 @@ impl Homing {
         None
     }
 
-    /// One period; `limited` says that the jog was kept from going on.
-    pub fn advance(&mut self, config: &Config, jog: &mut Jog, limited: bool) -> Outcome {
+    /// One period, with the machine wanted at `pose`; `limited` says that the jog was kept from going on. The first sets out.
+    pub fn advance(
+        &mut self,
+        config: &Config,
+        pose: &Pose,
+        jog: &mut Jog,
+        limited: bool,
+    ) -> Outcome {
         let missing = (0..config.joints.len()).find(|&joint| self.corrections[joint].is_none());
         match (self.phase, missing) {
+            (Phase::Aim, _) => {
+                self.aim(config, pose, jog);
+                Outcome::Searching
+            }
             (Phase::Search, Some(joint)) => {
                 let fail = |problem| {
                     Outcome::Failed(Fault::Homing {
