@@ -532,8 +532,15 @@ impl Client {
             state,
             State::Disabled | State::Idle | State::Hold | State::Fault | State::EmergencyStop
         );
-        if at_rest && self.state == ClientState::Ready {
-            self.urgent.take_if(|urgent| urgent.settled.is_none());
+        if at_rest
+            && self.state == ClientState::Ready
+            && self
+                .urgent
+                .take_if(|urgent| urgent.settled.is_none())
+                .is_some()
+        {
+            // An urgent stop that was repeated meanwhile may come behind the ordinary one; what is asked from now on comes after both.
+            self.requests.tell(Command::Stop);
         }
     }
 

@@ -187,11 +187,12 @@ impl<L: Line> Session<L> {
         Ok(end)
     }
 
-    /// Waits until the controller reports a state in which nothing moves.
+    /// Waits until the controller reports a state in which nothing moves, and no stop is on its way to it that would meet what comes next.
     fn settle(&mut self) -> Result<Telemetry, CliError> {
         loop {
             let status = self.status()?;
-            if !matches!(status.state, State::Run | State::Homing | State::Jog)
+            if !self.client.urgent().0
+                && !matches!(status.state, State::Run | State::Homing | State::Jog)
                 && (status.state != State::Hold || status.path_rate == 0)
             {
                 return Ok(status);

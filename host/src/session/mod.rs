@@ -307,12 +307,15 @@ impl<L: Line> Session<L> {
     /// # Errors
     /// No answer.
     pub fn status(&mut self) -> Result<Telemetry, CliError> {
-        let before = self.client.telemetry().map(|telemetry| telemetry.period);
+        // Telemetry made before an event may come after it: what is told must be newer than both.
+        let told = self.client.telemetry().map(|telemetry| telemetry.period);
+        let happened = self.events.last().map(|(period, _)| *period);
+        let before = told.max(happened);
         self.ask(Command::Status)?;
         let mut again = self.now_us + 2_000_000;
         loop {
             if let Some(telemetry) = self.client.telemetry()
-                && Some(telemetry.period) != before
+                && Some(telemetry.period) > before
             {
                 return Ok(telemetry.clone());
             }

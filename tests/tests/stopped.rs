@@ -1,0 +1,82 @@
+//! A job that is stopped ends as the machine stands, whatever was on its way when it came to rest.
+
+use haptimill::client::Options;
+use haptimill::machine::MachineFile;
+use haptimill::model::Model;
+use haptimill::port::PortError;
+use haptimill::session::{Line, Session, SimLine, Watcher, rig};
+use haptimill_protocol::message::{State, Telemetry};
+use haptimill_tests::line_in_x;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+struct Unwatched;
+
+impl Watcher for Unwatched {
+    fn progress(&mut self, _: &Telemetry) {}
+    fn paused(&mut self, _: u32) {}
+    fn goes_on(&mut self) -> bool {
+        true
+    }
+}
+
+/// The simulated machine, and a user who wants everything to stop after so many exchanges.
+struct Impatient {
+    line: SimLine,
+    left: Option<u32>,
+    stop: Arc<AtomicBool>,
+}
+
+impl Line for Impatient {
+    fn exchange(&mut self, transmit: &[u8], received: &mut Vec<u8>) -> Result<u64, PortError> {
+        if let Some(left) = &mut self.left {
+            *left = left.saturating_sub(1);
+            self.stop.store(*left == 0, Ordering::Relaxed);
+        }
+        self.line.exchange(transmit, received)
+    }
+
+    fn name(&self) -> String {
+        self.line.name()
+    }
+}
+
+/// Telemetry of the periods before may still be under way when the end of the job is told: it says "hold", and the machine is idle.
+#[test]
+fn a_job_stopped_in_any_period_is_summed_up_as_the_machine_stands() {
+    let machine = MachineFile::built_in().expect("sound");
+    let home = Model::new(&machine).home(&machine).expect("a pose");
+    let stop = Arc::new(AtomicBool::new(false));
+    let line = Impatient {
+        line: SimLine::new(rig(&machine, None, None, vec![]).expect("sound")),
+        left: None,
+        stop: stop.clone(),
+    };
+    let mut session = Session::new(line, &machine, Options::default(), stop.clone());
+    session.connect(1).expect("answers");
+    session.configure(&machine).expect("taken");
+    session.enable().expect("enabled");
+    session.go_home(&machine, &home).expect("homed");
+    let mut speed = 2.0;
+    let mut others = vec![];
+    for periods in 0..120 {
+        let start = session.status().expect("told").wanted;
+        session.line_mut().left = Some(300 + periods);
+        let job = session.run_job(
+            2 + periods,
+            start.clone(),
+            line_in_x(&start, speed, 10),
+            &mut Unwatched,
+        );
+        let end = job.expect("ended");
+        let last = session.events.len().saturating_sub(12);
+        assert!(end.stopped, "{:?} {:?}", end.ending, &session.events[last..]);
+        if end.status.state != State::Idle {
+            others.push((periods, end.status.state));
+        }
+        session.line_mut().left = None;
+        stop.store(false, Ordering::Relaxed);
+        speed = -speed;
+    }
+    assert_eq!(others, []);
+}
