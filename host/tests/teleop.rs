@@ -111,8 +111,7 @@ fn the_command_of_the_readme_cuts_feels_and_leaves_the_same_bits_every_time() {
     let force = session["largest_force_n"][2].as_f64().unwrap();
     assert!(force > 2.0 && felt > 0.4, "{force} N, {felt} N");
     let latency = &session["latency"];
-    // Few: the arm shows the law's own values only while the hand owes nothing, and this one swings a little against the cut.
-    assert!(number(latency, "count") >= 2.0);
+    assert!(number(latency, "count") > 100.0);
     assert!(
         (0.2..5.0).contains(&number(latency, "median_ms")) && number(latency, "largest_ms") < 12.0,
         "{latency}"

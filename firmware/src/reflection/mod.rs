@@ -330,6 +330,12 @@ impl Haptic {
         };
     }
 
+    /// What was said last of a tool afar, 2^-6 N, believed or not.
+    #[must_use]
+    pub fn felt_afar(&self) -> [i16; COMPONENTS] {
+        self.afar.force.map(|part| (part.0 >> 10) as i16)
+    }
+
     /// Stage *feel*: `tool` is what a tool here feels, `leads` whether the hand leads one now, `powered` whether the arm may have power.
     pub fn feel(
         &mut self,

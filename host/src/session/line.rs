@@ -8,7 +8,7 @@ use crate::cli::{CliError, Exit};
 use crate::record::Recorder;
 use haptimill_firmware::reading::Reading;
 use haptimill_hil_sim::cutting::CuttingConfig;
-use haptimill_protocol::haptic::HandTelemetry;
+use haptimill_protocol::haptic::{COMPONENTS, HandTelemetry};
 use haptimill_protocol::message::Telemetry;
 
 /// Carries bytes to a controller and back, and has a clock.
@@ -24,6 +24,11 @@ pub trait Line {
 
     /// What the controller knew of itself in the last period; `None` where it cannot be looked into.
     fn reading(&self) -> Option<Reading> {
+        None
+    }
+
+    /// What the controller of a haptic arm was told last of the force on a tool afar, 2^-6 N; `None` where it cannot be looked into.
+    fn told_force(&self) -> Option<[i16; COMPONENTS]> {
         None
     }
 

@@ -5,6 +5,7 @@
 //!
 //! Misuse: an arm whose [`Source::advance`] is not called. Its controller hears nobody, and lets go of the hand.
 
+use super::latency::What;
 use super::script::Person;
 use super::{Feeling, Felt, Source, Standing, Word};
 use crate::cli::{CliError, Exit};
@@ -45,6 +46,11 @@ impl Line for PersonLine {
 
     fn reading(&self) -> Option<Reading> {
         self.line.reading()
+    }
+
+    fn told_force(&self) -> Option<[i16; COMPONENTS]> {
+        let arm = self.line.rig().control().machinery()?.hands.arm()?;
+        Some(arm.felt_afar())
     }
 
     fn happened(&mut self, period: u64, level: u8, text: &str) {
@@ -315,28 +321,24 @@ impl<L: Line> Arm<L> {
         })
     }
 
-    /// Notes what the law made of the force.
+    /// Notes what has come of the force on the tool.
     fn note(&mut self, at_us: u64, news: Option<&Word>) {
-        let reflected = match (self.line.reading(), news, &self.standing) {
-            (Some(reading), ..) => reading
-                .hand
-                .reflected
-                .map(|part| f64::from(part) / 65_536.0),
-            (None, Some(_), Some(standing)) => newtons(standing.reflected),
+        let felt = match (self.line.told_force(), news, &self.standing) {
+            (Some(force), ..) => Felt {
+                at_us,
+                what: What::Told(force),
+            },
+            (None, Some(word), Some(standing)) => Felt {
+                at_us: at_us.saturating_sub(word.age_us),
+                what: What::Reflected {
+                    force: newtons(standing.reflected),
+                    owes: standing.energy < 0,
+                },
+            },
             _ => return,
         };
-        let age_us = news.map_or(0, |word| word.age_us);
-        let at_us = match self.line.reading() {
-            Some(_) => at_us,
-            None => at_us.saturating_sub(age_us),
-        };
         if self.felt.len() < MOST_FELT {
-            let owes = self.standing.is_some_and(|standing| standing.energy < 0);
-            self.felt.push_back(Felt {
-                at_us,
-                reflected,
-                owes,
-            });
+            self.felt.push_back(felt);
         }
     }
 

@@ -1,10 +1,10 @@
 //! From the force that the tool feels to the force at the hand: how long it takes.
 //!
-//! Every force that is told to the arm is kept with the moment at which it was sensed, and with what the law of reflection will make of it. When the arm's controller shows that value, the way is
-//! over. Values are told apart by their size, so a force that stays as it is, or that the law clamps to the same limit, measures nothing. Nor is anything measured while the hand owes energy: its arm then
-//! smooths what is reflected, and shows the law's values late or never.
+//! Every force that is told to the arm is kept with the moment at which it was sensed. When the arm's controller has it, the way is over: from that period on the motors act by it.
 //!
-//! With a simulated controller the moment is exact, to the control period. Behind a port it is that of the report, half a round trip before it came; the wait for the next report is not in it then.
+//! Where both controllers can be looked into, both moments are exact, to the control period, and so is the force. Behind a port the first is that of the machine's report, half a round trip before it came; the wait
+//! for the next report is not in it then. The second is when the arm reports what the law of reflection makes of the force. Values are told apart by their size there, so a force that stays as it is, or that the law
+//! clamps to the same limit, measures nothing. Nor is anything measured while the hand owes energy: its arm then smooths what is reflected, and shows the law's values late or never.
 //!
 //! Units: microseconds, N.
 
@@ -12,15 +12,27 @@ use haptimill_protocol::haptic::{COMPONENTS, Reflection};
 use serde::Serialize;
 use std::collections::VecDeque;
 
-/// What the law made of the force on the tool at a moment.
+/// What has come of the force on the tool at a moment.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Felt {
     /// When the motors' currents have it, microseconds of the loop.
     pub at_us: u64,
-    /// The law's force, N.
-    pub reflected: [f64; COMPONENTS],
-    /// The hand owes energy.
-    pub owes: bool,
+    /// What it is.
+    pub what: What,
+}
+
+/// What is known of a force at the hand.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum What {
+    /// What the arm's controller was told last, 2^-6 N: it can be looked into.
+    Told([i16; COMPONENTS]),
+    /// What it reports.
+    Reflected {
+        /// The law's force, N.
+        force: [f64; COMPONENTS],
+        /// The hand owes energy.
+        owes: bool,
+    },
 }
 
 /// Two forces are the same when they differ by less, N: the coarsest step of what is told is 1/256.
@@ -39,7 +51,10 @@ const PATIENCE_US: u64 = 500_000;
 #[derive(Debug, Clone, Copy)]
 struct Told {
     sensed_us: u64,
-    expected: [f64; COMPONENTS],
+    /// 2^-6 N.
+    force: [i16; COMPONENTS],
+    /// What the law will make of it, N, where that can be told from what it made of the one before.
+    expected: Option<[f64; COMPONENTS]>,
 }
 
 /// Measures it.
@@ -48,9 +63,12 @@ pub struct Latency {
     law: Option<Reflection>,
     /// The force now, 2^-6 N, and since when it is so.
     sensed: ([i16; COMPONENTS], u64),
+    /// The force that was told last.
+    told: [i16; COMPONENTS],
+    /// What the law makes of the last one that it can be known by.
     last: [f64; COMPONENTS],
     under_way: VecDeque<Told>,
-    seen: [f64; COMPONENTS],
+    seen: Option<What>,
     samples: Vec<u64>,
 }
 
@@ -99,31 +117,41 @@ impl Latency {
             share.clamp(-most, most)
         });
         // A force that was told later than it was sensed belongs to a report of before.
+        if force != self.sensed.0 || force == self.told {
+            return;
+        }
+        self.told = force;
         let clear = expected.iter().any(|part| part.abs() >= CLEAR);
-        if clear && force == self.sensed.0 && differ(&expected, &self.last, APART) {
-            self.under_way.push_back(Told {
-                sensed_us: self.sensed.1,
-                expected,
-            });
+        let known = clear && differ(&expected, &self.last, APART);
+        if known {
             self.last = expected;
         }
+        self.under_way.push_back(Told {
+            sensed_us: self.sensed.1,
+            force,
+            expected: known.then_some(expected),
+        });
     }
 
     /// The arm's controller has this.
     pub fn felt(&mut self, felt: &Felt) {
-        if !differ(&felt.reflected, &self.seen, SAME) {
+        if self.seen == Some(felt.what) {
             return;
         }
-        self.seen = felt.reflected;
-        if felt.owes {
-            self.under_way.clear();
-        }
+        self.seen = Some(felt.what);
         self.under_way
             .retain(|told| felt.at_us.saturating_sub(told.sensed_us) < PATIENCE_US);
-        let seen = self
-            .under_way
-            .iter()
-            .position(|told| !differ(&told.expected, &felt.reflected, SAME));
+        let seen = match felt.what {
+            What::Told(force) => self.under_way.iter().position(|told| told.force == force),
+            What::Reflected { owes: true, .. } => {
+                self.under_way.clear();
+                None
+            }
+            What::Reflected { force, .. } => self.under_way.iter().position(|told| {
+                told.expected
+                    .is_some_and(|expected| !differ(&expected, &force, SAME))
+            }),
+        };
         if let Some(index) = seen {
             let told = self.under_way[index];
             self.under_way.drain(..=index);
@@ -155,38 +183,70 @@ mod tests {
     use super::*;
     use haptimill_protocol::haptic::ReflectAxis;
 
-    #[test]
-    fn each_force_is_followed_from_the_period_in_which_it_was_sensed() {
+    /// Half of it, at most 2 N, is reflected.
+    fn law() -> Option<Reflection> {
         let axis = ReflectAxis {
             percent: 50,
             most: 2 << 16,
         };
-        let mut latency = Latency::new(Some(Reflection {
+        Some(Reflection {
             axes: [axis; COMPONENTS],
             ..Reflection::default()
-        }));
-        // Sensed in steps of 5 ms, told 1 ms later, felt another 2 ms later; the last ones beyond the clamp.
-        for step in 0..10_u64 {
+        })
+    }
+
+    /// A force that grows by 1 N every 5 ms, told 1 ms later, at the hand another 2 ms later.
+    fn growing(what: impl Fn(u64) -> What) -> LatencyFigures {
+        let mut latency = Latency::new(law());
+        for step in 1..=10_u64 {
             let force = [0, 0, (step * 64) as i16];
             let now = step * 5000;
             latency.sensed(now, force);
             latency.sensed(now + 200, force);
             latency.told(force);
-            let reflected = [0.0, 0.0, (step as f64 / 2.0).min(2.0)];
-            latency.felt(&Felt {
-                at_us: now + 3000,
-                reflected,
-                owes: step == 2,
-            });
-            latency.felt(&Felt {
-                at_us: now + 3200,
-                reflected,
-                owes: false,
-            });
+            for at_us in [now + 3000, now + 3200] {
+                let what = what(step);
+                latency.felt(&Felt { at_us, what });
+            }
         }
-        let figures = latency.figures().unwrap();
-        assert_eq!(figures.count, 3);
+        latency.figures().unwrap()
+    }
+
+    #[test]
+    fn each_force_is_followed_from_the_period_in_which_it_was_sensed() {
+        let figures = growing(|step| What::Told([0, 0, (step * 64) as i16]));
+        assert_eq!(figures.count, 10);
         assert_eq!((figures.median_ms, figures.largest_ms), (3.0, 3.0));
         assert_eq!(Latency::new(None).figures(), None);
+    }
+
+    #[test]
+    fn what_the_law_clamps_or_smooths_is_not_followed() {
+        let figures = growing(|step| What::Reflected {
+            force: [0.0, 0.0, (step as f64 / 2.0).min(2.0)],
+            owes: step == 2,
+        });
+        // 0.5, not 1, 1.5 and 2 N.
+        assert_eq!(figures.count, 3);
+        assert_eq!((figures.median_ms, figures.largest_ms), (3.0, 3.0));
+    }
+
+    #[test]
+    fn a_force_that_was_overtaken_is_not_followed() {
+        let mut latency = Latency::new(law());
+        for (now, force) in [(0, [64, 0, 0]), (1000, [128, 0, 0])] {
+            latency.sensed(now, force);
+            latency.told(force);
+        }
+        latency.felt(&Felt {
+            at_us: 4000,
+            what: What::Told([128, 0, 0]),
+        });
+        latency.felt(&Felt {
+            at_us: 5000,
+            what: What::Told([64, 0, 0]),
+        });
+        let figures = latency.figures().unwrap();
+        assert_eq!((figures.count, figures.median_ms), (1, 3.0));
     }
 }

@@ -1,5 +1,6 @@
 //! The loop itself.
 
+use super::latency::What;
 use super::script::{Order, scale};
 use super::{Feeling, Latency, LatencyFigures, Source, Standing, Word};
 use crate::cli::{CliError, Exit};
@@ -168,6 +169,9 @@ pub struct Teleop<'a, L: JobLine> {
     options: &'a TeleopOptions,
     outcome: Outcome,
     latency: Latency,
+    /// What the machine's controller senses, and what the arm's was told, can be looked into.
+    machine_is_open: bool,
+    arm_is_open: bool,
     begun_us: u64,
     /// Events that were looked at.
     seen: usize,
@@ -203,6 +207,8 @@ impl<'a, L: JobLine> Teleop<'a, L> {
             source,
             options,
             latency,
+            machine_is_open: false,
+            arm_is_open: false,
             outcome: Outcome {
                 ended: Ended::Done,
                 duration_s: 0.0,
@@ -314,6 +320,7 @@ impl<'a, L: JobLine> Teleop<'a, L> {
         }
         while let Some(felt) = self.source.felt() {
             self.latency.felt(&felt);
+            self.arm_is_open |= matches!(felt.what, What::Told(_));
         }
         Ok(())
     }
@@ -356,7 +363,7 @@ impl<'a, L: JobLine> Teleop<'a, L> {
             .map_or(200, |welcome| u64::from(welcome.period_us));
         let at_us = self.session.now_us().saturating_sub(period_us);
         if let Some(reading) = self.session.line_mut().reading() {
-            self.outcome.latency_is_exact = true;
+            self.machine_is_open = true;
             self.latency.sensed(at_us, told(&reading.force.high));
         }
         Ok(())
@@ -525,7 +532,7 @@ impl<'a, L: JobLine> Teleop<'a, L> {
             .filter(|force| force.tared && force.problem.is_none());
         let high = force.map_or([0; COMPONENTS], |force| force.high);
         let tells = told(&high);
-        if !self.outcome.latency_is_exact {
+        if !self.machine_is_open {
             let trip = u64::from(self.session.client_mut().link().round_trip_us());
             self.latency.sensed(now_us.saturating_sub(trip / 2), tells);
         }
@@ -667,6 +674,7 @@ impl<'a, L: JobLine> Teleop<'a, L> {
         }
         let ms = |us: u32| f64::from(us) / 1000.0;
         self.outcome.latency = self.latency.figures();
+        self.outcome.latency_is_exact = self.machine_is_open && self.arm_is_open;
         self.outcome.machine_round_trip_ms = ms(self.session.client_mut().link().round_trip_us());
         self.outcome.hand_round_trip_ms = ms(self.source.round_trip_us());
         self.outcome.final_state = format!("{:?}", status.state);
