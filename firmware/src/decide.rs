@@ -352,12 +352,10 @@ impl Controller {
             return;
         }
         let pose = machinery.motion.wanted().pose;
-        match machinery.homing.advance(
-            &machinery.config,
-            &pose,
-            &mut machinery.motion.jog,
-            limited,
-        ) {
+        match machinery
+            .homing
+            .advance(&machinery.config, &pose, &mut machinery.motion.jog, limited)
+        {
             Outcome::Searching => {}
             Outcome::Failed(fault) => self.safety.raise(fault),
             Outcome::Found(corrections) => match machinery.correct(&corrections, inputs) {

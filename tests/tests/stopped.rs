@@ -70,7 +70,12 @@ fn a_job_stopped_in_any_period_is_summed_up_as_the_machine_stands() {
         );
         let end = job.expect("ended");
         let last = session.events.len().saturating_sub(12);
-        assert!(end.stopped, "{:?} {:?}", end.ending, &session.events[last..]);
+        assert!(
+            end.stopped,
+            "{:?} {:?}",
+            end.ending,
+            &session.events[last..]
+        );
         if end.status.state != State::Idle {
             others.push((periods, end.status.state));
         }
