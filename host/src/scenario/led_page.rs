@@ -1,12 +1,14 @@
 //! The curves of a pass that a hand led: hand and tool, forces, what is reflected.
 
-use super::page::{card, over_time};
+use super::page::{card, over};
 use super::{Cut, Pass};
 use crate::report::chart::{COLOURS, Line, escape};
 use crate::report::series::Columns;
 use crate::session::HandSample;
 
 const AXES: [&str; 3] = ["X", "Y", "Z"];
+/// The hand's time, which is not that of the way: it holds before the tool moves, and after.
+const SINCE: &str = "time since the hand took over, s";
 const WANTED: &str = "#b7c0ca";
 
 fn line(
@@ -69,7 +71,7 @@ pub(super) fn curves(page: &mut String, pass: &Pass, cut: &Cut) {
     card(
         page,
         "Tip of the handle, and the tool, from where they were when the hand took over",
-        &over_time("way, mm", lines, 290.0, true),
+        &over(SINCE, "way, mm", lines, 290.0, true),
     );
     let reflected = (0..3)
         .filter(|axis| led.reflect[*axis].0 > 0 || led.wall_mm_s.is_some() && *axis == 0)
@@ -81,7 +83,7 @@ pub(super) fn curves(page: &mut String, pass: &Pass, cut: &Cut) {
     card(
         page,
         "What the motors of the haptic arm push at the handle",
-        &over_time("force, N", reflected, 250.0, true),
+        &over(SINCE, "force, N", reflected, 250.0, true),
     );
     let along = |axis: usize| move |s: &HandSample| s.push[axis];
     let push = axes
@@ -95,6 +97,6 @@ pub(super) fn curves(page: &mut String, pass: &Pass, cut: &Cut) {
     card(
         page,
         "What the hand pushes, friction of the arm included",
-        &over_time("force, N", push, 220.0, true),
+        &over(SINCE, "force, N", push, 220.0, true),
     );
 }

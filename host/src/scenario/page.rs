@@ -48,7 +48,8 @@ pub fn page(scenario: &Scenario, cuts: &[Cut], result: &Result) -> String {
         ),
     );
     claims(&mut page, result);
-    if scenario.needs_force_control() {
+    // One pass has these curves among its own.
+    if scenario.needs_force_control() && cuts.len() > 1 {
         yielding(&mut page, scenario, cuts);
     }
     // Several surfaces stand side by side, each half as wide.
@@ -213,14 +214,25 @@ fn line(
     }
 }
 
-pub(super) fn over_time(
+fn over_time(y_label: impl Into<String>, lines: Vec<Line>, height: f64, from_zero: bool) -> String {
+    over(
+        "time since the way began, s",
+        y_label,
+        lines,
+        height,
+        from_zero,
+    )
+}
+
+pub(super) fn over(
+    x_label: &str,
     y_label: impl Into<String>,
     lines: Vec<Line>,
     height: f64,
     from_zero: bool,
 ) -> String {
     Chart {
-        x_label: "time since the way began, s".into(),
+        x_label: x_label.into(),
         y_label: y_label.into(),
         lines,
         width: 1120.0,
