@@ -18,6 +18,9 @@
 //! A frame is a row of little-endian words: kind and version, contents, check. The check (FNV-1a over words) finds frames that are cut, shifted or of
 //! another version; it is no CRC, because the transport (a pipe, or memory) does not flip bits.
 //!
+//! The board works on frames as words, where they are, and on its inputs and outputs, where they are ([`read`], [`Says`]): on an emulated chip moving them about
+//! took longer than the control period. The simulator has them as values ([`ToBoard`], [`FromBoard`]), and in bytes.
+//!
 //! Misuse: a frame has no place for what is longer than a period; whoever skips a frame is out of step for good.
 
 use crate::io::{
@@ -29,9 +32,9 @@ use crate::reading::Reading;
 use haptimill_protocol::message::State;
 
 /// Words of a frame to the board.
-const TO_BOARD_WORDS: usize = 56;
+pub const TO_BOARD_WORDS: usize = 56;
 /// Words of a frame from the board.
-const FROM_BOARD_WORDS: usize = 105;
+pub const FROM_BOARD_WORDS: usize = 105;
 /// Bytes of a frame to the board.
 pub const TO_BOARD_BYTES: usize = 4 * TO_BOARD_WORDS;
 /// Bytes of a frame from the board.
@@ -113,6 +116,19 @@ pub struct Heard {
     pub urgent: bool,
 }
 
+impl Done {
+    const fn told(&self) -> Told<'_> {
+        Told {
+            period: self.period,
+            outputs: &self.outputs,
+            said: self.said,
+            heard: self.heard,
+            stages: &self.stages,
+            reading: self.reading.as_ref(),
+        }
+    }
+}
+
 impl Heard {
     /// What inputs say was heard.
     #[must_use]
@@ -149,29 +165,75 @@ impl core::fmt::Display for FrameError {
 
 impl core::error::Error for FrameError {}
 
+/// What the simulator says to a board that takes the inputs where it keeps them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Order {
+    /// As [`ToBoard::Begin`].
+    Begin {
+        /// Control period, microseconds.
+        period_us: u16,
+    },
+    /// As [`ToBoard::Period`].
+    Period {
+        /// Bytes that were put on the serial line since the last frame.
+        arrived: u32,
+    },
+    /// As [`ToBoard::End`].
+    End,
+}
+
+/// Reads a frame to the board. What is sensed goes to `inputs`; what belongs to the serial line stays there as it was.
+///
+/// # Errors
+/// See [`FrameError`]; `inputs` are as they were.
+#[inline]
+pub fn read(frame: &[u32; TO_BOARD_WORDS], inputs: &mut Inputs) -> Result<Order, FrameError> {
+    let (kind, mut words) = Reader::begin(frame)?;
+    match kind {
+        1 => Ok(Order::Begin {
+            period_us: words.take() as u16,
+        }),
+        2 => {
+            inputs.period = words.take_long();
+            let pair = words.take();
+            inputs.missed = pair as u16;
+            inputs.transmit_room = (pair >> 16) as u16;
+            inputs.time_ns = words.take();
+            let arrived = words.take();
+            inputs.emergency_stop = words.take() & 1 != 0;
+            inputs.force = take_force(&mut words);
+            inputs.haptic = take_hand(&mut words);
+            for axis in &mut inputs.axes {
+                *axis = take_axis(&mut words);
+            }
+            Ok(Order::Period { arrived })
+        }
+        3 => Ok(Order::End),
+        _ => Err(FrameError::Content),
+    }
+}
+
 impl ToBoard {
     /// The frame.
     #[must_use]
     pub fn encode(&self) -> [u8; TO_BOARD_BYTES] {
-        self.words().into_bytes()
+        let mut bytes = self.encode_unsealed();
+        seal(&mut bytes);
+        bytes
     }
 
     /// The frame without its check; see [`seal`].
     #[must_use]
     pub fn encode_unsealed(&self) -> [u8; TO_BOARD_BYTES] {
-        self.words().into_unsealed()
-    }
-
-    #[inline(always)]
-    fn words(&self) -> Words<TO_BOARD_WORDS> {
-        let mut words = Words::<TO_BOARD_WORDS>::new();
+        let mut frame = [0; TO_BOARD_WORDS];
+        let mut words = Writer::begin(&mut frame);
         match self {
             Self::Begin { period_us } => {
-                words.begin(1);
+                words.head(1);
                 words.put(u32::from(*period_us));
             }
             Self::Period { inputs, arrived } => {
-                words.begin(2);
+                words.head(2);
                 words.put_long(inputs.period);
                 words.put(u32::from(inputs.missed) | u32::from(inputs.transmit_room) << 16);
                 words.put(inputs.time_ns);
@@ -183,81 +245,118 @@ impl ToBoard {
                     put_axis(&mut words, axis);
                 }
             }
-            Self::End => words.begin(3),
+            Self::End => words.head(3),
         }
-        words
+        to_bytes(&frame)
     }
 
     /// What a frame says.
     ///
     /// # Errors
     /// See [`FrameError`].
-    #[cold]
-    #[inline(never)]
     pub fn decode(bytes: &[u8; TO_BOARD_BYTES]) -> Result<Self, FrameError> {
-        let (kind, mut words) = Words::<TO_BOARD_WORDS>::from_bytes(bytes)?;
-        match kind {
-            1 => Ok(Self::Begin {
-                period_us: words.take() as u16,
-            }),
-            2 => {
-                let mut inputs = Inputs {
-                    period: words.take_long(),
-                    ..Inputs::default()
-                };
-                let pair = words.take();
-                inputs.missed = pair as u16;
-                inputs.transmit_room = (pair >> 16) as u16;
-                inputs.time_ns = words.take();
-                let arrived = words.take();
-                inputs.emergency_stop = words.take() & 1 != 0;
-                inputs.force = take_force(&mut words);
-                inputs.haptic = take_hand(&mut words);
-                for axis in &mut inputs.axes {
-                    *axis = take_axis(&mut words);
-                }
-                Ok(Self::Period { inputs, arrived })
-            }
-            3 => Ok(Self::End),
-            _ => Err(FrameError::Content),
-        }
+        let mut inputs = Inputs::default();
+        Ok(match read(&from_bytes(bytes), &mut inputs)? {
+            Order::Begin { period_us } => Self::Begin { period_us },
+            Order::Period { arrived } => Self::Period { inputs, arrived },
+            Order::End => Self::End,
+        })
     }
 }
 
-impl FromBoard {
-    /// The frame.
-    #[must_use]
-    #[cold]
-    #[inline(never)]
-    pub fn encode(&self) -> [u8; FROM_BOARD_BYTES] {
-        self.words().into_bytes()
-    }
+/// A control period that is done, as [`Done`] has it, where it lies.
+#[derive(Debug)]
+pub struct Told<'a> {
+    /// Number of the period.
+    pub period: u64,
+    /// What is to be done.
+    pub outputs: &'a Outputs,
+    /// Bytes that were said on the serial line.
+    pub said: u16,
+    /// What the board heard.
+    pub heard: Heard,
+    /// Ticks of the board's counter in each stage.
+    pub stages: &'a [u32; STAGES],
+    /// How the controller stands, if it is configured.
+    pub reading: Option<&'a Reading>,
+}
 
-    /// The frame without its check; see [`seal`].
-    #[must_use]
-    pub fn encode_unsealed(&self) -> [u8; FROM_BOARD_BYTES] {
-        self.words().into_unsealed()
+/// What a board says of what lies where it is, as [`FromBoard`] has it by value.
+#[derive(Debug)]
+pub enum Says<'a> {
+    /// As [`FromBoard::Hello`].
+    Hello,
+    /// As [`FromBoard::Done`].
+    Done(Told<'a>),
+    /// As [`FromBoard::Ended`].
+    Ended {
+        /// Bytes of stack that were ever used.
+        stack_bytes: u32,
+        /// The most bytes that ever waited in the receive ring.
+        ring_peak: u32,
+    },
+}
+
+impl Says<'_> {
+    /// Writes its frame.
+    #[inline]
+    pub fn write(&self, frame: &mut [u32; FROM_BOARD_WORDS]) {
+        self.fill(frame);
+        if let Some((last, words)) = frame.split_last_mut() {
+            *last = check(words);
+        }
     }
 
     #[inline(always)]
-    fn words(&self) -> Words<FROM_BOARD_WORDS> {
-        let mut words = Words::<FROM_BOARD_WORDS>::new();
+    fn fill(&self, frame: &mut [u32; FROM_BOARD_WORDS]) {
+        let mut words = Writer::begin(frame);
         match self {
-            Self::Hello => words.begin(1),
+            Self::Hello => words.head(1),
             Self::Done(done) => {
-                words.begin(2);
+                words.head(2);
                 put_done(&mut words, done);
             }
             Self::Ended {
                 stack_bytes,
                 ring_peak,
             } => {
-                words.begin(3);
+                words.head(3);
                 words.put(*stack_bytes);
                 words.put(*ring_peak);
             }
         }
-        words
+    }
+}
+
+impl FromBoard {
+    const fn says(&self) -> Says<'_> {
+        match self {
+            Self::Hello => Says::Hello,
+            Self::Done(done) => Says::Done(done.told()),
+            Self::Ended {
+                stack_bytes,
+                ring_peak,
+            } => Says::Ended {
+                stack_bytes: *stack_bytes,
+                ring_peak: *ring_peak,
+            },
+        }
+    }
+
+    /// The frame.
+    #[must_use]
+    pub fn encode(&self) -> [u8; FROM_BOARD_BYTES] {
+        let mut frame = [0; FROM_BOARD_WORDS];
+        self.says().write(&mut frame);
+        to_bytes(&frame)
+    }
+
+    /// The frame without its check; see [`seal`].
+    #[must_use]
+    pub fn encode_unsealed(&self) -> [u8; FROM_BOARD_BYTES] {
+        let mut frame = [0; FROM_BOARD_WORDS];
+        self.says().fill(&mut frame);
+        to_bytes(&frame)
     }
 
     /// What a frame says.
@@ -265,7 +364,8 @@ impl FromBoard {
     /// # Errors
     /// See [`FrameError`].
     pub fn decode(bytes: &[u8; FROM_BOARD_BYTES]) -> Result<Self, FrameError> {
-        let (kind, mut words) = Words::<FROM_BOARD_WORDS>::from_bytes(bytes)?;
+        let frame: [u32; FROM_BOARD_WORDS] = from_bytes(bytes);
+        let (kind, mut words) = Reader::begin(&frame)?;
         match kind {
             1 => Ok(Self::Hello),
             2 => take_done(&mut words).map(Self::Done),
@@ -278,13 +378,14 @@ impl FromBoard {
     }
 }
 
-fn put_force(words: &mut Words<TO_BOARD_WORDS>, force: &ForceSample) {
+fn put_force(words: &mut Writer<'_>, force: &ForceSample) {
     let [x, y, z] = force.codes.map(|code| u32::from(code as u16));
     words.put(x | y << 16);
     words.put(z | u32::from(force.conversions) << 16 | u32::from(force.overload) << 24);
 }
 
-fn take_force(words: &mut Words<TO_BOARD_WORDS>) -> ForceSample {
+#[inline(always)]
+fn take_force(words: &mut Reader<'_>) -> ForceSample {
     let (pair, rest) = (words.take(), words.take());
     ForceSample {
         codes: [pair, pair >> 16, rest].map(|code| code as u16 as i16),
@@ -293,7 +394,7 @@ fn take_force(words: &mut Words<TO_BOARD_WORDS>) -> ForceSample {
     }
 }
 
-fn put_hand(words: &mut Words<TO_BOARD_WORDS>, hand: &HapticInputs) {
+fn put_hand(words: &mut Writer<'_>, hand: &HapticInputs) {
     words.put(u32::from(hand.engaged) | u32::from(hand.drives_ready) << 1);
     for leg in &hand.legs {
         leg.counts
@@ -305,7 +406,8 @@ fn put_hand(words: &mut Words<TO_BOARD_WORDS>, hand: &HapticInputs) {
     }
 }
 
-fn take_hand(words: &mut Words<TO_BOARD_WORDS>) -> HapticInputs {
+#[inline(always)]
+fn take_hand(words: &mut Reader<'_>) -> HapticInputs {
     let bits = words.take();
     let mut hand = HapticInputs {
         engaged: bits & 1 != 0,
@@ -323,14 +425,15 @@ fn take_hand(words: &mut Words<TO_BOARD_WORDS>) -> HapticInputs {
     hand
 }
 
-fn put_currents(words: &mut Words<FROM_BOARD_WORDS>, hand: &HapticOutputs) {
+#[inline(always)]
+fn put_currents(words: &mut Writer<'_>, hand: &HapticOutputs) {
     words.put(u32::from(hand.enabled));
     for [force, torque] in hand.currents {
         words.put(u32::from(force as u16) | u32::from(torque as u16) << 16);
     }
 }
 
-fn take_currents(words: &mut Words<FROM_BOARD_WORDS>) -> HapticOutputs {
+fn take_currents(words: &mut Reader<'_>) -> HapticOutputs {
     let mut hand = HapticOutputs {
         enabled: words.take() & 1 != 0,
         ..HapticOutputs::default()
@@ -342,7 +445,7 @@ fn take_currents(words: &mut Words<FROM_BOARD_WORDS>) -> HapticOutputs {
     hand
 }
 
-fn put_axis(words: &mut Words<TO_BOARD_WORDS>, axis: &AxisInputs) {
+fn put_axis(words: &mut Writer<'_>, axis: &AxisInputs) {
     words.put(axis.counts as u32);
     words.put(axis.edge_time_ns);
     words.put(axis.index_counts as u32);
@@ -355,7 +458,8 @@ fn put_axis(words: &mut Words<TO_BOARD_WORDS>, axis: &AxisInputs) {
     words.put(u32::from(axis.illegal) | u32::from(axis.index_pulses) << 16 | bits << 24);
 }
 
-fn take_axis(words: &mut Words<TO_BOARD_WORDS>) -> AxisInputs {
+#[inline(always)]
+fn take_axis(words: &mut Reader<'_>) -> AxisInputs {
     let (counts, edge_time_ns) = (words.take() as i32, words.take());
     let (index_counts, steps) = (words.take() as i32, words.take() as i32);
     let rest = words.take();
@@ -374,7 +478,8 @@ fn take_axis(words: &mut Words<TO_BOARD_WORDS>) -> AxisInputs {
     }
 }
 
-fn put_done(words: &mut Words<FROM_BOARD_WORDS>, done: &Done) {
+#[inline(always)]
+fn put_done(words: &mut Writer<'_>, done: &Told<'_>) {
     words.put_long(done.period);
     for command in &done.outputs.axes {
         let (kind, row) = match command {
@@ -394,8 +499,7 @@ fn put_done(words: &mut Words<FROM_BOARD_WORDS>, done: &Done) {
     words.put(u32::from(heard.received) | u32::from(heard.waiting) << 16);
     words.put(u32::from(heard.lost_bytes) | u32::from(heard.urgent) << 16);
     done.stages.iter().for_each(|&ticks| words.put(ticks));
-    let Some(reading) = &done.reading else {
-        words.put(0);
+    let Some(reading) = done.reading else {
         return;
     };
     let state = u32::from(reading.state.number());
@@ -407,24 +511,30 @@ fn put_done(words: &mut Words<FROM_BOARD_WORDS>, done: &Done) {
     words.put(reading.setpoint);
     words.put(u32::from(reading.path_rate) | u32::from(reading.spindle_rpm as u16) << 16);
     words.put_long(reading.program_time);
-    let rows = [
+    for row in [
         &reading.wanted,
         &reading.joints_wanted,
         &reading.joints,
         &reading.following_error,
         &reading.drive,
-    ];
-    let force = &reading.force;
-    let hand = &reading.hand;
-    let forces = [&force.high, &force.low, &force.yielded];
-    let hands = [&hand.tip, &hand.force, &hand.reflected, &hand.wall];
-    rows.into_iter()
-        .flatten()
-        .chain(forces.into_iter().chain(hands).flatten())
-        .for_each(|&value| words.put(value as u32));
+    ] {
+        words.put_row(row);
+    }
+    let (force, hand) = (&reading.force, &reading.hand);
+    for row in [
+        &force.high,
+        &force.low,
+        &force.yielded,
+        &hand.tip,
+        &hand.force,
+        &hand.reflected,
+        &hand.wall,
+    ] {
+        words.put_row(row);
+    }
 }
 
-fn take_done(words: &mut Words<FROM_BOARD_WORDS>) -> Result<Done, FrameError> {
+fn take_done(words: &mut Reader<'_>) -> Result<Done, FrameError> {
     let mut done = Done {
         period: words.take_long(),
         ..Done::default()
@@ -519,98 +629,117 @@ pub const STAGE_ORDER: [Stage; STAGES] = [
 ];
 
 /// FNV-1a over words.
-fn check(words: impl Iterator<Item = u32>) -> u32 {
-    words.fold(0x811C_9DC5, |hash, word| {
-        (hash ^ word).wrapping_mul(0x0100_0193)
-    })
+#[inline]
+fn check(words: &[u32]) -> u32 {
+    words.iter().fold(BASIS, |hash, word| step(hash, *word))
+}
+
+const BASIS: u32 = 0x811C_9DC5;
+
+const fn step(hash: u32, word: u32) -> u32 {
+    (hash ^ word).wrapping_mul(0x0100_0193)
 }
 
 /// Puts the check, which is the last word, into a frame whose other words are there: for those who keep frames without it, as recordings do.
 pub fn seal(frame: &mut [u8]) {
     let (words, _) = frame.as_chunks_mut::<4>();
     if let Some((last, words)) = words.split_last_mut() {
-        let sum = check(words.iter().map(|word| u32::from_le_bytes(*word)));
+        let sum = words
+            .iter()
+            .fold(BASIS, |hash, word| step(hash, u32::from_le_bytes(*word)));
         *last = sum.to_le_bytes();
     }
 }
 
-/// A frame while it is written or read. Both directions visit the same words; beyond the end nothing is written and zeros are read.
-struct Words<const N: usize> {
-    words: [u32; N],
+/// A frame while it is written: its words, one after the other; those that are left are zeros. Beyond the end nothing is written.
+struct Writer<'a> {
+    frame: &'a mut [u32],
     at: usize,
 }
 
-impl<const N: usize> Words<N> {
-    const fn new() -> Self {
-        Self {
-            words: [0; N],
-            at: 0,
-        }
+impl<'a> Writer<'a> {
+    #[inline(always)]
+    fn begin(frame: &'a mut [u32]) -> Self {
+        frame.fill(0);
+        Self { frame, at: 0 }
     }
 
-    fn begin(&mut self, kind: u32) {
+    #[inline(always)]
+    fn head(&mut self, kind: u32) {
         self.put(kind | VERSION << 16);
     }
 
-    #[inline]
+    #[inline(always)]
     fn put(&mut self, word: u32) {
-        debug_assert!(self.at + 1 < N, "the frame is too short");
-        if let Some(slot) = self.words.get_mut(self.at) {
+        debug_assert!(self.at + 1 < self.frame.len(), "the frame is too short");
+        if let Some(slot) = self.frame.get_mut(self.at) {
             *slot = word;
             self.at += 1;
         }
     }
 
+    #[inline(always)]
     fn put_long(&mut self, long: u64) {
         self.put(long as u32);
         self.put((long >> 32) as u32);
     }
 
-    #[inline]
-    fn take(&mut self) -> u32 {
-        let word = self.words.get(self.at).copied().unwrap_or(0);
-        self.at = self.at.wrapping_add(1);
-        word
+    #[inline(always)]
+    fn put_row(&mut self, row: &[i32]) {
+        row.iter().for_each(|&value| self.put(value as u32));
     }
+}
 
-    fn take_long(&mut self) -> u64 {
-        u64::from(self.take()) | u64::from(self.take()) << 32
-    }
+/// A frame while it is read, word by word; beyond the end are zeros.
+struct Reader<'a> {
+    words: core::slice::Iter<'a, u32>,
+}
 
-    fn check(&self) -> u32 {
-        check(self.words[..N - 1].iter().copied())
-    }
-
-    fn into_bytes<const B: usize>(mut self) -> [u8; B] {
-        self.words[N - 1] = self.check();
-        self.into_unsealed()
-    }
-
-    fn into_unsealed<const B: usize>(self) -> [u8; B] {
-        const { assert!(B == 4 * N) };
-        let mut bytes = [0; B];
-        for (cell, word) in bytes.as_chunks_mut::<4>().0.iter_mut().zip(self.words) {
-            *cell = word.to_le_bytes();
-        }
-        bytes
-    }
-
+impl<'a> Reader<'a> {
     /// The kind of a frame, and its contents.
-    fn from_bytes<const B: usize>(bytes: &[u8; B]) -> Result<(u32, Self), FrameError> {
-        const { assert!(B == 4 * N) };
-        let mut frame = Self::new();
-        for (word, cell) in frame.words.iter_mut().zip(bytes.as_chunks::<4>().0) {
-            *word = u32::from_le_bytes(*cell);
-        }
-        if frame.check() != frame.words[N - 1] {
+    #[inline(always)]
+    fn begin(frame: &'a [u32]) -> Result<(u32, Self), FrameError> {
+        let (last, words) = frame.split_last().ok_or(FrameError::Check)?;
+        if check(words) != *last {
             return Err(FrameError::Check);
         }
-        let head = frame.take();
+        let mut reader = Self {
+            words: words.iter(),
+        };
+        let head = reader.take();
         if head >> 16 != VERSION {
             return Err(FrameError::Version);
         }
-        Ok((head & 0xFFFF, frame))
+        Ok((head & 0xFFFF, reader))
     }
+
+    #[inline(always)]
+    fn take(&mut self) -> u32 {
+        self.words.next().copied().unwrap_or(0)
+    }
+
+    #[inline(always)]
+    fn take_long(&mut self) -> u64 {
+        u64::from(self.take()) | u64::from(self.take()) << 32
+    }
+}
+
+fn to_bytes<const N: usize, const B: usize>(words: &[u32; N]) -> [u8; B] {
+    const { assert!(B == 4 * N) };
+    let mut bytes = [0; B];
+    for (cell, word) in bytes.as_chunks_mut::<4>().0.iter_mut().zip(words) {
+        *cell = word.to_le_bytes();
+    }
+    bytes
+}
+
+fn from_bytes<const N: usize, const B: usize>(bytes: &[u8; B]) -> [u32; N] {
+    const { assert!(B == 4 * N) };
+    let mut words = [0; N];
+    for (word, cell) in words.iter_mut().zip(bytes.as_chunks::<4>().0) {
+        *word = u32::from_le_bytes(*cell);
+    }
+    words
 }
 
 #[cfg(test)]

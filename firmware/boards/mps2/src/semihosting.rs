@@ -60,29 +60,31 @@ impl File {
         Self::open(name, 4)
     }
 
-    /// Reads until `bytes` are full.
+    /// Reads until `words` are full, each with its lowest byte first.
     ///
     /// # Errors
     /// The file ends before.
-    pub fn read(&mut self, bytes: &mut [u8]) -> Result<(), Gone> {
+    pub fn read(&mut self, words: &mut [u32]) -> Result<(), Gone> {
+        let (start, length) = (words.as_mut_ptr() as usize, size_of_val(words));
         let mut done = 0;
-        while let Some(rest) = bytes.get_mut(done..).filter(|rest| !rest.is_empty()) {
-            let arguments = [self.handle, rest.as_mut_ptr() as usize, rest.len()];
-            let left = call(READ, arguments.as_ptr()) as usize;
-            if left >= rest.len() {
+        while done < length {
+            let left = length - done;
+            let arguments = [self.handle, start + done, left];
+            let missing = call(READ, arguments.as_ptr()) as usize;
+            if missing >= left {
                 return Err(Gone);
             }
-            done += rest.len() - left;
+            done += left - missing;
         }
         Ok(())
     }
 
-    /// Writes all of `bytes`.
+    /// Writes all of `words`, each with its lowest byte first.
     ///
     /// # Errors
     /// Nobody reads any more.
-    pub fn write(&mut self, bytes: &[u8]) -> Result<(), Gone> {
-        let arguments = [self.handle, bytes.as_ptr() as usize, bytes.len()];
+    pub fn write(&mut self, words: &[u32]) -> Result<(), Gone> {
+        let arguments = [self.handle, words.as_ptr() as usize, size_of_val(words)];
         match call(WRITE, arguments.as_ptr()) {
             0 => Ok(()),
             _ => Err(Gone),

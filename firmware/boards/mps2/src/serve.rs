@@ -2,7 +2,7 @@
 
 use crate::semihosting::{File, Gone};
 use crate::{serial, stack, tick};
-use haptimill_firmware::lockstep::{FromBoard, TO_BOARD_BYTES, ToBoard};
+use haptimill_firmware::lockstep::{FROM_BOARD_WORDS, Order, Says, TO_BOARD_WORDS, read};
 
 /// Looks at the receive ring before bytes that were announced are given up.
 const PATIENCE: u32 = 200_000_000;
@@ -19,34 +19,37 @@ const PATIENCE: u32 = 200_000_000;
 pub fn serve() -> Result<(), Gone> {
     let mut to_simulator = File::writer(c"from-board")?;
     let mut from_simulator = File::reader(c"to-board")?;
-    to_simulator.write(&FromBoard::Hello.encode())?;
+    let mut order = [0; TO_BOARD_WORDS];
+    let mut answer = [0; FROM_BOARD_WORDS];
+    Says::Hello.write(&mut answer);
+    to_simulator.write(&answer)?;
     let mut expected = 0_u32;
     loop {
-        let mut frame = [0; TO_BOARD_BYTES];
-        from_simulator.read(&mut frame)?;
-        match ToBoard::decode(&frame) {
-            Ok(ToBoard::Begin { period_us }) => tick::begin(period_us),
-            Ok(ToBoard::Period { inputs, arrived }) => {
+        from_simulator.read(&mut order)?;
+        let ordered = tick::with(|period| read(&order, &mut period.inputs));
+        match ordered.unwrap_or(Ok(Order::End)) {
+            Ok(Order::Begin { period_us }) => tick::begin(period_us),
+            Ok(Order::Period { arrived }) => {
                 expected = expected.wrapping_add(arrived);
-                tick::with(|period| period.inputs = inputs);
                 wait_for_bytes(expected);
                 tick::run();
                 #[cfg(feature = "faults")]
                 crate::faults::reached(crate::faults::MAIN);
-                let done = tick::with(|period| {
+                tick::with(|period| {
                     serial::say(&period.outputs.transmit);
-                    tick::done(period)
+                    tick::tell(period, &mut answer);
                 });
-                to_simulator.write(&FromBoard::Done(done.unwrap_or_default()).encode())?;
+                to_simulator.write(&answer)?;
             }
-            Ok(ToBoard::End) => {
+            Ok(Order::End) => {
                 let ring_peak =
                     tick::with(|period| period.waiting.as_ref().map(|ring| ring.peak()));
-                let ended = FromBoard::Ended {
+                let ended = Says::Ended {
                     stack_bytes: stack::used_bytes(),
                     ring_peak: ring_peak.flatten().unwrap_or(0),
                 };
-                return to_simulator.write(&ended.encode());
+                ended.write(&mut answer);
+                return to_simulator.write(&answer);
             }
             Err(error) => panic!("{error}"),
         }

@@ -12,7 +12,7 @@ use cortex_m::peripheral::scb::SystemHandler;
 use cortex_m_rt::exception;
 use haptimill_firmware::controller::Controller;
 use haptimill_firmware::io::{Inputs, Outputs};
-use haptimill_firmware::lockstep::{Done, Heard};
+use haptimill_firmware::lockstep::{FROM_BOARD_WORDS, Heard, Says, Told};
 use haptimill_firmware::receive::Waiting;
 
 /// All that a control period works on.
@@ -104,25 +104,21 @@ pub fn run() {
     cortex_m::asm::isb();
 }
 
-/// What is told of the period that was run last.
-#[must_use]
-pub fn done(period: &Period) -> Done {
-    Done {
+/// Writes the frame of the period that was run last.
+pub fn tell(period: &Period, frame: &mut [u32; FROM_BOARD_WORDS]) {
+    let reading = period
+        .controller
+        .as_ref()
+        .and_then(|controller| controller.reading(&period.inputs));
+    Says::Done(Told {
         period: period.inputs.period,
-        outputs: Outputs {
-            axes: period.outputs.axes,
-            haptic: period.outputs.haptic,
-            spindle_rpm: period.outputs.spindle_rpm,
-            ..Outputs::default()
-        },
+        outputs: &period.outputs,
         said: period.outputs.transmit.len() as u16,
         heard: Heard::of(&period.inputs),
-        stages: period.counter.stages,
-        reading: period
-            .controller
-            .as_ref()
-            .and_then(|controller| controller.reading(&period.inputs)),
-    }
+        stages: &period.counter.stages,
+        reading: reading.as_ref(),
+    })
+    .write(frame);
 }
 
 #[exception]
