@@ -123,6 +123,10 @@ proptest! {
     fn noise_is_refused(bytes in prop::collection::vec(any::<u8>(), TO_BOARD_BYTES)) {
         let frame: [u8; TO_BOARD_BYTES] = bytes.try_into().unwrap();
         prop_assert!(ToBoard::decode(&frame).is_err());
+        let mut inputs = Inputs { period: 7, ..Inputs::default() };
+        let before = inputs.clone();
+        prop_assert!(read(&from_bytes(&frame), &mut inputs).is_err());
+        prop_assert_eq!(inputs, before);
     }
 }
 
