@@ -1,6 +1,9 @@
 //! The controller on an emulated Cortex-M4F and M7 against the controller in this process: the same bits, what they cost, and how a run
 //! ends that is ended from outside. Needs the feature `emulated`, a compiler for the chip and the emulator; `cargo xtask test` sees to that.
 
+mod chip;
+
+use chip::{BOARDS, results, root, run_counted};
 use clap::{Args, FromArgMatches, Subcommand};
 use haptimill::cli::CliError;
 use haptimill::cli::run::{self, RunArgs};
@@ -25,15 +28,6 @@ use haptimill_tests::{Bench, line_in_x};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::{Duration, Instant};
-
-fn root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
-}
-
-/// A place for results that belongs to one test.
-fn results(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_TARGET_TMPDIR")).join(name)
-}
 
 /// Runs a part program as the command line does.
 fn run(program: &Path, port: &str, out: &Path, more: &[&str]) -> Duration {
@@ -368,6 +362,30 @@ impl What {
     }
 }
 
+/// What the kinematics alone cost: over 1000 poses of the whole reach, on either chip.
+fn instructions_of_the_kinematics() -> String {
+    let image = chip::image("checks");
+    let [said, other] = BOARDS.map(|board| {
+        let (code, said) = run_counted(board, &image, &["instructions"]);
+        assert_eq!(code, Some(0), "{said}");
+        said
+    });
+    assert_eq!(said, other);
+    let mut table = String::from(
+        "\n## Kinematics of the H-4 arm alone, 1000 poses of the whole reach\n\n| | mean | worst |\n| --- | ---: | ---: |\n",
+    );
+    let ceilings = [("inverse", [720, 1_300]), ("forward", [760, 760])];
+    for (line, (name, most)) in said.lines().zip(ceilings) {
+        let words: Vec<&str> = line.split(' ').collect();
+        assert!(words.len() == 3 && words[0] == name, "{said}");
+        let counts = [words[1], words[2]].map(|word| word.parse::<u32>().expect("a number"));
+        assert!(counts[0] < most[0] && counts[1] < most[1], "{said}");
+        table += &format!("| {name} | {} | {} |\n", counts[0], counts[1]);
+    }
+    assert_eq!(said.lines().count(), 2, "{said}");
+    table
+}
+
 /// What a period costs; `cargo xtask instructions` writes the table.
 #[test]
 fn instructions_of_a_period() {
@@ -422,7 +440,7 @@ fn instructions_of_a_period() {
             ceilings: [24_300.0, 31_200.0],
         },
     ];
-    let mut table = String::from(TABLE_HEAD);
+    let mut table = String::from(TABLE_HEAD) + &instructions_of_the_kinematics();
     for Job {
         title,
         name,

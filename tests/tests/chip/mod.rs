@@ -65,6 +65,15 @@ pub fn bench(board: Board, options: &RigOptions) -> Bench<Remote> {
 
 /// How an image ends that is run without a machine around it: its exit code, and what it said on its console.
 pub fn run_alone(board: Board, image: &Path, words: &[&str]) -> (Option<i32>, String) {
+    alone(board, image, words, &[])
+}
+
+/// The same, with its time counted in instructions.
+pub fn run_counted(board: Board, image: &Path, words: &[&str]) -> (Option<i32>, String) {
+    alone(board, image, words, &["-icount", "shift=10,sleep=off"])
+}
+
+fn alone(board: Board, image: &Path, words: &[&str], more: &[&str]) -> (Option<i32>, String) {
     let mut option = "enable=on,target=native,arg=image".to_string();
     for word in words {
         option += ",arg=";
@@ -79,6 +88,7 @@ pub fn run_alone(board: Board, image: &Path, words: &[&str]) -> (Option<i32>, St
             "-monitor",
             "none",
         ])
+        .args(more)
         .args(["-serial", "null", "-semihosting-config", &option, "-kernel"])
         .arg(image)
         .stderr(std::process::Stdio::piped())

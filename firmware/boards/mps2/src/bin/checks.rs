@@ -1,12 +1,16 @@
 //! The checks of `haptimill-checks` on the chip: all of them, or those whose names are on the image's command line.
 //!
 //! One that fails panics, which ends the image with its reason and a code that is not zero. Whoever wants to know of all that fail runs the image once for
-//! each name; it starts in some hundredths of a second.
+//! each name; it starts in some hundredths of a second. With the word `instructions` it says instead what the kinematics take.
 #![no_std]
 #![no_main]
 
+use core::hint::black_box;
+use haptimill_checks::kinematics::h4::{Arm, REFERENCE};
+use haptimill_checks::kinematics::subject::{Sequence, Subject, raw_pose};
 use haptimill_checks::{Check, FAILING, all};
-use haptimill_mps2::{ending, semihosting};
+use haptimill_firmware::kinematics::{Joints, Kinematics, Pose};
+use haptimill_mps2::{counter, ending, semihosting};
 
 #[cortex_m_rt::entry]
 fn main() -> ! {
@@ -21,6 +25,10 @@ fn main() -> ! {
         all().for_each(run);
     }
     for name in names() {
+        if name == "instructions" {
+            instructions();
+            continue;
+        }
         let mut every = all().chain([&FAILING]);
         match every.find(|check| check.name == name) {
             Some(check) => run(check),
@@ -34,4 +42,61 @@ fn run(check: &Check) {
     ending::say(format_args!("test {} ... ", check.name));
     (check.run)();
     ending::say(format_args!("ok\n"));
+}
+
+/// Poses that are looked at.
+const POSES: u32 = 1000;
+
+/// What something took over all poses.
+#[derive(Default)]
+struct Taken {
+    sum: u64,
+    most: u32,
+}
+
+impl Taken {
+    fn add<T>(&mut self, work: impl FnOnce() -> T) -> T {
+        let begun = counter::now();
+        let between = counter::now();
+        let done = work();
+        let ended = counter::now();
+        // The look at the counter is not of the work.
+        let took = ended
+            .wrapping_sub(between)
+            .wrapping_sub(between.wrapping_sub(begun));
+        self.sum += u64::from(took);
+        self.most = self.most.max(took);
+        done
+    }
+
+    /// Instructions in the mean, and at most. A count is 40/1024 of one.
+    fn say(&self, name: &str) {
+        let mean = self.sum * 40 / 1024 / u64::from(POSES);
+        let most = u64::from(self.most) * 40 / 1024;
+        ending::say(format_args!("{name} {mean} {most}\n"));
+    }
+}
+
+/// Inverse and forward kinematics of the H-4 arm, all of the reach.
+fn instructions() {
+    counter::start();
+    let arm = Arm::new(REFERENCE);
+    let machine = arm.machine();
+    let mut sequence = Sequence(5);
+    let (mut inverse, mut forward) = (Taken::default(), Taken::default());
+    let mut left = POSES;
+    while left > 0 {
+        let pose: Pose = raw_pose(&arm, &arm.random_pose(&mut sequence));
+        // Which poses are in reach is asked beforehand.
+        let Ok(joints): Result<Joints, _> = machine.inverse(&pose) else {
+            continue;
+        };
+        left -= 1;
+        let again = inverse.add(|| machine.inverse(black_box(&pose)));
+        assert_eq!(again, Ok(joints));
+        let back = forward.add(|| machine.forward(black_box(&joints)));
+        assert!(back.is_ok(), "{pose:?}");
+    }
+    inverse.say("inverse");
+    forward.say("forward");
 }
