@@ -234,7 +234,8 @@ fn cut<C: Controlled>(
         report::write_all(dir, &recorded, &outcome, TRACE_EVERY).map_err(|error| output(&error))?;
     let recording =
         Recording::open(&dir.join(report::RECORDING_FILE)).map_err(|error| output(&error))?;
-    let course = Course::of(&recording).map_err(|error| output(&error))?;
+    let led = pass.led.as_ref().map_or(&[][..], |led| led.axes);
+    let course = Course::of(&recording, led).map_err(|error| output(&error))?;
     if let Some(course) = &hand {
         std::fs::write(dir.join(HAND_FILE), course.table(HAND_EVERY))
             .map_err(|error| output(&error))?;

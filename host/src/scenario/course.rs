@@ -42,7 +42,7 @@ impl ForceSource {
 pub struct Sample {
     /// Seconds since the way began: the first motion along x or y of the program. Negative while the tool plunges.
     pub time: f64,
-    /// Programmed (desired) place, mm.
+    /// Desired place, mm: the programmed one, and along axes that a hand led the one that it led to.
     pub desired: [f64; 3],
     /// Where the tool really was, mm.
     pub tool: [f64; 3],
@@ -100,11 +100,11 @@ impl Revolution {
 }
 
 impl Course {
-    /// Reads a recording.
+    /// Reads a recording of a way that a hand led along some axes, or none.
     ///
     /// # Errors
     /// It cannot be read.
-    pub fn of(recording: &Recording) -> Result<Self, RecordingError> {
+    pub fn of(recording: &Recording, led: &[u8]) -> Result<Self, RecordingError> {
         let source = match recording.config().force {
             Some(_) => ForceSource::Controller,
             None => ForceSource::TrueForce,
@@ -141,7 +141,11 @@ impl Course {
                 ForceSource::Controller => (newtons(record.force.high), newtons(record.force.low)),
                 ForceSource::TrueForce => revolution.extremes(),
             };
-            samples.push(sample(&record, time, moves, (high, low), impulse));
+            let mut sample = sample(&record, time, moves, (high, low), impulse);
+            for axis in led.iter().map(|axis| usize::from(*axis)) {
+                sample.desired[axis] = f64::from(record.wanted[axis]) / MM;
+            }
+            samples.push(sample);
         }
         let begun = begun.unwrap_or(0.0);
         for sample in &mut samples {

@@ -142,7 +142,11 @@ fn surface(page: &mut String, cut: &Cut, of: &str, room: f64) {
     // As wide as there is room, or 720 pixels high; margins of a chart are 82 and 74 pixels.
     let scale = (room / wide).min(646.0 / high);
     let (width, height) = (scale * wide + 82.0, scale * high + 74.0);
-    let path: Vec<(f64, f64)> = thinned(&cut.course.way(), |s| (s.desired[0], s.desired[1]));
+    let desired = |samples: &[Sample]| thinned(samples, |s| (s.desired[0], s.desired[1]));
+    let path = match &cut.hand {
+        None => desired(&cut.course.way()),
+        Some(_) => desired(shown(cut)),
+    };
     let chart = Chart {
         x_label: "x, mm".into(),
         y_label: "y, mm".into(),
