@@ -73,6 +73,27 @@ proptest! {
         prop_assert!(f64::from((high - low).abs()) <= slope * 0.001 * NEWTON + 3.0);
     }
 
+    /// However often they change, on the way or after a rest: within a second from the last change the law is that of the last settings.
+    #[test]
+    fn settings_arrive(
+        changes in prop::collection::vec((prop::array::uniform3(0_u8..=100), prop::array::uniform3(0.0_f64..10.0), prop_oneof![Just(0.0), 0.0_f64..0.5], 0.5_f64..10.0, 1_usize..8000), 1..5),
+        tool: [i32; 3], rates: [i32; 3],
+    ) {
+        let (tool, rates) = (tool.map(Force), rates.map(Rate));
+        let mut law = Law::new(&settings([40; 3], [3.2; 3], 0.1), 200);
+        let mut last = *law.settings();
+        for (percent, most, boost, below, hold) in changes {
+            last = Reflection { boost_below: force(below).0, ..settings(percent, most, boost) };
+            law.set(&last);
+            (0..hold).for_each(|_| drop(law.reflect(&tool, &rates)));
+        }
+        (0..5002).for_each(|_| drop(law.reflect(&tool, &rates)));
+        prop_assert_eq!(law.reflect(&tool, &rates), Law::new(&last, 200).reflect(&tool, &rates));
+        for axis in 0..3 {
+            prop_assert_eq!(law.most(axis), Force(last.axes[axis].most));
+        }
+    }
+
     /// The boost only takes energy: with it the force is never more along the motion than without.
     #[test]
     fn the_boost_opposes_the_motion(newtons in -8.0_f64..8.0, rate in -60.0_f64..60.0) {

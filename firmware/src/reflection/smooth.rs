@@ -12,7 +12,7 @@
 
 use super::passivity::{COUNTED, WHOLE};
 use crate::units::force::Force;
-use crate::units::scale::multiply_high;
+use crate::units::scale::{multiply_high, product, total};
 use haptimill_protocol::haptic::COMPONENTS;
 
 /// Time constant for each whole debt, microseconds.
@@ -52,16 +52,19 @@ impl Smoothing {
     ) -> [Force; COMPONENTS] {
         core::array::from_fn(|axis| {
             // Periods of the time constant: at most 3 * 350,000.
-            let constant = ((self.periods * owed[axis].clamp(0, COUNTED * WHOLE)) >> 16) as u32;
+            let owed = owed[axis].clamp(0, COUNTED * WHOLE);
+            let constant = (product(self.periods, owed) >> 16) as u32;
             let share = i64::from(shares[axis].0) << FRACTION;
             let slow = &mut self.slow[axis];
             *slow = if constant == 0 {
                 share
             } else {
-                *slow + multiply_high(share - *slow, u32::MAX / (constant + 1))
+                // Both are below 2^43.
+                let away = total(share, -*slow);
+                total(*slow, multiply_high(away, u32::MAX / (constant + 1)))
             };
             // Between shares, which are forces.
-            Force(((*slow + (1 << (FRACTION - 1))) >> FRACTION) as i32)
+            Force((total(*slow, 1 << (FRACTION - 1)) >> FRACTION) as i32)
         })
     }
 }

@@ -10,9 +10,10 @@
 //!
 //! Units as in [`super::passivity`].
 
-use super::passivity::{Passivity, PassivityConfig, WHOLE, work};
+use super::passivity::{Passivity, PassivityConfig, WHOLE, works};
 use crate::units::Rate;
 use crate::units::force::Force;
+use crate::units::scale::{product, saturate, shift_right, total};
 use haptimill_protocol::haptic::COMPONENTS;
 
 /// The mean that is taken for the slow part is over at least so long, microseconds; the next power of two of periods.
@@ -39,10 +40,10 @@ struct Swing {
 impl Swing {
     /// The mean is over 2^`shift` periods.
     fn of(&mut self, value: i32, shift: u32) -> i32 {
-        // Below 2^43, and so is their difference's magnitude below 2^44.
+        // Both are below 2^43, and so is the magnitude of their difference below 2^44.
         let fine = i64::from(value) << FRACTION;
-        self.slow += (fine - self.slow) >> shift;
-        super::saturate((fine - self.slow) >> FRACTION)
+        self.slow = total(self.slow, shift_right(total(fine, -self.slow), shift));
+        saturate(total(fine, -self.slow) >> FRACTION)
     }
 }
 
@@ -100,7 +101,7 @@ impl Swings {
             let most = rates[axis].0.saturating_abs();
             let swings = self.rates[axis].of(rates[axis].0, self.shift);
             let rate = Rate(swings.clamp(-most, most));
-            let led = (part * (WHOLE - idle[axis])) >> 16;
+            let led = product(part, WHOLE - idle[axis]) >> 16;
             self.watch.damp_by(led - damped[axis], rate)
         })
     }
@@ -155,11 +156,18 @@ impl Supply {
         force: &[Force; COMPONENTS],
         moved: &[i32; COMPONENTS],
     ) -> [i64; COMPONENTS] {
+        self.watch_works(&works(force, moved))
+    }
+
+    /// The same, for the work along each axis.
+    pub(super) fn watch_works(&mut self, works: &[i64; COMPONENTS]) -> [i64; COMPONENTS] {
         core::array::from_fn(|axis| {
-            let power = &mut self.power[axis];
-            *power += (-work(force[axis], moved[axis]) - *power) >> self.shift;
+            // A work is at most 2^46, and so is a mean of them.
+            let away = -total(works[axis], self.power[axis]);
+            let power = total(self.power[axis], shift_right(away, self.shift));
+            self.power[axis] = power;
             // 2^48 at most.
-            WHOLE - ((((*power).clamp(0, self.leads) >> 8) * self.per_leads) >> 32)
+            WHOLE - (product(power.max(0).min(self.leads) >> 8, self.per_leads) >> 32)
         })
     }
 }
