@@ -135,9 +135,9 @@ proptest! {
 
     /// Without debt the shares pass as they are; with it they go the way of a first-order filter with a gain of 1, and never beyond the largest of them.
     #[test]
-    fn smoothed_by_the_debt(shares in prop::collection::vec(-10.0_f64..10.0, 3..20), owed in 0_i64..4 * WHOLE, hold in 50_usize..4000) {
+    fn smoothed_by_the_debt(shares in prop::collection::vec(-10.0_f64..10.0, 3..20), owed in 0_i32..4 * WHOLE, hold in 50_usize..4000) {
         let mut smoothing = Smoothing::new(200);
-        let constant = SLOW_US as f64 / 200.0 * (owed.min(COUNTED * WHOLE) as f64 / WHOLE as f64);
+        let constant = SLOW_US as f64 / 200.0 * (f64::from(owed.min(COUNTED * WHOLE)) / f64::from(WHOLE));
         let (mut slow, mut most) = (0.0_f64, 0.0_f64);
         for share in shares {
             most = most.max(share.abs());

@@ -28,7 +28,7 @@ use crate::kinematics::haptic_statics::Wrench;
 use crate::reading::HandReading;
 use crate::safety::integrity::{Constants, Digest, constants};
 use crate::units::force::Force;
-use crate::units::scale::{multiply_high, product, saturate, total};
+use crate::units::scale::{difference, multiply_high, product, saturate, total};
 use crate::units::{Angle, Length, Rate};
 use config::HapticConfig;
 pub use haptimill_protocol::haptic::{COMPONENTS, Hand, HandProblem, HandTelemetry, Reflection};
@@ -242,14 +242,17 @@ impl Haptic {
                 let encoder = &self.sensors[index][sensor];
                 let counts = leg.counts[sensor].wrapping_sub(self.zero[index][sensor]);
                 // As many counts make two turns, or 4 m: below 2^58 with the scale.
-                let far = counts.unsigned_abs() > encoder.most;
-                let by = product(i64::from(if far { 0 } else { counts }), encoder.per_count) >> 24;
+                let range = HandProblem::Range {
+                    leg: at,
+                    sensor: here,
+                };
+                if counts.unsigned_abs() > encoder.most {
+                    return Err(range);
+                }
+                let by = product(i64::from(counts), encoder.per_count) >> 24;
                 *value = saturate(i64::from(encoder.preset) + by);
-                if far || *value < encoder.low || *value > encoder.high {
-                    return Err(HandProblem::Range {
-                        leg: at,
-                        sensor: here,
-                    });
+                if *value < encoder.low || *value > encoder.high {
+                    return Err(range);
                 }
             }
             readings[index] = LegReading {
@@ -272,7 +275,7 @@ impl Haptic {
                 self.moved[axis] = moved;
                 // Below 2^24 * 2^20 * 2^8, and so is the rate.
                 let raw = product(i64::from(moved), self.periods_per_second) << 8;
-                *rate = total(*rate, multiply_high(total(raw, -*rate), self.smoothing));
+                *rate = total(*rate, multiply_high(difference(raw, *rate), self.smoothing));
             }
         }
         self.tip = tip;
@@ -374,7 +377,7 @@ impl Haptic {
         self.swings.watch(&self.force, &self.moved, stored);
         let (all, swinging) = (self.passivity.owed(), self.swings.owed());
         let idle = self.supply.watch_works(&works);
-        let owed = idle.map(|idle| all.max(product(swinging, idle) >> 16));
+        let owed = idle.map(|idle| all.max(((i64::from(swinging) * i64::from(idle)) >> 16) as i32));
         // Of what is not led the whole motion is damped, half as much.
         let damped = owed.map(|owed| owed.min(WHOLE) / 2);
         let swings = self.swings.damp(&rates, &idle, &damped);

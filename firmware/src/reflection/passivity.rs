@@ -15,7 +15,7 @@
 
 use crate::units::Rate;
 use crate::units::force::Force;
-use crate::units::scale::{product, total};
+use crate::units::scale::{difference, product, total};
 use haptimill_protocol::haptic::COMPONENTS;
 use serde::{Deserialize, Serialize};
 
@@ -50,10 +50,10 @@ pub(super) fn works(force: &[Force; COMPONENTS], moved: &[i32; COMPONENTS]) -> [
 }
 
 /// How many times the debt of the whole damping is counted.
-pub const COUNTED: i64 = 3;
+pub const COUNTED: i32 = 3;
 
 /// Parts of a debt: 1, at which the damping is whole.
-pub const WHOLE: i64 = 1 << 16;
+pub const WHOLE: i32 = 1 << 16;
 
 /// Observer and controller.
 #[derive(Debug, Clone)]
@@ -79,7 +79,7 @@ impl Passivity {
         let debt = (i64::from(config.debt) << 20).clamp(1 << 29, 100 << 36);
         Self {
             cap: i64::from(config.credit) << 20,
-            least: -COUNTED * debt,
+            least: -i64::from(COUNTED) * debt,
             per_debt: (1 << 58) / debt,
             damping: config.damping.min(1 << 15),
             forget: ((i64::from(period_us) << 32) / i64::from(forget_us.max(1))).min(1 << 26),
@@ -107,20 +107,21 @@ impl Passivity {
     pub(super) fn observe_works(&mut self, works: &[i64; COMPONENTS], stored: i64) {
         let [x, y, z] = *works;
         // A work is at most 2^46, debt and cap below 2^45, and the walls hold below 2^56.
-        let energy = total(self.energy, -total(total(x, y), z));
+        let energy = difference(self.energy, total(total(x, y), z));
         let energy = energy.max(self.least).min(total(self.cap, stored));
         // A debt less 8 bits is below 2^37.
         self.energy = match energy {
             0.. => energy,
-            _ => total(energy, -(product(energy >> 8, self.forget) >> 24)),
+            _ => difference(energy, product(energy >> 8, self.forget) >> 24),
         };
     }
 
     /// The debt in parts of that of the whole damping, 2^-16: 0 to [`COUNTED`] of them.
     #[must_use]
-    pub fn owed(&self) -> i64 {
+    pub fn owed(&self) -> i32 {
         // Of at most 3 * 2^43: below 2^33, and times 2^58 / debt below 2^48.
-        product(-self.energy.min(0) >> 12, self.per_debt) >> 30
+        let debt = difference(0, self.energy.min(0));
+        (product(debt >> 12, self.per_debt) >> 30) as i32
     }
 
     /// Controller: the force against a motion of the hand.
@@ -132,10 +133,11 @@ impl Passivity {
 
     /// A part of the whole damping, 2^-16, against a motion of the hand along an axis.
     #[must_use]
-    pub fn damp_by(&self, part: i64, rate: Rate) -> Force {
+    pub fn damp_by(&self, part: i32, rate: Rate) -> Force {
         // At most 2^15 times 2^16, and then at most 2^15.
         let damping = self.damping.wrapping_mul(part.clamp(0, WHOLE) as u32) >> 16;
         // At most 2^31 * 2^15 / 2^20.
-        Force((-product(i64::from(rate.0), i64::from(damping as i32)) >> 20) as i32)
+        let against = -(damping as i32);
+        Force((product(i64::from(rate.0), i64::from(against)) >> 20) as i32)
     }
 }

@@ -25,6 +25,14 @@ pub const fn total(a: i64, b: i64) -> i64 {
     a.wrapping_add(b)
 }
 
+/// `a - b`, likewise.
+#[inline(always)]
+#[must_use]
+pub const fn difference(a: i64, b: i64) -> i64 {
+    debug_assert!(a.checked_sub(b).is_some());
+    a.wrapping_sub(b)
+}
+
 /// `value`, held within the range of `i32`.
 #[inline(always)]
 #[must_use]
