@@ -85,9 +85,13 @@ proptest! {
         for (percent, most, boost, below, hold) in changes {
             last = Reflection { boost_below: force(below).0, ..settings(percent, most, boost) };
             law.set(&last);
-            (0..hold).for_each(|_| drop(law.reflect(&tool, &rates)));
+            for _ in 0..hold {
+                law.reflect(&tool, &rates);
+            }
         }
-        (0..5002).for_each(|_| drop(law.reflect(&tool, &rates)));
+        for _ in 0..5002 {
+            law.reflect(&tool, &rates);
+        }
         prop_assert_eq!(law.reflect(&tool, &rates), Law::new(&last, 200).reflect(&tool, &rates));
         for axis in 0..3 {
             prop_assert_eq!(law.most(axis), Force(last.axes[axis].most));
