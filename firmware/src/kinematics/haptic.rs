@@ -339,7 +339,7 @@ fn unit(vector: [i64; 3]) -> Vector {
     // (Of nothing the root is that of 1, and the shift 1.)
     let reciprocal = Root::of(dot(scaled, scaled) as u64).reciprocal();
     let shift = reciprocal.shift.saturating_sub(30).clamp(1, 31);
-    let half = 1 << (shift - 1);
+    let half = i64::from(1_u32 << (shift - 1));
     // Below 2^61, and the direction fits a word.
     scaled.map(|part| {
         let part = i64::from(part) * i64::from(reciprocal.mantissa) + half;

@@ -241,11 +241,11 @@ impl Haptic {
                 }
                 let encoder = &self.sensors[index][sensor];
                 let counts = leg.counts[sensor].wrapping_sub(self.zero[index][sensor]);
-                // As many counts make two turns, or 4 m: below 2^58 with the scale.
                 let range = HandProblem::Range {
                     leg: at,
                     sensor: here,
                 };
+                // As many counts make two turns, or 4 m: below 2^58 with the scale.
                 if counts.unsigned_abs() > encoder.most {
                     return Err(range);
                 }
