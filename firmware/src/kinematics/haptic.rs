@@ -199,11 +199,12 @@ impl HapticArm {
     /// # Errors
     /// See [`ArmError`].
     pub fn find(&self, readings: &[LegReading; LEGS], pose: &mut HandPose) -> Result<(), ArmError> {
-        for index in 0..LEGS {
-            if readings[index].slide.magnitude() > SLIDE_MAX.0 as u32 {
+        let legs = self.legs.iter().zip(readings).zip(&mut pose.legs);
+        for (index, ((stand, reading), leg)) in legs.enumerate() {
+            if reading.slide.magnitude() > SLIDE_MAX.0 as u32 {
                 return Err(ArmError::Slide { leg: index as u8 });
             }
-            self.legs[index].leg(&readings[index], self.link, &mut pose.legs[index]);
+            stand.leg(reading, self.link, leg);
         }
         let [first, second, third] = [pose.legs[0].joint, pose.legs[1].joint, pose.legs[2].joint];
         let (least, most) = self.squares;

@@ -140,7 +140,7 @@ impl Walls {
                     continue;
                 }
                 // It comes to a stop at the end of what a length can be.
-                face.at = total(face.at, face.step).max(-(1 << 51)).min(1 << 51);
+                face.at = total(face.at, face.step).clamp(-(1 << 51), 1 << 51);
                 // Both are at most 2^31.
                 let beyond = (face.at >> 20) - i64::from(tip[axis]);
                 let depth = if sign < 0 { -beyond } else { beyond };
