@@ -121,7 +121,7 @@ impl Machinery {
     ) -> Result<(), ConfigProblem> {
         let joints = Self::joints_of(&config, inputs)?;
         let design = Self::force_of(&config)?;
-        *slot = Some(Self::bare(config, crc));
+        Self::place_bare(slot, config, crc);
         if let Some(machinery) = slot {
             machinery.set_up(joints, design, inputs);
         }
@@ -148,6 +148,13 @@ impl Machinery {
             joints.push(joint).map_err(|_| problem)?;
         }
         Ok(joints)
+    }
+
+    /// A machine is put together on the stack before it takes its place: nothing else shall be there meanwhile.
+    #[cold]
+    #[inline(never)]
+    fn place_bare(slot: &mut Option<Self>, config: Config, crc: u32) {
+        *slot = Some(Self::bare(config, crc));
     }
 
     /// Without joints and motion.

@@ -1,5 +1,6 @@
 //! Force control as a whole, from codes to displacements: cutting, a sensor with the wrong sign, leaving a stiff contact, changes at run time, spindle speeds.
 
+use haptimill_checks::reference;
 use haptimill_firmware::force::conditioning::{Channel, ForceProblem, ForceSample, Sensor};
 use haptimill_firmware::force::{ForceConfig, ForceControl, ForceParameter, Gate, LoopSettings};
 use haptimill_firmware::units::force::{Force, VirtualDamping, VirtualMass};
@@ -29,22 +30,15 @@ fn config(sign: f64, loops: &LoopSettings) -> ForceConfig {
         per_code: (-sign * PER_CODE * f64::exp2(32.0)) as i32,
         saturation: 7782,
     };
+    let force = reference::force();
     ForceConfig {
         sensor: Sensor {
             channels: [channel(), channel(), channel()],
-            silent_samples: 3,
-            stuck_samples: 500,
-            drift: Force::millinewtons(500),
-            limit: Force::millinewtons(80_000),
-            tare_samples: 256,
-            tare_spread: 30,
-            weight: Force::ZERO,
+            ..force.sensor
         },
         axes: [loops.clone(), loops.clone(), loops.clone()],
         mask: 1,
-        drive_lag_us: 5000,
-        creep: Rate::ZERO,
-        slowest_rpm: 4000,
+        ..force
     }
 }
 

@@ -4,7 +4,7 @@ mod reference;
 
 use haptimill_firmware::config::{Config, JointAxis, Model};
 use haptimill_firmware::drive::{JointDrive, Wanted};
-use haptimill_firmware::force::conditioning::{Channel, Sensor};
+use haptimill_firmware::force::conditioning::Sensor;
 use haptimill_firmware::force::{ForceConfig, ForceControl, Gate, LoopSettings};
 use haptimill_firmware::io::{AxisInputs, Inputs};
 use haptimill_firmware::kinematics::machine::Machine;
@@ -12,41 +12,22 @@ use haptimill_firmware::machinery::Machinery;
 use haptimill_firmware::motion::jog::Jog;
 use haptimill_firmware::motion::program::Program;
 use haptimill_firmware::safety::integrity::{Constants, Digest};
-use haptimill_firmware::units::force::{Force, VirtualDamping, VirtualMass};
-use haptimill_firmware::units::{Coordinate, Length, Rate};
+use haptimill_firmware::units::force::{Force, VirtualDamping};
+use haptimill_firmware::units::{Coordinate, Rate};
 use reference::h4;
 
 /// The arm with a force sensor.
 fn forced() -> Config {
-    let channel = || Channel {
-        per_code: -52_428_800,
-        saturation: 7782,
-    };
-    let axis = || LoopSettings {
-        desired: Force::millinewtons(5000),
-        mass: VirtualMass(1 << 16),
-        damping: VirtualDamping(5 << 16),
-        limit: Length::millimetres(10),
-        rate: Rate(20 << 20),
-        gate: Gate::AgainstMotion,
-    };
+    let force = reference::force();
     Config {
         force: Some(ForceConfig {
             sensor: Sensor {
-                channels: [channel(), channel(), channel()],
-                silent_samples: 10,
-                stuck_samples: 500,
-                drift: Force::millinewtons(1500),
-                limit: Force::millinewtons(80_000),
-                tare_samples: 1000,
-                tare_spread: 60,
                 weight: Force::millinewtons(29_420),
+                ..force.sensor
             },
-            axes: [axis(), axis(), axis()],
             mask: 5,
-            drive_lag_us: 5000,
             creep: Rate(26_214),
-            slowest_rpm: 4000,
+            ..force
         }),
         ..h4()
     }
@@ -123,7 +104,7 @@ fn a_change_of_force_control_is_seen() {
         |force| force.axes[1].mass.0 += 1 << 10,
         |force| force.axes[2].limit.0 -= 1 << 18,
         |force| force.axes[2].gate = Gate::Any,
-        |force| force.sensor.channels[1].per_code = 52_428_800,
+        |force| force.sensor.channels[1].per_code *= -1,
         |force| force.sensor.limit.0 += 1 << 16,
         |force| force.drive_lag_us += 100,
         |force| force.creep.0 *= 2,

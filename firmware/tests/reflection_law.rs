@@ -73,6 +73,31 @@ proptest! {
         prop_assert!(f64::from((high - low).abs()) <= slope * 0.001 * NEWTON + 3.0);
     }
 
+    /// However often they change, on the way or after a rest: within a second from the last change the law is that of the last settings.
+    #[test]
+    fn settings_arrive(
+        changes in prop::collection::vec((prop::array::uniform3(0_u8..=100), prop::array::uniform3(0.0_f64..10.0), prop_oneof![Just(0.0), 0.0_f64..0.5], 0.5_f64..10.0, 1_usize..8000), 1..5),
+        tool: [i32; 3], rates: [i32; 3],
+    ) {
+        let (tool, rates) = (tool.map(Force), rates.map(Rate));
+        let mut law = Law::new(&settings([40; 3], [3.2; 3], 0.1), 200);
+        let mut last = *law.settings();
+        for (percent, most, boost, below, hold) in changes {
+            last = Reflection { boost_below: force(below).0, ..settings(percent, most, boost) };
+            law.set(&last);
+            for _ in 0..hold {
+                law.reflect(&tool, &rates);
+            }
+        }
+        for _ in 0..5002 {
+            law.reflect(&tool, &rates);
+        }
+        prop_assert_eq!(law.reflect(&tool, &rates), Law::new(&last, 200).reflect(&tool, &rates));
+        for axis in 0..3 {
+            prop_assert_eq!(law.most(axis), Force(last.axes[axis].most));
+        }
+    }
+
     /// The boost only takes energy: with it the force is never more along the motion than without.
     #[test]
     fn the_boost_opposes_the_motion(newtons in -8.0_f64..8.0, rate in -60.0_f64..60.0) {
@@ -114,9 +139,9 @@ proptest! {
 
     /// Without debt the shares pass as they are; with it they go the way of a first-order filter with a gain of 1, and never beyond the largest of them.
     #[test]
-    fn smoothed_by_the_debt(shares in prop::collection::vec(-10.0_f64..10.0, 3..20), owed in 0_i64..4 * WHOLE, hold in 50_usize..4000) {
+    fn smoothed_by_the_debt(shares in prop::collection::vec(-10.0_f64..10.0, 3..20), owed in 0_i32..4 * WHOLE, hold in 50_usize..4000) {
         let mut smoothing = Smoothing::new(200);
-        let constant = SLOW_US as f64 / 200.0 * (owed.min(COUNTED * WHOLE) as f64 / WHOLE as f64);
+        let constant = SLOW_US as f64 / 200.0 * (f64::from(owed.min(COUNTED * WHOLE)) / f64::from(WHOLE));
         let (mut slow, mut most) = (0.0_f64, 0.0_f64);
         for share in shares {
             most = most.max(share.abs());

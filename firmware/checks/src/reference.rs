@@ -4,11 +4,13 @@ use haptimill_firmware::config::{
     AxisKind, Config, Drive, H4Geometry, Homing, JointAxis, Law, LawForm, Model, PoseAxis,
     Stopping, Supervision,
 };
+use haptimill_firmware::force::conditioning::{Channel, Sensor};
+use haptimill_firmware::force::{ForceConfig, Gate, LoopSettings};
 use haptimill_firmware::kinematics::haptic::HapticGeometry;
 use haptimill_firmware::reflection::config::{Amplifier, Encoder, FollowConfig, HapticConfig};
 use haptimill_firmware::reflection::passivity::PassivityConfig;
 use haptimill_firmware::reflection::wall::WallConfig;
-use haptimill_firmware::units::force::Force;
+use haptimill_firmware::units::force::{Force, VirtualDamping, VirtualMass};
 use haptimill_firmware::units::{Acceleration, Angle, Coordinate, Effort, Gain, Length, Rate};
 use haptimill_protocol::haptic::{ReflectAxis, Reflection};
 
@@ -155,6 +157,40 @@ pub fn h4() -> Config {
         force: None,
         follow: None,
         haptic: None,
+    }
+}
+
+/// A force sensor of +-100 N with 14 bits, and force control of no axis yet, towards 5 N.
+#[must_use]
+pub fn force() -> ForceConfig {
+    let channel = || Channel {
+        per_code: (100.0 / 8192.0 * 65_536.0 * 65_536.0) as i32,
+        saturation: 7782,
+    };
+    let settings = LoopSettings {
+        desired: Force::millinewtons(5000),
+        mass: VirtualMass(1 << 16),
+        damping: VirtualDamping(5 << 16),
+        limit: Length::millimetres(10),
+        rate: Rate(10 << 20),
+        gate: Gate::AgainstMotion,
+    };
+    ForceConfig {
+        sensor: Sensor {
+            channels: [channel(), channel(), channel()],
+            silent_samples: 3,
+            stuck_samples: 500,
+            drift: Force::millinewtons(500),
+            limit: Force::millinewtons(80_000),
+            tare_samples: 256,
+            tare_spread: 30,
+            weight: Force::ZERO,
+        },
+        axes: [settings.clone(), settings.clone(), settings],
+        mask: 0,
+        drive_lag_us: 5000,
+        creep: Rate::ZERO,
+        slowest_rpm: 4000,
     }
 }
 

@@ -9,7 +9,7 @@
 //! Misuse: a [`HandPose`] is only as true as the readings. Whoever takes one without the check of the sides ([`HapticArm::pose`] makes it) has no idea whether it is.
 
 use crate::units::root::{Root, sqrt_rounded};
-use crate::units::scale::{multiply_shift, round_shift};
+use crate::units::scale::{multiply_shift, round_q30, shift_right};
 use crate::units::trig::sin_cos;
 use crate::units::{Angle, Length};
 use serde::{Deserialize, Serialize};
@@ -190,54 +190,64 @@ impl HapticArm {
     /// See [`ArmError`].
     pub fn pose(&self, readings: &[LegReading; LEGS]) -> Result<HandPose, ArmError> {
         let mut pose = HandPose::default();
-        for (index, (stand, reading)) in self.legs.iter().zip(readings).enumerate() {
+        self.find(readings, &mut pose)?;
+        Ok(pose)
+    }
+
+    /// The same in its place; what stands there after an error is no pose.
+    ///
+    /// # Errors
+    /// See [`ArmError`].
+    pub fn find(&self, readings: &[LegReading; LEGS], pose: &mut HandPose) -> Result<(), ArmError> {
+        let legs = self.legs.iter().zip(readings).zip(&mut pose.legs);
+        for (index, ((stand, reading), leg)) in legs.enumerate() {
             if reading.slide.magnitude() > SLIDE_MAX.0 as u32 {
                 return Err(ArmError::Slide { leg: index as u8 });
             }
-            pose.legs[index] = stand.leg(reading, self.link);
+            stand.leg(reading, self.link, leg);
         }
-        let [first, second, third] = pose.legs.map(|leg| leg.joint);
-        // Joints are within 1600 mm of the base's centre, so differences leave no wide number, and words only when a side is absurd.
-        let sides = [(third, second), (first, third), (second, first)];
-        let sides = sides.map(|(to, from)| difference(to, from));
+        let [first, second, third] = [pose.legs[0].joint, pose.legs[1].joint, pose.legs[2].joint];
         let (least, most) = self.squares;
-        let fits =
-            |side: &[i64; 3]| square(side).is_some_and(|square| least <= square && square <= most);
-        if !sides.iter().all(fits) {
-            return Err(self.blame(&sides));
-        }
-        // Sides are below 1000 mm now.
-        let [opposite, third_back, second_out] = sides.map(|side| side.map(|part| part as i32));
+        let fits = |to: Vector, from: Vector| {
+            let side = short(to, from)?;
+            let square = dot(side, side) as u64;
+            (least <= square && square <= most).then_some(side)
+        };
+        let sides = (fits(third, second), fits(first, third), fits(second, first));
+        let (Some(opposite), Some(third_back), Some(second_out)) = sides else {
+            return Err(self.blame(&[(third, second), (first, third), (second, first)]));
+        };
         // The first joint and a third of the way to the other two.
         let middle = |axis: usize| {
             first[axis].wrapping_add(second_out[axis].wrapping_sub(third_back[axis]) / 3)
         };
         pose.centre = [middle(0), middle(1), middle(2)];
-        let [n, o, a] = &mut pose.axes;
         // The plane of the joints is the platform's. In it, n of (3.11) and o (turned by a quarter and brought to the length of n) say the same when all readings are
         // right; of an error of one of them the mean takes half.
-        *a = unit(cross(second_out, third_back.map(|part| -part)));
-        let turned = cross(opposite.map(|part| -part), *a).map(|part| round_shift(part, 30) as i32);
+        let a = unit(cross(third_back, second_out));
+        let turned = cross(a, opposite).map(round_q30);
         let sum = |axis: usize| {
             let radial = i64::from(first[axis]) - i64::from(pose.centre[axis]);
-            radial + multiply_shift(turned[axis], INVERSE_ROOT_3, 30)
+            radial + i64::from(product_q30(turned[axis], INVERSE_ROOT_3))
         };
-        *n = unit([sum(0), sum(1), sum(2)]);
-        *o = cross(*a, *n).map(|part| round_shift(part, 30) as i32);
+        let n = unit([sum(0), sum(1), sum(2)]);
+        let o = cross(a, n).map(round_q30);
         let tip = |axis: usize| {
             let row = [n[axis], o[axis], a[axis]];
-            pose.centre[axis].wrapping_add(round_shift(dot(row, self.tip), 30) as i32)
+            pose.centre[axis].wrapping_add(round_q30(dot(row, self.tip)))
         };
         pose.tip = [tip(0), tip(1), tip(2)];
-        Ok(pose)
+        pose.axes = [n, o, a];
+        Ok(())
     }
 
     /// Which leg's readings do not fit.
     #[cold]
     #[inline(never)]
-    fn blame(&self, sides: &[[i64; 3]; LEGS]) -> ArmError {
-        let off = sides.map(|side| {
-            let length = square(&side).map_or(u32::MAX, sqrt_rounded);
+    fn blame(&self, sides: &[(Vector, Vector); LEGS]) -> ArmError {
+        let off = sides.map(|(to, from)| {
+            let length =
+                short(to, from).map_or(u32::MAX, |side| sqrt_rounded(dot(side, side) as u64));
             Length::saturating_from(i64::from(length) - i64::from(self.side))
         });
         let (mut best, mut worst) = (0, 0);
@@ -257,45 +267,42 @@ impl HapticArm {
 }
 
 impl Stand {
-    #[inline]
-    fn leg(&self, reading: &LegReading, length: i32) -> LegPose {
+    #[inline(always)]
+    fn leg(&self, reading: &LegReading, length: i32, pose: &mut LegPose) {
         let (s3, c3) = sin_cos(reading.turn);
         let (s4, c4) = sin_cos(reading.lean);
-        let direction = [
-            multiply_shift(c3, s4, 30) as i32,
-            multiply_shift(s3, s4, 30) as i32,
-            c4,
-        ];
-        let turn = |vector: Vector| {
-            self.rows
-                .map(|row| round_shift(dot(row, vector), 30) as i32)
-        };
-        let link = turn(direction);
-        let mut joint = self.base;
-        for (axis, part) in joint.iter_mut().enumerate() {
-            let along = multiply_shift(reading.slide.0, self.rows[axis][2], 30);
-            let out = multiply_shift(length, link[axis], 30);
+        let direction = [product_q30(c3, s4), product_q30(s3, s4), c4];
+        for axis in 0..3 {
+            let row = self.rows[axis];
+            let link = round_q30(dot(row, direction));
+            let along = product_q30(reading.slide.0, row[2]);
             // Below 1600 mm: fits.
-            *part = part.wrapping_add((along + out) as i32);
+            let joint = along.wrapping_add(product_q30(length, link));
+            pose.link[axis] = link;
+            pose.joint[axis] = self.base[axis].wrapping_add(joint);
+            pose.normal[axis] = round_q30(dot(row, [s3, c3.wrapping_neg(), 0]));
         }
-        LegPose {
-            joint,
-            link,
-            normal: turn([s3, -c3, 0]),
-            lean: (s4, c4),
-        }
+        pose.lean = (s4, c4);
     }
 }
 
-fn difference(to: Vector, from: Vector) -> [i64; 3] {
-    core::array::from_fn(|axis| i64::from(to[axis]) - i64::from(from[axis]))
+/// The product with a direction: Q30 of one of them is taken off again.
+#[inline(always)]
+fn product_q30(a: i32, b: i32) -> i32 {
+    round_q30(i64::from(a) * i64::from(b))
 }
 
-/// The square of a length, unless a part of it is 1024 mm or more.
-#[inline]
-fn square(vector: &[i64; 3]) -> Option<u64> {
-    let small = vector.iter().all(|part| part.unsigned_abs() < 1 << 30);
-    small.then(|| vector.iter().map(|part| (part * part) as u64).sum())
+/// The way from one point to another, unless a part of it is 1024 mm or more: its square is below 2^62.
+#[inline(always)]
+fn short(to: Vector, from: Vector) -> Option<Vector> {
+    let mut way = [0; 3];
+    for (axis, part) in way.iter_mut().enumerate() {
+        *part = to[axis].checked_sub(from[axis])?;
+        if part.unsigned_abs() >= 1 << 30 {
+            return None;
+        }
+    }
+    Some(way)
 }
 
 /// The scalar product; each vector has parts of at most 2^30, or one of them is a direction: below 2^62.
@@ -324,16 +331,19 @@ fn unit(vector: [i64; 3]) -> Vector {
     let all = vector.iter().fold(1, |all, part| all | part.unsigned_abs());
     // The longest part between 2^29 and 2^30.
     let bits = 64 - all.leading_zeros();
-    let scaled = vector.map(|part| {
-        if bits > 30 {
-            part >> (bits - 30)
-        } else {
-            part << (30 - bits)
-        }
-    });
+    let scaled = if bits > 30 {
+        vector.map(|part| shift_right(part, bits - 30) as i32)
+    } else {
+        vector.map(|part| (part as i32).wrapping_shl(30 - bits))
+    };
     // At most 3 * 2^60. The root is 2^29 to 2^31, so its reciprocal has a shift of 60 or 61 and less what brings it to Q30 leaves 30 or 31.
-    let sum = scaled.iter().map(|part| (part * part) as u64).sum();
-    let reciprocal = Root::of(sum).reciprocal();
-    let shift = (reciprocal.shift.saturating_sub(30)).clamp(1, 62);
-    scaled.map(|part| round_shift(part * i64::from(reciprocal.mantissa), shift) as i32)
+    // (Of nothing the root is that of 1, and the shift 1.)
+    let reciprocal = Root::of(dot(scaled, scaled) as u64).reciprocal();
+    let shift = reciprocal.shift.saturating_sub(30).clamp(1, 31);
+    let half = i64::from(1_u32 << (shift - 1));
+    // Below 2^61, and the direction fits a word.
+    scaled.map(|part| {
+        let part = i64::from(part) * i64::from(reciprocal.mantissa) + half;
+        ((part as u32) >> shift | ((part >> 32) as u32) << (32 - shift)) as i32
+    })
 }

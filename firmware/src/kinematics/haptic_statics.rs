@@ -37,8 +37,14 @@ pub struct Singular {
 /// What the motors of the legs do: force along the slide in N, torque about it in N mm.
 pub type Efforts = [[f32; 2]; LEGS];
 
-/// Six equations: parts 0 to 5 belong to lambda, part 6 is the right side.
-type System = [[f32; 7]; 6];
+/// A number of each of six equations.
+type Column = [f32; 6];
+
+/// Six equations, by columns: 0 to 5 belong to lambda, 6 is the right side.
+type System = [Column; 7];
+
+/// The right side.
+const RIGHT: usize = 6;
 
 /// Q30 to a number, and 2^-20 mm to mm.
 const Q30: f32 = 1.0 / (1 << 30) as f32;
@@ -75,21 +81,12 @@ impl HapticArm {
         for (index, leg) in pose.legs.iter().enumerate() {
             let arm = core::array::from_fn(|axis| pose.centre[axis].wrapping_sub(leg.joint[axis]));
             let arm = numbers(arm, MILLIMETRE * inverse_radius);
-            let along = numbers(leg.link, -Q30);
-            let across = numbers(leg.normal, Q30);
-            for (push, part) in [(along, 2 * index), (across, 2 * index + 1)] {
-                let moment = cross(push, arm);
-                for axis in 0..3 {
-                    system[axis][part] = moment[axis];
-                    system[axis + 3][part] = push[axis];
-                    norm += moment[axis] * moment[axis] + push[axis] * push[axis];
-                }
-            }
+            let along = column(numbers(leg.link, -Q30), arm, &mut norm);
+            let across = column(numbers(leg.normal, Q30), arm, &mut norm);
+            (system[2 * index], system[2 * index + 1]) = (along, across);
         }
-        for axis in 0..3 {
-            system[axis][6] = wrench.moment[axis] * inverse_radius;
-            system[axis + 3][6] = wrench.force[axis];
-        }
+        let moment = wrench.moment.map(|part| part * inverse_radius);
+        system[RIGHT] = join(moment, wrench.force);
         let determinant = eliminate(&mut system);
         let mean = norm * (1.0 / 6.0);
         let bound = 2.0 * mean * mean * mean;
@@ -112,46 +109,142 @@ impl HapticArm {
     }
 }
 
+/// What a push does: its moment on an arm and itself. Their squares are added to the norm, part by part.
+#[inline(always)]
+fn column(push: [f32; 3], arm: [f32; 3], norm: &mut f32) -> Column {
+    let moment = cross(push, arm);
+    for axis in 0..3 {
+        *norm += moment[axis] * moment[axis] + push[axis] * push[axis];
+    }
+    join(moment, push)
+}
+
+#[inline(always)]
+fn join(moment: [f32; 3], force: [f32; 3]) -> Column {
+    let ([a, b, c], [d, e, f]) = (moment, force);
+    [a, b, c, d, e, f]
+}
+
 /// Makes the system triangular; gives the magnitude of its determinant.
+#[inline(always)]
 fn eliminate(system: &mut System) -> f32 {
     let mut determinant = 1.0;
-    for step in 0..6 {
-        let mut best = step;
-        for row in step + 1..6 {
-            if system[row][step].abs() > system[best][step].abs() {
-                best = row;
-            }
-        }
-        if best != step {
-            system.swap(step, best);
-        }
-        let pivot = system[step][step];
+    let mut regular = |pivot: f32| {
         determinant *= pivot.abs();
-        if pivot == 0.0 {
-            return 0.0;
-        }
-        let inverse = 1.0 / pivot;
-        let (above, below) = system.split_at_mut(step + 1);
-        let equation = &above[step];
-        for row in below {
-            let factor = row[step] * inverse;
-            for (part, of) in row.iter_mut().zip(equation).skip(step + 1) {
-                *part -= factor * of;
-            }
+        pivot != 0.0
+    };
+    // Each step by itself, so that the compiler knows how far its loops go: counting them took half of all instructions.
+    let regular = regular(step::<0>(system))
+        && regular(step::<1>(system))
+        && regular(step::<2>(system))
+        && regular(step::<3>(system))
+        && regular(step::<4>(system))
+        && regular(step::<5>(system));
+    if regular { determinant } else { 0.0 }
+}
+
+/// Brings the largest number of a column to its diagonal and clears what is below; gives that number.
+#[inline(always)]
+fn step<const STEP: usize>(system: &mut System) -> f32 {
+    let mut best = STEP;
+    for row in STEP + 1..6 {
+        if system[STEP][row].abs() > system[STEP][best].abs() {
+            best = row;
         }
     }
-    determinant
+    if best != STEP {
+        for column in &mut system[STEP..] {
+            column.swap(STEP, best);
+        }
+    }
+    let pivot = system[STEP][STEP];
+    let inverse = 1.0 / pivot;
+    let factors: Column = system[STEP].map(|part| part * inverse);
+    for column in &mut system[STEP + 1..] {
+        for row in STEP + 1..6 {
+            column[row] -= factors[row] * column[STEP];
+        }
+    }
+    pivot
 }
 
 /// The solution of a triangular system without a zero on its diagonal.
-fn substitute(system: &System) -> [f32; 6] {
+#[inline(always)]
+fn substitute(system: &System) -> Column {
     let mut solution = [0.0; 6];
     for row in (0..6).rev() {
-        let mut rest = system[row][6];
+        let mut rest = system[RIGHT][row];
         for part in row + 1..6 {
-            rest -= system[row][part] * solution[part];
+            rest -= system[part][row] * solution[part];
         }
         solution[row] = rest / system[row][row];
     }
     solution
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use proptest::test_runner::RngSeed;
+
+    /// The elimination as textbooks have it: by rows, with loops that count.
+    fn textbook(mut rows: [[f32; 7]; 6]) -> (f32, Option<Column>) {
+        let mut determinant = 1.0;
+        for step in 0..6 {
+            let mut best = step;
+            for row in step + 1..6 {
+                if rows[row][step].abs() > rows[best][step].abs() {
+                    best = row;
+                }
+            }
+            rows.swap(step, best);
+            let pivot = rows[step];
+            determinant *= pivot[step].abs();
+            if pivot[step] == 0.0 {
+                return (0.0, None);
+            }
+            let inverse = 1.0 / pivot[step];
+            for row in &mut rows[step + 1..] {
+                let factor = row[step] * inverse;
+                for part in step + 1..7 {
+                    row[part] -= factor * pivot[part];
+                }
+            }
+        }
+        let mut solution = [0.0; 6];
+        for row in (0..6).rev() {
+            let mut rest = rows[row][6];
+            for part in row + 1..6 {
+                rest -= rows[row][part] * solution[part];
+            }
+            solution[row] = rest / rows[row][row];
+        }
+        (determinant, Some(solution))
+    }
+
+    fn bits(column: Column) -> [u32; 6] {
+        column.map(f32::to_bits)
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { cases: 5_000, rng_seed: RngSeed::Fixed(1), ..ProptestConfig::default() })]
+
+        /// The same bits, also where numbers are equal, are nothing, or leave no solution.
+        #[test]
+        fn the_unrolled_elimination_is_the_textbooks(
+            rows in prop::array::uniform6(prop::array::uniform7(prop_oneof![
+                3 => -2.0_f32..2.0,
+                1 => prop::sample::select(&[0.0_f32, 1.0, -1.0, 0.5][..]),
+            ]))
+        ) {
+            let mut system: System = core::array::from_fn(|part| rows.map(|row| row[part]));
+            let determinant = eliminate(&mut system);
+            let (expected, solution) = textbook(rows);
+            prop_assert_eq!(determinant.to_bits(), expected.to_bits());
+            if let Some(solution) = solution {
+                prop_assert_eq!(bits(substitute(&system)), bits(solution));
+            }
+        }
+    }
 }

@@ -32,7 +32,10 @@ pub struct Law {
     boost: i32,
     below: i32,
     wanted: Reflection,
-    period_us: i64,
+    /// All of it is what is wanted.
+    arrived: bool,
+    /// The way of a percentage in a period.
+    step: i32,
 }
 
 /// Whether settings are within their ranges: at most 100 %, limits from 0 to 10 N, a threshold from 0.5 N to 10 N.
@@ -47,13 +50,20 @@ fn approach(value: &mut i32, wanted: i32, step: i32) {
     *value = wanted.clamp(value.saturating_sub(step), value.saturating_add(step));
 }
 
+/// A force held within a limit on either side.
+#[inline(always)]
+fn within(force: i32, most: i32) -> Force {
+    Force(force.max(-most).min(most))
+}
+
 impl Law {
     /// With these settings in force.
     #[must_use]
     pub fn new(settings: &Reflection, period_us: u16) -> Self {
         let mut law = Self {
             wanted: *settings,
-            period_us: i64::from(period_us),
+            // Below 2^16 * 2^24 / 10^6.
+            step: (i64::from(period_us) * (1 << 24) / RAMP_US) as i32,
             ..Self::default()
         };
         law.approach(i32::MAX);
@@ -63,6 +73,7 @@ impl Law {
     /// Other settings from now on, gently.
     pub const fn set(&mut self, settings: &Reflection) {
         self.wanted = *settings;
+        self.arrived = false;
     }
 
     /// The settings that are wanted.
@@ -71,7 +82,10 @@ impl Law {
         &self.wanted
     }
 
+    /// Once a period until it has arrived.
+    #[inline(never)]
     fn approach(&mut self, step: i32) {
+        let before = (self.percent, self.most, self.boost, self.below);
         for (axis, wanted) in self.wanted.axes.iter().enumerate() {
             // 2^24 / 100, to nearest.
             approach(
@@ -91,6 +105,8 @@ impl Law {
             self.wanted.boost_below << 8,
             step.saturating_mul(10),
         );
+        // What does not move is where it shall be.
+        self.arrived = before == (self.percent, self.most, self.boost, self.below);
     }
 
     /// The limit of an axis that is in force now.
@@ -111,16 +127,13 @@ impl Law {
 
     /// The first half of a period: the percentage of each force. What is more than can be felt, by limit and boost, is cut off already.
     pub fn shares(&mut self, forces: &[Force; COMPONENTS]) -> [Force; COMPONENTS] {
-        self.approach((self.period_us * (1 << 24) / RAMP_US) as i32);
+        if !self.arrived {
+            self.approach(self.step);
+        }
+        let boosted = if self.boost == 0 { 0 } else { self.below };
         core::array::from_fn(|axis| {
             let share = (i64::from(forces[axis].0) * i64::from(self.percent[axis])) >> 24;
-            let most = if self.boost == 0 {
-                self.most[axis]
-            } else {
-                self.most[axis].max(self.below)
-            };
-            let most = i64::from(most >> 8);
-            Force(saturate(share.clamp(-most, most)))
+            within(saturate(share), self.most[axis].max(boosted) >> 8)
         })
     }
 
@@ -132,17 +145,19 @@ impl Law {
         rates: &[Rate; COMPONENTS],
     ) -> [Force; COMPONENTS] {
         core::array::from_fn(|axis| {
-            let share = i64::from(shares[axis].0);
-            // 1 below the threshold less the fade, 0 above, in 2^-15.
-            let under = i64::from(self.below >> 8) - share.abs();
-            let fade = under.clamp(0, 1 << FADE_SHIFT);
-            // 2^-20 mm/s times 2^-24 N s/mm is 2^-44 N; |rate| < 2^31, boost < 2^24: below 2^55 before the fade takes its turn.
-            let against = (i64::from(rates[axis].0) * i64::from(self.boost)) >> 28;
-            let boost = (against * fade) >> FADE_SHIFT;
-            let most = i64::from(self.most[axis] >> 8);
+            let share = shares[axis].0;
+            let most = self.most[axis] >> 8;
             // An axis that reflects nothing is not boosted either.
-            let boost = if self.percent[axis] == 0 { 0 } else { boost };
-            Force(saturate((share - boost).clamp(-most, most)))
+            if self.boost == 0 || self.percent[axis] == 0 {
+                return within(share, most);
+            }
+            // 1 below the threshold less the fade, 0 above, in 2^-15.
+            let under = (self.below >> 8).saturating_sub(share.saturating_abs());
+            let fade = under.clamp(0, 1 << FADE_SHIFT);
+            // 2^-20 mm/s times 2^-24 N s/mm is 2^-44 N; |rate| <= 2^31, boost < 2^24: at most 2^27, before and after the fade takes its turn.
+            let against = ((i64::from(rates[axis].0) * i64::from(self.boost)) >> 28) as i32;
+            let boost = ((i64::from(against) * i64::from(fade)) >> FADE_SHIFT) as i32;
+            within(share.saturating_sub(boost), most)
         })
     }
 

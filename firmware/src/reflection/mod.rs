@@ -28,14 +28,14 @@ use crate::kinematics::haptic_statics::Wrench;
 use crate::reading::HandReading;
 use crate::safety::integrity::{Constants, Digest, constants};
 use crate::units::force::Force;
-use crate::units::scale::{product, saturate};
+use crate::units::scale::{difference, multiply_high, product, saturate, total};
 use crate::units::{Angle, Length, Rate};
 use config::HapticConfig;
 pub use haptimill_protocol::haptic::{COMPONENTS, Hand, HandProblem, HandTelemetry, Reflection};
 use law::Law;
 use lead::Frame;
 use motors::Motors;
-use passivity::{Passivity, WHOLE};
+use passivity::{Passivity, WHOLE, works};
 use smooth::Smoothing;
 use swing::{Supply, Swings};
 use wall::{TooSmall, Walls};
@@ -205,14 +205,18 @@ impl Haptic {
         self.engaged = inputs.engaged;
         self.ready = inputs.drives_ready;
         self.moved = [0; COMPONENTS];
+        let known = self.pose.is_some();
         let found = self.read(inputs).and_then(|readings| {
-            self.arm.pose(&readings).map_err(|error| match error {
+            // Found in its place: it is too large to be handed on.
+            let pose = self.pose.get_or_insert_default();
+            let found = self.arm.find(&readings, pose);
+            found.map(|()| pose.tip).map_err(|error| match error {
                 ArmError::Slide { leg } => HandProblem::Range { leg, sensor: 0 },
                 ArmError::Side { leg, by } => HandProblem::Encoder { leg, by: by.0 },
             })
         });
         match found {
-            Ok(pose) => self.go_on(pose),
+            Ok(tip) => self.go_on(tip, known),
             Err(problem) => {
                 self.pose = None;
                 self.rates = [0; COMPONENTS];
@@ -237,15 +241,18 @@ impl Haptic {
                 }
                 let encoder = &self.sensors[index][sensor];
                 let counts = leg.counts[sensor].wrapping_sub(self.zero[index][sensor]);
+                let range = HandProblem::Range {
+                    leg: at,
+                    sensor: here,
+                };
                 // As many counts make two turns, or 4 m: below 2^58 with the scale.
-                let far = counts.unsigned_abs() > encoder.most;
-                let by = product(i64::from(if far { 0 } else { counts }), encoder.per_count) >> 24;
+                if counts.unsigned_abs() > encoder.most {
+                    return Err(range);
+                }
+                let by = product(i64::from(counts), encoder.per_count) >> 24;
                 *value = saturate(i64::from(encoder.preset) + by);
-                if far || *value < encoder.low || *value > encoder.high {
-                    return Err(HandProblem::Range {
-                        leg: at,
-                        sensor: here,
-                    });
+                if *value < encoder.low || *value > encoder.high {
+                    return Err(range);
                 }
             }
             readings[index] = LegReading {
@@ -257,22 +264,21 @@ impl Haptic {
         Ok(readings)
     }
 
-    /// A new pose: what the tip moved, and its rates.
-    fn go_on(&mut self, pose: HandPose) {
-        if self.pose.is_some() {
+    /// A new pose: where the tip is, and where it was known before, what it moved and its rates.
+    fn go_on(&mut self, tip: [i32; COMPONENTS], known: bool) {
+        if known {
             for (axis, rate) in self.rates.iter_mut().enumerate() {
                 // More than 16 mm in a period is no motion; the sides of the platform see to that.
-                let moved = pose.tip[axis]
+                let moved = tip[axis]
                     .wrapping_sub(self.tip[axis])
                     .clamp(-(1 << 24), 1 << 24);
                 self.moved[axis] = moved;
-                // Below 2^24 * 2^15 * 2^8.
-                let raw = (i64::from(moved) * self.periods_per_second) << 8;
-                *rate += crate::units::scale::multiply_high(raw - *rate, self.smoothing);
+                // Below 2^24 * 2^20 * 2^8, and so is the rate.
+                let raw = product(i64::from(moved), self.periods_per_second) << 8;
+                *rate = total(*rate, multiply_high(difference(raw, *rate), self.smoothing));
             }
         }
-        self.tip = pose.tip;
-        self.pose = Some(pose);
+        self.tip = tip;
         if !self.latched {
             self.problem = None;
         }
@@ -366,11 +372,12 @@ impl Haptic {
         let rates = self.rates.map(|rate| Rate(saturate(rate >> 8)));
         self.wall = self.walls.push(&pose.tip);
         let stored = self.walls.stored();
-        self.passivity.observe(&self.force, &self.moved, stored);
+        let works = works(&self.force, &self.moved);
+        self.passivity.observe_works(&works, stored);
         self.swings.watch(&self.force, &self.moved, stored);
         let (all, swinging) = (self.passivity.owed(), self.swings.owed());
-        let idle = self.supply.watch(&self.force, &self.moved);
-        let owed = idle.map(|idle| all.max((swinging * idle) >> 16));
+        let idle = self.supply.watch_works(&works);
+        let owed = idle.map(|idle| all.max(((i64::from(swinging) * i64::from(idle)) >> 16) as i32));
         // Of what is not led the whole motion is damped, half as much.
         let damped = owed.map(|owed| owed.min(WHOLE) / 2);
         let swings = self.swings.damp(&rates, &idle, &damped);

@@ -103,8 +103,8 @@ impl Motors {
             for (index, code) in codes.iter_mut().enumerate() {
                 let value = efforts[leg][index] * share * self.gains[leg][index];
                 let rounded = value + if value < 0.0 { -0.5 } else { 0.5 };
-                // A cast cuts towards zero, and saturates.
-                *code = rounded.clamp(-CODE_MAX, CODE_MAX) as i16;
+                // A cast cuts towards zero, and of no number it makes 0. To a word it is one instruction.
+                *code = rounded.clamp(-CODE_MAX, CODE_MAX) as i32 as i16;
             }
         }
         Ok((codes, (share * 65_536.0) as i32))

@@ -15,7 +15,7 @@
 
 use crate::units::Rate;
 use crate::units::force::Force;
-use crate::units::scale::saturate;
+use crate::units::scale::{difference, product, total};
 use haptimill_protocol::haptic::COMPONENTS;
 use serde::{Deserialize, Serialize};
 
@@ -40,27 +40,32 @@ impl PassivityConfig {
     }
 }
 
-/// The work of a force on a tip that moved along an axis, 2^-36 N mm.
-pub(super) fn work(force: Force, moved: i32) -> i64 {
-    // Below 2^22 (64 N) times 2^24 (16 mm).
-    i64::from(force.0.clamp(-(1 << 22), 1 << 22)) * i64::from(moved.clamp(-(1 << 24), 1 << 24))
+/// The work of a force on a tip that moved, along each axis, 2^-36 N mm: at most 2^46.
+pub(super) fn works(force: &[Force; COMPONENTS], moved: &[i32; COMPONENTS]) -> [i64; COMPONENTS] {
+    core::array::from_fn(|axis| {
+        // At most 2^22 (64 N) times 2^24 (16 mm).
+        let force = force[axis].0.clamp(-(1 << 22), 1 << 22);
+        i64::from(force) * i64::from(moved[axis].clamp(-(1 << 24), 1 << 24))
+    })
 }
 
 /// How many times the debt of the whole damping is counted.
-pub const COUNTED: i64 = 3;
+pub const COUNTED: i32 = 3;
 
 /// Parts of a debt: 1, at which the damping is whole.
-pub const WHOLE: i64 = 1 << 16;
+pub const WHOLE: i32 = 1 << 16;
 
 /// Observer and controller.
 #[derive(Debug, Clone)]
 pub struct Passivity {
     cap: i64,
-    debt: i64,
+    /// The least that the energy may be: what is counted of debt.
+    least: i64,
     /// 2^58 by the debt.
     per_debt: i64,
-    damping: i64,
-    /// Part of a debt that is forgiven in a period, 2^-32.
+    /// At most 2^15.
+    damping: u32,
+    /// Part of a debt that is forgiven in a period, 2^-32; below 2^26.
     forget: i64,
     /// Credit, or below 0 debt.
     energy: i64,
@@ -70,13 +75,14 @@ impl Passivity {
     /// Without credit or debt; of a debt 63 % are forgiven in `forget_us`.
     #[must_use]
     pub fn new(config: &PassivityConfig, period_us: u16, forget_us: u32) -> Self {
-        let debt = (i64::from(config.debt) << 20).max(1 << 29);
+        // At most 2^43.
+        let debt = (i64::from(config.debt) << 20).clamp(1 << 29, 100 << 36);
         Self {
             cap: i64::from(config.credit) << 20,
-            debt,
+            least: -i64::from(COUNTED) * debt,
             per_debt: (1 << 58) / debt,
-            damping: i64::from(config.damping),
-            forget: (i64::from(period_us) << 32) / i64::from(forget_us.max(1)),
+            damping: config.damping.min(1 << 15),
+            forget: ((i64::from(period_us) << 32) / i64::from(forget_us.max(1))).min(1 << 26),
             energy: 0,
         }
     }
@@ -94,19 +100,28 @@ impl Passivity {
 
     /// Observer: `force` acted while the tip moved by `moved` (2^-20 mm); the walls hold `stored` now.
     pub fn observe(&mut self, force: &[Force; COMPONENTS], moved: &[i32; COMPONENTS], stored: i64) {
-        let axes = force.iter().zip(moved);
-        let work: i64 = axes.map(|(force, moved)| work(*force, *moved)).sum();
-        self.energy = (self.energy - work).clamp(-COUNTED * self.debt, self.cap + stored);
-        if self.energy < 0 {
-            self.energy -= ((self.energy >> 8) * self.forget) >> 24;
-        }
+        self.observe_works(&works(force, moved), stored);
+    }
+
+    /// The same, for the work along each axis.
+    pub(super) fn observe_works(&mut self, works: &[i64; COMPONENTS], stored: i64) {
+        let [x, y, z] = *works;
+        // A work is at most 2^46, debt and cap below 2^45, and the walls hold below 2^56.
+        let energy = difference(self.energy, total(total(x, y), z));
+        let energy = energy.max(self.least).min(total(self.cap, stored));
+        // A debt less 8 bits is below 2^37.
+        self.energy = match energy {
+            0.. => energy,
+            _ => difference(energy, product(energy >> 8, self.forget) >> 24),
+        };
     }
 
     /// The debt in parts of that of the whole damping, 2^-16: 0 to [`COUNTED`] of them.
     #[must_use]
-    pub fn owed(&self) -> i64 {
+    pub fn owed(&self) -> i32 {
         // Of at most 3 * 2^43: below 2^33, and times 2^58 / debt below 2^48.
-        (((-self.energy).max(0) >> 12) * self.per_debt) >> 30
+        let debt = difference(0, self.energy.min(0));
+        (product(debt >> 12, self.per_debt) >> 30) as i32
     }
 
     /// Controller: the force against a motion of the hand.
@@ -118,9 +133,11 @@ impl Passivity {
 
     /// A part of the whole damping, 2^-16, against a motion of the hand along an axis.
     #[must_use]
-    pub fn damp_by(&self, part: i64, rate: Rate) -> Force {
-        // At most 2^15.
-        let damping = (self.damping * part.clamp(0, WHOLE)) >> 16;
-        Force(saturate(-(i64::from(rate.0) * damping) >> 20))
+    pub fn damp_by(&self, part: i32, rate: Rate) -> Force {
+        // At most 2^15 times 2^16, and then at most 2^15.
+        let damping = self.damping.wrapping_mul(part.clamp(0, WHOLE) as u32) >> 16;
+        // At most 2^31 * 2^15 / 2^20.
+        let against = -(damping as i32);
+        Force((product(i64::from(rate.0), i64::from(against)) >> 20) as i32)
     }
 }

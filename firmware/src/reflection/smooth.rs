@@ -12,7 +12,7 @@
 
 use super::passivity::{COUNTED, WHOLE};
 use crate::units::force::Force;
-use crate::units::scale::multiply_high;
+use crate::units::scale::{difference, multiply_high, total};
 use haptimill_protocol::haptic::COMPONENTS;
 
 /// Time constant for each whole debt, microseconds.
@@ -25,7 +25,7 @@ const FRACTION: u32 = 12;
 #[derive(Debug, Clone)]
 pub struct Smoothing {
     /// [`SLOW_US`] in periods.
-    periods: i64,
+    periods: u32,
     slow: [i64; COMPONENTS],
 }
 
@@ -34,7 +34,7 @@ impl Smoothing {
     #[must_use]
     pub fn new(period_us: u16) -> Self {
         Self {
-            periods: i64::from(SLOW_US / u32::from(period_us.max(1))),
+            periods: SLOW_US / u32::from(period_us.max(1)),
             slow: [0; COMPONENTS],
         }
     }
@@ -48,20 +48,23 @@ impl Smoothing {
     pub fn smooth(
         &mut self,
         shares: &[Force; COMPONENTS],
-        owed: &[i64; COMPONENTS],
+        owed: &[i32; COMPONENTS],
     ) -> [Force; COMPONENTS] {
         core::array::from_fn(|axis| {
             // Periods of the time constant: at most 3 * 350,000.
-            let constant = ((self.periods * owed[axis].clamp(0, COUNTED * WHOLE)) >> 16) as u32;
+            let owed = owed[axis].clamp(0, COUNTED * WHOLE) as u32;
+            let constant = ((u64::from(self.periods) * u64::from(owed)) >> 16) as u32;
             let share = i64::from(shares[axis].0) << FRACTION;
             let slow = &mut self.slow[axis];
             *slow = if constant == 0 {
                 share
             } else {
-                *slow + multiply_high(share - *slow, u32::MAX / (constant + 1))
+                // Both are below 2^43.
+                let away = difference(share, *slow);
+                total(*slow, multiply_high(away, u32::MAX / (constant + 1)))
             };
             // Between shares, which are forces.
-            Force(((*slow + (1 << (FRACTION - 1))) >> FRACTION) as i32)
+            Force((total(*slow, 1 << (FRACTION - 1)) >> FRACTION) as i32)
         })
     }
 }

@@ -10,9 +10,10 @@
 //!
 //! Units as in [`super::passivity`].
 
-use super::passivity::{Passivity, PassivityConfig, WHOLE, work};
+use super::passivity::{Passivity, PassivityConfig, WHOLE, works};
 use crate::units::Rate;
 use crate::units::force::Force;
+use crate::units::scale::{difference, product, saturate, shift_right, total};
 use haptimill_protocol::haptic::COMPONENTS;
 
 /// The mean that is taken for the slow part is over at least so long, microseconds; the next power of two of periods.
@@ -39,10 +40,10 @@ struct Swing {
 impl Swing {
     /// The mean is over 2^`shift` periods.
     fn of(&mut self, value: i32, shift: u32) -> i32 {
-        // Below 2^43, and so is their difference's magnitude below 2^44.
+        // Both are below 2^43, and so is the magnitude of their difference below 2^44.
         let fine = i64::from(value) << FRACTION;
-        self.slow += (fine - self.slow) >> shift;
-        super::saturate((fine - self.slow) >> FRACTION)
+        self.slow = total(self.slow, shift_right(difference(fine, self.slow), shift));
+        saturate(difference(fine, self.slow) >> FRACTION)
     }
 }
 
@@ -91,8 +92,8 @@ impl Swings {
     pub fn damp(
         &mut self,
         rates: &[Rate; COMPONENTS],
-        idle: &[i64; COMPONENTS],
-        damped: &[i64; COMPONENTS],
+        idle: &[i32; COMPONENTS],
+        damped: &[i32; COMPONENTS],
     ) -> [Force; COMPONENTS] {
         let part = self.watch.owed().min(WHOLE);
         core::array::from_fn(|axis| {
@@ -100,7 +101,7 @@ impl Swings {
             let most = rates[axis].0.saturating_abs();
             let swings = self.rates[axis].of(rates[axis].0, self.shift);
             let rate = Rate(swings.clamp(-most, most));
-            let led = (part * (WHOLE - idle[axis])) >> 16;
+            let led = ((i64::from(part) * i64::from(WHOLE - idle[axis])) >> 16) as i32;
             self.watch.damp_by(led - damped[axis], rate)
         })
     }
@@ -113,7 +114,7 @@ impl Swings {
 
     /// The debt of the swings, as [`Passivity::owed`].
     #[must_use]
-    pub fn owed(&self) -> i64 {
+    pub fn owed(&self) -> i32 {
         self.watch.owed()
     }
 }
@@ -154,12 +155,20 @@ impl Supply {
         &mut self,
         force: &[Force; COMPONENTS],
         moved: &[i32; COMPONENTS],
-    ) -> [i64; COMPONENTS] {
+    ) -> [i32; COMPONENTS] {
+        self.watch_works(&works(force, moved))
+    }
+
+    /// The same, for the work along each axis.
+    pub(super) fn watch_works(&mut self, works: &[i64; COMPONENTS]) -> [i32; COMPONENTS] {
         core::array::from_fn(|axis| {
-            let power = &mut self.power[axis];
-            *power += (-work(force[axis], moved[axis]) - *power) >> self.shift;
+            // A work is at most 2^46, and so is a mean of them.
+            let away = difference(difference(0, works[axis]), self.power[axis]);
+            let power = total(self.power[axis], shift_right(away, self.shift));
+            self.power[axis] = power;
             // 2^48 at most.
-            WHOLE - ((((*power).clamp(0, self.leads) >> 8) * self.per_leads) >> 32)
+            let led = product(power.max(0).min(self.leads) >> 8, self.per_leads);
+            WHOLE - (led >> 32) as i32
         })
     }
 }
@@ -212,6 +221,26 @@ mod tests {
         assert!(damped(10.0, 0.0) < 0.05, "{}", damped(10.0, 0.0));
         // Half a swing late, it feeds it.
         assert!(damped(10.0, 0.06) > 1.0, "{}", damped(10.0, 0.06));
+    }
+
+    /// Swings that owe all that is counted are damped with the whole damping where the hand leads, with none where it does not, and in between in proportion.
+    #[test]
+    fn a_whole_debt_is_damped_wholly() {
+        let mut swings = Swings::new(&CONFIG, 200);
+        for period in 0..20_000_u32 {
+            // 8 Hz, 5 N along 10 mm/s.
+            let swing = (f64::from(period) * 0.01).sin();
+            let force = [Force(of(5.0 * swing, 65_536.0)), Force(0), Force(0)];
+            swings.watch(&force, &[of(0.002 * swing, 1_048_576.0), 0, 0], 0);
+        }
+        assert!(swings.owed() > 2 * WHOLE);
+        // A rate out of nothing swings but for a 512th. 0.3 N s/mm; what is damped anyway is not damped again.
+        let rates = [Rate(10 << 20); 3];
+        let got = swings.damp(&rates, &[0, WHOLE, WHOLE / 2], &[0, 0, WHOLE / 4]);
+        for (force, want) in got.into_iter().zip([3.0, 0.0, 0.75]) {
+            let force = -f64::from(force.0) / 65_536.0;
+            assert!((force - want).abs() < 0.01, "{force} {want}");
+        }
     }
 
     /// A passive hand that holds still, and is driven to and fro by a force, does not lead, though for half of each swing it gives back what it got; one at rest against a force does not either.

@@ -8,7 +8,7 @@
 //! Misuse: a box smaller than the ball at the tip; [`Walls::set`] refuses it.
 
 use crate::units::force::Force;
-use crate::units::scale::saturate;
+use crate::units::scale::{product, saturate, total};
 use crate::units::{Length, Rate};
 use haptimill_protocol::haptic::COMPONENTS;
 use serde::{Deserialize, Serialize};
@@ -140,15 +140,19 @@ impl Walls {
                     continue;
                 }
                 // It comes to a stop at the end of what a length can be.
-                face.at = face.at.saturating_add(face.step).clamp(-(1 << 51), 1 << 51);
-                let depth = sign * ((face.at >> 20) - i64::from(tip[axis]));
+                face.at = total(face.at, face.step).clamp(-(1 << 51), 1 << 51);
+                // Both are at most 2^31.
+                let beyond = (face.at >> 20) - i64::from(tip[axis]);
+                let depth = if sign < 0 { -beyond } else { beyond };
                 if depth <= 0 {
                     continue;
                 }
+                // At most 2^20 << 20 before it is shifted; what is stored is below 2^20 * 2^33 for each face.
                 let spring = depth.min(self.deep);
-                let force = ((spring * self.stiffness) >> 20).min(self.most);
-                self.stored += force * (depth - spring / 2);
-                forces[axis].0 += (sign * force) as i32;
+                let force = (product(spring, self.stiffness) >> 20).min(self.most);
+                self.stored = total(self.stored, product(force, depth - spring / 2));
+                let force = force as i32;
+                forces[axis].0 += if sign < 0 { -force } else { force };
             }
         }
         forces

@@ -11,7 +11,7 @@
 //! Cost: about seven multiplications 32 x 32 -> 64. The start value has 9 right bits (384 half words of table), one step gives 17, and the
 //! last step works on the remainder of the 64-bit number, which gives all 32.
 
-use super::scale::shift_left;
+use super::scale::{product, shift_left};
 
 /// 1 / (2 sqrt(v)) in Q16 for v = (i + 1/2) / 512; v runs from 1/4 (i = 128) to 1. Below that the table is never read: it only spares the
 /// bounds check.
@@ -86,10 +86,11 @@ impl Root {
     #[must_use]
     pub const fn reciprocal(self) -> Reciprocal {
         // z + z (1 - root / root0): one more step of Newton's rule for the reciprocal, from 17 bits to 31.
-        let product = self.mantissa as u64 * self.rough as u64;
-        // product is 2^62 (1 - error), error from 0 to 2^-16 (or a hair below 0).
-        let error = (1i64 << 62).wrapping_sub(product as i64);
-        let correction = ((error >> 30) * self.rough as i64) >> 32;
+        let one = self.mantissa as u64 * self.rough as u64;
+        // It is 2^62 (1 - error), error from 0 to 2^-16 (or a hair below 0).
+        let error = (1i64 << 62).wrapping_sub(one as i64);
+        // Below 2^17 * 2^32.
+        let correction = product(error >> 30, self.rough as i64) >> 32;
         Reciprocal {
             mantissa: (self.rough as i64 + correction) as u32,
             shift: 62 - (self.shift & 31),

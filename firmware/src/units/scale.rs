@@ -25,6 +25,14 @@ pub const fn total(a: i64, b: i64) -> i64 {
     a.wrapping_add(b)
 }
 
+/// `a - b`, likewise.
+#[inline(always)]
+#[must_use]
+pub const fn difference(a: i64, b: i64) -> i64 {
+    debug_assert!(a.checked_sub(b).is_some());
+    a.wrapping_sub(b)
+}
+
 /// `value`, held within the range of `i32`.
 #[inline(always)]
 #[must_use]
@@ -84,6 +92,15 @@ pub const fn multiply_shift(a: i32, b: i32, shift: u32) -> i64 {
     round_shift(a as i64 * b as i64, shift)
 }
 
+/// `value / 2^30`, rounded to nearest, where that is known to fit a word: what a product with a Q30 is brought back by, in half of the instructions of [`round_shift`].
+///
+/// Of a `value` of 2^61 or more only the lower word of the result is given; at most 2^63 - 2^29.
+#[inline(always)]
+#[must_use]
+pub const fn round_q30(value: i64) -> i32 {
+    (total(value, 1 << 29) >> 30) as i32
+}
+
 /// `value * factor / 2^shift`, rounded to nearest, for a wide value; `shift` is 1 to 32.
 ///
 /// The result must fit in 62 bits: it does whenever `|value| < 2^(30 + shift)`.
@@ -137,6 +154,11 @@ mod tests {
         #[test]
         fn round_shift_rounds_to_nearest(value in -(1i64 << 62)..(1i64 << 62), shift in 1u32..=62) {
             prop_assert_eq!(round_shift(value, shift) as i128, exact(value as i128, shift));
+        }
+
+        #[test]
+        fn round_q30_is_the_lower_word_of_round_shift(value in i64::MIN..i64::MAX - (1 << 29)) {
+            prop_assert_eq!(round_q30(value), round_shift(value, 30) as i32);
         }
 
         #[test]

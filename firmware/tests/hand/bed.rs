@@ -6,11 +6,12 @@ use crate::arm::{M, V, inverse, rotation};
 use haptimill_firmware::config::Config;
 use haptimill_firmware::controller::Controller;
 use haptimill_firmware::io::{DriveCommand, Inputs, Outputs};
+use haptimill_firmware::reflection::Haptic;
 use haptimill_protocol::frame::crc32;
 use haptimill_protocol::haptic::HandTelemetry;
 use haptimill_protocol::link::{HostLink, LinkState, Timing};
 use haptimill_protocol::message::{
-    AxisValues, CONFIG_CHUNK, Command, ConfigChunk, Event, Refusal, Report, Request, State,
+    AxisValues, CONFIG_CHUNK, Command, ConfigChunk, Event, Refusal, Report, Request, Source, State,
     Telemetry,
 };
 
@@ -155,6 +156,42 @@ impl Bed {
             }
         }
         panic!("no answer");
+    }
+
+    /// Nobody waits for the answer; only the newest counts.
+    pub fn say(&mut self, command: Command) {
+        let request = Request { id: 0, command };
+        self.link.send_latest(&request).expect("open");
+    }
+
+    /// An axis is led by the hand.
+    #[track_caller]
+    pub fn master(&mut self, axis: u8) {
+        let source = Source::Master;
+        assert_eq!(self.ask(Command::Source { axis, source }), Ok(()));
+    }
+
+    /// There is a force sensor, without load, and that is its zero.
+    #[track_caller]
+    pub fn tare(&mut self) {
+        self.codes = Some([0; 3]);
+        assert_eq!(self.ask(Command::Tare), Ok(()));
+        self.steps(600);
+        assert!(self.events.contains(&Event::Tared), "{:?}", self.events);
+    }
+
+    #[track_caller]
+    pub fn arm(&self) -> &Haptic {
+        let machinery = self.controller.machinery().expect("configured");
+        machinery.hands.arm.as_ref().expect("an arm")
+    }
+
+    /// The force at the hand, N.
+    #[track_caller]
+    pub fn felt(&self) -> [f64; 3] {
+        self.arm()
+            .force()
+            .map(|force| f64::from(force.0) / 65_536.0)
     }
 
     pub fn state(&self) -> State {

@@ -9,11 +9,10 @@ use haptimill_checks::reference;
 use haptimill_firmware::config::Config;
 use haptimill_firmware::force::conditioning::{Channel, Sensor};
 use haptimill_firmware::force::{ForceConfig, Gate, LoopSettings};
-use haptimill_firmware::reflection::Haptic;
-use haptimill_firmware::units::force::{Force, VirtualDamping, VirtualMass};
-use haptimill_firmware::units::{Length, Rate};
+use haptimill_firmware::units::Rate;
+use haptimill_firmware::units::force::Force;
 use haptimill_protocol::haptic::{Hand, ReflectAxis, Reflection};
-use haptimill_protocol::message::{Command, Event, Request, Source, State};
+use haptimill_protocol::message::{Command, State};
 use std::collections::VecDeque;
 
 /// The period, s.
@@ -77,31 +76,25 @@ fn sensor(yields: bool) -> ForceConfig {
         per_code: (CODE * NEWTON * NEWTON) as i32,
         saturation: 7782,
     };
+    let force = reference::force();
     let settings = LoopSettings {
-        desired: Force::millinewtons(5000),
-        mass: VirtualMass(1 << 16),
-        damping: VirtualDamping(5 << 16),
-        limit: Length::millimetres(10),
         rate: Rate(20 << 20),
         gate: Gate::Any,
+        ..force.axes[0].clone()
     };
     ForceConfig {
         sensor: Sensor {
             channels: [channel(), channel(), channel()],
-            silent_samples: 3,
-            stuck_samples: 500,
             // No spindle turns here, and a force at rest is not that of an empty sensor.
             drift: Force::millinewtons(20_000),
             limit: Force::millinewtons(185_000),
-            tare_samples: 256,
-            tare_spread: 30,
-            weight: Force::ZERO,
+            ..force.sensor
         },
         axes: [settings.clone(), settings.clone(), settings],
         mask: u8::from(yields),
         drive_lag_us: 8000,
-        creep: Rate::ZERO,
         slowest_rpm: 5000,
+        ..force
     }
 }
 
@@ -115,17 +108,6 @@ fn reflection() -> Reflection {
         boost: 0,
         boost_below: 2 << 16,
     }
-}
-
-fn arm(bed: &Bed) -> &Haptic {
-    let machinery = bed.controller.machinery().expect("configured");
-    machinery.hands.arm.as_ref().expect("an arm")
-}
-
-fn say(bed: &mut Bed, command: Command) {
-    bed.link
-        .send_latest(&Request { id: 0, command })
-        .expect("open");
 }
 
 /// The largest swing within any second and a half.
@@ -163,12 +145,8 @@ pub fn run(case: &Case) -> Outcome {
         master.inputs.haptic.engaged = true;
         master
     });
-    mill.codes = Some([0; 3]);
-    assert_eq!(mill.ask(Command::Tare), Ok(()));
-    mill.steps(600);
-    assert!(mill.events.contains(&Event::Tared));
-    let source = Source::Master;
-    assert_eq!(mill.ask(Command::Source { axis: 0, source }), Ok(()));
+    mill.tare();
+    mill.master(0);
     mill.start_job();
     mill.inputs.haptic.engaged = true;
     mill.steps(10);
@@ -193,7 +171,7 @@ pub fn run(case: &Case) -> Outcome {
         let time = (period as f64 - begin as f64) * T;
         let going = time >= 0.0 && time < way / PACE;
         let intention = (10.0 - PACE * time.max(0.0)).max(-DEPTH);
-        let felt = f64::from(arm(master.as_ref().unwrap_or(&mill)).force()[0].0) / NEWTON;
+        let felt = master.as_ref().unwrap_or(&mill).felt()[0];
         for _ in 0..4 {
             motor += (felt - motor) * (T / 4.0 / AMPLIFIER);
             let pace = if going { -PACE / 1000.0 } else { 0.0 };
@@ -215,24 +193,21 @@ pub fn run(case: &Case) -> Outcome {
         hand.centre = [HOME[0] + x - 10.0, HOME[1], HOME[2]];
         if let Some(master) = &mut master {
             if period % WORD == 0 {
-                let hand = arm(master).telemetry(0).hand;
+                let hand = master.arm().telemetry(0).hand;
                 out.push_back((period + lag, hand));
                 back.push_back((period + lag, [(peak * 64.0).round() as i16, 0, 0]));
             }
             while let Some((_, hand)) = out.front().copied().filter(|(at, _)| *at <= period) {
                 out.pop_front();
-                say(
-                    &mut mill,
-                    Command::Hand {
-                        epoch: 1,
-                        age_ms: 0,
-                        hand,
-                    },
-                );
+                mill.say(Command::Hand {
+                    epoch: 1,
+                    age_ms: 0,
+                    hand,
+                });
             }
             while let Some((_, force)) = back.front().copied().filter(|(at, _)| *at <= period) {
                 back.pop_front();
-                say(master, Command::Feel { force });
+                master.say(Command::Feel { force });
             }
             master.step();
         }
