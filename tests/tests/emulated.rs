@@ -437,7 +437,7 @@ fn instructions_of_a_period() {
             title: "E8, a hand leads and feels the cut, force control of x, y and z, the image with the haptic arm",
             name: "e8",
             what: What::Scenario("e8"),
-            ceilings: [24_300.0, 31_200.0],
+            ceilings: [19_300.0, 26_100.0],
         },
     ];
     let mut table = String::from(TABLE_HEAD) + &instructions_of_the_kinematics();
