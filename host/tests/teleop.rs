@@ -420,8 +420,7 @@ what = \"end\"
         "--delay and --hand-fault are for the simulated arm",
     );
     // A machine with an arm of its own is led by that one.
-    let own = [haptimill::machine::BUILT_IN, haptimill::machine::HAND].join("\n");
-    let own = folder.file("own.toml", own);
+    let own = folder.machine_with(haptimill::machine::HAND);
     refused(&["--hand", "sim", "--machine", &own], 3, "on its own board");
     // A haptic arm runs no programs.
     let ran = haptimill(&[&["run", "examples/e7-slot.ngc", "--check"], &master[..]].concat());
@@ -570,13 +569,10 @@ fn a_key_is_a_step_and_a_closed_window_stops_the_machine() {
         window.keys(b"d");
         std::thread::sleep(std::time::Duration::from_millis(200));
     }
-    window.keys(b"\x1b[6~");
-    window.sees("led ");
+    window.brings(b"\x1b[6~", "led ");
     window.sees("free");
-    window.keys(b" ");
-    window.sees("running -> on hold");
-    window.keys(b"g");
-    window.sees("on hold -> running");
+    window.brings(b" ", "running -> on hold");
+    window.brings(b"g", "on hold -> running");
     window.keys(b"q");
     assert_eq!(window.end(), 0, "{}", window.text());
     assert!(window.is_as_before());
@@ -595,8 +591,7 @@ fn a_key_is_a_step_and_a_closed_window_stops_the_machine() {
     let machine = Served::on_tcp(&[]);
     let mut window = open(&["--port", &machine.port, "--speed", "2"]);
     window.sees("idle -> running");
-    window.keys(b"++d");
-    window.sees("led ");
+    window.brings(b"++d", "led ");
     window.close();
     // Whatever the process still could say: the machine stands, and knows where.
     let begun = std::time::Instant::now();
@@ -619,8 +614,7 @@ fn a_key_is_a_step_and_a_closed_window_stops_the_machine() {
 #[test]
 fn a_hand_behind_a_port_is_recorded_as_it_is_reported() {
     let folder = Folder::new();
-    let own = [haptimill::machine::BUILT_IN, haptimill::machine::HAND].join("\n");
-    let own = folder.file("own.toml", own);
+    let own = folder.machine_with(haptimill::machine::HAND);
     let served = Served::on_tcp(&["--machine", &own]);
     let program = folder.file("short.ngc", "G21 G90 F600\nG1 X2\nG1 X0\nM30\n");
     let out = folder.path("out");
