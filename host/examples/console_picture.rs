@@ -18,7 +18,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 
 #[cfg(target_os = "linux")]
 mod linux {
-    use super::terminal::console::{DOWN, ENTER, RESUME, RIGHT, STOP, UP, agrees, home, run};
+    use super::terminal::console::{ENTER, RESUME, RIGHT, STOP, agrees, home, run};
     use super::terminal::{Keyboard, Terminal};
     use std::error::Error;
     use std::fmt::Write as _;
@@ -28,11 +28,11 @@ mod linux {
     /// Size of a cell, pixels.
     const CELL: (u32, u32) = (9, 18);
 
-    /// To and fro along x with the button held, from a while after the motors came on, for as long as it takes.
+    /// To and fro along x with the button held, for as long as it takes.
     fn person() -> String {
-        let strokes: String = (0..12)
+        let strokes: String = (0..20)
             .map(|index| {
-                let (at_s, x) = (20 + 5 * index, if index % 2 == 0 { -14.0 } else { 0.0 });
+                let (at_s, x) = (2 + 4 * index, if index % 2 == 0 { -14.0 } else { 0.0 });
                 format!("[[stroke]]\nat_s = {at_s}.0\nto_mm = [{x:.1}, 0.0, 0.0]\npace_mm_s = 5.0\nramp_s = 0.5\n")
             })
             .collect();
@@ -45,6 +45,14 @@ mod linux {
         let folder = out.to_str().ok_or("not UTF-8")?;
         jog_and_run(&root, folder)?;
         lead(&root, folder)
+    }
+
+    /// A number in the row of x under a heading of the overlay, by its place among the words without the bars.
+    fn number(text: &str, heading: &str, place: usize) -> Option<f64> {
+        let mut rows = text.lines().skip_while(|row| !row.contains(heading));
+        let words = rows.nth(1)?.split_whitespace();
+        let mut words = words.filter(|word| !word.contains(['·', '█']));
+        words.nth(place)?.parse().ok()
     }
 
     /// The console with the flat block on its table.
@@ -110,12 +118,12 @@ mod linux {
             ],
         )?;
         terminal.brings(b"w", "button held");
-        for key in [DOWN, DOWN, RIGHT, RIGHT] {
-            terminal.keys(key);
-        }
-        terminal.brings(ENTER, "lower wall of z where the tip is");
-        terminal.keys(UP);
-        terminal.keys(UP);
+        terminal.keys(RIGHT);
+        terminal.keys(RIGHT);
+        // Half on its way.
+        terminal.waits("away", |text| {
+            number(text, "at most", 6).is_some_and(|tip| (-9.0..-6.0).contains(&tip))
+        });
         terminal.brings(ENTER, "lower wall of x where the tip is");
         terminal.escape();
         run(&terminal);
@@ -128,10 +136,11 @@ mod linux {
         terminal.brings(b"w", "leads x");
         // While the wall is felt, and the cut too.
         terminal.waits("in the wall", |text| {
-            let mut rows = text.lines().skip_while(|row| !row.contains("law"));
-            let row = rows.nth(1).unwrap_or_default();
-            let pushed = |number: &&str| number.parse::<f64>().is_ok_and(|push| push > 0.8);
-            row.split_whitespace().filter(pushed).count() > 1
+            let forces = [2, 4, 5].map(|column| number(text, "law", column).unwrap_or_default());
+            let [tool, law, wall] = forces;
+            // The hand is reported more rarely than the tool: a moment in which both tell of the same cut.
+            let fits = (law - 0.4 * tool).abs() < 0.1;
+            text.starts_with(" RUN ") && law.abs() > 0.4 && wall > 0.4 && fits
         });
         picture(&terminal, &root.join("docs/console-hand.svg"))?;
         terminal.escape();
