@@ -72,7 +72,7 @@ fn standing(shown: &Shown, report: &HandTelemetry) -> String {
 /// Cells of a bar: an odd number, for there is one in the middle.
 fn cells(width: usize) -> usize {
     // Three bars and the space in front of each, four numbers, a name.
-    ((width.saturating_sub(37) / 3).clamp(5, 17) + 1) / 2 * 2 - 1
+    (width.saturating_sub(37) / 3).clamp(5, 17).div_ceil(2) * 2 - 1
 }
 
 /// A row of forces: on the tool, at the hand, by the law, of the walls.
