@@ -10,7 +10,7 @@
 //! | `desk.rs`, `hearing.rs` | the session, and what the controller says |
 //! | `orders.rs` | from keys to orders |
 //! | `job.rs` | part programs, steps, the way home |
-//! | `hand.rs` | the hand on a haptic arm: reflection, virtual walls, scale |
+//! | `hand.rs`, `hand/orders.rs` | the hand on a haptic arm: reflection, virtual walls, scale |
 //! | `connect.rs` | the port, lost and found; the simulator in real time |
 //! | `recording.rs` | telemetry as CSV |
 //! | `picture.rs`, `shown.rs`, `view/` | what is to be seen, and its drawing |
