@@ -40,7 +40,7 @@ pub(super) fn fresh(shown: &Shown, arm: &ArmShown) -> Style {
     }
 }
 
-/// Who leads, whether the arm can, and what it owes.
+/// Who leads, and whether the arm can.
 fn standing(shown: &Shown, report: &HandTelemetry) -> String {
     let running = shown
         .telemetry
@@ -60,13 +60,17 @@ fn standing(shown: &Shown, report: &HandTelemetry) -> String {
         (true, _) => "button held, leads nothing".to_string(),
     };
     let motors = if report.enabled { "on" } else { "off" };
+    format!(" {button}; motors {motors}")
+}
+
+/// What the hand owes of energy, or may still take.
+fn energy(report: &HandTelemetry) -> String {
     let energy = f64::from(report.energy) / PER_REPORTED;
-    let energy = if energy < 0.0 {
-        format!("owes {:.2} N mm", -energy)
+    if energy < 0.0 {
+        format!("; owes {:.2} N mm", -energy)
     } else {
-        format!("owes nothing (credit {energy:.2} N mm)")
-    };
-    format!(" {button}; motors {motors}; {energy}")
+        format!("; owes nothing (credit {energy:.2} N mm)")
+    }
 }
 
 /// Cells of a bar: an odd number, for there is one in the middle.
@@ -239,7 +243,7 @@ pub(super) fn overlay(
         match &arm.report {
             Some(report) => {
                 rows.extend(
-                    wrapped(&standing(shown, report), width, 1)
+                    wrapped(&(standing(shown, report) + &energy(report)), width, 1)
                         .into_iter()
                         .map(|row| Line::styled(row, style)),
                 );
@@ -346,7 +350,11 @@ pub(super) fn panel(shown: &Shown, width: u16) -> Option<Vec<Line<'static>>> {
     }
     rows.push(match &arm.problem {
         Some(problem) => Line::styled(format!(" {problem}"), style_of(Weight::Warning)),
-        None => Line::styled(standing(shown, report), style),
+        None => {
+            let (who, owes) = (standing(shown, report), energy(report));
+            let fits = who.chars().count() + owes.chars().count() <= usize::from(width);
+            Line::styled(if fits { who + &owes } else { who }, style)
+        }
     });
     Some(rows)
 }
