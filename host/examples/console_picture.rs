@@ -18,6 +18,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 
 #[cfg(target_os = "linux")]
 mod linux {
+    use super::terminal::console::{ENTER, RESUME, RIGHT, STOP, agrees, home, run};
     use super::terminal::{Keyboard, Terminal};
     use std::error::Error;
     use std::fmt::Write as _;
@@ -27,67 +28,127 @@ mod linux {
     /// Size of a cell, pixels.
     const CELL: (u32, u32) = (9, 18);
 
+    /// To and fro along x with the button held, for as long as it takes.
+    fn person() -> String {
+        let strokes: String = (0..20)
+            .map(|index| {
+                let (at_s, x) = (2 + 4 * index, if index % 2 == 0 { -14.0 } else { 0.0 });
+                format!("[[stroke]]\nat_s = {at_s}.0\nto_mm = [{x:.1}, 0.0, 0.0]\npace_mm_s = 5.0\nramp_s = 0.5\n")
+            })
+            .collect();
+        format!("[[button]]\nat_s = 1.0\nheld = true\n{strokes}")
+    }
+
     pub(crate) fn main() -> Result<(), Box<dyn Error>> {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+        let out = std::env::temp_dir();
+        let folder = out.to_str().ok_or("not UTF-8")?;
+        jog_and_run(&root, folder)?;
+        lead(&root, folder)
+    }
+
+    /// A number in the row of x under a heading of the overlay, by its place among the words without the bars.
+    fn number(text: &str, heading: &str, place: usize) -> Option<f64> {
+        let mut rows = text.lines().skip_while(|row| !row.contains(heading));
+        let words = rows.nth(1)?.split_whitespace();
+        let mut words = words.filter(|word| !word.contains(['·', '█']));
+        words.nth(place)?.parse().ok()
+    }
+
+    /// The console with the flat block on its table.
+    fn console(root: &Path, more: &[&str]) -> Result<Terminal, Box<dyn Error>> {
         // Examples lie in a folder beside the command.
         let me = std::env::current_exe()?;
         let folder = me.parent().and_then(Path::parent).ok_or("no folder")?;
         let program = folder.join("haptimill");
-        let out = std::env::temp_dir();
-        let arguments = [
-            "console",
-            "--out",
-            out.to_str().ok_or("not UTF-8")?,
-            "--work",
-            "examples/block.toml",
-            "examples/e7-slot.ngc",
-        ];
-        let terminal = Terminal::start(&program, &arguments, &root, (80, 24), Keyboard::Plain);
-        terminal.state("DISABLED");
-        terminal.keys(b"e");
-        terminal.state("IDLE");
-        terminal.keys(b"h");
-        terminal.sees("Home?");
-        terminal.keys(b"\r");
+        let arguments = [&["console", "--work", "examples/block.toml"], more].concat();
+        let terminal = Terminal::start(&program, &arguments, root, (80, 24), Keyboard::Plain);
+        home(&terminal);
         terminal.sees("the work is clamped");
-        terminal.keys(b"t");
-        terminal.sees("Tare?");
-        terminal.keys(b"\r");
+        agrees(&terminal, b"t", "Tare?");
         terminal.sees("has a new zero");
+        Ok(terminal)
+    }
+
+    /// A key jogs the machine; a program cuts, with force control along x and a recording.
+    fn jog_and_run(root: &Path, out: &str) -> Result<(), Box<dyn Error>> {
+        let terminal = console(root, &["--out", out, "examples/e7-slot.ngc"])?;
         terminal.keys(b"f");
         for _ in 0..20 {
-            terminal.keys(b"\x1b[C");
+            terminal.keys(RIGHT);
             std::thread::sleep(Duration::from_millis(30));
         }
         picture(&terminal, &root.join("docs/console-jog.svg"))?;
         terminal.state("IDLE");
         // Back to where the program begins, exactly: by a step of 10 mm would be elsewhere, so home again.
-        terminal.keys(b"h");
-        terminal.sees("Home?");
-        terminal.keys(b"\r");
+        agrees(&terminal, b"h", "Home?");
         terminal.state("HOMING");
         terminal.state("IDLE");
-        terminal.keys(b"y");
-        terminal.sees("Force loop");
-        terminal.keys(b"\r");
-        terminal.sees("x yields");
+        terminal.brings(b"y", "Force loop");
+        terminal.brings(ENTER, "x yields");
         terminal.escape();
-        terminal.keys(b"l");
-        terminal.sees("REC console-");
-        terminal.keys(b"p");
-        terminal.sees("Enter checks it");
-        terminal.keys(b"\r");
-        terminal.sees("The machine moves.");
-        std::thread::sleep(Duration::from_millis(600));
-        terminal.keys(b"\r");
-        terminal.state("RUN");
+        terminal.brings(b"l", "REC console-");
+        run(&terminal);
         std::thread::sleep(Duration::from_secs(9));
         picture(&terminal, &root.join("docs/console-run.svg"))?;
-        terminal.keys(b"\x18");
+        terminal.keys(STOP);
         terminal.state("IDLE");
-        terminal.keys(b"l");
-        terminal.sees(" rows");
+        terminal.brings(b"l", " rows");
         terminal.keys(b"q\r");
+        Ok(())
+    }
+
+    /// A hand leads x through the block, feels the cut, and is in a wall.
+    fn lead(root: &Path, out: &str) -> Result<(), Box<dyn Error>> {
+        let own = format!("{out}/haptimill-picture-machine.toml");
+        std::fs::write(
+            &own,
+            [haptimill::machine::BUILT_IN, haptimill::machine::HAND].join("\n"),
+        )?;
+        let script = format!("{out}/haptimill-picture-person.toml");
+        std::fs::write(&script, person())?;
+        let terminal = console(
+            root,
+            &[
+                "--machine",
+                &own,
+                "--person",
+                &script,
+                "examples/e8-hand.ngc",
+            ],
+        )?;
+        terminal.brings(b"w", "button held");
+        terminal.keys(RIGHT);
+        terminal.keys(RIGHT);
+        // Half on its way.
+        terminal.waits("away", |text| {
+            number(text, "at most", 6).is_some_and(|tip| (-9.0..-6.0).contains(&tip))
+        });
+        terminal.brings(ENTER, "lower wall of x where the tip is");
+        terminal.escape();
+        run(&terminal);
+        terminal.state("HOLD");
+        terminal.brings(b"a", "Axes:");
+        terminal.brings(b"m", "x: master");
+        terminal.escape();
+        terminal.keys(RESUME);
+        terminal.state("RUN");
+        terminal.brings(b"w", "leads x");
+        // While the wall is felt, and the cut too.
+        terminal.waits("in the wall", |text| {
+            let forces = [2, 4, 5].map(|column| number(text, "law", column).unwrap_or_default());
+            let [tool, law, wall] = forces;
+            // The hand is reported more rarely than the tool: a moment in which both tell of the same cut.
+            let fits = (law - 0.4 * tool).abs() < 0.1;
+            text.starts_with(" RUN ") && law.abs() > 0.4 && wall > 0.4 && fits
+        });
+        picture(&terminal, &root.join("docs/console-hand.svg"))?;
+        terminal.escape();
+        terminal.keys(STOP);
+        terminal.state("IDLE");
+        terminal.keys(b"q\r");
+        std::fs::remove_file(own)?;
+        std::fs::remove_file(script)?;
         Ok(())
     }
 

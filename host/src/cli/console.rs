@@ -45,6 +45,9 @@ pub struct ConsoleArgs {
     /// What is clamped on the simulated machine's table after homing: a file like examples/block.toml; with the simulator only
     #[arg(long, value_name = "FILE")]
     pub work: Option<PathBuf>,
+    /// A person at the haptic arm of the machine file, who does what this script says once the arm's motors are on (as examples/teleop.toml; orders in it are not heard); with the simulator only
+    #[arg(long, value_name = "FILE")]
+    pub person: Option<PathBuf>,
     /// Seed of the simulated machine, instead of the one in the machine file; with the simulator only
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,

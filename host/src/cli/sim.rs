@@ -9,7 +9,7 @@ use clap::Args;
 use haptimill_hil_sim::config::PlantConfig;
 use haptimill_hil_sim::fault::Fault;
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
@@ -75,17 +75,7 @@ impl FromStr for Listen {
 /// See [`Exit`].
 pub fn serve(args: ServeArgs) -> Result<(), CliError> {
     let machine = args.machine.load()?;
-    let person = match &args.person {
-        Some(_) if rig_has_no_hand(&machine)? => {
-            let what = format!(
-                "--person: {}: has no [plant.haptic] and [plant.hand] to lead it; use machines/hand-master.toml",
-                machine.file
-            );
-            return Err(CliError::new(Exit::Usage, what));
-        }
-        Some(file) => Some(Script::load(file)?),
-        None => None,
-    };
+    let person = person(args.person.as_deref(), &machine)?;
     let mut person = person.as_ref().map(Person::new);
     // A port paces its bytes by itself; the simulated line in between adds nothing.
     let mut rig = session::rig(&machine, args.seed, None, args.fault.clone())?;
@@ -128,10 +118,24 @@ pub fn serve(args: ServeArgs) -> Result<(), CliError> {
     Ok(())
 }
 
-/// Whether nobody can be at the simulated arm.
-fn rig_has_no_hand(machine: &MachineFile) -> Result<bool, CliError> {
+/// What the person at the simulated arm of a machine does, as `--person` says.
+///
+/// # Errors
+/// Nobody can be at an arm that is not there, or the script makes no sense.
+pub(crate) fn person(
+    file: Option<&Path>,
+    machine: &MachineFile,
+) -> Result<Option<Script>, CliError> {
+    let Some(file) = file else { return Ok(None) };
     let plant: PlantConfig = machine.plant()?;
-    Ok(plant.hand.is_none())
+    if plant.hand.is_none() {
+        let what = format!(
+            "--person: {}: has no [plant.haptic] and [plant.hand] to lead it; use machines/hand-master.toml, or append machines/hand.toml",
+            machine.file
+        );
+        return Err(CliError::new(Exit::Usage, what));
+    }
+    Script::load(file).map(Some)
 }
 
 /// Longest wait for bytes between two looks at the clock.

@@ -1,5 +1,8 @@
 //! `haptimill teleop`: a hand leads the machine from afar.
 
+mod shown;
+mod spec;
+
 use super::run::folder::Folder;
 use super::{CliError, Exit, MachineArg, run, seconds};
 use crate::client::Options;
@@ -18,10 +21,12 @@ use clap::Args;
 use haptimill_hil_sim::config::PlantConfig;
 use haptimill_hil_sim::fault::{Fault, FaultKind};
 use haptimill_protocol::message::{Command, State};
-use std::io::{BufRead, BufWriter, IsTerminal, Write};
+use shown::{Shown, terminal};
+use std::io::{BufRead, BufWriter, Write};
 use std::path::{Path, PathBuf};
-use std::str::FromStr;
 use std::sync::mpsc::{self, Receiver};
+
+pub use spec::HandSpec;
 
 const LONG: &str = "\
 A hand leads the machine from afar: the tool follows it, and the force on the tool comes back to it.
@@ -117,46 +122,6 @@ pub struct TeleopArgs {
     /// Say nothing while it goes
     #[arg(long)]
     pub quiet: bool,
-}
-
-/// Where a hand is.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum HandSpec {
-    /// A simulated arm, with the built-in script, or one from a file.
-    Script(Option<PathBuf>),
-    /// An arm behind a port.
-    Port(PortSpec),
-    /// A game controller.
-    Joystick(PathBuf),
-    /// A 3D mouse.
-    Mouse3d(PathBuf),
-    /// The keyboard.
-    Keyboard,
-}
-
-impl FromStr for HandSpec {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let path = |text: &str| match text {
-            "" => Err("the path is missing".to_string()),
-            path => Ok(PathBuf::from(path)),
-        };
-        match text.split_once(':') {
-            None if text == "sim" => Ok(Self::Script(None)),
-            None if text == "keyboard" => Ok(Self::Keyboard),
-            None if text == "joystick" => Ok(Self::Joystick(PathBuf::from("/dev/input/js0"))),
-            None if text == "mouse3d" => Err(
-                "write mouse3d:PATH; /dev/input/by-id has the paths under the names of the devices"
-                    .to_string(),
-            ),
-            Some(("script", file)) => path(file).map(|file| Self::Script(Some(file))),
-            Some(("joystick", file)) => path(file).map(Self::Joystick),
-            Some(("mouse3d", file)) => path(file).map(Self::Mouse3d),
-            Some(("pil", _)) => Err("an emulated board is no hand".to_string()),
-            _ => text.parse().map(Self::Port),
-        }
-    }
 }
 
 /// Reads G_P.
@@ -589,141 +554,5 @@ impl Run<'_> {
             ),
         };
         Err(if self.args.json { error.told() } else { error })
-    }
-}
-
-/// The outcome for people.
-fn terminal(outcome: &Outcome) -> String {
-    let three = |values: &[f64; 3]| format!("{:.2} {:.2} {:.2}", values[0], values[1], values[2]);
-    let mut text = format!(
-        "the hand led for {:.2} s with {} words; {} holds; {}\n",
-        outcome.duration_s,
-        outcome.words,
-        outcome.holds.len(),
-        outcome.final_state
-    );
-    for hold in &outcome.holds {
-        let resumed = hold.resumed_s.map_or("not resumed".to_string(), |at| {
-            format!("resumed at {at:.2} s")
-        });
-        text += &format!("held at {:.2} s: {}; {resumed}\n", hold.at_s, hold.why);
-    }
-    for why in &outcome.refused {
-        text += &format!("not done: {why}\n");
-    }
-    text += &format!(
-        "largest force on the tool {} N, at the hand {} N\n",
-        three(&outcome.largest_force_n),
-        three(&outcome.largest_felt_n)
-    );
-    if let Some(latency) = &outcome.latency {
-        let how = if outcome.latency_is_exact {
-            "to the control period"
-        } else {
-            "as reported; the wait for a report is not in it"
-        };
-        text += &format!(
-            "from force sensed to force at the hand: {:.1} ms half of the time, {:.1} ms in 95 of 100, {:.1} ms at most ({} forces, {how})\n",
-            latency.median_ms, latency.p95_ms, latency.largest_ms, latency.count
-        );
-    }
-    text + &format!(
-        "round trips: machine {:.1} ms, hand {:.1} ms\n",
-        outcome.machine_round_trip_ms, outcome.hand_round_trip_ms
-    )
-}
-
-/// What people see while it goes.
-struct Shown {
-    lines: bool,
-    bar: bool,
-    next_s: f64,
-    time_s: f64,
-    open: bool,
-}
-
-impl Shown {
-    fn new(args: &TeleopArgs) -> Self {
-        let lines = !args.json && !args.quiet;
-        Self {
-            lines,
-            bar: lines && std::io::stderr().is_terminal(),
-            next_s: 0.0,
-            time_s: 0.0,
-            open: false,
-        }
-    }
-
-    /// Force and position as it goes, ten times a second.
-    fn row(&mut self, row: &Row) {
-        self.time_s = row.time_s;
-        if !self.bar || row.time_s < self.next_s {
-            return;
-        }
-        self.next_s = row.time_s + 0.1;
-        self.open = true;
-        let three = |values: &[f64; 3], width: usize, decimals: usize| -> String {
-            values
-                .iter()
-                .map(|value| format!(" {value:>width$.decimals$}"))
-                .collect()
-        };
-        // A terminal that was closed is no reason for a panic.
-        let _ = write!(
-            std::io::stderr(),
-            "\r{:7.2} s {:?} {} tool{} mm  force{} N  hand{} N \x1b[K",
-            row.time_s,
-            row.state,
-            if row.engaged { "led " } else { "free" },
-            three(&row.tool, 8, 3),
-            three(&row.force, 5, 1),
-            three(&row.felt, 5, 2)
-        );
-    }
-
-    fn event(&mut self, event: &str) {
-        if self.lines {
-            self.done();
-            tell!("{:7.2} s  {event}", self.time_s);
-        }
-    }
-
-    fn done(&mut self) {
-        if std::mem::take(&mut self.open) {
-            let _ = writeln!(std::io::stderr());
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn hands_are_told_apart() {
-        let spec = |text: &str| text.parse::<HandSpec>();
-        assert_eq!(spec("sim"), Ok(HandSpec::Script(None)));
-        assert_eq!(
-            spec("script:a.toml"),
-            Ok(HandSpec::Script(Some("a.toml".into())))
-        );
-        assert_eq!(
-            spec("joystick"),
-            Ok(HandSpec::Joystick("/dev/input/js0".into()))
-        );
-        assert_eq!(
-            spec("mouse3d:/dev/x"),
-            Ok(HandSpec::Mouse3d("/dev/x".into()))
-        );
-        assert_eq!(
-            spec("tcp:localhost:7001"),
-            Ok(HandSpec::Port(PortSpec::Tcp("localhost:7001".to_string())))
-        );
-        assert!(matches!(
-            spec("/dev/ttyACM1"),
-            Ok(HandSpec::Port(PortSpec::Serial(_)))
-        ));
-        assert!(spec("mouse3d").is_err() && spec("script:").is_err() && spec("pil:mps2").is_err());
-        assert!(gp("3").unwrap_err().ends_with("0.1 to 2"));
     }
 }

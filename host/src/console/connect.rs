@@ -7,6 +7,7 @@ use crate::cli::sim::Pace;
 use crate::machine::MachineFile;
 use crate::port::{self, PortError, PortSpec, Transport};
 use crate::session::{self, Line, PortLine};
+use crate::teleop::script::{Person, Script};
 use haptimill_firmware::controller::Controller;
 use haptimill_hil_sim::cutting::CuttingConfig;
 use haptimill_hil_sim::fault::Fault;
@@ -23,6 +24,8 @@ const REST: Duration = Duration::from_micros(500);
 /// The simulated machine in this process, in step with the clock on the wall.
 struct PacedSim {
     rig: Rig<Controller>,
+    /// Who holds the handle of its haptic arm.
+    person: Option<Person>,
     pace: Pace,
     begun: Instant,
 }
@@ -34,6 +37,9 @@ impl Line for PacedSim {
         }
         let real_ns = u64::try_from(self.begun.elapsed().as_nanos()).unwrap_or(u64::MAX);
         for _ in 0..self.pace.due(real_ns, self.rig.time_ns()) {
+            if let Some(person) = &mut self.person {
+                person.act(&mut self.rig);
+            }
             self.rig.step();
         }
         let before = received.len();
@@ -94,10 +100,12 @@ impl Connection {
         machine: &MachineFile,
         seed: Option<u64>,
         faults: Vec<Fault>,
+        person: Option<&Script>,
     ) -> Result<Self, CliError> {
         let stage = match spec {
             PortSpec::Simulator => Stage::Simulated(Box::new(PacedSim {
                 rig: session::rig(machine, seed, None, faults)?,
+                person: person.map(Person::new),
                 pace: Pace::new(u64::from(machine.config.period_us) * 1000),
                 begun: Instant::now(),
             })),

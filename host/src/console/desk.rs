@@ -7,6 +7,7 @@
 //! the session that they belong to. A stop that is asked for meanwhile goes out first when the line is back.
 
 use super::connect::{Connection, Reached};
+use super::hand::Hand;
 use super::job::Work;
 use super::jogging::{Jogging, Order};
 use super::recording::Recording;
@@ -21,6 +22,7 @@ use crate::session::fresh_number;
 use haptimill_firmware::config::Drive;
 use haptimill_hil_sim::cutting::CuttingConfig;
 use haptimill_protocol::force::ForceLoop;
+use haptimill_protocol::haptic::Reflection;
 use haptimill_protocol::message::{
     AxisValues, Command, Fault, MAX_AXES, RATE_SHIFT, Source, State, Telemetry,
 };
@@ -44,11 +46,24 @@ pub(super) const SCALES: [f64; 5] = [5.0, 10.0, 20.0, 50.0, 100.0];
 #[derive(Debug, Clone)]
 pub(super) enum Then {
     Nothing,
-    Configured,
+    /// With what the controller had already, or had set since.
+    Configured {
+        kept: bool,
+    },
     Enabled,
     Override(u8),
     Source(u8, Source),
     Loop(u8, ForceLoop),
+    Reflection(Reflection),
+    Wall {
+        axis: usize,
+        upper: bool,
+        /// Put there, or taken away.
+        put: bool,
+        /// All are taken away together.
+        all: bool,
+    },
+    HandScale(u16),
     Say(&'static str),
 }
 
@@ -124,6 +139,7 @@ pub(super) struct Desk {
     pub(super) loops: Option<[ForceLoop; 3]>,
     pub(super) wanted_loops: [WantedLoop; 3],
     pub(super) force_scale: (usize, Instant),
+    pub(super) hand: Option<Hand>,
     pub(super) recording: Option<Recording>,
     pub(super) stopping: Option<&'static str>,
     pub(super) fault: Option<Fault>,
@@ -188,6 +204,7 @@ impl Desk {
             loops,
             wanted_loops: [WantedLoop::default(); 3],
             force_scale: (0, now),
+            hand: Hand::of(&machine),
             recording: None,
             stopping: None,
             fault: None,
@@ -272,6 +289,7 @@ impl Desk {
         while let Some(notice) = self.client.poll() {
             self.hear(notice)?;
         }
+        self.hear_hand();
         self.advance_work();
         Ok(())
     }
@@ -313,6 +331,9 @@ impl Desk {
         self.sources = [Source::Program; MAX_AXES];
         (self.feed_override, self.wanted_override) = (100, 100);
         self.wanted_loops = [WantedLoop::default(); 3];
+        if let Some(hand) = &mut self.hand {
+            hand.lose();
+        }
         self.configured = false;
         self.stopping = None;
         self.contact = Contact::Lost(why.to_string());
@@ -357,9 +378,13 @@ impl Desk {
     /// Makes our machine file the active configuration, unless it is.
     pub(super) fn send_configuration(&mut self) {
         match self.machine.encoded() {
-            Ok((bytes, _)) => {
+            Ok((bytes, crc)) => {
+                let kept = self
+                    .client
+                    .controller()
+                    .is_some_and(|welcome| welcome.config_crc == crc);
                 let ticket = self.client.configure(&bytes, false);
-                self.asked.push((ticket, Then::Configured));
+                self.asked.push((ticket, Then::Configured { kept }));
             }
             Err(error) => self.say(Weight::Alarm, format!("defect: {error}")),
         }

@@ -52,11 +52,14 @@ impl Desk {
             .iter()
             .position(|(asked, _)| *asked == ticket)
             .map_or(Then::Nothing, |index| self.asked.swap_remove(index).1);
-        if let Then::Configured = then {
+        if let Then::Configured { kept } = then {
             // Refused is heard all the same: what stops a machine needs no configuration.
             self.contact = Contact::Ready;
             self.configured = result.is_ok();
             if self.configured {
+                if let Some(hand) = self.hand.as_mut().filter(|_| !kept) {
+                    hand.begin();
+                }
                 self.ask_settings();
             }
         }
@@ -73,11 +76,13 @@ impl Desk {
                 RequestError::Withdrawn | RequestError::Lost(_) => return,
                 other => other.to_string(),
             };
-            self.say(Weight::Warning, format!("{command}: {why}"));
+            let what = self.hand_refused(&then);
+            let what = what.as_deref().unwrap_or(command);
+            self.say(Weight::Warning, format!("{what}: {why}"));
             return;
         }
         match then {
-            Then::Nothing | Then::Configured => {}
+            Then::Nothing | Then::Configured { .. } => {}
             Then::Enabled => self.say(Weight::Note, "drives on"),
             Then::Override(percent) => self.feed_override = percent,
             Then::Source(axis, source) => {
@@ -93,6 +98,7 @@ impl Desk {
                     loops[axis] = settings;
                 }
             }
+            Then::Reflection(_) | Then::Wall { .. } | Then::HandScale(_) => self.hand_set(&then),
             Then::Say(what) => self.say(Weight::Note, what),
         }
     }

@@ -19,6 +19,9 @@ use std::sync::mpsc::{self, Receiver};
 /// How long a step is meant after its key was pressed, microseconds.
 const MEANT_US: u64 = 150_000;
 
+/// How long the report of where the machine stands may take until a program is checked from there, microseconds. Nothing moves by itself then: the console asks first.
+const REPORT_US: u64 = 2_000_000;
+
 /// A part program that was checked from a pose.
 #[derive(Debug, Clone)]
 pub(super) struct Checked {
@@ -52,6 +55,8 @@ pub(super) struct Work {
     /// A step that was pressed when the machine had just come to rest, and until when it is still meant (microseconds): the report of where it
     /// stands may be some milliseconds behind.
     step: Option<(usize, bool, u64)>,
+    /// A program that was chosen when the machine had just come to rest, and until when the report of where it stands is waited for (microseconds).
+    chosen: Option<(PathBuf, u64)>,
     /// The line at which the program pauses.
     pub(super) pause_line: Option<u32>,
     numbers: u32,
@@ -142,6 +147,7 @@ impl Work {
         self.homing = false;
         self.found = false;
         self.step = None;
+        self.chosen = None;
     }
 
     /// Homing begins.
@@ -152,8 +158,18 @@ impl Work {
 }
 
 impl Desk {
-    /// Reads and checks a program from where the machine stands, beside everything else.
+    /// Checks a program from where the machine stands, as soon as that is known: it is said to be idle some milliseconds before.
     pub(super) fn check_program(&mut self, path: &str) {
+        let path = PathBuf::from(path);
+        if self.state() == Some(State::Idle) && self.standing().is_none() {
+            self.work.chosen = Some((path, self.now_us() + REPORT_US));
+        } else {
+            self.begin_check(path);
+        }
+    }
+
+    /// Reads and checks a program beside everything else.
+    fn begin_check(&mut self, path: PathBuf) {
         let homed = self
             .telemetry
             .as_ref()
@@ -163,7 +179,6 @@ impl Desk {
             self.say(Weight::Warning, what);
             return;
         };
-        let path = PathBuf::from(path);
         self.work.path = Some(path.clone());
         let (sender, receiver) = mpsc::channel();
         let machine = Arc::clone(&self.machine);
@@ -280,6 +295,14 @@ impl Desk {
                         from: 0,
                     };
                 }
+            }
+        }
+        if let Some((path, until_us)) = self.work.chosen.take() {
+            let waits = self.state() == Some(State::Idle) && self.standing().is_none();
+            if waits && self.now_us() < until_us {
+                self.work.chosen = Some((path, until_us));
+            } else {
+                self.begin_check(path);
             }
         }
         if let Some((axis, up, until_us)) = self.work.step.take() {

@@ -52,6 +52,8 @@ pub enum Action {
     Axes,
     /// Force loop.
     Force,
+    /// The hand on a haptic arm.
+    Hand,
     /// New zero of the force sensor.
     Tare,
     /// Recording on or off.
@@ -285,6 +287,12 @@ pub const BINDINGS: &[Binding] = &[
         "y",
         Action::Force,
         "force loop: which axes yield, and above which force",
+    ),
+    usual(
+        &[plain('w')],
+        "w",
+        Action::Hand,
+        "hand: what it feels, reflection, virtual walls, position scale",
     ),
     usual(
         &[plain('t')],

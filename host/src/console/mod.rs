@@ -10,6 +10,7 @@
 //! | `desk.rs`, `hearing.rs` | the session, and what the controller says |
 //! | `orders.rs` | from keys to orders |
 //! | `job.rs` | part programs, steps, the way home |
+//! | `hand.rs`, `hand/orders.rs` | the hand on a haptic arm: reflection, virtual walls, scale |
 //! | `connect.rs` | the port, lost and found; the simulator in real time |
 //! | `recording.rs` | telemetry as CSV |
 //! | `picture.rs`, `shown.rs`, `view/` | what is to be seen, and its drawing |
@@ -19,6 +20,7 @@
 
 mod connect;
 mod desk;
+mod hand;
 mod hearing;
 mod job;
 pub mod jogging;
@@ -92,7 +94,15 @@ pub fn run(args: ConsoleArgs) -> Result<(), CliError> {
         }
         None => None,
     };
-    let connection = Connection::new(&args.port, baud, &machine, args.seed, args.fault)?;
+    let person = crate::cli::sim::person(args.person.as_deref(), &machine)?;
+    let connection = Connection::new(
+        &args.port,
+        baud,
+        &machine,
+        args.seed,
+        args.fault,
+        person.as_ref(),
+    )?;
     let settings = Settings {
         dead_man_ms: args.dead_man,
         folder: args.out,
@@ -133,6 +143,9 @@ fn check(args: &ConsoleArgs) -> Result<(), CliError> {
         "--work is for the simulator in this process; clamp the work by hand".to_string()
     } else if !simulated && (args.seed.is_some() || !args.fault.is_empty()) {
         "--seed and --fault are for the simulator in this process; give them to `haptimill sim serve`"
+            .to_string()
+    } else if !simulated && args.person.is_some() {
+        "--person is for the simulator in this process; give it to `haptimill sim serve`"
             .to_string()
     } else if args.baud.is_some() && !matches!(args.port, PortSpec::Serial(_)) {
         "--baud is for a serial port; leave it out".to_string()

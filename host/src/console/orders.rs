@@ -83,6 +83,7 @@ impl Desk {
             Overlay::Prompt { title, text } => self.typed(title, text, key),
             Overlay::Axes { at } => self.axes_key(at, key),
             Overlay::Force { at } => self.force_key(at, key),
+            Overlay::Hand { at, typed } => self.hand_key(at, typed, key),
         }
     }
 
@@ -128,6 +129,11 @@ impl Desk {
                 });
             }
             Action::Axes => self.open(Overlay::Axes { at: 0 }),
+            Action::Hand => {
+                if let Some(overlay) = self.hand_overlay() {
+                    self.open(overlay);
+                }
+            }
             Action::Force if self.loops.is_some() => self.open(Overlay::Force { at: 0 }),
             Action::Tare if self.loops.is_some() => self.open(Overlay::Confirm(Confirm::Tare)),
             Action::Force | Action::Tare => {

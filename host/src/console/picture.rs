@@ -1,7 +1,8 @@
 //! The picture of now: everything that is to be seen, and what to do next in words.
 
 use super::desk::{Desk, Owed, SCALES};
-use super::shown::{Contact, Counters, JogShown, ProgramShown, Shown, Weight};
+use super::hand::scale_of;
+use super::shown::{ArmShown, Contact, Counters, HandShown, JogShown, ProgramShown, Shown, Weight};
 use haptimill_protocol::message::State;
 use std::sync::Arc;
 
@@ -72,6 +73,28 @@ impl Desk {
         }
     }
 
+    /// The hand, if the machine has one.
+    fn hand_shown(&self) -> Option<HandShown> {
+        let hand = self.hand.as_ref()?;
+        let arm = hand.arm.as_ref().map(|arm| {
+            let report = self.client.hand().copied();
+            let problem = report.and_then(|report| report.problem).map(|problem| {
+                self.model
+                    .with_axes(|axes| axes.describe(&problem).to_string())
+            });
+            ArmShown {
+                report,
+                age: arm.age(),
+                problem,
+                reflection: arm.reflection.now,
+                reflection_sure: arm.reflection.sure,
+                faces: arm.faces,
+            }
+        });
+        let scale = hand.scale.map(|scale| (scale_of(scale.now), scale.sure));
+        Some(HandShown { arm, scale })
+    }
+
     /// The picture of now.
     pub(super) fn shown(&self) -> Shown {
         let now_us = self.now_us();
@@ -119,10 +142,7 @@ impl Desk {
             offered: self.work.offered(),
             loops: self.loops,
             force_scale_n: SCALES[self.force_scale.0],
-            hand_n: self
-                .client
-                .hand()
-                .map(|hand| hand.force.map(|force| f64::from(force) / 256.0)),
+            hand: self.hand_shown(),
             recording: self.recording.as_ref().map(|recording| {
                 let name = recording.path.file_name().unwrap_or_default();
                 (name.to_string_lossy().into_owned(), recording.rows)

@@ -1,9 +1,11 @@
 //! What is to be seen: a picture of the console's knowledge, made by the desk and drawn elsewhere, so that neither waits for the other.
 
+use super::hand::{At, Face};
 use super::jogging::Mode;
 use crate::machine::AxisLimits;
 use haptimill_firmware::config::AxisKind;
 use haptimill_protocol::force::ForceLoop;
+use haptimill_protocol::haptic::{COMPONENTS, HandTelemetry, Reflection};
 use haptimill_protocol::message::{MAX_AXES, Source, Telemetry};
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -119,6 +121,11 @@ pub(super) enum Overlay {
     Force {
         at: usize,
     },
+    /// The hand; a number that is being typed.
+    Hand {
+        at: At,
+        typed: String,
+    },
 }
 
 /// A question.
@@ -187,11 +194,35 @@ pub(super) struct Shown {
     /// Force loops of x, y, z; none on a machine without a force sensor.
     pub(super) loops: Option<[ForceLoop; 3]>,
     pub(super) force_scale_n: f64,
-    /// What the hand on a haptic arm is made to feel, N, if the controller reports of one.
-    pub(super) hand_n: Option<[f64; 3]>,
+    /// None on a machine without a haptic arm that follows none either.
+    pub(super) hand: Option<HandShown>,
     pub(super) recording: Option<(String, u64)>,
     /// A stop that has not been answered yet.
     pub(super) stopping: Option<&'static str>,
+}
+
+/// The hand.
+#[derive(Debug, Clone)]
+pub(super) struct HandShown {
+    /// The arm, if it is one of this machine.
+    pub(super) arm: Option<ArmShown>,
+    /// G_P where the machine follows a hand, and whether it is sure.
+    pub(super) scale: Option<(f64, bool)>,
+}
+
+/// The haptic arm.
+#[derive(Debug, Clone)]
+pub(super) struct ArmShown {
+    /// The newest report, and how old it is.
+    pub(super) report: Option<HandTelemetry>,
+    pub(super) age: Duration,
+    /// What is wrong with it, in words.
+    pub(super) problem: Option<String>,
+    pub(super) reflection: Reflection,
+    /// No other host can have set something else.
+    pub(super) reflection_sure: bool,
+    /// Of each axis the lower and the upper wall.
+    pub(super) faces: [[Face; 2]; COMPONENTS],
 }
 
 /// The jog keys.

@@ -18,12 +18,14 @@
 pub mod arm;
 pub mod held;
 pub mod latency;
+mod outcome;
 mod run;
 pub mod script;
 
 pub use arm::{Arm, PersonLine};
 pub use latency::{Felt, Latency, LatencyFigures};
-pub use run::{Ended, Outcome, Row, Stop, Teleop, TeleopOptions};
+pub use outcome::{Ended, Outcome, Row, Stop};
+pub use run::{Teleop, TeleopOptions};
 pub use script::{Order, Script};
 
 use crate::cli::CliError;

@@ -54,10 +54,7 @@ fn a_terminal_that_is_closed_in_a_program_stops_the_machine_along_its_path() {
     let program = folder.file("way.ngc", "G21 G90 F600\nG1 X100\nM30\n");
     let machine = Machine::start();
     let mut terminal = homed(&["--port", &machine.port, &program], Keyboard::Plain);
-    terminal.keys(b"p\r");
-    terminal.sees("The machine moves.");
-    std::thread::sleep(Duration::from_millis(600));
-    terminal.keys(ENTER);
+    run(&terminal);
     machine.comes_to(State::Run);
     std::thread::sleep(Duration::from_millis(500));
     terminal.close();
@@ -103,12 +100,10 @@ fn signals_end_the_console_and_the_terminal_is_as_before() {
 fn it_asks_before_it_leaves_a_machine_whose_drives_are_on() {
     let machine = Machine::start();
     let mut terminal = homed(&["--port", &machine.port], Keyboard::Plain);
-    terminal.keys(b"q");
-    terminal.sees("Quit? nothing moves; the drives stay on and hold.");
+    terminal.brings(b"q", "Quit? nothing moves; the drives stay on and hold.");
     terminal.keys(b"n");
     terminal.waits("closed the question", |text| !text.contains("Quit?"));
-    terminal.keys(b"\x03");
-    terminal.sees("Quit?");
+    terminal.brings(b"\x03", "Quit?");
     terminal.keys(ENTER);
     assert_eq!(terminal.end(), 0);
     terminal.sees("console left; the machine is idle");
@@ -128,6 +123,14 @@ fn without_a_terminal_it_says_so() {
     assert_eq!(ran.out, "");
     haptimill(&["console", "--port", "pil:mps2"]).ended_with(2);
     haptimill(&["console", "--port", "tcp:localhost:1", "--seed", "3"]).ended_with(2);
+    let person = ["--person", "examples/teleop.toml"];
+    let afar = [&["console", "--port", "tcp:localhost:1"], &person[..]].concat();
+    let ran = haptimill(&afar).ended_with(2);
+    assert!(
+        ran.err.contains("give it to `haptimill sim serve`"),
+        "{}",
+        ran.err
+    );
 }
 
 #[test]

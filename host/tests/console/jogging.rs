@@ -40,8 +40,7 @@ fn every_axis_goes_both_ways_and_ends_with_the_dead_man_time() {
         assert!((0.2..1.15).contains(&went), "{axis} {after} {back}");
     }
     // A slower rate goes less far.
-    terminal.keys(b"sss");
-    terminal.sees("continuous 0.5 mm/s");
+    terminal.brings(b"sss", "continuous 0.5 mm/s");
     let before = at(&terminal, "x");
     terminal.keys(RIGHT);
     terminal.state("JOG");
@@ -52,19 +51,16 @@ fn every_axis_goes_both_ways_and_ends_with_the_dead_man_time() {
 #[test]
 fn steps_are_exact_and_one_for_each_press() {
     let terminal = homed(&[], Keyboard::Plain);
-    terminal.keys(b"\t");
-    terminal.sees("step 0.1 mm");
+    terminal.brings(b"\t", "step 0.1 mm");
     let before = at(&terminal, "y");
-    terminal.keys(b"ss");
-    terminal.sees("step 0.001 mm");
+    terminal.brings(b"ss", "step 0.001 mm");
     for _ in 0..3 {
         terminal.keys(UP);
         std::thread::sleep(Duration::from_millis(300));
     }
     let after = at(&terminal, "y");
     assert!((after - before - 0.003).abs() < 1e-6, "{before} {after}");
-    terminal.keys(b"ffff");
-    terminal.sees("step 10 mm");
+    terminal.brings(b"ffff", "step 10 mm");
     terminal.keys(DOWN);
     terminal.state("RUN");
     let down = at(&terminal, "y");
@@ -76,8 +72,7 @@ fn steps_are_exact_and_one_for_each_press() {
     let stopped = at(&terminal, "y");
     assert!(stopped > down && stopped < down + 9.9, "{down} {stopped}");
     // A tilt goes in steps of degrees.
-    terminal.keys(b"s");
-    terminal.sees("step 1 mm");
+    terminal.brings(b"s", "step 1 mm");
     let tilt = at(&terminal, "theta");
     terminal.keys(b".");
     terminal.state("RUN");
@@ -130,15 +125,15 @@ fn a_held_key_goes_on_and_a_release_ends_it_at_once() {
 fn what_must_not_jog_does_not() {
     let terminal = console(&[], Keyboard::Plain);
     terminal.state("DISABLED");
-    terminal.keys(RIGHT);
-    terminal.sees("jog: not possible while the machine is disabled");
+    terminal.brings(RIGHT, "jog: not possible while the machine is disabled");
     terminal.keys(b"e");
     terminal.state("IDLE");
-    terminal.keys(RIGHT);
-    terminal.sees("jog: home the machine first");
+    terminal.brings(RIGHT, "jog: home the machine first");
     // A pasted text is no keys, a torn escape sequence neither.
-    terminal.keys(b"\x1b[200~hhh\reee\x1b[201~");
-    terminal.sees("pasted text is not heard as keys");
+    terminal.brings(
+        b"\x1b[200~hhh\reee\x1b[201~",
+        "pasted text is not heard as keys",
+    );
     terminal.keys(b"[C");
     terminal.keys(b"[15~ABCD");
     std::thread::sleep(Duration::from_millis(200));

@@ -13,10 +13,7 @@ fn a_lost_line_is_found_again_and_nothing_moves_by_itself() {
     let machine = Machine::start();
     let cable = Cable::to(&machine.port);
     let terminal = homed(&["--port", &cable.port, &program], Keyboard::Plain);
-    terminal.keys(b"p\r");
-    terminal.sees("The machine moves.");
-    std::thread::sleep(Duration::from_millis(600));
-    terminal.keys(ENTER);
+    run(&terminal);
     machine.comes_to(State::Run);
     std::thread::sleep(Duration::from_millis(400));
     cable.cut();
@@ -27,11 +24,9 @@ fn a_lost_line_is_found_again_and_nothing_moves_by_itself() {
     let at = machine.now().wanted;
     assert!(at < 50.0, "{at}");
     // Keys are heard all the same.
-    terminal.keys(b"?");
-    terminal.sees("Keys: arrows scroll");
+    terminal.brings(b"?", "Keys: arrows scroll");
     terminal.escape();
-    terminal.keys(RIGHT);
-    terminal.sees("no link to the controller");
+    terminal.brings(RIGHT, "no link to the controller");
     cable.mend();
     terminal.state("FAULT");
     terminal.sees("nothing was heard from the host");
@@ -53,10 +48,11 @@ fn a_stop_that_is_wanted_without_a_line_goes_out_first() {
     let terminal = homed(&["--port", &cable.port], Keyboard::Plain);
     cable.cut();
     terminal.state("NO LINK");
-    terminal.keys(SPACE);
-    terminal.sees("A STOP goes out first");
-    terminal.keys(EMERGENCY);
-    terminal.sees("AN EMERGENCY STOP goes out first".trim_start_matches("AN "));
+    terminal.brings(SPACE, "A STOP goes out first");
+    terminal.brings(
+        EMERGENCY,
+        "AN EMERGENCY STOP goes out first".trim_start_matches("AN "),
+    );
     cable.mend();
     terminal.state("EMERGENCY STOP");
     machine.comes_to(State::EmergencyStop);
@@ -70,10 +66,7 @@ fn a_terminal_that_is_stuck_keeps_neither_the_line_nor_a_stop() {
     let program = folder.file("way.ngc", "G21 G90 F600\nG1 X100\nM30\n");
     let machine = Machine::start();
     let terminal = homed(&["--port", &machine.port, &program], Keyboard::Plain);
-    terminal.keys(b"p\r");
-    terminal.sees("The machine moves.");
-    std::thread::sleep(Duration::from_millis(600));
-    terminal.keys(ENTER);
+    run(&terminal);
     machine.comes_to(State::Run);
     // 2.5 s of pictures fill any buffer; a console that waited would be given up as a lost host after half a second.
     terminal.is_stuck(true);
@@ -97,8 +90,7 @@ fn a_terminal_that_is_stuck_keeps_neither_the_line_nor_a_stop() {
 #[test]
 fn a_bad_line_is_shown_and_borne() {
     let terminal = homed(&["--fault", "link-errors rate=0.0003"], Keyboard::Plain);
-    terminal.keys(b"\t");
-    terminal.sees("step 0.1 mm");
+    terminal.brings(b"\t", "step 0.1 mm");
     let before = terminal.number("x", 1).unwrap();
     for _ in 0..5 {
         terminal.keys(RIGHT);

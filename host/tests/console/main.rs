@@ -3,6 +3,7 @@
 #![cfg(target_os = "linux")]
 
 mod closing;
+mod hand;
 mod jogging;
 mod latency;
 mod links;
@@ -16,6 +17,7 @@ mod terminal;
 
 use scene::root;
 use std::path::Path;
+use terminal::console::*;
 use terminal::{Keyboard, Terminal};
 
 /// The console in a terminal of 80 columns and 24 rows.
@@ -31,26 +33,3 @@ fn homed(arguments: &[&str], keyboard: Keyboard) -> Terminal {
     home(&terminal);
     terminal
 }
-
-fn home(terminal: &Terminal) {
-    terminal.state("DISABLED");
-    terminal.keys(b"e");
-    terminal.state("IDLE");
-    terminal.keys(b"h");
-    terminal.sees("Home? The machine moves");
-    terminal.keys(b"\r");
-    terminal.sees("way to the home pose: done");
-    terminal.state("IDLE");
-}
-
-const RIGHT: &[u8] = b"\x1b[C";
-const LEFT: &[u8] = b"\x1b[D";
-const UP: &[u8] = b"\x1b[A";
-const DOWN: &[u8] = b"\x1b[B";
-const PAGE_UP: &[u8] = b"\x1b[5~";
-const PAGE_DOWN: &[u8] = b"\x1b[6~";
-const ENTER: &[u8] = b"\r";
-const SPACE: &[u8] = b" ";
-const RESUME: &[u8] = b"\x12";
-const STOP: &[u8] = b"\x18";
-const EMERGENCY: &[u8] = b"\x05";

@@ -9,17 +9,6 @@ use std::time::Duration;
 const LONG: &str =
     "G21 G90 F600\nG1 X10\nM0\nG1 X0\nG1 X20\nG1 X0\nG1 X20\nG1 X0\nG1 X20\nG1 X0\nM30\n";
 
-/// Chooses the program that was given, and runs it.
-fn run(terminal: &Terminal) {
-    terminal.keys(b"p");
-    terminal.sees("Enter checks it");
-    terminal.keys(ENTER);
-    terminal.sees("The machine moves.");
-    std::thread::sleep(Duration::from_millis(600));
-    terminal.keys(ENTER);
-    terminal.state("RUN");
-}
-
 #[test]
 fn hold_resume_stop_and_emergency_are_heard_whatever_is_open() {
     let folder = Folder::new();
@@ -34,8 +23,7 @@ fn hold_resume_stop_and_emergency_are_heard_whatever_is_open() {
     terminal.keys(RESUME);
     terminal.state("RUN");
     // Hold while the table of keys is open, resume while a name is typed.
-    terminal.keys(b"?");
-    terminal.sees("Keys: arrows scroll");
+    terminal.brings(b"?", "Keys: arrows scroll");
     terminal.keys(SPACE);
     terminal.state("HOLD");
     let held = || {
@@ -71,14 +59,15 @@ fn hold_resume_stop_and_emergency_are_heard_whatever_is_open() {
     terminal.sees("override 50 %");
     run(&terminal);
     terminal.sees("path speed 50 %");
-    terminal.keys(b"q");
-    terminal.sees("Quit?");
+    terminal.brings(b"q", "Quit?");
     terminal.keys(EMERGENCY);
     terminal.state("EMERGENCY STOP");
     terminal.sees("EMERGENCY STOP: drives off");
     terminal.escape();
-    terminal.keys(b"e");
-    terminal.sees("enable: not possible while the machine is in emergency stop");
+    terminal.brings(
+        b"e",
+        "enable: not possible while the machine is in emergency stop",
+    );
     terminal.keys(b"x");
     terminal.state("DISABLED");
     terminal.keys(b"q");
@@ -95,15 +84,12 @@ fn a_program_runs_to_its_end_beside_a_recording() {
     let program = folder.file("short.ngc", "G21 G90 F1200\nG1 X4\nG3 X0 I-2\nM30\n");
     let out = folder.path("");
     let mut terminal = homed(&["--out", &out, &program], Keyboard::Plain);
-    terminal.keys(b"l");
-    terminal.sees("REC console-");
+    terminal.brings(b"l", "REC console-");
     run(&terminal);
     terminal.sees("short.ngc: done");
     terminal.state("IDLE");
-    terminal.keys(b"l");
-    terminal.sees(" rows");
-    terminal.keys(b"q");
-    terminal.sees("the drives stay on and hold");
+    terminal.brings(b"l", " rows");
+    terminal.brings(b"q", "the drives stay on and hold");
     terminal.keys(ENTER);
     assert_eq!(terminal.end(), 0);
     let file = std::fs::read_dir(&out)
@@ -131,6 +117,19 @@ fn a_program_runs_to_its_end_beside_a_recording() {
     assert!(gaps.len() > 30 && gaps[gaps.len() / 2] < 0.0201, "{gaps:?}");
 }
 
+/// It is said to be idle before it is said where it stands: on this line a fifth of a second before.
+#[cfg(unix)]
+#[test]
+fn a_program_can_be_chosen_in_the_moment_in_which_the_machine_comes_to_rest() {
+    let folder = Folder::new();
+    let program = folder.file("way.ngc", "G21 G90 F600\nG1 X1\nM30\n");
+    let served = Served::on("pty", &["--fault", "link-delay ms=100"]);
+    // Of a line as slow as that reports come more rarely, too.
+    let line = ["--port", &served.port, "--baud", "9600", &program];
+    let terminal = homed(&line, Keyboard::Plain);
+    terminal.brings(b"p\r", "The machine moves.");
+}
+
 #[test]
 fn a_program_with_a_mistake_is_refused_with_its_line() {
     let folder = Folder::new();
@@ -146,43 +145,33 @@ fn a_program_with_a_mistake_is_refused_with_its_line() {
     );
     // Typed: over the screen.
     let terminal = homed(&[], Keyboard::Plain);
-    terminal.keys(b"p");
-    terminal.sees("Part program");
+    terminal.brings(b"p", "Part program");
     terminal.keys(bad.as_bytes());
-    terminal.keys(ENTER);
-    terminal.sees("The program is refused");
+    terminal.brings(ENTER, "The program is refused");
     terminal.sees("bad.ngc:3:");
     terminal.escape();
     terminal.state("IDLE");
     terminal.keys(b"p");
-    terminal.keys(b"\x15/nowhere.ngc\r");
-    terminal.sees("/nowhere.ngc: cannot be read");
+    terminal.brings(b"\x15/nowhere.ngc\r", "/nowhere.ngc: cannot be read");
 }
 
 #[test]
 fn axes_and_force_loop_are_set_from_the_screen() {
     let served = Served::on_tcp(&[]);
     let terminal = homed(&["--port", &served.port], Keyboard::Plain);
-    terminal.keys(b"a");
-    terminal.sees("Axes: a jog begins and ends at rest");
+    terminal.brings(b"a", "Axes: a jog begins and ends at rest");
     terminal.keys(DOWN);
-    terminal.keys(b"h");
-    terminal.sees("y: hold");
+    terminal.brings(b"h", "y: hold");
     terminal.escape();
     terminal.waits("held y", |text| {
         text.lines()
             .any(|row| row.starts_with(" y ") && row.contains("hold"))
     });
-    terminal.keys(b"t");
-    terminal.sees("Tare?");
-    terminal.keys(ENTER);
-    terminal.sees("the force sensor has a new zero");
-    terminal.keys(b"y");
-    terminal.sees("Force loop");
-    terminal.keys(ENTER);
-    terminal.sees("x yields");
-    terminal.keys(b"++");
-    terminal.sees("f_d 6.0 N");
+    terminal.brings(b"t", "Tare?");
+    terminal.brings(ENTER, "the force sensor has a new zero");
+    terminal.brings(b"y", "Force loop");
+    terminal.brings(ENTER, "x yields");
+    terminal.brings(b"++", "f_d 6.0 N");
     // Refused by the controller, with its bound.
     for _ in 0..12 {
         terminal.keys(b"-");

@@ -45,8 +45,7 @@ fn the_screen_follows_the_size_of_the_terminal() {
     terminal.keys(RIGHT);
     terminal.state("JOG");
     terminal.state("IDLE");
-    terminal.keys(b"?");
-    terminal.sees("Keys: arrows scroll");
+    terminal.brings(b"?", "Keys: arrows scroll");
     terminal.resize(12, 4);
     std::thread::sleep(Duration::from_millis(250));
     terminal.resize(80, 24);

@@ -46,6 +46,12 @@ impl Folder {
         path
     }
 
+    /// Writes the machine file of the built-in machine with other sections after it, and gives its path.
+    pub fn machine_with(&self, sections: &str) -> String {
+        let text = [haptimill::machine::BUILT_IN, sections].join("\n");
+        self.file("own.toml", text)
+    }
+
     pub fn read(&self, name: &str) -> String {
         std::fs::read_to_string(self.0.join(name)).unwrap()
     }

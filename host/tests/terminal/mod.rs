@@ -5,6 +5,8 @@
 // Each file that uses this uses its own part of it.
 #![allow(dead_code)]
 
+pub mod console;
+
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fd::OwnedFd;
 use rustix::fs::{Mode, OFlags};
@@ -160,6 +162,13 @@ impl Terminal {
     /// Presses keys, given as a terminal sends them.
     pub fn keys(&self, bytes: &[u8]) {
         assert_eq!(rustix::io::write(self.device(), bytes), Ok(bytes.len()));
+    }
+
+    /// Presses keys and waits for what they bring up.
+    #[track_caller]
+    pub fn brings(&self, keys: &[u8], part: &str) {
+        self.keys(keys);
+        self.sees(part);
     }
 
     /// Escape, which together with what comes at once after it would be another key.

@@ -4,6 +4,7 @@
 //! State, prompt and the keys that are always heard stay in sight whatever is open. Colours only repeat what words say.
 
 mod bars;
+mod hand;
 mod overlays;
 mod panels;
 
@@ -38,7 +39,8 @@ pub(super) fn draw(frame: &mut Frame<'_>, shown: &Shown) {
 /// All panels. Gives the area in which overlays may lie.
 fn full(frame: &mut Frame<'_>, area: Rect, shown: &Shown) -> Rect {
     let axes = shown.fixed.pose.len().max(shown.fixed.joints.len()) as u16;
-    let body = (2 * (axes + 1)).max(panels::RIGHT_ROWS);
+    let right_rows = panels::right_rows(shown, area.height);
+    let body = (2 * (axes + 1)).max(right_rows);
     let [status, prompt, body, messages, link, keys] = Layout::vertical([
         Constraint::Length(1),
         Constraint::Length(2),

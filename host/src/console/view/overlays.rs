@@ -1,7 +1,7 @@
 //! What lies over the panels: questions, the table of keys, lists.
 
 use super::panels::wrapped;
-use super::style_of;
+use super::{hand, style_of};
 use crate::console::keys::BINDINGS;
 use crate::console::shown::{Confirm, Overlay, Shown, Weight};
 use crate::machine::scale::PER_EFFORT;
@@ -16,6 +16,8 @@ use ratatui::widgets::{Block, Clear, Paragraph};
 pub(super) fn draw(frame: &mut Frame<'_>, area: Rect, shown: &Shown) {
     let width = usize::from(area.width.saturating_sub(4)).clamp(1, 90);
     let marked = Style::new().add_modifier(Modifier::REVERSED);
+    // The row that has to be in sight where not all are.
+    let mut focus = 0;
     let (title, rows): (&str, Vec<Line<'_>>) = match &shown.overlay {
         Overlay::None => return,
         Overlay::Help { from } => {
@@ -120,6 +122,14 @@ pub(super) fn draw(frame: &mut Frame<'_>, area: Rect, shown: &Shown) {
             ));
             ("Force loop: above f_d the tool yields", rows)
         }
+        Overlay::Hand { at, typed } => {
+            let Some(shown_hand) = &shown.hand else {
+                return;
+            };
+            let rows;
+            (rows, focus) = hand::overlay(shown, shown_hand, *at, typed, width);
+            ("Hand: what it feels, and what it may", rows)
+        }
     };
     let height = (rows.len() as u16 + 2).min(area.height);
     let widest = rows
@@ -141,5 +151,7 @@ pub(super) fn draw(frame: &mut Frame<'_>, area: Rect, shown: &Shown) {
     };
     frame.render_widget(Clear, place);
     let block = Block::bordered().title(title).style(style);
-    frame.render_widget(Paragraph::new(rows).block(block), place);
+    let inside = usize::from(place.height.saturating_sub(2)).max(1);
+    let hidden = (focus + 1).saturating_sub(inside) as u16;
+    frame.render_widget(Paragraph::new(rows).block(block).scroll((hidden, 0)), place);
 }

@@ -1,7 +1,7 @@
 //! Panels: position, slides, forces, jog, program, messages, link.
 
 use super::bars::{around_zero, from_left};
-use super::{OLD_MS, style_of};
+use super::{OLD_MS, hand, style_of};
 use crate::console::jogging::Mode;
 use crate::console::shown::{Axis, Contact, Shown, Weight};
 use crate::machine::scale::{PER_EFFORT, PER_MM, per_unit};
@@ -14,13 +14,22 @@ use ratatui::widgets::Paragraph;
 use std::time::Duration;
 
 /// Rows of the right column: force 6, jog 4, program 4.
-pub(super) const RIGHT_ROWS: u16 = 14;
+const RIGHT_ROWS: u16 = 14;
+
+/// From this height on a panel of the hand takes no row from anything else.
+const TALL: u16 = 24 + hand::PANEL_ROWS;
+
+/// Rows of the right column on a terminal of a height.
+pub(super) fn right_rows(shown: &Shown, height: u16) -> u16 {
+    if height >= TALL && hand::reported(shown).is_some() {
+        RIGHT_ROWS + hand::PANEL_ROWS
+    } else {
+        RIGHT_ROWS
+    }
+}
 
 /// Codes of a converter at full scale.
 const FULL_CODE: f64 = 8191.0;
-
-/// Full scale of the bar of the force at the hand: 5.5 N really hold a hand back (spec h4-milling 3.4).
-const HAND_SCALE_N: f64 = 5.5;
 
 /// Hours, minutes, seconds.
 pub(super) fn clock(time: Duration) -> String {
@@ -33,7 +42,7 @@ pub(super) fn clock(time: Duration) -> String {
     )
 }
 
-fn heading(text: &str, width: u16) -> Line<'static> {
+pub(super) fn heading(text: &str, width: u16) -> Line<'static> {
     let text = format!("── {text} ");
     let rest = usize::from(width).saturating_sub(text.chars().count());
     Line::styled(
@@ -150,9 +159,12 @@ pub(super) fn left(frame: &mut Frame<'_>, area: Rect, shown: &Shown) {
     frame.render_widget(Paragraph::new(rows), part(1 + pose, count));
 }
 
-/// Forces, jog, program.
+/// Forces, the hand where there is room for it, jog, program.
 pub(super) fn right(frame: &mut Frame<'_>, area: Rect, shown: &Shown) {
-    let mut rows = force_rows(shown, area.width);
+    let room = area.height >= RIGHT_ROWS + hand::PANEL_ROWS;
+    let panel = hand::panel(shown, area.width).filter(|_| room);
+    let mut rows = force_rows(shown, area.width, panel.is_none());
+    rows.extend(panel.into_iter().flatten());
     rows.push(heading("Jog", area.width));
     rows.extend(jog_rows(shown));
     rows.push(heading("Program", area.width));
@@ -160,33 +172,54 @@ pub(super) fn right(frame: &mut Frame<'_>, area: Rect, shown: &Shown) {
     frame.render_widget(Paragraph::new(rows), area);
 }
 
-fn force_rows(shown: &Shown, width: u16) -> Vec<Line<'static>> {
+/// Forces on the tool; with what the hand feels beside them, unless that has a panel of its own.
+fn force_rows(shown: &Shown, width: u16, beside: bool) -> Vec<Line<'static>> {
     let telemetry = shown.telemetry.as_ref();
+    let felt = hand::reported(shown).filter(|_| beside);
+    let felt = felt.map(|(arm, report)| (hand::fresh(shown, arm), report.force.map(hand::newtons)));
     let Some(loops) = &shown.loops else {
         let none = " this machine has no force sensor";
         let mut rows = vec![heading("Force", width), Line::raw(none)];
+        if let Some((style, [x, y, z])) = felt {
+            let size = (x * x + y * y + z * z).sqrt();
+            let bar = from_left(size / hand::SCALE_N, 6);
+            rows.push(Line::styled(
+                format!(" hand{x:>6.2}{y:>6.2}{z:>6.2} N {bar}"),
+                style,
+            ));
+        }
         rows.resize(6, Line::default());
         return rows;
     };
     let scale = shown.force_scale_n;
-    let mut rows = vec![heading(
-        &format!("Force ─ high ── low ─ +-{scale} N"),
-        width,
-    )];
+    let title = if felt.is_some() {
+        format!("Force high, low, hand ─ +-{scale} N")
+    } else {
+        format!("Force ─ high ── low ─ +-{scale} N")
+    };
+    let mut rows = vec![heading(&title, width)];
     let force = telemetry.and_then(|t| t.force.as_ref());
     let bar = usize::from(width).saturating_sub(21).clamp(6, 40);
     for (index, name) in ["x", "y", "z"].iter().enumerate() {
-        let text = match force {
-            Some(force) => {
+        let text = match (force, &felt) {
+            (Some(force), felt) => {
                 let high = f64::from(force.high[index]) / PER_EFFORT;
                 let low = f64::from(force.low[index]) / PER_EFFORT;
                 let (least, most) = (high.min(low) / scale, high.max(low) / scale);
-                format!(
-                    " {name}{high:>8.2}{low:>8.2} {}",
-                    around_zero(least, most, bar)
-                )
+                match felt {
+                    Some((_, felt)) => format!(
+                        " {name}{high:>7.2}{low:>7.2}{:>6.2} {}",
+                        felt[index],
+                        around_zero(least, most, bar.saturating_sub(4).max(5))
+                    ),
+                    None => format!(
+                        " {name}{high:>8.2}{low:>8.2} {}",
+                        around_zero(least, most, bar)
+                    ),
+                }
             }
-            None => format!(" {name}{:>8}{:>8}", "-", "-"),
+            (None, Some((_, felt))) => format!(" {name}{:>7}{:>7}{:>6.2}", "-", "-", felt[index]),
+            (None, None) => format!(" {name}{:>8}{:>8}", "-", "-"),
         };
         rows.push(Line::styled(text, fresh(shown)));
     }
@@ -249,17 +282,9 @@ fn jog_rows(shown: &Shown) -> Vec<Line<'static>> {
             format!(" ends {} ms after the last key", jog.dead_man_ms)
         }
     };
-    let last = match (&shown.hand_n, shown.fixed.pose.len()) {
-        (Some(hand), _) => {
-            let size = hand.iter().map(|part| part * part).sum::<f64>().sqrt();
-            let bar = from_left(size / HAND_SCALE_N, 6);
-            format!(
-                " hand{:>6.2}{:>6.2}{:>6.2} N {bar}",
-                hand[0], hand[1], hand[2]
-            )
-        }
-        (None, 5..) => " arrows x y  PgUp/Dn z  ,. nm".to_string(),
-        (None, _) => " arrows  PgUp/Dn".to_string(),
+    let last = match shown.fixed.pose.len() {
+        5.. => " arrows x y  PgUp/Dn z  ,. nm".to_string(),
+        _ => " arrows  PgUp/Dn".to_string(),
     };
     vec![
         Line::from(vec![Span::raw(" "), Span::styled(chosen(shown), style)]),

@@ -1,0 +1,130 @@
+//! Keys, sticks and caps, piece by piece.
+
+use super::*;
+
+/// An input that gives pieces, and then waits.
+struct Pieces(VecDeque<Vec<u8>>);
+
+impl Read for Pieces {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let piece = self.0.pop_front().ok_or(io::ErrorKind::WouldBlock)?;
+        buffer[..piece.len()].copy_from_slice(&piece);
+        Ok(piece.len())
+    }
+}
+
+fn pieces<const N: usize>(pieces: [&[u8]; N]) -> Pieces {
+    Pieces(pieces.iter().map(|piece| piece.to_vec()).collect())
+}
+
+fn joystick(value: i16, kind: u8, number: u8) -> Vec<u8> {
+    let mut record = vec![1, 2, 3, 4];
+    record.extend(value.to_le_bytes());
+    record.extend([kind, number]);
+    record
+}
+
+fn event(kind: u16, code: u16, value: i32) -> Vec<u8> {
+    let mut event = vec![0; EVENT - 8];
+    event.extend(kind.to_ne_bytes());
+    event.extend(code.to_ne_bytes());
+    event.extend(value.to_ne_bytes());
+    event
+}
+
+/// Words of a source over a time, at every control period.
+fn words<D: Device>(held: &mut Held<D>, from_us: u64, to_us: u64) -> Vec<Word> {
+    (from_us..to_us)
+        .step_by(200)
+        .filter_map(|now| held.advance(now).unwrap())
+        .collect()
+}
+
+#[test]
+fn a_key_is_a_step_and_the_dead_man_lets_go() {
+    let keys = Keys::new(pieces([b"\x1b", b"[", b"C+", b"\x1b[6~f", b"x g q"]), 10.0);
+    let mut held = Held::new(keys, "keys");
+    let heard = words(&mut held, 0, 2_000_000);
+    let last = heard.last().unwrap().hand;
+    // 0.2 mm along x, then two steps of 1 mm down.
+    let mm = last.tip.map(|raw| f64::from(raw) / PER_MM);
+    assert!(
+        (mm[0] - 0.2).abs() < 1e-5 && (mm[2] + 2.0).abs() < 1e-5,
+        "{mm:?}"
+    );
+    assert!(!last.engaged && heard[5].hand.engaged);
+    assert!(
+        heard
+            .iter()
+            .all(|word| word.hand.rate[2].abs() <= (10.0 * 4096.0) as i32 + 1)
+    );
+    let orders: Vec<Order> = std::iter::from_fn(|| held.order()).collect();
+    assert_eq!(
+        orders,
+        [Order::Hold, Order::Resume, Order::Hold, Order::End]
+    );
+    assert_eq!(held.standing(), Standing::Ready);
+}
+
+#[test]
+fn sticks_move_the_handle_while_the_button_is_held() {
+    let start = [joystick(0, 0x82, 0), joystick(0, 0x81, 1)].concat();
+    let push = [
+        joystick(-32767, 2, 1),
+        joystick(1, 1, 0),
+        joystick(1500, 2, 0),
+    ]
+    .concat();
+    let (one, other) = push.split_at(11);
+    let mut held = Held::new(Joystick::new(pieces([&start, one, other]), 20.0), "js");
+    let heard = words(&mut held, 0, 505_000);
+    let mm = heard
+        .last()
+        .unwrap()
+        .hand
+        .tip
+        .map(|raw| f64::from(raw) / PER_MM);
+    // Forward is +y, at the whole speed; x is within its dead zone.
+    assert!((mm[1] - 10.0).abs() < 0.2 && mm[0] == 0.0, "{mm:?}");
+    let release = [joystick(0, 1, 0), joystick(1, 1, 3)].concat();
+    held.device.input = pieces([&release]);
+    let rest = words(&mut held, 505_000, 800_000);
+    assert!(
+        rest.iter()
+            .all(|word| !word.hand.engaged && word.hand.rate == [0; 3])
+    );
+    assert_eq!(held.order(), Some(Order::Resume));
+    // Unplugged: no more words.
+    held.device.input = pieces([b""]);
+    assert_eq!(words(&mut held, 800_000, 900_000), []);
+    assert!(matches!(held.standing(), Standing::Waiting(why) if why.starts_with("js: ")));
+}
+
+#[test]
+fn a_cap_that_is_not_told_again_is_at_rest() {
+    let push = [event(1, 0x100, 1), event(2, 2, -350), event(3, 1, 350)].concat();
+    let mut held = Held::new(SpaceMouse::new(pieces([&push]), 20.0), "mouse");
+    let heard = words(&mut held, 0, 505_000);
+    let mm = heard
+        .last()
+        .unwrap()
+        .hand
+        .tip
+        .map(|raw| f64::from(raw) / PER_MM);
+    // Up for a tenth of a second; towards the person all the time, for that one is absolute.
+    assert!(
+        (1.8..2.6).contains(&mm[2]) && (mm[1] + 10.0).abs() < 0.2,
+        "{mm:?}"
+    );
+}
+
+#[test]
+fn a_device_that_is_not_there_is_named() {
+    let error = open(Path::new("/dev/input/none"), "game controller").unwrap_err();
+    assert!(
+        error
+            .message
+            .starts_with("/dev/input/none: no game controller there: "),
+        "{error}"
+    );
+}

@@ -1,0 +1,45 @@
+//! What an operator does at the console, by keys.
+
+use super::Terminal;
+use std::time::Duration;
+
+pub const RIGHT: &[u8] = b"\x1b[C";
+pub const LEFT: &[u8] = b"\x1b[D";
+pub const UP: &[u8] = b"\x1b[A";
+pub const DOWN: &[u8] = b"\x1b[B";
+pub const PAGE_UP: &[u8] = b"\x1b[5~";
+pub const PAGE_DOWN: &[u8] = b"\x1b[6~";
+pub const ENTER: &[u8] = b"\r";
+pub const SPACE: &[u8] = b" ";
+pub const RESUME: &[u8] = b"\x12";
+pub const STOP: &[u8] = b"\x18";
+pub const EMERGENCY: &[u8] = b"\x05";
+
+/// A question is asked, and answered with yes.
+#[track_caller]
+pub fn agrees(terminal: &Terminal, key: &[u8], question: &str) {
+    terminal.brings(key, question);
+    terminal.keys(ENTER);
+}
+
+/// Drives on, references found, at the home pose.
+#[track_caller]
+pub fn home(terminal: &Terminal) {
+    terminal.state("DISABLED");
+    terminal.keys(b"e");
+    terminal.state("IDLE");
+    agrees(terminal, b"h", "Home? The machine moves");
+    terminal.sees("way to the home pose: done");
+    terminal.state("IDLE");
+}
+
+/// The program that was given is checked, and begun.
+#[track_caller]
+pub fn run(terminal: &Terminal) {
+    terminal.brings(b"p", "Enter checks it");
+    terminal.brings(ENTER, "The machine moves.");
+    // Not by the Enter that chose the file, pressed twice.
+    std::thread::sleep(Duration::from_millis(600));
+    terminal.keys(ENTER);
+    terminal.state("RUN");
+}
