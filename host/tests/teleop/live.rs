@@ -37,6 +37,9 @@ fn two_boards_are_connected_over_ports_and_orders_come_line_by_line() {
             &out,
             "--for",
             "8",
+            // This is about ports and orders, in real time: a busy computer is not to hold the machine.
+            "--stale",
+            "200",
         ],
         Stdio::from(orders),
     );
