@@ -77,6 +77,24 @@ fn within_limits(records: &[Record]) {
     }
 }
 
+/// No change of force at the hand is larger than 0.05 N in a period: not by a cut, a switch, an order, or a link that comes and goes.
+fn without_a_bump(hand: &[Record]) {
+    let step = hand
+        .windows(2)
+        .flat_map(|pair| (0..3).map(|axis| pair[1].hand.force[axis] - pair[0].hand.force[axis]))
+        .map(i32::abs)
+        .max()
+        .unwrap();
+    // Half a newton was there to change.
+    let most = hand.iter().flat_map(|record| record.hand.force);
+    assert!(most.map(i32::abs).max().unwrap() > 1 << 15);
+    assert!(
+        step <= 65_536 / 20 + 1,
+        "{} N in a period",
+        f64::from(step) / 65_536.0
+    );
+}
+
 #[test]
 fn the_command_of_the_readme_cuts_feels_and_leaves_the_same_bits_every_time() {
     let folder = Folder::new();
@@ -159,6 +177,7 @@ fn the_command_of_the_readme_cuts_feels_and_leaves_the_same_bits_every_time() {
 
     let made = records(&folder.path("one/recording.hmr"));
     within_limits(&made);
+    without_a_bump(&records(&folder.path("one/hand.hmr")));
     let lowest = made.iter().map(|record| record.tool[2]).min().unwrap();
     let depth = 21.232 - f64::from(lowest) / MM;
     assert!((0.7..1.6).contains(&depth), "{depth} mm deep");
@@ -270,6 +289,42 @@ what = \"resume\"
     assert_eq!(made[last + 1].state, State::Run);
     haptimill(&["replay", &folder.path("out/recording.hmr")]).ended_with(0);
     haptimill(&["replay", &folder.path("out/hand.hmr")]).ended_with(0);
+}
+
+#[test]
+fn a_cut_that_is_broken_off_and_gone_on_with_gives_the_hand_no_bump() {
+    let folder = Folder::new();
+    let person = std::fs::read_to_string(scene::root().join("examples/teleop.toml")).unwrap();
+    let orders = "
+[[order]]
+at_s = 5.0
+what = \"gp=0.8\"
+[[order]]
+at_s = 5.5
+what = \"hold\"
+[[order]]
+at_s = 5.8
+what = \"resume\"
+[[order]]
+at_s = 8.0
+what = \"resume\"
+";
+    let said = scripted(
+        &folder,
+        "out",
+        &format!("{person}{orders}"),
+        &[
+            "--work",
+            "examples/block.toml",
+            "--spindle",
+            "5000",
+            "--hand-fault",
+            "link-cut at=6.5s for=1s",
+        ],
+    );
+    assert_eq!(said["session"]["holds"].as_array().unwrap().len(), 2);
+    within_limits(&records(&folder.path("out/recording.hmr")));
+    without_a_bump(&records(&folder.path("out/hand.hmr")));
 }
 
 #[test]
