@@ -1,6 +1,9 @@
 use super::*;
+use crate::io::{
+    AxisInputs, DriveCommand, ForceSample, HapticInputs, HapticOutputs, LegInputs, StepSegment,
+};
 use crate::reading::{ForceReading, HandReading};
-use haptimill_protocol::message::MAX_AXES;
+use haptimill_protocol::message::{MAX_AXES, State};
 use proptest::prelude::*;
 
 fn config() -> ProptestConfig {
