@@ -5,25 +5,15 @@ use haptimill::client::Options;
 use haptimill::machine::MachineFile;
 use haptimill::model::{Model, program_options, settings};
 use haptimill::plan::Plan;
-use haptimill::session::{self, JobEnd, Session, SimLine, Watcher};
+use haptimill::session::{self, JobEnd, Session, SimLine, Unwatched};
 use haptimill_firmware::io::DriveCommand;
-use haptimill_protocol::message::{State, Telemetry};
+use haptimill_protocol::message::State;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 mod scene;
 
 use scene::{Folder, haptimill, number};
-
-struct Unwatched;
-
-impl Watcher for Unwatched {
-    fn progress(&mut self, _: &Telemetry) {}
-    fn paused(&mut self, _: u32) {}
-    fn goes_on(&mut self) -> bool {
-        true
-    }
-}
 
 fn machines() -> PathBuf {
     scene::root().join("machines")

@@ -5,22 +5,12 @@ use haptimill::machine::{MachineFile, work};
 use haptimill::model::{Model, program_options, settings};
 use haptimill::plan::Plan;
 use haptimill::record::{Header, Recorder};
-use haptimill::session::{JobLine, JobRecording, Session, SimLine, Watcher, rig};
+use haptimill::session::{JobLine, JobRecording, Session, SimLine, Unwatched, rig};
 use haptimill_hil_sim::config::PlantConfig;
-use haptimill_protocol::message::Telemetry;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
-
-struct Nobody;
-impl Watcher for Nobody {
-    fn progress(&mut self, _: &Telemetry) {}
-    fn paused(&mut self, _: u32) {}
-    fn goes_on(&mut self) -> bool {
-        true
-    }
-}
 
 fn main() {
     let file = std::env::args().nth(1).expect("a part program");
@@ -68,7 +58,7 @@ fn main() {
         }
         let (before, begun) = (session.now_us(), Instant::now());
         session
-            .run_job(2, home.clone(), plan.setpoints.clone(), &mut Nobody)
+            .run_job(2, home.clone(), plan.setpoints.clone(), &mut Unwatched)
             .expect("done");
         let wall = begun.elapsed().as_secs_f64();
         let simulated = (session.now_us() - before) as f64 / 1e6;

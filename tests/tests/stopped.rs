@@ -4,21 +4,11 @@ use haptimill::client::Options;
 use haptimill::machine::MachineFile;
 use haptimill::model::Model;
 use haptimill::port::PortError;
-use haptimill::session::{Line, Session, SimLine, Watcher, rig};
-use haptimill_protocol::message::{State, Telemetry};
+use haptimill::session::{Line, Session, SimLine, Unwatched, rig};
+use haptimill_protocol::message::State;
 use haptimill_tests::line_in_x;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-
-struct Unwatched;
-
-impl Watcher for Unwatched {
-    fn progress(&mut self, _: &Telemetry) {}
-    fn paused(&mut self, _: u32) {}
-    fn goes_on(&mut self) -> bool {
-        true
-    }
-}
 
 /// The simulated machine, and a user who wants everything to stop after so many exchanges.
 struct Impatient {

@@ -13,7 +13,9 @@ use crate::record::{Header, Recorder, Recording};
 use crate::report::{self, Outcome, Summary};
 #[cfg(unix)]
 use crate::session::pil;
-use crate::session::{self, HandCourse, JobEnd, JobLine, JobRecording, Session, SimLine, Watcher};
+use crate::session::{
+    self, HandCourse, JobEnd, JobLine, JobRecording, Session, SimLine, Unwatched,
+};
 use haptimill_firmware::units::Length;
 use haptimill_firmware::units::force::{Force, VirtualDamping, VirtualMass};
 use haptimill_hil_sim::config::PlantConfig;
@@ -21,7 +23,7 @@ use haptimill_hil_sim::cutting::Workpiece;
 #[cfg(unix)]
 use haptimill_hil_sim::remote::RemoteController;
 use haptimill_hil_sim::rig::Control as Controlled;
-use haptimill_protocol::message::{AxisValues, Telemetry};
+use haptimill_protocol::message::AxisValues;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -48,18 +50,6 @@ pub struct Cut {
 /// The most that a tool under force control may yield, mm: the machine file's 10 mm are enough for the thesis's gains (6 mm), and too little for (0.25, 0.5) at 4 mm/s, which yields 13 mm and would press with
 /// 10 N at the limit instead of showing what the gains do. It is a setting of the loop, not of the plant.
 const LIMIT_MM: i32 = 20;
-
-struct Unwatched;
-
-impl Watcher for Unwatched {
-    fn progress(&mut self, _: &Telemetry) {}
-
-    fn paused(&mut self, _: u32) {}
-
-    fn goes_on(&mut self) -> bool {
-        true
-    }
-}
 
 /// Axes of the work along which the tool yields in a pass.
 fn yields(pass: &Pass) -> &'static [u8] {

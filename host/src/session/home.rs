@@ -1,28 +1,15 @@
 //! From wherever the search for the references ends to the home pose.
 
-use super::{JobEnd, Line, Session, Watcher};
+use super::{JobEnd, Line, Session, Unwatched};
 use crate::cli::{CliError, Exit};
 use crate::machine::MachineFile;
 use crate::model::{Model, program_options, settings};
 use crate::plan::Plan;
 use crate::program;
-use haptimill_protocol::message::{AxisValues, Telemetry};
+use haptimill_protocol::message::AxisValues;
 
 /// The host's number of the job that goes to the home pose.
 const HOME_JOB: u32 = 1;
-
-/// Nobody looks on.
-struct Unwatched;
-
-impl Watcher for Unwatched {
-    fn progress(&mut self, _: &Telemetry) {}
-
-    fn paused(&mut self, _: u32) {}
-
-    fn goes_on(&mut self) -> bool {
-        true
-    }
-}
 
 /// A straight move between two poses, in axis units: at a feed, mm/min or deg/min, or rapid.
 pub(crate) fn way(

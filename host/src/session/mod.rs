@@ -20,7 +20,7 @@ pub use force::{LoopChoice, force_of};
 pub use hand::{HandCourse, HandSample};
 #[cfg(feature = "console")]
 pub(crate) use home::way;
-pub use job::{JobEnd, Sent, Watcher};
+pub use job::{JobEnd, Sent, Unwatched, Watcher};
 pub use line::{JobLine, Line, PortLine};
 pub use sim::{JobRecording, SimLine, rig, rig_around};
 
