@@ -425,7 +425,7 @@ impl Controller {
 #[inline]
 fn hardware(axes: &[AxisInputs]) -> Option<Fault> {
     let well = |axis: &AxisInputs| axis.drive_ready & !(axis.limit_low | axis.limit_high);
-    if axes.iter().all(well) {
+    if axes.iter().fold(true, |all, axis| all & well(axis)) {
         return None;
     }
     name_hardware(axes)

@@ -281,7 +281,7 @@ impl Machinery {
             .iter()
             .zip(&self.config.joints)
             .all(|(joint, axis)| {
-                i64::from(joint.sensed().rate.0).abs() <= 2 * i64::from(axis.following.0).abs()
+                i64::from(joint.rate().0).abs() <= 2 * i64::from(axis.following.0).abs()
             })
     }
 
@@ -357,11 +357,13 @@ impl Machinery {
             joints,
             ..
         } = &self.config;
-        let joints = self.joints.iter_mut().zip(joints);
-        for (index, (joint, axis)) in joints.enumerate() {
-            let fault = joint.supervise(index as u8, axis, supervision, *period_us);
-            if fault.is_some() {
-                return fault;
+        let limit = supervision.illegal_transitions;
+        for (index, joint) in self.joints.iter_mut().enumerate() {
+            if !joint.is_well(limit)
+                && let Some(axis) = joints.get(index)
+                && let Some(fault) = joint.supervise(index as u8, axis, supervision, *period_us)
+            {
+                return Some(fault);
             }
         }
         None

@@ -14,6 +14,7 @@
 //! [`JointDrive::enable`] gives back.
 
 pub mod backlash;
+pub mod edges;
 pub mod encoder;
 pub mod quadrature;
 pub(crate) mod reciprocal;
@@ -24,7 +25,7 @@ use crate::config::{AxisKind, Drive, JointAxis, Supervision};
 use crate::io::{AxisInputs, DriveCommand};
 use crate::position::PositionLaw;
 use crate::safety::integrity::{Constants, Digest, constants};
-use crate::safety::supervise::{Seen, Watch};
+use crate::safety::supervise::{Glimpse, Seen, Watch};
 use crate::units::{Acceleration, Coordinate, Effort, Rate};
 use backlash::Backlash;
 use encoder::{Encoder, difference, sum};
@@ -56,8 +57,6 @@ pub struct Sensed {
     pub coordinate: Coordinate,
     /// Coordinate of the motor side.
     pub motor: Coordinate,
-    /// Rate of the motor side, from the times between edges.
-    pub rate: Rate,
     /// Encoder counts since the period before.
     pub moved: i32,
     /// Illegal transitions since enable.
@@ -238,22 +237,17 @@ impl JointDrive {
                 supervision.start = measured.coordinate;
             }
         }
-        let (slip, lost_steps) = match &mut self.output {
-            Output::Torque { .. } => (Coordinate(0), false),
-            Output::Steps { supervision, .. } => {
-                supervision.compare(self.kind, self.enabled, inputs.steps, measured.coordinate)
-            }
-        };
-        self.sensed = Sensed {
-            coordinate: self.backlash.carry(measured.coordinate),
-            motor: measured.coordinate,
-            rate: measured.rate,
-            moved: measured.moved,
-            illegal: self.encoder.illegal(),
-            index: measured.index,
-            slip,
-            lost_steps,
-        };
+        if let Output::Steps { supervision, .. } = &mut self.output {
+            let motor = measured.coordinate;
+            (self.sensed.slip, self.sensed.lost_steps) =
+                supervision.compare(self.kind, self.enabled, inputs.steps, motor);
+        }
+        let sensed = &mut self.sensed;
+        sensed.coordinate = self.backlash.carry(measured.coordinate);
+        sensed.motor = measured.coordinate;
+        sensed.moved = measured.moved;
+        sensed.illegal = self.encoder.illegal();
+        sensed.index = measured.index;
         &self.sensed
     }
 
@@ -324,6 +318,20 @@ impl JointDrive {
         shift
     }
 
+    /// Supervision at a glance: whether the joint is certain to do what it was told in the period before. Where not, [`JointDrive::supervise`] has to look.
+    #[inline(never)]
+    pub fn is_well(&mut self, illegal_limit: u16) -> bool {
+        let sensed = &self.sensed;
+        sensed.illegal <= u32::from(illegal_limit)
+            && self.watch.glance(&Glimpse {
+                wanted: self.wanted.coordinate,
+                wanted_rate: self.wanted.rate,
+                measured: sensed.coordinate,
+                moved: sensed.moved,
+                effort: self.driven.effort,
+            })
+    }
+
     /// Supervision: does the joint do what it was told in the period before? `joint` is its number, `axis` its configuration.
     #[inline(never)]
     pub fn supervise(
@@ -338,15 +346,21 @@ impl JointDrive {
             wanted: self.wanted.coordinate,
             wanted_rate: self.wanted.rate,
             measured: sensed.coordinate,
-            rate: sensed.rate,
             moved: sensed.moved,
             effort: self.driven.effort,
+            rate: self.encoder.rate(),
             illegal: sensed.illegal.min(u32::from(u16::MAX)) as u16,
             steps_off: sensed.slip,
             period_us,
         };
         self.watch
-            .look(joint, axis, limits.illegal_transitions, &seen)
+            .examine(joint, axis, limits.illegal_transitions, &seen)
+    }
+
+    /// Rate of the motor side, from the times between edges.
+    #[must_use]
+    pub fn rate(&self) -> Rate {
+        self.encoder.rate()
     }
 
     /// Supervision forgets what it saw: the drives go on, or the coordinate was set.

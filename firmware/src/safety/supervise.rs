@@ -40,6 +40,34 @@ pub struct Seen {
     pub period_us: u16,
 }
 
+/// The part of it that a glance is at.
+#[derive(Debug, Clone, Copy)]
+pub struct Glimpse {
+    /// Wanted position.
+    pub wanted: Coordinate,
+    /// Wanted rate.
+    pub wanted_rate: Rate,
+    /// Measured position.
+    pub measured: Coordinate,
+    /// Encoder counts since the period before.
+    pub moved: i32,
+    /// What the drive was told in the period before (torque drives).
+    pub effort: Effort,
+}
+
+impl From<&Seen> for Glimpse {
+    #[inline(always)]
+    fn from(seen: &Seen) -> Self {
+        Self {
+            wanted: seen.wanted,
+            wanted_rate: seen.wanted_rate,
+            measured: seen.measured,
+            moved: seen.moved,
+            effort: seen.effort,
+        }
+    }
+}
+
 /// What a glance at a joint needs, worked out from its configuration once. Within these bounds nothing is wrong; beyond them something may be.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
 struct Bounds {
@@ -143,7 +171,7 @@ impl Watch {
         illegal_limit: u16,
         seen: &Seen,
     ) -> Option<Fault> {
-        if seen.illegal <= illegal_limit && self.glance(seen) {
+        if seen.illegal <= illegal_limit && self.glance(&Glimpse::from(seen)) {
             return None;
         }
         self.examine(axis, config, illegal_limit, seen)
@@ -152,7 +180,7 @@ impl Watch {
     /// Whether the period is one of those in which nothing can be wrong: nearly all are. It is noted then as [`Watch::examine`] would note it; otherwise
     /// nothing has changed.
     #[inline(always)]
-    fn glance(&mut self, seen: &Seen) -> bool {
+    pub fn glance(&mut self, seen: &Glimpse) -> bool {
         let bounds = &self.bounds;
         let Some((begun, _)) = self.since else {
             return false;
@@ -189,7 +217,7 @@ impl Watch {
 
     /// Looks at everything.
     #[inline(never)]
-    fn examine(
+    pub fn examine(
         &mut self,
         axis: u8,
         config: &JointAxis,
@@ -291,13 +319,13 @@ impl Watch {
             return None;
         };
         let direction = seen.wanted_rate.0.signum();
-        let mark = self.mark.get_or_insert(Mark::of(seen, true));
+        let mark = self.mark.get_or_insert(Mark::of(&seen.into(), true));
         if direction == 0 || direction != mark.direction {
-            *mark = Mark::of(seen, true);
+            *mark = Mark::of(&seen.into(), true);
             return None;
         }
         if distance(config, seen.measured, mark.measured) > still(config) {
-            *mark = Mark::of(seen, false);
+            *mark = Mark::of(&seen.into(), false);
             return None;
         }
         if seen.moved.signum() == -mark.last && mark.last != 0 {
@@ -362,7 +390,7 @@ impl Watch {
 impl Mark {
     /// Here motion begins to be looked at; the joint is `standing` where friction has yet to be overcome.
     #[inline(always)]
-    fn of(seen: &Seen, standing: bool) -> Self {
+    fn of(seen: &Glimpse, standing: bool) -> Self {
         Self {
             measured: seen.measured,
             wanted: seen.wanted,
