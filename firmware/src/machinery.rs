@@ -4,7 +4,7 @@ pub mod hand;
 mod yielding;
 
 use crate::config::{AxisKind, Config, JointAxis};
-use crate::drive::{JointDrive, Wanted as JointWanted};
+use crate::drive::JointDrive;
 use crate::force::conditioning::COMPONENTS;
 use crate::force::{Design, ForceControl};
 use crate::io::{DriveCommand, Inputs};
@@ -394,17 +394,11 @@ impl Machinery {
             accelerations,
         } = &self.target;
         for (index, joint) in self.joints.iter_mut().enumerate() {
-            let driven = joint.drive(&JointWanted {
-                coordinate: joints.0[index],
-                rate: rates[index],
-                acceleration: accelerations[index],
-            });
-            match driven.command {
-                // Two words, where the whole would be copied bytewise.
-                DriveCommand::Torque(code) => commands[index] = DriveCommand::Torque(code),
-                ref other => commands[index] = *other,
-            }
-            if driven.saturated {
+            let Some(command) = commands.get_mut(index) else {
+                break;
+            };
+            let (coordinate, rate) = (joints.0[index], rates[index]);
+            if joint.drive(coordinate, rate, accelerations[index], command) {
                 saturated = Some(index as u8);
             }
         }

@@ -2,7 +2,7 @@
 
 use haptimill_firmware::config::{AxisKind, Drive, JointAxis, Law, LawForm};
 use haptimill_firmware::drive::torque::TorqueOutput;
-use haptimill_firmware::drive::{DriveError, JointDrive, Wanted};
+use haptimill_firmware::drive::{DriveError, Driven, JointDrive, Wanted};
 use haptimill_firmware::io::{AxisInputs, DriveCommand};
 use haptimill_firmware::units::{Acceleration, Coordinate, Effort, Gain, Rate};
 use proptest::prelude::*;
@@ -10,6 +10,22 @@ use proptest::test_runner::RngSeed;
 
 const MM: f64 = 1048576.0;
 const NEWTON: f64 = 65536.0;
+
+/// Drives a joint for a period; its command arrives where it belongs.
+fn drive_to(joint: &mut JointDrive, wanted: &Wanted) -> Driven {
+    let mut command = DriveCommand::Off;
+    let saturated = joint.drive(
+        wanted.coordinate,
+        wanted.rate,
+        wanted.acceleration,
+        &mut command,
+    );
+    assert_eq!(
+        (command, saturated),
+        (joint.driven().command, joint.driven().saturated)
+    );
+    *joint.driven()
+}
 
 fn torque() -> Drive {
     Drive::Torque {
@@ -148,7 +164,7 @@ fn follow(lost_motion: f64) -> (f64, f64) {
             rate: Rate((v * MM) as i32),
             acceleration: Acceleration((-w * w * x * 4096.0) as i32),
         };
-        let driven = *joint.drive(&wanted);
+        let driven = drive_to(&mut joint, &wanted);
         let DriveCommand::Torque(next) = driven.command else {
             panic!()
         };
@@ -187,7 +203,10 @@ fn enabling_moves_nothing() {
             ..AxisInputs::default()
         };
         joint.sense(&inputs, 0);
-        assert_eq!(joint.drive(&Wanted::default()).command, DriveCommand::Off);
+        assert_eq!(
+            drive_to(&mut joint, &Wanted::default()).command,
+            DriveCommand::Off
+        );
         // Turned by hand while off, by more than the play.
         inputs.counts += 4000;
         joint.sense(&inputs, 200_000);
@@ -197,7 +216,7 @@ fn enabling_moves_nothing() {
         };
         for period in 2..500u32 {
             joint.sense(&inputs, period * 200_000);
-            let driven = joint.drive(&wanted);
+            let driven = drive_to(&mut joint, &wanted);
             assert_eq!(driven.following_error, Coordinate(0));
             match driven.command {
                 DriveCommand::Torque(code) => assert_eq!(code, 0),
@@ -206,7 +225,7 @@ fn enabling_moves_nothing() {
             }
         }
         joint.disable();
-        assert_eq!(joint.drive(&wanted).command, DriveCommand::Off);
+        assert_eq!(drive_to(&mut joint, &wanted).command, DriveCommand::Off);
     }
 }
 
@@ -231,7 +250,7 @@ fn a_reference_found_under_way_moves_nothing() {
             let sensed = joint.sense(&inputs, period * 200_000);
             assert!((f64::from(sensed.coordinate.0) - at).abs() < 2.0);
             assert!(sensed.slip.0.abs() < 2 && !sensed.lost_steps);
-            let driven = joint.drive(&wanted);
+            let driven = drive_to(&mut joint, &wanted);
             assert!(driven.following_error.0.abs() <= 1);
             assert!(!matches!(driven.command, DriveCommand::Steps(segment) if segment.count != 0));
         }
@@ -268,11 +287,14 @@ fn lost_steps_are_seen() {
         );
         let time = f64::from(period) * 200e-6;
         let x = 5.0 * (1.0 - (3.0 * time).cos());
-        let driven = joint.drive(&Wanted {
-            coordinate: Coordinate(start.0 + (x * MM) as i32),
-            rate: Rate((15.0 * (3.0 * time).sin() * MM) as i32),
-            acceleration: Acceleration(0),
-        });
+        let driven = drive_to(
+            &mut joint,
+            &Wanted {
+                coordinate: Coordinate(start.0 + (x * MM) as i32),
+                rate: Rate((15.0 * (3.0 * time).sin() * MM) as i32),
+                acceleration: Acceleration(0),
+            },
+        );
         let DriveCommand::Steps(next) = driven.command else {
             panic!()
         };
@@ -350,7 +372,7 @@ proptest! {
 
     #[test]
     fn torque_codes_are_right_in_the_mean(full_scale in prop_oneof![1_000_000i32..=i32::MAX, i32::MIN..=-1_000_000], part in -0.999f64..0.999) {
-        let mut output = TorqueOutput::new(Effort(full_scale), Effort(i32::MAX));
+        let mut output = TorqueOutput::new(Effort(full_scale));
         let effort = (f64::from(full_scale) * part) as i32;
         let exact = f64::from(effort) * 8192.0 / f64::from(full_scale);
         let mut total = 0.0;
@@ -365,14 +387,35 @@ proptest! {
     }
 
     #[test]
-    fn torque_is_symmetric_and_limited(full_scale: i32, limit: i32, effort: i32) {
-        let fresh = || TorqueOutput::new(Effort(full_scale), Effort(limit));
-        let (code, _) = fresh().code(Effort(effort));
+    fn torque_is_symmetric_and_within_the_codes(full_scale: i32, effort: i32) {
+        let fresh = || TorqueOutput::new(Effort(full_scale));
+        let (code, clamped) = fresh().code(Effort(effort));
         let (opposite, _) = fresh().code(Effort(effort.saturating_neg()));
         prop_assert!((code + opposite).abs() <= 1);
         prop_assert!((-8191..=8191).contains(&code));
-        let most = f64::from(limit).abs() * 8192.0 / f64::from(full_scale).abs().max(1.0);
+        let exact = f64::from(effort) * 8192.0 / f64::from(if full_scale == 0 { 1 } else { full_scale });
+        prop_assert_eq!(clamped, code.abs() == 8191 && exact.abs() > 8191.0 + 0.5 - 1e-3, "{} {}", code, exact);
+        prop_assert!((f64::from(code) - exact.clamp(-8191.0, 8191.0)).abs() <= 0.51);
+    }
+
+    /// No joint is told more than its drive's limit, whatever is wanted and measured.
+    #[test]
+    fn a_joint_keeps_to_its_limit(
+        full_scale in prop_oneof![1_000_000i32..=i32::MAX, i32::MIN..=-1_000_000], limit in 1i32.., place: i32, wanted: (i32, i32, i32),
+    ) {
+        let limit = Effort(limit);
+        let mut joint = JointDrive::new(&axis(Drive::Torque { full_scale: Effort(full_scale), limit }, 0.0), 200).unwrap();
+        joint.sense(&AxisInputs::default(), 0);
+        joint.enable();
+        joint.sense(&AxisInputs { counts: place >> 12, ..AxisInputs::default() }, 200_000);
+        let (coordinate, rate, acceleration) = wanted;
+        let driven = drive_to(&mut joint, &Wanted { coordinate: Coordinate(coordinate), rate: Rate(rate), acceleration: Acceleration(acceleration) });
+        let DriveCommand::Torque(code) = driven.command else {
+            panic!("a torque drive: {driven:?}");
+        };
+        let most = f64::from(limit.0) * 8192.0 / f64::from(full_scale).abs();
         prop_assert!(f64::from(code).abs() <= most + 0.51);
+        prop_assert!(driven.effort.0.unsigned_abs() <= limit.0.unsigned_abs());
     }
 
     #[test]
@@ -394,7 +437,7 @@ proptest! {
                     2 => { joint.set_reference(index_counts, Coordinate(coordinate)); }
                     _ => {}
                 }
-                joint.drive(&Wanted { coordinate: Coordinate(coordinate), rate: Rate(rate), acceleration: Acceleration(acceleration) });
+                drive_to(&mut joint, &Wanted { coordinate: Coordinate(coordinate), rate: Rate(rate), acceleration: Acceleration(acceleration) });
             }
         }
     }

@@ -6,7 +6,7 @@ use haptimill_firmware::config::{Config, JointAxis, Model};
 use haptimill_firmware::drive::{JointDrive, Wanted};
 use haptimill_firmware::force::conditioning::Sensor;
 use haptimill_firmware::force::{ForceConfig, ForceControl, Gate, LoopSettings};
-use haptimill_firmware::io::{AxisInputs, Inputs};
+use haptimill_firmware::io::{AxisInputs, DriveCommand, Inputs};
 use haptimill_firmware::kinematics::machine::Machine;
 use haptimill_firmware::machinery::Machinery;
 use haptimill_firmware::motion::jog::Jog;
@@ -172,7 +172,13 @@ fn a_change_of_a_joint_s_constants_is_seen_and_its_motion_is_not() {
             rate: Rate(-period << 8),
             ..Wanted::default()
         };
-        joint.drive(&wanted);
+        let mut command = DriveCommand::Off;
+        joint.drive(
+            wanted.coordinate,
+            wanted.rate,
+            wanted.acceleration,
+            &mut command,
+        );
     }
     joint.set_reference(7, Coordinate(99));
     joint.disable();

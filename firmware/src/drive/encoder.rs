@@ -167,10 +167,11 @@ impl Encoder {
         self.raw.wrapping_sub(raw) as i64
     }
 
-    #[inline]
+    #[inline(always)]
     fn coordinate_of(&self, counts: i64) -> Coordinate {
         let word = counts as i32;
-        if i64::from(word) != counts || word.unsigned_abs() > self.most {
+        // Not as numbers of 64 bits, or the product would be one of those as well.
+        if (counts >> 32) as i32 != word >> 31 || word.unsigned_abs() > self.most {
             return self.far(counts);
         }
         // A word times 24 bits.

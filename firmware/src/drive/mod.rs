@@ -175,7 +175,7 @@ impl JointDrive {
                 }
                 Output::Torque {
                     law: PositionLaw::new(&axis.law, limit, period_us),
-                    output: TorqueOutput::new(full_scale, limit),
+                    output: TorqueOutput::new(full_scale),
                 }
             }
             Drive::Steps {
@@ -368,37 +368,50 @@ impl JointDrive {
         self.watch.reset();
     }
 
-    /// The command of a period, for where the slide shall be. Off while disabled.
+    /// The command of a period, for where the slide shall be, put into its place; off while disabled. Says whether the drive was asked for too much.
     // Called, not inlined: with registers of its own it is a third shorter than as a part of the whole period.
     #[inline(never)]
-    pub fn drive(&mut self, wanted: &Wanted) -> &Driven {
-        self.wanted = *wanted;
+    pub fn drive(
+        &mut self,
+        coordinate: Coordinate,
+        rate: Rate,
+        acceleration: Acceleration,
+        command: &mut DriveCommand,
+    ) -> bool {
+        self.wanted = Wanted {
+            coordinate,
+            rate,
+            acceleration,
+        };
         if !self.enabled {
-            return &self.driven;
+            *command = DriveCommand::Off;
+            return false;
         }
-        let (shift, shift_rate) = self.backlash.shift(wanted.rate);
+        let (shift, shift_rate) = self.backlash.shift(rate);
         // The motor's rate, crossing the play included: its friction turns over as it sets off, not when the slide does.
-        let rate = Rate(wanted.rate.0.saturating_add(shift_rate.0));
-        let target = sum(self.kind, wanted.coordinate, shift);
+        let rate = Rate(rate.0.saturating_add(shift_rate.0));
+        let target = sum(self.kind, coordinate, shift);
         let following_error = difference(self.kind, target, self.sensed.motor);
         let driven = &mut self.driven;
         driven.following_error = following_error;
         match &mut self.output {
             Output::Torque { law, output } => {
-                let (effort, cut) = law.effort(following_error, rate, wanted.acceleration);
+                let (effort, cut) = law.effort(following_error, rate, acceleration);
                 let (code, clamped) = output.code(effort);
                 driven.command = DriveCommand::Torque(code);
                 driven.effort = effort;
-                driven.saturated = cut || clamped;
+                driven.saturated = cut | clamped;
+                *command = DriveCommand::Torque(code);
             }
             Output::Steps { planner, .. } => {
                 let planned = planner.plan(target, rate);
                 driven.command = DriveCommand::Steps(planned.segment);
                 driven.saturated = planned.ceiling;
                 driven.lag = planned.lag;
+                *command = driven.command;
             }
         }
-        &self.driven
+        driven.saturated
     }
 }
 

@@ -159,6 +159,15 @@ pub(crate) struct Scale {
 }
 
 impl Scale {
+    /// By the negative factor.
+    pub(crate) const fn reversed(self) -> Self {
+        Self {
+            // A mantissa is not negative.
+            mantissa: self.mantissa.wrapping_neg(),
+            ..self
+        }
+    }
+
     /// `value` times the factor, rounded down; what is beyond about 2^30 either way (2^29 to 2^30, by the factor) is held there. No value overflows.
     #[inline(always)]
     pub(crate) const fn apply(self, value: i32) -> i32 {

@@ -27,7 +27,7 @@ use super::h4_motion::quick_turn;
 use super::{Accelerations, Jacobian, JointMotion, Joints, Kinematics, Pose, PoseError, Rates};
 use crate::config::H4Geometry;
 use crate::units::root::{Root, hypot};
-use crate::units::scale::{multiply_shift, round_shift, saturate, total};
+use crate::units::scale::{round_q30, saturate, total};
 use crate::units::trig::sin_cos;
 use crate::units::{Angle, Coordinate, Length};
 
@@ -63,6 +63,10 @@ pub struct H4 {
     pub(super) rod: i32,
     /// R^2, 2^-40 mm^2.
     pub(super) rod_square: i64,
+    /// 2 |E|.
+    twice_lateral: i64,
+    /// h - g_e.
+    level: i64,
     /// The least S^2 that is accepted: (0.1 R)^2.
     least_square: i64,
     /// The least 2 S at which measured slides are certified: 0.18 R.
@@ -158,6 +162,8 @@ impl H4 {
             joint_offset: geometry.joint_offset.0,
             rod,
             rod_square,
+            twice_lateral: 2 * geometry.lateral.magnitude() as i64,
+            level: geometry.table_height.0 as i64 - geometry.rail_offset.0 as i64,
             least_square: rod_square / 100 + (rod_square % 100 != 0) as i64,
             // Rounded up.
             least_measured: ((18 * rod as i64 + 99) / 100) as i32,
@@ -221,10 +227,13 @@ impl H4 {
     /// [`PoseError::Tilt`], [`PoseError::Unreachable`]: there is no arm at this pose to speak of.
     pub fn singularity_distance(&self, pose: &Pose) -> Result<Length, PoseError> {
         let placed = self.frame(pose)?;
+        if self.square(placed.upper) < 0 || self.square(placed.lower) < 0 {
+            return Err(PoseError::Unreachable);
+        }
         Ok(Length(self.distance(&placed)))
     }
 
-    /// The pose in the frame of the slave base, with U and V of both pairs no longer than a rod. (3.14)-(3.16), turned round.
+    /// The pose in the frame of the slave base. (3.14)-(3.16), turned round.
     #[inline(always)]
     pub(super) fn frame(&self, pose: &Pose) -> Result<Placed, PoseError> {
         let [x_w, y_w, z_w, theta, alpha, _] = pose.0;
@@ -244,30 +253,22 @@ impl H4 {
 
         // Words, and y and the height below 2^33: no sum leaves 36 bits.
         let less = |a: i64, b: i64| total(a, b.wrapping_neg());
-        let below = less(
-            less(self.table_height as i64, self.rail_offset as i64),
-            height,
-        );
+        // A length is below 2^31, a cosine at most 1.
+        let drop = |length: i32| round_q30(length as i64 * tilt.1 as i64) as i64;
+        let below = less(self.level, height);
         let half_height = self.half_height as i64;
         let upper = (
             less(self.lateral as i64, y),
-            less(
-                total(below, half_height),
-                multiply_shift(self.upper, tilt.1, 30),
-            ),
+            less(total(below, half_height), drop(self.upper)),
         );
         let lower = (
             total(self.lateral as i64, y),
-            less(
-                less(below, half_height),
-                multiply_shift(self.lower, tilt.1, 30),
-            ),
+            less(less(below, half_height), drop(self.lower)),
         );
-        // Before anything is squared: an absurd pose would not fit.
-        let rod = self.rod as i64;
-        let longest = (upper.0.abs().max(upper.1.abs())).max(lower.0.abs().max(lower.1.abs()));
-        // y is a word because U is; z + h is one by this.
-        if longest > rod || !self.sound || height != height as i32 as i64 {
+        // What leaves its word is out of reach. With both U in words y is in one: their sum is 2 E.
+        let leaves = |value: i64| value ^ value as i32 as i64;
+        let beyond = leaves(upper.0) | leaves(upper.1) | leaves(lower.0) | leaves(lower.1);
+        if beyond | leaves(height) != 0 || !self.sound {
             return Err(PoseError::Unreachable);
         }
         Ok(Placed {
@@ -312,7 +313,7 @@ impl H4 {
         }
         // hypot(E, D) <= |E| + |D|: a pose that is far enough by this measure needs no root and no division.
         let (cross, height) = self.cross(&placed);
-        let width = 2 * self.lateral.unsigned_abs() as i64 + height;
+        let width = total(self.twice_lateral, height);
         // margin <= 2^30, width <= 2^32.
         if cross < (self.margin as i64).wrapping_mul(width) {
             let distance = self.distance(&placed);
@@ -331,24 +332,27 @@ impl H4 {
         ))
     }
 
-    /// R^2 - U^2 - V^2; from -2^60 to 2^60.
-    #[inline]
+    /// R^2 - U^2 - V^2; from -2^63 to 2^60.
+    #[inline(always)]
     fn square(&self, (u, v): (i32, i32)) -> i64 {
-        // |u| and |v| are at most R <= 2^30: nothing wraps.
+        // Squares of words are at most 2^62, R^2 is above 0: nothing wraps.
         let (u, v) = (u as i64 * u as i64, v as i64 * v as i64);
         self.rod_square.wrapping_sub(u).wrapping_sub(v)
     }
 
     /// 2 (E Z - y D) with the sign of the branch, and |2 D|. With U and V of both pairs, E Z - y D = -(U1 V3 + U3 V1) / 2 and D = (V1 - V3) / 2.
-    #[inline]
+    ///
+    /// U and V must be no longer than a rod.
+    #[inline(always)]
     fn cross(&self, placed: &Placed) -> (i64, i64) {
-        let (u1, v1) = (placed.upper.0 as i64, placed.upper.1 as i64);
-        let (u3, v3) = (placed.lower.0 as i64, placed.lower.1 as i64);
+        let (u1, v1) = placed.upper;
+        let (u3, v3) = placed.lower;
         // All four are at most 2^30 in magnitude: nothing wraps.
-        let twice = (u1 * v3).wrapping_add(u3 * v1);
+        let twice = (u1 as i64 * v3 as i64).wrapping_add(u3 as i64 * v1 as i64);
+        let sign = !(self.branch >> 63);
         (
-            self.branch.wrapping_neg().wrapping_mul(twice),
-            (v1 - v3).abs(),
+            (twice ^ sign).wrapping_sub(sign),
+            v1.wrapping_sub(v3).unsigned_abs() as i64,
         )
     }
 
@@ -371,8 +375,9 @@ impl H4 {
     ) -> Result<Joints, PoseError> {
         let sine = placed.tilt.0;
         // x is below 2^32, all others are words: no sum leaves 36 bits.
-        let upper = total(placed.x, multiply_shift(self.upper, sine, 30));
-        let lower = total(placed.x, multiply_shift(self.lower, sine, 30));
+        let lean = |length: i32| round_q30(length as i64 * sine as i64) as i64;
+        let upper = total(placed.x, lean(self.upper));
+        let lower = total(placed.x, lean(self.lower));
         let ahead = self.joint_offset as i64;
         let front = total(ahead, pairs[0].root.rounded() as i64);
         let rear = total(ahead, pairs[1].root.rounded() as i64);
@@ -408,13 +413,14 @@ const fn scaled_ratio(numerator: i64, denominator: i64) -> (i32, u32) {
 }
 
 /// The point (across, up) turned by the angle whose sine and cosine are given in Q30.
-#[inline]
+#[inline(always)]
 fn turn(across: i32, up: i32, (sine, cosine): (i32, i32)) -> (i64, i64) {
     // Products of an i32 and a Q30 stay below 2^61, their sums below 2^62.
     let product = |a: i32, b: i32| a as i64 * b as i64;
+    let round = |sum: i64| total(sum, 1 << 29) >> 30;
     (
-        round_shift(product(across, cosine).wrapping_sub(product(up, sine)), 30),
-        round_shift(product(across, sine).wrapping_add(product(up, cosine)), 30),
+        round(product(across, cosine).wrapping_sub(product(up, sine))),
+        round(product(across, sine).wrapping_add(product(up, cosine))),
     )
 }
 

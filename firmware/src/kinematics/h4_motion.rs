@@ -40,22 +40,22 @@ impl Slope {
         // A mantissa of 2^31 is taken for a hair less.
         let mantissa = inverse.mantissa.min(i32::MAX as u32) as i32;
         let spare = inverse.shift.wrapping_sub(27 + 31);
-        let ratio = |length: i32| {
-            if spare < 32 {
-                // S is 64 mm or more: the upper word of the product has bits enough. |U| is below 2^30.
-                word(length.wrapping_shl(1) as i64 * mantissa as i64, 32).wrapping_shr(spare)
-            } else {
-                word(
-                    length as i64 * mantissa as i64,
-                    inverse.shift.wrapping_sub(27),
-                )
-            }
-        };
         Self {
-            u: ratio(pair.u),
-            v: ratio(pair.v),
+            u: ratio(pair.u, mantissa, spare),
+            v: ratio(pair.v, mantissa, spare),
             inverse,
         }
+    }
+}
+
+/// A length over S in Q27, by the mantissa of 1 / S; its product has 58 bits of fraction, and `spare`.
+#[inline(always)]
+const fn ratio(length: i32, mantissa: i32, spare: u32) -> i32 {
+    if spare < 32 {
+        // S is 64 mm or more: the upper word of the product has bits enough. |U| is below 2^30.
+        word(length.wrapping_shl(1) as i64 * mantissa as i64, 32).wrapping_shr(spare)
+    } else {
+        word(length as i64 * mantissa as i64, spare.wrapping_add(31))
     }
 }
 
@@ -121,10 +121,15 @@ fn root_jet(slope: &Slope, u: (i32, i32), v: (i32, i32)) -> (i64, i64) {
     ((first >> 27).wrapping_neg(), second.wrapping_neg())
 }
 
-/// The bits of the largest magnitude; a negative one may count for one more.
+/// The magnitude, or one less.
 #[inline(always)]
+const fn size(value: i32) -> u32 {
+    (value ^ (value >> 31)) as u32
+}
+
+/// The bits of the largest magnitude; a negative one may count for one more.
 const fn bits([a, b, c]: [i32; 3]) -> u32 {
-    32 - ((a ^ (a >> 31)) | (b ^ (b >> 31)) | (c ^ (c >> 31))).leading_zeros()
+    32 - (size(a) | size(b) | size(c)).leading_zeros()
 }
 
 /// What a pair of slides does: the middle of both, and by how much the first is ahead of it, by rate and acceleration.
@@ -156,18 +161,24 @@ impl H4 {
         accelerations: &Accelerations,
         motion: &mut JointMotion,
     ) {
-        let linear = bits([rates[0].0, rates[1].0, rates[2].0]);
-        let angular = bits([rates[THETA].0, rates[ALPHA].0, 0]);
-        let by_rate = linear
-            .saturating_sub(QUICK)
-            .max(angular.saturating_sub(self.quick_turn));
-        let linear = bits([accelerations[0].0, accelerations[1].0, accelerations[2].0]);
-        let angular = bits([accelerations[THETA].0, accelerations[ALPHA].0, 0]);
-        let by_acceleration = linear
-            .saturating_sub(QUICK)
-            .max(angular.saturating_sub(self.quick_turn));
-        // Accelerations go with the square of the time.
-        let excess = by_rate.max(by_acceleration.div_ceil(2));
+        let [Rate(x), Rate(y), Rate(z), Rate(tilt), Rate(turn), _] = *rates;
+        let linear = size(x) | size(y) | size(z);
+        let angular = size(tilt) | size(turn);
+        let [
+            Acceleration(x),
+            Acceleration(y),
+            Acceleration(z),
+            Acceleration(tilt),
+            Acceleration(turn),
+            _,
+        ] = *accelerations;
+        let linear = linear | size(x) | size(y) | size(z);
+        let angular = angular | size(tilt) | size(turn);
+        let excess = if linear >> QUICK | angular.wrapping_shr(self.quick_turn) == 0 {
+            0
+        } else {
+            self.excess(rates, accelerations)
+        };
         let slow;
         let (slow_rates, slow_accelerations) = if excess == 0 {
             (rates, accelerations)
@@ -205,6 +216,24 @@ impl H4 {
         if beyond != 0 {
             hold(&jets, excess, motion);
         }
+    }
+
+    /// How often a motion must be halved.
+    #[cold]
+    #[inline(never)]
+    fn excess(&self, rates: &Rates, accelerations: &Accelerations) -> u32 {
+        let linear = bits([rates[0].0, rates[1].0, rates[2].0]);
+        let angular = bits([rates[THETA].0, rates[ALPHA].0, 0]);
+        let by_rate = linear
+            .saturating_sub(QUICK)
+            .max(angular.saturating_sub(self.quick_turn));
+        let linear = bits([accelerations[0].0, accelerations[1].0, accelerations[2].0]);
+        let angular = bits([accelerations[THETA].0, accelerations[ALPHA].0, 0]);
+        let by_acceleration = linear
+            .saturating_sub(QUICK)
+            .max(angular.saturating_sub(self.quick_turn));
+        // Accelerations go with the square of the time.
+        by_rate.max(by_acceleration.div_ceil(2))
     }
 
     /// The derivatives of both pairs, for motions that are [`QUICK`] at most.
@@ -267,7 +296,7 @@ impl H4 {
         let drop_push = word(sum(sine, spin, cosine, bend), 30);
 
         // U' = -+y', V' = -z' + m sin(theta) theta'. U' enters squared and with U / S: its sign is given to that.
-        let jet = |pair: &Pair, length: i32, side: i32| -> PairJet {
+        let jet = move |pair: &Pair, length: i32, side: i32| -> PairJet {
             let arm = |value: i32| length as i64 * value as i64;
             let v = (
                 nearest(total(arm(drop_rate), z_rate.wrapping_neg()), 30),

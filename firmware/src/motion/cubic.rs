@@ -4,12 +4,12 @@
 //! forward is the derivative of the position that is followed, never a difference of positions.
 //!
 //! Limits: a span lasts at most [`SPAN_MAX_US`] while anything moves (any time at rest); rates at the ends and the mean rate are below
-//! 2^31 axis units/s. [`Cubic::new`] returns `None` otherwise. Positions are exact at both ends; in between they differ from the real
-//! polynomial by less than 1 axis unit (0.95 nm), rates and accelerations by a 2^26th of the
-//! largest that occurs in the span, held by a test.
+//! 2^31 axis units/s. [`Cubic::new`] returns `None` otherwise. The coefficients are exact but for the 2^-16 axis units to which the rates are rounded, and
+//! add up to the way to the last bit. What a period needs of them is a [`Way`].
 
+use super::way::{self, Way};
 use crate::drive::reciprocal::high;
-use crate::units::scale::{product, saturate, shift_right, total};
+use crate::units::scale::{product, shift_right, total};
 use crate::units::{Acceleration, Coordinate, Rate};
 use haptimill_protocol::message::RATE_SHIFT;
 
@@ -26,19 +26,19 @@ pub struct Cubic {
     c3: i64,
 }
 
-/// The derivatives of a [`Cubic`], in words of a common scale, so that a period has nothing to divide or to shift far.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Derivatives {
+/// The derivatives of a [`Cubic`], in words of a common scale.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Derivatives {
     /// Rate: r1 + r2 s / 2 + r3 s^2 / 4, in 2^-`rate_fraction` axis units per second.
-    r1: i32,
-    r2: i32,
-    r3: i32,
-    rate_fraction: i32,
-    /// Acceleration: a1 + a2 s / 2, in 2^-`acceleration_fraction` of its unit.
-    a1: i32,
-    a2: i32,
-    acceleration_fraction: i32,
+    pub(super) rate: [i32; 3],
+    pub(super) rate_fraction: i32,
+    /// Acceleration: a1 + a2 s / 2, in 2^-`push_fraction` of its unit.
+    pub(super) push: [i32; 2],
+    pub(super) push_fraction: i32,
 }
+
+/// Fractional bits of the coefficients.
+pub(super) const FRACTION: i32 = 16;
 
 /// The span of time that the cubics of all axes share.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -182,7 +182,7 @@ impl Cubic {
         let Some(at) = self.turning(span) else {
             return true;
         };
-        let rate = self.sample(&self.derivatives(span), at).rate.0;
+        let rate = Way::new(self, span).sample(way::half(at)).rate.0;
         rate.unsigned_abs() >> RATE_SHIFT <= limit.unsigned_abs()
     }
 
@@ -205,16 +205,22 @@ impl Cubic {
     #[must_use]
     pub fn keeps_acceleration(&self, limit: Acceleration, span: &Span) -> bool {
         let derivatives = self.derivatives(span);
-        let end = derivatives.a1.saturating_add(derivatives.a2 >> 1);
-        [derivatives.a1, end].iter().all(|end| {
-            let end = shifted(*end, derivatives.acceleration_fraction);
+        let [begin, growth] = derivatives.push;
+        let end = begin.saturating_add(growth >> 1);
+        [begin, end].iter().all(|end| {
+            let end = way::shifted(*end, derivatives.push_fraction);
             end.unsigned_abs() <= limit.0.unsigned_abs()
         })
     }
 
+    /// Where it begins, and the coefficients of s, s^2, s^3 in 2^-[`FRACTION`] axis units.
+    #[inline]
+    pub(super) const fn parts(&self) -> (Coordinate, [i64; 3]) {
+        (self.start, [self.c1, self.c2, self.c3])
+    }
+
     /// What rate and acceleration need in every period.
-    #[must_use]
-    pub fn derivatives(&self, span: &Span) -> Derivatives {
+    pub(super) fn derivatives(&self, span: &Span) -> Derivatives {
         // c1, 4 c2, 12 c3 in 31 bits and a sign: r1 = c1 / T, r2 / 2 = 2 c2 / T, r3 / 4 = 3 c3 / T.
         let (c2, c3) = (self.c2 << 2, product(12, self.c3));
         let magnitude = |value: i64| (value ^ (value >> 63)) as u64;
@@ -225,58 +231,12 @@ impl Cubic {
         // high() has taken 32 bits away, the coefficients have 16 of fraction. Spare is at most 27, the exponent 16 to 53.
         let rate_fraction = span.exponent as i32 - 16 - spare as i32;
         Derivatives {
-            r1,
-            r2,
-            r3,
+            rate: [r1, r2, r3],
             rate_fraction,
-            a1: high(r2, span.mantissa) >> 1,
-            a2: high(r3, span.mantissa),
+            push: [high(r2, span.mantissa) >> 1, high(r3, span.mantissa)],
             // An acceleration is in 2^8 axis units.
-            acceleration_fraction: rate_fraction + span.exponent as i32 - 24,
+            push_fraction: rate_fraction + span.exponent as i32 - 24,
         }
-    }
-
-    /// Position, rate and acceleration at a fraction of the span.
-    #[must_use]
-    #[inline]
-    pub fn sample(&self, derivatives: &Derivatives, fraction: u32) -> Sample {
-        // |c| < 2^53: no sum or product below leaves 64 bits.
-        let bend = total(self.c2, scale(self.c3, fraction));
-        let position = scale(total(self.c1, scale(bend, fraction)), fraction);
-        let position = (total(position, 1 << 15) >> 16) as i32;
-        // The product of words halves what the fraction multiplies: the coefficients are twice and four times what they are. Each is below 2^30.
-        let half = (fraction >> 1) as i32;
-        let steep = derivatives.r2.wrapping_add(high(derivatives.r3, half));
-        let rate = derivatives.r1.wrapping_add(high(steep, half));
-        let acceleration = derivatives.a1.wrapping_add(high(derivatives.a2, half));
-        Sample {
-            position: Coordinate(self.start.0.wrapping_add(position)),
-            rate: Rate(shifted(rate, derivatives.rate_fraction)),
-            acceleration: Acceleration(shifted(acceleration, derivatives.acceleration_fraction)),
-        }
-    }
-}
-
-/// x * s / 2^32.
-#[inline]
-fn scale(x: i64, s: u32) -> i64 {
-    let (high, low) = (x >> 32, x & 0xFFFF_FFFF);
-    total(
-        product(high, i64::from(s)),
-        ((low as u64 * u64::from(s)) >> 32) as i64,
-    )
-}
-
-/// `value` / 2^fraction, for a value below 2^31; what a fraction below 0 makes too large is held.
-#[inline]
-fn shifted(value: i32, fraction: i32) -> i32 {
-    if (1..32).contains(&fraction) {
-        // To nearest.
-        (value.wrapping_shr(fraction as u32 - 1).wrapping_add(1)) >> 1
-    } else if fraction <= 0 {
-        saturate(i64::from(value) << fraction.unsigned_abs().min(31)).max(-i32::MAX)
-    } else {
-        0
     }
 }
 
@@ -286,6 +246,10 @@ mod tests {
     use proptest::prelude::*;
 
     const PERIOD_US: u16 = 200;
+
+    fn sample(cubic: &Cubic, span: &Span, fraction: u32) -> Sample {
+        Way::new(cubic, span).sample(way::half(fraction))
+    }
 
     /// The Hermite cubic in f64, from its textbook basis: an independent truth.
     fn hermite(p0: f64, v0: f64, p1: f64, v1: f64, h: f64, t: f64) -> (f64, f64, f64) {
@@ -315,11 +279,13 @@ mod tests {
             let p1 = p0 + (mean * h * f64::from(1 << 20)) as i32;
             let cubic = Cubic::new(Coordinate(p0), v0, Coordinate(p1), v1, &span, false).expect("in range");
             let time = ((f64::from(periods) * 65536.0 - 1.0) * at) as u32;
-            let sample = cubic.sample(&cubic.derivatives(&span), span.fraction(time));
+            let sample = sample(&cubic, &span, span.fraction(time));
             let (p, v, a) = hermite(f64::from(p0), f64::from(v0) * 256.0, f64::from(p1), f64::from(v1) * 256.0, h,
                 f64::from(time) / 65536.0 * 2e-4);
-            // The time itself is cut to 2^-32 of the span: at most the speed times that.
-            let slack = 1.0 + 2.0 * (60.0 + 120.0) * f64::from(1 << 20) * h / 4e9;
+            // The time itself is cut to 2^-31 of the span: at most the speed times that. Beyond 64 mm the words are coarser than an axis unit.
+            let (m0, m1, d) = (f64::from(v0) * 256.0 * h, f64::from(v1) * 256.0 * h, f64::from(p1) - f64::from(p0));
+            let largest = m0.abs().max(2.0 * (3.0 * d - 2.0 * m0 - m1).abs()).max(4.0 * (m0 + m1 - 2.0 * d).abs());
+            let slack = 1.0 + 2.0 * (60.0 + 120.0) * f64::from(1 << 20) * h / 2e9 + largest * f64::exp2(-28.0);
             prop_assert!((f64::from(sample.position.0) - p).abs() <= slack, "position {} {p}", sample.position.0);
             // The largest coefficient of the rate, of which each has 28 bits at least; those of the acceleration have 26.
             let (v0, v1, mean) = (f64::from(v0) * 256.0, f64::from(v1) * 256.0, f64::from(p1 - p0) / h);
@@ -338,7 +304,7 @@ mod tests {
             if let Some(span) = Span::new(periods, period_us)
                 && let Some(cubic) = Cubic::new(Coordinate(p0), v0, Coordinate(p1), v1, &span, wrap)
             {
-                let _ = cubic.sample(&cubic.derivatives(&span), span.fraction(time));
+                let _ = sample(&cubic, &span, span.fraction(time));
             }
         }
 
@@ -346,8 +312,8 @@ mod tests {
         fn starts_exactly_and_ends_within_a_unit(p0 in -(1_i32 << 28)..1 << 28, d in -100_000_i32..100_000, v in -4000_i32..4000, periods in 10_u16..5000) {
             let span = Span::new(periods, PERIOD_US).expect("span");
             let cubic = Cubic::new(Coordinate(p0), v, Coordinate(p0 + d), v, &span, false).expect("in range");
-            prop_assert_eq!(cubic.sample(&cubic.derivatives(&span), 0).position, Coordinate(p0));
-            let end = cubic.sample(&cubic.derivatives(&span), u32::MAX).position;
+            prop_assert_eq!(sample(&cubic, &span, 0).position, Coordinate(p0));
+            let end = sample(&cubic, &span, u32::MAX).position;
             prop_assert!((end.0 - (p0 + d)).abs() <= 1);
         }
     }
@@ -364,7 +330,7 @@ mod tests {
             true,
         )
         .expect("short");
-        let middle = cubic.sample(&cubic.derivatives(&span), 1 << 31).position;
+        let middle = sample(&cubic, &span, 1 << 31).position;
         assert!(middle.0 > i32::MAX - 10 || middle.0 < i32::MIN + 10);
         assert!(
             Cubic::new(

@@ -12,6 +12,7 @@ pub mod jog;
 pub mod program;
 pub mod ramp;
 pub mod sweep;
+pub mod way;
 
 use crate::config::Config;
 use crate::kinematics::{Accelerations, Kinematics, Pose, Rates};

@@ -55,12 +55,16 @@ pub struct PositionLaw {
     integral_limit: i64,
     limit: i32,
     fraction: u32,
-    /// The opposite for drives of more than 2 kN: bits that efforts inside lack.
+    /// Half a unit of effort.
+    rounding: i32,
+    /// The opposite of `fraction` for drives of more than 2 kN: bits that efforts inside lack.
     lift: u32,
+    /// There is neither an integrator nor a `lift`.
+    plain: bool,
 }
 
 constants!(PositionLaw {
-    form, proportional, derivative, coarse, acceleration, viscous, friction, inertia, ki_period, integral_limit, limit, fraction, lift
+    form, proportional, derivative, coarse, acceleration, viscous, friction, inertia, ki_period, integral_limit, limit, fraction, rounding, lift, plain
 } of { error_rate } but { integral });
 
 impl PositionLaw {
@@ -127,7 +131,9 @@ impl PositionLaw {
             integral_limit: most << INTEGRAL_FRACTION,
             limit,
             fraction,
+            rounding: (1 << fraction) >> 1,
             lift,
+            plain: ki == 0 && lift == 0,
         }
     }
 
@@ -156,20 +162,39 @@ impl PositionLaw {
                 .saturating_add(self.acceleration.apply(acceleration.0))
                 .saturating_add(self.viscous.apply(rate.0));
         }
+        if !self.plain {
+            return self.integrated(sum, error);
+        }
+        self.cut(
+            sum.saturating_add(self.rounding)
+                .wrapping_shr(self.fraction),
+        )
+    }
+
+    /// The effort of a period with an integrator, or of a drive of more than 2 kN.
+    #[inline(never)]
+    fn integrated(&mut self, mut sum: i32, error: Coordinate) -> (Effort, bool) {
         if self.ki_period != 0 {
             // 256 au/s^2 a unit and Q20 of inertia: 28 bits. 2^42 * 2^32 / 2^28 = 2^46, and the fraction 2^16.
             let effort = mul_shift::<28>(self.integral >> INTEGRAL_FRACTION, self.inertia);
             sum = sum.saturating_add(saturate((effort << self.fraction) >> self.lift));
         }
-        let half = 1_i32.wrapping_shl(self.fraction) >> 1;
-        let mut effort = sum.saturating_add(half).wrapping_shr(self.fraction);
-        if self.lift != 0 {
-            effort = saturate(i64::from(effort) << self.lift);
-        }
-        let allowed = effort.max(-self.limit).min(self.limit);
+        let effort = sum
+            .saturating_add(self.rounding)
+            .wrapping_shr(self.fraction);
+        let effort = saturate(i64::from(effort) << self.lift);
+        let (allowed, cut) = self.cut(effort);
         if self.ki_period != 0 {
-            self.integrate(error, allowed != effort && (effort < 0) == (error.0 < 0));
+            self.integrate(error, cut && (effort < 0) == (error.0 < 0));
         }
+        (allowed, cut)
+    }
+
+    /// An effort within the limit, and whether it was cut.
+    #[inline(always)]
+    fn cut(&self, effort: i32) -> (Effort, bool) {
+        // The limit is above 0.
+        let allowed = effort.max(self.limit.wrapping_neg()).min(self.limit);
         (Effort(allowed), allowed != effort)
     }
 

@@ -79,7 +79,7 @@ struct Bounds {
     friction: i32,
     /// Error that is allowed at rest.
     following: i32,
-    /// Wanted motion after which the measured one is compared with it.
+    /// One less than the wanted motion after which the measured one is compared with it.
     stretch: i32,
     /// Lower end of the stroke, and its length.
     low: Coordinate,
@@ -142,7 +142,7 @@ impl Watch {
                 still: held(still(config)),
                 friction: friction(config, most).min(1 << 28) as i32,
                 following: held(config.following.magnitude()),
-                stretch: held(config.still.magnitude()),
+                stretch: held(config.still.magnitude()).wrapping_sub(1),
                 low: config.low,
                 width: if config.low <= config.high {
                     config.high.0.wrapping_sub(config.low.0) as u32
@@ -186,7 +186,7 @@ impl Watch {
             return false;
         };
         if seen.effort.0.unsigned_abs() >= bounds.weak
-            || !within(seen.wanted, begun, bounds.stretch - 1)
+            || !within(seen.wanted, begun, bounds.stretch)
             || !within(seen.wanted, seen.measured, bounds.following)
             || seen.measured.0.wrapping_sub(bounds.low.0) as u32 > bounds.width
         {
@@ -195,7 +195,7 @@ impl Watch {
         let Some(mark) = &mut self.mark else {
             return false;
         };
-        let direction = seen.wanted_rate.0.signum();
+        let direction = way(seen.wanted_rate.0);
         if direction != mark.direction || direction == 0 {
             *mark = Mark::of(seen, true);
         } else if !within(seen.measured, mark.measured, bounds.still) {
@@ -396,8 +396,8 @@ impl Mark {
             wanted: seen.wanted,
             effort: seen.effort,
             turns: 0,
-            last: seen.moved.signum(),
-            direction: seen.wanted_rate.0.signum(),
+            last: way(seen.moved),
+            direction: way(seen.wanted_rate.0),
             standing,
             impulse: 0,
         }
@@ -409,12 +409,18 @@ impl Mark {
         if moved == 0 {
             return true;
         }
-        let way = moved.signum();
+        let way = way(moved);
         if self.last == 0 {
             self.last = way;
         }
         self.last == way
     }
+}
+
+/// The sign: -1, 0 or 1, in half of the instructions of `signum`.
+#[inline(always)]
+const fn way(value: i32) -> i32 {
+    (value >> 31) | (value.wrapping_neg() as u32 >> 31) as i32
 }
 
 /// A count of a joint's encoder, axis units.

@@ -34,11 +34,13 @@ const fn reciprocal_roots() -> [u16; 512] {
 pub struct Root {
     /// 2^31 up to 2^32 - 1.
     mantissa: u32,
-    /// Q31 of 2^31 / mantissa after one Newton step: 17 right bits, never too large.
-    rough: u32,
-    /// 0 to 31: bits of the mantissa behind the point.
-    shift: u32,
+    /// Q31 of 2^31 / mantissa after one Newton step: 17 right bits, never too large. Its last five bits, which mean nothing, hold the bits of the mantissa behind the
+    /// point: two words are given back in registers, three are not.
+    rough_and_shift: u32,
 }
+
+/// Where the shift of a [`Root`] is kept.
+const SHIFT: u32 = 31;
 
 impl Root {
     /// The root of `square`; of 0 as if it were 1.
@@ -62,8 +64,7 @@ impl Root {
         let step = (remainder >> 17).wrapping_mul(rough) >> 46;
         Self {
             mantissa: first.wrapping_add(step) as u32,
-            rough: rough as u32,
-            shift: zeros / 2,
+            rough_and_shift: rough as u32 & !SHIFT | zeros / 2,
         }
     }
 
@@ -72,13 +73,20 @@ impl Root {
     #[must_use]
     pub const fn rounded(self) -> i32 {
         // The half bit is added after the shift. With a shift of 0 it is a wrong one, but then the root is 2^31 or more anyway.
-        let half = self.mantissa.wrapping_shr(self.shift.wrapping_sub(1)) & 1;
-        let nearest = (self.mantissa >> self.shift).saturating_add(half);
-        if nearest > i32::MAX as u32 {
+        let shift = self.shift();
+        let half = self.mantissa.wrapping_shr(shift.wrapping_sub(1)) & 1;
+        let whole = self.mantissa >> shift;
+        if whole >= i32::MAX as u32 {
             i32::MAX
         } else {
-            nearest as i32
+            whole.wrapping_add(half) as i32
         }
+    }
+
+    /// Bits of the mantissa behind the point.
+    #[inline(always)]
+    const fn shift(self) -> u32 {
+        self.rough_and_shift & SHIFT
     }
 
     /// The reciprocal of the root.
@@ -86,14 +94,15 @@ impl Root {
     #[must_use]
     pub const fn reciprocal(self) -> Reciprocal {
         // z + z (1 - root / root0): one more step of Newton's rule for the reciprocal, from 17 bits to 31.
-        let one = self.mantissa as u64 * self.rough as u64;
+        let rough = self.rough_and_shift & !SHIFT;
+        let one = self.mantissa as u64 * rough as u64;
         // It is 2^62 (1 - error), error from 0 to 2^-16 (or a hair below 0).
         let error = (1i64 << 62).wrapping_sub(one as i64);
         // Below 2^17 * 2^32.
-        let correction = product(error >> 30, self.rough as i64) >> 32;
+        let correction = product(error >> 30, rough as i64) >> 32;
         Reciprocal {
-            mantissa: (self.rough as i64 + correction) as u32,
-            shift: 62 - (self.shift & 31),
+            mantissa: (rough as i64).wrapping_add(correction) as u32,
+            shift: 62 - self.shift(),
         }
     }
 }
@@ -148,7 +157,7 @@ pub const fn isqrt(square: u64) -> u32 {
         return 0;
     }
     let root = Root::of(square);
-    let mut whole = (root.mantissa >> root.shift) as u64;
+    let mut whole = (root.mantissa >> root.shift()) as u64;
     // The mantissa is within 2 of the truth; after the shift the whole part is off by at most that. Products stay below 2^64.
     while whole * whole > square {
         whole -= 1;
@@ -201,7 +210,7 @@ mod tests {
         }
         let root = Root::of(square);
         let exact = libm::sqrt(square as f64);
-        let scaled = root.mantissa as f64 / libm::exp2(root.shift as f64);
+        let scaled = root.mantissa as f64 / libm::exp2(root.shift() as f64);
         assert!((scaled / exact - 1.0).abs() < libm::exp2(-30.5), "{square}");
         if square <= i32::MAX as u64 * i32::MAX as u64 {
             let error = (root.rounded() as f64 - exact).abs();

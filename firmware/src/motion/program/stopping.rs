@@ -2,6 +2,7 @@
 
 use super::{Program, Ramp};
 use crate::motion::sweep::Sweep;
+use crate::motion::way;
 use haptimill_protocol::message::{Action, RATE_SHIFT};
 
 impl Program {
@@ -31,15 +32,13 @@ impl Program {
             let time = self.time + left.min(ahead);
             let microseconds = ((left.min(ahead) >> 16) as i64 * i64::from(self.period_us)) >> 16;
             let third = third(microseconds);
-            let fraction = |time: u64| segment.span.fraction((time >> 16) as u32);
+            let half = |time: u64| way::half(segment.span.fraction((time >> 16) as u32));
             for axis in 0..self.axes {
-                if segment.ways[axis].0.is_still() {
+                if segment.ways[axis].is_still() {
                     continue;
                 }
-                let [begin, end] = [self.time, time].map(|time| {
-                    let (cubic, derivatives) = &segment.ways[axis];
-                    cubic.sample(derivatives, fraction(time))
-                });
+                let [begin, end] =
+                    [self.time, time].map(|time| segment.ways[axis].sample(half(time)));
                 self.hull(
                     &mut sweep,
                     axis,
