@@ -64,7 +64,7 @@ impl Root {
         let step = (remainder >> 17).wrapping_mul(rough) >> 46;
         Self {
             mantissa: first.wrapping_add(step) as u32,
-            rough_and_shift: rough as u32 & !SHIFT | zeros / 2,
+            rough_and_shift: (rough as u32 & !SHIFT) | (zeros / 2),
         }
     }
 
