@@ -2,8 +2,8 @@
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use haptimill_firmware::config::{AxisKind, Drive, JointAxis, Law, LawForm};
-use haptimill_firmware::drive::{JointDrive, Wanted};
-use haptimill_firmware::io::AxisInputs;
+use haptimill_firmware::drive::JointDrive;
+use haptimill_firmware::io::{AxisInputs, DriveCommand};
 use haptimill_firmware::units::{Acceleration, Coordinate, Effort, Gain, Rate};
 use std::hint::black_box;
 
@@ -52,6 +52,7 @@ fn period(bencher: &mut Criterion, name: &str, drive: &Drive) {
         joint,
     ];
     let mut inputs = AxisInputs::default();
+    let mut command = DriveCommand::Off;
     for joint in &mut joints {
         joint.sense(&inputs, 0);
         joint.enable();
@@ -69,14 +70,10 @@ fn period(bencher: &mut Criterion, name: &str, drive: &Drive) {
                 inputs.counts = counts;
                 inputs.edge_time_ns = time.wrapping_sub(50_000);
             }
-            let wanted = Wanted {
-                coordinate: Coordinate(place),
-                rate: Rate(rate),
-                acceleration: Acceleration(0),
-            };
             for joint in &mut joints {
                 black_box(joint.sense(black_box(&inputs), time).coordinate);
-                black_box(joint.drive(black_box(&wanted)).command);
+                let (coordinate, rate) = black_box((Coordinate(place), Rate(rate)));
+                black_box(joint.drive(coordinate, rate, Acceleration(0), &mut command));
             }
         });
     });
