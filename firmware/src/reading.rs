@@ -103,11 +103,11 @@ impl Controller {
         reading.program_time = program.program_time();
         let wanted = &machinery.motion.wanted().pose.0;
         let mut joints = machinery.joints();
-        for axis in 0..MAX_AXES {
+        for (axis, wanted) in wanted.iter().enumerate() {
             // What the machine lacks is 0.
             let there = joints.next();
             let joint = there.unwrap_or_default();
-            reading.wanted[axis] = there.map_or(0, |_| wanted[axis].0);
+            reading.wanted[axis] = there.map_or(0, |_| wanted.0);
             reading.joints_wanted[axis] = joint.wanted.0;
             reading.joints[axis] = joint.measured.0;
             reading.following_error[axis] = joint.following_error.0;
