@@ -196,14 +196,13 @@ pub fn read(frame: &[u32; TO_BOARD_WORDS], inputs: &mut Inputs) -> Result<Order,
         }),
         2 => {
             inputs.period = words.take_long();
-            let pair = words.take();
+            let [pair, time_ns, arrived, bits] = words.take_all();
             inputs.missed = pair as u16;
             inputs.transmit_room = (pair >> 16) as u16;
-            inputs.time_ns = words.take();
-            let arrived = words.take();
-            inputs.emergency_stop = words.take() & 1 != 0;
+            inputs.time_ns = time_ns;
+            inputs.emergency_stop = bits & 1 != 0;
             inputs.force = take_force(&mut words);
-            inputs.haptic = take_hand(&mut words);
+            take_hand(&mut words, &mut inputs.haptic);
             for axis in &mut inputs.axes {
                 *axis = take_axis(&mut words);
             }
@@ -248,6 +247,7 @@ impl ToBoard {
             }
             Self::End => words.head(3),
         }
+        words.end();
         to_bytes(&frame)
     }
 
@@ -322,10 +322,10 @@ impl Says<'_> {
                 ring_peak,
             } => {
                 words.head(3);
-                words.put(*stack_bytes);
-                words.put(*ring_peak);
+                words.put_all([*stack_bytes, *ring_peak]);
             }
         }
+        words.end();
     }
 }
 

@@ -1,11 +1,11 @@
 //! What a controller knows of itself in a period, for recorders: one function makes it, in this process and on a chip alike.
 
 use crate::controller::Controller;
-use crate::io::{COMPONENTS, Inputs};
+use crate::io::{COMPONENTS, DriveCommand, Inputs};
 use crate::motion::program::FULL_RATE;
 #[cfg(doc)]
 use crate::motion::program::QUEUE;
-use haptimill_protocol::message::{AxisValues, MAX_AXES, State};
+use haptimill_protocol::message::{MAX_AXES, State};
 
 /// Values of all axes, in axis units; those that the machine lacks are 0.
 pub type Axes = [i32; MAX_AXES];
@@ -77,46 +77,64 @@ impl Controller {
     /// How things stand after the period of these inputs; `None` without a configuration.
     #[must_use]
     pub fn reading(&self, inputs: &Inputs) -> Option<Reading> {
-        let machinery = self.machinery()?;
+        let mut reading = Reading::default();
+        self.read(inputs, &mut reading).then_some(reading)
+    }
+
+    /// The same where there is a reading already, one by default or the last one of a controller; false without a configuration, and then it is as it was.
+    ///
+    /// Done in every period by a board whose simulator records, so it is written to be short: no list on the way, and one round over the joints.
+    #[inline(always)]
+    pub fn read(&self, inputs: &Inputs, reading: &mut Reading) -> bool {
+        let Some(machinery) = self.machinery() else {
+            return false;
+        };
         let safety = self.safety();
         let program = &machinery.motion.program;
-        let mut reading = Reading {
-            state: safety.state(),
-            homed: safety.homed(),
-            position_kept: safety.position_kept(),
-            fault: safety.fault().is_some(),
-            setpoint: program.reached(),
-            queued: program.queued() as u16,
-            more: !program.is_complete(),
-            path_rate: (program.path_rate().clamp(0, FULL_RATE - 1) >> 16) as u16,
-            spindle_rpm: self.spindle_rpm(),
-            program_time: program.program_time(),
-            wanted: values(&machinery.wanted_values()),
-            drive: values(&machinery.drive_values(inputs)),
-            ..Reading::default()
-        };
-        if let Some(force) = &machinery.force {
-            let extremes = force.extremes();
-            reading.force = ForceReading {
-                high: extremes.map(|extremes| extremes.peak().0),
-                low: extremes.map(|extremes| extremes.other().0),
-                yielded: force.displacements().map(|by| by.length().0),
-            };
-        }
-        if let Some(arm) = machinery.hands.arm() {
-            reading.hand = arm.reading();
-        }
-        for (axis, joint) in machinery.joints().enumerate().take(MAX_AXES) {
+        reading.state = safety.state();
+        reading.homed = safety.homed();
+        reading.position_kept = safety.position_kept();
+        reading.fault = safety.fault().is_some();
+        reading.setpoint = program.reached();
+        reading.queued = program.queued() as u16;
+        reading.more = !program.is_complete();
+        reading.path_rate = (program.path_rate().clamp(0, FULL_RATE - 1) >> 16) as u16;
+        reading.spindle_rpm = self.spindle_rpm();
+        reading.program_time = program.program_time();
+        let wanted = &machinery.motion.wanted().pose.0;
+        let mut joints = machinery.joints();
+        for (axis, wanted) in wanted.iter().enumerate() {
+            // What the machine lacks is 0.
+            let there = joints.next();
+            let joint = there.unwrap_or_default();
+            reading.wanted[axis] = there.map_or(0, |_| wanted.0);
             reading.joints_wanted[axis] = joint.wanted.0;
             reading.joints[axis] = joint.measured.0;
             reading.following_error[axis] = joint.following_error.0;
+            reading.drive[axis] = match joint.command {
+                DriveCommand::Torque(code) => i32::from(code),
+                DriveCommand::Steps(_) => inputs.axes[axis].steps,
+                DriveCommand::Off => 0,
+            };
         }
-        Some(reading)
+        match &machinery.force {
+            Some(force) => {
+                let (extremes, yielded) = (force.extremes(), force.displacements());
+                for component in 0..COMPONENTS {
+                    let extremes = &extremes[component];
+                    reading.force.high[component] = extremes.peak().0;
+                    reading.force.low[component] = extremes.other().0;
+                    reading.force.yielded[component] = yielded[component].length().0;
+                }
+            }
+            None => reading.force = ForceReading::default(),
+        }
+        match machinery.hands.arm() {
+            Some(arm) => reading.hand = arm.reading(),
+            // Without the feature there is never an arm, and what was zeros is zeros.
+            None if cfg!(feature = "hand") => reading.hand = HandReading::default(),
+            None => {}
+        }
+        true
     }
-}
-
-fn values(from: &AxisValues) -> Axes {
-    let mut to = [0; MAX_AXES];
-    to.iter_mut().zip(from).for_each(|(to, from)| *to = *from);
-    to
 }

@@ -23,7 +23,7 @@ use haptimill_hil_sim::process::ProcessConfig;
 use haptimill_hil_sim::remote::RemoteController;
 use haptimill_hil_sim::sensor::SensorConfig;
 use haptimill_protocol::force::{ForceLoop, Gate};
-use haptimill_protocol::message::{Command as Say, Event};
+use haptimill_protocol::message::{Command as Say, Event, State};
 use haptimill_tests::{Bench, line_in_x};
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -57,6 +57,8 @@ fn same_bits(name: &str, program: &Path) {
     run(program, "sim", &out("native"), &[]);
     let native = Recording::open(&out("native").join("recording.hmr")).expect("recorded");
     let seconds = native.records() as f64 * native.period_s();
+    // Building it is no part of the job.
+    pil::image(Board::Mps2).expect("builds");
     for (port, folder) in [("pil:mps2", "m4"), ("pil:mps2-m7", "m7")] {
         let took = run(program, port, &out(folder), &[]).as_secs_f64();
         let emulated = Recording::open(&out(folder).join("recording.hmr")).expect("recorded");
@@ -180,6 +182,48 @@ fn same_bits_with_a_force() {
         "force control against a wall, {} periods: {cost:?}",
         native.len()
     );
+}
+
+/// How many times faster than the machine's own time a job on the chip goes, with telemetry every so many periods or without.
+fn times_real_time(every: u16) -> (f64, u64) {
+    let image = pil::image(Board::Mps2).expect("builds");
+    let mut bench = Bench::with(
+        &RigOptions::default(),
+        chip::remote(Board::Mps2, &image, &[]),
+    );
+    bench.make_ready();
+    bench.steps(500);
+    let start = bench.status().wanted;
+    bench.ask(Say::Telemetry { every }).expect("taken");
+    bench.start_job(1, &line_in_x(&start, -10.0, 40));
+    bench.steps(500);
+    let (mut told, mut last) = (0, 0);
+    let periods = 15_000;
+    let begun = Instant::now();
+    for _ in 0..periods {
+        bench.step();
+        let newest = bench
+            .telemetry
+            .as_ref()
+            .map_or(0, |telemetry| telemetry.period);
+        told += u64::from(newest != last);
+        last = newest;
+    }
+    let took = begun.elapsed().as_secs_f64();
+    let machine = f64::from(periods) * f64::from(bench.rig.plant().period_us()) * 1e-6;
+    assert_eq!(bench.status().state, State::Run);
+    (machine / took, told)
+}
+
+/// The figures of speed. How busy the computer is is no fault of this program, so only what is said is held, and a tenth of what is aimed at (3 and 0.5 times).
+#[test]
+fn speed_of_an_emulated_job() {
+    for (every, words, least) in [(0, "setpoints only", 0.3), (5, "telemetry at 1 kHz", 0.05)] {
+        let (times, told) = times_real_time(every);
+        println!("{words}: {times:.2} times real time, {told} telemetry frames in 3 s");
+        assert!(if every == 0 { told <= 1 } else { told > 2_950 }, "{told}");
+        assert!(times > least);
+    }
 }
 
 /// A scenario cuts, feels and measures with the controller on the chip as it does with the one in this process.

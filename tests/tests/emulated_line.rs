@@ -6,6 +6,7 @@
 mod chip;
 
 use chip::{BOARDS, Deed, Remote, assert_same, bench, deed};
+use haptimill::cli::Exit;
 use haptimill::port::Board;
 use haptimill_firmware::io::DriveCommand;
 use haptimill_firmware::receive::RING_BYTES;
@@ -185,6 +186,60 @@ fn floods_and_garbage_while_moving_do_what_they_do_natively() {
             native.2,
             native.3
         );
+    }
+}
+
+/// A short job of `haptimill run` over a line of 115,200 baud that flips bits: every byte of its recording, or what is said instead.
+fn job_with_bit_errors(port: &str, rate: &str) -> Result<Vec<u8>, String> {
+    let out = chip::results(&format!("bit-errors-{rate}-{}", port.replace(':', "-")));
+    std::fs::create_dir_all(&out).expect("made");
+    let program = out.join("corner.ngc");
+    let text = "G21 G90 G94\nM3 S12000\nG1 X5 F600\nG1 X0 Y4\nM5\nM30\n";
+    std::fs::write(&program, text).expect("written");
+    let fault = format!("link-errors rate={rate}");
+    let more = ["--baud", "115200", "--fault", &fault];
+    match chip::run(&program, port, &out, &more) {
+        Ok(()) => Ok(std::fs::read(out.join("recording.hmr")).expect("recorded")),
+        Err(error) => {
+            assert_eq!(error.exit, Exit::Port, "{error}");
+            Err(error
+                .message
+                .replace("simulator: ", "")
+                .replace(&format!("{port}: "), ""))
+        }
+    }
+}
+
+/// Up to where the line gives up, and beyond: the same recording, or the same words, which name the cause and what to do.
+#[test]
+fn bit_errors_end_a_job_as_they_do_natively() {
+    for (rate, through) in [
+        ("0.0005", true),
+        ("0.002", true),
+        // What ends it differs: a silence, an answer that does not come, a message that does not get through.
+        ("0.003", false),
+        ("0.005", false),
+        ("0.01", false),
+    ] {
+        let native = job_with_bit_errors("sim", rate);
+        let emulated = job_with_bit_errors("pil:mps2", rate);
+        assert_eq!(native.is_ok(), through, "at {rate}: {:?}", native.err());
+        match (&native, &emulated) {
+            (Ok(native), Ok(emulated)) => {
+                assert!(native == emulated, "at {rate} the recordings differ");
+            }
+            (Err(native), Err(emulated)) => {
+                assert_eq!(native, emulated);
+                let told = [" broken frames", "line", "check cable, shield and speed"];
+                assert!(told.iter().all(|word| native.contains(word)), "{native}");
+                println!("bit errors of {rate}: {native}");
+            }
+            _ => panic!(
+                "at {rate}: {:?} natively, {:?} on the chip",
+                native.err(),
+                emulated.err()
+            ),
+        }
     }
 }
 

@@ -269,6 +269,23 @@ impl Board {
         }
     }
 
+    /// Whether its sources are formatted: they are a workspace of their own, which the check of the others does not see.
+    pub fn check_format(&self, root: &Path) -> Result<(), String> {
+        let folder = root.join(self.folder);
+        let status = crate::cargo()
+            .current_dir(&folder)
+            .args(["fmt", "--check"])
+            .status();
+        match status {
+            Ok(status) if status.success() => Ok(()),
+            Ok(_) => Err(format!(
+                "the sources of the board {} are not formatted: cargo fmt in {}",
+                self.name, self.folder
+            )),
+            Err(error) => Err(format!("cargo cannot be started: {error}")),
+        }
+    }
+
     /// Says what the image takes of the chip, and whether it may.
     pub fn measure(&self, image: &Path) -> Result<(), String> {
         let bytes = fs::read(image).map_err(|error| format!("{}: {error}", image.display()))?;

@@ -1,8 +1,10 @@
 //! The chores of the project. `cargo xtask help` lists them.
 
 mod board;
+mod provide;
 
 use board::Board;
+use provide::provide;
 use std::env;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
@@ -95,9 +97,6 @@ const TEST: &[Step] = &[
     },
 ];
 
-/// The emulator, and the Debian package that has it.
-const EMULATOR: &str = "qemu-system-arm";
-
 const BENCH: &[Step] = &[Step {
     name: "benchmarks",
     arguments: &["bench", "--workspace", "--benches"],
@@ -148,6 +147,9 @@ fn test() -> Result<(), String> {
     run(TEST)?;
     provide()?;
     for board in board::BOARDS {
+        if has("fmt") {
+            board.check_format(&root())?;
+        }
         let image = board.build(&root(), false)?;
         board.measure(&image)?;
     }
@@ -262,45 +264,6 @@ fn emulated(
         environment,
         component: None,
     }])
-}
-
-/// Installs what building for a chip and emulating it need, where that is possible; says how otherwise.
-fn provide() -> Result<(), String> {
-    let mut missing = Vec::new();
-    for board in board::BOARDS {
-        if board.toolchain().is_none() {
-            missing.extend(board::DEBIAN_PACKAGES);
-        }
-    }
-    if !starts(EMULATOR, "--version") {
-        missing.push(EMULATOR);
-    }
-    if missing.is_empty() {
-        return Ok(());
-    }
-    missing.dedup();
-    let install = [&["install", "-y", "--no-install-recommends"][..], &missing].concat();
-    println!("== packages: apt-get {}", install.join(" "));
-    let apt = |arguments: &[&str]| {
-        let status = Command::new("apt-get")
-            .args(arguments)
-            .env("DEBIAN_FRONTEND", "noninteractive")
-            .status();
-        status.is_ok_and(|status| status.success())
-    };
-    if apt(&["update"]) && apt(&install) {
-        return Ok(());
-    }
-    Err(format!(
-        "boards and emulated runs need packages that cannot be installed from here. As root: apt-get install {}\n\
-         (instead of the compiler packages, `rustup target add thumbv7em-none-eabihf` does). Without them: cargo xtask test --native-only",
-        missing.join(" ")
-    ))
-}
-
-fn starts(program: &str, argument: &str) -> bool {
-    let output = Command::new(program).arg(argument).output();
-    output.is_ok_and(|output| output.status.success())
 }
 
 fn cargo() -> Command {

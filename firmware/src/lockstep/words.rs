@@ -1,14 +1,23 @@
 //! A frame as a row of words, with its check at the end.
 
 use super::FrameError;
+use haptimill_protocol::message::MAX_AXES;
 
 /// Grows whenever a frame changes.
 const VERSION: u32 = 5;
 
 /// FNV-1a over words.
-#[inline]
+///
+/// Eight at a time: a loop that counts takes longer for it than for the work.
+#[inline(always)]
 pub(super) fn check(words: &[u32]) -> u32 {
-    words.iter().fold(BASIS, |hash, word| step(hash, *word))
+    let (rows, rest) = words.as_chunks::<8>();
+    let hash = rows.iter().fold(BASIS, |hash, row| {
+        let [a, b, c, d, e, f, g, h] = *row;
+        let hash = step(step(step(step(hash, a), b), c), d);
+        step(step(step(step(hash, e), f), g), h)
+    });
+    rest.iter().fold(hash, |hash, word| step(hash, *word))
 }
 
 const BASIS: u32 = 0x811C_9DC5;
@@ -28,17 +37,21 @@ pub fn seal(frame: &mut [u8]) {
     }
 }
 
-/// A frame while it is written: its words, one after the other; those that are left are zeros. Beyond the end nothing is written.
+/// A frame while it is written, without its last word: its words, one after the other. Beyond the end nothing is written.
+///
+/// Several words at once are one look at the room that is left.
 pub(super) struct Writer<'a> {
-    frame: &'a mut [u32],
-    at: usize,
+    left: &'a mut [u32],
 }
 
 impl<'a> Writer<'a> {
     #[inline(always)]
     pub(super) fn begin(frame: &'a mut [u32]) -> Self {
-        frame.fill(0);
-        Self { frame, at: 0 }
+        let left = match frame.split_last_mut() {
+            Some((_, words)) => words,
+            None => &mut [],
+        };
+        Self { left }
     }
 
     #[inline(always)]
@@ -48,35 +61,54 @@ impl<'a> Writer<'a> {
 
     #[inline(always)]
     pub(super) fn put(&mut self, word: u32) {
-        debug_assert!(self.at + 1 < self.frame.len(), "the frame is too short");
-        if let Some(slot) = self.frame.get_mut(self.at) {
-            *slot = word;
-            self.at += 1;
-        }
+        self.put_all([word]);
     }
 
     #[inline(always)]
     pub(super) fn put_long(&mut self, long: u64) {
-        self.put(long as u32);
-        self.put((long >> 32) as u32);
+        self.put_all([long as u32, (long >> 32) as u32]);
+    }
+
+    /// A value of each axis. Named one by one: a loop that counts takes longer for it than for the work.
+    #[inline(always)]
+    pub(super) fn put_axes(&mut self, row: &[i32; MAX_AXES]) {
+        let [a, b, c, d, e, f] = *row;
+        self.put_all([a as u32, b as u32, c as u32, d as u32, e as u32, f as u32]);
+    }
+
+    /// A value along each of x, y and z.
+    #[inline(always)]
+    pub(super) fn put_vector(&mut self, vector: &[i32; 3]) {
+        let [x, y, z] = *vector;
+        self.put_all([x as u32, y as u32, z as u32]);
     }
 
     #[inline(always)]
-    pub(super) fn put_row(&mut self, row: &[i32]) {
-        let end = self.at + row.len();
-        debug_assert!(end < self.frame.len(), "the frame is too short");
-        if let Some(slots) = self.frame.get_mut(self.at..end) {
-            for (slot, value) in slots.iter_mut().zip(row) {
-                *slot = *value as u32;
-            }
-            self.at = end;
+    pub(super) fn put_all<const N: usize>(&mut self, words: [u32; N]) {
+        if let Some(slots) = self.room::<N>() {
+            *slots = words;
         }
+    }
+
+    #[inline(always)]
+    fn room<const N: usize>(&mut self) -> Option<&mut [u32; N]> {
+        let left = core::mem::take(&mut self.left);
+        debug_assert!(left.len() >= N, "the frame is too short");
+        let (slots, rest) = left.split_first_chunk_mut()?;
+        self.left = rest;
+        Some(slots)
+    }
+
+    /// Words that are left are zeros.
+    #[inline(always)]
+    pub(super) fn end(self) {
+        self.left.fill(0);
     }
 }
 
 /// A frame while it is read, word by word; beyond the end are zeros.
 pub(super) struct Reader<'a> {
-    words: core::slice::Iter<'a, u32>,
+    left: &'a [u32],
 }
 
 impl<'a> Reader<'a> {
@@ -87,9 +119,7 @@ impl<'a> Reader<'a> {
         if check(words) != *last {
             return Err(FrameError::Check);
         }
-        let mut reader = Self {
-            words: words.iter(),
-        };
+        let mut reader = Self { left: words };
         let head = reader.take();
         if head >> 16 != VERSION {
             return Err(FrameError::Version);
@@ -99,12 +129,30 @@ impl<'a> Reader<'a> {
 
     #[inline(always)]
     pub(super) fn take(&mut self) -> u32 {
-        self.words.next().copied().unwrap_or(0)
+        let [word] = self.take_all();
+        word
     }
 
     #[inline(always)]
     pub(super) fn take_long(&mut self) -> u64 {
-        u64::from(self.take()) | u64::from(self.take()) << 32
+        let [low, high] = self.take_all();
+        u64::from(low) | u64::from(high) << 32
+    }
+
+    #[inline(always)]
+    pub(super) fn take_row<const N: usize>(&mut self) -> [i32; N] {
+        self.take_all().map(|word| word as i32)
+    }
+
+    #[inline(always)]
+    pub(super) fn take_all<const N: usize>(&mut self) -> [u32; N] {
+        match self.left.split_first_chunk() {
+            Some((words, rest)) => {
+                self.left = rest;
+                *words
+            }
+            None => [0; N],
+        }
     }
 }
 

@@ -3,6 +3,22 @@
 use haptimill_protocol::message::{HelloRefusal, PROTOCOL_VERSION, Refusal};
 use std::fmt;
 
+/// How the line did until something went wrong on it.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct LineHealth {
+    /// Broken frames that were received.
+    pub bad_frames: u32,
+    /// Frames that were sent again.
+    pub resent: u32,
+}
+
+impl fmt::Display for LineHealth {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { bad_frames, resent } = self;
+        write!(f, "{bad_frames} broken frames, {resent} sent again")
+    }
+}
+
 /// Why there is no session, or no job.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum ClientError {
@@ -26,13 +42,13 @@ pub enum ClientError {
     Silent {
         /// For how long, microseconds.
         silent_us: u64,
+        /// How the line did before.
+        line: LineHealth,
     },
     /// The controller lives, and a message cannot be brought over.
     Stalled {
-        /// Broken frames that were received.
-        bad_frames: u32,
-        /// Frames that were sent again.
-        resent: u32,
+        /// How the line did.
+        line: LineHealth,
     },
 }
 
@@ -54,14 +70,23 @@ impl fmt::Display for ClientError {
                 "the controller speaks version {version} of the protocol, this host version {PROTOCOL_VERSION}; use the host and the firmware of one release"
             ),
             Self::Refused { why, .. } => write!(f, "the controller refuses the session: {why}"),
-            Self::Silent { silent_us } => write!(
+            Self::Silent { silent_us, line } => {
+                let seconds = *silent_us as f64 * 1e-6;
+                if line.bad_frames == 0 {
+                    write!(
+                        f,
+                        "nothing was heard from the controller for {seconds:.1} s; check the cable and the controller's power"
+                    )
+                } else {
+                    write!(
+                        f,
+                        "no whole frame was heard from the controller for {seconds:.1} s, and the line was bad before ({line}); check cable, shield and speed, and the controller's power"
+                    )
+                }
+            }
+            Self::Stalled { line } => write!(
                 f,
-                "nothing was heard from the controller for {:.1} s; check the cable and the controller's power",
-                *silent_us as f64 * 1e-6
-            ),
-            Self::Stalled { bad_frames, resent } => write!(
-                f,
-                "the line is too bad: the controller is there, but messages do not get through ({bad_frames} broken frames, {resent} sent again); check cable, shield and speed"
+                "the line is too bad: the controller is there, but messages do not get through ({line}); check cable, shield and speed"
             ),
         }
     }
@@ -80,6 +105,8 @@ pub enum RequestError {
         command: &'static str,
         /// How long was waited, microseconds.
         waited_us: u64,
+        /// How the line did.
+        line: LineHealth,
     },
     /// An urgent stop came before it was sent.
     Withdrawn,
@@ -91,11 +118,24 @@ impl fmt::Display for RequestError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Refused(refusal) => refusal.fmt(f),
-            Self::NoAnswer { command, waited_us } => write!(
-                f,
-                "the controller did not answer the command '{command}' within {:.1} s",
-                *waited_us as f64 * 1e-6
-            ),
+            Self::NoAnswer {
+                command,
+                waited_us,
+                line,
+            } => {
+                let seconds = *waited_us as f64 * 1e-6;
+                write!(
+                    f,
+                    "the controller did not answer the command '{command}' within {seconds:.1} s"
+                )?;
+                if line.bad_frames > 0 {
+                    write!(
+                        f,
+                        ": the line is bad ({line}); check cable, shield and speed"
+                    )?;
+                }
+                Ok(())
+            }
             Self::Withdrawn => f.write_str("withdrawn: an urgent stop came first"),
             Self::Lost(error) => error.fmt(f),
         }

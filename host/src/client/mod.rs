@@ -34,7 +34,7 @@ mod stream;
 #[cfg(test)]
 mod tests;
 
-pub use error::{ClientError, RequestError};
+pub use error::{ClientError, LineHealth, RequestError};
 pub use notice::{ClientState, Notice, Options, Ticket};
 pub use stream::{JobEnding, JobProgress};
 
@@ -392,6 +392,14 @@ impl Client {
         }
     }
 
+    fn line_health(&self) -> LineHealth {
+        let counters = self.link.counters();
+        LineHealth {
+            bad_frames: counters.bad_frames,
+            resent: counters.resent,
+        }
+    }
+
     /// Takes over what became of the session.
     fn follow_link(&mut self) {
         let failed = match (self.link.state(self.now_us), &self.state) {
@@ -415,10 +423,10 @@ impl Client {
             },
             (LinkState::Silent, ClientState::Ready) => ClientError::Silent {
                 silent_us: self.link.peer_silent_us(self.now_us),
+                line: self.line_health(),
             },
             (LinkState::Stalled, ClientState::Ready) => ClientError::Stalled {
-                bad_frames: self.link.counters().bad_frames,
-                resent: self.link.counters().resent,
+                line: self.line_health(),
             },
             _ => return,
         };
@@ -549,7 +557,7 @@ impl Client {
         if self.state != ClientState::Ready {
             return;
         }
-        let late = self.requests.expire(self.now_us);
+        let late = self.requests.expire(self.now_us, self.line_health());
         if let Some(stream) = self.stream.as_mut() {
             let ending = late.and_then(|(ticket, error)| stream.failed(ticket, error));
             self.finish_job(ending);

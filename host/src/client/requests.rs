@@ -1,6 +1,6 @@
 //! Requests and their answers.
 
-use super::{RequestError, Ticket};
+use super::{LineHealth, RequestError, Ticket};
 use haptimill_protocol::link::HostLink;
 use haptimill_protocol::message::{Command, Refusal, Request};
 use std::collections::VecDeque;
@@ -115,13 +115,18 @@ impl Requests {
     }
 
     /// Gives up the request that has waited too long, if there is one.
-    pub(super) fn expire(&mut self, now_us: u64) -> Option<(Ticket, RequestError)> {
+    pub(super) fn expire(
+        &mut self,
+        now_us: u64,
+        line: LineHealth,
+    ) -> Option<(Ticket, RequestError)> {
         let index = self.asked.iter().position(|asked| now_us >= asked.by_us)?;
         let asked = self.asked.remove(index);
         let command = asked.command.name();
         let error = RequestError::NoAnswer {
             command,
             waited_us: now_us - asked.sent_us,
+            line,
         };
         self.done
             .push_back((asked.ticket, command, Err(error.clone())));

@@ -418,11 +418,16 @@ impl PlantLink for Emulator {
     fn receive(&mut self, frame: &mut [u8; FROM_BOARD_BYTES]) -> io::Result<()> {
         let mut done = 0;
         while done < frame.len() {
+            // Nothing is there before the emulator had its turn, on the processor of this thread: so waiting comes first.
+            self.wait_readable()?;
             match self.from_board.read(&mut frame[done..]) {
                 Ok(0) => return Err(io::ErrorKind::UnexpectedEof.into()),
                 Ok(count) => done += count,
-                Err(error) if error.kind() == io::ErrorKind::WouldBlock => self.wait_readable()?,
-                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(error)
+                    if matches!(
+                        error.kind(),
+                        io::ErrorKind::WouldBlock | io::ErrorKind::Interrupted
+                    ) => {}
                 Err(error) => return Err(error),
             }
         }

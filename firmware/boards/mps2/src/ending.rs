@@ -6,8 +6,8 @@
 use crate::semihosting;
 use core::cell::UnsafeCell;
 use core::fmt::{self, Write};
-use cortex_m::peripheral::{MPU, SCB};
 use cortex_m::peripheral::scb::Exception;
+use cortex_m::peripheral::{MPU, SCB};
 use cortex_m_rt::ExceptionFrame;
 
 /// Exit code after a panic.

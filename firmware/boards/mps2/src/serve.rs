@@ -3,6 +3,7 @@
 use crate::semihosting::{File, Gone};
 use crate::{serial, stack, tick};
 use haptimill_firmware::lockstep::{FROM_BOARD_WORDS, Order, Says, TO_BOARD_WORDS, read};
+use haptimill_firmware::reading::Reading;
 
 /// Looks at the receive ring before bytes that were announced are given up.
 const PATIENCE: u32 = 200_000_000;
@@ -21,6 +22,7 @@ pub fn serve() -> Result<(), Gone> {
     let mut from_simulator = File::reader(c"to-board")?;
     let mut order = [0; TO_BOARD_WORDS];
     let mut answer = [0; FROM_BOARD_WORDS];
+    let mut reading = Reading::default();
     Says::Hello.write(&mut answer);
     to_simulator.write(&answer)?;
     let mut expected = 0_u32;
@@ -37,7 +39,7 @@ pub fn serve() -> Result<(), Gone> {
                 crate::faults::reached(crate::faults::MAIN);
                 tick::with(|period| {
                     serial::say(&period.outputs.transmit);
-                    tick::tell(period, &mut answer);
+                    tick::tell(period, &mut reading, &mut answer);
                 });
                 to_simulator.write(&answer)?;
             }

@@ -13,6 +13,7 @@ use cortex_m_rt::exception;
 use haptimill_firmware::controller::Controller;
 use haptimill_firmware::io::{Inputs, Outputs};
 use haptimill_firmware::lockstep::{FROM_BOARD_WORDS, Heard, Says, Told};
+use haptimill_firmware::reading::Reading;
 use haptimill_firmware::receive::Waiting;
 
 /// All that a control period works on.
@@ -104,19 +105,20 @@ pub fn run() {
     cortex_m::asm::isb();
 }
 
-/// Writes the frame of the period that was run last.
-pub fn tell(period: &Period, frame: &mut [u32; FROM_BOARD_WORDS]) {
-    let reading = period
-        .controller
-        .as_ref()
-        .and_then(|controller| controller.reading(&period.inputs));
+/// Writes the frame of the period that was run last; `reading` is a place for how the controller stands.
+#[inline(always)]
+pub fn tell(period: &Period, reading: &mut Reading, frame: &mut [u32; FROM_BOARD_WORDS]) {
+    let configured = match &period.controller {
+        Some(controller) => controller.read(&period.inputs, reading),
+        None => false,
+    };
     Says::Done(Told {
         period: period.inputs.period,
         outputs: &period.outputs,
         said: period.outputs.transmit.len() as u16,
         heard: Heard::of(&period.inputs),
         stages: &period.counter.stages,
-        reading: reading.as_ref(),
+        reading: configured.then_some(&*reading),
     })
     .write(frame);
 }

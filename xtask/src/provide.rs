@@ -1,0 +1,175 @@
+//! What boards and emulated runs need of the system: what is missing, and what is done about it.
+//!
+//! Deciding is apart from doing, so that it can be tested on a computer that lacks nothing.
+
+use crate::board::{BOARDS, DEBIAN_PACKAGES};
+use std::process::Command;
+
+/// The emulator, and the Debian package that has it.
+const EMULATOR: &str = "qemu-system-arm";
+
+/// Installs what building for a chip and emulating it need, where that is possible; says how otherwise.
+pub fn provide() -> Result<(), String> {
+    provide_by(&here, &mut |arguments| {
+        let status = Command::new("apt-get")
+            .args(arguments)
+            .env("DEBIAN_FRONTEND", "noninteractive")
+            .status();
+        status.is_ok_and(|status| status.success())
+    })
+}
+
+/// What there is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct There {
+    /// Something that builds for every board.
+    toolchain: bool,
+    emulator: bool,
+}
+
+/// What there is here.
+fn here() -> There {
+    let emulator = Command::new(EMULATOR).arg("--version").output();
+    There {
+        toolchain: BOARDS.iter().all(|board| board.toolchain().is_some()),
+        emulator: emulator.is_ok_and(|output| output.status.success()),
+    }
+}
+
+/// The packages that are missing.
+fn missing(there: There) -> Vec<&'static str> {
+    let compiler = if there.toolchain {
+        &[]
+    } else {
+        DEBIAN_PACKAGES
+    };
+    let emulator: &[&str] = if there.emulator { &[] } else { &[EMULATOR] };
+    [compiler, emulator].concat()
+}
+
+/// Looks, installs what is missing with `apt`, which says whether it went well, and looks again.
+fn provide_by(
+    look: &dyn Fn() -> There,
+    apt: &mut dyn FnMut(&[&str]) -> bool,
+) -> Result<(), String> {
+    let packages = missing(look());
+    if packages.is_empty() {
+        return Ok(());
+    }
+    let install = [&["install", "-y", "--no-install-recommends"][..], &packages].concat();
+    println!("== packages: apt-get {}", install.join(" "));
+    // A list that cannot be renewed may do.
+    apt(&["update"]);
+    if apt(&install) {
+        let left = missing(look());
+        if left.is_empty() {
+            return Ok(());
+        }
+        return Err(format!(
+            "apt-get has installed {}, and it still cannot be found here; `cargo xtask board mps2` says what is looked for",
+            left.join(" ")
+        ));
+    }
+    let compiler = if packages.contains(&DEBIAN_PACKAGES[0]) {
+        "\n(instead of the compiler packages, `rustup target add thumbv7em-none-eabihf` does)"
+    } else {
+        ""
+    };
+    Err(format!(
+        "boards and emulated runs need packages that cannot be installed from here. As root: apt-get update && apt-get install {}{compiler}. \
+         Without them: cargo xtask test --native-only",
+        packages.join(" ")
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::cell::Cell;
+
+    const NOTHING: There = There {
+        toolchain: false,
+        emulator: false,
+    };
+    const ALL: There = There {
+        toolchain: true,
+        emulator: true,
+    };
+
+    /// What is said to apt on a computer with this, where installing does this much.
+    fn tried(before: There, works: bool, after: There) -> (Vec<String>, Result<(), String>) {
+        let (installed, mut said) = (Cell::new(false), Vec::new());
+        let done = provide_by(
+            &|| if installed.get() { after } else { before },
+            &mut |arguments| {
+                said.push(arguments.join(" "));
+                let install = arguments[0] == "install";
+                installed.set(installed.get() || install && works);
+                works || !install
+            },
+        );
+        (said, done)
+    }
+
+    #[test]
+    fn nothing_is_installed_where_nothing_is_missing() {
+        assert_eq!(tried(ALL, true, ALL), (vec![], Ok(())));
+    }
+
+    #[test]
+    fn what_is_missing_is_installed_and_nothing_else() {
+        let (said, done) = tried(NOTHING, true, ALL);
+        let install = "install -y --no-install-recommends";
+        let compiler = "rustc-web cargo-web rust-web-src lld-22";
+        let everything = format!("{install} {compiler} qemu-system-arm");
+        assert_eq!((said, done), (vec!["update".into(), everything], Ok(())));
+        let without_emulator = There {
+            toolchain: true,
+            emulator: false,
+        };
+        let (said, _) = tried(without_emulator, true, ALL);
+        assert_eq!(said[1], format!("{install} qemu-system-arm"));
+        let without_compiler = There {
+            toolchain: false,
+            emulator: true,
+        };
+        let (said, _) = tried(without_compiler, true, ALL);
+        assert_eq!(said[1], format!("{install} {compiler}"));
+    }
+
+    #[test]
+    fn what_cannot_be_installed_is_named_with_its_command() {
+        let (_, done) = tried(NOTHING, false, NOTHING);
+        let problem = done.expect_err("nothing was installed");
+        for word in [
+            "apt-get install rustc-web cargo-web rust-web-src lld-22 qemu-system-arm",
+            "rustup target add",
+            "--native-only",
+        ] {
+            assert!(problem.contains(word), "{problem}");
+        }
+        let without_emulator = There {
+            toolchain: true,
+            emulator: false,
+        };
+        let (_, done) = tried(without_emulator, false, without_emulator);
+        let problem = done.expect_err("nothing was installed");
+        assert!(
+            problem.contains("apt-get install qemu-system-arm"),
+            "{problem}"
+        );
+        assert!(!problem.contains("rustup"), "{problem}");
+    }
+
+    #[test]
+    fn an_installation_that_helps_nothing_is_told() {
+        let still = There {
+            toolchain: false,
+            emulator: true,
+        };
+        let (_, done) = tried(NOTHING, true, still);
+        let problem = done.expect_err("there is no compiler");
+        assert!(problem.contains("rustc-web"), "{problem}");
+        assert!(!problem.contains("qemu"), "{problem}");
+    }
+}
