@@ -338,39 +338,66 @@ impl FrameDecoder {
         None
     }
 
-    /// Takes bytes up to the next zero; whether there was one.
+    /// Takes bytes up to the next zero; whether there was one. Twelve instructions a byte and forty a run.
+    #[inline(never)]
     fn fill(&mut self, line: &mut &[u8]) -> bool {
-        let (mut filled, mut register, mut left) = (self.filled, self.register, self.left);
-        let mut bytes = line.iter();
-        let mut ended = false;
-        for &byte in bytes.by_ref() {
-            let mut byte = byte;
-            if byte == 0 {
-                ended = true;
-                break;
+        while let Some((&first, rest)) = line.split_first() {
+            if first == 0 {
+                *line = rest;
+                return true;
             }
-            if left == 0 {
-                // A code, which stands for a zero as well, if the one before announced that.
-                left = byte;
-                let zero = core::mem::replace(&mut self.zero, byte != u8::MAX);
-                if !zero {
-                    left -= 1;
-                    continue;
+            if self.left != 0 {
+                // A run without a zero, as far as it has come.
+                let run = line.get(..usize::from(self.left)).unwrap_or(line);
+                let count = self.copy(run);
+                *line = line.get(count..).unwrap_or_default();
+                // No longer than what was left.
+                self.left = self.left.wrapping_sub(count as u8);
+                continue;
+            }
+            // A code, which stands for a zero as well, if the one before announced that.
+            *line = rest;
+            self.left = first - 1;
+            if core::mem::replace(&mut self.zero, first != u8::MAX) {
+                let filled = self.place();
+                if let Some(place) = self.content.0.get_mut(filled) {
+                    *place = 0;
                 }
-                byte = 0;
-            }
-            left = left.wrapping_sub(1);
-            register = crc_step(register, byte);
-            if let Some(place) = self.content.0.get_mut(filled) {
-                *place = byte;
-                filled = filled.wrapping_add(1);
-            } else {
-                self.skip = true;
+                self.register = crc_step(self.register, 0);
+                self.filled = filled + 1;
             }
         }
-        *line = bytes.as_slice();
-        (self.filled, self.register, self.left) = (filled, register, left);
-        ended
+        false
+    }
+
+    /// Where the next byte of content goes.
+    #[inline(always)]
+    fn place(&mut self) -> usize {
+        if self.filled < FIRST + MAX_CONTENT {
+            return self.filled;
+        }
+        // Nothing of it will be read: what comes now is written over what came.
+        self.skip = true;
+        FIRST + 1
+    }
+
+    /// Takes content up to a zero or as far as there is room; says how many bytes that are.
+    #[inline(always)]
+    fn copy(&mut self, run: &[u8]) -> usize {
+        let filled = self.place();
+        let room = self.content.0.get_mut(filled..).unwrap_or_default();
+        let (mut register, mut count) = (self.register, 0_usize);
+        for (&byte, place) in run.iter().zip(room) {
+            if byte == 0 {
+                break;
+            }
+            register = crc_step(register, byte);
+            *place = byte;
+            count = count.wrapping_add(1);
+        }
+        self.register = register;
+        self.filled = filled + count;
+        count
     }
 
     /// The end of a frame: its header, and where its payload lies, if its check is right.

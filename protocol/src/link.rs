@@ -297,8 +297,9 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
         self.outbox.round_trip_us()
     }
 
-    /// Takes bytes from the line. The work is bounded by their number; messages wait for [`Link::poll_message`].
-    pub fn receive(&mut self, now_us: u64, bytes: &[u8]) {
+    /// Takes bytes from the line; whether a message was among them, which was put to the others. The work is bounded by their number; messages wait for
+    /// [`Link::poll_message`].
+    pub fn receive(&mut self, now_us: u64, bytes: &[u8]) -> bool {
         let Self {
             decoder,
             inbox,
@@ -309,6 +310,7 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
         } = self;
         let mut greeted = false;
         let mut heard = false;
+        let mut came = false;
         let mut line = bytes;
         while let Some(frame) = decoder.take(&mut line) {
             // Any of them may give something to say.
@@ -324,6 +326,7 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
                     sequence,
                     acknowledgement,
                 } => {
+                    came = true;
                     outbox.acknowledge(now_us, acknowledgement);
                     let urgent = inbox.reliable(sequence, frame.payload);
                     self.acknowledge_since.get_or_insert(now_us);
@@ -335,6 +338,7 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
                     sequence,
                     acknowledgement,
                 } => {
+                    came = true;
                     outbox.acknowledge(now_us, acknowledgement);
                     inbox.latest(sequence, frame.payload);
                 }
@@ -351,6 +355,7 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
         if greeted && let Some(session) = self.end.accepted() {
             self.begin(now_us, session);
         }
+        came
     }
 
     /// The next message, if there is one. A reliable one comes once and in order.
@@ -583,9 +588,8 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
                 wire.begin(Header::Alive, &[], *session, true)
             } else {
                 if !self.latest_waits {
-                    self.quiet_until_us = due_us
-                        .min(silent_us)
-                        .min(outbox.due_us(timing.resend_us));
+                    self.quiet_until_us =
+                        due_us.min(silent_us).min(outbox.due_us(timing.resend_us));
                 }
                 return false;
             };

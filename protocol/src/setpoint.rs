@@ -99,12 +99,7 @@ impl BatchReader {
 
     /// Reads the next setpoint of the same payload; false when it cannot be read or does not fit the coder, or when there is none. The coder does not know
     /// of it before [`SetpointCoder::take`].
-    pub fn next(
-        &mut self,
-        payload: &[u8],
-        coder: &SetpointCoder,
-        setpoint: &mut Setpoint,
-    ) -> bool {
+    pub fn next(&mut self, payload: &[u8], coder: &SetpointCoder, setpoint: &mut Setpoint) -> bool {
         self.read(payload, coder, setpoint).is_some()
     }
 
@@ -123,7 +118,8 @@ impl BatchReader {
         if number(&mut bytes)? != 2 * moved.count_ones() {
             return None;
         }
-        let residual = || number(&mut bytes).map(|coded| (coded >> 1) as i32 ^ -((coded & 1) as i32));
+        let residual =
+            || number(&mut bytes).map(|coded| (coded >> 1) as i32 ^ -((coded & 1) as i32));
         coder.predict(periods, moved, residual, setpoint).ok()?;
         let (action, rest) = postcard::take_from_bytes(bytes).ok()?;
         setpoint.action = action;
