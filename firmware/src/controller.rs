@@ -16,7 +16,7 @@ use crate::probe::{Probe, Stage};
 use crate::safety::Safety;
 use crate::server::{Heard, Server};
 use haptimill_protocol::link::Identity;
-use haptimill_protocol::message::{AxisValues, Event, Fault, State, Telemetry};
+use haptimill_protocol::message::{Event, Fault, State, Telemetry};
 
 /// The controller. Give it [`Inputs`] every control period, carry out its [`Outputs`].
 #[derive(Debug)]
@@ -162,7 +162,7 @@ impl Controller {
             &mut outputs.transmit,
         );
         if self.server.telemetry_due() {
-            self.tell_telemetry(inputs);
+            self.note_telemetry(inputs);
         }
         if self.server.hand_due() {
             let arm = self
@@ -170,49 +170,39 @@ impl Controller {
                 .as_ref()
                 .and_then(|machinery| machinery.hands.arm());
             self.server
-                .send_hand(arm.map(|arm| arm.telemetry(inputs.period)));
+                .note_hand(arm.map(|arm| arm.telemetry(inputs.period)));
         }
     }
 
+    /// Notes down how things stand in this period; it is encoded in another one.
     #[inline(never)]
-    fn tell_telemetry(&mut self, inputs: &Inputs) {
-        let telemetry = self.telemetry(inputs);
-        self.server.send_telemetry(telemetry);
-    }
-
-    /// How things stand in this period.
-    #[must_use]
-    pub fn telemetry(&self, inputs: &Inputs) -> Telemetry {
+    fn note_telemetry(&mut self, inputs: &Inputs) {
         let line = self.server.counters();
-        let machinery = self.machinery.as_ref();
-        let values =
-            |values: fn(&Machinery) -> AxisValues| machinery.map_or_else(AxisValues::new, values);
-        let program = machinery.map(|machinery| &machinery.motion.program);
-        Telemetry {
-            period: inputs.period,
-            state: self.safety.state(),
-            homed: self.safety.homed(),
-            position_kept: self.safety.position_kept(),
-            credit: program.map_or(0, |program| program.credit()),
-            setpoint: program.map_or(0, |program| program.reached()),
-            program_periods: program.map_or(0, |program| (program.program_time() >> 32) as u32),
-            path_rate: program.map_or(0, |program| {
-                (program.path_rate().clamp(0, FULL_RATE - 1) >> 16) as u16
-            }),
-            wanted: values(Machinery::wanted_values),
-            measured: values(Machinery::measured_values),
-            joints: values(Machinery::joint_values),
-            following_error: values(Machinery::error_values),
-            drive: machinery
-                .map_or_else(AxisValues::new, |machinery| machinery.drive_values(inputs)),
-            fault: self.safety.fault(),
-            deferred_bytes: line.deferred_bytes,
-            bad_frames: line.bad_frames,
-            lost_bytes: line.lost_bytes,
-            force: machinery
-                .and_then(|machinery| machinery.force.as_ref())
-                .map(ForceControl::telemetry),
+        let Some(note) = self.server.note() else {
+            return;
+        };
+        if self.machinery.is_none() {
+            // What was noted of a machine before is not true any more.
+            *note = Telemetry::default();
         }
+        note.period = inputs.period;
+        note.state = self.safety.state();
+        note.homed = self.safety.homed();
+        note.position_kept = self.safety.position_kept();
+        note.fault = self.safety.fault();
+        note.deferred_bytes = line.deferred_bytes;
+        note.bad_frames = line.bad_frames;
+        note.lost_bytes = line.lost_bytes;
+        let Some(machinery) = &self.machinery else {
+            return;
+        };
+        let program = &machinery.motion.program;
+        note.credit = program.credit();
+        note.setpoint = program.reached();
+        note.program_periods = (program.program_time() >> 32) as u32;
+        note.path_rate = (program.path_rate().clamp(0, FULL_RATE - 1) >> 16) as u16;
+        machinery.note(inputs, note);
+        note.force = machinery.force.as_ref().map(ForceControl::telemetry);
     }
 
     /// The configured machine, for recorders and tests.

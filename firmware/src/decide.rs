@@ -87,7 +87,7 @@ impl Controller {
                 Err(refusal) => self.server.refuse_setpoints(refusal),
             },
             Heard::Tried { number, setpoint } => match self.take_setpoint(number, &setpoint) {
-                Ok(()) => self.server.accept_setpoint(),
+                Ok(()) => self.server.accept_setpoint(&setpoint),
                 Err(refusal) => self.server.refuse_setpoints(refusal),
             },
             Heard::BadSetpoint { number } => {

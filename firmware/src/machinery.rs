@@ -16,7 +16,9 @@ use crate::safety::homing::Homing;
 use crate::safety::integrity::{Constants, Digest};
 use crate::units::Coordinate;
 use hand::Hands;
-use haptimill_protocol::message::{AxisValues, ConfigField, ConfigProblem, Fault, MAX_AXES};
+use haptimill_protocol::message::{
+    AxisValues, ConfigField, ConfigProblem, Fault, MAX_AXES, Telemetry,
+};
 use heapless::Vec;
 
 /// Parts in which the configuration, and what was worked out from it, is checked against its digest: geometry and bounds, motion, then each axis of
@@ -469,33 +471,34 @@ impl Machinery {
         self.values(|index| self.motion.wanted().pose.0[index].0)
     }
 
-    /// The measured pose as values of a message; empty when it is not certified.
-    #[must_use]
-    pub fn measured_values(&self) -> AxisValues {
-        self.measured_pose()
-            .map_or_else(AxisValues::new, |pose| self.values(|index| pose.0[index].0))
-    }
-
-    /// Measured joints.
-    #[must_use]
-    pub fn joint_values(&self) -> AxisValues {
-        self.values(|index| self.measured.0[index].0)
-    }
-
-    /// Following errors.
-    #[must_use]
-    pub fn error_values(&self) -> AxisValues {
-        self.values(|index| self.joints[index].driven().following_error.0)
+    /// Notes down what telemetry tells of pose and joints; the measured pose is empty when it is not certified.
+    pub fn note(&self, inputs: &Inputs, note: &mut Telemetry) {
+        let axes = self.axes();
+        let wanted = &self.motion.wanted().pose.0;
+        put(&mut note.wanted, axes, |index| wanted[index].0);
+        match self.measured_pose() {
+            Some(pose) => put(&mut note.measured, axes, |index| pose.0[index].0),
+            None => note.measured.clear(),
+        }
+        put(&mut note.joints, axes, |index| self.measured.0[index].0);
+        put(&mut note.following_error, axes, |index| {
+            self.joints[index].driven().following_error.0
+        });
+        put(&mut note.drive, axes, |index| self.command(inputs, index));
     }
 
     /// Drive commands: DAC codes, or steps emitted.
     #[must_use]
     pub fn drive_values(&self, inputs: &Inputs) -> AxisValues {
-        self.values(|index| match self.joints[index].driven().command {
+        self.values(|index| self.command(inputs, index))
+    }
+
+    fn command(&self, inputs: &Inputs, index: usize) -> i32 {
+        match self.joints[index].driven().command {
             DriveCommand::Torque(code) => i32::from(code),
             DriveCommand::Steps(_) => inputs.axes[index].steps,
             DriveCommand::Off => 0,
-        })
+        }
     }
 
     /// What each joint measured and was told in this period, for recorders.
@@ -516,5 +519,13 @@ impl Machinery {
 
     fn values(&self, value: impl Fn(usize) -> i32) -> AxisValues {
         (0..self.axes()).map(value).collect()
+    }
+}
+
+/// Writes values where there are as many already, but for the first time.
+fn put(values: &mut AxisValues, axes: usize, value: impl Fn(usize) -> i32) {
+    let _ = values.resize(axes, 0);
+    for (index, place) in values.iter_mut().enumerate() {
+        *place = value(index);
     }
 }

@@ -1,7 +1,7 @@
 //! Messages in, answers and telemetry out: the controller's end of the link.
 //!
 //! A period hears at most 64 bytes and does at most one thing that takes long: it reads a message or a setpoint of a batch, or tries whether the machine can go to a setpoint that was read before, or takes one that was tried before,
-//! or encodes telemetry, or makes the frame of telemetry that was encoded before. Hearing and telling take turns; the rest waits in the
+//! or says an answer or an event, or notes down telemetry, or encodes what was noted down, or puts down its frame. What goes out is made as it goes. Hearing and telling take turns; the rest waits in the
 //! link, whose window stops the host. A setpoint that is refused ends its batch and changes nothing, not even what the next one is relative to: all later ones are out of
 //! order until it comes again, or the job is begun anew. Nothing is skipped.
 
@@ -58,21 +58,27 @@ pub struct Server {
     /// The batch of setpoints that is being worked through; its bytes wait in the link.
     batch: Option<BatchReader>,
     /// Its next setpoint, and whether that was tried.
-    decoded: Option<(Setpoint, bool)>,
-    /// Something long was done in this period.
+    setpoint: Setpoint,
+    tried: Option<bool>,
+    /// Something long was done in this period; it was done by what hears.
     worked: bool,
+    heard: bool,
+    /// A message came in this period, which takes as long as much else; not so in the one after, or a line that is full would leave time for nothing.
+    came: bool,
     /// This period did not work although it might have.
     held: bool,
     /// Answers and events waited, because the period before had worked.
     kept: bool,
     /// Telemetry is due.
     telemetry_waits: bool,
+    /// Telemetry as it was noted down, all of it in one period, and whether it is yet to be encoded.
+    note: Report,
+    noted: bool,
     coder: SetpointCoder,
-    /// The coder after the setpoint that was heard last; taken over when that is accepted.
-    ahead: SetpointCoder,
     session_begun: bool,
     staged: Vec<u8, CONFIG_BYTES>,
-    answers: Deque<Report, ANSWERS>,
+    /// Requests' numbers, and what became of them.
+    answers: Deque<(u8, Result<(), Refusal>), ANSWERS>,
     every: u16,
     until_telemetry: u16,
     /// Telemetry of the hand, likewise.
@@ -105,13 +111,17 @@ impl Server {
             period_us,
             now_us: 0,
             batch: None,
-            decoded: None,
+            setpoint: Setpoint::default(),
+            tried: None,
             worked: false,
+            heard: false,
+            came: false,
             held: false,
             kept: false,
             telemetry_waits: false,
+            note: Report::Telemetry(Telemetry::default()),
+            noted: false,
             coder: SetpointCoder::new(period_us, &AxisValues::new()),
-            ahead: SetpointCoder::new(period_us, &AxisValues::new()),
             session_begun: false,
             staged: Vec::new(),
             answers: Deque::new(),
@@ -134,36 +144,47 @@ impl Server {
         let lost = inputs.lost_bytes.wrapping_sub(self.lost_before);
         self.lost = self.lost.saturating_add(u32::from(lost));
         self.lost_before = inputs.lost_bytes;
-        if !inputs.received.is_empty() {
-            self.receive(&inputs.received);
-        }
+        self.came = !inputs.received.is_empty() && self.receive(&inputs.received) && !self.came;
         self.link.hello().is_some()
     }
 
     /// Gives the next thing to do. `hold_back`: the period has much to do already; that counts only if the one before did not hold back.
     #[inline]
     pub fn next(&mut self, hold_back: bool) -> Option<Heard> {
-        // What tells has its turn when this has had one.
-        let yields = self.worked && self.tells_much();
+        // What tells has its turn when this has had one, and what was kept back for a period is not kept back again.
+        let yields = self.kept || (self.heard && self.tells_much());
         self.held = hold_back && !self.held;
         // What is told waits as well: a period that was held back has no time for it either.
-        self.worked = self.held;
-        if yields || self.held || self.answers.is_full() {
+        self.worked = self.held || self.came;
+        self.heard = false;
+        let nothing = self.tried.is_none() && self.link.has_heard_all();
+        if nothing || yields || self.worked || self.answers.is_full() {
             return None;
         }
-        self.worked = true;
-        let number = self.batch.map_or(0, |batch| batch.number.wrapping_sub(1));
-        match self.decoded.take() {
-            Some((setpoint, false)) => Some(Heard::Setpoint { number, setpoint }),
-            Some((setpoint, true)) => Some(Heard::Tried { number, setpoint }),
-            None => self.read(),
-        }
+        self.hear()
     }
 
-    /// Takes bytes from the line.
+    /// The next thing to do.
     #[inline(never)]
-    fn receive(&mut self, bytes: &[u8]) {
-        self.link.receive(self.now_us, bytes);
+    fn hear(&mut self) -> Option<Heard> {
+        self.worked = true;
+        self.heard = true;
+        let Some(tried) = self.tried.take() else {
+            return self.read();
+        };
+        let number = self.batch.map_or(0, |batch| batch.number.wrapping_sub(1));
+        let setpoint = core::mem::take(&mut self.setpoint);
+        Some(if tried {
+            Heard::Tried { number, setpoint }
+        } else {
+            Heard::Setpoint { number, setpoint }
+        })
+    }
+
+    /// Takes bytes from the line; whether a message was among them.
+    #[inline(never)]
+    fn receive(&mut self, bytes: &[u8]) -> bool {
+        self.link.receive(self.now_us, bytes)
     }
 
     /// Answers a greeting. `busy`: no other host may break in.
@@ -177,10 +198,10 @@ impl Server {
     }
 
     /// Reads the next message, or the next setpoint of a batch.
-    #[inline(never)]
     fn read(&mut self) -> Option<Heard> {
         let Some(payload) = self.link.peek() else {
             self.worked = false;
+            self.heard = false;
             return None;
         };
         if self.batch.is_none() {
@@ -198,21 +219,18 @@ impl Server {
             self.end_batch(Ok(()));
             return None;
         }
-        let delta = batch.next(payload);
-        self.ahead = self.coder.clone();
-        match delta.map(|delta| self.ahead.decode(&delta)) {
-            Some(Ok(setpoint)) => {
-                self.decoded = Some((setpoint, false));
-                None
-            }
-            _ => Some(Heard::BadSetpoint { number }),
+        if batch.next(payload, &self.coder, &mut self.setpoint) {
+            self.tried = Some(false);
+            None
+        } else {
+            Some(Heard::BadSetpoint { number })
         }
     }
 
     /// The batch is done with.
     #[inline(never)]
     fn end_batch(&mut self, result: Result<(), Refusal>) {
-        self.decoded = None;
+        self.tried = None;
         if let Some(batch) = self.batch.take() {
             self.link.drop_first();
             self.answer(batch.id, result);
@@ -221,13 +239,14 @@ impl Server {
 
     /// The machine can go to the setpoint that was heard in this period: it is heard again, to be taken.
     pub fn pass_setpoint(&mut self, setpoint: Setpoint) {
-        self.decoded = Some((setpoint, true));
+        self.setpoint = setpoint;
+        self.tried = Some(true);
     }
 
     /// The setpoint that was heard in this period is in the queue: the next one is told relative to it.
     #[inline(never)]
-    pub fn accept_setpoint(&mut self) {
-        self.coder = self.ahead.clone();
+    pub fn accept_setpoint(&mut self, setpoint: &Setpoint) {
+        self.coder.take(setpoint);
         if self.batch.is_some_and(|batch| batch.left == 0) {
             self.end_batch(Ok(()));
         }
@@ -236,13 +255,13 @@ impl Server {
     /// Whether something long is to be done by [`Server::tell`].
     #[inline]
     fn tells_much(&self) -> bool {
-        self.telemetry_waits || self.link.latest_waits()
+        self.telemetry_waits || self.noted || self.link.latest_waits()
     }
 
     /// Whether this period still has time for something long; it is used up.
     #[inline]
     pub fn claim(&mut self) -> bool {
-        !core::mem::replace(&mut self.worked, true)
+        !self.kept && !core::mem::replace(&mut self.worked, true)
     }
 
     /// Whether a new session has begun since the last call.
@@ -255,11 +274,13 @@ impl Server {
     #[inline(never)]
     fn forget(&mut self) {
         self.batch = None;
-        self.decoded = None;
+        self.tried = None;
         self.telemetry_waits = false;
+        self.noted = false;
         self.answers.clear();
         self.staged.clear();
         self.every = 0;
+        self.until_telemetry = 0;
         self.hand_every = 0;
         self.until_hand = 0;
         self.hand_waits = false;
@@ -283,7 +304,7 @@ impl Server {
         }
         if id != 0 || result.is_err() {
             // There is room: nothing is heard while the answers are full, and a period has at most one request.
-            let _ = self.answers.push_back(Report::Answer { id, result });
+            let _ = self.answers.push_back((id, result));
         }
     }
 
@@ -354,56 +375,66 @@ impl Server {
         let due = !self.answers.is_empty() || safety.has_events();
         self.kept = due && self.worked && !self.kept;
         if due && !self.kept {
-            self.report(period, safety);
+            self.worked |= self.report(period, safety);
         }
-        // The frame of telemetry is long, and made in a period that had nothing else to do.
+        if self.noted && self.claim() {
+            self.encode();
+        }
+        // The frame of telemetry is long, and put down in a period that had nothing else to do.
         let waited = self.link.latest_waits();
         self.link.hold_latest(self.worked);
         transmit.clear();
-        if room > 0 {
+        if room > 0 && !self.link.is_quiet(self.now_us) {
             self.say(room, transmit);
         }
         self.worked |= waited && !self.link.latest_waits();
     }
 
-    /// Gives the line's next bytes.
+    /// Gives the line's next bytes: no more than one frame is begun in a period, and no more of it made than may go.
     #[inline(never)]
     fn say(&mut self, room: u16, transmit: &mut Vec<u8, TRANSMIT_BYTES>) {
-        if !self.link.is_ready(self.now_us) {
-            return;
-        }
         let mut buffer = [0; TRANSMIT_BYTES];
-        let room = usize::from(room).min(TRANSMIT_BYTES);
-        let count = self.link.transmit(self.now_us, &mut buffer[..room]);
-        // As long as the buffer: fits.
-        let _ = transmit.extend_from_slice(&buffer[..count]);
+        let room = buffer.len().min(usize::from(room));
+        let now_us = self.now_us;
+        let said = buffer.get_mut(..room).unwrap_or_default();
+        let count = self.link.transmit_some(now_us, said, 1, TRANSMIT_BYTES);
+        if count != 0 {
+            // As a whole it is copied by words.
+            *transmit = Vec::from_array(buffer);
+            transmit.truncate(count);
+        }
     }
 
-    /// Hands answers and events to the link, as many as it has room for.
+    /// Hands the next answer or event to the link; false when it has no room.
     #[inline(never)]
-    fn report(&mut self, period: u64, safety: &mut Safety) {
-        while let Some(answer) = self.answers.front() {
-            if self.link.send(answer).is_err() {
-                break;
+    fn report(&mut self, period: u64, safety: &mut Safety) -> bool {
+        if let Some(&(id, result)) = self.answers.front() {
+            let sent = self.link.send(&Report::Answer { id, result }).is_ok();
+            if sent {
+                self.answers.pop_front();
             }
-            self.answers.pop_front();
+            return sent;
         }
-        while self.answers.is_empty() && self.link.room(SHORT_REPORT) > 0 {
-            let Some(event) = safety.next_event() else {
-                break;
-            };
-            if self
-                .link
-                .send(&Report::Event {
-                    period,
-                    event: event.clone(),
-                })
-                .is_err()
-            {
-                safety.return_event(event);
-                break;
-            }
+        if self.link.room(SHORT_REPORT) == 0 {
+            return false;
         }
+        let Some(event) = safety.next_event() else {
+            return false;
+        };
+        let report = Report::Event { period, event };
+        let sent = self.link.send(&report).is_ok();
+        if !sent && let Report::Event { event, .. } = report {
+            safety.return_event(event);
+        }
+        sent
+    }
+
+    /// Encodes the telemetry that was noted down.
+    #[inline(never)]
+    fn encode(&mut self) {
+        self.noted = false;
+        // Not open, or too long for a frame (which a test of the protocol excludes): nobody to tell.
+        let _ = self.link.send_latest(&self.note);
     }
 
     /// Counts the periods until telemetry is due; says whether it is to be sent in this one. Call once a period.
@@ -429,22 +460,28 @@ impl Server {
                 self.hand_waits = true;
             }
         }
-        self.hand_waits && !self.link.latest_waits() && self.claim()
+        self.hand_waits && !self.noted && !self.link.latest_waits() && self.claim()
     }
 
-    /// Sends telemetry of the hand, if there is an arm.
-    pub fn send_hand(&mut self, telemetry: Option<HandTelemetry>) {
+    /// Notes down telemetry of the hand, if there is an arm.
+    pub fn note_hand(&mut self, telemetry: Option<HandTelemetry>) {
         self.hand_waits = false;
         if let Some(telemetry) = telemetry {
-            let _ = self.link.send_latest(&Report::Hand(telemetry));
+            self.note = Report::Hand(telemetry);
+            self.noted = true;
         }
     }
 
-    /// Sends telemetry.
-    #[inline(never)]
-    pub fn send_telemetry(&mut self, telemetry: Telemetry) {
+    /// Where telemetry of this period is noted down; all of it must be.
+    pub fn note(&mut self) -> Option<&mut Telemetry> {
         self.telemetry_waits = false;
-        // Not open, or too long for a frame (which a test of the protocol excludes): nobody to tell.
-        let _ = self.link.send_latest(&Report::Telemetry(telemetry));
+        self.noted = true;
+        if !matches!(self.note, Report::Telemetry(_)) {
+            self.note = Report::Telemetry(Telemetry::default());
+        }
+        match &mut self.note {
+            Report::Telemetry(telemetry) => Some(telemetry),
+            _ => None,
+        }
     }
 }

@@ -21,6 +21,10 @@
 //!
 //! Misuse: a frame is only as good as its session number. Two sessions must not have the same one.
 
+mod outgoing;
+
+pub use outgoing::OutgoingFrame;
+
 use crate::urgent;
 use heapless::Vec;
 
@@ -38,6 +42,17 @@ const CRC_BYTES: usize = 4;
 
 /// The most bytes of a frame on the line: content, two bytes of COBS, the zero.
 pub const MAX_FRAME: usize = MAX_CONTENT + 2 + 1;
+
+/// Bytes that lie as words do, so that they can be copied by words.
+#[derive(Debug)]
+#[repr(align(4))]
+pub(crate) struct Words<const BYTES: usize>(pub(crate) [u8; BYTES]);
+
+impl<const BYTES: usize> Default for Words<BYTES> {
+    fn default() -> Self {
+        Self([0; BYTES])
+    }
+}
 
 /// The encoded frame, its closing zero included.
 pub type FrameBytes = Vec<u8, MAX_FRAME>;
@@ -138,11 +153,12 @@ pub enum Header {
 const BEYOND: u8 = 0x80;
 
 impl Header {
-    /// Appends the header.
-    fn write(&self, content: &mut FrameBytes) -> Result<(), u8> {
-        let (kind, sequence, acknowledgement) = match *self {
-            Self::Hello => return content.push(1),
-            Self::Welcome => return content.push(2),
+    /// The header, and how many bytes of it there are.
+    fn write(&self) -> ([u8; MAX_HEADER], usize) {
+        let (kind, sequence, Acknowledgement { next, beyond }) = match *self {
+            Self::Hello => return ([1, 0, 0, 0], 1),
+            Self::Welcome => return ([2, 0, 0, 0], 1),
+            Self::Alive => return ([0; MAX_HEADER], 0),
             Self::Reliable {
                 sequence,
                 acknowledgement,
@@ -152,18 +168,14 @@ impl Header {
                 acknowledgement,
             } => (4, Some(sequence), acknowledgement),
             Self::Acknowledge(acknowledgement) => (5, None, acknowledgement),
-            Self::Alive => return Ok(()),
         };
-        let beyond = acknowledgement.beyond;
-        content.push(kind | if beyond == 0 { 0 } else { BEYOND })?;
-        if let Some(sequence) = sequence {
-            content.push(sequence)?;
+        let more = beyond != 0;
+        let kind = kind | if more { BEYOND } else { 0 };
+        // What is not there stands behind what is, and is written over.
+        match sequence {
+            Some(sequence) => ([kind, sequence, next, beyond], 3 + usize::from(more)),
+            None => ([kind, next, beyond, 0], 2 + usize::from(more)),
         }
-        content.push(acknowledgement.next)?;
-        if beyond != 0 {
-            content.push(beyond)?;
-        }
-        Ok(())
     }
 
     /// The header and what follows it.
@@ -237,61 +249,13 @@ pub fn encode(
     frame: &mut FrameBytes,
 ) -> Result<(), TooLong> {
     frame.clear();
-    if payload.len() > MAX_PAYLOAD {
-        return Err(TooLong);
-    }
-    compose(header, payload, session, frame).map_err(|_| TooLong)
-}
-
-/// Content behind a place for the first code, then the codes of COBS where the zeros were: nothing is copied twice.
-fn compose(header: Header, payload: &[u8], session: u32, frame: &mut FrameBytes) -> Result<(), u8> {
-    frame.push(0)?;
-    if header == Header::Alive {
-        frame.push(sign_of_life(session))?;
-    } else {
-        header.write(frame)?;
-        let start = frame.len();
-        frame.resize(start + payload.len(), 0).map_err(|_| 0)?;
-        if let Some(place) = frame.get_mut(start..) {
-            place.copy_from_slice(payload);
-        }
-        let content = frame.get(1..).unwrap_or_default();
-        let check = crc32(content) ^ session_key(header.session(session));
-        for byte in check.to_le_bytes() {
-            frame.push(byte)?;
-        }
-    }
-    stuff(frame)?;
-    frame.push(0)
-}
-
-/// COBS in place: each zero, and the place in front, becomes the distance to the next one; behind 254 bytes without a zero a place is made.
-fn stuff(frame: &mut FrameBytes) -> Result<(), u8> {
-    let (mut code_at, mut code, mut at) = (0, 1_u8, 1);
-    while let Some(&byte) = frame.get(at) {
-        if byte == 0 {
-            set(frame, code_at, code);
-            (code_at, code) = (at, 1);
-        } else {
-            code += 1;
-            if code == u8::MAX {
-                set(frame, code_at, code);
-                at += 1;
-                frame.insert(at, 0)?;
-                (code_at, code) = (at, 1);
-            }
-        }
-        at += 1;
-    }
-    set(frame, code_at, code);
-    Ok(())
-}
-
-#[inline(always)]
-fn set(frame: &mut FrameBytes, at: usize, code: u8) {
-    if let Some(place) = frame.get_mut(at) {
-        *place = code;
-    }
+    let mut outgoing = OutgoingFrame::default();
+    outgoing.begin(header, payload, session, false)?;
+    let mut bytes = [0; MAX_FRAME];
+    let count = outgoing.read(&mut bytes, usize::MAX);
+    frame
+        .extend_from_slice(bytes.get(..count).unwrap_or_default())
+        .map_err(|_| TooLong)
 }
 
 /// A frame whose check is right.
@@ -305,24 +269,40 @@ pub struct Frame<'a> {
 
 /// Finds frames in a stream of bytes.
 ///
-/// Fed byte by byte it needs no look-ahead and never more than [`MAX_FRAME`] bytes of memory; whatever it is fed, it is in step again
-/// after the next zero.
-#[derive(Debug, Default)]
+/// It needs no look-ahead and never more than [`MAX_FRAME`] bytes of memory; whatever it is fed, it is in step again after the next zero.
+#[derive(Debug)]
 pub struct FrameDecoder {
+    /// Content of the frame so far, from [`FIRST`] to here, and the register of its CRC.
+    content: Words<{ FIRST + MAX_CONTENT }>,
+    filled: usize,
+    register: u32,
     /// COBS: bytes that follow before the next code, and whether that stands for a zero.
     left: u8,
     zero: bool,
-    /// Content of the frame so far, and the register of its CRC.
-    content: Vec<u8, MAX_CONTENT>,
-    register: u32,
     /// Everything up to the next zero is to be skipped.
     skip: bool,
-    /// Encoded bytes since the last zero, and the first of them: to know a stray urgent stop from a broken frame.
-    seen: (u32, u8),
     /// Session whose frames are heard.
     session: u32,
     /// Frames that were refused.
     bad: u32,
+}
+
+/// Content begins here, so that what stands behind the usual header of three bytes begins with a word and can be copied by words.
+const FIRST: usize = 1;
+
+impl Default for FrameDecoder {
+    fn default() -> Self {
+        Self {
+            content: Words::default(),
+            filled: FIRST,
+            register: CRC_START,
+            left: 0,
+            zero: false,
+            skip: false,
+            session: 0,
+            bad: 0,
+        }
+    }
 }
 
 impl FrameDecoder {
@@ -341,77 +321,125 @@ impl FrameDecoder {
         self.bad
     }
 
-    /// Takes the next byte of the line; gives the frame that it ends, if its check is right. All bytes cost the same: the check is done when the
-    /// last one comes.
+    /// Takes the next byte of the line; gives the frame that it ends, if its check is right.
     pub fn push(&mut self, byte: u8) -> Option<Frame<'_>> {
-        if byte == 0 {
-            return self.end();
-        }
-        if self.seen.0 == 0 {
-            self.begin(byte);
-        }
-        self.seen.0 = self.seen.0.saturating_add(1);
-        if self.left != 0 {
-            self.left -= 1;
-            self.take(byte);
-        } else {
-            if self.zero {
-                self.take(0);
+        self.take(&mut [byte].as_slice())
+    }
+
+    /// Takes bytes of the line, up to the end of the next frame whose check is right, and gives that. The check is done when its last byte
+    /// comes.
+    pub fn take(&mut self, line: &mut &[u8]) -> Option<Frame<'_>> {
+        while self.fill(line) {
+            if let Some((header, start, end)) = self.end() {
+                let payload = self.content.0.get(start..end)?;
+                return Some(Frame { header, payload });
             }
-            self.left = byte - 1;
-            self.zero = byte != u8::MAX;
         }
         None
     }
 
-    /// The first byte of a frame.
-    fn begin(&mut self, byte: u8) {
-        self.seen.1 = byte;
-        self.content.clear();
+    /// Takes bytes up to the next zero; whether there was one. Twelve instructions a byte and forty a run.
+    #[inline(never)]
+    fn fill(&mut self, line: &mut &[u8]) -> bool {
+        while let Some((&first, rest)) = line.split_first() {
+            if first == 0 {
+                *line = rest;
+                return true;
+            }
+            if self.left != 0 {
+                // A run without a zero, as far as it has come.
+                let run = line.get(..usize::from(self.left)).unwrap_or(line);
+                let count = self.copy(run);
+                *line = line.get(count..).unwrap_or_default();
+                // No longer than what was left.
+                self.left = self.left.wrapping_sub(count as u8);
+                continue;
+            }
+            // A code, which stands for a zero as well, if the one before announced that.
+            *line = rest;
+            self.left = first - 1;
+            if core::mem::replace(&mut self.zero, first != u8::MAX) {
+                let filled = self.place();
+                if let Some(place) = self.content.0.get_mut(filled) {
+                    *place = 0;
+                }
+                self.register = crc_step(self.register, 0);
+                self.filled = filled + 1;
+            }
+        }
+        false
+    }
+
+    /// Where the next byte of content goes.
+    #[inline(always)]
+    fn place(&mut self) -> usize {
+        if self.filled < FIRST + MAX_CONTENT {
+            return self.filled;
+        }
+        // Nothing of it will be read: what comes now is written over what came.
+        self.skip = true;
+        FIRST + 1
+    }
+
+    /// Takes content up to a zero or as far as there is room; says how many bytes that are.
+    #[inline(always)]
+    fn copy(&mut self, run: &[u8]) -> usize {
+        let filled = self.place();
+        let room = self.content.0.get_mut(filled..).unwrap_or_default();
+        let (mut register, mut count) = (self.register, 0_usize);
+        for (&byte, place) in run.iter().zip(room) {
+            if byte == 0 {
+                break;
+            }
+            register = crc_step(register, byte);
+            *place = byte;
+            count = count.wrapping_add(1);
+        }
+        self.register = register;
+        self.filled = filled + count;
+        count
+    }
+
+    /// The end of a frame: its header, and where its payload lies, if its check is right.
+    fn end(&mut self) -> Option<(Header, usize, usize)> {
+        let (end, register) = (self.filled, self.register);
+        let (left, zero) = (self.left, self.zero);
+        let whole = !self.skip && left == 0;
+        self.filled = FIRST;
         self.register = CRC_START;
         self.left = 0;
         self.zero = false;
         self.skip = false;
-    }
-
-    /// One byte of content.
-    #[inline(always)]
-    fn take(&mut self, byte: u8) {
-        self.register = crc_step(self.register, byte);
-        self.skip |= self.content.push(byte).is_err();
-    }
-
-    /// The end of a frame.
-    fn end(&mut self) -> Option<Frame<'_>> {
-        let seen = core::mem::take(&mut self.seen);
-        if seen.0 == 0 || seen == (1, urgent::STOP_CODE) {
+        if end == FIRST && (left == urgent::STOP_CODE - 1 || (left == 0 && !zero)) {
+            // A stray urgent stop, or nothing at all.
             return None;
         }
-        let whole = !self.skip && self.left == 0;
-        let frame = if whole {
-            check(&self.content, self.register, self.session)
+        let content = self.content.0.get(FIRST..end).unwrap_or_default();
+        let found = if whole {
+            check(content, register, self.session)
         } else {
             None
         };
-        if frame.is_none() {
+        if found.is_none() {
             self.bad = self.bad.saturating_add(1);
         }
-        frame
+        found.map(|(header, start, end)| (header, FIRST + start, FIRST + end))
     }
 }
 
-/// The frame of a content, if its check is right.
-fn check(content: &[u8], register: u32, session: u32) -> Option<Frame<'_>> {
+/// The header of a content, and where its payload lies, if the check is right.
+fn check(content: &[u8], register: u32, session: u32) -> Option<(Header, usize, usize)> {
     if let [sign] = *content {
-        return (session != 0 && sign == sign_of_life(session)).then_some(Frame {
-            header: Header::Alive,
-            payload: &[],
-        });
+        return (session != 0 && sign == sign_of_life(session)).then_some((Header::Alive, 1, 1));
     }
     let (body, _) = content.split_last_chunk::<CRC_BYTES>()?;
     let (header, payload) = Header::read(body)?;
     let right = register == crc_of_good(header.session(session));
-    (right && payload.len() <= MAX_PAYLOAD).then_some(Frame { header, payload })
+    (right && payload.len() <= MAX_PAYLOAD).then_some((
+        header,
+        body.len() - payload.len(),
+        body.len(),
+    ))
 }
 
 #[cfg(test)]

@@ -24,3 +24,4 @@ pub mod schema;
 pub mod setpoint;
 pub mod text;
 pub mod urgent;
+mod wire;

@@ -55,17 +55,18 @@
 mod ends;
 mod inbox;
 mod outbox;
+mod payload;
 #[cfg(test)]
 mod tests;
 
 pub use ends::{Controller, End, Greeted, Host, Identity};
 
-use crate::frame::{self, FrameBytes, FrameDecoder, Header, MAX_PAYLOAD};
+use crate::frame::{FrameDecoder, Header, MAX_PAYLOAD, OutgoingFrame};
 use crate::message::HelloRefusal;
-use heapless::Vec;
+use crate::wire;
 use inbox::Inbox;
 use outbox::Outbox;
-use serde::Serialize;
+use payload::Payload;
 
 /// The most reliable frames under way in one direction.
 pub const WINDOW: usize = 8;
@@ -187,32 +188,6 @@ pub struct Counters {
     pub unreadable: u32,
 }
 
-/// An encoded message.
-type Payload = Vec<u8, MAX_PAYLOAD>;
-
-/// Encodes a message into a buffer that is cleared first.
-fn encode(message: &impl Serialize, payload: &mut Payload) -> Result<(), SendError> {
-    payload.clear();
-    postcard::serialize_with_flavor(message, Writer(payload)).map_err(|_| SendError::TooLong)
-}
-
-/// Where postcard writes: nothing is cleared before, and nothing copied after.
-struct Writer<'a>(&'a mut Payload);
-
-impl postcard::ser_flavors::Flavor for Writer<'_> {
-    type Output = ();
-
-    fn try_push(&mut self, byte: u8) -> postcard::Result<()> {
-        self.0
-            .push(byte)
-            .map_err(|_| postcard::Error::SerializeBufferFull)
-    }
-
-    fn finalize(self) -> postcard::Result<()> {
-        Ok(())
-    }
-}
-
 /// One end of a link. `SEND` and `RECEIVE` are the bytes kept of messages under way in either direction.
 #[derive(Debug)]
 pub struct Link<E: End, const SEND: usize, const RECEIVE: usize> {
@@ -235,9 +210,11 @@ pub struct Link<E: End, const SEND: usize, const RECEIVE: usize> {
     latest_waits: bool,
     latest_held: bool,
     latest_sequence: u8,
-    /// The frame that is going out, and how much of it has gone.
-    wire: FrameBytes,
-    gone: usize,
+    /// The frame that is going out; whether it carries a reliable message.
+    wire: OutgoingFrame,
+    reliable: bool,
+    /// There is nothing to say before this time, unless something happens in the meantime.
+    quiet_until_us: u64,
     /// Since when an acknowledgement waits; how many frames it covers.
     acknowledge_since: Option<u64>,
     acknowledge_count: u8,
@@ -262,12 +239,13 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
             decoder: FrameDecoder::new(),
             inbox: Inbox::default(),
             outbox: Outbox::default(),
-            latest: Payload::new(),
+            latest: Payload::default(),
             latest_waits: false,
             latest_held: false,
             latest_sequence: 0,
-            wire: FrameBytes::new(),
-            gone: 0,
+            wire: OutgoingFrame::default(),
+            reliable: false,
+            quiet_until_us: 0,
             acknowledge_since: None,
             acknowledge_count: 0,
             repeats: 0,
@@ -319,8 +297,9 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
         self.outbox.round_trip_us()
     }
 
-    /// Takes bytes from the line. The work is bounded by their number; messages wait for [`Link::poll_message`].
-    pub fn receive(&mut self, now_us: u64, bytes: &[u8]) {
+    /// Takes bytes from the line; whether a message was among them, which was put to the others. The work is bounded by their number; messages wait for
+    /// [`Link::poll_message`].
+    pub fn receive(&mut self, now_us: u64, bytes: &[u8]) -> bool {
         let Self {
             decoder,
             inbox,
@@ -331,10 +310,11 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
         } = self;
         let mut greeted = false;
         let mut heard = false;
-        for &byte in bytes {
-            let Some(frame) = decoder.push(byte) else {
-                continue;
-            };
+        let mut came = false;
+        let mut line = bytes;
+        while let Some(frame) = decoder.take(&mut line) {
+            // Any of them may give something to say.
+            self.quiet_until_us = 0;
             counters.frames_heard = counters.frames_heard.saturating_add(1);
             match frame.header {
                 Header::Hello | Header::Welcome => {
@@ -346,6 +326,7 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
                     sequence,
                     acknowledgement,
                 } => {
+                    came = true;
                     outbox.acknowledge(now_us, acknowledgement);
                     let urgent = inbox.reliable(sequence, frame.payload);
                     self.acknowledge_since.get_or_insert(now_us);
@@ -357,6 +338,7 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
                     sequence,
                     acknowledgement,
                 } => {
+                    came = true;
                     outbox.acknowledge(now_us, acknowledgement);
                     inbox.latest(sequence, frame.payload);
                 }
@@ -373,6 +355,7 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
         if greeted && let Some(session) = self.end.accepted() {
             self.begin(now_us, session);
         }
+        came
     }
 
     /// The next message, if there is one. A reliable one comes once and in order.
@@ -386,6 +369,12 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
             }
         }
         None
+    }
+
+    /// Whether nothing at all arrived that is yet to be heard; a message may still have to wait for the one before it.
+    #[inline]
+    pub fn has_heard_all(&self) -> bool {
+        self.inbox.is_empty()
     }
 
     /// The bytes of the next message, for whoever takes it apart bit by bit; it stays until [`Link::drop_first`].
@@ -417,9 +406,11 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
         if !self.open {
             return Err(SendError::NotOpen);
         }
-        let mut payload = Payload::new();
-        encode(message, &mut payload)?;
-        if self.outbox.push(&payload) {
+        let length = wire::write(message, self.outbox.free()).unwrap_or(usize::MAX);
+        if length > MAX_PAYLOAD {
+            Err(SendError::TooLong)
+        } else if self.outbox.push(length) {
+            self.quiet_until_us = 0;
             Ok(())
         } else {
             Err(SendError::Full)
@@ -451,8 +442,9 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
         if !self.open {
             return Err(SendError::NotOpen);
         }
-        let encoded = encode(message, &mut self.latest);
+        let encoded = self.latest.encode(message);
         self.latest_waits = encoded.is_ok();
+        self.quiet_until_us = 0;
         encoded
     }
 
@@ -466,26 +458,43 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
         self.latest_held = held;
     }
 
-    /// Whether [`Link::transmit`] has something to say now, leaving the line's rate aside.
-    pub fn is_ready(&mut self, now_us: u64) -> bool {
-        self.gone < self.wire.len() || self.compose(now_us)
+    /// Whether there is nothing to say now: then [`Link::transmit`] need not be called.
+    #[inline]
+    pub fn is_quiet(&self, now_us: u64) -> bool {
+        self.wire.is_gone() && now_us < self.quiet_until_us
     }
 
     /// Fills a buffer with the next bytes for the line and says how many they are.
     pub fn transmit(&mut self, now_us: u64, buffer: &mut [u8]) -> usize {
+        self.transmit_some(now_us, buffer, usize::MAX, usize::MAX)
+    }
+
+    /// The same for an end that has little time: begins at most so many frames, and looks at so many bytes of each; what is not ready then comes with the next call.
+    pub fn transmit_some(
+        &mut self,
+        now_us: u64,
+        buffer: &mut [u8],
+        frames: usize,
+        bytes: usize,
+    ) -> usize {
         let allowed = self.allowed(now_us).min(buffer.len());
-        let mut count = 0;
+        let (mut count, mut frames) = (0, frames);
         while count < allowed {
-            if self.gone == self.wire.len() && !self.compose(now_us) {
+            if self.wire.is_gone() {
+                if frames == 0 || !self.compose(now_us) {
+                    break;
+                }
+                frames -= 1;
+            }
+            let free = buffer.get_mut(count..allowed).unwrap_or_default();
+            let part = self.wire.read(free, bytes);
+            if part == 0 {
                 break;
             }
-            let ready = self.wire.get(self.gone..).unwrap_or_default();
-            let free = buffer.get_mut(count..allowed).unwrap_or_default();
-            let part = ready.len().min(free.len());
-            if let (Some(to), Some(from)) = (free.get_mut(..part), ready.get(..part)) {
-                to.copy_from_slice(from);
+            if self.reliable {
+                self.counters.message_bytes =
+                    self.counters.message_bytes.saturating_add(part as u32);
             }
-            self.gone += part;
             count += part;
         }
         self.counters.bytes_sent = self.counters.bytes_sent.saturating_add(count as u32);
@@ -507,6 +516,7 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
         self.repeats = 0;
         self.heard_us = now_us;
         self.spoke_us = now_us;
+        self.quiet_until_us = 0;
         // A frame that has begun to go out goes out whole; the peer will not hear it.
     }
 
@@ -514,16 +524,15 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
     pub fn close(&mut self) {
         self.open = false;
         self.session = 0;
+        self.quiet_until_us = 0;
         self.decoder.set_session(0);
         self.end = E::default();
     }
 
-    /// Encodes the next frame into `wire`; false when there is nothing to say. What is said first: greetings, then frames to be
+    /// Puts down the next frame in `wire`; false when there is nothing to say. What is said first: greetings, then frames to be
     /// sent again and new ones, then the latest value, then an acknowledgement that found nothing to ride on, then
     /// a sign of life.
     fn compose(&mut self, now_us: u64) -> bool {
-        self.gone = 0;
-        self.wire.clear();
         let Self {
             timing,
             end,
@@ -531,35 +540,38 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
             outbox,
             wire,
             session,
-            counters,
             ..
         } = self;
+        self.reliable = false;
         let composed = if let Some(header) = end.greeting(now_us, timing.hello_us, &mut self.latest)
         {
             // It has taken the place of a latest value, which nobody was listening to.
             self.latest_waits = false;
             // A zero in front: what the line had before is unknown.
-            frame::encode(header, &self.latest, 0, wire).is_ok() && wire.insert(0, 0).is_ok()
+            wire.begin(header, self.latest.bytes(), 0, true)
         } else if !self.open {
             return false;
         } else {
             let acknowledgement = inbox.acknowledgement();
-            let due = self.acknowledge_since.is_some_and(|since| {
-                usize::from(self.acknowledge_count) >= WINDOW / 2
-                    || now_us.saturating_sub(since) >= u64::from(timing.acknowledge_us)
+            let due_us = self.acknowledge_since.map_or(u64::MAX, |since| {
+                if usize::from(self.acknowledge_count) >= WINDOW / 2 {
+                    0
+                } else {
+                    since.saturating_add(u64::from(timing.acknowledge_us))
+                }
             });
-            let silent_us = now_us.saturating_sub(self.spoke_us);
             // An acknowledgement may have been lost, and would be missed until the peer sends its frames again.
-            let again = self.repeats > 0 && silent_us >= u64::from(timing.keep_alive_us / 2);
-            let silent = silent_us >= u64::from(timing.keep_alive_us);
+            let half = if self.repeats > 0 { 2 } else { 1 };
+            let silence_us = u64::from(timing.keep_alive_us / half);
+            let silent_us = self.spoke_us.saturating_add(silence_us);
+            let again = now_us >= silent_us;
             let framed = if let Some((sequence, payload)) = outbox.next(now_us, timing.resend_us) {
                 let header = Header::Reliable {
                     sequence,
                     acknowledgement,
                 };
-                let framed = frame::encode(header, payload, *session, wire);
-                counters.message_bytes = counters.message_bytes.saturating_add(wire.len() as u32);
-                framed
+                self.reliable = true;
+                wire.begin(header, payload, *session, false)
             } else if self.latest_waits && !self.latest_held {
                 self.latest_waits = false;
                 self.latest_sequence = self.latest_sequence.wrapping_add(1);
@@ -567,26 +579,28 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
                     sequence: self.latest_sequence,
                     acknowledgement,
                 };
-                frame::encode(header, &self.latest, *session, wire)
-            } else if due || again {
-                self.repeats -= u8::from(again);
-                frame::encode(Header::Acknowledge(acknowledgement), &[], *session, wire)
-            } else if silent {
+                wire.begin(header, self.latest.bytes(), *session, false)
+            } else if now_us >= due_us || (again && self.repeats > 0) {
+                self.repeats -= u8::from(again && self.repeats > 0);
+                wire.begin(Header::Acknowledge(acknowledgement), &[], *session, false)
+            } else if again {
                 // A zero in front, as with a greeting: one that follows the rest of a broken frame would be lost with it.
-                frame::encode(Header::Alive, &[], *session, wire).map(|()| {
-                    let _ = wire.insert(0, 0);
-                })
+                wire.begin(Header::Alive, &[], *session, true)
             } else {
+                if !self.latest_waits {
+                    self.quiet_until_us =
+                        due_us.min(silent_us).min(outbox.due_us(timing.resend_us));
+                }
                 return false;
             };
             // Each of them carries the acknowledgement; a sign of life comes only after all its repetitions.
             self.acknowledge_since = None;
             self.acknowledge_count = 0;
-            framed.is_ok()
+            framed
         };
         self.spoke_us = now_us;
         self.counters.frames_sent = self.counters.frames_sent.saturating_add(1);
-        composed
+        composed.is_ok()
     }
 
     /// Bytes that the line can take now: what it carries in the time that it may be filled ahead, less what it still has.

@@ -21,7 +21,7 @@
 //! are taken modulo 2^32, so that decoding gives back every bit for every possible setpoint, also where a rotary axis wraps around.
 //!
 //! Misuse: the two coders must see the same setpoints in the same order, from the same start. A refused setpoint leaves the coder as it
-//! was; a batch that may be refused half way is decoded with a clone.
+//! was, and what [`BatchReader`] gives is not known to it before [`SetpointCoder::take`].
 
 use crate::message::{Action, AxisValues, MAX_AXES, RATE_SHIFT, SETPOINT_BATCH, SetpointDelta};
 
@@ -97,15 +97,55 @@ impl BatchReader {
         })
     }
 
-    /// The next setpoint of the same payload; `None` when it cannot be read, or when there is none.
-    pub fn next(&mut self, payload: &[u8]) -> Option<SetpointDelta> {
+    /// Reads the next setpoint of the same payload; false when it cannot be read or does not fit the coder, or when there is none. The coder does not know
+    /// of it before [`SetpointCoder::take`].
+    pub fn next(&mut self, payload: &[u8], coder: &SetpointCoder, setpoint: &mut Setpoint) -> bool {
+        self.read(payload, coder, setpoint).is_some()
+    }
+
+    fn read(
+        &mut self,
+        payload: &[u8],
+        coder: &SetpointCoder,
+        setpoint: &mut Setpoint,
+    ) -> Option<()> {
         let left = self.left.checked_sub(1)?;
-        let bytes = payload.get(usize::from(self.at)..)?;
-        let (delta, rest) = postcard::take_from_bytes(bytes).ok()?;
+        // A delta as postcard writes it, read where it stands: as a value of its own it takes three times as long.
+        let mut bytes = payload.get(usize::from(self.at)..)?;
+        let periods = u16::try_from(number(&mut bytes)?).ok()?;
+        let (&moved, rest) = bytes.split_first()?;
+        bytes = rest;
+        if number(&mut bytes)? != 2 * moved.count_ones() {
+            return None;
+        }
+        let residual =
+            || number(&mut bytes).map(|coded| (coded >> 1) as i32 ^ -((coded & 1) as i32));
+        coder.predict(periods, moved, residual, setpoint).ok()?;
+        let (action, rest) = postcard::take_from_bytes(bytes).ok()?;
+        setpoint.action = action;
         self.at = (payload.len() - rest.len()) as u16;
         self.left = left;
         self.number = self.number.wrapping_add(1);
-        Some(delta)
+        Some(())
+    }
+}
+
+/// A number of at most 32 bits, seven a byte, the lowest first.
+#[inline(never)]
+fn number(bytes: &mut &[u8]) -> Option<u32> {
+    let (mut number, mut shift) = (0, 0);
+    loop {
+        let (&byte, rest) = bytes.split_first()?;
+        *bytes = rest;
+        number |= u32::from(byte & 0x7F) << shift;
+        if byte & 0x80 == 0 {
+            // Of the fifth byte four bits are left.
+            return (shift < 28 || byte < 16).then_some(number);
+        }
+        if shift == 28 {
+            return None;
+        }
+        shift += 7;
     }
 }
 
@@ -146,11 +186,11 @@ impl Span {
     /// The span of a number of microseconds.
     fn new(micros: u64) -> Self {
         // 2^24 / 10^6 = 2^18 / 15625; the clamp to 5 s keeps the product small.
-        let micros = micros.min(5_000_000) as i64;
-        let time = ((micros << 18) / 15_625).clamp(SHORTEST, LONGEST);
+        let micros = micros.min(5_000_000) as u32;
+        let time = quotient(micros, 15_625, 18).clamp(SHORTEST as u32, LONGEST as u32);
         Self {
-            time,
-            reciprocal: (1 << 40) / time,
+            time: i64::from(time),
+            reciprocal: i64::from(quotient(1 << 31, time, 9)),
         }
     }
 
@@ -159,6 +199,21 @@ impl Span {
         // way / time is in axis units per 2^-24 s; a fine rate unit is 2^(RATE_SHIFT - FINE) axis units per second.
         way.wrapping_mul(self.reciprocal) >> (40 - TIME_SHIFT + RATE_SHIFT - FINE)
     }
+}
+
+/// number * 2^bits / by, rounded down, by divisions of one word; `by` is at most 2^26 and the result below 2^32.
+fn quotient(number: u32, by: u32, bits: u32) -> u32 {
+    let (mut quotient, mut rest) = (number / by, number % by);
+    let mut left = bits;
+    while left > 0 {
+        // What rests is below 2^26.
+        let shift = left.min(6);
+        rest <<= shift;
+        quotient = (quotient << shift).wrapping_add(rest / by);
+        rest %= by;
+        left -= shift;
+    }
+    quotient
 }
 
 /// Codes setpoints into deltas, and deltas into setpoints.
@@ -249,38 +304,72 @@ impl SetpointCoder {
     ///
     /// [`SetpointError`] when the delta takes no time or speaks of axes that do not exist; the coder is then unchanged.
     pub fn decode(&mut self, delta: &SetpointDelta) -> Result<Setpoint, SetpointError> {
-        let known = u32::from(delta.moved) >> self.axes == 0;
-        if !known || delta.residuals.len() != 2 * delta.moved.count_ones() as usize {
+        if delta.residuals.len() != 2 * delta.moved.count_ones() as usize {
             return Err(SetpointError::AxisCount);
         }
-        let (span, ratio) = self.span(delta.periods)?;
-        let mut setpoint = Setpoint {
-            periods: delta.periods,
-            action: delta.action,
-            ..Setpoint::default()
-        };
+        let mut setpoint = Setpoint::default();
         let mut residuals = delta.residuals.iter().copied();
-        for (index, axis) in self.state.iter_mut().take(self.axes).enumerate() {
-            let (predicted, gain) = axis.predict(span, ratio);
-            let (pose_residual, rate_residual) = if delta.moved & (1 << index) == 0 {
-                (0, 0)
-            } else {
-                // The count was checked above.
-                (
-                    residuals.next().unwrap_or_default(),
-                    residuals.next().unwrap_or_default(),
-                )
-            };
-            let pose = predicted.wrapping_add(pose_residual);
-            let rate = axis
+        self.predict(
+            delta.periods,
+            delta.moved,
+            || residuals.next(),
+            &mut setpoint,
+        )?;
+        setpoint.action = delta.action;
+        self.take(&setpoint);
+        Ok(setpoint)
+    }
+
+    /// Writes down the setpoint that is so far beyond its prediction, but for its action.
+    fn predict(
+        &self,
+        periods: u16,
+        moved: u8,
+        mut residual: impl FnMut() -> Option<i32>,
+        setpoint: &mut Setpoint,
+    ) -> Result<(), SetpointError> {
+        if u32::from(moved) >> self.axes != 0 {
+            return Err(SetpointError::AxisCount);
+        }
+        let (span, ratio) = self.span(periods)?;
+        setpoint.periods = periods;
+        setpoint.pose.clear();
+        setpoint.rates.clear();
+        let mut moved = moved;
+        for axis in self.state.iter().take(self.axes) {
+            let (mut pose, gain) = axis.predict(span, ratio);
+            let mut rate = 0;
+            let mut pose_residual = 0;
+            if moved & 1 != 0 {
+                pose_residual = residual().ok_or(SetpointError::AxisCount)?;
+                rate = residual().ok_or(SetpointError::AxisCount)?;
+                pose = pose.wrapping_add(pose_residual);
+            }
+            moved >>= 1;
+            rate = axis
                 .predict_rate(span, gain, pose_residual)
-                .wrapping_add(rate_residual);
-            axis.advance(span, pose, rate);
+                .wrapping_add(rate);
             let _ = setpoint.pose.push(pose);
             let _ = setpoint.rates.push(rate);
         }
-        self.last = (delta.periods, span);
-        Ok(setpoint)
+        Ok(())
+    }
+
+    /// The setpoint that was read last is in force: the next one is told relative to it.
+    pub fn take(&mut self, setpoint: &Setpoint) {
+        let (last_periods, mut span) = self.last;
+        if setpoint.periods != last_periods {
+            span = self.span_of(setpoint.periods);
+        }
+        self.last = (setpoint.periods, span);
+        let values = setpoint.pose.iter().zip(&setpoint.rates);
+        for (axis, (&pose, &rate)) in self.state.iter_mut().zip(values) {
+            axis.advance(span, pose, rate);
+        }
+    }
+
+    fn span_of(&self, periods: u16) -> Span {
+        Span::new(u64::from(periods) * u64::from(self.period_us))
     }
 
     /// The span of the next setpoint, and how much longer it is than the last one, in 2^-16.
@@ -292,8 +381,14 @@ impl SetpointCoder {
         if periods == last_periods {
             return Ok((last, 1 << 16));
         }
-        let span = Span::new(u64::from(periods) * u64::from(self.period_us));
-        let ratio = ((span.time << 16) / last.time).min(RATIO_BOUND);
+        let span = self.span_of(periods);
+        // No time is longer than 2^26.
+        let (time, last) = (span.time as u32, last.time as u32);
+        let ratio = if time / last < (RATIO_BOUND >> 16) as u32 {
+            i64::from(quotient(time, last, 16))
+        } else {
+            RATIO_BOUND
+        };
         Ok((span, ratio))
     }
 }

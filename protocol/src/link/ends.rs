@@ -1,6 +1,6 @@
 //! What differs between the two ends: who greets, who answers, and what each says.
 
-use super::{Link, LinkState, Payload, encode};
+use super::{Link, LinkState, Payload};
 use crate::frame::Header;
 use crate::message::{Hello, HelloRefusal, PROTOCOL_VERSION, Report, Request, Welcome};
 use crate::schema::schema_hash;
@@ -105,7 +105,7 @@ impl greet::Greet for Host {
             schema: schema_hash(),
             session,
         };
-        encode(&hello, payload).ok()?;
+        payload.encode(&hello).ok()?;
         Some(Header::Hello)
     }
 
@@ -179,7 +179,7 @@ impl greet::Greet for Controller {
 
     fn greeting(&mut self, _: u64, _: u32, payload: &mut Payload) -> Option<Header> {
         let welcome = self.welcome.take()?;
-        encode(&welcome, payload).ok()?;
+        payload.encode(&welcome).ok()?;
         Some(Header::Welcome)
     }
 
@@ -257,6 +257,7 @@ impl<const SEND: usize, const RECEIVE: usize> Link<Controller, SEND, RECEIVE> {
                 Greeted::Begun
             }
         };
+        self.quiet_until_us = 0;
         self.end.welcome = Some(Welcome {
             version: PROTOCOL_VERSION,
             schema: schema_hash(),

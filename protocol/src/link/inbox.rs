@@ -1,6 +1,6 @@
 //! What arrived and waits: reliable messages put into order, latest values as they come.
 
-use crate::frame::{Acknowledgement, MAX_PAYLOAD};
+use crate::frame::{Acknowledgement, MAX_PAYLOAD, Words};
 
 /// Bytes in front of each stored payload: its kind, its number, its length.
 const PREFIX: usize = 4;
@@ -9,11 +9,6 @@ const PREFIX: usize = 4;
 const RELIABLE: u8 = 1;
 /// A stored latest value.
 const LATEST: u8 = 2;
-
-/// Bytes that lie as words do, so that they are moved as words.
-#[derive(Debug)]
-#[repr(align(4))]
-struct Words<const BYTES: usize>([u8; BYTES]);
 
 /// Bytes that a stored payload takes: whole words.
 const fn stride(payload: usize) -> usize {
@@ -133,6 +128,12 @@ impl<const BYTES: usize> Inbox<BYTES> {
             self.no_room = self.no_room.saturating_add(1);
         }
         self.store(LATEST, sequence, payload, reserve);
+    }
+
+    /// Whether nothing at all is stored.
+    #[inline]
+    pub(super) fn is_empty(&self) -> bool {
+        self.head == self.used
     }
 
     /// The next message in order; it stays.

@@ -2,7 +2,7 @@
 
 use super::WINDOW;
 use crate::frame::Acknowledgement;
-use heapless::{Deque, Vec};
+use heapless::Deque;
 
 /// A message under way.
 #[derive(Debug, Clone, Copy)]
@@ -20,9 +20,10 @@ struct Outgoing {
 }
 
 /// Reliable messages under way, oldest first, their payloads one after the other.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Outbox<const BYTES: usize> {
-    payloads: Vec<u8, BYTES>,
+    payloads: [u8; BYTES],
+    used: usize,
     queue: Deque<Outgoing, WINDOW>,
     /// Sequence number of the oldest.
     oldest: u8,
@@ -41,6 +42,22 @@ pub(super) struct Outbox<const BYTES: usize> {
 /// A round trip is at most taken for this long: 16 s.
 const LONGEST_US: u64 = 1 << 24;
 
+impl<const BYTES: usize> Default for Outbox<BYTES> {
+    fn default() -> Self {
+        Self {
+            payloads: [0; BYTES],
+            used: 0,
+            queue: Deque::new(),
+            oldest: 0,
+            order: 0,
+            round_trip: None,
+            back_off: 0,
+            progress_us: None,
+            resent: 0,
+        }
+    }
+}
+
 impl<const BYTES: usize> Outbox<BYTES> {
     /// Forgets everything but the count.
     pub(super) fn clear(&mut self) {
@@ -57,7 +74,7 @@ impl<const BYTES: usize> Outbox<BYTES> {
 
     /// Messages of a size that fit now.
     pub(super) fn room(&self, bytes: usize) -> usize {
-        let fit = (BYTES - self.payloads.len()) / bytes.max(1);
+        let fit = (BYTES - self.used) / bytes.max(1);
         fit.min(WINDOW - self.queue.len())
     }
 
@@ -74,16 +91,20 @@ impl<const BYTES: usize> Outbox<BYTES> {
         self.round_trip.map_or(0, |(smooth, _)| smooth / 8)
     }
 
-    /// Takes a message; false when there is no room.
-    pub(super) fn push(&mut self, payload: &[u8]) -> bool {
-        let Ok(length) = u16::try_from(payload.len()) else {
-            return false;
-        };
-        if self.queue.is_full() || self.payloads.extend_from_slice(payload).is_err() {
+    /// Where the next message is written before it is taken with [`Outbox::push`].
+    pub(super) fn free(&mut self) -> &mut [u8] {
+        self.payloads.get_mut(self.used..).unwrap_or_default()
+    }
+
+    /// Takes the message of so many bytes that was written to [`Outbox::free`]; false when there was no room.
+    pub(super) fn push(&mut self, length: usize) -> bool {
+        if self.queue.is_full() || length > BYTES - self.used {
             return false;
         }
+        self.used += length;
         let outgoing = Outgoing {
-            length,
+            // Below the room of any outbox.
+            length: length as u16,
             sent: None,
             again: false,
             arrived: false,
@@ -130,6 +151,15 @@ impl<const BYTES: usize> Outbox<BYTES> {
         None
     }
 
+    /// When the next frame is to be sent again, where [`Outbox::next`] has none now and nothing is heard until then.
+    pub(super) fn due_us(&self, bounds: (u32, u32)) -> u64 {
+        let waits = self.queue.iter().filter(|outgoing| !outgoing.arrived);
+        waits.fold(u64::MAX, |soonest, outgoing| {
+            let sent_us = outgoing.sent.map_or(0, |(at, _)| at);
+            soonest.min(sent_us.saturating_add(self.patience_us(bounds)))
+        })
+    }
+
     /// The peer says what arrived.
     pub(super) fn acknowledge(&mut self, now_us: u64, acknowledgement: Acknowledgement) {
         let confirmed = usize::from(acknowledgement.next.wrapping_sub(self.oldest));
@@ -165,8 +195,11 @@ impl<const BYTES: usize> Outbox<BYTES> {
             }
         }
         self.oldest = acknowledgement.next;
-        self.payloads.copy_within(bytes.., 0);
-        self.payloads.truncate(self.payloads.len() - bytes);
+        let bytes = bytes.min(self.used);
+        if bytes != 0 {
+            self.payloads.copy_within(bytes..self.used, 0);
+            self.used -= bytes;
+        }
         for (bit, outgoing) in self.queue.iter_mut().skip(1).take(8).enumerate() {
             if acknowledgement.beyond & (1 << bit) != 0
                 && outgoing.sent.is_some()

@@ -1,7 +1,7 @@
 //! Sessions, life, and memory. What a bad line does to messages is in `tests/link.rs`.
 
 use super::*;
-use crate::frame::{FrameDecoder, Header};
+use crate::frame::{self, FrameBytes, FrameDecoder, Header};
 use crate::message::{
     Command, Hello, PROTOCOL_VERSION, Report, Request, State, Telemetry, Welcome,
 };

@@ -252,15 +252,50 @@ proptest! {
         prop_assert!(BatchReader::fits(payload));
         let mut reader = BatchReader::open(payload).unwrap();
         prop_assert_eq!((reader.id, usize::from(reader.left)), (id, items.len()));
+        let start = SetpointCoder::new(200, &[1, 20, 300, 4_000, 50_000, 600_000].into_iter().collect());
+        let (mut coder, mut whole) = (start.clone(), start.clone());
+        let mut setpoint = Setpoint::default();
         for (index, item) in items.iter().enumerate() {
             prop_assert_eq!(reader.number, first.wrapping_add(index as u32));
-            prop_assert_eq!(&reader.next(payload), &Some(item.clone()));
+            let before = coder.clone();
+            prop_assert!(reader.next(payload, &coder, &mut setpoint));
+            prop_assert_eq!(&coder, &before);
+            prop_assert_eq!(&setpoint, &whole.decode(item).unwrap());
+            coder.take(&setpoint);
+            prop_assert_eq!(&coder, &whole);
         }
-        prop_assert_eq!(reader.next(payload), None);
+        prop_assert!(!reader.next(payload, &coder, &mut setpoint));
         let part = &payload[..cut.index(payload.len())];
         if let Some(mut reader) = BatchReader::open(part) {
-            let read = core::iter::from_fn(|| reader.next(part)).count();
+            let read = core::iter::repeat_with(|| reader.next(part, &start, &mut setpoint)).take_while(|&read| read).count();
             prop_assert!(read < items.len());
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { rng_seed: proptest::test_runner::RngSeed::Fixed(5), failure_persistence: None, ..ProptestConfig::default() })]
+
+    /// Whatever bytes there are: a number is what postcard takes it for.
+    #[test]
+    fn numbers_are_those_of_postcard(bytes in prop::collection::vec(prop_oneof![any::<u8>(), 0x80u8..], 0..8)) {
+        let mut rest = bytes.as_slice();
+        let read = number(&mut rest);
+        match postcard::take_from_bytes::<u32>(&bytes) {
+            Ok((value, left)) => prop_assert_eq!((read, rest), (Some(value), left)),
+            Err(_) => prop_assert_eq!(read, None),
+        }
+    }
+
+    /// Divisions of one word give what one of two words gives.
+    #[test]
+    fn quotients_are_exact(micros in 0..=5_000_000_u64, last in 0..=5_000_000_u64) {
+        let (span, last) = (Span::new(micros), Span::new(last));
+        let time = (((micros as i64) << 18) / 15_625).clamp(SHORTEST, LONGEST);
+        prop_assert_eq!(span, Span { time, reciprocal: (1 << 40) / time });
+        if span.time < 16 * last.time {
+            let ratio = quotient(span.time as u32, last.time as u32, 16);
+            prop_assert_eq!(i64::from(ratio), (span.time << 16) / last.time);
         }
     }
 }
