@@ -5,26 +5,24 @@ use crate::controller::Controller;
 use crate::force::conditioning::COMPONENTS;
 use crate::force::{ForceControl, ForceLoop, LoopSettings};
 use crate::io::Inputs;
-use crate::kinematics::{Kinematics, Pose};
 use crate::machinery::Machinery;
 use crate::machinery::hand::HAND;
 use crate::reflection::Haptic;
 use crate::reflection::config::scale_is_sound;
 use crate::reflection::law;
 use crate::reflection::lead::LED;
-use crate::units::{Coordinate, Length, Rate};
+use crate::units::{Length, Rate};
 use haptimill_protocol::frame::crc32;
 use haptimill_protocol::haptic::{Hand, Reflection, Wall};
 use haptimill_protocol::message::{
     AxisValues, Command, ConfigField, ConfigProblem, Event, MAX_AXES, RATE_SHIFT, Refusal, Request,
     Source, State,
 };
-use haptimill_protocol::setpoint::Setpoint;
 
 type Done = Result<(), Refusal>;
 
-/// Coordinates that are tried in the first half of a setpoint's trial, beside the pose.
-const TRIED_FIRST: usize = 2;
+/// Coordinates that are tried in the second period of a setpoint's trial; in the first it is the pose.
+const TRIED_FIRST: usize = 3;
 
 impl Controller {
     /// Carries out a request and answers it.
@@ -258,45 +256,34 @@ impl Controller {
         Ok(())
     }
 
-    /// Whether the machine can go to a setpoint, and some of its coordinates as fast as it says: half of the trial.
-    pub(crate) fn try_setpoint(&mut self, number: u32, setpoint: &Setpoint) -> Done {
-        let machinery = self.machinery_for(number)?;
-        let mut pose = Pose::default();
-        for (slot, value) in pose.0.iter_mut().zip(&setpoint.pose) {
-            *slot = Coordinate(*value);
+    /// A period of a setpoint's trial: first whether the machine can be at its pose, then whether half of its coordinates may go there as fast as it says, then
+    /// whether the others may; with that it is taken into the queue.
+    #[inline(never)]
+    pub(crate) fn heed_setpoint(&mut self, number: u32, tried: u8) {
+        let result = self.try_setpoint(number, tried);
+        match result {
+            Ok(true) => self.server.accept_setpoint(),
+            Ok(false) => self.server.pass_setpoint(tried.saturating_add(1)),
+            Err(refusal) => self.server.refuse_setpoints(refusal),
         }
-        let pose = machinery.motion.destination(&pose);
-        if let Some(axis) = machinery.beyond_soft_limit(&pose) {
-            return Err(Refusal::SoftLimit {
-                setpoint: number,
-                axis,
-            });
-        }
-        machinery
-            .machine
-            .inverse(&pose)
-            .map_err(|error| Refusal::Pose {
-                setpoint: number,
-                error,
-            })?;
-        machinery.motion.program.allows(setpoint, TRIED_FIRST)
     }
 
-    /// The other half: takes a setpoint into the queue, if the machine may go there as fast as it says.
-    pub(crate) fn take_setpoint(&mut self, number: u32, setpoint: &Setpoint) -> Done {
-        let program = &mut self.machinery_for(number)?.motion.program;
-        program.push_tried(setpoint, TRIED_FIRST)
-    }
-
-    /// The machine, if it now takes the setpoint of this number.
-    fn machinery_for(&mut self, number: u32) -> Result<&mut Machinery, Refusal> {
+    /// Says whether the setpoint was taken.
+    fn try_setpoint(&mut self, number: u32, tried: u8) -> Result<bool, Refusal> {
         self.in_state(&[State::Run, State::Hold])?;
         let machinery = self.machinery.as_mut().ok_or(Refusal::NotConfigured)?;
-        let expected = machinery.motion.program.accepted();
+        let setpoint = self.server.setpoint();
+        let program = &mut machinery.motion.program;
+        let expected = program.accepted();
         if number != expected {
             return Err(Refusal::OutOfOrder { expected });
         }
-        Ok(machinery)
+        match tried {
+            0 => machinery.can_reach(number, setpoint)?,
+            1 => program.allows(setpoint, 0..TRIED_FIRST)?,
+            _ => program.push_tried(setpoint, TRIED_FIRST)?,
+        }
+        Ok(tried > 1)
     }
 
     fn end_job(&mut self, count: u32) -> Done {

@@ -82,14 +82,7 @@ impl Controller {
     fn heed(&mut self, inputs: &Inputs, heard: Heard) {
         match heard {
             Heard::Request(request) => self.command(inputs, request),
-            Heard::Setpoint { number, setpoint } => match self.try_setpoint(number, &setpoint) {
-                Ok(()) => self.server.pass_setpoint(setpoint),
-                Err(refusal) => self.server.refuse_setpoints(refusal),
-            },
-            Heard::Tried { number, setpoint } => match self.take_setpoint(number, &setpoint) {
-                Ok(()) => self.server.accept_setpoint(&setpoint),
-                Err(refusal) => self.server.refuse_setpoints(refusal),
-            },
+            Heard::Setpoint { number, tried } => self.heed_setpoint(number, tried),
             Heard::BadSetpoint { number } => {
                 self.server
                     .refuse_setpoints(Refusal::Setpoint { setpoint: number });

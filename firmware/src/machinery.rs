@@ -17,8 +17,9 @@ use crate::safety::integrity::{Constants, Digest};
 use crate::units::Coordinate;
 use hand::Hands;
 use haptimill_protocol::message::{
-    AxisValues, ConfigField, ConfigProblem, Fault, MAX_AXES, Telemetry,
+    AxisValues, ConfigField, ConfigProblem, Fault, MAX_AXES, Refusal, Telemetry,
 };
+use haptimill_protocol::setpoint::Setpoint;
 use heapless::Vec;
 
 /// Parts in which the configuration, and what was worked out from it, is checked against its digest: geometry and bounds, motion, then each axis of
@@ -431,6 +432,29 @@ impl Machinery {
             .zip(&pose.0)
             .position(|(axis, coordinate)| *coordinate < axis.low || *coordinate > axis.high)
             .map(|index| index as u8)
+    }
+
+    /// Whether the machine can be where a setpoint says, within its soft limits.
+    ///
+    /// # Errors
+    /// What is wrong with that pose.
+    pub fn can_reach(&self, number: u32, setpoint: &Setpoint) -> Result<(), Refusal> {
+        let mut pose = Pose::default();
+        for (slot, value) in pose.0.iter_mut().zip(&setpoint.pose) {
+            *slot = Coordinate(*value);
+        }
+        let pose = self.motion.destination(&pose);
+        if let Some(axis) = self.beyond_soft_limit(&pose) {
+            return Err(Refusal::SoftLimit {
+                setpoint: number,
+                axis,
+            });
+        }
+        let reached = self.machine.inverse(&pose);
+        reached.map(|_| ()).map_err(|error| Refusal::Pose {
+            setpoint: number,
+            error,
+        })
     }
 
     /// Compares one part of the configuration with its digest, another one each time.

@@ -28,19 +28,12 @@ const ANSWERS: usize = 8;
 pub enum Heard {
     /// A request.
     Request(Request),
-    /// The next setpoint of a batch, which was read in an earlier period.
+    /// The next setpoint of a batch ([`Server::setpoint`]), which was read in an earlier period.
     Setpoint {
         /// The setpoint's number in the job.
         number: u32,
-        /// The setpoint.
-        setpoint: Setpoint,
-    },
-    /// The same setpoint again, in the period after it was tried.
-    Tried {
-        /// The setpoint's number in the job.
-        number: u32,
-        /// The setpoint.
-        setpoint: Setpoint,
+        /// Periods in which it was tried already.
+        tried: u8,
     },
     /// A setpoint that cannot be read.
     BadSetpoint {
@@ -57,9 +50,9 @@ pub struct Server {
     now_us: u64,
     /// The batch of setpoints that is being worked through; its bytes wait in the link.
     batch: Option<BatchReader>,
-    /// Its next setpoint, and whether that was tried.
+    /// Its next setpoint, and in how many periods that was tried.
     setpoint: Setpoint,
-    tried: Option<bool>,
+    tried: Option<u8>,
     /// Something long was done in this period; it was done by what hears.
     worked: bool,
     heard: bool,
@@ -173,12 +166,7 @@ impl Server {
             return self.read();
         };
         let number = self.batch.map_or(0, |batch| batch.number.wrapping_sub(1));
-        let setpoint = core::mem::take(&mut self.setpoint);
-        Some(if tried {
-            Heard::Tried { number, setpoint }
-        } else {
-            Heard::Setpoint { number, setpoint }
-        })
+        Some(Heard::Setpoint { number, tried })
     }
 
     /// Takes bytes from the line; whether a message was among them.
@@ -220,7 +208,7 @@ impl Server {
             return None;
         }
         if batch.next(payload, &self.coder, &mut self.setpoint) {
-            self.tried = Some(false);
+            self.tried = Some(0);
             None
         } else {
             Some(Heard::BadSetpoint { number })
@@ -237,16 +225,22 @@ impl Server {
         }
     }
 
-    /// The machine can go to the setpoint that was heard in this period: it is heard again, to be taken.
-    pub fn pass_setpoint(&mut self, setpoint: Setpoint) {
-        self.setpoint = setpoint;
-        self.tried = Some(true);
+    /// The setpoint that was heard in this period.
+    #[must_use]
+    #[inline]
+    pub const fn setpoint(&self) -> &Setpoint {
+        &self.setpoint
+    }
+
+    /// So far the machine can go to the setpoint that was heard in this period: it is heard again, after so many periods of trial.
+    pub const fn pass_setpoint(&mut self, tried: u8) {
+        self.tried = Some(tried);
     }
 
     /// The setpoint that was heard in this period is in the queue: the next one is told relative to it.
     #[inline(never)]
-    pub fn accept_setpoint(&mut self, setpoint: &Setpoint) {
-        self.coder.take(setpoint);
+    pub fn accept_setpoint(&mut self) {
+        self.coder.take(&self.setpoint);
         if self.batch.is_some_and(|batch| batch.left == 0) {
             self.end_batch(Ok(()));
         }

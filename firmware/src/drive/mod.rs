@@ -348,7 +348,11 @@ impl JointDrive {
             measured: sensed.coordinate,
             moved: sensed.moved,
             effort: self.driven.effort,
-            rate: self.encoder.rate(),
+            rate: if self.watch.pushes(self.driven.effort) {
+                self.encoder.rate()
+            } else {
+                Rate::ZERO
+            },
             illegal: sensed.illegal.min(u32::from(u16::MAX)) as u16,
             steps_off: sensed.slip,
             period_us,

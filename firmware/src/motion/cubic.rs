@@ -115,6 +115,7 @@ impl Span {
 impl Cubic {
     /// The cubic from (`from`, `from_rate`) to (`to`, `to_rate`), rates as on the wire. `wrap`: the axis is rotary and takes the short way.
     #[must_use]
+    #[inline(always)]
     pub fn new(
         from: Coordinate,
         from_rate: i32,
@@ -220,14 +221,15 @@ impl Cubic {
     }
 
     /// What rate and acceleration need in every period.
+    #[inline(always)]
     pub(super) fn derivatives(&self, span: &Span) -> Derivatives {
         // c1, 4 c2, 12 c3 in 31 bits and a sign: r1 = c1 / T, r2 / 2 = 2 c2 / T, r3 / 4 = 3 c3 / T.
         let (c2, c3) = (self.c2 << 2, product(12, self.c3));
         let magnitude = |value: i64| (value ^ (value >> 63)) as u64;
         let all = magnitude(self.c1) | magnitude(c2) | magnitude(c3);
         let spare = (64 - all.leading_zeros()).saturating_sub(31);
-        let [r1, r2, r3] =
-            [self.c1, c2, c3].map(|value| high(shift_right(value, spare) as i32, span.mantissa));
+        let coarse = |value: i64| high(shift_right(value, spare) as i32, span.mantissa);
+        let (r1, r2, r3) = (coarse(self.c1), coarse(c2), coarse(c3));
         // high() has taken 32 bits away, the coefficients have 16 of fraction. Spare is at most 27, the exponent 16 to 53.
         let rate_fraction = span.exponent as i32 - 16 - spare as i32;
         Derivatives {

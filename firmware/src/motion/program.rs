@@ -19,6 +19,7 @@ use crate::kinematics::Pose;
 use crate::safety::integrity::constants;
 use crate::units::scale::{product, saturate, total};
 use crate::units::{Acceleration, Coordinate, Rate};
+use core::ops::Range;
 use haptimill_protocol::message::{Action, MAX_AXES, RATE_SHIFT, Refusal};
 use haptimill_protocol::setpoint::Setpoint;
 use heapless::Deque;
@@ -210,30 +211,9 @@ impl Program {
         self.push_tried(setpoint, 0)
     }
 
-    /// Whether the first `axes` coordinates may go to the next setpoint as it says; a part of what [`Program::push`] looks at.
-    pub fn allows(&mut self, setpoint: &Setpoint, axes: usize) -> Result<(), Refusal> {
-        self.knot(setpoint, 0, axes).map(|_| ())
-    }
-
-    /// Takes the next setpoint, whose first `tried` coordinates may go to it; a refused one changes nothing.
-    pub fn push_tried(&mut self, setpoint: &Setpoint, tried: usize) -> Result<(), Refusal> {
-        let number = self.accepted;
-        let knot = self.knot(setpoint, tried, self.axes)?;
-        self.queue.push_back(knot).map_err(|_| Refusal::QueueFull)?;
-        self.queued_periods += u64::from(knot.periods);
-        self.tail = knot;
-        self.rests_ahead += u32::from(knot.at_rest());
-        self.accepted = self.accepted.wrapping_add(1);
-        if let Some(starving) = self.starving
-            && starving.setpoint == number
-        {
-            self.late = Some(starving);
-        }
-        Ok(())
-    }
-
-    /// The next setpoint as it lies in the queue, if so many coordinates of it, from `first` on, may go there as it says.
-    fn knot(&mut self, setpoint: &Setpoint, first: usize, end: usize) -> Result<Knot, Refusal> {
+    /// Whether `axes` of the coordinates may go to the next setpoint as it says; a part of what [`Program::push`] looks at.
+    #[inline(never)]
+    pub fn allows(&mut self, setpoint: &Setpoint, axes: Range<usize>) -> Result<(), Refusal> {
         let number = self.accepted;
         let bad = Refusal::Setpoint { setpoint: number };
         if setpoint.pose.len() != self.axes || setpoint.rates.len() != self.axes {
@@ -242,23 +222,46 @@ impl Program {
         if self.total.is_some_and(|total| number >= total) {
             return Err(Refusal::OutOfOrder { expected: number });
         }
-        let mut knot = Knot {
-            periods: setpoint.periods,
-            action: setpoint.action,
-            ..Knot::default()
-        };
-        for axis in 0..self.axes {
-            knot.pose[axis] = setpoint.pose[axis];
-            knot.rates[axis] = setpoint.rates[axis];
-        }
-        if matches!(knot.action, Action::Pause) && !knot.at_rest() {
+        if matches!(setpoint.action, Action::Pause) && setpoint.rates.iter().any(|rate| *rate != 0)
+        {
             return Err(bad);
         }
-        let span = self.span(0, knot.periods).ok_or(bad)?;
-        if (first..end.min(self.axes)).any(|axis| !self.may_go(axis, &knot, &span)) {
-            return Err(bad);
+        self.measure(0, setpoint.periods).ok_or(bad)?;
+        let to = setpoint.pose.iter().zip(&setpoint.rates).enumerate();
+        for (axis, (place, rate)) in to.take(axes.end).skip(axes.start) {
+            if !self.may_go(axis, *place, *rate) {
+                return Err(bad);
+            }
         }
-        Ok(knot)
+        Ok(())
+    }
+
+    /// Takes the next setpoint, whose first `tried` coordinates may go to it; a refused one changes nothing.
+    pub fn push_tried(&mut self, setpoint: &Setpoint, tried: usize) -> Result<(), Refusal> {
+        self.allows(setpoint, tried..self.axes)?;
+        if self.queue.is_full() {
+            return Err(Refusal::QueueFull);
+        }
+        let number = self.accepted;
+        let tail = &mut self.tail;
+        tail.periods = setpoint.periods;
+        tail.action = setpoint.action;
+        let places = tail.pose.iter_mut().zip(&mut tail.rates);
+        let to = setpoint.pose.iter().zip(&setpoint.rates);
+        for ((place, rate), (to, to_rate)) in places.zip(to) {
+            (*place, *rate) = (*to, *to_rate);
+        }
+        // There is room.
+        let _ = self.queue.push_back(self.tail);
+        self.queued_periods += u64::from(setpoint.periods);
+        self.rests_ahead += u32::from(self.tail.at_rest());
+        self.accepted = self.accepted.wrapping_add(1);
+        if let Some(starving) = self.starving
+            && starving.setpoint == number
+        {
+            self.late = Some(starving);
+        }
+        Ok(())
     }
 
     /// Says how many setpoints the job has.
@@ -334,7 +337,10 @@ impl Program {
         self.started
             && self.segment().is_none_or(|segment| {
                 let end = u64::from(segment.span.periods()) << 32;
-                self.time + FULL_RATE as u64 >= end
+                // As fast as the path rate may be in the next period.
+                let slope = self.braking.map_or(0, |braking| braking.slope());
+                let most = (self.path_rate.value() + slope).clamp(0, FULL_RATE);
+                self.time + most as u64 >= end
             })
     }
 
@@ -400,8 +406,11 @@ impl Program {
                     0
                 },
             );
+            // The way begins in the next period: this one may have taken the setpoint for which it waited, and both are long.
+            progress.finished = finished;
+            return progress;
         }
-        if finished || !self.started || self.paused {
+        if finished || self.paused {
             progress.finished = finished;
             return progress;
         }
@@ -593,38 +602,31 @@ impl Program {
         }
     }
 
-    /// A span of so many periods; the one before of its `kind` (taken, begun) if it was as long.
-    fn span(&mut self, kind: usize, periods: u16) -> Option<Span> {
+    /// The span of its `kind` (taken, begun) becomes one of so many periods; most are as long as the one before.
+    fn measure(&mut self, kind: usize, periods: u16) -> Option<()> {
         if self.spans[kind].periods() != periods || periods == 0 {
             self.spans[kind] = Span::new(periods, self.period_us)?;
         }
-        Some(self.spans[kind])
-    }
-
-    fn cubic(&self, axis: usize, from: &Knot, to: &Knot, span: &Span) -> Option<Cubic> {
-        Cubic::new(
-            Coordinate(from.pose[axis]),
-            from.rates[axis],
-            Coordinate(to.pose[axis]),
-            to.rates[axis],
-            span,
-            self.rotary[axis],
-        )
+        Some(())
     }
 
     /// The way from the setpoint reached last to the next one. There is none to a setpoint that could not have been taken.
     #[inline(never)]
     fn begin_segment(&mut self, to: &Knot) {
-        let Some(span) = self.span(1, to.periods) else {
+        if self.measure(1, to.periods).is_none() {
             return;
-        };
-        for axis in 0..self.axes {
-            let Some(cubic) = self.cubic(axis, &self.from, to, &span) else {
+        }
+        let [_, span] = &self.spans;
+        for (axis, way) in self.segment.ways.iter_mut().enumerate().take(self.axes) {
+            let (from, wrap) = (&self.from, self.rotary[axis]);
+            let (start, rate) = (Coordinate(from.pose[axis]), from.rates[axis]);
+            let (end, end_rate) = (Coordinate(to.pose[axis]), to.rates[axis]);
+            let Some(cubic) = Cubic::new(start, rate, end, end_rate, span, wrap) else {
                 return;
             };
-            self.segment.ways[axis] = Way::new(&cubic, &span);
+            way.set(&cubic, span);
         }
-        self.segment.span = span;
+        self.segment.span = *span;
         self.segment.to = *to;
         self.begun = true;
     }
@@ -636,12 +638,14 @@ impl Program {
 
     /// Whether an axis may go from the newest setpoint to the next one: neither the rate there nor the mean rate nor any in between is beyond the axis' limit, nor
     /// the acceleration beyond 16 times that of a jog. Such a setpoint is a mistake, not a motion.
-    fn may_go(&self, axis: usize, to: &Knot, span: &Span) -> bool {
-        let limit = self.rate_limits[axis];
-        if to.rates[axis].unsigned_abs() > limit.unsigned_abs() {
+    fn may_go(&self, axis: usize, place: i32, rate: i32) -> bool {
+        let ([span, _], limit) = (&self.spans, self.rate_limits[axis]);
+        if rate.unsigned_abs() > limit.unsigned_abs() {
             return false;
         }
-        let Some(cubic) = self.cubic(axis, &self.tail, to, span) else {
+        let (tail, wrap) = (&self.tail, self.rotary[axis]);
+        let (start, start_rate) = (Coordinate(tail.pose[axis]), tail.rates[axis]);
+        let Some(cubic) = Cubic::new(start, start_rate, Coordinate(place), rate, span, wrap) else {
             return false;
         };
         cubic.is_still()

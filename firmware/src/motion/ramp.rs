@@ -40,6 +40,13 @@ impl RampLimits {
         }
     }
 
+    /// The most that the value changes in a period.
+    #[must_use]
+    #[inline]
+    pub const fn slope(&self) -> i64 {
+        self.slope
+    }
+
     /// What the value still changes, from `slope` on (itself included), while the slope goes to zero.
     fn run_out(&self, slope: i64) -> i64 {
         if slope == 0 {

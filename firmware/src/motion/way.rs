@@ -36,18 +36,21 @@ impl Way {
     /// Of a cubic of this span.
     #[must_use]
     pub fn new(cubic: &Cubic, span: &Span) -> Self {
-        let (start, coefficients) = cubic.parts();
+        let mut way = Self::default();
+        way.set(cubic, span);
+        way
+    }
+
+    /// Becomes that of a cubic of this span, in its place.
+    #[inline(always)]
+    pub fn set(&mut self, cubic: &Cubic, span: &Span) {
+        let (start, [c1, c2, c3]) = cubic.parts();
+        self.start = start;
         // Sums of all three stay within a word when each is below 2^30. Shifts lose nothing: coefficients are below 2^53.
-        let doubled = [
-            coefficients[0] << 1,
-            coefficients[1] << 2,
-            coefficients[2] << 3,
-        ];
-        let magnitude = doubled
-            .iter()
-            .fold(0, |all, value| all | (value ^ (value >> 63)));
+        let [c1, c2, c3] = [c1 << 1, c2 << 2, c3 << 3];
+        let size = |value: i64| value ^ (value >> 63);
         let spare = 64_u32
-            .saturating_sub(magnitude.leading_zeros())
+            .saturating_sub((size(c1) | size(c2) | size(c3)).leading_zeros())
             .saturating_sub(30);
         let Derivatives {
             rate,
@@ -55,20 +58,30 @@ impl Way {
             push,
             push_fraction,
         } = cubic.derivatives(span);
-        let mut way = Self {
-            start,
-            place: doubled.map(|value| shift_right(value, spare) as i32),
-            rate,
-            push,
-            ..Self::default()
-        };
-        way.drops = [
-            drop(&mut way.place, FRACTION - spare as i32),
-            drop(&mut way.rate, rate_fraction),
-            drop(&mut way.push, push_fraction),
+        self.place = [
+            shift_right(c1, spare) as i32,
+            shift_right(c2, spare) as i32,
+            shift_right(c3, spare) as i32,
         ];
-        way.large = way.drops.iter().any(|drop| *drop < 0);
-        way
+        self.rate = rate;
+        self.push = push;
+        let (first, second, third) = (FRACTION - spare as i32, rate_fraction, push_fraction);
+        if first | second | third > 31 {
+            self.take_off([first, second, third]);
+        }
+        let drop = |fraction: i32| (fraction.min(31) - 1) as i8;
+        self.drops = [drop(first), drop(second), drop(third)];
+        self.large = first <= 0 || second <= 0 || third <= 0;
+    }
+
+    /// What is beyond the range of a shift is taken off the words.
+    #[inline(never)]
+    fn take_off(&mut self, fractions: [i32; 3]) {
+        let words: [&mut [i32]; 3] = [&mut self.place, &mut self.rate, &mut self.push];
+        for (words, fraction) in words.into_iter().zip(fractions) {
+            let excess = (fraction - 31).clamp(0, 31);
+            words.iter_mut().for_each(|word| *word >>= excess);
+        }
     }
 
     /// Whether the axis stands all the span long.
@@ -117,13 +130,6 @@ impl Way {
         }
         rounded
     }
-}
-
-/// The fractional bits of `words`, less one; what is beyond the range of a shift is taken off the words.
-fn drop(words: &mut [i32], fraction: i32) -> i8 {
-    let excess = (fraction - 31).clamp(0, 31);
-    words.iter_mut().for_each(|word| *word >>= excess);
-    (fraction.min(31) - 1) as i8
 }
 
 /// `value` / 2^fraction, for a value below 2^31; what a fraction below 0 makes too large is held.

@@ -26,7 +26,7 @@ pub struct Seen {
     pub wanted_rate: Rate,
     /// Measured position.
     pub measured: Coordinate,
-    /// Measured rate.
+    /// Measured rate; looked at only where the drive [pushes](Watch::pushes).
     pub rate: Rate,
     /// Encoder counts since the period before.
     pub moved: i32,
@@ -160,6 +160,12 @@ impl Watch {
             bounds: self.bounds,
             ..Self::default()
         };
+    }
+
+    /// Whether a torque drive makes an eighth of its limit or more: only then a joint can run away.
+    #[must_use]
+    pub const fn pushes(&self, effort: Effort) -> bool {
+        self.bounds.weak != 0 && effort.0.unsigned_abs() >= self.bounds.weak
     }
 
     /// Looks at one period of joint `axis`, of whose configuration it was [made](Self::of).
