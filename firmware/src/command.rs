@@ -21,8 +21,8 @@ use haptimill_protocol::message::{
 
 type Done = Result<(), Refusal>;
 
-/// Coordinates that are tried in the second period of a setpoint's trial; in the first it is the pose.
-const TRIED_FIRST: usize = 3;
+/// Coordinates that are tried in the first period of a setpoint's trial, beside the pose.
+const TRIED_FIRST: usize = 2;
 
 impl Controller {
     /// Carries out a request and answers it.
@@ -256,20 +256,20 @@ impl Controller {
         Ok(())
     }
 
-    /// A period of a setpoint's trial: first whether the machine can be at its pose, then whether half of its coordinates may go there as fast as it says, then
+    /// A period of a setpoint's trial: first whether the machine can be at its pose and whether some of its coordinates may go there as fast as it says, then
     /// whether the others may; with that it is taken into the queue.
     #[inline(never)]
-    pub(crate) fn heed_setpoint(&mut self, number: u32, tried: u8) {
+    pub(crate) fn heed_setpoint(&mut self, number: u32, tried: bool) {
         let result = self.try_setpoint(number, tried);
         match result {
             Ok(true) => self.server.accept_setpoint(),
-            Ok(false) => self.server.pass_setpoint(tried.saturating_add(1)),
+            Ok(false) => self.server.pass_setpoint(),
             Err(refusal) => self.server.refuse_setpoints(refusal),
         }
     }
 
     /// Says whether the setpoint was taken.
-    fn try_setpoint(&mut self, number: u32, tried: u8) -> Result<bool, Refusal> {
+    fn try_setpoint(&mut self, number: u32, tried: bool) -> Result<bool, Refusal> {
         self.in_state(&[State::Run, State::Hold])?;
         let machinery = self.machinery.as_mut().ok_or(Refusal::NotConfigured)?;
         let setpoint = self.server.setpoint();
@@ -278,12 +278,13 @@ impl Controller {
         if number != expected {
             return Err(Refusal::OutOfOrder { expected });
         }
-        match tried {
-            0 => machinery.can_reach(number, setpoint)?,
-            1 => program.allows(setpoint, 0..TRIED_FIRST)?,
-            _ => program.push_tried(setpoint, TRIED_FIRST)?,
+        if tried {
+            program.push_tried(setpoint, TRIED_FIRST)?;
+        } else {
+            program.allows(setpoint, 0..TRIED_FIRST)?;
+            machinery.can_reach(number, setpoint)?;
         }
-        Ok(tried > 1)
+        Ok(tried)
     }
 
     fn end_job(&mut self, count: u32) -> Done {

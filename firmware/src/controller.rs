@@ -161,7 +161,7 @@ impl Controller {
             inputs.transmit_room,
             &mut outputs.transmit,
         );
-        if self.server.telemetry_due() {
+        if self.server.telemetry_due(self.safety.has_events()) {
             self.note_telemetry(inputs);
         }
         if self.server.hand_due() {

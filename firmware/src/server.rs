@@ -32,8 +32,8 @@ pub enum Heard {
     Setpoint {
         /// The setpoint's number in the job.
         number: u32,
-        /// Periods in which it was tried already.
-        tried: u8,
+        /// A first half of it was tried already.
+        tried: bool,
     },
     /// A setpoint that cannot be read.
     BadSetpoint {
@@ -50,14 +50,12 @@ pub struct Server {
     now_us: u64,
     /// The batch of setpoints that is being worked through; its bytes wait in the link.
     batch: Option<BatchReader>,
-    /// Its next setpoint, and in how many periods that was tried.
+    /// Its next setpoint, and whether a first half of that was tried.
     setpoint: Setpoint,
-    tried: Option<u8>,
+    tried: Option<bool>,
     /// Something long was done in this period; it was done by what hears.
     worked: bool,
     heard: bool,
-    /// A message came in this period, which takes as long as much else; not so in the one after, or a line that is full would leave time for nothing.
-    came: bool,
     /// This period did not work although it might have.
     held: bool,
     /// Answers and events waited, because the period before had worked.
@@ -108,7 +106,6 @@ impl Server {
             tried: None,
             worked: false,
             heard: false,
-            came: false,
             held: false,
             kept: false,
             telemetry_waits: false,
@@ -137,7 +134,9 @@ impl Server {
         let lost = inputs.lost_bytes.wrapping_sub(self.lost_before);
         self.lost = self.lost.saturating_add(u32::from(lost));
         self.lost_before = inputs.lost_bytes;
-        self.came = !inputs.received.is_empty() && self.receive(&inputs.received) && !self.came;
+        if !inputs.received.is_empty() {
+            self.receive(&inputs.received);
+        }
         self.link.hello().is_some()
     }
 
@@ -148,7 +147,7 @@ impl Server {
         let yields = self.kept || (self.heard && self.tells_much());
         self.held = hold_back && !self.held;
         // What is told waits as well: a period that was held back has no time for it either.
-        self.worked = self.held || self.came;
+        self.worked = self.held;
         self.heard = false;
         let nothing = self.tried.is_none() && self.link.has_heard_all();
         if nothing || yields || self.worked || self.answers.is_full() {
@@ -169,10 +168,10 @@ impl Server {
         Some(Heard::Setpoint { number, tried })
     }
 
-    /// Takes bytes from the line; whether a message was among them.
+    /// Takes bytes from the line.
     #[inline(never)]
-    fn receive(&mut self, bytes: &[u8]) -> bool {
-        self.link.receive(self.now_us, bytes)
+    fn receive(&mut self, bytes: &[u8]) {
+        self.link.receive(self.now_us, bytes);
     }
 
     /// Answers a greeting. `busy`: no other host may break in.
@@ -208,7 +207,7 @@ impl Server {
             return None;
         }
         if batch.next(payload, &self.coder, &mut self.setpoint) {
-            self.tried = Some(0);
+            self.tried = Some(false);
             None
         } else {
             Some(Heard::BadSetpoint { number })
@@ -232,17 +231,25 @@ impl Server {
         &self.setpoint
     }
 
-    /// So far the machine can go to the setpoint that was heard in this period: it is heard again, after so many periods of trial.
-    pub const fn pass_setpoint(&mut self, tried: u8) {
-        self.tried = Some(tried);
+    /// So far the machine can go to the setpoint that was heard in this period: it is heard again, to be taken.
+    pub const fn pass_setpoint(&mut self) {
+        self.tried = Some(true);
     }
 
     /// The setpoint that was heard in this period is in the queue: the next one is told relative to it.
     #[inline(never)]
     pub fn accept_setpoint(&mut self) {
         self.coder.take(&self.setpoint);
-        if self.batch.is_some_and(|batch| batch.left == 0) {
+        let Some(batch) = &mut self.batch else {
+            return;
+        };
+        if batch.left == 0 {
             self.end_batch(Ok(()));
+        } else if let Some(payload) = self.link.peek()
+            && batch.next(payload, &self.coder, &mut self.setpoint)
+        {
+            // Read at once, a setpoint takes two periods and not three. One that cannot be read is left for its turn, which refuses it.
+            self.tried = Some(false);
         }
     }
 
@@ -356,7 +363,7 @@ impl Server {
         }
     }
 
-    /// Answers, then events, then telemetry; and the bytes of this period, as many as the board has `room` for.
+    /// Answers, then events, then telemetry; and the bytes of this period, as many as the board has `room` for. A period that was held back says nothing.
     #[inline]
     pub fn tell(
         &mut self,
@@ -368,8 +375,9 @@ impl Server {
         // What is to be said of what was done long is said in the next period.
         let due = !self.answers.is_empty() || safety.has_events();
         self.kept = due && self.worked && !self.kept;
-        if due && !self.kept {
-            self.worked |= self.report(period, safety);
+        if due && !self.kept && self.report(period, safety) {
+            self.worked = true;
+            self.note_anew();
         }
         if self.noted && self.claim() {
             self.encode();
@@ -378,7 +386,7 @@ impl Server {
         let waited = self.link.latest_waits();
         self.link.hold_latest(self.worked);
         transmit.clear();
-        if room > 0 && !self.link.is_quiet(self.now_us) {
+        if room > 0 && !self.held && !self.link.is_quiet(self.now_us) {
             self.say(room, transmit);
         }
         self.worked |= waited && !self.link.latest_waits();
@@ -423,6 +431,18 @@ impl Server {
         sent
     }
 
+    /// What was noted down and has not gone yet is older than what was told just now: whoever reads it would take it for newer. It is noted down again.
+    fn note_anew(&mut self) {
+        if self.noted || self.link.latest_waits() {
+            self.noted = false;
+            self.link.withdraw_latest();
+            match self.note {
+                Report::Hand(_) => self.hand_waits = true,
+                _ => self.telemetry_waits = true,
+            }
+        }
+    }
+
     /// Encodes the telemetry that was noted down.
     #[inline(never)]
     fn encode(&mut self) {
@@ -431,9 +451,11 @@ impl Server {
         let _ = self.link.send_latest(&self.note);
     }
 
-    /// Counts the periods until telemetry is due; says whether it is to be sent in this one. Call once a period.
+    /// Counts the periods until telemetry is due; says whether it is to be noted down in this one. Call once a period.
+    ///
+    /// Answers and `events` that have room in the link go first: whoever reads telemetry has heard of all that had happened by then.
     #[inline]
-    pub fn telemetry_due(&mut self) -> bool {
+    pub fn telemetry_due(&mut self, events: bool) -> bool {
         if self.until_telemetry != 0 {
             self.until_telemetry -= 1;
             if self.until_telemetry == 0 {
@@ -441,8 +463,12 @@ impl Server {
                 self.telemetry_waits = true;
             }
         }
+        if !self.telemetry_waits {
+            return false;
+        }
+        let first = (events || !self.answers.is_empty()) && self.link.room(SHORT_REPORT) > 0;
         // A period that had much to do leaves it to the next one.
-        self.telemetry_waits && self.claim()
+        !first && self.claim()
     }
 
     /// The same for telemetry of the hand; after the other one, and never in place of what still waits.

@@ -453,6 +453,11 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
         self.latest_waits
     }
 
+    /// The latest value is not to be sent any more, if it has no frame yet.
+    pub fn withdraw_latest(&mut self) {
+        self.latest_waits = false;
+    }
+
     /// A latest value is kept back while `held`: it gets no frame in [`Link::transmit`].
     pub fn hold_latest(&mut self, held: bool) {
         self.latest_held = held;

@@ -50,6 +50,17 @@ pub trait Watcher {
 #[derive(Debug, Clone, Copy)]
 pub struct Unwatched;
 
+/// How far a pause of the program has come.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Pause {
+    /// There is none.
+    None,
+    /// It was reached. That the machine holds because of it is yet to be heard, and is no stop from elsewhere.
+    Reached,
+    /// The machine holds.
+    Held,
+}
+
 impl Watcher for Unwatched {
     fn progress(&mut self, _: &Telemetry) {}
 
@@ -117,7 +128,7 @@ impl<L: Line> Session<L> {
             .start_job(job, start, setpoints)
             .map_err(|error| CliError::new(crate::cli::Exit::Port, error))?;
         let mut stopped = false;
-        let mut paused = false;
+        let mut pause = Pause::None;
         let mut idle_since = None;
         let mut seen = first;
         let mut steps = 0_u32;
@@ -134,22 +145,27 @@ impl<L: Line> Session<L> {
                 seen += 1;
                 match event {
                     Event::Paused { setpoint } => {
-                        paused = true;
+                        pause = Pause::Reached;
                         watcher.paused(*setpoint);
                     }
+                    Event::State {
+                        from: State::Run,
+                        to: State::Hold,
+                        ..
+                    } if pause == Pause::Reached => pause = Pause::Held,
                     // Nobody here asked for it: another program on the port sent an urgent stop.
                     Event::State {
                         from: State::Run,
                         to: State::Hold,
                         ..
-                    } if !paused && !stopped => {
+                    } if pause == Pause::None && !stopped => {
                         self.client.request(Command::Stop);
                     }
                     _ => {}
                 }
             }
-            if paused && watcher.goes_on() {
-                paused = false;
+            if pause == Pause::Held && watcher.goes_on() {
+                pause = Pause::None;
                 at_pause(self)?;
                 self.client.request(Command::Resume);
             }
