@@ -74,6 +74,8 @@ fn the_tool_follows_the_hand_and_the_clutch_does_not_move_it() {
     // The job is over: the hand leads no more.
     assert_eq!(bed.ask(Command::JobEnd { count: 0 }), Ok(()));
     bed.wait_for(State::Idle);
+    // One event is told in a period.
+    bed.steps(20);
     assert!(
         bed.events
             .iter()
