@@ -273,16 +273,18 @@ impl Controller {
         self.in_state(&[State::Run, State::Hold])?;
         let machinery = self.machinery.as_mut().ok_or(Refusal::NotConfigured)?;
         let setpoint = self.server.setpoint();
-        let program = &mut machinery.motion.program;
-        let expected = program.accepted();
+        let expected = machinery.motion.program.accepted();
         if number != expected {
             return Err(Refusal::OutOfOrder { expected });
         }
+        if !tried {
+            machinery.can_reach(number, setpoint)?;
+        }
+        let program = &mut machinery.motion.program;
         if tried {
             program.push_tried(setpoint, TRIED_FIRST)?;
         } else {
             program.allows(setpoint, 0..TRIED_FIRST)?;
-            machinery.can_reach(number, setpoint)?;
         }
         Ok(tried)
     }
