@@ -15,18 +15,25 @@ use crate::units::{Length, Rate};
 use haptimill_protocol::frame::crc32;
 use haptimill_protocol::haptic::{Hand, Reflection, Wall};
 use haptimill_protocol::message::{
-    AxisValues, Command, ConfigField, ConfigProblem, Event, MAX_AXES, RATE_SHIFT, Refusal, Request,
-    Source, State,
+    AxisValues, Command, ConfigField, ConfigProblem, Event, MAX_AXES, RATE_SHIFT, Refusal, Source,
+    State,
 };
 
 type Done = Result<(), Refusal>;
 
-/// Coordinates that are tried in the first period of a setpoint's trial, beside the pose.
-const TRIED_FIRST: usize = 2;
+/// What a period does for a setpoint, in coordinates tried: with nothing else to do; and when bytes came in as well.
+const SHARE: usize = 7;
+const SHARE_PRESSED: usize = 5;
+
+/// To try its pose takes as long as so many coordinates, to take it as one, to read the next one as these.
+const POSE: usize = 3;
+const TAKE: usize = 1;
+const READ: usize = 4;
 
 impl Controller {
-    /// Carries out a request and answers it.
-    pub(crate) fn command(&mut self, inputs: &Inputs, request: Request) {
+    /// Carries out the request that was heard and answers it.
+    pub(crate) fn command(&mut self, inputs: &Inputs) {
+        let request = self.server.take_request();
         let result = match request.command {
             Command::Home | Command::JobStart { .. } | Command::Resume | Command::Jog { .. }
                 if self.job.overtaken =>
@@ -256,20 +263,29 @@ impl Controller {
         Ok(())
     }
 
-    /// A period of a setpoint's trial: first whether the machine can be at its pose and whether some of its coordinates may go there as fast as it says, then
-    /// whether the others may; with that it is taken into the queue.
+    /// A period of a setpoint's trial: whether the machine can be at its pose, then whether each of its coordinates may go there as fast as it says. It is taken
+    /// into the queue after that, and the next one read, as far as the period's share goes; the rest is for another period.
     #[inline(never)]
-    pub(crate) fn heed_setpoint(&mut self, number: u32, tried: bool) {
-        let result = self.try_setpoint(number, tried);
-        match result {
-            Ok(true) => self.server.accept_setpoint(),
-            Ok(false) => self.server.pass_setpoint(),
+    pub(crate) fn heed_setpoint(&mut self, number: u32, tried: u8) {
+        let mut share = if self.server.is_pressed() {
+            SHARE_PRESSED
+        } else {
+            SHARE
+        };
+        match self.try_setpoint(number, usize::from(tried), &mut share) {
+            Ok(None) => self.server.accept_setpoint(share >= READ),
+            Ok(Some(tried)) => self.server.pass_setpoint(tried),
             Err(refusal) => self.server.refuse_setpoints(refusal),
         }
     }
 
-    /// Says whether the setpoint was taken.
-    fn try_setpoint(&mut self, number: u32, tried: bool) -> Result<bool, Refusal> {
+    /// Goes on with a setpoint of which so much was tried: nothing, or the pose, or one more for each coordinate. Says how much is tried now; `None` if it was taken.
+    fn try_setpoint(
+        &mut self,
+        number: u32,
+        tried: usize,
+        share: &mut usize,
+    ) -> Result<Option<u8>, Refusal> {
         self.in_state(&[State::Run, State::Hold])?;
         let machinery = self.machinery.as_mut().ok_or(Refusal::NotConfigured)?;
         let setpoint = self.server.setpoint();
@@ -277,16 +293,21 @@ impl Controller {
         if number != expected {
             return Err(Refusal::OutOfOrder { expected });
         }
-        if !tried {
+        if tried == 0 {
             machinery.can_reach(number, setpoint)?;
+            *share -= POSE;
         }
+        let (first, axes) = (tried.saturating_sub(1), machinery.axes());
+        let last = axes.min(first + *share);
+        *share -= last - first;
         let program = &mut machinery.motion.program;
-        if tried {
-            program.push_tried(setpoint, TRIED_FIRST)?;
-        } else {
-            program.allows(setpoint, 0..TRIED_FIRST)?;
+        if last < axes || *share < TAKE {
+            program.allows(setpoint, first..last)?;
+            return Ok(Some(last as u8 + 1));
         }
-        Ok(tried)
+        *share -= TAKE;
+        program.push_tried(setpoint, first)?;
+        Ok(None)
     }
 
     fn end_job(&mut self, count: u32) -> Done {

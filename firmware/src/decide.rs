@@ -81,7 +81,7 @@ impl Controller {
     #[inline(never)]
     fn heed(&mut self, inputs: &Inputs, heard: Heard) {
         match heard {
-            Heard::Request(request) => self.command(inputs, request),
+            Heard::Request => self.command(inputs),
             Heard::Setpoint { number, tried } => self.heed_setpoint(number, tried),
             Heard::BadSetpoint { number } => {
                 self.server
@@ -280,6 +280,8 @@ impl Controller {
         let Some(machinery) = &mut self.machinery else {
             return;
         };
+        let server = &mut self.server;
+        machinery.motion.program.look_ahead(|| server.claim());
         if let Some(late) = machinery.motion.program.take_late() {
             self.safety.tell(Event::Underrun {
                 setpoint: late.setpoint,

@@ -9,7 +9,9 @@ use crate::io::{Inputs, TRANSMIT_BYTES};
 use crate::safety::Safety;
 use haptimill_protocol::haptic::HandTelemetry;
 use haptimill_protocol::link::{ControllerLink, Greeted, Identity, SHORT_REPORT, Timing};
-use haptimill_protocol::message::{AxisValues, ConfigChunk, Refusal, Report, Request, Telemetry};
+use haptimill_protocol::message::{
+    AxisValues, Command, ConfigChunk, Refusal, Report, Request, Telemetry,
+};
 use haptimill_protocol::setpoint::{BatchReader, Setpoint, SetpointCoder};
 use heapless::{Deque, Vec};
 
@@ -19,21 +21,23 @@ pub const CONFIG_BYTES: usize = 1024;
 /// Answers that wait for room in the link; as many as a host can have requests under way.
 const ANSWERS: usize = 8;
 
+/// A request that asks for nothing.
+const NOTHING: Request = Request {
+    id: 0,
+    command: Command::Ping,
+};
+
 /// What was heard in a period.
-#[derive(Debug, Clone, PartialEq, Eq)]
-#[allow(
-    clippy::large_enum_variant,
-    reason = "one lives for one period on the stack; there is no allocator for a box"
-)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Heard {
-    /// A request.
-    Request(Request),
+    /// A request ([`Server::take_request`]).
+    Request,
     /// The next setpoint of a batch ([`Server::setpoint`]), which was read in an earlier period.
     Setpoint {
         /// The setpoint's number in the job.
         number: u32,
-        /// A first half of it was tried already.
-        tried: bool,
+        /// How much of it was tried already.
+        tried: u8,
     },
     /// A setpoint that cannot be read.
     BadSetpoint {
@@ -50,14 +54,23 @@ pub struct Server {
     now_us: u64,
     /// The batch of setpoints that is being worked through; its bytes wait in the link.
     batch: Option<BatchReader>,
-    /// Its next setpoint, and whether a first half of that was tried.
+    /// Its next setpoint, and how much of that was tried.
     setpoint: Setpoint,
-    tried: Option<bool>,
+    tried: Option<u8>,
+    /// The request that was read last, and whether it is yet to be heard.
+    request: Request,
+    read: bool,
+    /// Bytes came in this period.
+    pressed: bool,
+    /// To take them took long.
+    moved: bool,
     /// Something long was done in this period; it was done by what hears.
     worked: bool,
     heard: bool,
     /// This period did not work although it might have.
     held: bool,
+    /// Nothing was said in this period although something was to be said.
+    mute: bool,
     /// Answers and events waited, because the period before had worked.
     kept: bool,
     /// Telemetry is due.
@@ -104,9 +117,14 @@ impl Server {
             batch: None,
             setpoint: Setpoint::default(),
             tried: None,
+            request: NOTHING,
+            read: false,
+            pressed: false,
+            moved: false,
             worked: false,
             heard: false,
             held: false,
+            mute: false,
             kept: false,
             telemetry_waits: false,
             note: Report::Telemetry(Telemetry::default()),
@@ -134,9 +152,8 @@ impl Server {
         let lost = inputs.lost_bytes.wrapping_sub(self.lost_before);
         self.lost = self.lost.saturating_add(u32::from(lost));
         self.lost_before = inputs.lost_bytes;
-        if !inputs.received.is_empty() {
-            self.receive(&inputs.received);
-        }
+        self.pressed = !inputs.received.is_empty();
+        self.moved = self.pressed && self.receive(&inputs.received);
         self.link.hello().is_some()
     }
 
@@ -147,9 +164,9 @@ impl Server {
         let yields = self.kept || (self.heard && self.tells_much());
         self.held = hold_back && !self.held;
         // What is told waits as well: a period that was held back has no time for it either.
-        self.worked = self.held;
+        self.worked = self.held || self.moved;
         self.heard = false;
-        let nothing = self.tried.is_none() && self.link.has_heard_all();
+        let nothing = self.tried.is_none() && !self.read && self.link.has_heard_all();
         if nothing || yields || self.worked || self.answers.is_full() {
             return None;
         }
@@ -161,6 +178,9 @@ impl Server {
     fn hear(&mut self) -> Option<Heard> {
         self.worked = true;
         self.heard = true;
+        if core::mem::take(&mut self.read) {
+            return Some(Heard::Request);
+        }
         let Some(tried) = self.tried.take() else {
             return self.read();
         };
@@ -168,10 +188,10 @@ impl Server {
         Some(Heard::Setpoint { number, tried })
     }
 
-    /// Takes bytes from the line.
+    /// Takes bytes from the line; says whether that took long.
     #[inline(never)]
-    fn receive(&mut self, bytes: &[u8]) {
-        self.link.receive(self.now_us, bytes);
+    fn receive(&mut self, bytes: &[u8]) -> bool {
+        self.link.receive(self.now_us, bytes)
     }
 
     /// Answers a greeting. `busy`: no other host may break in.
@@ -193,7 +213,12 @@ impl Server {
         };
         if self.batch.is_none() {
             if !BatchReader::fits(payload) {
-                return self.link.poll_message().map(Heard::Request);
+                if !self.link.poll_into(&mut self.request) {
+                    return None;
+                }
+                // What takes long itself has a period of its own.
+                self.read = matches!(self.request.command, Command::JobStart { .. });
+                return (!self.read).then_some(Heard::Request);
             }
             self.batch = BatchReader::open(payload);
         }
@@ -207,7 +232,7 @@ impl Server {
             return None;
         }
         if batch.next(payload, &self.coder, &mut self.setpoint) {
-            self.tried = Some(false);
+            self.tried = Some(0);
             None
         } else {
             Some(Heard::BadSetpoint { number })
@@ -224,6 +249,12 @@ impl Server {
         }
     }
 
+    /// The request that was heard in this period.
+    #[must_use]
+    pub const fn take_request(&mut self) -> Request {
+        core::mem::replace(&mut self.request, NOTHING)
+    }
+
     /// The setpoint that was heard in this period.
     #[must_use]
     #[inline]
@@ -231,25 +262,33 @@ impl Server {
         &self.setpoint
     }
 
-    /// So far the machine can go to the setpoint that was heard in this period: it is heard again, to be taken.
-    pub const fn pass_setpoint(&mut self) {
-        self.tried = Some(true);
+    /// Whether bytes came in this period, which leaves less time for other things.
+    #[must_use]
+    #[inline]
+    pub const fn is_pressed(&self) -> bool {
+        self.pressed
     }
 
-    /// The setpoint that was heard in this period is in the queue: the next one is told relative to it.
+    /// As far as it was tried the machine can go to the setpoint that was heard in this period: it is heard again.
+    pub const fn pass_setpoint(&mut self, tried: u8) {
+        self.tried = Some(tried);
+    }
+
+    /// The setpoint that was heard in this period is in the queue: the next one is told relative to it, and read at once where there is time for it.
     #[inline(never)]
-    pub fn accept_setpoint(&mut self) {
+    pub fn accept_setpoint(&mut self, read: bool) {
         self.coder.take(&self.setpoint);
         let Some(batch) = &mut self.batch else {
             return;
         };
         if batch.left == 0 {
             self.end_batch(Ok(()));
-        } else if let Some(payload) = self.link.peek()
+        } else if read
+            && let Some(payload) = self.link.peek()
             && batch.next(payload, &self.coder, &mut self.setpoint)
         {
             // Read at once, a setpoint takes two periods and not three. One that cannot be read is left for its turn, which refuses it.
-            self.tried = Some(false);
+            self.tried = Some(0);
         }
     }
 
@@ -276,6 +315,7 @@ impl Server {
     fn forget(&mut self) {
         self.batch = None;
         self.tried = None;
+        self.read = false;
         self.telemetry_waits = false;
         self.noted = false;
         self.answers.clear();
@@ -387,7 +427,11 @@ impl Server {
         self.link.hold_latest(self.worked);
         transmit.clear();
         if room > 0 && !self.held && !self.link.is_quiet(self.now_us) {
-            self.say(room, transmit);
+            // To hear, to work and to speak in one period is much; but what is said waits no longer than one.
+            self.mute = self.pressed && self.worked && !self.mute;
+            if !self.mute {
+                self.say(room, transmit);
+            }
         }
         self.worked |= waited && !self.link.latest_waits();
     }

@@ -313,6 +313,47 @@ proptest! {
         prop_assert_eq!(mm(*path.x.last().expect("moved")), points.last().expect("some").pose[0]);
     }
 
+    /// Whatever is worked out beforehand, the machine goes the same way to the last bit: with spans of any length, holds, late setpoints, and the way back.
+    #[test]
+    fn what_is_worked_out_ahead_changes_no_bit(
+        spans in prop::collection::vec(1_u16..120, 30..60), free in prop::collection::vec(any::<bool>(), 1..9), every in 1_usize..60,
+        hold_at in 20_usize..2000, hold_for in 1_usize..900, back in 0_u32..400,
+    ) {
+        let mut x = 2.0 * 100.0 * PERIOD_S / 2.0;
+        let mut points = vec![setpoint(x, 2.0, 100)];
+        for periods in spans {
+            x += 2.0 * f64::from(periods) * PERIOD_S;
+            points.push(setpoint(x, 2.0, periods));
+        }
+        points.push(setpoint(x + 2.0 * 100.0 * PERIOD_S / 2.0, 0.0, 100));
+        let mut programs = [start(&h4()), start(&h4())];
+        let mut ended = false;
+        for period in 0..20_000 {
+            let holds = (hold_at..hold_at + hold_for).contains(&period) || (back > 0 && period >= hold_at);
+            let gone = programs.each_mut().map(|program| {
+                if period % every == 0 && let Some(point) = points.get(period / every) {
+                    program.push(point).expect("room");
+                    if period / every + 1 == points.len() {
+                        program.end(points.len() as u32).expect("at rest");
+                    }
+                }
+                if back > 0 && period == hold_at {
+                    program.back_off(back);
+                }
+                let gone = program.advance(holds);
+                (gone, program.program_time(), program.reached(), program.queued(), program.is_still())
+            });
+            prop_assert_eq!(gone[0], gone[1], "period {}", period);
+            let [_, program] = &mut programs;
+            program.look_ahead(|| free[period % free.len()]);
+            ended = gone[0].0.1.finished || (back > 0 && period > hold_at + 900 && gone[0].4);
+            if ended {
+                break;
+            }
+        }
+        prop_assert!(ended);
+    }
+
     /// A slower override takes longer by its factor and arrives at the same place.
     #[test]
     fn override_stretches_time(percent in 5_u8..=100) {

@@ -5,7 +5,7 @@ mod reference;
 use haptimill_firmware::config::{AxisKind, Drive, JointAxis, Stopping};
 use haptimill_firmware::kinematics::Pose;
 use haptimill_firmware::motion::program::{FULL_RATE, Program, QUEUE};
-use haptimill_firmware::safety::supervise::{Seen, Watch};
+use haptimill_firmware::safety::supervise::{Glimpse, Seen, Watch};
 use haptimill_firmware::safety::{EVENTS, Safety, brakes_first, keeps_position};
 use haptimill_firmware::units::{Coordinate, Effort, Rate};
 use haptimill_protocol::message::{
@@ -268,6 +268,50 @@ fn illegal_transitions_and_lost_steps_are_faults_beyond_their_limits() {
 
 proptest! {
     #![proptest_config(ProptestConfig { rng_seed: RngSeed::Fixed(21), failure_persistence: None, ..ProptestConfig::default() })]
+
+    /// What passes at a glance would have passed an examination, and is remembered alike: on joints that follow, lag, stand still, run the other way, and
+    /// drives that push little or much.
+    #[test]
+    fn a_glance_finds_what_an_examination_finds(
+        pieces in prop::collection::vec((-2000_i32..2000, prop::sample::select(&[64_i32, 64, 64, 63, 60, 9, 8, 7, 0, -64][..]), -40_i32..40, 1_usize..120), 1..12),
+        noise in 0_i32..3000, weak in any::<bool>(), seed: u32,
+    ) {
+        let (axis, _) = slide();
+        let mut watches = [Watch::of(&axis); 2];
+        let (mut wanted, mut measured, mut effort, mut random) = (mm(100.0), i64::from(mm(100.0)) * 64, 0, seed);
+        let mut glances = 0;
+        for (step, follows, push, periods) in pieces {
+            for _ in 0..periods {
+                random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                let shake = (random >> 16) as i32 % (noise + 1);
+                wanted += step;
+                measured += i64::from(step) * i64::from(follows);
+                effort += push * if weak { 1 } else { 100_000 };
+                let place = (measured / 64) as i32 + shake;
+                let seen = Seen {
+                    wanted: Coordinate(wanted),
+                    wanted_rate: Rate(step * 5000),
+                    measured: Coordinate(place),
+                    rate: Rate((i64::from(step) * i64::from(follows) * 5000 / 64) as i32),
+                    moved: step.signum() * (random & 1) as i32,
+                    effort: Effort(effort),
+                    illegal: 0,
+                    steps_off: Coordinate(0),
+                    period_us: 200,
+                };
+                let before = watches[0];
+                let found = watches[0].look(0, &axis, LIMIT, &seen);
+                prop_assert_eq!(found, watches[1].examine(0, &axis, LIMIT, &seen));
+                prop_assert_eq!(watches[0], watches[1], "before {:?}", before);
+                let mut glance = before;
+                glances += u32::from(glance.glance(&Glimpse::from(&seen)));
+                if found.is_some() {
+                    watches.iter_mut().for_each(Watch::reset);
+                }
+            }
+        }
+        prop_assume!(glances > 0);
+    }
 
     /// No sight, however absurd, and no configuration overflows supervision.
     #[test]

@@ -297,8 +297,8 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
         self.outbox.round_trip_us()
     }
 
-    /// Takes bytes from the line; whether a message was among them, which was put to the others. The work is bounded by their number; messages wait for
-    /// [`Link::poll_message`].
+    /// Takes bytes from the line; messages wait for [`Link::poll_message`]. The work is bounded by the number of bytes, but where messages that wait have to be moved
+    /// to make room: says whether they had to.
     pub fn receive(&mut self, now_us: u64, bytes: &[u8]) -> bool {
         let Self {
             decoder,
@@ -310,7 +310,6 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
         } = self;
         let mut greeted = false;
         let mut heard = false;
-        let mut came = false;
         let mut line = bytes;
         while let Some(frame) = decoder.take(&mut line) {
             // Any of them may give something to say.
@@ -326,7 +325,6 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
                     sequence,
                     acknowledgement,
                 } => {
-                    came = true;
                     outbox.acknowledge(now_us, acknowledgement);
                     let urgent = inbox.reliable(sequence, frame.payload);
                     self.acknowledge_since.get_or_insert(now_us);
@@ -338,7 +336,6 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
                     sequence,
                     acknowledgement,
                 } => {
-                    came = true;
                     outbox.acknowledge(now_us, acknowledgement);
                     inbox.latest(sequence, frame.payload);
                 }
@@ -355,7 +352,7 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
         if greeted && let Some(session) = self.end.accepted() {
             self.begin(now_us, session);
         }
-        came
+        core::mem::take(&mut self.inbox.moved)
     }
 
     /// The next message, if there is one. A reliable one comes once and in order.
@@ -369,6 +366,23 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
             }
         }
         None
+    }
+
+    /// The same, written where it shall be: messages are large. False if there is none, or one that cannot be read.
+    pub fn poll_into(&mut self, place: &mut E::Hears) -> bool {
+        let Some(payload) = self.inbox.first() else {
+            return false;
+        };
+        let message = postcard::from_bytes(payload);
+        self.inbox.drop_first();
+        match message {
+            Ok(message) => *place = message,
+            Err(_) => {
+                self.count_unreadable();
+                return false;
+            }
+        }
+        true
     }
 
     /// Whether nothing at all arrived that is yet to be heard; a message may still have to wait for the one before it.

@@ -7,18 +7,20 @@
 //! Slowing down for want of setpoints begins while the queue still covers the stopping distance, so the last setpoint is never passed.
 //! The bounds on acceleration and jerk of the braking are those of the configuration's [`Stopping`], on top of the program's own.
 
+mod ahead;
 mod retreat;
 mod stopping;
 
 use super::Wanted;
 use super::cubic::{Cubic, Span};
 use super::ramp::{Ramp, RampLimits};
-use super::way::{self, Way};
+use super::way;
 use crate::config::{AxisKind, Config, Stopping};
 use crate::kinematics::Pose;
 use crate::safety::integrity::constants;
 use crate::units::scale::{product, saturate, total};
 use crate::units::{Acceleration, Coordinate, Rate};
+use ahead::{Segment, Segments};
 use core::ops::Range;
 use haptimill_protocol::message::{Action, MAX_AXES, RATE_SHIFT, Refusal};
 use haptimill_protocol::setpoint::Setpoint;
@@ -44,14 +46,6 @@ impl Knot {
     fn at_rest(&self) -> bool {
         self.rates.iter().all(|rate| *rate == 0)
     }
-}
-
-/// The cubics on the way to the next setpoint.
-#[derive(Debug, Clone, Copy, Default)]
-struct Segment {
-    ways: [Way; MAX_AXES],
-    span: Span,
-    to: Knot,
 }
 
 /// What happened on the path in one period.
@@ -88,8 +82,8 @@ pub struct Program {
     acceleration_limits: [Acceleration; MAX_AXES],
     period_us: u16,
     periods_per_second: i64,
-    /// The spans of the setpoint that was taken last, and of the segment: most have the length of the one before.
-    spans: [Span; 2],
+    /// The span of the setpoint that was taken last: most have the length of the one before.
+    span: Span,
     braking: Option<RampLimits>,
     /// Program time that braking from the full rate takes, in periods.
     braking_periods: u64,
@@ -107,9 +101,8 @@ pub struct Program {
     tail: Knot,
     /// The setpoint reached last (or the start pose).
     from: Knot,
-    /// The way to the next setpoint; it holds while it is `begun`. Large, and made where it lies.
-    segment: Segment,
-    begun: bool,
+    /// The way to the next setpoint, and the one after that.
+    segments: Segments,
     /// Time into the segment, 2^-32 periods.
     time: u64,
     /// Program time at the start of the segment, in periods.
@@ -129,8 +122,8 @@ pub struct Program {
 constants!(Program {
     axes, rotary, rate_limits, acceleration_limits, period_us, periods_per_second, braking, braking_periods
 } of {} but {
-    queue, queued_periods, rests_ahead, tail, from, segment, begun, time, elapsed, path_rate, override_rate, accepted, reached, total, started, paused,
-    starving, late, spans, passed, back
+    queue, queued_periods, rests_ahead, tail, from, segments, time, elapsed, path_rate, override_rate, accepted, reached, total, started, paused,
+    starving, late, span, passed, back
 });
 
 /// Bounds of the path rate that a configuration's [`Stopping`] means; `None` if it makes no sense.
@@ -193,7 +186,7 @@ impl Program {
         self.tail = Knot::default();
         self.tail.pose = pose.0.map(|coordinate| coordinate.0);
         self.from = self.tail;
-        self.begun = false;
+        self.segments.clear();
         self.time = 0;
         self.elapsed = 0;
         self.path_rate = Ramp::at(FULL_RATE);
@@ -226,7 +219,7 @@ impl Program {
         {
             return Err(bad);
         }
-        self.measure(0, setpoint.periods).ok_or(bad)?;
+        self.measure(setpoint.periods).ok_or(bad)?;
         let to = setpoint.pose.iter().zip(&setpoint.rates).enumerate();
         for (axis, (place, rate)) in to.take(axes.end).skip(axes.start) {
             if !self.may_go(axis, *place, *rate) {
@@ -369,7 +362,7 @@ impl Program {
         (self.path_rate.is_zero() && self.back == 0)
             || self.paused
             || !self.started
-            || (!self.begun && self.queue.is_empty())
+            || (self.segment().is_none() && self.queue.is_empty())
     }
 
     /// One period along the path; `halt` brakes to rest and keeps the place.
@@ -482,31 +475,25 @@ impl Program {
     #[inline]
     fn walk(&mut self, progress: &mut Progress) {
         loop {
-            if !self.begun {
-                let Some(knot) = self.queue.pop_front() else {
-                    progress.ran_dry = !self.from.at_rest();
-                    self.time = 0;
-                    if progress.ran_dry {
-                        self.path_rate = Ramp::at(0);
-                    }
-                    return;
-                };
-                self.queued_periods -= u64::from(knot.periods);
-                self.begin_segment(&knot);
-            }
-            if !self.begun {
+            if self.segment().is_none() && !self.begin_next() {
+                progress.ran_dry = !self.from.at_rest();
+                self.time = 0;
+                if progress.ran_dry {
+                    self.path_rate = Ramp::at(0);
+                }
                 return;
             }
-            let periods = u64::from(self.segment.span.periods());
+            let Some(segment) = self.segments.present() else {
+                return;
+            };
+            let periods = u64::from(segment.span.periods());
             let end = periods << 32;
             if self.time < end {
                 return;
             }
             self.time -= end;
             self.elapsed += periods;
-            self.remember(self.from);
-            self.from = self.segment.to;
-            self.begun = false;
+            self.pass();
             self.reached = self.reached.wrapping_add(1);
             if self.from.at_rest() {
                 self.rests_ahead = self.rests_ahead.saturating_sub(1);
@@ -602,44 +589,23 @@ impl Program {
         }
     }
 
-    /// The span of its `kind` (taken, begun) becomes one of so many periods; most are as long as the one before.
-    fn measure(&mut self, kind: usize, periods: u16) -> Option<()> {
-        if self.spans[kind].periods() != periods || periods == 0 {
-            self.spans[kind] = Span::new(periods, self.period_us)?;
+    /// The span of the setpoint that is looked at becomes one of so many periods; most are as long as the one before.
+    fn measure(&mut self, periods: u16) -> Option<()> {
+        if self.span.periods() != periods || periods == 0 {
+            self.span = Span::new(periods, self.period_us)?;
         }
         Some(())
     }
 
-    /// The way from the setpoint reached last to the next one. There is none to a setpoint that could not have been taken.
-    #[inline(never)]
-    fn begin_segment(&mut self, to: &Knot) {
-        if self.measure(1, to.periods).is_none() {
-            return;
-        }
-        let [_, span] = &self.spans;
-        for (axis, way) in self.segment.ways.iter_mut().enumerate().take(self.axes) {
-            let (from, wrap) = (&self.from, self.rotary[axis]);
-            let (start, rate) = (Coordinate(from.pose[axis]), from.rates[axis]);
-            let (end, end_rate) = (Coordinate(to.pose[axis]), to.rates[axis]);
-            let Some(cubic) = Cubic::new(start, rate, end, end_rate, span, wrap) else {
-                return;
-            };
-            way.set(&cubic, span);
-        }
-        self.segment.span = *span;
-        self.segment.to = *to;
-        self.begun = true;
-    }
-
     #[inline]
     fn segment(&self) -> Option<&Segment> {
-        self.begun.then_some(&self.segment)
+        self.segments.present()
     }
 
     /// Whether an axis may go from the newest setpoint to the next one: neither the rate there nor the mean rate nor any in between is beyond the axis' limit, nor
     /// the acceleration beyond 16 times that of a jog. Such a setpoint is a mistake, not a motion.
     fn may_go(&self, axis: usize, place: i32, rate: i32) -> bool {
-        let ([span, _], limit) = (&self.spans, self.rate_limits[axis]);
+        let (span, limit) = (&self.span, self.rate_limits[axis]);
         if rate.unsigned_abs() > limit.unsigned_abs() {
             return false;
         }

@@ -188,16 +188,19 @@ impl Watch {
     #[inline(always)]
     pub fn glance(&mut self, seen: &Glimpse) -> bool {
         let bounds = &self.bounds;
-        let Some((begun, _)) = self.since else {
-            return false;
-        };
         if seen.effort.0.unsigned_abs() >= bounds.weak
-            || !within(seen.wanted, begun, bounds.stretch)
             || !within(seen.wanted, seen.measured, bounds.following)
             || seen.measured.0.wrapping_sub(bounds.low.0) as u32 > bounds.width
         {
             return false;
         }
+        let since = match self.since {
+            Some(begun) if within(seen.wanted, begun.0, bounds.stretch) => Some(begun),
+            // The stretch is over, and was gone; in the next period another one is begun.
+            Some(begun) if kept_up(seen, begun) => None,
+            Some(_) => return false,
+            None => Some((seen.wanted, seen.measured)),
+        };
         let Some(mark) = &mut self.mark else {
             return false;
         };
@@ -213,10 +216,13 @@ impl Watch {
             } else {
                 grown
             };
-            if mark.turns >= TURNS || grown > bounds.friction || !mark.counts_on(seen.moved) {
+            // Twice as much again where it has yet to be overcome.
+            let friction = bounds.friction * if mark.standing { 3 } else { 1 };
+            if mark.turns >= TURNS || grown > friction || !mark.counts_on(seen.moved) {
                 return false;
             }
         }
+        self.since = since;
         self.against = 0;
         true
     }
@@ -448,6 +454,15 @@ fn friction(config: &JointAxis, most: u32) -> u32 {
 #[inline(always)]
 const fn within(a: Coordinate, b: Coordinate, bound: i32) -> bool {
     a.0.wrapping_sub(b.0).wrapping_add(bound) as u32 <= (bound as u32).wrapping_mul(2)
+}
+
+/// Whether at least an eighth of the motion that was wanted since then was measured, the same way; false also where ways are too long to tell at a glance.
+#[inline(always)]
+const fn kept_up(seen: &Glimpse, (wanted, measured): (Coordinate, Coordinate)) -> bool {
+    let wanted = seen.wanted.0.wrapping_sub(wanted.0);
+    let measured = seen.measured.0.wrapping_sub(measured.0);
+    let (asked, gone) = (wanted.unsigned_abs(), measured.unsigned_abs());
+    wanted ^ measured >= 0 && gone >= asked / 8 && gone != 0 && (asked | gone) < WIDEST
 }
 
 /// How far it is from `b` to `a`; the shorter way round on a rotary joint.

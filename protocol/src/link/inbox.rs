@@ -34,6 +34,8 @@ pub(super) struct Inbox<const BYTES: usize> {
     pub(super) duplicates: u32,
     /// Frames that found no room.
     pub(super) no_room: u32,
+    /// Bytes that were stored had to be moved, which takes long.
+    pub(super) moved: bool,
 }
 
 impl<const BYTES: usize> Default for Inbox<BYTES> {
@@ -48,6 +50,7 @@ impl<const BYTES: usize> Default for Inbox<BYTES> {
             newest: None,
             duplicates: 0,
             no_room: 0,
+            moved: false,
         }
     }
 }
@@ -183,6 +186,7 @@ impl<const BYTES: usize> Inbox<BYTES> {
             self.bytes.0.copy_within(self.head..self.used, 0);
             self.used -= self.head;
             self.head = 0;
+            self.moved = true;
         }
         let end = self.used + PREFIX + payload.len();
         let Some((prefix, place)) = self

@@ -134,11 +134,11 @@ fn SysTick() {
     let (Some(controller), Some(waiting)) = (&mut period.controller, &mut period.waiting) else {
         return;
     };
-    waiting.take(&mut period.inputs);
     #[cfg(feature = "faults")]
     crate::faults::begin(period.inputs.period);
     #[cfg(feature = "defmt")]
     crate::log::begin(period.inputs.period);
     period.counter = StageCounter::begin();
+    waiting.take(&mut period.inputs);
     controller.tick(&period.inputs, &mut period.outputs, &mut period.counter);
 }

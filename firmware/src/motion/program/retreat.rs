@@ -76,7 +76,7 @@ impl Program {
             };
             step -= self.time;
             let to = core::mem::replace(&mut self.from, knot);
-            self.begin_segment(&to);
+            self.begin_back(&to);
             self.time = u64::from(to.periods) << 32;
             self.elapsed = self.elapsed.saturating_sub(u64::from(to.periods));
             self.reached = self.reached.wrapping_sub(1);

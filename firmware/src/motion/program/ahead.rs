@@ -1,0 +1,161 @@
+//! The way to the next setpoint, and the one after it.
+//!
+//! To work out a whole segment takes half as long as all else in a period. So the next one is made in parts while the machine is under way on the present one: its
+//! end and its span, then one coordinate after the other ([`Program::look_ahead`]). Whatever is missing when it begins is made then; the bits are the same.
+
+use super::{Knot, Program};
+use crate::motion::cubic::{Cubic, Span};
+use crate::motion::way::Way;
+use crate::units::Coordinate;
+use haptimill_protocol::message::MAX_AXES;
+
+/// The cubics on the way to a setpoint.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Segment {
+    pub(super) ways: [Way; MAX_AXES],
+    pub(super) span: Span,
+    pub(super) to: Knot,
+}
+
+/// The present segment and the next one, which take turns in two places: they are large.
+#[derive(Debug, Default)]
+pub(super) struct Segments {
+    pair: [Segment; 2],
+    /// The present one has the second place.
+    second: bool,
+    /// There is a present one.
+    begun: bool,
+    /// So many parts of the next one are made.
+    parts: usize,
+}
+
+impl Segments {
+    /// None is there, and nothing is made.
+    pub(super) const fn clear(&mut self) {
+        self.begun = false;
+        self.parts = 0;
+    }
+
+    /// The present one.
+    #[inline]
+    pub(super) fn present(&self) -> Option<&Segment> {
+        let [first, second] = &self.pair;
+        self.begun
+            .then_some(if self.second { second } else { first })
+    }
+
+    /// The one that was present last, and the one that is next.
+    const fn both(&mut self) -> (&Segment, &mut Segment) {
+        let [first, second] = &mut self.pair;
+        if self.second {
+            (second, first)
+        } else {
+            (first, second)
+        }
+    }
+}
+
+impl Program {
+    /// Makes a part of the next segment, if one is missing: when `free`, a period that has not much else to do, or when time runs short.
+    #[inline]
+    pub fn look_ahead(&mut self, free: impl FnOnce() -> bool) {
+        if self.segments.parts <= self.axes
+            && !self.queue.is_empty()
+            && (self.is_pressed() || free())
+        {
+            self.make_part();
+        }
+    }
+
+    /// Whether no more periods are left to the present segment than parts of the next one are missing, or none at all.
+    fn is_pressed(&self) -> bool {
+        let missing = (self.axes + 1).saturating_sub(self.segments.parts) as u64;
+        self.segment().is_none_or(|segment| {
+            let left = u64::from(segment.span.periods()).saturating_sub(self.time >> 32);
+            left <= missing + 1
+        })
+    }
+
+    /// Makes the next part of the next segment. There is none to a setpoint that could not have been taken.
+    #[inline(never)]
+    fn make_part(&mut self) -> Option<()> {
+        let to = self.queue.front()?;
+        let Segments { begun, parts, .. } = self.segments;
+        let (before, next) = self.segments.both();
+        if let Some(axis) = parts.checked_sub(1) {
+            let from = if begun { &before.to } else { &self.from };
+            next.join(from, axis, self.rotary[axis])?;
+        } else {
+            next.begin(to, before, self.period_us)?;
+        }
+        self.segments.parts = parts + 1;
+        Some(())
+    }
+
+    /// The next segment becomes the present one; false if there is none.
+    pub(super) fn begin_next(&mut self) -> bool {
+        while self.segments.parts <= self.axes {
+            if self.make_part().is_none() {
+                return false;
+            }
+        }
+        self.queue.pop_front();
+        let segments = &mut self.segments;
+        segments.second = !segments.second;
+        segments.begun = true;
+        segments.parts = 0;
+        let periods = segments
+            .present()
+            .map_or(0, |segment| segment.span.periods());
+        self.queued_periods -= u64::from(periods);
+        true
+    }
+
+    /// The end of the present segment is reached.
+    pub(super) fn pass(&mut self) {
+        self.remember(self.from);
+        if let Some(segment) = self.segments.present() {
+            self.from = segment.to;
+        }
+        self.segments.begun = false;
+    }
+
+    /// The way from the setpoint reached last to `to` becomes the present segment.
+    #[inline(never)]
+    pub(super) fn begin_back(&mut self, to: &Knot) {
+        self.segments.clear();
+        let (before, next) = self.segments.both();
+        if next.begin(to, before, self.period_us).is_none() {
+            return;
+        }
+        for axis in 0..self.axes {
+            if next.join(&self.from, axis, self.rotary[axis]).is_none() {
+                return;
+            }
+        }
+        self.segments.second = !self.segments.second;
+        self.segments.begun = true;
+    }
+}
+
+impl Segment {
+    /// A segment to a setpoint; most are as long as the one before.
+    fn begin(&mut self, to: &Knot, before: &Self, period_us: u16) -> Option<()> {
+        self.to = *to;
+        self.span = if before.span.periods() == to.periods && to.periods != 0 {
+            before.span
+        } else {
+            Span::new(to.periods, period_us)?
+        };
+        Some(())
+    }
+
+    /// The way of one axis to the end of the segment.
+    fn join(&mut self, from: &Knot, axis: usize, wrap: bool) -> Option<()> {
+        let (start, rate) = (Coordinate(from.pose[axis]), from.rates[axis]);
+        let (end, end_rate) = (Coordinate(self.to.pose[axis]), self.to.rates[axis]);
+        let cubic = Cubic::new(start, rate, end, end_rate, &self.span, wrap)?;
+        self.ways[axis].set(&cubic, &self.span);
+        Some(())
+    }
+}
