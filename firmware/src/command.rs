@@ -21,14 +21,10 @@ use haptimill_protocol::message::{
 
 type Done = Result<(), Refusal>;
 
-/// What a period does for a setpoint, in coordinates tried: with nothing else to do; and when bytes came in as well.
-const SHARE: usize = 7;
-const SHARE_PRESSED: usize = 5;
-
-/// To try its pose takes as long as so many coordinates, to take it as one, to read the next one as these.
+/// To try the pose of a setpoint takes as long as to try so many coordinates; to take it as one, to read the next one as these.
 const POSE: usize = 3;
 const TAKE: usize = 1;
-const READ: usize = 4;
+const READ: usize = 5;
 
 impl Controller {
     /// Carries out the request that was heard and answers it.
@@ -267,11 +263,7 @@ impl Controller {
     /// into the queue after that, and the next one read, as far as the period's share goes; the rest is for another period.
     #[inline(never)]
     pub(crate) fn heed_setpoint(&mut self, number: u32, tried: u8) {
-        let mut share = if self.server.is_pressed() {
-            SHARE_PRESSED
-        } else {
-            SHARE
-        };
+        let mut share = self.server.share();
         match self.try_setpoint(number, usize::from(tried), &mut share) {
             Ok(None) => self.server.accept_setpoint(share >= READ),
             Ok(Some(tried)) => self.server.pass_setpoint(tried),

@@ -75,8 +75,8 @@ impl Controller {
             self.welcome();
         }
         let machinery = self.machinery.as_ref();
-        let turns = machinery.is_some_and(|machinery| machinery.motion.program.turns());
-        self.server.next(turns)
+        let busy = machinery.is_some_and(|machinery| machinery.motion.program.is_busy());
+        self.server.next(busy || self.job.overdue)
     }
 
     #[inline(never)]

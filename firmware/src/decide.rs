@@ -45,6 +45,8 @@ pub struct Job {
     pub overtaken: bool,
     /// A part of the configuration is yet to be looked at.
     pub unchecked: bool,
+    /// It has been for long.
+    pub overdue: bool,
     /// There was a configuration since power on.
     pub configured: bool,
     /// Periods since an urgent stop came.
@@ -127,15 +129,18 @@ impl Controller {
         let Some(machinery) = &mut self.machinery else {
             return;
         };
-        let due = inputs.period.is_multiple_of(INTEGRITY_PERIODS);
-        // A period with something else to do leaves it to the next one, but not for ever.
-        if (due && self.job.unchecked) || ((due || self.job.unchecked) && self.server.claim()) {
+        if inputs.period.is_multiple_of(INTEGRITY_PERIODS) {
+            // A period with something else to do leaves it to the next one; after so many, one is kept free of other things.
+            self.job.overdue = self.job.unchecked;
+            self.job.unchecked = true;
+        }
+        let held = self.job.overdue && self.server.is_held();
+        if self.job.unchecked && (held || self.server.claim()) {
             self.job.unchecked = false;
+            self.job.overdue = false;
             if !machinery.configuration_intact() {
                 self.safety.raise(Fault::Configuration);
             }
-        } else {
-            self.job.unchecked |= due;
         }
         if let Some(force) = &mut machinery.force
             && let Some(result) = force.take_tare_result()
@@ -280,8 +285,10 @@ impl Controller {
         let Some(machinery) = &mut self.machinery else {
             return;
         };
+        let held = self.server.is_held();
         let server = &mut self.server;
-        machinery.motion.program.look_ahead(|| server.claim());
+        let program = &mut machinery.motion.program;
+        program.look_ahead(held, || server.claim());
         if let Some(late) = machinery.motion.program.take_late() {
             self.safety.tell(Event::Underrun {
                 setpoint: late.setpoint,

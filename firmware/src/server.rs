@@ -8,7 +8,7 @@
 use crate::io::{Inputs, TRANSMIT_BYTES};
 use crate::safety::Safety;
 use haptimill_protocol::haptic::HandTelemetry;
-use haptimill_protocol::link::{ControllerLink, Greeted, Identity, SHORT_REPORT, Timing};
+use haptimill_protocol::link::{ControllerLink, Greeted, Identity, SHORT_REPORT, Timing, Work};
 use haptimill_protocol::message::{
     AxisValues, Command, ConfigChunk, Refusal, Report, Request, Telemetry,
 };
@@ -60,10 +60,8 @@ pub struct Server {
     /// The request that was read last, and whether it is yet to be heard.
     request: Request,
     read: bool,
-    /// Bytes came in this period.
-    pressed: bool,
-    /// To take them took long.
-    moved: bool,
+    /// What came in this period.
+    came: Work,
     /// Something long was done in this period; it was done by what hears.
     worked: bool,
     heard: bool,
@@ -119,8 +117,7 @@ impl Server {
             tried: None,
             request: NOTHING,
             read: false,
-            pressed: false,
-            moved: false,
+            came: Work::Nothing,
             worked: false,
             heard: false,
             held: false,
@@ -152,8 +149,11 @@ impl Server {
         let lost = inputs.lost_bytes.wrapping_sub(self.lost_before);
         self.lost = self.lost.saturating_add(u32::from(lost));
         self.lost_before = inputs.lost_bytes;
-        self.pressed = !inputs.received.is_empty();
-        self.moved = self.pressed && self.receive(&inputs.received);
+        self.came = if inputs.received.is_empty() {
+            Work::Nothing
+        } else {
+            self.receive(&inputs.received)
+        };
         self.link.hello().is_some()
     }
 
@@ -164,13 +164,21 @@ impl Server {
         let yields = self.kept || (self.heard && self.tells_much());
         self.held = hold_back && !self.held;
         // What is told waits as well: a period that was held back has no time for it either.
-        self.worked = self.held || self.moved;
+        // And so it is kept free for what could not be said in the one before.
+        self.worked = self.held || self.mute || self.came == Work::Moved;
         self.heard = false;
         let nothing = self.tried.is_none() && !self.read && self.link.has_heard_all();
         if nothing || yields || self.worked || self.answers.is_full() {
             return None;
         }
         self.hear()
+    }
+
+    /// Whether this period was held back, and neither hears nor tells.
+    #[must_use]
+    #[inline]
+    pub const fn is_held(&self) -> bool {
+        self.held
     }
 
     /// The next thing to do.
@@ -188,9 +196,9 @@ impl Server {
         Some(Heard::Setpoint { number, tried })
     }
 
-    /// Takes bytes from the line; says whether that took long.
+    /// Takes bytes from the line.
     #[inline(never)]
-    fn receive(&mut self, bytes: &[u8]) -> bool {
+    fn receive(&mut self, bytes: &[u8]) -> Work {
         self.link.receive(self.now_us, bytes)
     }
 
@@ -262,11 +270,15 @@ impl Server {
         &self.setpoint
     }
 
-    /// Whether bytes came in this period, which leaves less time for other things.
+    /// What this period has time for, in coordinates of a setpoint that are tried.
     #[must_use]
     #[inline]
-    pub const fn is_pressed(&self) -> bool {
-        self.pressed
+    pub const fn share(&self) -> usize {
+        match self.came {
+            Work::Nothing => 7,
+            Work::Bytes => 5,
+            Work::Frame | Work::Moved => 3,
+        }
     }
 
     /// As far as it was tried the machine can go to the setpoint that was heard in this period: it is heard again.
@@ -427,8 +439,8 @@ impl Server {
         self.link.hold_latest(self.worked);
         transmit.clear();
         if room > 0 && !self.held && !self.link.is_quiet(self.now_us) {
-            // To hear, to work and to speak in one period is much; but what is said waits no longer than one.
-            self.mute = self.pressed && self.worked && !self.mute;
+            // To work and to speak in one period is much; but what is said waits no longer than one.
+            self.mute = self.worked && !self.mute;
             if !self.mute {
                 self.say(room, transmit);
             }

@@ -345,7 +345,7 @@ proptest! {
             });
             prop_assert_eq!(gone[0], gone[1], "period {}", period);
             let [_, program] = &mut programs;
-            program.look_ahead(|| free[period % free.len()]);
+            program.look_ahead(free[period / 2 % free.len()], || free[period % free.len()]);
             ended = gone[0].0.1.finished || (back > 0 && period > hold_at + 900 && gone[0].4);
             if ended {
                 break;

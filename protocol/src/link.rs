@@ -164,6 +164,19 @@ impl core::fmt::Display for SendError {
 
 impl core::error::Error for SendError {}
 
+/// What [`Link::receive`] had to do: the later, the more.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Work {
+    /// No byte came.
+    Nothing,
+    /// Bytes came.
+    Bytes,
+    /// A frame ended.
+    Frame,
+    /// Messages that wait had to be moved to make room for another.
+    Moved,
+}
+
 /// What a link has counted since it was made. Each stays at its largest value.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -297,9 +310,8 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
         self.outbox.round_trip_us()
     }
 
-    /// Takes bytes from the line; messages wait for [`Link::poll_message`]. The work is bounded by the number of bytes, but where messages that wait have to be moved
-    /// to make room: says whether they had to.
-    pub fn receive(&mut self, now_us: u64, bytes: &[u8]) -> bool {
+    /// Takes bytes from the line; messages wait for [`Link::poll_message`]. Says how much work that was.
+    pub fn receive(&mut self, now_us: u64, bytes: &[u8]) -> Work {
         let Self {
             decoder,
             inbox,
@@ -311,7 +323,13 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
         let mut greeted = false;
         let mut heard = false;
         let mut line = bytes;
+        let mut work = if bytes.is_empty() {
+            Work::Nothing
+        } else {
+            Work::Bytes
+        };
         while let Some(frame) = decoder.take(&mut line) {
+            work = Work::Frame;
             // Any of them may give something to say.
             self.quiet_until_us = 0;
             counters.frames_heard = counters.frames_heard.saturating_add(1);
@@ -352,7 +370,10 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
         if greeted && let Some(session) = self.end.accepted() {
             self.begin(now_us, session);
         }
-        core::mem::take(&mut self.inbox.moved)
+        if core::mem::take(&mut self.inbox.moved) {
+            work = Work::Moved;
+        }
+        work
     }
 
     /// The next message, if there is one. A reliable one comes once and in order.

@@ -323,10 +323,16 @@ impl Program {
         self.override_rate = FULL_RATE * i64::from(percent.clamp(1, 100)) / 100;
     }
 
-    /// Whether the next setpoint may be reached in this period, and a new segment begun: more to do than in others.
+    /// Whether the path has more to do in this period than in others: the next setpoint may be reached, or a part of the segment after it is to be made.
     #[must_use]
     #[inline]
-    pub fn turns(&self) -> bool {
+    pub fn is_busy(&self) -> bool {
+        self.turns() || self.is_pressed()
+    }
+
+    /// Whether the next setpoint may be reached in this period, and a new segment begun.
+    #[inline]
+    fn turns(&self) -> bool {
         self.started
             && self.segment().is_none_or(|segment| {
                 let end = u64::from(segment.span.periods()) << 32;

@@ -14,6 +14,7 @@
 //! Misuse: semihosting lets an image open any file of the user who runs it; run only your own.
 #![no_std]
 
+mod copy;
 pub mod counter;
 pub mod ending;
 #[cfg(feature = "faults")]

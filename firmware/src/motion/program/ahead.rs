@@ -27,6 +27,8 @@ pub(super) struct Segments {
     begun: bool,
     /// So many parts of the next one are made.
     parts: usize,
+    /// From this time into the present one on the next part is pressing.
+    pressed_from: u64,
 }
 
 impl Segments {
@@ -34,6 +36,7 @@ impl Segments {
     pub(super) const fn clear(&mut self) {
         self.begun = false;
         self.parts = 0;
+        self.pressed_from = 0;
     }
 
     /// The present one.
@@ -56,24 +59,35 @@ impl Segments {
 }
 
 impl Program {
-    /// Makes a part of the next segment, if one is missing: when `free`, a period that has not much else to do, or when time runs short.
+    /// Makes a part of the next segment, if one is missing and there is time for it: when the period was `held` free for the path ([`Program::is_busy`]), or is `idle`.
     #[inline]
-    pub fn look_ahead(&mut self, free: impl FnOnce() -> bool) {
-        if self.segments.parts <= self.axes
-            && !self.queue.is_empty()
-            && (self.is_pressed() || free())
-        {
+    pub fn look_ahead(&mut self, held: bool, idle: impl FnOnce() -> bool) {
+        if self.misses_part() && ((held && self.is_pressed()) || idle()) {
             self.make_part();
         }
     }
 
-    /// Whether no more periods are left to the present segment than parts of the next one are missing, or none at all.
-    fn is_pressed(&self) -> bool {
-        let missing = (self.axes + 1).saturating_sub(self.segments.parts) as u64;
-        self.segment().is_none_or(|segment| {
-            let left = u64::from(segment.span.periods()).saturating_sub(self.time >> 32);
-            left <= missing + 1
-        })
+    #[inline]
+    fn misses_part(&self) -> bool {
+        self.segments.parts <= self.axes && !self.queue.is_empty()
+    }
+
+    /// Whether a part of the next segment is to be made soon.
+    #[inline]
+    pub(super) fn is_pressed(&self) -> bool {
+        self.time >= self.segments.pressed_from && self.misses_part()
+    }
+
+    /// Says from when on parts of the next segment are pressing: when as many periods are left to the present one as two for each part. Where segments are so
+    /// short that hearing would suffer from it there is no hurry; what is missing is made when it begins.
+    fn press(&mut self) {
+        let parts = self.axes as u64 + 1;
+        let missing = parts.saturating_sub(self.segments.parts as u64);
+        let from = self.segment().map_or(Some(0), |segment| {
+            let periods = u64::from(segment.span.periods());
+            (periods >= 4 * parts).then(|| (periods - 2 * missing - 2) << 32)
+        });
+        self.segments.pressed_from = from.unwrap_or(u64::MAX);
     }
 
     /// Makes the next part of the next segment. There is none to a setpoint that could not have been taken.
@@ -89,6 +103,7 @@ impl Program {
             next.begin(to, before, self.period_us)?;
         }
         self.segments.parts = parts + 1;
+        self.press();
         Some(())
     }
 
@@ -104,6 +119,8 @@ impl Program {
         segments.second = !segments.second;
         segments.begun = true;
         segments.parts = 0;
+        self.press();
+        let segments = &self.segments;
         let periods = segments
             .present()
             .map_or(0, |segment| segment.span.periods());
