@@ -454,14 +454,14 @@ fn instructions_of_a_period() {
             "dome-bare",
             &dome,
             bare(),
-            [4_750.0, 11_900.0],
+            [4_850.0, 8_000.0],
         ),
         job(
             "E11 circle, a machine without a force sensor",
             "e11-bare",
             &circle,
             bare(),
-            [4_650.0, 11_300.0],
+            [4_750.0, 8_000.0],
         ),
         job(
             "dome, 5 axes, with a force sensor, nothing under force control",
