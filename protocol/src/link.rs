@@ -9,6 +9,8 @@
 //! * **Reliable messages** ([`Link::send`]) arrive once and in order, or the session ends. At most [`WINDOW`] are under way; each frame has
 //!   a sequence number, each frame in the other direction says what arrived, also beyond a gap. A frame is sent again as
 //!   soon as one that was sent after it has arrived, or after a time that follows the measured round trip.
+//!   Where more than half of the room for messages that wait is used, what lies beyond is told to have arrived only as room is made: so whoever sends faster than the
+//!   other end polls is held back by its own window, and sends nothing twice for want of room.
 //! * **Latest values** ([`Link::send_latest`]) are sent once and replaced by the next; an older one that comes late is dropped.
 //! * **Life.** An end that said nothing for [`Timing::keep_alive_us`] says that it is there, in four bytes; whatever else it says is a sign of life too.
 //!   [`Link::peer_silent_us`] feeds the heartbeat.
@@ -380,7 +382,7 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
     pub fn poll_message(&mut self) -> Option<E::Hears> {
         while let Some(payload) = self.inbox.first() {
             let message = postcard::from_bytes(payload);
-            self.inbox.drop_first();
+            self.drop_first();
             match message {
                 Ok(message) => return Some(message),
                 Err(_) => self.count_unreadable(),
@@ -395,7 +397,7 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
             return false;
         };
         let message = postcard::from_bytes(payload);
-        self.inbox.drop_first();
+        self.drop_first();
         match message {
             Ok(message) => *place = message,
             Err(_) => {
@@ -419,12 +421,17 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
 
     /// Drops the message that [`Link::peek`] gives.
     pub fn drop_first(&mut self) {
-        self.inbox.drop_first();
+        if self.inbox.drop_first() {
+            // The peer waits for the room.
+            self.acknowledge_since.get_or_insert(0);
+            self.acknowledge_count = WINDOW as u8;
+            self.quiet_until_us = 0;
+        }
     }
 
     /// The message that [`Link::peek`] gives cannot be read.
     pub fn drop_unreadable(&mut self) {
-        self.inbox.drop_first();
+        self.drop_first();
         self.count_unreadable();
     }
 

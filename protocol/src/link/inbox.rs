@@ -70,10 +70,15 @@ impl<const BYTES: usize> Inbox<BYTES> {
         self.newest = None;
     }
 
-    /// What is to be told to the peer.
+    /// What is to be told to the peer. While nothing is missing in between, that is of messages beyond half of the room that they have not arrived yet.
     pub(super) fn acknowledgement(&self) -> Acknowledgement {
+        let crowding = if self.is_crowded() && self.beyond == 0 {
+            self.crowding()
+        } else {
+            0
+        };
         Acknowledgement {
-            next: self.missing,
+            next: self.missing.wrapping_sub(crowding),
             beyond: self.beyond,
         }
     }
@@ -139,22 +144,39 @@ impl<const BYTES: usize> Inbox<BYTES> {
         self.head == self.used
     }
 
+    /// Whether more than half of the room is used.
+    fn is_crowded(&self) -> bool {
+        self.used - self.head > BYTES / 2
+    }
+
+    /// Reliable messages in order that lie beyond half of the room.
+    fn crowding(&self) -> u8 {
+        let (mut start, mut count) = (0, 0_u8);
+        while let Some((kind, _, length)) = self.prefix(start) {
+            start += stride(length);
+            count += u8::from(kind == RELIABLE && start > BYTES / 2);
+        }
+        count
+    }
+
     /// The next message in order; it stays.
     pub(super) fn first(&self) -> Option<&[u8]> {
         let (start, end, _) = self.place()?;
         self.stored().get(start + PREFIX..end)
     }
 
-    /// Drops the next message in order.
-    pub(super) fn drop_first(&mut self) {
+    /// Drops the next message in order; says whether that made room which the peer waits for.
+    pub(super) fn drop_first(&mut self) -> bool {
         let Some((start, _, end)) = self.place() else {
-            return;
+            return false;
         };
+        let crowded = self.is_crowded();
         let kind = self.stored().get(start).copied();
         self.remove(start, end);
         if kind == Some(RELIABLE) {
             self.give = self.give.wrapping_add(1);
         }
+        crowded
     }
 
     /// The next message in order: where it begins, where its payload ends, where the next one begins.
@@ -206,12 +228,7 @@ impl<const BYTES: usize> Inbox<BYTES> {
     /// The first stored message that is wanted: where it begins, where its payload ends, where the next one begins.
     fn find(&self, wanted: impl Fn(u8, u8) -> bool) -> Option<(usize, usize, usize)> {
         let mut start = 0;
-        while let Some(&[kind, sequence, low, high]) = self
-            .stored()
-            .get(start..)
-            .and_then(|rest| rest.first_chunk::<PREFIX>())
-        {
-            let length = usize::from(u16::from_le_bytes([low, high]));
+        while let Some((kind, sequence, length)) = self.prefix(start) {
             let end = start + stride(length);
             if wanted(kind, sequence) {
                 return Some((start, start + PREFIX + length, end));
@@ -219,6 +236,13 @@ impl<const BYTES: usize> Inbox<BYTES> {
             start = end;
         }
         None
+    }
+
+    /// Kind, number and length of the message that is stored at a place.
+    fn prefix(&self, start: usize) -> Option<(u8, u8, usize)> {
+        let rest = self.stored().get(start..)?;
+        let &[kind, sequence, low, high] = rest.first_chunk::<PREFIX>()?;
+        Some((kind, sequence, usize::from(u16::from_le_bytes([low, high]))))
     }
 
     /// Removes what lies between two places.

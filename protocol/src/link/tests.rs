@@ -3,7 +3,7 @@
 use super::*;
 use crate::frame::{self, FrameBytes, FrameDecoder, Header};
 use crate::message::{
-    Command, Hello, PROTOCOL_VERSION, Report, Request, State, Telemetry, Welcome,
+    Command, ConfigChunk, Hello, PROTOCOL_VERSION, Report, Request, State, Telemetry, Welcome,
 };
 use crate::schema::schema_hash;
 use std::vec::Vec as StdVec;
@@ -327,4 +327,39 @@ fn the_line_is_not_filled_faster_than_it_carries() {
     }
     // One second of retransmissions and new frames: never above the rate, apart from what may be filled ahead.
     assert!(bytes <= 11_520 + 60, "{bytes}");
+}
+
+/// A host that has more to say than the controller takes is held back by acknowledgements that come later: nothing is said twice for want of room, and there is always
+/// something to take.
+#[test]
+fn who_says_more_than_is_taken_waits() {
+    for bytes in [20, 40, 50, 64] {
+        let mut pair = Pair::open(1);
+        let chunk = ConfigChunk {
+            offset: 0,
+            bytes: core::iter::repeat_n(7, bytes).collect(),
+        };
+        let request = Request {
+            id: 0,
+            command: Command::Configure(chunk),
+        };
+        let (mut taken, mut missed) = (0, 0);
+        // As long as four setpoints take.
+        for period in 0..10_000 {
+            while pair.host.under_way() < 4 {
+                pair.host.send(&request).unwrap();
+            }
+            pair.run(200);
+            if period % 14 == 13 {
+                match pair.controller.peek() {
+                    Some(_) => taken += 1,
+                    None => missed += 1,
+                }
+                pair.controller.drop_first();
+            }
+        }
+        let (host, controller) = (pair.host.counters(), pair.controller.counters());
+        assert_eq!((host.resent, controller.no_room), (0, 0), "{bytes} bytes");
+        assert!(taken > 700 && missed <= 1, "{taken}, {missed}");
+    }
 }
