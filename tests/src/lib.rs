@@ -126,12 +126,14 @@ impl<C: Control> Bench<C> {
         core::mem::take(&mut self.answers)
     }
 
-    /// Asks, and waits for the answer.
+    /// Asks as soon as there is room, and waits for the answer.
     pub fn ask(&mut self, command: Command) -> Result<(), Refusal> {
         self.id = self.id % 250 + 1;
         let id = self.id;
-        self.link.send(&Request { id, command }).expect("room");
+        let request = Request { id, command };
+        let mut said = false;
         for _ in 0..5000 {
+            said = said || self.link.send(&request).is_ok();
             self.step();
             if let Some(index) = self
                 .answers

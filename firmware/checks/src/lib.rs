@@ -10,6 +10,7 @@
 pub mod haptic;
 pub mod kinematics;
 pub mod link;
+pub mod memory;
 pub mod queue;
 pub mod reference;
 pub mod states;
@@ -26,6 +27,7 @@ pub struct Check {
 
 /// The checks, by module.
 pub const CHECKS: &[&[Check]] = &[
+    memory::CHECKS,
     units::CHECKS,
     kinematics::CHECKS,
     haptic::CHECKS,
