@@ -35,11 +35,11 @@ pub struct Wish {
 
 /// Something with which somebody says what is wanted.
 pub trait Device {
-    /// What is wanted now; orders are added to the list. Never waits.
+    /// What is wanted now, for a handle that moves on by `dt` seconds; orders are added to the list. Never waits.
     ///
     /// # Errors
     /// The device has gone.
-    fn wish(&mut self, now_us: u64, orders: &mut VecDeque<Order>) -> io::Result<Wish>;
+    fn wish(&mut self, now_us: u64, dt: f64, orders: &mut VecDeque<Order>) -> io::Result<Wish>;
 }
 
 /// Time between two words, microseconds.
@@ -90,7 +90,8 @@ impl<D: Device> Source for Held<D> {
         if self.gone.is_some() || now_us < last_us + EVERY_US {
             return Ok(None);
         }
-        let wish = match self.device.wish(now_us, &mut self.orders) {
+        let dt = ((now_us - last_us) as f64 * 1e-6).min(0.05);
+        let wish = match self.device.wish(now_us, dt, &mut self.orders) {
             Ok(wish) => wish,
             Err(error) => {
                 // No more words: the machine holds by itself.
@@ -98,7 +99,6 @@ impl<D: Device> Source for Held<D> {
                 return Ok(None);
             }
         };
-        let dt = ((now_us - last_us) as f64 * 1e-6).min(0.05);
         self.last_us = Some(now_us);
         let rate = if wish.held {
             self.move_on(&wish, dt)
@@ -228,7 +228,7 @@ fn read_all(input: &mut impl Read, bytes: &mut Vec<u8>) -> io::Result<()> {
 }
 
 impl<R: Read> Device for Keys<R> {
-    fn wish(&mut self, now_us: u64, orders: &mut VecDeque<Order>) -> io::Result<Wish> {
+    fn wish(&mut self, now_us: u64, dt: f64, orders: &mut VecDeque<Order>) -> io::Result<Wish> {
         read_all(&mut self.input, &mut self.begun)?;
         while let Some(key) = self.key() {
             match key {
@@ -268,7 +268,7 @@ impl<R: Read> Device for Keys<R> {
             }
         });
         // What goes now is not left.
-        let way = self.speed * EVERY_US as f64 * 1e-6;
+        let way = self.speed * dt;
         for left in &mut self.left {
             *left -= left.clamp(-way, way);
         }
@@ -329,7 +329,7 @@ fn shaped(deflection: f64) -> f64 {
 }
 
 impl<R: Read> Device for Joystick<R> {
-    fn wish(&mut self, _: u64, orders: &mut VecDeque<Order>) -> io::Result<Wish> {
+    fn wish(&mut self, _: u64, _: f64, orders: &mut VecDeque<Order>) -> io::Result<Wish> {
         read_all(&mut self.input, &mut self.begun)?;
         let begun = std::mem::take(&mut self.begun);
         let (records, rest) = begun.as_chunks::<RECORD>();
@@ -396,7 +396,7 @@ impl<R: Read> SpaceMouse<R> {
 }
 
 impl<R: Read> Device for SpaceMouse<R> {
-    fn wish(&mut self, now_us: u64, orders: &mut VecDeque<Order>) -> io::Result<Wish> {
+    fn wish(&mut self, now_us: u64, _: f64, orders: &mut VecDeque<Order>) -> io::Result<Wish> {
         read_all(&mut self.input, &mut self.begun)?;
         let begun = std::mem::take(&mut self.begun);
         let (events, rest) = begun.as_chunks::<EVENT>();

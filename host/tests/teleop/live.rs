@@ -151,8 +151,9 @@ fn a_key_is_a_step_and_a_closed_window_stops_the_machine() {
         window.keys(b"d");
         std::thread::sleep(std::time::Duration::from_millis(200));
     }
-    window.brings(b"\x1b[6~", "led ");
-    window.sees("free");
+    window.sees("Run free");
+    window.brings(b"\x1b[6~", "Run led");
+    window.sees("Run free");
     window.brings(b" ", "running -> on hold");
     window.brings(b"g", "on hold -> running");
     window.keys(b"q");

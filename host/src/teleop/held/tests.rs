@@ -40,6 +40,31 @@ fn words<D: Device>(held: &mut Held<D>, from_us: u64, to_us: u64) -> Vec<Word> {
         .collect()
 }
 
+/// A computer that is late now and then: steps are as long as they are said to be.
+#[test]
+fn steps_are_as_long_at_whatever_times_words_are_made() {
+    for (late, speed) in [(0, 10.0), (1, 10.0), (7, 4.0), (19, 10.0), (45, 25.0)] {
+        let keys = Keys::new(pieces([b"d", b"d", b"r"]), speed);
+        let mut held = Held::new(keys, "keys");
+        let (mut now_us, mut random, mut tip) = (0, 1_u64, [0; COMPONENTS]);
+        while now_us < 3_000_000 {
+            random = random
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1);
+            now_us += 5000 + (random >> 33) % (late * 1000 + 1);
+            tip = held
+                .advance(now_us)
+                .unwrap()
+                .map_or(tip, |word| word.hand.tip);
+        }
+        let mm = tip.map(|raw| f64::from(raw) / PER_MM);
+        assert!(
+            (mm[0] - 0.4).abs() < 1e-5 && (mm[2] - 0.2).abs() < 1e-5,
+            "{late} ms: {mm:?}"
+        );
+    }
+}
+
 #[test]
 fn a_key_is_a_step_and_the_dead_man_lets_go() {
     let keys = Keys::new(pieces([b"\x1b", b"[", b"C+", b"\x1b[6~f", b"x g q"]), 10.0);
