@@ -21,8 +21,9 @@ use haptimill_protocol::message::{
 
 type Done = Result<(), Refusal>;
 
-/// To try the pose of a setpoint takes as long as to try so many coordinates; to take it as one, to read the next one as these.
+/// To try the pose of a setpoint takes as long as to try so many coordinates; to look at a new span of time and to take it as one, to read the next one as these.
 const POSE: usize = 3;
+const SPAN: usize = 1;
 const TAKE: usize = 1;
 const READ: usize = 5;
 
@@ -287,7 +288,10 @@ impl Controller {
         }
         if tried == 0 {
             machinery.can_reach(number, setpoint)?;
-            *share -= POSE;
+            *share = share.saturating_sub(POSE);
+            if !machinery.motion.program.expects(setpoint.periods) {
+                *share = share.saturating_sub(SPAN);
+            }
         }
         let (first, axes) = (tried.saturating_sub(1), machinery.axes());
         let last = axes.min(first + *share);

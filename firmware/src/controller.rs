@@ -7,7 +7,7 @@
 //! Data goes down it once; nothing reaches back up except what is measured in the next period. What each command does is in `command.rs`,
 //! what each state does in `decide.rs`.
 
-use crate::decide::Job;
+use crate::decide::{Job, OVERDUE};
 use crate::force::{ForceControl, ForceProblem};
 use crate::io::{Inputs, Outputs};
 use crate::machinery::Machinery;
@@ -74,9 +74,13 @@ impl Controller {
         if self.server.listen(inputs) {
             self.welcome();
         }
-        let machinery = self.machinery.as_ref();
-        let busy = machinery.is_some_and(|machinery| machinery.motion.program.is_busy());
-        self.server.next(busy || self.job.overdue)
+        self.job.busy = matches!(self.safety.state(), State::Run | State::Hold)
+            && self
+                .machinery
+                .as_ref()
+                .is_some_and(|machinery| machinery.motion.program.is_busy());
+        let overdue = self.job.unchecked >= OVERDUE;
+        self.server.next(self.job.busy || overdue)
     }
 
     #[inline(never)]

@@ -20,6 +20,9 @@ const BACK_OFF_US: u32 = 1_000_000;
 /// Periods between two looks at a part of the configuration.
 const INTEGRITY_PERIODS: u64 = 16;
 
+/// When a look was due so often, a period is kept free for it.
+pub(crate) const OVERDUE: u8 = 2;
+
 /// The job that runs, and what belongs to it.
 #[derive(Debug, Default)]
 pub struct Job {
@@ -43,10 +46,10 @@ pub struct Job {
     pub new_session: bool,
     /// An urgent stop overtook what the host had said before; nothing of that may set the machine going again.
     pub overtaken: bool,
-    /// A part of the configuration is yet to be looked at.
-    pub unchecked: bool,
-    /// It has been for long.
-    pub overdue: bool,
+    /// How often a part of the configuration should have been looked at since one was.
+    pub unchecked: u8,
+    /// There is much to do on the path in this period.
+    pub busy: bool,
     /// There was a configuration since power on.
     pub configured: bool,
     /// Periods since an urgent stop came.
@@ -131,13 +134,11 @@ impl Controller {
         };
         if inputs.period.is_multiple_of(INTEGRITY_PERIODS) {
             // A period with something else to do leaves it to the next one; after so many, one is kept free of other things.
-            self.job.overdue = self.job.unchecked;
-            self.job.unchecked = true;
+            self.job.unchecked = self.job.unchecked.saturating_add(1);
         }
-        let held = self.job.overdue && self.server.is_held();
-        if self.job.unchecked && (held || self.server.claim()) {
-            self.job.unchecked = false;
-            self.job.overdue = false;
+        let held = self.server.is_held() && self.job.unchecked >= OVERDUE + u8::from(self.job.busy);
+        if self.job.unchecked != 0 && (held || self.server.claim()) {
+            self.job.unchecked = 0;
             if !machinery.configuration_intact() {
                 self.safety.raise(Fault::Configuration);
             }
@@ -288,7 +289,7 @@ impl Controller {
         let held = self.server.is_held();
         let server = &mut self.server;
         let program = &mut machinery.motion.program;
-        program.look_ahead(held, || server.claim());
+        program.look_ahead(held, || server.claim_idle());
         if let Some(late) = machinery.motion.program.take_late() {
             self.safety.tell(Event::Underrun {
                 setpoint: late.setpoint,

@@ -67,8 +67,9 @@ pub struct Server {
     heard: bool,
     /// This period did not work although it might have.
     held: bool,
-    /// Nothing was said in this period although something was to be said.
+    /// Nothing was said in this period although something was to be said; a period is kept free for that.
     mute: bool,
+    speaks: bool,
     /// Answers and events waited, because the period before had worked.
     kept: bool,
     /// Telemetry is due.
@@ -122,6 +123,7 @@ impl Server {
             heard: false,
             held: false,
             mute: false,
+            speaks: false,
             kept: false,
             telemetry_waits: false,
             note: Report::Telemetry(Telemetry::default()),
@@ -163,10 +165,14 @@ impl Server {
         // What tells has its turn when this has had one, and what was kept back for a period is not kept back again.
         let yields = self.kept || (self.heard && self.tells_much());
         self.held = hold_back && !self.held;
+        let moved = self.came == Work::Moved;
+        // It is kept free for what could not be said in the one before.
+        self.speaks = self.mute && !self.held && !moved;
+        self.mute &= self.held;
         // What is told waits as well: a period that was held back has no time for it either.
-        // And so it is kept free for what could not be said in the one before.
-        self.worked = self.held || self.mute || self.came == Work::Moved;
-        self.heard = false;
+        self.worked = self.held || moved || self.speaks;
+        // A turn that could not be had is not lost.
+        self.heard &= self.worked;
         let nothing = self.tried.is_none() && !self.read && self.link.has_heard_all();
         if nothing || yields || self.worked || self.answers.is_full() {
             return None;
@@ -275,7 +281,7 @@ impl Server {
     #[inline]
     pub const fn share(&self) -> usize {
         match self.came {
-            Work::Nothing => 7,
+            Work::Nothing => 8,
             Work::Bytes => 5,
             Work::Frame | Work::Moved => 3,
         }
@@ -314,6 +320,12 @@ impl Server {
     #[inline]
     pub fn claim(&mut self) -> bool {
         !self.kept && !core::mem::replace(&mut self.worked, true)
+    }
+
+    /// The same, for something that can wait until all is told.
+    #[inline]
+    pub fn claim_idle(&mut self) -> bool {
+        !self.hand_waits && !self.tells_much() && self.claim()
     }
 
     /// Whether a new session has begun since the last call.
@@ -436,11 +448,11 @@ impl Server {
         }
         // The frame of telemetry is long, and put down in a period that had nothing else to do.
         let waited = self.link.latest_waits();
-        self.link.hold_latest(self.worked);
+        self.link.hold_latest(self.worked && !self.speaks);
         transmit.clear();
         if room > 0 && !self.held && !self.link.is_quiet(self.now_us) {
             // To work and to speak in one period is much; but what is said waits no longer than one.
-            self.mute = self.worked && !self.mute;
+            self.mute = self.worked && !self.speaks;
             if !self.mute {
                 self.say(room, transmit);
             }

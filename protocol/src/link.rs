@@ -10,7 +10,7 @@
 //!   a sequence number, each frame in the other direction says what arrived, also beyond a gap. A frame is sent again as
 //!   soon as one that was sent after it has arrived, or after a time that follows the measured round trip.
 //!   Where more than half of the room for messages that wait is used, what lies beyond is told to have arrived only as room is made: so whoever sends faster than the
-//!   other end polls is held back by its own window, and sends nothing twice for want of room.
+//!   other end polls is held back by its own window, and sends nothing twice for want of room, if what is under way has room in the other half.
 //! * **Latest values** ([`Link::send_latest`]) are sent once and replaced by the next; an older one that comes late is dropped.
 //! * **Life.** An end that said nothing for [`Timing::keep_alive_us`] says that it is there, in four bytes; whatever else it says is a sign of life too.
 //!   [`Link::peer_silent_us`] feeds the heartbeat.
@@ -425,6 +425,7 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
             // The peer waits for the room.
             self.acknowledge_since.get_or_insert(0);
             self.acknowledge_count = WINDOW as u8;
+            self.repeats = REPEATS;
             self.quiet_until_us = 0;
         }
     }

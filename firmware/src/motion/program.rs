@@ -229,6 +229,12 @@ impl Program {
         Ok(())
     }
 
+    /// Whether a setpoint so many periods after the one before is as far from it as that was: others take a little longer to look at.
+    #[must_use]
+    pub const fn expects(&self, periods: u16) -> bool {
+        self.span.periods() == periods
+    }
+
     /// Takes the next setpoint, whose first `tried` coordinates may go to it; a refused one changes nothing.
     pub fn push_tried(&mut self, setpoint: &Setpoint, tried: usize) -> Result<(), Refusal> {
         self.allows(setpoint, tried..self.axes)?;
@@ -327,11 +333,11 @@ impl Program {
     #[must_use]
     #[inline]
     pub fn is_busy(&self) -> bool {
-        self.turns() || self.is_pressed()
+        self.is_near_end() && (self.turns() || self.misses_part())
     }
 
     /// Whether the next setpoint may be reached in this period, and a new segment begun.
-    #[inline]
+    #[inline(never)]
     fn turns(&self) -> bool {
         self.started
             && self.segment().is_none_or(|segment| {

@@ -149,14 +149,12 @@ impl<const BYTES: usize> Inbox<BYTES> {
         self.used - self.head > BYTES / 2
     }
 
-    /// Reliable messages in order that lie beyond half of the room.
+    /// Reliable messages in order that lie beyond half of the room, if all are of a size.
     fn crowding(&self) -> u8 {
-        let (mut start, mut count) = (0, 0_u8);
-        while let Some((kind, _, length)) = self.prefix(start) {
-            start += stride(length);
-            count += u8::from(kind == RELIABLE && start > BYTES / 2);
-        }
-        count
+        let (waiting, used) = (self.missing.wrapping_sub(self.give), self.used - self.head);
+        // Neither is above 2^16.
+        let first = u32::from(waiting) * (BYTES / 2) as u32 / (used as u32).max(1);
+        waiting.saturating_sub(first as u8)
     }
 
     /// The next message in order; it stays.
@@ -228,7 +226,12 @@ impl<const BYTES: usize> Inbox<BYTES> {
     /// The first stored message that is wanted: where it begins, where its payload ends, where the next one begins.
     fn find(&self, wanted: impl Fn(u8, u8) -> bool) -> Option<(usize, usize, usize)> {
         let mut start = 0;
-        while let Some((kind, sequence, length)) = self.prefix(start) {
+        while let Some(&[kind, sequence, low, high]) = self
+            .stored()
+            .get(start..)
+            .and_then(|rest| rest.first_chunk::<PREFIX>())
+        {
+            let length = usize::from(u16::from_le_bytes([low, high]));
             let end = start + stride(length);
             if wanted(kind, sequence) {
                 return Some((start, start + PREFIX + length, end));
@@ -236,13 +239,6 @@ impl<const BYTES: usize> Inbox<BYTES> {
             start = end;
         }
         None
-    }
-
-    /// Kind, number and length of the message that is stored at a place.
-    fn prefix(&self, start: usize) -> Option<(u8, u8, usize)> {
-        let rest = self.stored().get(start..)?;
-        let &[kind, sequence, low, high] = rest.first_chunk::<PREFIX>()?;
-        Some((kind, sequence, usize::from(u16::from_le_bytes([low, high]))))
     }
 
     /// Removes what lies between two places.

@@ -27,8 +27,10 @@ pub(super) struct Segments {
     begun: bool,
     /// So many parts of the next one are made.
     parts: usize,
-    /// From this time into the present one on the next part is pressing.
-    pressed_from: u64,
+    /// From this time into the present one on its end is near.
+    near_from: u64,
+    /// The machine goes back: what follows the present one is not what waits in the queue.
+    back: bool,
 }
 
 impl Segments {
@@ -36,7 +38,8 @@ impl Segments {
     pub(super) const fn clear(&mut self) {
         self.begun = false;
         self.parts = 0;
-        self.pressed_from = 0;
+        self.near_from = 0;
+        self.back = false;
     }
 
     /// The present one.
@@ -68,26 +71,33 @@ impl Program {
     }
 
     #[inline]
-    fn misses_part(&self) -> bool {
-        self.segments.parts <= self.axes && !self.queue.is_empty()
+    pub(super) fn misses_part(&self) -> bool {
+        self.segments.parts <= self.axes && !self.queue.is_empty() && !self.segments.back
     }
 
     /// Whether a part of the next segment is to be made soon.
     #[inline]
     pub(super) fn is_pressed(&self) -> bool {
-        self.time >= self.segments.pressed_from && self.misses_part()
+        self.is_near_end() && self.misses_part()
     }
 
-    /// Says from when on parts of the next segment are pressing: when as many periods are left to the present one as two for each part. Where segments are so
-    /// short that hearing would suffer from it there is no hurry; what is missing is made when it begins.
-    fn press(&mut self) {
+    /// Whether the present segment is so near its end that there may be more to do than to follow it.
+    #[inline]
+    pub(super) const fn is_near_end(&self) -> bool {
+        self.time >= self.segments.near_from
+    }
+
+    /// Says from when on the end of the present segment is near: two periods before it for each part of the next one that is missing. Where segments are so
+    /// short that hearing would suffer from it there is no hurry, and it is the last period; what is missing is made when the next one begins.
+    fn look_at_end(&mut self) {
         let parts = self.axes as u64 + 1;
         let missing = parts.saturating_sub(self.segments.parts as u64);
-        let from = self.segment().map_or(Some(0), |segment| {
+        let from = self.segment().map_or(0, |segment| {
             let periods = u64::from(segment.span.periods());
-            (periods >= 4 * parts).then(|| (periods - 2 * missing - 2) << 32)
+            let hurries = missing > 0 && periods >= 3 * parts;
+            periods - if hurries { 2 * missing + 2 } else { 1 }
         });
-        self.segments.pressed_from = from.unwrap_or(u64::MAX);
+        self.segments.near_from = from << 32;
     }
 
     /// Makes the next part of the next segment. There is none to a setpoint that could not have been taken.
@@ -103,7 +113,7 @@ impl Program {
             next.begin(to, before, self.period_us)?;
         }
         self.segments.parts = parts + 1;
-        self.press();
+        self.look_at_end();
         Some(())
     }
 
@@ -119,7 +129,7 @@ impl Program {
         segments.second = !segments.second;
         segments.begun = true;
         segments.parts = 0;
-        self.press();
+        self.look_at_end();
         let segments = &self.segments;
         let periods = segments
             .present()
@@ -141,6 +151,7 @@ impl Program {
     #[inline(never)]
     pub(super) fn begin_back(&mut self, to: &Knot) {
         self.segments.clear();
+        self.segments.back = true;
         let (before, next) = self.segments.both();
         if next.begin(to, before, self.period_us).is_none() {
             return;
