@@ -1,0 +1,111 @@
+//! What the server owes to both directions of the line, whichever is blocked or never idle.
+
+use haptimill_firmware::controller::Controller;
+use haptimill_firmware::io::{Inputs, Outputs};
+use haptimill_protocol::link::{HostLink, Timing};
+use haptimill_protocol::message::{Command, Report, Request, State};
+
+const PERIOD_US: u16 = 200;
+
+/// A controller without a machine, and a host on a line of 20 bytes a period.
+struct Line {
+    controller: Controller,
+    inputs: Inputs,
+    outputs: Outputs,
+    host: HostLink,
+    telemetry: Vec<u64>,
+}
+
+impl Line {
+    fn open() -> Self {
+        let mut line = Self {
+            controller: Controller::new(PERIOD_US),
+            inputs: Inputs::default(),
+            outputs: Outputs::default(),
+            host: HostLink::new(Timing::default()),
+            telemetry: vec![],
+        };
+        line.inputs.transmit_room = 20;
+        line.host.open(5, 0);
+        line.run(1000, |_| ());
+        assert_ne!(line.host.session(), 0);
+        line
+    }
+
+    fn run(&mut self, periods: usize, mut say: impl FnMut(&mut HostLink)) {
+        for _ in 0..periods {
+            say(&mut self.host);
+            self.inputs.period += 1;
+            let now_us = self.inputs.period * u64::from(PERIOD_US);
+            let mut room = [0; 20];
+            let count = self.host.transmit(now_us, &mut room);
+            self.inputs.received.clear();
+            self.inputs
+                .received
+                .extend_from_slice(&room[..count])
+                .expect("room");
+            self.controller
+                .tick(&self.inputs, &mut self.outputs, &mut ());
+            self.host.receive(now_us, &self.outputs.transmit);
+            while let Some(report) = self.host.poll_message() {
+                if let Report::Telemetry(telemetry) = report {
+                    self.telemetry.push(telemetry.period);
+                }
+            }
+        }
+    }
+}
+
+fn request(id: u8, command: Command) -> Request {
+    Request { id, command }
+}
+
+/// A host that hears nothing more, a cable of which one wire broke: what it says is carried out all the same.
+#[test]
+fn what_is_said_is_heard_also_where_nothing_can_be_answered() {
+    for after in 0..40 {
+        let mut line = Line::open();
+        for id in 1..5 {
+            line.host.send(&request(id, Command::Status)).expect("room");
+        }
+        line.run(after, |_| ());
+        line.inputs.transmit_room = 0;
+        line.host
+            .send(&request(9, Command::EmergencyStop))
+            .expect("room");
+        line.run(100, |_| ());
+        assert_eq!(
+            line.controller.safety().state(),
+            State::EmergencyStop,
+            "blocked after {after} periods"
+        );
+    }
+}
+
+/// A host that never falls silent is told how things stand as often as it asked for.
+#[test]
+fn telemetry_has_its_turn_whatever_is_to_be_heard() {
+    for every in [100, 20, 10] {
+        let mut line = Line::open();
+        line.host
+            .send(&request(1, Command::Telemetry { every }))
+            .expect("room");
+        line.run(
+            5000,
+            |host| {
+                while host.send(&request(0, Command::Ping)).is_ok() {}
+            },
+        );
+        let gaps = line.telemetry.windows(2).map(|pair| pair[1] - pair[0]);
+        let longest = gaps.max().expect("telemetry");
+        assert!(
+            longest <= 2 * u64::from(every) + 10,
+            "{longest} periods, {every} asked for"
+        );
+        assert!(
+            line.telemetry.len() >= 4800 / usize::from(every),
+            "{}",
+            line.telemetry.len()
+        );
+    }
+}

@@ -1,0 +1,70 @@
+//! Setpoints that follow each other more closely than the planner of this project puts them.
+
+use haptimill::client::Options;
+use haptimill::machine::MachineFile;
+use haptimill::model::Model;
+use haptimill::session::{Session, SimLine, Unwatched, rig};
+use haptimill_protocol::message::{Action, AxisValues, State};
+use haptimill_protocol::setpoint::Setpoint;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+const MM: f64 = (1 << 20) as f64;
+
+/// A line in x and y at `speed` mm/s: up to speed in 0.1 s, `count` spans of so many periods, down in 0.1 s.
+fn line(start: &AxisValues, speed: f64, periods: u16, count: usize) -> Vec<Setpoint> {
+    let mut place = [f64::from(start[0]), f64::from(start[1])];
+    (0..count + 2)
+        .map(|span| {
+            let ends = span == 0 || span == count + 1;
+            let (periods, mean) = if ends {
+                (500, speed / 2.0)
+            } else {
+                (periods, speed)
+            };
+            let rate = if span == count + 1 { 0.0 } else { speed };
+            let mut pose = start.clone();
+            for (axis, place) in place.iter_mut().enumerate() {
+                *place += mean * f64::from(periods) * 2e-4 * MM;
+                pose[axis] = *place as i32;
+            }
+            Setpoint {
+                periods,
+                pose,
+                rates: [(rate * 4096.0) as i32, (rate * 4096.0) as i32, 0, 0, 0]
+                    .into_iter()
+                    .collect(),
+                action: Action::None,
+            }
+        })
+        .collect()
+}
+
+/// The host sends as many as telemetry says there is room for, so both have to keep up: the queue never runs low for want of one of them.
+#[test]
+fn setpoints_of_a_millisecond_come_in_time() {
+    let machine = MachineFile::built_in().expect("sound");
+    let home = Model::new(&machine).home(&machine).expect("a pose");
+    let stop = Arc::new(AtomicBool::new(false));
+    let line_of = SimLine::new(rig(&machine, None, None, vec![]).expect("sound"));
+    let mut session = Session::new(line_of, &machine, Options::default(), stop);
+    session.connect(1).expect("answers");
+    session.configure(&machine).expect("taken");
+    session.enable().expect("enabled");
+    session.go_home(&machine, &home).expect("homed");
+    let mut speed = 4.0;
+    for (job, periods) in [25, 16, 10, 7, 5].into_iter().enumerate() {
+        let start = session.status().expect("told").wanted;
+        let count = 20_000 / usize::from(periods);
+        let job = session.run_job(
+            2 + job as u32,
+            start.clone(),
+            line(&start, speed, periods, count),
+            &mut Unwatched,
+        );
+        let end = job.expect("ended");
+        assert_eq!(end.underruns, [], "{periods} periods a setpoint");
+        assert_eq!(end.status.state, State::Idle);
+        speed = -speed;
+    }
+}
