@@ -1,8 +1,9 @@
 //! Messages in, answers and telemetry out: the controller's end of the link.
 //!
-//! A period hears at most 64 bytes and does at most one thing that takes long: it reads a message or a setpoint of a batch, or tries whether the machine can go to a setpoint that was read before, or takes one that was tried before,
-//! or says an answer or an event, or notes down telemetry, or encodes what was noted down, or puts down its frame. What goes out is made as it goes. Hearing and telling take turns; the rest waits in the
-//! link, whose window stops the host. A setpoint that is refused ends its batch and changes nothing, not even what the next one is relative to: all later ones are out of
+//! A period hears at most 64 bytes and does at most one thing that takes long: it reads a message or a setpoint of a batch, or tries and takes a setpoint as far as its
+//! [share](Server::share) goes, or says an answer or an event, or notes down telemetry, or encodes what was noted down, or puts down its frame. What goes out is made as it goes. Hearing and
+//! telling take turns; the rest waits in the link, whose window stops the host. A period that the path needs for itself does none of it, and never two in a row are kept for that.
+//! A setpoint that is refused ends its batch and changes nothing, not even what the next one is relative to: all later ones are out of
 //! order until it comes again, or the job is begun anew. Nothing is skipped.
 
 use crate::io::{Inputs, TRANSMIT_BYTES};
@@ -166,7 +167,7 @@ impl Server {
         let yields = self.kept || (self.heard && self.tells_much());
         self.held = hold_back && !self.held;
         let moved = self.came == Work::Moved;
-        // It is kept free for what could not be said in the one before.
+        // This one is kept free for what could not be said in the one before.
         self.speaks = self.mute && !self.held && !moved;
         self.mute &= self.held;
         // What is told waits as well: a period that was held back has no time for it either.
