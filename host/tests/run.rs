@@ -159,7 +159,7 @@ fn the_pocket_and_the_circle_are_within_their_errors() {
     is_good(&pocket);
     // All that goes from the host to the machine: setpoints, acknowledgements, signs of life.
     assert!(
-        number(&pocket, "line_bytes_per_setpoint") <= 24.0,
+        number(&pocket, "line_bytes_per_setpoint") <= 22.5,
         "{pocket:#}"
     );
     let circle = job(&folder, "circle", "e11-circle.ngc", &[]);
@@ -195,7 +195,7 @@ fn the_dome_streams_over_115200_baud_without_an_underrun() {
     is_good(&dome);
     assert!(number(&dome, "setpoints") > 2000.0);
     assert!(number(&dome, "angle_error_max_deg") < 0.05, "{dome:#}");
-    assert!(number(&dome, "line_bytes_per_setpoint") <= 40.0, "{dome:#}");
+    assert!(number(&dome, "line_bytes_per_setpoint") <= 24.0, "{dome:#}");
 }
 
 #[test]
