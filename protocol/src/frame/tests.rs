@@ -57,6 +57,34 @@ proptest! {
         prop_assert_eq!(&frame[..frame.len() - 1], &again[..count]);
     }
 
+    /// A frame that is made as it goes is the same in whatever pieces it goes, and goes on in each of them: of a run without a zero nothing can go before its end is
+    /// known, which is 255 bytes of content away at most.
+    #[test]
+    fn made_in_pieces_it_is_the_same(
+        header in header(), payload in payload(), session: u32, zero_first: bool,
+        pieces in prop::collection::vec((1_usize..40, 1_usize..80), 1..20),
+    ) {
+        let mut whole = FrameBytes::new();
+        encode(header, &payload, session, &mut whole).unwrap();
+        let mut outgoing = OutgoingFrame::default();
+        outgoing.begin(header, &payload, session, zero_first).unwrap();
+        let (mut made, mut looked_at) = (StdVec::new(), 0);
+        for (room, most) in pieces.iter().cycle() {
+            if outgoing.is_gone() {
+                break;
+            }
+            let mut buffer = [0xEE; 40];
+            let count = outgoing.read(&mut buffer[..*room], *most);
+            prop_assert!(count <= *room && buffer[count..].iter().all(|byte| *byte == 0xEE));
+            made.extend_from_slice(&buffer[..count]);
+            looked_at = if count == 0 { looked_at + most } else { 0 };
+            prop_assert!(looked_at <= 255 + 80, "{looked_at} bytes looked at, and none went");
+        }
+        let front = usize::from(zero_first);
+        prop_assert!(made[..front].iter().all(|byte| *byte == 0));
+        prop_assert_eq!(&made[front..], &whole[..]);
+    }
+
     #[test]
     fn round_trip_after_any_garbage(garbage in prop::collection::vec(any::<u8>(), 0..700), header in header(), payload in payload(), session: u32) {
         let mut frame = FrameBytes::new();

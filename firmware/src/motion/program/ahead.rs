@@ -95,7 +95,7 @@ impl Program {
         let from = self.segment().map_or(0, |segment| {
             let periods = u64::from(segment.span.periods());
             let hurries = missing > 0 && periods >= 3 * parts;
-            periods - if hurries { 2 * missing + 2 } else { 1 }
+            periods.saturating_sub(if hurries { 2 * missing + 2 } else { 1 })
         });
         self.segments.near_from = from << 32;
     }
