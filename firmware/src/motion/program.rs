@@ -8,6 +8,7 @@
 //! The bounds on acceleration and jerk of the braking are those of the configuration's [`Stopping`], on top of the program's own.
 
 mod ahead;
+mod coverage;
 mod retreat;
 mod stopping;
 
@@ -431,56 +432,6 @@ impl Program {
         self.time += self.path_rate.advance(target, &braking).max(0) as u64;
         self.walk(&mut progress);
         progress
-    }
-
-    /// Whether the way from a rest is long enough to come to rest again if nothing more arrives: a rest lies ahead, or more than braking takes,
-    /// or all that the queue can hold.
-    fn may_leave_rest(&self) -> bool {
-        self.total.is_some()
-            || self.rests_ahead > 0
-            || self.queued_periods >= 4 * self.braking_periods
-            || self.queue.is_full()
-    }
-
-    /// Decides whether the queue still covers the way to rest.
-    #[inline]
-    fn watch_coverage(&mut self, braking: &RampLimits) {
-        if let Some(starving) = &mut self.starving {
-            starving.periods = starving.periods.saturating_add(1);
-        }
-        // At a rest ahead the motion ends by itself, and goes on only when enough has come.
-        if self.rests_ahead > 0 {
-            self.starving = None;
-            return;
-        }
-        let remaining = self.remaining_periods();
-        let needed = if self.path_rate == Ramp::at(FULL_RATE) {
-            self.braking_periods
-        } else {
-            self.path_rate
-                .stopping_range(braking)
-                .map_or(u64::MAX - 2, |(_, ahead)| ahead.unsigned_abs() >> 32)
-        } + 2;
-        if self.starving.is_some() {
-            // A full queue is all that there can be: go on as fast as it covers, with some room so that braking does not begin at once.
-            let most = self.queue.is_full() && remaining > needed + needed / 4 + 8;
-            if remaining >= 4 * self.braking_periods || most {
-                self.starving = None;
-            }
-        } else if remaining <= needed {
-            self.starving = Some(Late {
-                setpoint: self.accepted,
-                periods: 0,
-            });
-        }
-    }
-
-    #[inline]
-    fn remaining_periods(&self) -> u64 {
-        let segment = self
-            .segment()
-            .map_or(0, |segment| u64::from(segment.span.periods()));
-        (segment + self.queued_periods).saturating_sub((self.time >> 32) + 1)
     }
 
     /// Goes from setpoint to setpoint until the time lies within a segment.

@@ -3,7 +3,8 @@
 use super::*;
 use crate::frame::{self, FrameBytes, FrameDecoder, Header};
 use crate::message::{
-    Command, ConfigChunk, Hello, PROTOCOL_VERSION, Report, Request, State, Telemetry, Welcome,
+    Command, ConfigChunk, Hello, HelloRefusal, PROTOCOL_VERSION, Report, Request, State, Telemetry,
+    Welcome,
 };
 use crate::schema::schema_hash;
 use std::vec::Vec as StdVec;
