@@ -341,6 +341,7 @@ impl Program {
     #[inline(never)]
     fn turns(&self) -> bool {
         self.started
+            && !self.paused
             && self.segment().is_none_or(|segment| {
                 let end = u64::from(segment.span.periods()) << 32;
                 // As fast as the path rate may be in the next period.

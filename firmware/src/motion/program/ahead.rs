@@ -145,6 +145,7 @@ impl Program {
             self.from = segment.to;
         }
         self.segments.begun = false;
+        self.segments.near_from = 0;
     }
 
     /// The way from the setpoint reached last to `to` becomes the present segment.
