@@ -359,15 +359,7 @@ impl Compliance {
 
     /// The reference was refused: the displacement is what it was before this period, and stands.
     pub const fn withhold(&mut self) -> Yielding {
-        self.away = self.before;
-        self.rate = 0;
-        self.shown = Rate::ZERO;
-        Yielding {
-            displacement: self.displacement(),
-            rate: Rate::ZERO,
-            acceleration: Acceleration::ZERO,
-            limited: true,
-        }
+        self.stand_at(self.before)
     }
 
     /// The displacement may be no further from 0 than `most`: the rest of it is taken back, and it stands.
@@ -377,7 +369,11 @@ impl Compliance {
         } else {
             most.0.saturating_neg()
         };
-        self.away = outward.clamp(0, self.away);
+        self.stand_at(outward.clamp(0, self.away))
+    }
+
+    const fn stand_at(&mut self, away: i64) -> Yielding {
+        self.away = away;
         self.rate = 0;
         self.shown = Rate::ZERO;
         Yielding {

@@ -15,6 +15,7 @@ pub mod jog;
 pub mod kin;
 pub mod machine;
 pub mod one_shot;
+pub(crate) mod part;
 pub mod ports;
 pub mod replay;
 pub mod run;

@@ -2,15 +2,15 @@
 
 use super::desk::Desk;
 use super::shown::{Confirm, Overlay, Weight};
-use crate::cli::{CliError, Exit};
+use crate::cli::CliError;
+use crate::cli::part::PartProgram;
 use crate::client::JobEnding;
 use crate::machine::MachineFile;
-use crate::model::{Model, program_options, settings};
+use crate::model::Model;
 use crate::plan::Plan;
-use crate::program;
 use crate::report::duration;
 use crate::session::way;
-use haptimill_protocol::message::{Action, AxisValues, Event, State};
+use haptimill_protocol::message::{AxisValues, Event, State};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -72,35 +72,13 @@ pub(super) fn check(
     model: &Model,
     start: &AxisValues,
 ) -> Result<Checked, CliError> {
-    let file = path.display().to_string();
-    let text = std::fs::read(path).map_err(|error| {
-        CliError::new(
-            Exit::BadInput,
-            format!("{file}: cannot be read: {error}; check the path"),
-        )
-    })?;
-    let options = program_options(machine, model.to_people(start));
-    let program = program::read(&file, &text, &options)
-        .map_err(|refused| CliError::refused(Exit::BadInput, &refused))?;
-    let plan = Plan::new(&program, &settings(machine), model)
-        .map_err(|refused| CliError::refused(Exit::Refused, &refused))?;
-    // Each pause of the program has a setpoint of its own, in the same order.
-    let setpoints = (0..)
-        .zip(&plan.setpoints)
-        .filter(|(_, setpoint)| setpoint.action == Action::Pause);
-    let lines = program.steps.iter().filter_map(|step| match step {
-        program::Step::Pause { place } => Some(place.line),
-        _ => None,
-    });
-    let pauses = setpoints.map(|(index, _)| index).zip(lines).collect();
-    let name = path
-        .file_name()
-        .map_or(file, |name| name.to_string_lossy().into_owned());
+    let job = PartProgram::load(path, false)?;
+    let planned = job.plan(machine, model, start)?;
     Ok(Checked {
-        name,
-        plan: Arc::new(plan),
-        pauses: Arc::new(pauses),
-        lines: program.lines,
+        name: job.name,
+        plan: Arc::new(planned.plan),
+        pauses: Arc::new(planned.pauses),
+        lines: planned.lines,
     })
 }
 

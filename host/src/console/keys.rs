@@ -116,11 +116,8 @@ const fn always(
     what: &'static str,
 ) -> Binding {
     Binding {
-        keys,
-        name,
-        action,
-        what,
         always: true,
+        ..usual(keys, name, action, what)
     }
 }
 

@@ -143,45 +143,25 @@ pub fn columns(recording: &Recording) -> Vec<Column> {
             Field::Flag(flag::POSITION_KEPT),
         ),
     ];
-    let unit = |kind: AxisKind| match kind {
-        AxisKind::Linear => "mm",
-        AxisKind::Rotary => "deg",
-    };
     let pose: [(&'static str, Row); 3] = [
         ("wanted", |record| &record.wanted),
         ("programmed", |record| &record.programmed),
         ("tool", |record| &record.tool),
     ];
-    let scales = recording.pose_units();
-    for (group, row) in pose {
-        for (axis, (name, shape)) in header.pose.iter().zip(&config.pose).enumerate() {
-            let unit = unit(shape.kind);
-            let field = Field::Axis(row, axis, scales[axis]);
-            all.push(Column::plain(
-                &format!("{name}_{group}_{unit}"),
-                group,
-                unit,
-                field,
-            ));
-        }
-    }
     let joints: [(&'static str, Row); 3] = [
         ("joint_wanted", |record| &record.joints_wanted),
         ("joint_measured", |record| &record.joints),
         ("joint_error", |record| &record.following_error),
     ];
+    let kinds: Vec<AxisKind> = config.pose.iter().map(|axis| axis.kind).collect();
+    let scales = recording.pose_units();
+    for (group, row) in pose {
+        all.extend(axes(group, row, &header.pose, &kinds, &scales));
+    }
+    let kinds: Vec<AxisKind> = config.joints.iter().map(|axis| axis.kind).collect();
     let scales = recording.joint_units();
     for (group, row) in joints {
-        for (axis, (name, shape)) in header.joints.iter().zip(&config.joints).enumerate() {
-            let unit = unit(shape.kind);
-            let field = Field::Axis(row, axis, scales[axis]);
-            all.push(Column::plain(
-                &format!("{name}_{group}_{unit}"),
-                group,
-                unit,
-                field,
-            ));
-        }
+        all.extend(axes(group, row, &header.joints, &kinds, &scales));
     }
     for (axis, (name, (scale, unit))) in header
         .joints
@@ -220,6 +200,25 @@ pub fn columns(recording: &Recording) -> Vec<Column> {
         }
     }
     all
+}
+
+/// The columns of all axes.
+fn axes(
+    group: &'static str,
+    row: Row,
+    names: &[String],
+    kinds: &[AxisKind],
+    scales: &[f64],
+) -> impl Iterator<Item = Column> {
+    let axes = names.iter().zip(kinds).zip(scales).enumerate();
+    axes.map(move |(axis, ((name, kind), scale))| {
+        let unit = match kind {
+            AxisKind::Linear => "mm",
+            AxisKind::Rotary => "deg",
+        };
+        let field = Field::Axis(row, axis, *scale);
+        Column::plain(&format!("{name}_{group}_{unit}"), group, unit, field)
+    })
 }
 
 /// The columns of x, y and z.

@@ -1,9 +1,9 @@
 //! A run whose controller is on an emulated board.
 
-use super::part::{PartProgram, Planned};
 use super::{CliError, Exit, MachineFile, RunArgs, port};
 #[cfg(unix)]
 use super::{Running, Session, SimLine, interrupt, paced, say, session};
+use crate::cli::part::{PartProgram, Planned};
 use haptimill_protocol::message::AxisValues;
 
 /// Runs a part program on an emulated board, with the simulated machine around it.

@@ -2,9 +2,9 @@
 
 mod emulated;
 pub(super) mod folder;
-mod part;
 mod progress;
 
+use super::part::{PartProgram, Planned};
 use super::{CliError, Exit, MachineArg, force};
 use crate::client::{JobEnding, Options};
 use crate::machine::MachineFile;
@@ -22,7 +22,6 @@ use haptimill_hil_sim::config::PlantConfig;
 use haptimill_hil_sim::cutting::CuttingConfig;
 use haptimill_hil_sim::fault::Fault;
 use haptimill_protocol::message::{AxisValues, Command, State};
-use part::{PartProgram, Planned};
 use progress::Bar;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -220,7 +219,7 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
             format!("{}: the home preset has no pose", machine.file),
         )
     })?;
-    let job = PartProgram::load(&args)?;
+    let job = PartProgram::load(&args.program, args.optional_stop)?;
     let planned = job.plan(&machine, &model, &home)?;
     if args.check {
         let plan = &planned.plan;
@@ -247,7 +246,9 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
         );
         return Ok(());
     }
-    job.check_pauses(&args, &planned)?;
+    if !args.passes_pauses() {
+        job.check_pauses(&planned)?;
+    }
     let work = args.clamped(&machine)?;
     // Held to the end: nobody else writes there.
     let _folder = Folder::take(&args.out_dir())?;
@@ -387,7 +388,7 @@ impl Running<'_> {
         start: AxisValues,
         planned: Planned,
     ) -> Result<(), CliError> {
-        let Planned { plan, pauses } = planned;
+        let Planned { plan, pauses, .. } = planned;
         let dir = self.args.out_dir();
         let output = |error: &dyn std::fmt::Display| {
             CliError::new(Exit::Output, format!("{}: {error}", dir.display()))

@@ -1,6 +1,6 @@
-//! The part program of a run: read, checked against the machine, planned.
+//! A part program on disk: read, checked against the machine, planned.
 
-use super::{CliError, Exit, RunArgs};
+use super::{CliError, Exit};
 use crate::machine::MachineFile;
 use crate::model::{Model, program_options, settings};
 use crate::plan::Plan;
@@ -10,27 +10,30 @@ use std::collections::BTreeMap;
 use std::io::IsTerminal;
 use std::path::Path;
 
-/// A program that was checked.
-pub(super) struct Planned {
-    pub(super) plan: Plan,
+/// A program that was checked from a pose.
+#[derive(Debug)]
+pub(crate) struct Planned {
+    pub(crate) plan: Plan,
     /// Setpoints at which the program pauses, with the line that says so.
-    pub(super) pauses: BTreeMap<u32, u32>,
+    pub(crate) pauses: BTreeMap<u32, u32>,
+    /// Lines of the file.
+    pub(crate) lines: u32,
 }
 
 /// A part program on disk.
-pub(super) struct PartProgram {
+#[derive(Debug)]
+pub(crate) struct PartProgram {
     /// Name of the file, without folders: it goes into the recording, which is the same wherever it was made.
-    pub(super) name: String,
+    pub(crate) name: String,
     file: String,
-    pub(super) text: Vec<u8>,
+    pub(crate) text: Vec<u8>,
     /// M1 pauses.
     optional_stop: bool,
 }
 
 impl PartProgram {
-    /// Reads the file.
-    pub(super) fn load(args: &RunArgs) -> Result<Self, CliError> {
-        let path: &Path = &args.program;
+    /// Reads the file. M1 pauses with `optional_stop`.
+    pub(crate) fn load(path: &Path, optional_stop: bool) -> Result<Self, CliError> {
         let file = path.display().to_string();
         let text = std::fs::read(path).map_err(|error| {
             CliError::new(
@@ -45,12 +48,15 @@ impl PartProgram {
             name,
             file,
             text,
-            optional_stop: args.optional_stop,
+            optional_stop,
         })
     }
 
     /// The checked motion of the program from a pose.
-    pub(super) fn plan(
+    ///
+    /// # Errors
+    /// Its mistakes, or what the machine cannot do; nothing moves.
+    pub(crate) fn plan(
         &self,
         machine: &MachineFile,
         model: &Model,
@@ -73,21 +79,23 @@ impl PartProgram {
             _ => None,
         });
         let pauses = setpoints.map(|(index, _)| index).zip(lines).collect();
-        Ok(Planned { plan, pauses })
+        Ok(Planned {
+            plan,
+            pauses,
+            lines: program.lines,
+        })
     }
 
-    /// A pause waits for Enter: somebody must be able to press it.
-    pub(super) fn check_pauses(&self, args: &RunArgs, planned: &Planned) -> Result<(), CliError> {
+    /// A pause that is not passed waits for Enter: somebody must be able to press it.
+    pub(crate) fn check_pauses(&self, planned: &Planned) -> Result<(), CliError> {
         match planned.pauses.values().next() {
-            Some(line) if !args.passes_pauses() && !std::io::stdin().is_terminal() => {
-                Err(CliError::new(
-                    Exit::Usage,
-                    format!(
-                        "{}:{line}: the program pauses here and there is no terminal to press Enter on; run it in a terminal, or with --go-on",
-                        self.file
-                    ),
-                ))
-            }
+            Some(line) if !std::io::stdin().is_terminal() => Err(CliError::new(
+                Exit::Usage,
+                format!(
+                    "{}:{line}: the program pauses here and there is no terminal to press Enter on; run it in a terminal, or with --go-on",
+                    self.file
+                ),
+            )),
             _ => Ok(()),
         }
     }
