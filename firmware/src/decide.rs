@@ -173,11 +173,6 @@ impl Controller {
             }
             self.safety.raise(Fault::Force(problem));
         }
-        if let Some(fault) =
-            hardware(&inputs.axes[..machinery.axes()]).or_else(|| machinery.supervise())
-        {
-            self.safety.raise(fault);
-        }
         // In a row, or again and again: what is missed counts in full and is made up for by one period in time.
         let limit = machinery.config.supervision.missed_periods;
         self.job.missed = self
@@ -190,6 +185,11 @@ impl Controller {
             self.safety.raise(Fault::LatePeriod {
                 missed: inputs.missed,
             });
+        }
+        if let Some(fault) =
+            hardware(&inputs.axes[..machinery.axes()]).or_else(|| machinery.supervise())
+        {
+            self.safety.raise(fault);
         }
         let patience_us = (u64::from(machinery.config.supervision.heartbeat_ms) + 1) * 1000;
         let silent_us = self.server.silent_us();

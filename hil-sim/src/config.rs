@@ -469,6 +469,18 @@ impl JointConfig {
         check.within(format!("{at}: low"), self.low, -2000.0, 2000.0);
         check.within(format!("{at}: high"), self.high, self.low, 2000.0);
         check.within(format!("{at}: preset"), self.preset, self.low, self.high);
+        // A switch may stand behind the end of the slide's way, where nothing reaches it, but the lower one is below the upper one.
+        let (limit_low, limit_high) = (self.limit_low, self.limit_high);
+        for (name, at_switch) in [("limit_low", limit_low), ("limit_high", limit_high)] {
+            let place = at_switch.unwrap_or_default();
+            check.within(format!("{at}: {name}"), place, -4000.0, 4000.0);
+        }
+        if let (Some(low), Some(high)) = (limit_low, limit_high)
+            && low >= high
+        {
+            let problem = format!("{low} is not below limit_high, {high}");
+            check.refuse(format!("{at}: limit_low"), problem);
+        }
         let room = (self.preset - self.low).min(self.high - self.preset);
         check.within(format!("{at}: start_spread"), self.start_spread, 0.0, room);
         let slide = self.inertia * (1.0 - self.motor_share);

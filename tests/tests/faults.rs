@@ -394,50 +394,6 @@ fn an_emergency_stop_while_homing_leaves_nothing_homed() {
 }
 
 #[test]
-fn missed_periods_brake_along_the_path_and_the_drives_hold() {
-    for (missed, fault) in [(2, None), (3, Some(3)), (20, Some(20))] {
-        let mut bench = moving(0, 4.0);
-        let option = haptimill_hil_sim::rig::RigOptions {
-            faults: vec![
-                format!(
-                    "missed-periods count={missed} at={}s",
-                    bench.rig.time_ns() as f64 * 1e-9 + 0.01
-                )
-                .parse()
-                .expect("a fault"),
-            ],
-            ..haptimill_hil_sim::rig::RigOptions::default()
-        };
-        // The same machine again, with the fault in its schedule: it is deterministic.
-        let periods = bench.rig.time_ns() / 200_000;
-        let mut bench2 = Bench::with_options(&option);
-        bench2.make_ready();
-        bench2.steps(500);
-        let start = bench2.status().wanted;
-        bench2.start_job(1, &line(&start, 0, 4.0, 28));
-        while bench2.rig.time_ns() / 200_000 < periods {
-            bench2.step();
-        }
-        bench = bench2;
-        bench.steps(3000);
-        let status = bench.status();
-        assert_eq!(
-            status.fault,
-            fault.map(|missed| Fault::LatePeriod { missed })
-        );
-        assert!(status.position_kept);
-        if fault.is_some() {
-            assert_eq!(status.state, State::Fault);
-            assert!(!drives_off(&bench));
-            assert_eq!((wanted(&bench)[1], wanted(&bench)[2]), (start[1], start[2]));
-            recover(&mut bench, State::Idle);
-        } else {
-            assert_eq!(status.state, State::Run);
-        }
-    }
-}
-
-#[test]
 fn a_host_that_falls_silent_lets_the_machine_brake_on_its_path() {
     let mut bench = moving(0, 20.0);
     let (line_y, line_z) = (wanted(&bench)[1], wanted(&bench)[2]);

@@ -242,12 +242,30 @@ impl Watch {
                 count: seen.illegal,
             });
         }
-        Self::slip(axis, config, seen)
+        Self::jump(axis, config, seen)
+            .or_else(|| Self::slip(axis, config, seen))
             .or_else(|| self.runaway(axis, config, seen))
             .or_else(|| self.pushed(axis, config, seen))
             .or_else(|| self.motion(axis, config, seen))
             .or_else(|| Self::stroke(axis, config, seen))
             .or_else(|| Self::error(axis, config, seen))
+    }
+
+    /// A counter that went farther in one period than a joint can: twice what it may be off, and twice what was wanted of it. So where the joint is
+    /// is not known any more. A jump that is smaller than what a joint may be off is not seen before the next search for the reference.
+    fn jump(axis: u8, config: &JointAxis, seen: &Seen) -> Option<Fault> {
+        let following = config.following.magnitude();
+        if distance(config, seen.wanted, seen.measured) <= following {
+            return None;
+        }
+        let moved = u64::from(seen.moved.unsigned_abs()) * u64::from(count(config));
+        let rate = u64::from(seen.wanted_rate.0.unsigned_abs());
+        let wanted = rate * u64::from(seen.period_us) / 1_000_000;
+        let possible = 2 * (u64::from(following) + wanted);
+        (moved > possible).then_some(Fault::EncoderIllegal {
+            axis,
+            count: seen.moved.unsigned_abs().min(u32::from(u16::MAX)) as u16,
+        })
     }
 
     /// Steps that were lost.

@@ -294,23 +294,28 @@ impl FaultKind {
         }
     }
 
-    /// A number that must not be negative (or must be a probability), with its largest value.
-    const fn bounded(&self) -> Option<(f64, f64)> {
-        match self {
+    /// Its number, by the key of its line, with the least and the largest value that the simulated machine stands: beyond them a slide is torn from
+    /// its screw, and there is nothing left to simulate.
+    const fn bounded(&self) -> Option<(&'static str, f64, f64, f64)> {
+        Some(match self {
             Self::EncoderNoise { per_second, .. }
             | Self::Hand(HandFault::EncoderNoise { per_second, .. }) => {
-                Some((*per_second, 50_000.0))
+                ("per-second", *per_second, 0.0, 50_000.0)
             }
+            Self::DriveWeak { gain, .. } => ("gain", *gain, -100.0, 100.0),
             Self::SlideJammed {
                 effort: Some(effort),
                 ..
-            } => Some((*effort, f64::INFINITY)),
+            } => ("effort", *effort, 0.0, 1e6),
+            Self::Push { effort, .. } => ("effort", *effort, -1e5, 1e5),
+            Self::SensorDrift { rate, .. } => ("rate", *rate, -1e6, 1e6),
+            Self::MissedPeriods { count } => ("count", *count as f64, 1.0, 1e6),
             Self::LinkErrors { rate, .. }
             | Self::LinkDrop { rate, .. }
-            | Self::LinkDuplicate { rate, .. } => Some((*rate, 1.0)),
-            Self::LinkDelay { ms, .. } => Some((*ms, 1e6)),
-            _ => None,
-        }
+            | Self::LinkDuplicate { rate, .. } => ("rate", *rate, 0.0, 1.0),
+            Self::LinkDelay { ms, .. } => ("ms", *ms, 0.0, 1e6),
+            _ => return None,
+        })
     }
 }
 
@@ -338,12 +343,10 @@ impl Fault {
                 }
             },
         };
-        if let Some((value, most)) = self
-            .what
-            .bounded()
-            .filter(|(value, most)| !(0.0..=*most).contains(value))
+        if let Some((key, value, low, high)) = self.what.bounded()
+            && !(low..=high).contains(&value)
         {
-            return refuse(format!("{value} is not within 0 to {most}"));
+            return refuse(format!("`{key}={value}`: must be {low} to {high}"));
         }
         if let FaultKind::Hand(fault) = &self.what
             && let Some(HandEncoder { leg, .. }) = fault.encoder()
@@ -353,16 +356,16 @@ impl Fault {
                 "there is no leg {leg}; the haptic arm has 1 to {LEGS}"
             ));
         }
-        if let FaultKind::DriveWeak { gain: number, .. }
-        | FaultKind::Push { effort: number, .. }
-        | FaultKind::SensorDrift { rate: number, .. } = self.what
-            && !number.is_finite()
-        {
-            return refuse(format!("{number} is no number to reckon with"));
-        }
         let span = 0.0..=1e6;
-        if !span.contains(&self.at_s) || self.for_s.is_some_and(|time| !span.contains(&time)) {
-            return refuse("times are 0 to 1e6 seconds".into());
+        if !span.contains(&self.at_s) {
+            return refuse(format!("`at={}s`: must be 0 to 1e6 seconds", self.at_s));
+        }
+        if let Some(time) = self.for_s
+            && !(span.contains(&time) && time > 0.0)
+        {
+            return refuse(format!(
+                "`for={time}s`: must be up to 1e6 seconds, and more than 0"
+            ));
         }
         Ok(place)
     }

@@ -17,6 +17,7 @@ pub(crate) struct Planned {
     /// Setpoints at which the program pauses, with the line that says so.
     pub(crate) pauses: BTreeMap<u32, u32>,
     /// Lines of the file.
+    #[cfg_attr(not(feature = "console"), allow(dead_code))]
     pub(crate) lines: u32,
 }
 

@@ -282,7 +282,8 @@ pub fn run(args: TeleopArgs) -> Result<(), CliError> {
             faults.extend(args.delay.map(delay));
             let rig = session::rig(&arm_machine, None, None, faults)?;
             let mut line = PersonLine::new(SimLine::new(rig), Person::new(&script));
-            let _folder = Folder::take(&args.out)?;
+            let folder = Folder::take(&args.out)?;
+            folder.empty()?;
             line.begin_recording(run.recording(&arm_machine, HAND_RECORDING)?);
             let pace = Pace {
                 every_us: 1_000_000 / args.rate,
@@ -399,7 +400,8 @@ impl Run<'_> {
 
     /// With a source that leaves nothing of its own.
     fn alone(&self, source: &mut dyn Source) -> Result<(), CliError> {
-        let _folder = Folder::take(self.dir)?;
+        let folder = Folder::take(self.dir)?;
+        folder.empty()?;
         let outcome = self.with(source)?;
         self.tell(outcome, None)
     }

@@ -1,5 +1,6 @@
 //! A run whose controller is on an emulated board.
 
+use super::folder::Folder;
 use super::{CliError, Exit, MachineFile, RunArgs, port};
 #[cfg(unix)]
 use super::{Running, Session, SimLine, interrupt, paced, say, session};
@@ -14,6 +15,7 @@ pub(super) fn emulated(
     job: &PartProgram,
     home: AxisValues,
     planned: Planned,
+    folder: Folder,
     board: port::Board,
 ) -> Result<(), CliError> {
     use crate::session::pil::{self, Instructions};
@@ -43,6 +45,7 @@ pub(super) fn emulated(
         job,
         home,
         work,
+        folder,
     }
     .carry_out(session, 1, planned)?;
     let instructions = Instructions::leave(&cost, &args.out_dir())?;
@@ -79,6 +82,7 @@ pub(super) fn emulated(
     _: &PartProgram,
     _: AxisValues,
     _: Planned,
+    _: Folder,
     board: port::Board,
 ) -> Result<(), CliError> {
     Err(CliError::new(

@@ -1,13 +1,14 @@
-//! The folder for the results of a run: made, emptied of what an earlier run left, and held against another run.
+//! The folder for the results of a run: made, held against another run, and emptied of what an earlier run left once there is something new.
 
 use super::{CliError, Exit};
 use crate::report;
 use std::fs::{File, TryLockError};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// The folder of a run that is under way.
 #[derive(Debug)]
 pub(in crate::cli) struct Folder {
+    dir: PathBuf,
     /// Its lock goes with this file, however the process ends; nothing stays behind.
     _lock: Option<File>,
 }
@@ -18,15 +19,7 @@ impl Folder {
     /// # Errors
     /// [`Exit::Output`]: it cannot be written, or another run has it.
     pub(in crate::cli) fn take(dir: &Path) -> Result<Self, CliError> {
-        let failed = |what: &dyn std::fmt::Display| {
-            CliError::new(
-                Exit::Output,
-                format!(
-                    "{}: {what}; choose another folder with --out",
-                    dir.display()
-                ),
-            )
-        };
+        let failed = |what: &dyn std::fmt::Display| failed(dir, what);
         std::fs::create_dir_all(dir).map_err(|error| failed(&error))?;
         let lock = match lock(dir) {
             Ok(lock) => lock,
@@ -35,9 +28,27 @@ impl Folder {
             }
             Err(TryLockError::Error(error)) => return Err(failed(&error)),
         };
-        empty(dir).map_err(|error| failed(&error))?;
-        Ok(Self { _lock: lock })
+        writable(dir).map_err(|error| failed(&error))?;
+        Ok(Self {
+            dir: dir.to_path_buf(),
+            _lock: lock,
+        })
     }
+
+    /// Removes what an earlier run left, which would be taken for the result of this one. Not before this one has a result of its own: a run that
+    /// does not begin says nothing that would be worth another's recording.
+    ///
+    /// # Errors
+    /// [`Exit::Output`]: it cannot be removed.
+    pub(in crate::cli) fn empty(&self) -> Result<(), CliError> {
+        empty(&self.dir).map_err(|error| failed(&self.dir, &error))
+    }
+}
+
+fn failed(dir: &Path, what: &dyn std::fmt::Display) -> CliError {
+    let dir = dir.display();
+    let text = format!("{dir}: {what}; choose another folder with --out");
+    CliError::new(Exit::Output, text)
 }
 
 /// Locks a folder against other runs; none where the file system knows no locks.
@@ -55,10 +66,18 @@ fn lock(dir: &Path) -> Result<Option<File>, TryLockError> {
     }
 }
 
-/// Tries to write, and removes what an earlier run left: it would be taken for the result of this one.
-fn empty(dir: &Path) -> std::io::Result<()> {
+/// Tries to write. What an earlier run left stays as it is.
+fn writable(dir: &Path) -> std::io::Result<()> {
     let recording = dir.join(report::RECORDING_FILE);
+    let new = !recording.exists();
     File::options().append(true).create(true).open(&recording)?;
+    if new {
+        std::fs::remove_file(recording)?;
+    }
+    Ok(())
+}
+
+fn empty(dir: &Path) -> std::io::Result<()> {
     for name in [
         report::RECORDING_FILE,
         report::MCAP_FILE,

@@ -251,7 +251,7 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
     }
     let work = args.clamped(&machine)?;
     // Held to the end: nobody else writes there.
-    let _folder = Folder::take(&args.out_dir())?;
+    let folder = Folder::take(&args.out_dir())?;
     let interrupted = interrupt::flag();
     match &args.port {
         PortSpec::Simulator => {
@@ -265,10 +265,11 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
                 job: &job,
                 home,
                 work,
+                folder,
             }
             .carry_out(session, 1, planned)
         }
-        PortSpec::Emulated(board) => emulated(&args, &machine, &job, home, planned, *board),
+        PortSpec::Emulated(board) => emulated(&args, &machine, &job, home, planned, folder, *board),
         spec => {
             let baud = args.baud.unwrap_or(DEFAULT_BAUD);
             let line = PortLine::new(port::open(spec, baud)?);
@@ -280,6 +281,7 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
                 job: &job,
                 home,
                 work,
+                folder,
             }
             .carry_out(session, session::fresh_number(), planned)
         }
@@ -303,6 +305,7 @@ struct Running<'a> {
     job: &'a PartProgram,
     home: AxisValues,
     work: Option<CuttingConfig>,
+    folder: Folder,
 }
 
 impl Running<'_> {
@@ -396,6 +399,7 @@ impl Running<'_> {
         let header = Header::of(self.machine, &self.job.name)
             .map_err(|error| CliError::new(Exit::Internal, error))?
             .with_program(&self.job.text);
+        self.folder.empty()?;
         let recorder = Recorder::create(&dir.join(report::RECORDING_FILE), &header)
             .map_err(|error| output(&error))?;
         say(

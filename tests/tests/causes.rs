@@ -1,0 +1,88 @@
+//! What is named is the cause, not what it leads to: periods that were missed, and counters that jumped.
+
+mod scene;
+
+use haptimill_hil_sim::rig::RigOptions;
+use haptimill_protocol::message::{AxisValues, Fault, State};
+use haptimill_tests::Bench;
+use scene::{drives_off, line, moving, recover, wanted};
+
+/// A bench like this one at which the fault happens in 10 ms, and where its job began: the same machine again, with the fault in its schedule. It is
+/// deterministic.
+fn faulty(like: &Bench, speed: f64, fault: &str) -> (Bench, AxisValues) {
+    let at = like.rig.time_ns() as f64 * 1e-9 + 0.01;
+    let periods = like.rig.time_ns() / 200_000;
+    let fault = format!("{fault} at={at}s").parse().expect("a fault");
+    let mut bench = Bench::with_options(&RigOptions {
+        faults: vec![fault],
+        ..RigOptions::default()
+    });
+    bench.make_ready();
+    bench.steps(500);
+    let start = bench.status().wanted;
+    bench.start_job(1, &line(&start, 0, speed, 28));
+    while bench.rig.time_ns() / 200_000 < periods {
+        bench.step();
+    }
+    (bench, start)
+}
+
+#[test]
+fn what_missed_periods_lead_to_is_named_after_them() {
+    // A drive that keeps its last torque for so long takes its slide along; no encoder is to blame.
+    for missed in [15, 50, 100, 200] {
+        for speed in [4.0, 16.0] {
+            let (mut bench, _) = faulty(
+                &moving(0, speed),
+                speed,
+                &format!("missed-periods count={missed}"),
+            );
+            bench.steps(3000);
+            let status = bench.status();
+            assert_eq!(status.fault, Some(Fault::LatePeriod { missed }));
+            assert!(status.position_kept);
+        }
+    }
+}
+
+#[test]
+fn a_counter_that_jumps_farther_than_a_joint_can_go_leaves_no_position() {
+    for counts in [700, -1000, i32::MIN] {
+        let (mut bench, _) = faulty(
+            &moving(0, 4.0),
+            4.0,
+            &format!("encoder-slip axis=l1 counts={counts}"),
+        );
+        bench.steps(1000);
+        let status = bench.status();
+        assert!(
+            matches!(status.fault, Some(Fault::EncoderIllegal { axis: 0, .. })),
+            "{:?}",
+            status.fault
+        );
+        assert!(!status.position_kept && !status.homed && drives_off(&bench));
+    }
+}
+
+#[test]
+fn missed_periods_brake_along_the_path_and_the_drives_hold() {
+    for (missed, fault) in [(2, None), (3, Some(3)), (20, Some(20))] {
+        let bench = moving(0, 4.0);
+        let (mut bench, start) = faulty(&bench, 4.0, &format!("missed-periods count={missed}"));
+        bench.steps(3000);
+        let status = bench.status();
+        assert_eq!(
+            status.fault,
+            fault.map(|missed| Fault::LatePeriod { missed })
+        );
+        assert!(status.position_kept);
+        if fault.is_some() {
+            assert_eq!(status.state, State::Fault);
+            assert!(!drives_off(&bench));
+            assert_eq!((wanted(&bench)[1], wanted(&bench)[2]), (start[1], start[2]));
+            recover(&mut bench, State::Idle);
+        } else {
+            assert_eq!(status.state, State::Run);
+        }
+    }
+}
