@@ -78,6 +78,8 @@ pub struct Server {
     /// Telemetry as it was noted down, all of it in one period, and whether it is yet to be encoded.
     note: Report,
     noted: bool,
+    /// It was noted down anew: what is told next waits until it has gone.
+    renoted: bool,
     coder: SetpointCoder,
     session_begun: bool,
     staged: Vec<u8, CONFIG_BYTES>,
@@ -129,6 +131,7 @@ impl Server {
             telemetry_waits: false,
             note: Report::Telemetry(Telemetry::default()),
             noted: false,
+            renoted: false,
             coder: SetpointCoder::new(period_us, &AxisValues::new()),
             session_begun: false,
             staged: Vec::new(),
@@ -343,6 +346,7 @@ impl Server {
         self.read = false;
         self.telemetry_waits = false;
         self.noted = false;
+        self.renoted = false;
         self.answers.clear();
         self.staged.clear();
         self.every = 0;
@@ -440,7 +444,8 @@ impl Server {
         // What is to be said of what was done long is said in the next period.
         let due = !self.answers.is_empty() || safety.has_events();
         self.kept = due && self.worked && !self.kept;
-        if due && !self.kept && self.report(period, safety) {
+        let after = self.renoted && room > 0 && (self.noted || self.link.latest_waits());
+        if due && !self.kept && !after && self.report(period, safety) {
             self.worked = true;
             self.note_anew();
         }
@@ -458,7 +463,9 @@ impl Server {
                 self.say(room, transmit);
             }
         }
-        self.worked |= waited && !self.link.latest_waits();
+        let gone = waited && !self.link.latest_waits();
+        self.renoted &= !gone;
+        self.worked |= gone;
     }
 
     /// Gives the line's next bytes: no more than one frame is begun in a period, and no more of it made than may go.
@@ -504,6 +511,7 @@ impl Server {
     fn note_anew(&mut self) {
         if self.noted || self.link.latest_waits() {
             self.noted = false;
+            self.renoted = true;
             self.link.withdraw_latest();
             match self.note {
                 Report::Hand(_) => self.hand_waits = true,

@@ -82,30 +82,40 @@ fn what_is_said_is_heard_also_where_nothing_can_be_answered() {
     }
 }
 
-/// A host that never falls silent is told how things stand as often as it asked for.
+/// The longest that a host which never falls silent waits for telemetry, and how many it is told in 5000 periods.
+fn telemetry(every: u16, answered: bool) -> (u64, usize) {
+    let mut line = Line::open();
+    line.host
+        .send(&request(1, Command::Telemetry { every }))
+        .expect("room");
+    let mut id = 1;
+    line.run(5000, |host| {
+        loop {
+            let next = if answered { id % 250 + 1 } else { 0 };
+            if host.send(&request(next, Command::Ping)).is_err() {
+                break;
+            }
+            id = next;
+        }
+    });
+    let gaps = line.telemetry.windows(2).map(|pair| pair[1] - pair[0]);
+    (gaps.max().unwrap_or(u64::MAX), line.telemetry.len())
+}
+
+/// A host that never falls silent is told how things stand as often as it asked for, also where everything that it says is answered.
 #[test]
 fn telemetry_has_its_turn_whatever_is_to_be_heard() {
-    for every in [100, 20, 10] {
-        let mut line = Line::open();
-        line.host
-            .send(&request(1, Command::Telemetry { every }))
-            .expect("room");
-        line.run(
-            5000,
-            |host| {
-                while host.send(&request(0, Command::Ping)).is_ok() {}
-            },
-        );
-        let gaps = line.telemetry.windows(2).map(|pair| pair[1] - pair[0]);
-        let longest = gaps.max().expect("telemetry");
+    for (every, answered) in [100, 20, 10]
+        .into_iter()
+        .flat_map(|every| [(every, false), (every, true)])
+    {
+        let (longest, count) = telemetry(every, answered);
         assert!(
             longest <= 2 * u64::from(every) + 10,
-            "{longest} periods, {every} asked for"
+            "{longest} periods, {every} asked for, {answered}"
         );
-        assert!(
-            line.telemetry.len() >= 4800 / usize::from(every),
-            "{}",
-            line.telemetry.len()
-        );
+        // Where answers are to be told too, each tells it anew, and it comes a little later.
+        let least = if answered { 2000 } else { 4800 };
+        assert!(count >= least / usize::from(every), "{count}, {answered}");
     }
 }

@@ -233,6 +233,7 @@ impl Describe for ConfigProblem {
             // Which list the axis belongs to depends on the field.
             let list = match field {
                 ConfigField::SoftLimit
+                | ConfigField::StopTime
                 | ConfigField::Acceleration
                 | ConfigField::Jerk
                 | ConfigField::Force => axes.pose,

@@ -353,8 +353,9 @@ impl Program {
 
     /// Goes on after a pause.
     pub fn leave_pause(&mut self) {
-        self.paused = false;
-        self.started = self.started && self.may_leave_rest();
+        if core::mem::take(&mut self.paused) {
+            self.started = self.started && self.may_pass_rest();
+        }
     }
 
     /// The report on setpoints that were late, once.
@@ -366,7 +367,13 @@ impl Program {
     /// The setpoint for want of which the machine slows down or waits, and for how long it has.
     #[must_use]
     pub const fn starving(&self) -> Option<Late> {
-        self.starving
+        match self.starving {
+            Some(Late { periods, .. }) => Some(Late {
+                setpoint: self.accepted,
+                periods,
+            }),
+            None => None,
+        }
     }
 
     /// Whether nothing moves along the path: braked to rest, waiting, or paused.
@@ -406,13 +413,11 @@ impl Program {
             self.started = !halt && self.may_leave_rest();
             // At rest any path rate is the same motion: begin with the one that is wanted, unless the queue is full of spans so short
             // that there would be no stopping on them.
-            self.path_rate = Ramp::at(
-                if !self.queue.is_full() || self.queued_periods >= 4 * self.braking_periods {
-                    self.override_rate
-                } else {
-                    0
-                },
-            );
+            self.path_rate = Ramp::at(if self.may_pass_rest() {
+                self.override_rate
+            } else {
+                0
+            });
             // The way begins in the next period: this one may have taken the setpoint for which it waited, and both are long.
             progress.finished = finished;
             return progress;
@@ -477,7 +482,7 @@ impl Program {
                 progress.finished = true;
                 return;
             }
-            if self.from.at_rest() && !self.may_leave_rest() {
+            if self.from.at_rest() && !self.may_pass_rest() {
                 self.time = 0;
                 self.started = false;
                 return;

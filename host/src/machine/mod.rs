@@ -17,6 +17,7 @@ pub mod scale;
 mod stability;
 #[cfg(test)]
 mod tests;
+mod together;
 pub mod work;
 
 pub use axes::AxisLimits;
@@ -27,8 +28,6 @@ use document::{Document, Section, real, whole};
 use haptimill_firmware::config::{
     AxisKind, Config, H4Geometry, Homing, JointAxis, Model, PoseAxis, Stopping, Supervision,
 };
-use haptimill_firmware::kinematics::machine::Machine;
-use haptimill_firmware::kinematics::{Joints, Kinematics};
 use haptimill_firmware::units::{Coordinate, Length, Rate};
 use scale::{PER_DEG, PER_MM, to_i32, to_u16};
 use serde::de::DeserializeOwned;
@@ -179,7 +178,10 @@ impl MachineFile {
         }
         let read = read(&document, &root);
         if document.is_well() {
-            home_pose(&document, root.get_ref(), &read.config);
+            together::home_pose(&document, root.get_ref(), &read.config);
+        }
+        if document.is_well() {
+            together::acceptable(&document, root.get_ref(), &read.config);
         }
         let machine = Self {
             file: file.to_string(),
@@ -316,8 +318,8 @@ fn read(document: &Document<'_>, root: &Spanned<DeTable<'_>>) -> MachineFile {
 /// A haptic arm alone: no axes, nothing to plan, nothing to brake.
 fn master(root: &Section<'_, '_>, name: heapless::String<24>, period_us: f64) -> MachineFile {
     let supervision = root.section("supervision").map(|section| {
-        let heartbeat = section.number("heartbeat_ms", whole(20, 60_000, "ms"));
-        let missed = section.number("missed_periods", whole(1, 1000, "periods"));
+        let heartbeat = section.number("heartbeat_ms", whole(20, 5000, "ms"));
+        let missed = section.number("missed_periods", whole(1, 50, "periods"));
         section.finish();
         (to_u16(heartbeat), to_u16(missed))
     });
@@ -369,40 +371,6 @@ const NO_PLANNER: Planner = Planner {
     longest_span_ms: f64::NAN,
     shortest_span_ms: f64::NAN,
 };
-
-/// The pose at the home preset must exist and lie inside the soft limits: that is where every job begins.
-fn home_pose(document: &Document<'_>, root: &DeTable<'_>, config: &Config) {
-    let mut preset = Joints::default();
-    for (joint, axis) in preset.0.iter_mut().zip(&config.joints) {
-        *joint = axis.preset;
-    }
-    let offset = root.get("joint").map_or(0, |value| value.span().start);
-    let pose = match Machine::new(config).forward(&preset) {
-        Ok(pose) => pose,
-        Err(error) => {
-            let what = format!(
-                "the presets of the joints hold no pose of this geometry ({})",
-                crate::kin::status(error)
-            );
-            document.report(offset, "joint", what, "correct the presets or the geometry");
-            return;
-        }
-    };
-    for ((value, axis), (name, _)) in pose.0.iter().zip(&config.pose).zip(h4::POSE) {
-        if *value < axis.low || *value > axis.high {
-            let value = f64::from(value.0) / scale::per_unit(axis.kind);
-            let what = format!(
-                "at the presets of the joints {name} is {value:.3}, outside its soft limits"
-            );
-            document.report(
-                offset,
-                "joint",
-                what,
-                "correct the presets or the soft limits",
-            );
-        }
-    }
-}
 
 fn name(root: &Section<'_, '_>) -> heapless::String<24> {
     let name = root
@@ -499,9 +467,9 @@ fn stopping(section: Section<'_, '_>) -> Stopping {
 
 fn supervision(section: Section<'_, '_>) -> (Supervision, f64) {
     let result = Supervision {
-        heartbeat_ms: to_u16(section.number("heartbeat_ms", whole(20, 60_000, "ms"))),
-        missed_periods: to_u16(section.number("missed_periods", whole(1, 1000, "periods"))),
-        illegal_transitions: to_u16(section.number("illegal_transitions", whole(1, 10_000, ""))),
+        heartbeat_ms: to_u16(section.number("heartbeat_ms", whole(20, 5000, "ms"))),
+        missed_periods: to_u16(section.number("missed_periods", whole(1, 50, "periods"))),
+        illegal_transitions: to_u16(section.number("illegal_transitions", whole(1, 1000, ""))),
     };
     let margin = section.number("singularity_margin_mm", real(1.0, 200.0, "mm"));
     section.finish();

@@ -159,6 +159,8 @@ fn every_kind_of_mistake_is_named_with_its_line() {
         ("kd = 400.0", "kd = 9000.0"),
         ("inertia_kg = 40.0", "inertia_kg = 40.0\nmass_kg = 40.0"),
         ("ramp_ms = 80", "ramp_ms = 200"),
+        ("time_ms = 300\nramp_ms = 80", "time_ms = 120\nramp_ms = 58"),
+        ("missed_periods = 3", "missed_periods = 51"),
         ("heartbeat_ms = 500", "heartbeat_ms = 0x1FFFFF"),
         ("[planner]", "[planner]\ncolour = 1979-05-27"),
         ("kind = \"linear\"", "kind = [\"linear\"]"),

@@ -10,6 +10,10 @@ const RELIABLE: u8 = 1;
 /// A stored latest value.
 const LATEST: u8 = 2;
 
+/// A latest value is older than the newest if its number is less than so many behind. No line keeps a frame back for longer; what seems to be further
+/// behind comes after an outage, and is new.
+const LATE: u8 = 16;
+
 /// Bytes that a stored payload takes: whole words.
 const fn stride(payload: usize) -> usize {
     PREFIX + payload.next_multiple_of(PREFIX)
@@ -121,7 +125,7 @@ impl<const BYTES: usize> Inbox<BYTES> {
     pub(super) fn latest(&mut self, sequence: u8, payload: &[u8]) {
         let old = self
             .newest
-            .is_some_and(|newest| sequence.wrapping_sub(newest) as i8 <= 0);
+            .is_some_and(|newest| newest.wrapping_sub(sequence) < LATE);
         if old {
             return;
         }

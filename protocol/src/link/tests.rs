@@ -264,34 +264,35 @@ fn a_full_inbox_holds_messages_back_and_loses_none() {
     assert!(pair.controller.counters().no_room > 0);
 }
 
+fn telemetry(period: u64) -> Report {
+    Report::Telemetry(Telemetry {
+        period,
+        state: State::Idle,
+        homed: false,
+        position_kept: false,
+        credit: 0,
+        setpoint: 0,
+        program_periods: 0,
+        path_rate: 0,
+        wanted: Default::default(),
+        measured: Default::default(),
+        joints: Default::default(),
+        following_error: Default::default(),
+        drive: Default::default(),
+        fault: None,
+        deferred_bytes: 0,
+        bad_frames: 0,
+        lost_bytes: 0,
+        force: None,
+    })
+}
+
 #[test]
 fn only_newer_latest_values_are_heard() {
     let mut pair = Pair::open(5);
-    let report = |period| {
-        Report::Telemetry(Telemetry {
-            period,
-            state: State::Idle,
-            homed: false,
-            position_kept: false,
-            credit: 0,
-            setpoint: 0,
-            program_periods: 0,
-            path_rate: 0,
-            wanted: Default::default(),
-            measured: Default::default(),
-            joints: Default::default(),
-            following_error: Default::default(),
-            drive: Default::default(),
-            fault: None,
-            deferred_bytes: 0,
-            bad_frames: 0,
-            lost_bytes: 0,
-            force: None,
-        })
-    };
     let (mut frames, mut buffer) = (StdVec::new(), [0; 400]);
     for period in 0..3 {
-        pair.controller.send_latest(&report(period)).unwrap();
+        pair.controller.send_latest(&telemetry(period)).unwrap();
         let count = pair.controller.transmit(pair.now_us, &mut buffer);
         frames.push(buffer[..count].to_vec());
     }
@@ -299,7 +300,29 @@ fn only_newer_latest_values_are_heard() {
         pair.host.receive(pair.now_us, &frames[index]);
     }
     let heard: StdVec<_> = core::iter::from_fn(|| pair.host.poll_message()).collect();
-    assert_eq!(heard, [report(0), report(2)]);
+    assert_eq!(heard, [telemetry(0), telemetry(2)]);
+}
+
+/// However many were lost: their numbers go round.
+#[test]
+fn latest_values_are_heard_again_after_an_outage() {
+    for lost in 0..600 {
+        let mut pair = Pair::open(5);
+        let mut buffer = [0; 400];
+        for period in 0..lost + 20 {
+            pair.controller.send_latest(&telemetry(period)).unwrap();
+            let count = pair.controller.transmit(pair.now_us, &mut buffer);
+            if !(1..=lost).contains(&period) {
+                pair.host.receive(pair.now_us, &buffer[..count]);
+            }
+        }
+        let heard: StdVec<_> = core::iter::from_fn(|| pair.host.poll_message()).collect();
+        let again = heard
+            .iter()
+            .filter(|report| **report != telemetry(0))
+            .count();
+        assert!(again >= 19 - 16, "{again} of 19 after {lost} were lost");
+    }
 }
 
 #[test]

@@ -4,13 +4,18 @@ use super::{FULL_RATE, Late, Program, Ramp};
 use crate::motion::ramp::RampLimits;
 
 impl Program {
-    /// Whether the way from a rest is long enough to come to rest again if nothing more arrives: a rest lies ahead, or more than braking takes,
-    /// or all that the queue can hold.
-    pub(super) fn may_leave_rest(&self) -> bool {
+    /// Whether the way from a rest may begin at any path rate: it is long enough to come to rest again if nothing more arrives. A rest lies ahead, or
+    /// more than braking takes.
+    pub(super) fn may_pass_rest(&self) -> bool {
         self.total.is_some()
             || self.rests_ahead > 0
             || self.queued_periods >= 4 * self.braking_periods
-            || self.queue.is_full()
+    }
+
+    /// Whether the way from a rest may begin at all: also with all that the queue can hold, if the spans are so short that this is less than braking
+    /// takes. Then it begins at the path rate 0, which rises no further than what is there allows.
+    pub(super) fn may_leave_rest(&self) -> bool {
+        self.may_pass_rest() || self.queue.is_full()
     }
 
     /// Decides whether the queue still covers the way to rest.

@@ -1,0 +1,127 @@
+//! Rests, pauses and resumes on the queue: the speed along the path never jumps, and what was begun can be stopped.
+
+mod reference;
+
+use haptimill_firmware::kinematics::Pose;
+use haptimill_firmware::motion::program::{FULL_RATE, Program, QUEUE, braking_limits};
+use haptimill_firmware::units::{Acceleration, Coordinate};
+use haptimill_protocol::message::Action;
+use haptimill_protocol::setpoint::Setpoint;
+use reference::{h4, mm};
+
+const PERIOD_S: f64 = 2e-4;
+
+fn setpoint(x: f64, speed: f64, periods: u16) -> Setpoint {
+    Setpoint {
+        periods,
+        pose: [mm(x), 0, mm(20.0), 0, 0].into_iter().collect(),
+        rates: [(speed * 4096.0) as i32, 0, 0, 0, 0].into_iter().collect(),
+        action: Action::None,
+    }
+}
+
+/// A job of the arm that has yet to begin, on a machine that may be as rough as short spans are.
+fn start() -> Program {
+    let mut config = h4();
+    config.pose[0].acceleration = Acceleration(mm(2000.0 / 256.0));
+    let mut program = Program::new(&config);
+    let mut pose = Pose::default();
+    pose.0[2] = Coordinate(mm(20.0));
+    program.begin(&pose);
+    program
+}
+
+/// Periods in a row; the rate at which program time really passes may change by no more than braking allows.
+fn go(program: &mut Program, periods: usize, halt: bool, before: &mut i64) {
+    let slope = braking_limits(&h4().stopping, 200).expect("sound").slope();
+    for period in 0..periods {
+        let time = program.program_time();
+        let (_, progress) = program.advance(halt);
+        let now = (program.program_time() - time) as i64;
+        assert!(!progress.ran_dry, "ran dry");
+        let change = (now - *before) as f64 / FULL_RATE as f64;
+        assert!(
+            (now - *before).abs() <= slope + 2,
+            "period {period}: {change} of the programmed speed in one period"
+        );
+        *before = now;
+    }
+}
+
+/// A line at 10 mm/s whose host has brought `count` setpoints of 20 ms, and no more yet.
+fn line(count: usize) -> Program {
+    let mut program = start();
+    let mut x = 0.1;
+    program.push(&setpoint(x, 10.0, 100)).expect("taken");
+    for _ in 1..count {
+        x += 0.2;
+        program.push(&setpoint(x, 10.0, 100)).expect("taken");
+    }
+    program
+}
+
+/// Nothing was held, or it still brakes: there is no pause to leave.
+#[test]
+fn a_resume_in_motion_does_not_stop_the_machine_dead() {
+    let mut program = line(14);
+    program.advance(false);
+    let mut rate = FULL_RATE;
+    go(&mut program, 600, false, &mut rate);
+    program.leave_pause();
+    go(&mut program, 2000, false, &mut rate);
+}
+
+/// Hold, rest in the middle of the path, resume with a short queue; the setpoints come later.
+#[test]
+fn a_resume_after_a_hold_builds_up_the_speed() {
+    let mut program = line(14);
+    program.advance(false);
+    let mut rate = FULL_RATE;
+    go(&mut program, 600, false, &mut rate);
+    go(&mut program, 1000, true, &mut rate);
+    assert!(program.is_still());
+    program.leave_pause();
+    go(&mut program, 10, false, &mut rate);
+    let mut x = 0.1 + 13.0 * 0.2;
+    for _ in 0..40 {
+        x += 0.2;
+        program.push(&setpoint(x, 10.0, 100)).expect("room");
+    }
+    go(&mut program, 2000, false, &mut rate);
+}
+
+/// A rest in the middle of a job, with or without a pause; behind it the queue is full of spans so short that it does not cover the way to rest.
+fn rest_then_short_spans(action: Action) {
+    let mut program = start();
+    program
+        .push(&Setpoint {
+            action,
+            ..setpoint(0.0, 0.0, 100)
+        })
+        .expect("taken");
+    let (mut x, mut v, mut taken, mut paused) = (0.0, 0.0_f64, 0, false);
+    program.advance(false);
+    for _ in 0..2000 {
+        while program.queued() < QUEUE && taken < QUEUE {
+            let next = (v + 0.02).min(2.0);
+            x += (v + next) / 2.0 * PERIOD_S;
+            v = next;
+            program.push(&setpoint(x, v, 1)).expect("taken");
+            taken += 1;
+        }
+        let (_, progress) = program.advance(false);
+        if progress.paused.is_some() {
+            paused = true;
+        } else if paused {
+            paused = false;
+            program.leave_pause();
+        }
+        assert!(!progress.ran_dry, "ran dry");
+    }
+}
+
+#[test]
+fn a_full_queue_of_short_spans_after_a_rest_does_not_run_dry() {
+    rest_then_short_spans(Action::None);
+    rest_then_short_spans(Action::Pause);
+}

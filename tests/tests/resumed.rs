@@ -1,0 +1,133 @@
+//! A resume, whenever it comes, never makes the machine jump; a setpoint that was late is told once.
+
+mod scene;
+
+use haptimill_protocol::message::{
+    AxisValues, Command, Event, SETPOINT_BATCH, SetpointBatch, State,
+};
+use haptimill_protocol::setpoint::{Setpoint, SetpointCoder};
+use haptimill_tests::{Bench, line_in_x};
+use scene::{ready, state, wanted};
+
+const MM: f64 = (1 << 20) as f64;
+
+/// A host that brings setpoints in pieces.
+struct Feeder {
+    coder: SetpointCoder,
+    points: Vec<Setpoint>,
+    next: usize,
+}
+
+impl Feeder {
+    fn start(bench: &mut Bench, points: Vec<Setpoint>) -> Self {
+        let start: AxisValues = wanted(bench)[..5].iter().copied().collect();
+        bench
+            .ask(Command::JobStart {
+                job: 1,
+                pose: start.clone(),
+            })
+            .expect("started");
+        Self {
+            coder: SetpointCoder::new(200, &start),
+            points,
+            next: 0,
+        }
+    }
+
+    /// The next setpoints, as one message.
+    fn batch(&mut self, count: usize) -> Command {
+        let first = self.next;
+        self.next = (first + count).min(self.points.len());
+        let points = self.points[first..self.next].iter();
+        let items = points.map(|point| self.coder.encode(point).expect("codes"));
+        Command::Setpoints(SetpointBatch {
+            first: first as u32,
+            items: items.collect(),
+        })
+    }
+
+    fn bring(&mut self, bench: &mut Bench, count: usize) {
+        let end = self.next + count;
+        while self.next < end {
+            let batch = self.batch(SETPOINT_BATCH.min(end - self.next));
+            bench.ask(batch).expect("taken");
+        }
+    }
+}
+
+/// Speed in x, mm/s, of every period; it may change by `most` in one.
+fn smoothly(bench: &mut Bench, periods: usize, speed: &mut f64, most: f64) {
+    for period in 0..periods {
+        let before = wanted(bench)[0];
+        bench.step();
+        let now = f64::from(wanted(bench)[0] - before) / MM / 2e-4;
+        assert!(
+            (now - *speed).abs() <= most,
+            "period {period}: from {speed} to {now} mm/s in one period, {:?}",
+            state(bench)
+        );
+        *speed = now;
+    }
+}
+
+/// An operator holds and resumes (or resumes an underrun, as the protocol says) while the host has brought less than it takes to be sure of stopping.
+#[test]
+fn a_resume_never_jumps() {
+    let mut bench = ready();
+    let start = bench.status().wanted;
+    // 20 spans of 100 ms at 10 mm/s; 300 ms to brake.
+    let mut feeder = Feeder::start(&mut bench, line_in_x(&start, 10.0, 40));
+    feeder.bring(&mut bench, 8);
+    let mut speed = 0.0;
+    smoothly(&mut bench, 1200, &mut speed, 0.3);
+    assert!(speed > 9.0);
+    bench.say(Command::Hold).expect("room");
+    smoothly(&mut bench, 2500, &mut speed, 0.3);
+    assert_eq!((state(&bench), speed), (State::Hold, 0.0));
+    bench.say(Command::Resume).expect("room");
+    smoothly(&mut bench, 100, &mut speed, 0.3);
+    for _ in 0..8 {
+        let batch = feeder.batch(4);
+        bench.say(batch).expect("room");
+        smoothly(&mut bench, 40, &mut speed, 0.3);
+    }
+    smoothly(&mut bench, 2000, &mut speed, 0.3);
+}
+
+/// A resume that comes when the machine runs anyway (a second press, a host that says it again).
+#[test]
+fn a_needless_resume_changes_nothing() {
+    let mut bench = ready();
+    let start = bench.status().wanted;
+    let mut feeder = Feeder::start(&mut bench, line_in_x(&start, 10.0, 40));
+    feeder.bring(&mut bench, 8);
+    let mut speed = 0.0;
+    smoothly(&mut bench, 1200, &mut speed, 0.3);
+    assert!(speed > 9.0);
+    bench.say(Command::Resume).expect("room");
+    smoothly(&mut bench, 500, &mut speed, 0.3);
+}
+
+/// A setpoint that came late is told once; what is waited for when the job is dropped has its own name.
+#[test]
+fn a_late_setpoint_is_told_once() {
+    let mut bench = ready();
+    let start = bench.status().wanted;
+    let mut feeder = Feeder::start(&mut bench, line_in_x(&start, 4.0, 40));
+    feeder.bring(&mut bench, 12);
+    bench.steps(8000);
+    feeder.bring(&mut bench, 1);
+    bench.steps(500);
+    bench.ask(Command::Stop).expect("stops");
+    bench.steps(500);
+    let named = |wanted: u32| {
+        bench
+            .events
+            .iter()
+            .filter(
+                |event| matches!(event, Event::Underrun { setpoint, .. } if *setpoint == wanted),
+            )
+            .count()
+    };
+    assert_eq!((named(12), named(13)), (1, 1), "{:?}", bench.events);
+}
