@@ -53,6 +53,8 @@ const LEFT: f64 = 68.0;
 const RIGHT: f64 = 14.0;
 const TOP: f64 = 30.0;
 const BOTTOM: f64 = 44.0;
+/// What a label beside the vertical axis needs beside itself: the title of the axis, and a gap on both sides.
+const BESIDE: f64 = 26.0;
 
 struct Scale {
     low: f64,
@@ -70,25 +72,15 @@ impl Scale {
 impl Chart {
     /// The chart as an `<svg>` element.
     pub fn svg(&self) -> String {
-        let (mut x, mut y) = self.ranges();
-        let (plot_width, plot_height) = (self.width - LEFT - RIGHT, self.height - TOP - BOTTOM);
-        if self.equal {
-            let per_pixel = ((x.1 - x.0) / plot_width).max((y.1 - y.0) / plot_height);
-            widen(&mut x, per_pixel * plot_width);
-            widen(&mut y, per_pixel * plot_height);
-        }
-        let x = Scale {
-            low: x.0,
-            high: x.1,
-            from: LEFT,
-            to: self.width - RIGHT,
-        };
-        let y = Scale {
-            low: y.0,
-            high: y.1,
-            from: self.height - BOTTOM,
-            to: TOP,
-        };
+        self.svg_with(&[])
+    }
+
+    /// The same, where the vertical axis has names for 0, 1, 2 and so on instead of numbers.
+    pub fn svg_with(&self, names: &[String]) -> String {
+        let (_, y) = self.scales(LEFT);
+        let labels = labels(&y, names);
+        let widths = labels.iter().map(|(_, label)| width(label));
+        let (x, y) = self.scales(widths.fold(LEFT, |left, width| left.max(width + BESIDE)));
         let mut svg = format!(
             "<svg viewBox=\"0 0 {} {}\" role=\"img\" aria-label=\"{} against {}\">",
             self.width,
@@ -109,7 +101,7 @@ impl Chart {
                 ),
             );
         }
-        self.axes(&mut svg, &x, &y);
+        self.axes(&mut svg, &x, &y, names);
         for line in &self.lines {
             let mut path = String::new();
             for piece in &line.pieces {
@@ -134,6 +126,30 @@ impl Chart {
         svg
     }
 
+    /// Both axes, where the vertical one is so far from the left edge.
+    fn scales(&self, left: f64) -> (Scale, Scale) {
+        let (mut x, mut y) = self.ranges();
+        let (plot_width, plot_height) = (self.width - left - RIGHT, self.height - TOP - BOTTOM);
+        if self.equal {
+            let per_pixel = ((x.1 - x.0) / plot_width).max((y.1 - y.0) / plot_height);
+            widen(&mut x, per_pixel * plot_width);
+            widen(&mut y, per_pixel * plot_height);
+        }
+        let x = Scale {
+            low: x.0,
+            high: x.1,
+            from: left,
+            to: self.width - RIGHT,
+        };
+        let y = Scale {
+            low: y.0,
+            high: y.1,
+            from: self.height - BOTTOM,
+            to: TOP,
+        };
+        (x, y)
+    }
+
     fn ranges(&self) -> ((f64, f64), (f64, f64)) {
         let mut x = (f64::INFINITY, f64::NEG_INFINITY);
         let mut y = if self.from_zero { (0.0, 0.0) } else { x };
@@ -152,7 +168,8 @@ impl Chart {
                 *range = (0.0, 1.0);
             }
             let span = range.1 - range.0;
-            let least = 1e-6 * range.0.abs().max(range.1.abs()).max(1e-3);
+            // A coordinate's step is 1e-6 mm; nothing is to be seen below.
+            let least = 1e-6 * range.0.abs().max(range.1.abs()).max(1.0);
             widen(range, least.max(span));
         }
         let margin = 0.06 * (y.1 - y.0);
@@ -167,14 +184,14 @@ impl Chart {
         (x, y)
     }
 
-    fn axes(&self, svg: &mut String, x: &Scale, y: &Scale) {
-        let (right, bottom) = (self.width - RIGHT, self.height - BOTTOM);
+    fn axes(&self, svg: &mut String, x: &Scale, y: &Scale, names: &[String]) {
+        let (left, right, bottom) = (x.from, self.width - RIGHT, self.height - BOTTOM);
         // A picture is not to be ruled over.
         let grid = match self.backdrop {
             Some(_) => "grid faint",
             None => "grid",
         };
-        let (step, decimals) = tick_step(x.high - x.low, (right - LEFT) / 90.0);
+        let (step, decimals) = tick_step(x.high - x.low, (right - left) / 90.0);
         for tick in ticks(x, step) {
             let at = x.at(tick);
             put(
@@ -186,24 +203,23 @@ impl Chart {
                 ),
             );
         }
-        let (step, decimals) = tick_step(y.high - y.low, (bottom - TOP) / 42.0);
-        for tick in ticks(y, step) {
+        for (tick, label) in labels(y, names) {
             let at = y.at(tick);
             put(
                 svg,
                 format_args!(
-                    "<line class=\"{grid}\" x1=\"{LEFT}\" x2=\"{right}\" y1=\"{at:.1}\" y2=\"{at:.1}\"/><text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{:.decimals$}</text>",
-                    LEFT - 7.0,
+                    "<line class=\"{grid}\" x1=\"{left:.0}\" x2=\"{right}\" y1=\"{at:.1}\" y2=\"{at:.1}\"/><text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{}</text>",
+                    left - 7.0,
                     at + 4.0,
-                    tick + 0.0
+                    escape(&label)
                 ),
             );
         }
         put(
             svg,
             format_args!(
-                "<rect class=\"frame\" x=\"{LEFT}\" y=\"{TOP}\" width=\"{:.1}\" height=\"{:.1}\"/>",
-                right - LEFT,
+                "<rect class=\"frame\" x=\"{left:.0}\" y=\"{TOP}\" width=\"{:.1}\" height=\"{:.1}\"/>",
+                right - left,
                 bottom - TOP
             ),
         );
@@ -211,7 +227,7 @@ impl Chart {
             svg,
             format_args!(
                 "<text class=\"label\" x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{}</text>",
-                (LEFT + right) / 2.0,
+                (left + right) / 2.0,
                 self.height - 8.0,
                 escape(&self.x_label)
             ),
@@ -269,6 +285,25 @@ fn tick_step(span: f64, count: f64) -> (f64, usize) {
     (step, decimals)
 }
 
+/// Ticks of a vertical axis, and what stands beside them: numbers, or the names of 0, 1, 2 and so on.
+fn labels(y: &Scale, names: &[String]) -> Vec<(f64, String)> {
+    if names.is_empty() {
+        let (step, decimals) = tick_step(y.high - y.low, (y.from - y.to) / 42.0);
+        let label = |tick| (tick, format!("{:.decimals$}", tick + 0.0));
+        return ticks(y, step).map(label).collect();
+    }
+    let named = (0_u32..).map(f64::from).zip(names.iter().cloned());
+    named
+        .filter(|(tick, _)| (y.low..=y.high).contains(tick))
+        .collect()
+}
+
+/// Width of a label in pixels, as near as can be told without its font.
+fn width(label: &str) -> f64 {
+    let wide = |letter: char| if ".-".contains(letter) { 4.0 } else { 6.9 };
+    label.chars().map(wide).sum()
+}
+
 fn ticks(scale: &Scale, step: f64) -> impl Iterator<Item = f64> {
     let first = (scale.low / step).ceil() as i64;
     let last = (scale.high / step).floor() as i64;
@@ -289,4 +324,74 @@ pub fn escape(text: &str) -> String {
         }
     }
     escaped
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn chart(values: [f64; 2], equal: bool) -> Chart {
+        Chart {
+            x_label: "time, s".into(),
+            y_label: "mm".into(),
+            lines: vec![Line {
+                label: "error".into(),
+                colour: COLOURS[0],
+                width: 1.0,
+                pieces: vec![vec![(0.0, values[0]), (2e-4, values[1])]],
+            }],
+            width: 1000.0,
+            height: 300.0,
+            equal,
+            from_zero: false,
+            backdrop: None,
+        }
+    }
+
+    /// Where the labels of the vertical axis end, and the labels.
+    fn beside(svg: &str) -> Vec<(f64, &str)> {
+        let texts = svg.split("<text x=\"").skip(1);
+        let texts = texts.filter(|text| text.contains("text-anchor=\"end\""));
+        texts
+            .map(|text| {
+                let (x, rest) = text.split_once('"').unwrap();
+                let (_, label) = rest.split_once('>').unwrap();
+                (x.parse().unwrap(), label.split_once('<').unwrap().0)
+            })
+            .collect()
+    }
+
+    #[test]
+    fn labels_beside_the_axis_have_their_room_and_differ() {
+        for values in [
+            [0.0, 0.0],
+            [0.0, 3e-9],
+            [-26.768, -26.768],
+            [-26.768, -26.767_999],
+            [885.0, 885.000_001],
+            [-0.004, 0.001],
+        ] {
+            for equal in [false, true] {
+                let svg = chart(values, equal).svg();
+                let labels = beside(&svg);
+                for (index, (end, label)) in labels.iter().enumerate() {
+                    let begin = end - width(label);
+                    assert!(begin >= 19.0 - 0.5, "{values:?} {label} begins at {begin}");
+                    let again = labels[..index].iter().any(|(_, other)| other == label);
+                    assert!(!again, "{values:?} has {label} twice");
+                }
+                assert!(!labels.is_empty());
+            }
+        }
+        // The axis of other charts stays where it was.
+        assert!(chart([-30.0, 12.5], false).svg().contains("x1=\"68\""));
+    }
+
+    #[test]
+    fn names_stand_at_whole_numbers_only() {
+        let names = ["Disabled", "Idle", "Homing", "Run", "Jog"].map(str::to_string);
+        let svg = chart([1.0, 3.0], false).svg_with(&names);
+        let labels: Vec<&str> = beside(&svg).iter().map(|(_, label)| *label).collect();
+        assert_eq!(labels, ["Idle", "Homing", "Run"]);
+    }
 }

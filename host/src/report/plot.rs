@@ -3,6 +3,7 @@
 use super::chart::{COLOURS, Chart, Line};
 use super::series::Columns;
 use crate::record::{Column, Recording, RecordingError, Thinning};
+use haptimill_protocol::message::State;
 use std::fmt::Write as _;
 
 /// Lines in one chart; more go into the next.
@@ -14,6 +15,18 @@ const HEIGHT: f64 = 300.0;
 const STYLE: &str = "\
 text{font:12px system-ui,-apple-system,'Segoe UI',Roboto,sans-serif;fill:#3b4754}.label{fill:#1d2733;font-size:12.5px}\
 path{fill:none;stroke-linejoin:round;stroke-linecap:round}.grid{stroke:#e8ebef;stroke-width:1}.frame{fill:none;stroke:#b9c1ca;stroke-width:1}";
+
+/// The column whose values have names.
+const STATE: &str = "state";
+
+/// Columns with the same share a chart.
+fn unit_of(column: &Column) -> &'static str {
+    if column.name == STATE {
+        STATE
+    } else {
+        column.unit
+    }
+}
 
 /// Columns of a recording, thinned to what a picture can show without losing a peak.
 pub struct Plot {
@@ -75,20 +88,26 @@ impl Plot {
     /// The picture, with a chart for each unit.
     #[must_use]
     pub fn svg(&self) -> String {
-        let mut units: Vec<&str> = Vec::new();
+        let mut units: Vec<&'static str> = Vec::new();
         for (column, _) in &self.columns {
-            if !units.contains(&column.unit) {
-                units.push(column.unit);
+            if !units.contains(&unit_of(column)) {
+                units.push(unit_of(column));
             }
         }
+        let states = State::ALL.map(|state| format!("{state:?}"));
         let mut charts = Vec::new();
         for unit in units {
             let of_unit: Vec<_> = self
                 .columns
                 .iter()
-                .filter(|(column, _)| column.unit == unit)
+                .filter(|(column, _)| unit_of(column) == unit)
                 .collect();
-            charts.extend(of_unit.chunks(LINES).map(|chunk| self.chart(unit, chunk)));
+            let names = if unit == STATE { &states[..] } else { &[] };
+            charts.extend(
+                of_unit
+                    .chunks(LINES)
+                    .map(|chunk| self.chart(unit, chunk).svg_with(names)),
+            );
         }
         let height = HEIGHT * charts.len() as f64;
         let mut svg = format!(
@@ -100,7 +119,7 @@ impl Plot {
                 "<svg x=\"0\" y=\"{}\" width=\"{WIDTH}\" height=\"{HEIGHT}\" ",
                 HEIGHT * index as f64
             );
-            svg += &chart.svg().replacen("<svg ", &place, 1);
+            svg += &chart.replacen("<svg ", &place, 1);
             svg.push('\n');
         }
         svg += "</svg>\n";
