@@ -26,7 +26,8 @@ pub fn status(error: PoseError) -> &'static str {
 
 /// Slides of poses: `xw_mm, yw_mm, zw_mm, theta_deg, alpha_deg` to `l1_mm, l2_mm, l3_mm, l4_mm, status`.
 ///
-/// With `strokes`, slides beyond the machine's strokes are `out_of_stroke` (and still given); without, only the geometry speaks.
+/// With `strokes`, slides or a table beyond the machine's strokes are `out_of_stroke` (and the slides still given); without, only the geometry speaks.
+/// An `alpha_deg` that no coordinate holds (180 or more, or below -180) is `out_of_stroke` in any case, without slides.
 ///
 /// # Errors
 /// One line for each bad cell, `name:line:column: what is wrong`.
@@ -176,9 +177,15 @@ fn read<const N: usize>(
     let mut problems = Vec::new();
     let mut places = [0; N];
     for (column, place) in columns.iter().zip(&mut places) {
-        match header.iter().position(|cell| cell == column) {
-            Some(found) => *place = found,
-            None => problems.push(format!(
+        let mut found = (0..header.len()).filter(|index| header[*index] == *column);
+        match (found.next(), found.next()) {
+            (Some(first), Some(second)) => problems.push(format!(
+                "{name}:1:1: column {column} is there twice, {} and {} in the row; leave one",
+                first + 1,
+                second + 1
+            )),
+            (Some(found), None) => *place = found,
+            (None, _) => problems.push(format!(
                 "{name}:1:1: column {column} is missing; the first row must name {}",
                 columns.join(", ")
             )),
@@ -191,12 +198,17 @@ fn read<const N: usize>(
     while reader.read_byte_record(&mut record).map_err(unreadable)? {
         let line = record.position().map_or(0, csv::Position::line);
         let mut row = [f64::NAN; N];
+        let before = |place| record.iter().take(place).map(|cell| cell.len() + 1);
+        if record.len() > header.len() {
+            problems.push(format!(
+                "{name}:{line}:{}: the row has {} fields, the first row names {}; write decimals with a point, and a comma between fields only",
+                1 + before(header.len()).sum::<usize>(),
+                record.len(),
+                header.len()
+            ));
+        }
         for ((place, column), value) in places.iter().zip(columns).zip(&mut row) {
-            let at = 1 + record
-                .iter()
-                .take(*place)
-                .map(|cell| cell.len() + 1)
-                .sum::<usize>();
+            let at = 1 + before(*place).sum::<usize>();
             let Some(cell) = record.get(*place) else {
                 problems.push(format!("{name}:{line}:{at}: {column} is missing"));
                 continue;
@@ -205,7 +217,7 @@ fn read<const N: usize>(
             match text.parse::<f64>() {
                 Ok(number) if number.is_finite() => *value = number,
                 _ => problems.push(format!(
-                    "{name}:{line}:{at}: {column}: `{text}` is not a finite number"
+                    "{name}:{line}:{at}: {column}: `{text}` is not a finite number; write one, as 12.5"
                 )),
             }
         }

@@ -1,5 +1,7 @@
 //! The command as a user meets it: what it prints, what it writes, how it ends.
 
+mod scene;
+
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -209,10 +211,18 @@ fn tables_say_what_is_wrong_where() {
         "{header}0,0,21.232,95,0\n0,0,9999,0,0\n0,0,21.232,0,200\n0,0,21.232,0,50\n"
     ));
     text += &ik(&format!("{header}0,0,x,0,0\n0,0,inf,0\n1,2,3,4,5\n"));
+    text += &ik(&format!("{header}0,0,21,232,0,0\n1,0,2,5,40,0,1,0,0,0\n"));
     text += &ik("xw_mm,yw_mm,zw_mm,theta_deg\n0,0,0,0\n");
+    text += &ik("xw_mm,yw_mm,zw_mm,theta_deg,alpha_deg,note,note,xw_mm\n0,0,0,0,0,,,1\n");
     text += &ik("");
     text += &ik(
         "alpha_deg, theta_deg, zw_mm, yw_mm, xw_mm, note\r\n15, 0, 40, -5, 10, turned round\r\n",
+    );
+    text += &transcript(
+        &["kin", "ik", "--strokes"],
+        &format!(
+            "{header}0,0,21.232,0,50\n0,0,21.232,0,-180\n0,0,21.232,0,180\n0,0,21.232,0,3600\n"
+        ),
     );
     let fk = |input: &str| transcript(&["kin", "fk"], input);
     text += &fk(
@@ -224,6 +234,32 @@ fn tables_say_what_is_wrong_where() {
         "l1_mm,l2_mm,l3_mm,l4_mm\n",
     );
     insta::assert_snapshot!("kin", text);
+}
+
+#[test]
+fn a_table_is_not_written_over_itself() {
+    let folder = scene::Folder::new();
+    let slides = "l1_mm,l2_mm,l3_mm,l4_mm\n1135,485,1135,485\n";
+    let table = folder.file("b.csv", slides);
+    let other = folder.path("./b.csv");
+    for arguments in [
+        ["kin", "fk", "--in", &table, "--out", &table],
+        ["kin", "ik", "--in", &table, "--out", &other],
+    ] {
+        let ran = haptimill(&arguments, "");
+        assert!(
+            ran.code == 2 && ran.err.contains("would be overwritten"),
+            "{}",
+            ran.err
+        );
+        assert_eq!(folder.read("b.csv"), slides);
+    }
+    let ran = haptimill(
+        &["kin", "fk", "--in", &table, "--out", &folder.path("c.csv")],
+        "",
+    );
+    assert_eq!(ran.code, 0, "{}", ran.err);
+    assert!(folder.read("c.csv").ends_with(",ok\n"));
 }
 
 #[test]

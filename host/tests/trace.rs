@@ -7,6 +7,8 @@ use haptimill::replay::replay;
 use scene::{Folder, Ran, Served, haptimill, number, start};
 use serde_json::Value;
 use std::path::Path;
+#[cfg(unix)]
+use std::process::{Command, Stdio};
 use std::time::Duration;
 
 /// Runs a program of examples/ into `out`; where its recording is.
@@ -254,6 +256,14 @@ fn a_recording_tells_what_it_is_and_is_drawn() {
     assert_eq!(svg.matches("<path").count(), 5);
     assert!(svg.contains("l3_joint_error_mm") && svg.contains("time after 2 s"));
     plot(&["x_force_high_n", "--from", "1000"]).ended_with(3);
+    // States have names, beside whatever else has no unit.
+    plot(&["state", "line", "--out", &picture]).ended_with(0);
+    let svg = folder.read("errors.svg");
+    assert_eq!(svg.matches("<svg ").count(), 3);
+    assert!(
+        svg.contains(">Run</text>") && !svg.contains(">1.5</text>"),
+        "{svg}"
+    );
 }
 
 #[test]
@@ -298,6 +308,8 @@ fn files_that_are_no_good_are_told_apart() {
     let mut text = String::new();
     for (arguments, code) in [
         (&["replay", &damaged][..], 3),
+        (&["trace", "info", &damaged], 3),
+        (&["trace", "info", &damaged, "--json"], 3),
         (&["replay", &cut], 0),
         (
             &[
@@ -314,6 +326,9 @@ fn files_that_are_no_good_are_told_apart() {
         (&["trace", "info", &foreign], 3),
         (&["replay", &old], 3),
         (&["trace", "mcap", &missing], 3),
+        (&["replay", &missing], 3),
+        (&["trace", "csv", &trace, "--from", "1000"], 3),
+        (&["trace", "plot", &trace, "line", "--from", "1000"], 3),
         (&["trace", "csv", &trace, "--columns", "x_mm"], 2),
         (
             &["trace", "plot", &trace, "--from", "2", "--to", "1", "line"],
@@ -329,6 +344,136 @@ fn files_that_are_no_good_are_told_apart() {
         );
     }
     insta::assert_snapshot!("no_good", text);
+}
+
+/// Other names of a file: spelled differently, and links.
+#[cfg(unix)]
+fn names(folder: &Folder, path: &str) -> Vec<String> {
+    let file = Path::new(path);
+    let (dir, name) = (file.parent().unwrap(), file.file_name().unwrap());
+    let spelled = dir.join(".").join(name).to_str().unwrap().to_string();
+    let [symbolic, hard] = ["symbolic", "hard"].map(|name| folder.path(name));
+    std::os::unix::fs::symlink(file, &symbolic).unwrap();
+    std::fs::hard_link(file, &hard).unwrap();
+    vec![path.to_string(), spelled, symbolic, hard]
+}
+
+#[cfg(unix)]
+#[test]
+fn what_is_read_is_never_written_over() {
+    let folder = Folder::new();
+    let trace = recorded(&folder, "out", "e7-slot.ngc", &[], 0);
+    let before = std::fs::read(&trace).unwrap();
+    for name in names(&folder, &trace) {
+        for command in [
+            &["trace", "csv", &trace, "--out", &name][..],
+            &["trace", "mcap", &trace, "--out", &name],
+            &["trace", "plot", &trace, "line", "--out", &name],
+        ] {
+            let ran = haptimill(command);
+            assert!(
+                ran.code == 2 && ran.err.contains("would be overwritten"),
+                "{command:?} {ran:?}"
+            );
+            assert!(std::fs::read(&trace).unwrap() == before, "{command:?}");
+        }
+    }
+}
+
+#[test]
+fn a_table_that_fails_leaves_the_one_before() {
+    let folder = Folder::new();
+    let trace = recorded(&folder, "out", "e7-slot.ngc", &[], 0);
+    let mut damaged = std::fs::read(&trace).unwrap();
+    let middle = damaged.len() / 2;
+    damaged[middle] ^= 0x10;
+    let damaged = folder.file("damaged.hmr", damaged);
+    let table = folder.file("table.csv", "before");
+    haptimill(&["trace", "csv", &damaged, "--out", &table]).ended_with(3);
+    haptimill(&["trace", "csv", &trace, "--from", "1000", "--out", &table]).ended_with(3);
+    assert_eq!(folder.read("table.csv"), "before");
+    haptimill(&["trace", "csv", &trace, "--columns", "line", "--out", &table]).ended_with(0);
+    assert!(folder.read("table.csv").starts_with("line\n"));
+    let files = std::fs::read_dir(folder.path("")).unwrap();
+    assert_eq!(files.count(), 3, "something was left behind");
+}
+
+/// Commands whose result is on standard output.
+#[cfg(unix)]
+fn tellers(trace: &str, out: &str) -> Vec<Vec<String>> {
+    [
+        "run examples/e7-slot.ngc --check",
+        "run examples/e7-slot.ngc --check --json",
+        "run examples/e7-slot.ngc --out OUT",
+        "run examples/e7-slot.ngc --json --out OUT",
+        "trace info TRACE",
+        "trace info TRACE --json",
+        "trace csv TRACE",
+        "trace plot TRACE line",
+        "trace diff TRACE TRACE",
+        "replay TRACE",
+        "replay TRACE --json",
+        "machine check machines/h4.toml",
+        "machine check machines/h4.toml --json",
+        "scenario list",
+        "ports",
+        "ports --json",
+        "kin ik --in tests/golden/h4_ik.csv",
+    ]
+    .map(|command| {
+        let word = |word: &str| word.replace("TRACE", trace).replace("OUT", out);
+        command.split(' ').map(word).collect()
+    })
+    .to_vec()
+}
+
+/// Runs a command with this standard output; its exit code and what it complains of.
+#[cfg(unix)]
+fn telling(command: &[String], out: impl Into<Stdio>) -> (Option<i32>, String) {
+    let ran = Command::new(env!("CARGO_BIN_EXE_haptimill"))
+        .args(command)
+        .current_dir(scene::root())
+        .stdout(out)
+        .output()
+        .unwrap();
+    (ran.status.code(), String::from_utf8(ran.stderr).unwrap())
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_result_that_cannot_be_written_ends_with_9() {
+    let folder = Folder::new();
+    let trace = recorded(&folder, "out", "e7-slot.ngc", &[], 0);
+    for command in tellers(&trace, &folder.path("again")) {
+        let full = std::fs::File::options().write(true).open("/dev/full");
+        let (code, complaint) = telling(&command, full.unwrap());
+        assert_eq!(code, Some(9), "{command:?} {complaint}");
+        let said = "standard output: No space left on device (os error 28)";
+        assert!(complaint.contains(said), "{command:?} {complaint}");
+    }
+    let ran = haptimill(&["trace", "csv", &trace, "--out", "/dev/full"]).ended_with(9);
+    assert_eq!(
+        ran.err,
+        "/dev/full: No space left on device (os error 28)\n"
+    );
+    // What is wrong first is what the command ends with.
+    let missing = ["trace", "info", "none.hmr", "--json"].map(str::to_string);
+    let full = std::fs::File::options().write(true).open("/dev/full");
+    assert_eq!(telling(&missing, full.unwrap()).0, Some(3));
+}
+
+#[cfg(unix)]
+#[test]
+fn a_reader_that_has_gone_is_no_error() {
+    let folder = Folder::new();
+    let trace = recorded(&folder, "out", "e7-slot.ngc", &[], 0);
+    for command in tellers(&trace, &folder.path("again")) {
+        let (reader, writer) = std::io::pipe().unwrap();
+        drop(reader);
+        let (code, complaint) = telling(&command, writer);
+        assert_eq!(code, Some(0), "{command:?} {complaint}");
+        assert!(!complaint.contains("roken pipe"), "{command:?} {complaint}");
+    }
 }
 
 #[test]

@@ -1,23 +1,24 @@
 //! `haptimill kin`: the firmware's kinematics over a table.
 
-use super::{CliError, Exit, MachineArg};
+use super::{CliError, Exit, MachineArg, out};
 use crate::kin;
 use clap::Args;
 use std::fs::File;
-use std::io::{BufWriter, Read, Write};
-use std::path::PathBuf;
+use std::io::Read;
+use std::path::{Path, PathBuf};
 
 const IK_LONG: &str = "\
 Slides of poses: columns xw_mm, yw_mm, zw_mm, theta_deg, alpha_deg to l1_mm, l2_mm, l3_mm, l4_mm, status.
 
-The status is ok, unreachable, near_singularity, near_reach_limit or tilt; such a row has no slides. With --strokes a row whose slides are beyond \
-the strokes of the machine is out_of_stroke, and still has them. Columns are found by name, others are left out. - is standard input or output.";
+The status is ok, unreachable, near_singularity, near_reach_limit or tilt; only a row that is ok has slides. With --strokes a row whose slides or \
+alpha_deg are beyond the strokes of the machine is out_of_stroke, and still has its slides. An alpha_deg of 180 or more, or below -180, is \
+out_of_stroke with and without --strokes, and has none. Columns are found by name, others are left out. - is standard input or output.";
 
 const FK_LONG: &str = "\
 Poses of slides: columns l1_mm, l2_mm, l3_mm, l4_mm to x_mm, y_mm, z_mm, theta_deg, status, in the frame of the slave base (before table and work \
 offsets).
 
-The status is ok, unreachable, near_singularity or near_reach_limit; such a row has no pose. With --strokes a row whose slides are beyond the \
+The status is ok, unreachable, near_singularity or near_reach_limit; only a row that is ok has a pose. With --strokes a row whose slides are beyond the \
 strokes of the machine is out_of_stroke, and still has its pose. Columns are found by name, others are left out. - is standard input or output.";
 
 /// Arguments of `haptimill kin ik`.
@@ -76,7 +77,10 @@ type Calculation =
 
 fn table(args: &TableArgs, calculate: Calculation) -> Result<(), CliError> {
     let machine = args.machine.load()?;
-    let standard = |path: &PathBuf| path.as_os_str() == "-";
+    let standard = |path: &Path| path.as_os_str() == "-";
+    if !standard(&args.input) && !standard(&args.output) {
+        out::not_over(&args.input, &args.output, "table")?;
+    }
     let name = if standard(&args.input) {
         "standard input".to_string()
     } else {
@@ -88,18 +92,18 @@ fn table(args: &TableArgs, calculate: Calculation) -> Result<(), CliError> {
     } else {
         File::open(&args.input).and_then(|mut file| file.read_to_end(&mut bytes))
     };
-    read.map_err(|error| CliError::new(Exit::BadInput, format!("{name}: {error}")))?;
+    read.map_err(|error| {
+        let what = format!("{name}: cannot be read: {error}; check the path");
+        CliError::new(Exit::BadInput, what)
+    })?;
     let result = calculate(&machine.config, args.strokes, &name, &bytes)
         .map_err(|message| CliError::new(Exit::BadInput, message))?;
-    let written = if standard(&args.output) {
-        std::io::stdout().lock().write_all(&result)
-    } else {
-        File::create(&args.output).and_then(|file| {
-            let mut file = BufWriter::new(file);
-            file.write_all(&result)?;
-            file.flush()
-        })
-    };
-    written
-        .map_err(|error| CliError::new(Exit::Output, format!("{}: {error}", args.output.display())))
+    if standard(&args.output) {
+        out::standard(|out| out.write_all(&result));
+        return Ok(());
+    }
+    let failed = |error| out::unwritten(&args.output, error);
+    out::file(&args.output, failed, |out| {
+        out.write_all(&result).map_err(failed)
+    })
 }

@@ -1,11 +1,10 @@
 //! The command line: what can be asked, and which room does it.
 
-/// Prints a line on standard output; a reader that has gone (`| head`) is no error.
+/// Prints a line on standard output. If that fails the command ends with [`Exit::Output`]; a reader that has gone (`| head`) is no error.
 macro_rules! tell {
-    ($($argument:tt)*) => {{
-        use std::io::Write as _;
-        let _ = writeln!(std::io::stdout(), $($argument)*);
-    }};
+    ($($argument:tt)*) => {
+        $crate::cli::out::tell(format_args!($($argument)*))
+    };
 }
 
 pub mod console;
@@ -15,6 +14,7 @@ pub mod jog;
 pub mod kin;
 pub mod machine;
 pub mod one_shot;
+mod out;
 pub(crate) mod part;
 pub mod ports;
 pub mod replay;
@@ -200,17 +200,21 @@ pub fn main() -> ExitCode {
     use std::io::Write as _;
     let cli = Cli::parse();
     let json = cli.command.json();
-    match dispatch(cli) {
-        Ok(()) => ExitCode::from(Exit::Done as u8),
-        Err(error) => {
-            if json && !error.told {
-                tell!("{:#}", error.to_json());
-            }
-            // A terminal that was closed is no reason for a panic on top.
-            let _ = writeln!(std::io::stderr(), "{}", error.message);
-            ExitCode::from(error.exit as u8)
-        }
+    let error = dispatch(cli).err();
+    if let Some(error) = &error
+        && json
+        && !error.told
+    {
+        tell!("{:#}", error.to_json());
     }
+    // What went wrong first is what the command ends with.
+    let errors: Vec<CliError> = error.into_iter().chain(out::failed()).collect();
+    for error in &errors {
+        // A terminal that was closed is no reason for a panic on top.
+        let _ = writeln!(std::io::stderr(), "{}", error.message);
+    }
+    let exit = errors.first().map_or(Exit::Done, |error| error.exit);
+    ExitCode::from(exit as u8)
 }
 
 fn dispatch(cli: Cli) -> Result<(), CliError> {

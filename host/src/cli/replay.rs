@@ -1,5 +1,6 @@
 //! `haptimill replay`: a recorded job once more, through a new controller, compared bit by bit.
 
+use super::trace::open;
 use super::{CliError, Exit};
 use crate::record::Recording;
 use crate::replay::{self, ReplayError};
@@ -32,7 +33,7 @@ pub struct ReplayArgs {
 /// See [`Exit`]; [`Exit::Command`] when the replay differs.
 pub fn run(args: &ReplayArgs) -> Result<(), CliError> {
     let bad = |error: &dyn std::fmt::Display| CliError::new(Exit::BadInput, error);
-    let recording = Recording::open(&args.trace).map_err(|error| bad(&error))?;
+    let recording = open(&args.trace)?;
     let begun = Instant::now();
     let result = replay::replay(&recording).map_err(|error| match error {
         ReplayError::Recording(error) => bad(&error),

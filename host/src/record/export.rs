@@ -3,8 +3,7 @@
 use super::column::Value;
 use super::{Column, Record, Recording, RecordingError, columns};
 use std::fmt::Write as _;
-use std::io::{self, Write};
-use std::path::PathBuf;
+use std::io::Write;
 
 /// Which records are taken.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -74,10 +73,23 @@ pub fn export_csv(
         every,
         ..Thinning::default()
     };
-    export_table(recording, &columns(recording), &thinning, out)
+    let columns = columns(recording);
+    if export_table(recording, &columns, &thinning, out)? == 0 {
+        let header = names(&columns);
+        out.write_all(header.as_bytes())
+            .and_then(|()| out.flush())
+            .map_err(RecordingError::Write)?;
+    }
+    Ok(())
 }
 
-/// Writes chosen columns of chosen records.
+/// The first row.
+fn names(columns: &[Column]) -> String {
+    let names: Vec<&str> = columns.iter().map(|column| column.name.as_str()).collect();
+    names.join(",") + "\n"
+}
+
+/// Writes chosen columns of chosen records, and says how many rows that were below their names; with none the names are not written either.
 ///
 /// # Errors
 /// The recording cannot be read, or the table not written.
@@ -86,13 +98,15 @@ pub fn export_table(
     columns: &[Column],
     thinning: &Thinning,
     out: &mut dyn Write,
-) -> Result<(), RecordingError> {
-    let io = |error: io::Error| RecordingError::Io(PathBuf::from("trace"), error);
-    let names: Vec<&str> = columns.iter().map(|column| column.name.as_str()).collect();
-    out.write_all(format!("{}\n", names.join(",")).as_bytes())
-        .map_err(io)?;
-    let mut row = String::new();
+) -> Result<u64, RecordingError> {
+    let mut rows = 0;
+    let mut row = names(columns);
     thinning.apply(recording, |record, time_s| {
+        if rows == 0 {
+            out.write_all(row.as_bytes())
+                .map_err(RecordingError::Write)?;
+        }
+        rows += 1;
         row.clear();
         for (index, column) in columns.iter().enumerate() {
             if index > 0 {
@@ -108,7 +122,8 @@ pub fn export_table(
             };
         }
         row.push('\n');
-        out.write_all(row.as_bytes()).map_err(io)
+        out.write_all(row.as_bytes()).map_err(RecordingError::Write)
     })?;
-    out.flush().map_err(io)
+    out.flush().map_err(RecordingError::Write)?;
+    Ok(rows)
 }

@@ -55,6 +55,8 @@ pub enum RecordingError {
     Io(PathBuf, io::Error),
     /// It is no recording, or not one of this version.
     Format(PathBuf, String),
+    /// What is made of it cannot be written.
+    Write(io::Error),
     /// This build writes no MCAP.
     NoMcap,
 }
@@ -64,6 +66,7 @@ impl fmt::Display for RecordingError {
         match self {
             Self::Io(path, error) => write!(out, "{}: {error}", path.display()),
             Self::Format(path, what) => write!(out, "{}: {what}", path.display()),
+            Self::Write(error) => write!(out, "trace: {error}"),
             Self::NoMcap => out.write_str(
                 "this haptimill was built without MCAP; build it with: cargo build --release --features mcap",
             ),
@@ -321,17 +324,33 @@ impl Recording {
         Ok(text)
     }
 
+    /// Reads the contents of all blocks and checks them.
+    ///
+    /// # Errors
+    /// The first block that is damaged, or cannot be read.
+    pub fn verify(&self) -> Result<(), RecordingError> {
+        let mut blocks = self.read(self.blocks.iter().copied().collect())?;
+        while let Some(block) = blocks.next() {
+            block?;
+        }
+        Ok(())
+    }
+
     fn of(&self, kind: Kind) -> VecDeque<Place> {
         let all = self.blocks.iter().copied();
         all.filter(|place| place.head.kind == kind).collect()
     }
 
     fn contents(&self, kind: Kind) -> Result<Blocks, RecordingError> {
+        self.read(self.of(kind))
+    }
+
+    fn read(&self, left: VecDeque<Place>) -> Result<Blocks, RecordingError> {
         let io = |error| RecordingError::Io(self.path.clone(), error);
         Ok(Blocks {
             path: self.path.clone(),
             file: File::open(&self.path).map_err(io)?,
-            left: self.of(kind),
+            left,
         })
     }
 }

@@ -1,12 +1,11 @@
 //! `haptimill trace csv`, `plot` and `mcap`: recordings for other programs, and for the eye.
 
-use super::{CliError, Exit, WindowArgs, chosen, failed, open, tell_cut};
+use super::{CliError, WindowArgs, bad, chosen, failed, open, out, tell_cut};
 use crate::record::{MCAP_RATE, RecordingError, export_table, write_mcap};
 use crate::report::plot::Plot;
 use clap::Args;
-use std::fs::File;
-use std::io::{BufWriter, ErrorKind, Write};
-use std::path::PathBuf;
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
 
 /// Arguments of `haptimill trace csv`.
 #[derive(Debug, Clone, Args)]
@@ -76,22 +75,35 @@ pub(super) fn csv(args: &CsvArgs) -> Result<(), CliError> {
     let recording = open(&args.trace)?;
     let columns = chosen(&recording, args.columns.as_deref())?;
     let thinning = args.window.thinning()?;
-    tell_cut(&recording);
-    let write = |out: &mut dyn Write| export_table(&recording, &columns, &thinning, out);
-    match &args.out {
-        Some(path) => {
-            let file = File::create(path).map_err(|error| {
-                CliError::new(Exit::Output, format!("{}: {error}", path.display()))
-            })?;
-            write(&mut BufWriter::new(file))
-        }
-        None => match write(&mut BufWriter::new(std::io::stdout().lock())) {
-            // A reader that has gone (`| head`) has what it wanted.
-            Err(RecordingError::Io(_, error)) if error.kind() == ErrorKind::BrokenPipe => Ok(()),
-            done => done,
-        },
+    if let Some(out) = &args.out {
+        out::not_over(&args.trace, out, RECORDING)?;
     }
-    .map_err(|error| failed(&recording, error))
+    tell_cut(&recording);
+    let write = |out: &mut dyn Write| match export_table(&recording, &columns, &thinning, out)? {
+        0 => Err(nothing(&args.trace)),
+        _ => Ok(()),
+    };
+    let done = match &args.out {
+        Some(path) => out::file(path, RecordingError::Write, write),
+        None => write(&mut BufWriter::new(io::stdout().lock())),
+    };
+    match (done, &args.out) {
+        (Err(RecordingError::Write(error)), Some(path)) => Err(out::unwritten(path, error)),
+        (Err(RecordingError::Write(error)), None) => {
+            out::lost(error);
+            Ok(())
+        }
+        (done, _) => done.map_err(|error| failed(&recording, error)),
+    }
+}
+
+/// What would be overwritten.
+const RECORDING: &str = "recording";
+
+/// Nothing is in the columns or the time that were asked for.
+fn nothing(trace: &Path) -> RecordingError {
+    let what = "nothing was recorded in these columns at that time";
+    RecordingError::Format(trace.to_path_buf(), what.to_string())
 }
 
 /// Characters of a sketch on the terminal.
@@ -102,19 +114,22 @@ pub(super) fn plot(args: &PlotArgs) -> Result<(), CliError> {
     let recording = open(&args.trace)?;
     let columns = chosen(&recording, Some(&args.columns.join(",")))?;
     let thinning = args.window.thinning()?;
+    if let Some(out) = &args.out {
+        out::not_over(&args.trace, out, RECORDING)?;
+    }
     tell_cut(&recording);
     let plot =
         Plot::of(&recording, &columns, &thinning).map_err(|error| failed(&recording, error))?;
     if plot.is_empty() {
-        let what = format!(
-            "{}: nothing was recorded in these columns at that time",
-            args.trace.display()
-        );
-        return Err(CliError::new(Exit::BadInput, what));
+        return Err(bad(nothing(&args.trace)));
     }
     match &args.out {
-        Some(path) => std::fs::write(path, plot.svg())
-            .map_err(|error| CliError::new(Exit::Output, format!("{}: {error}", path.display()))),
+        Some(path) => {
+            let failed = |error| out::unwritten(path, error);
+            out::file(path, failed, |out| {
+                out.write_all(plot.svg().as_bytes()).map_err(failed)
+            })
+        }
         None => {
             tell!("{}", plot.sketch(SKETCH.0, SKETCH.1).trim_end());
             Ok(())
@@ -128,13 +143,7 @@ pub(super) fn mcap(args: &McapArgs) -> Result<(), CliError> {
     tell_cut(&recording);
     let out = args.out.clone();
     let out = out.unwrap_or_else(|| args.trace.with_extension("mcap"));
-    if out == args.trace {
-        let what = format!(
-            "{}: the recording would be overwritten; name another file with --out",
-            out.display()
-        );
-        return Err(CliError::new(Exit::Usage, what));
-    }
+    out::not_over(&args.trace, &out, RECORDING)?;
     let written =
         write_mcap(&recording, &out, args.rate).map_err(|error| failed(&recording, error))?;
     tell!(

@@ -26,6 +26,7 @@ pub struct InfoArgs {
 /// Tells.
 pub(super) fn run(args: &InfoArgs) -> Result<(), CliError> {
     let recording = open(&args.trace)?;
+    recording.verify().map_err(bad)?;
     let header = recording.header();
     let hash = recording.sha256().map_err(bad)?;
     let first = recording

@@ -3,7 +3,7 @@
 mod export;
 mod info;
 
-use super::{CliError, Exit};
+use super::{CliError, Exit, out};
 use crate::record::{Column, Recording, RecordingError, Selection, Thinning, columns, difference};
 use clap::{Args, Subcommand};
 use std::path::{Path, PathBuf};
@@ -86,8 +86,18 @@ fn bad(error: impl std::fmt::Display) -> CliError {
     CliError::new(Exit::BadInput, error)
 }
 
-fn open(path: &Path) -> Result<Recording, CliError> {
-    Recording::open(path).map_err(bad)
+/// Opens a recording.
+///
+/// # Errors
+/// [`Exit::BadInput`].
+pub(super) fn open(path: &Path) -> Result<Recording, CliError> {
+    Recording::open(path).map_err(|error| match error {
+        RecordingError::Io(path, error) => bad(format!(
+            "{}: cannot be read: {error}; check the path",
+            path.display()
+        )),
+        error => bad(error),
+    })
 }
 
 /// The columns that were asked for; without a wish all of them.
