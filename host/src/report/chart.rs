@@ -54,7 +54,7 @@ const RIGHT: f64 = 14.0;
 const TOP: f64 = 30.0;
 const BOTTOM: f64 = 44.0;
 /// What a label beside the vertical axis needs beside itself: the title of the axis, and a gap on both sides.
-const BESIDE: f64 = 26.0;
+const BESIDE: f64 = 30.0;
 
 struct Scale {
     low: f64,
@@ -80,7 +80,7 @@ impl Chart {
         let (_, y) = self.scales(LEFT);
         let labels = labels(&y, names);
         let widths = labels.iter().map(|(_, label)| width(label));
-        let (x, y) = self.scales(widths.fold(LEFT, |left, width| left.max(width + BESIDE)));
+        let (x, y) = self.scales(widths.fold(LEFT, |left, width| left.max(width + BESIDE).ceil()));
         let mut svg = format!(
             "<svg viewBox=\"0 0 {} {}\" role=\"img\" aria-label=\"{} against {}\">",
             self.width,
@@ -298,9 +298,9 @@ fn labels(y: &Scale, names: &[String]) -> Vec<(f64, String)> {
         .collect()
 }
 
-/// Width of a label in pixels, as near as can be told without its font.
+/// Width of a label in pixels in a wide font; which one there is cannot be known.
 fn width(label: &str) -> f64 {
-    let wide = |letter: char| if ".-".contains(letter) { 4.0 } else { 6.9 };
+    let wide = |letter: char| if ".-".contains(letter) { 4.3 } else { 7.7 };
     label.chars().map(wide).sum()
 }
 
@@ -376,7 +376,7 @@ mod tests {
                 let labels = beside(&svg);
                 for (index, (end, label)) in labels.iter().enumerate() {
                     let begin = end - width(label);
-                    assert!(begin >= 19.0 - 0.5, "{values:?} {label} begins at {begin}");
+                    assert!(begin >= 23.0, "{values:?} {label} begins at {begin}");
                     let again = labels[..index].iter().any(|(_, other)| other == label);
                     assert!(!again, "{values:?} has {label} twice");
                 }
