@@ -111,7 +111,7 @@ pub fn run(args: ConsoleArgs) -> Result<(), CliError> {
         options,
     };
     let signals = signals();
-    terminal::take()?;
+    terminal::take(&|| signals.load(Ordering::SeqCst) > 0)?;
     let (sender, events) = mpsc::channel();
     terminal::listen(sender);
     let painter = Painter::begin();

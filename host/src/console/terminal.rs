@@ -19,7 +19,7 @@ use ratatui::crossterm::terminal::{
 use ratatui::crossterm::{cursor, execute};
 use std::io::{IsTerminal, stdin, stdout};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::Sender;
+use std::sync::mpsc::{self, RecvTimeoutError, Sender};
 use std::sync::{Arc, Condvar, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -35,6 +35,9 @@ const FRAME: Duration = Duration::from_millis(33);
 
 /// A picture is drawn so often even when nothing new came.
 const IDLE_FRAME: Duration = Duration::from_millis(250);
+
+/// While the terminal is asked it is looked at so often.
+const ASKED: Duration = Duration::from_millis(20);
 
 /// How long the last picture may take when the console is left.
 const LAST: Duration = Duration::from_millis(300);
@@ -76,23 +79,26 @@ pub(super) fn check() -> Result<(), CliError> {
     Ok(())
 }
 
-/// Takes the terminal over.
+/// Takes the terminal over. When it hangs up meanwhile, or `leaves` says that nobody wants it any more, it is taken as far as it was.
 ///
 /// # Errors
 /// The system does not let it.
-pub(super) fn take() -> Result<(), CliError> {
+pub(super) fn take(leaves: &dyn Fn() -> bool) -> Result<(), CliError> {
     let before = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic| {
         restore();
         before(panic);
     }));
-    prepare().map_err(|error| {
+    prepare(leaves).map_err(|error| {
         restore();
+        if hung_up() {
+            return CliError::new(Exit::Stopped, "the terminal is gone; nothing moved");
+        }
         CliError::new(Exit::Usage, format!("console: the terminal: {error}"))
     })
 }
 
-fn prepare() -> std::io::Result<()> {
+fn prepare(leaves: &dyn Fn() -> bool) -> std::io::Result<()> {
     enable_raw_mode()?;
     TAKEN.store(true, Ordering::SeqCst);
     execute!(
@@ -103,14 +109,27 @@ fn prepare() -> std::io::Result<()> {
         EnableBracketedPaste,
         EnableFocusChange
     )?;
-    // Asks the terminal; one that answers nothing at all costs two seconds.
-    if supports_keyboard_enhancement().unwrap_or(false) {
+    if tells_of_releases(leaves) {
         let flags = KeyboardEnhancementFlags::DISAMBIGUATE_ESCAPE_CODES
             | KeyboardEnhancementFlags::REPORT_EVENT_TYPES;
         execute!(stdout(), PushKeyboardEnhancementFlags(flags))?;
         ENHANCED.store(true, Ordering::SeqCst);
     }
     Ok(())
+}
+
+/// Asks the terminal whether it tells of releases; one that answers nothing at all costs two seconds.
+fn tells_of_releases(leaves: &dyn Fn() -> bool) -> bool {
+    let (sender, answer) = mpsc::channel();
+    // In a thread of its own: crossterm reads a terminal that has hung up again and again, for ever.
+    std::thread::spawn(move || sender.send(supports_keyboard_enhancement().unwrap_or(false)));
+    loop {
+        match answer.recv_timeout(ASKED) {
+            Ok(tells) => return tells,
+            Err(RecvTimeoutError::Timeout) if !leaves() && !hung_up() => {}
+            Err(_) => return false,
+        }
+    }
 }
 
 /// Reads keys until the terminal is gone.

@@ -97,6 +97,27 @@ fn signals_end_the_console_and_the_terminal_is_as_before() {
 }
 
 #[test]
+fn a_terminal_that_goes_while_it_is_asked_ends_the_console() {
+    for closes in [true, false] {
+        let mut terminal = console(&[], Keyboard::Mute);
+        terminal.waits("took the terminal", |_| {
+            terminal.with_screen(|screen| screen.alternate_screen())
+        });
+        let begun = Instant::now();
+        if closes {
+            terminal.close();
+        } else {
+            signal(&terminal, Signal::TERM);
+        }
+        assert_eq!(terminal.end(), 7);
+        // It would have waited two seconds for an answer.
+        let took = begun.elapsed();
+        assert!(took < Duration::from_millis(1800), "{took:?}");
+        assert!(closes || terminal.is_as_before());
+    }
+}
+
+#[test]
 fn it_asks_before_it_leaves_a_machine_whose_drives_are_on() {
     let machine = Machine::start();
     let mut terminal = homed(&["--port", &machine.port], Keyboard::Plain);

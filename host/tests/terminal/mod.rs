@@ -30,6 +30,8 @@ pub enum Keyboard {
     Plain,
     /// It tells of releases: the kitty keyboard protocol.
     Kitty,
+    /// The terminal answers nothing that it is asked.
+    Mute,
 }
 
 /// See the module.
@@ -85,7 +87,7 @@ fn read(
                 tail.extend_from_slice(said);
                 let asks =
                     |question: &[u8]| tail.windows(question.len()).any(|part| part == question);
-                if asks(b"\x1b[c") {
+                if keyboard != Keyboard::Mute && asks(b"\x1b[c") {
                     if keyboard == Keyboard::Kitty && asks(b"\x1b[?u") {
                         let _ = rustix::io::write(device, b"\x1b[?0u");
                     }
