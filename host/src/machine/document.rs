@@ -13,6 +13,8 @@ use toml::de::{DeTable, DeValue};
 pub struct Document<'i> {
     file: &'i str,
     text: &'i str,
+    /// A file that has all keys there are.
+    example: &'static str,
     problems: RefCell<Vec<(usize, Problem)>>,
 }
 
@@ -22,8 +24,38 @@ impl<'i> Document<'i> {
         Self {
             file,
             text,
+            example: "machines/h4.toml",
             problems: RefCell::default(),
         }
+    }
+
+    /// The same for another kind of file, of which this is an example.
+    #[must_use]
+    pub const fn like(mut self, example: &'static str) -> Self {
+        self.example = example;
+        self
+    }
+
+    /// The text as a table; `None` after reports.
+    pub fn parse(&self) -> Option<Spanned<DeTable<'i>>> {
+        let (root, errors) = DeTable::parse_recoverable(self.text);
+        // One slip, such as a misspelt [[joint]], can make a long train of equal errors.
+        let mut said: Vec<&str> = Vec::new();
+        for error in &errors {
+            let message = error.message();
+            if said.contains(&message) {
+                continue;
+            }
+            said.push(message);
+            let offset = error.span().map_or(0, |span| span.start);
+            let more = errors.iter().filter(|e| e.message() == message).count() - 1;
+            let remedy = match more {
+                0 => "correct the TOML".to_string(),
+                _ => format!("correct the TOML ({more} more like this below)"),
+            };
+            self.report(offset, "", message.trim().replace('\n', ", "), remedy);
+        }
+        errors.is_empty().then_some(root)
     }
 
     /// Reports a problem at a byte offset of the text.
@@ -229,6 +261,38 @@ impl<'d, 'i> Section<'d, 'i> {
         f64::NAN
     }
 
+    /// A list of so many numbers; NaN after a report.
+    pub fn numbers<const N: usize>(&self, key: &'static str, allowed: Allowed) -> [f64; N] {
+        let remedy = || format!("add `{key} = [...]`, {N} numbers, {}", describe(allowed));
+        match self.required(key, remedy).map(Spanned::get_ref) {
+            Some(DeValue::Array(items)) if items.len() == N => {
+                std::array::from_fn(|index| self.check(key, &items[index], allowed))
+            }
+            Some(DeValue::Array(items)) => {
+                let what = format!("has {} numbers", items.len());
+                self.report(key, what, format!("write {N}"));
+                [f64::NAN; N]
+            }
+            Some(other) => {
+                self.wrong_type(key, other, "a list of numbers");
+                [f64::NAN; N]
+            }
+            None => [f64::NAN; N],
+        }
+    }
+
+    /// True or false; `None` after a report.
+    pub fn flag(&self, key: &'static str) -> Option<bool> {
+        let remedy = || format!("add `{key} = true` or `{key} = false`");
+        match self.required(key, remedy)?.get_ref() {
+            DeValue::Boolean(flag) => Some(*flag),
+            other => {
+                self.wrong_type(key, other, "true or false");
+                None
+            }
+        }
+    }
+
     /// A direction, 1 or -1; 1 when it is absent.
     pub fn direction(&self, key: &'static str) -> f64 {
         let sign = self.number_or(key, 1.0, real(-1.0, 1.0, ""));
@@ -371,7 +435,10 @@ impl<'d, 'i> Section<'d, 'i> {
             let nearest = absent.min_by_key(|k| dissimilarity(name, k));
             let remedy = match nearest {
                 Some(near) if dissimilarity(name, near) <= 2 => format!("did you mean `{near}`?"),
-                _ => "remove it, or see machines/h4.toml for the keys there are".to_string(),
+                _ => format!(
+                    "remove it, or see {} for the keys there are",
+                    self.document.example
+                ),
             };
             self.document.report(
                 key.span().start,

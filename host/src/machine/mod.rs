@@ -7,7 +7,7 @@
 //! Misuse: a machine file that reads without a problem is consistent in itself. Whether it describes the machine in front of you it cannot know.
 
 mod axes;
-mod document;
+pub(crate) mod document;
 mod force;
 mod h4;
 mod haptic;
@@ -156,26 +156,9 @@ impl MachineFile {
     /// Reads the text of a machine file; `file` is its name in messages.
     pub fn parse(file: &str, text: &str) -> Result<Self, Problems> {
         let document = Document::new(file, text);
-        let (root, errors) = DeTable::parse_recoverable(text);
-        if !errors.is_empty() {
-            // One slip, such as a misspelt [[joint]], can make a long train of equal errors.
-            let mut said: Vec<&str> = Vec::new();
-            for error in &errors {
-                let message = error.message();
-                if said.contains(&message) {
-                    continue;
-                }
-                said.push(message);
-                let offset = error.span().map_or(0, |span| span.start);
-                let more = errors.iter().filter(|e| e.message() == message).count() - 1;
-                let remedy = match more {
-                    0 => "correct the TOML".to_string(),
-                    _ => format!("correct the TOML ({more} more like this below)"),
-                };
-                document.report(offset, "", message.trim().replace('\n', ", "), remedy);
-            }
+        let Some(root) = document.parse() else {
             return Err(document.into_problems());
-        }
+        };
         let read = read(&document, &root);
         if document.is_well() {
             together::home_pose(&document, root.get_ref(), &read.config);

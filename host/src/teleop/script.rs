@@ -4,9 +4,9 @@
 
 use super::SCALES;
 use crate::cli::{CliError, Exit};
+use crate::machine::document::{Allowed, Document, Section, real};
 use haptimill_hil_sim::hand::{Intention, Stroke};
 use haptimill_hil_sim::rig::{Control, Rig};
-use serde::Deserialize;
 use std::path::Path;
 use std::str::FromStr;
 
@@ -28,6 +28,17 @@ pub enum Order {
     ResetHand,
     /// Another G_P.
     Scale(f64),
+}
+
+/// What came from those who order.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Heard {
+    /// An order.
+    Order(Order),
+    /// Something that is none, and what would be one.
+    NoOrder(String),
+    /// Nothing can be heard any more, and why: whoever orders `stop` now is not heard. The end of an input is no such thing.
+    Lost(String),
 }
 
 /// How orders are written.
@@ -67,8 +78,7 @@ pub fn scale(scale: f64) -> Result<u16, String> {
 }
 
 /// A script.
-#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields, default)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Script {
     /// What the hand means to do.
     stroke: Vec<Stroke>,
@@ -80,25 +90,81 @@ pub struct Script {
     end_s: Option<f64>,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 struct Button {
     at_s: f64,
     held: bool,
 }
 
-#[derive(Debug, Clone, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 struct Ordered {
     at_s: f64,
-    what: String,
+    order: Order,
+}
+
+/// Times may be this.
+fn times() -> Allowed {
+    real(0.0, 3600.0, "s")
+}
+
+/// The blocks of a kind, each with its time.
+fn blocks<T>(
+    root: &Section<'_, '_>,
+    key: &'static str,
+    read: impl Fn(f64, &Section<'_, '_>) -> Option<T>,
+) -> Vec<T> {
+    if !root.skip(key) {
+        return Vec::new();
+    }
+    let block = |section: Section<'_, '_>| {
+        let at_s = section.number("at_s", times());
+        let block = read(at_s, &section);
+        let ends = section.skip(END);
+        section.finish();
+        if ends {
+            // A TOML key belongs to the block above it.
+            let remedy = format!(
+                "move it to the top of the file, above the first block, or take it out of [[{key}]]"
+            );
+            section.report(END, "is the end of the session, not of a block", remedy);
+        }
+        block
+    };
+    root.list(key).into_iter().filter_map(block).collect()
+}
+
+/// The key of the end.
+const END: &str = "end_s";
+
+fn stroke(at_s: f64, section: &Section<'_, '_>) -> Stroke {
+    Stroke {
+        at_s,
+        to_mm: section.numbers("to_mm", real(-1000.0, 1000.0, "mm")),
+        pace_mm_s: section.number("pace_mm_s", real(0.001, 500.0, "mm/s")),
+        ramp_s: section.number("ramp_s", times()),
+    }
+}
+
+fn order(at_s: f64, section: &Section<'_, '_>) -> Option<Ordered> {
+    let text = section.text("what", &format!("write {ORDERS}"))?;
+    let order = text.parse().and_then(|order| match order {
+        Order::Scale(wanted) => scale(wanted).map(|_| order),
+        _ => Ok(order),
+    });
+    match order {
+        Ok(order) => Some(Ordered { at_s, order }),
+        Err(why) => {
+            section.report("what", why, "");
+            None
+        }
+    }
 }
 
 impl Script {
     /// Reads a script from disk.
     ///
     /// # Errors
-    /// It cannot be read, or says what makes no sense, with the line.
+    /// It cannot be read, or says what makes no sense, with the lines.
     pub fn load(path: &Path) -> Result<Self, CliError> {
         let file = path.display().to_string();
         let text = std::fs::read_to_string(path).map_err(|error| {
@@ -113,42 +179,22 @@ impl Script {
     /// # Errors
     /// As [`Script::load`].
     pub fn parse(file: &str, text: &str) -> Result<Self, CliError> {
-        let bad = |what: String| CliError::new(Exit::BadInput, format!("{file}: {what}"));
-        let script: Self = toml::from_str(text).map_err(|error| {
-            let before = error.span().map_or("", |span| &text[..span.start]);
-            let line = before.matches('\n').count() + 1;
-            let what = error.message().trim().replace('\n', ", ");
-            CliError::new(
-                Exit::BadInput,
-                format!("{file}:{line}: {what}; see examples/teleop.toml"),
-            )
-        })?;
-        for (index, order) in script.order.iter().enumerate() {
-            let order: Order = order
-                .what
-                .parse()
-                .map_err(|what| bad(format!("order {}: {what}", index + 1)))?;
-            if let Order::Scale(wanted) = order {
-                scale(wanted).map_err(|what| bad(format!("order {}: {what}", index + 1)))?;
-            }
-        }
-        for (index, stroke) in script.stroke.iter().enumerate() {
-            let well = stroke.pace_mm_s > 0.0
-                && stroke.pace_mm_s <= 500.0
-                && stroke.ramp_s >= 0.0
-                && stroke.to_mm.iter().all(|place| place.abs() <= 1000.0);
-            if !well {
-                let what = "pace_mm_s must be above 0 and at most 500, ramp_s not below 0, and places within 1000 mm";
-                return Err(bad(format!("stroke {}: {what}", index + 1)));
-            }
-        }
-        if script
-            .times()
-            .chain(script.end_s)
-            .any(|time| !(0.0..=3600.0).contains(&time))
-        {
-            return Err(bad("times must be from 0 to 3600 s".to_string()));
-        }
+        let document = Document::new(file, text).like("examples/teleop.toml");
+        let Some(table) = document.parse() else {
+            return Err(document.into_problems().into());
+        };
+        let root = Section::root(&document, table.get_ref());
+        let script = Self {
+            stroke: blocks(&root, "stroke", |at_s, section| Some(stroke(at_s, section))),
+            button: blocks(&root, "button", |at_s, section| {
+                let held = section.flag("held")?;
+                Some(Button { at_s, held })
+            }),
+            order: blocks(&root, "order", order),
+            end_s: root.skip(END).then(|| root.number(END, times())),
+        };
+        root.finish();
+        document.finish()?;
         Ok(script)
     }
 
@@ -170,11 +216,8 @@ impl Script {
     /// What the operator orders, in the order of time.
     #[must_use]
     pub fn orders(&self) -> Vec<(f64, Order)> {
-        let mut orders: Vec<(f64, Order)> = self
-            .order
-            .iter()
-            .filter_map(|order| Some((order.at_s, order.what.parse().ok()?)))
-            .collect();
+        let order = |ordered: &Ordered| (ordered.at_s, ordered.order);
+        let mut orders: Vec<(f64, Order)> = self.order.iter().map(order).collect();
         orders.sort_by(|one, other| one.0.total_cmp(&other.0));
         orders
     }
@@ -230,11 +273,22 @@ mod tests {
     #[test]
     fn what_makes_no_sense_is_told_with_its_place() {
         let said = |text: &str| Script::parse("s.toml", text).unwrap_err().message;
-        assert!(said("[[stroke]]\nat_s = 1\n").starts_with("s.toml:1: missing field"));
-        assert!(said("\n[[button]]\nat_s = 1\nheld = 2\n").starts_with("s.toml:4: "));
+        assert_eq!(
+            said(
+                "end_s = 4\n\n[[button]]\nat_s = 1\n\n[[stroke]]\nat_s = 1\nto_mm = [1.0, 2]\nramp_s = 1\n"
+            ),
+            "s.toml:3:1: button[1].held: is missing; add `held = true` or `held = false`\n\
+             s.toml:6:1: stroke[1].pace_mm_s: is missing; add `pace_mm_s = ...`, allowed is 0.001 to 500 mm/s\n\
+             s.toml:8:9: stroke[1].to_mm: has 2 numbers; write 3"
+        );
+        assert_eq!(
+            said("\n[[button]]\nat_s = 4000\nheld = 2\n"),
+            "s.toml:3:8: button[1].at_s: 4000 is out of range, allowed is 0 to 3600 s; lower it\n\
+             s.toml:4:8: button[1].held: is a number, not true or false; write true or false"
+        );
         assert!(
             said("[[order]]\nat_s = 1\nwhat = \"go\"\n")
-                .contains("order 1: \"go\" is no order; write hold,")
+                .starts_with("s.toml:3:8: order[1].what: \"go\" is no order; write hold,")
         );
         let bound = said("[[order]]\nat_s = 1\nwhat = \"gp=3\"\n");
         assert!(
@@ -242,6 +296,12 @@ mod tests {
             "{bound}"
         );
         assert!(said("end_s = -1.0").contains("0 to 3600 s"));
+        assert_eq!(
+            said("[[button]]\nat_s = 1\nheld = true\nend_s = 4\n"),
+            "s.toml:4:9: button[1].end_s: is the end of the session, not of a block; move it to the top of the file, above the first block, or take it out of [[button]]"
+        );
+        assert!(said("[[strok]]\nat_s = 1\n").starts_with("s.toml:1:"));
+        assert!(said("[[button]\nat_s = 1\n").starts_with("s.toml:1:"));
         let script = Script::parse("built in", BUILT_IN).unwrap();
         assert!(script.end_s() > 1.0);
         assert!(scale(0.1).is_ok() && scale(2.0) == Ok(8192) && scale(f64::NAN).is_err());

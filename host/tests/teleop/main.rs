@@ -437,7 +437,7 @@ what = \"end\"
     refused(
         &["--hand", &script],
         3,
-        "order 1: G_P of 3 is out of its range: 0.1 to 2",
+        "gp.toml:3:8: order[1].what: G_P of 3 is out of its range: 0.1 to 2",
     );
     refused(
         &["--hand", "keyboard"],
