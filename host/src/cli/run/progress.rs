@@ -8,6 +8,7 @@ use crate::session::Watcher;
 use haptimill_protocol::message::Telemetry;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::collections::BTreeMap;
+use std::io::BufRead as _;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
@@ -113,12 +114,12 @@ impl Watcher for Bar {
         let entered = Arc::clone(&self.entered);
         // Reading a line waits; the session must go on meanwhile, or the controller would miss its host.
         std::thread::spawn(move || {
-            let mut line = String::new();
-            if std::io::stdin()
-                .read_line(&mut line)
-                .is_ok_and(|count| count > 0)
-            {
-                entered.store(true, Ordering::Relaxed);
+            // Whatever was typed in front of Enter, text or not.
+            let mut line = Vec::new();
+            match std::io::stdin().lock().read_until(b'\n', &mut line) {
+                Ok(0) => {}
+                Ok(_) => entered.store(true, Ordering::Relaxed),
+                Err(error) => eprintln!("Enter cannot be read: {error}; Ctrl-C ends the program"),
             }
         });
     }
