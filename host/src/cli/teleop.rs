@@ -1,5 +1,6 @@
 //! `haptimill teleop`: a hand leads the machine from afar.
 
+mod orders;
 mod shown;
 mod spec;
 
@@ -14,17 +15,14 @@ use crate::session::{self, JobLine, JobRecording, PortLine, Session, SimLine, in
 use crate::teleop::arm::{Pace, Reopen};
 use crate::teleop::held::{self, Held, Joystick, Keys, SpaceMouse};
 use crate::teleop::script::{self, BUILT_IN, Person};
-use crate::teleop::{
-    Arm, Ended, Order, Outcome, PersonLine, Row, Script, Source, Teleop, TeleopOptions,
-};
+use crate::teleop::{Arm, Ended, Outcome, PersonLine, Row, Script, Source, Teleop, TeleopOptions};
 use clap::Args;
 use haptimill_hil_sim::config::PlantConfig;
 use haptimill_hil_sim::fault::{Fault, FaultKind};
 use haptimill_protocol::message::{Command, State};
 use shown::{Shown, terminal};
-use std::io::{BufRead, BufWriter, Write};
+use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::{self, Receiver};
 
 pub use spec::HandSpec;
 
@@ -249,6 +247,9 @@ pub fn run(args: TeleopArgs) -> Result<(), CliError> {
     if let (Some(follow), Some(stale)) = (&mut machine.config.follow, args.stale) {
         follow.stale_ms = stale;
     }
+    if let (Some(follow), Some(delay)) = (&machine.config.follow, args.delay) {
+        in_time(delay, follow.stale_ms)?;
+    }
     let axes = args.led(&machine)?;
     // All that can be wrong with the hand is told before the machine moves.
     let script = match &args.hand {
@@ -268,6 +269,11 @@ pub fn run(args: TeleopArgs) -> Result<(), CliError> {
         duration_s: args.duration.or(script.as_ref().map(Script::end_s)),
         spindle_rpm: args.spindle,
         orders: script.as_ref().map(Script::orders).unwrap_or_default(),
+        stale_ms: machine
+            .config
+            .follow
+            .as_ref()
+            .map_or(u16::MAX, |follow| follow.stale_ms),
         real_time: args.port == PortSpec::Simulator && script.is_none(),
     };
     let run = Run {
@@ -315,11 +321,11 @@ pub fn run(args: TeleopArgs) -> Result<(), CliError> {
             run.alone(&mut arm)
         }
         (HandSpec::Joystick(path), _) => {
-            let device = Joystick::new(held::open(path, "game controller")?, args.speed);
+            let device = Joystick::new(held::open(path, "game controller", "js")?, args.speed);
             run.alone(&mut Held::new(device, &path.display().to_string()))
         }
         (HandSpec::Mouse3d(path), _) => {
-            let device = SpaceMouse::new(held::open(path, "3D mouse")?, args.speed);
+            let device = SpaceMouse::new(held::open(path, "3D mouse", "event")?, args.speed);
             run.alone(&mut Held::new(device, &path.display().to_string()))
         }
         _ => keyboard(&run),
@@ -354,20 +360,21 @@ fn delay(ms: u16) -> Fault {
     }
 }
 
-/// Orders from lines of standard input; nothing comes any more at its end.
-fn orders() -> Receiver<Result<Order, String>> {
-    let (sender, receiver) = mpsc::channel();
-    std::thread::spawn(move || {
-        for line in std::io::stdin().lock().lines() {
-            let Ok(line) = line else {
-                return;
-            };
-            if !line.trim().is_empty() && sender.send(line.parse()).is_err() {
-                return;
-            }
-        }
-    });
-    receiver
+/// A link that makes every word of the hand too old to lead is refused.
+fn in_time(delay: u16, stale: u16) -> Result<(), CliError> {
+    if delay < stale {
+        return Ok(());
+    }
+    // Twice the way is enough for reports, and for links that are a little later than they are said to be.
+    let remedy = match 2 * delay + 20 {
+        enough @ ..=1000 => format!("--stale {enough}, or a shorter --delay"),
+        _ if delay < 1000 => "--stale 1000, or a shorter --delay".to_string(),
+        _ => "a shorter --delay".to_string(),
+    };
+    let what = format!(
+        "--delay {delay}: each word of the hand is too old when it arrives, for --stale is {stale} ms, and the tool would never move; give {remedy}"
+    );
+    Err(CliError::new(Exit::Usage, what))
 }
 
 /// A session under way.
@@ -443,7 +450,7 @@ impl Run<'_> {
         let mut written = table.write_all(Row::HEAD.as_bytes());
         let mut shown = Shown::new(self.args);
         let keyboard = matches!(self.args.hand, HandSpec::Keyboard | HandSpec::Script(_));
-        let lines = (!keyboard).then(orders);
+        let lines = (!keyboard).then(orders::listen);
         self.args.say("the hand leads");
         let teleop = Teleop::new(&mut session, source, self.options).hearing(lines);
         let outcome = teleop.run(&mut |row, event| {
@@ -504,7 +511,11 @@ impl Run<'_> {
                 let what = format!("{}: the home preset has no pose", machine.file);
                 CliError::new(Exit::BadInput, what)
             })?;
-            let end = session.go_home(machine, &home)?;
+            let end = session.go_home(machine, &home);
+            if session.status()?.state == State::EmergencyStop {
+                return Err(CliError::new(Exit::Fault, run::EMERGENCY_STOP));
+            }
+            let end = end?;
             if let Some(fault) = end.faults.first() {
                 return Err(session.fault(fault));
             }
@@ -547,14 +558,17 @@ impl Run<'_> {
             tell!("{}", terminal(&outcome).trim_end());
             tell!("results in {}", self.dir.display());
         }
-        let error = match outcome.ended {
+        let (exit, why) = match outcome.ended {
             Ended::Done => return Ok(()),
-            Ended::Stopped => CliError::new(Exit::Stopped, "stopped by the operator"),
-            Ended::Fault => CliError::new(
+            Ended::Stopped => (Exit::Stopped, "stopped by the operator".to_string()),
+            Ended::Fault => (
                 Exit::Fault,
                 format!("machine fault: {}", outcome.faults.join("; ")),
             ),
+            Ended::HandLost => (Exit::Port, "the hand is lost".to_string()),
+            Ended::HandFault => (Exit::Fault, "the arm is off".to_string()),
         };
+        let error = CliError::new(exit, outcome.because.unwrap_or(why));
         Err(if self.args.json { error.told() } else { error })
     }
 }

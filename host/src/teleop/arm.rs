@@ -397,7 +397,7 @@ impl<L: Line> Source for Arm<L> {
             (Phase::Ready, Some(standing)) => match standing.problem {
                 None => Standing::Ready,
                 Some(problem) => {
-                    Standing::Waiting(format!("the arm is off: {}", said(&Event::Hand(problem))))
+                    Standing::Off(format!("the arm is off: {}", said(&Event::Hand(problem))))
                 }
             },
             (Phase::Ready, None) => Standing::Waiting("has said nothing yet".to_string()),

@@ -9,7 +9,7 @@
 //! | game controller (`/dev/input/js*`) | left stick x and y, right stick z | first button | second button holds, fourth goes on |
 //! | 3D mouse (`/dev/input/event*`) | its cap, x, y, z | first button | second button holds |
 //!
-//! Misuse: a device file of another kind. Its bytes are read as those of the kind that was named.
+//! Misuse: an event device that is no 3D mouse. Its events are read as those of one.
 
 use super::script::Order;
 use super::{Source, Standing, Word};
@@ -420,11 +420,11 @@ impl<R: Read> Device for SpaceMouse<R> {
     }
 }
 
-/// Opens a device file, to be read without waiting.
+/// Opens a device file, to be read without waiting. `what` it is to be, for people, and how the system begins the names of such devices.
 ///
 /// # Errors
-/// There is none, or it must not be read.
-pub fn open(path: &Path, what: &str) -> Result<File, CliError> {
+/// There is none, it must not be read, or it is no such device.
+pub fn open(path: &Path, what: &str, name: &str) -> Result<File, CliError> {
     let mut options = File::options();
     options.read(true);
     #[cfg(unix)]
@@ -432,7 +432,11 @@ pub fn open(path: &Path, what: &str) -> Result<File, CliError> {
         use std::os::unix::fs::OpenOptionsExt;
         options.custom_flags(rustix::fs::OFlags::NONBLOCK.bits() as i32);
     }
-    options.open(path).map_err(|error| {
+    let none = |why: &dyn std::fmt::Display, remedy: &str| {
+        let what = format!("{}: no {what} there: {why}; {remedy}", path.display());
+        CliError::new(Exit::Port, what)
+    };
+    let file = options.open(path).map_err(|error| {
         let remedy = match error.kind() {
             io::ErrorKind::NotFound => "is it plugged in?",
             io::ErrorKind::PermissionDenied => {
@@ -440,9 +444,45 @@ pub fn open(path: &Path, what: &str) -> Result<File, CliError> {
             }
             _ => "is it the device?",
         };
-        let what = format!("{}: no {what} there: {error}; {remedy}", path.display());
-        CliError::new(Exit::Port, what)
+        none(&error, remedy)
+    })?;
+    if !is_device(&file, name) {
+        let remedy = format!("give /dev/input/{name}*, or a link to it");
+        return Err(none(&"it is another kind of file", &remedy));
+    }
+    Ok(file)
+}
+
+/// Whether a file is an input device whose name in the system begins like this, or a pipe, whose other end says what such a device would.
+#[cfg(target_os = "linux")]
+fn is_device(file: &File, name: &str) -> bool {
+    use std::os::unix::fs::{FileTypeExt, MetadataExt};
+    /// The kernel's number of input devices.
+    const INPUT: u32 = 13;
+    let Ok(metadata) = file.metadata() else {
+        return false;
+    };
+    if metadata.file_type().is_fifo() {
+        return true;
+    }
+    let number = metadata.rdev();
+    let (major, minor) = (rustix::fs::major(number), rustix::fs::minor(number));
+    if !metadata.file_type().is_char_device() || major != INPUT {
+        return false;
+    }
+    // Without that folder the number has to do.
+    let link = std::fs::read_link(format!("/sys/dev/char/{major}:{minor}"));
+    link.map_or(true, |link| {
+        link.file_name()
+            .is_some_and(|own| own.to_string_lossy().starts_with(name))
     })
+}
+
+/// Elsewhere nothing is known of such devices, but that they are no plain files.
+#[cfg(not(target_os = "linux"))]
+fn is_device(file: &File, _: &str) -> bool {
+    file.metadata()
+        .is_ok_and(|metadata| !metadata.is_file() && !metadata.is_dir())
 }
 
 /// The keyboard of a terminal, key by key.

@@ -26,7 +26,7 @@ pub use arm::{Arm, PersonLine};
 pub use latency::{Felt, Latency, LatencyFigures};
 pub use outcome::{Ended, Outcome, Row, Stop};
 pub use run::{Teleop, TeleopOptions};
-pub use script::{Order, Script};
+pub use script::{Heard, Order, Script};
 
 use crate::cli::CliError;
 use haptimill_protocol::haptic::{COMPONENTS, Hand, Reflection};
@@ -57,8 +57,21 @@ pub struct Feeling {
 pub enum Standing {
     /// It can.
     Ready,
-    /// Not now, and why.
+    /// Not now, and why: it is not heard.
     Waiting(String),
+    /// Not until somebody has looked after it, and why: it is heard, and off by a fault.
+    Off(String),
+}
+
+impl Standing {
+    /// Why it cannot, if it cannot.
+    #[must_use]
+    pub fn why(&self) -> Option<&str> {
+        match self {
+            Self::Ready => None,
+            Self::Waiting(why) | Self::Off(why) => Some(why),
+        }
+    }
 }
 
 /// Something that says where a hand is.

@@ -82,8 +82,12 @@ pub enum Ended {
     Done,
     /// The operator stopped it, or Ctrl-C.
     Stopped,
-    /// The machine latched a fault.
+    /// The machine latched a fault, or its emergency stop.
     Fault,
+    /// The hand could lead no more, or the machine held for want of it and was not told to go on.
+    HandLost,
+    /// The arm of the hand is off by a fault.
+    HandFault,
 }
 
 /// What came of a session.
@@ -91,6 +95,8 @@ pub enum Ended {
 pub struct Outcome {
     /// How it ended.
     pub ended: Ended,
+    /// Why it did not end as it was to, with what to do about it; none where it did, or where nothing more is to be said.
+    pub because: Option<String>,
     /// How long the hand might lead, s.
     pub duration_s: f64,
     /// Words of the hand that were sent on.

@@ -1,12 +1,17 @@
 //! The loop itself.
 
+mod hand;
+mod orders;
+
 use super::latency::What;
 use super::outcome::{Ended, Outcome, Row, Stop};
-use super::script::{Order, scale};
+use super::script::{Heard, Order, scale};
 use super::{Feeling, Latency, Source, Standing, Word};
+use crate::cli::run::EMERGENCY_STOP;
 use crate::cli::{CliError, Exit};
 use crate::client::Ticket;
 use crate::session::{JobLine, Session};
+use hand::Late;
 use haptimill_protocol::haptic::COMPONENTS;
 use haptimill_protocol::message::{
     Action, Command, Event, SetpointBatch, Source as Leader, State, Telemetry,
@@ -42,6 +47,8 @@ pub struct TeleopOptions {
     pub spindle_rpm: i16,
     /// Orders at their times, s, in order.
     pub orders: Vec<(f64, Order)>,
+    /// A word of the hand that is so old leads nothing, ms: as the controller of the machine was told.
+    pub stale_ms: u16,
     /// The machine is simulated in this process, and a person, or a port, keeps real time with it.
     pub real_time: bool,
 }
@@ -69,9 +76,16 @@ pub struct Teleop<'a, L: JobLine> {
     asked: Vec<(Ticket, String)>,
     /// The last word about a hand that is lost.
     lost: Option<String>,
+    /// Why the machine holds, when that was not ordered and nobody has told it to go on.
+    unresumed: Option<String>,
+    /// The link to the hand is lost, as was told.
+    away: bool,
+    late: Late,
+    /// Somebody ordered the end; otherwise its time was over.
+    ended_by_order: bool,
     setpoints: u32,
     wall: Option<Instant>,
-    lines: Option<Receiver<Result<Order, String>>>,
+    lines: Option<Receiver<Heard>>,
 }
 
 /// Gives up real time that a simulated machine is behind by more than this, microseconds.
@@ -95,6 +109,7 @@ impl<'a, L: JobLine> Teleop<'a, L> {
             arm_is_open: false,
             outcome: Outcome {
                 ended: Ended::Done,
+                because: None,
                 duration_s: 0.0,
                 words: 0,
                 holds: Vec::new(),
@@ -120,6 +135,10 @@ impl<'a, L: JobLine> Teleop<'a, L> {
             over: false,
             asked: Vec::new(),
             lost: None,
+            unresumed: None,
+            away: false,
+            late: Late::default(),
+            ended_by_order: false,
             setpoints: 0,
             wall: None,
             lines: None,
@@ -128,7 +147,7 @@ impl<'a, L: JobLine> Teleop<'a, L> {
 
     /// With orders that come from elsewhere, or words that are none.
     #[must_use]
-    pub fn hearing(mut self, lines: Option<Receiver<Result<Order, String>>>) -> Self {
+    pub fn hearing(mut self, lines: Option<Receiver<Heard>>) -> Self {
         self.lines = lines;
         self
     }
@@ -150,9 +169,9 @@ impl<'a, L: JobLine> Teleop<'a, L> {
             let now_s = self.time_s();
             self.hear_events(look);
             while let Some(what) = self.source.happened() {
-                look(None, Some(&what));
-                self.outcome.notes.push(what);
+                self.note(what, look);
             }
+            self.hear_hand(look);
             if let Some(row) = self.hear_report() {
                 look(Some(&row), None);
             }
@@ -163,15 +182,13 @@ impl<'a, L: JobLine> Teleop<'a, L> {
                 self.carry_out(order, look);
             }
             while let Some(line) = self.lines.as_ref().and_then(|lines| lines.try_recv().ok()) {
-                match line {
-                    Ok(order) => self.carry_out(order, look),
-                    Err(what) => look(None, Some(&what)),
-                }
+                self.obey(line, look);
             }
             self.hear_answers(look);
             let time_is_over = self.options.duration_s.is_some_and(|end| now_s >= end);
             if time_is_over && !self.ending {
                 self.carry_out(Order::End, look);
+                self.ended_by_order = false;
             }
             if self.session.interrupted() && stopping_us.is_none() {
                 self.outcome.ended = Ended::Stopped;
@@ -253,18 +270,6 @@ impl<'a, L: JobLine> Teleop<'a, L> {
         Ok(())
     }
 
-    fn tell(&mut self) {
-        if self.state != State::Run || self.over {
-            return;
-        }
-        let mut hand = self.word.hand;
-        hand.engaged &= !self.ending;
-        let age_ms = (self.word.age_us / 1000).min(u64::from(u8::MAX)) as u8;
-        if self.session.client_mut().lead(hand, age_ms).is_ok() {
-            self.outcome.words += 1;
-        }
-    }
-
     fn wait_for_source(
         &mut self,
         look: &mut dyn FnMut(Option<&Row>, Option<&str>),
@@ -275,14 +280,19 @@ impl<'a, L: JobLine> Teleop<'a, L> {
         loop {
             match self.source.standing() {
                 Standing::Ready => return Ok(()),
-                Standing::Waiting(why) => {
+                standing => {
+                    let why = standing.why().unwrap_or_default();
                     if self.session.now_us() - begun_us > PATIENCE_US {
+                        let exit = match standing {
+                            Standing::Off(_) => Exit::Fault,
+                            _ => Exit::Port,
+                        };
                         let what = format!("the hand cannot lead: {why}; nothing moved");
-                        return Err(CliError::new(Exit::Port, what));
+                        return Err(CliError::new(exit, what));
                     }
                     if why != told {
                         look(None, Some(&format!("the hand: {why}")));
-                        told = why;
+                        told = why.to_string();
                     }
                 }
             }
@@ -355,11 +365,11 @@ impl<'a, L: JobLine> Teleop<'a, L> {
                 .with_axes(|axes| axes.describe(&event).to_string());
             match &event {
                 Event::HandLost { .. } => {
-                    let why = match self.source.standing() {
-                        Standing::Waiting(why) => format!("{sentence} ({why})"),
-                        Standing::Ready => sentence.clone(),
-                    };
-                    self.lost = Some(why);
+                    let standing = self.source.standing();
+                    self.lost = Some(match standing.why() {
+                        Some(why) => format!("{sentence} ({why})"),
+                        None => sentence.clone(),
+                    });
                 }
                 Event::State { to, .. } => self.enters(*to),
                 Event::JobDone { job: JOB, .. } => self.over = true,
@@ -386,13 +396,17 @@ impl<'a, L: JobLine> Teleop<'a, L> {
     fn enters(&mut self, to: State) {
         let at_s = self.time_s();
         if to == State::Hold && self.state == State::Run && !self.ending {
-            let why = self.lost.take();
+            self.unresumed = self.lost.take();
+            let why = self.unresumed.clone();
             let why = why.unwrap_or_else(|| "it was ordered".to_string());
             self.outcome.holds.push(Stop {
                 at_s,
                 why,
                 resumed_s: None,
             });
+        }
+        if to == State::Run {
+            self.unresumed = None;
         }
         if to == State::Run
             && self.state == State::Hold
@@ -459,82 +473,21 @@ impl<'a, L: JobLine> Teleop<'a, L> {
         })
     }
 
-    fn carry_out(&mut self, order: Order, look: &mut dyn FnMut(Option<&Row>, Option<&str>)) {
-        let ask = |command: Command, name: &str, this: &mut Self| {
-            let ticket = this.session.client_mut().request(command);
-            this.asked.push((ticket, name.to_string()));
-        };
-        match order {
-            Order::Hold => ask(Command::Hold, "hold", self),
-            Order::ResetHand => self.source.reset(),
-            Order::Stop => {
-                self.ending = true;
-                self.outcome.ended = Ended::Stopped;
-                ask(Command::Stop, "stop", self);
+    /// What is latched at the end counts, whatever was heard of it on the way there.
+    fn judge_machine(&mut self, status: &Telemetry) {
+        match (status.state, &status.fault) {
+            (State::EmergencyStop, _) => {
+                self.outcome.faults.push(EMERGENCY_STOP.to_string());
+                self.outcome.because = Some(EMERGENCY_STOP.to_string());
             }
-            Order::End if self.ending => {}
-            Order::End => {
-                self.ending = true;
-                if self.state == State::Run {
-                    let count = self.setpoints;
-                    ask(Command::JobEnd { count }, "end", self);
-                    // The last word: the hand has let go.
-                    self.tell();
-                } else {
-                    ask(Command::Stop, "end", self);
-                }
+            (State::Fault, Some(fault)) if self.outcome.faults.is_empty() => {
+                let fault = self.session.sentence(fault);
+                self.outcome.faults.push(fault);
             }
-            Order::Scale(wanted) => match scale(wanted) {
-                Ok(scale) => ask(Command::HandScale { scale }, "gp", self),
-                Err(why) => self.refuse(why, look),
-            },
-            Order::Resume => {
-                let now_us = self.session.now_us();
-                let fresh = self
-                    .word_us
-                    .is_some_and(|at| now_us.saturating_sub(at) < FRESH_US);
-                let ready = self.source.standing();
-                if let Standing::Waiting(why) = ready {
-                    self.refuse(format!("not resumed: the hand: {why}"), look);
-                } else if !fresh {
-                    self.refuse("not resumed: the hand is not heard".to_string(), look);
-                } else {
-                    // What is still under way of before is not heard any more.
-                    self.session.client_mut().lead_anew();
-                    ask(Command::Resume, "resume", self);
-                }
-            }
+            (State::Fault, _) => {}
+            _ => return,
         }
-    }
-
-    fn refuse(&mut self, why: String, look: &mut dyn FnMut(Option<&Row>, Option<&str>)) {
-        look(None, Some(&why));
-        self.outcome.refused.push(why);
-    }
-
-    fn hear_answers(&mut self, look: &mut dyn FnMut(Option<&Row>, Option<&str>)) {
-        let mut refused = Vec::new();
-        let session = &mut *self.session;
-        self.asked
-            .retain(|(ticket, name)| match session.answer(*ticket) {
-                None => true,
-                Some(Ok(())) => false,
-                Some(Err(error)) => {
-                    refused.push(format!("{name}: {}", error.message));
-                    false
-                }
-            });
-        // A word that was under way when the machine began to hold is refused, as it should be.
-        if let Some(why) = session.refusal()
-            && self.state == State::Run
-            && !self.ending
-            && !self.outcome.notes.contains(&why)
-        {
-            self.outcome.notes.push(why);
-        }
-        for why in refused {
-            self.refuse(why, look);
-        }
+        self.outcome.ended = Ended::Fault;
     }
 
     fn finish(mut self) -> Result<Outcome, CliError> {
@@ -556,6 +509,8 @@ impl<'a, L: JobLine> Teleop<'a, L> {
                 })?;
             }
         }
+        self.judge_machine(&status);
+        self.judge_hand();
         let ms = |us: u32| f64::from(us) / 1000.0;
         self.outcome.latency = self.latency.figures();
         self.outcome.latency_is_exact = self.machine_is_open && self.arm_is_open;

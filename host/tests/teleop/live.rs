@@ -80,26 +80,86 @@ fn two_boards_are_connected_over_ports_and_orders_come_line_by_line() {
     assert!(ran.code != 0);
 }
 
-/// A game controller whose device file is a pipe.
+/// A game controller whose device file is a pipe. Held open from the start: a pipe without a writer is at its end.
 #[cfg(unix)]
-#[test]
-fn a_stick_leads_while_its_button_is_held() {
-    let folder = Folder::new();
-    let device = folder.path("js0");
+fn stick(device: &str) -> std::fs::File {
     rustix::fs::mknodat(
         rustix::fs::CWD,
-        &device,
+        device,
         rustix::fs::FileType::Fifo,
         rustix::fs::Mode::from_raw_mode(0o600),
         0,
     )
     .unwrap();
-    // Held open from the start: a pipe without a writer is at its end.
-    let mut stick = std::fs::File::options()
-        .read(true)
-        .write(true)
-        .open(&device)
-        .unwrap();
+    let mut both = std::fs::File::options();
+    both.read(true).write(true).open(device).unwrap()
+}
+
+#[cfg(unix)]
+#[test]
+fn a_line_that_is_no_text_is_refused_and_stop_is_still_heard() {
+    let folder = Folder::new();
+    let device = folder.path("js0");
+    let _stick = stick(&device);
+    let (out, hand) = (folder.path("out"), format!("joystick:{device}"));
+    let arguments = ["teleop", "--hand", &hand, "--out", &out, "--for", "20"];
+    let (orders, mut input) = std::io::pipe().unwrap();
+    let mut session = start_with(&arguments, Stdio::from(orders));
+    session.says("idle -> running");
+    input.write_all(b"r\xe9sume\n").unwrap();
+    session.says("is no order; write hold");
+    input.write_all(b"stop\n").unwrap();
+    let ran = session.end().ended_with(7);
+    assert!(ran.err.contains("stopped by the operator"), "{}", ran.err);
+    let said = folder.summary("out");
+    assert_eq!(said["session"]["refused"].as_array().unwrap().len(), 1);
+
+    // A folder can be opened, and not be read.
+    let unreadable = std::fs::File::open(scene::root()).unwrap();
+    let ran = start_with(&arguments, Stdio::from(unreadable))
+        .end()
+        .ended_with(7);
+    let what = "orders cannot be read any more: ";
+    assert!(ran.out.contains(what) && ran.err.contains(what), "{ran:?}");
+}
+
+/// A hand that is no device, and one that goes while it leads nothing.
+#[cfg(unix)]
+#[test]
+fn what_is_no_device_is_refused_and_one_that_goes_is_told() {
+    let folder = Folder::new();
+    let out = folder.path("out");
+    let file = folder.file("file", "");
+    for kind in ["joystick", "mouse3d"] {
+        for path in ["/dev/null", "/dev/zero", &file, "/"] {
+            let hand = format!("{kind}:{path}");
+            let ran = haptimill(&["teleop", "--hand", &hand, "--out", &out]).ended_with(5);
+            assert!(ran.err.contains(&format!("{path}: no ")), "{}", ran.err);
+            assert!(!Path::new(&out).exists());
+        }
+    }
+    let device = folder.path("js0");
+    let stick = stick(&device);
+    let hand = format!("joystick:{device}");
+    let mut session = start_with(
+        &["teleop", "--hand", &hand, "--out", &out, "--for", "4"],
+        Stdio::null(),
+    );
+    session.says("idle -> running");
+    drop(stick);
+    session.says("the hand: ");
+    let ran = session.end().ended_with(5);
+    assert!(ran.err.contains("the hand is lost: "), "{}", ran.err);
+    let said = folder.summary("out");
+    assert_eq!(said["session"]["ended"], "hand_lost");
+}
+
+#[cfg(unix)]
+#[test]
+fn a_stick_leads_while_its_button_is_held() {
+    let folder = Folder::new();
+    let device = folder.path("js0");
+    let mut stick = stick(&device);
     let out = folder.path("out");
     let hand = format!("joystick:{device}");
     let mut session = start_with(
@@ -230,6 +290,37 @@ fn a_hand_behind_a_port_is_recorded_as_it_is_reported() {
         "{}",
         ran.out
     );
+}
+
+/// Nothing was led when it went, so nothing held: it is told all the same.
+#[test]
+fn an_arm_that_goes_while_its_button_is_free_is_told() {
+    let folder = Folder::new();
+    let machine = Served::on_tcp(&[]);
+    let mut arm = Served::on_tcp(&["--machine", "machines/hand-master.toml"]);
+    let out = folder.path("out");
+    let mut session = start_with(
+        &[
+            "teleop",
+            "--port",
+            &machine.port,
+            "--hand",
+            &arm.port,
+            "--out",
+            &out,
+            "--for",
+            "5",
+        ],
+        Stdio::null(),
+    );
+    session.says("idle -> running");
+    std::thread::sleep(std::time::Duration::from_millis(500));
+    arm.process.kill();
+    session.says("the hand: ");
+    let ran = session.end().ended_with(5);
+    assert!(ran.err.contains("the hand is lost: "), "{}", ran.err);
+    let said = folder.summary("out");
+    assert_eq!(said["session"]["holds"].as_array().unwrap().len(), 0);
 }
 
 /// The arm's controller is gone with its port, and comes back.

@@ -31,10 +31,17 @@ ramp_s = 0.3
 
 /// A scripted session in the simulator.
 fn scripted(folder: &Folder, out: &str, script: &str, more: &[&str]) -> Value {
+    ending(0, folder, out, script, more)
+}
+
+/// The same with this exit code.
+fn ending(code: i32, folder: &Folder, out: &str, script: &str, more: &[&str]) -> Value {
     let hand = format!("script:{}", folder.file("script.toml", script));
     let out = folder.path(out);
     let session = ["teleop", "--hand", &hand, "--out", &out, "--json"];
-    haptimill(&[&session, more].concat()).ended_with(0).json()
+    haptimill(&[&session, more].concat())
+        .ended_with(code)
+        .json()
 }
 
 fn records(path: &str) -> Vec<Record> {
@@ -337,7 +344,10 @@ fn a_link_that_stalls_holds_the_machine_and_nothing_late_sets_it_going() {
         "--for",
         "6",
     ];
-    let said = scripted(&folder, "out", AWAY, &stall);
+    let said = ending(5, &folder, "out", AWAY, &stall);
+    assert_eq!(said["session"]["ended"], "hand_lost");
+    let because = said["session"]["because"].as_str().unwrap();
+    assert!(because.contains("was not told to go on"), "{because}");
     let holds = said["session"]["holds"].as_array().unwrap();
     assert_eq!(holds.len(), 1, "{said:#}");
     assert_eq!(holds[0]["resumed_s"], Value::Null);
@@ -394,6 +404,66 @@ fn an_arm_that_fails_leads_nothing_until_it_was_looked_after() {
         .filter(|record| (11_000..14_000).contains(&record.period));
     assert!(
         off.clone().count() > 2000 && off.into_iter().all(|record| record.hand.force == [0; 3])
+    );
+}
+
+#[test]
+fn how_it_ended_is_in_the_exit_code() {
+    let folder = Folder::new();
+    // While it looks for its references, on the way home, and while the hand leads.
+    for at in ["1s", "5s", "12s"] {
+        let fault = format!("emergency-stop at={at}");
+        let out = folder.path("out");
+        let stopped = ["teleop", "--hand", "sim", "--out", &out, "--fault", &fault];
+        let ran = haptimill(&stopped).ended_with(6);
+        assert!(
+            ran.err.contains("release it, then `haptimill reset`"),
+            "{at}: {}",
+            ran.err
+        );
+    }
+    let trip = [
+        "--hand-fault",
+        "hand-amplifiers-tripped at=2s for=0.5s",
+        "--for",
+        "4",
+    ];
+    let said = ending(6, &folder, "out", AWAY, &trip);
+    assert_eq!(said["session"]["ended"], "hand_fault");
+    let because = said["session"]["because"].as_str().unwrap();
+    assert!(because.contains("`reset-hand`"), "{because}");
+    let cut = ["--hand-fault", "link-cut at=2s", "--for", "5"];
+    let said = ending(5, &folder, "out", AWAY, &cut);
+    assert_eq!(said["session"]["ended"], "hand_lost");
+}
+
+#[test]
+fn a_hand_that_is_always_too_late_is_not_passed_over() {
+    let folder = Folder::new();
+    let out = folder.path("none");
+    let late = ["teleop", "--hand", "sim", "--out", &out, "--delay"];
+    for (more, remedy) in [
+        (&["60"][..], "give --stale 140, or a shorter --delay"),
+        (&["120", "--stale", "100"], "give --stale 260,"),
+        (&["1000", "--stale", "1000"], "give a shorter --delay"),
+    ] {
+        let ran = haptimill(&[&late, more].concat()).ended_with(2);
+        assert!(
+            ran.err.contains("--stale") && ran.err.contains(remedy),
+            "{}",
+            ran.err
+        );
+        assert!(!Path::new(&out).exists());
+    }
+    // A line that is late by itself.
+    let slow = ["--hand-fault", "link-delay ms=60 at=0s"];
+    let said = scripted(&folder, "out", AWAY, &slow);
+    let notes = said["session"]["notes"].as_array().unwrap();
+    let told = |note: &&Value| note.as_str().unwrap().contains("were too late");
+    let note = notes.iter().find(told).unwrap().as_str().unwrap();
+    assert!(
+        note.contains("the tool was not led") && note.contains("--stale"),
+        "{note}"
     );
 }
 

@@ -499,7 +499,7 @@ impl Running<'_> {
 }
 
 /// The emergency stop, in words.
-const EMERGENCY_STOP: &str =
+pub(crate) const EMERGENCY_STOP: &str =
     "the emergency stop is latched, the drives are off; release it, then `haptimill reset`";
 
 /// What went wrong with the machine during a job, in words.

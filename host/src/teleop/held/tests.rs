@@ -145,7 +145,7 @@ fn a_cap_that_is_not_told_again_is_at_rest() {
 
 #[test]
 fn a_device_that_is_not_there_is_named() {
-    let error = open(Path::new("/dev/input/none"), "game controller").unwrap_err();
+    let error = open(Path::new("/dev/input/none"), "game controller", "js").unwrap_err();
     assert!(
         error
             .message
