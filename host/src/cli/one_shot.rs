@@ -119,6 +119,8 @@ pub fn home(args: HomeArgs) -> Result<(), CliError> {
         if let Some(fault) = end.faults.first() {
             return Err(session.fault(fault));
         }
+    } else if !args.one_shot.json {
+        tell!("it was homed already; --again searches for the references once more");
     }
     report(&mut session, args.one_shot.json)
 }

@@ -138,6 +138,25 @@ impl RunArgs {
         if self.mcap && !MCAP {
             return Err(CliError::new(Exit::Usage, RecordingError::NoMcap));
         }
+        if matches!(&self.force, Some(force::Axes(axes)) if axes.is_empty())
+            && !self.gains.is_empty()
+        {
+            let what =
+                "--fd, --ka and --kv are for the axes under force control, and --force names none";
+            return Err(CliError::new(Exit::Usage, what));
+        }
+        if !matches!(self.port, PortSpec::Emulated(_)) {
+            let name = |there: bool, name| there.then_some(name);
+            let for_board = name(self.image.is_some(), "--image")
+                .or(name(self.log.is_some(), "--log"))
+                .or(name(self.budget.is_some(), "--budget"));
+            if let Some(option) = for_board {
+                let what = format!(
+                    "{option} is for an emulated board; add --port pil:mps2, or leave it out"
+                );
+                return Err(CliError::new(Exit::Usage, what));
+            }
+        }
         let simulated = matches!(self.port, PortSpec::Simulator | PortSpec::Emulated(_));
         let what = if self.check || simulated {
             return Ok(());
@@ -221,6 +240,7 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
     })?;
     let job = PartProgram::load(&args.program, args.optional_stop)?;
     let planned = job.plan(&machine, &model, &home)?;
+    let work = args.clamped(&machine)?;
     if args.check {
         let plan = &planned.plan;
         let seconds = args.announced(plan.figures.duration_s);
@@ -249,7 +269,6 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
     if !args.passes_pauses() {
         job.check_pauses(&planned)?;
     }
-    let work = args.clamped(&machine)?;
     // Held to the end: nobody else writes there.
     let folder = Folder::take(&args.out_dir())?;
     let interrupted = interrupt::flag();
@@ -453,6 +472,10 @@ impl Running<'_> {
                     write_mcap(&recording, &dir.join(report::MCAP_FILE), MCAP_RATE)
                 })
                 .map_err(|error| output(&error))?;
+        }
+        let over_s = session.now_us() as f64 * 1e-6;
+        for fault in self.args.fault.iter().filter(|fault| fault.at_s > over_s) {
+            eprintln!("--fault \"{fault}\" did not happen: all was over after {over_s:.2} s");
         }
         if self.args.json {
             let json = serde_json::to_string_pretty(&summary)

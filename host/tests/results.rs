@@ -1,0 +1,79 @@
+//! What a run leaves: nothing that was there is lost for nothing, and what was asked for and did not happen is told.
+
+mod scene;
+
+use scene::{Folder, haptimill};
+
+const SHORT: &str = "G1 X1 F600\nM30\n";
+
+#[test]
+fn a_run_that_does_not_begin_leaves_the_results_of_the_one_before() {
+    let folder = Folder::new();
+    let (short, out) = (folder.file("short.ngc", SHORT), folder.path("out"));
+    let files = ["recording.hmr", "trace.csv", "summary.json", "report.html"];
+    haptimill(&["run", &short, "--out", &out]).ended_with(0);
+    let before = files.map(|name| std::fs::read(folder.path(&format!("out/{name}"))).unwrap());
+    for (more, code) in [
+        (["--port", "tcp:127.0.0.1:1"], 5),
+        (["--fault", "link-cut"], 5),
+        (["--fault", "index-missing axis=l1"], 6),
+        (
+            [
+                "--fault",
+                "switch-stuck axis=alpha switch=limit-low active=yes",
+            ],
+            8,
+        ),
+    ] {
+        haptimill(&["run", &short, "--out", &out, more[0], more[1]]).ended_with(code);
+        let after = files.map(|name| std::fs::read(folder.path(&format!("out/{name}"))).unwrap());
+        assert!(before == after, "{more:?}");
+    }
+}
+
+#[test]
+fn a_fault_that_came_too_late_is_told() {
+    let folder = Folder::new();
+    let (short, out) = (folder.file("short.ngc", SHORT), folder.path("out"));
+    let fault = ["--fault", "emergency-stop at=60s"];
+    let ran = haptimill(&["run", &short, "--out", &out, fault[0], fault[1]]).ended_with(0);
+    let said = "--fault \"emergency-stop at=60s\" did not happen: all was over after";
+    assert!(ran.err.contains(said), "{}", ran.err);
+}
+
+#[test]
+fn what_no_run_can_do_is_refused_before_it_begins() {
+    let folder = Folder::new();
+    let short = folder.file("short.ngc", SHORT);
+    for (more, code, said) in [
+        (&["--check", "--work", "no.toml"][..], 3, "no.toml"),
+        (&["--image", "x"], 2, "--image is for an emulated board"),
+        (&["--log", "x"], 2, "--log is for an emulated board"),
+        (
+            &["--budget", "5000"],
+            2,
+            "--budget is for an emulated board",
+        ),
+        (&["--force", "none", "--fd", "5"], 2, "--force names none"),
+        (
+            &["--fault", "drive-weak axis=l1 gain=1e99"],
+            2,
+            "must be -100 to 100",
+        ),
+        (
+            &["--fault", "push axis=l1 effort=1e30"],
+            2,
+            "must be -100000 to 100000",
+        ),
+        (
+            &["--fault", "missed-periods count=0"],
+            2,
+            "must be 1 to 1000000",
+        ),
+        (&["--fault", "emergency-stop for=0s"], 2, "more than 0"),
+    ] {
+        let words = [&["run", short.as_str()][..], more].concat();
+        let ran = haptimill(&words).ended_with(code);
+        assert!(ran.err.contains(said), "{}", ran.err);
+    }
+}
