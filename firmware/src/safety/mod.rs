@@ -55,8 +55,8 @@ pub const fn brakes_first(fault: &Fault) -> bool {
     )
 }
 
-/// Whether it is a joint that does something else than it was told. After missed periods, in which nobody told it anything, that is what they have
-/// led to: the drives go off for it, but what is named is the cause, and the encoders have counted all along.
+/// Whether it is a joint that does something else than it was told. While the machine brakes for missed periods, in which nobody told it anything, that
+/// is what they have led to: the drives go off for it, but what is named is the cause, and the encoders have counted all along.
 const fn is_of_joint(fault: &Fault) -> bool {
     matches!(
         fault,
@@ -198,15 +198,10 @@ impl Safety {
         }
         let on = self.drives_on();
         self.holding = on && brakes_first(&fault);
-        let before = match self.state {
-            State::Fault => self.fault,
-            _ => self.pending,
-        };
-        let fault = match before {
+        let fault = match self.pending.take() {
             Some(late @ Fault::LatePeriod { .. }) if is_of_joint(&fault) => late,
             _ => fault,
         };
-        self.pending = None;
         if !keeps_position(&fault) {
             self.lose_position();
         }
