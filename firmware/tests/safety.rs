@@ -376,6 +376,31 @@ fn in_state(state: State) -> Safety {
     safety
 }
 
+/// While the machine brakes for missed periods a joint that is not where it should be is what they led to. A counter that cannot be believed is not.
+#[test]
+fn what_missed_periods_led_to_is_named_after_them() {
+    let late = Fault::LatePeriod { missed: 50 };
+    for other in every_fault() {
+        let led_to = matches!(
+            other,
+            Fault::FollowingError { .. }
+                | Fault::EncoderStill { .. }
+                | Fault::EncoderReversed { .. }
+        );
+        let mut safety = in_state(State::Run);
+        safety.raise(late);
+        safety.raise(other);
+        if brakes_first(&other) {
+            assert_eq!(safety.pending(), Some(late));
+            continue;
+        }
+        let named = if led_to { late } else { other };
+        assert_eq!(safety.fault(), Some(named));
+        assert_eq!(safety.position_kept(), keeps_position(&named), "{other:?}");
+        assert!(!safety.drives_on());
+    }
+}
+
 #[test]
 fn each_fault_in_each_state_latches_once_and_leaves_the_drives_as_it_must() {
     for fault in every_fault() {

@@ -60,10 +60,7 @@ pub const fn brakes_first(fault: &Fault) -> bool {
 const fn is_of_joint(fault: &Fault) -> bool {
     matches!(
         fault,
-        Fault::FollowingError { .. }
-            | Fault::EncoderStill { .. }
-            | Fault::EncoderReversed { .. }
-            | Fault::EncoderIllegal { .. }
+        Fault::FollowingError { .. } | Fault::EncoderStill { .. } | Fault::EncoderReversed { .. }
     )
 }
 
