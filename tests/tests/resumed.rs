@@ -70,9 +70,8 @@ fn smoothly(bench: &mut Bench, periods: usize, speed: &mut f64, most: f64) {
     }
 }
 
-/// An operator holds and resumes (or resumes an underrun, as the protocol says) while the host has brought less than it takes to be sure of stopping.
-#[test]
-fn a_resume_never_jumps() {
+/// A machine at 10 mm/s whose host has brought less than it takes to be sure of stopping: 300 ms to brake. Its speed.
+fn under_way() -> (Bench, Feeder, f64) {
     let mut bench = ready();
     let start = bench.status().wanted;
     // 20 spans of 100 ms at 10 mm/s; 300 ms to brake.
@@ -81,6 +80,13 @@ fn a_resume_never_jumps() {
     let mut speed = 0.0;
     smoothly(&mut bench, 1200, &mut speed, 0.3);
     assert!(speed > 9.0);
+    (bench, feeder, speed)
+}
+
+/// An operator holds and resumes (or resumes an underrun, as the protocol says) while the host has brought less than it takes to be sure of stopping.
+#[test]
+fn a_resume_never_jumps() {
+    let (mut bench, mut feeder, mut speed) = under_way();
     bench.say(Command::Hold).expect("room");
     smoothly(&mut bench, 2500, &mut speed, 0.3);
     assert_eq!((state(&bench), speed), (State::Hold, 0.0));
@@ -97,13 +103,7 @@ fn a_resume_never_jumps() {
 /// A resume that comes when the machine runs anyway (a second press, a host that says it again).
 #[test]
 fn a_needless_resume_changes_nothing() {
-    let mut bench = ready();
-    let start = bench.status().wanted;
-    let mut feeder = Feeder::start(&mut bench, line_in_x(&start, 10.0, 40));
-    feeder.bring(&mut bench, 8);
-    let mut speed = 0.0;
-    smoothly(&mut bench, 1200, &mut speed, 0.3);
-    assert!(speed > 9.0);
+    let (mut bench, _, mut speed) = under_way();
     bench.say(Command::Resume).expect("room");
     smoothly(&mut bench, 500, &mut speed, 0.3);
 }
