@@ -2,6 +2,7 @@
 
 use crate::config::Config;
 use crate::controller::Controller;
+use crate::decide::hardware;
 use crate::force::conditioning::COMPONENTS;
 use crate::force::{ForceControl, ForceLoop, LoopSettings};
 use crate::io::Inputs;
@@ -15,8 +16,8 @@ use crate::units::{Length, Rate};
 use haptimill_protocol::frame::crc32;
 use haptimill_protocol::haptic::{Hand, Reflection, Wall};
 use haptimill_protocol::message::{
-    AxisValues, Command, ConfigField, ConfigProblem, Event, MAX_AXES, RATE_SHIFT, Refusal, Source,
-    State,
+    AxisValues, Command, ConfigField, ConfigProblem, Event, Fault, InputProblem, MAX_AXES,
+    RATE_SHIFT, Refusal, Source, State,
 };
 
 type Done = Result<(), Refusal>;
@@ -168,17 +169,24 @@ impl Controller {
     fn enable(&mut self, inputs: &Inputs) -> Done {
         self.in_state(&[State::Disabled])?;
         let machinery = self.machinery.as_mut().ok_or(Refusal::NotConfigured)?;
-        let blocked = inputs.axes[..machinery.axes()]
-            .iter()
-            .any(|axis| axis.limit_low || axis.limit_high || !axis.drive_ready);
-        // A machine that still coasts would be caught with all the force of its drives.
-        if inputs.emergency_stop || blocked || !machinery.is_still() {
-            return Err(Refusal::Input);
+        if inputs.emergency_stop {
+            return Err(Refusal::Input(InputProblem::EmergencyStop));
+        }
+        match hardware(&inputs.axes[..machinery.axes()]) {
+            Some(Fault::LimitSwitch { axis }) => {
+                return Err(Refusal::Input(InputProblem::LimitSwitch { axis }));
+            }
+            Some(Fault::Drive { axis }) => {
+                return Err(Refusal::Input(InputProblem::Drive { axis }));
+            }
+            _ => {}
+        }
+        // It would be caught with all the force of its drives.
+        if !machinery.is_still() {
+            return Err(Refusal::Input(InputProblem::Coasting));
         }
         let counted = machinery.encoders_counted();
-        machinery
-            .enable()
-            .map_err(|error| Refusal::Pose { setpoint: 0, error })?;
+        machinery.enable().map_err(Refusal::Standing)?;
         if !counted {
             // While the drives were off nobody looked, and the machine may have been moved by hand.
             self.safety.lose_position();
@@ -209,7 +217,7 @@ impl Controller {
 
     fn reset(&mut self, inputs: &Inputs) -> Done {
         if inputs.emergency_stop {
-            return Err(Refusal::Input);
+            return Err(Refusal::Input(InputProblem::EmergencyStop));
         }
         if self.safety.drives_on()
             && self.safety.state() == State::Fault

@@ -431,7 +431,7 @@ impl Controller {
 
 /// A limit switch or a drive that reports a fault.
 #[inline]
-fn hardware(axes: &[AxisInputs]) -> Option<Fault> {
+pub(crate) fn hardware(axes: &[AxisInputs]) -> Option<Fault> {
     let well = |axis: &AxisInputs| axis.drive_ready & !(axis.limit_low | axis.limit_high);
     if axes.iter().fold(true, |all, axis| all & well(axis)) {
         return None;

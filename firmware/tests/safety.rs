@@ -342,7 +342,7 @@ proptest! {
     }
 }
 
-fn every_fault() -> [Fault; 15] {
+fn every_fault() -> [Fault; 16] {
     [
         Fault::Stroke { axis: 2, by: -9 },
         Fault::FollowingError {
@@ -355,6 +355,10 @@ fn every_fault() -> [Fault; 15] {
         Fault::LimitSwitch { axis: 0 },
         Fault::Drive { axis: 0 },
         Fault::EncoderIllegal { axis: 0, count: 9 },
+        Fault::EncoderSlip {
+            axis: 0,
+            counts: -9,
+        },
         Fault::EncoderStill { axis: 0 },
         Fault::EncoderReversed { axis: 0 },
         Fault::StepsLost { axis: 0, by: 1 },

@@ -7,7 +7,9 @@
 
 mod problem;
 
-pub use problem::{ConfigField, ConfigProblem, Fault, HomingProblem, PoseError, Refusal};
+pub use problem::{
+    ConfigField, ConfigProblem, Fault, HomingProblem, InputProblem, PoseError, Refusal,
+};
 
 use crate::force::{ForceLoop, ForceTelemetry, TareRefusal};
 use crate::haptic::{COMPONENTS, Hand, HandProblem, HandTelemetry, Reflection, Wall};

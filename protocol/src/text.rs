@@ -23,7 +23,7 @@ mod plain;
 use crate::force::{ForceProblem, ForceRefusal, TareRefusal};
 use crate::haptic::HandProblem;
 use crate::message::{
-    ConfigField, ConfigProblem, Event, Fault, HelloRefusal, PoseError, Refusal, State,
+    ConfigField, ConfigProblem, Event, Fault, HelloRefusal, InputProblem, PoseError, Refusal, State,
 };
 use core::fmt::{Display, Formatter, Result};
 
@@ -180,6 +180,11 @@ impl Describe for Refusal {
             Self::AxisCount => f.write_str("the number of values is not the number of axes of the machine"),
             Self::OutOfOrder { expected } => write!(f, "setpoint {expected} was expected next"),
             Self::QueueFull => f.write_str("the queue of setpoints is full"),
+            // The same as when it comes there with its drives on.
+            Self::Standing(PoseError::OutOfStroke { axis, by }) => {
+                Fault::Stroke { axis, by }.describe(axes, f)
+            }
+            Self::Standing(error) => Fault::Pose(error).describe(axes, f),
             Self::Pose { setpoint, error } => {
                 write!(f, "setpoint {setpoint}: ")?;
                 error.describe(axes, f)
@@ -196,9 +201,7 @@ impl Describe for Refusal {
             Self::OldEpoch => f.write_str("this jog was cancelled"),
             Self::ConfigCheck => f.write_str("the configuration did not arrive whole; send it again"),
             Self::Config(problem) => problem.describe(axes, f),
-            Self::Input => f.write_str(
-                "an input forbids it: emergency stop, limit switch or a drive that is not ready; release it first",
-            ),
+            Self::Input(problem) => problem.describe(axes, f),
             Self::PresetLost => f.write_str(
                 "the position was lost; set the joints up at their presets by hand, then home with --at-preset",
             ),
@@ -221,6 +224,26 @@ impl Describe for Refusal {
                 "no hand can lead this machine; add the sections [haptic] or [follow] to the machine file and configure the controller with it",
             ),
             Self::WallTooNear => f.write_str("the ball at the tip does not fit between this wall and the opposite one; move one of them outwards"),
+        }
+    }
+}
+
+impl Describe for InputProblem {
+    fn describe(&self, axes: &Axes<'_>, f: &mut Formatter<'_>) -> Result {
+        let joint = |axis| Named(axes.joints, axis);
+        match *self {
+            Self::EmergencyStop => f.write_str("the emergency stop is pressed; release it first"),
+            Self::LimitSwitch { axis } => write!(
+                f,
+                "{} stands on its limit switch; move it off by hand, then home",
+                joint(axis)
+            ),
+            Self::Drive { axis } => write!(
+                f,
+                "the drive of {} is not ready; look at the drive",
+                joint(axis)
+            ),
+            Self::Coasting => f.write_str("the machine still coasts; wait until it stands"),
         }
     }
 }
@@ -298,6 +321,15 @@ impl Describe for Fault {
                 "the encoder of {} made {count} impossible steps; check its cable and shield, then reset and home",
                 joint(axis)
             ),
+            Self::EncoderSlip { axis, counts } => {
+                let did = if counts < 0 { "lost" } else { "gained" };
+                write!(
+                    f,
+                    "the encoder of {} {did} {} counts from one index pulse to another; check its cable, shield and coupling, then reset and home",
+                    joint(axis),
+                    counts.unsigned_abs()
+                )
+            }
             Self::EncoderStill { axis } => write!(
                 f,
                 "{} was driven and its encoder saw no motion; check the encoder's cable, and whether the axis is blocked",

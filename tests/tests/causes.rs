@@ -3,9 +3,9 @@
 mod scene;
 
 use haptimill_hil_sim::rig::RigOptions;
-use haptimill_protocol::message::{AxisValues, Fault, State};
+use haptimill_protocol::message::{AxisValues, Command, Fault, Refusal, State};
 use haptimill_tests::Bench;
-use scene::{drives_off, line, moving, recover, wanted};
+use scene::{drives_off, joint_off, line, moving, ready, recover, state, wanted};
 
 /// A bench like this one at which the fault happens in 10 ms, and where its job began: the same machine again, with the fault in its schedule. It is
 /// deterministic.
@@ -62,6 +62,73 @@ fn a_counter_that_jumps_farther_than_a_joint_can_go_leaves_no_position() {
         );
         assert!(!status.position_kept && !status.homed && drives_off(&bench));
     }
+}
+
+/// A machine whose counter slips while it stands (at once) or goes along, until its next index pulse tells: the fault, and how far the slide went.
+fn slipped(counts: i32, standing: bool) -> (Bench, Fault, f64) {
+    let slip = format!("encoder-slip axis=l1 counts={counts}");
+    let mut bench = if standing {
+        let like = ready();
+        let at = like.rig.time_ns() as f64 * 1e-9;
+        let fault = format!("{slip} at={at}s").parse().expect("a fault");
+        let mut bench = Bench::with_options(&RigOptions {
+            faults: vec![fault],
+            ..RigOptions::default()
+        });
+        bench.make_ready();
+        bench.steps(2000);
+        let start = bench.status().wanted;
+        bench.start_job(1, &line(&start, 0, 8.0, 28));
+        bench
+    } else {
+        faulty(&moving(0, 8.0), 8.0, &slip).0
+    };
+    bench.steps(200);
+    let began = bench.rig.truth().joints[0];
+    let off = f64::from(counts.abs()) * 10.0 / 8000.0;
+    loop {
+        bench.step();
+        if let Some(fault) = bench.rig.control().safety().fault() {
+            let went = bench.rig.truth().joints[0] - began;
+            return (bench, fault, went.abs());
+        }
+        assert_eq!(state(&bench), State::Run, "{counts} were not found");
+        assert!((joint_off(&bench, 0) - off).abs() < 0.02);
+    }
+}
+
+/// The loop takes a joint to wherever its counter says: that a counter lost some counts is not to be seen from the motion (more than 20 give a jolt that is). The next index pulse tells.
+#[test]
+fn counts_that_are_lost_are_found_at_the_next_index() {
+    for (counts, standing) in [(-6, false), (8, false), (-12, true), (14, true)] {
+        let (mut bench, fault, went) = slipped(counts, standing);
+        assert!(went < 10.0, "a turn of the motor");
+        let Fault::EncoderSlip {
+            axis: 0,
+            counts: said,
+        } = fault
+        else {
+            panic!("{counts}: {fault:?}");
+        };
+        // A count more or less for the side that the pulse is come to from.
+        assert!((said - counts).abs() <= 1, "{said} of {counts}");
+        assert!(drives_off(&bench));
+        let status = bench.status();
+        assert!(!status.position_kept && !status.homed);
+        // Where the slide is, nobody knows to the turn: somebody has to look.
+        recover(&mut bench, State::Disabled);
+        assert_eq!(bench.ask(Command::Home), Err(Refusal::PresetLost));
+    }
+}
+
+/// As many as an encoder may be off by itself are let pass, and no healthy one is ever blamed.
+#[test]
+fn a_line_of_the_encoder_is_tolerated() {
+    let (mut bench, _) = faulty(&moving(0, 8.0), 8.0, "encoder-slip axis=l1 counts=3");
+    bench.steps(20_000);
+    let status = bench.status();
+    assert_eq!((status.state, status.fault), (State::Idle, None));
+    assert!(status.position_kept);
 }
 
 #[test]

@@ -4,7 +4,7 @@ mod scene;
 
 use haptimill_hil_sim::encoder::EncoderCondition;
 use haptimill_hil_sim::plant::{JointCondition, Plant};
-use haptimill_protocol::message::{Command, Event, Fault, Refusal, State};
+use haptimill_protocol::message::{Command, Event, Fault, InputProblem, Refusal, State};
 use haptimill_tests::Bench;
 use scene::{
     MM, distance, drives_off, joint_off, line, moving, ready, recover, state, told, tool, wanted,
@@ -333,7 +333,12 @@ fn a_tripped_drive_and_a_limit_switch_stop_all_in_one_period() {
         let mut struck = strike(0, 3, 20.0, spoil_joint(3, condition));
         assert_eq!((struck.fault, struck.periods), (fault, 0));
         struck.bench.ask(Command::Reset).expect("reset");
-        assert_eq!(struck.bench.ask(Command::Enable), Err(Refusal::Input));
+        let problem = match fault {
+            Fault::Drive { axis } => InputProblem::Drive { axis },
+            _ => InputProblem::LimitSwitch { axis: 3 },
+        };
+        let refusal = Refusal::Input(problem);
+        assert_eq!(struck.bench.ask(Command::Enable), Err(refusal));
         struck.bench.rig.plant_mut().set_condition(3, well);
         position_is_kept(&mut struck.bench);
     }
@@ -366,7 +371,8 @@ fn the_emergency_stop_by_wire_and_by_command() {
             bench.events
         );
         if wire {
-            assert_eq!(bench.ask(Command::Reset), Err(Refusal::Input));
+            let pressed = Refusal::Input(InputProblem::EmergencyStop);
+            assert_eq!(bench.ask(Command::Reset), Err(pressed));
             bench.rig.plant_mut().set_emergency_stop(false);
         }
         position_is_kept(&mut bench);

@@ -7,7 +7,7 @@ use haptimill_firmware::controller::Controller;
 use haptimill_hil_sim::encoder::EncoderCondition;
 use haptimill_hil_sim::rig::RigOptions;
 use haptimill_protocol::message::{
-    AxisValues, Command, Event, Fault, HomingProblem, Refusal, Source, State,
+    AxisValues, Command, Event, Fault, HomingProblem, InputProblem, Refusal, Source, State,
 };
 use haptimill_tests::Bench;
 use scene::{
@@ -380,7 +380,8 @@ fn a_machine_that_coasts_is_not_enabled() {
     let mut bench = moving(0, 40.0);
     bench.ask(Command::EmergencyStop).expect("off");
     bench.ask(Command::Reset).expect("reset");
-    assert_eq!(bench.ask(Command::Enable), Err(Refusal::Input));
+    let coasts = Refusal::Input(InputProblem::Coasting);
+    assert_eq!(bench.ask(Command::Enable), Err(coasts));
     bench.steps(1000);
     bench.ask(Command::Enable).expect("stands");
     bench.steps(1000);

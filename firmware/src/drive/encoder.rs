@@ -152,9 +152,14 @@ impl Encoder {
         difference(self.kind, self.coordinate_at(self.raw), before)
     }
 
-    /// Illegal transitions since [`Encoder::clear_illegal`].
+    /// Illegal transitions since [`Encoder::clear_illegal`]; [`u32::MAX`] when it is [not believed](Encoder::disbelieve).
     pub const fn illegal(&self) -> u32 {
         self.illegal
+    }
+
+    /// Its counts are wrong, which says more than any number of illegal transitions.
+    pub const fn disbelieve(&mut self) {
+        self.illegal = u32::MAX;
     }
 
     /// Forgets the illegal transitions.

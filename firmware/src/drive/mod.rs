@@ -16,6 +16,7 @@
 pub mod backlash;
 pub mod edges;
 pub mod encoder;
+pub mod index;
 pub mod quadrature;
 pub(crate) mod reciprocal;
 pub mod steps;
@@ -30,6 +31,7 @@ use crate::units::{Acceleration, Coordinate, Effort, Rate};
 use backlash::Backlash;
 use encoder::{Encoder, difference, sum};
 use haptimill_protocol::message::Fault;
+use index::{IndexWatch, TOLERANCE};
 use steps::{PulseTiming, StepPlanner};
 use torque::TorqueOutput;
 
@@ -59,10 +61,12 @@ pub struct Sensed {
     pub motor: Coordinate,
     /// Encoder counts since the period before.
     pub moved: i32,
-    /// Illegal transitions since enable.
+    /// Illegal transitions since enable; [`u32::MAX`] when index pulses say that counts were lost.
     pub illegal: u32,
     /// A new index pulse: its raw count, and the motor's coordinate there.
     pub index: Option<(i32, Coordinate)>,
+    /// Counts by which an index pulse was off, more than [`TOLERANCE`], since enable; else 0.
+    pub off: i32,
     /// Step/dir only: coordinate according to the steps emitted, less the measured one.
     pub slip: Coordinate,
     /// The slip is beyond the limit of the configuration: steps were lost.
@@ -126,6 +130,7 @@ constants!(StepSupervision { per_step, lost } of {} but { last_steps, steps, sta
 pub struct JointDrive {
     kind: AxisKind,
     encoder: Encoder,
+    indexes: IndexWatch,
     backlash: Backlash,
     output: Output,
     watch: Watch,
@@ -136,7 +141,7 @@ pub struct JointDrive {
     enabled: bool,
 }
 
-constants!(JointDrive { kind } of { encoder, backlash, output, watch } but { wanted, sensed, driven, sensed_once, enabled });
+constants!(JointDrive { kind } of { encoder, indexes, backlash, output, watch } but { wanted, sensed, driven, sensed_once, enabled });
 
 impl Constants for Output {
     fn digest(&self, digest: &mut Digest) {
@@ -214,6 +219,7 @@ impl JointDrive {
         Ok(Self {
             kind: axis.kind,
             encoder: Encoder::new(axis.kind, axis.per_count),
+            indexes: IndexWatch::new(axis.index_pitch.0, axis.per_count),
             backlash: Backlash::new(axis.kind, axis.backlash, period_us),
             output,
             watch: Watch::of(axis),
@@ -242,6 +248,12 @@ impl JointDrive {
             (self.sensed.slip, self.sensed.lost_steps) =
                 supervision.compare(self.kind, self.enabled, inputs.steps, motor);
         }
+        if let Some((raw, _)) = measured.index {
+            let off = self.indexes.pulse(raw);
+            if off.unsigned_abs() > TOLERANCE {
+                self.disbelieve(off);
+            }
+        }
         let sensed = &mut self.sensed;
         sensed.coordinate = self.backlash.carry(measured.coordinate);
         sensed.motor = measured.coordinate;
@@ -249,6 +261,14 @@ impl JointDrive {
         sensed.illegal = self.encoder.illegal();
         sensed.index = measured.index;
         &self.sensed
+    }
+
+    /// Counts were lost: until the joint is enabled anew.
+    #[cold]
+    #[inline(never)]
+    fn disbelieve(&mut self, off: i32) {
+        self.sensed.off = off;
+        self.encoder.disbelieve();
     }
 
     /// What was sensed last.
@@ -261,8 +281,12 @@ impl JointDrive {
     pub fn enable(&mut self) -> Coordinate {
         let motor = self.sensed.motor;
         self.backlash.hold(motor);
+        if self.sensed.off != 0 {
+            self.indexes.forget();
+        }
         self.encoder.clear_illegal();
         self.sensed.illegal = 0;
+        self.sensed.off = 0;
         match &mut self.output {
             Output::Torque { law, output } => {
                 law.reset(Coordinate(0));
@@ -357,6 +381,12 @@ impl JointDrive {
             steps_off: sensed.slip,
             period_us,
         };
+        if sensed.off != 0 {
+            return Some(Fault::EncoderSlip {
+                axis: joint,
+                counts: sensed.off,
+            });
+        }
         self.watch
             .examine(joint, axis, limits.illegal_transitions, &seen)
     }

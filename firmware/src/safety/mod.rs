@@ -70,6 +70,7 @@ pub const fn keeps_position(fault: &Fault) -> bool {
     !matches!(
         fault,
         Fault::EncoderIllegal { .. }
+            | Fault::EncoderSlip { .. }
             | Fault::EncoderStill { .. }
             | Fault::EncoderReversed { .. }
             | Fault::StepsLost { .. }

@@ -9,6 +9,7 @@
 //! | motion was wanted, the encoder saw none, or the opposite | encoder still, encoder reversed |
 //! | both channels changed at once, too often | encoder illegal |
 //! | steps and encoder disagree (step/dir) | steps lost |
+//! | an index pulse came where none can be ([`crate::drive::index`]) | encoder slip |
 //!
 //! Limits are in axis units of the joint; all of them come from its [`JointAxis`].
 

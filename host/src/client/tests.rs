@@ -235,7 +235,7 @@ fn requests_are_answered_refused_or_named_when_they_are_not() {
     assert_eq!(world.answer(tickets[0]), Some(&Ok(())));
     assert_eq!(
         world.answer(tickets[1]),
-        Some(&Err(RequestError::Refused(Refusal::Input)))
+        Some(&Err(RequestError::Refused(Refusal::NotHomed)))
     );
     let late = world.answer(tickets[2]).unwrap().clone().unwrap_err();
     assert_eq!(

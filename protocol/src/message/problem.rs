@@ -54,6 +54,8 @@ pub enum Refusal {
     },
     /// The queue is full; the credit was not respected.
     QueueFull,
+    /// The machine stands where it must not be held.
+    Standing(PoseError),
     /// A setpoint that is refused by the kinematics.
     Pose {
         /// Its number in the job.
@@ -84,8 +86,8 @@ pub enum Refusal {
     ConfigCheck,
     /// The staged configuration cannot be read or makes no sense.
     Config(ConfigProblem),
-    /// The emergency stop input, a limit switch or a drive fault is active, or a machine that was switched off still coasts.
-    Input,
+    /// An input forbids it, or how the machine moves.
+    Input(InputProblem),
     /// The position was lost: the joints must be set up at their presets again, and the configuration activated.
     PresetLost,
     /// The machine has no force sensor.
@@ -107,6 +109,26 @@ pub enum Refusal {
     NoHand,
     /// A virtual wall so near the opposite one that the ball at the tip does not fit between them.
     WallTooNear,
+}
+
+/// What forbids to switch the drives on, or to clear what is latched.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum InputProblem {
+    /// The emergency stop is pressed.
+    EmergencyStop,
+    /// A joint stands on its limit switch.
+    LimitSwitch {
+        /// The joint.
+        axis: u8,
+    },
+    /// The drive of a joint is not ready.
+    Drive {
+        /// The joint.
+        axis: u8,
+    },
+    /// The machine was switched off and still coasts.
+    Coasting,
 }
 
 /// What is wrong in a configuration.
@@ -193,6 +215,13 @@ pub enum Fault {
         axis: u8,
         /// How many, since enable.
         count: u16,
+    },
+    /// An encoder lost counts, or gained some: an index pulse came where none can be.
+    EncoderSlip {
+        /// The joint.
+        axis: u8,
+        /// How many counts too high it was.
+        counts: i32,
     },
     /// Motion was commanded and the encoder saw none.
     EncoderStill {

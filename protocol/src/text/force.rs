@@ -50,10 +50,9 @@ impl Describe for ForceRefusal {
                 f,
                 "the most that the tool yields must be above 0 and at most {length} mm"
             ),
-            ForceParameter::Rate => write!(
-                f,
-                "the rate at which the tool yields must be {length} mm/s or more"
-            ),
+            ForceParameter::Rate => {
+                f.write_str("the rate at which the tool yields must be above 0")
+            }
             ForceParameter::Sensor => f.write_str(
                 "the values of the force sensor make no sense; correct the machine file",
             ),

@@ -258,7 +258,7 @@ impl Responder {
                 let telemetry = self.telemetry();
                 let _ = self.link.send_latest(&Report::Telemetry(telemetry));
             }
-            Command::Home => return Err(Refusal::Input),
+            Command::Home => return Err(Refusal::NotHomed),
             _ => {}
         }
         Ok(())
