@@ -182,3 +182,29 @@ fn a_fault_before_the_job_moves_nothing_in_it() {
     assert!(ran.err.contains("l2"), "{}", ran.err);
     assert!(!Path::new(&folder.path("out/recording.hmr")).exists());
 }
+
+#[test]
+fn an_emergency_stop_ends_the_search_for_the_references_as_a_fault() {
+    let folder = Folder::new();
+    let ran = run(&folder, "out", &["emergency-stop at=1s"], &[]).ended_with(6);
+    let told = ran.json();
+    let what = told["error"].as_str().unwrap();
+    assert!(what.contains("the emergency stop is latched"), "{told:#}");
+    assert_eq!(told["exit_code"], 6);
+    let ran = run(&folder, "out", &["emergency-stop at=4s"], &[]).ended_with(6);
+    assert!(
+        ran.err.contains("the emergency stop is latched"),
+        "{}",
+        ran.err
+    );
+    // A summary says what was done to the machine, so nobody takes the job for one that went wrong by itself.
+    let summary = folder.summary("out");
+    let told = [&summary["injected"][0], &summary["final_state"]];
+    assert_eq!(
+        told,
+        ["emergency-stop at=4s", "EmergencyStop"],
+        "{summary:#}"
+    );
+    let page = folder.read("out/report.html");
+    assert!(page.contains("<li>emergency-stop at=4s</li>"));
+}

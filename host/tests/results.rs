@@ -77,3 +77,15 @@ fn what_no_run_can_do_is_refused_before_it_begins() {
         assert!(ran.err.contains(said), "{}", ran.err);
     }
 }
+
+#[test]
+fn a_haptic_arm_alone_is_no_machine() {
+    let folder = Folder::new();
+    let out = folder.path("out");
+    let arm = ["--machine", "machines/hand-master.toml"];
+    let run = ["run", "examples/e7-slot.ngc", "--out", &out];
+    let ran = haptimill(&[&run[..], &arm].concat()).ended_with(3);
+    let what = "machines/hand-master.toml: a haptic arm alone";
+    assert!(ran.err.contains(what), "{}", ran.err);
+    assert!(!std::path::Path::new(&out).exists());
+}

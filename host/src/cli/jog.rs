@@ -5,6 +5,7 @@ use super::{CliError, ConnectArgs, Exit, MachineArg, seconds};
 use crate::machine::MachineFile;
 use crate::machine::scale::per_unit;
 use crate::model::LETTERS;
+use crate::session::EMERGENCY_STOP;
 use clap::Args;
 use haptimill_protocol::message::{AxisValues, Event, RATE_SHIFT, State};
 use std::str::FromStr;
@@ -105,9 +106,6 @@ pub fn run(args: JogArgs) -> Result<(), CliError> {
     let ticket = session.client_mut().cancel_jog();
     session.wait_for_answer(ticket)?;
     while session.status()?.state == State::Jog {}
-    if let Some(refusal) = refused {
-        return Err(CliError::new(Exit::Command, format!("jog: {refusal}")));
-    }
     let mut limited = Vec::new();
     for (_, event) in &session.events[first..] {
         match event {
@@ -121,16 +119,35 @@ pub fn run(args: JogArgs) -> Result<(), CliError> {
                 eprintln!("{name} stopped in front of its limit");
             }
             Event::Fault(fault) => return Err(session.fault(fault)),
+            Event::State {
+                to: State::EmergencyStop,
+                ..
+            } => return Err(CliError::new(Exit::Fault, EMERGENCY_STOP)),
             _ => {}
         }
     }
-    report(&mut session, args.json)
+    // After what it may be refused for.
+    if let Some(refusal) = refused {
+        return Err(CliError::new(Exit::Command, format!("jog: {refusal}")));
+    }
+    report(&mut session, args.json)?;
+    if session.interrupted() {
+        return Err(CliError::new(Exit::Stopped, "stopped by the user").told());
+    }
+    Ok(())
 }
 
 /// Rates of all pose coordinates, as the wire wants them.
 fn rates(args: &JogArgs, machine: &MachineFile) -> Result<AxisValues, CliError> {
     let mut rates: Vec<i32> = vec![0; machine.pose.len()];
     let usage = |what: String| CliError::new(Exit::Usage, what);
+    if machine.is_master() {
+        let what = format!(
+            "{}: a haptic arm alone, which has no tool to move; name a machine with --machine",
+            machine.file
+        );
+        return Err(CliError::new(Exit::BadInput, what));
+    }
     let mut given = vec![false; machine.pose.len()];
     for wanted in &args.axes {
         let letters = || LETTERS.map(|letter| letter.to_lowercase().to_string());

@@ -4,7 +4,7 @@ use super::{CliError, Exit, MachineArg, out};
 use crate::kin;
 use clap::Args;
 use std::fs::File;
-use std::io::Read;
+use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 
 const IK_LONG: &str = "\

@@ -109,16 +109,7 @@ pub fn home(args: HomeArgs) -> Result<(), CliError> {
     }
     session.enable()?;
     if args.again || !session.status()?.homed {
-        let home = session.model().home(&machine).ok_or_else(|| {
-            CliError::new(
-                Exit::BadInput,
-                format!("{}: the home preset has no pose", machine.file),
-            )
-        })?;
-        let end = session.go_home(&machine, &home)?;
-        if let Some(fault) = end.faults.first() {
-            return Err(session.fault(fault));
-        }
+        session.go_home(&machine, &session::home_of(&machine)?)?;
     } else if !args.one_shot.json {
         tell!("it was homed already; --again searches for the references once more");
     }

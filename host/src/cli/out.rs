@@ -52,7 +52,7 @@ pub(super) fn unwritten(path: &Path, error: impl fmt::Display) -> CliError {
 pub(super) fn file<E>(
     path: &Path,
     failed: impl Fn(io::Error) -> E,
-    write: impl FnOnce(&mut dyn Write) -> Result<(), E>,
+    write: impl FnOnce(&mut BufWriter<File>) -> Result<(), E>,
 ) -> Result<(), E> {
     let to_file = |file: File| {
         let mut out = BufWriter::new(file);

@@ -301,7 +301,7 @@ pub fn run(args: TeleopArgs) -> Result<(), CliError> {
                 number
             });
             let mut arm = Arm::new(line, &arm_machine, pace, numbers, None)?;
-            let outcome = run.with(&mut arm)?;
+            let outcome = run.with(&mut arm, None)?;
             let recorded = run.finished(arm.line_mut().end_recording())?;
             run.tell(outcome, Some(recorded))
         }
@@ -408,12 +408,16 @@ impl Run<'_> {
     /// With a source that leaves nothing of its own.
     fn alone(&self, source: &mut dyn Source) -> Result<(), CliError> {
         let folder = Folder::take(self.dir)?;
-        folder.empty()?;
-        let outcome = self.with(source)?;
+        let outcome = self.with(source, Some(&folder))?;
         self.tell(outcome, None)
     }
 
-    fn with(&self, source: &mut dyn Source) -> Result<(Outcome, Recorded), CliError> {
+    /// Leads; empties the folder, if it is given, when all is ready.
+    fn with(
+        &self,
+        source: &mut dyn Source,
+        folder: Option<&Folder>,
+    ) -> Result<(Outcome, Recorded), CliError> {
         let (args, machine) = (self.args, self.machine);
         let interrupted = interrupt::flag();
         match &args.port {
@@ -422,14 +426,14 @@ impl Run<'_> {
                 let line = SimLine::new(rig);
                 let session = Session::new(line, machine, Options::default(), interrupted);
                 // Always the same number: a scripted session is the same session every time.
-                self.lead(session, 1, source)
+                self.lead(session, 1, source, folder)
             }
             spec => {
                 let line = PortLine::new(port::open(spec, args.baud.unwrap_or(DEFAULT_BAUD))?);
                 let mut options = Options::default();
                 options.timing.line_rate = line_rate(spec, args.baud);
                 let session = Session::new(line, machine, options, interrupted);
-                self.lead(session, session::fresh_number(), source)
+                self.lead(session, session::fresh_number(), source, folder)
             }
         }
     }
@@ -439,9 +443,13 @@ impl Run<'_> {
         mut session: Session<L>,
         number: u32,
         source: &mut dyn Source,
+        folder: Option<&Folder>,
     ) -> Result<(Outcome, Recorded), CliError> {
         session.connect(number)?;
         self.make_ready(&mut session)?;
+        if let Some(folder) = folder {
+            folder.empty()?;
+        }
         let recording = self.recording(self.machine, report::RECORDING_FILE)?;
         session.line_mut().begin_recording(recording);
         let file = std::fs::File::create(self.dir.join(TABLE_FILE))
@@ -507,21 +515,7 @@ impl Run<'_> {
         session.enable()?;
         if !status.homed || !status.position_kept {
             args.say("homing");
-            let home = session.model().home(machine).ok_or_else(|| {
-                let what = format!("{}: the home preset has no pose", machine.file);
-                CliError::new(Exit::BadInput, what)
-            })?;
-            let end = session.go_home(machine, &home);
-            if session.status()?.state == State::EmergencyStop {
-                return Err(CliError::new(Exit::Fault, run::EMERGENCY_STOP));
-            }
-            let end = end?;
-            if let Some(fault) = end.faults.first() {
-                return Err(session.fault(fault));
-            }
-            if end.stopped {
-                return Err(CliError::new(Exit::Stopped, "stopped by the user"));
-            }
+            session.go_home(machine, &session::home_of(machine)?)?;
         }
         if let Some(path) = &args.work {
             let plant: PlantConfig = machine.plant()?;

@@ -14,8 +14,7 @@ use serde_json::{Map, json};
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
-use std::io::{self, BufWriter, Seek, Write};
-use std::path::Path;
+use std::io::{self, Seek, SeekFrom, Write};
 
 /// Topic of what happened.
 const EVENTS: &str = "/events";
@@ -101,26 +100,23 @@ fn schema(title: &str, fields: &[(String, Column)]) -> serde_json::Value {
 /// The state as a number, for plots.
 const STATE_NUMBER: &str = "state_number";
 
-/// Writes a recording to `path`, `rate` samples a second (as near as whole control periods come to it).
+/// Writes a recording, `rate` samples a second (as near as whole control periods come to it). What is said ends up in `out` when that is flushed.
 ///
 /// # Errors
-/// The recording cannot be read, or the file not written.
+/// The recording cannot be read, or `out` not written.
 pub fn write_mcap(
     recording: &Recording,
-    path: &Path,
+    out: &mut (impl Write + Seek),
     rate: f64,
 ) -> Result<McapWritten, RecordingError> {
-    let io = |error: io::Error| RecordingError::Io(path.to_path_buf(), error);
-    let file = std::fs::File::create(path).map_err(io)?;
     let every = (1.0 / (rate * recording.period_s())).round().max(1.0);
     let mut export = Export {
         writer: WriteOptions::new()
             .compression(None)
             .library(concat!("haptimill ", env!("CARGO_PKG_VERSION")))
             .calculate_chunk_crcs(true)
-            .create(BufWriter::new(file))
-            .map_err(|error| failed(path, error))?,
-        path,
+            .create(&mut *out)
+            .map_err(failed)?,
         period_ns: u64::from(recording.config().period_us) * 1000,
         messages: 0,
         text: String::new(),
@@ -132,37 +128,33 @@ pub fn write_mcap(
     let channels = export.export(recording, &thinning)?;
     let messages = export.messages;
     drop(export);
-    let bytes = std::fs::metadata(path).map_err(io)?.len();
     Ok(McapWritten {
         channels,
         messages,
-        bytes,
+        bytes: out.seek(SeekFrom::End(0)).map_err(RecordingError::Write)?,
     })
 }
 
-fn failed(path: &Path, error: McapError) -> RecordingError {
-    let error = match error {
+fn failed(error: McapError) -> RecordingError {
+    RecordingError::Write(match error {
         McapError::Io(error) => error,
         other => io::Error::other(other.to_string()),
-    };
-    RecordingError::Io(path.to_path_buf(), error)
+    })
 }
 
-struct Export<'a, W: Write + Seek> {
+struct Export<W: Write + Seek> {
     writer: Writer<W>,
-    path: &'a Path,
     period_ns: u64,
     messages: u64,
     text: String,
 }
 
-impl<W: Write + Seek> Export<'_, W> {
+impl<W: Write + Seek> Export<W> {
     fn export(
         &mut self,
         recording: &Recording,
         thinning: &Thinning,
     ) -> Result<usize, RecordingError> {
-        let failed = |error| failed(self.path, error);
         self.describe(recording, thinning)?;
         let mut topics: Vec<Topic> = Vec::new();
         let mut all = columns(recording);
@@ -222,9 +214,7 @@ impl<W: Write + Seek> Export<'_, W> {
         for (sequence, event) in events {
             self.event(log, sequence, &event)?;
         }
-        self.writer
-            .finish()
-            .map_err(|error| super::mcap::failed(self.path, error))?;
+        self.writer.finish().map_err(failed)?;
         Ok(topics.len() + 1)
     }
 
@@ -289,7 +279,7 @@ impl<W: Write + Seek> Export<'_, W> {
             };
             done = done.and_then(|()| self.writer.attach(&attachment));
         }
-        done.map_err(|error| failed(self.path, error))
+        done.map_err(failed)
     }
 
     fn sample(
@@ -361,7 +351,7 @@ impl<W: Write + Seek> Export<'_, W> {
         let written = self
             .writer
             .write_to_known_channel(&header, self.text.as_bytes());
-        written.map_err(|error| failed(self.path, error))
+        written.map_err(failed)
     }
 }
 

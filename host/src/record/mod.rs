@@ -99,7 +99,7 @@ use haptimill_protocol::message::{MAX_AXES, State};
 pub const MCAP_RATE: f64 = 1000.0;
 
 /// What a file got.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct McapWritten {
     /// Channels.
     pub channels: usize,
@@ -119,7 +119,7 @@ pub const MCAP: bool = cfg!(feature = "mcap");
 #[cfg(not(feature = "mcap"))]
 pub fn write_mcap(
     _: &Recording,
-    _: &std::path::Path,
+    _: &mut (impl std::io::Write + std::io::Seek),
     _: f64,
 ) -> Result<McapWritten, RecordingError> {
     Err(RecordingError::NoMcap)

@@ -90,13 +90,13 @@ fn page(
         recording.config().period_us
     );
     tiles(&mut page, summary);
-    if !summary.faults.is_empty() {
-        page.push_str("<h2>Faults</h2><div class=\"card bad\"><ul>");
-        for fault in &summary.faults {
-            put(&mut page, format_args!("<li>{}</li>", escape(fault)));
-        }
-        page.push_str("</ul></div>");
-    }
+    list(
+        &mut page,
+        "Spoilt in the simulator",
+        "card",
+        &summary.injected,
+    );
+    list(&mut page, "Faults", "card bad", &summary.faults);
     paths(&mut page, summary, statistics, pictures);
     time_charts(&mut page, recording, statistics, pictures);
     table(&mut page, summary);
@@ -107,6 +107,21 @@ fn page(
 /// Writing to a string cannot fail.
 fn put(page: &mut String, what: std::fmt::Arguments<'_>) {
     let _ = page.write_fmt(what);
+}
+
+/// A list under a heading; nothing if it is empty.
+fn list(page: &mut String, heading: &str, class: &str, items: &[String]) {
+    if items.is_empty() {
+        return;
+    }
+    put(
+        page,
+        format_args!("<h2>{heading}</h2><div class=\"{class}\"><ul>"),
+    );
+    for item in items {
+        put(page, format_args!("<li>{}</li>", escape(item)));
+    }
+    page.push_str("</ul></div>");
 }
 
 fn card(page: &mut String, note: &str, svg: &str) {

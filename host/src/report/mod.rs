@@ -44,6 +44,8 @@ pub struct Outcome {
     pub underruns: u64,
     /// Faults, each as a sentence.
     pub faults: Vec<String>,
+    /// What the simulator was told to spoil, each as the option `--fault` has it.
+    pub injected: Vec<String>,
     /// The program came to its end.
     pub completed: bool,
     /// State of the controller at the end; none when it was not heard any more.
@@ -93,6 +95,8 @@ pub struct Summary {
     pub underruns: u64,
     /// Faults, each as a sentence.
     pub faults: Vec<String>,
+    /// What the simulator was told to spoil, each as the option `--fault` has it.
+    pub injected: Vec<String>,
     /// The program came to its end.
     pub completed: bool,
     /// State of the controller at the end; `Unknown` when it was not heard any more.
@@ -145,6 +149,7 @@ impl Summary {
             setpoints: outcome.setpoints,
             underruns: outcome.underruns,
             faults: outcome.faults.clone(),
+            injected: outcome.injected.clone(),
             completed: outcome.completed,
             final_state: outcome
                 .final_state
@@ -196,6 +201,9 @@ impl Summary {
             self.slide_error_max_mm,
             self.slide_error_max_joint,
         );
+        for fault in &self.injected {
+            text.push_str(&format!("spoilt by --fault: {fault}\n"));
+        }
         for fault in &self.faults {
             text.push_str(&format!("fault: {fault}\n"));
         }

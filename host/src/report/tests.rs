@@ -69,6 +69,7 @@ fn outcome() -> Outcome {
         setpoints: 236,
         underruns: 0,
         faults: Vec::new(),
+        injected: Vec::new(),
         completed: true,
         final_state: Some(State::Idle),
         bytes_per_setpoint: 20.5,

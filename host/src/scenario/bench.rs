@@ -3,7 +3,7 @@
 use super::Pass;
 use super::course::Course;
 use crate::cli::{CliError, Exit};
-use crate::client::{JobEnding, Options};
+use crate::client::Options;
 use crate::machine::{MachineFile, work};
 use crate::model::{Model, program_options, settings};
 use crate::plan::Plan;
@@ -155,10 +155,7 @@ fn cut<C: Controlled>(
         CliError::new(Exit::Output, format!("{}: {error}", dir.display()))
     };
     let model = Model::new(machine);
-    let home = model.home(machine).ok_or_else(|| {
-        let what = format!("{}: the home preset has no pose", machine.file);
-        CliError::new(Exit::BadInput, what)
-    })?;
+    let home = session::home_of(machine)?;
     let plan = planned(machine, &model, &home, pass)?;
 
     let plant: PlantConfig = machine.plant()?;
@@ -171,8 +168,9 @@ fn cut<C: Controlled>(
     session.connect(1)?;
     session.configure(machine)?;
     session.enable()?;
-    let end = session.go_home(machine, &home)?;
-    well_ended(&session, pass, &end)?;
+    session
+        .go_home(machine, &home)
+        .map_err(|error| of_pass(pass, error))?;
     session.line_mut().clamp(&cutting)?;
     if machine.config.force.is_some() {
         session.tare()?;
@@ -214,6 +212,7 @@ fn cut<C: Controlled>(
         setpoints: u64::from(end.setpoints),
         underruns: end.underruns.len() as u64,
         faults: Vec::new(),
+        injected: Vec::new(),
         completed: true,
         final_state: Some(end.status.state),
         position_kept: end.status.position_kept,
@@ -268,21 +267,19 @@ fn well_ended<C: Controlled>(
     pass: &Pass,
     end: &JobEnd,
 ) -> Result<(), CliError> {
-    if let Some(fault) = end.faults.first() {
-        let error = session.fault(fault);
-        return Err(CliError::new(
-            error.exit,
-            format!("{}: {}", pass.program, error.message),
-        ));
-    }
-    if end.stopped || session.interrupted() {
+    session
+        .well_ended(end)
+        .map_err(|error| of_pass(pass, error))?;
+    if session.interrupted() {
         return Err(CliError::new(Exit::Stopped, "stopped by the user"));
     }
-    match &end.ending {
-        JobEnding::Done { .. } => Ok(()),
-        other => Err(CliError::new(
-            Exit::Command,
-            format!("{}: {other}", pass.program),
-        )),
+    Ok(())
+}
+
+/// An error of a pass names its program, unless the user wanted it.
+fn of_pass(pass: &Pass, error: CliError) -> CliError {
+    if error.exit == Exit::Stopped {
+        return error;
     }
+    CliError::new(error.exit, format!("{}: {}", pass.program, error.message))
 }

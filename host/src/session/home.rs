@@ -1,12 +1,28 @@
 //! From wherever the search for the references ends to the home pose.
 
-use super::{JobEnd, Line, Session, Unwatched};
+use super::{Line, Session, Unwatched};
 use crate::cli::{CliError, Exit};
 use crate::machine::MachineFile;
 use crate::model::{Model, program_options, settings};
 use crate::plan::Plan;
 use crate::program;
 use haptimill_protocol::message::AxisValues;
+
+/// The pose at the home preset.
+///
+/// # Errors
+/// There is none: a haptic arm alone has no tool, and presets may be out of reach.
+pub(crate) fn home_of(machine: &MachineFile) -> Result<AxisValues, CliError> {
+    Model::new(machine).home(machine).ok_or_else(|| {
+        let file = &machine.file;
+        let what = if machine.is_master() {
+            format!("{file}: a haptic arm alone, which has no tool to move; name a machine with --machine, and the arm with --hand of `haptimill teleop`")
+        } else {
+            format!("{file}: no pose has the joints at their presets; correct the presets")
+        };
+        CliError::new(Exit::BadInput, what)
+    })
+}
 
 /// The host's number of the job that goes to the home pose.
 const HOME_JOB: u32 = 1;
@@ -42,15 +58,12 @@ impl<L: Line> Session<L> {
     /// Finds the references, then goes to the home pose: the pose of the presets, of which every program can rely.
     ///
     /// # Errors
-    /// As [`Session::home`], and when the way is refused.
-    pub fn go_home(
-        &mut self,
-        machine: &MachineFile,
-        home: &AxisValues,
-    ) -> Result<JobEnd, CliError> {
+    /// As [`Session::home`], when the way is refused, and when its end is [not reached](Session::well_ended).
+    pub fn go_home(&mut self, machine: &MachineFile, home: &AxisValues) -> Result<(), CliError> {
         self.home()?;
         let here = self.status()?.wanted;
         let plan = way(machine, &self.model, &here, home, None)?;
-        self.run_job(HOME_JOB, here, plan.setpoints, &mut Unwatched)
+        let end = self.run_job(HOME_JOB, here, plan.setpoints, &mut Unwatched)?;
+        self.well_ended(&end)
     }
 }

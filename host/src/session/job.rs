@@ -1,10 +1,14 @@
 //! A job from its first setpoint to rest.
 
 use super::{Line, Session};
-use crate::cli::CliError;
+use crate::cli::{CliError, Exit};
 use crate::client::JobEnding;
 use haptimill_protocol::message::{AxisValues, Command, Event, Fault, State, Telemetry};
 use haptimill_protocol::setpoint::Setpoint;
+
+/// The emergency stop, in words.
+pub(crate) const EMERGENCY_STOP: &str =
+    "the emergency stop is latched, the drives are off; release it, then `haptimill reset`";
 
 /// How a job ended, and what happened on the way.
 #[derive(Debug, Clone, PartialEq)]
@@ -126,7 +130,7 @@ impl<L: Line> Session<L> {
         let before = self.client.link().counters();
         self.client
             .start_job(job, start, setpoints)
-            .map_err(|error| CliError::new(crate::cli::Exit::Port, error))?;
+            .map_err(|error| CliError::new(Exit::Port, error))?;
         let mut stopped = false;
         let mut pause = Pause::None;
         let mut idle_since = None;
@@ -178,7 +182,7 @@ impl<L: Line> Session<L> {
                     let since = *idle_since.get_or_insert(self.now_us);
                     if self.now_us - since > IDLE_US {
                         let what = "the controller stands idle and the end of the job was not heard: the line is too slow or too bad";
-                        return Err(CliError::new(crate::cli::Exit::Port, what));
+                        return Err(CliError::new(Exit::Port, what));
                     }
                 } else {
                     idle_since = None;
@@ -215,6 +219,34 @@ impl<L: Line> Session<L> {
         }
         self.ask(Command::Telemetry { every: 0 })?;
         Ok(end)
+    }
+
+    /// Whether a job came to its end.
+    ///
+    /// # Errors
+    /// Why it did not.
+    pub fn well_ended(&self, end: &JobEnd) -> Result<(), CliError> {
+        if let Some(fault) = end.faults.first() {
+            return Err(self.fault(fault));
+        }
+        if end.status.state == State::EmergencyStop {
+            return Err(CliError::new(Exit::Fault, EMERGENCY_STOP));
+        }
+        if end.stopped {
+            return Err(CliError::new(
+                Exit::Stopped,
+                "stopped by the user; the position is kept",
+            ));
+        }
+        match &end.ending {
+            JobEnding::Done { .. } => Ok(()),
+            JobEnding::Dropped { setpoints, .. } => Err(CliError::new(
+                Exit::Stopped,
+                format!("the job was stopped from elsewhere after {setpoints} setpoints"),
+            )),
+            JobEnding::Lost { error, .. } => Err(CliError::new(Exit::Port, error)),
+            other => Err(CliError::new(Exit::Command, other)),
+        }
     }
 
     /// Waits until the controller reports a state in which nothing moves, and no stop is on its way to it that would meet what comes next.

@@ -18,8 +18,10 @@ mod sim;
 
 pub use force::{LoopChoice, force_of};
 pub use hand::{HandCourse, HandSample};
+pub(crate) use home::home_of;
 #[cfg(feature = "console")]
 pub(crate) use home::way;
+pub(crate) use job::EMERGENCY_STOP;
 pub use job::{JobEnd, Sent, Unwatched, Watcher};
 pub use line::{JobLine, Line, PortLine};
 pub use sim::{JobRecording, SimLine, rig, rig_around};
@@ -342,7 +344,7 @@ impl<L: Line> Session<L> {
     /// Homes, and waits until it is done.
     ///
     /// # Errors
-    /// A refusal, a fault while homing, or the user stopped it.
+    /// A refusal, a fault or an emergency stop while homing, or the user stopped it.
     pub fn home(&mut self) -> Result<(), CliError> {
         let first = self.events.len();
         self.ask(Command::Home)?;
@@ -357,6 +359,11 @@ impl<L: Line> Session<L> {
                 match event {
                     Event::Homed => return Ok(()),
                     Event::Fault(fault) => return Err(self.fault(fault)),
+                    Event::State {
+                        from: State::Homing,
+                        to: State::EmergencyStop,
+                        ..
+                    } => return Err(CliError::new(Exit::Fault, EMERGENCY_STOP)),
                     Event::State {
                         from: State::Homing,
                         to,

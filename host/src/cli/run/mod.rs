@@ -13,7 +13,8 @@ use crate::port::{self, DEFAULT_BAUD, PortSpec};
 use crate::record::{Header, MCAP, MCAP_RATE, Recorder, Recording, RecordingError, write_mcap};
 use crate::report::{self, Outcome};
 use crate::session::{
-    self, JobEnd, JobLine, JobRecording, Line, PortLine, Session, SimLine, interrupt,
+    self, EMERGENCY_STOP, JobEnd, JobLine, JobRecording, Line, PortLine, Session, SimLine,
+    interrupt,
 };
 use clap::Args;
 use emulated::emulated;
@@ -23,6 +24,8 @@ use haptimill_hil_sim::cutting::CuttingConfig;
 use haptimill_hil_sim::fault::Fault;
 use haptimill_protocol::message::{AxisValues, Command, State};
 use progress::Bar;
+use std::fs::File;
+use std::io::{BufWriter, Write};
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -232,12 +235,7 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
         session::force_of(&machine)?;
     }
     let model = Model::new(&machine);
-    let home = model.home(&machine).ok_or_else(|| {
-        CliError::new(
-            Exit::BadInput,
-            format!("{}: the home preset has no pose", machine.file),
-        )
-    })?;
+    let home = session::home_of(&machine)?;
     let job = PartProgram::load(&args.program, args.optional_stop)?;
     let planned = job.plan(&machine, &model, &home)?;
     let work = args.clamped(&machine)?;
@@ -347,8 +345,7 @@ impl Running<'_> {
             (status.wanted, planned)
         } else {
             say(self.args, "homing");
-            let end = session.go_home(self.machine, &self.home)?;
-            self.well_ended(&session, &end)?;
+            session.go_home(self.machine, &self.home)?;
             (self.home.clone(), planned)
         };
         if let Some(work) = &self.work {
@@ -441,11 +438,13 @@ impl Running<'_> {
             Some(recorder) => recorder.finish().map_err(|error| output(&error))?,
             None => return Err(CliError::new(Exit::Internal, "the recording was lost")),
         };
+        let injected = self.args.fault.iter().map(ToString::to_string).collect();
         let outcome = match &end {
             Ok(end) => Outcome {
                 setpoints: u64::from(end.setpoints),
                 underruns: end.underruns.len() as u64,
                 faults: faults(&session, end),
+                injected,
                 completed: matches!(end.ending, JobEnding::Done { .. }),
                 final_state: Some(end.status.state),
                 position_kept: end.status.position_kept,
@@ -461,17 +460,19 @@ impl Running<'_> {
                     .telemetry()
                     .map_or(0, |last| u64::from(last.setpoint)),
                 faults: vec![error.message.clone()],
+                injected,
                 ..Outcome::default()
             },
         };
         let summary = report::write_all(&dir, &recorded, &outcome, self.args.trace_every)
             .map_err(|error| output(&error))?;
         if self.args.mcap {
-            Recording::open(&dir.join(report::RECORDING_FILE))
-                .and_then(|recording| {
-                    write_mcap(&recording, &dir.join(report::MCAP_FILE), MCAP_RATE)
-                })
+            let recording = Recording::open(&dir.join(report::RECORDING_FILE))
                 .map_err(|error| output(&error))?;
+            let file = File::create(dir.join(report::MCAP_FILE)).map_err(|error| output(&error))?;
+            let mut file = BufWriter::new(file);
+            write_mcap(&recording, &mut file, MCAP_RATE).map_err(|error| output(&error))?;
+            file.flush().map_err(|error| output(&error))?;
         }
         let over_s = session.now_us() as f64 * 1e-6;
         for fault in self.args.fault.iter().filter(|fault| fault.at_s > over_s) {
@@ -485,45 +486,21 @@ impl Running<'_> {
             tell!("{}", summary.terminal().trim_end());
             tell!("report      {}", dir.join(report::REPORT_FILE).display());
         }
-        end.and_then(|end| self.well_ended(&session, &end))
+        end.and_then(|end| self.judge(&session, &end))
             .map_err(CliError::told)
     }
 
     /// A job that did not reach its end is an error of the command.
-    fn well_ended<L: JobLine>(&self, session: &Session<L>, end: &JobEnd) -> Result<(), CliError> {
+    fn judge<L: JobLine>(&self, session: &Session<L>, end: &JobEnd) -> Result<(), CliError> {
         for (setpoint, late) in &end.underruns {
             let ms = f64::from(*late) * f64::from(self.machine.config.period_us) / 1000.0;
             eprintln!(
                 "setpoint {setpoint} was {ms:.0} ms late; the machine slowed down along its path and waited"
             );
         }
-        if let Some(fault) = end.faults.first() {
-            return Err(session.fault(fault));
-        }
-        if end.status.state == State::EmergencyStop {
-            return Err(CliError::new(Exit::Fault, EMERGENCY_STOP));
-        }
-        if end.stopped {
-            return Err(CliError::new(
-                Exit::Stopped,
-                "stopped by the user; the position is kept",
-            ));
-        }
-        match &end.ending {
-            JobEnding::Done { .. } => Ok(()),
-            JobEnding::Dropped { setpoints, .. } => Err(CliError::new(
-                Exit::Stopped,
-                format!("the job was stopped from elsewhere after {setpoints} setpoints"),
-            )),
-            JobEnding::Lost { error, .. } => Err(CliError::new(Exit::Port, error)),
-            other => Err(CliError::new(Exit::Command, other)),
-        }
+        session.well_ended(end)
     }
 }
-
-/// The emergency stop, in words.
-pub(crate) const EMERGENCY_STOP: &str =
-    "the emergency stop is latched, the drives are off; release it, then `haptimill reset`";
 
 /// What went wrong with the machine during a job, in words.
 fn faults<L: Line>(session: &Session<L>, end: &JobEnd) -> Vec<String> {

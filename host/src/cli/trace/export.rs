@@ -1,7 +1,7 @@
 //! `haptimill trace csv`, `plot` and `mcap`: recordings for other programs, and for the eye.
 
 use super::{CliError, WindowArgs, bad, chosen, failed, open, out, tell_cut};
-use crate::record::{MCAP_RATE, RecordingError, export_table, write_mcap};
+use crate::record::{MCAP_RATE, McapWritten, RecordingError, export_table, write_mcap};
 use crate::report::plot::Plot;
 use clap::Args;
 use std::io::{self, BufWriter, Write};
@@ -84,7 +84,7 @@ pub(super) fn csv(args: &CsvArgs) -> Result<(), CliError> {
         _ => Ok(()),
     };
     let done = match &args.out {
-        Some(path) => out::file(path, RecordingError::Write, write),
+        Some(path) => out::file(path, RecordingError::Write, |out| write(out)),
         None => write(&mut BufWriter::new(io::stdout().lock())),
     };
     match (done, &args.out) {
@@ -144,8 +144,15 @@ pub(super) fn mcap(args: &McapArgs) -> Result<(), CliError> {
     let out = args.out.clone();
     let out = out.unwrap_or_else(|| args.trace.with_extension("mcap"));
     out::not_over(&args.trace, &out, RECORDING)?;
-    let written =
-        write_mcap(&recording, &out, args.rate).map_err(|error| failed(&recording, error))?;
+    let mut written = McapWritten::default();
+    let done = out::file(&out, RecordingError::Write, |file| {
+        written = write_mcap(&recording, file, args.rate)?;
+        Ok(())
+    });
+    done.map_err(|error| match error {
+        RecordingError::Write(error) => out::unwritten(&out, error),
+        error => failed(&recording, error),
+    })?;
     tell!(
         "{}: {} channels, {} messages, {:.1} MB",
         out.display(),
