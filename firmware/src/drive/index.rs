@@ -34,9 +34,9 @@ impl IndexWatch {
             Some(turn) if turn > 4 * TOLERANCE as u64 && turn <= i32::MAX as u64 => turn,
             _ => 0,
         };
-        // The pitch is rounded to an axis unit, the count to the 2^24th part of one.
+        // The pitch is rounded to an axis unit, the count to the 2^24th part of one. With counts of less than two axis units nobody can tell.
         let rounding = (1 << 23) + turn / 2 + 1;
-        let whole = turn.saturating_mul(count).abs_diff(pitch) <= rounding;
+        let whole = rounding <= count / 4 && turn.saturating_mul(count).abs_diff(pitch) <= rounding;
         Self {
             turn: if whole { turn as i32 } else { 0 },
             due: None,

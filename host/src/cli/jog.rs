@@ -5,7 +5,7 @@ use super::{CliError, ConnectArgs, Exit, MachineArg, seconds};
 use crate::machine::MachineFile;
 use crate::machine::scale::per_unit;
 use crate::model::LETTERS;
-use crate::session::EMERGENCY_STOP;
+use crate::session::{EMERGENCY_STOP, has_tool};
 use clap::Args;
 use haptimill_protocol::message::{AxisValues, Event, RATE_SHIFT, State};
 use std::str::FromStr;
@@ -86,6 +86,9 @@ pub fn run(args: JogArgs) -> Result<(), CliError> {
     let end = begun + (args.duration * 1e6) as u64;
     let repeat = (f64::from(args.deadline) * 1000.0 * REPEAT) as u64;
     let mut next = begun;
+    if !args.json {
+        tell!("jogging for {} s; Ctrl-C stops", args.duration);
+    }
     let refused = loop {
         if session.now_us() >= next {
             next += repeat;
@@ -141,13 +144,7 @@ pub fn run(args: JogArgs) -> Result<(), CliError> {
 fn rates(args: &JogArgs, machine: &MachineFile) -> Result<AxisValues, CliError> {
     let mut rates: Vec<i32> = vec![0; machine.pose.len()];
     let usage = |what: String| CliError::new(Exit::Usage, what);
-    if machine.is_master() {
-        let what = format!(
-            "{}: a haptic arm alone, which has no tool to move; name a machine with --machine",
-            machine.file
-        );
-        return Err(CliError::new(Exit::BadInput, what));
-    }
+    has_tool(machine)?;
     let mut given = vec![false; machine.pose.len()];
     for wanted in &args.axes {
         let letters = || LETTERS.map(|letter| letter.to_lowercase().to_string());

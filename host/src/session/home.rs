@@ -8,18 +8,32 @@ use crate::plan::Plan;
 use crate::program;
 use haptimill_protocol::message::AxisValues;
 
+/// That the machine moves a tool.
+///
+/// # Errors
+/// It is a haptic arm alone.
+pub(crate) fn has_tool(machine: &MachineFile) -> Result<(), CliError> {
+    if !machine.is_master() {
+        return Ok(());
+    }
+    let what = format!(
+        "{}: a haptic arm alone, which has no tool to move; name a machine with --machine, and the arm with --hand of `haptimill teleop`",
+        machine.file
+    );
+    Err(CliError::new(Exit::BadInput, what))
+}
+
 /// The pose at the home preset.
 ///
 /// # Errors
-/// There is none: a haptic arm alone has no tool, and presets may be out of reach.
+/// There is none: the machine has no tool, or no pose at its presets.
 pub(crate) fn home_of(machine: &MachineFile) -> Result<AxisValues, CliError> {
+    has_tool(machine)?;
     Model::new(machine).home(machine).ok_or_else(|| {
-        let file = &machine.file;
-        let what = if machine.is_master() {
-            format!("{file}: a haptic arm alone, which has no tool to move; name a machine with --machine, and the arm with --hand of `haptimill teleop`")
-        } else {
-            format!("{file}: no pose has the joints at their presets; correct the presets")
-        };
+        let what = format!(
+            "{}: no pose has the joints at their presets; correct the presets",
+            machine.file
+        );
         CliError::new(Exit::BadInput, what)
     })
 }

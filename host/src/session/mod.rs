@@ -18,9 +18,9 @@ mod sim;
 
 pub use force::{LoopChoice, force_of};
 pub use hand::{HandCourse, HandSample};
-pub(crate) use home::home_of;
 #[cfg(feature = "console")]
 pub(crate) use home::way;
+pub(crate) use home::{has_tool, home_of};
 pub(crate) use job::EMERGENCY_STOP;
 pub use job::{JobEnd, Sent, Unwatched, Watcher};
 pub use line::{JobLine, Line, PortLine};
