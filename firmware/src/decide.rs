@@ -7,7 +7,7 @@ use crate::machinery::hand::Leading;
 use crate::motion::Mode;
 use crate::motion::program::Progress;
 use crate::safety::homing::Outcome;
-use crate::safety::keeps_position;
+use crate::safety::{keeps_position, suspected};
 use crate::server::Heard;
 use haptimill_protocol::message::{Event, Fault, HomingProblem, Refusal, State};
 
@@ -401,7 +401,11 @@ impl Controller {
             self.job.spindle_rpm = 0;
         }
         if let Some(fault) = self.safety.take_latched() {
-            self.job.preset_valid &= keeps_position(&fault);
+            // An encoder that is only suspected is asked while the references are looked for: a pulse out of its place ends that.
+            let asked = suspected(&fault)
+                .zip(self.machinery.as_ref())
+                .is_some_and(|(axis, machinery)| machinery.index_will_tell(axis));
+            self.job.preset_valid &= asked || keeps_position(&fault);
             if fault == Fault::Configuration {
                 // Nothing that it says can be relied on any more; the host sends a new one.
                 self.machinery = None;

@@ -5,6 +5,7 @@ mod yielding;
 
 use crate::config::{AxisKind, Config, JointAxis};
 use crate::drive::JointDrive;
+use crate::drive::index::IndexWatch;
 use crate::force::conditioning::COMPONENTS;
 use crate::force::{Design, ForceControl};
 use crate::io::{DriveCommand, Inputs};
@@ -32,8 +33,8 @@ const HAND_PART: usize = 2 + 2 * MAX_AXES;
 /// The part of the force sensor.
 const FORCE_PART: usize = HAND_PART + 1;
 
-/// Where each joint stands, and what its counts mean.
-pub type Standing = Vec<(Meaning, Coordinate), MAX_AXES>;
+/// Where each joint stands, what its counts mean, and where its index pulses must come.
+pub type Standing = Vec<(Meaning, Coordinate, IndexWatch), MAX_AXES>;
 
 /// What the counts of a joint's encoder mean: kind, axis units per count, preset, index and its pitch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -206,18 +207,31 @@ impl Machinery {
     pub fn standing(&self) -> Standing {
         let joints = self.config.joints.iter().zip(&self.joints);
         joints
-            .map(|(axis, joint)| (Meaning::of(axis), joint.sensed().motor))
+            .map(|(axis, joint)| {
+                let motor = joint.sensed().motor;
+                (Meaning::of(axis), motor, joint.indexes().clone())
+            })
             .collect()
+    }
+
+    /// Whether the next index pulse of a joint will tell if its encoder has lost counts.
+    #[must_use]
+    pub fn index_will_tell(&self, axis: u8) -> bool {
+        let joint = self.joints.get(usize::from(axis));
+        joint.is_some_and(|joint| joint.indexes().will_tell())
     }
 
     /// Takes over where the joints stood under another configuration, if counts mean the same; says whether they do.
     pub fn take_over(&mut self, standing: &Standing, inputs: &Inputs) -> bool {
         let meanings = self.config.joints.iter().map(Meaning::of);
-        if !meanings.eq(standing.iter().map(|(meaning, _)| *meaning)) {
+        if !meanings.eq(standing.iter().map(|(meaning, ..)| *meaning)) {
             return false;
         }
-        for (index, (joint, (_, motor))) in self.joints.iter_mut().zip(standing).enumerate() {
+        for (index, (joint, (_, motor, indexes))) in
+            self.joints.iter_mut().zip(standing).enumerate()
+        {
             joint.set_reference(inputs.axes[index].counts, *motor);
+            joint.take_over(indexes);
         }
         self.remember_measured();
         true

@@ -332,12 +332,12 @@ impl Describe for Fault {
             }
             Self::EncoderStill { axis } => write!(
                 f,
-                "{} was driven and its encoder saw no motion; check the encoder's cable, and whether the axis is blocked",
+                "{} was driven and its encoder saw no motion; look for what blocks it, check the encoder's cable, then reset and home",
                 joint(axis)
             ),
             Self::EncoderReversed { axis } => write!(
                 f,
-                "the encoder of {} counts the wrong way; swap its channels or the sign in the machine file",
+                "{} went another way than it was driven; look for what pushed it (where the wiring is new: swap the channels of its encoder, or the sign in the machine file), then reset and home",
                 joint(axis)
             ),
             Self::StepsLost { axis, by } => {

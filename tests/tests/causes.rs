@@ -2,6 +2,7 @@
 
 mod scene;
 
+use haptimill_firmware::safety::suspected;
 use haptimill_hil_sim::rig::RigOptions;
 use haptimill_protocol::message::{AxisValues, Command, Fault, Refusal, State};
 use haptimill_tests::Bench;
@@ -118,6 +119,53 @@ fn counts_that_are_lost_are_found_at_the_next_index() {
         // Where the slide is, nobody knows to the turn: somebody has to look.
         recover(&mut bench, State::Disabled);
         assert_eq!(bench.ask(Command::Home), Err(Refusal::PresetLost));
+    }
+}
+
+/// Who pushes a slide makes it look like one whose encoder is dead or wired the wrong way. The encoder saw all of it, and its next index pulse says so: no
+/// more is to be done than to home.
+#[test]
+fn a_slide_that_was_pushed_is_only_homed() {
+    for effort in [-300, -150, 100, 200, 400] {
+        let push = format!("push axis=l1 effort={effort} for=12ms");
+        let (mut bench, _) = faulty(&moving(0, 4.0), 4.0, &push);
+        bench.steps(1000);
+        let status = bench.status();
+        let fault = status.fault.expect("a fault");
+        assert_eq!(suspected(&fault), Some(0), "{effort} N: {fault:?}");
+        assert!(!status.position_kept && !status.homed);
+        recover(&mut bench, State::Disabled);
+        bench.ask(Command::Home).expect("homes");
+        assert!(bench.wait_for(State::Idle, 30_000), "{:?}", bench.status());
+        let status = bench.status();
+        assert!(status.homed && status.position_kept);
+        assert!(joint_off(&bench, 0) < 0.03);
+    }
+}
+
+/// As it is when the host has sent the configuration again, which is a new machinery.
+#[test]
+fn an_encoder_is_asked_beyond_a_new_configuration() {
+    for (fault, honest) in [
+        ("push axis=l1 effort=300 for=12ms", true),
+        (
+            "encoder-stuck axis=l1 channel=a level=high for=300ms",
+            false,
+        ),
+    ] {
+        let (mut bench, _) = faulty(&moving(0, 4.0), 4.0, fault);
+        bench.steps(3000);
+        bench.ask(Command::Reset).expect("reset");
+        bench.configure();
+        bench.ask(Command::Enable).expect("on");
+        bench.ask(Command::Home).expect("asked");
+        let found = bench.wait_for(State::Idle, 30_000);
+        let status = bench.status();
+        assert_eq!((found, status.homed), (honest, honest), "{status:?}");
+        if !honest {
+            let slip = matches!(status.fault, Some(Fault::EncoderSlip { axis: 0, .. }));
+            assert!(slip, "{status:?}");
+        }
     }
 }
 

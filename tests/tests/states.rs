@@ -413,7 +413,14 @@ fn a_configuration_that_is_activated_under_a_latched_fault_is_as_good_as_one_aft
     bench.configure();
     bench.ask(Command::Reset).expect("reset");
     bench.ask(Command::Enable).expect("enabled");
-    // An encoder that could not be believed: where the joints are is for the operator to say.
+    // An encoder that is suspected is asked at its index: it did not count right, and where the joints are is for the operator to say.
+    bench.ask(Command::Home).expect("asked");
+    assert!(bench.wait_for(State::Fault, 30_000));
+    let slip = bench.status().fault;
+    assert!(matches!(slip, Some(Fault::EncoderSlip { axis: 0, .. })));
+    bench.steps(1000);
+    bench.ask(Command::Reset).expect("reset");
+    bench.ask(Command::Enable).expect("enabled");
     assert_eq!(bench.ask(Command::Home), Err(Refusal::PresetLost));
     bench.ask(Command::Disable).expect("off");
     bench.configure_as(true);

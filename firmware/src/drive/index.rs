@@ -4,6 +4,9 @@
 //! of the motion cannot see that, for the loop takes the joint to wherever the counter says. Two pulses of one place, come to from both sides, may differ by a
 //! count, and pulses of some encoders by an edge or two: [`TOLERANCE`].
 //!
+//! It says the opposite as well. A joint that was pushed or held looks as one whose encoder is dead, and when its next pulse comes in its place it was not: it may be homed
+//! without anybody setting it up by hand.
+//!
 //! What is compared is raw counts, in whole numbers: it is exact after any number of turns. Where a pitch is no whole number of counts nothing is
 //! compared. Pulses are remembered while the drives are off, when somebody turns the screw.
 
@@ -61,6 +64,12 @@ impl IndexWatch {
         };
         self.due = Some(raw.wrapping_sub(off));
         off
+    }
+
+    /// Whether the next pulse will tell if counts were lost: one was seen.
+    #[must_use]
+    pub const fn will_tell(&self) -> bool {
+        self.turn != 0 && self.due.is_some()
     }
 
     /// What was off is known, and the joint gets its reference anew: the next pulse is the first.

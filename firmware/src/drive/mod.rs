@@ -271,6 +271,16 @@ impl JointDrive {
         self.encoder.disbelieve();
     }
 
+    /// Where index pulses must come.
+    pub const fn indexes(&self) -> &IndexWatch {
+        &self.indexes
+    }
+
+    /// The counter is that of a joint of before, which counted alike: its index pulses must come where that one's had to.
+    pub fn take_over(&mut self, indexes: &IndexWatch) {
+        self.indexes = indexes.clone();
+    }
+
     /// What was sensed last.
     #[inline]
     pub const fn sensed(&self) -> &Sensed {
