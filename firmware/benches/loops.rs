@@ -34,6 +34,7 @@ fn axis(drive: Drive) -> JointAxis {
         preset: Coordinate(0),
         index: Coordinate(0),
         index_pitch: Coordinate(10 << 20),
+        index_slack: 4,
         search: Coordinate(0),
     }
 }

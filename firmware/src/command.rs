@@ -193,6 +193,7 @@ impl Controller {
             self.job.preset_valid = false;
         }
         self.job.saturated = 0;
+        self.job.missed = 0;
         self.safety.enter(State::Idle);
         Ok(())
     }
@@ -391,9 +392,9 @@ impl Controller {
         Ok(())
     }
 
-    /// To a jog, and from one, only at rest; otherwise also while the coordinate moves.
+    /// To a jog, and from one, only at rest; otherwise also while the coordinate moves. Also while a fault is latched: a hand that stays broken would latch it again after each reset.
     fn choose_source(&mut self, axis: u8, source: Source) -> Done {
-        self.in_state(&[State::Idle, State::Hold, State::Run])?;
+        self.in_state(&[State::Idle, State::Hold, State::Run, State::Fault])?;
         let state = self.safety.state();
         let machinery = self.configured()?;
         if usize::from(axis) >= machinery.axes() {
@@ -411,10 +412,7 @@ impl Controller {
         if jogs && state == State::Run {
             return Err(Refusal::State(state));
         }
-        if jogs
-            && state == State::Hold
-            && !(machinery.motion.program.is_still() && machinery.motion.jog.is_still())
-        {
+        if jogs && state == State::Hold && !machinery.motion.is_still() {
             return Err(Refusal::State(state));
         }
         machinery.motion.set_source(usize::from(axis), source);

@@ -141,6 +141,8 @@ pub struct JointAxis {
     pub index: Coordinate,
     /// Distance from one index pulse to the next (one turn of the motor).
     pub index_pitch: Coordinate,
+    /// Counts by which an index pulse may be off its place, its own width included; less than a quarter of a turn. 0: pulses are only looked for, and never compared with the counts.
+    pub index_slack: u16,
     /// How far a found index may be from where the preset says; less than half the pitch.
     pub search: Coordinate,
 }

@@ -17,6 +17,9 @@ const OVERTAKEN_US: u64 = 450_000;
 /// How far a machine goes back along its path from a force that is too large: microseconds of the program.
 const BACK_OFF_US: u32 = 1_000_000;
 
+/// Periods in time that make up for a missed one: with a quarter of it, a controller that misses every second period would never be told from one that misses none.
+const PAID_BACK: u16 = 16;
+
 /// Periods between two looks at a part of the configuration.
 const INTEGRITY_PERIODS: u64 = 16;
 
@@ -141,6 +144,13 @@ impl Controller {
             self.job.unchecked = 0;
             if !machinery.configuration_intact() {
                 self.safety.raise(Fault::Configuration);
+                if self.safety.fault() != Some(Fault::Configuration) {
+                    // What is latched stays; nothing may be switched on with this all the same.
+                    self.safety.lose_position();
+                    self.job.preset_valid = false;
+                    self.machinery = None;
+                    return;
+                }
             }
         }
         if let Some(force) = &mut machinery.force
@@ -173,14 +183,16 @@ impl Controller {
             }
             self.safety.raise(Fault::Force(problem));
         }
-        // In a row, or again and again: what is missed counts in full and is made up for by one period in time.
+        // In a row, or again and again: what is missed counts in full and is made up for by periods in time, of which the one that comes late is none.
         let limit = machinery.config.supervision.missed_periods;
-        self.job.missed = self
-            .job
-            .missed
-            .saturating_add(inputs.missed)
-            .saturating_sub(1);
-        let late = inputs.missed >= limit || self.job.missed >= limit.saturating_mul(4);
+        self.job.missed = match inputs.missed {
+            0 => self.job.missed.saturating_sub(1),
+            missed => self
+                .job
+                .missed
+                .saturating_add(missed.saturating_mul(PAID_BACK)),
+        };
+        let late = inputs.missed >= limit || self.job.missed >= limit.saturating_mul(4 * PAID_BACK);
         if late {
             self.job.missed = 0;
             self.safety.raise(Fault::LatePeriod {
@@ -324,8 +336,7 @@ impl Controller {
             self.safety.tell(Event::Paused { setpoint });
             self.safety.enter(State::Hold);
         }
-        let motion = &machinery.motion;
-        let still = motion.program.is_still() && motion.jog.is_still() && motion.movers_still();
+        let still = machinery.motion.is_still();
         if progress.finished && still {
             let setpoints = machinery.motion.program.reached();
             if let Some(job) = self.job.number.take() {

@@ -17,7 +17,8 @@ pub const TRANSMIT_BYTES: usize = 64;
 pub struct AxisInputs {
     /// Quadrature x4 counter, free running, wraps around.
     pub counts: i32,
-    /// Time of the last counted edge, nanoseconds of a free running clock that wraps around (see [`Inputs::time_ns`]).
+    /// Time of the last counted edge, nanoseconds of a free running clock that wraps around (see [`Inputs::time_ns`]); up to a millisecond after it is taken for now.
+    /// Without such times no rate is known, and supervision is blind: a board that has none gives the latch of the period in which the count changed.
     pub edge_time_ns: u32,
     /// Illegal transitions (both channels at once), free running, wraps around.
     pub illegal: u16,
@@ -33,7 +34,7 @@ pub struct AxisInputs {
     pub limit_low: bool,
     /// Limit switch at the upper end is active.
     pub limit_high: bool,
-    /// The drive reports that it is well.
+    /// The drive reports no alarm. It is asked for before the drive is switched on, so it must not wait for that.
     pub drive_ready: bool,
 }
 
@@ -115,10 +116,11 @@ pub struct Inputs {
 /// Pulses of one period on a step/dir drive, in ticks of the step clock.
 ///
 /// Step `k` (from 0) leaves at `delay + k * interval + ramp * k * (k - 1) / 2` ticks after the start of the period. All steps of a
-/// segment have one direction. The direction line takes its level at the start of the period.
+/// segment have one direction. The direction line takes its level at the start of a period that has steps; in one without, and while the drive is [off](DriveCommand::Off), it
+/// stays as it is. The planner counts on that: time to set the direction up is left only where it changes.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct StepSegment {
-    /// Steps; the sign is the direction.
+    /// Steps; the sign is the direction. 0 has none: the line stays.
     pub count: i16,
     /// Ticks from the start of the period to the first step.
     pub delay: u32,

@@ -4,8 +4,7 @@ pub mod hand;
 mod yielding;
 
 use crate::config::{AxisKind, Config, JointAxis};
-use crate::drive::JointDrive;
-use crate::drive::index::IndexWatch;
+use crate::drive::{JointDrive, Kept};
 use crate::force::conditioning::COMPONENTS;
 use crate::force::{Design, ForceControl};
 use crate::io::{DriveCommand, Inputs};
@@ -33,8 +32,8 @@ const HAND_PART: usize = 2 + 2 * MAX_AXES;
 /// The part of the force sensor.
 const FORCE_PART: usize = HAND_PART + 1;
 
-/// Where each joint stands, what its counts mean, and where its index pulses must come.
-pub type Standing = Vec<(Meaning, Coordinate, IndexWatch), MAX_AXES>;
+/// What the counts of each joint mean, where it stands, and what is known of its encoder.
+pub type Standing = Vec<(Meaning, Kept), MAX_AXES>;
 
 /// What the counts of a joint's encoder mean: kind, axis units per count, preset, index and its pitch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -207,10 +206,7 @@ impl Machinery {
     pub fn standing(&self) -> Standing {
         let joints = self.config.joints.iter().zip(&self.joints);
         joints
-            .map(|(axis, joint)| {
-                let motor = joint.sensed().motor;
-                (Meaning::of(axis), motor, joint.indexes().clone())
-            })
+            .map(|(axis, joint)| (Meaning::of(axis), joint.standing()))
             .collect()
     }
 
@@ -224,14 +220,11 @@ impl Machinery {
     /// Takes over where the joints stood under another configuration, if counts mean the same; says whether they do.
     pub fn take_over(&mut self, standing: &Standing, inputs: &Inputs) -> bool {
         let meanings = self.config.joints.iter().map(Meaning::of);
-        if !meanings.eq(standing.iter().map(|(meaning, ..)| *meaning)) {
+        if !meanings.eq(standing.iter().map(|(meaning, _)| *meaning)) {
             return false;
         }
-        for (index, (joint, (_, motor, indexes))) in
-            self.joints.iter_mut().zip(standing).enumerate()
-        {
-            joint.set_reference(inputs.axes[index].counts, *motor);
-            joint.take_over(indexes);
+        for (index, (joint, (_, kept))) in self.joints.iter_mut().zip(standing).enumerate() {
+            joint.take_over(inputs.axes[index].counts, kept);
         }
         self.remember_measured();
         true
@@ -330,6 +323,7 @@ impl Machinery {
     /// Begins the search for the references.
     pub fn begin_homing(&mut self) {
         self.absorb();
+        self.joints.iter_mut().for_each(|joint| joint.search(true));
         self.motion.begin_jog(false);
         self.homing = Homing::default();
     }
@@ -356,6 +350,7 @@ impl Machinery {
         for (index, joint) in self.joints.iter_mut().enumerate() {
             let coordinate = joint.sensed().motor.0.wrapping_add(corrections[index].0);
             joint.set_reference(inputs.axes[index].counts, Coordinate(coordinate));
+            joint.search(false);
         }
         self.remember_measured();
         let pose = self.machine.forward(&self.measured)?;

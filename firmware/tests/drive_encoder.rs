@@ -250,3 +250,28 @@ fn illegal_transitions_are_counted_since_they_were_cleared() {
     encoder.read(&inputs, 2);
     assert_eq!(encoder.illegal(), 0);
 }
+
+/// A board reads its clock, then its capture registers, and an edge may come in between: it is one of now.
+#[test]
+fn an_edge_after_the_clock_was_read_is_one_of_now() {
+    for late in [false, true] {
+        let mut encoder = Encoder::new(AxisKind::Linear, PER_COUNT);
+        for period in 0..12_u32 {
+            // 50 mm/s: an edge each 25 us, 8 in a period.
+            let time_ns = 1_000_000 + period * 200_000;
+            let late = late && (6..9).contains(&period);
+            let edge_time_ns = if late { time_ns + 300 } else { time_ns - 5_000 };
+            let counts = period as i32 * 8;
+            encoder.read(
+                &AxisInputs {
+                    counts,
+                    edge_time_ns,
+                    ..AxisInputs::default()
+                },
+                time_ns,
+            );
+            let rate = f64::from(encoder.rate().0) / f64::from(1 << 20);
+            assert!(period < 3 || (rate - 50.0).abs() < 2.0, "{period}: {rate}");
+        }
+    }
+}

@@ -1,6 +1,6 @@
 //! Index pulses against counts: what is lost is found, what is not lost is never said to be.
 
-use haptimill_firmware::drive::index::{IndexWatch, TOLERANCE};
+use haptimill_firmware::drive::index::IndexWatch;
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 
@@ -10,81 +10,134 @@ const PER_COUNT: i64 = 21_990_232_556;
 /// 10 mm.
 const PITCH: i32 = 10 << 20;
 
-/// Pulses of a shaft on its way: each after so many turns more, and a count apart where it is come to from the other side.
-fn pulses(first: i32, turn: i32, turns: &[i32]) -> impl Iterator<Item = i32> {
+/// Counts that a pulse may be off.
+const SLACK: u16 = 4;
+
+fn watch() -> IndexWatch {
+    IndexWatch::new(PITCH, PER_COUNT, SLACK)
+}
+
+/// Pulses of a shaft on its way, so many counts wide: each after so many turns more, and at its other end where it is come to from the other side.
+fn pulses(first: i32, width: i32, turns: &[i32]) -> impl Iterator<Item = i32> {
     let mut raw = first;
     turns.iter().map(move |turns| {
         // The counter is free running and wraps around.
-        raw = raw.wrapping_add(turn.wrapping_mul(*turns));
-        raw.wrapping_add(i32::from(*turns < 0))
+        raw = raw.wrapping_add(turns.wrapping_mul(8000));
+        raw.wrapping_add(if *turns < 0 { width - 1 } else { 0 })
     })
 }
 
 proptest! {
     #![proptest_config(ProptestConfig { rng_seed: RngSeed::Fixed(1), failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Of a counter that loses nothing nothing is said, however far it goes, and whatever it began at.
+    /// Of a counter that loses nothing nothing is said, however far it goes and to and fro, whatever it began at, and with pulses as wide as the slack has room for.
     #[test]
     fn a_counter_that_loses_nothing_is_believed(
         first in any::<i32>(),
+        width in 1..=12_i32,
         turns in prop::collection::vec(-20..=20_i32, 1..200),
         backwards in any::<bool>(),
     ) {
         let per_count = if backwards { -PER_COUNT } else { PER_COUNT };
-        let mut watch = IndexWatch::new(PITCH, per_count);
-        for raw in pulses(first, 8000, &turns) {
-            prop_assert!(watch.pulse(raw).unsigned_abs() <= 1);
+        let mut watch = IndexWatch::new(PITCH, per_count, SLACK.max(width as u16 - 1));
+        for raw in pulses(first, width, &turns) {
+            prop_assert_eq!(watch.pulse(raw), None);
         }
     }
 
-    /// All that is lost or gained between two pulses is said at the second one, as long as it is less than half a turn.
+    /// All that is lost or gained is said when a second pulse is off by as much, as long as it is less than half a turn.
     #[test]
     fn what_is_lost_is_said(
         first in any::<i32>(),
-        turns in prop::collection::vec(1..=20_i32, 2..20),
+        turns in prop::collection::vec(1..=20_i32, 4..20),
         lost in 5..3990_i32,
         gained in any::<bool>(),
         at in any::<prop::sample::Index>(),
     ) {
         let lost = if gained { lost } else { -lost };
-        let at = 1 + at.index(turns.len() - 1);
-        let mut watch = IndexWatch::new(PITCH, PER_COUNT);
-        let offs: Vec<i32> = pulses(first, 8000, &turns)
+        let at = 2 + at.index(turns.len() - 3);
+        let mut watch = watch();
+        let said: Vec<Option<i32>> = pulses(first, 1, &turns)
             .enumerate()
             .map(|(number, raw)| watch.pulse(if number < at { raw } else { raw.wrapping_add(lost) }))
             .collect();
-        prop_assert_eq!(offs.iter().position(|off| off.unsigned_abs() > TOLERANCE), Some(at));
-        prop_assert_eq!(offs[at], lost);
+        prop_assert_eq!(said.iter().position(Option::is_some), Some(at + 1));
+        prop_assert_eq!(said[at + 1], Some(lost));
+    }
+
+    /// Pulses that are noise, wherever they come, are no fault: neither the first one nor any other.
+    #[test]
+    fn a_stray_pulse_is_no_loss(first in any::<i32>(), stray in any::<i32>(), at in 0..20_usize) {
+        let mut watch = watch();
+        for (number, raw) in pulses(first, 1, &[1; 20]).enumerate() {
+            if number == at {
+                prop_assert_eq!(watch.pulse(stray), None);
+            }
+            prop_assert_eq!(watch.pulse(raw), None, "after {} at {}", stray, at);
+        }
     }
 
     /// Counts that are lost one by one add up to what is said.
     #[test]
     fn what_is_lost_little_by_little_adds_up(each in 1..=4_i32) {
-        let mut watch = IndexWatch::new(PITCH, PER_COUNT);
-        let said = (0..10).position(|turn| watch.pulse(turn * (8000 - each)).unsigned_abs() > TOLERANCE);
-        prop_assert_eq!(said, Some((TOLERANCE as i32 / each + 1) as usize));
+        let mut watch = watch();
+        let said = (0..20).position(|turn| watch.pulse(turn * (8000 - each)).is_some());
+        let soon = usize::from(SLACK) / each as usize + 3;
+        prop_assert!(said.is_some_and(|turn| turn <= soon), "{:?} {}", said, soon);
+    }
+
+    /// While the references are looked for a single pulse says it, and a pulse in its place is the one from which is counted.
+    #[test]
+    fn a_search_believes_each_pulse(first in any::<i32>(), off in -3990..=3990_i32) {
+        let mut watch = watch();
+        for raw in pulses(first, 1, &[1, 1]) {
+            prop_assert_eq!(watch.pulse(raw), None);
+        }
+        prop_assert!(watch.will_tell());
+        watch.search(true);
+        let raw = first.wrapping_add(24_000 + off);
+        let lost = off.unsigned_abs() > u32::from(SLACK);
+        prop_assert_eq!(watch.pulse(raw), lost.then_some(off));
+        watch.search(false);
+        if !lost {
+            // What was off then does not count any more.
+            let more = raw.wrapping_add(8000 + off.signum() * i32::from(SLACK));
+            prop_assert_eq!([watch.pulse(more), watch.pulse(more)], [None, None]);
+        }
     }
 
     /// A pitch that is no whole number of counts, or that no encoder has, says nothing; nor does anything panic.
     #[test]
-    fn what_cannot_be_compared_is_not(pitch in any::<i32>(), per_count in any::<i64>(), raws in prop::collection::vec(any::<i32>(), 0..20)) {
-        let mut watch = IndexWatch::new(pitch, per_count);
+    fn what_cannot_be_compared_is_not(
+        pitch in any::<i32>(),
+        per_count in any::<i64>(),
+        slack in any::<u16>(),
+        raws in prop::collection::vec(any::<i32>(), 0..20),
+    ) {
+        let mut watch = IndexWatch::new(pitch, per_count, slack);
         for raw in &raws {
             let _ = watch.pulse(*raw);
         }
-        // 8000.25 counts a turn.
-        let mut watch = IndexWatch::new(PITCH, (i64::from(PITCH) << 26) / 32_001);
-        for raw in raws {
-            prop_assert_eq!(watch.pulse(raw), 0);
+        // 8000.25 counts a turn; and one that nobody wants compared.
+        let quarter = IndexWatch::new(PITCH, (i64::from(PITCH) << 26) / 32_001, SLACK);
+        for mut watch in [quarter, IndexWatch::new(PITCH, PER_COUNT, 0)] {
+            for raw in &raws {
+                prop_assert_eq!(watch.pulse(*raw), None);
+            }
+            prop_assert!(!watch.will_tell());
         }
     }
 }
 
 #[test]
-fn after_its_reference_is_found_anew_the_next_pulse_is_the_first() {
-    let mut watch = IndexWatch::new(PITCH, PER_COUNT);
-    assert_eq!([0, 8000, 16_100].map(|raw| watch.pulse(raw)), [0, 0, 100]);
-    assert_eq!(watch.pulse(24_100), 100);
+fn after_a_loss_was_said_pulses_begin_anew() {
+    let mut watch = watch();
+    let said = [0, 8000, 16_100, 24_100].map(|raw| watch.pulse(raw));
+    assert_eq!(said, [None, None, None, Some(100)]);
     watch.forget();
-    assert_eq!([32_100, 24_100].map(|raw| watch.pulse(raw)), [0, 0]);
+    assert!(!watch.will_tell());
+    assert_eq!(
+        [32_100, 40_100, 48_100].map(|raw| watch.pulse(raw)),
+        [None; 3]
+    );
 }

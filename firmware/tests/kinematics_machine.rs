@@ -67,6 +67,7 @@ fn joint(kind: AxisKind, low: Coordinate, high: Coordinate) -> JointAxis {
         preset: Coordinate::ZERO,
         index: Coordinate::ZERO,
         index_pitch: Coordinate(MM),
+        index_slack: 4,
         search: Coordinate::ZERO,
     }
 }

@@ -325,7 +325,7 @@ impl Describe for Fault {
                 let did = if counts < 0 { "lost" } else { "gained" };
                 write!(
                     f,
-                    "the encoder of {} {did} {} counts from one index pulse to another; check its cable, shield and coupling, then reset and home",
+                    "the encoder of {} {did} {} counts from one index pulse to another; check its cable and shield, and how wide its pulse is (index_slack_counts in the machine file), then reset and home",
                     joint(axis),
                     counts.unsigned_abs()
                 )
@@ -356,7 +356,7 @@ impl Describe for Fault {
             }
             Self::LatePeriod { missed } => write!(
                 f,
-                "the controller missed {missed} control periods in a row; report this"
+                "the controller missed control periods, {missed} of them at once; it has more to do than a period is long, report this"
             ),
             Self::Homing { axis, problem } => {
                 write!(

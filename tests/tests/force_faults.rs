@@ -7,8 +7,10 @@ use haptimill_hil_sim::sensor::{End, SensorCondition};
 use haptimill_protocol::force::{ForceProblem, Gate};
 use haptimill_protocol::message::{Command, Event, Fault, State};
 use haptimill_tests::Bench;
-use scene::force::{block, control, job, loop_of, ready_at, sensor_alone, tare, wall, yielded};
-use scene::{distance, line, state, told, tool};
+use scene::force::{
+    block, control, job, loop_of, ready_at, sensor_alone, tare, wall, yield_rate, yielded,
+};
+use scene::{MM, distance, line, state, told, tool};
 
 /// What breaks the sensor, and what it must be called.
 fn broken(bench: &mut Bench, condition: SensorCondition) {
@@ -199,6 +201,59 @@ fn after_a_fault_the_tool_stays_and_can_be_jogged_away() {
     bench.steps(7500);
     assert_eq!(state(&bench), State::Idle, "{:?}", bench.events);
     assert!(tool(&bench)[0] - before[0] > 0.5);
+}
+
+/// The contact is lost and the tool returns, when the fault of a silent host is reset, or the references are looked for: the reference must not stop within a period.
+#[test]
+fn a_tool_on_its_way_back_is_not_stopped_at_once() {
+    for reset in [true, false] {
+        let mut bench = scene::ready();
+        let process = wall(tool(&bench), 0.5, 20.0);
+        bench.rig.plant_mut().fit(&process).expect("sound");
+        bench.steps(100);
+        tare(&mut bench);
+        let mut settings = loop_of(1.0, 2.0, Gate::AgainstMotion);
+        settings.desired *= if reset { 3 } else { 1 };
+        control(&mut bench, 0, settings);
+        job(&mut bench, -4.0, 30, if reset { 3.0 } else { 0.05 });
+        while yielded(&bench) < 5.0 {
+            bench.step();
+            assert_eq!(state(&bench), State::Run, "{:?}", bench.events);
+        }
+        let process = bench.rig.plant_mut().process_mut().expect("there");
+        process.set_wall(None);
+        let command = if reset {
+            for _ in 0..6000 {
+                bench.step_spoiled(Vec::clear);
+                if state(&bench) == State::Fault {
+                    break;
+                }
+            }
+            bench.link.open(78, bench.rig.time_ns() / 1000);
+            bench.steps(50);
+            Command::Reset
+        } else {
+            while state(&bench) == State::Run {
+                bench.step();
+            }
+            Command::Home
+        };
+        assert!(yielded(&bench) > 0.5 && yield_rate(&bench) < -1.0);
+        bench.say(command);
+        let rate = |bench: &Bench| {
+            let machinery = bench.rig.control().machinery().expect("configured");
+            f64::from(machinery.reference().rates[0].0) / MM
+        };
+        let mut before = rate(&bench);
+        for _ in 0..5000 {
+            bench.step();
+            let now = rate(&bench);
+            assert!((now - before).abs() < 0.25, "{before} -> {now} mm/s");
+            before = now;
+        }
+        let reached = if reset { State::Idle } else { State::Homing };
+        assert_eq!(state(&bench), reached, "{:?}", bench.events);
+    }
 }
 
 /// The spindle stops in the cut, without force control: the force limit trips, and the tool goes back by the way it came.

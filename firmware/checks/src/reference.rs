@@ -74,6 +74,7 @@ fn slide(preset: f64) -> JointAxis {
         preset: Coordinate(mm(preset)),
         index: Coordinate(mm(preset + 3.0)),
         index_pitch: Coordinate(mm(10.0)),
+        index_slack: 4,
         search: Coordinate(mm(3.0)),
     }
 }
@@ -89,6 +90,7 @@ fn table() -> JointAxis {
         preset: Coordinate(0),
         index: Coordinate(degrees(1.0)),
         index_pitch: Coordinate(degrees(4.0)),
+        index_slack: 4,
         search: Coordinate(degrees(1.5)),
         following: Coordinate(degrees(0.5)),
         still: Coordinate(degrees(0.2)),

@@ -204,6 +204,9 @@ impl Config {
         let search =
             axis.search.0 > 0 && i64::from(axis.search.0) * 2 < i64::from(axis.index_pitch.0);
         require(search, ConfigField::Homing, here)?;
+        let turn = (u64::from(axis.index_pitch.0.unsigned_abs()) << 24) / per_count;
+        let slack = u64::from(axis.index_slack) * 4 < turn;
+        require(slack, ConfigField::Homing, here)?;
         self.check_drive(here, axis)
     }
 

@@ -18,6 +18,9 @@ use crate::units::scale::shift_right;
 /// After this long without an edge the joint is at rest: half of the range of the clock.
 const STALE_NS: u32 = 1 << 31;
 
+/// From here on an age is that of an edge that came up to a millisecond after the clock was read. Older ones were [stale](STALE_NS) long before.
+const AHEAD_NS: u32 = u32::MAX - 999_999;
+
 /// The last two places at which edges were seen, and when.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct EdgeRate {
@@ -72,6 +75,8 @@ impl EdgeRate {
     pub const fn note(&mut self, moved: i32, counts: i32, edge_time_ns: u32, time_ns: u32) {
         let interval = edge_time_ns.wrapping_sub(self.edge_time_ns);
         let age = time_ns.wrapping_sub(edge_time_ns);
+        // An edge between the reading of the clock and that of its time is one of now, not one of four seconds ago.
+        let age = if age >= AHEAD_NS { 0 } else { age };
         self.age_ns = age;
         if moved != 0 || interval != 0 {
             // Place of the last edge: half a count behind the count, seen in its direction. With a net motion of zero the edges were

@@ -162,6 +162,11 @@ impl Encoder {
         self.illegal = u32::MAX;
     }
 
+    /// The illegal transitions that were counted under another configuration.
+    pub const fn take_over_illegal(&mut self, illegal: u32) {
+        self.illegal = illegal;
+    }
+
     /// Forgets the illegal transitions.
     pub const fn clear_illegal(&mut self) {
         self.illegal = 0;

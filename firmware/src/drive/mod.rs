@@ -31,7 +31,7 @@ use crate::units::{Acceleration, Coordinate, Effort, Rate};
 use backlash::Backlash;
 use encoder::{Encoder, difference, sum};
 use haptimill_protocol::message::Fault;
-use index::{IndexWatch, TOLERANCE};
+use index::IndexWatch;
 use steps::{PulseTiming, StepPlanner};
 use torque::TorqueOutput;
 
@@ -65,7 +65,7 @@ pub struct Sensed {
     pub illegal: u32,
     /// A new index pulse: its raw count, and the motor's coordinate there.
     pub index: Option<(i32, Coordinate)>,
-    /// Counts by which an index pulse was off, more than [`TOLERANCE`], since enable; else 0.
+    /// Counts by which index pulses are off, more than the configuration allows, since enable; else 0.
     pub off: i32,
     /// Step/dir only: coordinate according to the steps emitted, less the measured one.
     pub slip: Coordinate,
@@ -97,6 +97,16 @@ pub struct Driven {
     pub saturated: bool,
     /// Steps owed because they did not fit.
     pub lag: i32,
+}
+
+/// Where a joint stands, and what is known of its encoder.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Kept {
+    motor: Coordinate,
+    slide: Coordinate,
+    illegal: u32,
+    off: i32,
+    indexes: IndexWatch,
 }
 
 /// The output side, by kind of drive.
@@ -219,7 +229,7 @@ impl JointDrive {
         Ok(Self {
             kind: axis.kind,
             encoder: Encoder::new(axis.kind, axis.per_count),
-            indexes: IndexWatch::new(axis.index_pitch.0, axis.per_count),
+            indexes: IndexWatch::new(axis.index_pitch.0, axis.per_count, axis.index_slack),
             backlash: Backlash::new(axis.kind, axis.backlash, period_us),
             output,
             watch: Watch::of(axis),
@@ -249,10 +259,7 @@ impl JointDrive {
                 supervision.compare(self.kind, self.enabled, inputs.steps, motor);
         }
         if let Some((raw, _)) = measured.index {
-            let off = self.indexes.pulse(raw);
-            if off.unsigned_abs() > TOLERANCE {
-                self.disbelieve(off);
-            }
+            self.note_pulse(raw);
         }
         let sensed = &mut self.sensed;
         sensed.coordinate = self.backlash.carry(measured.coordinate);
@@ -263,22 +270,24 @@ impl JointDrive {
         &self.sensed
     }
 
-    /// Counts were lost: until the joint is enabled anew.
+    /// Counts that were lost make the encoder unbelievable until the joint is enabled anew.
     #[cold]
     #[inline(never)]
-    fn disbelieve(&mut self, off: i32) {
-        self.sensed.off = off;
-        self.encoder.disbelieve();
+    fn note_pulse(&mut self, raw: i32) {
+        if let Some(off) = self.indexes.pulse(raw) {
+            self.sensed.off = off;
+            self.encoder.disbelieve();
+        }
+    }
+
+    /// The references are looked for, or not any more.
+    pub fn search(&mut self, searching: bool) {
+        self.indexes.search(searching);
     }
 
     /// Where index pulses must come.
     pub const fn indexes(&self) -> &IndexWatch {
         &self.indexes
-    }
-
-    /// The counter is that of a joint of before, which counted alike: its index pulses must come where that one's had to.
-    pub fn take_over(&mut self, indexes: &IndexWatch) {
-        self.indexes = indexes.clone();
     }
 
     /// What was sensed last.
@@ -297,6 +306,7 @@ impl JointDrive {
         self.encoder.clear_illegal();
         self.sensed.illegal = 0;
         self.sensed.off = 0;
+        self.indexes.search(false);
         match &mut self.output {
             Output::Torque { law, output } => {
                 law.reset(Coordinate(0));
@@ -350,6 +360,28 @@ impl JointDrive {
         self.sensed.coordinate = sum(self.kind, self.sensed.coordinate, shift);
         self.sensed.motor = sum(self.kind, self.sensed.motor, shift);
         shift
+    }
+
+    /// What a joint of another configuration, whose counts mean the same, takes over.
+    pub fn standing(&self) -> Kept {
+        Kept {
+            motor: self.sensed.motor,
+            slide: self.sensed.coordinate,
+            illegal: self.sensed.illegal,
+            off: self.sensed.off,
+            indexes: self.indexes.clone(),
+        }
+    }
+
+    /// Takes over where a joint stood, whose counter is at `raw`, and what was wrong with its encoder.
+    pub fn take_over(&mut self, raw: i32, kept: &Kept) {
+        self.set_reference(raw, kept.motor);
+        self.backlash.place(kept.slide);
+        self.sensed.coordinate = self.backlash.carry(kept.motor);
+        self.encoder.take_over_illegal(kept.illegal);
+        self.sensed.illegal = kept.illegal;
+        self.sensed.off = kept.off;
+        self.indexes = kept.indexes.clone();
     }
 
     /// Supervision at a glance: whether the joint is certain to do what it was told in the period before. Where not, [`JointDrive::supervise`] has to look.

@@ -464,6 +464,21 @@ impl ForceControl {
             .any(|axis| axis.compliance.displacement() != Displacement::default())
     }
 
+    /// Whether the tool is yielding, or returning.
+    #[must_use]
+    pub fn moves(&self) -> bool {
+        self.yielding
+            .iter()
+            .any(|yielding| yielding.rate != Rate::ZERO)
+    }
+
+    /// The sensor must show its sign again.
+    pub fn forget_contact(&mut self) {
+        for axis in &mut self.axes {
+            axis.guard.reset(true);
+        }
+    }
+
     /// Other settings of one axis; in force some periods later, without a jump of the tool.
     ///
     /// # Errors

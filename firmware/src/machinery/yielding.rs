@@ -5,7 +5,7 @@
 //! p_c bends to three bounds. Its own limit is in its law. Where p_r would leave a soft limit it stands there, and p_c gives way (never beyond 0: p_d is inside). Where
 //! the machine cannot place p_r, p_c is taken back to what it was a period before; if p_r cannot be placed even then, it is a fault.
 //!
-//! Misuse: [`Machinery::absorb`] while the machine moves. What is wanted would jump.
+//! Misuse: [`Machinery::absorb`] while the machine moves (other than by p_c). What is wanted would jump.
 
 use super::{FORCE_PART, Machinery};
 use crate::config::Config;
@@ -232,11 +232,15 @@ impl Machinery {
         Some(component as u8)
     }
 
-    /// Wanted becomes the reference, at rest: the tool stays where it yielded to.
+    /// Wanted becomes the reference, at rest: the tool stays where it yielded to. One that is on its way goes on by its law: where it is, it would be stopped within a period.
     pub fn absorb(&mut self) {
         let Some(force) = &mut self.force else {
             return;
         };
+        if force.moves() {
+            force.forget_contact();
+            return;
+        }
         if force.displaced() {
             let pose = self.reference.pose;
             self.motion.place(&pose);

@@ -206,6 +206,13 @@ impl Motion {
         }
     }
 
+    /// Whether nothing moves: neither the program, nor a jog, nor what follows a hand or brakes.
+    #[must_use]
+    #[inline]
+    pub fn is_still(&self) -> bool {
+        self.program.is_still() && self.jog.is_still() && self.movers_still()
+    }
+
     /// Whether no mover is under way.
     #[must_use]
     pub fn movers_still(&self) -> bool {

@@ -22,17 +22,17 @@ pub struct Ramp {
     slope: i64,
 }
 
-/// Largest slope that [`RampLimits`] takes: its square, and the stopping distance, fit 64 bits.
+/// Slopes that [`RampLimits`] takes are below: twice their square fits 64 bits.
 const SLOPE_MAX: i64 = 1 << 31;
 
 /// Largest value that a ramp may be sent to.
 pub const VALUE_MAX: i64 = 1 << 44;
 
 impl RampLimits {
-    /// Limits of `slope` per period and a change of slope of `jerk` per period; `None` unless 0 < jerk <= slope <= 2^31.
+    /// Limits of `slope` per period and a change of slope of `jerk` per period; `None` unless 0 < jerk <= slope < 2^31.
     #[must_use]
     pub const fn new(slope: i64, jerk: i64) -> Option<Self> {
-        if jerk > 0 && jerk <= slope && slope <= SLOPE_MAX {
+        if jerk > 0 && jerk <= slope && slope < SLOPE_MAX {
             let rise = slope / jerk;
             Some(Self { slope, jerk, rise })
         } else {
@@ -185,7 +185,10 @@ mod tests {
         assert!(RampLimits::new(0, 0).is_none());
         assert!(RampLimits::new(10, 0).is_none());
         assert!(RampLimits::new(10, 11).is_none());
-        assert!(RampLimits::new(SLOPE_MAX + 1, 1).is_none());
+        assert!(RampLimits::new(SLOPE_MAX, 1).is_none());
+        // As steep as they may be, in one period: nothing overflows.
+        let steepest = limits(SLOPE_MAX - 1, SLOPE_MAX - 1);
+        assert_eq!(steepest.run_out(SLOPE_MAX - 1), SLOPE_MAX - 1);
     }
 
     proptest! {

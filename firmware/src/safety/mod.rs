@@ -34,8 +34,8 @@ pub struct Safety {
     pending: Option<Fault>,
     /// The drives hold although a fault is latched.
     holding: bool,
-    /// A fault was latched and [`Safety::take_latched`] has not told it.
-    latched: bool,
+    /// A fault that was latched and that [`Safety::take_latched`] has not told.
+    latched: Option<Fault>,
     homed: bool,
     position_kept: bool,
     events: Deque<Event, EVENTS>,
@@ -125,8 +125,7 @@ impl Safety {
     /// A fault that was latched since the last call.
     #[inline]
     pub fn take_latched(&mut self) -> Option<Fault> {
-        let fresh = core::mem::take(&mut self.latched);
-        self.fault.filter(|_| fresh)
+        self.latched.take()
     }
 
     /// The position cannot be relied on any more.
@@ -216,7 +215,7 @@ impl Safety {
         self.fault = Some(fault);
         #[cfg(feature = "defmt")]
         defmt::error!("fault latched: {}", fault);
-        self.latched = true;
+        self.latched = Some(fault);
         self.tell(Event::Fault(fault));
         self.enter(State::Fault);
     }

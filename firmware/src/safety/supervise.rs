@@ -100,9 +100,11 @@ pub struct Watch {
     against: u8,
     /// When the encoder counted last.
     mark: Option<Mark>,
+    /// Time since it had turned round [`TURNS`] times, microseconds. Not in the mark, which is made anew in nearly every period.
+    turning_us: u32,
 }
 
-constants!(Watch { bounds } of {} but { since, against, mark });
+constants!(Watch { bounds } of {} but { since, against, mark, turning_us });
 
 /// How a joint was when its encoder counted last, or when motion began to be wanted.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -127,6 +129,11 @@ const AGAINST_PERIODS: u8 = 4;
 /// A count that turned round so often, while so many counts of motion were wanted one way, has a stuck channel.
 const TURNS: u8 = 8;
 const COUNTS: u32 = 10;
+
+/// So many more within this time, microseconds, are no slide that sticks and swings, nor a loop that hunts about an edge (both do some 160 in a second): it runs, a
+/// turn for each two counts, however little was wanted.
+const MORE_TURNS: u8 = 24;
+const FAST_US: u32 = 40_000;
 
 impl Watch {
     /// Supervision of the joint of a configuration, with nothing seen yet.
@@ -344,7 +351,8 @@ impl Watch {
     /// It may be that of 12.5/s times the following error (4 mm/s for 0.3 mm). Static loads do not grow, and do not count.
     ///
     /// At creeping speeds that takes millimetres. But there a stuck channel gives itself away: the other one goes on, and its edges count up and down in
-    /// turn. A slide that sticks may swing over an edge as well, so they count only together with a wanted motion of more than it may stick for.
+    /// turn. A slide that sticks may swing over an edge as well, so some of them count only together with a wanted motion of more than it may stick for; as many as no slide that swings makes
+    /// in so short a time count alone. (At 0.02 mm/s the wanted motion takes 0.6 s, and in that time the slide ran 29 mm.)
     fn pushed(&mut self, axis: u8, config: &JointAxis, seen: &Seen) -> Option<Fault> {
         let Drive::Torque { limit: most, .. } = config.drive else {
             return None;
@@ -365,8 +373,15 @@ impl Watch {
         if seen.moved != 0 {
             mark.last = seen.moved.signum();
         }
+        self.turning_us = if mark.turns < TURNS {
+            0
+        } else {
+            self.turning_us.saturating_add(u32::from(seen.period_us))
+        };
         if mark.turns >= TURNS
-            && distance(config, seen.wanted, mark.wanted) > count(config).saturating_mul(COUNTS)
+            && (mark.turns_fast(&mut self.turning_us)
+                || distance(config, seen.wanted, mark.wanted)
+                    > count(config).saturating_mul(COUNTS))
         {
             return Some(Fault::EncoderStill { axis });
         }
@@ -432,6 +447,15 @@ impl Mark {
             standing,
             impulse: 0,
         }
+    }
+
+    /// One period with [`TURNS`] turns or more, `turning_us` after the first of them: whether [`MORE_TURNS`] came within [`FAST_US`]. Slower ones are counted anew.
+    const fn turns_fast(&mut self, turning_us: &mut u32) -> bool {
+        if *turning_us > FAST_US {
+            *turning_us = 0;
+            self.turns = TURNS;
+        }
+        self.turns >= TURNS + MORE_TURNS
     }
 
     /// Notes which way the encoder counted, unless that is the opposite of the way it counted last.

@@ -204,6 +204,32 @@ fn sources_change_while_they_move() {
 }
 
 #[test]
+fn a_jog_takes_over_only_what_has_come_to_rest() {
+    let mut bed = Bed::ready(mill());
+    bed.master(0);
+    bed.start_job();
+    bed.inputs.haptic.engaged = true;
+    bed.lead([-5.0, 0.0, 0.0], 2500);
+    assert_eq!(bed.ask(Command::Hold), Ok(()));
+    let mut watch = Watch::at(&bed);
+    assert!(bed.at(0).1 < -5.0, "under way: {}", bed.at(0).1);
+    let source = Source::Jog;
+    let id = 77;
+    let command = Command::Source { axis: 0, source };
+    bed.link.send(&Request { id, command }).expect("room");
+    for _ in 0..1500 {
+        bed.step();
+        watch.look(&bed);
+    }
+    assert_eq!((bed.state(), bed.at(0).1), (State::Hold, 0.0));
+    assert_eq!(bed.ask(Command::Source { axis: 0, source }), Ok(()));
+    for _ in 0..100 {
+        bed.step();
+        watch.look(&bed);
+    }
+}
+
+#[test]
 fn it_waits_in_front_of_where_the_machine_cannot_go() {
     let mut bed = Bed::ready(mill());
     bed.master(1);

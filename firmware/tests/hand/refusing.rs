@@ -78,6 +78,28 @@ fn other_problems_of_the_arm_have_their_words() {
     );
 }
 
+/// An arm that stays broken would latch the fault again after each reset: what it led can be given to something else before that.
+#[test]
+fn a_mill_whose_arm_stays_broken_can_be_used_without_it() {
+    let mut bed = Bed::ready(mill());
+    bed.master(0);
+    bed.lie = Some((1, 0, |counts| counts + 2000));
+    bed.steps(5);
+    assert_eq!(bed.state(), State::Fault);
+    assert_eq!(bed.ask(Command::Reset), Ok(()));
+    bed.steps(5);
+    assert_eq!(bed.state(), State::Fault, "found again");
+    let source = Source::Program;
+    assert_eq!(bed.ask(Command::Source { axis: 0, source }), Ok(()));
+    let before = bed.wanted();
+    assert_eq!(bed.ask(Command::Reset), Ok(()));
+    bed.steps(100);
+    assert!(bed.arm_off() && bed.state() == State::Idle && bed.wanted() == before);
+    bed.start_job();
+    assert_eq!(bed.ask(Command::JobEnd { count: 0 }), Ok(()));
+    bed.wait_for(State::Idle);
+}
+
 /// While the drives are off a problem is told, and gone when it is gone.
 #[test]
 fn a_problem_without_power_is_only_told() {

@@ -229,6 +229,13 @@ pub fn joint_axis(
     let preset = section.number(keys.preset, keys.coordinate);
     let index = section.number(keys.index, keys.coordinate);
     let search = section.number(keys.search, keys.distance);
+    // One line of the encoder, or what a coarse one has room for.
+    let usual = ((counts - 1.0) / 4.0).floor().clamp(0.0, 4.0);
+    let slack = section.number_or("index_slack_counts", usual, whole(0, 65_535, "counts"));
+    if slack * 4.0 >= counts {
+        let what = format!("{slack} is a quarter of the {counts} counts of a turn, or more");
+        section.report("index_slack_counts", what, "lower it");
+    }
     for (key, value) in [(keys.preset, preset), (keys.index, index)] {
         if value < low || value > high {
             let what = format!(
@@ -279,6 +286,7 @@ pub fn joint_axis(
         preset: coordinate(preset),
         index: coordinate(index),
         index_pitch: coordinate(turn),
+        index_slack: to_u32(slack).min(u32::from(u16::MAX)) as u16,
         search: coordinate(search),
     };
     let limits = AxisLimits {
