@@ -411,6 +411,15 @@ impl Controller {
             self.job.stopping = false;
             self.job.spindle_rpm = 0;
         }
+        if self.safety.has_latched() {
+            self.heed_fault();
+        }
+    }
+
+    /// What a fault means for the position.
+    #[cold]
+    #[inline(never)]
+    fn heed_fault(&mut self) {
         if let Some(fault) = self.safety.take_latched() {
             // An encoder that is only suspected is asked while the references are looked for: a pulse out of its place ends that.
             let asked = suspected(&fault)

@@ -90,7 +90,8 @@ impl Backlash {
     }
 
     /// The motor was measured at `motor`; gives where the slide is, within what the play leaves open.
-    #[inline]
+    // In every period, and once when a configuration changes: not to be called for that.
+    #[inline(always)]
     pub fn carry(&mut self, motor: Coordinate) -> Coordinate {
         let ahead = difference(self.kind, motor, self.slide)
             .0

@@ -75,8 +75,6 @@ impl EdgeRate {
     pub const fn note(&mut self, moved: i32, counts: i32, edge_time_ns: u32, time_ns: u32) {
         let interval = edge_time_ns.wrapping_sub(self.edge_time_ns);
         let age = time_ns.wrapping_sub(edge_time_ns);
-        // An edge between the reading of the clock and that of its time is one of now, not one of four seconds ago.
-        let age = if age >= AHEAD_NS { 0 } else { age };
         self.age_ns = age;
         if moved != 0 || interval != 0 {
             // Place of the last edge: half a count behind the count, seen in its direction. With a net motion of zero the edges were
@@ -100,7 +98,8 @@ impl EdgeRate {
             self.edge_known = true;
             self.age_ns = 0;
         }
-        if age >= STALE_NS {
+        // An edge between the reading of the clock and that of its time is one of now, not one of four seconds ago.
+        if age >= STALE_NS && age < AHEAD_NS {
             self.edge_known = false;
             self.travel = 0;
         }

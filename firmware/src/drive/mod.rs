@@ -258,25 +258,29 @@ impl JointDrive {
             (self.sensed.slip, self.sensed.lost_steps) =
                 supervision.compare(self.kind, self.enabled, inputs.steps, motor);
         }
-        if let Some((raw, _)) = measured.index {
-            self.note_pulse(raw);
-        }
         let sensed = &mut self.sensed;
         sensed.coordinate = self.backlash.carry(measured.coordinate);
         sensed.motor = measured.coordinate;
         sensed.moved = measured.moved;
         sensed.illegal = self.encoder.illegal();
         sensed.index = measured.index;
+        if sensed.index.is_some() {
+            self.note_pulse();
+        }
         &self.sensed
     }
 
     /// Counts that were lost make the encoder unbelievable until the joint is enabled anew.
     #[cold]
     #[inline(never)]
-    fn note_pulse(&mut self, raw: i32) {
-        if let Some(off) = self.indexes.pulse(raw) {
-            self.sensed.off = off;
+    fn note_pulse(&mut self) {
+        let sensed = &mut self.sensed;
+        if let Some((raw, _)) = sensed.index
+            && let Some(off) = self.indexes.pulse(raw)
+        {
             self.encoder.disbelieve();
+            sensed.illegal = self.encoder.illegal();
+            sensed.off = off;
         }
     }
 

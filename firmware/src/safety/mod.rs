@@ -122,8 +122,14 @@ impl Safety {
         self.position_kept
     }
 
-    /// A fault that was latched since the last call.
+    /// Whether a fault was latched that was not [taken](Safety::take_latched) yet.
+    #[must_use]
     #[inline]
+    pub const fn has_latched(&self) -> bool {
+        self.latched.is_some()
+    }
+
+    /// A fault that was latched since the last call.
     pub fn take_latched(&mut self) -> Option<Fault> {
         self.latched.take()
     }
