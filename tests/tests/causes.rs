@@ -287,6 +287,20 @@ fn what_is_known_of_an_encoder_outlives_a_configuration() {
     }
 }
 
+/// Nor does another slack for its index pulses, which is the new one then.
+#[test]
+fn another_slack_of_the_index_keeps_the_position() {
+    let mut bench = ready();
+    bench.ask(Command::Disable).expect("off");
+    bench.machine.config.joints[0].index_slack = 9;
+    bench.configure();
+    bench.ask(Command::Enable).expect("on");
+    bench.steps(5000);
+    let status = bench.status();
+    assert_eq!((status.state, status.fault), (State::Idle, None));
+    assert!(status.homed && status.position_kept);
+}
+
 /// The fault is told, and what it means for the position holds, also where somebody presses reset in the same moment.
 #[test]
 fn a_reset_in_the_period_of_a_fault_hides_nothing() {

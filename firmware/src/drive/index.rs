@@ -98,6 +98,12 @@ impl IndexWatch {
         }
     }
 
+    /// What another one, of the same counts and pitch, knows of where pulses come.
+    pub const fn take_over(&mut self, other: &Self) {
+        self.due = other.due;
+        self.doubt = other.doubt;
+    }
+
     /// Whether the next pulse will tell if counts were lost: where they come is known.
     #[must_use]
     pub const fn will_tell(&self) -> bool {

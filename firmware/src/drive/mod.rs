@@ -385,7 +385,7 @@ impl JointDrive {
         self.encoder.take_over_illegal(kept.illegal);
         self.sensed.illegal = kept.illegal;
         self.sensed.off = kept.off;
-        self.indexes = kept.indexes.clone();
+        self.indexes.take_over(&kept.indexes);
     }
 
     /// Supervision at a glance: whether the joint is certain to do what it was told in the period before. Where not, [`JointDrive::supervise`] has to look.
