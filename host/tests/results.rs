@@ -84,8 +84,12 @@ fn a_haptic_arm_alone_is_no_machine() {
     let out = folder.path("out");
     let arm = ["--machine", "machines/hand-master.toml"];
     let run = ["run", "examples/e7-slot.ngc", "--out", &out];
-    let ran = haptimill(&[&run[..], &arm].concat()).ended_with(3);
-    let what = "machines/hand-master.toml: a haptic arm alone";
-    assert!(ran.err.contains(what), "{}", ran.err);
+    // Nothing is opened for it.
+    let jog = ["jog", "x=1", "--port", "tcp:127.0.0.1:1"];
+    for command in [&run[..], &jog] {
+        let ran = haptimill(&[command, &arm].concat()).ended_with(3);
+        let what = "machines/hand-master.toml: a haptic arm alone";
+        assert!(ran.err.contains(what), "{}", ran.err);
+    }
     assert!(!std::path::Path::new(&out).exists());
 }

@@ -3,128 +3,15 @@
 mod scene;
 
 use haptimill_hil_sim::encoder::EncoderCondition;
-use haptimill_hil_sim::plant::{JointCondition, Plant};
+use haptimill_hil_sim::plant::JointCondition;
 use haptimill_protocol::message::{Command, Event, Fault, InputProblem, Refusal, State};
 use haptimill_tests::Bench;
-use scene::{
-    MM, distance, drives_off, joint_off, line, moving, ready, recover, state, told, tool, wanted,
+use scene::struck::{
+    encoder_is_asked, position_is_kept, position_is_lost, spoil_encoder, spoil_joint, strike,
 };
-
-/// Coulomb friction of a slide over its mass: what stops it when its drive is off, mm/s^2.
-const FRICTION: f64 = 1000.0;
-/// The same of the table, degrees/s^2: 2 N m on 0.2 kg m^2.
-const TABLE_FRICTION: f64 = 573.0;
-
-/// What came of a fault of one joint.
-struct Struck {
-    bench: Bench,
-    fault: Fault,
-    /// Periods from the fault to the drives off.
-    periods: usize,
-    /// Distance of the joint from where it was wanted when the drives went off, mm or degrees.
-    off: f64,
-}
-
-/// Spoils a joint of a moving machine, and goes on until the drives are off; then until friction has stopped the joint.
-fn strike(axis: usize, joint: usize, speed: f64, spoil: impl FnOnce(&mut Plant)) -> Struck {
-    let mut bench = moving(axis, speed);
-    spoil(bench.rig.plant_mut());
-    let mut off = 0.0_f64;
-    for period in 0..5000 {
-        let kept_on = bench.rig.control().safety().drives_on();
-        bench.step();
-        off = off.max(joint_off(&bench, joint));
-        // Safe in the period in which the fault was seen, not in the next one.
-        assert_eq!(
-            drives_off(&bench),
-            !bench.rig.control().safety().drives_on()
-        );
-        if kept_on && drives_off(&bench) {
-            let fault = bench.rig.control().safety().fault().expect("a fault");
-            assert_eq!(state(&bench), State::Fault);
-            let friction = if joint == 4 { TABLE_FRICTION } else { FRICTION };
-            bench.step();
-            let here = bench.rig.plant().bodies().clone();
-            bench.steps(2000);
-            let coasted = (bench.rig.plant().truth().joints[joint] - here.slide[joint]).abs();
-            // Both sides of the joint and the spring of the screw between them give their energy to friction. The spring swings at 80 Hz:
-            // its energy is that of the joint's reduced mass, a quarter of the whole at most, at the rate of its winding.
-            let rate = here.slide_rate[joint]
-                .abs()
-                .max(here.motor_rate[joint].abs());
-            let wound =
-                (here.motor[joint] - here.slide[joint]).abs() * core::f64::consts::TAU * 80.0;
-            let bound = (rate * rate + wound * wound / 4.0) / (2.0 * friction) * 1.3 + 0.02;
-            assert!(coasted < bound, "coasted {coasted}, energy allows {bound}");
-            eprintln!(
-                "{fault:?}: off {off:.3}, at {rate:.1}/s, coasted {coasted:.3}, after {period} periods"
-            );
-            assert_eq!(told(&bench), [&Event::Fault(fault)]);
-            return Struck {
-                bench,
-                fault,
-                periods: period,
-                off,
-            };
-        }
-    }
-    panic!("nobody noticed");
-}
-
-fn spoil_encoder(joint: usize, condition: EncoderCondition) -> impl FnOnce(&mut Plant) {
-    move |plant| plant.set_encoder_condition(joint, condition)
-}
-
-fn spoil_joint(joint: usize, condition: JointCondition) -> impl FnOnce(&mut Plant) {
-    move |plant| plant.set_condition(joint, condition)
-}
-
-/// After a fault that loses the position: the references cannot be trusted until the operator sets the joints up at their presets.
-fn position_is_lost(bench: &mut Bench) {
-    let status = bench.status();
-    assert!(!status.position_kept && !status.homed);
-    recover(bench, State::Disabled);
-    assert_eq!(bench.ask(Command::Home), Err(Refusal::PresetLost));
-    let pose = bench.status().wanted;
-    assert_eq!(
-        bench.ask(Command::JobStart { job: 9, pose }),
-        Err(Refusal::NotHomed)
-    );
-}
-
-/// After a fault in which an encoder is only suspected: while the references are looked for its index pulse says whether it lost counts. It is never believed wrongly.
-/// Says whether it was believed.
-fn encoder_is_asked(bench: &mut Bench) -> bool {
-    let status = bench.status();
-    assert!(!status.position_kept && !status.homed);
-    recover(bench, State::Disabled);
-    bench.ask(Command::Home).expect("asked");
-    assert!(bench.wait_for(State::Idle, 30_000) || state(bench) == State::Fault);
-    let status = bench.status();
-    if let Some(fault) = status.fault {
-        assert!(matches!(fault, Fault::EncoderSlip { .. }), "{fault:?}");
-        position_is_lost(bench);
-        return false;
-    }
-    assert!(status.position_kept && status.homed);
-    for axis in 0..3 {
-        let off = f64::from(status.measured[axis]) / MM - bench.rig.truth().pose[axis];
-        assert!(off.abs() < 0.03, "axis {axis} off by {off} mm");
-    }
-    true
-}
-
-fn position_is_kept(bench: &mut Bench) {
-    let status = bench.status();
-    assert!(status.position_kept && status.homed);
-    recover(bench, State::Disabled);
-    // The measured pose is the true one still, but for backlash, friction and a count.
-    let status = bench.status();
-    for axis in 0..3 {
-        let off = f64::from(status.measured[axis]) / MM - bench.rig.truth().pose[axis];
-        assert!(off.abs() < 0.03, "axis {axis} off by {off} mm");
-    }
-}
+use scene::{
+    MM, distance, drives_off, joint_off, line, moving, ready, recover, state, tool, wanted,
+};
 
 #[test]
 fn a_reversed_encoder_does_not_run_away() {

@@ -109,7 +109,8 @@ pub fn home(args: HomeArgs) -> Result<(), CliError> {
     }
     session.enable()?;
     if args.again || !session.status()?.homed {
-        session.go_home(&machine, &session::home_of(&machine)?)?;
+        let home = session::home_of(&machine, session.model())?;
+        session.go_home(&machine, &home)?;
     } else if !args.one_shot.json {
         tell!("it was homed already; --again searches for the references once more");
     }

@@ -515,7 +515,8 @@ impl Run<'_> {
         session.enable()?;
         if !status.homed || !status.position_kept {
             args.say("homing");
-            session.go_home(machine, &session::home_of(machine)?)?;
+            let home = session::home_of(machine, session.model())?;
+            session.go_home(machine, &home)?;
         }
         if let Some(path) = &args.work {
             let plant: PlantConfig = machine.plant()?;

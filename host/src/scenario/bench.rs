@@ -155,7 +155,7 @@ fn cut<C: Controlled>(
         CliError::new(Exit::Output, format!("{}: {error}", dir.display()))
     };
     let model = Model::new(machine);
-    let home = session::home_of(machine)?;
+    let home = session::home_of(machine, &model)?;
     let plan = planned(machine, &model, &home, pass)?;
 
     let plant: PlantConfig = machine.plant()?;

@@ -27,9 +27,9 @@ pub(crate) fn has_tool(machine: &MachineFile) -> Result<(), CliError> {
 ///
 /// # Errors
 /// There is none: the machine has no tool, or no pose at its presets.
-pub(crate) fn home_of(machine: &MachineFile) -> Result<AxisValues, CliError> {
+pub(crate) fn home_of(machine: &MachineFile, model: &Model) -> Result<AxisValues, CliError> {
     has_tool(machine)?;
-    Model::new(machine).home(machine).ok_or_else(|| {
+    model.home(machine).ok_or_else(|| {
         let what = format!(
             "{}: no pose has the joints at their presets; correct the presets",
             machine.file

@@ -235,7 +235,7 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
         session::force_of(&machine)?;
     }
     let model = Model::new(&machine);
-    let home = session::home_of(&machine)?;
+    let home = session::home_of(&machine, &model)?;
     let job = PartProgram::load(&args.program, args.optional_stop)?;
     let planned = job.plan(&machine, &model, &home)?;
     let work = args.clamped(&machine)?;
