@@ -3,12 +3,12 @@
 //! Each figure is the mean over an array of varied arguments, so neither a branch nor a table entry can be learnt by heart.
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use haptimill_firmware::config::H4Geometry;
-use haptimill_firmware::kinematics::h4::H4;
-use haptimill_firmware::kinematics::{Accelerations, Joints, Kinematics, Pose, Rates};
-use haptimill_firmware::units::root::isqrt;
-use haptimill_firmware::units::trig::{atan2, sin_cos};
-use haptimill_firmware::units::{Acceleration, Angle, Coordinate, Length, Rate};
+use haptimill_kinematics::h4::H4;
+use haptimill_kinematics::h4::H4Geometry;
+use haptimill_kinematics::{Accelerations, Joints, Kinematics, Pose, Rates};
+use haptimill_math::root::isqrt;
+use haptimill_math::trig::{atan2, sin_cos};
+use haptimill_math::{Acceleration, Angle, Coordinate, Length, Rate};
 use std::hint::black_box;
 
 /// How many arguments a round has.

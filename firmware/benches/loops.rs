@@ -4,7 +4,7 @@ use criterion::{Criterion, criterion_group, criterion_main};
 use haptimill_firmware::config::{AxisKind, Drive, JointAxis, Law, LawForm};
 use haptimill_firmware::drive::JointDrive;
 use haptimill_firmware::io::{AxisInputs, DriveCommand};
-use haptimill_firmware::units::{Acceleration, Coordinate, Effort, Gain, Rate};
+use haptimill_math::{Acceleration, Coordinate, Effort, Gain, Rate};
 use std::hint::black_box;
 
 /// A 40 kg slide on a 10 mm screw with 8000 counts a turn.

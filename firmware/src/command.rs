@@ -12,7 +12,7 @@ use crate::reflection::Haptic;
 use crate::reflection::config::scale_is_sound;
 use crate::reflection::law;
 use crate::reflection::lead::LED;
-use crate::units::{Length, Rate};
+use haptimill_math::{Length, Rate};
 use haptimill_protocol::frame::crc32;
 use haptimill_protocol::haptic::{Hand, Reflection, Wall};
 use haptimill_protocol::message::{

@@ -7,7 +7,8 @@ mod check;
 
 use crate::force::ForceConfig;
 use crate::reflection::config::{FollowConfig, HapticConfig};
-use crate::units::{Acceleration, Coordinate, Effort, Gain, Length, Rate};
+use haptimill_kinematics::{BoundedKinematics, Model};
+use haptimill_math::{Acceleration, Coordinate, Effort, Gain, Rate};
 use haptimill_protocol::message::MAX_AXES;
 use heapless::{String, Vec};
 use serde::{Deserialize, Serialize};
@@ -41,46 +42,6 @@ pub struct Config {
     pub haptic: Option<HapticConfig>,
 }
 
-/// Which geometry, and its lengths.
-#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
-pub enum Model {
-    /// The hybrid H-4 arm with its rotary table.
-    H4(H4Geometry),
-    /// No machine: a haptic arm alone, which leads one afar.
-    None,
-}
-
-/// Lengths of the H-4 arm (spec h4-milling.md 2.5-2.6), 2^-20 mm.
-#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
-pub struct H4Geometry {
-    /// E = a - b - e: the lateral distance between rail joint and platform joint at y = 0.
-    pub lateral: Length,
-    /// c: half the distance of the two platform joints along the tool axis.
-    pub half_spacing: Length,
-    /// d: half the height difference of the rail pairs.
-    pub half_height: Length,
-    /// w: x offset of the slide's joint.
-    pub joint_offset: Length,
-    /// R: length of the rods.
-    pub rod: Length,
-    /// g_e: z offset of the rails.
-    pub rail_offset: Length,
-    /// T_L: tool length from the lower platform joint to the tip.
-    pub tool: Length,
-    /// p + x_Ow^O1: from x_w to x of the slave base.
-    pub x_offset: Length,
-    /// y_Ow^O1.
-    pub y_offset: Length,
-    /// z_O1^O2.
-    pub z_offset: Length,
-    /// h: height of the table axis below the slave's origin.
-    pub table_height: Length,
-    /// The platform hangs below the rails (the minus root of (3.19)) or stands above.
-    pub below: bool,
-    /// Least distance from the parallel singularity that is accepted (5 mm).
-    pub singularity_margin: Length,
-}
-
 /// Linear or rotary.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum AxisKind {
@@ -88,6 +49,15 @@ pub enum AxisKind {
     Linear,
     /// Axis units are 2^-32 turn.
     Rotary,
+}
+
+impl Config {
+    /// The geometry of this machine with the strokes of its joints.
+    #[must_use]
+    pub fn kinematics(&self) -> BoundedKinematics {
+        let strokes = self.joints.iter().map(|joint| (joint.low, joint.high));
+        BoundedKinematics::new(&self.model, strokes)
+    }
 }
 
 /// A pose coordinate: its soft limits and what a jog may ask of it.

@@ -8,14 +8,14 @@ use crate::drive::{JointDrive, Kept};
 use crate::force::conditioning::COMPONENTS;
 use crate::force::{Design, ForceControl};
 use crate::io::{DriveCommand, Inputs};
-use crate::kinematics::machine::Machine;
-use crate::kinematics::{JointMotion, Joints, Kinematics, Pose, PoseError};
 use crate::motion::program::Progress;
 use crate::motion::{Mode, Motion, Wanted};
 use crate::safety::homing::Homing;
 use crate::safety::integrity::{Constants, Digest};
-use crate::units::Coordinate;
 use hand::Hands;
+use haptimill_kinematics::BoundedKinematics;
+use haptimill_kinematics::{JointMotion, Joints, Kinematics, Pose, PoseError};
+use haptimill_math::Coordinate;
 use haptimill_protocol::message::{
     AxisValues, ConfigField, ConfigProblem, Fault, MAX_AXES, Refusal, Telemetry,
 };
@@ -72,7 +72,7 @@ pub struct Machinery {
     /// CRC-32 of the configuration as it was sent.
     pub crc: u32,
     /// Geometry and strokes.
-    pub machine: Machine,
+    pub machine: BoundedKinematics,
     /// What is wanted.
     pub motion: Motion,
     /// The search for the references.
@@ -164,7 +164,7 @@ impl Machinery {
     #[inline(always)]
     fn bare(config: Config, crc: u32) -> Self {
         Self {
-            machine: Machine::new(&config),
+            machine: config.kinematics(),
             motion: Motion::default(),
             homing: Homing::default(),
             force: None,

@@ -4,7 +4,7 @@ use haptimill_firmware::config::AxisKind;
 use haptimill_firmware::drive::encoder::Encoder;
 use haptimill_firmware::drive::quadrature::Quadrature;
 use haptimill_firmware::io::AxisInputs;
-use haptimill_firmware::units::Coordinate;
+use haptimill_math::Coordinate;
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 

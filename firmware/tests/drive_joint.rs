@@ -4,7 +4,7 @@ use haptimill_firmware::config::{AxisKind, Drive, JointAxis, Law, LawForm};
 use haptimill_firmware::drive::torque::TorqueOutput;
 use haptimill_firmware::drive::{DriveError, Driven, JointDrive, Wanted};
 use haptimill_firmware::io::{AxisInputs, DriveCommand};
-use haptimill_firmware::units::{Acceleration, Coordinate, Effort, Gain, Rate};
+use haptimill_math::{Acceleration, Coordinate, Effort, Gain, Rate};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 

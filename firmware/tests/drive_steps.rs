@@ -2,7 +2,7 @@
 
 use haptimill_firmware::config::AxisKind;
 use haptimill_firmware::drive::steps::{Planned, PulseTiming, StepPlanner};
-use haptimill_firmware::units::{Coordinate, Rate};
+use haptimill_math::{Coordinate, Rate};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 

@@ -3,8 +3,8 @@
 use haptimill_firmware::force::compliance::{Compliance, Law, Push, Yielding};
 use haptimill_firmware::force::pole::{FINENESS, Pole, sound};
 use haptimill_firmware::force::{ForceParameter, Gate, LoopSettings};
-use haptimill_firmware::units::force::{Displacement, Force, VirtualDamping, VirtualMass};
-use haptimill_firmware::units::{Length, Rate};
+use haptimill_math::force::{Displacement, Force, VirtualDamping, VirtualMass};
+use haptimill_math::{Length, Rate};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 

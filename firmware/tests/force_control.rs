@@ -3,8 +3,8 @@
 use haptimill_checks::reference;
 use haptimill_firmware::force::conditioning::{Channel, ForceProblem, ForceSample, Sensor};
 use haptimill_firmware::force::{ForceConfig, ForceControl, ForceParameter, Gate, LoopSettings};
-use haptimill_firmware::units::force::{Force, VirtualDamping, VirtualMass};
-use haptimill_firmware::units::{Angle, Coordinate, Length, Rate};
+use haptimill_math::force::{Force, VirtualDamping, VirtualMass};
+use haptimill_math::{Angle, Coordinate, Length, Rate};
 
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;

@@ -1,7 +1,7 @@
 //! The peak of a revolution against a plain scan, and on milling forces at speeds whose revolution is no whole number of samples.
 
 use haptimill_firmware::force::peak::{LEAVES, SlidingExtremes, Window};
-use haptimill_firmware::units::force::Force;
+use haptimill_math::force::Force;
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 use std::collections::VecDeque;

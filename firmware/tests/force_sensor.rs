@@ -3,8 +3,8 @@
 use haptimill_firmware::force::conditioning::{
     Channel, Conditioner, ForceProblem, ForceSample, Sensor, TareRefusal,
 };
-use haptimill_firmware::units::Angle;
-use haptimill_firmware::units::force::Force;
+use haptimill_math::Angle;
+use haptimill_math::force::Force;
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 

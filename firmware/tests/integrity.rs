@@ -2,18 +2,18 @@
 
 mod reference;
 
-use haptimill_firmware::config::{Config, JointAxis, Model};
+use haptimill_firmware::config::{Config, JointAxis};
 use haptimill_firmware::drive::{JointDrive, Wanted};
 use haptimill_firmware::force::conditioning::Sensor;
 use haptimill_firmware::force::{ForceConfig, ForceControl, Gate, LoopSettings};
 use haptimill_firmware::io::{AxisInputs, DriveCommand, Inputs};
-use haptimill_firmware::kinematics::machine::Machine;
 use haptimill_firmware::machinery::Machinery;
 use haptimill_firmware::motion::jog::Jog;
 use haptimill_firmware::motion::program::Program;
 use haptimill_firmware::safety::integrity::{Constants, Digest};
-use haptimill_firmware::units::force::{Force, VirtualDamping};
-use haptimill_firmware::units::{Coordinate, Rate};
+use haptimill_kinematics::Model;
+use haptimill_math::force::{Force, VirtualDamping};
+use haptimill_math::{Coordinate, Rate};
 use reference::h4;
 
 /// The arm with a force sensor.
@@ -81,7 +81,7 @@ fn a_change_of_what_was_worked_out_is_seen() {
         geometry.rod.0 ^= 1 << 9;
     });
     for config in [&stroke, &rod] {
-        assert!(rounds_until_seen(|active| active.machine = Machine::new(config)).is_some());
+        assert!(rounds_until_seen(|active| active.machine = config.kinematics()).is_some());
     }
     let jerk = changed(|config| config.pose[1].jerk /= 2);
     let soft = changed(|config| config.pose[3].low.0 += 1 << 16);

@@ -5,10 +5,10 @@
     reason = "an index is an axis here, of several arrays at once"
 )]
 
-use haptimill_firmware::config::H4Geometry;
-use haptimill_firmware::kinematics::h4::H4;
-use haptimill_firmware::kinematics::{Joints, Kinematics, Pose};
-use haptimill_firmware::units::{Coordinate, Length};
+use haptimill_kinematics::h4::H4;
+use haptimill_kinematics::h4::H4Geometry;
+use haptimill_kinematics::{Joints, Kinematics, Pose};
+use haptimill_math::{Coordinate, Length};
 
 const PER_MM: f64 = 1_048_576.0;
 const PER_DEGREE: f64 = 4_294_967_296.0 / 360.0;

@@ -10,9 +10,9 @@ use arm::{
     PER_MM, PER_RADIAN, Sequence, V, add, apply, cross, dot, inverse, norm, random_pose, readings,
     rotation, scaled, sub,
 };
-use haptimill_firmware::kinematics::haptic::{ArmError, HandPose, HapticArm, HapticGeometry};
-use haptimill_firmware::kinematics::haptic_statics::Wrench;
-use haptimill_firmware::units::{Angle, Length};
+use haptimill_kinematics::haptic_arm::statics::Wrench;
+use haptimill_kinematics::haptic_arm::{ArmError, HandPose, HapticArm, HapticGeometry};
+use haptimill_math::{Angle, Length};
 use nalgebra::Matrix6;
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
@@ -148,7 +148,7 @@ proptest! {
     #[test]
     fn no_reading_breaks_it(slides: [i32; 3], turns: [i32; 3], leans: [i32; 3]) {
         let arm = HapticArm::new(&arm::reference());
-        let legs = core::array::from_fn(|j| haptimill_firmware::kinematics::haptic::LegReading {
+        let legs = core::array::from_fn(|j| haptimill_kinematics::haptic_arm::LegReading {
             slide: Length(slides[j]), turn: Angle(turns[j]), lean: Angle(leans[j]),
         });
         if let Ok(pose) = arm.pose(&legs) {

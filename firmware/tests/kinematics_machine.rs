@@ -5,14 +5,15 @@
 )]
 
 use haptimill_firmware::config::{
-    AxisKind, Config, Drive, H4Geometry, Homing, JointAxis, Law, LawForm, Model, Stopping,
-    Supervision,
+    AxisKind, Config, Drive, Homing, JointAxis, Law, LawForm, Stopping, Supervision,
 };
-use haptimill_firmware::kinematics::h4::H4;
-use haptimill_firmware::kinematics::machine::Machine;
-use haptimill_firmware::kinematics::{Joints, Kinematics, Pose, PoseError, ToolForce};
 use haptimill_firmware::motion::sweep::Sweep;
-use haptimill_firmware::units::{Acceleration, Angle, Coordinate, Effort, Gain, Length, Rate};
+use haptimill_kinematics::Model;
+use haptimill_kinematics::h4::H4;
+use haptimill_kinematics::h4::H4Geometry;
+use haptimill_kinematics::h4::ToolForce;
+use haptimill_kinematics::{Joints, Kinematics, Pose, PoseError};
+use haptimill_math::{Acceleration, Angle, Coordinate, Effort, Gain, Length, Rate};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 
@@ -117,7 +118,7 @@ fn home() -> Joints {
 
 #[test]
 fn strokes_are_kept_both_ways_and_the_excess_is_told() {
-    let machine = Machine::new(&config());
+    let machine = config().kinematics();
     assert_eq!(machine.axes(), 5);
     let pose = machine.forward(&home()).unwrap();
     // All slides move together with x: 250 mm are their whole stroke.
@@ -156,7 +157,7 @@ fn strokes_are_kept_both_ways_and_the_excess_is_told() {
 fn a_joint_that_is_not_configured_does_not_move() {
     let mut config = config();
     config.joints.truncate(3);
-    let machine = Machine::new(&config);
+    let machine = config.kinematics();
     let error = PoseError::OutOfStroke {
         axis: 3,
         by: 485 * MM,
@@ -347,7 +348,7 @@ proptest! {
 #[test]
 fn a_box_within_a_reachable_one_is_reachable() {
     let config = config();
-    let machine = Machine::new(&config);
+    let machine = config.kinematics();
     let mut state = 1_u64;
     let mut random = |size: f64| {
         state = state

@@ -3,12 +3,10 @@
 mod reference;
 
 use haptimill_firmware::config::Config;
-use haptimill_firmware::kinematics::{
-    Jacobian, JointMotion, Joints, Kinematics, Pose, PoseError, Rates,
-};
 use haptimill_firmware::motion::jog::Jog;
 use haptimill_firmware::motion::program::{FULL_RATE, Program, QUEUE};
-use haptimill_firmware::units::{Acceleration, Coordinate, Rate};
+use haptimill_kinematics::{Jacobian, JointMotion, Joints, Kinematics, Pose, PoseError, Rates};
+use haptimill_math::{Acceleration, Coordinate, Rate};
 use haptimill_protocol::message::{Action, MAX_AXES, Refusal};
 use haptimill_protocol::setpoint::Setpoint;
 use proptest::prelude::*;

@@ -3,7 +3,7 @@
 use haptimill_firmware::config::{AxisKind, PoseAxis};
 use haptimill_firmware::motion::Wanted;
 use haptimill_firmware::motion::follow::{Mover, MoverLimits};
-use haptimill_firmware::units::{Acceleration, Coordinate, Rate};
+use haptimill_math::{Acceleration, Coordinate, Rate};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 

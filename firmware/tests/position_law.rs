@@ -4,7 +4,7 @@ use haptimill_firmware::config::{Law, LawForm};
 use haptimill_firmware::position::PositionLaw;
 use haptimill_firmware::position::filter::{RATE_FRACTION, RateFilter, approach};
 use haptimill_firmware::position::friction::Friction;
-use haptimill_firmware::units::{Acceleration, Coordinate, Effort, Gain, Rate};
+use haptimill_math::{Acceleration, Coordinate, Effort, Gain, Rate};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 

@@ -2,9 +2,9 @@
 
 mod reference;
 
-use haptimill_firmware::kinematics::Pose;
 use haptimill_firmware::motion::program::{FULL_RATE, Program, QUEUE, braking_limits};
-use haptimill_firmware::units::{Acceleration, Coordinate};
+use haptimill_kinematics::Pose;
+use haptimill_math::{Acceleration, Coordinate};
 use haptimill_protocol::message::Action;
 use haptimill_protocol::setpoint::Setpoint;
 use reference::{h4, mm};

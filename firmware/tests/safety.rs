@@ -3,11 +3,11 @@
 mod reference;
 
 use haptimill_firmware::config::{AxisKind, Drive, JointAxis, Stopping};
-use haptimill_firmware::kinematics::Pose;
 use haptimill_firmware::motion::program::{FULL_RATE, Program, QUEUE};
 use haptimill_firmware::safety::supervise::{Glimpse, Seen, Watch};
 use haptimill_firmware::safety::{EVENTS, Safety, brakes_first, keeps_position};
-use haptimill_firmware::units::{Coordinate, Effort, Rate};
+use haptimill_kinematics::Pose;
+use haptimill_math::{Coordinate, Effort, Rate};
 use haptimill_protocol::message::{
     Action, Event, Fault, HomingProblem, MAX_AXES, PoseError, Refusal, State,
 };

@@ -5,12 +5,12 @@ mod machine;
 use haptimill_firmware::config::AxisKind;
 use haptimill_firmware::drive::steps::{PulseTiming, StepPlanner};
 use haptimill_firmware::io::{DriveCommand, Inputs, Outputs, StepSegment};
-use haptimill_firmware::units::{Coordinate, Rate};
 use haptimill_hil_sim::encoder::{Encoder, EncoderCondition, Track};
 use haptimill_hil_sim::mechanics::Lanes;
 use haptimill_hil_sim::random::Random;
 use haptimill_hil_sim::stepper::{PulseProblem, PulseReport};
 use haptimill_hil_sim::{Plant, PlantConfig};
+use haptimill_math::{Coordinate, Rate};
 use proptest::prelude::*;
 
 const STEP_NS: u64 = 20_000;

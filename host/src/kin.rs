@@ -3,11 +3,11 @@
 //! Numbers are mm and degrees with nine decimals (the firmware's step is 0.95 nm and 84 ndeg). Columns are found by their name in the first row.
 //! Every bad cell is named by file, line and column; then nothing is calculated.
 
-use haptimill_firmware::config::{Config, Model};
-use haptimill_firmware::kinematics::h4::H4;
-use haptimill_firmware::kinematics::machine::Machine;
-use haptimill_firmware::kinematics::{Joints, Kinematics, MAX_AXES, Pose, PoseError};
-use haptimill_firmware::units::Coordinate;
+use haptimill_firmware::config::Config;
+use haptimill_kinematics::Model;
+use haptimill_kinematics::h4::H4;
+use haptimill_kinematics::{Joints, Kinematics, MAX_AXES, Pose, PoseError};
+use haptimill_math::Coordinate;
 use std::fmt::Write;
 
 const PER_MM: f64 = (1 << 20) as f64;
@@ -39,7 +39,7 @@ pub fn inverse_table(
 ) -> Result<Vec<u8>, String> {
     let columns = ["xw_mm", "yw_mm", "zw_mm", "theta_deg", "alpha_deg"];
     let rows = read(name, csv, columns)?;
-    let machine = Machine::new(config);
+    let machine = config.kinematics();
     let arm = arm(config)?;
     let mut out = String::from("l1_mm,l2_mm,l3_mm,l4_mm,status\n");
     for row in rows {
@@ -74,7 +74,7 @@ pub fn forward_table(
     csv: &[u8],
 ) -> Result<Vec<u8>, String> {
     let rows = read(name, csv, ["l1_mm", "l2_mm", "l3_mm", "l4_mm"])?;
-    let machine = Machine::new(config);
+    let machine = config.kinematics();
     let arm = arm(config)?;
     let mut out = String::from("x_mm,y_mm,z_mm,theta_deg,status\n");
     for row in rows {

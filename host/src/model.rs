@@ -7,9 +7,9 @@ use crate::machine::scale::{PER_DEG, PER_MM};
 use crate::plan::{JointLimits, MachineModel, PoseLimits, PoseProblem, Settings};
 use crate::program::{AxisKind, Coordinates, Options, ProgramAxis};
 use haptimill_firmware::config;
-use haptimill_firmware::kinematics::machine::Machine;
-use haptimill_firmware::kinematics::{Accelerations, Kinematics, Pose, Rates};
-use haptimill_firmware::units::{Coordinate, Rate};
+use haptimill_kinematics::BoundedKinematics;
+use haptimill_kinematics::{Accelerations, Kinematics, Pose, Rates};
+use haptimill_math::{Coordinate, Rate};
 use haptimill_protocol::message::{AxisValues, MAX_AXES};
 use haptimill_protocol::text::{Axes, Axis, AxisKind as TextKind};
 
@@ -19,7 +19,7 @@ pub const LETTERS: [char; 5] = ['X', 'Y', 'Z', 'B', 'A'];
 /// A machine file's geometry.
 #[derive(Debug, Clone)]
 pub struct Model {
-    machine: Machine,
+    machine: BoundedKinematics,
     pose: Vec<(String, config::AxisKind)>,
     joints: Vec<(String, config::AxisKind)>,
 }
@@ -43,7 +43,7 @@ impl Model {
     #[must_use]
     pub fn new(machine: &MachineFile) -> Self {
         Self {
-            machine: Machine::new(&machine.config),
+            machine: machine.config.kinematics(),
             pose: machine
                 .pose
                 .iter()
@@ -122,7 +122,7 @@ impl Model {
     /// The pose at the home preset, to the last bit as the controller has it after an ideal homing.
     #[must_use]
     pub fn home(&self, machine: &MachineFile) -> Option<AxisValues> {
-        let mut joints = haptimill_firmware::kinematics::Joints::default();
+        let mut joints = haptimill_kinematics::Joints::default();
         for (slot, preset) in joints.0.iter_mut().zip(machine.preset()) {
             *slot = preset;
         }

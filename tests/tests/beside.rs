@@ -2,8 +2,8 @@
 
 mod scene;
 
-use haptimill_firmware::kinematics::{Kinematics, Pose};
-use haptimill_firmware::units::Coordinate;
+use haptimill_kinematics::{Kinematics, Pose};
+use haptimill_math::Coordinate;
 use haptimill_protocol::message::{Command, Event, Refusal, Source, State};
 use haptimill_tests::Bench;
 use scene::{DEGREE, MM, jog, line, ready, rest, state, step_smoothly, wanted};

@@ -2,10 +2,10 @@
 
 use crate::Check;
 use crate::kinematics::subject::Sequence;
-use haptimill_firmware::kinematics::haptic::{HandPose, HapticArm, HapticGeometry, LegReading};
-use haptimill_firmware::kinematics::haptic_statics::{Efforts, Wrench};
 use haptimill_firmware::safety::integrity::Digest;
-use haptimill_firmware::units::{Angle, Length};
+use haptimill_kinematics::haptic_arm::statics::{Efforts, Wrench};
+use haptimill_kinematics::haptic_arm::{HandPose, HapticArm, HapticGeometry, LegReading};
+use haptimill_math::{Angle, Length};
 
 /// Poses that are looked at.
 const COUNT: usize = 200;

@@ -3,10 +3,10 @@
 use crate::Check;
 use crate::reference::{h4, mm};
 use haptimill_firmware::io::{Inputs, RECEIVE_BYTES};
-use haptimill_firmware::kinematics::Pose;
 use haptimill_firmware::motion::program::{Program, QUEUE};
 use haptimill_firmware::receive::ReceiveRing;
-use haptimill_firmware::units::Coordinate;
+use haptimill_kinematics::Pose;
+use haptimill_math::Coordinate;
 use haptimill_protocol::message::{Action, Refusal};
 use haptimill_protocol::setpoint::Setpoint;
 use haptimill_protocol::urgent;

@@ -1,17 +1,18 @@
 //! The reference H-4 machine as a configuration.
 
 use haptimill_firmware::config::{
-    AxisKind, Config, Drive, H4Geometry, Homing, JointAxis, Law, LawForm, Model, PoseAxis,
-    Stopping, Supervision,
+    AxisKind, Config, Drive, Homing, JointAxis, Law, LawForm, PoseAxis, Stopping, Supervision,
 };
 use haptimill_firmware::force::conditioning::{Channel, Sensor};
 use haptimill_firmware::force::{ForceConfig, Gate, LoopSettings};
-use haptimill_firmware::kinematics::haptic::HapticGeometry;
 use haptimill_firmware::reflection::config::{Amplifier, Encoder, FollowConfig, HapticConfig};
 use haptimill_firmware::reflection::passivity::PassivityConfig;
 use haptimill_firmware::reflection::wall::WallConfig;
-use haptimill_firmware::units::force::{Force, VirtualDamping, VirtualMass};
-use haptimill_firmware::units::{Acceleration, Angle, Coordinate, Effort, Gain, Length, Rate};
+use haptimill_kinematics::Model;
+use haptimill_kinematics::h4::H4Geometry;
+use haptimill_kinematics::haptic_arm::HapticGeometry;
+use haptimill_math::force::{Force, VirtualDamping, VirtualMass};
+use haptimill_math::{Acceleration, Angle, Coordinate, Effort, Gain, Length, Rate};
 use haptimill_protocol::haptic::{ReflectAxis, Reflection};
 
 /// Millimetres in axis units.

@@ -2,12 +2,12 @@
 
 use crate::Check;
 use crate::kinematics::subject::Sequence;
-use haptimill_firmware::units::root::{Root, hypot, isqrt, reciprocal, sqrt_rounded};
-use haptimill_firmware::units::scale::{
+use haptimill_math::root::{Root, hypot, isqrt, reciprocal, sqrt_rounded};
+use haptimill_math::scale::{
     high_product, multiply_high, multiply_shift, round_shift, saturate, scale,
 };
-use haptimill_firmware::units::trig::{atan2, sin_cos};
-use haptimill_firmware::units::{Angle, Coordinate, Length};
+use haptimill_math::trig::{atan2, sin_cos};
+use haptimill_math::{Angle, Coordinate, Length};
 
 /// Random samples of a check.
 const COUNT: usize = 20_000;

@@ -1,13 +1,12 @@
 //! What makes a configuration acceptable. A refused one names the field, and the axis it belongs to.
 
 use super::{AxisKind, Config, Drive, JointAxis, Law, Model, PoseAxis};
-use crate::kinematics::h4::H4;
-use crate::kinematics::machine::Machine;
-use crate::kinematics::{Joints, Kinematics};
 use crate::machinery::hand::HAND;
 use crate::motion::follow::MoverLimits;
 use crate::motion::{jog, program};
 use crate::reflection::config::HapticConfig;
+use haptimill_kinematics::h4::H4;
+use haptimill_kinematics::{Joints, Kinematics};
 use haptimill_protocol::message::{ConfigField, ConfigProblem, MAX_AXES};
 
 /// Largest magnitude of a linear or rotary coordinate that the arithmetic of the loops is made for: 1900 mm, or 0.46 turn.
@@ -87,7 +86,7 @@ impl Config {
             *slot = joint.preset;
         }
         require(
-            Machine::new(self).forward(&presets).is_ok(),
+            self.kinematics().forward(&presets).is_ok(),
             ConfigField::Homing,
             None,
         )?;

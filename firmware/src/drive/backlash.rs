@@ -19,11 +19,11 @@
 //! has no gain within the play and limit-cycles across it.
 
 use super::encoder::{difference, sum};
-use super::reciprocal::{Factor, Scale, saturate};
 use crate::config::AxisKind;
 use crate::position::filter::approach;
 use crate::safety::integrity::constants;
-use crate::units::{Coordinate, Rate};
+use haptimill_math::reciprocal::{Factor, Scale, saturate};
+use haptimill_math::{Coordinate, Rate};
 
 /// Time constant of each of the two filters, in microseconds.
 pub const SHIFT_US: u16 = 4_000;

@@ -10,10 +10,10 @@
 //!
 //! Misuse: more than 2^30 counts in a period give a wrong rate.
 
-use super::reciprocal::{Factor, Reciprocal, high, saturate};
 use crate::safety::integrity::constants;
-use crate::units::Rate;
-use crate::units::scale::shift_right;
+use haptimill_math::Rate;
+use haptimill_math::reciprocal::{Factor, Reciprocal, high, saturate};
+use haptimill_math::scale::shift_right;
 
 /// After this long without an edge the joint is at rest: half of the range of the clock.
 const STALE_NS: u32 = 1 << 31;

@@ -7,11 +7,11 @@
 //! Misuse: more than 2^31 counts in a period cannot be told from a step the other way.
 
 use super::edges::EdgeRate;
-use super::reciprocal::saturate;
 use crate::config::AxisKind;
 use crate::io::AxisInputs;
 use crate::safety::integrity::constants;
-use crate::units::{Coordinate, Rate};
+use haptimill_math::reciprocal::saturate;
+use haptimill_math::{Coordinate, Rate};
 
 /// Encoder of one joint.
 #[derive(Debug, Clone, PartialEq, Eq)]

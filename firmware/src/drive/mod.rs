@@ -18,7 +18,6 @@ pub mod edges;
 pub mod encoder;
 pub mod index;
 pub mod quadrature;
-pub(crate) mod reciprocal;
 pub mod steps;
 pub mod torque;
 
@@ -27,9 +26,9 @@ use crate::io::{AxisInputs, DriveCommand};
 use crate::position::PositionLaw;
 use crate::safety::integrity::{Constants, Digest, constants};
 use crate::safety::supervise::{Glimpse, Seen, Watch};
-use crate::units::{Acceleration, Coordinate, Effort, Rate};
 use backlash::Backlash;
 use encoder::{Encoder, difference, sum};
+use haptimill_math::{Acceleration, Coordinate, Effort, Rate};
 use haptimill_protocol::message::Fault;
 use index::IndexWatch;
 use steps::{PulseTiming, StepPlanner};
@@ -525,7 +524,11 @@ impl StepSupervision {
                     .saturating_mul(self.per_step)
                     .saturating_add(1 << 23)
                     >> 24;
-                sum(kind, self.start, Coordinate(reciprocal::saturate(travel)))
+                sum(
+                    kind,
+                    self.start,
+                    Coordinate(haptimill_math::reciprocal::saturate(travel)),
+                )
             }
             AxisKind::Rotary => {
                 let travel = self.steps.wrapping_mul(self.per_step).wrapping_add(1 << 23) >> 24;

@@ -16,11 +16,11 @@
 //! Misuse: a wanted position that jumps is carried out at the ceiling of the pulse timing, which a motor cannot follow. Bound the rate before.
 
 use super::encoder::difference;
-use super::reciprocal::Reciprocal;
 use crate::config::AxisKind;
 use crate::io::StepSegment;
 use crate::safety::integrity::constants;
-use crate::units::{Coordinate, Rate};
+use haptimill_math::reciprocal::Reciprocal;
+use haptimill_math::{Coordinate, Rate};
 
 /// One step in the scale of positions (Q32).
 const STEP: i64 = 1 << 32;
@@ -183,7 +183,7 @@ impl StepPlanner {
                 let lag = owed - steps;
                 Planned {
                     segment,
-                    lag: super::reciprocal::saturate(lag),
+                    lag: haptimill_math::reciprocal::saturate(lag),
                     ceiling: lag != 0,
                 }
             }
@@ -192,7 +192,7 @@ impl StepPlanner {
                 self.held = self.held.saturating_sub(timing.period);
                 Planned {
                     segment: StepSegment::default(),
-                    lag: super::reciprocal::saturate(owed),
+                    lag: haptimill_math::reciprocal::saturate(owed),
                     ceiling: owed != 0,
                 }
             }
@@ -388,6 +388,6 @@ impl Ideal {
         let square = (step * step) >> 30;
         // 2^21 * 2^12 * 2^30 is 2^63 only when bend and step are 1, and they are at most 3/4 and 1/2.
         let twice = i64::from(self.period) * (self.bend >> 4);
-        super::reciprocal::saturate(-((twice * square + (1 << 40)) >> 41))
+        haptimill_math::reciprocal::saturate(-((twice * square + (1 << 40)) >> 41))
     }
 }

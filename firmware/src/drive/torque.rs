@@ -8,9 +8,9 @@
 //! carry the mean of the codes is exact and the error of rounding lies at half the control rate, where the mass swallows it. At a clamp the carry is
 //! dropped, so nothing winds up.
 
-use super::reciprocal::{Factor, Scale};
 use crate::safety::integrity::constants;
-use crate::units::Effort;
+use haptimill_math::Effort;
+use haptimill_math::reciprocal::{Factor, Scale};
 
 /// Largest code, both ways.
 pub const CODE_LIMIT: i16 = 8191;

@@ -31,9 +31,9 @@ use super::pole::{FINENESS, Part, Pole, RATE_BITS, sound};
 use super::{ForceParameter, ForceRefusal, Gate, LoopSettings};
 use crate::position::filter::frequency;
 use crate::safety::integrity::constants;
-use crate::units::force::{Displacement, Force, VirtualDamping};
-use crate::units::scale::{multiply_shift, saturate};
-use crate::units::{Acceleration, Length, Rate};
+use haptimill_math::force::{Displacement, Force, VirtualDamping};
+use haptimill_math::scale::{multiply_shift, saturate};
+use haptimill_math::{Acceleration, Length, Rate};
 
 /// The most levels of damping: K_V alone, and 7 with more.
 pub const LEVELS: usize = 8;

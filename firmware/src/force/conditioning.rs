@@ -22,10 +22,10 @@
 //! Arithmetic: codes are held within 14 bits, scales within 0.5 N a code, so a force is below 2^15 codes * 0.5 N: no input overflows.
 
 use crate::safety::integrity::constants;
-use crate::units::force::Force;
-use crate::units::scale::{multiply_shift, saturate};
-use crate::units::trig::{ONE, sin_cos};
-use crate::units::{Angle, scale};
+use haptimill_math::force::Force;
+use haptimill_math::scale::{multiply_shift, saturate};
+use haptimill_math::trig::{ONE, sin_cos};
+use haptimill_math::{Angle, scale};
 use serde::{Deserialize, Serialize};
 
 pub use crate::io::{COMPONENTS, ForceSample};

@@ -31,8 +31,8 @@
 //! Misuse: a delay larger than the configured one. The levels are then too low.
 
 use super::compliance::{Law, ONSET};
-use crate::units::Coordinate;
-use crate::units::force::Force;
+use haptimill_math::Coordinate;
+use haptimill_math::force::Force;
 
 /// Weight of a look: 2^-5, a memory of 32 looks (8 revolutions).
 const MEMORY: u32 = 5;

@@ -20,11 +20,11 @@ pub mod peak;
 pub mod pole;
 
 use crate::safety::integrity::{Constants, Digest, constants};
-use crate::units::force::{Displacement, Force, VirtualDamping, VirtualMass};
-use crate::units::{Angle, Coordinate, Length, Rate};
 use compliance::{Compliance, LEVELS, Law, Push, Yielding};
 use conditioning::{COMPONENTS, Conditioner, ForceSample, Sensor, is_force};
 use guard::{Guard, Sign};
+use haptimill_math::force::{Displacement, Force, VirtualDamping, VirtualMass};
+use haptimill_math::{Angle, Coordinate, Length, Rate};
 pub use haptimill_protocol::force::{
     ForceLoop, ForceParameter, ForceProblem, ForceRefusal, ForceTelemetry, Gate, TareRefusal,
 };

@@ -14,7 +14,7 @@
 //! Misuse: changing the window at every measured revolution. Each change keeps the present peaks for one revolution (nothing is forgotten, nothing jumps down), so a
 //! window that always changes never forgets. Use the commanded speed.
 
-use crate::units::force::Force;
+use haptimill_math::force::Force;
 
 /// The most groups of samples in a window.
 pub const LEAVES: usize = 128;

@@ -13,8 +13,8 @@
 //!
 //! Misuse: [`Pole::step`] needs a rate below [`RATE_BITS`]; [`super::compliance`] holds it there.
 
-use crate::units::force::{VirtualDamping, VirtualMass};
-use crate::units::scale::{high_product, multiply_high};
+use haptimill_math::force::{VirtualDamping, VirtualMass};
+use haptimill_math::scale::{high_product, multiply_high};
 
 /// Bits of a rate below 2^-40 mm in a period: as many as 1 - a has leading zeros at most (x >= 2^-18).
 pub const FINENESS: u32 = 17;

@@ -12,10 +12,10 @@ use crate::config::Config;
 use crate::force::conditioning::COMPONENTS;
 use crate::force::{Design, ForceControl, ForceProblem};
 use crate::io::Inputs;
-use crate::kinematics::{Accelerations, PoseError};
 use crate::safety::integrity::{Constants, Digest};
-use crate::units::force::Displacement;
-use crate::units::{Acceleration, Coordinate, Length, Rate};
+use haptimill_kinematics::{Accelerations, PoseError};
+use haptimill_math::force::Displacement;
+use haptimill_math::{Acceleration, Coordinate, Length, Rate};
 use haptimill_protocol::message::{ConfigField, ConfigProblem};
 
 /// How long a component must have been able to yield before another end of it is told, microseconds.

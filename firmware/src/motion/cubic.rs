@@ -8,9 +8,9 @@
 //! add up to the way to the last bit. What a period needs of them is a [`Way`].
 
 use super::way::{self, Way};
-use crate::drive::reciprocal::high;
-use crate::units::scale::{product, shift_right, total};
-use crate::units::{Acceleration, Coordinate, Rate};
+use haptimill_math::reciprocal::high;
+use haptimill_math::scale::{product, shift_right, total};
+use haptimill_math::{Acceleration, Coordinate, Rate};
 use haptimill_protocol::message::RATE_SHIFT;
 
 /// Longest span of a segment in which something moves, microseconds.

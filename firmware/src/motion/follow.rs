@@ -12,9 +12,9 @@ use super::Wanted;
 use super::jog::{per_period, slope};
 use crate::config::PoseAxis;
 use crate::safety::integrity::constants;
-use crate::units::root::Root;
-use crate::units::scale::{multiply_high, saturate};
-use crate::units::{Acceleration, Coordinate, Rate};
+use haptimill_math::root::Root;
+use haptimill_math::scale::{multiply_high, saturate};
+use haptimill_math::{Acceleration, Coordinate, Rate};
 
 /// Fraction bits of places and rates.
 const FRACTION: u32 = 20;

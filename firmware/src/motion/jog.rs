@@ -8,9 +8,9 @@ use super::Wanted;
 use super::ramp::{Ramp, RampLimits};
 use super::sweep::Sweep;
 use crate::config::{Config, JERK_SHIFT};
-use crate::kinematics::{Accelerations, Kinematics, Pose, Rates};
 use crate::safety::integrity::{Constants, Digest, constants};
-use crate::units::{Acceleration, Coordinate, Rate};
+use haptimill_kinematics::{Accelerations, Kinematics, Pose, Rates};
+use haptimill_math::{Acceleration, Coordinate, Rate};
 use haptimill_protocol::message::MAX_AXES;
 
 /// Fraction bits of positions and rates here: 2^-20 axis units (per period).

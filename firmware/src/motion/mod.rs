@@ -15,11 +15,11 @@ pub mod sweep;
 pub mod way;
 
 use crate::config::Config;
-use crate::kinematics::{Accelerations, Kinematics, Pose, Rates};
 use crate::machinery::hand::HAND;
 use crate::safety::integrity::constants;
-use crate::units::{Acceleration, Coordinate, Rate};
 use follow::{Mover, MoverLimits};
+use haptimill_kinematics::{Accelerations, Kinematics, Pose, Rates};
+use haptimill_math::{Acceleration, Coordinate, Rate};
 use haptimill_protocol::message::{MAX_AXES, Source};
 use jog::Jog;
 use program::{Program, Progress};

@@ -4,8 +4,8 @@
 //! way to rest is not known as a line but as a box: each coordinate stays between two values. If the machine can take the corners of the box, going on
 //! for one more period is safe; if not, braking now is, because the box of the period before was.
 
-use crate::kinematics::{Kinematics, Pose};
-use crate::units::Coordinate;
+use haptimill_kinematics::{Kinematics, Pose};
+use haptimill_math::Coordinate;
 use haptimill_protocol::message::MAX_AXES;
 
 /// Between which values each coordinate stays.

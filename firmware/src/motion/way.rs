@@ -7,9 +7,9 @@
 //! beyond; rates and accelerations by a 2^-26th of the largest that occurs in the span. Where the span begins a place is exact.
 
 use super::cubic::{Cubic, Derivatives, FRACTION, Sample, Span};
-use crate::drive::reciprocal::high;
-use crate::units::scale::{saturate, shift_right};
-use crate::units::{Acceleration, Coordinate, Rate};
+use haptimill_math::reciprocal::high;
+use haptimill_math::scale::{saturate, shift_right};
+use haptimill_math::{Acceleration, Coordinate, Rate};
 
 /// One axis between two setpoints, ready to be sampled.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]

@@ -2,9 +2,9 @@
 //!
 //! Signals are `i32`, times microseconds. States are convex combinations of the inputs that were seen, so no input can overflow them.
 
-use crate::drive::reciprocal::mul_shift;
 use crate::safety::integrity::constants;
-use crate::units::scale::total;
+use haptimill_math::reciprocal::mul_shift;
+use haptimill_math::scale::total;
 
 /// Fractional bits of the low-passed signal: at a pole of 0.99 a difference of 1 still moves the state.
 const FRACTION: u32 = 24;

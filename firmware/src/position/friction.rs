@@ -6,9 +6,9 @@
 //! tanh is a table of 81 values, joined linearly, from 0 to 5 knees, beyond which it is 1: error below
 //! 4e-4, continuous, odd, never decreasing.
 
-use crate::drive::reciprocal::Reciprocal;
-use crate::units::scale::{product, total};
-use crate::units::{Effort, Rate};
+use haptimill_math::reciprocal::Reciprocal;
+use haptimill_math::scale::{product, total};
+use haptimill_math::{Effort, Rate};
 
 /// tanh(i / 16), Q15; the last one is 1.
 const TANH: [u16; 82] = [
@@ -69,6 +69,6 @@ impl Friction {
         // Below 2^31 * 2^31.
         let effort = total(product(i64::from(self.coulomb.0), tanh), 1 << 30) >> 31;
         let signed = if wanted.0 < 0 { -effort } else { effort };
-        Effort(crate::drive::reciprocal::saturate(signed))
+        Effort(haptimill_math::reciprocal::saturate(signed))
     }
 }

@@ -13,7 +13,7 @@
 //! All gains are brought into factors of effort when the configuration becomes active, so a period costs one word product a term. A term is held at four times the drive's
 //! limit at least, the sum saturates.
 //!
-//! Units are those of [`crate::units`]; gains come from [`crate::config::Law`]. No input can overflow: what is too large saturates, and is reported.
+//! Units are those of [`haptimill_math`]; gains come from [`crate::config::Law`]. No input can overflow: what is too large saturates, and is reported.
 //!
 //! Misuse: feeding the error of a wanted position that jumps. [`PositionLaw::reset`] belongs before the first period after an enable.
 
@@ -21,12 +21,12 @@ pub mod filter;
 pub mod friction;
 
 use crate::config::{Law, LawForm};
-use crate::drive::reciprocal::{Factor, Scale, mul_shift, saturate};
 use crate::safety::integrity::constants;
-use crate::units::scale::shift_right;
-use crate::units::{Acceleration, Coordinate, Effort, Rate};
 use filter::{CHANGE_FRACTION, RateFilter};
 use friction::Friction;
+use haptimill_math::reciprocal::{Factor, Scale, mul_shift, saturate};
+use haptimill_math::scale::shift_right;
+use haptimill_math::{Acceleration, Coordinate, Effort, Rate};
 
 /// Fractional bits of the integrator.
 const INTEGRAL_FRACTION: u32 = 20;

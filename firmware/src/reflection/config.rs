@@ -4,9 +4,9 @@ use super::Reflection;
 use super::passivity::PassivityConfig;
 use super::wall::WallConfig;
 use crate::io::LEGS;
-use crate::kinematics::haptic::{HapticGeometry, SLIDE_MAX};
-use crate::units::force::Force;
-use crate::units::{Coordinate, Effort, Length};
+use haptimill_kinematics::haptic_arm::{HapticGeometry, SLIDE_MAX};
+use haptimill_math::force::Force;
+use haptimill_math::{Coordinate, Effort, Length};
 use serde::{Deserialize, Serialize};
 
 /// An encoder of a leg.

@@ -5,9 +5,9 @@
 //!
 //! Forces 2^-16 N, rates 2^-20 mm/s. New settings are approached at `RAMP_US` for the whole range. Misuse: the force on the work instead of the one on the tool: the hand would be pulled into the cut.
 
-use crate::units::Rate;
-use crate::units::force::Force;
-use crate::units::scale::saturate;
+use haptimill_math::Rate;
+use haptimill_math::force::Force;
+use haptimill_math::scale::saturate;
 use haptimill_protocol::haptic::{COMPONENTS, ReflectAxis, Reflection};
 
 /// How long settings take for a change by their whole range (100 %, [`MOST`]), microseconds.

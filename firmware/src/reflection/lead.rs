@@ -12,11 +12,11 @@
 //! Misuse: latching while the tool moves, with where it is. It would be called back; latch where it comes to rest.
 
 use super::Hand;
-use crate::kinematics::haptic::Vector;
-use crate::units::root::hypot;
-use crate::units::scale::{multiply_shift, round_shift, saturate};
-use crate::units::trig::{atan2, sin_cos};
-use crate::units::{Coordinate, Rate};
+use haptimill_kinematics::haptic_arm::Vector;
+use haptimill_math::root::hypot;
+use haptimill_math::scale::{multiply_shift, round_shift, saturate};
+use haptimill_math::trig::{atan2, sin_cos};
+use haptimill_math::{Coordinate, Rate};
 use haptimill_protocol::message::MAX_AXES;
 
 /// Coordinates that a hand can lead: x, y, z, and theta and alpha by the direction of the tool.

@@ -6,13 +6,11 @@
     reason = "behind the 6 x 6 system of the haptic arm, which is f32"
 )]
 
-use super::COMPONENTS;
 use super::config::Amplifier;
 use crate::io::LEGS;
-use crate::kinematics::haptic::{HandPose, HapticArm};
-use crate::kinematics::haptic_statics::{Singular, Wrench};
-use crate::units::force::Force;
 use core::hash::{Hash, Hasher};
+use haptimill_kinematics::haptic_arm::statics::{Singular, Wrench};
+use haptimill_kinematics::haptic_arm::{HandPose, HapticArm};
 
 /// Most magnitude of a code.
 const CODE_MAX: f32 = 8191.0;
@@ -31,26 +29,6 @@ impl Hash for Motors {
             value.to_bits().hash(state);
         }
         self.condition.to_bits().hash(state);
-    }
-}
-
-impl Wrench {
-    /// A force at the tip: about the platform's centre, its moment is that of the way from there to the tip. What the hand feels of the tip, and what the watch over its energy counts, is then what
-    /// acts there: a force at the centre that follows the motion of the tip would feed the swinging of a handle about the grip (of the two ways that spec h4-milling 7.1 item 31 leaves, the second).
-    #[must_use]
-    pub fn at_tip(force: &[Force; COMPONENTS], pose: &HandPose) -> Self {
-        let force = force.map(|part| part.0 as f32 * (1.0 / 65_536.0));
-        let lever: [f32; COMPONENTS] = core::array::from_fn(|axis| {
-            pose.tip[axis].wrapping_sub(pose.centre[axis]) as f32 * (1.0 / 1_048_576.0)
-        });
-        Self {
-            force,
-            moment: [
-                lever[1] * force[2] - lever[2] * force[1],
-                lever[2] * force[0] - lever[0] * force[2],
-                lever[0] * force[1] - lever[1] * force[0],
-            ],
-        }
     }
 }
 

@@ -13,9 +13,9 @@
 //!
 //! Energies 2^-36 N mm (a newton in 2^-16 times a millimetre in 2^-20). Misuse: observing a force that was not the one that acted. After a clamp, observe what is left of it.
 
-use crate::units::Rate;
-use crate::units::force::Force;
-use crate::units::scale::{difference, product, total};
+use haptimill_math::Rate;
+use haptimill_math::force::Force;
+use haptimill_math::scale::{difference, product, total};
 use haptimill_protocol::haptic::COMPONENTS;
 use serde::{Deserialize, Serialize};
 

@@ -11,8 +11,8 @@
 //! Misuse: what does not come from a tool. A force that depends on the hand at once, delayed, feeds it.
 
 use super::passivity::{COUNTED, WHOLE};
-use crate::units::force::Force;
-use crate::units::scale::{difference, multiply_high, total};
+use haptimill_math::force::Force;
+use haptimill_math::scale::{difference, multiply_high, total};
 use haptimill_protocol::haptic::COMPONENTS;
 
 /// Time constant for each whole debt, microseconds.

@@ -11,9 +11,9 @@
 //! Units as in [`super::passivity`].
 
 use super::passivity::{Passivity, PassivityConfig, WHOLE, works};
-use crate::units::Rate;
-use crate::units::force::Force;
-use crate::units::scale::{difference, product, saturate, shift_right, total};
+use haptimill_math::Rate;
+use haptimill_math::force::Force;
+use haptimill_math::scale::{difference, product, saturate, shift_right, total};
 use haptimill_protocol::haptic::COMPONENTS;
 
 /// The mean that is taken for the slow part is over at least so long, microseconds; the next power of two of periods.

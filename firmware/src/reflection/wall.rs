@@ -7,9 +7,9 @@
 //!
 //! Misuse: a box smaller than the ball at the tip; [`Walls::set`] refuses it.
 
-use crate::units::force::Force;
-use crate::units::scale::{product, saturate, total};
-use crate::units::{Length, Rate};
+use haptimill_math::force::Force;
+use haptimill_math::scale::{product, saturate, total};
+use haptimill_math::{Length, Rate};
 use haptimill_protocol::haptic::COMPONENTS;
 use serde::{Deserialize, Serialize};
 

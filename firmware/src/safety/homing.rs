@@ -6,9 +6,9 @@
 //! index far from where the preset says it is, a pose that the machine cannot take: each ends the homing of all joints.
 
 use crate::config::{AxisKind, Config, JointAxis};
-use crate::kinematics::Pose;
 use crate::motion::jog::Jog;
-use crate::units::Coordinate;
+use haptimill_kinematics::Pose;
+use haptimill_math::Coordinate;
 use haptimill_protocol::message::{Fault, HomingProblem, MAX_AXES};
 
 /// Where the homing is.

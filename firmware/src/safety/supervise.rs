@@ -15,7 +15,7 @@
 
 use crate::config::{AxisKind, Drive, JointAxis};
 use crate::safety::integrity::constants;
-use crate::units::{Coordinate, Effort, Rate};
+use haptimill_math::{Coordinate, Effort, Rate};
 use haptimill_protocol::message::Fault;
 
 /// What supervision looks at in a period.

@@ -1,8 +1,8 @@
 //! The haptic arm in f64, from the geometry of spec h4-milling 2.2-2.3: an independent truth for the tests.
 #![allow(dead_code, reason = "each test uses its part")]
 
-use haptimill_firmware::kinematics::haptic::{HapticGeometry, LegReading};
-use haptimill_firmware::units::{Angle, Length};
+use haptimill_kinematics::haptic_arm::{HapticGeometry, LegReading};
+use haptimill_math::{Angle, Length};
 
 pub const PER_MM: f64 = 1_048_576.0;
 pub const PER_RADIAN: f64 = 4_294_967_296.0 / std::f64::consts::TAU;

@@ -4,8 +4,8 @@ use haptimill_firmware::force::compliance::{Compliance, Law, Push};
 use haptimill_firmware::force::guard::{Guard, Sign};
 use haptimill_firmware::force::peak::{SlidingExtremes, Window};
 use haptimill_firmware::force::{Gate, LoopSettings};
-use haptimill_firmware::units::force::{Force, VirtualDamping, VirtualMass};
-use haptimill_firmware::units::{Coordinate, Length, Rate};
+use haptimill_math::force::{Force, VirtualDamping, VirtualMass};
+use haptimill_math::{Coordinate, Length, Rate};
 
 pub const PERIOD_US: u16 = 200;
 pub const DELAY_US: u32 = 24_000;

@@ -6,7 +6,7 @@ use super::scale::{
 };
 use super::stability::{Gains, spectral_radius};
 use haptimill_firmware::config::{AxisKind, Drive, JointAxis, Law, LawForm, PoseAxis};
-use haptimill_firmware::units::{Acceleration, Coordinate, Effort, Gain, Rate};
+use haptimill_math::{Acceleration, Coordinate, Effort, Gain, Rate};
 
 /// An axis in people's units: millimetres on a linear axis, degrees on a rotary one.
 #[derive(Debug, Clone, PartialEq)]

@@ -7,8 +7,8 @@ use haptimill_firmware::force::conditioning::{COMPONENTS, Channel, Sensor};
 use haptimill_firmware::force::{
     Design, ForceConfig, ForceParameter, ForceRefusal, Gate, LoopSettings,
 };
-use haptimill_firmware::units::force::{Force, VirtualDamping, VirtualMass};
-use haptimill_firmware::units::{Length, Rate};
+use haptimill_math::force::{Force, VirtualDamping, VirtualMass};
+use haptimill_math::{Length, Rate};
 
 /// Components of the force, in order.
 pub const AXES: [(&str, usize); COMPONENTS] = [("x", 0), ("y", 1), ("z", 2)];

@@ -2,8 +2,9 @@
 
 use super::document::{Section, real};
 use super::scale::{PER_MM, to_i32};
-use haptimill_firmware::config::{AxisKind, H4Geometry};
-use haptimill_firmware::units::Length;
+use haptimill_firmware::config::AxisKind;
+use haptimill_kinematics::h4::H4Geometry;
+use haptimill_math::Length;
 
 /// Pose coordinates, in order.
 pub const POSE: [(&str, AxisKind); 5] = [

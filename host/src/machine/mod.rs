@@ -26,9 +26,11 @@ pub use problem::{Problem, Problems};
 
 use document::{Document, Section, real, whole};
 use haptimill_firmware::config::{
-    AxisKind, Config, H4Geometry, Homing, JointAxis, Model, PoseAxis, Stopping, Supervision,
+    AxisKind, Config, Homing, JointAxis, PoseAxis, Stopping, Supervision,
 };
-use haptimill_firmware::units::{Coordinate, Length, Rate};
+use haptimill_kinematics::Model;
+use haptimill_kinematics::h4::H4Geometry;
+use haptimill_math::{Coordinate, Length, Rate};
 use scale::{PER_DEG, PER_MM, to_i32, to_u16};
 use serde::de::DeserializeOwned;
 use std::path::Path;

@@ -3,8 +3,7 @@
 use super::document::Document;
 use super::{h4, scale};
 use haptimill_firmware::config::Config;
-use haptimill_firmware::kinematics::machine::Machine;
-use haptimill_firmware::kinematics::{Joints, Kinematics};
+use haptimill_kinematics::{Joints, Kinematics};
 use haptimill_protocol::message::ConfigField;
 use toml::de::DeTable;
 
@@ -15,7 +14,7 @@ pub(super) fn home_pose(document: &Document<'_>, root: &DeTable<'_>, config: &Co
         *joint = axis.preset;
     }
     let offset = root.get("joint").map_or(0, |value| value.span().start);
-    let pose = match Machine::new(config).forward(&preset) {
+    let pose = match config.kinematics().forward(&preset) {
         Ok(pose) => pose,
         Err(error) => {
             let what = format!(

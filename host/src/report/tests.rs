@@ -2,9 +2,8 @@ use super::*;
 use crate::machine::MachineFile;
 use crate::record::tests::{TemporaryFile, header};
 use crate::record::{Record, Recorder, flag};
-use haptimill_firmware::kinematics::machine::Machine;
-use haptimill_firmware::kinematics::{Joints, Kinematics, Pose};
-use haptimill_firmware::units::Coordinate;
+use haptimill_kinematics::{Joints, Kinematics, Pose};
+use haptimill_math::Coordinate;
 use std::f64::consts::TAU;
 
 const MM: f64 = (1 << 20) as f64;
@@ -14,7 +13,7 @@ const PERIOD: f64 = 2e-4;
 fn circle(outside: f64, late: f64, name: &str) -> (TemporaryFile, Recorded) {
     let file = TemporaryFile::new(name);
     let mut recorder = Recorder::create(&file.0, &header()).unwrap();
-    let machine = Machine::new(&MachineFile::built_in().unwrap().config);
+    let machine = MachineFile::built_in().unwrap().config.kinematics();
     let rate = 4.0 / 15.0;
     let periods = (TAU / rate / PERIOD) as u64;
     let fixed = |value: f64| (value * MM).round() as i32;

@@ -16,13 +16,13 @@ use crate::session::pil;
 use crate::session::{
     self, HandCourse, JobEnd, JobLine, JobRecording, Session, SimLine, Unwatched,
 };
-use haptimill_firmware::units::Length;
-use haptimill_firmware::units::force::{Force, VirtualDamping, VirtualMass};
 use haptimill_hil_sim::config::PlantConfig;
 use haptimill_hil_sim::cutting::Workpiece;
 #[cfg(unix)]
 use haptimill_hil_sim::remote::RemoteController;
 use haptimill_hil_sim::rig::Control as Controlled;
+use haptimill_math::Length;
+use haptimill_math::force::{Force, VirtualDamping, VirtualMass};
 use haptimill_protocol::message::AxisValues;
 use std::path::Path;
 use std::sync::Arc;

@@ -5,10 +5,10 @@
 
 use super::subject::{Margin, Margins, Reals, Sequence, Subject};
 use core::f64::consts::{FRAC_PI_2, PI};
-use haptimill_firmware::config::H4Geometry;
-use haptimill_firmware::kinematics::h4::H4;
-use haptimill_firmware::kinematics::{Joints, PoseError};
-use haptimill_firmware::units::{Coordinate, Length};
+use haptimill_kinematics::h4::H4;
+use haptimill_kinematics::h4::H4Geometry;
+use haptimill_kinematics::{Joints, PoseError};
+use haptimill_math::{Coordinate, Length};
 use heapless::Vec;
 
 const MM: f64 = 1.0 / 1_048_576.0;

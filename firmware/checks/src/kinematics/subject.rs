@@ -1,7 +1,7 @@
 //! What a machine brings along to be tested, and the random numbers it is tested with.
 
-use haptimill_firmware::kinematics::{Joints, Kinematics, MAX_AXES, Pose, PoseError};
-use haptimill_firmware::units::Coordinate;
+use haptimill_kinematics::{Joints, Kinematics, MAX_AXES, Pose, PoseError};
+use haptimill_math::Coordinate;
 use heapless::Vec;
 
 /// Millimetres or radians, one for each axis.

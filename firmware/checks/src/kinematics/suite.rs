@@ -2,8 +2,8 @@
 
 use super::subject::{Reals, Sequence, Subject, raw_pose, real};
 use core::fmt::Debug;
-use haptimill_firmware::kinematics::{Joints, Kinematics, MAX_AXES, Pose, PoseError};
-use haptimill_firmware::units::{Acceleration, Coordinate, Rate};
+use haptimill_kinematics::{Joints, Kinematics, MAX_AXES, Pose, PoseError};
+use haptimill_math::{Acceleration, Coordinate, Rate};
 
 /// 0.1 um, or 1 urad: millimetres and radians are told apart by the size of a raw unit.
 fn tolerance(unit: f64) -> f64 {

@@ -6,7 +6,7 @@
 use super::{Knot, Program};
 use crate::motion::cubic::{Cubic, Span};
 use crate::motion::way::Way;
-use crate::units::Coordinate;
+use haptimill_math::Coordinate;
 use haptimill_protocol::message::MAX_AXES;
 
 /// The cubics on the way to a setpoint.

@@ -9,7 +9,7 @@ use core::hint::black_box;
 use haptimill_checks::kinematics::h4::{Arm, REFERENCE};
 use haptimill_checks::kinematics::subject::{Sequence, Subject, raw_pose};
 use haptimill_checks::{Check, FAILING, all};
-use haptimill_firmware::kinematics::{Joints, Kinematics, Pose};
+use haptimill_kinematics::{Joints, Kinematics, Pose};
 use haptimill_mps2::{counter, ending, semihosting};
 
 #[cortex_m_rt::entry]

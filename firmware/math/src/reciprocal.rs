@@ -3,11 +3,11 @@
 //! Pure numbers, no units. A Cortex-M4F divides 32 by 32 bits in at most 12 cycles, but 64 by 64 in several hundred; everything in
 //! the control period goes through here instead. Misuse: [`mul_shift`] is exact only within the range that it states.
 
-use crate::units::scale::{product, total};
+use crate::scale::{product, total};
 
 /// 1/d as `mantissa / 2^exponent`, mantissa in (2^30, 2^31].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub(crate) struct Reciprocal {
+pub struct Reciprocal {
     mantissa: u32,
     exponent: u32,
 }
@@ -16,7 +16,7 @@ impl Reciprocal {
     /// Reciprocal of `divisor`; relative error below 2^-28. Zero is taken for one.
     ///
     /// A 16-bit quotient of one 32-bit division, then one Newton step y (2 - d y), which squares its relative error of 2^-15.
-    pub(crate) const fn new(divisor: u32) -> Self {
+    pub const fn new(divisor: u32) -> Self {
         let divisor = if divisor == 0 { 1 } else { divisor };
         let zeros = divisor.leading_zeros();
         let normal = divisor << zeros;
@@ -38,14 +38,14 @@ impl Reciprocal {
 
     /// `value * 2^scale / divisor`, rounded down; `|value| <= 2^31`, `scale <= 31`.
     #[inline]
-    pub(crate) const fn scaled(self, value: i64, scale: u32) -> i64 {
+    pub const fn scaled(self, value: i64, scale: u32) -> i64 {
         // The shift is 0 to 62: the exponent is at least 31, the scale at most that.
         product(value, self.mantissa as i64).wrapping_shr(self.exponent.wrapping_sub(scale))
     }
 
     /// Mantissa, at most 2^31, and exponent, 31 to 62.
     #[inline]
-    pub(crate) const fn parts(self) -> (u32, u32) {
+    pub const fn parts(self) -> (u32, u32) {
         (self.mantissa, self.exponent)
     }
 }
@@ -53,14 +53,14 @@ impl Reciprocal {
 /// A positive factor that is known since the configuration: `mantissa * 2^exponent`, mantissa in [2^30, 2^31), or zero. Worked out once, where a division
 /// costs nothing; in the control period there is only its [`Scale`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Factor {
+pub struct Factor {
     mantissa: u32,
     exponent: i32,
 }
 
 impl Factor {
     /// A whole number.
-    pub(crate) const fn of(value: u64) -> Self {
+    pub const fn of(value: u64) -> Self {
         let bits = 64 - value.leading_zeros() as i32;
         let mantissa = if bits > 31 {
             value >> (bits - 31)
@@ -76,7 +76,7 @@ impl Factor {
     }
 
     /// Their product, relative error below 2^-30.
-    pub(crate) const fn times(self, other: Self) -> Self {
+    pub const fn times(self, other: Self) -> Self {
         let product = Self::of(self.mantissa as u64 * other.mantissa as u64);
         Self {
             exponent: product.exponent + self.exponent + other.exponent,
@@ -85,7 +85,7 @@ impl Factor {
     }
 
     /// Their quotient, relative error below 2^-30; by zero as by the smallest.
-    pub(crate) const fn over(self, other: Self) -> Self {
+    pub const fn over(self, other: Self) -> Self {
         let divisor = if other.mantissa == 0 {
             1 << 30
         } else {
@@ -99,7 +99,7 @@ impl Factor {
     }
 
     /// Times 2^bits.
-    pub(crate) const fn shifted(self, bits: i32) -> Self {
+    pub const fn shifted(self, bits: i32) -> Self {
         Self {
             exponent: self.exponent + bits,
             ..self
@@ -107,12 +107,12 @@ impl Factor {
     }
 
     /// Mantissa, below 2^31, and exponent.
-    pub(crate) const fn parts(self) -> (i32, i32) {
+    pub const fn parts(self) -> (i32, i32) {
         (self.mantissa as i32, self.exponent)
     }
 
     /// By how many bits an operand of more than 31 may be shifted right before a [`Scale`] multiplies it, without loss in the product; at most 56.
-    pub(crate) const fn coarseness(self) -> u32 {
+    pub const fn coarseness(self) -> u32 {
         let bits = -32 - self.exponent;
         if bits < 0 {
             0
@@ -124,7 +124,7 @@ impl Factor {
     }
 
     /// What multiplies by it.
-    pub(crate) const fn scale(self) -> Scale {
+    pub const fn scale(self) -> Scale {
         // Operand * 2^shift * mantissa / 2^32, with all bits of the mantissa where the shift can take up the exponent.
         let shift = self.exponent + 32;
         if shift > 30 {
@@ -153,14 +153,14 @@ impl Factor {
 
 /// A multiplication by a constant factor, six instructions of a 32-bit processor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub(crate) struct Scale {
+pub struct Scale {
     mantissa: i32,
     shift: u32,
 }
 
 impl Scale {
     /// By the negative factor.
-    pub(crate) const fn reversed(self) -> Self {
+    pub const fn reversed(self) -> Self {
         Self {
             // A mantissa is not negative.
             mantissa: self.mantissa.wrapping_neg(),
@@ -170,7 +170,7 @@ impl Scale {
 
     /// `value` times the factor, rounded down; what is beyond about 2^30 either way (2^29 to 2^30, by the factor) is held there. No value overflows.
     #[inline(always)]
-    pub(crate) const fn apply(self, value: i32) -> i32 {
+    pub const fn apply(self, value: i32) -> i32 {
         let wide = value.wrapping_shl(self.shift);
         let held = if wide.wrapping_shr(self.shift) == value {
             wide
@@ -183,13 +183,13 @@ impl Scale {
 
 /// `a * b / 2^32`, rounded down: one instruction.
 #[inline(always)]
-pub(crate) const fn high(a: i32, b: i32) -> i32 {
+pub const fn high(a: i32, b: i32) -> i32 {
     ((a as i64 * b as i64) >> 32) as i32
 }
 
 /// `a * b / 2^SHIFT`, rounded down, `SHIFT <= 32`; needs `|a| < 2^(30 + SHIFT)`.
 #[inline]
-pub(crate) const fn mul_shift<const SHIFT: u32>(a: i64, b: u32) -> i64 {
+pub const fn mul_shift<const SHIFT: u32>(a: i64, b: u32) -> i64 {
     let high = product(a >> 32, b as i64);
     let low = ((a & 0xffff_ffff) as u64 * b as u64) >> SHIFT;
     total(high << (32 - SHIFT), low as i64)
@@ -197,7 +197,7 @@ pub(crate) const fn mul_shift<const SHIFT: u32>(a: i64, b: u32) -> i64 {
 
 /// The nearest `i32`.
 #[inline]
-pub(crate) const fn saturate(value: i64) -> i32 {
+pub const fn saturate(value: i64) -> i32 {
     let word = value as i32;
     if word as i64 == value {
         word

@@ -8,10 +8,12 @@
 //!
 //! Misuse: a [`HandPose`] is only as true as the readings. Whoever takes one without the check of the sides ([`HapticArm::pose`] makes it) has no idea whether it is.
 
-use crate::units::root::{Root, sqrt_rounded};
-use crate::units::scale::{multiply_shift, round_q30, shift_right};
-use crate::units::trig::sin_cos;
-use crate::units::{Angle, Length};
+pub mod statics;
+
+use haptimill_math::root::{Root, sqrt_rounded};
+use haptimill_math::scale::{multiply_shift, round_q30, shift_right};
+use haptimill_math::trig::sin_cos;
+use haptimill_math::{Angle, Length};
 use serde::{Deserialize, Serialize};
 
 /// Legs of the arm.

@@ -16,7 +16,9 @@
     reason = "the 6 x 6 system of the haptic arm; nothing else in the controller"
 )]
 
-use super::haptic::{HandPose, HapticArm, LEGS, Vector};
+use haptimill_math::force::Force;
+
+use super::{HandPose, HapticArm, LEGS, Vector};
 
 /// What the hand shall feel, about the platform's centre.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -25,6 +27,29 @@ pub struct Wrench {
     pub force: [f32; 3],
     /// Moment, N mm.
     pub moment: [f32; 3],
+}
+
+impl Wrench {
+    /// The wrench about the platform's centre of a force at the tip, 2^-16 N.
+    ///
+    /// The moment is that of the lever from the centre to the tip, so the operator feels the
+    /// force where it acts, and the passivity observer counts the power of the tip's motion
+    /// (docs/control.md, force feedback).
+    #[must_use]
+    pub fn at_tip(force: &[Force; 3], pose: &HandPose) -> Self {
+        let force = force.map(|part| part.0 as f32 * (1.0 / 65_536.0));
+        let lever: [f32; 3] = core::array::from_fn(|axis| {
+            pose.tip[axis].wrapping_sub(pose.centre[axis]) as f32 * (1.0 / 1_048_576.0)
+        });
+        Self {
+            force,
+            moment: [
+                lever[1] * force[2] - lever[2] * force[1],
+                lever[2] * force[0] - lever[0] * force[2],
+                lever[0] * force[1] - lever[1] * force[0],
+            ],
+        }
+    }
 }
 
 /// The arm is too near a pose in which it cannot hold the hand in every direction.

@@ -3,17 +3,17 @@
 //! A *pose* is what a part program speaks of, a *joint* is what a drive moves; both are arrays of axis coordinates of which a machine uses
 //! the first [`Kinematics::axes`]. Every function gives a right answer or a [`PoseError`], never a number that is wrong.
 
+#![no_std]
+// Integers only, but for the statics of the haptic arm.
+#![cfg_attr(not(test), deny(clippy::float_arithmetic))]
+
+mod bounded;
 pub mod h4;
-mod h4_forward;
-mod h4_motion;
-mod h4_statics;
-pub mod haptic;
-pub mod haptic_statics;
-pub mod machine;
+pub mod haptic_arm;
 
-pub use h4_statics::ToolForce;
+pub use bounded::{BoundedKinematics, Model};
 
-use crate::units::{Acceleration, Coordinate, Rate};
+use haptimill_math::{Acceleration, Coordinate, Rate};
 pub use haptimill_protocol::message::{MAX_AXES, PoseError};
 
 /// A pose of the tool in the work, in the machine's order of pose coordinates (H-4: x_w, y_w, z_w, theta, alpha).

@@ -1,19 +1,28 @@
 //! The machine of a configuration: its geometry together with the strokes of its joints.
 //!
-//! This is what the controller and the host ask. A [`Machine`] answers only for joints within their strokes; the geometry alone (for
+//! This is what the controller and the host ask. A [`BoundedKinematics`] answers only for joints within their strokes; the geometry alone (for
 //! instance [`H4`]) does not know them.
 //!
 //! Misuse: soft limits of the pose are not checked here, they belong to the motion.
 
-use super::h4::{BasePose, H4};
+use super::h4::{BasePose, H4, H4Geometry};
 use super::{Accelerations, Jacobian, JointMotion, Joints, Kinematics, Pose, PoseError, Rates};
-use crate::config::{Config, Model};
-use crate::units::{Angle, Coordinate, Length};
+use haptimill_math::{Angle, Coordinate, Length};
 use haptimill_protocol::message::MAX_AXES;
+use serde::{Deserialize, Serialize};
+
+/// Which geometry, and its lengths.
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub enum Model {
+    /// The hybrid H-4 arm with its rotary table.
+    H4(H4Geometry),
+    /// No machine: a haptic arm alone, which leads one afar.
+    None,
+}
 
 /// A geometry and its strokes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub struct Machine {
+pub struct BoundedKinematics {
     geometry: Geometry,
     /// Lower and upper end of each joint's stroke.
     strokes: [(Coordinate, Coordinate); MAX_AXES],
@@ -29,19 +38,22 @@ enum Geometry {
     None,
 }
 
-impl Machine {
-    /// The machine of a configuration.
+impl BoundedKinematics {
+    /// The geometry of `model` with the stroke of each joint, lower and upper end.
     ///
-    /// A joint that the configuration lacks has no stroke at all: it may only be at 0.
+    /// A joint without a stroke may only be at 0.
     #[must_use]
-    pub fn new(config: &Config) -> Self {
-        let geometry = match &config.model {
+    pub fn new(
+        model: &Model,
+        joint_strokes: impl IntoIterator<Item = (Coordinate, Coordinate)>,
+    ) -> Self {
+        let geometry = match model {
             Model::H4(lengths) => Geometry::H4(H4::new(lengths)),
             Model::None => Geometry::None,
         };
         let mut strokes = [(Coordinate::ZERO, Coordinate::ZERO); MAX_AXES];
-        for (stroke, joint) in strokes.iter_mut().zip(&config.joints) {
-            *stroke = (joint.low, joint.high);
+        for (stroke, joint) in strokes.iter_mut().zip(joint_strokes) {
+            *stroke = joint;
         }
         let axes = match &geometry {
             Geometry::H4(arm) => arm.axes(),
@@ -161,7 +173,7 @@ impl Machine {
     }
 }
 
-impl Kinematics for Machine {
+impl Kinematics for BoundedKinematics {
     fn axes(&self) -> usize {
         match &self.geometry {
             Geometry::H4(arm) => arm.axes(),

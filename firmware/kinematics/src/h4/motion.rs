@@ -1,6 +1,6 @@
 //! Rates and accelerations of the H-4 arm's joints, and its Jacobian: the chain rule, never a difference.
 //!
-//! The formulas of [`super::h4`] are differentiated twice along a moving pose. With s, c the sine and cosine of alpha and ' the derivative by time:
+//! The formulas of [`super`] are differentiated twice along a moving pose. With s, c the sine and cosine of alpha and ' the derivative by time:
 //!
 //! ```text
 //! y'  = (Y' c - Z' s) - alpha' (z + h)            z'  = (Y' s + Z' c) + alpha' y
@@ -15,12 +15,14 @@
 //!
 //! Limits: a joint's rate or acceleration that leaves its type is held at its end (2048 mm/s, 524 m/s^2), far above what a drive does.
 
-use super::h4::{ALPHA, AXES, H4, Pair, Placed, THETA};
-use super::{Accelerations, Jacobian, JointMotion, Rates};
-use crate::units::root::Reciprocal;
-use crate::units::scale::{multiply_high, multiply_shift, round_shift, scale, shift_right, total};
-use crate::units::trig::QUARTER_PI_Q31;
-use crate::units::{Acceleration, Rate};
+use super::{ALPHA, AXES, H4, Pair, Placed, THETA};
+use crate::{Accelerations, Jacobian, JointMotion, Rates};
+use haptimill_math::root::Reciprocal;
+use haptimill_math::scale::{
+    multiply_high, multiply_shift, round_shift, scale, shift_right, total,
+};
+use haptimill_math::trig::QUARTER_PI_Q31;
+use haptimill_math::{Acceleration, Rate};
 
 /// 2 pi in Q28.
 const TWO_PI_Q28: i32 = QUARTER_PI_Q31;
@@ -323,7 +325,7 @@ impl H4 {
 
     /// The Jacobian in table coordinates: spec h4-milling 2.7, chained with the table.
     pub(super) fn slopes(&self, placed: &Placed, pairs: &[Pair; 2]) -> Jacobian {
-        let mut rows = Jacobian([[0; super::MAX_AXES]; super::MAX_AXES]);
+        let mut rows = Jacobian([[0; crate::MAX_AXES]; crate::MAX_AXES]);
         let (table_sine, table_cosine) = (placed.table.0 as i64, placed.table.1 as i64);
         let (sine, cosine) = placed.tilt;
         let one = 1i64 << 32;

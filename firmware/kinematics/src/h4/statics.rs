@@ -10,9 +10,9 @@
 //!
 //! so S cancels in the last line. Not for the innermost loop of a chip: it divides 128-bit numbers.
 
-use super::h4::H4;
-use super::{Pose, PoseError};
-use crate::units::Effort;
+use super::H4;
+use crate::{Pose, PoseError};
+use haptimill_math::Effort;
 
 /// What pushes the tool, in the frame of the slave base.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]

@@ -11,6 +11,9 @@
 //! | [`Acceleration`] | 2^-12 mm/s^2 | +-524 m/s^2 | 2^-24 turn/s^2 | +-128 turn/s^2 |
 //! | [`Effort`] | 2^-16 N | +-32768 N | 2^-16 N m | +-32768 N m |
 
+#![no_std]
+#![cfg_attr(not(test), deny(clippy::float_arithmetic))]
+
 /// Defines a newtype over `i32`, or over another integer that is named, with its raw value public.
 macro_rules! quantity {
     ($(#[$doc:meta])* $name:ident) => {
@@ -55,6 +58,7 @@ quantity! {
 }
 
 pub mod force;
+pub mod reciprocal;
 pub mod root;
 pub mod scale;
 pub mod trig;

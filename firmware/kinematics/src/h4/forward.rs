@@ -17,14 +17,14 @@
 //! H itself is never worked out: with v = H^2 scaled into 1/4 to 1, sqrt(v) t and sqrt(v) q need no division, and turning them by (E, D) leaves a
 //! division by v, which is one reciprocal of a word beside the root. Two roots, one reciprocal, one arc tangent in all.
 
-use super::h4::{BasePose, H4};
-use super::{Joints, PoseError};
-use crate::units::root::{Root, reciprocal};
-use crate::units::scale::{
+use super::{BasePose, H4};
+use crate::{Joints, PoseError};
+use haptimill_math::root::{Root, reciprocal};
+use haptimill_math::scale::{
     high_product, multiply_high, round_shift, saturate, shift_left, shift_right, total,
 };
-use crate::units::trig::atan2;
-use crate::units::{Coordinate, Length};
+use haptimill_math::trig::atan2;
+use haptimill_math::{Coordinate, Length};
 
 impl H4 {
     /// The tool in the frame of the slave base: x, y, z and theta of (3.17)-(3.19), without the table.

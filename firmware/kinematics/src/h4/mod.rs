@@ -21,15 +21,21 @@
 //! Cost on one core of a current server: inverse 37 ns, forward 51 ns, motion 84 ns. There is no division unless a pose is refused or all but refused
 //! for its distance from the singularity, so a chip without a 64-bit divider is not held up.
 //!
-//! Misuse: strokes and soft limits are not known here; see [`super::machine::Machine`].
+//! Misuse: strokes and soft limits are not known here; see [`super::BoundedKinematics`].
 
-use super::h4_motion::quick_turn;
+mod forward;
+mod motion;
+mod statics;
+
+pub use statics::ToolForce;
+
 use super::{Accelerations, Jacobian, JointMotion, Joints, Kinematics, Pose, PoseError, Rates};
-use crate::config::H4Geometry;
-use crate::units::root::{Root, hypot};
-use crate::units::scale::{round_q30, saturate, total};
-use crate::units::trig::sin_cos;
-use crate::units::{Angle, Coordinate, Length};
+use haptimill_math::root::{Root, hypot};
+use haptimill_math::scale::{round_q30, saturate, total};
+use haptimill_math::trig::sin_cos;
+use haptimill_math::{Angle, Coordinate, Length};
+use motion::quick_turn;
+use serde::{Deserialize, Serialize};
 
 /// How many pose coordinates, and joints.
 pub(super) const AXES: usize = 5;
@@ -37,6 +43,37 @@ pub(super) const AXES: usize = 5;
 pub(super) const THETA: usize = 3;
 /// Index of the table alpha in a pose and in the joints.
 pub(super) const ALPHA: usize = 4;
+
+/// Lengths of the H-4 arm (spec h4-milling.md 2.5-2.6), 2^-20 mm.
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub struct H4Geometry {
+    /// E = a - b - e: the lateral distance between rail joint and platform joint at y = 0.
+    pub lateral: Length,
+    /// c: half the distance of the two platform joints along the tool axis.
+    pub half_spacing: Length,
+    /// d: half the height difference of the rail pairs.
+    pub half_height: Length,
+    /// w: x offset of the slide's joint.
+    pub joint_offset: Length,
+    /// R: length of the rods.
+    pub rod: Length,
+    /// g_e: z offset of the rails.
+    pub rail_offset: Length,
+    /// T_L: tool length from the lower platform joint to the tip.
+    pub tool: Length,
+    /// p + x_Ow^O1: from x_w to x of the slave base.
+    pub x_offset: Length,
+    /// y_Ow^O1.
+    pub y_offset: Length,
+    /// z_O1^O2.
+    pub z_offset: Length,
+    /// h: height of the table axis below the slave's origin.
+    pub table_height: Length,
+    /// The platform hangs below the rails (the minus root of (3.19)) or stands above.
+    pub below: bool,
+    /// Least distance from the parallel singularity that is accepted (5 mm).
+    pub singularity_margin: Length,
+}
 
 /// The longest rod and lateral distance: 1024 mm.
 const LONGEST: i32 = 1 << 30;
