@@ -2,10 +2,10 @@
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use haptimill_firmware::io::{DriveCommand, Outputs};
-use haptimill_hil_sim::cutting::{Area, Cutting, CuttingConfig, ToolPose, WorkpieceConfig};
 use haptimill_hil_sim::process::ProcessConfig;
-use haptimill_hil_sim::sensor::SensorConfig;
-use haptimill_hil_sim::structure::StructureConfig;
+use haptimill_hil_sim::process::sensor::SensorConfig;
+use haptimill_hil_sim::process::structure::StructureConfig;
+use haptimill_hil_sim::process::{Area, Cutting, CuttingConfig, ToolPose, WorkpieceConfig};
 use haptimill_hil_sim::{Plant, PlantConfig};
 use std::hint::black_box;
 

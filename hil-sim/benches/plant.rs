@@ -2,9 +2,9 @@
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use haptimill_firmware::io::{DriveCommand, HapticOutputs, Inputs, Outputs};
-use haptimill_hil_sim::geometry::Arm;
-use haptimill_hil_sim::hand::{HandConfig, Intention, ReferencePart, Trace};
-use haptimill_hil_sim::haptic::{HapticArm, HapticConfig};
+use haptimill_hil_sim::haptics::{HapticArm, HapticConfig};
+use haptimill_hil_sim::machines::h4::Arm;
+use haptimill_hil_sim::operator::{HandConfig, Intention, ReferencePart, Trace};
 use haptimill_hil_sim::{Control, Plant, PlantConfig, Rig, RigOptions};
 use std::hint::black_box;
 

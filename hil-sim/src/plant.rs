@@ -10,15 +10,17 @@
 //!
 //! A command of the wrong kind for a drive ([`DriveCommand::Steps`] on a torque drive) leaves the drive off and is counted.
 
-use crate::config::{DriveConfig, JointConfig, JointKind, PlantConfig, PlantError, SwitchSide};
-use crate::cutting::{CuttingConfig, ToolPose};
-use crate::encoder::{Encoder, EncoderCondition, Track};
-use crate::geometry::{Arm, Tip};
-use crate::haptic::HapticArm;
-use crate::mechanics::{Bodies, Lanes, Mechanics};
+use crate::check::PlantError;
+use crate::config::PlantConfig;
+use crate::haptics::HapticArm;
+use crate::joint::encoder::{Encoder, EncoderCondition, Track};
+use crate::joint::mechanics::{Bodies, Lanes, Mechanics};
+use crate::joint::stepper::{PulseReport, Stepper};
+use crate::joint::{DriveConfig, JointConfig, JointKind, SwitchSide};
+use crate::machines::h4::{Arm, Tip};
+use crate::process::{CuttingConfig, ToolPose};
 use crate::process::{Process, ProcessConfig};
 use crate::random::Random;
-use crate::stepper::{PulseReport, Stepper};
 use haptimill_firmware::io::{DriveCommand, ForceSample, Inputs, Outputs};
 use haptimill_protocol::message::MAX_AXES;
 

@@ -6,12 +6,13 @@
 //!
 //! Nothing here knows the wall clock; whoever wants real time calls `step` at its pace.
 
-use crate::config::{PlantConfig, PlantError};
+use crate::check::PlantError;
+use crate::config::PlantConfig;
 use crate::fault::{Fault, FaultError};
+use crate::line::Wire;
 use crate::plant::{Plant, Truth};
 use crate::random::Random;
 use crate::schedule::Schedule;
-use crate::wire::Wire;
 use core::fmt;
 use haptimill_firmware::io::{DriveCommand, Inputs, Outputs, RECEIVE_BYTES, StepSegment};
 use haptimill_firmware::reading::Reading;

@@ -2,14 +2,14 @@
 //!
 //! A schedule with faults owns the conditions of all devices: at each change it sets them all anew, so what was set by hand is lost then.
 
-use crate::encoder::EncoderCondition;
 use crate::fault::{
     Channel, Direction, Fault, FaultError, FaultKind, HandEncoder, HandFault, Level, Switch,
 };
-use crate::haptic::sensors::SENSORS;
+use crate::haptics::sensors::SENSORS;
+use crate::joint::encoder::EncoderCondition;
+use crate::line::{Wire, WireCondition};
 use crate::plant::{JointCondition, Plant};
-use crate::sensor::{End, SensorCondition};
-use crate::wire::{Wire, WireCondition};
+use crate::process::sensor::{End, SensorCondition};
 use haptimill_firmware::io::LEGS;
 use haptimill_protocol::message::MAX_AXES;
 

@@ -2,7 +2,7 @@
 
 mod mill;
 
-use haptimill_hil_sim::cutting::{Coefficients, ToolPose};
+use haptimill_hil_sim::process::{Coefficients, ToolPose};
 use mill::{Bench, TURN, block, config, largest, mean, peaks, slotted};
 use std::f64::consts::PI;
 
@@ -77,7 +77,7 @@ fn a_second_pass_takes_nothing() {
         // The way back has the last tooth's chip to finish. At the ends of the slot, steep walls are met up to 0.3 mm too early.
         let ends = (0.4 / (feed * mill::PERIOD)) as usize;
         let middle =
-            |cuts: &[haptimill_hil_sim::cutting::Cut]| largest(&cuts[ends..cuts.len() - ends]);
+            |cuts: &[haptimill_hil_sim::process::Cut]| largest(&cuts[ends..cuts.len() - ends]);
         assert_eq!(middle(&back), 0.0, "{depth} back");
         assert_eq!(middle(&again), 0.0, "{depth} again");
         if depth < 3.0 {
@@ -190,7 +190,7 @@ fn up_and_down_milling_have_their_signs() {
     let config = config(block(-36.0, 6.0, -11.0, 6.0), Coefficients::P1);
     let mut bench = Bench::new(&config, [0.0, 0.0, 1.0]);
     bench.line([0.0, 0.0, -2.0], 4.0);
-    let signed = |cuts: &[haptimill_hil_sim::cutting::Cut]| {
+    let signed = |cuts: &[haptimill_hil_sim::process::Cut]| {
         let (high, low) = peaks(cuts, 8);
         core::array::from_fn::<f64, 3, _>(|i| if high[i] > -low[i] { high[i] } else { low[i] })
     };
@@ -281,7 +281,7 @@ fn a_leaning_tool_takes_the_same_chips() {
     let run = |alpha: f64| {
         let start = ToolPose::leaning([0.0, 0.0, 5.0], 0.0, alpha);
         let mut cutting =
-            haptimill_hil_sim::cutting::Cutting::new(&config, &start).expect("a mill");
+            haptimill_hil_sim::process::Cutting::new(&config, &start).expect("a mill");
         let mut chips = 0.0;
         let mut force = [0.0; 3];
         let steps = 20_000;

@@ -4,7 +4,7 @@
 
 mod mill;
 
-use haptimill_hil_sim::cutting::{Coefficients, Cut};
+use haptimill_hil_sim::process::{Coefficients, Cut};
 use mill::{Bench, TURN, block, config, peaks};
 use std::f64::consts::PI;
 

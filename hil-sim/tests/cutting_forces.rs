@@ -2,7 +2,7 @@
 
 mod mill;
 
-use haptimill_hil_sim::cutting::{Coefficients, CutterConfig};
+use haptimill_hil_sim::process::{Coefficients, CutterConfig};
 use mill::{Bench, block, config};
 use std::f64::consts::{PI, TAU};
 

@@ -2,8 +2,8 @@
 
 mod mill;
 
-use haptimill_hil_sim::cutting::survey::circle;
-use haptimill_hil_sim::cutting::{
+use haptimill_hil_sim::process::metrology::circle;
+use haptimill_hil_sim::process::{
     Coefficients, CuttingConfig, ElasticWall, Spindle, SpindleConfig, ToolPose, Workpiece,
 };
 use mill::{Bench, block, config, slotted};

@@ -1,7 +1,7 @@
 //! The arm's geometry against the loops themselves and against the reference table of REF-G.
 
-use haptimill_hil_sim::config::{ArmGeometry, Branch};
-use haptimill_hil_sim::geometry::{Arm, Tip};
+use haptimill_hil_sim::machines::h4::{Arm, Tip};
+use haptimill_hil_sim::machines::h4::{ArmGeometry, Branch};
 use proptest::prelude::*;
 
 const HOME: [f64; 4] = [1135.0, 485.0, 1135.0, 485.0];

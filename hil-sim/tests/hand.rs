@@ -1,11 +1,13 @@
 //! The hand at the haptic arm: how it goes, how it yields, how it is led. The laws of force here are the test's own; no firmware takes part.
 
 use haptimill_firmware::io::HapticOutputs;
-use haptimill_hil_sim::encoder::EncoderCondition;
-use haptimill_hil_sim::hand::{HandConfig, Intention, Live, Rail, ReferencePart, Stroke, Trace};
-use haptimill_hil_sim::haptic::dynamics::Dynamics;
-use haptimill_hil_sim::haptic::geometry::solved;
-use haptimill_hil_sim::haptic::{HandlePose, HapticArm, HapticConfig, HapticTruth};
+use haptimill_hil_sim::haptics::dynamics::Dynamics;
+use haptimill_hil_sim::haptics::geometry::solved;
+use haptimill_hil_sim::haptics::{HandlePose, HapticArm, HapticConfig, HapticTruth};
+use haptimill_hil_sim::joint::encoder::EncoderCondition;
+use haptimill_hil_sim::operator::{
+    HandConfig, Intention, Live, Rail, ReferencePart, Stroke, Trace,
+};
 
 const PERIOD: f64 = 200e-6;
 const X: [f64; 3] = [1.0, 0.0, 0.0];

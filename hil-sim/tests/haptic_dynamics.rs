@@ -1,8 +1,8 @@
 //! Masses and frictions of the haptic arm against conservation laws and closed formulas.
 
 use haptimill_firmware::io::HapticOutputs;
-use haptimill_hil_sim::hand::HandConfig;
-use haptimill_hil_sim::haptic::{HapticArm, HapticConfig};
+use haptimill_hil_sim::haptics::{HapticArm, HapticConfig};
+use haptimill_hil_sim::operator::HandConfig;
 
 const PERIOD: f64 = 200e-6;
 

@@ -2,9 +2,9 @@
 //! against differences.
 
 use haptimill_firmware::io::HapticOutputs;
-use haptimill_hil_sim::haptic::dynamics::Dynamics;
-use haptimill_hil_sim::haptic::geometry::{Actuated, rotated, solved, turned};
-use haptimill_hil_sim::haptic::{Geometry, HandlePose, HapticArm, HapticConfig, HapticGeometry};
+use haptimill_hil_sim::haptics::dynamics::Dynamics;
+use haptimill_hil_sim::haptics::geometry::{Actuated, rotated, solved, turned};
+use haptimill_hil_sim::haptics::{Geometry, HandlePose, HapticArm, HapticConfig, HapticGeometry};
 use proptest::prelude::*;
 
 /// A row: nine joints, centre, frame, tip, force, six efforts.

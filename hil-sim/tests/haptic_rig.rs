@@ -3,8 +3,8 @@
 mod machine;
 
 use haptimill_firmware::io::{HapticOutputs, Inputs, Outputs};
-use haptimill_hil_sim::hand::{HandConfig, Intention, Stroke};
-use haptimill_hil_sim::haptic::HapticConfig;
+use haptimill_hil_sim::haptics::HapticConfig;
+use haptimill_hil_sim::operator::{HandConfig, Intention, Stroke};
 use haptimill_hil_sim::{Control, Fault, PlantConfig, Rig, RigOptions};
 
 /// A controller that remembers what it sees and puts fixed codes on the first leg.

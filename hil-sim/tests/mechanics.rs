@@ -3,8 +3,8 @@
 mod machine;
 
 use haptimill_firmware::io::{DriveCommand, Inputs, Outputs};
-use haptimill_hil_sim::config::{DriveConfig, SwitchConfig, SwitchSide};
-use haptimill_hil_sim::mechanics::{Bodies, Mechanics};
+use haptimill_hil_sim::joint::mechanics::{Bodies, Mechanics};
+use haptimill_hil_sim::joint::{DriveConfig, SwitchConfig, SwitchSide};
 use haptimill_hil_sim::{Plant, PlantConfig};
 use proptest::prelude::*;
 

@@ -3,12 +3,12 @@
 mod machine;
 
 use haptimill_firmware::io::{DriveCommand, Inputs, Outputs};
-use haptimill_hil_sim::config::DriveConfig;
-use haptimill_hil_sim::cutting::config::Area;
-use haptimill_hil_sim::cutting::{CuttingConfig, ElasticWall, SpindleConfig, WorkpieceConfig};
+use haptimill_hil_sim::joint::DriveConfig;
 use haptimill_hil_sim::process::ProcessConfig;
-use haptimill_hil_sim::sensor::SensorConfig;
-use haptimill_hil_sim::structure::{Structure, StructureConfig};
+use haptimill_hil_sim::process::config::Area;
+use haptimill_hil_sim::process::sensor::SensorConfig;
+use haptimill_hil_sim::process::structure::{Structure, StructureConfig};
+use haptimill_hil_sim::process::{CuttingConfig, ElasticWall, SpindleConfig, WorkpieceConfig};
 use haptimill_hil_sim::{Control, Plant, PlantConfig, Rig, RigOptions};
 
 const PERIOD: f64 = 200e-6;
@@ -413,7 +413,7 @@ fn a_contact_ten_times_as_stiff_as_the_structure_is_stable() {
     // Held 0.1 mm inside the wall by the slides: series of both springs.
     let mut deflection = [0.0; 3];
     for _ in 0..500 {
-        let pose = haptimill_hil_sim::cutting::ToolPose::upright([-0.1 + deflection[0], 0.0, 0.0]);
+        let pose = haptimill_hil_sim::process::ToolPose::upright([-0.1 + deflection[0], 0.0, 0.0]);
         deflection = structure.advance(wall.force(&pose, [0.0; 3]));
     }
     let exact = 0.1 * 4900.0 / (4900.0 + 500.0);

@@ -1,7 +1,7 @@
 //! The force sensor: what it measures, and each of its faults alone.
 
+use haptimill_hil_sim::process::sensor::{End, FULL_CODE, Sensor, SensorCondition, SensorConfig};
 use haptimill_hil_sim::random::Random;
-use haptimill_hil_sim::sensor::{End, FULL_CODE, Sensor, SensorCondition, SensorConfig};
 use proptest::prelude::*;
 
 const PERIOD: f64 = 200e-6;

@@ -5,7 +5,7 @@ mod scene;
 use haptimill_firmware::controller::Controller;
 use haptimill_firmware::io::{Inputs, Outputs};
 use haptimill_firmware::safety::suspected;
-use haptimill_hil_sim::encoder::EncoderCondition;
+use haptimill_hil_sim::joint::encoder::EncoderCondition;
 use haptimill_hil_sim::rig::{Control, RigOptions};
 use haptimill_protocol::message::{AxisValues, Command, Fault, Refusal, State};
 use haptimill_tests::Bench;

@@ -10,9 +10,9 @@ use haptimill::cli::Exit;
 use haptimill::port::Board;
 use haptimill_firmware::io::DriveCommand;
 use haptimill_firmware::receive::RING_BYTES;
+use haptimill_hil_sim::line::WireCount;
 use haptimill_hil_sim::random::Random;
 use haptimill_hil_sim::rig::{Control, RigOptions};
-use haptimill_hil_sim::wire::WireCount;
 use haptimill_protocol::message::{
     CONFIG_CHUNK, Command, ConfigChunk, Event, Fault, Refusal, State,
 };

@@ -2,7 +2,7 @@
 
 mod scene;
 
-use haptimill_hil_sim::encoder::EncoderCondition;
+use haptimill_hil_sim::joint::encoder::EncoderCondition;
 use haptimill_hil_sim::plant::JointCondition;
 use haptimill_protocol::message::{Command, Event, Fault, InputProblem, Refusal, State};
 use haptimill_tests::Bench;

@@ -3,7 +3,7 @@
 mod scene;
 
 use haptimill_hil_sim::process::ProcessConfig;
-use haptimill_hil_sim::sensor::{End, SensorCondition};
+use haptimill_hil_sim::process::sensor::{End, SensorCondition};
 use haptimill_protocol::force::{ForceProblem, Gate};
 use haptimill_protocol::message::{Command, Event, Fault, State};
 use haptimill_tests::Bench;

@@ -3,10 +3,10 @@
 mod scene;
 
 use haptimill_firmware::force::compliance::LARGEST_LIMIT;
-use haptimill_hil_sim::cutting::ElasticWall;
-use haptimill_hil_sim::encoder::EncoderCondition;
+use haptimill_hil_sim::joint::encoder::EncoderCondition;
 use haptimill_hil_sim::plant::JointCondition;
-use haptimill_hil_sim::sensor::SensorCondition;
+use haptimill_hil_sim::process::ElasticWall;
+use haptimill_hil_sim::process::sensor::SensorCondition;
 use haptimill_protocol::force::{ForceLoop, Gate};
 use haptimill_protocol::message::{
     Action, AxisValues, Command, ConfigChunk, SetpointBatch, SetpointDelta, Source, State,

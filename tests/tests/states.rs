@@ -4,7 +4,7 @@ mod scene;
 
 use haptimill::machine::{BUILT_IN, MachineFile};
 use haptimill_firmware::controller::Controller;
-use haptimill_hil_sim::encoder::EncoderCondition;
+use haptimill_hil_sim::joint::encoder::EncoderCondition;
 use haptimill_hil_sim::rig::RigOptions;
 use haptimill_protocol::message::{
     AxisValues, Command, Event, Fault, HomingProblem, InputProblem, Refusal, Source, State,

@@ -2,7 +2,7 @@
 #![allow(dead_code, reason = "each test binary uses a part")]
 
 use haptimill_hil_sim::PlantConfig;
-use haptimill_hil_sim::config::{DriveConfig, JointConfig, StepDrive};
+use haptimill_hil_sim::joint::{DriveConfig, JointConfig, StepDrive};
 
 #[derive(serde::Deserialize)]
 struct File {

@@ -1,8 +1,8 @@
 //! A mill on a bench: a tool that is led along lines at a constant feed.
 #![allow(dead_code, reason = "each test binary uses a part")]
 
-use haptimill_hil_sim::cutting::config::Area;
-use haptimill_hil_sim::cutting::{
+use haptimill_hil_sim::process::config::Area;
+use haptimill_hil_sim::process::{
     Coefficients, Cut, Cutting, CuttingConfig, ToolPose, WorkpieceConfig,
 };
 

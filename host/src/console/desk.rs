@@ -20,7 +20,7 @@ use crate::model::Model;
 use crate::port::PortError;
 use crate::session::fresh_number;
 use haptimill_firmware::config::Drive;
-use haptimill_hil_sim::cutting::CuttingConfig;
+use haptimill_hil_sim::process::CuttingConfig;
 use haptimill_protocol::force::ForceLoop;
 use haptimill_protocol::haptic::Reflection;
 use haptimill_protocol::message::{

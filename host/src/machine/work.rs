@@ -2,7 +2,7 @@
 
 use super::document::Document;
 use super::{Problem, Problems};
-use haptimill_hil_sim::cutting::{CuttingConfig, WorkpieceConfig};
+use haptimill_hil_sim::process::{CuttingConfig, WorkpieceConfig};
 use std::path::Path;
 use toml::de::{DeTable, DeValue};
 

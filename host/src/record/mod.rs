@@ -32,7 +32,7 @@
 //!
 //! | block | |
 //! | --- | --- |
-//! | 4 bytes | what it has: `RECS` records, `PERI` periods (see [`haptimill_hil_sim::tape`]), `EVNT` events, `DONE` nothing: the recording is whole |
+//! | 4 bytes | what it has: `RECS` records, `PERI` periods (see [`haptimill_hil_sim::io_log`]), `EVNT` events, `DONE` nothing: the recording is whole |
 //! | u32 n | bytes of its contents |
 //! | u32 | how many records, periods or events; in `DONE` how many records there are in all |
 //! | u32 | CRC-32 of the contents |
@@ -89,7 +89,7 @@ pub use mcap::write_mcap;
 pub use reader::{Happening, Periods, Recording, RecordingError, Records};
 pub use writer::{Recorded, Recorder};
 
-pub use haptimill_hil_sim::tape::{Period, Tape};
+pub use haptimill_hil_sim::io_log::{Period, Tape};
 
 use haptimill_firmware::io::COMPONENTS;
 use haptimill_firmware::reading::{ForceReading, HandReading, Reading};

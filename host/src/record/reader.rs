@@ -4,7 +4,7 @@ use super::blocks::{HEAD_BYTES, Head, Kind};
 use super::header::{Cursor, START_BYTES};
 use super::{CRC, HAND_BYTES, HAND_VERSION, Header, MAGIC, RECORD_BYTES, Record, VERSION};
 use haptimill_firmware::config::{AxisKind, Config, Drive};
-use haptimill_hil_sim::tape::{Period, Reel};
+use haptimill_hil_sim::io_log::{Period, Reel};
 use sha2::{Digest, Sha256};
 use std::collections::VecDeque;
 use std::fmt::{self, Write as _};

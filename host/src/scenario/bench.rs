@@ -17,7 +17,7 @@ use crate::session::{
     self, HandCourse, JobEnd, JobLine, JobRecording, Session, SimLine, Unwatched,
 };
 use haptimill_hil_sim::config::PlantConfig;
-use haptimill_hil_sim::cutting::Workpiece;
+use haptimill_hil_sim::process::Workpiece;
 #[cfg(unix)]
 use haptimill_hil_sim::remote::RemoteController;
 use haptimill_hil_sim::rig::Control as Controlled;

@@ -9,8 +9,8 @@ use crate::cli::{CliError, Exit};
 use crate::machine::MachineFile;
 use crate::machine::scale::{PER_EFFORT, to_i32};
 use crate::session::{HandCourse, Session, SimLine};
-use haptimill_hil_sim::hand::{Intention, Rail, ReferencePart, Stroke, Trace};
-use haptimill_hil_sim::haptic::HapticArm;
+use haptimill_hil_sim::haptics::HapticArm;
+use haptimill_hil_sim::operator::{Intention, Rail, ReferencePart, Stroke, Trace};
 use haptimill_hil_sim::rig::Control;
 use haptimill_protocol::haptic::{ReflectAxis, Reflection, Wall};
 use haptimill_protocol::message::{Command, RATE_SHIFT, Source};
@@ -121,7 +121,7 @@ fn arm<C: Control>(session: &mut Session<SimLine<C>>) -> Result<&mut HapticArm, 
         .ok_or_else(|| CliError::new(Exit::Refused, NO_HAPTIC_ARM))
 }
 
-fn nonsense(problems: Vec<haptimill_hil_sim::config::PlantError>) -> CliError {
+fn nonsense(problems: Vec<haptimill_hil_sim::check::PlantError>) -> CliError {
     let problems: Vec<String> = problems.iter().map(ToString::to_string).collect();
     CliError::new(Exit::Internal, problems.join("\n"))
 }

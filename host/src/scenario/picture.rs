@@ -1,8 +1,8 @@
 //! The cut surface seen from above, as a picture: light from the upper left, blue where it is deep.
 
 use crate::report::chart::Backdrop;
-use haptimill_hil_sim::cutting::Workpiece;
-use haptimill_hil_sim::cutting::survey::Picture;
+use haptimill_hil_sim::process::Workpiece;
+use haptimill_hil_sim::process::metrology::Picture;
 
 /// Points along the longer side of the map at the most.
 const MOST: usize = 1400;

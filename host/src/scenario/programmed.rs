@@ -459,7 +459,7 @@ pub(super) fn circle(cuts: &[Cut]) -> Vec<Claim> {
         (6.0..18.0).contains(&sample.time) && sample.high[0] < 0.0
     });
     let ring = cut.work.ring(LEVEL, 360);
-    let of = |value: &dyn Fn(&haptimill_hil_sim::cutting::survey::Ring) -> f64| {
+    let of = |value: &dyn Fn(&haptimill_hil_sim::process::metrology::Ring) -> f64| {
         ring.as_ref().map_or(f64::NAN, value)
     };
     vec![

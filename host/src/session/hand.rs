@@ -1,7 +1,7 @@
 //! What really happened at the haptic arm and at the tool while a hand led it, a thousand times a second: for scenarios on a simulated machine.
 
 use haptimill_hil_sim::Plant;
-use haptimill_hil_sim::haptic::HapticTruth;
+use haptimill_hil_sim::haptics::HapticTruth;
 
 /// Raw force units in a newton, and units of length in a millimetre.
 const NEWTON: f64 = 65_536.0;

@@ -7,7 +7,7 @@ use super::JobRecording;
 use crate::cli::{CliError, Exit};
 use crate::record::Recorder;
 use haptimill_firmware::reading::Reading;
-use haptimill_hil_sim::cutting::CuttingConfig;
+use haptimill_hil_sim::process::CuttingConfig;
 use haptimill_protocol::haptic::{COMPONENTS, HandTelemetry};
 use haptimill_protocol::message::Telemetry;
 

@@ -5,7 +5,7 @@
 use super::SCALES;
 use crate::cli::{CliError, Exit};
 use crate::machine::document::{Allowed, Document, Section, real};
-use haptimill_hil_sim::hand::{Intention, Stroke};
+use haptimill_hil_sim::operator::{Intention, Stroke};
 use haptimill_hil_sim::rig::{Control, Rig};
 use std::path::Path;
 use std::str::FromStr;

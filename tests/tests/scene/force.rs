@@ -1,12 +1,12 @@
 //! Scenes of force control: a machine that is tared, with a wall or a block at its tool, and what the loop does.
 
 use super::{MM, line, rest};
-use haptimill_hil_sim::cutting::{
+use haptimill_hil_sim::process::ProcessConfig;
+use haptimill_hil_sim::process::sensor::SensorConfig;
+use haptimill_hil_sim::process::{
     Area, Coefficients, CutterConfig, CuttingConfig, ElasticWall, WorkpieceConfig,
 };
-use haptimill_hil_sim::process::ProcessConfig;
 use haptimill_hil_sim::rig::Control;
-use haptimill_hil_sim::sensor::SensorConfig;
 use haptimill_protocol::force::{ForceLoop, Gate};
 use haptimill_protocol::message::{Action, AxisValues, Command, Event};
 use haptimill_protocol::setpoint::Setpoint;

@@ -1,7 +1,7 @@
 //! A joint that is spoilt while the machine moves, how far it got, and what is known of its position afterwards.
 
 use super::{DEGREE, MM, drives_off, joint_off, moving, recover, state, told};
-use haptimill_hil_sim::encoder::EncoderCondition;
+use haptimill_hil_sim::joint::encoder::EncoderCondition;
 use haptimill_hil_sim::plant::{JointCondition, Plant};
 use haptimill_protocol::message::{Command, Event, Fault, Refusal, State};
 use haptimill_tests::Bench;

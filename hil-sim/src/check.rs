@@ -1,0 +1,44 @@
+//! Problems of a plant configuration, and the list that gathers them.
+
+use core::fmt;
+
+/// What is wrong in a [`PlantConfig`].
+#[derive(Debug, Clone, PartialEq)]
+pub struct PlantError {
+    /// The field, as a path: `joint 2: motor_share`.
+    pub field: String,
+    /// What it must be.
+    pub problem: String,
+}
+
+impl fmt::Display for PlantError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "plant: {}: {}", self.field, self.problem)
+    }
+}
+
+impl core::error::Error for PlantError {}
+
+/// Gathers every problem, so that a machine file is mended in one go.
+#[derive(Default)]
+pub(crate) struct Check(Vec<PlantError>);
+
+impl Check {
+    pub(crate) fn refuse(&mut self, field: String, problem: String) {
+        self.0.push(PlantError { field, problem });
+    }
+
+    pub(crate) fn within(&mut self, field: String, value: f64, low: f64, high: f64) {
+        if !(low..=high).contains(&value) {
+            self.refuse(field, format!("{value} is not within {low} to {high}"));
+        }
+    }
+
+    pub(crate) fn done(self) -> Result<(), Vec<PlantError>> {
+        if self.0.is_empty() {
+            Ok(())
+        } else {
+            Err(self.0)
+        }
+    }
+}

@@ -1,0 +1,545 @@
+//! The haptic arm: the master that a hand leads, with three legs that push back (spec h4-milling 2.2 to 2.4).
+//!
+//! [`HapticArm::advance`] carries out the [`HapticOutputs`] of one control period in the substeps of the plant; [`HapticArm::inputs`] is what the controller sees at the start of the
+//! next; [`HapticArm::truth`] tells what no controller can know.
+//!
+//! * [`geometry`]: the loops of the legs, from vectors; [`dynamics`]: masses, weight, friction;
+//! * [`motor`]: amplifiers and motors; [`sensors`]: the nine encoders and what goes wrong with them;
+//! * [`crate::operator`]: the person, the rail, the reference part.
+//!
+//! One substep is drift-kick-drift, as in [`crate::joint::mechanics`]: half a step of motion, the forces in the middle, half a step of motion. The attitude is a quaternion that turns by
+//! the exact rotation of each half step.
+//!
+//! Units: mm, rad, s, N, N mm; base frame of the arm, z from the base to the handle. Places of tip and grip "from home" are from where they are at the home pose.
+//!
+//! Misuse: the arm has end stops, but who pushes it through them with enough force reaches a pose that no leg can hold. The handle then stands still until it is pulled back, and
+//! [`HapticTruth::jammed`] counts the substeps.
+
+mod config;
+pub mod dynamics;
+pub mod geometry;
+mod motion;
+pub mod motor;
+pub mod sensors;
+
+pub use config::{HandleConfig, HapticConfig, StopsConfig};
+pub use geometry::{Geometry, HandlePose, HapticGeometry};
+pub use motor::ActuatorConfig;
+pub use sensors::{HapticEncoders, Readings};
+
+use crate::check::PlantError;
+use crate::joint::encoder::EncoderCondition;
+use crate::operator::{Hand, HandConfig, Handle, Intention, Live, Rail, ReferencePart};
+use crate::vector::{Vector, minus, plus, times};
+use dynamics::{Acting, Body, Dynamics, Friction, product};
+use geometry::{Leg, Matrix, OutOfReach, Twist, turned};
+use haptimill_firmware::io::{HapticInputs, HapticOutputs, LEGS};
+use motion::Motion;
+use motor::Motors;
+use sensors::Sensors;
+
+/// Acceleration of free fall, mm/s^2.
+const GRAVITY: f64 = 9806.65;
+
+/// Rates below which nothing moves, mm/s and rad/s.
+const RESTS: f64 = 1e-7;
+
+/// Periods at rest, with nobody who wants anything, after which the arm is no longer stepped: its friction holds it.
+const ASLEEP: u32 = 2500;
+
+/// What really is, at the end of a period.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct HapticTruth {
+    /// Centre of the platform, mm.
+    pub centre: Vector,
+    /// Frame of the platform.
+    pub frame: Matrix,
+    /// Velocity of the centre, mm/s, then of turning, rad/s.
+    pub twist: Twist,
+    /// Tip, mm from its home.
+    pub tip: Vector,
+    /// Velocity of the tip, mm/s.
+    pub tip_velocity: Vector,
+    /// d (mm), theta3 and theta4 (rad) of each leg.
+    pub joints: Readings,
+    /// What the motors give: N along, N mm about each slide.
+    pub motors: [[f64; 2]; LEGS],
+    /// What the motors do at the handle: force on it, N, and moment about the platform's centre, N mm.
+    pub reflected: Twist,
+    /// Force of the hand on the handle, N; 0 without a hand.
+    pub hand: Vector,
+    /// Part of its pace that the hand keeps; 1 without a hand.
+    pub pace: f64,
+    /// The hand has done what it meant to do.
+    pub done: bool,
+    /// Force of the reference part on the ball, N.
+    pub contact: Vector,
+    /// How deep the ball is in the reference part, mm.
+    pub depth: f64,
+    /// Substeps in which no leg could hold the handle.
+    pub jammed: u64,
+}
+
+/// What there is beside the arm itself.
+#[derive(Debug, Clone, Default)]
+struct Surroundings {
+    hand: Option<Hand>,
+    rail: Option<Rail>,
+    part: Option<ReferencePart>,
+    /// Something else pushes at the platform's centre, N.
+    push: Vector,
+}
+
+/// The haptic arm.
+#[derive(Debug, Clone)]
+pub struct HapticArm {
+    config: HapticConfig,
+    geometry: Geometry,
+    dynamics: Dynamics,
+    /// Platform, handle and links without a hand.
+    bare: Body,
+    motors: Motors,
+    sensors: Sensors,
+    around: Surroundings,
+    motion: Motion,
+    legs: [Leg; LEGS],
+    /// sin theta4 at the hinges' stops.
+    hinge_sines: [f64; 2],
+    step_s: f64,
+    steps: usize,
+    period_ns: u64,
+    time_ns: u64,
+    powered: bool,
+    engaged: bool,
+    /// Periods for which nothing has moved and nobody wanted anything.
+    idle: u32,
+    truth: HapticTruth,
+}
+
+impl HapticArm {
+    /// The arm at rest where its configuration says, without a hand.
+    ///
+    /// # Errors
+    /// Every problem of the configuration.
+    pub fn new(
+        config: &HapticConfig,
+        period_us: u16,
+        substep_us: u16,
+        seed: u64,
+    ) -> Result<Self, Vec<PlantError>> {
+        config.check()?;
+        let refuse = |field: &str, problem: String| {
+            vec![PlantError {
+                field: field.into(),
+                problem,
+            }]
+        };
+        if substep_us == 0 || period_us == 0 || !period_us.is_multiple_of(substep_us) {
+            let problem = "must be a whole part of the control period".to_owned();
+            return Err(refuse("substep_us", problem));
+        }
+        let geometry = Geometry::new(&config.geometry);
+        let home = geometry.home();
+        let motion = Motion::at(&HandlePose {
+            centre: plus(home.centre, config.start_mm),
+            ..home
+        });
+        geometry
+            .legs(&home)
+            .map_err(|error| refuse("haptic: geometry", format!("at home {error}")))?;
+        let legs = geometry
+            .legs(&motion.pose())
+            .map_err(|error| refuse("haptic: start_mm", format!("there {error}")))?;
+        let handle = &config.handle;
+        let mut bare = Body::new(handle.mass_kg, handle.centre_mm, handle.inertia_kg_mm2);
+        for leg in 0..LEGS {
+            bare = bare.with(0.5 * config.link_kg, geometry.joint(leg));
+        }
+        let step_s = f64::from(substep_us) * 1e-6;
+        let start = readings(&geometry, &legs);
+        let period_ns = u64::from(period_us) * 1000;
+        let degree = core::f64::consts::PI / 180.0;
+        let mut arm = Self {
+            dynamics: Dynamics {
+                body: bare.clone(),
+                joints: [
+                    config.slide.inertia + 0.5 * config.link_kg,
+                    config.turn.inertia,
+                ],
+                link: geometry.link(),
+                gravity: [0.0, 0.0, -GRAVITY * (1.0 - config.balance)],
+            },
+            bare,
+            motors: Motors::new(&config.slide, &config.turn, config.amplifier_lag_s, step_s),
+            sensors: Sensors::new(&config.encoders, &start, period_ns, seed),
+            around: Surroundings::default(),
+            motion,
+            legs,
+            hinge_sines: config
+                .stops
+                .hinge_deg
+                .map(|angle| libm::sin(angle * degree)),
+            step_s,
+            steps: usize::from(period_us / substep_us),
+            period_ns,
+            time_ns: 0,
+            powered: true,
+            engaged: false,
+            idle: 0,
+            truth: HapticTruth::default(),
+            config: config.clone(),
+            geometry,
+        };
+        arm.see_truth();
+        Ok(arm)
+    }
+
+    /// Lets a hand take the handle where it is, and hold it; `None` lets it go. The mass of the hand comes to rest with the handle: what moves does not get faster by it.
+    ///
+    /// # Errors
+    /// Every problem of the configuration.
+    pub fn take(&mut self, hand: Option<&HandConfig>) -> Result<(), Vec<PlantError>> {
+        self.idle = 0;
+        self.dynamics.body = self.bare.clone();
+        self.around.hand = None;
+        if let Some(config) = hand {
+            config.check()?;
+            self.dynamics.body = self.bare.clone().with(config.mass_kg, config.grip_mm);
+            let hand = Hand::new(config, &self.handle(), self.period_s());
+            self.around.hand = Some(hand);
+        }
+        Ok(())
+    }
+
+    /// Puts a rail under the handle, or takes it away.
+    ///
+    /// # Errors
+    /// Every problem of the rail.
+    pub fn fit_rail(&mut self, rail: Option<Rail>) -> Result<(), Vec<PlantError>> {
+        rail.as_ref().map_or(Ok(()), Rail::check)?;
+        self.idle = 0;
+        self.around.rail = rail;
+        Ok(())
+    }
+
+    /// Clamps a reference part at the tip, or takes it away.
+    ///
+    /// # Errors
+    /// Every problem of the part.
+    pub fn clamp_part(&mut self, part: Option<ReferencePart>) -> Result<(), Vec<PlantError>> {
+        part.as_ref().map_or(Ok(()), ReferencePart::check)?;
+        self.idle = 0;
+        self.around.part = part;
+        Ok(())
+    }
+
+    /// The hand means to do something else; nothing happens without a hand.
+    pub fn intend(&mut self, intention: Intention) {
+        self.idle = 0;
+        if let Some(hand) = &mut self.around.hand {
+            hand.intend(intention);
+        }
+    }
+
+    /// Says anew where somebody outside wants the tip, and whether the button is held. The hand's intention becomes a live one.
+    pub fn live(&mut self, live: Live) {
+        self.idle = 0;
+        self.engaged = live.engaged;
+        if let Some(hand) = &mut self.around.hand {
+            if matches!(hand.intention(), Intention::Live(_)) {
+                hand.live(live);
+            } else {
+                hand.intend(Intention::Live(live));
+            }
+        }
+    }
+
+    /// Presses the button on the handle, or lets it go.
+    pub const fn set_engaged(&mut self, engaged: bool) {
+        self.engaged = engaged;
+    }
+
+    /// The hand.
+    pub const fn hand(&self) -> Option<&Hand> {
+        self.around.hand.as_ref()
+    }
+
+    /// How the arm is made.
+    pub const fn config(&self) -> &HapticConfig {
+        &self.config
+    }
+
+    /// The loops of its legs.
+    pub const fn geometry(&self) -> &Geometry {
+        &self.geometry
+    }
+
+    /// What really is.
+    pub const fn truth(&self) -> &HapticTruth {
+        &self.truth
+    }
+
+    /// Energy of motion and of the weight that is not balanced, N mm.
+    pub fn energy(&self) -> f64 {
+        let frame = self.motion.frame();
+        let (centre, twist) = (&self.motion.centre, &self.motion.twist);
+        self.dynamics
+            .energy(&self.geometry, &self.legs, centre, &frame, twist)
+    }
+
+    /// Gives the platform a velocity (mm/s) and a turning (rad/s): a blow.
+    pub fn strike(&mut self, twist: Twist) {
+        self.idle = 0;
+        self.motion.twist = twist;
+        self.see_truth();
+    }
+
+    /// Lets something push at the platform's centre (N), until it is changed.
+    pub const fn set_push(&mut self, force: Vector) {
+        self.idle = 0;
+        self.around.push = force;
+    }
+
+    /// Puts the handle somewhere, at rest. The encoders follow; a hand goes on as it did.
+    ///
+    /// # Errors
+    /// A leg does not reach; nothing has changed then.
+    pub fn put(&mut self, pose: &HandlePose) -> Result<(), OutOfReach> {
+        self.legs = self.geometry.legs(pose)?;
+        self.idle = 0;
+        self.motion = Motion::at(pose);
+        let now = readings(&self.geometry, &self.legs);
+        self.sensors.follow(&now, self.time_ns);
+        self.see_truth();
+        Ok(())
+    }
+
+    /// Changes what is wrong with an encoder: leg and sensor (slide, turn, hinge) from 0.
+    pub fn set_encoder_condition(
+        &mut self,
+        leg: usize,
+        sensor: usize,
+        condition: EncoderCondition,
+    ) {
+        self.sensors.set_condition(leg, sensor, condition);
+    }
+
+    /// Makes the counter of an encoder jump.
+    pub fn slip_encoder(&mut self, leg: usize, sensor: usize, counts: i32) {
+        self.sensors.slip(leg, sensor, counts);
+    }
+
+    /// Lets the amplifiers trip: they give nothing and say so.
+    pub const fn set_tripped(&mut self, tripped: bool) {
+        self.motors.set_tripped(tripped);
+    }
+
+    /// What the controller sees.
+    pub fn inputs(&self) -> HapticInputs {
+        HapticInputs {
+            legs: core::array::from_fn(|leg| self.sensors.leg(leg)),
+            engaged: self.engaged,
+            drives_ready: self.motors.ready() && self.powered,
+        }
+    }
+
+    /// One control period with these outputs in effect; without power the motors give nothing.
+    pub fn advance(&mut self, outputs: &HapticOutputs, powered: bool) {
+        self.powered = powered;
+        self.motors.command(outputs, powered);
+        if !self.motors.still() {
+            self.idle = 0;
+        }
+        if self.idle >= ASLEEP {
+            // The encoders may have their faults.
+            let joints = self.truth.joints;
+            self.sensors.follow(&joints, self.time_ns);
+            self.time_ns += self.period_ns;
+            return;
+        }
+        let handle = self.handle();
+        let period_s = self.period_s();
+        if let Some(hand) = &mut self.around.hand {
+            hand.think(&handle, period_s);
+        }
+        for step in 0..self.steps {
+            self.step(step as f64 * self.step_s);
+        }
+        let now = readings(&self.geometry, &self.legs);
+        self.sensors.follow(&now, self.time_ns);
+        self.time_ns += self.period_ns;
+        self.see_truth();
+        let holds = |hand: &Hand| matches!(hand.intention(), Intention::Hold);
+        let content = self.around.hand.as_ref().is_none_or(holds);
+        let rests = content && self.motion.twist.iter().all(|rate| rate.abs() < RESTS);
+        self.idle = if rests {
+            self.idle.saturating_add(1)
+        } else {
+            0
+        };
+        if self.idle == ASLEEP {
+            self.motion.twist = [0.0; 6];
+            self.see_truth();
+        }
+    }
+
+    fn period_s(&self) -> f64 {
+        self.period_ns as f64 * 1e-9
+    }
+
+    fn step(&mut self, later: f64) {
+        let half = 0.5 * self.step_s;
+        let before = self.motion.clone();
+        self.motion.drift(half);
+        let pose = self.motion.pose();
+        match self.geometry.legs(&pose) {
+            Ok(legs) => self.legs = legs,
+            Err(_) => return self.stand(before),
+        }
+        let acting = self.acting(&pose.frame, later + half);
+        self.motion.twist = self.dynamics.kick(
+            &self.legs,
+            &pose.frame,
+            &self.motion.twist,
+            &acting,
+            self.step_s,
+        );
+        self.motion.drift(half);
+    }
+
+    /// No leg holds the handle there: it stays where it was.
+    fn stand(&mut self, before: Motion) {
+        self.motion = before;
+        self.motion.twist = [0.0; 6];
+        self.truth.jammed += 1;
+    }
+
+    fn acting(&mut self, frame: &Matrix, later: f64) -> Acting {
+        let mut acting = Acting {
+            joints: self.motors.step(),
+            ..Acting::default()
+        };
+        self.joints(&mut acting);
+        acting.push(self.around.push, [0.0; 3]);
+        let motion = &self.motion;
+        let home = self.geometry.home().centre;
+        let centre = minus(motion.centre, home);
+        if let Some(rail) = &self.around.rail {
+            acting.push(rail.force(centre, motion.velocity()), [0.0; 3]);
+            let (turned, spin) = (motion.turned(), motion.spin());
+            acting.turn(core::array::from_fn(|i| {
+                -rail.turn_stiffness * turned[i] - rail.turn_damping * spin[i]
+            }));
+            acting.rub(rail.way(), [0.0; 3], rail.coulomb);
+        }
+        if let Some(part) = &self.around.part {
+            let tip = self.geometry.tip();
+            let lever = turned(frame, tip);
+            let place = minus(plus(centre, lever), tip);
+            if let Some(touch) = part.touch(place, motion.of_point(lever)) {
+                acting.push(times(touch.normal, touch.push), lever);
+                let bound = part.friction * touch.push;
+                acting.rub(touch.tangent, lever, bound);
+                acting.rub([0.0, 0.0, 1.0], lever, bound);
+            }
+        }
+        if let Some(hand) = &mut self.around.hand {
+            let grip = hand.config().grip_mm;
+            let lever = turned(frame, grip);
+            let place = minus(plus(centre, lever), grip);
+            let (force, moment) = hand.act(
+                (place, motion.of_point(lever)),
+                (motion.turned(), motion.spin()),
+                later,
+            );
+            acting.push(force, lever);
+            acting.turn(moment);
+        }
+        acting
+    }
+
+    /// Viscous and Coulomb friction of the joints, and their stops.
+    fn joints(&self, acting: &mut Acting) {
+        let stops = &self.config.stops;
+        let twist = &self.motion.twist;
+        for (index, leg) in self.legs.iter().enumerate() {
+            let rows = [leg.slide_row(), leg.turn_row()];
+            for (kind, actuator) in [&self.config.slide, &self.config.turn]
+                .into_iter()
+                .enumerate()
+            {
+                acting.joints[2 * index + kind] -= actuator.viscous * product(&rows[kind], twist);
+                acting.add(Friction {
+                    row: rows[kind],
+                    bound: actuator.coulomb,
+                });
+            }
+            let beyond = leg.slide - leg.slide.clamp(stops.slide_mm[0], stops.slide_mm[1]);
+            acting.joints[2 * index] -= stops.slide_stiffness * beyond;
+            let sine = leg.sin.clamp(self.hinge_sines[0], self.hinge_sines[1]);
+            if sine != leg.sin {
+                let beyond = libm::asin(leg.sin) - libm::asin(sine);
+                let row = leg.hinge_row(self.geometry.link());
+                for (part, share) in acting.wrench.iter_mut().zip(row) {
+                    *part -= stops.hinge_stiffness * beyond * share;
+                }
+            }
+        }
+    }
+
+    fn handle(&self) -> Handle {
+        Handle {
+            tip: self.truth.tip,
+            turned: self.motion.turned(),
+        }
+    }
+
+    fn see_truth(&mut self) {
+        let motion = &self.motion;
+        let frame = motion.frame();
+        if let Ok(legs) = self.geometry.legs(&motion.pose()) {
+            self.legs = legs;
+        }
+        let tip = self.geometry.tip();
+        let lever = turned(&frame, tip);
+        let from_home = minus(motion.centre, self.geometry.home().centre);
+        let place = minus(plus(from_home, lever), tip);
+        let velocity = motion.of_point(lever);
+        let forces = self.motors.force();
+        let mut reflected = [0.0; 6];
+        for (force, row) in forces.iter().zip(Dynamics::rows(&self.legs)) {
+            for (sum, part) in reflected.iter_mut().zip(row) {
+                *sum += force * part;
+            }
+        }
+        let touch = self
+            .around
+            .part
+            .as_ref()
+            .and_then(|part| part.touch(place, velocity));
+        let hand = self.around.hand.as_ref();
+        self.truth = HapticTruth {
+            centre: motion.centre,
+            frame,
+            twist: motion.twist,
+            tip: place,
+            tip_velocity: velocity,
+            joints: readings(&self.geometry, &self.legs),
+            motors: core::array::from_fn(|leg| [forces[2 * leg], forces[2 * leg + 1]]),
+            reflected,
+            hand: hand.map_or([0.0; 3], Hand::force),
+            pace: hand.map_or(1.0, Hand::pace),
+            done: hand.is_none_or(|hand| hand.wish().done),
+            contact: touch.map_or([0.0; 3], |touch| times(touch.normal, touch.push)),
+            depth: touch.map_or(0.0, |touch| touch.depth),
+            jammed: self.truth.jammed,
+        };
+    }
+}
+
+fn readings(geometry: &Geometry, legs: &[Leg; LEGS]) -> Readings {
+    core::array::from_fn(|index| {
+        let [turn, hinge] = geometry.angles(index, &legs[index]);
+        [legs[index].slide, turn, hinge]
+    })
+}

@@ -1,0 +1,112 @@
+//! The motors of the haptic arm with their amplifiers: from the converter's code to a force in the joint.
+//!
+//! An amplifier in current mode makes a current, and the motor a force, in proportion to its code (spec h4-milling 2.4), up to a limit; the current follows its command with
+//! a first-order lag. Without its enable, and when it has tripped, it wants no current. Codes hold for a control period.
+//!
+//! Units: N for a slide, N mm for a turn.
+
+use crate::check::Check;
+use haptimill_firmware::io::{HapticOutputs, LEGS};
+use serde::{Deserialize, Serialize};
+
+/// What moves one joint of a leg, and what holds it back.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ActuatorConfig {
+    /// Inertia of motor and transmission as seen at the joint: kg for a slide, kg mm^2 for a turn.
+    pub inertia: f64,
+    /// Coulomb friction, N or N mm.
+    pub coulomb: f64,
+    /// Viscous friction, N s/mm or N mm s.
+    pub viscous: f64,
+    /// Force for code 8192, N or N mm; negative when the amplifier is wired the other way round.
+    pub full_scale: f64,
+    /// The motor gives no more than this, N or N mm.
+    pub limit: f64,
+}
+
+impl ActuatorConfig {
+    pub(super) fn check(&self, name: &str, check: &mut Check) {
+        let field = |key: &str| format!("haptic: {name}: {key}");
+        check.within(field("inertia"), self.inertia, 0.0, 1e5);
+        check.within(field("coulomb"), self.coulomb, 0.0, 1e5);
+        check.within(field("viscous"), self.viscous, 0.0, 1e4);
+        check.within(field("full_scale"), self.full_scale.abs(), 1e-6, 1e6);
+        check.within(field("limit"), self.limit, 0.0, 1e6);
+    }
+}
+
+/// The six motors.
+#[derive(Debug, Clone)]
+pub struct Motors {
+    per_code: [f64; 2],
+    limit: [f64; 2],
+    /// Part of the way to its command that a current goes in a step.
+    follows: f64,
+    force: [f64; 2 * LEGS],
+    /// What the commands of this period ask for.
+    wanted: [f64; 2 * LEGS],
+    tripped: bool,
+}
+
+impl Motors {
+    /// Motors without current, for steps of `step` seconds.
+    pub fn new(slide: &ActuatorConfig, turn: &ActuatorConfig, lag_s: f64, step: f64) -> Self {
+        Self {
+            per_code: [slide, turn].map(|actuator| actuator.full_scale / 8192.0),
+            limit: [slide, turn].map(|actuator| actuator.limit),
+            follows: if lag_s > 0.0 {
+                1.0 - libm::exp(-step / lag_s)
+            } else {
+                1.0
+            },
+            force: [0.0; 2 * LEGS],
+            wanted: [0.0; 2 * LEGS],
+            tripped: false,
+        }
+    }
+
+    /// The codes of a period.
+    pub fn command(&mut self, outputs: &HapticOutputs, powered: bool) {
+        let alive = powered && outputs.enabled && !self.tripped;
+        for (index, wanted) in self.wanted.iter_mut().enumerate() {
+            let kind = index % 2;
+            let asked = f64::from(outputs.currents[index / 2][kind]) * self.per_code[kind];
+            *wanted = if alive {
+                asked.clamp(-self.limit[kind], self.limit[kind])
+            } else {
+                0.0
+            };
+        }
+    }
+
+    /// No motor pushes, and none is asked to.
+    pub fn still(&self) -> bool {
+        let small = |force: &f64| force.abs() < 1e-9;
+        self.wanted.iter().all(|wanted| *wanted == 0.0) && self.force.iter().all(small)
+    }
+
+    /// One step; gives the forces in the joints, slide and turn of each leg.
+    #[inline]
+    pub fn step(&mut self) -> [f64; 2 * LEGS] {
+        for (force, wanted) in self.force.iter_mut().zip(&self.wanted) {
+            *force += (wanted - *force) * self.follows;
+        }
+        self.force
+    }
+
+    /// Forces now: N along the slides, N mm about them.
+    pub const fn force(&self) -> [f64; 2 * LEGS] {
+        self.force
+    }
+
+    /// Whether the amplifiers say that they are well.
+    pub const fn ready(&self) -> bool {
+        !self.tripped
+    }
+
+    /// Lets the amplifiers trip, or come back.
+    pub const fn set_tripped(&mut self, tripped: bool) {
+        self.tripped = tripped;
+    }
+}

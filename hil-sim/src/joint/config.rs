@@ -1,0 +1,295 @@
+//! The configuration of one simulated joint: `[[plant.joint]]` of a machine file.
+//!
+//! A linear joint is described in mm, N, kg and s, a rotary one in degrees, N m, kg m^2 and s.
+//! Where a field says *axis unit* it means mm or degrees, where it says *effort* N or N m.
+
+use crate::check::Check;
+use serde::{Deserialize, Serialize};
+
+/// Linear or rotary.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum JointKind {
+    /// mm, N, kg.
+    Linear,
+    /// Degrees, N m, kg m^2.
+    Rotary,
+}
+
+impl JointKind {
+    /// Axis units per second squared that one unit of effort gives to one unit of inertia: 1 N on 1 kg is 1000 mm/s^2, 1 N m on
+    /// 1 kg m^2 is 180/pi degrees/s^2.
+    pub const fn acceleration_unit(self) -> f64 {
+        match self {
+            Self::Linear => 1000.0,
+            Self::Rotary => 180.0 / core::f64::consts::PI,
+        }
+    }
+}
+
+/// One joint: motor, screw or worm, and what it moves, as two masses with a spring and a gap between them.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct JointConfig {
+    /// Name, for people.
+    pub name: String,
+    /// Linear or rotary.
+    pub kind: JointKind,
+    /// Axis units per motor turn: the lead of the screw in mm, or the degrees of the table per turn of the worm.
+    pub lead: f64,
+    /// All that moves, as seen at the axis: kg or kg m^2.
+    pub inertia: f64,
+    /// Part of `inertia` on the motor's side of the screw, 0.05 to 0.95.
+    pub motor_share: f64,
+    /// Frequency at which motor side and slide side swing against each other on the screw, Hz; sets the stiffness.
+    pub mode_hz: f64,
+    /// Damping ratio of that mode, 0 to 1.
+    pub mode_damping: f64,
+    /// Whole width of the gap between screw and slide, axis units.
+    pub backlash: f64,
+    /// Coulomb friction, effort, both sides together.
+    pub coulomb: f64,
+    /// Viscous friction, effort per axis unit per second, both sides together.
+    pub viscous: f64,
+    /// Part of both frictions on the slide's side, 0 to 1; the rest acts on motor and screw.
+    pub friction_slide_share: f64,
+    /// Lower hard stop of the slide, axis units.
+    pub low: f64,
+    /// Upper hard stop of the slide, axis units.
+    pub high: f64,
+    /// Stiffness of the hard stops, effort per axis unit.
+    pub stop_stiffness: f64,
+    /// Where the slide stands at the start, axis units.
+    pub preset: f64,
+    /// The start is off the preset by up to this much to either side, drawn from the seed.
+    #[serde(default)]
+    pub start_spread: f64,
+    /// The encoder on the motor shaft.
+    pub encoder: EncoderConfig,
+    /// What drives it.
+    pub drive: DriveConfig,
+    /// Home switch.
+    #[serde(default)]
+    pub home: Option<SwitchConfig>,
+    /// Limit switch at the lower end: active at or below this coordinate.
+    #[serde(default)]
+    pub limit_low: Option<f64>,
+    /// Limit switch at the upper end: active at or above this coordinate.
+    #[serde(default)]
+    pub limit_high: Option<f64>,
+}
+
+/// An incremental encoder on the motor shaft.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct EncoderConfig {
+    /// Counts per motor turn after x4 decoding (four times the lines); a multiple of 4.
+    pub counts_per_turn: u32,
+    /// Coordinate at which the index state begins on one of the motor's turns; the others are whole leads away.
+    pub index: f64,
+    /// It counts backwards.
+    #[serde(default)]
+    pub reversed: bool,
+}
+
+/// A home switch.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SwitchConfig {
+    /// Coordinate at which it trips, axis units.
+    pub at: f64,
+    /// On which side it is active.
+    pub active: SwitchSide,
+}
+
+/// Side of a switch on which it is active.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum SwitchSide {
+    /// At and below the trip coordinate.
+    Below,
+    /// At and above the trip coordinate.
+    Above,
+}
+
+/// What drives a joint.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase", deny_unknown_fields)]
+pub enum DriveConfig {
+    /// A current-mode amplifier behind a 14-bit DAC.
+    Torque(TorqueDrive),
+    /// A step/direction drive.
+    Steps(StepDrive),
+}
+
+/// A current-mode amplifier.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TorqueDrive {
+    /// Effort at the axis for code 8192; negative when the amplifier is wired the other way round.
+    pub full_scale: f64,
+    /// The amplifier gives no more than this effort.
+    pub limit: f64,
+}
+
+/// A step motor with its drive; the data of its data sheet.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct StepDrive {
+    /// Full steps of the motor per turn (200 for 1.8 degrees).
+    pub full_steps: u32,
+    /// Steps (pulses) per full step.
+    pub microsteps: u32,
+    /// Largest static effort at the axis; the effort is this times the sine of the electrical lag.
+    pub pull_out: f64,
+    /// Damping by the drive, effort per axis unit per second.
+    #[serde(default)]
+    pub damping: f64,
+    /// A positive step goes down.
+    #[serde(default)]
+    pub reversed: bool,
+    /// Ticks of the board's step clock per microsecond, 1 to 1000.
+    pub ticks_per_us: u16,
+    /// Width of the pulses that the board makes, ns.
+    pub pulse_ns: f64,
+    /// Least width of a pulse that the drive is sure to see, ns.
+    pub min_high_ns: f64,
+    /// Least pause between two pulses, ns.
+    pub min_low_ns: f64,
+    /// Least time from a change of direction to the next pulse, ns.
+    pub setup_ns: f64,
+    /// Least time from the end of a pulse to a change of direction, ns.
+    pub hold_ns: f64,
+}
+
+impl JointConfig {
+    /// Stiffness of the screw, effort per axis unit: the two sides swing against each other at `mode_hz`.
+    pub fn stiffness(&self) -> f64 {
+        let rate = core::f64::consts::TAU * self.mode_hz;
+        rate * rate * self.reduced_inertia() / self.kind.acceleration_unit()
+    }
+
+    /// Damping of the screw, effort per axis unit per second.
+    pub fn damping(&self) -> f64 {
+        let rate = core::f64::consts::TAU * self.mode_hz;
+        2.0 * self.mode_damping * rate * self.reduced_inertia() / self.kind.acceleration_unit()
+    }
+
+    fn reduced_inertia(&self) -> f64 {
+        self.inertia * self.motor_share * (1.0 - self.motor_share)
+    }
+
+    /// Axis units per encoder count.
+    pub fn per_count(&self) -> f64 {
+        self.lead / f64::from(self.encoder.counts_per_turn)
+    }
+
+    pub(crate) fn check(&self, at: &str, substep_us: f64, check: &mut Check) {
+        let substep = substep_us * 1e-6;
+        check.within(format!("{at}: lead"), self.lead, 0.01, 1000.0);
+        check.within(format!("{at}: inertia"), self.inertia, 1e-6, 1e5);
+        check.within(format!("{at}: motor_share"), self.motor_share, 0.05, 0.95);
+        // The spring is integrated explicitly: stay far from the stability bound at omega * substep = 2.
+        check.within(
+            format!("{at}: mode_hz"),
+            self.mode_hz,
+            1.0,
+            (0.3 / (core::f64::consts::TAU * substep)).min(2000.0),
+        );
+        check.within(format!("{at}: mode_damping"), self.mode_damping, 0.0, 1.0);
+        check.within(
+            format!("{at}: backlash"),
+            self.backlash,
+            0.0,
+            self.lead.abs(),
+        );
+        check.within(format!("{at}: coulomb"), self.coulomb, 0.0, 1e6);
+        check.within(format!("{at}: viscous"), self.viscous, 0.0, 1e6);
+        check.within(
+            format!("{at}: friction_slide_share"),
+            self.friction_slide_share,
+            0.0,
+            1.0,
+        );
+        check.within(format!("{at}: low"), self.low, -2000.0, 2000.0);
+        check.within(format!("{at}: high"), self.high, self.low, 2000.0);
+        check.within(format!("{at}: preset"), self.preset, self.low, self.high);
+        // A switch may stand behind the end of the slide's way, where nothing reaches it, but the lower one is below the upper one.
+        let (limit_low, limit_high) = (self.limit_low, self.limit_high);
+        for (name, at_switch) in [("limit_low", limit_low), ("limit_high", limit_high)] {
+            let place = at_switch.unwrap_or_default();
+            check.within(format!("{at}: {name}"), place, -4000.0, 4000.0);
+        }
+        if let (Some(low), Some(high)) = (limit_low, limit_high)
+            && low >= high
+        {
+            let problem = format!("{low} is not below limit_high, {high}");
+            check.refuse(format!("{at}: limit_low"), problem);
+        }
+        let room = (self.preset - self.low).min(self.high - self.preset);
+        check.within(format!("{at}: start_spread"), self.start_spread, 0.0, room);
+        let slide = self.inertia * (1.0 - self.motor_share);
+        let stiffest = 0.09 / (substep * substep) * slide / self.kind.acceleration_unit();
+        check.within(
+            format!("{at}: stop_stiffness"),
+            self.stop_stiffness,
+            0.0,
+            stiffest,
+        );
+        let counts = self.encoder.counts_per_turn;
+        if counts < 4 || !counts.is_multiple_of(4) || counts > 4_000_000 {
+            check.refuse(
+                format!("{at}: encoder: counts_per_turn"),
+                format!("{counts} is not a multiple of 4 up to 4000000"),
+            );
+        }
+        check.within(
+            format!("{at}: encoder: index"),
+            self.encoder.index,
+            -4000.0,
+            4000.0,
+        );
+        match &self.drive {
+            DriveConfig::Torque(drive) => {
+                check.within(
+                    format!("{at}: drive: full_scale"),
+                    drive.full_scale.abs(),
+                    1e-6,
+                    1e6,
+                );
+                check.within(format!("{at}: drive: limit"), drive.limit, 0.0, 1e6);
+            }
+            DriveConfig::Steps(drive) => {
+                check.within(
+                    format!("{at}: drive: full_steps"),
+                    f64::from(drive.full_steps),
+                    4.0,
+                    10_000.0,
+                );
+                check.within(
+                    format!("{at}: drive: microsteps"),
+                    f64::from(drive.microsteps),
+                    1.0,
+                    1024.0,
+                );
+                check.within(
+                    format!("{at}: drive: ticks_per_us"),
+                    f64::from(drive.ticks_per_us),
+                    1.0,
+                    1000.0,
+                );
+                check.within(format!("{at}: drive: damping"), drive.damping, 0.0, 1e6);
+                check.within(format!("{at}: drive: pull_out"), drive.pull_out, 0.0, 1e6);
+                for (name, value) in [
+                    ("pulse_ns", drive.pulse_ns),
+                    ("min_high_ns", drive.min_high_ns),
+                    ("min_low_ns", drive.min_low_ns),
+                    ("setup_ns", drive.setup_ns),
+                    ("hold_ns", drive.hold_ns),
+                ] {
+                    check.within(format!("{at}: drive: {name}"), value, 0.0, 1e6);
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,11 @@
+//! One simulated joint: motor, screw, slide, encoder and drive.
+
+pub mod config;
+pub mod encoder;
+pub mod mechanics;
+pub mod stepper;
+
+pub use config::{
+    DriveConfig, EncoderConfig, JointConfig, JointKind, StepDrive, SwitchConfig, SwitchSide,
+    TorqueDrive,
+};

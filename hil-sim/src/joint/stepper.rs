@@ -1,0 +1,244 @@
+//! A step/direction drive with its motor, and the check of the pulses that reach it.
+//!
+//! The motor follows the commanded position through its magnetic field: effort = pull-out effort * sin(2 pi lag / 4 full steps). Beyond
+//! two full steps of lag the rotor falls into the next tooth, so steps are lost in multiples of four full steps, and the drive does
+//! not know.
+//!
+//! Pulses are checked against the drive's data sheet: width, pause, direction set-up and hold, and that they end within their period. A
+//! pulse that breaks the data sheet is emitted and counted but not seen by the drive, which is the worse of what a drive might do.
+//!
+//! Times inside a period are in ticks of the board's step clock.
+
+use crate::joint::{JointConfig, StepDrive};
+use haptimill_firmware::io::StepSegment;
+
+/// What is wrong with a pulse.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum PulseProblem {
+    /// The pulse is shorter than the drive can see.
+    Width,
+    /// It came too soon after the pulse before.
+    Interval,
+    /// It came too soon after a change of direction.
+    Setup,
+    /// The direction changed too soon after a pulse.
+    Hold,
+    /// It would not be over by the end of the period; such a pulse is not emitted.
+    BeyondPeriod,
+}
+
+/// A pulse that broke the data sheet.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct PulseViolation {
+    /// Tick of the step clock since the start.
+    pub tick: i64,
+    /// What was wrong.
+    pub problem: PulseProblem,
+}
+
+/// How the pulses of a drive fared.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct PulseReport {
+    /// Pulses that broke the data sheet.
+    pub violations: u64,
+    /// The first of them.
+    pub first: Option<PulseViolation>,
+    /// Shortest time between two pulses so far, ticks.
+    pub shortest_interval: Option<i64>,
+}
+
+/// A step motor with its drive.
+#[derive(Debug, Clone)]
+pub struct Stepper {
+    /// Axis units per step, with the sign of the wiring.
+    per_step: f64,
+    /// One over the axis units of an electrical turn (four full steps).
+    per_electrical_turn: f64,
+    pull_out: f64,
+    damping: f64,
+    /// Coordinate at which the field stood at step 0.
+    origin: f64,
+    /// Steps that the drive saw.
+    seen: i64,
+    /// Steps that the board emitted.
+    emitted: i32,
+    period_ticks: i64,
+    width_ticks: f64,
+    min_width_ticks: f64,
+    min_interval_ticks: f64,
+    setup_ticks: f64,
+    hold_ticks: f64,
+    /// Tick at the start of the current period.
+    period_start: i64,
+    up: bool,
+    direction_tick: i64,
+    last_pulse: Option<i64>,
+    /// Pulses of the current period that the drive will see: time in ticks and direction.
+    segment: StepSegment,
+    next: i64,
+    report: PulseReport,
+}
+
+/// sin(2 pi turns); the error is below 1e-7, and the same bits come out everywhere.
+fn sine_of_turns(turns: f64) -> f64 {
+    // Nearest whole number by the bias that leaves no fraction bits.
+    let turns = turns - libm::rint(turns);
+    let folded = if turns > 0.25 {
+        0.5 - turns
+    } else if turns < -0.25 {
+        -0.5 - turns
+    } else {
+        turns
+    };
+    let x = folded * core::f64::consts::TAU;
+    let square = x * x;
+    let series = -1.0 / 39_916_800.0;
+    let series = series * square + 1.0 / 362_880.0;
+    let series = series * square - 1.0 / 5040.0;
+    let series = series * square + 1.0 / 120.0;
+    let series = series * square - 1.0 / 6.0;
+    x + x * square * series
+}
+
+impl Stepper {
+    /// The drive of a joint whose motor stands at `motor`; the field is aligned with it.
+    pub fn new(joint: &JointConfig, drive: &StepDrive, motor: f64, period_us: u16) -> Self {
+        let full_step = joint.lead / f64::from(drive.full_steps);
+        let ticks = f64::from(drive.ticks_per_us) * 1e-3;
+        let sign = if drive.reversed { -1.0 } else { 1.0 };
+        Self {
+            per_step: sign * full_step / f64::from(drive.microsteps),
+            per_electrical_turn: 1.0 / (4.0 * full_step),
+            pull_out: drive.pull_out,
+            damping: drive.damping,
+            origin: motor,
+            seen: 0,
+            emitted: 0,
+            period_ticks: i64::from(period_us) * i64::from(drive.ticks_per_us),
+            width_ticks: drive.pulse_ns * ticks,
+            min_width_ticks: drive.min_high_ns * ticks,
+            min_interval_ticks: (drive.pulse_ns + drive.min_low_ns) * ticks,
+            setup_ticks: drive.setup_ns * ticks,
+            hold_ticks: drive.hold_ns * ticks,
+            period_start: 0,
+            up: true,
+            direction_tick: i64::MIN / 2,
+            last_pulse: None,
+            segment: StepSegment::default(),
+            next: 0,
+            report: PulseReport::default(),
+        }
+    }
+
+    /// Steps that the board emitted, free running.
+    pub const fn emitted(&self) -> i32 {
+        self.emitted
+    }
+
+    /// Where the field is, axis units.
+    pub fn commanded(&self) -> f64 {
+        self.origin + self.per_step * self.seen as f64
+    }
+
+    /// How the pulses fared so far.
+    pub const fn report(&self) -> PulseReport {
+        self.report
+    }
+
+    fn violate(&mut self, tick: i64, problem: PulseProblem) {
+        self.report.violations += 1;
+        self.report
+            .first
+            .get_or_insert(PulseViolation { tick, problem });
+    }
+
+    /// A period begins with this segment; a drive that is off gets an empty one.
+    pub fn begin(&mut self, segment: StepSegment) {
+        self.segment = segment;
+        self.next = 0;
+        let up = segment.count > 0;
+        if segment.count != 0 && up != self.up {
+            if self.last_pulse.is_some_and(|last| {
+                ((self.period_start - last) as f64) < self.width_ticks + self.hold_ticks
+            }) {
+                self.violate(self.period_start, PulseProblem::Hold);
+            }
+            self.up = up;
+            self.direction_tick = self.period_start;
+        }
+    }
+
+    /// The rest of the period's pulses leave, and the next period follows.
+    pub fn end(&mut self) {
+        self.advance_to(self.period_ticks);
+        let left = i64::from(self.segment.count).abs() - self.next;
+        for _ in 0..left {
+            self.violate(
+                self.period_start + self.period_ticks,
+                PulseProblem::BeyondPeriod,
+            );
+        }
+        self.period_start += self.period_ticks;
+        self.segment = StepSegment::default();
+        self.next = 0;
+    }
+
+    /// Emits the pulses that leave before this tick of the period.
+    fn advance_to(&mut self, tick: i64) {
+        while self.next < i64::from(self.segment.count).abs() {
+            let k = self.next;
+            let leaves = i64::from(self.segment.delay)
+                + k * i64::from(self.segment.interval)
+                + i64::from(self.segment.ramp) * k * (k - 1) / 2;
+            if leaves >= tick || leaves as f64 + self.width_ticks > self.period_ticks as f64 {
+                break;
+            }
+            self.next += 1;
+            self.pulse(self.period_start + leaves);
+        }
+    }
+
+    fn pulse(&mut self, tick: i64) {
+        let sign = if self.up { 1 } else { -1 };
+        self.emitted = self.emitted.wrapping_add(sign);
+        let interval = self.last_pulse.map(|last| tick - last);
+        self.last_pulse = Some(tick);
+        if let Some(interval) = interval {
+            self.report.shortest_interval = Some(
+                self.report
+                    .shortest_interval
+                    .map_or(interval, |least| least.min(interval)),
+            );
+        }
+        if self.width_ticks < self.min_width_ticks {
+            self.violate(tick, PulseProblem::Width);
+        } else if interval.is_some_and(|interval| (interval as f64) < self.min_interval_ticks) {
+            self.violate(tick, PulseProblem::Interval);
+        } else if ((tick - self.direction_tick) as f64) < self.setup_ticks {
+            self.violate(tick, PulseProblem::Setup);
+        } else {
+            self.seen += i64::from(sign);
+        }
+    }
+
+    /// Effort of the motor at a fraction 0 to 1 of the period, its rotor at `motor` with `rate`.
+    pub fn effort(&mut self, part: f64, motor: f64, rate: f64) -> f64 {
+        self.advance_to((part * self.period_ticks as f64) as i64);
+        let lag = self.commanded() - motor;
+        self.pull_out * sine_of_turns(lag * self.per_electrical_turn) - self.damping * rate
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::sine_of_turns;
+
+    #[test]
+    fn sine_of_turns_is_a_sine() {
+        for step in -4000..4000 {
+            let turns = f64::from(step) / 1234.5;
+            let want = libm::sin(core::f64::consts::TAU * turns);
+            assert!((sine_of_turns(turns) - want).abs() < 1e-7, "{turns}");
+        }
+    }
+}

@@ -1,0 +1,293 @@
+//! The person at the handle of the haptic arm: what the hand means to do, and how it gives way.
+//!
+//! Three things happen in a hand that leads a handle, each at its own pace, and each is a line here:
+//!
+//! ```text
+//! felt     F_r' = (F(t - T_r) . s - F_r) / T_s                 what the hand felt along its way s, after the reaction time
+//! pace     v = v_0 (1 - F_r / F_0), within 0 and v_0           the person slows down against resistance, and stops at F_0
+//! effort   T_e E' = G K e(t - T_r) - E                          the person sees that the tip is off by e, and pushes harder
+//! force    F = K (x_d - x) + B (v - x') + E, at most F_max     the arm's own spring and damper, at once
+//! ```
+//!
+//! with x_d the place that the intention has reached at that pace ([`intention`]). The mass of the hand is held at the grip and moves with the handle. Turning goes the same way
+//! about the upright handle, without a pace. Where the hand presses against an edge, the direction of the edge's normal has a force instead of a place.
+//!
+//! One set of numbers serves everything; where they come from is told in docs/decisions. F_0 and T_r decide how a hand yields: of a pace of 20 mm/s 12 are left against 2.8 N, 4 against
+//! 5.6 N.
+//!
+//! Units: mm, N, N mm, s, rad; places of the tip from its home, axes of the master's base.
+//!
+//! Misuse: a hand that follows cannot tell whether a controller is safe with *any* hand. For that, sweep stiffness and mass, and let it hold without intention.
+
+pub mod contact;
+pub mod trajectory;
+
+pub use contact::{Rail, ReferencePart};
+pub use trajectory::{Intention, Live, Stroke, Trace};
+
+use crate::check::{Check, PlantError};
+use crate::vector::{Vector, dot, length, minus, plus, times};
+use serde::{Deserialize, Serialize};
+use std::collections::VecDeque;
+use trajectory::{Carried, Wish, without};
+
+/// A hand: the `[plant.hand]` section of a machine file. All keys may be left out.
+///
+/// ```
+/// let text = r#"
+/// grip_mm = [0.0, 0.0, 75.0]
+/// mass_kg = 0.5
+/// stiffness = 0.8          # N/mm
+/// damping = 0.04           # N s/mm
+/// turn_stiffness = 5000.0  # N mm/rad
+/// turn_damping = 150.0     # N mm s/rad
+/// force_limit_n = 12.0
+/// moment_limit_n_mm = 2000.0
+/// reaction_s = 0.2
+/// smoothing_s = 0.3
+/// effort_gain = 3.0
+/// effort_s = 1.2
+/// stop_force_n = 7.0
+/// "#;
+/// let written: haptimill_hil_sim::hand::HandConfig = toml::from_str(text).unwrap();
+/// assert_eq!(written, haptimill_hil_sim::hand::HandConfig::default());
+/// ```
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct HandConfig {
+    /// Where the handle is held, in the platform's frame, mm.
+    pub grip_mm: [f64; 3],
+    /// Mass of hand and forearm that moves with the handle, kg.
+    pub mass_kg: f64,
+    /// Stiffness K, N/mm.
+    pub stiffness: f64,
+    /// Damping B, N s/mm.
+    pub damping: f64,
+    /// Stiffness against turning, N mm/rad.
+    pub turn_stiffness: f64,
+    /// Damping against turning, N mm s/rad.
+    pub turn_damping: f64,
+    /// The hand pushes no harder than this, N.
+    pub force_limit_n: f64,
+    /// The hand turns no harder than this, N mm.
+    pub moment_limit_n_mm: f64,
+    /// Time T_r from what is felt or seen to what is done about it, s.
+    pub reaction_s: f64,
+    /// Time constant T_s with which felt force is smoothed, s.
+    pub smoothing_s: f64,
+    /// How many times its stiffness the hand pushes, in the end, against what it sees to be off: G. 0: it does not.
+    pub effort_gain: f64,
+    /// Time constant T_e of that, s.
+    pub effort_s: f64,
+    /// Force F_0 along the way that stops the hand, N; infinity: it does not slow down.
+    pub stop_force_n: f64,
+}
+
+impl Default for HandConfig {
+    fn default() -> Self {
+        Self {
+            grip_mm: [0.0, 0.0, 75.0],
+            mass_kg: 0.5,
+            stiffness: 0.8,
+            damping: 0.04,
+            turn_stiffness: 5000.0,
+            turn_damping: 150.0,
+            force_limit_n: 12.0,
+            moment_limit_n_mm: 2000.0,
+            reaction_s: 0.2,
+            smoothing_s: 0.3,
+            effort_gain: 3.0,
+            effort_s: 1.2,
+            stop_force_n: 7.0,
+        }
+    }
+}
+
+impl HandConfig {
+    /// Checks everything and gives every problem, not the first alone.
+    ///
+    /// # Errors
+    /// The list is not empty.
+    pub fn check(&self) -> Result<(), Vec<PlantError>> {
+        let mut check = Check::default();
+        let field = |key: &str| format!("hand: {key}");
+        for (axis, value) in self.grip_mm.into_iter().enumerate() {
+            check.within(field(&format!("grip_mm {axis}")), value, -500.0, 500.0);
+        }
+        check.within(field("mass_kg"), self.mass_kg, 0.0, 10.0);
+        check.within(field("stiffness"), self.stiffness, 1e-3, 20.0);
+        check.within(field("damping"), self.damping, 0.0, 2.0);
+        check.within(field("turn_stiffness"), self.turn_stiffness, 1.0, 1e6);
+        check.within(field("turn_damping"), self.turn_damping, 0.0, 1e5);
+        check.within(field("force_limit_n"), self.force_limit_n, 0.0, 200.0);
+        check.within(field("moment_limit_n_mm"), self.moment_limit_n_mm, 0.0, 1e5);
+        check.within(field("reaction_s"), self.reaction_s, 0.0, 2.0);
+        check.within(field("smoothing_s"), self.smoothing_s, 0.0, 10.0);
+        check.within(field("effort_gain"), self.effort_gain, 0.0, 100.0);
+        check.within(field("effort_s"), self.effort_s, 1e-2, 100.0);
+        check.within(
+            field("stop_force_n"),
+            self.stop_force_n,
+            1e-2,
+            f64::INFINITY,
+        );
+        check.done()
+    }
+}
+
+/// How the handle is, as far as a hand can tell.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Handle {
+    /// Tip, mm from its home.
+    pub tip: Vector,
+    /// How far it is turned from upright, as a rotation vector, rad.
+    pub turned: Vector,
+}
+
+/// What was felt and seen at a moment.
+#[derive(Debug, Clone, Copy, Default)]
+struct Seen {
+    resistance: f64,
+    off: Vector,
+    turned: Vector,
+}
+
+/// A hand at work.
+#[derive(Debug, Clone)]
+pub struct Hand {
+    config: HandConfig,
+    carried: Carried,
+    wish: Wish,
+    past: VecDeque<Seen>,
+    /// Felt along the way, N.
+    felt: f64,
+    /// Effort and moment of the slow correction.
+    effort: Vector,
+    moment: Vector,
+    /// What it does now, N and N mm.
+    force: Vector,
+    turning: Vector,
+    pace: f64,
+}
+
+/// A vector that is no longer than a length.
+fn within(vector: Vector, most: f64) -> Vector {
+    let size = length(vector);
+    if size > most {
+        times(vector, most / size)
+    } else {
+        vector
+    }
+}
+
+impl Hand {
+    /// A hand that holds the handle where it is; it is asked once every `period_s` seconds. The configuration must have passed its check.
+    pub fn new(config: &HandConfig, handle: &Handle, period_s: f64) -> Self {
+        let delay = libm::round(config.reaction_s / period_s) as usize;
+        let carried = Carried::new(Intention::Hold, handle.tip);
+        Self {
+            wish: Wish {
+                place: handle.tip,
+                ..Wish::default()
+            },
+            carried,
+            past: core::iter::repeat_n(Seen::default(), delay).collect(),
+            felt: 0.0,
+            effort: [0.0; 3],
+            moment: [0.0; 3],
+            force: [0.0; 3],
+            turning: [0.0; 3],
+            pace: 1.0,
+            config: config.clone(),
+        }
+    }
+
+    /// How it was set up.
+    pub const fn config(&self) -> &HandConfig {
+        &self.config
+    }
+
+    /// Forms a new intention; it begins where the old one has led. The hand goes on pushing as it does.
+    pub fn intend(&mut self, intention: Intention) {
+        self.carried = Carried::new(intention, self.wish.place);
+    }
+
+    /// Says anew what is wanted; nothing comes of it unless the intention is a live one.
+    pub const fn live(&mut self, live: Live) {
+        self.carried.live(live);
+    }
+
+    /// The intention.
+    pub const fn intention(&self) -> &Intention {
+        self.carried.intention()
+    }
+
+    /// What is wanted at the moment.
+    pub const fn wish(&self) -> &Wish {
+        &self.wish
+    }
+
+    /// Part of its pace that the hand keeps.
+    pub const fn pace(&self) -> f64 {
+        self.pace
+    }
+
+    /// Force on the handle, N.
+    pub const fn force(&self) -> Vector {
+        self.force
+    }
+
+    /// One period: felt, seen, thought.
+    pub fn think(&mut self, handle: &Handle, dt: f64) {
+        let off = minus(self.wish.place, handle.tip);
+        let now = Seen {
+            resistance: dot(self.force, self.wish.along),
+            off: match self.wish.press {
+                Some((normal, _)) => without(off, normal),
+                None => off,
+            },
+            turned: handle.turned,
+        };
+        self.past.push_back(now);
+        let seen = self.past.pop_front().unwrap_or_default();
+        let config = &self.config;
+        let keep = dt / (config.smoothing_s + dt);
+        self.felt += (seen.resistance - self.felt) * keep;
+        self.pace = (1.0 - self.felt / config.stop_force_n).clamp(0.0, 1.0);
+        self.wish = self.carried.advance(dt, self.pace, handle.tip);
+        let (gain, step) = (config.effort_gain, dt / (config.effort_s + dt));
+        let towards = |from: Vector, to: Vector| plus(from, times(minus(to, from), step));
+        self.effort = towards(self.effort, times(seen.off, gain * config.stiffness));
+        if let Some((normal, _)) = self.wish.press {
+            self.effort = without(self.effort, normal);
+        }
+        self.effort = within(self.effort, config.force_limit_n);
+        let upright = times(seen.turned, -gain * config.turn_stiffness);
+        self.moment = within(towards(self.moment, upright), config.moment_limit_n_mm);
+    }
+
+    /// Force (N, at the grip) and moment (N mm) on the handle. `place` of the grip from its home and `turned` as they are, with their rates, `later` seconds after the period began.
+    pub fn act(
+        &mut self,
+        (place, velocity): (Vector, Vector),
+        (turned, spin): (Vector, Vector),
+        later: f64,
+    ) -> (Vector, Vector) {
+        let (config, wish) = (&self.config, &self.wish);
+        let wanted = plus(wish.place, times(wish.velocity, later));
+        let mut spring = times(minus(wanted, place), config.stiffness);
+        let mut press = [0.0; 3];
+        if let Some((normal, force)) = wish.press {
+            spring = without(spring, normal);
+            press = times(normal, force);
+        }
+        let damper = times(minus(wish.velocity, velocity), config.damping);
+        let sum = plus(plus(spring, damper), plus(self.effort, press));
+        self.force = within(sum, config.force_limit_n);
+        let turning: Vector = core::array::from_fn(|i| {
+            self.moment[i] - config.turn_stiffness * turned[i] - config.turn_damping * spin[i]
+        });
+        self.turning = within(turning, config.moment_limit_n_mm);
+        (self.force, self.turning)
+    }
+}

@@ -1,0 +1,69 @@
+//! An elastic body that is touched and not cut: for sweeps over the stiffness of a contact.
+
+use crate::check::{Check, PlantError};
+use crate::process::ToolPose;
+use crate::vector::Vector;
+
+/// An elastic half space with a plane face.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ElasticWall {
+    /// A point of the face at rest, mm.
+    pub point: Vector,
+    /// Unit vector out of the body, towards the tool.
+    pub normal: Vector,
+    /// Stiffness k_e, N/mm.
+    pub stiffness: f64,
+    /// Damping, N s/mm; it only acts while the face is pressed, and never pulls. The force is held for a control period T, which feeds a swinging
+    /// tool like a damping of -k_e T / 2; a wall that shall neither feed nor take has that much of its own (0.1 N s/mm at 1000 N/mm and 200 us).
+    pub damping: f64,
+    /// Radius of the ball that touches, mm; 0 is the tip alone.
+    pub radius: f64,
+}
+
+impl ElasticWall {
+    /// Checks everything.
+    ///
+    /// # Errors
+    /// Every problem.
+    pub fn check(&self) -> Result<(), Vec<PlantError>> {
+        let mut check = Check::default();
+        let mut square = 0.0;
+        for i in 0..3 {
+            check.within(format!("wall: point {i}"), self.point[i], -2000.0, 2000.0);
+            square += self.normal[i] * self.normal[i];
+        }
+        check.within(
+            "wall: length of normal".into(),
+            square,
+            0.999_999,
+            1.000_001,
+        );
+        check.within("wall: stiffness".into(), self.stiffness, 0.0, 1e6);
+        check.within("wall: damping".into(), self.damping, 0.0, 1e4);
+        check.within("wall: radius".into(), self.radius, 0.0, 100.0);
+        check.done()
+    }
+
+    /// How deep the tool is in the face, mm; negative in the air. `pose` must be the tool's in the same frame.
+    pub fn depth(&self, pose: &ToolPose) -> f64 {
+        let mut outside = -self.radius;
+        for i in 0..3 {
+            let nearest = pose.tip[i] + self.radius * pose.axis[i];
+            outside += (nearest - self.point[i]) * self.normal[i];
+        }
+        -outside
+    }
+
+    /// Force on the tool, N, for its velocity (mm/s).
+    pub fn force(&self, pose: &ToolPose, velocity: Vector) -> Vector {
+        let depth = self.depth(pose);
+        if depth <= 0.0 {
+            return [0.0; 3];
+        }
+        let closing = -(velocity[0] * self.normal[0]
+            + velocity[1] * self.normal[1]
+            + velocity[2] * self.normal[2]);
+        let push = (self.stiffness * depth + self.damping * closing).max(0.0);
+        self.normal.map(|part| part * push)
+    }
+}

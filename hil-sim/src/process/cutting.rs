@@ -1,0 +1,356 @@
+//! Cutting: a ball-end mill, the workpiece that it shapes, and the force between them.
+//!
+//! Everything is in the frame of the table (x_w, y_w, z_w; spec h4-milling 1.3): mm, N, and the spindle in turns, clockwise as seen from above. The
+//! force is the one **on the tool**, which is what the experiments call F_w; the workpiece feels the opposite.
+//!
+//! # How
+//!
+//! The edges are divided into slices (module `cutter`). A slice cuts with the forces of Altintas and Lee (spec h4-milling 5.1),
+//!
+//! ```text
+//! dF_r = K_re dS + K_rc h db     dF_t = K_te dS + K_tc h db     dF_a = K_ae dS + K_ac h db
+//! ```
+//!
+//! where the chip thickness h is the distance, along the normal of the ball, from the edge to what earlier teeth left. Two stores know that:
+//!
+//! * *the way of the teeth* of the last [`PASSES`] tooth periods (module `path`): a tooth feeds less than a cell of any map.
+//!   With d the travel of the ball's centre since the tooth before stood at this angle and n the normal, h = d.n; for plain feed that is
+//!   f_t sin(Psi) sin(kappa) of the spec. The thinnest of the remembered passes counts.
+//! * *the map* ([`Workpiece`]) of all that is older. It decides whether there is material at all, and thins the chip where its surface is
+//!   nearer than the pass before: entry, exit, one-sided cuts, inclines, second passes.
+//!
+//! An edge is out of the material when it is above the map; between two nodes the slice is shared in proportion. The map is allowed the error
+//! that its cells make ([`Workpiece`]): a surface that has been cut takes nothing from a second, equal pass.
+//!
+//! The body between the edges lies [`CutterConfig::relief_mm`] behind them. It touches nothing while the spindle turns and the feed is sane. When the
+//! spindle stands, the tool is a blunt ball in a bed of springs that yields: the force grows with the way and goes when the tool backs off.
+//!
+//! # Limits
+//!
+//! The cutter is rigid and runs true. The cut takes no speed from the spindle and knows no temperature. Chip thickness is linear in the
+//! travel up to a quarter of the radius; no chip is thicker. On walls steeper than some 80 degrees the map is blind for 1.5 cells, which is made up for by
+//! looking as far ahead as that takes (at most 6 cells): there the cut begins and ends this much early. The places between two calls of
+//! [`Cutting::step`] are on a straight line, and the force is the one at its end.
+//!
+//! Misuse: a step with a jump of the tool sweeps the straight line between; put a tool down in the material with [`Cutting::place`].
+
+use crate::check::PlantError;
+use crate::process::chip::{Edge, Frame, NO_CHIP, View, rotated};
+use crate::process::config::{CutterConfig, CuttingConfig};
+use crate::process::cutter::{Cutter, Node};
+use crate::process::removal::Carver;
+use crate::process::tooth_path::{PASSES, ToothPath};
+use crate::process::workpiece::Workpiece;
+use crate::vector::{Vector, dot, minus, plus};
+
+/// Azimuths at which the body is looked at when it touches.
+const BODY_AZIMUTHS: usize = 24;
+
+/// Where the tool really is, in the frame of the table.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ToolPose {
+    /// Tip of the ball, mm.
+    pub tip: Vector,
+    /// Unit vector from the tip to the spindle (I_w, J_w, K_w).
+    pub axis: Vector,
+}
+
+impl ToolPose {
+    /// An upright tool.
+    pub const fn upright(tip: Vector) -> Self {
+        Self {
+            tip,
+            axis: [0.0, 0.0, 1.0],
+        }
+    }
+
+    /// The tool of a machine that leans by `theta` about y over a table that is turned by `alpha` about x, degrees
+    /// (spec h4-milling (3.20)-(3.22)).
+    pub fn leaning(tip: Vector, theta: f64, alpha: f64) -> Self {
+        if theta == 0.0 && alpha == 0.0 {
+            return Self::upright(tip);
+        }
+        let radian = core::f64::consts::PI / 180.0;
+        let (sin_theta, cos_theta) = libm::sincos(theta * radian);
+        let (sin_alpha, cos_alpha) = libm::sincos(alpha * radian);
+        Self {
+            tip,
+            axis: [sin_theta, cos_theta * sin_alpha, cos_theta * cos_alpha],
+        }
+    }
+
+    /// Centre of a ball of this radius.
+    fn centre(&self, radius: f64) -> Vector {
+        [
+            self.tip[0] + radius * self.axis[0],
+            self.tip[1] + radius * self.axis[1],
+            self.tip[2] + radius * self.axis[2],
+        ]
+    }
+}
+
+/// What a step of the cut gave.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Cut {
+    /// Force on the tool, N.
+    pub force: Vector,
+    /// An edge is in the material.
+    pub engaged: bool,
+    /// The body of the cutter presses on the material.
+    pub pressed: bool,
+}
+
+/// A cutter in a workpiece.
+#[derive(Debug, Clone)]
+pub struct Cutting {
+    config: CutterConfig,
+    cutter: Cutter,
+    workpiece: Workpiece,
+    path: ToothPath,
+    carver: Carver,
+    centre: Vector,
+    /// Spindle angle, turns, 0 to 1: of the first tooth's tip from y_w, clockwise.
+    angle: f64,
+    chips_mm3: f64,
+}
+
+impl Cutting {
+    /// A tool in the air beside an uncut workpiece.
+    ///
+    /// # Errors
+    /// Every problem of the configuration.
+    pub fn new(config: &CuttingConfig, pose: &ToolPose) -> Result<Self, Vec<PlantError>> {
+        config.check()?;
+        let radius = config.cutter.radius_mm;
+        let centre = pose.centre(radius);
+        Ok(Self {
+            cutter: Cutter::new(&config.cutter, config.workpiece.cell_mm),
+            workpiece: Workpiece::new(&config.workpiece),
+            path: ToothPath::new(centre),
+            carver: Carver::new(radius, centre),
+            centre,
+            angle: 0.0,
+            chips_mm3: 0.0,
+            config: config.cutter.clone(),
+        })
+    }
+
+    /// Puts the tool elsewhere, without a way in between; what it finds there is as it is.
+    pub fn place(&mut self, pose: &ToolPose) {
+        self.settle();
+        self.centre = pose.centre(self.config.radius_mm);
+        self.path = ToothPath::new(self.centre);
+        self.carver = Carver::new(self.config.radius_mm, self.centre);
+    }
+
+    /// Takes everything that the tool has passed from the map, whatever is still remembered as passes of teeth. For measuring the surface; when
+    /// the cut goes on after it, the first few teeth find a little less than they should.
+    pub fn settle(&mut self) {
+        for passed in self.path.remembered() {
+            self.carver
+                .follow(&mut self.workpiece, passed, passed.centre);
+        }
+        self.carver.finish(&mut self.workpiece);
+        self.path = ToothPath::new(self.centre);
+        self.carver = Carver::new(self.config.radius_mm, self.centre);
+    }
+
+    /// The workpiece; the last few tooth periods are not in it yet, see [`Cutting::settle`].
+    pub const fn workpiece(&self) -> &Workpiece {
+        &self.workpiece
+    }
+
+    /// The cutter, its material, its forces.
+    pub const fn config(&self) -> &CutterConfig {
+        &self.config
+    }
+
+    /// Spindle angle, turns, 0 to 1.
+    pub const fn angle(&self) -> f64 {
+        self.angle
+    }
+
+    /// Volume of all chips, mm^3: chip thickness times width times the way of the edge. Sampled at the steps.
+    pub const fn chips_mm3(&self) -> f64 {
+        self.chips_mm3
+    }
+
+    /// The tool goes straight to `pose` while the spindle makes `turns` (backwards below 0). Call it once a control period.
+    pub fn step(&mut self, pose: &ToolPose, turns: f64) -> Cut {
+        let from = self.centre;
+        let to = pose.centre(self.config.radius_mm);
+        self.centre = to;
+        let (carver, workpiece) = (&mut self.carver, &mut self.workpiece);
+        let pitches = turns * self.config.teeth as f64;
+        self.path.advance(pitches, from, to, |passed| {
+            carver.follow(workpiece, passed, to)
+        });
+        let angle = self.angle + turns;
+        self.angle = angle - angle.floor();
+        // All edges are above all material.
+        if to[2] - self.config.radius_mm >= self.workpiece.highest() {
+            return Cut::default();
+        }
+        let view = self.view(Frame::of(pose.axis));
+        let (mut force, engaged, volume) = self.edges(&view);
+        let pressed = match self.body(&view) {
+            Some(push) => {
+                force = plus(force, push);
+                true
+            }
+            None => false,
+        };
+        let scale = self.config.force_scale;
+        let force = view.frame.to_table(force.map(|part| part * scale));
+        self.chips_mm3 += volume * core::f64::consts::TAU * turns.max(0.0);
+        Cut {
+            force,
+            engaged,
+            pressed,
+        }
+    }
+
+    fn view(&self, frame: Frame) -> View<'_> {
+        let radius = self.config.radius_mm;
+        let thickest = radius / 4.0;
+        let mut passes = [Vector::default(); PASSES];
+        let mut count = 0;
+        let mut heading = [0.0; 3];
+        for pitches in 1..=PASSES {
+            let by = minus(self.centre, self.path.ago(pitches));
+            let square = dot(by, by);
+            // A ball that stood so far off is described by the map alone.
+            if square > thickest * thickest {
+                continue;
+            }
+            if pitches == 1 && square > NO_CHIP * NO_CHIP {
+                let length = square.sqrt();
+                heading = by.map(|part| part / length);
+            }
+            passes[count] = frame.to_tool(by);
+            count += 1;
+        }
+        let behind = minus(self.centre, self.carver.cut());
+        View {
+            workpiece: &self.workpiece,
+            frame,
+            centre: self.centre,
+            passes,
+            count,
+            thickest,
+            heading,
+            lag: dot(behind, behind).sqrt(),
+        }
+    }
+
+    /// The nodes that are not above all material, from the tip up to the first that is.
+    fn reaching(&self, view: &View<'_>) -> &[Node] {
+        let nodes = self.cutter.nodes();
+        let upright = view.frame.z[2];
+        let lean = (1.0 - upright * upright).max(0.0).sqrt();
+        let room = view.workpiece.highest() - view.centre[2];
+        // The lowest point of a circle rises with the node from where kappa is the lean.
+        let above = nodes.iter().position(|node| {
+            node.height * upright - node.radius * lean > room && node.sin_kappa >= lean
+        });
+        &nodes[..above.map_or(nodes.len(), |first| first + 1)]
+    }
+
+    /// Force of all edges on the tool in its own frame, whether one is in the material, and the volume of chips per radian, mm^3.
+    fn edges(&self, view: &View<'_>) -> (Vector, bool, f64) {
+        let material = &self.config.coefficients;
+        let nodes = self.reaching(view);
+        let mut force = [0.0; 3];
+        let mut volume = 0.0;
+        let mut engaged = false;
+        for tooth in 0..self.config.teeth {
+            let turns = self.angle + tooth as f64 / self.config.teeth as f64;
+            let (sin, cos) = libm::sincos(turns * core::f64::consts::TAU);
+            let mut below = Edge::default();
+            for (k, node) in nodes.iter().enumerate() {
+                // Psi = theta - psi: the edge lags behind its tip.
+                let radial = [
+                    sin * node.cos_lag - cos * node.sin_lag,
+                    cos * node.cos_lag + sin * node.sin_lag,
+                ];
+                let touch = view.touch(node, radial, 0.0);
+                let mut here = Edge {
+                    touch,
+                    cuts: touch.chip >= NO_CHIP && touch.depth > 0.0,
+                    ..Edge::default()
+                };
+                if here.cuts {
+                    engaged = true;
+                    here.arm = touch.chip * node.radius;
+                    here.cutting = rotated(
+                        node,
+                        radial,
+                        [material.radial, material.tangential, material.axial],
+                        touch.chip,
+                    );
+                    here.edge = rotated(
+                        node,
+                        radial,
+                        [
+                            material.radial_edge,
+                            material.tangential_edge,
+                            material.axial_edge,
+                        ],
+                        1.0,
+                    );
+                }
+                if k > 0 && (here.cuts || below.cuts) {
+                    let slice = &self.cutter.slices()[k - 1];
+                    let (low, high, onset) = below.parts(&here, self.config.edge_onset_mm);
+                    let (low_edge, high_edge) =
+                        (low * onset * slice.edge, high * onset * slice.edge);
+                    let (low, high) = (low * slice.width, high * slice.width);
+                    for (i, sum) in force.iter_mut().enumerate() {
+                        *sum += low * below.cutting[i]
+                            + high * here.cutting[i]
+                            + low_edge * below.edge[i]
+                            + high_edge * here.edge[i];
+                    }
+                    volume += low * below.arm + high * here.arm;
+                }
+                below = here;
+            }
+        }
+        (force, engaged, volume)
+    }
+
+    /// Force of the body on the tool in its own frame, when it may touch.
+    fn body(&self, view: &View<'_>) -> Option<Vector> {
+        let relief = self.config.relief_mm;
+        if view.count > 0 {
+            let by = view.passes[0];
+            if dot(by, by) <= relief * relief {
+                return None;
+            }
+        }
+        let mut force = [0.0; 3];
+        let mut touched = false;
+        let step = core::f64::consts::TAU / BODY_AZIMUTHS as f64;
+        let nodes = self.reaching(view);
+        let slices = self.cutter.slices();
+        for azimuth in 0..BODY_AZIMUTHS {
+            let (sin, cos) = libm::sincos(azimuth as f64 * step);
+            for (k, node) in nodes.iter().enumerate() {
+                let touch = view.touch(node, [sin, cos], relief);
+                if touch.chip <= 0.0 || touch.depth <= 0.0 {
+                    continue;
+                }
+                touched = true;
+                let before = if k > 0 { slices[k - 1].width } else { 0.0 };
+                let after = slices.get(k).map_or(0.0, |slice| slice.width);
+                let area = 0.5 * (before + after) * node.radius * step;
+                let pressure = touch.chip * self.config.body_stiffness;
+                let pressure = pressure.min(self.config.body_pressure) * area;
+                force[0] -= pressure * node.sin_kappa * sin;
+                force[1] -= pressure * node.sin_kappa * cos;
+                force[2] += pressure * node.cos_kappa;
+            }
+        }
+        touched.then_some(force)
+    }
+}

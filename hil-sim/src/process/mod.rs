@@ -1,0 +1,240 @@
+//! What happens at the tool: spindle, cut or contact, the structure that gives way, and the sensor that feels it.
+//!
+//! Once every control period [`Process::step`] takes where the slides hold the tool and gives the force on it, which acts for the whole period that
+//! follows. The deflection of the structure is that of the force before: at 200 us its own time constant is what counts (see
+//! [`crate::process::structure`]).
+//!
+//! All parts but the spindle may be missing. Frames and signs are those of [`crate::process`]: the frame of the table, and the force on the tool.
+
+mod chip;
+pub mod config;
+pub mod contact;
+pub mod cutter;
+pub mod cutting;
+pub mod metrology;
+pub mod removal;
+pub mod sensor;
+pub mod spindle;
+pub mod structure;
+pub mod tooth_path;
+pub mod workpiece;
+
+pub use config::{Area, Coefficients, CutterConfig, CuttingConfig, SpindleConfig, WorkpieceConfig};
+pub use contact::ElasticWall;
+pub use cutting::{Cut, Cutting, ToolPose};
+pub use spindle::Spindle;
+pub use tooth_path::PASSES;
+pub use workpiece::Workpiece;
+
+use crate::check::PlantError;
+use crate::machines::h4::Arm;
+use crate::process::sensor::{Sensor, SensorConfig};
+use crate::process::structure::{Structure, StructureConfig};
+use crate::random::Random;
+use crate::vector::Vector;
+use crate::vector::plus;
+
+/// What there is at the tool.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct ProcessConfig {
+    /// The spindle.
+    pub spindle: SpindleConfig,
+    /// Cutter and workpiece.
+    pub cutting: Option<CuttingConfig>,
+    /// An elastic body beside (or instead of) the workpiece.
+    pub wall: Option<ElasticWall>,
+    /// The structure; without it the tool is where the slides hold it.
+    pub structure: Option<StructureConfig>,
+    /// The sensor.
+    pub sensor: Option<SensorConfig>,
+}
+
+impl ProcessConfig {
+    /// Checks everything and gives every problem.
+    ///
+    /// # Errors
+    /// The list is not empty.
+    pub fn check(&self) -> Result<(), Vec<PlantError>> {
+        let mut problems = Vec::new();
+        let mut gather = |result: Result<(), Vec<PlantError>>| {
+            if let Err(more) = result {
+                problems.extend(more);
+            }
+        };
+        gather(self.spindle.check());
+        gather(self.cutting.as_ref().map_or(Ok(()), CuttingConfig::check));
+        gather(self.wall.as_ref().map_or(Ok(()), ElasticWall::check));
+        gather(
+            self.structure
+                .as_ref()
+                .map_or(Ok(()), StructureConfig::check),
+        );
+        gather(self.sensor.as_ref().map_or(Ok(()), SensorConfig::check));
+        if problems.is_empty() {
+            Ok(())
+        } else {
+            Err(problems)
+        }
+    }
+}
+
+/// What happens at the tool.
+#[derive(Debug, Clone)]
+pub struct Process {
+    period_s: f64,
+    spindle: Spindle,
+    cutting: Option<Cutting>,
+    wall: Option<ElasticWall>,
+    structure: Option<Structure>,
+    sensor: Option<Sensor>,
+    tip: Vector,
+    cut: Cut,
+    force: Vector,
+}
+
+/// What a period at the tool gave.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Felt {
+    /// Where the tip really is, mm.
+    pub tip: Vector,
+    /// Force on the tool, N.
+    pub force: Vector,
+}
+
+impl Process {
+    /// Puts the parts around a tool that stands in the air; `period_s` is the control period.
+    ///
+    /// # Errors
+    /// Every problem of the configuration.
+    pub fn new(
+        config: &ProcessConfig,
+        period_s: f64,
+        pose: &ToolPose,
+        random: Random,
+    ) -> Result<Self, Vec<PlantError>> {
+        config.check()?;
+        Ok(Self {
+            period_s,
+            spindle: Spindle::new(&config.spindle, period_s),
+            cutting: match &config.cutting {
+                Some(config) => Some(Cutting::new(config, pose)?),
+                None => None,
+            },
+            wall: config.wall.clone(),
+            structure: config
+                .structure
+                .as_ref()
+                .map(|config| Structure::new(config, period_s)),
+            sensor: config
+                .sensor
+                .as_ref()
+                .map(|config| Sensor::new(config, period_s, random)),
+            tip: pose.tip,
+            cut: Cut::default(),
+            force: [0.0; 3],
+        })
+    }
+
+    /// One period: the slides hold the tool at `pose`, the table is turned by `alpha` degrees, the spindle is told `rpm`.
+    pub fn step(&mut self, pose: &ToolPose, alpha: f64, rpm: f64) -> Felt {
+        let mut pose = *pose;
+        if let Some(structure) = &self.structure {
+            let deflection = Arm::to_work(structure.deflection(), alpha);
+            pose.tip = plus(pose.tip, deflection);
+        }
+        let velocity = core::array::from_fn(|i| (pose.tip[i] - self.tip[i]) / self.period_s);
+        self.tip = pose.tip;
+        let turns = self.spindle.advance(rpm);
+        self.cut = match &mut self.cutting {
+            Some(cutting) => cutting.step(&pose, turns),
+            None => Cut::default(),
+        };
+        self.force = self.cut.force;
+        if let Some(wall) = &self.wall {
+            let push = wall.force(&pose, velocity);
+            self.force = plus(self.force, push);
+        }
+        if let Some(structure) = &mut self.structure {
+            structure.advance(Arm::to_base(self.force, alpha));
+        }
+        if let Some(sensor) = &mut self.sensor {
+            sensor.sample(self.force, alpha);
+        }
+        Felt {
+            tip: self.tip,
+            force: self.force,
+        }
+    }
+
+    /// The height above the tip at which the force acts: the centre of the ball.
+    pub fn force_height(&self) -> f64 {
+        match (&self.cutting, &self.wall) {
+            (Some(cutting), _) => cutting.config().radius_mm,
+            (None, Some(wall)) => wall.radius,
+            (None, None) => 0.0,
+        }
+    }
+
+    /// What the cut gave in the last period.
+    pub const fn cut(&self) -> &Cut {
+        &self.cut
+    }
+
+    /// Force on the tool, N, frame of the table.
+    pub const fn force(&self) -> Vector {
+        self.force
+    }
+
+    /// The spindle.
+    pub const fn spindle(&self) -> &Spindle {
+        &self.spindle
+    }
+
+    /// The spindle, to be meddled with.
+    pub const fn spindle_mut(&mut self) -> &mut Spindle {
+        &mut self.spindle
+    }
+
+    /// Cutter and workpiece.
+    pub const fn cutting(&self) -> Option<&Cutting> {
+        self.cutting.as_ref()
+    }
+
+    /// Cutter and workpiece, to be settled or moved.
+    pub const fn cutting_mut(&mut self) -> Option<&mut Cutting> {
+        self.cutting.as_mut()
+    }
+
+    /// Clamps a work on the table, with the tool where it stands; what was there before is taken away. Spindle, structure and sensor stay as they are.
+    ///
+    /// # Errors
+    /// Every problem of the configuration.
+    pub fn clamp(
+        &mut self,
+        config: &CuttingConfig,
+        pose: &ToolPose,
+    ) -> Result<(), Vec<PlantError>> {
+        self.cutting = Some(Cutting::new(config, pose)?);
+        Ok(())
+    }
+
+    /// Puts an elastic body beside the tool, or takes it away.
+    pub fn set_wall(&mut self, wall: Option<ElasticWall>) {
+        self.wall = wall;
+    }
+
+    /// The structure.
+    pub const fn structure(&self) -> Option<&Structure> {
+        self.structure.as_ref()
+    }
+
+    /// The sensor.
+    pub const fn sensor(&self) -> Option<&Sensor> {
+        self.sensor.as_ref()
+    }
+
+    /// The sensor, to be reset or spoilt.
+    pub const fn sensor_mut(&mut self) -> Option<&mut Sensor> {
+        self.sensor.as_mut()
+    }
+}

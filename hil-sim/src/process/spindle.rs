@@ -1,0 +1,56 @@
+//! The spindle: its speed follows the command, and it can be made to stand.
+
+use crate::process::config::SpindleConfig;
+
+/// A spindle, with its speed.
+#[derive(Debug, Clone)]
+pub struct Spindle {
+    /// Part of a difference of speed that is left after a period.
+    keeps: f64,
+    period_s: f64,
+    rpm: f64,
+    stalled: bool,
+}
+
+impl Spindle {
+    /// A spindle at rest that is stepped once every `period_s` seconds.
+    pub fn new(config: &SpindleConfig, period_s: f64) -> Self {
+        Self {
+            keeps: if config.run_up_s > 0.0 {
+                libm::exp(-period_s / config.run_up_s)
+            } else {
+                0.0
+            },
+            period_s,
+            rpm: 0.0,
+            stalled: false,
+        }
+    }
+
+    /// Speed, rev/min; clockwise above 0.
+    pub const fn rpm(&self) -> f64 {
+        self.rpm
+    }
+
+    /// Makes it stand at once, whatever it is told; or lets it run again.
+    pub const fn set_stalled(&mut self, stalled: bool) {
+        self.stalled = stalled;
+    }
+
+    /// One period under this command (rev/min); gives the turns that it makes.
+    pub fn advance(&mut self, command_rpm: f64) -> f64 {
+        let before = self.rpm;
+        self.rpm = if self.stalled {
+            0.0
+        } else {
+            let next = command_rpm + (before - command_rpm) * self.keeps;
+            // Under one turn a minute it stands.
+            if command_rpm == 0.0 && next.abs() < 1.0 {
+                0.0
+            } else {
+                next
+            }
+        };
+        0.5 * (before + self.rpm) * self.period_s / 60.0
+    }
+}
