@@ -251,6 +251,18 @@ impl Motion {
         destination
     }
 
+    /// Whether the program leads a coordinate.
+    #[must_use]
+    pub fn is_led_by_program(&self, axis: usize) -> bool {
+        self.source(axis) == Source::Program
+    }
+
+    /// Whether the program leads all coordinates, without offsets.
+    #[must_use]
+    pub const fn program_alone(&self) -> bool {
+        !self.led_otherwise
+    }
+
     /// Whether any coordinate takes its value from a jog.
     #[must_use]
     pub fn has_jog_source(&self) -> bool {
