@@ -26,6 +26,8 @@ type Done = Result<(), Refusal>;
 const POSE: usize = 3;
 const SPAN: usize = 1;
 const TAKE: usize = 1;
+/// To look at a piece of a long segment takes as long as so many; a period in which a frame came leaves it to the next one.
+const PIECE: usize = 5;
 const READ: usize = 5;
 
 impl Controller {
@@ -261,6 +263,7 @@ impl Controller {
             }
         }
         machinery.motion.begin_program();
+        machinery.begin_joint_rates();
         self.server.begin_job(pose);
         self.job.number = Some(job);
         self.job.stopping = false;
@@ -302,16 +305,32 @@ impl Controller {
                 *share = share.saturating_sub(SPAN);
             }
         }
-        let (first, axes) = (tried.saturating_sub(1), machinery.axes());
+        let axes = machinery.axes();
+        let first = tried.saturating_sub(1).min(axes);
         let last = axes.min(first + *share);
         *share -= last - first;
-        let program = &mut machinery.motion.program;
-        if last < axes || *share < TAKE {
-            program.allows(setpoint, first..last)?;
+        machinery.motion.program.allows(setpoint, first..last)?;
+        if last < axes {
             return Ok(Some(last as u8 + 1));
         }
+        let pieces = machinery.pieces(setpoint);
+        let mut piece = tried.saturating_sub(axes + 1) as u8;
+        while piece < pieces {
+            // The last piece ends at the pose that was tried.
+            let cost = if piece + 1 == pieces { TAKE } else { PIECE };
+            if *share < cost {
+                break;
+            }
+            *share -= cost;
+            machinery.check_piece(number, setpoint, piece, pieces)?;
+            piece += 1;
+        }
+        if piece < pieces || *share < TAKE {
+            return Ok(Some((axes + 1) as u8 + piece));
+        }
         *share -= TAKE;
-        program.push_tried(setpoint, first)?;
+        machinery.motion.program.push_tried(setpoint, axes)?;
+        machinery.take_end();
         Ok(None)
     }
 

@@ -126,6 +126,16 @@ impl Controller {
         {
             self.safety.raise(Fault::Pose(error));
         }
+        if self.safety.drives_on()
+            && let Some(joint) = machinery.joint_too_fast()
+        {
+            self.safety.raise(Fault::JointRate {
+                setpoint: machinery.motion.program.reached(),
+                axis: joint as u8,
+                rate: machinery.target().rates[joint].0,
+                limit: machinery.machine.rates()[joint].0,
+            });
+        }
         while let Some(axis) = machinery.take_limited() {
             self.safety.tell(Event::YieldLimited { axis });
         }

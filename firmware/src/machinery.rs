@@ -1,6 +1,7 @@
 //! The parts that a configuration makes: geometry, joints, motion, force control, haptic arm; and the stages that are theirs.
 
 pub mod hand;
+mod joint_rates;
 mod yielding;
 
 use crate::config::{AxisKind, Config, JointAxis};
@@ -21,6 +22,7 @@ use haptimill_protocol::message::{
 };
 use haptimill_protocol::setpoint::Setpoint;
 use heapless::Vec;
+use joint_rates::JointRates;
 
 /// Parts in which the configuration, and what was worked out from it, is checked against its digest: geometry and bounds, motion, then each axis of
 /// the pose and each joint, then the haptic arm, then the force sensor and each axis of force control.
@@ -92,6 +94,8 @@ pub struct Machinery {
     /// On a machine with a force sensor; without one the pose is worked out for whoever asks.
     measured_pose: Option<Pose>,
     target: JointMotion,
+    /// Of the setpoints of a job.
+    joint_rates: JointRates,
     digests: [Digest; PARTS],
     next_part: usize,
 }
@@ -176,6 +180,7 @@ impl Machinery {
             measured: Joints::default(),
             measured_pose: None,
             target: JointMotion::default(),
+            joint_rates: JointRates::default(),
             digests: [Digest::default(); PARTS],
             next_part: 0,
             config,
@@ -396,6 +401,15 @@ impl Machinery {
         )
     }
 
+    /// The first joint that is commanded more than its maximum rate and 1/32 of it: something that no look ahead has prevented.
+    #[must_use]
+    #[inline]
+    pub fn joint_too_fast(&self) -> Option<usize> {
+        let rates = self.target.rates.iter().zip(self.machine.rates());
+        let mut joints = rates.take(self.joints.len());
+        joints.position(|(rate, limit)| rate.0.unsigned_abs() > (limit.0 + (limit.0 >> 5)) as u32)
+    }
+
     /// Stage *drive*: position loops. Gives a joint whose drive was asked for too much.
     #[inline]
     pub fn drive(&mut self, commands: &mut [DriveCommand; MAX_AXES]) -> Option<u8> {
@@ -420,6 +434,7 @@ impl Machinery {
     /// What is wanted in this period. The number is a coordinate whose jog was kept from going on.
     #[inline]
     pub fn advance(&mut self, mode: Mode) -> (Progress, Option<u8>) {
+        self.tell_excursion();
         match self.motion.advance_alone(mode) {
             Some(progress) => (progress, None),
             None => self.advance_by_hand(mode),
@@ -447,7 +462,7 @@ impl Machinery {
     ///
     /// # Errors
     /// What is wrong with that pose.
-    pub fn can_reach(&self, number: u32, setpoint: &Setpoint) -> Result<(), Refusal> {
+    pub fn can_reach(&mut self, number: u32, setpoint: &Setpoint) -> Result<(), Refusal> {
         let mut pose = Pose::default();
         for (slot, value) in pose.0.iter_mut().zip(&setpoint.pose) {
             *slot = Coordinate(*value);
@@ -459,8 +474,7 @@ impl Machinery {
                 axis,
             });
         }
-        let reached = self.machine.inverse(&pose);
-        reached.map(|_| ()).map_err(|error| Refusal::Pose {
+        self.note_end(setpoint).map_err(|error| Refusal::Pose {
             setpoint: number,
             error,
         })

@@ -223,8 +223,30 @@ impl Describe for Refusal {
             Self::NoHand => f.write_str(
                 "no hand can lead this machine; add the sections [haptic] or [follow] to the machine file and configure the controller with it",
             ),
+            Self::JointRate {
+                setpoint,
+                axis,
+                rate,
+                limit,
+            } => {
+                write!(f, "setpoint {setpoint}: ")?;
+                too_fast(axes, axis, rate, limit, f)?;
+                f.write_str("; lower the feed there, or keep away from the bound of the workspace")
+            }
             Self::WallTooNear => f.write_str("the ball at the tip does not fit between this wall and the opposite one; move one of them outwards"),
         }
+    }
+}
+
+/// A joint that was asked for too high a rate, with both rates where the machine is known.
+fn too_fast(axes: &Axes<'_>, axis: u8, rate: i32, limit: i32, f: &mut Formatter<'_>) -> Result {
+    write!(f, "{} would move", Named(axes.joints, axis))?;
+    match (
+        amount(axes.joints, axis, rate),
+        amount(axes.joints, axis, limit),
+    ) {
+        (Some(rate), Some(limit)) => write!(f, " at {rate}/s (at most {limit}/s)"),
+        _ => f.write_str(" faster than its maximum rate"),
     }
 }
 
@@ -290,6 +312,18 @@ impl Describe for Fault {
                     f,
                     "{} left its soft limits; reset, then move it back by jogging",
                     Named(axes.pose, axis)
+                )
+            }
+            Self::JointRate {
+                setpoint,
+                axis,
+                rate,
+                limit,
+            } => {
+                too_fast(axes, axis, rate, limit, f)?;
+                write!(
+                    f,
+                    " on the way to setpoint {setpoint}; reset, then lead the tool more slowly, or lower the feed there"
                 )
             }
             Self::Stroke { axis, by } => {
