@@ -129,6 +129,8 @@ pub enum InputProblem {
     },
     /// The machine was switched off and still coasts.
     Coasting,
+    /// The drives have just been switched on, and the step motors have not locked yet.
+    Settling,
 }
 
 /// What is wrong in a configuration.
@@ -267,6 +269,13 @@ pub enum Fault {
     Internal {
         /// Source line, to report.
         line: u16,
+    },
+    /// A step motor did not lock after its drive was switched on.
+    NotLocked {
+        /// The joint.
+        axis: u8,
+        /// How far it is from where it was switched on, axis units.
+        by: i32,
     },
 }
 
