@@ -270,8 +270,9 @@ impl Machinery {
         let measured = self.measured.0.iter_mut();
         let mut leapt = false;
         for ((joint, inputs), measured) in self.joints.iter_mut().zip(&inputs.axes).zip(measured) {
-            *measured = joint.sense(inputs, time_ns).coordinate;
-            leapt |= joint.leapt();
+            let sensed = joint.sense(inputs, time_ns);
+            *measured = sensed.coordinate;
+            leapt |= sensed.leapt;
         }
         if leapt {
             self.note_jumps(u32::from(inputs.missed) + 1);

@@ -73,6 +73,8 @@ pub struct Sensed {
     pub slip: Coordinate,
     /// The slip is beyond the limit of the configuration: steps were lost.
     pub lost_steps: bool,
+    /// The counter changed by more than the joint can move in a period.
+    pub leapt: bool,
 }
 
 /// Where a slide shall be.
@@ -293,6 +295,7 @@ impl JointDrive {
         sensed.coordinate = self.backlash.carry(measured.coordinate);
         sensed.motor = measured.coordinate;
         sensed.moved = measured.moved;
+        sensed.leapt = measured.moved.unsigned_abs() > self.reach;
         sensed.illegal = self.encoder.illegal();
         sensed.index = measured.index;
         if sensed.index.is_some() {
@@ -315,13 +318,7 @@ impl JointDrive {
         }
     }
 
-    /// Whether the counter changed by more than the joint can move in a period.
-    #[inline]
-    pub(crate) const fn leapt(&self) -> bool {
-        self.sensed.moved.unsigned_abs() > self.reach
-    }
-
-    /// Whether it jumped, so many periods after it was read before: it is not believed any more then.
+    /// Whether the counter jumped, so many periods after it was read before: it is not believed any more then.
     pub(crate) const fn jumped(&mut self, periods: u32) -> bool {
         let jumped = self.sensed.moved.unsigned_abs() / periods > self.reach;
         if jumped {
