@@ -48,7 +48,14 @@ impl Controller {
                 crc,
                 at_preset,
             } => self.activate(inputs, length, crc, at_preset),
-            Command::Enable => self.enable(inputs),
+            Command::Enable => match self.enable(inputs) {
+                Ok(()) if self.settled().is_err() => {
+                    // Answered when the step motors have locked.
+                    self.job.enabling = request.id;
+                    return;
+                }
+                result => result,
+            },
             Command::Disable => self.disable(),
             Command::Home => self.home(),
             Command::Reset => self.reset(inputs),
@@ -118,12 +125,22 @@ impl Controller {
         }
     }
 
+    /// Nothing may be moved until the step motors have locked.
+    fn settled(&self) -> Done {
+        match &self.machinery {
+            Some(machinery) if machinery.is_locking() => {
+                Err(Refusal::Input(InputProblem::Settling))
+            }
+            _ => Ok(()),
+        }
+    }
+
     fn configured(&mut self) -> Result<&mut Machinery, Refusal> {
         self.machinery.as_mut().ok_or(Refusal::NotConfigured)
     }
 
     /// Checks the staged configuration and makes it the active one. Where the joints stand is known from the presets (said by the operator, or
-    /// taken at the first configuration after power on), or from the configuration before if both count alike; otherwise it is lost.
+    /// valid at power-on, with what was counted from then to the first configuration), or from the configuration before if both count alike; otherwise it is lost.
     #[cold]
     #[inline(never)]
     fn activate(&mut self, inputs: &Inputs, length: u16, crc: u32, at_preset: bool) -> Done {
@@ -157,7 +174,7 @@ impl Controller {
         let machinery = self.machinery.as_mut().ok_or(Refusal::NotConfigured)?;
         if at_preset || first {
             self.safety.set_homed(false);
-            self.job.preset_valid = true;
+            self.job.preset_valid = at_preset || machinery.count_from(&self.power_on);
         } else if !standing.is_some_and(|standing| machinery.take_over(&standing, inputs)) {
             self.safety.lose_position();
             self.job.preset_valid = false;
@@ -208,6 +225,7 @@ impl Controller {
 
     fn home(&mut self) -> Done {
         self.in_state(&[State::Idle])?;
+        self.settled()?;
         if !self.job.preset_valid {
             return Err(Refusal::PresetLost);
         }
@@ -240,6 +258,7 @@ impl Controller {
 
     fn start_job(&mut self, job: u32, pose: &AxisValues) -> Done {
         self.in_state(&[State::Idle])?;
+        self.settled()?;
         if !self.safety.homed() || !self.safety.position_kept() {
             return Err(Refusal::NotHomed);
         }
@@ -353,6 +372,7 @@ impl Controller {
         if !self.safety.homed() {
             return Err(Refusal::NotHomed);
         }
+        self.settled()?;
         if !(1..=1000).contains(&deadline_ms) {
             return Err(Refusal::Range);
         }

@@ -266,6 +266,9 @@ impl Describe for InputProblem {
                 joint(axis)
             ),
             Self::Coasting => f.write_str("the machine still coasts; wait until it stands"),
+            Self::Settling => f.write_str(
+                "the step motors have not locked yet; wait until the drives are enabled",
+            ),
         }
     }
 }
@@ -352,7 +355,7 @@ impl Describe for Fault {
             ),
             Self::EncoderIllegal { axis, count } => write!(
                 f,
-                "the encoder of {} made {count} impossible steps; check its cable and shield, then reset and home",
+                "the encoder of {} made {count} impossible steps; check its cable and shield, then reset, set the joints up at their presets by hand and home with --at-preset",
                 joint(axis)
             ),
             Self::EncoderSlip { axis, counts } => {
@@ -379,7 +382,7 @@ impl Describe for Fault {
                 if let Some(by) = amount(axes.joints, axis, by) {
                     write!(f, " ({by})")?;
                 }
-                f.write_str("; go slower or cut less, then reset and home")
+                f.write_str("; go slower or cut less, then reset, enable and home, which compares the encoder with its index pulse")
             }
             Self::LostHost { silent_ms } => write!(
                 f,
@@ -408,6 +411,17 @@ impl Describe for Fault {
                 f.write_str(
                     "; the hand is free and the machine slowed down, remove the cause and reset",
                 )
+            }
+            Self::NotLocked { axis, by } => {
+                write!(
+                    f,
+                    "the motor of {} did not lock when its drive was switched on",
+                    joint(axis)
+                )?;
+                if let Some(by) = amount(axes.joints, axis, by) {
+                    write!(f, " (it moved by {by})")?;
+                }
+                f.write_str("; check the motor's current and wiring, and what loads the joint, then reset and enable")
             }
             Self::Internal { line } => write!(
                 f,

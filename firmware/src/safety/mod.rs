@@ -79,12 +79,14 @@ pub const fn keeps_position(fault: &Fault) -> bool {
     )
 }
 
-/// The joint whose encoder is under suspicion after a fault, for its motion was not the one that was wanted. It may have been pushed or held as well, and has counted all
-/// of it: an index pulse in its place says so.
+/// The joint whose encoder is under suspicion after a fault, for its motion was not the one that was wanted. It may have been pushed or held as well, or a step motor lost
+/// steps, and the encoder has counted all of it: an index pulse in its place says so.
 #[must_use]
 pub const fn suspected(fault: &Fault) -> Option<u8> {
     match fault {
-        Fault::EncoderStill { axis } | Fault::EncoderReversed { axis } => Some(*axis),
+        Fault::EncoderStill { axis }
+        | Fault::EncoderReversed { axis }
+        | Fault::StepsLost { axis, .. } => Some(*axis),
         _ => None,
     }
 }

@@ -140,6 +140,8 @@ pub enum InputProblem {
     },
     /// The machine was switched off and still coasts.
     Coasting,
+    /// The drives have just been switched on, and the step motors have not locked yet.
+    Settling,
 }
 
 /// What is wrong in a configuration.
@@ -289,6 +291,13 @@ pub enum Fault {
         rate: i32,
         /// The maximum rate, axis units per second.
         limit: i32,
+    },
+    /// A step motor did not lock after its drive was switched on.
+    NotLocked {
+        /// The joint.
+        axis: u8,
+        /// How far it is from where it was switched on, axis units.
+        by: i32,
     },
 }
 
