@@ -7,7 +7,7 @@ mod check;
 
 use crate::force::ForceConfig;
 use crate::reflection::config::{FollowConfig, HapticConfig};
-use haptimill_kinematics::{BoundedKinematics, Model};
+use haptimill_kinematics::{BoundedKinematics, JointLimits, Model};
 use haptimill_math::{Acceleration, Coordinate, Effort, Gain, Rate};
 use haptimill_protocol::message::MAX_AXES;
 use heapless::{String, Vec};
@@ -52,11 +52,15 @@ pub enum AxisKind {
 }
 
 impl Config {
-    /// The geometry of this machine with the strokes of its joints.
+    /// The geometry of this machine with the limits of its joints.
     #[must_use]
     pub fn kinematics(&self) -> BoundedKinematics {
-        let strokes = self.joints.iter().map(|joint| (joint.low, joint.high));
-        BoundedKinematics::new(&self.model, strokes)
+        let limits = self.joints.iter().map(|joint| JointLimits {
+            low: joint.low,
+            high: joint.high,
+            rate: joint.rate,
+        });
+        BoundedKinematics::new(&self.model, limits)
     }
 }
 

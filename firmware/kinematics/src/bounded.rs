@@ -7,7 +7,7 @@
 
 use super::h4::{BasePose, H4, H4Geometry};
 use super::{Accelerations, Jacobian, JointMotion, Joints, Kinematics, Pose, PoseError, Rates};
-use haptimill_math::{Angle, Coordinate, Length};
+use haptimill_math::{Angle, Coordinate, Length, Rate};
 use haptimill_protocol::message::MAX_AXES;
 use serde::{Deserialize, Serialize};
 
@@ -20,6 +20,17 @@ pub enum Model {
     None,
 }
 
+/// Stroke and maximum rate of a joint.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct JointLimits {
+    /// Lower end of the stroke.
+    pub low: Coordinate,
+    /// Upper end of the stroke.
+    pub high: Coordinate,
+    /// Maximum rate, axis units per second.
+    pub rate: Rate,
+}
+
 /// A geometry and its strokes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct BoundedKinematics {
@@ -29,6 +40,9 @@ pub struct BoundedKinematics {
     /// Their lower ends and lengths; a joint that the geometry lacks may be anywhere.
     lows: [Coordinate; MAX_AXES],
     widths: [u32; MAX_AXES],
+    /// Maximum rates of the joints, and 2^48 / them; a maximum below 2^16 axis units per second counts as that.
+    rates: Rates,
+    inverse_rates: [u32; MAX_AXES],
 }
 
 /// The geometries that this firmware knows.
@@ -39,21 +53,20 @@ enum Geometry {
 }
 
 impl BoundedKinematics {
-    /// The geometry of `model` with the stroke of each joint, lower and upper end.
+    /// The geometry of `model` with the limits of each joint, in the model's order.
     ///
-    /// A joint without a stroke may only be at 0.
+    /// A joint without limits may only be at 0.
     #[must_use]
-    pub fn new(
-        model: &Model,
-        joint_strokes: impl IntoIterator<Item = (Coordinate, Coordinate)>,
-    ) -> Self {
+    pub fn new(model: &Model, limits: impl IntoIterator<Item = JointLimits>) -> Self {
         let geometry = match model {
             Model::H4(lengths) => Geometry::H4(H4::new(lengths)),
             Model::None => Geometry::None,
         };
         let mut strokes = [(Coordinate::ZERO, Coordinate::ZERO); MAX_AXES];
-        for (stroke, joint) in strokes.iter_mut().zip(joint_strokes) {
-            *stroke = joint;
+        let mut rates = Rates::default();
+        for (index, joint) in limits.into_iter().take(MAX_AXES).enumerate() {
+            strokes[index] = (joint.low, joint.high);
+            rates[index] = joint.rate;
         }
         let axes = match &geometry {
             Geometry::H4(arm) => arm.axes(),
@@ -66,6 +79,9 @@ impl BoundedKinematics {
         });
         Self {
             geometry,
+            rates,
+            inverse_rates: rates
+                .map(|rate| ((1_u64 << 48) / rate.0.max((1 << 16) + 1) as u64) as u32),
             strokes,
             lows: strokes.map(|(low, _)| low),
             widths,
@@ -122,6 +138,12 @@ impl BoundedKinematics {
             Geometry::H4(_) => pose.0[4].angle(),
             Geometry::None => Angle::ZERO,
         }
+    }
+
+    /// Maximum rates of the joints.
+    #[must_use]
+    pub const fn rates(&self) -> &Rates {
+        &self.rates
     }
 
     /// The strokes, lower and upper end of each joint.
@@ -188,6 +210,24 @@ impl Kinematics for BoundedKinematics {
         };
         self.check_strokes(&joints)?;
         Ok(joints)
+    }
+
+    #[inline(never)]
+    fn load(&self, pose: &Pose, rates: &[Rates]) -> Result<[u32; 2], PoseError> {
+        let Geometry::H4(arm) = &self.geometry else {
+            return self.inverse(pose).map(|_| [0; 2]);
+        };
+        let (joints, bounds) = arm.rate_bounds(pose, rates)?;
+        self.check_strokes(&joints)?;
+        let mut loads = [0; 2];
+        for (load, (rates, [front, rear])) in loads.iter_mut().zip(rates.iter().zip(bounds)) {
+            let of_joints = [front, front, rear, rear, rates[4].0.unsigned_abs()];
+            for (bound, inverse) in of_joints.iter().zip(&self.inverse_rates) {
+                let part = (u64::from(*bound) * u64::from(*inverse)) >> 32;
+                *load = part.max(u64::from(*load)) as u32;
+            }
+        }
+        Ok(loads)
     }
 
     fn inverse_motion(

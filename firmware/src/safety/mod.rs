@@ -11,7 +11,7 @@
 //! | Fault (latched) | off, or holding | reset |
 //! | EmergencyStop (latched) | off | reset |
 //!
-//! A fault in which the controller still has the machine in hand (lost host, late periods, a soft limit, the force sensor or what it feels, the haptic arm) first brakes along the path and
+//! A fault in which the controller still has the machine in hand (lost host, late periods, a soft limit, a joint rate, the force sensor or what it feels, the haptic arm) first brakes along the path and
 //! then latches, with the drives holding. Any other fault takes the drives off in the same period. Every stop says whether the position is
 //! kept: it is lost only when an encoder or the configuration cannot be believed, or steps were lost.
 
@@ -50,6 +50,7 @@ pub const fn brakes_first(fault: &Fault) -> bool {
         Fault::LostHost { .. }
             | Fault::LatePeriod { .. }
             | Fault::SoftLimit { .. }
+            | Fault::JointRate { .. }
             | Fault::Force(_)
             | Fault::Hand(_)
     )
@@ -78,12 +79,14 @@ pub const fn keeps_position(fault: &Fault) -> bool {
     )
 }
 
-/// The joint whose encoder is under suspicion after a fault, for its motion was not the one that was wanted. It may have been pushed or held as well, and has counted all
-/// of it: an index pulse in its place says so.
+/// The joint whose encoder is under suspicion after a fault, for its motion was not the one that was wanted. It may have been pushed or held as well, or a step motor lost
+/// steps, and the encoder has counted all of it: an index pulse in its place says so.
 #[must_use]
 pub const fn suspected(fault: &Fault) -> Option<u8> {
     match fault {
-        Fault::EncoderStill { axis } | Fault::EncoderReversed { axis } => Some(*axis),
+        Fault::EncoderStill { axis }
+        | Fault::EncoderReversed { axis }
+        | Fault::StepsLost { axis, .. } => Some(*axis),
         _ => None,
     }
 }
