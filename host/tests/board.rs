@@ -86,7 +86,7 @@ fn a_file_of_another_name_needs_a_word_more() {
     let folder = Folder::new();
     let own = other(&folder, "own.toml");
     let served = Served::on_tcp(&[]);
-    served.does(&["enable", "--machine", "machines/h4.toml"]);
+    served.does(&["home", "--machine", "machines/h4.toml"]);
     served.does(&["disable"]);
     let before = stands(&served);
     assert_eq!(before.0, "h4");

@@ -231,9 +231,11 @@ impl Chosen {
             Decision::Send(what) => {
                 eprintln!("{what}");
                 session.use_machine(&self.file);
+                let before = session.status()?;
                 session.configure(&self.file)?;
-                if welcome.config_crc != 0 {
-                    say_position(session)?;
+                if before.position_kept {
+                    let kept = session.status()?.position_kept;
+                    eprintln!("{}", if kept { KEPT } else { LOST });
                 }
                 Ok(Some(self.file.clone()))
             }
@@ -254,18 +256,6 @@ impl Chosen {
     }
 }
 
-/// Says what became of the position when a configuration was replaced.
-fn say_position<L: Line>(session: &mut Session<L>) -> Result<(), CliError> {
-    let status = session.status()?;
-    eprintln!(
-        "{}",
-        if status.position_kept && status.homed {
-            "the position is kept"
-        } else if status.position_kept {
-            "the position is kept; the machine is not homed"
-        } else {
-            "the position is lost; set the joints up at their presets by hand, then `haptimill home --at-preset`"
-        }
-    );
-    Ok(())
-}
+/// What becomes of a position when a configuration is replaced.
+const KEPT: &str = "the position is kept";
+const LOST: &str = "the position is lost; set the joints up at their presets by hand, then `haptimill home --at-preset`";

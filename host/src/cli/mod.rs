@@ -244,7 +244,9 @@ fn set_token(given: Option<Token>) -> Result<(), CliError> {
         ),
         _ => None,
     };
-    token.map(use_token);
+    if let Some(token) = token {
+        use_token(token);
+    }
     Ok(())
 }
 

@@ -108,6 +108,7 @@ pub fn serve(args: ServeArgs) -> Result<(), CliError> {
     let mut pace = Pace::new(u64::from(machine.config.period_us) * 1000);
     let mut buffer = [0; 4096];
     let mut said = Vec::new();
+    let mut spoken_to = false;
     while !interrupted.load(Ordering::Relaxed)
         && args
             .duration
@@ -121,6 +122,10 @@ pub fn serve(args: ServeArgs) -> Result<(), CliError> {
             rig.step();
         }
         rig.host_read(&mut said);
+        if !spoken_to {
+            // A pseudo-terminal would keep it for the first host.
+            said.clear();
+        }
         if !said.is_empty() {
             let taken = port.write(&said, Duration::ZERO)?;
             said.drain(..taken);
@@ -130,6 +135,7 @@ pub fn serve(args: ServeArgs) -> Result<(), CliError> {
             }
         }
         let count = port.read(&mut buffer, POLL)?;
+        spoken_to |= count > 0;
         rig.host_write(&buffer[..count]);
     }
     drop(link);
