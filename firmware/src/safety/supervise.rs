@@ -7,7 +7,8 @@
 //! | the joint is beyond its stroke by more than it may be off at rest | stroke |
 //! | the error is larger than the limit, which grows with the wanted rate | following error |
 //! | motion was wanted, the encoder saw none, or the opposite | encoder still, encoder reversed |
-//! | both channels changed at once, too often | encoder illegal |
+//! | the count reverses about one place faster than a slide can swing | encoder still |
+//! | both channels changed at once, too often; the counter jumped | encoder illegal |
 //! | steps and encoder disagree (step/dir) | steps lost |
 //! | an index pulse came where none can be ([`crate::drive::index`]) | encoder slip |
 //!
