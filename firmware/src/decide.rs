@@ -238,8 +238,8 @@ impl Controller {
                 missed: inputs.missed,
             });
         }
-        if let Some(fault) =
-            hardware(&inputs.axes[..machinery.axes()]).or_else(|| machinery.supervise())
+        if let Some(fault) = hardware(&inputs.axes[..machinery.axes()])
+            .or_else(|| machinery.supervise(inputs.missed != 0))
         {
             // In many periods a joint goes farther than it can in one: that is no jump of its counter.
             let jumped = matches!(fault, Fault::EncoderIllegal { .. });

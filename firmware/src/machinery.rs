@@ -487,20 +487,19 @@ impl Machinery {
         Ok(())
     }
 
-    /// Supervision of all joints against what was wanted of them in the period before.
+    /// Supervision of all joints against what was wanted of them in the period before; periods were `missed` since.
     #[inline]
-    pub fn supervise(&mut self) -> Option<Fault> {
+    pub fn supervise(&mut self, missed: bool) -> Option<Fault> {
         let Config {
             supervision,
             period_us,
             joints,
             ..
         } = &self.config;
-        let limit = supervision.illegal_transitions;
         for (index, joint) in self.joints.iter_mut().enumerate() {
-            if !joint.is_well(limit)
-                && let Some(axis) = joints.get(index)
-                && let Some(fault) = joint.supervise(index as u8, axis, supervision, *period_us)
+            if let Some(axis) = joints.get(index)
+                && let Some(fault) =
+                    joint.supervise(index as u8, axis, supervision, *period_us, missed)
             {
                 return Some(fault);
             }

@@ -26,7 +26,7 @@ use crate::config::{AxisKind, Drive, JointAxis, Supervision};
 use crate::io::{AxisInputs, DriveCommand};
 use crate::position::PositionLaw;
 use crate::safety::integrity::{Constants, Digest, constants};
-use crate::safety::supervise::{Glimpse, Seen, Watch};
+use crate::safety::supervise::{Seen, Watch};
 use backlash::Backlash;
 use counted::Counted;
 use encoder::{Encoder, difference, sum};
@@ -181,7 +181,7 @@ fn reach(axis: &JointAxis, period_us: u16) -> u32 {
     counts.min(u64::from(u32::MAX)) as u32
 }
 
-constants!(JointDrive { kind, reach } of { encoder, indexes, backlash, output, watch } but { wanted, sensed, driven, sensed_once, enabled });
+constants!(JointDrive { kind, reach } of { encoder, indexes, backlash, output } but { watch, wanted, sensed, driven, sensed_once, enabled });
 
 impl Constants for Output {
     fn digest(&self, digest: &mut Digest) {
@@ -263,7 +263,7 @@ impl JointDrive {
             indexes: IndexWatch::new(axis.index_pitch.0, axis.per_count, axis.index_slack),
             backlash: Backlash::new(axis.kind, axis.backlash, period_us),
             output,
-            watch: Watch::of(axis),
+            watch: Watch::default(),
             wanted: Wanted::default(),
             sensed: Sensed::default(),
             driven: Driven::default(),
@@ -483,21 +483,8 @@ impl JointDrive {
         self.indexes.take_over(&kept.indexes);
     }
 
-    /// Supervision at a glance: whether the joint is certain to do what it was told in the period before. Where not, [`JointDrive::supervise`] has to look.
-    #[inline(never)]
-    pub fn is_well(&mut self, illegal_limit: u16) -> bool {
-        let sensed = &self.sensed;
-        sensed.illegal <= u32::from(illegal_limit)
-            && self.watch.glance(&Glimpse {
-                wanted: self.wanted.coordinate,
-                wanted_rate: self.wanted.rate,
-                measured: sensed.coordinate,
-                moved: sensed.moved,
-                effort: self.driven.effort,
-            })
-    }
-
-    /// Supervision: does the joint do what it was told in the period before? `joint` is its number, `axis` its configuration.
+    /// Supervision: does the joint do what it was told in the period before? `joint` is its number, `axis` its configuration; periods were
+    /// `missed` before this one.
     #[inline(never)]
     pub fn supervise(
         &mut self,
@@ -505,6 +492,7 @@ impl JointDrive {
         axis: &JointAxis,
         limits: &Supervision,
         period_us: u16,
+        missed: bool,
     ) -> Option<Fault> {
         let sensed = &self.sensed;
         let seen = Seen {
@@ -513,7 +501,7 @@ impl JointDrive {
             measured: sensed.coordinate,
             moved: sensed.moved,
             effort: self.driven.effort,
-            rate: if self.watch.pushes(self.driven.effort) {
+            rate: if Watch::pushes(axis, self.driven.effort) {
                 self.encoder.rate()
             } else {
                 Rate::ZERO
@@ -521,6 +509,7 @@ impl JointDrive {
             illegal: sensed.illegal.min(u32::from(u16::MAX)) as u16,
             steps_off: sensed.slip,
             period_us,
+            missed,
         };
         if sensed.off != 0 {
             return Some(Fault::EncoderSlip {
@@ -529,7 +518,7 @@ impl JointDrive {
             });
         }
         self.watch
-            .examine(joint, axis, limits.illegal_transitions, &seen)
+            .look(joint, axis, limits.illegal_transitions, &seen)
     }
 
     /// Rate of the motor side, from the times between edges.
