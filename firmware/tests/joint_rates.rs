@@ -4,10 +4,10 @@
 
 mod reference;
 
-use haptimill_firmware::config::{AxisKind, Config, Model};
+use haptimill_firmware::config::{AxisKind, Config};
 use haptimill_firmware::motion::jog::Jog;
 use haptimill_firmware::motion::{Mode, Motion};
-use haptimill_kinematics::BoundedKinematics;
+use haptimill_kinematics::{BoundedKinematics, Model};
 use haptimill_kinematics::{Kinematics, Pose};
 use haptimill_math::Coordinate;
 use haptimill_protocol::message::{MAX_AXES, Source};
@@ -182,7 +182,7 @@ impl Worst {
 }
 
 /// A pose that the machine can take, within its soft limits. A third of them lie less than 15 mm from where it cannot.
-fn start(config: &Config, machine: &Machine, random: &mut Random) -> Pose {
+fn start(config: &Config, machine: &BoundedKinematics, random: &mut Random) -> Pose {
     loop {
         let mut pose = Pose::default();
         for axis in 0..AXES {
@@ -264,7 +264,7 @@ fn a_jog_exceeds_no_joint_rate_anywhere() {
 }
 
 /// How far beyond a pose, along one axis, the machine still could go: to its soft limit, or to where it refuses; mm or degrees.
-fn left(config: &Config, machine: &Machine, from: &Pose, axis: usize, sign: i32) -> f64 {
+fn left(config: &Config, machine: &BoundedKinematics, from: &Pose, axis: usize, sign: i32) -> f64 {
     let step = unit(config, axis) as i32 / 100 * sign;
     let mut pose = *from;
     let mut steps = 0;
