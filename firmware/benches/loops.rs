@@ -40,8 +40,8 @@ fn axis(drive: Drive) -> JointAxis {
 }
 
 /// Moves five joints back and forth at 4 mm/s, with their encoders following a count behind.
-fn period(bencher: &mut Criterion, name: &str, drive: &Drive) {
-    let axis = axis(drive.clone());
+fn period(bencher: &mut Criterion, name: &str, servo: &Drive) {
+    let axis = axis(servo.clone());
     let Ok(joint) = JointDrive::new(&axis, 200) else {
         return;
     };
@@ -55,7 +55,7 @@ fn period(bencher: &mut Criterion, name: &str, drive: &Drive) {
     let mut inputs = AxisInputs::default();
     let mut command = DriveCommand::Off;
     for joint in &mut joints {
-        joint.sense(&inputs, 0);
+        joint.measure(&inputs, 0);
         joint.enable();
     }
     let (mut time, mut place, mut rate) = (0u32, 0i32, 4 << 20);
@@ -72,9 +72,9 @@ fn period(bencher: &mut Criterion, name: &str, drive: &Drive) {
                 inputs.edge_time_ns = time.wrapping_sub(50_000);
             }
             for joint in &mut joints {
-                black_box(joint.sense(black_box(&inputs), time).coordinate);
+                black_box(joint.measure(black_box(&inputs), time).coordinate);
                 let (coordinate, rate) = black_box((Coordinate(place), Rate(rate)));
-                black_box(joint.drive(coordinate, rate, Acceleration(0), &mut command));
+                black_box(joint.servo(coordinate, rate, Acceleration(0), &mut command));
             }
         });
     });

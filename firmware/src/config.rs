@@ -13,6 +13,11 @@ use haptimill_protocol::message::MAX_AXES;
 use heapless::{String, Vec};
 use serde::{Deserialize, Serialize};
 
+/// Whether this controller was built with the haptic arm (feature `hand`).
+///
+/// Without it a configuration with a haptic arm is refused, and the compiler omits its code.
+pub const HAND: bool = cfg!(feature = "hand");
+
 /// Everything that makes a controller this machine.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Config {

@@ -1,161 +1,313 @@
-//! The controller: one function, one control period, one corridor.
+//! The controller: one function, called once per control period.
 //!
-//! ```text
-//! hear -> sense -> decide -> yield -> place -> drive -> feel -> tell -> gate
-//! ```
+//! Data flows down the stages once. Nothing flows up except what is measured in the next period.
 //!
-//! Data goes down it once; nothing reaches back up except what is measured in the next period. What each command does is in `command.rs`,
-//! what each state does in `decide.rs`.
+//! | stage | what it does | where |
+//! | --- | --- | --- |
+//! | receive | at most one request or setpoint | `server.rs` |
+//! | measure | encoder counts to joint positions, force samples to tool force | `machine.rs` |
+//! | supervise | every fault check, most serious first | `faults.rs` |
+//! | command | one request; a refused one changes nothing | `commands.rs` |
+//! | interpolate | the commanded pose of this period | `modes.rs` |
+//! | comply | compliant displacement of force control | `machine/compliance.rs` |
+//! | solve | inverse kinematics: reference pose to joint motion | `machine.rs` |
+//! | servo | position loops and step generation | `machine.rs` |
+//! | render | force feedback to the haptic arm | `machine/masters.rs` |
+//! | report | replies, events, telemetry | `server.rs` |
+//! | interlock | safe outputs unless the state allows motion | here |
 
-use crate::decide::{Job, OVERDUE};
-use crate::drive::counted::SincePowerOn;
+use crate::core::Core;
+use crate::faults::{self, DIGEST_OVERDUE};
 use crate::force::{ForceControl, ForceProblem};
 use crate::io::{Inputs, Outputs};
-use crate::machinery::Machinery;
+use crate::machine::Machine;
 use crate::motion::program::{FULL_RATE, QUEUE};
-use crate::probe::{Probe, Stage};
+use crate::profiler::{Profiler, Stage};
 use crate::safety::Safety;
 use crate::server::{Heard, Server};
+use crate::{commands, modes};
 use haptimill_protocol::link::Identity;
-use haptimill_protocol::message::{Event, Fault, State, Telemetry};
+use haptimill_protocol::message::{Event, Fault, Refusal, State, Telemetry};
 
-/// The controller. Give it [`Inputs`] every control period, carry out its [`Outputs`].
+/// Time after an out-of-band stop in which commands sent before it may still arrive, microseconds:
+/// longer than the link waits before it resends.
+const STALE_COMMANDS_US: u64 = 450_000;
+
+/// The controller. A board calls [`Controller::tick`] once per control period.
 #[derive(Debug)]
 pub struct Controller {
-    pub(crate) period_us: u16,
-    pub(crate) server: Server,
-    pub(crate) safety: Safety,
-    pub(crate) machinery: Option<Machinery>,
-    pub(crate) job: Job,
-    /// What was counted before there was a configuration.
-    pub(crate) power_on: SincePowerOn,
+    server: Server,
+    core: Core,
 }
 
 impl Controller {
-    /// A controller without a configuration, on a board whose control period has so many microseconds.
+    /// A controller without a configuration, for a control period of `period_us` microseconds.
     #[must_use]
     #[inline(never)]
     pub fn new(period_us: u16) -> Self {
         Self {
-            period_us,
             server: Server::new(period_us),
-            safety: Safety::default(),
-            machinery: None,
-            job: Job::default(),
-            power_on: SincePowerOn::default(),
+            core: Core::new(period_us),
         }
     }
 
-    /// One control period.
-    pub fn tick(&mut self, inputs: &Inputs, outputs: &mut Outputs, probe: &mut impl Probe) {
-        let heard = self.hear(inputs);
-        probe.ended(Stage::Hear);
-        if let Some(machinery) = &mut self.machinery {
-            machinery.sense(inputs);
-            machinery.sense_force(inputs, self.job.spindle_rpm, self.safety.active());
-        } else {
-            self.power_on.note(inputs);
+    /// One control period: from inputs latched at its start to outputs that take effect at the
+    /// start of the next one.
+    pub fn tick(&mut self, inputs: &Inputs, outputs: &mut Outputs, profiler: &mut impl Profiler) {
+        let incoming = self.receive(inputs);
+        profiler.mark(Stage::Receive);
+        let Self { server, core } = self;
+
+        core.measure(inputs);
+        profiler.mark(Stage::Measure);
+
+        faults::check(core, server, inputs);
+        profiler.mark(Stage::Supervise);
+
+        core.track_out_of_band_stop(inputs.urgent);
+        core.start_session(server.session_begun());
+        match incoming {
+            Some(Heard::Request) => commands::execute(core, server, inputs),
+            Some(Heard::Setpoint { number, tried }) => {
+                commands::enqueue_setpoint(core, server, number, tried);
+            }
+            Some(Heard::BadSetpoint { number }) => {
+                server.refuse_setpoints(Refusal::Setpoint { setpoint: number });
+            }
+            None => {}
         }
-        probe.ended(Stage::Sense);
-        self.decide(inputs, heard);
-        probe.ended(Stage::Decide);
-        self.give_way();
-        probe.ended(Stage::Yield);
-        self.place();
-        probe.ended(Stage::Place);
-        self.drive(outputs);
-        probe.ended(Stage::Drive);
-        self.feel(outputs);
-        probe.ended(Stage::Feel);
-        self.tell(inputs, outputs);
-        probe.ended(Stage::Tell);
-        if !self.safety.drives_on() {
+        profiler.mark(Stage::Command);
+
+        modes::advance(core, server, inputs);
+        profiler.mark(Stage::Interpolate);
+
+        core.comply();
+        profiler.mark(Stage::Comply);
+
+        core.solve();
+        profiler.mark(Stage::Solve);
+
+        core.servo(outputs);
+        profiler.mark(Stage::Servo);
+
+        core.render(outputs);
+        profiler.mark(Stage::Render);
+
+        self.report(inputs, outputs);
+        profiler.mark(Stage::Report);
+
+        if !self.core.safety.drives_on() {
             outputs.make_safe();
         }
-        probe.ended(Stage::Gate);
+        profiler.mark(Stage::Interlock);
     }
 
+    /// Takes the bytes of this period, answers a greeting, and gives the next message.
     #[inline]
-    fn hear(&mut self, inputs: &Inputs) -> Option<Heard> {
+    fn receive(&mut self, inputs: &Inputs) -> Option<Heard> {
         if self.server.listen(inputs) {
             self.welcome();
         }
-        self.job.busy = matches!(self.safety.state(), State::Run | State::Hold)
-            && self
-                .machinery
-                .as_ref()
-                .is_some_and(|machinery| machinery.motion.program.is_busy());
-        let overdue = self.job.unchecked >= OVERDUE;
-        self.server.next(self.job.busy || overdue)
+        let core = &mut self.core;
+        core.job.busy = core.is_busy();
+        let overdue = core.job.digest_backlog >= DIGEST_OVERDUE;
+        self.server.next(core.job.busy || overdue)
     }
 
     #[inline(never)]
     fn welcome(&mut self) {
-        // A silent host loses its machine when the machine has begun to brake for want of it, and not before.
-        let busy = self.safety.active() && self.safety.pending().is_none();
-        let machinery = self.machinery.as_ref();
+        // Another host may take over only after the heartbeat stop has begun.
+        let busy = self.core.safety.active() && self.core.safety.pending().is_none();
+        let machine = self.core.machine.as_ref();
         let identity = Identity {
-            machine: machinery.map_or("", |machinery| &machinery.config.name),
-            config_crc: machinery.map_or(0, |machinery| machinery.crc),
-            period_us: self.period_us,
-            axes: machinery.map_or(0, |machinery| machinery.axes() as u8),
+            machine: machine.map_or("", |machine| &machine.config.name),
+            config_crc: machine.map_or(0, |machine| machine.crc),
+            period_us: self.core.period_us,
+            axes: machine.map_or(0, |machine| machine.axes() as u8),
             queue: QUEUE as u16,
         };
         self.server.welcome(&identity, busy);
     }
 
     #[inline]
-    fn give_way(&mut self) {
-        let Some(machinery) = &mut self.machinery else {
+    fn report(&mut self, inputs: &Inputs, outputs: &mut Outputs) {
+        self.server.tell(
+            inputs.period,
+            &mut self.core.safety,
+            inputs.transmit_room,
+            &mut outputs.transmit,
+        );
+        if self.server.telemetry_due(self.core.safety.has_events()) {
+            self.sample_telemetry(inputs);
+        }
+        if self.server.hand_due() {
+            let arm = self.machine().and_then(|machine| machine.masters.arm());
+            let telemetry = arm.map(|arm| arm.telemetry(inputs.period));
+            self.server.note_hand(telemetry);
+        }
+    }
+
+    /// Samples the telemetry of this period; it is encoded in a later one.
+    #[inline(never)]
+    fn sample_telemetry(&mut self, inputs: &Inputs) {
+        let line = self.server.counters();
+        let core = &self.core;
+        let Some(sample) = self.server.note() else {
+            return;
+        };
+        if core.machine.is_none() {
+            // The sample may still hold values of an earlier machine.
+            *sample = Telemetry::default();
+        }
+        sample.period = inputs.period;
+        sample.state = core.safety.state();
+        sample.homed = core.safety.homed();
+        sample.position_kept = core.safety.position_kept();
+        sample.fault = core.safety.fault();
+        sample.deferred_bytes = line.deferred_bytes;
+        sample.bad_frames = line.bad_frames;
+        sample.lost_bytes = line.lost_bytes;
+        let Some(machine) = &core.machine else {
+            return;
+        };
+        let program = &machine.motion.program;
+        sample.credit = program.credit();
+        sample.setpoint = program.reached();
+        sample.program_periods = (program.program_time() >> 32) as u32;
+        sample.path_rate = (program.path_rate().clamp(0, FULL_RATE - 1) >> 16) as u16;
+        machine.fill_telemetry(inputs, sample);
+        sample.force = machine.force.as_ref().map(ForceControl::telemetry);
+    }
+
+    /// The configured machine, for recorders and tests.
+    #[must_use]
+    pub const fn machine(&self) -> Option<&Machine> {
+        self.core.machine.as_ref()
+    }
+
+    /// State and faults, for recorders and tests.
+    #[must_use]
+    pub const fn safety(&self) -> &Safety {
+        &self.core.safety
+    }
+
+    /// Commanded spindle speed, rev/min.
+    #[must_use]
+    pub const fn spindle_rpm(&self) -> i16 {
+        self.core.job.spindle_rpm
+    }
+}
+
+/// The stages that belong to the configured machine.
+impl Core {
+    /// Encoders to joint positions, force samples to tool force.
+    #[inline]
+    fn measure(&mut self, inputs: &Inputs) {
+        if let Some(machine) = &mut self.machine {
+            machine.measure(inputs);
+            machine.measure_force(inputs, self.job.spindle_rpm, self.safety.active());
+        } else {
+            self.power_on.note(inputs);
+        }
+    }
+
+    /// The window after an out-of-band stop in which commands sent before it are refused.
+    #[inline]
+    fn track_out_of_band_stop(&mut self, urgent: bool) {
+        if urgent {
+            self.hold();
+            self.job.stale_commands = true;
+            self.job.since_urgent = 0;
+        } else if self.job.stale_commands {
+            self.job.since_urgent = self.job.since_urgent.saturating_add(1);
+            let elapsed = u64::from(self.job.since_urgent) * u64::from(self.period_us);
+            self.job.stale_commands = elapsed < STALE_COMMANDS_US;
+        }
+    }
+
+    /// A new session counts its own epochs. Its sources are reset as soon as the machine is at
+    /// standstill.
+    #[inline]
+    fn start_session(&mut self, begun: bool) {
+        if begun {
+            self.job.jog_epoch = None;
+            self.job.jog_cancelled = false;
+            self.job.master_epoch = None;
+            self.job.master_cancelled = false;
+            self.job.stale_commands = false;
+            self.job.new_session = true;
+            self.job.enabling = 0;
+            if let Some(machine) = &mut self.machine {
+                machine.masters.remote.forget();
+            }
+        }
+        if self.job.new_session && !self.safety.active() {
+            self.reset_sources();
+        }
+    }
+
+    #[inline(never)]
+    fn reset_sources(&mut self) {
+        self.job.new_session = false;
+        if let Some(machine) = &mut self.machine {
+            machine.motion.reset_sources();
+            machine.motion.program.set_override(100);
+        }
+    }
+
+    /// Admittance control: the compliant displacement of this period.
+    #[inline]
+    fn comply(&mut self) {
+        let Some(machine) = &mut self.machine else {
             return;
         };
         if !self.safety.drives_on() {
-            machinery.release_force();
+            machine.release_force();
             return;
         }
-        let stopped = match (self.safety.fault(), self.safety.pending()) {
+        let frozen = match (self.safety.fault(), self.safety.pending()) {
             (Some(Fault::Force(_)), _) => true,
-            // While the machine brakes, the tool goes on yielding to a force that is too large.
+            // During the deceleration for a force beyond its limit the tool keeps its compliance.
             (_, Some(Fault::Force(problem))) => !matches!(problem, ForceProblem::Limit { .. }),
-            _ => machinery.is_locking(),
+            _ => machine.is_locking(),
         };
-        machinery.give_way(stopped, self.safety.state() == State::Homing);
+        machine.comply(frozen, self.safety.state() == State::Homing);
     }
 
+    /// Inverse kinematics of the reference, and the limits that apply to its result.
     #[inline]
-    fn place(&mut self) {
-        let Some(machinery) = &mut self.machinery else {
+    fn solve(&mut self) {
+        let Some(machine) = &mut self.machine else {
             return;
         };
-        if self.safety.drives_on()
-            && let Err(error) = machinery.place()
-        {
-            self.safety.raise(Fault::Pose(error));
+        if self.safety.drives_on() {
+            if let Err(error) = machine.solve() {
+                self.safety.raise(Fault::Pose(error));
+            }
+            if let Some(joint) = machine.joint_beyond_rate() {
+                self.safety.raise(Fault::JointRate {
+                    setpoint: machine.motion.program.reached(),
+                    axis: joint as u8,
+                    rate: machine.target().rates[joint].0,
+                    limit: machine.kinematics.rates()[joint].0,
+                });
+            }
         }
-        if self.safety.drives_on()
-            && let Some(joint) = machinery.joint_too_fast()
-        {
-            self.safety.raise(Fault::JointRate {
-                setpoint: machinery.motion.program.reached(),
-                axis: joint as u8,
-                rate: machinery.target().rates[joint].0,
-                limit: machinery.machine.rates()[joint].0,
-            });
-        }
-        while let Some(axis) = machinery.take_limited() {
+        while let Some(axis) = machine.take_limited() {
             self.safety.tell(Event::YieldLimited { axis });
         }
     }
 
+    /// Position loops and step generation; the first saturation of each joint is reported.
     #[inline]
-    fn drive(&mut self, outputs: &mut Outputs) {
-        let Some(machinery) = &mut self.machinery else {
+    fn servo(&mut self, outputs: &mut Outputs) {
+        let Some(machine) = &mut self.machine else {
             return;
         };
         if !self.safety.drives_on() {
-            machinery.disable();
+            machine.disable();
         }
-        let saturated = machinery.drive(&mut outputs.axes);
+        let saturated = machine.servo(&mut outputs.axes);
         outputs.spindle_rpm = self.job.spindle_rpm;
         if let Some(axis) = saturated
             && self.job.saturated & (1 << axis) == 0
@@ -165,81 +317,12 @@ impl Controller {
         }
     }
 
+    /// Force feedback to the haptic arm.
     #[inline]
-    fn feel(&mut self, outputs: &mut Outputs) {
+    fn render(&mut self, outputs: &mut Outputs) {
         let powered = self.safety.drives_on() && self.safety.state() != State::Fault;
-        if let Some(machinery) = &mut self.machinery {
-            machinery.feel(powered, &mut outputs.haptic);
+        if let Some(machine) = &mut self.machine {
+            machine.render(powered, &mut outputs.haptic);
         }
-    }
-
-    #[inline]
-    fn tell(&mut self, inputs: &Inputs, outputs: &mut Outputs) {
-        self.server.tell(
-            inputs.period,
-            &mut self.safety,
-            inputs.transmit_room,
-            &mut outputs.transmit,
-        );
-        if self.server.telemetry_due(self.safety.has_events()) {
-            self.note_telemetry(inputs);
-        }
-        if self.server.hand_due() {
-            let arm = self
-                .machinery
-                .as_ref()
-                .and_then(|machinery| machinery.hands.arm());
-            self.server
-                .note_hand(arm.map(|arm| arm.telemetry(inputs.period)));
-        }
-    }
-
-    /// Notes down how things stand in this period; it is encoded in another one.
-    #[inline(never)]
-    fn note_telemetry(&mut self, inputs: &Inputs) {
-        let line = self.server.counters();
-        let Some(note) = self.server.note() else {
-            return;
-        };
-        if self.machinery.is_none() {
-            // What was noted of a machine before is not true any more.
-            *note = Telemetry::default();
-        }
-        note.period = inputs.period;
-        note.state = self.safety.state();
-        note.homed = self.safety.homed();
-        note.position_kept = self.safety.position_kept();
-        note.fault = self.safety.fault();
-        note.deferred_bytes = line.deferred_bytes;
-        note.bad_frames = line.bad_frames;
-        note.lost_bytes = line.lost_bytes;
-        let Some(machinery) = &self.machinery else {
-            return;
-        };
-        let program = &machinery.motion.program;
-        note.credit = program.credit();
-        note.setpoint = program.reached();
-        note.program_periods = (program.program_time() >> 32) as u32;
-        note.path_rate = (program.path_rate().clamp(0, FULL_RATE - 1) >> 16) as u16;
-        machinery.note(inputs, note);
-        note.force = machinery.force.as_ref().map(ForceControl::telemetry);
-    }
-
-    /// The configured machine, for recorders and tests.
-    #[must_use]
-    pub const fn machinery(&self) -> Option<&Machinery> {
-        self.machinery.as_ref()
-    }
-
-    /// State and faults, for recorders and tests.
-    #[must_use]
-    pub const fn safety(&self) -> &Safety {
-        &self.safety
-    }
-
-    /// Spindle speed that is commanded, rev/min.
-    #[must_use]
-    pub const fn spindle_rpm(&self) -> i16 {
-        self.job.spindle_rpm
     }
 }

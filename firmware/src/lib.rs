@@ -8,20 +8,22 @@
 // Not a float in the corridor, outside of tests and of the haptic arm's statics.
 #![cfg_attr(not(test), deny(clippy::float_arithmetic))]
 
-mod command;
+mod commands;
 pub mod config;
 pub mod controller;
-mod decide;
+mod core;
 pub mod drive;
+mod faults;
 pub mod force;
 pub mod io;
 pub mod lockstep;
-pub mod machinery;
+pub mod machine;
+mod modes;
 pub mod motion;
 pub mod position;
-pub mod probe;
-pub mod reading;
+pub mod profiler;
 pub mod receive;
 pub mod reflection;
 pub mod safety;
 pub mod server;
+pub mod snapshot;

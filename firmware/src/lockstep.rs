@@ -27,8 +27,8 @@ mod contents;
 mod words;
 
 use crate::io::{Inputs, Outputs};
-use crate::probe::{STAGES, Stage};
-use crate::reading::Reading;
+use crate::profiler::STAGES;
+use crate::snapshot::Snapshot;
 use contents::{
     put_axis, put_done, put_force, put_hand, take_axis, take_done, take_force, take_hand,
 };
@@ -101,7 +101,7 @@ pub struct Done {
     /// Ticks of the board's counter in each stage, in the order of [`Stage`].
     pub stages: [u32; STAGES],
     /// How the controller stands, if it is configured.
-    pub reading: Option<Reading>,
+    pub snapshot: Option<Snapshot>,
 }
 
 /// What came over the serial line for a period.
@@ -125,7 +125,7 @@ impl Done {
             said: self.said,
             heard: self.heard,
             stages: &self.stages,
-            reading: self.reading.as_ref(),
+            snapshot: self.snapshot.as_ref(),
         }
     }
 }
@@ -279,7 +279,7 @@ pub struct Told<'a> {
     /// Ticks of the board's counter in each stage.
     pub stages: &'a [u32; STAGES],
     /// How the controller stands, if it is configured.
-    pub reading: Option<&'a Reading>,
+    pub snapshot: Option<&'a Snapshot>,
 }
 
 /// What a board says of what lies where it is, as [`FromBoard`] has it by value.
@@ -378,19 +378,6 @@ impl FromBoard {
         }
     }
 }
-
-/// The stages in the order in which [`Done::stages`] has them.
-pub const STAGE_ORDER: [Stage; STAGES] = [
-    Stage::Hear,
-    Stage::Sense,
-    Stage::Decide,
-    Stage::Yield,
-    Stage::Place,
-    Stage::Drive,
-    Stage::Feel,
-    Stage::Tell,
-    Stage::Gate,
-];
 
 #[cfg(test)]
 mod tests;

@@ -14,7 +14,7 @@ const NEWTON: f64 = 65536.0;
 /// Drives a joint for a period; its command arrives where it belongs.
 fn drive_to(joint: &mut JointDrive, wanted: &Wanted) -> Driven {
     let mut command = DriveCommand::Off;
-    let saturated = joint.drive(
+    let saturated = joint.servo(
         wanted.coordinate,
         wanted.rate,
         wanted.acceleration,
@@ -142,14 +142,14 @@ impl Plant {
 fn follow(lost_motion: f64) -> (f64, f64) {
     let mut joint = JointDrive::new(&axis(torque(), lost_motion), 200).unwrap();
     let mut plant = Plant::new(0.010);
-    joint.sense(&plant.inputs, 0);
+    joint.measure(&plant.inputs, 0);
     let start = joint.enable();
     let (mut worst, mut blind, mut code) = (0.0f64, 0.0f64, 0i16);
     let w = 4.0 / 15.0;
     for period in 1..100_000u64 {
         let time = period as f64 * 200e-6;
         plant.run(f64::from(code) / 8192.0 * 1000.0, period * 200_000);
-        let sensed = *joint.sense(&plant.inputs, (period * 200_000) as u32);
+        let sensed = *joint.measure(&plant.inputs, (period * 200_000) as u32);
         // Runs up smoothly over the first second.
         let ease = (time / 1.0).min(1.0);
         let ease = ease * ease * (3.0 - 2.0 * ease);
@@ -196,27 +196,27 @@ fn lost_motion_is_compensated() {
 
 #[test]
 fn enabling_moves_nothing() {
-    for drive in [torque(), steps()] {
-        let mut joint = JointDrive::new(&axis(drive, 0.01), 200).unwrap();
+    for servo in [torque(), steps()] {
+        let mut joint = JointDrive::new(&axis(servo, 0.01), 200).unwrap();
         let mut inputs = AxisInputs {
             counts: 12_345,
             steps: 777,
             ..AxisInputs::default()
         };
-        joint.sense(&inputs, 0);
+        joint.measure(&inputs, 0);
         assert_eq!(
             drive_to(&mut joint, &Wanted::default()).command,
             DriveCommand::Off
         );
         // Turned by hand while off, by more than the play.
         inputs.counts += 4000;
-        joint.sense(&inputs, 200_000);
+        joint.measure(&inputs, 200_000);
         let wanted = Wanted {
             coordinate: joint.enable(),
             ..Wanted::default()
         };
         for period in 2..500u32 {
-            joint.sense(&inputs, period * 200_000);
+            joint.measure(&inputs, period * 200_000);
             let driven = drive_to(&mut joint, &wanted);
             assert_eq!(driven.following_error, Coordinate(0));
             match driven.command {
@@ -232,13 +232,13 @@ fn enabling_moves_nothing() {
 
 #[test]
 fn a_reference_found_under_way_moves_nothing() {
-    for drive in [torque(), steps()] {
-        let mut joint = JointDrive::new(&axis(drive, 0.01), 200).unwrap();
+    for servo in [torque(), steps()] {
+        let mut joint = JointDrive::new(&axis(servo, 0.01), 200).unwrap();
         let inputs = AxisInputs {
             counts: -500,
             ..AxisInputs::default()
         };
-        joint.sense(&inputs, 0);
+        joint.measure(&inputs, 0);
         let mut wanted = Wanted {
             coordinate: joint.enable(),
             ..Wanted::default()
@@ -248,7 +248,7 @@ fn a_reference_found_under_way_moves_nothing() {
         let at = (1135.0 - 400.0 * 0.00125) * MM;
         assert!((f64::from(joint.sensed().motor.0) - at).abs() < 2.0);
         for period in 1..100u32 {
-            let sensed = joint.sense(&inputs, period * 200_000);
+            let sensed = joint.measure(&inputs, period * 200_000);
             assert!((f64::from(sensed.coordinate.0) - at).abs() < 2.0);
             assert!(sensed.slip.0.abs() < 2 && !sensed.lost_steps);
             let driven = drive_to(&mut joint, &wanted);
@@ -263,7 +263,7 @@ fn a_reference_found_under_way_moves_nothing() {
 fn lost_steps_are_seen() {
     let mut joint = JointDrive::new(&axis(steps(), 0.0), 200).unwrap();
     let mut inputs = AxisInputs::default();
-    joint.sense(&inputs, 0);
+    joint.measure(&inputs, 0);
     let start = joint.enable();
     let (mut motor_steps, mut segment) = (0i64, 0i16);
     for period in 1..4000u32 {
@@ -279,7 +279,7 @@ fn lost_steps_are_seen() {
             inputs.counts = counts;
             inputs.edge_time_ns = period * 200_000 - 1;
         }
-        let sensed = joint.sense(&inputs, period * 200_000);
+        let sensed = joint.measure(&inputs, period * 200_000);
         assert_eq!(
             sensed.lost_steps,
             period >= 3000,
@@ -332,11 +332,11 @@ fn what_cannot_work_is_refused() {
         Some(DriveError::Encoder)
     );
     for (full_scale, limit) in [(0, 1), (1, 0), (1, -1)] {
-        let drive = Drive::Torque {
+        let servo = Drive::Torque {
             full_scale: Effort(full_scale),
             limit: Effort(limit),
         };
-        assert_eq!(refused(&axis(drive, 0.0), 200), Some(DriveError::Torque));
+        assert_eq!(refused(&axis(servo, 0.0), 200), Some(DriveError::Torque));
     }
     let step = |per_step, ticks_per_us, pulse, setup| Drive::Steps {
         per_step,
@@ -406,9 +406,9 @@ proptest! {
     ) {
         let limit = Effort(limit);
         let mut joint = JointDrive::new(&axis(Drive::Torque { full_scale: Effort(full_scale), limit }, 0.0), 200).unwrap();
-        joint.sense(&AxisInputs::default(), 0);
+        joint.measure(&AxisInputs::default(), 0);
         joint.enable();
-        joint.sense(&AxisInputs { counts: place >> 12, ..AxisInputs::default() }, 200_000);
+        joint.measure(&AxisInputs { counts: place >> 12, ..AxisInputs::default() }, 200_000);
         let (coordinate, rate, acceleration) = wanted;
         let driven = drive_to(&mut joint, &Wanted { coordinate: Coordinate(coordinate), rate: Rate(rate), acceleration: Acceleration(acceleration) });
         let DriveCommand::Torque(code) = driven.command else {
@@ -424,14 +424,14 @@ proptest! {
         kinds: bool, backlash in 0i32.., per_count in prop_oneof![1i64.., ..0i64],
         frames in prop::collection::vec((any::<(i32, u32, u16, i32, u8, i32, u32)>(), any::<(i32, i32, i32)>(), 0u8..8), 1..60),
     ) {
-        for drive in [torque(), steps()] {
-            let mut config = axis(drive, 0.0);
+        for servo in [torque(), steps()] {
+            let mut config = axis(servo, 0.0);
             config.kind = if kinds { AxisKind::Linear } else { AxisKind::Rotary };
             config.backlash = Coordinate(backlash);
             config.per_count = per_count;
             let mut joint = JointDrive::new(&config, 200).unwrap();
             for &((counts, edge_time_ns, illegal, index_counts, index_pulses, steps, time), (coordinate, rate, acceleration), what) in &frames {
-                joint.sense(&AxisInputs { counts, edge_time_ns, illegal, index_counts, index_pulses, steps, ..AxisInputs::default() }, time);
+                joint.measure(&AxisInputs { counts, edge_time_ns, illegal, index_counts, index_pulses, steps, ..AxisInputs::default() }, time);
                 match what {
                     0 => { joint.enable(); }
                     1 => joint.disable(),

@@ -114,7 +114,7 @@ impl Rig {
             Coordinate(0),
         ];
         self.control
-            .sense(&sample, self.rpm, &position, Angle(0), false);
+            .measure(&sample, self.rpm, &position, Angle(0), false);
         let condition = self.control.condition();
         self.desired += speed * STEP;
         let [x, ..] = self
@@ -311,7 +311,7 @@ fn only_tared_axes_of_the_mask_yield() {
             conversions: k as u8,
             overload: false,
         };
-        bare.sense(&sample, 5000, &[Coordinate(0); 3], Angle(0), false);
+        bare.measure(&sample, 5000, &[Coordinate(0); 3], Angle(0), false);
         assert!(
             bare.advance(&[Rate(0); 3])
                 .iter()
@@ -391,7 +391,7 @@ proptest! {
             control.hold(hold);
             for k in 0..periods {
                 let sample = ForceSample { codes: codes.map(|code| code.wrapping_add(k as i16)), conversions: conversions.wrapping_add(k as u8), overload };
-                control.sense(&sample, rpm, &position.map(Coordinate), Angle(table), unloaded);
+                control.measure(&sample, rpm, &position.map(Coordinate), Angle(table), unloaded);
                 control.advance(&rates.map(Rate));
                 if k % 7 == 3 {
                     control.withhold();

@@ -7,7 +7,7 @@ use haptimill_firmware::drive::{JointDrive, Wanted};
 use haptimill_firmware::force::conditioning::Sensor;
 use haptimill_firmware::force::{ForceConfig, ForceControl, Gate, LoopSettings};
 use haptimill_firmware::io::{AxisInputs, DriveCommand, Inputs};
-use haptimill_firmware::machinery::Machinery;
+use haptimill_firmware::machine::Machine;
 use haptimill_firmware::motion::jog::Jog;
 use haptimill_firmware::motion::program::Program;
 use haptimill_firmware::safety::integrity::{Constants, Digest};
@@ -34,11 +34,11 @@ fn forced() -> Config {
 }
 
 /// Rounds of the check until a change is seen; the whole configuration takes one for each part.
-fn rounds_until_seen(change: impl FnOnce(&mut Machinery)) -> Option<usize> {
-    let mut machinery = Machinery::new(forced(), 0, &Inputs::default()).expect("sound");
-    assert!((0..40).all(|_| machinery.configuration_intact()));
-    change(&mut machinery);
-    (0..40).find(|_| !machinery.configuration_intact())
+fn rounds_until_seen(change: impl FnOnce(&mut Machine)) -> Option<usize> {
+    let mut machine = Machine::new(forced(), 0, &Inputs::default()).expect("sound");
+    assert!((0..40).all(|_| machine.check_next_digest()));
+    change(&mut machine);
+    (0..40).find(|_| !machine.check_next_digest())
 }
 
 #[test]
@@ -82,7 +82,7 @@ fn a_change_of_what_was_worked_out_is_seen() {
     });
     let joint_rate = changed(|config| config.joints[4].rate.0 -= 1 << 12);
     for config in [&stroke, &rod, &joint_rate] {
-        assert!(rounds_until_seen(|active| active.machine = config.kinematics()).is_some());
+        assert!(rounds_until_seen(|active| active.kinematics = config.kinematics()).is_some());
     }
     let jerk = changed(|config| config.pose[1].jerk /= 2);
     let soft = changed(|config| config.pose[3].low.0 += 1 << 16);
@@ -117,18 +117,18 @@ fn a_change_of_force_control_is_seen() {
         assert!(seen.is_some(), "change {index}");
     }
     // Settings that a person changes at run time are no fault: the digest goes with them.
-    let mut machinery = Machinery::new(forced(), 0, &Inputs::default()).expect("sound");
-    let force = machinery.force.as_mut().expect("there");
+    let mut machine = Machine::new(forced(), 0, &Inputs::default()).expect("sound");
+    let force = machine.force.as_mut().expect("there");
     let gentle = LoopSettings {
         damping: VirtualDamping(2 << 16),
         ..force.settings(0).expect("there").clone()
     };
     force.set(0, &gentle).expect("taken");
     for _ in 0..100 {
-        machinery.give_way(false, false);
-        assert!(machinery.configuration_intact());
+        machine.comply(false, false);
+        assert!(machine.check_next_digest());
     }
-    let force = machinery.force.as_ref().expect("there");
+    let force = machine.force.as_ref().expect("there");
     assert_eq!(force.settings(0), Some(&gentle));
 }
 
@@ -162,18 +162,18 @@ fn a_change_of_a_joint_s_constants_is_seen_and_its_motion_is_not() {
     let mut joint = JointDrive::new(&axis, 200).expect("sound");
     let before = digest(&joint);
     let mut inputs = AxisInputs::default();
-    joint.sense(&inputs, 0);
+    joint.measure(&inputs, 0);
     joint.enable();
     for period in 1..500_i32 {
         inputs.counts = period * period / 100;
-        joint.sense(&inputs, period as u32 * 200_000);
+        joint.measure(&inputs, period as u32 * 200_000);
         let wanted = Wanted {
             coordinate: Coordinate(period << 12),
             rate: Rate(-period << 8),
             ..Wanted::default()
         };
         let mut command = DriveCommand::Off;
-        joint.drive(
+        joint.servo(
             wanted.coordinate,
             wanted.rate,
             wanted.acceleration,

@@ -247,7 +247,7 @@ fn a_jog_exceeds_no_joint_rate_anywhere() {
             for _ in 0..200 + random.below(8000) {
                 let (wanted, _) = jog.advance(&machine);
                 trace.push(&wanted.pose, &wanted.rates);
-                if jog.is_still() {
+                if jog.is_at_standstill() {
                     break;
                 }
             }
@@ -257,7 +257,7 @@ fn a_jog_exceeds_no_joint_rate_anywhere() {
             let (wanted, _) = jog.advance(&machine);
             trace.push(&wanted.pose, &wanted.rates);
         }
-        assert!(jog.is_still());
+        assert!(jog.is_at_standstill());
         worst.take(&trace, &format!("case {case}, from {pose:?}"));
     }
     worst.assert_within();
@@ -327,7 +327,7 @@ fn a_hand_beside_a_jog_exceeds_no_joint_rate() {
         let pose = start(&config, &machine, &mut random);
         let mut motion = Motion::default();
         motion.set_up(&config);
-        motion.place(&pose);
+        motion.set_position(&pose);
         motion.begin_program();
         let led = 1 + random.below(7);
         for axis in 0..AXES {
@@ -349,7 +349,7 @@ fn a_hand_beside_a_jog_exceeds_no_joint_rate() {
                 Some(Coordinate(random.uniform(low, high) as i32))
             });
             for _ in 0..5000 {
-                motion.lead(&targets);
+                motion.set_master_targets(&targets);
                 let _ = motion.advance(Mode::Program { halt: false }, &machine);
                 trace.push(&motion.wanted().pose, &motion.wanted().rates);
             }

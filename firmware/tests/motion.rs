@@ -260,13 +260,13 @@ proptest! {
         program.end(102).expect("complete");
         let mut path = walk(&mut program, hold_at, |_| false);
         path.take(walk(&mut program, 1500, |_| true));
-        prop_assert!(program.is_still());
+        prop_assert!(program.is_at_standstill());
         let rest = *path.x.last().expect("some");
         let reached = program.reached();
         program.back_off(back);
-        prop_assert!(!program.is_still());
+        prop_assert!(!program.is_at_standstill());
         path.take(walk(&mut program, 4 * back as usize + 3000, |_| true));
-        prop_assert!(program.is_still());
+        prop_assert!(program.is_at_standstill());
         path.assert_consistent();
         let end = *path.x.last().expect("some");
         for pair in path.x[hold_at + 1500..].windows(2) {
@@ -325,7 +325,7 @@ proptest! {
         }
         points.push(setpoint(x + 2.0 * 100.0 * PERIOD_S / 2.0, 0.0, 100));
         let mut programs = [start(&h4()), start(&h4())];
-        let mut ended = false;
+        let mut mark = false;
         for period in 0..20_000 {
             let holds = (hold_at..hold_at + hold_for).contains(&period) || (back > 0 && period >= hold_at);
             let gone = programs.each_mut().map(|program| {
@@ -339,17 +339,17 @@ proptest! {
                     program.back_off(back);
                 }
                 let gone = program.advance(holds);
-                (gone, program.program_time(), program.reached(), program.queued(), program.is_still())
+                (gone, program.program_time(), program.reached(), program.queued(), program.is_at_standstill())
             });
             prop_assert_eq!(gone[0], gone[1], "period {}", period);
             let [_, program] = &mut programs;
             program.look_ahead(free[period / 2 % free.len()], || free[period % free.len()]);
-            ended = gone[0].0.1.finished || (back > 0 && period > hold_at + 900 && gone[0].4);
-            if ended {
+            mark = gone[0].0.1.finished || (back > 0 && period > hold_at + 900 && gone[0].4);
+            if mark {
                 break;
             }
         }
-        prop_assert!(ended);
+        prop_assert!(mark);
     }
 
     /// A slower override takes longer by its factor and arrives at the same place.
@@ -441,7 +441,7 @@ proptest! {
         for _ in 0..2500 {
             let _ = jog.advance(&ball);
         }
-        prop_assert!(jog.is_still(), "at rest after the deadline");
+        prop_assert!(jog.is_at_standstill(), "at rest after the deadline");
         for path in &paths {
             path.assert_consistent();
             let (acceleration, jerk) = path.dynamics(0, usize::MAX);

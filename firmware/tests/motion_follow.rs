@@ -70,11 +70,11 @@ proptest! {
             mover.advance(Some(target), &limits);
             let past = (i64::from(mover.place().0) - i64::from(target.0)) * i64::from(way.signum());
             prop_assert!(past <= 0, "passed by {past} in {period}");
-            if mover.is_still() && period > 10 {
+            if mover.is_at_standstill() && period > 10 {
                 break;
             }
         }
-        prop_assert!(mover.is_still());
+        prop_assert!(mover.is_at_standstill());
         prop_assert_eq!(mover.place(), target);
     }
 
@@ -91,9 +91,9 @@ proptest! {
         for _ in 0..2_000_000 {
             mover.advance(None, &limits);
             prop_assert!((low..=high).contains(&i64::from(mover.place().0)));
-            if mover.is_still() { break; }
+            if mover.is_at_standstill() { break; }
         }
-        prop_assert!(mover.is_still());
+        prop_assert!(mover.is_at_standstill());
         // Nor does it stop far short of it: two periods' way.
         let off = (i64::from(rest.0) - i64::from(mover.place().0)).abs();
         prop_assert!(off <= i64::from(rate * MM) / 2500 + 2, "{off}");

@@ -8,7 +8,7 @@ mod arm;
 
 use arm::{M, Sequence, apply, rotation, times, transposed};
 use haptimill_firmware::reflection::law::Law;
-use haptimill_firmware::reflection::lead::{Frame, Lead};
+use haptimill_firmware::reflection::mapping::{Frame, MasterMapping};
 use haptimill_firmware::reflection::passivity::{COUNTED, Passivity, PassivityConfig, WHOLE};
 use haptimill_firmware::reflection::smooth::{SLOW_US, Smoothing};
 use haptimill_firmware::reflection::wall::{WallConfig, Walls};
@@ -196,7 +196,7 @@ proptest! {
         };
         let angle = |radians: f64| Coordinate(libm::round(radians / std::f64::consts::TAU * 4_294_967_296.0) as i32);
         let rest = [Coordinate((12.0 * MM) as i32), Coordinate((-7.0 * MM) as i32), Coordinate(0), angle(theta), angle(alpha)];
-        let mut lead = Lead::new(scale);
+        let mut lead = MasterMapping::new(scale);
         let tip = [30.0, -20.0, 590.0];
         lead.follow(&frame(first, tip), 0b11111, |axis| rest[axis]);
         for axis in 0..5 {
@@ -225,7 +225,7 @@ proptest! {
     #[test]
     fn no_word_of_a_hand_breaks_it(tip: [i32; 3], rate: [i32; 3], axes: [[i16; 3]; 2], age: u32, scale in 410_u16..8192, rest: i32) {
         let hand = Hand { tip, rate, axes, engaged: true };
-        let mut lead = Lead::new(scale);
+        let mut lead = MasterMapping::new(scale);
         lead.follow(&Frame::of(&hand, age, 5000), 0b11111, |_| Coordinate(rest));
         let other = Hand { tip: tip.map(|x| !x), ..hand };
         lead.follow(&Frame::of(&other, age, 5000), 0b11111, |_| Coordinate(rest));
@@ -250,13 +250,13 @@ proptest! {
 #[test]
 fn the_clamps_of_the_experiments() {
     let mut law = Law::new(&settings([40, 10, 20], [3.2, 3.2, 1.2], 0.0), 200);
-    let mut feel = |x: f64, y: f64, z: f64| {
+    let mut render = |x: f64, y: f64, z: f64| {
         law.reflect(&[force(x), force(y), force(z)], &[Rate(0); 3])
             .map(|felt| (f64::from(felt.0) / NEWTON * 1e3).round() / 1e3)
     };
-    assert_eq!(feel(10.0, -7.0, 7.0), [3.2, -0.7, 1.2]);
-    assert_eq!(feel(7.9, 0.0, 5.9), [3.16, 0.0, 1.18]);
-    assert_eq!(feel(-8.1, 0.0, -6.1), [-3.2, 0.0, -1.2]);
+    assert_eq!(render(10.0, -7.0, 7.0), [3.2, -0.7, 1.2]);
+    assert_eq!(render(7.9, 0.0, 5.9), [3.16, 0.0, 1.18]);
+    assert_eq!(render(-8.1, 0.0, -6.1), [-3.2, 0.0, -1.2]);
     // The boost of E10: 12 mm/s are 1.2 N.
     let mut law = Law::new(&settings([40; 3], [3.2; 3], 0.1), 200);
     let rates = [Rate((-12.0 * MM) as i32), Rate(0), Rate(0)];

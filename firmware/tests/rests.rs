@@ -79,7 +79,7 @@ fn a_resume_after_a_hold_builds_up_the_speed() {
     let mut rate = FULL_RATE;
     go(&mut program, 600, false, &mut rate);
     go(&mut program, 1000, true, &mut rate);
-    assert!(program.is_still());
+    assert!(program.is_at_standstill());
     program.leave_pause();
     go(&mut program, 10, false, &mut rate);
     let mut x = 0.1 + 13.0 * 0.2;

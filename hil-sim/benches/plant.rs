@@ -4,7 +4,7 @@ use criterion::{Criterion, criterion_group, criterion_main};
 use haptimill_firmware::io::{DriveCommand, HapticOutputs, Inputs, Outputs};
 use haptimill_hil_sim::haptics::{HapticArm, HapticConfig};
 use haptimill_hil_sim::machines::h4::Arm;
-use haptimill_hil_sim::operator::{HandConfig, Intention, ReferencePart, Trace};
+use haptimill_hil_sim::operator::{OperatorConfig, ReferencePart, Trace, Trajectory};
 use haptimill_hil_sim::{Control, Plant, PlantConfig, Rig, RigOptions};
 use std::hint::black_box;
 
@@ -67,10 +67,12 @@ fn plant(criterion: &mut Criterion) {
     });
 
     let mut haptic = HapticArm::new(&HapticConfig::default(), 200, 20, 1).expect("an arm");
-    haptic.take(Some(&HandConfig::default())).expect("a hand");
+    haptic
+        .take(Some(&OperatorConfig::default()))
+        .expect("a hand");
     let part = ReferencePart::default();
     haptic.clamp_part(Some(part.clone())).expect("a part");
-    haptic.intend(Intention::Trace(Trace {
+    haptic.set_trajectory(Trajectory::Trace(Trace {
         at_s: 0.0,
         centre_mm: part.centre_mm,
         radius_mm: part.path_radius(),

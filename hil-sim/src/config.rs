@@ -10,7 +10,7 @@ use crate::check::{Check, PlantError};
 use crate::haptics::HapticConfig;
 use crate::joint::JointConfig;
 use crate::machines::h4::ArmGeometry;
-use crate::operator::HandConfig;
+use crate::operator::OperatorConfig;
 use crate::process::ProcessConfig;
 use crate::process::sensor::SensorConfig;
 use crate::process::structure::StructureConfig;
@@ -50,7 +50,7 @@ pub struct PlantConfig {
     pub haptic: Option<HapticConfig>,
     /// The hand at the haptic arm; it holds the handle from the start.
     #[serde(default)]
-    pub hand: Option<HandConfig>,
+    pub hand: Option<OperatorConfig>,
     /// The joints, in the machine's order (H-4: four slides, then the table). 1 to 6; none where there is a haptic arm alone.
     #[serde(default)]
     pub joint: Vec<JointConfig>,

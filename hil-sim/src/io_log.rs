@@ -70,7 +70,7 @@ pub struct Block {
 
 /// Takes down the periods of a controller, from its first one.
 #[derive(Debug)]
-pub struct Tape {
+pub struct IoLog {
     expected: Expected,
     block: Block,
     /// Whole blocks that nobody has taken yet.
@@ -79,13 +79,13 @@ pub struct Tape {
     full: bool,
 }
 
-impl Default for Tape {
+impl Default for IoLog {
     fn default() -> Self {
         Self::new()
     }
 }
 
-impl Tape {
+impl IoLog {
     /// A tape without periods.
     #[must_use]
     pub fn new() -> Self {
@@ -349,14 +349,14 @@ fn take<'a>(bytes: &mut &'a [u8], count: usize) -> Option<&'a [u8]> {
 
 /// Reads the periods of a block. An error is how many bytes of the block were understood: its contents are not what this version writes.
 #[derive(Debug)]
-pub struct Reel {
+pub struct IoLogDecoder {
     expected: Expected,
     bytes: Vec<u8>,
     at: usize,
     left: u32,
 }
 
-impl Reel {
+impl IoLogDecoder {
     /// Of a block of so many periods.
     #[must_use]
     pub fn new(count: u32, bytes: Vec<u8>) -> Self {
@@ -375,7 +375,7 @@ impl Reel {
     }
 }
 
-impl Iterator for Reel {
+impl Iterator for IoLogDecoder {
     type Item = Result<Period, usize>;
 
     fn next(&mut self) -> Option<Self::Item> {

@@ -31,5 +31,5 @@ pub mod vector;
 
 pub use config::PlantConfig;
 pub use fault::Fault;
-pub use plant::{Plant, Truth};
+pub use plant::{GroundTruth, Plant};
 pub use rig::{Control, Rig, RigOptions};

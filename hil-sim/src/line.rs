@@ -8,7 +8,7 @@ use std::collections::VecDeque;
 
 /// What is wrong with a line at the moment.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct WireCondition {
+pub struct LineCondition {
     /// Probability that a bit is flipped.
     pub bit_error_rate: f64,
     /// Probability that a byte is lost.
@@ -21,7 +21,7 @@ pub struct WireCondition {
     pub cut: bool,
 }
 
-impl WireCondition {
+impl LineCondition {
     /// A line that is well.
     pub const HEALTHY: Self = Self {
         bit_error_rate: 0.0,
@@ -32,7 +32,7 @@ impl WireCondition {
     };
 }
 
-impl Default for WireCondition {
+impl Default for LineCondition {
     fn default() -> Self {
         Self::HEALTHY
     }
@@ -40,7 +40,7 @@ impl Default for WireCondition {
 
 /// What happened to the bytes of a line.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct WireCount {
+pub struct LineCounters {
     /// Bytes written.
     pub written: u64,
     /// Bytes that came out, damaged ones included.
@@ -55,18 +55,18 @@ pub struct WireCount {
 
 /// One direction of a serial line.
 #[derive(Debug, Clone)]
-pub struct Wire {
+pub struct SerialLine {
     /// Time of a byte on the line, ns times 2^16; 0 is an unlimited line.
     byte_time: u64,
     /// When the line is free again, ns times 2^16.
     free_at: u64,
     queue: VecDeque<(u64, u8)>,
-    condition: WireCondition,
+    condition: LineCondition,
     random: Random,
-    count: WireCount,
+    count: LineCounters,
 }
 
-impl Wire {
+impl SerialLine {
     /// A line of so many baud; `None` is as fast as may be.
     pub fn new(baud: Option<u32>, random: Random) -> Self {
         Self {
@@ -75,19 +75,19 @@ impl Wire {
             }),
             free_at: 0,
             queue: VecDeque::new(),
-            condition: WireCondition::HEALTHY,
+            condition: LineCondition::HEALTHY,
             random,
-            count: WireCount::default(),
+            count: LineCounters::default(),
         }
     }
 
     /// Changes what is wrong with the line, for bytes that are written from now on.
-    pub const fn set_condition(&mut self, condition: WireCondition) {
+    pub const fn set_condition(&mut self, condition: LineCondition) {
         self.condition = condition;
     }
 
     /// What happened so far.
-    pub const fn count(&self) -> WireCount {
+    pub const fn count(&self) -> LineCounters {
         self.count
     }
 

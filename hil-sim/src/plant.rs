@@ -14,7 +14,7 @@ use crate::check::PlantError;
 use crate::config::PlantConfig;
 use crate::haptics::HapticArm;
 use crate::joint::encoder::{Encoder, EncoderCondition, Track};
-use crate::joint::mechanics::{Bodies, Lanes, Mechanics};
+use crate::joint::mechanics::{Bodies, JointArray, Mechanics};
 use crate::joint::stepper::{PulseReport, Stepper};
 use crate::joint::{DriveConfig, JointConfig, JointKind, SwitchSide};
 use crate::machines::h4::{Arm, Tip};
@@ -26,7 +26,7 @@ use haptimill_protocol::message::MAX_AXES;
 
 /// What really is, at the start of a period.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct Truth {
+pub struct GroundTruth {
     /// Where the joints' slide sides are, mm or degrees.
     pub joints: [f64; MAX_AXES],
     /// The tool in the work, mm and degrees (H-4: x_w, y_w, z_w, theta, alpha); without an arm, the joints. The tip is where it really is, the
@@ -118,10 +118,10 @@ pub struct Plant {
     process: Option<Process>,
     haptic: Option<HapticArm>,
     /// What the process does to the joints in this period.
-    process_load: Lanes,
-    load: Lanes,
+    process_load: JointArray,
+    load: JointArray,
     /// Motor positions of the last period, one row a step, the start included.
-    history: Vec<Lanes>,
+    history: Vec<JointArray>,
     step_ns: u64,
     period_us: u16,
     seed: u64,
@@ -129,7 +129,7 @@ pub struct Plant {
     period: u64,
     emergency_stop: bool,
     misdirected: u64,
-    truth: Truth,
+    truth: GroundTruth,
 }
 
 impl Plant {
@@ -198,9 +198,9 @@ impl Plant {
             period: 0,
             emergency_stop: false,
             misdirected: 0,
-            truth: Truth::default(),
+            truth: GroundTruth::default(),
         };
-        plant.see_truth();
+        plant.update_ground_truth();
         if let Some(process) = config.process() {
             plant.fit(&process)?;
         }
@@ -228,7 +228,7 @@ impl Plant {
     }
 
     /// What really is, now.
-    pub const fn truth(&self) -> &Truth {
+    pub const fn truth(&self) -> &GroundTruth {
         &self.truth
     }
 
@@ -384,7 +384,7 @@ impl Plant {
             arm.advance(&outputs.haptic, powered);
         }
         self.period += 1;
-        self.see_truth();
+        self.update_ground_truth();
         if self.process.is_some() {
             let rpm = if powered {
                 f64::from(outputs.spindle_rpm)
@@ -411,18 +411,18 @@ impl Plant {
         let Some(process) = &mut self.process else {
             return;
         };
-        let felt = process.step(&pose, alpha, rpm);
+        let applied = process.step(&pose, alpha, rpm);
         let above = process.force_height();
-        self.truth.pose[..3].copy_from_slice(&felt.tip);
-        self.truth.force = felt.force;
+        self.truth.pose[..3].copy_from_slice(&applied.tip);
+        self.truth.force = applied.force;
         self.process_load = [0.0; MAX_AXES];
         match &self.arm {
-            None => self.process_load[..3].copy_from_slice(&felt.force),
+            None => self.process_load[..3].copy_from_slice(&applied.force),
             Some(arm) => {
                 let held = slides(&self.bodies.slide);
                 if let Some(loads) = arm
-                    .joint_loads(&self.tip, &held, alpha, felt.force, above)
-                    .filter(|_| felt.force != [0.0; 3])
+                    .joint_loads(&self.tip, &held, alpha, applied.force, above)
+                    .filter(|_| applied.force != [0.0; 3])
                 {
                     self.process_load[..5].copy_from_slice(&loads);
                 }
@@ -458,7 +458,7 @@ impl Plant {
                 problem: "needs an arm, or three linear joints for x, y and z".into(),
             }]);
         }
-        self.see_truth();
+        self.update_ground_truth();
         self.process_load = [0.0; MAX_AXES];
         self.process = Some(Process::new(
             config,
@@ -510,7 +510,7 @@ impl Plant {
         Some(self.process.as_ref()?.sensor()?.codes())
     }
 
-    fn see_truth(&mut self) {
+    fn update_ground_truth(&mut self) {
         self.truth.joints = self.bodies.slide;
         let Some(arm) = &mut self.arm else {
             self.truth.pose = self.bodies.slide;
@@ -535,7 +535,7 @@ fn step_efforts(
     powered: bool,
     part: f64,
     bodies: &Bodies,
-    drive: &mut Lanes,
+    drive: &mut JointArray,
 ) {
     for (axis, joint) in joints.iter_mut().enumerate() {
         if let (Drive::Steps(stepper), DriveCommand::Steps(_)) =
@@ -552,6 +552,6 @@ fn step_efforts(
     }
 }
 
-fn slides(lanes: &Lanes) -> [f64; 4] {
+fn slides(lanes: &JointArray) -> [f64; 4] {
     [lanes[0], lanes[1], lanes[2], lanes[3]]
 }

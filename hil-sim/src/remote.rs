@@ -11,8 +11,8 @@ use haptimill_firmware::io::{DriveCommand, Inputs, Outputs, TRANSMIT_BYTES};
 use haptimill_firmware::lockstep::{
     Done, FROM_BOARD_BYTES, FromBoard, Heard, TO_BOARD_BYTES, ToBoard,
 };
-use haptimill_firmware::probe::STAGES;
-use haptimill_firmware::reading::Reading;
+use haptimill_firmware::profiler::STAGES;
+use haptimill_firmware::snapshot::Snapshot;
 use haptimill_protocol::message::State;
 use std::io;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -54,7 +54,7 @@ pub trait PlantLink {
 pub struct Cost {
     /// Periods in which a program ran, which are those that are counted.
     pub periods: u64,
-    /// Sum over these periods of each stage's counts, in the order of [`haptimill_firmware::probe::Stage`].
+    /// Sum over these periods of each stage's counts, in the order of [`haptimill_firmware::profiler::Stage`].
     pub sums: [u64; STAGES],
     /// The most that each stage cost in one of them.
     pub worst: [u32; STAGES],
@@ -79,7 +79,7 @@ pub struct Cost {
 pub struct RemoteController<L: PlantLink> {
     link: L,
     arrived: u32,
-    reading: Option<Reading>,
+    snapshot: Option<Snapshot>,
     failure: Option<String>,
     cost: Arc<Mutex<Cost>>,
     /// Counts that fit into a control period, if that is looked at.
@@ -110,7 +110,7 @@ impl<L: PlantLink> RemoteController<L> {
         Ok(Self {
             link,
             arrived: 0,
-            reading: None,
+            snapshot: None,
             failure: None,
             cost: Arc::default(),
             budget: None,
@@ -180,15 +180,18 @@ impl<L: PlantLink> RemoteController<L> {
         let mut cost = self.cost.lock().unwrap_or_else(PoisonError::into_inner);
         cost.worst_of_all = cost.worst_of_all.max(total);
         cost.missed += u64::from(self.overrun);
-        let Some(reading) = done.reading.filter(|reading| reading.state == State::Run) else {
+        let Some(snapshot) = done
+            .snapshot
+            .filter(|snapshot| snapshot.state == State::Run)
+        else {
             return;
         };
-        if reading.queued > cost.queue_high {
-            cost.queue_high = reading.queued;
+        if snapshot.queued > cost.queue_high {
+            cost.queue_high = snapshot.queued;
             cost.queue_low = None;
-        } else if reading.more {
-            let low = cost.queue_low.unwrap_or(reading.queued);
-            cost.queue_low = Some(low.min(reading.queued));
+        } else if snapshot.more {
+            let low = cost.queue_low.unwrap_or(snapshot.queued);
+            cost.queue_low = Some(low.min(snapshot.queued));
         }
         cost.periods += 1;
         cost.worst_period = cost.worst_period.max(total);
@@ -214,12 +217,12 @@ impl<L: PlantLink> Control for RemoteController<L> {
         match self.exchange(inputs) {
             Ok(done) => {
                 self.account(&done);
-                self.reading = done.reading;
+                self.snapshot = done.snapshot;
                 *outputs = done.outputs;
             }
             Err(error) => {
                 self.fail(&error);
-                self.reading = None;
+                self.snapshot = None;
                 outputs.make_safe();
             }
         }
@@ -235,8 +238,8 @@ impl<L: PlantLink> Control for RemoteController<L> {
         }
     }
 
-    fn reading(&self, _: &Inputs) -> Option<Reading> {
-        self.reading
+    fn snapshot(&self, _: &Inputs) -> Option<Snapshot> {
+        self.snapshot
     }
 
     fn overrun(&self) -> u16 {

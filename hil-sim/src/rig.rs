@@ -9,13 +9,13 @@
 use crate::check::PlantError;
 use crate::config::PlantConfig;
 use crate::fault::{Fault, FaultError};
-use crate::line::Wire;
-use crate::plant::{Plant, Truth};
+use crate::line::SerialLine;
+use crate::plant::{GroundTruth, Plant};
 use crate::random::Random;
 use crate::schedule::Schedule;
 use core::fmt;
 use haptimill_firmware::io::{DriveCommand, Inputs, Outputs, RECEIVE_BYTES, StepSegment};
-use haptimill_firmware::reading::Reading;
+use haptimill_firmware::snapshot::Snapshot;
 use haptimill_protocol::urgent::UrgentDetector;
 use std::collections::VecDeque;
 
@@ -32,7 +32,7 @@ pub trait Control {
     fn arrived(&mut self, _bytes: &[u8]) {}
 
     /// How the controller stands after the last period; `None` before it is configured, and of a controller that does not tell.
-    fn reading(&self, _inputs: &Inputs) -> Option<Reading> {
+    fn snapshot(&self, _inputs: &Inputs) -> Option<Snapshot> {
         None
     }
 
@@ -53,8 +53,8 @@ impl Control for haptimill_firmware::controller::Controller {
         Self::tick(self, inputs, outputs, &mut ());
     }
 
-    fn reading(&self, inputs: &Inputs) -> Option<Reading> {
-        Self::reading(self, inputs)
+    fn snapshot(&self, inputs: &Inputs) -> Option<Snapshot> {
+        Self::snapshot(self, inputs)
     }
 }
 
@@ -116,8 +116,8 @@ pub struct Rig<C> {
     control: C,
     plant: Plant,
     schedule: Schedule,
-    to_machine: Wire,
-    to_host: Wire,
+    to_machine: SerialLine,
+    to_host: SerialLine,
     ring: VecDeque<u8>,
     /// What arrived in this period.
     arrived: Vec<u8>,
@@ -131,7 +131,7 @@ pub struct Rig<C> {
     inputs: Inputs,
     outputs: Outputs,
     /// What really was when the inputs were latched.
-    truth: Truth,
+    truth: GroundTruth,
     /// Outputs in effect during the current period.
     effective: Outputs,
 }
@@ -154,8 +154,8 @@ impl<C: Control> Rig<C> {
             truth: *plant.truth(),
             plant,
             schedule,
-            to_machine: Wire::new(options.baud, Random::new(config.seed, 32)),
-            to_host: Wire::new(options.baud, Random::new(config.seed, 33)),
+            to_machine: SerialLine::new(options.baud, Random::new(config.seed, 32)),
+            to_host: SerialLine::new(options.baud, Random::new(config.seed, 33)),
             ring: VecDeque::with_capacity(options.ring_bytes),
             arrived: Vec::new(),
             late: 0,
@@ -263,7 +263,7 @@ impl<C: Control> Rig<C> {
     }
 
     /// What really was when [`Rig::inputs`] were latched; [`Plant::truth`] tells what is now.
-    pub const fn truth(&self) -> &Truth {
+    pub const fn truth(&self) -> &GroundTruth {
         &self.truth
     }
 
@@ -288,12 +288,12 @@ impl<C: Control> Rig<C> {
     }
 
     /// The line from host to machine.
-    pub const fn to_machine(&self) -> &Wire {
+    pub const fn to_machine(&self) -> &SerialLine {
         &self.to_machine
     }
 
     /// The line from machine to host.
-    pub const fn to_host(&self) -> &Wire {
+    pub const fn to_host(&self) -> &SerialLine {
         &self.to_host
     }
 }

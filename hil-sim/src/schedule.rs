@@ -3,11 +3,11 @@
 //! A schedule with faults owns the conditions of all devices: at each change it sets them all anew, so what was set by hand is lost then.
 
 use crate::fault::{
-    Channel, Direction, Fault, FaultError, FaultKind, HandEncoder, HandFault, Level, Switch,
+    Channel, Direction, Fault, FaultError, FaultKind, HapticEncoder, HapticFault, Level, Switch,
 };
 use crate::haptics::sensors::SENSORS;
 use crate::joint::encoder::EncoderCondition;
-use crate::line::{Wire, WireCondition};
+use crate::line::{LineCondition, SerialLine};
 use crate::plant::{JointCondition, Plant};
 use crate::process::sensor::{End, SensorCondition};
 use haptimill_firmware::io::LEGS;
@@ -68,8 +68,8 @@ impl Schedule {
         &mut self,
         now: u64,
         plant: &mut Plant,
-        to_machine: &mut Wire,
-        to_host: &mut Wire,
+        to_machine: &mut SerialLine,
+        to_host: &mut SerialLine,
     ) -> bool {
         if now >= self.next_ns {
             self.change(now, plant, to_machine, to_host);
@@ -79,16 +79,22 @@ impl Schedule {
         miss
     }
 
-    fn change(&mut self, now: u64, plant: &mut Plant, to_machine: &mut Wire, to_host: &mut Wire) {
+    fn change(
+        &mut self,
+        now: u64,
+        plant: &mut Plant,
+        to_machine: &mut SerialLine,
+        to_host: &mut SerialLine,
+    ) {
         self.next_ns = u64::MAX;
         let mut joints = [JointCondition::default(); MAX_AXES];
         let mut encoders = [EncoderCondition::default(); MAX_AXES];
         let mut loads = [0.0; MAX_AXES];
         let mut emergency_stop = false;
-        let mut wires = [WireCondition::HEALTHY; 2];
+        let mut wires = [LineCondition::HEALTHY; 2];
         let mut sensors = [SensorCondition::default(); 3];
         let mut stalled = false;
-        let mut hand = HandCondition::default();
+        let mut hand = HapticCondition::default();
         for entry in &mut self.entries {
             let begins = !entry.active && now >= entry.begins_ns;
             entry.active = (entry.begins_ns..entry.ends_ns).contains(&now);
@@ -102,7 +108,7 @@ impl Schedule {
                     plant.slip_encoder(entry.axis, counts);
                     entry.begins_ns = u64::MAX;
                 }
-                FaultKind::Hand(HandFault::EncoderSlip { place, counts })
+                FaultKind::Hand(HapticFault::EncoderSlip { place, counts })
                     if begins && entry.begins_ns != u64::MAX =>
                 {
                     if let Some(arm) = plant.haptic_mut() {
@@ -118,11 +124,11 @@ impl Schedule {
                 _ => {}
             }
             if entry.active {
-                spoil_process(&entry.kind, &mut sensors, &mut stalled);
+                inject_process(&entry.kind, &mut sensors, &mut stalled);
                 if let FaultKind::Hand(fault) = &entry.kind {
-                    spoil_hand(fault, &mut hand);
+                    inject_haptic(fault, &mut hand);
                 }
-                spoil(
+                inject(
                     &entry.kind,
                     entry.axis,
                     &mut joints,
@@ -161,14 +167,14 @@ impl Schedule {
 }
 
 /// Adds an active fault to the conditions.
-fn spoil(
+fn inject(
     kind: &FaultKind,
     axis: usize,
     joints: &mut [JointCondition; MAX_AXES],
     encoders: &mut [EncoderCondition; MAX_AXES],
     loads: &mut [f64; MAX_AXES],
     emergency_stop: &mut bool,
-    wires: &mut [WireCondition; 2],
+    wires: &mut [LineCondition; 2],
 ) {
     let chosen = |direction: Direction| -> &'static [usize] {
         match direction {
@@ -250,20 +256,20 @@ fn spoil(
 
 /// What is wrong at the haptic arm.
 #[derive(Default)]
-struct HandCondition {
+struct HapticCondition {
     encoders: [[EncoderCondition; SENSORS]; LEGS],
     tripped: bool,
 }
 
 /// Leg and sensor from 0.
-fn index(place: HandEncoder) -> (usize, usize) {
+fn index(place: HapticEncoder) -> (usize, usize) {
     // Checked when the fault met the machine.
     let leg = usize::from(place.leg.saturating_sub(1)).min(LEGS - 1);
     (leg, place.sensor as usize)
 }
 
 /// Adds an active fault of the haptic arm to its conditions.
-fn spoil_hand(fault: &HandFault, hand: &mut HandCondition) {
+fn inject_haptic(fault: &HapticFault, hand: &mut HapticCondition) {
     let Some(place) = fault.encoder() else {
         hand.tripped = true;
         return;
@@ -271,25 +277,25 @@ fn spoil_hand(fault: &HandFault, hand: &mut HandCondition) {
     let (leg, sensor) = index(place);
     let encoder = &mut hand.encoders[leg][sensor];
     match *fault {
-        HandFault::EncoderStuck { channel, level, .. } => {
+        HapticFault::EncoderStuck { channel, level, .. } => {
             let stuck = match channel {
                 Channel::A => &mut encoder.stuck_a,
                 Channel::B => &mut encoder.stuck_b,
             };
             *stuck = Some(level == Level::High);
         }
-        HandFault::EncoderSwapped(_) => encoder.swapped = true,
-        HandFault::EncoderDropped(_) => {
+        HapticFault::EncoderSwapped(_) => encoder.swapped = true,
+        HapticFault::EncoderDropped(_) => {
             encoder.stuck_a = Some(false);
             encoder.stuck_b = Some(false);
         }
-        HandFault::EncoderNoise { per_second, .. } => encoder.noise_hz += per_second,
-        HandFault::EncoderSlip { .. } | HandFault::AmplifiersTripped => {}
+        HapticFault::EncoderNoise { per_second, .. } => encoder.noise_hz += per_second,
+        HapticFault::EncoderSlip { .. } | HapticFault::AmplifiersTripped => {}
     }
 }
 
 /// Adds an active fault of the sensor or the spindle to their conditions.
-fn spoil_process(kind: &FaultKind, sensors: &mut [SensorCondition; 3], stalled: &mut bool) {
+fn inject_process(kind: &FaultKind, sensors: &mut [SensorCondition; 3], stalled: &mut bool) {
     match *kind {
         FaultKind::SensorStuck { along } => sensors[along as usize].stuck = true,
         FaultKind::SensorDropped { along } => sensors[along as usize].dropped = true,

@@ -6,7 +6,7 @@ use haptimill_firmware::config::AxisKind;
 use haptimill_firmware::drive::steps::{PulseTiming, StepPlanner};
 use haptimill_firmware::io::{DriveCommand, Inputs, Outputs, StepSegment};
 use haptimill_hil_sim::joint::encoder::{Encoder, EncoderCondition, Track};
-use haptimill_hil_sim::joint::mechanics::Lanes;
+use haptimill_hil_sim::joint::mechanics::JointArray;
 use haptimill_hil_sim::joint::stepper::{PulseProblem, PulseReport};
 use haptimill_hil_sim::random::Random;
 use haptimill_hil_sim::{Plant, PlantConfig};
@@ -40,7 +40,7 @@ fn wander(seed: u64, periods: usize, speed: f64) -> Vec<[f64; 11]> {
 
 /// Lets the shaft go through these samples.
 fn follow(encoder: &mut Encoder, path: &[f64], time_ns: u64) {
-    let rows: Vec<Lanes> = path
+    let rows: Vec<JointArray> = path
         .iter()
         .map(|&at| [at, 0.0, 0.0, 0.0, 0.0, 0.0])
         .collect();

@@ -3,10 +3,10 @@
 use haptimill_firmware::io::HapticOutputs;
 use haptimill_hil_sim::haptics::dynamics::Dynamics;
 use haptimill_hil_sim::haptics::geometry::solved;
-use haptimill_hil_sim::haptics::{HandlePose, HapticArm, HapticConfig, HapticTruth};
+use haptimill_hil_sim::haptics::{HandlePose, HapticArm, HapticConfig, HapticGroundTruth};
 use haptimill_hil_sim::joint::encoder::EncoderCondition;
 use haptimill_hil_sim::operator::{
-    HandConfig, Intention, Live, Rail, ReferencePart, Stroke, Trace,
+    Live, OperatorConfig, Rail, ReferencePart, Stroke, Trace, Trajectory,
 };
 
 const PERIOD: f64 = 200e-6;
@@ -14,7 +14,7 @@ const X: [f64; 3] = [1.0, 0.0, 0.0];
 
 fn led(rail: Option<Rail>) -> HapticArm {
     let mut arm = HapticArm::new(&HapticConfig::default(), 200, 20, 1).expect("fine");
-    arm.take(Some(&HandConfig::default())).expect("fine");
+    arm.take(Some(&OperatorConfig::default())).expect("fine");
     arm.fit_rail(rail).expect("fine");
     arm
 }
@@ -45,8 +45,8 @@ fn codes(arm: &HapticArm, force: [f64; 3]) -> HapticOutputs {
 fn run(
     arm: &mut HapticArm,
     seconds: f64,
-    law: impl Fn(f64, &HapticTruth) -> [f64; 3],
-) -> Vec<HapticTruth> {
+    law: impl Fn(f64, &HapticGroundTruth) -> [f64; 3],
+) -> Vec<HapticGroundTruth> {
     (0..(seconds / PERIOD).round() as usize)
         .map(|period| {
             let outputs = codes(arm, law(period as f64 * PERIOD, arm.truth()));
@@ -56,11 +56,11 @@ fn run(
         .collect()
 }
 
-fn free(_: f64, _: &HapticTruth) -> [f64; 3] {
+fn free(_: f64, _: &HapticGroundTruth) -> [f64; 3] {
     [0.0; 3]
 }
 
-fn at(course: &[HapticTruth], seconds: f64) -> &HapticTruth {
+fn at(course: &[HapticGroundTruth], seconds: f64) -> &HapticGroundTruth {
     &course[(seconds / PERIOD) as usize]
 }
 
@@ -78,7 +78,7 @@ fn stroke(at_s: f64, x: f64, pace_mm_s: f64) -> Stroke {
 #[test]
 fn a_moving_wall_holds_the_hand_back() {
     let mut arm = led(Some(Rail::along(X)));
-    arm.intend(Intention::Strokes(vec![stroke(0.0, -70.0, 26.0)]));
+    arm.set_trajectory(Trajectory::Strokes(vec![stroke(0.0, -70.0, 26.0)]));
     let course = run(&mut arm, 6.0, |time, truth| {
         let lead = -4.0 * time - truth.tip[0];
         [(0.35 * lead).clamp(0.0, 5.5), 0.0, 0.0]
@@ -113,7 +113,7 @@ fn the_hand_yields_to_a_steady_force() {
         .into_iter()
         .map(|force| {
             let mut arm = led(Some(Rail::along(X)));
-            arm.intend(Intention::Strokes(vec![stroke(0.0, -80.0, 22.0)]));
+            arm.set_trajectory(Trajectory::Strokes(vec![stroke(0.0, -80.0, 22.0)]));
             let course = run(&mut arm, 3.6, |_, _| [force, 0.0, 0.0]);
             (
                 force,
@@ -139,7 +139,7 @@ fn the_hand_yields_to_a_steady_force() {
 #[test]
 fn strokes_end_where_they_are_meant_to() {
     let mut arm = led(Some(Rail::along(X)));
-    arm.intend(Intention::Strokes(vec![
+    arm.set_trajectory(Trajectory::Strokes(vec![
         stroke(0.0, -30.0, 7.0),
         stroke(5.5, 0.0, 20.0),
     ]));
@@ -159,11 +159,11 @@ fn strokes_end_where_they_are_meant_to() {
 #[test]
 fn a_reflected_cut_slows_the_hand_and_does_not_shake_it() {
     let mut arm = led(Some(Rail::along(X)));
-    arm.intend(Intention::Strokes(vec![Stroke {
+    arm.set_trajectory(Trajectory::Strokes(vec![Stroke {
         ramp_s: 2.0,
         ..stroke(0.2, -60.0, 12.0)
     }]));
-    let (mut tool, mut felt) = (0.0, Vec::new());
+    let (mut tool, mut applied) = (0.0, Vec::new());
     for _ in 0..(11.0 / PERIOD) as usize {
         let hand = arm.truth().centre[0];
         let rate = (hand - tool) / 0.06;
@@ -171,15 +171,15 @@ fn a_reflected_cut_slows_the_hand_and_does_not_shake_it() {
         let force = (0.4 * 1.4 * -rate).clamp(-3.2, 3.2);
         let outputs = codes(&arm, [force, 0.0, 0.0]);
         arm.advance(&outputs, true);
-        felt.push((force, *arm.truth()));
+        applied.push((force, *arm.truth()));
     }
     let speeds: Vec<f64> = (5..50)
         .map(|k| {
-            let place = |seconds: f64| felt[(seconds / PERIOD) as usize].1.tip[0];
+            let place = |seconds: f64| applied[(seconds / PERIOD) as usize].1.tip[0];
             (place(0.2 * f64::from(k)) - place(0.2 * f64::from(k + 1))) / 0.2
         })
         .collect();
-    let there = felt
+    let there = applied
         .iter()
         .position(|(_, truth)| truth.tip[0] < -29.5)
         .expect("arrives");
@@ -198,16 +198,21 @@ fn a_reflected_cut_slows_the_hand_and_does_not_shake_it() {
     assert!((4.0..6.0).contains(&(there as f64 * PERIOD)));
 }
 
-fn traced(part: &ReferencePart, turns: f64, press_n: f64, reflected: f64) -> Vec<HapticTruth> {
+fn traced(
+    part: &ReferencePart,
+    turns: f64,
+    press_n: f64,
+    reflected: f64,
+) -> Vec<HapticGroundTruth> {
     let mut arm = led(None);
     arm.clamp_part(Some(part.clone())).expect("fine");
     if !part.hole {
         // To the edge first.
         let x = part.centre_mm[0] + part.path_radius();
-        arm.intend(Intention::Strokes(vec![stroke(0.0, x, 20.0)]));
+        arm.set_trajectory(Trajectory::Strokes(vec![stroke(0.0, x, 20.0)]));
         run(&mut arm, 3.0, free);
     }
-    arm.intend(Intention::Trace(Trace {
+    arm.set_trajectory(Trajectory::Trace(Trace {
         at_s: 0.5,
         centre_mm: part.centre_mm,
         radius_mm: part.path_radius(),
@@ -232,7 +237,7 @@ fn the_ball_traces_the_edge_of_a_hole() {
     let course = traced(&part, -1.0, 2.0, 2.5);
     let way = &course[(0.6 / PERIOD) as usize..];
     let radius =
-        |truth: &HapticTruth| ((truth.tip[0] + 15.0).powi(2) + truth.tip[1].powi(2)).sqrt();
+        |truth: &HapticGroundTruth| ((truth.tip[0] + 15.0).powi(2) + truth.tip[1].powi(2)).sqrt();
     let (least, most) = way
         .iter()
         .map(radius)
@@ -287,15 +292,15 @@ fn the_ball_stays_outside_a_disc() {
 fn a_blow_meets_the_arm_before_the_person() {
     let told = |reaction_s: f64| {
         let mut arm = led(Some(Rail::along(X)));
-        let hand = HandConfig {
+        let hand = OperatorConfig {
             reaction_s,
-            ..HandConfig::default()
+            ..OperatorConfig::default()
         };
         arm.take(Some(&hand)).expect("fine");
         run(&mut arm, 1.0, |_, _| [4.0, 0.0, 0.0])
     };
     let (late, later) = (told(0.2), told(0.4));
-    let place = |course: &[HapticTruth], seconds: f64| at(course, seconds).tip[0];
+    let place = |course: &[HapticGroundTruth], seconds: f64| at(course, seconds).tip[0];
     // Nothing of the reaction shows within its time.
     assert_eq!(place(&late, 0.19), place(&later, 0.19));
     // At 0.19 s the spring of 0.8 N/mm has given way by nearly (4 N less friction) / 0.8.
@@ -335,7 +340,7 @@ fn a_live_hand_goes_where_it_is_told() {
 fn the_counters_tell_the_joints() {
     let mut arm = led(None);
     let start = arm.truth().joints;
-    arm.intend(Intention::Strokes(vec![Stroke {
+    arm.set_trajectory(Trajectory::Strokes(vec![Stroke {
         at_s: 0.0,
         to_mm: [12.0, -9.0, 7.0],
         pace_mm_s: 20.0,

@@ -2,7 +2,7 @@
 
 use haptimill_firmware::io::HapticOutputs;
 use haptimill_hil_sim::haptics::{HapticArm, HapticConfig};
-use haptimill_hil_sim::operator::HandConfig;
+use haptimill_hil_sim::operator::OperatorConfig;
 
 const PERIOD: f64 = 200e-6;
 
@@ -136,7 +136,7 @@ fn a_force_meets_the_mass_that_there_is() {
 fn the_same_blow_gives_the_same_bits() {
     let told = || {
         let mut arm = arm(&HapticConfig::default());
-        arm.take(Some(&HandConfig::default())).expect("fine");
+        arm.take(Some(&OperatorConfig::default())).expect("fine");
         arm.strike([100.0, 50.0, -30.0, 1.0, 2.0, 3.0]);
         run(&mut arm, 0.3, |_| {});
         (*arm.truth(), arm.inputs())
@@ -150,7 +150,7 @@ fn the_same_blow_gives_the_same_bits() {
 #[test]
 fn an_arm_at_rest_sleeps_and_wakes() {
     let mut arm = arm(&HapticConfig::default());
-    arm.take(Some(&HandConfig::default())).expect("fine");
+    arm.take(Some(&OperatorConfig::default())).expect("fine");
     run(&mut arm, 1.0, |_| {});
     let before = *arm.truth();
     assert_eq!(before.twist, [0.0; 6]);

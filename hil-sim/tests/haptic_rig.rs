@@ -4,7 +4,7 @@ mod machine;
 
 use haptimill_firmware::io::{HapticOutputs, Inputs, Outputs};
 use haptimill_hil_sim::haptics::HapticConfig;
-use haptimill_hil_sim::operator::{HandConfig, Intention, Stroke};
+use haptimill_hil_sim::operator::{OperatorConfig, Stroke, Trajectory};
 use haptimill_hil_sim::{Control, Fault, PlantConfig, Rig, RigOptions};
 
 /// A controller that remembers what it sees and puts fixed codes on the first leg.
@@ -28,7 +28,7 @@ impl Control for Remembers {
 fn config() -> PlantConfig {
     PlantConfig {
         haptic: Some(HapticConfig::default()),
-        hand: Some(HandConfig::default()),
+        hand: Some(OperatorConfig::default()),
         ..machine::slide()
     }
 }
@@ -48,7 +48,7 @@ fn rig(code: i16, faults: &[&str]) -> Rig<Remembers> {
     let mut rig = Rig::new(&config(), &options, control).expect("fine");
     let arm = rig.plant_mut().haptic_mut().expect("has one");
     arm.set_engaged(true);
-    arm.intend(Intention::Strokes(vec![Stroke {
+    arm.set_trajectory(Trajectory::Strokes(vec![Stroke {
         at_s: 0.05,
         to_mm: [8.0, 5.0, -6.0],
         pace_mm_s: 20.0,

@@ -247,7 +247,7 @@ fn known(
     record: &Record,
     recording: &Recording,
 ) -> Option<(String, String, String)> {
-    let Some(reading) = controller.reading(&period.inputs) else {
+    let Some(reading) = controller.snapshot(&period.inputs) else {
         let field = "the configuration".to_string();
         return Some((field, "active".to_string(), "none".to_string()));
     };

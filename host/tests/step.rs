@@ -91,13 +91,7 @@ fn pulses_are_clean(machine: &MachineFile, stepped: &[usize]) {
     for axis in 0..5 {
         let report = rig.plant().pulse_report(axis);
         assert_eq!(report.is_some(), stepped.contains(&axis), "joint {axis}");
-        let joint = rig
-            .control()
-            .machinery()
-            .unwrap()
-            .joints()
-            .nth(axis)
-            .unwrap();
+        let joint = rig.control().machine().unwrap().joints().nth(axis).unwrap();
         assert_eq!(
             matches!(joint.command, DriveCommand::Steps(_)),
             stepped.contains(&axis)

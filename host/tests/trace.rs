@@ -2,7 +2,7 @@
 
 mod scene;
 
-use haptimill::record::{Period, Record, Recorder, Recording, Tape};
+use haptimill::record::{IoLog, Period, Record, Recorder, Recording};
 use haptimill::replay::replay;
 use scene::{Folder, Ran, Served, haptimill, number, start};
 use serde_json::Value;
@@ -100,7 +100,7 @@ fn a_slot_led_by_hand_replays_equal_and_a_count_of_the_haptic_arm_is_missed() {
     let recording = Recording::open(&traces[0]).unwrap();
     let changed = folder.path("changed.hmr");
     let mut recorder = Recorder::create(Path::new(&changed), recording.header()).unwrap();
-    recorder.take_up(Tape::new());
+    recorder.take_up(IoLog::new());
     let mut engaged = 0_u32;
     let mut flipped = 0;
     for period in recording.read_periods().unwrap() {
@@ -159,7 +159,7 @@ fn one_bit_of_one_input_is_named_with_both_values() {
     let flipped = first + 20_000;
     let changed = folder.path("changed.hmr");
     let mut recorder = Recorder::create(Path::new(&changed), recording.header()).unwrap();
-    recorder.take_up(Tape::new());
+    recorder.take_up(IoLog::new());
     for period in recording.read_periods().unwrap() {
         let mut period: Period = period.unwrap();
         if period.inputs.period == flipped {

@@ -50,8 +50,8 @@ fn cutting() -> Bench<Timed> {
     bench.make_ready();
     bench.steps(500);
     let yields = |bench: &Bench<Timed>| {
-        let machinery = bench.rig.control().controller.machinery();
-        let force = &machinery.expect("configured").force;
+        let machine = bench.rig.control().controller.machine();
+        let force = &machine.expect("configured").force;
         force.as_ref().expect("has a sensor").yielding()[0]
             .displacement
             .0

@@ -81,11 +81,11 @@ impl<C: Control> Bench<C> {
 
     /// One control period, and what the host does in it.
     pub fn step(&mut self) {
-        self.step_spoiled(|_| ());
+        self.step_with_fault(|_| ());
     }
 
     /// One control period, with something done to the bytes that the host says in it.
-    pub fn step_spoiled(&mut self, spoil: impl FnOnce(&mut Vec<u8>)) {
+    pub fn step_with_fault(&mut self, spoil: impl FnOnce(&mut Vec<u8>)) {
         let now = self.rig.time_ns() / 1000;
         let mut buffer = [0; 256];
         let count = self.link.transmit(now, &mut buffer);

@@ -180,7 +180,12 @@ fn beside(axis: usize, speed: f64, hand: usize, rate: f64) -> Option<u32> {
                 *slot = Coordinate(value);
             }
             pose.0[axis] = Coordinate(end);
-            let machine = &bench.rig.control().machinery().expect("configured").machine;
+            let machine = &bench
+                .rig
+                .control()
+                .machine()
+                .expect("configured")
+                .kinematics;
             assert!(machine.inverse(&pose).is_err(), "{case}: held for nothing");
             // Back to where it began, then on.
             let unit = if hand < 3 { MM } else { DEGREE };

@@ -22,7 +22,7 @@ fn configured_enabled_homed_and_a_line_is_followed() {
         let wanted = bench
             .rig
             .control()
-            .machinery()
+            .machine()
             .expect("configured")
             .motion
             .wanted()

@@ -16,7 +16,7 @@ use haptimill::session::pil::{self, Emulator, Instructions};
 use haptimill::session::rig_around;
 use haptimill_firmware::controller::Controller;
 use haptimill_firmware::io::{DriveCommand, Outputs};
-use haptimill_firmware::reading::Reading;
+use haptimill_firmware::snapshot::Snapshot;
 use haptimill_hil_sim::RigOptions;
 use haptimill_hil_sim::process::ElasticWall;
 use haptimill_hil_sim::process::ProcessConfig;
@@ -116,7 +116,7 @@ fn same_bits_in_five_axes() {
 }
 
 /// A tool under force control runs into a wall, in a machine around any controller: what the controller knew and did in every period.
-fn against_a_wall<C: haptimill_hil_sim::Control>(control: C) -> Vec<(Reading, Outputs)> {
+fn against_a_wall<C: haptimill_hil_sim::Control>(control: C) -> Vec<(Snapshot, Outputs)> {
     let mut bench = Bench::with(&RigOptions::default(), control);
     bench.make_ready();
     bench.steps(500);
@@ -155,8 +155,8 @@ fn against_a_wall<C: haptimill_hil_sim::Control>(control: C) -> Vec<(Reading, Ou
     let mut seen = Vec::new();
     for _ in 0..9000 {
         bench.step();
-        let reading = bench.rig.control().reading(bench.rig.inputs());
-        seen.push((reading.expect("configured"), bench.rig.outputs().clone()));
+        let snapshot = bench.rig.control().snapshot(bench.rig.inputs());
+        seen.push((snapshot.expect("configured"), bench.rig.outputs().clone()));
     }
     seen
 }
@@ -165,7 +165,7 @@ fn against_a_wall<C: haptimill_hil_sim::Control>(control: C) -> Vec<(Reading, Ou
 fn same_bits_with_a_force() {
     let machine = MachineFile::built_in().expect("sound");
     let native = against_a_wall(Controller::new(machine.config.period_us));
-    let yielded = native.iter().map(|(reading, _)| reading.force.yielded[0]);
+    let yielded = native.iter().map(|(snapshot, _)| snapshot.force.yielded[0]);
     let most = yielded.max().unwrap_or(0);
     assert!(most > 1 << 19, "the tool yielded by {most} units only");
     let image = pil::image(Board::Mps2).expect("builds");

@@ -15,8 +15,18 @@ use haptimill_tests::Bench;
 use std::time::{Duration, Instant};
 
 /// The stages of a period by name, and the main program between two of them.
-const PLACES: [&str; 9] = [
-    "hear", "sense", "decide", "yield", "place", "drive", "tell", "gate", "main",
+const PLACES: [&str; 11] = [
+    "receive",
+    "measure",
+    "supervise",
+    "command",
+    "interpolate",
+    "comply",
+    "solve",
+    "servo",
+    "report",
+    "interlock",
+    "main",
 ];
 
 /// A period in which the drives hold the machine.
@@ -83,7 +93,7 @@ fn a_stack_that_overflows_is_told() {
 #[test]
 fn a_fault_of_the_processor_is_told() {
     for board in BOARDS {
-        let words = ["fault", "decide", &PERIOD.to_string()];
+        let words = ["fault", "supervise", &PERIOD.to_string()];
         let (reason, after) = until_it_happens(board, &words);
         println!("{board}, after {after:?}: {reason}");
         assert!(reason.contains("processor fault at 0x"), "{reason}");
@@ -93,7 +103,7 @@ fn a_fault_of_the_processor_is_told() {
 
 #[test]
 fn a_period_that_never_ends_is_given_up() {
-    let words = ["hang", "tell", &PERIOD.to_string()];
+    let words = ["hang", "report", &PERIOD.to_string()];
     let (reason, after) = until_it_happens(Board::Mps2, &words);
     println!("after {after:?}: {reason}");
     assert!(reason.contains("stood still"), "{reason}");

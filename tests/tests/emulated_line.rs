@@ -10,7 +10,7 @@ use haptimill::cli::Exit;
 use haptimill::port::Board;
 use haptimill_firmware::io::DriveCommand;
 use haptimill_firmware::receive::RING_BYTES;
-use haptimill_hil_sim::line::WireCount;
+use haptimill_hil_sim::line::LineCounters;
 use haptimill_hil_sim::random::Random;
 use haptimill_hil_sim::rig::{Control, RigOptions};
 use haptimill_protocol::message::{
@@ -41,7 +41,7 @@ impl<C: Control> Scene<C> {
     /// One period in which the host says this besides.
     fn step(&mut self, besides: &[u8]) {
         self.bench
-            .step_spoiled(|bytes| bytes.extend_from_slice(besides));
+            .step_with_fault(|bytes| bytes.extend_from_slice(besides));
         assert_eq!(self.bench.rig.control().failure(), None);
         self.deeds.push(deed(&self.bench));
     }
@@ -51,7 +51,7 @@ impl<C: Control> Scene<C> {
     }
 
     fn state(&self) -> State {
-        let last = self.deeds.last().and_then(|deed| deed.reading);
+        let last = self.deeds.last().and_then(|deed| deed.snapshot);
         last.expect("configured").state
     }
 
@@ -75,7 +75,7 @@ fn worst_line<C: Control>(bench: Bench<C>) -> (Vec<Deed>, Vec<Event>, u32, u32) 
         scene
             .deeds
             .last()
-            .and_then(|deed| deed.reading)
+            .and_then(|deed| deed.snapshot)
             .expect("configured")
             .wanted[0]
     };
@@ -112,7 +112,7 @@ fn worst_line<C: Control>(bench: Bench<C>) -> (Vec<Deed>, Vec<Event>, u32, u32) 
 }
 
 /// A job over a line of 115,200 baud on which everything is wrong that can be, from the first byte on.
-fn bad_line<C: Control>(bench: Bench<C>) -> (Vec<Deed>, Vec<Event>, WireCount, u32) {
+fn bad_line<C: Control>(bench: Bench<C>) -> (Vec<Deed>, Vec<Event>, LineCounters, u32) {
     let mut scene = Scene::new(bench);
     scene
         .bench

@@ -316,28 +316,28 @@ fn an_emergency_stop_while_homing_leaves_nothing_homed() {
 fn a_host_that_falls_silent_lets_the_machine_brake_on_its_path() {
     let mut bench = moving(0, 20.0);
     let (line_y, line_z) = (wanted(&bench)[1], wanted(&bench)[2]);
-    let (mut begun, mut ended) = (None, None);
+    let (mut begun, mut mark) = (None, None);
     for period in 0..6000 {
         // Nobody writes: the host is dead, its bytes are lost.
-        bench.step_spoiled(Vec::clear);
+        bench.step_with_fault(Vec::clear);
         assert_eq!((wanted(&bench)[1], wanted(&bench)[2]), (line_y, line_z));
         let safety = bench.rig.control().safety();
         if begun.is_none() && safety.pending().is_some() {
             begun = Some(period);
         }
-        if ended.is_none() && state(&bench) == State::Fault {
-            ended = Some(period);
+        if mark.is_none() && state(&bench) == State::Fault {
+            mark = Some(period);
         }
     }
     // Heard every 70 ms; 500 ms of silence; 300 ms to brake (and 2 ms of rounding).
-    let (begun, ended) = (begun.expect("noticed"), ended.expect("latched"));
+    let (begun, mark) = (begun.expect("noticed"), mark.expect("latched"));
     eprintln!(
         "silent host: braking after {} ms, at rest {} ms later",
         begun / 5,
-        (ended - begun) / 5
+        (mark - begun) / 5
     );
     assert!((2150..=2510).contains(&begun), "{begun}");
-    assert!(ended - begun <= 1550, "{}", ended - begun);
+    assert!(mark - begun <= 1550, "{}", mark - begun);
     let safety = bench.rig.control().safety();
     assert!(
         matches!(

@@ -224,7 +224,7 @@ fn a_tool_on_its_way_back_is_not_stopped_at_once() {
         process.set_wall(None);
         let command = if reset {
             for _ in 0..6000 {
-                bench.step_spoiled(Vec::clear);
+                bench.step_with_fault(Vec::clear);
                 if state(&bench) == State::Fault {
                     break;
                 }
@@ -241,8 +241,8 @@ fn a_tool_on_its_way_back_is_not_stopped_at_once() {
         assert!(yielded(&bench) > 0.5 && yield_rate(&bench) < -1.0);
         bench.say(command);
         let rate = |bench: &Bench| {
-            let machinery = bench.rig.control().machinery().expect("configured");
-            f64::from(machinery.reference().rates[0].0) / MM
+            let machine = bench.rig.control().machine().expect("configured");
+            f64::from(machine.reference().rates[0].0) / MM
         };
         let mut before = rate(&bench);
         for _ in 0..5000 {

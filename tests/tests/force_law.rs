@@ -328,7 +328,7 @@ fn soft_limits_hold_for_the_reference() {
     let mut most = f64::NEG_INFINITY;
     for _ in 0..20_000 {
         bench.step();
-        let reference = bench.rig.control().machinery().expect("there").reference();
+        let reference = bench.rig.control().machine().expect("there").reference();
         most = most.max(f64::from(reference.pose.0[0].0) / MM);
     }
     assert_eq!(most, 1.0);

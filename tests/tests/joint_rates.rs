@@ -96,8 +96,8 @@ fn say(bench: &mut Bench, setpoints: &[Setpoint]) -> Option<Refusal> {
 /// The largest rate of a slide, mm/s, by differences of commanded positions, until the machine rests for 1000 periods.
 fn fastest(bench: &mut Bench) -> f64 {
     let slides = |bench: &Bench| {
-        let machinery = bench.rig.control().machinery().expect("configured");
-        let joints = machinery.target().joints.0;
+        let machine = bench.rig.control().machine().expect("configured");
+        let joints = machine.target().joints.0;
         [0, 1, 2, 3].map(|joint: usize| f64::from(joints[joint].0) / MM)
     };
     let (mut most, mut still) = (0.0_f64, 0);

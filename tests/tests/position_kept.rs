@@ -34,13 +34,13 @@ impl Kept {
     fn note(&mut self, bench: &Bench) {
         let control = bench.rig.control();
         let safety = control.safety();
-        let joints = control.machinery().expect("configured").joints();
+        let joints = control.machine().expect("configured").joints();
         let off = joints
             .zip(bench.rig.plant().bodies().motor)
             .enumerate()
-            .map(|(joint, (reading, truth))| {
+            .map(|(joint, (snapshot, truth))| {
                 let unit = if joint == 4 { DEGREE } else { MM };
-                (f64::from(reading.measured.0) / unit - truth).abs()
+                (f64::from(snapshot.measured.0) / unit - truth).abs()
             })
             .fold(0.0, f64::max);
         if !(safety.homed() && safety.position_kept()) {

@@ -200,12 +200,12 @@ struct Watched {
 
 impl Watched {
     fn rates(bench: &Bench) -> [i32; 6] {
-        let machinery = bench.rig.control().machinery().expect("configured");
-        machinery.motion.wanted().rates.map(|rate| rate.0)
+        let machine = bench.rig.control().machine().expect("configured");
+        machine.motion.wanted().rates.map(|rate| rate.0)
     }
 
     fn step(&mut self, spoil: impl FnOnce(&mut Vec<u8>)) {
-        self.bench.step_spoiled(spoil);
+        self.bench.step_with_fault(spoil);
         let safety = self.bench.rig.control().safety();
         let now = safety.state();
         let drives_on = safety.drives_on();
@@ -245,9 +245,9 @@ impl Watched {
             }
         }
         // The tool yields no further than it may, and not at all where the drives are off.
-        let machinery = self.bench.rig.control().machinery().expect("configured");
-        let force = machinery.force.as_ref().expect("has a sensor");
-        let reference = machinery.reference();
+        let machine = self.bench.rig.control().machine().expect("configured");
+        let force = machine.force.as_ref().expect("has a sensor");
+        let reference = machine.reference();
         for (axis, by) in force.displacements().iter().enumerate() {
             let yielded = i64::from(by.length().0);
             assert!(yielded.abs() <= i64::from(LARGEST_LIMIT.0));
@@ -408,9 +408,9 @@ fn a_refused_command_changes_nothing() {
         bench.steps(1000);
         let summary = |bench: &mut Bench| {
             let told = bench.status();
-            let machinery = bench.rig.control().machinery().expect("configured");
-            let sources: Vec<_> = (0..5).map(|axis| machinery.motion.source(axis)).collect();
-            let force = machinery.force.as_ref().expect("has a sensor");
+            let machine = bench.rig.control().machine().expect("configured");
+            let sources: Vec<_> = (0..5).map(|axis| machine.motion.source(axis)).collect();
+            let force = machine.force.as_ref().expect("has a sensor");
             let loops = [0, 1, 2].map(|axis| force.settings(axis).cloned());
             (
                 (force.mask(), force.conditioner().tared(), loops),
@@ -426,7 +426,7 @@ fn a_refused_command_changes_nothing() {
                     told.wanted,
                     told.fault,
                     sources,
-                    machinery.motion.program.accepted(),
+                    machine.motion.program.accepted(),
                 ),
             )
         };

@@ -189,7 +189,7 @@ fn a_cancelled_jog_is_over_whatever_comes_late() {
         bench.ask(jog(5, 1000, &[(1, 20.0)])).expect("jogs");
         bench.steps(300);
         bench.say(Command::JogCancel { epoch: 5 }).expect("room");
-        bench.step_spoiled(|bytes| {
+        bench.step_with_fault(|bytes| {
             if let Some(byte) = bytes.get_mut(offset) {
                 *byte ^= 0x55;
             }
@@ -510,10 +510,10 @@ fn what_nobody_heard_does_not_hide_what_came_last() {
     bench.events.clear();
     for _ in 0..20 {
         bench.rig.plant_mut().set_emergency_stop(true);
-        bench.step_spoiled(Vec::clear);
+        bench.step_with_fault(Vec::clear);
         bench.rig.plant_mut().set_emergency_stop(false);
         for _ in 0..300 {
-            bench.step_spoiled(Vec::clear);
+            bench.step_with_fault(Vec::clear);
         }
     }
     bench.link.open(99, bench.rig.time_ns() / 1000);

@@ -37,9 +37,9 @@ fn run_circle(faults: &[&str]) -> (Vec<[i32; 6]>, Bench) {
     let mut poses = vec![wanted(&bench)];
     for _ in 0..60_000 {
         // A host that has no more than 1.6 s in hand: the line is used all the time.
-        let machinery = bench.rig.control().machinery().expect("configured");
+        let machine = bench.rig.control().machine().expect("configured");
         let sent = 4 * (42 - job.len());
-        if sent < machinery.motion.program.reached() as usize + 32 || sent < 32 {
+        if sent < machine.motion.program.reached() as usize + 32 || sent < 32 {
             pump_one(&mut bench, &mut job);
         }
         bench.step();
@@ -158,7 +158,7 @@ fn an_urgent_stop_at_every_byte_stops_within_the_braking_time_and_loses_nothing(
         }
         let mut struck = false;
         let due = state(&bench) == State::Run && since_resume > 120 && next_offset < 80;
-        bench.step_spoiled(|bytes| {
+        bench.step_with_fault(|bytes| {
             // One more ping, so that there is a stream to break into.
             if due && !bytes.is_empty() {
                 let at = next_offset % (bytes.len() + 1);
@@ -220,7 +220,7 @@ fn nothing_that_was_said_before_a_stop_sets_the_machine_going_again() {
     bench.steps(2000);
     // `Resume` waits in the ring behind garbage while the stop overtakes it.
     bench.say(Command::Resume).expect("room");
-    bench.step_spoiled(|bytes| {
+    bench.step_with_fault(|bytes| {
         let mut flood = vec![7; 1000];
         flood.push(0);
         flood.append(bytes);
@@ -248,7 +248,7 @@ fn garbage_never_moves_the_machine_and_never_stops_the_link() {
         let before = wanted(&bench);
         // 340 ms: the heartbeat, less the silence before a sign of life that was lost and the one before the first that is heard again.
         for _ in 0..1700 {
-            bench.step_spoiled(|bytes| {
+            bench.step_with_fault(|bytes| {
                 let count = (random.fraction() * 40.0) as usize;
                 let garbage: Vec<u8> = (0..count)
                     .map(|_| (random.fraction() * 256.0) as u8)
@@ -285,7 +285,7 @@ fn a_second_host_is_refused_while_the_machine_moves_and_welcome_while_it_stands(
         let now = bench.rig.time_ns() / 1000;
         let mut buffer = [0; 256];
         let count = second.transmit(now, &mut buffer);
-        bench.step_spoiled(|bytes| bytes.extend(&buffer[..count]));
+        bench.step_with_fault(|bytes| bytes.extend(&buffer[..count]));
         let said = bench.rig.outputs().transmit.to_vec();
         second.receive(now, &said);
     }
@@ -348,7 +348,7 @@ fn no_host_takes_over_a_machine_that_moves_before_it_brakes() {
         let now = bench.rig.time_ns() / 1000;
         let mut buffer = [0; 256];
         let count = second.transmit(now, &mut buffer);
-        bench.step_spoiled(|bytes| *bytes = buffer[..count].to_vec());
+        bench.step_with_fault(|bytes| *bytes = buffer[..count].to_vec());
         let said = bench.rig.outputs().transmit.to_vec();
         second.receive(now, &said);
         match second.state(now) {

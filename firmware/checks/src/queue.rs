@@ -112,7 +112,7 @@ fn starving() {
         );
     }
     // At rest before the end of what is known, and it says for what it waits.
-    assert!(program.is_still());
+    assert!(program.is_at_standstill());
     assert_eq!(
         program.starving().map(|late| late.setpoint),
         Some(first as u32)

@@ -213,8 +213,8 @@ impl Bed {
     }
 
     fn wanted(&self) -> AxisValues {
-        let machinery = self.controller.machinery().expect("configured");
-        machinery.wanted_values()
+        let machine = self.controller.machine().expect("configured");
+        machine.commanded_values()
     }
 
     /// Starts a job: 8 mm in x, there and back, `times` times; gives the number of its setpoints.

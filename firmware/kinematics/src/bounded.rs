@@ -105,7 +105,7 @@ impl BoundedKinematics {
     /// # Errors
     /// As [`Kinematics::inverse_motion`].
     #[inline(never)]
-    pub fn place(
+    pub fn solve(
         &self,
         pose: &Pose,
         rates: &Rates,
@@ -237,7 +237,7 @@ impl Kinematics for BoundedKinematics {
         accelerations: &Accelerations,
     ) -> Result<JointMotion, PoseError> {
         let mut motion = JointMotion::default();
-        self.place(pose, rates, accelerations, &mut motion)?;
+        self.solve(pose, rates, accelerations, &mut motion)?;
         Ok(motion)
     }
 

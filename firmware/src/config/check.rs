@@ -1,7 +1,7 @@
 //! What makes a configuration acceptable. A refused one names the field, and the axis it belongs to.
 
 use super::{AxisKind, Config, Drive, JointAxis, Law, Model, PoseAxis};
-use crate::machinery::hand::HAND;
+use crate::config::HAND;
 use crate::motion::follow::MoverLimits;
 use crate::motion::{jog, program};
 use crate::reflection::config::HapticConfig;

@@ -10,7 +10,7 @@
 //! disagreement. Latency: outputs take effect one period after the inputs were latched. The pulses of a step axis *end* at the wanted position, at the end of that next
 //! period: two periods after the latch. A torque axis closes its loop on the wanted position of the latch.
 //!
-//! Misuse: [`JointDrive::sense`] once every period whether enabled or not, before [`JointDrive::drive`]. What is wanted must begin at what
+//! Misuse: [`JointDrive::measure`] once every period whether enabled or not, before [`JointDrive::servo`]. What is wanted must begin at what
 //! [`JointDrive::enable`] gives back.
 
 pub mod backlash;
@@ -104,7 +104,7 @@ pub struct Driven {
 
 /// Where a joint stands, and what is known of its encoder.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Kept {
+pub struct EncoderState {
     motor: Coordinate,
     slide: Coordinate,
     illegal: u32,
@@ -275,7 +275,7 @@ impl JointDrive {
 
     /// Reads the joint's inputs, latched at `time_ns` of the board's clock. Once every period.
     #[inline(never)]
-    pub fn sense(&mut self, inputs: &AxisInputs, time_ns: u32) -> &Sensed {
+    pub fn measure(&mut self, inputs: &AxisInputs, time_ns: u32) -> &Sensed {
         let measured = self.encoder.read(inputs, time_ns);
         if !self.sensed_once {
             self.sensed_once = true;
@@ -462,8 +462,8 @@ impl JointDrive {
     }
 
     /// What a joint of another configuration, whose counts mean the same, takes over.
-    pub fn standing(&self) -> Kept {
-        Kept {
+    pub fn standing(&self) -> EncoderState {
+        EncoderState {
             motor: self.sensed.motor,
             slide: self.sensed.coordinate,
             illegal: self.sensed.illegal,
@@ -473,7 +473,7 @@ impl JointDrive {
     }
 
     /// Takes over where a joint stood, whose counter is at `raw`, and what was wrong with its encoder.
-    pub fn take_over(&mut self, raw: i32, kept: &Kept) {
+    pub fn take_over(&mut self, raw: i32, kept: &EncoderState) {
         self.set_reference(raw, kept.motor);
         self.backlash.place(kept.slide);
         self.sensed.coordinate = self.backlash.carry(kept.motor);
@@ -535,7 +535,7 @@ impl JointDrive {
     /// The command of a period, for where the slide shall be, put into its place; off while disabled. Says whether the drive was asked for too much.
     // Called, not inlined: with registers of its own it is a third shorter than as a part of the whole period.
     #[inline(never)]
-    pub fn drive(
+    pub fn servo(
         &mut self,
         coordinate: Coordinate,
         rate: Rate,

@@ -1,6 +1,6 @@
 //! Force control: from the codes of a force sensor to the displacement by which the tool yields.
 //!
-//! Two stages of the corridor are here. *Sense* ([`ForceControl::sense`]): codes to forces on the tool ([`conditioning`]), their peak over a revolution of the spindle ([`peak`]), and whether sensor and
+//! Two stages of the corridor are here. *Sense* ([`ForceControl::measure`]): codes to forces on the tool ([`conditioning`]), their peak over a revolution of the spindle ([`peak`]), and whether sensor and
 //! contact can be believed. *Yield* ([`ForceControl::advance`]): the compliant displacement p_c of x, y and z of the work ([`compliance`], [`pole`]) under the eye of [`guard`]; the reference of
 //! the kinematics is p_r = p_d + p_c (spec h4-milling (3.31)-(3.33)).
 //!
@@ -263,7 +263,7 @@ impl ForceControl {
     /// Stage *sense*: the sample of this period, the commanded speed of the spindle, where the tool was measured (or wanted, where there is no certified pose), the angle of the table, and
     /// whether nothing touches the tool.
     #[inline]
-    pub fn sense(
+    pub fn measure(
         &mut self,
         sample: &ForceSample,
         spindle_rpm: i16,

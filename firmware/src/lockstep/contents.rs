@@ -5,7 +5,7 @@ use super::{Done, FrameError, Heard, Told};
 use crate::io::{
     AxisInputs, DriveCommand, ForceSample, HapticInputs, HapticOutputs, LegInputs, StepSegment,
 };
-use crate::reading::{ForceReading, HandReading, Reading};
+use crate::snapshot::{ForceSnapshot, HapticSnapshot, Snapshot};
 use haptimill_protocol::message::State;
 
 pub(super) fn put_force(words: &mut Writer<'_>, force: &ForceSample) {
@@ -122,28 +122,27 @@ pub(super) fn put_done(words: &mut Writer<'_>, done: &Told<'_>) {
         u32::from(heard.received) | u32::from(heard.waiting) << 16,
         u32::from(heard.lost_bytes) | u32::from(heard.urgent) << 16,
     ]);
-    let [a, b, c, d, e, f, g, h, i] = *done.stages;
-    words.put_all([a, b, c, d, e, f, g, h, i]);
-    let Some(reading) = done.reading else {
+    words.put_all(*done.stages);
+    let Some(snapshot) = done.snapshot else {
         return;
     };
-    let state = u32::from(reading.state.number());
-    let flags = u32::from(reading.homed)
-        | u32::from(reading.position_kept) << 1
-        | u32::from(reading.fault) << 2
-        | u32::from(reading.more) << 3;
+    let state = u32::from(snapshot.state.number());
+    let flags = u32::from(snapshot.homed)
+        | u32::from(snapshot.position_kept) << 1
+        | u32::from(snapshot.fault) << 2
+        | u32::from(snapshot.more) << 3;
     words.put_all([
-        1 | state << 8 | flags << 16 | u32::from(reading.queued & 0xFFF) << 20,
-        reading.setpoint,
-        u32::from(reading.path_rate) | u32::from(reading.spindle_rpm as u16) << 16,
+        1 | state << 8 | flags << 16 | u32::from(snapshot.queued & 0xFFF) << 20,
+        snapshot.setpoint,
+        u32::from(snapshot.path_rate) | u32::from(snapshot.spindle_rpm as u16) << 16,
     ]);
-    words.put_long(reading.program_time);
-    words.put_axes(&reading.wanted);
-    words.put_axes(&reading.joints_wanted);
-    words.put_axes(&reading.joints);
-    words.put_axes(&reading.following_error);
-    words.put_axes(&reading.drive);
-    let (force, hand) = (&reading.force, &reading.hand);
+    words.put_long(snapshot.program_time);
+    words.put_axes(&snapshot.wanted);
+    words.put_axes(&snapshot.joints_commanded);
+    words.put_axes(&snapshot.joints);
+    words.put_axes(&snapshot.following_error);
+    words.put_axes(&snapshot.drive);
+    let (force, hand) = (&snapshot.force, &snapshot.hand);
     words.put_vector(&force.high);
     words.put_vector(&force.low);
     words.put_vector(&force.yielded);
@@ -190,7 +189,7 @@ pub(super) fn take_done(words: &mut Reader<'_>) -> Result<Done, FrameError> {
     }
     let state = State::ALL.get((head >> 8 & 0xFF) as usize);
     let [setpoint, pair] = words.take_all();
-    done.reading = Some(Reading {
+    done.snapshot = Some(Snapshot {
         state: *state.ok_or(FrameError::Content)?,
         homed: head >> 16 & 1 != 0,
         position_kept: head >> 17 & 1 != 0,
@@ -202,16 +201,16 @@ pub(super) fn take_done(words: &mut Reader<'_>) -> Result<Done, FrameError> {
         spindle_rpm: (pair >> 16) as i16,
         program_time: words.take_long(),
         wanted: words.take_row(),
-        joints_wanted: words.take_row(),
+        joints_commanded: words.take_row(),
         joints: words.take_row(),
         following_error: words.take_row(),
         drive: words.take_row(),
-        force: ForceReading {
+        force: ForceSnapshot {
             high: words.take_row(),
             low: words.take_row(),
             yielded: words.take_row(),
         },
-        hand: HandReading {
+        hand: HapticSnapshot {
             tip: words.take_row(),
             force: words.take_row(),
             reflected: words.take_row(),

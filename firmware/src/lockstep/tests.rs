@@ -2,7 +2,7 @@ use super::*;
 use crate::io::{
     AxisInputs, DriveCommand, ForceSample, HapticInputs, HapticOutputs, LegInputs, StepSegment,
 };
-use crate::reading::{ForceReading, HandReading};
+use crate::snapshot::{ForceSnapshot, HapticSnapshot};
 use haptimill_protocol::message::{MAX_AXES, State};
 use proptest::prelude::*;
 
@@ -46,20 +46,20 @@ fn command() -> impl Strategy<Value = DriveCommand> {
 }
 
 prop_compose! {
-    fn reading()(
+    fn snapshot()(
         state in prop::sample::select(State::ALL.to_vec()),
         (homed, position_kept, fault, more, queued) in (any::<bool>(), any::<bool>(), any::<bool>(), any::<bool>(), 0_u16..0x1000),
         (setpoint, path_rate, spindle_rpm, program_time) in any::<(u32, u16, i16, u64)>(),
         rows: [[i32; MAX_AXES]; 5],
         [high, low, yielded]: [[i32; 3]; 3],
         [tip, felt, reflected, wall]: [[i32; 3]; 4],
-    ) -> Reading {
-        let [wanted, joints_wanted, joints, following_error, drive] = rows;
-        Reading {
+    ) -> Snapshot {
+        let [wanted, joints_commanded, joints, following_error, drive] = rows;
+        Snapshot {
             state, homed, position_kept, fault, more, queued, setpoint, path_rate, spindle_rpm, program_time,
-            wanted, joints_wanted, joints, following_error, drive,
-            force: ForceReading { high, low, yielded },
-            hand: HandReading { tip, force: felt, reflected, wall },
+            wanted, joints_commanded, joints, following_error, drive,
+            force: ForceSnapshot { high, low, yielded },
+            hand: HapticSnapshot { tip, force: felt, reflected, wall },
         }
     }
 }
@@ -72,7 +72,7 @@ prop_compose! {
         (received, waiting, lost_bytes, urgent) in any::<(u16, u16, u16, bool)>(),
         stages: [u32; STAGES],
         (enabled, currents) in any::<(bool, [[i16; 2]; 3])>(),
-        reading in prop::option::of(reading()),
+        snapshot in prop::option::of(snapshot()),
     ) -> Done {
         Done {
             period,
@@ -80,7 +80,7 @@ prop_compose! {
             said,
             heard: Heard { received, waiting, lost_bytes, urgent },
             stages,
-            reading,
+            snapshot,
         }
     }
 }

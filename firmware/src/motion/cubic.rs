@@ -156,7 +156,7 @@ impl Cubic {
 
     /// Whether the axis stands all the span long.
     #[must_use]
-    pub const fn is_still(&self) -> bool {
+    pub const fn is_at_standstill(&self) -> bool {
         self.c1 == 0 && self.c2 == 0 && self.c3 == 0
     }
 

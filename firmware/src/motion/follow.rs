@@ -137,7 +137,7 @@ impl Mover {
 
     /// Whether it stands.
     #[must_use]
-    pub const fn is_still(&self) -> bool {
+    pub const fn is_at_standstill(&self) -> bool {
         self.rate == 0
     }
 

@@ -162,7 +162,7 @@ impl Jog {
     /// Whether nothing moves.
     #[must_use]
     #[inline]
-    pub fn is_still(&self) -> bool {
+    pub fn is_at_standstill(&self) -> bool {
         self.alive == 0 && self.axis.iter().all(|axis| axis.rate.is_zero())
     }
 
@@ -182,7 +182,7 @@ impl Jog {
 
     /// One period. The flag names a coordinate that was kept from going on by its soft limit, or by the machine's reach.
     pub fn advance(&mut self, machine: &impl Kinematics) -> (Wanted, Option<u8>) {
-        if self.is_still() {
+        if self.is_at_standstill() {
             let pose = self.standing();
             return (
                 Wanted {
@@ -292,7 +292,7 @@ impl Jog {
     /// What is swept if the jog goes on for one period (or brakes already) and brakes then.
     #[must_use]
     pub fn stopping(&self, goes_on: bool) -> Option<Sweep> {
-        if self.is_still() {
+        if self.is_at_standstill() {
             return Some(Sweep::at(&self.standing()));
         }
         let mut targets = [0; MAX_AXES];

@@ -15,7 +15,7 @@ pub mod sweep;
 pub mod way;
 
 use crate::config::Config;
-use crate::machinery::hand::HAND;
+use crate::config::HAND;
 use crate::safety::integrity::constants;
 use follow::{Mover, MoverLimits};
 use haptimill_kinematics::{Accelerations, Kinematics, Pose, Rates};
@@ -121,7 +121,7 @@ impl Motion {
     }
 
     /// Wanted becomes `pose`, at rest. No motion, and no jump: the caller has measured it.
-    pub fn place(&mut self, pose: &Pose) {
+    pub fn set_position(&mut self, pose: &Pose) {
         self.wanted = Wanted {
             pose: *pose,
             ..Wanted::default()
@@ -195,7 +195,7 @@ impl Motion {
     }
 
     /// Where the hand wants the coordinates that it leads, in this period.
-    pub const fn lead(&mut self, targets: &[Option<Coordinate>; MAX_AXES]) {
+    pub const fn set_master_targets(&mut self, targets: &[Option<Coordinate>; MAX_AXES]) {
         self.targets = *targets;
     }
 
@@ -211,14 +211,14 @@ impl Motion {
     /// Whether nothing moves: neither the program, nor a jog, nor what follows a hand or brakes.
     #[must_use]
     #[inline]
-    pub fn is_still(&self) -> bool {
-        self.program.is_still() && self.jog.is_still() && self.movers_still()
+    pub fn is_at_standstill(&self) -> bool {
+        self.program.is_at_standstill() && self.jog.is_at_standstill() && self.movers_still()
     }
 
     /// Whether no mover is under way.
     #[must_use]
     pub fn movers_still(&self) -> bool {
-        !HAND || self.movers[..self.axes].iter().all(Mover::is_still)
+        !HAND || self.movers[..self.axes].iter().all(Mover::is_at_standstill)
     }
 
     /// A coordinate that the hand leads where the machine cannot go; once until it goes on.
@@ -344,7 +344,7 @@ impl Motion {
                     let target = self.targets[axis].filter(|_| free);
                     mover.advance_under(target, self.load, &self.bounds[axis]);
                 }
-                Source::Hold | Source::Program if !mover.is_still() => {
+                Source::Hold | Source::Program if !mover.is_at_standstill() => {
                     mover.advance(None, &self.bounds[axis])
                 }
                 _ => continue,
@@ -380,7 +380,7 @@ impl Motion {
                 .position(|other| *other == source)
                 .map(|axis| axis as u8)
         };
-        let jogged = first(Source::Jog).filter(|_| !self.jog.is_still());
+        let jogged = first(Source::Jog).filter(|_| !self.jog.is_at_standstill());
         let followed = first(Source::Master);
         if followed.is_some() {
             self.confined = true;
@@ -412,7 +412,7 @@ impl Motion {
             match self.sources[axis] {
                 Source::Program => {
                     sweep.take(axis, &program, self.offsets[axis]);
-                    if HAND && !mover.is_still() {
+                    if HAND && !mover.is_at_standstill() {
                         let (low, high) = mover.sweep(None, bounds);
                         let of = |end: Coordinate, by: i64| i64::from(end.0) + by;
                         sweep.reach(axis, of(program.low.0[axis], low));
@@ -427,13 +427,13 @@ impl Motion {
                     let target = self.targets[axis].filter(|_| hand_goes_on);
                     let (low, high) = mover.sweep(target, bounds);
                     // A mover at rest stays in its place, to the last bit.
-                    if target.is_some() || !mover.is_still() {
+                    if target.is_some() || !mover.is_at_standstill() {
                         sweep.reach(axis, low);
                         sweep.reach(axis, high);
                         sweep.quicken(axis, mover.peak(target, self.load, bounds));
                     }
                 }
-                Source::Hold if HAND && !mover.is_still() => {
+                Source::Hold if HAND && !mover.is_at_standstill() => {
                     let (low, high) = mover.sweep(None, bounds);
                     sweep.reach(axis, low);
                     sweep.reach(axis, high);

@@ -405,7 +405,7 @@ impl Program {
     /// Whether nothing moves along the path: braked to rest, waiting, or paused.
     #[must_use]
     #[inline]
-    pub fn is_still(&self) -> bool {
+    pub fn is_at_standstill(&self) -> bool {
         (self.path_rate.is_zero() && self.back == 0)
             || self.paused
             || !self.started
@@ -609,7 +609,7 @@ impl Program {
         let Some(cubic) = Cubic::new(start, start_rate, Coordinate(place), rate, span, wrap) else {
             return false;
         };
-        cubic.is_still()
+        cubic.is_at_standstill()
             || (cubic.keeps_mean_rate(limit, span)
                 && cubic.keeps_rate(limit, span)
                 && cubic.keeps_acceleration(self.acceleration_limits[axis], span))

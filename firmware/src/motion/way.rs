@@ -86,7 +86,7 @@ impl Way {
 
     /// Whether the axis stands all the span long.
     #[must_use]
-    pub fn is_still(&self) -> bool {
+    pub fn is_at_standstill(&self) -> bool {
         self.place == [0; 3]
     }
 

@@ -1,6 +1,6 @@
 //! The hand on a haptic arm: where it is, and what it shall feel (spec h4-milling 2.2, 2.4, 3.4, 3.5).
 //!
-//! Two stages of the corridor are here. *Sense* ([`Haptic::sense`]): nine counters to the pose of the handle, and whether they can be believed. *Feel* ([`Haptic::feel`]): the force on the tool through the [`law`],
+//! Two stages of the corridor are here. *Sense* ([`Haptic::measure`]): nine counters to the pose of the handle, and whether they can be believed. *Feel* ([`Haptic::render`]): the force on the tool through the [`law`],
 //! smoothed while the hand owes energy ([`smooth`]), the [`wall`]s, the damping that [`passivity`] and [`swing`] ask for, all within the limit of the axis and not faster than the configured step in a period, through the statics of the arm to six currents, all clamped together so that
 //! the direction stays. What is sensed of a force in a period is felt in the next: outputs take effect at its beginning.
 //!
@@ -12,19 +12,19 @@
 //! | forces | 2^-16 N; the force on the tool, and what the arm does to the hand |
 //! | torques of the motors | N mm, in f32, where the statics are |
 //!
-//! A problem with the arm takes its motors off in the period in which it is seen, and they stay off until [`Haptic::reset`]; one that comes and goes while they are off anyway is only told. Misuse: [`Haptic::feel`] without [`Haptic::sense`] before it in the same period.
+//! A problem with the arm takes its motors off in the period in which it is seen, and they stay off until [`Haptic::reset`]; one that comes and goes while they are off anyway is only told. Misuse: [`Haptic::render`] without [`Haptic::measure`] before it in the same period.
 
 pub mod config;
 pub mod law;
-pub mod lead;
+pub mod mapping;
 pub mod passivity;
 pub mod smooth;
 pub mod swing;
 pub mod wall;
 
 use crate::io::{HapticInputs, HapticOutputs, LEGS};
-use crate::reading::HandReading;
 use crate::safety::integrity::{Constants, Digest, constants};
+use crate::snapshot::HapticSnapshot;
 use config::HapticConfig;
 use haptimill_kinematics::haptic_arm::statics::Wrench;
 use haptimill_kinematics::haptic_arm::{ArmError, HandPose, HapticArm, LegReading};
@@ -33,7 +33,7 @@ use haptimill_math::scale::{difference, multiply_high, product, saturate, total}
 use haptimill_math::{Angle, Length, Rate};
 pub use haptimill_protocol::haptic::{COMPONENTS, Hand, HandProblem, HandTelemetry, Reflection};
 use law::Law;
-use lead::Frame;
+use mapping::Frame;
 use motors::Motors;
 use passivity::{Passivity, WHOLE, works};
 use smooth::Smoothing;
@@ -64,7 +64,7 @@ struct Sensor {
 
 /// What was felt by a tool afar.
 #[derive(Debug, Clone, Copy, Default)]
-struct Afar {
+struct RemoteMaster {
     force: [Force; COMPONENTS],
     /// Periods for which it is still believed.
     left: u32,
@@ -108,7 +108,7 @@ pub struct Haptic {
     ready: bool,
     /// How much of the reflection is let through, 2^-16.
     blend: i32,
-    afar: Afar,
+    remote: RemoteMaster,
     force: [Force; COMPONENTS],
     reflected: [Force; COMPONENTS],
     wall: [Force; COMPONENTS],
@@ -121,7 +121,7 @@ pub struct Haptic {
 }
 
 constants!(Haptic { arm, sensors, motors, illegal_most, smoothing, step, periods_per_second, blend_step, feel_periods } of {} but {
-    law, walls, passivity, swings, shares, supply, zero, illegal, pose, tip, moved, rates, engaged, ready, blend, afar, force, reflected, wall, enabled, problem, latched, fresh
+    law, walls, passivity, swings, shares, supply, zero, illegal, pose, tip, moved, rates, engaged, ready, blend, remote, force, reflected, wall, enabled, problem, latched, fresh
 });
 
 impl Haptic {
@@ -171,7 +171,7 @@ impl Haptic {
             engaged: false,
             ready: false,
             blend: 0,
-            afar: Afar::default(),
+            remote: RemoteMaster::default(),
             force: [Force::ZERO; COMPONENTS],
             reflected: [Force::ZERO; COMPONENTS],
             wall: [Force::ZERO; COMPONENTS],
@@ -180,7 +180,7 @@ impl Haptic {
             latched: false,
             fresh: false,
         };
-        haptic.sense(inputs);
+        haptic.measure(inputs);
         haptic
     }
 
@@ -201,7 +201,7 @@ impl Haptic {
     }
 
     /// Stage *sense*.
-    pub fn sense(&mut self, inputs: &HapticInputs) {
+    pub fn measure(&mut self, inputs: &HapticInputs) {
         self.engaged = inputs.engaged;
         self.ready = inputs.drives_ready;
         self.moved = [0; COMPONENTS];
@@ -329,8 +329,8 @@ impl Haptic {
     }
 
     /// What a tool afar feels, 2^-6 N.
-    pub fn feel_afar(&mut self, force: [i16; COMPONENTS]) {
-        self.afar = Afar {
+    pub fn set_remote_force(&mut self, force: [i16; COMPONENTS]) {
+        self.remote = RemoteMaster {
             force: force.map(|part| Force(i32::from(part) << 10)),
             left: self.feel_periods,
         };
@@ -338,12 +338,12 @@ impl Haptic {
 
     /// What was said last of a tool afar, 2^-6 N, believed or not.
     #[must_use]
-    pub fn felt_afar(&self) -> [i16; COMPONENTS] {
-        self.afar.force.map(|part| (part.0 >> 10) as i16)
+    pub fn remote_force(&self) -> [i16; COMPONENTS] {
+        self.remote.force.map(|part| (part.0 >> 10) as i16)
     }
 
     /// Stage *feel*: `tool` is what a tool here feels, `leads` whether the hand leads one now, `powered` whether the arm may have power.
-    pub fn feel(
+    pub fn render(
         &mut self,
         tool: Option<[Force; COMPONENTS]>,
         leads: bool,
@@ -360,9 +360,9 @@ impl Haptic {
         else {
             return self.let_go(outputs);
         };
-        self.afar.left = self.afar.left.saturating_sub(1);
-        let there = if self.afar.left > 0 {
-            self.afar.force
+        self.remote.left = self.remote.left.saturating_sub(1);
+        let there = if self.remote.left > 0 {
+            self.remote.force
         } else {
             [Force::ZERO; COMPONENTS]
         };
@@ -463,9 +463,9 @@ impl Haptic {
 
     /// What recorders want to know.
     #[must_use]
-    pub fn reading(&self) -> HandReading {
+    pub fn snapshot(&self) -> HapticSnapshot {
         let raw = |forces: &[Force; COMPONENTS]| forces.map(|force| force.0);
-        HandReading {
+        HapticSnapshot {
             tip: self.tip,
             force: raw(&self.force),
             reflected: raw(&self.reflected),

@@ -135,7 +135,7 @@ impl Homing {
                 self.phase = Phase::Rest;
                 Outcome::Searching
             }
-            (Phase::Rest, _) if jog.is_still() => {
+            (Phase::Rest, _) if jog.is_at_standstill() => {
                 Outcome::Found(self.corrections.map(Option::unwrap_or_default))
             }
             (Phase::Rest, _) => Outcome::Searching,

@@ -182,8 +182,8 @@ impl Bed {
 
     #[track_caller]
     pub fn arm(&self) -> &Haptic {
-        let machinery = self.controller.machinery().expect("configured");
-        machinery.hands.arm.as_ref().expect("an arm")
+        let machine = self.controller.machine().expect("configured");
+        machine.masters.arm.as_ref().expect("an arm")
     }
 
     /// The force at the hand, N.
@@ -251,15 +251,15 @@ impl Bed {
 
     pub fn wanted(&self) -> AxisValues {
         self.controller
-            .machinery()
+            .machine()
             .expect("configured")
-            .wanted_values()
+            .commanded_values()
     }
 
     /// A wanted coordinate in mm, and its rate in mm/s.
     pub fn at(&self, axis: usize) -> (f64, f64) {
-        let machinery = self.controller.machinery().expect("configured");
-        let wanted = machinery.motion.wanted();
+        let machine = self.controller.machine().expect("configured");
+        let wanted = machine.motion.wanted();
         (
             f64::from(wanted.pose.0[axis].0) / 1_048_576.0,
             f64::from(wanted.rates[axis].0) / 1_048_576.0,

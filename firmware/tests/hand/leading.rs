@@ -249,10 +249,10 @@ fn it_waits_in_front_of_where_the_machine_cannot_go() {
         watch = Watch::at(&bed);
     }
     assert_eq!(bed.state(), State::Run, "{:?}", bed.events);
-    let machinery = bed.controller.machinery().expect("configured");
+    let machine = bed.controller.machine().expect("configured");
     for axis in 1..3 {
-        let limits = &machinery.config.pose[axis];
-        let place = machinery.motion.wanted().pose.0[axis];
+        let limits = &machine.config.pose[axis];
+        let place = machine.motion.wanted().pose.0[axis];
         assert!((limits.low..=limits.high).contains(&place));
     }
     // And back.

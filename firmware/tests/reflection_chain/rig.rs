@@ -180,12 +180,12 @@ pub fn run(case: &Case) -> Outcome {
             v += force / MASS * 1000.0 * T / 4.0;
             x += v * T / 4.0;
         }
-        let machinery = mill.controller.machinery().expect("configured");
-        let reference = f64::from(machinery.reference().pose.0[0].0) / 1_048_576.0 - surface;
+        let machine = mill.controller.machine().expect("configured");
+        let reference = f64::from(machine.reference().pose.0[0].0) / 1_048_576.0 - surface;
         tool_rate += (DRIVE * DRIVE * (reference - tool) - 2.0 * DRIVE * tool_rate) * T;
         tool += tool_rate * T;
         let force = (-case.contact * tool).max(0.0);
-        let peak = machinery.force.as_ref().map_or(0.0, |force| {
+        let peak = machine.force.as_ref().map_or(0.0, |force| {
             f64::from(force.extremes()[0].peak().0) / NEWTON
         });
         mill.codes = Some([(force / CODE).round().min(8000.0) as i16, 0, 0]);

@@ -8,34 +8,34 @@ use serde::{Deserialize, Serialize};
 /// What goes wrong at the haptic arm.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
-pub enum HandFault {
+pub enum HapticFault {
     /// A channel of an encoder stands still.
     EncoderStuck {
         /// The encoder.
         #[serde(flatten)]
-        place: HandEncoder,
+        place: HapticEncoder,
         /// The channel.
         channel: Channel,
         /// The level at which it stands.
         level: Level,
     },
     /// The channels of an encoder are swapped: it counts backwards.
-    EncoderSwapped(HandEncoder),
+    EncoderSwapped(HapticEncoder),
     /// A counter jumps, once.
     EncoderSlip {
         /// The encoder.
         #[serde(flatten)]
-        place: HandEncoder,
+        place: HapticEncoder,
         /// By how much.
         counts: i32,
     },
     /// The plug of an encoder is out: both channels low.
-    EncoderDropped(HandEncoder),
+    EncoderDropped(HapticEncoder),
     /// Noise pulses on A, B or both.
     EncoderNoise {
         /// The encoder.
         #[serde(flatten)]
-        place: HandEncoder,
+        place: HapticEncoder,
         /// How many, on average.
         #[serde(rename = "per-second")]
         per_second: f64,
@@ -46,17 +46,17 @@ pub enum HandFault {
 
 /// One of the nine encoders.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub struct HandEncoder {
+pub struct HapticEncoder {
     /// The leg, 1 to 3.
     pub leg: u8,
     /// Which of the leg's.
-    pub sensor: HandSensor,
+    pub sensor: HapticSensor,
 }
 
 /// Encoder of a leg.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum HandSensor {
+pub enum HapticSensor {
     /// The slide d.
     Slide,
     /// The turn theta3.
@@ -65,7 +65,7 @@ pub enum HandSensor {
     Hinge,
 }
 
-impl Word for HandSensor {
+impl Word for HapticSensor {
     const WORDS: &'static [(&'static str, Self)] = &[
         ("slide", Self::Slide),
         ("turn", Self::Turn),
@@ -73,7 +73,7 @@ impl Word for HandSensor {
     ];
 }
 
-impl HandEncoder {
+impl HapticEncoder {
     fn read(keys: &mut Keys<'_>) -> Result<Self, String> {
         Ok(Self {
             leg: keys.number("leg")?,
@@ -82,15 +82,15 @@ impl HandEncoder {
     }
 }
 
-impl fmt::Display for HandEncoder {
+impl fmt::Display for HapticEncoder {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "leg={} sensor={}", self.leg, self.sensor.word())
     }
 }
 
-impl HandFault {
+impl HapticFault {
     /// The encoder that it is about, if it is about one.
-    pub const fn encoder(&self) -> Option<HandEncoder> {
+    pub const fn encoder(&self) -> Option<HapticEncoder> {
         match self {
             Self::EncoderStuck { place, .. }
             | Self::EncoderSwapped(place)
@@ -105,18 +105,18 @@ impl HandFault {
     pub(super) fn read(name: &str, keys: &mut Keys<'_>) -> Result<Self, String> {
         Ok(match name {
             "encoder-stuck" => Self::EncoderStuck {
-                place: HandEncoder::read(keys)?,
+                place: HapticEncoder::read(keys)?,
                 channel: keys.word("channel")?,
                 level: keys.word("level")?,
             },
-            "encoder-swapped" => Self::EncoderSwapped(HandEncoder::read(keys)?),
+            "encoder-swapped" => Self::EncoderSwapped(HapticEncoder::read(keys)?),
             "encoder-slip" => Self::EncoderSlip {
-                place: HandEncoder::read(keys)?,
+                place: HapticEncoder::read(keys)?,
                 counts: keys.number("counts")?,
             },
-            "encoder-dropped" => Self::EncoderDropped(HandEncoder::read(keys)?),
+            "encoder-dropped" => Self::EncoderDropped(HapticEncoder::read(keys)?),
             "encoder-noise" => Self::EncoderNoise {
-                place: HandEncoder::read(keys)?,
+                place: HapticEncoder::read(keys)?,
                 per_second: keys.number("per-second")?,
             },
             "amplifiers-tripped" => Self::AmplifiersTripped,
@@ -125,7 +125,7 @@ impl HandFault {
     }
 }
 
-impl fmt::Display for HandFault {
+impl fmt::Display for HapticFault {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::EncoderStuck {

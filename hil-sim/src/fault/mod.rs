@@ -17,7 +17,7 @@
 mod hand;
 mod text;
 
-pub use hand::{HandEncoder, HandFault, HandSensor};
+pub use hand::{HapticEncoder, HapticFault, HapticSensor};
 pub use text::catalogue;
 
 use core::fmt;
@@ -152,7 +152,7 @@ pub enum FaultKind {
         level: Level,
     },
     /// Something at the haptic arm.
-    Hand(HandFault),
+    Hand(HapticFault),
     /// The spindle stands, whatever it is told.
     SpindleStalled,
     /// The emergency stop circuit is open.
@@ -299,7 +299,7 @@ impl FaultKind {
     const fn bounded(&self) -> Option<(&'static str, f64, f64, f64)> {
         Some(match self {
             Self::EncoderNoise { per_second, .. }
-            | Self::Hand(HandFault::EncoderNoise { per_second, .. }) => {
+            | Self::Hand(HapticFault::EncoderNoise { per_second, .. }) => {
                 ("per-second", *per_second, 0.0, 50_000.0)
             }
             Self::DriveWeak { gain, .. } => ("gain", *gain, -100.0, 100.0),
@@ -349,7 +349,7 @@ impl Fault {
             return refuse(format!("`{key}={value}`: must be {low} to {high}"));
         }
         if let FaultKind::Hand(fault) = &self.what
-            && let Some(HandEncoder { leg, .. }) = fault.encoder()
+            && let Some(HapticEncoder { leg, .. }) = fault.encoder()
             && !(1..=LEGS).contains(&usize::from(leg))
         {
             return refuse(format!(

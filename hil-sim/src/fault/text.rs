@@ -1,6 +1,6 @@
 //! Faults as one line of text: `name key=value ... at=1.5s for=200ms`, keys in any order, parted by blanks or commas.
 
-use super::{Along, Channel, Direction, Fault, FaultError, FaultKind, HandFault, Level, Switch};
+use super::{Along, Channel, Direction, Fault, FaultError, FaultKind, HapticFault, Level, Switch};
 use core::fmt;
 use core::str::FromStr;
 
@@ -242,7 +242,7 @@ fn kind(name: &str, keys: &mut Keys<'_>) -> Result<FaultKind, String> {
             direction: keys.direction()?,
         },
         _ => match name.strip_prefix("hand-") {
-            Some(rest) => FaultKind::Hand(HandFault::read(rest, keys)?),
+            Some(rest) => FaultKind::Hand(HapticFault::read(rest, keys)?),
             None => return Err(format!("{name} is in the catalogue only")),
         },
     })

@@ -13,7 +13,7 @@
 //! Units: mm, rad, s, N, N mm; base frame of the arm, z from the base to the handle. Places of tip and grip "from home" are from where they are at the home pose.
 //!
 //! Misuse: the arm has end stops, but who pushes it through them with enough force reaches a pose that no leg can hold. The handle then stands still until it is pulled back, and
-//! [`HapticTruth::jammed`] counts the substeps.
+//! [`HapticGroundTruth::jammed`] counts the substeps.
 
 mod config;
 pub mod dynamics;
@@ -29,7 +29,7 @@ pub use sensors::{HapticEncoders, Readings};
 
 use crate::check::PlantError;
 use crate::joint::encoder::EncoderCondition;
-use crate::operator::{Hand, HandConfig, Handle, Intention, Live, Rail, ReferencePart};
+use crate::operator::{Handle, Live, Operator, OperatorConfig, Rail, ReferencePart, Trajectory};
 use crate::vector::{Vector, minus, plus, times};
 use dynamics::{Acting, Body, Dynamics, Friction, product};
 use geometry::{Leg, Matrix, OutOfReach, Twist, turned};
@@ -49,7 +49,7 @@ const ASLEEP: u32 = 2500;
 
 /// What really is, at the end of a period.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct HapticTruth {
+pub struct HapticGroundTruth {
     /// Centre of the platform, mm.
     pub centre: Vector,
     /// Frame of the platform.
@@ -83,7 +83,7 @@ pub struct HapticTruth {
 /// What there is beside the arm itself.
 #[derive(Debug, Clone, Default)]
 struct Surroundings {
-    hand: Option<Hand>,
+    hand: Option<Operator>,
     rail: Option<Rail>,
     part: Option<ReferencePart>,
     /// Something else pushes at the platform's centre, N.
@@ -113,7 +113,7 @@ pub struct HapticArm {
     engaged: bool,
     /// Periods for which nothing has moved and nobody wanted anything.
     idle: u32,
-    truth: HapticTruth,
+    truth: HapticGroundTruth,
 }
 
 impl HapticArm {
@@ -186,11 +186,11 @@ impl HapticArm {
             powered: true,
             engaged: false,
             idle: 0,
-            truth: HapticTruth::default(),
+            truth: HapticGroundTruth::default(),
             config: config.clone(),
             geometry,
         };
-        arm.see_truth();
+        arm.update_ground_truth();
         Ok(arm)
     }
 
@@ -198,14 +198,14 @@ impl HapticArm {
     ///
     /// # Errors
     /// Every problem of the configuration.
-    pub fn take(&mut self, hand: Option<&HandConfig>) -> Result<(), Vec<PlantError>> {
+    pub fn take(&mut self, hand: Option<&OperatorConfig>) -> Result<(), Vec<PlantError>> {
         self.idle = 0;
         self.dynamics.body = self.bare.clone();
         self.around.hand = None;
         if let Some(config) = hand {
             config.check()?;
             self.dynamics.body = self.bare.clone().with(config.mass_kg, config.grip_mm);
-            let hand = Hand::new(config, &self.handle(), self.period_s());
+            let hand = Operator::new(config, &self.handle(), self.period_s());
             self.around.hand = Some(hand);
         }
         Ok(())
@@ -234,10 +234,10 @@ impl HapticArm {
     }
 
     /// The hand means to do something else; nothing happens without a hand.
-    pub fn intend(&mut self, intention: Intention) {
+    pub fn set_trajectory(&mut self, trajectory: Trajectory) {
         self.idle = 0;
         if let Some(hand) = &mut self.around.hand {
-            hand.intend(intention);
+            hand.set_trajectory(trajectory);
         }
     }
 
@@ -246,10 +246,10 @@ impl HapticArm {
         self.idle = 0;
         self.engaged = live.engaged;
         if let Some(hand) = &mut self.around.hand {
-            if matches!(hand.intention(), Intention::Live(_)) {
+            if matches!(hand.trajectory(), Trajectory::Live(_)) {
                 hand.live(live);
             } else {
-                hand.intend(Intention::Live(live));
+                hand.set_trajectory(Trajectory::Live(live));
             }
         }
     }
@@ -260,7 +260,7 @@ impl HapticArm {
     }
 
     /// The hand.
-    pub const fn hand(&self) -> Option<&Hand> {
+    pub const fn hand(&self) -> Option<&Operator> {
         self.around.hand.as_ref()
     }
 
@@ -275,7 +275,7 @@ impl HapticArm {
     }
 
     /// What really is.
-    pub const fn truth(&self) -> &HapticTruth {
+    pub const fn truth(&self) -> &HapticGroundTruth {
         &self.truth
     }
 
@@ -291,7 +291,7 @@ impl HapticArm {
     pub fn strike(&mut self, twist: Twist) {
         self.idle = 0;
         self.motion.twist = twist;
-        self.see_truth();
+        self.update_ground_truth();
     }
 
     /// Lets something push at the platform's centre (N), until it is changed.
@@ -310,7 +310,7 @@ impl HapticArm {
         self.motion = Motion::at(pose);
         let now = readings(&self.geometry, &self.legs);
         self.sensors.follow(&now, self.time_ns);
-        self.see_truth();
+        self.update_ground_truth();
         Ok(())
     }
 
@@ -368,8 +368,8 @@ impl HapticArm {
         let now = readings(&self.geometry, &self.legs);
         self.sensors.follow(&now, self.time_ns);
         self.time_ns += self.period_ns;
-        self.see_truth();
-        let holds = |hand: &Hand| matches!(hand.intention(), Intention::Hold);
+        self.update_ground_truth();
+        let holds = |hand: &Operator| matches!(hand.trajectory(), Trajectory::Hold);
         let content = self.around.hand.as_ref().is_none_or(holds);
         let rests = content && self.motion.twist.iter().all(|rate| rate.abs() < RESTS);
         self.idle = if rests {
@@ -379,7 +379,7 @@ impl HapticArm {
         };
         if self.idle == ASLEEP {
             self.motion.twist = [0.0; 6];
-            self.see_truth();
+            self.update_ground_truth();
         }
     }
 
@@ -494,7 +494,7 @@ impl HapticArm {
         }
     }
 
-    fn see_truth(&mut self) {
+    fn update_ground_truth(&mut self) {
         let motion = &self.motion;
         let frame = motion.frame();
         if let Ok(legs) = self.geometry.legs(&motion.pose()) {
@@ -518,7 +518,7 @@ impl HapticArm {
             .as_ref()
             .and_then(|part| part.touch(place, velocity));
         let hand = self.around.hand.as_ref();
-        self.truth = HapticTruth {
+        self.truth = HapticGroundTruth {
             centre: motion.centre,
             frame,
             twist: motion.twist,
@@ -527,9 +527,9 @@ impl HapticArm {
             joints: readings(&self.geometry, &self.legs),
             motors: core::array::from_fn(|leg| [forces[2 * leg], forces[2 * leg + 1]]),
             reflected,
-            hand: hand.map_or([0.0; 3], Hand::force),
-            pace: hand.map_or(1.0, Hand::pace),
-            done: hand.is_none_or(|hand| hand.wish().done),
+            hand: hand.map_or([0.0; 3], Operator::force),
+            pace: hand.map_or(1.0, Operator::pace),
+            done: hand.is_none_or(|hand| hand.desired().done),
             contact: touch.map_or([0.0; 3], |touch| times(touch.normal, touch.push)),
             depth: touch.map_or(0.0, |touch| touch.depth),
             jammed: self.truth.jammed,

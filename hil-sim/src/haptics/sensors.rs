@@ -8,7 +8,7 @@
 
 use crate::check::Check;
 use crate::joint::encoder::{Encoder, EncoderCondition, Track};
-use crate::joint::mechanics::Lanes;
+use crate::joint::mechanics::JointArray;
 use crate::random::Random;
 use haptimill_firmware::io::{LEGS, LegInputs};
 use serde::{Deserialize, Serialize};
@@ -95,7 +95,7 @@ impl Sensors {
     /// The joints went where they are now, from `time_ns` on, within a period.
     pub fn follow(&mut self, now: &Readings, time_ns: u64) {
         for (encoders, (last, now)) in self.encoders.iter_mut().zip(self.last.iter().zip(now)) {
-            let mut rows: [Lanes; 2] = Default::default();
+            let mut rows: [JointArray; 2] = Default::default();
             rows[0][..SENSORS].copy_from_slice(last);
             rows[1][..SENSORS].copy_from_slice(now);
             for (lane, encoder) in encoders.iter_mut().enumerate() {

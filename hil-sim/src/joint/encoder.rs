@@ -9,14 +9,14 @@
 //! an edge is timed to a fraction of a step.
 
 use crate::joint::JointConfig;
-use crate::joint::mechanics::Lanes;
+use crate::joint::mechanics::JointArray;
 use crate::random::Random;
 use haptimill_firmware::drive::quadrature::Quadrature;
 use haptimill_firmware::io::AxisInputs;
 
 /// What the counter hardware shows.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Reading {
+pub struct EncoderReading {
     /// x4 counter, wraps around.
     pub counts: i32,
     /// Time of the last counted edge, ns, wraps around.
@@ -32,7 +32,7 @@ pub struct Reading {
 /// The way of one shaft through a control period: its coordinate at evenly spaced samples, the first where the last way ended.
 #[derive(Debug, Clone, Copy)]
 pub struct Track<'a> {
-    rows: &'a [Lanes],
+    rows: &'a [JointArray],
     lane: usize,
     low: f64,
     high: f64,
@@ -40,7 +40,7 @@ pub struct Track<'a> {
 
 impl<'a> Track<'a> {
     /// The way of lane `lane` of these samples of all shafts; `low` and `high` are its least and its largest coordinate.
-    pub const fn new(rows: &'a [Lanes], lane: usize, low: f64, high: f64) -> Self {
+    pub const fn new(rows: &'a [JointArray], lane: usize, low: f64, high: f64) -> Self {
         Self {
             rows,
             lane,
@@ -83,12 +83,12 @@ struct EdgeCounter {
     decoder: Quadrature,
     levels: Levels,
     /// What the counter showed when the decoder took over.
-    before: Reading,
+    before: EncoderReading,
     edge_time_ns: u32,
 }
 
 impl EdgeCounter {
-    fn new(levels: Levels, before: Reading) -> Self {
+    fn new(levels: Levels, before: EncoderReading) -> Self {
         let mut decoder = Quadrature::new(before.counts);
         // The first levels are where a decoder starts.
         decoder.feed(levels.a, levels.b, levels.index, before.edge_time_ns);
@@ -110,10 +110,10 @@ impl EdgeCounter {
         self.levels = levels;
     }
 
-    fn reading(&self) -> Reading {
+    fn reading(&self) -> EncoderReading {
         let mut seen = AxisInputs::default();
         self.decoder.latch(&mut seen);
-        Reading {
+        EncoderReading {
             counts: seen.counts,
             edge_time_ns: self.edge_time_ns,
             illegal: self.before.illegal.wrapping_add(seen.illegal),
@@ -157,7 +157,7 @@ pub struct Encoder {
     state: i64,
     /// Count state in which the counter stood at 0.
     zero: i64,
-    reading: Reading,
+    reading: EncoderReading,
     condition: EncoderCondition,
     /// Once a fault touched the encoder, its edges go through here.
     edges: Option<EdgeCounter>,
@@ -189,7 +189,7 @@ impl Encoder {
             reversed: joint.encoder.reversed,
             state,
             zero: state,
-            reading: Reading::default(),
+            reading: EncoderReading::default(),
             condition: EncoderCondition::default(),
             edges: None,
             random,
@@ -208,7 +208,7 @@ impl Encoder {
             reversed,
             state,
             zero: state,
-            reading: Reading::default(),
+            reading: EncoderReading::default(),
             condition: EncoderCondition::default(),
             edges: None,
             random,
@@ -217,7 +217,7 @@ impl Encoder {
 
     /// What the counter shows.
     #[inline]
-    pub fn reading(&self) -> Reading {
+    pub fn reading(&self) -> EncoderReading {
         self.edges
             .as_ref()
             .map_or(self.reading, EdgeCounter::reading)
@@ -242,7 +242,7 @@ impl Encoder {
             let reading = edges.reading();
             *edges = EdgeCounter::new(
                 edges.levels,
-                Reading {
+                EncoderReading {
                     counts: reading.counts.wrapping_add(counts),
                     ..reading
                 },

@@ -14,19 +14,19 @@ use crate::joint::JointConfig;
 use haptimill_protocol::message::MAX_AXES;
 
 /// One value for each joint.
-pub type Lanes = [f64; MAX_AXES];
+pub type JointArray = [f64; MAX_AXES];
 
 /// Positions and rates of both sides of every joint.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Bodies {
     /// Motor side, as a coordinate of the axis.
-    pub motor: Lanes,
+    pub motor: JointArray,
     /// Rate of the motor side, per second.
-    pub motor_rate: Lanes,
+    pub motor_rate: JointArray,
     /// Slide side: where the slide really is.
-    pub slide: Lanes,
+    pub slide: JointArray,
     /// Rate of the slide side, per second.
-    pub slide_rate: Lanes,
+    pub slide_rate: JointArray,
 }
 
 /// Constants of the joints, ready for the inner loop.
@@ -35,39 +35,39 @@ pub struct Mechanics {
     /// Half a step, seconds.
     half_step: f64,
     /// Half the gap.
-    half_gap: Lanes,
+    half_gap: JointArray,
     /// Stiffness of the screw.
-    stiffness: Lanes,
+    stiffness: JointArray,
     /// Damping of the screw, while it touches.
-    damping: Lanes,
+    damping: JointArray,
     /// How hard a closed gap can pull: nothing when there is a gap, without bound when there is none.
-    pull: Lanes,
+    pull: JointArray,
     /// Change of rate by one unit of effort in a step, motor side.
-    motor_kick: Lanes,
+    motor_kick: JointArray,
     /// The same, slide side.
-    slide_kick: Lanes,
+    slide_kick: JointArray,
     /// Coulomb friction as the change of rate in a step, motor side.
-    motor_coulomb: Lanes,
+    motor_coulomb: JointArray,
     /// The same, slide side.
-    slide_coulomb: Lanes,
+    slide_coulomb: JointArray,
     /// Part of the rate that viscous friction leaves after a step, motor side.
-    motor_keep: Lanes,
+    motor_keep: JointArray,
     /// The same, slide side.
-    slide_keep: Lanes,
+    slide_keep: JointArray,
     /// Lower hard stop.
-    low: Lanes,
+    low: JointArray,
     /// Upper hard stop.
-    high: Lanes,
+    high: JointArray,
     /// Stiffness of the hard stops.
-    stop_stiffness: Lanes,
+    stop_stiffness: JointArray,
     /// Damping of the hard stops.
-    stop_damping: Lanes,
+    stop_damping: JointArray,
     /// Coulomb friction of the healthy slide side.
-    healthy_coulomb: Lanes,
+    healthy_coulomb: JointArray,
     /// Inertia of the motor side divided by the acceleration unit: effort per axis unit per second squared.
-    motor_inertia: Lanes,
+    motor_inertia: JointArray,
     /// The same, slide side.
-    slide_inertia: Lanes,
+    slide_inertia: JointArray,
 }
 
 #[inline(always)]
@@ -159,7 +159,7 @@ impl Mechanics {
 
     /// One step: `drive` acts on the motor sides, `load` on the slides.
     #[inline(always)]
-    pub fn step(&self, bodies: &mut Bodies, drive: &Lanes, load: &Lanes) {
+    pub fn step(&self, bodies: &mut Bodies, drive: &JointArray, load: &JointArray) {
         let half = self.half_step;
         for i in 0..MAX_AXES {
             let motor = bodies.motor[i] + half * bodies.motor_rate[i];

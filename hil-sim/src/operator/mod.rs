@@ -9,7 +9,7 @@
 //! force    F = K (x_d - x) + B (v - x') + E, at most F_max     the arm's own spring and damper, at once
 //! ```
 //!
-//! with x_d the place that the intention has reached at that pace ([`intention`]). The mass of the hand is held at the grip and moves with the handle. Turning goes the same way
+//! with x_d the place that the intention has reached at that pace ([`trajectory`]). The mass of the hand is held at the grip and moves with the handle. Turning goes the same way
 //! about the upright handle, without a pace. Where the hand presses against an edge, the direction of the edge's normal has a force instead of a place.
 //!
 //! One set of numbers serves everything; where they come from is told in docs/decisions. F_0 and T_r decide how a hand yields: of a pace of 20 mm/s 12 are left against 2.8 N, 4 against
@@ -23,13 +23,13 @@ pub mod contact;
 pub mod trajectory;
 
 pub use contact::{Rail, ReferencePart};
-pub use trajectory::{Intention, Live, Stroke, Trace};
+pub use trajectory::{Live, Stroke, Trace, Trajectory};
 
 use crate::check::{Check, PlantError};
 use crate::vector::{Vector, dot, length, minus, plus, times};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
-use trajectory::{Carried, Wish, without};
+use trajectory::{Carried, DesiredMotion, without};
 
 /// A hand: the `[plant.hand]` section of a machine file. All keys may be left out.
 ///
@@ -54,7 +54,7 @@ use trajectory::{Carried, Wish, without};
 /// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct HandConfig {
+pub struct OperatorConfig {
     /// Where the handle is held, in the platform's frame, mm.
     pub grip_mm: [f64; 3],
     /// Mass of hand and forearm that moves with the handle, kg.
@@ -83,7 +83,7 @@ pub struct HandConfig {
     pub stop_force_n: f64,
 }
 
-impl Default for HandConfig {
+impl Default for OperatorConfig {
     fn default() -> Self {
         Self {
             grip_mm: [0.0, 0.0, 75.0],
@@ -103,7 +103,7 @@ impl Default for HandConfig {
     }
 }
 
-impl HandConfig {
+impl OperatorConfig {
     /// Checks everything and gives every problem, not the first alone.
     ///
     /// # Errors
@@ -146,7 +146,7 @@ pub struct Handle {
 
 /// What was felt and seen at a moment.
 #[derive(Debug, Clone, Copy, Default)]
-struct Seen {
+struct Observation {
     resistance: f64,
     off: Vector,
     turned: Vector,
@@ -154,13 +154,13 @@ struct Seen {
 
 /// A hand at work.
 #[derive(Debug, Clone)]
-pub struct Hand {
-    config: HandConfig,
+pub struct Operator {
+    config: OperatorConfig,
     carried: Carried,
-    wish: Wish,
-    past: VecDeque<Seen>,
+    desired: DesiredMotion,
+    past: VecDeque<Observation>,
     /// Felt along the way, N.
-    felt: f64,
+    applied: f64,
     /// Effort and moment of the slow correction.
     effort: Vector,
     moment: Vector,
@@ -180,19 +180,19 @@ fn within(vector: Vector, most: f64) -> Vector {
     }
 }
 
-impl Hand {
+impl Operator {
     /// A hand that holds the handle where it is; it is asked once every `period_s` seconds. The configuration must have passed its check.
-    pub fn new(config: &HandConfig, handle: &Handle, period_s: f64) -> Self {
+    pub fn new(config: &OperatorConfig, handle: &Handle, period_s: f64) -> Self {
         let delay = libm::round(config.reaction_s / period_s) as usize;
-        let carried = Carried::new(Intention::Hold, handle.tip);
+        let carried = Carried::new(Trajectory::Hold, handle.tip);
         Self {
-            wish: Wish {
+            desired: DesiredMotion {
                 place: handle.tip,
-                ..Wish::default()
+                ..DesiredMotion::default()
             },
             carried,
-            past: core::iter::repeat_n(Seen::default(), delay).collect(),
-            felt: 0.0,
+            past: core::iter::repeat_n(Observation::default(), delay).collect(),
+            applied: 0.0,
             effort: [0.0; 3],
             moment: [0.0; 3],
             force: [0.0; 3],
@@ -203,13 +203,13 @@ impl Hand {
     }
 
     /// How it was set up.
-    pub const fn config(&self) -> &HandConfig {
+    pub const fn config(&self) -> &OperatorConfig {
         &self.config
     }
 
     /// Forms a new intention; it begins where the old one has led. The hand goes on pushing as it does.
-    pub fn intend(&mut self, intention: Intention) {
-        self.carried = Carried::new(intention, self.wish.place);
+    pub fn set_trajectory(&mut self, trajectory: Trajectory) {
+        self.carried = Carried::new(trajectory, self.desired.place);
     }
 
     /// Says anew what is wanted; nothing comes of it unless the intention is a live one.
@@ -218,13 +218,13 @@ impl Hand {
     }
 
     /// The intention.
-    pub const fn intention(&self) -> &Intention {
-        self.carried.intention()
+    pub const fn trajectory(&self) -> &Trajectory {
+        self.carried.trajectory()
     }
 
     /// What is wanted at the moment.
-    pub const fn wish(&self) -> &Wish {
-        &self.wish
+    pub const fn desired(&self) -> &DesiredMotion {
+        &self.desired
     }
 
     /// Part of its pace that the hand keeps.
@@ -239,10 +239,10 @@ impl Hand {
 
     /// One period: felt, seen, thought.
     pub fn think(&mut self, handle: &Handle, dt: f64) {
-        let off = minus(self.wish.place, handle.tip);
-        let now = Seen {
-            resistance: dot(self.force, self.wish.along),
-            off: match self.wish.press {
+        let off = minus(self.desired.place, handle.tip);
+        let now = Observation {
+            resistance: dot(self.force, self.desired.along),
+            off: match self.desired.press {
                 Some((normal, _)) => without(off, normal),
                 None => off,
             },
@@ -252,13 +252,13 @@ impl Hand {
         let seen = self.past.pop_front().unwrap_or_default();
         let config = &self.config;
         let keep = dt / (config.smoothing_s + dt);
-        self.felt += (seen.resistance - self.felt) * keep;
-        self.pace = (1.0 - self.felt / config.stop_force_n).clamp(0.0, 1.0);
-        self.wish = self.carried.advance(dt, self.pace, handle.tip);
+        self.applied += (seen.resistance - self.applied) * keep;
+        self.pace = (1.0 - self.applied / config.stop_force_n).clamp(0.0, 1.0);
+        self.desired = self.carried.advance(dt, self.pace, handle.tip);
         let (gain, step) = (config.effort_gain, dt / (config.effort_s + dt));
         let towards = |from: Vector, to: Vector| plus(from, times(minus(to, from), step));
         self.effort = towards(self.effort, times(seen.off, gain * config.stiffness));
-        if let Some((normal, _)) = self.wish.press {
+        if let Some((normal, _)) = self.desired.press {
             self.effort = without(self.effort, normal);
         }
         self.effort = within(self.effort, config.force_limit_n);
@@ -273,15 +273,15 @@ impl Hand {
         (turned, spin): (Vector, Vector),
         later: f64,
     ) -> (Vector, Vector) {
-        let (config, wish) = (&self.config, &self.wish);
-        let wanted = plus(wish.place, times(wish.velocity, later));
+        let (config, desired) = (&self.config, &self.desired);
+        let wanted = plus(desired.place, times(desired.velocity, later));
         let mut spring = times(minus(wanted, place), config.stiffness);
         let mut press = [0.0; 3];
-        if let Some((normal, force)) = wish.press {
+        if let Some((normal, force)) = desired.press {
             spring = without(spring, normal);
             press = times(normal, force);
         }
-        let damper = times(minus(wish.velocity, velocity), config.damping);
+        let damper = times(minus(desired.velocity, velocity), config.damping);
         let sum = plus(plus(spring, damper), plus(self.effort, press));
         self.force = within(sum, config.force_limit_n);
         let turning: Vector = core::array::from_fn(|i| {

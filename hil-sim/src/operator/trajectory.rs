@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 /// What the person means to do.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
-pub enum Intention {
+pub enum Trajectory {
     /// To hold the handle where it is.
     #[default]
     Hold,
@@ -70,7 +70,7 @@ pub struct Live {
 
 /// What the person wants at a moment.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct Wish {
+pub struct DesiredMotion {
     /// Place of the tip from home, mm.
     pub place: Vector,
     /// Velocity of that place, mm/s.
@@ -86,7 +86,7 @@ pub struct Wish {
 /// An intention while it is carried out.
 #[derive(Debug, Clone)]
 pub struct Carried {
-    intention: Intention,
+    trajectory: Trajectory,
     time: f64,
     /// Strokes that are done.
     index: usize,
@@ -107,15 +107,15 @@ fn paced(speed: f64, limit: f64, remaining: f64, acceleration: f64, dt: f64) -> 
 
 impl Carried {
     /// An intention formed with the tip at a place.
-    pub fn new(intention: Intention, tip: Vector) -> Self {
-        let angle = match &intention {
-            Intention::Trace(trace) => {
+    pub fn new(trajectory: Trajectory, tip: Vector) -> Self {
+        let angle = match &trajectory {
+            Trajectory::Trace(trace) => {
                 libm::atan2(tip[1] - trace.centre_mm[1], tip[0] - trace.centre_mm[0])
             }
             _ => 0.0,
         };
         Self {
-            intention,
+            trajectory,
             time: 0.0,
             index: 0,
             place: tip,
@@ -126,45 +126,45 @@ impl Carried {
     }
 
     /// The intention.
-    pub const fn intention(&self) -> &Intention {
-        &self.intention
+    pub const fn trajectory(&self) -> &Trajectory {
+        &self.trajectory
     }
 
     /// Says anew what is wanted, when the intention is a live one.
     pub const fn live(&mut self, live: Live) {
-        if let Intention::Live(said) = &mut self.intention {
+        if let Trajectory::Live(said) = &mut self.trajectory {
             *said = live;
         }
     }
 
     /// One period of `dt` seconds: `pace` of the speed is kept (1 all, 0 none), the tip is at `tip`.
-    pub fn advance(&mut self, dt: f64, pace: f64, tip: Vector) -> Wish {
+    pub fn advance(&mut self, dt: f64, pace: f64, tip: Vector) -> DesiredMotion {
         self.time += dt;
-        let still = Wish {
+        let still = DesiredMotion {
             place: self.place,
-            ..Wish::default()
+            ..DesiredMotion::default()
         };
-        match &self.intention {
-            Intention::Hold => Wish {
+        match &self.trajectory {
+            Trajectory::Hold => DesiredMotion {
                 done: true,
                 ..still
             },
-            Intention::Live(live) => {
+            Trajectory::Live(live) => {
                 self.place = live.place_mm;
                 let speed = length(live.velocity_mm_s);
-                Wish {
+                DesiredMotion {
                     place: live.place_mm,
                     velocity: live.velocity_mm_s,
                     along: match speed > 1e-3 {
                         true => times(live.velocity_mm_s, 1.0 / speed),
                         false => [0.0; 3],
                     },
-                    ..Wish::default()
+                    ..DesiredMotion::default()
                 }
             }
-            Intention::Strokes(strokes) => {
+            Trajectory::Strokes(strokes) => {
                 let Some(stroke) = strokes.get(self.index) else {
-                    return Wish {
+                    return DesiredMotion {
                         done: true,
                         ..still
                     };
@@ -186,18 +186,18 @@ impl Carried {
                 let along = times(way, 1.0 / remaining);
                 let step = (self.speed * dt).min(remaining).max(remaining.min(1e-9));
                 self.place = plus(self.place, times(along, step));
-                Wish {
+                DesiredMotion {
                     place: self.place,
                     velocity: times(along, self.speed),
                     along,
-                    ..Wish::default()
+                    ..DesiredMotion::default()
                 }
             }
-            Intention::Trace(trace) => self.trace(*trace, dt, pace, tip),
+            Trajectory::Trace(trace) => self.trace(*trace, dt, pace, tip),
         }
     }
 
-    fn trace(&mut self, trace: Trace, dt: f64, pace: f64, tip: Vector) -> Wish {
+    fn trace(&mut self, trace: Trace, dt: f64, pace: f64, tip: Vector) -> DesiredMotion {
         let [x, y] = trace.centre_mm;
         let outwards = [tip[0] - x, tip[1] - y, 0.0];
         let distance = length(outwards);
@@ -219,7 +219,7 @@ impl Carried {
         self.place[1] = y + trace.radius_mm * sin;
         let along = [-side * sin, side * cos, 0.0];
         let moving = self.speed > 0.0;
-        Wish {
+        DesiredMotion {
             place: self.place,
             velocity: times(along, self.speed),
             along: if moving { along } else { [0.0; 3] },

@@ -38,7 +38,7 @@ use crate::check::PlantError;
 use crate::process::chip::{Edge, Frame, NO_CHIP, View, rotated};
 use crate::process::config::{CutterConfig, CuttingConfig};
 use crate::process::cutter::{Cutter, Node};
-use crate::process::removal::Carver;
+use crate::process::removal::MaterialRemoval;
 use crate::process::tooth_path::{PASSES, ToothPath};
 use crate::process::workpiece::Workpiece;
 use crate::vector::{Vector, dot, minus, plus};
@@ -107,7 +107,7 @@ pub struct Cutting {
     cutter: Cutter,
     workpiece: Workpiece,
     path: ToothPath,
-    carver: Carver,
+    carver: MaterialRemoval,
     centre: Vector,
     /// Spindle angle, turns, 0 to 1: of the first tooth's tip from y_w, clockwise.
     angle: f64,
@@ -127,7 +127,7 @@ impl Cutting {
             cutter: Cutter::new(&config.cutter, config.workpiece.cell_mm),
             workpiece: Workpiece::new(&config.workpiece),
             path: ToothPath::new(centre),
-            carver: Carver::new(radius, centre),
+            carver: MaterialRemoval::new(radius, centre),
             centre,
             angle: 0.0,
             chips_mm3: 0.0,
@@ -140,7 +140,7 @@ impl Cutting {
         self.settle();
         self.centre = pose.centre(self.config.radius_mm);
         self.path = ToothPath::new(self.centre);
-        self.carver = Carver::new(self.config.radius_mm, self.centre);
+        self.carver = MaterialRemoval::new(self.config.radius_mm, self.centre);
     }
 
     /// Takes everything that the tool has passed from the map, whatever is still remembered as passes of teeth. For measuring the surface; when
@@ -152,7 +152,7 @@ impl Cutting {
         }
         self.carver.finish(&mut self.workpiece);
         self.path = ToothPath::new(self.centre);
-        self.carver = Carver::new(self.config.radius_mm, self.centre);
+        self.carver = MaterialRemoval::new(self.config.radius_mm, self.centre);
     }
 
     /// The workpiece; the last few tooth periods are not in it yet, see [`Cutting::settle`].

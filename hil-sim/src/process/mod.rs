@@ -94,7 +94,7 @@ pub struct Process {
 
 /// What a period at the tool gave.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Felt {
+pub struct ProcessResult {
     /// Where the tip really is, mm.
     pub tip: Vector,
     /// Force on the tool, N.
@@ -136,7 +136,7 @@ impl Process {
     }
 
     /// One period: the slides hold the tool at `pose`, the table is turned by `alpha` degrees, the spindle is told `rpm`.
-    pub fn step(&mut self, pose: &ToolPose, alpha: f64, rpm: f64) -> Felt {
+    pub fn step(&mut self, pose: &ToolPose, alpha: f64, rpm: f64) -> ProcessResult {
         let mut pose = *pose;
         if let Some(structure) = &self.structure {
             let deflection = Arm::to_work(structure.deflection(), alpha);
@@ -160,7 +160,7 @@ impl Process {
         if let Some(sensor) = &mut self.sensor {
             sensor.sample(self.force, alpha);
         }
-        Felt {
+        ProcessResult {
             tip: self.tip,
             force: self.force,
         }

@@ -28,7 +28,7 @@ const BACK: f64 = 0.002;
 
 /// The way that is cut.
 #[derive(Debug, Clone)]
-pub struct Carver {
+pub struct MaterialRemoval {
     radius: f64,
     /// The stretch that waits, from where the workpiece is cut up to.
     waiting: Vec<Vector>,
@@ -45,7 +45,7 @@ fn distance(a: Vector, b: Vector) -> f64 {
     dot(off, off).sqrt()
 }
 
-impl Carver {
+impl MaterialRemoval {
     /// A ball of this radius that stands in the air.
     pub fn new(radius: f64, centre: Vector) -> Self {
         Self {

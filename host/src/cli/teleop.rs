@@ -602,7 +602,7 @@ impl Run<'_> {
                 format!("machine fault: {}", outcome.faults.join("; ")),
             ),
             Ended::HandLost => (Exit::Port, "the hand is lost".to_string()),
-            Ended::HandFault => (Exit::Fault, "the arm is off".to_string()),
+            Ended::HapticFault => (Exit::Fault, "the arm is off".to_string()),
         };
         let error = CliError::new(exit, outcome.because.unwrap_or(why));
         Err(if self.args.json { error.told() } else { error })

@@ -149,7 +149,7 @@ pub fn columns(recording: &Recording) -> Vec<Column> {
         ("tool", |record| &record.tool),
     ];
     let joints: [(&'static str, Row); 3] = [
-        ("joint_wanted", |record| &record.joints_wanted),
+        ("joint_wanted", |record| &record.joints_commanded),
         ("joint_measured", |record| &record.joints),
         ("joint_error", |record| &record.following_error),
     ];
@@ -190,12 +190,12 @@ pub fn columns(recording: &Recording) -> Vec<Column> {
     if header.hand {
         all.extend(three("hand", "mm", |record| &record.hand.tip, 1.0 / MM));
         all.push(Column::plain("hand_held", "hand", "", Field::Held));
-        let hands: [(&'static str, Forces); 3] = [
+        let masters: [(&'static str, Forces); 3] = [
             ("hand_force", |record| &record.hand.force),
             ("hand_reflected", |record| &record.hand.reflected),
             ("hand_wall", |record| &record.hand.wall),
         ];
-        for (group, row) in hands {
+        for (group, row) in masters {
             all.extend(three(group, "n", row, NEWTON));
         }
     }

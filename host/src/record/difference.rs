@@ -112,8 +112,8 @@ pub fn unequal(
         (
             "wanted joint",
             &header.joints,
-            &one.joints_wanted,
-            &other.joints_wanted,
+            &one.joints_commanded,
+            &other.joints_commanded,
         ),
         (
             "following error",

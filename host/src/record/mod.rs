@@ -89,10 +89,10 @@ pub use mcap::write_mcap;
 pub use reader::{Happening, Periods, Recording, RecordingError, Records};
 pub use writer::{RESERVE_BYTES, Recorded, Recorder, free_bytes};
 
-pub use haptimill_hil_sim::io_log::{Period, Tape};
+pub use haptimill_hil_sim::io_log::{IoLog, Period};
 
 use haptimill_firmware::io::COMPONENTS;
-use haptimill_firmware::reading::{ForceReading, HandReading, Reading};
+use haptimill_firmware::snapshot::{ForceSnapshot, HapticSnapshot, Snapshot};
 use haptimill_protocol::message::{MAX_AXES, State};
 
 /// Samples a second in an MCAP file, unless another number is asked for.
@@ -186,7 +186,7 @@ pub struct Record {
     /// Wanted pose.
     pub wanted: Axes,
     /// Wanted joints.
-    pub joints_wanted: Axes,
+    pub joints_commanded: Axes,
     /// Measured joints.
     pub joints: Axes,
     /// Following error of the joints, wanted less measured.
@@ -198,11 +198,11 @@ pub struct Record {
     /// The programmed pose at this time, whatever the controller makes of it.
     pub programmed: Axes,
     /// Peak force, its opposite end, and by how much the tool yields.
-    pub force: ForceReading,
+    pub force: ForceSnapshot,
     /// The true force on the tool, 2^-16 N.
     pub true_force: [i32; COMPONENTS],
     /// The hand, where there is a haptic arm.
-    pub hand: HandReading,
+    pub hand: HapticSnapshot,
     /// What is known of it, see [`flag::HAND_KNOWN`].
     pub hand_flags: u32,
 }
@@ -214,24 +214,24 @@ impl Record {
     }
 
     /// What the controller knew of itself in a period; truth and programmed geometry are left as they are.
-    pub fn set_reading(&mut self, period: u64, reading: &Reading) {
+    pub fn set_reading(&mut self, period: u64, snapshot: &Snapshot) {
         self.period = period;
-        self.setpoint = reading.setpoint;
-        self.path_rate = reading.path_rate;
-        self.spindle_rpm = reading.spindle_rpm;
-        self.state = reading.state;
-        self.wanted = reading.wanted;
-        self.joints_wanted = reading.joints_wanted;
-        self.joints = reading.joints;
-        self.following_error = reading.following_error;
-        self.drive = reading.drive;
-        self.force = reading.force;
-        self.hand = reading.hand;
+        self.setpoint = snapshot.setpoint;
+        self.path_rate = snapshot.path_rate;
+        self.spindle_rpm = snapshot.spindle_rpm;
+        self.state = snapshot.state;
+        self.wanted = snapshot.wanted;
+        self.joints_commanded = snapshot.joints_commanded;
+        self.joints = snapshot.joints;
+        self.following_error = snapshot.following_error;
+        self.drive = snapshot.drive;
+        self.force = snapshot.force;
+        self.hand = snapshot.hand;
         self.hand_flags |= flag::HAND_KNOWN;
         for (set, flag) in [
-            (reading.homed, flag::HOMED),
-            (reading.position_kept, flag::POSITION_KEPT),
-            (reading.fault, flag::FAULT),
+            (snapshot.homed, flag::HOMED),
+            (snapshot.position_kept, flag::POSITION_KEPT),
+            (snapshot.fault, flag::FAULT),
         ] {
             self.flags = self.flags & !flag | if set { flag } else { 0 };
         }
@@ -257,7 +257,7 @@ impl Record {
         let three = |row: usize| {
             std::array::from_fn(|axis| i32::from_le_bytes(word(4 + 12 * row + 4 * axis)))
         };
-        self.hand = HandReading {
+        self.hand = HapticSnapshot {
             tip: three(0),
             force: three(1),
             reflected: three(2),
@@ -277,7 +277,7 @@ impl Record {
         bytes[21] = self.flags;
         let rows = [
             &self.wanted,
-            &self.joints_wanted,
+            &self.joints_commanded,
             &self.joints,
             &self.following_error,
             &self.drive,
@@ -311,19 +311,19 @@ impl Record {
             state: *State::ALL.get(usize::from(bytes[20]))?,
             flags: bytes[21],
             wanted: axes(24),
-            joints_wanted: axes(48),
+            joints_commanded: axes(48),
             joints: axes(72),
             following_error: axes(96),
             drive: axes(120),
             tool: axes(144),
             programmed: axes(168),
-            force: ForceReading {
+            force: ForceSnapshot {
                 high: forces(192),
                 low: forces(204),
                 yielded: forces(216),
             },
             true_force: forces(228),
-            hand: HandReading::default(),
+            hand: HapticSnapshot::default(),
             hand_flags: 0,
         })
     }

@@ -4,7 +4,7 @@ use super::blocks::{HEAD_BYTES, Head, Kind};
 use super::header::{Cursor, START_BYTES};
 use super::{CRC, HAND_BYTES, HAND_VERSION, Header, MAGIC, RECORD_BYTES, Record, VERSION};
 use haptimill_firmware::config::{AxisKind, Config, Drive};
-use haptimill_hil_sim::io_log::{Period, Reel};
+use haptimill_hil_sim::io_log::{IoLogDecoder, Period};
 use sha2::{Digest, Sha256};
 use std::collections::VecDeque;
 use std::fmt::{self, Write as _};
@@ -279,7 +279,7 @@ impl Recording {
     pub fn read_periods(&self) -> Result<Periods, RecordingError> {
         Ok(Periods {
             blocks: self.contents(Kind::Periods)?,
-            reel: None,
+            decoder: None,
         })
     }
 
@@ -512,7 +512,7 @@ impl Iterator for Records {
 /// The periods of a recording.
 pub struct Periods {
     blocks: Blocks,
-    reel: Option<Reel>,
+    decoder: Option<IoLogDecoder>,
 }
 
 impl Iterator for Periods {
@@ -520,8 +520,8 @@ impl Iterator for Periods {
 
     fn next(&mut self) -> Option<Self::Item> {
         loop {
-            if let Some(reel) = &mut self.reel
-                && let Some(period) = reel.next()
+            if let Some(decoder) = &mut self.decoder
+                && let Some(period) = decoder.next()
             {
                 return Some(period.map_err(|at| {
                     RecordingError::Format(
@@ -533,7 +533,9 @@ impl Iterator for Periods {
                 }));
             }
             match self.blocks.next()? {
-                Ok((place, contents)) => self.reel = Some(Reel::new(place.head.count, contents)),
+                Ok((place, contents)) => {
+                    self.decoder = Some(IoLogDecoder::new(place.head.count, contents))
+                }
                 Err(error) => return Some(Err(error)),
             }
         }

@@ -1,6 +1,6 @@
 use super::*;
 use crate::machine::MachineFile;
-use haptimill_firmware::reading::{ForceReading, HandReading};
+use haptimill_firmware::snapshot::{ForceSnapshot, HapticSnapshot};
 use proptest::prelude::*;
 use sha2::{Digest, Sha256};
 use std::path::PathBuf;
@@ -49,7 +49,7 @@ fn any_record() -> impl Strategy<Value = Record> {
             )| {
                 let [
                     wanted,
-                    joints_wanted,
+                    joints_commanded,
                     joints,
                     following_error,
                     drive,
@@ -65,13 +65,13 @@ fn any_record() -> impl Strategy<Value = Record> {
                     state: State::ALL[state],
                     flags,
                     wanted,
-                    joints_wanted,
+                    joints_commanded,
                     joints,
                     following_error,
                     drive,
                     tool,
                     programmed,
-                    force: ForceReading { high, low, yielded },
+                    force: ForceSnapshot { high, low, yielded },
                     true_force,
                     ..Record::default()
                 }
@@ -96,7 +96,7 @@ proptest! {
             let mut recorder = Recorder::create(&file.0, &header).unwrap();
             let mut wanted = Vec::new();
             for (record, [tip, force, reflected, wall]) in &records {
-                let with = Record { hand_flags: 3, hand: HandReading { tip: *tip, force: *force, reflected: *reflected, wall: *wall }, ..*record };
+                let with = Record { hand_flags: 3, hand: HapticSnapshot { tip: *tip, force: *force, reflected: *reflected, wall: *wall }, ..*record };
                 recorder.record(&with);
                 wanted.push(if hand { with } else { *record });
             }
@@ -117,10 +117,10 @@ proptest! {
     fn periods_come_back_as_they_were(periods in prop::collection::vec(any_period(), 0..40), steady in 0usize..9) {
         let file = TemporaryFile::new("periods.hmr");
         let mut recorder = Recorder::create(&file.0, &header()).unwrap();
-        let mut tape = Tape::new();
+        let mut io_log = IoLog::new();
         let (before, after) = periods.split_at(periods.len() / 2);
-        before.iter().for_each(|period| tape.add(&period.inputs, &period.outputs));
-        recorder.take_up(tape);
+        before.iter().for_each(|period| io_log.add(&period.inputs, &period.outputs));
+        recorder.take_up(io_log);
         after.iter().for_each(|period| recorder.period(&period.inputs, &period.outputs));
         // Counters that run evenly, as most do.
         let mut last = periods.last().cloned().unwrap_or_default();
@@ -181,7 +181,7 @@ fn small() -> Vec<u8> {
     let make = || {
         let file = TemporaryFile::new("small.hmr");
         let mut recorder = Recorder::create(&file.0, &header()).unwrap();
-        recorder.take_up(Tape::new());
+        recorder.take_up(IoLog::new());
         recorder.event(3, 1, "the slide is warm");
         for number in 0..70_u64 {
             let mut period = Period::default();
@@ -336,7 +336,7 @@ fn what_is_foreign_or_of_another_version_is_told_apart() {
 fn a_clock_and_a_counter_that_run_evenly_cost_nothing() {
     let file = TemporaryFile::new("even.hmr");
     let mut recorder = Recorder::create(&file.0, &header()).unwrap();
-    recorder.take_up(Tape::new());
+    recorder.take_up(IoLog::new());
     let mut period = Period::default();
     for number in 0..20_000_u64 {
         period.inputs.period = number;

@@ -4,7 +4,7 @@
 //! few blocks and then time, never a record.
 
 use super::blocks::{Head, Kind};
-use super::{Header, Period, Record, Tape};
+use super::{Header, IoLog, Period, Record};
 use haptimill_firmware::io::{Inputs, Outputs};
 use sha2::{Digest, Sha256};
 use std::fmt::Write as _;
@@ -34,7 +34,7 @@ enum Task {
         contents: Vec<u8>,
     },
     /// A tape to be written, and to go on with.
-    Tape(Box<Tape>),
+    IoLog(Box<IoLog>),
     /// The next periods of the tape.
     Periods(Vec<Period>),
 }
@@ -157,9 +157,9 @@ impl Recorder {
     }
 
     /// Goes on with a tape that has all periods of the controller up to now; [`Recorder::period`] must be told each that follows.
-    pub fn take_up(&mut self, tape: Tape) {
-        if tape.is_whole() {
-            self.send(Task::Tape(Box::new(tape)));
+    pub fn take_up(&mut self, io_log: IoLog) {
+        if io_log.is_whole() {
+            self.send(Task::IoLog(Box::new(io_log)));
             self.periods = Some(Vec::with_capacity(BATCH_PERIODS));
         }
     }
@@ -301,7 +301,7 @@ impl Recorder {
         if let Some(periods) = self.periods.take() {
             // Ends the tape too.
             self.send(Task::Periods(periods));
-            self.send(Task::Tape(Box::default()));
+            self.send(Task::IoLog(Box::default()));
         }
     }
 
@@ -361,8 +361,8 @@ impl Writer<'_> {
     }
 
     /// Whole blocks of a tape.
-    fn tape(&mut self, tape: &mut Tape) -> io::Result<()> {
-        for block in tape.take() {
+    fn io_log(&mut self, io_log: &mut IoLog) -> io::Result<()> {
+        for block in io_log.take() {
             self.block(Kind::Periods, block.count, &block.bytes)?;
         }
         Ok(())
@@ -386,7 +386,7 @@ fn write(
         bytes: 0,
     };
     writer.put(header)?;
-    let mut tape = Box::<Tape>::default();
+    let mut io_log = Box::<IoLog>::default();
     for task in tasks {
         match task {
             Task::Block {
@@ -401,17 +401,17 @@ fn write(
                     let _ = memory.blocks.try_send(contents);
                 }
             }
-            Task::Tape(next) => {
-                tape.close();
-                writer.tape(&mut tape)?;
-                tape = next;
-                writer.tape(&mut tape)?;
+            Task::IoLog(next) => {
+                io_log.close();
+                writer.io_log(&mut io_log)?;
+                io_log = next;
+                writer.io_log(&mut io_log)?;
             }
             Task::Periods(mut periods) => {
                 for period in &periods {
-                    tape.add(&period.inputs, &period.outputs);
+                    io_log.add(&period.inputs, &period.outputs);
                 }
-                writer.tape(&mut tape)?;
+                writer.io_log(&mut io_log)?;
                 periods.clear();
                 let _ = memory.batches.try_send(periods);
             }

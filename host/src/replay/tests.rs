@@ -1,7 +1,7 @@
 use super::*;
 use crate::machine::MachineFile;
 use crate::record::tests::{TemporaryFile, header};
-use crate::record::{Recorder, Tape};
+use crate::record::{IoLog, Recorder};
 use haptimill_protocol::link::{HostLink, Timing};
 use haptimill_protocol::message::{CONFIG_CHUNK, Command, ConfigChunk, Request};
 use proptest::prelude::*;
@@ -62,7 +62,7 @@ fn standing() -> &'static [Period] {
             while link.poll_message().is_some() {}
         }
         assert!(commands.peek().is_none(), "not all was said");
-        let reading = rig.control().reading(rig.inputs()).unwrap();
+        let reading = rig.control().snapshot(rig.inputs()).unwrap();
         assert_eq!(reading.state, haptimill_protocol::message::State::Idle);
         periods
     })
@@ -71,7 +71,7 @@ fn standing() -> &'static [Period] {
 /// Records periods.
 fn record(path: &Path, periods: &[Period]) -> Recording {
     let mut recorder = Recorder::create(path, &header()).unwrap();
-    recorder.take_up(Tape::new());
+    recorder.take_up(IoLog::new());
     for period in periods {
         recorder.period(&period.inputs, &period.outputs);
     }

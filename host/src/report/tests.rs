@@ -34,7 +34,7 @@ fn circle(outside: f64, late: f64, name: &str) -> (TemporaryFile, Recorded) {
         // 0.1 s of standstill before and behind.
         let time = (index as f64 - 500.0).clamp(0.0, periods as f64) * PERIOD;
         let (wanted, done) = (at(time, 15.0), at((time - late).max(0.0), 15.0 + outside));
-        let (joints_wanted, joints_done) = (raw(joints(wanted)), raw(joints(done)));
+        let (joints_commanded, joints_done) = (raw(joints(wanted)), raw(joints(done)));
         recorder.record(&Record {
             period: 77 + index,
             setpoint: (index / 500) as u32,
@@ -44,9 +44,9 @@ fn circle(outside: f64, late: f64, name: &str) -> (TemporaryFile, Recorded) {
             state: State::Run,
             flags: flag::HOMED | flag::POSITION_KEPT | flag::TOOL_TRUE | flag::PROGRAMMED,
             wanted: row(wanted),
-            joints_wanted,
+            joints_commanded,
             joints: joints_done,
-            following_error: std::array::from_fn(|i| joints_wanted[i] - joints_done[i]),
+            following_error: std::array::from_fn(|i| joints_commanded[i] - joints_done[i]),
             drive: std::array::from_fn(|i| {
                 if i < 4 {
                     (1000.0 * (time * (i as f64 + 1.0)).sin()) as i32

@@ -10,7 +10,7 @@ use crate::machine::MachineFile;
 use crate::machine::scale::{PER_EFFORT, to_i32};
 use crate::session::{HandCourse, Session, SimLine};
 use haptimill_hil_sim::haptics::HapticArm;
-use haptimill_hil_sim::operator::{Intention, Rail, ReferencePart, Stroke, Trace};
+use haptimill_hil_sim::operator::{Rail, ReferencePart, Stroke, Trace, Trajectory};
 use haptimill_hil_sim::rig::Control;
 use haptimill_protocol::haptic::{ReflectAxis, Reflection, Wall};
 use haptimill_protocol::message::{Command, RATE_SHIFT, Source};
@@ -33,7 +33,7 @@ pub struct Led {
     /// A wall that moves along x at this rate from where the handle is, mm/s; below it the hand is pushed back.
     pub wall_mm_s: Option<f64>,
     /// What the person means to do.
-    pub intention: fn() -> Intention,
+    pub trajectory: fn() -> Trajectory,
 }
 
 /// Where the boost ends, N: what is stronger is clearly felt (spec h4-milling 3.4).
@@ -46,7 +46,7 @@ impl PartialEq for Led {
             let feels = (led.reflect, led.boost, led.wall_mm_s);
             (axes, yields, rail, part, feels)
         };
-        key(self) == key(other) && (self.intention)() == (other.intention)()
+        key(self) == key(other) && (self.trajectory)() == (other.trajectory)()
     }
 }
 
@@ -54,20 +54,20 @@ impl PartialEq for Led {
 pub const NO_HAPTIC_ARM: &str = "this machine has no haptic arm";
 
 /// The handle along a rail towards -X, 30 mm, to and fro as often as there are times; a person who begins gently and is fastest late, as the thesis's (E8: 3 to 4.5 s).
-fn strokes(times: &[f64]) -> Intention {
+fn strokes(times: &[f64]) -> Trajectory {
     let stroke = |(index, at_s): (usize, &f64)| Stroke {
         at_s: *at_s,
         to_mm: [if index % 2 == 0 { -30.0 } else { 0.0 }, 0.0, 0.0],
         pace_mm_s: 14.0,
         ramp_s: 3.0,
     };
-    Intention::Strokes(times.iter().enumerate().map(stroke).collect())
+    Trajectory::Strokes(times.iter().enumerate().map(stroke).collect())
 }
 
 /// E6: away as fast as the stated 20 mm in the first second ask for.
 #[must_use]
-pub fn swiftly() -> Intention {
-    Intention::Strokes(vec![Stroke {
+pub fn swiftly() -> Trajectory {
+    Trajectory::Strokes(vec![Stroke {
         at_s: 0.0,
         to_mm: [-60.0, 0.0, 0.0],
         pace_mm_s: 26.0,
@@ -77,8 +77,8 @@ pub fn swiftly() -> Intention {
 
 /// E6: slower than the wall.
 #[must_use]
-pub fn slowly() -> Intention {
-    Intention::Strokes(vec![Stroke {
+pub fn slowly() -> Trajectory {
+    Trajectory::Strokes(vec![Stroke {
         at_s: 0.0,
         to_mm: [-12.0, 0.0, 0.0],
         pace_mm_s: 3.0,
@@ -88,21 +88,21 @@ pub fn slowly() -> Intention {
 
 /// E8: once.
 #[must_use]
-pub fn once() -> Intention {
+pub fn once() -> Trajectory {
     strokes(&[0.0])
 }
 
 /// E10: there, back and there again, each when the program has gone sideways.
 #[must_use]
-pub fn three_times() -> Intention {
+pub fn three_times() -> Trajectory {
     strokes(&[0.0, 9.0, 19.0])
 }
 
 /// E12: round in the reference part, first towards -X and -Y.
 #[must_use]
-pub fn round() -> Intention {
+pub fn round() -> Trajectory {
     let part = ReferencePart::default();
-    Intention::Trace(Trace {
+    Trajectory::Trace(Trace {
         at_s: 0.5,
         centre_mm: part.centre_mm,
         radius_mm: part.path_radius(),
@@ -179,7 +179,7 @@ impl Led {
         session.line_mut().begin_hand();
         let arm = arm(session)?;
         arm.set_engaged(true);
-        arm.intend((self.intention)());
+        arm.set_trajectory((self.trajectory)());
         Ok(())
     }
 

@@ -107,7 +107,7 @@ const ON_THE_RAIL: Led = Led {
     reflect: [(40, 3.2), (10, 3.2), (20, 1.2)],
     boost: 0.0,
     wall_mm_s: None,
-    intention: led::once,
+    trajectory: led::once,
 };
 
 /// The wall of E6, on a rail; nothing is cut.
@@ -115,7 +115,7 @@ const AT_THE_WALL: Led = Led {
     axes: &[],
     reflect: [(0, 0.0), (0, 0.0), (0, 0.0)],
     wall_mm_s: Some(-4.0),
-    intention: led::swiftly,
+    trajectory: led::swiftly,
     ..ON_THE_RAIL
 };
 
@@ -221,7 +221,7 @@ pub fn all() -> Vec<Scenario> {
                     "e6-hand.ngc",
                     include_str!("../../../examples/e6-hand.ngc"),
                     Led {
-                        intention: led::slowly,
+                        trajectory: led::slowly,
                         ..AT_THE_WALL
                     },
                 ),
@@ -280,7 +280,7 @@ pub fn all() -> Vec<Scenario> {
                     Led {
                         yields: &[0, 2],
                         boost: 0.1,
-                        intention: led::three_times,
+                        trajectory: led::three_times,
                         ..ON_THE_RAIL
                     },
                 ),
@@ -291,7 +291,7 @@ pub fn all() -> Vec<Scenario> {
                     include_str!("../../../examples/e10-hand.ngc"),
                     Led {
                         yields: &[0, 2],
-                        intention: led::three_times,
+                        trajectory: led::three_times,
                         ..ON_THE_RAIL
                     },
                 ),
@@ -326,7 +326,7 @@ pub fn all() -> Vec<Scenario> {
                     rail: None,
                     part: true,
                     reflect: [(40, 3.2), (40, 3.2), (20, 1.2)],
-                    intention: led::round,
+                    trajectory: led::round,
                     ..ON_THE_RAIL
                 },
             )],

@@ -1,7 +1,7 @@
 //! What really happened at the haptic arm and at the tool while a hand led it, a thousand times a second: for scenarios on a simulated machine.
 
 use haptimill_hil_sim::Plant;
-use haptimill_hil_sim::haptics::HapticTruth;
+use haptimill_hil_sim::haptics::HapticGroundTruth;
 
 /// Raw force units in a newton, and units of length in a millimetre.
 const NEWTON: f64 = 65_536.0;
@@ -122,7 +122,7 @@ const EVERY_NS: u64 = 1_000_000;
 
 impl HandRecorder {
     /// Looks at a machine at the end of a period; a machine without a haptic arm leaves no samples.
-    pub fn look(&mut self, plant: &Plant, reading: &haptimill_firmware::reading::Reading) {
+    pub fn look(&mut self, plant: &Plant, snapshot: &haptimill_firmware::snapshot::Snapshot) {
         let Some(arm) = plant.haptic() else {
             return;
         };
@@ -130,9 +130,9 @@ impl HandRecorder {
         if !now.is_multiple_of(EVERY_NS) {
             return;
         }
-        let truth: &HapticTruth = arm.truth();
+        let truth: &HapticGroundTruth = arm.truth();
         let three = |raw: &[i32]| std::array::from_fn(|axis| f64::from(raw[axis]));
-        let wanted: [f64; 3] = three(&reading.wanted).map(|raw: f64| raw / MM);
+        let wanted: [f64; 3] = three(&snapshot.wanted).map(|raw: f64| raw / MM);
         let [x, y, z, ..] = plant.truth().pose;
         let (begun, origins) = *self
             .begun
@@ -147,9 +147,9 @@ impl HandRecorder {
             velocity: truth.tip_velocity,
             desired: from(wanted, origins[1]),
             tool: from([x, y, z], origins[2]),
-            yielded: three(&reading.force.yielded).map(|raw: f64| raw / MM),
-            high: three(&reading.force.high).map(|raw: f64| raw / NEWTON),
-            low: three(&reading.force.low).map(|raw: f64| raw / NEWTON),
+            yielded: three(&snapshot.force.yielded).map(|raw: f64| raw / MM),
+            high: three(&snapshot.force.high).map(|raw: f64| raw / NEWTON),
+            low: three(&snapshot.force.low).map(|raw: f64| raw / NEWTON),
             reflected: [fx, fy, fz],
             push: truth.hand,
             contact: truth.contact,

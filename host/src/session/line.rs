@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use super::JobRecording;
 use crate::cli::{CliError, Exit};
 use crate::record::Recorder;
-use haptimill_firmware::reading::Reading;
+use haptimill_firmware::snapshot::Snapshot;
 use haptimill_hil_sim::process::CuttingConfig;
 use haptimill_protocol::haptic::{COMPONENTS, HandTelemetry};
 use haptimill_protocol::message::Telemetry;
@@ -23,7 +23,7 @@ pub trait Line {
     fn name(&self) -> String;
 
     /// What the controller knew of itself in the last period; `None` where it cannot be looked into.
-    fn reading(&self) -> Option<Reading> {
+    fn snapshot(&self) -> Option<Snapshot> {
         None
     }
 

@@ -11,7 +11,7 @@ use crate::cli::{CliError, Exit};
 use crate::machine::MachineFile;
 use crate::port::Board;
 use haptimill_firmware::lockstep::{FROM_BOARD_BYTES, TO_BOARD_BYTES};
-use haptimill_firmware::probe::STAGES;
+use haptimill_firmware::profiler::STAGES;
 use haptimill_hil_sim::remote::{Cost, PlantLink};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use std::collections::BTreeMap;
@@ -499,7 +499,17 @@ pub struct Instructions {
 
 /// Names of the stages, in their order.
 const STAGE_NAMES: [&str; STAGES] = [
-    "hear", "sense", "decide", "yield", "place", "drive", "feel", "tell", "gate",
+    "receive",
+    "measure",
+    "supervise",
+    "command",
+    "interpolate",
+    "comply",
+    "solve",
+    "servo",
+    "render",
+    "report",
+    "interlock",
 ];
 
 impl Instructions {

@@ -7,10 +7,10 @@ use crate::client::Options;
 use crate::machine::MachineFile;
 use crate::plan::{Cursor, Plan};
 use crate::port::PortError;
-use crate::record::{Record, Recorder, Tape, flag};
+use crate::record::{IoLog, Record, Recorder, flag};
 use haptimill_firmware::controller::Controller;
 use haptimill_firmware::motion::program::FULL_RATE;
-use haptimill_firmware::reading::{ForceReading, HandReading, Reading};
+use haptimill_firmware::snapshot::{ForceSnapshot, HapticSnapshot, Snapshot};
 use haptimill_hil_sim::config::PlantConfig;
 use haptimill_hil_sim::fault::Fault;
 use haptimill_hil_sim::process::CuttingConfig;
@@ -24,7 +24,7 @@ pub struct SimLine<C = Controller> {
     rig: Rig<C>,
     name: String,
     /// Periods since the power-on of the controller, until a recording takes them up.
-    tape: Option<Tape>,
+    io_log: Option<IoLog>,
     /// What happened before there was a recording.
     happened: Vec<(u64, u8, String)>,
     recording: Option<JobRecording>,
@@ -103,7 +103,7 @@ pub fn commissioned(
         ..Options::default()
     };
     let mut line = SimLine::new(rig);
-    line.tape = None;
+    line.io_log = None;
     let mut session = Session::new(line, machine, options, Arc::default());
     let done = session
         .connect(fresh_number())
@@ -131,11 +131,11 @@ impl<C: Control> SimLine<C> {
     #[must_use]
     pub fn named(rig: Rig<C>, name: &str) -> Self {
         // A controller that has run already cannot be followed from its beginning.
-        let tape = (rig.time_ns() == 0).then(Tape::new);
+        let io_log = (rig.time_ns() == 0).then(IoLog::new);
         Self {
             rig,
             name: name.to_string(),
-            tape,
+            io_log,
             happened: Vec::new(),
             recording: None,
             hand: None,
@@ -166,8 +166,8 @@ impl<C: Control> SimLine<C> {
 
 impl<C: Control> JobLine for SimLine<C> {
     fn begin_recording(&mut self, mut recording: JobRecording) {
-        if let Some(tape) = self.tape.take() {
-            recording.recorder.take_up(tape);
+        if let Some(io_log) = self.io_log.take() {
+            recording.recorder.take_up(io_log);
         }
         for (period, level, text) in self.happened.drain(..) {
             recording.recorder.event(period, level, &text);
@@ -201,17 +201,17 @@ impl<C: Control> Line for SimLine<C> {
         }
         self.rig.host_read(received);
         if ticked {
-            match (&mut self.recording, &mut self.tape) {
+            match (&mut self.recording, &mut self.io_log) {
                 (Some(recording), _) => recording.add(&self.rig),
-                (None, Some(tape)) => tape.add(self.rig.inputs(), self.rig.outputs()),
+                (None, Some(io_log)) => io_log.add(self.rig.inputs(), self.rig.outputs()),
                 (None, None) => {}
             }
         }
         if ticked
             && let Some(hand) = &mut self.hand
-            && let Some(reading) = self.rig.control().reading(self.rig.inputs())
+            && let Some(snapshot) = self.rig.control().snapshot(self.rig.inputs())
         {
-            hand.look(self.rig.plant(), &reading);
+            hand.look(self.rig.plant(), &snapshot);
         }
         Ok(self.rig.time_ns() / 1000)
     }
@@ -224,8 +224,8 @@ impl<C: Control> Line for SimLine<C> {
         self.recording.as_ref().is_some_and(JobRecording::is_broken)
     }
 
-    fn reading(&self) -> Option<Reading> {
-        self.rig.control().reading(self.rig.inputs())
+    fn snapshot(&self) -> Option<Snapshot> {
+        self.rig.control().snapshot(self.rig.inputs())
     }
 
     fn happened(&mut self, period: u64, level: u8, text: &str) {
@@ -297,7 +297,7 @@ impl JobRecording {
             ..Record::default()
         };
         if let Some(force) = &telemetry.force {
-            record.force = ForceReading {
+            record.force = ForceSnapshot {
                 high: force.high,
                 low: force.low,
                 yielded: force.yielded,
@@ -319,7 +319,7 @@ impl JobRecording {
         };
         if let Some(hand) = self.hand.take() {
             let newtons = |force: [i16; COMPONENTS]| force.map(|part| i32::from(part) << 8);
-            record.hand = HandReading {
+            record.hand = HapticSnapshot {
                 tip: hand.hand.tip,
                 force: newtons(hand.force),
                 reflected: newtons(hand.reflected),
@@ -336,7 +336,7 @@ impl JobRecording {
         copy(&mut record.drive, &telemetry.drive);
         copy(&mut record.tool, &telemetry.measured);
         for (wanted, (joint, error)) in record
-            .joints_wanted
+            .joints_commanded
             .iter_mut()
             .zip(record.joints.iter().zip(record.following_error))
         {
@@ -372,7 +372,7 @@ impl JobRecording {
 
     fn add<C: Control>(&mut self, rig: &Rig<C>) {
         self.recorder.period(rig.inputs(), rig.outputs());
-        let Some(reading) = rig.control().reading(rig.inputs()) else {
+        let Some(snapshot) = rig.control().snapshot(rig.inputs()) else {
             return;
         };
         let mut record = Record {
@@ -382,7 +382,7 @@ impl JobRecording {
                 .map(|newtons| (newtons * 65_536.0).round() as i32),
             ..Record::default()
         };
-        record.set_reading(rig.inputs().period, &reading);
+        record.set_reading(rig.inputs().period, &snapshot);
         if rig.inputs().haptic.engaged {
             record.hand_flags |= flag::HAND_HELD;
         }
@@ -402,7 +402,7 @@ impl JobRecording {
         {
             *tool = (value * units).round() as i32;
         }
-        self.add_programmed(&mut record, reading.program_time as f64 / FULL_RATE as f64);
+        self.add_programmed(&mut record, snapshot.program_time as f64 / FULL_RATE as f64);
         self.recorder.record(&record);
     }
 }

@@ -15,7 +15,7 @@ use crate::machine::MachineFile;
 use crate::port::PortError;
 use crate::record::Recorder;
 use crate::session::{JobLine, JobRecording, Line, SimLine};
-use haptimill_firmware::reading::Reading;
+use haptimill_firmware::snapshot::Snapshot;
 use haptimill_protocol::haptic::{COMPONENTS, HandTelemetry, Reflection};
 use haptimill_protocol::message::{Command, Event, Refusal};
 use haptimill_protocol::text::{Axes, Describe};
@@ -45,8 +45,8 @@ impl Line for PersonLine {
         "the simulated arm".to_string()
     }
 
-    fn reading(&self) -> Option<Reading> {
-        self.line.reading()
+    fn snapshot(&self) -> Option<Snapshot> {
+        self.line.snapshot()
     }
 
     fn recording_is_broken(&self) -> bool {
@@ -54,8 +54,8 @@ impl Line for PersonLine {
     }
 
     fn told_force(&self) -> Option<[i16; COMPONENTS]> {
-        let arm = self.line.rig().control().machinery()?.hands.arm()?;
-        Some(arm.felt_afar())
+        let arm = self.line.rig().control().machine()?.masters.arm()?;
+        Some(arm.remote_force())
     }
 
     fn happened(&mut self, period: u64, level: u8, text: &str) {

@@ -24,7 +24,7 @@ use std::path::Path;
 
 /// What somebody wants at the moment.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct Wish {
+pub struct DesiredMotion {
     /// Rate of the handle, mm/s.
     pub rate: [f64; COMPONENTS],
     /// How far it may go at that rate, mm; as far as it likes when there is none.
@@ -39,7 +39,12 @@ pub trait Device {
     ///
     /// # Errors
     /// The device has gone.
-    fn wish(&mut self, now_us: u64, dt: f64, orders: &mut VecDeque<Order>) -> io::Result<Wish>;
+    fn wish(
+        &mut self,
+        now_us: u64,
+        dt: f64,
+        orders: &mut VecDeque<Order>,
+    ) -> io::Result<DesiredMotion>;
 }
 
 /// Time between two words, microseconds.
@@ -73,7 +78,7 @@ impl<D: Device> Held<D> {
     }
 
     /// The handle goes on for a time; its rate in that time.
-    fn move_on(&mut self, wish: &Wish, dt: f64) -> [f64; COMPONENTS] {
+    fn move_on(&mut self, wish: &DesiredMotion, dt: f64) -> [f64; COMPONENTS] {
         std::array::from_fn(|axis| {
             let most = wish.within.map_or(f64::INFINITY, |within| within[axis]);
             let way = (wish.rate[axis] * dt).clamp(-most, most);
@@ -228,7 +233,12 @@ fn read_all(input: &mut impl Read, bytes: &mut Vec<u8>) -> io::Result<()> {
 }
 
 impl<R: Read> Device for Keys<R> {
-    fn wish(&mut self, now_us: u64, dt: f64, orders: &mut VecDeque<Order>) -> io::Result<Wish> {
+    fn wish(
+        &mut self,
+        now_us: u64,
+        dt: f64,
+        orders: &mut VecDeque<Order>,
+    ) -> io::Result<DesiredMotion> {
         read_all(&mut self.input, &mut self.begun)?;
         while let Some(key) = self.key() {
             match key {
@@ -250,9 +260,9 @@ impl<R: Read> Device for Keys<R> {
         if held {
             let since = *self.held_us.get_or_insert(now_us);
             if now_us.saturating_sub(since) < LATCH_US {
-                return Ok(Wish {
+                return Ok(DesiredMotion {
                     held,
-                    ..Wish::default()
+                    ..DesiredMotion::default()
                 });
             }
         } else {
@@ -272,7 +282,7 @@ impl<R: Read> Device for Keys<R> {
         for left in &mut self.left {
             *left -= left.clamp(-way, way);
         }
-        Ok(Wish {
+        Ok(DesiredMotion {
             rate,
             within: Some(within),
             held,
@@ -329,7 +339,7 @@ fn shaped(deflection: f64) -> f64 {
 }
 
 impl<R: Read> Device for Joystick<R> {
-    fn wish(&mut self, _: u64, _: f64, orders: &mut VecDeque<Order>) -> io::Result<Wish> {
+    fn wish(&mut self, _: u64, _: f64, orders: &mut VecDeque<Order>) -> io::Result<DesiredMotion> {
         read_all(&mut self.input, &mut self.begun)?;
         let begun = std::mem::take(&mut self.begun);
         let (records, rest) = begun.as_chunks::<RECORD>();
@@ -341,7 +351,7 @@ impl<R: Read> Device for Joystick<R> {
         let part = |axis: usize, sign: f64| {
             shaped(sign * f64::from(self.axes[axis]) / 32_767.0) * self.speed
         };
-        Ok(Wish {
+        Ok(DesiredMotion {
             rate: [part(0, 1.0), part(1, -1.0), part(4, -1.0)],
             within: None,
             held: self.dead_man,
@@ -396,7 +406,12 @@ impl<R: Read> SpaceMouse<R> {
 }
 
 impl<R: Read> Device for SpaceMouse<R> {
-    fn wish(&mut self, now_us: u64, _: f64, orders: &mut VecDeque<Order>) -> io::Result<Wish> {
+    fn wish(
+        &mut self,
+        now_us: u64,
+        _: f64,
+        orders: &mut VecDeque<Order>,
+    ) -> io::Result<DesiredMotion> {
         read_all(&mut self.input, &mut self.begun)?;
         let begun = std::mem::take(&mut self.begun);
         let (events, rest) = begun.as_chunks::<EVENT>();
@@ -412,7 +427,7 @@ impl<R: Read> Device for SpaceMouse<R> {
             let value = if over(at) { 0 } else { value };
             shaped((signs[axis] * f64::from(value) / FULL).clamp(-1.0, 1.0)) * self.speed
         });
-        Ok(Wish {
+        Ok(DesiredMotion {
             rate,
             within: None,
             held: self.dead_man,

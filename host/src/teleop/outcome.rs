@@ -87,7 +87,7 @@ pub enum Ended {
     /// The hand could lead no more, or the machine held for want of it and was not told to go on.
     HandLost,
     /// The arm of the hand is off by a fault.
-    HandFault,
+    HapticFault,
 }
 
 /// What came of a session.

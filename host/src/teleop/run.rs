@@ -263,9 +263,9 @@ impl<'a, L: JobLine> Teleop<'a, L> {
             .controller()
             .map_or(200, |welcome| u64::from(welcome.period_us));
         let at_us = self.session.now_us().saturating_sub(period_us);
-        if let Some(reading) = self.session.line_mut().reading() {
+        if let Some(snapshot) = self.session.line_mut().snapshot() {
             self.machine_is_open = true;
-            self.latency.sensed(at_us, told(&reading.force.high));
+            self.latency.sensed(at_us, told(&snapshot.force.high));
         }
         Ok(())
     }

@@ -6,7 +6,7 @@ use super::SCALES;
 use crate::cli::CliError;
 use crate::machine::document::{Allowed, Document, Section, real};
 use crate::machine::text_of;
-use haptimill_hil_sim::operator::{Intention, Stroke};
+use haptimill_hil_sim::operator::{Stroke, Trajectory};
 use haptimill_hil_sim::rig::{Control, Rig};
 use std::path::Path;
 use std::str::FromStr;
@@ -224,7 +224,7 @@ impl Script {
 /// The person of a script.
 #[derive(Debug, Clone)]
 pub struct Person {
-    strokes: Option<Intention>,
+    strokes: Option<Trajectory>,
     /// Latest first.
     buttons: Vec<Button>,
     /// When the motors came on, ns.
@@ -238,7 +238,7 @@ impl Person {
         let mut buttons = script.button.clone();
         buttons.sort_by(|one, other| other.at_s.total_cmp(&one.at_s));
         Self {
-            strokes: Some(Intention::Strokes(script.stroke.clone())),
+            strokes: Some(Trajectory::Strokes(script.stroke.clone())),
             buttons,
             begun: None,
         }
@@ -256,7 +256,7 @@ impl Person {
             return;
         };
         if let Some(strokes) = self.strokes.take() {
-            arm.intend(strokes);
+            arm.set_trajectory(strokes);
         }
         while let Some(button) = self.buttons.pop_if(|button| time_s >= button.at_s) {
             arm.set_engaged(button.held);

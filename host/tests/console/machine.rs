@@ -126,7 +126,7 @@ fn run(server: &mut TcpServer, seen: &Mutex<Vec<Seen>>, end: &AtomicBool) {
         for _ in 0..behind / period_ns {
             rig.step();
         }
-        if let Some(reading) = rig.control().reading(rig.inputs()) {
+        if let Some(reading) = rig.control().snapshot(rig.inputs()) {
             let now = Seen {
                 at: Instant::now(),
                 state: reading.state,

@@ -8,7 +8,7 @@ use haptimill::machine::MachineFile;
 use haptimill::port::Board;
 use haptimill::session::pil::{self, Emulator, Setup};
 use haptimill_firmware::io::Outputs;
-use haptimill_firmware::reading::Reading;
+use haptimill_firmware::snapshot::Snapshot;
 use haptimill_hil_sim::remote::RemoteController;
 use haptimill_hil_sim::rig::{Control, RigOptions};
 use haptimill_tests::Bench;
@@ -118,7 +118,7 @@ pub struct Deed {
     pub period: u64,
     pub missed: u16,
     pub outputs: Outputs,
-    pub reading: Option<Reading>,
+    pub snapshot: Option<Snapshot>,
 }
 
 /// What the controller of a bench did in the last period.
@@ -128,7 +128,7 @@ pub fn deed<C: Control>(bench: &Bench<C>) -> Deed {
         period: rig.inputs().period,
         missed: rig.inputs().missed,
         outputs: rig.outputs().clone(),
-        reading: rig.control().reading(rig.inputs()),
+        snapshot: rig.control().snapshot(rig.inputs()),
     }
 }
 

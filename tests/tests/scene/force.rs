@@ -122,10 +122,10 @@ pub fn job<C: Control>(bench: &mut Bench<C>, speed: f64, spans: usize, rest_s: f
     end
 }
 
-pub fn force(bench: &Bench) -> haptimill_firmware::reading::ForceReading {
+pub fn force(bench: &Bench) -> haptimill_firmware::snapshot::ForceSnapshot {
     let control = bench.rig.control();
     control
-        .reading(bench.rig.inputs())
+        .snapshot(bench.rig.inputs())
         .expect("configured")
         .force
 }
@@ -137,22 +137,22 @@ pub fn peak(bench: &Bench) -> f64 {
 
 /// p_c in x, mm.
 pub fn yielded(bench: &Bench) -> f64 {
-    let control = &bench.rig.control().machinery().expect("configured").force;
+    let control = &bench.rig.control().machine().expect("configured").force;
     let yielding = control.as_ref().expect("has a sensor").yielding()[0];
     yielding.displacement.0 as f64 / f64::exp2(40.0)
 }
 
 /// p_c' in x, mm/s.
 pub fn yield_rate(bench: &Bench) -> f64 {
-    let control = &bench.rig.control().machinery().expect("configured").force;
+    let control = &bench.rig.control().machine().expect("configured").force;
     let yielding = control.as_ref().expect("has a sensor").yielding()[0];
     f64::from(yielding.rate.0) / MM
 }
 
 /// Levels of damping.
 pub fn levels(bench: &Bench) -> [u8; 3] {
-    let machinery = bench.rig.control().machinery().expect("configured");
-    machinery.force.as_ref().expect("has a sensor").levels()
+    let machine = bench.rig.control().machine().expect("configured");
+    machine.force.as_ref().expect("has a sensor").levels()
 }
 
 pub fn control<C: Control>(bench: &mut Bench<C>, axis: u8, settings: ForceLoop) {

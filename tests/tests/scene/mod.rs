@@ -67,7 +67,7 @@ pub fn wanted(bench: &Bench) -> [i32; 6] {
     bench
         .rig
         .control()
-        .machinery()
+        .machine()
         .expect("configured")
         .motion
         .wanted()
@@ -96,7 +96,7 @@ pub fn joint_off(bench: &Bench, joint: usize) -> f64 {
     let target = bench
         .rig
         .control()
-        .machinery()
+        .machine()
         .expect("configured")
         .target()
         .joints

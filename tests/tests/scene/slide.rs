@@ -69,9 +69,9 @@ impl Slide {
             drive_ready: true,
             ..AxisInputs::default()
         };
-        joint.sense(&inputs, 0);
+        joint.measure(&inputs, 0);
         joint.set_reference(0, Coordinate((1135.0 * MM) as i32));
-        joint.sense(&inputs, 0);
+        joint.measure(&inputs, 0);
         let reference = joint.enable();
         joint.settle();
         Self {
@@ -101,17 +101,17 @@ impl Slide {
 
     /// One control period: `wanted` is the distance from the start, its rate and acceleration, `load` a force on the slide. Gives what supervision says.
     pub fn step(&mut self, wanted: [f64; 3], load: f64) -> Option<Fault> {
-        let reading = self.encoder.reading();
+        let snapshot = self.encoder.reading();
         let inputs = AxisInputs {
-            counts: reading.counts,
-            edge_time_ns: reading.edge_time_ns,
-            illegal: reading.illegal,
-            index_counts: reading.index_counts,
-            index_pulses: reading.index_pulses,
+            counts: snapshot.counts,
+            edge_time_ns: snapshot.edge_time_ns,
+            illegal: snapshot.illegal,
+            index_counts: snapshot.index_counts,
+            index_pulses: snapshot.index_pulses,
             drive_ready: true,
             ..AxisInputs::default()
         };
-        self.joint.sense(&inputs, self.time_ns as u32);
+        self.joint.measure(&inputs, self.time_ns as u32);
         // What the joint did is judged by what it was told in the period before, and at first it was told nothing.
         let fault = if self.time_ns == 0 {
             None
@@ -124,7 +124,7 @@ impl Slide {
             .reference
             .0
             .wrapping_add((wanted[0] * MM).round() as i32);
-        self.joint.drive(
+        self.joint.servo(
             Coordinate(place),
             Rate((wanted[1] * MM).round() as i32),
             Acceleration((wanted[2] * MM / 256.0).round() as i32),

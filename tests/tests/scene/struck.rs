@@ -135,18 +135,13 @@ fn measured_is_true(bench: &mut Bench) {
 
 /// How far the joint whose encoder lost most is from where it is measured, mm or degrees.
 fn most_lost(bench: &Bench) -> f64 {
-    let joints = bench
-        .rig
-        .control()
-        .machinery()
-        .expect("configured")
-        .joints();
+    let joints = bench.rig.control().machine().expect("configured").joints();
     joints
         .zip(bench.rig.truth().joints)
         .enumerate()
-        .map(|(joint, (reading, truth))| {
+        .map(|(joint, (snapshot, truth))| {
             let unit = if joint == 4 { DEGREE } else { MM };
-            (f64::from(reading.measured.0) / unit - truth).abs()
+            (f64::from(snapshot.measured.0) / unit - truth).abs()
         })
         .fold(0.0, f64::max)
 }

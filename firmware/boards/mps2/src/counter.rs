@@ -4,7 +4,7 @@
 //! a count is exactly 40/1024 of an instruction: instructions, not cycles. (`DWT.CYCCNT` reads 0 on this emulator.)
 
 use crate::registers::{TIMER0, read, write};
-use haptimill_firmware::probe::{Probe, STAGES, Stage};
+use haptimill_firmware::profiler::{Profiler, STAGES, Stage};
 
 const CONTROL: usize = 0x0;
 const VALUE: usize = 0x4;
@@ -43,15 +43,15 @@ impl StageCounter {
     }
 }
 
-impl Probe for StageCounter {
+impl Profiler for StageCounter {
     #[inline(always)]
-    fn ended(&mut self, stage: Stage) {
+    fn mark(&mut self, stage: Stage) {
         let now = now();
         if let Some(count) = self.stages.get_mut(stage as usize) {
             *count = now.wrapping_sub(self.last);
         }
         self.last = now;
         #[cfg(feature = "faults")]
-        crate::faults::ended(stage);
+        crate::faults::mark(stage);
     }
 }

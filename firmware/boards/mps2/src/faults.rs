@@ -13,11 +13,22 @@
 use crate::semihosting;
 use core::hint::black_box;
 use core::sync::atomic::{AtomicU8, AtomicU32, Ordering};
-use haptimill_firmware::probe::{STAGES, Stage};
+use haptimill_firmware::profiler::{STAGES, Stage};
 
 /// The stages by name.
 const NAMES: [&str; STAGES + 1] = [
-    "hear", "sense", "decide", "yield", "place", "drive", "feel", "tell", "gate", "main",
+    "receive",
+    "measure",
+    "supervise",
+    "command",
+    "interpolate",
+    "comply",
+    "solve",
+    "servo",
+    "render",
+    "report",
+    "interlock",
+    "main",
 ];
 /// The place between two periods.
 pub const MAIN: usize = STAGES;
@@ -62,7 +73,7 @@ pub fn begin(period: u64) {
 
 /// A stage has ended.
 #[inline(never)]
-pub fn ended(stage: Stage) {
+pub fn mark(stage: Stage) {
     reached(stage as usize);
 }
 

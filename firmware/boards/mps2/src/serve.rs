@@ -3,7 +3,7 @@
 use crate::semihosting::{File, Gone};
 use crate::{serial, stack, tick};
 use haptimill_firmware::lockstep::{FROM_BOARD_WORDS, Order, Says, TO_BOARD_WORDS, read};
-use haptimill_firmware::reading::Reading;
+use haptimill_firmware::snapshot::Snapshot;
 
 /// Looks at the receive ring before bytes that were announced are given up.
 const PATIENCE: u32 = 200_000_000;
@@ -22,7 +22,7 @@ pub fn serve() -> Result<(), Gone> {
     let mut from_simulator = File::reader(c"to-board")?;
     let mut order = [0; TO_BOARD_WORDS];
     let mut answer = [0; FROM_BOARD_WORDS];
-    let mut reading = Reading::default();
+    let mut snapshot = Snapshot::default();
     Says::Hello.write(&mut answer);
     to_simulator.write(&answer)?;
     let mut expected = 0_u32;
@@ -39,18 +39,18 @@ pub fn serve() -> Result<(), Gone> {
                 crate::faults::reached(crate::faults::MAIN);
                 tick::with(|period| {
                     serial::say(&period.outputs.transmit);
-                    tick::tell(period, &mut reading, &mut answer);
+                    tick::tell(period, &mut snapshot, &mut answer);
                 });
                 to_simulator.write(&answer)?;
             }
             Ok(Order::End) => {
                 let ring_peak =
                     tick::with(|period| period.waiting.as_ref().map(|ring| ring.peak()));
-                let ended = Says::Ended {
+                let mark = Says::Ended {
                     stack_bytes: stack::used_bytes(),
                     ring_peak: ring_peak.flatten().unwrap_or(0),
                 };
-                ended.write(&mut answer);
+                mark.write(&mut answer);
                 return to_simulator.write(&answer);
             }
             Err(error) => panic!("{error}"),

@@ -13,7 +13,7 @@ use cortex_m_rt::exception;
 use haptimill_firmware::controller::Controller;
 use haptimill_firmware::io::{Inputs, Outputs};
 use haptimill_firmware::lockstep::{FROM_BOARD_WORDS, Heard, Says, Told};
-use haptimill_firmware::reading::Reading;
+use haptimill_firmware::snapshot::Snapshot;
 use haptimill_firmware::receive::Waiting;
 
 /// All that a control period works on.
@@ -105,11 +105,11 @@ pub fn run() {
     cortex_m::asm::isb();
 }
 
-/// Writes the frame of the period that was run last; `reading` is a place for how the controller stands.
+/// Writes the frame of the period that was run last; `snapshot` is a place for how the controller stands.
 #[inline(always)]
-pub fn tell(period: &Period, reading: &mut Reading, frame: &mut [u32; FROM_BOARD_WORDS]) {
+pub fn tell(period: &Period, snapshot: &mut Snapshot, frame: &mut [u32; FROM_BOARD_WORDS]) {
     let configured = match &period.controller {
-        Some(controller) => controller.read(&period.inputs, reading),
+        Some(controller) => controller.read(&period.inputs, snapshot),
         None => false,
     };
     Says::Done(Told {
@@ -118,7 +118,7 @@ pub fn tell(period: &Period, reading: &mut Reading, frame: &mut [u32; FROM_BOARD
         said: period.outputs.transmit.len() as u16,
         heard: Heard::of(&period.inputs),
         stages: &period.counter.stages,
-        reading: configured.then_some(&*reading),
+        snapshot: configured.then_some(&*snapshot),
     })
     .write(frame);
 }

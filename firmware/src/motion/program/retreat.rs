@@ -16,7 +16,7 @@ const BACK_RATE: i64 = FULL_RATE / 4;
 
 impl Program {
     /// The job ends here: once it has come to rest, the machine goes back along its path for so many periods of program time, as far as that is
-    /// remembered. [`Program::is_still`] says when it has.
+    /// remembered. [`Program::is_at_standstill`] says when it has.
     pub fn back_off(&mut self, periods: u32) {
         self.back = u64::from(periods) << 32;
     }

@@ -36,7 +36,7 @@ impl Program {
             let third = third(microseconds);
             let half = |time: u64| way::half(segment.span.fraction((time >> 16) as u32));
             for axis in 0..self.axes {
-                if segment.ways[axis].is_still() {
+                if segment.ways[axis].is_at_standstill() {
                     continue;
                 }
                 let [begin, end] =

@@ -89,7 +89,7 @@ impl<L: JobLine> Teleop<'_, L> {
         }
         let (ended, why) = match (self.source.standing(), &self.unresumed) {
             (Standing::Off(why), _) => (
-                Ended::HandFault,
+                Ended::HapticFault,
                 format!("the hand leads no more: {why}; remove the cause, then order `reset-hand`"),
             ),
             (Standing::Waiting(why), _) => (

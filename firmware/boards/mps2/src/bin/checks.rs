@@ -59,9 +59,9 @@ impl Taken {
         let begun = counter::now();
         let between = counter::now();
         let done = work();
-        let ended = counter::now();
+        let mark = counter::now();
         // The look at the counter is not of the work.
-        let took = ended
+        let took = mark
             .wrapping_sub(between)
             .wrapping_sub(between.wrapping_sub(begun));
         self.sum += u64::from(took);

@@ -1,33 +1,31 @@
 //! The hand in the machine: the haptic arm that it has, the hand afar that it hears of, and how they lead its coordinates.
 //!
-//! Misuse: leading without [`Machinery::release_hand`] when the machine brakes. The hand would be latched where it was before.
+//! Misuse: leading without [`Machine::release_master`] when the machine brakes. The hand would be latched where it was before.
 
-use super::{HAND_PART, Machinery};
+use super::{HAND_PART, Machine};
+use crate::config::HAND;
 use crate::io::{HapticInputs, HapticOutputs, LEGS};
 use crate::reflection::config::Encoder;
-use crate::reflection::lead::{Afar, Frame, Lead};
+use crate::reflection::mapping::{Frame, MasterMapping, RemoteMaster};
 use crate::reflection::{HandProblem, Haptic, Zero};
 use crate::safety::integrity::Digest;
 use haptimill_protocol::haptic::Hand;
 
-/// Whether this controller was built for a hand (feature `hand`). Where it was not, a configuration with one is refused, and the compiler leaves out what nothing can reach.
-pub const HAND: bool = cfg!(feature = "hand");
-
 /// What leads, of the hands that can.
 #[derive(Debug, Default)]
-pub struct Hands {
+pub struct Masters {
     /// The arm.
     pub arm: Option<Haptic>,
     /// The hand afar.
-    pub afar: Afar,
+    pub remote: RemoteMaster,
     /// From the hand to the tool.
-    pub lead: Lead,
+    pub mapping: MasterMapping,
     periods_per_second: u32,
     /// Periods after which a word of the hand afar is too old.
     stale: u32,
 }
 
-impl Hands {
+impl Masters {
     /// The arm, for reading.
     #[must_use]
     #[inline]
@@ -43,7 +41,7 @@ impl Hands {
 }
 
 /// The encoders of a haptic arm, and what they showed at its home.
-pub type HandStanding = ([[Encoder; 3]; LEGS], Zero);
+pub type HapticEncoderState = ([[Encoder; 3]; LEGS], Zero);
 
 /// How a hand stands to the tool in a period.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -56,7 +54,7 @@ pub enum Leading {
     Lost(u16),
 }
 
-impl Machinery {
+impl Machine {
     #[cold]
     #[inline(never)]
     pub(super) fn set_up_hand(&mut self, inputs: &HapticInputs) {
@@ -67,24 +65,24 @@ impl Machinery {
         let period_us = config.period_us;
         let per_second = 1_000_000 / u32::from(period_us.max(1));
         let haptic = config.haptic.as_ref();
-        self.hands.arm = haptic.map(|haptic| Haptic::new(haptic, period_us, inputs));
-        self.hands.periods_per_second = per_second;
+        self.masters.arm = haptic.map(|haptic| Haptic::new(haptic, period_us, inputs));
+        self.masters.periods_per_second = per_second;
         if let Some(follow) = &config.follow {
-            self.hands.lead = Lead::new(follow.scale);
-            self.hands.stale = u32::from(follow.stale_ms) * per_second / 1000;
+            self.masters.mapping = MasterMapping::new(follow.scale);
+            self.masters.stale = u32::from(follow.stale_ms) * per_second / 1000;
         }
     }
 
     /// What the counts of the haptic arm mean.
     #[must_use]
-    pub fn hand_standing(&self) -> Option<HandStanding> {
+    pub fn haptic_encoder_state(&self) -> Option<HapticEncoderState> {
         let sensors = self.config.haptic.as_ref()?.sensors;
-        Some((sensors, self.hands.arm()?.zero()))
+        Some((sensors, self.masters.arm()?.zero()))
     }
 
     /// Takes over what the counts of the haptic arm mean, if they mean the same under both configurations.
-    pub fn take_over_hand(&mut self, (sensors, zero): &HandStanding) {
-        if let (Some(own), Some(haptic)) = (self.hands.arm_mut(), &self.config.haptic)
+    pub fn take_over_haptics(&mut self, (sensors, zero): &HapticEncoderState) {
+        if let (Some(own), Some(haptic)) = (self.masters.arm_mut(), &self.config.haptic)
             && haptic.sensors == *sensors
         {
             own.take_over(zero);
@@ -93,53 +91,53 @@ impl Machinery {
 
     /// The haptic part of stage *sense*.
     #[inline]
-    pub fn sense_hand(&mut self, inputs: &HapticInputs) {
+    pub fn measure_haptics(&mut self, inputs: &HapticInputs) {
         if HAND {
-            self.hands.afar.grow();
+            self.masters.remote.grow();
         }
-        if let Some(arm) = self.hands.arm_mut() {
-            arm.sense(inputs);
+        if let Some(arm) = self.masters.arm_mut() {
+            arm.measure(inputs);
         }
     }
 
     /// A new word of a hand afar, so many milliseconds old.
-    pub fn hear_hand(&mut self, hand: &Hand, age_ms: u8) {
-        let age = u32::from(age_ms) * self.hands.periods_per_second / 1000;
-        self.hands.afar.hear(hand, age);
+    pub fn set_remote_master(&mut self, hand: &Hand, age_ms: u8) {
+        let age = u32::from(age_ms) * self.masters.periods_per_second / 1000;
+        self.masters.remote.hear(hand, age);
     }
 
     /// The hand that can lead: that on the arm here, or the one afar.
     #[must_use]
     pub fn hand(&self) -> Option<Frame> {
-        match self.hands.arm() {
+        match self.masters.arm() {
             Some(arm) => arm.frame(),
             None if !HAND => None,
-            None => self.hands.afar.frame(self.hands.periods_per_second),
+            None => self.masters.remote.frame(self.masters.periods_per_second),
         }
     }
 
     /// The hand leads the coordinates that are given to it, if its button is held.
     #[inline]
-    pub fn lead(&mut self) -> Leading {
+    pub fn advance_master(&mut self) -> Leading {
         if HAND {
-            self.lead_by_hand()
+            self.follow_master()
         } else {
             Leading::No
         }
     }
 
     #[inline(never)]
-    fn lead_by_hand(&mut self) -> Leading {
+    fn follow_master(&mut self) -> Leading {
         let mask = self.motion.hand_mask();
-        let afar = self.hands.arm().is_none();
-        let age = self.hands.afar.age().unwrap_or(u32::MAX);
-        let late = afar && age > self.hands.stale;
+        let remote = self.masters.arm().is_none();
+        let age = self.masters.remote.age().unwrap_or(u32::MAX);
+        let late = remote && age > self.masters.stale;
         let frame = self
             .hand()
             .filter(|frame| frame.engaged && !late && mask != 0);
         let Some(frame) = frame else {
-            let led = self.hands.lead.leads();
-            self.release_hand();
+            let led = self.masters.mapping.leads();
+            self.release_master();
             if late && led && mask != 0 {
                 let age_ms = u64::from(age) * u64::from(self.config.period_us) / 1000;
                 return Leading::Lost(age_ms.min(u64::from(u16::MAX)) as u16);
@@ -147,39 +145,41 @@ impl Machinery {
             return Leading::No;
         };
         let motion = &self.motion;
-        self.hands
-            .lead
+        self.masters
+            .mapping
             .follow(&frame, mask, |axis| motion.rest(axis));
-        self.motion.lead(self.hands.lead.targets());
+        self.motion
+            .set_master_targets(self.masters.mapping.targets());
         Leading::Yes
     }
 
     /// Nothing is led; the next time that it is, hand and tool are latched where they are then.
     #[inline]
-    pub fn release_hand(&mut self) {
+    pub fn release_master(&mut self) {
         if !HAND {
             return;
         }
-        self.hands.lead.release();
-        self.motion.lead(self.hands.lead.targets());
+        self.masters.mapping.release();
+        self.motion
+            .set_master_targets(self.masters.mapping.targets());
     }
 
     /// Stage *feel*.
     #[inline]
-    pub fn feel(&mut self, powered: bool, outputs: &mut HapticOutputs) {
-        if self.hands.arm().is_some() {
-            self.feel_by_hand(powered, outputs);
+    pub fn render(&mut self, powered: bool, outputs: &mut HapticOutputs) {
+        if self.masters.arm().is_some() {
+            self.render_haptics(powered, outputs);
         }
     }
 
     #[inline(never)]
-    fn feel_by_hand(&mut self, powered: bool, outputs: &mut HapticOutputs) {
-        let Some(arm) = self.hands.arm.as_mut() else {
+    fn render_haptics(&mut self, powered: bool, outputs: &mut HapticOutputs) {
+        let Some(arm) = self.masters.arm.as_mut() else {
             return;
         };
         let here = !self.joints.is_empty();
         let leads = if here {
-            self.hands.lead.leads()
+            self.masters.mapping.leads()
         } else {
             arm.frame().is_some_and(|frame| frame.engaged)
         };
@@ -194,17 +194,17 @@ impl Machinery {
         } else {
             None
         };
-        arm.feel(tool, leads, powered, outputs);
+        arm.render(tool, leads, powered, outputs);
     }
 
     /// A problem of the haptic arm that was not told yet.
-    pub fn take_hand_problem(&mut self) -> Option<HandProblem> {
-        self.hands.arm_mut()?.take_problem()
+    pub fn take_haptic_problem(&mut self) -> Option<HandProblem> {
+        self.masters.arm_mut()?.take_problem()
     }
 
     /// Whether the machine is there for the hand alone, or a hand leads it: what is wrong with the arm is then its own fault.
     #[must_use]
-    pub fn depends_on_hand(&self) -> bool {
+    pub fn is_led_by_haptics(&self) -> bool {
         self.joints.is_empty() || self.motion.hand_mask() != 0
     }
 
@@ -214,8 +214,8 @@ impl Machinery {
             return;
         }
         digest.add(&(&self.config.haptic, &self.config.follow));
-        digest.add(&(self.hands.periods_per_second, self.hands.stale));
-        if let Some(arm) = self.hands.arm() {
+        digest.add(&(self.masters.periods_per_second, self.masters.stale));
+        if let Some(arm) = self.masters.arm() {
             arm.digest(digest);
         }
     }

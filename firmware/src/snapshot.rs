@@ -12,7 +12,7 @@ pub type Axes = [i32; MAX_AXES];
 
 /// A configured controller after one control period.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Reading {
+pub struct Snapshot {
     /// State of the controller.
     pub state: State,
     /// All axes have their reference.
@@ -36,7 +36,7 @@ pub struct Reading {
     /// Wanted pose.
     pub wanted: Axes,
     /// Wanted joints.
-    pub joints_wanted: Axes,
+    pub joints_commanded: Axes,
     /// Measured joints.
     pub joints: Axes,
     /// Following error of the joints.
@@ -44,14 +44,14 @@ pub struct Reading {
     /// Drive command: DAC code, or steps emitted.
     pub drive: Axes,
     /// What is felt, on a machine with a force sensor.
-    pub force: ForceReading,
+    pub force: ForceSnapshot,
     /// The hand, on a machine with a haptic arm.
-    pub hand: HandReading,
+    pub hand: HapticSnapshot,
 }
 
 /// What the controller knows of the force on the tool; zeros on a machine without a sensor.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct ForceReading {
+pub struct ForceSnapshot {
     /// Force on the tool of largest magnitude in the last revolution of the spindle, 2^-16 N: the peak.
     pub high: [i32; COMPONENTS],
     /// The opposite end of what it was in that revolution, 2^-16 N.
@@ -62,7 +62,7 @@ pub struct ForceReading {
 
 /// What the controller knows of the hand on its haptic arm; zeros on a machine without.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct HandReading {
+pub struct HapticSnapshot {
     /// The tip, 2^-20 mm.
     pub tip: [i32; COMPONENTS],
     /// What the arm does to the hand, 2^-16 N.
@@ -76,63 +76,63 @@ pub struct HandReading {
 impl Controller {
     /// How things stand after the period of these inputs; `None` without a configuration.
     #[must_use]
-    pub fn reading(&self, inputs: &Inputs) -> Option<Reading> {
-        let mut reading = Reading::default();
-        self.read(inputs, &mut reading).then_some(reading)
+    pub fn snapshot(&self, inputs: &Inputs) -> Option<Snapshot> {
+        let mut snapshot = Snapshot::default();
+        self.read(inputs, &mut snapshot).then_some(snapshot)
     }
 
     /// The same where there is a reading already, one by default or the last one of a controller; false without a configuration, and then it is as it was.
     ///
     /// Done in every period by a board whose simulator records, so it is written to be short: no list on the way, and one round over the joints.
     #[inline(always)]
-    pub fn read(&self, inputs: &Inputs, reading: &mut Reading) -> bool {
-        let Some(machinery) = self.machinery() else {
+    pub fn read(&self, inputs: &Inputs, snapshot: &mut Snapshot) -> bool {
+        let Some(machine) = self.machine() else {
             return false;
         };
         let safety = self.safety();
-        let program = &machinery.motion.program;
-        reading.state = safety.state();
-        reading.homed = safety.homed();
-        reading.position_kept = safety.position_kept();
-        reading.fault = safety.fault().is_some();
-        reading.setpoint = program.reached();
-        reading.queued = program.queued() as u16;
-        reading.more = !program.is_complete();
-        reading.path_rate = (program.path_rate().clamp(0, FULL_RATE - 1) >> 16) as u16;
-        reading.spindle_rpm = self.spindle_rpm();
-        reading.program_time = program.program_time();
-        let wanted = &machinery.motion.wanted().pose.0;
-        let mut joints = machinery.joints();
+        let program = &machine.motion.program;
+        snapshot.state = safety.state();
+        snapshot.homed = safety.homed();
+        snapshot.position_kept = safety.position_kept();
+        snapshot.fault = safety.fault().is_some();
+        snapshot.setpoint = program.reached();
+        snapshot.queued = program.queued() as u16;
+        snapshot.more = !program.is_complete();
+        snapshot.path_rate = (program.path_rate().clamp(0, FULL_RATE - 1) >> 16) as u16;
+        snapshot.spindle_rpm = self.spindle_rpm();
+        snapshot.program_time = program.program_time();
+        let wanted = &machine.motion.wanted().pose.0;
+        let mut joints = machine.joints();
         for (axis, wanted) in wanted.iter().enumerate() {
             // What the machine lacks is 0.
             let there = joints.next();
             let joint = there.unwrap_or_default();
-            reading.wanted[axis] = there.map_or(0, |_| wanted.0);
-            reading.joints_wanted[axis] = joint.wanted.0;
-            reading.joints[axis] = joint.measured.0;
-            reading.following_error[axis] = joint.following_error.0;
-            reading.drive[axis] = match joint.command {
+            snapshot.wanted[axis] = there.map_or(0, |_| wanted.0);
+            snapshot.joints_commanded[axis] = joint.wanted.0;
+            snapshot.joints[axis] = joint.measured.0;
+            snapshot.following_error[axis] = joint.following_error.0;
+            snapshot.drive[axis] = match joint.command {
                 DriveCommand::Torque(code) => i32::from(code),
                 DriveCommand::Steps(_) => inputs.axes[axis].steps,
                 DriveCommand::Off => 0,
             };
         }
-        match &machinery.force {
+        match &machine.force {
             Some(force) => {
                 let (extremes, yielded) = (force.extremes(), force.displacements());
                 for component in 0..COMPONENTS {
                     let extremes = &extremes[component];
-                    reading.force.high[component] = extremes.peak().0;
-                    reading.force.low[component] = extremes.other().0;
-                    reading.force.yielded[component] = yielded[component].length().0;
+                    snapshot.force.high[component] = extremes.peak().0;
+                    snapshot.force.low[component] = extremes.other().0;
+                    snapshot.force.yielded[component] = yielded[component].length().0;
                 }
             }
-            None => reading.force = ForceReading::default(),
+            None => snapshot.force = ForceSnapshot::default(),
         }
-        match machinery.hands.arm() {
-            Some(arm) => reading.hand = arm.reading(),
+        match machine.masters.arm() {
+            Some(arm) => snapshot.hand = arm.snapshot(),
             // Without the feature there is never an arm, and what was zeros is zeros.
-            None if cfg!(feature = "hand") => reading.hand = HandReading::default(),
+            None if cfg!(feature = "hand") => snapshot.hand = HapticSnapshot::default(),
             None => {}
         }
         true

@@ -1,12 +1,12 @@
 //! The parts that a configuration makes: geometry, joints, motion, force control, haptic arm; and the stages that are theirs.
 
-pub mod hand;
+mod compliance;
 mod joint_rates;
-mod yielding;
+pub mod masters;
 
 use crate::config::{AxisKind, Config, JointAxis};
 use crate::drive::counted::SincePowerOn;
-use crate::drive::{JointDrive, Kept};
+use crate::drive::{EncoderState, JointDrive};
 use crate::force::conditioning::COMPONENTS;
 use crate::force::{Design, ForceControl};
 use crate::io::{DriveCommand, Inputs};
@@ -14,7 +14,6 @@ use crate::motion::program::Progress;
 use crate::motion::{Mode, Motion, Wanted};
 use crate::safety::homing::Homing;
 use crate::safety::integrity::{Constants, Digest};
-use hand::Hands;
 use haptimill_kinematics::BoundedKinematics;
 use haptimill_kinematics::{JointMotion, Joints, Kinematics, Pose, PoseError};
 use haptimill_math::Coordinate;
@@ -24,6 +23,7 @@ use haptimill_protocol::message::{
 use haptimill_protocol::setpoint::Setpoint;
 use heapless::Vec;
 use joint_rates::JointRates;
+use masters::Masters;
 
 /// Parts in which the configuration, and what was worked out from it, is checked against its digest: geometry and bounds, motion, then each axis of
 /// the pose and each joint, then the haptic arm, then the force sensor and each axis of force control.
@@ -36,13 +36,13 @@ const HAND_PART: usize = 2 + 2 * MAX_AXES;
 const FORCE_PART: usize = HAND_PART + 1;
 
 /// What the counts of each joint mean, where it stands, and what is known of its encoder.
-pub type Standing = Vec<(Meaning, Kept), MAX_AXES>;
+pub type PositionSnapshot = Vec<(EncoderScaling, EncoderState), MAX_AXES>;
 
 /// What the counts of a joint's encoder mean: kind, axis units per count, preset, index and its pitch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Meaning(AxisKind, i64, Coordinate, Coordinate, Coordinate);
+pub struct EncoderScaling(AxisKind, i64, Coordinate, Coordinate, Coordinate);
 
-impl Meaning {
+impl EncoderScaling {
     fn of(axis: &JointAxis) -> Self {
         Self(
             axis.kind,
@@ -56,7 +56,7 @@ impl Meaning {
 
 /// One joint in one period.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct JointReading {
+pub struct JointSnapshot {
     /// Where it is.
     pub measured: Coordinate,
     /// Where it shall be.
@@ -69,13 +69,13 @@ pub struct JointReading {
 
 /// A configured machine.
 #[derive(Debug)]
-pub struct Machinery {
+pub struct Machine {
     /// The configuration.
     pub config: Config,
     /// CRC-32 of the configuration as it was sent.
     pub crc: u32,
     /// Geometry and strokes.
-    pub machine: BoundedKinematics,
+    pub kinematics: BoundedKinematics,
     /// What is wanted.
     pub motion: Motion,
     /// The search for the references.
@@ -83,7 +83,7 @@ pub struct Machinery {
     /// Force sensor and force control, on a machine that has them.
     pub force: Option<ForceControl>,
     /// The haptic arm, and the hands that lead.
-    pub hands: Hands,
+    pub masters: Masters,
     /// p_r on a machine with force control: what is placed. Without it that is what is wanted.
     reference: Wanted,
     /// Periods for which a component that could not yield any further is still taken for one.
@@ -111,7 +111,7 @@ const LOCKED_US: u32 = 50_000;
 /// All rotors must have locked after so long, microseconds.
 const LOCKING_US: u32 = 1_000_000;
 
-impl Machinery {
+impl Machine {
     /// The machine of a configuration, standing at its presets.
     ///
     /// # Errors
@@ -119,9 +119,9 @@ impl Machinery {
     pub fn new(config: Config, crc: u32, inputs: &Inputs) -> Result<Self, ConfigProblem> {
         let joints = Self::joints_of(&config, inputs)?;
         let design = Self::force_of(&config)?;
-        let mut machinery = Self::bare(config, crc);
-        machinery.set_up(joints, design, inputs);
-        Ok(machinery)
+        let mut machine = Self::bare(config, crc);
+        machine.set_up(joints, design, inputs);
+        Ok(machine)
     }
 
     /// The machine of a configuration takes its place in `slot`, where it stays: with its queue it is too large to be handed from one function to the
@@ -139,9 +139,9 @@ impl Machinery {
     ) -> Result<(), ConfigProblem> {
         let joints = Self::joints_of(&config, inputs)?;
         let design = Self::force_of(&config)?;
-        Self::place_bare(slot, config, crc);
-        if let Some(machinery) = slot {
-            machinery.set_up(joints, design, inputs);
+        Self::install_bare(slot, config, crc);
+        if let Some(machine) = slot {
+            machine.set_up(joints, design, inputs);
         }
         Ok(())
     }
@@ -161,7 +161,7 @@ impl Machinery {
                 axis: Some(index as u8),
             };
             let mut joint = JointDrive::new(axis, config.period_us).map_err(|_| problem)?;
-            joint.sense(&inputs.axes[index], inputs.time_ns);
+            joint.measure(&inputs.axes[index], inputs.time_ns);
             joint.set_reference(inputs.axes[index].counts, axis.preset);
             joints.push(joint).map_err(|_| problem)?;
         }
@@ -171,7 +171,7 @@ impl Machinery {
     /// A machine is put together on the stack before it takes its place: nothing else shall be there meanwhile.
     #[cold]
     #[inline(never)]
-    fn place_bare(slot: &mut Option<Self>, config: Config, crc: u32) {
+    fn install_bare(slot: &mut Option<Self>, config: Config, crc: u32) {
         *slot = Some(Self::bare(config, crc));
     }
 
@@ -179,11 +179,11 @@ impl Machinery {
     #[inline(always)]
     fn bare(config: Config, crc: u32) -> Self {
         Self {
-            machine: config.kinematics(),
+            kinematics: config.kinematics(),
             motion: Motion::default(),
             homing: Homing::default(),
             force: None,
-            hands: Hands::default(),
+            masters: Masters::default(),
             reference: Wanted::default(),
             limited: [0; COMPONENTS],
             newly_limited: 0,
@@ -216,15 +216,15 @@ impl Machinery {
         for part in 0..PARTS {
             self.digests[part] = self.digest(part);
         }
-        self.remember_measured();
+        self.update_measured();
     }
 
     /// Where the joints stand, and what their counts mean: what a new configuration may take over.
     #[must_use]
-    pub fn standing(&self) -> Standing {
+    pub fn standing(&self) -> PositionSnapshot {
         let joints = self.config.joints.iter().zip(&self.joints);
         joints
-            .map(|(axis, joint)| (Meaning::of(axis), joint.standing()))
+            .map(|(axis, joint)| (EncoderScaling::of(axis), joint.standing()))
             .collect()
     }
 
@@ -236,15 +236,15 @@ impl Machinery {
     }
 
     /// Takes over where the joints stood under another configuration, if counts mean the same; says whether they do.
-    pub fn take_over(&mut self, standing: &Standing, inputs: &Inputs) -> bool {
-        let meanings = self.config.joints.iter().map(Meaning::of);
+    pub fn take_over(&mut self, standing: &PositionSnapshot, inputs: &Inputs) -> bool {
+        let meanings = self.config.joints.iter().map(EncoderScaling::of);
         if !meanings.eq(standing.iter().map(|(meaning, _)| *meaning)) {
             return false;
         }
         for (index, (joint, (_, kept))) in self.joints.iter_mut().zip(standing).enumerate() {
             joint.take_over(inputs.axes[index].counts, kept);
         }
-        self.remember_measured();
+        self.update_measured();
         true
     }
 
@@ -257,7 +257,7 @@ impl Machinery {
         for (joint, counted) in self.joints.iter_mut().zip(&counted.axes) {
             believed &= joint.count_from(counted) && counted.illegal <= limit;
         }
-        self.remember_measured();
+        self.update_measured();
         believed
     }
 
@@ -270,26 +270,26 @@ impl Machinery {
 
     /// Stage *sense*: encoders to joints, and where a force is felt joints to pose.
     #[inline]
-    pub fn sense(&mut self, inputs: &Inputs) {
+    pub fn measure(&mut self, inputs: &Inputs) {
         let time_ns = inputs.time_ns;
         let measured = self.measured.0.iter_mut();
         let mut leapt = false;
         for ((joint, inputs), measured) in self.joints.iter_mut().zip(&inputs.axes).zip(measured) {
-            let sensed = joint.sense(inputs, time_ns);
+            let sensed = joint.measure(inputs, time_ns);
             *measured = sensed.coordinate;
             leapt |= sensed.leapt;
         }
         if leapt {
-            self.note_jumps(u32::from(inputs.missed) + 1);
+            self.detect_jumps(u32::from(inputs.missed) + 1);
         }
         self.measure_pose();
-        self.sense_hand(&inputs.haptic);
+        self.measure_haptics(&inputs.haptic);
     }
 
     /// In so many periods a joint can go farther than in one.
     #[cold]
     #[inline(never)]
-    fn note_jumps(&mut self, periods: u32) {
+    fn detect_jumps(&mut self, periods: u32) {
         for (index, joint) in self.joints.iter_mut().enumerate() {
             if joint.jumped(periods) {
                 let counts = joint.sensed().moved.unsigned_abs();
@@ -299,7 +299,7 @@ impl Machinery {
         }
     }
 
-    /// A counter that jumped, whether drives are on or off, until it [was named](Self::named_jump): joint, and counts.
+    /// A counter that jumped, whether drives are on or off, until it [was named](Self::acknowledge_jump): joint, and counts.
     #[must_use]
     #[inline]
     pub const fn jump(&self) -> Option<(u8, u16)> {
@@ -307,11 +307,11 @@ impl Machinery {
     }
 
     /// The fault of that joint was named.
-    pub const fn named_jump(&mut self) {
+    pub const fn acknowledge_jump(&mut self) {
         self.jumped = None;
     }
 
-    fn remember_measured(&mut self) {
+    fn update_measured(&mut self) {
         for (measured, joint) in self.measured.0.iter_mut().zip(&self.joints) {
             *measured = joint.sensed().coordinate;
         }
@@ -322,7 +322,7 @@ impl Machinery {
     #[inline]
     fn measure_pose(&mut self) {
         if self.force.is_some() {
-            self.measured_pose = self.machine.forward(&self.measured).ok();
+            self.measured_pose = self.kinematics.forward(&self.measured).ok();
         }
     }
 
@@ -332,7 +332,7 @@ impl Machinery {
     pub fn measured_pose(&self) -> Option<Pose> {
         match self.force {
             Some(_) => self.measured_pose,
-            None => self.machine.forward(&self.measured).ok(),
+            None => self.kinematics.forward(&self.measured).ok(),
         }
     }
 
@@ -348,7 +348,7 @@ impl Machinery {
 
     /// Whether no joint moves faster than twice its following error in a second (0.6 mm/s for 0.3 mm).
     #[must_use]
-    pub fn is_still(&self) -> bool {
+    pub fn is_at_standstill(&self) -> bool {
         self.joints
             .iter()
             .zip(&self.config.joints)
@@ -360,7 +360,7 @@ impl Machinery {
     /// Wanted becomes measured, drives on.
     pub fn enable(&mut self) -> Result<(), PoseError> {
         let measured = self.measured;
-        self.stand_at(&measured)?;
+        self.place_at(&measured)?;
         let mut locks = false;
         for joint in &mut self.joints {
             joint.enable();
@@ -372,11 +372,11 @@ impl Machinery {
 
     /// These joints are commanded, at rest; an error changes nothing.
     #[inline(never)]
-    fn stand_at(&mut self, joints: &Joints) -> Result<(), PoseError> {
-        let pose = self.machine.forward(joints)?;
-        self.machine.inverse(&pose)?;
-        self.motion.place(&pose);
-        self.forget_force();
+    fn place_at(&mut self, joints: &Joints) -> Result<(), PoseError> {
+        let pose = self.kinematics.forward(joints)?;
+        self.kinematics.inverse(&pose)?;
+        self.motion.set_position(&pose);
+        self.reset_force();
         self.settle();
         Ok(())
     }
@@ -431,7 +431,7 @@ impl Machinery {
                 *coordinate = slide;
             }
         }
-        self.stand_at(&joints)
+        self.place_at(&joints)
     }
 
     /// Drives off.
@@ -449,7 +449,7 @@ impl Machinery {
 
     /// Begins the search for the references.
     pub fn begin_homing(&mut self) {
-        self.absorb();
+        self.rebase_on_compliance();
         self.joints.iter_mut().for_each(|joint| joint.search(true));
         self.motion.begin_jog(false);
         self.homing = Homing::default();
@@ -457,7 +457,7 @@ impl Machinery {
 
     /// Index pulses of this period, for the search.
     #[inline]
-    pub fn note_indexes(&mut self) -> Result<(), Fault> {
+    pub fn check_index_pulses(&mut self) -> Result<(), Fault> {
         for (index, axis) in self.config.joints.iter().enumerate() {
             if let Some((_, coordinate)) = self.joints[index].sensed().index
                 && let Some(fault) = self.homing.index(index, axis, coordinate)
@@ -469,7 +469,7 @@ impl Machinery {
     }
 
     /// Corrects the coordinates of all joints; wanted becomes measured, so nothing moves.
-    pub fn correct(
+    pub fn apply_homing(
         &mut self,
         corrections: &[Coordinate; MAX_AXES],
         inputs: &Inputs,
@@ -479,10 +479,10 @@ impl Machinery {
             joint.set_reference(inputs.axes[index].counts, Coordinate(coordinate));
             joint.search(false);
         }
-        self.remember_measured();
-        let pose = self.machine.forward(&self.measured)?;
-        self.motion.place(&pose);
-        self.forget_force();
+        self.update_measured();
+        let pose = self.kinematics.forward(&self.measured)?;
+        self.motion.set_position(&pose);
+        self.reset_force();
         self.settle();
         Ok(())
     }
@@ -509,12 +509,12 @@ impl Machinery {
 
     /// Stage *place*: the wanted pose, or its reference where the tool yields, to the joints.
     #[inline]
-    pub fn place(&mut self) -> Result<(), PoseError> {
-        if self.yields() {
-            return self.place_reference();
+    pub fn solve(&mut self) -> Result<(), PoseError> {
+        if self.is_compliant() {
+            return self.solve_reference();
         }
         let wanted = self.motion.wanted();
-        self.machine.place(
+        self.kinematics.solve(
             &wanted.pose,
             &wanted.rates,
             &wanted.accelerations,
@@ -525,15 +525,15 @@ impl Machinery {
     /// The first joint that is commanded more than its maximum rate and 1/32 of it: something that no look ahead has prevented.
     #[must_use]
     #[inline]
-    pub fn joint_too_fast(&self) -> Option<usize> {
-        let rates = self.target.rates.iter().zip(self.machine.rates());
+    pub fn joint_beyond_rate(&self) -> Option<usize> {
+        let rates = self.target.rates.iter().zip(self.kinematics.rates());
         let mut joints = rates.take(self.joints.len());
         joints.position(|(rate, limit)| rate.0.unsigned_abs() > (limit.0 + (limit.0 >> 5)) as u32)
     }
 
     /// Stage *drive*: position loops. Gives a joint whose drive was asked for too much.
     #[inline]
-    pub fn drive(&mut self, commands: &mut [DriveCommand; MAX_AXES]) -> Option<u8> {
+    pub fn servo(&mut self, commands: &mut [DriveCommand; MAX_AXES]) -> Option<u8> {
         let mut saturated = None;
         let JointMotion {
             joints,
@@ -545,7 +545,7 @@ impl Machinery {
                 break;
             };
             let (coordinate, rate) = (joints.0[index], rates[index]);
-            if joint.drive(coordinate, rate, accelerations[index], command) {
+            if joint.servo(coordinate, rate, accelerations[index], command) {
                 saturated = Some(index as u8);
             }
         }
@@ -555,16 +555,16 @@ impl Machinery {
     /// What is wanted in this period. The number is a coordinate whose jog was kept from going on.
     #[inline]
     pub fn advance(&mut self, mode: Mode) -> (Progress, Option<u8>) {
-        self.tell_excursion();
+        self.update_excursion();
         match self.motion.advance_alone(mode) {
             Some(progress) => (progress, None),
-            None => self.advance_by_hand(mode),
+            None => self.advance_with_sources(mode),
         }
     }
 
     #[inline(never)]
-    fn advance_by_hand(&mut self, mode: Mode) -> (Progress, Option<u8>) {
-        self.motion.advance(mode, &self.machine)
+    fn advance_with_sources(&mut self, mode: Mode) -> (Progress, Option<u8>) {
+        self.motion.advance(mode, &self.kinematics)
     }
 
     /// The first coordinate of the wanted pose that is beyond its soft limits.
@@ -595,7 +595,7 @@ impl Machinery {
                 axis,
             });
         }
-        self.note_end(setpoint).map_err(|error| Refusal::Pose {
+        self.append_end(setpoint).map_err(|error| Refusal::Pose {
             setpoint: number,
             error,
         })
@@ -603,7 +603,7 @@ impl Machinery {
 
     /// Compares one part of the configuration with its digest, another one each time.
     #[inline(never)]
-    pub fn configuration_intact(&mut self) -> bool {
+    pub fn check_next_digest(&mut self) -> bool {
         let part = self.next_part;
         self.next_part = (part + 1) % PARTS;
         self.digest(part) == self.digests[part]
@@ -614,7 +614,7 @@ impl Machinery {
         let config = &self.config;
         match part {
             0 => {
-                digest.add(&(&config.name, &config.model, &self.machine));
+                digest.add(&(&config.name, &config.model, &self.kinematics));
                 digest.add(&(&config.stopping, &config.supervision, &config.homing));
                 digest.add(&(config.period_us, self.crc));
             }
@@ -635,24 +635,24 @@ impl Machinery {
 
     /// The wanted pose as values of a message.
     #[must_use]
-    pub fn wanted_values(&self) -> AxisValues {
+    pub fn commanded_values(&self) -> AxisValues {
         self.values(|index| self.motion.wanted().pose.0[index].0)
     }
 
     /// Notes down what telemetry tells of pose and joints; the measured pose is empty when it is not certified.
-    pub fn note(&self, inputs: &Inputs, note: &mut Telemetry) {
+    pub fn fill_telemetry(&self, inputs: &Inputs, sample: &mut Telemetry) {
         let axes = self.axes();
         let wanted = &self.motion.wanted().pose.0;
-        put(&mut note.wanted, axes, |index| wanted[index].0);
+        put(&mut sample.wanted, axes, |index| wanted[index].0);
         match self.measured_pose() {
-            Some(pose) => put(&mut note.measured, axes, |index| pose.0[index].0),
-            None => note.measured.clear(),
+            Some(pose) => put(&mut sample.measured, axes, |index| pose.0[index].0),
+            None => sample.measured.clear(),
         }
-        put(&mut note.joints, axes, |index| self.measured.0[index].0);
-        put(&mut note.following_error, axes, |index| {
+        put(&mut sample.joints, axes, |index| self.measured.0[index].0);
+        put(&mut sample.following_error, axes, |index| {
             self.joints[index].driven().following_error.0
         });
-        put(&mut note.drive, axes, |index| self.command(inputs, index));
+        put(&mut sample.drive, axes, |index| self.command(inputs, index));
     }
 
     /// Drive commands: DAC codes, or steps emitted.
@@ -670,8 +670,8 @@ impl Machinery {
     }
 
     /// What each joint measured and was told in this period, for recorders.
-    pub fn joints(&self) -> impl Iterator<Item = JointReading> + '_ {
-        (0..self.axes()).map(|index| JointReading {
+    pub fn joints(&self) -> impl Iterator<Item = JointSnapshot> + '_ {
+        (0..self.axes()).map(|index| JointSnapshot {
             measured: self.measured.0[index],
             wanted: self.target.joints.0[index],
             following_error: self.joints[index].driven().following_error,
@@ -693,7 +693,7 @@ impl Machinery {
 /// Writes values where there are as many already, but for the first time.
 fn put(values: &mut AxisValues, axes: usize, value: impl Fn(usize) -> i32) {
     let _ = values.resize(axes, 0);
-    for (index, place) in values.iter_mut().enumerate() {
-        *place = value(index);
+    for (index, solve) in values.iter_mut().enumerate() {
+        *solve = value(index);
     }
 }

@@ -5,9 +5,9 @@
 //! p_c bends to three bounds. Its own limit is in its law. Where p_r would leave a soft limit it stands there, and p_c gives way (never beyond 0: p_d is inside). Where
 //! the machine cannot place p_r, p_c is taken back to what it was a period before; if p_r cannot be placed even then, it is a fault.
 //!
-//! Misuse: [`Machinery::absorb`] while the machine moves (other than by p_c). What is wanted would jump.
+//! Misuse: [`Machine::rebase_on_compliance`] while the machine moves (other than by p_c). What is wanted would jump.
 
-use super::{FORCE_PART, Machinery};
+use super::{FORCE_PART, Machine};
 use crate::config::Config;
 use crate::force::conditioning::COMPONENTS;
 use crate::force::{Design, ForceControl, ForceProblem};
@@ -21,7 +21,7 @@ use haptimill_protocol::message::{ConfigField, ConfigProblem};
 /// How long a component must have been able to yield before another end of it is told, microseconds.
 const TOLD_FOR_US: u32 = 500_000;
 
-impl Machinery {
+impl Machine {
     /// What is worked out for force control, before a configuration is taken.
     #[cold]
     #[inline(never)]
@@ -49,27 +49,27 @@ impl Machinery {
 
     /// The force part of stage *sense*: codes to forces; `active` while something moves or may move.
     #[inline]
-    pub fn sense_force(&mut self, inputs: &Inputs, spindle_rpm: i16, active: bool) {
+    pub fn measure_force(&mut self, inputs: &Inputs, spindle_rpm: i16, active: bool) {
         let Some(force) = &mut self.force else {
             return;
         };
         let pose = self.measured_pose.as_ref().unwrap_or(&self.reference.pose);
         let [x, y, z, ..] = pose.0;
         let unloaded = force.unloaded(active);
-        let table = self.machine.table(pose);
-        force.sense(&inputs.force, spindle_rpm, &[x, y, z], table, unloaded);
+        let table = self.kinematics.table(pose);
+        force.measure(&inputs.force, spindle_rpm, &[x, y, z], table, unloaded);
         force.mind(active);
     }
 
     /// Whether the reference may be another pose than the wanted one.
     #[inline]
-    pub(super) fn yields(&self) -> bool {
+    pub(super) fn is_compliant(&self) -> bool {
         self.force.as_ref().is_some_and(|force| !force.rests())
     }
 
     /// Stage *yield*: the reference of this period. `stopped` by a fault of the force, `homing` while the references are looked for.
     #[inline]
-    pub fn give_way(&mut self, stopped: bool, homing: bool) {
+    pub fn comply(&mut self, stopped: bool, homing: bool) {
         let Some(force) = &mut self.force else {
             return;
         };
@@ -80,11 +80,11 @@ impl Machinery {
             self.reference.pose = self.motion.wanted().pose;
             return;
         }
-        self.yield_to_force(stopped);
+        self.apply_admittance(stopped);
     }
 
     #[inline(never)]
-    fn yield_to_force(&mut self, stopped: bool) {
+    fn apply_admittance(&mut self, stopped: bool) {
         let Some(force) = &mut self.force else {
             return;
         };
@@ -116,7 +116,7 @@ impl Machinery {
                 limited |= 1 << component;
             }
         }
-        self.note_limited(limited);
+        self.report_limited(limited);
         if self.force.as_ref().is_some_and(ForceControl::adopted) {
             for part in FORCE_PART..super::PARTS {
                 self.digests[part] = self.digest(part);
@@ -175,7 +175,7 @@ impl Machinery {
 
     /// What the tool has yielded by, and how fast it does: joints have their rates for that as well.
     #[inline]
-    pub(super) fn tell_excursion(&mut self) {
+    pub(super) fn update_excursion(&mut self) {
         if let Some(force) = &self.force {
             let excursion = force
                 .yielding()
@@ -186,15 +186,15 @@ impl Machinery {
 
     /// Whether a joint is commanded more than its maximum rate.
     fn exceeds_joint_rate(&self) -> bool {
-        let rates = self.target.rates.iter().zip(self.machine.rates());
+        let rates = self.target.rates.iter().zip(self.kinematics.rates());
         let mut joints = rates.take(self.joints.len());
         joints.any(|(rate, limit)| rate.0.unsigned_abs() > limit.0.unsigned_abs())
     }
 
     /// Stage *place* with force control.
     #[inline(never)]
-    pub(super) fn place_reference(&mut self) -> Result<(), PoseError> {
-        let placed = self.place_once();
+    pub(super) fn solve_reference(&mut self) -> Result<(), PoseError> {
+        let placed = self.solve_once();
         if placed.is_ok() && !self.exceeds_joint_rate() {
             return Ok(());
         }
@@ -213,14 +213,14 @@ impl Machinery {
                 limited |= 1 << component;
             }
         }
-        self.note_limited(limited);
-        self.place_once()
+        self.report_limited(limited);
+        self.solve_once()
     }
 
-    fn place_once(&mut self) -> Result<(), PoseError> {
+    fn solve_once(&mut self) -> Result<(), PoseError> {
         let reference = &self.reference;
         let accelerations: &Accelerations = &reference.accelerations;
-        self.machine.place(
+        self.kinematics.solve(
             &reference.pose,
             &reference.rates,
             accelerations,
@@ -228,7 +228,7 @@ impl Machinery {
         )
     }
 
-    fn note_limited(&mut self, limited: u8) {
+    fn report_limited(&mut self, limited: u8) {
         let periods = TOLD_FOR_US / u32::from(self.config.period_us.max(1));
         for (component, left) in self.limited.iter_mut().enumerate() {
             if limited & (1 << component) == 0 {
@@ -253,7 +253,7 @@ impl Machinery {
     }
 
     /// Wanted becomes the reference, at rest: the tool stays where it yielded to. One that is on its way goes on by its law: where it is, it would be stopped within a period.
-    pub fn absorb(&mut self) {
+    pub fn rebase_on_compliance(&mut self) {
         let Some(force) = &mut self.force else {
             return;
         };
@@ -263,13 +263,13 @@ impl Machinery {
         }
         if force.displaced() {
             let pose = self.reference.pose;
-            self.motion.place(&pose);
+            self.motion.set_position(&pose);
         }
         force.reset();
     }
 
     /// Wanted became measured: the tool has not yielded.
-    pub(super) fn forget_force(&mut self) {
+    pub(super) fn reset_force(&mut self) {
         if let Some(force) = &mut self.force {
             force.reset();
         }
@@ -293,7 +293,7 @@ impl Machinery {
     /// What is placed: p_r, or where nothing yields what is wanted.
     #[must_use]
     pub fn reference(&self) -> &crate::motion::Wanted {
-        if self.yields() {
+        if self.is_compliant() {
             &self.reference
         } else {
             self.motion.wanted()

@@ -64,7 +64,7 @@ impl Frame {
 
 /// What leads the tool.
 #[derive(Debug, Clone, Copy, Default)]
-pub struct Lead {
+pub struct MasterMapping {
     scale: i64,
     /// Coordinates that are latched, a bit each.
     latched: u8,
@@ -75,7 +75,7 @@ pub struct Lead {
     targets: [Option<Coordinate>; MAX_AXES],
 }
 
-impl Lead {
+impl MasterMapping {
     /// With a position scale, 2^-12.
     #[must_use]
     pub fn new(scale: u16) -> Self {
@@ -189,13 +189,13 @@ fn dot(a: Vector, b: Vector) -> i64 {
 
 /// What was said last of a hand afar.
 #[derive(Debug, Clone, Copy, Default)]
-pub struct Afar {
+pub struct RemoteMaster {
     hand: Hand,
     /// Periods since it was so; `None` when nothing was said.
     age: Option<u32>,
 }
 
-impl Afar {
+impl RemoteMaster {
     /// A new word of it, already so many periods old.
     pub const fn hear(&mut self, hand: &Hand, age: u32) {
         self.hand = *hand;

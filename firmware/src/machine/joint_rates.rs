@@ -5,7 +5,7 @@
 //!
 //! Why a refusal, and no slower path: see docs/decisions/0025-joint-rate-limit.md.
 
-use super::Machinery;
+use super::Machine;
 use haptimill_kinematics::{Accelerations, JointMotion, Pose, PoseError};
 use haptimill_math::{Coordinate, Rate};
 use haptimill_protocol::message::{MAX_AXES, RATE_SHIFT, Refusal};
@@ -38,7 +38,7 @@ const fn allowed(rate: Rate) -> i64 {
     rate.0 as i64 + rate.0 as i64 / 50
 }
 
-impl Machinery {
+impl Machine {
     /// A job begins at the commanded pose, at rest.
     pub fn begin_joint_rates(&mut self) {
         self.joint_rates = JointRates::default();
@@ -55,18 +55,18 @@ impl Machinery {
             ..Node::default()
         };
         let pose = self.motion.destination(pose);
-        self.machine
-            .place(&pose, rates, &Accelerations::default(), &mut node.motion)?;
+        self.kinematics
+            .solve(&pose, rates, &Accelerations::default(), &mut node.motion)?;
         Ok(node)
     }
 
     /// Notes the joints and their rates at a setpoint, of which the pose is within the soft limits.
-    pub(super) fn note_end(&mut self, setpoint: &Setpoint) -> Result<(), PoseError> {
+    pub(super) fn append_end(&mut self, setpoint: &Setpoint) -> Result<(), PoseError> {
         let mut pose = Pose::default();
         let mut rates = [Rate::ZERO; MAX_AXES];
         let to = setpoint.pose.iter().zip(&setpoint.rates);
-        for (axis, (place, rate)) in to.enumerate() {
-            pose.0[axis] = Coordinate(*place);
+        for (axis, (solve, rate)) in to.enumerate() {
+            pose.0[axis] = Coordinate(*solve);
             if self.motion.is_led_by_program(axis) {
                 // Of the wire: below 2^24 where it is not refused for itself.
                 rates[axis] = Rate(rate.saturating_mul(1 << RATE_SHIFT));

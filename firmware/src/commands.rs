@@ -1,0 +1,578 @@
+//! What each command does, and when it is refused. A refused command changes nothing.
+
+use crate::config::Config;
+use crate::config::HAND;
+use crate::core::Core;
+use crate::faults::hardware;
+use crate::force::conditioning::COMPONENTS;
+use crate::force::{ForceControl, ForceLoop, LoopSettings};
+use crate::io::Inputs;
+use crate::machine::Machine;
+use crate::reflection::Haptic;
+use crate::reflection::config::scale_is_sound;
+use crate::reflection::law;
+use crate::reflection::mapping::LED;
+use crate::server::Server;
+use haptimill_math::{Length, Rate};
+use haptimill_protocol::frame::crc32;
+use haptimill_protocol::haptic::{Hand, Reflection, Wall};
+use haptimill_protocol::message::{
+    AxisValues, Command, ConfigField, ConfigProblem, Event, Fault, InputProblem, MAX_AXES,
+    RATE_SHIFT, Refusal, Source, State,
+};
+
+type Done = Result<(), Refusal>;
+
+/// To try the pose of a setpoint takes as long as to try so many coordinates; to look at a new span of time and to take it as one, to read the next one as these.
+const POSE: usize = 3;
+const SPAN: usize = 1;
+const TAKE: usize = 1;
+/// To look at a piece of a long segment takes as long as so many; a period in which a frame came leaves it to the next one.
+const PIECE: usize = 5;
+const READ: usize = 5;
+
+/// Carries out the request that was heard and answers it.
+pub(crate) fn execute(core: &mut Core, server: &mut Server, inputs: &Inputs) {
+    let request = server.take_request();
+    let result = match request.command {
+        Command::Home | Command::JobStart { .. } | Command::Resume | Command::Jog { .. }
+            if core.job.stale_commands =>
+        {
+            Err(Refusal::State(core.safety.state()))
+        }
+        // Taken apart by the server, one setpoint a period.
+        Command::Setpoints(_) | Command::Ping => Ok(()),
+        Command::Configure(chunk) => server.stage(&chunk),
+        Command::Activate {
+            length,
+            crc,
+            at_preset,
+        } => activate(core, server, inputs, length, crc, at_preset),
+        Command::Enable => match enable(core, inputs) {
+            Ok(()) if settled(core).is_err() => {
+                // Answered when the step motors have locked.
+                core.job.enabling = request.id;
+                return;
+            }
+            result => result,
+        },
+        Command::Disable => disable(core),
+        Command::Home => home(core),
+        Command::Reset => reset(core, inputs),
+        Command::JobStart { job, pose } => start_job(core, server, job, &pose),
+        Command::JobEnd { count } => end_job(core, count),
+        Command::Hold => {
+            core.hold();
+            core.job.stale_commands = false;
+            Ok(())
+        }
+        Command::Resume => resume(core),
+        Command::Stop => {
+            // It came in its place: all that the host said before has been heard.
+            core.job.stale_commands = false;
+            if core.safety.active() {
+                core.abort();
+            }
+            Ok(())
+        }
+        Command::EmergencyStop => {
+            core.safety.emergency_stop();
+            Ok(())
+        }
+        Command::Jog {
+            epoch,
+            deadline_ms,
+            rates,
+        } => jog(core, epoch, deadline_ms, &rates),
+        Command::JogCancel { epoch } => cancel_jog(core, epoch),
+        Command::Source { axis, source } => choose_source(core, axis, source),
+        Command::Override { percent } => set_override(core, percent),
+        Command::Telemetry { every } => {
+            server.set_telemetry(every);
+            Ok(())
+        }
+        Command::Status => {
+            server.telemetry_now();
+            Ok(())
+        }
+        Command::ForceMask { mask } => set_force_mask(core, mask),
+        Command::ForceLoop { axis, settings } => set_force_loop(core, axis, &settings),
+        Command::ForceSettings { axis } => tell_force_settings(core, axis),
+        Command::Tare => tare(core),
+        Command::Hand {
+            epoch,
+            age_ms,
+            hand,
+        } => set_remote_master(core, epoch, age_ms, &hand),
+        Command::Feel { force } => haptic_arm(core).map(|arm| arm.set_remote_force(force)),
+        Command::Reflect(settings) => set_reflection(core, &settings),
+        Command::Wall { axis, upper, wall } => set_wall(core, axis, upper, wall),
+        Command::HandScale { scale } => set_hand_scale(core, scale),
+        Command::HandTelemetry { every } => {
+            server.set_hand_telemetry(every);
+            Ok(())
+        }
+    };
+    server.answer(request.id, result);
+}
+
+fn in_state(core: &Core, allowed: &[State]) -> Done {
+    let state = core.safety.state();
+    if allowed.contains(&state) {
+        Ok(())
+    } else {
+        Err(Refusal::State(state))
+    }
+}
+
+/// Nothing may be moved until the step motors have locked.
+fn settled(core: &Core) -> Done {
+    match &core.machine {
+        Some(machine) if machine.is_locking() => Err(Refusal::Input(InputProblem::Settling)),
+        _ => Ok(()),
+    }
+}
+
+/// Checks the staged configuration and makes it the active one. Where the joints stand is known from the presets (said by the operator, or
+/// valid at power-on, with what was counted from then to the first configuration), or from the configuration before if both count alike; otherwise it is lost.
+#[cold]
+#[inline(never)]
+fn activate(
+    core: &mut Core,
+    server: &Server,
+    inputs: &Inputs,
+    length: u16,
+    crc: u32,
+    at_preset: bool,
+) -> Done {
+    in_state(core, &[State::Disabled, State::Fault, State::EmergencyStop])?;
+    if core.safety.drives_on() {
+        return Err(Refusal::State(core.safety.state()));
+    }
+    let staged = server.staged();
+    if staged.len() != usize::from(length) || crc32(staged) != crc {
+        return Err(Refusal::ConfigCheck);
+    }
+    let problem = |field| Refusal::Config(ConfigProblem { field, axis: None });
+    // The check and the schema fit: what cannot be read is a part that this controller was built without.
+    let unreadable = if HAND {
+        ConfigField::Encoding
+    } else {
+        ConfigField::Haptic
+    };
+    let (config, rest) =
+        postcard::take_from_bytes::<Config>(staged).map_err(|_| problem(unreadable))?;
+    if !rest.is_empty() {
+        return Err(problem(ConfigField::Encoding));
+    }
+    if config.period_us != core.period_us {
+        return Err(problem(ConfigField::Period));
+    }
+    let standing = core.machine.as_ref().map(Machine::standing);
+    let hand = core
+        .machine
+        .as_ref()
+        .and_then(Machine::haptic_encoder_state);
+    Machine::install(&mut core.machine, config, crc, inputs).map_err(Refusal::Config)?;
+    let first = !core::mem::replace(&mut core.job.configured, true);
+    let machine = core.machine.as_mut().ok_or(Refusal::NotConfigured)?;
+    if at_preset || first {
+        core.safety.set_homed(false);
+        core.job.preset_valid = at_preset || machine.count_from(&core.power_on);
+    } else if !standing.is_some_and(|standing| machine.take_over(&standing, inputs)) {
+        core.safety.lose_position();
+        core.job.preset_valid = false;
+    }
+    if let (Some(standing), false) = (&hand, at_preset) {
+        machine.take_over_haptics(standing);
+    }
+    Ok(())
+}
+
+fn enable(core: &mut Core, inputs: &Inputs) -> Done {
+    in_state(core, &[State::Disabled])?;
+    let machine = core.machine.as_mut().ok_or(Refusal::NotConfigured)?;
+    if inputs.emergency_stop {
+        return Err(Refusal::Input(InputProblem::EmergencyStop));
+    }
+    match hardware(&inputs.axes[..machine.axes()]) {
+        Some(Fault::LimitSwitch { axis }) => {
+            return Err(Refusal::Input(InputProblem::LimitSwitch { axis }));
+        }
+        Some(Fault::Drive { axis }) => {
+            return Err(Refusal::Input(InputProblem::Drive { axis }));
+        }
+        _ => {}
+    }
+    // It would be caught with all the force of its drives.
+    if !machine.is_at_standstill() {
+        return Err(Refusal::Input(InputProblem::Coasting));
+    }
+    let counted = machine.encoders_counted();
+    machine.enable().map_err(Refusal::Standing)?;
+    if !counted {
+        // While the drives were off nobody looked, and the machine may have been moved by hand.
+        core.safety.lose_position();
+        core.job.preset_valid = false;
+    }
+    core.job.saturated = 0;
+    core.job.missed = 0;
+    core.safety.enter(State::Idle);
+    Ok(())
+}
+
+fn disable(core: &mut Core) -> Done {
+    in_state(core, &[State::Idle, State::Disabled])?;
+    core.safety.enter(State::Disabled);
+    Ok(())
+}
+
+fn home(core: &mut Core) -> Done {
+    in_state(core, &[State::Idle])?;
+    settled(core)?;
+    if !core.job.preset_valid {
+        return Err(Refusal::PresetLost);
+    }
+    core.configured()?.begin_homing();
+    core.safety.set_homed(false);
+    core.job.stopping = false;
+    core.safety.enter(State::Homing);
+    Ok(())
+}
+
+fn reset(core: &mut Core, inputs: &Inputs) -> Done {
+    if inputs.emergency_stop {
+        return Err(Refusal::Input(InputProblem::EmergencyStop));
+    }
+    if core.safety.drives_on()
+        && core.safety.state() == State::Fault
+        && let Some(machine) = &mut core.machine
+    {
+        // The tool stays where it yielded to; to go back from there is for whoever has looked at it.
+        machine.rebase_on_compliance();
+    }
+    if let Some(machine) = &mut core.machine
+        && let Some(arm) = machine.masters.arm_mut()
+    {
+        arm.reset();
+    }
+    core.safety.reset();
+    Ok(())
+}
+
+fn start_job(core: &mut Core, server: &mut Server, job: u32, pose: &AxisValues) -> Done {
+    in_state(core, &[State::Idle])?;
+    settled(core)?;
+    if !core.safety.homed() || !core.safety.position_kept() {
+        return Err(Refusal::NotHomed);
+    }
+    let machine = core.machine.as_mut().ok_or(Refusal::NotConfigured)?;
+    let wanted = machine.commanded_values();
+    if pose.len() != wanted.len() {
+        return Err(Refusal::AxisCount);
+    }
+    if let Some(axis) = pose.iter().zip(&wanted).position(|(said, is)| said != is) {
+        return Err(Refusal::StartPose { axis: axis as u8 });
+    }
+    if let Some(force) = &machine.force
+        && force.mask() != 0
+    {
+        // Who believes that the tool yields must not be wrong.
+        if !force.conditioner().tared() {
+            return Err(Refusal::NotTared);
+        }
+        if let Some(problem) = force.condition() {
+            return Err(Refusal::ForceSensor(problem));
+        }
+    }
+    machine.motion.begin_program();
+    machine.begin_joint_rates();
+    server.begin_job(pose);
+    core.job.number = Some(job);
+    core.job.stopping = false;
+    core.job.saturated = 0;
+    core.safety.enter(State::Run);
+    Ok(())
+}
+
+/// A period of a setpoint's trial: whether the machine can be at its pose, then whether each of its coordinates may go there as fast as it says. It is taken
+/// into the queue after that, and the next one read, as far as the period's share goes; the rest is for another period.
+#[inline(never)]
+pub(crate) fn enqueue_setpoint(core: &mut Core, server: &mut Server, number: u32, tried: u8) {
+    let mut share = server.share();
+    match validate_setpoint(core, server, number, usize::from(tried), &mut share) {
+        Ok(None) => server.accept_setpoint(share >= READ),
+        Ok(Some(tried)) => server.pass_setpoint(tried),
+        Err(refusal) => server.refuse_setpoints(refusal),
+    }
+}
+
+/// Goes on with a setpoint of which so much was tried: nothing, or the pose, or one more for each coordinate. Says how much is tried now; `None` if it was taken.
+fn validate_setpoint(
+    core: &mut Core,
+    server: &Server,
+    number: u32,
+    tried: usize,
+    share: &mut usize,
+) -> Result<Option<u8>, Refusal> {
+    in_state(core, &[State::Run, State::Hold])?;
+    let machine = core.machine.as_mut().ok_or(Refusal::NotConfigured)?;
+    let setpoint = server.setpoint();
+    let expected = machine.motion.program.accepted();
+    if number != expected {
+        return Err(Refusal::OutOfOrder { expected });
+    }
+    if tried == 0 {
+        machine.can_reach(number, setpoint)?;
+        *share = share.saturating_sub(POSE);
+        if !machine.motion.program.expects(setpoint.periods) {
+            *share = share.saturating_sub(SPAN);
+        }
+    }
+    let axes = machine.axes();
+    let first = tried.saturating_sub(1).min(axes);
+    let last = axes.min(first + *share);
+    *share -= last - first;
+    machine.motion.program.allows(setpoint, first..last)?;
+    if last < axes {
+        return Ok(Some(last as u8 + 1));
+    }
+    let pieces = machine.pieces(setpoint);
+    let mut piece = tried.saturating_sub(axes + 1) as u8;
+    while piece < pieces {
+        // The last piece ends at the pose that was tried.
+        let cost = if piece + 1 == pieces { TAKE } else { PIECE };
+        if *share < cost {
+            break;
+        }
+        *share -= cost;
+        machine.check_piece(number, setpoint, piece, pieces)?;
+        piece += 1;
+    }
+    if piece < pieces || *share < TAKE {
+        return Ok(Some((axes + 1) as u8 + piece));
+    }
+    *share -= TAKE;
+    machine.motion.program.push_tried(setpoint, axes)?;
+    machine.take_end();
+    Ok(None)
+}
+
+fn end_job(core: &mut Core, count: u32) -> Done {
+    in_state(core, &[State::Run, State::Hold])?;
+    core.configured()?.motion.program.end(count)
+}
+
+fn resume(core: &mut Core) -> Done {
+    in_state(core, &[State::Hold, State::Run])?;
+    if core.job.stopping {
+        return Err(Refusal::State(State::Hold));
+    }
+    core.configured()?.motion.program.leave_pause();
+    core.safety.enter(State::Run);
+    Ok(())
+}
+
+fn jog(core: &mut Core, epoch: u16, deadline_ms: u16, rates: &AxisValues) -> Done {
+    if !core.safety.homed() {
+        return Err(Refusal::NotHomed);
+    }
+    settled(core)?;
+    if !(1..=1000).contains(&deadline_ms) {
+        return Err(Refusal::Range);
+    }
+    // Epochs wrap around: one is older when it lies less than half the circle behind.
+    let age = epoch_age(core, epoch);
+    if age > 0 || (age == 0 && core.job.jog_cancelled) {
+        return Err(Refusal::OldEpoch);
+    }
+    let period_us = u32::from(core.period_us);
+    let state = core.safety.state();
+    let machine = core.machine.as_mut().ok_or(Refusal::NotConfigured)?;
+    if rates.len() != machine.axes() {
+        return Err(Refusal::AxisCount);
+    }
+    let beside_program =
+        matches!(state, State::Run | State::Hold) && machine.motion.has_jog_source();
+    if core.job.stopping || !(beside_program || matches!(state, State::Idle | State::Jog)) {
+        return Err(Refusal::State(state));
+    }
+    if state == State::Idle {
+        machine.motion.begin_jog(true);
+        core.safety.enter(State::Jog);
+    }
+    let mut wanted = [0_i64; MAX_AXES];
+    for (index, (slot, rate)) in wanted.iter_mut().zip(rates).enumerate() {
+        if !beside_program || machine.motion.source(index) == Source::Jog {
+            *slot = i64::from(*rate) << RATE_SHIFT;
+        }
+    }
+    machine
+        .motion
+        .jog
+        .aim(&wanted, u32::from(deadline_ms) * 1000 / period_us);
+    core.job.jog_epoch = Some(epoch);
+    core.job.jog_cancelled = false;
+    Ok(())
+}
+
+/// How many epochs this one is older than the newest; negative when it is newer. Any is newer than none.
+fn epoch_age(core: &Core, epoch: u16) -> i16 {
+    core.job
+        .jog_epoch
+        .map_or(-1, |newest| newest.wrapping_sub(epoch) as i16)
+}
+
+fn cancel_jog(core: &mut Core, epoch: u16) -> Done {
+    if epoch_age(core, epoch) <= 0 {
+        core.job.jog_epoch = Some(epoch);
+        core.job.jog_cancelled = true;
+        if let Some(machine) = &mut core.machine
+            && core.safety.state() != State::Homing
+        {
+            machine.motion.jog.release();
+        }
+    }
+    Ok(())
+}
+
+/// To a jog, and from one, only at rest; otherwise also while the coordinate moves. Also while a fault is latched: a hand that stays broken would latch it again after each reset.
+fn choose_source(core: &mut Core, axis: u8, source: Source) -> Done {
+    in_state(core, &[State::Idle, State::Hold, State::Run, State::Fault])?;
+    let state = core.safety.state();
+    let machine = core.configured()?;
+    if usize::from(axis) >= machine.axes() {
+        return Err(Refusal::Range);
+    }
+    let follows = HAND && machine.config.follow.is_some() && usize::from(axis) < LED;
+    if source == Source::Master && !follows {
+        return Err(Refusal::NoHand);
+    }
+    machine.masters.mapping.release_one(usize::from(axis));
+    // Without a hand there is nothing that takes a coordinate over while it moves.
+    let jogs =
+        !HAND || source == Source::Jog || machine.motion.source(usize::from(axis)) == Source::Jog;
+    if jogs && state == State::Run {
+        return Err(Refusal::State(state));
+    }
+    if jogs && state == State::Hold && !machine.motion.is_at_standstill() {
+        return Err(Refusal::State(state));
+    }
+    machine.motion.set_source(usize::from(axis), source);
+    Ok(())
+}
+
+fn set_override(core: &mut Core, percent: u8) -> Done {
+    if !(1..=100).contains(&percent) {
+        return Err(Refusal::Range);
+    }
+    core.configured()?.motion.program.set_override(percent);
+    Ok(())
+}
+
+fn haptic_arm(core: &mut Core) -> Result<&mut Haptic, Refusal> {
+    let machine = core.configured()?;
+    machine.masters.arm_mut().ok_or(Refusal::NoHand)
+}
+
+/// Epochs as those of jogs.
+fn set_remote_master(core: &mut Core, epoch: u16, age_ms: u8, hand: &Hand) -> Done {
+    if !HAND || core.configured()?.config.follow.is_none() {
+        return Err(Refusal::NoHand);
+    }
+    let newest = core.job.master_epoch;
+    let age = newest.map_or(-1, |newest| newest.wrapping_sub(epoch) as i16);
+    if age > 0 || (age == 0 && core.job.master_cancelled) {
+        return Err(Refusal::OldEpoch);
+    }
+    core.job.master_epoch = Some(epoch);
+    core.job.master_cancelled = false;
+    core.configured()?.set_remote_master(hand, age_ms);
+    Ok(())
+}
+
+fn set_reflection(core: &mut Core, settings: &Reflection) -> Done {
+    let arm = haptic_arm(core)?;
+    if !law::is_sound(settings) {
+        return Err(Refusal::Range);
+    }
+    arm.set_reflection(settings);
+    Ok(())
+}
+
+fn set_wall(core: &mut Core, axis: u8, upper: bool, wall: Option<Wall>) -> Done {
+    let arm = haptic_arm(core)?;
+    let wall = match wall {
+        None => None,
+        Some(Wall { at, rate }) => {
+            let rate = rate.checked_mul(1 << RATE_SHIFT).ok_or(Refusal::Range)?;
+            Some((at.map(Length), Rate(rate)))
+        }
+    };
+    if usize::from(axis) >= COMPONENTS {
+        return Err(Refusal::Range);
+    }
+    arm.set_wall(usize::from(axis), upper, wall)
+        .map_err(|_| Refusal::WallTooNear)
+}
+
+/// The tool does not jump: hand and tool are latched anew.
+fn set_hand_scale(core: &mut Core, scale: u16) -> Done {
+    let machine = core.configured()?;
+    if !HAND || machine.config.follow.is_none() {
+        return Err(Refusal::NoHand);
+    }
+    if !scale_is_sound(scale) {
+        return Err(Refusal::Range);
+    }
+    let frame = machine.hand();
+    machine.masters.mapping.set_scale(scale, frame.as_ref());
+    Ok(())
+}
+
+fn force_control(core: &mut Core) -> Result<&mut ForceControl, Refusal> {
+    let machine = core.configured()?;
+    machine.force.as_mut().ok_or(Refusal::NoForceSensor)
+}
+
+/// In any state: an axis that is taken out returns by its law, one that is put in begins where it is.
+fn set_force_mask(core: &mut Core, mask: u8) -> Done {
+    let force = force_control(core)?;
+    if mask >> COMPONENTS != 0 {
+        return Err(Refusal::Range);
+    }
+    let tared = force.conditioner().tared();
+    let moving = core.safety.active();
+    if mask != 0 && moving && !tared {
+        return Err(Refusal::NotTared);
+    }
+    force_control(core)?.set_mask(mask);
+    Ok(())
+}
+
+fn set_force_loop(core: &mut Core, axis: u8, settings: &ForceLoop) -> Done {
+    force_control(core)?
+        .set(usize::from(axis), &LoopSettings::from(settings))
+        .map_err(|refusal| Refusal::Force { axis, refusal })
+}
+
+fn tell_force_settings(core: &mut Core, axis: u8) -> Done {
+    let settings = force_control(core)?.settings(usize::from(axis));
+    let settings = settings.map(ForceLoop::from).ok_or(Refusal::Range)?;
+    core.safety.tell(Event::ForceSettings { axis, settings });
+    Ok(())
+}
+
+/// Only at rest, with the spindle off (it is, in these states), and where the tool does not lean on anything.
+fn tare(core: &mut Core) -> Done {
+    let state = core.safety.state();
+    let force = force_control(core)?;
+    if !matches!(state, State::Disabled | State::Idle) {
+        return Err(Refusal::State(state));
+    }
+    if force.displaced() {
+        return Err(Refusal::Yielding);
+    }
+    force.begin_tare();
+    Ok(())
+}

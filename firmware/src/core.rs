@@ -1,0 +1,152 @@
+//! What the stages of the control cycle share: safety state, job, configured machine.
+
+use crate::drive::counted::SincePowerOn;
+use crate::machine::Machine;
+use crate::safety::Safety;
+use haptimill_protocol::message::{Event, Refusal, State};
+
+/// The state of the controller without its link.
+#[derive(Debug)]
+pub(crate) struct Core {
+    /// Control period, microseconds.
+    pub period_us: u16,
+    /// States, latched faults, position kept.
+    pub safety: Safety,
+    /// The configured machine.
+    pub machine: Option<Machine>,
+    /// The job that runs.
+    pub job: Job,
+    /// Encoder counts from power-on to the first configuration.
+    pub power_on: SincePowerOn,
+}
+
+/// The job that runs, and what commands and faults leave behind for later periods.
+#[derive(Debug, Default)]
+pub(crate) struct Job {
+    /// Number of the job, given by the host; `None` without a job.
+    pub number: Option<u32>,
+    /// The job, jog or homing ends at standstill.
+    pub stopping: bool,
+    /// Commanded spindle speed, rev/min; counter-clockwise below 0.
+    pub spindle_rpm: i16,
+    /// Joints whose saturation was reported, one bit each.
+    pub saturated: u8,
+    /// Newest epoch of jogs in this session.
+    pub jog_epoch: Option<u16>,
+    /// The newest epoch of jogs has ended.
+    pub jog_cancelled: bool,
+    /// Newest epoch of the remote master.
+    pub master_epoch: Option<u16>,
+    /// The newest epoch of the remote master has ended.
+    pub master_cancelled: bool,
+    /// A session started, and the machine has not been at standstill since.
+    pub new_session: bool,
+    /// After an out-of-band stop: commands sent before it may still arrive and must not start
+    /// motion.
+    pub stale_commands: bool,
+    /// Periods since the out-of-band stop.
+    pub since_urgent: u32,
+    /// Integrity checks that are due and not done.
+    pub digest_backlog: u8,
+    /// The interpolator needs most of this period.
+    pub busy: bool,
+    /// A configuration was activated since power-on.
+    pub configured: bool,
+    /// Leaky bucket of missed periods.
+    pub missed: u16,
+    /// The joints are at their presets, or moved from there with encoders that count.
+    pub preset_valid: bool,
+    /// Number of the `Enable` request that is answered when the step motors have locked; 0 is none.
+    pub enabling: u8,
+}
+
+impl Core {
+    pub fn new(period_us: u16) -> Self {
+        Self {
+            period_us,
+            safety: Safety::default(),
+            machine: None,
+            job: Job::default(),
+            power_on: SincePowerOn::default(),
+        }
+    }
+
+    /// The configured machine.
+    ///
+    /// # Errors
+    /// [`Refusal::NotConfigured`].
+    pub fn configured(&mut self) -> Result<&mut Machine, Refusal> {
+        self.machine.as_mut().ok_or(Refusal::NotConfigured)
+    }
+
+    /// Whether the interpolator needs most of this period.
+    pub fn is_busy(&self) -> bool {
+        matches!(self.safety.state(), State::Run | State::Hold)
+            && self
+                .machine
+                .as_ref()
+                .is_some_and(|machine| machine.motion.program.is_busy())
+    }
+
+    /// Controlled stop; a job keeps its place.
+    #[inline(never)]
+    pub fn hold(&mut self) {
+        match self.safety.state() {
+            State::Run => self.safety.enter(State::Hold),
+            State::Jog | State::Homing => self.abort(),
+            _ => {}
+        }
+        self.end_jogs();
+    }
+
+    /// Controlled stop that ends the job, jog or homing.
+    #[inline(never)]
+    pub fn abort(&mut self) {
+        if self.safety.state() == State::Run {
+            self.safety.enter(State::Hold);
+        }
+        self.job.stopping = true;
+        self.end_jogs();
+    }
+
+    /// Stops jogs and the remote master. Messages of their epochs are refused from now on.
+    #[inline(never)]
+    fn end_jogs(&mut self) {
+        self.job.jog_cancelled = true;
+        self.job.master_cancelled = true;
+        if let Some(machine) = &mut self.machine {
+            machine.motion.jog.release();
+            machine.masters.remote.forget();
+        }
+    }
+
+    /// The motion has ended at standstill; the drives hold.
+    #[inline(never)]
+    pub fn finish_at_standstill(&mut self) {
+        self.drop_job();
+        self.job.stopping = false;
+        self.job.spindle_rpm = 0;
+        if self.safety.pending().is_some() {
+            self.safety.settle();
+        } else {
+            self.safety.enter(State::Idle);
+        }
+    }
+
+    /// Reports a job that ends before its last setpoint.
+    #[inline(never)]
+    pub fn drop_job(&mut self) {
+        if let Some(job) = self.job.number.take() {
+            let program = self.machine.as_ref().map(|machine| &machine.motion.program);
+            // A setpoint that never came is reported as a late one.
+            if let Some(late) = program.and_then(|program| program.starving()) {
+                self.safety.tell(Event::Underrun {
+                    setpoint: late.setpoint,
+                    late_periods: late.periods,
+                });
+            }
+            let setpoints = program.map_or(0, |program| program.reached());
+            self.safety.tell(Event::JobDropped { job, setpoints });
+        }
+    }
+}

@@ -1,0 +1,177 @@
+//! Stage *interpolate*: what each state does in a control period, and the commanded pose of it.
+
+use crate::core::Core;
+use crate::faults;
+use crate::io::Inputs;
+use crate::machine::Machine;
+use crate::machine::masters::Leading;
+use crate::motion::Mode;
+use crate::motion::program::Progress;
+use crate::safety::homing::Outcome;
+use crate::server::Server;
+use haptimill_protocol::message::{Event, Fault, HomingProblem, Refusal, State};
+
+/// One period of the present state.
+#[inline]
+pub(crate) fn advance(core: &mut Core, server: &mut Server, inputs: &Inputs) {
+    if core.safety.pending().is_some() && !core.job.stopping {
+        core.abort();
+    }
+    follow_master(core);
+    advance_motion(core, server, inputs);
+    faults::close_aborted_job(core);
+    if core.job.enabling != 0 {
+        answer_enable(core, server);
+    }
+}
+
+/// A master leads coordinates of a running job. The job holds when its samples are stale.
+fn follow_master(core: &mut Core) {
+    let running = core.safety.state() == State::Run && !core.job.stopping;
+    let Some(machine) = &mut core.machine else {
+        return;
+    };
+    if !running {
+        machine.release_master();
+    } else if let Leading::Lost(age_ms) = machine.advance_master() {
+        core.safety.tell(Event::HandLost { age_ms });
+        core.hold();
+    }
+}
+
+#[inline]
+fn advance_motion(core: &mut Core, server: &mut Server, inputs: &Inputs) {
+    let state = core.safety.state();
+    let Some(machine) = &mut core.machine else {
+        return;
+    };
+    let mode = match state {
+        State::Run => Mode::Program { halt: false },
+        State::Hold => Mode::Program { halt: true },
+        State::Jog | State::Homing => Mode::Jog,
+        _ => Mode::Still,
+    };
+    let (progress, limited) = machine.advance(mode);
+    if let Some(axis) = limited
+        && state != State::Homing
+    {
+        machine.motion.jog.release();
+        core.safety.tell(Event::JogLimited { axis });
+    }
+    if let Some(axis) = machine.motion.take_limited() {
+        core.safety.tell(Event::HandLimited { axis });
+    }
+    match state {
+        State::Run | State::Hold => follow_program(core, server, state, &progress),
+        State::Jog if machine.motion.jog.is_at_standstill() => core.finish_at_standstill(),
+        State::Homing => follow_homing(core, inputs, limited.is_some()),
+        _ => {}
+    }
+}
+
+/// Events of the program, and its end.
+#[inline]
+fn follow_program(core: &mut Core, server: &mut Server, state: State, progress: &Progress) {
+    let Some(machine) = &mut core.machine else {
+        return;
+    };
+    let held = server.is_held();
+    let program = &mut machine.motion.program;
+    program.look_ahead(held, || server.claim_idle());
+    if let Some(late) = program.take_late() {
+        core.safety.tell(Event::Underrun {
+            setpoint: late.setpoint,
+            late_periods: late.periods,
+        });
+    }
+    if progress.ran_dry {
+        core.safety.raise(Fault::Internal {
+            line: line!() as u16,
+        });
+        return;
+    }
+    let commanded = machine.motion.wanted().pose;
+    if let Some(axis) = machine.beyond_soft_limit(&commanded) {
+        core.safety.raise(Fault::SoftLimit { axis });
+    }
+    if let Some(speed) = progress.spindle {
+        core.job.spindle_rpm = speed;
+    }
+    if progress.blocked && state == State::Run {
+        core.safety.tell(Event::Blocked {
+            setpoint: machine.motion.program.reached(),
+        });
+        core.safety.enter(State::Hold);
+    }
+    if let Some(setpoint) = progress.paused {
+        core.safety.tell(Event::Paused { setpoint });
+        core.safety.enter(State::Hold);
+    }
+    let at_standstill = machine.motion.is_at_standstill();
+    if progress.finished && at_standstill {
+        let setpoints = machine.motion.program.reached();
+        if let Some(job) = core.job.number.take() {
+            core.safety.tell(Event::JobDone { job, setpoints });
+        }
+        core.finish_at_standstill();
+    } else if state == State::Hold && core.job.stopping && at_standstill {
+        core.finish_at_standstill();
+    }
+}
+
+/// One period of homing.
+#[inline(never)]
+fn follow_homing(core: &mut Core, inputs: &Inputs, limited: bool) {
+    let Some(machine) = &mut core.machine else {
+        return;
+    };
+    if core.job.stopping {
+        if machine.motion.jog.is_at_standstill() {
+            core.finish_at_standstill();
+        }
+        return;
+    }
+    if let Err(fault) = machine.check_index_pulses() {
+        core.safety.raise(fault);
+        return;
+    }
+    if machine.measured_pose().is_none() {
+        core.safety.raise(Fault::Homing {
+            axis: 0,
+            problem: HomingProblem::Workspace,
+        });
+        return;
+    }
+    let pose = machine.motion.wanted().pose;
+    match machine
+        .homing
+        .advance(&machine.config, &pose, &mut machine.motion.jog, limited)
+    {
+        Outcome::Searching => {}
+        Outcome::Failed(fault) => core.safety.raise(fault),
+        Outcome::Found(corrections) => match machine.apply_homing(&corrections, inputs) {
+            Ok(()) => {
+                core.safety.set_homed(true);
+                core.finish_at_standstill();
+            }
+            Err(error) => core.safety.raise(Fault::Pose(error)),
+        },
+    }
+}
+
+/// Answers `Enable` when the step motors have locked, or when the state has changed before.
+#[cold]
+#[inline(never)]
+fn answer_enable(core: &mut Core, server: &mut Server) {
+    let locking = core.machine.as_ref().is_some_and(Machine::is_locking);
+    let result = match core.safety.state() {
+        State::Idle if locking => return,
+        State::Idle => Ok(()),
+        state => Err(Refusal::State(state)),
+    };
+    // The request of this period may have taken the last place.
+    if server.can_answer() {
+        server.answer(core.job.enabling, result);
+        core.job.enabling = 0;
+    }
+}
