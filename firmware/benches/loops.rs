@@ -2,8 +2,8 @@
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use haptimill_firmware::config::{AxisKind, Drive, JointAxis, Law, LawForm};
-use haptimill_firmware::drive::JointDrive;
 use haptimill_firmware::io::{AxisInputs, DriveCommand};
+use haptimill_firmware::joint::JointDrive;
 use haptimill_math::{Acceleration, Coordinate, Effort, Gain, Rate};
 use std::hint::black_box;
 

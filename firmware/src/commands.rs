@@ -1,18 +1,18 @@
 //! What each command does, and when it is refused. A refused command changes nothing.
 
+use crate::comm::server::Server;
 use crate::config::Config;
 use crate::config::HAND;
 use crate::core::Core;
 use crate::faults::hardware;
-use crate::force::conditioning::COMPONENTS;
+use crate::force::sensor::COMPONENTS;
 use crate::force::{ForceControl, ForceLoop, LoopSettings};
+use crate::haptics::Haptic;
+use crate::haptics::config::scale_is_sound;
+use crate::haptics::feedback_law;
+use crate::haptics::mapping::LED;
 use crate::io::Inputs;
 use crate::machine::Machine;
-use crate::reflection::Haptic;
-use crate::reflection::config::scale_is_sound;
-use crate::reflection::law;
-use crate::reflection::mapping::LED;
-use crate::server::Server;
 use haptimill_math::{Length, Rate};
 use haptimill_protocol::frame::crc32;
 use haptimill_protocol::haptic::{Hand, Reflection, Wall};
@@ -493,7 +493,7 @@ fn set_remote_master(core: &mut Core, epoch: u16, age_ms: u8, hand: &Hand) -> Do
 
 fn set_reflection(core: &mut Core, settings: &Reflection) -> Done {
     let arm = haptic_arm(core)?;
-    if !law::is_sound(settings) {
+    if !feedback_law::is_sound(settings) {
         return Err(Refusal::Range);
     }
     arm.set_reflection(settings);

@@ -4,9 +4,10 @@
 //! period boundary. All values are integers in the scales stated here, so a configuration has one encoding (postcard) and one CRC-32.
 
 mod check;
+pub mod digest;
 
 use crate::force::ForceConfig;
-use crate::reflection::config::{FollowConfig, HapticConfig};
+use crate::haptics::config::{FollowConfig, HapticConfig};
 use haptimill_kinematics::{BoundedKinematics, JointLimits, Model};
 use haptimill_math::{Acceleration, Coordinate, Effort, Gain, Rate};
 use haptimill_protocol::message::MAX_AXES;

@@ -16,15 +16,15 @@
 //! | report | replies, events, telemetry | `server.rs` |
 //! | interlock | safe outputs unless the state allows motion | here |
 
+use crate::comm::server::{Heard, Server};
 use crate::core::Core;
 use crate::faults::{self, DIGEST_OVERDUE};
 use crate::force::{ForceControl, ForceProblem};
 use crate::io::{Inputs, Outputs};
 use crate::machine::Machine;
-use crate::motion::program::{FULL_RATE, QUEUE};
+use crate::motion::interpolator::{FULL_RATE, QUEUE};
 use crate::profiler::{Profiler, Stage};
 use crate::safety::Safety;
-use crate::server::{Heard, Server};
 use crate::{commands, modes};
 use haptimill_protocol::link::Identity;
 use haptimill_protocol::message::{Event, Fault, Refusal, State, Telemetry};

@@ -1,6 +1,6 @@
 //! What the stages of the control cycle share: safety state, job, configured machine.
 
-use crate::drive::counted::SincePowerOn;
+use crate::joint::power_on_counts::SincePowerOn;
 use crate::machine::Machine;
 use crate::safety::Safety;
 use haptimill_protocol::message::{Event, Refusal, State};

@@ -1,10 +1,10 @@
 //! Stage *supervise*: every fault check of a control period, most serious first.
 
+use crate::comm::server::Server;
 use crate::core::Core;
-use crate::force::conditioning::is_force;
+use crate::force::sensor::is_force;
 use crate::io::{AxisInputs, Inputs};
 use crate::safety::{keeps_position, suspected};
-use crate::server::Server;
 use haptimill_protocol::message::{Event, Fault, State};
 
 /// Distance of the retraction after a force beyond its limit: microseconds of program time.

@@ -8,22 +8,20 @@
 // Not a float in the corridor, outside of tests and of the haptic arm's statics.
 #![cfg_attr(not(test), deny(clippy::float_arithmetic))]
 
+pub mod comm;
 mod commands;
 pub mod config;
 pub mod controller;
 mod core;
-pub mod drive;
 mod faults;
 pub mod force;
+pub mod haptics;
 pub mod io;
-pub mod lockstep;
+pub mod joint;
 pub mod machine;
 mod modes;
 pub mod motion;
-pub mod position;
+pub mod pil;
 pub mod profiler;
-pub mod receive;
-pub mod reflection;
 pub mod safety;
-pub mod server;
 pub mod snapshot;

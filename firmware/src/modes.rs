@@ -1,14 +1,14 @@
 //! Stage *interpolate*: what each state does in a control period, and the commanded pose of it.
 
+use crate::comm::server::Server;
 use crate::core::Core;
 use crate::faults;
 use crate::io::Inputs;
 use crate::machine::Machine;
 use crate::machine::masters::Leading;
 use crate::motion::Mode;
-use crate::motion::program::Progress;
+use crate::motion::interpolator::Progress;
 use crate::safety::homing::Outcome;
-use crate::server::Server;
 use haptimill_protocol::message::{Event, Fault, HomingProblem, Refusal, State};
 
 /// One period of the present state.

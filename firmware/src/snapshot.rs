@@ -2,9 +2,9 @@
 
 use crate::controller::Controller;
 use crate::io::{COMPONENTS, DriveCommand, Inputs};
-use crate::motion::program::FULL_RATE;
+use crate::motion::interpolator::FULL_RATE;
 #[cfg(doc)]
-use crate::motion::program::QUEUE;
+use crate::motion::interpolator::QUEUE;
 use haptimill_protocol::message::{MAX_AXES, State};
 
 /// Values of all axes, in axis units; those that the machine lacks are 0.

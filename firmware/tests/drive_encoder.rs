@@ -1,9 +1,9 @@
 //! Quadrature decoder and encoder against a true motion.
 
 use haptimill_firmware::config::AxisKind;
-use haptimill_firmware::drive::encoder::Encoder;
-use haptimill_firmware::drive::quadrature::Quadrature;
 use haptimill_firmware::io::AxisInputs;
+use haptimill_firmware::joint::encoder::Encoder;
+use haptimill_firmware::joint::quadrature::Quadrature;
 use haptimill_math::Coordinate;
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;

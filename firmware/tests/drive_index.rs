@@ -1,6 +1,6 @@
 //! Index pulses against counts: what is lost is found, what is not lost is never said to be.
 
-use haptimill_firmware::drive::index::IndexWatch;
+use haptimill_firmware::joint::index_monitor::IndexWatch;
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 

@@ -1,9 +1,9 @@
 //! Whole joints: torque with backlash on a simulated slide, steps with a simulated motor, enabling, references, bad configurations.
 
 use haptimill_firmware::config::{AxisKind, Drive, JointAxis, Law, LawForm};
-use haptimill_firmware::drive::torque::TorqueOutput;
-use haptimill_firmware::drive::{DriveError, Driven, JointDrive, Wanted};
 use haptimill_firmware::io::{AxisInputs, DriveCommand};
+use haptimill_firmware::joint::torque::TorqueOutput;
+use haptimill_firmware::joint::{DriveError, Driven, JointDrive, Wanted};
 use haptimill_math::{Acceleration, Coordinate, Effort, Gain, Rate};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;

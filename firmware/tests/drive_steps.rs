@@ -1,7 +1,7 @@
 //! Step pulses against an independent reconstruction of every pulse and direction edge.
 
 use haptimill_firmware::config::AxisKind;
-use haptimill_firmware::drive::steps::{Planned, PulseTiming, StepPlanner};
+use haptimill_firmware::joint::step_gen::{Planned, PulseTiming, StepPlanner};
 use haptimill_math::{Coordinate, Rate};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;

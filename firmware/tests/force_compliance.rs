@@ -1,7 +1,7 @@
 //! The direct-force loop against the equation in f64: K_A p'' + K_V p' = F - sigma f_d, its bounds, its changes at run time.
 
-use haptimill_firmware::force::compliance::{Compliance, Law, Push, Yielding};
-use haptimill_firmware::force::pole::{FINENESS, Pole, sound};
+use haptimill_firmware::force::admittance::{Compliance, Law, Push, Yielding};
+use haptimill_firmware::force::zero_order_hold::{FINENESS, Pole, sound};
 use haptimill_firmware::force::{ForceParameter, Gate, LoopSettings};
 use haptimill_math::force::{Displacement, Force, VirtualDamping, VirtualMass};
 use haptimill_math::{Length, Rate};

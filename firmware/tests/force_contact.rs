@@ -5,7 +5,7 @@
 mod contact;
 
 use contact::{Contact, DESIRED, Drive, Outcome, run};
-use haptimill_firmware::force::guard::Sign;
+use haptimill_firmware::force::stability::Sign;
 
 /// Resolution of the encoders at the tool, mm.
 const COUNT: f64 = 0.00125;

@@ -1,7 +1,7 @@
 //! Force control as a whole, from codes to displacements: cutting, a sensor with the wrong sign, leaving a stiff contact, changes at run time, spindle speeds.
 
 use haptimill_checks::reference;
-use haptimill_firmware::force::conditioning::{Channel, ForceProblem, ForceSample, Sensor};
+use haptimill_firmware::force::sensor::{Channel, ForceProblem, ForceSample, Sensor};
 use haptimill_firmware::force::{ForceConfig, ForceControl, ForceParameter, Gate, LoopSettings};
 use haptimill_math::force::{Force, VirtualDamping, VirtualMass};
 use haptimill_math::{Angle, Coordinate, Length, Rate};

@@ -1,6 +1,6 @@
 //! The peak of a revolution against a plain scan, and on milling forces at speeds whose revolution is no whole number of samples.
 
-use haptimill_firmware::force::peak::{LEAVES, SlidingExtremes, Window};
+use haptimill_firmware::force::window_peak::{LEAVES, SlidingExtremes, Window};
 use haptimill_math::force::Force;
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;

@@ -1,6 +1,6 @@
 //! The sensor's conditioning: scale and sign, tare, and every watch with its name.
 
-use haptimill_firmware::force::conditioning::{
+use haptimill_firmware::force::sensor::{
     Channel, Conditioner, ForceProblem, ForceSample, Sensor, TareRefusal,
 };
 use haptimill_math::Angle;

@@ -2,15 +2,15 @@
 
 mod reference;
 
+use haptimill_firmware::config::digest::{Constants, Digest};
 use haptimill_firmware::config::{Config, JointAxis};
-use haptimill_firmware::drive::{JointDrive, Wanted};
-use haptimill_firmware::force::conditioning::Sensor;
+use haptimill_firmware::force::sensor::Sensor;
 use haptimill_firmware::force::{ForceConfig, ForceControl, Gate, LoopSettings};
 use haptimill_firmware::io::{AxisInputs, DriveCommand, Inputs};
+use haptimill_firmware::joint::{JointDrive, Wanted};
 use haptimill_firmware::machine::Machine;
+use haptimill_firmware::motion::interpolator::Program;
 use haptimill_firmware::motion::jog::Jog;
-use haptimill_firmware::motion::program::Program;
-use haptimill_firmware::safety::integrity::{Constants, Digest};
 use haptimill_kinematics::Model;
 use haptimill_math::force::{Force, VirtualDamping};
 use haptimill_math::{Coordinate, Rate};

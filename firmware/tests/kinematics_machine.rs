@@ -7,7 +7,7 @@
 use haptimill_firmware::config::{
     AxisKind, Config, Drive, Homing, JointAxis, Law, LawForm, Stopping, Supervision,
 };
-use haptimill_firmware::motion::sweep::Sweep;
+use haptimill_firmware::motion::envelope::Sweep;
 use haptimill_kinematics::Model;
 use haptimill_kinematics::h4::H4;
 use haptimill_kinematics::h4::H4Geometry;

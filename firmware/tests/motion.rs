@@ -3,8 +3,8 @@
 mod reference;
 
 use haptimill_firmware::config::Config;
+use haptimill_firmware::motion::interpolator::{FULL_RATE, Program, QUEUE};
 use haptimill_firmware::motion::jog::Jog;
-use haptimill_firmware::motion::program::{FULL_RATE, Program, QUEUE};
 use haptimill_kinematics::{Jacobian, JointMotion, Joints, Kinematics, Pose, PoseError, Rates};
 use haptimill_math::{Acceleration, Coordinate, Rate};
 use haptimill_protocol::message::{Action, MAX_AXES, Refusal};

@@ -2,7 +2,7 @@
 
 use haptimill_firmware::config::{AxisKind, PoseAxis};
 use haptimill_firmware::motion::Wanted;
-use haptimill_firmware::motion::follow::{Mover, MoverLimits};
+use haptimill_firmware::motion::tracker::{Mover, MoverLimits};
 use haptimill_math::{Acceleration, Coordinate, Rate};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;

@@ -1,9 +1,9 @@
 //! The position loop against f64: its equation, its poles, its friction, its limits.
 
 use haptimill_firmware::config::{Law, LawForm};
-use haptimill_firmware::position::PositionLaw;
-use haptimill_firmware::position::filter::{RATE_FRACTION, RateFilter, approach};
-use haptimill_firmware::position::friction::Friction;
+use haptimill_firmware::joint::friction::Friction;
+use haptimill_firmware::joint::rate_filter::{RATE_FRACTION, RateFilter, approach};
+use haptimill_firmware::joint::servo::PositionLaw;
 use haptimill_math::{Acceleration, Coordinate, Effort, Gain, Rate};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;

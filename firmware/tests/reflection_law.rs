@@ -7,11 +7,11 @@
 mod arm;
 
 use arm::{M, Sequence, apply, rotation, times, transposed};
-use haptimill_firmware::reflection::law::Law;
-use haptimill_firmware::reflection::mapping::{Frame, MasterMapping};
-use haptimill_firmware::reflection::passivity::{COUNTED, Passivity, PassivityConfig, WHOLE};
-use haptimill_firmware::reflection::smooth::{SLOW_US, Smoothing};
-use haptimill_firmware::reflection::wall::{WallConfig, Walls};
+use haptimill_firmware::haptics::feedback_filter::{SLOW_US, Smoothing};
+use haptimill_firmware::haptics::feedback_law::Law;
+use haptimill_firmware::haptics::mapping::{Frame, MasterMapping};
+use haptimill_firmware::haptics::passivity::{COUNTED, Passivity, PassivityConfig, WHOLE};
+use haptimill_firmware::haptics::walls::{WallConfig, Walls};
 use haptimill_math::force::Force;
 use haptimill_math::trig::sin_cos;
 use haptimill_math::{Angle, Coordinate, Length, Rate};

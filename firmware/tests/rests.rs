@@ -2,7 +2,7 @@
 
 mod reference;
 
-use haptimill_firmware::motion::program::{FULL_RATE, Program, QUEUE, braking_limits};
+use haptimill_firmware::motion::interpolator::{FULL_RATE, Program, QUEUE, braking_limits};
 use haptimill_kinematics::Pose;
 use haptimill_math::{Acceleration, Coordinate};
 use haptimill_protocol::message::Action;

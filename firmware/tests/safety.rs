@@ -3,8 +3,8 @@
 mod reference;
 
 use haptimill_firmware::config::{AxisKind, Drive, JointAxis, Stopping};
-use haptimill_firmware::motion::program::{FULL_RATE, Program, QUEUE};
-use haptimill_firmware::safety::supervise::{Seen, Watch};
+use haptimill_firmware::joint::monitor::{Seen, Watch};
+use haptimill_firmware::motion::interpolator::{FULL_RATE, Program, QUEUE};
 use haptimill_firmware::safety::{EVENTS, Safety, brakes_first, keeps_position};
 use haptimill_kinematics::Pose;
 use haptimill_math::{Coordinate, Effort, Rate};

@@ -1,6 +1,6 @@
 //! All that a controller sensed and said, from its power-on, in some thirty bytes a period: what a recording keeps, and a replay needs.
 //!
-//! A period is the two frames of the plant link that carry it ([`haptimill_firmware::lockstep`]: what is sensed, and what is to be done), so that what they
+//! A period is the two frames of the plant link that carry it ([`haptimill_firmware::pil`]: what is sensed, and what is to be done), so that what they
 //! know this knows, and then the bytes of the serial line as they are. Of the frames only those words are kept that are not what was expected. Expected is
 //! what stood there last; or, if the last two changes were equal, that change once more: clocks and counters that run evenly cost nothing.
 //!
@@ -19,7 +19,7 @@
 //! Misuse: the first period of a tape must be the first of its controller. Whatever came before is not in it, and no replay can know it.
 
 use haptimill_firmware::io::{Inputs, Outputs, RECEIVE_BYTES, TRANSMIT_BYTES};
-use haptimill_firmware::lockstep::{
+use haptimill_firmware::pil::{
     Done, FROM_BOARD_BYTES, FromBoard, Heard, TO_BOARD_BYTES, ToBoard, seal,
 };
 

@@ -1,16 +1,14 @@
 //! A controller that is not in this process: the rig's end of the plant link.
 //!
 //! [`RemoteController`] is a [`Control`] like any other; neither the machine nor a scenario knows the difference. What it says is in frames of
-//! [`haptimill_firmware::lockstep`], carried by a [`PlantLink`]; bytes of the host go over the board's serial line beside it.
+//! [`haptimill_firmware::pil`], carried by a [`PlantLink`]; bytes of the host go over the board's serial line beside it.
 //!
 //! What the board heard is compared with what it should have heard: a byte too many or too few is a failure of the link, not a
 //! different simulation.
 
 use crate::rig::Control;
 use haptimill_firmware::io::{DriveCommand, Inputs, Outputs, TRANSMIT_BYTES};
-use haptimill_firmware::lockstep::{
-    Done, FROM_BOARD_BYTES, FromBoard, Heard, TO_BOARD_BYTES, ToBoard,
-};
+use haptimill_firmware::pil::{Done, FROM_BOARD_BYTES, FromBoard, Heard, TO_BOARD_BYTES, ToBoard};
 use haptimill_firmware::profiler::STAGES;
 use haptimill_firmware::snapshot::Snapshot;
 use haptimill_protocol::message::State;

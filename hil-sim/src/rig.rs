@@ -76,7 +76,7 @@ impl Default for RigOptions {
         Self {
             period_us: 200,
             baud: None,
-            ring_bytes: haptimill_firmware::receive::RING_BYTES,
+            ring_bytes: haptimill_firmware::comm::rx_ring::RING_BYTES,
             faults: Vec::new(),
         }
     }

@@ -3,8 +3,8 @@
 mod machine;
 
 use haptimill_firmware::config::AxisKind;
-use haptimill_firmware::drive::steps::{PulseTiming, StepPlanner};
 use haptimill_firmware::io::{DriveCommand, Inputs, Outputs, StepSegment};
+use haptimill_firmware::joint::step_gen::{PulseTiming, StepPlanner};
 use haptimill_hil_sim::joint::encoder::{Encoder, EncoderCondition, Track};
 use haptimill_hil_sim::joint::mechanics::JointArray;
 use haptimill_hil_sim::joint::stepper::{PulseProblem, PulseReport};

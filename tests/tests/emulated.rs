@@ -524,7 +524,7 @@ fn instructions_of_a_period() {
             number(&cost["worst_of_all"]),
             cost["stack_bytes"],
             cost["ring_peak"],
-            haptimill_firmware::receive::RING_BYTES,
+            haptimill_firmware::comm::rx_ring::RING_BYTES,
             cost["queue_high"],
             // Where a hand leads nothing waits to come.
             cost["queue_low"]

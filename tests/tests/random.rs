@@ -2,7 +2,7 @@
 
 mod scene;
 
-use haptimill_firmware::force::compliance::LARGEST_LIMIT;
+use haptimill_firmware::force::admittance::LARGEST_LIMIT;
 use haptimill_hil_sim::joint::encoder::EncoderCondition;
 use haptimill_hil_sim::plant::JointCondition;
 use haptimill_hil_sim::process::ElasticWall;

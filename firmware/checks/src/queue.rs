@@ -2,9 +2,9 @@
 
 use crate::Check;
 use crate::reference::{h4, mm};
+use haptimill_firmware::comm::rx_ring::ReceiveRing;
 use haptimill_firmware::io::{Inputs, RECEIVE_BYTES};
-use haptimill_firmware::motion::program::{Program, QUEUE};
-use haptimill_firmware::receive::ReceiveRing;
+use haptimill_firmware::motion::interpolator::{Program, QUEUE};
 use haptimill_kinematics::Pose;
 use haptimill_math::Coordinate;
 use haptimill_protocol::message::{Action, Refusal};

@@ -3,11 +3,11 @@
 use haptimill_firmware::config::{
     AxisKind, Config, Drive, Homing, JointAxis, Law, LawForm, PoseAxis, Stopping, Supervision,
 };
-use haptimill_firmware::force::conditioning::{Channel, Sensor};
+use haptimill_firmware::force::sensor::{Channel, Sensor};
 use haptimill_firmware::force::{ForceConfig, Gate, LoopSettings};
-use haptimill_firmware::reflection::config::{Amplifier, Encoder, FollowConfig, HapticConfig};
-use haptimill_firmware::reflection::passivity::PassivityConfig;
-use haptimill_firmware::reflection::wall::WallConfig;
+use haptimill_firmware::haptics::config::{Amplifier, Encoder, FollowConfig, HapticConfig};
+use haptimill_firmware::haptics::passivity::PassivityConfig;
+use haptimill_firmware::haptics::walls::WallConfig;
 use haptimill_kinematics::Model;
 use haptimill_kinematics::h4::H4Geometry;
 use haptimill_kinematics::haptic_arm::HapticGeometry;

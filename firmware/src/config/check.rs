@@ -2,9 +2,9 @@
 
 use super::{AxisKind, Config, Drive, JointAxis, Law, Model, PoseAxis};
 use crate::config::HAND;
-use crate::motion::follow::MoverLimits;
-use crate::motion::{jog, program};
-use crate::reflection::config::HapticConfig;
+use crate::haptics::config::HapticConfig;
+use crate::motion::tracker::MoverLimits;
+use crate::motion::{interpolator, jog};
 use haptimill_kinematics::h4::H4;
 use haptimill_kinematics::{Joints, Kinematics};
 use haptimill_protocol::message::{ConfigField, ConfigProblem, MAX_AXES};
@@ -55,7 +55,7 @@ impl Config {
             None,
         )?;
         require(
-            program::braking_limits(&self.stopping, self.period_us).is_some(),
+            interpolator::braking_limits(&self.stopping, self.period_us).is_some(),
             ConfigField::StopTime,
             None,
         )?;

@@ -13,23 +13,23 @@
 //!
 //! Misuse: feeding a desired rate that is not the one that is added. The gate and the guard would act for a motion that does not happen.
 
-pub mod compliance;
-pub mod conditioning;
-pub mod guard;
-pub mod peak;
-pub mod pole;
+pub mod admittance;
+pub mod sensor;
+pub mod stability;
+pub mod window_peak;
+pub mod zero_order_hold;
 
-use crate::safety::integrity::{Constants, Digest, constants};
-use compliance::{Compliance, LEVELS, Law, Push, Yielding};
-use conditioning::{COMPONENTS, Conditioner, ForceSample, Sensor, is_force};
-use guard::{Guard, Sign};
+use crate::config::digest::{Constants, Digest, constants};
+use admittance::{Compliance, LEVELS, Law, Push, Yielding};
 use haptimill_math::force::{Displacement, Force, VirtualDamping, VirtualMass};
 use haptimill_math::{Angle, Coordinate, Length, Rate};
 pub use haptimill_protocol::force::{
     ForceLoop, ForceParameter, ForceProblem, ForceRefusal, ForceTelemetry, Gate, TareRefusal,
 };
-use peak::{Extremes, SlidingExtremes, Window};
+use sensor::{COMPONENTS, Conditioner, ForceSample, Sensor, is_force};
 use serde::{Deserialize, Serialize};
+use stability::{Guard, Sign};
+use window_peak::{Extremes, SlidingExtremes, Window};
 
 /// The loop of one axis.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]

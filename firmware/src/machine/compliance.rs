@@ -9,10 +9,10 @@
 
 use super::{FORCE_PART, Machine};
 use crate::config::Config;
-use crate::force::conditioning::COMPONENTS;
+use crate::config::digest::{Constants, Digest};
+use crate::force::sensor::COMPONENTS;
 use crate::force::{Design, ForceControl, ForceProblem};
 use crate::io::Inputs;
-use crate::safety::integrity::{Constants, Digest};
 use haptimill_kinematics::{Accelerations, PoseError};
 use haptimill_math::force::Displacement;
 use haptimill_math::{Acceleration, Coordinate, Length, Rate};

@@ -4,11 +4,11 @@
 
 use super::{HAND_PART, Machine};
 use crate::config::HAND;
+use crate::config::digest::Digest;
+use crate::haptics::config::Encoder;
+use crate::haptics::mapping::{Frame, MasterMapping, RemoteMaster};
+use crate::haptics::{HandProblem, Haptic, Zero};
 use crate::io::{HapticInputs, HapticOutputs, LEGS};
-use crate::reflection::config::Encoder;
-use crate::reflection::mapping::{Frame, MasterMapping, RemoteMaster};
-use crate::reflection::{HandProblem, Haptic, Zero};
-use crate::safety::integrity::Digest;
 use haptimill_protocol::haptic::Hand;
 
 /// What leads, of the hands that can.

@@ -7,7 +7,7 @@
 //! 2^31 axis units/s. [`Cubic::new`] returns `None` otherwise. The coefficients are exact but for the 2^-16 axis units to which the rates are rounded, and
 //! add up to the way to the last bit. What a period needs of them is a [`Way`].
 
-use super::way::{self, Way};
+use super::segment::{self, Way};
 use haptimill_math::reciprocal::high;
 use haptimill_math::scale::{product, shift_right, total};
 use haptimill_math::{Acceleration, Coordinate, Rate};
@@ -183,7 +183,7 @@ impl Cubic {
         let Some(at) = self.turning(span) else {
             return true;
         };
-        let rate = Way::new(self, span).sample(way::half(at)).rate.0;
+        let rate = Way::new(self, span).sample(segment::half(at)).rate.0;
         rate.unsigned_abs() >> RATE_SHIFT <= limit.unsigned_abs()
     }
 
@@ -209,7 +209,7 @@ impl Cubic {
         let [begin, growth] = derivatives.push;
         let end = begin.saturating_add(growth >> 1);
         [begin, end].iter().all(|end| {
-            let end = way::shifted(*end, derivatives.push_fraction);
+            let end = segment::shifted(*end, derivatives.push_fraction);
             end.unsigned_abs() <= limit.0.unsigned_abs()
         })
     }
@@ -250,7 +250,7 @@ mod tests {
     const PERIOD_US: u16 = 200;
 
     fn sample(cubic: &Cubic, span: &Span, fraction: u32) -> Sample {
-        Way::new(cubic, span).sample(way::half(fraction))
+        Way::new(cubic, span).sample(segment::half(fraction))
     }
 
     /// The Hermite cubic in f64, from its textbook basis: an independent truth.

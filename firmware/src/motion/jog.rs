@@ -5,10 +5,10 @@
 //! coordinates brake together: the stopping point is tested every period, so the machine never has to stop harder than its limits allow.
 
 use super::Wanted;
+use super::envelope::{Excursion, FULL_LOAD, MOST_LOAD, Sweep};
 use super::ramp::{Ramp, RampLimits};
-use super::sweep::{Excursion, FULL_LOAD, MOST_LOAD, Sweep};
+use crate::config::digest::{Constants, Digest, constants};
 use crate::config::{Config, JERK_SHIFT};
-use crate::safety::integrity::{Constants, Digest, constants};
 use haptimill_kinematics::{Kinematics, Pose};
 use haptimill_math::{Acceleration, Coordinate, Rate};
 use haptimill_protocol::message::MAX_AXES;

@@ -7,23 +7,23 @@
 //! Misuse: [`Motion::place`] sets the wanted pose without moving there. It is for enabling and homing, when wanted must become measured.
 
 pub mod cubic;
-pub mod follow;
+pub mod envelope;
+pub mod interpolator;
 pub mod jog;
-pub mod program;
 pub mod ramp;
-pub mod sweep;
-pub mod way;
+pub mod segment;
+pub mod tracker;
 
 use crate::config::Config;
 use crate::config::HAND;
-use crate::safety::integrity::constants;
-use follow::{Mover, MoverLimits};
+use crate::config::digest::constants;
+use envelope::{MOST_LOAD, Reach, Sweep};
 use haptimill_kinematics::{Accelerations, Kinematics, Pose, Rates};
 use haptimill_math::{Acceleration, Coordinate, Rate};
 use haptimill_protocol::message::{MAX_AXES, Source};
+use interpolator::{Program, Progress};
 use jog::Jog;
-use program::{Program, Progress};
-use sweep::{MOST_LOAD, Reach, Sweep};
+use tracker::{Mover, MoverLimits};
 
 /// The wanted pose and its motion.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]

@@ -16,8 +16,6 @@
 //! kept: it is lost when an encoder or the configuration cannot be believed, steps were lost, or a joint is not measured where it was commanded or can be.
 
 pub mod homing;
-pub mod integrity;
-pub mod supervise;
 
 use haptimill_protocol::message::{Event, Fault, State};
 use heapless::Deque;

@@ -1,8 +1,8 @@
 //! A tool against a spring, in f64: sensor noise, 14-bit codes, the peak window, a drive, encoder counts, friction.
 
-use haptimill_firmware::force::compliance::{Compliance, Law, Push};
-use haptimill_firmware::force::guard::{Guard, Sign};
-use haptimill_firmware::force::peak::{SlidingExtremes, Window};
+use haptimill_firmware::force::admittance::{Compliance, Law, Push};
+use haptimill_firmware::force::stability::{Guard, Sign};
+use haptimill_firmware::force::window_peak::{SlidingExtremes, Window};
 use haptimill_firmware::force::{Gate, LoopSettings};
 use haptimill_math::force::{Force, VirtualDamping, VirtualMass};
 use haptimill_math::{Coordinate, Length, Rate};

@@ -5,8 +5,8 @@
 use crate::arm::{M, V, inverse, rotation};
 use haptimill_firmware::config::Config;
 use haptimill_firmware::controller::Controller;
+use haptimill_firmware::haptics::Haptic;
 use haptimill_firmware::io::{DriveCommand, Inputs, Outputs};
-use haptimill_firmware::reflection::Haptic;
 use haptimill_protocol::frame::crc32;
 use haptimill_protocol::haptic::HandTelemetry;
 use haptimill_protocol::link::{HostLink, LinkState, Timing};

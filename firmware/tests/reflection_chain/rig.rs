@@ -7,7 +7,7 @@
 use crate::bed::{Bed, HOME};
 use haptimill_checks::reference;
 use haptimill_firmware::config::Config;
-use haptimill_firmware::force::conditioning::{Channel, Sensor};
+use haptimill_firmware::force::sensor::{Channel, Sensor};
 use haptimill_firmware::force::{ForceConfig, Gate, LoopSettings};
 use haptimill_math::Rate;
 use haptimill_math::force::Force;

@@ -11,8 +11,8 @@
 use crate::joint::JointConfig;
 use crate::joint::mechanics::JointArray;
 use crate::random::Random;
-use haptimill_firmware::drive::quadrature::Quadrature;
 use haptimill_firmware::io::AxisInputs;
+use haptimill_firmware::joint::quadrature::Quadrature;
 
 /// What the counter hardware shows.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]

@@ -2,8 +2,8 @@
 
 use super::document::{Section, real, whole};
 use super::scale::{PER_EFFORT, PER_MM, to_i32, to_u16, to_u32};
-use haptimill_firmware::force::compliance::Law;
-use haptimill_firmware::force::conditioning::{COMPONENTS, Channel, Sensor};
+use haptimill_firmware::force::admittance::Law;
+use haptimill_firmware::force::sensor::{COMPONENTS, Channel, Sensor};
 use haptimill_firmware::force::{
     Design, ForceConfig, ForceParameter, ForceRefusal, Gate, LoopSettings,
 };

@@ -2,10 +2,10 @@
 
 use super::document::{Section, real, whole};
 use super::scale::{PER_COUNT, PER_DEG, PER_EFFORT, PER_MM, to_i32, to_i64, to_u16, to_u32};
+use haptimill_firmware::haptics::config::{Amplifier, Encoder, FollowConfig, HapticConfig};
+use haptimill_firmware::haptics::passivity::PassivityConfig;
+use haptimill_firmware::haptics::walls::WallConfig;
 use haptimill_firmware::io::LEGS;
-use haptimill_firmware::reflection::config::{Amplifier, Encoder, FollowConfig, HapticConfig};
-use haptimill_firmware::reflection::passivity::PassivityConfig;
-use haptimill_firmware::reflection::wall::WallConfig;
 use haptimill_kinematics::haptic_arm::HapticGeometry;
 use haptimill_math::force::Force;
 use haptimill_math::{Angle, Coordinate, Effort, Length};

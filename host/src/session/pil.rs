@@ -10,7 +10,7 @@
 use crate::cli::{CliError, Exit};
 use crate::machine::MachineFile;
 use crate::port::Board;
-use haptimill_firmware::lockstep::{FROM_BOARD_BYTES, TO_BOARD_BYTES};
+use haptimill_firmware::pil::{FROM_BOARD_BYTES, TO_BOARD_BYTES};
 use haptimill_firmware::profiler::STAGES;
 use haptimill_hil_sim::remote::{Cost, PlantLink};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};

@@ -9,7 +9,7 @@ use crate::plan::{Cursor, Plan};
 use crate::port::PortError;
 use crate::record::{IoLog, Record, Recorder, flag};
 use haptimill_firmware::controller::Controller;
-use haptimill_firmware::motion::program::FULL_RATE;
+use haptimill_firmware::motion::interpolator::FULL_RATE;
 use haptimill_firmware::snapshot::{ForceSnapshot, HapticSnapshot, Snapshot};
 use haptimill_hil_sim::config::PlantConfig;
 use haptimill_hil_sim::fault::Fault;

@@ -6,8 +6,8 @@
 use super::MM;
 use haptimill::machine::MachineFile;
 use haptimill_firmware::config::{JointAxis, Supervision};
-use haptimill_firmware::drive::JointDrive;
 use haptimill_firmware::io::{AxisInputs, DriveCommand};
+use haptimill_firmware::joint::JointDrive;
 use haptimill_hil_sim::config::PlantConfig;
 use haptimill_hil_sim::joint::encoder::{Encoder, EncoderCondition, Track};
 use haptimill_hil_sim::random::Random;

@@ -1,7 +1,7 @@
 //! The MPS2 board under emulation: its registers, its interrupts, its link to the simulated machine.
 //!
 //! QEMU's machines `mps2-an386` (Cortex-M4F) and `mps2-an500` (Cortex-M7) run the same image. The host talks to UART0, as it would to
-//! any board; the machine is at the other end of two named pipes, which semihosting reads and writes ([`haptimill_firmware::lockstep`] says what
+//! any board; the machine is at the other end of two named pipes, which semihosting reads and writes ([`haptimill_firmware::pil`] says what
 //! goes over them). Memory accesses and instructions that the compiler cannot vouch for stand in this crate and nowhere else.
 //!
 //! | image | feature | what it is |

@@ -3,7 +3,7 @@
 use crate::registers::{UART0, read, write};
 use core::cell::UnsafeCell;
 use cortex_m::peripheral::NVIC;
-use haptimill_firmware::receive::{RING_BYTES, ReceiveRing, Receiver, Waiting};
+use haptimill_firmware::comm::rx_ring::{RING_BYTES, ReceiveRing, Receiver, Waiting};
 
 const DATA: usize = 0x0;
 const STATE: usize = 0x4;

@@ -2,7 +2,7 @@
 
 use crate::semihosting::{File, Gone};
 use crate::{serial, stack, tick};
-use haptimill_firmware::lockstep::{FROM_BOARD_WORDS, Order, Says, TO_BOARD_WORDS, read};
+use haptimill_firmware::pil::{FROM_BOARD_WORDS, Order, Says, TO_BOARD_WORDS, read};
 use haptimill_firmware::snapshot::Snapshot;
 
 /// Looks at the receive ring before bytes that were announced are given up.

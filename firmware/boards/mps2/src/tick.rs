@@ -12,9 +12,9 @@ use cortex_m::peripheral::scb::SystemHandler;
 use cortex_m_rt::exception;
 use haptimill_firmware::controller::Controller;
 use haptimill_firmware::io::{Inputs, Outputs};
-use haptimill_firmware::lockstep::{FROM_BOARD_WORDS, Heard, Says, Told};
+use haptimill_firmware::pil::{FROM_BOARD_WORDS, Heard, Says, Told};
 use haptimill_firmware::snapshot::Snapshot;
-use haptimill_firmware::receive::Waiting;
+use haptimill_firmware::comm::rx_ring::Waiting;
 
 /// All that a control period works on.
 pub struct Period {

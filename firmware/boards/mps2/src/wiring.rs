@@ -3,7 +3,7 @@
 use crate::semihosting::Gone;
 use crate::{counter, ending, semihosting, serial, serve, tick};
 use cortex_m::singleton;
-use haptimill_firmware::receive::ReceiveRing;
+use haptimill_firmware::comm::rx_ring::ReceiveRing;
 
 /// Speed of the host's line. The emulator does not heed it; the simulator paces the bytes.
 const BAUD: u32 = 1_000_000;

@@ -7,7 +7,7 @@ use crate::console::shown::{Overlay, Weight};
 use crate::machine::scale::{PER_EFFORT, PER_MM, to_i32};
 use crate::teleop::SCALES;
 use crate::teleop::script::scale;
-use haptimill_firmware::reflection::law::MOST;
+use haptimill_firmware::haptics::feedback_law::MOST;
 use haptimill_protocol::haptic::{COMPONENTS, ReflectAxis, Reflection, Wall};
 use haptimill_protocol::message::{Command, RATE_SHIFT};
 use ratatui::crossterm::event::KeyCode;

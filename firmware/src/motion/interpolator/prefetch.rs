@@ -5,7 +5,7 @@
 
 use super::{Knot, Program};
 use crate::motion::cubic::{Cubic, Span};
-use crate::motion::way::Way;
+use crate::motion::segment::Way;
 use haptimill_math::Coordinate;
 use haptimill_protocol::message::MAX_AXES;
 

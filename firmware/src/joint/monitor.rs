@@ -10,7 +10,7 @@
 //! | the count reverses about one place faster than a slide can swing | encoder still |
 //! | both channels changed at once, too often; the counter jumped | encoder illegal |
 //! | steps and encoder disagree (step/dir) | steps lost |
-//! | an index pulse came where none can be ([`crate::drive::index`]) | encoder slip |
+//! | an index pulse came where none can be ([`crate::joint::index_monitor`]) | encoder slip |
 //!
 //! Limits are in axis units of the joint; all of them come from its [`JointAxis`].
 

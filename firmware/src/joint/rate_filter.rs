@@ -2,7 +2,7 @@
 //!
 //! Signals are `i32`, times microseconds. States are convex combinations of the inputs that were seen, so no input can overflow them.
 
-use crate::safety::integrity::constants;
+use crate::config::digest::constants;
 use haptimill_math::reciprocal::mul_shift;
 use haptimill_math::scale::total;
 

@@ -1,8 +1,8 @@
 //! What a program still sweeps before it can be at rest on its path.
 
 use super::{Program, Ramp};
-use crate::motion::sweep::Sweep;
-use crate::motion::way;
+use crate::motion::envelope::Sweep;
+use crate::motion::segment;
 use haptimill_protocol::message::{Action, RATE_SHIFT};
 
 impl Program {
@@ -34,7 +34,7 @@ impl Program {
             let time = self.time + left.min(ahead);
             let microseconds = ((left.min(ahead) >> 16) as i64 * i64::from(self.period_us)) >> 16;
             let third = third(microseconds);
-            let half = |time: u64| way::half(segment.span.fraction((time >> 16) as u32));
+            let half = |time: u64| segment::half(segment.span.fraction((time >> 16) as u32));
             for axis in 0..self.axes {
                 if segment.ways[axis].is_at_standstill() {
                     continue;

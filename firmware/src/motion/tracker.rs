@@ -9,10 +9,10 @@
 //! Units as in [`super::jog`]: 2^-20 axis units (per period). Misuse: a target beyond the bounds of the coordinate. The mover stops where it is told; whoever tells it holds the target within them.
 
 use super::Wanted;
+use super::envelope::SLOWED_LOAD;
 use super::jog::{per_period, slope, slower};
-use super::sweep::SLOWED_LOAD;
 use crate::config::PoseAxis;
-use crate::safety::integrity::constants;
+use crate::config::digest::constants;
 use haptimill_math::root::Root;
 use haptimill_math::scale::{multiply_high, saturate};
 use haptimill_math::{Acceleration, Coordinate, Rate};

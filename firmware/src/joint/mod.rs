@@ -14,26 +14,30 @@
 //! [`JointDrive::enable`] gives back.
 
 pub mod backlash;
-pub mod counted;
-pub mod edges;
+pub mod edge_timer;
 pub mod encoder;
-pub mod index;
+pub mod friction;
+pub mod index_monitor;
+pub mod monitor;
+pub mod power_on_counts;
 pub mod quadrature;
-pub mod steps;
+pub mod rate_filter;
+pub mod servo;
+pub mod step_gen;
 pub mod torque;
 
+use crate::config::digest::{Constants, Digest, constants};
 use crate::config::{AxisKind, Drive, JointAxis, Supervision};
 use crate::io::{AxisInputs, DriveCommand};
-use crate::position::PositionLaw;
-use crate::safety::integrity::{Constants, Digest, constants};
-use crate::safety::supervise::{Seen, Watch};
+use crate::joint::monitor::{Seen, Watch};
+use crate::joint::servo::PositionLaw;
 use backlash::Backlash;
-use counted::Counted;
 use encoder::{Encoder, difference, sum};
 use haptimill_math::{Acceleration, Coordinate, Effort, Rate};
 use haptimill_protocol::message::Fault;
-use index::IndexWatch;
-use steps::{PulseTiming, StepPlanner};
+use index_monitor::IndexWatch;
+use power_on_counts::Counted;
+use step_gen::{PulseTiming, StepPlanner};
 use torque::TorqueOutput;
 
 /// Why a joint's configuration cannot work.

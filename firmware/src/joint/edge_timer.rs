@@ -10,7 +10,7 @@
 //!
 //! Misuse: more than 2^30 counts in a period give a wrong rate.
 
-use crate::safety::integrity::constants;
+use crate::config::digest::constants;
 use haptimill_math::Rate;
 use haptimill_math::reciprocal::{Factor, Reciprocal, high, saturate};
 use haptimill_math::scale::shift_right;

@@ -20,7 +20,7 @@
 //! feed begins, and the force of the cut rises with it within some um, is no contact either.
 //!
 //! **The controller.** Level 0 is K_V alone and stands for k below 20 N/mm ([`ONSET`]). Level i stands for k up to 2^i of that, with K_V or more: four times the damping
-//! that the stiffest of these needs ([`super::compliance::MARGIN`]: two for the delay that friction adds, two for the gain margin), and with critical damping: less of it swings across the lost motion of
+//! that the stiffest of these needs ([`super::admittance::MARGIN`]: two for the delay that friction adds, two for the gain margin), and with critical damping: less of it swings across the lost motion of
 //! a drive without end. What is added acts between the tool and the work (p_c' + p_d'), so a steady push by the desired motion costs no force. A level is taken at once. It is left, one at a time, when [`PATIENCE`] looks have
 //! not shown a contact so stiff, and the tool has gone [`WAY`] from where it was last shown, while the force changed by less than half of what such a contact would have done on that way (the other half
 //! is for lost motion, which the encoders do not see). A tool that stands still proves nothing, and keeps its level. At level 0 the law is the equation alone.
@@ -30,7 +30,7 @@
 //!
 //! Misuse: a delay larger than the configured one. The levels are then too low.
 
-use super::compliance::{Law, ONSET};
+use super::admittance::{Law, ONSET};
 use haptimill_math::Coordinate;
 use haptimill_math::force::Force;
 

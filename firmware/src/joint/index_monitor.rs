@@ -15,7 +15,7 @@
 //!
 //! Misuse: a latch that is read some counts after the pulse, or an index on another shaft than the counts. What is off is then no fault of the encoder.
 
-use crate::safety::integrity::constants;
+use crate::config::digest::constants;
 
 /// Where index pulses must come.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -27,10 +27,10 @@
 //!
 //! Misuse: a force that is not the reaction on the tool. With the wrong sign the loop runs into the work; [`super::guard`] looks out for that.
 
-use super::pole::{FINENESS, Part, Pole, RATE_BITS, sound};
+use super::zero_order_hold::{FINENESS, Part, Pole, RATE_BITS, sound};
 use super::{ForceParameter, ForceRefusal, Gate, LoopSettings};
-use crate::position::filter::frequency;
-use crate::safety::integrity::constants;
+use crate::config::digest::constants;
+use crate::joint::rate_filter::frequency;
 use haptimill_math::force::{Displacement, Force, VirtualDamping};
 use haptimill_math::scale::{multiply_shift, saturate};
 use haptimill_math::{Acceleration, Length, Rate};

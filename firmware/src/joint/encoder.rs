@@ -6,10 +6,10 @@
 //!
 //! Misuse: more than 2^31 counts in a period cannot be told from a step the other way.
 
-use super::edges::EdgeRate;
+use super::edge_timer::EdgeRate;
 use crate::config::AxisKind;
+use crate::config::digest::constants;
 use crate::io::AxisInputs;
-use crate::safety::integrity::constants;
 use haptimill_math::reciprocal::saturate;
 use haptimill_math::{Coordinate, Rate};
 

@@ -7,18 +7,17 @@
 //! Slowing down for want of setpoints begins while the queue still covers the stopping distance, so the last setpoint is never passed.
 //! The bounds on acceleration and jerk of the braking are those of the configuration's [`Stopping`], on top of the program's own.
 
-mod ahead;
-mod coverage;
-mod retreat;
+mod prefetch;
+mod retract;
 mod stopping;
+mod underrun;
 
 use super::Wanted;
 use super::cubic::{Cubic, Span};
 use super::ramp::{Ramp, RampLimits};
-use super::way;
+use super::segment;
+use crate::config::digest::constants;
 use crate::config::{AxisKind, Config, Stopping};
-use crate::safety::integrity::constants;
-use ahead::{Segment, Segments};
 use core::ops::Range;
 use haptimill_kinematics::Pose;
 use haptimill_math::scale::{product, saturate, total};
@@ -26,7 +25,8 @@ use haptimill_math::{Acceleration, Coordinate, Rate};
 use haptimill_protocol::message::{Action, MAX_AXES, RATE_SHIFT, Refusal};
 use haptimill_protocol::setpoint::Setpoint;
 use heapless::Deque;
-use retreat::PASSED;
+use prefetch::{Segment, Segments};
+use retract::PASSED;
 
 /// How many setpoints the queue holds.
 pub const QUEUE: usize = 256;
@@ -243,13 +243,13 @@ impl Program {
     #[must_use]
     pub fn sample_to(&self, setpoint: &Setpoint, periods: u16) -> Option<Wanted> {
         let mut wanted = Wanted::default();
-        let half = way::half(self.span.fraction(u32::from(periods) << 16));
+        let half = segment::half(self.span.fraction(u32::from(periods) << 16));
         let to = setpoint.pose.iter().zip(&setpoint.rates).enumerate();
         for (axis, (place, rate)) in to {
             let (start, wrap) = (Coordinate(self.tail.pose[axis]), self.rotary[axis]);
             let (from, end) = (self.tail.rates[axis], Coordinate(*place));
             let cubic = Cubic::new(start, from, end, *rate, &self.span, wrap)?;
-            let sample = way::Way::new(&cubic, &self.span).sample(half);
+            let sample = segment::Way::new(&cubic, &self.span).sample(half);
             wanted.pose.0[axis] = sample.position;
             wanted.rates[axis] = sample.rate;
         }
@@ -540,7 +540,7 @@ impl Program {
             accelerations,
         } = &mut *wanted;
         // A compiler that knows it to be positive multiplies by it as by an unsigned word, which takes four instructions for one.
-        let half = core::hint::black_box(way::half(fraction));
+        let half = core::hint::black_box(segment::half(fraction));
         let places = pose.0.iter_mut().zip(rates).zip(accelerations);
         for (way, ((place, rate), acceleration)) in segment.ways.iter().zip(places).take(self.axes)
         {

@@ -15,30 +15,30 @@
 //! A problem with the arm takes its motors off in the period in which it is seen, and they stay off until [`Haptic::reset`]; one that comes and goes while they are off anyway is only told. Misuse: [`Haptic::render`] without [`Haptic::measure`] before it in the same period.
 
 pub mod config;
-pub mod law;
+pub mod feedback_filter;
+pub mod feedback_law;
 pub mod mapping;
+pub mod oscillation;
 pub mod passivity;
-pub mod smooth;
-pub mod swing;
-pub mod wall;
+pub mod walls;
 
+use crate::config::digest::{Constants, Digest, constants};
 use crate::io::{HapticInputs, HapticOutputs, LEGS};
-use crate::safety::integrity::{Constants, Digest, constants};
 use crate::snapshot::HapticSnapshot;
 use config::HapticConfig;
+use feedback_filter::Smoothing;
+use feedback_law::Law;
 use haptimill_kinematics::haptic_arm::statics::Wrench;
 use haptimill_kinematics::haptic_arm::{ArmError, HandPose, HapticArm, LegReading};
 use haptimill_math::force::Force;
 use haptimill_math::scale::{difference, multiply_high, product, saturate, total};
 use haptimill_math::{Angle, Length, Rate};
 pub use haptimill_protocol::haptic::{COMPONENTS, Hand, HandProblem, HandTelemetry, Reflection};
-use law::Law;
 use mapping::Frame;
 use motors::Motors;
+use oscillation::{Supply, Swings};
 use passivity::{Passivity, WHOLE, works};
-use smooth::Smoothing;
-use swing::{Supply, Swings};
-use wall::{TooSmall, Walls};
+use walls::{TooSmall, Walls};
 
 mod motors;
 

@@ -21,7 +21,7 @@
 //!
 //! Arithmetic: codes are held within 14 bits, scales within 0.5 N a code, so a force is below 2^15 codes * 0.5 N: no input overflows.
 
-use crate::safety::integrity::constants;
+use crate::config::digest::constants;
 use haptimill_math::force::Force;
 use haptimill_math::scale::{multiply_shift, saturate};
 use haptimill_math::trig::{ONE, sin_cos};

@@ -86,11 +86,11 @@ pub trait Constants {
 /// [`Constants`] of a structure: fields that stay as they were made, fields that have constants of their own, and fields that change.
 macro_rules! constants {
     ($type:ty { $($constant:ident),* } of { $($part:ident),* } but { $($changing:ident),* }) => {
-        impl crate::safety::integrity::Constants for $type {
-            fn digest(&self, digest: &mut crate::safety::integrity::Digest) {
+        impl crate::config::digest::Constants for $type {
+            fn digest(&self, digest: &mut crate::config::digest::Digest) {
                 let Self { $($constant,)* $($part,)* $($changing: _,)* } = self;
                 $(digest.add($constant);)*
-                $(crate::safety::integrity::Constants::digest($part, digest);)*
+                $(crate::config::digest::Constants::digest($part, digest);)*
             }
         }
     };

@@ -17,13 +17,10 @@
 //!
 //! Misuse: feeding the error of a wanted position that jumps. [`PositionLaw::reset`] belongs before the first period after an enable.
 
-pub mod filter;
-pub mod friction;
-
+use super::friction::Friction;
+use super::rate_filter::{CHANGE_FRACTION, RateFilter};
+use crate::config::digest::constants;
 use crate::config::{Law, LawForm};
-use crate::safety::integrity::constants;
-use filter::{CHANGE_FRACTION, RateFilter};
-use friction::Friction;
 use haptimill_math::reciprocal::{Factor, Scale, mul_shift, saturate};
 use haptimill_math::scale::shift_right;
 use haptimill_math::{Acceleration, Coordinate, Effort, Rate};

@@ -17,8 +17,8 @@
 
 use super::encoder::difference;
 use crate::config::AxisKind;
+use crate::config::digest::constants;
 use crate::io::StepSegment;
-use crate::safety::integrity::constants;
 use haptimill_math::reciprocal::Reciprocal;
 use haptimill_math::{Coordinate, Rate};
 

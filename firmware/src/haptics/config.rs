@@ -2,7 +2,7 @@
 
 use super::Reflection;
 use super::passivity::PassivityConfig;
-use super::wall::WallConfig;
+use super::walls::WallConfig;
 use crate::io::LEGS;
 use haptimill_kinematics::haptic_arm::{HapticGeometry, SLIDE_MAX};
 use haptimill_math::force::Force;
@@ -114,7 +114,7 @@ impl HapticConfig {
             && (500..=20_000).contains(&self.rate_filter_us)
             && (0..=50 << 20).contains(&self.ball.0)
             && (1..=3277).contains(&self.step.0)
-            && super::law::is_sound(&self.reflection)
+            && super::feedback_law::is_sound(&self.reflection)
             && self.wall.is_sound()
             && self.passivity.is_sound()
     }

@@ -23,13 +23,13 @@
 //!
 //! Misuse: a frame has no place for what is longer than a period; whoever skips a frame is out of step for good.
 
-mod contents;
+mod fields;
 mod words;
 
 use crate::io::{Inputs, Outputs};
 use crate::profiler::STAGES;
 use crate::snapshot::Snapshot;
-use contents::{
+use fields::{
     put_axis, put_done, put_force, put_hand, take_axis, take_done, take_force, take_hand,
 };
 pub use words::seal;

@@ -20,8 +20,8 @@
 
 use super::encoder::{difference, sum};
 use crate::config::AxisKind;
-use crate::position::filter::approach;
-use crate::safety::integrity::constants;
+use crate::config::digest::constants;
+use crate::joint::rate_filter::approach;
 use haptimill_math::reciprocal::{Factor, Scale, saturate};
 use haptimill_math::{Coordinate, Rate};
 

@@ -1,6 +1,6 @@
 //! From an effort to the code of a 14-bit digital-to-analogue converter in front of a current-mode amplifier.
 //!
-//! Misuse: efforts are taken to be within what the drive may make; the position loop sees to that ([`crate::position::PositionLaw::effort`]).
+//! Misuse: efforts are taken to be within what the drive may make; the position loop sees to that ([`crate::joint::servo::PositionLaw::effort`]).
 //!
 //! Codes are symmetric, -8191 to 8191: an amplifier that sees -8192 would be asked for a little more one way than the other.
 //! What rounding leaves over is carried into the next period (first-order error feedback). A lone code is worth 0.06 N on a 500 N axis; a
@@ -8,7 +8,7 @@
 //! carry the mean of the codes is exact and the error of rounding lies at half the control rate, where the mass swallows it. At a clamp the carry is
 //! dropped, so nothing winds up.
 
-use crate::safety::integrity::constants;
+use crate::config::digest::constants;
 use haptimill_math::Effort;
 use haptimill_math::reciprocal::{Factor, Scale};
 
