@@ -1,7 +1,7 @@
 //! One control period of five joints: sense and drive.
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use haptimill_firmware::config::{AxisKind, Drive, JointAxis, Law, LawForm};
+use haptimill_firmware::config::{AxisKind, Drive, JointAxis, ServoConfig, ServoForm};
 use haptimill_firmware::io::{AxisInputs, DriveCommand};
 use haptimill_firmware::joint::JointDrive;
 use haptimill_math::{Acceleration, Coordinate, Effort, Gain, Rate};
@@ -17,8 +17,8 @@ fn axis(drive: Drive) -> JointAxis {
         per_count: 21_990_232_556,
         backlash: Coordinate(10_486),
         drive,
-        law: Law {
-            form: LawForm::ModelBased,
+        law: ServoConfig {
+            form: ServoForm::ModelBased,
             kp: Gain(40_000 << 8),
             kd: Gain(400 << 8),
             rate_filter_us: 1500,

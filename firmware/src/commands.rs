@@ -97,7 +97,7 @@ pub(crate) fn execute(core: &mut Core, server: &mut Server, inputs: &Inputs) {
         }
         Command::ForceMask { mask } => set_force_mask(core, mask),
         Command::ForceLoop { axis, settings } => set_force_loop(core, axis, &settings),
-        Command::ForceSettings { axis } => tell_force_settings(core, axis),
+        Command::ForceSettings { axis } => report_force_settings(core, axis),
         Command::Tare => tare(core),
         Command::Hand {
             epoch,
@@ -105,7 +105,7 @@ pub(crate) fn execute(core: &mut Core, server: &mut Server, inputs: &Inputs) {
             hand,
         } => set_remote_master(core, epoch, age_ms, &hand),
         Command::Feel { force } => haptic_arm(core).map(|arm| arm.set_remote_force(force)),
-        Command::Reflect(settings) => set_reflection(core, &settings),
+        Command::Reflect(settings) => set_feedback(core, &settings),
         Command::Wall { axis, upper, wall } => set_wall(core, axis, upper, wall),
         Command::HandScale { scale } => set_hand_scale(core, scale),
         Command::HandTelemetry { every } => {
@@ -299,9 +299,9 @@ fn start_job(core: &mut Core, server: &mut Server, job: u32, pose: &AxisValues) 
 /// into the queue after that, and the next one read, as far as the period's share goes; the rest is for another period.
 #[inline(never)]
 pub(crate) fn enqueue_setpoint(core: &mut Core, server: &mut Server, number: u32, tried: u8) {
-    let mut share = server.share();
-    match validate_setpoint(core, server, number, usize::from(tried), &mut share) {
-        Ok(None) => server.accept_setpoint(share >= READ),
+    let mut budget = server.budget();
+    match validate_setpoint(core, server, number, usize::from(tried), &mut budget) {
+        Ok(None) => server.accept_setpoint(budget >= READ),
         Ok(Some(tried)) => server.pass_setpoint(tried),
         Err(refusal) => server.refuse_setpoints(refusal),
     }
@@ -313,7 +313,7 @@ fn validate_setpoint(
     server: &Server,
     number: u32,
     tried: usize,
-    share: &mut usize,
+    budget: &mut usize,
 ) -> Result<Option<u8>, Refusal> {
     in_state(core, &[State::Run, State::Hold])?;
     let machine = core.machine.as_mut().ok_or(Refusal::NotConfigured)?;
@@ -324,15 +324,15 @@ fn validate_setpoint(
     }
     if tried == 0 {
         machine.can_reach(number, setpoint)?;
-        *share = share.saturating_sub(POSE);
+        *budget = budget.saturating_sub(POSE);
         if !machine.motion.program.expects(setpoint.periods) {
-            *share = share.saturating_sub(SPAN);
+            *budget = budget.saturating_sub(SPAN);
         }
     }
     let axes = machine.axes();
     let first = tried.saturating_sub(1).min(axes);
-    let last = axes.min(first + *share);
-    *share -= last - first;
+    let last = axes.min(first + *budget);
+    *budget -= last - first;
     machine.motion.program.allows(setpoint, first..last)?;
     if last < axes {
         return Ok(Some(last as u8 + 1));
@@ -342,17 +342,17 @@ fn validate_setpoint(
     while piece < pieces {
         // The last piece ends at the pose that was tried.
         let cost = if piece + 1 == pieces { TAKE } else { PIECE };
-        if *share < cost {
+        if *budget < cost {
             break;
         }
-        *share -= cost;
+        *budget -= cost;
         machine.check_piece(number, setpoint, piece, pieces)?;
         piece += 1;
     }
-    if piece < pieces || *share < TAKE {
+    if piece < pieces || *budget < TAKE {
         return Ok(Some((axes + 1) as u8 + piece));
     }
-    *share -= TAKE;
+    *budget -= TAKE;
     machine.motion.program.push_tried(setpoint, axes)?;
     machine.take_end();
     Ok(None)
@@ -491,12 +491,12 @@ fn set_remote_master(core: &mut Core, epoch: u16, age_ms: u8, hand: &Hand) -> Do
     Ok(())
 }
 
-fn set_reflection(core: &mut Core, settings: &Reflection) -> Done {
+fn set_feedback(core: &mut Core, settings: &Reflection) -> Done {
     let arm = haptic_arm(core)?;
     if !feedback_law::is_sound(settings) {
         return Err(Refusal::Range);
     }
-    arm.set_reflection(settings);
+    arm.set_feedback(settings);
     Ok(())
 }
 
@@ -556,10 +556,11 @@ fn set_force_loop(core: &mut Core, axis: u8, settings: &ForceLoop) -> Done {
         .map_err(|refusal| Refusal::Force { axis, refusal })
 }
 
-fn tell_force_settings(core: &mut Core, axis: u8) -> Done {
+fn report_force_settings(core: &mut Core, axis: u8) -> Done {
     let settings = force_control(core)?.settings(usize::from(axis));
     let settings = settings.map(ForceLoop::from).ok_or(Refusal::Range)?;
-    core.safety.tell(Event::ForceSettings { axis, settings });
+    core.safety
+        .push_event(Event::ForceSettings { axis, settings });
     Ok(())
 }
 

@@ -108,7 +108,7 @@ pub struct JointAxis {
     /// What drives it.
     pub drive: Drive,
     /// Its position loop.
-    pub law: Law,
+    pub law: ServoConfig,
     /// Largest following error at standstill.
     pub following: Coordinate,
     /// The limit grows with the wanted rate: this many 2^-16 seconds of travel are added.
@@ -156,9 +156,9 @@ pub enum Drive {
 
 /// The position loop of a joint (spec 3.1, 3.2).
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
-pub struct Law {
+pub struct ServoConfig {
     /// Which form.
-    pub form: LawForm,
+    pub form: ServoForm,
     /// K_P in 1/s^2.
     pub kp: Gain,
     /// K_D in 1/s.
@@ -179,7 +179,7 @@ pub struct Law {
 
 /// The two forms of the position loop.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
-pub enum LawForm {
+pub enum ServoForm {
     /// (3.29) with the corrected sign: inertia * (K_P e + K_D e') + friction compensation.
     Pd,
     /// (3.35)-(3.37): inertia * (l_e'' + K_D e' + K_P e) + viscous l_e' + friction compensation.

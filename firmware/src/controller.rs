@@ -16,7 +16,7 @@
 //! | report | replies, events, telemetry | `server.rs` |
 //! | interlock | safe outputs unless the state allows motion | here |
 
-use crate::comm::server::{Heard, Server};
+use crate::comm::server::{Incoming, Server};
 use crate::core::Core;
 use crate::faults::{self, DIGEST_OVERDUE};
 use crate::force::{ForceControl, ForceProblem};
@@ -67,11 +67,11 @@ impl Controller {
         core.track_out_of_band_stop(inputs.urgent);
         core.start_session(server.session_begun());
         match incoming {
-            Some(Heard::Request) => commands::execute(core, server, inputs),
-            Some(Heard::Setpoint { number, tried }) => {
+            Some(Incoming::Request) => commands::execute(core, server, inputs),
+            Some(Incoming::Setpoint { number, tried }) => {
                 commands::enqueue_setpoint(core, server, number, tried);
             }
-            Some(Heard::BadSetpoint { number }) => {
+            Some(Incoming::BadSetpoint { number }) => {
                 server.refuse_setpoints(Refusal::Setpoint { setpoint: number });
             }
             None => {}
@@ -104,8 +104,8 @@ impl Controller {
 
     /// Takes the bytes of this period, answers a greeting, and gives the next message.
     #[inline]
-    fn receive(&mut self, inputs: &Inputs) -> Option<Heard> {
-        if self.server.listen(inputs) {
+    fn receive(&mut self, inputs: &Inputs) -> Option<Incoming> {
+        if self.server.take_bytes(inputs) {
             self.welcome();
         }
         let core = &mut self.core;
@@ -131,7 +131,7 @@ impl Controller {
 
     #[inline]
     fn report(&mut self, inputs: &Inputs, outputs: &mut Outputs) {
-        self.server.tell(
+        self.server.transmit(
             inputs.period,
             &mut self.core.safety,
             inputs.transmit_room,
@@ -152,7 +152,7 @@ impl Controller {
     fn sample_telemetry(&mut self, inputs: &Inputs) {
         let line = self.server.counters();
         let core = &self.core;
-        let Some(sample) = self.server.note() else {
+        let Some(sample) = self.server.sample() else {
             return;
         };
         if core.machine.is_none() {
@@ -294,7 +294,7 @@ impl Core {
             }
         }
         while let Some(axis) = machine.take_limited() {
-            self.safety.tell(Event::YieldLimited { axis });
+            self.safety.push_event(Event::YieldLimited { axis });
         }
     }
 
@@ -313,7 +313,7 @@ impl Core {
             && self.job.saturated & (1 << axis) == 0
         {
             self.job.saturated |= 1 << axis;
-            self.safety.tell(Event::Saturated { axis });
+            self.safety.push_event(Event::Saturated { axis });
         }
     }
 

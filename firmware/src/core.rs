@@ -139,14 +139,14 @@ impl Core {
         if let Some(job) = self.job.number.take() {
             let program = self.machine.as_ref().map(|machine| &machine.motion.program);
             // A setpoint that never came is reported as a late one.
-            if let Some(late) = program.and_then(|program| program.starving()) {
-                self.safety.tell(Event::Underrun {
+            if let Some(late) = program.and_then(|program| program.underrunning()) {
+                self.safety.push_event(Event::Underrun {
                     setpoint: late.setpoint,
                     late_periods: late.periods,
                 });
             }
             let setpoints = program.map_or(0, |program| program.reached());
-            self.safety.tell(Event::JobDropped { job, setpoints });
+            self.safety.push_event(Event::JobDropped { job, setpoints });
         }
     }
 }

@@ -53,8 +53,8 @@ fn check_configuration(core: &mut Core, server: &mut Server, inputs: &Inputs) ->
         core.job.digest_backlog = core.job.digest_backlog.saturating_add(1);
     }
     let reserved =
-        server.is_held() && core.job.digest_backlog >= DIGEST_OVERDUE + u8::from(core.job.busy);
-    if core.job.digest_backlog == 0 || !(reserved || server.claim()) {
+        server.is_deferred() && core.job.digest_backlog >= DIGEST_OVERDUE + u8::from(core.job.busy);
+    if core.job.digest_backlog == 0 || !(reserved || server.try_claim()) {
         return true;
     }
     core.job.digest_backlog = 0;
@@ -81,7 +81,7 @@ fn check_devices(core: &mut Core) {
     if let Some(force) = &mut machine.force
         && let Some(result) = force.take_tare_result()
     {
-        core.safety.tell(match result {
+        core.safety.push_event(match result {
             Ok(()) => Event::Tared,
             Err(refusal) => Event::TareRefused(refusal),
         });
@@ -90,7 +90,7 @@ fn check_devices(core: &mut Core) {
         if core.safety.drives_on() && machine.is_led_by_haptics() {
             core.safety.raise(Fault::Hand(problem));
         } else {
-            core.safety.tell(Event::Hand(problem));
+            core.safety.push_event(Event::Hand(problem));
         }
     }
 }
@@ -133,12 +133,12 @@ fn check_force(core: &mut Core) {
     };
     if core.safety.active()
         && let Some(force) = &machine.force
-        && let Some(problem) = force.stops(core.safety.state() == State::Jog)
+        && let Some(problem) = force.stop_condition(core.safety.state() == State::Jog)
     {
         if is_force(&problem) && core.safety.pending().is_none() {
             // A force this large is a collision, not a cut: retract along the path.
             let periods = RETRACT_US / u32::from(core.period_us.max(1));
-            machine.motion.program.back_off(periods);
+            machine.motion.program.retract(periods);
         }
         core.safety.raise(Fault::Force(problem));
     }

@@ -253,12 +253,12 @@ impl Machine {
     #[inline(never)]
     pub fn count_from(&mut self, counted: &SincePowerOn) -> bool {
         let limit = u32::from(self.config.supervision.illegal_transitions);
-        let mut believed = true;
+        let mut is_valid = true;
         for (joint, counted) in self.joints.iter_mut().zip(&counted.axes) {
-            believed &= joint.count_from(counted) && counted.illegal <= limit;
+            is_valid &= joint.count_from(counted) && counted.illegal <= limit;
         }
         self.update_measured();
-        believed
+        is_valid
     }
 
     /// Number of axes.
@@ -275,9 +275,9 @@ impl Machine {
         let measured = self.measured.0.iter_mut();
         let mut leapt = false;
         for ((joint, inputs), measured) in self.joints.iter_mut().zip(&inputs.axes).zip(measured) {
-            let sensed = joint.measure(inputs, time_ns);
-            *measured = sensed.coordinate;
-            leapt |= sensed.leapt;
+            let measurement = joint.measure(inputs, time_ns);
+            *measured = measurement.coordinate;
+            leapt |= measurement.leapt;
         }
         if leapt {
             self.detect_jumps(u32::from(inputs.missed) + 1);
@@ -292,7 +292,7 @@ impl Machine {
     fn detect_jumps(&mut self, periods: u32) {
         for (index, joint) in self.joints.iter_mut().enumerate() {
             if joint.jumped(periods) {
-                let counts = joint.sensed().moved.unsigned_abs();
+                let counts = joint.measurement().moved.unsigned_abs();
                 let counts = counts.min(u32::from(u16::MAX)) as u16;
                 self.jumped.get_or_insert((index as u8, counts));
             }
@@ -313,7 +313,7 @@ impl Machine {
 
     fn update_measured(&mut self) {
         for (measured, joint) in self.measured.0.iter_mut().zip(&self.joints) {
-            *measured = joint.sensed().coordinate;
+            *measured = joint.measurement().coordinate;
         }
         self.measure_pose();
     }
@@ -343,7 +343,7 @@ impl Machine {
         let limit = u32::from(self.config.supervision.illegal_transitions);
         self.joints
             .iter()
-            .all(|joint| joint.sensed().illegal <= limit)
+            .all(|joint| joint.measurement().illegal <= limit)
     }
 
     /// Whether no joint moves faster than twice its following error in a second (0.6 mm/s for 0.3 mm).
@@ -459,7 +459,7 @@ impl Machine {
     #[inline]
     pub fn check_index_pulses(&mut self) -> Result<(), Fault> {
         for (index, axis) in self.config.joints.iter().enumerate() {
-            if let Some((_, coordinate)) = self.joints[index].sensed().index
+            if let Some((_, coordinate)) = self.joints[index].measurement().index
                 && let Some(fault) = self.homing.index(index, axis, coordinate)
             {
                 return Err(fault);
@@ -475,7 +475,11 @@ impl Machine {
         inputs: &Inputs,
     ) -> Result<(), PoseError> {
         for (index, joint) in self.joints.iter_mut().enumerate() {
-            let coordinate = joint.sensed().motor.0.wrapping_add(corrections[index].0);
+            let coordinate = joint
+                .measurement()
+                .motor
+                .0
+                .wrapping_add(corrections[index].0);
             joint.set_reference(inputs.axes[index].counts, Coordinate(coordinate));
             joint.search(false);
         }
@@ -556,7 +560,7 @@ impl Machine {
     #[inline]
     pub fn advance(&mut self, mode: Mode) -> (Progress, Option<u8>) {
         self.update_excursion();
-        match self.motion.advance_alone(mode) {
+        match self.motion.advance_program(mode) {
             Some(progress) => (progress, None),
             None => self.advance_with_sources(mode),
         }
@@ -650,7 +654,7 @@ impl Machine {
         }
         put(&mut sample.joints, axes, |index| self.measured.0[index].0);
         put(&mut sample.following_error, axes, |index| {
-            self.joints[index].driven().following_error.0
+            self.joints[index].servo_output().following_error.0
         });
         put(&mut sample.drive, axes, |index| self.command(inputs, index));
     }
@@ -662,7 +666,7 @@ impl Machine {
     }
 
     fn command(&self, inputs: &Inputs, index: usize) -> i32 {
-        match self.joints[index].driven().command {
+        match self.joints[index].servo_output().command {
             DriveCommand::Torque(code) => i32::from(code),
             DriveCommand::Steps(_) => inputs.axes[index].steps,
             DriveCommand::Off => 0,
@@ -674,8 +678,8 @@ impl Machine {
         (0..self.axes()).map(|index| JointSnapshot {
             measured: self.measured.0[index],
             wanted: self.target.joints.0[index],
-            following_error: self.joints[index].driven().following_error,
-            command: self.joints[index].driven().command,
+            following_error: self.joints[index].servo_output().following_error,
+            command: self.joints[index].servo_output().command,
         })
     }
 

@@ -34,7 +34,7 @@ fn follow_master(core: &mut Core) {
     if !running {
         machine.release_master();
     } else if let Leading::Lost(age_ms) = machine.advance_master() {
-        core.safety.tell(Event::HandLost { age_ms });
+        core.safety.push_event(Event::HandLost { age_ms });
         core.hold();
     }
 }
@@ -56,10 +56,10 @@ fn advance_motion(core: &mut Core, server: &mut Server, inputs: &Inputs) {
         && state != State::Homing
     {
         machine.motion.jog.release();
-        core.safety.tell(Event::JogLimited { axis });
+        core.safety.push_event(Event::JogLimited { axis });
     }
     if let Some(axis) = machine.motion.take_limited() {
-        core.safety.tell(Event::HandLimited { axis });
+        core.safety.push_event(Event::HandLimited { axis });
     }
     match state {
         State::Run | State::Hold => follow_program(core, server, state, &progress),
@@ -75,16 +75,16 @@ fn follow_program(core: &mut Core, server: &mut Server, state: State, progress: 
     let Some(machine) = &mut core.machine else {
         return;
     };
-    let held = server.is_held();
+    let held = server.is_deferred();
     let program = &mut machine.motion.program;
-    program.look_ahead(held, || server.claim_idle());
+    program.prefetch(held, || server.try_claim_idle());
     if let Some(late) = program.take_late() {
-        core.safety.tell(Event::Underrun {
+        core.safety.push_event(Event::Underrun {
             setpoint: late.setpoint,
             late_periods: late.periods,
         });
     }
-    if progress.ran_dry {
+    if progress.queue_empty {
         core.safety.raise(Fault::Internal {
             line: line!() as u16,
         });
@@ -98,20 +98,20 @@ fn follow_program(core: &mut Core, server: &mut Server, state: State, progress: 
         core.job.spindle_rpm = speed;
     }
     if progress.blocked && state == State::Run {
-        core.safety.tell(Event::Blocked {
+        core.safety.push_event(Event::Blocked {
             setpoint: machine.motion.program.reached(),
         });
         core.safety.enter(State::Hold);
     }
     if let Some(setpoint) = progress.paused {
-        core.safety.tell(Event::Paused { setpoint });
+        core.safety.push_event(Event::Paused { setpoint });
         core.safety.enter(State::Hold);
     }
     let at_standstill = machine.motion.is_at_standstill();
     if progress.finished && at_standstill {
         let setpoints = machine.motion.program.reached();
         if let Some(job) = core.job.number.take() {
-            core.safety.tell(Event::JobDone { job, setpoints });
+            core.safety.push_event(Event::JobDone { job, setpoints });
         }
         core.finish_at_standstill();
     } else if state == State::Hold && core.job.stopping && at_standstill {

@@ -1,6 +1,6 @@
 //! Index pulses against counts: what is lost is found, what is not lost is never said to be.
 
-use haptimill_firmware::joint::index_monitor::IndexWatch;
+use haptimill_firmware::joint::index_monitor::IndexMonitor;
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 
@@ -13,8 +13,8 @@ const PITCH: i32 = 10 << 20;
 /// Counts that a pulse may be off.
 const SLACK: u16 = 4;
 
-fn watch() -> IndexWatch {
-    IndexWatch::new(PITCH, PER_COUNT, SLACK)
+fn watch() -> IndexMonitor {
+    IndexMonitor::new(PITCH, PER_COUNT, SLACK)
 }
 
 /// Pulses of a shaft on its way, so many counts wide: each after so many turns more, and at its other end where it is come to from the other side.
@@ -39,7 +39,7 @@ proptest! {
         backwards in any::<bool>(),
     ) {
         let per_count = if backwards { -PER_COUNT } else { PER_COUNT };
-        let mut watch = IndexWatch::new(PITCH, per_count, SLACK.max(width as u16 - 1));
+        let mut watch = IndexMonitor::new(PITCH, per_count, SLACK.max(width as u16 - 1));
         for raw in pulses(first, width, &turns) {
             prop_assert_eq!(watch.pulse(raw), None);
         }
@@ -114,13 +114,13 @@ proptest! {
         slack in any::<u16>(),
         raws in prop::collection::vec(any::<i32>(), 0..20),
     ) {
-        let mut watch = IndexWatch::new(pitch, per_count, slack);
+        let mut watch = IndexMonitor::new(pitch, per_count, slack);
         for raw in &raws {
             let _ = watch.pulse(*raw);
         }
         // 8000.25 counts a turn; and one that nobody wants compared.
-        let quarter = IndexWatch::new(PITCH, (i64::from(PITCH) << 26) / 32_001, SLACK);
-        for mut watch in [quarter, IndexWatch::new(PITCH, PER_COUNT, 0)] {
+        let quarter = IndexMonitor::new(PITCH, (i64::from(PITCH) << 26) / 32_001, SLACK);
+        for mut watch in [quarter, IndexMonitor::new(PITCH, PER_COUNT, 0)] {
             for raw in &raws {
                 prop_assert_eq!(watch.pulse(*raw), None);
             }

@@ -1,9 +1,9 @@
 //! Whole joints: torque with backlash on a simulated slide, steps with a simulated motor, enabling, references, bad configurations.
 
-use haptimill_firmware::config::{AxisKind, Drive, JointAxis, Law, LawForm};
+use haptimill_firmware::config::{AxisKind, Drive, JointAxis, ServoConfig, ServoForm};
 use haptimill_firmware::io::{AxisInputs, DriveCommand};
 use haptimill_firmware::joint::torque::TorqueOutput;
-use haptimill_firmware::joint::{DriveError, Driven, JointDrive, Wanted};
+use haptimill_firmware::joint::{DriveError, JointCommand, JointDrive, ServoOutput};
 use haptimill_math::{Acceleration, Coordinate, Effort, Gain, Rate};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
@@ -12,7 +12,7 @@ const MM: f64 = 1048576.0;
 const NEWTON: f64 = 65536.0;
 
 /// Drives a joint for a period; its command arrives where it belongs.
-fn drive_to(joint: &mut JointDrive, wanted: &Wanted) -> Driven {
+fn drive_to(joint: &mut JointDrive, wanted: &JointCommand) -> ServoOutput {
     let mut command = DriveCommand::Off;
     let saturated = joint.servo(
         wanted.coordinate,
@@ -22,9 +22,9 @@ fn drive_to(joint: &mut JointDrive, wanted: &Wanted) -> Driven {
     );
     assert_eq!(
         (command, saturated),
-        (joint.driven().command, joint.driven().saturated)
+        (joint.servo_output().command, joint.servo_output().saturated)
     );
-    *joint.driven()
+    *joint.servo_output()
 }
 
 fn torque() -> Drive {
@@ -54,8 +54,8 @@ fn axis(drive: Drive, backlash_mm: f64) -> JointAxis {
         per_count: 21_990_232_556,
         backlash: Coordinate((backlash_mm * MM) as i32),
         drive,
-        law: Law {
-            form: LawForm::ModelBased,
+        law: ServoConfig {
+            form: ServoForm::ModelBased,
             kp: Gain(40_000 * 256),
             kd: Gain(400 * 256),
             rate_filter_us: 1500,
@@ -149,7 +149,7 @@ fn follow(lost_motion: f64) -> (f64, f64) {
     for period in 1..100_000u64 {
         let time = period as f64 * 200e-6;
         plant.run(f64::from(code) / 8192.0 * 1000.0, period * 200_000);
-        let sensed = *joint.measure(&plant.inputs, (period * 200_000) as u32);
+        let measurement = *joint.measure(&plant.inputs, (period * 200_000) as u32);
         // Runs up smoothly over the first second.
         let ease = (time / 1.0).min(1.0);
         let ease = ease * ease * (3.0 - 2.0 * ease);
@@ -160,20 +160,20 @@ fn follow(lost_motion: f64) -> (f64, f64) {
         };
         let x = 15.0 * (w * phase).sin();
         let v = 15.0 * w * ease * (w * phase).cos();
-        let wanted = Wanted {
+        let wanted = JointCommand {
             coordinate: Coordinate(start.0 + (x * MM) as i32),
             rate: Rate((v * MM) as i32),
             acceleration: Acceleration((-w * w * x * 4096.0) as i32),
         };
-        let driven = drive_to(&mut joint, &wanted);
-        let DriveCommand::Torque(next) = driven.command else {
+        let servo_output = drive_to(&mut joint, &wanted);
+        let DriveCommand::Torque(next) = servo_output.command else {
             panic!()
         };
-        assert!(!driven.saturated);
+        assert!(!servo_output.saturated);
         if time > 2.0 {
             worst = worst.max((plant.slide[0] - x).abs());
             // The estimate of the slide knows what the motor's encoder cannot see.
-            let estimate = f64::from(sensed.coordinate.0) / MM;
+            let estimate = f64::from(measurement.coordinate.0) / MM;
             blind = blind.max((estimate - plant.slide[0]).abs());
         }
         code = next;
@@ -205,21 +205,21 @@ fn enabling_moves_nothing() {
         };
         joint.measure(&inputs, 0);
         assert_eq!(
-            drive_to(&mut joint, &Wanted::default()).command,
+            drive_to(&mut joint, &JointCommand::default()).command,
             DriveCommand::Off
         );
         // Turned by hand while off, by more than the play.
         inputs.counts += 4000;
         joint.measure(&inputs, 200_000);
-        let wanted = Wanted {
+        let wanted = JointCommand {
             coordinate: joint.enable(),
-            ..Wanted::default()
+            ..JointCommand::default()
         };
         for period in 2..500u32 {
             joint.measure(&inputs, period * 200_000);
-            let driven = drive_to(&mut joint, &wanted);
-            assert_eq!(driven.following_error, Coordinate(0));
-            match driven.command {
+            let servo_output = drive_to(&mut joint, &wanted);
+            assert_eq!(servo_output.following_error, Coordinate(0));
+            match servo_output.command {
                 DriveCommand::Torque(code) => assert_eq!(code, 0),
                 DriveCommand::Steps(segment) => assert_eq!(segment.count, 0),
                 DriveCommand::Off => panic!("off"),
@@ -239,21 +239,23 @@ fn a_reference_found_under_way_moves_nothing() {
             ..AxisInputs::default()
         };
         joint.measure(&inputs, 0);
-        let mut wanted = Wanted {
+        let mut wanted = JointCommand {
             coordinate: joint.enable(),
-            ..Wanted::default()
+            ..JointCommand::default()
         };
         let shift = joint.set_reference(-100, Coordinate((1135.0 * MM) as i32));
         wanted.coordinate.0 += shift.0;
         let at = (1135.0 - 400.0 * 0.00125) * MM;
-        assert!((f64::from(joint.sensed().motor.0) - at).abs() < 2.0);
+        assert!((f64::from(joint.measurement().motor.0) - at).abs() < 2.0);
         for period in 1..100u32 {
-            let sensed = joint.measure(&inputs, period * 200_000);
-            assert!((f64::from(sensed.coordinate.0) - at).abs() < 2.0);
-            assert!(sensed.slip.0.abs() < 2 && !sensed.lost_steps);
-            let driven = drive_to(&mut joint, &wanted);
-            assert!(driven.following_error.0.abs() <= 1);
-            assert!(!matches!(driven.command, DriveCommand::Steps(segment) if segment.count != 0));
+            let measurement = joint.measure(&inputs, period * 200_000);
+            assert!((f64::from(measurement.coordinate.0) - at).abs() < 2.0);
+            assert!(measurement.slip.0.abs() < 2 && !measurement.lost_steps);
+            let servo_output = drive_to(&mut joint, &wanted);
+            assert!(servo_output.following_error.0.abs() <= 1);
+            assert!(
+                !matches!(servo_output.command, DriveCommand::Steps(segment) if segment.count != 0)
+            );
         }
     }
 }
@@ -279,30 +281,30 @@ fn lost_steps_are_seen() {
             inputs.counts = counts;
             inputs.edge_time_ns = period * 200_000 - 1;
         }
-        let sensed = joint.measure(&inputs, period * 200_000);
+        let measurement = joint.measure(&inputs, period * 200_000);
         assert_eq!(
-            sensed.lost_steps,
+            measurement.lost_steps,
             period >= 3000,
             "period {period}: slip {:?}",
-            sensed.slip
+            measurement.slip
         );
         let time = f64::from(period) * 200e-6;
         let x = 5.0 * (1.0 - (3.0 * time).cos());
-        let driven = drive_to(
+        let servo_output = drive_to(
             &mut joint,
-            &Wanted {
+            &JointCommand {
                 coordinate: Coordinate(start.0 + (x * MM) as i32),
                 rate: Rate((15.0 * (3.0 * time).sin() * MM) as i32),
                 acceleration: Acceleration(0),
             },
         );
-        let DriveCommand::Steps(next) = driven.command else {
+        let DriveCommand::Steps(next) = servo_output.command else {
             panic!()
         };
         segment = next.count;
         if period < 3000 {
             // Two periods of travel and a step.
-            assert!(f64::from(driven.following_error.0).abs() / MM < 15.0 * 400e-6 + 0.0045);
+            assert!(f64::from(servo_output.following_error.0).abs() / MM < 15.0 * 400e-6 + 0.0045);
         }
     }
 }
@@ -410,13 +412,13 @@ proptest! {
         joint.enable();
         joint.measure(&AxisInputs { counts: place >> 12, ..AxisInputs::default() }, 200_000);
         let (coordinate, rate, acceleration) = wanted;
-        let driven = drive_to(&mut joint, &Wanted { coordinate: Coordinate(coordinate), rate: Rate(rate), acceleration: Acceleration(acceleration) });
-        let DriveCommand::Torque(code) = driven.command else {
-            panic!("a torque drive: {driven:?}");
+        let servo_output = drive_to(&mut joint, &JointCommand { coordinate: Coordinate(coordinate), rate: Rate(rate), acceleration: Acceleration(acceleration) });
+        let DriveCommand::Torque(code) = servo_output.command else {
+            panic!("a torque drive: {servo_output:?}");
         };
         let most = f64::from(limit.0) * 8192.0 / f64::from(full_scale).abs();
         prop_assert!(f64::from(code).abs() <= most + 0.51);
-        prop_assert!(driven.effort.0.unsigned_abs() <= limit.0.unsigned_abs());
+        prop_assert!(servo_output.effort.0.unsigned_abs() <= limit.0.unsigned_abs());
     }
 
     #[test]
@@ -438,7 +440,7 @@ proptest! {
                     2 => { joint.set_reference(index_counts, Coordinate(coordinate)); }
                     _ => {}
                 }
-                drive_to(&mut joint, &Wanted { coordinate: Coordinate(coordinate), rate: Rate(rate), acceleration: Acceleration(acceleration) });
+                drive_to(&mut joint, &JointCommand { coordinate: Coordinate(coordinate), rate: Rate(rate), acceleration: Acceleration(acceleration) });
             }
         }
     }

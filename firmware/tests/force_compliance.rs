@@ -1,7 +1,9 @@
 //! The direct-force loop against the equation in f64: K_A p'' + K_V p' = F - sigma f_d, its bounds, its changes at run time.
 
-use haptimill_firmware::force::admittance::{Compliance, Law, Push, Yielding};
-use haptimill_firmware::force::zero_order_hold::{FINENESS, Pole, sound};
+use haptimill_firmware::force::admittance::{
+    AdmittanceAxis, AdmittanceLaw, DrivingForce, Yielding,
+};
+use haptimill_firmware::force::zero_order_hold::{FINENESS, ZeroOrderHold, sound};
 use haptimill_firmware::force::{ForceParameter, Gate, LoopSettings};
 use haptimill_math::force::{Displacement, Force, VirtualDamping, VirtualMass};
 use haptimill_math::{Length, Rate};
@@ -25,8 +27,8 @@ fn settings(mass: f64, damping: f64, gate: Gate) -> LoopSettings {
     }
 }
 
-fn push(force: f64, desired_rate: f64) -> Push {
-    Push {
+fn push(force: f64, desired_rate: f64) -> DrivingForce {
+    DrivingForce {
         force: Force((force * NEWTON).round() as i32),
         desired_rate: Rate((desired_rate * MM).round() as i32),
         active: true,
@@ -52,7 +54,7 @@ proptest! {
         let (mass_raw, damping_raw) = (f64::exp2(mass_bits) as u32, f64::exp2(damping_bits) as u32);
         let (mass, damping) = (VirtualMass(mass_raw), VirtualDamping(damping_raw));
         prop_assume!(sound(mass, damping, period));
-        let pole = Pole::new(mass, damping, period);
+        let pole = ZeroOrderHold::new(mass, damping, period);
         let fineness = FINENESS;
         let unit = f64::exp2(40.0 + f64::from(fineness));
         let (ka, kv) = (f64::from(mass_raw) / NEWTON, f64::from(damping_raw) / NEWTON);
@@ -92,8 +94,8 @@ proptest! {
     ) {
         let gate = if open { Gate::Any } else { Gate::AgainstMotion };
         let settings = settings(mass, damping, gate);
-        let Ok(law) = Law::new(&settings, period, DELAY_US, RANGE) else { return Ok(()) };
-        let mut fixed = Compliance::new(law);
+        let Ok(law) = AdmittanceLaw::new(&settings, period, DELAY_US, RANGE) else { return Ok(()) };
+        let mut fixed = AdmittanceAxis::new(law);
         let time = f64::from(period) * 1e-6;
         let (ka, kv) = (f64::from(settings.mass.0) / NEWTON, f64::from(settings.damping.0) / NEWTON);
         let fade = -libm::expm1(-kv * time / ka);
@@ -136,17 +138,17 @@ proptest! {
     ) {
         let mut settings = settings(mass, damping, Gate::Any);
         (settings.limit, settings.rate) = (Length(limit), Rate(rate));
-        let Ok(law) = Law::new(&settings, period, DELAY_US, RANGE) else { return Ok(()) };
-        let mut compliance = Compliance::new(law);
+        let Ok(law) = AdmittanceLaw::new(&settings, period, DELAY_US, RANGE) else { return Ok(()) };
+        let mut compliance = AdmittanceAxis::new(law);
         for (force, desired_rate, active, held, level, periods) in inputs {
             for _ in 0..periods {
-                let push = Push { force: Force(force), desired_rate: Rate(desired_rate), active, held, level, touching: force % 2 == 0 };
+                let push = DrivingForce { force: Force(force), desired_rate: Rate(desired_rate), active, held, level, touching: force % 2 == 0 };
                 let before = compliance.displacement();
                 let now = compliance.advance(&push);
                 prop_assert!(now.displacement.0.abs() <= i64::from(limit) << 20);
                 prop_assert!((now.displacement.0 - before.0).abs() <= 1 << 42);
                 if force % 7 == 0 {
-                    prop_assert_eq!(compliance.withhold().displacement, before);
+                    prop_assert_eq!(compliance.roll_back().displacement, before);
                 }
             }
         }
@@ -161,7 +163,7 @@ proptest! {
         settings.desired = Force(desired >> (desired & 15));
         (settings.limit, settings.rate) = (Length(limit), Rate(rate));
         let mut repairs = 0;
-        while let Err(refused) = Law::begin(&settings, period, DELAY_US, RANGE) {
+        while let Err(refused) = AdmittanceLaw::begin(&settings, period, DELAY_US, RANGE) {
             repairs += 1;
             prop_assert!(repairs <= 10, "{refused:?} {settings:?}");
             let bound = refused.bound;
@@ -187,9 +189,9 @@ proptest! {
             let mut settings = settings(mass, damping, Gate::Any);
             settings.desired = Force((desired * NEWTON) as i32);
             settings.limit = Length((limit * MM) as i32);
-            Law::new(&settings, 200, DELAY_US, RANGE).expect("sound")
+            AdmittanceLaw::new(&settings, 200, DELAY_US, RANGE).expect("sound")
         };
-        let mut compliance = Compliance::new(make(before, 10.0));
+        let mut compliance = AdmittanceAxis::new(make(before, 10.0));
         let mut last = Yielding::default();
         for _ in 0..periods {
             last = compliance.advance(&push(force, 0.0));
@@ -212,9 +214,10 @@ proptest! {
 #[test]
 fn jump_of_the_tool_at_a_change_of_gains() {
     let law = |mass, damping| {
-        Law::new(&settings(mass, damping, Gate::Any), 200, DELAY_US, RANGE).expect("sound")
+        AdmittanceLaw::new(&settings(mass, damping, Gate::Any), 200, DELAY_US, RANGE)
+            .expect("sound")
     };
-    let mut compliance = Compliance::new(law(1.0, 5.0));
+    let mut compliance = AdmittanceAxis::new(law(1.0, 5.0));
     let (mut largest, mut last, mut speed) = (0.0f64, 0.0, 0.0);
     for k in 0..10_000 {
         if k % 500 == 0 && k > 0 {
@@ -238,8 +241,8 @@ fn jump_of_the_tool_at_a_change_of_gains() {
 /// The integral of F - f_d is K_V times the displacement plus K_A times the rate, to 1e-6, and the thesis's slew of 1 mm/s at 5 N of excess is there.
 #[test]
 fn the_loop_is_the_equation() {
-    let mut compliance = Compliance::new(
-        Law::new(&settings(1.0, 5.0, Gate::Any), 200, DELAY_US, RANGE).expect("sound"),
+    let mut compliance = AdmittanceAxis::new(
+        AdmittanceLaw::new(&settings(1.0, 5.0, Gate::Any), 200, DELAY_US, RANGE).expect("sound"),
     );
     let (mut impulse, mut now) = (0.0, Yielding::default());
     for k in 0..25_000 {
@@ -258,8 +261,8 @@ fn the_loop_is_the_equation() {
 /// The acceleration is the change of the rate, and the rate that of the displacement.
 #[test]
 fn feed_forward_is_the_derivative() {
-    let mut compliance = Compliance::new(
-        Law::new(&settings(0.5, 3.0, Gate::Any), 200, DELAY_US, RANGE).expect("sound"),
+    let mut compliance = AdmittanceAxis::new(
+        AdmittanceLaw::new(&settings(0.5, 3.0, Gate::Any), 200, DELAY_US, RANGE).expect("sound"),
     );
     let mut last = Yielding::default();
     for k in 0..4000 {
@@ -282,8 +285,8 @@ fn feed_forward_is_the_derivative() {
 #[test]
 fn the_gate_is_shut_along_the_motion_and_at_rest() {
     let run = |gate, force, rate| {
-        let mut compliance = Compliance::new(
-            Law::new(&settings(1.0, 5.0, gate), 200, DELAY_US, RANGE).expect("sound"),
+        let mut compliance = AdmittanceAxis::new(
+            AdmittanceLaw::new(&settings(1.0, 5.0, gate), 200, DELAY_US, RANGE).expect("sound"),
         );
         (0..5000)
             .map(|_| compliance.advance(&push(force, rate)))
@@ -298,8 +301,8 @@ fn the_gate_is_shut_along_the_motion_and_at_rest() {
     assert_eq!(run(Gate::Positive, -10.0, 0.0), 0.0);
     assert!(run(Gate::Negative, -10.0, 0.0) < -0.5);
     assert_eq!(run(Gate::Any, 4.9, -2.0), 0.0);
-    let mut compliance = Compliance::new(
-        Law::new(
+    let mut compliance = AdmittanceAxis::new(
+        AdmittanceLaw::new(
             &settings(1.0, 5.0, Gate::AgainstMotion),
             200,
             DELAY_US,
@@ -325,8 +328,8 @@ fn the_gate_is_shut_along_the_motion_and_at_rest() {
 /// A held tool stays within micrometres, and a reference that is refused for a second does not wind up.
 #[test]
 fn held_and_withheld() {
-    let mut compliance = Compliance::new(
-        Law::new(&settings(1.0, 5.0, Gate::Any), 200, DELAY_US, RANGE).expect("sound"),
+    let mut compliance = AdmittanceAxis::new(
+        AdmittanceLaw::new(&settings(1.0, 5.0, Gate::Any), 200, DELAY_US, RANGE).expect("sound"),
     );
     for _ in 0..10_000 {
         compliance.advance(&push(10.0, 0.0));
@@ -334,7 +337,7 @@ fn held_and_withheld() {
     let yielded = compliance.displacement();
     for _ in 0..5000 {
         compliance.advance(&push(80.0, 0.0));
-        let withheld = compliance.withhold();
+        let withheld = compliance.roll_back();
         assert_eq!((withheld.displacement, withheld.rate), (yielded, Rate(0)));
     }
     let first = compliance.advance(&push(10.0, 0.0));
@@ -344,7 +347,7 @@ fn held_and_withheld() {
     }
     let at = millimetres(compliance.displacement());
     for _ in 0..5000 {
-        let held = Push {
+        let held = DrivingForce {
             held: true,
             ..push(-80.0, 0.0)
         };
@@ -358,7 +361,7 @@ fn bad_parameters_are_refused_with_their_bound() {
     let refuse = |change: fn(&mut LoopSettings)| {
         let mut settings = settings(1.0, 5.0, Gate::Any);
         change(&mut settings);
-        Law::new(&settings, 200, DELAY_US, RANGE)
+        AdmittanceLaw::new(&settings, 200, DELAY_US, RANGE)
             .map(|_| ())
             .map_err(|refused| refused.parameter)
     };
@@ -399,6 +402,8 @@ fn bad_parameters_are_refused_with_their_bound() {
         Err(ForceParameter::Rate)
     );
     for (mass, damping) in [(1.0, 5.0), (0.25, 5.0), (1.0, 20.0), (0.25, 0.5)] {
-        assert!(Law::new(&settings(mass, damping, Gate::Any), 200, DELAY_US, RANGE).is_ok());
+        assert!(
+            AdmittanceLaw::new(&settings(mass, damping, Gate::Any), 200, DELAY_US, RANGE).is_ok()
+        );
     }
 }

@@ -394,7 +394,7 @@ proptest! {
                 control.measure(&sample, rpm, &position.map(Coordinate), Angle(table), unloaded);
                 control.advance(&rates.map(Rate));
                 if k % 7 == 3 {
-                    control.withhold();
+                    control.roll_back();
                 }
                 for yielding in control.yielding() {
                     prop_assert!(yielding.displacement.0.abs() <= 10 << 40);

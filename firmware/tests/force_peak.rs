@@ -1,6 +1,6 @@
 //! The peak of a revolution against a plain scan, and on milling forces at speeds whose revolution is no whole number of samples.
 
-use haptimill_firmware::force::window_peak::{LEAVES, SlidingExtremes, Window};
+use haptimill_firmware::force::window_peak::{LEAVES, SlidingMinMax, Window};
 use haptimill_math::force::Force;
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
@@ -13,7 +13,7 @@ proptest! {
 
     #[test]
     fn extremes_are_those_of_a_scan(samples in 1u32..=LEAVES as u32, forces in prop::collection::vec(any::<i32>(), 1..600)) {
-        let mut peaks = SlidingExtremes::new(Window::of(samples).expect("fits"));
+        let mut peaks = SlidingMinMax::new(Window::of(samples).expect("fits"));
         let mut window: VecDeque<i32> = (0..samples).map(|_| 0).collect();
         for force in forces {
             window.pop_front();
@@ -32,7 +32,7 @@ proptest! {
     fn a_long_window_covers_what_was_asked(samples in 1u32..=2048, forces in prop::collection::vec(any::<i32>(), 2100..4500)) {
         let window = Window::of(samples).expect("fits");
         prop_assert!(window.least_samples() >= samples && window.samples() < samples + 2 * samples.div_ceil(100).max(1) + 1, "{window:?} {samples}");
-        let mut peaks = SlidingExtremes::new(window);
+        let mut peaks = SlidingMinMax::new(window);
         for (k, force) in forces.iter().enumerate() {
             let found = peaks.push(Force(*force));
             if k % 37 == 0 && k > window.samples() as usize {
@@ -50,7 +50,7 @@ proptest! {
     /// Whatever the changes of the window, the peak is at least that of the last revolution.
     #[test]
     fn a_new_window_forgets_nothing(changes in prop::collection::vec((1u32..=300, 1usize..400), 1..12), seed: u64) {
-        let mut peaks = SlidingExtremes::new(Window::of(60).expect("fits"));
+        let mut peaks = SlidingMinMax::new(Window::of(60).expect("fits"));
         let (mut seen, mut random) = (vec![0; 60], seed | 1);
         for (samples, pushes) in changes {
             let window = Window::of(samples).expect("fits");
@@ -110,7 +110,7 @@ fn a_steady_cut_has_a_steady_peak() {
         // A crest lies at most half a sample from the nearest one.
         let crest = 6.0 * libm::cos(std::f64::consts::PI * turn);
         let dip = |window: Window| {
-            let mut peaks = SlidingExtremes::new(window);
+            let mut peaks = SlidingMinMax::new(window);
             (0..40_000)
                 .map(|k| peaks.push(Force((force(f64::from(k)) * NEWTON) as i32)))
                 .skip(4000)
@@ -135,7 +135,7 @@ fn a_steady_cut_has_a_steady_peak() {
 /// The sign is kept, and the other end is the low force.
 #[test]
 fn the_sign_is_kept() {
-    let mut peaks = SlidingExtremes::new(Window::of(4).expect("fits"));
+    let mut peaks = SlidingMinMax::new(Window::of(4).expect("fits"));
     peaks.push(Force(5));
     let found = peaks.push(Force(-7));
     assert_eq!((found.peak(), found.other()), (Force(-7), Force(5)));

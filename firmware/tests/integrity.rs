@@ -7,7 +7,7 @@ use haptimill_firmware::config::{Config, JointAxis};
 use haptimill_firmware::force::sensor::Sensor;
 use haptimill_firmware::force::{ForceConfig, ForceControl, Gate, LoopSettings};
 use haptimill_firmware::io::{AxisInputs, DriveCommand, Inputs};
-use haptimill_firmware::joint::{JointDrive, Wanted};
+use haptimill_firmware::joint::{JointCommand, JointDrive};
 use haptimill_firmware::machine::Machine;
 use haptimill_firmware::motion::interpolator::Program;
 use haptimill_firmware::motion::jog::Jog;
@@ -167,10 +167,10 @@ fn a_change_of_a_joint_s_constants_is_seen_and_its_motion_is_not() {
     for period in 1..500_i32 {
         inputs.counts = period * period / 100;
         joint.measure(&inputs, period as u32 * 200_000);
-        let wanted = Wanted {
+        let wanted = JointCommand {
             coordinate: Coordinate(period << 12),
             rate: Rate(-period << 8),
-            ..Wanted::default()
+            ..JointCommand::default()
         };
         let mut command = DriveCommand::Off;
         joint.servo(

@@ -5,9 +5,9 @@
 )]
 
 use haptimill_firmware::config::{
-    AxisKind, Config, Drive, Homing, JointAxis, Law, LawForm, Stopping, Supervision,
+    AxisKind, Config, Drive, Homing, JointAxis, ServoConfig, ServoForm, Stopping, Supervision,
 };
-use haptimill_firmware::motion::envelope::Sweep;
+use haptimill_firmware::motion::envelope::StoppingEnvelope;
 use haptimill_kinematics::Model;
 use haptimill_kinematics::h4::H4;
 use haptimill_kinematics::h4::H4Geometry;
@@ -51,8 +51,8 @@ fn joint(kind: AxisKind, low: Coordinate, high: Coordinate) -> JointAxis {
             full_scale: Effort(1 << 16),
             limit: Effort(1 << 16),
         },
-        law: Law {
-            form: LawForm::Pd,
+        law: ServoConfig {
+            form: ServoForm::Pd,
             kp: Gain(0),
             kd: Gain(0),
             rate_filter_us: 0,
@@ -364,7 +364,7 @@ fn a_box_within_a_reachable_one_is_reachable() {
             centre.0[axis] = Coordinate(millimetres(random(160.0)) as i32);
         }
         centre.0[3] = Coordinate(Angle::degrees(1).0 * random(50.0) as i32);
-        let (mut wide, mut small) = (Sweep::at(&centre), Sweep::at(&centre));
+        let (mut wide, mut small) = (StoppingEnvelope::at(&centre), StoppingEnvelope::at(&centre));
         for axis in 0..3 {
             let place = i64::from(centre.0[axis].0);
             // A stop from 20 mm/s at 200 mm/s^2, with a tenth of a millimetre of room.

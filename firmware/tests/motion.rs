@@ -113,7 +113,7 @@ fn walk(program: &mut Program, periods: usize, halt: impl Fn(usize) -> bool) -> 
     for period in 0..periods {
         let (wanted, progress) = program.advance(halt(period));
         path.push(wanted.pose.0[0], wanted.rates[0]);
-        assert!(!progress.ran_dry);
+        assert!(!progress.queue_empty);
         if progress.finished {
             path.finished = true;
             break;
@@ -263,7 +263,7 @@ proptest! {
         prop_assert!(program.is_at_standstill());
         let rest = *path.x.last().expect("some");
         let reached = program.reached();
-        program.back_off(back);
+        program.retract(back);
         prop_assert!(!program.is_at_standstill());
         path.take(walk(&mut program, 4 * back as usize + 3000, |_| true));
         prop_assert!(program.is_at_standstill());
@@ -336,14 +336,14 @@ proptest! {
                     }
                 }
                 if back > 0 && period == hold_at {
-                    program.back_off(back);
+                    program.retract(back);
                 }
                 let gone = program.advance(holds);
                 (gone, program.program_time(), program.reached(), program.queued(), program.is_at_standstill())
             });
             prop_assert_eq!(gone[0], gone[1], "period {}", period);
             let [_, program] = &mut programs;
-            program.look_ahead(free[period / 2 % free.len()], || free[period % free.len()]);
+            program.prefetch(free[period / 2 % free.len()], || free[period % free.len()]);
             mark = gone[0].0.1.finished || (back > 0 && period > hold_at + 900 && gone[0].4);
             if mark {
                 break;

@@ -2,7 +2,7 @@
 
 use haptimill_firmware::config::{AxisKind, PoseAxis};
 use haptimill_firmware::motion::Wanted;
-use haptimill_firmware::motion::tracker::{Mover, MoverLimits};
+use haptimill_firmware::motion::tracker::{Tracker, TrackerLimits};
 use haptimill_math::{Acceleration, Coordinate, Rate};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
@@ -21,8 +21,8 @@ fn axis(acceleration: i32, rate: i32) -> PoseAxis {
     }
 }
 
-fn limits(acceleration: i32, rate: i32, gain: u16) -> MoverLimits {
-    MoverLimits::new(&axis(acceleration, rate), gain, PERIOD_US).expect("sound")
+fn limits(acceleration: i32, rate: i32, gain: u16) -> TrackerLimits {
+    TrackerLimits::new(&axis(acceleration, rate), gain, PERIOD_US).expect("sound")
 }
 
 proptest! {
@@ -35,16 +35,16 @@ proptest! {
         targets in prop::collection::vec((prop::option::of(-300 * MM..300 * MM), 1_usize..3000), 1..8),
     ) {
         let limits = limits(acceleration, rate, gain);
-        let mut mover = Mover::at(Coordinate(5 * MM), Rate::ZERO, &limits);
+        let mut tracker = Tracker::at(Coordinate(5 * MM), Rate::ZERO, &limits);
         let mut before = Wanted::default();
-        mover.tell(0, &limits, &mut before);
+        tracker.write_to(0, &limits, &mut before);
         let most = f64::from(acceleration) * 2e-4 * f64::from(MM);
         for (target, periods) in targets {
             for _ in 0..periods {
-                let (low, high) = mover.sweep(target.map(Coordinate), &limits);
-                mover.advance(target.map(Coordinate), &limits);
+                let (low, high) = tracker.sweep(target.map(Coordinate), &limits);
+                tracker.advance(target.map(Coordinate), &limits);
                 let mut wanted = Wanted::default();
-                mover.tell(0, &limits, &mut wanted);
+                tracker.write_to(0, &limits, &mut wanted);
                 let change = f64::from(wanted.rates[0].0) - f64::from(before.rates[0].0);
                 prop_assert!(change.abs() <= most + 2.0, "{change} {most}");
                 prop_assert!(wanted.rates[0].0.abs() <= rate * MM + 1);
@@ -64,38 +64,38 @@ proptest! {
     #[test]
     fn arrives_exactly_and_does_not_overshoot(acceleration in 50_i32..3000, rate in 1_i32..150, gain in 10_u16..400, from in -100 * MM..100 * MM, way in -50 * MM..50 * MM) {
         let limits = limits(acceleration, rate, gain);
-        let mut mover = Mover::at(Coordinate(from), Rate::ZERO, &limits);
+        let mut tracker = Tracker::at(Coordinate(from), Rate::ZERO, &limits);
         let target = Coordinate(from + way);
         for period in 0..2_000_000 {
-            mover.advance(Some(target), &limits);
-            let past = (i64::from(mover.place().0) - i64::from(target.0)) * i64::from(way.signum());
+            tracker.advance(Some(target), &limits);
+            let past = (i64::from(tracker.place().0) - i64::from(target.0)) * i64::from(way.signum());
             prop_assert!(past <= 0, "passed by {past} in {period}");
-            if mover.is_at_standstill() && period > 10 {
+            if tracker.is_at_standstill() && period > 10 {
                 break;
             }
         }
-        prop_assert!(mover.is_at_standstill());
-        prop_assert_eq!(mover.place(), target);
+        prop_assert!(tracker.is_at_standstill());
+        prop_assert_eq!(tracker.place(), target);
     }
 
     /// Whatever it does, it stops within what it said.
     #[test]
     fn stops_within_its_sweep(acceleration in 50_i32..3000, rate in 1_i32..150, gain in 5_u16..400, start in -150 * MM..150 * MM, target in -200 * MM..200 * MM, periods in 1_usize..2000) {
         let limits = limits(acceleration, rate, gain);
-        let mut mover = Mover::at(Coordinate(0), Rate(start.clamp(-rate * MM, rate * MM)), &limits);
+        let mut tracker = Tracker::at(Coordinate(0), Rate(start.clamp(-rate * MM, rate * MM)), &limits);
         for _ in 0..periods {
-            mover.advance(Some(Coordinate(target)), &limits);
+            tracker.advance(Some(Coordinate(target)), &limits);
         }
-        let (low, high) = mover.sweep(None, &limits);
-        let rest = mover.rest(&limits);
+        let (low, high) = tracker.sweep(None, &limits);
+        let rest = tracker.rest(&limits);
         for _ in 0..2_000_000 {
-            mover.advance(None, &limits);
-            prop_assert!((low..=high).contains(&i64::from(mover.place().0)));
-            if mover.is_at_standstill() { break; }
+            tracker.advance(None, &limits);
+            prop_assert!((low..=high).contains(&i64::from(tracker.place().0)));
+            if tracker.is_at_standstill() { break; }
         }
-        prop_assert!(mover.is_at_standstill());
+        prop_assert!(tracker.is_at_standstill());
         // Nor does it stop far short of it: two periods' way.
-        let off = (i64::from(rest.0) - i64::from(mover.place().0)).abs();
+        let off = (i64::from(rest.0) - i64::from(tracker.place().0)).abs();
         prop_assert!(off <= i64::from(rate * MM) / 2500 + 2, "{off}");
     }
 }
@@ -110,13 +110,13 @@ fn the_lag_is_as_stated() {
         (20.0, 200.0, 1000.0),
     ] {
         let limits = limits(acceleration as i32, 60, k as u16);
-        let mut mover = Mover::at(Coordinate(0), Rate::ZERO, &limits);
+        let mut tracker = Tracker::at(Coordinate(0), Rate::ZERO, &limits);
         let mut target = 0.0;
         for _ in 0..20_000 {
             target += rate * 2e-4;
-            mover.advance(Some(Coordinate((target * f64::from(MM)) as i32)), &limits);
+            tracker.advance(Some(Coordinate((target * f64::from(MM)) as i32)), &limits);
         }
-        let lag = (target - f64::from(mover.place().0) / f64::from(MM)) / rate;
+        let lag = (target - f64::from(tracker.place().0) / f64::from(MM)) / rate;
         let gentle = acceleration * 7.0 / 8.0;
         let stated = 1.0 / k
             + if rate <= gentle / k {
@@ -138,8 +138,8 @@ fn the_lag_is_as_stated() {
 
 #[test]
 fn limits_refuse_what_cannot_work() {
-    assert!(MoverLimits::new(&axis(200, 50), 0, PERIOD_US).is_none());
-    assert!(MoverLimits::new(&axis(200, 50), 1001, PERIOD_US).is_none());
-    assert!(MoverLimits::new(&axis(0, 50), 100, PERIOD_US).is_none());
-    assert!(MoverLimits::new(&axis(200, 50), 1000, 1000).is_none());
+    assert!(TrackerLimits::new(&axis(200, 50), 0, PERIOD_US).is_none());
+    assert!(TrackerLimits::new(&axis(200, 50), 1001, PERIOD_US).is_none());
+    assert!(TrackerLimits::new(&axis(0, 50), 100, PERIOD_US).is_none());
+    assert!(TrackerLimits::new(&axis(200, 50), 1000, 1000).is_none());
 }

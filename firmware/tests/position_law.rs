@@ -1,9 +1,9 @@
 //! The position loop against f64: its equation, its poles, its friction, its limits.
 
-use haptimill_firmware::config::{Law, LawForm};
+use haptimill_firmware::config::{ServoConfig, ServoForm};
 use haptimill_firmware::joint::friction::Friction;
 use haptimill_firmware::joint::rate_filter::{RATE_FRACTION, RateFilter, approach};
-use haptimill_firmware::joint::servo::PositionLaw;
+use haptimill_firmware::joint::servo::ServoLaw;
 use haptimill_math::{Acceleration, Coordinate, Effort, Gain, Rate};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
@@ -15,8 +15,8 @@ const MASS: f64 = 40.0;
 const MILLI: f64 = 1e-3;
 
 /// Effort units per acceleration unit for 1 kg: 2^-12 mm/s^2 is 2^-12 * 1e-3 N.
-fn law(form: LawForm, kp: f64, kd: f64, filter_us: u16) -> Law {
-    Law {
+fn law(form: ServoForm, kp: f64, kd: f64, filter_us: u16) -> ServoConfig {
+    ServoConfig {
         form,
         kp: Gain((kp * 256.0) as u32),
         kd: Gain((kd * 256.0) as u32),
@@ -96,7 +96,7 @@ proptest! {
     /// Fixed point against the same law in f64, over a smooth error with encoder steps on it.
     #[test]
     fn fixed_point_is_the_law(
-        form in prop::sample::select(vec![LawForm::Pd, LawForm::ModelBased]),
+        form in prop::sample::select(vec![ServoForm::Pd, ServoForm::ModelBased]),
         kp in 100.0f64..60000.0, kd in 5.0f64..800.0, ki in 0.0f64..1e6, filter_us in 0u16..6000, period in 50u16..=1000,
         viscous in 0.0f64..2.0, coulomb in 0.0f64..60.0, knee in 0.05f64..3.0,
         amplitude in 0.0f64..0.05, frequency in 0.1f64..40.0, speed in -60.0f64..60.0, pull in -500.0f64..500.0,
@@ -107,7 +107,7 @@ proptest! {
         config.coulomb = Effort((coulomb * NEWTON) as i32);
         config.coulomb_rate = rate(knee);
         config.ki = Gain((ki * 256.0) as u32);
-        let mut fixed = PositionLaw::new(&config, Effort(i32::MAX), period);
+        let mut fixed = ServoLaw::new(&config, Effort(i32::MAX), period);
         fixed.reset(Coordinate(0));
         let step = f64::from(period) * 1e-6;
         let pole = if filter_us == 0 { 0.0 } else { libm::exp(-step / (f64::from(filter_us) * 1e-6)) };
@@ -126,7 +126,7 @@ proptest! {
             let v = f64::from(wanted_rate.0) / MM;
             let mut a = f64::from(config.kp.0) / 256.0 * e + f64::from(config.kd.0) / 256.0 * change / step + integral;
             let mut exact = coulomb * libm::tanh(v / knee);
-            if form == LawForm::ModelBased {
+            if form == ServoForm::ModelBased {
                 a += f64::from(wanted_acceleration.0) / 4096.0;
                 exact += viscous * v;
             }
@@ -144,9 +144,9 @@ proptest! {
         kp: u32, kd: u32, ki: u32, rate_filter_us: u16, inertia: u32, viscous: u32, coulomb: i32, coulomb_rate: i32, limit: i32, period: u16,
         frames in prop::collection::vec(any::<(i32, i32, i32)>(), 1..60),
     ) {
-        for form in [LawForm::Pd, LawForm::ModelBased] {
-            let config = Law { form, kp: Gain(kp), kd: Gain(kd), rate_filter_us, inertia, viscous, coulomb: Effort(coulomb), coulomb_rate: Rate(coulomb_rate), ki: Gain(ki) };
-            let mut law = PositionLaw::new(&config, Effort(limit), period);
+        for form in [ServoForm::Pd, ServoForm::ModelBased] {
+            let config = ServoConfig { form, kp: Gain(kp), kd: Gain(kd), rate_filter_us, inertia, viscous, coulomb: Effort(coulomb), coulomb_rate: Rate(coulomb_rate), ki: Gain(ki) };
+            let mut law = ServoLaw::new(&config, Effort(limit), period);
             for &(error, rate, acceleration) in &frames {
                 let (effort, _) = law.effort(Coordinate(error), Rate(rate), Acceleration(acceleration));
                 prop_assert!(effort.0.unsigned_abs() <= limit.unsigned_abs());
@@ -161,8 +161,8 @@ fn the_error_decays_as_the_poles_say() {
     let period = 50u16;
     let step = f64::from(period) * 1e-6;
     for (omega, zeta) in [(60.0, 1.0), (60.0, 0.5), (100.0, 0.7)] {
-        let config = law(LawForm::ModelBased, omega * omega, 2.0 * zeta * omega, 0);
-        let mut law = PositionLaw::new(&config, Effort(i32::MAX), period);
+        let config = law(ServoForm::ModelBased, omega * omega, 2.0 * zeta * omega, 0);
+        let mut law = ServoLaw::new(&config, Effort(i32::MAX), period);
         law.reset(coordinate(1.0));
         let mut slide = Slide {
             position: -1.0,
@@ -191,9 +191,9 @@ fn the_error_decays_as_the_poles_say() {
 /// The derivative is on the rate of the error: a ramp leaves no lag, where -K_D l' alone would trail by K_D / K_P of travel.
 #[test]
 fn a_ramp_leaves_no_lag() {
-    for form in [LawForm::Pd, LawForm::ModelBased] {
+    for form in [ServoForm::Pd, ServoForm::ModelBased] {
         let config = law(form, 40_000.0, 400.0, 1500);
-        let mut law = PositionLaw::new(&config, Effort(i32::MAX), 200);
+        let mut law = ServoLaw::new(&config, Effort(i32::MAX), 200);
         law.reset(Coordinate(0));
         let mut slide = Slide::default();
         let speed = 20.0;
@@ -215,8 +215,8 @@ fn a_ramp_leaves_no_lag() {
 /// The printed sign of (3.29) would push a slide that already moves; this one brakes it, and a kick dies away.
 #[test]
 fn the_derivative_brakes() {
-    let config = law(LawForm::Pd, 3600.0, 120.0, 1500);
-    let mut law = PositionLaw::new(&config, Effort(i32::MAX), 200);
+    let config = law(ServoForm::Pd, 3600.0, 120.0, 1500);
+    let mut law = ServoLaw::new(&config, Effort(i32::MAX), 200);
     law.reset(Coordinate(0));
     let mut slide = Slide {
         position: 0.0,
@@ -244,10 +244,10 @@ fn the_derivative_brakes() {
 /// The integrator takes a constant load away, stands still at the limit, and lets go at once.
 #[test]
 fn the_integrator_does_not_wind_up() {
-    let mut config = law(LawForm::Pd, 40_000.0, 400.0, 1500);
+    let mut config = law(ServoForm::Pd, 40_000.0, 400.0, 1500);
     config.ki = Gain(1_000_000 * 256);
     let limit = 400.0;
-    let mut law = PositionLaw::new(&config, Effort((limit * NEWTON) as i32), 200);
+    let mut law = ServoLaw::new(&config, Effort((limit * NEWTON) as i32), 200);
     law.reset(Coordinate(0));
     let mut slide = Slide::default();
     for _ in 0..10_000 {
@@ -267,7 +267,7 @@ fn the_integrator_does_not_wind_up() {
         assert!(saturated && f64::from(effort.0) == limit * NEWTON);
     }
     // With the error gone and its rate died away, what is left is the integrator: what it was before.
-    let left = |mut law: PositionLaw| {
+    let left = |mut law: ServoLaw| {
         (0..200)
             .map(|_| law.effort(Coordinate(0), Rate(0), Acceleration(0)).0.0)
             .last()
@@ -279,8 +279,8 @@ fn the_integrator_does_not_wind_up() {
 
 #[test]
 fn a_reset_has_no_bump() {
-    let mut law = PositionLaw::new(
-        &law(LawForm::ModelBased, 40_000.0, 400.0, 1500),
+    let mut law = ServoLaw::new(
+        &law(ServoForm::ModelBased, 40_000.0, 400.0, 1500),
         Effort(i32::MAX),
         200,
     );

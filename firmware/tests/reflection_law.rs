@@ -7,8 +7,8 @@
 mod arm;
 
 use arm::{M, Sequence, apply, rotation, times, transposed};
-use haptimill_firmware::haptics::feedback_filter::{SLOW_US, Smoothing};
-use haptimill_firmware::haptics::feedback_law::Law;
+use haptimill_firmware::haptics::feedback_filter::{FeedbackFilter, SLOW_US};
+use haptimill_firmware::haptics::feedback_law::FeedbackLaw;
 use haptimill_firmware::haptics::mapping::{Frame, MasterMapping};
 use haptimill_firmware::haptics::passivity::{COUNTED, Passivity, PassivityConfig, WHOLE};
 use haptimill_firmware::haptics::walls::{WallConfig, Walls};
@@ -43,7 +43,7 @@ proptest! {
     /// sign * min(percent * |F|, most) to the last bits, for any force.
     #[test]
     fn a_share_with_its_sign_up_to_a_limit(forces: [i32; 3], percent in prop::array::uniform3(0_u8..=100), most in prop::array::uniform3(0.0_f64..10.0)) {
-        let mut law = Law::new(&settings(percent, most, 0.0), 200);
+        let mut law = FeedbackLaw::new(&settings(percent, most, 0.0), 200);
         let felt = law.reflect(&forces.map(Force), &[Rate(0); 3]);
         for axis in 0..3 {
             let want = (f64::from(forces[axis]) * f64::from(percent[axis]) / 100.0).abs().min(most[axis] * NEWTON);
@@ -57,8 +57,8 @@ proptest! {
     fn nothing_steps(
         newtons in -20.0_f64..20.0, rate in -25.0_f64..25.0, percents in prop::array::uniform2(1_u8..=100), most in 0.5_f64..8.0, boosts in prop::array::uniform2(0.0_f64..0.12),
     ) {
-        let mut law = Law::new(&settings([percents[0]; 3], [most; 3], boosts[0]), 200);
-        let at = |law: &mut Law, newtons: f64, rate: f64| law.reflect(&[force(newtons); 3], &[Rate((rate * MM) as i32); 3])[0].0;
+        let mut law = FeedbackLaw::new(&settings([percents[0]; 3], [most; 3], boosts[0]), 200);
+        let at = |law: &mut FeedbackLaw, newtons: f64, rate: f64| law.reflect(&[force(newtons); 3], &[Rate((rate * MM) as i32); 3])[0].0;
         let mut before = at(&mut law, newtons, rate);
         law.set(&settings([percents[1]; 3], [most; 3], boosts[1]));
         for _ in 0..6000 {
@@ -80,7 +80,7 @@ proptest! {
         tool: [i32; 3], rates: [i32; 3],
     ) {
         let (tool, rates) = (tool.map(Force), rates.map(Rate));
-        let mut law = Law::new(&settings([40; 3], [3.2; 3], 0.1), 200);
+        let mut law = FeedbackLaw::new(&settings([40; 3], [3.2; 3], 0.1), 200);
         let mut last = *law.settings();
         for (percent, most, boost, below, hold) in changes {
             last = Reflection { boost_below: force(below).0, ..settings(percent, most, boost) };
@@ -92,7 +92,7 @@ proptest! {
         for _ in 0..5002 {
             law.reflect(&tool, &rates);
         }
-        prop_assert_eq!(law.reflect(&tool, &rates), Law::new(&last, 200).reflect(&tool, &rates));
+        prop_assert_eq!(law.reflect(&tool, &rates), FeedbackLaw::new(&last, 200).reflect(&tool, &rates));
         for axis in 0..3 {
             prop_assert_eq!(law.most(axis), Force(last.axes[axis].most));
         }
@@ -102,8 +102,8 @@ proptest! {
     #[test]
     fn the_boost_opposes_the_motion(newtons in -8.0_f64..8.0, rate in -60.0_f64..60.0) {
         let rates = [Rate((rate * MM) as i32); 3];
-        let [plain, ..] = Law::new(&settings([40; 3], [3.2; 3], 0.0), 200).reflect(&[force(newtons); 3], &rates);
-        let [boosted, ..] = Law::new(&settings([40; 3], [3.2; 3], 0.1), 200).reflect(&[force(newtons); 3], &rates);
+        let [plain, ..] = FeedbackLaw::new(&settings([40; 3], [3.2; 3], 0.0), 200).reflect(&[force(newtons); 3], &rates);
+        let [boosted, ..] = FeedbackLaw::new(&settings([40; 3], [3.2; 3], 0.1), 200).reflect(&[force(newtons); 3], &rates);
         let extra = f64::from(boosted.0 - plain.0) / NEWTON;
         prop_assert!(extra * rate <= 1e-4 && extra.abs() <= 0.1 * rate.abs() + 1e-3);
         if (newtons * 0.4).abs() < 1.5 && rate.abs() < 12.0 {
@@ -117,7 +117,7 @@ proptest! {
     /// Reflection and damping have one limit together, to the last bit; a wall pushes beyond it by itself and no more. The damping never adds along the motion, and where it does not fit the whole limit opposes the motion.
     #[test]
     fn one_limit_for_reflection_and_damping(tool: [i32; 3], damping: i32, wall in -10.0_f64..10.0, most in prop::array::uniform3(0.0_f64..10.0), rates: [i32; 3]) {
-        let mut law = Law::new(&settings([100; 3], most, 0.1), 200);
+        let mut law = FeedbackLaw::new(&settings([100; 3], most, 0.1), 200);
         let felt = law.reflect(&tool.map(Force), &rates.map(Rate));
         for axis in 0..3 {
             let (limit, wall) = (law.most(axis).0, force(wall));
@@ -139,19 +139,19 @@ proptest! {
 
     /// Without debt the shares pass as they are; with it they go the way of a first-order filter with a gain of 1, and never beyond the largest of them.
     #[test]
-    fn smoothed_by_the_debt(shares in prop::collection::vec(-10.0_f64..10.0, 3..20), owed in 0_i32..4 * WHOLE, hold in 50_usize..4000) {
-        let mut smoothing = Smoothing::new(200);
-        let constant = SLOW_US as f64 / 200.0 * (f64::from(owed.min(COUNTED * WHOLE)) / f64::from(WHOLE));
+    fn smoothed_by_the_debt(shares in prop::collection::vec(-10.0_f64..10.0, 3..20), deficit_of in 0_i32..4 * WHOLE, hold in 50_usize..4000) {
+        let mut smoothing = FeedbackFilter::new(200);
+        let constant = SLOW_US as f64 / 200.0 * (f64::from(deficit_of.min(COUNTED * WHOLE)) / f64::from(WHOLE));
         let (mut slow, mut most) = (0.0_f64, 0.0_f64);
         for share in shares {
             most = most.max(share.abs());
             for _ in 0..hold {
                 slow += (share - slow) / (constant.floor() + 1.0);
-                let got = smoothing.smooth(&[force(share), force(-share), Force(0)], &[owed, owed, 0]);
+                let got = smoothing.smooth(&[force(share), force(-share), Force(0)], &[deficit_of, deficit_of, 0]);
                 prop_assert!((f64::from(got[0].0) / NEWTON - slow).abs() < 2e-4, "{} {slow}", got[0].0);
                 prop_assert!(f64::from(got[1].0).abs() <= most * NEWTON + 1.0);
             }
-            let plain = smoothing.smooth(&[Force(0), Force(0), force(share)], &[owed, owed, 0]);
+            let plain = smoothing.smooth(&[Force(0), Force(0), force(share)], &[deficit_of, deficit_of, 0]);
             prop_assert_eq!(plain[2], force(share));
             slow -= slow / (constant.floor() + 1.0);
         }
@@ -233,15 +233,15 @@ proptest! {
 
     /// Neither does any force, way or rate the watch; its energy stays within its bounds.
     #[test]
-    fn the_watch_holds_its_bounds(forces: [i32; 3], ways: [i32; 3], rates: [i32; 3], stored in 0_i64..1 << 45, credit in 0_u32..100 << 16, debt in 655_u32..100 << 16) {
-        let mut watch = Passivity::new(&PassivityConfig { credit, debt, damping: 1 << 15 }, 200, 10_000_000);
+    fn the_watch_holds_its_bounds(forces: [i32; 3], ways: [i32; 3], rates: [i32; 3], stored in 0_i64..1 << 45, surplus in 0_u32..100 << 16, deficit in 655_u32..100 << 16) {
+        let mut watch = Passivity::new(&PassivityConfig { surplus, deficit, damping: 1 << 15 }, 200, 10_000_000);
         for _ in 0..20 {
             watch.observe(&forces.map(Force), &ways, stored);
             let damping = watch.damp(&rates.map(Rate));
             for axis in 0..3 {
                 prop_assert!(i64::from(damping[axis].0) * i64::from(rates[axis]) <= 0);
             }
-            prop_assert!(watch.energy() <= (i64::from(credit) << 20) + stored && watch.energy() >= -3 * (i64::from(debt) << 20));
+            prop_assert!(watch.energy() <= (i64::from(surplus) << 20) + stored && watch.energy() >= -3 * (i64::from(deficit) << 20));
         }
     }
 }
@@ -249,7 +249,7 @@ proptest! {
 /// The clamps of spec h4-milling 3.4: 8 N and 6 N are where they begin.
 #[test]
 fn the_clamps_of_the_experiments() {
-    let mut law = Law::new(&settings([40, 10, 20], [3.2, 3.2, 1.2], 0.0), 200);
+    let mut law = FeedbackLaw::new(&settings([40, 10, 20], [3.2, 3.2, 1.2], 0.0), 200);
     let mut render = |x: f64, y: f64, z: f64| {
         law.reflect(&[force(x), force(y), force(z)], &[Rate(0); 3])
             .map(|felt| (f64::from(felt.0) / NEWTON * 1e3).round() / 1e3)
@@ -258,7 +258,7 @@ fn the_clamps_of_the_experiments() {
     assert_eq!(render(7.9, 0.0, 5.9), [3.16, 0.0, 1.18]);
     assert_eq!(render(-8.1, 0.0, -6.1), [-3.2, 0.0, -1.2]);
     // The boost of E10: 12 mm/s are 1.2 N.
-    let mut law = Law::new(&settings([40; 3], [3.2; 3], 0.1), 200);
+    let mut law = FeedbackLaw::new(&settings([40; 3], [3.2; 3], 0.1), 200);
     let rates = [Rate((-12.0 * MM) as i32), Rate(0), Rate(0)];
     let [felt, ..] = law.reflect(&[force(2.5), force(0.0), force(0.0)], &rates);
     assert!((f64::from(felt.0) / NEWTON - 2.2).abs() < 1e-3);
@@ -268,8 +268,8 @@ fn the_clamps_of_the_experiments() {
 #[test]
 fn only_what_comes_out_is_damped() {
     let config = PassivityConfig {
-        credit: 32_768,
-        debt: 65_536,
+        surplus: 32_768,
+        deficit: 65_536,
         damping: 19_661,
     };
     let mut watch = Passivity::new(&config, 200, 10_000_000);

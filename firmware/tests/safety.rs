@@ -3,7 +3,7 @@
 mod reference;
 
 use haptimill_firmware::config::{AxisKind, Drive, JointAxis, Stopping};
-use haptimill_firmware::joint::monitor::{Seen, Watch};
+use haptimill_firmware::joint::monitor::{JointMonitor, JointSample};
 use haptimill_firmware::motion::interpolator::{FULL_RATE, Program, QUEUE};
 use haptimill_firmware::safety::{EVENTS, Safety, brakes_first, keeps_position};
 use haptimill_kinematics::Pose;
@@ -23,20 +23,25 @@ fn newtons(force: f64) -> Effort {
 }
 
 /// A slide and what is seen of it when all is well: it stands at 100 mm.
-fn slide() -> (JointAxis, Seen) {
+fn slide() -> (JointAxis, JointSample) {
     let mut axis = h4().joints[0].clone();
     (axis.low, axis.high) = (Coordinate(mm(-1000.0)), Coordinate(mm(1000.0)));
-    let seen = Seen {
+    let seen = JointSample {
         wanted: Coordinate(mm(100.0)),
         measured: Coordinate(mm(100.0)),
         period_us: 200,
-        ..Seen::default()
+        ..JointSample::default()
     };
     (axis, seen)
 }
 
 /// What a watch says of the same sight for so many periods.
-fn look(watch: &mut Watch, axis: &JointAxis, seen: &Seen, periods: usize) -> Option<Fault> {
+fn look(
+    watch: &mut JointMonitor,
+    axis: &JointAxis,
+    seen: &JointSample,
+    periods: usize,
+) -> Option<Fault> {
     (0..periods).find_map(|_| watch.look(2, axis, LIMIT, seen))
 }
 
@@ -54,13 +59,13 @@ fn the_following_error_has_a_limit_that_grows_with_the_wanted_rate() {
             (2 - most, false),
             (-2 - most, true),
         ] {
-            let seen = Seen {
+            let seen = JointSample {
                 wanted_rate: Rate(mm(speed)),
                 rate: Rate(mm(speed)),
                 measured: Coordinate(seen.wanted.0 - error),
                 ..seen
             };
-            let fault = look(&mut Watch::default(), &axis, &seen, 1);
+            let fault = look(&mut JointMonitor::default(), &axis, &seen, 1);
             let told = matches!(fault, Some(Fault::FollowingError { axis: 2, error: told, limit }) if told == error && (limit - most).abs() <= 1);
             assert_eq!(told, faulty, "{speed} {error} {fault:?}");
             assert_eq!(fault.is_some(), faulty);
@@ -78,14 +83,14 @@ fn a_joint_beyond_its_stroke_is_a_fault_that_says_by_how_much() {
             (axis.following.0, false),
             (axis.following.0 + 1, true),
         ] {
-            let seen = Seen {
+            let seen = JointSample {
                 wanted: Coordinate(end),
                 wanted_rate: Rate(mm(100.0) * sign),
                 rate: Rate(mm(100.0) * sign),
                 measured: Coordinate(end + sign * beyond),
                 ..seen
             };
-            let fault = look(&mut Watch::default(), &axis, &seen, 3);
+            let fault = look(&mut JointMonitor::default(), &axis, &seen, 3);
             let by = sign * beyond;
             assert_eq!(fault, faulty.then_some(Fault::Stroke { axis: 2, by }));
         }
@@ -99,18 +104,21 @@ fn the_error_of_a_rotary_joint_goes_the_short_way() {
     (axis.low, axis.high) = (Coordinate(i32::MIN), Coordinate(i32::MAX));
     axis.following = Coordinate(degrees(0.2));
     axis.still = Coordinate(degrees(0.1));
-    let across = |off: f64| Seen {
+    let across = |off: f64| JointSample {
         wanted: Coordinate(i32::MAX),
         measured: Coordinate(i32::MAX.wrapping_add(degrees(off))),
         ..seen
     };
-    assert_eq!(look(&mut Watch::default(), &axis, &across(0.15), 10), None);
-    assert!(look(&mut Watch::default(), &axis, &across(0.25), 10).is_some());
+    assert_eq!(
+        look(&mut JointMonitor::default(), &axis, &across(0.15), 10),
+        None
+    );
+    assert!(look(&mut JointMonitor::default(), &axis, &across(0.25), 10).is_some());
     // Turning on through the end of the range is motion like any other.
-    let mut watch = Watch::default();
+    let mut watch = JointMonitor::default();
     for step in 0..200 {
         let place = Coordinate((i32::MAX - 50 * 100_000).wrapping_add(step * 100_000));
-        let seen = Seen {
+        let seen = JointSample {
             wanted: place,
             measured: place,
             ..seen
@@ -123,14 +131,14 @@ fn the_error_of_a_rotary_joint_goes_the_short_way() {
 fn a_joint_that_runs_against_its_drive_is_seen_at_once_and_one_that_is_driven_is_not() {
     let (axis, seen) = slide();
     // 50/s times the 0.5 mm of following error at standstill: 25 mm/s.
-    let running = |rate: f64, force: f64| Seen {
+    let running = |rate: f64, force: f64| JointSample {
         rate: Rate(mm(rate)),
         effort: newtons(force),
         ..seen
     };
     for sign in [1.0, -1.0] {
         let fault = look(
-            &mut Watch::default(),
+            &mut JointMonitor::default(),
             &axis,
             &running(sign * 26.0, -sign * 200.0),
             4,
@@ -139,7 +147,7 @@ fn a_joint_that_runs_against_its_drive_is_seen_at_once_and_one_that_is_driven_is
         // Three periods are not enough, nor is a push with the motion, a weak push, or a slow motion.
         assert_eq!(
             look(
-                &mut Watch::default(),
+                &mut JointMonitor::default(),
                 &axis,
                 &running(sign * 26.0, -sign * 200.0),
                 3
@@ -148,7 +156,7 @@ fn a_joint_that_runs_against_its_drive_is_seen_at_once_and_one_that_is_driven_is
         );
         assert_eq!(
             look(
-                &mut Watch::default(),
+                &mut JointMonitor::default(),
                 &axis,
                 &running(sign * 26.0, sign * 200.0),
                 50
@@ -157,7 +165,7 @@ fn a_joint_that_runs_against_its_drive_is_seen_at_once_and_one_that_is_driven_is
         );
         assert_eq!(
             look(
-                &mut Watch::default(),
+                &mut JointMonitor::default(),
                 &axis,
                 &running(sign * 26.0, -sign * 60.0),
                 50
@@ -166,7 +174,7 @@ fn a_joint_that_runs_against_its_drive_is_seen_at_once_and_one_that_is_driven_is
         );
         assert_eq!(
             look(
-                &mut Watch::default(),
+                &mut JointMonitor::default(),
                 &axis,
                 &running(sign * 24.0, -sign * 200.0),
                 50
@@ -180,8 +188,8 @@ fn a_joint_that_runs_against_its_drive_is_seen_at_once_and_one_that_is_driven_is
 fn a_static_load_is_no_fault_and_a_growing_push_without_a_count_is() {
     let (axis, seen) = slide();
     // 300 N against a load, at rest: for ever.
-    let mut watch = Watch::default();
-    let loaded = Seen {
+    let mut watch = JointMonitor::default();
+    let loaded = JointSample {
         effort: newtons(300.0),
         ..seen
     };
@@ -190,7 +198,7 @@ fn a_static_load_is_no_fault_and_a_growing_push_without_a_count_is() {
     for period in 0..20_000 {
         let place = seen.wanted.0 + period * mm(2e-4);
         let counted = Coordinate(place - place % mm(1.25e-3));
-        let seen = Seen {
+        let seen = JointSample {
             wanted: Coordinate(place),
             measured: counted,
             wanted_rate: Rate(mm(1.0)),
@@ -202,7 +210,7 @@ fn a_static_load_is_no_fault_and_a_growing_push_without_a_count_is() {
     let from = seen.wanted.0 + 19_999 * mm(2e-4);
     let fault = (0..2000).find_map(|period| {
         let off = f64::from(period) * 2e-4;
-        let seen = Seen {
+        let seen = JointSample {
             wanted: Coordinate(from + mm(off)),
             measured: Coordinate(from),
             wanted_rate: Rate(mm(1.0)),
@@ -221,13 +229,16 @@ fn a_static_load_is_no_fault_and_a_growing_push_without_a_count_is() {
 #[test]
 fn illegal_transitions_and_lost_steps_are_faults_beyond_their_limits() {
     let (mut axis, seen) = slide();
-    let illegal = |count| Seen {
+    let illegal = |count| JointSample {
         illegal: count,
         ..seen
     };
-    assert_eq!(look(&mut Watch::default(), &axis, &illegal(LIMIT), 1), None);
     assert_eq!(
-        look(&mut Watch::default(), &axis, &illegal(LIMIT + 1), 1),
+        look(&mut JointMonitor::default(), &axis, &illegal(LIMIT), 1),
+        None
+    );
+    assert_eq!(
+        look(&mut JointMonitor::default(), &axis, &illegal(LIMIT + 1), 1),
         Some(Fault::EncoderIllegal {
             axis: 2,
             count: LIMIT + 1
@@ -248,9 +259,9 @@ fn illegal_transitions_and_lost_steps_are_faults_beyond_their_limits() {
         (-0.051, true),
     ] {
         let fault = look(
-            &mut Watch::default(),
+            &mut JointMonitor::default(),
             &axis,
-            &Seen {
+            &JointSample {
                 steps_off: Coordinate(mm(by)),
                 ..seen
             },
@@ -280,9 +291,9 @@ proptest! {
         axis.law.coulomb = Effort(numbers[3]);
         axis.law.inertia = inertia;
         axis.per_count = per_count;
-        let mut watch = Watch::default();
+        let mut watch = JointMonitor::default();
         for sight in sights {
-            let seen = Seen {
+            let seen = JointSample {
                 wanted: Coordinate(sight[0]),
                 wanted_rate: Rate(sight[1]),
                 measured: Coordinate(sight[2]),
@@ -450,7 +461,7 @@ fn an_emergency_stop_is_above_all_faults() {
 fn of_events_that_nobody_hears_the_newest_stay() {
     let mut safety = Safety::default();
     for axis in 0..40 {
-        safety.tell(Event::JogLimited { axis });
+        safety.push_event(Event::JogLimited { axis });
     }
     let told: Vec<_> = core::iter::from_fn(|| safety.next_event()).collect();
     let newest: Vec<_> = (40 - EVENTS as u8..40)
@@ -523,7 +534,7 @@ proptest! {
                 prop_assert!(program.end(next as u32).is_ok());
             }
             let (wanted, progress) = program.advance(false);
-            prop_assert!(!progress.ran_dry, "period {periods}, {next} taken, {} reached", program.reached());
+            prop_assert!(!progress.queue_empty, "period {periods}, {next} taken, {} reached", program.reached());
             // A ramp may pass its target by twice its jerk.
             prop_assert!(program.path_rate() <= FULL_RATE + FULL_RATE / 10_000);
             let x = wanted.pose.0[0].0;

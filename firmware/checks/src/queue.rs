@@ -19,7 +19,7 @@ pub const CHECKS: &[Check] = &[
     },
     Check {
         name: "queue::setpoints_that_come_too_late_are_waited_for_at_rest",
-        run: starving,
+        run: underrunning,
     },
     Check {
         name: "queue::a_ring_that_overruns_loses_the_newest_and_no_stop",
@@ -67,7 +67,7 @@ fn setpoints() {
     let (mut number, mut x, mut reached) = (QUEUE + 1, 0, 0);
     for _ in 0..20_000 {
         let (wanted, progress) = program.advance(false);
-        assert!(!progress.ran_dry);
+        assert!(!progress.queue_empty);
         // Order: the way goes on and on, and setpoints are reached one by one.
         assert!(wanted.pose.0[0].0 >= x);
         x = wanted.pose.0[0].0;
@@ -94,7 +94,7 @@ fn setpoints() {
     panic!("{reached} of {last}");
 }
 
-fn starving() {
+fn underrunning() {
     let mut program = Program::new(&h4());
     program.begin(&Pose::default());
     let first = 60;
@@ -104,7 +104,7 @@ fn starving() {
     let mut x = 0;
     for _ in 0..6000 {
         let (wanted, progress) = program.advance(false);
-        assert!(!progress.ran_dry);
+        assert!(!progress.queue_empty);
         x = wanted.pose.0[0].0;
         assert!(
             x <= along(first, false).pose[0],
@@ -114,7 +114,7 @@ fn starving() {
     // At rest before the end of what is known, and it says for what it waits.
     assert!(program.is_at_standstill());
     assert_eq!(
-        program.starving().map(|late| late.setpoint),
+        program.underrunning().map(|late| late.setpoint),
         Some(first as u32)
     );
     assert_eq!(program.push(&along(first + 1, true)), Ok(()));

@@ -1,7 +1,8 @@
 //! The reference H-4 machine as a configuration.
 
 use haptimill_firmware::config::{
-    AxisKind, Config, Drive, Homing, JointAxis, Law, LawForm, PoseAxis, Stopping, Supervision,
+    AxisKind, Config, Drive, Homing, JointAxis, PoseAxis, ServoConfig, ServoForm, Stopping,
+    Supervision,
 };
 use haptimill_firmware::force::sensor::{Channel, Sensor};
 use haptimill_firmware::force::{ForceConfig, Gate, LoopSettings};
@@ -58,8 +59,8 @@ fn slide(preset: f64) -> JointAxis {
             full_scale: Effort(800 << 16),
             limit: Effort(700 << 16),
         },
-        law: Law {
-            form: LawForm::ModelBased,
+        law: ServoConfig {
+            form: ServoForm::ModelBased,
             kp: Gain(40_000 << 8),
             kd: Gain(400 << 8),
             rate_filter_us: 1500,
@@ -249,8 +250,8 @@ pub fn haptic() -> HapticConfig {
             most: Force(newton(5.5)),
         },
         passivity: PassivityConfig {
-            credit: newton(0.5) as u32,
-            debt: newton(1.0) as u32,
+            surplus: newton(0.5) as u32,
+            deficit: newton(1.0) as u32,
             damping: newton(0.3) as u32,
         },
     }

@@ -1,7 +1,7 @@
 //! Messages in, answers and telemetry out: the controller's end of the link.
 //!
 //! A period hears at most 64 bytes and does at most one thing that takes long: it reads a message or a setpoint of a batch, or tries and takes a setpoint as far as its
-//! [share](Server::share) goes, or says an answer or an event, or notes down telemetry, or encodes what was noted down, or puts down its frame. What goes out is made as it goes. Hearing and
+//! [share](Server::budget) goes, or says an answer or an event, or notes down telemetry, or encodes what was noted down, or puts down its frame. What goes out is made as it goes. Hearing and
 //! telling take turns; the rest waits in the link, whose window stops the host. A period that the path needs for itself does none of it, and never two in a row are kept for that.
 //! A setpoint that is refused ends its batch and changes nothing, not even what the next one is relative to: all later ones are out of
 //! order until it comes again, or the job is begun anew. Nothing is skipped.
@@ -30,7 +30,7 @@ const NOTHING: Request = Request {
 
 /// What was heard in a period.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Heard {
+pub enum Incoming {
     /// A request ([`Server::take_request`]).
     Request,
     /// The next setpoint of a batch ([`Server::setpoint`]), which was read in an earlier period.
@@ -76,7 +76,7 @@ pub struct Server {
     /// Telemetry is due.
     telemetry_waits: bool,
     /// Telemetry as it was noted down, all of it in one period, and whether it is yet to be encoded.
-    note: Report,
+    sample: Report,
     noted: bool,
     /// It was noted down anew: what is told next waits until it has gone.
     renoted: bool,
@@ -129,7 +129,7 @@ impl Server {
             speaks: false,
             kept: false,
             telemetry_waits: false,
-            note: Report::Telemetry(Telemetry::default()),
+            sample: Report::Telemetry(Telemetry::default()),
             noted: false,
             renoted: false,
             coder: SetpointCoder::new(period_us, &AxisValues::new()),
@@ -149,7 +149,7 @@ impl Server {
 
     /// Takes the period's bytes; says whether a host greets, which [`Server::welcome`] answers.
     #[inline]
-    pub fn listen(&mut self, inputs: &Inputs) -> bool {
+    pub fn take_bytes(&mut self, inputs: &Inputs) -> bool {
         self.now_us = inputs.period.wrapping_mul(u64::from(self.period_us));
         self.deferred = self.deferred.saturating_add(u32::from(inputs.waiting));
         let lost = inputs.lost_bytes.wrapping_sub(self.lost_before);
@@ -165,7 +165,7 @@ impl Server {
 
     /// Gives the next thing to do. `hold_back`: the period has much to do already; that counts only if the one before did not hold back.
     #[inline]
-    pub fn next(&mut self, hold_back: bool) -> Option<Heard> {
+    pub fn next(&mut self, hold_back: bool) -> Option<Incoming> {
         // What tells has its turn when this has had one, and what was kept back for a period is not kept back again.
         let yields = self.kept || (self.heard && self.tells_much());
         self.held = hold_back && !self.held;
@@ -181,29 +181,29 @@ impl Server {
         if nothing || yields || self.worked || self.answers.is_full() {
             return None;
         }
-        self.hear()
+        self.dispatch()
     }
 
     /// Whether this period was held back, and neither hears nor tells.
     #[must_use]
     #[inline]
-    pub const fn is_held(&self) -> bool {
+    pub const fn is_deferred(&self) -> bool {
         self.held
     }
 
     /// The next thing to do.
     #[inline(never)]
-    fn hear(&mut self) -> Option<Heard> {
+    fn dispatch(&mut self) -> Option<Incoming> {
         self.worked = true;
         self.heard = true;
         if core::mem::take(&mut self.read) {
-            return Some(Heard::Request);
+            return Some(Incoming::Request);
         }
         let Some(tried) = self.tried.take() else {
             return self.read();
         };
         let number = self.batch.map_or(0, |batch| batch.number.wrapping_sub(1));
-        Some(Heard::Setpoint { number, tried })
+        Some(Incoming::Setpoint { number, tried })
     }
 
     /// Takes bytes from the line.
@@ -223,7 +223,7 @@ impl Server {
     }
 
     /// Reads the next message, or the next setpoint of a batch.
-    fn read(&mut self) -> Option<Heard> {
+    fn read(&mut self) -> Option<Incoming> {
         let Some(payload) = self.link.peek() else {
             self.worked = false;
             self.heard = false;
@@ -236,7 +236,7 @@ impl Server {
                 }
                 // What takes long itself has a period of its own.
                 self.read = matches!(self.request.command, Command::JobStart { .. });
-                return (!self.read).then_some(Heard::Request);
+                return (!self.read).then_some(Incoming::Request);
             }
             self.batch = BatchReader::open(payload);
         }
@@ -253,7 +253,7 @@ impl Server {
             self.tried = Some(0);
             None
         } else {
-            Some(Heard::BadSetpoint { number })
+            Some(Incoming::BadSetpoint { number })
         }
     }
 
@@ -283,7 +283,7 @@ impl Server {
     /// What this period has time for, in coordinates of a setpoint that are tried.
     #[must_use]
     #[inline]
-    pub const fn share(&self) -> usize {
+    pub const fn budget(&self) -> usize {
         match self.came {
             Work::Nothing => 8,
             Work::Bytes => 5,
@@ -314,7 +314,7 @@ impl Server {
         }
     }
 
-    /// Whether something long is to be done by [`Server::tell`].
+    /// Whether something long is to be done by [`Server::transmit_`].
     #[inline]
     fn tells_much(&self) -> bool {
         self.telemetry_waits || self.noted || self.link.latest_waits()
@@ -322,14 +322,14 @@ impl Server {
 
     /// Whether this period still has time for something long; it is used up.
     #[inline]
-    pub fn claim(&mut self) -> bool {
+    pub fn try_claim(&mut self) -> bool {
         !self.kept && !core::mem::replace(&mut self.worked, true)
     }
 
     /// The same, for something that can wait until all is told.
     #[inline]
-    pub fn claim_idle(&mut self) -> bool {
-        !self.hand_waits && !self.tells_much() && self.claim()
+    pub fn try_claim_idle(&mut self) -> bool {
+        !self.hand_waits && !self.tells_much() && self.try_claim()
     }
 
     /// Whether a new session has begun since the last call.
@@ -440,7 +440,7 @@ impl Server {
 
     /// Answers, then events, then telemetry; and the bytes of this period, as many as the board has `room` for. A period that was held back says nothing.
     #[inline]
-    pub fn tell(
+    pub fn transmit(
         &mut self,
         period: u64,
         safety: &mut Safety,
@@ -455,7 +455,7 @@ impl Server {
             self.worked = true;
             self.note_anew();
         }
-        if self.noted && self.claim() {
+        if self.noted && self.try_claim() {
             self.encode();
         }
         // The frame of telemetry is long, and put down in a period that had nothing else to do.
@@ -508,7 +508,7 @@ impl Server {
         let report = Report::Event { period, event };
         let sent = self.link.send(&report).is_ok();
         if !sent && let Report::Event { event, .. } = report {
-            safety.return_event(event);
+            safety.unread_event(event);
         }
         sent
     }
@@ -519,7 +519,7 @@ impl Server {
             self.noted = false;
             self.renoted = true;
             self.link.withdraw_latest();
-            match self.note {
+            match self.sample {
                 Report::Hand(_) => self.hand_waits = true,
                 _ => self.telemetry_waits = true,
             }
@@ -531,7 +531,7 @@ impl Server {
     fn encode(&mut self) {
         self.noted = false;
         // Not open, or too long for a frame (which a test of the protocol excludes): nobody to tell.
-        let _ = self.link.send_latest(&self.note);
+        let _ = self.link.send_latest(&self.sample);
     }
 
     /// Counts the periods until telemetry is due; says whether it is to be noted down in this one. Call once a period.
@@ -551,7 +551,7 @@ impl Server {
         }
         let first = (events || !self.answers.is_empty()) && self.link.room(SHORT_REPORT) > 0;
         // A period that had much to do leaves it to the next one.
-        !first && self.claim()
+        !first && self.try_claim()
     }
 
     /// The same for telemetry of the hand; after the other one, and never in place of what still waits.
@@ -563,26 +563,26 @@ impl Server {
                 self.hand_waits = true;
             }
         }
-        self.hand_waits && !self.noted && !self.link.latest_waits() && self.claim()
+        self.hand_waits && !self.noted && !self.link.latest_waits() && self.try_claim()
     }
 
     /// Notes down telemetry of the hand, if there is an arm.
     pub fn note_hand(&mut self, telemetry: Option<HandTelemetry>) {
         self.hand_waits = false;
         if let Some(telemetry) = telemetry {
-            self.note = Report::Hand(telemetry);
+            self.sample = Report::Hand(telemetry);
             self.noted = true;
         }
     }
 
     /// Where telemetry of this period is noted down; all of it must be.
-    pub fn note(&mut self) -> Option<&mut Telemetry> {
+    pub fn sample(&mut self) -> Option<&mut Telemetry> {
         self.telemetry_waits = false;
         self.noted = true;
-        if !matches!(self.note, Report::Telemetry(_)) {
-            self.note = Report::Telemetry(Telemetry::default());
+        if !matches!(self.sample, Report::Telemetry(_)) {
+            self.sample = Report::Telemetry(Telemetry::default());
         }
-        match &mut self.note {
+        match &mut self.sample {
             Report::Telemetry(telemetry) => Some(telemetry),
             _ => None,
         }

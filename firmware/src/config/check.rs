@@ -1,9 +1,9 @@
 //! What makes a configuration acceptable. A refused one names the field, and the axis it belongs to.
 
-use super::{AxisKind, Config, Drive, JointAxis, Law, Model, PoseAxis};
+use super::{AxisKind, Config, Drive, JointAxis, Model, PoseAxis, ServoConfig};
 use crate::config::HAND;
 use crate::haptics::config::HapticConfig;
-use crate::motion::tracker::MoverLimits;
+use crate::motion::tracker::TrackerLimits;
 use crate::motion::{interpolator, jog};
 use haptimill_kinematics::h4::H4;
 use haptimill_kinematics::{Joints, Kinematics};
@@ -113,7 +113,7 @@ impl Config {
             None,
         )?;
         for (index, axis) in self.pose.iter().enumerate() {
-            let bounds = MoverLimits::new(axis, follow.gain, self.period_us);
+            let bounds = TrackerLimits::new(axis, follow.gain, self.period_us);
             require(bounds.is_some(), ConfigField::Follow, Some(index))?;
         }
         Ok(())
@@ -257,7 +257,7 @@ impl Config {
 
 /// Whether the loop on a mass, with its filter tau and a lag of 1.5 periods T, is damped with a margin of two: the damping that the filter
 /// leaves, K_D / (1 + K_P tau^2), must be twice what the lag takes, 1.5 T K_P; and K_I must stay below a quarter of K_P K_D.
-fn stable(law: &Law, period_us: u16) -> bool {
+fn stable(law: &ServoConfig, period_us: u16) -> bool {
     let (kp, kd, ki) = (
         u128::from(law.kp.0),
         u128::from(law.kd.0),

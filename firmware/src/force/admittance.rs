@@ -12,22 +12,22 @@
 //! - **Limit.** Towards the largest displacement the tool goes no faster than 1/64 of what is left in a period. A limit that is lowered to where it could not be reached so stands as far
 //!   out as the tool needs to end its rate, and follows it back: the tool comes back by itself.
 //! - **Landing.** The return slows down to 1/64 of the remaining displacement in a period: without it the rate would fall from f_d / K_V to 0 in one period (10 mm/s for K_V = 0.5).
-//! - **Guard.** On a stiff contact a damper acts between the tool and the *work*, D (p_c' + p_d'), see [`super::guard`]. Between the tool and the desired position it would
+//! - **Guard.** On a stiff contact a damper acts between the tool and the *work*, D (p_c' + p_d'), see [`super::stability_monitor`]. Between the tool and the desired position it would
 //!   raise the force while the desired position still advances. While nothing is touched, and against a retreat, its push is at most f_d: it neither moves the tool away from where
 //!   nothing is nor keeps it where it shall not stay.
 //! - **Rest.** A drive with friction and lost motion does not follow a reference that creeps: the tool stands, the reference winds up against it, and some time later the tool goes
 //!   off by more than its error was. On a stiff contact (level 1 and more), while the desired position stands, the tool therefore moves at the creep rate v_c or not at
 //!   all. It comes to rest where the error falls below D v_c / 8, stays at rest while the error is below D v_c / 2 (f_d / 2 at most), and then goes again at v_c or faster. See
-//!   [`Law::resting_below`]; without a creep rate there is no rest.
+//!   [`AdmittanceLaw::resting_below`]; without a creep rate there is no rest.
 //!
-//! A change of gains or of f_d changes the acceleration; displacement and rate go on from where they are, so the tool does not jump. When `place` refuses the reference, [`Compliance::withhold`]
+//! A change of gains or of f_d changes the acceleration; displacement and rate go on from where they are, so the tool does not jump. When `place` refuses the reference, [`AdmittanceAxis::roll_back`]
 //! takes the last period back: the displacement stays what it was and the rate is 0, so nothing winds up.
 //!
 //! **Error.** Against the same law in f64 the displacement differs by less than 2^-37 mm a period and 2^-28 of the way gone.
 //!
-//! Misuse: a force that is not the reaction on the tool. With the wrong sign the loop runs into the work; [`super::guard`] looks out for that.
+//! Misuse: a force that is not the reaction on the tool. With the wrong sign the loop runs into the work; [`super::stability_monitor`] looks out for that.
 
-use super::zero_order_hold::{FINENESS, Part, Pole, RATE_BITS, sound};
+use super::zero_order_hold::{FINENESS, Part, RATE_BITS, ZeroOrderHold, sound};
 use super::{ForceParameter, ForceRefusal, Gate, LoopSettings};
 use crate::config::digest::constants;
 use crate::joint::rate_filter::frequency;
@@ -50,7 +50,7 @@ pub const SOFT: u32 = 20;
 /// Apparent contact stiffness at which level 1 begins, 2^-8 N/mm; level i begins at 2^(i - 1) of it.
 pub const ONSET: u32 = SOFT << 8;
 
-/// K_V of 0.1 N s/mm: below, [`Pole`] has no scale for T / K_V.
+/// K_V of 0.1 N s/mm: below, [`ZeroOrderHold`] has no scale for T / K_V.
 const LEAST_DAMPING: u64 = 6554;
 
 /// Below this the displacement is 0: 2^-20 mm.
@@ -74,9 +74,9 @@ pub struct Yielding {
 
 /// The law with its numbers for every level of damping.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
-pub struct Law {
+pub struct AdmittanceLaw {
     settings: LoopSettings,
-    poles: [Pole; LEVELS],
+    poles: [ZeroOrderHold; LEVELS],
     /// What each level adds to K_V, 2^-16 N s/mm, below 2^31.
     added: [i32; LEVELS],
     highest: usize,
@@ -92,8 +92,8 @@ pub struct Law {
     frequency: u32,
 }
 
-impl Law {
-    /// A law of which only the first level is worked out. The others follow with [`Law::prepare`], one in a period: each takes about 2000 instructions.
+impl AdmittanceLaw {
+    /// A law of which only the first level is worked out. The others follow with [`AdmittanceLaw::prepare`], one in a period: each takes about 2000 instructions.
     ///
     /// `delay_us` is what the guard counts on from a change of the tool's position to a change of the seen force: window of the peak, drive, latch.
     ///
@@ -107,7 +107,7 @@ impl Law {
     ) -> Result<Self, ForceRefusal> {
         let delay_us = delay_us.clamp(1, DELAY_MOST_US);
         let highest = check(settings, period_us, delay_us, largest_force)?;
-        let first = Pole::new(settings.mass, settings.damping, period_us);
+        let first = ZeroOrderHold::new(settings.mass, settings.damping, period_us);
         let mut added = [0; LEVELS];
         for (level, added) in added.iter_mut().enumerate() {
             *added =
@@ -147,14 +147,14 @@ impl Law {
         let added = self.added.get(level).copied().unwrap_or(0);
         let damping = VirtualDamping(self.settings.damping.0.saturating_add_signed(added));
         if let Some(pole) = self.poles.get_mut(level) {
-            *pole = Pole::new(self.settings.mass, damping, period_us);
+            *pole = ZeroOrderHold::new(self.settings.mass, damping, period_us);
         }
     }
 
     /// A law with all its levels, at once: for a configuration.
     ///
     /// # Errors
-    /// As [`Law::begin`].
+    /// As [`AdmittanceLaw::begin`].
     pub fn new(
         settings: &LoopSettings,
         period_us: u16,
@@ -264,7 +264,7 @@ fn check(
 
 /// What an axis is given in a period.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Push {
+pub struct DrivingForce {
     /// Peak force on the tool.
     pub force: Force,
     /// p_d'.
@@ -281,8 +281,8 @@ pub struct Push {
 
 /// The compliance of one axis.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Compliance {
-    law: Law,
+pub struct AdmittanceAxis {
+    law: AdmittanceLaw,
     /// Outward is upward.
     upward: bool,
     /// How far the tool has yielded, 2^-40 mm, 0 to 2^46.
@@ -299,12 +299,12 @@ pub struct Compliance {
     resting: bool,
 }
 
-constants!(Compliance { law } of {} but { upward, away, rate, before, shown, limit, resting });
+constants!(AdmittanceAxis { law } of {} but { upward, away, rate, before, shown, limit, resting });
 
-impl Compliance {
+impl AdmittanceAxis {
     /// An axis that has not yielded.
     #[must_use]
-    pub const fn new(law: Law) -> Self {
+    pub const fn new(law: AdmittanceLaw) -> Self {
         Self {
             limit: law.limit,
             resting: false,
@@ -319,12 +319,12 @@ impl Compliance {
 
     /// The law.
     #[must_use]
-    pub const fn law(&self) -> &Law {
+    pub const fn law(&self) -> &AdmittanceLaw {
         &self.law
     }
 
     /// Goes on under another law; displacement and rate stay.
-    pub fn adopt(&mut self, law: Law) {
+    pub fn adopt(&mut self, law: AdmittanceLaw) {
         self.law = law;
         // From where 1/64 of the way is left for each period, its rate ends by itself: below 2^46 + 2^50.
         let needed = self.rate.max(0).wrapping_shr(FINENESS).wrapping_shl(6);
@@ -358,12 +358,12 @@ impl Compliance {
     }
 
     /// The reference was refused: the displacement is what it was before this period, and stands.
-    pub const fn withhold(&mut self) -> Yielding {
+    pub const fn roll_back(&mut self) -> Yielding {
         self.stand_at(self.before)
     }
 
     /// The displacement may be no further from 0 than `most`: the rest of it is taken back, and it stands.
-    pub fn confine(&mut self, most: Displacement) -> Yielding {
+    pub fn clamp_displacement(&mut self, most: Displacement) -> Yielding {
         let outward = if self.upward {
             most.0
         } else {
@@ -386,7 +386,7 @@ impl Compliance {
 
     /// One period. Three copies of it in their caller's loop would be no faster: registers run out.
     #[inline(never)]
-    pub fn advance(&mut self, push: &Push) -> Yielding {
+    pub fn advance(&mut self, push: &DrivingForce) -> Yielding {
         let force = if push.active { push.force.held().0 } else { 0 };
         if self.away == 0 && self.rate <= 0 {
             self.rate = 0;
@@ -447,7 +447,7 @@ impl Compliance {
 
     /// A reference that creeps moves nothing: the drive and the level with which the tool moves at the creep rate at least, or rests.
     #[inline]
-    fn rest(&mut self, push: &Push, drive: i32, level: usize) -> (i32, usize) {
+    fn rest(&mut self, push: &DrivingForce, drive: i32, level: usize) -> (i32, usize) {
         let law = &self.law;
         let creeping = law.creeping.get(level).copied().unwrap_or(0);
         let stands = push.active && !push.held && push.desired_rate.0 == 0 && self.away > 0;
@@ -468,7 +468,7 @@ impl Compliance {
 
     /// What moves the virtual mass outward, 2^-16 N, within +-2^27.
     #[inline]
-    fn drive(&self, push: &Push, force: i32, level: usize) -> i32 {
+    fn drive(&self, push: &DrivingForce, force: i32, level: usize) -> i32 {
         if push.held {
             return 0;
         }
@@ -512,7 +512,7 @@ impl Compliance {
         } else {
             rate.wrapping_neg()
         };
-        // 2^-20 mm/s times periods per second in Q16: 2^-36, to 2^-12 mm/s^2. The rate is below 2^31 * (1 - 2^-8): see `Law::begin`.
+        // 2^-20 mm/s times periods per second in Q16: 2^-36, to 2^-12 mm/s^2. The rate is below 2^31 * (1 - 2^-8): see `AdmittanceLaw::begin`.
         let change = i64::from(rate).wrapping_sub(i64::from(self.shown.0));
         let acceleration = multiply_shift(saturate(change), self.law.frequency as i32, 24);
         self.shown = Rate(rate);

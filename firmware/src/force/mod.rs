@@ -1,7 +1,7 @@
 //! Force control: from the codes of a force sensor to the displacement by which the tool yields.
 //!
 //! Two stages of the corridor are here. *Sense* ([`ForceControl::measure`]): codes to forces on the tool ([`conditioning`]), their peak over a revolution of the spindle ([`peak`]), and whether sensor and
-//! contact can be believed. *Yield* ([`ForceControl::advance`]): the compliant displacement p_c of x, y and z of the work ([`compliance`], [`pole`]) under the eye of [`guard`]; the reference of
+//! contact can be believed. *Yield* ([`ForceControl::advance`]): the compliant displacement p_c of x, y and z of the work ([`compliance`], [`pole`]) under the eye of [`stability_monitor`]; the reference of
 //! the kinematics is p_r = p_d + p_c (spec h4-milling (3.31)-(3.33)).
 //!
 //! | part | units | limits |
@@ -20,7 +20,7 @@ pub mod window_peak;
 pub mod zero_order_hold;
 
 use crate::config::digest::{Constants, Digest, constants};
-use admittance::{Compliance, LEVELS, Law, Push, Yielding};
+use admittance::{AdmittanceAxis, AdmittanceLaw, DrivingForce, LEVELS, Yielding};
 use haptimill_math::force::{Displacement, Force, VirtualDamping, VirtualMass};
 use haptimill_math::{Angle, Coordinate, Length, Rate};
 pub use haptimill_protocol::force::{
@@ -28,8 +28,8 @@ pub use haptimill_protocol::force::{
 };
 use sensor::{COMPONENTS, Conditioner, ForceSample, Sensor, is_force};
 use serde::{Deserialize, Serialize};
-use stability::{Guard, Sign};
-use window_peak::{Extremes, SlidingExtremes, Window};
+use stability::{Sign, StabilityMonitor};
+use window_peak::{Extremes, SlidingMinMax, Window};
 
 /// The loop of one axis.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -118,23 +118,23 @@ impl ForceConfig {
 /// A law that is being worked out, one level in a period.
 #[derive(Debug, Clone)]
 struct Preparing {
-    law: Law,
+    law: AdmittanceLaw,
     next: usize,
 }
 
 /// One axis.
 #[derive(Debug, Clone)]
 struct Axis {
-    peaks: SlidingExtremes,
+    peaks: SlidingMinMax,
     extremes: Extremes,
-    compliance: Compliance,
-    guard: Guard,
+    compliance: AdmittanceAxis,
+    stability_monitor: StabilityMonitor,
     preparing: Option<Preparing>,
     /// Periods until the next look.
     until_look: u16,
 }
 
-constants!(Axis {} of { compliance } but { peaks, extremes, guard, preparing, until_look });
+constants!(Axis {} of { compliance } but { peaks, extremes, stability_monitor, preparing, until_look });
 
 /// Force control of a machine.
 #[derive(Debug, Clone)]
@@ -160,17 +160,17 @@ pub struct ForceControl {
     condition: Option<ForceProblem>,
     yielding: [Yielding; COMPONENTS],
     /// No axis is under force control, none has yielded, and no law is being worked out: there is nothing to do in *yield*.
-    rests: bool,
+    is_inactive: bool,
 }
 
 constants!(ForceControl { slowest_rpm, period_us, delay_us, creep } of { conditioner }
-    but { axes, mask, rpm, stopped, held, suspended, known, adopted, condition, yielding, rests });
+    but { axes, mask, rpm, stopped, held, suspended, known, adopted, condition, yielding, is_inactive });
 
 /// What is worked out from a configuration before it is taken.
 #[derive(Debug, Clone)]
 pub struct Design {
     window: Window,
-    laws: [Law; COMPONENTS],
+    laws: [AdmittanceLaw; COMPONENTS],
 }
 
 impl Design {
@@ -199,7 +199,7 @@ impl Design {
         let delay_us = config.delay_us(period_us);
         let law = |component: usize| {
             let range = config.sensor.range(component);
-            Law::new(&config.axes[component], period_us, delay_us, range)
+            AdmittanceLaw::new(&config.axes[component], period_us, delay_us, range)
                 .map(|law| law.resting_below(config.creep, period_us))
                 .map_err(|refusal| (Some(component), refusal))
         };
@@ -235,10 +235,10 @@ impl ForceControl {
             axes: laws.map(|law| {
                 until_look += 1;
                 Axis {
-                    peaks: SlidingExtremes::new(window),
+                    peaks: SlidingMinMax::new(window),
                     extremes: Extremes::default(),
-                    compliance: Compliance::new(law),
-                    guard: Guard::default(),
+                    compliance: AdmittanceAxis::new(law),
+                    stability_monitor: StabilityMonitor::default(),
                     preparing: None,
                     until_look,
                 }
@@ -256,7 +256,7 @@ impl ForceControl {
             adopted: false,
             condition: None,
             yielding: [Yielding::default(); COMPONENTS],
-            rests: false,
+            is_inactive: false,
         }
     }
 
@@ -283,18 +283,18 @@ impl ForceControl {
         let forces = *self.conditioner.forces();
         for (component, axis) in self.axes.iter_mut().enumerate() {
             axis.extremes = axis.peaks.push(forces[component]);
-            axis.guard.note(position[component]);
+            axis.stability_monitor.note(position[component]);
             axis.until_look = axis.until_look.saturating_sub(1);
             if axis.until_look == 0 {
                 axis.until_look = (axis.peaks.window().samples() / 4).max(1) as u16;
                 let yielded = axis.compliance.displacement() != Displacement::default();
-                axis.guard
+                axis.stability_monitor
                     .look(axis.extremes.peak(), axis.compliance.law(), yielded);
                 if component == 0 {
                     self.conditioner.set_table(table);
                 }
             }
-            if axis.guard.sign() == Sign::Wrong && self.mask & (1 << component) != 0 {
+            if axis.stability_monitor.sign() == Sign::Wrong && self.mask & (1 << component) != 0 {
                 found = found.or(Some(ForceProblem::WrongSign {
                     component: component as u8,
                 }));
@@ -331,7 +331,11 @@ impl ForceControl {
     pub fn unloaded(&self, active: bool) -> bool {
         u32::from(self.stopped) >= RUN_DOWN_US / u32::from(self.period_us.max(1))
             && !self.displaced()
-            && !(active && self.axes.iter().any(|axis| axis.guard.touching()))
+            && !(active
+                && self
+                    .axes
+                    .iter()
+                    .any(|axis| axis.stability_monitor.touching()))
     }
 
     /// What is wrong with sensor or contact in this period.
@@ -342,7 +346,7 @@ impl ForceControl {
 
     /// Whether the sensor can be believed: nothing is wrong with it but, at most, that the force is large.
     #[must_use]
-    pub fn believed(&self) -> bool {
+    pub fn is_valid(&self) -> bool {
         self.condition.as_ref().is_none_or(is_force)
     }
 
@@ -352,7 +356,7 @@ impl ForceControl {
     /// under force control; without force control, nothing hangs on it.
     #[must_use]
     #[inline]
-    pub fn stops(&self, jogged: bool) -> Option<ForceProblem> {
+    pub fn stop_condition(&self, jogged: bool) -> Option<ForceProblem> {
         let problem = self.condition?;
         let counts = if is_force(&problem) {
             self.conditioner.tared() && !(jogged && self.known)
@@ -364,7 +368,7 @@ impl ForceControl {
 
     /// Minds whether the machine moves: a tare ends with it, and a force that is too large is known from before. To be told in every period.
     #[inline]
-    pub fn mind(&mut self, active: bool) {
+    pub fn update_overload(&mut self, active: bool) {
         let large = self.condition.as_ref().is_some_and(is_force);
         self.known = large && (self.known || !active);
         if active {
@@ -389,17 +393,17 @@ impl ForceControl {
                 self.yielding[component] = Yielding::default();
                 continue;
             }
-            let push = Push {
+            let push = DrivingForce {
                 force: axis.extremes.peak(),
                 desired_rate: desired_rates[component],
                 active,
                 held: self.held,
-                level: axis.guard.level(),
-                touching: axis.guard.touching(),
+                level: axis.stability_monitor.level(),
+                touching: axis.stability_monitor.touching(),
             };
             self.yielding[component] = axis.compliance.advance(&push);
         }
-        self.rests = self.mask == 0
+        self.is_inactive = self.mask == 0
             && !self.adopted
             && (self.axes.iter())
                 .all(|axis| axis.preparing.is_none() && axis.compliance.is_at_rest());
@@ -409,8 +413,8 @@ impl ForceControl {
     /// Whether no axis is under force control, nothing has yielded, and no settings wait: then [`ForceControl::advance`] would change nothing, and need not be
     /// called.
     #[must_use]
-    pub const fn rests(&self) -> bool {
-        self.rests
+    pub const fn is_inactive(&self) -> bool {
+        self.is_inactive
     }
 
     /// Works out one level of one law that was changed: some 2000 instructions in a period.
@@ -433,17 +437,17 @@ impl ForceControl {
     }
 
     /// The reference p_d + p_c was refused: takes the displacements of this period back. Try once more with these; if that is refused too, it is p_d that cannot be.
-    pub fn withhold(&mut self) -> &[Yielding; COMPONENTS] {
+    pub fn roll_back(&mut self) -> &[Yielding; COMPONENTS] {
         for (axis, yielding) in self.axes.iter_mut().zip(&mut self.yielding) {
-            *yielding = axis.compliance.withhold();
+            *yielding = axis.compliance.roll_back();
         }
         &self.yielding
     }
 
     /// One axis may have yielded no further than `most`: the rest is taken back.
-    pub fn confine(&mut self, component: usize, most: Displacement) {
+    pub fn clamp_displacement(&mut self, component: usize, most: Displacement) {
         if let Some(axis) = self.axes.get_mut(component) {
-            self.yielding[component] = axis.compliance.confine(most);
+            self.yielding[component] = axis.compliance.clamp_displacement(most);
         }
     }
 
@@ -475,7 +479,7 @@ impl ForceControl {
     /// The sensor must show its sign again.
     pub fn forget_contact(&mut self) {
         for axis in &mut self.axes {
-            axis.guard.reset(true);
+            axis.stability_monitor.reset(true);
         }
     }
 
@@ -497,10 +501,10 @@ impl ForceControl {
                 bound: 0,
             });
         }
-        let law = Law::begin(settings, self.period_us, self.delay_us, range)?
+        let law = AdmittanceLaw::begin(settings, self.period_us, self.delay_us, range)?
             .resting_below(self.creep, self.period_us);
         axis.preparing = Some(Preparing { law, next: 1 });
-        self.rests = false;
+        self.is_inactive = false;
         Ok(())
     }
 
@@ -514,7 +518,7 @@ impl ForceControl {
 
     /// Which axes are under force control: bit 0 for x. An axis that is taken out returns to the desired position at f_d / K_V.
     pub const fn set_mask(&mut self, mask: u8) {
-        self.rests = false;
+        self.is_inactive = false;
         self.mask = mask & ((1 << COMPONENTS) - 1);
     }
 
@@ -539,7 +543,7 @@ impl ForceControl {
         self.held = false;
         for axis in &mut self.axes {
             axis.compliance.reset();
-            axis.guard.reset(true);
+            axis.stability_monitor.reset(true);
         }
         self.yielding = [Yielding::default(); COMPONENTS];
     }
@@ -548,7 +552,7 @@ impl ForceControl {
     pub fn begin_tare(&mut self) {
         self.conditioner.begin_tare();
         for axis in &mut self.axes {
-            axis.guard.reset(true);
+            axis.stability_monitor.reset(true);
         }
     }
 
@@ -608,6 +612,8 @@ impl ForceControl {
     /// Levels of damping.
     #[must_use]
     pub fn levels(&self) -> [u8; COMPONENTS] {
-        self.axes.each_ref().map(|axis| axis.guard.level() as u8)
+        self.axes
+            .each_ref()
+            .map(|axis| axis.stability_monitor.level() as u8)
     }
 }

@@ -30,7 +30,7 @@
 //!
 //! Misuse: a delay larger than the configured one. The levels are then too low.
 
-use super::admittance::{Law, ONSET};
+use super::admittance::{AdmittanceLaw, ONSET};
 use haptimill_math::Coordinate;
 use haptimill_math::force::Force;
 
@@ -73,7 +73,7 @@ pub enum Sign {
 
 /// The observer of one axis.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Guard {
+pub struct StabilityMonitor {
     begun: bool,
     /// Least and greatest measured position since the last look, and in the three quarters before.
     now: Reach,
@@ -124,7 +124,7 @@ impl Reach {
 /// Deviations are held within this: 16 mm, 256 N.
 const WIDEST: i64 = 1 << 24;
 
-impl Guard {
+impl StabilityMonitor {
     /// The level of damping.
     #[must_use]
     pub fn level(&self) -> usize {
@@ -162,7 +162,7 @@ impl Guard {
 
     /// One look, four times in a revolution: the peak force, the law that is to be guarded, and whether the tool has yielded.
     #[inline(never)]
-    pub fn look(&mut self, force: Force, law: &Law, yielded: bool) {
+    pub fn look(&mut self, force: Force, law: &AdmittanceLaw, yielded: bool) {
         let highest = law.highest();
         let desired = law.settings().desired;
         self.touch = if force.magnitude() >= desired.magnitude() / 2 {

@@ -141,7 +141,7 @@ impl Window {
 
 /// Extremes of one axis over a sliding window.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct SlidingExtremes {
+pub struct SlidingMinMax {
     window: Window,
     /// Leaves of the tree: the least power of two that holds the window.
     size: usize,
@@ -153,7 +153,7 @@ pub struct SlidingExtremes {
     filled: u16,
 }
 
-impl SlidingExtremes {
+impl SlidingMinMax {
     /// A window that has seen no force.
     #[must_use]
     pub fn new(window: Window) -> Self {

@@ -11,7 +11,7 @@
 //! 1 - g and 1 - a are right to 2^-31 of themselves, T / K_V to 2^-30. The rate keeps 17 bits below 2^-40 mm, so a rounding that returns in every
 //! period adds up to no more than 2^-37 mm a period.
 //!
-//! Misuse: [`Pole::step`] needs a rate below [`RATE_BITS`]; [`super::compliance`] holds it there.
+//! Misuse: [`ZeroOrderHold::step`] needs a rate below [`RATE_BITS`]; [`super::compliance`] holds it there.
 
 use haptimill_math::force::{VirtualDamping, VirtualMass};
 use haptimill_math::scale::{high_product, multiply_high};
@@ -75,7 +75,7 @@ impl Part {
 
 /// How one period with one damping changes displacement and rate.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
-pub struct Pole {
+pub struct ZeroOrderHold {
     /// 1 - a.
     approach: Part,
     /// 1 - g.
@@ -94,7 +94,7 @@ pub const fn sound(mass: VirtualMass, damping: VirtualDamping, period_us: u16) -
     part > 0 && part <= whole && whole >> 18 <= part
 }
 
-impl Pole {
+impl ZeroOrderHold {
     /// The pole of sound values (see [`sound`]); of others it is meaningless.
     #[must_use]
     pub fn new(mass: VirtualMass, damping: VirtualDamping, period_us: u16) -> Self {

@@ -23,13 +23,13 @@ const FRACTION: u32 = 12;
 
 /// The filter of the three shares.
 #[derive(Debug, Clone)]
-pub struct Smoothing {
+pub struct FeedbackFilter {
     /// [`SLOW_US`] in periods.
     periods: u32,
     slow: [i64; COMPONENTS],
 }
 
-impl Smoothing {
+impl FeedbackFilter {
     /// At no force.
     #[must_use]
     pub fn new(period_us: u16) -> Self {
@@ -48,12 +48,12 @@ impl Smoothing {
     pub fn smooth(
         &mut self,
         shares: &[Force; COMPONENTS],
-        owed: &[i32; COMPONENTS],
+        deficit_of: &[i32; COMPONENTS],
     ) -> [Force; COMPONENTS] {
         core::array::from_fn(|axis| {
             // Periods of the time constant: at most 3 * 350,000.
-            let owed = owed[axis].clamp(0, COUNTED * WHOLE) as u32;
-            let constant = ((u64::from(self.periods) * u64::from(owed)) >> 16) as u32;
+            let deficit_of = deficit_of[axis].clamp(0, COUNTED * WHOLE) as u32;
+            let constant = ((u64::from(self.periods) * u64::from(deficit_of)) >> 16) as u32;
             let share = i64::from(shares[axis].0) << FRACTION;
             let slow = &mut self.slow[axis];
             *slow = if constant == 0 {

@@ -24,7 +24,7 @@ const FADE_SHIFT: u32 = 15;
 
 /// The law with its settings on their way.
 #[derive(Debug, Clone, Default)]
-pub struct Law {
+pub struct FeedbackLaw {
     /// Percentages, 2^-24 of one, and limits, 2^-24 N.
     percent: [i32; COMPONENTS],
     most: [i32; COMPONENTS],
@@ -56,7 +56,7 @@ fn within(force: i32, most: i32) -> Force {
     Force(force.max(-most).min(most))
 }
 
-impl Law {
+impl FeedbackLaw {
     /// With these settings in force.
     #[must_use]
     pub fn new(settings: &Reflection, period_us: u16) -> Self {

@@ -26,8 +26,8 @@ use crate::config::digest::{Constants, Digest, constants};
 use crate::io::{HapticInputs, HapticOutputs, LEGS};
 use crate::snapshot::HapticSnapshot;
 use config::HapticConfig;
-use feedback_filter::Smoothing;
-use feedback_law::Law;
+use feedback_filter::FeedbackFilter;
+use feedback_law::FeedbackLaw;
 use haptimill_kinematics::haptic_arm::statics::Wrench;
 use haptimill_kinematics::haptic_arm::{ArmError, HandPose, HapticArm, LegReading};
 use haptimill_math::force::Force;
@@ -36,7 +36,7 @@ use haptimill_math::{Angle, Length, Rate};
 pub use haptimill_protocol::haptic::{COMPONENTS, Hand, HandProblem, HandTelemetry, Reflection};
 use mapping::Frame;
 use motors::Motors;
-use oscillation::{Supply, Swings};
+use oscillation::{OperatorPower, OscillationDampers};
 use passivity::{Passivity, WHOLE, works};
 use walls::{TooSmall, Walls};
 
@@ -90,12 +90,12 @@ pub struct Haptic {
     periods_per_second: i64,
     blend_step: i32,
     feel_periods: u32,
-    law: Law,
+    law: FeedbackLaw,
     walls: Walls,
     passivity: Passivity,
-    swings: Swings,
-    shares: Smoothing,
-    supply: Supply,
+    swings: OscillationDampers,
+    shares: FeedbackFilter,
+    supply: OperatorPower,
     /// Counts at the presets.
     zero: [[i32; 3]; LEGS],
     illegal: [[u16; 3]; LEGS],
@@ -156,12 +156,12 @@ impl Haptic {
             periods_per_second: i64::from(1_000_000 / period),
             blend_step: ((period << 16) / BLEND_US).max(1) as i32,
             feel_periods: FEEL_US / period,
-            law: Law::new(&config.reflection, period_us),
+            law: FeedbackLaw::new(&config.reflection, period_us),
             walls: Walls::new(&config.wall, config.ball, period_us),
             passivity: Passivity::new(&config.passivity, period_us, FORGET_US),
-            swings: Swings::new(&config.passivity, period_us),
-            shares: Smoothing::new(period_us),
-            supply: Supply::new(period_us),
+            swings: OscillationDampers::new(&config.passivity, period_us),
+            shares: FeedbackFilter::new(period_us),
+            supply: OperatorPower::new(period_us),
             zero: inputs.legs.map(|leg| leg.counts),
             illegal: inputs.legs.map(|leg| leg.illegal),
             pose: None,
@@ -375,17 +375,18 @@ impl Haptic {
         let works = works(&self.force, &self.moved);
         self.passivity.observe_works(&works, stored);
         self.swings.watch(&self.force, &self.moved, stored);
-        let (all, swinging) = (self.passivity.owed(), self.swings.owed());
+        let (all, swinging) = (self.passivity.deficit_of(), self.swings.deficit_of());
         let idle = self.supply.watch_works(&works);
-        let owed = idle.map(|idle| all.max(((i64::from(swinging) * i64::from(idle)) >> 16) as i32));
+        let deficit_of =
+            idle.map(|idle| all.max(((i64::from(swinging) * i64::from(idle)) >> 16) as i32));
         // Of what is not led the whole motion is damped, half as much.
-        let damped = owed.map(|owed| owed.min(WHOLE) / 2);
+        let damped = deficit_of.map(|deficit_of| deficit_of.min(WHOLE) / 2);
         let swings = self.swings.damp(&rates, &idle, &damped);
         let shares = self.law.shares(&tool);
         // What is let through is not smoothed: who lets go feels nothing more.
         let shares = self
             .shares
-            .smooth(&shares, &owed)
+            .smooth(&shares, &deficit_of)
             .map(|share| Force(saturate((i64::from(share.0) * i64::from(self.blend)) >> 16)));
         self.reflected = self.law.boosted(&shares, &rates);
         let mut force = self.force;
@@ -430,7 +431,7 @@ impl Haptic {
     }
 
     /// Other settings of the reflection.
-    pub const fn set_reflection(&mut self, settings: &Reflection) {
+    pub const fn set_feedback(&mut self, settings: &Reflection) {
         self.law.set(settings);
     }
 

@@ -5,7 +5,7 @@
 //! without their slow parts, which are means over some tenth of a second. In a steady cut both are nothing, and at rest there is no damping. On a stiff contact a soft hand puts in and gets back up to 40 N mm in a swing, more than the
 //! whole account counts, so that half of the time there seems to be no debt; here the sum is clear.
 //!
-//! *Who leads* ([`Supply`]). A hand that holds still is passive: in a swing that goes on it gets energy, in the mean, and puts none in. One that puts in some milliwatts along an axis leads along it. There only what swings is
+//! *Who leads* ([`OperatorPower`]). A hand that holds still is passive: in a swing that goes on it gets energy, in the mean, and puts none in. One that puts in some milliwatts along an axis leads along it. There only what swings is
 //! damped, and the reflection is not smoothed: the swing is that of a cut, which a damper can take. Elsewhere the debt of the swings counts as one of the whole motion.
 //!
 //! Units as in [`super::passivity`].
@@ -33,11 +33,11 @@ const FRACTION: u32 = 12;
 
 /// What is left of a value without its slow part.
 #[derive(Debug, Clone, Copy, Default)]
-struct Swing {
+struct OscillationDamper {
     slow: i64,
 }
 
-impl Swing {
+impl OscillationDamper {
     /// The mean is over 2^`shift` periods.
     fn of(&mut self, value: i32, shift: u32) -> i32 {
         // Both are below 2^43, and so is the magnitude of their difference below 2^44.
@@ -49,15 +49,15 @@ impl Swing {
 
 /// The watch over what swings.
 #[derive(Debug, Clone)]
-pub struct Swings {
+pub struct OscillationDampers {
     watch: Passivity,
     shift: u32,
-    force: [Swing; COMPONENTS],
-    moved: [Swing; COMPONENTS],
-    rates: [Swing; COMPONENTS],
+    force: [OscillationDamper; COMPONENTS],
+    moved: [OscillationDamper; COMPONENTS],
+    rates: [OscillationDamper; COMPONENTS],
 }
 
-impl Swings {
+impl OscillationDampers {
     /// At rest.
     #[must_use]
     pub fn new(config: &PassivityConfig, period_us: u16) -> Self {
@@ -95,7 +95,7 @@ impl Swings {
         idle: &[i32; COMPONENTS],
         damped: &[i32; COMPONENTS],
     ) -> [Force; COMPONENTS] {
-        let part = self.watch.owed().min(WHOLE);
+        let part = self.watch.deficit_of().min(WHOLE);
         core::array::from_fn(|axis| {
             // A hand that has stopped is not damped, though its slow part goes on for a while: no more than it moves.
             let most = rates[axis].0.saturating_abs();
@@ -112,16 +112,16 @@ impl Swings {
         self.watch.energy()
     }
 
-    /// The debt of the swings, as [`Passivity::owed`].
+    /// The debt of the swings, as [`Passivity::deficit_of`].
     #[must_use]
-    pub fn owed(&self) -> i32 {
-        self.watch.owed()
+    pub fn deficit_of(&self) -> i32 {
+        self.watch.deficit_of()
     }
 }
 
 /// What the hand puts in along each axis, in the mean.
 #[derive(Debug, Clone)]
-pub struct Supply {
+pub struct OperatorPower {
     shift: u32,
     /// 2^-36 N mm in a period, from which on it leads.
     leads: i64,
@@ -130,7 +130,7 @@ pub struct Supply {
     power: [i64; COMPONENTS],
 }
 
-impl Supply {
+impl OperatorPower {
     /// At rest.
     #[must_use]
     pub fn new(period_us: u16) -> Self {
@@ -178,8 +178,8 @@ mod tests {
     use super::*;
 
     const CONFIG: PassivityConfig = PassivityConfig {
-        credit: 32_768,
-        debt: 65_536,
+        surplus: 32_768,
+        deficit: 65_536,
         damping: 19_661,
     };
 
@@ -191,8 +191,8 @@ mod tests {
     #[test]
     fn only_what_swings_is_damped() {
         let damped = |amplitude: f64, late: f64| {
-            let mut swings = Swings::new(&CONFIG, 200);
-            let mut supply = Supply::new(200);
+            let mut swings = OscillationDampers::new(&CONFIG, 200);
+            let mut supply = OperatorPower::new(200);
             let mut most = 0;
             for period in 0..15_000_u32 {
                 let time = f64::from(period) * 200e-6;
@@ -226,14 +226,14 @@ mod tests {
     /// Swings that owe all that is counted are damped with the whole damping where the hand leads, with none where it does not, and in between in proportion.
     #[test]
     fn a_whole_debt_is_damped_wholly() {
-        let mut swings = Swings::new(&CONFIG, 200);
+        let mut swings = OscillationDampers::new(&CONFIG, 200);
         for period in 0..20_000_u32 {
             // 8 Hz, 5 N along 10 mm/s.
             let swing = (f64::from(period) * 0.01).sin();
             let force = [Force(of(5.0 * swing, 65_536.0)), Force(0), Force(0)];
             swings.watch(&force, &[of(0.002 * swing, 1_048_576.0), 0, 0], 0);
         }
-        assert!(swings.owed() > 2 * WHOLE);
+        assert!(swings.deficit_of() > 2 * WHOLE);
         // A rate out of nothing swings but for a 512th. 0.3 N s/mm; what is damped anyway is not damped again.
         let rates = [Rate(10 << 20); 3];
         let got = swings.damp(&rates, &[0, WHOLE, WHOLE / 2], &[0, 0, WHOLE / 4]);
@@ -247,7 +247,7 @@ mod tests {
     #[test]
     fn a_hand_that_is_driven_does_not_lead() {
         for (amplitude, late) in [(0.0, 0.0), (0.5, 0.3), (2.0, 1.2), (4.0, 0.1)] {
-            let mut supply = Supply::new(200);
+            let mut supply = OperatorPower::new(200);
             // 5 Hz; a force of 3 N, and one of 1.5 N that leads the motion by `late` of a quarter turn: it drives it.
             for period in 0..25_000_u32 {
                 let turn = f64::from(period) * 200e-6 * 31.4;

@@ -4,7 +4,7 @@
 //! measured, so no rate has to be estimated. What the hand put in is credit, what it got back is paid from it. The credit has a cap: what was dissipated long ago must not pay for a swing now (a cut of one slot would be worth
 //! fifty swings). What the virtual walls store is added to the cap, because they are springs that give it back.
 //!
-//! *Controller.* Where more came out than went in there is debt. Damping in proportion to it acts against the hand's motion, whole at [`PassivityConfig::debt`] and beyond. At rest it is nothing, so in steady contact the
+//! *Controller.* Where more came out than went in there is debt. Damping in proportion to it acts against the hand's motion, whole at [`PassivityConfig::deficit`] and beyond. At rest it is nothing, so in steady contact the
 //! force is that of the law, whatever the debt. More than [`COUNTED`] times that debt is not counted: a soft hand that is pushed back by a force takes energy that it will keep. What is left is forgiven over the time that whoever owns
 //! the watch gives it; a hand that moves against the damping has paid it before.
 //!
@@ -23,9 +23,9 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct PassivityConfig {
     /// The most credit, besides what the walls store, 2^-16 N mm: to 100 N mm.
-    pub credit: u32,
+    pub surplus: u32,
     /// Debt at which the damping is whole, 2^-16 N mm: 0.01 to 100 N mm.
-    pub debt: u32,
+    pub deficit: u32,
     /// The whole damping, 2^-16 N s/mm: to 0.5 N s/mm.
     pub damping: u32,
 }
@@ -34,8 +34,8 @@ impl PassivityConfig {
     /// Whether all are within their ranges.
     #[must_use]
     pub fn is_sound(&self) -> bool {
-        self.credit <= 100 << 16
-            && (655..=100 << 16).contains(&self.debt)
+        self.surplus <= 100 << 16
+            && (655..=100 << 16).contains(&self.deficit)
             && self.damping <= 1 << 15
     }
 }
@@ -76,11 +76,11 @@ impl Passivity {
     #[must_use]
     pub fn new(config: &PassivityConfig, period_us: u16, forget_us: u32) -> Self {
         // At most 2^43.
-        let debt = (i64::from(config.debt) << 20).clamp(1 << 29, 100 << 36);
+        let deficit = (i64::from(config.deficit) << 20).clamp(1 << 29, 100 << 36);
         Self {
-            cap: i64::from(config.credit) << 20,
-            least: -i64::from(COUNTED) * debt,
-            per_debt: (1 << 58) / debt,
+            cap: i64::from(config.surplus) << 20,
+            least: -i64::from(COUNTED) * deficit,
+            per_debt: (1 << 58) / deficit,
             damping: config.damping.min(1 << 15),
             forget: ((i64::from(period_us) << 32) / i64::from(forget_us.max(1))).min(1 << 26),
             energy: 0,
@@ -118,16 +118,16 @@ impl Passivity {
 
     /// The debt in parts of that of the whole damping, 2^-16: 0 to [`COUNTED`] of them.
     #[must_use]
-    pub fn owed(&self) -> i32 {
+    pub fn deficit_of(&self) -> i32 {
         // Of at most 3 * 2^43: below 2^33, and times 2^58 / debt below 2^48.
-        let debt = difference(0, self.energy.min(0));
-        (product(debt >> 12, self.per_debt) >> 30) as i32
+        let deficit = difference(0, self.energy.min(0));
+        (product(deficit >> 12, self.per_debt) >> 30) as i32
     }
 
     /// Controller: the force against a motion of the hand.
     #[must_use]
     pub fn damp(&self, rates: &[Rate; COMPONENTS]) -> [Force; COMPONENTS] {
-        let part = self.owed().min(WHOLE);
+        let part = self.deficit_of().min(WHOLE);
         rates.map(|rate| self.damp_by(part, rate))
     }
 

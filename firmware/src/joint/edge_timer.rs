@@ -6,7 +6,7 @@
 //! the last edge, so that it goes to zero by itself when the motion ends, and is zero after 2.1 s.
 //! An edge that is crossed back and forth is one place: a reversal reads as zero, not as a count.
 //!
-//! Every period notes its edges ([`EdgeRate::note`]); the rate itself, which needs a reciprocal, is worked out for whoever asks.
+//! Every period notes its edges ([`EdgeTimer::note`]); the rate itself, which needs a reciprocal, is worked out for whoever asks.
 //!
 //! Misuse: more than 2^30 counts in a period give a wrong rate.
 
@@ -23,7 +23,7 @@ const AHEAD_NS: u32 = u32::MAX - 999_999;
 
 /// The last two places at which edges were seen, and when.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct EdgeRate {
+pub struct EdgeTimer {
     /// Half a count in au/s * ns: `mantissa * 2^exponent`, of the magnitude of a count.
     half_mantissa: i32,
     half_exponent: i32,
@@ -41,11 +41,11 @@ pub struct EdgeRate {
     age_ns: u32,
 }
 
-constants!(EdgeRate { half_mantissa, half_exponent, reversed } of {} but {
+constants!(EdgeTimer { half_mantissa, half_exponent, reversed } of {} but {
     edge_time_ns, edge, edge_known, travel, interval_ns, age_ns
 });
 
-impl EdgeRate {
+impl EdgeTimer {
     /// Of an encoder with `per_count` axis units a count, times 2^24; negative when it counts backwards.
     pub const fn new(per_count: i64) -> Self {
         let (half_mantissa, half_exponent) = Factor::of(per_count.unsigned_abs())

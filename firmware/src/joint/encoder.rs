@@ -6,7 +6,7 @@
 //!
 //! Misuse: more than 2^31 counts in a period cannot be told from a step the other way.
 
-use super::edge_timer::EdgeRate;
+use super::edge_timer::EdgeTimer;
 use crate::config::AxisKind;
 use crate::config::digest::constants;
 use crate::io::AxisInputs;
@@ -33,7 +33,7 @@ pub struct Encoder {
     illegal_raw: u16,
     illegal: u32,
     index_pulses: u8,
-    edges: EdgeRate,
+    edges: EdgeTimer,
 }
 
 constants!(Encoder {
@@ -82,7 +82,7 @@ impl Encoder {
             illegal_raw: 0,
             illegal: 0,
             index_pulses: 0,
-            edges: EdgeRate::new(per_count),
+            edges: EdgeTimer::new(per_count),
         }
     }
 
@@ -152,13 +152,13 @@ impl Encoder {
         difference(self.kind, self.coordinate_at(self.raw), before)
     }
 
-    /// Illegal transitions since [`Encoder::clear_illegal`]; [`u32::MAX`] when it is [not believed](Encoder::disbelieve).
+    /// Illegal transitions since [`Encoder::clear_illegal`]; [`u32::MAX`] when it is [not believed](Encoder::invalidate).
     pub const fn illegal(&self) -> u32 {
         self.illegal
     }
 
     /// Its counts are wrong, which says more than any number of illegal transitions.
-    pub const fn disbelieve(&mut self) {
+    pub const fn invalidate(&mut self) {
         self.illegal = u32::MAX;
     }
 

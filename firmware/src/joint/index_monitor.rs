@@ -19,7 +19,7 @@ use crate::config::digest::constants;
 
 /// Where index pulses must come.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct IndexWatch {
+pub struct IndexMonitor {
     /// Counts from one pulse to the next; 0 where that is no whole number, or nothing is to be compared.
     turn: i32,
     /// So many counts a pulse may be off.
@@ -32,9 +32,9 @@ pub struct IndexWatch {
     searching: bool,
 }
 
-constants!(IndexWatch { turn, slack } of {} but { due, doubt, searching });
+constants!(IndexMonitor { turn, slack } of {} but { due, doubt, searching });
 
-impl IndexWatch {
+impl IndexMonitor {
     /// Pulses `pitch` axis units apart, with `per_count` axis units a count, times 2^24. Each may be off by `slack` counts; with 0 nothing is compared.
     #[must_use]
     pub const fn new(pitch: i32, per_count: i64, slack: u16) -> Self {

@@ -6,7 +6,7 @@
 //!                                                 --step planner--> pulses                    (step/dir)
 //! ```
 //!
-//! On a step/dir axis the position loop is in the drive: pulses follow what is wanted, and the encoder supervises; [`Sensed::slip`] is the
+//! On a step/dir axis the position loop is in the drive: pulses follow what is wanted, and the encoder supervises; [`JointMeasurement::slip`] is the
 //! disagreement. Latency: outputs take effect one period after the inputs were latched. The pulses of a step axis *end* at the wanted position, at the end of that next
 //! period: two periods after the latch. A torque axis closes its loop on the wanted position of the latch.
 //!
@@ -29,13 +29,13 @@ pub mod torque;
 use crate::config::digest::{Constants, Digest, constants};
 use crate::config::{AxisKind, Drive, JointAxis, Supervision};
 use crate::io::{AxisInputs, DriveCommand};
-use crate::joint::monitor::{Seen, Watch};
-use crate::joint::servo::PositionLaw;
+use crate::joint::monitor::{JointMonitor, JointSample};
+use crate::joint::servo::ServoLaw;
 use backlash::Backlash;
 use encoder::{Encoder, difference, sum};
 use haptimill_math::{Acceleration, Coordinate, Effort, Rate};
 use haptimill_protocol::message::Fault;
-use index_monitor::IndexWatch;
+use index_monitor::IndexMonitor;
 use power_on_counts::Counted;
 use step_gen::{PulseTiming, StepPlanner};
 use torque::TorqueOutput;
@@ -59,7 +59,7 @@ pub enum DriveError {
 
 /// What a joint's sensors say.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Sensed {
+pub struct JointMeasurement {
     /// Coordinate of the slide: the motor's, less what backlash hides.
     pub coordinate: Coordinate,
     /// Coordinate of the motor side.
@@ -82,7 +82,7 @@ pub struct Sensed {
 
 /// Where a slide shall be.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Wanted {
+pub struct JointCommand {
     /// Coordinate of the slide.
     pub coordinate: Coordinate,
     /// Its rate.
@@ -93,7 +93,7 @@ pub struct Wanted {
 
 /// What a period of driving came to.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Driven {
+pub struct ServoOutput {
     /// For the drive.
     pub command: DriveCommand,
     /// Wanted less measured, both of the motor side: what the loop works on.
@@ -113,14 +113,14 @@ pub struct EncoderState {
     slide: Coordinate,
     illegal: u32,
     off: i32,
-    indexes: IndexWatch,
+    indexes: IndexMonitor,
 }
 
 /// The output side, by kind of drive.
 #[derive(Debug, Clone, PartialEq, Eq)]
 enum Output {
     Torque {
-        law: PositionLaw,
+        law: ServoLaw,
         output: TorqueOutput,
     },
     Steps {
@@ -159,14 +159,14 @@ struct Lock {
 pub struct JointDrive {
     kind: AxisKind,
     encoder: Encoder,
-    indexes: IndexWatch,
+    indexes: IndexMonitor,
     backlash: Backlash,
     output: Output,
-    watch: Watch,
-    wanted: Wanted,
-    sensed: Sensed,
-    driven: Driven,
-    sensed_once: bool,
+    monitor: JointMonitor,
+    wanted: JointCommand,
+    measurement: JointMeasurement,
+    servo_output: ServoOutput,
+    measured_once: bool,
     enabled: bool,
     /// Counts that the joint can move by in a period ([`reach`]).
     reach: u32,
@@ -185,7 +185,7 @@ fn reach(axis: &JointAxis, period_us: u16) -> u32 {
     counts.min(u64::from(u32::MAX)) as u32
 }
 
-constants!(JointDrive { kind, reach } of { encoder, indexes, backlash, output } but { watch, wanted, sensed, driven, sensed_once, enabled });
+constants!(JointDrive { kind, reach } of { encoder, indexes, backlash, output } but { monitor, wanted, measurement, servo_output, measured_once, enabled });
 
 impl Constants for Output {
     fn digest(&self, digest: &mut Digest) {
@@ -223,7 +223,7 @@ impl JointDrive {
                     return Err(DriveError::Torque);
                 }
                 Output::Torque {
-                    law: PositionLaw::new(&axis.law, limit, period_us),
+                    law: ServoLaw::new(&axis.law, limit, period_us),
                     output: TorqueOutput::new(full_scale),
                 }
             }
@@ -264,14 +264,14 @@ impl JointDrive {
         Ok(Self {
             kind: axis.kind,
             encoder: Encoder::new(axis.kind, axis.per_count),
-            indexes: IndexWatch::new(axis.index_pitch.0, axis.per_count, axis.index_slack),
+            indexes: IndexMonitor::new(axis.index_pitch.0, axis.per_count, axis.index_slack),
             backlash: Backlash::new(axis.kind, axis.backlash, period_us),
             output,
-            watch: Watch::default(),
-            wanted: Wanted::default(),
-            sensed: Sensed::default(),
-            driven: Driven::default(),
-            sensed_once: false,
+            monitor: JointMonitor::default(),
+            wanted: JointCommand::default(),
+            measurement: JointMeasurement::default(),
+            servo_output: ServoOutput::default(),
+            measured_once: false,
             enabled: false,
             reach: reach(axis, period_us),
         })
@@ -279,10 +279,10 @@ impl JointDrive {
 
     /// Reads the joint's inputs, latched at `time_ns` of the board's clock. Once every period.
     #[inline(never)]
-    pub fn measure(&mut self, inputs: &AxisInputs, time_ns: u32) -> &Sensed {
+    pub fn measure(&mut self, inputs: &AxisInputs, time_ns: u32) -> &JointMeasurement {
         let measured = self.encoder.read(inputs, time_ns);
-        if !self.sensed_once {
-            self.sensed_once = true;
+        if !self.measured_once {
+            self.measured_once = true;
             self.backlash.place(measured.coordinate);
             if let Output::Steps { supervision, .. } = &mut self.output {
                 supervision.last_steps = inputs.steps;
@@ -291,42 +291,42 @@ impl JointDrive {
         }
         if let Output::Steps { supervision, .. } = &mut self.output {
             let motor = measured.coordinate;
-            (self.sensed.slip, self.sensed.lost_steps) =
+            (self.measurement.slip, self.measurement.lost_steps) =
                 supervision.compare(self.kind, self.enabled, inputs.steps, motor);
         }
-        let sensed = &mut self.sensed;
-        sensed.coordinate = self.backlash.carry(measured.coordinate);
-        sensed.motor = measured.coordinate;
-        sensed.moved = measured.moved;
-        sensed.leapt = measured.moved.unsigned_abs() > self.reach;
-        sensed.illegal = self.encoder.illegal();
-        sensed.index = measured.index;
-        if sensed.index.is_some() {
+        let measurement = &mut self.measurement;
+        measurement.coordinate = self.backlash.carry(measured.coordinate);
+        measurement.motor = measured.coordinate;
+        measurement.moved = measured.moved;
+        measurement.leapt = measured.moved.unsigned_abs() > self.reach;
+        measurement.illegal = self.encoder.illegal();
+        measurement.index = measured.index;
+        if measurement.index.is_some() {
             self.note_pulse();
         }
-        &self.sensed
+        &self.measurement
     }
 
     /// Counts that were lost make the encoder unbelievable until the joint is enabled anew.
     #[cold]
     #[inline(never)]
     fn note_pulse(&mut self) {
-        let sensed = &mut self.sensed;
-        if let Some((raw, _)) = sensed.index
+        let measurement = &mut self.measurement;
+        if let Some((raw, _)) = measurement.index
             && let Some(off) = self.indexes.pulse(raw)
         {
-            self.encoder.disbelieve();
-            sensed.illegal = self.encoder.illegal();
-            sensed.off = off;
+            self.encoder.invalidate();
+            measurement.illegal = self.encoder.illegal();
+            measurement.off = off;
         }
     }
 
     /// Whether the counter jumped, so many periods after it was read before: it is not believed any more then.
     pub(crate) const fn jumped(&mut self, periods: u32) -> bool {
-        let jumped = self.sensed.moved.unsigned_abs() / periods > self.reach;
+        let jumped = self.measurement.moved.unsigned_abs() / periods > self.reach;
         if jumped {
-            self.encoder.disbelieve();
-            self.sensed.illegal = self.encoder.illegal();
+            self.encoder.invalidate();
+            self.measurement.illegal = self.encoder.illegal();
         }
         jumped
     }
@@ -336,7 +336,7 @@ impl JointDrive {
         let Ok(travelled) = i32::try_from(counted.travelled) else {
             return false;
         };
-        let preset = self.sensed.motor;
+        let preset = self.measurement.motor;
         self.set_reference(counted.counts.wrapping_sub(travelled), preset);
         counted.widest <= self.reach
     }
@@ -347,26 +347,26 @@ impl JointDrive {
     }
 
     /// Where index pulses must come.
-    pub const fn indexes(&self) -> &IndexWatch {
+    pub const fn indexes(&self) -> &IndexMonitor {
         &self.indexes
     }
 
     /// What was sensed last.
     #[inline]
-    pub const fn sensed(&self) -> &Sensed {
-        &self.sensed
+    pub const fn measurement(&self) -> &JointMeasurement {
+        &self.measurement
     }
 
     /// The drive goes on at the slide's present coordinate, which is given back: what is wanted must begin there, at rest. Nothing jumps.
     pub fn enable(&mut self) -> Coordinate {
-        let motor = self.sensed.motor;
+        let motor = self.measurement.motor;
         self.backlash.hold(motor);
-        if self.sensed.off != 0 {
+        if self.measurement.off != 0 {
             self.indexes.forget();
         }
         self.encoder.clear_illegal();
-        self.sensed.illegal = 0;
-        self.sensed.off = 0;
+        self.measurement.illegal = 0;
+        self.measurement.off = 0;
         self.indexes.search(false);
         match &mut self.output {
             Output::Torque { law, output } => {
@@ -381,10 +381,10 @@ impl JointDrive {
                 supervision.restart(motor);
             }
         }
-        self.sensed.slip = Coordinate(0);
-        self.sensed.lost_steps = false;
+        self.measurement.slip = Coordinate(0);
+        self.measurement.lost_steps = false;
         self.enabled = true;
-        self.sensed.coordinate
+        self.measurement.coordinate
     }
 
     /// The drive was just switched on, and the rotor of a step motor moves to a detent: lost steps are not supervised until it [has locked](Self::end_lock). False for a
@@ -393,7 +393,7 @@ impl JointDrive {
         let Output::Steps { supervision, .. } = &mut self.output else {
             return false;
         };
-        let motor = self.sensed.motor;
+        let motor = self.measurement.motor;
         supervision.lock = Some(Lock {
             origin: motor,
             middle: motor,
@@ -408,7 +408,7 @@ impl JointDrive {
         let Output::Steps { supervision, .. } = &mut self.output else {
             return None;
         };
-        let motor = self.sensed.motor;
+        let motor = self.measurement.motor;
         let band = u64::from(supervision.lost.unsigned_abs() / 8);
         let lock = supervision.lock.as_mut()?;
         let moved = difference(self.kind, motor, lock.middle).magnitude();
@@ -432,13 +432,13 @@ impl JointDrive {
     /// The drive goes off.
     pub fn disable(&mut self) {
         self.enabled = false;
-        self.driven = Driven::default();
+        self.servo_output = ServoOutput::default();
     }
 
     /// What the last period of driving came to.
     #[inline]
-    pub const fn driven(&self) -> &Driven {
-        &self.driven
+    pub const fn servo_output(&self) -> &ServoOutput {
+        &self.servo_output
     }
 
     /// The drive is on.
@@ -460,18 +460,18 @@ impl JointDrive {
             planner.rebase(shift);
             supervision.start = sum(self.kind, supervision.start, shift);
         }
-        self.sensed.coordinate = sum(self.kind, self.sensed.coordinate, shift);
-        self.sensed.motor = sum(self.kind, self.sensed.motor, shift);
+        self.measurement.coordinate = sum(self.kind, self.measurement.coordinate, shift);
+        self.measurement.motor = sum(self.kind, self.measurement.motor, shift);
         shift
     }
 
     /// What a joint of another configuration, whose counts mean the same, takes over.
     pub fn standing(&self) -> EncoderState {
         EncoderState {
-            motor: self.sensed.motor,
-            slide: self.sensed.coordinate,
-            illegal: self.sensed.illegal,
-            off: self.sensed.off,
+            motor: self.measurement.motor,
+            slide: self.measurement.coordinate,
+            illegal: self.measurement.illegal,
+            off: self.measurement.off,
             indexes: self.indexes.clone(),
         }
     }
@@ -480,10 +480,10 @@ impl JointDrive {
     pub fn take_over(&mut self, raw: i32, kept: &EncoderState) {
         self.set_reference(raw, kept.motor);
         self.backlash.place(kept.slide);
-        self.sensed.coordinate = self.backlash.carry(kept.motor);
+        self.measurement.coordinate = self.backlash.carry(kept.motor);
         self.encoder.take_over_illegal(kept.illegal);
-        self.sensed.illegal = kept.illegal;
-        self.sensed.off = kept.off;
+        self.measurement.illegal = kept.illegal;
+        self.measurement.off = kept.off;
         self.indexes.take_over(&kept.indexes);
     }
 
@@ -498,30 +498,30 @@ impl JointDrive {
         period_us: u16,
         missed: bool,
     ) -> Option<Fault> {
-        let sensed = &self.sensed;
-        let seen = Seen {
+        let measurement = &self.measurement;
+        let seen = JointSample {
             wanted: self.wanted.coordinate,
             wanted_rate: self.wanted.rate,
-            measured: sensed.coordinate,
-            moved: sensed.moved,
-            effort: self.driven.effort,
-            rate: if Watch::pushes(axis, self.driven.effort) {
+            measured: measurement.coordinate,
+            moved: measurement.moved,
+            effort: self.servo_output.effort,
+            rate: if JointMonitor::pushes(axis, self.servo_output.effort) {
                 self.encoder.rate()
             } else {
                 Rate::ZERO
             },
-            illegal: sensed.illegal.min(u32::from(u16::MAX)) as u16,
-            steps_off: sensed.slip,
+            illegal: measurement.illegal.min(u32::from(u16::MAX)) as u16,
+            steps_off: measurement.slip,
             period_us,
             missed,
         };
-        if sensed.off != 0 {
+        if measurement.off != 0 {
             return Some(Fault::EncoderSlip {
                 axis: joint,
-                counts: sensed.off,
+                counts: measurement.off,
             });
         }
-        self.watch
+        self.monitor
             .look(joint, axis, limits.illegal_transitions, &seen)
     }
 
@@ -533,7 +533,7 @@ impl JointDrive {
 
     /// Supervision forgets what it saw: the drives go on, or the coordinate was set.
     pub fn settle(&mut self) {
-        self.watch.reset();
+        self.monitor.reset();
     }
 
     /// The command of a period, for where the slide shall be, put into its place; off while disabled. Says whether the drive was asked for too much.
@@ -546,7 +546,7 @@ impl JointDrive {
         acceleration: Acceleration,
         command: &mut DriveCommand,
     ) -> bool {
-        self.wanted = Wanted {
+        self.wanted = JointCommand {
             coordinate,
             rate,
             acceleration,
@@ -559,27 +559,27 @@ impl JointDrive {
         // The motor's rate, crossing the play included: its friction turns over as it sets off, not when the slide does.
         let rate = Rate(rate.0.saturating_add(shift_rate.0));
         let target = sum(self.kind, coordinate, shift);
-        let following_error = difference(self.kind, target, self.sensed.motor);
-        let driven = &mut self.driven;
-        driven.following_error = following_error;
+        let following_error = difference(self.kind, target, self.measurement.motor);
+        let servo_output = &mut self.servo_output;
+        servo_output.following_error = following_error;
         match &mut self.output {
             Output::Torque { law, output } => {
                 let (effort, cut) = law.effort(following_error, rate, acceleration);
                 let (code, clamped) = output.code(effort);
-                driven.command = DriveCommand::Torque(code);
-                driven.effort = effort;
-                driven.saturated = cut | clamped;
+                servo_output.command = DriveCommand::Torque(code);
+                servo_output.effort = effort;
+                servo_output.saturated = cut | clamped;
                 *command = DriveCommand::Torque(code);
             }
             Output::Steps { planner, .. } => {
                 let planned = planner.plan(target, rate);
-                driven.command = DriveCommand::Steps(planned.segment);
-                driven.saturated = planned.ceiling;
-                driven.lag = planned.lag;
-                *command = driven.command;
+                servo_output.command = DriveCommand::Steps(planned.segment);
+                servo_output.saturated = planned.ceiling;
+                servo_output.lag = planned.lag;
+                *command = servo_output.command;
             }
         }
-        driven.saturated
+        servo_output.saturated
     }
 }
 

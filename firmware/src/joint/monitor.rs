@@ -20,14 +20,14 @@ use haptimill_protocol::message::Fault;
 
 /// What supervision looks at in a period.
 #[derive(Debug, Clone, Copy, Default)]
-pub struct Seen {
+pub struct JointSample {
     /// Wanted position.
     pub wanted: Coordinate,
     /// Wanted rate.
     pub wanted_rate: Rate,
     /// Measured position.
     pub measured: Coordinate,
-    /// Measured rate; looked at only where the drive [pushes](Watch::pushes).
+    /// Measured rate; looked at only where the drive [pushes](JointMonitor::pushes).
     pub rate: Rate,
     /// Encoder counts since the period before.
     pub moved: i32,
@@ -45,7 +45,7 @@ pub struct Seen {
 
 /// The memory of supervision of one joint.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Watch {
+pub struct JointMonitor {
     /// Counts of the period before, where they are those of one period.
     moved: Option<i32>,
     /// Wanted and measured position when the present stretch of motion was begun to be looked at.
@@ -53,7 +53,7 @@ pub struct Watch {
     /// Periods in a row in which the joint ran against its drive.
     against: u8,
     /// When the encoder counted last.
-    mark: Option<Mark>,
+    last_count: Option<LastCount>,
     /// Reversals of the count about one place.
     reversals: Reversals,
 }
@@ -71,7 +71,7 @@ struct Reversals {
 
 /// The joint at the newest count that cannot be a reversal about one place, or at the start of commanded motion.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-struct Mark {
+struct LastCount {
     measured: Coordinate,
     /// The effort along the commanded direction that motion needed lately; fades with the way.
     needed: i32,
@@ -102,7 +102,7 @@ const FADE: i32 = 64;
 /// The acceleration that an impact may give to a motor, in terms of its drive's limit over its inertia.
 const IMPACT: i64 = 24;
 
-impl Watch {
+impl JointMonitor {
     /// Forgets what was; after enabling and after the coordinate was set.
     pub fn reset(&mut self) {
         *self = Self::default();
@@ -125,7 +125,7 @@ impl Watch {
         axis: u8,
         config: &JointAxis,
         illegal_limit: u16,
-        seen: &Seen,
+        seen: &JointSample,
     ) -> Option<Fault> {
         if seen.illegal > illegal_limit {
             return Some(Fault::EncoderIllegal {
@@ -146,7 +146,7 @@ impl Watch {
     /// A counter whose rate changed by more in one period than an impact can change that of a motor: 24 times the drive's limit over the inertia, and two counts for
     /// the grid of the counter (20 um on a slide of 40 kg and 750 N). Where the joint is, is not known any more. What is less is found by its index pulses.
     #[inline]
-    fn jump(&mut self, axis: u8, config: &JointAxis, seen: &Seen) -> Option<Fault> {
+    fn jump(&mut self, axis: u8, config: &JointAxis, seen: &JointSample) -> Option<Fault> {
         let now = if seen.missed { None } else { Some(seen.moved) };
         let before = core::mem::replace(&mut self.moved, now).zip(now)?.0;
         let change = seen.moved.wrapping_sub(before).unsigned_abs();
@@ -164,7 +164,7 @@ impl Watch {
     #[inline(never)]
     fn impact(config: &JointAxis, period_us: u16, change: u32) -> bool {
         let Drive::Torque { limit, .. } = config.drive else {
-            // Lost steps are found by [`Watch::slip`].
+            // Lost steps are found by [`JointMonitor::slip`].
             return false;
         };
         // Axis units per second squared (see `PositionLaw` for the 28 bits), below 2^59; a period has 1000 us at most.
@@ -177,7 +177,7 @@ impl Watch {
     }
 
     /// Steps that were lost.
-    fn slip(axis: u8, config: &JointAxis, seen: &Seen) -> Option<Fault> {
+    fn slip(axis: u8, config: &JointAxis, seen: &JointSample) -> Option<Fault> {
         let Drive::Steps { lost, .. } = config.drive else {
             return None;
         };
@@ -188,7 +188,7 @@ impl Watch {
     }
 
     /// The measured joint against its stroke. What is wanted is always within (stage *place* sees to it), and what is measured may be off.
-    fn stroke(axis: u8, config: &JointAxis, seen: &Seen) -> Option<Fault> {
+    fn stroke(axis: u8, config: &JointAxis, seen: &JointSample) -> Option<Fault> {
         if (config.low..=config.high).contains(&seen.measured) {
             return None;
         }
@@ -207,7 +207,7 @@ impl Watch {
     /// it has become a following error of 0.3 mm the slide is at 100 mm/s and coasts for millimetres with its drive off. The rate says it
     /// sooner: 50/s times the following error (15 mm/s for 0.3 mm) and a quarter of the wanted rate. A push stronger than the
     /// drive looks the same, and is the same to whoever stands beside.
-    fn runaway(&mut self, axis: u8, config: &JointAxis, seen: &Seen) -> Option<Fault> {
+    fn runaway(&mut self, axis: u8, config: &JointAxis, seen: &JointSample) -> Option<Fault> {
         let Drive::Torque { limit: most, .. } = config.drive else {
             return None;
         };
@@ -245,7 +245,7 @@ impl Watch {
 
     /// An encoder with one stuck channel: the other one goes on, and its edges count up and down in turn, whatever is commanded.
     #[inline]
-    fn toggles(&mut self, axis: u8, config: &JointAxis, seen: &Seen) -> Option<Fault> {
+    fn toggles(&mut self, axis: u8, config: &JointAxis, seen: &JointSample) -> Option<Fault> {
         let reversals = &mut self.reversals;
         if seen.moved != 0 {
             let sign = way(seen.moved);
@@ -285,15 +285,15 @@ impl Watch {
     /// Growth counts from the largest effort that motion needed lately, not from that of the newest count: a slide that sticks and slips needs little as it slips, and
     /// its breakaway force again afterwards. Static loads are in both, and do not count. After a rest or a reversal it counts from there, or from twice the friction above the
     /// present effort. Friction is what is compensated, and no less than a 32nd of the drive's limit; so much growth is let pass.
-    fn pushed(&mut self, axis: u8, config: &JointAxis, seen: &Seen) -> Option<Fault> {
+    fn pushed(&mut self, axis: u8, config: &JointAxis, seen: &JointSample) -> Option<Fault> {
         let Drive::Torque { limit: most, .. } = config.drive else {
             return None;
         };
         let direction = way(seen.wanted_rate.0);
         let along = seen.effort.0.saturating_mul(direction);
         let holds = friction(config, most.0.unsigned_abs()).min(1 << 28) as i32;
-        let needed = self.mark.map_or(0, |mark| mark.needed);
-        let begun = Mark {
+        let needed = self.last_count.map_or(0, |last_count| last_count.needed);
+        let begun = LastCount {
             measured: seen.measured,
             needed,
             reference: along.saturating_add(2 * holds).max(needed),
@@ -301,36 +301,36 @@ impl Watch {
             direction,
             impulse: 0,
         };
-        let mark = self.mark.get_or_insert(begun);
-        if direction == 0 || direction != mark.direction {
-            *mark = begun;
+        let last_count = self.last_count.get_or_insert(begun);
+        if direction == 0 || direction != last_count.direction {
+            *last_count = begun;
             return None;
         }
-        mark.peak = mark.peak.max(along);
-        if distance(config, seen.measured, mark.measured) > still(config) {
+        last_count.peak = last_count.peak.max(along);
+        if distance(config, seen.measured, last_count.measured) > still(config) {
             let fade = needed.saturating_sub(along) / FADE;
-            let needed = mark.peak.max(needed.saturating_sub(fade));
-            *mark = Mark {
+            let needed = last_count.peak.max(needed.saturating_sub(fade));
+            *last_count = LastCount {
                 needed,
                 reference: needed,
                 ..begun
             };
             return None;
         }
-        let growth = i64::from(along) - i64::from(mark.reference);
-        mark.impulse += (growth - i64::from(holds)).max(0);
-        if mark.impulse == 0 {
+        let growth = i64::from(along) - i64::from(last_count.reference);
+        last_count.impulse += (growth - i64::from(holds)).max(0);
+        if last_count.impulse == 0 {
             // No limit is below it, and a limit costs a division.
             return None;
         }
         let rate = (magnitude(config.following) * 25 / 2) >> 8;
         let momentum = (i64::from(config.law.inertia) * rate) >> 20;
         let limit = momentum * 1_000_000 / i64::from(seen.period_us.max(1));
-        (mark.impulse > limit).then_some(Fault::EncoderStill { axis })
+        (last_count.impulse > limit).then_some(Fault::EncoderStill { axis })
     }
 
     /// Motion that was wanted and not seen, or seen the other way round.
-    fn motion(&mut self, axis: u8, config: &JointAxis, seen: &Seen) -> Option<Fault> {
+    fn motion(&mut self, axis: u8, config: &JointAxis, seen: &JointSample) -> Option<Fault> {
         let (wanted_then, measured_then) = *self.since.get_or_insert((seen.wanted, seen.measured));
         if distance(config, seen.wanted, wanted_then) < config.still.magnitude() {
             return None;
@@ -345,7 +345,7 @@ impl Watch {
     }
 
     /// The following error against its limit.
-    fn error(axis: u8, config: &JointAxis, seen: &Seen) -> Option<Fault> {
+    fn error(axis: u8, config: &JointAxis, seen: &JointSample) -> Option<Fault> {
         if distance(config, seen.wanted, seen.measured) <= config.following.magnitude() {
             return None;
         }

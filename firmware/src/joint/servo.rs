@@ -2,9 +2,9 @@
 //!
 //! With e = wanted - measured, both forms ask for an acceleration and turn it into an effort:
 //!
-//! - [`LawForm::Pd`], spec h4-milling (3.29): inertia (K_P e + K_D e') + friction. The printed equation adds k_d times the measured rate, which is positive feedback and
+//! - [`ServoForm::Pd`], spec h4-milling (3.29): inertia (K_P e + K_D e') + friction. The printed equation adds k_d times the measured rate, which is positive feedback and
 //!   unstable; the corrected sign is used, on the rate of the *error*, so a ramp leaves no lag of K_D / K_P.
-//! - [`LawForm::ModelBased`], spec (3.35)-(3.37): inertia (l_e'' + K_D e' + K_P e) + viscous l_e' + friction, which leaves e'' + K_D e' + K_P e = 0 (3.38).
+//! - [`ServoForm::ModelBased`], spec (3.35)-(3.37): inertia (l_e'' + K_D e' + K_P e) + viscous l_e' + friction, which leaves e'' + K_D e' + K_P e = 0 (3.38).
 //!
 //! e' is the rate of e through a first-order filter ([`filter::RateFilter`]): encoder counts are steps, and differentiating one within a period would ask for
 //! K_D / period times a count. Friction is compensated by the wanted rate ([`friction`]). The integrator is optional; it stands still while the output is at
@@ -13,14 +13,14 @@
 //! All gains are brought into factors of effort when the configuration becomes active, so a period costs one word product a term. A term is held at four times the drive's
 //! limit at least, the sum saturates.
 //!
-//! Units are those of [`haptimill_math`]; gains come from [`crate::config::Law`]. No input can overflow: what is too large saturates, and is reported.
+//! Units are those of [`haptimill_math`]; gains come from [`crate::config::ServoConfig`]. No input can overflow: what is too large saturates, and is reported.
 //!
-//! Misuse: feeding the error of a wanted position that jumps. [`PositionLaw::reset`] belongs before the first period after an enable.
+//! Misuse: feeding the error of a wanted position that jumps. [`ServoLaw::reset`] belongs before the first period after an enable.
 
 use super::friction::Friction;
 use super::rate_filter::{CHANGE_FRACTION, RateFilter};
 use crate::config::digest::constants;
-use crate::config::{Law, LawForm};
+use crate::config::{ServoConfig, ServoForm};
 use haptimill_math::reciprocal::{Factor, Scale, mul_shift, saturate};
 use haptimill_math::scale::shift_right;
 use haptimill_math::{Acceleration, Coordinate, Effort, Rate};
@@ -32,8 +32,8 @@ const INTEGRAL_FRACTION: u32 = 20;
 ///
 /// Efforts inside have `fraction` more bits than outside, as many as leave a term room for four times the limit.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct PositionLaw {
-    form: LawForm,
+pub struct ServoLaw {
+    form: ServoForm,
     /// Effort of the error.
     proportional: Scale,
     /// Effort of a change of the error in a period, which is shifted right by `coarse` before.
@@ -60,13 +60,13 @@ pub struct PositionLaw {
     plain: bool,
 }
 
-constants!(PositionLaw {
+constants!(ServoLaw {
     form, proportional, derivative, coarse, acceleration, viscous, friction, inertia, ki_period, integral_limit, limit, fraction, rounding, lift, plain
 } of { error_rate } but { integral });
 
-impl PositionLaw {
+impl ServoLaw {
     /// A loop that runs every `period_us` (50 to 1000) and may ask for `limit` either way.
-    pub const fn new(law: &Law, limit: Effort, period_us: u16) -> Self {
+    pub const fn new(law: &ServoConfig, limit: Effort, period_us: u16) -> Self {
         let limit = if limit.0 == i32::MIN {
             i32::MAX
         } else {
@@ -94,8 +94,8 @@ impl PositionLaw {
         // The largest change that makes a difference has 31 bits after the shift.
         let coarse = derivative.coarseness();
         let (acceleration, viscous) = match law.form {
-            LawForm::Pd => (Factor::of(0), Factor::of(0)),
-            LawForm::ModelBased => (
+            ServoForm::Pd => (Factor::of(0), Factor::of(0)),
+            ServoForm::ModelBased => (
                 force.shifted(8),
                 Factor::of(law.viscous as u64).shifted(bits - 24),
             ),
@@ -154,7 +154,7 @@ impl PositionLaw {
             .apply(error.0)
             .saturating_add(self.derivative.apply(change))
             .saturating_add(self.friction.effort(rate).0);
-        if self.form == LawForm::ModelBased {
+        if self.form == ServoForm::ModelBased {
             sum = sum
                 .saturating_add(self.acceleration.apply(acceleration.0))
                 .saturating_add(self.viscous.apply(rate.0));

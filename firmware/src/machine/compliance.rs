@@ -58,13 +58,15 @@ impl Machine {
         let unloaded = force.unloaded(active);
         let table = self.kinematics.table(pose);
         force.measure(&inputs.force, spindle_rpm, &[x, y, z], table, unloaded);
-        force.mind(active);
+        force.update_overload(active);
     }
 
     /// Whether the reference may be another pose than the wanted one.
     #[inline]
     pub(super) fn is_compliant(&self) -> bool {
-        self.force.as_ref().is_some_and(|force| !force.rests())
+        self.force
+            .as_ref()
+            .is_some_and(|force| !force.is_inactive())
     }
 
     /// Stage *yield*: the reference of this period. `stopped` by a fault of the force, `homing` while the references are looked for.
@@ -74,7 +76,7 @@ impl Machine {
             return;
         };
         force.suspend(homing);
-        if force.rests() && self.limited == [0; COMPONENTS] {
+        if force.is_inactive() && self.limited == [0; COMPONENTS] {
             // No axis is under force control, and nothing is left of what was.
             force.hold(stopped);
             self.reference.pose = self.motion.wanted().pose;
@@ -166,7 +168,7 @@ impl Machine {
         // Towards 0 from p_c, which is a length: fits.
         let left = Length(end.0.saturating_sub(desired.0));
         if let Some(force) = &mut self.force {
-            force.confine(component, Displacement::from_length(left));
+            force.clamp_displacement(component, Displacement::from_length(left));
         }
         self.reference.pose.0[component] = end;
         self.reference.rates[component] = Rate::ZERO;
@@ -202,7 +204,7 @@ impl Machine {
         let Some(force) = self.force.as_mut().filter(|force| force.displaced()) else {
             return placed;
         };
-        let yielding = *force.withhold();
+        let yielding = *force.roll_back();
         let mut limited = 0;
         for (component, yielding) in yielding.iter().enumerate() {
             let wanted = self.motion.wanted();

@@ -187,7 +187,7 @@ impl Machine {
         let tool = self
             .force
             .as_ref()
-            .filter(|force| force.conditioner().tared() && force.believed());
+            .filter(|force| force.conditioner().tared() && force.is_valid());
         let tool = tool.map(|force| force.extremes().map(|extremes| extremes.peak()));
         let tool = if here {
             Some(tool.unwrap_or_default())

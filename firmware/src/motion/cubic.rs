@@ -5,9 +5,9 @@
 //!
 //! Limits: a span lasts at most [`SPAN_MAX_US`] while anything moves (any time at rest); rates at the ends and the mean rate are below
 //! 2^31 axis units/s. [`Cubic::new`] returns `None` otherwise. The coefficients are exact but for the 2^-16 axis units to which the rates are rounded, and
-//! add up to the way to the last bit. What a period needs of them is a [`Way`].
+//! add up to the way to the last bit. What a period needs of them is a [`SegmentPolynomial`].
 
-use super::segment::{self, Way};
+use super::segment::{self, SegmentPolynomial};
 use haptimill_math::reciprocal::high;
 use haptimill_math::scale::{product, shift_right, total};
 use haptimill_math::{Acceleration, Coordinate, Rate};
@@ -42,7 +42,7 @@ pub(super) const FRACTION: i32 = 16;
 
 /// The span of time that the cubics of all axes share.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Span {
+pub struct SegmentDuration {
     periods: u16,
     microseconds: u32,
     /// 2^48 / periods.
@@ -66,7 +66,7 @@ pub struct Sample {
     pub acceleration: Acceleration,
 }
 
-impl Span {
+impl SegmentDuration {
     /// A span of so many periods.
     #[must_use]
     pub fn new(periods: u16, period_us: u16) -> Option<Self> {
@@ -121,7 +121,7 @@ impl Cubic {
         from_rate: i32,
         to: Coordinate,
         to_rate: i32,
-        span: &Span,
+        span: &SegmentDuration,
         wrap: bool,
     ) -> Option<Self> {
         let distance = if wrap {
@@ -162,7 +162,7 @@ impl Cubic {
 
     /// Whether the mean rate is within `limit` (wire units, below 2^24).
     #[must_use]
-    pub fn keeps_mean_rate(&self, limit: i32, span: &Span) -> bool {
+    pub fn keeps_mean_rate(&self, limit: i32, span: &SegmentDuration) -> bool {
         // The coefficients add up to the way, to the last bit.
         let way = total(total(self.c1, self.c2), self.c3);
         way.abs() <= span.travel(limit)
@@ -171,7 +171,7 @@ impl Cubic {
     /// Whether the rate stays within `limit` (wire units, below 2^24) all along, given that it does at both ends. Without the exact peak: the rate is within
     /// the hull of its ends and c1 + c2, the middle one of its control points, and only where that is outside the peak is looked for.
     #[must_use]
-    pub fn keeps_rate(&self, limit: i32, span: &Span) -> bool {
+    pub fn keeps_rate(&self, limit: i32, span: &SegmentDuration) -> bool {
         let middle = total(self.c1, self.c2).abs();
         middle <= span.travel(limit) || self.peak_within(limit, span)
     }
@@ -179,16 +179,19 @@ impl Cubic {
     /// Whether the rate at its peak, if there is one inside the span, is within `limit` (wire units).
     #[cold]
     #[inline(never)]
-    fn peak_within(&self, limit: i32, span: &Span) -> bool {
+    fn peak_within(&self, limit: i32, span: &SegmentDuration) -> bool {
         let Some(at) = self.turning(span) else {
             return true;
         };
-        let rate = Way::new(self, span).sample(segment::half(at)).rate.0;
+        let rate = SegmentPolynomial::new(self, span)
+            .sample(segment::half(at))
+            .rate
+            .0;
         rate.unsigned_abs() >> RATE_SHIFT <= limit.unsigned_abs()
     }
 
     /// The fraction of the span at which the rate is largest or least, if that is inside.
-    fn turning(&self, span: &Span) -> Option<u32> {
+    fn turning(&self, span: &SegmentDuration) -> Option<u32> {
         // Where the acceleration 2 c2 + 6 c3 s is zero; 30 bits of both are plenty to look for a peak.
         let spare = (64
             - self
@@ -204,7 +207,7 @@ impl Cubic {
 
     /// Whether the acceleration, which is largest at an end of the span, stays within a limit.
     #[must_use]
-    pub fn keeps_acceleration(&self, limit: Acceleration, span: &Span) -> bool {
+    pub fn keeps_acceleration(&self, limit: Acceleration, span: &SegmentDuration) -> bool {
         let derivatives = self.derivatives(span);
         let [begin, growth] = derivatives.push;
         let end = begin.saturating_add(growth >> 1);
@@ -222,7 +225,7 @@ impl Cubic {
 
     /// What rate and acceleration need in every period.
     #[inline(always)]
-    pub(super) fn derivatives(&self, span: &Span) -> Derivatives {
+    pub(super) fn derivatives(&self, span: &SegmentDuration) -> Derivatives {
         // c1, 4 c2, 12 c3 in 31 bits and a sign: r1 = c1 / T, r2 / 2 = 2 c2 / T, r3 / 4 = 3 c3 / T.
         let (c2, c3) = (self.c2 << 2, product(12, self.c3));
         let magnitude = |value: i64| (value ^ (value >> 63)) as u64;
@@ -249,8 +252,8 @@ mod tests {
 
     const PERIOD_US: u16 = 200;
 
-    fn sample(cubic: &Cubic, span: &Span, fraction: u32) -> Sample {
-        Way::new(cubic, span).sample(segment::half(fraction))
+    fn sample(cubic: &Cubic, span: &SegmentDuration, fraction: u32) -> Sample {
+        SegmentPolynomial::new(cubic, span).sample(segment::half(fraction))
     }
 
     /// The Hermite cubic in f64, from its textbook basis: an independent truth.
@@ -276,7 +279,7 @@ mod tests {
             p0 in -(1_i32 << 29)..1 << 29, mean in -60.0_f64..60.0, v0 in -240_000_i32..240_000, v1 in -240_000_i32..240_000,
             periods in 1_u16..5000, at in 0.0_f64..1.0,
         ) {
-            let span = Span::new(periods, PERIOD_US).expect("span");
+            let span = SegmentDuration::new(periods, PERIOD_US).expect("span");
             let h = f64::from(periods) * 2e-4;
             let p1 = p0 + (mean * h * f64::from(1 << 20)) as i32;
             let cubic = Cubic::new(Coordinate(p0), v0, Coordinate(p1), v1, &span, false).expect("in range");
@@ -303,7 +306,7 @@ mod tests {
         fn no_input_overflows(
             p0: i32, p1: i32, v0: i32, v1: i32, periods: u16, period_us in 50_u16..=1000, time: u32, wrap: bool,
         ) {
-            if let Some(span) = Span::new(periods, period_us)
+            if let Some(span) = SegmentDuration::new(periods, period_us)
                 && let Some(cubic) = Cubic::new(Coordinate(p0), v0, Coordinate(p1), v1, &span, wrap)
             {
                 let _ = sample(&cubic, &span, span.fraction(time));
@@ -312,7 +315,7 @@ mod tests {
 
         #[test]
         fn starts_exactly_and_ends_within_a_unit(p0 in -(1_i32 << 28)..1 << 28, d in -100_000_i32..100_000, v in -4000_i32..4000, periods in 10_u16..5000) {
-            let span = Span::new(periods, PERIOD_US).expect("span");
+            let span = SegmentDuration::new(periods, PERIOD_US).expect("span");
             let cubic = Cubic::new(Coordinate(p0), v, Coordinate(p0 + d), v, &span, false).expect("in range");
             prop_assert_eq!(sample(&cubic, &span, 0).position, Coordinate(p0));
             let end = sample(&cubic, &span, u32::MAX).position;
@@ -322,7 +325,7 @@ mod tests {
 
     #[test]
     fn a_rotary_axis_takes_the_short_way() {
-        let span = Span::new(5000, PERIOD_US).expect("span");
+        let span = SegmentDuration::new(5000, PERIOD_US).expect("span");
         let cubic = Cubic::new(
             Coordinate(i32::MAX - 1000),
             0,

@@ -5,8 +5,8 @@
 //! for one more period is safe; if not, braking now is, because the box of the period before was.
 //!
 //! Joint rates are bounded in the same way: near a bound of the workspace, and near a singularity, a joint moves many times as fast as the tool, and the tool
-//! cannot brake as fast as that factor grows. [`Sweep::rates`] are the largest rates of the coordinates on the way to rest. If no joint exceeds its maximum rate with
-//! these rates at any corner ([`Sweep::load`]), none does on the way: braking neither leaves the box nor raises a rate.
+//! cannot brake as fast as that factor grows. [`StoppingEnvelope::rates`] are the largest rates of the coordinates on the way to rest. If no joint exceeds its maximum rate with
+//! these rates at any corner ([`StoppingEnvelope::load`]), none does on the way: braking neither leaves the box nor raises a rate.
 
 use haptimill_kinematics::{Kinematics, Pose, Rates};
 use haptimill_math::scale::saturate;
@@ -15,7 +15,7 @@ use haptimill_protocol::message::MAX_AXES;
 
 /// Between which values each coordinate stays.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Sweep {
+pub struct StoppingEnvelope {
     /// The least.
     pub low: Pose,
     /// The greatest.
@@ -31,7 +31,7 @@ pub const FULL_LOAD: u32 = 1 << 16;
 /// joint rates of a box of some degrees are larger by up to 0.3 % of the maximum.
 pub const MOST_LOAD: u32 = FULL_LOAD - FULL_LOAD / 128;
 
-impl Sweep {
+impl StoppingEnvelope {
     /// Nothing moves.
     #[must_use]
     pub const fn at(pose: &Pose) -> Self {
@@ -168,24 +168,24 @@ const PATIENCE: u8 = 64;
 /// What is known of the reach around the machine: a box that is reachable, with room. A sweep in it needs no look at its own corners, and the next box is looked
 /// at in time, a corner a period, so that a period in which a hand leads takes one pose more and not eight.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Reach {
-    known: Option<(Sweep, u32)>,
+pub struct ReachableBox {
+    known: Option<(StoppingEnvelope, u32)>,
     /// The next one, its load so far, and the corner that is looked at next.
-    next: Option<(Sweep, u32, u32)>,
+    next: Option<(StoppingEnvelope, u32, u32)>,
     patience: u8,
 }
 
-impl Reach {
-    /// The load of a sweep, or a little more; `None` if the machine cannot take it: see [`Sweep::load`]. `room`: how much wider a box is made, `may`: the coordinates that
+impl ReachableBox {
+    /// The load of a sweep, or a little more; `None` if the machine cannot take it: see [`StoppingEnvelope::load`]. `room`: how much wider a box is made, `may`: the coordinates that
     /// may move from now on, a bit each. Call it once a period.
     pub fn holds(
         &mut self,
-        sweep: &Sweep,
+        sweep: &StoppingEnvelope,
         (room, may): (&[i32; MAX_AXES], u8),
         axes: usize,
         machine: &impl Kinematics,
     ) -> Option<u32> {
-        self.look_ahead(sweep, (room, may), axes, machine);
+        self.prefetch(sweep, (room, may), axes, machine);
         match &self.known {
             Some((known, load)) if sweep.is_within(known, axes) => Some(*load),
             _ => Some(sweep.load(&[sweep.rates], axes, machine)?[0]),
@@ -193,9 +193,9 @@ impl Reach {
     }
 
     /// Looks at one corner of the next box.
-    fn look_ahead(
+    fn prefetch(
         &mut self,
-        sweep: &Sweep,
+        sweep: &StoppingEnvelope,
         (room, may): (&[i32; MAX_AXES], u8),
         axes: usize,
         machine: &impl Kinematics,

@@ -13,7 +13,7 @@ mod stopping;
 mod underrun;
 
 use super::Wanted;
-use super::cubic::{Cubic, Span};
+use super::cubic::{Cubic, SegmentDuration};
 use super::ramp::{Ramp, RampLimits};
 use super::segment;
 use crate::config::digest::constants;
@@ -61,7 +61,7 @@ pub struct Progress {
     /// It went no farther, because what was moved by hand leaves no room to stop on the way ahead.
     pub blocked: bool,
     /// The queue ended in motion: a defect, since braking must have ended before.
-    pub ran_dry: bool,
+    pub queue_empty: bool,
 }
 
 /// Setpoints were late.
@@ -84,7 +84,7 @@ pub struct Program {
     period_us: u16,
     periods_per_second: i64,
     /// The span of the setpoint that was taken last: most have the length of the one before.
-    span: Span,
+    span: SegmentDuration,
     braking: Option<RampLimits>,
     /// Program time that braking from the full rate takes, in periods.
     braking_periods: u64,
@@ -116,7 +116,7 @@ pub struct Program {
     started: bool,
     paused: bool,
     /// Periods since braking began because of this setpoint.
-    starving: Option<Late>,
+    underrunning: Option<Late>,
     late: Option<Late>,
 }
 
@@ -124,7 +124,7 @@ constants!(Program {
     axes, rotary, rate_limits, acceleration_limits, period_us, periods_per_second, braking, braking_periods
 } of {} but {
     queue, queued_periods, rests_ahead, tail, from, segments, time, elapsed, path_rate, override_rate, accepted, reached, total, started, paused,
-    starving, late, span, passed, back
+    underrunning, late, span, passed, back
 });
 
 /// Bounds of the path rate that a configuration's [`Stopping`] means; `None` if it makes no sense.
@@ -196,7 +196,7 @@ impl Program {
         self.total = None;
         self.started = false;
         self.paused = false;
-        self.starving = None;
+        self.underrunning = None;
         self.late = None;
     }
 
@@ -249,7 +249,7 @@ impl Program {
             let (start, wrap) = (Coordinate(self.tail.pose[axis]), self.rotary[axis]);
             let (from, end) = (self.tail.rates[axis], Coordinate(*place));
             let cubic = Cubic::new(start, from, end, *rate, &self.span, wrap)?;
-            let sample = segment::Way::new(&cubic, &self.span).sample(half);
+            let sample = segment::SegmentPolynomial::new(&cubic, &self.span).sample(half);
             wanted.pose.0[axis] = sample.position;
             wanted.rates[axis] = sample.rate;
         }
@@ -282,10 +282,10 @@ impl Program {
         self.queued_periods += u64::from(setpoint.periods);
         self.rests_ahead += u32::from(self.tail.at_rest());
         self.accepted = self.accepted.wrapping_add(1);
-        if let Some(starving) = self.starving
-            && starving.setpoint == number
+        if let Some(underrunning) = self.underrunning
+            && underrunning.setpoint == number
         {
-            self.late = Some(starving);
+            self.late = Some(underrunning);
         }
         Ok(())
     }
@@ -380,7 +380,7 @@ impl Program {
     /// Goes on after a pause.
     pub fn leave_pause(&mut self) {
         if core::mem::take(&mut self.paused) {
-            self.started = self.started && self.may_pass_rest();
+            self.started = self.started && self.can_pass_rest();
         }
     }
 
@@ -392,8 +392,8 @@ impl Program {
 
     /// The setpoint for want of which the machine slows down or waits, and for how long it has.
     #[must_use]
-    pub const fn starving(&self) -> Option<Late> {
-        match self.starving {
+    pub const fn underrunning(&self) -> Option<Late> {
+        match self.underrunning {
             Some(Late { periods, .. }) => Some(Late {
                 setpoint: self.accepted,
                 periods,
@@ -436,10 +436,10 @@ impl Program {
         // A pause at the last setpoint is waited for like any other.
         let finished = self.total == Some(self.reached) && !self.paused;
         if !self.started {
-            self.started = !halt && self.may_leave_rest();
+            self.started = !halt && self.can_leave_rest();
             // At rest any path rate is the same motion: begin with the one that is wanted, unless the queue is full of spans so short
             // that there would be no stopping on them.
-            self.path_rate = Ramp::at(if self.may_pass_rest() {
+            self.path_rate = Ramp::at(if self.can_pass_rest() {
                 self.override_rate
             } else {
                 0
@@ -452,28 +452,28 @@ impl Program {
             progress.finished = finished;
             return progress;
         }
-        if halt && self.back > 0 && self.goes_back(&braking) {
+        if halt && self.back > 0 && self.is_retracting(&braking) {
             return progress;
         }
-        self.watch_coverage(&braking);
-        let target = if halt || self.starving.is_some() {
+        self.monitor_underrun(&braking);
+        let target = if halt || self.underrunning.is_some() {
             0
         } else {
             self.override_rate
         };
         self.time += self.path_rate.advance(target, &braking).max(0) as u64;
-        self.walk(&mut progress);
+        self.advance_segments(&mut progress);
         progress
     }
 
     /// Goes from setpoint to setpoint until the time lies within a segment.
     #[inline]
-    fn walk(&mut self, progress: &mut Progress) {
+    fn advance_segments(&mut self, progress: &mut Progress) {
         loop {
             if self.segment().is_none() && !self.begin_next() {
-                progress.ran_dry = !self.from.at_rest();
+                progress.queue_empty = !self.from.at_rest();
                 self.time = 0;
-                if progress.ran_dry {
+                if progress.queue_empty {
                     self.path_rate = Ramp::at(0);
                 }
                 return;
@@ -508,7 +508,7 @@ impl Program {
                 progress.finished = true;
                 return;
             }
-            if self.from.at_rest() && !self.may_pass_rest() {
+            if self.from.at_rest() && !self.can_pass_rest() {
                 self.time = 0;
                 self.started = false;
                 return;
@@ -542,7 +542,8 @@ impl Program {
         // A compiler that knows it to be positive multiplies by it as by an unsigned word, which takes four instructions for one.
         let half = core::hint::black_box(segment::half(fraction));
         let places = pose.0.iter_mut().zip(rates).zip(accelerations);
-        for (way, ((place, rate), acceleration)) in segment.ways.iter().zip(places).take(self.axes)
+        for (way, ((place, rate), acceleration)) in
+            segment.polynomials.iter().zip(places).take(self.axes)
         {
             let sample = way.sample(half);
             *place = sample.position;
@@ -587,7 +588,7 @@ impl Program {
     /// The span of the setpoint that is looked at becomes one of so many periods; most are as long as the one before.
     fn measure(&mut self, periods: u16) -> Option<()> {
         if self.span.periods() != periods || periods == 0 {
-            self.span = Span::new(periods, self.period_us)?;
+            self.span = SegmentDuration::new(periods, self.period_us)?;
         }
         Some(())
     }

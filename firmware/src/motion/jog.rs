@@ -5,7 +5,7 @@
 //! coordinates brake together: the stopping point is tested every period, so the machine never has to stop harder than its limits allow.
 
 use super::Wanted;
-use super::envelope::{Excursion, FULL_LOAD, MOST_LOAD, Sweep};
+use super::envelope::{Excursion, FULL_LOAD, MOST_LOAD, StoppingEnvelope};
 use super::ramp::{Ramp, RampLimits};
 use crate::config::digest::{Constants, Digest, constants};
 use crate::config::{Config, JERK_SHIFT};
@@ -278,8 +278,8 @@ impl Jog {
     }
 
     /// What is swept if everything goes on towards these rates for one period and brakes then; `None` if it is too far to say.
-    fn sweep_to(&self, targets: &[i64; MAX_AXES]) -> Option<Sweep> {
-        let mut sweep = Sweep::at(&Pose::default());
+    fn sweep_to(&self, targets: &[i64; MAX_AXES]) -> Option<StoppingEnvelope> {
+        let mut sweep = StoppingEnvelope::at(&Pose::default());
         for (index, axis) in self.axis[..self.axes].iter().enumerate() {
             let (low, high, rate) = Self::sweep(axis, targets[index])?;
             sweep.quicken(index, per_second(rate, self.periods_per_second) + 1);
@@ -291,9 +291,9 @@ impl Jog {
 
     /// What is swept if the jog goes on for one period (or brakes already) and brakes then.
     #[must_use]
-    pub fn stopping(&self, goes_on: bool) -> Option<Sweep> {
+    pub fn stopping(&self, goes_on: bool) -> Option<StoppingEnvelope> {
         if self.is_at_standstill() {
-            return Some(Sweep::at(&self.standing()));
+            return Some(StoppingEnvelope::at(&self.standing()));
         }
         let mut targets = [0; MAX_AXES];
         if goes_on && self.alive > 0 {
@@ -306,7 +306,7 @@ impl Jog {
 
     /// Whether a coordinate stays within its soft limits.
     #[must_use]
-    pub fn allows(&self, axis: usize, sweep: &Sweep) -> bool {
+    pub fn allows(&self, axis: usize, sweep: &StoppingEnvelope) -> bool {
         let (low, high) = (sweep.low.0[axis].0, sweep.high.0[axis].0);
         let axis = &self.axis[axis];
         i64::from(low) << FRACTION >= axis.low && i64::from(high) << FRACTION <= axis.high

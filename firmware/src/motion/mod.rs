@@ -1,7 +1,7 @@
 //! What is wanted: the pose of this period, with its rate and acceleration.
 //!
 //! A pose coordinate takes its wanted value from the program, from a jog, from a hand, or holds ([`Source`]). To a jog, and from one, it changes only
-//! at rest. Otherwise it changes while it moves: a [`Mover`] takes over place and rate, and follows the hand, or brakes. Back at the program, the
+//! at rest. Otherwise it changes while it moves: a [`Tracker`] takes over place and rate, and follows the hand, or brakes. Back at the program, the
 //! difference between where it is and where the program would have it stays as an offset, whose rate the mover brakes; so nothing jumps.
 //!
 //! Misuse: [`Motion::place`] sets the wanted pose without moving there. It is for enabling and homing, when wanted must become measured.
@@ -17,13 +17,13 @@ pub mod tracker;
 use crate::config::Config;
 use crate::config::HAND;
 use crate::config::digest::constants;
-use envelope::{MOST_LOAD, Reach, Sweep};
+use envelope::{MOST_LOAD, ReachableBox, StoppingEnvelope};
 use haptimill_kinematics::{Accelerations, Kinematics, Pose, Rates};
 use haptimill_math::{Acceleration, Coordinate, Rate};
 use haptimill_protocol::message::{MAX_AXES, Source};
 use interpolator::{Program, Progress};
 use jog::Jog;
-use tracker::{Mover, MoverLimits};
+use tracker::{Tracker, TrackerLimits};
 
 /// The wanted pose and its motion.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -62,31 +62,31 @@ pub struct Motion {
     wanted: Wanted,
     sources: [Source; MAX_AXES],
     offsets: [i32; MAX_AXES],
-    bounds: [MoverLimits; MAX_AXES],
+    bounds: [TrackerLimits; MAX_AXES],
     /// What follows the hand or brakes; where the program leads, its offset while that is under way.
-    movers: [Mover; MAX_AXES],
+    trackers: [Tracker; MAX_AXES],
     /// Rates of the program in the last period.
     program_rates: Rates,
     /// Where the hand wants the coordinates that it leads.
     targets: [Option<Coordinate>; MAX_AXES],
     /// The hand leads on where there is no room to stop: what follows it brakes to rest.
-    confined: bool,
+    tracking_blocked: bool,
     /// That was told.
-    told: bool,
+    limit_reported: bool,
     limited: Option<u8>,
     /// The job is over: what follows the hand comes to rest.
-    ending: bool,
+    stopping: bool,
     /// The wanted pose is another one than the program's, whose setpoints were checked when they were taken.
-    led_otherwise: bool,
+    blended: bool,
     /// The load of the joints in the last period in which it was looked at: a hand is followed more slowly where it is large.
     load: u32,
     /// How much room a box around a sweep has, and what is known of the reach.
     room: [i32; MAX_AXES],
-    reach: Reach,
+    reach: ReachableBox,
 }
 
 constants!(Motion { axes, bounds, room } of { program, jog } but {
-    wanted, sources, offsets, movers, program_rates, targets, confined, told, limited, ending, led_otherwise, load, reach
+    wanted, sources, offsets, trackers, program_rates, targets, tracking_blocked, limit_reported, limited, stopping, blended, load, reach
 });
 
 /// Gain of the movers of a machine that no hand leads, 1/s: they only brake.
@@ -102,13 +102,13 @@ impl Motion {
         self.jog = Jog::new(config);
         self.axes = config.pose.len();
         let gain = config.follow.map_or(GAIN, |follow| follow.gain);
-        self.reach = Reach::default();
+        self.reach = ReachableBox::default();
         for (room, axis) in self.room.iter_mut().zip(&config.pose) {
             *room = ((i64::from(axis.high.0) - i64::from(axis.low.0)).max(0) >> ROOM_SHIFT) as i32;
         }
         for (bounds, axis) in self.bounds.iter_mut().zip(&config.pose) {
             if HAND {
-                *bounds = MoverLimits::new(axis, gain, config.period_us).unwrap_or_default();
+                *bounds = TrackerLimits::new(axis, gain, config.period_us).unwrap_or_default();
             }
         }
     }
@@ -127,19 +127,19 @@ impl Motion {
             ..Wanted::default()
         };
         self.jog.begin(pose, true);
-        self.stand();
+        self.reset_trackers();
     }
 
     /// All movers stand at the wanted pose.
-    fn stand(&mut self) {
+    fn reset_trackers(&mut self) {
         for axis in 0..self.axes {
             let place = self.wanted.pose.0[axis];
-            self.movers[axis] = Mover::at(place, Rate::ZERO, &self.bounds[axis]);
+            self.trackers[axis] = Tracker::at(place, Rate::ZERO, &self.bounds[axis]);
         }
         self.targets = [None; MAX_AXES];
-        self.confined = false;
-        self.told = false;
-        self.ending = false;
+        self.tracking_blocked = false;
+        self.limit_reported = false;
+        self.stopping = false;
     }
 
     /// Begins a job at the wanted pose.
@@ -147,8 +147,8 @@ impl Motion {
         self.program.begin(&self.wanted.pose);
         self.offsets = [0; MAX_AXES];
         self.jog.begin(&self.wanted.pose, true);
-        self.stand();
-        self.note_leaders();
+        self.reset_trackers();
+        self.update_blended();
     }
 
     /// Begins jogging at the wanted pose; `limited` says whether soft limits count.
@@ -161,7 +161,7 @@ impl Motion {
         let Some(before) = self.sources.get(axis).copied() else {
             return;
         };
-        if !self.led_otherwise {
+        if !self.blended {
             self.program_rates = self.wanted.rates;
         }
         let bounds = &self.bounds[axis];
@@ -170,16 +170,16 @@ impl Motion {
             self.jog.begin(&self.wanted.pose, true);
         }
         if HAND && source != before {
-            self.movers[axis] = if source == Source::Program {
+            self.trackers[axis] = if source == Source::Program {
                 let rate = rate.saturating_sub(self.program_rates[axis]);
-                Mover::at(Coordinate(self.offsets[axis]), rate, bounds)
+                Tracker::at(Coordinate(self.offsets[axis]), rate, bounds)
             } else {
-                Mover::at(place, rate, bounds)
+                Tracker::at(place, rate, bounds)
             };
         }
         self.sources[axis] = source;
         self.targets[axis] = None;
-        self.note_leaders();
+        self.update_blended();
     }
 
     /// Coordinates that a hand leads: a bit each.
@@ -203,7 +203,7 @@ impl Motion {
     #[must_use]
     pub fn rest(&self, axis: usize) -> Coordinate {
         match self.sources.get(axis) {
-            Some(Source::Master) => self.movers[axis].rest(&self.bounds[axis]),
+            Some(Source::Master) => self.trackers[axis].rest(&self.bounds[axis]),
             _ => self.wanted.pose.0.get(axis).copied().unwrap_or_default(),
         }
     }
@@ -212,13 +212,18 @@ impl Motion {
     #[must_use]
     #[inline]
     pub fn is_at_standstill(&self) -> bool {
-        self.program.is_at_standstill() && self.jog.is_at_standstill() && self.movers_still()
+        self.program.is_at_standstill()
+            && self.jog.is_at_standstill()
+            && self.are_trackers_at_standstill()
     }
 
     /// Whether no mover is under way.
     #[must_use]
-    pub fn movers_still(&self) -> bool {
-        !HAND || self.movers[..self.axes].iter().all(Mover::is_at_standstill)
+    pub fn are_trackers_at_standstill(&self) -> bool {
+        !HAND
+            || self.trackers[..self.axes]
+                .iter()
+                .all(Tracker::is_at_standstill)
     }
 
     /// A coordinate that the hand leads where the machine cannot go; once until it goes on.
@@ -235,7 +240,7 @@ impl Motion {
     /// All coordinates are led by the program again; only while the machine is at rest.
     pub fn reset_sources(&mut self) {
         self.sources = [Source::Program; MAX_AXES];
-        self.note_leaders();
+        self.update_blended();
     }
 
     /// Where the machine would stand if the program were at `pose`: with offsets, and with coordinates that the program does not lead.
@@ -260,7 +265,7 @@ impl Motion {
     /// Whether the program leads all coordinates, without offsets.
     #[must_use]
     pub const fn program_alone(&self) -> bool {
-        !self.led_otherwise
+        !self.blended
     }
 
     /// Whether any coordinate takes its value from a jog.
@@ -271,14 +276,14 @@ impl Motion {
 
     /// One period of what is nearly always: nothing moves, or a program alone. `None` where it is something else, for [`Motion::advance`].
     #[inline]
-    pub fn advance_alone(&mut self, mode: Mode) -> Option<Progress> {
+    pub fn advance_program(&mut self, mode: Mode) -> Option<Progress> {
         match mode {
             Mode::Still => {
                 self.wanted.rates = Rates::default();
                 self.wanted.accelerations = Accelerations::default();
                 Some(Progress::default())
             }
-            Mode::Program { halt } if !self.led_otherwise => {
+            Mode::Program { halt } if !self.blended => {
                 Some(self.program.advance_to(halt, &mut self.wanted))
             }
             _ => None,
@@ -287,7 +292,7 @@ impl Motion {
 
     /// One period. The number is a coordinate whose jog was kept from going on.
     pub fn advance(&mut self, mode: Mode, machine: &impl Kinematics) -> (Progress, Option<u8>) {
-        if let Some(progress) = self.advance_alone(mode) {
+        if let Some(progress) = self.advance_program(mode) {
             return (progress, None);
         }
         match mode {
@@ -302,7 +307,7 @@ impl Motion {
                         self.jog.carry(axis, self.wanted.pose.0[axis]);
                     }
                 }
-                let (blocked, clipped) = self.foresee(machine);
+                let (blocked, clipped) = self.check_stopping(machine);
                 if clipped.is_some() {
                     self.jog.release();
                 }
@@ -310,24 +315,24 @@ impl Motion {
                 progress.blocked = blocked;
                 self.program_rates = program.rates;
                 let moving = self.follow(halt);
-                self.ending = progress.finished;
+                self.stopping = progress.finished;
                 let (jog, limited) = self.jog.advance(machine);
                 for axis in 0..self.axes {
                     self.merge(axis, &program, &jog, moving & (1 << axis) != 0);
                 }
-                self.note_leaders();
+                self.update_blended();
                 (progress, clipped.or(limited))
             }
         }
     }
 
     /// After a change of a source or an offset.
-    fn note_leaders(&mut self) {
-        self.led_otherwise = self.sources[..self.axes]
+    fn update_blended(&mut self) {
+        self.blended = self.sources[..self.axes]
             .iter()
             .any(|source| *source != Source::Program)
             || self.offsets.iter().any(|offset| *offset != 0)
-            || !self.movers_still();
+            || !self.are_trackers_at_standstill();
     }
 
     /// One period of the movers; a bit for each that was under way in it.
@@ -335,17 +340,17 @@ impl Motion {
         if !HAND {
             return 0;
         }
-        let free = !(halt || self.confined || self.ending || self.load > MOST_LOAD);
+        let free = !(halt || self.tracking_blocked || self.stopping || self.load > MOST_LOAD);
         let mut moving = 0;
         for axis in 0..self.axes {
-            let mover = &mut self.movers[axis];
+            let tracker = &mut self.trackers[axis];
             match self.sources[axis] {
                 Source::Master => {
                     let target = self.targets[axis].filter(|_| free);
-                    mover.advance_under(target, self.load, &self.bounds[axis]);
+                    tracker.advance_under(target, self.load, &self.bounds[axis]);
                 }
-                Source::Hold | Source::Program if !mover.is_at_standstill() => {
-                    mover.advance(None, &self.bounds[axis])
+                Source::Hold | Source::Program if !tracker.is_at_standstill() => {
+                    tracker.advance(None, &self.bounds[axis])
                 }
                 _ => continue,
             }
@@ -356,14 +361,14 @@ impl Motion {
 
     /// Whether the hand leads on; what follows it has come to rest and may try again, if it had to brake.
     fn hand_goes_on(&mut self) -> bool {
-        self.confined = self.confined && !self.movers_still();
-        !self.confined
+        self.tracking_blocked = self.tracking_blocked && !self.are_trackers_at_standstill();
+        !self.tracking_blocked
     }
 
     /// Looks whether the machine can still come to rest within its bounds if all goes on for one period. Says whether the program must brake now,
     /// and the coordinate whose jog must. Where a joint would exceed its maximum rate, jogs and what follows the hand brake in this period, and try again
     /// in the next one.
-    fn foresee(&mut self, machine: &impl Kinematics) -> (bool, Option<u8>) {
+    fn check_stopping(&mut self, machine: &impl Kinematics) -> (bool, Option<u8>) {
         let led = self.hand_goes_on();
         let load = self.fits(true, led, machine);
         self.load = load.unwrap_or_default();
@@ -371,7 +376,7 @@ impl Motion {
             self.jog.brake();
         }
         if load.is_some() {
-            self.told &= self.movers_still();
+            self.limit_reported &= self.are_trackers_at_standstill();
             return (false, None);
         }
         let first = |source| {
@@ -383,9 +388,9 @@ impl Motion {
         let jogged = first(Source::Jog).filter(|_| !self.jog.is_at_standstill());
         let followed = first(Source::Master);
         if followed.is_some() {
-            self.confined = true;
-            if !self.told {
-                self.told = true;
+            self.tracking_blocked = true;
+            if !self.limit_reported {
+                self.limit_reported = true;
                 self.limited = followed;
             }
         }
@@ -396,7 +401,7 @@ impl Motion {
         )
     }
 
-    /// The load of the joints ([`Sweep::load`]) until the machine rests if jogs and what follows the hand go on for one period, or brake already; `None` if it does not come to rest within its bounds.
+    /// The load of the joints ([`StoppingEnvelope::load`]) until the machine rests if jogs and what follows the hand go on for one period, or brake already; `None` if it does not come to rest within its bounds.
     fn fits(
         &mut self,
         jog_goes_on: bool,
@@ -405,39 +410,39 @@ impl Motion {
     ) -> Option<u32> {
         let program = self.program.sweep();
         let jog = self.jog.stopping(jog_goes_on)?;
-        let mut sweep = Sweep::at(&self.wanted.pose);
+        let mut sweep = StoppingEnvelope::at(&self.wanted.pose);
         let mut allowed = true;
         for axis in 0..self.axes {
-            let (mover, bounds) = (&self.movers[axis], &self.bounds[axis]);
+            let (tracker, bounds) = (&self.trackers[axis], &self.bounds[axis]);
             match self.sources[axis] {
                 Source::Program => {
                     sweep.take(axis, &program, self.offsets[axis]);
-                    if HAND && !mover.is_at_standstill() {
-                        let (low, high) = mover.sweep(None, bounds);
+                    if HAND && !tracker.is_at_standstill() {
+                        let (low, high) = tracker.sweep(None, bounds);
                         let of = |end: Coordinate, by: i64| i64::from(end.0) + by;
                         sweep.reach(axis, of(program.low.0[axis], low));
                         sweep.reach(axis, of(program.high.0[axis], high));
                         let own = i64::from(program.rates[axis].0);
-                        sweep.quicken(axis, own + mover.peak(None, self.load, bounds));
+                        sweep.quicken(axis, own + tracker.peak(None, self.load, bounds));
                     }
                     allowed &= self.offsets[axis] == 0 || self.jog.allows(axis, &sweep);
                 }
                 Source::Jog => sweep.take(axis, &jog, 0),
                 Source::Master if HAND => {
                     let target = self.targets[axis].filter(|_| hand_goes_on);
-                    let (low, high) = mover.sweep(target, bounds);
+                    let (low, high) = tracker.sweep(target, bounds);
                     // A mover at rest stays in its place, to the last bit.
-                    if target.is_some() || !mover.is_at_standstill() {
+                    if target.is_some() || !tracker.is_at_standstill() {
                         sweep.reach(axis, low);
                         sweep.reach(axis, high);
-                        sweep.quicken(axis, mover.peak(target, self.load, bounds));
+                        sweep.quicken(axis, tracker.peak(target, self.load, bounds));
                     }
                 }
-                Source::Hold if HAND && !mover.is_at_standstill() => {
-                    let (low, high) = mover.sweep(None, bounds);
+                Source::Hold if HAND && !tracker.is_at_standstill() => {
+                    let (low, high) = tracker.sweep(None, bounds);
                     sweep.reach(axis, low);
                     sweep.reach(axis, high);
-                    sweep.quicken(axis, mover.peak(None, self.load, bounds));
+                    sweep.quicken(axis, tracker.peak(None, self.load, bounds));
                 }
                 Source::Hold | Source::Master => {}
             }
@@ -456,7 +461,7 @@ impl Motion {
     fn merge(&mut self, axis: usize, program: &Wanted, jog: &Wanted, moves: bool) {
         let mut moved = Wanted::default();
         if moves {
-            self.movers[axis].tell(axis, &self.bounds[axis], &mut moved);
+            self.trackers[axis].write_to(axis, &self.bounds[axis], &mut moved);
             if self.sources[axis] == Source::Program {
                 self.offsets[axis] = moved.pose.0[axis].0;
             }

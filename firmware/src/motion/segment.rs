@@ -6,14 +6,14 @@
 //! Limits: places differ from the exact cubic by less than 1 axis unit (0.95 nm) for ways below 64 mm, and by a 2^-28th of the largest of way and coefficients
 //! beyond; rates and accelerations by a 2^-26th of the largest that occurs in the span. Where the span begins a place is exact.
 
-use super::cubic::{Cubic, Derivatives, FRACTION, Sample, Span};
+use super::cubic::{Cubic, Derivatives, FRACTION, Sample, SegmentDuration};
 use haptimill_math::reciprocal::high;
 use haptimill_math::scale::{saturate, shift_right};
 use haptimill_math::{Acceleration, Coordinate, Rate};
 
 /// One axis between two setpoints, ready to be sampled.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Way {
+pub struct SegmentPolynomial {
     start: Coordinate,
     /// 2 c1, 4 c2, 8 c3; the rate's r1, r2, r3; the acceleration's a1, a2.
     place: [i32; 3],
@@ -32,10 +32,10 @@ pub const fn half(fraction: u32) -> i32 {
     (fraction >> 1) as i32
 }
 
-impl Way {
+impl SegmentPolynomial {
     /// Of a cubic of this span.
     #[must_use]
-    pub fn new(cubic: &Cubic, span: &Span) -> Self {
+    pub fn new(cubic: &Cubic, span: &SegmentDuration) -> Self {
         let mut way = Self::default();
         way.set(cubic, span);
         way
@@ -43,7 +43,7 @@ impl Way {
 
     /// Becomes that of a cubic of this span, in its place.
     #[inline(always)]
-    pub fn set(&mut self, cubic: &Cubic, span: &Span) {
+    pub fn set(&mut self, cubic: &Cubic, span: &SegmentDuration) {
         let (start, [c1, c2, c3]) = cubic.parts();
         self.start = start;
         // Sums of all three stay within a word when each is below 2^30. Shifts lose nothing: coefficients are below 2^53.

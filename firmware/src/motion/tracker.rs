@@ -1,6 +1,6 @@
 //! A coordinate that follows what is not planned: a hand.
 //!
-//! A [`Mover`] has a place and a rate and goes where it is told, in every period anew. Its acceleration is within a bound whatever it is told, its rate goes to within its own, and both are what is fed forward: they are not
+//! A [`Tracker`] has a place and a rate and goes where it is told, in every period anew. Its acceleration is within a bound whatever it is told, its rate goes to within its own, and both are what is fed forward: they are not
 //! differences of the target. So a coordinate changes hands while it moves: the mover takes over place and rate, and nothing steps.
 //!
 //! The target passes two stages of 1/k. The first smooths it (encoders make steps, a remote hand makes stairs). The second asks for the rate at which the way that is left can still be braked on: k e near the target, sqrt(2 a e) farther off. So a
@@ -22,7 +22,7 @@ const FRACTION: u32 = 20;
 
 /// Bounds of a mover, worked out from those of a pose coordinate.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
-pub struct MoverLimits {
+pub struct TrackerLimits {
     /// Most change of the rate in a period, and 1 / it: 2^(`whole` + 31) / step, 2^30 to 2^31, so that nothing is divided in a period.
     step: i64,
     inverse: u32,
@@ -43,7 +43,7 @@ pub struct MoverLimits {
 
 /// A coordinate under way.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Mover {
+pub struct Tracker {
     place: i64,
     rate: i64,
     /// Change of the rate in the last period.
@@ -52,9 +52,9 @@ pub struct Mover {
     led: i64,
 }
 
-constants!(MoverLimits { step, inverse, whole, rate, pull, bend, far, twice, shift, low, high, periods_per_second } of {} but {});
+constants!(TrackerLimits { step, inverse, whole, rate, pull, bend, far, twice, shift, low, high, periods_per_second } of {} but {});
 
-impl MoverLimits {
+impl TrackerLimits {
     /// Bounds for a coordinate that follows with the gain k in 1/s, 1 to 1000; `None` where they make no sense.
     #[must_use]
     #[cold]
@@ -122,10 +122,10 @@ impl MoverLimits {
     }
 }
 
-impl Mover {
+impl Tracker {
     /// At a place, under way at a rate.
     #[must_use]
-    pub fn at(place: Coordinate, rate: Rate, limits: &MoverLimits) -> Self {
+    pub fn at(place: Coordinate, rate: Rate, limits: &TrackerLimits) -> Self {
         let place = i64::from(place.0) << FRACTION;
         Self {
             place,
@@ -149,7 +149,7 @@ impl Mover {
     }
 
     /// How far it goes if it brakes from now on, and a little more.
-    fn stopping(&self, limits: &MoverLimits) -> i64 {
+    fn stopping(&self, limits: &TrackerLimits) -> i64 {
         if self.rate == 0 {
             return 0;
         }
@@ -161,7 +161,7 @@ impl Mover {
 
     /// Where it would come to rest.
     #[must_use]
-    pub fn rest(&self, limits: &MoverLimits) -> Coordinate {
+    pub fn rest(&self, limits: &TrackerLimits) -> Coordinate {
         Coordinate(saturate(
             self.place.saturating_add(self.stopping(limits)) >> FRACTION,
         ))
@@ -169,7 +169,7 @@ impl Mover {
 
     /// Between which values it stays if it goes on towards a target for one period, or brakes already, and brakes then.
     #[must_use]
-    pub fn sweep(&self, target: Option<Coordinate>, limits: &MoverLimits) -> (i64, i64) {
+    pub fn sweep(&self, target: Option<Coordinate>, limits: &TrackerLimits) -> (i64, i64) {
         let mut next = *self;
         if target.is_some() {
             next.advance(target, limits);
@@ -186,7 +186,7 @@ impl Mover {
 
     /// The largest magnitude of its rate, axis units per second, if it goes on towards a target for one period, or brakes already, and brakes then.
     #[must_use]
-    pub fn peak(&self, target: Option<Coordinate>, load: u32, limits: &MoverLimits) -> i64 {
+    pub fn peak(&self, target: Option<Coordinate>, load: u32, limits: &TrackerLimits) -> i64 {
         let mut next = *self;
         if target.is_some() {
             next.advance_under(target, load, limits);
@@ -194,8 +194,8 @@ impl Mover {
         limits.per_second(self.rate.abs().max(next.rate.abs())) + 1
     }
 
-    /// One period as [`Mover::advance`], under a load of the joints in the period before: where that is large it goes no faster than the joints allow.
-    pub fn advance_under(&mut self, target: Option<Coordinate>, load: u32, limits: &MoverLimits) {
+    /// One period as [`Tracker::advance`], under a load of the joints in the period before: where that is large it goes no faster than the joints allow.
+    pub fn advance_under(&mut self, target: Option<Coordinate>, load: u32, limits: &TrackerLimits) {
         let slowed = |wanted: i64, rate: i64| {
             // A little more, so that a coordinate at rest can begin beside others.
             let most = slower(rate.abs(), load) + limits.step / 16;
@@ -211,7 +211,7 @@ impl Mover {
     }
 
     /// One period: towards a target within the bounds of the coordinate, or to rest without one.
-    pub fn advance(&mut self, target: Option<Coordinate>, limits: &MoverLimits) {
+    pub fn advance(&mut self, target: Option<Coordinate>, limits: &TrackerLimits) {
         self.go(target, limits, |wanted, _| wanted);
     }
 
@@ -219,7 +219,7 @@ impl Mover {
     fn go(
         &mut self,
         target: Option<Coordinate>,
-        limits: &MoverLimits,
+        limits: &TrackerLimits,
         slowed: impl Fn(i64, i64) -> i64,
     ) {
         let wanted = match target {
@@ -242,7 +242,7 @@ impl Mover {
     }
 
     /// Becomes the wanted value of a coordinate.
-    pub fn tell(&self, axis: usize, limits: &MoverLimits, wanted: &mut Wanted) {
+    pub fn write_to(&self, axis: usize, limits: &TrackerLimits, wanted: &mut Wanted) {
         wanted.pose.0[axis] = self.place();
         wanted.rates[axis] = Rate(saturate(limits.per_second(self.rate)));
         let acceleration = (limits.per_second(self.change) * limits.periods_per_second) >> 8;

@@ -170,7 +170,7 @@ impl Safety {
             let from = core::mem::replace(&mut self.state, state);
             #[cfg(feature = "defmt")]
             defmt::info!("{} -> {}", from, state);
-            self.tell(Event::State {
+            self.push_event(Event::State {
                 from,
                 to: state,
                 position_kept: self.position_kept,
@@ -183,7 +183,7 @@ impl Safety {
         self.homed = homed;
         self.position_kept = homed;
         if homed {
-            self.tell(Event::Homed);
+            self.push_event(Event::Homed);
         }
     }
 
@@ -224,7 +224,7 @@ impl Safety {
         #[cfg(feature = "defmt")]
         defmt::error!("fault latched: {}", fault);
         self.latched = Some(fault);
-        self.tell(Event::Fault(fault));
+        self.push_event(Event::Fault(fault));
         self.enter(State::Fault);
     }
 
@@ -255,7 +255,7 @@ impl Safety {
     /// Puts an event into the queue. When nobody listened for so long that it is full, the oldest gives way and is counted: what happened
     /// last explains how things stand.
     #[inline(never)]
-    pub fn tell(&mut self, event: Event) {
+    pub fn push_event(&mut self, event: Event) {
         if self.events.is_full() {
             self.events.pop_front();
             self.events_lost = self.events_lost.saturating_add(1);
@@ -276,7 +276,7 @@ impl Safety {
     }
 
     /// Puts an event back that could not be told now.
-    pub fn return_event(&mut self, event: Event) {
+    pub fn unread_event(&mut self, event: Event) {
         if self.events.push_front(event).is_err() {
             self.events_lost = self.events_lost.saturating_add(1);
         }

@@ -1,8 +1,8 @@
 //! A tool against a spring, in f64: sensor noise, 14-bit codes, the peak window, a drive, encoder counts, friction.
 
-use haptimill_firmware::force::admittance::{Compliance, Law, Push};
-use haptimill_firmware::force::stability::{Guard, Sign};
-use haptimill_firmware::force::window_peak::{SlidingExtremes, Window};
+use haptimill_firmware::force::admittance::{AdmittanceAxis, AdmittanceLaw, DrivingForce};
+use haptimill_firmware::force::stability::{Sign, StabilityMonitor};
+use haptimill_firmware::force::window_peak::{SlidingMinMax, Window};
 use haptimill_firmware::force::{Gate, LoopSettings};
 use haptimill_math::force::{Force, VirtualDamping, VirtualMass};
 use haptimill_math::{Coordinate, Length, Rate};
@@ -112,16 +112,16 @@ impl Noise {
 }
 
 pub fn run(contact: &Contact, mut trace: impl FnMut(f64, f64, f64, usize)) -> Outcome {
-    let law = Law::new(
+    let law = AdmittanceLaw::new(
         &settings(contact.mass, contact.damping),
         PERIOD_US,
         DELAY_US,
         Force::millinewtons(95_000),
     )
     .expect("sound settings");
-    let mut compliance = Compliance::new(law);
-    let mut peaks = SlidingExtremes::new(Window::of(contact.window).expect("window"));
-    let mut guard = Guard::default();
+    let mut compliance = AdmittanceAxis::new(law);
+    let mut peaks = SlidingMinMax::new(Window::of(contact.window).expect("window"));
+    let mut guard = StabilityMonitor::default();
     let mut noise = Noise(0x1234_5678_9abc_def1);
     let start = contact.approach * 0.1;
     let mut desired = start;
@@ -177,8 +177,8 @@ pub fn run(contact: &Contact, mut trace: impl FnMut(f64, f64, f64, usize)) -> Ou
         let code = ((force + contact.noise * noise.next()) / 0.0122)
             .round()
             .clamp(-8192.0, 8191.0);
-        let sensed = Force((code * 0.0122 * NEWTON) as i32);
-        let peak = peaks.push(sensed).peak();
+        let measurement = Force((code * 0.0122 * NEWTON) as i32);
+        let peak = peaks.push(measurement).peak();
         felt.push(f64::from(peak.0) / NEWTON);
         guard.note(Coordinate((measured * MM) as i32));
         // Desired motion.
@@ -189,7 +189,7 @@ pub fn run(contact: &Contact, mut trace: impl FnMut(f64, f64, f64, usize)) -> Ou
             0.0
         };
         desired = (desired + rate * STEP).max(end);
-        let push = Push {
+        let push = DrivingForce {
             force: peak,
             desired_rate: Rate((rate * MM) as i32),
             active: true,

@@ -2,7 +2,7 @@
 
 use crate::arm::{self, rotation, times};
 use crate::bed::Bed;
-use crate::{Watch, mill};
+use crate::{JointMonitor, mill};
 use haptimill_firmware::config::Config;
 use haptimill_protocol::haptic::Hand;
 use haptimill_protocol::message::{Command, Event, Refusal, Request, Source, State};
@@ -19,7 +19,7 @@ fn the_tool_follows_the_hand_and_the_clutch_does_not_move_it() {
     assert_eq!(bed.at(0).0, start[0]);
     // It holds it, where it is now, and moves: the tool follows, z does not.
     bed.inputs.haptic.engaged = true;
-    let mut watch = Watch::at(&bed);
+    let mut watch = JointMonitor::at(&bed);
     for way in [[-12.0, 4.0, 3.0], [0.0; 3], [20.0, -9.0, 0.0], [0.0; 3]] {
         watch.lead(&mut bed, way, 5000);
     }
@@ -42,7 +42,7 @@ fn the_tool_follows_the_hand_and_the_clutch_does_not_move_it() {
     for _ in 0..5 {
         bed.lead([1.0, 0.0, 0.0], 500);
     }
-    let mut watch = Watch::at(&bed);
+    let mut watch = JointMonitor::at(&bed);
     bed.inputs.haptic.engaged = false;
     watch.lead(&mut bed, [-8.0, 0.0, 0.0], 4000);
     let rest = bed.at(0);
@@ -167,7 +167,7 @@ fn sources_change_while_they_move() {
     bed.start_job();
     bed.inputs.haptic.engaged = true;
     bed.steps(10);
-    let mut watch = Watch::at(&bed);
+    let mut watch = JointMonitor::at(&bed);
     let sources = [
         Source::Master,
         Source::Hold,
@@ -211,7 +211,7 @@ fn a_jog_takes_over_only_what_has_come_to_rest() {
     bed.inputs.haptic.engaged = true;
     bed.lead([-5.0, 0.0, 0.0], 2500);
     assert_eq!(bed.ask(Command::Hold), Ok(()));
-    let mut watch = Watch::at(&bed);
+    let mut watch = JointMonitor::at(&bed);
     assert!(bed.at(0).1 < -5.0, "under way: {}", bed.at(0).1);
     let source = Source::Jog;
     let id = 77;
@@ -238,7 +238,7 @@ fn it_waits_in_front_of_where_the_machine_cannot_go() {
     bed.inputs.haptic.engaged = true;
     // G_P of 2 and repeated strokes of the clutch, towards soft limit and edge of the workspace.
     assert_eq!(bed.ask(Command::HandScale { scale: 8192 }), Ok(()));
-    let mut watch = Watch::at(&bed);
+    let mut watch = JointMonitor::at(&bed);
     for _ in 0..4 {
         bed.inputs.haptic.engaged = true;
         watch.lead(&mut bed, [0.0, 35.0, 30.0], 5000);
@@ -246,7 +246,7 @@ fn it_waits_in_front_of_where_the_machine_cannot_go() {
         bed.inputs.haptic.engaged = false;
         bed.steps(200);
         bed.lead([0.0, -35.0, -30.0], 3000);
-        watch = Watch::at(&bed);
+        watch = JointMonitor::at(&bed);
     }
     assert_eq!(bed.state(), State::Run, "{:?}", bed.events);
     let machine = bed.controller.machine().expect("configured");
@@ -291,7 +291,7 @@ fn a_hand_afar_leads_and_when_it_falls_silent_the_mill_holds() {
             hand,
         });
     };
-    let mut watch = Watch::at(&bed);
+    let mut watch = JointMonitor::at(&bed);
     // 10 mm/s, a word every 10 ms.
     for k in 0..10_000 {
         if k % 50 == 0 {

@@ -27,11 +27,11 @@ fn mill() -> Config {
 const STEP: f64 = 200.0 * 2e-4 + 1e-3;
 
 /// Watches that nothing jumps: place against the rate, rate against the acceleration.
-struct Watch {
+struct JointMonitor {
     before: [(f64, f64); 3],
 }
 
-impl Watch {
+impl JointMonitor {
     fn at(bed: &Bed) -> Self {
         Self {
             before: [bed.at(0), bed.at(1), bed.at(2)],

@@ -5,7 +5,7 @@ use super::scale::{
     self, PER_COUNT, PER_EFFORT, PER_GAIN, per_unit, to_i32, to_i64, to_u16, to_u32,
 };
 use super::stability::{Gains, spectral_radius};
-use haptimill_firmware::config::{AxisKind, Drive, JointAxis, Law, LawForm, PoseAxis};
+use haptimill_firmware::config::{AxisKind, Drive, JointAxis, PoseAxis, ServoConfig, ServoForm};
 use haptimill_math::{Acceleration, Coordinate, Effort, Gain, Rate};
 
 /// An axis in people's units: millimetres on a linear axis, degrees on a rotary one.
@@ -310,9 +310,9 @@ fn no_drive() -> Drive {
 }
 
 /// Stands where the file has no law; never leaves this module without a report.
-fn no_law() -> Law {
-    Law {
-        form: LawForm::ModelBased,
+fn no_law() -> ServoConfig {
+    ServoConfig {
+        form: ServoForm::ModelBased,
         kp: Gain(0),
         kd: Gain(0),
         rate_filter_us: 0,
@@ -416,8 +416,8 @@ fn law(
     period: f64,
     acceleration: f64,
     limit: f64,
-) -> Law {
-    let forms = [("model", LawForm::ModelBased), ("pd", LawForm::Pd)];
+) -> ServoConfig {
+    let forms = [("model", ServoForm::ModelBased), ("pd", ServoForm::Pd)];
     let form = section.choice("form", &forms);
     let gains = Gains {
         kp: section.number("kp", real(1.0, 4e6, "1/s^2")),
@@ -463,8 +463,8 @@ fn law(
             "lower the joint's acceleration, or use a stronger drive",
         );
     }
-    let law = Law {
-        form: form.unwrap_or(LawForm::ModelBased),
+    let law = ServoConfig {
+        form: form.unwrap_or(ServoForm::ModelBased),
         kp: Gain(to_u32(gains.kp * PER_GAIN)),
         kd: Gain(to_u32(gains.kd * PER_GAIN)),
         rate_filter_us: to_u16(gains.rate_filter * 1e6),

@@ -2,7 +2,7 @@
 
 use super::document::{Section, real, whole};
 use super::scale::{PER_EFFORT, PER_MM, to_i32, to_u16, to_u32};
-use haptimill_firmware::force::admittance::Law;
+use haptimill_firmware::force::admittance::AdmittanceLaw;
 use haptimill_firmware::force::sensor::{COMPONENTS, Channel, Sensor};
 use haptimill_firmware::force::{
     Design, ForceConfig, ForceParameter, ForceRefusal, Gate, LoopSettings,
@@ -97,7 +97,7 @@ fn check(section: &Section<'_, '_>, axes: &[Axis<'_, '_>], config: &ForceConfig,
             continue;
         }
         let range = config.sensor.range(index);
-        let law = Law::new(&axis.settings, period_us, config.delay_us(period_us), range);
+        let law = AdmittanceLaw::new(&axis.settings, period_us, config.delay_us(period_us), range);
         if let Err(refusal) = law {
             well = false;
             axis.section

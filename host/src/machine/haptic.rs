@@ -71,8 +71,8 @@ pub fn haptic(section: &Section<'_, '_>) -> HapticConfig {
             most: Force::ZERO,
         }),
         passivity: passivity.unwrap_or(PassivityConfig {
-            credit: 0,
-            debt: 0,
+            surplus: 0,
+            deficit: 0,
             damping: 0,
         }),
     }
@@ -244,8 +244,8 @@ fn passivity(section: Section<'_, '_>) -> PassivityConfig {
     let damping = section.number("damping_n_s_per_mm", real(0.0, 0.5, "N s/mm"));
     section.finish();
     PassivityConfig {
-        credit: to_u32(credit * PER_EFFORT),
-        debt: to_u32(debt * PER_EFFORT),
+        surplus: to_u32(credit * PER_EFFORT),
+        deficit: to_u32(debt * PER_EFFORT),
         damping: to_u32(damping * PER_EFFORT),
     }
 }

@@ -1,5 +1,5 @@
 use super::*;
-use haptimill_firmware::config::{Drive, LawForm};
+use haptimill_firmware::config::{Drive, ServoForm};
 use haptimill_hil_sim::config::PlantConfig;
 use proptest::prelude::*;
 
@@ -44,7 +44,7 @@ fn the_built_in_machine_is_well() {
         table.high,
         Coordinate((45.0 / 360.0 * 2_f64.powi(32)) as i32)
     );
-    assert_eq!(table.law.form, LawForm::ModelBased);
+    assert_eq!(table.law.form, ServoForm::ModelBased);
     assert_eq!(config.pose[0].jerk, 80_000);
     let (bytes, crc) = machine.encoded().unwrap();
     let decoded: Config = postcard::from_bytes(&bytes).unwrap();

@@ -133,7 +133,7 @@ impl Slide {
         // Effective from the next period on.
         let effort = core::mem::replace(
             &mut self.effort,
-            f64::from(self.joint.driven().effort.0) / 65536.0,
+            f64::from(self.joint.servo_output().effort.0) / 65536.0,
         );
         self.run(effort, load);
         fault

@@ -1,19 +1,19 @@
 //! The way to the next setpoint, and the one after it.
 //!
 //! To work out a whole segment takes half as long as all else in a period. So the next one is made in parts while the machine is under way on the present one: its
-//! end and its span, then one coordinate after the other ([`Program::look_ahead`]). Whatever is missing when it begins is made then; the bits are the same.
+//! end and its span, then one coordinate after the other ([`Program::prefetch`]). Whatever is missing when it begins is made then; the bits are the same.
 
 use super::{Knot, Program};
-use crate::motion::cubic::{Cubic, Span};
-use crate::motion::segment::Way;
+use crate::motion::cubic::{Cubic, SegmentDuration};
+use crate::motion::segment::SegmentPolynomial;
 use haptimill_math::Coordinate;
 use haptimill_protocol::message::MAX_AXES;
 
 /// The cubics on the way to a setpoint.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Segment {
-    pub(super) ways: [Way; MAX_AXES],
-    pub(super) span: Span,
+    pub(super) polynomials: [SegmentPolynomial; MAX_AXES],
+    pub(super) span: SegmentDuration,
     pub(super) to: Knot,
 }
 
@@ -64,7 +64,7 @@ impl Segments {
 impl Program {
     /// Makes a part of the next segment, if one is missing and there is time for it: when the period was `held` free for the path ([`Program::is_busy`]), or is `idle`.
     #[inline]
-    pub fn look_ahead(&mut self, held: bool, idle: impl FnOnce() -> bool) {
+    pub fn prefetch(&mut self, held: bool, idle: impl FnOnce() -> bool) {
         if self.misses_part() && ((held && self.is_pressed()) || idle()) {
             self.make_part();
         }
@@ -174,7 +174,7 @@ impl Segment {
         self.span = if before.span.periods() == to.periods && to.periods != 0 {
             before.span
         } else {
-            Span::new(to.periods, period_us)?
+            SegmentDuration::new(to.periods, period_us)?
         };
         Some(())
     }
@@ -184,7 +184,7 @@ impl Segment {
         let (start, rate) = (Coordinate(from.pose[axis]), from.rates[axis]);
         let (end, end_rate) = (Coordinate(self.to.pose[axis]), self.to.rates[axis]);
         let cubic = Cubic::new(start, rate, end, end_rate, &self.span, wrap)?;
-        self.ways[axis].set(&cubic, &self.span);
+        self.polynomials[axis].set(&cubic, &self.span);
         Some(())
     }
 }

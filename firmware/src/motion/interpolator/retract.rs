@@ -17,7 +17,7 @@ const BACK_RATE: i64 = FULL_RATE / 4;
 impl Program {
     /// The job ends here: once it has come to rest, the machine goes back along its path for so many periods of program time, as far as that is
     /// remembered. [`Program::is_at_standstill`] says when it has.
-    pub fn back_off(&mut self, periods: u32) {
+    pub fn retract(&mut self, periods: u32) {
         self.back = u64::from(periods) << 32;
     }
 
@@ -31,7 +31,7 @@ impl Program {
     }
 
     /// One period of the way back; false while the machine still goes on.
-    pub(super) fn goes_back(&mut self, braking: &RampLimits) -> bool {
+    pub(super) fn is_retracting(&mut self, braking: &RampLimits) -> bool {
         if self.path_rate.value() > 0 {
             return false;
         }
@@ -63,11 +63,11 @@ impl Program {
         if target == 0 && self.path_rate.is_zero() {
             self.back = 0;
         }
-        self.walk_back(step);
+        self.advance_retract(step);
         true
     }
 
-    fn walk_back(&mut self, mut step: u64) {
+    fn advance_retract(&mut self, mut step: u64) {
         while self.time < step {
             let Some(knot) = self.passed.pop_back() else {
                 // Not reached: the way back is bounded by what is remembered.

@@ -1,7 +1,7 @@
 //! What a program still sweeps before it can be at rest on its path.
 
 use super::{Program, Ramp};
-use crate::motion::envelope::Sweep;
+use crate::motion::envelope::StoppingEnvelope;
 use crate::motion::segment;
 use haptimill_protocol::message::{Action, RATE_SHIFT};
 
@@ -11,9 +11,9 @@ impl Program {
     /// A cubic stays within the hull of its control points: its ends, and what its end rates would reach in a third of its time. The present segment is
     /// looked at from now on, those in the queue as a whole, so this takes as long as setpoints lie within the way to rest.
     #[must_use]
-    pub fn sweep(&self) -> Sweep {
+    pub fn sweep(&self) -> StoppingEnvelope {
         let wanted = self.wanted().pose;
-        let mut sweep = Sweep::at(&wanted);
+        let mut sweep = StoppingEnvelope::at(&wanted);
         let Some(braking) = self.braking.filter(|_| !self.paused) else {
             return sweep;
         };
@@ -36,11 +36,11 @@ impl Program {
             let third = third(microseconds);
             let half = |time: u64| segment::half(segment.span.fraction((time >> 16) as u32));
             for axis in 0..self.axes {
-                if segment.ways[axis].is_at_standstill() {
+                if segment.polynomials[axis].is_at_standstill() {
                     continue;
                 }
                 let [begin, end] =
-                    [self.time, time].map(|time| segment.ways[axis].sample(half(time)));
+                    [self.time, time].map(|time| segment.polynomials[axis].sample(half(time)));
                 self.hull(
                     &mut sweep,
                     axis,
@@ -77,7 +77,7 @@ impl Program {
     /// and the largest path rate in it. The rates of the box are those at its ends.
     fn hull(
         &self,
-        sweep: &mut Sweep,
+        sweep: &mut StoppingEnvelope,
         axis: usize,
         [from, to]: [i32; 2],
         rates: [i64; 2],
