@@ -267,11 +267,15 @@ fn start_job(core: &mut Core, server: &mut Server, job: u32, pose: &AxisValues) 
         return Err(Refusal::NotHomed);
     }
     let machine = core.machine.as_mut().ok_or(Refusal::NotConfigured)?;
-    let wanted = machine.commanded_values();
-    if pose.len() != wanted.len() {
+    let commanded = machine.commanded_values();
+    if pose.len() != commanded.len() {
         return Err(Refusal::AxisCount);
     }
-    if let Some(axis) = pose.iter().zip(&wanted).position(|(said, is)| said != is) {
+    if let Some(axis) = pose
+        .iter()
+        .zip(&commanded)
+        .position(|(said, is)| said != is)
+    {
         return Err(Refusal::StartPose { axis: axis as u8 });
     }
     if let Some(force) = &machine.force
@@ -401,8 +405,8 @@ fn jog(core: &mut Core, epoch: u16, deadline_ms: u16, rates: &AxisValues) -> Don
         machine.motion.begin_jog(true);
         core.safety.enter(State::Jog);
     }
-    let mut wanted = [0_i64; MAX_AXES];
-    for (index, (slot, rate)) in wanted.iter_mut().zip(rates).enumerate() {
+    let mut commanded = [0_i64; MAX_AXES];
+    for (index, (slot, rate)) in commanded.iter_mut().zip(rates).enumerate() {
         if !beside_program || machine.motion.source(index) == Source::Jog {
             *slot = i64::from(*rate) << RATE_SHIFT;
         }
@@ -410,7 +414,7 @@ fn jog(core: &mut Core, epoch: u16, deadline_ms: u16, rates: &AxisValues) -> Don
     machine
         .motion
         .jog
-        .aim(&wanted, u32::from(deadline_ms) * 1000 / period_us);
+        .aim(&commanded, u32::from(deadline_ms) * 1000 / period_us);
     core.job.jog_epoch = Some(epoch);
     core.job.jog_cancelled = false;
     Ok(())

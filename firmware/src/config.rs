@@ -154,7 +154,7 @@ pub enum Drive {
     },
 }
 
-/// The position loop of a joint (spec 3.1, 3.2).
+/// The position loop of a joint (docs/control.md 3.1, 3.2).
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct ServoConfig {
     /// Which form.

@@ -55,7 +55,7 @@ pub struct ForceSample {
 /// Legs of the haptic arm.
 pub const LEGS: usize = 3;
 
-/// What the hardware of one leg of the haptic arm says, latched at the start of the period (spec h4-milling.md 2.2).
+/// What the hardware of one leg of the haptic arm says, latched at the start of the period (docs/control.md 2.2).
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct LegInputs {
     /// Quadrature x4 counters, free running, wrapping around: the slide d, the turn theta3 about its axis, the angle theta4 of the link.

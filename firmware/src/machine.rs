@@ -12,7 +12,7 @@ use crate::io::{DriveCommand, Inputs};
 use crate::joint::power_on_counts::SincePowerOn;
 use crate::joint::{EncoderState, JointDrive};
 use crate::motion::interpolator::Progress;
-use crate::motion::{Mode, Motion, Wanted};
+use crate::motion::{Mode, Motion, PoseCommand};
 use crate::safety::homing::Homing;
 use haptimill_kinematics::BoundedKinematics;
 use haptimill_kinematics::{JointMotion, Joints, Kinematics, Pose, PoseError};
@@ -60,7 +60,7 @@ pub struct JointSnapshot {
     /// Where it is.
     pub measured: Coordinate,
     /// Where it shall be.
-    pub wanted: Coordinate,
+    pub commanded: Coordinate,
     /// What its loop works on.
     pub following_error: Coordinate,
     /// What its drive was told.
@@ -85,7 +85,7 @@ pub struct Machine {
     /// The haptic arm, and the hands that lead.
     pub masters: Masters,
     /// p_r on a machine with force control: what is placed. Without it that is what is wanted.
-    reference: Wanted,
+    reference: PoseCommand,
     /// Periods for which a component that could not yield any further is still taken for one.
     limited: [u16; COMPONENTS],
     /// Components that could not yield any further in this period, and could before.
@@ -184,7 +184,7 @@ impl Machine {
             homing: Homing::default(),
             force: None,
             masters: Masters::default(),
-            reference: Wanted::default(),
+            reference: PoseCommand::default(),
             limited: [0; COMPONENTS],
             newly_limited: 0,
             joints: Vec::new(),
@@ -517,11 +517,11 @@ impl Machine {
         if self.is_compliant() {
             return self.solve_reference();
         }
-        let wanted = self.motion.wanted();
+        let commanded = self.motion.commanded();
         self.kinematics.solve(
-            &wanted.pose,
-            &wanted.rates,
-            &wanted.accelerations,
+            &commanded.pose,
+            &commanded.rates,
+            &commanded.accelerations,
             &mut self.target,
         )
     }
@@ -640,14 +640,14 @@ impl Machine {
     /// The wanted pose as values of a message.
     #[must_use]
     pub fn commanded_values(&self) -> AxisValues {
-        self.values(|index| self.motion.wanted().pose.0[index].0)
+        self.values(|index| self.motion.commanded().pose.0[index].0)
     }
 
     /// Notes down what telemetry tells of pose and joints; the measured pose is empty when it is not certified.
     pub fn fill_telemetry(&self, inputs: &Inputs, sample: &mut Telemetry) {
         let axes = self.axes();
-        let wanted = &self.motion.wanted().pose.0;
-        put(&mut sample.wanted, axes, |index| wanted[index].0);
+        let commanded = &self.motion.commanded().pose.0;
+        put(&mut sample.commanded, axes, |index| commanded[index].0);
         match self.measured_pose() {
             Some(pose) => put(&mut sample.measured, axes, |index| pose.0[index].0),
             None => sample.measured.clear(),
@@ -677,7 +677,7 @@ impl Machine {
     pub fn joints(&self) -> impl Iterator<Item = JointSnapshot> + '_ {
         (0..self.axes()).map(|index| JointSnapshot {
             measured: self.measured.0[index],
-            wanted: self.target.joints.0[index],
+            commanded: self.target.joints.0[index],
             following_error: self.joints[index].servo_output().following_error,
             command: self.joints[index].servo_output().command,
         })

@@ -90,7 +90,7 @@ fn follow_program(core: &mut Core, server: &mut Server, state: State, progress: 
         });
         return;
     }
-    let commanded = machine.motion.wanted().pose;
+    let commanded = machine.motion.commanded().pose;
     if let Some(axis) = machine.beyond_soft_limit(&commanded) {
         core.safety.raise(Fault::SoftLimit { axis });
     }
@@ -142,7 +142,7 @@ fn follow_homing(core: &mut Core, inputs: &Inputs, limited: bool) {
         });
         return;
     }
-    let pose = machine.motion.wanted().pose;
+    let pose = machine.motion.commanded().pose;
     match machine
         .homing
         .advance(&machine.config, &pose, &mut machine.motion.jog, limited)

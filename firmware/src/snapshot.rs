@@ -34,7 +34,7 @@ pub struct Snapshot {
     /// Program time, periods times 2^32.
     pub program_time: u64,
     /// Wanted pose.
-    pub wanted: Axes,
+    pub commanded: Axes,
     /// Wanted joints.
     pub joints_commanded: Axes,
     /// Measured joints.
@@ -101,14 +101,14 @@ impl Controller {
         snapshot.path_rate = (program.path_rate().clamp(0, FULL_RATE - 1) >> 16) as u16;
         snapshot.spindle_rpm = self.spindle_rpm();
         snapshot.program_time = program.program_time();
-        let wanted = &machine.motion.wanted().pose.0;
+        let commanded = &machine.motion.commanded().pose.0;
         let mut joints = machine.joints();
-        for (axis, wanted) in wanted.iter().enumerate() {
+        for (axis, commanded) in commanded.iter().enumerate() {
             // What the machine lacks is 0.
             let there = joints.next();
             let joint = there.unwrap_or_default();
-            snapshot.wanted[axis] = there.map_or(0, |_| wanted.0);
-            snapshot.joints_commanded[axis] = joint.wanted.0;
+            snapshot.commanded[axis] = there.map_or(0, |_| commanded.0);
+            snapshot.joints_commanded[axis] = joint.commanded.0;
             snapshot.joints[axis] = joint.measured.0;
             snapshot.following_error[axis] = joint.following_error.0;
             snapshot.drive[axis] = match joint.command {

@@ -12,12 +12,12 @@ const MM: f64 = 1048576.0;
 const NEWTON: f64 = 65536.0;
 
 /// Drives a joint for a period; its command arrives where it belongs.
-fn drive_to(joint: &mut JointDrive, wanted: &JointCommand) -> ServoOutput {
+fn drive_to(joint: &mut JointDrive, commanded: &JointCommand) -> ServoOutput {
     let mut command = DriveCommand::Off;
     let saturated = joint.servo(
-        wanted.coordinate,
-        wanted.rate,
-        wanted.acceleration,
+        commanded.coordinate,
+        commanded.rate,
+        commanded.acceleration,
         &mut command,
     );
     assert_eq!(
@@ -160,12 +160,12 @@ fn follow(lost_motion: f64) -> (f64, f64) {
         };
         let x = 15.0 * (w * phase).sin();
         let v = 15.0 * w * ease * (w * phase).cos();
-        let wanted = JointCommand {
+        let commanded = JointCommand {
             coordinate: Coordinate(start.0 + (x * MM) as i32),
             rate: Rate((v * MM) as i32),
             acceleration: Acceleration((-w * w * x * 4096.0) as i32),
         };
-        let servo_output = drive_to(&mut joint, &wanted);
+        let servo_output = drive_to(&mut joint, &commanded);
         let DriveCommand::Torque(next) = servo_output.command else {
             panic!()
         };
@@ -211,13 +211,13 @@ fn enabling_moves_nothing() {
         // Turned by hand while off, by more than the play.
         inputs.counts += 4000;
         joint.measure(&inputs, 200_000);
-        let wanted = JointCommand {
+        let commanded = JointCommand {
             coordinate: joint.enable(),
             ..JointCommand::default()
         };
         for period in 2..500u32 {
             joint.measure(&inputs, period * 200_000);
-            let servo_output = drive_to(&mut joint, &wanted);
+            let servo_output = drive_to(&mut joint, &commanded);
             assert_eq!(servo_output.following_error, Coordinate(0));
             match servo_output.command {
                 DriveCommand::Torque(code) => assert_eq!(code, 0),
@@ -226,7 +226,7 @@ fn enabling_moves_nothing() {
             }
         }
         joint.disable();
-        assert_eq!(drive_to(&mut joint, &wanted).command, DriveCommand::Off);
+        assert_eq!(drive_to(&mut joint, &commanded).command, DriveCommand::Off);
     }
 }
 
@@ -239,19 +239,19 @@ fn a_reference_found_under_way_moves_nothing() {
             ..AxisInputs::default()
         };
         joint.measure(&inputs, 0);
-        let mut wanted = JointCommand {
+        let mut commanded = JointCommand {
             coordinate: joint.enable(),
             ..JointCommand::default()
         };
         let shift = joint.set_reference(-100, Coordinate((1135.0 * MM) as i32));
-        wanted.coordinate.0 += shift.0;
+        commanded.coordinate.0 += shift.0;
         let at = (1135.0 - 400.0 * 0.00125) * MM;
         assert!((f64::from(joint.measurement().motor.0) - at).abs() < 2.0);
         for period in 1..100u32 {
             let measurement = joint.measure(&inputs, period * 200_000);
             assert!((f64::from(measurement.coordinate.0) - at).abs() < 2.0);
             assert!(measurement.slip.0.abs() < 2 && !measurement.lost_steps);
-            let servo_output = drive_to(&mut joint, &wanted);
+            let servo_output = drive_to(&mut joint, &commanded);
             assert!(servo_output.following_error.0.abs() <= 1);
             assert!(
                 !matches!(servo_output.command, DriveCommand::Steps(segment) if segment.count != 0)
@@ -404,14 +404,14 @@ proptest! {
     /// No joint is told more than its drive's limit, whatever is wanted and measured.
     #[test]
     fn a_joint_keeps_to_its_limit(
-        full_scale in prop_oneof![1_000_000i32..=i32::MAX, i32::MIN..=-1_000_000], limit in 1i32.., place: i32, wanted: (i32, i32, i32),
+        full_scale in prop_oneof![1_000_000i32..=i32::MAX, i32::MIN..=-1_000_000], limit in 1i32.., place: i32, commanded: (i32, i32, i32),
     ) {
         let limit = Effort(limit);
         let mut joint = JointDrive::new(&axis(Drive::Torque { full_scale: Effort(full_scale), limit }, 0.0), 200).unwrap();
         joint.measure(&AxisInputs::default(), 0);
         joint.enable();
         joint.measure(&AxisInputs { counts: place >> 12, ..AxisInputs::default() }, 200_000);
-        let (coordinate, rate, acceleration) = wanted;
+        let (coordinate, rate, acceleration) = commanded;
         let servo_output = drive_to(&mut joint, &JointCommand { coordinate: Coordinate(coordinate), rate: Rate(rate), acceleration: Acceleration(acceleration) });
         let DriveCommand::Torque(code) = servo_output.command else {
             panic!("a torque drive: {servo_output:?}");

@@ -70,7 +70,7 @@ proptest! {
     }
 }
 
-/// 60 samples at 5000 rpm and 200 us, 12 at 1 ms (spec 7.1 item 17); other speeds are rounded up.
+/// 60 samples at 5000 rpm and 200 us, 12 at 1 ms (docs/control.md 7.1 item 17); other speeds are rounded up.
 #[test]
 fn a_revolution_is_rounded_up() {
     let samples = |rpm, period| Window::revolution(rpm, period).map(Window::samples);

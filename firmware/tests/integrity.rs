@@ -167,16 +167,16 @@ fn a_change_of_a_joint_s_constants_is_seen_and_its_motion_is_not() {
     for period in 1..500_i32 {
         inputs.counts = period * period / 100;
         joint.measure(&inputs, period as u32 * 200_000);
-        let wanted = JointCommand {
+        let commanded = JointCommand {
             coordinate: Coordinate(period << 12),
             rate: Rate(-period << 8),
             ..JointCommand::default()
         };
         let mut command = DriveCommand::Off;
         joint.servo(
-            wanted.coordinate,
-            wanted.rate,
-            wanted.acceleration,
+            commanded.coordinate,
+            commanded.rate,
+            commanded.acceleration,
             &mut command,
         );
     }

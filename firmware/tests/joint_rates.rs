@@ -1,6 +1,6 @@
 //! A jog commands no joint rate above the configured maximum, wherever it begins and whatever it asks for.
 //!
-//! The truth is the inverse kinematics of spec h4-milling in f64, written here from the equations, applied to the commanded poses.
+//! The truth is the inverse kinematics of docs/control.md in f64, written here from the equations, applied to the commanded poses.
 
 mod reference;
 
@@ -245,8 +245,8 @@ fn a_jog_exceeds_no_joint_rate_anywhere() {
         for _ in 0..=random.below(3) {
             jog.aim(&asked(&config, &mut random), 1 + random.below(8000) as u32);
             for _ in 0..200 + random.below(8000) {
-                let (wanted, _) = jog.advance(&machine);
-                trace.push(&wanted.pose, &wanted.rates);
+                let (commanded, _) = jog.advance(&machine);
+                trace.push(&commanded.pose, &commanded.rates);
                 if jog.is_at_standstill() {
                     break;
                 }
@@ -254,8 +254,8 @@ fn a_jog_exceeds_no_joint_rate_anywhere() {
         }
         jog.release();
         for _ in 0..4000 {
-            let (wanted, _) = jog.advance(&machine);
-            trace.push(&wanted.pose, &wanted.rates);
+            let (commanded, _) = jog.advance(&machine);
+            trace.push(&commanded.pose, &commanded.rates);
         }
         assert!(jog.is_at_standstill());
         worst.take(&trace, &format!("case {case}, from {pose:?}"));
@@ -294,18 +294,18 @@ fn a_jog_still_comes_near_the_bound() {
         let mut jog = Jog::new(&config);
         jog.begin(&pose, true);
         let mut trace = Trace::new(&config);
-        let mut wanted = Default::default();
+        let mut commanded = Default::default();
         for _ in 0..200_000 {
             jog.aim(&rates, 1000);
             let limited;
-            (wanted, limited) = jog.advance(&machine);
-            trace.push(&wanted.pose, &wanted.rates);
-            if limited.is_some() && wanted.rates[axis].0 == 0 {
+            (commanded, limited) = jog.advance(&machine);
+            trace.push(&commanded.pose, &commanded.rates);
+            if limited.is_some() && commanded.rates[axis].0 == 0 {
                 break;
             }
         }
         worst.take(&trace, &format!("case {case}, from {pose:?}"));
-        let short = left(&config, &machine, &wanted.pose, axis, sign);
+        let short = left(&config, &machine, &commanded.pose, axis, sign);
         if short > farthest.0 {
             farthest = (short, format!("case {case}, axis {axis}, from {pose:?}"));
         }
@@ -351,7 +351,7 @@ fn a_hand_beside_a_jog_exceeds_no_joint_rate() {
             for _ in 0..5000 {
                 motion.set_master_targets(&targets);
                 let _ = motion.advance(Mode::Program { halt: false }, &machine);
-                trace.push(&motion.wanted().pose, &motion.wanted().rates);
+                trace.push(&motion.commanded().pose, &motion.commanded().rates);
             }
         }
         worst.take(&trace, &format!("case {case}, from {pose:?}"));

@@ -1,4 +1,4 @@
-//! The H-4 arm against tables of spec h4-milling: golden vectors of 2,000 poses each way, poses that no arm reaches, and the reference
+//! The H-4 arm against tables of docs/control.md: golden vectors of 2,000 poses each way, poses that no arm reaches, and the reference
 //! geometry's printed values. Within 0.1 um and 1 urad.
 #![allow(
     clippy::needless_range_loop,
@@ -16,7 +16,7 @@ const PER_DEGREE: f64 = 4_294_967_296.0 / 360.0;
 const MM: f64 = 1e-4;
 const DEGREE: f64 = 1e-6 * 180.0 / std::f64::consts::PI;
 
-/// REF-G of spec h4-milling 7.2.
+/// REF-G of docs/control.md 7.2.
 fn reference() -> H4Geometry {
     H4Geometry {
         lateral: Length::millimetres(400 - 100 - 50),

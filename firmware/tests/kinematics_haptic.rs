@@ -1,4 +1,4 @@
-//! The haptic arm against the golden table of spec h4-milling 7.2, against f64 geometry, and against virtual work; and how far a hand moves before a lying encoder is found.
+//! The haptic arm against the golden table of docs/control.md 7.2, against f64 geometry, and against virtual work; and how far a hand moves before a lying encoder is found.
 #![allow(
     clippy::needless_range_loop,
     reason = "an index is an axis here, of several arrays at once"
@@ -132,7 +132,7 @@ proptest! {
         let pose = arm.pose(&readings(here)).expect("a pose");
         let wrench = Wrench { force: force.map(|x| x as f32), moment: moment.map(|x| x as f32) };
         let efforts = arm.efforts(&pose, &wrench, LIMIT).expect("regular");
-        let wanted = dot(force, velocity) + dot(moment, spin);
+        let commanded = dot(force, velocity) + dot(moment, spin);
         let (mut done, mut terms) = (0.0, dot(force, velocity).abs() + dot(moment, spin).abs());
         for j in 0..3 {
             for (k, joint) in [(0, 0), (1, 1)] {
@@ -141,7 +141,7 @@ proptest! {
                 terms += (f64::from(efforts[j][k]) * rate).abs();
             }
         }
-        prop_assert!((done - wanted).abs() <= 1e-4 * terms, "{done} {wanted} {terms}");
+        prop_assert!((done - commanded).abs() <= 1e-4 * terms, "{done} {commanded} {terms}");
     }
 
     /// No reading makes it panic, and what it calls a pose is one: joints 5 are where f64 puts them and the axes are orthonormal.

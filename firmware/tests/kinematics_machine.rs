@@ -19,7 +19,7 @@ use proptest::test_runner::RngSeed;
 
 const MM: i32 = Length::PER_MILLIMETRE;
 
-/// REF-G of spec h4-milling 7.2.
+/// REF-G of docs/control.md 7.2.
 fn reference() -> H4Geometry {
     H4Geometry {
         lateral: Length::millimetres(250),

@@ -111,8 +111,8 @@ impl Path {
 fn walk(program: &mut Program, periods: usize, halt: impl Fn(usize) -> bool) -> Path {
     let mut path = Path::default();
     for period in 0..periods {
-        let (wanted, progress) = program.advance(halt(period));
-        path.push(wanted.pose.0[0], wanted.rates[0]);
+        let (commanded, progress) = program.advance(halt(period));
+        path.push(commanded.pose.0[0], commanded.rates[0]);
         assert!(!progress.queue_empty);
         if progress.finished {
             path.finished = true;
@@ -429,12 +429,12 @@ proptest! {
         for (x, y, z, periods) in commands {
             jog.aim(&jog_rates(x, y, z), periods);
             for _ in 0..periods + 300 {
-                let (wanted, _) = jog.advance(&ball);
-                prop_assert!(ball.inverse(&wanted.pose).is_ok());
+                let (commanded, _) = jog.advance(&ball);
+                prop_assert!(ball.inverse(&commanded.pose).is_ok());
                 for (axis, path) in paths.iter_mut().enumerate() {
-                    path.push(wanted.pose.0[axis], wanted.rates[axis]);
-                    prop_assert!((config.pose[axis].low..=config.pose[axis].high).contains(&wanted.pose.0[axis]));
-                    prop_assert!(wanted.rates[axis].0.abs() <= config.pose[axis].rate.0 + OVERSHOOT);
+                    path.push(commanded.pose.0[axis], commanded.rates[axis]);
+                    prop_assert!((config.pose[axis].low..=config.pose[axis].high).contains(&commanded.pose.0[axis]));
+                    prop_assert!(commanded.rates[axis].0.abs() <= config.pose[axis].rate.0 + OVERSHOOT);
                 }
             }
         }

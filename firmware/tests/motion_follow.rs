@@ -1,7 +1,7 @@
 //! A coordinate that follows a hand: bounded whatever it is told, exact where the hand stands, never past it.
 
 use haptimill_firmware::config::{AxisKind, PoseAxis};
-use haptimill_firmware::motion::Wanted;
+use haptimill_firmware::motion::PoseCommand;
 use haptimill_firmware::motion::tracker::{Tracker, TrackerLimits};
 use haptimill_math::{Acceleration, Coordinate, Rate};
 use proptest::prelude::*;
@@ -36,26 +36,26 @@ proptest! {
     ) {
         let limits = limits(acceleration, rate, gain);
         let mut tracker = Tracker::at(Coordinate(5 * MM), Rate::ZERO, &limits);
-        let mut before = Wanted::default();
+        let mut before = PoseCommand::default();
         tracker.write_to(0, &limits, &mut before);
         let most = f64::from(acceleration) * 2e-4 * f64::from(MM);
         for (target, periods) in targets {
             for _ in 0..periods {
                 let (low, high) = tracker.sweep(target.map(Coordinate), &limits);
                 tracker.advance(target.map(Coordinate), &limits);
-                let mut wanted = Wanted::default();
-                tracker.write_to(0, &limits, &mut wanted);
-                let change = f64::from(wanted.rates[0].0) - f64::from(before.rates[0].0);
+                let mut commanded = PoseCommand::default();
+                tracker.write_to(0, &limits, &mut commanded);
+                let change = f64::from(commanded.rates[0].0) - f64::from(before.rates[0].0);
                 prop_assert!(change.abs() <= most + 2.0, "{change} {most}");
-                prop_assert!(wanted.rates[0].0.abs() <= rate * MM + 1);
-                let told = f64::from(wanted.accelerations[0].0) * 256.0 * 2e-4;
+                prop_assert!(commanded.rates[0].0.abs() <= rate * MM + 1);
+                let told = f64::from(commanded.accelerations[0].0) * 256.0 * 2e-4;
                 prop_assert!((told - change).abs() <= 2.0 + most * 1e-3, "{told} {change}");
                 // The place is the integral of the rate, to the last bits.
-                let way = f64::from(wanted.pose.0[0].0) - f64::from(before.pose.0[0].0);
-                let mean = (f64::from(wanted.rates[0].0) + f64::from(before.rates[0].0)) / 2.0 * 2e-4;
+                let way = f64::from(commanded.pose.0[0].0) - f64::from(before.pose.0[0].0);
+                let mean = (f64::from(commanded.rates[0].0) + f64::from(before.rates[0].0)) / 2.0 * 2e-4;
                 prop_assert!((way - mean).abs() <= 1.6, "{way} {mean}");
-                prop_assert!((low..=high).contains(&i64::from(wanted.pose.0[0].0)));
-                before = wanted;
+                prop_assert!((low..=high).contains(&i64::from(commanded.pose.0[0].0)));
+                before = commanded;
             }
         }
     }

@@ -80,15 +80,15 @@ proptest! {
     }
 
     #[test]
-    fn friction_is_tanh(coulomb in 0i32.., knee in 1i32.., wanted: i32, fine in -6.0f64..6.0) {
+    fn friction_is_tanh(coulomb in 0i32.., knee in 1i32.., commanded: i32, fine in -6.0f64..6.0) {
         let friction = Friction::new(Effort(coulomb), Rate(knee));
-        for wanted in [wanted, (f64::from(knee) * fine) as i32] {
-            let exact = f64::from(coulomb) * libm::tanh(f64::from(wanted) / f64::from(knee));
-            let given = friction.effort(Rate(wanted)).0;
+        for commanded in [commanded, (f64::from(knee) * fine) as i32] {
+            let exact = f64::from(coulomb) * libm::tanh(f64::from(commanded) / f64::from(knee));
+            let given = friction.effort(Rate(commanded)).0;
             prop_assert!((f64::from(given) - exact).abs() <= 4e-4 * f64::from(coulomb) + 1.0, "{given} {exact}");
-            prop_assert_eq!(given, -friction.effort(Rate(wanted.saturating_neg())).0);
-            if wanted < i32::MAX {
-                prop_assert!(friction.effort(Rate(wanted + 1)).0 >= given);
+            prop_assert_eq!(given, -friction.effort(Rate(commanded.saturating_neg())).0);
+            if commanded < i32::MAX {
+                prop_assert!(friction.effort(Rate(commanded + 1)).0 >= given);
             }
         }
     }
@@ -117,13 +117,13 @@ proptest! {
             let time = f64::from(k) * step;
             let error = amplitude * libm::sin(frequency * time);
             let error = coordinate((error / 0.00125).round() * 0.00125);
-            let (wanted_rate, wanted_acceleration) = (rate(speed * libm::cos(time)), Acceleration((pull * 4096.0) as i32));
-            let (effort, saturated) = fixed.effort(error, wanted_rate, wanted_acceleration);
+            let (commanded_rate, wanted_acceleration) = (rate(speed * libm::cos(time)), Acceleration((pull * 4096.0) as i32));
+            let (effort, saturated) = fixed.effort(error, commanded_rate, wanted_acceleration);
 
             let e = f64::from(error.0) / MM;
             let change = (1.0 - pole) * (e - low);
             low += change;
-            let v = f64::from(wanted_rate.0) / MM;
+            let v = f64::from(commanded_rate.0) / MM;
             let mut a = f64::from(config.kp.0) / 256.0 * e + f64::from(config.kd.0) / 256.0 * change / step + integral;
             let mut exact = coulomb * libm::tanh(v / knee);
             if form == ServoForm::ModelBased {

@@ -1,4 +1,4 @@
-//! The law of reflection, virtual walls, the watch over the energy, and the way from hand to tool: each by itself, against the sentences of spec h4-milling 2.1 and 3.4-3.5.
+//! The law of reflection, virtual walls, the watch over the energy, and the way from hand to tool: each by itself, against the sentences of docs/control.md 2.1 and 3.4-3.5.
 #![allow(
     clippy::needless_range_loop,
     reason = "an index is an axis here, of several arrays at once"
@@ -246,7 +246,7 @@ proptest! {
     }
 }
 
-/// The clamps of spec h4-milling 3.4: 8 N and 6 N are where they begin.
+/// The clamps of docs/control.md 3.4: 8 N and 6 N are where they begin.
 #[test]
 fn the_clamps_of_the_experiments() {
     let mut law = FeedbackLaw::new(&settings([40, 10, 20], [3.2, 3.2, 1.2], 0.0), 200);

@@ -27,7 +27,7 @@ fn slide() -> (JointAxis, JointSample) {
     let mut axis = h4().joints[0].clone();
     (axis.low, axis.high) = (Coordinate(mm(-1000.0)), Coordinate(mm(1000.0)));
     let seen = JointSample {
-        wanted: Coordinate(mm(100.0)),
+        commanded: Coordinate(mm(100.0)),
         measured: Coordinate(mm(100.0)),
         period_us: 200,
         ..JointSample::default()
@@ -60,9 +60,9 @@ fn the_following_error_has_a_limit_that_grows_with_the_wanted_rate() {
             (-2 - most, true),
         ] {
             let seen = JointSample {
-                wanted_rate: Rate(mm(speed)),
+                commanded_rate: Rate(mm(speed)),
                 rate: Rate(mm(speed)),
-                measured: Coordinate(seen.wanted.0 - error),
+                measured: Coordinate(seen.commanded.0 - error),
                 ..seen
             };
             let fault = look(&mut JointMonitor::default(), &axis, &seen, 1);
@@ -84,8 +84,8 @@ fn a_joint_beyond_its_stroke_is_a_fault_that_says_by_how_much() {
             (axis.following.0 + 1, true),
         ] {
             let seen = JointSample {
-                wanted: Coordinate(end),
-                wanted_rate: Rate(mm(100.0) * sign),
+                commanded: Coordinate(end),
+                commanded_rate: Rate(mm(100.0) * sign),
                 rate: Rate(mm(100.0) * sign),
                 measured: Coordinate(end + sign * beyond),
                 ..seen
@@ -105,7 +105,7 @@ fn the_error_of_a_rotary_joint_goes_the_short_way() {
     axis.following = Coordinate(degrees(0.2));
     axis.still = Coordinate(degrees(0.1));
     let across = |off: f64| JointSample {
-        wanted: Coordinate(i32::MAX),
+        commanded: Coordinate(i32::MAX),
         measured: Coordinate(i32::MAX.wrapping_add(degrees(off))),
         ..seen
     };
@@ -119,7 +119,7 @@ fn the_error_of_a_rotary_joint_goes_the_short_way() {
     for step in 0..200 {
         let place = Coordinate((i32::MAX - 50 * 100_000).wrapping_add(step * 100_000));
         let seen = JointSample {
-            wanted: place,
+            commanded: place,
             measured: place,
             ..seen
         };
@@ -196,24 +196,24 @@ fn a_static_load_is_no_fault_and_a_growing_push_without_a_count_is() {
     assert_eq!(look(&mut watch, &axis, &loaded, 20_000), None);
     // The same while it creeps with a count now and then.
     for period in 0..20_000 {
-        let place = seen.wanted.0 + period * mm(2e-4);
+        let place = seen.commanded.0 + period * mm(2e-4);
         let counted = Coordinate(place - place % mm(1.25e-3));
         let seen = JointSample {
-            wanted: Coordinate(place),
+            commanded: Coordinate(place),
             measured: counted,
-            wanted_rate: Rate(mm(1.0)),
+            commanded_rate: Rate(mm(1.0)),
             ..loaded
         };
         assert_eq!(look(&mut watch, &axis, &seen, 1), None, "{period}");
     }
     // From there on the encoder is dead, and the loop pushes as 40 kg and 40,000 1/s^2 say: 1.6 N a micrometre.
-    let from = seen.wanted.0 + 19_999 * mm(2e-4);
+    let from = seen.commanded.0 + 19_999 * mm(2e-4);
     let fault = (0..2000).find_map(|period| {
         let off = f64::from(period) * 2e-4;
         let seen = JointSample {
-            wanted: Coordinate(from + mm(off)),
+            commanded: Coordinate(from + mm(off)),
             measured: Coordinate(from),
-            wanted_rate: Rate(mm(1.0)),
+            commanded_rate: Rate(mm(1.0)),
             effort: newtons(300.0 + off * 1600.0),
             ..seen
         };
@@ -294,8 +294,8 @@ proptest! {
         let mut watch = JointMonitor::default();
         for sight in sights {
             let seen = JointSample {
-                wanted: Coordinate(sight[0]),
-                wanted_rate: Rate(sight[1]),
+                commanded: Coordinate(sight[0]),
+                commanded_rate: Rate(sight[1]),
                 measured: Coordinate(sight[2]),
                 rate: Rate(sight[3]),
                 moved: sight[6],
@@ -533,11 +533,11 @@ proptest! {
             if next == points.len() {
                 prop_assert!(program.end(next as u32).is_ok());
             }
-            let (wanted, progress) = program.advance(false);
+            let (commanded, progress) = program.advance(false);
             prop_assert!(!progress.queue_empty, "period {periods}, {next} taken, {} reached", program.reached());
             // A ramp may pass its target by twice its jerk.
             prop_assert!(program.path_rate() <= FULL_RATE + FULL_RATE / 10_000);
-            let x = wanted.pose.0[0].0;
+            let x = commanded.pose.0[0].0;
             prop_assert!(x >= last_x - 1 && x <= points[next.max(1) - 1].pose[0]);
             last_x = x;
             periods += 1;

@@ -184,7 +184,7 @@ fn spindle_speed_sets_the_chip() {
 }
 
 /// A pass beside a slot: 2 mm aside. Feed +x with the material on the -y side is down milling with this spindle, feed -x up milling
-/// (spec h4-milling 5.2: the pocket's passes have Fx + - +, the second the smallest).
+/// (docs/control.md 5.2: the pocket's passes have Fx + - +, the second the smallest).
 #[test]
 fn up_and_down_milling_have_their_signs() {
     let config = config(block(-36.0, 6.0, -11.0, 6.0), Coefficients::P1);

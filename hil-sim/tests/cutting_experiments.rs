@@ -1,4 +1,4 @@
-//! The experiments without force control on a rigid machine: what the two material presets give beside what was stated (spec h4-milling 4.1, bands 4.2).
+//! The experiments without force control on a rigid machine: what the two material presets give beside what was stated (docs/control.md 4.1, bands 4.2).
 //!
 //! `cargo test -p haptimill-hil-sim --test cutting_experiments -- --nocapture` prints the table.
 

@@ -10,7 +10,7 @@ use std::f64::consts::{PI, TAU};
 type Engaged = dyn Fn(f64, f64) -> bool;
 
 /// Mean force on the tool over a turn in steady feed along +x, by quadrature over height and immersion: the lag of the edges drops out of the
-/// mean, so no tooth is followed here. Printed forms of spec h4-milling 5.1: dS from R'(psi), db = dz / sin kappa,
+/// mean, so no tooth is followed here. Printed forms of docs/control.md 5.1: dS from R'(psi), db = dz / sin kappa,
 /// h = f_t sin Psi sin kappa. `onset` is the chip at which the edge force is whole; 0 is the printed equation.
 fn printed_mean(
     cutter: &CutterConfig,
@@ -132,7 +132,7 @@ fn slot_has_the_mean_force_of_the_printed_equations() {
     }
 }
 
-/// Peaks over a turn of a slot towards -x: spec h4-milling 5.2 has them from a model of its own (midpoint slices, no map, no memory).
+/// Peaks over a turn of a slot towards -x: docs/control.md 5.2 has them from a model of its own (midpoint slices, no map, no memory).
 #[test]
 fn slot_has_the_peaks_that_the_coefficients_were_fitted_with() {
     for (coefficients, table) in [

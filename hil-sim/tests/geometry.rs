@@ -77,7 +77,7 @@ fn rods(tip: &Tip, slides: &[f64; 4]) -> [f64; 4] {
 
 #[test]
 fn reference_table() {
-    // Spec h4-milling 7.2: x_w, y_w, z_w, theta, alpha, and the slides.
+    // docs/control.md 7.2: x_w, y_w, z_w, theta, alpha, and the slides.
     let table = [
         (
             [0.0, 0.0, 21.232, 0.0, 0.0],
@@ -307,7 +307,7 @@ proptest! {
     }
 }
 
-/// At home the table of slide coordinates gives the Jacobian by hand (spec h4-milling 7.2): f = J^-T F.
+/// At home the table of slide coordinates gives the Jacobian by hand (docs/control.md 7.2): f = J^-T F.
 #[test]
 fn joint_loads_at_home_are_those_of_the_reference_jacobian() {
     let mut arm = Arm::new(&reference(), &HOME).expect("an arm");

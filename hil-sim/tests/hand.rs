@@ -73,7 +73,7 @@ fn stroke(at_s: f64, x: f64, pace_mm_s: f64) -> Stroke {
     }
 }
 
-/// What the thesis states of E6 (spec h4-milling 3.5, 4.1): a wall of 0.35 N/mm that goes 4 mm/s; the handle is at about 20 mm after the first second, the force is largest, about 5.5 N, at
+/// What the thesis states of E6 (docs/control.md 3.5, 4.1): a wall of 0.35 N/mm that goes 4 mm/s; the handle is at about 20 mm after the first second, the force is largest, about 5.5 N, at
 /// about 1.2 s, and the hand comes down to near 4 mm/s.
 #[test]
 fn a_moving_wall_holds_the_hand_back() {
@@ -155,7 +155,7 @@ fn strokes_end_where_they_are_meant_to() {
     assert!(end.tip[0].abs() < 0.3 && end.done, "{:?}", end.tip);
 }
 
-/// A tool that follows the hand by 60 ms and cuts with 1.4 N per mm/s (spec h4-milling 4.3), of which 40 % come back to the hand, at most 3.2 N: the loop through the hand does not swing.
+/// A tool that follows the hand by 60 ms and cuts with 1.4 N per mm/s (docs/control.md 4.3), of which 40 % come back to the hand, at most 3.2 N: the loop through the hand does not swing.
 #[test]
 fn a_reflected_cut_slows_the_hand_and_does_not_shake_it() {
     let mut arm = led(Some(Rail::along(X)));

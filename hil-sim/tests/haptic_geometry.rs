@@ -180,7 +180,7 @@ fn golden_efforts_hold_a_force() {
 
 #[test]
 fn codes_in_the_amplifiers_push_at_the_handle_as_the_table_says() {
-    // The row of spec 7.2: at home, F = (3.2, 0, 1.2) N is 0.2973 N along each slide and 0, -255.69, 255.69 N mm about them.
+    // The row of docs/control.md 7.2: at home, F = (3.2, 0, 1.2) N is 0.2973 N along each slide and 0, -255.69, 255.69 N mm about them.
     let mut config = HapticConfig::default();
     for actuator in [&mut config.slide, &mut config.turn] {
         actuator.coulomb = 0.0;

@@ -23,7 +23,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let (wall, before) = (Instant::now(), processor_time());
     for period in 0..count {
         record.period = u64::from(period);
-        record.wanted = [period as i32; 6];
+        record.commanded = [period as i32; 6];
         recorder.record(&record);
     }
     let (wall, after) = (wall.elapsed(), processor_time());

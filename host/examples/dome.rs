@@ -48,7 +48,7 @@ fn main() {
             polar.sin() * turn.sin(),
             polar.cos(),
         ];
-        // Tool axis (I, J, K) = (sin theta, cos theta sin alpha, cos theta cos alpha), spec h4-milling (3.27), (3.28).
+        // Tool axis (I, J, K) = (sin theta, cos theta sin alpha, cos theta cos alpha), docs/control.md (3.27), (3.28).
         let theta = normal[0].atan2(normal[1].hypot(normal[2])).to_degrees();
         let alpha = normal[1].atan2(normal[2]).to_degrees();
         let z = TOP_MM + SPHERE_MM * (normal[2] - 1.0);

@@ -44,7 +44,7 @@ fn ctrl_c_ends_a_jog_as_it_ends_a_job() {
     // It stood before it said so, on its way.
     let status = served.status();
     assert_eq!(status["state"], "Idle", "{status:#}");
-    assert!(scene::number(&status["wanted"], "x") > 0.0, "{status:#}");
+    assert!(scene::number(&status["commanded"], "x") > 0.0, "{status:#}");
 }
 
 #[test]

@@ -151,11 +151,11 @@ fn tables_of_slides_agree_with_the_golden_values() {
                 .iter()
                 .position(|name| *name == header[slide])
                 .unwrap();
-            let wanted: f64 = row[column].parse().unwrap();
+            let commanded: f64 = row[column].parse().unwrap();
             let given: f64 = result[slide].parse().unwrap();
-            assert!((wanted - given).abs() < 1e-4, "{row:?} gave {result:?}");
+            assert!((commanded - given).abs() < 1e-4, "{row:?} gave {result:?}");
             assert_eq!(result[slide].split_once('.').unwrap().1.len(), 9);
-            in_stroke &= wanted >= ends[slide].0 && wanted <= ends[slide].1;
+            in_stroke &= commanded >= ends[slide].0 && commanded <= ends[slide].1;
         }
         let status = if in_stroke { "ok" } else { "out_of_stroke" };
         assert_eq!(result[4], status, "{row:?} gave {result:?}");
@@ -191,11 +191,11 @@ fn tables_of_poses_agree_with_the_golden_values() {
     for (row, result) in rows.iter().zip(&results) {
         assert_eq!(result[4], "ok", "{row:?}");
         for column in 0..4 {
-            let wanted: f64 = row[4 + column].parse().unwrap();
+            let commanded: f64 = row[4 + column].parse().unwrap();
             let value: f64 = result[column].parse().unwrap();
             // 0.1 um; 1 urad is 5.7e-5 degrees.
             let bound = if column < 3 { 1e-4 } else { 5.7e-5 };
-            assert!((wanted - value).abs() < bound, "{row:?} gave {result:?}");
+            assert!((commanded - value).abs() < bound, "{row:?} gave {result:?}");
         }
     }
 }

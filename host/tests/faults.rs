@@ -30,13 +30,13 @@ fn run(folder: &Folder, out: &str, faults: &[&str], more: &[&str]) -> Ran {
 }
 
 /// The wanted poses of a job, each once.
-fn wanted(folder: &Folder, out: &str) -> Vec<Axes> {
+fn commanded(folder: &Folder, out: &str) -> Vec<Axes> {
     let file = folder.path(&format!("{out}/recording.hmr"));
     let recording = Recording::open(Path::new(&file)).unwrap();
     let records = recording.iter().unwrap().map(Result::unwrap);
     let mut poses: Vec<Axes> = records
         .filter(|record| record.has(flag::PROGRAMMED))
-        .map(|record| record.wanted)
+        .map(|record| record.commanded)
         .collect();
     poses.dedup();
     poses
@@ -81,7 +81,7 @@ fn is_on_the_way(poses: &[Axes], clean: &[Axes]) {
 fn a_bad_line_never_makes_a_wrong_motion() {
     let folder = Folder::new();
     run(&folder, "clean", &[], &["--baud", "115200"]).ended_with(0);
-    let clean = wanted(&folder, "clean");
+    let clean = commanded(&folder, "clean");
     assert!(clean.len() > 10_000, "{}", clean.len());
     let mut ended = 0;
     let lines = [
@@ -99,7 +99,7 @@ fn a_bad_line_never_makes_a_wrong_motion() {
     ];
     for line in lines {
         let ran = run(&folder, "out", &[line], &["--baud", "115200"]);
-        let poses = wanted(&folder, "out");
+        let poses = commanded(&folder, "out");
         is_on_the_way(&poses, &clean);
         let summary = folder.summary("out");
         println!(

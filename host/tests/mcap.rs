@@ -108,10 +108,10 @@ mod built {
                 "/force/true",
                 "/joints/error",
                 "/joints/measured",
-                "/joints/wanted",
+                "/joints/commanded",
                 "/pose/programmed",
                 "/pose/tool",
-                "/pose/wanted",
+                "/pose/commanded",
                 "/state",
                 "/yielded"
             ]

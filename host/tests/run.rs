@@ -110,7 +110,7 @@ fn the_slot_leaves_its_files_and_the_same_bytes_every_time() {
     let (x, l1, alpha) = (
         column("x_tool_mm"),
         column("l1_joint_error_mm"),
-        column("alpha_wanted_deg"),
+        column("alpha_commanded_deg"),
     );
     column("l4_drive_n");
     column("alpha_drive_n_m");

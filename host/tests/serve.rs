@@ -104,7 +104,7 @@ fn one_shot_commands_follow_each_other() {
     );
     assert_eq!(homed["machine"], "h4");
     // The home pose of the presets: X0 Y0 Z21.232.
-    let at = |value: &serde_json::Value, name: &str| number(&value["wanted"], name);
+    let at = |value: &serde_json::Value, name: &str| number(&value["commanded"], name);
     assert!(
         at(&homed, "x").abs() < 1e-3 && (at(&homed, "z") - 21.232).abs() < 1e-3,
         "{homed:#}"
@@ -123,7 +123,7 @@ fn one_shot_commands_follow_each_other() {
         "the ratio of the rates is kept: {jogged:#}"
     );
     // Nothing moves afterwards.
-    assert_eq!(served.status()["wanted"], jogged["wanted"]);
+    assert_eq!(served.status()["commanded"], jogged["commanded"]);
     served.does(&["jog", "theta=25", "--for", "1.3"]);
     let limited = served
         .tries(&["jog", "theta=20", "--for", "1.5", "--json"])
@@ -311,9 +311,9 @@ fn a_host_that_dies_is_noticed_and_the_machine_stops_on_its_path() {
     );
     assert_eq!(status["position_kept"], true, "{status:#}");
     // On the line from X0 to X20.
-    let x = number(&status["wanted"], "x");
+    let x = number(&status["commanded"], "x");
     assert!(
-        (-0.01..=20.01).contains(&x) && number(&status["wanted"], "y").abs() < 1e-3,
+        (-0.01..=20.01).contains(&x) && number(&status["commanded"], "y").abs() < 1e-3,
         "{status:#}"
     );
     let refused = served

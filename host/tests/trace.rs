@@ -280,7 +280,7 @@ fn a_table_has_the_columns_rows_and_time_that_were_asked_for() {
     let rows: Vec<&str> = ran.out.lines().collect();
     assert_eq!(
         rows[0],
-        "time_s,x_wanted_mm,x_programmed_mm,x_tool_mm,x_yielded_mm,state"
+        "time_s,x_commanded_mm,x_programmed_mm,x_tool_mm,x_yielded_mm,state"
     );
     assert_eq!(rows.len(), 12, "{}", ran.out);
     assert!(

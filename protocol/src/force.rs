@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 /// Components of a force: x, y, z of the work.
 pub const COMPONENTS: usize = 3;
 
-/// When a force above the desired one moves the tool away (spec h4-milling 7.1 item 20).
+/// When a force above the desired one moves the tool away (docs/control.md 7.1 item 20).
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Gate {
@@ -25,7 +25,7 @@ pub enum Gate {
     Negative,
 }
 
-/// The loop of one axis (spec h4-milling (3.30)).
+/// The loop of one axis (docs/control.md (3.30)).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct ForceLoop {

@@ -56,7 +56,7 @@ pub struct ReflectAxis {
     pub most: i32,
 }
 
-/// What part of the force on the tool the hand feels (spec h4-milling 3.4).
+/// What part of the force on the tool the hand feels (docs/control.md 3.4).
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Reflection {

@@ -126,7 +126,7 @@ pub enum Command {
     JobStart {
         /// The host's number of the job; repeated in reports.
         job: u32,
-        /// Start pose; must equal the wanted pose of the controller (see [`Telemetry::wanted`]) to the last bit.
+        /// Start pose; must equal the wanted pose of the controller (see [`Telemetry::commanded`]) to the last bit.
         pose: AxisValues,
     },
     /// No more setpoints: the job ends with the one before `count`.
@@ -385,7 +385,7 @@ pub struct Telemetry {
     /// Speed along the path, 65535 for the programmed one.
     pub path_rate: u16,
     /// Wanted pose, axis units.
-    pub wanted: AxisValues,
+    pub commanded: AxisValues,
     /// Measured pose, axis units; empty while the forward kinematics has no certified answer.
     pub measured: AxisValues,
     /// Measured joints (slides, table), axis units.

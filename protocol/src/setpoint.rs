@@ -281,8 +281,8 @@ impl SetpointCoder {
             action: setpoint.action,
             ..SetpointDelta::default()
         };
-        let wanted = setpoint.pose.iter().zip(&setpoint.rates);
-        for (index, (axis, (&pose, &rate))) in self.state.iter_mut().zip(wanted).enumerate() {
+        let commanded = setpoint.pose.iter().zip(&setpoint.rates);
+        for (index, (axis, (&pose, &rate))) in self.state.iter_mut().zip(commanded).enumerate() {
             let (predicted, gain) = axis.predict(span, ratio);
             let pose_residual = pose.wrapping_sub(predicted);
             let rate_residual = rate.wrapping_sub(axis.predict_rate(span, gain, pose_residual));

@@ -161,7 +161,7 @@ fn reports_fit_a_frame_and_answers_and_events_are_short() {
         setpoint: u32::MAX,
         program_periods: u32::MAX,
         path_rate: u16::MAX,
-        wanted: values(),
+        commanded: values(),
         measured: values(),
         joints: values(),
         following_error: values(),

@@ -38,7 +38,7 @@ impl Control for Timed {
 fn moving<C: Control>(control: C) -> Bench<C> {
     let mut bench = Bench::with(&RigOptions::default(), control);
     bench.make_ready();
-    let start = bench.status().wanted;
+    let start = bench.status().commanded;
     bench.start_job(1, &line_in_x(&start, -1.0, 200));
     bench.steps(2000);
     bench

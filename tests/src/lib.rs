@@ -194,7 +194,7 @@ impl<C: Control> Bench<C> {
 
     /// Starts a job of setpoints where the machine stands, and brings all of them over.
     pub fn start_job(&mut self, job: u32, setpoints: &[Setpoint]) {
-        let start = self.status().wanted;
+        let start = self.status().commanded;
         self.start_part(job, &start, setpoints);
         self.ask(Command::JobEnd {
             count: setpoints.len() as u32,

@@ -6,12 +6,12 @@ use haptimill_kinematics::{Kinematics, Pose};
 use haptimill_math::Coordinate;
 use haptimill_protocol::message::{Command, Event, Refusal, Source, State};
 use haptimill_tests::Bench;
-use scene::{DEGREE, MM, jog, line, ready, rest, state, step_smoothly, wanted};
+use scene::{DEGREE, MM, commanded, jog, line, ready, rest, state, step_smoothly};
 
 #[test]
 fn sources_change_without_a_jump() {
     let mut bench = ready();
-    let start = bench.status().wanted;
+    let start = bench.status().commanded;
     bench.start_job(1, &line(&start, 0, 4.0, 60));
     let pause = |bench: &mut Bench| {
         bench.ask(Command::Hold).expect("holds");
@@ -44,7 +44,7 @@ fn sources_change_without_a_jump() {
     for _ in 0..2500 {
         step_smoothly(&mut bench, 0.0011);
     }
-    let jogged = wanted(&bench)[1];
+    let jogged = commanded(&bench)[1];
     assert!(jogged > start[1] + (0.3 * MM) as i32);
     // x is the program's: the jog of it was not heard. Now x holds while the program goes on.
     pause(&mut bench);
@@ -54,9 +54,9 @@ fn sources_change_without_a_jump() {
             source: Source::Hold,
         })
         .expect("chosen");
-    let held = wanted(&bench)[0];
+    let held = commanded(&bench)[0];
     resume(&mut bench, 1500);
-    assert_eq!(wanted(&bench)[0], held);
+    assert_eq!(commanded(&bench)[0], held);
     // Both are the program's again: they go on from where they stand, with what happened meanwhile as their offset.
     pause(&mut bench);
     for axis in [0, 1] {
@@ -68,25 +68,25 @@ fn sources_change_without_a_jump() {
             .expect("chosen");
         step_smoothly(&mut bench, 1e-6);
     }
-    assert_eq!((wanted(&bench)[0], wanted(&bench)[1]), (held, jogged));
+    assert_eq!((commanded(&bench)[0], commanded(&bench)[1]), (held, jogged));
     resume(&mut bench, 1000);
-    assert!(wanted(&bench)[0] > held);
-    assert_eq!(wanted(&bench)[1], jogged);
+    assert!(commanded(&bench)[0] > held);
+    assert_eq!(commanded(&bench)[1], jogged);
     assert!(bench.wait_for(State::Idle, 60_000));
-    let end = wanted(&bench);
+    let end = commanded(&bench);
     assert!(end[0] < start[0] + (24.0 * MM) as i32 && end[0] > held);
     // The next job begins where the machine stands, without offsets.
-    let start = bench.status().wanted;
+    let start = bench.status().commanded;
     bench.start_job(2, &line(&start, 1, -4.0, 3));
     assert!(bench.wait_for(State::Idle, 10_000));
-    let gone = f64::from(start[1] - wanted(&bench)[1]) / MM;
+    let gone = f64::from(start[1] - commanded(&bench)[1]) / MM;
     assert!((gone - 1.6).abs() < 0.001, "{gone}");
 }
 
 #[test]
 fn setpoints_are_checked_where_they_will_be_with_their_offset() {
     let mut bench = ready();
-    let start = bench.status().wanted;
+    let start = bench.status().commanded;
     bench
         .ask(Command::JobStart {
             job: 1,
@@ -108,7 +108,7 @@ fn setpoints_are_checked_where_they_will_be_with_their_offset() {
             source: Source::Program,
         })
         .expect("chosen");
-    let offset = wanted(&bench)[1] - start[1];
+    let offset = commanded(&bench)[1] - start[1];
     assert!(offset > (20.0 * MM) as i32);
     // Within the soft limits by itself, beyond them with the offset.
     let mut far = rest(&start, 40_000);
@@ -132,7 +132,7 @@ fn setpoints_are_checked_where_they_will_be_with_their_offset() {
 /// and went on to its end.
 fn beside(axis: usize, speed: f64, hand: usize, rate: f64) -> Option<u32> {
     let mut bench = ready();
-    let start = bench.status().wanted;
+    let start = bench.status().commanded;
     let points = line(&start, axis, speed, 70);
     let end = points.last().expect("some").pose[axis];
     bench.start_job(1, &points);
@@ -176,7 +176,7 @@ fn beside(axis: usize, speed: f64, hand: usize, rate: f64) -> Option<u32> {
             assert_eq!(state(&bench), State::Hold, "{case}");
             // It was held for a reason: the end of the way cannot be taken with what was jogged.
             let mut pose = Pose::default();
-            for (slot, value) in pose.0.iter_mut().zip(wanted(&bench)) {
+            for (slot, value) in pose.0.iter_mut().zip(commanded(&bench)) {
                 *slot = Coordinate(value);
             }
             pose.0[axis] = Coordinate(end);
@@ -189,7 +189,7 @@ fn beside(axis: usize, speed: f64, hand: usize, rate: f64) -> Option<u32> {
             assert!(machine.inverse(&pose).is_err(), "{case}: held for nothing");
             // Back to where it began, then on.
             let unit = if hand < 3 { MM } else { DEGREE };
-            let back = f64::from(wanted(&bench)[hand] - start[hand]) / unit;
+            let back = f64::from(commanded(&bench)[hand] - start[hand]) / unit;
             let seconds = (back / rate).abs().min(1.0);
             bench
                 .ask(jog(

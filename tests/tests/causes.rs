@@ -9,7 +9,7 @@ use haptimill_hil_sim::joint::encoder::EncoderCondition;
 use haptimill_hil_sim::rig::{Control, RigOptions};
 use haptimill_protocol::message::{AxisValues, Command, Fault, Refusal, State};
 use haptimill_tests::Bench;
-use scene::{drives_off, joint_off, line, moving, ready, recover, state, wanted};
+use scene::{commanded, drives_off, joint_off, line, moving, ready, recover, state};
 
 /// A bench like this one at which the fault happens in 10 ms, and where its job began: the same machine again, with the fault in its schedule. It is
 /// deterministic.
@@ -23,7 +23,7 @@ fn faulty(like: &Bench, speed: f64, fault: &str) -> (Bench, AxisValues) {
     });
     bench.make_ready();
     bench.steps(500);
-    let start = bench.status().wanted;
+    let start = bench.status().commanded;
     bench.start_job(
         1,
         &line(&start, 0, speed, if speed == 8.0 { 50 } else { 28 }),
@@ -84,7 +84,7 @@ fn slipped(counts: i32, standing: bool) -> (Bench, Fault, f64) {
         });
         bench.make_ready();
         bench.steps(2000);
-        let start = bench.status().wanted;
+        let start = bench.status().commanded;
         bench.start_job(1, &line(&start, 0, 8.0, 50));
         bench
     } else {
@@ -200,7 +200,10 @@ fn missed_periods_brake_along_the_path_and_the_drives_hold() {
         if fault.is_some() {
             assert_eq!(status.state, State::Fault);
             assert!(!drives_off(&bench));
-            assert_eq!((wanted(&bench)[1], wanted(&bench)[2]), (start[1], start[2]));
+            assert_eq!(
+                (commanded(&bench)[1], commanded(&bench)[2]),
+                (start[1], start[2])
+            );
             recover(&mut bench, State::Idle);
         } else {
             assert_eq!(status.state, State::Run);
@@ -235,7 +238,7 @@ fn a_chip_that_misses_every_second_period_is_told_of() {
         let mut bench = Bench::with(&RigOptions::default(), slow);
         bench.make_ready();
         bench.steps(500);
-        let start = bench.status().wanted;
+        let start = bench.status().commanded;
         bench.start_job(1, &line(&start, 0, 8.0, 28));
         bench.rig.control_mut().missed = missed;
         // Braking takes twice or three times as long as well.

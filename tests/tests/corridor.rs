@@ -15,20 +15,20 @@ fn configured_enabled_homed_and_a_line_is_followed() {
         let off = f64::from(status.measured[axis]) / MM - bench.rig.truth().pose[axis];
         assert!(off.abs() < 0.012, "axis {axis} off by {off} mm");
     }
-    bench.start_job(1, &line_in_x(&status.wanted, -4.0, 20));
+    bench.start_job(1, &line_in_x(&status.commanded, -4.0, 20));
     let (mut worst, mut sum) = (0.0_f64, 0.0_f64);
     for _ in 0..11_500 {
         bench.step();
-        let wanted = bench
+        let commanded = bench
             .rig
             .control()
             .machine()
             .expect("configured")
             .motion
-            .wanted()
+            .commanded()
             .pose;
         let error: f64 = (0..3)
-            .map(|i| (f64::from(wanted.0[i].0) / MM - bench.rig.truth().pose[i]).powi(2))
+            .map(|i| (f64::from(commanded.0[i].0) / MM - bench.rig.truth().pose[i]).powi(2))
             .sum::<f64>()
             .sqrt();
         worst = worst.max(error);

@@ -54,7 +54,7 @@ fn setpoints_of_a_millisecond_come_in_time() {
     session.go_home(&machine, &home).expect("homed");
     let mut speed = 4.0;
     for (job, periods) in [25, 16, 10, 7, 5].into_iter().enumerate() {
-        let start = session.status().expect("told").wanted;
+        let start = session.status().expect("told").commanded;
         let count = 20_000 / usize::from(periods);
         let job = session.run_job(
             2 + job as u32,

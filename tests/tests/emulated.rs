@@ -150,7 +150,7 @@ fn against_a_wall<C: haptimill_hil_sim::Control>(control: C) -> Vec<(Snapshot, O
         .ask(Say::ForceLoop { axis: 0, settings })
         .expect("taken");
     bench.ask(Say::ForceMask { mask: 5 }).expect("taken");
-    let start = bench.status().wanted;
+    let start = bench.status().commanded;
     bench.start_job(1, &line_in_x(&start, -1.0, 15));
     let mut seen = Vec::new();
     for _ in 0..9000 {
@@ -193,7 +193,7 @@ fn times_real_time(every: u16) -> (f64, u64) {
     );
     bench.make_ready();
     bench.steps(500);
-    let start = bench.status().wanted;
+    let start = bench.status().commanded;
     bench.ask(Say::Telemetry { every }).expect("taken");
     bench.start_job(1, &line_in_x(&start, -10.0, 40));
     bench.steps(500);

@@ -29,7 +29,7 @@ impl<C: Control> Scene<C> {
     fn new(mut bench: Bench<C>) -> Self {
         bench.make_ready();
         bench.steps(500);
-        let start = bench.status().wanted;
+        let start = bench.status().commanded;
         bench.start_job(1, &line_in_x(&start, 10.0, 40));
         bench.steps(1000);
         Self {
@@ -77,7 +77,7 @@ fn worst_line<C: Control>(bench: Bench<C>) -> (Vec<Deed>, Vec<Event>, u32, u32) 
             .last()
             .and_then(|deed| deed.snapshot)
             .expect("configured")
-            .wanted[0]
+            .commanded[0]
     };
     scene.quiet(1);
     // Shorter than the silence after which a host is lost: hardly a frame survives this.

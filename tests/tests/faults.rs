@@ -10,7 +10,7 @@ use scene::struck::{
     encoder_is_asked, position_is_kept, position_is_lost, spoil_encoder, spoil_joint, strike,
 };
 use scene::{
-    MM, distance, drives_off, joint_off, line, moving, ready, recover, state, tool, wanted,
+    MM, commanded, distance, drives_off, joint_off, line, moving, ready, recover, state, tool,
 };
 
 #[test]
@@ -315,12 +315,15 @@ fn an_emergency_stop_while_homing_leaves_nothing_homed() {
 #[test]
 fn a_host_that_falls_silent_lets_the_machine_brake_on_its_path() {
     let mut bench = moving(0, 20.0);
-    let (line_y, line_z) = (wanted(&bench)[1], wanted(&bench)[2]);
+    let (line_y, line_z) = (commanded(&bench)[1], commanded(&bench)[2]);
     let (mut begun, mut mark) = (None, None);
     for period in 0..6000 {
         // Nobody writes: the host is dead, its bytes are lost.
         bench.step_with_fault(Vec::clear);
-        assert_eq!((wanted(&bench)[1], wanted(&bench)[2]), (line_y, line_z));
+        assert_eq!(
+            (commanded(&bench)[1], commanded(&bench)[2]),
+            (line_y, line_z)
+        );
         let safety = bench.rig.control().safety();
         if begun.is_none() && safety.pending().is_some() {
             begun = Some(period);
@@ -361,7 +364,7 @@ fn a_host_that_falls_silent_lets_the_machine_brake_on_its_path() {
 #[test]
 fn late_setpoints_slow_the_machine_on_its_path_and_are_named() {
     let mut bench = ready();
-    let start = bench.status().wanted;
+    let start = bench.status().commanded;
     let points = line(&start, 0, 10.0, 28);
     bench
         .ask(Command::JobStart {
@@ -390,8 +393,11 @@ fn late_setpoints_slow_the_machine_on_its_path_and_are_named() {
     let status = bench.status();
     assert_eq!((status.state, status.path_rate), (State::Run, 0));
     // Stopped before the last setpoint that there was, on the line.
-    assert!(status.wanted[0] < points[14].pose[0]);
-    assert_eq!((status.wanted[1], status.wanted[2]), (start[1], start[2]));
+    assert!(status.commanded[0] < points[14].pose[0]);
+    assert_eq!(
+        (status.commanded[1], status.commanded[2]),
+        (start[1], start[2])
+    );
     assert!(status.position_kept && status.fault.is_none());
     send(&mut bench, 15..30);
     bench.ask(Command::JobEnd { count: 30 }).expect("ended");
@@ -416,7 +422,7 @@ fn late_setpoints_slow_the_machine_on_its_path_and_are_named() {
         job: 4,
         setpoints: 30
     }));
-    assert_eq!(wanted(&bench)[0], points[29].pose[0]);
+    assert_eq!(commanded(&bench)[0], points[29].pose[0]);
 }
 
 /// The machine with step motors, homed, and then in the middle of a line in x.
@@ -428,7 +434,7 @@ fn stepping(speed: f64) -> Bench {
     let mut bench = Bench::of_machine(machine, &options, controller);
     bench.make_ready();
     bench.steps(500);
-    let start = bench.status().wanted;
+    let start = bench.status().commanded;
     bench.start_job(1, &line(&start, 0, speed, 28));
     bench.steps(3000);
     assert_eq!(state(&bench), State::Run);

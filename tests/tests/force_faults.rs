@@ -132,7 +132,7 @@ fn every_sensor_fault_ends_in_a_controlled_stop_with_its_name() {
     // In the air with the spindle off.
     let mut bench = ready_at(&sensor_alone());
     control(&mut bench, 0, loop_of(1.0, 5.0, Gate::AgainstMotion));
-    let start = bench.status().wanted;
+    let start = bench.status().commanded;
     bench.start_job(1, &line(&start, 0, -1.0, 60));
     bench.steps(3000);
     broken(

@@ -225,7 +225,7 @@ fn tares_and_jobs_have_their_order() {
     let mut bench = scene::ready();
     bench.rig.plant_mut().fit(&sensor_alone()).expect("sound");
     bench.ask(Command::ForceMask { mask: 1 }).expect("taken");
-    let start = bench.status().wanted;
+    let start = bench.status().commanded;
     let begin = Command::JobStart {
         job: 1,
         pose: start.clone(),
@@ -308,7 +308,7 @@ fn soft_limits_hold_for_the_reference() {
     let mut bench = Bench::of_machine(machine, &RigOptions::default(), Controller::new(200));
     bench.make_ready();
     // From where homing ended, to 1 mm before the limit.
-    let start = bench.status().wanted;
+    let start = bench.status().commanded;
     let way = -f64::from(start[0]) / MM;
     bench.start_job(1, &line(&start, 0, way / 2.0, 19));
     assert!(bench.wait_for(State::Idle, 20_000));

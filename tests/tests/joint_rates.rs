@@ -11,7 +11,7 @@ use scene::{DEGREE, MM, ready, rest, state};
 
 /// Maximum rate of a slide in machines/h4.toml, mm/s.
 const LIMIT: f64 = 100.0;
-/// The slides of a pose (mm, degrees): spec h4-milling (3.23) to (3.26) with the lengths of machines/h4.toml.
+/// The slides of a pose (mm, degrees): docs/control.md (3.23) to (3.26) with the lengths of machines/h4.toml.
 fn slides(pose: &[f64; 5]) -> [f64; 4] {
     let (theta, alpha) = (pose[3].to_radians(), pose[4].to_radians());
     let x = pose[0] + 780.0 + 30.0;
@@ -72,7 +72,7 @@ fn peaks(start: &AxisValues, setpoints: &[Setpoint]) -> Vec<f64> {
 
 /// Says a job; the refusal of a batch, if there was one.
 fn say(bench: &mut Bench, setpoints: &[Setpoint]) -> Option<Refusal> {
-    let start = bench.status().wanted;
+    let start = bench.status().commanded;
     bench
         .ask(Command::JobStart {
             job: 1,
@@ -144,14 +144,14 @@ fn ends_well(bench: &mut Bench) {
     assert!(bench.status().position_kept);
     let faults = |event: &Event| matches!(event, Event::Fault(_));
     assert!(!bench.events.iter().any(faults), "{:?}", bench.events);
-    let start = bench.status().wanted;
+    let start = bench.status().commanded;
     bench.start_job(2, &scene::line(&start, 0, 4.0, 5));
     assert!(bench.wait_for(State::Idle, 20_000));
 }
 
 /// Whatever a stream of setpoints asks for: what is refused would be too fast, and nothing too fast is taken.
 fn is_refused_where_it_is_too_fast(bench: &mut Bench, setpoints: &[Setpoint]) -> bool {
-    let start = bench.status().wanted;
+    let start = bench.status().commanded;
     let peaks = peaks(&start, setpoints);
     let refused = say(bench, setpoints);
     let taken = match refused {
@@ -190,7 +190,7 @@ fn a_stream_too_fast_for_a_slide_is_refused_before_the_slide_is() {
     // A slide follows a tilt by some 6.5 mm/degree. The pose may turn by 30 degrees/s.
     for span in [5_u16, 25, 64, 100, 300, 1000] {
         let mut bench = ready();
-        let start = bench.status().wanted;
+        let start = bench.status().commanded;
         let mut spans = vec![(1000, 12.0)];
         for _ in 0..(2000 / span).min(120) {
             spans.push((span, 12.0));
@@ -210,7 +210,7 @@ fn a_joint_too_fast_between_two_setpoints_is_found() {
     // At rest at both ends, and in the middle at 1.5 times the mean.
     for (periods, degrees) in [(600_u16, 2.3), (1500, 5.5), (2500, 9.0), (5000, 17.5)] {
         let mut bench = ready();
-        let mut setpoint = rest(&bench.status().wanted, periods);
+        let mut setpoint = rest(&bench.status().commanded, periods);
         setpoint.pose[3] += (degrees * DEGREE) as i32;
         assert!(is_refused_where_it_is_too_fast(
             &mut bench,
@@ -220,7 +220,7 @@ fn a_joint_too_fast_between_two_setpoints_is_found() {
         // Half as far in the same time is taken, and goes as fast as it says.
         let mut bench = ready();
         setpoint.pose[3] -= (degrees / 2.0 * DEGREE) as i32;
-        let start = bench.status().wanted;
+        let start = bench.status().commanded;
         let peak = peaks(&start, &[setpoint.clone()])[0];
         assert_eq!(say(&mut bench, &[setpoint]), None);
         bench.ask(Command::JobEnd { count: 1 }).expect("complete");
@@ -254,7 +254,7 @@ fn no_stream_commands_a_joint_too_fast() {
             bench.steps(4000);
         }
         assert!(bench.wait_for(State::Idle, 10_000));
-        let start = bench.status().wanted;
+        let start = bench.status().commanded;
         let axis = 1 + case % 4;
         let most = if axis < 3 { 49.0 } else { 29.0 };
         let span = uniform(2.0, 120.0) as u16;
@@ -287,7 +287,7 @@ fn no_stream_commands_a_joint_too_fast() {
 
 /// As above; a stream that leaves the reach of the machine is refused for that. Says whether it was refused for a joint rate.
 fn say_all(bench: &mut Bench, setpoints: &[Setpoint]) -> bool {
-    let start = bench.status().wanted;
+    let start = bench.status().commanded;
     let peaks = peaks(&start, setpoints);
     match say(bench, setpoints) {
         Some(Refusal::JointRate { setpoint, .. }) => {
@@ -307,7 +307,7 @@ fn say_all(bench: &mut Bench, setpoints: &[Setpoint]) -> bool {
 #[test]
 fn the_maximum_rate_is_allowed() {
     let mut bench = ready();
-    let start = bench.status().wanted;
+    let start = bench.status().commanded;
     let job = |rate| {
         tilt(
             &start,

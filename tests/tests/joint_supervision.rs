@@ -69,13 +69,13 @@ fn a_slide_that_sticks_is_not_one_without_encoder() {
         };
         let hz = between(1.0, 300.0);
         let mut slide = Slide::new(friction, gain, integral, between(1.0, 5.0));
-        let (mut wanted, mut before) = (0.0, 0.0);
+        let (mut commanded, mut before) = (0.0, 0.0);
         for period in 0..40_000 {
             let time = f64::from(period) * PERIOD;
             let rate = course.rate(time);
             let push = load * (time * hz * core::f64::consts::TAU).sin();
-            let fault = slide.step([wanted, rate, (rate - before) / PERIOD], push);
-            wanted += rate * PERIOD;
+            let fault = slide.step([commanded, rate, (rate - before) / PERIOD], push);
+            commanded += rate * PERIOD;
             before = rate;
             if let Some(fault) = fault {
                 blamed.push(format!(
@@ -99,7 +99,7 @@ fn found_after(speed: f64, condition: EncoderCondition, standing: bool, breakawa
     let mut most = 0.0_f64;
     for phase in 0..8 {
         let mut slide = Slide::new(friction, 1.0, 0.0, f64::from(phase) / 2.0 + 0.1);
-        let mut wanted = 0.0;
+        let mut commanded = 0.0;
         let start = if standing { 0 } else { 10_000 + phase * 37 };
         let found = (0..60_000).any(|period| {
             if period == start {
@@ -107,12 +107,12 @@ fn found_after(speed: f64, condition: EncoderCondition, standing: bool, breakawa
             }
             let ramp = (f64::from(period) / 500.0).min(1.0);
             let acceleration = if ramp < 1.0 { speed / 0.1 } else { 0.0 };
-            let fault = slide.step([wanted, speed * ramp, acceleration], 0.0);
-            wanted += speed * ramp * PERIOD;
+            let fault = slide.step([commanded, speed * ramp, acceleration], 0.0);
+            commanded += speed * ramp * PERIOD;
             fault.is_some()
         });
         assert!(found, "{speed} mm/s {condition:?}");
-        most = most.max((slide.gone() - wanted).abs());
+        most = most.max((slide.gone() - commanded).abs());
     }
     most
 }

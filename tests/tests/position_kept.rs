@@ -70,7 +70,7 @@ fn set_going(bench: &mut Bench, random: &mut Random, what: u64) -> String {
     match what {
         0 => "rest".into(),
         1 => {
-            let start = bench.status().wanted;
+            let start = bench.status().commanded;
             bench.start_job(1, &line(&start, axis, speed, 25));
             format!("job {axis} {speed:.3}")
         }

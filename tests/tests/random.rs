@@ -15,7 +15,7 @@ use haptimill_protocol::urgent::STOP;
 use haptimill_tests::Bench;
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
-use scene::{DEGREE, MM, circle, commands, drives_off, line, pump, ready, state, tool, wanted};
+use scene::{DEGREE, MM, circle, commanded, commands, drives_off, line, pump, ready, state, tool};
 use std::collections::VecDeque;
 
 /// Something that happens.
@@ -192,7 +192,7 @@ fn may_follow(from: State, to: State) -> bool {
 struct Watched {
     bench: Bench,
     before: State,
-    wanted: [i32; 6],
+    commanded: [i32; 6],
     rates: [i32; 6],
     drives_on: bool,
     job: VecDeque<Command>,
@@ -201,7 +201,7 @@ struct Watched {
 impl Watched {
     fn rates(bench: &Bench) -> [i32; 6] {
         let machine = bench.rig.control().machine().expect("configured");
-        machine.motion.wanted().rates.map(|rate| rate.0)
+        machine.motion.commanded().rates.map(|rate| rate.0)
     }
 
     fn step(&mut self, spoil: impl FnOnce(&mut Vec<u8>)) {
@@ -216,7 +216,7 @@ impl Watched {
             now == State::Fault,
             safety.fault().is_some() && now != State::EmergencyStop
         );
-        let place = wanted(&self.bench);
+        let place = commanded(&self.bench);
         let rates = Self::rates(&self.bench);
         let placed = !self.drives_on || (self.before == State::Homing && now == State::Idle);
         if drives_on && !placed {
@@ -224,7 +224,7 @@ impl Watched {
                 |state| matches!(state, State::Run | State::Hold | State::Jog | State::Homing);
             for axis in 0..5 {
                 let limits = &self.bench.machine.config.pose[axis];
-                let step = i64::from(place[axis].wrapping_sub(self.wanted[axis]));
+                let step = i64::from(place[axis].wrapping_sub(self.commanded[axis]));
                 // 2 % is what a setpoint may be faster, for its rounding; between setpoints a cubic may be half as fast again.
                 let most = i64::from(limits.rate.0) / 5000 * 153 / 100 + 2;
                 assert!(
@@ -257,12 +257,12 @@ impl Watched {
             let inside = (low..=high).contains(&place[axis]);
             assert!(!inside || (low..=high).contains(&reference.pose.0[axis].0));
         }
-        (self.before, self.wanted, self.rates, self.drives_on) = (now, place, rates, drives_on);
+        (self.before, self.commanded, self.rates, self.drives_on) = (now, place, rates, drives_on);
     }
 
     fn happens(&mut self, what: &Happening) {
         let bench = &mut self.bench;
-        let start: AxisValues = wanted(bench)[..5].iter().copied().collect();
+        let start: AxisValues = commanded(bench)[..5].iter().copied().collect();
         match what {
             Happening::Say(command) => {
                 bench.say(command.clone());
@@ -365,7 +365,7 @@ proptest! {
         let bench = ready();
         let mut watched = Watched {
             before: state(&bench),
-            wanted: wanted(&bench),
+            commanded: commanded(&bench),
             rates: Watched::rates(&bench),
             drives_on: true,
             job: VecDeque::new(),
@@ -378,7 +378,7 @@ proptest! {
                 watched.step(|_| ());
             }
         }
-        prop_assert!(f64::from(watched.wanted[0]).abs() < 400.0 * MM && f64::from(watched.wanted[4]).abs() < 90.0 * DEGREE);
+        prop_assert!(f64::from(watched.commanded[0]).abs() < 400.0 * MM && f64::from(watched.commanded[4]).abs() < 90.0 * DEGREE);
     }
 }
 
@@ -397,7 +397,7 @@ fn a_refused_command_changes_nothing() {
             0 => {}
             1 => bench.ask(Command::Disable).expect("off"),
             2 => {
-                let start = bench.status().wanted;
+                let start = bench.status().commanded;
                 bench.start_job(1, &line(&start, 0, 4.0, 20));
                 bench.steps(2000);
                 bench.ask(Command::Hold).expect("holds");
@@ -423,7 +423,7 @@ fn a_refused_command_changes_nothing() {
                     told.path_rate,
                 ),
                 (
-                    told.wanted,
+                    told.commanded,
                     told.fault,
                     sources,
                     machine.motion.program.accepted(),

@@ -7,7 +7,7 @@ use haptimill_protocol::message::{
 };
 use haptimill_protocol::setpoint::{Setpoint, SetpointCoder};
 use haptimill_tests::{Bench, line_in_x};
-use scene::{ready, state, wanted};
+use scene::{commanded, ready, state};
 
 const MM: f64 = (1 << 20) as f64;
 
@@ -20,7 +20,7 @@ struct Feeder {
 
 impl Feeder {
     fn start(bench: &mut Bench, points: Vec<Setpoint>) -> Self {
-        let start: AxisValues = wanted(bench)[..5].iter().copied().collect();
+        let start: AxisValues = commanded(bench)[..5].iter().copied().collect();
         bench
             .ask(Command::JobStart {
                 job: 1,
@@ -58,9 +58,9 @@ impl Feeder {
 /// Speed in x, mm/s, of every period; it may change by `most` in one.
 fn smoothly(bench: &mut Bench, periods: usize, speed: &mut f64, most: f64) {
     for period in 0..periods {
-        let before = wanted(bench)[0];
+        let before = commanded(bench)[0];
         bench.step();
-        let now = f64::from(wanted(bench)[0] - before) / MM / 2e-4;
+        let now = f64::from(commanded(bench)[0] - before) / MM / 2e-4;
         assert!(
             (now - *speed).abs() <= most,
             "period {period}: from {speed} to {now} mm/s in one period, {:?}",
@@ -73,7 +73,7 @@ fn smoothly(bench: &mut Bench, periods: usize, speed: &mut f64, most: f64) {
 /// A machine at 10 mm/s whose host has brought less than it takes to be sure of stopping: 300 ms to brake. Its speed.
 fn under_way() -> (Bench, Feeder, f64) {
     let mut bench = ready();
-    let start = bench.status().wanted;
+    let start = bench.status().commanded;
     // 20 spans of 100 ms at 10 mm/s; 300 ms to brake.
     let mut feeder = Feeder::start(&mut bench, line_in_x(&start, 10.0, 40));
     feeder.bring(&mut bench, 8);
@@ -112,7 +112,7 @@ fn a_needless_resume_changes_nothing() {
 #[test]
 fn a_late_setpoint_is_told_once() {
     let mut bench = ready();
-    let start = bench.status().wanted;
+    let start = bench.status().commanded;
     let mut feeder = Feeder::start(&mut bench, line_in_x(&start, 4.0, 40));
     feeder.bring(&mut bench, 12);
     bench.steps(8000);
@@ -120,12 +120,12 @@ fn a_late_setpoint_is_told_once() {
     bench.steps(500);
     bench.ask(Command::Stop).expect("stops");
     bench.steps(500);
-    let named = |wanted: u32| {
+    let named = |commanded: u32| {
         bench
             .events
             .iter()
             .filter(
-                |event| matches!(event, Event::Underrun { setpoint, .. } if *setpoint == wanted),
+                |event| matches!(event, Event::Underrun { setpoint, .. } if *setpoint == commanded),
             )
             .count()
     };

@@ -11,8 +11,8 @@ use haptimill_protocol::message::{
 };
 use haptimill_tests::Bench;
 use scene::{
-    DEGREE, MM, distance, drives_off, jog, line, moving, ready, recover, state, step_smoothly,
-    told, tool, wanted,
+    DEGREE, MM, commanded, distance, drives_off, jog, line, moving, ready, recover, state,
+    step_smoothly, told, tool,
 };
 
 /// The built-in machine with some lines of its file changed.
@@ -167,7 +167,7 @@ fn homing_can_be_stopped_and_done_again() {
 #[test]
 fn a_jog_lives_until_its_deadline() {
     let mut bench = ready();
-    let before = wanted(&bench);
+    let before = commanded(&bench);
     bench.ask(jog(1, 100, &[(0, 10.0)])).expect("jogs");
     let mut moving_for = 0;
     for _ in 0..3000 {
@@ -177,8 +177,8 @@ fn a_jog_lives_until_its_deadline() {
     assert_eq!(state(&bench), State::Idle);
     // 100 ms, and what 10 mm/s takes to brake at 200 mm/s^2 and 5000 mm/s^3: 90 ms.
     assert!((500..=1000).contains(&moving_for), "{moving_for} periods");
-    assert!(wanted(&bench)[0] > before[0]);
-    assert_eq!(wanted(&bench)[1..], before[1..]);
+    assert!(commanded(&bench)[0] > before[0]);
+    assert_eq!(commanded(&bench)[1..], before[1..]);
 }
 
 #[test]
@@ -221,9 +221,9 @@ fn a_stop_ends_the_epoch_of_jogs() {
             bench.steps(50);
         }
         assert_eq!(state(&bench), State::Idle);
-        let standing = wanted(&bench);
+        let standing = commanded(&bench);
         bench.steps(500);
-        assert_eq!(wanted(&bench), standing);
+        assert_eq!(commanded(&bench), standing);
     }
 }
 
@@ -246,7 +246,7 @@ fn a_jog_stops_before_soft_limits_strokes_and_the_reach() {
             let _ = bench.ask(jog(epoch as u16, 300, &of));
             for _ in 0..500 {
                 step_smoothly(&mut bench, 0.0101);
-                let now = wanted(&bench);
+                let now = commanded(&bench);
                 let config = &bench.machine.config;
                 for (axis, limits) in config.pose.iter().enumerate() {
                     assert!(
@@ -280,7 +280,7 @@ fn a_jog_stops_before_soft_limits_strokes_and_the_reach() {
 #[test]
 fn small_questions_of_jobs() {
     let mut bench = ready();
-    let start = bench.status().wanted;
+    let start = bench.status().commanded;
     // An empty job is done at once.
     bench
         .ask(Command::JobStart {
@@ -297,7 +297,10 @@ fn small_questions_of_jobs() {
     }));
     // The next one begins right after the last one's end, without a period of rest.
     for job in 2..5 {
-        let start = wanted(&bench)[..5].iter().copied().collect::<AxisValues>();
+        let start = commanded(&bench)[..5]
+            .iter()
+            .copied()
+            .collect::<AxisValues>();
         bench.start_job(job, &line(&start, 0, 4.0, 1));
         assert_eq!(
             bench.ask(Command::JobStart {
@@ -309,7 +312,10 @@ fn small_questions_of_jobs() {
         while state(&bench) != State::Idle {
             step_smoothly(&mut bench, 0.0011);
         }
-        let there = wanted(&bench)[..5].iter().copied().collect::<AxisValues>();
+        let there = commanded(&bench)[..5]
+            .iter()
+            .copied()
+            .collect::<AxisValues>();
         assert_eq!(
             bench.ask(Command::JobStart {
                 job: 9,
@@ -322,18 +328,18 @@ fn small_questions_of_jobs() {
             step_smoothly(&mut bench, 0.0011);
         }
         // Back, but for what the line's ends were rounded by.
-        assert!((wanted(&bench)[0] - start[0]).abs() <= 2);
+        assert!((commanded(&bench)[0] - start[0]).abs() <= 2);
     }
     // Override while it holds: heard, and of effect when it goes on.
-    let start = bench.status().wanted;
+    let start = bench.status().commanded;
     bench.start_job(20, &line(&start, 0, 10.0, 20));
     bench.steps(2500);
     bench.ask(Command::Hold).expect("holds");
     bench.steps(2000);
-    let held = wanted(&bench);
+    let held = commanded(&bench);
     bench.ask(Command::Override { percent: 50 }).expect("heard");
     bench.steps(100);
-    assert_eq!(wanted(&bench), held);
+    assert_eq!(commanded(&bench), held);
     bench.ask(Command::Resume).expect("goes on");
     bench.steps(2500);
     let status = bench.status();
@@ -356,7 +362,7 @@ fn small_questions_of_jobs() {
 #[test]
 fn a_pause_at_the_last_setpoint_is_waited_for() {
     let mut bench = ready();
-    let start = bench.status().wanted;
+    let start = bench.status().commanded;
     let mut points = line(&start, 0, 4.0, 3);
     points[4].action = haptimill_protocol::message::Action::Pause;
     bench.start_job(1, &points);
@@ -433,7 +439,7 @@ fn a_configuration_that_is_activated_under_a_latched_fault_is_as_good_as_one_aft
 fn a_new_configuration_keeps_the_position_or_gives_it_up() {
     let mut bench = Bench::new();
     bench.make_ready();
-    let start = bench.status().wanted;
+    let start = bench.status().commanded;
     bench.start_job(1, &haptimill_tests::line_in_x(&start, -4.0, 20));
     assert!(bench.wait_for(State::Idle, 20_000));
     let before = bench.status();
@@ -488,7 +494,7 @@ fn missed_periods_while_it_holds_are_told_as_well() {
 #[test]
 fn the_spindle_ends_with_the_job() {
     let mut bench = ready();
-    let start = bench.status().wanted;
+    let start = bench.status().commanded;
     let mut points = line(&start, 0, 4.0, 10);
     points[2].action = haptimill_protocol::message::Action::Spindle(12_000);
     bench.start_job(1, &points);
@@ -552,7 +558,7 @@ fn a_corrected_pose_does_not_move_the_tool() {
 #[test]
 fn a_moving_machine_refuses_what_needs_rest() {
     let mut bench = moving(0, 4.0);
-    let pose = bench.status().wanted;
+    let pose = bench.status().commanded;
     let run = Err(Refusal::State(State::Run));
     assert_eq!(bench.ask(Command::Disable), run);
     assert_eq!(bench.ask(Command::Enable), run);
@@ -582,7 +588,7 @@ fn a_moving_machine_refuses_what_needs_rest() {
 fn a_setpoint_that_never_comes_is_named() {
     let mut bench = Bench::new();
     bench.make_ready();
-    let start = bench.status().wanted;
+    let start = bench.status().commanded;
     let points = haptimill_tests::line_in_x(&start, -4.0, 20);
     bench.start_part(1, &start, &points[..12]);
     bench.steps(10_000);

@@ -50,7 +50,7 @@ fn a_job_stopped_in_any_period_is_summed_up_as_the_machine_stands() {
     let mut speed = 2.0;
     let mut others = vec![];
     for periods in 0..120 {
-        let start = session.status().expect("told").wanted;
+        let start = session.status().expect("told").commanded;
         session.line_mut().left = Some(300 + periods);
         let job = session.run_job(
             2 + periods,

@@ -106,13 +106,13 @@ fn an_emergency_stop_in_motion_keeps_the_position_of_step_motors() {
 fn an_emergency_stop_in_a_job_or_a_homing_keeps_what_was_known() {
     for seed in 1..=4 {
         let mut bench = stepping(seed);
-        let start = bench.status().wanted;
+        let start = bench.status().commanded;
         bench.start_job(1, &line(&start, 0, 16.0, 28));
         bench.steps(3000 + 91 * seed as usize);
         assert_eq!(state(&bench), State::Run);
         stop_and_go(&mut bench, 1000);
         is_true(&mut bench, 0.03);
-        let start = bench.status().wanted;
+        let start = bench.status().commanded;
         bench.start_job(2, &line(&start, 0, -16.0, 20));
         assert!(bench.wait_for(State::Idle, 30_000), "{:?}", bench.status());
         is_true(&mut bench, 0.03);
@@ -211,7 +211,7 @@ fn a_step_motor_that_does_not_lock_is_named_and_its_position_is_kept() {
 #[test]
 fn motion_waits_until_the_step_motors_have_locked() {
     let mut bench = stepping(2);
-    let pose = bench.status().wanted;
+    let pose = bench.status().commanded;
     bench.ask(jog(1, 1000, &[(0, 40.0)])).expect("jogs");
     bench.steps(1337);
     bench.rig.plant_mut().set_emergency_stop(true);

@@ -12,7 +12,8 @@ use haptimill_protocol::setpoint::SetpointCoder;
 use haptimill_protocol::urgent::STOP;
 use haptimill_tests::Bench;
 use scene::{
-    MM, circle, commands, from_path, line, moving, pump, ready, rest, state, wanted, without_pauses,
+    MM, circle, commanded, commands, from_path, line, moving, pump, ready, rest, state,
+    without_pauses,
 };
 use std::collections::VecDeque;
 
@@ -32,9 +33,9 @@ fn run_circle(faults: &[&str]) -> (Vec<[i32; 6]>, Bench) {
     while bench.rig.time_ns() < 8_000_000_000 {
         bench.step();
     }
-    let start = wanted(&bench)[..5].iter().copied().collect();
+    let start = commanded(&bench)[..5].iter().copied().collect();
     let mut job = commands(7, &start, &circle(&start, 5.0, 160));
-    let mut poses = vec![wanted(&bench)];
+    let mut poses = vec![commanded(&bench)];
     for _ in 0..60_000 {
         // A host that has no more than 1.6 s in hand: the line is used all the time.
         let machine = bench.rig.control().machine().expect("configured");
@@ -43,7 +44,7 @@ fn run_circle(faults: &[&str]) -> (Vec<[i32; 6]>, Bench) {
             pump_one(&mut bench, &mut job);
         }
         bench.step();
-        poses.push(wanted(&bench));
+        poses.push(commanded(&bench));
         let over = state(&bench) == State::Idle && poses.len() > 2500 && job.is_empty();
         if over || state(&bench) == State::Fault {
             break;
@@ -132,7 +133,7 @@ fn a_bad_line_never_makes_a_wrong_motion() {
 #[test]
 fn an_urgent_stop_at_every_byte_stops_within_the_braking_time_and_loses_nothing() {
     let mut bench = ready();
-    let start = wanted(&bench)[..5].iter().copied().collect();
+    let start = commanded(&bench)[..5].iter().copied().collect();
     let path = {
         let mut clean = ready();
         let mut job = commands(1, &start, &circle(&start, 5.0, 100));
@@ -140,13 +141,13 @@ fn an_urgent_stop_at_every_byte_stops_within_the_braking_time_and_loses_nothing(
         for _ in 0..30_000 {
             pump(&mut clean, &mut job);
             clean.step();
-            poses.push(wanted(&clean));
+            poses.push(commanded(&clean));
         }
         without_pauses(&poses)
     };
     // Feeds setpoints slowly, so that the stream goes on through all the stops.
     let mut job = commands(1, &start, &circle(&start, 5.0, 100));
-    let mut poses = vec![wanted(&bench)];
+    let mut poses = vec![commanded(&bench)];
     let mut stopped = 0;
     let mut next_offset = 0_usize;
     let mut since_resume = 0;
@@ -166,7 +167,7 @@ fn an_urgent_stop_at_every_byte_stops_within_the_braking_time_and_loses_nothing(
                 struck = true;
             }
         });
-        poses.push(wanted(&bench));
+        poses.push(commanded(&bench));
         since_resume += 1;
         if due && !struck {
             bench.say(Command::Ping);
@@ -176,7 +177,7 @@ fn an_urgent_stop_at_every_byte_stops_within_the_braking_time_and_loses_nothing(
             // The stop is on its way for a period at most.
             for period in 0..2000 {
                 bench.step();
-                poses.push(wanted(&bench));
+                poses.push(commanded(&bench));
                 if state(&bench) == State::Hold
                     && poses[poses.len() - 1] == poses[poses.len() - 2]
                     && period > 3
@@ -245,7 +246,7 @@ fn garbage_never_moves_the_machine_and_never_stops_the_link() {
     let mut random = Random::new(99, 0);
     for speed in [0.0, 10.0] {
         let mut bench = moving(0, speed);
-        let before = wanted(&bench);
+        let before = commanded(&bench);
         // 340 ms: the heartbeat, less the silence before a sign of life that was lost and the one before the first that is heard again.
         for _ in 0..1700 {
             bench.step_with_fault(|bytes| {
@@ -262,7 +263,7 @@ fn garbage_never_moves_the_machine_and_never_stops_the_link() {
                     );
                 }
             });
-            let now = wanted(&bench);
+            let now = commanded(&bench);
             assert_eq!(now[1..], before[1..]);
             if speed == 0.0 {
                 assert_eq!(now, before);
@@ -312,14 +313,14 @@ fn a_second_host_is_refused_while_the_machine_moves_and_welcome_while_it_stands(
         })
         .expect("jogs");
     bench.steps(3000);
-    let standing = wanted(&bench);
+    let standing = commanded(&bench);
     bench.link.open(555, bench.rig.time_ns() / 1000);
     bench.steps(500);
     assert_eq!(
         bench.link.state(bench.rig.time_ns() / 1000),
         LinkState::Open
     );
-    assert_eq!(wanted(&bench), standing);
+    assert_eq!(commanded(&bench), standing);
     bench
         .ask(Command::Jog {
             epoch: 1,
@@ -329,10 +330,10 @@ fn a_second_host_is_refused_while_the_machine_moves_and_welcome_while_it_stands(
         .expect("counts its own epochs");
     bench.steps(3000);
     // Axis 1 is the program's again.
-    let start = bench.status().wanted;
+    let start = bench.status().commanded;
     bench.start_job(2, &line(&start, 1, -4.0, 2));
     assert!(bench.wait_for(State::Idle, 10_000));
-    assert!(wanted(&bench)[1] < start[1] - (MM as i32));
+    assert!(commanded(&bench)[1] < start[1] - (MM as i32));
 }
 
 #[test]
@@ -367,7 +368,7 @@ fn no_host_takes_over_a_machine_that_moves_before_it_brakes() {
 #[test]
 fn a_refused_setpoint_changes_nothing_and_can_be_said_again() {
     let mut bench = ready();
-    let start = bench.status().wanted;
+    let start = bench.status().commanded;
     let points = circle(&start, 5.0, 40);
     bench
         .ask(Command::JobStart {
@@ -427,7 +428,7 @@ fn a_refused_setpoint_changes_nothing_and_can_be_said_again() {
     let mut worst = 0.0_f64;
     while state(&bench) != State::Idle {
         bench.step();
-        let now = wanted(&bench);
+        let now = commanded(&bench);
         let x = f64::from(now[0] - start[0]) / MM + 5.0;
         let y = f64::from(now[1] - start[1]) / MM;
         worst = worst.max((x.hypot(y) - 5.0).abs());
@@ -435,5 +436,5 @@ fn a_refused_setpoint_changes_nothing_and_can_be_said_again() {
     }
     // The circle, but for the cubics between its setpoints.
     assert!(worst < 0.01, "{worst} mm off the circle");
-    assert_eq!(wanted(&bench)[..5], points[39].pose[..]);
+    assert_eq!(commanded(&bench)[..5], points[39].pose[..]);
 }

@@ -19,7 +19,7 @@ pub const CHECKS: &[Check] = &[Check {
     run: bits,
 }];
 
-/// REF-M of spec h4-milling 7.2.
+/// REF-M of docs/control.md 7.2.
 const REFERENCE: HapticGeometry = HapticGeometry {
     base_radius: Length::millimetres(150),
     platform_radius: Length::millimetres(50),
@@ -29,7 +29,7 @@ const REFERENCE: HapticGeometry = HapticGeometry {
     side_tolerance: Length::nanometres(400_000),
 };
 
-/// Readings of a handle that is moved and turned a little about z, by loop closure (spec h4-milling 2.3) in f64.
+/// Readings of a handle that is moved and turned a little about z, by loop closure (docs/control.md 2.3) in f64.
 fn readings([x, y, z]: [f64; 3], turn: f64) -> [LegReading; 3] {
     core::array::from_fn(|leg| {
         let azimuth = leg as f64 * core::f64::consts::TAU / 3.0;

@@ -41,10 +41,10 @@ fn marked() -> Aligned {
     bytes
 }
 
-/// Every byte is what `wanted` says of its place.
-fn assert_all(bytes: &Aligned, what: [usize; 3], wanted: impl Fn(usize) -> u8) {
+/// Every byte is what `commanded` says of its place.
+fn assert_all(bytes: &Aligned, what: [usize; 3], commanded: impl Fn(usize) -> u8) {
     for (place, byte) in bytes.0.iter().enumerate() {
-        assert!(*byte == wanted(place), "{what:?}, byte {place}: {byte}");
+        assert!(*byte == commanded(place), "{what:?}, byte {place}: {byte}");
     }
 }
 

@@ -66,11 +66,11 @@ fn setpoints() {
     let last = QUEUE + 41;
     let (mut number, mut x, mut reached) = (QUEUE + 1, 0, 0);
     for _ in 0..20_000 {
-        let (wanted, progress) = program.advance(false);
+        let (commanded, progress) = program.advance(false);
         assert!(!progress.queue_empty);
         // Order: the way goes on and on, and setpoints are reached one by one.
-        assert!(wanted.pose.0[0].0 >= x);
-        x = wanted.pose.0[0].0;
+        assert!(commanded.pose.0[0].0 >= x);
+        x = commanded.pose.0[0].0;
         assert!(program.reached() - reached <= 1);
         reached = program.reached();
         assert_eq!(
@@ -103,9 +103,9 @@ fn underrunning() {
     }
     let mut x = 0;
     for _ in 0..6000 {
-        let (wanted, progress) = program.advance(false);
+        let (commanded, progress) = program.advance(false);
         assert!(!progress.queue_empty);
-        x = wanted.pose.0[0].0;
+        x = commanded.pose.0[0].0;
         assert!(
             x <= along(first, false).pose[0],
             "the last setpoint was passed"
@@ -122,9 +122,9 @@ fn underrunning() {
     let late = program.take_late().map(|late| late.setpoint);
     assert_eq!(late, Some(first as u32));
     for _ in 0..6000 {
-        let (wanted, progress) = program.advance(false);
-        assert!(wanted.pose.0[0].0 >= x);
-        x = wanted.pose.0[0].0;
+        let (commanded, progress) = program.advance(false);
+        assert!(commanded.pose.0[0].0 >= x);
+        x = commanded.pose.0[0].0;
         if progress.finished {
             assert_eq!(Coordinate(x), Coordinate(along(first + 1, true).pose[0]));
             return;

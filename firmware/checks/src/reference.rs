@@ -198,7 +198,7 @@ pub fn force() -> ForceConfig {
     }
 }
 
-/// REF-M of spec h4-milling 7.2 with the reflection of its section 4.2; the arm counts 2.5 um and 65,536 to the turn.
+/// REF-M of docs/control.md 7.2 with the reflection of its section 4.2; the arm counts 2.5 um and 65,536 to the turn.
 #[must_use]
 pub fn haptic() -> HapticConfig {
     let length = |x: f64| Length(mm(x));

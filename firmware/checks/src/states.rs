@@ -212,14 +212,14 @@ impl Bed {
         assert!(self.controller.safety().homed());
     }
 
-    fn wanted(&self) -> AxisValues {
+    fn commanded(&self) -> AxisValues {
         let machine = self.controller.machine().expect("configured");
         machine.commanded_values()
     }
 
     /// Starts a job: 8 mm in x, there and back, `times` times; gives the number of its setpoints.
     fn start_job(&mut self, times: usize) -> u32 {
-        let start = self.wanted();
+        let start = self.commanded();
         let job = Command::JobStart {
             job: 3,
             pose: start.clone(),
@@ -307,14 +307,14 @@ fn job() {
     let mut bed = Bed::new();
     assert_eq!(bed.state(), State::Disabled);
     bed.make_ready();
-    let start = bed.wanted();
+    let start = bed.commanded();
     let counts = bed.inputs.axes.map(|axis| axis.counts);
     let setpoints = bed.start_job(2);
     assert_eq!(bed.state(), State::Run);
     let mut farthest = 0;
     while bed.state() == State::Run {
         bed.step();
-        let x = bed.wanted()[0] - start[0];
+        let x = bed.commanded()[0] - start[0];
         farthest = farthest.max(x);
         assert!((-1..=mm(8.01)).contains(&x), "{x}");
     }
@@ -330,7 +330,7 @@ fn job() {
         })
     );
     // There and back again, to the last bit of what is wanted and to a step of what was made.
-    assert_eq!(bed.wanted(), start);
+    assert_eq!(bed.commanded(), start);
     for (before, axis) in counts.into_iter().zip(&bed.inputs.axes) {
         assert!((axis.counts - before).abs() <= 1);
         assert_eq!(axis.counts, axis.steps);
@@ -360,7 +360,7 @@ impl Bed {
 fn stop() {
     let mut bed = Bed::new();
     bed.make_ready();
-    let start = bed.wanted();
+    let start = bed.commanded();
     bed.start_job(2);
     bed.steps(1500);
     assert_eq!(bed.state(), State::Run);
@@ -370,13 +370,13 @@ fn stop() {
     bed.step();
     assert_eq!(bed.state(), State::Hold);
     bed.steps(2000);
-    let held = bed.wanted();
+    let held = bed.commanded();
     bed.steps(1000);
-    assert_eq!((bed.wanted(), bed.state()), (held, State::Hold));
+    assert_eq!((bed.commanded(), bed.state()), (held, State::Hold));
     bed.steps(2000);
     assert_eq!(bed.ask(Command::Resume), Ok(()));
     bed.wait_for(State::Idle);
-    assert_eq!(bed.wanted(), start);
+    assert_eq!(bed.commanded(), start);
 }
 
 fn trip() {
@@ -429,9 +429,9 @@ fn late() {
     let fault = Fault::LatePeriod { missed: limit };
     assert_eq!(bed.controller.safety().fault(), Some(fault));
     // It was braked along its path, and the drives hold it.
-    let held = bed.wanted();
+    let held = bed.commanded();
     bed.steps(500);
-    assert_eq!(bed.wanted(), held);
+    assert_eq!(bed.commanded(), held);
     assert!(!bed.drives_off());
     assert_eq!(bed.ask(Command::Reset), Ok(()));
     assert_eq!(bed.state(), State::Idle);

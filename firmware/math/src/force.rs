@@ -7,7 +7,7 @@
 //! | [`VirtualDamping`] | 2^-16 N s/mm | below 65536 |
 //! | [`Displacement`] | 2^-40 mm | +-8.4 m |
 //!
-//! Misuse: a [`Force`] is what the work does to the tool (spec h4-milling 1.3), not what a drive exerts: that is an [`super::Effort`].
+//! Misuse: a [`Force`] is what the work does to the tool (docs/control.md 1.3), not what a drive exerts: that is an [`super::Effort`].
 
 use super::{Length, scale};
 
@@ -51,12 +51,12 @@ impl Force {
 }
 
 quantity! {
-    /// K_A of spec h4-milling (3.30): 2^-16 N s^2/mm.
+    /// K_A of docs/control.md (3.30): 2^-16 N s^2/mm.
     VirtualMass: u32
 }
 
 quantity! {
-    /// K_V of spec h4-milling (3.30): 2^-16 N s/mm.
+    /// K_V of docs/control.md (3.30): 2^-16 N s/mm.
     VirtualDamping: u32
 }
 

@@ -1,4 +1,4 @@
-//! The direct-force loop of one axis: the displacement by which the tool yields (spec h4-milling (3.30)-(3.33), in the sign form of 3.3).
+//! The direct-force loop of one axis: the displacement by which the tool yields (docs/control.md (3.30)-(3.33), in the sign form of 3.3).
 //!
 //! ```text
 //! K_A p_c'' + K_V p_c' = F - sigma f_d     sigma p_c >= 0     p_r = p_d + p_c

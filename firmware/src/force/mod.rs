@@ -2,11 +2,11 @@
 //!
 //! Two stages of the corridor are here. *Sense* ([`ForceControl::measure`]): codes to forces on the tool ([`conditioning`]), their peak over a revolution of the spindle ([`peak`]), and whether sensor and
 //! contact can be believed. *Yield* ([`ForceControl::advance`]): the compliant displacement p_c of x, y and z of the work ([`compliance`], [`pole`]) under the eye of [`stability_monitor`]; the reference of
-//! the kinematics is p_r = p_d + p_c (spec h4-milling (3.31)-(3.33)).
+//! the kinematics is p_r = p_d + p_c (docs/control.md (3.31)-(3.33)).
 //!
 //! | part | units | limits |
 //! | --- | --- | --- |
-//! | forces | 2^-16 N, reaction on the tool (spec 1.3) | +-2048 N |
+//! | forces | 2^-16 N, reaction on the tool (docs/control.md 1.3) | +-2048 N |
 //! | p_c | 2^-40 mm | 64 mm, or less by its settings |
 //! | K_A, K_V | 2^-16 N s^2/mm, 2^-16 N s/mm | 2^-18 <= K_V T / K_A, and K_A >= K_V T at the highest level of damping |
 //! | stiffness of the contact | N/mm | the guard answers for 1000 |

@@ -1,7 +1,7 @@
 //! From the codes of a three-component sensor to the force on the tool, and whether it can be believed.
 //!
-//! The sensor is a quartz element under the work with a charge amplifier and a 14-bit converter (spec h4-milling 1.2, 7.1 items 24-26). It measures what the tool does to the
-//! work; the force that everything else here speaks of is the reaction on the tool (spec 1.3), so a channel usually has a negative scale.
+//! The sensor is a quartz element under the work with a charge amplifier and a 14-bit converter (docs/control.md 1.2, 7.1 items 24-26). It measures what the tool does to the
+//! work; the force that everything else here speaks of is the reaction on the tool (docs/control.md 1.3), so a channel usually has a negative scale.
 //!
 //! | watch | what it says | why its limit is right |
 //! | --- | --- | --- |
@@ -220,7 +220,7 @@ impl Conditioner {
         self.last_tare
     }
 
-    /// Tells the angle of the table (alpha, spec (3.15)-(3.16)), from which the share of the weight follows: +W sin alpha along y, +W cos alpha along z of the work, as a reaction on the tool
+    /// Tells the angle of the table (alpha, docs/control.md (3.15)-(3.16)), from which the share of the weight follows: +W sin alpha along y, +W cos alpha along z of the work, as a reaction on the tool
     /// would show. Costs a sine: once in some periods is enough.
     #[inline]
     pub fn set_table(&mut self, angle: Angle) {

@@ -1,4 +1,4 @@
-//! The highest and lowest force of the last revolution of the spindle (spec h4-milling 7.1 item 17).
+//! The highest and lowest force of the last revolution of the spindle (docs/control.md 7.1 item 17).
 //!
 //! A milling force has a crest for every tooth. What the compliance law works on is the largest magnitude of one whole revolution, sign kept: of
 //! a force that repeats every revolution this is a constant, whatever the run-out of the teeth.

@@ -1,4 +1,4 @@
-//! The exact discretisation of the compliance law (spec h4-milling (3.30) and 3.3): K_A v' + K_V v = u, with u held over a period T.
+//! The exact discretisation of the compliance law (docs/control.md (3.30) and 3.3): K_A v' + K_V v = u, with u held over a period T.
 //!
 //! With x = K_V T / K_A, a = e^-x and the rate at which it would end, w = u T / K_V (displacements in a period):
 //!

@@ -59,7 +59,7 @@ pub struct HapticConfig {
 /// How a tool follows a hand.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct FollowConfig {
-    /// G_P of spec h4-milling (3.1), 2^-12: 0.1 to 2 (1).
+    /// G_P of docs/control.md (3.1), 2^-12: 0.1 to 2 (1).
     pub scale: u16,
     /// k of the two stages of the following, 1/s: 10 to 500 (100).
     pub gain: u16,

@@ -1,4 +1,4 @@
-//! What part of the cutting force the hand feels (spec h4-milling 3.4, 7.1 items 27-29).
+//! What part of the cutting force the hand feels (docs/control.md 3.4, 7.1 items 27-29).
 //!
 //! Each axis reflects a percentage of the force on the tool, with its sign, up to a limit. Where that is too weak to be felt (below 2 N), a tenth of a newton for each mm/s of the hand is added against its
 //! motion. The boost fades out over the last half newton below that threshold, so nothing steps; it only ever takes energy from the hand.
@@ -31,7 +31,7 @@ pub struct FeedbackLaw {
     /// Boost, 2^-24 N s/mm, and where it ends.
     boost: i32,
     below: i32,
-    wanted: Reflection,
+    commanded: Reflection,
     /// All of it is what is wanted.
     arrived: bool,
     /// The way of a percentage in a period.
@@ -45,9 +45,9 @@ pub fn is_sound(reflection: &Reflection) -> bool {
     reflection.axes.iter().all(axis) && (1 << FADE_SHIFT..=MOST.0).contains(&reflection.boost_below)
 }
 
-/// `value` goes towards `wanted` by at most `step`.
-fn approach(value: &mut i32, wanted: i32, step: i32) {
-    *value = wanted.clamp(value.saturating_sub(step), value.saturating_add(step));
+/// `value` goes towards `commanded` by at most `step`.
+fn approach(value: &mut i32, commanded: i32, step: i32) {
+    *value = commanded.clamp(value.saturating_sub(step), value.saturating_add(step));
 }
 
 /// A force held within a limit on either side.
@@ -61,7 +61,7 @@ impl FeedbackLaw {
     #[must_use]
     pub fn new(settings: &Reflection, period_us: u16) -> Self {
         let mut law = Self {
-            wanted: *settings,
+            commanded: *settings,
             // Below 2^16 * 2^24 / 10^6.
             step: (i64::from(period_us) * (1 << 24) / RAMP_US) as i32,
             ..Self::default()
@@ -72,37 +72,37 @@ impl FeedbackLaw {
 
     /// Other settings from now on, gently.
     pub const fn set(&mut self, settings: &Reflection) {
-        self.wanted = *settings;
+        self.commanded = *settings;
         self.arrived = false;
     }
 
     /// The settings that are wanted.
     #[must_use]
     pub const fn settings(&self) -> &Reflection {
-        &self.wanted
+        &self.commanded
     }
 
     /// Once a period until it has arrived.
     #[inline(never)]
     fn approach(&mut self, step: i32) {
         let before = (self.percent, self.most, self.boost, self.below);
-        for (axis, wanted) in self.wanted.axes.iter().enumerate() {
+        for (axis, commanded) in self.commanded.axes.iter().enumerate() {
             // 2^24 / 100, to nearest.
             approach(
                 &mut self.percent[axis],
-                i32::from(wanted.percent) * 167_772,
+                i32::from(commanded.percent) * 167_772,
                 step,
             );
             approach(
                 &mut self.most[axis],
-                wanted.most << 8,
+                commanded.most << 8,
                 step.saturating_mul(10),
             );
         }
-        approach(&mut self.boost, i32::from(self.wanted.boost) << 8, step);
+        approach(&mut self.boost, i32::from(self.commanded.boost) << 8, step);
         approach(
             &mut self.below,
-            self.wanted.boost_below << 8,
+            self.commanded.boost_below << 8,
             step.saturating_mul(10),
         );
         // What does not move is where it shall be.

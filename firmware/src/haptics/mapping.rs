@@ -1,4 +1,4 @@
-//! From the hand to the tool: spec h4-milling (3.1)-(3.8) in a form without a division by zero.
+//! From the hand to the tool: docs/control.md (3.1)-(3.8) in a form without a division by zero.
 //!
 //! When the hand begins to lead (the button goes down, a coordinate is given to it, the scale changes), where it is and where the tool is are latched, coordinate by coordinate. From then on
 //!

@@ -1,10 +1,10 @@
-//! The hand on a haptic arm: where it is, and what it shall feel (spec h4-milling 2.2, 2.4, 3.4, 3.5).
+//! The hand on a haptic arm: where it is, and what it shall feel (docs/control.md 2.2, 2.4, 3.4, 3.5).
 //!
 //! Two stages of the corridor are here. *Sense* ([`Haptic::measure`]): nine counters to the pose of the handle, and whether they can be believed. *Feel* ([`Haptic::render`]): the force on the tool through the [`law`],
 //! smoothed while the hand owes energy ([`smooth`]), the [`wall`]s, the damping that [`passivity`] and [`swing`] ask for, all within the limit of the axis and not faster than the configured step in a period, through the statics of the arm to six currents, all clamped together so that
 //! the direction stays. What is sensed of a force in a period is felt in the next: outputs take effect at its beginning.
 //!
-//! The force that is reflected is the peak that force control works on: high forces are what the hand shall know of (spec 3.3), it rises in the period in which it was sampled, and a hand cannot follow the ripple of the teeth.
+//! The force that is reflected is the peak that force control works on: high forces are what the hand shall know of (docs/control.md 3.3), it rises in the period in which it was sampled, and a hand cannot follow the ripple of the teeth.
 //!
 //! | part | units |
 //! | --- | --- |
@@ -393,10 +393,10 @@ impl Haptic {
         for (axis, force) in force.iter_mut().enumerate() {
             let damping = self.passivity.damp_by(damped[axis], rates[axis]);
             let damping = Force(damping.0.saturating_add(swings[axis].0));
-            let wanted = self
+            let commanded = self
                 .law
                 .together(axis, self.reflected[axis], damping, self.wall[axis]);
-            let change = wanted.0.saturating_sub(force.0);
+            let change = commanded.0.saturating_sub(force.0);
             force.0 += change.clamp(-self.step, self.step);
         }
         let wrench = Wrench::at_tip(&force, pose);

@@ -1,4 +1,4 @@
-//! Virtual walls: a box that the hand is kept in, any face of which may move (spec h4-milling 3.5, 7.1 item 30).
+//! Virtual walls: a box that the hand is kept in, any face of which may move (docs/control.md 3.5, 7.1 item 30).
 //!
 //! A face pushes back in proportion to how far the tip is beyond it, and only then; up to a limit. Lengths 2^-20 mm, forces 2^-16 N.
 //!
@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 /// How stiff the walls are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct WallConfig {
-    /// Stiffness, 2^-16 N/mm: 0.05 to 2 N/mm. (0.35: what spec h4-milling 3.5 finds in E6.)
+    /// Stiffness, 2^-16 N/mm: 0.05 to 2 N/mm. (0.35: what docs/control.md 3.5 finds in E6.)
     pub stiffness: u32,
     /// The most that a face pushes: 0.5 to 10 N.
     pub most: Force,

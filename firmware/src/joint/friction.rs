@@ -1,4 +1,4 @@
-//! Coulomb friction that is compensated: effort * tanh(rate / knee), spec h4-milling 7.1 item 15.
+//! Coulomb friction that is compensated: effort * tanh(rate / knee), docs/control.md 7.1 item 15.
 //!
 //! It depends on the *wanted* rate alone: a measured rate would change its sign with the noise at rest, and the loop would rattle between the two
 //! sides of the friction. At standstill it is zero. The wanted rate has no noise, so the knee may be low, and should: below it the friction is there and its
@@ -43,10 +43,10 @@ impl Friction {
 
     /// Effort that overcomes the friction at a wanted rate, rounded; within +-`coulomb`.
     #[inline]
-    pub fn effort(&self, wanted: Rate) -> Effort {
-        if wanted.0.unsigned_abs() >= self.full {
+    pub fn effort(&self, commanded: Rate) -> Effort {
+        if commanded.0.unsigned_abs() >= self.full {
             // Nearly always, in motion.
-            return if wanted.0 < 0 {
+            return if commanded.0 < 0 {
                 self.coulomb.saturating_neg()
             } else {
                 self.coulomb
@@ -55,7 +55,7 @@ impl Friction {
         // In 1/16 of the knee, Q16. A rate of 2^31 over a knee of 1 is 2^31 * 2^20: no overflow before the clamp.
         let ratio = self
             .knee
-            .scaled(i64::from(wanted.0.unsigned_abs()), 20)
+            .scaled(i64::from(commanded.0.unsigned_abs()), 20)
             .min(80 << 16);
         // 0 to 80: there is a next one.
         let place = (ratio >> 16) as usize;
@@ -68,7 +68,7 @@ impl Friction {
         let tanh = total(low << 16, product(total(high, -low), part));
         // Below 2^31 * 2^31.
         let effort = total(product(i64::from(self.coulomb.0), tanh), 1 << 30) >> 31;
-        let signed = if wanted.0 < 0 { -effort } else { effort };
+        let signed = if commanded.0 < 0 { -effort } else { effort };
         Effort(haptimill_math::reciprocal::saturate(signed))
     }
 }

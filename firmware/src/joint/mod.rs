@@ -163,7 +163,7 @@ pub struct JointDrive {
     backlash: Backlash,
     output: Output,
     monitor: JointMonitor,
-    wanted: JointCommand,
+    commanded: JointCommand,
     measurement: JointMeasurement,
     servo_output: ServoOutput,
     measured_once: bool,
@@ -185,7 +185,7 @@ fn reach(axis: &JointAxis, period_us: u16) -> u32 {
     counts.min(u64::from(u32::MAX)) as u32
 }
 
-constants!(JointDrive { kind, reach } of { encoder, indexes, backlash, output } but { monitor, wanted, measurement, servo_output, measured_once, enabled });
+constants!(JointDrive { kind, reach } of { encoder, indexes, backlash, output } but { monitor, commanded, measurement, servo_output, measured_once, enabled });
 
 impl Constants for Output {
     fn digest(&self, digest: &mut Digest) {
@@ -268,7 +268,7 @@ impl JointDrive {
             backlash: Backlash::new(axis.kind, axis.backlash, period_us),
             output,
             monitor: JointMonitor::default(),
-            wanted: JointCommand::default(),
+            commanded: JointCommand::default(),
             measurement: JointMeasurement::default(),
             servo_output: ServoOutput::default(),
             measured_once: false,
@@ -500,8 +500,8 @@ impl JointDrive {
     ) -> Option<Fault> {
         let measurement = &self.measurement;
         let seen = JointSample {
-            wanted: self.wanted.coordinate,
-            wanted_rate: self.wanted.rate,
+            commanded: self.commanded.coordinate,
+            commanded_rate: self.commanded.rate,
             measured: measurement.coordinate,
             moved: measurement.moved,
             effort: self.servo_output.effort,
@@ -546,7 +546,7 @@ impl JointDrive {
         acceleration: Acceleration,
         command: &mut DriveCommand,
     ) -> bool {
-        self.wanted = JointCommand {
+        self.commanded = JointCommand {
             coordinate,
             rate,
             acceleration,

@@ -22,9 +22,9 @@ use haptimill_protocol::message::Fault;
 #[derive(Debug, Clone, Copy, Default)]
 pub struct JointSample {
     /// Wanted position.
-    pub wanted: Coordinate,
+    pub commanded: Coordinate,
     /// Wanted rate.
-    pub wanted_rate: Rate,
+    pub commanded_rate: Rate,
     /// Measured position.
     pub measured: Coordinate,
     /// Measured rate; looked at only where the drive [pushes](JointMonitor::pushes).
@@ -216,10 +216,10 @@ impl JointMonitor {
             self.against = 0;
             return None;
         }
-        let wanted = i64::from(seen.wanted_rate.0);
-        let off = i64::from(seen.rate.0) - wanted;
+        let commanded = i64::from(seen.commanded_rate.0);
+        let off = i64::from(seen.rate.0) - commanded;
         let effort = i64::from(seen.effort.0);
-        let limit = magnitude(config.following) * 50 + wanted.abs() / 4;
+        let limit = magnitude(config.following) * 50 + commanded.abs() / 4;
         let against = off.abs() > limit && effort.signum() == -off.signum();
         self.against = if against { self.against + 1 } else { 0 };
         if self.against < AGAINST_PERIODS {
@@ -228,7 +228,7 @@ impl JointMonitor {
         self.against = 0;
         // With an encoder that lies the rate is off long before the error is large. Where the error came first, the slide is jammed, and
         // springs back on its screw.
-        let error = difference(config, seen.wanted, seen.measured);
+        let error = difference(config, seen.commanded, seen.measured);
         let limit = magnitude(config.following) / 2;
         Some(if error.abs() > limit {
             Fault::FollowingError {
@@ -289,7 +289,7 @@ impl JointMonitor {
         let Drive::Torque { limit: most, .. } = config.drive else {
             return None;
         };
-        let direction = way(seen.wanted_rate.0);
+        let direction = way(seen.commanded_rate.0);
         let along = seen.effort.0.saturating_mul(direction);
         let holds = friction(config, most.0.unsigned_abs()).min(1 << 28) as i32;
         let needed = self.last_count.map_or(0, |last_count| last_count.needed);
@@ -331,27 +331,28 @@ impl JointMonitor {
 
     /// Motion that was wanted and not seen, or seen the other way round.
     fn motion(&mut self, axis: u8, config: &JointAxis, seen: &JointSample) -> Option<Fault> {
-        let (wanted_then, measured_then) = *self.since.get_or_insert((seen.wanted, seen.measured));
-        if distance(config, seen.wanted, wanted_then) < config.still.magnitude() {
+        let (wanted_then, measured_then) =
+            *self.since.get_or_insert((seen.commanded, seen.measured));
+        if distance(config, seen.commanded, wanted_then) < config.still.magnitude() {
             return None;
         }
-        let wanted = difference(config, seen.wanted, wanted_then);
+        let commanded = difference(config, seen.commanded, wanted_then);
         let measured = difference(config, seen.measured, measured_then);
         self.since = None;
-        if measured.abs() < wanted.abs() / 8 {
+        if measured.abs() < commanded.abs() / 8 {
             return Some(Fault::EncoderStill { axis });
         }
-        (measured.signum() != wanted.signum()).then_some(Fault::EncoderReversed { axis })
+        (measured.signum() != commanded.signum()).then_some(Fault::EncoderReversed { axis })
     }
 
     /// The following error against its limit.
     fn error(axis: u8, config: &JointAxis, seen: &JointSample) -> Option<Fault> {
-        if distance(config, seen.wanted, seen.measured) <= config.following.magnitude() {
+        if distance(config, seen.commanded, seen.measured) <= config.following.magnitude() {
             return None;
         }
-        let speed = i64::from(seen.wanted_rate.0).abs();
+        let speed = i64::from(seen.commanded_rate.0).abs();
         let limit = magnitude(config.following) + ((speed * i64::from(config.following_lag)) >> 16);
-        let error = difference(config, seen.wanted, seen.measured);
+        let error = difference(config, seen.commanded, seen.measured);
         if error.abs() <= limit {
             return None;
         }

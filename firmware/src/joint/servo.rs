@@ -2,9 +2,9 @@
 //!
 //! With e = wanted - measured, both forms ask for an acceleration and turn it into an effort:
 //!
-//! - [`ServoForm::Pd`], spec h4-milling (3.29): inertia (K_P e + K_D e') + friction. The printed equation adds k_d times the measured rate, which is positive feedback and
+//! - [`ServoForm::Pd`], docs/control.md (3.29): inertia (K_P e + K_D e') + friction. The printed equation adds k_d times the measured rate, which is positive feedback and
 //!   unstable; the corrected sign is used, on the rate of the *error*, so a ramp leaves no lag of K_D / K_P.
-//! - [`ServoForm::ModelBased`], spec (3.35)-(3.37): inertia (l_e'' + K_D e' + K_P e) + viscous l_e' + friction, which leaves e'' + K_D e' + K_P e = 0 (3.38).
+//! - [`ServoForm::ModelBased`], docs/control.md (3.35)-(3.37): inertia (l_e'' + K_D e' + K_P e) + viscous l_e' + friction, which leaves e'' + K_D e' + K_P e = 0 (3.38).
 //!
 //! e' is the rate of e through a first-order filter ([`filter::RateFilter`]): encoder counts are steps, and differentiating one within a period would ask for
 //! K_D / period times a count. Friction is compensated by the wanted rate ([`friction`]). The integrator is optional; it stands still while the output is at

@@ -1,4 +1,4 @@
-//! Force control in the machine: what it senses, and the reference p_r = p_d + p_c that is placed instead of the wanted pose (spec h4-milling (3.31)-(3.33)).
+//! Force control in the machine: what it senses, and the reference p_r = p_d + p_c that is placed instead of the wanted pose (docs/control.md (3.31)-(3.33)).
 //!
 //! The components of a force, and of p_c, are the first three pose coordinates: x, y and z of the work.
 //!
@@ -79,7 +79,7 @@ impl Machine {
         if force.is_inactive() && self.limited == [0; COMPONENTS] {
             // No axis is under force control, and nothing is left of what was.
             force.hold(stopped);
-            self.reference.pose = self.motion.wanted().pose;
+            self.reference.pose = self.motion.commanded().pose;
             return;
         }
         self.apply_admittance(stopped);
@@ -95,10 +95,10 @@ impl Machine {
             .condition()
             .is_some_and(|problem| !matches!(problem, ForceProblem::Limit { .. }));
         force.hold(stopped || (unbelieved && force.mask() != 0));
-        let wanted = self.motion.wanted();
-        let [x, y, z, ..] = wanted.rates;
+        let commanded = self.motion.commanded();
+        let [x, y, z, ..] = commanded.rates;
         let yielding = *force.advance(&[x, y, z]);
-        self.reference = *wanted;
+        self.reference = *commanded;
         let mut limited = 0;
         for (component, yielding) in yielding.iter().enumerate() {
             if yielding.limited {
@@ -140,7 +140,7 @@ impl Machine {
 
     /// Puts p_d + p_c of one component into the reference.
     fn displace(&mut self, component: usize, by: Displacement) -> Coordinate {
-        let desired = self.motion.wanted().pose.0[component];
+        let desired = self.motion.commanded().pose.0[component];
         let reference = Coordinate(desired.0.saturating_add(by.length().0));
         self.reference.pose.0[component] = reference;
         reference
@@ -207,9 +207,9 @@ impl Machine {
         let yielding = *force.roll_back();
         let mut limited = 0;
         for (component, yielding) in yielding.iter().enumerate() {
-            let wanted = self.motion.wanted();
-            self.reference.rates[component] = wanted.rates[component];
-            self.reference.accelerations[component] = wanted.accelerations[component];
+            let commanded = self.motion.commanded();
+            self.reference.rates[component] = commanded.rates[component];
+            self.reference.accelerations[component] = commanded.accelerations[component];
             self.displace(component, yielding.displacement);
             if yielding.displacement != Displacement::default() {
                 limited |= 1 << component;
@@ -294,11 +294,11 @@ impl Machine {
 
     /// What is placed: p_r, or where nothing yields what is wanted.
     #[must_use]
-    pub fn reference(&self) -> &crate::motion::Wanted {
+    pub fn reference(&self) -> &crate::motion::PoseCommand {
         if self.is_compliant() {
             &self.reference
         } else {
-            self.motion.wanted()
+            self.motion.commanded()
         }
     }
 }

@@ -42,7 +42,7 @@ impl Machine {
     /// A job begins at the commanded pose, at rest.
     pub fn begin_joint_rates(&mut self) {
         self.joint_rates = JointRates::default();
-        let pose = self.motion.wanted().pose;
+        let pose = self.motion.commanded().pose;
         if let Ok(node) = self.node(&pose, &Default::default()) {
             self.joint_rates.tail = node;
         }

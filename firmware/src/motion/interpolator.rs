@@ -12,7 +12,7 @@ mod retract;
 mod stopping;
 mod underrun;
 
-use super::Wanted;
+use super::PoseCommand;
 use super::cubic::{Cubic, SegmentDuration};
 use super::ramp::{Ramp, RampLimits};
 use super::segment;
@@ -241,8 +241,8 @@ impl Program {
 
     /// Pose and rates so many periods after the newest setpoint on the way to the next one, of which [`Program::allows`] was asked in this period.
     #[must_use]
-    pub fn sample_to(&self, setpoint: &Setpoint, periods: u16) -> Option<Wanted> {
-        let mut wanted = Wanted::default();
+    pub fn sample_to(&self, setpoint: &Setpoint, periods: u16) -> Option<PoseCommand> {
+        let mut commanded = PoseCommand::default();
         let half = segment::half(self.span.fraction(u32::from(periods) << 16));
         let to = setpoint.pose.iter().zip(&setpoint.rates).enumerate();
         for (axis, (place, rate)) in to {
@@ -250,10 +250,10 @@ impl Program {
             let (from, end) = (self.tail.rates[axis], Coordinate(*place));
             let cubic = Cubic::new(start, from, end, *rate, &self.span, wrap)?;
             let sample = segment::SegmentPolynomial::new(&cubic, &self.span).sample(half);
-            wanted.pose.0[axis] = sample.position;
-            wanted.rates[axis] = sample.rate;
+            commanded.pose.0[axis] = sample.position;
+            commanded.rates[axis] = sample.rate;
         }
-        Some(wanted)
+        Some(commanded)
     }
 
     /// Whether a setpoint so many periods after the one before is as far from it as that was: others take a little longer to look at.
@@ -413,17 +413,17 @@ impl Program {
     }
 
     /// One period along the path; `halt` brakes to rest and keeps the place.
-    pub fn advance(&mut self, halt: bool) -> (Wanted, Progress) {
-        let mut wanted = Wanted::default();
-        let progress = self.advance_to(halt, &mut wanted);
-        (wanted, progress)
+    pub fn advance(&mut self, halt: bool) -> (PoseCommand, Progress) {
+        let mut commanded = PoseCommand::default();
+        let progress = self.advance_to(halt, &mut commanded);
+        (commanded, progress)
     }
 
     /// The same, with the pose, rates and accelerations written where they shall be.
     #[inline]
-    pub fn advance_to(&mut self, halt: bool, wanted: &mut Wanted) -> Progress {
+    pub fn advance_to(&mut self, halt: bool, commanded: &mut PoseCommand) -> Progress {
         let progress = self.go(halt);
-        self.sample(wanted);
+        self.sample(commanded);
         progress
     }
 
@@ -517,28 +517,28 @@ impl Program {
     }
 
     /// Pose, rates and accelerations at the present time and path rate.
-    fn wanted(&self) -> Wanted {
-        let mut wanted = Wanted::default();
-        self.sample(&mut wanted);
-        wanted
+    fn commanded(&self) -> PoseCommand {
+        let mut commanded = PoseCommand::default();
+        self.sample(&mut commanded);
+        commanded
     }
 
     /// The same, written where they shall be.
     #[inline]
-    fn sample(&self, wanted: &mut Wanted) {
+    fn sample(&self, commanded: &mut PoseCommand) {
         let Some(segment) = self.segment() else {
-            *wanted = Wanted {
+            *commanded = PoseCommand {
                 pose: Pose(self.from.pose.map(Coordinate)),
-                ..Wanted::default()
+                ..PoseCommand::default()
             };
             return;
         };
         let fraction = segment.span.fraction((self.time >> 16) as u32);
-        let Wanted {
+        let PoseCommand {
             pose,
             rates,
             accelerations,
-        } = &mut *wanted;
+        } = &mut *commanded;
         // A compiler that knows it to be positive multiplies by it as by an unsigned word, which takes four instructions for one.
         let half = core::hint::black_box(segment::half(fraction));
         let places = pose.0.iter_mut().zip(rates).zip(accelerations);
@@ -551,7 +551,7 @@ impl Program {
             *acceleration = sample.acceleration;
         }
         if self.path_rate != Ramp::at(FULL_RATE) {
-            self.slow_down(wanted);
+            self.slow_down(commanded);
         }
     }
 
@@ -566,11 +566,11 @@ impl Program {
 
     /// From rates and accelerations at the programmed speed to those at the path rate.
     #[inline(never)]
-    fn slow_down(&self, wanted: &mut Wanted) {
+    fn slow_down(&self, commanded: &mut PoseCommand) {
         let rate = self.path_rate.value() >> 2;
         let rate_squared = product(rate, rate) >> 30;
         let slope = self.path_rate.slope();
-        let motions = wanted.rates.iter_mut().zip(&mut wanted.accelerations);
+        let motions = commanded.rates.iter_mut().zip(&mut commanded.accelerations);
         for (axis_rate, acceleration) in motions.take(self.axes) {
             let speed = i64::from(axis_rate.0);
             *axis_rate = Rate((product(speed, rate) >> 30) as i32);

@@ -4,7 +4,7 @@
 //! deadline; then it brakes. Before a soft limit it brakes so that it stops in front of it, and before a pose that the machine cannot take all
 //! coordinates brake together: the stopping point is tested every period, so the machine never has to stop harder than its limits allow.
 
-use super::Wanted;
+use super::PoseCommand;
 use super::envelope::{Excursion, FULL_LOAD, MOST_LOAD, StoppingEnvelope};
 use super::ramp::{Ramp, RampLimits};
 use crate::config::digest::{Constants, Digest, constants};
@@ -181,13 +181,13 @@ impl Jog {
     }
 
     /// One period. The flag names a coordinate that was kept from going on by its soft limit, or by the machine's reach.
-    pub fn advance(&mut self, machine: &impl Kinematics) -> (Wanted, Option<u8>) {
+    pub fn advance(&mut self, machine: &impl Kinematics) -> (PoseCommand, Option<u8>) {
         if self.is_at_standstill() {
             let pose = self.standing();
             return (
-                Wanted {
+                PoseCommand {
                     pose,
-                    ..Wanted::default()
+                    ..PoseCommand::default()
                 },
                 None,
             );
@@ -227,20 +227,20 @@ impl Jog {
             }
         }
         self.braking = false;
-        let mut wanted = Wanted::default();
+        let mut commanded = PoseCommand::default();
         for (index, axis) in self.axis[..self.axes].iter_mut().enumerate() {
             let Some(limits) = axis.limits else { continue };
             axis.position += axis.rate.advance(targets[index], &limits);
-            wanted.pose.0[index] = Coordinate((axis.position >> FRACTION) as i32);
-            wanted.rates[index] = Rate(saturate(per_second(
+            commanded.pose.0[index] = Coordinate((axis.position >> FRACTION) as i32);
+            commanded.rates[index] = Rate(saturate(per_second(
                 axis.rate.value(),
                 self.periods_per_second,
             )));
             let slope = per_second(axis.rate.slope(), self.periods_per_second);
-            wanted.accelerations[index] =
+            commanded.accelerations[index] =
                 Acceleration(saturate((slope * self.periods_per_second) >> 8));
         }
-        (wanted, limited)
+        (commanded, limited)
     }
 
     /// Where everything is, to the whole unit below.

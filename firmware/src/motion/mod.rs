@@ -27,7 +27,7 @@ use tracker::{Tracker, TrackerLimits};
 
 /// The wanted pose and its motion.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Wanted {
+pub struct PoseCommand {
     /// Pose.
     pub pose: Pose,
     /// Rates, axis units per second.
@@ -59,7 +59,7 @@ pub struct Motion {
     /// The jog.
     pub jog: Jog,
     axes: usize,
-    wanted: Wanted,
+    commanded: PoseCommand,
     sources: [Source; MAX_AXES],
     offsets: [i32; MAX_AXES],
     bounds: [TrackerLimits; MAX_AXES],
@@ -86,7 +86,7 @@ pub struct Motion {
 }
 
 constants!(Motion { axes, bounds, room } of { program, jog } but {
-    wanted, sources, offsets, trackers, program_rates, targets, tracking_blocked, limit_reported, limited, stopping, blended, load, reach
+    commanded, sources, offsets, trackers, program_rates, targets, tracking_blocked, limit_reported, limited, stopping, blended, load, reach
 });
 
 /// Gain of the movers of a machine that no hand leads, 1/s: they only brake.
@@ -116,15 +116,15 @@ impl Motion {
     /// The wanted pose.
     #[must_use]
     #[inline]
-    pub const fn wanted(&self) -> &Wanted {
-        &self.wanted
+    pub const fn commanded(&self) -> &PoseCommand {
+        &self.commanded
     }
 
     /// Wanted becomes `pose`, at rest. No motion, and no jump: the caller has measured it.
     pub fn set_position(&mut self, pose: &Pose) {
-        self.wanted = Wanted {
+        self.commanded = PoseCommand {
             pose: *pose,
-            ..Wanted::default()
+            ..PoseCommand::default()
         };
         self.jog.begin(pose, true);
         self.reset_trackers();
@@ -133,7 +133,7 @@ impl Motion {
     /// All movers stand at the wanted pose.
     fn reset_trackers(&mut self) {
         for axis in 0..self.axes {
-            let place = self.wanted.pose.0[axis];
+            let place = self.commanded.pose.0[axis];
             self.trackers[axis] = Tracker::at(place, Rate::ZERO, &self.bounds[axis]);
         }
         self.targets = [None; MAX_AXES];
@@ -144,16 +144,16 @@ impl Motion {
 
     /// Begins a job at the wanted pose.
     pub fn begin_program(&mut self) {
-        self.program.begin(&self.wanted.pose);
+        self.program.begin(&self.commanded.pose);
         self.offsets = [0; MAX_AXES];
-        self.jog.begin(&self.wanted.pose, true);
+        self.jog.begin(&self.commanded.pose, true);
         self.reset_trackers();
         self.update_blended();
     }
 
     /// Begins jogging at the wanted pose; `limited` says whether soft limits count.
     pub fn begin_jog(&mut self, limited: bool) {
-        self.jog.begin(&self.wanted.pose, limited);
+        self.jog.begin(&self.commanded.pose, limited);
     }
 
     /// Chooses the source of one coordinate: to a jog, or from one, only while the machine is at rest.
@@ -162,12 +162,12 @@ impl Motion {
             return;
         };
         if !self.blended {
-            self.program_rates = self.wanted.rates;
+            self.program_rates = self.commanded.rates;
         }
         let bounds = &self.bounds[axis];
-        let (place, rate) = (self.wanted.pose.0[axis], self.wanted.rates[axis]);
+        let (place, rate) = (self.commanded.pose.0[axis], self.commanded.rates[axis]);
         if before == Source::Jog || source == Source::Jog {
-            self.jog.begin(&self.wanted.pose, true);
+            self.jog.begin(&self.commanded.pose, true);
         }
         if HAND && source != before {
             self.trackers[axis] = if source == Source::Program {
@@ -204,7 +204,7 @@ impl Motion {
     pub fn rest(&self, axis: usize) -> Coordinate {
         match self.sources.get(axis) {
             Some(Source::Master) => self.trackers[axis].rest(&self.bounds[axis]),
-            _ => self.wanted.pose.0.get(axis).copied().unwrap_or_default(),
+            _ => self.commanded.pose.0.get(axis).copied().unwrap_or_default(),
         }
     }
 
@@ -250,7 +250,7 @@ impl Motion {
         for (axis, coordinate) in destination.0[..self.axes].iter_mut().enumerate() {
             *coordinate = match self.sources[axis] {
                 Source::Program => Coordinate(coordinate.0.wrapping_add(self.offsets[axis])),
-                Source::Jog | Source::Hold | Source::Master => self.wanted.pose.0[axis],
+                Source::Jog | Source::Hold | Source::Master => self.commanded.pose.0[axis],
             };
         }
         destination
@@ -279,12 +279,12 @@ impl Motion {
     pub fn advance_program(&mut self, mode: Mode) -> Option<Progress> {
         match mode {
             Mode::Still => {
-                self.wanted.rates = Rates::default();
-                self.wanted.accelerations = Accelerations::default();
+                self.commanded.rates = Rates::default();
+                self.commanded.accelerations = Accelerations::default();
                 Some(Progress::default())
             }
             Mode::Program { halt } if !self.blended => {
-                Some(self.program.advance_to(halt, &mut self.wanted))
+                Some(self.program.advance_to(halt, &mut self.commanded))
             }
             _ => None,
         }
@@ -297,14 +297,14 @@ impl Motion {
         }
         match mode {
             Mode::Still | Mode::Jog => {
-                let (wanted, limited) = self.jog.advance(machine);
-                self.wanted = wanted;
+                let (commanded, limited) = self.jog.advance(machine);
+                self.commanded = commanded;
                 (Progress::default(), limited)
             }
             Mode::Program { halt } => {
                 for axis in 0..self.axes {
                     if self.sources[axis] != Source::Jog {
-                        self.jog.carry(axis, self.wanted.pose.0[axis]);
+                        self.jog.carry(axis, self.commanded.pose.0[axis]);
                     }
                 }
                 let (blocked, clipped) = self.check_stopping(machine);
@@ -410,7 +410,7 @@ impl Motion {
     ) -> Option<u32> {
         let program = self.program.sweep();
         let jog = self.jog.stopping(jog_goes_on)?;
-        let mut sweep = StoppingEnvelope::at(&self.wanted.pose);
+        let mut sweep = StoppingEnvelope::at(&self.commanded.pose);
         let mut allowed = true;
         for axis in 0..self.axes {
             let (tracker, bounds) = (&self.trackers[axis], &self.bounds[axis]);
@@ -458,8 +458,8 @@ impl Motion {
         load.filter(|_| allowed)
     }
 
-    fn merge(&mut self, axis: usize, program: &Wanted, jog: &Wanted, moves: bool) {
-        let mut moved = Wanted::default();
+    fn merge(&mut self, axis: usize, program: &PoseCommand, jog: &PoseCommand, moves: bool) {
+        let mut moved = PoseCommand::default();
         if moves {
             self.trackers[axis].write_to(axis, &self.bounds[axis], &mut moved);
             if self.sources[axis] == Source::Program {
@@ -484,14 +484,14 @@ impl Motion {
                 moved.accelerations[axis],
             ),
             Source::Jog => (jog.pose.0[axis].0, jog.rates[axis], jog.accelerations[axis]),
-            Source::Hold => (self.wanted.pose.0[axis].0, Rate(0), Acceleration(0)),
+            Source::Hold => (self.commanded.pose.0[axis].0, Rate(0), Acceleration(0)),
         };
         if self.sources[axis] != Source::Program {
             // What the program does meanwhile becomes the offset at which it is taken up again.
             self.offsets[axis] = position.wrapping_sub(program.pose.0[axis].0);
         }
-        self.wanted.pose.0[axis] = Coordinate(position);
-        self.wanted.rates[axis] = rate;
-        self.wanted.accelerations[axis] = acceleration;
+        self.commanded.pose.0[axis] = Coordinate(position);
+        self.commanded.rates[axis] = rate;
+        self.commanded.accelerations[axis] = acceleration;
     }
 }

@@ -8,7 +8,7 @@
 //!
 //! Units as in [`super::jog`]: 2^-20 axis units (per period). Misuse: a target beyond the bounds of the coordinate. The mover stops where it is told; whoever tells it holds the target within them.
 
-use super::Wanted;
+use super::PoseCommand;
 use super::envelope::SLOWED_LOAD;
 use super::jog::{per_period, slope, slower};
 use crate::config::PoseAxis;
@@ -196,23 +196,23 @@ impl Tracker {
 
     /// One period as [`Tracker::advance`], under a load of the joints in the period before: where that is large it goes no faster than the joints allow.
     pub fn advance_under(&mut self, target: Option<Coordinate>, load: u32, limits: &TrackerLimits) {
-        let slowed = |wanted: i64, rate: i64| {
+        let slowed = |commanded: i64, rate: i64| {
             // A little more, so that a coordinate at rest can begin beside others.
             let most = slower(rate.abs(), load) + limits.step / 16;
-            wanted.clamp(-most, most)
+            commanded.clamp(-most, most)
         };
-        self.go(target, limits, |wanted, rate| {
+        self.go(target, limits, |commanded, rate| {
             if load > SLOWED_LOAD {
-                slowed(wanted, rate)
+                slowed(commanded, rate)
             } else {
-                wanted
+                commanded
             }
         });
     }
 
     /// One period: towards a target within the bounds of the coordinate, or to rest without one.
     pub fn advance(&mut self, target: Option<Coordinate>, limits: &TrackerLimits) {
-        self.go(target, limits, |wanted, _| wanted);
+        self.go(target, limits, |commanded, _| commanded);
     }
 
     #[inline]
@@ -222,7 +222,7 @@ impl Tracker {
         limits: &TrackerLimits,
         slowed: impl Fn(i64, i64) -> i64,
     ) {
-        let wanted = match target {
+        let commanded = match target {
             Some(target) => {
                 let target = (i64::from(target.0) << FRACTION)
                     .min(limits.high)
@@ -232,7 +232,7 @@ impl Tracker {
             }
             None => 0,
         };
-        self.change = (wanted - self.rate).clamp(-limits.step, limits.step);
+        self.change = (commanded - self.rate).clamp(-limits.step, limits.step);
         self.rate += self.change;
         // The rate of the period's end is the derivative of the place there: the mean of both ends is the way.
         self.place += self.rate - self.change / 2;
@@ -242,10 +242,10 @@ impl Tracker {
     }
 
     /// Becomes the wanted value of a coordinate.
-    pub fn write_to(&self, axis: usize, limits: &TrackerLimits, wanted: &mut Wanted) {
-        wanted.pose.0[axis] = self.place();
-        wanted.rates[axis] = Rate(saturate(limits.per_second(self.rate)));
+    pub fn write_to(&self, axis: usize, limits: &TrackerLimits, commanded: &mut PoseCommand) {
+        commanded.pose.0[axis] = self.place();
+        commanded.rates[axis] = Rate(saturate(limits.per_second(self.rate)));
         let acceleration = (limits.per_second(self.change) * limits.periods_per_second) >> 8;
-        wanted.accelerations[axis] = Acceleration(saturate(acceleration));
+        commanded.accelerations[axis] = Acceleration(saturate(acceleration));
     }
 }

@@ -137,7 +137,7 @@ pub(super) fn put_done(words: &mut Writer<'_>, done: &Told<'_>) {
         u32::from(snapshot.path_rate) | u32::from(snapshot.spindle_rpm as u16) << 16,
     ]);
     words.put_long(snapshot.program_time);
-    words.put_axes(&snapshot.wanted);
+    words.put_axes(&snapshot.commanded);
     words.put_axes(&snapshot.joints_commanded);
     words.put_axes(&snapshot.joints);
     words.put_axes(&snapshot.following_error);
@@ -200,7 +200,7 @@ pub(super) fn take_done(words: &mut Reader<'_>) -> Result<Done, FrameError> {
         path_rate: pair as u16,
         spindle_rpm: (pair >> 16) as i16,
         program_time: words.take_long(),
-        wanted: words.take_row(),
+        commanded: words.take_row(),
         joints_commanded: words.take_row(),
         joints: words.take_row(),
         following_error: words.take_row(),

@@ -54,10 +54,10 @@ prop_compose! {
         [high, low, yielded]: [[i32; 3]; 3],
         [tip, felt, reflected, wall]: [[i32; 3]; 4],
     ) -> Snapshot {
-        let [wanted, joints_commanded, joints, following_error, drive] = rows;
+        let [commanded, joints_commanded, joints, following_error, drive] = rows;
         Snapshot {
             state, homed, position_kept, fault, more, queued, setpoint, path_rate, spindle_rpm, program_time,
-            wanted, joints_commanded, joints, following_error, drive,
+            commanded, joints_commanded, joints, following_error, drive,
             force: ForceSnapshot { high, low, yielded },
             hand: HapticSnapshot { tip, force: felt, reflected, wall },
         }

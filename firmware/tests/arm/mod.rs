@@ -1,4 +1,4 @@
-//! The haptic arm in f64, from the geometry of spec h4-milling 2.2-2.3: an independent truth for the tests.
+//! The haptic arm in f64, from the geometry of docs/control.md 2.2-2.3: an independent truth for the tests.
 #![allow(dead_code, reason = "each test uses its part")]
 
 use haptimill_kinematics::haptic_arm::{HapticGeometry, LegReading};
@@ -10,7 +10,7 @@ pub const PER_RADIAN: f64 = 4_294_967_296.0 / std::f64::consts::TAU;
 pub type V = [f64; 3];
 pub type M = [V; 3];
 
-/// REF-M of spec h4-milling 7.2, with the tip 150 mm beyond the platform.
+/// REF-M of docs/control.md 7.2, with the tip 150 mm beyond the platform.
 pub fn reference() -> HapticGeometry {
     HapticGeometry {
         base_radius: Length::millimetres(150),
@@ -143,7 +143,7 @@ impl Sequence {
     }
 }
 
-/// A pose of the +-40 mm, 20 degree workspace of spec h4-milling 7.2.
+/// A pose of the +-40 mm, 20 degree workspace of docs/control.md 7.2.
 pub fn random_pose(sequence: &mut Sequence) -> (V, M) {
     let centre = [
         sequence.between(-40.0, 40.0),

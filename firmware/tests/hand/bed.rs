@@ -249,7 +249,7 @@ impl Bed {
         bed
     }
 
-    pub fn wanted(&self) -> AxisValues {
+    pub fn commanded(&self) -> AxisValues {
         self.controller
             .machine()
             .expect("configured")
@@ -259,16 +259,16 @@ impl Bed {
     /// A wanted coordinate in mm, and its rate in mm/s.
     pub fn at(&self, axis: usize) -> (f64, f64) {
         let machine = self.controller.machine().expect("configured");
-        let wanted = machine.motion.wanted();
+        let commanded = machine.motion.commanded();
         (
-            f64::from(wanted.pose.0[axis].0) / 1_048_576.0,
-            f64::from(wanted.rates[axis].0) / 1_048_576.0,
+            f64::from(commanded.pose.0[axis].0) / 1_048_576.0,
+            f64::from(commanded.rates[axis].0) / 1_048_576.0,
         )
     }
 
     #[track_caller]
     pub fn start_job(&mut self) {
-        let pose = self.wanted();
+        let pose = self.commanded();
         assert_eq!(self.ask(Command::JobStart { job: 3, pose }), Ok(()));
     }
 

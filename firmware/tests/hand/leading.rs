@@ -89,11 +89,11 @@ fn orientation_follows_the_handle() {
     for axis in 3..5 {
         bed.master(axis);
     }
-    let start = [3, 4].map(|k| f64::from(bed.wanted()[k]) / 4_294_967_296.0 * 360.0);
+    let start = [3, 4].map(|k| f64::from(bed.commanded()[k]) / 4_294_967_296.0 * 360.0);
     bed.start_job();
     bed.inputs.haptic.engaged = true;
     bed.steps(10);
-    // By 8 degrees about y, then 5 about x: theta about Y by as much, alpha about X against it (spec h4-milling (3.20)-(3.22)).
+    // By 8 degrees about y, then 5 about x: theta about Y by as much, alpha about X against it (docs/control.md (3.20)-(3.22)).
     let (t, a) = (8.0_f64.to_radians(), 5.0_f64.to_radians());
     for k in 1..=4000 {
         let part = f64::from(k) / 4000.0;
@@ -111,7 +111,7 @@ fn orientation_follows_the_handle() {
         libm::cos(st) * libm::cos(sa),
     ];
     let axis = arm::apply(bed.turn, tool);
-    let degrees = |k: usize| f64::from(bed.wanted()[k]) / 4_294_967_296.0 * 360.0;
+    let degrees = |k: usize| f64::from(bed.commanded()[k]) / 4_294_967_296.0 * 360.0;
     let theta = libm::atan2(axis[0], libm::hypot(axis[1], axis[2])).to_degrees();
     let alpha = libm::atan2(axis[1], axis[2]).to_degrees();
     assert!(
@@ -252,7 +252,7 @@ fn it_waits_in_front_of_where_the_machine_cannot_go() {
     let machine = bed.controller.machine().expect("configured");
     for axis in 1..3 {
         let limits = &machine.config.pose[axis];
-        let place = machine.motion.wanted().pose.0[axis];
+        let place = machine.motion.commanded().pose.0[axis];
         assert!((limits.low..=limits.high).contains(&place));
     }
     // And back.

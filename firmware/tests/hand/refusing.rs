@@ -91,10 +91,10 @@ fn a_mill_whose_arm_stays_broken_can_be_used_without_it() {
     assert_eq!(bed.state(), State::Fault, "found again");
     let source = Source::Program;
     assert_eq!(bed.ask(Command::Source { axis: 0, source }), Ok(()));
-    let before = bed.wanted();
+    let before = bed.commanded();
     assert_eq!(bed.ask(Command::Reset), Ok(()));
     bed.steps(100);
-    assert!(bed.arm_off() && bed.state() == State::Idle && bed.wanted() == before);
+    assert!(bed.arm_off() && bed.state() == State::Idle && bed.commanded() == before);
     bed.start_job();
     assert_eq!(bed.ask(Command::JobEnd { count: 0 }), Ok(()));
     bed.wait_for(State::Idle);

@@ -371,8 +371,8 @@ fn rub(triangle: &Triangle, twist: &mut Twist, acting: &Acting, dt: f64) {
         let mut changed = 0.0_f64;
         for (index, friction) in frictions.iter().enumerate() {
             let bound = friction.bound * UNIT * dt;
-            let wanted = given[index] - product(&friction.row, twist) / ease[index];
-            let now = wanted.clamp(-bound, bound);
+            let commanded = given[index] - product(&friction.row, twist) / ease[index];
+            let now = commanded.clamp(-bound, bound);
             add(twist, &answers[index], now - given[index]);
             changed = changed.max((now - given[index]).abs() * ease[index]);
             given[index] = now;

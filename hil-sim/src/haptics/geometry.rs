@@ -1,7 +1,7 @@
 //! The loops of the haptic arm: where its legs are for a pose of the handle, and how they move with it.
 //!
 //! The controller has the closed formulas of the thesis. These are not used here, on purpose: a shared mistake would cancel out. All that goes in is how a leg is
-//! built (spec h4-milling 2.2): a rod slides by d along a tilted axis and turns by theta3 about it; on its end sits, hinged by theta4, a link of
+//! built (docs/control.md 2.2): a rod slides by d along a tilted axis and turns by theta3 about it; on its end sits, hinged by theta4, a link of
 //! length L; the link's other end is a ball joint on the platform. The joint of leg j sits on a circle of radius r_b at azimuth theta1; the axis leans inwards by theta2;
 //! the ball joint sits on the platform's circle of radius r_p at the same azimuth.
 //!
@@ -51,7 +51,7 @@ pub struct HapticGeometry {
 }
 
 impl Default for HapticGeometry {
-    /// The reference geometry REF-M (spec h4-milling 7.2) with the distances of the thesis: platform 450 mm from the base, tip 150 mm further.
+    /// The reference geometry REF-M (docs/control.md 7.2) with the distances of the thesis: platform 450 mm from the base, tip 150 mm further.
     fn default() -> Self {
         Self {
             base_radius_mm: 150.0,

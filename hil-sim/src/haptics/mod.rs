@@ -1,4 +1,4 @@
-//! The haptic arm: the master that a hand leads, with three legs that push back (spec h4-milling 2.2 to 2.4).
+//! The haptic arm: the master that a hand leads, with three legs that push back (docs/control.md 2.2 to 2.4).
 //!
 //! [`HapticArm::advance`] carries out the [`HapticOutputs`] of one control period in the substeps of the plant; [`HapticArm::inputs`] is what the controller sees at the start of the
 //! next; [`HapticArm::truth`] tells what no controller can know.

@@ -1,6 +1,6 @@
 //! The motors of the haptic arm with their amplifiers: from the converter's code to a force in the joint.
 //!
-//! An amplifier in current mode makes a current, and the motor a force, in proportion to its code (spec h4-milling 2.4), up to a limit; the current follows its command with
+//! An amplifier in current mode makes a current, and the motor a force, in proportion to its code (docs/control.md 2.4), up to a limit; the current follows its command with
 //! a first-order lag. Without its enable, and when it has tripped, it wants no current. Codes hold for a control period.
 //!
 //! Units: N for a slide, N mm for a turn.
@@ -45,7 +45,7 @@ pub struct Motors {
     follows: f64,
     force: [f64; 2 * LEGS],
     /// What the commands of this period ask for.
-    wanted: [f64; 2 * LEGS],
+    commanded: [f64; 2 * LEGS],
     tripped: bool,
 }
 
@@ -61,7 +61,7 @@ impl Motors {
                 1.0
             },
             force: [0.0; 2 * LEGS],
-            wanted: [0.0; 2 * LEGS],
+            commanded: [0.0; 2 * LEGS],
             tripped: false,
         }
     }
@@ -69,10 +69,10 @@ impl Motors {
     /// The codes of a period.
     pub fn command(&mut self, outputs: &HapticOutputs, powered: bool) {
         let alive = powered && outputs.enabled && !self.tripped;
-        for (index, wanted) in self.wanted.iter_mut().enumerate() {
+        for (index, commanded) in self.commanded.iter_mut().enumerate() {
             let kind = index % 2;
             let asked = f64::from(outputs.currents[index / 2][kind]) * self.per_code[kind];
-            *wanted = if alive {
+            *commanded = if alive {
                 asked.clamp(-self.limit[kind], self.limit[kind])
             } else {
                 0.0
@@ -83,14 +83,14 @@ impl Motors {
     /// No motor pushes, and none is asked to.
     pub fn still(&self) -> bool {
         let small = |force: &f64| force.abs() < 1e-9;
-        self.wanted.iter().all(|wanted| *wanted == 0.0) && self.force.iter().all(small)
+        self.commanded.iter().all(|commanded| *commanded == 0.0) && self.force.iter().all(small)
     }
 
     /// One step; gives the forces in the joints, slide and turn of each leg.
     #[inline]
     pub fn step(&mut self) -> [f64; 2 * LEGS] {
-        for (force, wanted) in self.force.iter_mut().zip(&self.wanted) {
-            *force += (wanted - *force) * self.follows;
+        for (force, commanded) in self.force.iter_mut().zip(&self.commanded) {
+            *force += (commanded - *force) * self.follows;
         }
         self.force
     }

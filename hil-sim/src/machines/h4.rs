@@ -1,7 +1,7 @@
 //! Where the tool is: the closed loops of the four rods, solved by Newton's method.
 //!
 //! The controller has its own closed formulas. These are not used here, on purpose: a shared mistake would cancel out. All that goes in
-//! is where the joints sit (spec h4-milling 2.6): slide `i` carries one at (l_i - s_i w, sigma_i (a - e), sigma_i d - g_e), the platform
+//! is where the joints sit (docs/control.md 2.6): slide `i` carries one at (l_i - s_i w, sigma_i (a - e), sigma_i d - g_e), the platform
 //! one at tip + m_i (sin theta, 0, cos theta) + (0, sigma_i b, 0), and a rod of length R lies between them.
 //!
 //! Units: mm and degrees. The unknowns are x, y, z of the tip and sin theta; |theta| < 90 degrees. A solution is followed from the last
@@ -13,7 +13,7 @@ use crate::joint::JointKind;
 use core::fmt;
 use serde::{Deserialize, Serialize};
 
-/// Lengths of the H-4 arm and its table in mm, under the names of the spec (h4-milling 2.5-2.6).
+/// Lengths of the H-4 arm and its table in mm, under the names of docs/control.md 2.5-2.6.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ArmGeometry {
@@ -315,7 +315,7 @@ impl Arm {
 
     /// The tip in the work, whose table is turned by `alpha` degrees: x_w, y_w, z_w in mm, theta and alpha in degrees.
     ///
-    /// The table's axis lies along x at (p, 0, -h); the work turns with it (spec h4-milling (3.14)-(3.16), the offsets with the sign that
+    /// The table's axis lies along x at (p, 0, -h); the work turns with it (docs/control.md (3.14)-(3.16), the offsets with the sign that
     /// makes them the inverse of (3.23)-(3.26)).
     #[inline]
     pub fn in_work(&self, tip: &Tip, alpha: f64) -> [f64; 5] {

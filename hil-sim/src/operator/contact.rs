@@ -6,7 +6,7 @@ use crate::check::{Check, PlantError};
 use crate::vector::{Vector, dot, minus, times};
 use serde::{Deserialize, Serialize};
 
-/// A rail that lets the handle move along one straight line through home, and not turn (spec h4-milling 1.2): a stiff spring with a damper across it.
+/// A rail that lets the handle move along one straight line through home, and not turn (docs/control.md 1.2): a stiff spring with a damper across it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Rail {
@@ -116,7 +116,7 @@ pub struct ReferencePart {
 }
 
 impl Default for ReferencePart {
-    /// A hole of 35 mm for the ball of 5 mm (spec h4-milling 4.1, E12), beside the tip's home towards -X: the tip can go round a circle of 30 mm. Stiffness and
+    /// A hole of 35 mm for the ball of 5 mm (docs/control.md 4.1, E12), beside the tip's home towards -X: the tip can go round a circle of 30 mm. Stiffness and
     /// friction chosen.
     fn default() -> Self {
         Self {

@@ -274,8 +274,8 @@ impl Operator {
         later: f64,
     ) -> (Vector, Vector) {
         let (config, desired) = (&self.config, &self.desired);
-        let wanted = plus(desired.place, times(desired.velocity, later));
-        let mut spring = times(minus(wanted, place), config.stiffness);
+        let commanded = plus(desired.place, times(desired.velocity, later));
+        let mut spring = times(minus(commanded, place), config.stiffness);
         let mut press = [0.0; 3];
         if let Some((normal, force)) = desired.press {
             spring = without(spring, normal);

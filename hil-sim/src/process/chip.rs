@@ -192,7 +192,7 @@ fn eased(a: f64, b: f64, onset: f64) -> f64 {
     (sum(high) - sum(low)) / (high - low)
 }
 
-/// Radial, tangential and axial parts, times `size`, as a force on the tool in its frame (the matrix of spec h4-milling 5.1).
+/// Radial, tangential and axial parts, times `size`, as a force on the tool in its frame (the matrix of docs/control.md 5.1).
 #[inline(always)]
 pub(super) fn rotated(node: &Node, radial: [f64; 2], parts: Vector, size: f64) -> Vector {
     let [r, t, a] = parts;

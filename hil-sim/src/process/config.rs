@@ -8,7 +8,7 @@ use serde::de::value::MapAccessDeserializer;
 use serde::de::{Error, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 
-/// What the material resists with: the six coefficients of Altintas and Lee (spec h4-milling 5.1).
+/// What the material resists with: the six coefficients of Altintas and Lee (docs/control.md 5.1).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Coefficients {
@@ -27,7 +27,7 @@ pub struct Coefficients {
 }
 
 impl Coefficients {
-    /// Polyethylene with edge forces: plant P1 of spec h4-milling 5.2.
+    /// Polyethylene with edge forces: plant P1 of docs/control.md 5.2.
     pub const P1: Self = Self {
         tangential: 60.5,
         radial: 82.6,
@@ -37,7 +37,7 @@ impl Coefficients {
         axial_edge: 0.014,
     };
 
-    /// Polyethylene without edge forces: plant P2 of spec h4-milling 5.2.
+    /// Polyethylene without edge forces: plant P2 of docs/control.md 5.2.
     pub const P2: Self = Self {
         tangential: 68.7,
         radial: 115.8,
@@ -105,7 +105,7 @@ pub struct CutterConfig {
 }
 
 impl Default for CutterConfig {
-    /// The mill of the experiments: 8 mm ball, 2 flutes; helix 30 degrees and coefficients P1 are estimates of spec h4-milling 5.2. Relief and body
+    /// The mill of the experiments: 8 mm ball, 2 flutes; helix 30 degrees and coefficients P1 are estimates of docs/control.md 5.2. Relief and body
     /// are estimates for polyethylene (modulus some 800 N/mm^2, strained over about two radii of the ball; hardness 60 N/mm^2).
     fn default() -> Self {
         Self {

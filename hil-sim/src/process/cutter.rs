@@ -1,4 +1,4 @@
-//! The ball-end mill of Altintas and Lee (spec h4-milling 5.1), cut into slices and made ready for the inner loop.
+//! The ball-end mill of Altintas and Lee (docs/control.md 5.1), cut into slices and made ready for the inner loop.
 //!
 //! The meridian of the ball is divided into equal angles kappa from the tip to the equator, the shank above it into equal heights. A *node*
 //! stands on each boundary; a *slice* lies between two nodes. In kappa the formulas of the spec are smooth down to the tip: with

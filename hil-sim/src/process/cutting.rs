@@ -1,11 +1,11 @@
 //! Cutting: a ball-end mill, the workpiece that it shapes, and the force between them.
 //!
-//! Everything is in the frame of the table (x_w, y_w, z_w; spec h4-milling 1.3): mm, N, and the spindle in turns, clockwise as seen from above. The
+//! Everything is in the frame of the table (x_w, y_w, z_w; docs/control.md 1.3): mm, N, and the spindle in turns, clockwise as seen from above. The
 //! force is the one **on the tool**, which is what the experiments call F_w; the workpiece feels the opposite.
 //!
 //! # How
 //!
-//! The edges are divided into slices (module `cutter`). A slice cuts with the forces of Altintas and Lee (spec h4-milling 5.1),
+//! The edges are divided into slices (module `cutter`). A slice cuts with the forces of Altintas and Lee (docs/control.md 5.1),
 //!
 //! ```text
 //! dF_r = K_re dS + K_rc h db     dF_t = K_te dS + K_tc h db     dF_a = K_ae dS + K_ac h db
@@ -65,7 +65,7 @@ impl ToolPose {
     }
 
     /// The tool of a machine that leans by `theta` about y over a table that is turned by `alpha` about x, degrees
-    /// (spec h4-milling (3.20)-(3.22)).
+    /// (docs/control.md (3.20)-(3.22)).
     pub fn leaning(tip: Vector, theta: f64, alpha: f64) -> Self {
         if theta == 0.0 && alpha == 0.0 {
             return Self::upright(tip);

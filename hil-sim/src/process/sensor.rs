@@ -1,7 +1,7 @@
 //! The force sensor: a quartz element between the table and the vise, its charge amplifier, and the ADC.
 //!
 //! The element rides on the table and measures along the table's axes what presses on it: the force **on the work**, which is minus the force on the tool
-//! (spec h4-milling 1.3), and the weight of vise and work, which turns with the table. Codes have that sign; making them the force on the
+//! (docs/control.md 1.3), and the weight of vise and work, which turns with the table. Codes have that sign; making them the force on the
 //! tool is the business of a calibration.
 //!
 //! Quartz gives charge for a change of force, so the amplifier counts from its last reset, forgets with a time constant (a high-pass) and drifts
@@ -39,7 +39,7 @@ pub struct SensorConfig {
 }
 
 impl Default for SensorConfig {
-    /// The estimates of spec h4-milling 7.1 (items 24 to 26): 10 N/V over 10 V, saturation at the range; the drift of a quartz amplifier of 2 pC/N
+    /// The estimates of docs/control.md 7.1 (items 24 to 26): 10 N/V over 10 V, saturation at the range; the drift of a quartz amplifier of 2 pC/N
     /// with 0.03 pC/s leakage; 1000 s; noise of two codes; a vise of 3 kg.
     fn default() -> Self {
         Self {

@@ -230,7 +230,7 @@ pub(super) fn report(session: &mut Session<PortLine>, json: bool) -> Result<(), 
             "period": status.period,
             "setpoint": status.setpoint,
             "path_rate": f64::from(status.path_rate) / 65_535.0,
-            "wanted": map(pose(&status.wanted)),
+            "commanded": map(pose(&status.commanded)),
             "measured": map(pose(&status.measured)),
             "joints": map(joints(&status.joints)),
             "following_error": map(joints(&status.following_error)),
@@ -269,7 +269,7 @@ pub(super) fn report(session: &mut Session<PortLine>, json: bool) -> Result<(), 
     }
     if !status.measured.is_empty() {
         tell!("measured{}", line(pose(&status.measured)));
-        tell!("wanted  {}", line(pose(&status.wanted)));
+        tell!("commanded  {}", line(pose(&status.commanded)));
         tell!("joints  {}", line(joints(&status.joints)));
     }
     Ok(())

@@ -214,7 +214,7 @@ impl Client {
         })
     }
 
-    /// Begins a job at `pose`, which must be the wanted pose of the controller to the last bit (see [`Telemetry::wanted`]). The setpoints are
+    /// Begins a job at `pose`, which must be the wanted pose of the controller to the last bit (see [`Telemetry::commanded`]). The setpoints are
     /// taken from the iterator as the controller has room for them; how it ends is told by [`Notice::Job`].
     ///
     /// # Errors

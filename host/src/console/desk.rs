@@ -70,7 +70,7 @@ pub(super) enum Then {
 
 /// Settings of a force loop that are wanted and not yet taken: the newest ones, one request at a time.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct WantedLoop {
+pub(super) struct RequestedLoop {
     pub(super) settings: Option<ForceLoop>,
     /// A request for these is under way.
     pub(super) asked: Option<ForceLoop>,
@@ -78,7 +78,7 @@ pub(super) struct WantedLoop {
     pub(super) after_us: u64,
 }
 
-impl WantedLoop {
+impl RequestedLoop {
     /// The newest settings that were wanted and are not yet taken.
     pub(super) fn newest(&self) -> Option<ForceLoop> {
         self.settings.or(self.asked)
@@ -138,11 +138,11 @@ pub(super) struct Desk {
     pub(super) sources: [Source; MAX_AXES],
     pub(super) feed_override: u8,
     /// The override that was asked for last.
-    pub(super) wanted_override: u8,
+    pub(super) requested_override: u8,
     pub(super) jogging: Jogging,
     pub(super) work: Work,
     pub(super) loops: Option<[ForceLoop; 3]>,
-    pub(super) wanted_loops: [WantedLoop; 3],
+    pub(super) requested_loops: [RequestedLoop; 3],
     pub(super) force_scale: (usize, Instant),
     pub(super) hand: Option<Hand>,
     pub(super) recording: Option<Recording>,
@@ -206,9 +206,9 @@ impl Desk {
             overlay: Overlay::None,
             sources: [Source::Program; MAX_AXES],
             feed_override: 100,
-            wanted_override: 100,
+            requested_override: 100,
             loops,
-            wanted_loops: [WantedLoop::default(); 3],
+            requested_loops: [RequestedLoop::default(); 3],
             force_scale: (0, now),
             hand: Hand::of(&machine),
             recording: None,
@@ -251,7 +251,7 @@ impl Desk {
     pub(super) fn standing(&self) -> Option<AxisValues> {
         let telemetry = self.telemetry.as_ref().filter(|_| self.ready())?;
         let known = telemetry.state == State::Idle && telemetry.period >= self.changed;
-        known.then(|| telemetry.wanted.clone())
+        known.then(|| telemetry.commanded.clone())
     }
 
     /// Asks the controller, and remembers what follows.
@@ -335,8 +335,8 @@ impl Desk {
         self.jogging.release_all(now_us);
         self.work.forget();
         self.sources = [Source::Program; MAX_AXES];
-        (self.feed_override, self.wanted_override) = (100, 100);
-        self.wanted_loops = [WantedLoop::default(); 3];
+        (self.feed_override, self.requested_override) = (100, 100);
+        self.requested_loops = [RequestedLoop::default(); 3];
         if let Some(hand) = &mut self.hand {
             hand.lose();
         }

@@ -37,7 +37,7 @@ pub(super) struct Setting<T> {
     /// What the machine file says.
     file: T,
     /// What was asked for last.
-    wanted: T,
+    commanded: T,
     /// What is in force.
     pub(super) now: T,
     /// No other host can have set something else.
@@ -48,7 +48,7 @@ impl<T: Copy + PartialEq> Setting<T> {
     const fn new(file: T) -> Self {
         Self {
             file,
-            wanted: file,
+            commanded: file,
             now: file,
             sure: false,
         }
@@ -57,7 +57,7 @@ impl<T: Copy + PartialEq> Setting<T> {
     /// The controller has it from the machine file.
     fn begin(&mut self) {
         self.taken(self.file);
-        self.wanted = self.file;
+        self.commanded = self.file;
     }
 
     fn taken(&mut self, value: T) {
@@ -66,8 +66,8 @@ impl<T: Copy + PartialEq> Setting<T> {
     }
 
     fn refused(&mut self, value: T) {
-        if self.wanted == value {
-            self.wanted = self.now;
+        if self.commanded == value {
+            self.commanded = self.now;
         }
     }
 }
@@ -213,11 +213,11 @@ impl Hand {
     /// The link is gone, and every request with it.
     pub(super) fn lose(&mut self) {
         if let Some(arm) = &mut self.arm {
-            arm.reflection.wanted = arm.reflection.now;
+            arm.reflection.commanded = arm.reflection.now;
             arm.heard = None;
         }
         if let Some(scale) = &mut self.scale {
-            scale.wanted = scale.now;
+            scale.commanded = scale.now;
         }
     }
 

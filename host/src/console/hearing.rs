@@ -65,7 +65,7 @@ impl Desk {
         }
         if let Err(error) = result {
             match then {
-                Then::Override(_) => self.wanted_override = self.feed_override,
+                Then::Override(_) => self.requested_override = self.feed_override,
                 Then::Loop(axis, settings) if self.loop_refused(axis, settings, &error) => return,
                 _ => {}
             }
@@ -93,7 +93,7 @@ impl Desk {
             }
             Then::Loop(axis, settings) => {
                 let axis = usize::from(axis);
-                self.wanted_loops[axis].asked = None;
+                self.requested_loops[axis].asked = None;
                 if let Some(loops) = &mut self.loops {
                     loops[axis] = settings;
                 }
@@ -120,16 +120,16 @@ impl Desk {
     /// True when it is to be asked again: a newer wish waits already, or the controller works the last change out.
     fn loop_refused(&mut self, axis: u8, settings: ForceLoop, error: &RequestError) -> bool {
         let now_us = self.now_us();
-        let wanted = &mut self.wanted_loops[usize::from(axis)];
-        wanted.asked = None;
+        let commanded = &mut self.requested_loops[usize::from(axis)];
+        commanded.asked = None;
         let busy = matches!(
             error,
             RequestError::Refused(Refusal::Force { refusal, .. })
                 if refusal.parameter == ForceParameter::Busy
         );
         if busy {
-            wanted.settings.get_or_insert(settings);
-            wanted.after_us = now_us + BUSY_US;
+            commanded.settings.get_or_insert(settings);
+            commanded.after_us = now_us + BUSY_US;
         }
         busy
     }
@@ -137,13 +137,13 @@ impl Desk {
     /// Asks for the settings of force loops that are wanted.
     pub(super) fn ask_loops(&mut self) {
         let now_us = self.now_us();
-        for axis in 0..self.wanted_loops.len() {
-            let wanted = &mut self.wanted_loops[axis];
-            if wanted.asked.is_some() || now_us < wanted.after_us {
+        for axis in 0..self.requested_loops.len() {
+            let commanded = &mut self.requested_loops[axis];
+            if commanded.asked.is_some() || now_us < commanded.after_us {
                 continue;
             }
-            if let Some(settings) = wanted.settings.take() {
-                wanted.asked = Some(settings);
+            if let Some(settings) = commanded.settings.take() {
+                commanded.asked = Some(settings);
                 let axis = axis as u8;
                 self.ask(
                     Command::ForceLoop { axis, settings },

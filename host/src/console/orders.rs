@@ -267,7 +267,7 @@ impl Desk {
     }
 
     fn choose_override(&mut self, up: bool) {
-        let now = self.wanted_override;
+        let now = self.requested_override;
         let next = if up {
             OVERRIDES.iter().find(|percent| **percent > now)
         } else {
@@ -275,7 +275,7 @@ impl Desk {
         };
         if let Some(percent) = next {
             let percent = *percent;
-            self.wanted_override = percent;
+            self.requested_override = percent;
             self.ask(Command::Override { percent }, Then::Override(percent));
         }
     }
@@ -392,10 +392,10 @@ impl Desk {
         };
         self.overlay = Overlay::Force { at };
         if change != 0 {
-            let wanted = &mut self.wanted_loops[at];
-            let mut settings = wanted.newest().unwrap_or(loops[at]);
+            let commanded = &mut self.requested_loops[at];
+            let mut settings = commanded.newest().unwrap_or(loops[at]);
             settings.desired = settings.desired.saturating_add(change);
-            wanted.settings = Some(settings);
+            commanded.settings = Some(settings);
         }
     }
 }

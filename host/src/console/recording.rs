@@ -90,7 +90,7 @@ impl Columns {
                 head.push_str(&format!(",{what}_{name}{unit}"));
             }
         };
-        add("wanted", &self.pose, true);
+        add("commanded", &self.pose, true);
         add("measured", &self.pose, true);
         add("joint", &self.joints, true);
         add("following_error", &self.joints, true);
@@ -128,7 +128,7 @@ impl Columns {
                 }
             }
         };
-        add(&self.pose, &of.wanted);
+        add(&self.pose, &of.commanded);
         add(&self.pose, &of.measured);
         add(&self.joints, &of.joints);
         add(&self.joints, &of.following_error);
@@ -293,7 +293,7 @@ mod tests {
             setpoint: 0,
             program_periods: 0,
             path_rate: 0,
-            wanted: five.clone(),
+            commanded: five.clone(),
             measured: five.clone(),
             joints: five.clone(),
             following_error: five.clone(),

@@ -1,4 +1,4 @@
-//! The `[kinematics]` section of an H-4 arm with its rotary table (spec h4-milling 2.5-2.6, 7.2).
+//! The `[kinematics]` section of an H-4 arm with its rotary table (docs/control.md 2.5-2.6, 7.2).
 
 use super::document::{Section, real};
 use super::scale::{PER_MM, to_i32};

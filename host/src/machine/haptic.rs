@@ -1,4 +1,4 @@
-//! The `[haptic]` section of a machine file: the haptic arm that a hand leads (spec h4-milling 2.2, 3.4, 3.5), and `[follow]`: how the tool follows a hand.
+//! The `[haptic]` section of a machine file: the haptic arm that a hand leads (docs/control.md 2.2, 3.4, 3.5), and `[follow]`: how the tool follows a hand.
 
 use super::document::{Section, real, whole};
 use super::scale::{PER_COUNT, PER_DEG, PER_EFFORT, PER_MM, to_i32, to_i64, to_u16, to_u32};

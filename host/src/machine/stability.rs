@@ -1,6 +1,6 @@
 //! Is the position loop stable at this control period?
 //!
-//! The inertia cancels out of the law (spec h4-milling (3.36)-(3.37)), so an axis is a double integrator whose acceleration is held over a
+//! The inertia cancels out of the law (docs/control.md (3.36)-(3.37)), so an axis is a double integrator whose acceleration is held over a
 //! period and takes effect one period after it was computed. The rate of the error is a difference through a first-order filter, the
 //! integrator a sum. Friction, which only damps, is left out. The loop is stable when every eigenvalue of one period lies inside the unit circle.
 

@@ -10,9 +10,9 @@ const MM: f64 = (1 << 20) as f64;
 /// A column.
 #[derive(Debug, Clone)]
 pub struct Column {
-    /// Name, with its unit: `x_wanted_mm`.
+    /// Name, with its unit: `x_commanded_mm`.
     pub name: String,
-    /// What it is a part of: `wanted`, `joint_error`, `state`.
+    /// What it is a part of: `commanded`, `joint_error`, `state`.
     pub group: &'static str,
     /// Unit: `mm`, `deg`, `n`, `n_m`, `s`, `rpm`, `steps`; empty for a plain number.
     pub unit: &'static str,
@@ -144,12 +144,12 @@ pub fn columns(recording: &Recording) -> Vec<Column> {
         ),
     ];
     let pose: [(&'static str, Row); 3] = [
-        ("wanted", |record| &record.wanted),
+        ("commanded", |record| &record.commanded),
         ("programmed", |record| &record.programmed),
         ("tool", |record| &record.tool),
     ];
     let joints: [(&'static str, Row); 3] = [
-        ("joint_wanted", |record| &record.joints_commanded),
+        ("joint_commanded", |record| &record.joints_commanded),
         ("joint_measured", |record| &record.joints),
         ("joint_error", |record| &record.following_error),
     ];
@@ -315,8 +315,8 @@ mod tests {
     #[test]
     fn patterns_are_what_they_seem() {
         for (pattern, name, fits) in [
-            ("x_*_mm", "x_wanted_mm", true),
-            ("x_*_mm", "x_wanted_deg", false),
+            ("x_*_mm", "x_commanded_mm", true),
+            ("x_*_mm", "x_commanded_deg", false),
             ("l?_drive_n", "l3_drive_n", true),
             ("l?_drive_n", "alpha_drive_n", false),
             ("*", "state", true),

@@ -108,9 +108,14 @@ pub fn unequal(
     let header = recording.header();
     let rows: [(&str, &[String], &Axes, &Axes); 7] = [
         ("measured joint", &header.joints, &one.joints, &other.joints),
-        ("wanted pose", &header.pose, &one.wanted, &other.wanted),
         (
-            "wanted joint",
+            "commanded pose",
+            &header.pose,
+            &one.commanded,
+            &other.commanded,
+        ),
+        (
+            "commanded joint",
             &header.joints,
             &one.joints_commanded,
             &other.joints_commanded,

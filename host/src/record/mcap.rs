@@ -1,6 +1,6 @@
 //! A recording as MCAP, for Foxglove, PlotJuggler and whatever else reads that.
 //!
-//! A channel a group of columns: `/state`, `/pose/wanted`, `/joints/error`, `/drives`, `/force/high`, of a haptic arm `/hand` and so on, one JSON message a sample, with its JSON schema: both
+//! A channel a group of columns: `/state`, `/pose/commanded`, `/joints/error`, `/drives`, `/force/high`, of a haptic arm `/hand` and so on, one JSON message a sample, with its JSON schema: both
 //! programs read that without any plug-in. What happened is on `/events` as `foxglove.Log`. Times are those of the machine, from the power-on of its controller. The
 //! machine file, the part program and the configuration are attached; versions and hash are metadata.
 //!
@@ -29,8 +29,8 @@ struct Topic {
 /// The topic of a group of columns.
 fn topic(group: &str) -> String {
     match group {
-        "wanted" | "programmed" | "tool" => format!("/pose/{group}"),
-        "joint_wanted" => "/joints/wanted".to_string(),
+        "commanded" | "programmed" | "tool" => format!("/pose/{group}"),
+        "joint_commanded" => "/joints/commanded".to_string(),
         "joint_measured" => "/joints/measured".to_string(),
         "joint_error" => "/joints/error".to_string(),
         "drive" => "/drives".to_string(),

@@ -184,7 +184,7 @@ pub struct Record {
     /// See [`flag`].
     pub flags: u8,
     /// Wanted pose.
-    pub wanted: Axes,
+    pub commanded: Axes,
     /// Wanted joints.
     pub joints_commanded: Axes,
     /// Measured joints.
@@ -220,7 +220,7 @@ impl Record {
         self.path_rate = snapshot.path_rate;
         self.spindle_rpm = snapshot.spindle_rpm;
         self.state = snapshot.state;
-        self.wanted = snapshot.wanted;
+        self.commanded = snapshot.commanded;
         self.joints_commanded = snapshot.joints_commanded;
         self.joints = snapshot.joints;
         self.following_error = snapshot.following_error;
@@ -276,7 +276,7 @@ impl Record {
         bytes[20] = self.state.number();
         bytes[21] = self.flags;
         let rows = [
-            &self.wanted,
+            &self.commanded,
             &self.joints_commanded,
             &self.joints,
             &self.following_error,
@@ -310,7 +310,7 @@ impl Record {
             spindle_rpm: half(18) as i16,
             state: *State::ALL.get(usize::from(bytes[20]))?,
             flags: bytes[21],
-            wanted: axes(24),
+            commanded: axes(24),
             joints_commanded: axes(48),
             joints: axes(72),
             following_error: axes(96),

@@ -48,7 +48,7 @@ fn any_record() -> impl Strategy<Value = Record> {
                 [high, low, yielded, true_force],
             )| {
                 let [
-                    wanted,
+                    commanded,
                     joints_commanded,
                     joints,
                     following_error,
@@ -64,7 +64,7 @@ fn any_record() -> impl Strategy<Value = Record> {
                     spindle_rpm: spindle_rpm as i16,
                     state: State::ALL[state],
                     flags,
-                    wanted,
+                    commanded,
                     joints_commanded,
                     joints,
                     following_error,
@@ -94,11 +94,11 @@ proptest! {
             let file = TemporaryFile::new("hand.hmr");
             let header = Header { hand, ..header() };
             let mut recorder = Recorder::create(&file.0, &header).unwrap();
-            let mut wanted = Vec::new();
+            let mut commanded = Vec::new();
             for (record, [tip, force, reflected, wall]) in &records {
                 let with = Record { hand_flags: 3, hand: HapticSnapshot { tip: *tip, force: *force, reflected: *reflected, wall: *wall }, ..*record };
                 recorder.record(&with);
-                wanted.push(if hand { with } else { *record });
+                commanded.push(if hand { with } else { *record });
             }
             recorder.finish().unwrap();
             let recording = Recording::open(&file.0).unwrap();
@@ -106,8 +106,8 @@ proptest! {
             let version = std::fs::read(&file.0).unwrap()[8];
             prop_assert_eq!(version, if hand { 4 } else { 3 });
             let read: Vec<Record> = recording.iter().unwrap().map(|record| record.unwrap()).collect();
-            prop_assert_eq!(&read, &wanted);
-            prop_assert_eq!(recording.last().unwrap(), wanted.last().copied());
+            prop_assert_eq!(&read, &commanded);
+            prop_assert_eq!(recording.last().unwrap(), commanded.last().copied());
             let named = columns(&recording).iter().any(|column| column.name == "z_hand_reflected_n");
             prop_assert_eq!(named, hand);
         }
@@ -390,7 +390,7 @@ fn a_recording_comes_back_whole_hashed_and_cut() {
     let make = |period: u64| Record {
         period,
         line: 7,
-        wanted: [period as i32; 6],
+        commanded: [period as i32; 6],
         ..Record::default()
     };
     for period in 0..count {
@@ -445,7 +445,7 @@ fn the_trace_has_units_and_every_nth_row() {
         recorder.record(&Record {
             period: 1000 + period,
             state: State::Run,
-            wanted: [1 << 20, 0, 0, 1 << 30, 0, 0],
+            commanded: [1 << 20, 0, 0, 1 << 30, 0, 0],
             drive: [4096, 0, 0, 0, -4096, 0],
             flags: flag::HOMED | if period > 50 { flag::PROGRAMMED } else { 0 },
             ..Record::default()
@@ -470,8 +470,8 @@ fn the_trace_has_units_and_every_nth_row() {
     };
     assert_eq!(cell(1, "time_s"), "0.005000");
     assert_eq!(cell(4, "period"), "1100");
-    assert_eq!(cell(0, "x_wanted_mm"), "1.000000");
-    assert_eq!(cell(0, "theta_wanted_deg"), "90.000000");
+    assert_eq!(cell(0, "x_commanded_mm"), "1.000000");
+    assert_eq!(cell(0, "theta_commanded_deg"), "90.000000");
     assert_eq!(cell(0, "l1_drive_n"), "400.000000");
     assert_eq!(cell(0, "alpha_drive_n_m"), "-20.000000");
     assert_eq!(cell(0, "x_programmed_mm"), "");

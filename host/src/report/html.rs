@@ -191,7 +191,7 @@ fn paths(page: &mut String, summary: &Summary, statistics: &Statistics, pictures
         planes.push((0, 2));
     }
     for (h, v) in planes {
-        let wanted: Vec<_> = points.iter().map(|[p, _]| (p[h], p[v])).collect();
+        let commanded: Vec<_> = points.iter().map(|[p, _]| (p[h], p[v])).collect();
         let done = |factor: f64| {
             let shift = |p: &Point, t: &Point, i: usize| p[i] + factor * (t[i] - p[i]);
             let points = points.iter().map(|[p, t]| (shift(p, t, h), shift(p, t, v)));
@@ -207,7 +207,7 @@ fn paths(page: &mut String, summary: &Summary, statistics: &Statistics, pictures
                     label: "programmed".into(),
                     colour: "#b7c0ca",
                     width: 4.0,
-                    pieces: vec![wanted.clone()],
+                    pieces: vec![commanded.clone()],
                 },
                 Line {
                     label,
@@ -318,7 +318,7 @@ fn time_charts(
         );
         card(page, "Measured position of the rotary joints", &chart);
     }
-    for (axis, [wanted, done]) in pictures.angles.iter().enumerate() {
+    for (axis, [commanded, done]) in pictures.angles.iter().enumerate() {
         let rotary = config
             .pose
             .get(axis)
@@ -333,7 +333,7 @@ fn time_charts(
             .cloned()
             .unwrap_or_default();
         let both = vec![
-            line("programmed", "#b7c0ca", 4.0, wanted),
+            line("programmed", "#b7c0ca", 4.0, commanded),
             line("done", COLOURS[0], 1.3, done),
         ];
         card(

@@ -126,8 +126,8 @@ impl Pictures {
             return;
         }
         for (axis, unit) in self.pose_units.iter().enumerate() {
-            let [wanted, done] = &mut self.angles[axis];
-            wanted.add(time, f64::from(record.programmed[axis]) * unit);
+            let [commanded, done] = &mut self.angles[axis];
+            commanded.add(time, f64::from(record.programmed[axis]) * unit);
             if has_tool {
                 done.add(time, f64::from(record.tool[axis]) * unit);
             }

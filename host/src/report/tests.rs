@@ -33,8 +33,8 @@ fn circle(outside: f64, late: f64, name: &str) -> (TemporaryFile, Recorded) {
     for index in 0..periods + 1000 {
         // 0.1 s of standstill before and behind.
         let time = (index as f64 - 500.0).clamp(0.0, periods as f64) * PERIOD;
-        let (wanted, done) = (at(time, 15.0), at((time - late).max(0.0), 15.0 + outside));
-        let (joints_commanded, joints_done) = (raw(joints(wanted)), raw(joints(done)));
+        let (commanded, done) = (at(time, 15.0), at((time - late).max(0.0), 15.0 + outside));
+        let (joints_commanded, joints_done) = (raw(joints(commanded)), raw(joints(done)));
         recorder.record(&Record {
             period: 77 + index,
             setpoint: (index / 500) as u32,
@@ -43,7 +43,7 @@ fn circle(outside: f64, late: f64, name: &str) -> (TemporaryFile, Recorded) {
             spindle_rpm: 5000,
             state: State::Run,
             flags: flag::HOMED | flag::POSITION_KEPT | flag::TOOL_TRUE | flag::PROGRAMMED,
-            wanted: row(wanted),
+            commanded: row(commanded),
             joints_commanded,
             joints: joints_done,
             following_error: std::array::from_fn(|i| joints_commanded[i] - joints_done[i]),
@@ -55,7 +55,7 @@ fn circle(outside: f64, late: f64, name: &str) -> (TemporaryFile, Recorded) {
                 }
             }),
             tool: row(done),
-            programmed: row(wanted),
+            programmed: row(commanded),
             ..Record::default()
         });
     }

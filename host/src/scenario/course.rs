@@ -143,7 +143,7 @@ impl Course {
             };
             let mut sample = sample(&record, time, moves, (high, low), impulse);
             for axis in led.iter().map(|axis| usize::from(*axis)) {
-                sample.desired[axis] = f64::from(record.wanted[axis]) / MM;
+                sample.desired[axis] = f64::from(record.commanded[axis]) / MM;
             }
             samples.push(sample);
         }

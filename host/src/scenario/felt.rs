@@ -138,9 +138,10 @@ fn share(samples: &[HandSample], axis: usize, percent: f64, limit: f64) -> f64 {
     100.0 * sum(&|s| s.reflected[axis]) / sum(&|s| s.high[axis])
 }
 
-const RETURN: &str = "by (3.30) the tool returns at (f_d - F) / K_V, at most 1 mm/s with K_V 5: the 4.5 mm of the thesis back in 2.5 s need 1.8 mm/s (spec 4.3). The gains of this experiment are not restated; \
+const RETURN: &str = "by (3.30) the tool returns at (f_d - F) / K_V, at most 1 mm/s with K_V 5: the 4.5 mm of the thesis back in 2.5 s need 1.8 mm/s (docs/control.md 4.3). The gains of this experiment are not restated; \
      K_A 1, K_V 5 are taken";
-const GROWTH: &str = "10 N for 1.5 s and less for 3 s give less than 4.5 mm with K_V 5 (spec 4.3)";
+const GROWTH: &str =
+    "10 N for 1.5 s and less for 3 s give less than 4.5 mm with K_V 5 (docs/control.md 4.3)";
 const LEANS: &str = "the model's force of a slot leans: its Fy is 0.87 of its Fx, its Fz 0.65";
 const LATE: &str = "the hand has swung against the cut and owes energy: until it is paid what it feels is smoothed, and comes late where the force changes after the stop (docs/decisions/0022)";
 const STARTS: &str = "the hand is fastest while it begins, and feels that only after its reaction";
@@ -329,14 +330,14 @@ pub(super) fn pocket(cuts: &[Cut]) -> Vec<Claim> {
             .because("40 % of the model's force of a one-sided cut"),
         measured("reflection in X in passes 2 and 3 with boost, largest", "above 2 N", felt(boosted), "N")
             .at_least(2.0, Stated)
-            .because("the boost is 0.1 N for each mm/s and fades out at 2 N of reflection (spec 7.1 item 29)"),
+            .because("the boost is 0.1 N for each mm/s and fades out at 2 N of reflection (docs/control.md 7.1 item 29)"),
         measured("reflection in X, largest", "at most 3.2 N", most(all, |s| s.reflected[0].abs()), "N")
             .at_most(3.22, Stated),
     ]
 }
 
 const EVEN: &str = "this hand goes round evenly; the thesis's has slow places";
-const SYMMETRY: &str = "(3.30) with a gate that looks only at force and motion yields in Y as it does in X; that the thesis's p_c appears only in X is a tension in the source (spec 11)";
+const SYMMETRY: &str = "(3.30) with a gate that looks only at force and motion yields in Y as it does in X; that the thesis's p_c appears only in X is a tension in the source (docs/control.md 4.4)";
 
 /// E12.
 pub(super) fn circle(cuts: &[Cut]) -> Vec<Claim> {

@@ -85,7 +85,7 @@ fn behind(sample: &Sample) -> f64 {
     sample.tool[0] - sample.desired[0]
 }
 
-const GAIN: &str = "(3.30) with a smooth force gives K_A 0.25 and 1 almost the same p_c; the thesis's 1 mm between them is not explained by its equation (spec 4.3)";
+const GAIN: &str = "(3.30) with a smooth force gives K_A 0.25 and 1 almost the same p_c; the thesis's 1 mm between them is not explained by its equation (docs/control.md 4.3)";
 
 /// E4.
 pub(super) fn gain_study(cuts: &[Cut]) -> Vec<Claim> {
@@ -119,7 +119,7 @@ pub(super) fn gain_study(cuts: &[Cut]) -> Vec<Claim> {
     ]
 }
 
-const FORCE_SCALE: &str = "the forces on the incline are not stated, and one scale of them serves all gains (2, spec 5.2): what meets K_V 5 is too much for K_V 20. With an edge of 12 um instead of 6 (not stated either) it is 2.0 mm";
+const FORCE_SCALE: &str = "the forces on the incline are not stated, and one scale of them serves all gains (2, docs/control.md 5.2): what meets K_V 5 is too much for K_V 20. With an edge of 12 um instead of 6 (not stated either) it is 2.0 mm";
 const RETURN: &str = "by (3.30) the tool returns at (f_d - F) / K_V: 3 mm in 5 s need a mean peak force of 2 N while it cuts its way back; the model's is 3.4 N. It is the force of chips thinner than the edge, whose radius is not stated: \
      6 um here, with 12 um the tool is at 2.4 mm";
 const OWN: &str = "what this project asks of itself, and does not reach";

@@ -36,7 +36,7 @@ pub struct Led {
     pub trajectory: fn() -> Trajectory,
 }
 
-/// Where the boost ends, N: what is stronger is clearly felt (spec h4-milling 3.4).
+/// Where the boost ends, N: what is stronger is clearly felt (docs/control.md 3.4).
 const BOOST_BELOW: f64 = 2.0;
 
 impl PartialEq for Led {

@@ -16,7 +16,7 @@ const fn flat(program: &'static str, text: &'static str) -> Pass {
     }
 }
 
-/// The scale of the forces on the incline, of coefficients P1 (spec h4-milling 5.2).
+/// The scale of the forces on the incline, of coefficients P1 (docs/control.md 5.2).
 const INCLINE_SCALE: f64 = 2.0;
 
 const fn tilted(
@@ -98,7 +98,7 @@ const fn by_hand(
     }
 }
 
-/// X on the rail, with the reflection of slot and pocket (spec h4-milling 3.4; the limit of Y in them is not stated).
+/// X on the rail, with the reflection of slot and pocket (docs/control.md 3.4; the limit of Y in them is not stated).
 const ON_THE_RAIL: Led = Led {
     axes: &[0],
     yields: &[0],
@@ -204,7 +204,7 @@ pub fn all() -> Vec<Scenario> {
         Scenario {
             name: "e6",
             title: "Moving wall",
-            setting: "The handle on its rail, away towards -X; a virtual wall of 0.35 N/mm (derived, spec 3.5) follows at 4 mm/s. In the second pass, not of the thesis, the hand stays behind the \
+            setting: "The handle on its rail, away towards -X; a virtual wall of 0.35 N/mm (derived, docs/control.md 3.5) follows at 4 mm/s. In the second pass, not of the thesis, the hand stays behind the \
                       wall.",
             figures: "figures 4.16 and 4.17, p. 50-52",
             passes: vec![

@@ -6,10 +6,10 @@
 //!
 //! E6, E8, E10 and E12 have a person at the haptic arm ([`Led`]): one hand for all four.
 //!
-//! One machine file, with one plant, serves all scenarios. The scale of the forces is the one exception (spec h4-milling 5.2: the forces on the incline are not stated and
+//! One machine file, with one plant, serves all scenarios. The scale of the forces is the one exception (docs/control.md 5.2: the forces on the incline are not stated and
 //! need about twice the coefficients P1), and it is shown. A band is never fitted to what comes out: what is outside is shown as outside, with the reason.
 //!
-//! Misuse: forces and geometry are those of a fitted cutting model (spec h4-milling 5.2 fits P1 to the forces of E1, E2 and E9). That its numbers
+//! Misuse: forces and geometry are those of a fitted cutting model (docs/control.md 5.2 fits P1 to the forces of E1, E2 and E9). That its numbers
 //! come back out of a run shows that the simulator is the model, not that the model is the machine of the thesis; E3 to E5, E7 and E11 were not fitted.
 
 mod bench;

@@ -125,7 +125,7 @@ pub(super) fn feed_sweep(cuts: &[Cut]) -> Vec<Claim> {
             .because(THIN),
         measured("Fz high, largest", "3 to 7 N", largest(moving, |s| s.high[2]), "N")
             .within(3.0, 7.0, Stated)
-            .because("the fitted model gives 7.3 N at 10 mm/s in the steady state (spec 5.2), the thesis a range for the whole run"),
+            .because("the fitted model gives 7.3 N at 10 mm/s in the steady state (docs/control.md 5.2), the thesis a range for the whole run"),
         measured(
             "Fz low, largest magnitude",
             "0",
@@ -229,7 +229,7 @@ pub(super) fn depth_sweep(cuts: &[Cut]) -> Vec<Claim> {
     ]
 }
 
-const SHALLOW: &str = "the coefficients were fitted at a depth of 2 mm (spec 5.2), where an edge presses in full at once; at 2 mm/s much of the tip's chip is thinner than 6 um, where the \
+const SHALLOW: &str = "the coefficients were fitted at a depth of 2 mm (docs/control.md 5.2), where an edge presses in full at once; at 2 mm/s much of the tip's chip is thinner than 6 um, where the \
      plant's edges press with a part of their force only. The thesis gives one range for all depths";
 const EQUATOR: &str = "at 5 mm the cut reaches above the equator of the ball (4 mm), where the helix pulls the tool down: the model's Fz falls there. The thesis's oscillation at \
      this depth is not in the model either";

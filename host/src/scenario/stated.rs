@@ -10,7 +10,7 @@ use std::fmt;
 pub enum Source {
     /// The thesis states the bound or the range itself.
     Stated,
-    /// Derived from the stated numbers (spec h4-milling 4.2).
+    /// Derived from the stated numbers (docs/control.md 4.2).
     Derived,
     /// Not of the thesis: what this project asks of itself.
     Own,

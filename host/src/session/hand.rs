@@ -132,11 +132,11 @@ impl HandRecorder {
         }
         let truth: &HapticGroundTruth = arm.truth();
         let three = |raw: &[i32]| std::array::from_fn(|axis| f64::from(raw[axis]));
-        let wanted: [f64; 3] = three(&snapshot.wanted).map(|raw: f64| raw / MM);
+        let commanded: [f64; 3] = three(&snapshot.commanded).map(|raw: f64| raw / MM);
         let [x, y, z, ..] = plant.truth().pose;
         let (begun, origins) = *self
             .begun
-            .get_or_insert((now, [truth.tip, wanted, [x, y, z]]));
+            .get_or_insert((now, [truth.tip, commanded, [x, y, z]]));
         let from = |place: [f64; 3], origin: [f64; 3]| -> [f64; 3] {
             std::array::from_fn(|axis| place[axis] - origin[axis])
         };
@@ -145,7 +145,7 @@ impl HandRecorder {
             time: (now - begun) as f64 * 1e-9,
             hand: from(truth.tip, origins[0]),
             velocity: truth.tip_velocity,
-            desired: from(wanted, origins[1]),
+            desired: from(commanded, origins[1]),
             tool: from([x, y, z], origins[2]),
             yielded: three(&snapshot.force.yielded).map(|raw: f64| raw / MM),
             high: three(&snapshot.force.high).map(|raw: f64| raw / NEWTON),

@@ -75,7 +75,7 @@ impl<L: Line> Session<L> {
     /// As [`Session::home`], when the way is refused, and when its end is [not reached](Session::well_ended).
     pub fn go_home(&mut self, machine: &MachineFile, home: &AxisValues) -> Result<(), CliError> {
         self.home()?;
-        let here = self.status()?.wanted;
+        let here = self.status()?.commanded;
         let plan = way(machine, &self.model, &here, home, None)?;
         let end = self.run_job(HOME_JOB, here, plan.setpoints, &mut Unwatched)?;
         self.well_ended(&end)

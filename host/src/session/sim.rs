@@ -330,17 +330,17 @@ impl JobRecording {
                 record.hand_flags |= flag::HAND_HELD;
             }
         }
-        copy(&mut record.wanted, &telemetry.wanted);
+        copy(&mut record.commanded, &telemetry.commanded);
         copy(&mut record.joints, &telemetry.joints);
         copy(&mut record.following_error, &telemetry.following_error);
         copy(&mut record.drive, &telemetry.drive);
         copy(&mut record.tool, &telemetry.measured);
-        for (wanted, (joint, error)) in record
+        for (commanded, (joint, error)) in record
             .joints_commanded
             .iter_mut()
             .zip(record.joints.iter().zip(record.following_error))
         {
-            *wanted = joint.wrapping_add(error);
+            *commanded = joint.wrapping_add(error);
         }
         self.add_programmed(&mut record, f64::from(telemetry.program_periods));
         self.recorder.record(&record);

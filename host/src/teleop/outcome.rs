@@ -20,7 +20,7 @@ pub struct Row {
     /// How old it is, ms.
     pub age_ms: f64,
     /// Where the tool is wanted.
-    pub wanted: [f64; COMPONENTS],
+    pub commanded: [f64; COMPONENTS],
     /// Where it is measured.
     pub tool: [f64; COMPONENTS],
     /// Force on the tool: the peak of the last revolution.
@@ -53,7 +53,7 @@ impl Row {
                 let _ = write!(text, ",{:.4}", value + 0.0);
             }
         };
-        put(&self.wanted);
+        put(&self.commanded);
         put(&self.tool);
         put(&self.force);
         put(&self.felt);

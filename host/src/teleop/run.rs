@@ -308,8 +308,8 @@ impl<'a, L: JobLine> Teleop<'a, L> {
 
     /// The job begins, with no setpoint but that of the spindle.
     fn begin(&mut self) -> Result<(), CliError> {
-        if let Some(wanted) = self.options.scale {
-            let scale = scale(wanted).map_err(|what| CliError::new(Exit::Usage, what))?;
+        if let Some(commanded) = self.options.scale {
+            let scale = scale(commanded).map_err(|what| CliError::new(Exit::Usage, what))?;
             self.session.ask(Command::HandScale { scale })?;
         }
         for axis in &self.options.axes {
@@ -325,7 +325,7 @@ impl<'a, L: JobLine> Teleop<'a, L> {
             .map_or(200, |welcome| welcome.period_us);
         let every = (self.options.every_us / u32::from(period_us.max(1))).clamp(1, 60_000) as u16;
         self.session.ask(Command::Telemetry { every })?;
-        let pose = self.session.status()?.wanted;
+        let pose = self.session.status()?.commanded;
         self.session.ask(Command::JobStart {
             job: JOB,
             pose: pose.clone(),
@@ -465,7 +465,7 @@ impl<'a, L: JobLine> Teleop<'a, L> {
             age_ms: self
                 .word_us
                 .map_or(0.0, |at| now_us.saturating_sub(at) as f64 / 1000.0),
-            wanted: three(&model.to_people(&telemetry.wanted)),
+            commanded: three(&model.to_people(&telemetry.commanded)),
             tool: three(&model.to_people(&telemetry.measured)),
             force: newtons,
             felt: force,

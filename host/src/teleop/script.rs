@@ -149,7 +149,7 @@ fn stroke(at_s: f64, section: &Section<'_, '_>) -> Stroke {
 fn order(at_s: f64, section: &Section<'_, '_>) -> Option<Ordered> {
     let text = section.text("what", &format!("write {ORDERS}"))?;
     let order = text.parse().and_then(|order| match order {
-        Order::Scale(wanted) => scale(wanted).map(|_| order),
+        Order::Scale(commanded) => scale(commanded).map(|_| order),
         _ => Ok(order),
     });
     match order {

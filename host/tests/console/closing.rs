@@ -31,10 +31,10 @@ fn stands(machine: &Machine) {
         "{:?}",
         begun.elapsed()
     );
-    let at = machine.now().wanted;
+    let at = machine.now().commanded;
     std::thread::sleep(Duration::from_millis(900));
     let now = machine.now();
-    assert_eq!((now.state, now.wanted), (State::Idle, at));
+    assert_eq!((now.state, now.commanded), (State::Idle, at));
 }
 
 #[test]
@@ -60,7 +60,7 @@ fn a_terminal_that_is_closed_in_a_program_stops_the_machine_along_its_path() {
     terminal.close();
     // Stopped by command, not by a fault after half a second of silence.
     stands(&machine);
-    assert!(machine.now().wanted < 50.0);
+    assert!(machine.now().commanded < 50.0);
     assert_eq!(terminal.end(), 7);
 }
 
@@ -75,7 +75,9 @@ fn a_console_that_is_killed_in_a_jog_stops_the_machine_by_its_dead_man() {
     stands(&machine);
     assert_eq!(terminal.end(), -1);
     let seen = machine.seen();
-    let mut moves = seen.windows(2).filter(|two| two[0].wanted != two[1].wanted);
+    let mut moves = seen
+        .windows(2)
+        .filter(|two| two[0].commanded != two[1].commanded);
     let stood = moves.next_back().unwrap()[1]
         .at
         .saturating_duration_since(killed);

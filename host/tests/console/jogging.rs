@@ -98,10 +98,10 @@ fn a_held_key_goes_on_and_a_release_ends_it_at_once() {
         terminal.keys(b"\x1b[1;1:2C");
         std::thread::sleep(Duration::from_millis(30));
     }
-    let released = machine.now().wanted;
+    let released = machine.now().commanded;
     terminal.keys(b"\x1b[1;1:3C");
     machine.rests(Duration::from_millis(300));
-    let went = machine.now().wanted - released;
+    let went = machine.now().commanded - released;
     // 5 mm/s for the way of the release, then 63 ms of braking; without the release it would be 1 mm and more.
     assert!(
         went < 0.7 || begun.elapsed() > Duration::from_secs(3),
@@ -112,13 +112,13 @@ fn a_held_key_goes_on_and_a_release_ends_it_at_once() {
     machine.comes_to(haptimill_protocol::message::State::Jog);
     terminal.keys(SPACE);
     machine.rests(Duration::from_millis(400));
-    let stopped = machine.now().wanted;
+    let stopped = machine.now().commanded;
     for _ in 0..5 {
         terminal.keys(b"\x1b[1;1:2C");
         std::thread::sleep(Duration::from_millis(30));
     }
     machine.rests(Duration::from_millis(200));
-    assert_eq!(machine.now().wanted, stopped);
+    assert_eq!(machine.now().commanded, stopped);
 }
 
 #[test]

@@ -18,7 +18,7 @@ const BRAKING_MS: f64 = 63.3;
 
 /// What one press gave, ms.
 struct Press {
-    to_wanted: f64,
+    to_commanded: f64,
     to_tool: f64,
     end_to_wanted: f64,
     end_to_tool: f64,
@@ -31,7 +31,7 @@ fn ms(from: Instant, to: Instant) -> f64 {
 /// Presses a key at `pressed`, lets it go at `released`; what the machine did meanwhile.
 fn judge(pressed: Instant, released: Instant, seen: &[Seen]) -> Press {
     let (first, last) = (seen[0], seen[seen.len() - 1]);
-    let wanted = seen.iter().find(|seen| seen.wanted != first.wanted);
+    let commanded = seen.iter().find(|seen| seen.commanded != first.commanded);
     let tool = seen
         .iter()
         .find(|seen| (seen.tool - first.tool).abs() > STANDS);
@@ -40,9 +40,9 @@ fn judge(pressed: Instant, released: Instant, seen: &[Seen]) -> Press {
         seen[index.min(seen.len() - 1)].at
     };
     Press {
-        to_wanted: ms(pressed, wanted.unwrap().at),
+        to_commanded: ms(pressed, commanded.unwrap().at),
         to_tool: ms(pressed, tool.unwrap().at),
-        end_to_wanted: ms(released, still(&|seen| seen.wanted != last.wanted)),
+        end_to_wanted: ms(released, still(&|seen| seen.commanded != last.commanded)),
         end_to_tool: ms(
             released,
             still(&|seen| (seen.tool - last.tool).abs() > STANDS),
@@ -97,7 +97,10 @@ fn report(which: &str, end: &str, presses: &[Press]) {
         "\n| {which}, ms | min | median | p95 | max | n |\n| --- | --- | --- | --- | --- | --- |"
     );
     let column = |of: fn(&Press) -> f64| presses.iter().map(of).collect::<Vec<f64>>();
-    print("key to commanded motion", column(|press| press.to_wanted));
+    print(
+        "key to commanded motion",
+        column(|press| press.to_commanded),
+    );
     print("key to 5 um of the tool", column(|press| press.to_tool));
     print(
         &format!("{end} to commanded standstill"),

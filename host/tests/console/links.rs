@@ -21,7 +21,7 @@ fn a_lost_line_is_found_again_and_nothing_moves_by_itself() {
     terminal.sees("NO LINK, trying again");
     // By itself, after half a second of silence.
     machine.comes_to(State::Fault);
-    let at = machine.now().wanted;
+    let at = machine.now().commanded;
     assert!(at < 50.0, "{at}");
     // Keys are heard all the same.
     terminal.brings(b"?", "Keys: arrows scroll");
@@ -34,7 +34,7 @@ fn a_lost_line_is_found_again_and_nothing_moves_by_itself() {
     terminal.state("IDLE");
     terminal.sees("connected again; nothing moves");
     std::thread::sleep(Duration::from_millis(600));
-    assert_eq!(machine.now().wanted, at);
+    assert_eq!(machine.now().commanded, at);
     // And it can be moved again.
     terminal.keys(LEFT);
     machine.comes_to(State::Jog);
@@ -72,10 +72,10 @@ fn a_terminal_that_is_stuck_keeps_neither_the_line_nor_a_stop() {
     terminal.is_stuck(true);
     std::thread::sleep(Duration::from_millis(2500));
     assert_eq!(machine.now().state, State::Run);
-    let at = machine.now().wanted;
+    let at = machine.now().commanded;
     terminal.keys(STOP);
     machine.comes_to(State::Idle);
-    assert!(machine.now().wanted - at < 40.0);
+    assert!(machine.now().commanded - at < 40.0);
     terminal.is_stuck(false);
     terminal.state("IDLE");
     terminal.sees("way.ngc: dropped");

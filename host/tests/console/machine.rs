@@ -17,7 +17,7 @@ pub struct Seen {
     pub at: Instant,
     pub state: State,
     /// x of the wanted pose, mm.
-    pub wanted: f64,
+    pub commanded: f64,
     /// x of the tool, as it truly is, mm.
     pub tool: f64,
 }
@@ -88,9 +88,9 @@ impl Machine {
     /// Waits until the wanted pose has not changed for so long.
     pub fn rests(&self, time: Duration) {
         loop {
-            let before = self.now().wanted;
+            let before = self.now().commanded;
             std::thread::sleep(time);
-            if self.now().wanted == before && self.now().state != State::Jog {
+            if self.now().commanded == before && self.now().state != State::Jog {
                 return;
             }
         }
@@ -130,13 +130,13 @@ fn run(server: &mut TcpServer, seen: &Mutex<Vec<Seen>>, end: &AtomicBool) {
             let now = Seen {
                 at: Instant::now(),
                 state: reading.state,
-                wanted: f64::from(reading.wanted[0]) / f64::from(1 << 20),
+                commanded: f64::from(reading.commanded[0]) / f64::from(1 << 20),
                 tool: rig.truth().pose[0],
             };
             let mut seen = seen.lock().unwrap();
             let news = seen.last().is_none_or(|last| {
                 last.state != now.state
-                    || last.wanted != now.wanted
+                    || last.commanded != now.commanded
                     || (last.tool - now.tool).abs() > 5e-4
             });
             if news {

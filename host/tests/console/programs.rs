@@ -101,7 +101,7 @@ fn a_program_runs_to_its_end_beside_a_recording() {
     let mut lines = text.lines();
     let head: Vec<&str> = lines.next().unwrap().split(',').collect();
     let column = |name: &str| head.iter().position(|column| *column == name).unwrap();
-    let (x, state, time) = (column("wanted_x_mm"), column("state"), column("time_s"));
+    let (x, state, time) = (column("commanded_x_mm"), column("state"), column("time_s"));
     let rows: Vec<Vec<&str>> = lines.map(|line| line.split(',').collect()).collect();
     assert!(rows.iter().all(|row| row.len() == head.len()));
     let largest = rows

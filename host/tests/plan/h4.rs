@@ -1,4 +1,4 @@
-//! The H-4 arm in plain f64, written from spec h4-milling 2.6 and 2.7 with the lengths of REF-G (7.2), and default dynamics.
+//! The H-4 arm in plain f64, written from docs/control.md 2.6 and 2.7 with the lengths of REF-G (7.2), and default dynamics.
 
 use haptimill::plan::{JointLimits, MachineModel, PoseLimits, PoseProblem, Settings};
 use haptimill::program::{AxisKind, Coordinates};

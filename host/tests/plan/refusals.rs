@@ -150,7 +150,7 @@ fn an_empty_program_is_a_rest() {
 #[test]
 fn the_model_of_these_tests_has_the_golden_values_of_the_spec() {
     use haptimill::plan::MachineModel;
-    // Spec h4-milling 7.2, REF-G.
+    // docs/control.md 7.2, REF-G.
     for (pose, slides) in [
         (
             [0.0, 0.0, 21.232, 0.0, 0.0, 0.0],

@@ -181,7 +181,7 @@ fn a_stick_leads_while_its_button_is_held() {
     session.end().ended_with(0);
     let made = records(&format!("{out}/recording.hmr"));
     within_limits(&made);
-    let x = f64::from(made.last().unwrap().wanted[0] - made[0].wanted[0]) / MM;
+    let x = f64::from(made.last().unwrap().commanded[0] - made[0].commanded[0]) / MM;
     // 10 mm/s for about a second and a half, as this computer keeps time.
     assert!((8.0..20.0).contains(&x), "{x} mm");
     haptimill(&["replay", &format!("{out}/recording.hmr")]).ended_with(0);
@@ -221,8 +221,9 @@ fn a_key_is_a_step_and_a_closed_window_stops_the_machine() {
     assert!(window.is_as_before());
     let made = records(&format!("{out}/recording.hmr"));
     within_limits(&made);
-    let way =
-        |axis: usize| f64::from(made.last().unwrap().wanted[axis] - made[0].wanted[axis]) / MM;
+    let way = |axis: usize| {
+        f64::from(made.last().unwrap().commanded[axis] - made[0].commanded[axis]) / MM
+    };
     // Three steps of 0.2 mm along x and one down, and the filter comes to rest within 2 um.
     assert!(
         (way(0) - 0.6).abs() < 0.002 && (way(2) + 0.2).abs() < 0.002,
@@ -250,7 +251,7 @@ fn a_key_is_a_step_and_a_closed_window_stops_the_machine() {
     };
     assert_eq!(at_rest["position_kept"], true, "{at_rest:#}");
     let again = machine.status();
-    assert_eq!(at_rest["wanted"], again["wanted"]);
+    assert_eq!(at_rest["commanded"], again["commanded"]);
 }
 
 /// A machine with an arm on its own board, behind a port: the recording has what was reported of the hand.

@@ -53,7 +53,7 @@ fn records(path: &str) -> Vec<Record> {
 /// Largest change of the rate between two periods, as an acceleration in mm/s^2, and the largest rate, mm/s.
 fn motion(records: &[Record], axis: usize) -> (f64, f64) {
     let period_s = 2e-4;
-    let at = |record: &Record| f64::from(record.wanted[axis]) / MM;
+    let at = |record: &Record| f64::from(record.commanded[axis]) / MM;
     let rates: Vec<f64> = records
         .windows(2)
         .map(|two| (at(&two[1]) - at(&two[0])) / period_s)
@@ -282,13 +282,14 @@ what = \"resume\"
             .all(|record| record.state == State::Hold)
     );
     // It went, it braked within what its acceleration takes (12 mm/s, 200 mm/s^2: 60 ms), and then it stood to the last bit, though the hand went on and came back.
-    let rate =
-        |index: usize| f64::from(made[index].wanted[0] - made[index - 1].wanted[0]) / MM / 2e-4;
+    let rate = |index: usize| {
+        f64::from(made[index].commanded[0] - made[index - 1].commanded[0]) / MM / 2e-4
+    };
     assert!(rate(first) < -5.0, "{}", rate(first));
     let stood = first + (0.15 / 2e-4) as usize;
-    let still = |record: &Record| record.wanted == made[stood].wanted;
+    let still = |record: &Record| record.commanded == made[stood].commanded;
     assert!(made[stood..=last].iter().all(still));
-    let braked = f64::from(made[stood].wanted[0] - made[first].wanted[0]).abs() / MM;
+    let braked = f64::from(made[stood].commanded[0] - made[first].commanded[0]).abs() / MM;
     assert!(braked < 1.0, "{braked} mm");
     let held_s = (last - first) as f64 * 2e-4;
     assert!((3.0..3.3).contains(&held_s), "{held_s} s");
@@ -361,7 +362,7 @@ fn a_link_that_stalls_holds_the_machine_and_nothing_late_sets_it_going() {
     assert!(
         made[stood..]
             .iter()
-            .all(|record| record.wanted == made[stood].wanted)
+            .all(|record| record.commanded == made[stood].commanded)
     );
     assert_eq!(said["session"]["final_state"], "Idle");
 }
@@ -387,10 +388,10 @@ fn an_arm_that_fails_leads_nothing_until_it_was_looked_after() {
     let made = records(&folder.path("out/recording.hmr"));
     within_limits(&made);
     let at = |time_s: f64| &made[(time_s / 2e-4) as usize];
-    let x = |time_s: f64| f64::from(at(time_s).wanted[0]) / MM;
+    let x = |time_s: f64| f64::from(at(time_s).commanded[0]) / MM;
     // It follows, stands while the arm is off although the hand goes on, and follows again from there.
     assert!(
-        x(1.9) < -10.0 && at(2.3).wanted == at(2.95).wanted,
+        x(1.9) < -10.0 && at(2.3).commanded == at(2.95).commanded,
         "{} {} {}",
         x(1.9),
         x(2.3),

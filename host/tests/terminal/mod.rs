@@ -200,11 +200,11 @@ impl Terminal {
 
     /// Waits until the screen is as wanted.
     #[track_caller]
-    pub fn waits(&self, what: &str, wanted: impl Fn(&str) -> bool) {
+    pub fn waits(&self, what: &str, commanded: impl Fn(&str) -> bool) {
         let begun = Instant::now();
         loop {
             let text = self.text();
-            if wanted(&text) {
+            if commanded(&text) {
                 return;
             }
             assert!(begun.elapsed() < PATIENCE, "never {what}:\n{text}");

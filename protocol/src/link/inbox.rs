@@ -228,7 +228,7 @@ impl<const BYTES: usize> Inbox<BYTES> {
     }
 
     /// The first stored message that is wanted: where it begins, where its payload ends, where the next one begins.
-    fn find(&self, wanted: impl Fn(u8, u8) -> bool) -> Option<(usize, usize, usize)> {
+    fn find(&self, commanded: impl Fn(u8, u8) -> bool) -> Option<(usize, usize, usize)> {
         let mut start = 0;
         while let Some(&[kind, sequence, low, high]) = self
             .stored()
@@ -237,7 +237,7 @@ impl<const BYTES: usize> Inbox<BYTES> {
         {
             let length = usize::from(u16::from_le_bytes([low, high]));
             let end = start + stride(length);
-            if wanted(kind, sequence) {
+            if commanded(kind, sequence) {
                 return Some((start, start + PREFIX + length, end));
             }
             start = end;

@@ -274,7 +274,7 @@ fn telemetry(period: u64) -> Report {
         setpoint: 0,
         program_periods: 0,
         path_rate: 0,
-        wanted: Default::default(),
+        commanded: Default::default(),
         measured: Default::default(),
         joints: Default::default(),
         following_error: Default::default(),

@@ -104,7 +104,7 @@ pub fn block(at: [f64; 3], force_scale: f64) -> ProcessConfig {
 
 /// A job: spindle on and up to speed, a line in x at `speed`, and a rest of so many seconds with the spindle on.
 pub fn job<C: Control>(bench: &mut Bench<C>, speed: f64, spans: usize, rest_s: f64) -> AxisValues {
-    let start = bench.status().wanted;
+    let start = bench.status().commanded;
     let spun = Setpoint {
         action: Action::Spindle(RPM),
         ..rest(&start, 50)

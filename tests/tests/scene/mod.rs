@@ -49,7 +49,7 @@ pub fn line(start: &AxisValues, axis: usize, speed: f64, spans: usize) -> Vec<Se
 pub fn moving(axis: usize, speed: f64) -> Bench {
     let mut bench = ready();
     if speed != 0.0 {
-        let start = bench.status().wanted;
+        let start = bench.status().commanded;
         bench.start_job(1, &line(&start, axis, speed, 28));
         bench.steps(3000);
         assert_eq!(state(&bench), State::Run);
@@ -63,14 +63,14 @@ pub fn state(bench: &Bench) -> State {
 }
 
 /// The wanted pose, now.
-pub fn wanted(bench: &Bench) -> [i32; 6] {
+pub fn commanded(bench: &Bench) -> [i32; 6] {
     bench
         .rig
         .control()
         .machine()
         .expect("configured")
         .motion
-        .wanted()
+        .commanded()
         .pose
         .0
         .map(|coordinate| coordinate.0)
@@ -243,9 +243,9 @@ pub fn from_path(path: &[[i32; 6]], pose: &[i32; 6]) -> f64 {
 
 /// One period; the tool and the wanted pose must not have jumped.
 pub fn step_smoothly(bench: &mut Bench, most: f64) {
-    let before = wanted(bench);
+    let before = commanded(bench);
     bench.step();
-    let after = wanted(bench);
+    let after = commanded(bench);
     for axis in 0..5 {
         let unit = if axis < 3 { MM } else { DEGREE };
         let step = f64::from(after[axis].wrapping_sub(before[axis])).abs() / unit;

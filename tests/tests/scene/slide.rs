@@ -99,8 +99,8 @@ impl Slide {
         self.motor[0] - self.start
     }
 
-    /// One control period: `wanted` is the distance from the start, its rate and acceleration, `load` a force on the slide. Gives what supervision says.
-    pub fn step(&mut self, wanted: [f64; 3], load: f64) -> Option<Fault> {
+    /// One control period: `commanded` is the distance from the start, its rate and acceleration, `load` a force on the slide. Gives what supervision says.
+    pub fn step(&mut self, commanded: [f64; 3], load: f64) -> Option<Fault> {
         let snapshot = self.encoder.reading();
         let inputs = AxisInputs {
             counts: snapshot.counts,
@@ -123,11 +123,11 @@ impl Slide {
         let place = self
             .reference
             .0
-            .wrapping_add((wanted[0] * MM).round() as i32);
+            .wrapping_add((commanded[0] * MM).round() as i32);
         self.joint.servo(
             Coordinate(place),
-            Rate((wanted[1] * MM).round() as i32),
-            Acceleration((wanted[2] * MM / 256.0).round() as i32),
+            Rate((commanded[1] * MM).round() as i32),
+            Acceleration((commanded[2] * MM / 256.0).round() as i32),
             &mut command,
         );
         // Effective from the next period on.

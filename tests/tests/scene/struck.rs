@@ -85,7 +85,7 @@ pub fn position_is_lost(bench: &mut Bench) {
     assert!(!status.position_kept && !status.homed);
     recover(bench, State::Disabled);
     assert_eq!(bench.ask(Command::Home), Err(Refusal::PresetLost));
-    let pose = bench.status().wanted;
+    let pose = bench.status().commanded;
     assert_eq!(
         bench.ask(Command::JobStart { job: 9, pose }),
         Err(Refusal::NotHomed)

@@ -1,6 +1,6 @@
 //! The H-4 arm as a subject: its truth is written from where its joints are in space and how long its rods are.
 //!
-//! Geometry of spec h4-milling 2.6: slide i carries its joint at (l_i - s_i w, sigma_i (a - e), sigma_i d - g_e); the platform's joint is at
+//! Geometry of docs/control.md 2.6: slide i carries its joint at (l_i - s_i w, sigma_i (a - e), sigma_i d - g_e); the platform's joint is at
 //! tip + m_i (sin theta, 0, cos theta) + (0, sigma_i b, 0); a rod is R long.
 
 use super::subject::{Margin, Margins, Reals, Sequence, Subject};
@@ -47,7 +47,7 @@ pub struct Lengths {
     pub margin: f64,
 }
 
-/// REF-G of spec h4-milling 7.2.
+/// REF-G of docs/control.md 7.2.
 pub const REFERENCE: Lengths = Lengths {
     a: 400.0,
     b: 100.0,

@@ -128,8 +128,8 @@ pub fn forward_is_certified<S: Subject>(subject: &S, count: usize) -> f64 {
         let margins = subject.measured_margins(&got);
         let context = (joints, pose, margins.least());
         assert!(margins.least() >= -GREY, "wrong pose: {context:?}");
-        let wanted = real(&joints.0, &joint_units);
-        let want = subject.solve(&wanted, &got).expect("closes");
+        let commanded = real(&joints.0, &joint_units);
+        let want = subject.solve(&commanded, &got).expect("closes");
         worst = worst.max(agree(axes, &got, &want, &pose_units, &context));
     }
     assert!(answered > count / 20, "{answered} of {count}");

@@ -6,7 +6,7 @@
 //! (y - E)^2 + (Z - D)^2 = R^2 - S12^2     and     (y + E)^2 + (Z + D)^2 = R^2 - S34^2
 //! ```
 //!
-//! which is (3.17)-(3.19) of spec h4-milling without their cancellation. The centres are +-(E, D). Along the line through them the crossing
+//! which is (3.17)-(3.19) of docs/control.md without their cancellation. The centres are +-(E, D). Along the line through them the crossing
 //! lies at t = (S12^2 - S34^2) / 4 H, H = hypot(E, D); across it at +-q, q^2 = R^2 - (S12^2 + S34^2) / 2 - H^2 - t^2. q is the distance from the
 //! parallel singularity, its sign the assembly branch. Squaring loses the signs of S12 and S34, so a pose is certified by four conditions
 //! together: S12 >= 0.1 R, S34 >= 0.1 R, |sin(theta)| < 1, q >= the margin.

@@ -1,7 +1,7 @@
 //! The hybrid H-4 arm with its rotary table: four slides and a table axis carry a pose of five coordinates.
 //!
 //! Pose `[x_w, y_w, z_w, theta, alpha]`, joints `[l1, l2, l3, l4, alpha]`. The arm moves the tool in x, y, z and theta (tilt about y); the
-//! table turns the work by alpha about x. All formulas are those of spec h4-milling 2.5 to 2.7, in the compact form: with
+//! table turns the work by alpha about x. All formulas are those of docs/control.md 2.5 to 2.7, in the compact form: with
 //! x = x_w + x_offset, y = Y cos(alpha) - Z_t sin(alpha), z = Y sin(alpha) + Z_t cos(alpha) - h in the frame of the slave base,
 //!
 //! ```text
@@ -44,7 +44,7 @@ pub(super) const THETA: usize = 3;
 /// Index of the table alpha in a pose and in the joints.
 pub(super) const ALPHA: usize = 4;
 
-/// Lengths of the H-4 arm (spec h4-milling.md 2.5-2.6), 2^-20 mm.
+/// Lengths of the H-4 arm (docs/control.md 2.5-2.6), 2^-20 mm.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct H4Geometry {
     /// E = a - b - e: the lateral distance between rail joint and platform joint at y = 0.

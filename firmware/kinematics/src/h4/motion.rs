@@ -366,7 +366,7 @@ impl H4 {
         Ok((joints, bounds))
     }
 
-    /// The Jacobian in table coordinates: spec h4-milling 2.7, chained with the table.
+    /// The Jacobian in table coordinates: docs/control.md 2.7, chained with the table.
     pub(super) fn slopes(&self, placed: &Placed, pairs: &[Pair; 2]) -> Jacobian {
         let mut rows = Jacobian([[0; crate::MAX_AXES]; crate::MAX_AXES]);
         let (table_sine, table_cosine) = (placed.table.0 as i64, placed.table.1 as i64);

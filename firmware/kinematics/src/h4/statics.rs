@@ -1,4 +1,4 @@
-//! Statics of the H-4 arm: what the slides carry when the tool is pushed (spec h4-milling 2.7).
+//! Statics of the H-4 arm: what the slides carry when the tool is pushed (docs/control.md 2.7).
 //!
 //! By virtual work J^T f = W with W = [F_x, F_y, F_z, M_theta] at the tip, in the frame of the slave base. The structure of J splits the
 //! four equations into two pairs, solved in closed form: with p = f1 - f2, r = f3 - f4, P = f1 + f2, Q = f3 + f4 and X = E Z - y D,

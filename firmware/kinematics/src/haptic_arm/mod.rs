@@ -1,4 +1,4 @@
-//! The haptic arm: from what its nine encoders say to where handle and tip are (spec h4-milling 2.2).
+//! The haptic arm: from what its nine encoders say to where handle and tip are (docs/control.md 2.2).
 //!
 //! Three legs stand on a circle at 0, 120 and 240 degrees. Each has a slide d along an axis that leans inwards by theta2, turns about that axis (theta3), and carries a link that leans from the
 //! axis by theta4; the end of the link (joint 5) holds the platform of the handle. Nine readings, six degrees of freedom: the three sides of the platform are known lengths, and a side that
@@ -22,7 +22,7 @@ pub const LEGS: usize = 3;
 /// A vector: lengths in 2^-20 mm, or a direction in Q30.
 pub type Vector = [i32; 3];
 
-/// Lengths of the arm (spec h4-milling 2.2, 7.2 REF-M).
+/// Lengths of the arm (docs/control.md 2.2, 7.2 REF-M).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct HapticGeometry {
     /// r_b: radius of the circle on which the legs stand, 10 to 400 mm.

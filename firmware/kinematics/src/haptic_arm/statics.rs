@@ -1,4 +1,4 @@
-//! Statics of the haptic arm: what its six motors must do so that the hand feels a force (spec h4-milling 2.4, (3.39)-(3.41)).
+//! Statics of the haptic arm: what its six motors must do so that the hand feels a force (docs/control.md 2.4, (3.39)-(3.41)).
 //!
 //! A leg pushes the platform at joint 5 along its link (I_j) and across it (M_j). With the six pushes lambda, B^T lambda = \[M; F\] and tau = A^T lambda: no division by A, so a link in line with its
 //! slide only loses one motor. Moments are about the platform's centre and divided by r_p, so all entries of B are numbers of the same kind.

@@ -12,8 +12,8 @@ impl Program {
     /// looked at from now on, those in the queue as a whole, so this takes as long as setpoints lie within the way to rest.
     #[must_use]
     pub fn sweep(&self) -> StoppingEnvelope {
-        let wanted = self.wanted().pose;
-        let mut sweep = StoppingEnvelope::at(&wanted);
+        let commanded = self.commanded().pose;
+        let mut sweep = StoppingEnvelope::at(&commanded);
         let Some(braking) = self.braking.filter(|_| !self.paused) else {
             return sweep;
         };

@@ -372,8 +372,8 @@ impl Running<'_> {
             // Already homed: the program begins where the machine stands, and is checked again from there.
             let planned = self
                 .job
-                .plan(self.machine, session.model(), &status.wanted)?;
-            (status.wanted, planned)
+                .plan(self.machine, session.model(), &status.commanded)?;
+            (status.commanded, planned)
         } else {
             say(self.args, "homing");
             session.go_home(self.machine, &self.home)?;

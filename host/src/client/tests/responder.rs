@@ -185,7 +185,7 @@ impl Responder {
                 .sum::<u32>()
                 + u32::from(self.wait),
             path_rate: u16::MAX,
-            wanted: AxisValues::new(),
+            commanded: AxisValues::new(),
             measured: AxisValues::new(),
             joints: AxisValues::new(),
             following_error: AxisValues::new(),

@@ -154,10 +154,10 @@ impl Desk {
                 let Some(setting) = self.hand.as_ref().and_then(|hand| hand.scale) else {
                     return;
                 };
-                let next = f64::from(setting.wanted) / PER_SCALE + way * SCALE_STEP;
+                let next = f64::from(setting.commanded) / PER_SCALE + way * SCALE_STEP;
                 let next = ((next * 10.0).round() / 10.0).clamp(*SCALES.start(), *SCALES.end());
                 let next = (next * PER_SCALE).round() as u16;
-                let changed = next != setting.wanted;
+                let changed = next != setting.commanded;
                 if changed {
                     self.ask_scale(next);
                 }
@@ -185,13 +185,13 @@ impl Desk {
         let Some(arm) = self.hand.as_mut().and_then(|hand| hand.arm.as_mut()) else {
             return false;
         };
-        let mut settings = arm.reflection.wanted;
+        let mut settings = arm.reflection.commanded;
         for (index, slot) in settings.axes.iter_mut().enumerate() {
             if axis.is_none_or(|axis| axis == index) {
                 change(slot);
             }
         }
-        let changed = settings != arm.reflection.wanted;
+        let changed = settings != arm.reflection.commanded;
         // What another host may have set is set all the same.
         if (changed || !arm.reflection.sure) && self.can_set() {
             self.set_wanted(settings);
@@ -202,7 +202,7 @@ impl Desk {
 
     fn set_wanted(&mut self, settings: Reflection) {
         if let Some(arm) = self.hand.as_mut().and_then(|hand| hand.arm.as_mut()) {
-            arm.reflection.wanted = settings;
+            arm.reflection.commanded = settings;
         }
     }
 
@@ -210,7 +210,7 @@ impl Desk {
         if self.can_set()
             && let Some(setting) = self.hand.as_mut().and_then(|hand| hand.scale.as_mut())
         {
-            setting.wanted = scale;
+            setting.commanded = scale;
             self.ask(Command::HandScale { scale }, Then::HandScale(scale));
         }
     }
@@ -224,8 +224,8 @@ impl Desk {
         ready
     }
 
-    /// Puts a wall where the tip is, if there is none and one is `wanted`; otherwise takes it away, or all of them.
-    fn change_walls(&mut self, field: Field, wanted: bool) {
+    /// Puts a wall where the tip is, if there is none and one is `commanded`; otherwise takes it away, or all of them.
+    fn change_walls(&mut self, field: Field, commanded: bool) {
         let Field::Wall { axis, upper } = field else {
             return;
         };
@@ -248,7 +248,7 @@ impl Desk {
             return;
         };
         let stands = matches!(faces[axis][usize::from(upper)], Face::Near(_) | Face::At(_));
-        if stands || !wanted {
+        if stands || !commanded {
             return self.ask_wall(axis, upper, None, false);
         }
         let trouble = match self.client.hand().map(|report| report.problem) {

@@ -14,7 +14,7 @@ use ratatui::text::{Line, Span};
 /// Rows of the panel, for terminals that have them to spare.
 pub(super) const PANEL_ROWS: u16 = 5;
 
-/// Full scale of the bars of what is felt: 5.5 N really hold a hand back (spec h4-milling 3.4).
+/// Full scale of the bars of what is felt: 5.5 N really hold a hand back (docs/control.md 3.4).
 pub(super) const SCALE_N: f64 = 5.5;
 
 /// From this width on there are bars beside the numbers, and the place of the tip beside the walls.

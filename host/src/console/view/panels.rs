@@ -80,7 +80,7 @@ pub(super) fn pose_rows(frame: &mut Frame<'_>, area: Rect, shown: &Shown, wide: 
     // With the drives off nothing is wanted.
     let wants = telemetry
         .filter(|t| !matches!(t.state, State::Disabled | State::EmergencyStop))
-        .map(|t| &t.wanted);
+        .map(|t| &t.commanded);
     let (name, number) = if wide { (7, 11) } else { (6, 10) };
     let rows: Vec<Line<'_>> = shown
         .fixed
@@ -88,7 +88,7 @@ pub(super) fn pose_rows(frame: &mut Frame<'_>, area: Rect, shown: &Shown, wide: 
         .iter()
         .enumerate()
         .map(|(index, axis)| {
-            let wanted = value(&shown.fixed.pose, wants, index, number);
+            let commanded = value(&shown.fixed.pose, wants, index, number);
             let actual = value(
                 &shown.fixed.pose,
                 telemetry.map(|t| &t.measured),
@@ -106,7 +106,7 @@ pub(super) fn pose_rows(frame: &mut Frame<'_>, area: Rect, shown: &Shown, wide: 
             };
             Line::from(vec![
                 Span::styled(
-                    format!(" {:<name$}{wanted}{actual}  ", axis.name),
+                    format!(" {:<name$}{commanded}{actual}  ", axis.name),
                     fresh(shown),
                 ),
                 Span::styled(what, style),

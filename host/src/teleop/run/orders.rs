@@ -55,7 +55,7 @@ impl<L: JobLine> Teleop<'_, L> {
                     ask(Command::Stop, "end", self);
                 }
             }
-            Order::Scale(wanted) => match scale(wanted) {
+            Order::Scale(commanded) => match scale(commanded) {
                 Ok(scale) => ask(Command::HandScale { scale }, "gp", self),
                 Err(why) => self.refuse(why, look),
             },
