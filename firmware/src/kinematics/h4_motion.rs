@@ -332,7 +332,7 @@ impl H4 {
         pose: &Pose,
         rates: &[Rates],
     ) -> Result<(Joints, [[u32; 2]; 2]), PoseError> {
-        let (placed, pairs) = self.place(pose)?;
+        let (placed, pairs) = self.place_apart(pose)?;
         let joints = self.joints(&placed, &pairs, pose.0[ALPHA])?;
         let magnitude = |value: i32| i64::from(value.unsigned_abs());
         let times = |a: i64, b: i64, shift: u32| product(a, b) >> shift;

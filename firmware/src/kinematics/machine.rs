@@ -197,7 +197,7 @@ impl Kinematics for Machine {
     #[inline(never)]
     fn load(&self, pose: &Pose, rates: &[Rates]) -> Result<[u32; 2], PoseError> {
         let Geometry::H4(arm) = &self.geometry else {
-            return self.inverse(pose).map(|_| [0; 2]);
+            return self.check_strokes(&Joints::default()).map(|()| [0; 2]);
         };
         let (joints, bounds) = arm.rate_bounds(pose, rates)?;
         self.check_strokes(&joints)?;

@@ -71,22 +71,27 @@ impl Constants for Jog {
 
 /// Most change of a rate in a period, 2^-20 axis units per period; `None` where it is beyond 63 bits.
 pub(super) fn slope(acceleration: Acceleration, period_us: u16) -> Option<i64> {
-    // Once per configuration: wide arithmetic costs nothing here. (au/s^2) (us)^2 / 10^12.
-    let period = i128::from(period_us);
-    let slope =
-        ((i128::from(acceleration.0) * period * period) << (8 + FRACTION)) / 1_000_000_000_000;
-    i64::try_from(slope).ok()
+    let periods = periods_per_second(period_us);
+    (i64::from(acceleration.0) << (8 + FRACTION)).checked_div(periods * periods)
+}
+
+/// A whole number: the configuration sees to it.
+const fn periods_per_second(period_us: u16) -> i64 {
+    1_000_000 / if period_us == 0 { 1 } else { period_us as i64 }
 }
 
 /// Bounds of a rate in 2^-20 axis units per period, from the limits of a pose coordinate; `None` if they make no sense.
 #[must_use]
 pub fn rate_limits(acceleration: Acceleration, jerk: u32, period_us: u16) -> Option<RampLimits> {
-    let period = i128::from(period_us);
-    // (au/s^3) (us)^3 / 10^18.
-    let jerk = ((i128::from(jerk) * period * period * period) << (JERK_SHIFT + FRACTION))
-        / 1_000_000_000_000_000_000;
+    // Long division in two steps: 128-bit division takes 1 KiB of flash. The cube is at most 10^18, so no shift leaves 64 bits.
+    const BELOW: u32 = 4;
+    let periods = periods_per_second(period_us);
+    let cube = u64::try_from(periods.checked_pow(3)?).ok()?;
+    let high = u64::from(jerk) << (JERK_SHIFT + FRACTION - BELOW);
+    let low = ((high % cube) << BELOW) / cube;
+    let jerk = i64::try_from(((high / cube) << BELOW) + low).ok()?;
     let slope = slope(acceleration, period_us)?;
-    RampLimits::new(slope, i64::try_from(jerk).ok()?.min(slope))
+    RampLimits::new(slope, jerk.min(slope))
 }
 
 impl Jog {
@@ -96,7 +101,7 @@ impl Jog {
         let mut jog = Self {
             axes: config.pose.len(),
             period_us: config.period_us,
-            periods_per_second: 1_000_000 / i64::from(config.period_us.max(1)),
+            periods_per_second: periods_per_second(config.period_us),
             ..Self::default()
         };
         for (axis, pose) in jog.axis.iter_mut().zip(&config.pose) {
@@ -332,4 +337,27 @@ fn per_second(rate: i64, periods_per_second: i64) -> i64 {
 
 fn saturate(x: i64) -> i32 {
     x.clamp(i64::from(-i32::MAX), i64::from(i32::MAX)) as i32
+}
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+    use super::*;
+    use proptest::prelude::*;
+    use proptest::test_runner::RngSeed;
+
+    proptest! {
+        #![proptest_config(ProptestConfig { rng_seed: RngSeed::Fixed(1), failure_persistence: None, ..ProptestConfig::default() })]
+
+        #[test]
+        fn limits_of_a_ramp_are_exact(acceleration in 1..i32::MAX, jerk: u32, down in 0_u32..32, choice in 0_usize..6) {
+            let period_us = [50_u16, 100, 125, 200, 500, 1000][choice];
+            let per_second = i128::from(1_000_000 / u32::from(period_us));
+            let (acceleration, jerk) = (acceleration >> down.min(30), jerk >> down);
+            let step = (i128::from(acceleration) << (8 + FRACTION)) / per_second.pow(2);
+            let turn = (i128::from(jerk) << (JERK_SHIFT + FRACTION)) / per_second.pow(3);
+            let exact = RampLimits::new(step as i64, turn.min(step) as i64);
+            prop_assert_eq!(rate_limits(Acceleration(acceleration), jerk, period_us), exact);
+        }
+    }
 }
