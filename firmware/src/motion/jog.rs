@@ -279,7 +279,7 @@ impl Jog {
         for (axis, rate) in asked.iter().enumerate() {
             rates[axis] = Rate(saturate(per_second(rate.abs(), self.periods_per_second)));
         }
-        sweep.load(&[sweep.rates, rates], self.axes, machine)
+        sweep.load(&[sweep.rates, rates], machine)
     }
 
     /// What is swept if everything goes on towards these rates for one period and brakes then; `None` if it is too far to say.
