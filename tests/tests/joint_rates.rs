@@ -469,16 +469,16 @@ fn a_jog_of_a_tool_that_yields_exceeds_no_joint_rate() {
     assert!(yielded >= 8, "{yielded} of 12 yielded");
 }
 
-/// Brings a job of which all setpoints are allowed where the machine stands, and lets y be jogged before they are reached.
-fn jogged_away(bench: &mut Bench, speed: f64, setpoints: &[Setpoint]) {
+/// Brings a job of which all setpoints are allowed where the machine stands, and lets y and z be jogged before they are reached.
+fn jogged_away(bench: &mut Bench, speeds: [f64; 2], setpoints: &[Setpoint]) {
     let start = bench.status().wanted;
     bench.start_part(1, &start, &[rest(&start, 2000)]);
     bench.ask(Command::Hold).expect("holds");
     bench.steps(2000);
-    let source = Source::Jog;
-    bench
-        .ask(Command::Source { axis: 1, source })
-        .expect("chosen");
+    for axis in [1, 2] {
+        let source = Source::Jog;
+        bench.ask(Command::Source { axis, source }).expect("chosen");
+    }
     bench.ask(Command::Resume).expect("goes on");
     let mut coder = SetpointCoder::new(200, &start);
     coder.encode(&rest(&start, 2000)).expect("codes");
@@ -492,10 +492,12 @@ fn jogged_away(bench: &mut Bench, speed: f64, setpoints: &[Setpoint]) {
     }
     let count = setpoints.len() as u32 + 1;
     bench.ask(Command::JobEnd { count }).expect("complete");
-    bench.ask(scene::jog(1, 1500, &[(1, speed)])).expect("jogs");
+    bench
+        .ask(scene::jog(1, 1000, &[(1, speeds[0]), (2, speeds[1])]))
+        .expect("jogs");
 }
 
-/// A tilt to 20 degrees after a rest, in which the fastest slide has almost its maximum rate where y is 0. It has more where y is negative.
+/// A tilt to 20 degrees after a rest, in which the fastest slide has almost its maximum rate where y is 0. It has more where y and z are lower.
 fn fast_tilt(start: &AxisValues) -> Vec<Setpoint> {
     let mut spans = vec![(10_000, 0.0), (1500, 12.42)];
     spans.extend([(100, 12.42); 60]);
@@ -511,7 +513,7 @@ fn a_joint_too_fast_beside_a_program_is_a_fault_that_keeps_the_position() {
     let planned = peaks(&bench.status().wanted, &setpoints);
     let planned = planned.into_iter().fold(0.0, f64::max);
     assert!((0.99 * LIMIT..1.01 * LIMIT).contains(&planned), "{planned}");
-    jogged_away(&mut bench, -40.0, &setpoints);
+    jogged_away(&mut bench, [-40.0, -25.0], &setpoints);
     let mut commanded = Commanded::default();
     for _ in 0..30_000 {
         commanded.step(&mut bench);
@@ -519,6 +521,7 @@ fn a_joint_too_fast_beside_a_program_is_a_fault_that_keeps_the_position() {
             break;
         }
     }
+    bench.steps(500);
     let (joint, rate) = joint_rate_fault(&bench).expect("the fault");
     println!(
         "joint {joint} at {rate} mm/s; commanded {}",
@@ -560,32 +563,44 @@ fn jogs_beside_a_program_under_override_exceed_no_joint_rate_or_are_told() {
         let mut bench = ready();
         let start = bench.status().wanted;
         let slow = case % 2 == 0;
-        let speed = if slow { random.uniform(1.0, 4.0) } else { 12.42 };
+        let speed = if slow {
+            random.uniform(1.0, 4.0)
+        } else {
+            12.42
+        };
         let mut spans = vec![(2000, 0.0), (1500, speed)];
         spans.extend([(200, speed); 30]);
         spans.push((1500, 0.0));
         spans.push((1500, -speed));
         spans.extend([(200, -speed); 30]);
         spans.push((1500, 0.0));
-        jogged_away(&mut bench, random.sign() * 30.0, &tilt(&start, &spans));
+        let down = if slow { 10.0 } else { -15.0 };
+        let speeds = [random.sign() * 35.0, random.uniform(-35.0, down)];
+        jogged_away(&mut bench, speeds, &tilt(&start, &spans));
         let mut commanded = Commanded::default();
         for epoch in 2..=10 {
-            let percent = random.uniform(5.0, 100.5) as u8;
+            let least = if slow { 5.0 } else { 80.0 };
+            let percent = random.uniform(least, 100.9) as u8;
             let _ = bench.say(Command::Override { percent });
-            let rates = [(1, random.sign() * random.uniform(10.0, 50.0))];
+            let rates = [
+                (1, random.sign() * random.uniform(10.0, 50.0)),
+                (2, random.uniform(-30.0, 20.0)),
+            ];
             let _ = bench.say(scene::jog(epoch, 800, &rates));
             commanded.steps(&mut bench, 3000);
             if state(&bench) == State::Fault {
                 break;
             }
         }
+        bench.steps(500);
         let fault = joint_rate_fault(&bench);
         let most = commanded.fastest;
         println!("case {case}, {speed:.1} degrees/s: {most:.3} mm/s, {fault:?}");
         assert!(
-            most <= 1.05 * LIMIT,
+            most <= 1.10 * LIMIT,
             "case {case}: a slide was commanded {most} mm/s"
         );
+        // The joint goes on accelerating until the brake has built up.
         // A mean of 8 periods is a little less than the rate of one.
         assert!(
             fault.is_some() || most <= 1.033 * LIMIT,
@@ -596,7 +611,6 @@ fn jogs_beside_a_program_under_override_exceed_no_joint_rate_or_are_told() {
             "case {case}: {fault:?} at {most} mm/s"
         );
         if fault.is_some() {
-            bench.steps(500);
             assert!(bench.status().position_kept && !scene::drives_off(&bench));
             told += 1;
         } else {
@@ -607,7 +621,7 @@ fn jogs_beside_a_program_under_override_exceed_no_joint_rate_or_are_told() {
     }
     println!("{told} told, {fine} not, {fast} fast");
     assert!(
-        fine >= 8 && fast >= 4,
+        fine >= 8 && told >= 2 && fast >= 4,
         "{told} told, {fine} not, {fast} fast"
     );
 }

@@ -12,6 +12,8 @@ use crate::units::root::Root;
 use crate::units::trig::QUARTER_PI_Q31;
 
 /// A product of magnitudes, without so many bits, held at its end.
+// Out of line: inlined in some forty places it takes more flash than instructions are worth here.
+#[inline(never)]
 fn times(a: u32, b: u32, shift: u32) -> u32 {
     ((u64::from(a) * u64::from(b)) >> shift).min(u64::from(u32::MAX)) as u32
 }
