@@ -31,6 +31,12 @@ struct Axis {
 
 constants!(Axis { limits, rate_limit, low, high } of {} but { position, rate, target });
 
+/// The least and the greatest position of a coordinate on its way to rest, and its largest rate.
+type Swept = (i64, i64, i64);
+
+/// What was worked out in a period already, and for which target.
+type Known = [Option<(i64, Swept)>; MAX_AXES];
+
 /// Motion of all pose coordinates at wanted rates.
 #[derive(Debug, Default)]
 pub struct Jog {
@@ -173,7 +179,7 @@ impl Jog {
 
     /// Between which positions a coordinate stays if it goes on for one period and brakes then; 2^-20 axis units, `None` when they
     /// are too far to say. The third is its largest rate, either way.
-    fn sweep(axis: &Axis, target: i64) -> Option<(i64, i64, i64)> {
+    fn sweep(axis: &Axis, target: i64) -> Option<Swept> {
         let limits = axis.limits.as_ref()?;
         let mut rate = axis.rate;
         let next = axis.position.checked_add(rate.advance(target, limits))?;
@@ -201,10 +207,16 @@ impl Jog {
         let braking = self.alive == 0;
         self.alive = self.alive.saturating_sub(1);
         let mut targets = [0_i64; MAX_AXES];
+        let mut known = [None; MAX_AXES];
         if !braking {
             for (index, axis) in self.axis[..self.axes].iter().enumerate() {
                 targets[index] = axis.target;
-                if self.limited && Self::blocked(axis) {
+                if !self.limited {
+                    continue;
+                }
+                let swept = Self::sweep(axis, axis.target);
+                known[index] = swept.map(|swept| (axis.target, swept));
+                if Self::blocked(axis, swept) {
                     targets[index] = 0;
                     limited = Some(index as u8);
                 }
@@ -215,7 +227,7 @@ impl Jog {
                     *target = slower(*target, self.asked_load);
                 }
             }
-            match self.loads(machine, &targets, &asked) {
+            match self.loads(machine, &targets, &known, &asked) {
                 Some([load, asked_load]) => {
                     self.asked_load = asked_load;
                     if load > MOST_LOAD || core::mem::take(&mut self.braking) {
@@ -258,8 +270,8 @@ impl Jog {
     }
 
     /// Whether a coordinate must brake now to stop in front of its soft limit.
-    fn blocked(axis: &Axis) -> bool {
-        let Some((low, high, _)) = Self::sweep(axis, axis.target) else {
+    fn blocked(axis: &Axis, swept: Option<Swept>) -> bool {
+        let Some((low, high, _)) = swept else {
             return true;
         };
         (axis.target > 0 && high > axis.high) || (axis.target < 0 && low < axis.low)
@@ -271,9 +283,10 @@ impl Jog {
         &self,
         machine: &impl Kinematics,
         targets: &[i64; MAX_AXES],
+        known: &Known,
         asked: &[i64; MAX_AXES],
     ) -> Option<[u32; 2]> {
-        let mut sweep = self.sweep_to(targets)?;
+        let mut sweep = self.sweep_to(targets, known)?;
         sweep.displace(&self.excursion);
         let mut rates = sweep.rates;
         for (axis, rate) in asked.iter().enumerate() {
@@ -283,10 +296,13 @@ impl Jog {
     }
 
     /// What is swept if everything goes on towards these rates for one period and brakes then; `None` if it is too far to say.
-    fn sweep_to(&self, targets: &[i64; MAX_AXES]) -> Option<Sweep> {
+    fn sweep_to(&self, targets: &[i64; MAX_AXES], known: &Known) -> Option<Sweep> {
         let mut sweep = Sweep::at(&Pose::default());
         for (index, axis) in self.axis[..self.axes].iter().enumerate() {
-            let (low, high, rate) = Self::sweep(axis, targets[index])?;
+            let (low, high, rate) = match known[index] {
+                Some((target, swept)) if target == targets[index] => swept,
+                _ => Self::sweep(axis, targets[index])?,
+            };
             sweep.quicken(index, per_second(rate, self.periods_per_second) + 1);
             let whole = |end: i64| i32::try_from(end >> FRACTION).ok().map(Coordinate);
             (sweep.low.0[index], sweep.high.0[index]) = (whole(low)?, whole(high)?);
@@ -306,7 +322,7 @@ impl Jog {
                 *target = axis.target;
             }
         }
-        self.sweep_to(&targets)
+        self.sweep_to(&targets, &[None; MAX_AXES])
     }
 
     /// Whether a coordinate stays within its soft limits.
