@@ -122,8 +122,8 @@ impl<'a> Trace<'a> {
         let here = joints(self.config, &place);
         self.joints.push(here);
         if let Some(index) = self.joints.len().checked_sub(SPAN + 1) {
-            for joint in 0..AXES {
-                let rate = (here[joint] - self.joints[index][joint]) / (SPAN as f64 * PERIOD_S);
+            for (joint, (now, then)) in here.iter().zip(self.joints[index]).enumerate() {
+                let rate = (now - then) / (SPAN as f64 * PERIOD_S);
                 self.by_differences = self.by_differences.max(rate.abs() / self.limit(joint));
             }
         }
