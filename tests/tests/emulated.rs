@@ -419,7 +419,7 @@ fn instructions_of_the_kinematics() -> String {
     let mut table = String::from(
         "\n## Kinematics of the H-4 arm alone, 1000 poses of the whole reach\n\n| | mean | worst |\n| --- | ---: | ---: |\n",
     );
-    let ceilings = [("inverse", [600, 1_060]), ("forward", [720, 720])];
+    let ceilings = [("inverse", [600, 1_175]), ("forward", [720, 720])];
     for (line, (name, most)) in said.lines().zip(ceilings) {
         let words: Vec<&str> = line.split(' ').collect();
         assert!(words.len() == 3 && words[0] == name, "{said}");
