@@ -374,7 +374,7 @@ impl Machinery {
     #[inline(never)]
     fn stand_at(&mut self, joints: &Joints) -> Result<(), PoseError> {
         let pose = self.machine.forward(joints)?;
-        self.machine.inverse(&pose)?;
+        self.machine.load(&pose, &pose, &[])?;
         self.motion.place(&pose);
         self.forget_force();
         self.settle();

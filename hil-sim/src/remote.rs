@@ -52,7 +52,7 @@ pub trait PlantLink {
 /// What the control periods of a run cost, as the board counted it.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Cost {
-    /// Periods in which a program ran, which are those that are counted.
+    /// Periods in which a program or a jog ran, which are those that are counted.
     pub periods: u64,
     /// Sum over these periods of each stage's counts, in the order of [`haptimill_firmware::probe::Stage`].
     pub sums: [u64; STAGES],
@@ -180,7 +180,8 @@ impl<L: PlantLink> RemoteController<L> {
         let mut cost = self.cost.lock().unwrap_or_else(PoisonError::into_inner);
         cost.worst_of_all = cost.worst_of_all.max(total);
         cost.missed += u64::from(self.overrun);
-        let Some(reading) = done.reading.filter(|reading| reading.state == State::Run) else {
+        let counted = |reading: &Reading| matches!(reading.state, State::Run | State::Jog);
+        let Some(reading) = done.reading.filter(counted) else {
             return;
         };
         if reading.queued > cost.queue_high {
