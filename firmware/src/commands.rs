@@ -27,8 +27,10 @@ type Done = Result<(), Refusal>;
 const POSE: usize = 3;
 const SPAN: usize = 1;
 const TAKE: usize = 1;
-/// To look at a piece of a long segment takes as long as so many; a period in which a frame came leaves it to the next one.
+/// Cost of checking a group of pieces of a long segment; a period in which a frame ended leaves it
+/// to the next one. A group per period keeps the link from resending setpoints that wait.
 const PIECE: usize = 5;
+const PIECE_GROUP: u8 = 4;
 const READ: usize = 5;
 
 /// Carries out the request that was heard and answers it.
@@ -344,8 +346,14 @@ fn validate_setpoint(
     let pieces = machine.pieces(setpoint);
     let mut piece = tried.saturating_sub(axes + 1) as u8;
     while piece < pieces {
-        // The last piece ends at the pose that was tried.
-        let cost = if piece + 1 == pieces { TAKE } else { PIECE };
+        let cost = if piece + 1 == pieces {
+            // The last piece ends at the pose that was checked.
+            TAKE
+        } else if piece.is_multiple_of(PIECE_GROUP) {
+            PIECE
+        } else {
+            0
+        };
         if *budget < cost {
             break;
         }

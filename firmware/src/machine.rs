@@ -374,7 +374,7 @@ impl Machine {
     #[inline(never)]
     fn place_at(&mut self, joints: &Joints) -> Result<(), PoseError> {
         let pose = self.kinematics.forward(joints)?;
-        self.kinematics.inverse(&pose)?;
+        self.kinematics.load(&pose, &pose, &[])?;
         self.motion.set_position(&pose);
         self.reset_force();
         self.settle();

@@ -375,9 +375,9 @@ fn a_box_within_a_reachable_one_is_reachable() {
             small.reach(axis, place + millimetres(shift - stop));
             small.reach(axis, place + millimetres(shift + stop));
         }
-        if wide.is_reachable(4, &machine) {
+        if wide.is_reachable(&machine) {
             wide_ones += 1;
-            found += u32::from(!small.is_reachable(4, &machine));
+            found += u32::from(!small.is_reachable(&machine));
         } else {
             refused += 1;
         }

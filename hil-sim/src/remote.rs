@@ -50,7 +50,7 @@ pub trait PlantLink {
 /// What the control periods of a run cost, as the board counted it.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Cost {
-    /// Periods in which a program ran, which are those that are counted.
+    /// Periods in which a program or a jog ran, which are those that are counted.
     pub periods: u64,
     /// Sum over these periods of each stage's counts, in the order of [`haptimill_firmware::profiler::Stage`].
     pub sums: [u64; STAGES],
@@ -178,10 +178,8 @@ impl<L: PlantLink> RemoteController<L> {
         let mut cost = self.cost.lock().unwrap_or_else(PoisonError::into_inner);
         cost.worst_of_all = cost.worst_of_all.max(total);
         cost.missed += u64::from(self.overrun);
-        let Some(snapshot) = done
-            .snapshot
-            .filter(|snapshot| snapshot.state == State::Run)
-        else {
+        let counted = |snapshot: &Snapshot| matches!(snapshot.state, State::Run | State::Jog);
+        let Some(snapshot) = done.snapshot.filter(counted) else {
             return;
         };
         if snapshot.queued > cost.queue_high {

@@ -21,9 +21,9 @@ use haptimill_hil_sim::RigOptions;
 use haptimill_hil_sim::process::ElasticWall;
 use haptimill_hil_sim::process::ProcessConfig;
 use haptimill_hil_sim::process::sensor::SensorConfig;
-use haptimill_hil_sim::remote::RemoteController;
+use haptimill_hil_sim::remote::{Cost, RemoteController};
 use haptimill_protocol::force::{ForceLoop, Gate};
-use haptimill_protocol::message::{Command as Say, Event, State};
+use haptimill_protocol::message::{Command as Say, Event, Source, State};
 use haptimill_tests::{Bench, line_in_x};
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -419,7 +419,7 @@ fn instructions_of_the_kinematics() -> String {
     let mut table = String::from(
         "\n## Kinematics of the H-4 arm alone, 1000 poses of the whole reach\n\n| | mean | worst |\n| --- | ---: | ---: |\n",
     );
-    let ceilings = [("inverse", [600, 1_060]), ("forward", [720, 720])];
+    let ceilings = [("inverse", [600, 1_175]), ("forward", [720, 720])];
     for (line, (name, most)) in said.lines().zip(ceilings) {
         let words: Vec<&str> = line.split(' ').collect();
         assert!(words.len() == 3 && words[0] == name, "{said}");
@@ -455,34 +455,34 @@ fn instructions_of_a_period() {
             "dome-bare",
             &dome,
             bare(),
-            [4_780.0, 8_000.0],
+            [5_380.0, 13_030.0],
         ),
         job(
             "E11 circle, a machine without a force sensor",
             "e11-bare",
             &circle,
             bare(),
-            [4_710.0, 8_000.0],
+            [5_380.0, 13_030.0],
         ),
         job(
             "dome, 5 axes, with a force sensor, nothing under force control",
             "dome",
             &dome,
             Vec::new(),
-            [6_840.0, 11_700.0],
+            [8_000.0, 14_000.0],
         ),
         job(
             "E11 circle, cut under force control of x and z",
             "e11-force",
             &circle,
             yielding(),
-            [7_790.0, 12_150.0],
+            [12_000.0, 18_000.0],
         ),
         Job {
             title: "E8, a hand leads and feels the cut, force control of x, y and z, the image with the haptic arm",
             name: "e8",
             what: What::Scenario("e8"),
-            ceilings: [17_150.0, 22_600.0],
+            ceilings: [18_007.0, 23_730.0],
         },
     ];
     let mut table = String::from(TABLE_HEAD) + &instructions_of_the_kinematics();
@@ -516,6 +516,7 @@ fn instructions_of_a_period() {
                 "{title}: {what} {one} on the M4F, {two} on the M7"
             );
         }
+        println!("{title}: {mean:.0} in the mean, {worst:.0} at worst");
         table += &format!("| whole period | {mean:.0} | {worst:.0} |\n\n");
         table += &format!(
             "{} control periods in which a program ran. Worst period of all, activating the configuration included: {:.0}. Stack used: {} bytes. \
@@ -549,6 +550,96 @@ fn instructions_of_a_period() {
             "docs/instructions.md says something else; `cargo xtask instructions` writes it anew"
         );
     }
+}
+
+/// What a period of a jog costs, in which all five coordinates move, far from rest and near the bounds: with a sensor or without, under force control, and beside a program.
+#[test]
+fn instructions_of_a_jog() {
+    let built_in = || MachineFile::built_in().expect("sound");
+    let bare = || MachineFile::load(&machine_without_force()).expect("sound");
+    // Measured, and 3 %. The budget of a period is 8,000 and 14,000, under force control 12,000 and 18,000: jogs of many coordinates are above it.
+    let jobs: [(&str, MachineFile, u8, bool, [f64; 2]); 4] = [
+        (
+            "a jog, a machine without a force sensor",
+            bare(),
+            0,
+            false,
+            [30_770.0, 39_220.0],
+        ),
+        (
+            "a jog, with a force sensor",
+            built_in(),
+            0,
+            false,
+            [32_990.0, 40_750.0],
+        ),
+        (
+            "a jog under force control of x and z",
+            built_in(),
+            5,
+            false,
+            [33_980.0, 42_800.0],
+        ),
+        (
+            "a jog of y, z and the table beside a program",
+            built_in(),
+            0,
+            true,
+            [33_400.0, 51_870.0],
+        ),
+    ];
+    let mut too_many = Vec::new();
+    for (title, machine, mask, beside, ceilings) in jobs {
+        let image = pil::image(Board::Mps2).expect("builds");
+        let control = chip::remote(Board::Mps2, &image, &[]);
+        let cost = control.cost();
+        let mut bench = Bench::of_machine(machine, &RigOptions::default(), control);
+        bench.make_ready();
+        bench.steps(500);
+        if mask != 0 {
+            let sensor = ProcessConfig {
+                sensor: Some(SensorConfig::default()),
+                ..ProcessConfig::default()
+            };
+            bench.rig.plant_mut().fit(&sensor).expect("sound");
+            bench.ask(Say::Tare).expect("begun");
+            bench.steps(1500);
+            bench.ask(Say::ForceMask { mask }).expect("taken");
+        }
+        if beside {
+            let start = bench.status().commanded;
+            bench.start_part(1, &start, &line_in_x(&start, 2.0, 200));
+            bench.ask(Say::Hold).expect("holds");
+            bench.steps(2500);
+            for axis in [1, 2, 4] {
+                let source = Source::Jog;
+                bench.ask(Say::Source { axis, source }).expect("chosen");
+            }
+            bench.ask(Say::Resume).expect("goes on");
+            bench.steps(1000);
+        }
+        *cost.lock().expect("not poisoned") = Cost::default();
+        // Towards a bound, back, and over the middle again.
+        for (epoch, sign) in [(1, 1.0), (2, -1.0), (3, 1.0)] {
+            let rates = [30.0, 40.0, 25.0].map(|rate| rate * f64::from(1 << 12) * sign);
+            let angles = [15.0, 15.0].map(|rate| rate * sign * 4_294_967_296.0 / 360.0 / 256.0);
+            let rates = rates.into_iter().chain(angles).map(|rate| rate as i32);
+            let jog = Say::Jog {
+                epoch,
+                deadline_ms: 1000,
+                rates: rates.collect(),
+            };
+            bench.ask(jog).expect("jogs");
+            bench.steps(7000);
+        }
+        let cost = Instructions::of(&cost.lock().expect("not poisoned"));
+        println!("{title}: {cost:?}");
+        assert!(cost.periods > 9_000, "{title}: {} periods", cost.periods);
+        if cost.mean >= ceilings[0] || cost.worst >= ceilings[1] {
+            too_many.push(format!("{title}: {:.0} and {:.0}", cost.mean, cost.worst));
+        }
+    }
+    assert!(too_many.is_empty(), "{too_many:?}");
 }
 
 const TABLE_HEAD: &str = "# Instructions of a control period

@@ -2,8 +2,9 @@
 
 mod scene;
 
+use haptimill_protocol::force::Gate;
 use haptimill_protocol::message::{
-    AxisValues, Command, Event, Refusal, SETPOINT_BATCH, SetpointBatch, State,
+    AxisValues, Command, Event, Fault, Refusal, SETPOINT_BATCH, SetpointBatch, Source, State,
 };
 use haptimill_protocol::setpoint::{Setpoint, SetpointCoder};
 use haptimill_tests::Bench;
@@ -330,4 +331,297 @@ fn the_maximum_rate_is_allowed() {
     let most = fastest(&mut bench);
     assert!((0.995 * LIMIT..=1.005 * LIMIT).contains(&most), "{most}");
     assert_eq!(state(&bench), State::Idle);
+}
+
+/// A generator of numbers with a seed (xorshift64*).
+struct Random(u64);
+
+impl Random {
+    fn uniform(&mut self, low: f64, high: f64) -> f64 {
+        self.0 ^= self.0 >> 12;
+        self.0 ^= self.0 << 25;
+        self.0 ^= self.0 >> 27;
+        let bits = self.0.wrapping_mul(0x2545_f491_4f6c_dd1d) >> 11;
+        low + (high - low) * bits as f64 / (1_u64 << 53) as f64
+    }
+
+    fn sign(&mut self) -> f64 {
+        self.uniform(-1.0, 1.0).signum()
+    }
+}
+
+/// Rates of the slides as commanded: differences of the inverse kinematics in f64, applied to the poses that are placed, over 8 periods.
+#[derive(Default)]
+struct Commanded {
+    slides: Vec<[f64; 4]>,
+    /// The largest rate of a slide, mm/s.
+    fastest: f64,
+    /// The largest displacement of the tool by a force, mm.
+    yielded: f64,
+}
+
+impl Commanded {
+    const SPAN: usize = 8;
+
+    fn step(&mut self, bench: &mut Bench) {
+        bench.step();
+        let machine = bench.rig.control().machine().expect("configured");
+        let unit = |axis: usize| if axis < 3 { MM } else { DEGREE };
+        let pose = &machine.reference().pose.0;
+        let pose = std::array::from_fn(|axis| f64::from(pose[axis].0) / unit(axis));
+        self.slides.push(slides(&pose));
+        self.yielded = self.yielded.max(scene::force::yielded(bench).abs());
+        if let Some(before) = self.slides.len().checked_sub(Self::SPAN + 1) {
+            for (now, then) in self.slides[self.slides.len() - 1]
+                .iter()
+                .zip(self.slides[before])
+            {
+                let rate = (now - then).abs() / (Self::SPAN as f64 * 2e-4);
+                self.fastest = self.fastest.max(rate);
+            }
+        }
+    }
+
+    fn steps(&mut self, bench: &mut Bench, count: usize) {
+        for _ in 0..count {
+            self.step(bench);
+        }
+    }
+}
+
+/// The joint-rate fault that was raised: joint, rate in mm/s.
+fn joint_rate_fault(bench: &Bench) -> Option<(u8, f64)> {
+    bench.events.iter().find_map(|event| match event {
+        Event::Fault(Fault::JointRate {
+            axis, rate, limit, ..
+        }) => {
+            assert_eq!(f64::from(*limit) / MM, LIMIT);
+            Some((*axis, f64::from(*rate) / MM))
+        }
+        _ => None,
+    })
+}
+
+/// The tool is pushed by a wall and yields while all coordinates are jogged, into the bounds of the workspace as well.
+#[test]
+fn a_jog_of_a_tool_that_yields_exceeds_no_joint_rate() {
+    let mut random = Random(11);
+    let (mut fastest, mut yielded, mut faults) = (0.0_f64, 0, 0);
+    for case in 0..12 {
+        let mut bench = ready();
+        let tool = scene::tool(&bench);
+        let gap = random.uniform(0.2, 1.5);
+        let stiffness = random.uniform(5.0, 40.0);
+        let process = scene::force::wall(tool, gap, stiffness);
+        bench.rig.plant_mut().fit(&process).expect("sound");
+        bench.steps(100);
+        scene::force::tare(&mut bench);
+        bench.events.clear();
+        for axis in [0, 2] {
+            let settings = scene::force::loop_of(0.8, 2.0, Gate::Any);
+            let command = Command::ForceLoop { axis, settings };
+            bench.ask(command).expect("taken");
+        }
+        bench.ask(Command::ForceMask { mask: 5 }).expect("taken");
+        let mut commanded = Commanded::default();
+        let (across, up) = (random.sign(), random.sign());
+        for epoch in 1..=6_u16 {
+            // Into the wall and out of it; across and up or down as fast as the machine goes, until the bound and back.
+            let back = if epoch > 4 { -1.0 } else { 1.0 };
+            let x = if epoch % 2 == 1 { -1.0 } else { 1.0 } * random.uniform(2.0, 30.0);
+            let rates = [
+                (0, x),
+                (1, back * across * random.uniform(20.0, 50.0)),
+                (2, back * up * random.uniform(0.0, 50.0)),
+                (3, random.uniform(-20.0, 20.0)),
+                (4, random.uniform(-20.0, 20.0)),
+            ];
+            if bench.say(scene::jog(epoch, 600, &rates)).is_none() {
+                panic!("no room");
+            }
+            commanded.steps(&mut bench, 3000);
+        }
+        commanded.steps(&mut bench, 2000);
+        println!(
+            "case {case}: {:.3} mm/s, yielded by {:.2} mm, {:?}",
+            commanded.fastest, commanded.yielded, bench.events
+        );
+        fastest = fastest.max(commanded.fastest);
+        yielded += u32::from(commanded.yielded > 0.5);
+        faults += u32::from(
+            bench
+                .events
+                .iter()
+                .any(|event| matches!(event, Event::Fault(_))),
+        );
+        assert_eq!(joint_rate_fault(&bench), None, "case {case}");
+        assert!(
+            commanded.fastest <= 1.0005 * LIMIT,
+            "case {case}: a slide was commanded {} mm/s",
+            commanded.fastest
+        );
+    }
+    println!("the fastest slide: {fastest:.3} mm/s; {yielded} yielded; {faults} ended by a fault");
+    assert!(
+        fastest > 0.9 * LIMIT,
+        "{fastest}: nothing was near its limit"
+    );
+    assert!(yielded >= 8, "{yielded} of 12 yielded");
+}
+
+/// Brings a job of which all setpoints are allowed where the machine stands, and lets y and z be jogged before they are reached.
+fn jogged_away(bench: &mut Bench, speeds: [f64; 2], setpoints: &[Setpoint]) {
+    let start = bench.status().commanded;
+    bench.start_part(1, &start, &[rest(&start, 2000)]);
+    bench.ask(Command::Hold).expect("holds");
+    bench.steps(2000);
+    for axis in [1, 2] {
+        let source = Source::Jog;
+        bench.ask(Command::Source { axis, source }).expect("chosen");
+    }
+    bench.ask(Command::Resume).expect("goes on");
+    let mut coder = SetpointCoder::new(200, &start);
+    coder.encode(&rest(&start, 2000)).expect("codes");
+    for (index, batch) in setpoints.chunks(SETPOINT_BATCH).enumerate() {
+        let items = batch.iter().map(|of| coder.encode(of).expect("codes"));
+        let items = items.collect();
+        let first = (index * SETPOINT_BATCH) as u32 + 1;
+        bench
+            .ask(Command::Setpoints(SetpointBatch { first, items }))
+            .expect("allowed where the machine stands");
+    }
+    let count = setpoints.len() as u32 + 1;
+    bench.ask(Command::JobEnd { count }).expect("complete");
+    bench
+        .ask(scene::jog(1, 1000, &[(1, speeds[0]), (2, speeds[1])]))
+        .expect("jogs");
+}
+
+/// A tilt to 20 degrees after a rest, in which the fastest slide has almost its maximum rate where y is 0. It has more where y and z are lower.
+fn fast_tilt(start: &AxisValues) -> Vec<Setpoint> {
+    let mut spans = vec![(10_000, 0.0), (1500, 12.42)];
+    spans.extend([(100, 12.42); 60]);
+    spans.push((1500, 0.0));
+    tilt(start, &spans)
+}
+
+/// What jogs move meanwhile is not known when setpoints are accepted: the machine brakes along its path, and says which joint it was.
+#[test]
+fn a_joint_too_fast_beside_a_program_is_a_fault_that_keeps_the_position() {
+    let mut bench = ready();
+    let setpoints = fast_tilt(&bench.status().commanded);
+    let planned = peaks(&bench.status().commanded, &setpoints);
+    let planned = planned.into_iter().fold(0.0, f64::max);
+    assert!((0.99 * LIMIT..1.01 * LIMIT).contains(&planned), "{planned}");
+    jogged_away(&mut bench, [-40.0, -25.0], &setpoints);
+    let mut commanded = Commanded::default();
+    for _ in 0..30_000 {
+        commanded.step(&mut bench);
+        if state(&bench) == State::Fault {
+            break;
+        }
+    }
+    bench.steps(500);
+    let (joint, rate) = joint_rate_fault(&bench).expect("the fault");
+    println!(
+        "joint {joint} at {rate} mm/s; commanded {}",
+        commanded.fastest
+    );
+    assert!(
+        rate.abs() > 1.03 * LIMIT && rate.abs() < 1.04 * LIMIT,
+        "{rate}"
+    );
+    // It may rise until the brake has built up.
+    assert!(
+        (1.03 * LIMIT..1.05 * LIMIT).contains(&commanded.fastest),
+        "{}",
+        commanded.fastest
+    );
+    assert_eq!(state(&bench), State::Fault);
+    assert_eq!(scene::told(&bench).len(), 1, "{:?}", bench.events);
+    bench.steps(2000);
+    assert!(!scene::drives_off(&bench));
+    assert!(bench.status().position_kept);
+    for joint in 0..5 {
+        let off = scene::joint_off(&bench, joint);
+        assert!(off < 0.02, "joint {joint} is off by {off}");
+    }
+    scene::recover(&mut bench, State::Idle);
+    // The machine is led out of there.
+    bench.ask(scene::jog(2, 500, &[(1, 10.0)])).expect("jogs");
+    bench.steps(4000);
+    assert_eq!(state(&bench), State::Idle);
+}
+
+/// Jogs beside programs whose own joint rates are near their maximum or far from it, while the speed override changes: a joint that is commanded more than the fault allows
+/// is told, and no other.
+#[test]
+fn jogs_beside_a_program_under_override_exceed_no_joint_rate_or_are_told() {
+    let mut random = Random(23);
+    let (mut told, mut fine, mut fast) = (0, 0, 0);
+    for case in 0..16 {
+        let mut bench = ready();
+        let start = bench.status().commanded;
+        let slow = case % 2 == 0;
+        let speed = if slow {
+            random.uniform(1.0, 4.0)
+        } else {
+            12.42
+        };
+        let mut spans = vec![(2000, 0.0), (1500, speed)];
+        spans.extend([(200, speed); 30]);
+        spans.push((1500, 0.0));
+        spans.push((1500, -speed));
+        spans.extend([(200, -speed); 30]);
+        spans.push((1500, 0.0));
+        let down = if slow { 10.0 } else { -15.0 };
+        let speeds = [random.sign() * 35.0, random.uniform(-35.0, down)];
+        jogged_away(&mut bench, speeds, &tilt(&start, &spans));
+        let mut commanded = Commanded::default();
+        for epoch in 2..=10 {
+            let least = if slow { 5.0 } else { 80.0 };
+            let percent = random.uniform(least, 100.9) as u8;
+            let _ = bench.say(Command::Override { percent });
+            let rates = [
+                (1, random.sign() * random.uniform(10.0, 50.0)),
+                (2, random.uniform(-30.0, 20.0)),
+            ];
+            let _ = bench.say(scene::jog(epoch, 800, &rates));
+            commanded.steps(&mut bench, 3000);
+            if state(&bench) == State::Fault {
+                break;
+            }
+        }
+        bench.steps(500);
+        let fault = joint_rate_fault(&bench);
+        let most = commanded.fastest;
+        println!("case {case}, {speed:.1} degrees/s: {most:.3} mm/s, {fault:?}");
+        assert!(
+            most <= 1.10 * LIMIT,
+            "case {case}: a slide was commanded {most} mm/s"
+        );
+        // The joint goes on accelerating until the brake has built up.
+        // A mean of 8 periods is a little less than the rate of one.
+        assert!(
+            fault.is_some() || most <= 1.033 * LIMIT,
+            "case {case}: {most} mm/s was not told"
+        );
+        assert!(
+            fault.is_none() || most > 1.029 * LIMIT,
+            "case {case}: {fault:?} at {most} mm/s"
+        );
+        if fault.is_some() {
+            assert!(bench.status().position_kept && !scene::drives_off(&bench));
+            told += 1;
+        } else {
+            fine += 1;
+        }
+        fast += u32::from(most > 0.9 * LIMIT);
+        assert!(!slow || fault.is_none(), "case {case}: {fault:?}");
+    }
+    println!("{told} told, {fine} not, {fast} fast");
+    assert!(
+        fine >= 8 && told >= 2 && fast >= 4,
+        "{told} told, {fine} not, {fast} fast"
+    );
 }

@@ -43,7 +43,7 @@ pub const BOARDS: &[Board] = &[Board {
         ("checks", "checks", &[]),
         ("logging", "defmt", &[]),
     ],
-    flash: 128 * 1024,
+    flash: 144 * 1024,
     ram: 48 * 1024,
 }];
 

@@ -213,18 +213,20 @@ impl Kinematics for BoundedKinematics {
     }
 
     #[inline(never)]
-    fn load(&self, pose: &Pose, rates: &[Rates]) -> Result<[u32; 2], PoseError> {
+    fn load(&self, low: &Pose, high: &Pose, rates: &[Rates]) -> Result<[u32; 2], PoseError> {
         let Geometry::H4(arm) = &self.geometry else {
-            return self.inverse(pose).map(|_| [0; 2]);
+            return self.check_strokes(&Joints::default()).map(|()| [0; 2]);
         };
-        let (joints, bounds) = arm.rate_bounds(pose, rates)?;
-        self.check_strokes(&joints)?;
+        let (joints, bounds) = arm.rate_bounds(low, high, rates)?;
+        for joints in &joints {
+            self.check_strokes(joints)?;
+        }
         let mut loads = [0; 2];
         for (load, (rates, [front, rear])) in loads.iter_mut().zip(rates.iter().zip(bounds)) {
             let of_joints = [front, front, rear, rear, rates[4].0.unsigned_abs()];
             for (bound, inverse) in of_joints.iter().zip(&self.inverse_rates) {
                 let part = (u64::from(*bound) * u64::from(*inverse)) >> 32;
-                *load = part.max(u64::from(*load)) as u32;
+                *load = (part as u32).max(*load);
             }
         }
         Ok(loads)

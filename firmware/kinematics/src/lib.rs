@@ -68,14 +68,23 @@ pub trait Kinematics {
     /// The pose of the joints, on the assembly branch of the configuration, certified.
     fn forward(&self, joints: &Joints) -> Result<Pose, PoseError>;
 
-    /// The largest part of its maximum rate that any joint reaches at a pose, for pose rates of at most these magnitudes in any direction; in 2^-16, one
-    /// for each of `rates` (at most two). 0 where the maximum rates are not known.
+    /// The largest part of its maximum rate that any joint reaches at the poses of a box, for pose rates of at most these magnitudes in any direction; in 2^-16, one
+    /// for each of `rates` (at most two). 0 where the maximum rates are not known: only the corners are looked at then.
     ///
     /// # Errors
-    /// As [`Kinematics::inverse`].
-    fn load(&self, pose: &Pose, rates: &[Rates]) -> Result<[u32; 2], PoseError> {
+    /// As [`Kinematics::inverse`], if the machine cannot take all poses of the box.
+    fn load(&self, low: &Pose, high: &Pose, rates: &[Rates]) -> Result<[u32; 2], PoseError> {
         let _ = rates;
-        self.inverse(pose).map(|_| [0; 2])
+        for corner in 0..1_u32 << MAX_AXES {
+            let mut pose = *low;
+            for (axis, place) in pose.0.iter_mut().enumerate() {
+                if corner & (1 << axis) != 0 {
+                    *place = high.0[axis];
+                }
+            }
+            self.inverse(&pose)?;
+        }
+        Ok([0; 2])
     }
 
     /// The Jacobian at a pose.

@@ -101,8 +101,9 @@ impl StepPlanner {
         let size = per_step.unsigned_abs();
         let size = if size < 1 << 24 { 1 << 24 } else { size };
         // 2^86 / 2^24 = 2^62 at most.
-        let magnitude = ((1u128 << 86) / size as u128) as i64;
-        let per_rate = (magnitude as i128 * period_us as i128 / 1_000_000) as i64;
+        let magnitude = inverse(size);
+        let whole = magnitude / 1_000_000 * period_us as i64;
+        let per_rate = whole + magnitude % 1_000_000 * period_us as i64 / 1_000_000;
         let negative = per_step < 0;
         Self {
             kind,
@@ -318,6 +319,24 @@ const fn offset(segment: &StepSegment, k: i64) -> i64 {
     k * segment.interval as i64 + segment.ramp as i64 * (k * (k - 1) / 2)
 }
 
+/// 2^86 / `size`, for a size of at least 2^24. One bit at a time: 128-bit division takes 1 KiB of flash.
+const fn inverse(size: u64) -> i64 {
+    let (mut quotient, mut rest) = ((size == 1 << 24) as i64, (1 << 24) % size);
+    let mut bit = 0;
+    while bit < 62 {
+        // The top bit is lost where the rest is doubled beyond the word.
+        let beyond = rest >> 63 != 0;
+        rest <<= 1;
+        quotient <<= 1;
+        if beyond || rest >= size {
+            rest = rest.wrapping_sub(size);
+            quotient |= 1;
+        }
+        bit += 1;
+    }
+    quotient
+}
+
 /// Axis units to steps Q32, or rates likewise, within +-2^60.
 #[inline]
 fn steps(units: i64, scale: i64) -> i64 {
@@ -389,5 +408,41 @@ impl Ideal {
         // 2^21 * 2^12 * 2^30 is 2^63 only when bend and step are 1, and they are at most 3/4 and 1/2.
         let twice = i64::from(self.period) * (self.bend >> 4);
         haptimill_math::reciprocal::saturate(-((twice * square + (1 << 40)) >> 41))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+    use super::*;
+    use proptest::prelude::*;
+    use proptest::test_runner::RngSeed;
+
+    proptest! {
+        #![proptest_config(ProptestConfig { rng_seed: RngSeed::Fixed(1), failure_persistence: None, ..ProptestConfig::default() })]
+
+        #[test]
+        fn scales_of_steps_are_exact(per_step: i64, down in 0_u32..40, period_us in 50_u16..=1000) {
+            let per_step = per_step >> down;
+            let size = per_step.unsigned_abs().max(1 << 24);
+            let magnitude = (1_u128 << 86) / u128::from(size);
+            let per_rate = magnitude * u128::from(period_us) / 1_000_000;
+            let timing = PulseTiming { period: 16_800, pulse: 1, setup: 1, hold: 1 };
+            let planner = StepPlanner::new(AxisKind::Linear, per_step, timing, period_us);
+            prop_assert_eq!(planner.steps_per_unit.unsigned_abs(), magnitude as u64);
+            prop_assert_eq!(planner.steps_per_rate.unsigned_abs(), per_rate as u64);
+            prop_assert_eq!(planner.steps_per_unit < 0, per_step < 0);
+        }
+    }
+
+    #[test]
+    fn the_smallest_step_has_the_largest_inverse() {
+        for (size, quotient) in [
+            (1 << 24, 1 << 62),
+            (1 << 62, 1 << 24),
+            (u64::MAX, (1 << 22)),
+        ] {
+            assert_eq!(inverse(size), quotient);
+        }
     }
 }

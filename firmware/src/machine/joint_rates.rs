@@ -11,8 +11,8 @@ use haptimill_math::{Coordinate, Rate};
 use haptimill_protocol::message::{MAX_AXES, RATE_SHIFT, Refusal};
 use haptimill_protocol::setpoint::Setpoint;
 
-/// Longest piece of a segment, periods: 13 ms at 200 us.
-pub const PIECE: u16 = 64;
+/// Longest piece of a segment, periods: 26 ms at 200 us.
+pub const PIECE: u16 = 128;
 
 /// Joints and their rates at a time on the path.
 #[derive(Debug, Clone, Copy, Default)]

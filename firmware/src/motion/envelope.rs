@@ -99,60 +99,14 @@ impl StoppingEnvelope {
         wide
     }
 
-    /// Whether the machine can take the corners of the box: all of them for up to three moving coordinates, the low and the high one and those next
-    /// to them for more (the pose of every period is checked besides).
-    pub fn is_reachable(&self, axes: usize, machine: &impl Kinematics) -> bool {
-        self.load(&[], axes, machine).is_some()
+    /// Whether the machine can take the poses of the box.
+    pub fn is_reachable(&self, machine: &impl Kinematics) -> bool {
+        self.load(&[], machine).is_some()
     }
 
-    /// The largest part of its maximum rate that a joint reaches at these corners, for each of `rates` ([`Kinematics::load`]); `None` if the machine cannot take one of them.
-    pub fn load(
-        &self,
-        rates: &[Rates],
-        axes: usize,
-        machine: &impl Kinematics,
-    ) -> Option<[u32; 2]> {
-        let moving = self.moving(axes);
-        let mut most = [0; 2];
-        for corner in 0..1 << moving.count_ones() {
-            let loads = self.takes(corner, moving, rates, machine)?;
-            most = [most[0].max(loads[0]), most[1].max(loads[1])];
-        }
-        Some(most)
-    }
-
-    /// The coordinates that move: a bit each.
-    fn moving(&self, axes: usize) -> u32 {
-        let moves = |axis: &usize| self.low.0[*axis] != self.high.0[*axis];
-        (0..axes.min(MAX_AXES))
-            .filter(moves)
-            .fold(0, |moving, axis| moving | 1 << axis)
-    }
-
-    /// The loads at a corner, if the machine can take it; one that is not looked at has none.
-    fn takes(
-        &self,
-        corner: u32,
-        moving: u32,
-        rates: &[Rates],
-        machine: &impl Kinematics,
-    ) -> Option<[u32; 2]> {
-        let count = moving.count_ones();
-        let ones = corner.count_ones();
-        if count > 3 && ones > 1 && ones + 1 < count {
-            return Some([0; 2]);
-        }
-        let mut pose = self.low;
-        let mut left = corner;
-        for (axis, place) in pose.0.iter_mut().enumerate() {
-            if moving & (1 << axis) != 0 {
-                if left & 1 != 0 {
-                    *place = self.high.0[axis];
-                }
-                left >>= 1;
-            }
-        }
-        machine.load(&pose, rates).ok()
+    /// The largest part of its maximum rate that a joint reaches in the box, for each of `rates` ([`Kinematics::load`]); `None` if the machine cannot take a pose of it.
+    pub fn load(&self, rates: &[Rates], machine: &impl Kinematics) -> Option<[u32; 2]> {
+        machine.load(&self.low, &self.high, rates).ok()
     }
 }
 
@@ -165,13 +119,10 @@ pub type Excursion = [(i32, Rate); 3];
 /// Periods between two attempts at a wider box where there was none.
 const PATIENCE: u8 = 64;
 
-/// What is known of the reach around the machine: a box that is reachable, with room. A sweep in it needs no look at its own corners, and the next box is looked
-/// at in time, a corner a period, so that a period in which a hand leads takes one pose more and not eight.
+/// What is known of the reach around the machine: a box that is reachable, with room. A sweep in it needs no look of its own.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct ReachableBox {
     known: Option<(StoppingEnvelope, u32)>,
-    /// The next one, its load so far, and the corner that is looked at next.
-    next: Option<(StoppingEnvelope, u32, u32)>,
     patience: u8,
 }
 
@@ -185,48 +136,22 @@ impl ReachableBox {
         axes: usize,
         machine: &impl Kinematics,
     ) -> Option<u32> {
-        self.prefetch(sweep, (room, may), axes, machine);
-        match &self.known {
-            Some((known, load)) if sweep.is_within(known, axes) => Some(*load),
-            _ => Some(sweep.load(&[sweep.rates], axes, machine)?[0]),
+        if let Some((known, load)) = &self.known
+            && sweep.is_within(known, axes)
+        {
+            return Some(*load);
         }
-    }
-
-    /// Looks at one corner of the next box.
-    fn prefetch(
-        &mut self,
-        sweep: &StoppingEnvelope,
-        (room, may): (&[i32; MAX_AXES], u8),
-        axes: usize,
-        machine: &impl Kinematics,
-    ) {
         self.patience = self.patience.saturating_sub(1);
-        match self.next {
-            Some((next, load, corner)) if sweep.is_within(&next, axes) => {
-                let moving = next.moving(axes);
-                let loads = next.takes(corner, moving, &[next.rates], machine);
-                let load = loads.map_or(FULL_LOAD, |loads| loads[0].max(load));
-                // What is near its maximum is looked at as it is, and not with room.
-                if load > SLOWED_LOAD {
-                    self.next = None;
-                    self.patience = PATIENCE;
-                } else if corner + 1 < 1 << moving.count_ones() {
-                    self.next = Some((next, load, corner + 1));
-                } else {
-                    self.next = None;
-                    self.known = Some((next, load));
-                }
+        if self.patience == 0 {
+            let wide = sweep.with_room(room, may);
+            let load = wide.load(&[wide.rates], machine).map(|loads| loads[0]);
+            // What is near its maximum is looked at as it is, and not with room.
+            if let Some(load) = load.filter(|load| *load <= SLOWED_LOAD) {
+                self.known = Some((wide, load));
+                return Some(load);
             }
-            _ => {
-                let half = room.map(|room| room / 2);
-                let near = sweep.with_room(&half, may);
-                let enough = self
-                    .known
-                    .as_ref()
-                    .is_some_and(|(known, _)| near.is_within(known, axes));
-                self.next =
-                    (!enough && self.patience == 0).then(|| (sweep.with_room(room, may), 0, 0));
-            }
+            self.patience = PATIENCE;
         }
+        Some(sweep.load(&[sweep.rates], machine)?[0])
     }
 }

@@ -31,6 +31,12 @@ struct Axis {
 
 constants!(Axis { limits, rate_limit, low, high } of {} but { position, rate, target });
 
+/// The least and the greatest position of a coordinate on its way to rest, and its largest rate.
+type Swept = (i64, i64, i64);
+
+/// What was worked out in a period already, and for which target.
+type Known = [Option<(i64, Swept)>; MAX_AXES];
+
 /// Motion of all pose coordinates at wanted rates.
 #[derive(Debug, Default)]
 pub struct Jog {
@@ -71,22 +77,27 @@ impl Constants for Jog {
 
 /// Most change of a rate in a period, 2^-20 axis units per period; `None` where it is beyond 63 bits.
 pub(super) fn slope(acceleration: Acceleration, period_us: u16) -> Option<i64> {
-    // Once per configuration: wide arithmetic costs nothing here. (au/s^2) (us)^2 / 10^12.
-    let period = i128::from(period_us);
-    let slope =
-        ((i128::from(acceleration.0) * period * period) << (8 + FRACTION)) / 1_000_000_000_000;
-    i64::try_from(slope).ok()
+    let periods = periods_per_second(period_us);
+    (i64::from(acceleration.0) << (8 + FRACTION)).checked_div(periods * periods)
+}
+
+/// A whole number: the configuration sees to it.
+const fn periods_per_second(period_us: u16) -> i64 {
+    1_000_000 / if period_us == 0 { 1 } else { period_us as i64 }
 }
 
 /// Bounds of a rate in 2^-20 axis units per period, from the limits of a pose coordinate; `None` if they make no sense.
 #[must_use]
 pub fn rate_limits(acceleration: Acceleration, jerk: u32, period_us: u16) -> Option<RampLimits> {
-    let period = i128::from(period_us);
-    // (au/s^3) (us)^3 / 10^18.
-    let jerk = ((i128::from(jerk) * period * period * period) << (JERK_SHIFT + FRACTION))
-        / 1_000_000_000_000_000_000;
+    // Long division in two steps: 128-bit division takes 1 KiB of flash. The cube is at most 10^18, so no shift leaves 64 bits.
+    const BELOW: u32 = 4;
+    let periods = periods_per_second(period_us);
+    let cube = u64::try_from(periods.checked_pow(3)?).ok()?;
+    let high = u64::from(jerk) << (JERK_SHIFT + FRACTION - BELOW);
+    let low = ((high % cube) << BELOW) / cube;
+    let jerk = i64::try_from(((high / cube) << BELOW) + low).ok()?;
     let slope = slope(acceleration, period_us)?;
-    RampLimits::new(slope, i64::try_from(jerk).ok()?.min(slope))
+    RampLimits::new(slope, jerk.min(slope))
 }
 
 impl Jog {
@@ -96,7 +107,7 @@ impl Jog {
         let mut jog = Self {
             axes: config.pose.len(),
             period_us: config.period_us,
-            periods_per_second: 1_000_000 / i64::from(config.period_us.max(1)),
+            periods_per_second: periods_per_second(config.period_us),
             ..Self::default()
         };
         for (axis, pose) in jog.axis.iter_mut().zip(&config.pose) {
@@ -168,7 +179,7 @@ impl Jog {
 
     /// Between which positions a coordinate stays if it goes on for one period and brakes then; 2^-20 axis units, `None` when they
     /// are too far to say. The third is its largest rate, either way.
-    fn sweep(axis: &Axis, target: i64) -> Option<(i64, i64, i64)> {
+    fn sweep(axis: &Axis, target: i64) -> Option<Swept> {
         let limits = axis.limits.as_ref()?;
         let mut rate = axis.rate;
         let next = axis.position.checked_add(rate.advance(target, limits))?;
@@ -196,10 +207,16 @@ impl Jog {
         let braking = self.alive == 0;
         self.alive = self.alive.saturating_sub(1);
         let mut targets = [0_i64; MAX_AXES];
+        let mut known = [None; MAX_AXES];
         if !braking {
             for (index, axis) in self.axis[..self.axes].iter().enumerate() {
                 targets[index] = axis.target;
-                if self.limited && Self::blocked(axis) {
+                if !self.limited {
+                    continue;
+                }
+                let swept = Self::sweep(axis, axis.target);
+                known[index] = swept.map(|swept| (axis.target, swept));
+                if Self::blocked(axis, swept) {
                     targets[index] = 0;
                     limited = Some(index as u8);
                 }
@@ -210,7 +227,7 @@ impl Jog {
                     *target = slower(*target, self.asked_load);
                 }
             }
-            match self.loads(machine, &targets, &asked) {
+            match self.loads(machine, &targets, &known, &asked) {
                 Some([load, asked_load]) => {
                     self.asked_load = asked_load;
                     if load > MOST_LOAD || core::mem::take(&mut self.braking) {
@@ -253,8 +270,8 @@ impl Jog {
     }
 
     /// Whether a coordinate must brake now to stop in front of its soft limit.
-    fn blocked(axis: &Axis) -> bool {
-        let Some((low, high, _)) = Self::sweep(axis, axis.target) else {
+    fn blocked(axis: &Axis, swept: Option<Swept>) -> bool {
+        let Some((low, high, _)) = swept else {
             return true;
         };
         (axis.target > 0 && high > axis.high) || (axis.target < 0 && low < axis.low)
@@ -266,22 +283,26 @@ impl Jog {
         &self,
         machine: &impl Kinematics,
         targets: &[i64; MAX_AXES],
+        known: &Known,
         asked: &[i64; MAX_AXES],
     ) -> Option<[u32; 2]> {
-        let mut sweep = self.sweep_to(targets)?;
+        let mut sweep = self.sweep_to(targets, known)?;
         sweep.displace(&self.excursion);
         let mut rates = sweep.rates;
         for (axis, rate) in asked.iter().enumerate() {
             rates[axis] = Rate(saturate(per_second(rate.abs(), self.periods_per_second)));
         }
-        sweep.load(&[sweep.rates, rates], self.axes, machine)
+        sweep.load(&[sweep.rates, rates], machine)
     }
 
     /// What is swept if everything goes on towards these rates for one period and brakes then; `None` if it is too far to say.
-    fn sweep_to(&self, targets: &[i64; MAX_AXES]) -> Option<StoppingEnvelope> {
+    fn sweep_to(&self, targets: &[i64; MAX_AXES], known: &Known) -> Option<StoppingEnvelope> {
         let mut sweep = StoppingEnvelope::at(&Pose::default());
         for (index, axis) in self.axis[..self.axes].iter().enumerate() {
-            let (low, high, rate) = Self::sweep(axis, targets[index])?;
+            let (low, high, rate) = match known[index] {
+                Some((target, swept)) if target == targets[index] => swept,
+                _ => Self::sweep(axis, targets[index])?,
+            };
             sweep.quicken(index, per_second(rate, self.periods_per_second) + 1);
             let whole = |end: i64| i32::try_from(end >> FRACTION).ok().map(Coordinate);
             (sweep.low.0[index], sweep.high.0[index]) = (whole(low)?, whole(high)?);
@@ -301,7 +322,7 @@ impl Jog {
                 *target = axis.target;
             }
         }
-        self.sweep_to(&targets)
+        self.sweep_to(&targets, &[None; MAX_AXES])
     }
 
     /// Whether a coordinate stays within its soft limits.
@@ -332,4 +353,27 @@ fn per_second(rate: i64, periods_per_second: i64) -> i64 {
 
 fn saturate(x: i64) -> i32 {
     x.clamp(i64::from(-i32::MAX), i64::from(i32::MAX)) as i32
+}
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+    use super::*;
+    use proptest::prelude::*;
+    use proptest::test_runner::RngSeed;
+
+    proptest! {
+        #![proptest_config(ProptestConfig { rng_seed: RngSeed::Fixed(1), failure_persistence: None, ..ProptestConfig::default() })]
+
+        #[test]
+        fn limits_of_a_ramp_are_exact(acceleration in 1..i32::MAX, jerk: u32, down in 0_u32..32, choice in 0_usize..6) {
+            let period_us = [50_u16, 100, 125, 200, 500, 1000][choice];
+            let per_second = i128::from(1_000_000 / u32::from(period_us));
+            let (acceleration, jerk) = (acceleration >> down.min(30), jerk >> down);
+            let step = (i128::from(acceleration) << (8 + FRACTION)) / per_second.pow(2);
+            let turn = (i128::from(jerk) << (JERK_SHIFT + FRACTION)) / per_second.pow(3);
+            let exact = RampLimits::new(step as i64, turn.min(step) as i64);
+            prop_assert_eq!(rate_limits(Acceleration(acceleration), jerk, period_us), exact);
+        }
+    }
 }

@@ -453,7 +453,7 @@ impl Motion {
             let room = (&self.room, self.hand_mask());
             self.reach.holds(&sweep, room, self.axes, machine)
         } else {
-            Some(sweep.load(&[sweep.rates], self.axes, machine)?[0])
+            Some(sweep.load(&[sweep.rates], machine)?[0])
         };
         load.filter(|_| allowed)
     }

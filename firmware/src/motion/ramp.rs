@@ -13,6 +13,62 @@ pub struct RampLimits {
     jerk: i64,
     /// Slope over jerk: periods in which the slope builds up.
     rise: i64,
+    by_slope: Divisor,
+    by_twice_jerk: Divisor,
+}
+
+/// A divisor below 2^33 and its inverse: a software division takes some 250 instructions, and a jog of five coordinates has eighty in a period.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+struct Divisor {
+    divisor: u64,
+    /// 2^(31 + bits of the divisor) / divisor, 2^31 to 2^32 - 1.
+    inverse: u32,
+    shift: u32,
+}
+
+impl Divisor {
+    /// Of 1 and above.
+    const fn new(divisor: u64) -> Self {
+        let shift = 63 - divisor.leading_zeros();
+        // 2^(32 + shift) / divisor, which is above 2^31: of a power of two one less.
+        let high = (1 << (31 + shift / 2)) / divisor;
+        let rest = (1 << (31 + shift / 2)) % divisor;
+        let up = 1 + shift - shift / 2;
+        let inverse = (high << up) + (rest << up) / divisor;
+        Self {
+            divisor,
+            inverse: if inverse > u32::MAX as u64 {
+                u32::MAX
+            } else {
+                inverse as u32
+            },
+            shift,
+        }
+    }
+
+    /// A lower bound of value / divisor, less by some 2^-31 of it and 2.
+    #[inline(always)]
+    fn about(&self, value: u64) -> u64 {
+        let (value, inverse) = (value >> self.shift, u64::from(self.inverse));
+        let low = ((value & 0xFFFF_FFFF) * inverse) >> 32;
+        (value >> 32) * inverse + low
+    }
+
+    /// The quotient of a magnitude, rounded down.
+    #[inline(never)]
+    fn quotient(&self, value: i64) -> i64 {
+        let value = value.unsigned_abs();
+        let mut quotient = self.about(value);
+        let mut rest = value - quotient * self.divisor;
+        let more = self.about(rest);
+        quotient += more;
+        rest -= more * self.divisor;
+        while rest >= self.divisor {
+            rest -= self.divisor;
+            quotient += 1;
+        }
+        quotient as i64
+    }
 }
 
 /// A value on its way to a target.
@@ -34,7 +90,13 @@ impl RampLimits {
     pub const fn new(slope: i64, jerk: i64) -> Option<Self> {
         if jerk > 0 && jerk <= slope && slope < SLOPE_MAX {
             let rise = slope / jerk;
-            Some(Self { slope, jerk, rise })
+            Some(Self {
+                slope,
+                jerk,
+                rise,
+                by_slope: Divisor::new(slope as u64),
+                by_twice_jerk: Divisor::new(2 * jerk as u64),
+            })
         } else {
             None
         }
@@ -53,7 +115,8 @@ impl RampLimits {
             return 0;
         }
         let magnitude = slope.abs();
-        slope.signum() * (magnitude * (magnitude + self.jerk) / (2 * self.jerk))
+        let twice = magnitude * (magnitude + self.jerk);
+        slope.signum() * self.by_twice_jerk.quotient(twice)
     }
 }
 
@@ -167,8 +230,12 @@ impl Ramp {
             return Some(0);
         }
         // Trapezoid of the slope: its duration is peak / slope + slope / jerk, its mean value is half the peak; four periods for the first half period and rounding.
-        let rising = if rising == 0 { 0 } else { rising / limits.jerk };
-        let periods = peak / limits.slope + limits.rise + 2 * rising + 4;
+        let rising = if rising == 0 {
+            0
+        } else {
+            limits.by_twice_jerk.quotient(2 * rising) * rising.signum()
+        };
+        let periods = limits.by_slope.quotient(peak) + limits.rise + 2 * rising + 4;
         Some(peak.checked_mul(periods)? / 2)
     }
 }
@@ -201,6 +268,16 @@ mod tests {
 
     proptest! {
         #![proptest_config(ProptestConfig { rng_seed: proptest::test_runner::RngSeed::Fixed(1), failure_persistence: None, ..ProptestConfig::default() })]
+
+        #[test]
+        fn a_quotient_is_exact(value in 0..i64::MAX, down in 0_u32..63, divisor in 1_u64..1 << 33, less in 0_u32..33) {
+            let (value, divisor) = (value >> down, (divisor >> less).max(1));
+            for value in [value, value - value % divisor as i64, i64::MAX] {
+                prop_assert_eq!(Divisor::new(divisor).quotient(value), value / divisor as i64);
+            }
+            let power = divisor.next_power_of_two();
+            prop_assert_eq!(Divisor::new(power).quotient(value), value / power as i64);
+        }
         #[test]
         fn bounded_slope_and_jerk_whatever_the_targets(
             slope in 1_000_i64..1 << 30,

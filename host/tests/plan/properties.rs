@@ -318,3 +318,65 @@ proptest! {
         }
     }
 }
+
+/// Rapids, and cuts at the largest feed that passes, between poses of the whole workspace: the joint rates of the setpoints as the controller interpolates them. It refuses 1.02 of the maximum.
+#[test]
+fn setpoints_command_no_joint_more_than_its_maximum_rate() {
+    let settings = settings();
+    let mut random = 7_u64;
+    let mut uniform = |low: f64, high: f64| {
+        random ^= random >> 12;
+        random ^= random << 25;
+        random ^= random >> 27;
+        let bits = random.wrapping_mul(0x2545_f491_4f6c_dd1d) >> 11;
+        low + (high - low) * bits as f64 / (1_u64 << 53) as f64
+    };
+    let (mut planned, mut binding, mut worst) = (0, 0, 0.0_f64);
+    for _ in 0..300 {
+        let mut text = String::from("G0 X0 Y0 Z25\nF600\n");
+        for _ in 0..4 {
+            let word = if uniform(0.0, 1.0) < 0.7 { "G0" } else { "G1" };
+            text += &format!(
+                "{word} X{:.3} Y{:.3} Z{:.3} B{:.3} A{:.3}\n",
+                uniform(-100.0, 100.0),
+                uniform(-80.0, 80.0),
+                uniform(-40.0, 100.0),
+                uniform(-20.0, 20.0),
+                uniform(-20.0, 20.0)
+            );
+        }
+        // Many of these leave the workspace, or ask for a feed that a joint cannot follow: they are refused, and tested elsewhere.
+        let program = program(&text);
+        let Ok(plan) = Plan::new(&program, &settings, &H4) else {
+            continue;
+        };
+        planned += 1;
+        let mut most = 0.0_f64;
+        for span in spans(&plan) {
+            let at = |u: f64| {
+                let mut pose = [0.0; 6];
+                for (place, cubic) in pose.iter_mut().zip(&span.axes) {
+                    *place = cubic.at(u);
+                }
+                H4.joints(&pose).expect("planned")
+            };
+            let h = 1e-3;
+            for i in 0..=16 {
+                let u = f64::from(i) / 16.0;
+                let (back, ahead) = (at(u - h), at(u + h));
+                for (k, joint) in settings.joints.iter().enumerate() {
+                    let rate = (ahead[k] - back[k]).abs() / (2.0 * h * span.axes[0].t);
+                    most = most.max(rate / joint.rate);
+                }
+            }
+        }
+        binding += u32::from(most > 0.95);
+        worst = worst.max(most);
+        assert!(most <= 1.005, "{most} of the maximum rate\n{text}");
+    }
+    println!("{planned} planned, {binding} near a maximum, at most {worst} of it");
+    assert!(
+        planned >= 60 && binding >= 15,
+        "{planned} planned, {binding} near a maximum"
+    );
+}

@@ -26,6 +26,7 @@
 mod forward;
 mod motion;
 mod statics;
+mod sweep_box;
 
 pub use statics::ToolForce;
 
@@ -328,10 +329,16 @@ impl H4 {
         accelerations: &Accelerations,
         motion: &mut JointMotion,
     ) -> Result<(), PoseError> {
-        let (placed, pairs) = self.place(pose)?;
+        let (placed, pairs) = self.place_apart(pose)?;
         motion.joints = self.joints(&placed, &pairs, pose.0[ALPHA])?;
         self.derivatives(&placed, &pairs, rates, accelerations, motion);
         Ok(())
+    }
+
+    /// [`H4::place`] out of line: its callers share it, because inlined in both it takes 900 bytes more flash.
+    #[inline(never)]
+    pub(super) fn place_apart(&self, pose: &Pose) -> Result<(Placed, [Pair; 2]), PoseError> {
+        self.place(pose)
     }
 
     /// The pose with both pairs of rods, every condition but the strokes fulfilled.
@@ -371,7 +378,7 @@ impl H4 {
 
     /// R^2 - U^2 - V^2; from -2^63 to 2^60.
     #[inline(always)]
-    fn square(&self, (u, v): (i32, i32)) -> i64 {
+    pub(super) fn square(&self, (u, v): (i32, i32)) -> i64 {
         // Squares of words are at most 2^62, R^2 is above 0: nothing wraps.
         let (u, v) = (u as i64 * u as i64, v as i64 * v as i64);
         self.rod_square.wrapping_sub(u).wrapping_sub(v)
@@ -393,10 +400,45 @@ impl H4 {
         )
     }
 
+    /// The smallest S^2 of a pose that may be taken.
+    pub(super) const fn least_square(&self) -> i64 {
+        self.least_square
+    }
+
+    /// Whether the machine stays away from the parallel singularity if U is up to `by_u` and V up to `by_v` of its pair away from those of a pose.
+    #[inline]
+    pub(super) fn stays_regular(
+        &self,
+        placed: &Placed,
+        by_u: u32,
+        by_v: [u32; 2],
+    ) -> Result<(), PoseError> {
+        let (cross, height) = self.cross(placed);
+        // U1 + U3 is constant: what one gains the other one loses.
+        let [by_v1, by_v3] = by_v.map(|by| i64::from(by.min(1 << 30)));
+        let by_height = total(by_v1, by_v3);
+        let less = i64::from(by_u.min(1 << 30)) * total(height, by_height)
+            + i64::from(placed.upper.0).abs() * by_v3
+            + i64::from(placed.lower.0).abs() * by_v1;
+        let least = cross.saturating_sub(less);
+        if least < i64::from(self.margin) * total(self.twice_lateral, total(height, by_height)) {
+            let distance = self.distance_of(least, total(height, by_height));
+            if distance < self.margin {
+                return Err(PoseError::NearSingularity { distance });
+            }
+        }
+        Ok(())
+    }
+
     /// Signed distance from the parallel singularity, rounded towards zero.
     #[cold]
     fn distance(&self, placed: &Placed) -> i32 {
         let (cross, height) = self.cross(placed);
+        self.distance_of(cross, height)
+    }
+
+    #[cold]
+    fn distance_of(&self, cross: i64, height: i64) -> i32 {
         let base = hypot(self.lateral, (height / 2) as i32).max(1);
         // |cross| <= 2^61, base >= 1 mm = 2^20: the quotient may leave the word only if the geometry is absurd.
         saturate(cross / (2 * base as i64))
