@@ -181,7 +181,8 @@ impl ServoLaw {
     #[inline(never)]
     fn integrated(&mut self, mut sum: i32, error: Coordinate) -> (Effort, bool) {
         if self.ki_period != 0 {
-            // 256 au/s^2 a unit and Q20 of inertia: 28 bits. 2^42 * 2^32 / 2^28 = 2^46, and the fraction 2^16.
+            // 256 au/s^2 a unit and Q20 of inertia: 28 bits. 2^42 * 2^32 / 2^28 = 2^46, and the
+            // fraction 2^16.
             let effort = mul_shift::<28>(self.integral >> INTEGRAL_FRACTION, self.inertia);
             sum = sum.saturating_add(saturate((effort << self.fraction) >> self.lift));
         }
