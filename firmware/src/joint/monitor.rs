@@ -2,11 +2,11 @@
 //!
 //! | observation | fault |
 //! | --- | --- |
-//! | the joint runs away from its commanded rate, against its drive | encoder reversed, encoder stuck |
+//! | the joint runs away from its command, against its drive | encoder reversed, encoder stuck |
 //! | the effort keeps growing and the encoder does not count | encoder stuck |
 //! | the joint is beyond its stroke by more than the following error limit at rest | stroke |
-//! | the following error is above its limit, which grows with the commanded rate | following error |
-//! | motion was commanded, and the encoder saw none, or the opposite | encoder stuck, encoder reversed |
+//! | the following error is above its limit, which grows with the rate | following error |
+//! | the encoder counts no commanded motion, or its opposite | encoder stuck, encoder reversed |
 //! | the count reverses about one position faster than a slide can oscillate | encoder stuck |
 //! | both channels changed at once too often, or the counter jumped | encoder illegal |
 //! | steps and encoder disagree (step/dir) | steps lost |
