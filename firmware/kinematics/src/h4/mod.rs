@@ -412,7 +412,7 @@ impl H4 {
     fn distance(&self, placed: &Placed) -> i32 {
         let (cross, height) = self.cross(placed);
         let base = hypot(self.lateral, (height / 2) as i32).max(1);
-        // |cross| <= 2^61, base >= 1 mm = 2^20: the quotient exceeds 32 bits only for an absurd geometry.
+        // |cross| <= 2^61, base >= 1 mm = 2^20: above 32 bits only if the geometry is absurd.
         saturate(cross / (2 * base as i64))
     }
 

@@ -11,7 +11,7 @@
 //! 2 c cos(theta) P = M_theta - T_L cos(theta) F_x + sin(theta) (m_1 p V1 / S12 + m_3 r V3 / S34)
 //! ```
 //!
-//! so S cancels in the last line. Callers should keep it out of a chip's control period: it divides
+//! S cancels in the last line. Callers should keep it out of a chip's control period: it divides
 //! 128-bit numbers.
 
 use super::H4;
