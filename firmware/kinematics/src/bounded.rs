@@ -1,9 +1,9 @@
-//! The machine of a configuration: its geometry together with the strokes of its joints.
+//! Kinematics of a configured machine: its geometry and the strokes of its joints.
 //!
-//! This is what the controller and the host ask. A [`BoundedKinematics`] answers only for joints within their strokes; the geometry alone (for
-//! instance [`H4`]) does not know them.
+//! The controller and the host use this module. A [`BoundedKinematics`] returns only joints within
+//! their strokes; the geometry alone (for instance [`H4`]) has no strokes.
 //!
-//! Misuse: soft limits of the pose are not checked here, they belong to the motion.
+//! Soft limits of the pose are not checked here. Callers must check them in the motion.
 
 use super::h4::{BasePose, H4, H4Geometry};
 use super::{Accelerations, Jacobian, JointMotion, Joints, Kinematics, Pose, PoseError, Rates};
@@ -11,12 +11,12 @@ use haptimill_math::{Angle, Coordinate, Length, Rate};
 use haptimill_protocol::message::MAX_AXES;
 use serde::{Deserialize, Serialize};
 
-/// Which geometry, and its lengths.
+/// Kind of geometry and its lengths.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Model {
     /// The hybrid H-4 arm with its rotary table.
     H4(H4Geometry),
-    /// No machine: a haptic arm alone, which leads one afar.
+    /// No machine: a haptic arm alone, which leads a remote machine.
     None,
 }
 
@@ -31,21 +31,22 @@ pub struct JointLimits {
     pub rate: Rate,
 }
 
-/// A geometry and its strokes.
+/// A geometry with the strokes and maximum rates of its joints.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct BoundedKinematics {
     geometry: Geometry,
     /// Lower and upper end of each joint's stroke.
     strokes: [(Coordinate, Coordinate); MAX_AXES],
-    /// Their lower ends and lengths; a joint that the geometry lacks may be anywhere.
+    /// Lower ends and lengths of the strokes; a joint that the geometry lacks has no limits.
     lows: [Coordinate; MAX_AXES],
     widths: [u32; MAX_AXES],
-    /// Maximum rates of the joints, and 2^48 / them; a maximum below 2^16 axis units per second counts as that.
+    /// Maximum rates of the joints, and 2^48 / maximum; a maximum of at most 2^16 axis units per
+    /// second counts as 2^16 + 1 in the latter.
     rates: Rates,
     inverse_rates: [u32; MAX_AXES],
 }
 
-/// The geometries that this firmware knows.
+/// Geometries of this firmware.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 enum Geometry {
     H4(H4),
@@ -55,7 +56,7 @@ enum Geometry {
 impl BoundedKinematics {
     /// The geometry of `model` with the limits of each joint, in the model's order.
     ///
-    /// A joint without limits may only be at 0.
+    /// A joint without limits must be at 0.
     #[must_use]
     pub fn new(model: &Model, limits: impl IntoIterator<Item = JointLimits>) -> Self {
         let geometry = match model {
@@ -88,7 +89,7 @@ impl BoundedKinematics {
         }
     }
 
-    /// The tool in the frame of the machine's base, without table and work offsets.
+    /// Pose of the tool in the frame of the machine's base, without table and workpiece offsets.
     ///
     /// # Errors
     /// As [`Kinematics::forward`].
@@ -100,7 +101,8 @@ impl BoundedKinematics {
         }
     }
 
-    /// [`Kinematics::inverse_motion`], written where it shall be. After an error what stands there is of no use.
+    /// [`Kinematics::inverse_motion`], written to `motion`. After an error the content of `motion`
+    /// is invalid.
     ///
     /// # Errors
     /// As [`Kinematics::inverse_motion`].
@@ -130,7 +132,7 @@ impl BoundedKinematics {
         }
     }
 
-    /// The angle by which a pose turns the table, and what it carries, out of the level.
+    /// Angle by which a pose turns the table and its load out of the horizontal.
     #[must_use]
     #[inline]
     pub const fn table(&self, pose: &Pose) -> Angle {
@@ -146,16 +148,16 @@ impl BoundedKinematics {
         &self.rates
     }
 
-    /// The strokes, lower and upper end of each joint.
+    /// Strokes: lower and upper end of each joint.
     #[must_use]
     pub const fn strokes(&self) -> &[(Coordinate, Coordinate); MAX_AXES] {
         &self.strokes
     }
 
-    /// The first joint outside its stroke is an error.
+    /// Checks the strokes; the first joint outside its stroke is the error.
     #[inline]
     fn check_strokes(&self, joints: &Joints) -> Result<(), PoseError> {
-        // Whoever is below wraps around to far above.
+        // A joint below its stroke wraps around to a large positive number.
         let [a, b, c, d, e, f] = &joints.0;
         let [low_a, low_b, low_c, low_d, low_e, low_f] = &self.lows;
         let [width_a, width_b, width_c, width_d, width_e, width_f] = &self.widths;
@@ -172,7 +174,7 @@ impl BoundedKinematics {
         }
     }
 
-    /// The first joint outside its stroke.
+    /// Error for the first joint outside its stroke.
     #[cold]
     #[inline(never)]
     fn out_of_stroke(&self, joints: &Joints) -> PoseError {

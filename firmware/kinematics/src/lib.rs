@@ -1,10 +1,11 @@
-//! From poses to joints and back, one file a machine.
+//! Forward and inverse kinematics, one module per machine.
 //!
-//! A *pose* is what a part program speaks of, a *joint* is what a drive moves; both are arrays of axis coordinates of which a machine uses
-//! the first [`Kinematics::axes`]. Every function gives a right answer or a [`PoseError`], never a number that is wrong.
+//! A *pose* holds the coordinates of a part program, *joints* are what the drives move. Both are
+//! arrays of axis coordinates, of which a machine uses the first [`Kinematics::axes`]. Every
+//! function returns a correct result or a [`PoseError`], never a wrong number.
 
 #![no_std]
-// Integers only, but for the statics of the haptic arm.
+// The crate uses integers only; the statics of the haptic arm are the exception.
 #![cfg_attr(not(test), deny(clippy::float_arithmetic))]
 
 mod bounded;
@@ -16,7 +17,8 @@ pub use bounded::{BoundedKinematics, JointLimits, Model};
 use haptimill_math::{Acceleration, Coordinate, Rate};
 pub use haptimill_protocol::message::{MAX_AXES, PoseError};
 
-/// A pose of the tool in the work, in the machine's order of pose coordinates (H-4: x_w, y_w, z_w, theta, alpha).
+/// Pose of the tool in the workpiece frame, in the machine's order of pose coordinates (H-4: x_w,
+/// y_w, z_w, theta, alpha).
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Pose(pub [Coordinate; MAX_AXES]);
 
@@ -30,34 +32,42 @@ pub type Rates = [Rate; MAX_AXES];
 /// Accelerations of pose coordinates or of joints.
 pub type Accelerations = [Acceleration; MAX_AXES];
 
-/// Where the joints are to be, how fast, and with what acceleration.
+/// Positions, rates and accelerations of the joints.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct JointMotion {
     /// Positions.
     pub joints: Joints,
-    /// Rates, from the chain rule, never from differences.
+    /// Rates, from the chain rule instead of differences.
     pub rates: Rates,
-    /// Accelerations, likewise, with the term of the changing Jacobian.
+    /// Accelerations, from the chain rule, with the term of the changing Jacobian.
     pub accelerations: Accelerations,
 }
 
-/// The Jacobian d(joint)/d(pose): row = joint, column = pose coordinate, Q32 per ratio of axis units.
+/// The Jacobian d(joint)/d(pose): row = joint, column = pose coordinate, Q32 per ratio of axis
+/// units.
 ///
 /// An entry between a linear joint and a rotary pose coordinate is in 2^-20 mm per 2^-32 turn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Jacobian(pub [[i64; MAX_AXES]; MAX_AXES]);
 
-/// The geometry of a machine.
+/// Kinematics of a machine.
 ///
-/// Adding a machine is one file with this trait, one configuration struct, one row in the conformance suite.
+/// A new machine needs one module with this trait, one configuration struct and one row in the
+/// conformance suite.
 pub trait Kinematics {
-    /// How many pose coordinates, and joints, there are.
+    /// Number of pose coordinates, which is also the number of joints.
     fn axes(&self) -> usize;
 
-    /// The joints of a pose.
+    /// Joints of a pose.
+    ///
+    /// # Errors
+    /// A [`PoseError`] if the machine cannot reach the pose.
     fn inverse(&self, pose: &Pose) -> Result<Joints, PoseError>;
 
-    /// The joints of a pose with their rates and accelerations, for a pose that moves.
+    /// Joints of a moving pose, with their rates and accelerations.
+    ///
+    /// # Errors
+    /// As [`Kinematics::inverse`].
     fn inverse_motion(
         &self,
         pose: &Pose,
@@ -65,11 +75,15 @@ pub trait Kinematics {
         accelerations: &Accelerations,
     ) -> Result<JointMotion, PoseError>;
 
-    /// The pose of the joints, on the assembly branch of the configuration, certified.
+    /// Pose of the joints, certified to be on the configured assembly branch.
+    ///
+    /// # Errors
+    /// A [`PoseError`] if the joints have no certified pose.
     fn forward(&self, joints: &Joints) -> Result<Pose, PoseError>;
 
-    /// The largest part of its maximum rate that any joint reaches at the poses of a box, for pose rates of at most these magnitudes in any direction; in 2^-16, one
-    /// for each of `rates` (at most two). 0 where the maximum rates are not known: only the corners are looked at then.
+    /// Largest fraction of its maximum rate that any joint reaches at a pose, for pose rates of at
+    /// most these magnitudes in any direction. The result is in 2^-16, one value per entry of
+    /// `rates` (at most two), and 0 if the maximum rates are unknown.
     ///
     /// # Errors
     /// As [`Kinematics::inverse`], if the machine cannot take all poses of the box.
@@ -87,6 +101,9 @@ pub trait Kinematics {
         Ok([0; 2])
     }
 
-    /// The Jacobian at a pose.
+    /// Jacobian at a pose.
+    ///
+    /// # Errors
+    /// As [`Kinematics::inverse`].
     fn jacobian(&self, pose: &Pose) -> Result<Jacobian, PoseError>;
 }

@@ -1,43 +1,46 @@
-//! Quantities of force control: forces at the tool, gains of the compliance law, and the displacement that it makes.
+//! Quantities of force control: forces on the tool, gains of admittance control, and the compliant
+//! displacement.
 //!
 //! | type | resolution | range |
 //! | --- | --- | --- |
-//! | [`Force`] | 2^-16 N | +-32768 N; what a sensor may show ends at [`Force::MOST`], 2048 N |
+//! | [`Force`] | 2^-16 N | +-32768 N; sensor values are within [`Force::MOST`], 2048 N |
 //! | [`VirtualMass`] | 2^-16 N s^2/mm | below 65536 |
 //! | [`VirtualDamping`] | 2^-16 N s/mm | below 65536 |
 //! | [`Displacement`] | 2^-40 mm | +-8.4 m |
 //!
-//! Misuse: a [`Force`] is what the work does to the tool (docs/control.md 1.3), not what a drive exerts: that is an [`super::Effort`].
+//! A [`Force`] is the force of the workpiece on the tool (docs/control.md 1.3). Callers must use
+//! [`super::Effort`] for the effort of a drive.
 
 use super::{Length, scale};
 
 quantity! {
-    /// A force on the tool along an axis of the work, 2^-16 N.
+    /// A force on the tool along an axis of the workpiece, 2^-16 N.
     Force
 }
 
 impl Force {
-    /// Raw units in a newton.
+    /// Raw units per newton.
     pub const PER_NEWTON: i32 = 1 << 16;
-    /// No force.
+    /// Zero.
     pub const ZERO: Self = Self(0);
-    /// The largest force that any sensor of this controller shows: 2048 N.
+    /// Largest force that a sensor of this controller reports: 2048 N.
     pub const MOST: Self = Self(1 << 27);
 
-    /// A force in thousandths of a newton, rounded to the nearest raw unit, held at the end of the range.
+    /// A force in thousandths of a newton, rounded to the nearest raw unit, saturating at the end
+    /// of the range.
     #[must_use]
     pub const fn millinewtons(millinewtons: i32) -> Self {
         let raw = millinewtons as i64 * Self::PER_NEWTON as i64;
         Self(scale::saturate((raw + 500).div_euclid(1000)))
     }
 
-    /// The magnitude as a plain number.
+    /// Magnitude as an integer.
     #[must_use]
     pub const fn magnitude(self) -> u32 {
         self.0.unsigned_abs()
     }
 
-    /// This force, held within +-[`Force::MOST`].
+    /// This force, clamped to +-[`Force::MOST`].
     #[must_use]
     pub const fn held(self) -> Self {
         Self(if self.0 > Self::MOST.0 {
@@ -51,24 +54,25 @@ impl Force {
 }
 
 quantity! {
-    /// K_A of docs/control.md (3.30): 2^-16 N s^2/mm.
+    /// Virtual mass K_A of docs/control.md (3.30): 2^-16 N s^2/mm.
     VirtualMass: u32
 }
 
 quantity! {
-    /// K_V of docs/control.md (3.30): 2^-16 N s/mm.
+    /// Virtual damping K_V of docs/control.md (3.30): 2^-16 N s/mm.
     VirtualDamping: u32
 }
 
-/// A displacement that is integrated for a long time: 2^-40 mm.
+/// A displacement for integration over a long time: 2^-40 mm.
 ///
-/// At 2^-20 mm the compliance law would be deaf: a force of 0.024 N moves K_V = 5 N s/mm by less than one such unit in a period of 200 us.
+/// A resolution of 2^-20 mm is too coarse for admittance control: a force of 0.024 N moves K_V = 5
+/// N s/mm by less than one such unit in a period of 200 us.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Displacement(pub i64);
 
 impl Displacement {
-    /// The nearest length; beyond its range, the end of it.
+    /// The nearest length, saturating at the end of the range.
     #[must_use]
     pub const fn length(self) -> Length {
         Length(scale::saturate(scale::round_shift(self.0, 20)))

@@ -1,8 +1,8 @@
-//! Fixed-point quantities. A length is not an angle; neither is an integer.
+//! Fixed-point quantities. Lengths, angles and integers are distinct types.
 //!
-//! The corridor works on axes that are linear or rotary, whichever the machine file says. Their quantities are in *axis units* (au):
-//! 2^-20 mm for a linear axis, 2^-32 turn for a rotary one; the geometry of a machine, which knows which is which, converts to
-//! [`Length`] and [`Angle`].
+//! The control cycle works on linear and rotary axes alike, as the machine file defines them. Their
+//! quantities are in *axis units* (au): 2^-20 mm for a linear axis, 2^-32 turn for a rotary one.
+//! The geometry of a machine knows the kind of each axis and converts to [`Length`] and [`Angle`].
 //!
 //! | type | resolution, linear | range, linear | resolution, rotary | range, rotary |
 //! | --- | --- | --- | --- | --- |
@@ -14,7 +14,7 @@
 #![no_std]
 #![cfg_attr(not(test), deny(clippy::float_arithmetic))]
 
-/// Defines a newtype over `i32`, or over another integer that is named, with its raw value public.
+/// Defines a newtype with a public raw value, over `i32` or over the named integer type.
 macro_rules! quantity {
     ($(#[$doc:meta])* $name:ident) => {
         quantity! { $(#[$doc])* $name: i32 }
@@ -28,7 +28,8 @@ macro_rules! quantity {
 }
 
 quantity! {
-    /// A gain of a loop, 2^-8 of its unit (1/s^2, 1/s or 1/s^3, by its place), up to 16.7 million.
+    /// A gain of a control loop, 2^-8 of its unit (1/s^2, 1/s or 1/s^3, depending on its use), up
+    /// to 16.7 million.
     Gain: u32
 }
 
@@ -37,7 +38,7 @@ quantity! {
     Length
 }
 quantity! {
-    /// An angle, 2^-32 turn; wrap-around is the arithmetic's own. -2^31 is -180 degrees.
+    /// An angle, 2^-32 turn; wrap-around is that of the integer. -2^31 is -180 degrees.
     Angle
 }
 quantity! {
@@ -49,11 +50,12 @@ quantity! {
     Rate
 }
 quantity! {
-    /// The acceleration of an axis, 256 axis units per second squared: 2^-12 mm/s^2 or 2^-24 turn/s^2.
+    /// The acceleration of an axis, 256 axis units per second squared: 2^-12 mm/s^2 or 2^-24
+    /// turn/s^2.
     Acceleration
 }
 quantity! {
-    /// What a drive exerts on its axis: 2^-16 N on a linear axis, 2^-16 N m on a rotary one.
+    /// Effort of a drive: 2^-16 N on a linear axis, 2^-16 N m on a rotary one.
     Effort
 }
 
@@ -63,18 +65,19 @@ pub mod root;
 pub mod scale;
 pub mod trig;
 
-/// Operations that every quantity has. None can overflow unseen: each says in its name what happens at the end of the range.
+/// Operations that every quantity has. The name of each states its behaviour at the end of the
+/// range.
 macro_rules! operations {
     ($($name:ident),*) => {$(
         impl $name {
-            /// Nothing of it.
+            /// Zero.
             pub const ZERO: Self = Self(0);
-            /// The least value.
+            /// Smallest value.
             pub const MIN: Self = Self(i32::MIN);
-            /// The greatest value.
+            /// Largest value.
             pub const MAX: Self = Self(i32::MAX);
 
-            /// The sum, or `None` beyond the range.
+            /// Sum, or `None` beyond the range.
             pub const fn checked_add(self, other: Self) -> Option<Self> {
                 match self.0.checked_add(other.0) {
                     Some(raw) => Some(Self(raw)),
@@ -82,7 +85,7 @@ macro_rules! operations {
                 }
             }
 
-            /// The difference, or `None` beyond the range.
+            /// Difference, or `None` beyond the range.
             pub const fn checked_sub(self, other: Self) -> Option<Self> {
                 match self.0.checked_sub(other.0) {
                     Some(raw) => Some(Self(raw)),
@@ -90,27 +93,27 @@ macro_rules! operations {
                 }
             }
 
-            /// The sum, held at the end of the range.
+            /// Sum, saturating at the end of the range.
             pub const fn saturating_add(self, other: Self) -> Self {
                 Self(self.0.saturating_add(other.0))
             }
 
-            /// The difference, held at the end of the range.
+            /// Difference, saturating at the end of the range.
             pub const fn saturating_sub(self, other: Self) -> Self {
                 Self(self.0.saturating_sub(other.0))
             }
 
-            /// The opposite; that of the least value is the greatest.
+            /// Negative value; that of [`Self::MIN`] is [`Self::MAX`].
             pub const fn saturating_neg(self) -> Self {
                 Self(self.0.saturating_neg())
             }
 
-            /// The magnitude as a plain number, which holds that of the least value too.
+            /// Magnitude as an integer, which also holds that of [`Self::MIN`].
             pub const fn magnitude(self) -> u32 {
                 self.0.unsigned_abs()
             }
 
-            /// A raw value from a wider calculation, held at the end of the range.
+            /// Quantity from a wider raw value, saturating at the end of the range.
             pub const fn saturating_from(raw: i64) -> Self {
                 Self(scale::saturate(raw))
             }
@@ -121,15 +124,16 @@ macro_rules! operations {
 operations!(Length, Coordinate, Rate, Acceleration, Effort);
 
 impl Length {
-    /// Raw units in a millimetre.
+    /// Raw units per millimetre.
     pub const PER_MILLIMETRE: i32 = 1 << 20;
 
-    /// A whole number of millimetres, held at the end of the range (+-2047 mm).
+    /// A whole number of millimetres, saturating at the end of the range (+-2047 mm).
     pub const fn millimetres(millimetres: i32) -> Self {
         Self::saturating_from(millimetres as i64 * Self::PER_MILLIMETRE as i64)
     }
 
-    /// A whole number of nanometres, rounded to the nearest raw unit (0.95 nm), held at the end of the range.
+    /// A whole number of nanometres, rounded to the nearest raw unit (0.95 nm), saturating at the
+    /// end of the range.
     pub const fn nanometres(nanometres: i32) -> Self {
         let raw = nanometres as i64 * Self::PER_MILLIMETRE as i64;
         Self::saturating_from((raw + 500_000).div_euclid(1_000_000))
@@ -137,52 +141,52 @@ impl Length {
 }
 
 impl Angle {
-    /// No angle.
+    /// Zero.
     pub const ZERO: Self = Self(0);
-    /// A quarter of a turn, 90 degrees.
+    /// Quarter turn, 90 degrees.
     pub const QUARTER: Self = Self(1 << 30);
-    /// Half a turn; +180 and -180 degrees are the same angle.
+    /// Half turn; +180 and -180 degrees are the same angle.
     pub const HALF: Self = Self(i32::MIN);
 
-    /// A whole number of degrees, wrapped into one turn, rounded to the nearest raw unit.
+    /// A whole number of degrees, wrapped into one turn and rounded to the nearest raw unit.
     pub const fn degrees(degrees: i32) -> Self {
         let raw = (degrees as i64) << 32;
         Self((raw + 180).div_euclid(360) as i32)
     }
 
-    /// The sum, around the turn.
+    /// Sum, wrapping around at the turn.
     pub const fn wrapping_add(self, other: Self) -> Self {
         Self(self.0.wrapping_add(other.0))
     }
 
-    /// The difference, the short way round.
+    /// Difference, the shorter way round.
     pub const fn wrapping_sub(self, other: Self) -> Self {
         Self(self.0.wrapping_sub(other.0))
     }
 
-    /// The opposite angle; half a turn is its own.
+    /// Negative angle; that of a half turn is the half turn.
     pub const fn wrapping_neg(self) -> Self {
         Self(self.0.wrapping_neg())
     }
 }
 
 impl Coordinate {
-    /// The sum around the turn: for rotary axes only.
+    /// Sum, wrapping around at the turn; for rotary axes only.
     pub const fn wrapping_add(self, other: Self) -> Self {
         Self(self.0.wrapping_add(other.0))
     }
 
-    /// The difference, the short way round: for rotary axes only.
+    /// Difference, the shorter way round; for rotary axes only.
     pub const fn wrapping_sub(self, other: Self) -> Self {
         Self(self.0.wrapping_sub(other.0))
     }
 
-    /// This coordinate of a linear axis.
+    /// Coordinate of a linear axis as a length.
     pub const fn length(self) -> Length {
         Length(self.0)
     }
 
-    /// This coordinate of a rotary axis.
+    /// Coordinate of a rotary axis as an angle.
     pub const fn angle(self) -> Angle {
         Angle(self.0)
     }

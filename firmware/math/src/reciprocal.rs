@@ -1,7 +1,9 @@
-//! Division without a divider: reciprocals as 31-bit mantissa and binary exponent, and products wider than 64 bits.
+//! Fixed-point division without a divider: reciprocals as 31-bit mantissa and binary exponent, and
+//! products wider than 64 bits.
 //!
-//! Pure numbers, no units. A Cortex-M4F divides 32 by 32 bits in at most 12 cycles, but 64 by 64 in several hundred; everything in
-//! the control period goes through here instead. Misuse: [`mul_shift`] is exact only within the range that it states.
+//! All values are pure numbers without units. A Cortex-M4F divides 32 by 32 bits in at most 12
+//! cycles, but 64 by 64 in several hundred. So the control period uses this module instead. Callers
+//! must keep operands within the stated ranges; [`mul_shift`] is exact only there.
 
 use crate::scale::{product, total};
 
@@ -13,16 +15,18 @@ pub struct Reciprocal {
 }
 
 impl Reciprocal {
-    /// Reciprocal of `divisor`; relative error below 2^-28. Zero is taken for one.
+    /// Reciprocal of `divisor`; relative error below 2^-28. Zero counts as one.
     ///
-    /// A 16-bit quotient of one 32-bit division, then one Newton step y (2 - d y), which squares its relative error of 2^-15.
+    /// One 32-bit division gives a 16-bit quotient. One Newton step y (2 - d y) then squares its
+    /// relative error of 2^-15.
     pub const fn new(divisor: u32) -> Self {
         let divisor = if divisor == 0 { 1 } else { divisor };
         let zeros = divisor.leading_zeros();
         let normal = divisor << zeros;
         // 2^48 / normal, to 15 bits; at most 2^17.
         let first = (u32::MAX / (normal >> 16)) as u64;
-        // normal * first is 2^48 (1 - error), |error| < 2^-14, so this difference neither overflows nor goes below 2^47.
+        // normal * first is 2^48 (1 - error), |error| < 2^-14, so this difference does not overflow
+        // and stays above 2^47.
         let correction = ((1u64 << 49) - normal as u64 * first) >> 17;
         // At most 2^17 * 2^32.
         let mantissa = (first * correction) >> 17;
@@ -39,7 +43,7 @@ impl Reciprocal {
     /// `value * 2^scale / divisor`, rounded down; `|value| <= 2^31`, `scale <= 31`.
     #[inline]
     pub const fn scaled(self, value: i64, scale: u32) -> i64 {
-        // The shift is 0 to 62: the exponent is at least 31, the scale at most that.
+        // The shift is 0 to 62: the exponent is at least 31 and the scale at most 31.
         product(value, self.mantissa as i64).wrapping_shr(self.exponent.wrapping_sub(scale))
     }
 
@@ -50,8 +54,9 @@ impl Reciprocal {
     }
 }
 
-/// A positive factor that is known since the configuration: `mantissa * 2^exponent`, mantissa in [2^30, 2^31), or zero. Worked out once, where a division
-/// costs nothing; in the control period there is only its [`Scale`].
+/// A positive factor that is known from the configuration: `mantissa * 2^exponent`, mantissa in
+/// [2^30, 2^31), or zero. It is computed once, outside the control period; the control period uses
+/// its [`Scale`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Factor {
     mantissa: u32,
@@ -59,7 +64,7 @@ pub struct Factor {
 }
 
 impl Factor {
-    /// A whole number.
+    /// Factor of a whole number.
     pub const fn of(value: u64) -> Self {
         let bits = 64 - value.leading_zeros() as i32;
         let mantissa = if bits > 31 {
@@ -75,7 +80,7 @@ impl Factor {
         }
     }
 
-    /// Their product, relative error below 2^-30.
+    /// Product, relative error below 2^-30.
     pub const fn times(self, other: Self) -> Self {
         let product = Self::of(self.mantissa as u64 * other.mantissa as u64);
         Self {
@@ -84,7 +89,7 @@ impl Factor {
         }
     }
 
-    /// Their quotient, relative error below 2^-30; by zero as by the smallest.
+    /// Quotient, relative error below 2^-30. A divisor of zero counts as a mantissa of 2^30.
     pub const fn over(self, other: Self) -> Self {
         let divisor = if other.mantissa == 0 {
             1 << 30
@@ -98,7 +103,7 @@ impl Factor {
         }
     }
 
-    /// Times 2^bits.
+    /// This factor times 2^bits.
     pub const fn shifted(self, bits: i32) -> Self {
         Self {
             exponent: self.exponent + bits,
@@ -111,7 +116,8 @@ impl Factor {
         (self.mantissa as i32, self.exponent)
     }
 
-    /// By how many bits an operand of more than 31 may be shifted right before a [`Scale`] multiplies it, without loss in the product; at most 56.
+    /// Number of bits by which an operand of more than 31 bits may be shifted right before a
+    /// [`Scale`] multiplies it, without loss in the product; at most 56.
     pub const fn coarseness(self) -> u32 {
         let bits = -32 - self.exponent;
         if bits < 0 {
@@ -123,9 +129,10 @@ impl Factor {
         }
     }
 
-    /// What multiplies by it.
+    /// Multiplication by this factor.
     pub const fn scale(self) -> Scale {
-        // Operand * 2^shift * mantissa / 2^32, with all bits of the mantissa where the shift can take up the exponent.
+        // Operand * 2^shift * mantissa / 2^32, with all bits of the mantissa if the shift can
+        // absorb the exponent.
         let shift = self.exponent + 32;
         if shift > 30 {
             Scale {
@@ -151,7 +158,7 @@ impl Factor {
     }
 }
 
-/// A multiplication by a constant factor, six instructions of a 32-bit processor.
+/// Multiplication by a constant factor: six instructions of a 32-bit processor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Scale {
     mantissa: i32,
@@ -159,16 +166,17 @@ pub struct Scale {
 }
 
 impl Scale {
-    /// By the negative factor.
+    /// Multiplication by the negative factor.
     pub const fn reversed(self) -> Self {
         Self {
-            // A mantissa is not negative.
+            // A mantissa is never negative here.
             mantissa: self.mantissa.wrapping_neg(),
             ..self
         }
     }
 
-    /// `value` times the factor, rounded down; what is beyond about 2^30 either way (2^29 to 2^30, by the factor) is held there. No value overflows.
+    /// `value` times the factor, rounded down. The result saturates at a magnitude of about 2^30
+    /// (2^29 to 2^30, depending on the factor). No value overflows.
     #[inline(always)]
     pub const fn apply(self, value: i32) -> i32 {
         let wide = value.wrapping_shl(self.shift);
@@ -187,7 +195,7 @@ pub const fn high(a: i32, b: i32) -> i32 {
     ((a as i64 * b as i64) >> 32) as i32
 }
 
-/// `a * b / 2^SHIFT`, rounded down, `SHIFT <= 32`; needs `|a| < 2^(30 + SHIFT)`.
+/// `a * b / 2^SHIFT`, rounded down. Callers must pass `SHIFT <= 32` and `|a| < 2^(30 + SHIFT)`.
 #[inline]
 pub const fn mul_shift<const SHIFT: u32>(a: i64, b: u32) -> i64 {
     let high = product(a >> 32, b as i64);
@@ -195,7 +203,7 @@ pub const fn mul_shift<const SHIFT: u32>(a: i64, b: u32) -> i64 {
     total(high << (32 - SHIFT), low as i64)
 }
 
-/// The nearest `i32`.
+/// `value`, saturating at the range of `i32`.
 #[inline]
 pub const fn saturate(value: i64) -> i32 {
     let word = value as i32;

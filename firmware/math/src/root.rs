@@ -1,4 +1,4 @@
-//! Square roots and reciprocals of integers, by a table and Newton's rule; no division.
+//! Square roots and reciprocals of integers, by a table and Newton's method, without division.
 //!
 //! | function | result | error |
 //! | --- | --- | --- |
@@ -8,20 +8,22 @@
 //! | [`Root`] | root with extra bits, and its reciprocal | relative 2^-30.5, 2^-29.5 |
 //! | [`reciprocal`] | reciprocal of a `u32` with its top bit set | relative 2^-31 |
 //!
-//! Cost: about seven multiplications 32 x 32 -> 64. The start value has 9 right bits (384 half words of table), one step gives 17, and the
-//! last step works on the remainder of the 64-bit number, which gives all 32.
+//! Cost: about seven multiplications 32 x 32 -> 64. The start value has 9 correct bits (a table of
+//! 384 16-bit numbers). One step gives 17 bits, and the last step uses the remainder of the 64-bit
+//! number and gives all 32.
 
 use super::scale::{product, shift_left};
 
-/// 1 / (2 sqrt(v)) in Q16 for v = (i + 1/2) / 512; v runs from 1/4 (i = 128) to 1. Below that the table is never read: it only spares the
-/// bounds check.
+/// 1 / (2 sqrt(v)) in Q16 for v = (i + 1/2) / 512; v runs from 1/4 (i = 128) to 1. The entries
+/// below are never read; they avoid the bounds check.
 static RECIPROCAL_ROOT: [u16; 512] = reciprocal_roots();
 
 const fn reciprocal_roots() -> [u16; 512] {
     let mut table = [u16::MAX; 512];
     let mut i = 128;
     while i < table.len() {
-        // z = 1 / (2 sqrt(v)), 2 z * 2^16 = sqrt(2^32 / v) = sqrt(2^42 / (2 i + 1)); the halving rounds.
+        // z = 1 / (2 sqrt(v)), 2 z * 2^16 = sqrt(2^32 / v) = sqrt(2^42 / (2 i + 1)); the halving
+        // rounds.
         let twice = ((1u64 << 42) / (2 * i as u64 + 1)).isqrt();
         table[i] = twice.div_ceil(2) as u16;
         i += 1;
@@ -32,18 +34,19 @@ const fn reciprocal_roots() -> [u16; 512] {
 /// The square root of a positive integer as a scaled mantissa: `root = mantissa / 2^shift`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Root {
-    /// 2^31 up to 2^32 - 1.
+    /// From 2^31 to 2^32 - 1.
     mantissa: u32,
-    /// Q31 of 2^31 / mantissa after one Newton step: 17 right bits, never too large. Its last five bits, which mean nothing, hold the bits of the mantissa behind the
-    /// point: two words are given back in registers, three are not.
+    /// Q31 of 2^31 / mantissa after one Newton step: 17 correct bits, never too large. Its last
+    /// five bits are not significant and hold the number of fractional bits of the mantissa. Two
+    /// 32-bit fields are returned in registers, three are not.
     rough_and_shift: u32,
 }
 
-/// Where the shift of a [`Root`] is kept.
+/// Mask of the bits that hold the shift of a [`Root`].
 const SHIFT: u32 = 31;
 
 impl Root {
-    /// The root of `square`; of 0 as if it were 1.
+    /// The root of `square`; 0 counts as 1.
     #[inline]
     #[must_use]
     pub const fn of(square: u64) -> Self {
@@ -52,12 +55,13 @@ impl Root {
         let high = scaled >> 32;
         // v = high / 2^32 is 1/4 to 1: the mask cuts nothing.
         let start = RECIPROCAL_ROOT[(high >> 23) as usize & 511] as u64;
-        // z (3/2 - 2 v z^2), z = 1 / (2 sqrt v) in Q16; the result in Q31. v z^2 is 1/4 within 2^-8, so nothing leaves its word (and the
-        // wrapping operations here and below never wrap: they spare the check).
-        // The 2 covers what the two cut-off tails could make too large, so that the root is come at from below.
+        // z (3/2 - 2 v z^2), z = 1 / (2 sqrt v) in Q16; the result in Q31. v z^2 is 1/4 within
+        // 2^-8, so every value fits. The wrapping operations here and below never wrap; they avoid
+        // the check. The 2 covers what the two truncations could make too large, so that the root
+        // is approached from below.
         let quarter = (high.wrapping_mul(start * start) >> 32) + 2;
         let rough = start.wrapping_mul((3u64 << 30).wrapping_sub(quarter)) >> 16;
-        // Below the root, because Newton's rule for the reciprocal root comes from below.
+        // Below the root, because Newton's method for the reciprocal root converges from below.
         let first = high.wrapping_mul(rough) >> 30;
         let remainder = scaled.wrapping_sub(first.wrapping_mul(first));
         // remainder / (2 root) with the remainder below 2^49.
@@ -68,11 +72,13 @@ impl Root {
         }
     }
 
-    /// The root to the nearest whole number, for squares up to (2^31 - 1)^2 (beyond, `i32::MAX`). Error at most 0.5 + 2^-31 of the root.
+    /// The root to the nearest whole number, for squares up to (2^31 - 1)^2 (`i32::MAX` above).
+    /// Error at most 0.5 + 2^-31 of the root.
     #[inline]
     #[must_use]
     pub const fn rounded(self) -> i32 {
-        // The half bit is added after the shift. With a shift of 0 it is a wrong one, but then the root is 2^31 or more anyway.
+        // The half bit is added after the shift. With a shift of 0 it is wrong, but then the root
+        // is 2^31 or more and saturates.
         let shift = self.shift();
         let half = self.mantissa.wrapping_shr(shift.wrapping_sub(1)) & 1;
         let whole = self.mantissa >> shift;
@@ -83,7 +89,7 @@ impl Root {
         }
     }
 
-    /// Bits of the mantissa behind the point.
+    /// Fractional bits of the mantissa.
     #[inline(always)]
     const fn shift(self) -> u32 {
         self.rough_and_shift & SHIFT
@@ -93,10 +99,10 @@ impl Root {
     #[inline]
     #[must_use]
     pub const fn reciprocal(self) -> Reciprocal {
-        // z + z (1 - root / root0): one more step of Newton's rule for the reciprocal, from 17 bits to 31.
+        // z + z (1 - root / root0): one more Newton step for the reciprocal, from 17 bits to 31.
         let rough = self.rough_and_shift & !SHIFT;
         let one = self.mantissa as u64 * rough as u64;
-        // It is 2^62 (1 - error), error from 0 to 2^-16 (or a hair below 0).
+        // It is 2^62 (1 - error), error from 0 to 2^-16 (or slightly below 0).
         let error = (1i64 << 62).wrapping_sub(one as i64);
         // Below 2^17 * 2^32.
         let correction = product(error >> 30, rough as i64) >> 32;
@@ -110,9 +116,9 @@ impl Root {
 /// The reciprocal of a [`Root`]: `mantissa / 2^shift`, relative error below 2^-29.5.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Reciprocal {
-    /// 2^30 - 4 up to 2^31.
+    /// From 2^30 - 4 to 2^31.
     pub mantissa: u32,
-    /// 31 to 62.
+    /// From 31 to 62.
     pub shift: u32,
 }
 
@@ -129,14 +135,17 @@ const fn reciprocals() -> [u32; 256] {
     table
 }
 
-/// 1 / d in Q31, for d in Q32 from 1/2 to 1: `value` must have its top bit set. Relative error below 2^-31; 2 is held at `u32::MAX`.
+/// 1 / d in Q31, for d in Q32 from 1/2 to 1. Relative error below 2^-31; the result 2 saturates at
+/// `u32::MAX`.
 ///
-/// Two steps of Newton's rule: 9, 18, 31 bits. A value without its top bit gives a meaningless result, never a panic.
+/// Callers must pass a `value` with its top bit set; the result is meaningless otherwise, without a
+/// panic. The function makes two Newton steps: 9, 18, 31 bits.
 #[inline]
 #[must_use]
 pub const fn reciprocal(value: u32) -> u32 {
-    // The start belongs to a cell's middle, so the first step stays below 2. Casts to u32 cut nothing; they say that a product is of two
-    // words, which needs no check and is one instruction.
+    // The start belongs to the middle of a cell, so the first step stays below 2. Casts to u32 cut
+    // nothing. They tell the compiler that a product has two 32-bit factors, which needs no check
+    // and is one instruction.
     let start = RECIPROCAL[((value >> 23) & 255) as usize] as u64;
     let error = (1u64 << 49).wrapping_sub(value as u64 * start);
     let second = start.wrapping_mul((error >> 17) as u32 as u64) >> 16;
@@ -150,7 +159,7 @@ pub const fn reciprocal(value: u32) -> u32 {
     }
 }
 
-/// The whole part of the square root. Exact.
+/// Whole part of the square root, exact.
 #[must_use]
 pub const fn isqrt(square: u64) -> u32 {
     if square == 0 {
@@ -158,7 +167,8 @@ pub const fn isqrt(square: u64) -> u32 {
     }
     let root = Root::of(square);
     let mut whole = (root.mantissa >> root.shift()) as u64;
-    // The mantissa is within 2 of the truth; after the shift the whole part is off by at most that. Products stay below 2^64.
+    // The mantissa is within 2 of the exact value, and so is the whole part after the shift.
+    // Products stay below 2^64.
     while whole * whole > square {
         whole -= 1;
     }
@@ -168,7 +178,7 @@ pub const fn isqrt(square: u64) -> u32 {
     whole as u32
 }
 
-/// The nearest whole number to the square root. Exact; 2^32 - 1/2 and above give `u32::MAX`.
+/// Nearest whole number to the square root, exact; 2^32 - 1/2 and above give `u32::MAX`.
 #[must_use]
 pub const fn sqrt_rounded(square: u64) -> u32 {
     let whole = isqrt(square);
@@ -181,7 +191,7 @@ pub const fn sqrt_rounded(square: u64) -> u32 {
     }
 }
 
-/// The length of the hypotenuse, to the nearest whole number. Any two `i32`.
+/// Length of the hypotenuse for any two `i32`, to the nearest whole number.
 #[must_use]
 pub const fn hypot(x: i32, y: i32) -> u32 {
     let (x, y) = (x.unsigned_abs() as u64, y.unsigned_abs() as u64);

@@ -1,15 +1,18 @@
-//! Products of wide integers that are scaled back by a power of two, rounded to nearest.
+//! Products of wide integers, scaled by a power of two and rounded to nearest.
 //!
-//! These are the multiplications of a fixed-point controller. They are made of 32 x 32 -> 64 bit products, which every target of this
-//! firmware has as one instruction; there is no division here. Rounding is to nearest, halves upwards (towards plus infinity), so the
-//! error of one operation is at most half a unit of its result and has no bias to speak of.
+//! These are the multiplications of a fixed-point controller. They consist of 32 x 32 -> 64 bit
+//! products, which are one instruction on every target of this firmware, and use no division.
+//! Rounding is to nearest, halves upwards (towards plus infinity). So the error of one operation is
+//! at most half a unit of its result, with a negligible bias.
 //!
-//! Misuse: a function that does not saturate says what its operands must fulfil. Beyond that the result is meaningless (or, where the
-//! overflow checks see it, a panic): bound the operands where they enter.
+//! Callers must keep the stated limits of functions that do not saturate. Beyond them the result is
+//! meaningless, or a panic in builds with overflow checks. Operands should be limited where they
+//! enter.
 
-/// `a * b`, for operands of which the caller has proven that the product fits: builds with debug assertions (all tests) check it.
+/// `a * b`. Callers must make sure that the product fits; builds with debug assertions (all tests)
+/// check it.
 ///
-/// Checking a wide product for overflow costs a 32-bit processor ten times the product itself.
+/// An overflow check of a 64-bit product costs a 32-bit processor ten times the product itself.
 #[inline(always)]
 #[must_use]
 pub const fn product(a: i64, b: i64) -> i64 {
@@ -17,7 +20,7 @@ pub const fn product(a: i64, b: i64) -> i64 {
     a.wrapping_mul(b)
 }
 
-/// `a + b`, likewise.
+/// `a + b`. Callers must make sure that the sum fits; builds with debug assertions check it.
 #[inline(always)]
 #[must_use]
 pub const fn total(a: i64, b: i64) -> i64 {
@@ -25,7 +28,7 @@ pub const fn total(a: i64, b: i64) -> i64 {
     a.wrapping_add(b)
 }
 
-/// `a - b`, likewise.
+/// `a - b`. Callers must make sure that the difference fits; builds with debug assertions check it.
 #[inline(always)]
 #[must_use]
 pub const fn difference(a: i64, b: i64) -> i64 {
@@ -33,7 +36,7 @@ pub const fn difference(a: i64, b: i64) -> i64 {
     a.wrapping_sub(b)
 }
 
-/// `value`, held within the range of `i32`.
+/// `value`, saturating at the range of `i32`.
 #[inline(always)]
 #[must_use]
 pub const fn saturate(value: i64) -> i32 {
@@ -45,9 +48,10 @@ pub const fn saturate(value: i64) -> i32 {
     }
 }
 
-/// `value >> by`, for `by` below 64; with more, meaningless.
+/// `value >> by`. Callers must pass `by` below 64; the result is meaningless otherwise.
 ///
-/// By words: where code is to be small, the compiler would call a function that takes three times as long.
+/// It shifts two 32-bit halves. With optimisation for size the compiler would call a function that
+/// takes three times as long.
 #[inline(always)]
 #[must_use]
 pub const fn shift_right(value: i64, by: u32) -> i64 {
@@ -58,12 +62,12 @@ pub const fn shift_right(value: i64, by: u32) -> i64 {
         (high, low)
     };
     let part = by & 31;
-    // What goes from word to word goes in two steps, for a shift by 32 is none.
+    // Bits move between the halves in two shifts, because a 32-bit shift cannot shift by 32.
     let low = (low >> part) | (high as u32) << 1 << (31 - part);
     ((high >> part) as i64) << 32 | low as i64
 }
 
-/// `value << by`, likewise.
+/// `value << by`. Callers must pass `by` below 64; the result is meaningless otherwise.
 #[inline(always)]
 #[must_use]
 pub const fn shift_left(value: u64, by: u32) -> u64 {
@@ -76,12 +80,12 @@ pub const fn shift_left(value: u64, by: u32) -> u64 {
 
 /// `value / 2^shift`, rounded to nearest; `shift` is 1 to 62.
 ///
-/// Right for every value, but for `i64::MAX` with a shift of 1, which wraps.
+/// The result is correct for every value except `i64::MAX` with a shift of 1, which wraps.
 #[inline(always)]
 #[must_use]
 pub const fn round_shift(value: i64, shift: u32) -> i64 {
-    // Shifting twice keeps the half bit without an addition that could overflow at the top.
-    // The shift is not checked again at each use: its range is the caller's duty.
+    // Shifting twice keeps the half bit without an addition that could overflow at the top. Each
+    // use relies on the caller for the range of the shift.
     value.wrapping_shr(shift.wrapping_sub(1)).wrapping_add(1) >> 1
 }
 
@@ -92,23 +96,26 @@ pub const fn multiply_shift(a: i32, b: i32, shift: u32) -> i64 {
     round_shift(a as i64 * b as i64, shift)
 }
 
-/// `value / 2^30`, rounded to nearest, where that is known to fit a word: what a product with a Q30 is brought back by, in half of the instructions of [`round_shift`].
+/// `value / 2^30`, rounded to nearest, if that is known to fit 32 bits. It scales a product with a
+/// Q30 number back, in half of the instructions of [`round_shift`].
 ///
-/// Of a `value` of 2^61 or more only the lower word of the result is given; at most 2^63 - 2^29.
+/// A `value` of 2^61 or more gives only the lower 32 bits of the result. `value` must be at most
+/// 2^63 - 2^29.
 #[inline(always)]
 #[must_use]
 pub const fn round_q30(value: i64) -> i32 {
     (total(value, 1 << 29) >> 30) as i32
 }
 
-/// `value * factor / 2^shift`, rounded to nearest, for a wide value; `shift` is 1 to 32.
+/// `value * factor / 2^shift`, rounded to nearest, for a 64-bit value; `shift` is 1 to 32.
 ///
-/// The result must fit in 62 bits: it does whenever `|value| < 2^(30 + shift)`.
+/// The result must fit in 62 bits, which holds for `|value| < 2^(30 + shift)`.
 #[inline(always)]
 #[must_use]
 pub const fn scale(value: i64, factor: i32, shift: u32) -> i64 {
     let high = product(value >> 32, factor as i64);
-    // The lower word counts as positive: 0 <= low < 2^32, so the product is below 2^63 in magnitude.
+    // The lower half counts as positive: 0 <= low < 2^32, so the product is below 2^63 in
+    // magnitude.
     let low = product(value & 0xffff_ffff, factor as i64);
     // high * 2^32 is a whole multiple of 2^shift, so only the lower product needs rounding.
     (high << (32 - shift)).wrapping_add(round_shift(low, shift))
@@ -123,13 +130,13 @@ pub const fn multiply_high(value: i64, factor: u32) -> i64 {
     total(high, low)
 }
 
-/// `a * b / 2^64`, too small by less than 3 units, for any two numbers: three products of words.
+/// `a * b / 2^64`, too small by less than 3 units, for any two numbers: three 32 x 32 bit products.
 #[inline(always)]
 #[must_use]
 pub const fn high_product(a: u64, b: u64) -> u64 {
     let (a_high, a_low) = (a >> 32, a & 0xffff_ffff);
     let (b_high, b_low) = (b >> 32, b & 0xffff_ffff);
-    // Each term is a product of words and their sum is at most the true one.
+    // Each term is a product of 32-bit numbers, and their sum is at most the exact value.
     (a_high * b_high)
         .wrapping_add((a_high * b_low) >> 32)
         .wrapping_add((a_low * b_high) >> 32)

@@ -1,14 +1,15 @@
-//! Sine, cosine and arc tangent, in integers; no division.
+//! Sine, cosine and arc tangent in integers, without division.
 //!
 //! | function | result | largest error |
 //! | --- | --- | --- |
 //! | [`sin_cos`] | Q30 | 1.25 * 2^-30 (1.2e-9) |
 //! | [`atan2`] | [`Angle`], 2^-32 turn | 1.0 raw unit (1.5e-9 rad) |
 //!
-//! Both bounds include the final rounding and are held by the tests below. Quarter turns are exact. The tables (0.5 kB for the sine,
-//! 2 kB for the arc tangent) are worked out by the compiler from the series.
+//! Both bounds include the final rounding and are verified by the tests below. Quarter turns are
+//! exact. The compiler computes the tables (0.5 kB for the sine, 2 kB for the arc tangent) from the
+//! series.
 //!
-//! Misuse: Q30 of 1 is 2^30, which fits; Q31 of 1 would not fit in `i32`. Do not shift a sine left.
+//! Callers must not shift a sine left: 1 in Q30 is 2^30, which fits into `i32`; 1 in Q31 does not.
 
 use super::Angle;
 use super::root::reciprocal;
@@ -20,16 +21,17 @@ pub const ONE: i32 = 1 << 30;
 /// pi in Q60.
 const PI_Q60: i128 = 3_622_009_729_038_561_421;
 
-/// pi / 4 in Q31: radians in Q29 from 2^-32 turn, when the product is shifted by 31.
+/// pi / 4 in Q31: a product with it, shifted by 31, converts 2^-32 turn to radians in Q29.
 pub const QUARTER_PI_Q31: i32 = (PI_Q60 >> 31) as i32;
 
-/// The product of two words, divided by 2^shift (rounded down), where it is known to fit a word again.
+/// Product of two 32-bit numbers, divided by 2^shift (rounded down), that is known to fit 32 bits.
 #[inline]
 const fn high_word(a: i32, b: i32, shift: u32) -> i32 {
     ((a as i64 * b as i64) >> shift) as i32
 }
 
-/// sin(i * 90 degrees / 128) in Q31, i = 0..=128; the last, 1, is held at 2^31 - 1, which the rounding to Q30 makes good.
+/// sin(i * 90 degrees / 128) in Q31, i = 0..=128. The last, 1, saturates at 2^31 - 1; the rounding
+/// to Q30 corrects it.
 static SINE: [i32; 129] = sines();
 
 const fn sines() -> [i32; 129] {
@@ -52,10 +54,11 @@ const fn sines() -> [i32; 129] {
     table
 }
 
-/// The sine and the cosine of an angle, in Q30. Error at most 1.25 * 2^-30; never beyond +-2^30.
+/// Sine and cosine of an angle, in Q30. Error at most 1.25 * 2^-30; never beyond +-2^30.
 ///
-/// The angle is split into the nearest of 512 points of the circle and a rest of at most 0.35 degrees, whose sine and cosine are
-/// short series; the addition theorem joins them.
+/// The angle is split into the nearest of 512 points of the circle and a remainder of at most 0.35
+/// degrees. The sine and cosine of the remainder are short series; the addition theorem combines
+/// both.
 #[inline]
 #[must_use]
 pub const fn sin_cos(angle: Angle) -> (i32, i32) {
@@ -65,10 +68,12 @@ pub const fn sin_cos(angle: Angle) -> (i32, i32) {
     let index = (point & 127) as usize;
     let (sine, cosine) = (SINE[index], SINE[128 - index]);
 
-    // The rest in radians, Q38: |rest| <= 2^22 units, so |radians| <= 0.00614 and the word holds it.
+    // The remainder in radians, Q38: |rest| <= 2^22 units, so |radians| <= 0.00614, which fits 32
+    // bits.
     const TWO_PI_Q28: i64 = (PI_Q60 >> 31) as i64;
     let radians = ((rest as i64 * TWO_PI_Q28 + (1 << 21)) >> 22) as i32;
-    // Every factor below is a word, so every product is one instruction and cannot overflow.
+    // Every factor below is a 32-bit number, so every product is one instruction and cannot
+    // overflow.
     let square = high_word(radians, radians, 38);
     // r - r^3 / 6 (the next term is 7e-14) and r^2 / 2 - r^4 / 24 (the next is 7e-17).
     let small_sine = radians - high_word(high_word(radians, square, 38), 10_923, 16);
@@ -76,11 +81,13 @@ pub const fn sin_cos(angle: Angle) -> (i32, i32) {
 
     let sine_up = cosine as i64 * small_sine as i64 - sine as i64 * small_versine as i64;
     let cosine_down = sine as i64 * small_sine as i64 + cosine as i64 * small_versine as i64;
-    // The sums are below 2^31 (Q31 of 1 and its error are cut by the rounding to Q30); as wide numbers they cost no check.
+    // The sums are below 2^31 (the rounding to Q30 absorbs 1 in Q31 and its error); 64-bit numbers
+    // need no check.
     let sine = ((sine as i64 + ((sine_up + (1 << 37)) >> 38) + 1) >> 1) as i32;
     let cosine = ((cosine as i64 - ((cosine_down + (1 << 37)) >> 38) + 1) >> 1) as i32;
 
-    // Quarter turns swap and negate. Masks, not branches: the sign of a pose's angles cannot be predicted.
+    // Quarter turns swap and negate, with masks instead of branches: the sign of a pose's angles is
+    // unpredictable.
     let quarter = (point >> 7) as i32;
     let swap = (sine ^ cosine) & -(quarter & 1);
     (
@@ -89,7 +96,7 @@ pub const fn sin_cos(angle: Angle) -> (i32, i32) {
     )
 }
 
-/// `-value` when `condition` is 1, `value` when it is 0; never a branch. The least value is its own opposite.
+/// `-value` if `condition` is 1, `value` if it is 0, without a branch. `i32::MIN` stays `i32::MIN`.
 #[inline]
 const fn negate_if(value: i32, condition: i32) -> i32 {
     (value ^ -condition).wrapping_add(condition)
@@ -99,11 +106,11 @@ const fn negate_if(value: i32, condition: i32) -> i32 {
 struct ArcTangent {
     /// atan(c), 2^-34 turn.
     value: u32,
-    /// Q33 of 1 / (1 + c^2) / 2 pi.
+    /// 1 / (1 + c^2) / 2 pi, Q33.
     slope: i32,
-    /// Q33 of the second coefficient of the series.
+    /// Second coefficient of the series, Q33.
     bend: i32,
-    /// Q33 of the third.
+    /// Third coefficient of the series, Q33.
     third: i32,
 }
 
@@ -135,7 +142,8 @@ const fn arc_tangents() -> [ArcTangent; 129] {
             bend: ((-((c * w2) >> 60) << 32) / PI_Q60) as i32,
             third: (((w3 * (c2 - ONE / 3)) >> 60 << 32) / PI_Q60) as i32,
         };
-        // atan((i + 1) / 128) - atan(i / 128) = atan(128 / (128^2 + i (i + 1))), a small argument: its series is short.
+        // atan((i + 1) / 128) - atan(i / 128) = atan(128 / (128^2 + i (i + 1))), a small argument
+        // with a short series.
         let step = ONE * 128 / (128 * 128 + (i * (i + 1)) as i128);
         let square = (step * step) >> 60;
         let mut power = step;
@@ -152,9 +160,10 @@ const fn arc_tangents() -> [ArcTangent; 129] {
     table
 }
 
-/// The angle of the point (x, y), measured from the x axis; any two `i32`. Error at most 1.0 raw unit; (0, 0) gives 0.
+/// Angle of the point (x, y), measured from the x axis, for any two `i32`. Error at most 1.0 raw
+/// unit; (0, 0) gives 0.
 ///
-/// The half turn is [`Angle::HALF`], whichever side it is reached from.
+/// The half turn is always [`Angle::HALF`], from both sides.
 #[inline]
 #[must_use]
 pub const fn atan2(y: i32, x: i32) -> Angle {
@@ -177,7 +186,8 @@ pub const fn atan2(y: i32, x: i32) -> Angle {
     let turn = cubic.value as i64 + ((second as i64 * rest as i64 + (1 << 30)) >> 31);
     let eighth = round_shift(turn, 2) as i32;
 
-    // Back through the octants, without branches: a quarter less it, a half less it, its opposite.
+    // Back through the octants without branches: a quarter turn minus the angle, a half turn minus
+    // the angle, the negative angle.
     let steep = steep as i32;
     let quadrant = negate_if(eighth, steep).wrapping_add(steep << 30);
     let left = (x < 0) as i32;

@@ -1,22 +1,28 @@
-//! Backlash of a screw whose encoder sits on the motor.
+//! Backlash compensation for a screw whose encoder is on the motor.
 //!
-//! The slide hangs in the play of the nut: its coordinate is within half the play of the motor's. Three things follow.
+//! The slide is within half the play of the motor coordinate.
 //!
-//! - **Where the slide is.** Ways and wipers hold it by friction until a flank pushes it: the play operator, `slide` stays where it is as long as
-//!   `|motor - slide| <= play / 2` and is carried along otherwise. It is driven by the measured motor, not by what was wanted, so it is also right when
-//!   the drives are off and somebody turns the screw. After power on the flank is unknown and the middle is assumed, until the first motion of more than the play.
-//! - **Where the motor must be.** Half the play ahead of the slide on the side to which the slide shall go next. The side changes with
-//!   the wanted rate (never the measured one, whose noise would make the motor chatter between the flanks), with a hysteresis of one play per second,
-//!   and keeps its side at rest: a machine that stands does not move.
-//! - **How it gets there.** A step of the wanted motor position would be a blow of K_P * play. The shift passes two equal first-order
-//!   filters in a row, so position and rate are continuous, and a change of mind in mid-way needs no special case. With [`SHIFT_US`] = 4 ms the crossing is 95 %
-//!   done in 19 ms. On the 30 mm circle at 4 mm/s the hysteresis takes 9 ms and the slide
-//!   should have moved 0.4 um by then: that is the error which is left.
+//! - **Slide position.** Friction of the guideways and wipers holds the slide until a flank of the
+//!   nut pushes it. This is the play operator: `slide` stays while `|motor - slide| <= play / 2`
+//!   and is carried along otherwise. Its input is the measured motor coordinate, not the commanded
+//!   one, so it is also right when the drives are off and somebody turns the screw. After power-on
+//!   the flank is unknown. The middle is assumed until the first motion of more than the play.
+//! - **Commanded motor position.** It is half the play ahead of the slide, on the side of the next
+//!   motion. The side changes with the commanded rate, with a hysteresis of one play per second.
+//!   The noise of the measured rate would make the motor chatter between the flanks. The side does
+//!   not change at standstill, so a standing machine does not move.
+//! - **Transition.** A step of the commanded motor position would be a blow of K_P * play. The
+//!   shift passes two equal first-order filters in series, so position and rate are continuous, and
+//!   a reversal during the transition needs no special case. With [`SHIFT_US`] = 4 ms the crossing
+//!   is 95 % done in 19 ms. On the 30 mm circle at 4 mm/s the hysteresis takes 9 ms, in which the
+//!   slide should have moved 0.4 um: that is the remaining error.
 //!
-//! What is compensated is the lost motion of a reversal as it is measured on a machine: the play, and twice the wind-up of the screw under the slide's friction.
+//! The compensated value is the lost motion of a reversal as measured on a machine: the play plus
+//! twice the wind-up of the screw under the friction of the slide.
 //!
-//! The loop is closed on the motor, where its error is wanted + shift - motor. Closing it on the estimated slide would put the play inside the loop, which then
-//! has no gain within the play and limit-cycles across it.
+//! The loop is closed on the motor, with the error commanded + shift - motor. A loop closed on the
+//! estimated slide would contain the play. It would have no gain within the play and would
+//! limit-cycle across it.
 
 use super::encoder::{difference, sum};
 use crate::config::AxisKind;
@@ -28,28 +34,30 @@ use haptimill_math::{Coordinate, Rate};
 /// Time constant of each of the two filters, in microseconds.
 pub const SHIFT_US: u16 = 4_000;
 
-/// The most fractional bits of the filters' states; a play of more than 0.12 um has fewer, so that a state is a word.
+/// Largest number of fractional bits of the filter states. A play of more than 0.12 um has fewer,
+/// so that a state fits into 32 bits.
 const FRACTION: u32 = 24;
 
-/// Backlash of one joint.
+/// Backlash compensation of one joint.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Backlash {
     kind: AxisKind,
     /// Half of the play, axis units.
     half: i32,
-    /// Rate beyond which the wanted direction is believed.
+    /// Rate above which the commanded direction is valid.
     hysteresis: i32,
     /// 1 - pole of each filter, Q31.
     approach: i32,
-    /// From changes of a state in a period to a rate.
+    /// Conversion of the change of a state per period to a rate.
     rate: Scale,
-    /// Fractional bits of the states; half a unit with them; half of the play with them.
+    /// Fractional bits of the states. `rounding` is half a unit and `flank` half of the play, both
+    /// with these bits.
     fraction: u32,
     rounding: i32,
     flank: i32,
-    /// Where the states shall go; unknown until a direction is wanted: where they started.
+    /// Target of the states; their initial value until a direction is commanded.
     goal: i32,
-    /// States of the filters, axis units; both within +-half, which is below 2^30 with their fraction.
+    /// Filter states, axis units; both within +-half, which is below 2^30 with their fraction.
     first: i32,
     second: i32,
     /// The states no longer change.
@@ -62,7 +70,8 @@ constants!(Backlash {
 } of {} but { goal, first, second, settled, slide });
 
 impl Backlash {
-    /// Backlash of the whole width `play` (its magnitude counts; 0 switches everything here off).
+    /// Compensation of the full play `play` (its magnitude counts; 0 switches the compensation
+    /// off).
     pub const fn new(kind: AxisKind, play: Coordinate, period_us: u16) -> Self {
         let half = (play.0.unsigned_abs() / 2) as i32;
         let half = if half >= 1 << 30 { (1 << 30) - 1 } else { half };
@@ -89,8 +98,10 @@ impl Backlash {
         }
     }
 
-    /// The motor was measured at `motor`; gives where the slide is, within what the play leaves open.
-    // In every period, and once when a configuration changes: not to be called for that.
+    /// Updates the slide with the measured motor coordinate `motor` and returns the slide's
+    /// coordinate, within the uncertainty of the play.
+    // Inlined although it has two callers: one is the control period, the other a configuration
+    // change.
     #[inline(always)]
     pub fn carry(&mut self, motor: Coordinate) -> Coordinate {
         let ahead = difference(self.kind, motor, self.slide)
@@ -101,17 +112,17 @@ impl Backlash {
         self.slide
     }
 
-    /// The slide is at the motor's coordinate, flank unknown.
+    /// Sets the slide to the motor coordinate, flank unknown.
     pub const fn place(&mut self, motor: Coordinate) {
         self.slide = motor;
     }
 
-    /// All coordinates grew by `shift`: a reference was found.
+    /// Shifts the slide by `shift` after a reference was found.
     pub fn rebase(&mut self, shift: Coordinate) {
         self.slide = sum(self.kind, self.slide, shift);
     }
 
-    /// Starts with the motor at `motor` as what is wanted for the slide where it is: nothing moves.
+    /// Starts with `motor` as the commanded motor position for the present slide, so nothing moves.
     pub fn hold(&mut self, motor: Coordinate) {
         let ahead = difference(self.kind, motor, self.slide)
             .0
@@ -123,7 +134,8 @@ impl Backlash {
         self.settled = true;
     }
 
-    /// What is to be added to the wanted coordinate and rate of the slide, one period on, for a wanted rate of the slide.
+    /// Returns the shift of the commanded coordinate and rate for the next period, from the
+    /// commanded rate of the slide.
     #[inline]
     pub fn shift(&mut self, rate: Rate) -> (Coordinate, Rate) {
         if self.half == 0 {
@@ -139,7 +151,7 @@ impl Backlash {
         let mut rate = Rate(0);
         if goal != self.goal || !self.settled {
             self.goal = goal;
-            // All three are within +-2^30, differences within the word.
+            // All three are within +-2^30, so differences fit into 32 bits.
             let first = self.part(goal.wrapping_sub(self.first));
             self.first = self.first.wrapping_add(first);
             let change = self.part(self.first.wrapping_sub(self.second));
@@ -154,7 +166,7 @@ impl Backlash {
         (Coordinate(shift), rate)
     }
 
-    /// What a filter goes of the way to its input in a period.
+    /// The part of `way` that a filter covers in a period.
     const fn part(&self, way: i32) -> i32 {
         ((way as i64 * self.approach as i64) >> 31) as i32
     }

@@ -1,10 +1,11 @@
-//! From counts to the coordinate of the motor side of a joint.
+//! Conversion of encoder counts to the motor coordinate of a joint.
 //!
-//! The coordinate is computed from the whole count every time, never summed up, so it cannot drift: it is within half an axis unit of
-//! the exact product. A linear joint saturates at the ends of [`Coordinate`]; a rotary one wraps around at the turn.
-//! The rate comes from the times between edges ([`super::edges`]).
+//! The coordinate is computed from the whole count every time, never accumulated, so it cannot
+//! drift. It is within half an axis unit of the exact product. A linear joint saturates at the ends
+//! of [`Coordinate`]; a rotary one wraps around at the turn. The rate comes from the times between
+//! edges ([`super::edge_timer`]).
 //!
-//! Misuse: more than 2^31 counts in a period cannot be told from a step the other way.
+//! Limit: more than 2^31 counts in a period look like motion in the opposite direction.
 
 use super::edge_timer::EdgeTimer;
 use crate::config::AxisKind;
@@ -19,15 +20,16 @@ pub struct Encoder {
     kind: AxisKind,
     /// Axis units per count, Q24.
     per_count: i64,
-    /// Whole axis units of it, and the rest, Q24.
+    /// Whole axis units per count, and the fraction, Q24.
     whole: i32,
     part: i32,
-    /// The product of so many counts is certain to be a word; on a rotary axis it may wrap around.
+    /// Largest magnitude of a count whose product fits into 32 bits; on a rotary axis the product
+    /// may wrap around.
     most: u32,
-    /// Nothing was read yet.
+    /// No inputs were read yet.
     fresh: bool,
     raw: i32,
-    /// Counts from the place whose coordinate is `reference`.
+    /// Counts from the position whose coordinate is `reference`.
     travelled: i64,
     reference: Coordinate,
     illegal_raw: u16,
@@ -42,19 +44,20 @@ constants!(Encoder {
     fresh, raw, travelled, reference, illegal_raw, illegal, index_pulses
 });
 
-/// What an encoder says at the start of a period.
+/// Reading of an encoder at the start of a period.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Measured {
-    /// Coordinate of the motor side.
+    /// Coordinate of the motor.
     pub coordinate: Coordinate,
-    /// Counts since the period before.
+    /// Counts since the previous period.
     pub moved: i32,
-    /// Counter at a new index pulse, raw, and the motor's coordinate there.
+    /// Raw count at a new index pulse, and the motor coordinate there.
     pub index: Option<(i32, Coordinate)>,
 }
 
 impl Encoder {
-    /// An encoder with `per_count` axis units a count, times 2^24; negative when it counts backwards.
+    /// An encoder with `per_count` axis units per count, times 2^24; negative if it counts
+    /// backwards.
     pub const fn new(kind: AxisKind, per_count: i64) -> Self {
         let whole = per_count >> 24;
         let fits = whole as i32 as i64 == whole;
@@ -86,7 +89,8 @@ impl Encoder {
         }
     }
 
-    /// Reads the inputs of a period that were latched at `time_ns`. The first reading is the start: nothing has moved.
+    /// Reads the inputs of a period, latched at `time_ns`. The first reading is the start and shows
+    /// no motion.
     #[inline]
     pub fn read(&mut self, inputs: &AxisInputs, time_ns: u32) -> Measured {
         if self.fresh {
@@ -132,19 +136,21 @@ impl Encoder {
         self.illegal = self.illegal.saturating_add(u32::from(illegal));
     }
 
-    /// Rate of the motor side at the last reading.
+    /// Rate of the motor at the last reading.
     #[must_use]
     pub fn rate(&self) -> Rate {
         self.edges.rate()
     }
 
-    /// The motor's coordinate at a raw count, which lies less than 2^31 counts from the present one.
+    /// The motor coordinate at a raw count. The raw count must be less than 2^31 counts from the
+    /// present one.
     #[inline(never)]
     pub fn coordinate_at(&self, raw: i32) -> Coordinate {
         self.coordinate_of(self.travelled.wrapping_sub(self.ahead_of(raw)))
     }
 
-    /// From now on the motor's coordinate at the raw count `raw` is `coordinate`. Gives what has to be added to every coordinate that was known before.
+    /// Sets the motor coordinate at the raw count `raw` to `coordinate`. Returns the shift of every
+    /// coordinate that was known before.
     pub fn set_reference(&mut self, raw: i32, coordinate: Coordinate) -> Coordinate {
         let before = self.coordinate_at(self.raw);
         self.travelled = self.ahead_of(raw);
@@ -152,22 +158,23 @@ impl Encoder {
         difference(self.kind, self.coordinate_at(self.raw), before)
     }
 
-    /// Illegal transitions since [`Encoder::clear_illegal`]; [`u32::MAX`] when it is [not believed](Encoder::invalidate).
+    /// Illegal transitions since [`Encoder::clear_illegal`]; [`u32::MAX`] if the encoder is
+    /// [invalid](Encoder::invalidate).
     pub const fn illegal(&self) -> u32 {
         self.illegal
     }
 
-    /// Its counts are wrong, which says more than any number of illegal transitions.
+    /// Marks the counts as wrong, which outranks any number of illegal transitions.
     pub const fn invalidate(&mut self) {
         self.illegal = u32::MAX;
     }
 
-    /// The illegal transitions that were counted under another configuration.
+    /// Takes over the illegal transitions that were counted under another configuration.
     pub const fn take_over_illegal(&mut self, illegal: u32) {
         self.illegal = illegal;
     }
 
-    /// Forgets the illegal transitions.
+    /// Clears the illegal transitions.
     pub const fn clear_illegal(&mut self) {
         self.illegal = 0;
     }
@@ -180,17 +187,18 @@ impl Encoder {
     #[inline(always)]
     fn coordinate_of(&self, counts: i64) -> Coordinate {
         let word = counts as i32;
-        // Not as numbers of 64 bits, or the product would be one of those as well.
+        // 32-bit operands: with 64-bit ones the product would be 64 by 64 bits.
         if (counts >> 32) as i32 != word >> 31 || word.unsigned_abs() > self.most {
             return self.far(counts);
         }
-        // A word times 24 bits.
+        // A 32-bit number times 24 bits.
         let part = (i64::from(word) * i64::from(self.part)).wrapping_add(1 << 23) >> 24;
         let travel = word.wrapping_mul(self.whole).wrapping_add(part as i32);
         sum(self.kind, Coordinate(travel), self.reference)
     }
 
-    /// A coordinate that may be out of its range: a product that saturates at 2^63 is 2^39 axis units, far outside, and saturates as it should. A rotary one wraps around.
+    /// A coordinate that may be out of its range. A product that saturates at 2^63 is 2^39 axis
+    /// units, far out of range, and saturates as required. A rotary coordinate wraps around.
     #[cold]
     #[inline(never)]
     fn far(&self, counts: i64) -> Coordinate {
@@ -210,7 +218,7 @@ impl Encoder {
     }
 }
 
-/// `a - b`: saturates on a linear axis, the shorter way round on a rotary one.
+/// `a - b`; saturates on a linear axis, the shorter way round on a rotary one.
 #[inline]
 pub(crate) fn difference(kind: AxisKind, a: Coordinate, b: Coordinate) -> Coordinate {
     Coordinate(match kind {
@@ -219,7 +227,7 @@ pub(crate) fn difference(kind: AxisKind, a: Coordinate, b: Coordinate) -> Coordi
     })
 }
 
-/// `a + b`, likewise.
+/// `a + b`; saturates on a linear axis, wraps around on a rotary one.
 #[inline]
 pub(crate) fn sum(kind: AxisKind, a: Coordinate, b: Coordinate) -> Coordinate {
     Coordinate(match kind {

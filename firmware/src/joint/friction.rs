@@ -1,16 +1,21 @@
-//! Coulomb friction that is compensated: effort * tanh(rate / knee), docs/control.md 7.1 item 15.
+//! Friction compensation: effort * tanh(rate / knee), docs/control.md 7.1 item 15.
 //!
-//! It depends on the *wanted* rate alone: a measured rate would change its sign with the noise at rest, and the loop would rattle between the two
-//! sides of the friction. At standstill it is zero. The wanted rate has no noise, so the knee may be low, and should: below it the friction is there and its
-//! compensation is not yet, which is an error of coulomb / (inertia K_P), 25 um for 40 N on 40 kg at 40,000 1/s^2. Two hundredths of a mm/s are a good knee.
-//! tanh is a table of 81 values, joined linearly, from 0 to 5 knees, beyond which it is 1: error below
-//! 4e-4, continuous, odd, never decreasing.
+//! It depends only on the *commanded* rate. A measured rate would change its sign with the noise at
+//! standstill, and the loop would oscillate between the two sides of the friction. At standstill
+//! the compensation is zero.
+//!
+//! The commanded rate has no noise, so the knee should be low. Below the knee the friction acts
+//! without full compensation, which is an error of coulomb / (inertia K_P), 25 um for 40 N on 40 kg
+//! at 40,000 1/s^2. A knee of 0.02 mm/s is suitable.
+//!
+//! tanh is a table of 81 values with linear interpolation from 0 to 5 knees, and 1 beyond. Its
+//! error is below 4e-4; it is continuous, odd, and never decreases.
 
 use haptimill_math::reciprocal::Reciprocal;
 use haptimill_math::scale::{product, total};
 use haptimill_math::{Effort, Rate};
 
-/// tanh(i / 16), Q15; the last one is 1.
+/// tanh(i / 16), Q15; the last value is 1.
 const TANH: [u16; 82] = [
     0, 2045, 4075, 6073, 8025, 9919, 11743, 13486, 15143, 16706, 18173, 19542, 20813, 21986, 23066,
     24054, 24956, 25776, 26519, 27191, 27797, 28341, 28830, 29268, 29660, 30010, 30322, 30600,
@@ -21,17 +26,18 @@ const TANH: [u16; 82] = [
     32768, 32768,
 ];
 
-/// Friction of one joint.
+/// Friction compensation of one joint.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct Friction {
     coulomb: Effort,
     knee: Reciprocal,
-    /// Five knees: from here on the compensation is whole.
+    /// Five knees: full compensation from here on.
     full: u32,
 }
 
 impl Friction {
-    /// Full compensation `coulomb`, of which tanh(1) = 76 % is reached at the rate `knee` (its magnitude counts; zero is taken for the smallest).
+    /// Full compensation is `coulomb`, of which tanh(1) = 76 % is reached at the rate `knee` (its
+    /// magnitude counts; zero counts as the smallest).
     pub const fn new(coulomb: Effort, knee: Rate) -> Self {
         let knee = knee.0.unsigned_abs();
         Self {
@@ -41,30 +47,31 @@ impl Friction {
         }
     }
 
-    /// Effort that overcomes the friction at a wanted rate, rounded; within +-`coulomb`.
+    /// Effort that cancels the friction at a commanded rate, rounded; within +-`coulomb`.
     #[inline]
     pub fn effort(&self, commanded: Rate) -> Effort {
         if commanded.0.unsigned_abs() >= self.full {
-            // Nearly always, in motion.
+            // The usual case in motion.
             return if commanded.0 < 0 {
                 self.coulomb.saturating_neg()
             } else {
                 self.coulomb
             };
         }
-        // In 1/16 of the knee, Q16. A rate of 2^31 over a knee of 1 is 2^31 * 2^20: no overflow before the clamp.
+        // In 1/16 of the knee, Q16. A rate of 2^31 over a knee of 1 is 2^31 * 2^20: no overflow
+        // before the clamp.
         let ratio = self
             .knee
             .scaled(i64::from(commanded.0.unsigned_abs()), 20)
             .min(80 << 16);
-        // 0 to 80: there is a next one.
+        // 0 to 80, so a next value exists.
         let place = (ratio >> 16) as usize;
         let part = ratio & 0xffff;
         let (Some(&low), Some(&high)) = (TANH.get(place), TANH.get(place + 1)) else {
             return Effort(0);
         };
         let (low, high) = (i64::from(low), i64::from(high));
-        // Q31; never decreasing.
+        // Q31; never decreases.
         let tanh = total(low << 16, product(total(high, -low), part));
         // Below 2^31 * 2^31.
         let effort = total(product(i64::from(self.coulomb.0), tanh), 1 << 30) >> 31;

@@ -1,51 +1,61 @@
-//! Index pulses against counts: an encoder that lost or gained counts is found within two turns, however few they are.
+//! Encoder slip detection: comparison of index pulses with encoder counts.
 //!
-//! From one index pulse to another the counter goes a whole number of turns. What it is off is what noise or a bad contact added or took away; supervision
-//! of the motion cannot see that, for the loop takes the joint to wherever the counter says. Pulses of one place, come to from both sides, are apart by the width of the pulse:
-//! the slack, one line of most encoders.
+//! The counter advances a whole number of turns between two index pulses. Any difference was added
+//! or lost by noise or a bad contact. Motion supervision cannot see it, because the loop drives the
+//! joint to wherever the counter says. The monitor finds lost or gained counts within two turns,
+//! however few they are. Index pulses of one position, approached from both sides, differ by the
+//! width of the pulse. That width is the slack, one line of most encoders.
 //!
-//! Nothing is believed on a single pulse, which may be noise on the index line: what is off is said when another pulse is off by as much. A first pulse is one of a grid when a second agrees.
-//! Only while the references are looked for each pulse counts: there it is what everything is made of.
+//! A single pulse may be noise on the index line. So slip is reported only when a second pulse
+//! shows the same offset, and the first pulse is accepted as a reference only when a second one
+//! agrees. During the reference search every pulse counts, because the references come from these
+//! pulses.
 //!
-//! It says the opposite as well. A joint that was pushed or held looks as one whose encoder is dead, and when its next pulse comes in its place it was not: it may be homed
-//! without anybody setting it up by hand.
+//! The monitor also clears a suspected encoder. A joint that was pushed or blocked looks like one
+//! with a dead encoder. If its next index pulse comes at the expected count, the encoder is good,
+//! and the joint may be homed without a manual preset.
 //!
-//! What is compared is raw counts, in whole numbers: it is exact after any number of turns. Where a pitch is no whole number of counts nothing is
-//! compared. Pulses are remembered while the drives are off, when somebody turns the screw.
+//! The comparison uses raw counts, so it is exact after any number of turns. Nothing is compared if
+//! the pitch is not a whole number of counts. The pulses are remembered while the drives are off,
+//! when somebody may turn the screw.
 //!
-//! Misuse: a latch that is read some counts after the pulse, or an index on another shaft than the counts. What is off is then no fault of the encoder.
+//! Callers must latch the count at the pulse itself, and the index must be on the same shaft as the
+//! encoder. Otherwise the offset is not an encoder fault.
 
 use crate::config::digest::constants;
 
-/// Where index pulses must come.
+/// Index monitor of one encoder.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct IndexMonitor {
-    /// Counts from one pulse to the next; 0 where that is no whole number, or nothing is to be compared.
+    /// Counts between two pulses; 0 if that is not a whole number, or the comparison is switched
+    /// off.
     turn: i32,
-    /// So many counts a pulse may be off.
+    /// Largest accepted offset of a pulse, in counts.
     slack: u32,
-    /// Raw count at which the newest pulse should have come, judging by the first one.
+    /// Raw count at which the last pulse was expected, extrapolated from the first one.
     due: Option<i32>,
-    /// Raw count of a pulse that agreed with none before.
+    /// Raw count of a pulse that did not agree with an earlier one.
     doubt: Option<i32>,
-    /// The references are looked for.
+    /// A reference search is active.
     searching: bool,
 }
 
 constants!(IndexMonitor { turn, slack } of {} but { due, doubt, searching });
 
 impl IndexMonitor {
-    /// Pulses `pitch` axis units apart, with `per_count` axis units a count, times 2^24. Each may be off by `slack` counts; with 0 nothing is compared.
+    /// A monitor for pulses `pitch` axis units apart, with `per_count` axis units per count, times
+    /// 2^24. The offset of a pulse may be `slack` counts; 0 switches the comparison off.
     #[must_use]
     pub const fn new(pitch: i32, per_count: i64, slack: u16) -> Self {
         let count = per_count.unsigned_abs();
         let pitch = (pitch.unsigned_abs() as u64) << 24;
         let turn = match pitch.saturating_add(count / 2).checked_div(count) {
-            // With fewer, half of a turn could be an error within the slack.
+            // With fewer counts per turn, an offset within the slack could be half of a turn.
             Some(turn) if turn > 4 * slack as u64 && turn <= i32::MAX as u64 => turn,
             _ => 0,
         };
-        // The pitch is rounded to an axis unit, the count to the 2^24th part of one. With counts of less than two axis units nobody can tell.
+        // The pitch is rounded to an axis unit, the count to 2^-24 axis unit. With counts of less
+        // than two axis units a whole number cannot be recognised.
         let rounding = (1 << 23) + turn / 2 + 1;
         let whole = rounding <= count / 4 && turn.saturating_mul(count).abs_diff(pitch) <= rounding;
         Self {
@@ -57,7 +67,8 @@ impl IndexMonitor {
         }
     }
 
-    /// A pulse came at this raw count: by how many counts it is off, if that is certain and too much.
+    /// Checks a pulse at the raw count `raw`. Returns its offset in counts if the offset is
+    /// confirmed and above the slack.
     #[inline(never)]
     pub fn pulse(&mut self, raw: i32) -> Option<i32> {
         if self.turn == 0 {
@@ -79,13 +90,14 @@ impl IndexMonitor {
             return (agrees || self.searching).then_some(off);
         }
         self.doubt = None;
-        // What is found by this one counts from it.
+        // During a reference search the pulse becomes the new origin of the grid.
         let place = if self.searching { 0 } else { off };
         self.due = Some(raw.wrapping_sub(place));
         None
     }
 
-    /// From the place of a pulse, whichever of them, to a raw count: less than half a turn.
+    /// Offset of a raw count from the nearest pulse of the grid through `place`: less than half a
+    /// turn.
     const fn off(&self, raw: i32, place: i32) -> i32 {
         let off = raw.wrapping_sub(place) % self.turn;
         let half = self.turn / 2;
@@ -98,24 +110,24 @@ impl IndexMonitor {
         }
     }
 
-    /// What another one, of the same counts and pitch, knows of where pulses come.
+    /// Takes over the pulse positions of another monitor with the same counts and pitch.
     pub const fn take_over(&mut self, other: &Self) {
         self.due = other.due;
         self.doubt = other.doubt;
     }
 
-    /// Whether the next pulse will tell if counts were lost: where they come is known.
+    /// Whether the next pulse can show lost counts: the grid of pulses is known.
     #[must_use]
     pub const fn will_tell(&self) -> bool {
         self.turn != 0 && self.due.is_some()
     }
 
-    /// The references are looked for, or not any more.
+    /// Starts or ends the reference search.
     pub const fn search(&mut self, searching: bool) {
         self.searching = searching;
     }
 
-    /// What was off is known: pulses begin anew.
+    /// Forgets the pulse positions, after the offset was reported.
     pub const fn forget(&mut self) {
         self.due = None;
         self.doubt = None;

@@ -1,17 +1,21 @@
-//! A joint: encoder, backlash, position loop and output, whichever its drive is.
+//! One joint: encoder, backlash compensation, servo loop and drive output.
 //!
 //! ```text
-//! sense   counts, edge times --encoder--> motor coordinate, rate --backlash--> coordinate of the slide
-//! drive   wanted slide --backlash--> wanted motor --position loop--> effort --> code          (torque)
-//!                                                 --step planner--> pulses                    (step/dir)
+//! measure  counts, edge times --encoder--> motor coordinate, rate --backlash--> slide coordinate
+//! servo    commanded slide --backlash--> commanded motor --servo law--> effort --> code   (torque)
+//!                                                        --step planner--> pulses       (step/dir)
 //! ```
 //!
-//! On a step/dir axis the position loop is in the drive: pulses follow what is wanted, and the encoder supervises; [`JointMeasurement::slip`] is the
-//! disagreement. Latency: outputs take effect one period after the inputs were latched. The pulses of a step axis *end* at the wanted position, at the end of that next
-//! period: two periods after the latch. A torque axis closes its loop on the wanted position of the latch.
+//! The servo loop of a step/dir axis is in its drive. The pulses follow the commanded position, and
+//! the encoder supervises them; [`JointMeasurement::slip`] is their difference.
 //!
-//! Misuse: [`JointDrive::measure`] once every period whether enabled or not, before [`JointDrive::servo`]. What is wanted must begin at what
-//! [`JointDrive::enable`] gives back.
+//! Outputs take effect one period after the inputs were latched. The pulses of a step/dir axis end
+//! at the commanded position at the end of that next period, two periods after the latch. A torque
+//! axis closes its loop on the commanded position of the latch.
+//!
+//! Callers must call [`JointDrive::measure`] once every period, enabled or not, before
+//! [`JointDrive::servo`]. The commanded position must begin at the coordinate that
+//! [`JointDrive::enable`] returns.
 
 pub mod backlash;
 pub mod edge_timer;
@@ -40,47 +44,48 @@ use power_on_counts::Counted;
 use step_gen::{PulseTiming, StepPlanner};
 use torque::TorqueOutput;
 
-/// Why a joint's configuration cannot work.
+/// Reason why the configuration of a joint is invalid.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum DriveError {
     /// The control period is not within 50 to 1000 us.
     Period,
-    /// An encoder count of no size.
+    /// The size of an encoder count is zero.
     Encoder,
-    /// A torque drive of no full scale, or with a limit that is not above zero.
+    /// The full scale of a torque drive is zero, or its limit is not above zero.
     Torque,
-    /// A step smaller than one axis unit, or too many or too few ticks.
+    /// A step is smaller than one axis unit, or the ticks per microsecond are not within 1 to 1000.
     Step,
-    /// Pulse width and direction set-up do not fit into a control period.
+    /// Pulse width and direction setup time do not fit into a control period.
     Timing,
-    /// A backlash below zero.
+    /// The backlash is below zero.
     Backlash,
 }
 
-/// What a joint's sensors say.
+/// Measured values of a joint.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct JointMeasurement {
-    /// Coordinate of the slide: the motor's, less what backlash hides.
+    /// Coordinate of the slide: the motor's coordinate after the backlash model.
     pub coordinate: Coordinate,
-    /// Coordinate of the motor side.
+    /// Coordinate of the motor.
     pub motor: Coordinate,
-    /// Encoder counts since the period before.
+    /// Encoder counts since the previous period.
     pub moved: i32,
-    /// Illegal transitions since enable; [`u32::MAX`] when index pulses say that counts were lost.
+    /// Illegal transitions since enable; [`u32::MAX`] after lost counts.
     pub illegal: u32,
-    /// A new index pulse: its raw count, and the motor's coordinate there.
+    /// A new index pulse: its raw count and the motor coordinate there.
     pub index: Option<(i32, Coordinate)>,
-    /// Counts by which index pulses are off, more than the configuration allows, since enable; else 0.
+    /// Offset of the index pulses since enable, in counts; 0 while it is within the configured
+    /// slack.
     pub off: i32,
-    /// Step/dir only: coordinate according to the steps emitted, less the measured one.
+    /// Step/dir only: coordinate by the emitted steps minus the measured coordinate.
     pub slip: Coordinate,
-    /// The slip is beyond the limit of the configuration: steps were lost.
+    /// The slip is above the configured limit: steps were lost.
     pub lost_steps: bool,
     /// The counter changed by more than the joint can move in a period.
     pub leapt: bool,
 }
 
-/// Where a slide shall be.
+/// Commanded motion of a slide.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct JointCommand {
     /// Coordinate of the slide.
@@ -91,22 +96,22 @@ pub struct JointCommand {
     pub acceleration: Acceleration,
 }
 
-/// What a period of driving came to.
+/// Result of the servo loop in a period.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct ServoOutput {
-    /// For the drive.
+    /// Command for the drive.
     pub command: DriveCommand,
-    /// Wanted less measured, both of the motor side: what the loop works on.
+    /// Commanded minus measured coordinate of the motor: the input of the servo law.
     pub following_error: Coordinate,
-    /// Effort asked for; zero on a step/dir axis.
+    /// Commanded effort; zero on a step/dir axis.
     pub effort: Effort,
-    /// The effort was cut at the drive's limit, or steps did not fit into the period.
+    /// The effort was clamped at the drive's limit, or steps did not fit into the period.
     pub saturated: bool,
-    /// Steps owed because they did not fit.
+    /// Steps that did not fit and are still due.
     pub lag: i32,
 }
 
-/// Where a joint stands, and what is known of its encoder.
+/// Position of a joint and state of its encoder, for the transfer to another configuration.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct EncoderState {
     motor: Coordinate,
@@ -116,7 +121,7 @@ pub struct EncoderState {
     indexes: IndexMonitor,
 }
 
-/// The output side, by kind of drive.
+/// Output stage, by kind of drive.
 #[derive(Debug, Clone, PartialEq, Eq)]
 enum Output {
     Torque {
@@ -129,27 +134,27 @@ enum Output {
     },
 }
 
-/// Compares steps with the encoder.
+/// Comparison of the emitted steps with the encoder.
 #[derive(Debug, Clone, PartialEq, Eq)]
 struct StepSupervision {
     per_step: i64,
     lost: i32,
-    /// Free running counter of steps, and the motor, at the start of supervision.
+    /// Free-running step counter and motor coordinate at the start of supervision.
     last_steps: i32,
     steps: i64,
     start: Coordinate,
-    /// The rotor has not locked yet.
+    /// State of the rotor lock, until the rotor has locked.
     lock: Option<Lock>,
 }
 
 constants!(StepSupervision { per_step, lost } of {} but { last_steps, steps, start, lock });
 
-/// A rotor that moves to a detent after its drive was switched on.
+/// Rotor that moves to a detent after its drive was switched on.
 #[derive(Debug, Clone, PartialEq, Eq)]
 struct Lock {
-    /// The motor when the drive was switched on.
+    /// Motor coordinate when the drive was switched on.
     origin: Coordinate,
-    /// Middle of the band in which the rotor stays, and periods for which it has stayed there.
+    /// Middle of the band in which the rotor stays, and the number of periods in that band.
     middle: Coordinate,
     quiet: u32,
 }
@@ -168,15 +173,18 @@ pub struct JointDrive {
     servo_output: ServoOutput,
     measured_once: bool,
     enabled: bool,
-    /// Counts that the joint can move by in a period ([`reach`]).
+    /// Largest plausible change of the counter in a period ([`reach`]), in counts.
     reach: u32,
 }
 
-/// A joint is taken to move no faster than this many times its highest rate: by hand, coasting, or run away.
+/// Largest plausible rate of a joint (moved by hand, coasting, or runaway) over its highest
+/// configured rate.
 const REACH_FACTOR: u64 = 10;
 
-/// Counts that a joint can move by in a period: its following error at standstill (a rotor that snaps, a screw that unwinds) and the way at [`REACH_FACTOR`] times its
-/// highest rate. A counter that changes by more has jumped; where periods were missed, by more in the mean of them.
+/// Counts that a joint can move in a period. It is the following error at standstill (a rotor that
+/// snaps, a screw that unwinds) plus the travel at [`REACH_FACTOR`] times the highest rate. A
+/// counter has jumped if it changes by more. After missed periods the mean change per period
+/// counts.
 fn reach(axis: &JointAxis, period_us: u16) -> u32 {
     let rate = u64::from(axis.rate.0.unsigned_abs());
     let travel = rate * REACH_FACTOR * u64::from(period_us) / 1_000_000;
@@ -206,7 +214,12 @@ impl Constants for Output {
 }
 
 impl JointDrive {
-    /// A joint of a configuration; disabled, its coordinate 0 where it stands when first sensed.
+    /// A joint of a configuration, disabled. Its first measured position becomes coordinate 0.
+    /// `period_us` is the control period, 50 to 1000 us.
+    ///
+    /// # Errors
+    ///
+    /// A [`DriveError`] if the configuration of the joint is invalid.
     pub fn new(axis: &JointAxis, period_us: u16) -> Result<Self, DriveError> {
         if !(50..=1000).contains(&period_us) {
             return Err(DriveError::Period);
@@ -277,7 +290,8 @@ impl JointDrive {
         })
     }
 
-    /// Reads the joint's inputs, latched at `time_ns` of the board's clock. Once every period.
+    /// Reads the joint's inputs, latched at `time_ns` of the board's clock. Callers must call it
+    /// once every period.
     #[inline(never)]
     pub fn measure(&mut self, inputs: &AxisInputs, time_ns: u32) -> &JointMeasurement {
         let measured = self.encoder.read(inputs, time_ns);
@@ -307,7 +321,7 @@ impl JointDrive {
         &self.measurement
     }
 
-    /// Counts that were lost make the encoder unbelievable until the joint is enabled anew.
+    /// Checks the index pulse. Lost counts invalidate the encoder until the joint is enabled again.
     #[cold]
     #[inline(never)]
     fn note_pulse(&mut self) {
@@ -321,7 +335,8 @@ impl JointDrive {
         }
     }
 
-    /// Whether the counter jumped, so many periods after it was read before: it is not believed any more then.
+    /// Checks whether the counter jumped since it was read `periods` ago, and invalidates the
+    /// encoder if it did.
     pub(crate) const fn jumped(&mut self, periods: u32) -> bool {
         let jumped = self.measurement.moved.unsigned_abs() / periods > self.reach;
         if jumped {
@@ -331,7 +346,9 @@ impl JointDrive {
         jumped
     }
 
-    /// The joint, which was taken to stand at its preset now, stood there at power-on, and has moved from there as was counted since. False if the counter jumped.
+    /// References the joint to the power-on counts. The joint was set to its preset now; it stood
+    /// at the preset at power-on and has moved by `counted` since. Returns false if the counter
+    /// jumped.
     pub(crate) fn count_from(&mut self, counted: &Counted) -> bool {
         let Ok(travelled) = i32::try_from(counted.travelled) else {
             return false;
@@ -341,23 +358,24 @@ impl JointDrive {
         counted.widest <= self.reach
     }
 
-    /// The references are looked for, or not any more.
+    /// Starts or ends the reference search.
     pub fn search(&mut self, searching: bool) {
         self.indexes.search(searching);
     }
 
-    /// Where index pulses must come.
+    /// Index monitor of the joint.
     pub const fn indexes(&self) -> &IndexMonitor {
         &self.indexes
     }
 
-    /// What was sensed last.
+    /// Measurement of the last period.
     #[inline]
     pub const fn measurement(&self) -> &JointMeasurement {
         &self.measurement
     }
 
-    /// The drive goes on at the slide's present coordinate, which is given back: what is wanted must begin there, at rest. Nothing jumps.
+    /// Switches the drive on and returns the slide's coordinate. The commanded position must begin
+    /// there, at standstill, so that nothing jumps.
     pub fn enable(&mut self) -> Coordinate {
         let motor = self.measurement.motor;
         self.backlash.hold(motor);
@@ -387,8 +405,9 @@ impl JointDrive {
         self.measurement.coordinate
     }
 
-    /// The drive was just switched on, and the rotor of a step motor moves to a detent: lost steps are not supervised until it [has locked](Self::end_lock). False for a
-    /// torque drive.
+    /// Starts the rotor lock of a step/dir drive. The drive was just switched on, and the rotor
+    /// moves to a detent. Lost steps are not supervised until [`Self::end_lock`]. Returns false for
+    /// a torque drive.
     pub fn begin_lock(&mut self) -> bool {
         let Output::Steps { supervision, .. } = &mut self.output else {
             return false;
@@ -402,8 +421,9 @@ impl JointDrive {
         true
     }
 
-    /// One period until the rotor has locked: how far it is from where its drive was switched on, and for how many periods it has stayed within an eighth of the limit
-    /// of lost steps (two counts at least). `None` for a torque drive.
+    /// Updates the rotor lock by one period. Returns the distance of the rotor from where its drive
+    /// was switched on, and the number of periods for which it has stayed within an eighth of the
+    /// limit of lost steps (at least two counts). `None` for a torque drive.
     pub fn locking(&mut self, axis: &JointAxis) -> Option<(Coordinate, u32)> {
         let Output::Steps { supervision, .. } = &mut self.output else {
             return None;
@@ -421,34 +441,36 @@ impl JointDrive {
         Some((difference(self.kind, motor, lock.origin), lock.quiet))
     }
 
-    /// The rotor has locked: steps count from where it is, and lost ones are supervised. Gives the slide's coordinate, which becomes the commanded one; `None` for a
-    /// torque drive.
+    /// Ends the rotor lock: steps count from the present position, and lost steps are supervised.
+    /// Returns the slide's coordinate, which becomes the commanded one. `None` for a torque drive.
     pub fn end_lock(&mut self) -> Option<Coordinate> {
         let locks =
             matches!(&self.output, Output::Steps { supervision, .. } if supervision.lock.is_some());
         locks.then(|| self.enable())
     }
 
-    /// The drive goes off.
+    /// Switches the drive off.
     pub fn disable(&mut self) {
         self.enabled = false;
         self.servo_output = ServoOutput::default();
     }
 
-    /// What the last period of driving came to.
+    /// Servo output of the last period.
     #[inline]
     pub const fn servo_output(&self) -> &ServoOutput {
         &self.servo_output
     }
 
-    /// The drive is on.
+    /// Whether the drive is on.
     pub const fn is_enabled(&self) -> bool {
         self.enabled
     }
 
-    /// The motor's coordinate at the raw count `raw` is `coordinate`: a preset (with [`AxisInputs::counts`]) or a found index.
+    /// Sets the motor coordinate at the raw count `raw` to `coordinate`: a preset (with
+    /// [`AxisInputs::counts`]) or a found index.
     ///
-    /// Gives what every coordinate of this joint grew by. The caller adds it to what it wants, in the same period; then nothing moves, enabled or not.
+    /// Returns the shift of every coordinate of this joint. Callers must add it to their commanded
+    /// position in the same period; then nothing moves, enabled or not.
     pub fn set_reference(&mut self, raw: i32, coordinate: Coordinate) -> Coordinate {
         let shift = self.encoder.set_reference(raw, coordinate);
         self.backlash.rebase(shift);
@@ -465,7 +487,7 @@ impl JointDrive {
         shift
     }
 
-    /// What a joint of another configuration, whose counts mean the same, takes over.
+    /// State for a joint of another configuration whose counts have the same scaling.
     pub fn standing(&self) -> EncoderState {
         EncoderState {
             motor: self.measurement.motor,
@@ -476,7 +498,7 @@ impl JointDrive {
         }
     }
 
-    /// Takes over where a joint stood, whose counter is at `raw`, and what was wrong with its encoder.
+    /// Takes over the position and the encoder state of a joint whose counter is at `raw`.
     pub fn take_over(&mut self, raw: i32, kept: &EncoderState) {
         self.set_reference(raw, kept.motor);
         self.backlash.place(kept.slide);
@@ -487,8 +509,8 @@ impl JointDrive {
         self.indexes.take_over(&kept.indexes);
     }
 
-    /// Supervision: does the joint do what it was told in the period before? `joint` is its number, `axis` its configuration; periods were
-    /// `missed` before this one.
+    /// Checks whether the joint followed its command of the previous period. `joint` is its number,
+    /// `axis` its configuration. `missed` is true if periods were missed before this one.
     #[inline(never)]
     pub fn supervise(
         &mut self,
@@ -531,13 +553,14 @@ impl JointDrive {
         self.encoder.rate()
     }
 
-    /// Supervision forgets what it saw: the drives go on, or the coordinate was set.
+    /// Resets supervision, after the drives were switched on or the coordinate was set.
     pub fn settle(&mut self) {
         self.monitor.reset();
     }
 
-    /// The command of a period, for where the slide shall be, put into its place; off while disabled. Says whether the drive was asked for too much.
-    // Called, not inlined: with registers of its own it is a third shorter than as a part of the whole period.
+    /// Computes the drive command of a period from the commanded motion of the slide and writes it
+    /// to `command`; [`DriveCommand::Off`] while disabled. Returns whether the output is saturated.
+    // Not inlined: with its own registers it is a third shorter than as a part of the whole period.
     #[inline(never)]
     pub fn servo(
         &mut self,
@@ -556,7 +579,8 @@ impl JointDrive {
             return false;
         }
         let (shift, shift_rate) = self.backlash.shift(rate);
-        // The motor's rate, crossing the play included: its friction turns over as it sets off, not when the slide does.
+        // The motor's rate includes the crossing of the play: friction reverses when the motor sets
+        // off, before the slide does.
         let rate = Rate(rate.0.saturating_add(shift_rate.0));
         let target = sum(self.kind, coordinate, shift);
         let following_error = difference(self.kind, target, self.measurement.motor);
@@ -584,14 +608,14 @@ impl JointDrive {
 }
 
 impl StepSupervision {
-    /// From now on steps and encoder agree.
+    /// Restarts the comparison with steps and encoder in agreement.
     const fn restart(&mut self, motor: Coordinate) {
         self.steps = 0;
         self.start = motor;
         self.lock = None;
     }
 
-    /// Steps less encoder, and whether that is too much.
+    /// Steps minus encoder, and whether the difference is above the limit.
     #[inline(never)]
     fn compare(
         &mut self,

@@ -1,16 +1,16 @@
-//! Supervision of one joint: does it do what it is told, and does its encoder tell the truth?
+//! Supervision of one joint: it must follow its command, and its encoder must be plausible.
 //!
-//! | what is seen | fault |
+//! | observation | fault |
 //! | --- | --- |
-//! | the joint runs away from its wanted rate, against its drive | encoder reversed, encoder still |
-//! | the drive pushes more and more, and the encoder does not count | encoder still |
-//! | the joint is beyond its stroke by more than it may be off at rest | stroke |
-//! | the error is larger than the limit, which grows with the wanted rate | following error |
-//! | motion was wanted, the encoder saw none, or the opposite | encoder still, encoder reversed |
-//! | the count reverses about one place faster than a slide can swing | encoder still |
-//! | both channels changed at once, too often; the counter jumped | encoder illegal |
+//! | the joint runs away from its command, against its drive | encoder reversed, encoder stuck |
+//! | the effort keeps growing and the encoder does not count | encoder stuck |
+//! | the joint is beyond its stroke by more than the following error limit at rest | stroke |
+//! | the following error is above its limit, which grows with the rate | following error |
+//! | the encoder counts no commanded motion, or its opposite | encoder stuck, encoder reversed |
+//! | the count reverses about one position faster than a slide can oscillate | encoder stuck |
+//! | both channels changed at once too often, or the counter jumped | encoder illegal |
 //! | steps and encoder disagree (step/dir) | steps lost |
-//! | an index pulse came where none can be ([`crate::joint::index_monitor`]) | encoder slip |
+//! | an index pulse is off its grid ([`crate::joint::index_monitor`]) | encoder slip |
 //!
 //! Limits are in axis units of the joint; all of them come from its [`JointAxis`].
 
@@ -18,66 +18,67 @@ use crate::config::{AxisKind, Drive, JointAxis};
 use haptimill_math::{Coordinate, Effort, Rate};
 use haptimill_protocol::message::Fault;
 
-/// What supervision looks at in a period.
+/// Inputs of the supervision of a joint in one period.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct JointSample {
-    /// Wanted position.
+    /// Commanded position.
     pub commanded: Coordinate,
-    /// Wanted rate.
+    /// Commanded rate.
     pub commanded_rate: Rate,
     /// Measured position.
     pub measured: Coordinate,
-    /// Measured rate; looked at only where the drive [pushes](JointMonitor::pushes).
+    /// Measured rate; used only where the drive [pushes](JointMonitor::pushes).
     pub rate: Rate,
-    /// Encoder counts since the period before.
+    /// Encoder counts since the previous period.
     pub moved: i32,
-    /// What the drive was told in the period before (torque drives).
+    /// Effort commanded in the previous period (torque drives).
     pub effort: Effort,
     /// Illegal transitions since the joint was enabled.
     pub illegal: u16,
-    /// Steps emitted less encoder (step/dir drives).
+    /// Steps emitted minus encoder (step/dir drives).
     pub steps_off: Coordinate,
     /// Control period, microseconds.
     pub period_us: u16,
-    /// Periods were missed just before this one: `moved` is the motion of several.
+    /// Periods were missed just before this one, so `moved` covers several periods.
     pub missed: bool,
 }
 
-/// The memory of supervision of one joint.
+/// State of the supervision of one joint.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct JointMonitor {
-    /// Counts of the period before, where they are those of one period.
+    /// Counts of the previous period; `None` if they cover several periods.
     moved: Option<i32>,
-    /// Wanted and measured position when the present stretch of motion was begun to be looked at.
+    /// Commanded and measured position at the start of the present motion check.
     since: Option<(Coordinate, Coordinate)>,
-    /// Periods in a row in which the joint ran against its drive.
+    /// Consecutive periods in which the joint ran against its drive.
     against: u8,
-    /// When the encoder counted last.
+    /// State at the last count of the encoder.
     last_count: Option<LastCount>,
-    /// Reversals of the count about one place.
+    /// Reversals of the count about one position.
     reversals: Reversals,
 }
 
-/// Reversals of a count that stays within [`still`] of one place.
+/// Reversals of a count that stays within [`still`] of one position.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 struct Reversals {
     place: Coordinate,
-    /// Sign of the newest motion.
+    /// Sign of the last motion.
     sign: i32,
     count: u8,
-    /// Time since the first of them, microseconds.
+    /// Time since the first of the reversals, microseconds.
     since_us: u32,
 }
 
-/// The joint at the newest count that cannot be a reversal about one place, or at the start of commanded motion.
+/// The joint at the last count that cannot be a reversal about one position, or at the start of
+/// commanded motion.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 struct LastCount {
     measured: Coordinate,
-    /// The effort along the commanded direction that motion needed lately; fades with the way.
+    /// Effort along the commanded direction that motion needed recently; it fades with travel.
     needed: i32,
-    /// Growth of the effort counts from here.
+    /// Effort from which growth is measured.
     reference: i32,
-    /// The largest effort along it since.
+    /// Largest effort along the commanded direction since.
     peak: i32,
     /// Sign of the commanded rate.
     direction: i32,
@@ -85,30 +86,36 @@ struct LastCount {
     impulse: i64,
 }
 
-/// So many periods in a row against the drive are no chance: one wrong rate between two edges is over sooner.
+/// Consecutive periods against the drive that mean a runaway. One wrong rate between two edges ends
+/// sooner.
 const AGAINST_PERIODS: u8 = 4;
 
-/// So many reversals about one place in this time, microseconds, come from a stuck channel: one for each two counts of motion, from 1.2 mm/s on. A loop
-/// that hunts about an edge, or a slide that sticks and swings, reverses 160 times in a second, a third of it.
+/// This many reversals about one position within [`REVERSAL_US`] microseconds come from a stuck
+/// channel. A stuck channel gives one reversal per two counts of motion and is found from 1.2 mm/s
+/// on. A loop that hunts about an edge, or a slide with stick-slip, reverses 160 times per second,
+/// which is a third of the limit.
 const REVERSALS: u8 = 24;
 const REVERSAL_US: u32 = 50_000;
 
-/// A change of the counts from one period to the next that is never looked at twice.
+/// Change of the counts between two periods up to which the jump check is skipped.
 const STEADY: u32 = 8;
 
-/// What motion needed fades by this part of the difference to the present effort with every two counts and a half.
+/// Divisor of the fade: the effort that motion needed fades by this part of its difference to the
+/// present effort every two and a half counts.
 const FADE: i32 = 64;
 
-/// The acceleration that an impact may give to a motor, in terms of its drive's limit over its inertia.
+/// Largest acceleration of a motor by an impact, in multiples of its drive's limit over its
+/// inertia.
 const IMPACT: i64 = 24;
 
 impl JointMonitor {
-    /// Forgets what was; after enabling and after the coordinate was set.
+    /// Resets the monitor, after enabling and after the coordinate was set.
     pub fn reset(&mut self) {
         *self = Self::default();
     }
 
-    /// Whether a torque drive makes an eighth of its limit or more: only then a joint can run away.
+    /// Whether a torque drive makes at least an eighth of its limit. A joint can run away only
+    /// then.
     #[must_use]
     #[inline]
     pub const fn pushes(config: &JointAxis, effort: Effort) -> bool {
@@ -118,7 +125,7 @@ impl JointMonitor {
         }
     }
 
-    /// Looks at one period of joint `axis`.
+    /// Checks one period of joint `axis`.
     #[inline]
     pub fn look(
         &mut self,
@@ -143,8 +150,10 @@ impl JointMonitor {
             .or_else(|| Self::error(axis, config, seen))
     }
 
-    /// A counter whose rate changed by more in one period than an impact can change that of a motor: 24 times the drive's limit over the inertia, and two counts for
-    /// the grid of the counter (20 um on a slide of 40 kg and 750 N). Where the joint is, is not known any more. What is less is found by its index pulses.
+    /// A counter jump: the counts per period changed by more in one period than an impact can
+    /// cause. The limit is 24 times the drive's limit over the inertia, plus two counts for the
+    /// grid of the counter (20 um on a slide of 40 kg and 750 N). The position is unknown after it.
+    /// Smaller jumps are found by the index pulses.
     #[inline]
     fn jump(&mut self, axis: u8, config: &JointAxis, seen: &JointSample) -> Option<Fault> {
         let now = if seen.missed { None } else { Some(seen.moved) };
@@ -159,15 +168,16 @@ impl JointMonitor {
         })
     }
 
-    /// Whether no impact changes the counts of a period by so much.
+    /// Whether `change` counts are more than an impact can cause in a period.
     #[cold]
     #[inline(never)]
     fn impact(config: &JointAxis, period_us: u16, change: u32) -> bool {
         let Drive::Torque { limit, .. } = config.drive else {
-            // Lost steps are found by [`JointMonitor::slip`].
+            // [`JointMonitor::slip`] finds lost steps.
             return false;
         };
-        // Axis units per second squared (see `PositionLaw` for the 28 bits), below 2^59; a period has 1000 us at most.
+        // Axis units per second squared (see `ServoLaw` for the 28 bits), below 2^59; a period has
+        // 1000 us at most.
         let acceleration =
             (magnitude(Coordinate(limit.0)) << 28) / i64::from(config.law.inertia.max(1));
         let period = i64::from(period_us.min(1000));
@@ -176,7 +186,7 @@ impl JointMonitor {
         i64::from(change) * counts > most + 2 * counts
     }
 
-    /// Steps that were lost.
+    /// Lost steps.
     fn slip(axis: u8, config: &JointAxis, seen: &JointSample) -> Option<Fault> {
         let Drive::Steps { lost, .. } = config.drive else {
             return None;
@@ -187,7 +197,8 @@ impl JointMonitor {
         })
     }
 
-    /// The measured joint against its stroke. What is wanted is always within (stage *place* sees to it), and what is measured may be off.
+    /// The measured position against the stroke. The commanded position is always within the stroke
+    /// (the solve stage checks it); the measured one may be off by the following error.
     fn stroke(axis: u8, config: &JointAxis, seen: &JointSample) -> Option<Fault> {
         if (config.low..=config.high).contains(&seen.measured) {
             return None;
@@ -201,18 +212,20 @@ impl JointMonitor {
         })
     }
 
-    /// A joint that runs away from its wanted rate while its drive pushes the other way.
+    /// A joint that runs away from its commanded rate while its drive pushes the other way.
     ///
-    /// With the encoder reversed the position loop is unstable: what is off grows e-fold in 1/482 s at K_P = 40,000 1/s^2, K_D = 400 1/s. When
-    /// it has become a following error of 0.3 mm the slide is at 100 mm/s and coasts for millimetres with its drive off. The rate says it
-    /// sooner: 50/s times the following error (15 mm/s for 0.3 mm) and a quarter of the wanted rate. A push stronger than the
-    /// drive looks the same, and is the same to whoever stands beside.
+    /// With a reversed encoder the position loop is unstable: the error grows e-fold in 1/482 s at
+    /// K_P = 40,000 1/s^2, K_D = 400 1/s. At a following error of 0.3 mm the slide moves at 100
+    /// mm/s and coasts for millimetres with its drive off. The rate detects it sooner. Its limit is
+    /// 50/s times the following error limit (15 mm/s for 0.3 mm) plus a quarter of the commanded
+    /// rate. An external push stronger than the drive looks the same and is as dangerous to people
+    /// nearby.
     fn runaway(&mut self, axis: u8, config: &JointAxis, seen: &JointSample) -> Option<Fault> {
         let Drive::Torque { limit: most, .. } = config.drive else {
             return None;
         };
         if seen.effort.0.unsigned_abs() < most.0.unsigned_abs() / 8 {
-            // Nearly always.
+            // The usual case.
             self.against = 0;
             return None;
         }
@@ -226,8 +239,8 @@ impl JointMonitor {
             return None;
         }
         self.against = 0;
-        // With an encoder that lies the rate is off long before the error is large. Where the error came first, the slide is jammed, and
-        // springs back on its screw.
+        // With a faulty encoder the rate is off long before the error is large. If the error came
+        // first, the slide is jammed and springs back on its screw.
         let error = difference(config, seen.commanded, seen.measured);
         let limit = magnitude(config.following) / 2;
         Some(if error.abs() > limit {
@@ -243,7 +256,8 @@ impl JointMonitor {
         })
     }
 
-    /// An encoder with one stuck channel: the other one goes on, and its edges count up and down in turn, whatever is commanded.
+    /// An encoder with one stuck channel. The edges of the other channel count up and down in turn,
+    /// whatever is commanded.
     #[inline]
     fn toggles(&mut self, axis: u8, config: &JointAxis, seen: &JointSample) -> Option<Fault> {
         let reversals = &mut self.reversals;
@@ -276,15 +290,20 @@ impl JointMonitor {
         None
     }
 
-    /// A joint that is driven, and whose encoder does not count.
+    /// A driven joint whose encoder does not count.
     ///
-    /// The loop pushes a slide whose encoder stands still harder and harder, and the slide goes: 0.2 mm of commanded motion at 4 mm/s, which is a
-    /// following error of 320 N, sets 40 kg going at 150 mm/s. So the growth of the effort is summed up over time, less what friction can hold: an impulse that must have set the
-    /// joint moving. It may be that of 12.5/s times the following error (4 mm/s for 0.3 mm).
+    /// The servo loop pushes a slide harder and harder while its encoder does not count, until the
+    /// slide moves: 0.2 mm of commanded motion at 4 mm/s is a following error of 320 N and
+    /// accelerates 40 kg to 150 mm/s. So the growth of the effort above what friction can hold is
+    /// summed over time. The sum is an impulse that must have moved the joint. Its limit is the
+    /// momentum at 12.5/s times the following error limit (4 mm/s for 0.3 mm).
     ///
-    /// Growth counts from the largest effort that motion needed lately, not from that of the newest count: a slide that sticks and slips needs little as it slips, and
-    /// its breakaway force again afterwards. Static loads are in both, and do not count. After a rest or a reversal it counts from there, or from twice the friction above the
-    /// present effort. Friction is what is compensated, and no less than a 32nd of the drive's limit; so much growth is let pass.
+    /// Growth is measured from the largest effort that motion needed recently, not from the effort
+    /// at the last count: a slide with stick-slip needs little effort while it slips, and its
+    /// breakaway force again afterwards. Static loads are in both efforts and cancel. After a
+    /// standstill or a reversal growth is measured from the same effort, or from twice the friction
+    /// above the present effort if that is more. Friction is the compensated friction, and at least
+    /// a 32nd of the drive's limit; growth up to that value is ignored.
     fn pushed(&mut self, axis: u8, config: &JointAxis, seen: &JointSample) -> Option<Fault> {
         let Drive::Torque { limit: most, .. } = config.drive else {
             return None;
@@ -320,7 +339,7 @@ impl JointMonitor {
         let growth = i64::from(along) - i64::from(last_count.reference);
         last_count.impulse += (growth - i64::from(holds)).max(0);
         if last_count.impulse == 0 {
-            // No limit is below it, and a limit costs a division.
+            // The impulse is within any limit, and a limit costs a division.
             return None;
         }
         let rate = (magnitude(config.following) * 25 / 2) >> 8;
@@ -329,7 +348,7 @@ impl JointMonitor {
         (last_count.impulse > limit).then_some(Fault::EncoderStill { axis })
     }
 
-    /// Motion that was wanted and not seen, or seen the other way round.
+    /// Commanded motion that was not measured, or was measured with the opposite sign.
     fn motion(&mut self, axis: u8, config: &JointAxis, seen: &JointSample) -> Option<Fault> {
         let (wanted_then, measured_then) =
             *self.since.get_or_insert((seen.commanded, seen.measured));
@@ -364,28 +383,30 @@ impl JointMonitor {
     }
 }
 
-/// The sign: -1, 0 or 1, in half of the instructions of `signum`.
+/// Sign of `value`: -1, 0 or 1, in half of the instructions of `signum`.
 #[inline(always)]
 const fn way(value: i32) -> i32 {
     (value >> 31) | (value.wrapping_neg() as u32 >> 31) as i32
 }
 
-/// A count of a joint's encoder, axis units.
+/// Size of an encoder count, axis units.
 fn count(config: &JointAxis) -> u32 {
     u32::try_from(config.per_count.unsigned_abs() >> 24).unwrap_or(u32::MAX)
 }
 
-/// Motion that a stuck channel, which lets the count go to and fro by one, cannot show.
+/// Limit of the apparent motion by a stuck channel, axis units: two and a half counts. A stuck
+/// channel moves the count back and forth by one.
 fn still(config: &JointAxis) -> u32 {
     count(config).saturating_mul(5) / 2
 }
 
-/// Effort that friction may take: what is compensated, and no less than a 32nd of the drive's limit `most`.
+/// Effort that friction may take: the compensated friction, and at least a 32nd of the drive's
+/// limit `most`.
 fn friction(config: &JointAxis, most: u32) -> u32 {
     config.law.coulomb.0.unsigned_abs().max(most / 32)
 }
 
-/// How far it is from `b` to `a`; the shorter way round on a rotary joint.
+/// Distance from `b` to `a`, the shorter way round on a rotary joint, axis units.
 #[inline]
 fn distance(config: &JointAxis, a: Coordinate, b: Coordinate) -> u32 {
     match config.kind {

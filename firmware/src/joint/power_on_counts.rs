@@ -1,28 +1,29 @@
-//! What the encoders counted from power-on to the first configuration.
+//! Encoder counts from power-on to the first configuration.
 //!
-//! The presets of a machine file say where the joints stand at power-on. The configuration comes later, and a joint may have been moved by then: its counter knows by how
-//! much. Nothing is known yet of what a count means, so counts are kept, and judged when the configuration comes.
+//! The presets of a machine file are the joint positions at power-on. The configuration arrives
+//! later, and a joint may have moved by then. Its counter knows the distance, but the scaling of a
+//! count is still unknown. So raw counts are recorded and evaluated when the configuration arrives.
 //!
-//! Misuse: a counter that does not count yet at the first period.
+//! Callers must make sure that the counters are running at the first period.
 
 use crate::io::{AxisInputs, Inputs};
 use haptimill_protocol::message::MAX_AXES;
 
-/// One encoder since power-on.
+/// Counts of one encoder since power-on.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Counted {
-    /// The counter.
+    /// Raw count of the last period.
     pub counts: i32,
     illegal_raw: u16,
     /// Counts since the first period.
     pub travelled: i64,
-    /// Illegal transitions in all.
+    /// Total illegal transitions.
     pub illegal: u32,
-    /// Largest change of the counter per period; where periods were missed, its mean over them.
+    /// Largest change of the counter per period; after missed periods, the mean change per period.
     pub widest: u32,
 }
 
-/// All encoders since power-on.
+/// Counts of all encoders since power-on.
 #[derive(Debug, Default)]
 pub struct SincePowerOn {
     begun: bool,
@@ -31,7 +32,7 @@ pub struct SincePowerOn {
 }
 
 impl SincePowerOn {
-    /// One period; the first is the start.
+    /// Records one period. The first period is the start.
     #[inline(never)]
     pub fn note(&mut self, inputs: &Inputs) {
         let periods = u32::from(inputs.missed) + 1;

@@ -1,11 +1,15 @@
-//! Quadrature x4 decoding, for boards that have no timer that does it, and for simulated encoders.
+//! Quadrature x4 decoding, for boards without a timer that decodes, and for simulated encoders.
 //!
-//! It runs where the edges are: in a capture interrupt or in a simulated device, once for each edge (or sample). The control period
-//! only sees the counters. Counts are raw and wrap around; [`super::encoder`] gives them meaning.
+//! The decoder runs at every edge (or sample), in a capture interrupt or in a simulated device. The
+//! control period only reads the counters. Counts are raw and wrap around; [`super::encoder`]
+//! scales them.
 //!
-//! Forward is channel A leading B: (A, B) = 00, 10, 11, 01, 00. A transition in which both channels change cannot be counted, since
-//! its direction is unknown: it is counted as illegal instead, and the position may then be wrong by 2 counts. Misuse: sampling at a fixed rate
-//! instead of at every edge limits the speed to one count per sample.
+//! Forward is channel A leading B: (A, B) = 00, 10, 11, 01, 00. If both channels change in one
+//! transition, its direction is unknown. Such a transition is counted as illegal, and the position
+//! may then be wrong by 2 counts.
+//!
+//! Callers should sample at every edge: sampling at a fixed rate limits the speed to one count per
+//! sample.
 
 use crate::io::AxisInputs;
 
@@ -23,7 +27,7 @@ const TABLE: [i8; 16] = [
 /// Decoder of one encoder with index.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Quadrature {
-    /// Levels of A and B, or none before the first sample.
+    /// Levels of A and B; `None` before the first sample.
     levels: Option<u8>,
     index: bool,
     counts: i32,
@@ -34,7 +38,7 @@ pub struct Quadrature {
 }
 
 impl Quadrature {
-    /// A decoder at the given count; the first levels that it is fed are its start.
+    /// A decoder at the given count; its first sample sets the initial levels.
     pub const fn new(counts: i32) -> Self {
         Self {
             levels: None,
@@ -47,10 +51,12 @@ impl Quadrature {
         }
     }
 
-    /// Takes the levels of both channels and of the index at a time of the free running clock.
+    /// Processes the levels of both channels and of the index at `time_ns` of the free-running
+    /// clock.
     ///
-    /// The index latches the count at its rising edge, after this sample's own count. Approached from the other side that edge is the
-    /// other end of the pulse: an index one count wide repeats within 1 count when the direction differs.
+    /// The index latches the count at its rising edge, after the count of this sample. In the other
+    /// direction that edge is the other end of the pulse, so an index one count wide repeats within
+    /// 1 count.
     #[inline]
     pub fn feed(&mut self, a: bool, b: bool, index: bool, time_ns: u32) {
         let levels = u8::from(a) << 1 | u8::from(b);
@@ -58,7 +64,7 @@ impl Quadrature {
             self.index = index;
             return;
         };
-        // Both operands are below 4: the place is below 16.
+        // Both operands are below 4, so the table index is below 16.
         match TABLE[usize::from((before << 2 | levels) & 15)] {
             0 => {}
             ILLEGAL => self.illegal = self.illegal.wrapping_add(1),
@@ -79,12 +85,13 @@ impl Quadrature {
         self.counts
     }
 
-    /// Illegal transitions, free running.
+    /// Illegal transitions, free-running.
     pub const fn illegal(&self) -> u16 {
         self.illegal
     }
 
-    /// Writes what the encoder says into the inputs of its joint; the other fields are left alone.
+    /// Writes the encoder's state into the inputs of its joint and leaves the other fields
+    /// unchanged.
     pub fn latch(&self, inputs: &mut AxisInputs) {
         inputs.counts = self.counts;
         inputs.edge_time_ns = self.edge_time_ns;

@@ -1,12 +1,14 @@
 //! First-order filters: the pole of a time constant, and the filtered rate of a signal.
 //!
-//! Signals are `i32`, times microseconds. States are convex combinations of the inputs that were seen, so no input can overflow them.
+//! Signals are `i32`, times are microseconds. States are convex combinations of past inputs, so no
+//! input can overflow them.
 
 use crate::config::digest::constants;
 use haptimill_math::reciprocal::mul_shift;
 use haptimill_math::scale::total;
 
-/// Fractional bits of the low-passed signal: at a pole of 0.99 a difference of 1 still moves the state.
+/// Fractional bits of the low-passed signal: at a pole of 0.99 a difference of 1 still moves the
+/// state.
 const FRACTION: u32 = 24;
 
 /// Fractional bits of a change of the filtered signal.
@@ -21,9 +23,11 @@ pub const RATE_LIMIT: i64 = 1 << 44;
 /// e^-1, Q32.
 const INVERSE_E: u64 = 1_580_030_169;
 
-/// 1 - exp(-period / time), Q32: the part of the way to its input that a filter goes in a period; error below 2^-28. A time of zero gives the whole way (less 2^-32).
+/// 1 - exp(-period / time), Q32: the fraction of the distance to its input that a filter covers in
+/// a period. The error is below 2^-28. A time of zero gives 1 - 2^-32.
 ///
-/// The exact mapping of the pole, not Tustin's nor Euler's: exp(-x) is the whole part of x in powers of 1/e times the series of the rest.
+/// The mapping of the pole is exact, unlike Tustin's or Euler's. exp(-x) is a power of 1/e for the
+/// integer part of x, times the series for the fraction.
 pub const fn approach(period_us: u16, time_us: u16) -> u32 {
     if time_us == 0 {
         return u32::MAX;
@@ -60,16 +64,18 @@ pub const fn approach(period_us: u16, time_us: u16) -> u32 {
     }
 }
 
-/// Periods per second, Q16; at most 20,000 * 2^16, a shorter period than 50 us is taken for 50.
+/// Periods per second, Q16; at most 20,000 * 2^16. A period shorter than 50 us counts as 50.
 pub(crate) const fn frequency(period_us: u16) -> u32 {
     let period = if period_us < 50 { 50 } else { period_us as u64 };
     (((1_000_000 << 16) + period / 2) / period) as u32
 }
 
-/// The rate of a signal through a first-order filter: s / (1 + s tau), mapped exactly for an input that is held or ramps.
+/// Rate of a signal through a first-order filter: s / (1 + s tau), mapped exactly for an input that
+/// is constant or a ramp.
 ///
-/// It low-passes the signal and takes the rate of *that*, so the sum of all rates is the signal's own change, to the last bit of the state: there is
-/// no drift, and quantisation of the signal cannot be amplified more than (1 - pole) / period times.
+/// The filter low-passes the signal and differentiates the result. So the sum of all changes is the
+/// change of the signal itself, to the last bit of the state. The filter does not drift, and it
+/// amplifies the quantisation of the signal by at most (1 - pole) / period.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RateFilter {
     /// Q32.
@@ -83,7 +89,8 @@ pub struct RateFilter {
 constants!(RateFilter { approach, frequency } of {} but { state });
 
 impl RateFilter {
-    /// A filter with a time constant (0: none), called once a period (50 to 1000 us; a shorter one is taken for 50).
+    /// A filter with the time constant `time_us` (0: none), called once per period of `period_us`
+    /// (50 to 1000; a shorter one counts as 50).
     pub const fn new(period_us: u16, time_us: u16) -> Self {
         let period = if period_us < 50 { 50 } else { period_us };
         Self {
@@ -93,12 +100,13 @@ impl RateFilter {
         }
     }
 
-    /// The signal has rested at this value.
+    /// Resets the filter to a signal that has been constant at this value.
     pub const fn rest(&mut self, signal: i32) {
         self.state = (signal as i64) << FRACTION;
     }
 
-    /// Takes the signal of a period; gives by how much it has changed since the last one, low-passed, with [`CHANGE_FRACTION`]; within +-2^56.
+    /// Processes the signal of a period. Returns its low-passed change since the previous period,
+    /// with [`CHANGE_FRACTION`]; within +-2^56.
     #[inline]
     pub fn change(&mut self, signal: i32) -> i64 {
         // State within +-2^55, difference within +-2^56.
@@ -108,7 +116,8 @@ impl RateFilter {
         change
     }
 
-    /// Takes the signal of a period; gives its rate per second with [`RATE_FRACTION`], within +-[`RATE_LIMIT`].
+    /// Processes the signal of a period. Returns its rate per second with [`RATE_FRACTION`], within
+    /// +-[`RATE_LIMIT`].
     #[inline]
     pub fn rate(&mut self, signal: i32) -> i64 {
         // Q24 * Q16 / 2^32 = Q8.

@@ -1,21 +1,29 @@
-//! The position loop of a joint.
+//! Position loop of a joint.
 //!
-//! With e = wanted - measured, both forms ask for an acceleration and turn it into an effort:
+//! With the error e = commanded - measured, both forms compute an acceleration and convert it into
+//! an effort:
 //!
-//! - [`ServoForm::Pd`], docs/control.md (3.29): inertia (K_P e + K_D e') + friction. The printed equation adds k_d times the measured rate, which is positive feedback and
-//!   unstable; the corrected sign is used, on the rate of the *error*, so a ramp leaves no lag of K_D / K_P.
-//! - [`ServoForm::ModelBased`], docs/control.md (3.35)-(3.37): inertia (l_e'' + K_D e' + K_P e) + viscous l_e' + friction, which leaves e'' + K_D e' + K_P e = 0 (3.38).
+//! - [`ServoForm::Pd`], docs/control.md (3.29): inertia (K_P e + K_D e') + friction. The printed
+//!   equation adds k_d times the measured rate, which is positive feedback and unstable. The
+//!   corrected sign is used here, on the rate of the *error*, so a ramp leaves no lag of K_D / K_P.
+//! - [`ServoForm::ModelBased`], docs/control.md (3.35)-(3.37): inertia (l_e'' + K_D e' + K_P e) +
+//!   viscous l_e' + friction, which leaves e'' + K_D e' + K_P e = 0 (3.38).
 //!
-//! e' is the rate of e through a first-order filter ([`filter::RateFilter`]): encoder counts are steps, and differentiating one within a period would ask for
-//! K_D / period times a count. Friction is compensated by the wanted rate ([`friction`]). The integrator is optional; it stands still while the output is at
-//! its limit and the error would drive it further in, and never holds more than the limit.
+//! e' is the rate of e through a first-order filter ([`RateFilter`]). Encoder counts are steps:
+//! differentiating one count within a period would command K_D / period times a count. Friction
+//! compensation uses the commanded rate ([`super::friction`]). The integrator is optional. It is
+//! frozen while the output is at its limit and the error would drive it further in, and it never
+//! holds more than the limit.
 //!
-//! All gains are brought into factors of effort when the configuration becomes active, so a period costs one word product a term. A term is held at four times the drive's
-//! limit at least, the sum saturates.
+//! All gains are converted into effort factors when the configuration becomes active, so a term
+//! costs one 32-bit multiplication per period. A term saturates at no less than four times the
+//! drive's limit, and the sum saturates.
 //!
-//! Units are those of [`haptimill_math`]; gains come from [`crate::config::ServoConfig`]. No input can overflow: what is too large saturates, and is reported.
+//! Units are those of [`haptimill_math`]; gains come from [`crate::config::ServoConfig`]. No input
+//! can overflow: values beyond a range saturate, and the saturation is reported.
 //!
-//! Misuse: feeding the error of a wanted position that jumps. [`ServoLaw::reset`] belongs before the first period after an enable.
+//! Callers must not pass the error of a commanded position that jumps. They must call
+//! [`ServoLaw::reset`] before the first period after an enable.
 
 use super::friction::Friction;
 use super::rate_filter::{CHANGE_FRACTION, RateFilter};
@@ -30,16 +38,17 @@ const INTEGRAL_FRACTION: u32 = 20;
 
 /// Position loop of one joint.
 ///
-/// Efforts inside have `fraction` more bits than outside, as many as leave a term room for four times the limit.
+/// Internal efforts have `fraction` more bits than [`Effort`], as many as leave a term room for
+/// four times the limit.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ServoLaw {
     form: ServoForm,
-    /// Effort of the error.
+    /// Effort per error.
     proportional: Scale,
-    /// Effort of a change of the error in a period, which is shifted right by `coarse` before.
+    /// Effort per change of the error in a period; the change is shifted right by `coarse` first.
     derivative: Scale,
     coarse: u32,
-    /// Effort of the wanted acceleration, and of the wanted rate.
+    /// Effort per commanded acceleration, and per commanded rate.
     acceleration: Scale,
     viscous: Scale,
     friction: Friction,
@@ -54,9 +63,9 @@ pub struct ServoLaw {
     fraction: u32,
     /// Half a unit of effort.
     rounding: i32,
-    /// The opposite of `fraction` for drives of more than 2 kN: bits that efforts inside lack.
+    /// Bits that internal efforts lack, the opposite of `fraction`, for drives of more than 2 kN.
     lift: u32,
-    /// There is neither an integrator nor a `lift`.
+    /// The integrator and `lift` are both unused.
     plain: bool,
 }
 
@@ -65,7 +74,7 @@ constants!(ServoLaw {
 } of { error_rate } but { integral });
 
 impl ServoLaw {
-    /// A loop that runs every `period_us` (50 to 1000) and may ask for `limit` either way.
+    /// A loop with a period of `period_us` (50 to 1000) and an effort within +-`limit`.
     pub const fn new(law: &ServoConfig, limit: Effort, period_us: u16) -> Self {
         let limit = if limit.0 == i32::MIN {
             i32::MAX
@@ -77,7 +86,7 @@ impl ServoLaw {
         let inertia = if law.inertia == 0 { 1 } else { law.inertia } as i64;
         let most = ((limit as i64) << 28) / inertia;
         let most = if most > 1 << 42 { 1 << 42 } else { most };
-        // A term holds 2^29 at least, the limit is below 2^27.
+        // A term saturates at 2^29 at least, the limit is below 2^27.
         let fraction = limit.leading_zeros().saturating_sub(5);
         let fraction = if fraction > 16 { 16 } else { fraction };
         let lift = 5_u32.saturating_sub(limit.leading_zeros());
@@ -91,7 +100,7 @@ impl ServoLaw {
             .times(Factor::of(1_000_000))
             .over(Factor::of(period))
             .shifted(-8 - CHANGE_FRACTION as i32);
-        // The largest change that makes a difference has 31 bits after the shift.
+        // The largest change that affects the output has 31 bits after the shift.
         let coarse = derivative.coarseness();
         let (acceleration, viscous) = match law.form {
             ServoForm::Pd => (Factor::of(0), Factor::of(0)),
@@ -134,13 +143,13 @@ impl ServoLaw {
         }
     }
 
-    /// Starts without a bump: `error` has been there for ever, so its rate is zero, and the integrator is empty.
+    /// Starts without a bump: the rate of `error` is zero, and the integrator is empty.
     pub const fn reset(&mut self, error: Coordinate) {
         self.error_rate.rest(error.0);
         self.integral = 0;
     }
 
-    /// The effort of a period, and whether it was cut at the limit.
+    /// Returns the effort of a period and whether it was clamped at the limit.
     #[inline(always)]
     pub fn effort(
         &mut self,
@@ -172,7 +181,8 @@ impl ServoLaw {
     #[inline(never)]
     fn integrated(&mut self, mut sum: i32, error: Coordinate) -> (Effort, bool) {
         if self.ki_period != 0 {
-            // 256 au/s^2 a unit and Q20 of inertia: 28 bits. 2^42 * 2^32 / 2^28 = 2^46, and the fraction 2^16.
+            // 256 au/s^2 a unit and Q20 of inertia: 28 bits. 2^42 * 2^32 / 2^28 = 2^46, and the
+            // fraction 2^16.
             let effort = mul_shift::<28>(self.integral >> INTEGRAL_FRACTION, self.inertia);
             sum = sum.saturating_add(saturate((effort << self.fraction) >> self.lift));
         }
@@ -187,7 +197,7 @@ impl ServoLaw {
         (allowed, cut)
     }
 
-    /// An effort within the limit, and whether it was cut.
+    /// Clamps an effort to the limit. Returns the result and whether it was clamped.
     #[inline(always)]
     fn cut(&self, effort: i32) -> (Effort, bool) {
         // The limit is above 0.
@@ -195,7 +205,7 @@ impl ServoLaw {
         (Effort(allowed), allowed != effort)
     }
 
-    /// The integrator stands still where it would go `deeper` into the limit.
+    /// Updates the integrator, unless that would drive the output `deeper` into its limit.
     fn integrate(&mut self, error: Coordinate, deeper: bool) {
         if !deeper {
             // The integrator is within +-2^62 and a step below 2^63.

@@ -1,19 +1,25 @@
-//! From the wanted position of a motor to step pulses.
+//! Step pulse generation from the commanded position of a motor.
 //!
-//! Every period gives one [`StepSegment`]. Its pulses leave when the ideal position, which joins the wanted positions at the two ends of the period,
-//! crosses the middle between two steps. So the phase carries over from period to period by itself: at 0.26 steps a period the pulses are
-//! evenly spaced, not on a grid of periods. At the end of each period the sum of all steps is the wanted position rounded to steps; it is compared, not summed up, so it
-//! cannot drift. The ideal position within a period is the parabola that the wanted rates at both ends ask for.
+//! Every period gives one [`StepSegment`]. A pulse leaves when the ideal position crosses the
+//! middle between two steps. The ideal position within a period is the parabola through the
+//! commanded positions and rates at both ends of the period. So the phase carries over between
+//! periods: at 0.26 steps per period the pulses are evenly spaced and off the grid of periods. At
+//! the end of each period the sum of all steps is the commanded position rounded to steps. That sum
+//! is compared with the position, not accumulated, so it cannot drift.
 //!
-//! What a drive needs comes before what is ideal: pulse width, the time between two pulses, direction set-up and hold are kept within and across
-//! periods, and a pulse ends in the period in which it began. A pulse is moved by less than its own width for that, or waits after a
-//! reversal. Steps that do not fit go into the following periods and are reported as lag.
+//! The timing of the drive has priority over the ideal times. Pulse width, the time between two
+//! pulses, direction setup and hold are kept within and across periods, and a pulse ends in the
+//! period in which it began. A pulse is moved by less than its own width for that, or waits after a
+//! reversal. Steps that do not fit are emitted in the following periods and are reported as lag.
 //!
-//! When nothing is in the way, pulse k of n is within `1 + n/2` ticks of its ideal time at a constant rate; in a period whose last crossing is
-//! within a pulse width of its end, within `2 + n` ticks and a pulse width. While the rate changes, whole ticks of `ramp` add up to n^2/16 ticks, and
-//! the second-order inverse of the parabola up to (change of rate / rate)^2 / 8 of a period.
+//! Without such a conflict, pulse k of n is within `1 + n/2` ticks of its ideal time at a constant
+//! rate. In a period whose last crossing is within a pulse width of its end, it is within `2 + n`
+//! ticks and a pulse width. While the rate changes, the rounding of `ramp` to whole ticks adds up
+//! to n^2/16 ticks, and the second-order inverse of the parabola adds up to (change of rate /
+//! rate)^2 / 8 of a period.
 //!
-//! Misuse: a wanted position that jumps is carried out at the ceiling of the pulse timing, which a motor cannot follow. Bound the rate before.
+//! Callers must limit the commanded rate. A commanded position that jumps is executed at the
+//! highest pulse rate of the timing, which a motor cannot follow.
 
 use super::encoder::difference;
 use crate::config::AxisKind;
@@ -22,24 +28,24 @@ use crate::io::StepSegment;
 use haptimill_math::reciprocal::Reciprocal;
 use haptimill_math::{Coordinate, Rate};
 
-/// One step in the scale of positions (Q32).
+/// One step in position units (Q32).
 const STEP: i64 = 1 << 32;
 
-/// Times that a step/dir drive needs, in ticks of the step clock.
+/// Timing of a step/dir drive, in ticks of the step clock.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct PulseTiming {
     /// Ticks of a control period, 1 to 1,000,000.
     pub period: u32,
-    /// Width of a pulse, and least time between two.
+    /// Width of a pulse, and shortest time between two pulses.
     pub pulse: u16,
-    /// Direction level before the first pulse.
+    /// Direction setup time before the first pulse.
     pub setup: u16,
-    /// Direction level after the end of the last pulse.
+    /// Direction hold time after the end of the last pulse.
     pub hold: u16,
 }
 
 impl PulseTiming {
-    /// At least one pulse fits into a period, also after a reversal.
+    /// Whether at least one pulse fits into a period, also after a reversal.
     pub const fn fits(&self) -> bool {
         let (pulse, setup) = (self.pulse as u32, self.setup as u32);
         self.period > 0
@@ -50,14 +56,14 @@ impl PulseTiming {
     }
 }
 
-/// What a period's plan came to.
+/// Plan of a period.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Planned {
     /// The pulses.
     pub segment: StepSegment,
-    /// Steps that are still owed at the end of the period, signed.
+    /// Steps still due at the end of the period, signed.
     pub lag: i32,
-    /// Not all steps fitted into the period.
+    /// Some steps did not fit into the period.
     pub ceiling: bool,
 }
 
@@ -68,26 +74,26 @@ pub struct StepPlanner {
     timing: PulseTiming,
     /// Steps per axis unit, Q62, signed; at most 2^62.
     steps_per_unit: i64,
-    /// Steps per period for a rate of 1 au/s, Q62 as well.
+    /// Steps per period for a rate of 1 au/s, Q62.
     steps_per_rate: i64,
     last: Coordinate,
     /// Travel since the start or the last folding, axis units.
     travel: i64,
-    /// Wanted position at the end of the last period, steps Q32.
+    /// Commanded position at the end of the last period, steps Q32.
     position: i64,
-    /// Wanted rate there, steps per period Q32.
+    /// Commanded rate there, steps per period Q32.
     rate: i64,
-    /// Steps emitted since the start, less those that were folded away.
+    /// Steps emitted since the start, minus the folded ones.
     emitted: i64,
     /// Steps folded away.
     folded: i64,
-    /// Position, steps Q32, at which `travel` was zero; within a step of zero.
+    /// Position at which `travel` is zero, steps Q32; within a step of zero.
     origin: i64,
-    /// Level of the direction line: -1, 1, or 0 for not known.
+    /// Level of the direction line: -1, 1, or 0 for unknown.
     level: i64,
-    /// Ticks into the coming period before which no pulse may leave.
+    /// Ticks into the next period before which no pulse may leave.
     ready: u32,
-    /// Ticks into the coming period before which the direction must stay.
+    /// Ticks into the next period before which the direction must stay.
     held: u32,
 }
 
@@ -96,7 +102,8 @@ constants!(StepPlanner {
 } of {} but { last, travel, position, rate, emitted, folded, origin, level, ready, held });
 
 impl StepPlanner {
-    /// A generator with `per_step` axis units a step, times 2^24 (negative: a positive step goes down); a magnitude below one axis unit is taken for one.
+    /// A generator with `per_step` axis units per step, times 2^24. A negative value means that a
+    /// positive step moves down; a magnitude below one axis unit counts as one.
     pub const fn new(kind: AxisKind, per_step: i64, timing: PulseTiming, period_us: u16) -> Self {
         let size = per_step.unsigned_abs();
         let size = if size < 1 << 24 { 1 << 24 } else { size };
@@ -123,7 +130,8 @@ impl StepPlanner {
         }
     }
 
-    /// Starts at rest at `coordinate`; step 0 is there. The timing of pulses that already left is still kept.
+    /// Starts at standstill at `coordinate`, which becomes step 0. The timing of the pulses already
+    /// emitted still applies.
     pub const fn start(&mut self, coordinate: Coordinate) {
         self.last = coordinate;
         self.travel = 0;
@@ -135,7 +143,7 @@ impl StepPlanner {
         self.level = 0;
     }
 
-    /// All coordinates grew by `shift`: a reference was found, nothing moves.
+    /// Shifts all coordinates by `shift` after a reference was found; nothing moves.
     pub fn rebase(&mut self, shift: Coordinate) {
         self.last = super::encoder::sum(self.kind, self.last, shift);
     }
@@ -145,7 +153,7 @@ impl StepPlanner {
         self.folded.wrapping_add(self.emitted)
     }
 
-    /// The pulses of the coming period, at whose end the motor shall be at `target` with `rate`.
+    /// Plans the pulses of the next period, at whose end the motor must be at `target` with `rate`.
     #[inline(never)]
     pub fn plan(&mut self, target: Coordinate, rate: Rate) -> Planned {
         if self.emitted.unsigned_abs() > 1 << 24 {
@@ -162,11 +170,11 @@ impl StepPlanner {
         self.rate = steps(i64::from(rate.0), self.steps_per_rate);
         let owed = ((self.position + STEP / 2) >> 32) - self.emitted;
 
-        // A drive that owes nothing is the common case of a slow machine.
+        // The common case of a slow machine is that no step is due.
         let planned = if owed == 0 {
             None
         } else {
-            // |rates| <= 2^62, so their difference may need 64 bits and is halved first.
+            // |rates| <= 2^62, so their difference may need 64 bits; each is halved first.
             let bend = self.rate / 2 - rate_before / 2;
             self.place(owed, start, bend)
         };
@@ -200,8 +208,8 @@ impl StepPlanner {
         }
     }
 
-    /// Moves the origin to where the motor stands, so that a table that turns one way for ever never leaves the range of positions. Costs less than 2^-20 step
-    /// in 2^24.
+    /// Moves the origin to the motor position, so that a table that turns one way endlessly stays
+    /// within the range of positions. The error is less than 2^-20 step in 2^24.
     fn fold(&mut self) {
         let whole = self.position >> 32;
         self.origin = self.position - whole * STEP;
@@ -211,7 +219,7 @@ impl StepPlanner {
         self.folded = self.folded.wrapping_add(whole);
     }
 
-    /// As many of the owed steps as fit, each as near to its ideal time as the timing allows.
+    /// Places as many of the due steps as fit, each as near to its ideal time as the timing allows.
     fn place(&self, owed: i64, start: i64, bend: i64) -> Option<StepSegment> {
         let sign = owed.signum();
         let turns = sign != self.level;
@@ -237,7 +245,8 @@ impl StepPlanner {
             bend * sign,
             self.timing.period,
         );
-        // How far behind the start of the period the first crossing lies; positive when it is ahead of it.
+        // Distance from the start of the period to the first crossing; positive if the crossing is
+        // ahead.
         let first_crossing = (self.emitted * STEP - start) * sign + STEP / 2;
         let first = ideal.time(first_crossing).max(earliest).min(latest);
         let signed = |count: u32| (count as i16) * (sign as i16);
@@ -255,7 +264,8 @@ impl StepPlanner {
         let mut delay = first;
         let mut ramp = 0;
         if last - delay < intervals * gap {
-            // Too dense: spread to the end of the period, then towards its start; `room` says that it fits.
+            // Too dense: extend to the end of the period, then towards its start; `room` ensures
+            // that it fits.
             last = latest.min(delay + intervals * gap);
             delay = delay.min(last - intervals * gap);
         } else {
@@ -277,11 +287,12 @@ impl StepPlanner {
     }
 }
 
-/// Some intervals between pulses, in ticks; all are at most 1,000,000, and `intervals * gap <= span <= most`.
+/// Intervals between pulses, in ticks; all are at most 1,000,000, and `intervals * gap <= span <=
+/// most`.
 struct Spread {
-    /// From the first to the last pulse, ideally.
+    /// Ideal time from the first to the last pulse.
     span: i32,
-    /// The same, at most.
+    /// Upper limit of that time.
     most: i32,
     intervals: i32,
     /// The shortest interval.
@@ -289,10 +300,12 @@ struct Spread {
 }
 
 impl Spread {
-    /// The first interval, and what each further one is longer: `ramp` if that keeps everything, 0 otherwise. 32-bit divisions only.
+    /// Returns the first interval and the growth of each further one: `ramp` if it keeps all
+    /// limits, 0 otherwise. 32-bit divisions only.
     fn intervals(&self, ramp: i32) -> (u32, i32) {
         let n = self.intervals;
-        // The whole bend that `ramp` adds up to at the last pulse; one of several spans would be no acceleration but a jump.
+        // Total bend that `ramp` adds up to at the last pulse. A bend of several spans is a jump,
+        // not an acceleration.
         let bent = i64::from(ramp) * (i64::from(n) * i64::from(n - 1) / 2);
         if ramp != 0 && bent.abs() <= 4 * i64::from(self.span) {
             let bent = bent as i32;
@@ -344,7 +357,8 @@ fn steps(units: i64, scale: i64) -> i64 {
     product.clamp(-(1 << 60), 1 << 60) as i64
 }
 
-/// The parabola of a period, forwards: position after the part u of the period is `distance u + bend u (u - 1)`.
+/// Parabola of a period in the direction of motion: the position at the fraction u of the period is
+/// `distance u + bend u (u - 1)`.
 struct Ideal {
     period: u32,
     /// Distance, at most 32 bits after `shift`.
@@ -357,7 +371,8 @@ struct Ideal {
 
 impl Ideal {
     fn new(distance: i64, bend: i64, period: u32) -> Self {
-        // Steps that are owed from before while the wanted position turned back: no ideal time but the earliest.
+        // Steps are due from before while the commanded position turned back: their only ideal time
+        // is the earliest.
         let distance = distance.max(0).unsigned_abs();
         let shift = 32u32.saturating_sub(distance.leading_zeros());
         // Shifted to below 2^32.
@@ -379,9 +394,11 @@ impl Ideal {
         }
     }
 
-    /// Ticks at which the position crosses `crossing` (Q32 steps from the start of the period); 0 for one before it, the period for one after it.
+    /// Ticks at which the position crosses `crossing` (Q32 steps from the start of the period). A
+    /// crossing before the period gives 0, one after it gives the period.
     ///
-    /// The inverse of the parabola to second order: u = q + bend q (1 - q), q = crossing / distance.
+    /// The inverse of the parabola to second order: u = q + bend q (1 - q), q = crossing /
+    /// distance.
     fn time(&self, crossing: i64) -> u32 {
         if crossing <= 0 || self.distance == 0 {
             return 0;
@@ -394,18 +411,20 @@ impl Ideal {
         ((i64::from(self.period) * u + (1 << 29)) >> 30) as u32
     }
 
-    /// Second difference of the times of evenly spaced crossings: -2 bend period / distance^2, whole ticks.
+    /// Second difference of the times of evenly spaced crossings: -2 bend period / distance^2,
+    /// whole ticks.
     fn ramp(&self, intervals: u32) -> i32 {
         if intervals < 2 || self.distance == 0 {
             return 0;
         }
-        // One step over the distance, Q30; two intervals at least lie within the distance.
+        // One step over the distance, Q30; the distance holds at least two intervals.
         let step = self.reciprocal.scaled(
             ((1i64 << 32) >> self.shift).min(i64::from(self.distance)),
             30,
         );
         let square = (step * step) >> 30;
-        // 2^21 * 2^12 * 2^30 is 2^63 only when bend and step are 1, and they are at most 3/4 and 1/2.
+        // 2^21 * 2^12 * 2^30 reaches 2^63 only if bend and step are 1; they are at most 3/4 and
+        // 1/2.
         let twice = i64::from(self.period) * (self.bend >> 4);
         haptimill_math::reciprocal::saturate(-((twice * square + (1 << 40)) >> 41))
     }

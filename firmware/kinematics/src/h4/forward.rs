@@ -1,21 +1,27 @@
-//! Forward kinematics of the H-4 arm: the crossing of two circles, no iteration, no division.
+//! Forward kinematics of the H-4 arm: intersection of two circles, without iteration and without
+//! division.
 //!
-//! With S12 = (l1 - l2) / 2 - w, S34 = (l3 - l4) / 2 - w, sin(theta) = (l1 + l2 - l3 - l4) / 4 c, D = d - c cos(theta), Z = z_c + g_e:
+//! With S12 = (l1 - l2) / 2 - w, S34 = (l3 - l4) / 2 - w, sin(theta) = (l1 + l2 - l3 - l4) / 4 c, D
+//! = d - c cos(theta), Z = z_c + g_e:
 //!
 //! ```text
 //! (y - E)^2 + (Z - D)^2 = R^2 - S12^2     and     (y + E)^2 + (Z + D)^2 = R^2 - S34^2
 //! ```
 //!
-//! which is (3.17)-(3.19) of docs/control.md without their cancellation. The centres are +-(E, D). Along the line through them the crossing
-//! lies at t = (S12^2 - S34^2) / 4 H, H = hypot(E, D); across it at +-q, q^2 = R^2 - (S12^2 + S34^2) / 2 - H^2 - t^2. q is the distance from the
-//! parallel singularity, its sign the assembly branch. Squaring loses the signs of S12 and S34, so a pose is certified by four conditions
-//! together: S12 >= 0.1 R, S34 >= 0.1 R, |sin(theta)| < 1, q >= the margin.
+//! These are (3.17)-(3.19) of docs/control.md without their cancellation. The centres are +-(E, D).
+//! Along the line through them the intersection is at t = (S12^2 - S34^2) / 4 H, H = hypot(E, D).
+//! Across it the intersection is at +-q, q^2 = R^2 - (S12^2 + S34^2) / 2 - H^2 - t^2. q is the
+//! distance from the parallel singularity, its sign is the assembly branch. Squaring loses the
+//! signs of S12 and S34, so four conditions together certify a pose: S12 >= 0.1 R, S34 >= 0.1 R,
+//! |sin(theta)| < 1, q >= the margin.
 //!
-//! N = 4 c sin(theta) is a sum of slides and 4 c cos(theta) = sqrt((4 c - N) (4 c + N)) is one root, so no sine is evaluated; the angle itself
-//! is their arc tangent, which is well conditioned up to the quarter turn.
+//! N = 4 c sin(theta) is a sum of slides and 4 c cos(theta) = sqrt((4 c - N) (4 c + N)) is one
+//! root, so no sine is evaluated. The angle is the arc tangent of both, which is well conditioned
+//! up to the quarter turn.
 //!
-//! H itself is never worked out: with v = H^2 scaled into 1/4 to 1, sqrt(v) t and sqrt(v) q need no division, and turning them by (E, D) leaves a
-//! division by v, which is one reciprocal of a word beside the root. Two roots, one reciprocal, one arc tangent in all.
+//! H is never computed. With v = H^2 scaled into 1/4 to 1, sqrt(v) t and sqrt(v) q need no
+//! division. Turning them by (E, D) leaves a division by v, which is a 32-bit reciprocal. The total
+//! cost is two roots, one reciprocal and one arc tangent.
 
 use super::{BasePose, H4};
 use crate::{Joints, PoseError};
@@ -27,10 +33,12 @@ use haptimill_math::trig::atan2;
 use haptimill_math::{Coordinate, Length};
 
 impl H4 {
-    /// The tool in the frame of the slave base: x, y, z and theta of (3.17)-(3.19), without the table.
+    /// Pose of the tool in the frame of the slave base: x, y, z and theta of (3.17)-(3.19), without
+    /// the table.
     ///
     /// # Errors
-    /// [`PoseError::Unreachable`], [`PoseError::NearReachLimit`], [`PoseError::NearSingularity`]: the slides hold no certified pose.
+    /// [`PoseError::Unreachable`], [`PoseError::NearReachLimit`], [`PoseError::NearSingularity`]:
+    /// the slides have no certified pose.
     pub fn base_pose(&self, joints: &Joints) -> Result<BasePose, PoseError> {
         self.base(joints)
     }
@@ -38,12 +46,12 @@ impl H4 {
     #[inline]
     pub(super) fn base(&self, joints: &Joints) -> Result<BasePose, PoseError> {
         let [l1, l2, l3, l4, ..] = joints.0;
-        // Sums of some words: no more than 36 bits.
+        // Sums of a few 32-bit numbers: no more than 36 bits.
         let plus = |a: Coordinate, b: Coordinate| total(a.0 as i64, b.0 as i64);
         let minus = |a: Coordinate, b: Coordinate| total(a.0 as i64, -(b.0 as i64));
         let less = |a: i64, b: i64| total(a, b.wrapping_neg());
 
-        // 2 S of both pairs: exact, and with their sign before it is lost.
+        // 2 S of both pairs: exact, with the sign that squaring loses.
         let twice_offset = (self.joint_offset as i64) << 1;
         let upper = less(minus(l1, l2), twice_offset);
         let lower = less(minus(l3, l4), twice_offset);
@@ -53,13 +61,15 @@ impl H4 {
         if sum.abs() >= width || upper > twice_rod || lower > twice_rod || !self.sound {
             return Err(PoseError::Unreachable);
         }
-        // Measuring reaches a little farther than planning: a machine that follows with an error must not go blind at the planned bound.
+        // The bound for measured slides is wider than the planned one: a machine with a following
+        // error must keep its pose at the planned bound.
         let least = self.least_measured as i64;
         if upper < least || lower < least {
             let pair = (upper >= least) as u8;
             return Err(PoseError::NearReachLimit { pair });
         }
-        // Now N and 2 S are words, below 2^31 and at most 2^31: the casts cut nothing, and products of words need no check.
+        // N and 2 S now fit 32 bits, below 2^31 and at most 2^31: the casts cut nothing, and the
+        // products need no check.
         let (upper, lower) = (upper as u32, lower as u32);
         let square = |value: u32| (value as u64 * value as u64) as i64;
         let (upper_square, lower_square) = (square(upper), square(lower));
@@ -72,7 +82,8 @@ impl H4 {
         // |drop| < 2^30 + 2^29.
         let drop = (self.half_height as i64 - round_shift(cosine as i64, 2)) as i32;
 
-        // H^2 < 2^62, and H >= 1 mm. Scaled by an even shift to v, 1/4 to 1 in Q64, and the direction E, D with half that shift to Q31.
+        // H^2 < 2^62, and H >= 1 mm. Scaled by an even shift to v, 1/4 to 1 in Q64, and the
+        // direction E, D with half that shift to Q31.
         let base_square = (square(self.lateral.unsigned_abs()) as u64)
             .wrapping_add(square(drop.unsigned_abs()) as u64);
         let half_shift = base_square.leading_zeros() / 2;
@@ -80,7 +91,8 @@ impl H4 {
         let grow = half_shift.saturating_sub(1);
         let (along_y, along_z) = (self.lateral << grow, drop << grow);
 
-        // sqrt(v) t, and v q^2 = v (R^2 - (S12^2 + S34^2) / 2 - H^2) - v t^2: the division by H^2 waits for the end, where it only scales.
+        // sqrt(v) t, and v q^2 = v (R^2 - (S12^2 + S34^2) / 2 - H^2) - v t^2: the division by H^2
+        // follows at the end, where it only scales.
         let difference = round_shift(upper_square.wrapping_sub(lower_square), 4);
         let fine = shift_left(difference as u64, half_shift) as i64;
         if shift_right(fine, half_shift) != difference {
@@ -102,7 +114,8 @@ impl H4 {
             return Err(self.too_near(across, base_square, half_shift));
         }
 
-        // (sqrt(v) t, sqrt(v) q) turned by the direction, over v: what is divided is below 2^61, since t^2 + q^2 <= R^2.
+        // (sqrt(v) t, sqrt(v) q) turned by the direction, over v: the numerators are below 2^61,
+        // because t^2 + q^2 <= R^2.
         let along = round_shift(fine, 32);
         let across = self.branch.wrapping_mul(across as i64);
         let product = |a: i64, b: i32| a.wrapping_mul(b as i64);
@@ -138,7 +151,8 @@ impl H4 {
         })
     }
 
-    /// The refusal of slides whose crossing is nearer to the singularity than the margin: q from sqrt(v) q.
+    /// Error for slides whose intersection is nearer to the singularity than the margin: q from
+    /// sqrt(v) q.
     #[cold]
     fn too_near(&self, across: i32, base_square: u64, half_shift: u32) -> PoseError {
         // sqrt(v) = H 2^half_shift / 2^32.

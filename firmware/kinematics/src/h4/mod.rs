@@ -1,27 +1,35 @@
-//! The hybrid H-4 arm with its rotary table: four slides and a table axis carry a pose of five coordinates.
+//! Kinematics of the H-4 arm with its rotary table: four slides and the table give a pose of five
+//! coordinates.
 //!
-//! Pose `[x_w, y_w, z_w, theta, alpha]`, joints `[l1, l2, l3, l4, alpha]`. The arm moves the tool in x, y, z and theta (tilt about y); the
-//! table turns the work by alpha about x. All formulas are those of docs/control.md 2.5 to 2.7, in the compact form: with
-//! x = x_w + x_offset, y = Y cos(alpha) - Z_t sin(alpha), z = Y sin(alpha) + Z_t cos(alpha) - h in the frame of the slave base,
+//! The pose is `[x_w, y_w, z_w, theta, alpha]`, the joints are `[l1, l2, l3, l4, alpha]`. The arm
+//! moves the tool in x, y, z and theta (tilt about y); the table turns the workpiece by alpha about
+//! x. All formulas are those of docs/control.md 2.5 to 2.7, in the compact form. With x = x_w +
+//! x_offset, y = Y cos(alpha) - Z_t sin(alpha), z = Y sin(alpha) + Z_t cos(alpha) - h in the frame
+//! of the slave base:
 //!
 //! ```text
 //! l_i = x + m_i sin(theta) + s_i (w + S_i),   S_i^2 = R^2 - U_i^2 - V_i^2      (3.23)-(3.26)
-//! U_i = E - sigma_i y,   V_i = -z - m_i cos(theta) + sigma_i d - g_e,   m_i = T_L + c (1 + sigma_i)
+//! U_i = E - sigma_i y,   V_i = -z - m_i cos(theta) + sigma_i d - g_e,  m_i = T_L + c (1 + sigma_i)
 //! ```
 //!
-//! s = (+, -, +, -), sigma = (+, +, -, -). Rods 1 and 2 share U, V and S, and so do rods 3 and 4: two *pairs*.
+//! s = (+, -, +, -), sigma = (+, +, -, -). Rods 1 and 2 share U, V and S, and so do rods 3 and 4:
+//! these are the two *rod pairs*.
 //!
-//! The parallel singularity is the line through the centres +-(E, D), D = d - c cos(theta), of the two circles on which the platform hangs
-//! (see the forward kinematics). The signed distance from it is +-(E Z - y D) / hypot(E, D) with Z = z + (c + T_L) cos(theta) + g_e, and the
-//! sign is chosen so that it is positive on the side of the configured branch. It is what is called *distance* here.
+//! The parallel singularity is the line through the centres +-(E, D), D = d - c cos(theta), of the
+//! two circles on which the platform is suspended (see the forward kinematics). The signed distance
+//! from it is +-(E Z - y D) / hypot(E, D) with Z = z + (c + T_L) cos(theta) + g_e. The sign is
+//! positive on the side of the configured branch. This module calls it the *singularity distance*.
 //!
-//! Limits: every `i32` in every coordinate is answered rightly or refused. Against real arithmetic the joints and the pose are
-//! within 0.1 um and 1 urad wherever they are not refused. A geometry must be [`H4::is_sound`]; one that is not refuses every pose.
+//! Limits: every `i32` in every coordinate gives a correct result or an error. Accepted joints and
+//! poses are within 0.1 um and 1 urad of real arithmetic. A geometry must satisfy [`H4::is_sound`];
+//! an unsound one refuses every pose.
 //!
-//! Cost on one core of a current server: inverse 37 ns, forward 51 ns, motion 84 ns. There is no division unless a pose is refused or all but refused
-//! for its distance from the singularity, so a chip without a 64-bit divider is not held up.
+//! Cost on one core of a current server: inverse 37 ns, forward 51 ns, motion 84 ns. A division
+//! occurs only for a pose that is refused, or nearly refused, for its singularity distance. So a
+//! chip without a 64-bit divider does not lose time.
 //!
-//! Misuse: strokes and soft limits are not known here; see [`super::BoundedKinematics`].
+//! Strokes and soft limits are not known here. Callers that need the strokes must use
+//! [`super::BoundedKinematics`].
 
 mod forward;
 mod motion;
@@ -38,7 +46,7 @@ use haptimill_math::{Angle, Coordinate, Length};
 use motion::quick_turn;
 use serde::{Deserialize, Serialize};
 
-/// How many pose coordinates, and joints.
+/// Number of pose coordinates, and of joints.
 pub(super) const AXES: usize = 5;
 /// Index of the tilt theta in a pose.
 pub(super) const THETA: usize = 3;
@@ -48,7 +56,7 @@ pub(super) const ALPHA: usize = 4;
 /// Lengths of the H-4 arm (docs/control.md 2.5-2.6), 2^-20 mm.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct H4Geometry {
-    /// E = a - b - e: the lateral distance between rail joint and platform joint at y = 0.
+    /// E = a - b - e: lateral distance between rail joint and platform joint at y = 0.
     pub lateral: Length,
     /// c: half the distance of the two platform joints along the tool axis.
     pub half_spacing: Length,
@@ -70,24 +78,24 @@ pub struct H4Geometry {
     pub z_offset: Length,
     /// h: height of the table axis below the slave's origin.
     pub table_height: Length,
-    /// The platform hangs below the rails (the minus root of (3.19)) or stands above.
+    /// The platform is below the rails (the minus root of (3.19)) instead of above.
     pub below: bool,
-    /// Least distance from the parallel singularity that is accepted (5 mm).
+    /// Singularity margin: smallest accepted distance from the parallel singularity (5 mm).
     pub singularity_margin: Length,
 }
 
-/// The longest rod and lateral distance: 1024 mm.
+/// Longest rod and lateral distance: 1024 mm.
 const LONGEST: i32 = 1 << 30;
-/// The shortest lateral distance, platform spacing and singularity margin: 1 mm, 1 mm and 1/16 mm.
+/// Shortest lateral distance and platform spacing, 1 mm; smallest singularity margin, 1/16 mm.
 const SHORTEST: i32 = 1 << 20;
 const LEAST_MARGIN: i32 = 1 << 16;
-/// The shortest rod: 16 mm.
+/// Shortest rod: 16 mm.
 const SHORTEST_ROD: i32 = 1 << 24;
 
 /// The H-4 arm.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct H4 {
-    /// A geometry that is not sound refuses everything.
+    /// The geometry is sound; an unsound one refuses every pose.
     pub(super) sound: bool,
     /// E.
     pub(super) lateral: i32,
@@ -105,15 +113,16 @@ pub struct H4 {
     twice_lateral: i64,
     /// h - g_e.
     level: i64,
-    /// The least S^2 that is accepted: (0.1 R)^2.
+    /// Smallest accepted S^2: (0.1 R)^2.
     least_square: i64,
-    /// The least 2 S at which measured slides are certified: 0.18 R.
+    /// Smallest 2 S at which measured slides are certified: 0.18 R.
     pub(super) least_measured: i32,
     /// m of rods 1 and 2: T_L + 2 c.
     pub(super) upper: i32,
     /// m of rods 3 and 4: T_L.
     pub(super) lower: i32,
-    /// (c + T_L) / 4 c, `ratio / 2^ratio_shift`: from the sums of slides to what the tilt moves the tip.
+    /// (c + T_L) / 4 c as `ratio / 2^ratio_shift`: converts sums of slides to the displacement of
+    /// the tip by the tilt.
     pub(super) ratio: i32,
     pub(super) ratio_shift: u32,
     /// p + x_Ow^O1, y_Ow^O1, z_O1^O2.
@@ -124,15 +133,15 @@ pub struct H4 {
     pub(super) rail_offset: i32,
     /// +1 or -1: sign of E Z - y D on the configured branch.
     pub(super) branch: i64,
-    /// Least distance from the parallel singularity.
+    /// Singularity margin.
     pub(super) margin: i32,
-    /// Its square.
+    /// Square of the margin.
     pub(super) margin_square: u64,
-    /// Bits of angular rates that are multiplied as words.
+    /// Largest number of bits of angular rates that are multiplied as 32-bit numbers.
     pub(super) quick_turn: u32,
 }
 
-/// The tool in the frame of the slave base: the pose without table and offsets.
+/// Pose of the tool in the frame of the slave base, without table and offsets.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct BasePose {
     /// Along the rails.
@@ -145,7 +154,7 @@ pub struct BasePose {
     pub theta: Angle,
 }
 
-/// One pair of rods at a pose.
+/// One rod pair at a pose.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Pair {
     /// U, |U| <= R.
@@ -156,7 +165,7 @@ pub(super) struct Pair {
     pub(super) root: Root,
 }
 
-/// What a pose is in the frame of the slave base.
+/// A pose in the frame of the slave base.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Placed {
     /// x.
@@ -178,8 +187,8 @@ pub(super) struct Placed {
 impl H4 {
     /// The arm of a geometry.
     ///
-    /// Not an error for a geometry that is not sound, because a machine without a right answer is still a machine: it refuses every pose as
-    /// [`PoseError::Unreachable`]. Check with [`H4::is_sound`] before a configuration becomes active.
+    /// An unsound geometry is accepted, but refuses every pose as [`PoseError::Unreachable`].
+    /// Callers must check it with [`H4::is_sound`] before a configuration becomes active.
     #[must_use]
     pub const fn new(geometry: &H4Geometry) -> Self {
         let rod = geometry.rod.0;
@@ -205,7 +214,7 @@ impl H4 {
             least_square: rod_square / 100 + (rod_square % 100 != 0) as i64,
             // Rounded up.
             least_measured: ((18 * rod as i64 + 99) / 100) as i32,
-            // Fits wherever the geometry is sound.
+            // Fits if the geometry is sound.
             upper: saturate(geometry.tool.0 as i64 + 2 * spacing),
             lower: geometry.tool.0,
             ratio,
@@ -241,8 +250,9 @@ impl H4 {
         }
     }
 
-    /// Whether the lengths make an arm that can be calculated: R from 16 to 1024 mm, |E| from 1 to 1024 mm, c from 1 mm to below 512 mm, d
-    /// up to +-1024 mm, T_L from 0 to 1024 mm, singularity margin from 1/16 to 1024 mm. The other lengths are free.
+    /// Whether the lengths are within the range of the arithmetic: R from 16 to 1024 mm, |E| from 1
+    /// to 1024 mm, c from 1 mm to below 512 mm, d up to +-1024 mm, T_L from 0 to 1024 mm,
+    /// singularity margin from 1/16 to 1024 mm. The other lengths are unrestricted.
     #[must_use]
     pub const fn is_sound(geometry: &H4Geometry) -> bool {
         let lateral = geometry.lateral.magnitude();
@@ -259,10 +269,11 @@ impl H4 {
             && geometry.singularity_margin.0 <= LONGEST
     }
 
-    /// Signed distance from the parallel singularity, positive on the side of the configured branch, whatever the margin is.
+    /// Signed distance from the parallel singularity, positive on the side of the configured
+    /// branch. The margin is not checked.
     ///
     /// # Errors
-    /// [`PoseError::Tilt`], [`PoseError::Unreachable`]: there is no arm at this pose to speak of.
+    /// [`PoseError::Tilt`], [`PoseError::Unreachable`]: the arm cannot take this pose.
     pub fn singularity_distance(&self, pose: &Pose) -> Result<Length, PoseError> {
         let placed = self.frame(pose)?;
         if self.square(placed.upper) < 0 || self.square(placed.lower) < 0 {
@@ -271,7 +282,7 @@ impl H4 {
         Ok(Length(self.distance(&placed)))
     }
 
-    /// The pose in the frame of the slave base. (3.14)-(3.16), turned round.
+    /// Converts a pose to the frame of the slave base: the inverse of (3.14)-(3.16).
     #[inline(always)]
     pub(super) fn frame(&self, pose: &Pose) -> Result<Placed, PoseError> {
         let [x_w, y_w, z_w, theta, alpha, _] = pose.0;
@@ -289,7 +300,7 @@ impl H4 {
         };
         let (y, height) = turn(across, up, table);
 
-        // Words, and y and the height below 2^33: no sum leaves 36 bits.
+        // The others are 32-bit numbers, y and the height are below 2^33: no sum exceeds 36 bits.
         let less = |a: i64, b: i64| total(a, b.wrapping_neg());
         // A length is below 2^31, a cosine at most 1.
         let drop = |length: i32| round_q30(length as i64 * tilt.1 as i64) as i64;
@@ -303,7 +314,8 @@ impl H4 {
             total(self.lateral as i64, y),
             less(less(below, half_height), drop(self.lower)),
         );
-        // What leaves its word is out of reach. With both U in words y is in one: their sum is 2 E.
+        // A value that exceeds 32 bits is out of reach. If both U fit into 32 bits, y does too:
+        // their sum is 2 E.
         let leaves = |value: i64| value ^ value as i32 as i64;
         let beyond = leaves(upper.0) | leaves(upper.1) | leaves(lower.0) | leaves(lower.1);
         if beyond | leaves(height) != 0 || !self.sound {
@@ -320,7 +332,7 @@ impl H4 {
         })
     }
 
-    /// [`Kinematics::inverse_motion`], written where it shall be.
+    /// [`Kinematics::inverse_motion`], written to `motion`.
     #[inline(always)]
     pub(super) fn place_motion(
         &self,
@@ -355,7 +367,8 @@ impl H4 {
                 PoseError::NearReachLimit { pair }
             });
         }
-        // hypot(E, D) <= |E| + |D|: a pose that is far enough by this measure needs no root and no division.
+        // hypot(E, D) <= |E| + |D|: a pose that is far enough by this bound needs no root and no
+        // division.
         let (cross, height) = self.cross(&placed);
         let width = total(self.twice_lateral, height);
         // margin <= 2^30, width <= 2^32.
@@ -384,9 +397,10 @@ impl H4 {
         self.rod_square.wrapping_sub(u).wrapping_sub(v)
     }
 
-    /// 2 (E Z - y D) with the sign of the branch, and |2 D|. With U and V of both pairs, E Z - y D = -(U1 V3 + U3 V1) / 2 and D = (V1 - V3) / 2.
+    /// 2 (E Z - y D) with the sign of the branch, and |2 D|. With U and V of both pairs, E Z - y D
+    /// = -(U1 V3 + U3 V1) / 2 and D = (V1 - V3) / 2.
     ///
-    /// U and V must be no longer than a rod.
+    /// U and V must not be longer than a rod.
     #[inline(always)]
     fn cross(&self, placed: &Placed) -> (i64, i64) {
         let (u1, v1) = placed.upper;
@@ -440,11 +454,11 @@ impl H4 {
     #[cold]
     fn distance_of(&self, cross: i64, height: i64) -> i32 {
         let base = hypot(self.lateral, (height / 2) as i32).max(1);
-        // |cross| <= 2^61, base >= 1 mm = 2^20: the quotient may leave the word only if the geometry is absurd.
+        // |cross| <= 2^61, base >= 1 mm = 2^20: above 32 bits only if the geometry is absurd.
         saturate(cross / (2 * base as i64))
     }
 
-    /// (3.23)-(3.26) from a placed pose.
+    /// Joints of a placed pose, (3.23)-(3.26).
     #[inline(always)]
     pub(super) fn joints(
         &self,
@@ -453,7 +467,7 @@ impl H4 {
         alpha: Coordinate,
     ) -> Result<Joints, PoseError> {
         let sine = placed.tilt.0;
-        // x is below 2^32, all others are words: no sum leaves 36 bits.
+        // x is below 2^32, all others are 32-bit numbers: no sum exceeds 36 bits.
         let lean = |length: i32| round_q30(length as i64 * sine as i64) as i64;
         let upper = total(placed.x, lean(self.upper));
         let lower = total(placed.x, lean(self.lower));
@@ -464,7 +478,7 @@ impl H4 {
         let second = total(upper, front.wrapping_neg());
         let third = total(lower, rear);
         let fourth = total(lower, rear.wrapping_neg());
-        // What leaves its word is seen once for all.
+        // One check for all values that exceed 32 bits.
         let leaves = |slide: i64| slide ^ slide as i32 as i64;
         if leaves(first) | leaves(second) | leaves(third) | leaves(fourth) != 0 {
             return Err(PoseError::Unreachable);
@@ -491,7 +505,7 @@ const fn scaled_ratio(numerator: i64, denominator: i64) -> (i32, u32) {
     (((numerator << shift) / denominator) as i32, shift)
 }
 
-/// The point (across, up) turned by the angle whose sine and cosine are given in Q30.
+/// The point (across, up) turned by the angle with this sine and cosine in Q30.
 #[inline(always)]
 fn turn(across: i32, up: i32, (sine, cosine): (i32, i32)) -> (i64, i64) {
     // Products of an i32 and a Q30 stay below 2^61, their sums below 2^62.
@@ -503,7 +517,7 @@ fn turn(across: i32, up: i32, (sine, cosine): (i32, i32)) -> (i64, i64) {
     )
 }
 
-/// The tilt of the tool must be less than a quarter turn.
+/// Checks the tilt of the tool, which must be less than a quarter turn.
 #[inline]
 fn check_tilt(theta: Coordinate) -> Result<(), PoseError> {
     if theta.magnitude() >= Angle::QUARTER.0 as u32 {
@@ -512,7 +526,7 @@ fn check_tilt(theta: Coordinate) -> Result<(), PoseError> {
     Ok(())
 }
 
-/// The table may turn up to a quarter turn.
+/// Checks the table, which may turn up to a quarter turn.
 #[inline]
 pub(super) fn check_table(alpha: Coordinate) -> Result<(), PoseError> {
     if alpha.magnitude() > Angle::QUARTER.0 as u32 {
@@ -548,11 +562,11 @@ impl Kinematics for H4 {
         check_table(alpha)?;
         let base = self.base(joints)?;
         let (sine, cosine) = sin_cos(alpha.angle());
-        // (3.14)-(3.16); h may be large, so the height is checked before it is multiplied.
+        // (3.14)-(3.16); h may be large, so the height is checked before the multiplication.
         let height = i32::try_from(base.z.0 as i64 + self.table_height as i64)
             .map_err(|_| PoseError::Unreachable)?;
         let (across, up) = turn(base.y.0, height, (-sine, cosine));
-        // Below 2^32, less a word.
+        // A 32-bit number is subtracted from one below 2^32.
         let [x, y, z] = self.offset;
         let x = total(base.x.0 as i64, -(x as i64));
         let y = total(across, -(y as i64));

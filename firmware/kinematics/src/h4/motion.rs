@@ -1,6 +1,8 @@
-//! Rates and accelerations of the H-4 arm's joints, and its Jacobian: the chain rule, never a difference.
+//! Rates and accelerations of the H-4 arm's joints, and its Jacobian, by the chain rule without
+//! differences.
 //!
-//! The formulas of [`super`] are differentiated twice along a moving pose. With s, c the sine and cosine of alpha and ' the derivative by time:
+//! The formulas of [`super`] are differentiated twice along a moving pose. With s, c the sine and
+//! cosine of alpha and ' the derivative by time:
 //!
 //! ```text
 //! y'  = (Y' c - Z' s) - alpha' (z + h)            z'  = (Y' s + Z' c) + alpha' y
@@ -9,11 +11,14 @@
 //! S'  = -(U U' + V V') / S            S'' = -(U'^2 + V'^2 + S'^2 + U U'' + V V'') / S
 //! ```
 //!
-//! Scales: lengths 2^-20 mm, rates 2^-20 mm/s, accelerations 2^-12 mm/s^2; U / S and V / S are at most 10, in Q27. Angular rates are radians per second
-//! in Q30, angular accelerations radians per second squared in Q22. Everything that is multiplied is a word, so that a product is one instruction and
-//! cannot overflow: a motion too fast for that is calculated at a half, a quarter or an eighth of its speed.
+//! Scales: lengths 2^-20 mm, rates 2^-20 mm/s, accelerations 2^-12 mm/s^2; U / S and V / S are at
+//! most 10, in Q27. Angular rates are radians per second in Q30, angular accelerations radians per
+//! second squared in Q22. All factors are 32-bit numbers, so a product is one instruction and
+//! cannot overflow. A motion too fast for that is calculated at a half, a quarter or an eighth of
+//! its speed.
 //!
-//! Limits: a joint's rate or acceleration that leaves its type is held at its end (2048 mm/s, 524 m/s^2), far above what a drive does.
+//! Limits: a rate or acceleration of a joint beyond its type saturates (2048 mm/s, 524 m/s^2), far
+//! above the capability of a drive.
 
 use super::{ALPHA, AXES, H4, Pair, Placed, THETA};
 use crate::{Accelerations, Jacobian, JointMotion, Rates};
@@ -39,7 +44,7 @@ impl Slope {
     pub(super) fn of(pair: &Pair) -> Self {
         // S is 0.1 R to R, so both ratios are at most 10 and fit Q27. S >= 1.6 mm makes the shift 24 or more.
         let inverse = pair.root.reciprocal();
-        // A mantissa of 2^31 is taken for a hair less.
+        // A mantissa of 2^31 counts as 2^31 - 1.
         let mantissa = inverse.mantissa.min(i32::MAX as u32) as i32;
         let spare = inverse.shift.wrapping_sub(27 + 31);
         Self {
@@ -50,38 +55,43 @@ impl Slope {
     }
 }
 
-/// A length over S in Q27, by the mantissa of 1 / S; its product has 58 bits of fraction, and `spare`.
+/// A length over S in Q27, from the mantissa of 1 / S; the product has 58 bits of fraction, and
+/// `spare`.
 #[inline(always)]
 const fn ratio(length: i32, mantissa: i32, spare: u32) -> i32 {
     if spare < 32 {
-        // S is 64 mm or more: the upper word of the product has bits enough. |U| is below 2^30.
+        // S is 64 mm or more: the upper 32 bits of the product suffice. |U| is below 2^30.
         word(length.wrapping_shl(1) as i64 * mantissa as i64, 32).wrapping_shr(spare)
     } else {
         word(length as i64 * mantissa as i64, spare.wrapping_add(31))
     }
 }
 
-/// `value / 2^shift` of what is known to fit a word.
+/// `value / 2^shift` of a result that is known to fit 32 bits.
 #[inline(always)]
 const fn word(value: i64, shift: u32) -> i32 {
     value.wrapping_shr(shift) as i32
 }
 
-/// Linear rates below 2^28 (256 mm/s) and accelerations below 2^28 (65 m/s^2), and angular ones as the geometry allows, leave every derivative of U and V
-/// within a word. Faster motions are halved as often as needed.
+/// Bits of linear rates (below 2^28, 256 mm/s) and accelerations (below 2^28, 65 m/s^2) at which
+/// every derivative of U and V fits 32 bits. The angular limit depends on the geometry. Faster
+/// motions are halved as often as needed.
 const QUICK: u32 = 28;
 
-/// The most angular rates (2^QUICK_TURN / 2^32 turn/s: 1.57 rad/s) and angular accelerations (402 rad/s^2) that are calculated without being halved.
+/// Bits of the largest angular rates (2^QUICK_TURN / 2^32 turn/s: 1.57 rad/s) and angular
+/// accelerations (402 rad/s^2) that are calculated without halving.
 const QUICK_TURN: u32 = 30;
 
-/// How many bits angular rates and accelerations may have so that what they make of a `lever` (the longest y and tool, or z + h; 2^-20 mm), beside the
-/// linear rates and the products of two rates, is below 2^31.
+/// Number of bits that angular rates and accelerations may have so that their effect on a `lever`
+/// (the longest y and tool, or z + h; 2^-20 mm), plus the linear rates and the products of two
+/// rates, is below 2^31.
 pub(super) const fn quick_turn(lever: i64) -> u32 {
     let lever = if lever >= 1 << 32 { 1 << 32 } else { lever };
     let mut bits = QUICK_TURN;
     // At 2^27, 0.196 rad/s, 2^32 becomes 8.5e8.
     while bits > 27 {
-        // 2^28.5 of two linear coordinates, and 2^26: 2 Z' alpha', y alpha'^2, T theta'^2, all over 2^8.
+        // 2^28.5 of two linear coordinates, and 2^26: 2 Z' alpha', y alpha'^2, T theta'^2, all over
+        // 2^8.
         let turned = ((lever >> 2) * QUARTER_PI_Q31 as i64) >> (58 - bits);
         if turned + 380_000_000 < (1 << 31) - (1 << 26) {
             break;
@@ -91,22 +101,23 @@ pub(super) const fn quick_turn(lever: i64) -> u32 {
     bits
 }
 
-/// The nearest to `value / 2^shift` of what is known to fit a word.
+/// `value / 2^shift` to nearest, of a result that is known to fit 32 bits.
 #[inline(always)]
 const fn nearest(value: i64, shift: u32) -> i32 {
     word(value.wrapping_add(1 << (shift - 1)), shift)
 }
 
-/// The products of the words, added: two instructions of a 32-bit processor. The caller has proven that the sum fits.
+/// The sum of the products a b and c d: two instructions of a 32-bit processor. Callers must make
+/// sure that it fits.
 #[inline(always)]
 fn sum(a: i32, b: i32, c: i32, d: i32) -> i64 {
     total(a as i64 * b as i64, c as i64 * d as i64)
 }
 
-/// S' and S'' from the derivatives of U and V, all in words.
+/// S' and S'' from the derivatives of U and V, all 32-bit numbers.
 #[inline]
 fn root_jet(slope: &Slope, u: (i32, i32), v: (i32, i32)) -> (i64, i64) {
-    // Below 2^63: slopes up to 10 in Q27, each 2^30.4 and with 2^31 at most.
+    // Below 2^63: slopes up to 10 in Q27 are 2^30.4 each, times 2^31 at most.
     let first = sum(slope.u, u.0, slope.v, v.0);
     // Squares of rates in 2^-12 mm/s: each below 2^56.
     let coarse = word(first, 35);
@@ -123,21 +134,22 @@ fn root_jet(slope: &Slope, u: (i32, i32), v: (i32, i32)) -> (i64, i64) {
     ((first >> 27).wrapping_neg(), second.wrapping_neg())
 }
 
-/// The magnitude, or one less.
+/// The magnitude for a value from 0 up, the magnitude minus one below 0.
 #[inline(always)]
 const fn size(value: i32) -> u32 {
     (value ^ (value >> 31)) as u32
 }
 
-/// The bits of the largest magnitude; a negative one may count for one more.
+/// Bits of the largest magnitude; a negative power of two counts as one bit less.
 const fn bits([a, b, c]: [i32; 3]) -> u32 {
     32 - (size(a) | size(b) | size(c)).leading_zeros()
 }
 
-/// What a pair of slides does: the middle of both, and by how much the first is ahead of it, by rate and acceleration.
+/// Rates and accelerations of a pair of slides: the mean of both, and the lead of the first over
+/// the mean.
 type PairJet = [(i64, i64); 2];
 
-/// Rates and accelerations that leave their words, or were made slower: held at the ends.
+/// Saturates rates and accelerations that exceed 32 bits, and restores those of a slowed motion.
 #[cold]
 #[inline(never)]
 fn hold(jets: &[PairJet; 2], excess: u32, motion: &mut JointMotion) {
@@ -192,7 +204,7 @@ impl H4 {
             (&slow.0, &slow.1)
         };
         let jets = self.jets(placed, pairs, slow_rates, slow_accelerations);
-        // What leaves its word is seen once for all.
+        // One check for all values that exceed 32 bits.
         let mut beyond = u64::from(excess);
         let mut narrow = |value: i64| {
             beyond |= (value ^ i64::from(value as i32)) as u64;
@@ -220,7 +232,7 @@ impl H4 {
         }
     }
 
-    /// How often a motion must be halved.
+    /// Number of times a motion must be halved.
     #[cold]
     #[inline(never)]
     fn excess(&self, rates: &Rates, accelerations: &Accelerations) -> u32 {
@@ -234,11 +246,11 @@ impl H4 {
         let by_acceleration = linear
             .saturating_sub(QUICK)
             .max(angular.saturating_sub(self.quick_turn));
-        // Accelerations go with the square of the time.
+        // Accelerations scale with the square of the time.
         by_rate.max(by_acceleration.div_ceil(2))
     }
 
-    /// The derivatives of both pairs, for motions that are [`QUICK`] at most.
+    /// Derivatives of both pairs, for motions within [`QUICK`].
     #[inline(always)]
     fn jets(
         &self,
@@ -256,8 +268,8 @@ impl H4 {
             Acceleration(turn_push),
             _,
         ] = *accelerations;
-        // Products of words: no sign below can turn the least of its type.
-        // Radians: rate * 2 pi / 2^32 in Q30, acceleration * 2 pi / 2^24 in Q22; both are the value times pi / 2.
+        // The factors are 32-bit numbers, so no negation below overflows. Radians: rate * 2 pi /
+        // 2^32 in Q30, acceleration * 2 pi / 2^24 in Q22; both are the value times pi / 2.
         let radians = |value: i32| nearest(value as i64 * QUARTER_PI_Q31 as i64, 30);
 
         // The table. Sums of products in Q30; rates 2^-20 mm/s, accelerations 2^-12 mm/s^2.
@@ -270,7 +282,8 @@ impl H4 {
         let z_along = sum(across, sine, up, cosine);
         let y_rate = total(y_along, (height as i64 * omega as i64).wrapping_neg());
         let z_rate = total(z_along, y as i64 * omega as i64);
-        // 2 alpha' Z' + alpha'^2 y, with 48 bits: a rate, halved, times Q30, and a length times Q28. The others have 30 more than 2^-12 mm/s^2, which is 42.
+        // 2 alpha' Z' + alpha'^2 y, with 48 bits: a rate, halved, times Q30, and a length times
+        // Q28. The others have 30 more than 2^-12 mm/s^2, which is 42.
         let (y_along, z_along) = (word(y_along, 31), word(z_along, 31));
         let y_push = total(
             total(
@@ -288,7 +301,7 @@ impl H4 {
         );
         let u = (nearest(y_rate, 30), word(y_push, 30));
 
-        // The tilt: derivatives of sin(theta) and cos(theta), Q30 and Q22, the latter with its sign turned.
+        // The tilt: derivatives of sin(theta) and cos(theta), Q30 and Q22, the latter negated.
         let (sine, cosine) = placed.tilt;
         let (omega, spin) = (radians(tilt), radians(tilt_push));
         let bend = word(omega as i64 * omega as i64, 38);
@@ -297,7 +310,8 @@ impl H4 {
         let sine_push = word(sum(cosine, spin, sine.wrapping_neg(), bend), 30);
         let drop_push = word(sum(sine, spin, cosine, bend), 30);
 
-        // U' = -+y', V' = -z' + m sin(theta) theta'. U' enters squared and with U / S: its sign is given to that.
+        // U' = -+y', V' = -z' + m sin(theta) theta'. U' enters squared and with U / S, so its sign
+        // is applied to U / S.
         let jet = move |pair: &Pair, length: i32, side: i32| -> PairJet {
             let arm = |value: i32| length as i64 * value as i64;
             let v = (

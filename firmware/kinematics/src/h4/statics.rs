@@ -1,25 +1,29 @@
-//! Statics of the H-4 arm: what the slides carry when the tool is pushed (docs/control.md 2.7).
+//! Statics of the H-4 arm: slide forces that correspond to a force on the tool (docs/control.md
+//! 2.7).
 //!
-//! By virtual work J^T f = W with W = [F_x, F_y, F_z, M_theta] at the tip, in the frame of the slave base. The structure of J splits the
-//! four equations into two pairs, solved in closed form: with p = f1 - f2, r = f3 - f4, P = f1 + f2, Q = f3 + f4 and X = E Z - y D,
+//! By virtual work J^T f = W with W = [F_x, F_y, F_z, M_theta] at the tip, in the frame of the
+//! slave base. The structure of J splits the four equations into two pairs, solved in closed form.
+//! With p = f1 - f2, r = f3 - f4, P = f1 + f2, Q = f3 + f4 and X = E Z - y D:
 //!
 //! ```text
 //! p = -S12 (V3 F_y + U3 F_z) / 2 X          r = -S34 (U1 F_z - V1 F_y) / 2 X
-//! P + Q = F_x       2 c cos(theta) P = M_theta - T_L cos(theta) F_x + sin(theta) (m_1 p V1 / S12 + m_3 r V3 / S34)
+//! P + Q = F_x
+//! 2 c cos(theta) P = M_theta - T_L cos(theta) F_x + sin(theta) (m_1 p V1 / S12 + m_3 r V3 / S34)
 //! ```
 //!
-//! so S cancels in the last line. Not for the innermost loop of a chip: it divides 128-bit numbers.
+//! S cancels in the last line. Callers should keep it out of a chip's control period: it divides
+//! 128-bit numbers.
 
 use super::H4;
 use crate::{Pose, PoseError};
 use haptimill_math::Effort;
 
-/// What pushes the tool, in the frame of the slave base.
+/// Force and moment on the tool, in the frame of the slave base.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct ToolForce {
     /// F_x, F_y, F_z at the tip.
     pub force: [Effort; 3],
-    /// M_theta: moment about the y axis, in the sense in which theta grows.
+    /// M_theta: moment about the y axis, positive in the direction in which theta grows.
     pub moment: Effort,
 }
 
@@ -27,10 +31,12 @@ pub struct ToolForce {
 const MILLIMETRES_PER_METRE: i128 = 1000;
 
 impl H4 {
-    /// The forces of slides 1 to 4 that do the same work as the tool force: f = J^-T [F_x, F_y, F_z, M_theta].
+    /// Forces of slides 1 to 4 that do the same work as the tool force: f = J^-T [F_x, F_y, F_z,
+    /// M_theta].
     ///
-    /// To hold the tool against a force, the drives exert the opposite. Rounded to within 2 raw units (3e-5 N) and 2^-30 of the largest of
-    /// its terms; a force beyond 32,768 N (a quarter turn of theta makes it infinite) is held there.
+    /// To hold the tool against a force, the drives must exert the opposite. The result is within 2
+    /// raw units (3e-5 N) and 2^-30 of the largest of its terms. A force beyond 32,768 N saturates
+    /// (it is infinite at a quarter turn of theta).
     ///
     /// # Errors
     /// As [`super::Kinematics::inverse`].
@@ -59,7 +65,8 @@ impl H4 {
             divide(2 * roots[1] * lower, cross),
         ];
 
-        // 2^-16 N * 2^-20 mm: the moment about the lower platform joint, less what the slides' differences make. sin and cos are Q30.
+        // 2^-16 N * 2^-20 mm: the moment about the lower platform joint, minus the contribution of
+        // the slides' differences. sin and cos are Q30.
         let moment = wide(tool.moment.0) * MILLIMETRES_PER_METRE * (1 << 20);
         let lean = divide(
             self.upper as i128 * v1 * upper + self.lower as i128 * v3 * lower,
@@ -67,7 +74,7 @@ impl H4 {
         );
         let denominator = 2 * wide(self.half_spacing) * cosine;
         let numerator = (moment << 30) + lean * sine - self.lower as i128 * fx * cosine;
-        // Twice the sums P and Q, as the differences are twice p and r.
+        // Twice the sums P and Q, because the differences are twice p and r.
         let upper_sum = divide(2 * numerator, denominator);
         let lower_sum = 2 * fx - upper_sum;
         let quarter = |value: i128| {

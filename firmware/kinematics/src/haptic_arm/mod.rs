@@ -1,12 +1,18 @@
-//! The haptic arm: from what its nine encoders say to where handle and tip are (docs/control.md 2.2).
+//! Forward kinematics of the haptic arm: poses of handle and tip from nine encoders
+//! (docs/control.md 2.2).
 //!
-//! Three legs stand on a circle at 0, 120 and 240 degrees. Each has a slide d along an axis that leans inwards by theta2, turns about that axis (theta3), and carries a link that leans from the
-//! axis by theta4; the end of the link (joint 5) holds the platform of the handle. Nine readings, six degrees of freedom: the three sides of the platform are known lengths, and a side that
-//! is not as long as it was built says that an encoder lies.
+//! Three legs stand on a circle at 0, 120 and 240 degrees. Each leg has a slide d along an axis
+//! that leans inwards by theta2. The leg turns about that axis (theta3) and carries a link that
+//! leans from the axis by theta4. The end of the link (joint 5) holds the platform of the handle.
+//! Nine readings give six degrees of freedom. The three sides of the platform have known lengths,
+//! and a side with a wrong length shows an encoder fault.
 //!
-//! Fixed point throughout: lengths 2^-20 mm, directions Q30. Against f64 the tip is off by less than 20 nm and a direction by less than 50 nrad (held by a test); f32 would give 1.4 urad.
+//! The arithmetic is fixed point: lengths 2^-20 mm, directions Q30. Against f64 the error of the
+//! tip is below 20 nm and that of a direction below 50 nrad (verified by a test); f32 would give
+//! 1.4 urad.
 //!
-//! Misuse: a [`HandPose`] is only as true as the readings. Whoever takes one without the check of the sides ([`HapticArm::pose`] makes it) has no idea whether it is.
+//! A [`HandPose`] is only as good as the readings. Callers must obtain it from [`HapticArm::pose`]
+//! or [`HapticArm::find`], which check the sides of the platform.
 
 pub mod statics;
 
@@ -16,7 +22,7 @@ use haptimill_math::trig::sin_cos;
 use haptimill_math::{Angle, Length};
 use serde::{Deserialize, Serialize};
 
-/// Legs of the arm.
+/// Number of legs of the arm.
 pub const LEGS: usize = 3;
 
 /// A vector: lengths in 2^-20 mm, or a direction in Q30.
@@ -31,16 +37,18 @@ pub struct HapticGeometry {
     pub platform_radius: Length,
     /// L: length of the links, 10 to 400 mm.
     pub link: Length,
-    /// theta2: how far the slides lean inwards, below 80 degrees.
+    /// theta2: inward lean of the slides, below 80 degrees.
     pub tilt: Angle,
-    /// From the platform's centre to the tip, in the frame of the platform; each below 400 mm.
+    /// Vector from the platform's centre to the tip, in the frame of the platform; each part up to
+    /// 400 mm.
     pub tip: [Length; 3],
-    /// How much a side of the platform may seem longer or shorter than it is.
+    /// Largest accepted error of a side of the platform; above 0 and below an eighth of
+    /// `platform_radius`.
     pub side_tolerance: Length,
 }
 
 impl HapticGeometry {
-    /// Whether all lengths are within the ranges that they name.
+    /// Whether all lengths are within their ranges.
     #[must_use]
     pub fn is_sound(&self) -> bool {
         let within = |length: Length| (10 << 20..=LENGTH_MAX).contains(&length.0);
@@ -57,13 +65,13 @@ impl HapticGeometry {
     }
 }
 
-/// The longest length of the arm that the arithmetic is made for: 400 mm.
+/// Longest length of the arm that the arithmetic supports: 400 mm.
 const LENGTH_MAX: i32 = 400 << 20;
 
-/// The farthest that a slide may be out, either way: 800 mm.
+/// Largest travel of a slide, in both directions: 800 mm.
 pub const SLIDE_MAX: Length = Length(800 << 20);
 
-/// What the encoders of a leg say.
+/// Readings of the encoders of a leg.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct LegReading {
     /// d.
@@ -74,24 +82,25 @@ pub struct LegReading {
     pub lean: Angle,
 }
 
-/// Why there is no pose.
+/// Reason why the readings give no pose.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ArmError {
-    /// A slide is farther out than 800 mm.
+    /// A slide is out by more than 800 mm.
     Slide {
         /// The leg.
         leg: u8,
     },
-    /// A side of the platform is not as long as it was built.
+    /// A side of the platform has a wrong length.
     Side {
-        /// The leg whose readings do not fit the other two: the one opposite the side that fits best.
+        /// Leg whose readings do not fit the other two: the one opposite the side with the smallest
+        /// error.
         leg: u8,
-        /// How much too long the worst side seems.
+        /// Error of the worst side; positive if it is too long.
         by: Length,
     },
 }
 
-/// A leg in a pose, for the statics.
+/// Pose of a leg, for the statics.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct LegPose {
     /// Joint 5 in the frame of the base, (3.9).
@@ -104,7 +113,7 @@ pub struct LegPose {
     pub lean: (i32, i32),
 }
 
-/// Where the handle is.
+/// Pose of the handle.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct HandPose {
     /// The legs.
@@ -117,19 +126,19 @@ pub struct HandPose {
     pub tip: Vector,
 }
 
-/// The geometry with what is worked out from it once.
+/// Haptic arm: the geometry with its derived constants.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct HapticArm {
     legs: [Stand; LEGS],
     link: i32,
     platform_radius: i32,
     tip: Vector,
-    /// Length of a side, and its square at either end of the tolerance.
+    /// Length of a side, and its square at both ends of the tolerance.
     side: i32,
     squares: (u64, u64),
 }
 
-/// How a leg stands: where, and the matrix R_z(theta1) R_y(-theta2) by rows.
+/// Foot of a leg: its position, and the matrix R_z(theta1) R_y(-theta2) by rows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 struct Stand {
     base: Vector,
@@ -140,7 +149,7 @@ struct Stand {
 const INVERSE_ROOT_3: i32 = 619_925_131;
 
 impl HapticArm {
-    /// The arm of a sound geometry.
+    /// The arm of a geometry. Callers must pass a sound geometry.
     #[must_use]
     #[cold]
     #[inline(never)]
@@ -174,19 +183,19 @@ impl HapticArm {
         }
     }
 
-    /// r_p, by which moments are scaled.
+    /// r_p, the scale of the moments.
     #[must_use]
     pub const fn platform_radius(&self) -> Length {
         Length(self.platform_radius)
     }
 
-    /// L.
+    /// L: length of the links.
     #[must_use]
     pub const fn link_length(&self) -> Length {
         Length(self.link)
     }
 
-    /// (3.9)-(3.12).
+    /// Pose of the handle, (3.9)-(3.12).
     ///
     /// # Errors
     /// See [`ArmError`].
@@ -196,7 +205,8 @@ impl HapticArm {
         Ok(pose)
     }
 
-    /// The same in its place; what stands there after an error is no pose.
+    /// Pose of the handle, (3.9)-(3.12), written to `pose`. After an error the content of `pose` is
+    /// invalid.
     ///
     /// # Errors
     /// See [`ArmError`].
@@ -219,13 +229,14 @@ impl HapticArm {
         let (Some(opposite), Some(third_back), Some(second_out)) = sides else {
             return Err(self.blame(&[(third, second), (first, third), (second, first)]));
         };
-        // The first joint and a third of the way to the other two.
+        // The first joint plus a third of the vectors to the other two.
         let middle = |axis: usize| {
             first[axis].wrapping_add(second_out[axis].wrapping_sub(third_back[axis]) / 3)
         };
         pose.centre = [middle(0), middle(1), middle(2)];
-        // The plane of the joints is the platform's. In it, n of (3.11) and o (turned by a quarter and brought to the length of n) say the same when all readings are
-        // right; of an error of one of them the mean takes half.
+        // The plane of the joints is the plane of the platform. In it, n of (3.11) and o (turned by
+        // a quarter and scaled to the length of n) are equal when all readings are right. The mean
+        // of both halves the error of one wrong reading.
         let a = unit(cross(third_back, second_out));
         let turned = cross(a, opposite).map(round_q30);
         let sum = |axis: usize| {
@@ -243,7 +254,7 @@ impl HapticArm {
         Ok(())
     }
 
-    /// Which leg's readings do not fit.
+    /// Finds the leg whose readings do not fit.
     #[cold]
     #[inline(never)]
     fn blame(&self, sides: &[(Vector, Vector); LEGS]) -> ArmError {
@@ -278,7 +289,7 @@ impl Stand {
             let row = self.rows[axis];
             let link = round_q30(dot(row, direction));
             let along = product_q30(reading.slide.0, row[2]);
-            // Below 1600 mm: fits.
+            // Below 1600 mm, so it fits.
             let joint = along.wrapping_add(product_q30(length, link));
             pose.link[axis] = link;
             pose.joint[axis] = self.base[axis].wrapping_add(joint);
@@ -288,13 +299,13 @@ impl Stand {
     }
 }
 
-/// The product with a direction: Q30 of one of them is taken off again.
+/// Product with a direction, scaled back from Q30.
 #[inline(always)]
 fn product_q30(a: i32, b: i32) -> i32 {
     round_q30(i64::from(a) * i64::from(b))
 }
 
-/// The way from one point to another, unless a part of it is 1024 mm or more: its square is below 2^62.
+/// Vector between two points; `None` if a part is 1024 mm or more. Its square is below 2^62.
 #[inline(always)]
 fn short(to: Vector, from: Vector) -> Option<Vector> {
     let mut way = [0; 3];
@@ -307,14 +318,15 @@ fn short(to: Vector, from: Vector) -> Option<Vector> {
     Some(way)
 }
 
-/// The scalar product; each vector has parts of at most 2^30, or one of them is a direction: below 2^62.
+/// Scalar product, below 2^62: the parts of each vector are at most 2^30, or one vector is a
+/// direction.
 #[inline]
 fn dot(a: Vector, b: Vector) -> i64 {
     let product = |axis: usize| i64::from(a[axis]) * i64::from(b[axis]);
     product(0).wrapping_add(product(1)).wrapping_add(product(2))
 }
 
-/// The vector product, of parts of at most 2^30.
+/// Vector product of vectors with parts of at most 2^30.
 #[inline]
 fn cross(a: Vector, b: Vector) -> [i64; 3] {
     let product = |i: usize, j: usize| {
@@ -327,23 +339,24 @@ fn cross(a: Vector, b: Vector) -> [i64; 3] {
     [product(1, 2), product(2, 0), product(0, 1)]
 }
 
-/// The direction of a vector, Q30; of parts below 2^62.
+/// Direction of a vector with parts below 2^62, Q30.
 #[inline(never)]
 fn unit(vector: [i64; 3]) -> Vector {
     let all = vector.iter().fold(1, |all, part| all | part.unsigned_abs());
-    // The longest part between 2^29 and 2^30.
+    // The longest part is between 2^29 and 2^30.
     let bits = 64 - all.leading_zeros();
     let scaled = if bits > 30 {
         vector.map(|part| shift_right(part, bits - 30) as i32)
     } else {
         vector.map(|part| (part as i32).wrapping_shl(30 - bits))
     };
-    // At most 3 * 2^60. The root is 2^29 to 2^31, so its reciprocal has a shift of 60 or 61 and less what brings it to Q30 leaves 30 or 31.
-    // (Of nothing the root is that of 1, and the shift 1.)
+    // At most 3 * 2^60. The root is 2^29 to 2^31, so its reciprocal has a shift of 60 or 61; minus
+    // the scaling to Q30 that leaves 30 or 31. (The root of a zero vector is that of 1, and the
+    // shift is 1.)
     let reciprocal = Root::of(dot(scaled, scaled) as u64).reciprocal();
     let shift = reciprocal.shift.saturating_sub(30).clamp(1, 31);
     let half = i64::from(1_u32 << (shift - 1));
-    // Below 2^61, and the direction fits a word.
+    // Below 2^61, and the direction fits 32 bits.
     scaled.map(|part| {
         let part = i64::from(part) * i64::from(reciprocal.mantissa) + half;
         ((part as u32) >> shift | ((part >> 32) as u32) << (32 - shift)) as i32

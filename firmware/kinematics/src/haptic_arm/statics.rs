@@ -1,16 +1,25 @@
-//! Statics of the haptic arm: what its six motors must do so that the hand feels a force (docs/control.md 2.4, (3.39)-(3.41)).
+//! Statics of the haptic arm: motor efforts that exert a force on the operator's hand
+//! (docs/control.md 2.4, (3.39)-(3.41)).
 //!
-//! A leg pushes the platform at joint 5 along its link (I_j) and across it (M_j). With the six pushes lambda, B^T lambda = \[M; F\] and tau = A^T lambda: no division by A, so a link in line with its
-//! slide only loses one motor. Moments are about the platform's centre and divided by r_p, so all entries of B are numbers of the same kind.
+//! A leg pushes the platform at joint 5 along its link (I_j) and across it (M_j). With the six
+//! pushes lambda, B^T lambda = \[M; F\] and tau = A^T lambda. This needs no division by A, so a
+//! link in line with its slide only loses one motor. Moments are about the platform's centre and
+//! are divided by r_p, so all entries of B have the same unit.
 //!
-//! The one place of the firmware with floating point: the 6 x 6 system in f32, by elimination with row pivots. Only additions, products, quotients and comparisons occur, each
-//! rounded once, so every target gives the same bits (held by a check that runs on the chip). The directions come from fixed-point sines. Virtual work balances to 1e-4 of the largest term.
+//! This is the only module of the firmware with floating point: the 6 x 6 system is solved in f32
+//! by elimination with row pivots. It uses only additions, products, quotients and comparisons,
+//! each rounded once, so every target gives the same bits (a check that runs on the chip verifies
+//! it). The directions come from fixed-point sines. Virtual work balances to 1e-4 of the largest
+//! term.
 //!
-//! The guard: det B is the product of the pivots, and for any matrix cond_2(B) < 2 / |det B| (|B|_F^2 / 6)^3 (Guggenheimer, Edelman and Johnson, 1995). So a bound on the right side is one on the
-//! condition, at the price of some thirty instructions; it is never too small, and in the workspace of the
-//! reference arm at most twice the truth (5.7 for conditions up to 4.65).
+//! The singularity check uses the determinant. det B is the product of the pivots, and for any
+//! matrix cond_2(B) < 2 / |det B| (|B|_F^2 / 6)^3 (Guggenheimer, Edelman and Johnson, 1995). So a
+//! limit for the right side also limits the condition number, at the cost of some thirty
+//! instructions. The bound is never too small. In the workspace of the reference arm it is at most
+//! twice the true condition number (5.7 for condition numbers up to 4.65).
 //!
-//! Misuse: a force of NaN or beyond 10^4 N. What reaches this is clamped to a few newtons.
+//! Callers must not pass forces that are NaN or beyond 10^4 N. The controller clamps them to a few
+//! newtons.
 #![allow(
     clippy::float_arithmetic,
     reason = "the 6 x 6 system of the haptic arm; nothing else in the controller"
@@ -20,7 +29,7 @@ use haptimill_math::force::Force;
 
 use super::{HandPose, HapticArm, LEGS, Vector};
 
-/// What the hand shall feel, about the platform's centre.
+/// Force and moment on the operator's hand, about the platform's centre.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Wrench {
     /// Force, N.
@@ -30,10 +39,10 @@ pub struct Wrench {
 }
 
 impl Wrench {
-    /// The wrench about the platform's centre of a force at the tip, 2^-16 N.
+    /// Wrench about the platform's centre of a force at the tip, 2^-16 N.
     ///
-    /// The moment is that of the lever from the centre to the tip, so the operator feels the
-    /// force where it acts, and the passivity observer counts the power of the tip's motion
+    /// The moment is that of the lever from the centre to the tip. So the operator feels the force
+    /// where it acts, and the passivity observer counts the power of the tip's motion
     /// (docs/control.md, force feedback).
     #[must_use]
     pub fn at_tip(force: &[Force; 3], pose: &HandPose) -> Self {
@@ -52,26 +61,26 @@ impl Wrench {
     }
 }
 
-/// The arm is too near a pose in which it cannot hold the hand in every direction.
+/// The arm is too near a pose in which it cannot exert a force in every direction.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Singular {
-    /// The bound on the condition number of B; infinite at the singularity itself.
+    /// Bound of the condition number of B; infinite at the singularity itself.
     pub condition: f32,
 }
 
-/// What the motors of the legs do: force along the slide in N, torque about it in N mm.
+/// Efforts of the motors of the legs: force along the slide in N, torque about it in N mm.
 pub type Efforts = [[f32; 2]; LEGS];
 
-/// A number of each of six equations.
+/// One number for each of the six equations.
 type Column = [f32; 6];
 
 /// Six equations, by columns: 0 to 5 belong to lambda, 6 is the right side.
 type System = [Column; 7];
 
-/// The right side.
+/// Index of the right side.
 const RIGHT: usize = 6;
 
-/// Q30 to a number, and 2^-20 mm to mm.
+/// Factors from Q30 to a number, and from 2^-20 mm to mm.
 const Q30: f32 = 1.0 / (1 << 30) as f32;
 const MILLIMETRE: f32 = 1.0 / (1 << 20) as f32;
 
@@ -88,10 +97,10 @@ fn cross(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
 }
 
 impl HapticArm {
-    /// tau = A^T B^-T F, for a condition of B that is certainly below `limit`.
+    /// tau = A^T B^-T F, if the condition number of B is certainly below `limit`.
     ///
     /// # Errors
-    /// [`Singular`], with the bound.
+    /// [`Singular`] with the bound of the condition number.
     #[inline(never)]
     pub fn efforts(
         &self,
@@ -115,7 +124,7 @@ impl HapticArm {
         let determinant = eliminate(&mut system);
         let mean = norm * (1.0 / 6.0);
         let bound = 2.0 * mean * mean * mean;
-        // Not below, so that whatever is no number is refused.
+        // The comparison is written so that NaN is refused.
         let regular = bound < limit * determinant;
         if !regular {
             return Err(Singular {
@@ -134,7 +143,8 @@ impl HapticArm {
     }
 }
 
-/// What a push does: its moment on an arm and itself. Their squares are added to the norm, part by part.
+/// Column of a push: its moment at an arm, and the push itself. Adds the squares of its parts to
+/// the norm.
 #[inline(always)]
 fn column(push: [f32; 3], arm: [f32; 3], norm: &mut f32) -> Column {
     let moment = cross(push, arm);
@@ -150,7 +160,7 @@ fn join(moment: [f32; 3], force: [f32; 3]) -> Column {
     [a, b, c, d, e, f]
 }
 
-/// Makes the system triangular; gives the magnitude of its determinant.
+/// Makes the system triangular and returns the magnitude of its determinant.
 #[inline(always)]
 fn eliminate(system: &mut System) -> f32 {
     let mut determinant = 1.0;
@@ -158,7 +168,8 @@ fn eliminate(system: &mut System) -> f32 {
         determinant *= pivot.abs();
         pivot != 0.0
     };
-    // Each step by itself, so that the compiler knows how far its loops go: counting them took half of all instructions.
+    // Each step is written out, so that the compiler knows the length of its loops: counting them
+    // took half of all instructions.
     let regular = regular(step::<0>(system))
         && regular(step::<1>(system))
         && regular(step::<2>(system))
@@ -168,7 +179,8 @@ fn eliminate(system: &mut System) -> f32 {
     if regular { determinant } else { 0.0 }
 }
 
-/// Brings the largest number of a column to its diagonal and clears what is below; gives that number.
+/// Brings the largest number of a column to its diagonal, clears the numbers below it, and returns
+/// it.
 #[inline(always)]
 fn step<const STEP: usize>(system: &mut System) -> f32 {
     let mut best = STEP;
@@ -193,7 +205,7 @@ fn step<const STEP: usize>(system: &mut System) -> f32 {
     pivot
 }
 
-/// The solution of a triangular system without a zero on its diagonal.
+/// Solution of a triangular system without a zero on its diagonal.
 #[inline(always)]
 fn substitute(system: &System) -> Column {
     let mut solution = [0.0; 6];
@@ -213,7 +225,7 @@ mod tests {
     use proptest::prelude::*;
     use proptest::test_runner::RngSeed;
 
-    /// The elimination as textbooks have it: by rows, with loops that count.
+    /// Textbook elimination: by rows, with counted loops.
     fn textbook(mut rows: [[f32; 7]; 6]) -> (f32, Option<Column>) {
         let mut determinant = 1.0;
         for step in 0..6 {
@@ -255,7 +267,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig { cases: 5_000, rng_seed: RngSeed::Fixed(1), ..ProptestConfig::default() })]
 
-        /// The same bits, also where numbers are equal, are nothing, or leave no solution.
+        /// The bits are equal, also where numbers are equal or zero, or the system has no solution.
         #[test]
         fn the_unrolled_elimination_is_the_textbooks(
             rows in prop::array::uniform6(prop::array::uniform7(prop_oneof![
