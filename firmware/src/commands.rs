@@ -494,7 +494,7 @@ fn haptic_arm(core: &mut Core) -> Result<&mut Haptic, Refusal> {
     machine.masters.arm_mut().ok_or(Refusal::NoHand)
 }
 
-/// Epochs work as those of jogs.
+/// Stores a pose of the remote master. Its epochs work as those of jogs.
 fn set_remote_master(core: &mut Core, epoch: u16, age_ms: u8, hand: &Hand) -> Done {
     if !HAND || core.configured()?.config.follow.is_none() {
         return Err(Refusal::NoHand);

@@ -97,7 +97,7 @@ pub struct Server {
     answers: Deque<(u8, Result<(), Refusal>), ANSWERS>,
     every: u16,
     until_telemetry: u16,
-    /// Telemetry of the haptic arm: the same state.
+    /// Interval, countdown and due flag of haptic-arm telemetry.
     hand_every: u16,
     until_hand: u16,
     hand_waits: bool,
