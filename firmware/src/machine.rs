@@ -295,8 +295,8 @@ impl Machine {
         self.measure_haptics(&inputs.haptic);
     }
 
-    /// Finds counters that jumped farther than a joint can move in `periods`, which is more than one
-    /// after missed periods. Keeps the first jump for a report.
+    /// Finds counters that jumped farther than a joint can move in `periods`, which is more than
+    /// one after missed periods. Keeps the first jump for a report.
     #[cold]
     #[inline(never)]
     fn detect_jumps(&mut self, periods: u32) {
