@@ -1,4 +1,4 @@
-//! What each command does, and when it is refused. A refused command changes nothing.
+//! Command stage: executes one request or setpoint per period. A refused command changes nothing.
 
 use crate::comm::server::Server;
 use crate::config::Config;
@@ -23,17 +23,18 @@ use haptimill_protocol::message::{
 
 type Done = Result<(), Refusal>;
 
-/// To try the pose of a setpoint takes as long as to try so many coordinates; to look at a new span of time and to take it as one, to read the next one as these.
+/// Costs of validating a setpoint, in units of the check of one coordinate: pose check, new
+/// segment duration, enqueue.
 const POSE: usize = 3;
 const SPAN: usize = 1;
 const TAKE: usize = 1;
-/// Cost of checking a group of pieces of a long segment; a period in which a frame ended leaves it
-/// to the next one. A group per period keeps the link from resending setpoints that wait.
+/// Costs in the same units: check of one piece of a long segment, and decoding the next setpoint.
+/// The piece check exceeds the budget of a period in which a frame came, so it runs in a later one.
 const PIECE: usize = 5;
 const PIECE_GROUP: u8 = 4;
 const READ: usize = 5;
 
-/// Carries out the request that was heard and answers it.
+/// Executes the received request and answers it.
 pub(crate) fn execute(core: &mut Core, server: &mut Server, inputs: &Inputs) {
     let request = server.take_request();
     let result = match request.command {
@@ -42,7 +43,7 @@ pub(crate) fn execute(core: &mut Core, server: &mut Server, inputs: &Inputs) {
         {
             Err(Refusal::State(core.safety.state()))
         }
-        // Taken apart by the server, one setpoint a period.
+        // The server takes batches apart, one setpoint a period.
         Command::Setpoints(_) | Command::Ping => Ok(()),
         Command::Configure(chunk) => server.stage(&chunk),
         Command::Activate {
@@ -52,7 +53,7 @@ pub(crate) fn execute(core: &mut Core, server: &mut Server, inputs: &Inputs) {
         } => activate(core, server, inputs, length, crc, at_preset),
         Command::Enable => match enable(core, inputs) {
             Ok(()) if settled(core).is_err() => {
-                // Answered when the step motors have locked.
+                // The answer follows when the step motors have locked.
                 core.job.enabling = request.id;
                 return;
             }
@@ -70,7 +71,7 @@ pub(crate) fn execute(core: &mut Core, server: &mut Server, inputs: &Inputs) {
         }
         Command::Resume => resume(core),
         Command::Stop => {
-            // It came in its place: all that the host said before has been heard.
+            // The link delivers in order: everything that the host sent before has been received.
             core.job.stale_commands = false;
             if core.safety.active() {
                 core.abort();
@@ -127,7 +128,7 @@ fn in_state(core: &Core, allowed: &[State]) -> Done {
     }
 }
 
-/// Nothing may be moved until the step motors have locked.
+/// Refuses while the step motors lock: nothing may be moved.
 fn settled(core: &Core) -> Done {
     match &core.machine {
         Some(machine) if machine.is_locking() => Err(Refusal::Input(InputProblem::Settling)),
@@ -135,8 +136,12 @@ fn settled(core: &Core) -> Done {
     }
 }
 
-/// Checks the staged configuration and makes it the active one. Where the joints stand is known from the presets (said by the operator, or
-/// valid at power-on, with what was counted from then to the first configuration), or from the configuration before if both count alike; otherwise it is lost.
+/// Checks the staged configuration and makes it the active one.
+///
+/// The joint positions come from one of three sources, otherwise they are lost:
+/// - the presets, as the operator states (`at_preset`);
+/// - the presets at power-on plus the counts since then, for the first configuration;
+/// - the previous configuration, if both scale the encoders alike.
 #[cold]
 #[inline(never)]
 fn activate(
@@ -156,7 +161,7 @@ fn activate(
         return Err(Refusal::ConfigCheck);
     }
     let problem = |field| Refusal::Config(ConfigProblem { field, axis: None });
-    // The check and the schema fit: what cannot be read is a part that this controller was built without.
+    // CRC and schema match, so an unreadable part is one that this controller was built without.
     let unreadable = if HAND {
         ConfigField::Encoding
     } else {
@@ -206,14 +211,15 @@ fn enable(core: &mut Core, inputs: &Inputs) -> Done {
         }
         _ => {}
     }
-    // It would be caught with all the force of its drives.
+    // Enabling a coasting machine would stop it with the full force of its drives.
     if !machine.is_at_standstill() {
         return Err(Refusal::Input(InputProblem::Coasting));
     }
     let counted = machine.encoders_counted();
     machine.enable().map_err(Refusal::Standing)?;
     if !counted {
-        // While the drives were off nobody looked, and the machine may have been moved by hand.
+        // The count of illegal transitions is above its limit. Nothing supervised the encoders
+        // while the drives were off, and the machine may have been moved by hand.
         core.safety.lose_position();
         core.job.preset_valid = false;
     }
@@ -250,7 +256,7 @@ fn reset(core: &mut Core, inputs: &Inputs) -> Done {
         && core.safety.state() == State::Fault
         && let Some(machine) = &mut core.machine
     {
-        // The tool stays where it yielded to; to go back from there is for whoever has looked at it.
+        // The tool stays at the compliant displacement. The operator decides how to move it back.
         machine.rebase_on_compliance();
     }
     if let Some(machine) = &mut core.machine
@@ -283,7 +289,7 @@ fn start_job(core: &mut Core, server: &mut Server, job: u32, pose: &AxisValues) 
     if let Some(force) = &machine.force
         && force.mask() != 0
     {
-        // Who believes that the tool yields must not be wrong.
+        // Force control needs a valid, tared force.
         if !force.conditioner().tared() {
             return Err(Refusal::NotTared);
         }
@@ -301,8 +307,9 @@ fn start_job(core: &mut Core, server: &mut Server, job: u32, pose: &AxisValues) 
     Ok(())
 }
 
-/// A period of a setpoint's trial: whether the machine can be at its pose, then whether each of its coordinates may go there as fast as it says. It is taken
-/// into the queue after that, and the next one read, as far as the period's share goes; the rest is for another period.
+/// Validates a setpoint as far as the slice budget of this period allows: its pose, then each
+/// coordinate, then the joint rates. Enqueues it when it is valid, and decodes the next one if the
+/// budget is left. A later period continues what did not fit.
 #[inline(never)]
 pub(crate) fn enqueue_setpoint(core: &mut Core, server: &mut Server, number: u32, tried: u8) {
     let mut budget = server.budget();
@@ -313,7 +320,9 @@ pub(crate) fn enqueue_setpoint(core: &mut Core, server: &mut Server, number: u32
     }
 }
 
-/// Goes on with a setpoint of which so much was tried: nothing, or the pose, or one more for each coordinate. Says how much is tried now; `None` if it was taken.
+/// Continues the validation of a setpoint. `tried` is the progress: 0 for none, 1 after the pose
+/// check, then 1 more for each coordinate and each piece. Returns the new progress, or `None` when
+/// the setpoint is in the queue.
 fn validate_setpoint(
     core: &mut Core,
     server: &Server,
@@ -393,7 +402,7 @@ fn jog(core: &mut Core, epoch: u16, deadline_ms: u16, rates: &AxisValues) -> Don
     if !(1..=1000).contains(&deadline_ms) {
         return Err(Refusal::Range);
     }
-    // Epochs wrap around: one is older when it lies less than half the circle behind.
+    // Epochs wrap around: one is older when it lies less than half the range behind.
     let age = epoch_age(core, epoch);
     if age > 0 || (age == 0 && core.job.jog_cancelled) {
         return Err(Refusal::OldEpoch);
@@ -428,7 +437,8 @@ fn jog(core: &mut Core, epoch: u16, deadline_ms: u16, rates: &AxisValues) -> Don
     Ok(())
 }
 
-/// How many epochs this one is older than the newest; negative when it is newer. Any is newer than none.
+/// Number of epochs by which this one is older than the newest; negative when it is newer or when
+/// there is none yet.
 fn epoch_age(core: &Core, epoch: u16) -> i16 {
     core.job
         .jog_epoch
@@ -448,7 +458,11 @@ fn cancel_jog(core: &mut Core, epoch: u16) -> Done {
     Ok(())
 }
 
-/// To a jog, and from one, only at rest; otherwise also while the coordinate moves. Also while a fault is latched: a hand that stays broken would latch it again after each reset.
+/// Selects the source of a coordinate.
+///
+/// A change to or from jog needs standstill; other changes are allowed while the coordinate moves.
+/// The command is also accepted while a fault is latched: a broken master would otherwise latch
+/// its fault again after each reset.
 fn choose_source(core: &mut Core, axis: u8, source: Source) -> Done {
     in_state(core, &[State::Idle, State::Hold, State::Run, State::Fault])?;
     let state = core.safety.state();
@@ -461,7 +475,7 @@ fn choose_source(core: &mut Core, axis: u8, source: Source) -> Done {
         return Err(Refusal::NoHand);
     }
     machine.masters.mapping.release_one(usize::from(axis));
-    // Without a hand there is nothing that takes a coordinate over while it moves.
+    // Without the feature `hand` no source takes over a moving coordinate.
     let jogs =
         !HAND || source == Source::Jog || machine.motion.source(usize::from(axis)) == Source::Jog;
     if jogs && state == State::Run {
@@ -487,7 +501,7 @@ fn haptic_arm(core: &mut Core) -> Result<&mut Haptic, Refusal> {
     machine.masters.arm_mut().ok_or(Refusal::NoHand)
 }
 
-/// Epochs as those of jogs.
+/// Stores a pose of the remote master. Its epochs work as those of jogs.
 fn set_remote_master(core: &mut Core, epoch: u16, age_ms: u8, hand: &Hand) -> Done {
     if !HAND || core.configured()?.config.follow.is_none() {
         return Err(Refusal::NoHand);
@@ -528,7 +542,7 @@ fn set_wall(core: &mut Core, axis: u8, upper: bool, wall: Option<Wall>) -> Done 
         .map_err(|_| Refusal::WallTooNear)
 }
 
-/// The tool does not jump: hand and tool are latched anew.
+/// Latches master and tool positions anew, so the tool does not jump.
 fn set_hand_scale(core: &mut Core, scale: u16) -> Done {
     let machine = core.configured()?;
     if !HAND || machine.config.follow.is_none() {
@@ -547,7 +561,8 @@ fn force_control(core: &mut Core) -> Result<&mut ForceControl, Refusal> {
     machine.force.as_mut().ok_or(Refusal::NoForceSensor)
 }
 
-/// In any state: an axis that is taken out returns by its law, one that is put in begins where it is.
+/// Allowed in any state. An axis that leaves force control returns by its admittance law; one that
+/// joins starts at its position.
 fn set_force_mask(core: &mut Core, mask: u8) -> Done {
     let force = force_control(core)?;
     if mask >> COMPONENTS != 0 {
@@ -576,7 +591,8 @@ fn report_force_settings(core: &mut Core, axis: u8) -> Done {
     Ok(())
 }
 
-/// Only at rest, with the spindle off (it is, in these states), and where the tool does not lean on anything.
+/// Allowed in Disabled and Idle only: the machine is at rest and the spindle is off. Refused while
+/// the tool has a compliant displacement.
 fn tare(core: &mut Core) -> Done {
     let state = core.safety.state();
     let force = force_control(core)?;

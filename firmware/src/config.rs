@@ -1,7 +1,9 @@
-//! The configuration of a controller: everything that makes it this machine and not another.
+//! Configuration of a controller: all machine data.
 //!
-//! The host makes it from a machine file, sends it in pieces, and the controller checks it (`Config::check`) before it becomes active at a
-//! period boundary. All values are integers in the scales stated here, so a configuration has one encoding (postcard) and one CRC-32.
+//! The host builds it from a machine file and sends it in chunks. The controller checks it
+//! (`Config::check`) before it becomes active at the start of a control period. All values are
+//! integers in the scales given here. A configuration therefore has one encoding (postcard) and one
+//! CRC-32.
 
 mod check;
 pub mod digest;
@@ -16,10 +18,11 @@ use serde::{Deserialize, Serialize};
 
 /// Whether this controller was built with the haptic arm (feature `hand`).
 ///
-/// Without it a configuration with a haptic arm is refused, and the compiler omits its code.
+/// Without it the controller refuses a configuration with a haptic arm, and the compiler omits the
+/// code of the arm.
 pub const HAND: bool = cfg!(feature = "hand");
 
-/// Everything that makes a controller this machine.
+/// All machine data of a controller.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Config {
     /// Name of the machine.
@@ -28,19 +31,19 @@ pub struct Config {
     pub period_us: u16,
     /// The geometry.
     pub model: Model,
-    /// The pose coordinates, in the model's order.
+    /// Pose coordinates, in the order of the model.
     pub pose: Vec<PoseAxis, MAX_AXES>,
-    /// The joints, in the model's order.
+    /// Joints, in the order of the model.
     pub joints: Vec<JointAxis, MAX_AXES>,
-    /// Stops and their bounds.
+    /// Deceleration of stops along the path.
     pub stopping: Stopping,
     /// Limits of supervision.
     pub supervision: Supervision,
-    /// How the reference is found.
+    /// Rates of homing.
     pub homing: Homing,
     /// Force sensor and force control, if the machine has them.
     pub force: Option<ForceConfig>,
-    /// How the tool follows a hand, if one can lead it.
+    /// Mapping from a master to the tool, if a master can lead it.
     #[cfg_attr(not(feature = "hand"), serde(deserialize_with = "absent"))]
     pub follow: Option<FollowConfig>,
     /// The haptic arm, if there is one.
@@ -58,7 +61,7 @@ pub enum AxisKind {
 }
 
 impl Config {
-    /// The geometry of this machine with the limits of its joints.
+    /// Kinematics of this machine, with the limits of its joints.
     #[must_use]
     pub fn kinematics(&self) -> BoundedKinematics {
         let limits = self.joints.iter().map(|joint| JointLimits {
@@ -70,7 +73,7 @@ impl Config {
     }
 }
 
-/// A pose coordinate: its soft limits and what a jog may ask of it.
+/// Pose coordinate: its soft limits, and the limits of its jogs.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct PoseAxis {
     /// Linear or rotary.
@@ -79,7 +82,7 @@ pub struct PoseAxis {
     pub low: Coordinate,
     /// Upper soft limit.
     pub high: Coordinate,
-    /// Largest rate, of a program or a jog.
+    /// Largest rate of a program or a jog.
     pub rate: Rate,
     /// Largest acceleration of a jog.
     pub acceleration: Acceleration,
@@ -87,10 +90,11 @@ pub struct PoseAxis {
     pub jerk: u32,
 }
 
-/// A jerk is in axis units per second cubed divided by 2^16: 2^-4 mm/s^3, or 2^-16 turn/s^3.
+/// Binary scale of a jerk: axis units per second cubed divided by 2^16. The unit is 2^-4 mm/s^3 or
+/// 2^-16 turn/s^3.
 pub const JERK_SHIFT: u32 = 16;
 
-/// A joint: its screw, encoder, drive, loop and limits.
+/// Joint: its screw, encoder, drive, servo loop and limits.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct JointAxis {
     /// Linear or rotary.
@@ -103,81 +107,87 @@ pub struct JointAxis {
     pub rate: Rate,
     /// Axis units per encoder count, times 2^24; negative when the encoder counts backwards.
     pub per_count: i64,
-    /// Whole width of the backlash of the screw; the encoder sits on the motor side. 0 switches compensation off.
+    /// Full width of the backlash of the screw. The encoder sits on the motor side. 0 switches the
+    /// compensation off.
     pub backlash: Coordinate,
-    /// What drives it.
+    /// The drive.
     pub drive: Drive,
-    /// Its position loop.
+    /// The servo loop.
     pub law: ServoConfig,
     /// Largest following error at standstill.
     pub following: Coordinate,
-    /// The limit grows with the wanted rate: this many 2^-16 seconds of travel are added.
+    /// Increase of the following-error limit with the commanded rate, in 2^-16 s of travel.
     pub following_lag: u32,
-    /// Motion of this much wanted with the encoder still is an encoder fault.
+    /// Encoder-stuck distance: commanded motion without a count that is a fault.
     pub still: Coordinate,
-    /// Coordinate at the home preset (the distance that the operator sets up before power on).
+    /// Coordinate at the preset: the distance that the operator sets up before power on.
     pub preset: Coordinate,
-    /// Coordinate of the index pulse nearest the preset.
+    /// Coordinate of the index pulse nearest to the preset.
     pub index: Coordinate,
-    /// Distance from one index pulse to the next (one turn of the motor).
+    /// Distance from one index pulse to the next: one turn of the motor.
     pub index_pitch: Coordinate,
-    /// Counts by which an index pulse may be off its place, its own width included; less than a quarter of a turn. 0: pulses are only looked for, and never compared with the counts.
+    /// Tolerance of the position of an index pulse, in counts, including the width of the pulse;
+    /// less than a quarter of a turn. At 0 only homing uses the pulses: they are not compared with
+    /// the counts.
     pub index_slack: u16,
-    /// How far a found index may be from where the preset says; less than half the pitch.
+    /// Largest distance of a found index pulse from its place by the preset; less than half the
+    /// pitch.
     pub search: Coordinate,
 }
 
-/// What drives a joint.
+/// Drive of a joint.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Drive {
     /// A current-mode amplifier behind a 14-bit DAC.
     Torque {
-        /// Effort at code 8192; negative when the amplifier is wired the other way round.
+        /// Effort at code 8192; negative when the amplifier is wired in reverse.
         full_scale: Effort,
         /// Largest effort that may be commanded.
         limit: Effort,
     },
     /// A step/direction drive.
     Steps {
-        /// Axis units per step, times 2^24; negative when a positive step goes down.
+        /// Axis units per step, times 2^24; negative when a positive step moves down.
         per_step: i64,
         /// Ticks of the step clock per microsecond, 1 to 1000.
         ticks_per_us: u16,
-        /// Least width of a pulse, and least time between two, in ticks.
+        /// Least width of a pulse, and least time between two pulses, in ticks.
         pulse: u16,
-        /// Direction level before the first pulse, in ticks.
+        /// Setup time of the direction level before the first pulse, in ticks.
         setup: u16,
-        /// Direction level after the last pulse, in ticks.
+        /// Hold time of the direction level after the last pulse, in ticks.
         hold: u16,
-        /// Disagreement of steps and encoder that means lost steps.
+        /// Difference between steps and encoder that is the fault of lost steps.
         lost: Coordinate,
     },
 }
 
-/// The position loop of a joint (docs/control.md 3.1, 3.2).
+/// Servo loop of a joint (docs/control.md 3.1, 3.2).
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct ServoConfig {
-    /// Which form.
+    /// Form of the loop.
     pub form: ServoForm,
     /// K_P in 1/s^2.
     pub kp: Gain,
     /// K_D in 1/s.
     pub kd: Gain,
-    /// Time constant of the first-order filter on the rate of the error, in microseconds; 0 is none.
+    /// Time constant of the first-order filter on the error rate, in microseconds; 0 is no filter.
     pub rate_filter_us: u16,
-    /// Inertia: effort units per acceleration unit, times 2^20 (1 kg on a linear axis: 0.016 * 2^20).
+    /// Inertia: effort units per acceleration unit, times 2^20 (1 kg on a linear axis: 0.016 *
+    /// 2^20).
     pub inertia: u32,
     /// Viscous friction: effort units per rate unit, times 2^24.
     pub viscous: u32,
-    /// Coulomb friction that is compensated.
+    /// Coulomb friction to compensate.
     pub coulomb: Effort,
-    /// Rate at which the compensation has reached tanh(1) of its full value.
+    /// Rate at which the compensation reaches tanh(1) of its full value.
     pub coulomb_rate: Rate,
-    /// K_I in 1/s^3: an integrator with conditional anti-windup; 0 is none (the thesis has none).
+    /// K_I in 1/s^3, of an integrator with conditional anti-windup; 0 is no integrator. The thesis
+    /// has none.
     pub ki: Gain,
 }
 
-/// The two forms of the position loop.
+/// Forms of the servo loop.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum ServoForm {
     /// (3.29) with the corrected sign: inertia * (K_P e + K_D e') + friction compensation.
@@ -186,27 +196,29 @@ pub enum ServoForm {
     ModelBased,
 }
 
-/// How the machine slows down along its path.
+/// Deceleration along the path.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Stopping {
-    /// Time from the programmed speed to rest, in milliseconds, 5 to 2000; sets the greatest change of the path rate.
+    /// Time from the programmed speed to rest, in ms, 5 to 2000. It sets the largest change of the
+    /// path rate.
     pub time_ms: u16,
-    /// Part of that time in which the braking builds up (and dies away), in milliseconds; sets the jerk.
+    /// Part of that time in which the deceleration builds up, and dies away, in ms. It sets the
+    /// jerk.
     pub ramp_ms: u16,
 }
 
 /// Limits of supervision.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Supervision {
-    /// Silence of the host that ends a job or a jog, in milliseconds.
+    /// Silence of the host that ends a job or a jog, in ms, 10 to 5000.
     pub heartbeat_ms: u16,
-    /// Control periods missed in a row that are a fault.
+    /// Missed control periods in a row that are a fault, 1 to 50.
     pub missed_periods: u16,
-    /// Illegal encoder transitions since enable that are a fault.
+    /// Illegal encoder transitions since enable that are a fault, 0 to 1000.
     pub illegal_transitions: u16,
 }
 
-/// How fast the pose moves while the index pulses are looked for.
+/// Rates of the pose during the search for the index pulses.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Homing {
     /// Rate of linear coordinates.
@@ -215,7 +227,8 @@ pub struct Homing {
     pub table_rate: Rate,
 }
 
-/// A part that this controller was built without: it is not there, or the configuration cannot be read. Nothing of the part is decoded, which saves the code for it.
+/// Deserializes a part that this controller was built without: `None`, or an error if the
+/// configuration has the part. The part is not decoded, which saves the code for it.
 #[cfg(not(feature = "hand"))]
 fn absent<'de, D: serde::Deserializer<'de>, T>(deserializer: D) -> Result<Option<T>, D::Error> {
     enum Never {}

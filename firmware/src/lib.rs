@@ -1,11 +1,14 @@
 //! The Haptimill controller.
 //!
-//! One idea carries it: **the controller is a function.** Every control period it takes what was sensed ([`io::Inputs`]) and says
-//! what is to be done ([`io::Outputs`]). It owns no pin, no clock, no allocator and no interrupt. All of it is integer or
-//! fixed-point arithmetic, but for the 6 x 6 statics of the haptic arm, which are f32 without anything that is rounded differently anywhere; so the same
-//! inputs give the same bits on every target.
+//! **The controller is a function.** Every control period it takes the latched inputs
+//! ([`io::Inputs`]) and computes the outputs ([`io::Outputs`]). It owns no pin, no clock, no
+//! allocator and no interrupt.
+//!
+//! The arithmetic is integer or fixed-point. The exception is the 6 x 6 statics of the haptic arm:
+//! they use f32, and only operations that every target rounds alike. The same inputs therefore give
+//! the same bits on every target.
 #![no_std]
-// Not a float in the corridor, outside of tests and of the haptic arm's statics.
+// The control cycle has no float, except in tests and in the statics of the haptic arm.
 #![cfg_attr(not(test), deny(clippy::float_arithmetic))]
 
 pub mod comm;

@@ -1,4 +1,7 @@
-//! The parts that a configuration makes: geometry, joints, motion, force control, haptic arm; and the stages that are theirs.
+//! The configured machine: geometry, joints, motion, force control and haptic arm, with the stages
+//! of the control cycle that work on them.
+//!
+//! Positions are in axis units (2^-20 mm or 2^-32 turn).
 
 mod compliance;
 mod joint_rates;
@@ -25,20 +28,21 @@ use heapless::Vec;
 use joint_rates::JointRates;
 use masters::Masters;
 
-/// Parts in which the configuration, and what was worked out from it, is checked against its digest: geometry and bounds, motion, then each axis of
-/// the pose and each joint, then the haptic arm, then the force sensor and each axis of force control.
+/// Number of parts in which the configuration and the values derived from it are checked against
+/// their digests. The parts are: geometry and bounds, motion, each pose axis and each joint, the
+/// haptic arm, the force sensor, each axis of force control.
 const PARTS: usize = FORCE_PART + 1 + COMPONENTS;
 
-/// The part of the haptic arm.
+/// Digest part of the haptic arm.
 const HAND_PART: usize = 2 + 2 * MAX_AXES;
 
-/// The part of the force sensor.
+/// Digest part of the force sensor.
 const FORCE_PART: usize = HAND_PART + 1;
 
-/// What the counts of each joint mean, where it stands, and what is known of its encoder.
+/// Encoder scaling and encoder state of each joint.
 pub type PositionSnapshot = Vec<(EncoderScaling, EncoderState), MAX_AXES>;
 
-/// What the counts of a joint's encoder mean: kind, axis units per count, preset, index and its pitch.
+/// Encoder scaling of a joint: kind, axis units per count, preset, index and index pitch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct EncoderScaling(AxisKind, i64, Coordinate, Coordinate, Coordinate);
 
@@ -54,16 +58,16 @@ impl EncoderScaling {
     }
 }
 
-/// One joint in one period.
+/// State of one joint in one period.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct JointSnapshot {
-    /// Where it is.
+    /// Measured position.
     pub measured: Coordinate,
-    /// Where it shall be.
+    /// Commanded position.
     pub commanded: Coordinate,
-    /// What its loop works on.
+    /// Following error, the input of the servo loop.
     pub following_error: Coordinate,
-    /// What its drive was told.
+    /// Command to the drive.
     pub command: DriveCommand,
 }
 
@@ -76,46 +80,47 @@ pub struct Machine {
     pub crc: u32,
     /// Geometry and strokes.
     pub kinematics: BoundedKinematics,
-    /// What is wanted.
+    /// Program, jogs and sources: the commanded motion.
     pub motion: Motion,
-    /// The search for the references.
+    /// Search for the index pulses.
     pub homing: Homing,
     /// Force sensor and force control, on a machine that has them.
     pub force: Option<ForceControl>,
-    /// The haptic arm, and the hands that lead.
+    /// The haptic arm or the remote master, and the mapping to the tool.
     pub masters: Masters,
-    /// p_r on a machine with force control: what is placed. Without it that is what is wanted.
+    /// Reference p_r on a machine with force control; unused without it.
     reference: PoseCommand,
-    /// Periods for which a component that could not yield any further is still taken for one.
+    /// Hold-off before a compliance-limit event is reported again, in periods.
     limited: [u16; COMPONENTS],
-    /// Components that could not yield any further in this period, and could before.
+    /// Components that reached the compliance limit in this period.
     newly_limited: u8,
     joints: Vec<JointDrive, MAX_AXES>,
     measured: Joints,
-    /// On a machine with a force sensor; without one the pose is worked out for whoever asks.
+    /// Computed every period on a machine with a force sensor, otherwise on demand.
     measured_pose: Option<Pose>,
     target: JointMotion,
-    /// Of the setpoints of a job.
+    /// Joint-rate check of the setpoints of a job.
     joint_rates: JointRates,
     digests: [Digest; PARTS],
     next_part: usize,
-    /// Periods in which the rotors of step motors may still lock, after their drives were switched on.
+    /// Periods left in which the rotors of step motors may lock after enable.
     locking: Option<u32>,
-    /// A counter that jumped and was not named yet: joint, and counts.
+    /// Counter jump that was not reported yet: joint, and counts.
     jumped: Option<(u8, u16)>,
 }
 
-/// A rotor has locked when it has stayed in its place for so long, microseconds: six cycles of one that swings at 120 Hz.
+/// A rotor has locked when it has not moved for this time, microseconds: six cycles of a rotor that
+/// oscillates at 120 Hz.
 const LOCKED_US: u32 = 50_000;
 
-/// All rotors must have locked after so long, microseconds.
+/// All rotors must have locked after this time, microseconds.
 const LOCKING_US: u32 = 1_000_000;
 
 impl Machine {
-    /// The machine of a configuration, standing at its presets.
+    /// Creates the machine of a configuration, at its presets.
     ///
     /// # Errors
-    /// What is wrong with the configuration.
+    /// The first problem of the configuration.
     pub fn new(config: Config, crc: u32, inputs: &Inputs) -> Result<Self, ConfigProblem> {
         let joints = Self::joints_of(&config, inputs)?;
         let design = Self::force_of(&config)?;
@@ -124,11 +129,12 @@ impl Machine {
         Ok(machine)
     }
 
-    /// The machine of a configuration takes its place in `slot`, where it stays: with its queue it is too large to be handed from one function to the
-    /// next on the stack of a microcontroller. A refused configuration leaves the slot as it was.
+    /// Creates the machine of a configuration in `slot`. With its queue a machine is too large to
+    /// be passed by value on the stack of a microcontroller. A refused configuration leaves the
+    /// slot unchanged.
     ///
     /// # Errors
-    /// What is wrong with the configuration.
+    /// The first problem of the configuration.
     #[cold]
     #[inline(never)]
     pub fn install(
@@ -146,7 +152,7 @@ impl Machine {
         Ok(())
     }
 
-    /// The joints of a configuration that has been checked, at their presets.
+    /// Checks the configuration and creates its joints, at their presets.
     #[cold]
     #[inline(never)]
     fn joints_of(
@@ -168,14 +174,15 @@ impl Machine {
         Ok(joints)
     }
 
-    /// A machine is put together on the stack before it takes its place: nothing else shall be there meanwhile.
+    /// Moves a new machine into the slot. The machine is built on the stack first; a function of
+    /// its own keeps that frame free of anything else.
     #[cold]
     #[inline(never)]
     fn install_bare(slot: &mut Option<Self>, config: Config, crc: u32) {
         *slot = Some(Self::bare(config, crc));
     }
 
-    /// Without joints and motion.
+    /// A machine without joints and motion.
     #[inline(always)]
     fn bare(config: Config, crc: u32) -> Self {
         Self {
@@ -219,7 +226,7 @@ impl Machine {
         self.update_measured();
     }
 
-    /// Where the joints stand, and what their counts mean: what a new configuration may take over.
+    /// Encoder scaling and state of all joints, which a new configuration may take over.
     #[must_use]
     pub fn standing(&self) -> PositionSnapshot {
         let joints = self.config.joints.iter().zip(&self.joints);
@@ -228,14 +235,15 @@ impl Machine {
             .collect()
     }
 
-    /// Whether the next index pulse of a joint will tell if its encoder has lost counts.
+    /// Whether the next index pulse of a joint will confirm or refute its encoder.
     #[must_use]
     pub fn index_will_tell(&self, axis: u8) -> bool {
         let joint = self.joints.get(usize::from(axis));
         joint.is_some_and(|joint| joint.indexes().will_tell())
     }
 
-    /// Takes over where the joints stood under another configuration, if counts mean the same; says whether they do.
+    /// Takes over the joint positions of another configuration if the encoder scalings are equal;
+    /// returns whether they are.
     pub fn take_over(&mut self, standing: &PositionSnapshot, inputs: &Inputs) -> bool {
         let meanings = self.config.joints.iter().map(EncoderScaling::of);
         if !meanings.eq(standing.iter().map(|(meaning, _)| *meaning)) {
@@ -248,7 +256,8 @@ impl Machine {
         true
     }
 
-    /// The joints stood at their presets at power-on, and have moved from there as was counted since. False if an encoder cannot be believed.
+    /// Derives the joint positions from the presets at power-on and the counts since. Returns false
+    /// if an encoder is invalid.
     #[cold]
     #[inline(never)]
     pub fn count_from(&mut self, counted: &SincePowerOn) -> bool {
@@ -268,7 +277,7 @@ impl Machine {
         self.joints.len()
     }
 
-    /// Stage *sense*: encoders to joints, and where a force is felt joints to pose.
+    /// Stage *measure*: encoder counts to joint positions; with a force sensor also the pose.
     #[inline]
     pub fn measure(&mut self, inputs: &Inputs) {
         let time_ns = inputs.time_ns;
@@ -286,7 +295,8 @@ impl Machine {
         self.measure_haptics(&inputs.haptic);
     }
 
-    /// In so many periods a joint can go farther than in one.
+    /// Finds counters that jumped farther than a joint can move in `periods`, which is more than
+    /// one after missed periods. Keeps the first jump for a report.
     #[cold]
     #[inline(never)]
     fn detect_jumps(&mut self, periods: u32) {
@@ -299,14 +309,15 @@ impl Machine {
         }
     }
 
-    /// A counter that jumped, whether drives are on or off, until it [was named](Self::acknowledge_jump): joint, and counts.
+    /// A counter that jumped, with drives on or off, until it is
+    /// [acknowledged](Self::acknowledge_jump): joint, and counts.
     #[must_use]
     #[inline]
     pub const fn jump(&self) -> Option<(u8, u16)> {
         self.jumped
     }
 
-    /// The fault of that joint was named.
+    /// Clears the jump after its fault was reported.
     pub const fn acknowledge_jump(&mut self) {
         self.jumped = None;
     }
@@ -318,7 +329,7 @@ impl Machine {
         self.measure_pose();
     }
 
-    /// What a force acts on is needed in every period.
+    /// Force control needs the measured pose in every period.
     #[inline]
     fn measure_pose(&mut self) {
         if self.force.is_some() {
@@ -336,7 +347,8 @@ impl Machine {
         }
     }
 
-    /// Whether the encoders have made no more illegal transitions since they were enabled last than supervision allows.
+    /// Whether the illegal transitions of every encoder since the last enable are within the
+    /// configured limit.
     #[must_use]
     #[inline]
     pub fn encoders_counted(&self) -> bool {
@@ -346,7 +358,8 @@ impl Machine {
             .all(|joint| joint.measurement().illegal <= limit)
     }
 
-    /// Whether no joint moves faster than twice its following error in a second (0.6 mm/s for 0.3 mm).
+    /// Whether every joint moves at most twice its following-error limit per second (0.6 mm/s for
+    /// 0.3 mm).
     #[must_use]
     pub fn is_at_standstill(&self) -> bool {
         self.joints
@@ -357,7 +370,7 @@ impl Machine {
             })
     }
 
-    /// Wanted becomes measured, drives on.
+    /// Switches the drives on; the commanded position becomes the measured one.
     pub fn enable(&mut self) -> Result<(), PoseError> {
         let measured = self.measured;
         self.place_at(&measured)?;
@@ -370,7 +383,7 @@ impl Machine {
         Ok(())
     }
 
-    /// These joints are commanded, at rest; an error changes nothing.
+    /// Commands these joint positions, at rest. An error changes nothing.
     #[inline(never)]
     fn place_at(&mut self, joints: &Joints) -> Result<(), PoseError> {
         let pose = self.kinematics.forward(joints)?;
@@ -381,18 +394,20 @@ impl Machine {
         Ok(())
     }
 
-    /// Whether the drives were just switched on and the rotors of step motors have not locked yet: nothing may be moved.
+    /// Whether the rotors of step motors are still locking after enable; nothing may be moved.
     #[must_use]
     #[inline]
     pub const fn is_locking(&self) -> bool {
         self.locking.is_some()
     }
 
-    /// One period in which the rotors of step motors lock: each moves to the nearest detent, by two full steps at most, and swings there. Its encoder counts that. When all have
+    /// One period in which the rotors of step motors lock. Each rotor moves to the nearest detent,
+    /// by two full steps at most, and oscillates there; its encoder counts that. When all have
     /// locked, the commanded position becomes the measured one, and steps count from there.
     ///
     /// # Errors
-    /// A rotor that is farther from where it was switched on than a joint may be off at rest, or that does not come to rest.
+    /// A rotor that moved farther than the following-error limit at standstill, or that does not
+    /// come to rest in time.
     #[cold]
     #[inline(never)]
     pub fn lock(&mut self) -> Result<(), Fault> {
@@ -423,7 +438,8 @@ impl Machine {
         Ok(())
     }
 
-    /// Step motors are commanded where they are measured; torque drives stay where they are commanded, or a load would push them on.
+    /// Commands step motors to their measured positions. Torque drives keep their commanded
+    /// positions, because a load would push them further otherwise.
     fn rebase(&mut self) -> Result<(), PoseError> {
         let mut joints = self.target.joints;
         for (coordinate, joint) in joints.0.iter_mut().zip(&mut self.joints) {
@@ -434,7 +450,7 @@ impl Machine {
         self.place_at(&joints)
     }
 
-    /// Drives off.
+    /// Switches the drives off.
     #[inline]
     pub fn disable(&mut self) {
         self.locking = None;
@@ -447,7 +463,7 @@ impl Machine {
         self.joints.iter_mut().for_each(JointDrive::settle);
     }
 
-    /// Begins the search for the references.
+    /// Begins homing: the search for the index pulses.
     pub fn begin_homing(&mut self) {
         self.rebase_on_compliance();
         self.joints.iter_mut().for_each(|joint| joint.search(true));
@@ -455,7 +471,7 @@ impl Machine {
         self.homing = Homing::default();
     }
 
-    /// Index pulses of this period, for the search.
+    /// Passes the index pulses of this period to homing.
     #[inline]
     pub fn check_index_pulses(&mut self) -> Result<(), Fault> {
         for (index, axis) in self.config.joints.iter().enumerate() {
@@ -468,7 +484,8 @@ impl Machine {
         Ok(())
     }
 
-    /// Corrects the coordinates of all joints; wanted becomes measured, so nothing moves.
+    /// Corrects the positions of all joints. The commanded position becomes the measured one, so
+    /// nothing moves.
     pub fn apply_homing(
         &mut self,
         corrections: &[Coordinate; MAX_AXES],
@@ -491,7 +508,8 @@ impl Machine {
         Ok(())
     }
 
-    /// Supervision of all joints against what was wanted of them in the period before; periods were `missed` since.
+    /// Supervises all joints against their commands of the period before. `missed`: periods were
+    /// missed since.
     #[inline]
     pub fn supervise(&mut self, missed: bool) -> Option<Fault> {
         let Config {
@@ -511,7 +529,8 @@ impl Machine {
         None
     }
 
-    /// Stage *place*: the wanted pose, or its reference where the tool yields, to the joints.
+    /// Stage *solve*: inverse kinematics of the commanded pose, or of the reference under force
+    /// control.
     #[inline]
     pub fn solve(&mut self) -> Result<(), PoseError> {
         if self.is_compliant() {
@@ -526,7 +545,8 @@ impl Machine {
         )
     }
 
-    /// The first joint that is commanded more than its maximum rate and 1/32 of it: something that no look ahead has prevented.
+    /// The first joint whose commanded rate exceeds its maximum by more than 1/32, which the
+    /// look-ahead should have prevented.
     #[must_use]
     #[inline]
     pub fn joint_beyond_rate(&self) -> Option<usize> {
@@ -535,7 +555,7 @@ impl Machine {
         joints.position(|(rate, limit)| rate.0.unsigned_abs() > (limit.0 + (limit.0 >> 5)) as u32)
     }
 
-    /// Stage *drive*: position loops. Gives a joint whose drive was asked for too much.
+    /// Stage *servo*: position loops. Returns a joint whose drive command is saturated.
     #[inline]
     pub fn servo(&mut self, commands: &mut [DriveCommand; MAX_AXES]) -> Option<u8> {
         let mut saturated = None;
@@ -556,7 +576,8 @@ impl Machine {
         saturated
     }
 
-    /// What is wanted in this period. The number is a coordinate whose jog was kept from going on.
+    /// Stage *interpolate*: commanded motion of this period. Also returns the coordinate of a jog
+    /// that a limit stops, if there is one.
     #[inline]
     pub fn advance(&mut self, mode: Mode) -> (Progress, Option<u8>) {
         self.update_excursion();
@@ -571,7 +592,7 @@ impl Machine {
         self.motion.advance(mode, &self.kinematics)
     }
 
-    /// The first coordinate of the wanted pose that is beyond its soft limits.
+    /// The first coordinate of the pose that is beyond its soft limits.
     #[must_use]
     #[inline]
     pub fn beyond_soft_limit(&self, pose: &Pose) -> Option<u8> {
@@ -583,10 +604,10 @@ impl Machine {
             .map(|index| index as u8)
     }
 
-    /// Whether the machine can be where a setpoint says, within its soft limits.
+    /// Checks that the pose of a setpoint is within soft limits and strokes.
     ///
     /// # Errors
-    /// What is wrong with that pose.
+    /// The soft limit or pose error that refuses the setpoint.
     pub fn can_reach(&mut self, number: u32, setpoint: &Setpoint) -> Result<(), Refusal> {
         let mut pose = Pose::default();
         for (slot, value) in pose.0.iter_mut().zip(&setpoint.pose) {
@@ -605,7 +626,7 @@ impl Machine {
         })
     }
 
-    /// Compares one part of the configuration with its digest, another one each time.
+    /// Compares the next part of the configuration with its digest; true if they agree.
     #[inline(never)]
     pub fn check_next_digest(&mut self) -> bool {
         let part = self.next_part;
@@ -637,13 +658,14 @@ impl Machine {
         digest
     }
 
-    /// The wanted pose as values of a message.
+    /// The commanded pose as values of a message.
     #[must_use]
     pub fn commanded_values(&self) -> AxisValues {
         self.values(|index| self.motion.commanded().pose.0[index].0)
     }
 
-    /// Notes down what telemetry tells of pose and joints; the measured pose is empty when it is not certified.
+    /// Fills in pose and joints of a telemetry sample. The measured pose is empty when the forward
+    /// kinematics does not certify one.
     pub fn fill_telemetry(&self, inputs: &Inputs, sample: &mut Telemetry) {
         let axes = self.axes();
         let commanded = &self.motion.commanded().pose.0;
@@ -673,7 +695,7 @@ impl Machine {
         }
     }
 
-    /// What each joint measured and was told in this period, for recorders.
+    /// State of each joint in this period, for recorders.
     pub fn joints(&self) -> impl Iterator<Item = JointSnapshot> + '_ {
         (0..self.axes()).map(|index| JointSnapshot {
             measured: self.measured.0[index],
@@ -683,7 +705,7 @@ impl Machine {
         })
     }
 
-    /// What the joints were told last: positions, rates and accelerations.
+    /// The joint motion commanded last: positions, rates and accelerations.
     #[must_use]
     pub const fn target(&self) -> &JointMotion {
         &self.target
@@ -694,7 +716,7 @@ impl Machine {
     }
 }
 
-/// Writes values where there are as many already, but for the first time.
+/// Overwrites `values` in place; resizes it on first use.
 fn put(values: &mut AxisValues, axes: usize, value: impl Fn(usize) -> i32) {
     let _ = values.resize(axes, 0);
     for (index, solve) in values.iter_mut().enumerate() {

@@ -1,4 +1,5 @@
-//! What a controller knows of itself in a period, for recorders: one function makes it, in this process and on a chip alike.
+//! State of the controller in one period, for recorders and tests. The same function fills it in
+//! the simulator's process and on a chip.
 
 use crate::controller::Controller;
 use crate::io::{COMPONENTS, DriveCommand, Inputs};
@@ -7,7 +8,7 @@ use crate::motion::interpolator::FULL_RATE;
 use crate::motion::interpolator::QUEUE;
 use haptimill_protocol::message::{MAX_AXES, State};
 
-/// Values of all axes, in axis units; those that the machine lacks are 0.
+/// Values of all axes, in axis units; 0 for axes that the machine lacks.
 pub type Axes = [i32; MAX_AXES];
 
 /// A configured controller after one control period.
@@ -15,75 +16,77 @@ pub type Axes = [i32; MAX_AXES];
 pub struct Snapshot {
     /// State of the controller.
     pub state: State,
-    /// All axes have their reference.
+    /// All joints are homed.
     pub homed: bool,
-    /// The position is known to be right since homing.
+    /// The position has been known to be right since homing.
     pub position_kept: bool,
     /// A fault is latched.
     pub fault: bool,
-    /// The setpoint that the motion is heading for.
+    /// Number of the setpoint at which the present segment ends.
     pub setpoint: u32,
-    /// Setpoints that wait in the queue, at most [`QUEUE`].
+    /// Setpoints in the queue, at most [`QUEUE`].
     pub queued: u16,
-    /// More setpoints of the job are to come.
+    /// The job has setpoints that have not arrived yet.
     pub more: bool,
-    /// Speed along the path, 65535 for the programmed one.
+    /// Path rate; 65535 is the programmed rate.
     pub path_rate: u16,
-    /// Spindle, rev/min.
+    /// Spindle speed, rev/min.
     pub spindle_rpm: i16,
-    /// Program time, periods times 2^32.
+    /// Program time, in periods times 2^32.
     pub program_time: u64,
-    /// Wanted pose.
+    /// Commanded pose.
     pub commanded: Axes,
-    /// Wanted joints.
+    /// Commanded joint positions.
     pub joints_commanded: Axes,
-    /// Measured joints.
+    /// Measured joint positions.
     pub joints: Axes,
     /// Following error of the joints.
     pub following_error: Axes,
-    /// Drive command: DAC code, or steps emitted.
+    /// Drive command: DAC code, or steps emitted so far.
     pub drive: Axes,
-    /// What is felt, on a machine with a force sensor.
+    /// Force on the tool, on a machine with a force sensor.
     pub force: ForceSnapshot,
-    /// The hand, on a machine with a haptic arm.
+    /// The haptic arm, on a machine that has one.
     pub hand: HapticSnapshot,
 }
 
-/// What the controller knows of the force on the tool; zeros on a machine without a sensor.
+/// Force on the tool and compliant displacement; zeros on a machine without a force sensor.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct ForceSnapshot {
-    /// Force on the tool of largest magnitude in the last revolution of the spindle, 2^-16 N: the peak.
+    /// Peak force: the force of largest magnitude in the last spindle revolution, 2^-16 N.
     pub high: [i32; COMPONENTS],
-    /// The opposite end of what it was in that revolution, 2^-16 N.
+    /// The opposite extreme of the force in that revolution, 2^-16 N.
     pub low: [i32; COMPONENTS],
-    /// By how much the tool yields, p_c, 2^-20 mm.
+    /// Compliant displacement p_c, 2^-20 mm.
     pub yielded: [i32; COMPONENTS],
 }
 
-/// What the controller knows of the hand on its haptic arm; zeros on a machine without.
+/// State of the haptic arm; zeros on a machine without one.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct HapticSnapshot {
     /// The tip, 2^-20 mm.
     pub tip: [i32; COMPONENTS],
-    /// What the arm does to the hand, 2^-16 N.
+    /// Force of the arm on the operator, 2^-16 N.
     pub force: [i32; COMPONENTS],
-    /// What the law of reflection alone makes of the force on the tool, 2^-16 N.
+    /// Output of the force feedback law alone, 2^-16 N.
     pub reflected: [i32; COMPONENTS],
-    /// What the virtual walls push, 2^-16 N.
+    /// Force of the virtual fixtures, 2^-16 N.
     pub wall: [i32; COMPONENTS],
 }
 
 impl Controller {
-    /// How things stand after the period of these inputs; `None` without a configuration.
+    /// State after the period of these inputs; `None` without a configuration.
     #[must_use]
     pub fn snapshot(&self, inputs: &Inputs) -> Option<Snapshot> {
         let mut snapshot = Snapshot::default();
         self.read(inputs, &mut snapshot).then_some(snapshot)
     }
 
-    /// The same where there is a reading already, one by default or the last one of a controller; false without a configuration, and then it is as it was.
+    /// Overwrites `snapshot`, which is a default one or the last one of a controller. Returns false
+    /// and leaves it unchanged without a configuration.
     ///
-    /// Done in every period by a board whose simulator records, so it is written to be short: no list on the way, and one round over the joints.
+    /// A board whose simulator records calls this every period. The code therefore builds no
+    /// intermediate list and visits the joints once.
     #[inline(always)]
     pub fn read(&self, inputs: &Inputs, snapshot: &mut Snapshot) -> bool {
         let Some(machine) = self.machine() else {
@@ -104,7 +107,7 @@ impl Controller {
         let commanded = &machine.motion.commanded().pose.0;
         let mut joints = machine.joints();
         for (axis, commanded) in commanded.iter().enumerate() {
-            // What the machine lacks is 0.
+            // An axis that the machine lacks is 0.
             let there = joints.next();
             let joint = there.unwrap_or_default();
             snapshot.commanded[axis] = there.map_or(0, |_| commanded.0);
@@ -131,7 +134,7 @@ impl Controller {
         }
         match machine.masters.arm() {
             Some(arm) => snapshot.hand = arm.snapshot(),
-            // Without the feature there is never an arm, and what was zeros is zeros.
+            // Without the feature there is never an arm, so the values stay 0.
             None if cfg!(feature = "hand") => snapshot.hand = HapticSnapshot::default(),
             None => {}
         }

@@ -1,9 +1,11 @@
-//! A board's receive ring: where bytes of the host wait between the interrupt that takes them from the line and the control period.
+//! Receive ring of a board: bytes from the host wait here between the receive interrupt and the
+//! control period.
 //!
-//! The interrupt has the [`Receiver`], the control period the [`Waiting`] end; both come from one [`ReceiveRing`] and neither ever waits for the
-//! other. The urgent stop is recognised on the interrupt's side, whatever waits in the ring, also in a byte that finds the ring full.
+//! [`ReceiveRing::split`] gives the [`Receiver`] to the interrupt and the [`Waiting`] end to the
+//! control period. Neither waits for the other. The interrupt side recognises the out-of-band stop,
+//! whatever waits in the ring, also in a byte that finds the ring full.
 //!
-//! Misuse: the [`Receiver`] belongs to one interrupt; two that push would lose bytes without counting them.
+//! Callers must push from one interrupt only: two that push would lose bytes without counting them.
 
 use crate::io::{Inputs, RECEIVE_BYTES};
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
@@ -11,10 +13,10 @@ use haptimill_protocol::urgent::UrgentDetector;
 use heapless::Vec;
 use heapless::spsc::{Consumer, Producer, Queue};
 
-/// Bytes that wait at most on a board with the usual ring, `ReceiveRing<{ RING_BYTES + 1 }>`.
+/// Capacity of the usual ring, `ReceiveRing<{ RING_BYTES + 1 }>`, in bytes.
 pub const RING_BYTES: usize = 4095;
 
-/// What both ends see, besides the bytes.
+/// State that both ends share, besides the bytes.
 #[derive(Debug, Default)]
 struct Shared {
     urgent: AtomicBool,
@@ -31,14 +33,14 @@ pub struct ReceiveRing<const N: usize> {
     shared: Shared,
 }
 
-/// The interrupt's end.
+/// End of the receive interrupt.
 pub struct Receiver<'a> {
     queue: Producer<'a, u8>,
     detector: &'a mut UrgentDetector,
     shared: &'a Shared,
 }
 
-/// The control period's end.
+/// End of the control period.
 pub struct Waiting<'a> {
     queue: Consumer<'a, u8>,
     shared: &'a Shared,
@@ -60,7 +62,7 @@ impl<const N: usize> ReceiveRing<N> {
         }
     }
 
-    /// Its two ends.
+    /// Splits the ring into its two ends.
     pub fn split(&mut self) -> (Receiver<'_>, Waiting<'_>) {
         let (producer, consumer) = self.queue.split();
         let receiver = Receiver {
@@ -77,7 +79,7 @@ impl<const N: usize> ReceiveRing<N> {
 }
 
 impl Receiver<'_> {
-    /// Takes a byte from the line.
+    /// Takes a byte from the line. A full ring drops it and counts it.
     #[inline]
     pub fn push(&mut self, byte: u8) {
         if self.detector.push(byte) {
@@ -94,16 +96,18 @@ impl Receiver<'_> {
     }
 }
 
-/// One more; only the interrupt writes, so load and store do.
+/// Adds one. Only the interrupt writes, so load and store suffice.
 fn add(count: &AtomicU32) {
     let now = count.load(Ordering::Relaxed);
     count.store(now.wrapping_add(1), Ordering::Release);
 }
 
 impl Waiting<'_> {
-    /// Fills in what came over the line for a control period: at most [`RECEIVE_BYTES`], the rest waits.
+    /// Fills in the serial-line inputs of a control period: at most [`RECEIVE_BYTES`] bytes, the
+    /// rest waits.
     pub fn take(&mut self, inputs: &mut Inputs) {
-        // Before the bytes: a stop that comes now is seen now or in the next period, never lost.
+        // Read before the bytes: a stop that arrives now is seen now or in the next period, never
+        // lost.
         inputs.urgent = self.shared.urgent.load(Ordering::Acquire);
         if inputs.urgent {
             self.shared.urgent.store(false, Ordering::Release);
@@ -111,24 +115,25 @@ impl Waiting<'_> {
         inputs.lost_bytes = self.shared.lost.load(Ordering::Acquire) as u16;
         let count = self.queue.len().min(RECEIVE_BYTES);
         if count > inputs.received.len() {
-            // As a whole, and then written in place: to push byte after byte takes three times as long.
+            // Resized as a whole and written in place: pushing byte after byte takes three times as
+            // long.
             inputs.received = Vec::from_array([0; RECEIVE_BYTES]);
         }
         inputs.received.truncate(count);
         for place in &mut inputs.received {
-            // So many are there, and nobody else takes them.
+            // Never empty here: nothing else takes bytes.
             *place = self.queue.dequeue().unwrap_or_default();
         }
         inputs.waiting = self.queue.len().min(usize::from(u16::MAX)) as u16;
     }
 
-    /// Bytes that came so far, lost ones included; wraps around.
+    /// Bytes received so far, including lost ones; wraps around.
     #[must_use]
     pub fn seen(&self) -> u32 {
         self.shared.seen.load(Ordering::Acquire)
     }
 
-    /// The most bytes that ever waited.
+    /// Largest number of bytes that have waited.
     #[must_use]
     pub fn peak(&self) -> u32 {
         self.shared.peak.load(Ordering::Relaxed)
@@ -143,7 +148,8 @@ mod tests {
 
     extern crate std;
 
-    /// A flood: the oldest bytes are kept in order, the rest is counted, and a stop among the lost ones is seen once.
+    /// In an overrun the ring keeps the oldest bytes in order and counts the rest. A stop among the
+    /// lost bytes is seen once.
     #[test]
     fn an_overrun_loses_the_newest_and_no_stop() {
         let mut ring = ReceiveRing::<256>::new();

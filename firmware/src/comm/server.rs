@@ -1,10 +1,19 @@
-//! Messages in, answers and telemetry out: the controller's end of the link.
+//! The controller's endpoint of the link: receives messages, transmits answers, events and
+//! telemetry.
 //!
-//! A period hears at most 64 bytes and does at most one thing that takes long: it reads a message or a setpoint of a batch, or tries and takes a setpoint as far as its
-//! [share](Server::budget) goes, or says an answer or an event, or notes down telemetry, or encodes what was noted down, or puts down its frame. What goes out is made as it goes. Hearing and
-//! telling take turns; the rest waits in the link, whose window stops the host. A period that the path needs for itself does none of it, and never two in a row are kept for that.
-//! A setpoint that is refused ends its batch and changes nothing, not even what the next one is relative to: all later ones are out of
-//! order until it comes again, or the job is begun anew. Nothing is skipped.
+//! A period receives at most 64 bytes. It runs at most one long job:
+//! - read a message, or a setpoint of a batch;
+//! - validate and enqueue a setpoint, as far as the [slice budget](Server::budget) goes;
+//! - queue an answer or an event;
+//! - fill in a telemetry sample, encode it, or put its frame on the line.
+//!
+//! Frames are made while they are transmitted. Receive and transmit jobs alternate. The rest waits
+//! in the link, whose window stops the host. Communication is skipped when interpolation needs the
+//! whole period, but never twice in a row.
+//!
+//! A refused setpoint ends its batch and changes nothing, not even the prediction for the next one.
+//! All later setpoints are out of order until it comes again or the job starts anew. No setpoint is
+//! skipped.
 
 use crate::io::{Inputs, TRANSMIT_BYTES};
 use crate::safety::Safety;
@@ -16,100 +25,101 @@ use haptimill_protocol::message::{
 use haptimill_protocol::setpoint::{BatchReader, Setpoint, SetpointCoder};
 use heapless::{Deque, Vec};
 
-/// Room for a staged configuration, bytes.
+/// Largest staged configuration, in bytes.
 pub const CONFIG_BYTES: usize = 1024;
 
-/// Answers that wait for room in the link; as many as a host can have requests under way.
+/// Answers that wait for room in the link: as many as a host can have requests under way.
 const ANSWERS: usize = 8;
 
-/// A request that asks for nothing.
+/// Placeholder for the request that was taken.
 const NOTHING: Request = Request {
     id: 0,
     command: Command::Ping,
 };
 
-/// What was heard in a period.
+/// What a period received.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Incoming {
     /// A request ([`Server::take_request`]).
     Request,
-    /// The next setpoint of a batch ([`Server::setpoint`]), which was read in an earlier period.
+    /// The next setpoint of a batch ([`Server::setpoint`]), read in an earlier period.
     Setpoint {
         /// The setpoint's number in the job.
         number: u32,
-        /// How much of it was tried already.
+        /// Validation progress; 0 at the start.
         tried: u8,
     },
-    /// A setpoint that cannot be read.
+    /// A setpoint that cannot be decoded.
     BadSetpoint {
         /// The setpoint's number in the job.
         number: u32,
     },
 }
 
-/// The controller's end of the link.
+/// The controller's endpoint of the link.
 #[derive(Debug)]
 pub struct Server {
     link: ControllerLink,
     period_us: u16,
     now_us: u64,
-    /// The batch of setpoints that is being worked through; its bytes wait in the link.
+    /// The batch in progress; its bytes wait in the link.
     batch: Option<BatchReader>,
-    /// Its next setpoint, and how much of that was tried.
+    /// The next setpoint of the batch, and its validation progress.
     setpoint: Setpoint,
     tried: Option<u8>,
-    /// The request that was read last, and whether it is yet to be heard.
+    /// The request read last, and whether it is still to be executed.
     request: Request,
     read: bool,
-    /// What came in this period.
+    /// Receive effort of this period.
     came: Work,
-    /// Something long was done in this period; it was done by what hears.
+    /// This period ran a long job; `heard`: the job belonged to the receive side.
     worked: bool,
     heard: bool,
-    /// This period did not work although it might have.
+    /// This period skipped communication because interpolation needs the time.
     held: bool,
-    /// Nothing was said in this period although something was to be said; a period is kept free for that.
+    /// Bytes waited in this period because it had run a long job (`mute`); the next period is kept
+    /// free to transmit them (`speaks`).
     mute: bool,
     speaks: bool,
-    /// Answers and events waited, because the period before had worked.
+    /// Answers and events waited because this period had run a long job.
     kept: bool,
     /// Telemetry is due.
     telemetry_waits: bool,
-    /// Telemetry as it was noted down, all of it in one period, and whether it is yet to be encoded.
+    /// Telemetry sample of one period, and whether it is still to be encoded.
     sample: Report,
     noted: bool,
-    /// It was noted down anew: what is told next waits until it has gone.
+    /// The sample is superseded: answers and events wait until the new one has gone.
     renoted: bool,
     coder: SetpointCoder,
     session_begun: bool,
     staged: Vec<u8, CONFIG_BYTES>,
-    /// Requests' numbers, and what became of them.
+    /// Request numbers and results.
     answers: Deque<(u8, Result<(), Refusal>), ANSWERS>,
     every: u16,
     until_telemetry: u16,
-    /// Telemetry of the hand, likewise.
+    /// Interval, countdown and due flag of haptic-arm telemetry.
     hand_every: u16,
     until_hand: u16,
     hand_waits: bool,
     deferred: u32,
     lost: u32,
-    /// The board's own count of lost bytes in the period before.
+    /// The board's count of lost bytes in the period before.
     lost_before: u16,
 }
 
-/// What happened to the bytes of the line, in all.
+/// Total counts of line events.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct LineCount {
-    /// Bytes that had to wait for a later period.
+    /// Bytes that waited for a later period, summed over the periods.
     pub deferred_bytes: u32,
-    /// Frames refused by their check.
+    /// Frames refused by their CRC.
     pub bad_frames: u32,
-    /// Bytes that the board lost for want of room.
+    /// Bytes that the board lost because its ring was full.
     pub lost_bytes: u32,
 }
 
 impl Server {
-    /// A server of a controller whose period has so many microseconds.
+    /// Creates the endpoint for a control period in microseconds.
     #[must_use]
     pub fn new(period_us: u16) -> Self {
         Self {
@@ -147,7 +157,7 @@ impl Server {
         }
     }
 
-    /// Takes the period's bytes; says whether a host greets, which [`Server::welcome`] answers.
+    /// Takes the bytes of the period. Returns whether a `Hello` waits for [`Server::welcome`].
     #[inline]
     pub fn take_bytes(&mut self, inputs: &Inputs) -> bool {
         self.now_us = inputs.period.wrapping_mul(u64::from(self.period_us));
@@ -163,19 +173,20 @@ impl Server {
         self.link.hello().is_some()
     }
 
-    /// Gives the next thing to do. `hold_back`: the period has much to do already; that counts only if the one before did not hold back.
+    /// Takes the next job of the receive side. `hold_back`: interpolation needs this period; it has
+    /// no effect if the period before was held back.
     #[inline]
     pub fn next(&mut self, hold_back: bool) -> Option<Incoming> {
-        // What tells has its turn when this has had one, and what was kept back for a period is not kept back again.
+        // Receive and transmit alternate; a deferred job runs in the next period.
         let yields = self.kept || (self.heard && self.tells_much());
         self.held = hold_back && !self.held;
         let moved = self.came == Work::Moved;
-        // This one is kept free for what could not be said in the one before.
+        // This period is kept free for the bytes that waited in the one before.
         self.speaks = self.mute && !self.held && !moved;
         self.mute &= self.held;
-        // What is told waits as well: a period that was held back has no time for it either.
+        // A period that was held back has no time to transmit either.
         self.worked = self.held || moved || self.speaks;
-        // A turn that could not be had is not lost.
+        // A side that could not take its turn keeps it.
         self.heard &= self.worked;
         let nothing = self.tried.is_none() && !self.read && self.link.has_heard_all();
         if nothing || yields || self.worked || self.answers.is_full() {
@@ -184,14 +195,14 @@ impl Server {
         self.dispatch()
     }
 
-    /// Whether this period was held back, and neither hears nor tells.
+    /// Whether this period is held back, and neither receives nor transmits.
     #[must_use]
     #[inline]
     pub const fn is_deferred(&self) -> bool {
         self.held
     }
 
-    /// The next thing to do.
+    /// Runs the next job of the receive side.
     #[inline(never)]
     fn dispatch(&mut self) -> Option<Incoming> {
         self.worked = true;
@@ -212,7 +223,7 @@ impl Server {
         self.link.receive(self.now_us, bytes)
     }
 
-    /// Answers a greeting. `busy`: no other host may break in.
+    /// Answers a `Hello`. `busy`: the machine is active, so another host may not take over.
     #[inline(never)]
     pub fn welcome(&mut self, identity: &Identity<'_>, busy: bool) {
         let greeted = self.link.welcome(self.now_us, identity, busy);
@@ -234,7 +245,7 @@ impl Server {
                 if !self.link.poll_into(&mut self.request) {
                     return None;
                 }
-                // What takes long itself has a period of its own.
+                // A job start takes long and gets a period of its own.
                 self.read = matches!(self.request.command, Command::JobStart { .. });
                 return (!self.read).then_some(Incoming::Request);
             }
@@ -257,7 +268,7 @@ impl Server {
         }
     }
 
-    /// The batch is done with.
+    /// Ends the batch and answers it.
     #[inline(never)]
     fn end_batch(&mut self, result: Result<(), Refusal>) {
         self.tried = None;
@@ -267,20 +278,20 @@ impl Server {
         }
     }
 
-    /// The request that was heard in this period.
+    /// Takes the request of this period.
     #[must_use]
     pub const fn take_request(&mut self) -> Request {
         core::mem::replace(&mut self.request, NOTHING)
     }
 
-    /// The setpoint that was heard in this period.
+    /// The setpoint of this period.
     #[must_use]
     #[inline]
     pub const fn setpoint(&self) -> &Setpoint {
         &self.setpoint
     }
 
-    /// What this period has time for, in coordinates of a setpoint that are tried.
+    /// Slice budget of this period, in units of the check of one coordinate.
     #[must_use]
     #[inline]
     pub const fn budget(&self) -> usize {
@@ -291,12 +302,13 @@ impl Server {
         }
     }
 
-    /// As far as it was tried the machine can go to the setpoint that was heard in this period: it is heard again.
+    /// Stores the validation progress of the setpoint; a later period continues.
     pub const fn pass_setpoint(&mut self, tried: u8) {
         self.tried = Some(tried);
     }
 
-    /// The setpoint that was heard in this period is in the queue: the next one is told relative to it, and read at once where there is time for it.
+    /// Marks the setpoint as enqueued. The next setpoint is relative to it, and is decoded at once
+    /// if `read` is set.
     #[inline(never)]
     pub fn accept_setpoint(&mut self, read: bool) {
         self.coder.take(&self.setpoint);
@@ -309,24 +321,25 @@ impl Server {
             && let Some(payload) = self.link.peek()
             && batch.next(payload, &self.coder, &mut self.setpoint)
         {
-            // Read at once, a setpoint takes two periods and not three. One that cannot be read is left for its turn, which refuses it.
+            // Decoded at once, a setpoint takes two periods and not three. The next turn refuses
+            // one that cannot be decoded.
             self.tried = Some(0);
         }
     }
 
-    /// Whether something long is to be done by [`Server::transmit_`].
+    /// Whether [`Server::transmit`] has a long job.
     #[inline]
     fn tells_much(&self) -> bool {
         self.telemetry_waits || self.noted || self.link.latest_waits()
     }
 
-    /// Whether this period still has time for something long; it is used up.
+    /// Tries to take the time slice of this period; true if it was free.
     #[inline]
     pub fn try_claim(&mut self) -> bool {
         !self.kept && !core::mem::replace(&mut self.worked, true)
     }
 
-    /// The same, for something that can wait until all is told.
+    /// Tries to take the time slice for a job that can wait until all reports are sent.
     #[inline]
     pub fn try_claim_idle(&mut self) -> bool {
         !self.hand_waits && !self.tells_much() && self.try_claim()
@@ -338,7 +351,7 @@ impl Server {
         core::mem::take(&mut self.session_begun)
     }
 
-    /// What a session leaves behind when it ends.
+    /// Drops the state of the old session.
     #[inline(never)]
     fn forget(&mut self) {
         self.batch = None;
@@ -356,35 +369,39 @@ impl Server {
         self.hand_waits = false;
     }
 
-    /// A job begins at `pose`.
+    /// Starts the setpoints of a job at `pose`.
     pub fn begin_job(&mut self, pose: &AxisValues) {
         self.coder = SetpointCoder::new(self.period_us, pose);
     }
 
-    /// Drops the setpoint that was heard in this period and the rest of its batch, and says why.
+    /// Refuses the setpoint of this period and drops the rest of its batch.
     pub fn refuse_setpoints(&mut self, refusal: Refusal) {
         self.end_batch(Err(refusal));
     }
 
-    /// Whether an answer of an earlier period's request has room.
+    /// Whether there is room for the late answer to a request of an earlier period.
     #[must_use]
     pub fn can_answer(&self) -> bool {
         !self.answers.is_full()
     }
 
-    /// Answers a request; success of a request without a number is not told.
+    /// Answers a request. The success of a request without a number has no answer.
     pub fn answer(&mut self, id: u8, result: Result<(), Refusal>) {
         #[cfg(feature = "defmt")]
         if let Err(refusal) = &result {
             defmt::warn!("request {} refused: {}", id, refusal);
         }
         if id != 0 || result.is_err() {
-            // There is room: nothing is heard while the answers are full, and a period has at most one request.
+            // There is room: nothing is received while the answers are full, and a period has at
+            // most one request.
             let _ = self.answers.push_back((id, result));
         }
     }
 
-    /// Stages a piece of a configuration.
+    /// Stages a chunk of a configuration; offset 0 starts a new one.
+    ///
+    /// # Errors
+    /// `ConfigCheck` for a chunk out of order, `Range` for a configuration that is too long.
     pub fn stage(&mut self, chunk: &ConfigChunk) -> Result<(), Refusal> {
         let offset = usize::from(chunk.offset);
         if offset == 0 {
@@ -404,31 +421,31 @@ impl Server {
         &self.staged
     }
 
-    /// Telemetry every so many periods.
+    /// Sets the interval of telemetry, in periods; 0 is off.
     pub fn set_telemetry(&mut self, every: u16) {
         self.every = every;
         self.until_telemetry = every;
     }
 
-    /// Telemetry of the hand every so many periods.
+    /// Sets the interval of haptic-arm telemetry, in periods; 0 is off.
     pub fn set_hand_telemetry(&mut self, every: u16) {
         self.hand_every = every;
         self.until_hand = every;
     }
 
-    /// Telemetry in this period.
+    /// Requests telemetry in this period.
     pub fn telemetry_now(&mut self) {
         self.until_telemetry = 1;
     }
 
-    /// How long the host has been silent, microseconds.
+    /// Silence of the host, in microseconds.
     #[must_use]
     #[inline]
     pub fn silent_us(&self) -> u64 {
         self.link.peer_silent_us(self.now_us)
     }
 
-    /// What happened to the bytes of the line.
+    /// Total counts of line events.
     #[must_use]
     pub fn counters(&self) -> LineCount {
         LineCount {
@@ -438,7 +455,8 @@ impl Server {
         }
     }
 
-    /// Answers, then events, then telemetry; and the bytes of this period, as many as the board has `room` for. A period that was held back says nothing.
+    /// Transmits answers, then events, then telemetry; puts up to `room` bytes into `transmit`. A
+    /// period that is held back transmits nothing.
     #[inline]
     pub fn transmit(
         &mut self,
@@ -447,7 +465,7 @@ impl Server {
         room: u16,
         transmit: &mut Vec<u8, TRANSMIT_BYTES>,
     ) {
-        // What is to be said of what was done long is said in the next period.
+        // Reports of a long job wait for the next period.
         let due = !self.answers.is_empty() || safety.has_events();
         self.kept = due && self.worked && !self.kept;
         let after = self.renoted && room > 0 && (self.noted || self.link.latest_waits());
@@ -458,12 +476,13 @@ impl Server {
         if self.noted && self.try_claim() {
             self.encode();
         }
-        // The frame of telemetry is long, and put down in a period that had nothing else to do.
+        // A telemetry frame is long: it goes in a period without another long job.
         let waited = self.link.latest_waits();
         self.link.hold_latest(self.worked && !self.speaks);
         transmit.clear();
         if room > 0 && !self.held && !self.link.is_quiet(self.now_us) {
-            // To work and to speak in one period is much; but what is said waits no longer than one.
+            // A long job and transmission do not fit into one period, but bytes wait for one period
+            // only.
             self.mute = self.worked && !self.speaks;
             if !self.mute {
                 self.say(room, transmit);
@@ -474,7 +493,8 @@ impl Server {
         self.worked |= gone;
     }
 
-    /// Gives the line's next bytes: no more than one frame is begun in a period, and no more of it made than may go.
+    /// Takes the next bytes of the line: starts at most one frame per period, and encodes no more
+    /// than fits.
     #[inline(never)]
     fn say(&mut self, room: u16, transmit: &mut Vec<u8, TRANSMIT_BYTES>) {
         let mut buffer = [0; TRANSMIT_BYTES];
@@ -483,13 +503,13 @@ impl Server {
         let said = buffer.get_mut(..room).unwrap_or_default();
         let count = self.link.transmit_some(now_us, said, 1, TRANSMIT_BYTES);
         if count != 0 {
-            // As a whole it is copied by words.
+            // Copied as a whole, by words.
             *transmit = Vec::from_array(buffer);
             transmit.truncate(count);
         }
     }
 
-    /// Hands the next answer or event to the link; false when it has no room.
+    /// Hands the next answer or event to the link; false when the link has no room.
     #[inline(never)]
     fn report(&mut self, period: u64, safety: &mut Safety) -> bool {
         if let Some(&(id, result)) = self.answers.front() {
@@ -513,7 +533,8 @@ impl Server {
         sent
     }
 
-    /// What was noted down and has not gone yet is older than what was told just now: whoever reads it would take it for newer. It is noted down again.
+    /// Supersedes telemetry that has not gone yet. It is older than the report just queued, and the
+    /// host would take it for newer.
     fn note_anew(&mut self) {
         if self.noted || self.link.latest_waits() {
             self.noted = false;
@@ -526,17 +547,19 @@ impl Server {
         }
     }
 
-    /// Encodes the telemetry that was noted down.
+    /// Encodes the pending telemetry sample.
     #[inline(never)]
     fn encode(&mut self) {
         self.noted = false;
-        // Not open, or too long for a frame (which a test of the protocol excludes): nobody to tell.
+        // Fails without a session. A sample is never too long for a frame (a test of the protocol).
         let _ = self.link.send_latest(&self.sample);
     }
 
-    /// Counts the periods until telemetry is due; says whether it is to be noted down in this one. Call once a period.
+    /// Counts the periods until telemetry is due; true if this period must fill in a sample.
+    /// Callers must call it once per period.
     ///
-    /// Answers and `events` that have room in the link go first: whoever reads telemetry has heard of all that had happened by then.
+    /// Answers and `events` that have room in the link go first. A telemetry sample therefore never
+    /// arrives before the reports of what happened earlier.
     #[inline]
     pub fn telemetry_due(&mut self, events: bool) -> bool {
         if self.until_telemetry != 0 {
@@ -550,11 +573,12 @@ impl Server {
             return false;
         }
         let first = (events || !self.answers.is_empty()) && self.link.room(SHORT_REPORT) > 0;
-        // A period that had much to do leaves it to the next one.
+        // A period with a long job leaves telemetry to the next one.
         !first && self.try_claim()
     }
 
-    /// The same for telemetry of the hand; after the other one, and never in place of what still waits.
+    /// The same for telemetry of the haptic arm. It comes after other telemetry and never replaces
+    /// a waiting sample.
     pub fn hand_due(&mut self) -> bool {
         if self.until_hand != 0 {
             self.until_hand -= 1;
@@ -566,7 +590,7 @@ impl Server {
         self.hand_waits && !self.noted && !self.link.latest_waits() && self.try_claim()
     }
 
-    /// Notes down telemetry of the hand, if there is an arm.
+    /// Stores telemetry of the haptic arm, if there is an arm.
     pub fn note_hand(&mut self, telemetry: Option<HandTelemetry>) {
         self.hand_waits = false;
         if let Some(telemetry) = telemetry {
@@ -575,7 +599,7 @@ impl Server {
         }
     }
 
-    /// Where telemetry of this period is noted down; all of it must be.
+    /// Storage for the telemetry sample of this period; callers must fill in all of it.
     pub fn sample(&mut self) -> Option<&mut Telemetry> {
         self.telemetry_waits = false;
         self.noted = true;

@@ -1,4 +1,4 @@
-//! What makes a configuration acceptable. A refused one names the field, and the axis it belongs to.
+//! Checks of a configuration before it is activated. A refusal names the field and its axis.
 
 use super::{AxisKind, Config, Drive, JointAxis, Model, PoseAxis, ServoConfig};
 use crate::config::HAND;
@@ -9,7 +9,8 @@ use haptimill_kinematics::h4::H4;
 use haptimill_kinematics::{Joints, Kinematics};
 use haptimill_protocol::message::{ConfigField, ConfigProblem, MAX_AXES};
 
-/// Largest magnitude of a linear or rotary coordinate that the arithmetic of the loops is made for: 1900 mm, or 0.46 turn.
+/// Largest magnitude of a coordinate for which the loops are designed, in axis units: 1900 mm, or
+/// 0.46 turn.
 const COORDINATE_MAX: i64 = 1900 << 20;
 
 type Check = Result<(), ConfigProblem>;
@@ -26,7 +27,10 @@ fn require(condition: bool, field: ConfigField, axis: Option<usize>) -> Check {
 }
 
 impl Config {
-    /// Whether the configuration makes sense; the first problem otherwise.
+    /// Checks the whole configuration.
+    ///
+    /// # Errors
+    /// The first problem: its field, and the axis if the field belongs to one.
     #[cold]
     #[inline(never)]
     pub fn check(&self) -> Result<(), ConfigProblem> {
@@ -74,7 +78,8 @@ impl Config {
             ConfigField::Encoder,
             None,
         )?;
-        // Stopping from the full rate asks for an acceleration of its own; beyond four times that of a jog it would end in a following error.
+        // A stop from full rate sets its own acceleration. Above four times the jog acceleration it
+        // would end in a following error.
         let stop_us = i64::from(self.stopping.time_ms - self.stopping.ramp_ms) * 1000;
         for (index, axis) in self.pose.iter().enumerate() {
             let braking = (i64::from(axis.rate.0) * 1_000_000 / stop_us) >> 8;
@@ -97,7 +102,8 @@ impl Config {
         )
     }
 
-    /// A haptic arm, and what follows a hand. A machine without axes is one if it has an arm.
+    /// Checks the haptic arm and the master-to-tool mapping. A machine without axes must have a
+    /// haptic arm.
     fn check_hand(&self) -> Check {
         require(HAND || self.haptic.is_none(), ConfigField::Haptic, None)?;
         require(HAND || self.follow.is_none(), ConfigField::Follow, None)?;
@@ -142,7 +148,7 @@ impl Config {
             .iter()
             .all(|value| length(value.0, -1000, 1000));
         require(sound && H4::is_sound(geometry), ConfigField::Geometry, None)?;
-        // Coordinates of the model: x, y, z linear; theta, alpha rotary; slides linear; table rotary.
+        // The model has linear x, y, z, rotary theta, alpha, linear slides and a rotary table.
         let linear = [true, true, true, false, false];
         let linear_joints = [true, true, true, true, false];
         let kinds = self.pose.iter().map(|axis| axis.kind).eq(linear.map(kind))
@@ -255,8 +261,9 @@ impl Config {
     }
 }
 
-/// Whether the loop on a mass, with its filter tau and a lag of 1.5 periods T, is damped with a margin of two: the damping that the filter
-/// leaves, K_D / (1 + K_P tau^2), must be twice what the lag takes, 1.5 T K_P; and K_I must stay below a quarter of K_P K_D.
+/// Whether the servo loop on a mass is damped with a margin of two, with a filter tau and a lag of
+/// 1.5 periods T. The filter leaves the damping K_D / (1 + K_P tau^2). It must be at least twice
+/// what the lag takes, 1.5 T K_P. K_I must stay below a quarter of K_P K_D.
 fn stable(law: &ServoConfig, period_us: u16) -> bool {
     let (kp, kd, ki) = (
         u128::from(law.kp.0),
@@ -264,7 +271,7 @@ fn stable(law: &ServoConfig, period_us: u16) -> bool {
         u128::from(law.ki.0),
     );
     let (filter, period) = (u128::from(law.rate_filter_us), u128::from(period_us));
-    // Gains have 8 fraction bits, times are in microseconds.
+    // Gains have 8 fraction bits; times are in microseconds.
     let damping = kd * 256 * 1_000_000_000_000 * 1_000_000;
     let lag = 3 * kp * period * (256 * 1_000_000_000_000 + kp * filter * filter);
     damping >= lag && ki * 1024 < kp * kd

@@ -1,17 +1,21 @@
-//! Is what was configured still what it was? A digest over everything that a configuration says and everything that was worked out from it.
+//! Integrity check of the configuration: a digest over all its values and all values derived from
+//! it.
 //!
-//! A stray write or a flipped bit in a gain, a limit or a reciprocal would move the machine wrongly and look like nothing at all. So each part has a
-//! digest from the moment of its activation, and one part after the other is digested again while the machine runs.
+//! A stray write or a flipped bit in a gain, a limit or a reciprocal would move the machine wrongly
+//! without any other sign. Each part therefore gets a digest at its activation, and the controller
+//! digests one part after the other again while the machine runs.
 //!
-//! The digest is FNV-1a over 32-bit words. Each of its steps is a bijection of the sum so far, and another word gives another sum, so a change within
-//! one word is always found; changes in several words are missed once in 2^32.
+//! The digest is FNV-1a over 32-bit words. Each step is a bijection of the hash so far, and
+//! different words give different results. A change within one word is therefore always found;
+//! changes in several words are missed once in 2^32.
 //!
-//! Misuse: it is for values that stay as they are. What changes while the machine runs (a position, a sum, a queue) is not to be put into it; a type that
-//! has both names its fields in `constants!`, so that a new field does not compile until someone has decided which of the two it is.
+//! Callers must add only values that stay constant after activation, and no position, sum or queue.
+//! A type with both kinds lists all its fields in `constants!`, so a new field does not compile
+//! until it has a kind.
 
 use core::hash::{Hash, Hasher};
 
-/// A sum over words.
+/// FNV-1a hash over words.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Digest(u32);
 
@@ -24,7 +28,7 @@ impl Digest {
         digest
     }
 
-    /// Adds a value, all of which is constant.
+    /// Adds a value that is constant as a whole.
     #[inline]
     pub fn add(&mut self, value: &impl Hash) {
         value.hash(self);
@@ -47,7 +51,7 @@ impl Hasher for Digest {
     }
 
     fn write(&mut self, bytes: &[u8]) {
-        // Arrays of numbers come as bytes: four of them a word.
+        // Arrays of numbers arrive as bytes: four of them are a word.
         let (words, rest) = bytes.as_chunks();
         words
             .iter()
@@ -77,13 +81,14 @@ impl Hasher for Digest {
     }
 }
 
-/// A part that was worked out from the configuration.
+/// Values derived from the configuration.
 pub trait Constants {
-    /// Adds what stays as it was made.
+    /// Adds the constant values to a digest.
     fn digest(&self, digest: &mut Digest);
 }
 
-/// [`Constants`] of a structure: fields that stay as they were made, fields that have constants of their own, and fields that change.
+/// Implements [`Constants`] for a structure. The three lists are the constant fields, the fields
+/// that implement [`Constants`] themselves (`of`), and the fields that change (`but`).
 macro_rules! constants {
     ($type:ty { $($constant:ident),* } of { $($part:ident),* } but { $($changing:ident),* }) => {
         impl crate::config::digest::Constants for $type {
@@ -103,7 +108,7 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        /// A change within one word is always found, wherever it is.
+        /// A change within one word is always found, at any position.
         #[test]
         fn one_word(words in prop::collection::vec(any::<u32>(), 1..40), place: prop::sample::Index, other: u32) {
             let mut changed = words.clone();

@@ -1,11 +1,18 @@
-//! Force control in the machine: what it senses, and the reference p_r = p_d + p_c that is placed instead of the wanted pose (docs/control.md (3.31)-(3.33)).
+//! Stage *comply*: force control in the machine. The reference p_r = p_d + p_c replaces the
+//! commanded pose p_d as the input of the inverse kinematics (docs/control.md (3.31)-(3.33)).
 //!
-//! The components of a force, and of p_c, are the first three pose coordinates: x, y and z of the work.
+//! The components of a force, and of p_c, are the first three pose coordinates: x, y and z in
+//! workpiece coordinates.
 //!
-//! p_c bends to three bounds. Its own limit is in its law. Where p_r would leave a soft limit it stands there, and p_c gives way (never beyond 0: p_d is inside). Where
-//! the machine cannot place p_r, p_c is taken back to what it was a period before; if p_r cannot be placed even then, it is a fault.
+//! Three bounds limit the compliant displacement p_c:
+//! - The compliance limit, in the admittance law.
+//! - The soft limits: p_r stops at a soft limit, and p_c becomes the rest. It does not change its
+//!   sign, because p_d is inside the soft limits.
+//! - The kinematics: where p_r has no joint motion, p_c returns to its value of the period before.
+//!   If that reference fails as well, the machine faults.
 //!
-//! Misuse: [`Machine::rebase_on_compliance`] while the machine moves (other than by p_c). What is wanted would jump.
+//! Callers must use [`Machine::rebase_on_compliance`] only while nothing but p_c moves the machine;
+//! otherwise the commanded pose jumps.
 
 use super::{FORCE_PART, Machine};
 use crate::config::Config;
@@ -18,11 +25,11 @@ use haptimill_math::force::Displacement;
 use haptimill_math::{Acceleration, Coordinate, Length, Rate};
 use haptimill_protocol::message::{ConfigField, ConfigProblem};
 
-/// How long a component must have been able to yield before another end of it is told, microseconds.
+/// Hold-off before a compliance-limit event of a component is reported again, microseconds.
 const TOLD_FOR_US: u32 = 500_000;
 
 impl Machine {
-    /// What is worked out for force control, before a configuration is taken.
+    /// Designs force control for a configuration before the configuration is taken.
     #[cold]
     #[inline(never)]
     pub(super) fn force_of(config: &Config) -> Result<Option<Design>, ConfigProblem> {
@@ -47,7 +54,8 @@ impl Machine {
         };
     }
 
-    /// The force part of stage *sense*: codes to forces; `active` while something moves or may move.
+    /// Stage *measure*, force part: converter codes to forces. `active`: something moves or may
+    /// move.
     #[inline]
     pub fn measure_force(&mut self, inputs: &Inputs, spindle_rpm: i16, active: bool) {
         let Some(force) = &mut self.force else {
@@ -61,7 +69,7 @@ impl Machine {
         force.update_overload(active);
     }
 
-    /// Whether the reference may be another pose than the wanted one.
+    /// Whether the reference may differ from the commanded pose.
     #[inline]
     pub(super) fn is_compliant(&self) -> bool {
         self.force
@@ -69,7 +77,8 @@ impl Machine {
             .is_some_and(|force| !force.is_inactive())
     }
 
-    /// Stage *yield*: the reference of this period. `stopped` by a fault of the force, `homing` while the references are looked for.
+    /// Stage *comply*: computes the reference of this period. `stopped`: a force fault stops the
+    /// machine. `homing`: the index pulses are searched for.
     #[inline]
     pub fn comply(&mut self, stopped: bool, homing: bool) {
         let Some(force) = &mut self.force else {
@@ -77,7 +86,7 @@ impl Machine {
         };
         force.suspend(homing);
         if force.is_inactive() && self.limited == [0; COMPONENTS] {
-            // No axis is under force control, and nothing is left of what was.
+            // No axis is under force control, and no displacement is left.
             force.hold(stopped);
             self.reference.pose = self.motion.commanded().pose;
             return;
@@ -90,7 +99,8 @@ impl Machine {
         let Some(force) = &mut self.force else {
             return;
         };
-        // A force beyond its limit is believed: the tool goes on yielding to it while the machine brakes.
+        // A force above its limit is still valid: the tool complies with it while the machine
+        // brakes.
         let unbelieved = force
             .condition()
             .is_some_and(|problem| !matches!(problem, ForceProblem::Limit { .. }));
@@ -126,7 +136,7 @@ impl Machine {
         }
     }
 
-    /// One period with the drives off.
+    /// One period with the drives off: resets the compliant displacement.
     pub fn release_force(&mut self) {
         if let Some(force) = &mut self.force {
             force.release();
@@ -138,7 +148,7 @@ impl Machine {
         }
     }
 
-    /// Puts p_d + p_c of one component into the reference.
+    /// Writes p_d + p_c of one component into the reference, and returns it.
     fn displace(&mut self, component: usize, by: Displacement) -> Coordinate {
         let desired = self.motion.commanded().pose.0[component];
         let reference = Coordinate(desired.0.saturating_add(by.length().0));
@@ -146,7 +156,7 @@ impl Machine {
         reference
     }
 
-    /// The soft limit beyond which the tool would yield, of a desired position inside.
+    /// The soft limit that the reference passes while the desired position is inside.
     fn soft_limit_passed(
         &self,
         component: usize,
@@ -163,9 +173,9 @@ impl Machine {
         }
     }
 
-    /// The reference of one component stands at an end.
+    /// Stops the reference of one component at a soft limit.
     fn stand(&mut self, component: usize, desired: Coordinate, end: Coordinate) {
-        // Towards 0 from p_c, which is a length: fits.
+        // The result is a p_c of smaller magnitude, so it fits.
         let left = Length(end.0.saturating_sub(desired.0));
         if let Some(force) = &mut self.force {
             force.clamp_displacement(component, Displacement::from_length(left));
@@ -175,7 +185,7 @@ impl Machine {
         self.reference.accelerations[component] = Acceleration::ZERO;
     }
 
-    /// What the tool has yielded by, and how fast it does: joints have their rates for that as well.
+    /// Passes p_c and its rate to the jog source: the joint rates include them.
     #[inline]
     pub(super) fn update_excursion(&mut self) {
         if let Some(force) = &self.force {
@@ -186,21 +196,21 @@ impl Machine {
         }
     }
 
-    /// Whether a joint is commanded more than its maximum rate.
+    /// Whether a commanded joint rate exceeds its maximum.
     fn exceeds_joint_rate(&self) -> bool {
         let rates = self.target.rates.iter().zip(self.kinematics.rates());
         let mut joints = rates.take(self.joints.len());
         joints.any(|(rate, limit)| rate.0.unsigned_abs() > limit.0.unsigned_abs())
     }
 
-    /// Stage *place* with force control.
+    /// Stage *solve* with force control.
     #[inline(never)]
     pub(super) fn solve_reference(&mut self) -> Result<(), PoseError> {
         let placed = self.solve_once();
         if placed.is_ok() && !self.exceeds_joint_rate() {
             return Ok(());
         }
-        // The tool yields no further where a joint would have to be too fast for it.
+        // The tool complies no further where a joint rate would exceed its maximum.
         let Some(force) = self.force.as_mut().filter(|force| force.displaced()) else {
             return placed;
         };
@@ -244,7 +254,7 @@ impl Machine {
         }
     }
 
-    /// A component that cannot yield any further, and could before; each is told once.
+    /// The next component that reached the compliance limit; each is reported once.
     pub const fn take_limited(&mut self) -> Option<u8> {
         if self.newly_limited == 0 {
             return None;
@@ -254,7 +264,11 @@ impl Machine {
         Some(component as u8)
     }
 
-    /// Wanted becomes the reference, at rest: the tool stays where it yielded to. One that is on its way goes on by its law: where it is, it would be stopped within a period.
+    /// Makes the reference the commanded pose, at rest: the tool stays at its compliant
+    /// displacement.
+    ///
+    /// A compliant displacement that still moves follows its admittance law instead: a rebase would
+    /// stop it within a period.
     pub fn rebase_on_compliance(&mut self) {
         let Some(force) = &mut self.force else {
             return;
@@ -270,14 +284,15 @@ impl Machine {
         force.reset();
     }
 
-    /// Wanted became measured: the tool has not yielded.
+    /// Resets the compliant displacement after the commanded pose became the measured one.
     pub(super) fn reset_force(&mut self) {
         if let Some(force) = &mut self.force {
             force.reset();
         }
     }
 
-    /// A part of force control: the sensor with what was configured, then each axis with the settings that are in force.
+    /// Adds a digest part of force control: 0 is the sensor and its configuration, the others are
+    /// the active settings of each axis.
     pub(super) fn digest_force(&self, part: usize, digest: &mut Digest) {
         if part == 0 {
             digest.add(&self.config.force);
@@ -292,7 +307,8 @@ impl Machine {
         }
     }
 
-    /// What is placed: p_r, or where nothing yields what is wanted.
+    /// The input of the inverse kinematics: p_r, or the commanded pose without a compliant
+    /// displacement.
     #[must_use]
     pub fn reference(&self) -> &crate::motion::PoseCommand {
         if self.is_compliant() {

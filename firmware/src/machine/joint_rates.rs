@@ -1,9 +1,13 @@
-//! Joint rates of the setpoints of a job: checked when a setpoint is accepted, whatever the host planned.
+//! Joint rate limit of the setpoints of a job, checked when a setpoint is accepted. The check does
+//! not depend on the host's planner.
 //!
-//! A segment between two setpoints is cut into pieces of at most [`PIECE`] periods. At the ends of a piece the joints and their rates are known, and in between a joint follows
-//! its own cubic Hermite to fourth order. The rate of that cubic is within the hull of three control points: both end rates and 3 (l1 - l0) / T - l0' - l1'. No division is needed.
+//! A segment is cut into pieces of at most [`PIECE`] periods. Joint positions and rates are known
+//! at the ends of a piece. In between, a joint follows its own cubic Hermite polynomial to fourth
+//! order. The rate of that cubic lies within the hull of three control points: both end rates, and
+//! 3 (l1 - l0) / T - l0' - l1'. The check needs no division.
 //!
-//! Why a refusal, and no slower path: see docs/decisions/0025-joint-rate-limit.md.
+//! docs/decisions/0025-joint-rate-limit.md explains why a setpoint is refused and the path is not
+//! slowed down.
 
 use super::Machine;
 use haptimill_kinematics::{Accelerations, JointMotion, Pose, PoseError};
@@ -14,32 +18,34 @@ use haptimill_protocol::setpoint::Setpoint;
 /// Longest piece of a segment, periods: 26 ms at 200 us.
 pub const PIECE: u16 = 128;
 
-/// Joints and their rates at a time on the path.
+/// Joint positions and rates at a time on the path.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Node {
     motion: JointMotion,
-    /// The program alone led all coordinates, without an offset: places may be compared with those of the next node.
+    /// The program is the source of all coordinates, without an offset. Positions may then be
+    /// compared with those of the next node.
     alone: bool,
 }
 
-/// The setpoint that is looked at, between those that were accepted and its end.
+/// The setpoint under validation, after those that were accepted.
 #[derive(Debug, Default)]
 pub struct JointRates {
-    /// At the setpoint that was accepted last.
+    /// At the setpoint accepted last.
     tail: Node,
-    /// At the end of the piece that was checked last.
+    /// At the end of the piece checked last.
     last: Node,
-    /// At the setpoint that is looked at.
+    /// At the setpoint under validation.
     end: Node,
 }
 
-/// What a joint may be commanded by setpoints: a fiftieth more than its maximum rate, for the rounding of a planner that goes to the maximum.
+/// Largest joint rate that setpoints may command: 2 % above the maximum rate, for the rounding of a
+/// planner that uses the maximum.
 const fn allowed(rate: Rate) -> i64 {
     rate.0 as i64 + rate.0 as i64 / 50
 }
 
 impl Machine {
-    /// A job begins at the commanded pose, at rest.
+    /// Starts the check of a job: at the commanded pose, at rest.
     pub fn begin_joint_rates(&mut self) {
         self.joint_rates = JointRates::default();
         let pose = self.motion.commanded().pose;
@@ -48,7 +54,8 @@ impl Machine {
         }
     }
 
-    /// Joints and their rates at a pose of the program, with offsets and with coordinates that something else leads.
+    /// Joint positions and rates at a pose of the program, with offsets and with the coordinates of
+    /// other sources.
     fn node(&self, pose: &Pose, rates: &[Rate; MAX_AXES]) -> Result<Node, PoseError> {
         let mut node = Node {
             alone: self.motion.program_alone(),
@@ -60,7 +67,7 @@ impl Machine {
         Ok(node)
     }
 
-    /// Notes the joints and their rates at a setpoint, of which the pose is within the soft limits.
+    /// Stores the joint positions and rates at a setpoint whose pose is within the soft limits.
     pub(super) fn append_end(&mut self, setpoint: &Setpoint) -> Result<(), PoseError> {
         let mut pose = Pose::default();
         let mut rates = [Rate::ZERO; MAX_AXES];
@@ -68,7 +75,7 @@ impl Machine {
         for (axis, (solve, rate)) in to.enumerate() {
             pose.0[axis] = Coordinate(*solve);
             if self.motion.is_led_by_program(axis) {
-                // Of the wire: below 2^24 where it is not refused for itself.
+                // Rates from the wire are below 2^24; the setpoint check refuses others.
                 rates[axis] = Rate(rate.saturating_mul(1 << RATE_SHIFT));
             }
         }
@@ -76,7 +83,7 @@ impl Machine {
         Ok(())
     }
 
-    /// Pieces of the segment to a setpoint.
+    /// Number of pieces of the segment to a setpoint, 1 to 240.
     #[must_use]
     pub fn pieces(&self, setpoint: &Setpoint) -> u8 {
         if self.motion.program.rests_until(setpoint) {
@@ -86,10 +93,12 @@ impl Machine {
         pieces.min(240) as u8
     }
 
-    /// Checks the joint rates of a piece of the segment to a setpoint, of which all coordinates may go there; the pieces in order, from 0.
+    /// Checks the joint rates of one piece of the segment to a setpoint whose coordinates have
+    /// passed their checks. Callers must check the pieces in order, from 0.
     ///
     /// # Errors
-    /// The first joint that would exceed its maximum rate.
+    /// [`Refusal::JointRate`] for the first joint that would exceed its maximum rate, or the
+    /// refusal of a pose without joint positions.
     #[inline(never)]
     pub fn check_piece(
         &mut self,
@@ -125,7 +134,7 @@ impl Machine {
         for (index, joint) in self.config.joints.iter().enumerate() {
             let (before, after) = (last.motion.rates[index].0, node.motion.rates[index].0);
             let both = i64::from(before) + i64::from(after);
-            // Of a rotary joint the short way.
+            // Wraps: a rotary joint takes the short way.
             let way = node.motion.joints.0[index].wrapping_sub(last.motion.joints.0[index]);
             // The middle control point, times the time in microseconds: below 2^53 + 2^48.
             let middle = 3_000_000 * i64::from(way.0) - both * time;
@@ -150,7 +159,7 @@ impl Machine {
         Ok(())
     }
 
-    /// The setpoint was accepted.
+    /// Makes the accepted setpoint the start of the next check.
     pub const fn take_end(&mut self) {
         self.joint_rates.tail = self.joint_rates.end;
     }

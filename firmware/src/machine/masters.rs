@@ -1,6 +1,8 @@
-//! The hand in the machine: the haptic arm that it has, the hand afar that it hears of, and how they lead its coordinates.
+//! Masters of the machine: its own haptic arm, or a remote master, and the mapping from the master
+//! to the coordinates of the tool.
 //!
-//! Misuse: leading without [`Machine::release_master`] when the machine brakes. The hand would be latched where it was before.
+//! Callers must use [`Machine::release_master`] when the machine brakes. Otherwise the mapping
+//! keeps the old positions of master and tool.
 
 use super::{HAND_PART, Machine};
 use crate::config::HAND;
@@ -11,46 +13,46 @@ use crate::haptics::{HandProblem, Haptic, Zero};
 use crate::io::{HapticInputs, HapticOutputs, LEGS};
 use haptimill_protocol::haptic::Hand;
 
-/// What leads, of the hands that can.
+/// The masters, and their mapping to the tool.
 #[derive(Debug, Default)]
 pub struct Masters {
-    /// The arm.
+    /// The haptic arm, if the machine has one.
     pub arm: Option<Haptic>,
-    /// The hand afar.
+    /// The remote master.
     pub remote: RemoteMaster,
-    /// From the hand to the tool.
+    /// Master-to-tool mapping.
     pub mapping: MasterMapping,
     periods_per_second: u32,
-    /// Periods after which a word of the hand afar is too old.
+    /// Age in periods above which a remote master pose is stale.
     stale: u32,
 }
 
 impl Masters {
-    /// The arm, for reading.
+    /// The haptic arm, for reading; `None` without the feature `hand`.
     #[must_use]
     #[inline]
     pub const fn arm(&self) -> Option<&Haptic> {
         if HAND { self.arm.as_ref() } else { None }
     }
 
-    /// The arm.
+    /// The haptic arm; `None` without the feature `hand`.
     #[inline]
     pub const fn arm_mut(&mut self) -> Option<&mut Haptic> {
         if HAND { self.arm.as_mut() } else { None }
     }
 }
 
-/// The encoders of a haptic arm, and what they showed at its home.
+/// Encoder scalings of a haptic arm, and the counts at its home.
 pub type HapticEncoderState = ([[Encoder; 3]; LEGS], Zero);
 
-/// How a hand stands to the tool in a period.
+/// Whether a master leads the tool in a period.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Leading {
-    /// Nothing is led.
+    /// No master leads.
     No,
-    /// It leads.
+    /// A master leads.
     Yes,
-    /// It led, and nothing new was heard of it for so many milliseconds.
+    /// The remote master led, and its last pose is stale: its age in ms.
     Lost(u16),
 }
 
@@ -73,14 +75,15 @@ impl Machine {
         }
     }
 
-    /// What the counts of the haptic arm mean.
+    /// Encoder scalings and zero of the haptic arm.
     #[must_use]
     pub fn haptic_encoder_state(&self) -> Option<HapticEncoderState> {
         let sensors = self.config.haptic.as_ref()?.sensors;
         Some((sensors, self.masters.arm()?.zero()))
     }
 
-    /// Takes over what the counts of the haptic arm mean, if they mean the same under both configurations.
+    /// Takes over the zero of the haptic arm from another configuration if the encoder scalings are
+    /// equal.
     pub fn take_over_haptics(&mut self, (sensors, zero): &HapticEncoderState) {
         if let (Some(own), Some(haptic)) = (self.masters.arm_mut(), &self.config.haptic)
             && haptic.sensors == *sensors
@@ -89,7 +92,7 @@ impl Machine {
         }
     }
 
-    /// The haptic part of stage *sense*.
+    /// Stage *measure*, haptic part.
     #[inline]
     pub fn measure_haptics(&mut self, inputs: &HapticInputs) {
         if HAND {
@@ -100,13 +103,14 @@ impl Machine {
         }
     }
 
-    /// A new word of a hand afar, so many milliseconds old.
+    /// Stores a pose of the remote master, `age_ms` milliseconds old.
     pub fn set_remote_master(&mut self, hand: &Hand, age_ms: u8) {
         let age = u32::from(age_ms) * self.masters.periods_per_second / 1000;
         self.masters.remote.hear(hand, age);
     }
 
-    /// The hand that can lead: that on the arm here, or the one afar.
+    /// Pose of the master that can lead: the haptic arm if there is one, otherwise the remote
+    /// master.
     #[must_use]
     pub fn hand(&self) -> Option<Frame> {
         match self.masters.arm() {
@@ -116,7 +120,7 @@ impl Machine {
         }
     }
 
-    /// The hand leads the coordinates that are given to it, if its button is held.
+    /// Moves the coordinates whose source is the master, while its clutch is held.
     #[inline]
     pub fn advance_master(&mut self) -> Leading {
         if HAND {
@@ -153,7 +157,8 @@ impl Machine {
         Leading::Yes
     }
 
-    /// Nothing is led; the next time that it is, hand and tool are latched where they are then.
+    /// Ends the lead of the master. The next lead latches the positions of master and tool at its
+    /// start.
     #[inline]
     pub fn release_master(&mut self) {
         if !HAND {
@@ -164,7 +169,7 @@ impl Machine {
             .set_master_targets(self.masters.mapping.targets());
     }
 
-    /// Stage *feel*.
+    /// Stage *render*: force feedback to the haptic arm.
     #[inline]
     pub fn render(&mut self, powered: bool, outputs: &mut HapticOutputs) {
         if self.masters.arm().is_some() {
@@ -183,7 +188,7 @@ impl Machine {
         } else {
             arm.frame().is_some_and(|frame| frame.engaged)
         };
-        // A sensor without a zero, or one that cannot be believed, is not felt.
+        // A sensor that is invalid or not tared gives no force feedback.
         let tool = self
             .force
             .as_ref()
@@ -197,12 +202,13 @@ impl Machine {
         arm.render(tool, leads, powered, outputs);
     }
 
-    /// A problem of the haptic arm that was not told yet.
+    /// A problem of the haptic arm that was not reported yet.
     pub fn take_haptic_problem(&mut self) -> Option<HandProblem> {
         self.masters.arm_mut()?.take_problem()
     }
 
-    /// Whether the machine is there for the hand alone, or a hand leads it: what is wrong with the arm is then its own fault.
+    /// Whether a problem of the haptic arm is a fault: the machine has no axes of its own, or a
+    /// master is the source of a coordinate.
     #[must_use]
     pub fn is_led_by_haptics(&self) -> bool {
         self.joints.is_empty() || self.motion.hand_mask() != 0

@@ -1,4 +1,4 @@
-//! What stands in the frames. Both directions visit the same words.
+//! Fields of the PIL frames. The two directions handle the same words in the same order.
 
 use super::words::{Reader, Writer};
 use super::{Done, FrameError, Heard, Told};

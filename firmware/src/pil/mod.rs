@@ -1,4 +1,5 @@
-//! A controller and a machine that are apart: [`Inputs`] and [`Outputs`] as frames of one size, exchanged once a control period.
+//! PIL (processor in the loop) link between a controller on a board and the simulated plant:
+//! [`Inputs`] and [`Outputs`] as frames of fixed size, exchanged once per control period.
 //!
 //! ```text
 //! board                                    simulator
@@ -11,17 +12,22 @@
 //!   Ended     ------------------------------->
 //! ```
 //!
-//! The bytes of the host do not stand in the frames: they go over the board's own serial line. A frame says how many were put on it before
-//! (`arrived`), so the board waits until its receive interrupt has seen them all; and how many were said (`said`), so the simulator waits for
-//! these. What the board heard in the period stands in [`Done`], for the simulator to compare with what it should have heard.
+//! The frames do not contain the bytes of the host: these go over the board's own serial line. A
+//! frame to the board counts the bytes put on that line before it (`arrived`), and the board waits
+//! until its receive interrupt has seen them all. A frame from the board counts the bytes that the
+//! board transmitted (`said`), and the simulator waits for them. [`Done`] contains what the board
+//! received in the period, which the simulator compares with what it sent.
 //!
-//! A frame is a row of little-endian words: kind and version, contents, check. The check (FNV-1a over words) finds frames that are cut, shifted or of
-//! another version; it is no CRC, because the transport (a pipe, or memory) does not flip bits.
+//! A frame is an array of little-endian words: kind and version, contents, check. The check (FNV-1a
+//! over words) finds frames that are cut, shifted or of another version. It is no CRC, because the
+//! transport (a pipe, or memory) does not flip bits.
 //!
-//! The board works on frames as words, where they are, and on its inputs and outputs, where they are ([`read`], [`Says`]): on an emulated chip moving them about
-//! took longer than the control period. The simulator has them as values ([`ToBoard`], [`FromBoard`]), and in bytes.
+//! The board works in place: on frames as words, and on its own inputs and outputs ([`read`],
+//! [`Says`]). On an emulated chip, copying them took longer than the control period. The simulator
+//! uses values ([`ToBoard`], [`FromBoard`]) and bytes.
 //!
-//! Misuse: a frame has no place for what is longer than a period; whoever skips a frame is out of step for good.
+//! Callers must handle every frame. A frame describes one period, so an end that skips one stays
+//! out of step.
 
 mod fields;
 mod words;
@@ -35,85 +41,87 @@ use fields::{
 pub use words::seal;
 use words::{Reader, Writer, check, from_bytes, to_bytes};
 
-/// Words of a frame to the board.
+/// Size of a frame to the board, in words.
 pub const TO_BOARD_WORDS: usize = 56;
-/// Words of a frame from the board.
+/// Size of a frame from the board, in words.
 pub const FROM_BOARD_WORDS: usize = 105;
-/// Bytes of a frame to the board.
+/// Size of a frame to the board, in bytes.
 pub const TO_BOARD_BYTES: usize = 4 * TO_BOARD_WORDS;
-/// Bytes of a frame from the board.
+/// Size of a frame from the board, in bytes.
 pub const FROM_BOARD_BYTES: usize = 4 * FROM_BOARD_WORDS;
 
-/// What the simulator says.
+/// Frame from the simulator to the board.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[allow(
     clippy::large_enum_variant,
     reason = "one of them exists, on the stack, once a period"
 )]
 pub enum ToBoard {
-    /// A run begins, with a new controller.
+    /// A run starts, with a new controller.
     Begin {
-        /// Control period, microseconds.
+        /// Control period, in microseconds.
         period_us: u16,
     },
-    /// A control period. Of the inputs, what belongs to the serial line (`received`, `waiting`, `lost_bytes`, `urgent`) is the board's own.
+    /// A control period. The board fills in the serial-line inputs itself: `received`, `waiting`,
+    /// `lost_bytes`, `urgent`.
     Period {
-        /// What is sensed.
+        /// Inputs of the plant.
         inputs: Inputs,
-        /// Bytes that were put on the serial line since the last frame.
+        /// Bytes put on the serial line since the last frame.
         arrived: u32,
     },
-    /// The run is over.
+    /// The run has ended.
     End,
 }
 
-/// What the board says.
+/// Frame from the board to the simulator.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[allow(
     clippy::large_enum_variant,
     reason = "one of them exists, on the stack, once a period"
 )]
 pub enum FromBoard {
-    /// It has started.
+    /// The board has started.
     Hello,
-    /// A control period is done.
+    /// A control period has run.
     Done(Done),
-    /// It stops.
+    /// The board stops.
     Ended {
-        /// Bytes of stack that were ever used.
+        /// Largest use of the stack, in bytes.
         stack_bytes: u32,
-        /// The most bytes that ever waited in the receive ring.
+        /// Largest number of bytes that waited in the receive ring.
         ring_peak: u32,
     },
 }
 
-/// A control period that is done.
+/// Results of a control period.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Done {
     /// Number of the period.
     pub period: u64,
-    /// What is to be done; `transmit` is empty here.
+    /// Outputs, with an empty `transmit`.
     pub outputs: Outputs,
-    /// Bytes that were said on the serial line.
+    /// Bytes transmitted on the serial line.
     pub said: u16,
-    /// What the board heard.
+    /// Serial-line inputs of the board.
     pub heard: Heard,
-    /// Ticks of the board's counter in each stage, in the order of [`Stage`].
+    /// Ticks of the board's counter in each stage, in the order of
+    /// [`Stage`](crate::profiler::Stage).
     pub stages: [u32; STAGES],
-    /// How the controller stands, if it is configured.
+    /// State of the controller, if it is configured.
     pub snapshot: Option<Snapshot>,
 }
 
-/// What came over the serial line for a period.
+/// Serial-line inputs of a period.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Heard {
-    /// Bytes handed to the controller.
+    /// Bytes passed to the controller.
     pub received: u16,
-    /// Bytes that wait.
+    /// Bytes that wait in the receive ring.
     pub waiting: u16,
-    /// Bytes lost for want of room.
+    /// Bytes lost because the ring was full.
     pub lost_bytes: u16,
-    /// The urgent stop was seen.
+    /// The out-of-band stop was recognised.
     pub urgent: bool,
 }
 
@@ -131,7 +139,7 @@ impl Done {
 }
 
 impl Heard {
-    /// What inputs say was heard.
+    /// The serial-line part of the inputs.
     #[must_use]
     pub fn of(inputs: &Inputs) -> Self {
         Self {
@@ -143,14 +151,14 @@ impl Heard {
     }
 }
 
-/// Why a frame cannot be read.
+/// Why a frame cannot be decoded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FrameError {
-    /// The check says that it was damaged, or that the two ends are out of step.
+    /// The check differs: the frame is damaged, or the two ends are out of step.
     Check,
-    /// Another version of this software made it.
+    /// Another version of this software made the frame.
     Version,
-    /// It says something that does not exist.
+    /// The frame has an unknown kind or value.
     Content,
 }
 
@@ -166,27 +174,28 @@ impl core::fmt::Display for FrameError {
 
 impl core::error::Error for FrameError {}
 
-/// What the simulator says to a board that takes the inputs where it keeps them.
+/// Frame to a board that keeps its inputs in place.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Order {
     /// As [`ToBoard::Begin`].
     Begin {
-        /// Control period, microseconds.
+        /// Control period, in microseconds.
         period_us: u16,
     },
     /// As [`ToBoard::Period`].
     Period {
-        /// Bytes that were put on the serial line since the last frame.
+        /// Bytes put on the serial line since the last frame.
         arrived: u32,
     },
     /// As [`ToBoard::End`].
     End,
 }
 
-/// Reads a frame to the board. What is sensed goes to `inputs`; what belongs to the serial line stays there as it was.
+/// Decodes a frame to the board. The inputs of the plant go to `inputs`; the serial-line inputs
+/// there stay unchanged.
 ///
 /// # Errors
-/// See [`FrameError`]; `inputs` are as they were.
+/// See [`FrameError`]; `inputs` stay unchanged.
 #[inline]
 pub fn read(frame: &[u32; TO_BOARD_WORDS], inputs: &mut Inputs) -> Result<Order, FrameError> {
     let (kind, mut words) = Reader::begin(frame)?;
@@ -214,7 +223,7 @@ pub fn read(frame: &[u32; TO_BOARD_WORDS], inputs: &mut Inputs) -> Result<Order,
 }
 
 impl ToBoard {
-    /// The frame.
+    /// Encodes the frame.
     #[must_use]
     pub fn encode(&self) -> [u8; TO_BOARD_BYTES] {
         let mut bytes = self.encode_unsealed();
@@ -222,7 +231,7 @@ impl ToBoard {
         bytes
     }
 
-    /// The frame without its check; see [`seal`].
+    /// Encodes the frame without its check; see [`seal`].
     #[must_use]
     pub fn encode_unsealed(&self) -> [u8; TO_BOARD_BYTES] {
         let mut frame = [0; TO_BOARD_WORDS];
@@ -251,7 +260,7 @@ impl ToBoard {
         to_bytes(&frame)
     }
 
-    /// What a frame says.
+    /// Decodes a frame.
     ///
     /// # Errors
     /// See [`FrameError`].
@@ -265,24 +274,25 @@ impl ToBoard {
     }
 }
 
-/// A control period that is done, as [`Done`] has it, where it lies.
+/// Results of a control period by reference; see [`Done`].
 #[derive(Debug)]
 pub struct Told<'a> {
     /// Number of the period.
     pub period: u64,
-    /// What is to be done.
+    /// Outputs of the period.
     pub outputs: &'a Outputs,
-    /// Bytes that were said on the serial line.
+    /// Bytes transmitted on the serial line.
     pub said: u16,
-    /// What the board heard.
+    /// Serial-line inputs of the board.
     pub heard: Heard,
-    /// Ticks of the board's counter in each stage.
+    /// Ticks of the board's counter in each stage, in the order of
+    /// [`Stage`](crate::profiler::Stage).
     pub stages: &'a [u32; STAGES],
-    /// How the controller stands, if it is configured.
+    /// State of the controller, if it is configured.
     pub snapshot: Option<&'a Snapshot>,
 }
 
-/// What a board says of what lies where it is, as [`FromBoard`] has it by value.
+/// Frame from the board, with its contents by reference; see [`FromBoard`].
 #[derive(Debug)]
 pub enum Says<'a> {
     /// As [`FromBoard::Hello`].
@@ -291,15 +301,15 @@ pub enum Says<'a> {
     Done(Told<'a>),
     /// As [`FromBoard::Ended`].
     Ended {
-        /// Bytes of stack that were ever used.
+        /// Largest use of the stack, in bytes.
         stack_bytes: u32,
-        /// The most bytes that ever waited in the receive ring.
+        /// Largest number of bytes that waited in the receive ring.
         ring_peak: u32,
     },
 }
 
 impl Says<'_> {
-    /// Writes its frame.
+    /// Writes the frame.
     #[inline]
     pub fn write(&self, frame: &mut [u32; FROM_BOARD_WORDS]) {
         self.fill(frame);
@@ -344,7 +354,7 @@ impl FromBoard {
         }
     }
 
-    /// The frame.
+    /// Encodes the frame.
     #[must_use]
     pub fn encode(&self) -> [u8; FROM_BOARD_BYTES] {
         let mut frame = [0; FROM_BOARD_WORDS];
@@ -352,7 +362,7 @@ impl FromBoard {
         to_bytes(&frame)
     }
 
-    /// The frame without its check; see [`seal`].
+    /// Encodes the frame without its check; see [`seal`].
     #[must_use]
     pub fn encode_unsealed(&self) -> [u8; FROM_BOARD_BYTES] {
         let mut frame = [0; FROM_BOARD_WORDS];
@@ -360,7 +370,7 @@ impl FromBoard {
         to_bytes(&frame)
     }
 
-    /// What a frame says.
+    /// Decodes a frame.
     ///
     /// # Errors
     /// See [`FrameError`].

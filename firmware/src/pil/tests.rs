@@ -88,7 +88,7 @@ prop_compose! {
 proptest! {
     #![proptest_config(config())]
 
-    /// Whatever the simulator says arrives as it was said.
+    /// Every frame to the board decodes to what was encoded.
     #[test]
     fn inputs_arrive(
         period: u64, missed: u16, time_ns: u32, transmit_room: u16, emergency_stop: bool, arrived: u32,
@@ -101,7 +101,7 @@ proptest! {
         }
     }
 
-    /// Whatever the board says arrives as it was said.
+    /// Every frame from the board decodes to what was encoded.
     #[test]
     fn outputs_arrive(done in done(), stack_bytes: u32, ring_peak: u32) {
         for said in [FromBoard::Hello, FromBoard::Done(done), FromBoard::Ended { stack_bytes, ring_peak }] {
@@ -109,7 +109,7 @@ proptest! {
         }
     }
 
-    /// A changed bit, or a frame that begins somewhere else, is refused.
+    /// A frame with a changed bit, or one that starts at another byte, is refused.
     #[test]
     fn damage_is_seen(done in done(), bit in 0..FROM_BOARD_BYTES * 8, shift in 1..FROM_BOARD_BYTES) {
         let mut frame = FromBoard::Done(done).encode();
@@ -121,7 +121,7 @@ proptest! {
         prop_assert_eq!(FromBoard::decode(&frame), Err(FrameError::Check));
     }
 
-    /// Noise is refused, and never ends in a panic.
+    /// Random bytes are refused without a panic, and leave the inputs unchanged.
     #[test]
     fn noise_is_refused(bytes in prop::collection::vec(any::<u8>(), TO_BOARD_BYTES)) {
         let frame: [u8; TO_BOARD_BYTES] = bytes.try_into().unwrap();

@@ -1,14 +1,14 @@
-//! A frame as a row of words, with its check at the end.
+//! PIL framing: a frame as an array of words, with a check word at the end.
 
 use super::FrameError;
 use haptimill_protocol::message::MAX_AXES;
 
-/// Grows whenever a frame changes.
+/// Version of the frames; each change of a frame increments it.
 const VERSION: u32 = 5;
 
 /// FNV-1a over words.
 ///
-/// Eight at a time: a loop that counts takes longer for it than for the work.
+/// Unrolled to eight words: the counter of a plain loop takes longer than the hash.
 #[inline(always)]
 pub(super) fn check(words: &[u32]) -> u32 {
     let (rows, rest) = words.as_chunks::<8>();
@@ -26,7 +26,8 @@ const fn step(hash: u32, word: u32) -> u32 {
     (hash ^ word).wrapping_mul(0x0100_0193)
 }
 
-/// Puts the check, which is the last word, into a frame whose other words are there: for those who keep frames without it, as recordings do.
+/// Writes the check, which is the last word, into a frame whose other words are complete.
+/// Recordings keep frames without the check.
 pub fn seal(frame: &mut [u8]) {
     let (words, _) = frame.as_chunks_mut::<4>();
     if let Some((last, words)) = words.split_last_mut() {
@@ -37,9 +38,9 @@ pub fn seal(frame: &mut [u8]) {
     }
 }
 
-/// A frame while it is written, without its last word: its words, one after the other. Beyond the end nothing is written.
+/// Writer of a frame without its last word. It drops words beyond the end.
 ///
-/// Several words at once are one look at the room that is left.
+/// Writing several words at once checks the remaining room only once.
 pub(super) struct Writer<'a> {
     left: &'a mut [u32],
 }
@@ -69,14 +70,14 @@ impl<'a> Writer<'a> {
         self.put_all([long as u32, (long >> 32) as u32]);
     }
 
-    /// A value of each axis. Named one by one: a loop that counts takes longer for it than for the work.
+    /// Writes a value of each axis. Unrolled: the counter of a loop takes longer than the work.
     #[inline(always)]
     pub(super) fn put_axes(&mut self, row: &[i32; MAX_AXES]) {
         let [a, b, c, d, e, f] = *row;
         self.put_all([a as u32, b as u32, c as u32, d as u32, e as u32, f as u32]);
     }
 
-    /// A value along each of x, y and z.
+    /// Writes a value along each of x, y and z.
     #[inline(always)]
     pub(super) fn put_vector(&mut self, vector: &[i32; 3]) {
         let [x, y, z] = *vector;
@@ -99,20 +100,20 @@ impl<'a> Writer<'a> {
         Some(slots)
     }
 
-    /// Words that are left are zeros.
+    /// Fills the remaining words with zeros.
     #[inline(always)]
     pub(super) fn end(self) {
         self.left.fill(0);
     }
 }
 
-/// A frame while it is read, word by word; beyond the end are zeros.
+/// Reader of a frame, word by word. It returns zeros beyond the end.
 pub(super) struct Reader<'a> {
     left: &'a [u32],
 }
 
 impl<'a> Reader<'a> {
-    /// The kind of a frame, and its contents.
+    /// Verifies check and version of a frame; returns its kind and a reader of its contents.
     #[inline(always)]
     pub(super) fn begin(frame: &'a [u32]) -> Result<(u32, Self), FrameError> {
         let (last, words) = frame.split_last().ok_or(FrameError::Check)?;

@@ -1,4 +1,4 @@
-//! What the machine may do: states, latched faults, and whether the position is kept.
+//! Safety state machine: states, latched faults, and whether the position is kept.
 //!
 //! | state | drives | left by |
 //! | --- | --- | --- |
@@ -11,16 +11,21 @@
 //! | Fault (latched) | off, or holding | reset |
 //! | EmergencyStop (latched) | off | reset |
 //!
-//! A fault in which the controller still has the machine in hand (lost host, late periods, a soft limit, a joint rate, the force sensor or what it feels, the haptic arm) first brakes along the path and
-//! then latches, with the drives holding. Any other fault takes the drives off in the same period. Every stop says whether the position is
-//! kept: it is lost when an encoder or the configuration cannot be believed, steps were lost, or a joint is not measured where it was commanded or can be.
+//! Some faults leave the machine under control: lost host, late periods, a soft limit, a joint
+//! rate, the force sensor or its force, the haptic arm. The machine then brakes along the path
+//! first, the fault latches at standstill, and the drives hold. Any other fault takes the drives
+//! off in the same period.
+//!
+//! Every stop reports whether the position is kept. It is lost when an encoder or the configuration
+//! is invalid, when steps were lost, or when a joint is measured away from its command or outside
+//! its stroke.
 
 pub mod homing;
 
 use haptimill_protocol::message::{Event, Fault, State};
 use heapless::Deque;
 
-/// Events that wait to be told.
+/// Size of the event queue.
 pub const EVENTS: usize = 16;
 
 /// State, latched fault and position.
@@ -30,9 +35,9 @@ pub struct Safety {
     fault: Option<Fault>,
     /// A fault that latches when the machine has come to rest on its path.
     pending: Option<Fault>,
-    /// The drives hold although a fault is latched.
+    /// The drives hold while a fault is latched.
     holding: bool,
-    /// A fault that was latched and that [`Safety::take_latched`] has not told.
+    /// A latched fault that [`Safety::take_latched`] has not returned yet.
     latched: Option<Fault>,
     homed: bool,
     position_kept: bool,
@@ -40,7 +45,7 @@ pub struct Safety {
     events_lost: u32,
 }
 
-/// Whether the controller still has the machine in hand: it brakes along the path, and the drives go on holding.
+/// Whether the machine brakes along the path on this fault, with drives that hold afterwards.
 #[must_use]
 pub const fn brakes_first(fault: &Fault) -> bool {
     matches!(
@@ -54,8 +59,11 @@ pub const fn brakes_first(fault: &Fault) -> bool {
     )
 }
 
-/// Whether it is a joint that does something else than it was told. While the machine brakes for missed periods, in which nobody told it anything, that
-/// is what they have led to: the drives go off for it, but what is named is the cause, and the encoders have counted all along.
+/// Whether a joint does not follow its command in this fault.
+///
+/// Missed periods can cause such a fault, because the joint got no command in them. If it occurs
+/// while the machine brakes for missed periods, the drives go off, but the fault reported is the
+/// cause. The encoders have counted all along.
 const fn is_of_joint(fault: &Fault) -> bool {
     matches!(
         fault,
@@ -63,7 +71,8 @@ const fn is_of_joint(fault: &Fault) -> bool {
     )
 }
 
-/// Whether the position is still known after a fault: nothing of its evidence can come from an encoder whose counts are wrong.
+/// Whether the position is still known after a fault: no encoder is suspected or invalid, and the
+/// configuration is intact.
 #[must_use]
 pub const fn keeps_position(fault: &Fault) -> bool {
     suspected(fault).is_none()
@@ -73,10 +82,11 @@ pub const fn keeps_position(fault: &Fault) -> bool {
         )
 }
 
-/// The joint whose encoder is under suspicion after a fault. It was not measured where it was
-/// commanded, or not where it can be, or it disagrees with the steps of its motor. It may have been
-/// pushed or held as well, and the encoder counted all of it: an index pulse in its place confirms
-/// the encoder.
+/// The joint whose encoder is suspected after a fault.
+///
+/// The joint was measured away from its command or outside its stroke, or it disagrees with the
+/// steps of its motor. It may also have been pushed or blocked while the encoder counted correctly.
+/// An index pulse in its place confirms the encoder.
 #[must_use]
 pub const fn suspected(fault: &Fault) -> Option<u8> {
     match fault {
@@ -112,37 +122,37 @@ impl Safety {
         self.pending
     }
 
-    /// All joints have their reference.
+    /// Whether all joints are homed.
     #[must_use]
     pub const fn homed(&self) -> bool {
         self.homed
     }
 
-    /// The position is known to be right.
+    /// Whether the position is known to be right.
     #[must_use]
     pub const fn position_kept(&self) -> bool {
         self.position_kept
     }
 
-    /// Whether a fault was latched that was not [taken](Safety::take_latched) yet.
+    /// Whether a latched fault was not [taken](Safety::take_latched) yet.
     #[must_use]
     #[inline]
     pub const fn has_latched(&self) -> bool {
         self.latched.is_some()
     }
 
-    /// A fault that was latched since the last call.
+    /// Returns a fault that was latched since the last call.
     pub fn take_latched(&mut self) -> Option<Fault> {
         self.latched.take()
     }
 
-    /// The position cannot be relied on any more.
+    /// Marks the position as unknown and the joints as not homed.
     pub fn lose_position(&mut self) {
         self.position_kept = false;
         self.homed = false;
     }
 
-    /// Whether the drives are to be on in this state.
+    /// Whether the drives must be on in this state.
     #[must_use]
     #[inline]
     pub const fn drives_on(&self) -> bool {
@@ -153,7 +163,7 @@ impl Safety {
         }
     }
 
-    /// Whether something moves, or may begin to move without being asked again.
+    /// Whether something moves, or may start to move without another command.
     #[must_use]
     #[inline]
     pub const fn active(&self) -> bool {
@@ -163,7 +173,7 @@ impl Safety {
         )
     }
 
-    /// Goes to a state and tells it.
+    /// Enters a state and reports the change.
     #[inline(never)]
     pub fn enter(&mut self, state: State) {
         if state != self.state {
@@ -178,7 +188,7 @@ impl Safety {
         }
     }
 
-    /// The reference is found, or given up.
+    /// Marks the joints as homed, with the position kept, or as neither.
     pub fn set_homed(&mut self, homed: bool) {
         self.homed = homed;
         self.position_kept = homed;
@@ -187,7 +197,8 @@ impl Safety {
         }
     }
 
-    /// A fault: brakes first where that is right, else latches now. The first one stays.
+    /// Raises a fault: the machine brakes first if it is active and [`brakes_first`] holds for the
+    /// fault; otherwise the fault latches now. The first fault for which the machine brakes stays.
     #[inline(never)]
     pub fn raise(&mut self, fault: Fault) {
         if brakes_first(&fault) && self.active() {
@@ -197,7 +208,7 @@ impl Safety {
         }
     }
 
-    /// Latches the fault for which the machine was braking; it is at rest.
+    /// Latches the fault for which the machine was braking. Callers must be at standstill.
     pub fn settle(&mut self) {
         if let Some(fault) = self.pending {
             self.latch(fault);
@@ -205,7 +216,7 @@ impl Safety {
     }
 
     fn latch(&mut self, fault: Fault) {
-        // A latched fault gives way only to one for which the drives that it let hold must go off.
+        // Only a fault that must switch holding drives off replaces a latched fault.
         if matches!(self.state, State::EmergencyStop)
             || (matches!(self.state, State::Fault) && (!self.holding || brakes_first(&fault)))
         {
@@ -228,14 +239,14 @@ impl Safety {
         self.enter(State::Fault);
     }
 
-    /// The emergency stop: drives off, latched.
+    /// Enters the emergency stop: drives off, latched.
     pub fn emergency_stop(&mut self) {
         self.pending = None;
         self.holding = false;
         self.enter(State::EmergencyStop);
     }
 
-    /// Clears what is latched; true if something was.
+    /// Clears the latched fault or emergency stop; returns whether there was one.
     pub fn reset(&mut self) -> bool {
         let latched = matches!(self.state, State::Fault | State::EmergencyStop);
         if latched {
@@ -252,30 +263,30 @@ impl Safety {
         latched
     }
 
-    /// Puts an event into the queue. When nobody listened for so long that it is full, the oldest gives way and is counted: what happened
-    /// last explains how things stand.
+    /// Queues an event. A full queue drops its oldest event and counts it, because the newest
+    /// events explain the present state.
     #[inline(never)]
     pub fn push_event(&mut self, event: Event) {
         if self.events.is_full() {
             self.events.pop_front();
             self.events_lost = self.events_lost.saturating_add(1);
         }
-        // There is room: made above.
+        // The code above made room.
         let _ = self.events.push_back(event);
     }
 
-    /// Whether there are events that were not told yet.
+    /// Whether there are unread events.
     #[must_use]
     pub fn has_events(&self) -> bool {
         !self.events.is_empty()
     }
 
-    /// The oldest event that was not told yet.
+    /// Takes the oldest unread event.
     pub fn next_event(&mut self) -> Option<Event> {
         self.events.pop_front()
     }
 
-    /// Puts an event back that could not be told now.
+    /// Puts an event back that could not be sent now.
     pub fn unread_event(&mut self, event: Event) {
         if self.events.push_front(event).is_err() {
             self.events_lost = self.events_lost.saturating_add(1);
