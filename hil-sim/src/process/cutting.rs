@@ -58,8 +58,7 @@ use crate::vector::{Vector, dot, minus, plus};
 /// Number of azimuths at which the contact of the body is evaluated.
 const BODY_AZIMUTHS: usize = 24;
 
-/// Pose of the tool in the frame of the table, including the deflection of the structure if the
-/// caller adds it.
+/// Pose of the tool in the frame of the table.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ToolPose {
     /// Tip of the ball, mm.
