@@ -49,7 +49,8 @@ pub struct Body {
 }
 
 impl Body {
-    /// A body of this mass (kg), centre (mm) and inertia about that centre (kg mm^2, axes of the platform).
+    /// Body from its mass (kg), centre of mass (mm) and inertia about that centre (kg mm^2, axes of
+    /// the platform).
     pub fn new(mass: f64, centre: Vector, inertia: [f64; 3]) -> Self {
         let mut body = Self {
             mass: 0.0,

@@ -36,7 +36,8 @@ pub struct JointConfig {
     pub name: String,
     /// Linear or rotary.
     pub kind: JointKind,
-    /// Axis units per motor turn: the lead of the screw in mm, or the degrees of the table per turn of the worm.
+    /// Axis units per motor turn: the lead of the screw in mm, or the degrees of the table per turn
+    /// of the worm.
     pub lead: f64,
     /// Total moving inertia, referred to the axis, kg or kg m^2.
     pub inertia: f64,

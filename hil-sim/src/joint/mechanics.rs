@@ -71,7 +71,8 @@ pub struct Mechanics {
     stop_damping: JointArray,
     /// Coulomb friction of the healthy slide side.
     healthy_coulomb: JointArray,
-    /// Inertia of the motor side divided by the acceleration unit: effort per axis unit per second squared.
+    /// Inertia of the motor side divided by the acceleration unit: effort per axis unit per second
+    /// squared.
     motor_inertia: JointArray,
     /// The same, slide side.
     slide_inertia: JointArray,

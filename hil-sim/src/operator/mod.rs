@@ -3,11 +3,16 @@
 //! The model has four parts with different time scales, one line each:
 //!
 //! ```text
-//! felt     F_r' = (F(t - T_r) . s - F_r) / T_s                 what the hand felt along its way s, after the reaction time
-//! pace     v = v_0 (1 - F_r / F_0), within 0 and v_0           the person slows down against resistance, and stops at F_0
-//! effort   T_e E' = G K e(t - T_r) - E                          the person sees that the tip is off by e, and pushes harder
-//! force    F = K (x_d - x) + B (v - x') + E, at most F_max     the arm's own spring and damper, at once
+//! felt     F_r' = (F(t - T_r) . s - F_r) / T_s
+//! pace     v = v_0 (1 - F_r / F_0), within 0 and v_0
+//! effort   T_e E' = G K e(t - T_r) - E
+//! force    F = K (x_d - x) + B (v - x') + E, at most F_max
 //! ```
+//!
+//! * *felt*: the force that the hand feels along its path s, after the reaction time.
+//! * *pace*: the operator slows down against resistance, and stops at F_0.
+//! * *effort*: the operator sees the position error e of the tip, and pushes harder.
+//! * *force*: spring and damper of the arm itself, without delay.
 //!
 //! Here x_d is the position that the trajectory has reached at that speed ([`trajectory`]). The
 //! mass of the hand acts at the grip and moves with the handle. Rotation about the upright handle

@@ -3,7 +3,9 @@
 //! The model is a spring and a damper in each direction of the arm's base frame, without mass:
 //!
 //! ```text
-//! T_s du/dt + u = F / K_s        u deflection (mm), F force on the tool (N), K_s stiffness (N/mm), T_s = C_s / K_s (s)
+//! T_s du/dt + u = F / K_s
+//!
+//! u deflection (mm), F force on the tool (N), K_s stiffness (N/mm), T_s = C_s / K_s (s)
 //! ```
 //!
 //! The model has no mass on purpose. The modes slow enough for a force loop of some Hz and for the
