@@ -10,7 +10,6 @@
 //! A word that differs from its prediction is stored as a byte and a difference. The lower five
 //! bits of the byte count the predicted words before it; the upper three give the format of the
 //! difference:
-//! say:
 //!
 //! | | |
 //! | --- | --- |
