@@ -56,8 +56,8 @@ pub struct HapticGeometry {
 }
 
 impl Default for HapticGeometry {
-    /// The reference geometry REF-M (docs/control.md 7.2) with the distances of the thesis: platform
-    /// 450 mm from the base, tip 150 mm further.
+    /// The reference geometry REF-M (docs/control.md 7.2) with the distances of the thesis:
+    /// platform 450 mm from the base, tip 150 mm further.
     fn default() -> Self {
         Self {
             base_radius_mm: 150.0,
