@@ -1,13 +1,13 @@
-//! Problems of a plant configuration, and the list that gathers them.
+//! Problems of a plant configuration, and the list that collects them.
 
 use core::fmt;
 
-/// What is wrong in a [`PlantConfig`].
+/// A problem of a [`PlantConfig`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlantError {
-    /// The field, as a path: `joint 2: motor_share`.
+    /// Path of the field: `joint 2: motor_share`.
     pub field: String,
-    /// What it must be.
+    /// Requirement that the field must meet.
     pub problem: String,
 }
 
@@ -19,7 +19,7 @@ impl fmt::Display for PlantError {
 
 impl core::error::Error for PlantError {}
 
-/// Gathers every problem, so that a machine file is mended in one go.
+/// Collects all problems, so that a user can correct a machine file in one pass.
 #[derive(Default)]
 pub(crate) struct Check(Vec<PlantError>);
 

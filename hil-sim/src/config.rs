@@ -1,10 +1,11 @@
-//! What the simulated machine is made of: the `[plant]` section of a machine file.
+//! Configuration of the simulated machine: the `[plant]` section of a machine file.
 //!
-//! A linear joint is described in mm, N, kg and s, a rotary one in degrees, N m, kg m^2 and s. The two are told apart by
-//! [`JointConfig::kind`]; where a field says *axis unit* it means mm or degrees, where it says *effort* N or N m.
+//! A linear joint uses mm, N, kg and s; a rotary joint uses degrees, N m, kg m^2 and s.
+//! [`JointConfig::kind`] selects one of them. *Axis unit* means mm or degrees; *effort* means N or
+//! N m.
 //!
-//! The plant is the truth of the simulation. Nothing here is read by the controller, and it may disagree with the controller's own
-//! configuration on purpose: a longer rod, more friction, an index somewhere else.
+//! The controller does not read this section. It may differ from the controller's own configuration
+//! on purpose: a longer rod, more friction, another index position.
 
 use crate::check::{Check, PlantError};
 use crate::haptics::HapticConfig;
@@ -22,36 +23,38 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PlantConfig {
-    /// Seed of everything random: start offsets, noise, link errors.
+    /// Seed of all random numbers: start offsets, noise, link errors.
     pub seed: u64,
-    /// Integration step in microseconds; the control period must be a whole multiple. 5 to 50.
+    /// Integration step, 5 to 50 us. The control period must be a whole multiple of it.
     #[serde(default = "default_substep_us")]
     pub substep_us: u16,
-    /// The arm that the joints carry; without it the pose is the joints.
+    /// Arm that the joints carry. Without it the pose is the joint positions.
     #[serde(default)]
     pub arm: Option<ArmGeometry>,
-    /// The spindle.
+    /// Spindle.
     #[serde(default)]
     pub spindle: Option<SpindleConfig>,
-    /// The cutter in the spindle; it cuts nothing while no work is clamped.
+    /// Cutter in the spindle; it cuts only when a workpiece is clamped.
     #[serde(default)]
     pub cutter: Option<CutterConfig>,
-    /// A work that is clamped from the start, homing included; see [`crate::plant::Plant::clamp`] for one that comes later.
+    /// Workpiece that is clamped from the start, also during homing. [`crate::plant::Plant::clamp`]
+    /// clamps one later.
     #[serde(default)]
     pub workpiece: Option<WorkpieceConfig>,
-    /// What gives way between the slides and the tool; without it the arm is rigid.
+    /// Elastic structure between the slides and the tool; without it the arm is rigid.
     #[serde(default)]
     pub structure: Option<StructureConfig>,
-    /// The force sensor under the work.
+    /// Force sensor under the workpiece.
     #[serde(default)]
     pub sensor: Option<SensorConfig>,
-    /// The haptic arm; without it there is none.
+    /// Haptic arm.
     #[serde(default)]
     pub haptic: Option<HapticConfig>,
-    /// The hand at the haptic arm; it holds the handle from the start.
+    /// Operator model at the haptic arm; it holds the handle from the start.
     #[serde(default)]
     pub hand: Option<OperatorConfig>,
-    /// The joints, in the machine's order (H-4: four slides, then the table). 1 to 6; none where there is a haptic arm alone.
+    /// Joints in the machine's order (H-4: four slides, then the table): 1 to 6, or none for a
+    /// haptic arm alone.
     #[serde(default)]
     pub joint: Vec<JointConfig>,
 }
@@ -61,10 +64,10 @@ const fn default_substep_us() -> u16 {
 }
 
 impl PlantConfig {
-    /// Checks everything and gives every problem, not the first alone.
+    /// Checks the whole configuration.
     ///
     /// # Errors
-    /// The list is not empty.
+    /// All problems, not only the first.
     pub fn check(&self, period_us: u16) -> Result<(), Vec<PlantError>> {
         let mut check = Check::default();
         check.within("substep_us".into(), f64::from(self.substep_us), 5.0, 50.0);
@@ -119,7 +122,7 @@ impl PlantConfig {
         check.done()
     }
 
-    /// What there is at the tool, if anything is named.
+    /// Process at the tool, if the configuration names a part of it.
     #[must_use]
     pub fn process(&self) -> Option<ProcessConfig> {
         let named = self.spindle.is_some()
@@ -136,7 +139,7 @@ impl PlantConfig {
         })
     }
 
-    /// The machine's cutter in a work.
+    /// Cutter and workpiece of the machine.
     #[must_use]
     pub fn cutting(&self, workpiece: WorkpieceConfig) -> CuttingConfig {
         CuttingConfig {

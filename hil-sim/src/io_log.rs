@@ -1,79 +1,86 @@
-//! All that a controller sensed and said, from its power-on, in some thirty bytes a period: what a recording keeps, and a replay needs.
+//! I/O log: all inputs and outputs of a controller since power on, in some thirty bytes per period.
+//! Recordings store it and replays read it.
 //!
-//! A period is the two frames of the plant link that carry it ([`haptimill_firmware::pil`]: what is sensed, and what is to be done), so that what they
-//! know this knows, and then the bytes of the serial line as they are. Of the frames only those words are kept that are not what was expected. Expected is
-//! what stood there last; or, if the last two changes were equal, that change once more: clocks and counters that run evenly cost nothing.
+//! A period is the two frames of the plant link that carry it ([`haptimill_firmware::pil`]: inputs
+//! and outputs), followed by the raw bytes of the serial line. The log therefore holds all fields
+//! of the frames. It stores only the words of the frames that differ from their prediction. The
+//! prediction is the last value or, if the last two changes were equal, the last value plus that
+//! change. Clocks and counters with a constant rate need no bytes.
 //!
-//! A word that is not as expected is a byte, whose lower five bits say how many expected ones are passed before it, and the difference as the upper three
-//! say:
+//! A word that differs from its prediction is stored as a byte and a difference. The lower five
+//! bits of the byte count the predicted words before it; the upper three give the format of the
+//! difference:
 //!
 //! | | |
 //! | --- | --- |
 //! | 0, 1, 5, 6 | i8, i16, i24, i32 |
 //! | 2, 3 | i8, i16, times 65536: the upper half of a word |
-//! | 4 | i8 and i8: the lower and the upper half, each by itself |
-//! | 7 | no word: with 0 in the lower bits the frames end, with 1 the next 31 words are passed |
+//! | 4 | i8 and i8: the lower and the upper half separately |
+//! | 7 | no word: lower bits 0 end the frames, lower bits 1 skip the next 31 words |
 //!
-//! Expectations begin anew with every block, so that each can be read by itself.
+//! Predictions restart with every block, so each block can be decoded alone.
 //!
-//! Misuse: the first period of a tape must be the first of its controller. Whatever came before is not in it, and no replay can know it.
+//! Callers must start a log with the first period of its controller. A replay cannot reconstruct
+//! earlier periods.
 
 use haptimill_firmware::io::{Inputs, Outputs, RECEIVE_BYTES, TRANSMIT_BYTES};
 use haptimill_firmware::pil::{
     Done, FROM_BOARD_BYTES, FromBoard, Heard, TO_BOARD_BYTES, ToBoard, seal,
 };
 
-/// Words of the two frames, their checks left out.
+/// Words of the frame to the board, without its check.
 const TO: usize = TO_BOARD_BYTES / 4 - 1;
 const FROM: usize = FROM_BOARD_BYTES / 4 - 1;
 const WORDS: usize = TO + FROM;
 
-/// Words that are compared at once.
+/// Words per row; a row is compared at once.
 const ROW: usize = 8;
-/// The words in whole rows; those at the end are always 0.
+/// Number of rows. The words beyond the frames are always 0.
 const ROWS: usize = WORDS.div_ceil(ROW);
 type Words = [[u32; ROW]; ROWS];
 
-/// The most bytes that the words of a period can take: a byte and a difference of four for each, and the end.
+/// Upper bound of the bytes for the words of a period: a byte and a difference of four for each,
+/// and the end.
 const MOST_BYTES: usize = 5 * WORDS + 1;
 
-/// Periods in a block.
+/// Periods per block.
 const BLOCK_PERIODS: u32 = 2048;
 
-/// Bytes that a tape keeps before there is a file for them: minutes of a machine that moves, half an hour of one that stands.
+/// Upper bound of the bytes that a log holds in memory: minutes of a moving machine, half an hour
+/// of one at standstill.
 const MOST_KEPT: usize = 1 << 26;
 
-/// The frames end.
+/// Code for the end of the frames.
 const END: u8 = 7 << 5;
-/// Words are passed.
+/// Code that skips words.
 const PASS: u8 = END | 1;
-/// How many [`PASS`] passes; one less is the most that a word can pass.
+/// Number of words that [`PASS`] skips; a word's own byte skips at most one less.
 const PASSED: usize = 31;
 
-/// A control period: what was sensed, and what was said to it.
+/// A control period: inputs and outputs of the controller.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Period {
-    /// What was sensed.
+    /// Inputs of the controller.
     pub inputs: Inputs,
-    /// What was to be done.
+    /// Outputs of the controller.
     pub outputs: Outputs,
 }
 
-/// A whole block of periods.
+/// A complete block of periods.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Block {
-    /// How many.
+    /// Number of periods.
     pub count: u32,
-    /// As they are kept.
+    /// Encoded periods.
     pub bytes: Vec<u8>,
 }
 
-/// Takes down the periods of a controller, from its first one.
+/// Records the periods of a controller, from its first one.
 #[derive(Debug)]
 pub struct IoLog {
     expected: Expected,
     block: Block,
-    /// Whole blocks that nobody has taken yet.
+    /// Complete blocks that have not been taken.
     kept: Vec<Block>,
     kept_bytes: usize,
     full: bool,
@@ -86,7 +93,7 @@ impl Default for IoLog {
 }
 
 impl IoLog {
-    /// A tape without periods.
+    /// Creates an empty log.
     #[must_use]
     pub fn new() -> Self {
         Self {
@@ -98,7 +105,7 @@ impl IoLog {
         }
     }
 
-    /// Takes down a period.
+    /// Adds a period.
     pub fn add(&mut self, inputs: &Inputs, outputs: &Outputs) {
         if self.full {
             return;
@@ -113,13 +120,13 @@ impl IoLog {
         }
     }
 
-    /// Whole blocks since the last call.
+    /// Takes the blocks completed since the last call.
     pub fn take(&mut self) -> std::vec::Drain<'_, Block> {
         self.kept_bytes = 0;
         self.kept.drain(..)
     }
 
-    /// Ends a block that has begun, so that it can be taken.
+    /// Completes the block in progress, so that it can be taken.
     pub fn close(&mut self) {
         if self.block.count == 0 {
             return;
@@ -134,7 +141,8 @@ impl IoLog {
         self.kept.push(block);
         self.expected = Expected::new();
         if self.kept_bytes > MOST_KEPT {
-            // A machine that has stood for hours without a job: nobody replays that, and the memory is needed.
+            // The machine has been on for hours without a job. A replay of that time is not needed,
+            // and the memory is.
             *self = Self {
                 full: true,
                 ..Self::new()
@@ -142,7 +150,7 @@ impl IoLog {
         }
     }
 
-    /// Whether it has all periods since its first.
+    /// Returns whether the log holds all periods since its first.
     #[must_use]
     pub const fn is_whole(&self) -> bool {
         !self.full
@@ -169,7 +177,7 @@ fn words(inputs: &Inputs, outputs: &Outputs) -> Words {
     words
 }
 
-/// The words of a frame; its check, which is the last, is left out.
+/// Fills in the words of a frame, without its check, which is the last word.
 fn fill(words: &mut [u32], frame: &[u8]) {
     for (word, bytes) in words
         .iter_mut()
@@ -179,7 +187,7 @@ fn fill(words: &mut [u32], frame: &[u8]) {
     }
 }
 
-/// What stands in the frames, as far as it can be foreseen.
+/// Prediction of the words.
 #[derive(Debug, Clone)]
 struct Expected {
     last: Words,
@@ -213,7 +221,7 @@ impl Expected {
     fn encode(&mut self, bytes: &mut Vec<u8>, words: &Words) {
         let mut coded = Coded::new();
         let mut from = 0;
-        // Most rows are as expected.
+        // Most rows equal their prediction.
         for (row, (words, next)) in words.iter().zip(&self.next).enumerate() {
             let unlike = words
                 .iter()
@@ -241,7 +249,7 @@ impl Expected {
         self.learn(words);
     }
 
-    /// `None` when the bytes end too soon or say what cannot be.
+    /// Decodes the words of a period; `None` when the bytes are truncated or invalid.
     fn decode(&mut self, bytes: &mut &[u8]) -> Option<Words> {
         let mut words = self.next;
         let mut index = 0_usize;
@@ -264,7 +272,7 @@ impl Expected {
     }
 }
 
-/// The words of a period on their way into a block.
+/// Encoded words of a period.
 struct Coded {
     bytes: [u8; MOST_BYTES + 4],
     at: usize,
@@ -278,7 +286,8 @@ impl Coded {
         }
     }
 
-    /// A byte, and the lowest `count` bytes of `content`. All four are written; what follows overwrites those too many.
+    /// Appends a byte and the lowest `count` bytes of `content`. It writes all four bytes; the next
+    /// call overwrites the surplus.
     fn put(&mut self, head: u8, content: u32, count: usize) {
         let slot = self.bytes.get_mut(self.at..self.at + 5);
         if let Some(slot) = slot {
@@ -347,7 +356,8 @@ fn take<'a>(bytes: &mut &'a [u8], count: usize) -> Option<&'a [u8]> {
     Some(taken)
 }
 
-/// Reads the periods of a block. An error is how many bytes of the block were understood: its contents are not what this version writes.
+/// Decodes the periods of a block. An error is the number of bytes decoded before it: the block has
+/// a different format.
 #[derive(Debug)]
 pub struct IoLogDecoder {
     expected: Expected,
@@ -357,7 +367,7 @@ pub struct IoLogDecoder {
 }
 
 impl IoLogDecoder {
-    /// Of a block of so many periods.
+    /// Decodes a block of `count` periods.
     #[must_use]
     pub fn new(count: u32, bytes: Vec<u8>) -> Self {
         Self {
@@ -380,7 +390,7 @@ impl Iterator for IoLogDecoder {
 
     fn next(&mut self) -> Option<Self::Item> {
         if self.left == 0 {
-            // What follows the last one belongs to nothing.
+            // Bytes after the last period are an error.
             return if self.at == self.bytes.len() {
                 None
             } else {
@@ -400,7 +410,7 @@ impl Iterator for IoLogDecoder {
     }
 }
 
-/// The period of frames and the bytes of the line behind them.
+/// Decodes a period from its frames and the bytes of the line after them.
 fn period(words: &Words, bytes: &mut &[u8]) -> Option<Period> {
     let (to, from) = words.as_flattened()[..WORDS].split_at(TO);
     let ToBoard::Period { mut inputs, .. } = ToBoard::decode(&frame(to)).ok()? else {
@@ -428,7 +438,7 @@ fn period(words: &Words, bytes: &mut &[u8]) -> Option<Period> {
     Some(Period { inputs, outputs })
 }
 
-/// A frame of its words.
+/// Builds a frame from its words.
 fn frame<const B: usize>(words: &[u32]) -> [u8; B] {
     let mut frame = [0; B];
     for (bytes, word) in frame.as_chunks_mut::<4>().0.iter_mut().zip(words) {

@@ -1,16 +1,19 @@
-//! The simulated machine.
+//! Simulation of the machine: drives, mechanics, sensors, cutting process, haptic arm and serial
+//! line.
 //!
-//! Plain f64 physics in virtual time: no clock, no thread, no randomness but seeded. The same seed and the same inputs give the
-//! same bits on every host: transcendental functions come from the crate libm, and no product is fused into a sum.
+//! The physics is computed in f64 and in virtual time. The crate uses no clock and no thread; all
+//! random numbers are seeded. The same seed and the same inputs give the same bits on every host:
+//! transcendental functions come from the crate libm, and no product is fused into a sum.
 //!
 //! * [`config`]: the `[plant]` section of a machine file; [`check`]: its problems.
 //! * [`joint`]: mechanics, encoder and drive of one joint.
 //! * [`machines`]: machine geometries, from their loop-closure equations.
 //! * [`process`]: spindle, cutter, workpiece, cutting force, structure, force sensor.
 //! * [`haptics`]: the haptic master arm; [`operator`]: the operator model that moves it.
-//! * [`plant`]: all of it, one control period at a time.
+//! * [`plant`]: the complete machine, advanced by one control period at a time.
 //! * [`line`]: the serial line; [`fault`], [`schedule`]: injected faults and their times.
-//! * [`rig`]: plant, controller and line in lockstep; [`io_log`]: all inputs and outputs of the controller.
+//! * [`rig`]: plant, controller and line in lockstep; [`io_log`]: all inputs and outputs of the
+//!   controller.
 
 pub mod check;
 pub mod config;

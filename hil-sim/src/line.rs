@@ -1,28 +1,30 @@
-//! A serial line between host and machine, one direction of it: paced, late, noisy, lossy or cut, as a scenario asks.
+//! Serial line model: one direction of the line between host and machine, with rate, delay, errors,
+//! losses and cuts.
 //!
-//! Bytes go in with the virtual time at which they are written and come out when their last bit has arrived. A UART byte takes ten bit
-//! times (start, eight data, stop). Everything random is drawn from the seed, byte by byte in order, so a run repeats itself.
+//! Bytes enter with the virtual time at which they are written and leave when their last bit has
+//! arrived. A UART byte takes ten bit times (start, eight data, stop). All random numbers are
+//! seeded and drawn byte by byte in order, so a run is repeatable.
 
 use crate::random::Random;
 use std::collections::VecDeque;
 
-/// What is wrong with a line at the moment.
+/// Injected faults of a line.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LineCondition {
     /// Probability that a bit is flipped.
     pub bit_error_rate: f64,
     /// Probability that a byte is lost.
     pub drop_rate: f64,
-    /// Probability that a byte comes twice.
+    /// Probability that a byte is duplicated.
     pub duplicate_rate: f64,
-    /// Every byte comes later by this, ns.
+    /// Additional delay of every byte, ns.
     pub delay_ns: u64,
-    /// Nothing gets through.
+    /// The line is cut: no byte arrives.
     pub cut: bool,
 }
 
 impl LineCondition {
-    /// A line that is well.
+    /// A line without faults.
     pub const HEALTHY: Self = Self {
         bit_error_rate: 0.0,
         drop_rate: 0.0,
@@ -38,18 +40,18 @@ impl Default for LineCondition {
     }
 }
 
-/// What happened to the bytes of a line.
+/// Counters of a line.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct LineCounters {
-    /// Bytes written.
+    /// Bytes that were written.
     pub written: u64,
-    /// Bytes that came out, damaged ones included.
+    /// Bytes that were read, including damaged ones.
     pub delivered: u64,
     /// Bits that were flipped.
     pub flipped: u64,
     /// Bytes that were lost.
     pub dropped: u64,
-    /// Bytes that came twice.
+    /// Bytes that were duplicated.
     pub duplicated: u64,
 }
 
@@ -58,7 +60,7 @@ pub struct LineCounters {
 pub struct SerialLine {
     /// Time of a byte on the line, ns times 2^16; 0 is an unlimited line.
     byte_time: u64,
-    /// When the line is free again, ns times 2^16.
+    /// Time at which the line becomes free, ns times 2^16.
     free_at: u64,
     queue: VecDeque<(u64, u8)>,
     condition: LineCondition,
@@ -67,7 +69,7 @@ pub struct SerialLine {
 }
 
 impl SerialLine {
-    /// A line of so many baud; `None` is as fast as may be.
+    /// Creates a line of this rate in baud; `None` is unlimited.
     pub fn new(baud: Option<u32>, random: Random) -> Self {
         Self {
             byte_time: baud.map_or(0, |baud| {
@@ -81,17 +83,17 @@ impl SerialLine {
         }
     }
 
-    /// Changes what is wrong with the line, for bytes that are written from now on.
+    /// Sets the injected faults for all bytes that are written from now on.
     pub const fn set_condition(&mut self, condition: LineCondition) {
         self.condition = condition;
     }
 
-    /// What happened so far.
+    /// Counters so far.
     pub const fn count(&self) -> LineCounters {
         self.count
     }
 
-    /// Bytes that were written and have not come out.
+    /// Bytes that were written and not yet read.
     pub fn in_flight(&self) -> usize {
         self.queue.len()
     }
@@ -112,7 +114,7 @@ impl SerialLine {
                 continue;
             }
             let byte = self.damage(byte);
-            // A delay that was shortened does not let bytes overtake each other.
+            // Bytes keep their order when the delay becomes shorter.
             let arrival = (self.free_at >> 16) + self.condition.delay_ns;
             let arrival = arrival.max(self.queue.back().map_or(0, |last| last.0));
             self.queue.push_back((arrival, byte));
@@ -123,7 +125,7 @@ impl SerialLine {
         }
     }
 
-    /// The next byte that has arrived by `time_ns`.
+    /// Reads the next byte that has arrived by `time_ns`.
     pub fn read(&mut self, time_ns: u64) -> Option<u8> {
         let (arrival, byte) = *self.queue.front()?;
         if arrival > time_ns {

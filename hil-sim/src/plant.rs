@@ -1,14 +1,20 @@
-//! The simulated machine: drives, screws, slides, encoders, switches and the arm that they carry.
+//! The plant: drives, screws, slides, encoders, switches and the arm that the slides carry.
 //!
-//! [`Plant::advance`] carries out the [`Outputs`] of one control period in steps of 20 us; [`Plant::latch`] fills the [`Inputs`] that the
-//! controller sees at the start of the next. [`Plant::truth`] tells what no controller can know: where slides and tool really are.
-//! A machine whose configuration names them, or that is given a [`ProcessConfig`], has a spindle, and whatever else that names; the force on its tool loads the joints.
+//! [`Plant::advance`] applies the [`Outputs`] of one control period in steps of 20 us.
+//! [`Plant::latch`] fills the [`Inputs`] that the controller sees at the start of the next period.
+//! [`Plant::truth`] is the ground truth, which no controller can see: the exact positions of slides
+//! and tool. A machine has a spindle, a cutter and a workpiece when its configuration names them or
+//! when [`Plant::fit`] gives it a [`ProcessConfig`]. The force on the tool loads the joints.
 //!
-//! What is modelled: each joint as two masses on a screw with stiffness, damping and backlash; Coulomb friction that sticks; drives
-//! with limits; hard stops; the encoder on the motor shaft, to its edges. What is not: the inertia of the platform couples no slides,
-//! a disabled drive gives no torque (friction alone holds the screw), the amplifier's current follows at once.
+//! Modelled: each joint as two masses on a screw with stiffness, damping and backlash; Coulomb
+//! friction with sticking; drives with limits; hard stops; the encoder on the motor shaft, edge by
+//! edge.
 //!
-//! A command of the wrong kind for a drive ([`DriveCommand::Steps`] on a torque drive) leaves the drive off and is counted.
+//! Not modelled: the inertia of the platform, which couples the slides; holding torque of a
+//! disabled drive (friction alone holds the screw); the delay of the amplifier's current.
+//!
+//! A command of the wrong kind for a drive ([`DriveCommand::Steps`] on a torque drive) leaves the
+//! drive off and is counted.
 
 use crate::check::PlantError;
 use crate::config::PlantConfig;
@@ -24,34 +30,34 @@ use crate::random::Random;
 use haptimill_firmware::io::{DriveCommand, ForceSample, Inputs, Outputs};
 use haptimill_protocol::message::MAX_AXES;
 
-/// What really is, at the start of a period.
+/// Ground truth at the start of a period.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct GroundTruth {
-    /// Where the joints' slide sides are, mm or degrees.
+    /// Positions of the joints' slide sides, mm or degrees.
     pub joints: [f64; MAX_AXES],
-    /// The tool in the work, mm and degrees (H-4: x_w, y_w, z_w, theta, alpha); without an arm, the joints. The tip is where it really is, the
-    /// structure's deflection included.
+    /// Pose of the tool in the workpiece frame, mm and degrees (H-4: x_w, y_w, z_w, theta, alpha);
+    /// without an arm, the joint positions. The tip includes the deflection of the structure.
     pub pose: [f64; MAX_AXES],
-    /// The rods close; otherwise `pose` is the last one that was good.
+    /// The rods close. If false, `pose` is the last valid one.
     pub pose_valid: bool,
-    /// Force on the tool in the work, N.
+    /// Force on the tool in the workpiece frame, N.
     pub force: [f64; 3],
 }
 
-/// What is wrong with a joint at the moment, its encoder apart.
+/// Injected faults of a joint, without its encoder.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct JointCondition {
-    /// The drive gives this much of what it is asked: 1 healthy, 0 dead, negative the wrong way round.
+    /// Ratio of the drive's effort to the commanded one: 1 healthy, 0 dead, negative reversed.
     pub drive_gain: f64,
-    /// The drive reports that it is not well, and gives nothing.
+    /// The drive reports a fault and gives no effort.
     pub drive_tripped: bool,
-    /// More Coulomb friction on the slide, effort; infinity holds it fast.
+    /// Additional Coulomb friction on the slide, effort; infinity blocks it.
     pub jam: f64,
-    /// The home switch stands at this level.
+    /// The home switch is stuck at this level.
     pub home: Option<bool>,
-    /// The lower limit switch stands at this level.
+    /// The lower limit switch is stuck at this level.
     pub limit_low: Option<bool>,
-    /// The upper limit switch stands at this level.
+    /// The upper limit switch is stuck at this level.
     pub limit_high: Option<bool>,
 }
 
@@ -113,14 +119,14 @@ pub struct Plant {
     bodies: Bodies,
     joints: Vec<Joint>,
     arm: Option<Arm>,
-    /// Tip in the arm's base frame, as the slides hold it.
+    /// Tip in the arm's base frame, without the deflection of the structure.
     tip: Tip,
     process: Option<Process>,
     haptic: Option<HapticArm>,
-    /// What the process does to the joints in this period.
+    /// Loads of the cutting process on the joints in this period.
     process_load: JointArray,
     load: JointArray,
-    /// Motor positions of the last period, one row a step, the start included.
+    /// Motor positions of the last period, one row per step, including the start.
     history: Vec<JointArray>,
     step_ns: u64,
     period_us: u16,
@@ -133,10 +139,10 @@ pub struct Plant {
 }
 
 impl Plant {
-    /// The machine at rest: slides at their presets, off by what the seed says.
+    /// Creates the plant at standstill, with the slides at their presets plus a seeded offset.
     ///
     /// # Errors
-    /// Every problem of the configuration.
+    /// All problems of the configuration.
     pub fn new(config: &PlantConfig, period_us: u16) -> Result<Self, Vec<PlantError>> {
         config.check(period_us)?;
         let mut random = Random::new(config.seed, 0);
@@ -207,12 +213,12 @@ impl Plant {
         Ok(plant)
     }
 
-    /// How many joints there are.
+    /// Number of joints.
     pub const fn axes(&self) -> usize {
         self.joints.len()
     }
 
-    /// Length of the control period, microseconds.
+    /// Control period, us.
     pub const fn period_us(&self) -> u16 {
         self.period_us
     }
@@ -227,22 +233,22 @@ impl Plant {
         self.period * self.period_us as u64 * 1000
     }
 
-    /// What really is, now.
+    /// Present ground truth.
     pub const fn truth(&self) -> &GroundTruth {
         &self.truth
     }
 
-    /// Both sides of every joint, now.
+    /// Present state of both sides of every joint.
     pub const fn bodies(&self) -> &Bodies {
         &self.bodies
     }
 
-    /// The masses, springs and frictions.
+    /// Constants of masses, springs and friction.
     pub const fn mechanics(&self) -> &Mechanics {
         &self.mechanics
     }
 
-    /// How the pulses of a step/dir drive fared; `None` for a torque drive.
+    /// Report on the pulses of a step/direction drive; `None` for a torque drive.
     pub fn pulse_report(&self, axis: usize) -> Option<PulseReport> {
         match &self.joints.get(axis)?.drive {
             Drive::Torque { .. } => None,
@@ -250,43 +256,44 @@ impl Plant {
         }
     }
 
-    /// Commands that were of the wrong kind for their drive, in all.
+    /// Number of commands of the wrong kind for their drive.
     pub const fn misdirected(&self) -> u64 {
         self.misdirected
     }
 
-    /// Lets an outside effort act on a slide (or on the table), until it is changed.
+    /// Sets an external effort on a slide or on the table; it acts until it is changed.
     pub fn set_load(&mut self, axis: usize, effort: f64) {
         self.load[axis] = effort;
     }
 
-    /// What is wrong with a joint.
+    /// Injected faults of a joint.
     pub fn condition(&self, axis: usize) -> JointCondition {
         self.joints[axis].condition
     }
 
-    /// Changes what is wrong with a joint.
+    /// Sets the injected faults of a joint.
     pub fn set_condition(&mut self, axis: usize, condition: JointCondition) {
         self.mechanics.jam(axis, condition.jam);
         self.joints[axis].condition = condition;
     }
 
-    /// Changes what is wrong with an encoder.
+    /// Sets the injected faults of an encoder.
     pub fn set_encoder_condition(&mut self, axis: usize, condition: EncoderCondition) {
         self.joints[axis].encoder.set_condition(condition);
     }
 
-    /// Makes the counter of an encoder slip.
+    /// Adds a slip of `counts` to the counter of an encoder.
     pub fn slip_encoder(&mut self, axis: usize, counts: i32) {
         self.joints[axis].encoder.slip(counts);
     }
 
-    /// Opens or closes the emergency stop circuit; open, it takes the power from all drives.
+    /// Opens or closes the emergency stop circuit. Open, it removes the power of all drives.
     pub const fn set_emergency_stop(&mut self, open: bool) {
         self.emergency_stop = open;
     }
 
-    /// Fills what the controller sees of the machine: period, time, joints, emergency stop. Bytes and missed periods are the rig's.
+    /// Fills the machine's part of the inputs: period, time, joints, emergency stop. The rig fills
+    /// received bytes and missed periods.
     pub fn latch(&self, inputs: &mut Inputs) {
         inputs.period = self.period;
         inputs.time_ns = self.time_ns() as u32;
@@ -327,7 +334,7 @@ impl Plant {
         }
     }
 
-    /// One control period with these outputs in effect.
+    /// Advances by one control period under these outputs.
     pub fn advance(&mut self, outputs: &Outputs) {
         let powered = !self.emergency_stop;
         let mut drive = [0.0; MAX_AXES];
@@ -339,7 +346,7 @@ impl Plant {
             match (&mut joint.drive, command) {
                 (_, DriveCommand::Off) | (Drive::Torque { .. }, DriveCommand::Torque(_)) => {}
                 (Drive::Steps(stepper), DriveCommand::Steps(segment)) => {
-                    // The board makes its pulses whether or not the drive is alive.
+                    // The board emits its pulses even when the drive is dead.
                     stepper.begin(*segment);
                     stepping = true;
                 }
@@ -395,7 +402,7 @@ impl Plant {
         }
     }
 
-    /// The tool works for a period; what it feels loads the joints in the next.
+    /// Advances the cutting process by one period. Its force loads the joints in the next period.
     fn work(&mut self, rpm: f64) {
         if !self.truth.pose_valid {
             self.truth.force = [0.0; 3];
@@ -430,7 +437,7 @@ impl Plant {
         }
     }
 
-    /// Where the slides hold the tool.
+    /// Tool pose from the slides, without the deflection of the structure.
     fn tool_pose(&self) -> ToolPose {
         let [x, y, z, theta, alpha, _] = self.truth.pose;
         if self.arm.is_some() {
@@ -440,11 +447,12 @@ impl Plant {
         }
     }
 
-    /// Gives the machine a spindle and what it works on; what was there before is taken away. A machine without an arm works with its first three
-    /// joints as x, y and z.
+    /// Replaces the spindle and the process of the machine. A machine without an arm uses its first
+    /// three joints as x, y and z.
     ///
     /// # Errors
-    /// Every problem of the configuration, or the machine has no three linear joints to move a tool with.
+    /// All problems of the configuration, or the machine has neither an arm nor three linear joints
+    /// that move the tool.
     pub fn fit(&mut self, config: &ProcessConfig) -> Result<(), Vec<PlantError>> {
         let linear = self
             .joints
@@ -469,8 +477,8 @@ impl Plant {
         Ok(())
     }
 
-    /// Clamps a work on the table, with the tool where it stands: in the air, or it begins in the material. As [`Plant::fit`], but spindle and sensor
-    /// stay as they are.
+    /// Clamps a workpiece on the table. The tool keeps its position, in the air or inside the
+    /// material. The function acts like [`Plant::fit`], but keeps spindle and sensor.
     ///
     /// # Errors
     /// As [`Plant::fit`].
@@ -485,27 +493,28 @@ impl Plant {
         }
     }
 
-    /// What happens at the tool; `None` on a machine without.
+    /// The process at the tool; `None` on a machine without one.
     pub const fn process(&self) -> Option<&Process> {
         self.process.as_ref()
     }
 
-    /// What happens at the tool, to be meddled with.
+    /// The process at the tool, with mutable access for fault injection.
     pub const fn process_mut(&mut self) -> Option<&mut Process> {
         self.process.as_mut()
     }
 
-    /// The haptic arm; `None` on a machine without.
+    /// The haptic arm; `None` on a machine without one.
     pub const fn haptic(&self) -> Option<&HapticArm> {
         self.haptic.as_ref()
     }
 
-    /// The haptic arm, to be led and to be meddled with.
+    /// The haptic arm, with mutable access for the operator model and for fault injection.
     pub const fn haptic_mut(&mut self) -> Option<&mut HapticArm> {
         self.haptic.as_mut()
     }
 
-    /// What the ADC of the force sensor gave at the start of the period; `None` on a machine without.
+    /// ADC codes of the force sensor at the start of the period; `None` on a machine without a
+    /// sensor.
     pub fn force_codes(&self) -> Option<[i16; 3]> {
         Some(self.process.as_ref()?.sensor()?.codes())
     }
@@ -528,7 +537,7 @@ impl Plant {
     }
 }
 
-/// Efforts of the step motors in the middle of a step.
+/// Computes the efforts of the step motors at the fraction `part` of the period.
 fn step_efforts(
     joints: &mut [Joint],
     outputs: &Outputs,

@@ -1,17 +1,17 @@
-//! Seeded randomness: the only kind there is in the simulator.
+//! Seeded random numbers, the only ones in the simulator.
 //!
-//! SplitMix64 (Steele, Lea, Flood 2014). Not for secrets. Each device draws from its own stream, so that a fault on one does not
-//! change the numbers that another sees.
+//! SplitMix64 (Steele, Lea, Flood 2014), not suitable for secrets. Each device draws from its own
+//! stream, so a fault of one device does not change the numbers of another.
 
 /// A stream of pseudo-random numbers.
 #[derive(Debug, Clone)]
 pub struct Random(u64);
 
 impl Random {
-    /// The stream of a seed; `stream` tells the devices apart.
+    /// Creates the stream `stream` of a seed; each device has its own stream number.
     pub const fn new(seed: u64, stream: u64) -> Self {
         let mut random = Self(seed ^ stream.wrapping_mul(0xd1b5_4a32_d192_ed03));
-        // Two draws part the streams of neighbouring seeds.
+        // Two draws separate the streams of neighbouring seeds.
         random.draw();
         random.draw();
         random
@@ -26,12 +26,12 @@ impl Random {
         bits ^ (bits >> 31)
     }
 
-    /// Evenly spread in 0 (included) to 1 (excluded), 53 bits.
+    /// Uniform in 0 (included) to 1 (excluded), 53 bits.
     pub const fn fraction(&mut self) -> f64 {
         (self.draw() >> 11) as f64 * (1.0 / 9_007_199_254_740_992.0)
     }
 
-    /// True with this probability.
+    /// Returns true with this probability.
     pub const fn happens(&mut self, probability: f64) -> bool {
         self.fraction() < probability
     }

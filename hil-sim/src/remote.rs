@@ -1,10 +1,12 @@
-//! A controller that is not in this process: the rig's end of the plant link.
+//! Remote controller: the rig's end of the plant link to a controller on a board or emulator (PIL).
 //!
-//! [`RemoteController`] is a [`Control`] like any other; neither the machine nor a scenario knows the difference. What it says is in frames of
-//! [`haptimill_firmware::pil`], carried by a [`PlantLink`]; bytes of the host go over the board's serial line beside it.
+//! [`RemoteController`] implements [`Control`] like a controller in this process, with no
+//! difference for plant and scenario. It exchanges frames of [`haptimill_firmware::pil`] over a
+//! [`PlantLink`]; the bytes of the host use the board's serial line beside it.
 //!
-//! What the board heard is compared with what it should have heard: a byte too many or too few is a failure of the link, not a
-//! different simulation.
+//! The controller reports the bytes that it received, and the rig compares them with the bytes that
+//! it sent. A missing or additional byte is a failure of the link, so it never changes the
+//! simulation silently.
 
 use crate::rig::Control;
 use haptimill_firmware::io::{DriveCommand, Inputs, Outputs, TRANSMIT_BYTES};
@@ -15,64 +17,68 @@ use haptimill_protocol::message::State;
 use std::io;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Carries frames and serial bytes to a board and back.
+/// Transport of frames and serial bytes to a board and back.
 ///
-/// Every call ends: with an error when the board has gone, or has not answered for so long that it never will.
+/// Every call returns. It returns an error when the board has terminated or does not answer within
+/// the time limit.
 pub trait PlantLink {
     /// Sends a frame.
     ///
     /// # Errors
-    /// The board has gone.
+    /// The board has terminated.
     fn send(&mut self, frame: &[u8; TO_BOARD_BYTES]) -> io::Result<()>;
 
     /// Waits for a frame.
     ///
     /// # Errors
-    /// The board has gone.
+    /// The board has terminated.
     fn receive(&mut self, frame: &mut [u8; FROM_BOARD_BYTES]) -> io::Result<()>;
 
-    /// Puts bytes on the board's serial line.
+    /// Writes bytes to the board's serial line.
     ///
     /// # Errors
-    /// The board has gone.
+    /// The board has terminated.
     fn put_serial(&mut self, bytes: &[u8]) -> io::Result<()>;
 
-    /// Takes so many bytes from the board's serial line.
+    /// Reads exactly `bytes.len()` bytes from the board's serial line.
     ///
     /// # Errors
-    /// The board has gone.
+    /// The board has terminated.
     fn take_serial(&mut self, bytes: &mut [u8]) -> io::Result<()>;
 
-    /// What the board said of its end, when it has gone; what the operating system says of it otherwise.
+    /// Reason for the end of the board, from its own messages after it has terminated, or else from
+    /// the operating system.
     fn last_words(&mut self) -> Option<String>;
 }
 
-/// What the control periods of a run cost, as the board counted it.
+/// Cost of the control periods of a run, as counted by the board.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Cost {
-    /// Periods in which a program or a jog ran, which are those that are counted.
+    /// Number of periods in which a program ran; only these are counted.
     pub periods: u64,
-    /// Sum over these periods of each stage's counts, in the order of [`haptimill_firmware::profiler::Stage`].
+    /// Sum over these periods of each stage's counts, in the order of
+    /// [`haptimill_firmware::profiler::Stage`].
     pub sums: [u64; STAGES],
-    /// The most that each stage cost in one of them.
+    /// Largest count of each stage in one of these periods.
     pub worst: [u32; STAGES],
-    /// The most that a whole one cost.
+    /// Largest count of a whole one of these periods.
     pub worst_period: u32,
-    /// The most that a whole period cost in any state.
+    /// Largest count of a whole period in any state.
     pub worst_of_all: u32,
-    /// The fewest setpoints that waited in the queue after it had been fullest, while more of them were to come; `None` if none were.
+    /// Smallest number of setpoints in the queue after its maximum while more were to come; `None`
+    /// if none were.
     pub queue_low: Option<u16>,
-    /// The most setpoints that ever waited in the queue.
+    /// Largest number of setpoints in the queue.
     pub queue_high: u16,
-    /// Control periods that were missed because one cost more than its budget.
+    /// Number of control periods missed because one exceeded its budget.
     pub missed: u64,
-    /// Bytes of stack that were ever used; known at the end of the run.
+    /// Bytes of stack used at most; known at the end of the run.
     pub stack_bytes: u32,
-    /// The most bytes that ever waited in the receive ring; known at the end of the run.
+    /// Largest number of bytes in the receive ring; known at the end of the run.
     pub ring_peak: u32,
 }
 
-/// The controller of a board, behind a link.
+/// Controller of a board, behind a link.
 #[derive(Debug)]
 pub struct RemoteController<L: PlantLink> {
     link: L,
@@ -80,16 +86,16 @@ pub struct RemoteController<L: PlantLink> {
     snapshot: Option<Snapshot>,
     failure: Option<String>,
     cost: Arc<Mutex<Cost>>,
-    /// Counts that fit into a control period, if that is looked at.
+    /// Budget of a control period in counts, if it is enforced.
     budget: Option<u32>,
     overrun: u16,
 }
 
 impl<L: PlantLink> RemoteController<L> {
-    /// Begins a run: the board makes a new controller.
+    /// Begins a run: the board creates a new controller.
     ///
     /// # Errors
-    /// The board does not answer, or is of another version.
+    /// The board does not answer, or has another version.
     pub fn begin(mut link: L, period_us: u16) -> Result<Self, String> {
         let mut frame = [0; FROM_BOARD_BYTES];
         let gone =
@@ -116,14 +122,16 @@ impl<L: PlantLink> RemoteController<L> {
         })
     }
 
-    /// A control period that costs more than so many counts misses the next ones, while a drive is on.
+    /// Sets the budget of a control period: a period that exceeds `counts` misses the next ones
+    /// while a drive is on.
     ///
-    /// With all drives off it does not: a configuration is activated then, which takes any chip some periods, and nothing is late for it.
+    /// The budget does not apply while all drives are off. The activation of a configuration, which
+    /// takes some periods on any chip, happens in this state and delays nothing.
     pub const fn set_budget(&mut self, counts: u32) {
         self.budget = Some(counts);
     }
 
-    /// What the periods cost; stays when this controller has gone.
+    /// Cost of the periods; the shared value remains valid after this controller is dropped.
     #[must_use]
     pub fn cost(&self) -> Arc<Mutex<Cost>> {
         Arc::clone(&self.cost)
@@ -154,7 +162,7 @@ impl<L: PlantLink> RemoteController<L> {
             ));
         };
         self.link.take_serial(bytes)?;
-        // There is room: no more than its capacity.
+        // The call cannot fail: the bytes do not exceed the capacity.
         let _ = done.outputs.transmit.extend_from_slice(bytes);
         Ok(done)
     }

@@ -1,10 +1,16 @@
-//! A machine, a controller and a serial line between them and the host, in lockstep and in virtual time.
+//! The rig: plant, controller and serial line to the host, in lockstep and in virtual time.
 //!
-//! [`Rig::step`] is one control period: faults that are due come and go; bytes that have arrived go through the urgent recogniser into the
-//! board's ring; inputs are latched; the controller is called; then the machine moves for a period under the outputs of the call *before*,
-//! since outputs take effect at the start of the next period. In a missed period the controller is not called: torques stay, pulses end.
+//! [`Rig::step`] simulates one control period:
 //!
-//! Nothing here knows the wall clock; whoever wants real time calls `step` at its pace.
+//! * Faults that are due begin and end.
+//! * Bytes that have arrived pass the urgent detector and enter the receive ring of the board.
+//! * The inputs are latched, and the controller is called.
+//! * The plant advances by one period under the outputs of the call *before*, because outputs take
+//!   effect at the start of the next period.
+//!
+//! In a missed period the controller is not called: torques stay, and no pulses are emitted.
+//!
+//! The rig does not read the wall clock. Callers that need real time call `step` at that pace.
 
 use crate::check::PlantError;
 use crate::config::PlantConfig;
@@ -19,35 +25,37 @@ use haptimill_firmware::snapshot::Snapshot;
 use haptimill_protocol::urgent::UrgentDetector;
 use std::collections::VecDeque;
 
-/// Bytes that the board's transmit ring holds.
+/// Capacity of the board's transmit ring, bytes.
 const TRANSMIT_RING: usize = 256;
 
-/// A controller as the rig sees it.
+/// The controller's interface to the rig.
 pub trait Control {
-    /// One control period.
+    /// Runs one control period.
     fn tick(&mut self, inputs: &Inputs, outputs: &mut Outputs);
 
-    /// Bytes that have arrived on the line since the last period. A controller with a line of its own takes them from here, not from
-    /// [`Inputs::received`]; lost and waiting ones are then its own affair.
+    /// Takes the bytes that have arrived on the line since the last period. A controller with its
+    /// own line model reads them here instead of [`Inputs::received`], and counts its lost and
+    /// waiting bytes itself.
     fn arrived(&mut self, _bytes: &[u8]) {}
 
-    /// How the controller stands after the last period; `None` before it is configured, and of a controller that does not tell.
+    /// State of the controller after the last period. `None` before it is configured, and for a
+    /// controller that provides no snapshot.
     fn snapshot(&self, _inputs: &Inputs) -> Option<Snapshot> {
         None
     }
 
-    /// Periods that the last one took beyond its own: they are missed.
+    /// Additional periods that the last call took. The rig counts them as missed.
     fn overrun(&self) -> u16 {
         0
     }
 
-    /// Why the controller does nothing any more; its outputs are safe from then on.
+    /// Reason why the controller has stopped; its outputs are safe from then on.
     fn failure(&self) -> Option<&str> {
         None
     }
 }
 
-/// The controller of this project, in the same process.
+/// Controller of this project, in the same process.
 impl Control for haptimill_firmware::controller::Controller {
     fn tick(&mut self, inputs: &Inputs, outputs: &mut Outputs) {
         Self::tick(self, inputs, outputs, &mut ());
@@ -58,16 +66,16 @@ impl Control for haptimill_firmware::controller::Controller {
     }
 }
 
-/// How a rig is put together, besides its machine.
+/// Options of a rig, besides its plant configuration.
 #[derive(Debug, Clone)]
 pub struct RigOptions {
     /// Control period, microseconds.
     pub period_us: u16,
-    /// Speed of the serial line in both directions; `None` is as fast as may be.
+    /// Rate of the serial line in both directions, bit/s; `None` is unlimited.
     pub baud: Option<u32>,
-    /// Bytes that the board's receive ring holds; what comes on top is lost and counted.
+    /// Capacity of the board's receive ring, bytes. Bytes beyond it are lost and counted.
     pub ring_bytes: usize,
-    /// What goes wrong, and when.
+    /// Faults to inject, with their times.
     pub faults: Vec<Fault>,
 }
 
@@ -82,12 +90,12 @@ impl Default for RigOptions {
     }
 }
 
-/// Why a rig cannot be put together.
+/// Error in the configuration of a rig.
 #[derive(Debug, Clone, PartialEq)]
 pub enum RigError {
-    /// The machine makes no sense; every problem.
+    /// The plant configuration is invalid; all problems.
     Plant(Vec<PlantError>),
-    /// A fault makes no sense on this machine.
+    /// A fault is invalid for this machine.
     Fault(FaultError),
 }
 
@@ -110,7 +118,7 @@ impl fmt::Display for RigError {
 
 impl core::error::Error for RigError {}
 
-/// A machine with its controller and its serial line.
+/// Plant, controller and serial line.
 #[derive(Debug)]
 pub struct Rig<C> {
     control: C,
@@ -119,9 +127,9 @@ pub struct Rig<C> {
     to_machine: SerialLine,
     to_host: SerialLine,
     ring: VecDeque<u8>,
-    /// What arrived in this period.
+    /// Bytes that arrived in this period.
     arrived: Vec<u8>,
-    /// Periods that the controller is behind.
+    /// Periods that the controller is late.
     late: u16,
     ring_bytes: usize,
     urgent: UrgentDetector,
@@ -130,17 +138,17 @@ pub struct Rig<C> {
     missed: u16,
     inputs: Inputs,
     outputs: Outputs,
-    /// What really was when the inputs were latched.
+    /// Ground truth at the time when the inputs were latched.
     truth: GroundTruth,
     /// Outputs in effect during the current period.
     effective: Outputs,
 }
 
 impl<C: Control> Rig<C> {
-    /// Puts a controller on a machine at rest.
+    /// Connects a controller to a plant at standstill.
     ///
     /// # Errors
-    /// The machine or a fault makes no sense.
+    /// The plant configuration or a fault is invalid.
     pub fn new(config: &PlantConfig, options: &RigOptions, control: C) -> Result<Self, RigError> {
         let plant = Plant::new(config, options.period_us).map_err(RigError::Plant)?;
         let joints: Vec<&str> = config
@@ -170,7 +178,7 @@ impl<C: Control> Rig<C> {
         })
     }
 
-    /// One control period; false when the controller missed it.
+    /// Simulates one control period. Returns false when the controller missed it.
     pub fn step(&mut self) -> bool {
         let now = self.plant.time_ns();
         let miss = self.schedule.apply(
@@ -200,7 +208,7 @@ impl<C: Control> Rig<C> {
             let Some(byte) = self.ring.pop_front() else {
                 break;
             };
-            // There is room: the loop ends at the capacity.
+            // The push cannot fail: the loop ends at the capacity.
             let _ = self.inputs.received.push(byte);
         }
         self.inputs.waiting = u16::try_from(self.ring.len()).unwrap_or(u16::MAX);
@@ -208,7 +216,7 @@ impl<C: Control> Rig<C> {
         self.control.tick(&self.inputs, &mut self.outputs);
         self.late = self.control.overrun();
         self.plant.advance(&self.effective);
-        // Said at the end of the period, when the outputs are taken over.
+        // The bytes enter the line at the end of the period, when the outputs take effect.
         self.to_host
             .write(&self.outputs.transmit, self.plant.time_ns());
         self.effective.axes = self.outputs.axes;
@@ -217,7 +225,7 @@ impl<C: Control> Rig<C> {
         true
     }
 
-    /// Takes from the line what has arrived.
+    /// Reads the bytes that have arrived on the line.
     fn listen(&mut self, now: u64) {
         self.arrived.clear();
         while let Some(byte) = self.to_machine.read(now) {
@@ -234,12 +242,12 @@ impl<C: Control> Rig<C> {
         self.control.arrived(&self.arrived);
     }
 
-    /// The host writes to its port, now.
+    /// Writes bytes of the host to the line, at the present virtual time.
     pub fn host_write(&mut self, bytes: &[u8]) {
         self.to_machine.write(bytes, self.plant.time_ns());
     }
 
-    /// What has arrived at the host is added to `bytes`.
+    /// Appends the bytes that have arrived at the host to `bytes`.
     pub fn host_read(&mut self, bytes: &mut Vec<u8>) {
         let now = self.plant.time_ns();
         while let Some(byte) = self.to_host.read(now) {
@@ -252,27 +260,28 @@ impl<C: Control> Rig<C> {
         self.plant.time_ns()
     }
 
-    /// What the controller saw last.
+    /// Inputs of the last call of the controller.
     pub const fn inputs(&self) -> &Inputs {
         &self.inputs
     }
 
-    /// What the controller said last; in effect in the period that comes now.
+    /// Outputs of the last call of the controller; they are in effect in the coming period.
     pub const fn outputs(&self) -> &Outputs {
         &self.outputs
     }
 
-    /// What really was when [`Rig::inputs`] were latched; [`Plant::truth`] tells what is now.
+    /// Ground truth at the time when [`Rig::inputs`] were latched; [`Plant::truth`] is the present
+    /// one.
     pub const fn truth(&self) -> &GroundTruth {
         &self.truth
     }
 
-    /// The machine.
+    /// The plant.
     pub const fn plant(&self) -> &Plant {
         &self.plant
     }
 
-    /// The machine, to be meddled with.
+    /// The plant, with mutable access for fault injection.
     pub const fn plant_mut(&mut self) -> &mut Plant {
         &mut self.plant
     }
@@ -282,7 +291,7 @@ impl<C: Control> Rig<C> {
         &self.control
     }
 
-    /// The controller, to be meddled with.
+    /// The controller, with mutable access for fault injection.
     pub const fn control_mut(&mut self) -> &mut C {
         &mut self.control
     }
@@ -298,7 +307,7 @@ impl<C: Control> Rig<C> {
     }
 }
 
-/// In a missed period torques stay on their DACs, but pulses do not repeat.
+/// Clears the pulses. In a missed period torques stay on their DACs, but pulses do not repeat.
 fn end_pulses(outputs: &mut Outputs) {
     for command in &mut outputs.axes {
         if let DriveCommand::Steps(segment) = command {

@@ -1,6 +1,7 @@
-//! When the faults of a run come and go, and what they do to the devices.
+//! Schedule of the injected faults of a run.
 //!
-//! A schedule with faults owns the conditions of all devices: at each change it sets them all anew, so what was set by hand is lost then.
+//! A schedule with faults owns the conditions of all devices. It sets all of them at each change,
+//! which overwrites conditions set by other code.
 
 use crate::fault::{
     Channel, Direction, Fault, FaultError, FaultKind, HapticEncoder, HapticFault, Level, Switch,
@@ -13,11 +14,11 @@ use crate::process::sensor::{End, SensorCondition};
 use haptimill_firmware::io::LEGS;
 use haptimill_protocol::message::MAX_AXES;
 
-/// A fault with its times, and whether it is there.
+/// A fault with its times and its state.
 #[derive(Debug, Clone)]
 struct Entry {
     kind: FaultKind,
-    /// Place of the joint that it is about.
+    /// Index of the fault's joint.
     axis: usize,
     begins_ns: u64,
     ends_ns: u64,
@@ -28,17 +29,17 @@ struct Entry {
 #[derive(Debug, Clone)]
 pub struct Schedule {
     entries: Vec<Entry>,
-    /// Nothing changes before this.
+    /// Time of the next change, ns.
     next_ns: u64,
-    /// Periods still to be missed.
+    /// Number of periods still to be missed.
     misses: u32,
 }
 
 impl Schedule {
-    /// The schedule of these faults on a machine of these joints.
+    /// Creates the schedule of these faults for a machine with these joints.
     ///
     /// # Errors
-    /// The first fault that makes no sense there.
+    /// The first fault that is invalid for the machine.
     pub fn new(faults: &[Fault], joints: &[&str]) -> Result<Self, FaultError> {
         let mut entries = Vec::new();
         for fault in faults {
@@ -63,7 +64,8 @@ impl Schedule {
         })
     }
 
-    /// Brings everything into the state of `now`; true when the controller misses the period that begins.
+    /// Sets the state of all devices at `now`. Returns true when the controller misses the period
+    /// that begins.
     pub fn apply(
         &mut self,
         now: u64,
@@ -254,16 +256,16 @@ fn inject(
     }
 }
 
-/// What is wrong at the haptic arm.
+/// Injected faults of the haptic arm.
 #[derive(Default)]
 struct HapticCondition {
     encoders: [[EncoderCondition; SENSORS]; LEGS],
     tripped: bool,
 }
 
-/// Leg and sensor from 0.
+/// Indices of leg and sensor, from 0.
 fn index(place: HapticEncoder) -> (usize, usize) {
-    // Checked when the fault met the machine.
+    // [`Fault::place`] has checked the range.
     let leg = usize::from(place.leg.saturating_sub(1)).min(LEGS - 1);
     (leg, place.sensor as usize)
 }

@@ -1,6 +1,6 @@
-//! Sums and products of x, y, z.
+//! Vector arithmetic in three dimensions.
 
-/// x, y, z.
+/// A vector: x, y, z.
 pub type Vector = [f64; 3];
 
 /// a - b.
@@ -15,13 +15,13 @@ pub fn plus(a: Vector, b: Vector) -> Vector {
     [a[0] + b[0], a[1] + b[1], a[2] + b[2]]
 }
 
-/// a . b.
+/// Dot product of a and b.
 #[inline(always)]
 pub fn dot(a: Vector, b: Vector) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-/// a x b.
+/// Cross product of a and b.
 #[inline(always)]
 pub fn cross(a: Vector, b: Vector) -> Vector {
     [
@@ -31,7 +31,7 @@ pub fn cross(a: Vector, b: Vector) -> Vector {
     ]
 }
 
-/// a times a number.
+/// Product of a and a number.
 #[inline(always)]
 pub fn times(a: Vector, factor: f64) -> Vector {
     [a[0] * factor, a[1] * factor, a[2] * factor]

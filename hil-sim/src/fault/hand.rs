@@ -1,55 +1,56 @@
-//! What goes wrong at the haptic arm: its nine encoders and its amplifiers. A machine without such an arm does not notice.
+//! Faults of the haptic arm: its nine encoders and its amplifiers. They have no effect on a machine
+//! without such an arm.
 
 use super::text::{Keys, Word};
 use super::{Channel, Level};
 use core::fmt;
 use serde::{Deserialize, Serialize};
 
-/// What goes wrong at the haptic arm.
+/// A fault of the haptic arm.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum HapticFault {
-    /// A channel of an encoder stands still.
+    /// A channel of an encoder is stuck.
     EncoderStuck {
-        /// The encoder.
+        /// Encoder with the fault.
         #[serde(flatten)]
         place: HapticEncoder,
-        /// The channel.
+        /// Stuck channel.
         channel: Channel,
-        /// The level at which it stands.
+        /// Level at which it is stuck.
         level: Level,
     },
     /// The channels of an encoder are swapped: it counts backwards.
     EncoderSwapped(HapticEncoder),
-    /// A counter jumps, once.
+    /// The counter of an encoder slips once.
     EncoderSlip {
-        /// The encoder.
+        /// Encoder with the fault.
         #[serde(flatten)]
         place: HapticEncoder,
-        /// By how much.
+        /// Counts added to the counter.
         counts: i32,
     },
-    /// The plug of an encoder is out: both channels low.
+    /// An encoder is unplugged: both channels are low.
     EncoderDropped(HapticEncoder),
     /// Noise pulses on A, B or both.
     EncoderNoise {
-        /// The encoder.
+        /// Encoder with the fault.
         #[serde(flatten)]
         place: HapticEncoder,
-        /// How many, on average.
+        /// Mean rate, 1/s.
         #[serde(rename = "per-second")]
         per_second: f64,
     },
-    /// The amplifiers give nothing, and say so.
+    /// The amplifiers give no current and report a trip.
     AmplifiersTripped,
 }
 
 /// One of the nine encoders.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct HapticEncoder {
-    /// The leg, 1 to 3.
+    /// Leg, 1 to 3.
     pub leg: u8,
-    /// Which of the leg's.
+    /// Encoder of the leg.
     pub sensor: HapticSensor,
 }
 
@@ -57,11 +58,11 @@ pub struct HapticEncoder {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum HapticSensor {
-    /// The slide d.
+    /// Encoder of the slide d.
     Slide,
-    /// The turn theta3.
+    /// Encoder of the turn theta3.
     Turn,
-    /// The hinge theta4.
+    /// Encoder of the hinge theta4.
     Hinge,
 }
 
@@ -89,7 +90,7 @@ impl fmt::Display for HapticEncoder {
 }
 
 impl HapticFault {
-    /// The encoder that it is about, if it is about one.
+    /// Encoder of the fault, if it has one.
     pub const fn encoder(&self) -> Option<HapticEncoder> {
         match self {
             Self::EncoderStuck { place, .. }
@@ -101,7 +102,7 @@ impl HapticFault {
         }
     }
 
-    /// Reads the keys of a fault whose name is `hand-` and this.
+    /// Reads the keys of the fault `hand-` + `name`.
     pub(super) fn read(name: &str, keys: &mut Keys<'_>) -> Result<Self, String> {
         Ok(match name {
             "encoder-stuck" => Self::EncoderStuck {

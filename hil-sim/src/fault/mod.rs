@@ -1,6 +1,7 @@
-//! What goes wrong, and when: every simulated device can be spoilt for a time, by virtual time and nothing else.
+//! Fault injection: faults of every simulated device, with start and duration in virtual time.
 //!
-//! A fault is named in a scenario file (serde) or in one line of text, for an option on the command line:
+//! A fault is given in a scenario file (serde) or in one line of text, for an option of the command
+//! line:
 //!
 //! ```
 //! use haptimill_hil_sim::fault::{Fault, FaultKind};
@@ -9,10 +10,11 @@
 //! assert_eq!(fault.for_s, Some(0.2));
 //! ```
 //!
-//! [`catalogue`] lists all of them with their keys, for people.
+//! [`catalogue`] lists all faults with their keys, as a help text.
 //!
-//! An axis is called by the name of its joint in the machine's configuration. Without `at` a fault is there from the start, without `for` it stays. Two faults on
-//! one device add up; where they contradict each other the later in the list holds.
+//! The axis of a fault is the name of its joint in the machine's configuration. Without `at` a
+//! fault begins at the start; without `for` it stays. Two faults of one device add up; where they
+//! contradict each other, the later one in the list applies.
 
 mod hand;
 mod text;
@@ -24,31 +26,31 @@ use core::fmt;
 use haptimill_firmware::io::LEGS;
 use serde::{Deserialize, Serialize};
 
-/// A fault in time.
+/// A fault with its time.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Fault {
-    /// When it begins, seconds.
+    /// Start, seconds.
     #[serde(default)]
     pub at_s: f64,
-    /// How long it stays, seconds; without it, for ever.
+    /// Duration, seconds; without it the fault stays.
     #[serde(default)]
     pub for_s: Option<f64>,
-    /// What it is.
+    /// Kind of the fault.
     pub what: FaultKind,
 }
 
-/// What goes wrong.
+/// Kind of a fault.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum FaultKind {
-    /// A channel of an encoder stands still.
+    /// A channel of an encoder is stuck.
     EncoderStuck {
         /// Name of the joint.
         axis: String,
-        /// The channel.
+        /// Stuck channel.
         channel: Channel,
-        /// The level at which it stands.
+        /// Level at which it is stuck.
         level: Level,
     },
     /// The channels of an encoder are swapped: it counts backwards.
@@ -56,18 +58,18 @@ pub enum FaultKind {
         /// Name of the joint.
         axis: String,
     },
-    /// The counter slips, once.
+    /// The counter of an encoder slips once.
     EncoderSlip {
         /// Name of the joint.
         axis: String,
-        /// By how much.
+        /// Counts added to the counter.
         counts: i32,
     },
     /// Noise pulses on A, B or both.
     EncoderNoise {
         /// Name of the joint.
         axis: String,
-        /// How many, on average.
+        /// Mean rate, 1/s.
         #[serde(rename = "per-second")]
         per_second: f64,
     },
@@ -76,97 +78,98 @@ pub enum FaultKind {
         /// Name of the joint.
         axis: String,
     },
-    /// The drive gives nothing and says it is well.
+    /// The drive gives no effort and reports no fault.
     DriveDead {
         /// Name of the joint.
         axis: String,
     },
-    /// The drive gives nothing and says that it is not well.
+    /// The drive gives no effort and reports a fault.
     DriveTripped {
         /// Name of the joint.
         axis: String,
     },
-    /// The drive gives less (or more) than it is asked for.
+    /// The drive gives less or more effort than commanded.
     DriveWeak {
         /// Name of the joint.
         axis: String,
-        /// By this factor.
+        /// Ratio of the effort to the commanded one.
         gain: f64,
     },
-    /// The drive pulls the wrong way.
+    /// The direction of the drive is reversed.
     DriveReversed {
         /// Name of the joint.
         axis: String,
     },
-    /// A slide is hard to move.
+    /// A slide has additional friction.
     SlideJammed {
         /// Name of the joint.
         axis: String,
-        /// Friction that is added, N or N m; without it the slide is held fast.
+        /// Additional friction, N or N m; without it the slide is blocked.
         #[serde(default)]
         effort: Option<f64>,
     },
-    /// Something pushes a slide.
+    /// An external effort acts on a slide.
     Push {
         /// Name of the joint.
         axis: String,
-        /// N or N m.
+        /// Effort, N or N m.
         effort: f64,
     },
-    /// A switch stands still.
+    /// A switch is stuck.
     SwitchStuck {
         /// Name of the joint.
         axis: String,
-        /// The switch.
+        /// Stuck switch.
         switch: Switch,
-        /// How it stands.
+        /// State in which it is stuck.
         active: bool,
     },
-    /// The codes of the force sensor stand still. A machine without a sensor does not notice; so for the next four.
+    /// The codes of the force sensor are frozen. This fault and the next four have no effect on a
+    /// machine without a sensor.
     SensorStuck {
-        /// Which of its axes.
+        /// Axis of the sensor.
         along: Along,
     },
     /// The signal of the force sensor is lost: its codes are 0.
     SensorDropped {
-        /// Which of its axes.
+        /// Axis of the sensor.
         along: Along,
     },
-    /// The force sensor is wired the wrong way round.
+    /// The force sensor is reversed.
     SensorReversed {
-        /// Which of its axes.
+        /// Axis of the sensor.
         along: Along,
     },
     /// The force sensor drifts.
     SensorDrift {
-        /// Which of its axes.
+        /// Axis of the sensor.
         along: Along,
-        /// N/s.
+        /// Drift, N/s.
         rate: f64,
     },
-    /// The force sensor stands at an end of its range.
+    /// The force sensor is saturated at an end of its range.
     SensorSaturated {
-        /// Which of its axes.
+        /// Axis of the sensor.
         along: Along,
-        /// At which end.
+        /// End of the range.
         level: Level,
     },
-    /// Something at the haptic arm.
+    /// A fault of the haptic arm.
     Hand(HapticFault),
-    /// The spindle stands, whatever it is told.
+    /// The spindle stands still whatever its command is.
     SpindleStalled,
     /// The emergency stop circuit is open.
     EmergencyStop,
-    /// The controller is not called for some periods, once.
+    /// The controller misses some periods, once.
     MissedPeriods {
-        /// How many.
+        /// Number of periods.
         count: u32,
     },
     /// Bits of the serial line are flipped.
     LinkErrors {
         /// Probability per bit.
         rate: f64,
-        /// Which way.
+        /// Direction of the line.
         #[serde(default)]
         direction: Direction,
     },
@@ -174,29 +177,29 @@ pub enum FaultKind {
     LinkDrop {
         /// Probability per byte.
         rate: f64,
-        /// Which way.
+        /// Direction of the line.
         #[serde(default)]
         direction: Direction,
     },
-    /// Bytes of the serial line come twice.
+    /// Bytes of the serial line are duplicated.
     LinkDuplicate {
         /// Probability per byte.
         rate: f64,
-        /// Which way.
+        /// Direction of the line.
         #[serde(default)]
         direction: Direction,
     },
-    /// Bytes of the serial line come later.
+    /// Bytes of the serial line are delayed.
     LinkDelay {
-        /// Milliseconds.
+        /// Delay, ms.
         ms: f64,
-        /// Which way.
+        /// Direction of the line.
         #[serde(default)]
         direction: Direction,
     },
     /// The serial line is cut.
     LinkCut {
-        /// Which way.
+        /// Direction of the line.
         #[serde(default)]
         direction: Direction,
     },
@@ -206,9 +209,9 @@ pub enum FaultKind {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Channel {
-    /// Leads upwards.
+    /// Channel A; it leads upwards.
     A,
-    /// Follows upwards.
+    /// Channel B; it follows upwards.
     B,
 }
 
@@ -216,9 +219,9 @@ pub enum Channel {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Level {
-    /// 0.
+    /// Low, 0.
     Low,
-    /// 1.
+    /// High, 1.
     High,
 }
 
@@ -226,11 +229,11 @@ pub enum Level {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Switch {
-    /// Home.
+    /// Home switch.
     Home,
-    /// Lower end.
+    /// Lower limit switch.
     LimitLow,
-    /// Upper end.
+    /// Upper limit switch.
     LimitHigh,
 }
 
@@ -250,16 +253,16 @@ pub enum Along {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Direction {
-    /// Both ways.
+    /// Both directions.
     #[default]
     Both,
-    /// From the host.
+    /// From the host to the machine.
     ToMachine,
-    /// To the host.
+    /// From the machine to the host.
     ToHost,
 }
 
-/// Why a fault makes no sense.
+/// A fault that is invalid for the machine.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FaultError {
     pub(crate) fault: String,
@@ -275,7 +278,7 @@ impl fmt::Display for FaultError {
 impl core::error::Error for FaultError {}
 
 impl FaultKind {
-    /// Name of the joint that it is about, if it is about one.
+    /// Name of the fault's joint, if it has one.
     pub fn axis(&self) -> Option<&str> {
         match self {
             Self::EncoderStuck { axis, .. }
@@ -294,8 +297,8 @@ impl FaultKind {
         }
     }
 
-    /// Its number, by the key of its line, with the least and the largest value that the simulated machine stands: beyond them a slide is torn from
-    /// its screw, and there is nothing left to simulate.
+    /// Key of the fault's number, its value, and the smallest and largest value that the simulation
+    /// supports. Beyond them a slide would be torn off its screw.
     const fn bounded(&self) -> Option<(&'static str, f64, f64, f64)> {
         Some(match self {
             Self::EncoderNoise { per_second, .. }
@@ -320,10 +323,11 @@ impl FaultKind {
 }
 
 impl Fault {
-    /// Checks the fault against a machine of these joints. Gives the place of its joint among them; 0 for a fault that is about none.
+    /// Checks the fault against a machine with these joints. Returns the index of the fault's
+    /// joint, or 0 for a fault without a joint.
     ///
     /// # Errors
-    /// There is no such joint, or a number is out of its range.
+    /// The joint does not exist, or a number is out of its range.
     pub fn place(&self, joints: &[&str]) -> Result<usize, FaultError> {
         let refuse = |problem: String| {
             Err(FaultError {

@@ -1,10 +1,11 @@
-//! Faults as one line of text: `name key=value ... at=1.5s for=200ms`, keys in any order, parted by blanks or commas.
+//! Faults as one line of text: `name key=value ... at=1.5s for=200ms`. Blanks or commas separate
+//! the keys, which may be in any order.
 
 use super::{Along, Channel, Direction, Fault, FaultError, FaultKind, HapticFault, Level, Switch};
 use core::fmt;
 use core::str::FromStr;
 
-/// A word that stands for a value of a small enumeration.
+/// A value of a small enumeration, written as a word.
 pub(super) trait Word: Sized + Copy + PartialEq + 'static {
     const WORDS: &'static [(&'static str, Self)];
 
@@ -49,7 +50,7 @@ impl Word for bool {
     const WORDS: &'static [(&'static str, Self)] = &[("yes", true), ("no", false)];
 }
 
-/// The keys of a line that have not been used yet.
+/// The unused keys of a line.
 pub(super) struct Keys<'a>(Vec<(&'a str, &'a str)>);
 
 impl<'a> Keys<'a> {
@@ -62,7 +63,7 @@ impl<'a> Keys<'a> {
         self.take(key).ok_or_else(|| format!("`{key}=` is missing"))
     }
 
-    /// The name of a joint; whether the machine has it shows when the fault meets the machine.
+    /// Reads the name of a joint. [`Fault::place`] checks later whether the machine has it.
     fn axis(&mut self) -> Result<String, String> {
         match self.need("axis")? {
             "" => Err("`axis=` is empty".into()),
@@ -248,17 +249,17 @@ fn kind(name: &str, keys: &mut Keys<'_>) -> Result<FaultKind, String> {
     })
 }
 
-/// A fault as people are told of it.
+/// Catalogue entry of a fault.
 struct Entry {
     name: &'static str,
-    /// Its own keys, optional ones in brackets.
+    /// Keys of the fault, optional ones in brackets.
     keys: &'static str,
-    /// What goes wrong.
+    /// Description of the fault.
     what: &'static str,
 }
 
 impl Entry {
-    /// The line that asks for it.
+    /// Usage line.
     fn usage(&self) -> String {
         let blank = if self.keys.is_empty() { "" } else { " " };
         format!(
@@ -415,7 +416,7 @@ const CATALOGUE: [Entry; 31] = [
     entry("link-cut", "[direction=...]", "nothing gets through"),
 ];
 
-/// All faults with their keys and what they do, as a help text: a line that asks for each, and an indented one that explains it.
+/// Help text of all faults: a usage line for each, and an indented line that explains it.
 pub fn catalogue() -> String {
     CATALOGUE
         .iter()
@@ -427,7 +428,7 @@ pub fn catalogue() -> String {
 }
 
 impl fmt::Display for Fault {
-    /// The line that parses back to the same fault.
+    /// Formats the line that parses back to the same fault.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match &self.what {
             FaultKind::EncoderStuck {
@@ -528,7 +529,8 @@ impl fmt::Display for Fault {
 mod tests {
     use super::*;
 
-    /// Every entry of the catalogue, with values in place of its words, is a fault that reads back; each of its keys is known or needed.
+    /// Every entry of the catalogue, with example values, parses and formats back; each of its keys
+    /// is known or required.
     #[test]
     fn the_catalogue_is_what_can_be_read() {
         for entry in &CATALOGUE {

@@ -1,4 +1,4 @@
-//! What the haptic arm is made of: the `[plant.haptic]` section of a machine file.
+//! Configuration of the haptic arm: the `[plant.haptic]` section of a machine file.
 
 use super::geometry::HapticGeometry;
 use super::motor::ActuatorConfig;
@@ -6,7 +6,8 @@ use super::sensors::HapticEncoders;
 use crate::check::{Check, PlantError};
 use serde::{Deserialize, Serialize};
 
-/// The haptic arm. All keys may be left out; what stands here then is a desk-top arm of the reference geometry, its masses and frictions chosen.
+/// Configuration of the haptic arm. All keys are optional; the defaults describe a desk-top arm of
+/// the reference geometry with chosen masses and frictions.
 ///
 /// ```
 /// let text = r#"
@@ -48,8 +49,8 @@ use serde::{Deserialize, Serialize};
 /// turn_counts_per_turn = 160000.0
 /// hinge_counts_per_turn = 160000.0
 /// "#;
-/// let written: haptimill_hil_sim::haptic::HapticConfig = toml::from_str(text).unwrap();
-/// assert_eq!(written, haptimill_hil_sim::haptic::HapticConfig::default());
+/// let written: haptimill_hil_sim::haptics::HapticConfig = toml::from_str(text).unwrap();
+/// assert_eq!(written, haptimill_hil_sim::haptics::HapticConfig::default());
 /// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -60,19 +61,19 @@ pub struct HapticConfig {
     pub handle: HandleConfig,
     /// Mass of each link, kg; half of it at each end.
     pub link_kg: f64,
-    /// What moves the slides: N, kg, mm.
+    /// Drives of the slides: N, kg, mm.
     pub slide: ActuatorConfig,
-    /// What turns the rods: N mm, kg mm^2, rad.
+    /// Drives of the turns: N mm, kg mm^2, rad.
     pub turn: ActuatorConfig,
-    /// The current follows its command with this time constant, s.
+    /// Time constant of the amplifiers' current, s.
     pub amplifier_lag_s: f64,
-    /// Part of the weight that springs or counterweights balance: 1 all, 0 nothing.
+    /// Fraction of the weight that springs or counterweights balance: 1 all, 0 none.
     pub balance: f64,
     /// The nine encoders.
     pub encoders: HapticEncoders,
     /// End stops.
     pub stops: StopsConfig,
-    /// Where the handle stands at power on, from home, mm; the rail or a rest should hold it at 0.
+    /// Position of the handle at power on, from home, mm; the rail or a rest should hold it at 0.
     pub start_mm: [f64; 3],
 }
 
@@ -92,7 +93,7 @@ pub struct HandleConfig {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct StopsConfig {
-    /// Ends of the slides' way d, mm.
+    /// Ends of the slides' travel d, mm.
     pub slide_mm: [f64; 2],
     /// Ends of the hinges' angle theta4, degrees, between 1 and 89.
     pub hinge_deg: [f64; 2],
@@ -141,10 +142,10 @@ impl Default for HapticConfig {
 }
 
 impl HapticConfig {
-    /// Checks everything and gives every problem, not the first alone.
+    /// Checks the whole configuration.
     ///
     /// # Errors
-    /// The list is not empty.
+    /// All problems, not only the first.
     pub fn check(&self) -> Result<(), Vec<PlantError>> {
         let mut check = Check::default();
         self.geometry.check(&mut check);
@@ -181,7 +182,8 @@ impl HapticConfig {
         let [low, high] = stops.hinge_deg;
         check.within(field("stops: hinge_deg: low"), low, 1.0, 89.0);
         check.within(field("stops: hinge_deg: high"), high, low, 89.0);
-        // Springs are integrated explicitly: 10 N/mm on 10 g swing at 1000 rad/s, 0.05 of a period in a substep of 50 us.
+        // Springs are integrated explicitly: 10 N/mm on 10 g oscillates at 1000 rad/s, 0.05 of a
+        // period in a substep of 50 us.
         check.within(
             field("stops: slide_stiffness"),
             stops.slide_stiffness,

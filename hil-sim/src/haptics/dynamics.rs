@@ -1,47 +1,56 @@
-//! What moves on the haptic arm, and how forces move it.
+//! Dynamics of the haptic arm: masses, and their motion under forces.
 //!
-//! The six freedoms are those of the platform: twist V = [v, omega] of its centre, base frame. Three kinds of mass take part, and the sum of their energies is the arm's:
+//! The six degrees of freedom are those of the platform: twist V = [v, omega] of its centre, base
+//! frame. The kinetic energy of the arm is the sum over three kinds of mass:
 //!
-//! * platform and handle are one rigid body, any centre of mass, any inertia; a hand that holds on adds its mass at the grip;
-//! * each slide and each turn has the inertia of what its motor moves, m_d and J_3, as seen at the joint: energy m_d d'^2 / 2 + J_3 theta3'^2 / 2;
-//! * a link is two halves of its mass, one at each end: on the slide, and in the ball joint on the platform. A slender rod of that mass would have a third of this
-//!   inertia about its own centre; at 60 g a link the difference is 0.2 kg cm^2, against 10 kg cm^2 of the handle.
+//! * Platform and handle are one rigid body with any centre of mass and any inertia. An operator
+//!   that holds the handle adds its mass at the grip.
+//! * Each slide and each turn has the inertia of the parts that its motor moves, m_d and J_3,
+//!   referred to the joint: energy m_d d'^2 / 2 + J_3 theta3'^2 / 2.
+//! * A link is two halves of its mass, one at each end: on the slide, and in the ball joint on the
+//!   platform. A slender rod of that mass would have a third of this inertia about its own centre;
+//!   at 60 g a link the difference is 0.2 kg cm^2, against 10 kg cm^2 of the handle.
 //!
-//! With g_i the rows of the joints' rates (d' or theta3' = g_i V) and b_i what is left of their accelerations when V stands still in the base,
+//! With g_i the rows of the joints' rates (d' or theta3' = g_i V) and b_i the remaining joint
+//! accelerations at constant V in the base,
 //!
 //! ```text
 //! (M_body + sum J_i g_i g_i^T) V' = W + sum f_i g_i - bias_body - sum J_i b_i g_i
 //! ```
 //!
-//! which is Lagrange's equation of these energies, nothing left out. [`Dynamics::kick`] solves it for one step, with the bias at the mean of the old and the new velocity;
-//! friction then takes away rate, joint by joint, up to its bound and never beyond a standstill (Gauss-Seidel from zero, so that it can only take energy).
+//! This is Lagrange's equation of these energies, without omissions. [`Dynamics::kick`] solves it
+//! for one step, with the bias at the mean of the old and the new velocity. Friction then reduces
+//! the rate joint by joint, up to its bound and never beyond standstill (Gauss-Seidel from zero, so
+//! that it can only remove energy).
 //!
-//! Units: mm, s, kg, kg mm^2, N, N mm; 1 N on 1 kg is 1000 mm/s^2, 1 N mm on 1 kg mm^2 is 1000 rad/s^2.
+//! Units: mm, s, kg, kg mm^2, N, N mm; 1 N on 1 kg is 1000 mm/s^2, 1 N mm on 1 kg mm^2 is 1000
+//! rad/s^2.
 
 use super::geometry::{Actuated, Geometry, Leg, Matrix, Twist, turned};
 use crate::vector::{Vector, cross, dot, plus, times};
 use haptimill_firmware::io::LEGS;
 
-/// mm/s^2 of 1 N on 1 kg.
+/// Acceleration in mm/s^2 of 1 N on 1 kg.
 const UNIT: f64 = 1000.0;
 
-/// Rounds over all frictions in a step.
+/// Iterations over all frictions in a step.
 const ROUNDS: usize = 8;
 
-/// Most frictions in a step: six joints, the rail, two directions of the ball.
+/// Largest number of frictions in a step: six joints, the rail, two directions of the ball.
 pub const FRICTIONS: usize = 9;
 
 /// A rigid body in the platform's frame, about the platform's centre.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Body {
     mass: f64,
-    /// Mass times its centre.
+    /// Mass times centre of mass, kg mm.
     moment: Vector,
     inertia: Matrix,
 }
 
 impl Body {
-    /// A body of this mass (kg), centre (mm) and inertia about that centre (kg mm^2, axes of the platform).
+    /// Body from its mass (kg), centre of mass (mm) and inertia about that centre (kg mm^2, axes of
+    /// the platform).
     pub fn new(mass: f64, centre: Vector, inertia: [f64; 3]) -> Self {
         let mut body = Self {
             mass: 0.0,
@@ -54,7 +63,7 @@ impl Body {
         body.with(mass, centre)
     }
 
-    /// The same with a point of mass added.
+    /// The body with a point mass added.
     #[must_use]
     pub fn with(mut self, mass: f64, at: Vector) -> Self {
         self.mass += mass;
@@ -74,7 +83,7 @@ impl Body {
         self.mass
     }
 
-    /// Moment of mass and inertia in the base.
+    /// First moment of mass and inertia in the base frame.
     fn in_base(&self, frame: &Matrix) -> (Vector, Matrix) {
         let half = self.inertia.map(|row| frame.map(|axis| dot(row, axis)));
         let inertia = core::array::from_fn(|i| {
@@ -84,25 +93,25 @@ impl Body {
     }
 }
 
-/// A friction: along a row of rates it takes up to its bound.
+/// A friction: it reduces the rate along a row by at most its bound.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Friction {
-    /// The rate for each part of the twist.
+    /// Rate per component of the twist.
     pub row: Twist,
     /// Largest force or moment, N or N mm.
     pub bound: f64,
 }
 
-/// All that acts on the arm for a step.
+/// All forces on the arm during a step.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Acting {
     /// Force and moment about the platform's centre, N and N mm.
     pub wrench: Twist,
-    /// What acts in the joints: N along the slides, N mm about them.
+    /// Efforts in the joints: N along the slides, N mm about them.
     pub joints: Actuated,
-    /// Frictions; only the first `frictions` count.
+    /// Frictions; only the first `frictions` are valid.
     pub friction: [Friction; FRICTIONS],
-    /// How many frictions there are.
+    /// Number of valid frictions.
     pub frictions: usize,
 }
 
@@ -133,7 +142,7 @@ impl Acting {
         });
     }
 
-    /// Adds a friction; one too many has no place and is not added.
+    /// Adds a friction; ignores it if the list is full.
     pub fn add(&mut self, friction: Friction) {
         if let Some(slot) = self.friction.get_mut(self.frictions) {
             *slot = friction;
@@ -142,7 +151,7 @@ impl Acting {
     }
 }
 
-/// A times b.
+/// Product A B.
 #[inline(always)]
 pub fn product(a: &Twist, b: &Twist) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3] + a[4] * b[4] + a[5] * b[5]
@@ -155,10 +164,10 @@ fn add(to: &mut Twist, what: &Twist, factor: f64) {
     }
 }
 
-/// A symmetric positive definite matrix as its triangle (Cholesky).
+/// Cholesky factor of a symmetric positive definite matrix.
 struct Triangle {
     rows: [Twist; 6],
-    /// One over its diagonal.
+    /// Reciprocals of the diagonal.
     over: Twist,
 }
 
@@ -171,7 +180,8 @@ impl Triangle {
                 let done = (0..column).map(|k| rows[row][k] * rows[column][k]);
                 let sum = done.fold(matrix[row][column], |sum, part| sum - part);
                 if row == column {
-                    // A mass matrix: the body's inertia is positive.
+                    // The root is real: the inertia of the body makes the mass matrix positive
+                    // definite.
                     rows[row][row] = libm::sqrt(sum);
                     over[row] = 1.0 / rows[row][row];
                 } else {
@@ -200,16 +210,17 @@ impl Triangle {
     }
 }
 
-/// The masses of the arm.
+/// Masses of the arm.
 #[derive(Debug, Clone)]
 pub struct Dynamics {
-    /// Platform, handle and the links' upper halves; with the hand's mass while it holds on.
+    /// Platform, handle and the links' upper halves; with the mass of the operator's hand while it
+    /// holds the handle.
     pub body: Body,
     /// Inertias of the actuated joints: kg of a slide with its half of a link, kg mm^2 of a turn.
     pub joints: [f64; 2],
-    /// Length of a link.
+    /// Length of a link, mm.
     pub link: f64,
-    /// Weight that is not balanced, mm/s^2 of the base.
+    /// Gravity on the part of the weight that is not balanced, mm/s^2, base frame.
     pub gravity: Vector,
 }
 
@@ -252,7 +263,7 @@ impl Dynamics {
         matrix
     }
 
-    /// What the motion itself asks for at a twist, kg mm/s^2 and kg mm^2/s^2.
+    /// Bias of the motion at a twist, kg mm/s^2 and kg mm^2/s^2.
     fn bias(
         &self,
         legs: &[Leg; LEGS],
@@ -270,7 +281,7 @@ impl Dynamics {
             let turning = product(&rows[2 * index + 1], twist);
             let hinging = product(&leg.hinge_row(self.link), twist);
             let toward = cross(spin, cross(spin, leg.lever));
-            // Cylindrical coordinates of the ball joint, with the platform's acceleration left out.
+            // Cylindrical coordinates of the ball joint, without the platform's acceleration.
             let radius = dot(toward, leg.radial) + leg.radius * turning * turning;
             let hinge = (radius + sin * hinging * hinging) / cos;
             let slide = dot(toward, leg.axis) + sin * hinge + cos * hinging * hinging;
@@ -281,7 +292,7 @@ impl Dynamics {
         bias
     }
 
-    /// The twist after a step of `dt` seconds under what acts, at this place.
+    /// Twist after a step of `dt` seconds under the acting forces, at this pose.
     pub fn kick(
         &self,
         legs: &[Leg; LEGS],
@@ -331,7 +342,7 @@ impl Dynamics {
         after
     }
 
-    /// Energy of the motion and of the weight that is not balanced, N mm.
+    /// Kinetic energy and energy of the weight that is not balanced, N mm.
     pub fn energy(
         &self,
         geometry: &Geometry,
@@ -357,7 +368,7 @@ impl Dynamics {
     }
 }
 
-/// Friction takes away rate.
+/// Applies the frictions to the twist.
 fn rub(triangle: &Triangle, twist: &mut Twist, acting: &Acting, dt: f64) {
     let frictions = &acting.friction[..acting.frictions];
     let mut answers = [[0.0; 6]; FRICTIONS];
@@ -377,7 +388,7 @@ fn rub(triangle: &Triangle, twist: &mut Twist, acting: &Acting, dt: f64) {
             changed = changed.max((now - given[index]).abs() * ease[index]);
             given[index] = now;
         }
-        // Rates in mm/s and rad/s: nobody moves any more.
+        // In mm/s and rad/s; a smaller change is convergence.
         if changed < 1e-9 {
             break;
         }

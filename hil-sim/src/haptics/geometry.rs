@@ -1,16 +1,21 @@
-//! The loops of the haptic arm: where its legs are for a pose of the handle, and how they move with it.
+//! Geometry of the haptic arm: positions and rates of its legs for a pose of the handle.
 //!
-//! The controller has the closed formulas of the thesis. These are not used here, on purpose: a shared mistake would cancel out. All that goes in is how a leg is
-//! built (docs/control.md 2.2): a rod slides by d along a tilted axis and turns by theta3 about it; on its end sits, hinged by theta4, a link of
-//! length L; the link's other end is a ball joint on the platform. The joint of leg j sits on a circle of radius r_b at azimuth theta1; the axis leans inwards by theta2;
-//! the ball joint sits on the platform's circle of radius r_p at the same azimuth.
+//! The simulator does not use the closed formulas of the controller, because a shared error would
+//! cancel out. The only input is the construction of a leg (docs/control.md 2.2): a rod slides by d
+//! along a tilted axis and turns by theta3 about it; a link of length L is hinged to its end by
+//! theta4; the other end of the link is a ball joint on the platform. The joint of leg j is on a
+//! circle of radius r_b at azimuth theta1; the axis leans inwards by theta2; the ball joint is on
+//! the platform's circle of radius r_p at the same azimuth.
 //!
-//! In cylindrical coordinates about the leg's axis (radial e_r, around e_t, along u) the ball joint is at radius rho = L sin theta4 and height d + L cos theta4.
-//! So all follows from one vector: what lies across the axis is rho and theta3, what lies along it is d.
+//! In cylindrical coordinates about the leg's axis (radial e_r, around e_t, along u) the ball joint
+//! is at radius rho = L sin theta4 and height d + L cos theta4. One vector therefore determines all
+//! joints: its part across the axis gives rho and theta3, its part along the axis gives d.
 //!
-//! Units: mm and radians; the base frame is the controller's (z from the base to the handle). The link points upwards along its axis (cos theta4 > 0).
+//! Units: mm and radians; the base frame is the controller's (z from the base to the handle). The
+//! link points upwards along its axis (cos theta4 > 0).
 //!
-//! Misuse: near theta4 = 0 the turn theta3 is not defined, near theta4 = 90 degrees the slide leads nothing. [`Geometry::legs`] refuses both; the arm has stops before.
+//! Near theta4 = 0 the turn theta3 is undefined; near theta4 = 90 degrees the slide loses its
+//! effect. [`Geometry::legs`] returns an error for both; the arm has stops before them.
 
 use crate::check::Check;
 use crate::vector::{Vector, cross, dot, length, minus, plus, times};
@@ -18,7 +23,7 @@ use core::fmt;
 use haptimill_firmware::io::LEGS;
 use serde::{Deserialize, Serialize};
 
-/// Rows of a matrix.
+/// A 3 x 3 matrix, row by row.
 pub type Matrix = [[f64; 3]; 3];
 
 /// One value for each actuated joint: d (mm), theta3 (rad) of leg 1, of leg 2, of leg 3.
@@ -27,31 +32,32 @@ pub type Actuated = [f64; 2 * LEGS];
 /// Linear velocity, then angular velocity; or force, then moment.
 pub type Twist = [f64; 6];
 
-/// Least sine and cosine of theta4 for which a leg can be reckoned with.
+/// Smallest sine and cosine of theta4 of a valid leg.
 const MARGIN: f64 = 1e-3;
 
 /// Lengths of the haptic arm in mm, and its angles in degrees.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct HapticGeometry {
-    /// Radius of the circle of the legs on the base, r_b.
+    /// Radius r_b of the circle of the legs on the base.
     pub base_radius_mm: f64,
-    /// Length of a link, L.
+    /// Length L of a link.
     pub link_mm: f64,
-    /// Radius of the circle of the ball joints on the platform, r_p.
+    /// Radius r_p of the circle of the ball joints on the platform.
     pub platform_radius_mm: f64,
-    /// Azimuths of the legs, theta1.
+    /// Azimuths theta1 of the legs.
     pub azimuth_deg: [f64; LEGS],
-    /// Lean of the legs' axes inwards, theta2.
+    /// Inward lean theta2 of the legs' axes.
     pub tilt_deg: f64,
-    /// Centre of the platform at home; it is not turned there.
+    /// Centre of the platform at the home pose, where the platform is not rotated.
     pub home_mm: [f64; 3],
-    /// The tip, from the centre of the platform, in the platform's frame.
+    /// Tip relative to the centre of the platform, in the platform's frame.
     pub tip_mm: [f64; 3],
 }
 
 impl Default for HapticGeometry {
-    /// The reference geometry REF-M (docs/control.md 7.2) with the distances of the thesis: platform 450 mm from the base, tip 150 mm further.
+    /// The reference geometry REF-M (docs/control.md 7.2) with the distances of the thesis:
+    /// platform 450 mm from the base, tip 150 mm further.
     fn default() -> Self {
         Self {
             base_radius_mm: 150.0,
@@ -89,10 +95,10 @@ impl HapticGeometry {
     }
 }
 
-/// The handle is where no leg reaches, or where one is stretched out.
+/// A leg does not reach the handle, or is stretched out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct OutOfReach {
-    /// The leg, from 0.
+    /// Index of the leg, from 0.
     pub leg: usize,
 }
 
@@ -105,17 +111,17 @@ impl fmt::Display for OutOfReach {
 
 impl core::error::Error for OutOfReach {}
 
-/// Where the platform is.
+/// Pose of the platform.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct HandlePose {
-    /// Its centre, mm.
+    /// Centre, mm.
     pub centre: Vector,
-    /// Its frame in the base: columns are its axes.
+    /// Frame in the base; its columns are the axes of the platform.
     pub frame: Matrix,
 }
 
 impl HandlePose {
-    /// A point of the platform's frame in the base.
+    /// Transforms a point from the platform's frame to the base.
     pub fn point(&self, local: Vector) -> Vector {
         plus(self.centre, turned(&self.frame, local))
     }
@@ -134,15 +140,15 @@ pub fn turned(matrix: &Matrix, vector: Vector) -> Vector {
 /// One leg at a pose.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Leg {
-    /// Its axis.
+    /// Unit vector along the leg's axis.
     pub axis: Vector,
-    /// Radially from the axis towards the ball joint.
+    /// Unit vector from the axis towards the ball joint.
     pub radial: Vector,
-    /// Around the axis.
+    /// Unit vector around the axis.
     pub around: Vector,
-    /// Along the link, from its hinge to the ball joint.
+    /// Unit vector along the link, from its hinge to the ball joint.
     pub link: Vector,
-    /// From the centre of the platform to the ball joint, mm.
+    /// Vector from the centre of the platform to the ball joint, mm.
     pub lever: Vector,
     /// Distance of the ball joint from the axis, mm.
     pub radius: f64,
@@ -155,7 +161,8 @@ pub struct Leg {
 }
 
 impl Leg {
-    /// The row by which a rate along `direction` of the ball joint depends on the twist of the platform, divided by `by`.
+    /// Row that maps the twist of the platform to the rate of the ball joint along `direction`,
+    /// divided by `by`.
     fn row(&self, direction: Vector, by: f64) -> Twist {
         let turning = cross(self.lever, direction);
         let scale = 1.0 / by;
@@ -169,17 +176,18 @@ impl Leg {
         ]
     }
 
-    /// d' for each part of the platform's twist [v, omega]: along the link nothing but the slide moves.
+    /// Row that maps the platform's twist [v, omega] to d'. Along the link only the slide moves the
+    /// ball joint.
     pub fn slide_row(&self) -> Twist {
         self.row(self.link, self.cos)
     }
 
-    /// theta3' for each part of the platform's twist, 1/mm and 1.
+    /// Row that maps the platform's twist to theta3', 1/mm and 1.
     pub fn turn_row(&self) -> Twist {
         self.row(self.around, self.radius)
     }
 
-    /// theta4' for each part of the platform's twist: radially nothing but the hinge moves.
+    /// Row that maps the platform's twist to theta4'. Radially only the hinge moves the ball joint.
     pub fn hinge_row(&self, link_mm: f64) -> Twist {
         self.row(self.radial, link_mm * self.cos)
     }
@@ -187,17 +195,17 @@ impl Leg {
 
 #[derive(Debug, Clone, Copy)]
 struct Fixed {
-    /// The leg's foot on the base circle.
+    /// Foot of the leg on the base circle.
     foot: Vector,
     axis: Vector,
-    /// Where theta3 is 0, and 90 degrees.
+    /// Directions at which theta3 is 0 and 90 degrees.
     zero: Vector,
     quarter: Vector,
-    /// The ball joint in the platform's frame.
+    /// Ball joint in the platform's frame.
     joint: Vector,
 }
 
-/// The haptic arm's geometry, ready for use.
+/// The haptic arm's geometry, with its constants.
 #[derive(Debug, Clone)]
 pub struct Geometry {
     fixed: [Fixed; LEGS],
@@ -207,14 +215,14 @@ pub struct Geometry {
 }
 
 impl Geometry {
-    /// Prepares the constants.
+    /// Computes the constants.
     pub fn new(config: &HapticGeometry) -> Self {
         let degree = core::f64::consts::PI / 180.0;
         let (sin_tilt, cos_tilt) = libm::sincos(config.tilt_deg * degree);
         let fixed = config.azimuth_deg.map(|azimuth| {
             let (sin, cos) = libm::sincos(azimuth * degree);
             let (outwards, sideways) = ([cos, sin, 0.0], [-sin, cos, 0.0]);
-            // Upwards, leaning towards the middle.
+            // The axis points upwards and leans towards the middle.
             let axis = plus(times([0.0, 0.0, 1.0], cos_tilt), times(outwards, -sin_tilt));
             Fixed {
                 foot: times(outwards, config.base_radius_mm),
@@ -237,22 +245,22 @@ impl Geometry {
         self.link
     }
 
-    /// The tip in the platform's frame, mm.
+    /// Tip in the platform's frame, mm.
     pub const fn tip(&self) -> Vector {
         self.tip
     }
 
-    /// The ball joint of a leg in the platform's frame, mm.
+    /// Ball joint of a leg in the platform's frame, mm.
     pub fn joint(&self, leg: usize) -> Vector {
         self.fixed[leg].joint
     }
 
-    /// The foot of a leg on the base circle, mm.
+    /// Foot of a leg on the base circle, mm.
     pub fn foot(&self, leg: usize) -> Vector {
         self.fixed[leg].foot
     }
 
-    /// The pose at home.
+    /// Home pose.
     pub const fn home(&self) -> HandlePose {
         HandlePose {
             centre: self.home,
@@ -260,10 +268,11 @@ impl Geometry {
         }
     }
 
-    /// All legs at a pose.
+    /// Computes all legs at a pose.
     ///
     /// # Errors
-    /// The first leg that does not reach, or that is within a milliradian of a stretched or a folded link.
+    /// The first leg that does not reach, or whose link is within a milliradian of stretched or
+    /// folded.
     #[inline]
     pub fn legs(&self, pose: &HandlePose) -> Result<[Leg; LEGS], OutOfReach> {
         let mut legs = [Leg::default(); LEGS];
@@ -275,7 +284,7 @@ impl Geometry {
             let radius = length(across);
             let sin = radius / self.link;
             let cos = libm::sqrt(1.0 - sin * sin);
-            // A root of a negative number is not a number, and not above the margin either.
+            // The root of a negative number is NaN, which also fails this comparison.
             if !(sin > MARGIN && cos > MARGIN) {
                 return Err(OutOfReach { leg: index });
             }
@@ -314,7 +323,8 @@ impl Geometry {
         }))
     }
 
-    /// The pose at which the actuated joints stand so: Newton's method on the closed loops from a first guess. The hinges are free.
+    /// Pose for given positions of the actuated joints, by Newton's method on the closed loops from
+    /// a first guess. The hinges are free.
     ///
     /// # Errors
     /// The loops do not close from there.
@@ -330,7 +340,7 @@ impl Geometry {
                 return Ok(pose);
             }
             let step = solved(rows, errors).ok_or(OutOfReach { leg: 0 })?;
-            // A whole step, or the longest of its halves that leads nearer.
+            // A full step, or the first halved step that reduces the error.
             let nearer = (0..8).find_map(|halved| {
                 let share = 1.0 / f64::from(1 << halved);
                 let [x, y, z, a, b, c] = step.map(|part| part * share);
@@ -350,7 +360,8 @@ impl Geometry {
         Err(OutOfReach { leg: 0 })
     }
 
-    /// By how much the loops are open at a pose: rows of the joints' rates, errors of the joints, and the largest as a length, mm.
+    /// Loop errors at a pose: rows of the joints' rates, errors of the joints, and the largest
+    /// error as a length, mm.
     fn open(
         &self,
         actuated: &Actuated,
@@ -374,7 +385,7 @@ impl Geometry {
     }
 }
 
-/// A frame turned by a rotation vector of the base, rad (Rodrigues' formula).
+/// Frame after a rotation by a rotation vector of the base, rad (Rodrigues' formula).
 pub fn rotated(frame: &Matrix, by: Vector) -> Matrix {
     let angle = length(by);
     if angle == 0.0 {
@@ -397,7 +408,7 @@ pub fn rotated(frame: &Matrix, by: Vector) -> Matrix {
     result
 }
 
-/// The solution of six linear equations; `None` when they are singular for all that matters.
+/// Solution of six linear equations; `None` for a numerically singular system.
 pub fn solved(mut rows: [Twist; 6], mut right: Twist) -> Option<Twist> {
     for column in 0..6 {
         let pivot = (column..6).fold(column, |best, row| {

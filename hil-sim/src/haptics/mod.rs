@@ -1,19 +1,24 @@
-//! The haptic arm: the master that a hand leads, with three legs that push back (docs/control.md 2.2 to 2.4).
+//! Haptic arm: the master that an operator leads, with three motor-driven legs (docs/control.md 2.2
+//! to 2.4).
 //!
-//! [`HapticArm::advance`] carries out the [`HapticOutputs`] of one control period in the substeps of the plant; [`HapticArm::inputs`] is what the controller sees at the start of the
-//! next; [`HapticArm::truth`] tells what no controller can know.
+//! [`HapticArm::advance`] applies the [`HapticOutputs`] of one control period in the substeps of
+//! the plant. [`HapticArm::inputs`] returns what the controller sees at the start of the next
+//! period. [`HapticArm::truth`] is the ground truth, which no controller can see.
 //!
-//! * [`geometry`]: the loops of the legs, from vectors; [`dynamics`]: masses, weight, friction;
-//! * [`motor`]: amplifiers and motors; [`sensors`]: the nine encoders and what goes wrong with them;
-//! * [`crate::operator`]: the person, the rail, the reference part.
+//! * [`geometry`]: the loops of the legs, in vector form; [`dynamics`]: masses, weight, friction;
+//! * [`motor`]: amplifiers and motors; [`sensors`]: the nine encoders and their faults;
+//! * [`crate::operator`]: the operator model, the rail, the reference part.
 //!
-//! One substep is drift-kick-drift, as in [`crate::joint::mechanics`]: half a step of motion, the forces in the middle, half a step of motion. The attitude is a quaternion that turns by
-//! the exact rotation of each half step.
+//! One substep is drift-kick-drift, as in [`crate::joint::mechanics`]: half a step of motion, the
+//! forces in the middle, half a step of motion. The attitude is a quaternion that is turned by the
+//! exact rotation of each half step.
 //!
-//! Units: mm, rad, s, N, N mm; base frame of the arm, z from the base to the handle. Places of tip and grip "from home" are from where they are at the home pose.
+//! Units: mm, rad, s, N, N mm; base frame of the arm, z from the base to the handle. Positions of
+//! tip and grip "from home" are relative to their positions at the home pose.
 //!
-//! Misuse: the arm has end stops, but who pushes it through them with enough force reaches a pose that no leg can hold. The handle then stands still until it is pulled back, and
-//! [`HapticGroundTruth::jammed`] counts the substeps.
+//! The arm has end stops, but a sufficient force can push it through them to a pose that no leg can
+//! hold. The handle then stands still until it is pulled back, and [`HapticGroundTruth::jammed`]
+//! counts the substeps.
 
 mod config;
 pub mod dynamics;
@@ -41,52 +46,53 @@ use sensors::Sensors;
 /// Acceleration of free fall, mm/s^2.
 const GRAVITY: f64 = 9806.65;
 
-/// Rates below which nothing moves, mm/s and rad/s.
+/// Rates that count as standstill, mm/s and rad/s.
 const RESTS: f64 = 1e-7;
 
-/// Periods at rest, with nobody who wants anything, after which the arm is no longer stepped: its friction holds it.
+/// Periods at standstill without any commanded or intended motion after which the arm is no longer
+/// stepped, because its friction holds it.
 const ASLEEP: u32 = 2500;
 
-/// What really is, at the end of a period.
+/// Ground truth at the end of a period.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct HapticGroundTruth {
     /// Centre of the platform, mm.
     pub centre: Vector,
     /// Frame of the platform.
     pub frame: Matrix,
-    /// Velocity of the centre, mm/s, then of turning, rad/s.
+    /// Velocity of the centre, mm/s, then angular velocity, rad/s.
     pub twist: Twist,
-    /// Tip, mm from its home.
+    /// Tip, mm from its home position.
     pub tip: Vector,
     /// Velocity of the tip, mm/s.
     pub tip_velocity: Vector,
     /// d (mm), theta3 and theta4 (rad) of each leg.
     pub joints: Readings,
-    /// What the motors give: N along, N mm about each slide.
+    /// Motor efforts: N along each slide, N mm about it.
     pub motors: [[f64; 2]; LEGS],
-    /// What the motors do at the handle: force on it, N, and moment about the platform's centre, N mm.
+    /// Effect of the motors at the handle: force, N, and moment about the platform's centre, N mm.
     pub reflected: Twist,
-    /// Force of the hand on the handle, N; 0 without a hand.
+    /// Force of the operator on the handle, N; 0 without an operator.
     pub hand: Vector,
-    /// Part of its pace that the hand keeps; 1 without a hand.
+    /// Fraction of its intended speed that the operator keeps; 1 without an operator.
     pub pace: f64,
-    /// The hand has done what it meant to do.
+    /// The operator has completed the trajectory.
     pub done: bool,
     /// Force of the reference part on the ball, N.
     pub contact: Vector,
-    /// How deep the ball is in the reference part, mm.
+    /// Penetration of the ball into the reference part, mm.
     pub depth: f64,
-    /// Substeps in which no leg could hold the handle.
+    /// Number of substeps in which no leg could hold the handle.
     pub jammed: u64,
 }
 
-/// What there is beside the arm itself.
+/// Objects in contact with the arm.
 #[derive(Debug, Clone, Default)]
 struct Surroundings {
     hand: Option<Operator>,
     rail: Option<Rail>,
     part: Option<ReferencePart>,
-    /// Something else pushes at the platform's centre, N.
+    /// External force at the platform's centre, N.
     push: Vector,
 }
 
@@ -96,14 +102,14 @@ pub struct HapticArm {
     config: HapticConfig,
     geometry: Geometry,
     dynamics: Dynamics,
-    /// Platform, handle and links without a hand.
+    /// Platform, handle and links without an operator.
     bare: Body,
     motors: Motors,
     sensors: Sensors,
     around: Surroundings,
     motion: Motion,
     legs: [Leg; LEGS],
-    /// sin theta4 at the hinges' stops.
+    /// Sines of theta4 at the hinges' stops.
     hinge_sines: [f64; 2],
     step_s: f64,
     steps: usize,
@@ -111,16 +117,16 @@ pub struct HapticArm {
     time_ns: u64,
     powered: bool,
     engaged: bool,
-    /// Periods for which nothing has moved and nobody wanted anything.
+    /// Number of periods without motion and without any commanded or intended motion.
     idle: u32,
     truth: HapticGroundTruth,
 }
 
 impl HapticArm {
-    /// The arm at rest where its configuration says, without a hand.
+    /// Creates the arm at standstill at its configured start, without an operator.
     ///
     /// # Errors
-    /// Every problem of the configuration.
+    /// All problems of the configuration.
     pub fn new(
         config: &HapticConfig,
         period_us: u16,
@@ -194,10 +200,11 @@ impl HapticArm {
         Ok(arm)
     }
 
-    /// Lets a hand take the handle where it is, and hold it; `None` lets it go. The mass of the hand comes to rest with the handle: what moves does not get faster by it.
+    /// Lets an operator take the handle at its present position and hold it; `None` releases it.
+    /// The mass of the hand joins the handle without adding speed.
     ///
     /// # Errors
-    /// Every problem of the configuration.
+    /// All problems of the configuration.
     pub fn take(&mut self, hand: Option<&OperatorConfig>) -> Result<(), Vec<PlantError>> {
         self.idle = 0;
         self.dynamics.body = self.bare.clone();
@@ -211,10 +218,10 @@ impl HapticArm {
         Ok(())
     }
 
-    /// Puts a rail under the handle, or takes it away.
+    /// Mounts a rail under the handle, or removes it.
     ///
     /// # Errors
-    /// Every problem of the rail.
+    /// All problems of the rail.
     pub fn fit_rail(&mut self, rail: Option<Rail>) -> Result<(), Vec<PlantError>> {
         rail.as_ref().map_or(Ok(()), Rail::check)?;
         self.idle = 0;
@@ -222,10 +229,10 @@ impl HapticArm {
         Ok(())
     }
 
-    /// Clamps a reference part at the tip, or takes it away.
+    /// Clamps a reference part at the tip, or removes it.
     ///
     /// # Errors
-    /// Every problem of the part.
+    /// All problems of the part.
     pub fn clamp_part(&mut self, part: Option<ReferencePart>) -> Result<(), Vec<PlantError>> {
         part.as_ref().map_or(Ok(()), ReferencePart::check)?;
         self.idle = 0;
@@ -233,7 +240,7 @@ impl HapticArm {
         Ok(())
     }
 
-    /// The hand means to do something else; nothing happens without a hand.
+    /// Sets the operator trajectory; no effect without an operator.
     pub fn set_trajectory(&mut self, trajectory: Trajectory) {
         self.idle = 0;
         if let Some(hand) = &mut self.around.hand {
@@ -241,7 +248,8 @@ impl HapticArm {
         }
     }
 
-    /// Says anew where somebody outside wants the tip, and whether the button is held. The hand's intention becomes a live one.
+    /// Sets the externally controlled tip position and the enabling switch. The operator trajectory
+    /// becomes a live one.
     pub fn live(&mut self, live: Live) {
         self.idle = 0;
         self.engaged = live.engaged;
@@ -254,32 +262,32 @@ impl HapticArm {
         }
     }
 
-    /// Presses the button on the handle, or lets it go.
+    /// Presses or releases the enabling switch on the handle.
     pub const fn set_engaged(&mut self, engaged: bool) {
         self.engaged = engaged;
     }
 
-    /// The hand.
+    /// The operator model.
     pub const fn hand(&self) -> Option<&Operator> {
         self.around.hand.as_ref()
     }
 
-    /// How the arm is made.
+    /// Configuration of the arm.
     pub const fn config(&self) -> &HapticConfig {
         &self.config
     }
 
-    /// The loops of its legs.
+    /// Geometry of the legs.
     pub const fn geometry(&self) -> &Geometry {
         &self.geometry
     }
 
-    /// What really is.
+    /// Present ground truth.
     pub const fn truth(&self) -> &HapticGroundTruth {
         &self.truth
     }
 
-    /// Energy of motion and of the weight that is not balanced, N mm.
+    /// Kinetic energy and energy of the weight that is not balanced, N mm.
     pub fn energy(&self) -> f64 {
         let frame = self.motion.frame();
         let (centre, twist) = (&self.motion.centre, &self.motion.twist);
@@ -287,23 +295,23 @@ impl HapticArm {
             .energy(&self.geometry, &self.legs, centre, &frame, twist)
     }
 
-    /// Gives the platform a velocity (mm/s) and a turning (rad/s): a blow.
+    /// Sets the velocity (mm/s) and the angular velocity (rad/s) of the platform, as an impact.
     pub fn strike(&mut self, twist: Twist) {
         self.idle = 0;
         self.motion.twist = twist;
         self.update_ground_truth();
     }
 
-    /// Lets something push at the platform's centre (N), until it is changed.
+    /// Sets an external force at the platform's centre (N); it acts until it is changed.
     pub const fn set_push(&mut self, force: Vector) {
         self.idle = 0;
         self.around.push = force;
     }
 
-    /// Puts the handle somewhere, at rest. The encoders follow; a hand goes on as it did.
+    /// Puts the handle at a pose, at standstill. The encoders follow; the operator model continues.
     ///
     /// # Errors
-    /// A leg does not reach; nothing has changed then.
+    /// A leg does not reach the pose; the arm does not change then.
     pub fn put(&mut self, pose: &HandlePose) -> Result<(), OutOfReach> {
         self.legs = self.geometry.legs(pose)?;
         self.idle = 0;
@@ -314,7 +322,7 @@ impl HapticArm {
         Ok(())
     }
 
-    /// Changes what is wrong with an encoder: leg and sensor (slide, turn, hinge) from 0.
+    /// Sets the injected faults of an encoder: leg and sensor (slide, turn, hinge) from 0.
     pub fn set_encoder_condition(
         &mut self,
         leg: usize,
@@ -324,17 +332,17 @@ impl HapticArm {
         self.sensors.set_condition(leg, sensor, condition);
     }
 
-    /// Makes the counter of an encoder jump.
+    /// Adds a slip of `counts` to the counter of an encoder.
     pub fn slip_encoder(&mut self, leg: usize, sensor: usize, counts: i32) {
         self.sensors.slip(leg, sensor, counts);
     }
 
-    /// Lets the amplifiers trip: they give nothing and say so.
+    /// Trips or resets the amplifiers. Tripped, they give no current and report it.
     pub const fn set_tripped(&mut self, tripped: bool) {
         self.motors.set_tripped(tripped);
     }
 
-    /// What the controller sees.
+    /// Inputs of the controller.
     pub fn inputs(&self) -> HapticInputs {
         HapticInputs {
             legs: core::array::from_fn(|leg| self.sensors.leg(leg)),
@@ -343,7 +351,7 @@ impl HapticArm {
         }
     }
 
-    /// One control period with these outputs in effect; without power the motors give nothing.
+    /// Advances by one control period under these outputs; without power the motors give nothing.
     pub fn advance(&mut self, outputs: &HapticOutputs, powered: bool) {
         self.powered = powered;
         self.motors.command(outputs, powered);
@@ -351,7 +359,7 @@ impl HapticArm {
             self.idle = 0;
         }
         if self.idle >= ASLEEP {
-            // The encoders may have their faults.
+            // The encoders are followed even at standstill, because they may have faults.
             let joints = self.truth.joints;
             self.sensors.follow(&joints, self.time_ns);
             self.time_ns += self.period_ns;
@@ -407,7 +415,7 @@ impl HapticArm {
         self.motion.drift(half);
     }
 
-    /// No leg holds the handle there: it stays where it was.
+    /// Keeps the handle at its last pose, because no leg holds it at the new one.
     fn stand(&mut self, before: Motion) {
         self.motion = before;
         self.motion.twist = [0.0; 6];
@@ -458,7 +466,7 @@ impl HapticArm {
         acting
     }
 
-    /// Viscous and Coulomb friction of the joints, and their stops.
+    /// Adds viscous and Coulomb friction of the joints, and their stops.
     fn joints(&self, acting: &mut Acting) {
         let stops = &self.config.stops;
         let twist = &self.motion.twist;

@@ -1,23 +1,24 @@
-//! The state of the handle: place, attitude, twist. The attitude is a unit quaternion that turns by the exact rotation of each step.
+//! Motion state of the handle: position, attitude, twist. The attitude is a unit quaternion that is
+//! turned by the exact rotation of each step.
 //!
 //! Units: mm, rad, s; base frame.
 
 use super::geometry::{HandlePose, Matrix, Twist};
 use crate::vector::{Vector, cross, dot, plus, times};
 
-/// Where the handle is and how it moves.
+/// Pose and twist of the handle.
 #[derive(Debug, Clone)]
 pub struct Motion {
     /// Centre of the platform, mm.
     pub centre: Vector,
-    /// w, x, y, z.
+    /// Unit quaternion: w, x, y, z.
     attitude: [f64; 4],
-    /// Velocity of the centre, mm/s, then turning, rad/s.
+    /// Velocity of the centre, mm/s, then angular velocity, rad/s.
     pub twist: Twist,
 }
 
 impl Motion {
-    /// At rest somewhere.
+    /// Standstill at a pose.
     pub fn at(pose: &HandlePose) -> Self {
         Self {
             centre: pose.centre,
@@ -48,7 +49,7 @@ impl Motion {
         ]
     }
 
-    /// Centre and frame.
+    /// Centre and frame of the platform.
     pub fn pose(&self) -> HandlePose {
         HandlePose {
             centre: self.centre,
@@ -61,7 +62,7 @@ impl Motion {
         [self.twist[0], self.twist[1], self.twist[2]]
     }
 
-    /// Turning.
+    /// Angular velocity.
     pub fn spin(&self) -> Vector {
         [self.twist[3], self.twist[4], self.twist[5]]
     }
@@ -71,19 +72,20 @@ impl Motion {
         plus(self.velocity(), cross(self.spin(), lever))
     }
 
-    /// How far it is turned from upright, as a rotation vector; 2 sin(angle / 2) for its length, which is the angle as far as a hand or a rail lets it turn.
+    /// Rotation from upright, as a rotation vector. Its length is 2 sin(angle / 2), which equals
+    /// the angle within the range of an operator or a rail.
     pub fn turned(&self) -> Vector {
         let [w, x, y, z] = self.attitude;
         times([x, y, z], if w < 0.0 { -2.0 } else { 2.0 })
     }
 
-    /// Goes on for a time as it moves.
+    /// Moves for `dt` seconds at the present twist.
     pub fn drift(&mut self, dt: f64) {
         self.centre = plus(self.centre, times(self.velocity(), dt));
         let half = times(self.spin(), 0.5 * dt);
         let square = dot(half, half);
         let (sin, cos) = if square < 1e-4 {
-            // To the last bit at such angles, and four times as fast.
+            // Exact to the last bit at such angles, and four times as fast.
             let sinc = 1.0 - square / 6.0 * (1.0 - square / 20.0);
             (sinc, 1.0 - square / 2.0 * (1.0 - square / 12.0))
         } else {
@@ -99,7 +101,7 @@ impl Motion {
             cos * c + x * b - y * a + z * w,
         ];
         let square: f64 = turned.iter().map(|part| part * part).sum();
-        // One step of Newton for one over the root of a number next to 1.
+        // One Newton step for the inverse square root of a number near 1.
         self.attitude = turned.map(|part| part * (1.5 - 0.5 * square));
     }
 }
@@ -107,7 +109,7 @@ impl Motion {
 /// The quaternion of a frame.
 fn attitude(frame: &Matrix) -> [f64; 4] {
     let [[a, b, c], [d, e, f], [g, h, i]] = *frame;
-    // Of the four ways to begin, the one with the largest root.
+    // Of the four equivalent formulas, the one with the largest root.
     let traces = [a + e + i, a - e - i, e - a - i, i - a - e];
     let first = (1..4).fold(0, |best, k| if traces[k] > traces[best] { k } else { best });
     let root = libm::sqrt(1.0 + traces[first]);

@@ -1,7 +1,9 @@
-//! The motors of the haptic arm with their amplifiers: from the converter's code to a force in the joint.
+//! Motors of the haptic arm with their amplifiers: from the converter's code to a joint effort.
 //!
-//! An amplifier in current mode makes a current, and the motor a force, in proportion to its code (docs/control.md 2.4), up to a limit; the current follows its command with
-//! a first-order lag. Without its enable, and when it has tripped, it wants no current. Codes hold for a control period.
+//! The current of a current-mode amplifier, and with it the force of the motor, is proportional to
+//! the code (docs/control.md 2.4), up to a limit. The current follows its command with a
+//! first-order lag. Without its enable, and after a trip, the amplifier commands no current. Codes
+//! hold for a control period.
 //!
 //! Units: N for a slide, N mm for a turn.
 
@@ -9,19 +11,19 @@ use crate::check::Check;
 use haptimill_firmware::io::{HapticOutputs, LEGS};
 use serde::{Deserialize, Serialize};
 
-/// What moves one joint of a leg, and what holds it back.
+/// Drive, inertia and friction of one joint of a leg.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ActuatorConfig {
-    /// Inertia of motor and transmission as seen at the joint: kg for a slide, kg mm^2 for a turn.
+    /// Inertia of motor and transmission referred to the joint: kg for a slide, kg mm^2 for a turn.
     pub inertia: f64,
     /// Coulomb friction, N or N mm.
     pub coulomb: f64,
     /// Viscous friction, N s/mm or N mm s.
     pub viscous: f64,
-    /// Force for code 8192, N or N mm; negative when the amplifier is wired the other way round.
+    /// Effort for code 8192, N or N mm; negative for a reversed amplifier.
     pub full_scale: f64,
-    /// The motor gives no more than this, N or N mm.
+    /// Largest effort of the motor, N or N mm.
     pub limit: f64,
 }
 
@@ -41,16 +43,16 @@ impl ActuatorConfig {
 pub struct Motors {
     per_code: [f64; 2],
     limit: [f64; 2],
-    /// Part of the way to its command that a current goes in a step.
+    /// Fraction of its deviation from the command that a current covers in a step.
     follows: f64,
     force: [f64; 2 * LEGS],
-    /// What the commands of this period ask for.
+    /// Commanded efforts of this period.
     commanded: [f64; 2 * LEGS],
     tripped: bool,
 }
 
 impl Motors {
-    /// Motors without current, for steps of `step` seconds.
+    /// Creates motors without current, for steps of `step` seconds.
     pub fn new(slide: &ActuatorConfig, turn: &ActuatorConfig, lag_s: f64, step: f64) -> Self {
         Self {
             per_code: [slide, turn].map(|actuator| actuator.full_scale / 8192.0),
@@ -66,7 +68,7 @@ impl Motors {
         }
     }
 
-    /// The codes of a period.
+    /// Sets the codes of a period.
     pub fn command(&mut self, outputs: &HapticOutputs, powered: bool) {
         let alive = powered && outputs.enabled && !self.tripped;
         for (index, commanded) in self.commanded.iter_mut().enumerate() {
@@ -80,13 +82,13 @@ impl Motors {
         }
     }
 
-    /// No motor pushes, and none is asked to.
+    /// Returns whether all efforts and all commands are zero.
     pub fn still(&self) -> bool {
         let small = |force: &f64| force.abs() < 1e-9;
         self.commanded.iter().all(|commanded| *commanded == 0.0) && self.force.iter().all(small)
     }
 
-    /// One step; gives the forces in the joints, slide and turn of each leg.
+    /// Advances by one step and returns the joint efforts, slide and turn of each leg.
     #[inline]
     pub fn step(&mut self) -> [f64; 2 * LEGS] {
         for (force, commanded) in self.force.iter_mut().zip(&self.commanded) {
@@ -95,17 +97,17 @@ impl Motors {
         self.force
     }
 
-    /// Forces now: N along the slides, N mm about them.
+    /// Present efforts: N along the slides, N mm about them.
     pub const fn force(&self) -> [f64; 2 * LEGS] {
         self.force
     }
 
-    /// Whether the amplifiers say that they are well.
+    /// Returns whether the amplifiers report that they are healthy.
     pub const fn ready(&self) -> bool {
         !self.tripped
     }
 
-    /// Lets the amplifiers trip, or come back.
+    /// Trips the amplifiers, or resets them.
     pub const fn set_tripped(&mut self, tripped: bool) {
         self.tripped = tripped;
     }

@@ -1,10 +1,14 @@
-//! The nine encoders of the haptic arm, and what goes wrong with them.
+//! The nine encoders of the haptic arm and their faults.
 //!
-//! Each leg has one on its slide d, one on its turn theta3 and one on its hinge theta4. They are incremental and have no index: the counters stand at 0 where the handle is at
-//! power on, and the controller must be told where that was (the rail, or a rest, holds the handle there). Everything else is the encoder of the slides
-//! ([`crate::joint::encoder`]): ideal discs, edges that go one by one through the decoder of a board once a fault has touched them, illegal transitions counted there.
+//! Each leg has one encoder on its slide d, one on its turn theta3 and one on its hinge theta4.
+//! They are incremental and have no index. The counters are 0 at the position of the handle at
+//! power on, and the controller must be told that position (the rail, or a rest, holds the handle
+//! there). All else is as for the encoders of the slides ([`crate::joint::encoder`]): ideal discs;
+//! from the first fault on, edge-by-edge simulation through the decoder of a board, which counts
+//! illegal transitions.
 //!
-//! Units: mm and radians at the joints, x4 counts at the controller. Within a control period a joint is taken to move evenly.
+//! Units: mm and radians at the joints, x4 counts at the controller. The model assumes a constant
+//! rate of the joints within a control period.
 
 use crate::check::Check;
 use crate::joint::encoder::{Encoder, EncoderCondition, Track};
@@ -13,28 +17,29 @@ use crate::random::Random;
 use haptimill_firmware::io::{LEGS, LegInputs};
 use serde::{Deserialize, Serialize};
 
-/// Encoders of a leg.
+/// Number of encoders of a leg.
 pub const SENSORS: usize = 3;
 
 /// d (mm), theta3 and theta4 (rad) of each leg.
 pub type Readings = [[f64; SENSORS]; LEGS];
 
-/// The encoders.
+/// Configuration of the encoders.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct HapticEncoders {
     /// Counts per mm of a slide, after x4 decoding.
     pub slide_counts_per_mm: f64,
-    /// Counts per turn of theta3, after x4 decoding, the transmission included.
+    /// Counts per turn of theta3, after x4 decoding, including the transmission.
     pub turn_counts_per_turn: f64,
-    /// Counts per turn of theta4.
+    /// Counts per turn of theta4, after x4 decoding.
     pub hinge_counts_per_turn: f64,
     /// Encoders that count backwards: slide, turn and hinge of each leg.
     pub reversed: [[bool; SENSORS]; LEGS],
 }
 
 impl Default for HapticEncoders {
-    /// 5 um on the slides; 160,000 counts a turn, 5000 lines behind a transmission of 1 to 8, are 5 um at the ball joint.
+    /// 5 um on the slides; 160,000 counts per turn (5000 lines with a transmission of 1 to 8) are 5
+    /// um at the ball joint.
     fn default() -> Self {
         Self {
             slide_counts_per_mm: 200.0,
@@ -61,13 +66,13 @@ impl HapticEncoders {
 #[derive(Debug, Clone)]
 pub struct Sensors {
     encoders: [[Encoder; SENSORS]; LEGS],
-    /// Where the joints stood at the end of the last period.
+    /// Joint positions at the end of the last period.
     last: Readings,
     period_ns: u64,
 }
 
 impl Sensors {
-    /// Encoders whose counters stand at 0 at `start`.
+    /// Creates encoders whose counters are 0 at `start`.
     pub fn new(config: &HapticEncoders, start: &Readings, period_ns: u64, seed: u64) -> Self {
         let turn = core::f64::consts::TAU;
         let scales = [
@@ -92,7 +97,8 @@ impl Sensors {
         }
     }
 
-    /// The joints went where they are now, from `time_ns` on, within a period.
+    /// Follows the joints from their last positions to `now` within a period that starts at
+    /// `time_ns`.
     pub fn follow(&mut self, now: &Readings, time_ns: u64) {
         for (encoders, (last, now)) in self.encoders.iter_mut().zip(self.last.iter().zip(now)) {
             let mut rows: [JointArray; 2] = Default::default();
@@ -107,7 +113,7 @@ impl Sensors {
         self.last = *now;
     }
 
-    /// What the controller sees of a leg.
+    /// Inputs of a leg for the controller.
     pub fn leg(&self, leg: usize) -> LegInputs {
         let readings = [0, 1, 2].map(|sensor: usize| self.encoders[leg][sensor].reading());
         LegInputs {
@@ -116,12 +122,12 @@ impl Sensors {
         }
     }
 
-    /// Changes what is wrong with an encoder.
+    /// Sets the injected faults of an encoder.
     pub fn set_condition(&mut self, leg: usize, sensor: usize, condition: EncoderCondition) {
         self.encoders[leg][sensor].set_condition(condition);
     }
 
-    /// Makes a counter jump.
+    /// Adds a slip of `counts` to a counter.
     pub fn slip(&mut self, leg: usize, sensor: usize, counts: i32) {
         self.encoders[leg][sensor].slip(counts);
     }

@@ -1,7 +1,7 @@
-//! The configuration of one simulated joint: `[[plant.joint]]` of a machine file.
+//! Configuration of one simulated joint: `[[plant.joint]]` of a machine file.
 //!
-//! A linear joint is described in mm, N, kg and s, a rotary one in degrees, N m, kg m^2 and s.
-//! Where a field says *axis unit* it means mm or degrees, where it says *effort* N or N m.
+//! A linear joint uses mm, N, kg and s; a rotary joint uses degrees, N m, kg m^2 and s. *Axis unit*
+//! means mm or degrees; *effort* means N or N m.
 
 use crate::check::Check;
 use serde::{Deserialize, Serialize};
@@ -17,8 +17,8 @@ pub enum JointKind {
 }
 
 impl JointKind {
-    /// Axis units per second squared that one unit of effort gives to one unit of inertia: 1 N on 1 kg is 1000 mm/s^2, 1 N m on
-    /// 1 kg m^2 is 180/pi degrees/s^2.
+    /// Acceleration in axis units/s^2 that one unit of effort gives to one unit of inertia: 1 N on
+    /// 1 kg is 1000 mm/s^2, 1 N m on 1 kg m^2 is 180/pi degrees/s^2.
     pub const fn acceleration_unit(self) -> f64 {
         match self {
             Self::Linear => 1000.0,
@@ -27,31 +27,33 @@ impl JointKind {
     }
 }
 
-/// One joint: motor, screw or worm, and what it moves, as two masses with a spring and a gap between them.
+/// One joint: motor, screw or worm, and driven mass, as two masses with a spring and a gap between
+/// them.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct JointConfig {
-    /// Name, for people.
+    /// Name for messages and reports.
     pub name: String,
     /// Linear or rotary.
     pub kind: JointKind,
-    /// Axis units per motor turn: the lead of the screw in mm, or the degrees of the table per turn of the worm.
+    /// Axis units per motor turn: the lead of the screw in mm, or the degrees of the table per turn
+    /// of the worm.
     pub lead: f64,
-    /// All that moves, as seen at the axis: kg or kg m^2.
+    /// Total moving inertia, referred to the axis, kg or kg m^2.
     pub inertia: f64,
-    /// Part of `inertia` on the motor's side of the screw, 0.05 to 0.95.
+    /// Part of `inertia` on the motor side of the screw, 0.05 to 0.95.
     pub motor_share: f64,
-    /// Frequency at which motor side and slide side swing against each other on the screw, Hz; sets the stiffness.
+    /// Natural frequency of motor side against slide side on the screw, Hz; sets the stiffness.
     pub mode_hz: f64,
     /// Damping ratio of that mode, 0 to 1.
     pub mode_damping: f64,
-    /// Whole width of the gap between screw and slide, axis units.
+    /// Total width of the gap between screw and slide, axis units.
     pub backlash: f64,
     /// Coulomb friction, effort, both sides together.
     pub coulomb: f64,
     /// Viscous friction, effort per axis unit per second, both sides together.
     pub viscous: f64,
-    /// Part of both frictions on the slide's side, 0 to 1; the rest acts on motor and screw.
+    /// Part of both frictions on the slide side, 0 to 1; the rest acts on motor and screw.
     pub friction_slide_share: f64,
     /// Lower hard stop of the slide, axis units.
     pub low: f64,
@@ -59,14 +61,15 @@ pub struct JointConfig {
     pub high: f64,
     /// Stiffness of the hard stops, effort per axis unit.
     pub stop_stiffness: f64,
-    /// Where the slide stands at the start, axis units.
+    /// Start position of the slide, axis units.
     pub preset: f64,
-    /// The start is off the preset by up to this much to either side, drawn from the seed.
+    /// Largest offset of the start from the preset, to either side, axis units; drawn from the
+    /// seed.
     #[serde(default)]
     pub start_spread: f64,
     /// The encoder on the motor shaft.
     pub encoder: EncoderConfig,
-    /// What drives it.
+    /// Drive of the joint.
     pub drive: DriveConfig,
     /// Home switch.
     #[serde(default)]
@@ -85,9 +88,10 @@ pub struct JointConfig {
 pub struct EncoderConfig {
     /// Counts per motor turn after x4 decoding (four times the lines); a multiple of 4.
     pub counts_per_turn: u32,
-    /// Coordinate at which the index state begins on one of the motor's turns; the others are whole leads away.
+    /// Coordinate at which the index state begins on one motor turn; the other index states are
+    /// whole leads away.
     pub index: f64,
-    /// It counts backwards.
+    /// The encoder counts backwards.
     #[serde(default)]
     pub reversed: bool,
 }
@@ -96,9 +100,9 @@ pub struct EncoderConfig {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SwitchConfig {
-    /// Coordinate at which it trips, axis units.
+    /// Trip coordinate, axis units.
     pub at: f64,
-    /// On which side it is active.
+    /// Side on which the switch is active.
     pub active: SwitchSide,
 }
 
@@ -112,7 +116,7 @@ pub enum SwitchSide {
     Above,
 }
 
-/// What drives a joint.
+/// Drive of a joint.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase", deny_unknown_fields)]
 pub enum DriveConfig {
@@ -126,13 +130,13 @@ pub enum DriveConfig {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TorqueDrive {
-    /// Effort at the axis for code 8192; negative when the amplifier is wired the other way round.
+    /// Effort at the axis for code 8192; negative for a reversed amplifier.
     pub full_scale: f64,
-    /// The amplifier gives no more than this effort.
+    /// Largest effort of the amplifier.
     pub limit: f64,
 }
 
-/// A step motor with its drive; the data of its data sheet.
+/// A step motor with its drive, from the data sheet.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct StepDrive {
@@ -140,30 +144,31 @@ pub struct StepDrive {
     pub full_steps: u32,
     /// Steps (pulses) per full step.
     pub microsteps: u32,
-    /// Largest static effort at the axis; the effort is this times the sine of the electrical lag.
+    /// Largest static effort at the axis. The effort is this value times the sine of the electrical
+    /// lag.
     pub pull_out: f64,
     /// Damping by the drive, effort per axis unit per second.
     #[serde(default)]
     pub damping: f64,
-    /// A positive step goes down.
+    /// A positive step moves downwards.
     #[serde(default)]
     pub reversed: bool,
     /// Ticks of the board's step clock per microsecond, 1 to 1000.
     pub ticks_per_us: u16,
-    /// Width of the pulses that the board makes, ns.
+    /// Width of the pulses of the board, ns.
     pub pulse_ns: f64,
-    /// Least width of a pulse that the drive is sure to see, ns.
+    /// Shortest pulse that the drive detects reliably, ns.
     pub min_high_ns: f64,
-    /// Least pause between two pulses, ns.
+    /// Shortest pause between two pulses, ns.
     pub min_low_ns: f64,
-    /// Least time from a change of direction to the next pulse, ns.
+    /// Shortest time from a change of direction to the next pulse, ns.
     pub setup_ns: f64,
-    /// Least time from the end of a pulse to a change of direction, ns.
+    /// Shortest time from the end of a pulse to a change of direction, ns.
     pub hold_ns: f64,
 }
 
 impl JointConfig {
-    /// Stiffness of the screw, effort per axis unit: the two sides swing against each other at `mode_hz`.
+    /// Stiffness of the screw, effort per axis unit, from `mode_hz`.
     pub fn stiffness(&self) -> f64 {
         let rate = core::f64::consts::TAU * self.mode_hz;
         rate * rate * self.reduced_inertia() / self.kind.acceleration_unit()
@@ -189,7 +194,8 @@ impl JointConfig {
         check.within(format!("{at}: lead"), self.lead, 0.01, 1000.0);
         check.within(format!("{at}: inertia"), self.inertia, 1e-6, 1e5);
         check.within(format!("{at}: motor_share"), self.motor_share, 0.05, 0.95);
-        // The spring is integrated explicitly: stay far from the stability bound at omega * substep = 2.
+        // The spring is integrated explicitly. The bound keeps it far from instability at omega *
+        // substep = 2.
         check.within(
             format!("{at}: mode_hz"),
             self.mode_hz,
@@ -214,7 +220,8 @@ impl JointConfig {
         check.within(format!("{at}: low"), self.low, -2000.0, 2000.0);
         check.within(format!("{at}: high"), self.high, self.low, 2000.0);
         check.within(format!("{at}: preset"), self.preset, self.low, self.high);
-        // A switch may stand behind the end of the slide's way, where nothing reaches it, but the lower one is below the upper one.
+        // A limit switch may lie outside the hard stops, where the slide cannot reach it. The lower
+        // switch must be below the upper one.
         let (limit_low, limit_high) = (self.limit_low, self.limit_high);
         for (name, at_switch) in [("limit_low", limit_low), ("limit_high", limit_high)] {
             let place = at_switch.unwrap_or_default();

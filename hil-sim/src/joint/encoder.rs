@@ -1,12 +1,14 @@
-//! The incremental encoder on a motor shaft, from its disc to the counter that the controller reads.
+//! Incremental encoder on a motor shaft, from its disc to the counter that the controller reads.
 //!
-//! The disc is ideal: the shaft's coordinate falls into count states of equal width, and a count state has the levels of two channels
-//! (A leads B upwards) and of the index line, which is high in one state of each turn. A healthy encoder is counted directly from the
-//! count states. From the moment a fault touches it, every edge goes as a pair of levels through the faults and then through the
-//! x4 decoder that boards run, which counts illegal transitions; healthy edges give the same numbers on both ways, and a test holds them to it.
+//! The disc is ideal: it divides the shaft's coordinate into count states of equal width. A count
+//! state has the levels of two channels (A leads B upwards) and of the index line, which is high in
+//! one state per turn. A healthy encoder is counted directly from the count states. From the first
+//! fault on, every edge passes as a pair of levels through the fault model and then through the x4
+//! decoder of the boards, which counts illegal transitions. A test checks that both methods give
+//! the same numbers for a healthy encoder.
 //!
-//! Units: coordinates in axis units, times in ns of virtual time. Between two integration steps the shaft is taken to move evenly, so
-//! an edge is timed to a fraction of a step.
+//! Units: coordinates in axis units, times in ns of virtual time. The model assumes a constant rate
+//! of the shaft between two integration steps, so it times an edge to a fraction of a step.
 
 use crate::joint::JointConfig;
 use crate::joint::mechanics::JointArray;
@@ -14,7 +16,7 @@ use crate::random::Random;
 use haptimill_firmware::io::AxisInputs;
 use haptimill_firmware::joint::quadrature::Quadrature;
 
-/// What the counter hardware shows.
+/// Reading of the counter hardware.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct EncoderReading {
     /// x4 counter, wraps around.
@@ -29,7 +31,8 @@ pub struct EncoderReading {
     pub index_pulses: u8,
 }
 
-/// The way of one shaft through a control period: its coordinate at evenly spaced samples, the first where the last way ended.
+/// Motion of one shaft in a control period: its coordinate at evenly spaced samples. The first
+/// sample is the end of the motion before.
 #[derive(Debug, Clone, Copy)]
 pub struct Track<'a> {
     rows: &'a [JointArray],
@@ -39,7 +42,8 @@ pub struct Track<'a> {
 }
 
 impl<'a> Track<'a> {
-    /// The way of lane `lane` of these samples of all shafts; `low` and `high` are its least and its largest coordinate.
+    /// Track of joint `lane` from the samples of all shafts; `low` and `high` are its smallest and
+    /// largest coordinate.
     pub const fn new(rows: &'a [JointArray], lane: usize, low: f64, high: f64) -> Self {
         Self {
             rows,
@@ -77,12 +81,13 @@ impl Levels {
     }
 }
 
-/// An encoder's counter from the moment at which its edges go one by one: the decoder that a board without such a timer would run.
+/// Counter of an encoder that is simulated edge by edge: the decoder of a board without an encoder
+/// timer.
 #[derive(Debug, Clone)]
 struct EdgeCounter {
     decoder: Quadrature,
     levels: Levels,
-    /// What the counter showed when the decoder took over.
+    /// Reading of the counter when the decoder started.
     before: EncoderReading,
     edge_time_ns: u32,
 }
@@ -90,7 +95,7 @@ struct EdgeCounter {
 impl EdgeCounter {
     fn new(levels: Levels, before: EncoderReading) -> Self {
         let mut decoder = Quadrature::new(before.counts);
-        // The first levels are where a decoder starts.
+        // The first call sets the initial levels of the decoder.
         decoder.feed(levels.a, levels.b, levels.index, before.edge_time_ns);
         Self {
             decoder,
@@ -127,18 +132,18 @@ impl EdgeCounter {
     }
 }
 
-/// What is wrong with an encoder at the moment.
+/// Injected faults of an encoder.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct EncoderCondition {
-    /// Channel A stands at this level.
+    /// Channel A is stuck at this level.
     pub stuck_a: Option<bool>,
-    /// Channel B stands at this level.
+    /// Channel B is stuck at this level.
     pub stuck_b: Option<bool>,
     /// The channels are swapped.
     pub swapped: bool,
     /// The index line is dead.
     pub index_missing: bool,
-    /// Noise pulses per second; each flips A, B or both for a moment.
+    /// Rate of noise pulses, 1/s; each flips A, B or both briefly.
     pub noise_hz: f64,
 }
 
@@ -150,24 +155,24 @@ pub struct Encoder {
     /// Coordinate of the lower edge of count state 0, which is an index state.
     origin: f64,
     counts_per_turn: i64,
-    /// The index state at or below the count state.
+    /// Index state at or below the present count state.
     turn_start: i64,
     reversed: bool,
     /// True count state of the shaft.
     state: i64,
-    /// Count state in which the counter stood at 0.
+    /// Count state in which the counter was 0.
     zero: i64,
     reading: EncoderReading,
     condition: EncoderCondition,
-    /// Once a fault touched the encoder, its edges go through here.
+    /// Edge-by-edge simulation, from the first fault on.
     edges: Option<EdgeCounter>,
     random: Random,
 }
 
-/// Count states between the index states of an encoder whose index nobody reads.
+/// Count states per turn of an encoder whose index is not used.
 const NO_TURN: i64 = 1 << 60;
 
-/// Largest whole number that is not above; valid for any coordinate that a joint can have.
+/// Rounds down; valid for every coordinate that a joint can have.
 #[inline(always)]
 fn floor(value: f64) -> i64 {
     let whole = value as i64;
@@ -175,7 +180,7 @@ fn floor(value: f64) -> i64 {
 }
 
 impl Encoder {
-    /// The encoder of a joint whose motor stands at `motor`; the counter starts at 0.
+    /// Creates the encoder of a joint whose motor is at `motor`; the counter starts at 0.
     pub fn new(joint: &JointConfig, motor: f64, random: Random) -> Self {
         let scale = 1.0 / joint.per_count();
         let origin = joint.encoder.index;
@@ -196,13 +201,14 @@ impl Encoder {
         }
     }
 
-    /// An encoder of `scale` counts per axis unit whose index line leads nowhere, on a shaft that stands at `start`; the counter starts at 0.
+    /// Creates an encoder of `scale` counts per axis unit without an index line, on a shaft at
+    /// `start`; the counter starts at 0.
     pub fn without_index(scale: f64, reversed: bool, start: f64, random: Random) -> Self {
         let state = floor(start * scale);
         Self {
             scale,
             origin: 0.0,
-            // Longer than any way of a shaft; what the index line says is read by nobody.
+            // Longer than any travel of a shaft, so no index pulse occurs within it.
             counts_per_turn: NO_TURN,
             turn_start: -NO_TURN / 2,
             reversed,
@@ -215,7 +221,7 @@ impl Encoder {
         }
     }
 
-    /// What the counter shows.
+    /// Present reading of the counter.
     #[inline]
     pub fn reading(&self) -> EncoderReading {
         self.edges
@@ -223,7 +229,7 @@ impl Encoder {
             .map_or(self.reading, EdgeCounter::reading)
     }
 
-    /// Changes what is wrong with the encoder.
+    /// Sets the injected faults of the encoder.
     pub fn set_condition(&mut self, condition: EncoderCondition) {
         if condition == self.condition {
             return;
@@ -234,7 +240,7 @@ impl Encoder {
             .get_or_insert_with(|| EdgeCounter::new(healthy, self.reading));
     }
 
-    /// The counter slips by this many counts.
+    /// Adds a slip of `counts` to the counter.
     pub fn slip(&mut self, counts: i32) {
         self.reading.counts = self.reading.counts.wrapping_add(counts);
         self.zero -= i64::from(if self.reversed { -counts } else { counts });
@@ -250,7 +256,7 @@ impl Encoder {
         }
     }
 
-    /// The shaft went this way, from `time_ns` on, with samples `step_ns` apart.
+    /// Follows the motion of the shaft from `time_ns` on, with samples `step_ns` apart.
     #[inline]
     pub fn follow(&mut self, track: &Track<'_>, time_ns: u64, step_ns: u64) {
         if self.edges.is_some() {
@@ -287,7 +293,7 @@ impl Encoder {
         }
     }
 
-    /// The direct way: the counter is where the shaft ends, and only its last edge is timed.
+    /// Direct method: the counter takes the final count state, and only its last edge is timed.
     #[inline]
     fn follow_states(&mut self, track: &Track<'_>, time_ns: u64, step_ns: u64) {
         let last = track.rows.len() - 1;
@@ -309,7 +315,7 @@ impl Encoder {
         self.reading.counts = self.counts_of(end);
     }
 
-    /// The same way, looking at every sample for the index alone.
+    /// Checks every sample of the motion for index states.
     #[cold]
     fn follow_index(&mut self, track: &Track<'_>) {
         let mut from = self.state;
@@ -322,7 +328,7 @@ impl Encoder {
         }
     }
 
-    /// Every index state that is entered on the way latches the counter.
+    /// Latches the counter at every index state that the motion enters.
     fn pass_index(&mut self, from: i64, to: i64) {
         let turn = self.counts_per_turn;
         let (low, high) = if to > from {
@@ -370,12 +376,12 @@ impl Encoder {
         levels
     }
 
-    /// The true way: every edge as levels through the decoder.
+    /// Edge-by-edge method: every edge passes as levels through the decoder.
     fn follow_edges(&mut self, track: &Track<'_>, time_ns: u64, step_ns: u64) {
         let Some(mut edges) = self.edges.take() else {
             return;
         };
-        // A fault that came or went may have changed the levels while the shaft stood still.
+        // A fault that began or ended may have changed the levels at standstill.
         edges.sample(self.levels(self.state), time_ns);
         let mut before = self.place(track.at(0));
         for sample in 1..track.rows.len() {

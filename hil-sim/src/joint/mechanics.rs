@@ -1,14 +1,21 @@
-//! The moving masses: every joint is a motor side and a slide side with a spring and a gap between them.
+//! Mechanics of the joints: each joint is a motor side and a slide side with a spring and a gap
+//! between them.
 //!
-//! Units are those of [`crate::config`]: axis units (mm or degrees), effort (N or N m), seconds. All joints are integrated side by
-//! side in arrays, because that is what keeps a control period within its budget; unused lanes have no inertia constants and stand still.
+//! Units are those of [`crate::config`]: axis units (mm or degrees), effort (N or N m), seconds.
+//! All joints are integrated side by side in arrays, which keeps a control period within its time
+//! budget. Unused lanes have no inertia constants and stay at zero.
 //!
-//! One step is drift-kick-drift (position Verlet): half a step of motion, one evaluation of the forces in the middle, half a step of
-//! motion. Without friction it conserves a nearby energy exactly, so the true energy only swings by (omega * step)^2 / 4, which is
-//! 25 ppm at 80 Hz, and does not drift; an edge of the gap, which falls somewhere within a step, adds or takes up to that at random. Coulomb friction is the exact implicit form: an impulse that takes away speed up to its bound and stops at zero. So a
-//! joint that sticks has speed 0.0 to the last bit, and nothing chatters.
+//! One step is drift-kick-drift (position Verlet): half a step of motion, one evaluation of the
+//! forces in the middle, half a step of motion. Without friction it conserves a nearby energy
+//! exactly. The true energy therefore oscillates by (omega * step)^2 / 4, which is 25 ppm at 80 Hz,
+//! and does not drift. Each contact or separation at the gap, which falls within a step, changes
+//! the energy by up to that amount at random.
 //!
-//! Misuse: [`Mechanics::step`] is explicit in the springs; [`crate::config::PlantConfig::check`] keeps omega * step below 0.3.
+//! Coulomb friction has the exact implicit form: an impulse that reduces the rate by at most its
+//! bound and ends at zero. A sticking joint has exactly the rate 0.0 and does not chatter.
+//!
+//! [`Mechanics::step`] is explicit in the springs. Callers must keep omega * step below 0.3, which
+//! [`crate::config::PlantConfig::check`] verifies.
 
 use crate::joint::JointConfig;
 use haptimill_protocol::message::MAX_AXES;
@@ -16,20 +23,20 @@ use haptimill_protocol::message::MAX_AXES;
 /// One value for each joint.
 pub type JointArray = [f64; MAX_AXES];
 
-/// Positions and rates of both sides of every joint.
+/// Positions and rates of both sides of every joint, axis units and axis units/s.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Bodies {
-    /// Motor side, as a coordinate of the axis.
+    /// Position of the motor side, as an axis coordinate.
     pub motor: JointArray,
     /// Rate of the motor side, per second.
     pub motor_rate: JointArray,
-    /// Slide side: where the slide really is.
+    /// Position of the slide side.
     pub slide: JointArray,
     /// Rate of the slide side, per second.
     pub slide_rate: JointArray,
 }
 
-/// Constants of the joints, ready for the inner loop.
+/// Constants of the joints for the inner loop.
 #[derive(Debug, Clone, Default)]
 pub struct Mechanics {
     /// Half a step, seconds.
@@ -38,19 +45,19 @@ pub struct Mechanics {
     half_gap: JointArray,
     /// Stiffness of the screw.
     stiffness: JointArray,
-    /// Damping of the screw, while it touches.
+    /// Damping of the screw while its flanks touch.
     damping: JointArray,
-    /// How hard a closed gap can pull: nothing when there is a gap, without bound when there is none.
+    /// Largest pull of a closed gap: 0 with backlash, infinite without.
     pull: JointArray,
-    /// Change of rate by one unit of effort in a step, motor side.
+    /// Change of rate per unit of effort in one step, motor side.
     motor_kick: JointArray,
     /// The same, slide side.
     slide_kick: JointArray,
-    /// Coulomb friction as the change of rate in a step, motor side.
+    /// Coulomb friction as the change of rate in one step, motor side.
     motor_coulomb: JointArray,
     /// The same, slide side.
     slide_coulomb: JointArray,
-    /// Part of the rate that viscous friction leaves after a step, motor side.
+    /// Factor that viscous friction applies to the rate in one step, motor side.
     motor_keep: JointArray,
     /// The same, slide side.
     slide_keep: JointArray,
@@ -64,7 +71,8 @@ pub struct Mechanics {
     stop_damping: JointArray,
     /// Coulomb friction of the healthy slide side.
     healthy_coulomb: JointArray,
-    /// Inertia of the motor side divided by the acceleration unit: effort per axis unit per second squared.
+    /// Inertia of the motor side divided by the acceleration unit: effort per axis unit per second
+    /// squared.
     motor_inertia: JointArray,
     /// The same, slide side.
     slide_inertia: JointArray,
@@ -72,12 +80,13 @@ pub struct Mechanics {
 
 #[inline(always)]
 fn clamp(value: f64, low: f64, high: f64) -> f64 {
-    // Written as comparisons so that it is two instructions; f64::clamp and f64::max also mind NaN.
+    // The comparisons compile to two instructions; f64::clamp and f64::max also handle NaN.
     let value = if value > low { value } else { low };
     if value < high { value } else { high }
 }
 
-/// The effort of a spring and damper that touches only when `depth` is not 0 and pulls no harder than `pull`.
+/// Effort of a spring and damper that touch only when `depth` is not 0 and that pull with at most
+/// `pull`.
 #[inline(always)]
 fn contact(depth: f64, rate: f64, stiffness: f64, damping: f64, pull: f64) -> f64 {
     let effort = stiffness * depth + damping * rate;
@@ -89,7 +98,7 @@ fn contact(depth: f64, rate: f64, stiffness: f64, damping: f64, pull: f64) -> f6
 }
 
 impl Mechanics {
-    /// Prepares the constants for steps of `step` seconds. The joints must have passed their check.
+    /// Computes the constants for steps of `step` seconds. The joints must have passed their check.
     pub fn new(joints: &[JointConfig], step: f64) -> Self {
         let mut this = Self {
             half_step: step / 2.0,
@@ -124,13 +133,14 @@ impl Mechanics {
             this.low[lane] = joint.low;
             this.high[lane] = joint.high;
             this.stop_stiffness[lane] = joint.stop_stiffness;
-            // Half of critical: a slide that hits the stop comes back slowly.
+            // Half of critical damping: a slide that hits the stop returns slowly.
             this.stop_damping[lane] = libm::sqrt(joint.stop_stiffness * slide);
         }
         this
     }
 
-    /// Adds Coulomb friction to the slide of a joint: a jam. 0 heals it, infinity holds it fast.
+    /// Adds Coulomb friction to the slide of a joint, as a jam. 0 removes the jam, infinity blocks
+    /// the slide.
     pub fn jam(&mut self, lane: usize, effort: f64) {
         self.slide_coulomb[lane] = if effort > 0.0 {
             self.healthy_coulomb[lane] + self.slide_kick[lane] * effort
@@ -157,7 +167,7 @@ impl Mechanics {
             + self.slide_inertia[lane] * bodies.slide_rate[lane]
     }
 
-    /// One step: `drive` acts on the motor sides, `load` on the slides.
+    /// Advances by one step. `drive` acts on the motor sides, `load` on the slides.
     #[inline(always)]
     pub fn step(&self, bodies: &mut Bodies, drive: &JointArray, load: &JointArray) {
         let half = self.half_step;

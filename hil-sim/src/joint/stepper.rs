@@ -1,47 +1,49 @@
-//! A step/direction drive with its motor, and the check of the pulses that reach it.
+//! Step/direction drive with its motor, and the check of the pulses that reach it.
 //!
-//! The motor follows the commanded position through its magnetic field: effort = pull-out effort * sin(2 pi lag / 4 full steps). Beyond
-//! two full steps of lag the rotor falls into the next tooth, so steps are lost in multiples of four full steps, and the drive does
-//! not know.
+//! The motor follows the commanded position through its magnetic field: effort = pull-out effort *
+//! sin(2 pi lag / 4 full steps). Beyond two full steps of lag the rotor settles at the next stable
+//! position. Steps are therefore lost in multiples of four full steps, and the drive does not
+//! detect it.
 //!
-//! Pulses are checked against the drive's data sheet: width, pause, direction set-up and hold, and that they end within their period. A
-//! pulse that breaks the data sheet is emitted and counted but not seen by the drive, which is the worse of what a drive might do.
+//! Pulses are checked against the drive's data sheet: width, pause, direction set-up and hold, and
+//! end within their period. A pulse that violates the data sheet is emitted and counted, but the
+//! drive ignores it. This is the worse of the two possible reactions of a drive.
 //!
-//! Times inside a period are in ticks of the board's step clock.
+//! Times within a period are in ticks of the board's step clock.
 
 use crate::joint::{JointConfig, StepDrive};
 use haptimill_firmware::io::StepSegment;
 
-/// What is wrong with a pulse.
+/// Violation of the pulse timing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PulseProblem {
-    /// The pulse is shorter than the drive can see.
+    /// The pulse is shorter than the drive can detect.
     Width,
-    /// It came too soon after the pulse before.
+    /// The pulse came too soon after the one before.
     Interval,
-    /// It came too soon after a change of direction.
+    /// The pulse came too soon after a change of direction.
     Setup,
     /// The direction changed too soon after a pulse.
     Hold,
-    /// It would not be over by the end of the period; such a pulse is not emitted.
+    /// The pulse would end after the period; such a pulse is not emitted.
     BeyondPeriod,
 }
 
-/// A pulse that broke the data sheet.
+/// A pulse that violated the data sheet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PulseViolation {
     /// Tick of the step clock since the start.
     pub tick: i64,
-    /// What was wrong.
+    /// Kind of violation.
     pub problem: PulseProblem,
 }
 
-/// How the pulses of a drive fared.
+/// Report on the pulses of a drive.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct PulseReport {
-    /// Pulses that broke the data sheet.
+    /// Number of pulses that violated the data sheet.
     pub violations: u64,
-    /// The first of them.
+    /// First violation.
     pub first: Option<PulseViolation>,
     /// Shortest time between two pulses so far, ticks.
     pub shortest_interval: Option<i64>,
@@ -50,15 +52,15 @@ pub struct PulseReport {
 /// A step motor with its drive.
 #[derive(Debug, Clone)]
 pub struct Stepper {
-    /// Axis units per step, with the sign of the wiring.
+    /// Axis units per step, with the sign of the direction.
     per_step: f64,
-    /// One over the axis units of an electrical turn (four full steps).
+    /// Electrical turns (four full steps) per axis unit.
     per_electrical_turn: f64,
     pull_out: f64,
     damping: f64,
-    /// Coordinate at which the field stood at step 0.
+    /// Coordinate of the field at step 0.
     origin: f64,
-    /// Steps that the drive saw.
+    /// Steps that the drive accepted.
     seen: i64,
     /// Steps that the board emitted.
     emitted: i32,
@@ -73,15 +75,15 @@ pub struct Stepper {
     up: bool,
     direction_tick: i64,
     last_pulse: Option<i64>,
-    /// Pulses of the current period that the drive will see: time in ticks and direction.
+    /// Pulses of the current period, with times in ticks.
     segment: StepSegment,
     next: i64,
     report: PulseReport,
 }
 
-/// sin(2 pi turns); the error is below 1e-7, and the same bits come out everywhere.
+/// sin(2 pi turns). The error is below 1e-7, and the result has the same bits on every host.
 fn sine_of_turns(turns: f64) -> f64 {
-    // Nearest whole number by the bias that leaves no fraction bits.
+    // Nearest integer.
     let turns = turns - libm::rint(turns);
     let folded = if turns > 0.25 {
         0.5 - turns
@@ -101,7 +103,7 @@ fn sine_of_turns(turns: f64) -> f64 {
 }
 
 impl Stepper {
-    /// The drive of a joint whose motor stands at `motor`; the field is aligned with it.
+    /// Creates the drive of a joint whose motor is at `motor`; the field is aligned with it.
     pub fn new(joint: &JointConfig, drive: &StepDrive, motor: f64, period_us: u16) -> Self {
         let full_step = joint.lead / f64::from(drive.full_steps);
         let ticks = f64::from(drive.ticks_per_us) * 1e-3;
@@ -130,17 +132,17 @@ impl Stepper {
         }
     }
 
-    /// Steps that the board emitted, free running.
+    /// Steps that the board emitted, wraps around.
     pub const fn emitted(&self) -> i32 {
         self.emitted
     }
 
-    /// Where the field is, axis units.
+    /// Position of the field, axis units.
     pub fn commanded(&self) -> f64 {
         self.origin + self.per_step * self.seen as f64
     }
 
-    /// How the pulses fared so far.
+    /// Report on all pulses so far.
     pub const fn report(&self) -> PulseReport {
         self.report
     }
@@ -152,7 +154,7 @@ impl Stepper {
             .get_or_insert(PulseViolation { tick, problem });
     }
 
-    /// A period begins with this segment; a drive that is off gets an empty one.
+    /// Begins a period with this segment; a drive that is off gets an empty one.
     pub fn begin(&mut self, segment: StepSegment) {
         self.segment = segment;
         self.next = 0;
@@ -168,7 +170,7 @@ impl Stepper {
         }
     }
 
-    /// The rest of the period's pulses leave, and the next period follows.
+    /// Emits the remaining pulses of the period and moves to the next period.
     pub fn end(&mut self) {
         self.advance_to(self.period_ticks);
         let left = i64::from(self.segment.count).abs() - self.next;
@@ -183,7 +185,7 @@ impl Stepper {
         self.next = 0;
     }
 
-    /// Emits the pulses that leave before this tick of the period.
+    /// Emits the pulses that start before this tick of the period.
     fn advance_to(&mut self, tick: i64) {
         while self.next < i64::from(self.segment.count).abs() {
             let k = self.next;
@@ -221,7 +223,8 @@ impl Stepper {
         }
     }
 
-    /// Effort of the motor at a fraction 0 to 1 of the period, its rotor at `motor` with `rate`.
+    /// Effort of the motor at a fraction 0 to 1 of the period, with its rotor at `motor` and
+    /// `rate`.
     pub fn effort(&mut self, part: f64, motor: f64, rate: f64) -> f64 {
         self.advance_to((part * self.period_ticks as f64) as i64);
         let lag = self.commanded() - motor;

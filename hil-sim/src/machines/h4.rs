@@ -1,12 +1,14 @@
-//! Where the tool is: the closed loops of the four rods, solved by Newton's method.
+//! Forward kinematics of the H-4 arm: the closed loops of the four rods, solved by Newton's method.
 //!
-//! The controller has its own closed formulas. These are not used here, on purpose: a shared mistake would cancel out. All that goes in
-//! is where the joints sit (docs/control.md 2.6): slide `i` carries one at (l_i - s_i w, sigma_i (a - e), sigma_i d - g_e), the platform
-//! one at tip + m_i (sin theta, 0, cos theta) + (0, sigma_i b, 0), and a rod of length R lies between them.
+//! The simulator does not use the closed formulas of the controller, because a shared error would
+//! cancel out. The only input is the geometry of the joints (docs/control.md 2.6): slide `i`
+//! carries a joint at (l_i - s_i w, sigma_i (a - e), sigma_i d - g_e), the platform carries one at
+//! tip + m_i (sin theta, 0, cos theta) + (0, sigma_i b, 0), and a rod of length R connects them.
 //!
-//! Units: mm and degrees. The unknowns are x, y, z of the tip and sin theta; |theta| < 90 degrees. A solution is followed from the last
-//! one, so the machine stays on the assembly branch on which it was built. At the parallel singularity the real machine would choose
-//! by accident; there the solution is refused.
+//! Units: mm and degrees. The unknowns are x, y, z of the tip and sin theta; |theta| < 90 degrees.
+//! Each solution starts from the last one, so the machine stays on the assembly branch on which it
+//! was built. At the parallel singularity the behaviour of the real machine is undetermined; the
+//! solver returns an error there.
 
 use crate::check::Check;
 use crate::joint::JointKind;
@@ -17,7 +19,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ArmGeometry {
-    /// Lateral distance of a slide's joint from the middle, with `e` taken off.
+    /// Lateral distance of a slide's joint from the middle, before `e` is subtracted.
     pub a: f64,
     /// Lateral distance of a platform joint from the tool axis.
     pub b: f64,
@@ -39,13 +41,13 @@ pub struct ArmGeometry {
     pub p: f64,
     /// Height of the table's axis below the origin of the arm.
     pub h: f64,
-    /// Offset of the work's origin in x (x_Ow^O1).
+    /// Offset of the workpiece origin in x (x_Ow^O1).
     pub x_off: f64,
-    /// Offset of the work's origin in y (y_Ow^O1).
+    /// Offset of the workpiece origin in y (y_Ow^O1).
     pub y_off: f64,
-    /// Offset of the work's origin in z (z_O1^O2).
+    /// Offset of the workpiece origin in z (z_O1^O2).
     pub z_off: f64,
-    /// On which side of the rails the platform hangs when the machine is built.
+    /// Side of the rails on which the platform is assembled.
     pub branch: Branch,
 }
 
@@ -60,7 +62,7 @@ pub enum Branch {
 }
 
 impl ArmGeometry {
-    /// Checks lengths and joint kinds, and adds every problem to `check`.
+    /// Checks lengths and joint kinds, and adds all problems to `check`.
     pub(crate) fn check(&self, kinds: &[JointKind], check: &mut Check) {
         use JointKind::{Linear, Rotary};
         if kinds != [Linear, Linear, Linear, Linear, Rotary] {
@@ -92,16 +94,16 @@ impl ArmGeometry {
     }
 }
 
-/// Rod lengths are met to this, mm.
+/// Tolerance of the rod lengths, mm.
 const TOLERANCE: f64 = 1e-11;
 
-/// The inverse Jacobian is made anew when the platform has moved this far from where it was made, mm.
+/// The inverse Jacobian is recomputed when the platform has moved this far since the last one, mm.
 const REFRESH: f64 = 0.5;
 
 const S: [f64; 4] = [1.0, -1.0, 1.0, -1.0];
 const SIGMA: [f64; 4] = [1.0, 1.0, -1.0, -1.0];
 
-/// The slides are where no platform can be, or where the branch cannot be told.
+/// The slides are at positions that no platform pose fits, or the branch cannot be determined.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct LoopClosureError;
 
@@ -116,27 +118,27 @@ impl core::error::Error for LoopClosureError {}
 /// Tip of the tool in the arm's base frame.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Tip {
-    /// mm.
+    /// Coordinate x, mm.
     pub x: f64,
-    /// mm.
+    /// Coordinate y, mm.
     pub y: f64,
-    /// mm.
+    /// Coordinate z, mm.
     pub z: f64,
-    /// Tilt about y.
+    /// Sine of the tilt about y.
     pub sin_theta: f64,
 }
 
-/// The arm, with the solution that is followed.
+/// The arm, with its last solution.
 #[derive(Debug, Clone)]
 pub struct Arm {
     geometry: ArmGeometry,
     lever: [f64; 4],
-    /// x, y, z, sin theta.
+    /// Last solution: x, y, z, sin theta.
     last: [f64; 4],
     before: [f64; 4],
     inverse: [[f64; 4]; 4],
     made_at: [f64; 4],
-    /// Sign of the Jacobian's determinant on the branch.
+    /// Sign of the Jacobian's determinant on the assembly branch.
     orientation: f64,
 }
 
@@ -144,7 +146,7 @@ impl Arm {
     /// Builds the arm with its slides at `slides`, on the branch of the geometry.
     ///
     /// # Errors
-    /// The rods do not close there.
+    /// The rods do not close at `slides`.
     pub fn new(geometry: &ArmGeometry, slides: &[f64; 4]) -> Result<Self, LoopClosureError> {
         let mut arm = Self {
             lever: SIGMA.map(|sigma| geometry.tl + geometry.c * (1.0 + sigma)),
@@ -159,7 +161,7 @@ impl Arm {
         Ok(arm)
     }
 
-    /// A first guess well inside the branch, then full Newton.
+    /// Solves from a first guess well inside the branch with full Newton steps.
     fn assemble(&mut self, slides: &[f64; 4]) -> Result<(), LoopClosureError> {
         let g = &self.geometry;
         let sin = (slides[0] + slides[1] - slides[2] - slides[3]) / (4.0 * g.c);
@@ -178,7 +180,7 @@ impl Arm {
             side * drop - g.ge - lever * cos,
             sin,
         ];
-        // Far below (above) the rails the determinant has the sign of the branch.
+        // Far below (above) the rails the sign of the determinant is that of the branch.
         let (_, rods, _) = self.residuals(&guess, slides);
         self.orientation = invert(&self.jacobian(&guess, &rods))
             .ok_or(LoopClosureError)?
@@ -224,7 +226,8 @@ impl Arm {
         rows
     }
 
-    /// Makes the inverse Jacobian at `q`; refuses a singular one and one of the other branch.
+    /// Computes the inverse Jacobian at `q`. Fails for a singular one and for one of the other
+    /// branch.
     fn refresh(&mut self, q: &[f64; 4], rods: &[[f64; 3]; 4]) -> Result<(), LoopClosureError> {
         let (inverse, determinant) = invert(&self.jacobian(q, rods)).ok_or(LoopClosureError)?;
         if determinant * self.orientation <= 0.0 {
@@ -249,7 +252,8 @@ impl Arm {
                 return Err(LoopClosureError);
             }
             let (errors, rods, worst) = self.residuals(&q, slides);
-            // Legs reach outwards from the platform (1, 3 up, 2, 4 down); the other way round is another machine.
+            // Rods reach outwards from the platform (1, 3 up, 2, 4 down). The opposite is another
+            // assembly.
             if worst < TOLERANCE {
                 let right_way = (0..4).all(|i| S[i] * rods[i][0] < 0.0);
                 return if right_way {
@@ -264,10 +268,11 @@ impl Arm {
         Err(LoopClosureError)
     }
 
-    /// Follows the slides from where they were last; meant for small moves (up to some 10 mm).
+    /// Follows the slides from their last positions, for moves of up to some 10 mm.
     ///
     /// # Errors
-    /// The rods do not close, or the move went through a singularity; the last good solution is kept to go on from.
+    /// The rods do not close, or the move crosses a singularity. The arm keeps the last valid
+    /// solution and continues from it.
     #[inline]
     pub fn follow(&mut self, slides: &[f64; 4]) -> Result<Tip, LoopClosureError> {
         let mut q = [0.0; 4];
@@ -278,7 +283,8 @@ impl Arm {
             && (q[3] - self.made_at[3]).abs() < 2e-3;
         let mut solved = None;
         if near {
-            // The old inverse is good enough: each round takes off three digits and costs a quarter of a full one.
+            // The old inverse is sufficient: each iteration gains three digits and costs a quarter
+            // of a full one.
             for _ in 0..5 {
                 let (errors, rods, worst) = self.residuals(&q, slides);
                 if worst < TOLERANCE {
@@ -307,21 +313,23 @@ impl Arm {
         })
     }
 
-    /// Largest difference of a rod's length from R at this tip, mm.
+    /// Largest difference of a rod length from R at this tip, mm.
     pub fn residual(&self, tip: &Tip, slides: &[f64; 4]) -> f64 {
         self.residuals(&[tip.x, tip.y, tip.z, tip.sin_theta], slides)
             .2
     }
 
-    /// The tip in the work, whose table is turned by `alpha` degrees: x_w, y_w, z_w in mm, theta and alpha in degrees.
+    /// Tip in the workpiece frame with the table at `alpha` degrees: x_w, y_w, z_w in mm, theta and
+    /// alpha in degrees.
     ///
-    /// The table's axis lies along x at (p, 0, -h); the work turns with it (docs/control.md (3.14)-(3.16), the offsets with the sign that
-    /// makes them the inverse of (3.23)-(3.26)).
+    /// The table axis lies along x at (p, 0, -h), and the workpiece turns with it (docs/control.md
+    /// (3.14)-(3.16); the offsets have the sign that makes the equations the inverse of
+    /// (3.23)-(3.26)).
     #[inline]
     pub fn in_work(&self, tip: &Tip, alpha: f64) -> [f64; 5] {
         let g = &self.geometry;
         let (sin, cos) = libm::sincos(alpha * (core::f64::consts::PI / 180.0));
-        // The tip as seen from the table's axis.
+        // Tip relative to the table axis.
         let (across, up) = (tip.y, tip.z + g.h);
         [
             tip.x - g.p - g.x_off,
@@ -332,7 +340,8 @@ impl Arm {
         ]
     }
 
-    /// A vector of the table's axes (turned by `alpha` degrees) in the axes of the arm's base.
+    /// Transforms a vector from the frame of the table, at `alpha` degrees, to the arm's base
+    /// frame.
     #[inline]
     pub fn to_base(vector: [f64; 3], alpha: f64) -> [f64; 3] {
         let (sin, cos) = libm::sincos(alpha * (core::f64::consts::PI / 180.0));
@@ -340,7 +349,7 @@ impl Arm {
         [x, y * cos - z * sin, y * sin + z * cos]
     }
 
-    /// A vector of the base's axes in the axes of the table, turned by `alpha` degrees.
+    /// Transforms a vector from the arm's base frame to the frame of the table, at `alpha` degrees.
     #[inline]
     pub fn to_work(vector: [f64; 3], alpha: f64) -> [f64; 3] {
         let (sin, cos) = libm::sincos(alpha * (core::f64::consts::PI / 180.0));
@@ -348,11 +357,13 @@ impl Arm {
         [x, y * cos + z * sin, z * cos - y * sin]
     }
 
-    /// What a force between tool and work does to the joints: N on each slide, N m on the table.
+    /// Joint loads of a force between tool and workpiece: N on each slide, N m on the table.
     ///
-    /// `force` acts on the tool and its opposite on the work, N along x_w, y_w, z_w, in a point on the tool's axis `above` mm over the tip. From virtual
-    /// work on the loops: with the rows A of the rods' lengths by the tip's coordinates, A dq = diag(rod_x / R) dl, so
-    /// f = diag(rod_x / R) A^-T F. The power is whole: force times the point's velocity in the work is the sum of loads times rates.
+    /// `force` acts on the tool, and its opposite on the workpiece, in N along x_w, y_w, z_w. The
+    /// point of application is on the tool axis, `above` mm above the tip. The loads follow from
+    /// virtual work on the loops: with the rows A of the rods' lengths by the tip's coordinates, A
+    /// dq = diag(rod_x / R) dl, so f = diag(rod_x / R) A^-T F. Power is conserved: force times the
+    /// velocity of the point in the workpiece frame equals the sum of loads times rates.
     ///
     /// `None` at the parallel singularity.
     pub fn joint_loads(
@@ -374,7 +385,7 @@ impl Arm {
             force[1] * sin + force[2] * cos,
         ];
         let cos_theta = libm::sqrt(1.0 - tip.sin_theta * tip.sin_theta);
-        // By sin theta: the point moves by `above` along x and falls with the cosine.
+        // Derivative by sin theta: the point moves by `above` along x and descends with the cosine.
         let turning = above * (x - z * tip.sin_theta / cos_theta);
         let mut loads = [0.0; 5];
         for i in 0..4 {
@@ -382,7 +393,7 @@ impl Arm {
                 inverse[0][i] * x + inverse[1][i] * y + inverse[2][i] * z + inverse[3][i] * turning;
             loads[i] = tension * rods[i][0] / g.r;
         }
-        // The point as seen from the table's axis.
+        // Point relative to the table axis.
         let (across, up) = (tip.y, tip.z + above * cos_theta + g.h);
         let (across, up) = (across * cos + up * sin, up * cos - across * sin);
         loads[4] = (force[1] * up - force[2] * across) * 1e-3;
@@ -390,7 +401,8 @@ impl Arm {
     }
 }
 
-/// Inverse and determinant by Gauss-Jordan with row pivots; `None` when the matrix is singular for all that matters.
+/// Inverse and determinant by Gauss-Jordan with row pivots; `None` for a numerically singular
+/// matrix.
 fn invert(matrix: &[[f64; 4]; 4]) -> Option<([[f64; 4]; 4], f64)> {
     let mut left = *matrix;
     let mut right = [[0.0; 4]; 4];

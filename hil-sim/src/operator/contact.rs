@@ -1,16 +1,19 @@
-//! What the hand leads the handle along: a rail, or the edge of a reference part that the steel ball at the tip touches.
+//! Guides of the handle: a rail, or the edge of a reference part that the steel ball at the tip
+//! touches.
 //!
-//! Both are bodies of the master's base, in mm and N. Places are counted from where the handle is at home, as everywhere in [`crate::operator`].
+//! Both are bodies in the master's base frame, in mm and N. Positions are relative to the home pose
+//! of the handle, as everywhere in [`crate::operator`].
 
 use crate::check::{Check, PlantError};
 use crate::vector::{Vector, dot, minus, times};
 use serde::{Deserialize, Serialize};
 
-/// A rail that lets the handle move along one straight line through home, and not turn (docs/control.md 1.2): a stiff spring with a damper across it.
+/// A rail that lets the handle move along one straight line through home, without rotation
+/// (docs/control.md 1.2): a stiff spring with a damper across it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Rail {
-    /// The way it leaves free; any length but 0.
+    /// Free direction; a vector of any length but 0.
     pub direction: [f64; 3],
     /// Stiffness across, N/mm.
     #[serde(default = "Rail::stiffness")]
@@ -18,10 +21,10 @@ pub struct Rail {
     /// Damping across, N s/mm.
     #[serde(default = "Rail::damping")]
     pub damping: f64,
-    /// Stiffness against turning, N mm/rad.
+    /// Rotational stiffness, N mm/rad.
     #[serde(default = "Rail::turn_stiffness")]
     pub turn_stiffness: f64,
-    /// Damping against turning, N mm s/rad.
+    /// Rotational damping, N mm s/rad.
     #[serde(default = "Rail::turn_damping")]
     pub turn_damping: f64,
     /// Coulomb friction along, N.
@@ -50,7 +53,8 @@ impl Rail {
         0.2
     }
 
-    /// A rail along a direction: 300 N/mm across and 2 kN m/rad against turning, as a small linear guide has, 0.2 N of friction along. Chosen.
+    /// A rail along a direction: 300 N/mm across and 2 kN m/rad in rotation, like a small linear
+    /// guide, and 0.2 N of friction along. Chosen values.
     pub const fn along(direction: [f64; 3]) -> Self {
         Self {
             direction,
@@ -62,10 +66,10 @@ impl Rail {
         }
     }
 
-    /// Checks everything.
+    /// Checks the whole configuration.
     ///
     /// # Errors
-    /// Every problem.
+    /// All problems.
     pub fn check(&self) -> Result<(), Vec<PlantError>> {
         let mut check = Check::default();
         let square = dot(self.direction, self.direction);
@@ -78,13 +82,13 @@ impl Rail {
         check.done()
     }
 
-    /// The unit vector of its way.
+    /// Unit vector of the free direction.
     pub fn way(&self) -> Vector {
         let square = dot(self.direction, self.direction);
         times(self.direction, 1.0 / libm::sqrt(square))
     }
 
-    /// Force on the handle, N, at a place from home (mm) with a velocity (mm/s).
+    /// Force on the handle, N, at a position from home (mm) with a velocity (mm/s).
     pub fn force(&self, place: Vector, velocity: Vector) -> Vector {
         let way = self.way();
         let across = |vector: Vector| minus(vector, times(way, dot(vector, way)));
@@ -93,31 +97,32 @@ impl Rail {
     }
 }
 
-/// A round reference part, its axis along z, whose edge the ball at the tip is led along. Places from the tip's home, mm.
+/// A round reference part with its axis along z; the operator leads the ball at the tip along its
+/// edge. Positions from the tip's home, mm.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ReferencePart {
-    /// Where its axis is, x and y.
+    /// Position of its axis, x and y.
     pub centre_mm: [f64; 2],
     /// Its radius.
     pub radius_mm: f64,
-    /// It is a hole, and the ball is in it; otherwise a disc, and the ball is outside.
+    /// True for a hole with the ball inside; false for a disc with the ball outside.
     pub hole: bool,
     /// Radius of the ball, whose centre is the tip.
     pub ball_radius_mm: f64,
-    /// Ends of the edge in z: above and below there is nothing to touch.
+    /// Lower and upper end of the edge in z; beyond them there is no contact.
     pub edge_mm: [f64; 2],
-    /// Stiffness of the contact, N/mm: handle and clamping more than steel on steel.
+    /// Stiffness of the contact, N/mm; handle and clamping dominate it over steel on steel.
     pub stiffness: f64,
-    /// Damping, N s/mm; it never pulls.
+    /// Damping, N s/mm; the contact force never pulls.
     pub damping: f64,
-    /// Coefficient of friction, ball on edge.
+    /// Coefficient of friction between ball and edge.
     pub friction: f64,
 }
 
 impl Default for ReferencePart {
-    /// A hole of 35 mm for the ball of 5 mm (docs/control.md 4.1, E12), beside the tip's home towards -X: the tip can go round a circle of 30 mm. Stiffness and
-    /// friction chosen.
+    /// A hole of 35 mm for the ball of 5 mm (docs/control.md 4.1, E12), beside the tip's home
+    /// towards -X: the tip can move on a circle of 30 mm. Stiffness and friction are chosen values.
     fn default() -> Self {
         Self {
             centre_mm: [-15.0, 0.0],
@@ -132,24 +137,24 @@ impl Default for ReferencePart {
     }
 }
 
-/// The ball on the edge.
+/// Contact of the ball with the edge.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Touch {
-    /// Out of the part, towards the ball; a unit vector.
+    /// Unit vector out of the part, towards the ball.
     pub normal: Vector,
-    /// Along the edge, horizontally.
+    /// Horizontal unit vector along the edge.
     pub tangent: Vector,
     /// Force along the normal, N.
     pub push: f64,
-    /// How deep the ball is in the part, mm.
+    /// Penetration of the ball into the part, mm.
     pub depth: f64,
 }
 
 impl ReferencePart {
-    /// Checks everything.
+    /// Checks the whole configuration.
     ///
     /// # Errors
-    /// Every problem; a ball that does not fit into the hole is one.
+    /// All problems, including a ball that does not fit into the hole.
     pub fn check(&self) -> Result<(), Vec<PlantError>> {
         let mut check = Check::default();
         let field = |key: &str| format!("part: {key}");
@@ -172,7 +177,7 @@ impl ReferencePart {
         check.done()
     }
 
-    /// Radius of the circle on which the ball's centre goes when it touches without force, mm.
+    /// Radius of the path of the ball's centre at contact without force, mm.
     pub fn path_radius(&self) -> f64 {
         if self.hole {
             self.radius_mm - self.ball_radius_mm
@@ -181,7 +186,7 @@ impl ReferencePart {
         }
     }
 
-    /// How the ball touches with the tip at a place and a velocity, if it does.
+    /// Contact with the tip at a position and a velocity; `None` without contact.
     pub fn touch(&self, tip: Vector, velocity: Vector) -> Option<Touch> {
         if !(self.edge_mm[0]..=self.edge_mm[1]).contains(&tip[2]) {
             return None;

@@ -1,23 +1,32 @@
-//! The person at the handle of the haptic arm: what the hand means to do, and how it gives way.
+//! Operator model at the handle of the haptic arm: intended motion and compliance of the hand.
 //!
-//! Three things happen in a hand that leads a handle, each at its own pace, and each is a line here:
+//! The model has four parts with different time scales, one line each:
 //!
 //! ```text
-//! felt     F_r' = (F(t - T_r) . s - F_r) / T_s                 what the hand felt along its way s, after the reaction time
-//! pace     v = v_0 (1 - F_r / F_0), within 0 and v_0           the person slows down against resistance, and stops at F_0
-//! effort   T_e E' = G K e(t - T_r) - E                          the person sees that the tip is off by e, and pushes harder
-//! force    F = K (x_d - x) + B (v - x') + E, at most F_max     the arm's own spring and damper, at once
+//! felt     F_r' = (F(t - T_r) . s - F_r) / T_s
+//! pace     v = v_0 (1 - F_r / F_0), within 0 and v_0
+//! effort   T_e E' = G K e(t - T_r) - E
+//! force    F = K (x_d - x) + B (v - x') + E, at most F_max
 //! ```
 //!
-//! with x_d the place that the intention has reached at that pace ([`trajectory`]). The mass of the hand is held at the grip and moves with the handle. Turning goes the same way
-//! about the upright handle, without a pace. Where the hand presses against an edge, the direction of the edge's normal has a force instead of a place.
+//! * *felt*: the force that the hand feels along its path s, after the reaction time.
+//! * *pace*: the operator slows down against resistance, and stops at F_0.
+//! * *effort*: the operator sees the position error e of the tip, and pushes harder.
+//! * *force*: spring and damper of the arm itself, without delay.
 //!
-//! One set of numbers serves everything; where they come from is told in docs/decisions. F_0 and T_r decide how a hand yields: of a pace of 20 mm/s 12 are left against 2.8 N, 4 against
+//! Here x_d is the position that the trajectory has reached at that speed ([`trajectory`]). The
+//! mass of the hand acts at the grip and moves with the handle. Rotation about the upright handle
+//! uses the same equations, without a speed. Where the hand presses against an edge, the direction
+//! of the edge's normal has a force instead of a position.
+//!
+//! One set of parameters serves all scenarios; docs/decisions states its origin. F_0 and T_r
+//! determine how a hand yields: of a speed of 20 mm/s, 12 mm/s remain against 2.8 N, 4 mm/s against
 //! 5.6 N.
 //!
-//! Units: mm, N, N mm, s, rad; places of the tip from its home, axes of the master's base.
+//! Units: mm, N, N mm, s, rad; positions of the tip from its home, axes of the master's base.
 //!
-//! Misuse: a hand that follows cannot tell whether a controller is safe with *any* hand. For that, sweep stiffness and mass, and let it hold without intention.
+//! This model cannot show whether a controller is safe with *any* hand. Callers must sweep
+//! stiffness and mass for that, and let the operator hold the handle without a trajectory.
 
 pub mod contact;
 pub mod trajectory;
@@ -31,7 +40,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use trajectory::{Carried, DesiredMotion, without};
 
-/// A hand: the `[plant.hand]` section of a machine file. All keys may be left out.
+/// Parameters of the operator: the `[plant.hand]` section of a machine file. All keys are optional.
 ///
 /// ```
 /// let text = r#"
@@ -49,13 +58,13 @@ use trajectory::{Carried, DesiredMotion, without};
 /// effort_s = 1.2
 /// stop_force_n = 7.0
 /// "#;
-/// let written: haptimill_hil_sim::hand::HandConfig = toml::from_str(text).unwrap();
-/// assert_eq!(written, haptimill_hil_sim::hand::HandConfig::default());
+/// let written: haptimill_hil_sim::operator::OperatorConfig = toml::from_str(text).unwrap();
+/// assert_eq!(written, haptimill_hil_sim::operator::OperatorConfig::default());
 /// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct OperatorConfig {
-    /// Where the handle is held, in the platform's frame, mm.
+    /// Grip position in the platform's frame, mm.
     pub grip_mm: [f64; 3],
     /// Mass of hand and forearm that moves with the handle, kg.
     pub mass_kg: f64,
@@ -63,23 +72,24 @@ pub struct OperatorConfig {
     pub stiffness: f64,
     /// Damping B, N s/mm.
     pub damping: f64,
-    /// Stiffness against turning, N mm/rad.
+    /// Rotational stiffness, N mm/rad.
     pub turn_stiffness: f64,
-    /// Damping against turning, N mm s/rad.
+    /// Rotational damping, N mm s/rad.
     pub turn_damping: f64,
-    /// The hand pushes no harder than this, N.
+    /// Largest force of the hand, N.
     pub force_limit_n: f64,
-    /// The hand turns no harder than this, N mm.
+    /// Largest moment of the hand, N mm.
     pub moment_limit_n_mm: f64,
-    /// Time T_r from what is felt or seen to what is done about it, s.
+    /// Reaction time T_r from feeling or seeing to action, s.
     pub reaction_s: f64,
-    /// Time constant T_s with which felt force is smoothed, s.
+    /// Time constant T_s of the felt force, s.
     pub smoothing_s: f64,
-    /// How many times its stiffness the hand pushes, in the end, against what it sees to be off: G. 0: it does not.
+    /// Final gain G of the visual position correction, in multiples of the stiffness; 0 switches it
+    /// off.
     pub effort_gain: f64,
-    /// Time constant T_e of that, s.
+    /// Time constant T_e of the visual position correction, s.
     pub effort_s: f64,
-    /// Force F_0 along the way that stops the hand, N; infinity: it does not slow down.
+    /// Force F_0 against the motion that stops the hand, N; infinity switches the slowing off.
     pub stop_force_n: f64,
 }
 
@@ -104,10 +114,10 @@ impl Default for OperatorConfig {
 }
 
 impl OperatorConfig {
-    /// Checks everything and gives every problem, not the first alone.
+    /// Checks the whole configuration.
     ///
     /// # Errors
-    /// The list is not empty.
+    /// All problems, not only the first.
     pub fn check(&self) -> Result<(), Vec<PlantError>> {
         let mut check = Check::default();
         let field = |key: &str| format!("hand: {key}");
@@ -135,16 +145,16 @@ impl OperatorConfig {
     }
 }
 
-/// How the handle is, as far as a hand can tell.
+/// State of the handle that the operator perceives.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Handle {
     /// Tip, mm from its home.
     pub tip: Vector,
-    /// How far it is turned from upright, as a rotation vector, rad.
+    /// Rotation from upright, as a rotation vector, rad.
     pub turned: Vector,
 }
 
-/// What was felt and seen at a moment.
+/// Perception at one time.
 #[derive(Debug, Clone, Copy, Default)]
 struct Observation {
     resistance: f64,
@@ -152,25 +162,25 @@ struct Observation {
     turned: Vector,
 }
 
-/// A hand at work.
+/// State of the operator model.
 #[derive(Debug, Clone)]
 pub struct Operator {
     config: OperatorConfig,
     carried: Carried,
     desired: DesiredMotion,
     past: VecDeque<Observation>,
-    /// Felt along the way, N.
+    /// Felt force along the path, N.
     applied: f64,
-    /// Effort and moment of the slow correction.
+    /// Force and moment of the visual correction.
     effort: Vector,
     moment: Vector,
-    /// What it does now, N and N mm.
+    /// Present force and moment, N and N mm.
     force: Vector,
     turning: Vector,
     pace: f64,
 }
 
-/// A vector that is no longer than a length.
+/// Limits the length of a vector.
 fn within(vector: Vector, most: f64) -> Vector {
     let size = length(vector);
     if size > most {
@@ -181,7 +191,8 @@ fn within(vector: Vector, most: f64) -> Vector {
 }
 
 impl Operator {
-    /// A hand that holds the handle where it is; it is asked once every `period_s` seconds. The configuration must have passed its check.
+    /// Creates an operator that holds the handle where it is; the model runs once every `period_s`
+    /// seconds. The configuration must have passed its check.
     pub fn new(config: &OperatorConfig, handle: &Handle, period_s: f64) -> Self {
         let delay = libm::round(config.reaction_s / period_s) as usize;
         let carried = Carried::new(Trajectory::Hold, handle.tip);
@@ -202,32 +213,32 @@ impl Operator {
         }
     }
 
-    /// How it was set up.
+    /// Configuration of the operator.
     pub const fn config(&self) -> &OperatorConfig {
         &self.config
     }
 
-    /// Forms a new intention; it begins where the old one has led. The hand goes on pushing as it does.
+    /// Sets a new trajectory, which starts where the last one has led. The present force continues.
     pub fn set_trajectory(&mut self, trajectory: Trajectory) {
         self.carried = Carried::new(trajectory, self.desired.place);
     }
 
-    /// Says anew what is wanted; nothing comes of it unless the intention is a live one.
+    /// Sets the live target; no effect unless the trajectory is a live one.
     pub const fn live(&mut self, live: Live) {
         self.carried.live(live);
     }
 
-    /// The intention.
+    /// Present trajectory.
     pub const fn trajectory(&self) -> &Trajectory {
         self.carried.trajectory()
     }
 
-    /// What is wanted at the moment.
+    /// Present desired motion.
     pub const fn desired(&self) -> &DesiredMotion {
         &self.desired
     }
 
-    /// Part of its pace that the hand keeps.
+    /// Fraction of its intended speed that the hand keeps.
     pub const fn pace(&self) -> f64 {
         self.pace
     }
@@ -237,7 +248,7 @@ impl Operator {
         self.force
     }
 
-    /// One period: felt, seen, thought.
+    /// Advances perception and trajectory by one period.
     pub fn think(&mut self, handle: &Handle, dt: f64) {
         let off = minus(self.desired.place, handle.tip);
         let now = Observation {
@@ -266,7 +277,9 @@ impl Operator {
         self.moment = within(towards(self.moment, upright), config.moment_limit_n_mm);
     }
 
-    /// Force (N, at the grip) and moment (N mm) on the handle. `place` of the grip from its home and `turned` as they are, with their rates, `later` seconds after the period began.
+    /// Force (N, at the grip) and moment (N mm) on the handle, `later` seconds after the period
+    /// began. `place` is the grip's position from its home, and `turned` the rotation, each with
+    /// its rate.
     pub fn act(
         &mut self,
         (place, velocity): (Vector, Vector),

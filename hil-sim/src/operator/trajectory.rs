@@ -1,24 +1,25 @@
-//! What the person means to do with the handle: a way, and a pace that the person would keep if nothing resisted.
+//! Operator trajectory: a path, and the speed that the operator would keep without resistance.
 //!
-//! Places are those of the tip, in mm from its home, in the axes of the master's base. Times are seconds since the intention was formed. An intention is no trajectory in time:
-//! the pace is slowed by what the hand feels ([`crate::operator`]), so the way takes as long as it takes.
+//! Positions are those of the tip, in mm from its home, in the axes of the master's base. Times are
+//! seconds since the trajectory was set. The path has no fixed timing: the felt force reduces the
+//! speed ([`crate::operator`]).
 
 use crate::vector::{Vector, dot, length, minus, plus, times};
 use core::f64::consts::{PI, TAU};
 use serde::{Deserialize, Serialize};
 
-/// What the person means to do.
+/// Motion that the operator intends.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Trajectory {
-    /// To hold the handle where it is.
+    /// Hold the handle where it is.
     #[default]
     Hold,
-    /// To move it along straight lines, one after the other.
+    /// Move it along straight lines, one after the other.
     Strokes(Vec<Stroke>),
-    /// To lead the ball round along the edge of a reference part.
+    /// Lead the ball along the edge of a reference part.
     Trace(Trace),
-    /// What is said from outside, anew in every period.
+    /// Follow a target that is set externally in every period.
     Live(Live),
 }
 
@@ -26,79 +27,81 @@ pub enum Trajectory {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Stroke {
-    /// Not before this time; a stroke that still goes on is ended first.
+    /// Earliest start, s; a stroke in progress ends first.
     pub at_s: f64,
-    /// Where to.
+    /// End point, mm.
     pub to_mm: [f64; 3],
-    /// The pace without resistance, mm/s.
+    /// Speed without resistance, mm/s.
     pub pace_mm_s: f64,
-    /// Time from standstill to that pace, and back, s.
+    /// Time from standstill to that speed, and back, s.
     pub ramp_s: f64,
 }
 
-/// Once (or more) round the edge of a part, pressing lightly against it.
+/// One or more rounds along the edge of a part, with a light contact force.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Trace {
-    /// Not before this time; until then the hand holds.
+    /// Earliest start, s; the hand holds until then.
     pub at_s: f64,
-    /// The middle, x and y.
+    /// Centre of the path, x and y, mm.
     pub centre_mm: [f64; 2],
-    /// Radius that the hand has in mind: what its place along the edge is told by. The part decides the real one.
+    /// Radius that converts the position along the edge to an angle, mm. The part determines the
+    /// real radius.
     pub radius_mm: f64,
-    /// Turns, counter-clockwise as seen from above; negative the other way round.
+    /// Number of rounds, counter-clockwise as seen from above; negative is clockwise.
     pub turns: f64,
-    /// The pace without resistance, mm/s.
+    /// Speed without resistance, mm/s.
     pub pace_mm_s: f64,
-    /// Time from standstill to that pace, and back, s.
+    /// Time from standstill to that speed, and back, s.
     pub ramp_s: f64,
-    /// How hard the hand presses away from the middle (negative: towards it), N.
+    /// Contact force away from the centre, N; negative is towards it.
     pub press_n: f64,
 }
 
-/// Where somebody outside wants the tip at this moment.
+/// Externally set target of the tip.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Live {
-    /// The place.
+    /// Position, mm.
     pub place_mm: [f64; 3],
-    /// How fast it moves, mm/s.
+    /// Velocity of the position, mm/s.
     pub velocity_mm_s: [f64; 3],
-    /// The button on the handle is held.
+    /// The enabling switch on the handle is pressed.
     pub engaged: bool,
 }
 
-/// What the person wants at a moment.
+/// Desired motion at one time.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct DesiredMotion {
-    /// Place of the tip from home, mm.
+    /// Position of the tip from home, mm.
     pub place: Vector,
-    /// Velocity of that place, mm/s.
+    /// Velocity of that position, mm/s.
     pub velocity: Vector,
-    /// Unit vector of the way; 0 at rest.
+    /// Unit vector of the path; 0 at standstill.
     pub along: Vector,
-    /// A direction in which the hand presses instead of minding the place, and the force in it, N.
+    /// Direction in which the hand controls the force instead of the position, and that force, N.
     pub press: Option<(Vector, f64)>,
-    /// The way that was meant is done.
+    /// The trajectory is complete.
     pub done: bool,
 }
 
-/// An intention while it is carried out.
+/// A trajectory in progress.
 #[derive(Debug, Clone)]
 pub struct Carried {
     trajectory: Trajectory,
     time: f64,
-    /// Strokes that are done.
+    /// Number of completed strokes.
     index: usize,
-    /// Where the wish stands.
+    /// Desired position, mm.
     place: Vector,
     speed: f64,
-    /// Angle at which a trace began, and how far it has come, rad.
+    /// Start angle of a trace, and angle covered so far, rad.
     angle: f64,
     turned: f64,
 }
 
-/// Speed for the remaining way: no more than `limit`, slow enough to stop in time, changed by no more than the acceleration allows.
+/// Speed for the remaining path: at most `limit`, slow enough to stop in time, and within the
+/// acceleration limit.
 fn paced(speed: f64, limit: f64, remaining: f64, acceleration: f64, dt: f64) -> f64 {
     let stopping = libm::sqrt(2.0 * acceleration * remaining);
     let change = acceleration * dt;
@@ -106,7 +109,7 @@ fn paced(speed: f64, limit: f64, remaining: f64, acceleration: f64, dt: f64) -> 
 }
 
 impl Carried {
-    /// An intention formed with the tip at a place.
+    /// Starts a trajectory with the tip at a position.
     pub fn new(trajectory: Trajectory, tip: Vector) -> Self {
         let angle = match &trajectory {
             Trajectory::Trace(trace) => {
@@ -125,19 +128,20 @@ impl Carried {
         }
     }
 
-    /// The intention.
+    /// The trajectory.
     pub const fn trajectory(&self) -> &Trajectory {
         &self.trajectory
     }
 
-    /// Says anew what is wanted, when the intention is a live one.
+    /// Sets the target of a live trajectory; no effect on others.
     pub const fn live(&mut self, live: Live) {
         if let Trajectory::Live(said) = &mut self.trajectory {
             *said = live;
         }
     }
 
-    /// One period of `dt` seconds: `pace` of the speed is kept (1 all, 0 none), the tip is at `tip`.
+    /// Advances by one period of `dt` seconds. `pace` is the fraction of the speed that is kept (1
+    /// all, 0 none); the tip is at `tip`.
     pub fn advance(&mut self, dt: f64, pace: f64, tip: Vector) -> DesiredMotion {
         self.time += dt;
         let still = DesiredMotion {
@@ -228,13 +232,13 @@ impl Carried {
         }
     }
 
-    /// How far a trace has come, degrees.
+    /// Angle that a trace has covered, degrees.
     pub fn turned_deg(&self) -> f64 {
         self.turned * 180.0 / PI
     }
 }
 
-/// What is left of a vector without its part along a unit vector.
+/// Part of a vector perpendicular to a unit vector.
 pub(super) fn without(vector: Vector, unit: Vector) -> Vector {
     minus(vector, times(unit, dot(vector, unit)))
 }

@@ -1,14 +1,15 @@
-//! An edge at a node of the cutter: how thick its chip is, whether there is material, and with what force it cuts.
+//! One cutting edge at a node of the cutter: chip thickness, contact with the material, and cutting
+//! force. Units: mm, N.
 
 use crate::process::cutter::Node;
 use crate::process::tooth_path::PASSES;
 use crate::process::workpiece::Workpiece;
 use crate::vector::{Vector, dot};
 
-/// Thinner than this is no chip, mm.
+/// Smallest chip thickness, mm; a thinner chip counts as none.
 pub(super) const NO_CHIP: f64 = 1e-9;
 
-/// The axes of the tool in the frame of the table: x and y across, z along.
+/// Axes of the tool in the frame of the table: x and y across the tool, z along it.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Frame {
     pub(super) x: Vector,
@@ -17,7 +18,8 @@ pub(super) struct Frame {
 }
 
 impl Frame {
-    /// x lies above the table's x; upright it is the frame of the table.
+    /// Frame of a tool with this axis. Its x lies above the table's x; for an upright tool it is
+    /// the frame of the table.
     pub(super) fn of(axis: Vector) -> Self {
         let across = (axis[1] * axis[1] + axis[2] * axis[2]).sqrt();
         let (j, k) = (axis[1] / across, axis[2] / across);
@@ -40,34 +42,35 @@ impl Frame {
     }
 }
 
-/// What the edges see in a step.
+/// State of tool and workpiece in a step, as the edges use it.
 pub(super) struct View<'a> {
     pub(super) workpiece: &'a Workpiece,
     pub(super) frame: Frame,
     pub(super) centre: Vector,
     /// Travel of the ball since earlier passes, in the frame of the tool.
     pub(super) passes: [Vector; PASSES],
-    /// How many of `passes` count.
+    /// Number of valid entries of `passes`.
     pub(super) count: usize,
-    /// Thickest chip.
+    /// Largest chip thickness, mm.
     pub(super) thickest: f64,
-    /// Direction of travel in the frame of the table; 0 when there is none.
+    /// Unit vector of the travel in the frame of the table; 0 without travel.
     pub(super) heading: Vector,
-    /// How far the map lags behind the tool, mm.
+    /// Distance by which the map lags behind the tool, mm.
     pub(super) lag: f64,
 }
 
-/// An edge at a node.
+/// Contact of an edge at a node.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Touch {
-    /// Chip thickness, mm; 0 and below when the earlier passes left nothing.
+    /// Chip thickness, mm; 0 or negative when the earlier passes left no material.
     pub(super) chip: f64,
-    /// Depth below the map, mm, less what the map may be wrong by; 0 when it was not looked at.
+    /// Depth below the map, mm, minus the map's tolerance; 0 when it was not computed.
     pub(super) depth: f64,
 }
 
 impl View<'_> {
-    /// Distance along the normal (frame of the tool) to what the remembered passes left, mm; without a chip, the first that says so.
+    /// Distance along the normal (frame of the tool) to the surface that the remembered passes
+    /// left, mm. Returns the first value below [`NO_CHIP`], if there is one.
     #[inline(always)]
     fn left_by_passes(&self, normal: Vector) -> f64 {
         let mut thinnest = self.thickest;
@@ -81,7 +84,8 @@ impl View<'_> {
         thinnest
     }
 
-    /// Looks at a node that stands out by `normal` from the axis of the tool, `behind` mm within the envelope of the edges.
+    /// Computes the contact at a node in the direction `radial` from the tool axis, `behind` mm
+    /// inside the envelope of the edges.
     #[inline(always)]
     pub(super) fn touch(&self, node: &Node, radial: [f64; 2], behind: f64) -> Touch {
         let normal = [
@@ -112,11 +116,12 @@ impl View<'_> {
             };
         }
         let depth = self.workpiece.height(x, y) - z;
-        // Deep under any surface but a wall, the chip is whole; a wall is not known to its thickness anyway.
+        // Deep in the material the chip has its full thickness. At a wall the map cannot resolve
+        // the thickness.
         if depth <= 0.0 || depth > 4.0 * chip {
             return Touch { chip, depth };
         }
-        // The far side of the chip: when it is in the air, the surface lies between.
+        // Far side of the chip: if it is in the air, the surface lies between the two sides.
         let (x, y, z) = (
             x - chip * normal[0],
             y - chip * normal[1],
@@ -136,18 +141,19 @@ impl View<'_> {
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Edge {
     pub(super) touch: Touch,
-    /// There is a chip.
+    /// The edge has a chip.
     pub(super) cuts: bool,
     /// Chip thickness times radius, mm^2.
     pub(super) arm: f64,
-    /// Per mm of chip width.
+    /// Cutting force per mm of chip width.
     pub(super) cutting: Vector,
-    /// Per mm of edge, at its full size.
+    /// Edge force per mm of edge, at its full size.
     pub(super) edge: Vector,
 }
 
 impl Edge {
-    /// How much of the slice between two nodes counts with the force at the lower and at the upper, and how much of that the edge force has.
+    /// Weights of a slice between two nodes: share with the force at the lower node, share with the
+    /// force at the upper node, and factor of the edge force.
     #[inline(always)]
     pub(super) fn parts(&self, upper: &Self, onset: f64) -> (f64, f64, f64) {
         let (inside, outside) = match (self.cuts, upper.cuts) {
@@ -156,7 +162,8 @@ impl Edge {
             _ => return (0.5, 0.5, eased(self.touch.chip, upper.touch.chip, onset)),
         };
         let (share, edge) = if outside.chip < NO_CHIP {
-            // The chip runs out within the slice: half of it on average, but the edge has all its length.
+            // The chip ends within the slice. Its mean thickness is half of that at the node, and
+            // the edge force acts on the whole length that cuts.
             let share = inside.chip / (inside.chip - outside.chip);
             (0.5 * share, 2.0 * eased(0.0, inside.chip, onset))
         } else {
@@ -172,7 +179,8 @@ impl Edge {
     }
 }
 
-/// Mean over chips between two thicknesses of how much of the edge force is there: it grows with the chip up to `onset`.
+/// Mean factor of the edge force over chips between two thicknesses. The factor rises linearly with
+/// the chip thickness up to `onset`.
 #[inline(always)]
 fn eased(a: f64, b: f64, onset: f64) -> f64 {
     let (low, high) = if a < b { (a, b) } else { (b, a) };
@@ -192,7 +200,8 @@ fn eased(a: f64, b: f64, onset: f64) -> f64 {
     (sum(high) - sum(low)) / (high - low)
 }
 
-/// Radial, tangential and axial parts, times `size`, as a force on the tool in its frame (the matrix of docs/control.md 5.1).
+/// Force on the tool in its frame from radial, tangential and axial parts times `size` (the matrix
+/// of docs/control.md 5.1).
 #[inline(always)]
 pub(super) fn rotated(node: &Node, radial: [f64; 2], parts: Vector, size: f64) -> Vector {
     let [r, t, a] = parts;

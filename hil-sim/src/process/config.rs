@@ -1,6 +1,7 @@
-//! What the cut is made of: cutter, material, workpiece, spindle.
+//! Configuration of the cut: cutter, material, workpiece, spindle.
 //!
-//! Lengths in mm, angles in degrees, forces in N. All places are in the frame of the table (x_w, y_w, z_w), z away from the table.
+//! Lengths in mm, angles in degrees, forces in N. All positions are in the frame of the table (x_w,
+//! y_w, z_w); z points away from the table.
 
 use crate::check::{Check, PlantError};
 use core::fmt;
@@ -8,7 +9,8 @@ use serde::de::value::MapAccessDeserializer;
 use serde::de::{Error, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 
-/// What the material resists with: the six coefficients of Altintas and Lee (docs/control.md 5.1).
+/// Cutting force coefficients of a material: the six coefficients of Altintas and Lee
+/// (docs/control.md 5.1).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Coefficients {
@@ -16,7 +18,7 @@ pub struct Coefficients {
     pub tangential: f64,
     /// Radial cutting coefficient K_rc, N/mm^2.
     pub radial: f64,
-    /// Axial cutting coefficient K_ac, N/mm^2; along the meridian of the ball, towards its tip.
+    /// Axial cutting coefficient K_ac, N/mm^2, along the meridian of the ball, towards its tip.
     pub axial: f64,
     /// Tangential edge coefficient K_te, N/mm.
     pub tangential_edge: f64,
@@ -48,7 +50,7 @@ impl Coefficients {
     };
 }
 
-/// Reads a material: the name of a preset, or the six numbers.
+/// Parses a material: the name of a preset, or the six numbers.
 fn material<'de, D: Deserializer<'de>>(from: D) -> Result<Coefficients, D::Error> {
     struct Material;
     impl<'de> Visitor<'de> for Material {
@@ -73,40 +75,46 @@ fn material<'de, D: Deserializer<'de>>(from: D) -> Result<Coefficients, D::Error
     from.deserialize_any(Material)
 }
 
-/// A ball-end mill, and what happens to the part of it that does not cut.
+/// A ball-end mill, and the contact of the part of it that does not cut.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CutterConfig {
-    /// Radius of the ball and of the shank R_0. 0.5 to 25.
+    /// Radius R_0 of the ball and of the shank, mm. 0.5 to 25.
     pub radius_mm: f64,
-    /// Helix angle i_0 where ball and shank meet; 0 is a straight flute. 0 to 60.
+    /// Helix angle i_0 at the transition from ball to shank, degrees; 0 is a straight flute. 0 to
+    /// 60.
     pub helix_deg: f64,
-    /// Teeth N_f, evenly spaced. 1 to 8.
+    /// Number of teeth N_f, evenly spaced. 1 to 8.
     pub teeth: usize,
-    /// Height of the flutes above the tip; at least the radius.
+    /// Height of the flutes above the tip, mm; at least the radius.
     pub flute_length_mm: f64,
-    /// Slices of the ball from tip to equator, of equal angle; the shank is sliced as finely. 4 to 128.
+    /// Slices of the ball from tip to equator, of equal angle; the slices of the shank are equally
+    /// fine. 4 to 128.
     pub slices: usize,
-    /// The material; in a machine file `material`, by the name of a preset ("P1", "P2") or the six numbers.
+    /// Material; in a machine file `material`, by the name of a preset ("P1", "P2") or the six
+    /// numbers.
     #[serde(rename = "material", deserialize_with = "material")]
     pub coefficients: Coefficients,
-    /// All forces of the cut are multiplied by this.
+    /// Factor on all forces of the cut.
     pub force_scale: f64,
-    /// The edge force grows from nothing to its full size while the chip grows to this thickness. An edge that only touches does not press
-    /// with its full force: without this, a tool that stands still would switch it on and off with the last bit of its place.
+    /// Chip thickness at which the edge force reaches its full size, mm; it rises linearly from
+    /// zero. Without this onset, rounding errors of the position of a stationary tool would switch
+    /// the edge force on and off.
     pub edge_onset_mm: f64,
-    /// How far the body of the cutter lies behind its edges. Deeper than this between two teeth, and the body presses on the material:
-    /// the spindle stands still while the tool is fed, or the feed is far too fast.
+    /// Distance of the cutter's body behind its edges, mm. When the material reaches deeper than
+    /// this between two teeth, the body presses on it: the spindle stands still while the tool is
+    /// fed, or the feed is far too fast.
     pub relief_mm: f64,
-    /// Pressure of the body on the material for each mm of depth, N/mm^3.
+    /// Pressure of the body on the material per mm of depth, N/mm^3.
     pub body_stiffness: f64,
-    /// The material yields at this pressure, N/mm^2.
+    /// Yield pressure of the material, N/mm^2.
     pub body_pressure: f64,
 }
 
 impl Default for CutterConfig {
-    /// The mill of the experiments: 8 mm ball, 2 flutes; helix 30 degrees and coefficients P1 are estimates of docs/control.md 5.2. Relief and body
-    /// are estimates for polyethylene (modulus some 800 N/mm^2, strained over about two radii of the ball; hardness 60 N/mm^2).
+    /// The mill of the experiments: 8 mm ball, 2 flutes. Helix 30 degrees and coefficients P1 are
+    /// estimates of docs/control.md 5.2. Relief and body are estimates for polyethylene (modulus
+    /// some 800 N/mm^2, strained over about two radii of the ball; hardness 60 N/mm^2).
     fn default() -> Self {
         Self {
             radius_mm: 4.0,
@@ -124,7 +132,7 @@ impl Default for CutterConfig {
     }
 }
 
-/// A rectangle of the table, mm.
+/// A rectangle in x and y of the table's frame, mm.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Area {
@@ -139,7 +147,7 @@ pub struct Area {
 }
 
 impl Area {
-    /// Whether a point lies in it.
+    /// Returns whether the area contains a point.
     #[inline]
     pub fn contains(&self, x: f64, y: f64) -> bool {
         x >= self.x_min && x <= self.x_max && y >= self.y_min && y <= self.y_max
@@ -150,24 +158,26 @@ impl Area {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct WorkpieceConfig {
-    /// Where there is material.
+    /// Area of the material.
     pub stock: Area,
-    /// Where the cut surface is kept. Outside of it the stock counts as uncut for ever; see [`crate::process::Workpiece::missed`].
+    /// Area in which the cut surface is recorded. Outside of it the stock always counts as uncut;
+    /// see [`crate::process::Workpiece::missed`].
     pub map: Area,
-    /// Distance of the points of the map. 0.01 to 1.
+    /// Grid spacing of the map, mm. 0.01 to 1.
     pub cell_mm: f64,
-    /// Height of the top at x = y = 0.
+    /// Height of the top at x = y = 0, mm.
     pub top_mm: f64,
-    /// The top rises towards +x by this angle; negative towards -x.
+    /// Angle by which the top rises towards +x, degrees; negative towards -x.
     pub rise_x_deg: f64,
-    /// The top rises towards +y by this angle.
+    /// Angle by which the top rises towards +y, degrees.
     pub rise_y_deg: f64,
-    /// Height of the underside: there is nothing to cut below it.
+    /// Height of the underside, mm; there is no material below it.
     pub bottom_mm: f64,
 }
 
 impl Default for WorkpieceConfig {
-    /// A flat block of 140 x 120 x 30 mm, its top at height 0; the map covers the slot, the pocket and the circle of the experiments.
+    /// A flat block of 140 x 120 x 30 mm with its top at height 0. The map covers the slot, the
+    /// pocket and the circle of the experiments.
     fn default() -> Self {
         Self {
             stock: Area {
@@ -191,11 +201,11 @@ impl Default for WorkpieceConfig {
     }
 }
 
-/// The spindle, as a speed that follows its command.
+/// Spindle with a first-order lag of its speed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SpindleConfig {
-    /// Time constant with which the speed follows, seconds; 0 is at once.
+    /// Time constant of the speed, seconds; 0 is immediate.
     pub run_up_s: f64,
 }
 
@@ -205,7 +215,7 @@ impl Default for SpindleConfig {
     }
 }
 
-/// Everything that [`crate::process::Cutting`] needs.
+/// Configuration of [`crate::process::Cutting`].
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct CuttingConfig {
     /// The cutter.
@@ -215,10 +225,10 @@ pub struct CuttingConfig {
 }
 
 impl CuttingConfig {
-    /// Checks everything and gives every problem.
+    /// Checks the whole configuration.
     ///
     /// # Errors
-    /// The list is not empty.
+    /// All problems.
     pub fn check(&self) -> Result<(), Vec<PlantError>> {
         let mut check = Check::default();
         self.cutter.check(&mut check);
@@ -228,7 +238,7 @@ impl CuttingConfig {
 }
 
 impl CutterConfig {
-    /// Every problem of the cutter alone.
+    /// All problems of the cutter alone.
     pub(crate) fn problems(&self) -> Vec<PlantError> {
         let mut check = Check::default();
         self.check(&mut check);
@@ -312,10 +322,10 @@ impl WorkpieceConfig {
 }
 
 impl SpindleConfig {
-    /// Checks everything.
+    /// Checks the whole configuration.
     ///
     /// # Errors
-    /// Every problem.
+    /// All problems.
     pub fn check(&self) -> Result<(), Vec<PlantError>> {
         let mut check = Check::default();
         check.within("spindle: run_up_s".into(), self.run_up_s, 0.0, 60.0);

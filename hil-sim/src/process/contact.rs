@@ -1,30 +1,32 @@
-//! An elastic body that is touched and not cut: for sweeps over the stiffness of a contact.
+//! An elastic body that the tool touches without cutting, for sweeps over the contact stiffness.
 
 use crate::check::{Check, PlantError};
 use crate::process::ToolPose;
 use crate::vector::Vector;
 
-/// An elastic half space with a plane face.
+/// Elastic half space with a plane face.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ElasticWall {
-    /// A point of the face at rest, mm.
+    /// A point of the undeformed face, mm.
     pub point: Vector,
     /// Unit vector out of the body, towards the tool.
     pub normal: Vector,
     /// Stiffness k_e, N/mm.
     pub stiffness: f64,
-    /// Damping, N s/mm; it only acts while the face is pressed, and never pulls. The force is held for a control period T, which feeds a swinging
-    /// tool like a damping of -k_e T / 2; a wall that shall neither feed nor take has that much of its own (0.1 N s/mm at 1000 N/mm and 200 us).
+    /// Damping, N s/mm. It acts only while the face is pressed, and the contact force never pulls.
+    /// The force is held for a control period T, which adds energy to an oscillating tool like a
+    /// damping of -k_e T / 2. A wall that neither adds nor removes energy has that much damping
+    /// (0.1 N s/mm at 1000 N/mm and 200 us).
     pub damping: f64,
-    /// Radius of the ball that touches, mm; 0 is the tip alone.
+    /// Radius of the touching ball, mm; 0 for a point contact at the tip.
     pub radius: f64,
 }
 
 impl ElasticWall {
-    /// Checks everything.
+    /// Checks the whole configuration.
     ///
     /// # Errors
-    /// Every problem.
+    /// All problems.
     pub fn check(&self) -> Result<(), Vec<PlantError>> {
         let mut check = Check::default();
         let mut square = 0.0;
@@ -44,7 +46,8 @@ impl ElasticWall {
         check.done()
     }
 
-    /// How deep the tool is in the face, mm; negative in the air. `pose` must be the tool's in the same frame.
+    /// Penetration of the tool, mm; negative in the air. `pose` must be in the same frame as the
+    /// wall.
     pub fn depth(&self, pose: &ToolPose) -> f64 {
         let mut outside = -self.radius;
         for i in 0..3 {
@@ -54,7 +57,7 @@ impl ElasticWall {
         -outside
     }
 
-    /// Force on the tool, N, for its velocity (mm/s).
+    /// Force on the tool, N, for a tool velocity in mm/s.
     pub fn force(&self, pose: &ToolPose, velocity: Vector) -> Vector {
         let depth = self.depth(pose);
         if depth <= 0.0 {

@@ -1,9 +1,11 @@
-//! The ball-end mill of Altintas and Lee (docs/control.md 5.1), cut into slices and made ready for the inner loop.
+//! The ball-end mill of Altintas and Lee (docs/control.md 5.1), divided into slices for the inner
+//! loop.
 //!
-//! The meridian of the ball is divided into equal angles kappa from the tip to the equator, the shank above it into equal heights. A *node*
-//! stands on each boundary; a *slice* lies between two nodes. In kappa the formulas of the spec are smooth down to the tip: with
-//! z = R_0 (1 - cos kappa) and psi = z tan(i_0) / R_0 they become db = dz / sin kappa = R_0 d kappa and
-//! dS = R_0 sqrt(1 + tan^2 i_0 sin^4 kappa) d kappa; on the shank db = dz and dS = dz / cos i_0.
+//! The meridian of the ball is divided into equal angles kappa from the tip to the equator, and the
+//! shank above it into equal heights. A *node* is a boundary; a *slice* lies between two nodes. In
+//! kappa the formulas are smooth down to the tip: with z = R_0 (1 - cos kappa) and psi = z tan(i_0)
+//! / R_0 they become db = dz / sin kappa = R_0 d kappa and dS = R_0 sqrt(1 + tan^2 i_0 sin^4 kappa)
+//! d kappa. On the shank db = dz and dS = dz / cos i_0.
 
 use crate::process::config::CutterConfig;
 
@@ -22,7 +24,7 @@ pub struct Node {
     pub radius: f64,
     /// Height above the ball's centre, mm; negative on the ball.
     pub height: f64,
-    /// What the workpiece's map may be wrong by here, along the normal, mm.
+    /// Tolerance of the workpiece's map at this node, along the normal, mm.
     pub tolerance: f64,
 }
 
@@ -35,7 +37,7 @@ pub struct Slice {
     pub edge: f64,
 }
 
-/// A cutter, sliced.
+/// A cutter, divided into slices.
 #[derive(Debug, Clone)]
 pub struct Cutter {
     nodes: Vec<Node>,
@@ -43,7 +45,8 @@ pub struct Cutter {
 }
 
 impl Cutter {
-    /// Slices a cutter (its configuration must have passed its check) for a map of this cell size.
+    /// Divides a cutter into slices for a map with grid spacing `cell`, mm. The configuration must
+    /// have passed its check.
     pub fn new(config: &CutterConfig, cell: f64) -> Self {
         let radius = config.radius_mm;
         let tan_helix = libm::tan(config.helix_deg * (core::f64::consts::PI / 180.0));
@@ -68,7 +71,7 @@ impl Cutter {
                 cos_lag,
                 radius: radius * sin_kappa,
                 height,
-                // Beside the shank's wall the map has no slope to go by.
+                // Next to the shank's wall the map has no slope.
                 tolerance: if radius * (1.0 - sin_kappa) > steep {
                     curved / (cos_kappa * cos_kappa)
                 } else {
@@ -76,7 +79,7 @@ impl Cutter {
                 },
             });
             if k < config.slices {
-                // Simpson's rule: the root is so smooth that its error is below 1e-9.
+                // Simpson's rule: the root is smooth enough for an error below 1e-9.
                 let density = |kappa: f64| {
                     let sin = libm::sin(kappa);
                     let turn = tan_helix * sin * sin;
@@ -114,12 +117,12 @@ impl Cutter {
         Self { nodes, slices }
     }
 
-    /// The nodes, from the tip upwards; one more than there are slices.
+    /// Nodes, from the tip upwards; one more than slices.
     pub fn nodes(&self) -> &[Node] {
         &self.nodes
     }
 
-    /// The slices, from the tip upwards.
+    /// Slices, from the tip upwards.
     pub fn slices(&self) -> &[Slice] {
         &self.slices
     }

@@ -1,38 +1,50 @@
-//! Cutting: a ball-end mill, the workpiece that it shapes, and the force between them.
+//! Cutting model: a ball-end mill, the workpiece that it cuts, and the force between them.
 //!
-//! Everything is in the frame of the table (x_w, y_w, z_w; docs/control.md 1.3): mm, N, and the spindle in turns, clockwise as seen from above. The
-//! force is the one **on the tool**, which is what the experiments call F_w; the workpiece feels the opposite.
+//! All values are in the frame of the table (x_w, y_w, z_w; docs/control.md 1.3), in mm and N. The
+//! spindle angle is in turns, clockwise as seen from above. The force is the one **on the tool**,
+//! F_w of the experiments; the force on the workpiece is its opposite.
 //!
-//! # How
+//! # Method
 //!
-//! The edges are divided into slices (module `cutter`). A slice cuts with the forces of Altintas and Lee (docs/control.md 5.1),
+//! The edges are divided into slices (module `cutter`). A slice cuts with the forces of Altintas
+//! and Lee (docs/control.md 5.1),
 //!
 //! ```text
 //! dF_r = K_re dS + K_rc h db     dF_t = K_te dS + K_tc h db     dF_a = K_ae dS + K_ac h db
 //! ```
 //!
-//! where the chip thickness h is the distance, along the normal of the ball, from the edge to what earlier teeth left. Two stores know that:
+//! The chip thickness h is the distance, along the normal of the ball, from the edge to the surface
+//! that earlier teeth left. Two stores describe this surface:
 //!
-//! * *the way of the teeth* of the last [`PASSES`] tooth periods (module `path`): a tooth feeds less than a cell of any map.
-//!   With d the travel of the ball's centre since the tooth before stood at this angle and n the normal, h = d.n; for plain feed that is
-//!   f_t sin(Psi) sin(kappa) of the spec. The thinnest of the remembered passes counts.
-//! * *the map* ([`Workpiece`]) of all that is older. It decides whether there is material at all, and thins the chip where its surface is
-//!   nearer than the pass before: entry, exit, one-sided cuts, inclines, second passes.
+//! * The *tooth path* of the last [`PASSES`] tooth periods (module `tooth_path`), because a tooth
+//!   feeds less than a cell of any map. With d the travel of the ball's centre since the tooth
+//!   before was at this angle and n the normal, h = d.n. For plain feed this is f_t sin(Psi)
+//!   sin(kappa) of docs/control.md 5.1. The smallest value of the remembered passes counts.
+//! * The *map* ([`Workpiece`]) of everything older. It determines whether there is material, and
+//!   reduces the chip where its surface is nearer than the pass before: entry, exit, one-sided
+//!   cuts, inclines, second passes.
 //!
-//! An edge is out of the material when it is above the map; between two nodes the slice is shared in proportion. The map is allowed the error
-//! that its cells make ([`Workpiece`]): a surface that has been cut takes nothing from a second, equal pass.
+//! An edge above the map is out of the material; between two nodes the slice is divided in
+//! proportion. The comparison allows for the error of the map's cells ([`Workpiece`]), so a second,
+//! equal pass over a cut surface removes nothing.
 //!
-//! The body between the edges lies [`CutterConfig::relief_mm`] behind them. It touches nothing while the spindle turns and the feed is sane. When the
-//! spindle stands, the tool is a blunt ball in a bed of springs that yields: the force grows with the way and goes when the tool backs off.
+//! The body between the edges lies [`CutterConfig::relief_mm`] behind them. It touches nothing at
+//! normal spindle speed and feed. When the spindle stands still, the tool acts as a blunt ball on a
+//! yielding elastic bed: the force grows with the travel, and vanishes when the tool retracts.
 //!
 //! # Limits
 //!
-//! The cutter is rigid and runs true. The cut takes no speed from the spindle and knows no temperature. Chip thickness is linear in the
-//! travel up to a quarter of the radius; no chip is thicker. On walls steeper than some 80 degrees the map is blind for 1.5 cells, which is made up for by
-//! looking as far ahead as that takes (at most 6 cells): there the cut begins and ends this much early. The places between two calls of
-//! [`Cutting::step`] are on a straight line, and the force is the one at its end.
+//! * The cutter is rigid and has no run-out.
+//! * The cut does not load the spindle, and has no thermal effect.
+//! * Chip thickness is linear in the travel up to a quarter of the radius, which is its maximum.
+//! * On walls steeper than some 80 degrees the map is unreliable within 1.5 cells. The model looks
+//!   ahead by the distance that compensates this (at most 6 cells), so the cut begins and ends that
+//!   much early.
+//! * The tool moves on a straight line between two calls of [`Cutting::step`]; the force is the one
+//!   at its end.
 //!
-//! Misuse: a step with a jump of the tool sweeps the straight line between; put a tool down in the material with [`Cutting::place`].
+//! A step over a jump of the tool cuts along the straight line between. Callers must use
+//! [`Cutting::place`] to put a tool into the material.
 
 use crate::check::PlantError;
 use crate::process::chip::{Edge, Frame, NO_CHIP, View, rotated};
@@ -43,10 +55,10 @@ use crate::process::tooth_path::{PASSES, ToothPath};
 use crate::process::workpiece::Workpiece;
 use crate::vector::{Vector, dot, minus, plus};
 
-/// Azimuths at which the body is looked at when it touches.
+/// Number of azimuths at which the contact of the body is evaluated.
 const BODY_AZIMUTHS: usize = 24;
 
-/// Where the tool really is, in the frame of the table.
+/// Pose of the tool in the frame of the table.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ToolPose {
     /// Tip of the ball, mm.
@@ -56,7 +68,7 @@ pub struct ToolPose {
 }
 
 impl ToolPose {
-    /// An upright tool.
+    /// Pose of an upright tool.
     pub const fn upright(tip: Vector) -> Self {
         Self {
             tip,
@@ -64,7 +76,7 @@ impl ToolPose {
         }
     }
 
-    /// The tool of a machine that leans by `theta` about y over a table that is turned by `alpha` about x, degrees
+    /// Pose of a tool tilted by `theta` about y over a table at `alpha` about x, degrees
     /// (docs/control.md (3.20)-(3.22)).
     pub fn leaning(tip: Vector, theta: f64, alpha: f64) -> Self {
         if theta == 0.0 && alpha == 0.0 {
@@ -79,7 +91,7 @@ impl ToolPose {
         }
     }
 
-    /// Centre of a ball of this radius.
+    /// Centre of a ball of this radius at the tip.
     fn centre(&self, radius: f64) -> Vector {
         [
             self.tip[0] + radius * self.axis[0],
@@ -89,7 +101,7 @@ impl ToolPose {
     }
 }
 
-/// What a step of the cut gave.
+/// Result of a step of the cut.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Cut {
     /// Force on the tool, N.
@@ -100,7 +112,7 @@ pub struct Cut {
     pub pressed: bool,
 }
 
-/// A cutter in a workpiece.
+/// A cutter and a workpiece.
 #[derive(Debug, Clone)]
 pub struct Cutting {
     config: CutterConfig,
@@ -109,16 +121,16 @@ pub struct Cutting {
     path: ToothPath,
     carver: MaterialRemoval,
     centre: Vector,
-    /// Spindle angle, turns, 0 to 1: of the first tooth's tip from y_w, clockwise.
+    /// Spindle angle, turns, 0 to 1: angle of the first tooth's tip from y_w, clockwise.
     angle: f64,
     chips_mm3: f64,
 }
 
 impl Cutting {
-    /// A tool in the air beside an uncut workpiece.
+    /// Creates a tool in the air beside an uncut workpiece.
     ///
     /// # Errors
-    /// Every problem of the configuration.
+    /// All problems of the configuration.
     pub fn new(config: &CuttingConfig, pose: &ToolPose) -> Result<Self, Vec<PlantError>> {
         config.check()?;
         let radius = config.cutter.radius_mm;
@@ -135,7 +147,7 @@ impl Cutting {
         })
     }
 
-    /// Puts the tool elsewhere, without a way in between; what it finds there is as it is.
+    /// Moves the tool to another pose without cutting on the way.
     pub fn place(&mut self, pose: &ToolPose) {
         self.settle();
         self.centre = pose.centre(self.config.radius_mm);
@@ -143,8 +155,9 @@ impl Cutting {
         self.carver = MaterialRemoval::new(self.config.radius_mm, self.centre);
     }
 
-    /// Takes everything that the tool has passed from the map, whatever is still remembered as passes of teeth. For measuring the surface; when
-    /// the cut goes on after it, the first few teeth find a little less than they should.
+    /// Removes all material that the tool has passed from the map, including the passes that the
+    /// tooth path still holds. Meant for measuring the surface. If the cut continues afterwards,
+    /// the first few teeth cut slightly less than they should.
     pub fn settle(&mut self) {
         for passed in self.path.remembered() {
             self.carver
@@ -155,12 +168,12 @@ impl Cutting {
         self.carver = MaterialRemoval::new(self.config.radius_mm, self.centre);
     }
 
-    /// The workpiece; the last few tooth periods are not in it yet, see [`Cutting::settle`].
+    /// The workpiece. It does not yet include the last few tooth periods; see [`Cutting::settle`].
     pub const fn workpiece(&self) -> &Workpiece {
         &self.workpiece
     }
 
-    /// The cutter, its material, its forces.
+    /// Configuration of the cutter, with its material.
     pub const fn config(&self) -> &CutterConfig {
         &self.config
     }
@@ -170,12 +183,14 @@ impl Cutting {
         self.angle
     }
 
-    /// Volume of all chips, mm^3: chip thickness times width times the way of the edge. Sampled at the steps.
+    /// Volume of all chips, mm^3: chip thickness times width times travel of the edge, sampled at
+    /// the steps.
     pub const fn chips_mm3(&self) -> f64 {
         self.chips_mm3
     }
 
-    /// The tool goes straight to `pose` while the spindle makes `turns` (backwards below 0). Call it once a control period.
+    /// Moves the tool on a straight line to `pose` while the spindle makes `turns` (negative
+    /// backwards). Callers must call it once per control period.
     pub fn step(&mut self, pose: &ToolPose, turns: f64) -> Cut {
         let from = self.centre;
         let to = pose.centre(self.config.radius_mm);
@@ -187,7 +202,7 @@ impl Cutting {
         });
         let angle = self.angle + turns;
         self.angle = angle - angle.floor();
-        // All edges are above all material.
+        // All edges are above the material.
         if to[2] - self.config.radius_mm >= self.workpiece.highest() {
             return Cut::default();
         }
@@ -219,7 +234,7 @@ impl Cutting {
         for pitches in 1..=PASSES {
             let by = minus(self.centre, self.path.ago(pitches));
             let square = dot(by, by);
-            // A ball that stood so far off is described by the map alone.
+            // The map alone describes passes at a larger distance than this.
             if square > thickest * thickest {
                 continue;
             }
@@ -243,20 +258,22 @@ impl Cutting {
         }
     }
 
-    /// The nodes that are not above all material, from the tip up to the first that is.
+    /// Nodes from the tip up to the first one that is above all material.
     fn reaching(&self, view: &View<'_>) -> &[Node] {
         let nodes = self.cutter.nodes();
         let upright = view.frame.z[2];
         let lean = (1.0 - upright * upright).max(0.0).sqrt();
         let room = view.workpiece.highest() - view.centre[2];
-        // The lowest point of a circle rises with the node from where kappa is the lean.
+        // The lowest point of a circle rises with the node from the one where kappa equals the
+        // tilt.
         let above = nodes.iter().position(|node| {
             node.height * upright - node.radius * lean > room && node.sin_kappa >= lean
         });
         &nodes[..above.map_or(nodes.len(), |first| first + 1)]
     }
 
-    /// Force of all edges on the tool in its own frame, whether one is in the material, and the volume of chips per radian, mm^3.
+    /// Force of all edges on the tool in its own frame, whether an edge is in the material, and the
+    /// chip volume per radian, mm^3.
     fn edges(&self, view: &View<'_>) -> (Vector, bool, f64) {
         let material = &self.config.coefficients;
         let nodes = self.reaching(view);
@@ -319,7 +336,7 @@ impl Cutting {
         (force, engaged, volume)
     }
 
-    /// Force of the body on the tool in its own frame, when it may touch.
+    /// Force of the body on the tool in its own frame; `None` if contact is impossible.
     fn body(&self, view: &View<'_>) -> Option<Vector> {
         let relief = self.config.relief_mm;
         if view.count > 0 {

@@ -1,8 +1,11 @@
-//! Measuring what has been cut, as one would on the bench: grooves in a section, extents, circles; and the picture from above.
+//! Surface metrology of the cut workpiece: grooves in a section, extents, circles, and the view
+//! from above.
 //!
-//! An edge is where the surface crosses a depth below the uncut top (`level`, mm), found between the points of the map along straight
-//! lines. A level of two cells or more keeps clear of the corner, which the map rounds off; half a cell is the error to expect there, and a few um
-//! elsewhere. Call [`crate::process::Cutting::settle`] first: the last teeth are not in the map before.
+//! An edge is the point where the surface crosses a depth below the uncut top (`level`, mm), by
+//! linear interpolation between the points of the map. A level of two cells or more avoids the
+//! corner, which the map rounds off; the expected error there is half a cell, and a few um
+//! elsewhere. Callers must call [`crate::process::Cutting::settle`] first, because the map does not
+//! yet include the last teeth.
 
 use crate::process::config::Area;
 use crate::process::workpiece::Workpiece;
@@ -24,52 +27,52 @@ impl Groove {
         self.ends - self.begins
     }
 
-    /// Half way between the edges, mm from the start of the section.
+    /// Midpoint between the edges, mm from the start of the section.
     pub fn middle(&self) -> f64 {
         0.5 * (self.begins + self.ends)
     }
 }
 
-/// A circle through measured points.
+/// A circle fitted to measured points.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Circle {
     /// Centre, mm.
     pub centre: [f64; 2],
     /// Least-squares radius, mm.
     pub radius: f64,
-    /// Largest less smallest distance of a point from the centre, mm: the least-squares roundness.
+    /// Least-squares roundness: largest minus smallest distance of a point from the centre, mm.
     pub roundness: f64,
-    /// Points.
+    /// Number of points.
     pub points: usize,
 }
 
-/// A groove that runs round a centre.
+/// A closed groove around a centre.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Ring {
-    /// Its outer edge.
+    /// Outer edge.
     pub outer: Circle,
-    /// Its inner edge.
+    /// Inner edge.
     pub inner: Circle,
-    /// The line half way between the edges.
+    /// Centre line between the edges.
     pub middle: Circle,
-    /// Size of that line in x, mm, through the centre.
+    /// Extent of the centre line in x through the centre, mm.
     pub extent_x: f64,
-    /// Size of that line in y, mm, through the centre.
+    /// Extent of the centre line in y through the centre, mm.
     pub extent_y: f64,
 }
 
-/// The surface as a picture: heights row by row from low y, each from low x.
+/// Image of the surface: heights row by row from low y, each row from low x.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Picture {
-    /// Where the outer points lie.
+    /// Area that the outer points span.
     pub area: Area,
-    /// Points in x.
+    /// Number of points in x.
     pub columns: usize,
-    /// Points in y.
+    /// Number of points in y.
     pub rows: usize,
     /// Heights, mm.
     pub heights: Vec<f32>,
-    /// Depth below the uncut top, mm, in the same order.
+    /// Depths below the uncut top, mm, in the same order.
     pub depths: Vec<f32>,
 }
 
@@ -79,7 +82,8 @@ impl Workpiece {
         self.original(x, y) - self.height(x, y)
     }
 
-    /// The groove about the deepest point of a section; `None` when nothing there is deeper than `level`.
+    /// Measures the groove around the deepest point of a section; `None` when the section has no
+    /// depth above `level`.
     pub fn groove(&self, from: [f64; 2], to: [f64; 2], level: f64) -> Option<Groove> {
         let way = [to[0] - from[0], to[1] - from[1]];
         let length = (way[0] * way[0] + way[1] * way[1]).sqrt();
@@ -121,14 +125,14 @@ impl Workpiece {
         })
     }
 
-    /// The area in which the surface is deeper than `level`; `None` when it is nowhere.
+    /// Area in which the surface is deeper than `level`; `None` if there is none.
     pub fn extents(&self, level: f64) -> Option<Area> {
         let [columns, rows] = self.size();
         let depth = |column: usize, row: usize| {
             let [x, y] = self.place(column, row);
             self.original(x, y) - f64::from(self.heights()[row * columns + column])
         };
-        // Part of a cell from a point inside to the edge towards a point outside.
+        // Fraction of a cell from a point inside to the edge, towards a point outside.
         let part = |inside: f64, outside: f64| (inside - level) / (inside - outside);
         let mut found: Option<Area> = None;
         for row in 0..rows {
@@ -175,8 +179,8 @@ impl Workpiece {
         found
     }
 
-    /// Measures a groove that runs round, on `rays` lines out of the middle of its extents; `None` when one of them finds no groove with
-    /// an island inside, or there are fewer than 8.
+    /// Measures a closed groove on `rays` lines from the centre of its extents. `None` when a line
+    /// crosses no groove with an island inside, or when `rays` is below 8.
     pub fn ring(&self, level: f64, rays: usize) -> Option<Ring> {
         if rays < 8 {
             return None;
@@ -214,7 +218,8 @@ impl Workpiece {
         })
     }
 
-    /// The surface from above with at most `most` points along its longer side, each the mean of the points of the map that it stands for.
+    /// Image of the surface with at most `most` points along its longer side; each is the mean of
+    /// the map points that it covers.
     pub fn picture(&self, most: usize) -> Picture {
         let [columns, rows] = self.size();
         let block = columns.max(rows).div_ceil(most.max(1));
@@ -247,7 +252,8 @@ impl Workpiece {
     }
 }
 
-/// The circle with the least sum of squared distances to the points (Gauss-Newton from the linear fit); `None` when they lie on a line.
+/// Circle with the least sum of squared distances to the points (Gauss-Newton from the linear fit);
+/// `None` when they lie on a line.
 pub fn circle(points: &[[f64; 2]]) -> Option<Circle> {
     let count = points.len() as f64;
     if points.len() < 3 {
@@ -269,7 +275,8 @@ pub fn circle(points: &[[f64; 2]]) -> Option<Circle> {
             .map(|point| distance(point, &centre))
             .sum::<f64>()
             / count;
-        // Normal equations of the distances in the centre, the radius eliminated: u is the unit vector to a point, less the mean of all.
+        // Normal equations of the distances in the centre, with the radius eliminated: u is the
+        // unit vector to a point minus the mean of all.
         let unit = |point: &[f64; 2]| {
             let length = distance(point, &centre).max(1e-12);
             [

@@ -1,10 +1,12 @@
-//! What happens at the tool: spindle, cut or contact, the structure that gives way, and the sensor that feels it.
+//! The process at the tool: spindle, cut or contact, elastic structure, and force sensor.
 //!
-//! Once every control period [`Process::step`] takes where the slides hold the tool and gives the force on it, which acts for the whole period that
-//! follows. The deflection of the structure is that of the force before: at 200 us its own time constant is what counts (see
+//! [`Process::step`] is called once per control period. It takes the tool pose from the slides and
+//! returns the force on the tool, which acts during the following period. The structure deflects
+//! under the force of the period before; at 200 us its own time constant dominates (see
 //! [`crate::process::structure`]).
 //!
-//! All parts but the spindle may be missing. Frames and signs are those of [`crate::process`]: the frame of the table, and the force on the tool.
+//! All parts but the spindle are optional. Values are in the frame of the table, and the force is
+//! the one on the tool (see [`crate::process::cutting`]).
 
 mod chip;
 pub mod config;
@@ -34,26 +36,26 @@ use crate::random::Random;
 use crate::vector::Vector;
 use crate::vector::plus;
 
-/// What there is at the tool.
+/// Configuration of the process at the tool.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct ProcessConfig {
-    /// The spindle.
+    /// Spindle.
     pub spindle: SpindleConfig,
     /// Cutter and workpiece.
     pub cutting: Option<CuttingConfig>,
-    /// An elastic body beside (or instead of) the workpiece.
+    /// Elastic body beside (or instead of) the workpiece.
     pub wall: Option<ElasticWall>,
-    /// The structure; without it the tool is where the slides hold it.
+    /// Structure; without it the arm is rigid.
     pub structure: Option<StructureConfig>,
-    /// The sensor.
+    /// Force sensor.
     pub sensor: Option<SensorConfig>,
 }
 
 impl ProcessConfig {
-    /// Checks everything and gives every problem.
+    /// Checks the whole configuration.
     ///
     /// # Errors
-    /// The list is not empty.
+    /// All problems.
     pub fn check(&self) -> Result<(), Vec<PlantError>> {
         let mut problems = Vec::new();
         let mut gather = |result: Result<(), Vec<PlantError>>| {
@@ -78,7 +80,7 @@ impl ProcessConfig {
     }
 }
 
-/// What happens at the tool.
+/// The process at the tool.
 #[derive(Debug, Clone)]
 pub struct Process {
     period_s: f64,
@@ -92,20 +94,20 @@ pub struct Process {
     force: Vector,
 }
 
-/// What a period at the tool gave.
+/// Result of one control period.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ProcessResult {
-    /// Where the tip really is, mm.
+    /// Position of the tip, including the deflection of the structure, mm.
     pub tip: Vector,
     /// Force on the tool, N.
     pub force: Vector,
 }
 
 impl Process {
-    /// Puts the parts around a tool that stands in the air; `period_s` is the control period.
+    /// Creates the process around a tool in the air; `period_s` is the control period.
     ///
     /// # Errors
-    /// Every problem of the configuration.
+    /// All problems of the configuration.
     pub fn new(
         config: &ProcessConfig,
         period_s: f64,
@@ -135,7 +137,8 @@ impl Process {
         })
     }
 
-    /// One period: the slides hold the tool at `pose`, the table is turned by `alpha` degrees, the spindle is told `rpm`.
+    /// Advances by one period, with the tool pose from the slides, the table at `alpha` degrees and
+    /// the spindle command `rpm` (rev/min).
     pub fn step(&mut self, pose: &ToolPose, alpha: f64, rpm: f64) -> ProcessResult {
         let mut pose = *pose;
         if let Some(structure) = &self.structure {
@@ -166,7 +169,7 @@ impl Process {
         }
     }
 
-    /// The height above the tip at which the force acts: the centre of the ball.
+    /// Height above the tip at which the force acts, mm: the centre of the ball.
     pub fn force_height(&self) -> f64 {
         match (&self.cutting, &self.wall) {
             (Some(cutting), _) => cutting.config().radius_mm,
@@ -175,7 +178,7 @@ impl Process {
         }
     }
 
-    /// What the cut gave in the last period.
+    /// Result of the cut in the last period.
     pub const fn cut(&self) -> &Cut {
         &self.cut
     }
@@ -190,7 +193,7 @@ impl Process {
         &self.spindle
     }
 
-    /// The spindle, to be meddled with.
+    /// The spindle, with mutable access for fault injection.
     pub const fn spindle_mut(&mut self) -> &mut Spindle {
         &mut self.spindle
     }
@@ -200,15 +203,16 @@ impl Process {
         self.cutting.as_ref()
     }
 
-    /// Cutter and workpiece, to be settled or moved.
+    /// Cutter and workpiece, with mutable access.
     pub const fn cutting_mut(&mut self) -> Option<&mut Cutting> {
         self.cutting.as_mut()
     }
 
-    /// Clamps a work on the table, with the tool where it stands; what was there before is taken away. Spindle, structure and sensor stay as they are.
+    /// Clamps a workpiece on the table and replaces the one before. The tool keeps its pose.
+    /// Spindle, structure and sensor do not change.
     ///
     /// # Errors
-    /// Every problem of the configuration.
+    /// All problems of the configuration.
     pub fn clamp(
         &mut self,
         config: &CuttingConfig,
@@ -218,7 +222,7 @@ impl Process {
         Ok(())
     }
 
-    /// Puts an elastic body beside the tool, or takes it away.
+    /// Sets or removes the elastic body beside the tool.
     pub fn set_wall(&mut self, wall: Option<ElasticWall>) {
         self.wall = wall;
     }
@@ -233,7 +237,7 @@ impl Process {
         self.sensor.as_ref()
     }
 
-    /// The sensor, to be reset or spoilt.
+    /// The sensor, with mutable access for resets and fault injection.
     pub const fn sensor_mut(&mut self) -> Option<&mut Sensor> {
         self.sensor.as_mut()
     }

@@ -1,42 +1,45 @@
-//! Cutting a way into a workpiece with as few sweeps as it needs.
+//! Material removal along the tool path with a small number of sweeps.
 //!
-//! Places come in at short intervals. They are gathered into stretches of 0.2 mm; a stretch is cut in one straight sweep, or in two with the corner at the
-//! place that lies furthest aside, when that is more than 1 um. On a circle of 15 mm radius one sweep leaves 0.3 um of the arc.
+//! Positions arrive at short intervals and are collected into stretches of 0.2 mm. A stretch is cut
+//! in one straight sweep. If a position deviates by more than 1 um from it, the stretch is cut in
+//! two sweeps with the corner at the position that deviates most. On a circle of 15 mm radius one
+//! sweep deviates by 0.3 um from the arc.
 //!
-//! A stretch is cut when the next one is whole, so that the map ends some cells behind the tool: between its points it rounds off the rim of a
-//! fresh cut, and the edges must not see that. When the tool has come back by 2 um behind the latest place, everything is cut at once, for then
-//! it comes to where it was.
+//! A stretch is cut when the next one is complete, so that the cut in the map ends some cells
+//! behind the tool. Between its points the map rounds off the rim of a fresh cut, and the edges
+//! must not see this. When the tool moves back by 2 um behind the latest position, all stretches
+//! are cut at once, because the tool returns to where it was.
 
 use crate::process::tooth_path::Passed;
 use crate::process::workpiece::Workpiece;
 use crate::vector::{Vector, dot, minus};
 
-/// A stretch is whole when it reaches this far, mm.
+/// Length of a complete stretch, mm.
 const LONGEST: f64 = 0.2;
 
-/// Places nearer to each other than this are one, mm.
+/// Positions nearer to each other than this count as one, mm.
 const SAME: f64 = 0.0002;
 
-/// A place may lie this far off the sweep, mm.
+/// Largest deviation of a position from the sweep, mm.
 const ASIDE: f64 = 0.001;
 
-/// Sweeps in one stretch at most.
+/// Largest number of sweeps per stretch.
 const PIECES: usize = 2;
 
-/// How far the way may turn back, mm.
+/// Largest backward motion without an immediate cut, mm.
 const BACK: f64 = 0.002;
 
-/// The way that is cut.
+/// Tool path that is being cut.
 #[derive(Debug, Clone)]
 pub struct MaterialRemoval {
     radius: f64,
-    /// The stretch that waits, from where the workpiece is cut up to.
+    /// Waiting stretch; it starts where the last cut ended.
     waiting: Vec<Vector>,
-    /// The stretch that is gathered; it begins where the other ends.
+    /// Stretch that is being collected; it starts at the end of the waiting one.
     present: Vec<Vector>,
-    /// Latest place.
+    /// Latest position.
     end: Vector,
-    /// Furthest from where the workpiece is cut up to, mm.
+    /// Largest distance from the end of the last cut, mm.
     furthest: f64,
 }
 
@@ -46,7 +49,7 @@ fn distance(a: Vector, b: Vector) -> f64 {
 }
 
 impl MaterialRemoval {
-    /// A ball of this radius that stands in the air.
+    /// Starts with a ball of this radius in the air.
     pub fn new(radius: f64, centre: Vector) -> Self {
         Self {
             radius,
@@ -57,12 +60,12 @@ impl MaterialRemoval {
         }
     }
 
-    /// Where the centre was when the workpiece was cut last.
+    /// Position of the centre at the end of the last cut.
     pub fn cut(&self) -> Vector {
         self.waiting[0]
     }
 
-    /// The ball was at a place, and now it is at another.
+    /// Adds the position `passed`; `now` is the present position.
     pub fn follow(&mut self, workpiece: &mut Workpiece, passed: Passed, now: Vector) {
         let place = passed.centre;
         if passed.apart {
@@ -98,7 +101,7 @@ impl MaterialRemoval {
         }
     }
 
-    /// Cuts up to the latest place.
+    /// Cuts up to the latest position.
     pub fn finish(&mut self, workpiece: &mut Workpiece) {
         cut(workpiece, self.radius, &self.waiting);
         self.present.push(self.end);
@@ -116,7 +119,7 @@ impl MaterialRemoval {
     }
 }
 
-/// Sweeps the ball along these places, straight where that is near enough.
+/// Sweeps the ball along these positions, on straight lines within the tolerance.
 fn cut(workpiece: &mut Workpiece, radius: f64, way: &[Vector]) {
     let mut corners = [0; PIECES + 1];
     let mut pieces = 1;
@@ -125,7 +128,7 @@ fn cut(workpiece: &mut Workpiece, radius: f64, way: &[Vector]) {
         return;
     }
     while pieces < PIECES {
-        // The place that lies furthest aside from its piece becomes a corner.
+        // The position that deviates most from its line becomes a corner.
         let (mut most, mut split, mut after) = (ASIDE * ASIDE, 0, 0);
         for piece in 0..pieces {
             let (from, to) = (way[corners[piece]], way[corners[piece + 1]]);

@@ -1,14 +1,17 @@
-//! The force sensor: a quartz element between the table and the vise, its charge amplifier, and the ADC.
+//! Force sensor: a quartz element between the table and the vise, its charge amplifier, and the
+//! ADC.
 //!
-//! The element rides on the table and measures along the table's axes what presses on it: the force **on the work**, which is minus the force on the tool
-//! (docs/control.md 1.3), and the weight of vise and work, which turns with the table. Codes have that sign; making them the force on the
-//! tool is the business of a calibration.
+//! The element turns with the table and measures along the table's axes. It measures the force **on
+//! the workpiece**, which is minus the force on the tool (docs/control.md 1.3), and the weight of
+//! vise and workpiece. The codes have that sign; a calibration converts them to the force on the
+//! tool.
 //!
-//! Quartz gives charge for a change of force, so the amplifier counts from its last reset, forgets with a time constant (a high-pass) and drifts
-//! by the leakage of its input. Its output and the ADC have a range. Every imperfection can be switched off: see the fields of
-//! [`SensorConfig`]; [`SensorConfig::ideal`] has none but the ADC.
+//! Quartz gives charge for a change of force. The amplifier therefore measures from its last reset,
+//! decays with a time constant (a high-pass) and drifts by the leakage of its input. Amplifier
+//! output and ADC have a limited range. Every imperfection can be switched off by a field of
+//! [`SensorConfig`]; [`SensorConfig::ideal`] keeps the ADC alone.
 //!
-//! Misuse: [`Sensor::sample`] must be called once every period, for it is the clock of the drift.
+//! Callers must call [`Sensor::sample`] once per period, because the drift is computed per sample.
 
 use crate::check::{Check, PlantError};
 use crate::random::Random;
@@ -17,30 +20,34 @@ use serde::{Deserialize, Serialize};
 /// Standard acceleration of gravity, m/s^2.
 const GRAVITY: f64 = 9.80665;
 
-/// Largest code of the 14-bit ADC; the smallest is one below its negative.
+/// Largest code of the 14-bit ADC; the smallest is -8192.
 pub const FULL_CODE: i16 = 8191;
 
-/// The sensor and what is wrong with it in good health.
+/// Sensor parameters and imperfections of a healthy sensor.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SensorConfig {
-    /// Force at the end of the ADC's range, code 8192, N: sensitivity of amplifier and ADC together (10 N/V over 10 V is 100 N).
+    /// Force at code 8192, the end of the ADC's range, N: sensitivity of amplifier and ADC together
+    /// (10 N/V over 10 V is 100 N).
     pub full_scale_n: f64,
-    /// The amplifier gives no more than this, N; infinity switches it off. The ADC ends at its full scale all the same.
+    /// Range of the amplifier, N; infinity switches the limit off. The ADC still saturates at its
+    /// full scale.
     pub range_n: f64,
     /// Time constant of the high-pass, seconds; infinity switches it off.
     pub high_pass_s: f64,
     /// Drift of each axis, N/s; 0 switches it off.
     pub drift_n_s: [f64; 3],
-    /// Standard deviation of the noise of a sample, N; 0 switches it off. Its distribution is bounded by 3.5 deviations.
+    /// Standard deviation of the noise of a sample, N; 0 switches it off. The distribution is
+    /// bounded by 3.5 standard deviations.
     pub noise_n: f64,
-    /// Mass on the element: vise and work, kg; 0 switches their weight off.
+    /// Mass on the element: vise and workpiece, kg; 0 switches their weight off.
     pub vise_kg: f64,
 }
 
 impl Default for SensorConfig {
-    /// The estimates of docs/control.md 7.1 (items 24 to 26): 10 N/V over 10 V, saturation at the range; the drift of a quartz amplifier of 2 pC/N
-    /// with 0.03 pC/s leakage; 1000 s; noise of two codes; a vise of 3 kg.
+    /// The estimates of docs/control.md 7.1 (items 24 to 26): 10 N/V over 10 V, saturation at the
+    /// range; the drift of a quartz amplifier of 2 pC/N with 0.03 pC/s leakage; 1000 s; noise of
+    /// two codes; a vise of 3 kg.
     fn default() -> Self {
         Self {
             full_scale_n: 100.0,
@@ -54,7 +61,7 @@ impl Default for SensorConfig {
 }
 
 impl SensorConfig {
-    /// A sensor that measures what is; only the ADC rounds it to codes.
+    /// A sensor without imperfections; only the ADC rounds.
     pub fn ideal() -> Self {
         Self {
             range_n: f64::INFINITY,
@@ -66,10 +73,10 @@ impl SensorConfig {
         }
     }
 
-    /// Checks everything.
+    /// Checks the whole configuration.
     ///
     /// # Errors
-    /// Every problem.
+    /// All problems.
     pub fn check(&self) -> Result<(), Vec<PlantError>> {
         let mut check = Check::default();
         check.within("sensor: full_scale_n".into(), self.full_scale_n, 0.1, 1e6);
@@ -89,18 +96,18 @@ impl SensorConfig {
     }
 }
 
-/// What is wrong with an axis of the sensor.
+/// Injected faults of a sensor axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SensorCondition {
-    /// The signal is multiplied by this: 1 healthy, -1 wired the wrong way round.
+    /// Factor on the signal: 1 healthy, -1 reversed.
     pub gain: f64,
-    /// More drift, N/s.
+    /// Additional drift, N/s.
     pub drift_n_s: f64,
-    /// The code stays as it is.
+    /// The code is frozen.
     pub stuck: bool,
-    /// The signal is lost: the code is 0 whatever happens.
+    /// The signal is lost: the code is always 0.
     pub dropped: bool,
-    /// The output stands at an end of its range.
+    /// The output is saturated at this end of its range.
     pub saturated: Option<End>,
 }
 
@@ -125,7 +132,7 @@ impl Default for SensorCondition {
     }
 }
 
-/// A sensor, with its charge.
+/// A sensor with the charge of its amplifier.
 #[derive(Debug, Clone)]
 pub struct Sensor {
     config: SensorConfig,
@@ -135,7 +142,7 @@ pub struct Sensor {
     condition: [SensorCondition; 3],
     /// Force of the last sample.
     force: [f64; 3],
-    /// What the amplifier holds, N.
+    /// Value that the amplifier holds, N.
     charge: [f64; 3],
     signal: [f64; 3],
     codes: [i16; 3],
@@ -143,7 +150,8 @@ pub struct Sensor {
 }
 
 impl Sensor {
-    /// A sensor that is sampled once every `period_s` seconds and is reset at its first sample; its configuration must have passed its check.
+    /// Creates a sensor that is sampled once every `period_s` seconds and is reset at its first
+    /// sample. The configuration must have passed its check.
     pub fn new(config: &SensorConfig, period_s: f64, random: Random) -> Self {
         Self {
             keeps: libm::exp(-period_s / config.high_pass_s),
@@ -159,27 +167,28 @@ impl Sensor {
         }
     }
 
-    /// How it was set up.
+    /// Configuration of the sensor.
     pub const fn config(&self) -> &SensorConfig {
         &self.config
     }
 
-    /// Changes what is wrong with an axis.
+    /// Sets the injected faults of an axis.
     pub fn set_condition(&mut self, axis: usize, condition: SensorCondition) {
         self.condition[axis] = condition;
     }
 
-    /// What is wrong with an axis.
+    /// Injected faults of an axis.
     pub fn condition(&self, axis: usize) -> SensorCondition {
         self.condition[axis]
     }
 
-    /// Shorts the amplifier: from here on the force of the last sample counts as none.
+    /// Resets the amplifier: the force of the last sample becomes the zero.
     pub fn reset(&mut self) {
         self.charge = [0.0; 3];
     }
 
-    /// Takes the next sample: force on the tool in the frame of the table (N), the table turned by `alpha` degrees.
+    /// Takes the next sample, with the force on the tool in the frame of the table (N) and the
+    /// table at `alpha` degrees.
     pub fn sample(&mut self, on_tool: [f64; 3], alpha: f64) {
         let weight = self.config.vise_kg * GRAVITY;
         let (sin, cos) = if weight > 0.0 {
@@ -187,10 +196,10 @@ impl Sensor {
         } else {
             (0.0, 1.0)
         };
-        // The base's -z in the axes of the table.
+        // Direction -z of the base in the frame of the table.
         let pull = [0.0, -weight * sin, -weight * cos];
         if !self.started {
-            // The amplifier was reset with the vise in place.
+            // The amplifier is reset with the vise mounted.
             self.force = core::array::from_fn(|i| pull[i] - on_tool[i]);
             self.started = true;
         }
@@ -200,7 +209,7 @@ impl Sensor {
             let drift = (self.config.drift_n_s[i] + condition.drift_n_s) * self.period_s;
             self.charge[i] = self.charge[i] * self.keeps + (force - self.force[i]) + drift;
             self.force[i] = force;
-            // Drawn whether or not it is used: a fault does not change the noise of the other axes.
+            // The noise is always drawn, so a fault does not change the noise of the other axes.
             let noise = self.config.noise_n * deviate(&mut self.random);
             let signal = match condition.saturated {
                 Some(End::High) => f64::INFINITY,
@@ -225,25 +234,25 @@ impl Sensor {
         }
     }
 
-    /// The codes of the last sample, 14 bits with sign: force on the work along x_w, y_w, z_w.
+    /// Codes of the last sample, signed 14 bits: force on the workpiece along x_w, y_w, z_w.
     pub const fn codes(&self) -> [i16; 3] {
         self.codes
     }
 
-    /// Whether the amplifier stands at an end of its range, and says so.
+    /// Returns whether the amplifier reports saturation.
     pub fn overloaded(&self) -> bool {
         self.signal
             .iter()
             .any(|signal| signal.abs() >= self.config.range_n)
     }
 
-    /// What the ADC saw, N: the amplifier's output within its range, not rounded.
+    /// Input of the ADC, N: the amplifier's output within its range, not rounded.
     pub const fn signal(&self) -> [f64; 3] {
         self.signal
     }
 }
 
-/// A number of mean 0 and variance 1: the sum of four evenly spread ones of 16 bits each.
+/// Random number of mean 0 and variance 1: the sum of four uniform ones of 16 bits each.
 fn deviate(random: &mut Random) -> f64 {
     let bits = random.draw();
     let sum: u64 = (0..4).map(|lane| (bits >> (16 * lane)) & 0xffff).sum();

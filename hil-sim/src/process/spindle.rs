@@ -1,11 +1,11 @@
-//! The spindle: its speed follows the command, and it can be made to stand.
+//! The spindle: a speed with first-order lag, and a stall for fault injection.
 
 use crate::process::config::SpindleConfig;
 
 /// A spindle, with its speed.
 #[derive(Debug, Clone)]
 pub struct Spindle {
-    /// Part of a difference of speed that is left after a period.
+    /// Fraction of a speed difference that remains after a period.
     keeps: f64,
     period_s: f64,
     rpm: f64,
@@ -13,7 +13,7 @@ pub struct Spindle {
 }
 
 impl Spindle {
-    /// A spindle at rest that is stepped once every `period_s` seconds.
+    /// Creates a spindle at standstill that is advanced once every `period_s` seconds.
     pub fn new(config: &SpindleConfig, period_s: f64) -> Self {
         Self {
             keeps: if config.run_up_s > 0.0 {
@@ -32,19 +32,19 @@ impl Spindle {
         self.rpm
     }
 
-    /// Makes it stand at once, whatever it is told; or lets it run again.
+    /// Stalls the spindle at once whatever the command is, or releases it.
     pub const fn set_stalled(&mut self, stalled: bool) {
         self.stalled = stalled;
     }
 
-    /// One period under this command (rev/min); gives the turns that it makes.
+    /// Advances by one period under this command (rev/min) and returns the turns made.
     pub fn advance(&mut self, command_rpm: f64) -> f64 {
         let before = self.rpm;
         self.rpm = if self.stalled {
             0.0
         } else {
             let next = command_rpm + (before - command_rpm) * self.keeps;
-            // Under one turn a minute it stands.
+            // Below one rev/min the spindle stops.
             if command_rpm == 0.0 && next.abs() < 1.0 {
                 0.0
             } else {

@@ -1,22 +1,28 @@
-//! The structure between where the slides hold the tool and where it really is: rods, joints, platform, spindle.
+//! Elastic structure between the slides and the tool: rods, joints, platform, spindle.
 //!
-//! A spring and a damper in each direction of the arm's base frame, without mass:
+//! The model is a spring and a damper in each direction of the arm's base frame, without mass:
 //!
 //! ```text
-//! T_s du/dt + u = F / K_s        u deflection (mm), F force on the tool (N), K_s stiffness (N/mm), T_s = C_s / K_s (s)
+//! T_s du/dt + u = F / K_s
+//!
+//! u deflection (mm), F force on the tool (N), K_s stiffness (N/mm), T_s = C_s / K_s (s)
 //! ```
 //!
-//! The mass is left out on purpose. What swings slowly enough to matter for a force loop of some Hz and for the tooth passing at 167 Hz are slides on
-//! their screws, and those have their masses in [`crate::joint::mechanics`]. The structure's own modes lie above; of them the loop sees the compliance. And a force
-//! that is held for a control period would feed an undamped mode: with a contact of stiffness k_e this form is stable when
-//! (1 - a)(1 + k_e / K_s) < 2 with a = exp(-T / T_s), whatever the plant does. At 200 us and 1 ms that holds up to k_e = 10 K_s.
+//! The model has no mass on purpose. The modes slow enough for a force loop of some Hz and for the
+//! tooth passing at 167 Hz are those of the slides on their screws, which
+//! [`crate::joint::mechanics`] models with mass. The structure's own modes lie above; the loop sees
+//! only their compliance. A force that is held for a control period would also feed energy into an
+//! undamped mode. With a contact of stiffness k_e the model is stable when (1 - a)(1 + k_e / K_s) <
+//! 2 with a = exp(-T / T_s), independent of the plant. At 200 us and 1 ms that holds up to k_e = 10
+//! K_s.
 //!
-//! A force that is held for a period makes the solution exact: u goes towards F / K_s by 1 - a.
+//! The force is constant during a period, so the solution is exact: u moves towards F / K_s by the
+//! factor 1 - a.
 
 use crate::check::{Check, PlantError};
 use serde::{Deserialize, Serialize};
 
-/// How stiff the structure is.
+/// Configuration of the structure.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct StructureConfig {
@@ -27,7 +33,8 @@ pub struct StructureConfig {
 }
 
 impl Default for StructureConfig {
-    /// 500 N/mm across and 1000 N/mm along the tool: what an arm of this size with 480 mm rods may have. An estimate.
+    /// 500 N/mm across and 1000 N/mm along the tool: an estimate for an arm of this size with 480
+    /// mm rods.
     fn default() -> Self {
         Self {
             stiffness: [500.0, 500.0, 1000.0],
@@ -37,10 +44,10 @@ impl Default for StructureConfig {
 }
 
 impl StructureConfig {
-    /// Checks everything.
+    /// Checks the whole configuration.
     ///
     /// # Errors
-    /// Every problem.
+    /// All problems.
     pub fn check(&self) -> Result<(), Vec<PlantError>> {
         let mut check = Check::default();
         for (axis, stiffness) in self.stiffness.into_iter().enumerate() {
@@ -70,7 +77,8 @@ pub struct Structure {
 }
 
 impl Structure {
-    /// A structure at rest that is stepped once every `period_s` seconds; its configuration must have passed its check.
+    /// Creates an undeflected structure that is advanced once every `period_s` seconds. The
+    /// configuration must have passed its check.
     pub fn new(config: &StructureConfig, period_s: f64) -> Self {
         Self {
             compliance: config.stiffness.map(|stiffness| 1.0 / stiffness),
@@ -83,7 +91,8 @@ impl Structure {
         }
     }
 
-    /// One period under a force on the tool (base frame, N); gives the deflection at its end, mm.
+    /// Advances by one period under a force on the tool (base frame, N) and returns the deflection
+    /// at its end, mm.
     pub fn advance(&mut self, force: [f64; 3]) -> [f64; 3] {
         for (i, deflection) in self.deflection.iter_mut().enumerate() {
             let goal = force[i] * self.compliance[i];
@@ -92,7 +101,7 @@ impl Structure {
         self.deflection
     }
 
-    /// Deflection now, mm, base frame.
+    /// Present deflection, mm, base frame.
     pub const fn deflection(&self) -> [f64; 3] {
         self.deflection
     }

@@ -1,33 +1,37 @@
-//! Where the teeth went before: the way of the ball's centre, by spindle angle.
+//! Path of the ball's centre over the last teeth, indexed by spindle angle.
 //!
-//! A tooth that stands at some angle now was preceded there by the next tooth one pitch of spindle rotation ago. What that one left is told by
-//! the place of the ball's centre then. So the way is kept at equal steps of spindle angle, however fast the spindle turns, and the
-//! places one, two, ... pitches ago lie whole steps apart.
+//! The next tooth was at the present angle of a tooth one pitch of spindle rotation ago. The
+//! position of the ball's centre at that time determines the surface that it left. The path is
+//! therefore sampled at equal steps of spindle angle, independent of the spindle speed, and the
+//! positions one, two, ... pitches ago lie whole steps apart.
 //!
-//! What is older than [`PASSES`] pitches leaves the memory and is handed on, to be taken from the workpiece's map.
+//! Positions older than [`PASSES`] pitches leave the memory and are passed on for removal from the
+//! workpiece's map.
 
-/// Steps of the memory in one pitch.
+/// Samples per pitch.
 const STEPS: usize = 32;
 
-/// How many earlier passes of a tooth are remembered. Vibration as slow as this many tooth periods is cut into the surface as it is.
+/// Number of earlier passes of a tooth that are remembered. Vibration as slow as this many tooth
+/// periods is cut into the surface directly.
 pub const PASSES: usize = 4;
 
 const ENTRIES: usize = STEPS * PASSES + 1;
 
-/// A remembered place.
+/// A remembered position.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Passed {
     /// Centre of the ball, mm.
     pub centre: [f64; 3],
-    /// The spindle stood still while the tool came here: there is no way from the place before.
+    /// The spindle stood still while the tool moved here: no path connects it with the position
+    /// before.
     pub apart: bool,
 }
 
-/// The memory.
+/// Memory of the tooth path.
 #[derive(Debug, Clone)]
 pub struct ToothPath {
     ring: [Passed; ENTRIES],
-    /// Place of the latest entry.
+    /// Index of the latest entry.
     latest: usize,
     /// Spindle angle since the latest entry, steps: 0 to 1.
     phase: f64,
@@ -36,7 +40,7 @@ pub struct ToothPath {
 }
 
 impl ToothPath {
-    /// The ball stands here and has always stood here.
+    /// Starts with a ball that has always been at `centre`.
     pub const fn new(centre: [f64; 3]) -> Self {
         Self {
             ring: [Passed {
@@ -49,8 +53,9 @@ impl ToothPath {
         }
     }
 
-    /// The spindle turns by `pitches` (tooth pitches, forward) while the centre goes straight from one place to another; what leaves the memory is
-    /// handed to `leaves`, oldest first.
+    /// Advances the spindle by `pitches` (tooth pitches, forward) while the centre moves on a
+    /// straight line between two positions. Calls `leaves` with the positions that leave the
+    /// memory, oldest first.
     pub fn advance(
         &mut self,
         pitches: f64,
@@ -82,7 +87,7 @@ impl ToothPath {
         self.phase = end - (next - 1.0);
     }
 
-    /// Where the centre was so many pitches ago, 1 to [`PASSES`].
+    /// Position of the centre the given number of pitches ago, 1 to [`PASSES`].
     #[inline]
     pub fn ago(&self, pitches: usize) -> [f64; 3] {
         let back = pitches * STEPS;
@@ -98,7 +103,7 @@ impl ToothPath {
         centre
     }
 
-    /// All that is remembered, oldest first.
+    /// All remembered positions, oldest first.
     pub fn remembered(&self) -> impl Iterator<Item = Passed> {
         (1..=ENTRIES).map(|step| self.ring[(self.latest + step) % ENTRIES])
     }

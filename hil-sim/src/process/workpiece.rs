@@ -1,15 +1,20 @@
-//! The workpiece and the surface that is left of it.
+//! The workpiece and its cut surface.
 //!
-//! The surface is a height above each point of a square grid in the frame of the table; it turns with the table and does not move in
-//! it. Heights are kept as f32: 0.004 um at 30 mm, far below what the grid itself loses. Between its points the surface is bilinear. On a
-//! surface that a ball of radius R has cut, where its normal leans by kappa from the vertical, that lies within
-//! cell^2 / (4 R cos^2 kappa) of the truth along the normal (0.2 um on the floor of an 8 mm ball, 0.6 um at 60 degrees), and within 1.5 cells on a wall
-//! and the part of the ball that is so near to it.
+//! The surface is a height map: a height at each point of a square grid in the frame of the table,
+//! which turns with the table. Heights are f32, with a resolution of 0.004 um at 30 mm, far below
+//! the error of the grid. Between the grid points the surface is bilinear.
 //!
-//! What a height map cannot hold: undercuts. A leaning tool removes what its ball sweeps and all above it; its leaning shank removes nothing.
+//! On a surface that a ball of radius R has cut, with its normal tilted by kappa from the vertical,
+//! the error along the normal is within cell^2 / (4 R cos^2 kappa): 0.2 um on the floor of an 8 mm
+//! ball, 0.6 um at 60 degrees. On a wall and on the part of the ball next to it the error is within
+//! 1.5 cells.
 //!
-//! Cutting takes away the exact sweep of a ball along a straight line. Only points that the ball lowers are written, so a sweep of
-//! 0.1 mm costs the points ahead of its middle and no more.
+//! A height map cannot represent undercuts. A tilted tool removes the volume that its ball sweeps
+//! and everything above it; its tilted shank removes nothing.
+//!
+//! Cutting removes the exact sweep of a ball along a straight line. Only points that the ball
+//! lowers are written, so the cost of a sweep of 0.1 mm is that of the points ahead of the ball's
+//! centre.
 
 use crate::process::config::{Area, WorkpieceConfig};
 
@@ -17,19 +22,19 @@ use crate::process::config::{Area, WorkpieceConfig};
 #[derive(Debug, Clone)]
 pub struct Workpiece {
     config: WorkpieceConfig,
-    /// Rise of the top for each mm in x and y.
+    /// Rise of the top per mm in x and y.
     slope: [f64; 2],
     per_cell: f64,
     columns: usize,
     rows: usize,
     heights: Vec<f32>,
-    /// Highest point of the stock over the map.
+    /// Highest point of the stock within the map.
     highest: f64,
     missed: u64,
 }
 
 impl Workpiece {
-    /// An uncut block; the configuration must have passed its check.
+    /// Creates an uncut block; the configuration must have passed its check.
     pub fn new(config: &WorkpieceConfig) -> Self {
         let radian = core::f64::consts::PI / 180.0;
         let slope = [
@@ -68,17 +73,17 @@ impl Workpiece {
         piece
     }
 
-    /// How it was set up.
+    /// Configuration of the workpiece.
     pub const fn config(&self) -> &WorkpieceConfig {
         &self.config
     }
 
-    /// Points of the map in x and in y.
+    /// Number of map points in x and in y.
     pub const fn size(&self) -> [usize; 2] {
         [self.columns, self.rows]
     }
 
-    /// Where a point of the map is, mm.
+    /// Position of a map point, mm.
     #[inline]
     pub fn place(&self, column: usize, row: usize) -> [f64; 2] {
         [
@@ -87,7 +92,7 @@ impl Workpiece {
         ]
     }
 
-    /// The area that the points of the map span.
+    /// Area that the map points span.
     pub fn area(&self) -> Area {
         let [x_max, y_max] = self.place(self.columns - 1, self.rows - 1);
         Area {
@@ -97,7 +102,7 @@ impl Workpiece {
         }
     }
 
-    /// The heights, row by row from low y, each from low x.
+    /// Heights, row by row from low y, each row from low x.
     pub fn heights(&self) -> &[f32] {
         &self.heights
     }
@@ -124,7 +129,7 @@ impl Workpiece {
     pub fn height(&self, x: f64, y: f64) -> f64 {
         let column = (x - self.config.map.x_min) * self.per_cell;
         let row = (y - self.config.map.y_min) * self.per_cell;
-        // The last column and row are left out, so that the four neighbours are always there.
+        // The last column and row are excluded, so the four neighbours always exist.
         let inside = column >= 0.0
             && row >= 0.0
             && column < (self.columns - 1) as f64
@@ -132,7 +137,7 @@ impl Workpiece {
         if !inside {
             return self.original(x, y);
         }
-        // Not negative, and below 2^31: the shortest way to an integer.
+        // The values are not negative and below 2^31, so this conversion is the shortest.
         let (i, j) = (column as i32, row as i32);
         let (u, v) = (column - f64::from(i), row - f64::from(j));
         let at = (j as usize)
@@ -150,37 +155,39 @@ impl Workpiece {
         near + v * (far - near)
     }
 
-    /// No material anywhere is higher than this, mm.
+    /// Upper bound of the height of all material, mm.
     pub const fn highest(&self) -> f64 {
         self.highest
     }
 
-    /// Volume that has been taken away from the map, mm^3. It looks at every point: about a millisecond.
+    /// Volume removed from the map, mm^3. The function reads every point and takes about a
+    /// millisecond.
     pub fn removed_mm3(&self) -> f64 {
         let mut depths = 0.0;
         for (row, line) in self.heights.chunks_exact(self.columns).enumerate() {
             for (column, height) in line.iter().enumerate() {
                 let [x, y] = self.place(column, row);
-                // As it was rounded when it was new: what is untouched counts exactly nothing.
+                // The original height is rounded to f32 as well, so an untouched point counts
+                // exactly 0.
                 depths += f64::from(self.original(x, y) as f32) - f64::from(*height);
             }
         }
         depths * self.config.cell_mm * self.config.cell_mm
     }
 
-    /// Sweeps through the stock that lay partly outside of the map and were lost there.
+    /// Number of sweeps through stock outside the map, where the cut is lost.
     pub const fn missed(&self) -> u64 {
         self.missed
     }
 
-    /// Takes away what a ball sweeps whose centre goes straight from one place to another. The ball must have stood at `from` before, or
-    /// `from` must equal `to`: points behind it are left out.
+    /// Removes the volume that a ball sweeps whose centre moves on a straight line. The ball must
+    /// have been at `from` before, or `from` must equal `to`: the sweep skips points behind `from`.
     pub fn sweep(&mut self, radius: f64, from: [f64; 3], to: [f64; 3]) {
         let lowest = if from[2] < to[2] { from[2] } else { to[2] };
         if lowest - radius >= self.highest {
             return;
         }
-        // Reach of the ball below the highest material.
+        // Radius of the ball's section at the highest material.
         let above = lowest - self.highest;
         let reach = if above > 0.0 {
             (radius * radius - above * above).sqrt()
@@ -219,7 +226,7 @@ impl Workpiece {
             ..first(right + reach + cell, map.x_min, self.columns);
         for row in rows {
             let y = map.y_min + row as f64 * cell;
-            // Part of the row under the ball on its way, with a cell to spare.
+            // Part of the row under the moving ball, plus one cell of margin.
             let clear = if y < near {
                 near - y
             } else if y > far {
@@ -259,7 +266,8 @@ impl Workpiece {
     }
 }
 
-/// Lowers a row of points to these heights where they are lower. Without a branch, so that several are worked out at once.
+/// Lowers the points of a row to these heights where the heights are lower. The loop has no branch,
+/// so it vectorises.
 #[inline(always)]
 fn lower(line: &mut [f32], bottom: f32, height: impl Fn(f64) -> f64) {
     for (column, point) in (0_i32..).zip(line) {
@@ -269,18 +277,19 @@ fn lower(line: &mut [f32], bottom: f32, height: impl Fn(f64) -> f64) {
     }
 }
 
-/// A ball on a straight way.
+/// A ball that moves on a straight line.
 struct Sweep {
     square: f64,
     radius: f64,
     height: f64,
-    /// Unit vector of the way, seen from above.
+    /// Unit vector of the motion in the plan view.
     along: [f64; 2],
-    /// Length of the way seen from above, and its rise for each mm of that.
+    /// Length of the motion in the plan view, and its rise per mm of that length.
     length: f64,
     slope: f64,
-    /// Sine of the slope: how far ahead of its middle the ball is lowest at a point, in parts of its radius there. Below 1/1000 it counts as
-    /// level, which is wrong by 2 nm.
+    /// Sine of the slope: distance between the centre and the lowest point of the ball at a grid
+    /// point, relative to the ball's radius there. Below 1/1000 it counts as level, with an error
+    /// of 2 nm.
     lead: f64,
 }
 
@@ -289,7 +298,7 @@ impl Sweep {
         let (x, y, rise) = (to[0] - from[0], to[1] - from[1], to[2] - from[2]);
         let length = (x * x + y * y).sqrt();
         let square = radius * radius;
-        // Straight up or down, and standing still, are a way of no length with the ball at its lower end.
+        // A vertical or zero motion has no length in the plan view; the ball is at its lower end.
         if length < 1e-9 {
             return Self {
                 square,
@@ -313,12 +322,13 @@ impl Sweep {
         }
     }
 
-    /// Where in a row at `y` the way can lower anything: not behind the start, where the ball stood before. `far` is beyond all.
+    /// Range in a row at `y` in which the sweep can lower a point, without the part behind the
+    /// start, where the ball was before. `far` lies beyond all points.
     fn ahead(&self, y: f64, far: f64) -> (f64, f64) {
         if self.length == 0.0 {
             return (-far, far);
         }
-        // A sinking ball is lowest behind its middle.
+        // A descending ball is lowest behind its centre.
         let least = if self.lead < 0.0 {
             self.lead * self.radius
         } else {
@@ -337,7 +347,8 @@ impl Sweep {
         }
     }
 
-    /// Lowest height of the ball's underside over a point (relative to the start) on a level way; infinity beside it.
+    /// Lowest height of the ball's underside over a point (relative to the start) on a level
+    /// motion; infinity beside the path.
     #[inline(always)]
     fn level(&self, x: f64, y: f64) -> f64 {
         let ahead = x * self.along[0] + y * self.along[1];
@@ -345,7 +356,8 @@ impl Sweep {
         self.underside(self.square - aside * aside, ahead, ahead)
     }
 
-    /// The same on any way: the disc of the ball at this distance aside is lowest where its slope is that of the way.
+    /// The same on any motion: the section of the ball at this lateral distance is lowest where its
+    /// slope equals that of the motion.
     #[inline(always)]
     fn sloping(&self, x: f64, y: f64) -> f64 {
         let ahead = x * self.along[0] + y * self.along[1];
