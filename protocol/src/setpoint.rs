@@ -208,7 +208,8 @@ impl Span {
     /// Returns the mean rate over a displacement, in rate units divided by 2^[`FINE`]. |way| <=
     /// 2^33 and reciprocal <= 2^30, so |product| < 2^63.
     fn mean_rate(&self, way: i64) -> i64 {
-        // way / time is in axis units per 2^-24 s; a fine rate unit is 2^(RATE_SHIFT - FINE) axis units per second.
+        // way / time is in axis units per 2^-24 s. The result is in 2^(RATE_SHIFT - FINE) axis
+        // units per second.
         way.wrapping_mul(self.reciprocal) >> (40 - TIME_SHIFT + RATE_SHIFT - FINE)
     }
 }
