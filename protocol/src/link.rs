@@ -24,20 +24,23 @@
 //! Both endpoints, on a line without delay:
 //!
 //! ```
-//! use haptimill_protocol::link::{ControllerLink, HostLink, Identity, LinkState, SHORT_REPORT, Timing};
+//! use haptimill_protocol::link::{
+//!     ControllerLink, HostLink, Identity, LinkState, SHORT_REPORT, Timing,
+//! };
 //! use haptimill_protocol::message::{Command, Report, Request};
 //!
 //! let mut host = HostLink::new(Timing::default());
 //! let mut controller = ControllerLink::new(Timing::default());
-//! host.open(0x1234_5678, 0); // the session's number: random, never used before
+//! host.open(0x1234_5678, 0); // session number: random, never used before
 //! let mut buffer = [0; 64];
 //! for now_us in (0..100_000).step_by(200) {
 //!     // The host: bytes out, bytes in, messages.
 //!     let count = host.transmit(now_us, &mut buffer);
 //!     controller.receive(now_us, &buffer[..count]);
-//!     // The controller, once a period: a greeting, at most one message, at most so many bytes.
+//!     // The controller, once a period: Hello, at most one message, at most 64 bytes.
 //!     if controller.hello().is_some() {
-//!         let identity = Identity { machine: "H4", config_crc: 0, period_us: 200, axes: 5, queue: 64 };
+//!         let identity =
+//!             Identity { machine: "H4", config_crc: 0, period_us: 200, axes: 5, queue: 64 };
 //!         controller.welcome(now_us, &identity, false);
 //!     }
 //!     if controller.room(SHORT_REPORT) > 0

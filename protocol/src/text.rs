@@ -9,7 +9,10 @@
 //! use haptimill_protocol::text::{Axes, Axis, AxisKind};
 //! let axes = Axes { pose: &[], joints: &[Axis { name: "slide 1", kind: AxisKind::Linear }] };
 //! let fault = Fault::SoftLimit { axis: 4 };
-//! assert_eq!(fault.to_string(), "axis 5 left its soft limits; reset, then move it back by jogging");
+//! assert_eq!(
+//!     fault.to_string(),
+//!     "axis 5 left its soft limits; reset, then move it back by jogging"
+//! );
 //! let fault = Fault::FollowingError { axis: 0, error: -(3 << 20), limit: 1 << 20 };
 //! assert_eq!(
 //!     axes.describe(&fault).to_string(),
@@ -239,7 +242,7 @@ impl Describe for Refusal {
     }
 }
 
-/// A joint that was asked for too high a rate, with both rates where the machine is known.
+/// Writes that a joint exceeds its maximum rate, with both rates if the machine is known.
 fn too_fast(axes: &Axes<'_>, axis: u8, rate: i32, limit: i32, f: &mut Formatter<'_>) -> Result {
     write!(f, "{} would move", Named(axes.joints, axis))?;
     match (
