@@ -13,8 +13,8 @@
 //! ```
 //!
 //! The next coordinate is predicted as p + v h + a h^2 / 2. Once that coordinate is known, the next
-//! rate is predicted as the one that a constant jerk from (p, v, a) through the coordinate gives: v
-//! + a h + 3 (p' - prediction) / h. On the motions of the test `wire_cost` a setpoint costs 11 to
+//! rate is predicted as the one that a constant jerk from (p, v, a) through the coordinate gives:
+//! v + a h + 3 (p' - prediction) / h. On the motions of the test `wire_cost` a setpoint costs 11 to
 //! 18 bytes on the line. With p + v h alone it costs 13 to 25. Predicting with the jerk as well
 //! gains nothing (18.1 for 18.4 bytes, but 17.3 for 17.0): it magnifies the rounding of the
 //! coordinates, and a planner changes the jerk at its setpoints.

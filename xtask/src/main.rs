@@ -153,7 +153,7 @@ fn test() -> Result<(), String> {
         let image = board.build(&root(), false)?;
         board.measure(&image)?;
     }
-    // The tests measure time, so they run one at a time.
+    // The tests are slow, and parallel ones slow each other down: they run one at a time.
     emulated("emulated runs", "emulated*", "--test-threads=1", &[])
 }
 

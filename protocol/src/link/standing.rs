@@ -120,7 +120,7 @@ pub struct Counters {
     pub duplicates: u32,
     /// Frames dropped because the buffer was full. Reliable ones are resent.
     pub no_room: u32,
-    /// Messages with a valid check that could not be decoded. This occurs only if two builds have
-    /// the same schema hash by mistake.
+    /// Messages with a valid check that could not be decoded. This occurs only if a build reports a
+    /// wrong schema hash.
     pub unreadable: u32,
 }

@@ -98,7 +98,8 @@ fn happen(what: usize, place: usize) {
             NOW.load(Ordering::Relaxed)
         ),
         1 => {
-            // SAFETY: none. The read raises the processor fault that is to be injected.
+            // SAFETY: unsound on purpose. The read raises the processor fault that is to be
+            // injected.
             unsafe { (0x3000_0000 as *const u32).read_volatile() };
         }
         2 => {
