@@ -241,7 +241,7 @@ fn instructions() -> Result<(), String> {
 }
 
 /// Runs the tests of emulated runs, with one more argument. They need a board's image and the
-/// emulator, so they are built only for this task.
+/// emulator, so they are built only where both exist.
 fn emulated(
     name: &str,
     tests: &str,
