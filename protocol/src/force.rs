@@ -1,67 +1,73 @@
-//! What is said of force control: settings of a loop, what is wrong with them, with the sensor or with a tare, and how the forces stand.
+//! Force control messages: settings of a loop, their refusals, problems of the sensor and of a
+//! tare, and force telemetry.
 //!
-//! Forces are what the work does to the tool along x, y and z of the work, `i32` in 2^-16 N; displacements are 2^-20 mm. A *component* is 0 for x, 1 for y, 2 for z.
+//! Forces act on the tool along x, y and z of the workpiece, `i32` in 2^-16 N. Displacements are
+//! 2^-20 mm. A *component* is 0 for x, 1 for y, 2 for z.
 //!
-//! Misuse: a value here is only a number. Whether a controller takes it, it says itself ([`ForceRefusal`]).
+//! Values of these types are not checked. A controller checks them and refuses invalid ones with
+//! [`ForceRefusal`].
 
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-/// Components of a force: x, y, z of the work.
+/// Components of a force: x, y, z of the workpiece.
 pub const COMPONENTS: usize = 3;
 
-/// When a force above the desired one moves the tool away (docs/control.md 7.1 item 20).
+/// Enable condition: when a force above the force setpoint may move the tool away (docs/control.md
+/// 7.1 item 20).
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Gate {
-    /// Only while it opposes the desired motion of the axis: F p_d' < 0. At rest, and across the motion, the tool only returns.
+    /// Only while the force opposes the desired motion of the axis: F p_d' < 0. At standstill, and
+    /// across the motion, the tool only returns.
     #[default]
     AgainstMotion,
     /// Always.
     Any,
-    /// Only upwards along the axis: contact from above.
+    /// Only in the positive direction of the axis: contact from above.
     Positive,
-    /// Only downwards.
+    /// Only in the negative direction of the axis.
     Negative,
 }
 
-/// The loop of one axis (docs/control.md (3.30)).
+/// Settings of the force loop of one axis (docs/control.md (3.30)).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct ForceLoop {
-    /// f_d, a magnitude, 2^-16 N.
+    /// Force setpoint f_d, a magnitude, 2^-16 N.
     pub desired: i32,
-    /// K_A, 2^-16 N s^2/mm.
+    /// Virtual mass K_A, 2^-16 N s^2/mm.
     pub mass: u32,
-    /// K_V, 2^-16 N s/mm.
+    /// Virtual damping K_V, 2^-16 N s/mm.
     pub damping: u32,
-    /// The most that the tool yields, 2^-20 mm.
+    /// Largest compliant displacement, 2^-20 mm.
     pub limit: i32,
-    /// The fastest that it yields, 2^-20 mm/s.
+    /// Largest rate of the compliant displacement, 2^-20 mm/s.
     pub rate: i32,
-    /// When it yields.
+    /// Enable condition.
     pub gate: Gate,
 }
 
-/// Settings that cannot be. Nothing changes.
+/// Refusal of settings. Nothing changes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct ForceRefusal {
-    /// What is wrong.
+    /// The invalid parameter.
     pub parameter: ForceParameter,
-    /// The nearest value that is taken, in the raw unit of the parameter.
+    /// Nearest accepted value, in the raw unit of the parameter.
     pub bound: i32,
 }
 
-/// What can be wrong with settings.
+/// Parameter of force control that can be invalid.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum ForceParameter {
-    /// f_d is zero, negative, or lost in the noise.
+    /// f_d is zero, negative, or below the noise.
     DesiredTooSmall,
-    /// f_d is above three quarters of what the sensor shows: the loop could not see by how much a force is too high.
+    /// f_d is above three quarters of the sensor range: the loop could not measure by how much a
+    /// force is too high.
     DesiredTooLarge,
-    /// K_V does not hold a soft contact with this delay: K_V >= k tau.
+    /// K_V cannot hold a soft contact with this delay: K_V >= k tau is required.
     DampingTooSmall,
     /// K_V is beyond its range.
     DampingTooLarge,
@@ -73,21 +79,22 @@ pub enum ForceParameter {
     Limit,
     /// The rate is not above 0.
     Rate,
-    /// The sensor's values make no sense.
+    /// A value of the sensor is invalid.
     Sensor,
-    /// A revolution at the slowest spindle does not fit the window of the peak.
+    /// A revolution at the slowest spindle speed does not fit the window of the peak force.
     SlowestSpindle,
-    /// There is no such axis, or it is not linear.
+    /// The axis does not exist or is not linear.
     Axis,
-    /// The last change of this axis is still being worked out; a few periods later it will be taken.
+    /// The last change of this axis is still in progress; the controller can accept another one a
+    /// few periods later.
     Busy,
 }
 
-/// What ends force control, with its name.
+/// Problem that ends force control.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum ForceProblem {
-    /// No new samples.
+    /// No new samples arrive.
     Silent,
     /// A channel, or the amplifier, is beyond its range.
     Overload {
@@ -99,14 +106,14 @@ pub enum ForceProblem {
         /// The component.
         component: u8,
     },
-    /// The zero has wandered.
+    /// The zero has drifted.
     Drift {
         /// The component.
         component: u8,
-        /// How far, 2^-16 N.
+        /// Drift, 2^-16 N.
         force: i32,
     },
-    /// The force is larger than may be.
+    /// The force exceeds its limit.
     Limit {
         /// The component.
         component: u8,
@@ -118,54 +125,56 @@ pub enum ForceProblem {
         /// The component.
         component: u8,
     },
-    /// The spindle turns so slowly that the peak of a revolution comes later than the loop was laid out for.
+    /// The spindle is so slow that the peak of a revolution comes later than the loop was designed
+    /// for.
     SlowSpindle {
-        /// rev/min.
+        /// Spindle speed, rev/min.
         rpm: i16,
     },
 }
 
-/// Why a tare is refused. The zero stays what it was.
+/// Reason why a tare is refused. The zero is not changed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum TareRefusal {
     /// Samples were missing.
     Silent,
-    /// The codes move.
+    /// The codes are not constant.
     Moving {
         /// The component.
         component: u8,
-        /// Codes from lowest to highest.
+        /// Highest minus lowest code.
         spread: u16,
     },
-    /// A channel does not move at all.
+    /// A channel repeats one code.
     Stuck {
         /// The component.
         component: u8,
     },
-    /// The zero would be so far off that less than half of the range is left.
+    /// The zero is so large that less than half of the range remains.
     Offset {
         /// The component.
         component: u8,
     },
-    /// The machine began to move before it was done.
+    /// The machine began to move before the tare was complete.
     Interrupted,
 }
 
-/// How the forces stand, on a machine with a sensor.
+/// Forces of a machine with a force sensor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct ForceTelemetry {
-    /// Force of largest magnitude in the last revolution of the spindle, sign kept, 2^-16 N.
+    /// Peak force: the sample of the largest magnitude in the last spindle revolution, with its
+    /// sign, 2^-16 N.
     pub high: [i32; COMPONENTS],
-    /// The opposite end of what it was in that revolution, 2^-16 N.
+    /// Opposite extreme of the same revolution, 2^-16 N.
     pub low: [i32; COMPONENTS],
-    /// By how much the tool yields, p_c, 2^-20 mm.
+    /// Compliant displacement p_c, 2^-20 mm.
     pub yielded: [i32; COMPONENTS],
     /// Axes under force control: bit 0 for x.
     pub mask: u8,
-    /// A zero is known.
+    /// The sensor has a zero.
     pub tared: bool,
-    /// What is wrong with sensor or contact now.
+    /// Present problem of the sensor or of the contact.
     pub problem: Option<ForceProblem>,
 }

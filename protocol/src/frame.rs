@@ -1,25 +1,30 @@
-//! Frames: what stands between two zero bytes on the line.
+//! Frames: the bytes between two zero bytes on the line.
 //!
 //! ```text
 //! COBS( header 1 to 4 bytes | payload 0 to MAX_PAYLOAD bytes | CRC-32, little endian ) 00
-//! COBS( byte of the session's key ) 00                                                        a sign of life
+//! COBS( byte of the session key ) 00                                   keep-alive frame
 //! ```
 //!
-//! COBS leaves no zero in a frame, so a receiver that lost its place finds it again at the next zero. A frame costs 7 bytes beside
-//! its payload and header: one of COBS (two above 254 bytes), four of the CRC, the zero.
+//! COBS leaves no zero in a frame, so a receiver that lost synchronisation recovers at the next
+//! zero. A frame costs 7 bytes in addition to payload and header: one of COBS (two above 254
+//! bytes), four of the CRC, and the zero.
 //!
-//! The CRC-32 (ISO-HDLC) covers header and payload and is combined with the number of the session, so that a frame of another session
-//! fails its check without a byte spent on saying so. 32 bits because a frame that moves a machine is at stake: of garbage that
-//! happens to be well-formed COBS, one in 4 * 10^9 is taken for a frame. The table has 256 entries, 1 KiB of flash and about 6
-//! cycles a byte on a Cortex-M; without a table it is 50 cycles, 64 bytes of which are a tenth of a control period.
+//! The CRC-32 (ISO-HDLC) covers header and payload. It is combined with the session number, so a
+//! frame of another session fails its check without an extra byte. The check has 32 bits because
+//! frames move a machine: of garbage that is well-formed COBS, one in 4 * 10^9 is accepted as a
+//! frame. The table has 256 entries, 1 KiB of flash, and costs about 6 cycles a byte on a Cortex-M.
+//! Without a table a byte costs 50 cycles, and 64 bytes would take a tenth of a control period.
 //!
-//! One frame has neither header nor check: the sign of life of an end that has nothing to say. Its content is one byte, made of the session's
-//! number, so that it takes three bytes on the line instead of eight, four with the zero that [`crate::link`] puts in front of it. A slow program sends two or three batches of setpoints in ten seconds and
-//! some hundred signs of life, which would cost more than all the rest. It carries nothing and can only put off the moment at which a
-//! silent peer is given up. Of random bytes, one in 4 * 10^9 begins the four (with the zero before them) that are taken for it: as good as the check
-//! of the other frames.
+//! The keep-alive frame of an idle endpoint has neither header nor check. Its content is one byte
+//! of the session key, so it takes three bytes on the line instead of eight, or four with the zero
+//! that [`crate::link`] sends before it. A slow program sends two or three batches of setpoints in
+//! ten seconds and some hundred keep-alive frames, which would otherwise cost more than all other
+//! traffic. The frame carries no data and can only delay the detection of a silent peer. Of random
+//! bytes, one in 4 * 10^9 begins the four (with the zero before them) that are accepted: as good as
+//! the check of the other frames.
 //!
-//! Misuse: a frame is only as good as its session number. Two sessions must not have the same one.
+//! Callers must give each session its own number: frames of two sessions with the same number
+//! cannot be told apart.
 
 mod outgoing;
 
@@ -28,22 +33,23 @@ pub use outgoing::OutgoingFrame;
 use crate::urgent;
 use heapless::Vec;
 
-/// The most bytes of payload in a frame; the largest message, a full batch of setpoints far from their prediction, has 284.
+/// Largest payload of a frame, bytes. The largest message, a full batch of setpoints with large
+/// residuals, has 284.
 pub const MAX_PAYLOAD: usize = 288;
 
-/// The most bytes of header, payload and check.
+/// Largest header, payload and check, bytes.
 const MAX_CONTENT: usize = MAX_HEADER + MAX_PAYLOAD + CRC_BYTES;
 
-/// The most bytes of a header.
+/// Largest header, bytes.
 const MAX_HEADER: usize = 4;
 
 /// Bytes of the check.
 const CRC_BYTES: usize = 4;
 
-/// The most bytes of a frame on the line: content, two bytes of COBS, the zero.
+/// Largest frame on the line, bytes: content, two bytes of COBS, the zero.
 pub const MAX_FRAME: usize = MAX_CONTENT + 2 + 1;
 
-/// Bytes that lie as words do, so that they can be copied by words.
+/// Word-aligned bytes, so that they can be copied by words.
 #[derive(Debug)]
 #[repr(align(4))]
 pub(crate) struct Words<const BYTES: usize>(pub(crate) [u8; BYTES]);
@@ -54,7 +60,7 @@ impl<const BYTES: usize> Default for Words<BYTES> {
     }
 }
 
-/// The encoded frame, its closing zero included.
+/// An encoded frame, including its closing zero.
 pub type FrameBytes = Vec<u8, MAX_FRAME>;
 
 /// CRC-32 as in Ethernet and zip, byte by byte.
@@ -77,51 +83,55 @@ const fn crc_table() -> [u32; 256] {
     table
 }
 
-/// The register before the first byte; the CRC is the opposite of the register after the last.
+/// CRC register before the first byte. The CRC is the complement of the register after the last.
 const CRC_START: u32 = !0;
 
-/// The register after one more byte.
+/// Returns the CRC register after one more byte.
 #[inline(always)]
 fn crc_step(register: u32, byte: u8) -> u32 {
-    // The mask cuts nothing: the index is a byte.
+    // The index is a byte: the mask drops nothing.
     CRC_TABLE[((register ^ u32::from(byte)) & 0xFF) as usize] ^ (register >> 8)
 }
 
-/// CRC-32 (ISO-HDLC) of some bytes, as it stands in [`crate::message::Command::Activate`].
+/// Returns the CRC-32 (ISO-HDLC) of `bytes`, as in [`crate::message::Command::Activate`].
 pub fn crc32(bytes: &[u8]) -> u32 {
     !bytes
         .iter()
         .fold(CRC_START, |register, &byte| crc_step(register, byte))
 }
 
-/// The register after content and check of a good frame of a session. The check is the CRC combined with the session's key, so what is left of the register does not depend on the
-/// content: it is what four bytes of zero make of the opposite of the key.
+/// CRC register after content and check of a valid frame of a session. The check is the CRC
+/// combined with the session key, so the register does not depend on the content: it is the result
+/// of four zero bytes after the complement of the key.
 fn crc_of_good(session: u32) -> u32 {
     (0..CRC_BYTES).fold(!session_key(session), |register, _| crc_step(register, 0))
 }
 
-/// What is combined with the CRC of a session's frames: 0 for session 0, different for different sessions, and differing in many
-/// bits for neighbouring ones (an odd factor is a bijection; this one is 2^32 divided by the golden ratio).
+/// Key that is combined with the CRC of a session's frames: 0 for session 0, and different for
+/// different sessions. It differs in many bits for neighbouring sessions: an odd factor is a
+/// bijection, and this one is 2^32 divided by the golden ratio.
 const fn session_key(session: u32) -> u32 {
     session.wrapping_mul(0x9E37_79B1)
 }
 
-/// The content of a session's sign of life: the byte of its key that depends on every bit of its number.
+/// Content of a session's keep-alive frame: the byte of its key that depends on every bit of its
+/// number.
 const fn sign_of_life(session: u32) -> u8 {
     (session_key(session) >> 24) as u8
 }
 
-/// What has arrived: cumulative, and beyond the first gap.
+/// Acknowledgement of received frames: cumulative, and beyond the first gap.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Acknowledgement {
-    /// Sequence number of the reliable frame that is expected next; all before it arrived.
+    /// Sequence number of the reliable frame that is expected next; all frames before it have
+    /// arrived.
     pub next: u8,
-    /// Bit `k` is set when the frame `next + 1 + k` arrived already.
+    /// Bit `k` is set when the frame `next + 1 + k` has arrived.
     pub beyond: u8,
 }
 
-/// What a frame is.
+/// Kind of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Header {
@@ -129,23 +139,23 @@ pub enum Header {
     Hello,
     /// [`crate::message::Welcome`]; in session 0.
     Welcome,
-    /// A message that must arrive, once and in order.
+    /// Reliable message: delivered once and in order.
     Reliable {
-        /// Its number.
+        /// Sequence number.
         sequence: u8,
-        /// What its sender has heard.
+        /// Acknowledgement of the sender.
         acknowledgement: Acknowledgement,
     },
-    /// A message of which only the newest is of interest.
+    /// Last-value message: the next one replaces it.
     Latest {
-        /// Its number.
+        /// Sequence number.
         sequence: u8,
-        /// What its sender has heard.
+        /// Acknowledgement of the sender.
         acknowledgement: Acknowledgement,
     },
-    /// Nothing but the acknowledgement.
+    /// Acknowledgement without a message.
     Acknowledge(Acknowledgement),
-    /// Nothing at all: the sign of life of an end that has nothing to say. A payload given with it is not sent.
+    /// Keep-alive frame of an idle endpoint. A payload given with it is not sent.
     Alive,
 }
 
@@ -153,7 +163,7 @@ pub enum Header {
 const BEYOND: u8 = 0x80;
 
 impl Header {
-    /// The header, and how many bytes of it there are.
+    /// Returns the header and its length in bytes.
     fn write(&self) -> ([u8; MAX_HEADER], usize) {
         let (kind, sequence, Acknowledgement { next, beyond }) = match *self {
             Self::Hello => return ([1, 0, 0, 0], 1),
@@ -171,14 +181,14 @@ impl Header {
         };
         let more = beyond != 0;
         let kind = kind | if more { BEYOND } else { 0 };
-        // What is not there stands behind what is, and is written over.
+        // Unused bytes follow the used ones and are overwritten by the payload.
         match sequence {
             Some(sequence) => ([kind, sequence, next, beyond], 3 + usize::from(more)),
             None => ([kind, next, beyond, 0], 2 + usize::from(more)),
         }
     }
 
-    /// The header and what follows it.
+    /// Splits content into the header and the bytes after it.
     fn read(content: &[u8]) -> Option<(Self, &[u8])> {
         let (&first, mut rest) = content.split_first()?;
         let mut take = || {
@@ -212,7 +222,7 @@ impl Header {
         Some((header, rest))
     }
 
-    /// The session whose key the check of such a frame carries.
+    /// Session whose key the check of this frame carries.
     fn session(&self, session: u32) -> u32 {
         match self {
             Self::Hello | Self::Welcome => 0,
@@ -221,7 +231,7 @@ impl Header {
     }
 }
 
-/// A payload does not fit into a frame.
+/// Error: a payload is longer than [`MAX_PAYLOAD`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct TooLong;
@@ -237,7 +247,7 @@ impl core::fmt::Display for TooLong {
 
 impl core::error::Error for TooLong {}
 
-/// Makes the frame of a payload; `frame` is cleared first.
+/// Encodes the frame of a payload. `frame` is cleared first.
 ///
 /// # Errors
 ///
@@ -258,36 +268,38 @@ pub fn encode(
         .map_err(|_| TooLong)
 }
 
-/// A frame whose check is right.
+/// A frame with a valid check.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Frame<'a> {
-    /// What it is.
+    /// Kind of the frame.
     pub header: Header,
-    /// What it carries.
+    /// Payload.
     pub payload: &'a [u8],
 }
 
 /// Finds frames in a stream of bytes.
 ///
-/// It needs no look-ahead and never more than [`MAX_FRAME`] bytes of memory; whatever it is fed, it is in step again after the next zero.
+/// It needs no look-ahead and at most [`MAX_FRAME`] bytes of memory. After any input it is
+/// synchronised again at the next zero.
 #[derive(Debug)]
 pub struct FrameDecoder {
-    /// Content of the frame so far, from [`FIRST`] to here, and the register of its CRC.
+    /// Content of the frame so far, from [`FIRST`] to `filled`, and the register of its CRC.
     content: Words<{ FIRST + MAX_CONTENT }>,
     filled: usize,
     register: u32,
-    /// COBS: bytes that follow before the next code, and whether that stands for a zero.
+    /// COBS: bytes before the next code, and whether that code stands for a zero.
     left: u8,
     zero: bool,
-    /// Everything up to the next zero is to be skipped.
+    /// Everything up to the next zero is skipped.
     skip: bool,
-    /// Session whose frames are heard.
+    /// Session whose frames are accepted.
     session: u32,
-    /// Frames that were refused.
+    /// Number of refused frames.
     bad: u32,
 }
 
-/// Content begins here, so that what stands behind the usual header of three bytes begins with a word and can be copied by words.
+/// Index of the first byte of content. The payload behind the usual header of three bytes is then
+/// word-aligned and can be copied by words.
 const FIRST: usize = 1;
 
 impl Default for FrameDecoder {
@@ -306,28 +318,29 @@ impl Default for FrameDecoder {
 }
 
 impl FrameDecoder {
-    /// A decoder that hears greetings only.
+    /// Creates a decoder that accepts only Hello and Welcome.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// From now on frames of this session are heard, beside greetings.
+    /// Accepts frames of this session from now on, besides Hello and Welcome.
     pub fn set_session(&mut self, session: u32) {
         self.session = session;
     }
 
-    /// Frames refused so far: broken, too long, check not right, or of another session. Stays at its largest value.
+    /// Number of refused frames: invalid COBS, too long, wrong check, or of another session. It
+    /// saturates.
     pub fn bad_frames(&self) -> u32 {
         self.bad
     }
 
-    /// Takes the next byte of the line; gives the frame that it ends, if its check is right.
+    /// Takes the next byte of the line. Returns the frame that it ends, if its check is valid.
     pub fn push(&mut self, byte: u8) -> Option<Frame<'_>> {
         self.take(&mut [byte].as_slice())
     }
 
-    /// Takes bytes of the line, up to the end of the next frame whose check is right, and gives that. The check is done when its last byte
-    /// comes.
+    /// Takes bytes of the line up to the end of the next frame with a valid check, and returns that
+    /// frame. The check is complete when its last byte arrives.
     pub fn take(&mut self, line: &mut &[u8]) -> Option<Frame<'_>> {
         while self.fill(line) {
             if let Some((header, start, end)) = self.end() {
@@ -338,7 +351,8 @@ impl FrameDecoder {
         None
     }
 
-    /// Takes bytes up to the next zero; whether there was one. Twelve instructions a byte and forty a run.
+    /// Takes bytes up to the next zero and returns whether there was one. It costs twelve
+    /// instructions a byte and forty a run.
     #[inline(never)]
     fn fill(&mut self, line: &mut &[u8]) -> bool {
         while let Some((&first, rest)) = line.split_first() {
@@ -347,15 +361,15 @@ impl FrameDecoder {
                 return true;
             }
             if self.left != 0 {
-                // A run without a zero, as far as it has come.
+                // The part of a run without a zero that has arrived.
                 let run = line.get(..usize::from(self.left)).unwrap_or(line);
                 let count = self.copy(run);
                 *line = line.get(count..).unwrap_or_default();
-                // No longer than what was left.
+                // `count` is at most `left`.
                 self.left = self.left.wrapping_sub(count as u8);
                 continue;
             }
-            // A code, which stands for a zero as well, if the one before announced that.
+            // A code. It also stands for a zero if the code before announced that.
             *line = rest;
             self.left = first - 1;
             if core::mem::replace(&mut self.zero, first != u8::MAX) {
@@ -370,18 +384,18 @@ impl FrameDecoder {
         false
     }
 
-    /// Where the next byte of content goes.
+    /// Returns the index of the next byte of content.
     #[inline(always)]
     fn place(&mut self) -> usize {
         if self.filled < FIRST + MAX_CONTENT {
             return self.filled;
         }
-        // Nothing of it will be read: what comes now is written over what came.
+        // The frame is skipped: the following bytes may overwrite it.
         self.skip = true;
         FIRST + 1
     }
 
-    /// Takes content up to a zero or as far as there is room; says how many bytes that are.
+    /// Copies content up to a zero or up to the end of the buffer. Returns the number of bytes.
     #[inline(always)]
     fn copy(&mut self, run: &[u8]) -> usize {
         let filled = self.place();
@@ -400,7 +414,7 @@ impl FrameDecoder {
         count
     }
 
-    /// The end of a frame: its header, and where its payload lies, if its check is right.
+    /// Ends a frame. Returns its header and the range of its payload, if its check is valid.
     fn end(&mut self) -> Option<(Header, usize, usize)> {
         let (end, register) = (self.filled, self.register);
         let (left, zero) = (self.left, self.zero);
@@ -411,7 +425,7 @@ impl FrameDecoder {
         self.zero = false;
         self.skip = false;
         if end == FIRST && (left == urgent::STOP_CODE - 1 || (left == 0 && !zero)) {
-            // A stray urgent stop, or nothing at all.
+            // An out-of-band stop between frames, or an empty frame.
             return None;
         }
         let content = self.content.0.get(FIRST..end).unwrap_or_default();
@@ -427,7 +441,7 @@ impl FrameDecoder {
     }
 }
 
-/// The header of a content, and where its payload lies, if the check is right.
+/// Returns the header of `content` and the range of its payload, if the check is valid.
 fn check(content: &[u8], register: u32, session: u32) -> Option<(Header, usize, usize)> {
     if let [sign] = *content {
         return (session != 0 && sign == sign_of_life(session)).then_some((Header::Alive, 1, 1));

@@ -1,109 +1,115 @@
-//! What is said of a haptic arm: where the hand is, what it shall feel, and what is wrong with the arm.
+//! Haptic arm messages: the master pose, the force feedback, and problems of the arm.
 //!
-//! Lengths `i32` in 2^-20 mm, forces 2^-16 N where nothing else is said, in the frame of the arm's base, which is parallel to that of the work. A *component* is 0 for x, 1 for y, 2 for z.
+//! Lengths are `i32` in 2^-20 mm. Forces are 2^-16 N unless stated otherwise. The frame is that of
+//! the arm's base, which is parallel to the workpiece frame. A *component* is 0 for x, 1 for y, 2
+//! for z.
 //!
-//! Misuse: queuing what is here. A hand has only a present; of two messages the later one is true.
+//! Callers must not queue these messages: only the newest one is valid.
 
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-/// Components of a force or a place: x, y, z.
+/// Components of a force or a position: x, y, z.
 pub const COMPONENTS: usize = 3;
 
-/// Where a hand is: what leads a tool from afar.
+/// Pose of a master, also of a remote master.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Hand {
-    /// The tip.
+    /// Position of the tip, 2^-20 mm.
     pub tip: [i32; COMPONENTS],
-    /// Its rate, 2^-12 mm/s.
+    /// Rate of the tip, 2^-12 mm/s.
     pub rate: [i32; COMPONENTS],
-    /// The x and the z axis of the handle, 32767 for 1.
+    /// Directions of the x and z axes of the handle, 32767 for 1.
     pub axes: [[i16; COMPONENTS]; 2],
-    /// The button is held: the hand leads.
+    /// The enabling switch is held: the master leads the tool.
     pub engaged: bool,
 }
 
-/// How a hand stands, from the controller of its arm.
+/// State of a master, from the controller of its arm.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct HandTelemetry {
     /// The control period.
     pub period: u64,
-    /// Where it is.
+    /// Master pose.
     pub hand: Hand,
-    /// What it is made to feel, 2^-8 N.
+    /// Force on the operator, 2^-8 N.
     pub force: [i16; COMPONENTS],
-    /// What the law of reflection alone would have made it feel, 2^-8 N.
+    /// Force of the force feedback law alone, 2^-8 N.
     pub reflected: [i16; COMPONENTS],
-    /// What the virtual walls push, 2^-8 N.
+    /// Force of the virtual fixtures, 2^-8 N.
     pub wall: [i16; COMPONENTS],
-    /// Credit of energy at the hand, below 0 debt, 2^-8 N mm: the lesser one of all motion and of swings.
+    /// Energy surplus, below 0 deficit, 2^-8 N mm: the smaller one of the passivity observer and
+    /// the oscillation damper.
     pub energy: i16,
-    /// The motors' amplifiers are on.
+    /// The amplifiers of the motors are on.
     pub enabled: bool,
-    /// What is wrong with the arm.
+    /// Problem of the arm.
     pub problem: Option<HandProblem>,
 }
 
-/// The reflection of one axis.
+/// Force feedback of one axis.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct ReflectAxis {
-    /// Percent of the force on the tool, to 100.
+    /// Percentage of the force on the tool, 0 to 100.
     pub percent: u8,
-    /// The most that it makes, 2^-16 N, to 10 N.
+    /// Largest force feedback, 2^-16 N, up to 10 N.
     pub most: i32,
 }
 
-/// What part of the force on the tool the hand feels (docs/control.md 3.4).
+/// Settings of the force feedback law (docs/control.md 3.4).
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Reflection {
     /// x, y, z.
     pub axes: [ReflectAxis; COMPONENTS],
-    /// Force against the motion of the hand where the reflection is too weak to be felt, 2^-16 N s/mm; 0 for none.
+    /// Velocity-proportional damping term where force feedback is too weak to be felt, 2^-16 N
+    /// s/mm; 0 for none.
     pub boost: u16,
-    /// Where it is strong enough, 2^-16 N.
+    /// Force feedback above which the damping term is off, 2^-16 N.
     pub boost_below: i32,
 }
 
-/// A face of the box in which the hand is kept.
+/// Virtual fixture: a face of the box around the master's tip.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Wall {
-    /// Where it is, 2^-20 mm; none for where the tip is now.
+    /// Position of the face, 2^-20 mm; `None` for the present position of the tip.
     pub at: Option<i32>,
-    /// How fast it moves, 2^-12 mm/s.
+    /// Rate of the face, 2^-12 mm/s.
     pub rate: i32,
 }
 
-/// What is wrong with a haptic arm, or with the way to it. Its motors are off, or the tool does not follow.
+/// Problem of a haptic arm or of the connection to it. Its motors are off, or the tool does not
+/// follow.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum HandProblem {
-    /// The readings of a leg do not fit those of the others: an encoder has jumped, sticks, or is wired backwards.
+    /// The readings of a leg contradict those of the others: an encoder has jumped, is stuck, or is
+    /// wired backwards.
     Encoder {
         /// The leg.
         leg: u8,
-        /// How much a side of the platform seems too long, 2^-20 mm.
+        /// Length by which a side of the platform appears too long, 2^-20 mm.
         by: i32,
     },
-    /// Illegal transitions of an encoder.
+    /// An encoder made illegal transitions.
     Illegal {
         /// The leg.
         leg: u8,
         /// 0 for the slide d, 1 for theta3, 2 for theta4.
         sensor: u8,
     },
-    /// A reading outside of what the joint can do.
+    /// A reading is outside the range of its joint.
     Range {
         /// The leg.
         leg: u8,
         /// 0 for the slide d, 1 for theta3, 2 for theta4.
         sensor: u8,
     },
-    /// The arm is near a pose in which it cannot push the hand in every direction.
+    /// The arm is near a pose in which it cannot exert a force in every direction.
     Singular,
     /// The amplifiers report a fault.
     Drive,

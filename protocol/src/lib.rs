@@ -1,15 +1,16 @@
-//! What Haptimill says on the wire.
+//! Messages, framing and link of Haptimill.
 //!
-//! Three layers, each usable alone and none of them touching a port or a clock:
+//! The modules can be used alone. None of them accesses a port or a clock:
 //!
-//! * [`message`]: the commands and reports, as plain types (postcard payloads).
-//! * [`mod@force`]: what is said of force control.
-//! * [`setpoint`]: the compact coding of timed setpoints.
-//! * [`frame`]: COBS framing with a CRC-32 around every payload.
-//! * [`link`]: sequence numbers, acknowledgement, retransmission, window, session.
-//! * [`urgent`]: the stop that is recognised byte by byte, before framing.
-//! * [`text`]: refusals, faults and events in plain sentences.
-//! * [`schema`]: one number for the shape of all messages, exchanged in the greeting.
+//! * [`message`]: commands and reports as plain types (postcard payloads).
+//! * [`mod@force`]: settings and problems of force control.
+//! * [`haptic`]: data of a haptic arm.
+//! * [`setpoint`]: compact coding of timed setpoints.
+//! * [`frame`]: COBS framing with a CRC-32 over each payload.
+//! * [`link`]: sequence numbers, acknowledgement, resend, window, session.
+//! * [`urgent`]: out-of-band stop, recognised byte by byte before framing.
+//! * [`text`]: refusals, faults and events as sentences.
+//! * [`schema`]: hash of all message types, exchanged in Hello and Welcome.
 #![no_std]
 
 #[cfg(test)]

@@ -1,37 +1,46 @@
-//! The link: messages over a line that loses, breaks, doubles and reorders bytes.
+//! The link: messages over a line that loses, corrupts, duplicates and reorders bytes.
 //!
-//! One type, [`Link`], is used at both ends ([`ControllerLink`], [`HostLink`]). It is fed bytes and the time, and gives bytes and
-//! messages; it reads no port and no clock, allocates nothing, and does the same on a chip, on a host and in a test.
+//! Both endpoints use the same type [`Link`] ([`ControllerLink`], [`HostLink`]). It takes bytes and
+//! the time, and returns bytes and messages. It accesses no port and no clock and does not
+//! allocate. It behaves the same on a chip, on a host and in a test.
 //!
-//! * **Session.** The host says [`Hello`](crate::message::Hello), again and again until it hears [`Welcome`](crate::message::Welcome). A new session forgets the one before: its
-//!   numbers, its messages, its frames still under way. Version or schema that differ are refused, and so is a second host while the
-//!   machine is busy.
-//! * **Reliable messages** ([`Link::send`]) arrive once and in order, or the session ends. At most [`WINDOW`] are under way; each frame has
-//!   a sequence number, each frame in the other direction says what arrived, also beyond a gap. A frame is sent again as
-//!   soon as one that was sent after it has arrived, or after a time that follows the measured round trip.
-//!   Where more than half of the room for messages that wait is used, what lies beyond is told to have arrived only as room is made: so whoever sends faster than the
-//!   other end polls is held back by its own window, and sends nothing twice for want of room, if what is under way has room in the other half.
-//! * **Latest values** ([`Link::send_latest`]) are sent once and replaced by the next; an older one that comes late is dropped.
-//! * **Life.** An end that said nothing for [`Timing::keep_alive_us`] says that it is there, in four bytes; whatever else it says is a sign of life too.
-//!   [`Link::peer_silent_us`] feeds the heartbeat.
+//! * **Session.** The host sends [`Hello`](crate::message::Hello) repeatedly until it receives
+//!   [`Welcome`](crate::message::Welcome). A new session drops the one before: its numbers, its
+//!   messages, its frames under way. A different version or schema is refused. Session takeover is
+//!   refused while the machine is busy.
+//! * **Reliable messages** ([`Link::send`]) arrive once and in order, or the session ends. At most
+//!   [`WINDOW`] are under way. Each frame has a sequence number, and each frame in the other
+//!   direction carries an acknowledgement, also beyond a gap. A frame is resent as soon as a frame
+//!   that was sent after it has arrived, or after a time that follows the measured round trip.
+//! * **Flow control.** When waiting messages fill more than half of the receive buffer, those
+//!   beyond half are acknowledged only as room is made. A fast sender blocks on its window and
+//!   never resends because the receiver is full, if the messages under way fit the other half.
+//! * **Last-value messages** ([`Link::send_latest`]) are sent once and replaced by the next one. An
+//!   older one that arrives late is dropped.
+//! * **Keep-alive.** An endpoint that sent nothing for [`Timing::keep_alive_us`] sends a keep-alive
+//!   frame of four bytes. Every other frame keeps the link alive too. [`Link::peer_silent_us`] is
+//!   the input of the heartbeat.
 //!
-//! Both ends, on a line that carries everything at once:
+//! Both endpoints, on a line without delay:
 //!
 //! ```
-//! use haptimill_protocol::link::{ControllerLink, HostLink, Identity, LinkState, SHORT_REPORT, Timing};
+//! use haptimill_protocol::link::{
+//!     ControllerLink, HostLink, Identity, LinkState, SHORT_REPORT, Timing,
+//! };
 //! use haptimill_protocol::message::{Command, Report, Request};
 //!
 //! let mut host = HostLink::new(Timing::default());
 //! let mut controller = ControllerLink::new(Timing::default());
-//! host.open(0x1234_5678, 0); // the session's number: random, never used before
+//! host.open(0x1234_5678, 0); // session number: random, never used before
 //! let mut buffer = [0; 64];
 //! for now_us in (0..100_000).step_by(200) {
 //!     // The host: bytes out, bytes in, messages.
 //!     let count = host.transmit(now_us, &mut buffer);
 //!     controller.receive(now_us, &buffer[..count]);
-//!     // The controller, once a period: a greeting, at most one message, at most so many bytes.
+//!     // The controller, once a period: Hello, at most one message, at most 64 bytes.
 //!     if controller.hello().is_some() {
-//!         let identity = Identity { machine: "H4", config_crc: 0, period_us: 200, axes: 5, queue: 64 };
+//!         let identity =
+//!             Identity { machine: "H4", config_crc: 0, period_us: 200, axes: 5, queue: 64 };
 //!         controller.welcome(now_us, &identity, false);
 //!     }
 //!     if controller.room(SHORT_REPORT) > 0
@@ -49,8 +58,10 @@
 //! assert_eq!(host.poll_message(), Some(Report::Answer { id: 7, result: Ok(()) }));
 //! ```
 //!
-//! Misuse: the time must not run backwards. A duplicate that comes more than 240 reliable frames late would be taken for a new one; no
-//! serial line does that. A session number that was used before makes late frames of the old session good again.
+//! Callers must pass a time that does not run backwards, and a session number that was never used
+//! before: a reused number makes late frames of the old session valid again. A duplicate that
+//! arrives more than 240 reliable frames late is taken for a new frame; no serial line delays so
+//! long.
 //!
 //! Memory: [`ControllerLink`] has 2.8 KiB, [`HostLink`] 8 KiB (held by a test).
 
@@ -71,63 +82,64 @@ use inbox::Inbox;
 use outbox::Outbox;
 use payload::Payload;
 
-/// The most reliable frames under way in one direction.
+/// Window: largest number of reliable frames under way in one direction.
 pub const WINDOW: usize = 8;
 
-/// How often an acknowledgement is said again, half a [`Timing::keep_alive_us`] apart, by an end that has nothing else to say.
+/// Repetitions of an acknowledgement by an idle endpoint, half of [`Timing::keep_alive_us`] apart.
 const REPEATS: u8 = 2;
 
-/// The most bytes of an answer or an event (of a telemetry frame there are more).
+/// Largest answer or event, bytes (a telemetry frame is larger).
 pub const SHORT_REPORT: usize = 32;
 
-/// The controller's end: takes requests, gives reports. Answers and events are short, so the room to send is small.
+/// The controller's endpoint: receives requests, sends reports. Answers and events are short, so
+/// the send buffer is small.
 pub type ControllerLink = Link<Controller, { WINDOW * SHORT_REPORT }, 1024>;
 
-/// The host's end: sends requests, takes reports.
+/// The host's endpoint: sends requests, receives reports.
 pub type HostLink = Link<Host, 2400, 4096>;
 
-/// One end of a link. `SEND` and `RECEIVE` are the bytes kept of messages under way in either direction.
+/// An endpoint of a link. `SEND` and `RECEIVE` are the buffer sizes in the two directions, bytes.
 #[derive(Debug)]
 pub struct Link<E: End, const SEND: usize, const RECEIVE: usize> {
-    /// Times and rate.
+    /// Timing and line rate.
     timing: Timing,
-    /// What differs between the ends.
+    /// State of the host's or the controller's role.
     end: E,
     /// A session is open.
     open: bool,
     /// Number of the session.
     session: u32,
-    /// From bytes to frames.
+    /// Decoder from bytes to frames.
     decoder: FrameDecoder,
-    /// What is to be acknowledged and polled.
+    /// Received messages, to be acknowledged and polled.
     inbox: Inbox<RECEIVE>,
-    /// What is under way.
+    /// Reliable messages under way.
     outbox: Outbox<SEND>,
-    /// The next latest value, if one waits; its number.
+    /// The next last-value message, whether it waits, whether it is held back, and its number.
     latest: Payload,
     latest_waits: bool,
     latest_held: bool,
     latest_sequence: u8,
-    /// The frame that is going out; whether it carries a reliable message.
+    /// The outgoing frame, and whether it carries a reliable message.
     wire: OutgoingFrame,
     reliable: bool,
-    /// There is nothing to say before this time, unless something happens in the meantime.
+    /// Nothing is to be sent before this time, unless something happens in the meantime.
     quiet_until_us: u64,
-    /// Since when an acknowledgement waits; how many frames it covers.
+    /// Time since which an acknowledgement waits, and the number of frames that it covers.
     acknowledge_since: Option<u64>,
     acknowledge_count: u8,
-    /// How often the last acknowledgement is still to be repeated where nothing else is said.
+    /// Repetitions left of the last acknowledgement while nothing else is sent.
     repeats: u8,
-    /// When a frame was last begun; when the peer was last heard.
+    /// Time at which a frame was last begun, and time at which the peer was last heard.
     spoke_us: u64,
     heard_us: u64,
-    /// When the line will have carried all that was given to it, in nanoseconds.
+    /// Time at which the line will have carried everything given to it, in nanoseconds.
     line_free_ns: u64,
     counters: Counters,
 }
 
 impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
-    /// A link without a session.
+    /// Creates a link without a session.
     pub fn new(timing: Timing) -> Self {
         Self {
             timing,
@@ -154,9 +166,10 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
         }
     }
 
-    /// How the link stands at a time. [`LinkState::Silent`] and [`LinkState::Stalled`] end a host's session; a controller's session stays
-    /// until the next greeting, and what to do in the meantime is the caller's decision: a machine that moves should take either for a host that
-    /// is lost, for reports that cannot be brought over stall only here.
+    /// Returns the state of the link. [`LinkState::Silent`] and [`LinkState::Stalled`] end a host's
+    /// session. A controller's session stays until the next Hello, and its caller decides what to
+    /// do until then. Callers with a machine in motion must take both for a lost host, because
+    /// undeliverable reports stall only this link.
     pub fn state(&self, now_us: u64) -> LinkState {
         if !self.open {
             self.end.closed()
@@ -169,17 +182,17 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
         }
     }
 
-    /// Number of the session; 0 when there is none.
+    /// Session number; 0 without a session.
     pub fn session(&self) -> u32 {
         self.session
     }
 
-    /// How long nothing good has been heard of the peer, microseconds.
+    /// Time since the last valid frame of the peer, microseconds.
     pub fn peer_silent_us(&self, now_us: u64) -> u64 {
         now_us.saturating_sub(self.heard_us)
     }
 
-    /// What was counted since the link was made.
+    /// Counters since the creation of the link.
     pub fn counters(&self) -> Counters {
         Counters {
             bad_frames: self.decoder.bad_frames(),
@@ -195,7 +208,8 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
         self.outbox.round_trip_us()
     }
 
-    /// Takes bytes from the line; messages wait for [`Link::poll_message`]. Says how much work that was.
+    /// Takes bytes from the line and returns the receive effort. Messages wait for
+    /// [`Link::poll_message`].
     pub fn receive(&mut self, now_us: u64, bytes: &[u8]) -> Work {
         let Self {
             decoder,
@@ -215,7 +229,7 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
         };
         while let Some(frame) = decoder.take(&mut line) {
             work = Work::Frame;
-            // Any of them may give something to say.
+            // Every frame may cause a transmission.
             self.quiet_until_us = 0;
             counters.frames_heard = counters.frames_heard.saturating_add(1);
             match frame.header {
@@ -261,7 +275,7 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
         work
     }
 
-    /// The next message, if there is one. A reliable one comes once and in order.
+    /// Returns the next message, if there is one. A reliable message comes once and in order.
     pub fn poll_message(&mut self) -> Option<E::Hears> {
         while let Some(payload) = self.inbox.first() {
             let message = postcard::from_bytes(payload);
@@ -274,7 +288,8 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
         None
     }
 
-    /// The same, written where it shall be: messages are large. False if there is none, or one that cannot be read.
+    /// Writes the next message to `place`, which avoids a copy of a large value. Returns false if
+    /// there is none, or one that cannot be decoded.
     pub fn poll_into(&mut self, place: &mut E::Hears) -> bool {
         let Some(payload) = self.inbox.first() else {
             return false;
@@ -291,18 +306,20 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
         true
     }
 
-    /// Whether nothing at all arrived that is yet to be heard; a message may still have to wait for the one before it.
+    /// Returns whether no received message is stored. A stored message may still wait for the one
+    /// before it.
     #[inline]
     pub fn has_heard_all(&self) -> bool {
         self.inbox.is_empty()
     }
 
-    /// The bytes of the next message, for whoever takes it apart bit by bit; it stays until [`Link::drop_first`].
+    /// Returns the bytes of the next message, for decoding in steps. It stays until
+    /// [`Link::drop_first`].
     pub fn peek(&self) -> Option<&[u8]> {
         self.inbox.first()
     }
 
-    /// Drops the message that [`Link::peek`] gives.
+    /// Drops the message of [`Link::peek`].
     pub fn drop_first(&mut self) {
         if self.inbox.drop_first() {
             // The peer waits for the room.
@@ -313,7 +330,7 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
         }
     }
 
-    /// The message that [`Link::peek`] gives cannot be read.
+    /// Drops the message of [`Link::peek`] and counts it as unreadable.
     pub fn drop_unreadable(&mut self) {
         self.drop_first();
         self.count_unreadable();
@@ -323,11 +340,13 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
         self.counters.unreadable = self.counters.unreadable.saturating_add(1);
     }
 
-    /// Sends a message that must arrive, once and in order.
+    /// Sends a reliable message: delivered once and in order.
     ///
     /// # Errors
     ///
-    /// [`SendError::Full`] when the window or the room is used up: nothing was taken, try again later.
+    /// [`SendError::Full`] when the window or the buffer is full: nothing was taken, try again
+    /// later. [`SendError::NotOpen`] without a session. [`SendError::TooLong`] when the message
+    /// does not fit a frame.
     pub fn send(&mut self, message: &E::Sends) -> Result<(), SendError> {
         if !self.open {
             return Err(SendError::NotOpen);
@@ -343,9 +362,10 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
         }
     }
 
-    /// How many reliable messages of up to so many bytes can be sent now. A controller polls a message only when there is room for
-    /// the answer and the events that it may cause ([`SHORT_REPORT`] bytes each): then none of them is ever lost, and a host that asks faster
-    /// than it listens is held back by its own window.
+    /// Returns how many reliable messages of up to `bytes` bytes can be sent now. A controller must
+    /// poll a message only when there is room for its answer and events ([`SHORT_REPORT`] bytes
+    /// each). Then none of them is lost, and a host that sends faster than it receives is blocked
+    /// by its own window.
     pub fn room(&self, bytes: usize) -> usize {
         if self.open {
             self.outbox.room(bytes)
@@ -354,16 +374,16 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
         }
     }
 
-    /// Reliable messages that the peer has not confirmed.
+    /// Number of reliable messages that the peer has not acknowledged.
     pub fn under_way(&self) -> usize {
         self.outbox.len()
     }
 
-    /// Sends a message of which only the newest is of interest; one that still waits is replaced.
+    /// Sends a last-value message; one that still waits is replaced.
     ///
     /// # Errors
     ///
-    /// [`SendError`] when no session is open, or the message fits no frame.
+    /// [`SendError`] when no session is open, or the message does not fit a frame.
     pub fn send_latest(&mut self, message: &E::Sends) -> Result<(), SendError> {
         if !self.open {
             return Err(SendError::NotOpen);
@@ -374,33 +394,35 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
         encoded
     }
 
-    /// Whether a latest value waits to be sent. Making its frame is the longest that [`Link::transmit`] may have to do.
+    /// Returns whether a last-value message waits to be sent. Framing it is the longest task of
+    /// [`Link::transmit`].
     pub fn latest_waits(&self) -> bool {
         self.latest_waits
     }
 
-    /// The latest value is not to be sent any more, if it has no frame yet.
+    /// Cancels the last-value message that waits, if its frame has not begun.
     pub fn withdraw_latest(&mut self) {
         self.latest_waits = false;
     }
 
-    /// A latest value is kept back while `held`: it gets no frame in [`Link::transmit`].
+    /// Holds the last-value message back while `held`: [`Link::transmit`] does not frame it.
     pub fn hold_latest(&mut self, held: bool) {
         self.latest_held = held;
     }
 
-    /// Whether there is nothing to say now: then [`Link::transmit`] need not be called.
+    /// Returns whether nothing is to be sent now. Then [`Link::transmit`] need not be called.
     #[inline]
     pub fn is_quiet(&self, now_us: u64) -> bool {
         self.wire.is_gone() && now_us < self.quiet_until_us
     }
 
-    /// Fills a buffer with the next bytes for the line and says how many they are.
+    /// Fills a buffer with the next bytes for the line and returns their number.
     pub fn transmit(&mut self, now_us: u64, buffer: &mut [u8]) -> usize {
         self.transmit_some(now_us, buffer, usize::MAX, usize::MAX)
     }
 
-    /// The same for an end that has little time: begins at most so many frames, and looks at so many bytes of each; what is not ready then comes with the next call.
+    /// The same with limited effort: begins at most `frames` frames, and encodes at most `bytes`
+    /// bytes of content before each output. The rest follows with the next call.
     pub fn transmit_some(
         &mut self,
         now_us: u64,
@@ -433,7 +455,7 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
         count
     }
 
-    /// Begins a session: nothing of the one before is left.
+    /// Begins a session and clears the state of the one before.
     fn begin(&mut self, now_us: u64, session: u32) {
         self.session = session;
         self.open = true;
@@ -448,7 +470,7 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
         self.heard_us = now_us;
         self.spoke_us = now_us;
         self.quiet_until_us = 0;
-        // A frame that has begun to go out goes out whole; the peer will not hear it.
+        // An outgoing frame is sent to its end; the peer ignores it.
     }
 
     /// Ends the session; [`Link::counters`] are kept.
@@ -460,9 +482,9 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
         self.end = E::default();
     }
 
-    /// Puts down the next frame in `wire`; false when there is nothing to say. What is said first: greetings, then frames to be
-    /// sent again and new ones, then the latest value, then an acknowledgement that found nothing to ride on, then
-    /// a sign of life.
+    /// Puts the next frame into `wire`; returns false when nothing is to be sent. Order: Hello or
+    /// Welcome, resent and new reliable frames, the last-value message, an acknowledgement that no
+    /// other frame carried, a keep-alive frame.
     fn compose(&mut self, now_us: u64) -> bool {
         let Self {
             timing,
@@ -476,9 +498,9 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
         self.reliable = false;
         let composed = if let Some(header) = end.greeting(now_us, timing.hello_us, &mut self.latest)
         {
-            // It has taken the place of a latest value, which nobody was listening to.
+            // The payload has replaced a last-value message, which had no receiver.
             self.latest_waits = false;
-            // A zero in front: what the line had before is unknown.
+            // A zero first: the state of the line is unknown.
             wire.begin(header, self.latest.bytes(), 0, true)
         } else if !self.open {
             return false;
@@ -491,7 +513,8 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
                     since.saturating_add(u64::from(timing.acknowledge_us))
                 }
             });
-            // An acknowledgement may have been lost, and would be missed until the peer sends its frames again.
+            // An acknowledgement may be lost. Without a repetition, the peer would resend its
+            // frames.
             let half = if self.repeats > 0 { 2 } else { 1 };
             let silence_us = u64::from(timing.keep_alive_us / half);
             let silent_us = self.spoke_us.saturating_add(silence_us);
@@ -515,7 +538,8 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
                 self.repeats -= u8::from(again && self.repeats > 0);
                 wire.begin(Header::Acknowledge(acknowledgement), &[], *session, false)
             } else if again {
-                // A zero in front, as with a greeting: one that follows the rest of a broken frame would be lost with it.
+                // A zero first, as with Hello: otherwise the frame is lost if it follows the rest
+                // of a broken frame.
                 wire.begin(Header::Alive, &[], *session, true)
             } else {
                 if !self.latest_waits {
@@ -524,7 +548,8 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
                 }
                 return false;
             };
-            // Each of them carries the acknowledgement; a sign of life comes only after all its repetitions.
+            // Every frame but the keep-alive frame carries the acknowledgement, and that one comes
+            // only after all its repetitions.
             self.acknowledge_since = None;
             self.acknowledge_count = 0;
             framed
@@ -534,7 +559,8 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
         composed.is_ok()
     }
 
-    /// Bytes that the line can take now: what it carries in the time that it may be filled ahead, less what it still has.
+    /// Bytes that the line can take now: its capacity in the time that it may be filled ahead,
+    /// minus the bytes that it still has.
     fn allowed(&self, now_us: u64) -> usize {
         if self.timing.line_rate == 0 {
             return usize::MAX;
@@ -546,7 +572,7 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
         (room_ns * u64::from(self.timing.line_rate) / 1_000_000_000) as usize
     }
 
-    /// The line has been given some bytes.
+    /// Accounts for bytes given to the line.
     fn charge(&mut self, now_us: u64, bytes: usize) {
         if self.timing.line_rate != 0 {
             let cost =

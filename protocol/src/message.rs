@@ -1,9 +1,11 @@
-//! The messages: what host and controller say to each other.
+//! Messages between host and controller.
 //!
-//! Coordinates on the wire are `i32` in *axis units*: 2^-20 mm for a linear axis, 2^-32 turn for a rotary one. Rates are
-//! axis units per second divided by 2^[`RATE_SHIFT`]. Times are counts of the controller's own periods.
+//! Coordinates on the wire are `i32` in *axis units*: 2^-20 mm for a linear axis, 2^-32 turn for a
+//! rotary one. Rates are axis units per second divided by 2^[`RATE_SHIFT`]. Times are counts of
+//! control periods.
 //!
-//! Misuse: a message says nothing of its own integrity. Only bytes that came through [`crate::link`] may be decoded here.
+//! A message has no integrity check of its own. Callers must decode only bytes that came through
+//! [`crate::link`].
 
 mod problem;
 
@@ -17,25 +19,25 @@ use heapless::{String, Vec};
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-/// The most axes (pose coordinates, or joints) a machine can have.
+/// Largest number of axes (pose coordinates, or joints) of a machine.
 pub const MAX_AXES: usize = 6;
 
-/// Version of this protocol; both ends must have the same.
+/// Version of this protocol; both endpoints must have the same.
 pub const PROTOCOL_VERSION: u16 = 4;
 
 /// A rate on the wire is in axis units per second divided by 2^8: 2^-12 mm/s, or 2^-24 turn/s.
 pub const RATE_SHIFT: u32 = 8;
 
-/// The most bytes of configuration in one [`Command::Configure`].
+/// Largest number of configuration bytes in one [`Command::Configure`].
 pub const CONFIG_CHUNK: usize = 64;
 
-/// The most setpoints in one [`Command::Setpoints`].
+/// Largest number of setpoints in one [`Command::Setpoints`].
 pub const SETPOINT_BATCH: usize = 4;
 
 /// One value for each axis of the machine, in axis units.
 pub type AxisValues = Vec<i32, MAX_AXES>;
 
-/// First words of a session, host to controller.
+/// First message of a session, from the host.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Hello {
@@ -43,7 +45,8 @@ pub struct Hello {
     pub version: u16,
     /// The host's [`schema_hash`](crate::schema::schema_hash).
     pub schema: u64,
-    /// Chosen by the host, different for each session; frames of another session are not heard.
+    /// Session number, chosen by the host, different for each session. Frames of another session
+    /// are ignored.
     pub session: u32,
 }
 
@@ -55,7 +58,7 @@ pub struct Welcome {
     pub version: u16,
     /// The controller's [`schema_hash`](crate::schema::schema_hash).
     pub schema: u64,
-    /// The session that is answered.
+    /// Session number of the [`Hello`].
     pub session: u32,
     /// Why the session is refused, if it is.
     pub refused: Option<HelloRefusal>,
@@ -71,7 +74,7 @@ pub struct Welcome {
     pub queue: u16,
 }
 
-/// Why a session is refused.
+/// Reason why a session is refused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum HelloRefusal {
@@ -83,150 +86,163 @@ pub enum HelloRefusal {
     Schema,
 }
 
-/// What the host asks, with a number that the answer repeats.
+/// A command with a number that the answer repeats.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Request {
-    /// Repeated in [`Report::Answer`]; 0 asks for no answer unless the command is refused.
+    /// Repeated in [`Report::Answer`]. 0 asks for no answer unless the command is refused.
     pub id: u8,
-    /// What is asked.
+    /// The command.
     pub command: Command,
 }
 
-/// What the host can ask.
+/// Commands of the host.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Command {
     /// Setpoints of the running job, coded by [`crate::setpoint`].
     Setpoints(SetpointBatch),
-    /// Nothing but a sign of life.
+    /// No action; tests the connection.
     Ping,
-    /// A piece of a new configuration; staged only.
+    /// A piece of a new configuration. It is only staged.
     Configure(ConfigChunk),
-    /// Check the staged configuration and make it the active one (drives off only).
+    /// Checks the staged configuration and makes it the active one (drives off only).
     Activate {
         /// Length of the whole configuration in bytes.
         length: u16,
         /// CRC-32 (ISO-HDLC) of the whole configuration.
         crc: u32,
-        /// The joints stand at their presets, set up by hand: count from there. Otherwise what is known of the position is kept, or given up
-        /// if the new configuration counts differently. The first configuration after power-on counts from the presets, where the
-        /// joints stood at power-on; what was counted since then is added.
+        /// The joints stand at their presets, set up by hand: counting starts there. If false, the
+        /// position is kept, or given up if the encoder scaling of the new configuration differs.
+        /// The first configuration after power-on counts from the presets, as joint positions at
+        /// power-on, and adds what was counted since.
         at_preset: bool,
     },
-    /// Drives on: wanted becomes measured, nothing moves. Answered when the step motors have locked, within a second.
+    /// Switches the drives on. The commanded pose becomes the measured one and nothing moves. The
+    /// answer comes when the step motors have locked, within a second.
     Enable,
-    /// Drives off, from standstill.
+    /// Switches the drives off, from standstill.
     Disable,
-    /// Find the reference of all axes, as one transaction.
+    /// Finds the reference of all axes, as one transaction.
     Home,
-    /// Clear a latched fault or emergency stop.
+    /// Clears a latched fault or emergency stop.
     Reset,
-    /// Begin a job at the pose at which the machine stands.
+    /// Starts a job at the present pose of the machine.
     JobStart {
         /// The host's number of the job; repeated in reports.
         job: u32,
-        /// Start pose; must equal the wanted pose of the controller (see [`Telemetry::commanded`]) to the last bit.
+        /// Start pose. It must equal the commanded pose of the controller (see
+        /// [`Telemetry::commanded`]) to the last bit.
         pose: AxisValues,
     },
-    /// No more setpoints: the job ends with the one before `count`.
+    /// Ends the series of setpoints: the last setpoint of the job is the one before `count`.
     JobEnd {
-        /// How many setpoints the job has.
+        /// Number of setpoints of the job.
         count: u32,
     },
-    /// Slow down along the path and wait; position kept.
+    /// Decelerates along the path and waits; the position is kept.
     Hold,
-    /// Go on after [`Command::Hold`], a pause or an underrun stop.
+    /// Continues after [`Command::Hold`], a pause or an underrun stop.
     Resume,
-    /// Slow down along the path, then drop the job; position kept.
+    /// Decelerates along the path, then drops the job; the position is kept.
     Stop,
-    /// Drives off now, brakes on; latched.
+    /// Drives off and brakes on at once; latched.
     EmergencyStop,
-    /// Move at a rate until the deadline; each new one replaces the one before.
+    /// Moves at a rate until the deadline; each jog replaces the one before.
     Jog {
-        /// Only the newest epoch of the session is heard; [`Command::JogCancel`], and any stop or hold, ends an epoch for good.
+        /// Epoch. Only the newest epoch of the session is accepted. [`Command::JogCancel`], and any
+        /// stop or hold, ends an epoch for good.
         epoch: u16,
-        /// Dead-man: the machine stops this long after the command was heard, 1 to 1000 ms.
+        /// Deadline after receipt, 1 to 1000 ms: then the machine stops.
         deadline_ms: u16,
         /// Rate of each pose coordinate (see [`RATE_SHIFT`]).
         rates: AxisValues,
     },
-    /// Stop jogging; every [`Command::Jog`] of this epoch or an older one is dropped, whenever it arrives.
+    /// Ends jogging: every [`Command::Jog`] of this epoch or an older one is dropped, also when it
+    /// arrives later.
     JogCancel {
         /// The epoch that ends.
         epoch: u16,
     },
-    /// Where one pose coordinate takes its wanted value from.
+    /// Sets the source of one pose coordinate.
     Source {
         /// Index of the pose coordinate.
         axis: u8,
         /// The new source.
         source: Source,
     },
-    /// Speed along the path in percent of the programmed one, 1 to 100.
+    /// Feed override: speed along the path in percent of the programmed one, 1 to 100.
     Override {
         /// Percent.
         percent: u8,
     },
-    /// Telemetry every so many periods; 0 switches it off.
+    /// Sets the interval of telemetry; 0 switches it off.
     Telemetry {
-        /// Periods between two frames.
+        /// Control periods between two frames.
         every: u16,
     },
-    /// One telemetry frame now.
+    /// Requests one telemetry frame now.
     Status,
-    /// Which axes are under force control. One that is taken out returns to the desired position at f_d / K_V.
+    /// Sets the axes under force control. An axis that is removed returns to the desired position
+    /// at f_d / K_V.
     ForceMask {
-        /// Bit 0 for x, 1 for y, 2 for z of the work.
+        /// Bit 0 for x, 1 for y, 2 for z of the workpiece.
         mask: u8,
     },
-    /// Other settings of the force loop of one axis; in force some periods later, without a jump of the tool.
+    /// Changes the settings of the force loop of one axis. They take effect some periods later,
+    /// without a jump of the tool.
     ForceLoop {
-        /// The component: 0 for x, 1 for y, 2 for z of the work.
+        /// The component: 0 for x, 1 for y, 2 for z of the workpiece.
         axis: u8,
         /// The settings.
         settings: ForceLoop,
     },
-    /// Take what the force sensor shows now as its zero. Answered when it has begun; [`Event::Tared`] or [`Event::TareRefused`] tells how it ended.
+    /// Sets the zero of the force sensor from its present value. The answer comes when the tare has
+    /// begun; [`Event::Tared`] or [`Event::TareRefused`] reports its end.
     Tare,
-    /// Where a hand is that leads the tool from afar. A latest value: each one replaces the one before, and a lost one is not sent again.
+    /// Pose of a remote master that leads the tool. A last-value message: each one replaces the one
+    /// before, and a lost one is not resent.
     Hand {
-        /// Only the newest epoch of the session is heard; any stop or hold ends an epoch for good, as with [`Command::Jog`].
+        /// Epoch. Only the newest epoch of the session is accepted. Any stop or hold ends an epoch
+        /// for good, as with [`Command::Jog`].
         epoch: u16,
-        /// How old it was when it was sent, in milliseconds.
+        /// Age of the pose when it was sent, in milliseconds.
         age_ms: u8,
-        /// The hand.
+        /// Pose of the master.
         hand: Hand,
     },
-    /// What a tool feels that a hand leads from here: forces on it along x, y, z, 2^-6 N. A latest value.
+    /// Remote force on a tool that this haptic arm leads, along x, y, z, 2^-6 N. A last-value
+    /// message.
     Feel {
         /// The forces.
         force: [i16; COMPONENTS],
     },
-    /// What part of the force on the tool the hand feels, from now on; approached within a second.
+    /// Sets the force feedback law: the part of the force on the tool that the operator feels. The
+    /// change is complete within a second.
     Reflect(Reflection),
-    /// A virtual wall: a face of the box in which the hand is kept.
+    /// Sets a virtual fixture: one face of the box around the master's tip.
     Wall {
         /// The component.
         axis: u8,
-        /// The upper face, or the lower one.
+        /// True for the upper face, false for the lower one.
         upper: bool,
-        /// The face; none takes it away.
+        /// The face; `None` removes it.
         wall: Option<Wall>,
     },
-    /// G_P: how far the tool goes for a way of the hand, 2^-12; 0.1 to 2.
+    /// Position scale G_P: ratio of tool motion to master motion, 2^-12; 0.1 to 2.
     HandScale {
         /// The scale.
         scale: u16,
     },
-    /// Telemetry of the hand every so many periods; 0 switches it off.
+    /// Sets the interval of telemetry of the master; 0 switches it off.
     HandTelemetry {
-        /// Periods between two reports.
+        /// Control periods between two reports.
         every: u16,
     },
-    /// Say which settings the force loop of an axis has: [`Event::ForceSettings`] comes before the answer.
+    /// Requests the settings of the force loop of an axis: [`Event::ForceSettings`] comes before
+    /// the answer.
     ForceSettings {
-        /// The component: 0 for x, 1 for y, 2 for z of the work.
+        /// The component: 0 for x, 1 for y, 2 for z of the workpiece.
         axis: u8,
     },
 }
@@ -235,7 +251,7 @@ pub enum Command {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct ConfigChunk {
-    /// Where in the configuration it belongs.
+    /// Offset of the piece in the configuration, bytes.
     pub offset: u16,
     /// The bytes.
     pub bytes: Vec<u8, CONFIG_CHUNK>,
@@ -245,51 +261,54 @@ pub struct ConfigChunk {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct SetpointBatch {
-    /// Number of the first one; the first of a job is 0.
+    /// Number of the first setpoint; the first of a job is 0.
     pub first: u32,
-    /// The setpoints, each relative to the one before.
+    /// The setpoints, each relative to its prediction from those before.
     pub items: Vec<SetpointDelta, SETPOINT_BATCH>,
 }
 
-/// A setpoint relative to what the ones before predict; see [`crate::setpoint`].
+/// A setpoint relative to its prediction; see [`crate::setpoint`].
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct SetpointDelta {
-    /// Periods since the setpoint before; at least 1.
+    /// Control periods since the setpoint before; at least 1.
     pub periods: u16,
-    /// Bit `k` is set when axis `k` has residuals; an axis without one is exactly where, and as fast as, was predicted.
+    /// Bit `k` is set when axis `k` has residuals. Position and rate of an axis without residuals
+    /// equal the prediction.
     pub moved: u8,
-    /// For each axis with its bit set, in order: coordinate less its prediction, then rate less its prediction.
+    /// For each axis with its bit set, in order: coordinate minus its prediction, then rate minus
+    /// its prediction.
     pub residuals: Vec<i32, { 2 * MAX_AXES }>,
-    /// What happens when the setpoint is reached.
+    /// Action when the setpoint is reached.
     pub action: Action,
 }
 
-/// What happens when a setpoint is reached, in the same period.
+/// Action when a setpoint is reached, in the same period.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Action {
-    /// Nothing.
+    /// No action.
     #[default]
     None,
-    /// Spindle to this speed in rev/min: clockwise above 0 (M3), counter-clockwise below (M4), 0 for off (M5).
+    /// Sets the spindle speed in rev/min: clockwise above 0 (M3), counter-clockwise below (M4), 0
+    /// for off (M5).
     Spindle(i16),
-    /// Wait for [`Command::Resume`] (M0, M1); the setpoint must have rate zero.
+    /// Waits for [`Command::Resume`] (M0, M1); the setpoint must have rate zero.
     Pause,
 }
 
-/// Where a pose coordinate takes its wanted value from.
+/// Source of the commanded value of a pose coordinate.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Source {
-    /// The queue of setpoints.
+    /// Setpoint queue.
     #[default]
     Program,
     /// Jog commands.
     Jog,
-    /// It stays where it is.
+    /// The coordinate is held.
     Hold,
-    /// The hand on a haptic arm, here or afar.
+    /// Master: a haptic arm at this controller, or a remote master.
     Master,
 }
 
@@ -300,15 +319,15 @@ pub enum State {
     /// Drives off.
     #[default]
     Disabled,
-    /// Drives on, nothing to do.
+    /// Drives on, no motion.
     Idle,
-    /// Looking for the references.
+    /// Homing: search for the references.
     Homing,
     /// A job runs (also while it waits for late setpoints).
     Run,
-    /// A jog moves the machine, or brakes it.
+    /// A jog moves or decelerates the machine.
     Jog,
-    /// A job waits, or slows down to wait.
+    /// A job waits, or decelerates to wait.
     Hold,
     /// A fault is latched; drives off or holding, see [`Fault`].
     Fault,
@@ -317,7 +336,7 @@ pub enum State {
 }
 
 impl State {
-    /// All states in their order; recorders and links number them by their place here.
+    /// All states in order. Recorders and links number a state by its index here.
     pub const ALL: [Self; 8] = [
         Self::Disabled,
         Self::Idle,
@@ -329,14 +348,14 @@ impl State {
         Self::EmergencyStop,
     ];
 
-    /// The place in [`State::ALL`].
+    /// Returns the index in [`State::ALL`].
     #[must_use]
     pub const fn number(self) -> u8 {
         self as u8
     }
 }
 
-/// What the controller says.
+/// Messages of the controller.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[allow(
@@ -344,27 +363,27 @@ impl State {
     reason = "few of them exist at a time; there is no allocator for a box"
 )]
 pub enum Report {
-    /// The answer to a request.
+    /// Answer to a request.
     Answer {
-        /// The request's number.
+        /// Number of the request.
         id: u8,
-        /// Done (or begun), or why not.
+        /// Done (or begun), or the refusal.
         result: Result<(), Refusal>,
     },
-    /// Something happened.
+    /// Report of something that happened.
     Event {
-        /// The control period in which it happened.
+        /// Control period of the event.
         period: u64,
-        /// What.
+        /// The event.
         event: Event,
     },
-    /// How things stand.
+    /// State of the controller.
     Telemetry(Telemetry),
-    /// How the hand stands.
+    /// State of the master.
     Hand(HandTelemetry),
 }
 
-/// How things stand at the end of a period.
+/// State of the controller at the end of a control period.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Telemetry {
@@ -376,15 +395,16 @@ pub struct Telemetry {
     pub homed: bool,
     /// The position is known to be right since homing.
     pub position_kept: bool,
-    /// Setpoints with a number below this can be taken; absolute, so what is in flight cannot be counted twice.
+    /// Setpoints with a number below this can be accepted. The number is absolute, so setpoints
+    /// under way cannot be counted twice.
     pub credit: u32,
-    /// The setpoint that the motion is heading for.
+    /// Setpoint that the motion is heading for.
     pub setpoint: u32,
-    /// Program time of the job in control periods: it stands while the machine waits.
+    /// Program time of the job in control periods; it does not advance while the machine waits.
     pub program_periods: u32,
-    /// Speed along the path, 65535 for the programmed one.
+    /// Path rate, 65535 for the programmed speed.
     pub path_rate: u16,
-    /// Wanted pose, axis units.
+    /// Commanded pose, axis units.
     pub commanded: AxisValues,
     /// Measured pose, axis units; empty while the forward kinematics has no certified answer.
     pub measured: AxisValues,
@@ -396,13 +416,13 @@ pub struct Telemetry {
     pub drive: AxisValues,
     /// The latched fault.
     pub fault: Option<Fault>,
-    /// Received bytes that had to wait because a period hears 64, in all.
+    /// Total of received bytes that were deferred, because a period takes at most 64.
     pub deferred_bytes: u32,
-    /// Frames refused by their check, in all.
+    /// Total of frames refused by their check.
     pub bad_frames: u32,
-    /// Received bytes that the board lost for want of room, in all.
+    /// Total of received bytes that the board lost because its buffer was full.
     pub lost_bytes: u32,
-    /// How the forces stand; one byte on a machine without a sensor.
+    /// Forces. `None` on a machine without a sensor, which takes one byte.
     pub force: Option<ForceTelemetry>,
 }
 
@@ -419,73 +439,77 @@ pub enum Event {
         /// Whether the position is kept.
         position_kept: bool,
     },
-    /// The job reached its last setpoint, at rest.
+    /// The job reached its last setpoint, at standstill.
     JobDone {
         /// The host's number of the job.
         job: u32,
-        /// Setpoints that were reached.
+        /// Number of setpoints that were reached.
         setpoints: u32,
     },
     /// The job was dropped by a stop or a fault.
     JobDropped {
         /// The host's number of the job.
         job: u32,
-        /// Setpoints that were reached.
+        /// Number of setpoints that were reached.
         setpoints: u32,
     },
-    /// The queue ran short and the machine slowed down along its path.
+    /// Underrun: the queue ran short and the machine decelerated along its path.
     Underrun {
         /// The setpoint that was late.
         setpoint: u32,
-        /// By how many periods it came too late to keep the speed.
+        /// Control periods by which it came too late to keep the speed.
         late_periods: u32,
     },
-    /// A pause in the program was reached; [`Command::Resume`] goes on.
+    /// A pause of the program was reached; [`Command::Resume`] continues.
     Paused {
-        /// The setpoint that carried the pause.
+        /// Setpoint with the pause.
         setpoint: u32,
     },
-    /// What was moved by hand leaves the program no room to stop on the way ahead: it holds. Make room by jogging, then [`Command::Resume`].
+    /// The program holds, because motion by the operator left no stopping distance on the path
+    /// ahead. Make room by jogging, then use [`Command::Resume`].
     Blocked {
-        /// The setpoint on the way to which it holds.
+        /// Setpoint that the motion was heading for.
         setpoint: u32,
     },
     /// All axes have their reference.
     Homed,
     /// A fault was latched.
     Fault(Fault),
-    /// A jog reached a soft limit and was clipped.
+    /// A jog reached a soft limit and was limited.
     JogLimited {
         /// The pose coordinate.
         axis: u8,
     },
-    /// A drive was asked for more than it can give; counted, clipped.
+    /// A drive command exceeded its limit; it was limited and counted.
     Saturated {
         /// The joint.
         axis: u8,
     },
     /// The force sensor has a new zero.
     Tared,
-    /// The force sensor has no new zero.
+    /// The tare was refused; the force sensor keeps its zero.
     TareRefused(TareRefusal),
-    /// The tool cannot yield any further: its limit, a soft limit, or where the machine can go. Told once until it can again.
+    /// The compliant displacement reached its limit, a soft limit, or the limit of the workspace.
+    /// Reported once until the tool can yield again.
     YieldLimited {
         /// The component of the force.
         axis: u8,
     },
-    /// Something is wrong with the haptic arm while nothing is led by it: it is off until reset.
+    /// A problem of the haptic arm while it leads no tool: it is off until reset.
     Hand(HandProblem),
-    /// Nothing new was heard of the hand that leads the tool: the machine slows down and holds. [`Command::Resume`] goes on from where both are then.
+    /// No new master pose arrived: the machine decelerates and holds. [`Command::Resume`] continues
+    /// from the poses of master and tool at that time.
     HandLost {
-        /// How old the newest word of it is, in milliseconds.
+        /// Age of the newest master pose, in milliseconds.
         age_ms: u16,
     },
-    /// The hand leads where the machine cannot go; it stays in front of it. Told once until it can go on.
+    /// The master leads the tool beyond a limit of the machine; the tool stays at the limit.
+    /// Reported once until the tool can follow again.
     HandLimited {
         /// The pose coordinate.
         axis: u8,
     },
-    /// The settings of a force loop that are in force now, as they were asked for with [`Command::ForceSettings`].
+    /// Settings of a force loop in effect, as requested with [`Command::ForceSettings`].
     ForceSettings {
         /// The component of the force.
         axis: u8,

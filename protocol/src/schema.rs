@@ -1,7 +1,7 @@
-//! One number for the shape of all messages.
+//! Hash of all message types.
 //!
-//! Two builds that disagree on a field would read each other's bytes as something else, and postcard would not notice. Their greetings carry
-//! this number; when it differs, the session is refused.
+//! Two builds that disagree on a field would misread each other's bytes, and postcard would not
+//! detect it. Hello and Welcome carry this hash; a session between different hashes is refused.
 
 use crate::message::{
     CONFIG_CHUNK, Hello, MAX_AXES, PROTOCOL_VERSION, RATE_SHIFT, Report, Request, SETPOINT_BATCH,
@@ -10,7 +10,8 @@ use crate::message::{
 use postcard_schema::Schema;
 use postcard_schema::key::Key;
 
-/// FNV-1a (64 bits) over names and types of every field of every message, and over the limits that the types do not show.
+/// FNV-1a (64 bits) of the names and types of every field of every message, and of the limits that
+/// the types do not contain.
 pub const SCHEMA_HASH: u64 = {
     let mut hash = of::<Hello>("hello");
     hash = mix(hash, of::<Welcome>("welcome"));
@@ -23,17 +24,17 @@ pub const SCHEMA_HASH: u64 = {
     mix(hash, SETPOINT_BATCH as u64)
 };
 
-/// [`SCHEMA_HASH`], computed when the program is built.
+/// Returns [`SCHEMA_HASH`], which is computed at build time.
 pub const fn schema_hash() -> u64 {
     SCHEMA_HASH
 }
 
-/// The hash of one message.
+/// Returns the hash of one message.
 const fn of<T: Schema>(path: &str) -> u64 {
     u64::from_le_bytes(Key::for_path::<T>(path).to_bytes())
 }
 
-/// Takes a value into a hash, byte by byte (FNV-1a).
+/// Adds a value to a hash, byte by byte (FNV-1a).
 const fn mix(mut hash: u64, value: u64) -> u64 {
     let bytes = value.to_le_bytes();
     let mut index = 0;
@@ -49,7 +50,7 @@ mod tests {
     use super::*;
     use postcard_schema::schema::{DataModelType, DataModelVariant, NamedType};
 
-    /// Every type name, field and variant below a type, as text.
+    /// Writes every type name, field and variant below a type as text.
     fn text(named: &NamedType, out: &mut std::string::String) {
         text_of(named.ty, out);
     }
@@ -94,7 +95,7 @@ mod tests {
         }
     }
 
-    /// Every message hangs below the hash: the parts that are easiest to forget are all reached from its roots.
+    /// The hash covers every message: types that are easily forgotten are reachable from its roots.
     #[test]
     fn the_roots_reach_every_message() {
         let mut all = std::string::String::new();
@@ -138,7 +139,8 @@ mod tests {
         }
     }
 
-    /// A field that is added, renamed, moved or of another type, and a variant likewise, change the hash.
+    /// Adding, renaming, moving or retyping a field changes the hash, and so does the same change
+    /// of a variant.
     #[test]
     fn any_change_of_shape_changes_the_hash() {
         #[derive(Schema)]

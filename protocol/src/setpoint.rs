@@ -1,49 +1,53 @@
-//! The compact coding of timed setpoints.
+//! Compact coding of timed setpoints.
 //!
-//! Consecutive setpoints of a smooth path say little that is new. Both ends therefore keep the same [`SetpointCoder`], which predicts
-//! each axis from the setpoints before it, and only what differs from the prediction is sent ([`SetpointDelta`]). An axis that stands
-//! still costs nothing.
+//! Consecutive setpoints of a smooth path are predictable. Both endpoints keep the same
+//! [`SetpointCoder`], which predicts each axis from the setpoints before. Only residuals are sent
+//! ([`SetpointDelta`]). An axis at standstill costs nothing.
 //!
-//! The prediction is the cubic of the motion itself. Over a span of time h, from p0 with rate v0 to p1 with rate v1, the cubic has at its
-//! end the acceleration a and all along the jerk j
+//! The prediction uses the segment polynomial, a cubic. Over a segment duration h, from p0 with
+//! rate v0 to p1 with rate v1, the cubic has the acceleration a at its end and the constant jerk j:
 //!
 //! ```text
 //! a h   = 2 v0 + 4 v1 - 6 (p1 - p0) / h
 //! j h^2 = 6 (v0 + v1) - 12 (p1 - p0) / h
 //! ```
 //!
-//! The next coordinate is predicted as p + v h + a h^2 / 2, and, once that coordinate is known, the next rate as the one that a constant
-//! jerk from (p, v, a) through the coordinate gives: v + a h + 3 (p' - prediction) / h. On the motions of the test `wire_cost` a setpoint so
-//! costs 11 to 18 bytes on the line. With p + v h alone it is 13 to 25; the jerk carried over as well gains nothing (18.1 for 18.4 bytes, but
-//! 17.3 for 17.0), since the rounding of the coordinates is magnified and a planner changes the jerk at its setpoints.
+//! The next coordinate is predicted as p + v h + a h^2 / 2. Once that coordinate is known, the next
+//! rate is predicted as the one that a constant jerk from (p, v, a) through the coordinate gives:
+//! v + a h + 3 (p' - prediction) / h. On the motions of the test `wire_cost` a setpoint costs 11 to
+//! 18 bytes on the line. With p + v h alone it costs 13 to 25. Predicting with the jerk as well
+//! gains nothing (18.1 for 18.4 bytes, but 17.3 for 17.0): it magnifies the rounding of the
+//! coordinates, and a planner changes the jerk at its setpoints.
 //!
-//! All arithmetic is integer, the same on both ends, and the coding is exact: whatever the prediction, coordinate and rate less prediction
-//! are taken modulo 2^32, so that decoding gives back every bit for every possible setpoint, also where a rotary axis wraps around.
+//! All arithmetic is integer and the same on both endpoints. The coding is exact: residuals of
+//! coordinate and rate are taken modulo 2^32, so decoding returns every bit of every possible
+//! setpoint, also where a rotary axis wraps around.
 //!
-//! Misuse: the two coders must see the same setpoints in the same order, from the same start. A refused setpoint leaves the coder as it
-//! was, and what [`BatchReader`] gives is not known to it before [`SetpointCoder::take`].
+//! Callers must pass the same setpoints in the same order, from the same start, to both coders. A
+//! refused setpoint leaves the coder unchanged. A setpoint from [`BatchReader`] changes the coder
+//! only with [`SetpointCoder::take`].
 
 use crate::message::{Action, AxisValues, MAX_AXES, RATE_SHIFT, SETPOINT_BATCH, SetpointDelta};
 
-/// A setpoint: where the machine is to be, and how fast, at the end of a span of time.
+/// A setpoint: pose and rates at the end of a segment duration.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Setpoint {
-    /// Periods since the setpoint before; at least 1.
+    /// Segment duration: control periods since the setpoint before; at least 1.
     pub periods: u16,
     /// Pose, axis units.
     pub pose: AxisValues,
     /// Rates, axis units per second divided by 2^[`crate::message::RATE_SHIFT`].
     pub rates: AxisValues,
-    /// What happens when it is reached.
+    /// Action when the setpoint is reached.
     pub action: Action,
 }
 
-/// Why a setpoint cannot be coded or decoded.
+/// Reason why a setpoint cannot be coded or decoded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum SetpointError {
-    /// The span of time is no period long.
+    /// The segment duration is zero.
     NoTime,
     /// The number of coordinates, rates or residuals is not that of the axes.
     AxisCount,
@@ -64,28 +68,30 @@ impl core::fmt::Display for SetpointError {
 
 impl core::error::Error for SetpointError {}
 
-/// A request with setpoints that is taken apart one setpoint after the other, so that no period of a controller has to decode all of it.
+/// Decodes a request with setpoints one setpoint at a time, so that no control period has to decode
+/// all of it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct BatchReader {
-    /// The request's number.
+    /// Number of the request.
     pub id: u8,
     /// Number of the next setpoint in the job.
     pub number: u32,
-    /// Setpoints that are left.
+    /// Number of setpoints left.
     pub left: u8,
-    /// Where the next one begins.
+    /// Offset of the next setpoint in the payload.
     at: u16,
 }
 
 impl BatchReader {
-    /// Whether the payload is a request with setpoints: its second byte is the number of [`Command::Setpoints`](crate::message::Command::Setpoints).
+    /// Returns whether the payload is a request with setpoints: its second byte is the number of
+    /// [`Command::Setpoints`](crate::message::Command::Setpoints).
     pub fn fits(payload: &[u8]) -> bool {
         payload.get(1) == Some(&0)
     }
 
-    /// The beginning of such a request; `None` when it cannot be read.
+    /// Reads the beginning of such a request. Returns `None` when it cannot be read.
     pub fn open(payload: &[u8]) -> Option<Self> {
-        // The number, the kind, the first setpoint, how many there are.
+        // Request number, command, number of the first setpoint, number of setpoints.
         let ((id, kind, number, left), rest) =
             postcard::take_from_bytes::<(u8, u32, u32, u32)>(payload).ok()?;
         let whole = kind == 0 && left as usize <= SETPOINT_BATCH;
@@ -97,8 +103,9 @@ impl BatchReader {
         })
     }
 
-    /// Reads the next setpoint of the same payload; false when it cannot be read or does not fit the coder, or when there is none. The coder does not know
-    /// of it before [`SetpointCoder::take`].
+    /// Reads the next setpoint of the same payload. Returns false when none is left, when it cannot
+    /// be read, or when it does not fit the coder. The coder changes only with
+    /// [`SetpointCoder::take`].
     pub fn next(&mut self, payload: &[u8], coder: &SetpointCoder, setpoint: &mut Setpoint) -> bool {
         self.read(payload, coder, setpoint).is_some()
     }
@@ -110,7 +117,8 @@ impl BatchReader {
         setpoint: &mut Setpoint,
     ) -> Option<()> {
         let left = self.left.checked_sub(1)?;
-        // A delta as postcard writes it, read where it stands: as a value of its own it takes three times as long.
+        // A delta as postcard writes it, decoded in place: decoding it as a value takes three times
+        // as long.
         let mut bytes = payload.get(usize::from(self.at)..)?;
         let periods = u16::try_from(number(&mut bytes)?).ok()?;
         let (&moved, rest) = bytes.split_first()?;
@@ -130,7 +138,7 @@ impl BatchReader {
     }
 }
 
-/// A number of at most 32 bits, seven a byte, the lowest first.
+/// Decodes a number of at most 32 bits, seven bits a byte, lowest first.
 #[inline(never)]
 fn number(bytes: &mut &[u8]) -> Option<u32> {
     let (mut number, mut shift) = (0, 0);
@@ -139,7 +147,7 @@ fn number(bytes: &mut &[u8]) -> Option<u32> {
         *bytes = rest;
         number |= u32::from(byte & 0x7F) << shift;
         if byte & 0x80 == 0 {
-            // Of the fifth byte four bits are left.
+            // The fifth byte has four bits of the number.
             return (shift < 28 || byte < 16).then_some(number);
         }
         if shift == 28 {
@@ -151,39 +159,42 @@ fn number(bytes: &mut &[u8]) -> Option<u32> {
 
 /// Times of the prediction are in 2^-24 s.
 const TIME_SHIFT: u32 = 24;
-/// Longest time that is predicted over: 4 s. A longer span is coded as exactly, with more bytes.
+/// Longest time of the prediction: 4 s. A longer segment duration is coded exactly too, with more
+/// bytes.
 const LONGEST: i64 = 4 << TIME_SHIFT;
-/// Shortest time that is predicted over: 2^-14 s, a little more than the shortest control period.
+/// Shortest time of the prediction: 2^-14 s, a little more than the shortest control period.
 const SHORTEST: i64 = 1 << (TIME_SHIFT - 14);
-/// Rates inside the prediction have this many more bits than on the wire.
+/// Extra fraction bits of rates inside the prediction.
 const FINE: u32 = 4;
-/// Bound of every change of rate inside the prediction; keeps all products within 63 bits.
+/// Bound of every change of rate inside the prediction. It keeps all products within 63 bits.
 const RATE_BOUND: i64 = 1 << 34;
-/// The ratio of two spans is in 2^-16 and at most this: a span 16 times longer than the one before it.
+/// Bound of the ratio of two segment durations, in 2^-16: 16 times longer than the one before.
 const RATIO_BOUND: i64 = 16 << 16;
 
-/// What is known of one axis.
+/// State of one axis.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 struct Axis {
     /// Coordinate of the last setpoint.
     pose: i32,
     /// Its rate, wire units.
     rate: i32,
-    /// Its acceleration times the last span: the change of rate that would go on, in rate units divided by 2^[`FINE`].
+    /// Its acceleration times the last segment duration: the change of rate that would continue, in
+    /// rate units divided by 2^[`FINE`].
     gain: i64,
 }
 
-/// A span of time with what the prediction needs of it, so that two divisions serve all axes.
+/// A segment duration with the values that the prediction needs, so that two divisions serve all
+/// axes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Span {
-    /// Length, 2^-24 s.
+    /// Duration, 2^-24 s.
     time: i64,
-    /// 2^40 / length.
+    /// 2^40 / duration.
     reciprocal: i64,
 }
 
 impl Span {
-    /// The span of a number of microseconds.
+    /// Creates the duration from microseconds.
     fn new(micros: u64) -> Self {
         // 2^24 / 10^6 = 2^18 / 15625; the clamp to 5 s keeps the product small.
         let micros = micros.min(5_000_000) as u32;
@@ -194,19 +205,22 @@ impl Span {
         }
     }
 
-    /// The mean rate over a way, in rate units divided by 2^[`FINE`]: |way| <= 2^33, reciprocal <= 2^30, so |product| < 2^63.
+    /// Returns the mean rate over a displacement, in rate units divided by 2^[`FINE`]. |way| <=
+    /// 2^33 and reciprocal <= 2^30, so |product| < 2^63.
     fn mean_rate(&self, way: i64) -> i64 {
-        // way / time is in axis units per 2^-24 s; a fine rate unit is 2^(RATE_SHIFT - FINE) axis units per second.
+        // way / time is in axis units per 2^-24 s. The result is in 2^(RATE_SHIFT - FINE) axis
+        // units per second.
         way.wrapping_mul(self.reciprocal) >> (40 - TIME_SHIFT + RATE_SHIFT - FINE)
     }
 }
 
-/// number * 2^bits / by, rounded down, by divisions of one word; `by` is at most 2^26 and the result below 2^32.
+/// Returns number * 2^bits / by, rounded down, by divisions of one word. `by` is at most 2^26 and
+/// the result below 2^32.
 fn quotient(number: u32, by: u32, bits: u32) -> u32 {
     let (mut quotient, mut rest) = (number / by, number % by);
     let mut left = bits;
     while left > 0 {
-        // What rests is below 2^26.
+        // The remainder is below 2^26.
         let shift = left.min(6);
         rest <<= shift;
         quotient = (quotient << shift).wrapping_add(rest / by);
@@ -216,7 +230,7 @@ fn quotient(number: u32, by: u32, bits: u32) -> u32 {
     quotient
 }
 
-/// Codes setpoints into deltas, and deltas into setpoints.
+/// Encodes setpoints as deltas, and decodes deltas.
 ///
 /// ```
 /// use haptimill_protocol::message::Action;
@@ -240,14 +254,15 @@ pub struct SetpointCoder {
     period_us: u16,
     /// Axes in use.
     axes: usize,
-    /// Periods of the last setpoint; its span.
+    /// Periods of the last setpoint, and its duration.
     last: (u16, Span),
-    /// What is known of each axis.
+    /// State of each axis.
     state: [Axis; MAX_AXES],
 }
 
 impl SetpointCoder {
-    /// A coder at the start of a job: at rest in `pose` (axis units). `period_us` is the control period.
+    /// Creates a coder for the start of a job, at standstill in `pose` (axis units). `period_us` is
+    /// the control period in microseconds.
     pub fn new(period_us: u16, pose: &AxisValues) -> Self {
         let mut state = [Axis::default(); MAX_AXES];
         for (axis, &pose) in state.iter_mut().zip(pose) {
@@ -261,16 +276,17 @@ impl SetpointCoder {
         }
     }
 
-    /// How many axes the setpoints have.
+    /// Number of axes of the setpoints.
     pub fn axes(&self) -> usize {
         self.axes
     }
 
-    /// The delta of the next setpoint.
+    /// Encodes the next setpoint.
     ///
     /// # Errors
     ///
-    /// [`SetpointError`] when the setpoint takes no time or has the wrong number of axes; the coder is then unchanged.
+    /// [`SetpointError`] when the setpoint takes no time or has the wrong number of axes; the coder
+    /// is then unchanged.
     pub fn encode(&mut self, setpoint: &Setpoint) -> Result<SetpointDelta, SetpointError> {
         if setpoint.pose.len() != self.axes || setpoint.rates.len() != self.axes {
             return Err(SetpointError::AxisCount);
@@ -288,7 +304,7 @@ impl SetpointCoder {
             let rate_residual = rate.wrapping_sub(axis.predict_rate(span, gain, pose_residual));
             if (pose_residual, rate_residual) != (0, 0) {
                 delta.moved |= 1 << index;
-                // At most MAX_AXES pairs: always room.
+                // At most MAX_AXES pairs: the residuals always fit.
                 let _ = delta.residuals.push(pose_residual);
                 let _ = delta.residuals.push(rate_residual);
             }
@@ -298,11 +314,12 @@ impl SetpointCoder {
         Ok(delta)
     }
 
-    /// The setpoint of the next delta.
+    /// Decodes the next delta.
     ///
     /// # Errors
     ///
-    /// [`SetpointError`] when the delta takes no time or speaks of axes that do not exist; the coder is then unchanged.
+    /// [`SetpointError`] when the delta takes no time or has residuals of axes that do not exist;
+    /// the coder is then unchanged.
     pub fn decode(&mut self, delta: &SetpointDelta) -> Result<Setpoint, SetpointError> {
         if delta.residuals.len() != 2 * delta.moved.count_ones() as usize {
             return Err(SetpointError::AxisCount);
@@ -320,7 +337,7 @@ impl SetpointCoder {
         Ok(setpoint)
     }
 
-    /// Writes down the setpoint that is so far beyond its prediction, but for its action.
+    /// Writes the setpoint with these residuals to `setpoint`, except for its action.
     fn predict(
         &self,
         periods: u16,
@@ -355,7 +372,7 @@ impl SetpointCoder {
         Ok(())
     }
 
-    /// The setpoint that was read last is in force: the next one is told relative to it.
+    /// Accepts the setpoint that was read last: the next one is relative to it.
     pub fn take(&mut self, setpoint: &Setpoint) {
         let (last_periods, mut span) = self.last;
         if setpoint.periods != last_periods {
@@ -372,7 +389,7 @@ impl SetpointCoder {
         Span::new(u64::from(periods) * u64::from(self.period_us))
     }
 
-    /// The span of the next setpoint, and how much longer it is than the last one, in 2^-16.
+    /// Returns the duration of the next setpoint, and its ratio to the last one, in 2^-16.
     fn span(&self, periods: u16) -> Result<(Span, i64), SetpointError> {
         let (last_periods, last) = self.last;
         if periods == 0 {
@@ -382,7 +399,7 @@ impl SetpointCoder {
             return Ok((last, 1 << 16));
         }
         let span = self.span_of(periods);
-        // No time is longer than 2^26.
+        // Every time is at most 2^26.
         let (time, last) = (span.time as u32, last.time as u32);
         let ratio = if time / last < (RATIO_BOUND >> 16) as u32 {
             i64::from(quotient(time, last, 16))
@@ -394,18 +411,19 @@ impl SetpointCoder {
 }
 
 impl Axis {
-    /// The coordinate that is expected after a span, and the change of rate that goes with it.
+    /// Returns the predicted coordinate after a duration, and the change of rate.
     fn predict(&self, span: Span, ratio: i64) -> (i32, i64) {
         // |gain| <= 2^40 and ratio <= 2^20.
         let gain = (self.gain.wrapping_mul(ratio) >> 16).clamp(-RATE_BOUND, RATE_BOUND);
         // |rate| <= 2^31 + 2^29 wire units, 2^35 + 2^33 fine ones; time <= 2^26: |product| < 2^62.
         let mean = (i64::from(self.rate) << FINE).wrapping_add(gain / 2);
         let way = mean.wrapping_mul(span.time) >> (TIME_SHIFT - RATE_SHIFT + FINE);
-        // Modulo 2^32 by intent: a rotary axis wraps around, and the residual is taken modulo 2^32 as well.
+        // Modulo 2^32 by intent: a rotary axis wraps around, and the residual is modulo 2^32 as
+        // well.
         (i64::from(self.pose).wrapping_add(way) as i32, gain)
     }
 
-    /// The rate that is expected once the coordinate is known to be `residual` beyond its prediction.
+    /// Returns the predicted rate for a coordinate that is `residual` beyond its prediction.
     fn predict_rate(&self, span: Span, gain: i64, residual: i32) -> i32 {
         // |gain| <= 2^34, the mean rate is below 2^61.
         let fine = gain.wrapping_add(span.mean_rate(i64::from(residual)).wrapping_mul(3));
@@ -413,9 +431,9 @@ impl Axis {
         i64::from(self.rate).wrapping_add(fine.wrapping_add(1 << (FINE - 1)) >> FINE) as i32
     }
 
-    /// Takes over the setpoint that was reached.
+    /// Accepts the setpoint that was reached.
     fn advance(&mut self, span: Span, pose: i32, rate: i32) {
-        // The shorter way round, for an axis that wraps.
+        // Modulo 2^32: the shorter way round for an axis that wraps.
         let mean = span.mean_rate(i64::from(pose.wrapping_sub(self.pose)));
         let rates = (i64::from(self.rate) << 1).wrapping_add(i64::from(rate) << 2);
         let gain = (rates << FINE).wrapping_sub(mean.wrapping_mul(6));

@@ -1,14 +1,18 @@
-//! Refusals, faults and events in plain sentences, with the remedy where there is one.
+//! Refusals, faults and events as sentences, with the remedy where there is one.
 //!
-//! `Display` of these types speaks of axes by number, from 1, and leaves out amounts, for a number in axis units means nothing to a person.
-//! Who knows the machine says more: [`Axes::describe`] puts in names, and amounts in millimetres or degrees.
+//! `Display` of these types names axes by number, from 1, and omits amounts, because it does not
+//! know the axis units. [`Axes::describe`] knows the machine: it adds axis names, and amounts in
+//! millimetres or degrees.
 //!
 //! ```
 //! use haptimill_protocol::message::Fault;
 //! use haptimill_protocol::text::{Axes, Axis, AxisKind};
 //! let axes = Axes { pose: &[], joints: &[Axis { name: "slide 1", kind: AxisKind::Linear }] };
 //! let fault = Fault::SoftLimit { axis: 4 };
-//! assert_eq!(fault.to_string(), "axis 5 left its soft limits; reset, then move it back by jogging");
+//! assert_eq!(
+//!     fault.to_string(),
+//!     "axis 5 left its soft limits; reset, then move it back by jogging"
+//! );
 //! let fault = Fault::FollowingError { axis: 0, error: -(3 << 20), limit: 1 << 20 };
 //! assert_eq!(
 //!     axes.describe(&fault).to_string(),
@@ -27,7 +31,7 @@ use crate::message::{
 };
 use core::fmt::{Display, Formatter, Result};
 
-/// Linear or rotary.
+/// Kind of an axis.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum AxisKind {
     /// Axis units are 2^-20 mm.
@@ -36,7 +40,7 @@ pub enum AxisKind {
     Rotary,
 }
 
-/// What a person calls an axis, and what its numbers mean.
+/// Name and kind of an axis.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Axis<'a> {
     /// Name.
@@ -45,7 +49,7 @@ pub struct Axis<'a> {
     pub kind: AxisKind,
 }
 
-/// The axes of a machine; lists may be short or empty, what is missing goes by its number.
+/// Axes of a machine. The lists may be short or empty; a missing axis is named by its number.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Axes<'a> {
     /// Pose coordinates.
@@ -55,13 +59,13 @@ pub struct Axes<'a> {
 }
 
 impl<'a> Axes<'a> {
-    /// The same sentence as `Display` gives, with names and amounts.
+    /// Returns the sentence of `Display` with names and amounts.
     pub fn describe<T: Describe>(&'a self, what: &'a T) -> Described<'a, T> {
         Described { axes: self, what }
     }
 }
 
-/// A sentence about a machine whose axes are known; made by [`Axes::describe`].
+/// A sentence with the names of a machine's axes, from [`Axes::describe`].
 #[derive(Debug, Clone, Copy)]
 pub struct Described<'a, T> {
     axes: &'a Axes<'a>,
@@ -74,9 +78,9 @@ impl<T: Describe> Display for Described<'_, T> {
     }
 }
 
-/// What can be said in a sentence.
+/// Types that have a sentence.
 pub trait Describe {
-    /// Writes the sentence: no capital at its beginning, no full stop at its end.
+    /// Writes the sentence, without a capital at its start or a full stop at its end.
     ///
     /// # Errors
     ///
@@ -84,12 +88,12 @@ pub trait Describe {
     fn describe(&self, axes: &Axes<'_>, f: &mut Formatter<'_>) -> Result;
 }
 
-/// A value in axis units as a person reads it: millimetres or degrees, three decimals, exactly rounded.
+/// A value in engineering units: millimetres or degrees, three decimals, exactly rounded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Amount {
     /// Axis units.
     pub value: i32,
-    /// Of which kind.
+    /// Kind of the axis.
     pub kind: AxisKind,
 }
 
@@ -107,7 +111,7 @@ impl Display for Amount {
     }
 }
 
-/// An axis by its name, or by its number from 1.
+/// Displays an axis by its name, or by its number from 1.
 struct Named<'a>(&'a [Axis<'a>], u8);
 
 impl Display for Named<'_> {
@@ -119,7 +123,7 @@ impl Display for Named<'_> {
     }
 }
 
-/// The amount, if the kind of the axis is known.
+/// Returns the amount if the kind of the axis is known.
 fn amount(axes: &[Axis<'_>], axis: u8, value: i32) -> Option<Amount> {
     let kind = axes.get(usize::from(axis))?.kind;
     Some(Amount { value, kind })
@@ -180,7 +184,7 @@ impl Describe for Refusal {
             Self::AxisCount => f.write_str("the number of values is not the number of axes of the machine"),
             Self::OutOfOrder { expected } => write!(f, "setpoint {expected} was expected next"),
             Self::QueueFull => f.write_str("the queue of setpoints is full"),
-            // The same as when it comes there with its drives on.
+            // The same sentence as for a joint that leaves its stroke with its drives on.
             Self::Standing(PoseError::OutOfStroke { axis, by }) => {
                 Fault::Stroke { axis, by }.describe(axes, f)
             }
@@ -238,7 +242,7 @@ impl Describe for Refusal {
     }
 }
 
-/// A joint that was asked for too high a rate, with both rates where the machine is known.
+/// Writes that a joint exceeds its maximum rate, with both rates if the machine is known.
 fn too_fast(axes: &Axes<'_>, axis: u8, rate: i32, limit: i32, f: &mut Formatter<'_>) -> Result {
     write!(f, "{} would move", Named(axes.joints, axis))?;
     match (
@@ -278,7 +282,7 @@ impl Describe for ConfigProblem {
         let field = self.field;
         write!(f, "the configuration is wrong: {field}")?;
         if let Some(axis) = self.axis {
-            // Which list the axis belongs to depends on the field.
+            // The field decides which list the axis belongs to.
             let list = match field {
                 ConfigField::SoftLimit
                 | ConfigField::StopTime
@@ -516,7 +520,7 @@ impl Describe for Event {
     }
 }
 
-/// `Display` without a machine, and the error trait where it fits.
+/// Implements `Display` without a machine, and the error trait where it applies.
 macro_rules! display {
     ($($name:ident),*) => {$(
         impl Display for $name {
@@ -551,7 +555,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig { rng_seed: proptest::test_runner::RngSeed::Fixed(1), failure_persistence: None, ..ProptestConfig::default() })]
 
-        /// An amount is the value within half a thousandth, read back as a decimal number.
+        /// An amount equals the value within half a thousandth when parsed as a decimal number.
         #[test]
         fn amounts_are_right(value: i32) {
             for (kind, scale, unit) in [(AxisKind::Linear, 1048576.0, " mm"), (AxisKind::Rotary, 4294967296.0 / 360.0, " deg")] {

@@ -1,19 +1,22 @@
-//! The stop that waits for nothing.
+//! Out-of-band stop.
 //!
-//! `00 18 00` on the line asks for a stop, whatever the framing is doing and however much is queued before the messages: a receive
-//! interrupt runs [`UrgentDetector`] on every byte as it comes in and sets a flag. No frame contains these bytes: between its
-//! zeros, 18 (hexadecimal) alone would be a COBS code that announces 23 more bytes. Bytes lost on the line may produce it; the
-//! machine then stops without need, along its path, position kept.
+//! The bytes `00 18 00` on the line request a stop in any state of the framing and with any number
+//! of queued messages. A receive interrupt runs [`UrgentDetector`] on every byte as it arrives and
+//! sets a flag. No frame contains these bytes: between two zeros, 18 (hexadecimal) would be a COBS
+//! code that announces 23 more bytes. Bytes lost on the line may produce the pattern. The machine
+//! then stops unnecessarily, along its path, with its position kept.
 //!
-//! The bytes are not protected by a check and may be lost themselves, so the sender repeats them until a stop is reported.
+//! No check protects the bytes, and they may be lost themselves. Callers must repeat them until a
+//! stop is reported.
 
 /// The code between the two zeros (CAN, "cancel").
 pub const STOP_CODE: u8 = 0x18;
 
-/// What is sent to ask for a stop.
+/// The bytes that request a stop.
 pub const STOP: [u8; 3] = [0, STOP_CODE, 0];
 
-/// Recognises [`STOP`] byte by byte. One byte of state, no loop, no branch on memory: fit for a receive interrupt.
+/// Recognises [`STOP`] byte by byte. It has one byte of state, no loop and no branch on memory, and
+/// suits a receive interrupt.
 ///
 /// ```
 /// use haptimill_protocol::urgent::UrgentDetector;
@@ -23,17 +26,18 @@ pub const STOP: [u8; 3] = [0, STOP_CODE, 0];
 /// ```
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct UrgentDetector {
-    /// Bytes of the pattern seen: 0, 1 or 2.
+    /// Bytes of the pattern matched so far: 0, 1 or 2.
     seen: u8,
 }
 
 impl UrgentDetector {
-    /// A detector that has seen nothing.
+    /// Creates a detector in its initial state.
     pub const fn new() -> Self {
         Self { seen: 0 }
     }
 
-    /// Takes the next byte; true when it completes the pattern. The closing zero can open the next one.
+    /// Takes the next byte and returns true when it completes the pattern. The closing zero can
+    /// open the next pattern.
     pub const fn push(&mut self, byte: u8) -> bool {
         let complete = self.seen == 2 && byte == 0;
         self.seen = match byte {
@@ -44,7 +48,7 @@ impl UrgentDetector {
         complete
     }
 
-    /// Takes bytes that came together, where they do not come one by one; true when the pattern was completed among them.
+    /// Takes several bytes and returns true when they complete the pattern at least once.
     pub const fn push_all(&mut self, bytes: &[u8]) -> bool {
         let mut found = false;
         let mut rest = bytes;
@@ -65,7 +69,8 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig { rng_seed: proptest::test_runner::RngSeed::Fixed(1), failure_persistence: None, ..ProptestConfig::default() })]
 
-        /// Any run of frames, whatever they carry, is free of the pattern; and an urgent stop between any of them is found at once.
+        /// No series of frames contains the pattern, and an out-of-band stop between frames is
+        /// found at once.
         #[test]
         fn no_frame_is_a_stop(
             payloads in prop::collection::vec(

@@ -1,28 +1,30 @@
-//! A message to bytes, as postcard writes it.
+//! Serialisation of a message to bytes, in the format of postcard.
 //!
-//! Postcard's own serializer writes each number into a place of its own and copies it from there byte by byte: 100 instructions a number, and telemetry
-//! has forty of them. Here each byte is put where it belongs, and whether it all fitted is asked once, at the end. The bytes are
-//! the same (a test holds every message against postcard), and are read by postcard.
+//! The serializer of postcard writes each number to a buffer of its own and copies it from there
+//! byte by byte. That costs 100 instructions a number, and telemetry has forty numbers. This one
+//! writes each byte in place and checks once, at the end, whether all of them fitted. The bytes are
+//! the same (a test compares every message with postcard), and postcard reads them.
 //!
-//! What no message has is refused: floats, characters, maps, numbers of 128 bits.
+//! Types that no message has are refused: floats, characters, maps, numbers of 128 bits.
 
 use core::fmt::{self, Display};
 use serde::ser::{self, Impossible, Serialize, Serializer};
 
-/// Writes a message as far as there is room, and says how many bytes it has; `None` for what is no message.
+/// Writes a message as far as it fits into `room`, and returns its whole length in bytes. Returns
+/// `None` for a type that no message has.
 pub(crate) fn write(message: &impl Serialize, room: &mut [u8]) -> Option<usize> {
     let mut wire = Wire { room, at: 0 };
     message.serialize(&mut wire).ok()?;
     Some(wire.at)
 }
 
-/// Where the bytes go; those that find no place are counted.
+/// Output buffer. Bytes beyond its end are only counted.
 struct Wire<'a> {
     room: &'a mut [u8],
     at: usize,
 }
 
-/// Something that no message has.
+/// Error: a type that no message has.
 #[derive(Debug)]
 struct Foreign;
 
@@ -45,11 +47,11 @@ impl Wire<'_> {
         if let Some(place) = self.room.get_mut(self.at) {
             *place = byte;
         }
-        // No message has as many bytes as there are addresses.
+        // No message is as long as the address space.
         self.at = self.at.wrapping_add(1);
     }
 
-    /// Seven bits a byte, lowest first.
+    /// Writes seven bits a byte, lowest first.
     #[inline(never)]
     fn number(&mut self, number: u32) {
         let mut number = number;
@@ -259,7 +261,7 @@ impl<'a, 'b> Serializer for &'a mut Wire<'b> {
     }
 }
 
-/// Parts stand one behind the other, with nothing between them and nothing at the end.
+/// The parts of a composite follow each other without separators or terminator.
 macro_rules! parts {
     ($($kind:ident $function:ident $(($key:ty))?),*) => {$(
         impl ser::$kind for &mut Wire<'_> {
@@ -295,7 +297,8 @@ mod tests {
     use serde::Serialize;
     use serde::de::DeserializeOwned;
 
-    /// Whatever message the bytes happen to be is written as postcard writes it; and in less room, as far as that goes.
+    /// Checks that a message decoded from arbitrary bytes is written as postcard writes it, and
+    /// that a shorter buffer gets the first part.
     fn same<T: Serialize + DeserializeOwned>(bytes: &[u8], room: usize) -> bool {
         let Ok(message) = postcard::from_bytes::<T>(bytes) else {
             return false;

@@ -1,4 +1,5 @@
-//! What the whole-system tests and benchmarks share: a simulated machine with a host that says one thing after the other.
+//! Shared code of the whole-system tests and benchmarks: a simulated machine with a host that sends
+//! one command at a time.
 
 #[cfg(feature = "emulated")]
 pub mod log;
@@ -15,17 +16,17 @@ use haptimill_protocol::message::{
 };
 use haptimill_protocol::setpoint::{Setpoint, SetpointCoder};
 
-/// A controller in the simulated machine, and the host's end of the link to it.
+/// A controller in the simulated machine, and the host's endpoint of the link.
 pub struct Bench<C = Controller> {
-    /// The machine.
+    /// The simulated machine with its controller.
     pub rig: Rig<C>,
-    /// The host's end of the link.
+    /// The host's endpoint of the link.
     pub link: HostLink,
     /// The machine file.
     pub machine: MachineFile,
     /// The newest telemetry.
     pub telemetry: Option<Telemetry>,
-    /// The newest telemetry of the hand.
+    /// The newest telemetry of the master.
     pub hand: Option<HandTelemetry>,
     /// All events so far.
     pub events: Vec<Event>,
@@ -34,13 +35,13 @@ pub struct Bench<C = Controller> {
 }
 
 impl Bench {
-    /// The built-in machine, healthy.
+    /// Creates the built-in machine without faults.
     #[must_use]
     pub fn new() -> Self {
         Self::with(&RigOptions::default(), Controller::new(200))
     }
 
-    /// The built-in machine with faults or a slow line.
+    /// Creates the built-in machine with injected faults or a slow line.
     #[must_use]
     pub fn with_options(options: &RigOptions) -> Self {
         Self::with(options, Controller::new(200))
@@ -54,13 +55,13 @@ impl Default for Bench {
 }
 
 impl<C: Control> Bench<C> {
-    /// The built-in machine around any controller.
+    /// Creates the built-in machine with any controller.
     #[must_use]
     pub fn with(options: &RigOptions, control: C) -> Self {
         Self::of_machine(MachineFile::built_in().expect("sound"), options, control)
     }
 
-    /// A machine of a machine file around any controller.
+    /// Creates a machine from a machine file, with any controller.
     #[must_use]
     pub fn of_machine(machine: MachineFile, options: &RigOptions, control: C) -> Self {
         let plant: PlantConfig = machine.plant().expect("has a plant");
@@ -79,12 +80,12 @@ impl<C: Control> Bench<C> {
         }
     }
 
-    /// One control period, and what the host does in it.
+    /// Runs one control period of machine and host.
     pub fn step(&mut self) {
         self.step_with_fault(|_| ());
     }
 
-    /// One control period, with something done to the bytes that the host says in it.
+    /// Runs one control period, with a fault injected into the bytes that the host sends in it.
     pub fn step_with_fault(&mut self, spoil: impl FnOnce(&mut Vec<u8>)) {
         let now = self.rig.time_ns() / 1000;
         let mut buffer = [0; 256];
@@ -106,14 +107,14 @@ impl<C: Control> Bench<C> {
         }
     }
 
-    /// So many control periods.
+    /// Runs `count` control periods.
     pub fn steps(&mut self, count: usize) {
         for _ in 0..count {
             self.step();
         }
     }
 
-    /// Asks without waiting, if there is room; the number that the answer will have.
+    /// Sends a command without waiting, if there is room. Returns the number of its answer.
     pub fn say(&mut self, command: Command) -> Option<u8> {
         let id = self.id % 250 + 1;
         self.link.send(&Request { id, command }).ok()?;
@@ -121,12 +122,12 @@ impl<C: Control> Bench<C> {
         Some(id)
     }
 
-    /// Answers that have come since the last call.
+    /// Returns the answers received since the last call.
     pub fn take_answers(&mut self) -> Vec<(u8, Result<(), Refusal>)> {
         core::mem::take(&mut self.answers)
     }
 
-    /// Asks as soon as there is room, and waits for the answer.
+    /// Sends a command as soon as there is room, and waits for the answer.
     pub fn ask(&mut self, command: Command) -> Result<(), Refusal> {
         self.id = self.id % 250 + 1;
         let id = self.id;
@@ -146,7 +147,7 @@ impl<C: Control> Bench<C> {
         panic!("no answer");
     }
 
-    /// Telemetry of now.
+    /// Requests telemetry and returns it.
     pub fn status(&mut self) -> Telemetry {
         self.telemetry = None;
         self.ask(Command::Status).expect("status");
@@ -192,7 +193,7 @@ impl<C: Control> Bench<C> {
         panic!("not homed: {:?}", self.events);
     }
 
-    /// Starts a job of setpoints where the machine stands, and brings all of them over.
+    /// Starts a job at the present pose and sends all of its setpoints and its end.
     pub fn start_job(&mut self, job: u32, setpoints: &[Setpoint]) {
         let start = self.status().commanded;
         self.start_part(job, &start, setpoints);
@@ -202,7 +203,7 @@ impl<C: Control> Bench<C> {
         .expect("ended");
     }
 
-    /// Starts a job at `start`, where the machine stands, and brings setpoints over without saying that they are all.
+    /// Starts a job at `start`, the present pose, and sends setpoints without the end of the job.
     pub fn start_part(&mut self, job: u32, start: &AxisValues, setpoints: &[Setpoint]) {
         self.ask(Command::JobStart {
             job,
@@ -221,7 +222,7 @@ impl<C: Control> Bench<C> {
         }
     }
 
-    /// Waits for a state.
+    /// Waits for a state for at most `periods` control periods. Returns whether it was reached.
     pub fn wait_for(&mut self, state: State, periods: usize) -> bool {
         for _ in 0..periods / 250 + 1 {
             self.steps(50);
@@ -233,7 +234,8 @@ impl<C: Control> Bench<C> {
     }
 }
 
-/// A straight line in x from `start`: 0.1 s up to `speed` (mm/s), so many spans of 0.1 s along, 0.1 s down.
+/// Returns a straight line in x from `start`: 0.1 s of acceleration to `speed` (mm/s), `spans`
+/// times 0.1 s at that speed, 0.1 s of deceleration.
 #[must_use]
 pub fn line_in_x(start: &AxisValues, speed: f64, spans: usize) -> Vec<Setpoint> {
     const MM: f64 = (1 << 20) as f64;

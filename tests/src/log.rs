@@ -1,11 +1,12 @@
-//! What a chip logs, as text: its image has the texts, its log line has only their numbers and values.
+//! Decodes the log of a chip. The image contains the texts; the log line contains only their
+//! numbers and values.
 
 use defmt_decoder::{DecodeError, Table};
 
-/// The lines of a log: stamp (the control period), level, text.
+/// Returns the lines of a log: timestamp (the control period), level, text.
 ///
 /// # Errors
-/// The image has no texts, or the log is not of this image.
+/// The image has no texts, or the log belongs to another image.
 pub fn decode(image: &[u8], log: &[u8]) -> Result<Vec<String>, String> {
     let table = Table::parse(image)
         .map_err(|error| format!("the texts of the image cannot be read: {error}"))?

@@ -1,4 +1,4 @@
-//! Boards: building their images, and what of the chip they take.
+//! Boards: builds their images and measures their size.
 
 use std::env;
 use std::fs;
@@ -7,20 +7,20 @@ use std::process::Command;
 
 /// A board whose image can be built.
 pub struct Board {
-    /// Its name on the command line.
+    /// Name on the command line.
     pub name: &'static str,
-    /// Its sources.
+    /// Folder of its sources.
     folder: &'static str,
     target: &'static str,
     binary: &'static str,
-    /// Other images than the product's: name, feature that it is built with, and what else is said to cargo.
+    /// Images other than the product's: name, feature, and additional cargo arguments.
     others: &'static [(&'static str, &'static str, &'static [&'static str])],
-    /// The most flash and static RAM that an image may take, bytes.
+    /// Largest flash and static RAM of an image, bytes.
     flash: u64,
     ram: u64,
 }
 
-/// The controller and its end of the link built for speed.
+/// Optimises the controller and the link for speed.
 const FOR_SPEED: [&str; 2] = [
     "profile.release.package.haptimill-firmware.opt-level=3",
     "profile.release.package.haptimill-protocol.opt-level=3",
@@ -33,7 +33,8 @@ pub const BOARDS: &[Board] = &[Board {
     target: "thumbv7em-none-eabihf",
     binary: "haptimill-mps2",
     others: &[
-        // It does not fit the plain image's flash, and built for size it would not fit its periods.
+        // This image exceeds the flash budget of the plain image. Optimised for size it would
+        // exceed its control period.
         (
             "hand",
             "hand",
@@ -47,23 +48,23 @@ pub const BOARDS: &[Board] = &[Board {
     ram: 48 * 1024,
 }];
 
-/// Debian's toolchain that brings the sources of the core library.
+/// Debian's toolchain, which includes the sources of the core library.
 const DEBIAN_CARGO: &str = "/usr/bin/cargo";
 const DEBIAN_RUSTC: &str = "/usr/bin/rustc";
 const DEBIAN_SOURCES: &str = "/usr/lib/rustlib/src/rust/library/core";
-/// The packages of it, and the linker.
+/// Its Debian packages, and the linker.
 pub const DEBIAN_PACKAGES: &[&str] = &["rustc-web", "cargo-web", "rust-web-src", "lld-22"];
 
-/// What builds for a target.
+/// Toolchain that builds for a target.
 pub enum Toolchain {
-    /// The one that runs this, which has the target's core library.
+    /// The toolchain that runs this program; it has the target's core library.
     Rustup,
-    /// Debian's, which builds the core library itself, with this linker.
+    /// Debian's toolchain, which builds the core library itself, with this linker.
     Debian(PathBuf),
 }
 
 impl Toolchain {
-    /// The toolchain for a target; `None` when there is none.
+    /// Finds the toolchain for a target; `None` when there is none.
     pub fn find(target: &str) -> Option<Self> {
         let sysroot = Command::new("rustc")
             .args(["--print", "sysroot"])
@@ -93,7 +94,7 @@ impl Toolchain {
         debian.then_some(Self::Debian(linker))
     }
 
-    /// What people call it.
+    /// Name of the toolchain for messages.
     pub fn name(&self) -> String {
         match self {
             Self::Rustup => "the toolchain's own target".to_string(),
@@ -104,13 +105,14 @@ impl Toolchain {
         }
     }
 
-    /// Its cargo, set up for a target.
+    /// Returns its cargo, set up for a target.
     pub fn cargo(&self, target: &str) -> Command {
         match self {
             Self::Rustup => crate::cargo(),
             Self::Debian(linker) => {
                 let mut cargo = Command::new(DEBIAN_CARGO);
-                // What the toolchain that runs this has set is not for the other one.
+                // Variables set by the toolchain that runs this program do not apply to the other
+                // one.
                 for (name, _) in env::vars_os() {
                     let text = name.to_string_lossy();
                     if text.starts_with("CARGO") && text != "CARGO_HOME" || text.starts_with("RUST")
@@ -131,7 +133,7 @@ impl Toolchain {
         }
     }
 
-    /// Arguments of a build.
+    /// Returns additional arguments of a build.
     pub fn arguments(&self) -> &'static [&'static str] {
         match self {
             Self::Rustup => &[],
@@ -140,7 +142,8 @@ impl Toolchain {
     }
 }
 
-/// A panic names its file: by a short path that is the same wherever the sources lie, or the image would be another one, and larger, in each folder.
+/// Shortens source paths. A panic contains the path of its file; a short path makes the image small
+/// and independent of the folder of the sources.
 fn nameless(root: &Path) -> String {
     let home = env::var_os("CARGO_HOME").map(PathBuf::from);
     let home = home.or_else(|| env::var_os("HOME").map(|home| Path::new(&home).join(".cargo")));
@@ -164,7 +167,7 @@ fn nameless(root: &Path) -> String {
     format!("build.rustflags=[{}]", flags.join(", "))
 }
 
-/// Where Debian's compiler looks for the sources of the core library.
+/// Path at which Debian's compiler expects the sources of the core library.
 fn library_of_debian() -> Option<PathBuf> {
     let output = Command::new(DEBIAN_RUSTC)
         .args(["--print", "sysroot"])
@@ -174,7 +177,7 @@ fn library_of_debian() -> Option<PathBuf> {
     Some(sysroot.join("lib/rustlib/src/rust/library/core")).filter(|core| core.is_dir())
 }
 
-/// The linker that rustup's toolchains bring.
+/// Finds the linker of rustup's toolchains.
 fn rust_lld(sysroot: &Path) -> Option<PathBuf> {
     let hosts = fs::read_dir(sysroot.join("lib/rustlib")).ok()?;
     hosts
@@ -184,17 +187,17 @@ fn rust_lld(sysroot: &Path) -> Option<PathBuf> {
 }
 
 impl Board {
-    /// The board of a name.
+    /// Finds a board by name.
     pub fn named(name: &str) -> Option<&'static Self> {
         BOARDS.iter().find(|board| board.name == name)
     }
 
-    /// What builds it here.
+    /// Finds a toolchain on this computer that builds it.
     pub fn toolchain(&self) -> Option<Toolchain> {
         Toolchain::find(self.target)
     }
 
-    /// Its image.
+    /// Path of an image.
     fn image(&self, root: &Path, binary: &str) -> PathBuf {
         root.join(self.folder)
             .join("target")
@@ -203,12 +206,12 @@ impl Board {
             .join(binary)
     }
 
-    /// Builds the image of the product.
+    /// Builds the product image.
     pub fn build(&self, root: &Path, quiet: bool) -> Result<PathBuf, String> {
         self.cargo(root, quiet, self.binary, &[])
     }
 
-    /// Builds another image, or the product's by its name.
+    /// Builds any image by its name.
     pub fn build_other(&self, root: &Path, name: &str) -> Result<PathBuf, String> {
         match self.others.iter().find(|(other, ..)| *other == name) {
             Some((_, feature, more)) => {
@@ -269,7 +272,8 @@ impl Board {
         }
     }
 
-    /// Whether its sources are formatted: they are a workspace of their own, which the check of the others does not see.
+    /// Checks the format of its sources: they are a workspace of their own, which the format step
+    /// of the main workspace does not cover.
     pub fn check_format(&self, root: &Path) -> Result<(), String> {
         let folder = root.join(self.folder);
         let status = crate::cargo()
@@ -286,7 +290,7 @@ impl Board {
         }
     }
 
-    /// Says what the image takes of the chip, and whether it may.
+    /// Prints the flash and RAM of an image and checks them against the budget.
     pub fn measure(&self, image: &Path) -> Result<(), String> {
         let bytes = fs::read(image).map_err(|error| format!("{}: {error}", image.display()))?;
         let sections = sections(&bytes)
@@ -324,7 +328,7 @@ impl Board {
     }
 }
 
-/// A section of an image.
+/// Section of an image.
 struct Section {
     name: String,
     address: u64,
@@ -334,7 +338,7 @@ struct Section {
     in_file: bool,
 }
 
-/// The sections of a little-endian 32-bit ELF file; `None` if it is none.
+/// Reads the sections of a little-endian 32-bit ELF file; `None` for other files.
 fn sections(bytes: &[u8]) -> Option<Vec<Section>> {
     let word = |at: usize| Some(u32::from_le_bytes(bytes.get(at..at + 4)?.try_into().ok()?));
     let half = |at: usize| Some(u16::from_le_bytes(bytes.get(at..at + 2)?.try_into().ok()?));
@@ -356,7 +360,7 @@ fn sections(bytes: &[u8]) -> Option<Vec<Section>> {
             bytes: u64::from(word(at + 20)?),
             allocated: flags & 2 != 0,
             writable: flags & 1 != 0,
-            // A section without contents in the file (type 8) is cleared memory.
+            // A section without contents in the file (type 8) is zeroed memory.
             in_file: word(at + 4)? != 8,
         });
     }

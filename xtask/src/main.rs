@@ -1,4 +1,4 @@
-//! The chores of the project. `cargo xtask help` lists them.
+//! Developer tasks of the project. `cargo xtask help` lists them.
 
 mod board;
 mod provide;
@@ -11,30 +11,30 @@ use std::process::{Command, ExitCode};
 use std::time::Instant;
 
 const HELP: &str = "\
-The chores of the project.
+Developer tasks of the project.
 
-  cargo xtask test                 everything that must hold: format, lints, all tests, documentation, boards, emulated runs
-  cargo xtask test --native-only   all but boards and emulated runs; says what it left out
-  cargo xtask board NAME           builds the image of a board (mps2), says what it takes of the chip, checks that against the budget
-  cargo xtask board NAME --image   builds it and prints the path of the image, nothing else
-  cargo xtask board NAME --image OTHER   the same with another image of the board (mps2 has faults, checks, logging)
-  cargo xtask instructions         counts the instructions of control periods and writes docs/instructions.md anew
-  cargo xtask log FILE ...         runs a part program on the emulated board (options as of haptimill run) and prints what the chip logs
-  cargo xtask bench                all benchmarks (criterion); figures in target/criterion
-  cargo xtask help                 this text
+  cargo xtask test                 run all checks: format, lints, tests, documentation, boards, emulated runs
+  cargo xtask test --native-only   the same without boards and emulated runs; lists what it skipped
+  cargo xtask board NAME           build the image of a board (mps2), print its size, check it against the budget
+  cargo xtask board NAME --image   build the image and print only its path
+  cargo xtask board NAME --image OTHER   the same with another image of the board (mps2: hand, faults, checks, logging)
+  cargo xtask instructions         count the instructions of control periods and rewrite docs/instructions.md
+  cargo xtask log FILE ...         run a part program on the emulated board (options of haptimill run) and print its log
+  cargo xtask bench                run all benchmarks (criterion); results in target/criterion
+  cargo xtask help                 print this text
 ";
 
-/// One step of a chore.
+/// One step of a task.
 struct Step<'a> {
     name: &'a str,
     arguments: &'a [&'a str],
-    /// Settings of the environment.
+    /// Environment variables.
     environment: &'a [(&'a str, &'a str)],
-    /// A component that a toolchain may lack, with what to do then.
+    /// Toolchain component that may be missing, and the command that installs it.
     component: Option<(&'a str, &'a str)>,
 }
 
-/// All parts of the host, those too that are not built by default.
+/// All features of the host, including those that are not built by default.
 const FULL: &str = "haptimill/full";
 
 const TEST: &[Step] = &[
@@ -136,13 +136,13 @@ fn main() -> ExitCode {
     }
 }
 
-/// The root of the workspace.
+/// Returns the root of the workspace.
 fn root() -> PathBuf {
     let here = Path::new(env!("CARGO_MANIFEST_DIR"));
     here.parent().unwrap_or(here).to_path_buf()
 }
 
-/// Everything.
+/// Runs all checks and tests.
 fn test() -> Result<(), String> {
     run(TEST)?;
     provide()?;
@@ -153,11 +153,11 @@ fn test() -> Result<(), String> {
         let image = board.build(&root(), false)?;
         board.measure(&image)?;
     }
-    // Every test takes its time; one by one they do not slow each other down.
+    // The tests are slow, and parallel ones slow each other down: they run one at a time.
     emulated("emulated runs", "emulated*", "--test-threads=1", &[])
 }
 
-/// The board of a name.
+/// Finds a board by name.
 fn named(name: &str) -> Result<&'static Board, String> {
     Board::named(name).ok_or_else(|| {
         let names: Vec<&str> = board::BOARDS.iter().map(|board| board.name).collect();
@@ -165,7 +165,7 @@ fn named(name: &str) -> Result<&'static Board, String> {
     })
 }
 
-/// Builds one board, and says what it takes of the chip.
+/// Builds the product image of a board and prints its size.
 fn board(name: &str) -> Result<(), String> {
     let board = named(name)?;
     let image = board.build(&root(), false)?;
@@ -174,7 +174,7 @@ fn board(name: &str) -> Result<(), String> {
     Ok(())
 }
 
-/// Builds an image of a board, and says where it is.
+/// Builds an image of a board and prints its path.
 fn image(name: &str, other: Option<&str>) -> Result<(), String> {
     let board = named(name)?;
     let image = match other {
@@ -185,7 +185,8 @@ fn image(name: &str, other: Option<&str>) -> Result<(), String> {
     Ok(())
 }
 
-/// Runs a part program on the emulated board with the image that logs, and prints its log, however the run ended.
+/// Runs a part program on the emulated board with the logging image, and prints its log, also after
+/// a failed run.
 fn log(program: &str, more: &[&str]) -> Result<(), String> {
     provide()?;
     let image = named("mps2")?.build_other(&root(), "logging")?;
@@ -228,7 +229,7 @@ fn log(program: &str, more: &[&str]) -> Result<(), String> {
     }
 }
 
-/// Writes the table of instructions anew.
+/// Rewrites the table of instructions.
 fn instructions() -> Result<(), String> {
     provide()?;
     emulated(
@@ -239,7 +240,8 @@ fn instructions() -> Result<(), String> {
     )
 }
 
-/// The tests of emulated runs, with one more argument. They need a board's image and the emulator, so they are built only where these are.
+/// Runs the tests of emulated runs, with one more argument. They need a board's image and the
+/// emulator, so they are built only where both exist.
 fn emulated(
     name: &str,
     tests: &str,

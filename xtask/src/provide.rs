@@ -1,14 +1,16 @@
-//! What boards and emulated runs need of the system: what is missing, and what is done about it.
+//! Installs the system packages that boards and emulated runs need.
 //!
-//! Deciding is apart from doing, so that it can be tested on a computer that lacks nothing.
+//! The decision is separate from the installation, so that it can be tested on a computer where
+//! nothing is missing.
 
 use crate::board::{BOARDS, DEBIAN_PACKAGES};
 use std::process::Command;
 
-/// The emulator, and the Debian package that has it.
+/// The emulator, and the name of its Debian package.
 const EMULATOR: &str = "qemu-system-arm";
 
-/// Installs what building for a chip and emulating it need, where that is possible; says how otherwise.
+/// Installs what is needed to build for a chip and to emulate it. If that is impossible, the error
+/// says how to install it.
 pub fn provide() -> Result<(), String> {
     provide_by(&here, &mut |arguments| {
         let status = Command::new("apt-get")
@@ -19,15 +21,15 @@ pub fn provide() -> Result<(), String> {
     })
 }
 
-/// What there is.
+/// Installed tools.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct There {
-    /// Something that builds for every board.
+    /// A toolchain that builds for every board.
     toolchain: bool,
     emulator: bool,
 }
 
-/// What there is here.
+/// Returns the tools installed on this computer.
 fn here() -> There {
     let emulator = Command::new(EMULATOR).arg("--version").output();
     There {
@@ -36,7 +38,7 @@ fn here() -> There {
     }
 }
 
-/// The packages that are missing.
+/// Returns the missing packages.
 fn missing(there: There) -> Vec<&'static str> {
     let compiler = if there.toolchain {
         &[]
@@ -47,7 +49,7 @@ fn missing(there: There) -> Vec<&'static str> {
     [compiler, emulator].concat()
 }
 
-/// Looks, installs what is missing with `apt`, which says whether it went well, and looks again.
+/// Installs missing packages with `apt`, which returns its success, and looks again.
 fn provide_by(
     look: &dyn Fn() -> There,
     apt: &mut dyn FnMut(&[&str]) -> bool,
@@ -58,7 +60,7 @@ fn provide_by(
     }
     let install = [&["install", "-y", "--no-install-recommends"][..], &packages].concat();
     println!("== packages: apt-get {}", install.join(" "));
-    // A list that cannot be renewed may do.
+    // A failed update is accepted: the present package list may suffice.
     apt(&["update"]);
     if apt(&install) {
         let left = missing(look());
@@ -96,7 +98,8 @@ mod tests {
         emulator: true,
     };
 
-    /// What is said to apt on a computer with this, where installing does this much.
+    /// Returns the calls of apt and the result, for the tools before and after an installation that
+    /// succeeds or fails.
     fn tried(before: There, works: bool, after: There) -> (Vec<String>, Result<(), String>) {
         let (installed, mut said) = (Cell::new(false), Vec::new());
         let done = provide_by(

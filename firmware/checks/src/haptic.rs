@@ -1,4 +1,5 @@
-//! The haptic arm: the same bits on every target, in fixed point and in f32, and the right ones.
+//! Checks of the haptic arm: correct results, and the same bits on every target, in fixed point and
+//! in f32.
 
 use crate::Check;
 use crate::kinematics::subject::Sequence;
@@ -7,10 +8,11 @@ use haptimill_kinematics::haptic_arm::statics::{Efforts, Wrench};
 use haptimill_kinematics::haptic_arm::{HandPose, HapticArm, HapticGeometry, LegReading};
 use haptimill_math::{Angle, Length};
 
-/// Poses that are looked at.
+/// Number of poses checked.
 const COUNT: usize = 200;
 
-/// The digest of all of them. Another one means that a target rounds differently, or that the arithmetic was changed on purpose.
+/// Digest of all results. Another digest means that a target rounds differently, or that the
+/// arithmetic was changed on purpose.
 const BITS: u32 = 0xeca9_30cf;
 
 /// The checks of this module.
@@ -29,7 +31,8 @@ const REFERENCE: HapticGeometry = HapticGeometry {
     side_tolerance: Length::nanometres(400_000),
 };
 
-/// Readings of a handle that is moved and turned a little about z, by loop closure (docs/control.md 2.3) in f64.
+/// Readings of a handle that is moved, and turned a little about z, by loop closure
+/// (docs/control.md 2.3) in f64.
 fn readings([x, y, z]: [f64; 3], turn: f64) -> [LegReading; 3] {
     core::array::from_fn(|leg| {
         let azimuth = leg as f64 * core::f64::consts::TAU / 3.0;

@@ -1,10 +1,12 @@
-//! Checks of the controller that run natively and, the same ones, on a chip.
+//! Checks of the controller that run natively and, unchanged, on a chip.
 //!
-//! A check is a function that panics when something is not as it should be. [`CHECKS`] lists them: the native test of this crate runs the list,
-//! and a board's image of checks runs it on the chip and reports it. Everything random is seeded, so both look at the same samples; the truth
-//! is f64 (which a chip computes in software), integers of 128 bits, or what one end of a link said and the other one has to hear.
+//! A check is a function that panics when its claim does not hold. [`CHECKS`] lists them. The
+//! native test of this crate runs the list, and a board's check image runs it on the chip and
+//! reports it. All random numbers are seeded, so both use the same samples. The reference values
+//! are f64 (which a chip computes in software), integers of 128 bits, or the messages sent at the
+//! other end of a link.
 //!
-//! Nothing here is in the product; float is allowed, an allocator is not there.
+//! No product image contains this crate. Float is allowed; there is no allocator.
 #![no_std]
 
 pub mod haptic;
@@ -19,13 +21,13 @@ pub mod units;
 /// A check.
 #[derive(Debug, Clone, Copy)]
 pub struct Check {
-    /// What it is called: module and claim.
+    /// Name: module and claim.
     pub name: &'static str,
     /// Panics when the claim does not hold.
     pub run: fn(),
 }
 
-/// The checks, by module.
+/// All checks, by module.
 pub const CHECKS: &[&[Check]] = &[
     memory::CHECKS,
     units::CHECKS,
@@ -36,13 +38,13 @@ pub const CHECKS: &[&[Check]] = &[
     states::CHECKS,
 ];
 
-/// A check that fails, to show that one that does is reported; it stands in no list.
+/// A check that fails, for a test of the failure report. No list contains it.
 pub const FAILING: Check = Check {
     name: "failing::two_and_two_are_five",
     run: || assert_eq!(core::hint::black_box(2) + 2, 5, "two and two"),
 };
 
-/// All checks, in their order.
+/// Returns all checks in order.
 pub fn all() -> impl Iterator<Item = &'static Check> {
     CHECKS.iter().copied().flatten()
 }

@@ -1,4 +1,5 @@
-//! Frames and the link: everything arrives once and in order, or not at all; a wrong bit never becomes a message.
+//! Checks of frames and link: messages arrive once and in order, or not at all, and a wrong bit
+//! never becomes a message.
 
 use crate::Check;
 use crate::kinematics::subject::Sequence;
@@ -32,7 +33,7 @@ pub const CHECKS: &[Check] = &[
 
 fn filled(sequence: &mut Sequence, payload: &mut [u8]) {
     for byte in payload {
-        // Many zeros: these are what the framing works on.
+        // Many zeros, because COBS encodes zeros.
         *byte = match sequence.below(3) {
             0 => 0,
             _ => sequence.next() as u8,
@@ -70,7 +71,7 @@ fn frames() {
             }
         }
         assert_eq!((heard, decoder.bad_frames()), (1, bad), "{length}");
-        // One bit anywhere: never heard.
+        // A frame with one wrong bit is never accepted.
         for _ in 0..8 {
             let place = sequence.below(bytes.len() as u64) as usize;
             let bit = sequence.below(8);
@@ -97,17 +98,17 @@ fn stops() {
         let mut bytes = FrameBytes::new();
         frame::encode(header, &room[..length], 5, &mut bytes).expect("fits");
         assert!(!detector.push_all(&bytes), "{round}");
-        // In the middle of a frame as well as between two.
+        // Within a frame as well as between two.
         let cut = sequence.below(bytes.len() as u64) as usize;
         detector.push_all(&bytes[..cut]);
         assert!(detector.push_all(&STOP), "{round} {cut}");
     }
 }
 
-/// One direction of a line that flips bits; full lines drop what comes.
+/// One direction of a line that flips bits. It drops bytes when it is full.
 struct Line {
     bytes: Deque<u8, 2048>,
-    /// Of a million bytes so many lose a bit.
+    /// Wrong bits per million bits.
     errors: u64,
 }
 
@@ -123,12 +124,12 @@ impl Line {
         for &byte in bytes {
             let broken = sequence.below(1_000_000) < self.errors * 8;
             let byte = byte ^ (u8::from(broken) << sequence.below(8));
-            // What has no room is lost, as on a line.
+            // A byte that does not fit is lost, as on a line.
             let _ = self.bytes.push_back(byte);
         }
     }
 
-    /// What 115,200 baud carry in 200 us, and a little more.
+    /// Slightly more than 115,200 baud carry in 200 us.
     fn take(&mut self, room: &mut [u8; 16]) -> usize {
         let mut count = 0;
         while let Some((slot, byte)) = room.get_mut(count).zip(self.bytes.front().copied()) {
@@ -140,7 +141,7 @@ impl Line {
     }
 }
 
-/// So many requests and events, numbered, over lines on which of a million bits so many are wrong.
+/// Exchanges `count` numbered requests and events over lines with `errors` wrong bits per million.
 fn exchange(errors: u64, count: u32) {
     let mut sequence = Sequence(23 + errors);
     let mut host = HostLink::new(Timing::default());
@@ -205,7 +206,7 @@ fn exchange(errors: u64, count: u32) {
     }
     let bad = host.counters().bad_frames + controller.counters().bad_frames;
     assert_eq!(bad > 0, errors > 0, "{bad} broken frames");
-    // Nothing comes a second time.
+    // Nothing arrives twice.
     for _ in 0..2000 {
         now_us += 200;
         let mut out = [0; 128];

@@ -1,4 +1,4 @@
-//! Copies, moves and fills of memory: a board may have its own.
+//! Checks of memory copy, move and fill: a board may have its own implementation.
 
 use crate::Check;
 use core::hint::black_box;
@@ -19,16 +19,16 @@ pub const CHECKS: &[Check] = &[
     },
 ];
 
-/// Longer than two rounds of the longest loop and what is left of one.
+/// Longer than two rounds of the longest loop plus a remainder.
 const LONGEST: usize = 100;
-/// With room on both sides.
+/// With space on both sides.
 const ROOM: usize = LONGEST + 32;
 
-/// On a word, so that the places below are what they say.
+/// Word-aligned, so that the offsets below are relative to a word.
 #[repr(align(8))]
 struct Aligned([u8; ROOM]);
 
-/// What stands at a place before anything is done.
+/// Byte at an offset before any operation.
 const fn mark(place: usize) -> u8 {
     (place as u8).wrapping_mul(37).wrapping_add(11)
 }
@@ -41,7 +41,7 @@ fn marked() -> Aligned {
     bytes
 }
 
-/// Every byte is what `commanded` says of its place.
+/// Asserts that every byte equals `commanded` of its offset.
 fn assert_all(bytes: &Aligned, what: [usize; 3], commanded: impl Fn(usize) -> u8) {
     for (place, byte) in bytes.0.iter().enumerate() {
         assert!(*byte == commanded(place), "{what:?}, byte {place}: {byte}");

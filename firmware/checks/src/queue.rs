@@ -1,4 +1,4 @@
-//! The queue of setpoints and the receive ring, full and empty.
+//! Checks of the setpoint queue and the receive ring, full and empty.
 
 use crate::Check;
 use crate::reference::{h4, mm};
@@ -27,13 +27,14 @@ pub const CHECKS: &[Check] = &[
     },
 ];
 
-/// Periods from one setpoint to the next.
+/// Segment duration, control periods.
 const SPAN: u16 = 25;
 
-/// The `number`th setpoint on a way in x at 20 mm/s; `rest` at its end.
+/// The setpoint `number` of a line in x at 20 mm/s; `rest` ends it at standstill.
 fn along(number: usize, rest: bool) -> Setpoint {
     let mut pose = [0; 5];
-    // 25 periods of 200 us at 20 mm/s, but at rest it takes twice the time: mean of 20 and 0.
+    // 25 periods of 200 us at 20 mm/s. To standstill it takes twice the time, because the mean of
+    // 20 and 0 is half.
     pose[0] = mm(0.1) * number as i32;
     let mut rates = [0; 5];
     if !rest {
@@ -56,7 +57,7 @@ fn setpoints() {
         assert_eq!(program.queued(), number);
         assert_eq!(program.credit(), QUEUE as u32);
     }
-    // Refused, and nothing is changed by it.
+    // A refused setpoint changes nothing.
     let next = along(QUEUE + 1, false);
     assert_eq!(program.push(&next), Err(Refusal::QueueFull));
     assert_eq!(
@@ -68,7 +69,7 @@ fn setpoints() {
     for _ in 0..20_000 {
         let (commanded, progress) = program.advance(false);
         assert!(!progress.queue_empty);
-        // Order: the way goes on and on, and setpoints are reached one by one.
+        // Setpoints are reached in order and the motion continues.
         assert!(commanded.pose.0[0].0 >= x);
         x = commanded.pose.0[0].0;
         assert!(program.reached() - reached <= 1);
@@ -111,7 +112,7 @@ fn underrunning() {
             "the last setpoint was passed"
         );
     }
-    // At rest before the end of what is known, and it says for what it waits.
+    // Standstill before the end of the known path, and it reports the missing setpoint.
     assert!(program.is_at_standstill());
     assert_eq!(
         program.underrunning().map(|late| late.setpoint),

@@ -16,13 +16,13 @@ use haptimill_math::force::{Force, VirtualDamping, VirtualMass};
 use haptimill_math::{Acceleration, Angle, Coordinate, Effort, Gain, Length, Rate};
 use haptimill_protocol::haptic::{ReflectAxis, Reflection};
 
-/// Millimetres in axis units.
+/// Converts millimetres to axis units.
 #[must_use]
 pub fn mm(x: f64) -> i32 {
     libm::round(x * f64::from(1 << 20)) as i32
 }
 
-/// Degrees in axis units.
+/// Converts degrees to axis units.
 #[must_use]
 pub fn degrees(x: f64) -> i32 {
     libm::round(x / 360.0 * 4_294_967_296.0) as i32
@@ -100,7 +100,7 @@ fn table() -> JointAxis {
     }
 }
 
-/// The reference geometry of the H-4 arm with its usual limits.
+/// Returns the reference geometry of the H-4 arm with its usual limits.
 ///
 /// # Panics
 /// Never: its name is short.
@@ -164,7 +164,8 @@ pub fn h4() -> Config {
     }
 }
 
-/// A force sensor of +-100 N with 14 bits, and force control of no axis yet, towards 5 N.
+/// Returns a force sensor of +-100 N with 14 bits, and force control towards 5 N with no axis
+/// active.
 #[must_use]
 pub fn force() -> ForceConfig {
     let channel = || Channel {
@@ -198,7 +199,8 @@ pub fn force() -> ForceConfig {
     }
 }
 
-/// REF-M of docs/control.md 7.2 with the reflection of its section 4.2; the arm counts 2.5 um and 65,536 to the turn.
+/// Returns REF-M of docs/control.md 7.2 with the force feedback of its section 4.2. The arm counts
+/// 2.5 um and 65,536 per turn.
 #[must_use]
 pub fn haptic() -> HapticConfig {
     let length = |x: f64| Length(mm(x));
@@ -257,7 +259,7 @@ pub fn haptic() -> HapticConfig {
     }
 }
 
-/// A tool that follows a hand one to one.
+/// Returns a tool that follows its master at a position scale of 1.
 #[must_use]
 pub const fn follow() -> FollowConfig {
     FollowConfig {
@@ -267,7 +269,7 @@ pub const fn follow() -> FollowConfig {
     }
 }
 
-/// A haptic arm alone, which leads a tool afar.
+/// Returns a haptic arm alone, which is the remote master of a tool.
 #[must_use]
 pub fn master() -> Config {
     Config {
@@ -279,7 +281,7 @@ pub fn master() -> Config {
     }
 }
 
-/// The same machine with step/direction drives, a step for every count of the encoders.
+/// Returns the same machine with step/direction drives, one step per encoder count.
 #[must_use]
 pub fn h4_with_steps() -> Config {
     let mut config = h4();

@@ -1,7 +1,7 @@
-//! The whole controller, from the first byte of a host to the last step of a job, on a machine that does exactly what its step drives are told.
+//! Checks of the whole controller, from the first byte of a host to the last step of a job.
 //!
-//! The machine is as simple as may be: every step is made and counted, and every turn of a motor has its index. What is looked at is the state machine, and
-//! that the drives are off when they have to be.
+//! The machine is as simple as possible: it makes and counts every step, and each motor turn has an
+//! index pulse. The checks test the state machine, and that the drives are off when required.
 
 use crate::Check;
 use crate::reference::{h4_with_steps, mm};
@@ -53,7 +53,7 @@ pub const CHECKS: &[Check] = &[
 /// Joints of the machine.
 const JOINTS: usize = 5;
 
-/// A controller, its machine, and a host.
+/// A controller, its machine and a host.
 struct Bed {
     controller: Controller,
     inputs: Inputs,
@@ -87,7 +87,7 @@ impl Bed {
         }
     }
 
-    /// One control period: what was told before is done, then the controller is called.
+    /// Runs one control period: applies the last outputs, then calls the controller.
     fn step(&mut self) {
         let inputs = &mut self.inputs;
         inputs.period += 1 + u64::from(inputs.missed);
@@ -111,7 +111,7 @@ impl Bed {
         let mut room = [0; 64];
         let count = self.link.transmit(now_us, &mut room);
         inputs.received.clear();
-        // As long as the room: fits.
+        // It fits: the buffers have the same length.
         let _ = inputs.received.extend_from_slice(&room[..count]);
         inputs.transmit_room = 64;
         self.controller.tick(inputs, &mut self.outputs, &mut ());
@@ -132,7 +132,7 @@ impl Bed {
         (0..count).for_each(|_| self.step());
     }
 
-    /// Asks, and waits for the answer.
+    /// Sends a command and waits for the answer.
     #[track_caller]
     fn ask(&mut self, command: Command) -> Result<(), Refusal> {
         self.id = self.id % 250 + 1;
@@ -217,7 +217,7 @@ impl Bed {
         machine.commanded_values()
     }
 
-    /// Starts a job: 8 mm in x, there and back, `times` times; gives the number of its setpoints.
+    /// Starts a job: 8 mm in x, there and back, `times` times. Returns the number of its setpoints.
     fn start_job(&mut self, times: usize) -> u32 {
         let start = self.commanded();
         let job = Command::JobStart {
@@ -251,9 +251,9 @@ impl Bed {
         count
     }
 
-    /// Reset, enable, and it is idle again with its position kept.
+    /// Resets and enables; then the state is idle with the position kept.
     fn recover(&mut self) {
-        // A machine that may still coast is not enabled.
+        // A machine that may still coast refuses to enable.
         self.steps(2500);
         assert_eq!(self.ask(Command::Reset), Ok(()));
         assert_eq!(self.state(), State::Disabled);
@@ -268,10 +268,11 @@ impl Bed {
     }
 }
 
-/// A quarter of a way of 8 mm in x in 0.8 s; from rest to rest, 2.67, 2.67 and 2.67 mm with 13.3 mm/s between the ends.
+/// A quarter (in time) of a move of 8 mm in x in 0.8 s, from standstill to standstill, with 13.3
+/// mm/s between the ends.
 fn part_of_way(start: &AxisValues, there: bool, part: i32) -> Setpoint {
     let speed = mm(40.0 / 3.0);
-    // In 0.2 s: 1.33 mm while the speed builds up or dies away, 2.67 mm in between.
+    // In 0.2 s: 1.33 mm while the speed increases or decreases, 2.67 mm in between.
     let way = [speed / 10, speed * 3 / 10, speed / 2, speed * 6 / 10];
     let total = way[3];
     let done = way[(part - 1) as usize];
@@ -289,7 +290,7 @@ fn part_of_way(start: &AxisValues, there: bool, part: i32) -> Setpoint {
     }
 }
 
-/// Where a joint's encoder has an index pulse.
+/// Position of the index pulse of a joint's encoder.
 trait Indexes {
     fn has_index(&self, joint: usize, counts: i32) -> bool;
 }
@@ -329,7 +330,7 @@ fn job() {
             position_kept: true
         })
     );
-    // There and back again, to the last bit of what is wanted and to a step of what was made.
+    // There and back again: the command to the last bit, and the motion to a step.
     assert_eq!(bed.commanded(), start);
     for (before, axis) in counts.into_iter().zip(&bed.inputs.axes) {
         assert!((axis.counts - before).abs() <= 1);
@@ -343,7 +344,7 @@ fn job() {
 }
 
 impl Bed {
-    /// Telemetry of now.
+    /// Requests telemetry and returns it.
     fn telemetry(&mut self) -> Telemetry {
         self.telemetry = None;
         assert_eq!(self.ask(Command::Status), Ok(()));
@@ -364,7 +365,7 @@ fn stop() {
     bed.start_job(2);
     bed.steps(1500);
     assert_eq!(bed.state(), State::Run);
-    // As a receive interrupt sees it.
+    // As in a receive interrupt.
     assert_eq!(STOP.len(), 3);
     bed.inputs.urgent = true;
     bed.step();
@@ -406,7 +407,7 @@ fn emergency() {
     bed.step();
     assert_eq!(bed.state(), State::EmergencyStop);
     assert!(bed.drives_off());
-    // Not while it is pressed.
+    // Refused while the button is pressed.
     assert!(bed.ask(Command::Reset).is_err() || bed.state() == State::EmergencyStop);
     assert!(bed.drives_off());
     bed.inputs.emergency_stop = false;
@@ -418,7 +419,7 @@ fn late() {
     bed.make_ready();
     bed.start_job(2);
     bed.steps(1500);
-    // One less than is a fault.
+    // One less than the number that is a fault.
     let limit = bed.config.supervision.missed_periods;
     bed.inputs.missed = limit - 1;
     bed.steps(100);
@@ -428,7 +429,7 @@ fn late() {
     bed.wait_for(State::Fault);
     let fault = Fault::LatePeriod { missed: limit };
     assert_eq!(bed.controller.safety().fault(), Some(fault));
-    // It was braked along its path, and the drives hold it.
+    // The machine decelerated along its path, and the drives hold it.
     let held = bed.commanded();
     bed.steps(500);
     assert_eq!(bed.commanded(), held);
@@ -445,7 +446,7 @@ fn misfit() {
         .expect("fits")
         .len();
     let crc = crc32(&room[..length]);
-    // A wrong check, a part of it, more than there is room for, and one that makes no sense.
+    // Configurations with a wrong CRC, incomplete, too long, and with invalid values.
     let refused = |result: Result<(), Refusal>| assert!(result.is_err(), "taken");
     refused(bed.configure(&room[..length], crc ^ 1));
     refused(bed.configure(&room[..length - 7], crc));
@@ -463,7 +464,7 @@ fn misfit() {
     let bytes = postcard::to_slice(&senseless, &mut other).expect("fits");
     let crc_of_it = crc32(bytes);
     refused(bed.configure(bytes, crc_of_it));
-    // What was there still is.
+    // The state is unchanged.
     assert_eq!(bed.state(), State::Disabled);
     assert_eq!(bed.ask(Command::Enable), Ok(()));
 }

@@ -1,4 +1,5 @@
-//! Trigonometry, roots and scaling: every bound of their documentation, at all corners and over a large sample.
+//! Checks of trigonometry, roots and scaling: every documented bound, at all corners and over a
+//! large sample.
 
 use crate::Check;
 use crate::kinematics::subject::Sequence;
@@ -9,7 +10,7 @@ use haptimill_math::scale::{
 use haptimill_math::trig::{atan2, sin_cos};
 use haptimill_math::{Angle, Coordinate, Length};
 
-/// Random samples of a check.
+/// Number of random samples of a check.
 const COUNT: usize = 20_000;
 
 /// The checks of this module.
@@ -40,7 +41,7 @@ pub const CHECKS: &[Check] = &[
     },
 ];
 
-/// Numbers at which a word changes its nature.
+/// Corner values of 32-bit arithmetic.
 const CORNERS: [i32; 15] = [
     i32::MIN,
     i32::MIN + 1,
@@ -116,7 +117,8 @@ fn arc_tangents() {
     }
 }
 
-/// Exact in integers: `whole` is the root when its square does not exceed the number, and the next one's does.
+/// Exact in integers: `whole` is the root if its square does not exceed the number and the square
+/// of the next integer does.
 fn root(square: u64) {
     let whole = u128::from(isqrt(square));
     assert!(whole * whole <= u128::from(square), "{square}");
@@ -185,7 +187,7 @@ fn reciprocals() {
     (0..COUNT).for_each(|_| check(sequence.next() as u32 | 1 << 31));
 }
 
-/// The nearest whole number to `value / 2^shift`, halves upwards.
+/// Returns the integer nearest to `value / 2^shift`, halves upwards.
 fn nearest(value: i128, shift: u32) -> i128 {
     (value + (1 << (shift - 1))) >> shift
 }
@@ -205,7 +207,7 @@ fn scaling() {
             "{wide} {shift}"
         );
         let short = shift.min(32);
-        // A value whose result fits.
+        // A value whose result fits the type.
         let small = wide >> (33 - short.min(32)).max(1);
         assert_eq!(
             i128::from(scale(small, a, short)),

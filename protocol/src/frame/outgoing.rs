@@ -1,35 +1,38 @@
-//! A frame on its way out, made while it goes.
+//! Incremental encoder of one outgoing frame.
 //!
-//! The check of a frame and the distances between its zeros take some 12 instructions a byte, and a controller has no period for all of a long
-//! frame. So its content is put down at once, which takes little, and [`OutgoingFrame::read`] makes of it no more than it gives, as far as COBS
-//! lets it: a run without a zero goes when its end is known.
+//! CRC and COBS cost some 12 instructions a byte, too much to encode a long frame in one control
+//! period. [`OutgoingFrame::begin`] copies the content, which is cheap. [`OutgoingFrame::read`]
+//! encodes only as much as it returns, as far as COBS allows: a run without a zero can be sent only
+//! when its end is known.
 
 use super::{
     CRC_BYTES, CRC_START, Header, MAX_CONTENT, MAX_PAYLOAD, TooLong, Words, crc_step, session_key,
     sign_of_life,
 };
 
-/// The first code of COBS stands here: behind it and a header of three bytes the payload begins with a word.
+/// Index of the first COBS code. The payload behind it and a header of three bytes is then
+/// word-aligned.
 const CODE: usize = 4;
 
-/// Room in front, content, one more code, the closing zero.
+/// Space in front, content, one more code, the closing zero.
 const BYTES: usize = CODE + 1 + MAX_CONTENT + 1 + 1;
 
-/// A frame that goes out.
+/// An outgoing frame.
 #[derive(Debug)]
 pub struct OutgoingFrame {
     bytes: Words<BYTES>,
-    /// What went.
+    /// Index of the next byte to send.
     gone: usize,
-    /// The code that is looked for, of a run that has `run` bytes so far; everything before it can go.
+    /// Index of the open COBS code, whose run has `run` bytes so far. Everything before it can be
+    /// sent.
     code_at: usize,
     run: u8,
-    /// The next byte of content that is looked at.
+    /// Index of the next content byte to encode.
     at: usize,
-    /// The check begins here; the content ends here.
+    /// Index at which the check begins, and index at which the content ends.
     check_at: usize,
     end: usize,
-    /// Register of the CRC, and what it is combined with.
+    /// CRC register, and the session key that is combined with it.
     register: u32,
     key: u32,
 }
@@ -51,12 +54,12 @@ impl Default for OutgoingFrame {
 }
 
 impl OutgoingFrame {
-    /// Puts down a frame in place of the one before, whether that is gone or not. `zero_first`: a zero goes before it, for a line that may hold the
-    /// rest of a broken frame.
+    /// Begins a frame, in place of the one before, also if that was not sent completely. With
+    /// `zero_first` a zero is sent before it, for a line that may hold the rest of a broken frame.
     ///
     /// # Errors
     ///
-    /// [`TooLong`] when the payload has more than [`MAX_PAYLOAD`] bytes; then there is no frame.
+    /// [`TooLong`] when the payload has more than [`MAX_PAYLOAD`] bytes; no frame is begun.
     pub fn begin(
         &mut self,
         header: Header,
@@ -102,14 +105,15 @@ impl OutgoingFrame {
         Ok(())
     }
 
-    /// Whether the frame went, to its last byte.
+    /// Returns whether the frame was sent completely.
     #[inline]
     pub fn is_gone(&self) -> bool {
         self.gone > self.end
     }
 
-    /// Gives the next bytes and says how many they are: fewer than asked for at the end of the frame, and where more than `most` bytes of content
-    /// would have to be looked at.
+    /// Copies the next bytes to `buffer` and returns their number. It is less than the buffer's
+    /// length at the end of the frame, and when more than `most` bytes of content would have to be
+    /// encoded.
     pub fn read(&mut self, buffer: &mut [u8], most: usize) -> usize {
         let mut most = most;
         while self.code_at - self.gone < buffer.len() && self.code_at <= self.end && most > 0 {
@@ -124,8 +128,9 @@ impl OutgoingFrame {
         count
     }
 
-    /// COBS in place: each zero, and the place in front, becomes the distance to the next one; behind 254 bytes without a zero a place is made. Looks
-    /// at content as far as that, its check or its end, and at no more than `most` bytes; says at how many.
+    /// Encodes COBS in place: each zero, and the place in front, becomes the distance to the next
+    /// one. A code is inserted after 254 bytes without a zero. Encodes up to that point, the check
+    /// or the end, but at most `most` bytes, and returns how many.
     fn stuff(&mut self, most: usize) -> usize {
         let from = self.at;
         if from == self.check_at {
@@ -153,7 +158,7 @@ impl OutgoingFrame {
                 code_at = at;
                 run = 0;
             }
-            // At most 255 is left above, and `at` is below `until`.
+            // `run` is at most 254 and `at` is below `until`.
             run = run.wrapping_add(1);
             at = at.wrapping_add(1);
         }

@@ -1,4 +1,4 @@
-//! Frames come back as they went, and nothing else does.
+//! Tests of frames: decoding returns what was encoded, and nothing else.
 
 use super::*;
 use proptest::prelude::*;
@@ -24,7 +24,7 @@ fn header() -> impl Strategy<Value = Header> {
     })
 }
 
-/// Any payload, rich in zeros and in the lengths at which COBS changes its code.
+/// Any payload, with many zeros and with lengths at which the COBS code changes.
 fn payload() -> impl Strategy<Value = StdVec<u8>> {
     let length = prop_oneof![0..=MAX_PAYLOAD, 240..260usize];
     length
@@ -45,7 +45,7 @@ fn frames(decoder: &mut FrameDecoder, bytes: &[u8]) -> StdVec<(Header, StdVec<u8
 proptest! {
     #![proptest_config(ProptestConfig { rng_seed: proptest::test_runner::RngSeed::Fixed(1), failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Against the codes of another implementation.
+    /// Comparison with the COBS encoding of another implementation.
     #[test]
     fn stuffed_as_others_do(header in header(), payload in payload(), session: u32) {
         let mut frame = FrameBytes::new();
@@ -57,8 +57,9 @@ proptest! {
         prop_assert_eq!(&frame[..frame.len() - 1], &again[..count]);
     }
 
-    /// A frame that is made as it goes is the same in whatever pieces it goes, and goes on in each of them: of a run without a zero nothing can go before its end is
-    /// known, which is 255 bytes of content away at most.
+    /// A frame read in pieces is the same for any sizes of the pieces, and every piece makes
+    /// progress. A run without a zero cannot be sent before its end is known, at most 255 bytes of
+    /// content later.
     #[test]
     fn made_in_pieces_it_is_the_same(
         header in header(), payload in payload(), session: u32, zero_first: bool,
@@ -100,8 +101,8 @@ proptest! {
         prop_assert_eq!(decoder.bad_frames(), bad);
     }
 
-    /// Up to three flipped bits never make a different frame (the CRC's distance is 4 up to 11 kB); COBS may spread a flip, so the claim
-    /// is tested on the line and not on the content.
+    /// Up to three flipped bits never make a different frame (the CRC's distance is 4 up to 11 kB).
+    /// COBS may spread a flip, so the test flips bits on the line and not in the content.
     #[test]
     fn flipped_bits_are_refused(header in header(), payload in payload(), flips in prop::collection::btree_set(0..8 * MAX_FRAME, 1..4)) {
         let mut frame = FrameBytes::new();
@@ -120,7 +121,7 @@ proptest! {
         }
     }
 
-    /// A frame of another session is not heard; a greeting is, in any.
+    /// A frame of another session is ignored. A Hello is accepted in any session.
     #[test]
     fn sessions_do_not_hear_each_other(header in header(), payload in payload(), ours: u32, theirs: u32) {
         prop_assume!(ours != theirs);
@@ -134,7 +135,8 @@ proptest! {
     }
 }
 
-/// Three bytes, heard in their own session and in no greeting's; about one other session in 256 shares the byte.
+/// The keep-alive frame has three bytes and is accepted in its own session and not in session 0.
+/// About one other session in 256 shares its byte.
 #[test]
 fn a_sign_of_life_takes_three_bytes_and_is_heard_in_its_session() {
     let mut heard_elsewhere = 0;

@@ -1,4 +1,5 @@
-//! What differs between the two ends: who greets, who answers, and what each says.
+//! The two endpoints: the host sends Hello, the controller answers with Welcome, and each has its
+//! message types.
 
 use super::{Link, LinkState, Payload};
 use crate::frame::Header;
@@ -8,51 +9,51 @@ use heapless::{Deque, String};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-/// An end of a link: [`Host`] or [`Controller`].
+/// An endpoint of a link: [`Host`] or [`Controller`].
 pub trait End: greet::Greet {
-    /// What it sends.
+    /// Messages that it sends.
     type Sends: Serialize;
-    /// What it hears.
+    /// Messages that it receives.
     type Hears: DeserializeOwned;
 }
 
-/// Payload, which is no business of a caller.
+/// Sealed trait: callers cannot name its types.
 pub(super) mod greet {
     use super::{Header, LinkState, Payload};
 
-    /// How an end greets.
+    /// Start of a session at an endpoint.
     pub trait Greet: Default {
-        /// Takes a greeting; true when it may have opened a session.
+        /// Takes a Hello or Welcome. Returns true when it may have opened a session.
         fn greeted(&mut self, header: Header, payload: &[u8]) -> bool;
-        /// The session that was just opened.
+        /// Returns the session that was just opened.
         fn accepted(&mut self) -> Option<u32>;
-        /// The greeting that is due, if one is; its payload is written.
+        /// Returns the header of a Hello or Welcome that is due, and writes its payload.
         fn greeting(&mut self, now_us: u64, every_us: u32, payload: &mut Payload)
         -> Option<Header>;
-        /// How it stands while no session is open.
+        /// Returns the state while no session is open.
         fn closed(&self) -> LinkState;
     }
 }
 
-/// The host's end.
+/// The host's endpoint.
 #[derive(Debug, Default)]
 pub struct Host {
     phase: Phase,
-    /// The controller's last answer to this session.
+    /// The controller's last answer in this session.
     peer: Option<Welcome>,
 }
 
-/// How far a host's session is.
+/// Progress of a host's session.
 #[derive(Debug, Default, Clone, Copy, PartialEq, Eq)]
 enum Phase {
     #[default]
     Closed,
-    /// Greets; next at this time.
+    /// Sends Hello; the next one at `next_us`.
     Opening {
         session: u32,
         next_us: u64,
     },
-    /// Welcomed, not yet begun.
+    /// A Welcome arrived; the session has not begun yet.
     Accepted(u32),
     Open,
     Refused(HelloRefusal),
@@ -118,7 +119,7 @@ impl greet::Greet for Host {
     }
 }
 
-/// What does not fit between this build and another, if anything.
+/// Returns the reason why another build does not fit this one, if any.
 fn differs(version: u16, schema: u64) -> Option<HelloRefusal> {
     if version != PROTOCOL_VERSION {
         Some(HelloRefusal::Version)
@@ -130,7 +131,8 @@ fn differs(version: u16, schema: u64) -> Option<HelloRefusal> {
 }
 
 impl<const SEND: usize, const RECEIVE: usize> Link<Host, SEND, RECEIVE> {
-    /// Begins to greet; a session that is open is closed. `session` is random and was never used before; 0 is taken for 1.
+    /// Starts to send Hello and closes an open session. `session` must be random and never used
+    /// before; 0 is replaced by 1.
     pub fn open(&mut self, session: u32, now_us: u64) {
         self.close();
         self.end.phase = Phase::Opening {
@@ -139,20 +141,20 @@ impl<const SEND: usize, const RECEIVE: usize> Link<Host, SEND, RECEIVE> {
         };
     }
 
-    /// What the controller says of itself: known once it answered, also when it refused.
+    /// The controller's Welcome: known after its answer, also after a refusal.
     pub fn peer(&self) -> Option<&Welcome> {
         self.end.peer.as_ref()
     }
 }
 
-/// The controller's end.
+/// The controller's endpoint.
 #[derive(Debug, Default)]
 pub struct Controller {
-    /// The greeting that waits for an answer.
+    /// The Hello that waits for an answer.
     hello: Option<Hello>,
-    /// The answer that waits to be sent.
+    /// The Welcome that waits to be sent.
     welcome: Option<Welcome>,
-    /// Sessions that ended, so that a late greeting does not bring one back.
+    /// Sessions that ended. A late Hello cannot start them again.
     ended: Deque<u32, 4>,
 }
 
@@ -188,44 +190,44 @@ impl greet::Greet for Controller {
     }
 }
 
-/// What a controller says of itself in [`Welcome`].
+/// Description of the controller for [`Welcome`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Identity<'a> {
-    /// Name of the machine, at most 24 bytes (the rest is cut off); empty when there is no configuration.
+    /// Name of the machine, at most 24 bytes (the rest is cut off); empty without a configuration.
     pub machine: &'a str,
-    /// CRC-32 of the active configuration; 0 when there is none.
+    /// CRC-32 of the active configuration; 0 without one.
     pub config_crc: u32,
     /// Control period in microseconds.
     pub period_us: u16,
-    /// Pose coordinates; 0 when not configured.
+    /// Pose coordinates; 0 without a configuration.
     pub axes: u8,
     /// Setpoints that the queue holds.
     pub queue: u16,
 }
 
-/// What became of a greeting.
+/// Result of [`Link::welcome`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Greeted {
-    /// There was none.
+    /// No Hello was waiting.
     Nothing,
-    /// A new session has begun; what the one before had asked is forgotten.
+    /// A new session has begun. Requests of the session before are dropped.
     Begun,
-    /// The host of the running session had not heard the answer; it is given again.
+    /// The host of the running session had not received the answer; it is sent again.
     Again,
-    /// No session for this host; the running one, if any, goes on.
+    /// The session is refused; a running one continues.
     Refused(HelloRefusal),
 }
 
 impl<const SEND: usize, const RECEIVE: usize> Link<Controller, SEND, RECEIVE> {
-    /// A greeting that waits for [`Link::welcome`].
+    /// The Hello that waits for [`Link::welcome`].
     pub fn hello(&self) -> Option<&Hello> {
         self.end.hello.as_ref()
     }
 
-    /// Answers the greeting that waits, if one does. `busy` says that another session must not be broken into: it is alive and the machine
-    /// moves or may move. Different versions and schemas are refused in any case.
+    /// Answers a waiting Hello. `busy` refuses a session takeover: another session is alive and the
+    /// machine moves or may move. Different versions and schemas are always refused.
     pub fn welcome(&mut self, now_us: u64, identity: &Identity<'_>, busy: bool) -> Greeted {
         let Some(hello) = self.end.hello.take() else {
             return Greeted::Nothing;
@@ -250,7 +252,7 @@ impl<const SEND: usize, const RECEIVE: usize> Link<Controller, SEND, RECEIVE> {
                     if self.end.ended.is_full() {
                         self.end.ended.pop_front();
                     }
-                    // There is room: made above.
+                    // Room was made above.
                     let _ = self.end.ended.push_back(self.session);
                 }
                 self.begin(now_us, hello.session);

@@ -1,44 +1,44 @@
-//! What arrived and waits: reliable messages put into order, latest values as they come.
+//! Received messages that wait: reliable ones in order, last-value messages as they arrive.
 
 use crate::frame::{Acknowledgement, MAX_PAYLOAD, Words};
 
-/// Bytes in front of each stored payload: its kind, its number, its length.
+/// Bytes in front of each stored payload: kind, sequence number, length.
 const PREFIX: usize = 4;
 
-/// A stored reliable message.
+/// Kind of a stored reliable message.
 const RELIABLE: u8 = 1;
-/// A stored latest value.
+/// Kind of a stored last-value message.
 const LATEST: u8 = 2;
 
-/// A latest value is older than the newest if its number is less than so many behind. No line keeps a frame back for longer; what seems to be further
-/// behind comes after an outage, and is new.
+/// A last-value message is old if its number is less than this behind the newest one. No line
+/// delays a frame for longer; a message that is further behind comes after an outage and is new.
 const LATE: u8 = 16;
 
-/// Bytes that a stored payload takes: whole words.
+/// Bytes that a stored payload takes, in whole words.
 const fn stride(payload: usize) -> usize {
     PREFIX + payload.next_multiple_of(PREFIX)
 }
 
-/// Messages that arrived, one after the other: kind, number, length (two bytes), payload.
+/// Received messages in a buffer: kind, sequence number, length (two bytes), payload.
 #[derive(Debug)]
 pub(super) struct Inbox<const BYTES: usize> {
     bytes: Words<BYTES>,
-    /// The stored ones lie between these.
+    /// Range of the stored messages in `bytes`.
     head: usize,
     used: usize,
-    /// The reliable frame that is missing first.
+    /// Sequence number of the first missing reliable frame.
     missing: u8,
     /// Bit `k`: frame `missing + 1 + k` arrived.
     beyond: u8,
-    /// The reliable message that is to be given next.
+    /// Sequence number of the next reliable message to deliver.
     give: u8,
-    /// Number of the newest latest value.
+    /// Sequence number of the newest last-value message.
     newest: Option<u8>,
-    /// Reliable frames that had arrived before.
+    /// Duplicate reliable frames.
     pub(super) duplicates: u32,
-    /// Frames that found no room.
+    /// Frames dropped because the buffer was full.
     pub(super) no_room: u32,
-    /// Bytes that were stored had to be moved, which takes long.
+    /// Stored bytes were moved, which is expensive.
     pub(super) moved: bool,
 }
 
@@ -60,10 +60,10 @@ impl<const BYTES: usize> Default for Inbox<BYTES> {
 }
 
 impl<const BYTES: usize> Inbox<BYTES> {
-    /// A message of the largest size must fit beside one that came too early.
+    /// The largest message must fit beside one that arrived out of order.
     const ENOUGH: () = assert!(BYTES >= 2 * stride(MAX_PAYLOAD) && BYTES.is_multiple_of(PREFIX));
 
-    /// Forgets everything but the counts.
+    /// Clears everything except the counters.
     pub(super) fn clear(&mut self) {
         let () = Self::ENOUGH;
         self.head = 0;
@@ -74,7 +74,8 @@ impl<const BYTES: usize> Inbox<BYTES> {
         self.newest = None;
     }
 
-    /// What is to be told to the peer. While nothing is missing in between, that is of messages beyond half of the room that they have not arrived yet.
+    /// Returns the acknowledgement for the peer. Without a gap, messages beyond half of the buffer
+    /// are not acknowledged yet (flow control).
     pub(super) fn acknowledgement(&self) -> Acknowledgement {
         let crowding = if self.is_crowded() && self.beyond == 0 {
             self.crowding()
@@ -87,11 +88,13 @@ impl<const BYTES: usize> Inbox<BYTES> {
         }
     }
 
-    /// Takes a reliable frame; true when the peer should be told at once: there is a gap, or it did not hear what it was told.
+    /// Takes a reliable frame. Returns true when it should be acknowledged at once: there is a gap,
+    /// or the peer missed an acknowledgement.
     pub(super) fn reliable(&mut self, sequence: u8, payload: &[u8]) -> bool {
         let ahead = sequence.wrapping_sub(self.missing);
         if ahead == 0 {
-            // Half the circle of numbers at most may wait to be polled, or they could not be told apart.
+            // At most half of the sequence numbers may wait to be polled; more could not be told
+            // apart.
             if self.missing.wrapping_sub(self.give) >= 120 {
                 self.no_room = self.no_room.saturating_add(1);
                 return false;
@@ -99,14 +102,15 @@ impl<const BYTES: usize> Inbox<BYTES> {
             if !self.store(RELIABLE, sequence, payload, 0) {
                 return false;
             }
-            // Frames that had come too early are now in order.
+            // Frames that arrived out of order are now in order.
             let run = self.beyond.trailing_ones();
             self.missing = self.missing.wrapping_add(1 + run as u8);
             self.beyond = self.beyond.checked_shr(run + 1).unwrap_or(0);
             return run > 0 || self.beyond != 0;
         }
         if ahead > 8 {
-            // Behind by less than half the circle: it was here before. Ahead by more than a window: not ours.
+            // Less than half of the numbers behind: a duplicate. More than a window ahead: not from
+            // this peer.
             if ahead >= 128 {
                 self.duplicates = self.duplicates.saturating_add(1);
             }
@@ -121,7 +125,8 @@ impl<const BYTES: usize> Inbox<BYTES> {
         true
     }
 
-    /// Takes a latest value, unless a newer one was here. When room is short, older ones make way.
+    /// Takes a last-value message, unless a newer one was received. Older ones are dropped when the
+    /// buffer is nearly full.
     pub(super) fn latest(&mut self, sequence: u8, payload: &[u8]) {
         let old = self
             .newest
@@ -130,7 +135,7 @@ impl<const BYTES: usize> Inbox<BYTES> {
             return;
         }
         self.newest = Some(sequence);
-        // A reliable message that comes in order must find its room whatever else is here.
+        // A reliable message that arrives in order must always fit.
         let reserve = PREFIX + MAX_PAYLOAD;
         while self.free() < stride(payload.len()) + reserve {
             let Some((start, _, end)) = self.find(|kind, _| kind == LATEST) else {
@@ -142,32 +147,33 @@ impl<const BYTES: usize> Inbox<BYTES> {
         self.store(LATEST, sequence, payload, reserve);
     }
 
-    /// Whether nothing at all is stored.
+    /// Returns whether nothing is stored.
     #[inline]
     pub(super) fn is_empty(&self) -> bool {
         self.head == self.used
     }
 
-    /// Whether more than half of the room is used.
+    /// Returns whether more than half of the buffer is used.
     fn is_crowded(&self) -> bool {
         self.used - self.head > BYTES / 2
     }
 
-    /// Reliable messages in order that lie beyond half of the room, if all are of a size.
+    /// Number of reliable messages in order that lie beyond half of the buffer, if all have the
+    /// same size.
     fn crowding(&self) -> u8 {
         let (waiting, used) = (self.missing.wrapping_sub(self.give), self.used - self.head);
-        // Neither is above 2^16.
+        // Both are at most 2^16.
         let first = u32::from(waiting) * (BYTES / 2) as u32 / (used as u32).max(1);
         waiting.saturating_sub(first as u8)
     }
 
-    /// The next message in order; it stays.
+    /// The next message in order; it stays stored.
     pub(super) fn first(&self) -> Option<&[u8]> {
         let (start, end, _) = self.place()?;
         self.stored().get(start + PREFIX..end)
     }
 
-    /// Drops the next message in order; says whether that made room which the peer waits for.
+    /// Drops the next message in order. Returns whether that made room that the peer waits for.
     pub(super) fn drop_first(&mut self) -> bool {
         let Some((start, _, end)) = self.place() else {
             return false;
@@ -181,23 +187,24 @@ impl<const BYTES: usize> Inbox<BYTES> {
         crowded
     }
 
-    /// The next message in order: where it begins, where its payload ends, where the next one begins.
+    /// Position of the next message in order: its start, the end of its payload, the start of the
+    /// next message.
     fn place(&self) -> Option<(usize, usize, usize)> {
         let give = self.give;
         self.find(|kind, sequence| kind == LATEST || sequence == give)
     }
 
-    /// What is stored.
+    /// The stored bytes.
     fn stored(&self) -> &[u8] {
         self.bytes.0.get(self.head..self.used).unwrap_or_default()
     }
 
-    /// Bytes that are free.
+    /// Number of free bytes.
     fn free(&self) -> usize {
         BYTES - (self.used - self.head)
     }
 
-    /// Stores a payload if that leaves `reserve` bytes free.
+    /// Stores a payload if `reserve` bytes remain free.
     fn store(&mut self, kind: u8, sequence: u8, payload: &[u8], reserve: usize) -> bool {
         let length = stride(payload.len());
         if payload.len() > MAX_PAYLOAD || self.free() < length + reserve {
@@ -206,7 +213,8 @@ impl<const BYTES: usize> Inbox<BYTES> {
         }
         let [low, high] = (payload.len() as u16).to_le_bytes();
         if self.used + length > BYTES {
-            // Only now, for it takes long: nearly always the inbox is empty before, and begins anew.
+            // Moving is expensive and therefore delayed: the inbox nearly always becomes empty
+            // before, and starts again at 0.
             self.bytes.0.copy_within(self.head..self.used, 0);
             self.used -= self.head;
             self.head = 0;
@@ -227,7 +235,8 @@ impl<const BYTES: usize> Inbox<BYTES> {
         true
     }
 
-    /// The first stored message that is wanted: where it begins, where its payload ends, where the next one begins.
+    /// Position of the first stored message that `commanded` selects: its start, the end of its
+    /// payload, the start of the next message.
     fn find(&self, commanded: impl Fn(u8, u8) -> bool) -> Option<(usize, usize, usize)> {
         let mut start = 0;
         while let Some(&[kind, sequence, low, high]) = self
@@ -245,7 +254,7 @@ impl<const BYTES: usize> Inbox<BYTES> {
         None
     }
 
-    /// Removes what lies between two places.
+    /// Removes the bytes from `start` to `end`.
     fn remove(&mut self, start: usize, end: usize) {
         if start == 0 {
             self.head = (self.head + end).min(self.used);

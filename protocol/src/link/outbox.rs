@@ -1,45 +1,46 @@
-//! Reliable messages under way: kept until the peer has them.
+//! Reliable messages under way: stored until the peer acknowledges them.
 
 use super::WINDOW;
 use crate::frame::Acknowledgement;
 use heapless::Deque;
 
-/// A message under way.
+/// A reliable message under way.
 #[derive(Debug, Clone, Copy)]
 struct Outgoing {
-    /// Bytes of its payload.
+    /// Length of its payload, bytes.
     length: u16,
-    /// When it was last sent, and as which frame of all; `None` before the first time.
+    /// Time of its last transmission, and its number in the order of all transmissions; `None`
+    /// before the first one.
     sent: Option<(u64, u32)>,
-    /// It was sent more than once: its round trip cannot be told (Karn).
+    /// It was sent more than once, so its round trip is unknown (Karn).
     again: bool,
-    /// The peer has it, beyond a gap.
+    /// The peer has received it, beyond a gap.
     arrived: bool,
-    /// A frame that was sent later has arrived: this one is lost.
+    /// A frame that was sent later has arrived, so this one is lost.
     lost: bool,
 }
 
-/// Reliable messages under way, oldest first, their payloads one after the other.
+/// Reliable messages under way, oldest first, with their payloads in the same order.
 #[derive(Debug)]
 pub(super) struct Outbox<const BYTES: usize> {
     payloads: [u8; BYTES],
     used: usize,
     queue: Deque<Outgoing, WINDOW>,
-    /// Sequence number of the oldest.
+    /// Sequence number of the oldest message.
     oldest: u8,
-    /// Frames sent, to tell which was sent before which.
+    /// Number of transmissions; it gives their order.
     order: u32,
     /// Smoothed round trip and its mean deviation, microseconds times 8 and times 4 (Jacobson).
     round_trip: Option<(u32, u32)>,
-    /// Doublings of the resend time since the last news.
+    /// Doublings of the resend time since the last progress.
     back_off: u8,
-    /// When something was last confirmed, or the first message was sent.
+    /// Time of the last acknowledgement, or of the first transmission.
     progress_us: Option<u64>,
-    /// Frames sent again.
+    /// Number of resent frames.
     pub(super) resent: u32,
 }
 
-/// A round trip is at most taken for this long: 16 s.
+/// Upper bound of a measured round trip: 16 s.
 const LONGEST_US: u64 = 1 << 24;
 
 impl<const BYTES: usize> Default for Outbox<BYTES> {
@@ -59,7 +60,7 @@ impl<const BYTES: usize> Default for Outbox<BYTES> {
 }
 
 impl<const BYTES: usize> Outbox<BYTES> {
-    /// Forgets everything but the count.
+    /// Clears everything except the counter.
     pub(super) fn clear(&mut self) {
         *self = Self {
             resent: self.resent,
@@ -67,18 +68,18 @@ impl<const BYTES: usize> Outbox<BYTES> {
         };
     }
 
-    /// Messages under way.
+    /// Number of messages under way.
     pub(super) fn len(&self) -> usize {
         self.queue.len()
     }
 
-    /// Messages of a size that fit now.
+    /// Number of messages of this size that fit now.
     pub(super) fn room(&self, bytes: usize) -> usize {
         let fit = (BYTES - self.used) / bytes.max(1);
         fit.min(WINDOW - self.queue.len())
     }
 
-    /// How long nothing was confirmed although something is under way.
+    /// Time without an acknowledgement while messages are under way, microseconds.
     pub(super) fn stalled_us(&self, now_us: u64) -> u64 {
         match self.progress_us {
             Some(since) if !self.queue.is_empty() => now_us.saturating_sub(since),
@@ -91,30 +92,31 @@ impl<const BYTES: usize> Outbox<BYTES> {
         self.round_trip.map_or(0, |(smooth, _)| smooth / 8)
     }
 
-    /// Where the next message is written before it is taken with [`Outbox::push`].
+    /// Buffer for the next message, which [`Outbox::push`] then takes.
     pub(super) fn free(&mut self) -> &mut [u8] {
         self.payloads.get_mut(self.used..).unwrap_or_default()
     }
 
-    /// Takes the message of so many bytes that was written to [`Outbox::free`]; false when there was no room.
+    /// Takes the message of `length` bytes that was written to [`Outbox::free`]. Returns false when
+    /// it does not fit.
     pub(super) fn push(&mut self, length: usize) -> bool {
         if self.queue.is_full() || length > BYTES - self.used {
             return false;
         }
         self.used += length;
         let outgoing = Outgoing {
-            // Below the room of any outbox.
+            // No outbox is as large as 2^16 bytes.
             length: length as u16,
             sent: None,
             again: false,
             arrived: false,
             lost: false,
         };
-        // There is room: asked above.
+        // The queue was checked above.
         self.queue.push_back(outgoing).is_ok()
     }
 
-    /// The next frame to send, or to send again: its number and payload.
+    /// Returns the next frame to send or resend: its sequence number and payload.
     pub(super) fn next(&mut self, now_us: u64, bounds: (u32, u32)) -> Option<(u8, &[u8])> {
         if self.queue.is_empty() {
             return None;
@@ -134,7 +136,7 @@ impl<const BYTES: usize> Outbox<BYTES> {
                 if !late && !outgoing.lost {
                     continue;
                 }
-                // Only the oldest: a window that is late as a whole is one event.
+                // Only for the oldest message: a window that is late as a whole is one event.
                 if !outgoing.lost && index == 0 {
                     self.back_off = (self.back_off + 1).min(4);
                 }
@@ -151,7 +153,8 @@ impl<const BYTES: usize> Outbox<BYTES> {
         None
     }
 
-    /// When the next frame is to be sent again, where [`Outbox::next`] has none now and nothing is heard until then.
+    /// Time at which the next frame is to be resent, if [`Outbox::next`] has none now and nothing
+    /// is received until then.
     pub(super) fn due_us(&self, bounds: (u32, u32)) -> u64 {
         let waits = self.queue.iter().filter(|outgoing| !outgoing.arrived);
         waits.fold(u64::MAX, |soonest, outgoing| {
@@ -160,7 +163,7 @@ impl<const BYTES: usize> Outbox<BYTES> {
         })
     }
 
-    /// The peer says what arrived.
+    /// Applies an acknowledgement of the peer.
     pub(super) fn acknowledge(&mut self, now_us: u64, acknowledgement: Acknowledgement) {
         let confirmed = usize::from(acknowledgement.next.wrapping_sub(self.oldest));
         let sent = self
@@ -169,7 +172,7 @@ impl<const BYTES: usize> Outbox<BYTES> {
             .take_while(|outgoing| outgoing.sent.is_some())
             .count();
         if confirmed > sent {
-            // Late, from before what is known already; nothing new in it.
+            // A late acknowledgement from before the known state: nothing new.
             return;
         }
         let mut newest: Option<u32> = None;
@@ -227,9 +230,9 @@ impl<const BYTES: usize> Outbox<BYTES> {
         }
     }
 
-    /// How long a frame waits for its acknowledgement.
+    /// Time that a frame waits for its acknowledgement, microseconds.
     fn patience_us(&self, (least, most): (u32, u32)) -> u64 {
-        // Before the first measurement: a quarter of the longest.
+        // Before the first measurement: a quarter of the longest time.
         let usual = self.round_trip.map_or(most / 4, |(smooth, deviation)| {
             (smooth / 8).saturating_add(deviation)
         });
@@ -237,7 +240,8 @@ impl<const BYTES: usize> Outbox<BYTES> {
     }
 }
 
-/// Takes a round trip into the estimate (Jacobson's filter: gains 1/8 and 1/4, the sum being mean + 4 deviations).
+/// Adds a round trip to the estimate (Jacobson's filter with gains 1/8 and 1/4; the sum is the mean
+/// plus 4 deviations).
 fn measure(estimate: &mut Option<(u32, u32)>, trip_us: u64) {
     let trip = trip_us.min(LONGEST_US) as u32;
     *estimate = Some(match *estimate {

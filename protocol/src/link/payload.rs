@@ -1,4 +1,4 @@
-//! A message that waits to be sent, encoded.
+//! An encoded message that waits to be sent.
 
 use super::SendError;
 use crate::frame::{MAX_PAYLOAD, Words};
@@ -13,12 +13,12 @@ pub struct Payload {
 }
 
 impl Payload {
-    /// Its bytes.
+    /// The encoded bytes.
     pub(super) fn bytes(&self) -> &[u8] {
         self.bytes.0.get(..self.length).unwrap_or_default()
     }
 
-    /// Encodes a message in place of the one before.
+    /// Encodes a message, in place of the one before.
     pub(super) fn encode(&mut self, message: &impl Serialize) -> Result<(), SendError> {
         let length = wire::write(message, &mut self.bytes.0).unwrap_or(usize::MAX);
         if length > MAX_PAYLOAD {

@@ -1,28 +1,31 @@
-//! How a link is set, how it stands, and what it has counted.
+//! Timing, state and counters of a link.
 
 use crate::message::HelloRefusal;
 
-/// Times and rate of a link. The defaults suit a serial line of 115,200 baud and anything faster.
+/// Timing and line rate of a link. The defaults suit a serial line of 115,200 baud or faster.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Timing {
-    /// The longest silence of a living end, microseconds. The default leaves seven signs of life in the 500 ms after which a machine gives its host
-    /// up: with a bit in a thousand wrong one of them is lost in thirty, and never all of them in the life of a machine. A line that carries nothing but
-    /// garbage for 350 ms is borne.
+    /// Longest silence of an endpoint, microseconds; then it sends a keep-alive frame. The default
+    /// gives seven keep-alive frames within a heartbeat of 500 ms. At a bit error rate of one in a
+    /// thousand, one in thirty of them is lost, and never all of them in the life of a machine. A
+    /// line that carries only garbage for 350 ms is tolerated.
     pub keep_alive_us: u32,
-    /// How long an acknowledgement waits for a frame to ride on, microseconds.
+    /// Longest delay of an acknowledgement that waits for another frame to carry it, microseconds.
     pub acknowledge_us: u32,
-    /// Time between two greetings, microseconds.
+    /// Time between two Hello messages, microseconds.
     pub hello_us: u32,
-    /// Bounds of the time after which an unanswered frame is sent again, microseconds; it follows the round trip in between.
+    /// Bounds of the resend time of an unacknowledged frame, microseconds. Between them it follows
+    /// the round trip.
     pub resend_us: (u32, u32),
-    /// Silence of the peer after which the session is lost, microseconds.
+    /// Silence of the peer that ends the session, microseconds.
     pub silence_us: u32,
-    /// Time without progress of a reliable message after which the session is lost, microseconds.
+    /// Time without progress of a reliable message that ends the session, microseconds.
     pub stall_us: u32,
-    /// Bytes per second that the line carries; 0 for no bound. [`super::Link::transmit`] gives no more, so that nothing waits in a
-    /// driver where it cannot be overtaken.
+    /// Bytes per second that the line carries; 0 for no limit. [`super::Link::transmit`] returns no
+    /// more, so that nothing waits in a driver, where later frames cannot overtake it.
     pub line_rate: u32,
-    /// How far the line may be filled ahead, microseconds; at least the time between two calls of [`super::Link::transmit`].
+    /// Time by which the line may be filled ahead, microseconds; at least the time between two
+    /// calls of [`super::Link::transmit`].
     pub line_ahead_us: u32,
 }
 
@@ -41,33 +44,33 @@ impl Default for Timing {
     }
 }
 
-/// How a link stands.
+/// State of a link.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum LinkState {
     /// No session.
     Closed,
-    /// The host greets and waits for an answer.
+    /// The host sends Hello and waits for Welcome.
     Opening,
-    /// Messages go.
+    /// The session is open.
     Open,
-    /// The controller answered with a refusal; [`super::Link::peer`] says more.
+    /// The controller refused the session; [`super::Link::peer`] has its Welcome.
     Refused(HelloRefusal),
-    /// The peer fell silent.
+    /// The peer is silent.
     Silent,
-    /// The peer lives, and yet a message cannot be brought over: the line is too bad.
+    /// The peer is alive, but a reliable message is not acknowledged: the line is too bad.
     Stalled,
 }
 
-/// Why a message cannot be sent.
+/// Reason why a message cannot be sent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum SendError {
     /// No session is open.
     NotOpen,
-    /// As many messages, or bytes, are under way as can be; later there is room again.
+    /// The window or the buffer is full; try again later.
     Full,
-    /// It fits no frame.
+    /// The message does not fit a frame.
     TooLong,
 }
 
@@ -83,39 +86,41 @@ impl core::fmt::Display for SendError {
 
 impl core::error::Error for SendError {}
 
-/// What [`super::Link::receive`] had to do: the later, the more.
+/// Receive effort of [`super::Link::receive`], in increasing order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Work {
-    /// No byte came.
+    /// No byte arrived.
     Nothing,
-    /// Bytes came.
+    /// Bytes arrived.
     Bytes,
-    /// A frame ended.
+    /// A frame was completed.
     Frame,
-    /// Messages that wait had to be moved to make room for another.
+    /// Stored messages were moved to make room for another one.
     Moved,
 }
 
-/// What a link has counted since it was made. Each stays at its largest value.
+/// Counters of a link since its creation. Each saturates.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Counters {
     /// Frames sent, of any kind.
     pub frames_sent: u32,
-    /// Bytes given to the line, of any kind; what is sent again counts again.
+    /// Bytes given to the line, of any kind, resent ones included.
     pub bytes_sent: u32,
-    /// Of those, the bytes of frames with a reliable message, framing and acknowledgement included.
+    /// Part of these bytes that belongs to frames with a reliable message, framing and
+    /// acknowledgement included.
     pub message_bytes: u32,
-    /// Frames with the right check, of any kind.
+    /// Frames with a valid check, of any kind.
     pub frames_heard: u32,
-    /// Frames refused by their check; those of an old session are among them.
+    /// Frames refused by their check, including frames of an old session.
     pub bad_frames: u32,
-    /// Reliable frames sent again.
+    /// Reliable frames that were resent.
     pub resent: u32,
-    /// Reliable frames that had arrived before.
+    /// Duplicate reliable frames.
     pub duplicates: u32,
-    /// Frames that found no room and were dropped; reliable ones come again.
+    /// Frames dropped because the buffer was full. Reliable ones are resent.
     pub no_room: u32,
-    /// Messages with the right check that could not be read: never seen unless two builds lie about their schema.
+    /// Messages with a valid check that could not be decoded. This occurs only if a build reports a
+    /// wrong schema hash.
     pub unreadable: u32,
 }

@@ -1,4 +1,4 @@
-//! Sessions, life, and memory. What a bad line does to messages is in `tests/link.rs`.
+//! Tests of sessions, keep-alive and memory. `tests/link.rs` tests messages on a bad line.
 
 use super::*;
 use crate::frame::{self, FrameBytes, FrameDecoder, Header};
@@ -17,7 +17,7 @@ const IDENTITY: Identity<'static> = Identity {
     queue: 64,
 };
 
-/// Both ends and the time, on a line without faults.
+/// Both endpoints and the time, on a line without faults.
 struct Pair {
     host: HostLink,
     controller: ControllerLink,
@@ -144,7 +144,7 @@ fn a_new_session_forgets_the_old_one_and_an_ended_one_does_not_come_back() {
     pair.host.send(&ping(9)).unwrap();
     pair.run(2000);
     assert_eq!(pair.controller.poll_message(), Some(ping(9)));
-    // A greeting of session 1 that was held up somewhere.
+    // A delayed Hello of session 1.
     let mut frame = FrameBytes::new();
     let hello = Hello {
         version: PROTOCOL_VERSION,
@@ -211,7 +211,7 @@ fn an_end_with_nothing_to_say_costs_sixty_bytes_a_second() {
     assert!((20..=22).contains(&frames), "{frames}");
     assert_eq!(after.bytes_sent - before.bytes_sent, 4 * frames);
     assert_eq!(pair.controller.counters().bad_frames, 0);
-    // What has to be acknowledged is, at once and not with the next sign of life.
+    // An acknowledgement is sent at once and does not wait for the next keep-alive frame.
     pair.controller
         .send(&Report::Answer {
             id: 1,
@@ -252,7 +252,7 @@ fn a_full_inbox_holds_messages_back_and_loses_none() {
             sent += 1;
         }
         pair.run(200);
-        // A controller that listens every 10 ms only.
+        // A controller that receives every 10 ms only.
         if step % 50 == 0
             && let Some(request) = pair.controller.poll_message()
         {
@@ -303,7 +303,7 @@ fn only_newer_latest_values_are_heard() {
     assert_eq!(heard, [telemetry(0), telemetry(2)]);
 }
 
-/// However many were lost: their numbers go round.
+/// Any number of last-value messages may be lost: their sequence numbers wrap around.
 #[test]
 fn latest_values_are_heard_again_after_an_outage() {
     for lost in 0..600 {
@@ -349,12 +349,14 @@ fn the_line_is_not_filled_faster_than_it_carries() {
         let _ = pair.host.send(&ping(1));
         bytes += pair.host.transmit(now_us, &mut buffer);
     }
-    // One second of retransmissions and new frames: never above the rate, apart from what may be filled ahead.
+    // One second of resent and new frames: never above the line rate, except for what may be filled
+    // ahead.
     assert!(bytes <= 11_520 + 60, "{bytes}");
 }
 
-/// A host that has more to say than the controller takes is held back by acknowledgements that come later: nothing is said twice for want of room, and there is always
-/// something to take.
+/// Flow control: a host that sends faster than the controller takes is blocked by delayed
+/// acknowledgements. Nothing is resent because the receiver is full, and the controller always has
+/// a message to take.
 #[test]
 fn who_says_more_than_is_taken_waits() {
     for bytes in [20, 40, 50, 64] {
@@ -368,7 +370,7 @@ fn who_says_more_than_is_taken_waits() {
             command: Command::Configure(chunk),
         };
         let (mut taken, mut missed) = (0, 0);
-        // As long as four setpoints take.
+        // The time that four setpoints take.
         for period in 0..10_000 {
             while pair.host.under_way() < 4 {
                 pair.host.send(&request).unwrap();

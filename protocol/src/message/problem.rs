@@ -1,4 +1,4 @@
-//! What may be wrong: with a pose, a request, a configuration, the machine.
+//! Problems of a pose, a request, a configuration or the machine.
 
 use super::State;
 use crate::force::{ForceProblem, ForceRefusal};
@@ -6,38 +6,38 @@ use crate::haptic::HandProblem;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-/// Why a pose cannot be taken. Never a number instead.
+/// Reason why a pose is refused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum PoseError {
-    /// No position of the joints gives this pose.
+    /// No joint positions give this pose.
     Unreachable,
     /// A joint would leave its stroke.
     OutOfStroke {
         /// The joint, from 0.
         axis: u8,
-        /// How far beyond the nearer end, axis units; negative below the lower end.
+        /// Distance beyond the nearer end, axis units; negative below the lower end.
         by: i32,
     },
-    /// Too near the parallel singularity (H-4 arm: E Z = y D).
+    /// The pose is too near the parallel singularity (H-4 arm: E Z = y D).
     NearSingularity {
-        /// Distance that is left, 2^-20 mm; negative on the wrong side.
+        /// Singularity distance, 2^-20 mm; negative on the wrong side.
         distance: i32,
     },
-    /// Too near the reach limit of a rod pair (H-4 arm: S < 0.1 R).
+    /// The pose is too near the reach limit of a rod pair (H-4 arm: S < 0.1 R).
     NearReachLimit {
         /// The rod pair: 0 for rods 1, 2; 1 for rods 3, 4.
         pair: u8,
     },
-    /// The tilt is outside +-90 degrees.
+    /// The tilt theta is outside +-90 degrees.
     Tilt,
 }
 
-/// Why a command is refused. A refused command changes nothing.
+/// Reason why a command is refused. A refused command changes nothing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Refusal {
-    /// Not in this state.
+    /// The command is not allowed in this state.
     State(State),
     /// No configuration is active.
     NotConfigured,
@@ -47,88 +47,91 @@ pub enum Refusal {
     Range,
     /// The number of values is not the number of axes.
     AxisCount,
-    /// Setpoints must come in order; this one was expected.
+    /// Setpoints must come in order; another one was expected.
     OutOfOrder {
         /// Number of the setpoint that was expected.
         expected: u32,
     },
-    /// The queue is full; the credit was not respected.
+    /// The queue is full: the host sent beyond the credit.
     QueueFull,
-    /// The machine stands where it must not be held.
+    /// The present pose of the machine is one at which it cannot hold.
     Standing(PoseError),
-    /// A setpoint that is refused by the kinematics.
+    /// The kinematics refuse a setpoint.
     Pose {
-        /// Its number in the job.
+        /// Number of the setpoint in the job.
         setpoint: u32,
-        /// Why.
+        /// Reason.
         error: PoseError,
     },
-    /// A setpoint beyond a soft limit.
+    /// A setpoint is beyond a soft limit.
     SoftLimit {
-        /// Its number in the job.
+        /// Number of the setpoint in the job.
         setpoint: u32,
         /// The pose coordinate.
         axis: u8,
     },
-    /// A setpoint whose coding does not fit: period 0, overflow of a coordinate or rate.
+    /// The coding of a setpoint is invalid: period 0, overflow of a coordinate or rate.
     Setpoint {
-        /// Its number in the job.
+        /// Number of the setpoint in the job.
         setpoint: u32,
     },
-    /// The job must start where the machine stands.
+    /// The job must start at the present pose of the machine.
     StartPose {
         /// The first pose coordinate that differs.
         axis: u8,
     },
     /// The jog's epoch was cancelled, or a newer one is active.
     OldEpoch,
-    /// The staged configuration is not whole or its check differs.
+    /// The staged configuration is incomplete or its CRC differs.
     ConfigCheck,
-    /// The staged configuration cannot be read or makes no sense.
+    /// The staged configuration cannot be decoded or has an invalid value.
     Config(ConfigProblem),
-    /// An input forbids it, or how the machine moves.
+    /// An input, or the present motion of the machine, forbids the command.
     Input(InputProblem),
-    /// The position was lost: the joints must be set up at their presets again, and the configuration activated.
+    /// The position was lost: the joints must be set up at their presets again, and the
+    /// configuration activated.
     PresetLost,
     /// The machine has no force sensor.
     NoForceSensor,
-    /// Settings of a force loop that cannot be.
+    /// Settings of a force loop are invalid.
     Force {
         /// The component of the force.
         axis: u8,
-        /// What is wrong, and the bound.
+        /// The invalid parameter, and its bound.
         refusal: ForceRefusal,
     },
-    /// Force control is wanted and the sensor has no zero.
+    /// Force control needs a force sensor with a zero (tare).
     NotTared,
-    /// The tool yields to a force: what it feels is no zero.
+    /// A compliant displacement is active: the present force cannot be taken as zero.
     Yielding,
-    /// Force control is wanted and the sensor cannot be believed now.
+    /// Force control was requested while the force sensor is invalid.
     ForceSensor(ForceProblem),
     /// The machine has no haptic arm, or its tool cannot be led by one.
     NoHand,
-    /// A virtual wall so near the opposite one that the ball at the tip does not fit between them.
+    /// A virtual fixture is so near the opposite one that the ball at the tip does not fit between
+    /// them.
     WallTooNear,
-    /// On the way to a setpoint a joint would exceed its maximum rate.
+    /// A joint would exceed its maximum rate before a setpoint.
     JointRate {
-        /// The number of the setpoint in the job.
+        /// Number of the setpoint in the job.
         setpoint: u32,
         /// The joint.
         axis: u8,
-        /// The rate that the setpoint asks for, axis units per second; negative towards the lower end.
+        /// The rate that the setpoint demands, axis units per second; negative towards the lower
+        /// end.
         rate: i32,
         /// The maximum rate, axis units per second.
         limit: i32,
     },
 }
 
-/// What forbids to switch the drives on, or to clear what is latched.
+/// Condition that forbids to enable the drives or to reset.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum InputProblem {
     /// The emergency stop is pressed.
     EmergencyStop,
-    /// A joint stands on its limit switch.
+    /// A joint is on its limit switch.
     LimitSwitch {
         /// The joint.
         axis: u8,
@@ -138,23 +141,23 @@ pub enum InputProblem {
         /// The joint.
         axis: u8,
     },
-    /// The machine was switched off and still coasts.
+    /// The drives were switched off and the machine still coasts.
     Coasting,
-    /// The drives have just been switched on, and the step motors have not locked yet.
+    /// The drives were just switched on, and the step motors have not locked yet.
     Settling,
 }
 
-/// What is wrong in a configuration.
+/// Invalid field of a configuration.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct ConfigProblem {
     /// The field.
     pub field: ConfigField,
-    /// The axis it belongs to, if any.
+    /// The axis of the field, if any.
     pub axis: Option<u8>,
 }
 
-/// A part of the configuration that can be wrong.
+/// Part of a configuration that can be invalid.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[allow(
@@ -185,17 +188,17 @@ pub enum ConfigField {
     Follow,
 }
 
-/// Why the controller stopped by itself; latched until reset.
+/// Reason why the controller stopped by itself; latched until reset.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Fault {
-    /// A joint is too far from where it should be.
+    /// The following error of a joint exceeds its limit.
     FollowingError {
         /// The joint.
         axis: u8,
-        /// The error, axis units.
+        /// The following error, axis units.
         error: i32,
-        /// The limit at that speed, axis units.
+        /// The limit at that rate, axis units.
         limit: i32,
     },
     /// A pose coordinate left its soft limits.
@@ -203,16 +206,16 @@ pub enum Fault {
         /// The pose coordinate.
         axis: u8,
     },
-    /// A joint was measured beyond its stroke by more than it may be off at rest.
+    /// A joint was measured beyond its stroke by more than its following error limit at standstill.
     Stroke {
         /// The joint.
         axis: u8,
-        /// How far beyond the end of its stroke, axis units; negative beyond the lower end.
+        /// Distance beyond the end of the stroke, axis units; negative beyond the lower end.
         by: i32,
     },
-    /// The measured joints or the wanted pose left what the machine can do.
+    /// The measured joints or the commanded pose left the workspace.
     Pose(PoseError),
-    /// A hardware limit switch.
+    /// A hardware limit switch is active.
     LimitSwitch {
         /// The joint.
         axis: u8,
@@ -222,68 +225,71 @@ pub enum Fault {
         /// The joint.
         axis: u8,
     },
-    /// Illegal transitions of an encoder.
+    /// An encoder made illegal transitions.
     EncoderIllegal {
         /// The joint.
         axis: u8,
-        /// How many, since enable.
+        /// Number of transitions since enable.
         count: u16,
     },
-    /// An encoder lost counts, or gained some: an index pulse came where none can be.
+    /// Encoder slip: an index pulse came at a count where none is possible.
     EncoderSlip {
         /// The joint.
         axis: u8,
-        /// How many counts too high it was.
+        /// Counts by which the encoder is too high.
         counts: i32,
     },
-    /// Motion was commanded and the encoder saw none.
+    /// Encoder stuck: motion was commanded and the encoder counted none.
     EncoderStill {
         /// The joint.
         axis: u8,
     },
-    /// Motion was commanded and the encoder saw it the other way round.
+    /// Motion was commanded and the encoder counted in the opposite direction.
     EncoderReversed {
         /// The joint.
         axis: u8,
     },
-    /// Steps emitted and encoder disagree.
+    /// Emitted steps and encoder disagree.
     StepsLost {
         /// The joint.
         axis: u8,
-        /// Steps less encoder, axis units.
+        /// Steps minus encoder, axis units.
         by: i32,
     },
-    /// Nothing was heard from the host for too long; the machine slowed down along its path first.
+    /// The heartbeat timed out; the machine decelerated along its path first.
     LostHost {
         /// Silence in milliseconds.
         silent_ms: u32,
     },
-    /// The active configuration no longer fits its check.
+    /// The active configuration fails its integrity check.
     Configuration,
     /// Control periods were missed.
     LatePeriod {
-        /// How many in a row.
+        /// Number of missed periods in a row.
         missed: u16,
     },
     /// Homing failed; all axes were stopped.
     Homing {
         /// The joint.
         axis: u8,
-        /// How.
+        /// The problem.
         problem: HomingProblem,
     },
-    /// The force sensor, or what it feels; the machine slowed down along its path first, and the tool stays where it yielded to.
+    /// A problem of the force sensor or of the force. The machine decelerated along its path first,
+    /// and the compliant displacement is kept.
     Force(ForceProblem),
-    /// The haptic arm that leads the tool; its motors are off, and the machine slowed down first.
+    /// A problem of the haptic arm that leads the tool. Its motors are off, and the machine
+    /// decelerated first.
     Hand(HandProblem),
-    /// An arithmetic limit was reached inside the controller: a defect, reported rather than hidden.
+    /// An arithmetic limit was reached inside the controller. This is a defect of the firmware.
     Internal {
-        /// Source line, to report.
+        /// Source line, for a bug report.
         line: u16,
     },
-    /// A joint was commanded more than its maximum rate, by what moves the machine together; the machine slowed down along its path first.
+    /// The sources that move a joint together commanded more than its maximum rate; the machine
+    /// decelerated along its path first.
     JointRate {
-        /// The setpoint of the job that was on its way to.
+        /// Setpoint of the job that the motion was heading for.
         setpoint: u32,
         /// The joint.
         axis: u8,
@@ -296,12 +302,12 @@ pub enum Fault {
     NotLocked {
         /// The joint.
         axis: u8,
-        /// How far it is from where it was switched on, axis units.
+        /// Distance from the position at which it was switched on, axis units.
         by: i32,
     },
 }
 
-/// What went wrong while homing.
+/// Problem during homing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum HomingProblem {
@@ -309,9 +315,9 @@ pub enum HomingProblem {
     NoIndex,
     /// No change of the home switch within the search distance.
     NoSwitch,
-    /// The axis did not follow.
+    /// The joint did not follow.
     Stalled,
-    /// The reference that was found is too far from the preset.
+    /// The reference is too far from the preset.
     Implausible,
     /// The pose would leave the workspace.
     Workspace,

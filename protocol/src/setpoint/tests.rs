@@ -1,10 +1,10 @@
-//! The coding is exact for every setpoint, and cheap for the ones that a planner makes.
+//! Tests of the coding: it is exact for every setpoint, and compact for those of a planner.
 
 use super::*;
 use proptest::prelude::*;
 use std::vec::Vec as StdVec;
 
-/// Any setpoint of a number of axes, rich in extremes.
+/// Any setpoint of a number of axes, with many extreme values.
 fn setpoint(axes: usize) -> impl Strategy<Value = Setpoint> {
     let value = || prop_oneof![any::<i32>(), -100..100i32, Just(i32::MIN), Just(i32::MAX)];
     let values = move || prop::collection::vec(value(), axes);
@@ -46,7 +46,8 @@ proptest! {
         }
     }
 
-    /// Whatever arrives, decoding ends with a setpoint or an error, never a panic, and an error changes nothing.
+    /// Decoding of any delta returns a setpoint or an error and never panics. An error changes
+    /// nothing.
     #[test]
     fn any_delta_is_decoded_or_refused(
         axes in 0..=MAX_AXES,
@@ -92,7 +93,8 @@ const PERIOD_US: u16 = 200;
 const MM: f64 = 1048576.0;
 const TURN: f64 = 4294967296.0;
 
-/// The setpoints of a motion given by its coordinates at a time (mm or turns, scale), every `periods`.
+/// The setpoints of a motion, every `periods`, from its coordinates over time (mm or turns) and
+/// their scale.
 fn sample(
     motion: &dyn Fn(f64) -> [f64; 5],
     scales: [f64; 5],
@@ -132,7 +134,7 @@ fn sample(
         .collect()
 }
 
-/// Bytes on the line per setpoint, everything included but acknowledgements: framing, request, batch.
+/// Bytes on the line per setpoint, including framing, request and batch but no acknowledgements.
 fn line_bytes(setpoints: &[Setpoint]) -> f64 {
     use crate::frame::{self, Acknowledgement, FrameBytes, Header};
     use crate::message::{Command, Request, SetpointBatch};
@@ -166,16 +168,18 @@ fn line_bytes(setpoints: &[Setpoint]) -> f64 {
     bytes as f64 / (setpoints.len() - 1) as f64
 }
 
-/// The aim is 24 bytes for a pocket and 40 for full motion of five axes, framing included.
+/// The target is 24 bytes for a pocket and 40 for full motion of five axes, framing included.
 #[test]
 fn wire_cost() {
     let linear = [MM, MM, MM, TURN, TURN];
-    // A pocket: a 15 mm circle at 4 mm/s and a rectangle's long side with a smooth start (quintic), both with two axes still.
+    // A pocket: a 15 mm circle at 4 mm/s and the long side of a rectangle with a smooth start
+    // (quintic), both with two axes at standstill.
     let circle = |t: f64| {
         let w = 4.0 / 15.0 * t;
         [15.0 * w.cos(), 15.0 * w.sin(), -2.0 - 0.05 * t, 0.1, -0.2]
     };
-    // Minimum-jerk strokes of 8 mm back and forth, 2.5 s each: strongly accelerated all the time, jerk up to 30 mm/s^3.
+    // Minimum-jerk strokes of 8 mm back and forth, 2.5 s each: large acceleration all the time,
+    // jerk up to 30 mm/s^3.
     let strokes = |t: f64| {
         let (n, s) = ((t / 2.5).floor(), (t / 2.5).fract());
         let part = s * s * s * (10.0 - 15.0 * s + 6.0 * s * s);
@@ -187,7 +191,7 @@ fn wire_cost() {
             };
         [x, 0.4 * x + 3.0, -2.0, 0.1, -0.2]
     };
-    // Five axes in full motion: a sphere is milled at 25 mm/s with tool tilt and table going along.
+    // Full motion of five axes: a sphere is milled at 25 mm/s while tool tilt and table move.
     let sphere = |t: f64| {
         let w = 25.0 / 40.0 * t;
         [
@@ -229,7 +233,8 @@ fn wire_cost() {
 proptest! {
     #![proptest_config(ProptestConfig { rng_seed: proptest::test_runner::RngSeed::Fixed(4), failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Taken apart bit by bit, a batch is what it is as a whole; cut off anywhere, it ends there.
+    /// A batch read one setpoint at a time equals the whole batch. A truncated batch ends at its
+    /// last complete setpoint.
     #[test]
     fn a_batch_is_the_sum_of_its_setpoints(
         id: u8, first: u32,
@@ -276,7 +281,7 @@ proptest! {
 proptest! {
     #![proptest_config(ProptestConfig { rng_seed: proptest::test_runner::RngSeed::Fixed(5), failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Whatever bytes there are: a number is what postcard takes it for.
+    /// For any bytes, a number is the one that postcard reads.
     #[test]
     fn numbers_are_those_of_postcard(bytes in prop::collection::vec(prop_oneof![any::<u8>(), 0x80u8..], 0..8)) {
         let mut rest = bytes.as_slice();
@@ -287,7 +292,7 @@ proptest! {
         }
     }
 
-    /// Divisions of one word give what one of two words gives.
+    /// Divisions of one word give the same result as one division of two words.
     #[test]
     fn quotients_are_exact(micros in 0..=5_000_000_u64, last in 0..=5_000_000_u64) {
         let (span, last) = (Span::new(micros), Span::new(last));
@@ -300,7 +305,7 @@ proptest! {
     }
 }
 
-/// No other request is taken for a batch.
+/// No other request is mistaken for a batch.
 #[test]
 fn only_a_batch_is_taken_apart() {
     let mut buffer = [0; 400];

@@ -1,10 +1,11 @@
-//! Force control in sentences.
+//! Sentences of force control.
 
 use super::{Axes, Describe, Named};
 use crate::force::{ForceParameter, ForceProblem, ForceRefusal, TareRefusal};
 use core::fmt::{Display, Formatter, Result};
 
-/// A number with so many fraction bits as a person reads it: three decimals, rounded half up.
+/// A fixed-point number with its count of fraction bits, displayed with three decimals, rounded
+/// half up.
 struct Decimal(i32, u32);
 
 impl Display for Decimal {

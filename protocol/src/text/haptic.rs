@@ -1,10 +1,10 @@
-//! The haptic arm in sentences.
+//! Sentences of the haptic arm.
 
 use super::{Amount, Axes, AxisKind, Describe};
 use crate::haptic::HandProblem;
 use core::fmt::{Formatter, Result};
 
-/// What an encoder of a leg measures.
+/// Quantity that an encoder of a leg measures.
 const fn sensor(index: u8) -> &'static str {
     match index {
         0 => "slide",

@@ -1,4 +1,4 @@
-//! What needs no knowledge of the machine to be said.
+//! Sentences that need no data of the machine.
 
 use crate::message::{Action, Command, ConfigField, HelloRefusal, HomingProblem, Source, State};
 use core::fmt::{Display, Formatter, Result};
@@ -92,7 +92,7 @@ impl Display for ConfigField {
 }
 
 impl Command {
-    /// What the command is called.
+    /// Name of the command.
     pub const fn name(&self) -> &'static str {
         match self {
             Self::Setpoints(_) => "setpoints",

@@ -1,15 +1,19 @@
-//! Copies and fills of memory, by words.
+//! Memory copy, move and fill by words.
 //!
-//! What comes with the compiler goes a word at a time with four instructions each; messages are hundreds of bytes. Here eight words go at once where both places
-//! begin on words, else one word and two and a half instructions. The core takes words that are not aligned (its trap for them stays off), but not several of them.
+//! The compiler's implementations copy one word at a time with four instructions each, and messages
+//! have hundreds of bytes. These copy eight words at a time if both addresses are word-aligned, and
+//! otherwise one word with two and a half instructions. The core accepts single unaligned words
+//! (its trap for them stays off), but not multiple ones.
 //!
-//! The linker takes these instead of the compiler's, which are weak. The check `memory::` of `haptimill-checks` looks at every length, place and distance.
+//! The linker uses these instead of the compiler's, which are weak symbols. The check `memory::` of
+//! `haptimill-checks` covers every length, address and distance.
 
 core::arch::global_asm!(
     ".syntax unified",
     ".section .text.haptimill_copy, \"ax\", %progbits",
     ".balign 4",
-    // r0: to, r1: from, r2: bytes; gives r0. Forwards, so that a move to a lower place may use it.
+    // r0: destination, r1: source, r2: bytes; returns r0. Copies forwards, so that a move to a
+    // lower address may use it.
     ".global memcpy, __aeabi_memcpy, __aeabi_memcpy4, __aeabi_memcpy8",
     ".type memcpy, %function",
     ".type __aeabi_memcpy, %function",
@@ -51,7 +55,8 @@ core::arch::global_asm!(
     "subs r2, #1",
     "bne 6b",
     "7: bx lr",
-    // The same for places that overlap; backwards where the end of what is copied would be written first.
+    // The same for overlapping ranges. Copies backwards if a forward copy would overwrite the end
+    // of the source first.
     ".global memmove, __aeabi_memmove, __aeabi_memmove4, __aeabi_memmove8",
     ".type memmove, %function",
     ".type __aeabi_memmove, %function",
@@ -83,7 +88,7 @@ core::arch::global_asm!(
     "subs r2, #1",
     "bne 10b",
     "bx lr",
-    // r0: where, r1: byte, r2: bytes; gives r0.
+    // r0: destination, r1: byte, r2: bytes; returns r0.
     ".global memset",
     ".type memset, %function",
     ".thumb_func",
@@ -92,7 +97,7 @@ core::arch::global_asm!(
     "mov r1, r2",
     "mov r2, r3",
     "b 11f",
-    // r0: where, r1: bytes, r2: byte.
+    // r0: destination, r1: bytes, r2: byte.
     ".global __aeabi_memclr, __aeabi_memclr4, __aeabi_memclr8",
     ".type __aeabi_memclr, %function",
     ".type __aeabi_memclr4, %function",

@@ -1,7 +1,8 @@
-//! What each stage of a control period costs, counted by TIMER0.
+//! Stage profiler: counts the instructions of each stage of a control period with TIMER0.
 //!
-//! Under QEMU's `-icount shift=10` an instruction takes 1024 ns of the board's time and the timer counts at 25 MHz, so
-//! a count is exactly 40/1024 of an instruction: instructions, not cycles. (`DWT.CYCCNT` reads 0 on this emulator.)
+//! Under QEMU's `-icount shift=10` an instruction takes 1024 ns of the board's time, and the timer
+//! counts at 25 MHz. A count is exactly 40/1024 of an instruction. The unit is instructions and not
+//! cycles: `DWT.CYCCNT` reads 0 on this emulator.
 
 use crate::registers::{TIMER0, read, write};
 use haptimill_firmware::profiler::{Profiler, STAGES, Stage};
@@ -10,16 +11,16 @@ const CONTROL: usize = 0x0;
 const VALUE: usize = 0x4;
 const RELOAD: usize = 0x8;
 
-/// Starts the timer; it runs round for ever.
+/// Starts the timer, which wraps around.
 pub fn start() {
     write(TIMER0, RELOAD, u32::MAX);
     write(TIMER0, CONTROL, 1);
 }
 
-/// Counts so far; wraps around.
+/// Returns the counts since the start; wraps around.
 #[inline(always)]
 pub fn now() -> u32 {
-    // It counts down.
+    // The timer counts down.
     !read(TIMER0, VALUE)
 }
 
@@ -32,7 +33,7 @@ pub struct StageCounter {
 }
 
 impl StageCounter {
-    /// Begins to count.
+    /// Starts a measurement.
     #[inline(always)]
     #[must_use]
     pub fn begin() -> Self {

@@ -1,7 +1,7 @@
-//! How a run ends that goes wrong: the reason on the emulator's console, and an exit code.
+//! Abnormal end of a run: a reason on the emulator's console, and an exit code.
 //!
-//! The drives are off from then on: the simulated machine takes the end of the link for a watchdog's reset, which on a board with
-//! drives is what must follow a panic.
+//! The drives are off from then on: the simulated machine treats the end of the link as a watchdog
+//! reset. A board with real drives must have a watchdog that does the same after a panic.
 
 use crate::semihosting;
 use core::cell::UnsafeCell;
@@ -12,14 +12,14 @@ use cortex_m_rt::ExceptionFrame;
 
 /// Exit code after a panic.
 pub const PANIC: u8 = 101;
-/// Exit code after a fault of the processor.
+/// Exit code after a processor fault.
 pub const FAULT: u8 = 102;
-/// Exit code when the simulator has gone.
+/// Exit code when the simulator has ended.
 pub const GONE: u8 = 103;
-/// Exit code when the stack was too small.
+/// Exit code after a stack overflow.
 pub const STACK: u8 = 104;
 
-/// A text that is cut off where the room ends.
+/// Text buffer; text that does not fit is cut off.
 struct Text {
     bytes: [u8; 256],
     length: usize,
@@ -28,7 +28,7 @@ struct Text {
 impl Write for Text {
     fn write_str(&mut self, text: &str) -> fmt::Result {
         for &byte in text.as_bytes() {
-            // The last byte stays the zero at the end.
+            // The last byte stays the terminating zero.
             if self.length + 1 < self.bytes.len() && byte != 0 {
                 self.bytes[self.length] = byte;
                 self.length += 1;
@@ -38,20 +38,20 @@ impl Write for Text {
     }
 }
 
-/// Says something on the console, at most 255 bytes of it.
+/// Writes a message to the console, at most 255 bytes.
 pub fn say(what: fmt::Arguments<'_>) {
     let mut text = Text {
         bytes: [0; 256],
         length: 0,
     };
-    // Cannot fail: what has no room is cut off.
+    // Cannot fail: text that does not fit is cut off.
     let _ = text.write_fmt(what);
     if let Ok(text) = core::ffi::CStr::from_bytes_until_nul(&text.bytes) {
         semihosting::console(text);
     }
 }
 
-/// Says the reason and ends the emulator.
+/// Writes the reason to the console and ends the emulator.
 pub fn end(code: u8, reason: fmt::Arguments<'_>) -> ! {
     say(reason);
     say(format_args!("\n"));
@@ -69,25 +69,28 @@ fn panicked(info: &core::panic::PanicInfo<'_>) -> ! {
 /// Bytes of the stack on which a fault is reported.
 const FAULT_STACK_BYTES: usize = 2048;
 
-/// A fault is not reported on the stack that may be what went wrong.
+/// Stack for fault reports, because the main stack may be the cause of the fault.
 #[repr(C, align(8))]
 struct FaultStack(UnsafeCell<[u8; FAULT_STACK_BYTES]>);
 
-// SAFETY: used by the handler below alone, which never returns.
+// SAFETY: only the handler below uses it, and the handler never returns.
 unsafe impl Sync for FaultStack {}
 
 static FAULT_STACK: FaultStack = FaultStack(UnsafeCell::new([0; FAULT_STACK_BYTES]));
 
-/// Faults get handlers of their own, and the memory below the stack is closed.
+/// Enables separate fault handlers, and makes the memory below the stack inaccessible.
 ///
-/// On this board nothing is below the RAM, and reading or writing there is no fault: so the memory protection makes it one. A stack that has left the
-/// memory cannot take the frame of the exception that says so either. As a `MemoryManagement` or `BusFault` that is a second fault, which becomes a
-/// `HardFault`, and that one is entered; a `HardFault` whose frame cannot be stacked locks the processor up instead.
+/// On this board nothing is below the RAM, and an access there raises no fault, so the memory
+/// protection unit raises it. A stack that has left the memory cannot take the exception frame of
+/// the fault either. For a `MemoryManagement` or `BusFault` this is a second fault, which becomes a
+/// `HardFault`, and that one is entered. A `HardFault` whose frame cannot be stacked locks the
+/// processor up instead.
 pub fn watch(scb: &mut SCB, mpu: &mut MPU) {
     scb.enable(Exception::BusFault);
     scb.enable(Exception::MemoryManagement);
     scb.enable(Exception::UsageFault);
-    // SAFETY: nothing of this image lies in the region that is closed (see `memory/product.x`); everything else stays as it is.
+    // SAFETY: nothing of this image lies in the protected region (see `memory/product.x`). All
+    // other memory keeps its access rules.
     unsafe {
         mpu.rbar.write(BELOW_RAM | REGION_VALID);
         mpu.rasr.write(REGION_256_MIB | REGION_ON);
@@ -99,23 +102,23 @@ pub fn watch(scb: &mut SCB, mpu: &mut MPU) {
 
 /// The 256 MiB below the RAM.
 const BELOW_RAM: u32 = 0x1000_0000;
-/// The region's number (0) stands beside its address.
+/// The region number (0) is written together with its address.
 const REGION_VALID: u32 = 1 << 4;
-/// 2^(27 + 1) bytes; no access, by leaving out everything else.
+/// 2^(27 + 1) bytes, no access: all other fields are zero.
 const REGION_256_MIB: u32 = 27 << 1;
 const REGION_ON: u32 = 1;
-/// What is in no region has the processor's own rules.
+/// Memory outside of all regions keeps the processor's default rules.
 const OTHERS_AS_BEFORE: u32 = 1 << 2;
 const PROTECTION_ON: u32 = 1;
 
-/// All faults of the processor end here.
+/// Handler of all processor faults.
 ///
 /// # Safety
-/// Called by the processor.
+/// Only the processor may call it.
 #[unsafe(naked)]
 #[unsafe(no_mangle)]
 unsafe extern "C" fn HardFault() -> ! {
-    // The old stack pointer is the argument; the new one is the end of the fault's own stack.
+    // The argument is the old stack pointer. The new stack pointer is the end of the fault stack.
     core::arch::naked_asm!(
         "mrs r0, msp",
         "movw r1, #:lower16:{stack}",
@@ -138,7 +141,7 @@ core::arch::global_asm!(
     ".thumb_set UsageFault, HardFault",
 );
 
-/// Says which fault it was. `frame` is the stack pointer of what failed.
+/// Reports the fault. `frame` is the stack pointer of the failed code.
 extern "C" fn report(frame: usize) -> ! {
     // SAFETY: reading the fault status changes nothing.
     let status = unsafe { (*SCB::PTR).cfsr.read() };
@@ -163,5 +166,6 @@ extern "C" fn report(frame: usize) -> ! {
     )
 }
 
-/// Bits of the fault status: the frame of an exception could not be stacked, by the bus (12) or by the memory protection (4).
+/// Bits of the fault status: an exception frame could not be stacked, because of the bus (12) or
+/// the memory protection (4).
 const NOT_STACKED: u32 = 1 << 12 | 1 << 4;

@@ -1,14 +1,16 @@
-//! Something that goes wrong on purpose, in a stage of a period: `faults WHAT STAGE PERIOD` on the image's command line.
+//! Fault injection in a stage of a control period: `faults WHAT STAGE PERIOD` on the image's
+//! command line.
 //!
 //! | what | |
 //! | --- | --- |
 //! | `panic` | a panic |
-//! | `fault` | a read from where there is nothing |
-//! | `recurse` | a stack that overflows by calls that never end |
-//! | `frame` | a stack that overflows by one large frame |
-//! | `hang` | it goes round for ever |
+//! | `fault` | a read from an address without memory |
+//! | `recurse` | a stack overflow by endless recursion |
+//! | `frame` | a stack overflow by one large frame |
+//! | `hang` | an endless loop |
 //!
-//! `STAGE` is the name of a [`Stage`], or `main`: between two periods, where no exception is active.
+//! `STAGE` is the name of a [`Stage`], or `main`, the place between two periods, where no
+//! exception is active.
 
 use crate::semihosting;
 use core::hint::black_box;
@@ -30,7 +32,7 @@ const NAMES: [&str; STAGES + 1] = [
     "interlock",
     "main",
 ];
-/// The place between two periods.
+/// Index of the place between two periods.
 pub const MAIN: usize = STAGES;
 
 const WHAT: [&str; 5] = ["panic", "fault", "recurse", "frame", "hang"];
@@ -38,13 +40,13 @@ const WHAT: [&str; 5] = ["panic", "fault", "recurse", "frame", "hang"];
 static CHOSEN: AtomicU8 = AtomicU8::new(u8::MAX);
 static STAGE: AtomicU8 = AtomicU8::new(0);
 static PERIOD: AtomicU32 = AtomicU32::new(0);
-/// The period that runs.
+/// Number of the present control period.
 static NOW: AtomicU32 = AtomicU32::new(0);
 
 /// Reads the image's command line.
 ///
 /// # Panics
-/// It has words that mean nothing.
+/// The command line has unknown words.
 pub fn read() {
     let mut line = [0; 128];
     let mut words = semihosting::command_line(&mut line)
@@ -66,18 +68,18 @@ pub fn read() {
     CHOSEN.store(what as u8, Ordering::Relaxed);
 }
 
-/// A period begins.
+/// Records the start of a control period.
 pub fn begin(period: u64) {
     NOW.store(period as u32, Ordering::Relaxed);
 }
 
-/// A stage has ended.
+/// Reports the end of a stage.
 #[inline(never)]
 pub fn mark(stage: Stage) {
     reached(stage as usize);
 }
 
-/// A place was reached in the period that runs.
+/// Injects the fault if this place and period are selected.
 pub fn reached(place: usize) {
     let chosen = CHOSEN.load(Ordering::Relaxed);
     if usize::from(STAGE.load(Ordering::Relaxed)) == place
@@ -96,7 +98,8 @@ fn happen(what: usize, place: usize) {
             NOW.load(Ordering::Relaxed)
         ),
         1 => {
-            // SAFETY: it is not safe; the fault that it raises is what this is for.
+            // SAFETY: unsound on purpose. The read raises the processor fault that is to be
+            // injected.
             unsafe { (0x3000_0000 as *const u32).read_volatile() };
         }
         2 => {
@@ -118,13 +121,13 @@ fn deeper(depth: u32) -> u32 {
     let mut room = [depth; 16];
     black_box(&mut room);
     let sum = deeper(depth.wrapping_add(1));
-    // Looked at after the call, so that it must be kept, and the calls cannot become a loop.
+    // The use after the call prevents the compiler from turning the recursion into a loop.
     black_box(&mut room)[(depth & 15) as usize].wrapping_add(sum)
 }
 
 #[inline(never)]
 fn wide() {
-    // More than the stack has.
+    // Larger than the stack.
     let mut room = [0_u8; 100 * 1024];
     black_box(&mut room);
 }

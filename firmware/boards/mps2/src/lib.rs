@@ -1,17 +1,20 @@
-//! The MPS2 board under emulation: its registers, its interrupts, its link to the simulated machine.
+//! Board support for the emulated MPS2: registers, interrupts, and the link to the simulated
+//! machine.
 //!
-//! QEMU's machines `mps2-an386` (Cortex-M4F) and `mps2-an500` (Cortex-M7) run the same image. The host talks to UART0, as it would to
-//! any board; the machine is at the other end of two named pipes, which semihosting reads and writes ([`haptimill_firmware::pil`] says what
-//! goes over them). Memory accesses and instructions that the compiler cannot vouch for stand in this crate and nowhere else.
+//! QEMU's machines `mps2-an386` (Cortex-M4F) and `mps2-an500` (Cortex-M7) run the same image. The
+//! host is connected to UART0, as on any board. The machine is at the other end of two named pipes,
+//! which semihosting reads and writes ([`haptimill_firmware::pil`] documents the data). All memory
+//! accesses and instructions that need `unsafe` are in this crate.
 //!
-//! | image | feature | what it is |
+//! | image | feature | content |
 //! | --- | --- | --- |
 //! | `haptimill-mps2` | | the product |
-//! | `faults` | `faults` | the same, and something goes wrong in it: [`faults`] |
-//! | `logging` | `defmt` | the same, and it logs over UART2: [`log`] |
+//! | `faults` | `faults` | the same with fault injection: [`faults`] |
+//! | `logging` | `defmt` | the same with logging over UART2: [`log`] |
 //! | `checks` | `checks` | the checks of `haptimill-checks`, on the chip |
 //!
-//! Misuse: semihosting lets an image open any file of the user who runs it; run only your own.
+//! Semihosting lets an image open any file of the user who runs it. Callers must run only images
+//! that they built themselves.
 #![no_std]
 
 mod copy;

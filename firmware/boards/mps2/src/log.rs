@@ -1,7 +1,7 @@
-//! The log: defmt frames over UART2, read by whoever has the image, which has the texts.
+//! Logging: defmt frames over UART2. Decoding needs the image, which contains the texts.
 //!
-//! The stamp of a line is the control period that runs. What waits is sent at once: the emulator takes a byte in no time of the board; on a board with a
-//! real line a logger has to write into a ring.
+//! The timestamp of a line is the control period. Bytes are sent at once, because the emulator
+//! accepts a byte in no time of the board. A board with a real line must log into a ring buffer.
 
 use crate::registers::{UART2, write};
 use core::cell::UnsafeCell;
@@ -14,27 +14,27 @@ const BAUD_DIVIDER: usize = 0x10;
 /// The transmitter alone.
 const TRANSMITTER_ON: u32 = 1;
 
-/// The period that runs.
+/// Number of the present control period.
 static PERIOD: AtomicU32 = AtomicU32::new(0);
 
 defmt::timestamp!("{=u32}", PERIOD.load(Ordering::Relaxed));
 
-/// Starts the line.
+/// Starts the log line.
 pub fn start() {
     write(UART2, BAUD_DIVIDER, 16);
     write(UART2, CONTROL, TRANSMITTER_ON);
 }
 
-/// A period begins.
+/// Records the start of a control period.
 pub fn begin(period: u64) {
     PERIOD.store(period as u32, Ordering::Relaxed);
 }
 
-/// The logger; of no use to anybody but defmt's macros.
+/// The logger, for defmt's macros only.
 #[global_logger]
 struct Line;
 
-/// What the logger works on, inside of its critical section.
+/// State of the logger inside its critical section.
 struct Working {
     encoder: Encoder,
     restore: RestoreState,
@@ -42,7 +42,7 @@ struct Working {
 
 struct Shared(UnsafeCell<Working>);
 
-// SAFETY: used between `acquire` and `release` alone, which are the ends of a critical section.
+// SAFETY: used only between `acquire` and `release`, which are the bounds of a critical section.
 unsafe impl Sync for Shared {}
 
 static TAKEN: AtomicBool = AtomicBool::new(false);
@@ -55,17 +55,18 @@ fn send(bytes: &[u8]) {
     crate::serial::send(UART2, bytes);
 }
 
-// SAFETY: `acquire` begins a critical section and `release` ends it, so that nobody comes between them; a second `acquire` inside is refused.
+// SAFETY: `acquire` begins a critical section and `release` ends it, so no other code runs in
+// between. A second `acquire` inside is refused.
 unsafe impl Logger for Line {
     fn acquire() {
-        // SAFETY: given back by `release`, which defmt calls once for each of these calls.
+        // SAFETY: `release` restores it; defmt calls `release` once for each `acquire`.
         let restore = unsafe { critical_section::acquire() };
         assert!(
             !TAKEN.load(Ordering::Relaxed),
             "a log statement inside of another"
         );
         TAKEN.store(true, Ordering::Relaxed);
-        // SAFETY: inside of the critical section, and not taken.
+        // SAFETY: inside the critical section, and not borrowed.
         let working = unsafe { &mut *WORKING.0.get() };
         working.restore = restore;
         working.encoder.start_frame(send);
@@ -74,7 +75,7 @@ unsafe impl Logger for Line {
     unsafe fn flush() {}
 
     unsafe fn release() {
-        // SAFETY: `acquire` came before; this is the end of its critical section.
+        // SAFETY: `acquire` was called before; this ends its critical section.
         unsafe {
             let working = &mut *WORKING.0.get();
             working.encoder.end_frame(send);

@@ -1,4 +1,4 @@
-//! The image of the product.
+//! The plain image: the product without haptics.
 #![no_std]
 #![no_main]
 

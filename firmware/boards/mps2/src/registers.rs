@@ -11,13 +11,14 @@ pub const TIMER0: usize = 0x4000_0000;
 /// Reads a register of a device.
 #[inline(always)]
 pub fn read(device: usize, offset: usize) -> u32 {
-    // SAFETY: callers name devices that this board has; reading their registers has no effect on memory.
+    // SAFETY: callers pass devices of this board. Reading their registers has no effect on memory.
     unsafe { ((device + offset) as *const u32).read_volatile() }
 }
 
 /// Writes a register of a device.
 #[inline(always)]
 pub fn write(device: usize, offset: usize, value: u32) {
-    // SAFETY: callers name devices that this board has; none of them is a bus master that could touch memory.
+    // SAFETY: callers pass devices of this board. None of them is a bus master that could access
+    // memory.
     unsafe { ((device + offset) as *mut u32).write_volatile(value) }
 }

@@ -1,6 +1,7 @@
-//! Files of the machine that emulates: the link to the simulated machine, and the console.
+//! Semihosting: files of the emulating computer for the link to the simulated machine, and the
+//! console.
 //!
-//! While a call waits, the emulated processor and its time stand still, so the lockstep is exact.
+//! While a call waits, the emulated processor and its time stand still, so the PIL link is exact.
 
 use core::arch::asm;
 
@@ -11,22 +12,23 @@ const READ: usize = 0x06;
 const COMMAND_LINE: usize = 0x15;
 const EXIT: usize = 0x20;
 
-/// The reason "the application ended", which carries an exit code.
+/// The reason "the application ended", with an exit code.
 const APPLICATION_EXIT: usize = 0x2_0026;
 
-/// One call of the emulator, which may write where `arguments` points to.
+/// Makes one semihosting call. The emulator may write to `arguments`.
 #[inline(always)]
 fn call(operation: usize, arguments: *const usize) -> isize {
     let result: isize;
-    // SAFETY: every caller below passes what the operation reads: the address of its arguments, or of a text that ends with a zero. Memory that
-    // the emulator writes (READ) is borrowed mutably for the time of the call.
+    // SAFETY: every caller below passes what the operation reads: the address of its arguments, or
+    // of a text that ends with a zero. Memory that the emulator writes (READ) is borrowed mutably
+    // during the call.
     unsafe {
         asm!("bkpt 0xAB", inout("r0") operation as isize => result, in("r1") arguments, options(nostack));
     }
     result
 }
 
-/// The other end of a file has gone.
+/// Error: the other end of a file was closed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Gone;
 
@@ -44,23 +46,23 @@ impl File {
             .map_err(|_| Gone)
     }
 
-    /// Opens a file to be read.
+    /// Opens a file for reading.
     ///
     /// # Errors
-    /// It is not there.
+    /// The file does not exist.
     pub fn reader(name: &core::ffi::CStr) -> Result<Self, Gone> {
         Self::open(name, 0)
     }
 
-    /// Opens a file to be written.
+    /// Opens a file for writing.
     ///
     /// # Errors
-    /// It cannot be made.
+    /// The file cannot be created.
     pub fn writer(name: &core::ffi::CStr) -> Result<Self, Gone> {
         Self::open(name, 4)
     }
 
-    /// Reads until `words` are full, each with its lowest byte first.
+    /// Reads until `words` are full, each little endian.
     ///
     /// # Errors
     /// The file ends before.
@@ -79,10 +81,10 @@ impl File {
         Ok(())
     }
 
-    /// Writes all of `words`, each with its lowest byte first.
+    /// Writes all of `words`, each little endian.
     ///
     /// # Errors
-    /// Nobody reads any more.
+    /// No reader is left.
     pub fn write(&mut self, words: &[u32]) -> Result<(), Gone> {
         let arguments = [self.handle, words.as_ptr() as usize, size_of_val(words)];
         match call(WRITE, arguments.as_ptr()) {
@@ -92,14 +94,14 @@ impl File {
     }
 }
 
-/// The words that the emulator was given for the image; empty when they do not fit.
+/// Returns the image's command line; empty when it does not fit into `room`.
 pub fn command_line(room: &mut [u8]) -> &str {
     let mut arguments = [room.as_mut_ptr() as usize, room.len()];
     // Through a mutable pointer: the emulator writes the length.
     if call(COMMAND_LINE, arguments.as_mut_ptr()) != 0 {
         return "";
     }
-    // The length is written by the emulator, which the compiler does not know.
+    // The emulator writes the length, which the compiler cannot know.
     let length = core::hint::black_box(arguments)[1].min(room.len());
     let text = &room[..length];
     core::str::from_utf8(text)

@@ -1,20 +1,20 @@
-//! A control period for every frame of the simulator, until it says that the run is over.
+//! Main loop: one control period for every frame of the simulator, until the run ends.
 
 use crate::semihosting::{File, Gone};
 use crate::{serial, stack, tick};
 use haptimill_firmware::pil::{FROM_BOARD_WORDS, Order, Says, TO_BOARD_WORDS, read};
 use haptimill_firmware::snapshot::Snapshot;
 
-/// Looks at the receive ring before bytes that were announced are given up.
+/// Polls of the receive ring before announced bytes are treated as lost.
 const PATIENCE: u32 = 200_000_000;
 
-/// Serves the simulator until it says that the run is over.
+/// Serves the simulator until the run ends.
 ///
 /// # Errors
-/// The simulator has gone.
+/// The simulator has ended.
 ///
 /// # Panics
-/// The simulator says what makes no sense, or bytes that it announced do not come.
+/// The simulator sends an invalid frame, or announced bytes do not arrive.
 #[cold]
 #[inline(never)]
 pub fn serve() -> Result<(), Gone> {
@@ -58,7 +58,7 @@ pub fn serve() -> Result<(), Gone> {
     }
 }
 
-/// Waits until the receive interrupt has seen all bytes that the simulator put on the line.
+/// Waits until the receive interrupt has taken all bytes that the simulator put on the line.
 fn wait_for_bytes(expected: u32) {
     let seen = || {
         tick::with(|period| period.waiting.as_ref().map(|waiting| waiting.seen()))

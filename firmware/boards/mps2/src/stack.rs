@@ -1,6 +1,7 @@
-//! How much of the stack was ever used: it is painted before the start (by cortex-m-rt), and what the paint lost was used.
+//! Stack usage: cortex-m-rt paints the stack before the start, and words that lost the paint were
+//! used.
 
-/// What an unused word of the stack holds.
+/// Value of an unused word of the stack.
 const PAINT: u32 = 0xCCCC_CCCC;
 
 unsafe extern "C" {
@@ -9,33 +10,34 @@ unsafe extern "C" {
 }
 
 fn bounds() -> (usize, usize) {
-    // The linker's symbols stand for their addresses; nothing is read.
+    // The linker's symbols stand for their addresses; their contents are not read.
     (
         &raw const _stack_end as usize,
         &raw const _stack_start as usize,
     )
 }
 
-/// Bytes of stack that were ever used.
+/// Returns the largest number of stack bytes that were used.
 #[must_use]
 pub fn used_bytes() -> u32 {
     let (low, high) = bounds();
     let mut at = low;
-    // SAFETY: between the linker's symbols lies the stack and nothing else.
+    // SAFETY: only the stack lies between the linker's symbols.
     while at < high && unsafe { (at as *const u32).read_volatile() } == PAINT {
         at += 4;
     }
     (high - at) as u32
 }
 
-/// Bytes of stack that there are.
+/// Returns the size of the stack, bytes.
 #[must_use]
 pub fn bytes() -> usize {
     let (low, high) = bounds();
     high - low
 }
 
-/// Whether a stack pointer has left the stack, or has been stopped at its end: what is pushed at once is less than 64 bytes.
+/// Returns whether a stack pointer has left the stack, or was stopped at its end. A single push has
+/// less than 64 bytes.
 #[must_use]
 pub fn overflown(stack_pointer: usize) -> bool {
     let (low, _) = bounds();

@@ -1,7 +1,8 @@
-//! The control period, in the handler of the SysTick exception.
+//! Period handler, in the SysTick exception.
 //!
-//! The timer behind the exception stands still: the simulator says when a period begins, and the exception is pended by hand. So a period is the
-//! product's own, interrupts and all, and yet depends on nothing but what it is given.
+//! The timer behind the exception stands still. The simulator decides when a period begins, and
+//! software pends the exception. A period therefore runs as in the product, including interrupts,
+//! and depends only on its inputs.
 
 use crate::counter::StageCounter;
 use core::cell::UnsafeCell;
@@ -10,33 +11,35 @@ use core::sync::atomic::{AtomicBool, Ordering};
 use cortex_m::peripheral::SCB;
 use cortex_m::peripheral::scb::SystemHandler;
 use cortex_m_rt::exception;
+use haptimill_firmware::comm::rx_ring::Waiting;
 use haptimill_firmware::controller::Controller;
 use haptimill_firmware::io::{Inputs, Outputs};
 use haptimill_firmware::pil::{FROM_BOARD_WORDS, Heard, Says, Told};
 use haptimill_firmware::snapshot::Snapshot;
-use haptimill_firmware::comm::rx_ring::Waiting;
 
-/// All that a control period works on.
+/// Data of the control period.
 pub struct Period {
     /// The controller, once a run has begun.
     pub controller: Option<Controller>,
-    /// The line from the host.
+    /// Bytes received from the host.
     pub waiting: Option<Waiting<'static>>,
-    /// What is sensed.
+    /// Inputs of the period.
     pub inputs: Inputs,
-    /// What is to be done.
+    /// Outputs of the period.
     pub outputs: Outputs,
-    /// What it cost.
+    /// Stage profiler.
     pub counter: StageCounter,
 }
 
-/// Zeros before the start, so that the image does not carry them: a place, and whether it was filled.
+/// Zeros before the start, so that the image does not contain them: storage, and whether it was
+/// initialised.
 struct Shared {
     started: AtomicBool,
     place: UnsafeCell<MaybeUninit<Period>>,
 }
 
-// SAFETY: the handler runs only when `run` has pended it, and `with` is not under way then (both belong to the main program).
+// SAFETY: the handler runs only when `run` has pended it. `with` is not active then, because both
+// belong to the main program.
 unsafe impl Sync for Shared {}
 
 static PERIOD: Shared = Shared {
@@ -45,10 +48,10 @@ static PERIOD: Shared = Shared {
 };
 
 impl Shared {
-    /// The period, if `start` was called.
+    /// Returns the period, if `start` was called.
     ///
     /// # Safety
-    /// Nobody else may use it meanwhile: the main program and the handler take turns.
+    /// No other code may use the period meanwhile: the main program and the handler take turns.
     #[allow(
         clippy::mut_from_ref,
         reason = "that is what the cell is for; see Safety"
@@ -57,16 +60,16 @@ impl Shared {
         if !self.started.load(Ordering::Relaxed) {
             return None;
         }
-        // SAFETY: it was filled before `started` was set; the caller vouches for the rest.
+        // SAFETY: it was initialised before `started` was set; the caller guarantees the rest.
         Some(unsafe { (*self.place.get()).assume_init_mut() })
     }
 }
 
-/// Puts everything in its place; the receive interrupt is more urgent than the period.
+/// Initialises the period. The receive interrupt gets a higher priority than the period.
 pub fn start(scb: &mut SCB, waiting: Waiting<'static>) {
     // SAFETY: nothing depends on priorities yet.
     unsafe { scb.set_priority(SystemHandler::SysTick, 0x80) };
-    // SAFETY: the handler has not been pended yet, and finds nothing before `started` is set.
+    // SAFETY: the handler has not been pended yet, and does nothing before `started` is set.
     let place = unsafe { &mut *PERIOD.place.get() };
     place.write(Period {
         controller: None,
@@ -78,34 +81,34 @@ pub fn start(scb: &mut SCB, waiting: Waiting<'static>) {
     PERIOD.started.store(true, Ordering::Relaxed);
 }
 
-/// A run begins, with a new controller.
+/// Starts a run with a new controller.
 pub fn begin(period_us: u16) {
     with(|period| put(&mut period.controller, period_us));
     #[cfg(feature = "defmt")]
     defmt::info!("a run begins, {=u16} us a period", period_us);
 }
 
-/// Makes a controller in its place: on the way over the stack it would be the largest thing there.
+/// Creates a controller in place: on the stack it would be the largest object.
 #[inline(never)]
 fn put(place: &mut Option<Controller>, period_us: u16) {
     *place = Some(Controller::new(period_us));
 }
 
-/// Looks at the period from the main program, between two of them.
+/// Accesses the period from the main program, between two periods.
 pub fn with<T>(look: impl FnOnce(&mut Period) -> T) -> Option<T> {
-    // SAFETY: the main program is one thread, the closure cannot get hold of `with` a second time without recursion that this crate does
-    // not have, and the handler is not pending.
+    // SAFETY: the main program is one thread. The closure can call `with` again only by recursion,
+    // which this crate does not have. The handler is not pending.
     unsafe { PERIOD.get() }.map(look)
 }
 
-/// One control period, in its handler.
+/// Runs one control period in its handler.
 pub fn run() {
     SCB::set_pendst();
     cortex_m::asm::dsb();
     cortex_m::asm::isb();
 }
 
-/// Writes the frame of the period that was run last; `snapshot` is a place for how the controller stands.
+/// Writes the frame of the last period; `snapshot` is a buffer for the state of the controller.
 #[inline(always)]
 pub fn tell(period: &Period, snapshot: &mut Snapshot, frame: &mut [u32; FROM_BOARD_WORDS]) {
     let configured = match &period.controller {
@@ -129,7 +132,8 @@ fn SysTick() {
     let Some(period) = (unsafe { PERIOD.get() }) else {
         return;
     };
-    // Its address is not to be built into every function that is called from here: a field that is far from the one register costs two instructions more.
+    // Keeps the address opaque: built into every function called from here, a field far from the
+    // base register costs two instructions more.
     let period = core::hint::black_box(period);
     let (Some(controller), Some(waiting)) = (&mut period.controller, &mut period.waiting) else {
         return;

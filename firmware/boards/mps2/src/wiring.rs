@@ -1,14 +1,14 @@
-//! What is started, in which order, and how it ends: the same for every image of this board.
+//! Start order and end of a run, the same for every image of this board.
 
 use crate::semihosting::Gone;
 use crate::{counter, ending, semihosting, serial, serve, tick};
 use cortex_m::singleton;
 use haptimill_firmware::comm::rx_ring::ReceiveRing;
 
-/// Speed of the host's line. The emulator does not heed it; the simulator paces the bytes.
+/// Baud rate of the host's line. The emulator ignores it; the simulator paces the bytes.
 const BAUD: u32 = 1_000_000;
 
-/// Runs the board; called once, by the image's entry.
+/// Runs the board; the image's entry calls it once.
 pub fn run() -> ! {
     let (Some(mut core), Some(ring)) = (
         cortex_m::Peripherals::take(),

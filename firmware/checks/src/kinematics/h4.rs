@@ -1,7 +1,9 @@
-//! The H-4 arm as a subject: its truth is written from where its joints are in space and how long its rods are.
+//! The H-4 arm as a subject. Its reference values follow from the positions of its joints in space
+//! and the length of its rods.
 //!
-//! Geometry of docs/control.md 2.6: slide i carries its joint at (l_i - s_i w, sigma_i (a - e), sigma_i d - g_e); the platform's joint is at
-//! tip + m_i (sin theta, 0, cos theta) + (0, sigma_i b, 0); a rod is R long.
+//! Geometry of docs/control.md 2.6: slide i carries its joint at (l_i - s_i w, sigma_i (a - e),
+//! sigma_i d - g_e). The platform's joint is at tip + m_i (sin theta, 0, cos theta) + (0, sigma_i
+//! b, 0). A rod has the length R.
 
 use super::subject::{Margin, Margins, Reals, Sequence, Subject};
 use core::f64::consts::{FRAC_PI_2, PI};
@@ -16,14 +18,14 @@ const RADIAN: f64 = 2.0 * PI / 4_294_967_296.0;
 const SIDES: [f64; 4] = [1.0, -1.0, 1.0, -1.0];
 const PAIRS: [f64; 4] = [1.0, 1.0, -1.0, -1.0];
 
-/// Lengths in mm under the names of the specification.
+/// Lengths in mm, with the names of docs/control.md.
 #[derive(Clone, Copy)]
 pub struct Lengths {
-    /// Half the distance of the rail pairs across.
+    /// Half the distance of the rail pairs in y.
     pub a: f64,
-    /// The same of the platform's joints.
+    /// Half the distance of the platform's joints in y.
     pub b: f64,
-    /// Offset of the slide's joint across.
+    /// Offset of the slide's joint in y.
     pub e: f64,
     /// Half the distance of the platform's joints along the tool.
     pub c: f64,
@@ -37,13 +39,13 @@ pub struct Lengths {
     pub g_e: f64,
     /// Tool length.
     pub t_l: f64,
-    /// Height of the table's axis below the slave's origin.
+    /// Height of the table axis below the origin of the slave base.
     pub h: f64,
-    /// Origin of the work.
+    /// Origin of the workpiece frame.
     pub offset: [f64; 3],
     /// The platform hangs below the rails.
     pub below: bool,
-    /// Least distance from the parallel singularity.
+    /// Singularity margin.
     pub margin: f64,
 }
 
@@ -64,7 +66,7 @@ pub const REFERENCE: Lengths = Lengths {
     margin: 5.0,
 };
 
-/// Another arm: above its rails, nothing round, nothing equal, every offset in use.
+/// Another arm: above its rails, with no round values, no equal values, and every offset in use.
 pub const OTHER: Lengths = Lengths {
     a: 371.25,
     b: 83.5,
@@ -81,14 +83,14 @@ pub const OTHER: Lengths = Lengths {
     margin: 5.0,
 };
 
-/// An arm with its truth and its machine.
+/// An arm with its reference values and its kinematics.
 pub struct Arm {
     lengths: Lengths,
     machine: H4,
 }
 
 impl Arm {
-    /// The arm of these lengths.
+    /// Creates the arm of these lengths.
     ///
     /// # Panics
     /// The firmware refuses them.
@@ -117,7 +119,7 @@ impl Arm {
         }
     }
 
-    /// The tip in the frame of the slave base.
+    /// Returns the tip in the frame of the slave base.
     fn tip(&self, pose: &Reals) -> [f64; 3] {
         let g = &self.lengths;
         let (y, z) = (pose[1] + g.offset[1], pose[2] + g.offset[2]);
@@ -145,7 +147,8 @@ impl Arm {
         self.lengths.t_l + self.lengths.c * (1.0 + PAIRS[i])
     }
 
-    /// The platform's joint i, seen from the line along which its slide's joint runs (that line has y = z = 0).
+    /// Position of the platform's joint i, relative to the line of its slide's joint (that line has
+    /// y = z = 0).
     fn platform(&self, tip: [f64; 3], theta: f64, i: usize) -> [f64; 3] {
         let g = &self.lengths;
         [
@@ -155,27 +158,29 @@ impl Arm {
         ]
     }
 
-    /// Where a pair's rods meet the rails: S^2 for rod i.
+    /// Returns S^2 of rod i, which decides where the rods of a pair meet the rails.
     fn reach_square(&self, tip: [f64; 3], theta: f64, i: usize) -> f64 {
         let [_, y, z] = self.platform(tip, theta, i);
         self.lengths.r * self.lengths.r - y * y - z * z
     }
 
-    /// Signed distance from the parallel singularity: the platform's joints, drawn together by the spacing, against the plane in which both
-    /// pairs' rods lie flat. It is measured in the plane of y and z, from the line through +-(E, D).
+    /// Signed distance from the parallel singularity: the platform's joints, drawn together by the
+    /// spacing, relative to the plane in which the rods of both pairs lie flat. It is measured in
+    /// the plane of y and z, from the line through +-(E, D).
     fn distance(&self, tip: [f64; 3], theta: f64) -> f64 {
         let g = &self.lengths;
         let upper = self.platform(tip, theta, 0);
         let lower = self.platform(tip, theta, 2);
-        // Both vectors point from a rail to its joint; singular when they are parallel.
+        // Both vectors point from a rail to its joint; they are parallel at the singularity.
         let cross = upper[1] * lower[2] - upper[2] * lower[1];
         let base = libm::hypot(upper[1] - lower[1], upper[2] - lower[2]);
-        // For D = y = 0 and E > 0 this cross is -2 E Z: positive below the rails.
+        // For D = y = 0 and E > 0 this cross product is -2 E Z: positive below the rails.
         let side = if g.below { 1.0 } else { -1.0 };
         side * cross / base * if g.a - g.b - g.e < 0.0 { -1.0 } else { 1.0 }
     }
 
-    /// A pose from theta and the platform's place (t, q) along and across the line of centres.
+    /// Returns a pose from theta and the platform's position (t, q) along and across the line of
+    /// centres.
     fn on_line(&self, theta: f64, t: f64, q: f64, x: f64, alpha: f64) -> Reals {
         let g = &self.lengths;
         let (e, d) = (g.a - g.b - g.e, g.d - g.c * libm::cos(theta));
@@ -188,14 +193,15 @@ impl Arm {
 }
 
 impl Arm {
-    /// How far a pose is from each bound, with the reach limit at this share of R.
+    /// Returns the distances of a pose from each bound, with the reach limit at this fraction of R.
     fn margins_with_reach(&self, pose: &Reals, reach: f64) -> Margins {
         let g = &self.lengths;
         let tip = self.tip(pose);
         let tilt = |error: &PoseError| *error == PoseError::Tilt;
         let mut margins: Vec<Margin, 12> = Vec::new();
         let first: [Margin; 4] = [
-            // In millimetres at the tip, to compare with the others; the tilt must be less than a quarter turn.
+            // In millimetres at the tip, for comparison with the others. The tilt must be below a
+            // quarter turn.
             ((FRAC_PI_2 - pose[3].abs()) * 350.0 - 2.0 * RADIAN, tilt),
             ((FRAC_PI_2 - pose[4].abs()) * 350.0 + 2.0 * RADIAN, tilt),
             // N = 4 c sin(theta) is rounded to a raw unit before it is compared with 4 c.
@@ -219,7 +225,7 @@ impl Arm {
             let square = self.reach_square(tip, pose[3], i);
             let pair: [Margin; 2] = [
                 (libm::sqrt(square.max(0.0)) - reach * g.r, names),
-                // The root's slope is steep here: the square over 2 R is a length.
+                // The root is steep here. The square divided by 2 R is a length.
                 (square / (2.0 * g.r), |error| {
                     *error == PoseError::Unreachable
                 }),
@@ -263,17 +269,18 @@ impl Subject for Arm {
         let t = sequence.between(-200.0, 200.0);
         let q = sequence.between(10.0, 400.0);
         match sequence.below(4) {
-            // The margin, from both sides, and the branch beyond.
+            // The singularity margin, from both sides, and the branch beyond.
             0 => self.on_line(theta, t, g.margin + near, x, alpha),
             1 => self.on_line(theta, t, near, x, alpha),
             2 => {
-                // The tilt: 1 - sin(theta) goes with the square of this.
+                // The tilt: 1 - sin(theta) is proportional to the square of this.
                 theta = FRAC_PI_2 - near.abs().min(1.0);
                 theta = if near < 0.0 { -theta } else { theta };
                 self.on_line(theta, t, q, x, alpha)
             }
             _ => {
-                // A pair of rods at the reach limit: y, Z on the circle of that radius about the pair's rail.
+                // A rod pair at the reach limit: y, Z on the circle of that radius about the pair's
+                // rail.
                 let s = (0.1 * g.r + near).max(0.0);
                 let radius = libm::sqrt(g.r * g.r - s * s);
                 let turn = sequence.between(-PI, PI);
@@ -294,7 +301,7 @@ impl Subject for Arm {
         let mut lean = sequence.between(-1.1, 1.1);
         let mut reach = [0.0; 2];
         for reach in &mut reach {
-            // Beyond both bounds, or near one of them, with the wrong sign now and then.
+            // Beyond both bounds, or near one of them, sometimes with the wrong sign.
             *reach = match sequence.below(4) {
                 0 => 0.09 * g.r + sequence.logarithmic(-6.5, 1.5),
                 1 => g.r + sequence.logarithmic(-6.5, 1.5),
@@ -329,7 +336,8 @@ impl Subject for Arm {
             if square < 0.0 {
                 return None;
             }
-            // The sphere of radius R about the platform's joint meets the rail twice: s_i chooses; the slide is w further out.
+            // The sphere of radius R about the platform's joint intersects the rail twice, and s_i
+            // selects the intersection. The slide is w farther out.
             let joint = self.platform(tip, pose[3], i)[0] + SIDES[i] * libm::sqrt(square);
             joints[i] = joint + SIDES[i] * self.lengths.w;
         }
@@ -364,7 +372,8 @@ impl Subject for Arm {
             let size = step[..3]
                 .iter()
                 .fold(350.0 * step[3].abs(), |size, step| size.max(step.abs()));
-            // Towards the quarter turn the tilt is ill conditioned, and the noise of the step grows with 1 / cos(theta).
+            // Near a quarter turn the tilt is ill conditioned, and the noise of the step grows with
+            // 1 / cos(theta).
             if size * libm::cos(q[3]).abs() < 1e-10 {
                 return Some(self.on_the_table([q[0], q[1], q[2]], q[3], joints[4]));
             }
@@ -373,7 +382,7 @@ impl Subject for Arm {
     }
 }
 
-/// Gauss' elimination with pivots.
+/// Gaussian elimination with pivoting.
 fn eliminate(mut rows: [[f64; 5]; 4]) -> Option<[f64; 4]> {
     for i in 0..4 {
         let pivot = (i..4).max_by(|&a, &b| rows[a][i].abs().total_cmp(&rows[b][i].abs()))?;

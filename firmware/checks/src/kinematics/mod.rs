@@ -1,7 +1,9 @@
-//! The conformance suite of machine kinematics: what every machine must pass.
+//! Conformance suite of machine kinematics: every machine must pass it.
 //!
-//! A new machine is one [`subject::Subject`] (a truth in f64, written from the closure of its loops and not from the firmware's formulas), one
-//! row in the firmware's test `kinematics_conformance`, and one here. Here the counts are what a small chip without an f64 unit does in a second.
+//! A new machine needs one [`subject::Subject`], one row in the firmware's test
+//! `kinematics_conformance`, and one row here. The subject has reference values in f64 from the
+//! closure of its loops and not from the firmware's formulas. The counts here are those that a
+//! small chip without an f64 unit does in a second.
 #![allow(
     clippy::needless_range_loop,
     reason = "an index is an axis here, of several arrays at once"
@@ -13,7 +15,7 @@ pub mod suite;
 
 use crate::Check;
 
-/// Poses and joints of a check on a chip.
+/// Number of poses and joint positions of a check on a chip.
 const COUNT: usize = 4000;
 
 /// The checks of this module.

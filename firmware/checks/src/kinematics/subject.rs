@@ -1,4 +1,4 @@
-//! What a machine brings along to be tested, and the random numbers it is tested with.
+//! Interface of a machine under test, and the random numbers of the tests.
 
 use haptimill_kinematics::{Joints, Kinematics, MAX_AXES, Pose, PoseError};
 use haptimill_math::Coordinate;
@@ -24,38 +24,39 @@ impl Sequence {
         z ^ (z >> 31)
     }
 
-    /// From 0 to 1.
+    /// Returns a number from 0 to 1.
     pub fn unit(&mut self) -> f64 {
         (self.next() >> 11) as f64 / 9_007_199_254_740_992.0
     }
 
-    /// From `low` to `high`.
+    /// Returns a number from `low` to `high`.
     pub fn between(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * self.unit()
     }
 
-    /// A magnitude spaced logarithmically from 10^low to 10^high, with either sign.
+    /// Returns a number of either sign whose magnitude is spaced logarithmically from 10^low to
+    /// 10^high.
     pub fn logarithmic(&mut self, low: f64, high: f64) -> f64 {
         let size = libm::exp10(self.between(low, high));
         if self.next() & 1 == 0 { size } else { -size }
     }
 
-    /// A whole number below `count`.
+    /// Returns an integer below `count`.
     pub fn below(&mut self, count: u64) -> u64 {
         self.next() % count
     }
 }
 
-/// How far inside a condition, in millimetres, and whether an error names this condition.
+/// Distance inside a condition, in millimetres, and whether an error names this condition.
 pub type Margin = (f64, fn(&PoseError) -> bool);
 
-/// How far a pose is inside each of the conditions that make it a right answer; negative is outside.
+/// Distances of a pose inside each condition of a valid answer; negative is outside.
 ///
-/// Each entry says which error its violation is allowed to give.
+/// Each entry names the errors that its violation may give.
 pub struct Margins(pub Vec<Margin, 12>);
 
 impl Margins {
-    /// The least of them.
+    /// Returns the smallest distance.
     pub fn least(&self) -> f64 {
         self.0
             .iter()
@@ -63,7 +64,8 @@ impl Margins {
             .fold(f64::MAX, f64::min)
     }
 
-    /// Whether an error is deserved: the condition it names is violated, or as good as.
+    /// Returns whether an error is justified: the condition that it names is violated, within
+    /// `tolerance`.
     pub fn deserve(&self, error: &PoseError, tolerance: f64) -> bool {
         self.0
             .iter()
@@ -71,7 +73,7 @@ impl Margins {
     }
 }
 
-/// A machine under test, with a truth in f64 that is written from the closure of its loops.
+/// A machine under test, with reference values in f64 from the closure of its loops.
 pub trait Subject {
     /// Its kinematics in the firmware.
     type Machine: Kinematics;
@@ -85,36 +87,39 @@ pub trait Subject {
     /// Size of a raw unit of each joint.
     fn joint_units(&self) -> Reals;
 
-    /// A pose anywhere in and somewhat around the workspace.
+    /// Returns a pose in the workspace or somewhat outside.
     fn random_pose(&self, sequence: &mut Sequence) -> Reals;
 
-    /// A pose whose distance from one of the bounds is spaced logarithmically, on either side of it.
+    /// Returns a pose whose distance from one of the bounds is spaced logarithmically, on either
+    /// side.
     fn pose_near_a_bound(&self, sequence: &mut Sequence) -> Reals;
 
-    /// Joints anywhere, whether or not they belong to a pose.
+    /// Returns any joint positions, also ones without a pose.
     fn random_joints(&self, sequence: &mut Sequence) -> Joints;
 
-    /// How far a pose is inside the conditions of a right answer.
+    /// Returns the distances of a pose inside the conditions of a valid answer.
     fn margins(&self, pose: &Reals) -> Margins;
 
-    /// The same for a measured pose, where bounds may lie a little farther out than for a wanted one.
+    /// The same for a measured pose, whose bounds may lie a little farther out than those of a
+    /// commanded one.
     fn measured_margins(&self, pose: &Reals) -> Margins {
         self.margins(pose)
     }
 
-    /// The joints that close the loops at a pose; `None` where none do.
+    /// Returns the joint positions that close the loops at a pose; `None` if there are none.
     fn close(&self, pose: &Reals) -> Option<Reals>;
 
-    /// The pose near `guess` at which the joints close the loops, by Newton's rule on the closure; `None` where it does not converge.
+    /// Returns the pose near `guess` at which the joint positions close the loops, by Newton's
+    /// method on the closure; `None` if it does not converge.
     fn solve(&self, joints: &Reals, guess: &Reals) -> Option<Reals>;
 }
 
-/// Raw coordinates as millimetres and radians.
+/// Converts raw coordinates to millimetres and radians.
 pub fn real(raw: &[Coordinate; MAX_AXES], units: &Reals) -> Reals {
     core::array::from_fn(|axis| raw[axis].0 as f64 * units[axis])
 }
 
-/// Millimetres and radians as raw coordinates, held at the end of their range.
+/// Converts millimetres and radians to raw coordinates, limited to their range.
 pub fn raw(values: &Reals, units: &Reals) -> [Coordinate; MAX_AXES] {
     core::array::from_fn(|axis| {
         let value = if units[axis] == 0.0 {
@@ -126,7 +131,7 @@ pub fn raw(values: &Reals, units: &Reals) -> [Coordinate; MAX_AXES] {
     })
 }
 
-/// The pose of the raw values.
+/// Returns the pose of the values.
 pub fn raw_pose<S: Subject>(subject: &S, values: &Reals) -> Pose {
     Pose(raw(values, &subject.pose_units()))
 }

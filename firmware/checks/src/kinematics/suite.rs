@@ -1,19 +1,20 @@
-//! The checks, for any machine. Figures: 0.1 um and 1 urad against f64, no wrong pose in a million.
+//! The conformance checks, for any machine. Requirements: 0.1 um and 1 urad against f64, no wrong
+//! pose in a million.
 
 use super::subject::{Reals, Sequence, Subject, raw_pose, real};
 use core::fmt::Debug;
 use haptimill_kinematics::{Joints, Kinematics, MAX_AXES, Pose, PoseError};
 use haptimill_math::{Acceleration, Coordinate, Rate};
 
-/// 0.1 um, or 1 urad: millimetres and radians are told apart by the size of a raw unit.
+/// Tolerance: 0.1 um, or 1 urad. The size of a raw unit distinguishes millimetres from radians.
 fn tolerance(unit: f64) -> f64 {
     if unit > 1e-8 { 1e-4 } else { 1e-6 }
 }
 
-/// The margin within which rounding may decide about a refusal either way: 0.1 um.
+/// Margin within which rounding may decide whether a pose is refused: 0.1 um.
 const GREY: f64 = 1e-4;
 
-/// Whether the coordinates agree; an angle of one turn more is not agreement.
+/// Asserts that the coordinates agree. Angles that differ by a turn do not agree.
 #[track_caller]
 fn agree(axes: usize, got: &Reals, want: &Reals, units: &Reals, context: &dyn Debug) -> f64 {
     let mut worst: f64 = 0.0;
@@ -31,7 +32,7 @@ fn agree(axes: usize, got: &Reals, want: &Reals, units: &Reals, context: &dyn De
     worst
 }
 
-/// A pose of one of the kinds, in turn.
+/// Returns a pose of one of the kinds, in turn.
 fn any_pose<S: Subject>(subject: &S, sequence: &mut Sequence) -> Pose {
     let values = if sequence.next() & 1 == 0 {
         subject.random_pose(sequence)
@@ -41,12 +42,13 @@ fn any_pose<S: Subject>(subject: &S, sequence: &mut Sequence) -> Pose {
     raw_pose(subject, &values)
 }
 
-/// The inverse is the closure of the loops, and is refused exactly where a condition is violated. Then it is turned round.
+/// Checks that the inverse kinematics closes the loops, that it refuses exactly the poses that
+/// violate a condition, and that the forward kinematics inverts it.
 ///
-/// Gives the largest errors of inverse and forward as shares of their tolerance.
+/// Returns the largest errors of inverse and forward kinematics as fractions of their tolerance.
 ///
 /// # Panics
-/// It is not so.
+/// A claim does not hold.
 pub fn inverse_against_closure<S: Subject>(subject: &S, count: usize) -> (f64, f64) {
     let (machine, axes) = (subject.machine(), subject.machine().axes());
     let (pose_units, joint_units) = (subject.pose_units(), subject.joint_units());
@@ -65,7 +67,8 @@ pub fn inverse_against_closure<S: Subject>(subject: &S, count: usize) -> (f64, f
                 let want = subject.close(&truth).expect("closes");
                 let got = real(&joints.0, &joint_units);
                 worst = worst.max(agree(axes, &got, &want, &joint_units, &context));
-                // The rounded joints belong to a pose near by: the one that Newton finds, on the same branch.
+                // The rounded joint positions belong to a nearby pose: the one that Newton's method
+                // finds, on the same branch.
                 match machine.forward(&joints) {
                     Ok(back) => {
                         let back = real(&back.0, &pose_units);
@@ -94,15 +97,16 @@ pub fn inverse_against_closure<S: Subject>(subject: &S, count: usize) -> (f64, f
             }
         }
     }
-    // Both sides of the bounds were visited.
+    // Both sides of the bounds were tested.
     assert!(refused > count / 20, "{refused}");
     (worst, worst_forward)
 }
 
-/// Whatever joints are given, an answered pose fulfils every condition and closes the loops with just these joints.
+/// Checks that every pose of the forward kinematics satisfies all conditions and closes the loops
+/// with the given joint positions, for any joint positions.
 ///
 /// # Panics
-/// It is not so.
+/// A claim does not hold.
 pub fn forward_is_certified<S: Subject>(subject: &S, count: usize) -> f64 {
     let (machine, axes) = (subject.machine(), subject.machine().axes());
     let (pose_units, joint_units) = (subject.pose_units(), subject.joint_units());
@@ -111,7 +115,7 @@ pub fn forward_is_certified<S: Subject>(subject: &S, count: usize) -> f64 {
     for _ in 0..count {
         let joints = match sequence.below(4) {
             0 => {
-                // Joints of a pose at a bound, on either side of it.
+                // Joint positions of a pose near a bound, on either side.
                 let pose = subject.pose_near_a_bound(&mut sequence);
                 let Some(joints) = subject.close(&pose) else {
                     continue;
@@ -136,10 +140,10 @@ pub fn forward_is_certified<S: Subject>(subject: &S, count: usize) -> f64 {
     worst
 }
 
-/// Any numbers whatever: an answer that holds or an error, and no panic.
+/// Checks that any numbers give a valid answer or an error, and no panic of the kinematics.
 ///
 /// # Panics
-/// It is not so.
+/// A claim does not hold.
 pub fn extremes<S: Subject>(subject: &S, count: usize) {
     let machine = subject.machine();
     let corners = [
@@ -188,7 +192,7 @@ pub fn extremes<S: Subject>(subject: &S, count: usize) {
         match result {
             Ok(_) => assert!(subject.margins(&truth).least() >= -GREY, "{pose:?}"),
             Err(error) => {
-                // Joints beyond what a word can hold are not reachable either.
+                // Joint positions beyond the range of a word are not reachable either.
                 let held = |joints: Reals| {
                     joints
                         .iter()
@@ -216,7 +220,7 @@ pub fn extremes<S: Subject>(subject: &S, count: usize) {
     }
 }
 
-/// First and second differences of the closure along a moving pose, of fourth order.
+/// Returns first and second differences of the closure along a moving pose, of fourth order.
 fn differences(values: [Reals; 5], step: f64, joint: usize) -> (f64, f64) {
     let [a, b, c, d, e] = values.map(|value| value[joint]);
     (
@@ -225,17 +229,18 @@ fn differences(values: [Reals; 5], step: f64, joint: usize) -> (f64, f64) {
     )
 }
 
-/// The pose after a time, with constant acceleration.
+/// Returns the pose after a time, with constant acceleration.
 fn moved(pose: &Reals, rate: &Reals, acceleration: &Reals, time: f64) -> Reals {
     core::array::from_fn(|axis| {
         pose[axis] + rate[axis] * time + 0.5 * acceleration[axis] * time * time
     })
 }
 
-/// The Jacobian and the motion of the joints are the derivatives of the closure.
+/// Checks that the Jacobian, and the rates and accelerations of the joints, are the derivatives of
+/// the closure.
 ///
 /// # Panics
-/// It is not so.
+/// A claim does not hold.
 pub fn derivatives_against_differences<S: Subject>(subject: &S, count: usize) {
     let (machine, axes) = (subject.machine(), subject.machine().axes());
     let (pose_units, joint_units) = (subject.pose_units(), subject.joint_units());
@@ -244,11 +249,12 @@ pub fn derivatives_against_differences<S: Subject>(subject: &S, count: usize) {
     while done < count {
         let pose = raw_pose(subject, &subject.random_pose(&mut sequence));
         let truth = real(&pose.0, &pose_units);
-        // Differences need room to both sides; the bounds themselves are approached by the other checks.
+        // Differences need room on both sides. The other checks approach the bounds.
         if subject.margins(&truth).least() < 2.0 {
             continue;
         }
-        // Short against S / S', long against the noise of f64 (3e-5 mm/s^2 in the second difference).
+        // Small compared with S / S', large compared with the noise of f64 (3e-5 mm/s^2 in the
+        // second difference).
         let step = 1e-4;
         let along = |rate: &Reals, acceleration: &Reals| -> Option<[Reals; 5]> {
             let mut values = [[0.0; MAX_AXES]; 5];
@@ -261,7 +267,7 @@ pub fn derivatives_against_differences<S: Subject>(subject: &S, count: usize) {
         let jacobian = machine.jacobian(&pose).expect("inside");
         for column in 0..axes {
             let mut rate = [0.0; MAX_AXES];
-            // 1 mm or 0.01 rad a second.
+            // 1 mm/s or 0.01 rad/s.
             rate[column] = if tolerance(pose_units[column]) > 1e-5 {
                 1.0
             } else {
@@ -304,14 +310,15 @@ pub fn derivatives_against_differences<S: Subject>(subject: &S, count: usize) {
         for joint in 0..axes {
             let (first, second) = differences(values, step, joint);
             let got = motion.rates[joint].0 as f64 * joint_units[joint];
-            // An angular rate has 1e-9 rad/s, a lever up to 600 mm, a slope up to 10.
+            // An angular rate is exact to 1e-9 rad/s; a lever has up to 600 mm, a slope up to 10.
             let bound = 1e-6 * first.abs() + 1e-5;
             assert!(
                 (got - first).abs() < bound,
                 "rate {joint}: {got} not {first}; {pose:?}"
             );
             let got = motion.accelerations[joint].0 as f64 * joint_units[joint] * 256.0;
-            // Rates enter squared, with 1 / S; angular accelerations have 2e-7 rad/s^2, levers 600 mm, slopes 10.
+            // Rates enter squared, with 1 / S. Angular accelerations are exact to 2e-7 rad/s^2;
+            // levers have up to 600 mm, slopes up to 10.
             let bound = 1e-5 * second.abs() + 0.02;
             assert!(
                 (got - second).abs() < bound,

@@ -1,7 +1,9 @@
-//! The checks of `haptimill-checks` on the chip: all of them, or those whose names are on the image's command line.
+//! The image of checks: runs `haptimill-checks` on the chip, all of them or those named on the
+//! image's command line.
 //!
-//! One that fails panics, which ends the image with its reason and a code that is not zero. Whoever wants to know of all that fail runs the image once for
-//! each name; it starts in some hundredths of a second. With the word `instructions` it says instead what the kinematics take.
+//! A failed check panics, which ends the image with its reason and a nonzero exit code. To find all
+//! failures, run the image once for each name; it starts in some hundredths of a second. The word
+//! `instructions` prints the cost of the kinematics instead.
 #![no_std]
 #![no_main]
 
@@ -44,10 +46,10 @@ fn run(check: &Check) {
     ending::say(format_args!("ok\n"));
 }
 
-/// Poses that are looked at.
+/// Number of poses measured.
 const POSES: u32 = 1000;
 
-/// What something took over all poses.
+/// Cost over all poses.
 #[derive(Default)]
 struct Taken {
     sum: u64,
@@ -60,7 +62,7 @@ impl Taken {
         let between = counter::now();
         let done = work();
         let mark = counter::now();
-        // The look at the counter is not of the work.
+        // The cost of reading the counter is not included.
         let took = mark
             .wrapping_sub(between)
             .wrapping_sub(between.wrapping_sub(begun));
@@ -69,7 +71,7 @@ impl Taken {
         done
     }
 
-    /// Instructions in the mean, and at most. A count is 40/1024 of one.
+    /// Prints mean and largest number of instructions. A count is 40/1024 of an instruction.
     fn say(&self, name: &str) {
         let mean = self.sum * 40 / 1024 / u64::from(POSES);
         let most = u64::from(self.most) * 40 / 1024;
@@ -77,7 +79,7 @@ impl Taken {
     }
 }
 
-/// Inverse and forward kinematics of the H-4 arm, all of the reach.
+/// Measures inverse and forward kinematics of the H-4 arm over its whole reach.
 fn instructions() {
     counter::start();
     let arm = Arm::new(REFERENCE);
@@ -87,7 +89,7 @@ fn instructions() {
     let mut left = POSES;
     while left > 0 {
         let pose: Pose = raw_pose(&arm, &arm.random_pose(&mut sequence));
-        // Which poses are in reach is asked beforehand.
+        // Only poses in reach are measured.
         let Ok(joints): Result<Joints, _> = machine.inverse(&pose) else {
             continue;
         };

@@ -1,4 +1,4 @@
-//! The image of the product, with something that goes wrong in it: see [`haptimill_mps2::faults`].
+//! The image of the product with fault injection: see [`haptimill_mps2::faults`].
 #![no_std]
 #![no_main]
 

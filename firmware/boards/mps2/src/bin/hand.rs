@@ -1,4 +1,4 @@
-//! The image of the product for a machine with a haptic arm.
+//! The image for a machine with a haptic arm.
 #![no_std]
 #![no_main]
 

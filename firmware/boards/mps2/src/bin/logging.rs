@@ -1,4 +1,4 @@
-//! The image of the product, with its log over UART2.
+//! The image of the product with logging over UART2.
 #![no_std]
 #![no_main]
 
