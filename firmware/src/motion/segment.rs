@@ -1,5 +1,5 @@
-//! Segment polynomial for evaluation in every control period. Its words allow a Cortex-M two
-//! multiply-accumulates per instruction.
+//! Segment polynomial for evaluation in every control period. It uses words that a Cortex-M
+//! multiplies and adds in one instruction.
 //!
 //! With s the fraction of the segment duration, the position is start + ((c3 s + c2) s + c1) s;
 //! rate and acceleration are its derivatives ([`super::cubic`]). The high word of a product with s
