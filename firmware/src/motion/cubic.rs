@@ -82,7 +82,8 @@ impl SegmentDuration {
         // 10^6 / microseconds lies between 2^-13 and 2^15.
         let quotient = (1_000_000_u64 << 40) / u64::from(microseconds);
         let excess = 64 - quotient.leading_zeros() - 31;
-        // microseconds * 2^24 / 10^6 = microseconds * 2^18 / 15625, with 39 bits: the numerator has at most 53.
+        // microseconds * 2^24 / 10^6 = microseconds * 2^18 / 15625, with 39 bits: the numerator has
+        // at most 53.
         let bits = 32 - microseconds.leading_zeros();
         let numerator = u64::from(microseconds) << (53 - bits);
         Some(Self {
