@@ -1,31 +1,46 @@
-//! The direct-force loop of one axis: the displacement by which the tool yields (docs/control.md (3.30)-(3.33), in the sign form of 3.3).
+//! Admittance law of one axis: the compliant displacement from the peak force (docs/control.md
+//! (3.30)-(3.33), in the sign form of 3.3).
 //!
 //! ```text
 //! K_A p_c'' + K_V p_c' = F - sigma f_d     sigma p_c >= 0     p_r = p_d + p_c
 //! ```
 //!
-//! F is the peak force on the tool, sigma the side to which the tool yields: the sign of p_c, or of F while p_c is 0. Here everything is counted in the direction of sigma, *outward*: the
-//! displacement is never negative. A force above f_d moves the tool outward; below f_d it returns at up to f_d / K_V, and stops at 0.
+//! F is the peak force on the tool. sigma is the side of the displacement: the sign of p_c, or of F
+//! while p_c is 0. This module counts all values in the direction of sigma, *outward*, so the
+//! displacement is never negative. A force above f_d moves the tool outward. Below f_d the tool
+//! returns at up to f_d / K_V, and stops at 0.
 //!
-//! What is not in the equation:
-//! - **Gate.** Where the gate is shut ([`Gate`]) a force does not push outward; the rate dies away and the tool returns as soon as the force is below f_d.
-//! - **Limit.** Towards the largest displacement the tool goes no faster than 1/64 of what is left in a period. A limit that is lowered to where it could not be reached so stands as far
-//!   out as the tool needs to end its rate, and follows it back: the tool comes back by itself.
-//! - **Landing.** The return slows down to 1/64 of the remaining displacement in a period: without it the rate would fall from f_d / K_V to 0 in one period (10 mm/s for K_V = 0.5).
-//! - **Guard.** On a stiff contact a damper acts between the tool and the *work*, D (p_c' + p_d'), see [`super::stability_monitor`]. Between the tool and the desired position it would
-//!   raise the force while the desired position still advances. While nothing is touched, and against a retreat, its push is at most f_d: it neither moves the tool away from where
-//!   nothing is nor keeps it where it shall not stay.
-//! - **Rest.** A drive with friction and lost motion does not follow a reference that creeps: the tool stands, the reference winds up against it, and some time later the tool goes
-//!   off by more than its error was. On a stiff contact (level 1 and more), while the desired position stands, the tool therefore moves at the creep rate v_c or not at
-//!   all. It comes to rest where the error falls below D v_c / 8, stays at rest while the error is below D v_c / 2 (f_d / 2 at most), and then goes again at v_c or faster. See
-//!   [`AdmittanceLaw::resting_below`]; without a creep rate there is no rest.
+//! The implementation extends the equation:
+//! - **Enable condition.** While it is false ([`Gate`]) a force does not push outward. The rate
+//!   decays, and the tool returns as soon as the force is below f_d.
+//! - **Limit.** Towards the largest displacement the tool moves at most 1/64 of the remaining
+//!   displacement per control period. A limit that is lowered too far to be reached in this way
+//!   first allows the distance in which the rate ends, and then follows the returning tool.
+//! - **Landing.** The return moves at most 1/64 of the remaining displacement per control period.
+//!   Without this the rate would fall from f_d / K_V to 0 in one period (10 mm/s for K_V = 0.5).
+//! - **Contact-stability monitor.** On a stiff contact a damper acts between the tool and the
+//!   *workpiece*, D (p_c' + p_d'), see [`super::stability`]. A damper between the tool and the
+//!   desired position would raise the force while the desired position still advances. Without
+//!   contact, and against a retreat, the damper's force is at most f_d: it neither moves a free
+//!   tool away nor keeps it displaced.
+//! - **Rest.** A drive with friction and lost motion does not follow a creeping reference: the tool
+//!   stands still, the reference winds up against it, and some time later the tool jumps by more
+//!   than its error. On a stiff contact (level 1 and above), while the desired position is
+//!   constant, the tool therefore moves at least at the creep rate v_c, or rests. It comes to rest
+//!   when the error falls below D v_c / 8, rests while the error is below D v_c / 2 (f_d / 2 at
+//!   most), and then moves again at v_c or faster. See [`AdmittanceLaw::resting_below`]; without a
+//!   creep rate the tool does not rest.
 //!
-//! A change of gains or of f_d changes the acceleration; displacement and rate go on from where they are, so the tool does not jump. When `place` refuses the reference, [`AdmittanceAxis::roll_back`]
-//! takes the last period back: the displacement stays what it was and the rate is 0, so nothing winds up.
+//! A change of gains or of f_d changes the acceleration; displacement and rate are continuous, so
+//! the tool does not jump. When the inverse kinematics refuses the reference,
+//! [`AdmittanceAxis::roll_back`] undoes the last control period: the displacement keeps its
+//! previous value and the rate is 0, so nothing winds up.
 //!
-//! **Error.** Against the same law in f64 the displacement differs by less than 2^-37 mm a period and 2^-28 of the way gone.
+//! **Error.** The displacement differs from the same law in f64 by less than 2^-37 mm per control
+//! period and 2^-28 of the distance moved.
 //!
-//! Misuse: a force that is not the reaction on the tool. With the wrong sign the loop runs into the work; [`super::stability_monitor`] looks out for that.
+//! Callers must pass the reaction on the tool. With the wrong sign the loop moves the tool into the
+//! workpiece; [`super::stability`] detects that.
 
 use super::zero_order_hold::{FINENESS, Part, RATE_BITS, ZeroOrderHold, sound};
 use super::{ForceParameter, ForceRefusal, Gate, LoopSettings};
@@ -35,31 +50,33 @@ use haptimill_math::force::{Displacement, Force, VirtualDamping};
 use haptimill_math::scale::{multiply_shift, saturate};
 use haptimill_math::{Acceleration, Length, Rate};
 
-/// The most levels of damping: K_V alone, and 7 with more.
+/// Number of damping levels: K_V alone, and 7 with more.
 pub const LEVELS: usize = 8;
 
-/// The stiffest contact for which the guard answers, N/mm.
+/// Stiffest contact that the contact-stability monitor covers, N/mm.
 pub const STIFFEST: u32 = 1000;
 
-/// The damping of a level is at least so many times what the stiffest contact that it stands for needs.
+/// Ratio of the damping of a level to the damping that its stiffest contact needs, at least.
 pub const MARGIN: u32 = 4;
 
-/// Up to here a contact is none of the guard's business, N/mm: cutting looks as stiff as this now and then.
+/// Stiffness up to which the monitor ignores a contact, N/mm: cutting occasionally appears as stiff
+/// as this.
 pub const SOFT: u32 = 20;
 
-/// Apparent contact stiffness at which level 1 begins, 2^-8 N/mm; level i begins at 2^(i - 1) of it.
+/// Apparent contact stiffness at which level 1 begins, 2^-8 N/mm; level i begins at 2^(i - 1) times
+/// this.
 pub const ONSET: u32 = SOFT << 8;
 
-/// K_V of 0.1 N s/mm: below, [`ZeroOrderHold`] has no scale for T / K_V.
+/// K_V of 0.1 N s/mm: below this, [`ZeroOrderHold`] has no scale for T / K_V.
 const LEAST_DAMPING: u64 = 6554;
 
-/// Below this the displacement is 0: 2^-20 mm.
+/// Displacements below this are 0: 2^-20 mm.
 const NOTHING: i64 = 1 << 20;
 
-/// The largest limit of the displacement, mm.
+/// Largest compliance limit, mm.
 pub const LARGEST_LIMIT: Length = Length::millimetres(64);
 
-/// What one axis does in a period.
+/// Compliant displacement of one axis in a control period.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Yielding {
     /// p_c.
@@ -68,37 +85,41 @@ pub struct Yielding {
     pub rate: Rate,
     /// p_c''.
     pub acceleration: Acceleration,
-    /// The displacement is at its limit, and the force would have it go on.
+    /// The displacement is at its limit, and the force would increase it.
     pub limited: bool,
 }
 
-/// The law with its numbers for every level of damping.
+/// Admittance law with its coefficients for every damping level.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct AdmittanceLaw {
     settings: LoopSettings,
     poles: [ZeroOrderHold; LEVELS],
-    /// What each level adds to K_V, 2^-16 N s/mm, below 2^31.
+    /// Damping that each level adds to K_V, 2^-16 N s/mm, below 2^31.
     added: [i32; LEVELS],
     highest: usize,
-    /// Displacement in a period at the largest rate, in the scale of the rate.
+    /// Displacement per control period at the largest rate, in the scale of the rate.
     rate_limit: i64,
     /// Largest displacement, 2^-40 mm.
     limit: i64,
-    /// From the scale of the rate to 2^-20 mm/s.
+    /// Conversion from the scale of the rate to 2^-20 mm/s.
     to_rate: Part,
-    /// The creep rate in the scale of the rate; what it takes on each level to move at it, D v_c, 2^-16 N.
+    /// Creep rate in the scale of the rate, and the force D v_c on each level to move at it, 2^-16
+    /// N.
     creep: i64,
     creeping: [i32; LEVELS],
     frequency: u32,
 }
 
 impl AdmittanceLaw {
-    /// A law of which only the first level is worked out. The others follow with [`AdmittanceLaw::prepare`], one in a period: each takes about 2000 instructions.
+    /// Creates a law with only its first level computed. [`AdmittanceLaw::prepare`] computes the
+    /// others, one per control period: each takes about 2000 instructions.
     ///
-    /// `delay_us` is what the guard counts on from a change of the tool's position to a change of the seen force: window of the peak, drive, latch.
+    /// `delay_us` is the delay that the monitor assumes from a change of the tool's position to a
+    /// change of the peak force: window of the peak, drive, latch.
     ///
     /// # Errors
-    /// The first parameter that cannot be, with its bound.
+    ///
+    /// Returns the first invalid parameter, with its bound.
     pub fn begin(
         settings: &LoopSettings,
         period_us: u16,
@@ -128,7 +149,9 @@ impl AdmittanceLaw {
         })
     }
 
-    /// The same law for a drive that does not follow a reference slower than `creep` (its magnitude counts): on a stiff contact the tool moves as fast or rests. 0 is a drive that follows at any rate.
+    /// The same law for a drive that does not follow a reference slower than `creep` (its magnitude
+    /// counts): on a stiff contact the tool moves at least at this rate, or rests. 0 is a drive
+    /// that follows any rate.
     #[must_use]
     pub fn resting_below(mut self, creep: Rate, period_us: u16) -> Self {
         let creep = u64::from(creep.0.unsigned_abs());
@@ -141,7 +164,7 @@ impl AdmittanceLaw {
         self
     }
 
-    /// Works out one level of damping.
+    /// Computes one damping level.
     #[cold]
     pub fn prepare(&mut self, level: usize, period_us: u16) {
         let added = self.added.get(level).copied().unwrap_or(0);
@@ -151,9 +174,10 @@ impl AdmittanceLaw {
         }
     }
 
-    /// A law with all its levels, at once: for a configuration.
+    /// Creates a law with all its levels, for a configuration.
     ///
     /// # Errors
+    ///
     /// As [`AdmittanceLaw::begin`].
     pub fn new(
         settings: &LoopSettings,
@@ -168,28 +192,30 @@ impl AdmittanceLaw {
         Ok(law)
     }
 
-    /// What it was made from.
+    /// The settings of this law.
     #[must_use]
     pub const fn settings(&self) -> &LoopSettings {
         &self.settings
     }
 
-    /// The highest level of damping that it has.
+    /// The highest damping level of this law.
     #[must_use]
     pub const fn highest(&self) -> usize {
         self.highest
     }
 }
 
-/// The longest delay that is counted with: half a second.
+/// Longest delay accepted: half a second.
 const DELAY_MOST_US: u32 = 500_000;
 
-/// From 2^-20 mm/s to 2^-(40 + FINENESS) mm in a period: below 2^31 * 2^10 * 2^20 / 10^6 before it is held.
+/// 2^-20 mm/s to 2^-(40 + FINENESS) mm per control period: below 2^31 * 2^10 * 2^20 / 10^6 before
+/// it is clamped.
 fn way(rate: i64, period_us: u16) -> i64 {
     (rate * i64::from(period_us) * (1 << 20) / 1_000_000).min(1 << RATE_BITS) << FINENESS
 }
 
-/// The damping of a level for its stiffest contact, k = 2^level [`ONSET`]: [`MARGIN`] k tau for the delay, 2 sqrt(k K_A) so that it does not swing, and K_V at least.
+/// Damping of a level for its stiffest contact, k = 2^level [`ONSET`]: the largest of [`MARGIN`] k
+/// tau for the delay, 2 sqrt(k K_A) against oscillation, and K_V.
 fn damping(settings: &LoopSettings, delay_us: u32, level: usize) -> VirtualDamping {
     let lowest = settings.damping;
     if level == 0 {
@@ -199,13 +225,14 @@ fn damping(settings: &LoopSettings, delay_us: u32, level: usize) -> VirtualDampi
     // 2^-8 N/mm * us: below 2^21 * 2^19 * 4.
     let product = stiffest * u64::from(MARGIN) * u64::from(delay_us);
     let late = (product << 8) / 1_000_000;
-    // The root of 2^-8 N/mm * 2^-16 N s^2/mm is 2^-12 N s/mm; the stiffest is below 2^21, a mass that is taken 2^26.
+    // The root of 2^-8 N/mm * 2^-16 N s^2/mm is 2^-12 N s/mm; the stiffest is below 2^21, an
+    // accepted mass is at most 2^26.
     let critical = (stiffest * u64::from(settings.mass.0.min(1 << 26))).isqrt() << 5;
     let damping = late.max(critical).min(1 << 30) as u32;
     VirtualDamping(damping.max(lowest.0))
 }
 
-/// Checks settings; gives the highest level of damping, from which on the guard holds a contact of [`STIFFEST`].
+/// Checks settings. Returns the highest damping level, which covers a contact of [`STIFFEST`].
 fn check(
     settings: &LoopSettings,
     period_us: u16,
@@ -223,12 +250,12 @@ fn check(
             u64::from(LoopSettings::LEAST_DESIRED.magnitude()),
         ));
     }
-    // Above three quarters of the range there is no force left to tell the loop by how much it is too high.
+    // Above three quarters of the range too little range is left to measure the excess force.
     let most = largest_force.held().0.max(0) / 4 * 3;
     if desired.0 > most {
         return Err(refuse(ForceParameter::DesiredTooLarge, most as u64));
     }
-    // Level 0 must hold the contacts of which the guard thinks nothing: K_V >= k tau.
+    // Level 0 must be stable on contacts that the monitor ignores: K_V >= k tau.
     let least = ((u64::from(SOFT) * u64::from(delay_us)) << 16).div_ceil(1_000_000);
     let least = least.max(LEAST_DAMPING);
     if u64::from(settings.damping.0) < least {
@@ -237,7 +264,7 @@ fn check(
     if settings.damping.0 > 1 << 26 {
         return Err(refuse(ForceParameter::DampingTooLarge, 1 << 26));
     }
-    // The last level answers for the stiffest contact.
+    // The last level covers the stiffest contact.
     let mut highest = 0;
     while ONSET << highest < STIFFEST << 8 && highest < LEVELS - 1 {
         highest += 1;
@@ -262,47 +289,47 @@ fn check(
     Ok(highest)
 }
 
-/// What an axis is given in a period.
+/// Input of an axis in a control period.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct DrivingForce {
     /// Peak force on the tool.
     pub force: Force,
     /// p_d'.
     pub desired_rate: Rate,
-    /// Force control is wanted on this axis. Without it the force counts as none, and the tool returns.
+    /// The axis is under force control. Otherwise the force counts as 0, and the tool returns.
     pub active: bool,
-    /// The tool stays where it is, whatever the force: the rate ends as fast as the highest level of damping ends it.
+    /// Hold the displacement, whatever the force: the rate decays with the highest damping level.
     pub held: bool,
-    /// Level of damping, from the guard.
+    /// Damping level of the contact-stability monitor.
     pub level: usize,
-    /// The tool touches something, or did some revolutions ago.
+    /// The tool touches something, or did within the last revolutions.
     pub touching: bool,
 }
 
-/// The compliance of one axis.
+/// Compliant displacement of one axis.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AdmittanceAxis {
     law: AdmittanceLaw,
-    /// Outward is upward.
+    /// Outward is the positive direction.
     upward: bool,
-    /// How far the tool has yielded, 2^-40 mm, 0 to 2^46.
+    /// Outward displacement, 2^-40 mm, 0 to 2^46.
     away: i64,
-    /// Its rate outward, 2^-(40 + FINENESS) mm in a period.
+    /// Its outward rate, 2^-(40 + FINENESS) mm per control period.
     rate: i64,
-    /// `away` before this period.
+    /// `away` before this control period.
     before: i64,
-    /// The rate that was given last.
+    /// Rate in the last result.
     shown: Rate,
-    /// How far it may go, 2^-40 mm: the limit of the law, or further where that was lowered.
+    /// Largest displacement, 2^-40 mm: the limit of the law, or more after the limit was lowered.
     limit: i64,
-    /// It stands, and does not mind a small error.
+    /// The tool rests and ignores a small error.
     resting: bool,
 }
 
 constants!(AdmittanceAxis { law } of {} but { upward, away, rate, before, shown, limit, resting });
 
 impl AdmittanceAxis {
-    /// An axis that has not yielded.
+    /// Creates an axis with displacement 0.
     #[must_use]
     pub const fn new(law: AdmittanceLaw) -> Self {
         Self {
@@ -317,21 +344,23 @@ impl AdmittanceAxis {
         }
     }
 
-    /// The law.
+    /// The admittance law.
     #[must_use]
     pub const fn law(&self) -> &AdmittanceLaw {
         &self.law
     }
 
-    /// Goes on under another law; displacement and rate stay.
+    /// Adopts another law; displacement and rate are kept.
     pub fn adopt(&mut self, law: AdmittanceLaw) {
         self.law = law;
-        // From where 1/64 of the way is left for each period, its rate ends by itself: below 2^46 + 2^50.
+        // With 1/64 of the distance left for each control period the rate ends by itself: below
+        // 2^46 + 2^50.
         let needed = self.rate.max(0).wrapping_shr(FINENESS).wrapping_shl(6);
         self.limit = self.law.limit.max(self.away.wrapping_add(needed));
     }
 
-    /// The tool stands where it is desired: after an enable, or when wanted became measured.
+    /// Resets the displacement to 0: after an enable, or when the commanded position became the
+    /// measured one.
     pub const fn reset(&mut self) {
         self.away = 0;
         self.rate = 0;
@@ -341,13 +370,13 @@ impl AdmittanceAxis {
         self.resting = false;
     }
 
-    /// Whether the tool stands where it is desired, and stood there in the period before.
+    /// Whether displacement and rate are 0, now and in the control period before.
     #[must_use]
     pub const fn is_at_rest(&self) -> bool {
         self.away == 0 && self.before == 0 && self.rate == 0 && self.shown.0 == 0
     }
 
-    /// p_c.
+    /// Compliant displacement p_c.
     #[must_use]
     pub const fn displacement(&self) -> Displacement {
         Displacement(if self.upward {
@@ -357,12 +386,13 @@ impl AdmittanceAxis {
         })
     }
 
-    /// The reference was refused: the displacement is what it was before this period, and stands.
+    /// Restores the displacement from before this control period, at rate 0, because the reference
+    /// was refused.
     pub const fn roll_back(&mut self) -> Yielding {
         self.stand_at(self.before)
     }
 
-    /// The displacement may be no further from 0 than `most`: the rest of it is taken back, and it stands.
+    /// Clamps the displacement to `most`, at rate 0.
     pub fn clamp_displacement(&mut self, most: Displacement) -> Yielding {
         let outward = if self.upward {
             most.0
@@ -384,7 +414,8 @@ impl AdmittanceAxis {
         }
     }
 
-    /// One period. Three copies of it in their caller's loop would be no faster: registers run out.
+    /// Advances one control period. Not inlined: three copies in the caller's loop would be no
+    /// faster, because registers run out.
     #[inline(never)]
     pub fn advance(&mut self, push: &DrivingForce) -> Yielding {
         let force = if push.active { push.force.held().0 } else { 0 };
@@ -406,13 +437,15 @@ impl AdmittanceAxis {
         let (step, rate) = pole.step(drive, self.rate);
         let mut most = law.rate_limit;
         if self.rate > most || self.rate < -most {
-            // A limit that was lowered is reached within some hundred periods: no jump of the rate.
+            // A lowered rate limit takes effect within some hundred control periods, without a jump
+            // of the rate.
             let fast = self.rate.abs();
             most = most.max(fast.wrapping_sub(fast >> 8));
         }
         let (mut step, mut rate) = (step.min(most), rate.min(most));
         if step < 0 || rate < 0 {
-            // Towards 0 no faster than 1/64 of what is left: 2^40 units in the finest scale are below 2^58.
+            // The return is limited to 1/64 of the remaining displacement: 2^40 units in the finest
+            // scale are below 2^58.
             let landing = (self.away >> 6)
                 .wrapping_shl(FINENESS)
                 .min(most)
@@ -433,7 +466,7 @@ impl AdmittanceAxis {
             rate = rate.min(0);
         }
         if rate <= 0 {
-            // A limit that was lowered follows the tool back.
+            // A lowered limit follows the returning tool.
             self.limit = law.limit.max(away);
         }
         if away < NOTHING && rate <= 0 {
@@ -445,7 +478,8 @@ impl AdmittanceAxis {
         self.yielding(limited)
     }
 
-    /// A reference that creeps moves nothing: the drive and the level with which the tool moves at the creep rate at least, or rests.
+    /// A creeping reference moves nothing. Returns the driving force and the level with which the
+    /// tool moves at least at the creep rate, or rests.
     #[inline]
     fn rest(&mut self, push: &DrivingForce, drive: i32, level: usize) -> (i32, usize) {
         let law = &self.law;
@@ -466,7 +500,7 @@ impl AdmittanceAxis {
         (if error < creeping { least } else { drive }, level)
     }
 
-    /// What moves the virtual mass outward, 2^-16 N, within +-2^27.
+    /// Driving force outward, 2^-16 N, within +-2^27.
     #[inline]
     fn drive(&self, push: &DrivingForce, force: i32, level: usize) -> i32 {
         if push.held {
@@ -483,7 +517,8 @@ impl AdmittanceAxis {
         let desired = law.settings.desired.0;
         let desired_rate = outward(push.desired_rate.0.max(-i32::MAX));
         let mut drive = outward(force).wrapping_sub(desired);
-        // An axis that is not under control resists nothing: its guard may look on, but must not move the tool.
+        // An axis without force control has no damping: its monitor may run but must not move the
+        // tool.
         if level > 0 && push.active {
             // D p_d', 2^-16 N: a product of words.
             let added = law.added.get(level).copied().unwrap_or(0);
@@ -498,7 +533,8 @@ impl AdmittanceAxis {
             Gate::Positive => self.upward,
             Gate::Negative => !self.upward,
         };
-        // From where it is desired only a force above f_d moves the tool, not what the guard holds against the desired motion.
+        // From displacement 0 only a force above f_d moves the tool, not the damping against the
+        // desired motion.
         let open = open && (self.away > 0 || outward(force) > desired);
         let most = if open { Force::MOST.0 } else { 0 };
         drive.min(most).max(-Force::MOST.0)
@@ -512,7 +548,8 @@ impl AdmittanceAxis {
         } else {
             rate.wrapping_neg()
         };
-        // 2^-20 mm/s times periods per second in Q16: 2^-36, to 2^-12 mm/s^2. The rate is below 2^31 * (1 - 2^-8): see `AdmittanceLaw::begin`.
+        // 2^-20 mm/s times control periods per second in Q16: 2^-36, to 2^-12 mm/s^2. The rate is
+        // below 2^31 * (1 - 2^-8): see `AdmittanceLaw::begin`.
         let change = i64::from(rate).wrapping_sub(i64::from(self.shown.0));
         let acceleration = multiply_shift(saturate(change), self.law.frequency as i32, 24);
         self.shown = Rate(rate);

@@ -1,17 +1,22 @@
-//! Force control: from the codes of a force sensor to the displacement by which the tool yields.
+//! Force control: from the codes of a force sensor to the compliant displacement.
 //!
-//! Two stages of the corridor are here. *Sense* ([`ForceControl::measure`]): codes to forces on the tool ([`conditioning`]), their peak over a revolution of the spindle ([`peak`]), and whether sensor and
-//! contact can be believed. *Yield* ([`ForceControl::advance`]): the compliant displacement p_c of x, y and z of the work ([`compliance`], [`pole`]) under the eye of [`stability_monitor`]; the reference of
-//! the kinematics is p_r = p_d + p_c (docs/control.md (3.31)-(3.33)).
+//! This module implements two stages of the control cycle. *Measure* ([`ForceControl::measure`])
+//! turns codes into forces on the tool ([`sensor`]) and their peak over a spindle revolution
+//! ([`window_peak`]), and decides whether sensor and contact are valid. *Comply*
+//! ([`ForceControl::advance`]) computes the compliant displacement p_c of x, y and z in workpiece
+//! coordinates ([`admittance`], [`zero_order_hold`]), supervised by the contact-stability monitor
+//! ([`stability`]). The reference of the kinematics is p_r = p_d + p_c (docs/control.md
+//! (3.31)-(3.33)).
 //!
 //! | part | units | limits |
 //! | --- | --- | --- |
 //! | forces | 2^-16 N, reaction on the tool (docs/control.md 1.3) | +-2048 N |
 //! | p_c | 2^-40 mm | 64 mm, or less by its settings |
 //! | K_A, K_V | 2^-16 N s^2/mm, 2^-16 N s/mm | 2^-18 <= K_V T / K_A, and K_A >= K_V T at the highest level of damping |
-//! | stiffness of the contact | N/mm | the guard answers for 1000 |
+//! | contact stiffness | N/mm | up to 1000, the range of the contact-stability monitor |
 //!
-//! Misuse: feeding a desired rate that is not the one that is added. The gate and the guard would act for a motion that does not happen.
+//! Callers must pass the desired rate of the motion to which p_c is added. With another rate, the
+//! enable condition and the contact-stability monitor act on a motion that does not happen.
 
 pub mod admittance;
 pub mod sensor;
@@ -31,28 +36,29 @@ use serde::{Deserialize, Serialize};
 use stability::{Sign, StabilityMonitor};
 use window_peak::{Extremes, SlidingMinMax, Window};
 
-/// The loop of one axis.
+/// Force control settings of one axis.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct LoopSettings {
-    /// f_d, a magnitude: the side on which it acts is that of the contact.
+    /// f_d, a magnitude: it acts on the side of the contact.
     pub desired: Force,
     /// K_A.
     pub mass: VirtualMass,
     /// K_V.
     pub damping: VirtualDamping,
-    /// The most that the tool yields.
+    /// Compliance limit.
     pub limit: Length,
-    /// The fastest that it yields, and returns.
+    /// Largest rate of the compliant displacement, away and back.
     pub rate: Rate,
-    /// When it yields.
+    /// Enable condition.
     pub gate: Gate,
 }
 
 impl LoopSettings {
-    /// The least desired force: 0.5 N, 40 codes of a sensor of +-100 N.
+    /// Smallest force setpoint: 0.5 N, 40 codes of a sensor of +-100 N.
     ///
-    /// 0 is no force control but a tool that yields to noise and never returns (its return is f_d / K_V): switch the axis off instead. A negative one has no meaning, since
-    /// the sign is that of the contact. Below 40 codes, drift and noise move the tool.
+    /// A force setpoint of 0 makes the tool follow noise and never return (its return rate is f_d /
+    /// K_V): callers must disable the axis instead. A negative one has no meaning, since the sign
+    /// is that of the contact. Below 40 codes, drift and noise move the tool.
     pub const LEAST_DESIRED: Force = Force::millinewtons(500);
 }
 
@@ -82,25 +88,30 @@ impl From<&LoopSettings> for ForceLoop {
     }
 }
 
-/// Everything that the machine file says of force control.
+/// Force control section of the configuration.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct ForceConfig {
     /// The sensor.
     pub sensor: Sensor,
-    /// The loops of x, y, z.
+    /// Force control settings of x, y, z.
     pub axes: [LoopSettings; COMPONENTS],
-    /// Axes that are under force control after a start: bit 0 for x.
+    /// Axes under force control after a start: bit 0 for x.
     pub mask: u8,
-    /// How late the tool follows its reference, microseconds.
+    /// Lag of the tool behind its reference, microseconds.
     pub drive_lag_us: u16,
-    /// The slowest rate at which the drives follow their reference, in spite of friction and lost motion: on a stiff contact the tool moves as fast or rests. 0 for drives that follow at any rate.
+    /// Creep rate: the slowest rate that the drives follow in spite of friction and lost motion. On
+    /// a stiff contact the tool moves at this rate or faster, or is at standstill. 0 for drives
+    /// that follow any rate.
     pub creep: Rate,
-    /// The slowest speed of the spindle at which force control works, rev/min: it gives the longest window of the peak.
+    /// Slowest spindle speed at which force control works, rev/min. It sets the longest window of
+    /// the peak force.
     pub slowest_rpm: u16,
 }
 
 impl ForceConfig {
-    /// What the guard counts on from a motion of the tool to a change of the seen force: one revolution, the drive, and a period and a half. Microseconds.
+    /// Delay that the contact-stability monitor assumes from a motion of the tool to a change of
+    /// the peak force: one revolution, the drive lag, and one and a half control periods.
+    /// Microseconds.
     #[must_use]
     pub fn delay_us(&self, period_us: u16) -> u32 {
         let revolution = 60_000_000 / u32::from(self.slowest_rpm.max(1));
@@ -115,14 +126,14 @@ impl ForceConfig {
     }
 }
 
-/// A law that is being worked out, one level in a period.
+/// Admittance law in preparation, one damping level per control period.
 #[derive(Debug, Clone)]
 struct Preparing {
     law: AdmittanceLaw,
     next: usize,
 }
 
-/// One axis.
+/// State of one axis.
 #[derive(Debug, Clone)]
 struct Axis {
     peaks: SlidingMinMax,
@@ -130,7 +141,7 @@ struct Axis {
     compliance: AdmittanceAxis,
     stability_monitor: StabilityMonitor,
     preparing: Option<Preparing>,
-    /// Periods until the next look.
+    /// Control periods until the next update of the contact-stability monitor.
     until_look: u16,
 }
 
@@ -147,26 +158,27 @@ pub struct ForceControl {
     axes: [Axis; COMPONENTS],
     mask: u8,
     rpm: i16,
-    /// Periods since the spindle was switched off.
+    /// Control periods since the spindle was switched off.
     stopped: u16,
-    /// The tool stays where it is: the forces are not believed.
+    /// Hold the compliant displacement, because the forces are invalid.
     held: bool,
-    /// No axis is under force control for the time being.
+    /// Force control is disabled on all axes for now.
     suspended: bool,
-    /// A force that is too large was there before the machine began to move.
+    /// The overload was present before the machine began to move.
     known: bool,
-    /// A law was adopted in this period.
+    /// A law was adopted in this control period.
     adopted: bool,
     condition: Option<ForceProblem>,
     yielding: [Yielding; COMPONENTS],
-    /// No axis is under force control, none has yielded, and no law is being worked out: there is nothing to do in *yield*.
+    /// The *comply* stage is inactive: no axis is under force control, all displacements are 0, and
+    /// no law is in preparation.
     is_inactive: bool,
 }
 
 constants!(ForceControl { slowest_rpm, period_us, delay_us, creep } of { conditioner }
     but { axes, mask, rpm, stopped, held, suspended, known, adopted, condition, yielding, is_inactive });
 
-/// What is worked out from a configuration before it is taken.
+/// Values computed from a configuration before it is activated.
 #[derive(Debug, Clone)]
 pub struct Design {
     window: Window,
@@ -174,10 +186,11 @@ pub struct Design {
 }
 
 impl Design {
-    /// Checks a configuration and works out its laws: some 10^5 instructions.
+    /// Checks a configuration and computes its admittance laws: some 10^5 instructions.
     ///
     /// # Errors
-    /// The axis, if it is one's fault, and what is wrong.
+    ///
+    /// Returns the axis, if the error concerns one, and the refused parameter with its bound.
     #[cold]
     #[inline(never)]
     pub fn new(
@@ -192,7 +205,7 @@ impl Design {
             return Err(refuse(ForceParameter::Axis, COMPONENTS as i32 - 1));
         }
         let Some(window) = config.window(period_us) else {
-            // 2048 samples hold a revolution.
+            // A revolution must fit 2048 samples.
             let bound = 60_000_000 / (2048 * i32::from(period_us.max(1))) + 1;
             return Err(refuse(ForceParameter::SlowestSpindle, bound));
         };
@@ -210,14 +223,15 @@ impl Design {
     }
 }
 
-/// How long a spindle runs on after it was switched off, microseconds.
+/// Run-down time of the spindle after it is switched off, microseconds.
 const RUN_DOWN_US: u32 = 1_000_000;
 
 impl ForceControl {
-    /// The force control of a configuration.
+    /// Creates the force control of a configuration.
     ///
     /// # Errors
-    /// The axis, if it is one's fault, and what is wrong.
+    ///
+    /// Returns the axis, if the error concerns one, and the refused parameter with its bound.
     pub fn new(
         config: &ForceConfig,
         period_us: u16,
@@ -225,7 +239,7 @@ impl ForceControl {
         Ok(Self::of(config, Design::new(config, period_us)?, period_us))
     }
 
-    /// The force control of a configuration that was checked.
+    /// Creates the force control of a checked configuration.
     #[must_use]
     pub fn of(config: &ForceConfig, design: Design, period_us: u16) -> Self {
         let Design { window, laws } = design;
@@ -260,8 +274,9 @@ impl ForceControl {
         }
     }
 
-    /// Stage *sense*: the sample of this period, the commanded speed of the spindle, where the tool was measured (or wanted, where there is no certified pose), the angle of the table, and
-    /// whether nothing touches the tool.
+    /// Runs the *measure* stage with the sample of this control period, the commanded spindle
+    /// speed, the measured position of the tool (the commanded one without a certified pose), the
+    /// angle of the table, and whether the tool is unloaded.
     #[inline]
     pub fn measure(
         &mut self,
@@ -306,7 +321,7 @@ impl ForceControl {
         self.condition = found;
     }
 
-    /// Another speed of the spindle: another window. A standing spindle leaves the window as it was.
+    /// Adapts the window to another spindle speed. A stopped spindle keeps its window.
     #[cold]
     #[inline(never)]
     fn turn(&mut self, rpm: i16) {
@@ -321,11 +336,13 @@ impl ForceControl {
         }
     }
 
-    /// Whether nothing touches the tool, as far as it can be known; `active` while something moves or may move.
+    /// Whether the tool is known to be unloaded; `active` while anything moves or may move.
     ///
-    /// The answer decides whether a mean force is called drift. A cut, or a tool that has yielded, is a load. So the spindle must have been off for as long as it runs on, and no axis
-    /// may have yielded. While the machine moves a force of half the desired one is taken for a contact; drift is found on its way there. At rest it is not: a zero that wandered
-    /// far, and something that leans on the tool, must both be gone before a job begins.
+    /// The answer decides whether a mean force counts as drift. A cut and a displaced tool are
+    /// loads, so the spindle must have been off for its run-down time, and all displacements must
+    /// be 0. While the machine moves, a force of half the force setpoint counts as a contact; drift
+    /// is found before it reaches that force. At standstill it does not: a large zero error and an
+    /// object that leans on the tool must both be removed before a job begins.
     #[must_use]
     #[inline]
     pub fn unloaded(&self, active: bool) -> bool {
@@ -338,22 +355,23 @@ impl ForceControl {
                     .any(|axis| axis.stability_monitor.touching()))
     }
 
-    /// What is wrong with sensor or contact in this period.
+    /// The problem of sensor or contact in this control period.
     #[must_use]
     pub const fn condition(&self) -> Option<ForceProblem> {
         self.condition
     }
 
-    /// Whether the sensor can be believed: nothing is wrong with it but, at most, that the force is large.
+    /// Whether the sensor is valid: it has no problem except a large force.
     #[must_use]
     pub fn is_valid(&self) -> bool {
         self.condition.as_ref().is_none_or(is_force)
     }
 
-    /// What must stop a machine that moves; `jogged` says that a person moves it.
+    /// The condition that must stop a moving machine; `jogged` while the operator jogs it.
     ///
-    /// A force beyond its limit stops always, except that a person may jog away from one that was there before: otherwise nobody could. A sensor that cannot be believed stops what is
-    /// under force control; without force control, nothing hangs on it.
+    /// A force beyond its limit always stops the machine, with one exception: the operator may jog
+    /// away from an overload that was already present. An invalid sensor stops the machine only
+    /// under force control.
     #[must_use]
     #[inline]
     pub fn stop_condition(&self, jogged: bool) -> Option<ForceProblem> {
@@ -366,7 +384,8 @@ impl ForceControl {
         counts.then_some(problem)
     }
 
-    /// Minds whether the machine moves: a tare ends with it, and a force that is too large is known from before. To be told in every period.
+    /// Updates the overload monitor; callers must call it in every control period. Motion cancels a
+    /// tare. An overload already present at the start of motion is remembered.
     #[inline]
     pub fn update_overload(&mut self, active: bool) {
         let large = self.condition.as_ref().is_some_and(is_force);
@@ -376,20 +395,20 @@ impl ForceControl {
         }
     }
 
-    /// How a tare ended, once.
+    /// Takes the result of a tare.
     #[inline]
     pub const fn take_tare_result(&mut self) -> Option<Result<(), TareRefusal>> {
         self.conditioner.take_tare_result()
     }
 
-    /// Stage *yield*: one period of the loops with the rates of the desired motion.
+    /// Runs one control period of the *comply* stage with the rates of the desired motion.
     pub fn advance(&mut self, desired_rates: &[Rate; COMPONENTS]) -> &[Yielding; COMPONENTS] {
         self.prepare();
         let tared = self.conditioner.tared();
         for (component, axis) in self.axes.iter_mut().enumerate() {
             let active = tared && !self.suspended && self.mask & (1 << component) != 0;
             if !active && axis.compliance.is_at_rest() {
-                // Nothing pushes it, and it has nowhere to return from.
+                // No driving force, and no displacement to return from.
                 self.yielding[component] = Yielding::default();
                 continue;
             }
@@ -410,14 +429,14 @@ impl ForceControl {
         &self.yielding
     }
 
-    /// Whether no axis is under force control, nothing has yielded, and no settings wait: then [`ForceControl::advance`] would change nothing, and need not be
-    /// called.
+    /// Whether no axis is under force control, all displacements are 0, and no settings wait.
+    /// [`ForceControl::advance`] would then change nothing, and callers may skip it.
     #[must_use]
     pub const fn is_inactive(&self) -> bool {
         self.is_inactive
     }
 
-    /// Works out one level of one law that was changed: some 2000 instructions in a period.
+    /// Computes one damping level of one changed law: some 2000 instructions per control period.
     fn prepare(&mut self) {
         self.adopted = false;
         for axis in &mut self.axes {
@@ -436,7 +455,9 @@ impl ForceControl {
         }
     }
 
-    /// The reference p_d + p_c was refused: takes the displacements of this period back. Try once more with these; if that is refused too, it is p_d that cannot be.
+    /// Rolls back the displacements of this control period after the reference p_d + p_c was
+    /// refused. Callers must try again with these displacements; if the reference is refused again,
+    /// p_d itself is not reachable.
     pub fn roll_back(&mut self) -> &[Yielding; COMPONENTS] {
         for (axis, yielding) in self.axes.iter_mut().zip(&mut self.yielding) {
             *yielding = axis.compliance.roll_back();
@@ -444,14 +465,14 @@ impl ForceControl {
         &self.yielding
     }
 
-    /// One axis may have yielded no further than `most`: the rest is taken back.
+    /// Clamps the displacement of one axis to `most`.
     pub fn clamp_displacement(&mut self, component: usize, most: Displacement) {
         if let Some(axis) = self.axes.get_mut(component) {
             self.yielding[component] = axis.compliance.clamp_displacement(most);
         }
     }
 
-    /// One period with the drives off: nothing is held where it yielded to.
+    /// Runs one control period with the drives off: resets the compliant displacement.
     pub fn release(&mut self) {
         self.prepare();
         if self.displaced() || self.held {
@@ -459,7 +480,7 @@ impl ForceControl {
         }
     }
 
-    /// Whether the tool has yielded.
+    /// Whether any compliant displacement differs from 0.
     #[must_use]
     #[inline]
     pub fn displaced(&self) -> bool {
@@ -468,7 +489,7 @@ impl ForceControl {
             .any(|axis| axis.compliance.displacement() != Displacement::default())
     }
 
-    /// Whether the tool is yielding, or returning.
+    /// Whether any compliant displacement changes.
     #[must_use]
     pub fn moves(&self) -> bool {
         self.yielding
@@ -476,17 +497,19 @@ impl ForceControl {
             .any(|yielding| yielding.rate != Rate::ZERO)
     }
 
-    /// The sensor must show its sign again.
+    /// Forgets the contact, so that the sensor must confirm its sign again.
     pub fn forget_contact(&mut self) {
         for axis in &mut self.axes {
             axis.stability_monitor.reset(true);
         }
     }
 
-    /// Other settings of one axis; in force some periods later, without a jump of the tool.
+    /// Changes the settings of one axis. They take effect some control periods later, without a
+    /// jump of the tool.
     ///
     /// # Errors
-    /// What is wrong, with its bound; nothing changes.
+    ///
+    /// Returns the refused parameter with its bound; nothing changes.
     pub fn set(&mut self, component: usize, settings: &LoopSettings) -> Result<(), ForceRefusal> {
         let range = self.conditioner.sensor().range(component);
         let Some(axis) = self.axes.get_mut(component) else {
@@ -508,7 +531,7 @@ impl ForceControl {
         Ok(())
     }
 
-    /// The settings of an axis that are in force.
+    /// The active settings of an axis.
     #[must_use]
     pub fn settings(&self, component: usize) -> Option<&LoopSettings> {
         self.axes
@@ -516,29 +539,33 @@ impl ForceControl {
             .map(|axis| axis.compliance.law().settings())
     }
 
-    /// Which axes are under force control: bit 0 for x. An axis that is taken out returns to the desired position at f_d / K_V.
+    /// Selects the axes under force control: bit 0 for x. A deselected axis returns to the desired
+    /// position at f_d / K_V.
     pub const fn set_mask(&mut self, mask: u8) {
         self.is_inactive = false;
         self.mask = mask & ((1 << COMPONENTS) - 1);
     }
 
-    /// Which axes are under force control.
+    /// The axes under force control: bit 0 for x.
     #[must_use]
     pub const fn mask(&self) -> u8 {
         self.mask
     }
 
-    /// The displacements stay what they are (the rates end within some periods), or not any longer: for a stop whose reason is the sensor. A tool that returned would go blindly into the work.
+    /// Holds the displacements (their rates end within some control periods), or releases them, for
+    /// a stop caused by the sensor. A returning tool would move blindly into the workpiece.
     pub const fn hold(&mut self, held: bool) {
         self.held = held;
     }
 
-    /// No axis is under force control for the time being (while the machine looks for its references): the tool only returns.
+    /// Disables force control on all axes for now (during the index search of homing);
+    /// displacements only return.
     pub const fn suspend(&mut self, suspended: bool) {
         self.suspended = suspended;
     }
 
-    /// The tool stands where it is desired: after wanted became measured. The sensor must show its sign again.
+    /// Resets the compliant displacement after the commanded position became the measured one. The
+    /// sensor must confirm its sign again.
     pub fn reset(&mut self) {
         self.held = false;
         for axis in &mut self.axes {
@@ -548,7 +575,8 @@ impl ForceControl {
         self.yielding = [Yielding::default(); COMPONENTS];
     }
 
-    /// Begins a tare; the peaks go on meanwhile. Not while the tool may touch something: that is for the caller to know.
+    /// Begins a tare; the peaks continue meanwhile. Callers must ensure that the tool touches
+    /// nothing.
     pub fn begin_tare(&mut self) {
         self.conditioner.begin_tare();
         for axis in &mut self.axes {
@@ -562,19 +590,19 @@ impl ForceControl {
         &self.conditioner
     }
 
-    /// Highest and lowest force of the last revolution.
+    /// Highest and lowest force of the last spindle revolution.
     #[must_use]
     pub fn extremes(&self) -> [Extremes; COMPONENTS] {
         self.axes.each_ref().map(|axis| axis.extremes)
     }
 
-    /// What the axes did in this period.
+    /// Compliant displacement of each axis, with its rates, in this control period.
     #[must_use]
     pub const fn yielding(&self) -> &[Yielding; COMPONENTS] {
         &self.yielding
     }
 
-    /// p_c.
+    /// Compliant displacements p_c.
     #[must_use]
     pub fn displacements(&self) -> [Displacement; COMPONENTS] {
         self.axes
@@ -582,20 +610,21 @@ impl ForceControl {
             .map(|axis| axis.compliance.displacement())
     }
 
-    /// Adds the constants of one axis to a digest. They change when settings were [changed](Self::set): see [`ForceControl::adopted`].
+    /// Adds the constants of one axis to a digest. They change after [`ForceControl::set`]: see
+    /// [`ForceControl::adopted`].
     pub fn digest_axis(&self, component: usize, digest: &mut Digest) {
         if let Some(axis) = self.axes.get(component) {
             Constants::digest(axis, digest);
         }
     }
 
-    /// Whether the settings of an axis changed in this period.
+    /// Whether the settings of an axis took effect in this control period.
     #[must_use]
     pub const fn adopted(&self) -> bool {
         self.adopted
     }
 
-    /// How the forces stand, for telemetry.
+    /// Force telemetry.
     #[must_use]
     pub fn telemetry(&self) -> ForceTelemetry {
         let extremes = self.extremes();
@@ -609,7 +638,7 @@ impl ForceControl {
         }
     }
 
-    /// Levels of damping.
+    /// Damping levels.
     #[must_use]
     pub fn levels(&self) -> [u8; COMPONENTS] {
         self.axes

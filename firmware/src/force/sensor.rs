@@ -1,25 +1,42 @@
-//! From the codes of a three-component sensor to the force on the tool, and whether it can be believed.
+//! Conversion of the codes of a three-component sensor to the force on the tool, with validity
+//! checks.
 //!
-//! The sensor is a quartz element under the work with a charge amplifier and a 14-bit converter (docs/control.md 1.2, 7.1 items 24-26). It measures what the tool does to the
-//! work; the force that everything else here speaks of is the reaction on the tool (docs/control.md 1.3), so a channel usually has a negative scale.
+//! The sensor is a quartz element under the workpiece with a charge amplifier and a 14-bit
+//! converter (docs/control.md 1.2, 7.1 items 24-26). It measures the force of the tool on the
+//! workpiece. All other modules use the reaction on the tool (docs/control.md 1.3), so a channel
+//! usually has a negative scale.
 //!
-//! | watch | what it says | why its limit is right |
+//! | check | condition | reason for its limit |
 //! | --- | --- | --- |
-//! | silent | no new conversion for `silent_samples` periods | a counter of conversions, so an old value cannot pass for a new one |
-//! | overload | the amplifier says so, or a code beyond `saturation` for 3 samples in a row | beyond 95 % the peak is not known; a single sample may be a spark |
-//! | stuck | the same code `stuck_samples` times in a row | see below |
-//! | drift | the mean force while nothing touches the tool is beyond `drift` | a charge leaks away, and an amplifier's zero wanders; cutting hides it, so it is looked for only unloaded |
-//! | limit | a force beyond `limit`, not saturated | the tool, the work or the sensor would suffer: the spindle stands, or the feed is wrong |
+//! | silent | no new conversion for `silent_samples` periods | the conversion counter tells old values from new |
+//! | overload | the amplifier reports it, or 3 codes in a row beyond `saturation` | see **Overload** |
+//! | stuck | the same code `stuck_samples` times in a row | see **Stuck** |
+//! | drift | the mean force of the unloaded tool is beyond `drift` | see **Drift** |
+//! | limit | a force beyond `limit`, not saturated | see **Limit** |
 //!
-//! **Stuck.** A converter behind quartz and charge amplifier has noise. With a deviation of s codes, a code repeats with a probability of at most erf(1 / (2 sqrt 2 s)), when the
-//! signal stands in the middle of a code: 0.90 for s = 0.3. 500 repetitions (0.1 s at 200 us) then happen with 1e-22, not once in the life of the machine (1e13 samples a century and channel). Noise below 0.25
-//! codes (0.954; 500 times: 6e-11, once in 40 days) needs more samples or dither. 0 switches the watch off, for a sensor without noise.
+//! **Overload.** Beyond 95 % of the range the peak is unknown. A single sample may be a spark.
 //!
-//! **Tare.** The mean of `tare_samples` becomes the zero. It is refused when the codes move by more than `tare_spread` (the spindle runs, the machine moves, a hand is on the table), when a channel
-//! does not move at all though it has noise (it is stuck), near saturation, and when samples are missing. The weight of the vise turns with the table: what it adds at another angle than that of the
-//! tare is taken off by [`Conditioner::set_table`].
+//! **Drift.** Charge leaks, and the zero of an amplifier wanders. Cutting hides drift, so only the
+//! unloaded tool is checked.
 //!
-//! Arithmetic: codes are held within 14 bits, scales within 0.5 N a code, so a force is below 2^15 codes * 0.5 N: no input overflows.
+//! **Limit.** Beyond it tool, workpiece or sensor are at risk: the spindle is stopped, or the feed
+//! is wrong.
+//!
+//! **Stuck.** A converter behind a quartz element and a charge amplifier has noise. With a standard
+//! deviation of s codes, a code repeats with a probability of at most erf(1 / (2 sqrt 2 s)),
+//! reached when the signal is in the middle of a code: 0.90 for s = 0.3. 500 repetitions (0.1 s at
+//! 200 us) then have a probability of 1e-22, less than once in the life of the machine (1e13
+//! samples per century and channel). Noise below 0.25 codes (0.954; 500 times: 6e-11, once in 40
+//! days) needs more samples or dither. 0 disables the check, for a sensor without noise.
+//!
+//! **Tare.** The mean of `tare_samples` becomes the zero. A tare is refused if the codes vary by
+//! more than `tare_spread` (the spindle runs, the machine moves, a person touches the table), if a
+//! channel with noise does not vary (it is stuck), near saturation, and if samples are missing. The
+//! weight of the vise turns with the table. [`Conditioner::set_table`] subtracts the change of its
+//! share since the tare.
+//!
+//! Codes are clamped to 14 bits and scales are limited to 0.5 N per code, so a force is below 2^15
+//! codes * 0.5 N: no input overflows.
 
 use crate::config::digest::constants;
 use haptimill_math::force::Force;
@@ -31,47 +48,48 @@ use serde::{Deserialize, Serialize};
 pub use crate::io::{COMPONENTS, ForceSample};
 pub use haptimill_protocol::force::{ForceProblem, TareRefusal};
 
-/// The largest code of a 14-bit converter.
+/// Largest code of a 14-bit converter.
 pub const CODE_MOST: i16 = 8191;
 
-/// Samples in a row beyond saturation that are an overload.
+/// Consecutive samples beyond saturation that are an overload.
 const OVERLOAD_SAMPLES: u8 = 3;
 
-/// Time constant of the mean that is watched for drift: 2^9 samples (0.1 s at 200 us).
+/// Time constant of the mean of the drift check: 2^9 samples (0.1 s at 200 us).
 const DRIFT_SHIFT: u32 = 9;
 
 /// One channel of the sensor.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Channel {
-    /// Force on the tool per code, 2^-32 N, up to 0.5 N; negative where a positive code is a push of the tool on the work. 10 N/V at 1.2207 mV a code: 52,428,800.
+    /// Force on the tool per code, 2^-32 N, up to 0.5 N; negative if a positive code is a push of
+    /// the tool on the workpiece. 10 N/V at 1.2207 mV per code: 52,428,800.
     pub per_code: i32,
-    /// Codes of this magnitude, and beyond, are saturated: 7782 is 95 %.
+    /// Codes of this magnitude or more are saturated: 7782 is 95 %.
     pub saturation: i16,
 }
 
-/// The sensor and its watches.
+/// Sensor settings and the limits of its checks.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Sensor {
-    /// x, y, z of the work.
+    /// x, y, z in workpiece coordinates.
     pub channels: [Channel; COMPONENTS],
-    /// Periods without a new sample that are borne.
+    /// Largest accepted number of control periods without a new sample.
     pub silent_samples: u16,
-    /// Equal codes in a row that are a stuck channel; 0 switches the watch off.
+    /// Consecutive equal codes that are a stuck channel; 0 disables the check.
     pub stuck_samples: u16,
-    /// Largest mean force while nothing touches the tool.
+    /// Largest mean force of the unloaded tool.
     pub drift: Force,
     /// Largest force.
     pub limit: Force,
-    /// Samples of a tare, 16 to 32768.
+    /// Number of samples of a tare, 16 to 32768.
     pub tare_samples: u16,
-    /// Codes from lowest to highest that a tare bears.
+    /// Largest accepted spread of the codes during a tare, highest minus lowest.
     pub tare_spread: u16,
-    /// Weight of what the sensor carries and the table tilts; 0 where it does not tilt.
+    /// Weight on the sensor that tilts with the table; 0 if none does.
     pub weight: Force,
 }
 
 impl Sensor {
-    /// Whether the values make sense.
+    /// Whether the settings are consistent.
     #[must_use]
     pub fn is_sound(&self) -> bool {
         self.channels.iter().all(|channel| {
@@ -89,7 +107,7 @@ impl Sensor {
             && self.weight <= Force::MOST
     }
 
-    /// The largest force that a channel shows.
+    /// Largest force that a channel can measure.
     #[must_use]
     pub fn range(&self, component: usize) -> Force {
         self.channels.get(component).map_or(Force::ZERO, |channel| {
@@ -107,19 +125,20 @@ struct Tare {
     highs: [i16; COMPONENTS],
 }
 
-/// One channel's memory.
+/// State of one channel.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 struct Memory {
-    /// Zero, codes with 8 more bits.
+    /// Zero, in codes with 8 more bits.
     zero: i32,
     code: i16,
     repeated: u16,
     saturated: u8,
-    /// Mean force while unloaded, with [`DRIFT_SHIFT`] more bits.
+    /// Mean force of the unloaded tool, with [`DRIFT_SHIFT`] more bits.
     mean: i64,
 }
 
-/// Whether a problem is a force that is too large, and not a sensor that is broken: a saturated channel may be either.
+/// Whether a problem is an excessive force rather than a broken sensor. A saturated channel may be
+/// either and counts as a force.
 #[must_use]
 pub const fn is_force(problem: &ForceProblem) -> bool {
     matches!(
@@ -128,16 +147,16 @@ pub const fn is_force(problem: &ForceProblem) -> bool {
     )
 }
 
-/// The sensor at work.
+/// Conversion and checks of the sensor's samples.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Conditioner {
     sensor: Sensor,
     memories: [Memory; COMPONENTS],
     forces: [Force; COMPONENTS],
-    /// What the weight adds now, less what it added at the tare.
+    /// Share of the weight now, minus its share at the tare.
     weight: [Force; COMPONENTS],
     table: Angle,
-    /// Sine and cosine of the table at the tare, Q30.
+    /// Sine and cosine of the table angle at the tare, Q30.
     tared_at: (i32, i32),
     tared: bool,
     conversions: u8,
@@ -149,7 +168,7 @@ pub struct Conditioner {
 constants!(Conditioner { sensor } of {} but { memories, forces, weight, table, tared_at, tared, conversions, silent, tare, last_tare });
 
 impl Conditioner {
-    /// For a sound sensor; nothing is tared.
+    /// Creates the conditioner of a sound sensor, without a tare.
     #[must_use]
     pub fn new(sensor: &Sensor) -> Self {
         Self {
@@ -173,13 +192,13 @@ impl Conditioner {
         &self.sensor
     }
 
-    /// Force on the tool, held within the range of [`Force::MOST`].
+    /// Force on the tool, clamped to [`Force::MOST`].
     #[must_use]
     pub const fn forces(&self) -> &[Force; COMPONENTS] {
         &self.forces
     }
 
-    /// Whether a zero is known.
+    /// Whether a tare succeeded.
     #[must_use]
     pub const fn tared(&self) -> bool {
         self.tared
@@ -196,7 +215,7 @@ impl Conditioner {
         });
     }
 
-    /// The machine moves: a tare that runs ends without a new zero.
+    /// Cancels a running tare because the machine moves; the zero does not change.
     #[inline]
     pub fn interrupt_tare(&mut self) {
         self.end_tare(Err(TareRefusal::Interrupted));
@@ -208,20 +227,21 @@ impl Conditioner {
         self.tare.is_some()
     }
 
-    /// How the last tare ended, once.
+    /// Takes the result of the last tare.
     #[inline]
     pub const fn take_tare_result(&mut self) -> Option<Result<(), TareRefusal>> {
         self.last_tare.take()
     }
 
-    /// How the last tare ended; `None` while one runs, and before the first.
+    /// Result of the last tare; `None` during a tare and before the first.
     #[must_use]
     pub const fn tare_result(&self) -> Option<Result<(), TareRefusal>> {
         self.last_tare
     }
 
-    /// Tells the angle of the table (alpha, docs/control.md (3.15)-(3.16)), from which the share of the weight follows: +W sin alpha along y, +W cos alpha along z of the work, as a reaction on the tool
-    /// would show. Costs a sine: once in some periods is enough.
+    /// Sets the angle of the table (alpha, docs/control.md (3.15)-(3.16)) for the share of the
+    /// weight: +W sin alpha along y and +W cos alpha along z of the workpiece, as a reaction on the
+    /// tool would appear. It computes a sine, so callers may call it once in some control periods.
     #[inline]
     pub fn set_table(&mut self, angle: Angle) {
         if self.sensor.weight.0 == 0 || angle == self.table {
@@ -251,7 +271,8 @@ impl Conditioner {
         ];
     }
 
-    /// Takes the sample of a period; `unloaded` says that nothing touches the tool, as far as the controller knows. Gives what ends force control.
+    /// Processes the sample of a control period; `unloaded` states that nothing touches the tool,
+    /// as far as the controller knows. Returns the problem that ends force control.
     #[inline]
     pub fn take(&mut self, sample: &ForceSample, unloaded: bool) -> Option<ForceProblem> {
         if sample.conversions == self.conversions {
@@ -270,7 +291,7 @@ impl Conditioner {
         for component in 0..COMPONENTS {
             let code = sample.codes[component].clamp(-CODE_MOST - 1, CODE_MOST);
             let seen = self.look(component, code, unloaded);
-            // A force that is too large stops the machine even where nothing is under force control: nothing else may hide it.
+            // An excessive force stops the machine even without force control, so it has priority.
             let graver =
                 !found.as_ref().is_some_and(is_force) && seen.as_ref().is_some_and(is_force);
             found = if graver { seen } else { found.or(seen) };
@@ -388,7 +409,7 @@ impl Conditioner {
         Ok(())
     }
 
-    /// A refused tare leaves the zero that was.
+    /// Stores the result; a refused tare keeps the previous zero.
     #[inline]
     fn end_tare(&mut self, result: Result<(), TareRefusal>) {
         if self.tare.take().is_some() {

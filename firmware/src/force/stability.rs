@@ -1,68 +1,89 @@
-//! The stability guard: what a stiff contact would feed into the force loop is damped before it can.
+//! Contact-stability monitor: raises the damping of the admittance law on a stiff contact.
 //!
-//! **The energy.** The force that the loop sees is late: a peak over a revolution falls up to one revolution after the force, the drive lags, a period passes. Let the whole delay be tau. On
-//! a contact of stiffness k an oscillation of the tool sees F(t - tau) = -k p(t - tau), of which the part in phase with the rate is +k sin(w tau)/w p': negative damping, at most k tau. In a cycle
-//! of amplitude A it feeds pi k tau w A^2 into the loop, and K_V takes pi K_V w A^2 out. A loop with a damping of at least k tau takes out more than it is fed.
+//! **Energy.** The force in the loop is late: the peak over a revolution falls up to one revolution
+//! after the force, and drive and control period add to the delay. Let the total delay be tau. On a
+//! contact of stiffness k an oscillation of the tool sees F(t - tau) = -k p(t - tau). Its part in
+//! phase with the rate is +k sin(w tau)/w p': negative damping of at most k tau. In a cycle of
+//! amplitude A it adds the energy pi k tau w A^2, and K_V dissipates pi K_V w A^2. A loop with a
+//! damping of at least k tau dissipates more than it gains.
 //!
-//! The exact limit says the same. K_A s^2 + K_V s + k e^(-s tau) has its roots on the left as long as
+//! The exact limit agrees. The roots of K_A s^2 + K_V s + k e^(-s tau) are in the left half plane
+//! as long as
 //!
 //! ```text
 //! k < (K_V / tau) y / sin y     with  y tan y = K_V tau / K_A
 //! ```
 //!
-//! (421 N/mm for K_A = 1, K_V = 5, tau = 12 ms; 383 for 13.2 ms), and y / sin y is never below 1: **K_V > k tau is enough, whatever K_A is.**
+//! (421 N/mm for K_A = 1, K_V = 5, tau = 12 ms; 383 for 13.2 ms). y / sin y is never below 1, so
+//! **K_V > k tau suffices for every K_A.**
 //!
-//! **The observer.** k is measured: the regression of the peak force of the last revolution on the *deepest measured position* of the same revolution, over the last 32 looks, four in a
-//! revolution. Peak and deepest position belong together whatever the delay of the window or the drive, so the regression has no phase to lose. It counts when at least half of the change of the
-//! force is explained by the position, and when the force changes by more than [`NOISE`]. Cutting shows 10 N/mm or so: there the tool goes a long way with the force almost constant. Deepest is
-//! towards the side on which the tool is pressed. A force that changes its side, as along the axes across a plunge, is not that of one contact, and its regression begins anew: deepest positions of both sides
-//! in one regression would be a stiffness by themselves. Nor does it count while the loop is open: a tool that has not yielded, under a force up to f_d, stays where it is desired whatever the force does. So where a
-//! feed begins, and the force of the cut rises with it within some um, is no contact either.
+//! **Observer.** k is estimated by regression of the peak force of the last revolution on the
+//! *deepest measured position* of the same revolution, over the last 32 updates, four per
+//! revolution. Peak and deepest position belong together for any delay of window and drive, so the
+//! regression loses no phase. Deepest means towards the side on which the tool is pressed. The
+//! estimate counts if the position explains at least half of the change of the force, and the force
+//! changes by more than [`NOISE`]. Cutting shows about 10 N/mm, because the tool moves far at an
+//! almost constant force.
 //!
-//! **The controller.** Level 0 is K_V alone and stands for k below 20 N/mm ([`ONSET`]). Level i stands for k up to 2^i of that, with K_V or more: four times the damping
-//! that the stiffest of these needs ([`super::admittance::MARGIN`]: two for the delay that friction adds, two for the gain margin), and with critical damping: less of it swings across the lost motion of
-//! a drive without end. What is added acts between the tool and the work (p_c' + p_d'), so a steady push by the desired motion costs no force. A level is taken at once. It is left, one at a time, when [`PATIENCE`] looks have
-//! not shown a contact so stiff, and the tool has gone [`WAY`] from where it was last shown, while the force changed by less than half of what such a contact would have done on that way (the other half
-//! is for lost motion, which the encoders do not see). A tool that stands still proves nothing, and keeps its level. At level 0 the law is the equation alone.
+//! The regression restarts in two cases. A force that changes its side, as along the axes across a
+//! plunge, is not that of one contact: deepest positions of both sides in one regression would
+//! appear as a stiffness. While the loop is open (displacement 0, force up to f_d) the tool stays
+//! at the desired position whatever the force does. A cutting force that rises within some um at
+//! the start of a feed is therefore not a contact.
 //!
-//! **The sign.** By the same regression: a force that grows the further the tool goes *along* it comes from a sensor with the wrong sign. It is looked for until the first contact has
-//! shown the right one.
+//! **Controller.** Level 0 is K_V alone and covers k below 20 N/mm ([`ONSET`]). Level i covers k up
+//! to 2^i times that, with K_V or more: four times the damping that the stiffest of these contacts
+//! needs ([`super::admittance::MARGIN`]: two for the delay that friction adds, two for the gain
+//! margin), and at least critical damping, because with less the tool oscillates across the lost
+//! motion of a drive without end. The added damping acts between the tool and the workpiece (p_c' +
+//! p_d'), so a steady push by the desired motion costs no force.
 //!
-//! Misuse: a delay larger than the configured one. The levels are then too low.
+//! A level rises at once. It falls by one when three conditions hold: [`PATIENCE`] updates showed
+//! no contact of this stiffness; the tool has moved by [`WAY`] since it was last detected; the
+//! force changed by less than half of what such a contact causes over that distance. The other half
+//! allows for lost motion, which the encoders do not measure. A tool at standstill gives no
+//! evidence and keeps its level. At level 0 the law is the equation alone.
+//!
+//! **Sign.** The same regression finds a sensor with the wrong sign: its force grows as the tool
+//! moves *along* it. The check runs until the first contact shows the right sign.
+//!
+//! The delay must not exceed the configured one; otherwise the levels are too low.
 
 use super::admittance::{AdmittanceLaw, ONSET};
 use haptimill_math::Coordinate;
 use haptimill_math::force::Force;
 
-/// Weight of a look: 2^-5, a memory of 32 looks (8 revolutions).
+/// Weight of an update: 2^-5, a memory of 32 updates (8 revolutions).
 const MEMORY: u32 = 5;
 
-/// A change of the force with less than this deviation says nothing, 2^-16 N: 0.05 N.
+/// Smallest standard deviation of the force that counts as a change, 2^-16 N: 0.05 N.
 pub const NOISE: i64 = 3277;
 
-/// A deviation of the position of at least this is motion: 2^-20 mm, 0.5 um.
+/// Smallest standard deviation of the position that counts as motion: 2^-20 mm, 0.5 um.
 const MOTION: i64 = 524;
 
-/// The least deviation of the position of which a stiffness is worked out: 2^-20 mm, 1.5 um, some times what is lost in the counts of an encoder. A force that comes and goes with less is no contact that moves
-/// the loop: the tool is pushed aside by a plunge, or stands.
+/// Smallest standard deviation of the position for a stiffness estimate: 2^-20 mm, 1.5 um, a
+/// multiple of the encoder quantization. A force that varies with less motion is no contact that
+/// moves the loop: a plunge pushes the tool aside, or the tool stands still.
 const TELLING: i64 = 1573;
 
-/// Looks without a contact so stiff after which a level may be left.
+/// Updates without a contact of this stiffness after which a level may fall.
 pub const PATIENCE: u8 = 48;
 
-/// The way on which a contact must show whether it is still there, 2^-20 mm: 50 um, some times the lost motion of a drive.
+/// Distance over which a contact must show whether it persists, 2^-20 mm: 50 um, a multiple of the
+/// lost motion of a drive.
 pub const WAY: i64 = 52_429;
 
-/// Looks after which a contact that is not felt any more is gone: four revolutions.
+/// Updates without a contact force after which the contact has ended: four revolutions.
 const TOUCH: u8 = 16;
 
-/// Looks in a row with the force growing along itself that are a wrong sign.
+/// Consecutive updates with a force that grows along itself that are a wrong sign.
 const WRONG_LOOKS: u8 = 4;
 
-/// What is known of the sign of the sensor.
+/// Sign of the sensor, as far as it is known.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum Sign {
-    /// No contact yet.
+    /// No contact has occurred yet.
     #[default]
     Unknown,
     /// The force falls when the tool yields to it.
@@ -71,23 +92,24 @@ pub enum Sign {
     Wrong,
 }
 
-/// The observer of one axis.
+/// Observer of one axis.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct StabilityMonitor {
     begun: bool,
-    /// Least and greatest measured position since the last look, and in the three quarters before.
+    /// Range of the measured position since the last update, and in the three quarters before.
     now: Reach,
     quarters: [Reach; 3],
     /// Running means, 2^-20 mm and 2^-16 N, with [`MEMORY`] more bits each.
     mean_position: i64,
     mean_force: i64,
-    /// Variances and covariance in raw units squared, below 2^54.
+    /// Variances and covariance in squared raw units, below 2^54.
     position_variance: i64,
     force_variance: i64,
     covariance: i64,
     level: u8,
     calm: u8,
-    /// Deepest position and peak force when the level was last shown, or left for the one below.
+    /// Deepest position and peak force when the contact of this level was last detected, or when
+    /// the level fell.
     shown: (i32, i32),
     /// The tool is pressed downwards.
     downward: bool,
@@ -96,7 +118,7 @@ pub struct StabilityMonitor {
     sign: Sign,
 }
 
-/// Least and greatest position of a stretch of time.
+/// Range of the position in an interval.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Reach {
     low: i32,
@@ -121,29 +143,29 @@ impl Reach {
     }
 }
 
-/// Deviations are held within this: 16 mm, 256 N.
+/// Bound of the deviations: 16 mm, 256 N.
 const WIDEST: i64 = 1 << 24;
 
 impl StabilityMonitor {
-    /// The level of damping.
+    /// The damping level.
     #[must_use]
     pub fn level(&self) -> usize {
         usize::from(self.level)
     }
 
-    /// The peak force was at least half of the desired one in the last four revolutions.
+    /// Whether the peak force was at least half of the force setpoint in the last four revolutions.
     #[must_use]
     pub const fn touching(&self) -> bool {
         self.touch > 0
     }
 
-    /// What is known of the sign.
+    /// Sign of the sensor, as far as it is known.
     #[must_use]
     pub const fn sign(&self) -> Sign {
         self.sign
     }
 
-    /// Forgets the contact; `sign` says whether the sensor must show its sign again.
+    /// Forgets the contact; with `sign` the sensor must confirm its sign again.
     pub fn reset(&mut self, sign: bool) {
         *self = Self {
             sign: if sign { Sign::Unknown } else { self.sign },
@@ -151,7 +173,7 @@ impl StabilityMonitor {
         };
     }
 
-    /// Where the tool is, in every period.
+    /// Records the position of the tool in every control period.
     #[inline]
     pub fn note(&mut self, position: Coordinate) {
         self.now = self.now.with(Reach {
@@ -160,7 +182,8 @@ impl StabilityMonitor {
         });
     }
 
-    /// One look, four times in a revolution: the peak force, the law that is to be guarded, and whether the tool has yielded.
+    /// Updates the monitor, four times per revolution, with the peak force, the admittance law, and
+    /// whether the displacement differs from 0.
     #[inline(never)]
     pub fn look(&mut self, force: Force, law: &AdmittanceLaw, yielded: bool) {
         let highest = law.highest();
@@ -189,7 +212,7 @@ impl StabilityMonitor {
             self.force_variance = 0;
             self.covariance = 0;
         }
-        // What presses the tool downwards is above it.
+        // An object that presses the tool downwards is above it.
         let deepest = if self.downward { reach.high } else { reach.low };
         let position = i64::from(deepest) << MEMORY;
         let seen = i64::from(force.held().0) << MEMORY;
@@ -212,7 +235,8 @@ impl StabilityMonitor {
         }
     }
 
-    /// Whether the position explains at least half of the variance of the force, and that is more than noise.
+    /// Whether the position explains at least half of the variance of the force, and the variance
+    /// exceeds the noise.
     fn explained(&self) -> bool {
         if self.force_variance < NOISE * NOISE {
             return false;
@@ -235,7 +259,8 @@ impl StabilityMonitor {
         let mut level = 0;
         let telling = self.position_variance >= TELLING * TELLING;
         if telling && self.covariance < 0 && self.explained() {
-            // N/mm are 2^-4 raw units of force per raw unit of position, and the onset has 8 more bits.
+            // N/mm are 2^-4 raw units of force per raw unit of position, and the onset has 8 more
+            // bits.
             let fell = -self.covariance;
             let mut edge = stiff(self.position_variance);
             while level < highest && fell >= edge {
@@ -256,7 +281,7 @@ impl StabilityMonitor {
             return;
         }
         let change = (i64::from(now.1) - i64::from(self.shown.1)).abs();
-        // The softest contact of this level; half of its force: below 2^24 * 2^21.
+        // Softest contact of this level; half of its force: below 2^24 * 2^21.
         let softest = i64::from(ONSET) << (self.level - 1);
         if change < (way.min(WIDEST) * softest) >> 13 {
             self.level -= 1;
@@ -282,12 +307,13 @@ impl StabilityMonitor {
     }
 }
 
-/// A running mean of squares: `mean` goes 2^-5 of the way to `square`.
+/// Running mean of squares: `mean` moves 2^-5 of the distance to `square`.
 fn weigh(mean: i64, square: i64) -> i64 {
     mean + ((square - mean) >> MEMORY)
 }
 
-/// The fall of the force (as a covariance) that [`ONSET`] means at this variance of the position: `variance * ONSET / 2^12`, for a variance below 2^49.
+/// Fall of the force (as a covariance) of a contact of stiffness [`ONSET`] at this variance of the
+/// position: `variance * ONSET / 2^12`, for a variance below 2^49.
 fn stiff(variance: i64) -> i64 {
     let high = (variance >> 24) * i64::from(ONSET);
     let low = (variance & 0xff_ffff) * i64::from(ONSET);

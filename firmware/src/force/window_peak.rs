@@ -1,28 +1,33 @@
-//! The highest and lowest force of the last revolution of the spindle (docs/control.md 7.1 item 17).
+//! Highest and lowest force of the last spindle revolution (docs/control.md 7.1 item 17).
 //!
-//! A milling force has a crest for every tooth. What the compliance law works on is the largest magnitude of one whole revolution, sign kept: of
-//! a force that repeats every revolution this is a constant, whatever the run-out of the teeth.
+//! A milling force has a peak for every tooth. The admittance law uses the largest magnitude of one
+//! whole revolution, with its sign. For a force that repeats every revolution this value is
+//! constant, whatever the run-out of the teeth.
 //!
-//! **Rounding.** A revolution is 60 / (rpm * period) samples: 60 at 5000 rpm and 200 us, but 58.82 at 5100. The window is rounded *up*: it holds
-//! one whole revolution and less than one sample more. Rounded down it would miss the crest for one sample in every revolution, and the law would see a force
-//! that dips. A revolution of more than [`LEAVES`] samples is taken in groups of 2, 3, ... samples, of which each keeps its highest and lowest; the window then
-//! holds one revolution and less than one group more (1/63 of a revolution).
+//! **Rounding.** A revolution is 60 / (rpm * period) samples: 60 at 5000 rpm and 200 us, but 58.82
+//! at 5100. The window is rounded *up*: it holds one whole revolution and less than one sample
+//! more. Rounded down, it would miss the peak for one sample in every revolution, and the law would
+//! see a dip. A revolution of more than [`LEAVES`] samples uses groups of 2, 3, ... samples, each
+//! with its highest and lowest force. The window then holds one revolution and less than one group
+//! more (1/63 of a revolution).
 //!
-//! **Cost.** A tournament tree over a ring: a new sample is one leaf and those of its log2(window) parents that it changes, at most 7 pairs of comparisons. A monotonic queue is
-//! as cheap in the mean, but takes the whole window in its worst sample.
+//! **Cost.** A tournament tree over a ring: a new sample changes one leaf and its log2(window)
+//! parents, at most 7 pairs of comparisons. A monotonic queue has the same mean cost, but its worst
+//! sample takes the whole window.
 //!
-//! Misuse: changing the window at every measured revolution. Each change keeps the present peaks for one revolution (nothing is forgotten, nothing jumps down), so a
-//! window that always changes never forgets. Use the commanded speed.
+//! Callers must set the window from the commanded speed, not from every measured revolution. Each
+//! change keeps the present peaks for one revolution, so a window that changes continually never
+//! drops an old peak.
 
 use haptimill_math::force::Force;
 
-/// The most groups of samples in a window.
+/// Largest number of groups in a window.
 pub const LEAVES: usize = 128;
 
-/// The most samples in a group: the window ends at 2048 samples, 0.41 s at 200 us.
+/// Largest number of samples in a group: the longest window is 2048 samples, 0.41 s at 200 us.
 const GROUP_MOST: u32 = 16;
 
-/// Highest and lowest force of a stretch of time.
+/// Highest and lowest force of an interval.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Extremes {
     /// Highest.
@@ -38,7 +43,7 @@ impl Default for Extremes {
 }
 
 impl Extremes {
-    /// Nothing was seen yet: less than any high, more than any low.
+    /// Neutral element: below any high, above any low.
     const NONE: Self = Self {
         high: Force(i32::MIN),
         low: Force(i32::MAX),
@@ -67,7 +72,8 @@ impl Extremes {
         }
     }
 
-    /// The force of the largest magnitude, with its sign: the *high* force of the thesis. Of two equal ones the positive one.
+    /// Force of the largest magnitude, with its sign: the *high* force of the thesis. If both are
+    /// equal, the positive one.
     #[must_use]
     pub const fn peak(&self) -> Force {
         if self.high.magnitude() >= self.low.magnitude() {
@@ -77,7 +83,7 @@ impl Extremes {
         }
     }
 
-    /// The other end: the *low* force of the thesis.
+    /// The opposite extreme: the *low* force of the thesis.
     #[must_use]
     pub const fn other(&self) -> Force {
         if self.high.magnitude() >= self.low.magnitude() {
@@ -88,24 +94,26 @@ impl Extremes {
     }
 }
 
-/// How many samples a window has.
+/// Length of a window, in groups of samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Window {
-    /// Groups in the ring, 1 to [`LEAVES`].
+    /// Number of groups in the ring, 1 to [`LEAVES`].
     leaves: u16,
-    /// Samples in a group, 1 to 16.
+    /// Number of samples in a group, 1 to 16.
     group: u16,
 }
 
 impl Window {
-    /// A window of `samples`, rounded up to whole groups; `None` for none or more than 2048.
+    /// Creates a window of `samples`, rounded up to whole groups; `None` for none or more than
+    /// 2048.
     #[must_use]
     pub const fn of(samples: u32) -> Option<Self> {
         if samples == 0 || samples > GROUP_MOST * LEAVES as u32 {
             return None;
         }
         let mut group = samples.div_ceil(LEAVES as u32);
-        // While a group is begun its oldest one is dropped: what is whole, and one sample, must be a revolution.
+        // A new group replaces the oldest one at its first sample: the complete groups plus one
+        // sample must cover a revolution.
         if (samples - 1).div_ceil(group) >= LEAVES as u32 {
             group += 1;
         }
@@ -115,7 +123,8 @@ impl Window {
         })
     }
 
-    /// One revolution at a speed (the sign is the direction), rounded up; `None` at standstill and for a speed so low that 2048 samples do not hold a revolution.
+    /// Creates a window of one revolution, rounded up; the sign of the speed is its direction.
+    /// `None` at standstill, and for a speed at which a revolution exceeds 2048 samples.
     #[must_use]
     pub const fn revolution(rpm: i16, period_us: u16) -> Option<Self> {
         // At most 32768 * 65535: fits 32 bits.
@@ -126,35 +135,36 @@ impl Window {
         Self::of(60_000_000u32.div_ceil(turned))
     }
 
-    /// The most samples that it covers: when its newest group is full.
+    /// Largest number of samples covered, when the newest group is complete.
     #[must_use]
     pub const fn samples(self) -> u32 {
         self.leaves as u32 * self.group as u32
     }
 
-    /// The fewest samples that it covers: when its newest group has been begun.
+    /// Smallest number of samples covered, when the newest group has one sample.
     #[must_use]
     pub const fn least_samples(self) -> u32 {
         (self.leaves as u32 - 1) * self.group as u32 + 1
     }
 }
 
-/// Extremes of one axis over a sliding window.
+/// Sliding min/max filter of one axis.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SlidingMinMax {
     window: Window,
-    /// Leaves of the tree: the least power of two that holds the window.
+    /// Number of leaves of the tree: the smallest power of two that holds the window.
     size: usize,
-    /// Node 1 is the root, node i has the children 2i and 2i+1, leaves begin at `size`; what lies behind them is not read.
+    /// Node 1 is the root, node i has the children 2i and 2i+1, leaves begin at `size`. Nodes
+    /// beyond the tree are not read.
     tree: [Extremes; 2 * LEAVES],
-    /// The leaf that is being filled.
+    /// Index of the leaf that is being filled.
     leaf: usize,
-    /// Samples in it.
+    /// Number of samples in that leaf.
     filled: u16,
 }
 
 impl SlidingMinMax {
-    /// A window that has seen no force.
+    /// Creates a window with zero force.
     #[must_use]
     pub fn new(window: Window) -> Self {
         let mut new = Self {
@@ -168,13 +178,14 @@ impl SlidingMinMax {
         new
     }
 
-    /// The window.
+    /// The present window.
     #[must_use]
     pub const fn window(&self) -> Window {
         self.window
     }
 
-    /// Changes the window. What was the highest and the lowest stays so for the length of the new window. The same window changes nothing.
+    /// Changes the window. The present extremes remain for the length of the new window. The same
+    /// window changes nothing.
     pub fn set_window(&mut self, window: Window) {
         if window != self.window {
             let now = self.extremes();
@@ -183,7 +194,7 @@ impl SlidingMinMax {
         }
     }
 
-    /// Forgets everything: no force was seen.
+    /// Resets the window to zero force.
     pub fn clear(&mut self) {
         self.fill(Extremes::default());
     }
@@ -193,7 +204,8 @@ impl SlidingMinMax {
     fn fill(&mut self, with: Extremes) {
         let leaves = usize::from(self.window.leaves);
         self.size = leaves.next_power_of_two();
-        // Level by level from the root: its nodes up to that of the last leaf hold the value, the others nothing.
+        // Level by level from the root: nodes up to the one above the last leaf get the value, the
+        // others are neutral.
         let (mut level, mut below) = (1, self.size);
         while level <= self.size {
             let used = leaves.div_ceil(below);
@@ -208,7 +220,7 @@ impl SlidingMinMax {
         self.filled = 0;
     }
 
-    /// Takes the force of a sample; gives the extremes of the window that ends with it.
+    /// Adds the force of a sample; returns the extremes of the window that ends with it.
     #[inline]
     pub fn push(&mut self, force: Force) -> Extremes {
         let mut now = Extremes::of(force);
@@ -229,7 +241,7 @@ impl SlidingMinMax {
             now = now.with(self.at(node ^ 1));
             node >>= 1;
             if self.at(node) == now {
-                // What is above knows no more of this node than that.
+                // Nodes above depend on this node only through this value.
                 return self.at(1);
             }
             self.put(node, now);
@@ -242,13 +254,13 @@ impl SlidingMinMax {
         self.tree[node % (2 * LEAVES)]
     }
 
-    /// Nodes are below 2 * LEAVES; the remainder, a mask, only spares the check of it.
+    /// Nodes are below 2 * LEAVES; the remainder is a mask that avoids the bounds check.
     #[inline]
     fn put(&mut self, node: usize, extremes: Extremes) {
         self.tree[node % (2 * LEAVES)] = extremes;
     }
 
-    /// The extremes of the window.
+    /// Extremes of the window.
     #[must_use]
     pub fn extremes(&self) -> Extremes {
         self.at(1)

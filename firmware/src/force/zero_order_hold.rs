@@ -1,28 +1,33 @@
-//! The exact discretisation of the compliance law (docs/control.md (3.30) and 3.3): K_A v' + K_V v = u, with u held over a period T.
+//! Exact zero-order-hold discretisation of the admittance law (docs/control.md (3.30) and 3.3): K_A
+//! v' + K_V v = u, with u constant over a control period T.
 //!
-//! With x = K_V T / K_A, a = e^-x and the rate at which it would end, w = u T / K_V (displacements in a period):
+//! With x = K_V T / K_A, a = e^-x and the terminal rate w = u T / K_V (displacements per period):
 //!
 //! ```text
 //! displacement += v - (v - w) (1 - g)     g = (1 - a) / x = 1 - x/2 (1 - x/3 (1 - x/4 (...)))
 //! v            -= (v - w) (1 - a)         1 - a = x g
 //! ```
 //!
-//! The series is summed at configuration time to 20 terms (x <= 1: the rest is below 1/22!), with an error below 2^-59; there is no division in a period. Numbers per period:
-//! 1 - g and 1 - a are right to 2^-31 of themselves, T / K_V to 2^-30. The rate keeps 17 bits below 2^-40 mm, so a rounding that returns in every
-//! period adds up to no more than 2^-37 mm a period.
+//! The series is summed at configuration time to 20 terms (x <= 1: the remainder is below 1/22!),
+//! with an error below 2^-59. The control period contains no division. 1 - g and 1 - a have a
+//! relative error of 2^-31, T / K_V of 2^-30. The rate has 17 bits below 2^-40 mm, so a rounding
+//! error in every period adds up to at most 2^-37 mm per period.
 //!
-//! Misuse: [`ZeroOrderHold::step`] needs a rate below [`RATE_BITS`]; [`super::compliance`] holds it there.
+//! Callers of [`ZeroOrderHold::step`] must keep the rate below [`RATE_BITS`]; [`super::admittance`]
+//! does.
 
 use haptimill_math::force::{VirtualDamping, VirtualMass};
 use haptimill_math::scale::{high_product, multiply_high};
 
-/// Bits of a rate below 2^-40 mm in a period: as many as 1 - a has leading zeros at most (x >= 2^-18).
+/// Bits of a rate below 2^-40 mm per control period: the largest number of leading zeros of 1 - a
+/// (x >= 2^-18).
 pub const FINENESS: u32 = 17;
 
-/// Rates stay below 2^41 * 2^-40 mm, 2 mm, in a period; with the finest scale below 2^58.
+/// Rates are below 2^41 * 2^-40 mm, 2 mm, per control period; in the finest scale below 2^58.
 pub const RATE_BITS: u32 = 41;
 
-/// Products of force and T / K_V are below 2^58, so they may be shifted by so much before they are scaled down.
+/// Products of force and T / K_V are below 2^58, so they may be shifted left by this number of bits
+/// before scaling.
 const HEADROOM: u32 = 4;
 
 /// 2^64 / k, rounded down, for the terms of the series.
@@ -36,7 +41,7 @@ const RECIPROCALS: [u64; 20] = {
     table
 };
 
-/// A part of a whole, to 31 bits: `mantissa` times 2^-(32 + deep).
+/// Fraction with 31 bits: `mantissa` times 2^-(32 + deep).
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
 pub(super) struct Part {
     /// 2^31 to 2^32.
@@ -45,7 +50,7 @@ pub(super) struct Part {
 }
 
 impl Part {
-    /// Of a number below 1 in Q63.
+    /// Creates the fraction of a number below 1 in Q63.
     pub(super) const fn new(value: u64) -> Self {
         let zeros = value.leading_zeros();
         let deep = if zeros < 1 {
@@ -61,19 +66,21 @@ impl Part {
         }
     }
 
-    /// `numerator` / `denominator`, where the denominator is larger than the numerator, and below 2^62.
+    /// `numerator` / `denominator`; the denominator must be larger than the numerator and below
+    /// 2^62.
     pub(super) fn ratio(numerator: u64, denominator: u64) -> Self {
         Self::new(ratio(numerator, denominator))
     }
 
-    /// This part of a number below 2^62, rounded down twice: at most two units too small. Two products of words.
+    /// This fraction of a number below 2^62, rounded down twice: at most two units too small. It
+    /// takes two products of words.
     #[inline]
     pub(super) const fn of(self, whole: i64) -> i64 {
         multiply_high(whole, self.mantissa).wrapping_shr(self.deep)
     }
 }
 
-/// How one period with one damping changes displacement and rate.
+/// Effect of one control period with one damping on displacement and rate.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
 pub struct ZeroOrderHold {
     /// 1 - a.
@@ -85,7 +92,7 @@ pub struct ZeroOrderHold {
     shift: u32,
 }
 
-/// Whether `mass` and `damping` with this period can be discretised: 2^-18 <= K_V T / K_A <= 1.
+/// Whether `mass` and `damping` can be discretised with this period: 2^-18 <= K_V T / K_A <= 1.
 #[must_use]
 pub const fn sound(mass: VirtualMass, damping: VirtualDamping, period_us: u16) -> bool {
     // Below 2^48 and 2^52.
@@ -95,7 +102,8 @@ pub const fn sound(mass: VirtualMass, damping: VirtualDamping, period_us: u16) -
 }
 
 impl ZeroOrderHold {
-    /// The pole of sound values (see [`sound`]); of others it is meaningless.
+    /// Creates the discretisation of values for which [`sound`] holds; for others it is
+    /// meaningless.
     #[must_use]
     pub fn new(mass: VirtualMass, damping: VirtualDamping, period_us: u16) -> Self {
         let x = ratio(
@@ -119,13 +127,15 @@ impl ZeroOrderHold {
         }
     }
 
-    /// One period under a force (2^-16 N, up to 2^27). Gives the displacement and the new rate, both in 2^-(40 + [`FINENESS`]) mm, below 2^62.
+    /// Computes one control period under a force (2^-16 N, up to 2^27). Returns the displacement
+    /// and the new rate, both in 2^-(40 + [`FINENESS`]) mm, below 2^62.
     ///
-    /// `rate` is of the same scale, below 2^([`RATE_BITS`] + [`FINENESS`]).
+    /// `rate` has the same scale and must be below 2^([`RATE_BITS`] + [`FINENESS`]).
     #[inline]
     #[must_use]
     pub const fn step(&self, force: i32, rate: i64) -> (i64, i64) {
-        // Below 2^58. 2048 N at the least K_V make 20 mm in a millisecond, 2^44.4: below 2^62 in this scale.
+        // Below 2^58. 2048 N at the smallest K_V give 20 mm in a millisecond, 2^44.4: below 2^62 in
+        // this scale.
         let wide = force as i64 * self.terminal as i64;
         let end = wide.wrapping_shl(HEADROOM).wrapping_shr(self.shift);
         let off = rate.wrapping_sub(end);
@@ -171,7 +181,8 @@ fn terminal(damping: VirtualDamping, period_us: u16) -> (i32, u32) {
             mantissa |= 1;
         }
     }
-    // mantissa 2^-30 2^-shift 2^(40 + FINENESS). K_V of 0.1 N s/mm and a period of 1 ms have a shift of 23; no sound ones have less.
+    // mantissa 2^-30 2^-shift 2^(40 + FINENESS). K_V of 0.1 N s/mm and a period of 1 ms have a
+    // shift of 23; no sound values have less.
     (
         mantissa.min(i32::MAX as u32) as i32,
         (shift + 30 + HEADROOM).saturating_sub(40 + FINENESS),

@@ -1,11 +1,13 @@
-//! The cubic that joins two setpoints.
+//! Cubic that joins two setpoints.
 //!
-//! A cubic Hermite in the fraction `s` of its span: position, rate and acceleration come from the same polynomial, so the rate that is fed
-//! forward is the derivative of the position that is followed, never a difference of positions.
+//! It is a cubic Hermite polynomial in the fraction `s` of the segment duration. Position, rate and
+//! acceleration come from the same polynomial, so the feedforward rate is the exact derivative of
+//! the position and never a difference of positions.
 //!
-//! Limits: a span lasts at most [`SPAN_MAX_US`] while anything moves (any time at rest); rates at the ends and the mean rate are below
-//! 2^31 axis units/s. [`Cubic::new`] returns `None` otherwise. The coefficients are exact but for the 2^-16 axis units to which the rates are rounded, and
-//! add up to the way to the last bit. What a period needs of them is a [`SegmentPolynomial`].
+//! Limits: a segment lasts at most [`SPAN_MAX_US`] in motion (any time at standstill). The rates at
+//! the ends and the mean rate are below 2^31 axis units/s. [`Cubic::new`] returns `None` otherwise.
+//! The coefficients are exact up to the rounding of the rates to 2^-16 axis units, and their sum is
+//! exactly the distance. A [`SegmentPolynomial`] holds the form for evaluation in every period.
 
 use super::segment::{self, SegmentPolynomial};
 use haptimill_math::reciprocal::high;
@@ -13,20 +15,21 @@ use haptimill_math::scale::{product, shift_right, total};
 use haptimill_math::{Acceleration, Coordinate, Rate};
 use haptimill_protocol::message::RATE_SHIFT;
 
-/// Longest span of a segment in which something moves, microseconds.
+/// Longest duration of a segment with motion, microseconds.
 pub const SPAN_MAX_US: u32 = 1 << 20;
 
-/// One axis between two setpoints.
+/// Cubic of one axis between two setpoints.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Cubic {
     start: Coordinate,
-    /// Coefficients of s, s^2, s^3 in 2^-16 axis units; below 2^53 (rates < 2^31 au/s, span < 2^20 us, factor 6).
+    /// Coefficients of s, s^2, s^3 in 2^-16 axis units; below 2^53 (rates < 2^31 au/s, duration <
+    /// 2^20 us, factor 6).
     c1: i64,
     c2: i64,
     c3: i64,
 }
 
-/// The derivatives of a [`Cubic`], in words of a common scale.
+/// Derivatives of a [`Cubic`], in words of a common scale.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Derivatives {
     /// Rate: r1 + r2 s / 2 + r3 s^2 / 4, in 2^-`rate_fraction` axis units per second.
@@ -40,34 +43,36 @@ pub(super) struct Derivatives {
 /// Fractional bits of the coefficients.
 pub(super) const FRACTION: i32 = 16;
 
-/// The span of time that the cubics of all axes share.
+/// Segment duration, shared by the cubics of all axes.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct SegmentDuration {
     periods: u16,
     microseconds: u32,
     /// 2^48 / periods.
     inverse: u64,
-    /// 1 / span in 1/s is `mantissa` * 2^-`exponent`; the mantissa has 31 bits.
+    /// 1 / duration in 1/s is `mantissa` * 2^-`exponent`; the mantissa has 31 bits.
     mantissa: i32,
     exponent: u32,
-    /// Span * 2^24 in s (what turns a rate of the wire into 2^-16 axis units) is `travel` * 2^-`travel_shift`; 39 bits.
+    /// Duration * 2^24 in s is `travel` * 2^-`travel_shift`, with 39 bits. It converts a wire rate
+    /// into 2^-16 axis units.
     travel: i64,
     travel_shift: u32,
 }
 
-/// Where one axis is at a time, in program time.
+/// State of one axis at a program time.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Sample {
-    /// Position.
+    /// Position, axis units.
     pub position: Coordinate,
-    /// Rate per second of program time.
+    /// Rate, per second of program time.
     pub rate: Rate,
-    /// Acceleration per second of program time squared.
+    /// Acceleration, per second of program time squared.
     pub acceleration: Acceleration,
 }
 
 impl SegmentDuration {
-    /// A span of so many periods.
+    /// Creates a duration of `periods` control periods of `period_us` microseconds; `None` for
+    /// zero.
     #[must_use]
     pub fn new(periods: u16, period_us: u16) -> Option<Self> {
         let microseconds = u32::from(periods) * u32::from(period_us);
@@ -77,7 +82,8 @@ impl SegmentDuration {
         // 10^6 / microseconds lies between 2^-13 and 2^15.
         let quotient = (1_000_000_u64 << 40) / u64::from(microseconds);
         let excess = 64 - quotient.leading_zeros() - 31;
-        // microseconds * 2^24 / 10^6 = microseconds * 2^18 / 15625, with 39 bits: the numerator has at most 53.
+        // microseconds * 2^24 / 10^6 = microseconds * 2^18 / 15625, with 39 bits: the numerator has
+        // at most 53.
         let bits = 32 - microseconds.leading_zeros();
         let numerator = u64::from(microseconds) << (53 - bits);
         Some(Self {
@@ -91,13 +97,14 @@ impl SegmentDuration {
         })
     }
 
-    /// Length in periods.
+    /// Duration in control periods.
     #[must_use]
     pub const fn periods(&self) -> u16 {
         self.periods
     }
 
-    /// Fraction of the span, 2^-32, at a time in 2^-16 periods; times beyond the end count as just before it.
+    /// Fraction of the duration, 2^-32, at a time in 2^-16 control periods. Times beyond the end
+    /// count as just before it.
     #[must_use]
     #[inline]
     pub fn fraction(&self, time: u32) -> u32 {
@@ -105,7 +112,7 @@ impl SegmentDuration {
         (u64::from(time.min(last)).wrapping_mul(self.inverse) >> 32) as u32
     }
 
-    /// The way, in 2^-16 axis units, that a rate of the wire (below 2^24 in magnitude) goes in the span.
+    /// Distance, in 2^-16 axis units, at a wire rate (below 2^24 in magnitude) during the segment.
     #[inline]
     fn travel(&self, rate: i32) -> i64 {
         shift_right(product(i64::from(rate), self.travel), self.travel_shift)
@@ -113,7 +120,9 @@ impl SegmentDuration {
 }
 
 impl Cubic {
-    /// The cubic from (`from`, `from_rate`) to (`to`, `to_rate`), rates as on the wire. `wrap`: the axis is rotary and takes the short way.
+    /// Creates the cubic from (`from`, `from_rate`) to (`to`, `to_rate`), with wire rates. With
+    /// `wrap` the axis is rotary and takes the shorter direction. `None` beyond the limits of the
+    /// module.
     #[must_use]
     #[inline(always)]
     pub fn new(
@@ -154,7 +163,7 @@ impl Cubic {
         })
     }
 
-    /// Whether the axis stands all the span long.
+    /// Whether the axis is at standstill for the whole segment.
     #[must_use]
     pub const fn is_at_standstill(&self) -> bool {
         self.c1 == 0 && self.c2 == 0 && self.c3 == 0
@@ -163,20 +172,21 @@ impl Cubic {
     /// Whether the mean rate is within `limit` (wire units, below 2^24).
     #[must_use]
     pub fn keeps_mean_rate(&self, limit: i32, span: &SegmentDuration) -> bool {
-        // The coefficients add up to the way, to the last bit.
+        // The sum of the coefficients is exactly the distance.
         let way = total(total(self.c1, self.c2), self.c3);
         way.abs() <= span.travel(limit)
     }
 
-    /// Whether the rate stays within `limit` (wire units, below 2^24) all along, given that it does at both ends. Without the exact peak: the rate is within
-    /// the hull of its ends and c1 + c2, the middle one of its control points, and only where that is outside the peak is looked for.
+    /// Whether the rate stays within `limit` (wire units, below 2^24) in the whole segment, given
+    /// that it does at both ends. The rate lies within the hull of its ends and the middle control
+    /// point c1 + c2. The exact peak is computed only if that point is outside.
     #[must_use]
     pub fn keeps_rate(&self, limit: i32, span: &SegmentDuration) -> bool {
         let middle = total(self.c1, self.c2).abs();
         middle <= span.travel(limit) || self.peak_within(limit, span)
     }
 
-    /// Whether the rate at its peak, if there is one inside the span, is within `limit` (wire units).
+    /// Whether the peak rate, if it lies inside the segment, is within `limit` (wire units).
     #[cold]
     #[inline(never)]
     fn peak_within(&self, limit: i32, span: &SegmentDuration) -> bool {
@@ -190,9 +200,9 @@ impl Cubic {
         rate.unsigned_abs() >> RATE_SHIFT <= limit.unsigned_abs()
     }
 
-    /// The fraction of the span at which the rate is largest or least, if that is inside.
+    /// Fraction of the duration at which the rate has its extremum, if that is inside the segment.
     fn turning(&self, span: &SegmentDuration) -> Option<u32> {
-        // Where the acceleration 2 c2 + 6 c3 s is zero; 30 bits of both are plenty to look for a peak.
+        // Zero of the acceleration 2 c2 + 6 c3 s; 30 bits of both suffice to find a peak.
         let spare = (64
             - self
                 .c2
@@ -205,7 +215,7 @@ impl Cubic {
         inside.then(|| ((c2.abs() << 32) / c3.abs()) as u32)
     }
 
-    /// Whether the acceleration, which is largest at an end of the span, stays within a limit.
+    /// Whether the acceleration stays within a limit. It is largest at an end of the segment.
     #[must_use]
     pub fn keeps_acceleration(&self, limit: Acceleration, span: &SegmentDuration) -> bool {
         let derivatives = self.derivatives(span);
@@ -217,13 +227,13 @@ impl Cubic {
         })
     }
 
-    /// Where it begins, and the coefficients of s, s^2, s^3 in 2^-[`FRACTION`] axis units.
+    /// Start, and coefficients of s, s^2, s^3 in 2^-[`FRACTION`] axis units.
     #[inline]
     pub(super) const fn parts(&self) -> (Coordinate, [i64; 3]) {
         (self.start, [self.c1, self.c2, self.c3])
     }
 
-    /// What rate and acceleration need in every period.
+    /// Coefficients of rate and acceleration for evaluation in every period.
     #[inline(always)]
     pub(super) fn derivatives(&self, span: &SegmentDuration) -> Derivatives {
         // c1, 4 c2, 12 c3 in 31 bits and a sign: r1 = c1 / T, r2 / 2 = 2 c2 / T, r3 / 4 = 3 c3 / T.
@@ -233,13 +243,14 @@ impl Cubic {
         let spare = (64 - all.leading_zeros()).saturating_sub(31);
         let coarse = |value: i64| high(shift_right(value, spare) as i32, span.mantissa);
         let (r1, r2, r3) = (coarse(self.c1), coarse(c2), coarse(c3));
-        // high() has taken 32 bits away, the coefficients have 16 of fraction. Spare is at most 27, the exponent 16 to 53.
+        // high() removes 32 bits, the coefficients have 16 fraction bits. Spare is at most 27, the
+        // exponent 16 to 53.
         let rate_fraction = span.exponent as i32 - 16 - spare as i32;
         Derivatives {
             rate: [r1, r2, r3],
             rate_fraction,
             push: [high(r2, span.mantissa) >> 1, high(r3, span.mantissa)],
-            // An acceleration is in 2^8 axis units.
+            // The unit of acceleration is 2^8 axis units.
             push_fraction: rate_fraction + span.exponent as i32 - 24,
         }
     }
@@ -256,7 +267,7 @@ mod tests {
         SegmentPolynomial::new(cubic, span).sample(segment::half(fraction))
     }
 
-    /// The Hermite cubic in f64, from its textbook basis: an independent truth.
+    /// Hermite cubic in f64 from its textbook basis, as an independent reference.
     fn hermite(p0: f64, v0: f64, p1: f64, v1: f64, h: f64, t: f64) -> (f64, f64, f64) {
         let s = t / h;
         let (s2, s3) = (s * s, s * s * s);
@@ -287,12 +298,14 @@ mod tests {
             let sample = sample(&cubic, &span, span.fraction(time));
             let (p, v, a) = hermite(f64::from(p0), f64::from(v0) * 256.0, f64::from(p1), f64::from(v1) * 256.0, h,
                 f64::from(time) / 65536.0 * 2e-4);
-            // The time itself is cut to 2^-31 of the span: at most the speed times that. Beyond 64 mm the words are coarser than an axis unit.
+            // The time is truncated to 2^-31 of the duration: an error of at most the rate times
+            // that. Beyond 64 mm the words are coarser than an axis unit.
             let (m0, m1, d) = (f64::from(v0) * 256.0 * h, f64::from(v1) * 256.0 * h, f64::from(p1) - f64::from(p0));
             let largest = m0.abs().max(2.0 * (3.0 * d - 2.0 * m0 - m1).abs()).max(4.0 * (m0 + m1 - 2.0 * d).abs());
             let slack = 1.0 + 2.0 * (60.0 + 120.0) * f64::from(1 << 20) * h / 2e9 + largest * f64::exp2(-28.0);
             prop_assert!((f64::from(sample.position.0) - p).abs() <= slack, "position {} {p}", sample.position.0);
-            // The largest coefficient of the rate, of which each has 28 bits at least; those of the acceleration have 26.
+            // Largest coefficient of the rate. Each rate coefficient has at least 28 bits, each
+            // acceleration coefficient 26.
             let (v0, v1, mean) = (f64::from(v0) * 256.0, f64::from(v1) * 256.0, f64::from(p1 - p0) / h);
             let coarse = (12.0 * (v0 + v1 - 2.0 * mean).abs()).max(4.0 * (3.0 * mean - 2.0 * v0 - v1).abs()).max(v0.abs()) * f64::exp2(-28.0);
             prop_assert!((f64::from(sample.rate.0) - v).abs() <= 1.5 + 3.0 * coarse + 6e-5 / h, "rate {} {v}", sample.rate.0);

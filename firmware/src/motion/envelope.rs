@@ -1,38 +1,47 @@
-//! The box that the pose sweeps before it can be at rest.
+//! Stopping envelope: the box that bounds the pose up to standstill.
 //!
-//! Whoever moves the machine by hand, or beside its program, must be able to stop it before a bound. Coordinates come to rest at different times, so the
-//! way to rest is not known as a line but as a box: each coordinate stays between two values. If the machine can take the corners of the box, going on
-//! for one more period is safe; if not, braking now is, because the box of the period before was.
+//! A source other than the program must be able to stop the machine before a bound. Coordinates
+//! come to standstill at different times, so the path to standstill is unknown, and the bounds of
+//! each coordinate form a box. If the machine can reach the corners of the box, one more period of
+//! motion is safe. If not, decelerating now is safe, because the box of the period before was
+//! reachable.
 //!
-//! Joint rates are bounded in the same way: near a bound of the workspace, and near a singularity, a joint moves many times as fast as the tool, and the tool
-//! cannot brake as fast as that factor grows. [`StoppingEnvelope::rates`] are the largest rates of the coordinates on the way to rest. If no joint exceeds its maximum rate with
-//! these rates at any corner ([`StoppingEnvelope::load`]), none does on the way: braking neither leaves the box nor raises a rate.
+//! Joint rates are bounded in the same way. Near a bound of the workspace and near a singularity a
+//! joint moves many times as fast as the tool, and the tool cannot decelerate as fast as that
+//! factor grows. [`StoppingEnvelope::rates`] are the largest rates of the coordinates up to
+//! standstill. If no joint exceeds its maximum rate with these rates at any corner
+//! ([`StoppingEnvelope::load`]), none does on the path: deceleration neither leaves the box nor
+//! raises a rate.
+//!
+//! Units: axis units, axis units per second; a load of [`FULL_LOAD`] is the maximum rate of a
+//! joint.
 
 use haptimill_kinematics::{Kinematics, Pose, Rates};
 use haptimill_math::scale::saturate;
 use haptimill_math::{Coordinate, Rate};
 use haptimill_protocol::message::MAX_AXES;
 
-/// Between which values each coordinate stays.
+/// Axis-aligned bounds of all positions up to standstill.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct StoppingEnvelope {
-    /// The least.
+    /// Lower bounds.
     pub low: Pose,
-    /// The greatest.
+    /// Upper bounds.
     pub high: Pose,
-    /// Largest magnitudes of the rates.
+    /// Largest magnitudes of the rates, axis units per second.
     pub rates: Rates,
 }
 
-/// A load at which a joint is commanded its maximum rate.
+/// Load at which a joint is commanded its maximum rate.
 pub const FULL_LOAD: u32 = 1 << 16;
 
-/// The largest load of a motion that is not planned: less than full by 1/128, because a box is bounded by its corners alone. Between them the
-/// joint rates of a box of some degrees are larger by up to 0.3 % of the maximum.
+/// Largest load of an unplanned motion. It is less than full by 1/128, because only the corners of
+/// a box are checked. Between them the joint rates of a box of some degrees are larger by up to 0.3
+/// % of the maximum.
 pub const MOST_LOAD: u32 = FULL_LOAD - FULL_LOAD / 128;
 
 impl StoppingEnvelope {
-    /// Nothing moves.
+    /// Creates the envelope of a pose at standstill.
     #[must_use]
     pub const fn at(pose: &Pose) -> Self {
         Self {
@@ -42,13 +51,13 @@ impl StoppingEnvelope {
         }
     }
 
-    /// A coordinate may also have a rate of this magnitude.
+    /// Extends the rate bound of a coordinate to a rate, axis units per second.
     pub fn quicken(&mut self, axis: usize, rate: i64) {
         let rate = Rate(saturate(rate.abs()));
         self.rates[axis] = self.rates[axis].max(rate);
     }
 
-    /// The box moves by an offset of some coordinates, which changes at these rates.
+    /// Shifts the box by an offset of some coordinates, and adds the rates of the offset.
     pub fn displace(&mut self, excursion: &Excursion) {
         for (axis, (by, rate)) in excursion.iter().enumerate() {
             let moved = |value: Coordinate| Coordinate(value.0.saturating_add(*by));
@@ -59,14 +68,15 @@ impl StoppingEnvelope {
         }
     }
 
-    /// A coordinate may also come to this value; one beyond the range of a [`Coordinate`] counts as its end.
+    /// Extends the box to a value of a coordinate; values beyond the range of a [`Coordinate`] are
+    /// clamped.
     pub fn reach(&mut self, axis: usize, value: i64) {
         let value = Coordinate(value.clamp(i64::from(-i32::MAX), i64::from(i32::MAX)) as i32);
         self.low.0[axis] = self.low.0[axis].min(value);
         self.high.0[axis] = self.high.0[axis].max(value);
     }
 
-    /// A coordinate's part of the box becomes that of `other`, moved by `offset`.
+    /// Takes over the bounds of a coordinate from `other`, shifted by `offset`.
     pub fn take(&mut self, axis: usize, other: &Self, offset: i32) {
         let moved = |value: Coordinate| Coordinate(value.0.saturating_add(offset));
         self.low.0[axis] = moved(other.low.0[axis]);
@@ -74,7 +84,7 @@ impl StoppingEnvelope {
         self.rates[axis] = other.rates[axis];
     }
 
-    /// Whether this box is within another.
+    /// Whether this box lies within another, in its first `axes` coordinates.
     #[must_use]
     pub fn is_within(&self, other: &Self, axes: usize) -> bool {
         (0..axes.min(MAX_AXES)).all(|axis| {
@@ -84,7 +94,8 @@ impl StoppingEnvelope {
         })
     }
 
-    /// The box with so much more room for each coordinate that moves, either way; and for those that may, a bit each.
+    /// The box with `room` added on both sides of each coordinate that moves, and of each
+    /// coordinate in `may`, one bit each.
     #[must_use]
     fn with_room(&self, room: &[i32; MAX_AXES], may: u8) -> Self {
         let mut wide = *self;
@@ -110,13 +121,13 @@ impl StoppingEnvelope {
     }
 }
 
-/// From this load on what follows a hand goes no faster.
+/// Load above which the rate of a tracker no longer rises.
 pub const SLOWED_LOAD: u32 = FULL_LOAD - FULL_LOAD / 8;
 
-/// An offset of some coordinates, and its rates.
+/// Offset of up to three coordinates, and its rates.
 pub type Excursion = [(i32, Rate); 3];
 
-/// Periods between two attempts at a wider box where there was none.
+/// Control periods between two attempts at a wider box after a failed one.
 const PATIENCE: u8 = 64;
 
 /// What is known of the reach around the machine: a box that is reachable, with room. A sweep in it needs no look of its own.
@@ -127,8 +138,9 @@ pub struct ReachableBox {
 }
 
 impl ReachableBox {
-    /// The load of a sweep, or a little more; `None` if the machine cannot take it: see [`StoppingEnvelope::load`]. `room`: how much wider a box is made, `may`: the coordinates that
-    /// may move from now on, a bit each. Call it once a period.
+    /// Upper bound of the load of a stopping envelope; `None` if the machine cannot reach it: see
+    /// [`StoppingEnvelope::load`]. `room` is the margin of a box, `may` the coordinates that may
+    /// move from now on, one bit each. Callers must call it once per control period.
     pub fn holds(
         &mut self,
         sweep: &StoppingEnvelope,

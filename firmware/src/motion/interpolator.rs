@@ -1,11 +1,15 @@
-//! The queue of timed setpoints, and the walk along it.
+//! Setpoint queue of a job, and interpolation along its path.
 //!
-//! Time on the path is program time: it passes at the *path rate*, 1 when all is well, less while the machine slows down along its path
-//! (hold, stop, override, or setpoints that are late), 0 at rest. The path rate is a [`Ramp`]: braking builds up and dies away within
-//! its bounds, and the path itself is never left.
+//! Time on the path is program time. It passes at the *path rate*: 1 at the programmed speed, less
+//! while the machine decelerates along its path (hold, stop, override, underrun), 0 at standstill.
+//! The path rate is a [`Ramp`], which bounds its slope and the change of its slope. The commanded
+//! pose never leaves the path.
 //!
-//! Slowing down for want of setpoints begins while the queue still covers the stopping distance, so the last setpoint is never passed.
-//! The bounds on acceleration and jerk of the braking are those of the configuration's [`Stopping`], on top of the program's own.
+//! Deceleration on an underrun begins while the queue still covers the stopping distance, so the
+//! commanded pose never passes the last setpoint. The bounds on acceleration and jerk of the
+//! deceleration are those of the configuration's [`Stopping`], added to the program's own.
+//!
+//! Units: axis units, wire rates, 2^-32 control periods of program time.
 
 mod prefetch;
 mod retract;
@@ -28,13 +32,13 @@ use heapless::Deque;
 use prefetch::{Segment, Segments};
 use retract::PASSED;
 
-/// How many setpoints the queue holds.
+/// Capacity of the queue, in setpoints.
 pub const QUEUE: usize = 256;
 
-/// The path rate of the programmed speed.
+/// Path rate at the programmed speed.
 pub const FULL_RATE: i64 = 1 << 32;
 
-/// A setpoint in the queue.
+/// Setpoint in the queue.
 #[derive(Debug, Clone, Copy, Default)]
 struct Knot {
     pose: [i32; MAX_AXES],
@@ -49,64 +53,65 @@ impl Knot {
     }
 }
 
-/// What happened on the path in one period.
+/// Events on the path in one control period.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Progress {
-    /// A new spindle speed, rev/min.
+    /// New spindle speed, rev/min.
     pub spindle: Option<i16>,
-    /// A pause was reached, at this setpoint.
+    /// Number of the setpoint at which a pause was reached.
     pub paused: Option<u32>,
     /// The last setpoint of the job was reached.
     pub finished: bool,
-    /// It went no farther, because what was moved by hand leaves no room to stop on the way ahead.
+    /// The program decelerated because offsets or other sources leave too little stopping distance
+    /// ahead.
     pub blocked: bool,
-    /// The queue ended in motion: a defect, since braking must have ended before.
+    /// The queue ran empty in motion. This is a defect, because deceleration must end before.
     pub queue_empty: bool,
 }
 
-/// Setpoints were late.
+/// An underrun.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Late {
-    /// The setpoint that was late.
+    /// Number of the late setpoint.
     pub setpoint: u32,
-    /// Periods from the beginning of the braking to its arrival.
+    /// Control periods from the start of deceleration to the arrival of the setpoint.
     pub periods: u32,
 }
 
-/// A job: its queue and where on it the machine is.
+/// Setpoint queue of a job and the position on its path.
 #[derive(Debug, Default)]
 pub struct Program {
     axes: usize,
     rotary: [bool; MAX_AXES],
-    /// Wire units.
+    /// In wire units.
     rate_limits: [i32; MAX_AXES],
     acceleration_limits: [Acceleration; MAX_AXES],
     period_us: u16,
     periods_per_second: i64,
-    /// The span of the setpoint that was taken last: most have the length of the one before.
+    /// Duration of the setpoint checked last; most setpoints have the duration of the one before.
     span: SegmentDuration,
     braking: Option<RampLimits>,
-    /// Program time that braking from the full rate takes, in periods.
+    /// Program time to decelerate from the full path rate, in control periods.
     braking_periods: u64,
 
     queue: Deque<Knot, QUEUE>,
-    /// The setpoints that were passed last, newest last.
+    /// The setpoints passed last, newest last.
     passed: Deque<Knot, PASSED>,
-    /// Program time that is still to be gone back once the machine rests, 2^-32 periods.
+    /// Program time to retract once the path rate is zero, 2^-32 control periods.
     back: u64,
-    /// Sum of the spans in the queue, in periods.
+    /// Sum of the durations in the queue, in control periods.
     queued_periods: u64,
-    /// Setpoints at rest that are not reached yet.
+    /// Setpoints at standstill that are not reached yet.
     rests_ahead: u32,
-    /// The newest setpoint taken (or the start pose).
+    /// The setpoint accepted last (or the start pose).
     tail: Knot,
     /// The setpoint reached last (or the start pose).
     from: Knot,
-    /// The way to the next setpoint, and the one after that.
+    /// The segment to the next setpoint, and the one after it.
     segments: Segments,
-    /// Time into the segment, 2^-32 periods.
+    /// Time since the start of the segment, 2^-32 control periods.
     time: u64,
-    /// Program time at the start of the segment, in periods.
+    /// Program time at the start of the segment, in control periods.
     elapsed: u64,
     path_rate: Ramp,
     override_rate: i64,
@@ -115,7 +120,7 @@ pub struct Program {
     total: Option<u32>,
     started: bool,
     paused: bool,
-    /// Periods since braking began because of this setpoint.
+    /// The underrun in progress: its setpoint, and the control periods since deceleration began.
     underrunning: Option<Late>,
     late: Option<Late>,
 }
@@ -127,7 +132,8 @@ constants!(Program {
     underrunning, late, span, passed, back
 });
 
-/// Bounds of the path rate that a configuration's [`Stopping`] means; `None` if it makes no sense.
+/// Bounds of the path rate for a configuration's [`Stopping`]; `None` if the times are
+/// inconsistent.
 #[must_use]
 pub fn braking_limits(stopping: &Stopping, period_us: u16) -> Option<RampLimits> {
     let (time, ramp) = (
@@ -143,16 +149,17 @@ pub fn braking_limits(stopping: &Stopping, period_us: u16) -> Option<RampLimits>
 }
 
 impl Program {
-    /// An empty program for the machine of `config`.
+    /// Creates an empty program for the machine of `config`.
     #[must_use]
     pub fn new(config: &Config) -> Self {
-        // Filled where it lies: the queue is large, and a second one on the stack would be the controller's deepest.
+        // Configured in place: the queue is large, and a second one would be the deepest stack use
+        // of the controller.
         let mut program = Self::default();
         program.set_up(config);
         program
     }
 
-    /// An empty program becomes that of the machine of `config`.
+    /// Configures an empty program in place for the machine of `config`.
     pub(super) fn set_up(&mut self, config: &Config) {
         let program = self;
         program.axes = config.pose.len();
@@ -162,7 +169,7 @@ impl Program {
         program.override_rate = FULL_RATE;
         for (axis, pose) in config.pose.iter().enumerate() {
             program.rotary[axis] = pose.kind == AxisKind::Rotary;
-            // Two hundredths more, for the rounding of setpoints.
+            // A margin of 2 % for the rounding of setpoints.
             let rate = i64::from(pose.rate.0) + i64::from(pose.rate.0) / 50;
             program.rate_limits[axis] = (rate >> RATE_SHIFT) as i32;
             program.acceleration_limits[axis] =
@@ -200,12 +207,22 @@ impl Program {
         self.late = None;
     }
 
-    /// Takes the next setpoint; a refused one changes nothing.
+    /// Appends the next setpoint.
+    ///
+    /// # Errors
+    ///
+    /// Returns a [`Refusal`] if the setpoint is invalid or the queue is full. A refused setpoint
+    /// changes nothing.
     pub fn push(&mut self, setpoint: &Setpoint) -> Result<(), Refusal> {
         self.push_tried(setpoint, 0)
     }
 
-    /// Whether `axes` of the coordinates may go to the next setpoint as it says; a part of what [`Program::push`] looks at.
+    /// Checks whether the coordinates `axes` may move to the next setpoint; a part of the checks of
+    /// [`Program::push`].
+    ///
+    /// # Errors
+    ///
+    /// Returns the [`Refusal`] that [`Program::push`] would return for these coordinates.
     #[inline(never)]
     pub fn allows(&mut self, setpoint: &Setpoint, axes: Range<usize>) -> Result<(), Refusal> {
         let number = self.accepted;
@@ -230,7 +247,7 @@ impl Program {
         Ok(())
     }
 
-    /// Whether the machine rests from the newest setpoint to the next one.
+    /// Whether the machine stays at standstill from the newest setpoint to the next one.
     #[must_use]
     pub fn rests_until(&self, setpoint: &Setpoint) -> bool {
         let still = |(place, to): (&i32, &i32)| place == to;
@@ -239,7 +256,8 @@ impl Program {
             && self.tail.pose.iter().zip(&setpoint.pose).all(still)
     }
 
-    /// Pose and rates so many periods after the newest setpoint on the way to the next one, of which [`Program::allows`] was asked in this period.
+    /// Pose and rates `periods` control periods after the newest setpoint, on the path to the next
+    /// one. Callers must call [`Program::allows`] for this setpoint in the same control period.
     #[must_use]
     pub fn sample_to(&self, setpoint: &Setpoint, periods: u16) -> Option<PoseCommand> {
         let mut commanded = PoseCommand::default();
@@ -256,13 +274,18 @@ impl Program {
         Some(commanded)
     }
 
-    /// Whether a setpoint so many periods after the one before is as far from it as that was: others take a little longer to look at.
+    /// Whether a duration of `periods` control periods equals the one checked last. Other durations
+    /// take a little longer to check.
     #[must_use]
     pub const fn expects(&self, periods: u16) -> bool {
         self.span.periods() == periods
     }
 
-    /// Takes the next setpoint, whose first `tried` coordinates may go to it; a refused one changes nothing.
+    /// Appends the next setpoint, whose first `tried` coordinates are already checked.
+    ///
+    /// # Errors
+    ///
+    /// Returns a [`Refusal`] as [`Program::push`] does. A refused setpoint changes nothing.
     pub fn push_tried(&mut self, setpoint: &Setpoint, tried: usize) -> Result<(), Refusal> {
         self.allows(setpoint, tried..self.axes)?;
         if self.queue.is_full() {
@@ -277,7 +300,7 @@ impl Program {
         for ((place, rate), (to, to_rate)) in places.zip(to) {
             (*place, *rate) = (*to, *to_rate);
         }
-        // There is room.
+        // Cannot fail: the queue was checked above.
         let _ = self.queue.push_back(self.tail);
         self.queued_periods += u64::from(setpoint.periods);
         self.rests_ahead += u32::from(self.tail.at_rest());
@@ -290,7 +313,12 @@ impl Program {
         Ok(())
     }
 
-    /// Says how many setpoints the job has.
+    /// Sets the number of setpoints of the job.
+    ///
+    /// # Errors
+    ///
+    /// Returns a [`Refusal`] if `count` differs from the number of accepted setpoints, or if the
+    /// last one is not at standstill.
     pub fn end(&mut self, count: u32) -> Result<(), Refusal> {
         if count != self.accepted {
             return Err(Refusal::OutOfOrder {
@@ -306,91 +334,93 @@ impl Program {
         Ok(())
     }
 
-    /// Number of the first setpoint that the queue has no room for.
+    /// Number of the first setpoint for which the queue has no room.
     #[must_use]
     pub fn credit(&self) -> u32 {
         self.accepted
             .wrapping_add((QUEUE - self.queue.len()) as u32)
     }
 
-    /// Setpoints that wait in the queue.
+    /// Number of setpoints in the queue.
     #[must_use]
     pub fn queued(&self) -> usize {
         self.queue.len()
     }
 
-    /// Whether the host has said that all setpoints of the job are here.
+    /// Whether the queue has received all setpoints of the job.
     #[must_use]
     pub const fn is_complete(&self) -> bool {
         self.total.is_some()
     }
 
-    /// Setpoints that were reached.
+    /// Number of setpoints reached.
     #[must_use]
     #[inline]
     pub const fn reached(&self) -> u32 {
         self.reached
     }
 
-    /// The setpoint that is expected next.
+    /// Number of the next expected setpoint.
     #[must_use]
     pub const fn accepted(&self) -> u32 {
         self.accepted
     }
 
-    /// Program time since the job began, in 2^-32 periods: it passes at the path rate.
+    /// Program time since the job began, in 2^-32 control periods. It passes at the path rate.
     #[must_use]
     pub const fn program_time(&self) -> u64 {
         (self.elapsed << 32).wrapping_add(self.time)
     }
 
-    /// The path rate, [`FULL_RATE`] for the programmed speed.
+    /// The path rate; [`FULL_RATE`] is the programmed speed.
     #[must_use]
     #[inline]
     pub const fn path_rate(&self) -> i64 {
         self.path_rate.value()
     }
 
-    /// Speed along the path in percent of the programmed one.
+    /// Sets the feed override, 1 to 100 percent of the programmed speed.
     pub fn set_override(&mut self, percent: u8) {
         self.override_rate = FULL_RATE * i64::from(percent.clamp(1, 100)) / 100;
     }
 
-    /// Whether the path has more to do in this period than in others: the next setpoint may be reached, or a part of the segment after it is to be made.
+    /// Whether interpolation needs more time in this control period than in others: the next
+    /// setpoint may be reached, or a part of the next segment is due.
     #[must_use]
     #[inline]
     pub fn is_busy(&self) -> bool {
         self.is_near_end() && (self.turns() || self.misses_part())
     }
 
-    /// Whether the next setpoint may be reached in this period, and a new segment begun.
+    /// Whether the next setpoint may be reached in this control period, which begins a new segment.
     #[inline(never)]
     fn turns(&self) -> bool {
         self.started
             && !self.paused
             && self.segment().is_none_or(|segment| {
                 let end = u64::from(segment.span.periods()) << 32;
-                // As fast as the path rate may be in the next period.
+                // The highest path rate possible in the next control period.
                 let slope = self.braking.map_or(0, |braking| braking.slope());
                 let most = (self.path_rate.value() + slope).clamp(0, FULL_RATE);
                 self.time + most as u64 >= end
             })
     }
 
-    /// Goes on after a pause.
+    /// Resumes after a pause.
     pub fn leave_pause(&mut self) {
         if core::mem::take(&mut self.paused) {
             self.started = self.started && self.can_pass_rest();
         }
     }
 
-    /// The report on setpoints that were late, once.
+    /// Takes the report of an ended underrun.
     #[inline]
     pub fn take_late(&mut self) -> Option<Late> {
         self.late.take()
     }
 
-    /// The setpoint for want of which the machine slows down or waits, and for how long it has.
+    /// The underrun in progress: the setpoint that is missing, and the control periods since
+    /// deceleration began.
     #[must_use]
     pub const fn underrunning(&self) -> Option<Late> {
         match self.underrunning {
@@ -402,7 +432,8 @@ impl Program {
         }
     }
 
-    /// Whether nothing moves along the path: braked to rest, waiting, or paused.
+    /// Whether nothing moves along the path: the path rate is zero, the program waits, or it is
+    /// paused.
     #[must_use]
     #[inline]
     pub fn is_at_standstill(&self) -> bool {
@@ -412,14 +443,15 @@ impl Program {
             || (self.segment().is_none() && self.queue.is_empty())
     }
 
-    /// One period along the path; `halt` brakes to rest and keeps the place.
+    /// Advances one control period along the path; `halt` decelerates to standstill and keeps the
+    /// position on the path.
     pub fn advance(&mut self, halt: bool) -> (PoseCommand, Progress) {
         let mut commanded = PoseCommand::default();
         let progress = self.advance_to(halt, &mut commanded);
         (commanded, progress)
     }
 
-    /// The same, with the pose, rates and accelerations written where they shall be.
+    /// As [`Program::advance`], writing pose, rates and accelerations into `commanded`.
     #[inline]
     pub fn advance_to(&mut self, halt: bool, commanded: &mut PoseCommand) -> Progress {
         let progress = self.go(halt);
@@ -433,18 +465,19 @@ impl Program {
         let Some(braking) = self.braking else {
             return progress;
         };
-        // A pause at the last setpoint is waited for like any other.
+        // A pause at the last setpoint delays the end of the job like any other pause.
         let finished = self.total == Some(self.reached) && !self.paused;
         if !self.started {
             self.started = !halt && self.can_leave_rest();
-            // At rest any path rate is the same motion: begin with the one that is wanted, unless the queue is full of spans so short
-            // that there would be no stopping on them.
+            // At standstill any path rate gives the same motion: begin at the override rate. With a
+            // queue full of durations too short to stop on, begin at 0.
             self.path_rate = Ramp::at(if self.can_pass_rest() {
                 self.override_rate
             } else {
                 0
             });
-            // The way begins in the next period: this one may have taken the setpoint for which it waited, and both are long.
+            // Motion begins in the next period: this one may have accepted the awaited setpoint,
+            // and both operations take long.
             progress.finished = finished;
             return progress;
         }
@@ -466,7 +499,7 @@ impl Program {
         progress
     }
 
-    /// Goes from setpoint to setpoint until the time lies within a segment.
+    /// Advances from setpoint to setpoint until the time lies within a segment.
     #[inline]
     fn advance_segments(&mut self, progress: &mut Progress) {
         loop {
@@ -516,14 +549,14 @@ impl Program {
         }
     }
 
-    /// Pose, rates and accelerations at the present time and path rate.
+    /// Pose, rates and accelerations at the present program time and path rate.
     fn commanded(&self) -> PoseCommand {
         let mut commanded = PoseCommand::default();
         self.sample(&mut commanded);
         commanded
     }
 
-    /// The same, written where they shall be.
+    /// As [`Program::commanded`], written in place.
     #[inline]
     fn sample(&self, commanded: &mut PoseCommand) {
         let Some(segment) = self.segment() else {
@@ -539,7 +572,8 @@ impl Program {
             rates,
             accelerations,
         } = &mut *commanded;
-        // A compiler that knows it to be positive multiplies by it as by an unsigned word, which takes four instructions for one.
+        // A compiler that knows the value to be positive multiplies it as an unsigned word, which
+        // takes four instructions for one.
         let half = core::hint::black_box(segment::half(fraction));
         let places = pose.0.iter_mut().zip(rates).zip(accelerations);
         for (way, ((place, rate), acceleration)) in
@@ -555,7 +589,7 @@ impl Program {
         }
     }
 
-    /// From one place to another; the short way round on a rotary axis.
+    /// Distance between two positions; the shorter one on a rotary axis.
     fn distance(&self, axis: usize, from: i32, to: i32) -> i64 {
         if self.rotary[axis] {
             i64::from(to.wrapping_sub(from))
@@ -564,7 +598,7 @@ impl Program {
         }
     }
 
-    /// From rates and accelerations at the programmed speed to those at the path rate.
+    /// Scales rates and accelerations from the programmed speed to the path rate.
     #[inline(never)]
     fn slow_down(&self, commanded: &mut PoseCommand) {
         let rate = self.path_rate.value() >> 2;
@@ -574,8 +608,9 @@ impl Program {
         for (axis_rate, acceleration) in motions.take(self.axes) {
             let speed = i64::from(axis_rate.0);
             *axis_rate = Rate((product(speed, rate) >> 30) as i32);
-            // d2p/dt2 = p'' r^2 + p' dr/dt, with dr/dt in 2^-32 per period.
-            // Path rate and its square are below 2^31, its slope below 2^32: with 31 bits of speed or acceleration all products fit.
+            // d2p/dt2 = p'' r^2 + p' dr/dt, with dr/dt in 2^-32 per control period. Path rate and
+            // its square are below 2^31, its slope is below 2^32: with 31 bits of rate or
+            // acceleration all products fit.
             let braking = product(product(speed, slope) >> 32, self.periods_per_second);
             let sum = total(
                 product(i64::from(acceleration.0), rate_squared) >> 30,
@@ -585,7 +620,7 @@ impl Program {
         }
     }
 
-    /// The span of the setpoint that is looked at becomes one of so many periods; most are as long as the one before.
+    /// Sets the segment duration. It is recomputed only if it changed.
     fn measure(&mut self, periods: u16) -> Option<()> {
         if self.span.periods() != periods || periods == 0 {
             self.span = SegmentDuration::new(periods, self.period_us)?;
@@ -598,8 +633,9 @@ impl Program {
         self.segments.present()
     }
 
-    /// Whether an axis may go from the newest setpoint to the next one: neither the rate there nor the mean rate nor any in between is beyond the axis' limit, nor
-    /// the acceleration beyond 16 times that of a jog. Such a setpoint is a mistake, not a motion.
+    /// Whether an axis may move from the newest setpoint to the next one. The rate at the end, the
+    /// mean rate and all rates between must be within the axis limit. The acceleration must be
+    /// within 16 times that of a jog. A setpoint beyond these bounds is an error of the host.
     fn may_go(&self, axis: usize, place: i32, rate: i32) -> bool {
         let (span, limit) = (&self.span, self.rate_limits[axis]);
         if rate.unsigned_abs() > limit.unsigned_abs() {

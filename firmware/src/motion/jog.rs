@@ -1,8 +1,11 @@
-//! Motion at a rate: jogging, and the search of homing.
+//! Motion at commanded rates: jogging, and the index search of homing.
 //!
-//! Every pose coordinate has a [`Ramp`] for its rate, so acceleration and jerk are bounded whatever the targets do. A jog lives until its
-//! deadline; then it brakes. Before a soft limit it brakes so that it stops in front of it, and before a pose that the machine cannot take all
-//! coordinates brake together: the stopping point is tested every period, so the machine never has to stop harder than its limits allow.
+//! Each pose coordinate has a [`Ramp`] for its rate, which bounds acceleration and jerk for all
+//! targets. A jog decelerates at its deadline. A coordinate decelerates so that it stops before its
+//! soft limit. All coordinates decelerate together before a pose that the machine cannot reach. The
+//! stopping point is checked in every control period, so the limits suffice for every stop.
+//!
+//! Units: 2^-20 axis units (per control period) inside, axis units per second outside.
 
 use super::PoseCommand;
 use super::envelope::{Excursion, FULL_LOAD, MOST_LOAD, StoppingEnvelope};
@@ -13,14 +16,14 @@ use haptimill_kinematics::{Kinematics, Pose};
 use haptimill_math::{Acceleration, Coordinate, Rate};
 use haptimill_protocol::message::MAX_AXES;
 
-/// Fraction bits of positions and rates here: 2^-20 axis units (per period).
+/// Fraction bits of positions and rates in this module: 2^-20 axis units (per control period).
 const FRACTION: u32 = 20;
 
 #[derive(Debug, Clone, Copy, Default)]
 struct Axis {
     /// Position, 2^-20 axis units.
     position: i64,
-    /// Rate, 2^-20 axis units per period.
+    /// Rate, 2^-20 axis units per control period.
     rate: Ramp,
     target: i64,
     limits: Option<RampLimits>,
@@ -42,18 +45,19 @@ type Known = [Option<(i64, Swept)>; MAX_AXES];
 pub struct Jog {
     axes: usize,
     period_us: u16,
-    /// A whole number: the configuration sees to it.
+    /// A whole number; the configuration ensures it.
     periods_per_second: i64,
     axis: [Axis; MAX_AXES],
-    /// The load that the rates that are asked for had in the last period: they are made smaller by it where it is too large.
+    /// Load of the requested rates in the last control period. Above [`MOST_LOAD`] it scales the
+    /// rates down.
     asked_load: u32,
-    /// It brakes in this period, and goes on after it.
+    /// Decelerate in this control period only.
     braking: bool,
-    /// What is added to the pose beside it, by a tool that yields.
+    /// Compliant displacement, added to the pose.
     excursion: Excursion,
-    /// Periods that the present targets still live.
+    /// Control periods up to the deadline of the present targets.
     alive: u32,
-    /// Soft limits are respected (not while homing: coordinates are not yet right).
+    /// Soft limits are enforced. Homing disables them, because its coordinates are not yet valid.
     limited: bool,
 }
 
@@ -75,7 +79,8 @@ impl Constants for Jog {
     }
 }
 
-/// Most change of a rate in a period, 2^-20 axis units per period; `None` where it is beyond 63 bits.
+/// Largest change of a rate in a control period, 2^-20 axis units per control period; `None` beyond
+/// 63 bits.
 pub(super) fn slope(acceleration: Acceleration, period_us: u16) -> Option<i64> {
     let periods = periods_per_second(period_us);
     (i64::from(acceleration.0) << (8 + FRACTION)).checked_div(periods * periods)
@@ -86,7 +91,8 @@ const fn periods_per_second(period_us: u16) -> i64 {
     1_000_000 / if period_us == 0 { 1 } else { period_us as i64 }
 }
 
-/// Bounds of a rate in 2^-20 axis units per period, from the limits of a pose coordinate; `None` if they make no sense.
+/// Bounds of a rate in 2^-20 axis units per control period, from the limits of a pose coordinate;
+/// `None` if they are inconsistent.
 #[must_use]
 pub fn rate_limits(acceleration: Acceleration, jerk: u32, period_us: u16) -> Option<RampLimits> {
     // Long division in two steps: 128-bit division takes 1 KiB of flash. The cube is at most 10^18, so no shift leaves 64 bits.
@@ -101,7 +107,7 @@ pub fn rate_limits(acceleration: Acceleration, jerk: u32, period_us: u16) -> Opt
 }
 
 impl Jog {
-    /// At rest, for the machine of `config`.
+    /// Creates a jog at standstill for the machine of `config`.
     #[must_use]
     pub fn new(config: &Config) -> Self {
         let mut jog = Self {
@@ -119,7 +125,7 @@ impl Jog {
         jog
     }
 
-    /// Begins at rest at `pose`; `limited` says whether soft limits count.
+    /// Starts at standstill at `pose`; `limited` enables the soft limits.
     pub fn begin(&mut self, pose: &Pose, limited: bool) {
         for (axis, coordinate) in self.axis.iter_mut().zip(pose.0) {
             axis.position = i64::from(coordinate.0) << FRACTION;
@@ -131,23 +137,25 @@ impl Jog {
         self.asked_load = 0;
     }
 
-    /// Brakes in this period, whatever it is asked for; it goes on in the next one.
+    /// Decelerates in this control period, whatever the targets are. The jog resumes in the next
+    /// one.
     pub const fn brake(&mut self) {
         self.braking = true;
     }
 
-    /// The displacement of a tool that yields, in this period.
+    /// Sets the compliant displacement of this control period.
     pub const fn displace(&mut self, excursion: &Excursion) {
         self.excursion = *excursion;
     }
 
-    /// That displacement.
+    /// The compliant displacement of this control period.
     #[must_use]
     pub const fn excursion(&self) -> &Excursion {
         &self.excursion
     }
 
-    /// A coordinate that is moved by something else stands at `place`: the reach is that of the true pose.
+    /// Sets the position of a coordinate that has another source, so that the reach is that of the
+    /// true pose.
     pub fn carry(&mut self, axis: usize, place: Coordinate) {
         if let Some(axis) = self.axis.get_mut(axis) {
             axis.position = i64::from(place.0) << FRACTION;
@@ -156,7 +164,7 @@ impl Jog {
         }
     }
 
-    /// New rates, in axis units per second, for so many periods.
+    /// Sets the target rates, in axis units per second, for `periods` control periods.
     pub fn aim(&mut self, rates: &[i64; MAX_AXES], periods: u32) {
         for (axis, rate) in self.axis.iter_mut().zip(rates) {
             let rate = per_period((*rate).clamp(-(1 << 32), 1 << 32), self.period_us);
@@ -165,12 +173,12 @@ impl Jog {
         self.alive = periods;
     }
 
-    /// Brakes all coordinates.
+    /// Decelerates all coordinates to standstill.
     pub fn release(&mut self) {
         self.alive = 0;
     }
 
-    /// Whether nothing moves.
+    /// Whether all coordinates are at standstill.
     #[must_use]
     #[inline]
     pub fn is_at_standstill(&self) -> bool {
@@ -191,7 +199,8 @@ impl Jog {
         ))
     }
 
-    /// One period. The flag names a coordinate that was kept from going on by its soft limit, or by the machine's reach.
+    /// Advances one control period. The number names a coordinate that was limited by its soft
+    /// limit, or by the machine's reach.
     pub fn advance(&mut self, machine: &impl Kinematics) -> (PoseCommand, Option<u8>) {
         if self.is_at_standstill() {
             let pose = self.standing();
@@ -260,7 +269,7 @@ impl Jog {
         (commanded, limited)
     }
 
-    /// Where everything is, to the whole unit below.
+    /// The present pose, rounded down to whole axis units.
     fn standing(&self) -> Pose {
         let mut pose = Pose::default();
         for (place, axis) in pose.0.iter_mut().zip(&self.axis[..self.axes]) {
@@ -277,8 +286,9 @@ impl Jog {
         (axis.target > 0 && high > axis.high) || (axis.target < 0 && low < axis.low)
     }
 
-    /// The loads of the joints until everything rests if it goes on towards these rates for one period and brakes then: with the rates that it has on that way, and with
-    /// those that are asked for. `None` if the machine cannot take the poses.
+    /// Loads of the joints up to standstill, if all coordinates continue towards `targets` for one
+    /// period and decelerate then: with the rates of that motion, and with the requested rates.
+    /// `None` if the machine cannot reach the poses.
     fn loads(
         &self,
         machine: &impl Kinematics,
@@ -310,7 +320,8 @@ impl Jog {
         Some(sweep)
     }
 
-    /// What is swept if the jog goes on for one period (or brakes already) and brakes then.
+    /// The stopping envelope if the jog continues for one period (or decelerates now) and
+    /// decelerates then.
     #[must_use]
     pub fn stopping(&self, goes_on: bool) -> Option<StoppingEnvelope> {
         if self.is_at_standstill() {
@@ -325,7 +336,7 @@ impl Jog {
         self.sweep_to(&targets, &[None; MAX_AXES])
     }
 
-    /// Whether a coordinate stays within its soft limits.
+    /// Whether a coordinate of `sweep` stays within its soft limits.
     #[must_use]
     pub fn allows(&self, axis: usize, sweep: &StoppingEnvelope) -> bool {
         let (low, high) = (sweep.low.0[axis].0, sweep.high.0[axis].0);
@@ -334,19 +345,20 @@ impl Jog {
     }
 }
 
-/// A rate that is made smaller by a load, at which the largest one of a joint is the load: to 63/64 of what would have the joint at its maximum rate.
+/// Scales a rate down by a load, so that the joint of that load moves at 63/64 of its maximum rate.
 pub(super) fn slower(rate: i64, load: u32) -> i64 {
     const AIM: i64 = (FULL_LOAD - FULL_LOAD / 64) as i64;
     (rate >> 8) * AIM / i64::from(load.max(1)) * (1 << 8)
 }
 
-/// Axis units per second -> 2^-20 axis units per period, for |rate| <= 2^32.
+/// Axis units per second to 2^-20 axis units per control period, for |rate| <= 2^32.
 pub(super) fn per_period(rate: i64, period_us: u16) -> i64 {
     // 2^20 / 10^6 = 2^14 / 15625.
     (rate * i64::from(period_us) * (1 << 14)) / 15_625
 }
 
-/// 2^-20 axis units per period -> axis units per second, with so many whole periods in a second.
+/// 2^-20 axis units per control period to axis units per second, for a whole number of control
+/// periods per second.
 fn per_second(rate: i64, periods_per_second: i64) -> i64 {
     ((rate >> 8) * periods_per_second) >> 12
 }

@@ -1,10 +1,16 @@
-//! What is wanted: the pose of this period, with its rate and acceleration.
+//! Generation of the commanded pose of a control period, with its rates and accelerations.
 //!
-//! A pose coordinate takes its wanted value from the program, from a jog, from a hand, or holds ([`Source`]). To a jog, and from one, it changes only
-//! at rest. Otherwise it changes while it moves: a [`Tracker`] takes over place and rate, and follows the hand, or brakes. Back at the program, the
-//! difference between where it is and where the program would have it stays as an offset, whose rate the mover brakes; so nothing jumps.
+//! Each pose coordinate has a [`Source`]: the program, a jog, a hold or a master. A coordinate
+//! changes to or from a jog only at standstill. All other changes are allowed in motion: a
+//! [`Tracker`] takes over position and rate, and then follows the master or decelerates. When a
+//! coordinate returns to the program, the difference between its position and the program's remains
+//! as an offset. The tracker decelerates the rate of this offset, so position and rate are
+//! continuous.
 //!
-//! Misuse: [`Motion::place`] sets the wanted pose without moving there. It is for enabling and homing, when wanted must become measured.
+//! Units: axis units, axis units per second.
+//!
+//! [`Motion::set_position`] sets the commanded pose without motion. Callers must use it only when
+//! the commanded pose becomes the measured one: at enable and in homing.
 
 pub mod cubic;
 pub mod envelope;
@@ -25,7 +31,7 @@ use interpolator::{Program, Progress};
 use jog::Jog;
 use tracker::{Tracker, TrackerLimits};
 
-/// The wanted pose and its motion.
+/// Commanded pose, with its rates and accelerations.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct PoseCommand {
     /// Pose.
@@ -36,51 +42,55 @@ pub struct PoseCommand {
     pub accelerations: Accelerations,
 }
 
-/// What moves the machine.
+/// Origin of the machine's motion.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum Mode {
-    /// Nothing: the wanted pose stays.
+    /// None: the commanded pose is constant.
     #[default]
     Still,
-    /// The program, for the coordinates whose source it is; jogs for those whose source is a jog.
+    /// The program, for the coordinates whose source is the program; jogs, for those whose source
+    /// is a jog.
     Program {
-        /// Brake along the path, and wait.
+        /// Decelerate along the path and wait.
         halt: bool,
     },
     /// A jog of all coordinates.
     Jog,
 }
 
-/// The generator of wanted poses.
+/// Generator of the commanded pose.
 #[derive(Debug, Default)]
 pub struct Motion {
-    /// The job.
+    /// Setpoint queue and interpolator of the job.
     pub program: Program,
-    /// The jog.
+    /// Jog generator.
     pub jog: Jog,
     axes: usize,
     commanded: PoseCommand,
     sources: [Source; MAX_AXES],
     offsets: [i32; MAX_AXES],
     bounds: [TrackerLimits; MAX_AXES],
-    /// What follows the hand or brakes; where the program leads, its offset while that is under way.
+    /// Trackers of the coordinates that follow a master or decelerate. Where the program is the
+    /// source, the tracker decelerates the offset.
     trackers: [Tracker; MAX_AXES],
-    /// Rates of the program in the last period.
+    /// Rates of the program in the last control period.
     program_rates: Rates,
-    /// Where the hand wants the coordinates that it leads.
+    /// Positions that the master commands for its coordinates.
     targets: [Option<Coordinate>; MAX_AXES],
-    /// The hand leads on where there is no room to stop: what follows it brakes to rest.
+    /// The master asks for motion beyond the stopping distance: its trackers decelerate to
+    /// standstill.
     tracking_blocked: bool,
-    /// That was told.
+    /// The present block was reported.
     limit_reported: bool,
     limited: Option<u8>,
-    /// The job is over: what follows the hand comes to rest.
+    /// The job is finished: the trackers of the master decelerate to standstill.
     stopping: bool,
-    /// The wanted pose is another one than the program's, whose setpoints were checked when they were taken.
+    /// The commanded pose differs from the program's, whose setpoints were checked on acceptance.
     blended: bool,
-    /// The load of the joints in the last period in which it was looked at: a hand is followed more slowly where it is large.
+    /// Load of the joints at the last check. Above [`envelope::SLOWED_LOAD`] a master is followed
+    /// more slowly.
     load: u32,
-    /// How much room a box around a sweep has, and what is known of the reach.
+    /// Margin of the reachable box around a stopping envelope, and the reachable box.
     room: [i32; MAX_AXES],
     reach: ReachableBox,
 }
@@ -89,14 +99,15 @@ constants!(Motion { axes, bounds, room } of { program, jog } but {
     commanded, sources, offsets, trackers, program_rates, targets, tracking_blocked, limit_reported, limited, stopping, blended, load, reach
 });
 
-/// Gain of the movers of a machine that no hand leads, 1/s: they only brake.
+/// Gain of the trackers of a machine without a master, 1/s: these trackers only decelerate.
 const GAIN: u16 = 100;
 
-/// The room of a box around a sweep is this power of two of the range of a coordinate: 0.1 mm of 200, some 25 periods at 20 mm/s.
+/// The margin of a reachable box is the range of a coordinate divided by this power of two: 0.1 mm
+/// of 200 mm, some 25 control periods at 20 mm/s.
 const ROOM_SHIFT: u32 = 11;
 
 impl Motion {
-    /// Becomes that of the machine of `config`, in its place: its queue is large.
+    /// Configures this generator in place for the machine of `config`, because its queue is large.
     pub fn set_up(&mut self, config: &Config) {
         self.program.set_up(config);
         self.jog = Jog::new(config);
@@ -113,14 +124,15 @@ impl Motion {
         }
     }
 
-    /// The wanted pose.
+    /// The commanded pose.
     #[must_use]
     #[inline]
     pub const fn commanded(&self) -> &PoseCommand {
         &self.commanded
     }
 
-    /// Wanted becomes `pose`, at rest. No motion, and no jump: the caller has measured it.
+    /// Sets the commanded pose to `pose`, at standstill. The machine does not move. Callers must
+    /// pass the measured pose.
     pub fn set_position(&mut self, pose: &Pose) {
         self.commanded = PoseCommand {
             pose: *pose,
@@ -130,7 +142,7 @@ impl Motion {
         self.reset_trackers();
     }
 
-    /// All movers stand at the wanted pose.
+    /// Resets all trackers to the commanded pose, at standstill.
     fn reset_trackers(&mut self) {
         for axis in 0..self.axes {
             let place = self.commanded.pose.0[axis];
@@ -142,7 +154,7 @@ impl Motion {
         self.stopping = false;
     }
 
-    /// Begins a job at the wanted pose.
+    /// Begins a job at the commanded pose.
     pub fn begin_program(&mut self) {
         self.program.begin(&self.commanded.pose);
         self.offsets = [0; MAX_AXES];
@@ -151,12 +163,13 @@ impl Motion {
         self.update_blended();
     }
 
-    /// Begins jogging at the wanted pose; `limited` says whether soft limits count.
+    /// Begins a jog at the commanded pose; `limited` enables the soft limits.
     pub fn begin_jog(&mut self, limited: bool) {
         self.jog.begin(&self.commanded.pose, limited);
     }
 
-    /// Chooses the source of one coordinate: to a jog, or from one, only while the machine is at rest.
+    /// Selects the source of one coordinate. Callers must change to or from a jog only at
+    /// standstill.
     pub fn set_source(&mut self, axis: usize, source: Source) {
         let Some(before) = self.sources.get(axis).copied() else {
             return;
@@ -182,7 +195,7 @@ impl Motion {
         self.update_blended();
     }
 
-    /// Coordinates that a hand leads: a bit each.
+    /// Coordinates whose source is a master, one bit each.
     #[must_use]
     pub fn hand_mask(&self) -> u8 {
         if !HAND {
@@ -194,12 +207,13 @@ impl Motion {
         })
     }
 
-    /// Where the hand wants the coordinates that it leads, in this period.
+    /// Sets the positions that the master commands in this control period.
     pub const fn set_master_targets(&mut self, targets: &[Option<Coordinate>; MAX_AXES]) {
         self.targets = *targets;
     }
 
-    /// Where a coordinate that follows a hand comes to rest if nothing leads it any more.
+    /// Position at which a coordinate that follows a master comes to standstill if the master stops
+    /// leading it.
     #[must_use]
     pub fn rest(&self, axis: usize) -> Coordinate {
         match self.sources.get(axis) {
@@ -208,7 +222,7 @@ impl Motion {
         }
     }
 
-    /// Whether nothing moves: neither the program, nor a jog, nor what follows a hand or brakes.
+    /// Whether all motion is at standstill: program, jog and trackers.
     #[must_use]
     #[inline]
     pub fn is_at_standstill(&self) -> bool {
@@ -217,7 +231,7 @@ impl Motion {
             && self.are_trackers_at_standstill()
     }
 
-    /// Whether no mover is under way.
+    /// Whether all trackers are at standstill.
     #[must_use]
     pub fn are_trackers_at_standstill(&self) -> bool {
         !HAND
@@ -226,24 +240,26 @@ impl Motion {
                 .all(Tracker::is_at_standstill)
     }
 
-    /// A coordinate that the hand leads where the machine cannot go; once until it goes on.
+    /// Takes the coordinate that the master leads beyond the machine's reach. Each block is
+    /// reported once, until motion resumes.
     pub const fn take_limited(&mut self) -> Option<u8> {
         self.limited.take()
     }
 
-    /// Where a coordinate takes its wanted value from.
+    /// The source of a coordinate.
     #[must_use]
     pub fn source(&self, axis: usize) -> Source {
         self.sources.get(axis).copied().unwrap_or_default()
     }
 
-    /// All coordinates are led by the program again; only while the machine is at rest.
+    /// Makes the program the source of all coordinates. Callers must do this only at standstill.
     pub fn reset_sources(&mut self) {
         self.sources = [Source::Program; MAX_AXES];
         self.update_blended();
     }
 
-    /// Where the machine would stand if the program were at `pose`: with offsets, and with coordinates that the program does not lead.
+    /// The commanded pose if the program were at `pose`: offsets are added, and coordinates of
+    /// other sources keep their commanded positions.
     #[must_use]
     pub fn destination(&self, pose: &Pose) -> Pose {
         let mut destination = *pose;
@@ -256,25 +272,26 @@ impl Motion {
         destination
     }
 
-    /// Whether the program leads a coordinate.
+    /// Whether the program is the source of a coordinate.
     #[must_use]
     pub fn is_led_by_program(&self, axis: usize) -> bool {
         self.source(axis) == Source::Program
     }
 
-    /// Whether the program leads all coordinates, without offsets.
+    /// Whether the program is the source of all coordinates, without offsets.
     #[must_use]
     pub const fn program_alone(&self) -> bool {
         !self.blended
     }
 
-    /// Whether any coordinate takes its value from a jog.
+    /// Whether the source of any coordinate is a jog.
     #[must_use]
     pub fn has_jog_source(&self) -> bool {
         self.sources[..self.axes].contains(&Source::Jog)
     }
 
-    /// One period of what is nearly always: nothing moves, or a program alone. `None` where it is something else, for [`Motion::advance`].
+    /// Advances one control period in the common cases: standstill, or the program alone. Returns
+    /// `None` in all other cases; they need [`Motion::advance`].
     #[inline]
     pub fn advance_program(&mut self, mode: Mode) -> Option<Progress> {
         match mode {
@@ -290,7 +307,7 @@ impl Motion {
         }
     }
 
-    /// One period. The number is a coordinate whose jog was kept from going on.
+    /// Advances one control period. The number names a coordinate whose jog was limited.
     pub fn advance(&mut self, mode: Mode, machine: &impl Kinematics) -> (Progress, Option<u8>) {
         if let Some(progress) = self.advance_program(mode) {
             return (progress, None);
@@ -326,7 +343,7 @@ impl Motion {
         }
     }
 
-    /// After a change of a source or an offset.
+    /// Updates `blended` after a change of a source or an offset.
     fn update_blended(&mut self) {
         self.blended = self.sources[..self.axes]
             .iter()
@@ -335,7 +352,7 @@ impl Motion {
             || !self.are_trackers_at_standstill();
     }
 
-    /// One period of the movers; a bit for each that was under way in it.
+    /// Advances the trackers by one control period. Returns a bit for each tracker that moved.
     fn follow(&mut self, halt: bool) -> u8 {
         if !HAND {
             return 0;
@@ -359,15 +376,17 @@ impl Motion {
         moving
     }
 
-    /// Whether the hand leads on; what follows it has come to rest and may try again, if it had to brake.
+    /// Whether the master may lead on. A blocked master may lead again once all trackers are at
+    /// standstill.
     fn hand_goes_on(&mut self) -> bool {
         self.tracking_blocked = self.tracking_blocked && !self.are_trackers_at_standstill();
         !self.tracking_blocked
     }
 
-    /// Looks whether the machine can still come to rest within its bounds if all goes on for one period. Says whether the program must brake now,
-    /// and the coordinate whose jog must. Where a joint would exceed its maximum rate, jogs and what follows the hand brake in this period, and try again
-    /// in the next one.
+    /// Checks whether the machine can still stop within its bounds after one more period of motion.
+    /// Returns whether the program must decelerate now, and the coordinate whose jog must. Where a
+    /// joint would exceed its maximum rate, jogs and trackers decelerate in this period and try
+    /// again in the next one.
     fn check_stopping(&mut self, machine: &impl Kinematics) -> (bool, Option<u8>) {
         let led = self.hand_goes_on();
         let load = self.fits(true, led, machine);
@@ -401,7 +420,9 @@ impl Motion {
         )
     }
 
-    /// The load of the joints ([`StoppingEnvelope::load`]) until the machine rests if jogs and what follows the hand go on for one period, or brake already; `None` if it does not come to rest within its bounds.
+    /// The load of the joints ([`StoppingEnvelope::load`]) up to standstill, if jogs and trackers
+    /// continue for one period or decelerate now. `None` if the machine does not stop within its
+    /// bounds.
     fn fits(
         &mut self,
         jog_goes_on: bool,
@@ -431,7 +452,7 @@ impl Motion {
                 Source::Master if HAND => {
                     let target = self.targets[axis].filter(|_| hand_goes_on);
                     let (low, high) = tracker.sweep(target, bounds);
-                    // A mover at rest stays in its place, to the last bit.
+                    // A tracker at standstill keeps its position exactly.
                     if target.is_some() || !tracker.is_at_standstill() {
                         sweep.reach(axis, low);
                         sweep.reach(axis, high);
@@ -448,7 +469,8 @@ impl Motion {
             }
         }
         sweep.displace(self.jog.excursion());
-        // A machine that no hand leads has its boxes for jogs alone, and little flash.
+        // A machine without a master checks the corners directly: it needs boxes only for jogs, and
+        // has little flash.
         let load = if HAND {
             let room = (&self.room, self.hand_mask());
             self.reach.holds(&sweep, room, self.axes, machine)
@@ -487,7 +509,8 @@ impl Motion {
             Source::Hold => (self.commanded.pose.0[axis].0, Rate(0), Acceleration(0)),
         };
         if self.sources[axis] != Source::Program {
-            // What the program does meanwhile becomes the offset at which it is taken up again.
+            // The offset absorbs the program's own motion until the coordinate returns to the
+            // program.
             self.offsets[axis] = position.wrapping_sub(program.pose.0[axis].0);
         }
         self.commanded.pose.0[axis] = Coordinate(position);

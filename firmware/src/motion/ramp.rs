@@ -1,17 +1,18 @@
-//! A value that goes to its target with bounded slope and bounded change of slope.
+//! Motion of a value to a target with bounded slope and bounded change of slope.
 //!
-//! One mechanism for the rate along the path (hold, resume, stop, underrun, override) and for the rate of every jogged axis. All is in
-//! the caller's own fixed-point unit per control period; the ramp only adds. A jump of the value, or of its slope, cannot happen:
-//! each period the slope changes by at most the jerk of its [`RampLimits`] and is at most their slope.
+//! The path rate (hold, resume, stop, underrun, override) and the rate of every jogged axis use it.
+//! In each control period the slope changes by at most the jerk of [`RampLimits`] and is at most
+//! their slope, so value and slope are continuous.
 //!
-//! Values must stay below 2^44 and slopes below 2^31 in magnitude; [`RampLimits::new`] refuses limits beyond that.
+//! Units: the caller's own fixed-point unit per control period. Values must stay below 2^44 and
+//! slopes below 2^31 in magnitude; [`RampLimits::new`] rejects limits beyond that.
 
-/// Bounds of a [`Ramp`], per period.
+/// Bounds of a [`Ramp`], per control period.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct RampLimits {
     slope: i64,
     jerk: i64,
-    /// Slope over jerk: periods in which the slope builds up.
+    /// Slope divided by jerk: control periods in which the slope builds up.
     rise: i64,
     by_slope: Divisor,
     by_twice_jerk: Divisor,
@@ -71,21 +72,22 @@ impl Divisor {
     }
 }
 
-/// A value on its way to a target.
+/// Value that moves to a target.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Ramp {
     value: i64,
     slope: i64,
 }
 
-/// Slopes that [`RampLimits`] takes are below: twice their square fits 64 bits.
+/// Upper bound of the slopes of [`RampLimits`], exclusive: twice their square fits 64 bits.
 const SLOPE_MAX: i64 = 1 << 31;
 
-/// Largest value that a ramp may be sent to.
+/// Largest target of a ramp.
 pub const VALUE_MAX: i64 = 1 << 44;
 
 impl RampLimits {
-    /// Limits of `slope` per period and a change of slope of `jerk` per period; `None` unless 0 < jerk <= slope < 2^31.
+    /// Creates limits of `slope` per control period, with a change of slope of `jerk` per control
+    /// period; `None` unless 0 < jerk <= slope < 2^31.
     #[must_use]
     pub const fn new(slope: i64, jerk: i64) -> Option<Self> {
         if jerk > 0 && jerk <= slope && slope < SLOPE_MAX {
@@ -102,14 +104,14 @@ impl RampLimits {
         }
     }
 
-    /// The most that the value changes in a period.
+    /// Largest change of the value in a control period.
     #[must_use]
     #[inline]
     pub const fn slope(&self) -> i64 {
         self.slope
     }
 
-    /// What the value still changes, from `slope` on (itself included), while the slope goes to zero.
+    /// Change of the value while the slope goes from `slope` to zero, `slope` included.
     fn run_out(&self, slope: i64) -> i64 {
         if slope == 0 {
             return 0;
@@ -121,7 +123,7 @@ impl RampLimits {
 }
 
 impl Ramp {
-    /// A ramp at rest at `value`.
+    /// Creates a ramp at standstill at `value`.
     #[must_use]
     pub const fn at(value: i64) -> Self {
         Self { value, slope: 0 }
@@ -134,21 +136,22 @@ impl Ramp {
         self.value
     }
 
-    /// The change of the value in the last period.
+    /// Change of the value in the last control period.
     #[must_use]
     pub const fn slope(&self) -> i64 {
         self.slope
     }
 
-    /// Whether the value is zero and stays so.
+    /// Whether the value is zero and remains zero.
     #[must_use]
     #[inline]
     pub const fn is_zero(&self) -> bool {
         self.value == 0 && self.slope == 0
     }
 
-    /// One period towards `target`. Gives the mean of the value before and after: what a position gains in the period, so that the value
-    /// is the derivative of the position at the period's end.
+    /// Advances one control period towards `target`. Returns the mean of the value before and
+    /// after. A position that adds this mean has the value as its derivative at the end of the
+    /// period.
     #[inline]
     pub fn advance(&mut self, target: i64, limits: &RampLimits) -> i64 {
         if self.slope == 0 && self.value == target {
@@ -163,7 +166,8 @@ impl Ramp {
         let target = target.clamp(-VALUE_MAX, VALUE_MAX);
         let gap = target - self.value;
         if gap.abs() <= limits.jerk && self.slope.abs() <= limits.jerk {
-            // Near enough to arrive in one period: the change of slope is then at most twice the jerk over two periods.
+            // The target is within reach of one period: the slope then changes by at most twice the
+            // jerk over two periods.
             let step = gap
                 .max(self.slope - limits.jerk)
                 .min(self.slope + limits.jerk);
@@ -182,25 +186,27 @@ impl Ramp {
         } else if run_low >= gap {
             low
         } else {
-            // In between: the slope whose run-out ends at the target, by linear interpolation between the two.
+            // Between the two: interpolate linearly the slope whose run-out ends at the target.
             let span = run_high - run_low;
             low + mul_div(high - low, gap - run_low, span)
         };
         self.value += self.slope;
     }
 
-    /// The largest magnitude that the value has from now on if it goes to zero: a slope away from zero must be undone first, and one that is too steep
-    /// carries the value through zero.
+    /// Largest magnitude of the value from now on, if it goes to zero. A slope away from zero must
+    /// first be undone, and a slope that is too steep carries the value through zero.
     #[must_use]
     pub fn peak(&self, limits: &RampLimits) -> i64 {
         let end = self.value + limits.run_out(self.slope);
         self.value.abs().max(end.abs())
     }
 
-    /// Between which sums of what [`Ramp::advance`] gives the way to rest at zero stays: how far a rate still carries, to either side.
+    /// Bounds of the sum of the results of [`Ramp::advance`] while the value goes to zero: the
+    /// stopping distance to either side.
     ///
-    /// The first is never above 0, the second never below. A slope too steep to be undone before zero carries the value through to the other
-    /// side, so both can differ from 0. `None` where a bound does not fit 63 bits; take that as "too far".
+    /// The first bound is at most 0, the second at least 0. A slope too steep to be undone before
+    /// zero carries the value to the other side, so both can differ from 0. `None` if a bound does
+    /// not fit 63 bits; callers must treat that as too far.
     #[must_use]
     pub fn stopping_range(&self, limits: &RampLimits) -> Option<(i64, i64)> {
         let sign = if self.value == 0 {
@@ -210,7 +216,7 @@ impl Ramp {
         };
         let slope = self.slope * sign;
         let end = self.value * sign + limits.run_out(slope);
-        // The part of the slope that still raises the magnitude must be undone first.
+        // The part of the slope that raises the magnitude must be undone first.
         let ahead = if slope > 0 {
             Self::trapezoid(end, slope, limits)?
         } else {
@@ -224,7 +230,7 @@ impl Ramp {
         })
     }
 
-    /// The sum of a value that rises to `peak` and falls to zero, at most; 0 when there is no peak.
+    /// Upper bound of the sum of a value that rises to `peak` and falls to zero; 0 without a peak.
     fn trapezoid(peak: i64, rising: i64, limits: &RampLimits) -> Option<i64> {
         if peak <= 0 {
             return Some(0);
@@ -261,7 +267,7 @@ mod tests {
         assert!(RampLimits::new(10, 0).is_none());
         assert!(RampLimits::new(10, 11).is_none());
         assert!(RampLimits::new(SLOPE_MAX, 1).is_none());
-        // As steep as they may be, in one period: nothing overflows.
+        // The steepest limits, reached in one period, do not overflow.
         let steepest = limits(SLOPE_MAX - 1, SLOPE_MAX - 1);
         assert_eq!(steepest.run_out(SLOPE_MAX - 1), SLOPE_MAX - 1);
     }
@@ -292,7 +298,7 @@ mod tests {
                     ramp.advance(target, &limits);
                     let step = ramp.value() - before.value();
                     prop_assert!(step.abs() <= limits.slope);
-                    // The slope as the outside sees it: the difference of values.
+                    // The observable slope: the difference of values.
                     prop_assert!((step - before.slope).abs() <= limits.jerk, "{step} {before:?} {limits:?}");
                 }
             }
@@ -302,7 +308,7 @@ mod tests {
         fn arrives_and_does_not_overshoot(slope in 1_000_i64..1 << 28, ratio in 1_i64..500, target in -(1_i64 << 34)..1 << 34) {
             let limits = limits(slope, (slope / ratio).max(1));
             let mut ramp = Ramp::default();
-            // Duration of a trapezoidal slope, and some periods for rounding.
+            // Duration of a trapezoidal slope, plus some periods for rounding.
             let periods = target.abs() / slope + 2 * ratio + 4 * (1 << 17).min(target.abs() / limits.jerk + 1).min(4 * ratio) + 50;
             for _ in 0..periods {
                 ramp.advance(target, &limits);

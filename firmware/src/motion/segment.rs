@@ -1,31 +1,37 @@
-//! The cubic of a segment as a period needs it: words of which a Cortex-M multiplies and adds two in one instruction.
+//! Segment polynomial for evaluation in every control period. It uses words that a Cortex-M
+//! multiplies and adds in one instruction.
 //!
-//! With s the fraction of the span, the place is start + ((c3 s + c2) s + c1) s, its rate and acceleration are the derivatives ([`super::cubic`]). The high word of a
-//! product with s / 2 is half of what the product with s is, so each coefficient carries a power of two for each s that is still to come.
+//! With s the fraction of the segment duration, the position is start + ((c3 s + c2) s + c1) s;
+//! rate and acceleration are its derivatives ([`super::cubic`]). The high word of a product with s
+//! / 2 is half of the product with s, so each coefficient is scaled by two for each remaining
+//! factor s.
 //!
-//! Limits: places differ from the exact cubic by less than 1 axis unit (0.95 nm) for ways below 64 mm, and by a 2^-28th of the largest of way and coefficients
-//! beyond; rates and accelerations by a 2^-26th of the largest that occurs in the span. Where the span begins a place is exact.
+//! Limits: positions differ from the exact cubic by less than 1 axis unit (0.95 nm) for distances
+//! below 64 mm, and beyond by 2^-28 of the largest of distance and coefficients. Rates and
+//! accelerations differ by 2^-26 of the largest value in the segment. The position at the start of
+//! the segment is exact.
 
 use super::cubic::{Cubic, Derivatives, FRACTION, Sample, SegmentDuration};
 use haptimill_math::reciprocal::high;
 use haptimill_math::scale::{saturate, shift_right};
 use haptimill_math::{Acceleration, Coordinate, Rate};
 
-/// One axis between two setpoints, ready to be sampled.
+/// Polynomial of one axis between two setpoints, ready for evaluation.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct SegmentPolynomial {
     start: Coordinate,
-    /// 2 c1, 4 c2, 8 c3; the rate's r1, r2, r3; the acceleration's a1, a2.
+    /// Position: 2 c1, 4 c2, 8 c3. Rate: r1, r2, r3. Acceleration: a1, a2.
     place: [i32; 3],
     rate: [i32; 3],
     push: [i32; 2],
-    /// Fractional bits of each, less one.
+    /// Fractional bits of each, minus one.
     drops: [i8; 3],
-    /// A rate of 1 m/s, a way of half a metre, or as large an acceleration: some `drops` are no shifts to the right.
+    /// A rate of 1 m/s, a distance of 0.5 m or a similarly large acceleration occurs: some `drops`
+    /// are not right shifts.
     large: bool,
 }
 
-/// The two halves of a fraction of a span, 2^-32.
+/// Half of a fraction of a segment duration; the fraction is in 2^-32.
 #[must_use]
 #[inline]
 pub const fn half(fraction: u32) -> i32 {
@@ -33,7 +39,7 @@ pub const fn half(fraction: u32) -> i32 {
 }
 
 impl SegmentPolynomial {
-    /// Of a cubic of this span.
+    /// Creates the polynomial of a cubic with this duration.
     #[must_use]
     pub fn new(cubic: &Cubic, span: &SegmentDuration) -> Self {
         let mut way = Self::default();
@@ -41,12 +47,13 @@ impl SegmentPolynomial {
         way
     }
 
-    /// Becomes that of a cubic of this span, in its place.
+    /// Sets the polynomial of a cubic with this duration, in place.
     #[inline(always)]
     pub fn set(&mut self, cubic: &Cubic, span: &SegmentDuration) {
         let (start, [c1, c2, c3]) = cubic.parts();
         self.start = start;
-        // Sums of all three stay within a word when each is below 2^30. Shifts lose nothing: coefficients are below 2^53.
+        // Sums of all three coefficients fit a word if each is below 2^30. The shifts lose nothing,
+        // because coefficients are below 2^53.
         let [c1, c2, c3] = [c1 << 1, c2 << 2, c3 << 3];
         let size = |value: i64| value ^ (value >> 63);
         let spare = 64_u32
@@ -74,7 +81,7 @@ impl SegmentPolynomial {
         self.large = first <= 0 || second <= 0 || third <= 0;
     }
 
-    /// What is beyond the range of a shift is taken off the words.
+    /// Shifts the words right by the bits that exceed the range of a shift.
     #[inline(never)]
     fn take_off(&mut self, fractions: [i32; 3]) {
         let words: [&mut [i32]; 3] = [&mut self.place, &mut self.rate, &mut self.push];
@@ -84,13 +91,13 @@ impl SegmentPolynomial {
         }
     }
 
-    /// Whether the axis stands all the span long.
+    /// Whether the axis is at standstill for the whole segment.
     #[must_use]
     pub fn is_at_standstill(&self) -> bool {
         self.place == [0; 3]
     }
 
-    /// Place, rate and acceleration at the [`half`] of a fraction of the span.
+    /// Position, rate and acceleration at the [`half`] of a fraction of the segment duration.
     #[must_use]
     #[inline]
     pub fn sample(&self, half: i32) -> Sample {
@@ -132,7 +139,8 @@ impl SegmentPolynomial {
     }
 }
 
-/// `value` / 2^fraction, for a value below 2^31; what a fraction below 0 makes too large is held.
+/// `value` / 2^fraction, for a value below 2^31. Results beyond the range are clamped (fraction
+/// below 0).
 pub(super) fn shifted(value: i32, fraction: i32) -> i32 {
     if (1..32).contains(&fraction) {
         // To nearest.

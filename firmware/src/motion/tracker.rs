@@ -1,12 +1,23 @@
-//! A coordinate that follows what is not planned: a hand.
+//! Tracking profile generator: a coordinate that follows an unplanned target, such as a master.
 //!
-//! A [`Tracker`] has a place and a rate and goes where it is told, in every period anew. Its acceleration is within a bound whatever it is told, its rate goes to within its own, and both are what is fed forward: they are not
-//! differences of the target. So a coordinate changes hands while it moves: the mover takes over place and rate, and nothing steps.
+//! A [`Tracker`] has a position and a rate, and takes a new target in every control period. Its
+//! acceleration is bounded for all targets, and its rate decelerates to its own bound. Rate and
+//! acceleration are fed forward; they are not differences of the target. A tracker can start from
+//! any position and rate, so a coordinate changes its source in motion without a step.
 //!
-//! The target passes two stages of 1/k. The first smooths it (encoders make steps, a remote hand makes stairs). The second asks for the rate at which the way that is left can still be braked on: k e near the target, sqrt(2 a e) farther off. So a
-//! target that stands is not overshot if it can be stopped at, and is come to with no rest. The lag behind a hand at rate v is 1/k + 1/k up to v = a'/k, and 1/k + v / 2a' + a' / (2 k^2 v) above, a' being 7/8 of the acceleration: 20 ms for k = 100/s and a slow hand, 39 ms at 10 mm/s and 200 mm/s^2.
+//! The target passes two stages with time constant 1/k. The first stage smooths it: encoders are
+//! quantized, and a remote master is sampled. The second stage commands the rate from which the
+//! remaining distance e still suffices to brake: k e near the target, sqrt(2 a e) farther off. A
+//! stationary target is therefore reached without overshoot if the stopping distance allows it, and
+//! without remaining error.
 //!
-//! Units as in [`super::jog`]: 2^-20 axis units (per period). Misuse: a target beyond the bounds of the coordinate. The mover stops where it is told; whoever tells it holds the target within them.
+//! The lag behind a master at rate v is 1/k + 1/k up to v = a'/k, and 1/k + v / 2a' + a' / (2 k^2
+//! v) above, where a' is 7/8 of the acceleration. It is 20 ms for k = 100/s and a slow master, and
+//! 39 ms at 10 mm/s and 200 mm/s^2.
+//!
+//! Units as in [`super::jog`]: 2^-20 axis units (per control period).
+//! Callers must keep targets within the bounds of the coordinate; [`Tracker::advance`] clamps those
+//! beyond.
 
 use super::PoseCommand;
 use super::envelope::SLOWED_LOAD;
@@ -17,23 +28,26 @@ use haptimill_math::root::Root;
 use haptimill_math::scale::{multiply_high, saturate};
 use haptimill_math::{Acceleration, Coordinate, Rate};
 
-/// Fraction bits of places and rates.
+/// Fraction bits of positions and rates.
 const FRACTION: u32 = 20;
 
-/// Bounds of a mover, worked out from those of a pose coordinate.
+/// Bounds of a tracker, computed from those of a pose coordinate.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
 pub struct TrackerLimits {
-    /// Most change of the rate in a period, and 1 / it: 2^(`whole` + 31) / step, 2^30 to 2^31, so that nothing is divided in a period.
+    /// Largest change of the rate in a control period, and its reciprocal 2^(`whole` + 31) / step,
+    /// 2^30 to 2^31. The reciprocal avoids a division in the control period.
     step: i64,
     inverse: u32,
     whole: u32,
     rate: i64,
     /// k T, 2^-32.
     pull: u32,
-    /// Where the profile of the rate is a root: from here on, and as far as the rate may rise.
+    /// Distance from which the rate profile is a square root, and distance at which it reaches the
+    /// rate limit.
     bend: i64,
     far: i64,
-    /// Twice the acceleration of the profile, and half the shift with which its product with a distance fits a word of 62 bits.
+    /// Twice the acceleration of the profile, and half the shift that keeps its product with a
+    /// distance within 62 bits.
     twice: i64,
     shift: u32,
     low: i64,
@@ -41,12 +55,12 @@ pub struct TrackerLimits {
     periods_per_second: i64,
 }
 
-/// A coordinate under way.
+/// State of a coordinate that tracks a target.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Tracker {
     place: i64,
     rate: i64,
-    /// Change of the rate in the last period.
+    /// Change of the rate in the last control period.
     change: i64,
     /// The smoothed target.
     led: i64,
@@ -55,7 +69,7 @@ pub struct Tracker {
 constants!(TrackerLimits { step, inverse, whole, rate, pull, bend, far, twice, shift, low, high, periods_per_second } of {} but {});
 
 impl TrackerLimits {
-    /// Bounds for a coordinate that follows with the gain k in 1/s, 1 to 1000; `None` where they make no sense.
+    /// Creates bounds for a gain k of 1 to 1000 1/s; `None` if they are inconsistent.
     #[must_use]
     #[cold]
     pub fn new(axis: &PoseAxis, gain: u16, period_us: u16) -> Option<Self> {
@@ -70,10 +84,11 @@ impl TrackerLimits {
             return None;
         }
         let gentle = step * 7 / 8;
-        // a' / k T / k T, each quotient below 2^63; the first one ends at 2 mm in a period, which nothing does.
+        // a' / k T / k T, each quotient below 2^63. The first is limited to 2 mm per control
+        // period, which no coordinate reaches.
         let coarse = pull as i64 >> 10;
         let bend = ((((gentle << 22) / coarse).min(1 << 41)) << 22) / coarse.max(1);
-        // Where the root comes to the largest rate, v^2 / 2 a' farther: v with 31 bits.
+        // The root reaches the largest rate v at the distance v^2 / 2 a'; v has 31 bits.
         let spare = (64 - rate.leading_zeros()).saturating_sub(31);
         let whole = rate >> spare;
         let reach = (whole * whole / (2 * gentle)).min(1 << (52 - 2 * spare)) << (2 * spare);
@@ -104,7 +119,7 @@ impl TrackerLimits {
         })
     }
 
-    /// The rate at which a way can still be braked on.
+    /// Largest rate from which the distance still suffices to brake.
     fn profile(&self, way: i64) -> i64 {
         let distance = way.abs();
         if distance <= self.bend {
@@ -116,14 +131,14 @@ impl TrackerLimits {
         root.min(self.rate) * way.signum()
     }
 
-    /// A rate in axis units per second.
+    /// Converts a rate to axis units per second.
     fn per_second(&self, rate: i64) -> i64 {
         (rate * self.periods_per_second) >> FRACTION
     }
 }
 
 impl Tracker {
-    /// At a place, under way at a rate.
+    /// Creates a tracker at a position and a rate.
     #[must_use]
     pub fn at(place: Coordinate, rate: Rate, limits: &TrackerLimits) -> Self {
         let place = i64::from(place.0) << FRACTION;
@@ -135,31 +150,31 @@ impl Tracker {
         }
     }
 
-    /// Whether it stands.
+    /// Whether the rate is zero.
     #[must_use]
     pub const fn is_at_standstill(&self) -> bool {
         self.rate == 0
     }
 
-    /// Where it is.
+    /// The position.
     #[must_use]
     pub fn place(&self) -> Coordinate {
-        // To nearest; within the range of a coordinate, or at its end.
+        // Rounded to nearest and clamped to the range of a coordinate.
         Coordinate(saturate((self.place + (1 << (FRACTION - 1))) >> FRACTION))
     }
 
-    /// How far it goes if it brakes from now on, and a little more.
+    /// Upper bound of the stopping distance if it decelerates from now on.
     fn stopping(&self, limits: &TrackerLimits) -> i64 {
         if self.rate == 0 {
             return 0;
         }
-        // Rounded down twice, by less than a period each time.
+        // Both divisions round down, by less than a period each.
         let periods =
             (multiply_high(self.rate.abs(), limits.inverse) >> (limits.whole.max(1) - 1)) + 3;
         self.rate.saturating_mul(periods) / 2
     }
 
-    /// Where it would come to rest.
+    /// Position at which it comes to standstill if it decelerates from now on.
     #[must_use]
     pub fn rest(&self, limits: &TrackerLimits) -> Coordinate {
         Coordinate(saturate(
@@ -167,7 +182,8 @@ impl Tracker {
         ))
     }
 
-    /// Between which values it stays if it goes on towards a target for one period, or brakes already, and brakes then.
+    /// Bounds of the position, axis units, if it continues towards a target for one period (or
+    /// decelerates now without one) and decelerates then.
     #[must_use]
     pub fn sweep(&self, target: Option<Coordinate>, limits: &TrackerLimits) -> (i64, i64) {
         let mut next = *self;
@@ -184,7 +200,8 @@ impl Tracker {
         (least >> FRACTION, (most >> FRACTION) + 1)
     }
 
-    /// The largest magnitude of its rate, axis units per second, if it goes on towards a target for one period, or brakes already, and brakes then.
+    /// Largest magnitude of the rate, axis units per second, if it continues towards a target for
+    /// one period (or decelerates now without one) and decelerates then.
     #[must_use]
     pub fn peak(&self, target: Option<Coordinate>, load: u32, limits: &TrackerLimits) -> i64 {
         let mut next = *self;
@@ -194,10 +211,11 @@ impl Tracker {
         limits.per_second(self.rate.abs().max(next.rate.abs())) + 1
     }
 
-    /// One period as [`Tracker::advance`], under a load of the joints in the period before: where that is large it goes no faster than the joints allow.
+    /// Advances one control period as [`Tracker::advance`], given the load of the joints in the
+    /// period before. At a large load the rate is limited to what the joints allow.
     pub fn advance_under(&mut self, target: Option<Coordinate>, load: u32, limits: &TrackerLimits) {
         let slowed = |commanded: i64, rate: i64| {
-            // A little more, so that a coordinate at rest can begin beside others.
+            // The margin lets a coordinate start from standstill while others move.
             let most = slower(rate.abs(), load) + limits.step / 16;
             commanded.clamp(-most, most)
         };
@@ -210,7 +228,8 @@ impl Tracker {
         });
     }
 
-    /// One period: towards a target within the bounds of the coordinate, or to rest without one.
+    /// Advances one control period: towards a target within the bounds of the coordinate, or to
+    /// standstill without one.
     pub fn advance(&mut self, target: Option<Coordinate>, limits: &TrackerLimits) {
         self.go(target, limits, |commanded, _| commanded);
     }
@@ -234,14 +253,15 @@ impl Tracker {
         };
         self.change = (commanded - self.rate).clamp(-limits.step, limits.step);
         self.rate += self.change;
-        // The rate of the period's end is the derivative of the place there: the mean of both ends is the way.
+        // The rate at the end of the period is the derivative of the position there, so the
+        // distance is the mean of both rates.
         self.place += self.rate - self.change / 2;
         if target.is_none() {
             self.led = self.place;
         }
     }
 
-    /// Becomes the wanted value of a coordinate.
+    /// Writes position, rate and acceleration of the coordinate into `commanded`.
     pub fn write_to(&self, axis: usize, limits: &TrackerLimits, commanded: &mut PoseCommand) {
         commanded.pose.0[axis] = self.place();
         commanded.rates[axis] = Rate(saturate(limits.per_second(self.rate)));

@@ -1,7 +1,9 @@
-//! The way to the next setpoint, and the one after it.
+//! Segment prefetch: preparation of the next segment before the present one ends.
 //!
-//! To work out a whole segment takes half as long as all else in a period. So the next one is made in parts while the machine is under way on the present one: its
-//! end and its span, then one coordinate after the other ([`Program::prefetch`]). Whatever is missing when it begins is made then; the bits are the same.
+//! A whole segment takes half as much computation as the rest of a control period. The next segment
+//! is therefore prepared in parts while the present one is interpolated: first its end and
+//! duration, then one coordinate at a time ([`Program::prefetch`]). Parts that are missing when the
+//! segment begins are prepared then, with the same result to the bit.
 
 use super::{Knot, Program};
 use crate::motion::cubic::{Cubic, SegmentDuration};
@@ -9,7 +11,7 @@ use crate::motion::segment::SegmentPolynomial;
 use haptimill_math::Coordinate;
 use haptimill_protocol::message::MAX_AXES;
 
-/// The cubics on the way to a setpoint.
+/// Segment polynomials up to a setpoint.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Segment {
     pub(super) polynomials: [SegmentPolynomial; MAX_AXES],
@@ -17,24 +19,25 @@ pub(super) struct Segment {
     pub(super) to: Knot,
 }
 
-/// The present segment and the next one, which take turns in two places: they are large.
+/// The present segment and the next one. They alternate between two buffers, because they are
+/// large.
 #[derive(Debug, Default)]
 pub(super) struct Segments {
     pair: [Segment; 2],
-    /// The present one has the second place.
+    /// The present segment is in the second buffer.
     second: bool,
-    /// There is a present one.
+    /// A present segment exists.
     begun: bool,
-    /// So many parts of the next one are made.
+    /// Number of prepared parts of the next segment.
     parts: usize,
-    /// From this time into the present one on its end is near.
+    /// Time in the present segment from which its end is near, 2^-32 control periods.
     near_from: u64,
-    /// The machine goes back: what follows the present one is not what waits in the queue.
+    /// The machine retracts: the next segment is not at the front of the queue.
     back: bool,
 }
 
 impl Segments {
-    /// None is there, and nothing is made.
+    /// Discards both segments.
     pub(super) const fn clear(&mut self) {
         self.begun = false;
         self.parts = 0;
@@ -42,7 +45,7 @@ impl Segments {
         self.back = false;
     }
 
-    /// The present one.
+    /// The present segment.
     #[inline]
     pub(super) fn present(&self) -> Option<&Segment> {
         let [first, second] = &self.pair;
@@ -50,7 +53,7 @@ impl Segments {
             .then_some(if self.second { second } else { first })
     }
 
-    /// The one that was present last, and the one that is next.
+    /// The segment that was present last, and the next one.
     const fn both(&mut self) -> (&Segment, &mut Segment) {
         let [first, second] = &mut self.pair;
         if self.second {
@@ -62,7 +65,8 @@ impl Segments {
 }
 
 impl Program {
-    /// Makes a part of the next segment, if one is missing and there is time for it: when the period was `held` free for the path ([`Program::is_busy`]), or is `idle`.
+    /// Prepares one part of the next segment if one is missing and there is time for it: the
+    /// control period was `held` free for the path ([`Program::is_busy`]), or is `idle`.
     #[inline]
     pub fn prefetch(&mut self, held: bool, idle: impl FnOnce() -> bool) {
         if self.misses_part() && ((held && self.is_pressed()) || idle()) {
@@ -75,20 +79,21 @@ impl Program {
         self.segments.parts <= self.axes && !self.queue.is_empty() && !self.segments.back
     }
 
-    /// Whether a part of the next segment is to be made soon.
+    /// Whether a part of the next segment is due soon.
     #[inline]
     pub(super) fn is_pressed(&self) -> bool {
         self.is_near_end() && self.misses_part()
     }
 
-    /// Whether the present segment is so near its end that there may be more to do than to follow it.
+    /// Whether the end of the present segment is so near that more than interpolation may be due.
     #[inline]
     pub(super) const fn is_near_end(&self) -> bool {
         self.time >= self.segments.near_from
     }
 
-    /// Says from when on the end of the present segment is near: two periods before it for each part of the next one that is missing. Where segments are so
-    /// short that hearing would suffer from it there is no hurry, and it is the last period; what is missing is made when the next one begins.
+    /// Sets the time from which the end of the present segment is near: two control periods for
+    /// each missing part of the next segment. Short segments would delay reception, so for them it
+    /// is the last period; missing parts are then prepared when the next segment begins.
     fn look_at_end(&mut self) {
         let parts = self.axes as u64 + 1;
         let missing = parts.saturating_sub(self.segments.parts as u64);
@@ -100,7 +105,8 @@ impl Program {
         self.segments.near_from = from << 32;
     }
 
-    /// Makes the next part of the next segment. There is none to a setpoint that could not have been taken.
+    /// Prepares the next part of the next segment. `None` if the queue is empty, or for a setpoint
+    /// that would have been refused.
     #[inline(never)]
     fn make_part(&mut self) -> Option<()> {
         let to = self.queue.front()?;
@@ -117,7 +123,7 @@ impl Program {
         Some(())
     }
 
-    /// The next segment becomes the present one; false if there is none.
+    /// Makes the next segment the present one; false if there is none.
     pub(super) fn begin_next(&mut self) -> bool {
         while self.segments.parts <= self.axes {
             if self.make_part().is_none() {
@@ -138,7 +144,7 @@ impl Program {
         true
     }
 
-    /// The end of the present segment is reached.
+    /// Ends the present segment at its setpoint.
     pub(super) fn pass(&mut self) {
         self.remember(self.from);
         if let Some(segment) = self.segments.present() {
@@ -148,7 +154,7 @@ impl Program {
         self.segments.near_from = 0;
     }
 
-    /// The way from the setpoint reached last to `to` becomes the present segment.
+    /// Makes the path from the setpoint reached last to `to` the present segment.
     #[inline(never)]
     pub(super) fn begin_back(&mut self, to: &Knot) {
         self.segments.clear();
@@ -168,7 +174,7 @@ impl Program {
 }
 
 impl Segment {
-    /// A segment to a setpoint; most are as long as the one before.
+    /// Sets end and duration of a segment. Most segments last as long as the one before.
     fn begin(&mut self, to: &Knot, before: &Self, period_us: u16) -> Option<()> {
         self.to = *to;
         self.span = if before.span.periods() == to.periods && to.periods != 0 {
@@ -179,7 +185,7 @@ impl Segment {
         Some(())
     }
 
-    /// The way of one axis to the end of the segment.
+    /// Sets the polynomial of one axis.
     fn join(&mut self, from: &Knot, axis: usize, wrap: bool) -> Option<()> {
         let (start, rate) = (Coordinate(from.pose[axis]), from.rates[axis]);
         let (end, end_rate) = (Coordinate(self.to.pose[axis]), self.to.rates[axis]);

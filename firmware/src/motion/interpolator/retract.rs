@@ -1,42 +1,46 @@
-//! The way back: a tool that pushes against something it cannot cut goes back along its own path, where nothing is in its way.
+//! Retraction along the path, away from an excessive force.
 //!
-//! The setpoints that were passed last are remembered, so the way back is the way there: the same cubics, walked with a path rate below zero. How far that goes is
-//! bounded by what is remembered ([`PASSED`] setpoints).
+//! The path already travelled is free of obstacles. The setpoints passed last are stored, and the
+//! retraction evaluates the same segment polynomials at a negative path rate. Its length is limited
+//! to [`PASSED`] setpoints.
 //!
-//! Misuse: a job that went back is not to be resumed. Setpoints that were walked back over are not in the queue any more.
+//! Callers must not resume a job after a retraction: the setpoints retracted over are no longer in
+//! the queue.
 
 use super::{FULL_RATE, Knot, Program};
 use crate::motion::ramp::RampLimits;
 
-/// Setpoints that are remembered.
+/// Number of stored setpoints.
 pub(super) const PASSED: usize = 16;
 
-/// The path rate of the way back: a quarter of the programmed speed.
+/// Path rate of the retraction: a quarter of the programmed speed.
 const BACK_RATE: i64 = FULL_RATE / 4;
 
 impl Program {
-    /// The job ends here: once it has come to rest, the machine goes back along its path for so many periods of program time, as far as that is
-    /// remembered. [`Program::is_at_standstill`] says when it has.
+    /// Ends the job: once the path rate is zero, the machine retracts for `periods` control periods
+    /// of program time, as far as setpoints are stored. [`Program::is_at_standstill`] tells when
+    /// the retraction is complete.
     pub fn retract(&mut self, periods: u32) {
         self.back = u64::from(periods) << 32;
     }
 
-    /// A setpoint was passed.
+    /// Stores a passed setpoint.
     pub(super) fn remember(&mut self, knot: Knot) {
         if self.passed.is_full() {
             self.passed.pop_front();
         }
-        // There is room: made above.
+        // Cannot fail: room was made above.
         let _ = self.passed.push_back(knot);
     }
 
-    /// One period of the way back; false while the machine still goes on.
+    /// Advances the retraction by one control period; false while the machine still moves forwards.
     pub(super) fn is_retracting(&mut self, braking: &RampLimits) -> bool {
         if self.path_rate.value() > 0 {
             return false;
         }
         let remembered: u64 = self.passed.iter().map(|knot| u64::from(knot.periods)).sum();
-        // Of the remembered setpoints the first is where the way begins; the one that the present segment comes from has the last span.
+        // The first stored setpoint is the start of the path. The start of the present segment has
+        // the last duration.
         let first = self
             .passed
             .front()
@@ -48,7 +52,7 @@ impl Program {
         };
         let there_is = (remembered - first + last) << 32;
         self.back = self.back.min(there_is + self.time);
-        // What is swept if it goes on for one period and brakes then.
+        // The distance if the retraction continues for one period and decelerates then.
         let mut rate = self.path_rate;
         let next = rate.advance(-BACK_RATE, braking).min(0).unsigned_abs();
         let stopping = rate.stopping_range(braking);
@@ -70,7 +74,7 @@ impl Program {
     fn advance_retract(&mut self, mut step: u64) {
         while self.time < step {
             let Some(knot) = self.passed.pop_back() else {
-                // Not reached: the way back is bounded by what is remembered.
+                // Unreachable: the retraction is limited to the stored setpoints.
                 self.time = 0;
                 return;
             };

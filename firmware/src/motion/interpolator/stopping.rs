@@ -1,4 +1,4 @@
-//! What a program still sweeps before it can be at rest on its path.
+//! Stopping envelope of a program: the bounds of its coordinates up to standstill on its path.
 
 use super::{Program, Ramp};
 use crate::motion::envelope::StoppingEnvelope;
@@ -6,10 +6,13 @@ use crate::motion::segment;
 use haptimill_protocol::message::{Action, RATE_SHIFT};
 
 impl Program {
-    /// What the program's coordinates sweep if it goes on for one period and brakes along its path then.
+    /// The stopping envelope of the program's coordinates, if it continues for one period and
+    /// decelerates along its path then.
     ///
-    /// A cubic stays within the hull of its control points: its ends, and what its end rates would reach in a third of its time. The present segment is
-    /// looked at from now on, those in the queue as a whole, so this takes as long as setpoints lie within the way to rest.
+    /// A cubic stays within the hull of its control points: its ends, and the points that its end
+    /// rates reach in a third of its duration. The present segment counts from the present time on,
+    /// those in the queue as a whole. The cost is proportional to the number of setpoints within
+    /// the stopping distance.
     #[must_use]
     pub fn sweep(&self) -> StoppingEnvelope {
         let commanded = self.commanded().pose;
@@ -23,7 +26,7 @@ impl Program {
             Ramp::at(self.override_rate)
         };
         let next = rate.advance(self.override_rate, &braking).max(0) as u64;
-        // The path rate until then, at most, 2^-16.
+        // Upper bound of the path rate up to standstill, 2^-16.
         let pace = rate.peak(&braking).max(self.path_rate.value()) >> 16;
         let stopping = rate.stopping_range(&braking);
         let mut ahead =
@@ -73,8 +76,9 @@ impl Program {
         sweep
     }
 
-    /// The control points of one axis between two places, with rates in axis units per second (below 2^32) a [`third`] of the time,
-    /// and the largest path rate in it. The rates of the box are those at its ends.
+    /// Adds the control points of one axis between two positions. The rates are in axis units per
+    /// second (below 2^32), `third` is a [`third`] of the time, and `pace` is the largest path rate
+    /// in it. The rates of the box are those at its ends.
     fn hull(
         &self,
         sweep: &mut StoppingEnvelope,

@@ -1,30 +1,33 @@
-//! Whether what waits in the queue covers the way to rest.
+//! Underrun monitor: whether the setpoint queue covers the stopping distance.
 
 use super::{FULL_RATE, Late, Program, Ramp};
 use crate::motion::ramp::RampLimits;
 
 impl Program {
-    /// Whether the way from a rest may begin at any path rate: it is long enough to come to rest again if nothing more arrives. A rest lies ahead, or
-    /// more than braking takes.
+    /// Whether motion from standstill may begin at any path rate: the queue is long enough to stop
+    /// again if no more setpoints arrive. It contains a setpoint at standstill, or lasts longer
+    /// than braking.
     pub(super) fn can_pass_rest(&self) -> bool {
         self.total.is_some()
             || self.rests_ahead > 0
             || self.queued_periods >= 4 * self.braking_periods
     }
 
-    /// Whether the way from a rest may begin at all: also with all that the queue can hold, if the spans are so short that this is less than braking
-    /// takes. Then it begins at the path rate 0, which rises no further than what is there allows.
+    /// Whether motion from standstill may begin at all. A full queue also suffices, if its
+    /// durations are so short that it lasts less than braking. Motion then begins at path rate 0,
+    /// which rises only as far as the queue allows.
     pub(super) fn can_leave_rest(&self) -> bool {
         self.can_pass_rest() || self.queue.is_full()
     }
 
-    /// Decides whether the queue still covers the way to rest.
+    /// Updates the underrun: whether the queue still covers the stopping distance.
     #[inline]
     pub(super) fn monitor_underrun(&mut self, braking: &RampLimits) {
         if let Some(underrunning) = &mut self.underrunning {
             underrunning.periods = underrunning.periods.saturating_add(1);
         }
-        // At a rest ahead the motion ends by itself, and goes on only when enough has come.
+        // The motion ends at the setpoint at standstill, and resumes only when enough setpoints
+        // have arrived.
         if self.rests_ahead > 0 {
             self.underrunning = None;
             return;
@@ -38,7 +41,8 @@ impl Program {
                 .map_or(u64::MAX - 2, |(_, ahead)| ahead.unsigned_abs() >> 32)
         } + 2;
         if self.underrunning.is_some() {
-            // A full queue is all that there can be: go on as fast as it covers, with some room so that braking does not begin at once.
+            // A full queue cannot grow: resume as fast as it allows, with a margin that keeps
+            // braking from starting again at once.
             let most = self.queue.is_full() && remaining > needed + needed / 4 + 8;
             if remaining >= 4 * self.braking_periods || most {
                 self.underrunning = None;
