@@ -2,6 +2,7 @@
 
 #[cfg(feature = "emulated")]
 pub mod log;
+pub mod storm;
 
 use haptimill::machine::MachineFile;
 use haptimill_firmware::controller::Controller;
