@@ -2,6 +2,7 @@
 
 mod board;
 mod provide;
+mod storm;
 
 use board::Board;
 use provide::provide;
@@ -9,6 +10,7 @@ use std::env;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 use std::time::Instant;
+use storm::storm;
 
 const HELP: &str = "\
 The chores of the project.
@@ -20,6 +22,8 @@ The chores of the project.
   cargo xtask board NAME --image OTHER   the same with another image of the board (mps2 has faults, checks, logging)
   cargo xtask instructions         counts the instructions of control periods and writes docs/instructions.md anew
   cargo xtask log FILE ...         runs a part program on the emulated board (options as of haptimill run) and prints what the chip logs
+  cargo xtask storm [OPTION ...]   random episodes against all checks, from seeds (docs/storm.md; --help lists the options)
+  cargo xtask storm --planted      plants bugs into a copy of the sources, one at a time, and sees that the storm finds each
   cargo xtask bench                all benchmarks (criterion); figures in target/criterion
   cargo xtask help                 this text
 ";
@@ -95,6 +99,25 @@ const TEST: &[Step] = &[
         environment: &[],
         component: None,
     },
+    Step {
+        name: "storm",
+        arguments: &[
+            "run",
+            "--quiet",
+            "--release",
+            "--package",
+            "haptimill-tests",
+            "--bin",
+            "storm",
+            "--",
+            "--minutes",
+            "2",
+            "--seed",
+            "1",
+        ],
+        environment: &[],
+        component: None,
+    },
 ];
 
 const BENCH: &[Step] = &[Step {
@@ -118,6 +141,7 @@ fn main() -> ExitCode {
         ["instructions"] => instructions(),
         ["log", program, ref more @ ..] => log(program, more),
         ["bench"] => run(BENCH),
+        ["storm", ref options @ ..] => storm(options),
         ["help"] | [] => {
             print!("{HELP}");
             Ok(())

@@ -69,8 +69,27 @@ fn scratch(name: &str) -> PathBuf {
 
 fn mutate(bytes: &mut Vec<u8>, dice: &mut Dice) {
     const TOKENS: [&str; 22] = [
-        "nan", "inf", "-inf", "1e308", "-1", "0", "9999999999999999999", "\"", "[[", "]]", "=",
-        "\n", "G2 I0 J0", "X1e30", "(", "#", "N99999999999", "\u{0}", "\u{FFFD}", "1_0", "true",
+        "nan",
+        "inf",
+        "-inf",
+        "1e308",
+        "-1",
+        "0",
+        "9999999999999999999",
+        "\"",
+        "[[",
+        "]]",
+        "=",
+        "\n",
+        "G2 I0 J0",
+        "X1e30",
+        "(",
+        "#",
+        "N99999999999",
+        "\u{0}",
+        "\u{FFFD}",
+        "1_0",
+        "true",
         "G1 X Y",
     ];
     for _ in 0..=dice.below(6) {
@@ -125,7 +144,9 @@ pub fn corrupt(seed: u64) -> Result<(), String> {
     let parsed = catch_unwind(AssertUnwindSafe(|| parse(which, &bytes)));
     let took = begun.elapsed();
     match parsed {
-        Err(_) => Err(format!("the parser of file {which} panicked, file seed {seed}")),
+        Err(_) => Err(format!(
+            "the parser of file {which} panicked, file seed {seed}"
+        )),
         Ok(Some(message)) if message.trim().is_empty() => Err(format!(
             "the parser of file {which} refused without a word, file seed {seed}"
         )),
@@ -175,7 +196,10 @@ fn whole(path: &std::path::Path) -> Result<(), String> {
     }
     recording.events().map_err(|error| error.to_string())?;
     recording.verify().map_err(|error| error.to_string())?;
-    for period in recording.read_periods().map_err(|error| error.to_string())? {
+    for period in recording
+        .read_periods()
+        .map_err(|error| error.to_string())?
+    {
         period.map_err(|error| error.to_string())?;
     }
     let _ = haptimill::replay::replay(&recording).map_err(|error| error.to_string())?;

@@ -17,8 +17,8 @@ use haptimill_hil_sim::hand::intention::{Intention, Live};
 use haptimill_protocol::haptic::Hand;
 use haptimill_protocol::link::LinkState;
 use haptimill_protocol::message::{
-    Action, AxisValues, CONFIG_CHUNK, Command, ConfigChunk, Refusal, SETPOINT_BATCH,
-    SetpointBatch, State,
+    Action, AxisValues, CONFIG_CHUNK, Command, ConfigChunk, Refusal, SETPOINT_BATCH, SetpointBatch,
+    State,
 };
 use haptimill_protocol::setpoint::{Setpoint, SetpointCoder};
 use haptimill_protocol::urgent::STOP;
@@ -26,6 +26,7 @@ use script::{Dice, Episode, JobPlan, Kind, Step, What};
 use std::cell::RefCell;
 use std::collections::{BTreeMap, VecDeque};
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicU64, Ordering};
 use watch::{Cause, DEGREE, MM, Violation, Watch};
 
 /// What came of an episode.
@@ -43,6 +44,9 @@ pub struct Outcome {
     pub faults: BTreeMap<String, u64>,
 }
 
+/// With a value other than 0, how things stand is printed every so many periods.
+pub static TRACE: AtomicU64 = AtomicU64::new(0);
+
 thread_local! {
     static PANICKED: RefCell<Option<String>> = const { RefCell::new(None) };
 }
@@ -57,7 +61,11 @@ pub fn keep_panics() {
             .payload()
             .downcast_ref::<String>()
             .cloned()
-            .or_else(|| info.payload().downcast_ref::<&str>().map(ToString::to_string))
+            .or_else(|| {
+                info.payload()
+                    .downcast_ref::<&str>()
+                    .map(ToString::to_string)
+            })
             .unwrap_or_default();
         PANICKED.with(|slot| *slot.borrow_mut() = Some(format!("{place}: {what}")));
     }));
@@ -79,6 +87,16 @@ pub fn run(episode: &Episode) -> Outcome {
             period: player.world.period,
         }),
     };
+    // A position that is wrong from the start has a name of its own.
+    let violation = violation.map(|found| Violation {
+        check: match (episode.pushed, found.check) {
+            (Some(_), "position wrong" | "following" | "runaway" | "rest") => {
+                "pushed before configuration"
+            }
+            (_, check) => check,
+        },
+        ..found
+    });
     let mut counts = player.counts;
     for (name, count) in &player.world.counts {
         *counts.entry(name).or_default() += count;
@@ -188,7 +206,10 @@ impl Player {
 
     fn play(&mut self, episode: &Episode) -> Played {
         if let Some(pushed) = episode.pushed {
-            *self.counts.entry("pushed before configuration").or_default() += 1;
+            *self
+                .counts
+                .entry("pushed before configuration")
+                .or_default() += 1;
             for (joint, effort) in pushed.into_iter().enumerate() {
                 self.world.rig.plant_mut().set_load(joint, effort);
             }
@@ -235,10 +256,16 @@ impl Player {
             self.last = Some(answer.result);
         }
         if self.world.answers.iter().any(|answer| {
-            matches!(answer.command, Command::Setpoints(_) | Command::JobStart { .. })
-                && answer.result.is_err()
+            matches!(
+                answer.command,
+                Command::Setpoints(_) | Command::JobStart { .. }
+            ) && answer.result.is_err()
         }) {
             self.stream.clear();
+        }
+        let trace = TRACE.load(Ordering::Relaxed);
+        if trace != 0 && self.world.period.is_multiple_of(trace) {
+            self.trace();
         }
         let looked = self.watch.look(&mut self.world, ticked);
         let fault = self.world.controller().safety().fault();
@@ -250,14 +277,34 @@ impl Player {
             *self.faults.entry(name).or_default() += 1;
         }
         self.fault = fault.is_some();
-        if matches!(self.world.link_state(), LinkState::Silent | LinkState::Stalled)
-            && self.world.away.is_none()
+        if matches!(
+            self.world.link_state(),
+            LinkState::Silent | LinkState::Stalled
+        ) && self.world.away.is_none()
         {
             // A session that died is given up, as every host does.
             self.watch.causes.push(Cause::Silence);
             self.world.greet();
         }
         looked
+    }
+
+    /// How things stand, in a line.
+    fn trace(&self) {
+        let pose = self.wanted();
+        let pose: Vec<String> = (0..5)
+            .map(|axis| format!("{:.3}", f64::from(pose[axis]) / unit(axis)))
+            .collect();
+        let joints: Vec<String> = (0..self.world.axes)
+            .map(|joint| format!("{:.3}", self.world.latched.motor[joint]))
+            .collect();
+        println!(
+            "{:>8} {:?} pose {} motors {}",
+            self.world.period,
+            self.state(),
+            pose.join(" "),
+            joints.join(" ")
+        );
     }
 
     /// What the host says by itself.
@@ -346,13 +393,20 @@ impl Player {
     }
 
     fn wanted(&self) -> [i32; 6] {
-        self.world.controller().machinery().map_or([0; 6], |machinery| {
-            machinery.motion.wanted().pose.0.map(|place| place.0)
-        })
+        self.world
+            .controller()
+            .machinery()
+            .map_or([0; 6], |machinery| {
+                machinery.motion.wanted().pose.0.map(|place| place.0)
+            })
     }
 
     /// Asks and waits for the answer, for no longer than the patience; `None` if it did not come.
-    fn ask(&mut self, command: &Command, patience: u32) -> Result<Option<Result<(), Refusal>>, Violation> {
+    fn ask(
+        &mut self,
+        command: &Command,
+        patience: u32,
+    ) -> Result<Option<Result<(), Refusal>>, Violation> {
         let mut said = false;
         for _ in 0..patience {
             if !said {
@@ -381,7 +435,12 @@ impl Player {
     }
 
     /// Sends a configuration and activates it.
-    fn configure(&mut self, bytes: &[u8], crc: u32, at_preset: bool) -> Result<Option<Result<(), Refusal>>, Violation> {
+    fn configure(
+        &mut self,
+        bytes: &[u8],
+        crc: u32,
+        at_preset: bool,
+    ) -> Result<Option<Result<(), Refusal>>, Violation> {
         for (index, chunk) in bytes.chunks(CONFIG_CHUNK).enumerate() {
             let chunk = ConfigChunk {
                 offset: (index * CONFIG_CHUNK) as u16,
@@ -408,7 +467,10 @@ impl Player {
             self.world.greet();
         }
         self.steps(10)?;
-        if matches!(self.state(), State::Run | State::Hold | State::Jog | State::Homing) {
+        if matches!(
+            self.state(),
+            State::Run | State::Hold | State::Jog | State::Homing
+        ) {
             self.ask(&Command::Stop, 4000)?;
             self.idle(12_000)?;
         }
@@ -419,7 +481,11 @@ impl Player {
         }
         let own = self.world.machine.encoded().ok();
         if let Some((bytes, crc)) = own {
-            let is = self.world.controller().machinery().map(|machinery| machinery.crc);
+            let is = self
+                .world
+                .controller()
+                .machinery()
+                .map(|machinery| machinery.crc);
             if is != Some(crc) && matches!(self.state(), State::Disabled | State::Fault) {
                 let first = is.is_none();
                 if self.configure(&bytes, crc, false)? == Some(Ok(())) && first {
@@ -758,11 +824,7 @@ impl Player {
                 .min(range);
             let cycles = (1.0 + dice.between(0.0, 4.0)).floor();
             let swing = (rate * total * 0.15 / (cycles * core::f64::consts::TAU))
-                .min(
-                    acceleration * total * total
-                        / (core::f64::consts::TAU * cycles).powi(2)
-                        / 8.0,
-                )
+                .min(acceleration * total * total / (core::f64::consts::TAU * cycles).powi(2) / 8.0)
                 .min(range / 4.0);
             *way = (
                 towards * dice.between(0.1, 1.0) * reach,
@@ -789,7 +851,12 @@ impl Player {
             for axis in 0..5 {
                 let (reach, swing, cycles) = ways[axis];
                 let angle = core::f64::consts::TAU * cycles * t;
-                let place = here[axis] + reach * profile + swing * (angle.sin() - cycles * core::f64::consts::TAU * t * (1.0 - t) * (1.0 - 2.0 * t)) * 0.5;
+                let place = here[axis]
+                    + reach * profile
+                    + swing
+                        * (angle.sin()
+                            - cycles * core::f64::consts::TAU * t * (1.0 - t) * (1.0 - 2.0 * t))
+                        * 0.5;
                 let bend = cycles * core::f64::consts::TAU * (1.0 - 6.0 * t + 6.0 * t * t);
                 let rate = reach * slope
                     + swing * (core::f64::consts::TAU * cycles * angle.cos() - bend) * 0.5 / total;
@@ -803,7 +870,9 @@ impl Player {
                 }
             }
             if plan.actions && dice.happens(0.05) {
-                setpoint.action = Action::Spindle(dice.between(-6000.0, 6000.0) as i16);
+                // Slower ones are none for force control.
+                let rpm = dice.between(4000.0, 6000.0) as i16;
+                setpoint.action = Action::Spindle(if dice.happens(0.3) { -rpm } else { rpm });
             }
             setpoints.push(setpoint);
         }

@@ -283,9 +283,9 @@ impl Episode {
         let baud = dice
             .happens(0.2)
             .then(|| dice.pick(&[115_200, 460_800, 921_600]));
-        let pushed = (kind != Kind::Master && dice.happens(0.06)).then(|| {
+        let pushed = (kind != Kind::Master && dice.happens(0.03)).then(|| {
             core::array::from_fn(|joint| {
-                let most = if joint == 4 { 20.0 } else { 300.0 };
+                let most = if joint == 4 { 6.0 } else { 130.0 };
                 if dice.happens(0.5) {
                     dice.between(-most, most)
                 } else {
@@ -314,7 +314,10 @@ impl Episode {
             self.seed, self.theme, self.kind, self.baud, self.pushed
         );
         for step in &self.script {
-            text.push_str(&format!("  {:?} then {} periods\n", step.what, step.periods));
+            text.push_str(&format!(
+                "  {:?} then {} periods\n",
+                step.what, step.periods
+            ));
         }
         text
     }
@@ -337,7 +340,7 @@ fn script(theme: Theme, kind: Kind, dice: &mut Dice) -> Vec<Step> {
         }
         return script;
     }
-    let count = 6 + dice.place(20);
+    let count = 3 + dice.place(9);
     let early = matches!(theme, Theme::Wild | Theme::Line | Theme::Config);
     if !(early && dice.happens(0.4)) {
         add(What::Ready, 200);
@@ -467,10 +470,7 @@ fn breakage(kind: Kind, dice: &mut Dice) -> (What, u32) {
                     level,
                 },
                 HandFault::EncoderSwapped(place),
-                HandFault::EncoderSlip {
-                    place,
-                    counts: 500,
-                },
+                HandFault::EncoderSlip { place, counts: 500 },
                 HandFault::EncoderDropped(place),
                 HandFault::EncoderNoise {
                     place,
@@ -539,7 +539,9 @@ fn careful(dice: &mut Dice) -> Vec<(What, u32)> {
                     0 | 1 => {
                         steps.push((What::Say(Command::Hold), wait));
                         if dice.happens(0.3) {
-                            let half = Command::Override { percent: percent.max(20) };
+                            let half = Command::Override {
+                                percent: percent.max(20),
+                            };
                             steps.push((What::Say(half), 100));
                         }
                         steps.push((What::Say(Command::Resume), 3000));
@@ -555,7 +557,17 @@ fn careful(dice: &mut Dice) -> Vec<(What, u32)> {
             steps.push((What::Say(Command::Override { percent: 100 }), 200));
             steps
         }
-        7..=11 => {
+        7 => {
+            // To a bound of the workspace, and fast along it.
+            let far = dice.between(8000.0, 30_000.0) as u32;
+            vec![
+                (What::Idle, 6000),
+                (jog(dice), far),
+                (jog(dice), far / 3),
+                (jog(dice), 3000),
+            ]
+        }
+        8..=11 => {
             let long = dice.spread(300.0, 20_000.0) as u32;
             vec![(What::Idle, 6000), (jog(dice), long)]
         }
@@ -865,10 +877,7 @@ fn wild(kind: Kind, dice: &mut Dice) -> Vec<(What, u32)> {
             (What::Away(false), 100),
         ],
         25 => vec![
-            (
-                What::Break(FaultKind::DriveTripped { axis }),
-                periods(dice),
-            ),
+            (What::Break(FaultKind::DriveTripped { axis }), periods(dice)),
             (What::Heal, 10),
         ],
         26 => vec![

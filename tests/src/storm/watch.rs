@@ -7,7 +7,7 @@ use haptimill_firmware::config::Drive;
 use haptimill_firmware::io::{DriveCommand, HapticOutputs};
 use haptimill_hil_sim::fault::{FaultKind, HandFault, Switch};
 use haptimill_protocol::force::Gate;
-use haptimill_protocol::message::{Command, Event, Fault, Refusal, Source, State};
+use haptimill_protocol::message::{Command, Event, Fault, HomingProblem, Refusal, Source, State};
 use std::collections::VecDeque;
 
 /// Axis units of a millimetre and of a degree.
@@ -32,7 +32,9 @@ pub mod bounds {
     /// A healthy machine's slide against its target in motion: constant part, and seconds of travel.
     pub const FOLLOWING: [f64; 2] = [0.20, 0.12];
     /// The same after a second at rest.
-    pub const REST: [f64; 2] = [0.014, 0.010];
+    pub const REST: [f64; 2] = [0.016, 0.025];
+    /// Following error that must have been reported, as a part of the configured limit, for more than three periods.
+    pub const REPORTED: f64 = 1.02;
     /// Commanded pose against the interpolation of the setpoints, axis units.
     pub const CUBIC: f64 = 24.0;
     /// Periods from a request to its answer on a clean, fast line.
@@ -100,6 +102,9 @@ pub struct Watch {
     pulses: [u32; 6],
     wrong: [u32; 6],
     away: [u32; 6],
+    unreported: [u32; 6],
+    /// The drives have been on since the references were found, so the flanks of the screws are known.
+    steady: bool,
     slow: [u32; 6],
     /// Periods in standstill.
     still: u32,
@@ -110,6 +115,11 @@ pub struct Watch {
     held: u32,
     urgent: u32,
     loops: [f64; 3],
+    cut: bool,
+    /// The search for the references began away from the home pose.
+    far_from_home: bool,
+    /// Where it began first: the presets, as good as they were set up.
+    home: Option<[f64; 6]>,
     last_fault: u64,
     /// Periods that were looked at.
     pub periods: u64,
@@ -202,6 +212,8 @@ impl Watch {
             pulses: [0; 6],
             wrong: [0; 6],
             away: [0; 6],
+            unreported: [0; 6],
+            steady: false,
             slow: [0; 6],
             still: 0,
             history: VecDeque::new(),
@@ -211,6 +223,9 @@ impl Watch {
             held: 0,
             urgent: 0,
             loops: [64.0; 3],
+            cut: false,
+            far_from_home: false,
+            home: None,
             last_fault: 0,
             periods: 0,
             largest: vec![],
@@ -275,7 +290,7 @@ impl Watch {
 
     fn answers(&mut self, world: &mut World) -> Checked {
         if let Some(text) = world.stray.take()
-            && world.period > world.greeted + 1000
+            && world.period > world.greeted + 300
         {
             violated!(world, "answers", "{text}");
         }
@@ -340,9 +355,8 @@ impl Watch {
                 && self.sound(world)
                 && matches!(answer.command, Command::Setpoints(_))
                 && let Err(
-                    refusal @ (Refusal::OutOfOrder { .. }
-                    | Refusal::QueueFull
-                    | Refusal::AxisCount),
+                    refusal
+                    @ (Refusal::OutOfOrder { .. } | Refusal::QueueFull | Refusal::AxisCount),
                 ) = answer.result
                 && !self.course.spoilt
             {
@@ -422,6 +436,11 @@ impl Watch {
             }
             Fault::LatePeriod { .. } => self.causes.contains(&Cause::Late),
             Fault::Stroke { .. } | Fault::LimitSwitch { .. } => self.causes.contains(&Cause::Late),
+            // The search needs room; who is away from the home pose may have none.
+            Fault::Homing {
+                problem: HomingProblem::Workspace,
+                ..
+            } => self.far_from_home,
             Fault::Hand(_) => self.causes.contains(&Cause::Lead),
             Fault::Force(_) => self.causes.contains(&Cause::Contact) && !self.theme.healthy(),
             // Setpoints between which the interpolation leaves the limits are checked at their ends only.
@@ -460,8 +479,7 @@ impl Watch {
         let on = outputs.axes.iter().any(|axis| *axis != DriveCommand::Off);
         let haptic = outputs.haptic != HapticOutputs::default();
         let all_off = !on && !haptic && outputs.spindle_rpm == 0;
-        let holding =
-            state == State::Fault && safety.fault().is_some_and(|fault| holds(&fault));
+        let holding = state == State::Fault && safety.fault().is_some_and(|fault| holds(&fault));
         let may = match state {
             State::Disabled | State::EmergencyStop => false,
             State::Fault => holding,
@@ -478,7 +496,11 @@ impl Watch {
             );
         }
         if inputs.emergency_stop && (state != State::EmergencyStop || !all_off) {
-            violated!(world, "emergency stop", "the circuit is open in state {state:?}");
+            violated!(
+                world,
+                "emergency stop",
+                "the circuit is open in state {state:?}"
+            );
         }
         if (state == State::Fault) != safety.fault().is_some() && state != State::EmergencyStop {
             violated!(world, "fault", "{state:?} with {:?}", safety.fault());
@@ -534,7 +556,11 @@ impl Watch {
                 }
             }
         } else if on {
-            violated!(world, "outputs not safe", "drives on without a configuration");
+            violated!(
+                world,
+                "outputs not safe",
+                "drives on without a configuration"
+            );
         }
         if inputs.urgent {
             self.urgent = 1;
@@ -580,6 +606,12 @@ impl Watch {
                 );
             }
         }
+        if state == State::Homing && from != State::Homing {
+            let pose = self.pose(world);
+            let home = self.home.get_or_insert(pose);
+            self.far_from_home =
+                (0..5).any(|axis| (pose[axis] - home[axis]).abs() > 15.0 * unit(axis));
+        }
         let job = matches!(state, State::Run | State::Hold);
         if state == State::Run && !matches!(from, State::Run | State::Hold) {
             let start = self.pose(world);
@@ -599,22 +631,33 @@ impl Watch {
         let Some(machinery) = controller.machinery() else {
             return Ok(());
         };
-        let moving = matches!(
-            state,
-            State::Run | State::Jog | State::Hold | State::Homing
-        );
+        let limit = machinery.config.supervision.missed_periods;
+        if world.rig.inputs().missed >= limit
+            && self.before.on
+            && state != State::EmergencyStop
+            && safety.pending().is_none()
+            && safety.fault().is_none()
+        {
+            violated!(
+                world,
+                "missed periods",
+                "{} were missed and nothing stops the machine in {state:?}",
+                world.rig.inputs().missed
+            );
+        }
+        let moving = matches!(state, State::Run | State::Jog | State::Hold | State::Homing);
         if let Some(away) = world.away {
             let silent = world.period - away;
             let patience = u64::from(machinery.config.supervision.heartbeat_ms) * 5;
             // What was under way, what waits in the ring, and the sign of life said just before.
-            if silent > patience + 1500 && moving && safety.pending().is_none() {
+            if silent > patience + 600 && moving && safety.pending().is_none() {
                 violated!(
                     world,
                     "lost host",
                     "{state:?} after {silent} periods of silence"
                 );
             }
-            if silent > patience + 1500 + 15_000 && moving && !self.foreign {
+            if silent > patience + 600 + 15_000 && moving && !self.foreign {
                 violated!(world, "lost host", "{state:?} long after the host was lost");
             }
         }
@@ -641,7 +684,7 @@ impl Watch {
         };
         let stop = u32::from(machinery.config.stopping.time_ms) * 5;
         let back = matches!(safety.pending(), Some(Fault::Force(_)));
-        if self.held > stop + 50 && !back {
+        if self.held > stop + 400 && !back {
             let rate = machinery.motion.program.path_rate();
             if rate != 0 && !machinery.motion.program.is_still() {
                 violated!(
@@ -679,6 +722,7 @@ impl Watch {
             }
         }
         if world.greeted + 2 > world.period {
+            self.chain = None;
             self.epochs = Epochs::default();
         }
         Ok(())
@@ -716,12 +760,7 @@ impl Watch {
             || (before.state == State::Homing && state != State::Homing);
         // A tool that yielded is taken over where it is by a reset and by homing.
         let absorbed = matches!(before.state, State::Fault) || state == State::Homing;
-        let active = |state| {
-            matches!(
-                state,
-                State::Run | State::Hold | State::Jog | State::Homing
-            )
-        };
+        let active = |state| matches!(state, State::Run | State::Hold | State::Jog | State::Homing);
         if on && !placed {
             for axis in 0..machinery.axes() {
                 let limits = &machinery.config.pose[axis];
@@ -743,11 +782,7 @@ impl Watch {
                     );
                 }
                 if !active(state) && !active(before.state) && step != 0.0 && !absorbed {
-                    violated!(
-                        world,
-                        "moves at rest",
-                        "axis {axis} by {step} in {state:?}"
-                    );
+                    violated!(world, "moves at rest", "axis {axis} by {step} in {state:?}");
                 }
                 // Acceleration of jogs by differences of the stated rate.
                 let rate = f64::from(wanted.rates[axis].0);
@@ -809,10 +844,9 @@ impl Watch {
                 *slot = f64::from(place.0);
             }
             if !self.foreign && !placed {
-                let residual = self.arithmetic.residual(
-                    &reference.pose.0.map(|place| f64::from(place.0)),
-                    &joints,
-                );
+                let residual = self
+                    .arithmetic
+                    .residual(&reference.pose.0.map(|place| f64::from(place.0)), &joints);
                 self.note("residual mm", residual);
                 if residual > bounds::RESIDUAL {
                     violated!(
@@ -825,7 +859,9 @@ impl Watch {
             if !placed && !absorbed {
                 for (joint, limits) in machinery.config.joints.iter().enumerate() {
                     let step = f64::from(
-                        target.joints.0[joint].0.wrapping_sub(before.joints[joint] as i64 as i32),
+                        target.joints.0[joint]
+                            .0
+                            .wrapping_sub(before.joints[joint] as i64 as i32),
                     );
                     let most = f64::from(limits.rate.0) * PERIOD;
                     let part = step.abs() / most;
@@ -835,16 +871,22 @@ impl Watch {
                         self.note("joint rate in a job, part of its limit", part);
                     }
                     if part > 1.05 && !self.foreign {
+                        if matches!(state, State::Run | State::Hold) {
+                            violated!(
+                                world,
+                                "joint rate in a job",
+                                "joint {joint} commanded at {part:.3} of its limit in {state:?}"
+                            );
+                        }
                         violated!(
                             world,
-                            "joint rate",
+                            "joint rate in a jog",
                             "joint {joint} commanded at {part:.3} of its limit in {state:?}"
                         );
                     }
                     let low = f64::from(limits.low.0);
                     let high = f64::from(limits.high.0);
-                    let beyond =
-                        |at: f64| (at - high).max(low - at).max(0.0) / joint_unit(joint);
+                    let beyond = |at: f64| (at - high).max(low - at).max(0.0) / joint_unit(joint);
                     if beyond(joints[joint]) > 0.001
                         && beyond(joints[joint]) > beyond(before.joints[joint])
                     {
@@ -856,12 +898,14 @@ impl Watch {
                         );
                     }
                     // The stated rate is the derivative.
-                    let mean = (f64::from(target.rates[joint].0) + before.joint_rates[joint])
-                        / 2.0
+                    let mean = (f64::from(target.rates[joint].0) + before.joint_rates[joint]) / 2.0
                         * PERIOD;
                     let off = (mean - step).abs();
                     if active(state) && active(before.state) && !self.foreign {
-                        self.note("joint rate less derivative, axis units", off - step.abs() / 50.0);
+                        self.note(
+                            "joint rate less derivative, axis units",
+                            off - step.abs() / 50.0,
+                        );
                         if off > 40.0 + step.abs() / 50.0 {
                             violated!(
                                 world,
@@ -887,7 +931,8 @@ impl Watch {
         if !matches!(state, State::Run | State::Hold) {
             return Ok(());
         }
-        let led = (0..machinery.axes()).any(|axis| machinery.motion.source(axis) != Source::Program);
+        let led =
+            (0..machinery.axes()).any(|axis| machinery.motion.source(axis) != Source::Program);
         if led || matches!(safety.pending(), Some(Fault::Force(_))) {
             self.course.trusted = false;
         }
@@ -965,7 +1010,11 @@ impl Watch {
                     self.note(name, off);
                 }
                 self.wrong[joint] = if off > most { self.wrong[joint] + 1 } else { 0 };
-                let grace = if self.suspect[joint] { bounds::GRACE } else { 25 };
+                let grace = if self.suspect[joint] {
+                    bounds::GRACE
+                } else {
+                    25
+                };
                 if self.wrong[joint] > grace {
                     violated!(
                         world,
@@ -980,16 +1029,42 @@ impl Watch {
             } else {
                 self.wrong[joint] = 0;
             }
+            let limits = &machinery.config.joints[joint];
+            // The firmware compares what it measures now with what it commanded a period ago.
+            let error = f64::from(
+                reading
+                    .measured
+                    .0
+                    .wrapping_sub(self.before.joints[joint] as i64 as i32),
+            )
+            .abs();
+            let lag =
+                self.before.joint_rates[joint].abs() * f64::from(limits.following_lag) / 65_536.0;
+            let reported = (f64::from(limits.following.0) + lag) * bounds::REPORTED + 4.0;
+            self.unreported[joint] = if on && self.before.on && error > reported {
+                self.unreported[joint] + 1
+            } else {
+                0
+            };
+            if self.unreported[joint] > 3 && !matches!(safety.state(), State::Fault) {
+                violated!(
+                    world,
+                    "following error not reported",
+                    "joint {joint} is {:.4} off, limit {:.4}, in {:?}",
+                    error / unit,
+                    reported / unit,
+                    safety.state()
+                );
+            }
             let target = f64::from(reading.wanted.0) / unit;
             let far = (truth.joints[joint] - target).abs();
             if on && self.before.on {
-                self.away[joint] = if far > bounds::RUNAWAY[class(joint)] {
+                self.away[joint] = if known && far > bounds::RUNAWAY[class(joint)] {
                     self.away[joint] + 1
                 } else {
                     0
                 };
-                let most = if safety.homed() { 50 } else { u32::MAX };
-                if self.away[joint] > most && known {
+                if self.away[joint] > 50 {
                     violated!(
                         world,
                         "runaway",
@@ -999,7 +1074,11 @@ impl Watch {
                         self.ever
                     );
                 }
-                if known && sound && quiet && self.before.homed && !self.causes.contains(&Cause::Contact)
+                if known
+                    && sound
+                    && quiet
+                    && self.before.homed
+                    && !self.causes.contains(&Cause::Contact)
                 {
                     let rate = self.before.joint_rates[joint].abs() / unit;
                     let name = ["following mm", "following deg"][class(joint)];
@@ -1013,7 +1092,7 @@ impl Watch {
                             safety.state()
                         );
                     }
-                    if self.still > 5000 {
+                    if self.still > 5000 && self.steady {
                         let name = ["rest mm", "rest deg"][class(joint)];
                         self.note(name, far);
                         if far > bounds::REST[class(joint)] {
@@ -1024,8 +1103,10 @@ impl Watch {
                             );
                         }
                     }
-                    let limits = &machinery.config.joints[joint];
-                    let (low, high) = (f64::from(limits.low.0) / unit, f64::from(limits.high.0) / unit);
+                    let (low, high) = (
+                        f64::from(limits.low.0) / unit,
+                        f64::from(limits.high.0) / unit,
+                    );
                     let at = truth.joints[joint];
                     if at > high + 0.5 || at < low - 0.5 {
                         violated!(world, "stroke", "joint {joint} is at {at}");
@@ -1050,10 +1131,20 @@ impl Watch {
         let on = controller.safety().drives_on();
         let state = controller.safety().state();
         let truth = world.rig.truth();
-        for (axis, by) in force.displacements().iter().enumerate() {
-            let yielded = f64::from(by.length().0) / MM;
+        let (reference, wanted) = (machinery.reference().pose, machinery.motion.wanted().pose);
+        for axis in 0..3 {
+            // What was really made of it: the commanded reference less the pose without force control.
+            let yielded = if on {
+                f64::from(reference.0[axis].0.wrapping_sub(wanted.0[axis].0)) / MM
+            } else {
+                f64::from(force.displacements()[axis].length().0) / MM
+            };
             if !on && yielded != 0.0 {
-                violated!(world, "yield", "axis {axis} yields {yielded} mm with the drives off");
+                violated!(
+                    world,
+                    "yield",
+                    "axis {axis} yields {yielded} mm with the drives off"
+                );
             }
             if yielded.abs() > self.loops[axis] + 0.001 {
                 violated!(
@@ -1121,10 +1212,24 @@ impl Watch {
             }
         }
         if outputs.enabled && !world.rig.inputs().haptic.drives_ready {
-            violated!(world, "haptic current", "enabled, and the amplifiers are tripped");
+            violated!(
+                world,
+                "haptic current",
+                "enabled, and the amplifiers are tripped"
+            );
         }
         let force = arm.force().map(|force| f64::from(force.0));
         let step = f64::from(config.step.0);
+        // Motors at their limit make less of the whole force, and more of it again.
+        let cut = outputs.currents.iter().enumerate().any(|(leg, currents)| {
+            currents.iter().enumerate().any(|(motor, code)| {
+                let drive = &config.drives[leg][motor];
+                let most = f64::from(drive.limit.0) / f64::from(drive.full_scale.0).abs() * 8192.0;
+                f64::from(*code).abs() > most - 2.0
+            })
+        });
+        let step = if cut || self.cut { step * 4.0 } else { step };
+        self.cut = cut;
         if outputs.enabled && self.before.valid {
             for axis in 0..3 {
                 let change = (force[axis] - self.before.haptic[axis]).abs();
@@ -1205,6 +1310,8 @@ impl Watch {
                 before.sources[axis] = machinery.motion.source(axis);
             }
         }
+        self.steady = before.on
+            && (self.steady || (self.before.state == State::Homing && before.state == State::Idle));
         if before.homed && !self.before.homed && before.kept && world.broken.is_empty() {
             // The references are new: what was wrong with the counters is over.
             self.suspect = [false; 6];
