@@ -2,7 +2,7 @@
 
 use crate::{cargo, root};
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
 use std::time::Instant;
 
@@ -52,9 +52,9 @@ pub fn storm(arguments: &[&str]) -> Result<(), String> {
     }
 }
 
-/// Plants one bug after the other into a copy of the sources and lets the storm look for it.
+/// Plants all bugs into a copy of the sources, each behind a switch, and lets the storm look for one after the other.
 fn planted(arguments: &[&str]) -> Result<(), String> {
-    let mut minutes = "4".to_string();
+    let mut minutes = "2".to_string();
     let mut seed = "1".to_string();
     let mut only = None;
     let mut words = arguments.iter();
@@ -73,8 +73,7 @@ fn planted(arguments: &[&str]) -> Result<(), String> {
             }
         }
     }
-    let text = read(&root().join(LIST))?;
-    let bugs = parse(&text)?;
+    let bugs = parse(&read(&root().join(LIST))?)?;
     if let Some(name) = &only
         && !bugs.iter().any(|bug| bug.name == *name)
     {
@@ -87,41 +86,35 @@ fn planted(arguments: &[&str]) -> Result<(), String> {
     let copy = root().join("target").join("storm");
     let target = root().join("target").join("storm-target");
     copy_sources(&copy)?;
-    // What the storm finds in the sources as they are is not what was planted.
+    for (index, bug) in bugs.iter().enumerate() {
+        plant(&copy, bug, index + 1)?;
+    }
+    switch(&copy)?;
     build(&copy, &target)?;
-    let healthy = target.join("release").join("storm-healthy");
-    fs::copy(target.join("release").join("storm"), &healthy)
-        .map_err(|error| format!("{}: {error}", healthy.display()))?;
-    let healthy = healthy.display().to_string();
     let mut rows = Vec::new();
     let mut missed = Vec::new();
-    for bug in bugs
-        .iter()
-        .filter(|bug| only.as_ref().is_none_or(|name| bug.name == *name))
-    {
+    for (index, bug) in bugs.iter().enumerate() {
+        if only.as_ref().is_some_and(|name| bug.name != *name) {
+            continue;
+        }
         let begun = Instant::now();
-        let originals = plant(&copy, bug)?;
+        // What the storm finds with all switches off is not what was planted.
         let options = [
             "--minutes",
             &minutes,
             "--seed",
             &seed,
             "--stop",
-            "--against",
-            &healthy,
+            "--against-healthy",
         ];
-        let found = build(&copy, &target).and_then(|()| run_storm(&copy, &target, &options));
-        for (file, original) in originals {
-            write(&file, &original)?;
-        }
-        let found = first_failure(&found?);
+        let said = run_storm(&copy, &target, index + 1, &options)?;
+        let found = first_failure(&said);
         let seconds = begun.elapsed().as_secs_f64();
         let row = match found {
             Some(Found {
                 check,
                 seed,
                 period,
-                ..
             }) => {
                 format!(
                     "| {} | {} | {check} | {seed} | {period} |",
@@ -133,7 +126,7 @@ fn planted(arguments: &[&str]) -> Result<(), String> {
                 format!("| {} | {} | NOT FOUND | | |", bug.name, bug.breaks)
             }
         };
-        println!("{row}  ({seconds:.0} s with the build)");
+        println!("{row}  ({seconds:.0} s)");
         rows.push(row);
     }
     println!(
@@ -151,6 +144,28 @@ fn planted(arguments: &[&str]) -> Result<(), String> {
             missed.join(", ")
         ))
     }
+}
+
+/// The switches of the copy: a number in the protocol crate, which the copied storm takes from its environment.
+fn switch(copy: &Path) -> Result<(), String> {
+    let library = copy.join("protocol/src/lib.rs");
+    let text = read(&library)?;
+    write(
+        &library,
+        &format!(
+            "{text}\n/// Which planted bug is on.\npub mod planted {{\n    use core::sync::atomic::{{AtomicU32, Ordering}};\n    static ON: AtomicU32 = AtomicU32::new(0);\n    \
+             /// Whether it is this one.\n    pub fn on(bug: u32) -> bool {{\n        ON.load(Ordering::Relaxed) == bug\n    }}\n    \
+             /// Switches one on.\n    pub fn set(bug: u32) {{\n        ON.store(bug, Ordering::Relaxed);\n    }}\n}}\n"
+        ),
+    )?;
+    let program = copy.join("tests/src/bin/storm.rs");
+    let text = read(&program)?;
+    let mark = "    keep_panics();\n";
+    if text.matches(mark).count() != 1 {
+        return Err("tests/src/bin/storm.rs: the place of the switch is not there once".into());
+    }
+    let set = "    if let Some(bug) = std::env::var(\"HAPTIMILL_PLANTED\").ok().and_then(|bug| bug.parse().ok()) {\n        haptimill_protocol::planted::set(bug);\n    }\n";
+    write(&program, &text.replacen(mark, &format!("{mark}{set}"), 1))
 }
 
 /// What the storm says of a failure.
@@ -202,34 +217,37 @@ fn build(copy: &Path, target: &Path) -> Result<(), String> {
     }
 }
 
-fn run_storm(copy: &Path, target: &Path, options: &[&str]) -> Result<String, String> {
+fn run_storm(copy: &Path, target: &Path, bug: usize, options: &[&str]) -> Result<String, String> {
     let output = Command::new(target.join("release").join("storm"))
         .current_dir(copy)
+        .env("HAPTIMILL_PLANTED", bug.to_string())
         .args(options)
         .output()
         .map_err(|error| format!("the storm cannot be started: {error}"))?;
     Ok(String::from_utf8_lossy(&output.stdout).into_owned())
 }
 
-/// Exchanges the texts of a bug; gives the files as they were.
-fn plant(copy: &Path, bug: &Planted) -> Result<Vec<(PathBuf, String)>, String> {
-    let mut originals: Vec<(PathBuf, String)> = Vec::new();
+/// Exchanges the texts of a bug; `PLANTED` in a new text is its switch.
+fn plant(copy: &Path, bug: &Planted, number: usize) -> Result<(), String> {
     for (file, old, new) in &bug.changes {
         let path = copy.join(file);
         let text = read(&path)?;
         let count = text.matches(old.as_str()).count();
-        if count != 1 {
+        if count != 1 || !new.contains("PLANTED") {
             return Err(format!(
-                "{LIST}: bug '{}': the old text occurs {count} times in {file}, must be once; bring it up to date",
+                "{LIST}: bug '{}': the old text occurs {count} times in {file}, must be once, and the new one must have its switch PLANTED; bring it up to date",
                 bug.name
             ));
         }
-        write(&path, &text.replacen(old.as_str(), new, 1))?;
-        if !originals.iter().any(|(known, _)| *known == path) {
-            originals.push((path, text));
-        }
+        let krate = if file.starts_with("protocol") {
+            "crate"
+        } else {
+            "haptimill_protocol"
+        };
+        let new = new.replace("PLANTED", &format!("{krate}::planted::on({number})"));
+        write(&path, &text.replacen(old.as_str(), &new, 1))?;
     }
-    Ok(originals)
+    Ok(())
 }
 
 fn copy_sources(copy: &Path) -> Result<(), String> {

@@ -4,7 +4,6 @@ use haptimill_tests::storm::script::Episode;
 use haptimill_tests::storm::watch::Violation;
 use haptimill_tests::storm::{Outcome, TRACE, keep_panics, run, shrink};
 use std::collections::BTreeMap;
-use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -21,7 +20,7 @@ storm [--minutes N] [--seed S] [--threads T] [--only] [--stop] [--episodes N] [-
   --episodes N   ends after so many episodes
   --no-shrink    leaves failing scripts as they are
   --trace N      with --only: state, commanded pose and motors every N periods
-  --against FILE the storm of other sources; what fails there as well counts as none
+  --against-healthy   what fails without a planted bug as well counts as none (used by --planted)
   --ignore A,B   failures of these checks count as none
 ";
 
@@ -34,13 +33,17 @@ struct Arguments {
     shrink: bool,
     episodes: u64,
     ignored: Vec<String>,
-    against: Option<PathBuf>,
+    against: bool,
 }
 
-/// Whether the storm of other sources fails in the same check with this seed.
-fn also_fails(other: &PathBuf, seed: u64, check: &str) -> bool {
+/// Whether this storm fails in the same check with this seed when no bug is planted.
+fn also_fails(seed: u64, check: &str) -> bool {
+    let Ok(own) = std::env::current_exe() else {
+        return false;
+    };
     let seed = seed.to_string();
-    let output = std::process::Command::new(other)
+    let output = std::process::Command::new(own)
+        .env_remove("HAPTIMILL_PLANTED")
         .args(["--only", "--no-shrink", "--seed", &seed])
         .output();
     let mark = format!("check \"{check}\"");
@@ -64,7 +67,7 @@ fn arguments() -> Result<Arguments, String> {
         shrink: true,
         episodes: u64::MAX,
         ignored: vec![],
-        against: None,
+        against: false,
     };
     let mut words = std::env::args().skip(1);
     while let Some(word) = words.next() {
@@ -75,7 +78,7 @@ fn arguments() -> Result<Arguments, String> {
             "--seed" => parsed.seed = value()?.parse().map_err(|_| bad("that"))?,
             "--threads" => parsed.threads = value()?.parse().map_err(|_| bad("that"))?,
             "--episodes" => parsed.episodes = value()?.parse().map_err(|_| bad("that"))?,
-            "--against" => parsed.against = Some(PathBuf::from(value()?)),
+            "--against-healthy" => parsed.against = true,
             "--ignore" => parsed.ignored = value()?.split(',').map(str::to_string).collect(),
             "--trace" => {
                 let every = value()?.parse().map_err(|_| bad("that"))?;
@@ -206,8 +209,9 @@ fn storm(arguments: &Arguments) -> ExitCode {
                     outcome.violation = outcome
                         .violation
                         .filter(|found| !arguments.ignored.iter().any(|name| name == found.check));
-                    if let (Some(other), Some(found)) = (&arguments.against, &outcome.violation)
-                        && also_fails(other, episode.seed, found.check)
+                    if arguments.against
+                        && let Some(found) = &outcome.violation
+                        && also_fails(episode.seed, found.check)
                     {
                         outcome.violation = None;
                     }
