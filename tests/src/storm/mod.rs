@@ -597,6 +597,21 @@ impl Player {
                 self.world.rig.plant_mut().set_emergency_stop(*open);
             }
             What::Break(kind) => self.break_device(kind),
+            What::Lean(joint, effort) => {
+                if *joint >= self.world.axes {
+                    return self.steps(periods);
+                }
+                self.watch.broke(&FaultKind::Push {
+                    axis: script::JOINTS[*joint].to_string(),
+                    effort: *effort,
+                });
+                for period in 0..periods {
+                    let part = f64::from(period + 1) / f64::from(periods);
+                    self.world.rig.plant_mut().set_load(*joint, effort * part);
+                    self.step()?;
+                }
+                return Ok(());
+            }
             What::Heal => {
                 self.world.set_broken(vec![]);
                 self.world.rig.plant_mut().set_emergency_stop(false);
@@ -825,7 +840,9 @@ impl Player {
             let cycles = (1.0 + dice.between(0.0, 4.0)).floor();
             let swing = (rate * total * 0.15 / (cycles * core::f64::consts::TAU))
                 .min(acceleration * total * total / (core::f64::consts::TAU * cycles).powi(2) / 8.0)
-                .min(range / 4.0);
+                .min(range / 4.0)
+                // Near a limit a swing would leave it between two setpoints that are within.
+                .min(((high - low) / 2.0 - (here[axis] - middle).abs()).max(0.0) / 8.0);
             *way = (
                 towards * dice.between(0.1, 1.0) * reach,
                 dice.between(-1.0, 1.0) * swing,
@@ -1118,6 +1135,7 @@ const fn kind_of(what: &What) -> &'static str {
         What::Line(_) => "noise on the line",
         What::Circuit(_) => "emergency stop circuit",
         What::Break(kind) => broken(kind),
+        What::Lean(..) => "fault lean",
         What::Heal => "devices healed",
         What::Miss(_) => "missed periods",
         What::Contact(_) => "elastic wall",

@@ -188,6 +188,8 @@ pub enum What {
     Circuit(bool),
     /// A device breaks.
     Break(FaultKind),
+    /// Something leans on a joint, harder and harder over the periods of the step, until it is healed.
+    Lean(usize, f64),
     /// All devices are whole again.
     Heal,
     /// The controller misses so many periods.
@@ -437,6 +439,11 @@ fn breakage(kind: Kind, dice: &mut Dice) -> (What, u32) {
         11 => {
             let size = dice.spread(effort * 0.02, effort);
             let effort = if dice.happens(0.5) { size } else { -size };
+            if dice.happens(0.5) {
+                let joint = JOINTS.iter().position(|joint| *joint == axis).unwrap_or(0);
+                let over = dice.between(500.0, 8000.0) as u32;
+                return (What::Lean(joint, effort), over);
+            }
             FaultKind::Push { axis, effort }
         }
         12 => FaultKind::SwitchStuck {
@@ -530,7 +537,29 @@ fn jog(dice: &mut Dice) -> What {
 fn careful(dice: &mut Dice) -> Vec<(What, u32)> {
     let percent = dice.pick(&[1, 10, 37, 50, 80, 100]);
     match dice.below(20) {
-        0..=6 => {
+        0 => {
+            // A long job whose override outlasts a hold.
+            let long = What::Job(JobPlan {
+                seed: dice.bits(),
+                count: 40,
+                span: 400,
+                speed: dice.spread(0.05, 0.5),
+                actions: dice.happens(0.3),
+                gap: 0,
+                absurd: 0.0,
+                open: false,
+            });
+            let percent = dice.pick(&[20, 37, 50, 80]);
+            vec![
+                (What::Idle, 6000),
+                (long, 1000),
+                (What::Say(Command::Override { percent }), 1500),
+                (What::Say(Command::Hold), dice.between(100.0, 2500.0) as u32),
+                (What::Say(Command::Resume), 6000),
+                (What::Say(Command::Override { percent: 100 }), 500),
+            ]
+        }
+        1..=6 => {
             let run = dice.spread(200.0, 8000.0) as u32;
             let mut steps = vec![(What::Idle, 6000), (job(dice), run)];
             for _ in 0..dice.below(4) {

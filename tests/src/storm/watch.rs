@@ -1,5 +1,10 @@
 //! The checks of every period, against the simulated machine's truth and against f64.
 
+#![allow(
+    clippy::needless_range_loop,
+    reason = "an axis is a place in several lists at once"
+)]
+
 use super::bench::{World, name};
 use super::reference::{Arithmetic, Course, Tracked};
 use super::script::{Episode, Theme};
@@ -708,7 +713,7 @@ impl Watch {
             && safety.pending().is_none()
             && self.course.wide;
         self.settled = if calm { self.settled + 1 } else { 0 };
-        if self.settled > 2 * stop + 500 && !self.foreign && self.theme.clean_line() {
+        if self.settled > stop + 600 && !self.foreign && self.theme.clean_line() {
             let should = f64::from(self.percent) / 100.0;
             let is = program.path_rate() as f64 / 4_294_967_296.0;
             if (should - is).abs() > 1e-4
