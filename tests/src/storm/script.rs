@@ -439,9 +439,12 @@ fn breakage(kind: Kind, dice: &mut Dice) -> (What, u32) {
         11 => {
             let size = dice.spread(effort * 0.02, effort);
             let effort = if dice.happens(0.5) { size } else { -size };
-            if dice.happens(0.5) {
+            if dice.happens(0.8) {
                 let joint = JOINTS.iter().position(|joint| *joint == axis).unwrap_or(0);
                 let over = dice.between(500.0, 8000.0) as u32;
+                // Around what the drive can hold against, which is where a following error grows.
+                let most = if joint == 4 { 36.0 } else { 750.0 };
+                let effort = effort.signum() * most * dice.between(0.5, 1.3);
                 return (What::Lean(joint, effort), over);
             }
             FaultKind::Push { axis, effort }
