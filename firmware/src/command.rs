@@ -26,6 +26,8 @@ type Done = Result<(), Refusal>;
 const POSE: usize = 3;
 const SPAN: usize = 1;
 const TAKE: usize = 1;
+/// To look at a piece of a long segment takes as long as so many; a period in which a frame came leaves it to the next one.
+const PIECE: usize = 5;
 const READ: usize = 5;
 
 impl Controller {
@@ -46,7 +48,14 @@ impl Controller {
                 crc,
                 at_preset,
             } => self.activate(inputs, length, crc, at_preset),
-            Command::Enable => self.enable(inputs),
+            Command::Enable => match self.enable(inputs) {
+                Ok(()) if self.settled().is_err() => {
+                    // Answered when the step motors have locked.
+                    self.job.enabling = request.id;
+                    return;
+                }
+                result => result,
+            },
             Command::Disable => self.disable(),
             Command::Home => self.home(),
             Command::Reset => self.reset(inputs),
@@ -116,12 +125,22 @@ impl Controller {
         }
     }
 
+    /// Nothing may be moved until the step motors have locked.
+    fn settled(&self) -> Done {
+        match &self.machinery {
+            Some(machinery) if machinery.is_locking() => {
+                Err(Refusal::Input(InputProblem::Settling))
+            }
+            _ => Ok(()),
+        }
+    }
+
     fn configured(&mut self) -> Result<&mut Machinery, Refusal> {
         self.machinery.as_mut().ok_or(Refusal::NotConfigured)
     }
 
     /// Checks the staged configuration and makes it the active one. Where the joints stand is known from the presets (said by the operator, or
-    /// taken at the first configuration after power on), or from the configuration before if both count alike; otherwise it is lost.
+    /// valid at power-on, with what was counted from then to the first configuration), or from the configuration before if both count alike; otherwise it is lost.
     #[cold]
     #[inline(never)]
     fn activate(&mut self, inputs: &Inputs, length: u16, crc: u32, at_preset: bool) -> Done {
@@ -155,7 +174,7 @@ impl Controller {
         let machinery = self.machinery.as_mut().ok_or(Refusal::NotConfigured)?;
         if at_preset || first {
             self.safety.set_homed(false);
-            self.job.preset_valid = true;
+            self.job.preset_valid = at_preset || machinery.count_from(&self.power_on);
         } else if !standing.is_some_and(|standing| machinery.take_over(&standing, inputs)) {
             self.safety.lose_position();
             self.job.preset_valid = false;
@@ -206,6 +225,7 @@ impl Controller {
 
     fn home(&mut self) -> Done {
         self.in_state(&[State::Idle])?;
+        self.settled()?;
         if !self.job.preset_valid {
             return Err(Refusal::PresetLost);
         }
@@ -238,6 +258,7 @@ impl Controller {
 
     fn start_job(&mut self, job: u32, pose: &AxisValues) -> Done {
         self.in_state(&[State::Idle])?;
+        self.settled()?;
         if !self.safety.homed() || !self.safety.position_kept() {
             return Err(Refusal::NotHomed);
         }
@@ -261,6 +282,7 @@ impl Controller {
             }
         }
         machinery.motion.begin_program();
+        machinery.begin_joint_rates();
         self.server.begin_job(pose);
         self.job.number = Some(job);
         self.job.stopping = false;
@@ -302,16 +324,32 @@ impl Controller {
                 *share = share.saturating_sub(SPAN);
             }
         }
-        let (first, axes) = (tried.saturating_sub(1), machinery.axes());
+        let axes = machinery.axes();
+        let first = tried.saturating_sub(1).min(axes);
         let last = axes.min(first + *share);
         *share -= last - first;
-        let program = &mut machinery.motion.program;
-        if last < axes || *share < TAKE {
-            program.allows(setpoint, first..last)?;
+        machinery.motion.program.allows(setpoint, first..last)?;
+        if last < axes {
             return Ok(Some(last as u8 + 1));
         }
+        let pieces = machinery.pieces(setpoint);
+        let mut piece = tried.saturating_sub(axes + 1) as u8;
+        while piece < pieces {
+            // The last piece ends at the pose that was tried.
+            let cost = if piece + 1 == pieces { TAKE } else { PIECE };
+            if *share < cost {
+                break;
+            }
+            *share -= cost;
+            machinery.check_piece(number, setpoint, piece, pieces)?;
+            piece += 1;
+        }
+        if piece < pieces || *share < TAKE {
+            return Ok(Some((axes + 1) as u8 + piece));
+        }
         *share -= TAKE;
-        program.push_tried(setpoint, first)?;
+        machinery.motion.program.push_tried(setpoint, axes)?;
+        machinery.take_end();
         Ok(None)
     }
 
@@ -334,6 +372,7 @@ impl Controller {
         if !self.safety.homed() {
             return Err(Refusal::NotHomed);
         }
+        self.settled()?;
         if !(1..=1000).contains(&deadline_ms) {
             return Err(Refusal::Range);
         }

@@ -8,6 +8,7 @@
 //! what each state does in `decide.rs`.
 
 use crate::decide::{Job, OVERDUE};
+use crate::drive::counted::SincePowerOn;
 use crate::force::{ForceControl, ForceProblem};
 use crate::io::{Inputs, Outputs};
 use crate::machinery::Machinery;
@@ -26,6 +27,8 @@ pub struct Controller {
     pub(crate) safety: Safety,
     pub(crate) machinery: Option<Machinery>,
     pub(crate) job: Job,
+    /// What was counted before there was a configuration.
+    pub(crate) power_on: SincePowerOn,
 }
 
 impl Controller {
@@ -39,6 +42,7 @@ impl Controller {
             safety: Safety::default(),
             machinery: None,
             job: Job::default(),
+            power_on: SincePowerOn::default(),
         }
     }
 
@@ -49,6 +53,8 @@ impl Controller {
         if let Some(machinery) = &mut self.machinery {
             machinery.sense(inputs);
             machinery.sense_force(inputs, self.job.spindle_rpm, self.safety.active());
+        } else {
+            self.power_on.note(inputs);
         }
         probe.ended(Stage::Sense);
         self.decide(inputs, heard);
@@ -111,7 +117,7 @@ impl Controller {
             (Some(Fault::Force(_)), _) => true,
             // While the machine brakes, the tool goes on yielding to a force that is too large.
             (_, Some(Fault::Force(problem))) => !matches!(problem, ForceProblem::Limit { .. }),
-            _ => false,
+            _ => machinery.is_locking(),
         };
         machinery.give_way(stopped, self.safety.state() == State::Homing);
     }
@@ -125,6 +131,16 @@ impl Controller {
             && let Err(error) = machinery.place()
         {
             self.safety.raise(Fault::Pose(error));
+        }
+        if self.safety.drives_on()
+            && let Some(joint) = machinery.joint_too_fast()
+        {
+            self.safety.raise(Fault::JointRate {
+                setpoint: machinery.motion.program.reached(),
+                axis: joint as u8,
+                rate: machinery.target().rates[joint].0,
+                limit: machinery.machine.rates()[joint].0,
+            });
         }
         while let Some(axis) = machinery.take_limited() {
             self.safety.tell(Event::YieldLimited { axis });

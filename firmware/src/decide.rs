@@ -3,6 +3,7 @@
 use crate::controller::Controller;
 use crate::force::conditioning::is_force;
 use crate::io::{AxisInputs, Inputs};
+use crate::machinery::Machinery;
 use crate::machinery::hand::Leading;
 use crate::motion::Mode;
 use crate::motion::program::Progress;
@@ -61,6 +62,8 @@ pub struct Job {
     pub missed: u16,
     /// The joints stand where their presets say, or moved from there with encoders that can be believed.
     pub preset_valid: bool,
+    /// Number of the request to enable that is answered when the step motors have locked; 0 is none.
+    pub enabling: u8,
 }
 
 impl Controller {
@@ -83,6 +86,26 @@ impl Controller {
         }
         self.advance(inputs);
         self.close_what_faults_end();
+        if self.job.enabling != 0 {
+            self.answer_enable();
+        }
+    }
+
+    /// The drives are enabled when the step motors have locked, unless something else happens before.
+    #[cold]
+    #[inline(never)]
+    fn answer_enable(&mut self) {
+        let locking = self.machinery.as_ref().is_some_and(Machinery::is_locking);
+        let result = match self.safety.state() {
+            State::Idle if locking => return,
+            State::Idle => Ok(()),
+            state => Err(Refusal::State(state)),
+        };
+        // The request of this period has taken its room.
+        if self.server.can_answer() {
+            self.server.answer(self.job.enabling, result);
+            self.job.enabling = 0;
+        }
     }
 
     /// The one thing that was heard.
@@ -108,6 +131,7 @@ impl Controller {
             self.job.hand_cancelled = false;
             self.job.overtaken = false;
             self.job.new_session = true;
+            self.job.enabling = 0;
             if let Some(machinery) = &mut self.machinery {
                 machinery.hands.afar.forget();
             }
@@ -169,8 +193,23 @@ impl Controller {
                 self.safety.tell(Event::Hand(problem));
             }
         }
+        if let Some((axis, count)) = machinery.jump() {
+            // While something else is latched the position is lost at once, and this is named after that.
+            self.safety.lose_position();
+            self.job.preset_valid = false;
+            self.safety.raise(Fault::EncoderIllegal { axis, count });
+            if matches!(self.safety.fault(), Some(Fault::EncoderIllegal { axis: of, .. }) if of == axis)
+            {
+                machinery.named_jump();
+            }
+        }
         if !self.safety.drives_on() {
             return;
+        }
+        if machinery.is_locking()
+            && let Err(fault) = machinery.lock()
+        {
+            self.safety.raise(fault);
         }
         if self.safety.active()
             && let Some(force) = &machinery.force
@@ -199,8 +238,8 @@ impl Controller {
                 missed: inputs.missed,
             });
         }
-        if let Some(fault) =
-            hardware(&inputs.axes[..machinery.axes()]).or_else(|| machinery.supervise())
+        if let Some(fault) = hardware(&inputs.axes[..machinery.axes()])
+            .or_else(|| machinery.supervise(inputs.missed != 0))
         {
             // In many periods a joint goes farther than it can in one: that is no jump of its counter.
             let jumped = matches!(fault, Fault::EncoderIllegal { .. });

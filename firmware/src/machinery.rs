@@ -1,9 +1,11 @@
 //! The parts that a configuration makes: geometry, joints, motion, force control, haptic arm; and the stages that are theirs.
 
 pub mod hand;
+mod joint_rates;
 mod yielding;
 
 use crate::config::{AxisKind, Config, JointAxis};
+use crate::drive::counted::SincePowerOn;
 use crate::drive::{JointDrive, Kept};
 use crate::force::conditioning::COMPONENTS;
 use crate::force::{Design, ForceControl};
@@ -21,6 +23,7 @@ use haptimill_protocol::message::{
 };
 use haptimill_protocol::setpoint::Setpoint;
 use heapless::Vec;
+use joint_rates::JointRates;
 
 /// Parts in which the configuration, and what was worked out from it, is checked against its digest: geometry and bounds, motion, then each axis of
 /// the pose and each joint, then the haptic arm, then the force sensor and each axis of force control.
@@ -92,9 +95,21 @@ pub struct Machinery {
     /// On a machine with a force sensor; without one the pose is worked out for whoever asks.
     measured_pose: Option<Pose>,
     target: JointMotion,
+    /// Of the setpoints of a job.
+    joint_rates: JointRates,
     digests: [Digest; PARTS],
     next_part: usize,
+    /// Periods in which the rotors of step motors may still lock, after their drives were switched on.
+    locking: Option<u32>,
+    /// A counter that jumped and was not named yet: joint, and counts.
+    jumped: Option<(u8, u16)>,
 }
+
+/// A rotor has locked when it has stayed in its place for so long, microseconds: six cycles of one that swings at 120 Hz.
+const LOCKED_US: u32 = 50_000;
+
+/// All rotors must have locked after so long, microseconds.
+const LOCKING_US: u32 = 1_000_000;
 
 impl Machinery {
     /// The machine of a configuration, standing at its presets.
@@ -176,8 +191,11 @@ impl Machinery {
             measured: Joints::default(),
             measured_pose: None,
             target: JointMotion::default(),
+            joint_rates: JointRates::default(),
             digests: [Digest::default(); PARTS],
             next_part: 0,
+            locking: None,
+            jumped: None,
             config,
             crc,
         }
@@ -230,6 +248,19 @@ impl Machinery {
         true
     }
 
+    /// The joints stood at their presets at power-on, and have moved from there as was counted since. False if an encoder cannot be believed.
+    #[cold]
+    #[inline(never)]
+    pub fn count_from(&mut self, counted: &SincePowerOn) -> bool {
+        let limit = u32::from(self.config.supervision.illegal_transitions);
+        let mut believed = true;
+        for (joint, counted) in self.joints.iter_mut().zip(&counted.axes) {
+            believed &= joint.count_from(counted) && counted.illegal <= limit;
+        }
+        self.remember_measured();
+        believed
+    }
+
     /// Number of axes.
     #[must_use]
     #[inline]
@@ -242,11 +273,42 @@ impl Machinery {
     pub fn sense(&mut self, inputs: &Inputs) {
         let time_ns = inputs.time_ns;
         let measured = self.measured.0.iter_mut();
+        let mut leapt = false;
         for ((joint, inputs), measured) in self.joints.iter_mut().zip(&inputs.axes).zip(measured) {
-            *measured = joint.sense(inputs, time_ns).coordinate;
+            let sensed = joint.sense(inputs, time_ns);
+            *measured = sensed.coordinate;
+            leapt |= sensed.leapt;
+        }
+        if leapt {
+            self.note_jumps(u32::from(inputs.missed) + 1);
         }
         self.measure_pose();
         self.sense_hand(&inputs.haptic);
+    }
+
+    /// In so many periods a joint can go farther than in one.
+    #[cold]
+    #[inline(never)]
+    fn note_jumps(&mut self, periods: u32) {
+        for (index, joint) in self.joints.iter_mut().enumerate() {
+            if joint.jumped(periods) {
+                let counts = joint.sensed().moved.unsigned_abs();
+                let counts = counts.min(u32::from(u16::MAX)) as u16;
+                self.jumped.get_or_insert((index as u8, counts));
+            }
+        }
+    }
+
+    /// A counter that jumped, whether drives are on or off, until it [was named](Self::named_jump): joint, and counts.
+    #[must_use]
+    #[inline]
+    pub const fn jump(&self) -> Option<(u8, u16)> {
+        self.jumped
+    }
+
+    /// The fault of that joint was named.
+    pub const fn named_jump(&mut self) {
+        self.jumped = None;
     }
 
     fn remember_measured(&mut self) {
@@ -297,20 +359,85 @@ impl Machinery {
 
     /// Wanted becomes measured, drives on.
     pub fn enable(&mut self) -> Result<(), PoseError> {
-        let pose = self.machine.forward(&self.measured)?;
-        self.machine.inverse(&pose)?;
+        let measured = self.measured;
+        self.stand_at(&measured)?;
+        let mut locks = false;
         for joint in &mut self.joints {
             joint.enable();
+            locks |= joint.begin_lock();
         }
+        self.locking = locks.then(|| LOCKING_US / u32::from(self.config.period_us.max(1)));
+        Ok(())
+    }
+
+    /// These joints are commanded, at rest; an error changes nothing.
+    #[inline(never)]
+    fn stand_at(&mut self, joints: &Joints) -> Result<(), PoseError> {
+        let pose = self.machine.forward(joints)?;
+        self.machine.inverse(&pose)?;
         self.motion.place(&pose);
         self.forget_force();
         self.settle();
         Ok(())
     }
 
+    /// Whether the drives were just switched on and the rotors of step motors have not locked yet: nothing may be moved.
+    #[must_use]
+    #[inline]
+    pub const fn is_locking(&self) -> bool {
+        self.locking.is_some()
+    }
+
+    /// One period in which the rotors of step motors lock: each moves to the nearest detent, by two full steps at most, and swings there. Its encoder counts that. When all have
+    /// locked, the commanded position becomes the measured one, and steps count from there.
+    ///
+    /// # Errors
+    /// A rotor that is farther from where it was switched on than a joint may be off at rest, or that does not come to rest.
+    #[cold]
+    #[inline(never)]
+    pub fn lock(&mut self) -> Result<(), Fault> {
+        let Some(left) = &mut self.locking else {
+            return Ok(());
+        };
+        *left = left.saturating_sub(1);
+        let over = *left == 0;
+        let enough = LOCKED_US / u32::from(self.config.period_us.max(1));
+        let mut locked = true;
+        for (index, (joint, axis)) in self.joints.iter_mut().zip(&self.config.joints).enumerate() {
+            let Some((by, quiet)) = joint.locking(axis) else {
+                continue;
+            };
+            let moves = quiet < enough;
+            if by.magnitude() > axis.following.magnitude() || (over && moves) {
+                return Err(Fault::NotLocked {
+                    axis: index as u8,
+                    by: by.0,
+                });
+            }
+            locked &= !moves;
+        }
+        if locked {
+            self.locking = None;
+            self.rebase().map_err(Fault::Pose)?;
+        }
+        Ok(())
+    }
+
+    /// Step motors are commanded where they are measured; torque drives stay where they are commanded, or a load would push them on.
+    fn rebase(&mut self) -> Result<(), PoseError> {
+        let mut joints = self.target.joints;
+        for (coordinate, joint) in joints.0.iter_mut().zip(&mut self.joints) {
+            if let Some(slide) = joint.end_lock() {
+                *coordinate = slide;
+            }
+        }
+        self.stand_at(&joints)
+    }
+
     /// Drives off.
     #[inline]
     pub fn disable(&mut self) {
+        self.locking = None;
         for joint in &mut self.joints {
             joint.disable();
         }
@@ -360,20 +487,19 @@ impl Machinery {
         Ok(())
     }
 
-    /// Supervision of all joints against what was wanted of them in the period before.
+    /// Supervision of all joints against what was wanted of them in the period before; periods were `missed` since.
     #[inline]
-    pub fn supervise(&mut self) -> Option<Fault> {
+    pub fn supervise(&mut self, missed: bool) -> Option<Fault> {
         let Config {
             supervision,
             period_us,
             joints,
             ..
         } = &self.config;
-        let limit = supervision.illegal_transitions;
         for (index, joint) in self.joints.iter_mut().enumerate() {
-            if !joint.is_well(limit)
-                && let Some(axis) = joints.get(index)
-                && let Some(fault) = joint.supervise(index as u8, axis, supervision, *period_us)
+            if let Some(axis) = joints.get(index)
+                && let Some(fault) =
+                    joint.supervise(index as u8, axis, supervision, *period_us, missed)
             {
                 return Some(fault);
             }
@@ -394,6 +520,15 @@ impl Machinery {
             &wanted.accelerations,
             &mut self.target,
         )
+    }
+
+    /// The first joint that is commanded more than its maximum rate and 1/32 of it: something that no look ahead has prevented.
+    #[must_use]
+    #[inline]
+    pub fn joint_too_fast(&self) -> Option<usize> {
+        let rates = self.target.rates.iter().zip(self.machine.rates());
+        let mut joints = rates.take(self.joints.len());
+        joints.position(|(rate, limit)| rate.0.unsigned_abs() > (limit.0 + (limit.0 >> 5)) as u32)
     }
 
     /// Stage *drive*: position loops. Gives a joint whose drive was asked for too much.
@@ -420,6 +555,7 @@ impl Machinery {
     /// What is wanted in this period. The number is a coordinate whose jog was kept from going on.
     #[inline]
     pub fn advance(&mut self, mode: Mode) -> (Progress, Option<u8>) {
+        self.tell_excursion();
         match self.motion.advance_alone(mode) {
             Some(progress) => (progress, None),
             None => self.advance_by_hand(mode),
@@ -447,7 +583,7 @@ impl Machinery {
     ///
     /// # Errors
     /// What is wrong with that pose.
-    pub fn can_reach(&self, number: u32, setpoint: &Setpoint) -> Result<(), Refusal> {
+    pub fn can_reach(&mut self, number: u32, setpoint: &Setpoint) -> Result<(), Refusal> {
         let mut pose = Pose::default();
         for (slot, value) in pose.0.iter_mut().zip(&setpoint.pose) {
             *slot = Coordinate(*value);
@@ -459,8 +595,7 @@ impl Machinery {
                 axis,
             });
         }
-        let reached = self.machine.inverse(&pose);
-        reached.map(|_| ()).map_err(|error| Refusal::Pose {
+        self.note_end(setpoint).map_err(|error| Refusal::Pose {
             setpoint: number,
             error,
         })

@@ -366,6 +366,12 @@ impl Server {
         self.end_batch(Err(refusal));
     }
 
+    /// Whether an answer of an earlier period's request has room.
+    #[must_use]
+    pub fn can_answer(&self) -> bool {
+        !self.answers.is_full()
+    }
+
     /// Answers a request; success of a request without a number is not told.
     pub fn answer(&mut self, id: u8, result: Result<(), Refusal>) {
         #[cfg(feature = "defmt")]

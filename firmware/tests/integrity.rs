@@ -80,13 +80,13 @@ fn a_change_of_what_was_worked_out_is_seen() {
         };
         geometry.rod.0 ^= 1 << 9;
     });
-    for config in [&stroke, &rod] {
+    let joint_rate = changed(|config| config.joints[4].rate.0 -= 1 << 12);
+    for config in [&stroke, &rod, &joint_rate] {
         assert!(rounds_until_seen(|active| active.machine = Machine::new(config)).is_some());
     }
     let jerk = changed(|config| config.pose[1].jerk /= 2);
     let soft = changed(|config| config.pose[3].low.0 += 1 << 16);
-    let joint_rate = changed(|config| config.joints[4].rate.0 -= 1 << 12);
-    for config in [&jerk, &soft, &joint_rate] {
+    for config in [&jerk, &soft] {
         assert!(rounds_until_seen(|active| active.motion.jog = Jog::new(config)).is_some());
     }
     let stopping = changed(|config| config.stopping.time_ms += 10);

@@ -57,6 +57,12 @@ impl Model {
         }
     }
 
+    /// Forgets names and units of all axes.
+    pub fn forget_axes(&mut self) {
+        self.pose.clear();
+        self.joints.clear();
+    }
+
     /// Axis units of a pose in millimetres and degrees, to the nearest.
     #[must_use]
     pub fn to_units(&self, pose: &Coordinates) -> AxisValues {

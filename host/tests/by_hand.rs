@@ -56,10 +56,10 @@ fn an_emergency_stop_ends_a_jog_as_a_fault() {
 
 #[test]
 fn force_control_is_shown_and_set_and_refused_in_words() {
-    let served = Served::on_tcp(&[]);
+    let served = Served::on_tcp(&["--unconfigured"]);
     let nothing = served.tries(&["force", "show"]).ended_with(8);
     assert!(nothing.err.contains("haptimill home"), "{}", nothing.err);
-    served.does(&["home"]);
+    served.does(&["home", "--machine", "machines/h4.toml"]);
     let shown = served.does(&["force", "show", "--json"]).json();
     assert_eq!(shown["under_control"], serde_json::json!([]), "{shown:#}");
     assert_eq!(shown["tared"], false);
@@ -115,13 +115,13 @@ fn force_control_needs_a_sensor() {
 /// What a person sees who sets up force control by hand, word for word; forces are noise, and not shown.
 #[test]
 fn force_control_by_hand() {
-    let served = Served::on("pty", &[]);
+    let served = Served::on("pty", &["--unconfigured"]);
     let mut text = String::new();
     for command in [
         &["force", "show"][..],
         &["force", "tare"],
         &["force", "set", "x", "--fd", "4"],
-        &["home"],
+        &["home", "--machine", "machines/h4.toml"],
         &["force", "show"],
         &["force", "tare"],
         &[

@@ -110,10 +110,11 @@ pub enum Command {
         /// CRC-32 (ISO-HDLC) of the whole configuration.
         crc: u32,
         /// The joints stand at their presets, set up by hand: count from there. Otherwise what is known of the position is kept, or given up
-        /// if the new configuration counts differently. The first configuration after power on always counts from the presets.
+        /// if the new configuration counts differently. The first configuration after power-on counts from the presets, where the
+        /// joints stood at power-on; what was counted since then is added.
         at_preset: bool,
     },
-    /// Drives on: wanted becomes measured, nothing moves.
+    /// Drives on: wanted becomes measured, nothing moves. Answered when the step motors have locked, within a second.
     Enable,
     /// Drives off, from standstill.
     Disable,

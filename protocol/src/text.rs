@@ -223,8 +223,30 @@ impl Describe for Refusal {
             Self::NoHand => f.write_str(
                 "no hand can lead this machine; add the sections [haptic] or [follow] to the machine file and configure the controller with it",
             ),
+            Self::JointRate {
+                setpoint,
+                axis,
+                rate,
+                limit,
+            } => {
+                write!(f, "setpoint {setpoint}: ")?;
+                too_fast(axes, axis, rate, limit, f)?;
+                f.write_str("; lower the feed there, or keep away from the bound of the workspace")
+            }
             Self::WallTooNear => f.write_str("the ball at the tip does not fit between this wall and the opposite one; move one of them outwards"),
         }
+    }
+}
+
+/// A joint that was asked for too high a rate, with both rates where the machine is known.
+fn too_fast(axes: &Axes<'_>, axis: u8, rate: i32, limit: i32, f: &mut Formatter<'_>) -> Result {
+    write!(f, "{} would move", Named(axes.joints, axis))?;
+    match (
+        amount(axes.joints, axis, rate),
+        amount(axes.joints, axis, limit),
+    ) {
+        (Some(rate), Some(limit)) => write!(f, " at {rate}/s (at most {limit}/s)"),
+        _ => f.write_str(" faster than its maximum rate"),
     }
 }
 
@@ -244,6 +266,9 @@ impl Describe for InputProblem {
                 joint(axis)
             ),
             Self::Coasting => f.write_str("the machine still coasts; wait until it stands"),
+            Self::Settling => f.write_str(
+                "the step motors have not locked yet; wait until the drives are enabled",
+            ),
         }
     }
 }
@@ -292,6 +317,18 @@ impl Describe for Fault {
                     Named(axes.pose, axis)
                 )
             }
+            Self::JointRate {
+                setpoint,
+                axis,
+                rate,
+                limit,
+            } => {
+                too_fast(axes, axis, rate, limit, f)?;
+                write!(
+                    f,
+                    " on the way to setpoint {setpoint}; reset, then lead the tool more slowly, or lower the feed there"
+                )
+            }
             Self::Stroke { axis, by } => {
                 write!(f, "{} is ", joint(axis))?;
                 match amount(axes.joints, axis, by) {
@@ -318,7 +355,7 @@ impl Describe for Fault {
             ),
             Self::EncoderIllegal { axis, count } => write!(
                 f,
-                "the encoder of {} made {count} impossible steps; check its cable and shield, then reset and home",
+                "the encoder of {} made {count} impossible steps; check its cable and shield, then reset, set the joints up at their presets by hand and home with --at-preset",
                 joint(axis)
             ),
             Self::EncoderSlip { axis, counts } => {
@@ -345,7 +382,7 @@ impl Describe for Fault {
                 if let Some(by) = amount(axes.joints, axis, by) {
                     write!(f, " ({by})")?;
                 }
-                f.write_str("; go slower or cut less, then reset and home")
+                f.write_str("; go slower or cut less, then reset, enable and home, which compares the encoder with its index pulse")
             }
             Self::LostHost { silent_ms } => write!(
                 f,
@@ -374,6 +411,17 @@ impl Describe for Fault {
                 f.write_str(
                     "; the hand is free and the machine slowed down, remove the cause and reset",
                 )
+            }
+            Self::NotLocked { axis, by } => {
+                write!(
+                    f,
+                    "the motor of {} did not lock when its drive was switched on",
+                    joint(axis)
+                )?;
+                if let Some(by) = amount(axes.joints, axis, by) {
+                    write!(f, " (it moved by {by})")?;
+                }
+                f.write_str("; check the motor's current and wiring, and what loads the joint, then reset and enable")
             }
             Self::Internal { line } => write!(
                 f,

@@ -182,11 +182,7 @@ fn a_dead_or_reversed_drive_and_a_jammed_slide_are_told() {
             // A slide that is held fast stays behind by the limit of the following error and by what the screw is wound up.
             assert!(struck.off < 0.75, "{name}: {} mm", struck.off);
             struck.bench.rig.plant_mut().set_condition(1, well);
-            if matches!(struck.fault, Fault::FollowingError { .. }) {
-                position_is_kept(&mut struck.bench);
-            } else {
-                assert!(encoder_is_asked(&mut struck.bench), "{name}");
-            }
+            assert!(encoder_is_asked(&mut struck.bench), "{name}");
         }
     }
 }
@@ -252,7 +248,12 @@ fn a_tripped_drive_and_a_limit_switch_stop_all_in_one_period() {
         let refusal = Refusal::Input(problem);
         assert_eq!(struck.bench.ask(Command::Enable), Err(refusal));
         struck.bench.rig.plant_mut().set_condition(3, well);
-        position_is_kept(&mut struck.bench);
+        // A switch at the end of a stroke in which the joint was not measured speaks against its encoder.
+        if matches!(fault, Fault::LimitSwitch { .. }) {
+            assert!(encoder_is_asked(&mut struck.bench));
+        } else {
+            position_is_kept(&mut struck.bench);
+        }
     }
 }
 
@@ -507,9 +508,10 @@ fn a_step_motor_that_cannot_or_an_encoder_that_lies_stops_the_whole_path() {
                 Some(
                     Fault::StepsLost { axis: 1, .. }
                     | Fault::EncoderStill { axis: 1 }
-                    | Fault::EncoderReversed { axis: 1 },
+                    | Fault::EncoderReversed { axis: 1 }
+                    | Fault::FollowingError { axis: 1, .. },
                 ) => false,
-                Some(Fault::Drive { axis: 1 } | Fault::FollowingError { axis: 1, .. }) => true,
+                Some(Fault::Drive { axis: 1 }) => true,
                 other => panic!("{name}: {other:?}"),
             };
             assert_eq!(bench.rig.control().safety().position_kept(), kept);

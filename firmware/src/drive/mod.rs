@@ -14,6 +14,7 @@
 //! [`JointDrive::enable`] gives back.
 
 pub mod backlash;
+pub mod counted;
 pub mod edges;
 pub mod encoder;
 pub mod index;
@@ -26,9 +27,10 @@ use crate::config::{AxisKind, Drive, JointAxis, Supervision};
 use crate::io::{AxisInputs, DriveCommand};
 use crate::position::PositionLaw;
 use crate::safety::integrity::{Constants, Digest, constants};
-use crate::safety::supervise::{Glimpse, Seen, Watch};
+use crate::safety::supervise::{Seen, Watch};
 use crate::units::{Acceleration, Coordinate, Effort, Rate};
 use backlash::Backlash;
+use counted::Counted;
 use encoder::{Encoder, difference, sum};
 use haptimill_protocol::message::Fault;
 use index::IndexWatch;
@@ -71,6 +73,8 @@ pub struct Sensed {
     pub slip: Coordinate,
     /// The slip is beyond the limit of the configuration: steps were lost.
     pub lost_steps: bool,
+    /// The counter changed by more than the joint can move in a period.
+    pub leapt: bool,
 }
 
 /// Where a slide shall be.
@@ -131,9 +135,21 @@ struct StepSupervision {
     last_steps: i32,
     steps: i64,
     start: Coordinate,
+    /// The rotor has not locked yet.
+    lock: Option<Lock>,
 }
 
-constants!(StepSupervision { per_step, lost } of {} but { last_steps, steps, start });
+constants!(StepSupervision { per_step, lost } of {} but { last_steps, steps, start, lock });
+
+/// A rotor that moves to a detent after its drive was switched on.
+#[derive(Debug, Clone, PartialEq, Eq)]
+struct Lock {
+    /// The motor when the drive was switched on.
+    origin: Coordinate,
+    /// Middle of the band in which the rotor stays, and periods for which it has stayed there.
+    middle: Coordinate,
+    quiet: u32,
+}
 
 /// One joint.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -149,9 +165,24 @@ pub struct JointDrive {
     driven: Driven,
     sensed_once: bool,
     enabled: bool,
+    /// Counts that the joint can move by in a period ([`reach`]).
+    reach: u32,
 }
 
-constants!(JointDrive { kind } of { encoder, indexes, backlash, output, watch } but { wanted, sensed, driven, sensed_once, enabled });
+/// A joint is taken to move no faster than this many times its highest rate: by hand, coasting, or run away.
+const REACH_FACTOR: u64 = 10;
+
+/// Counts that a joint can move by in a period: its following error at standstill (a rotor that snaps, a screw that unwinds) and the way at [`REACH_FACTOR`] times its
+/// highest rate. A counter that changes by more has jumped; where periods were missed, by more in the mean of them.
+fn reach(axis: &JointAxis, period_us: u16) -> u32 {
+    let rate = u64::from(axis.rate.0.unsigned_abs());
+    let travel = rate * REACH_FACTOR * u64::from(period_us) / 1_000_000;
+    let way = travel + u64::from(axis.following.magnitude());
+    let counts = (way << 24) / axis.per_count.unsigned_abs().max(1);
+    counts.min(u64::from(u32::MAX)) as u32
+}
+
+constants!(JointDrive { kind, reach } of { encoder, indexes, backlash, output } but { watch, wanted, sensed, driven, sensed_once, enabled });
 
 impl Constants for Output {
     fn digest(&self, digest: &mut Digest) {
@@ -222,6 +253,7 @@ impl JointDrive {
                         last_steps: 0,
                         steps: 0,
                         start: Coordinate(0),
+                        lock: None,
                     },
                 }
             }
@@ -232,12 +264,13 @@ impl JointDrive {
             indexes: IndexWatch::new(axis.index_pitch.0, axis.per_count, axis.index_slack),
             backlash: Backlash::new(axis.kind, axis.backlash, period_us),
             output,
-            watch: Watch::of(axis),
+            watch: Watch::default(),
             wanted: Wanted::default(),
             sensed: Sensed::default(),
             driven: Driven::default(),
             sensed_once: false,
             enabled: false,
+            reach: reach(axis, period_us),
         })
     }
 
@@ -262,6 +295,7 @@ impl JointDrive {
         sensed.coordinate = self.backlash.carry(measured.coordinate);
         sensed.motor = measured.coordinate;
         sensed.moved = measured.moved;
+        sensed.leapt = measured.moved.unsigned_abs() > self.reach;
         sensed.illegal = self.encoder.illegal();
         sensed.index = measured.index;
         if sensed.index.is_some() {
@@ -282,6 +316,26 @@ impl JointDrive {
             sensed.illegal = self.encoder.illegal();
             sensed.off = off;
         }
+    }
+
+    /// Whether the counter jumped, so many periods after it was read before: it is not believed any more then.
+    pub(crate) const fn jumped(&mut self, periods: u32) -> bool {
+        let jumped = self.sensed.moved.unsigned_abs() / periods > self.reach;
+        if jumped {
+            self.encoder.disbelieve();
+            self.sensed.illegal = self.encoder.illegal();
+        }
+        jumped
+    }
+
+    /// The joint, which was taken to stand at its preset now, stood there at power-on, and has moved from there as was counted since. False if the counter jumped.
+    pub(crate) fn count_from(&mut self, counted: &Counted) -> bool {
+        let Ok(travelled) = i32::try_from(counted.travelled) else {
+            return false;
+        };
+        let preset = self.sensed.motor;
+        self.set_reference(counted.counts.wrapping_sub(travelled), preset);
+        counted.widest <= self.reach
     }
 
     /// The references are looked for, or not any more.
@@ -328,6 +382,48 @@ impl JointDrive {
         self.sensed.lost_steps = false;
         self.enabled = true;
         self.sensed.coordinate
+    }
+
+    /// The drive was just switched on, and the rotor of a step motor moves to a detent: lost steps are not supervised until it [has locked](Self::end_lock). False for a
+    /// torque drive.
+    pub fn begin_lock(&mut self) -> bool {
+        let Output::Steps { supervision, .. } = &mut self.output else {
+            return false;
+        };
+        let motor = self.sensed.motor;
+        supervision.lock = Some(Lock {
+            origin: motor,
+            middle: motor,
+            quiet: 0,
+        });
+        true
+    }
+
+    /// One period until the rotor has locked: how far it is from where its drive was switched on, and for how many periods it has stayed within an eighth of the limit
+    /// of lost steps (two counts at least). `None` for a torque drive.
+    pub fn locking(&mut self, axis: &JointAxis) -> Option<(Coordinate, u32)> {
+        let Output::Steps { supervision, .. } = &mut self.output else {
+            return None;
+        };
+        let motor = self.sensed.motor;
+        let band = u64::from(supervision.lost.unsigned_abs() / 8);
+        let lock = supervision.lock.as_mut()?;
+        let moved = difference(self.kind, motor, lock.middle).magnitude();
+        if u64::from(moved) > band.max(axis.per_count.unsigned_abs() >> 23) {
+            lock.middle = motor;
+            lock.quiet = 0;
+        } else {
+            lock.quiet = lock.quiet.saturating_add(1);
+        }
+        Some((difference(self.kind, motor, lock.origin), lock.quiet))
+    }
+
+    /// The rotor has locked: steps count from where it is, and lost ones are supervised. Gives the slide's coordinate, which becomes the commanded one; `None` for a
+    /// torque drive.
+    pub fn end_lock(&mut self) -> Option<Coordinate> {
+        let locks =
+            matches!(&self.output, Output::Steps { supervision, .. } if supervision.lock.is_some());
+        locks.then(|| self.enable())
     }
 
     /// The drive goes off.
@@ -388,21 +484,8 @@ impl JointDrive {
         self.indexes.take_over(&kept.indexes);
     }
 
-    /// Supervision at a glance: whether the joint is certain to do what it was told in the period before. Where not, [`JointDrive::supervise`] has to look.
-    #[inline(never)]
-    pub fn is_well(&mut self, illegal_limit: u16) -> bool {
-        let sensed = &self.sensed;
-        sensed.illegal <= u32::from(illegal_limit)
-            && self.watch.glance(&Glimpse {
-                wanted: self.wanted.coordinate,
-                wanted_rate: self.wanted.rate,
-                measured: sensed.coordinate,
-                moved: sensed.moved,
-                effort: self.driven.effort,
-            })
-    }
-
-    /// Supervision: does the joint do what it was told in the period before? `joint` is its number, `axis` its configuration.
+    /// Supervision: does the joint do what it was told in the period before? `joint` is its number, `axis` its configuration; periods were
+    /// `missed` before this one.
     #[inline(never)]
     pub fn supervise(
         &mut self,
@@ -410,6 +493,7 @@ impl JointDrive {
         axis: &JointAxis,
         limits: &Supervision,
         period_us: u16,
+        missed: bool,
     ) -> Option<Fault> {
         let sensed = &self.sensed;
         let seen = Seen {
@@ -418,7 +502,7 @@ impl JointDrive {
             measured: sensed.coordinate,
             moved: sensed.moved,
             effort: self.driven.effort,
-            rate: if self.watch.pushes(self.driven.effort) {
+            rate: if Watch::pushes(axis, self.driven.effort) {
                 self.encoder.rate()
             } else {
                 Rate::ZERO
@@ -426,6 +510,7 @@ impl JointDrive {
             illegal: sensed.illegal.min(u32::from(u16::MAX)) as u16,
             steps_off: sensed.slip,
             period_us,
+            missed,
         };
         if sensed.off != 0 {
             return Some(Fault::EncoderSlip {
@@ -434,7 +519,7 @@ impl JointDrive {
             });
         }
         self.watch
-            .examine(joint, axis, limits.illegal_transitions, &seen)
+            .look(joint, axis, limits.illegal_transitions, &seen)
     }
 
     /// Rate of the motor side, from the times between edges.
@@ -500,6 +585,7 @@ impl StepSupervision {
     const fn restart(&mut self, motor: Coordinate) {
         self.steps = 0;
         self.start = motor;
+        self.lock = None;
     }
 
     /// Steps less encoder, and whether that is too much.
@@ -515,7 +601,7 @@ impl StepSupervision {
             .steps
             .wrapping_add(i64::from(steps.wrapping_sub(self.last_steps)));
         self.last_steps = steps;
-        if !enabled {
+        if !enabled || self.lock.is_some() {
             return (Coordinate(0), false);
         }
         let by_steps = match kind {

@@ -367,7 +367,7 @@ impl H4 {
 
     /// (3.23)-(3.26) from a placed pose.
     #[inline(always)]
-    fn joints(
+    pub(super) fn joints(
         &self,
         placed: &Placed,
         pairs: &[Pair; 2],

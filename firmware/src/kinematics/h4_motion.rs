@@ -16,9 +16,11 @@
 //! Limits: a joint's rate or acceleration that leaves its type is held at its end (2048 mm/s, 524 m/s^2), far above what a drive does.
 
 use super::h4::{ALPHA, AXES, H4, Pair, Placed, THETA};
-use super::{Accelerations, Jacobian, JointMotion, Rates};
+use super::{Accelerations, Jacobian, JointMotion, Joints, Pose, PoseError, Rates};
 use crate::units::root::Reciprocal;
-use crate::units::scale::{multiply_high, multiply_shift, round_shift, scale, shift_right, total};
+use crate::units::scale::{
+    multiply_high, multiply_shift, product, round_shift, scale, shift_right, total,
+};
 use crate::units::trig::QUARTER_PI_Q31;
 use crate::units::{Acceleration, Rate};
 
@@ -319,6 +321,49 @@ impl H4 {
             jet(&pairs[0], self.upper, -1),
             jet(&pairs[1], self.lower, 1),
         ]
+    }
+
+    /// Joints of a pose, and upper bounds of the magnitudes of the rates of both pairs of slides, axis units per second, for pose rates of at most these magnitudes.
+    ///
+    /// The triangle inequality over the formulas above: l' = x' + m cos(theta) theta' +- S'. The signs are left out, because coordinates that
+    /// brake come to rest at different times: what cancels at full speed does not cancel all the way.
+    pub(super) fn rate_bounds(
+        &self,
+        pose: &Pose,
+        rates: &[Rates],
+    ) -> Result<(Joints, [[u32; 2]; 2]), PoseError> {
+        let (placed, pairs) = self.place(pose)?;
+        let joints = self.joints(&placed, &pairs, pose.0[ALPHA])?;
+        let magnitude = |value: i32| i64::from(value.unsigned_abs());
+        let times = |a: i64, b: i64, shift: u32| product(a, b) >> shift;
+        let (sine, cosine) = (magnitude(placed.table.0), magnitude(placed.table.1));
+        let (tilt_sine, tilt_cosine) = (magnitude(placed.tilt.0), magnitude(placed.tilt.1));
+        let slopes = [Slope::of(&pairs[0]), Slope::of(&pairs[1])];
+        let mut bounds = [[0; 2]; 2];
+        for (bounds, rates) in bounds.iter_mut().zip(rates) {
+            let [x, across, up, tilt, turn, _] = rates.map(|rate| magnitude(rate.0));
+            // Radians per second, Q28, below 2^30; lengths are below 2^32, so no product leaves 62 bits.
+            let [omega, spin] = [turn, tilt].map(|rate| times(rate, i64::from(QUARTER_PI_Q31), 32));
+            let y_rate = times(total(product(across, cosine), product(up, sine)), 1, 30)
+                + times(placed.height.abs(), omega, 28);
+            let z_rate = times(total(product(across, sine), product(up, cosine)), 1, 30)
+                + times(placed.y.abs(), omega, 28);
+            for (bound, (slope, length)) in bounds
+                .iter_mut()
+                .zip(slopes.iter().zip([self.upper, self.lower]))
+            {
+                let arm = times(magnitude(length), spin, 28);
+                let v_rate = z_rate + times(arm.min(1 << 31), tilt_sine, 30);
+                let ahead = total(
+                    product(magnitude(slope.u), y_rate.min(1 << 31)),
+                    product(magnitude(slope.v), v_rate.min(1 << 31)),
+                ) >> 27;
+                // A few units more for what was rounded down.
+                let sum = x + times(arm.min(1 << 31), tilt_cosine, 30) + ahead + 64;
+                *bound = sum.min(i64::from(u32::MAX)) as u32;
+            }
+        }
+        Ok((joints, bounds))
     }
 
     /// The Jacobian in table coordinates: spec h4-milling 2.7, chained with the table.

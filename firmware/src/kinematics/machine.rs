@@ -20,6 +20,9 @@ pub struct Machine {
     /// Their lower ends and lengths; a joint that the geometry lacks may be anywhere.
     lows: [Coordinate; MAX_AXES],
     widths: [u32; MAX_AXES],
+    /// Maximum rates of the joints, and 2^48 / them; a maximum below 2^16 axis units per second counts as that.
+    rates: Rates,
+    inverse_rates: [u32; MAX_AXES],
 }
 
 /// The geometries that this firmware knows.
@@ -52,8 +55,15 @@ impl Machine {
             (low, high) if low <= high => high.0.wrapping_sub(low.0) as u32,
             _ => 0,
         });
+        let mut rates = Rates::default();
+        for (rate, joint) in rates.iter_mut().zip(&config.joints) {
+            *rate = joint.rate;
+        }
         Self {
             geometry,
+            rates,
+            inverse_rates: rates
+                .map(|rate| ((1_u64 << 48) / rate.0.max((1 << 16) + 1) as u64) as u32),
             strokes,
             lows: strokes.map(|(low, _)| low),
             widths,
@@ -110,6 +120,12 @@ impl Machine {
             Geometry::H4(_) => pose.0[4].angle(),
             Geometry::None => Angle::ZERO,
         }
+    }
+
+    /// Maximum rates of the joints.
+    #[must_use]
+    pub const fn rates(&self) -> &Rates {
+        &self.rates
     }
 
     /// The strokes, lower and upper end of each joint.
@@ -176,6 +192,24 @@ impl Kinematics for Machine {
         };
         self.check_strokes(&joints)?;
         Ok(joints)
+    }
+
+    #[inline(never)]
+    fn load(&self, pose: &Pose, rates: &[Rates]) -> Result<[u32; 2], PoseError> {
+        let Geometry::H4(arm) = &self.geometry else {
+            return self.inverse(pose).map(|_| [0; 2]);
+        };
+        let (joints, bounds) = arm.rate_bounds(pose, rates)?;
+        self.check_strokes(&joints)?;
+        let mut loads = [0; 2];
+        for (load, (rates, [front, rear])) in loads.iter_mut().zip(rates.iter().zip(bounds)) {
+            let of_joints = [front, front, rear, rear, rates[4].0.unsigned_abs()];
+            for (bound, inverse) in of_joints.iter().zip(&self.inverse_rates) {
+                let part = (u64::from(*bound) * u64::from(*inverse)) >> 32;
+                *load = part.max(u64::from(*load)) as u32;
+            }
+        }
+        Ok(loads)
     }
 
     fn inverse_motion(

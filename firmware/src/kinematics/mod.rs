@@ -68,6 +68,16 @@ pub trait Kinematics {
     /// The pose of the joints, on the assembly branch of the configuration, certified.
     fn forward(&self, joints: &Joints) -> Result<Pose, PoseError>;
 
+    /// The largest part of its maximum rate that any joint reaches at a pose, for pose rates of at most these magnitudes in any direction; in 2^-16, one
+    /// for each of `rates` (at most two). 0 where the maximum rates are not known.
+    ///
+    /// # Errors
+    /// As [`Kinematics::inverse`].
+    fn load(&self, pose: &Pose, rates: &[Rates]) -> Result<[u32; 2], PoseError> {
+        let _ = rates;
+        self.inverse(pose).map(|_| [0; 2])
+    }
+
     /// The Jacobian at a pose.
     fn jacobian(&self, pose: &Pose) -> Result<Jacobian, PoseError>;
 }

@@ -173,14 +173,34 @@ impl Machinery {
         self.reference.accelerations[component] = Acceleration::ZERO;
     }
 
+    /// What the tool has yielded by, and how fast it does: joints have their rates for that as well.
+    #[inline]
+    pub(super) fn tell_excursion(&mut self) {
+        if let Some(force) = &self.force {
+            let excursion = force
+                .yielding()
+                .map(|of| (of.displacement.length().0, of.rate));
+            self.motion.jog.displace(&excursion);
+        }
+    }
+
+    /// Whether a joint is commanded more than its maximum rate.
+    fn exceeds_joint_rate(&self) -> bool {
+        let rates = self.target.rates.iter().zip(self.machine.rates());
+        let mut joints = rates.take(self.joints.len());
+        joints.any(|(rate, limit)| rate.0.unsigned_abs() > limit.0.unsigned_abs())
+    }
+
     /// Stage *place* with force control.
     #[inline(never)]
     pub(super) fn place_reference(&mut self) -> Result<(), PoseError> {
-        let Err(refused) = self.place_once() else {
+        let placed = self.place_once();
+        if placed.is_ok() && !self.exceeds_joint_rate() {
             return Ok(());
-        };
+        }
+        // The tool yields no further where a joint would have to be too fast for it.
         let Some(force) = self.force.as_mut().filter(|force| force.displaced()) else {
-            return Err(refused);
+            return placed;
         };
         let yielding = *force.withhold();
         let mut limited = 0;

@@ -9,7 +9,8 @@
 //! Units as in [`super::jog`]: 2^-20 axis units (per period). Misuse: a target beyond the bounds of the coordinate. The mover stops where it is told; whoever tells it holds the target within them.
 
 use super::Wanted;
-use super::jog::{per_period, slope};
+use super::jog::{per_period, slope, slower};
+use super::sweep::SLOWED_LOAD;
 use crate::config::PoseAxis;
 use crate::safety::integrity::constants;
 use crate::units::root::Root;
@@ -183,15 +184,51 @@ impl Mover {
         (least >> FRACTION, (most >> FRACTION) + 1)
     }
 
+    /// The largest magnitude of its rate, axis units per second, if it goes on towards a target for one period, or brakes already, and brakes then.
+    #[must_use]
+    pub fn peak(&self, target: Option<Coordinate>, load: u32, limits: &MoverLimits) -> i64 {
+        let mut next = *self;
+        if target.is_some() {
+            next.advance_under(target, load, limits);
+        }
+        limits.per_second(self.rate.abs().max(next.rate.abs())) + 1
+    }
+
+    /// One period as [`Mover::advance`], under a load of the joints in the period before: where that is large it goes no faster than the joints allow.
+    pub fn advance_under(&mut self, target: Option<Coordinate>, load: u32, limits: &MoverLimits) {
+        let slowed = |wanted: i64, rate: i64| {
+            // A little more, so that a coordinate at rest can begin beside others.
+            let most = slower(rate.abs(), load) + limits.step / 16;
+            wanted.clamp(-most, most)
+        };
+        self.go(target, limits, |wanted, rate| {
+            if load > SLOWED_LOAD {
+                slowed(wanted, rate)
+            } else {
+                wanted
+            }
+        });
+    }
+
     /// One period: towards a target within the bounds of the coordinate, or to rest without one.
     pub fn advance(&mut self, target: Option<Coordinate>, limits: &MoverLimits) {
+        self.go(target, limits, |wanted, _| wanted);
+    }
+
+    #[inline]
+    fn go(
+        &mut self,
+        target: Option<Coordinate>,
+        limits: &MoverLimits,
+        slowed: impl Fn(i64, i64) -> i64,
+    ) {
         let wanted = match target {
             Some(target) => {
                 let target = (i64::from(target.0) << FRACTION)
                     .min(limits.high)
                     .max(limits.low);
                 self.led += multiply_high(target - self.led, limits.pull);
-                limits.profile(self.led - self.place)
+                slowed(limits.profile(self.led - self.place), self.rate)
             }
             None => 0,
         };

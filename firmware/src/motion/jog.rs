@@ -6,9 +6,9 @@
 
 use super::Wanted;
 use super::ramp::{Ramp, RampLimits};
-use super::sweep::Sweep;
+use super::sweep::{Excursion, FULL_LOAD, MOST_LOAD, Sweep};
 use crate::config::{Config, JERK_SHIFT};
-use crate::kinematics::{Accelerations, Kinematics, Pose, Rates};
+use crate::kinematics::{Kinematics, Pose};
 use crate::safety::integrity::{Constants, Digest, constants};
 use crate::units::{Acceleration, Coordinate, Rate};
 use haptimill_protocol::message::MAX_AXES;
@@ -39,8 +39,12 @@ pub struct Jog {
     /// A whole number: the configuration sees to it.
     periods_per_second: i64,
     axis: [Axis; MAX_AXES],
-    /// Largest rates of the joints, axis units per second.
-    joint_rates: [i64; MAX_AXES],
+    /// The load that the rates that are asked for had in the last period: they are made smaller by it where it is too large.
+    asked_load: u32,
+    /// It brakes in this period, and goes on after it.
+    braking: bool,
+    /// What is added to the pose beside it, by a tool that yields.
+    excursion: Excursion,
     /// Periods that the present targets still live.
     alive: u32,
     /// Soft limits are respected (not while homing: coordinates are not yet right).
@@ -54,11 +58,13 @@ impl Constants for Jog {
             period_us,
             periods_per_second,
             axis,
-            joint_rates,
+            asked_load: _,
+            braking: _,
+            excursion: _,
             alive: _,
             limited: _,
         } = self;
-        digest.add(&(axes, period_us, periods_per_second, joint_rates));
+        digest.add(&(axes, period_us, periods_per_second));
         axis.iter().for_each(|axis| axis.digest(digest));
     }
 }
@@ -99,9 +105,6 @@ impl Jog {
             axis.low = i64::from(pose.low.0) << FRACTION;
             axis.high = i64::from(pose.high.0) << FRACTION;
         }
-        for (slot, joint) in jog.joint_rates.iter_mut().zip(&config.joints) {
-            *slot = i64::from(joint.rate.0);
-        }
         jog
     }
 
@@ -114,6 +117,23 @@ impl Jog {
         }
         self.alive = 0;
         self.limited = limited;
+        self.asked_load = 0;
+    }
+
+    /// Brakes in this period, whatever it is asked for; it goes on in the next one.
+    pub const fn brake(&mut self) {
+        self.braking = true;
+    }
+
+    /// The displacement of a tool that yields, in this period.
+    pub const fn displace(&mut self, excursion: &Excursion) {
+        self.excursion = *excursion;
+    }
+
+    /// That displacement.
+    #[must_use]
+    pub const fn excursion(&self) -> &Excursion {
+        &self.excursion
     }
 
     /// A coordinate that is moved by something else stands at `place`: the reach is that of the true pose.
@@ -147,8 +167,8 @@ impl Jog {
     }
 
     /// Between which positions a coordinate stays if it goes on for one period and brakes then; 2^-20 axis units, `None` when they
-    /// are too far to say.
-    fn sweep(axis: &Axis, target: i64) -> Option<(i64, i64)> {
+    /// are too far to say. The third is its largest rate, either way.
+    fn sweep(axis: &Axis, target: i64) -> Option<(i64, i64, i64)> {
         let limits = axis.limits.as_ref()?;
         let mut rate = axis.rate;
         let next = axis.position.checked_add(rate.advance(target, limits))?;
@@ -156,6 +176,7 @@ impl Jog {
         Some((
             next.checked_add(low)?.min(axis.position),
             next.checked_add(high)?.max(axis.position),
+            rate.peak(limits).max(axis.rate.value().abs()),
         ))
     }
 
@@ -183,14 +204,29 @@ impl Jog {
                     limited = Some(index as u8);
                 }
             }
-            self.slow_for_joints(machine, &mut targets);
-            if targets != [0; MAX_AXES] && !self.reaches(machine, &targets) {
-                limited = (0..self.axes)
-                    .find(|&index| targets[index] != 0)
-                    .map(|index| index as u8);
-                targets = [0; MAX_AXES];
+            let asked = targets;
+            if self.asked_load > MOST_LOAD {
+                for target in &mut targets {
+                    *target = slower(*target, self.asked_load);
+                }
+            }
+            match self.loads(machine, &targets, &asked) {
+                Some([load, asked_load]) => {
+                    self.asked_load = asked_load;
+                    if load > MOST_LOAD || core::mem::take(&mut self.braking) {
+                        targets = [0; MAX_AXES];
+                    }
+                }
+                None => {
+                    limited = (0..self.axes)
+                        .find(|&index| targets[index] != 0)
+                        .map(|index| index as u8)
+                        .or(limited);
+                    targets = [0; MAX_AXES];
+                }
             }
         }
+        self.braking = false;
         let mut wanted = Wanted::default();
         for (index, axis) in self.axis[..self.axes].iter_mut().enumerate() {
             let Some(limits) = axis.limits else { continue };
@@ -216,55 +252,37 @@ impl Jog {
         pose
     }
 
-    /// Makes all targets smaller by the same part where a joint would go faster than it may: near a bound of the workspace slides move many times
-    /// as fast as the tool.
-    fn slow_for_joints(&self, machine: &impl Kinematics, targets: &mut [i64; MAX_AXES]) {
-        let (mut pose, mut rates) = (Pose::default(), Rates::default());
-        for (index, axis) in self.axis[..self.axes].iter().enumerate() {
-            pose.0[index] = Coordinate((axis.position >> FRACTION) as i32);
-            rates[index] = Rate(saturate(per_second(
-                targets[index],
-                self.periods_per_second,
-            )));
-        }
-        let Ok(motion) = machine.inverse_motion(&pose, &rates, &Accelerations::default()) else {
-            return;
-        };
-        // The largest part of its limit that a joint takes, in 2^-16.
-        let part = motion.rates[..self.axes]
-            .iter()
-            .zip(&self.joint_rates)
-            .map(|(rate, limit)| (i64::from(rate.0).abs(), (*limit).max(1)))
-            // Nearly always none is left to be divided.
-            .filter(|(rate, limit)| rate > limit)
-            .map(|(rate, limit)| (rate << 16) / limit)
-            .fold(1 << 16, i64::max);
-        if part > 1 << 16 {
-            for target in targets.iter_mut() {
-                *target = ((*target >> 8) << 16) / part * (1 << 8);
-            }
-        }
-    }
-
     /// Whether a coordinate must brake now to stop in front of its soft limit.
     fn blocked(axis: &Axis) -> bool {
-        let Some((low, high)) = Self::sweep(axis, axis.target) else {
+        let Some((low, high, _)) = Self::sweep(axis, axis.target) else {
             return true;
         };
         (axis.target > 0 && high > axis.high) || (axis.target < 0 && low < axis.low)
     }
 
-    /// Whether the machine can take the poses through which everything would come to rest if it goes on for one period and brakes then.
-    fn reaches(&self, machine: &impl Kinematics, targets: &[i64; MAX_AXES]) -> bool {
-        self.sweep_to(targets)
-            .is_some_and(|sweep| sweep.is_reachable(self.axes, machine))
+    /// The loads of the joints until everything rests if it goes on towards these rates for one period and brakes then: with the rates that it has on that way, and with
+    /// those that are asked for. `None` if the machine cannot take the poses.
+    fn loads(
+        &self,
+        machine: &impl Kinematics,
+        targets: &[i64; MAX_AXES],
+        asked: &[i64; MAX_AXES],
+    ) -> Option<[u32; 2]> {
+        let mut sweep = self.sweep_to(targets)?;
+        sweep.displace(&self.excursion);
+        let mut rates = sweep.rates;
+        for (axis, rate) in asked.iter().enumerate() {
+            rates[axis] = Rate(saturate(per_second(rate.abs(), self.periods_per_second)));
+        }
+        sweep.load(&[sweep.rates, rates], self.axes, machine)
     }
 
     /// What is swept if everything goes on towards these rates for one period and brakes then; `None` if it is too far to say.
     fn sweep_to(&self, targets: &[i64; MAX_AXES]) -> Option<Sweep> {
         let mut sweep = Sweep::at(&Pose::default());
         for (index, axis) in self.axis[..self.axes].iter().enumerate() {
-            let (low, high) = Self::sweep(axis, targets[index])?;
+            let (low, high, rate) = Self::sweep(axis, targets[index])?;
+            sweep.quicken(index, per_second(rate, self.periods_per_second) + 1);
             let whole = |end: i64| i32::try_from(end >> FRACTION).ok().map(Coordinate);
             (sweep.low.0[index], sweep.high.0[index]) = (whole(low)?, whole(high)?);
         }
@@ -293,6 +311,12 @@ impl Jog {
         let axis = &self.axis[axis];
         i64::from(low) << FRACTION >= axis.low && i64::from(high) << FRACTION <= axis.high
     }
+}
+
+/// A rate that is made smaller by a load, at which the largest one of a joint is the load: to 63/64 of what would have the joint at its maximum rate.
+pub(super) fn slower(rate: i64, load: u32) -> i64 {
+    const AIM: i64 = (FULL_LOAD - FULL_LOAD / 64) as i64;
+    (rate >> 8) * AIM / i64::from(load.max(1)) * (1 << 8)
 }
 
 /// Axis units per second -> 2^-20 axis units per period, for |rate| <= 2^32.

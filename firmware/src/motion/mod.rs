@@ -23,7 +23,7 @@ use follow::{Mover, MoverLimits};
 use haptimill_protocol::message::{MAX_AXES, Source};
 use jog::Jog;
 use program::{Program, Progress};
-use sweep::{Reach, Sweep};
+use sweep::{MOST_LOAD, Reach, Sweep};
 
 /// The wanted pose and its motion.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -78,13 +78,15 @@ pub struct Motion {
     ending: bool,
     /// The wanted pose is another one than the program's, whose setpoints were checked when they were taken.
     led_otherwise: bool,
+    /// The load of the joints in the last period in which it was looked at: a hand is followed more slowly where it is large.
+    load: u32,
     /// How much room a box around a sweep has, and what is known of the reach.
     room: [i32; MAX_AXES],
     reach: Reach,
 }
 
 constants!(Motion { axes, bounds, room } of { program, jog } but {
-    wanted, sources, offsets, movers, program_rates, targets, confined, told, limited, ending, led_otherwise, reach
+    wanted, sources, offsets, movers, program_rates, targets, confined, told, limited, ending, led_otherwise, load, reach
 });
 
 /// Gain of the movers of a machine that no hand leads, 1/s: they only brake.
@@ -249,6 +251,18 @@ impl Motion {
         destination
     }
 
+    /// Whether the program leads a coordinate.
+    #[must_use]
+    pub fn is_led_by_program(&self, axis: usize) -> bool {
+        self.source(axis) == Source::Program
+    }
+
+    /// Whether the program leads all coordinates, without offsets.
+    #[must_use]
+    pub const fn program_alone(&self) -> bool {
+        !self.led_otherwise
+    }
+
     /// Whether any coordinate takes its value from a jog.
     #[must_use]
     pub fn has_jog_source(&self) -> bool {
@@ -321,14 +335,14 @@ impl Motion {
         if !HAND {
             return 0;
         }
-        let free = !(halt || self.confined || self.ending);
+        let free = !(halt || self.confined || self.ending || self.load > MOST_LOAD);
         let mut moving = 0;
         for axis in 0..self.axes {
             let mover = &mut self.movers[axis];
             match self.sources[axis] {
                 Source::Master => {
                     let target = self.targets[axis].filter(|_| free);
-                    mover.advance(target, &self.bounds[axis]);
+                    mover.advance_under(target, self.load, &self.bounds[axis]);
                 }
                 Source::Hold | Source::Program if !mover.is_still() => {
                     mover.advance(None, &self.bounds[axis])
@@ -347,10 +361,16 @@ impl Motion {
     }
 
     /// Looks whether the machine can still come to rest within its bounds if all goes on for one period. Says whether the program must brake now,
-    /// and the coordinate whose jog must.
+    /// and the coordinate whose jog must. Where a joint would exceed its maximum rate, jogs and what follows the hand brake in this period, and try again
+    /// in the next one.
     fn foresee(&mut self, machine: &impl Kinematics) -> (bool, Option<u8>) {
         let led = self.hand_goes_on();
-        if self.fits(true, led, machine) {
+        let load = self.fits(true, led, machine);
+        self.load = load.unwrap_or_default();
+        if self.load > MOST_LOAD {
+            self.jog.brake();
+        }
+        if load.is_some() {
             self.told &= self.movers_still();
             return (false, None);
         }
@@ -370,15 +390,21 @@ impl Motion {
             }
         }
         let braked = jogged.or(followed).is_some();
-        (!braked || !self.fits(false, false, machine), jogged)
+        (
+            !braked || self.fits(false, false, machine).is_none(),
+            jogged,
+        )
     }
 
-    /// Whether the machine can come to rest within its bounds if jogs and what follows the hand go on for one period, or brake already.
-    fn fits(&mut self, jog_goes_on: bool, hand_goes_on: bool, machine: &impl Kinematics) -> bool {
+    /// The load of the joints ([`Sweep::load`]) until the machine rests if jogs and what follows the hand go on for one period, or brake already; `None` if it does not come to rest within its bounds.
+    fn fits(
+        &mut self,
+        jog_goes_on: bool,
+        hand_goes_on: bool,
+        machine: &impl Kinematics,
+    ) -> Option<u32> {
         let program = self.program.sweep();
-        let Some(jog) = self.jog.stopping(jog_goes_on) else {
-            return false;
-        };
+        let jog = self.jog.stopping(jog_goes_on)?;
         let mut sweep = Sweep::at(&self.wanted.pose);
         let mut allowed = true;
         for axis in 0..self.axes {
@@ -391,6 +417,8 @@ impl Motion {
                         let of = |end: Coordinate, by: i64| i64::from(end.0) + by;
                         sweep.reach(axis, of(program.low.0[axis], low));
                         sweep.reach(axis, of(program.high.0[axis], high));
+                        let own = i64::from(program.rates[axis].0);
+                        sweep.quicken(axis, own + mover.peak(None, self.load, bounds));
                     }
                     allowed &= self.offsets[axis] == 0 || self.jog.allows(axis, &sweep);
                 }
@@ -402,24 +430,27 @@ impl Motion {
                     if target.is_some() || !mover.is_still() {
                         sweep.reach(axis, low);
                         sweep.reach(axis, high);
+                        sweep.quicken(axis, mover.peak(target, self.load, bounds));
                     }
                 }
                 Source::Hold if HAND && !mover.is_still() => {
                     let (low, high) = mover.sweep(None, bounds);
                     sweep.reach(axis, low);
                     sweep.reach(axis, high);
+                    sweep.quicken(axis, mover.peak(None, self.load, bounds));
                 }
                 Source::Hold | Source::Master => {}
             }
         }
+        sweep.displace(self.jog.excursion());
         // A machine that no hand leads has its boxes for jogs alone, and little flash.
-        let reachable = if HAND {
+        let load = if HAND {
             let room = (&self.room, self.hand_mask());
             self.reach.holds(&sweep, room, self.axes, machine)
         } else {
-            sweep.is_reachable(self.axes, machine)
+            Some(sweep.load(&[sweep.rates], self.axes, machine)?[0])
         };
-        allowed && reachable
+        load.filter(|_| allowed)
     }
 
     fn merge(&mut self, axis: usize, program: &Wanted, jog: &Wanted, moves: bool) {

@@ -230,6 +230,32 @@ impl Program {
         Ok(())
     }
 
+    /// Whether the machine rests from the newest setpoint to the next one.
+    #[must_use]
+    pub fn rests_until(&self, setpoint: &Setpoint) -> bool {
+        let still = |(place, to): (&i32, &i32)| place == to;
+        self.tail.at_rest()
+            && setpoint.rates.iter().all(|rate| *rate == 0)
+            && self.tail.pose.iter().zip(&setpoint.pose).all(still)
+    }
+
+    /// Pose and rates so many periods after the newest setpoint on the way to the next one, of which [`Program::allows`] was asked in this period.
+    #[must_use]
+    pub fn sample_to(&self, setpoint: &Setpoint, periods: u16) -> Option<Wanted> {
+        let mut wanted = Wanted::default();
+        let half = way::half(self.span.fraction(u32::from(periods) << 16));
+        let to = setpoint.pose.iter().zip(&setpoint.rates).enumerate();
+        for (axis, (place, rate)) in to {
+            let (start, wrap) = (Coordinate(self.tail.pose[axis]), self.rotary[axis]);
+            let (from, end) = (self.tail.rates[axis], Coordinate(*place));
+            let cubic = Cubic::new(start, from, end, *rate, &self.span, wrap)?;
+            let sample = way::Way::new(&cubic, &self.span).sample(half);
+            wanted.pose.0[axis] = sample.position;
+            wanted.rates[axis] = sample.rate;
+        }
+        Some(wanted)
+    }
+
     /// Whether a setpoint so many periods after the one before is as far from it as that was: others take a little longer to look at.
     #[must_use]
     pub const fn expects(&self, periods: u16) -> bool {

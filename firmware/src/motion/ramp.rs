@@ -126,6 +126,14 @@ impl Ramp {
         self.value += self.slope;
     }
 
+    /// The largest magnitude that the value has from now on if it goes to zero: a slope away from zero must be undone first, and one that is too steep
+    /// carries the value through zero.
+    #[must_use]
+    pub fn peak(&self, limits: &RampLimits) -> i64 {
+        let end = self.value + limits.run_out(self.slope);
+        self.value.abs().max(end.abs())
+    }
+
     /// Between which sums of what [`Ramp::advance`] gives the way to rest at zero stays: how far a rate still carries, to either side.
     ///
     /// The first is never above 0, the second never below. A slope too steep to be undone before zero carries the value through to the other

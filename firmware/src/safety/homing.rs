@@ -1,7 +1,7 @@
 //! Finding the reference: one transaction for all joints.
 //!
 //! The operator has set the slides up at the preset (spec h4-milling 1.2: 1135 mm and 485 mm) before power on, within
-//! [`JointAxis::search`]. Homed one by one, four slides of a parallel arm can leave the workspace; so the *pose* moves: along the
+//! [`JointAxis::search`]; what is moved after that, the counters see ([`crate::drive::counted`]). Homed one by one, four slides of a parallel arm can leave the workspace; so the *pose* moves: along the
 //! coordinates that the model names, which shift all joints alike, until every joint has seen its index pulse. A joint that finds none, an
 //! index far from where the preset says it is, a pose that the machine cannot take: each ends the homing of all joints.
 

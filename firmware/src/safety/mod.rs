@@ -11,9 +11,9 @@
 //! | Fault (latched) | off, or holding | reset |
 //! | EmergencyStop (latched) | off | reset |
 //!
-//! A fault in which the controller still has the machine in hand (lost host, late periods, a soft limit, the force sensor or what it feels, the haptic arm) first brakes along the path and
+//! A fault in which the controller still has the machine in hand (lost host, late periods, a soft limit, a joint rate, the force sensor or what it feels, the haptic arm) first brakes along the path and
 //! then latches, with the drives holding. Any other fault takes the drives off in the same period. Every stop says whether the position is
-//! kept: it is lost only when an encoder or the configuration cannot be believed, or steps were lost.
+//! kept: it is lost when an encoder or the configuration cannot be believed, steps were lost, or a joint is not measured where it was commanded or can be.
 
 pub mod homing;
 pub mod integrity;
@@ -50,6 +50,7 @@ pub const fn brakes_first(fault: &Fault) -> bool {
         Fault::LostHost { .. }
             | Fault::LatePeriod { .. }
             | Fault::SoftLimit { .. }
+            | Fault::JointRate { .. }
             | Fault::Force(_)
             | Fault::Hand(_)
     )
@@ -64,26 +65,29 @@ const fn is_of_joint(fault: &Fault) -> bool {
     )
 }
 
-/// Whether the position is still known after a fault.
+/// Whether the position is still known after a fault: nothing of its evidence can come from an encoder whose counts are wrong.
 #[must_use]
 pub const fn keeps_position(fault: &Fault) -> bool {
-    !matches!(
-        fault,
-        Fault::EncoderIllegal { .. }
-            | Fault::EncoderSlip { .. }
-            | Fault::EncoderStill { .. }
-            | Fault::EncoderReversed { .. }
-            | Fault::StepsLost { .. }
-            | Fault::Configuration
-    )
+    suspected(fault).is_none()
+        && !matches!(
+            fault,
+            Fault::EncoderIllegal { .. } | Fault::EncoderSlip { .. } | Fault::Configuration
+        )
 }
 
-/// The joint whose encoder is under suspicion after a fault, for its motion was not the one that was wanted. It may have been pushed or held as well, and has counted all
-/// of it: an index pulse in its place says so.
+/// The joint whose encoder is under suspicion after a fault. It was not measured where it was
+/// commanded, or not where it can be, or it disagrees with the steps of its motor. It may have been
+/// pushed or held as well, and the encoder counted all of it: an index pulse in its place confirms
+/// the encoder.
 #[must_use]
 pub const fn suspected(fault: &Fault) -> Option<u8> {
     match fault {
-        Fault::EncoderStill { axis } | Fault::EncoderReversed { axis } => Some(*axis),
+        Fault::EncoderStill { axis }
+        | Fault::EncoderReversed { axis }
+        | Fault::FollowingError { axis, .. }
+        | Fault::Stroke { axis, .. }
+        | Fault::LimitSwitch { axis }
+        | Fault::StepsLost { axis, .. } => Some(*axis),
         _ => None,
     }
 }

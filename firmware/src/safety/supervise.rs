@@ -7,14 +7,14 @@
 //! | the joint is beyond its stroke by more than it may be off at rest | stroke |
 //! | the error is larger than the limit, which grows with the wanted rate | following error |
 //! | motion was wanted, the encoder saw none, or the opposite | encoder still, encoder reversed |
-//! | both channels changed at once, too often | encoder illegal |
+//! | the count reverses about one place faster than a slide can swing | encoder still |
+//! | both channels changed at once, too often; the counter jumped | encoder illegal |
 //! | steps and encoder disagree (step/dir) | steps lost |
 //! | an index pulse came where none can be ([`crate::drive::index`]) | encoder slip |
 //!
 //! Limits are in axis units of the joint; all of them come from its [`JointAxis`].
 
 use crate::config::{AxisKind, Drive, JointAxis};
-use crate::safety::integrity::constants;
 use crate::units::{Coordinate, Effort, Rate};
 use haptimill_protocol::message::Fault;
 
@@ -39,205 +39,88 @@ pub struct Seen {
     pub steps_off: Coordinate,
     /// Control period, microseconds.
     pub period_us: u16,
+    /// Periods were missed just before this one: `moved` is the motion of several.
+    pub missed: bool,
 }
-
-/// The part of it that a glance is at.
-#[derive(Debug, Clone, Copy)]
-pub struct Glimpse {
-    /// Wanted position.
-    pub wanted: Coordinate,
-    /// Wanted rate.
-    pub wanted_rate: Rate,
-    /// Measured position.
-    pub measured: Coordinate,
-    /// Encoder counts since the period before.
-    pub moved: i32,
-    /// What the drive was told in the period before (torque drives).
-    pub effort: Effort,
-}
-
-impl From<&Seen> for Glimpse {
-    #[inline(always)]
-    fn from(seen: &Seen) -> Self {
-        Self {
-            wanted: seen.wanted,
-            wanted_rate: seen.wanted_rate,
-            measured: seen.measured,
-            moved: seen.moved,
-            effort: seen.effort,
-        }
-    }
-}
-
-/// What a glance at a joint needs, worked out from its configuration once. Within these bounds nothing is wrong; beyond them something may be.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
-struct Bounds {
-    /// An eighth of the effort that a torque drive may make; 0 on a step/dir axis, at which a glance is never enough.
-    weak: u32,
-    /// Motion that a stuck channel cannot show.
-    still: i32,
-    /// Effort that friction may take.
-    friction: i32,
-    /// Error that is allowed at rest.
-    following: i32,
-    /// One less than the wanted motion after which the measured one is compared with it.
-    stretch: i32,
-    /// Lower end of the stroke, and its length.
-    low: Coordinate,
-    width: u32,
-}
-
-/// The widest bound of a glance: 64 mm. Strokes end at 1900 mm, so two places that are farther apart do not seem nearer around the ends of the type.
-const WIDEST: u32 = 64 << 20;
 
 /// The memory of supervision of one joint.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Watch {
-    bounds: Bounds,
+    /// Counts of the period before, where they are those of one period.
+    moved: Option<i32>,
     /// Wanted and measured position when the present stretch of motion was begun to be looked at.
     since: Option<(Coordinate, Coordinate)>,
     /// Periods in a row in which the joint ran against its drive.
     against: u8,
     /// When the encoder counted last.
     mark: Option<Mark>,
-    /// Time since it had turned round [`TURNS`] times, microseconds. Not in the mark, which is made anew in nearly every period.
-    turning_us: u32,
+    /// Reversals of the count about one place.
+    reversals: Reversals,
 }
 
-constants!(Watch { bounds } of {} but { since, against, mark, turning_us });
+/// Reversals of a count that stays within [`still`] of one place.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+struct Reversals {
+    place: Coordinate,
+    /// Sign of the newest motion.
+    sign: i32,
+    count: u8,
+    /// Time since the first of them, microseconds.
+    since_us: u32,
+}
 
-/// How a joint was when its encoder counted last, or when motion began to be wanted.
+/// The joint at the newest count that cannot be a reversal about one place, or at the start of commanded motion.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 struct Mark {
     measured: Coordinate,
-    wanted: Coordinate,
-    effort: Effort,
-    /// How often the counts turned round since then, and which way they went last.
-    turns: u8,
-    last: i32,
-    /// Which way motion is wanted since then.
+    /// The effort along the commanded direction that motion needed lately; fades with the way.
+    needed: i32,
+    /// Growth of the effort counts from here.
+    reference: i32,
+    /// The largest effort along it since.
+    peak: i32,
+    /// Sign of the commanded rate.
     direction: i32,
-    /// It stood, or turned round: friction has yet to be overcome.
-    standing: bool,
-    /// What the drive pushed since then, beyond what friction may have taken; effort units times periods.
+    /// Excess of the effort over what friction can hold; effort units times periods.
     impulse: i64,
 }
 
 /// So many periods in a row against the drive are no chance: one wrong rate between two edges is over sooner.
 const AGAINST_PERIODS: u8 = 4;
 
-/// A count that turned round so often, while so many counts of motion were wanted one way, has a stuck channel.
-const TURNS: u8 = 8;
-const COUNTS: u32 = 10;
+/// So many reversals about one place in this time, microseconds, come from a stuck channel: one for each two counts of motion, from 1.2 mm/s on. A loop
+/// that hunts about an edge, or a slide that sticks and swings, reverses 160 times in a second, a third of it.
+const REVERSALS: u8 = 24;
+const REVERSAL_US: u32 = 50_000;
 
-/// So many more within this time, microseconds, are no slide that sticks and swings, nor a loop that hunts about an edge (both do some 160 in a second): it runs, a
-/// turn for each two counts, however little was wanted.
-const MORE_TURNS: u8 = 24;
-const FAST_US: u32 = 40_000;
+/// A change of the counts from one period to the next that is never looked at twice.
+const STEADY: u32 = 8;
+
+/// What motion needed fades by this part of the difference to the present effort with every two counts and a half.
+const FADE: i32 = 64;
+
+/// The acceleration that an impact may give to a motor, in terms of its drive's limit over its inertia.
+const IMPACT: i64 = 24;
 
 impl Watch {
-    /// Supervision of the joint of a configuration, with nothing seen yet.
-    #[must_use]
-    pub fn of(config: &JointAxis) -> Self {
-        let held = |bound: u32| bound.min(WIDEST) as i32;
-        let most = match config.drive {
-            Drive::Torque { limit, .. } => limit.0.unsigned_abs(),
-            Drive::Steps { .. } => 0,
-        };
-        Self {
-            bounds: Bounds {
-                weak: most / 8,
-                still: held(still(config)),
-                friction: friction(config, most).min(1 << 28) as i32,
-                following: held(config.following.magnitude()),
-                stretch: held(config.still.magnitude()).wrapping_sub(1),
-                low: config.low,
-                width: if config.low <= config.high {
-                    config.high.0.wrapping_sub(config.low.0) as u32
-                } else {
-                    0
-                },
-            },
-            ..Self::default()
-        }
-    }
-
     /// Forgets what was; after enabling and after the coordinate was set.
     pub fn reset(&mut self) {
-        *self = Self {
-            bounds: self.bounds,
-            ..Self::default()
-        };
+        *self = Self::default();
     }
 
     /// Whether a torque drive makes an eighth of its limit or more: only then a joint can run away.
     #[must_use]
-    pub const fn pushes(&self, effort: Effort) -> bool {
-        self.bounds.weak != 0 && effort.0.unsigned_abs() >= self.bounds.weak
+    #[inline]
+    pub const fn pushes(config: &JointAxis, effort: Effort) -> bool {
+        match config.drive {
+            Drive::Torque { limit, .. } => effort.0.unsigned_abs() >= limit.0.unsigned_abs() / 8,
+            Drive::Steps { .. } => false,
+        }
     }
 
-    /// Looks at one period of joint `axis`, of whose configuration it was [made](Self::of).
+    /// Looks at one period of joint `axis`.
     #[inline]
     pub fn look(
-        &mut self,
-        axis: u8,
-        config: &JointAxis,
-        illegal_limit: u16,
-        seen: &Seen,
-    ) -> Option<Fault> {
-        if seen.illegal <= illegal_limit && self.glance(&Glimpse::from(seen)) {
-            return None;
-        }
-        self.examine(axis, config, illegal_limit, seen)
-    }
-
-    /// Whether the period is one of those in which nothing can be wrong: nearly all are. It is noted then as [`Watch::examine`] would note it; otherwise
-    /// nothing has changed.
-    #[inline(always)]
-    pub fn glance(&mut self, seen: &Glimpse) -> bool {
-        let bounds = &self.bounds;
-        if seen.effort.0.unsigned_abs() >= bounds.weak
-            || !within(seen.wanted, seen.measured, bounds.following)
-            || seen.measured.0.wrapping_sub(bounds.low.0) as u32 > bounds.width
-        {
-            return false;
-        }
-        let since = match self.since {
-            Some(begun) if within(seen.wanted, begun.0, bounds.stretch) => Some(begun),
-            // The stretch is over, and was gone; in the next period another one is begun.
-            Some(begun) if kept_up(seen, begun) => None,
-            Some(_) => return false,
-            None => Some((seen.wanted, seen.measured)),
-        };
-        let Some(mark) = &mut self.mark else {
-            return false;
-        };
-        let direction = way(seen.wanted_rate.0);
-        if direction != mark.direction || direction == 0 {
-            *mark = Mark::of(seen, true);
-        } else if !within(seen.measured, mark.measured, bounds.still) {
-            *mark = Mark::of(seen, false);
-        } else {
-            let grown = seen.effort.0.saturating_sub(mark.effort.0);
-            let grown = if direction < 0 {
-                grown.saturating_neg()
-            } else {
-                grown
-            };
-            // Twice as much again where it has yet to be overcome.
-            let friction = bounds.friction * if mark.standing { 3 } else { 1 };
-            if mark.turns >= TURNS || grown > friction || !mark.counts_on(seen.moved) {
-                return false;
-            }
-        }
-        self.since = since;
-        self.against = 0;
-        true
-    }
-
-    /// Looks at everything.
-    #[inline(never)]
-    pub fn examine(
         &mut self,
         axis: u8,
         config: &JointAxis,
@@ -250,30 +133,47 @@ impl Watch {
                 count: seen.illegal,
             });
         }
-        Self::jump(axis, config, seen)
+        self.jump(axis, config, seen)
             .or_else(|| Self::slip(axis, config, seen))
             .or_else(|| self.runaway(axis, config, seen))
+            .or_else(|| self.toggles(axis, config, seen))
             .or_else(|| self.pushed(axis, config, seen))
             .or_else(|| self.motion(axis, config, seen))
             .or_else(|| Self::stroke(axis, config, seen))
             .or_else(|| Self::error(axis, config, seen))
     }
 
-    /// A counter that went farther in one period than a joint can: twice what it may be off, and twice what was wanted of it. So where the joint is
-    /// is not known any more. A jump that is smaller than what a joint may be off is not seen before the next search for the reference.
-    fn jump(axis: u8, config: &JointAxis, seen: &Seen) -> Option<Fault> {
-        let following = config.following.magnitude();
-        if distance(config, seen.wanted, seen.measured) <= following {
+    /// A counter whose rate changed by more in one period than an impact can change that of a motor: 24 times the drive's limit over the inertia, and two counts for
+    /// the grid of the counter (20 um on a slide of 40 kg and 750 N). Where the joint is, is not known any more. What is less is found by its index pulses.
+    #[inline]
+    fn jump(&mut self, axis: u8, config: &JointAxis, seen: &Seen) -> Option<Fault> {
+        let now = if seen.missed { None } else { Some(seen.moved) };
+        let before = core::mem::replace(&mut self.moved, now).zip(now)?.0;
+        let change = seen.moved.wrapping_sub(before).unsigned_abs();
+        if change <= STEADY {
             return None;
         }
-        let moved = u64::from(seen.moved.unsigned_abs()) * u64::from(count(config));
-        let rate = u64::from(seen.wanted_rate.0.unsigned_abs());
-        let wanted = rate * u64::from(seen.period_us) / 1_000_000;
-        let possible = 2 * (u64::from(following) + wanted);
-        (moved > possible).then_some(Fault::EncoderIllegal {
+        Self::impact(config, seen.period_us, change).then_some(Fault::EncoderIllegal {
             axis,
-            count: seen.moved.unsigned_abs().min(u32::from(u16::MAX)) as u16,
+            count: change.min(u32::from(u16::MAX)) as u16,
         })
+    }
+
+    /// Whether no impact changes the counts of a period by so much.
+    #[cold]
+    #[inline(never)]
+    fn impact(config: &JointAxis, period_us: u16, change: u32) -> bool {
+        let Drive::Torque { limit, .. } = config.drive else {
+            // Lost steps are found by [`Watch::slip`].
+            return false;
+        };
+        // Axis units per second squared (see `PositionLaw` for the 28 bits), below 2^59; a period has 1000 us at most.
+        let acceleration =
+            (magnitude(Coordinate(limit.0)) << 28) / i64::from(config.law.inertia.max(1));
+        let period = i64::from(period_us.min(1000));
+        let most = acceleration.min(1 << 40) * period * period / 1_000_000_000_000 * IMPACT;
+        let counts = i64::from(count(config));
+        i64::from(change) * counts > most + 2 * counts
     }
 
     /// Steps that were lost.
@@ -343,52 +243,82 @@ impl Watch {
         })
     }
 
-    /// A joint that is pushed, and whose encoder does not count.
+    /// An encoder with one stuck channel: the other one goes on, and its edges count up and down in turn, whatever is commanded.
+    #[inline]
+    fn toggles(&mut self, axis: u8, config: &JointAxis, seen: &Seen) -> Option<Fault> {
+        let reversals = &mut self.reversals;
+        if seen.moved != 0 {
+            let sign = way(seen.moved);
+            if distance(config, seen.measured, reversals.place) > still(config) {
+                *reversals = Reversals {
+                    place: seen.measured,
+                    sign,
+                    ..Reversals::default()
+                };
+            } else if sign != reversals.sign {
+                reversals.sign = sign;
+                reversals.count += 1;
+                if reversals.count >= REVERSALS {
+                    reversals.count = 0;
+                    return Some(Fault::EncoderStill { axis });
+                }
+            }
+        }
+        if reversals.count != 0 {
+            reversals.since_us = reversals.since_us.saturating_add(u32::from(seen.period_us));
+            if reversals.since_us > REVERSAL_US {
+                reversals.count /= 2;
+                reversals.since_us /= 2;
+            }
+        } else {
+            reversals.since_us = 0;
+        }
+        None
+    }
+
+    /// A joint that is driven, and whose encoder does not count.
     ///
-    /// The loop pushes a slide whose encoder stands still harder and harder, and the slide goes: 0.2 mm of wanted motion at 4 mm/s, which is a
-    /// following error of 320 N, sets 40 kg going at 150 mm/s. So the push is summed up from the last count on: what it grew by since, less
-    /// friction (what is compensated, and no less than a 32nd of the drive's limit; three times that after the joint stood or turned round), is an impulse that must have set the joint moving.
-    /// It may be that of 12.5/s times the following error (4 mm/s for 0.3 mm). Static loads do not grow, and do not count.
+    /// The loop pushes a slide whose encoder stands still harder and harder, and the slide goes: 0.2 mm of commanded motion at 4 mm/s, which is a
+    /// following error of 320 N, sets 40 kg going at 150 mm/s. So the growth of the effort is summed up over time, less what friction can hold: an impulse that must have set the
+    /// joint moving. It may be that of 12.5/s times the following error (4 mm/s for 0.3 mm).
     ///
-    /// At creeping speeds that takes millimetres. But there a stuck channel gives itself away: the other one goes on, and its edges count up and down in
-    /// turn. A slide that sticks may swing over an edge as well, so some of them count only together with a wanted motion of more than it may stick for; as many as no slide that swings makes
-    /// in so short a time count alone. (At 0.02 mm/s the wanted motion takes 0.6 s, and in that time the slide ran 29 mm.)
+    /// Growth counts from the largest effort that motion needed lately, not from that of the newest count: a slide that sticks and slips needs little as it slips, and
+    /// its breakaway force again afterwards. Static loads are in both, and do not count. After a rest or a reversal it counts from there, or from twice the friction above the
+    /// present effort. Friction is what is compensated, and no less than a 32nd of the drive's limit; so much growth is let pass.
     fn pushed(&mut self, axis: u8, config: &JointAxis, seen: &Seen) -> Option<Fault> {
         let Drive::Torque { limit: most, .. } = config.drive else {
             return None;
         };
-        let direction = seen.wanted_rate.0.signum();
-        let mark = self.mark.get_or_insert(Mark::of(&seen.into(), true));
-        if direction == 0 || direction != mark.direction {
-            *mark = Mark::of(&seen.into(), true);
-            return None;
-        }
-        if distance(config, seen.measured, mark.measured) > still(config) {
-            *mark = Mark::of(&seen.into(), false);
-            return None;
-        }
-        if seen.moved.signum() == -mark.last && mark.last != 0 {
-            mark.turns = mark.turns.saturating_add(1);
-        }
-        if seen.moved != 0 {
-            mark.last = seen.moved.signum();
-        }
-        self.turning_us = if mark.turns < TURNS {
-            0
-        } else {
-            self.turning_us.saturating_add(u32::from(seen.period_us))
+        let direction = way(seen.wanted_rate.0);
+        let along = seen.effort.0.saturating_mul(direction);
+        let holds = friction(config, most.0.unsigned_abs()).min(1 << 28) as i32;
+        let needed = self.mark.map_or(0, |mark| mark.needed);
+        let begun = Mark {
+            measured: seen.measured,
+            needed,
+            reference: along.saturating_add(2 * holds).max(needed),
+            peak: along,
+            direction,
+            impulse: 0,
         };
-        if mark.turns >= TURNS
-            && (mark.turns_fast(&mut self.turning_us)
-                || distance(config, seen.wanted, mark.wanted)
-                    > count(config).saturating_mul(COUNTS))
-        {
-            return Some(Fault::EncoderStill { axis });
+        let mark = self.mark.get_or_insert(begun);
+        if direction == 0 || direction != mark.direction {
+            *mark = begun;
+            return None;
         }
-        let growth = (i64::from(seen.effort.0) - i64::from(mark.effort.0)) * i64::from(direction);
-        let friction =
-            i64::from(friction(config, most.0.unsigned_abs())) * if mark.standing { 3 } else { 1 };
-        mark.impulse += (growth - friction).max(0);
+        mark.peak = mark.peak.max(along);
+        if distance(config, seen.measured, mark.measured) > still(config) {
+            let fade = needed.saturating_sub(along) / FADE;
+            let needed = mark.peak.max(needed.saturating_sub(fade));
+            *mark = Mark {
+                needed,
+                reference: needed,
+                ..begun
+            };
+            return None;
+        }
+        let growth = i64::from(along) - i64::from(mark.reference);
+        mark.impulse += (growth - i64::from(holds)).max(0);
         if mark.impulse == 0 {
             // No limit is below it, and a limit costs a division.
             return None;
@@ -433,45 +363,6 @@ impl Watch {
     }
 }
 
-impl Mark {
-    /// Here motion begins to be looked at; the joint is `standing` where friction has yet to be overcome.
-    #[inline(always)]
-    fn of(seen: &Glimpse, standing: bool) -> Self {
-        Self {
-            measured: seen.measured,
-            wanted: seen.wanted,
-            effort: seen.effort,
-            turns: 0,
-            last: way(seen.moved),
-            direction: way(seen.wanted_rate.0),
-            standing,
-            impulse: 0,
-        }
-    }
-
-    /// One period with [`TURNS`] turns or more, `turning_us` after the first of them: whether [`MORE_TURNS`] came within [`FAST_US`]. Slower ones are counted anew.
-    const fn turns_fast(&mut self, turning_us: &mut u32) -> bool {
-        if *turning_us > FAST_US {
-            *turning_us = 0;
-            self.turns = TURNS;
-        }
-        self.turns >= TURNS + MORE_TURNS
-    }
-
-    /// Notes which way the encoder counted, unless that is the opposite of the way it counted last.
-    #[inline(always)]
-    const fn counts_on(&mut self, moved: i32) -> bool {
-        if moved == 0 {
-            return true;
-        }
-        let way = way(moved);
-        if self.last == 0 {
-            self.last = way;
-        }
-        self.last == way
-    }
-}
-
 /// The sign: -1, 0 or 1, in half of the instructions of `signum`.
 #[inline(always)]
 const fn way(value: i32) -> i32 {
@@ -491,21 +382,6 @@ fn still(config: &JointAxis) -> u32 {
 /// Effort that friction may take: what is compensated, and no less than a 32nd of the drive's limit `most`.
 fn friction(config: &JointAxis, most: u32) -> u32 {
     config.law.coulomb.0.unsigned_abs().max(most / 32)
-}
-
-/// Whether two places are no farther apart than `bound`, which is below 2^30; around the ends of the type they are near to each other.
-#[inline(always)]
-const fn within(a: Coordinate, b: Coordinate, bound: i32) -> bool {
-    a.0.wrapping_sub(b.0).wrapping_add(bound) as u32 <= (bound as u32).wrapping_mul(2)
-}
-
-/// Whether at least an eighth of the motion that was wanted since then was measured, the same way; false also where ways are too long to tell at a glance.
-#[inline(always)]
-const fn kept_up(seen: &Glimpse, (wanted, measured): (Coordinate, Coordinate)) -> bool {
-    let wanted = seen.wanted.0.wrapping_sub(wanted.0);
-    let measured = seen.measured.0.wrapping_sub(measured.0);
-    let (asked, gone) = (wanted.unsigned_abs(), measured.unsigned_abs());
-    wanted ^ measured >= 0 && gone >= asked / 8 && gone != 0 && (asked | gone) < WIDEST
 }
 
 /// How far it is from `b` to `a`; the shorter way round on a rotary joint.

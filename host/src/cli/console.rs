@@ -1,6 +1,6 @@
 //! `haptimill console`: the operator's full-screen console.
 
-use super::{CliError, MachineArg};
+use super::{BoardArg, CliError};
 use crate::port::PortSpec;
 use clap::Args;
 use haptimill_hil_sim::fault::Fault;
@@ -26,7 +26,7 @@ pub struct ConsoleArgs {
     pub program: Option<PathBuf>,
     #[command(flatten)]
     #[allow(missing_docs)]
-    pub machine: MachineArg,
+    pub machine: BoardArg,
     /// Controller: sim (the built-in machine, in real time), a serial port or pseudo-terminal by its path, or tcp:HOST:PORT
     #[arg(long, value_name = "PORT", default_value = "sim")]
     pub port: PortSpec,

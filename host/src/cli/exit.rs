@@ -26,7 +26,7 @@ pub enum Exit {
     Fault = 6,
     /// Stopped by the user (Ctrl-C, or `haptimill stop`); the machine slowed down along its path.
     Stopped = 7,
-    /// The controller refused a command in its present state.
+    /// The controller refused a command in its present state, or its board has another configuration than the command needs.
     Command = 8,
     /// The result cannot be written.
     Output = 9,
@@ -43,7 +43,7 @@ Exit codes:
   5  the port cannot be opened, is taken, or the link broke
   6  the machine latched a fault
   7  stopped by the user; the machine slowed down along its path
-  8  the controller refused a command in its present state; `trace diff`, `replay`: there is a difference
+  8  refused in the controller's present state or configuration; `trace diff`, `replay`: there is a difference
   9  the result cannot be written
 With --json an error is an object on standard output too, unless the command line
 cannot be understood: {\"error\", \"exit_code\", \"problems\": [...]}.";

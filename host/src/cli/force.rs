@@ -1,5 +1,6 @@
 //! `haptimill force`: the force sensor and the force loop of a running controller.
 
+use super::board::Need;
 use super::one_shot::{OneShotArgs, open};
 use super::{CliError, Exit};
 use crate::machine::GATES;
@@ -134,17 +135,16 @@ fn gate(text: &str) -> Result<Gate, String> {
 pub fn run(command: ForceCommand) -> Result<(), CliError> {
     match command {
         ForceCommand::Show(args) => {
-            let mut session = open(&args.connect, &args.machine.load()?)?;
+            let mut session = look(&args)?;
             show(&mut session, args.json)
         }
         ForceCommand::Tare(args) => {
-            let mut session = open(&args.connect, &args.machine.load()?)?;
+            let mut session = look(&args)?;
             session.tare()?;
             show(&mut session, args.json)
         }
         ForceCommand::Set(args) => {
-            let machine = args.force.machine.load()?;
-            let mut session = open(&args.force.connect, &machine)?;
+            let mut session = look(&args.force)?;
             let choice = LoopChoice {
                 limit_mm: args.limit,
                 rate_mm_s: args.rate,
@@ -158,12 +158,20 @@ pub fn run(command: ForceCommand) -> Result<(), CliError> {
     }
 }
 
+/// A session that changes no configuration: the force loop has the units of the wire.
+fn look(args: &OneShotArgs) -> Result<Session<PortLine>, CliError> {
+    let chosen = args.machine.load()?;
+    let mut session = open(&args.connect, &chosen.file)?;
+    chosen.agree(&mut session, Need::Nothing)?;
+    Ok(session)
+}
+
 /// Says how the forces stand.
 fn show(session: &mut Session<PortLine>, json: bool) -> Result<(), CliError> {
     let status = session.status()?;
     let Some(force) = status.force else {
         let what = if session.machine_name().is_empty() {
-            "the controller has no configuration yet; `haptimill home` sends it the machine file"
+            "the board has no configuration; `haptimill home --machine FILE` sends it the machine file"
         } else {
             "the controller has no force sensor in its configuration; configure it with a machine file that has a section [force]"
         };

@@ -1,7 +1,7 @@
 //! `haptimill jog`: move at a rate for a time, with a dead-man deadline.
 
 use super::one_shot::{open, report};
-use super::{CliError, ConnectArgs, Exit, MachineArg, seconds};
+use super::{BoardArg, CliError, ConnectArgs, Exit, seconds};
 use crate::machine::MachineFile;
 use crate::machine::scale::per_unit;
 use crate::model::LETTERS;
@@ -36,7 +36,7 @@ pub struct JogArgs {
     pub deadline: u16,
     #[command(flatten)]
     #[allow(missing_docs)]
-    pub machine: MachineArg,
+    pub machine: BoardArg,
     #[command(flatten)]
     #[allow(missing_docs)]
     pub connect: ConnectArgs,
@@ -77,10 +77,13 @@ const REPEAT: f64 = 0.3;
 /// # Errors
 /// See [`Exit`].
 pub fn run(args: JogArgs) -> Result<(), CliError> {
-    let machine = args.machine.load()?;
+    let chosen = args.machine.load()?;
+    if chosen.named {
+        rates(&args, &chosen.file)?;
+    }
+    let mut session = open(&args.connect, &chosen.file)?;
+    let machine = chosen.file_of(&mut session)?;
     let rates = rates(&args, &machine)?;
-    let mut session = open(&args.connect, &machine)?;
-    session.configure(&machine)?;
     let first = session.events.len();
     let begun = session.now_us();
     let end = begun + (args.duration * 1e6) as u64;

@@ -1,10 +1,9 @@
 //! `haptimill kin`: the firmware's kinematics over a table.
 
-use super::{CliError, Exit, MachineArg, out};
+use super::{CliError, Exit, MachineArg, input, out};
 use crate::kin;
 use clap::Args;
-use std::fs::File;
-use std::io::{Read, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 const IK_LONG: &str = "\
@@ -86,16 +85,12 @@ fn table(args: &TableArgs, calculate: Calculation) -> Result<(), CliError> {
     } else {
         args.input.display().to_string()
     };
-    let mut bytes = Vec::new();
     let read = if standard(&args.input) {
-        std::io::stdin().lock().read_to_end(&mut bytes)
+        input::bounded(std::io::stdin().lock(), input::TABLE_BYTES)
     } else {
-        File::open(&args.input).and_then(|mut file| file.read_to_end(&mut bytes))
+        input::read(&args.input, input::TABLE_BYTES)
     };
-    read.map_err(|error| {
-        let what = format!("{name}: cannot be read: {error}; check the path");
-        CliError::new(Exit::BadInput, what)
-    })?;
+    let bytes = read.map_err(|error| CliError::new(Exit::BadInput, format!("{name}: {error}")))?;
     let result = calculate(&machine.config, args.strokes, &name, &bytes)
         .map_err(|message| CliError::new(Exit::BadInput, message))?;
     if standard(&args.output) {

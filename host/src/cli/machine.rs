@@ -39,7 +39,7 @@ pub fn check(args: CheckArgs) -> Result<(), CliError> {
         Ok(machine) if !args.json => tell!("{}", summary(&machine).trim_end()),
         Ok(_) => {}
         Err(problems) => {
-            let count = problems.0.len();
+            let count = problems.count();
             let plural = if count == 1 { "" } else { "s" };
             let message = format!("{problems}\n{count} problem{plural}");
             return Err(CliError::new(Exit::BadInput, message).told());

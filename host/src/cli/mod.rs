@@ -7,9 +7,11 @@ macro_rules! tell {
     };
 }
 
+pub(crate) mod board;
 pub mod console;
 mod exit;
 pub mod force;
+pub(crate) mod input;
 pub mod jog;
 pub mod kin;
 pub mod machine;
@@ -24,13 +26,16 @@ pub mod sim;
 pub mod teleop;
 pub mod trace;
 
+pub use board::BoardArg;
 pub use exit::{CliError, EXIT_CODES, Exit};
 
 use crate::machine::MachineFile;
-use crate::port::PortSpec;
+use crate::port::{PortSpec, TOKEN_VARIABLE, Token, use_token};
 use clap::{Args, Parser, Subcommand};
 use std::path::PathBuf;
 use std::process::ExitCode;
+#[cfg(unix)]
+use std::sync::Arc;
 
 const ABOUT: &str = "Runs part programs on an H-4 parallel milling arm, real or simulated.";
 
@@ -39,7 +44,11 @@ Runs part programs on an H-4 parallel milling arm, real or simulated.
 
 `haptimill run FILE.ngc` checks a part program against the machine, homes, streams it to the controller and leaves a recording, a trace, a \
 summary and a report with pictures. Without --port the controller and the machine are the built-in simulator: the same controller code, the \
-same protocol, a simulated arm. Without --machine the machine is the built-in H-4 arm.";
+same protocol, a simulated arm. Without --machine the machine is the built-in H-4 arm.
+
+A board behind --port keeps the configuration that it has. Without --machine a command goes by that configuration and never sends another one; a command that \
+computes positions (run, home, jog, teleop, console) needs the machine file of a configuration that is not built in. With --machine the file is \
+sent, drives off, and the command says so; a board that is configured as a machine of another name refuses it without --replace-machine.";
 
 const EXAMPLES: &str = "\
 Examples:
@@ -70,6 +79,9 @@ fn after_help() -> String {
 #[command(name = "haptimill", version, about = ABOUT, long_about = LONG_ABOUT, after_long_help = after_help(),
           after_help = "`haptimill --help` has examples and the exit codes.", max_term_width = 120)]
 pub struct Cli {
+    /// Token of a TCP port that asks for one; better in the environment variable HAPTIMILL_TOKEN, which other users do not see
+    #[arg(long, global = true, value_name = "TOKEN")]
+    token: Option<Token>,
     #[command(subcommand)]
     command: Command,
 }
@@ -199,8 +211,13 @@ fn seconds(text: &str) -> Result<f64, String> {
 pub fn main() -> ExitCode {
     use std::io::Write as _;
     let cli = Cli::parse();
+    // Where the size of files is limited (ulimit -f), a write beyond it is an error, told as any other, and not the end of the process.
+    #[cfg(unix)]
+    let _ = signal_hook::flag::register(signal_hook::consts::SIGXFSZ, Arc::default());
     let json = cli.command.json();
-    let error = dispatch(cli).err();
+    let error = set_token(cli.token.clone())
+        .and_then(|()| dispatch(cli))
+        .err();
     if let Some(error) = &error
         && json
         && !error.told
@@ -215,6 +232,22 @@ pub fn main() -> ExitCode {
     }
     let exit = errors.first().map_or(Exit::Done, |error| error.exit);
     ExitCode::from(exit as u8)
+}
+
+/// The token for TCP ports: that of the command line, or of the environment.
+fn set_token(given: Option<Token>) -> Result<(), CliError> {
+    let token = match (given, std::env::var(TOKEN_VARIABLE)) {
+        (Some(token), _) => Some(token),
+        (None, Ok(text)) if !text.is_empty() => Some(
+            text.parse()
+                .map_err(|what| CliError::new(Exit::Usage, format!("{TOKEN_VARIABLE}: {what}")))?,
+        ),
+        _ => None,
+    };
+    if let Some(token) = token {
+        use_token(token);
+    }
+    Ok(())
 }
 
 fn dispatch(cli: Cli) -> Result<(), CliError> {

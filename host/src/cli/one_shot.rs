@@ -1,6 +1,7 @@
 //! `haptimill home`, `status`, `enable`, `disable`, `stop`, `reset`: one command to a running controller.
 
-use super::{CliError, ConnectArgs, Exit, MachineArg};
+use super::board::{BoardArg, Chosen, Need};
+use super::{CliError, ConnectArgs, Exit};
 use crate::client::Options;
 use crate::machine::MachineFile;
 use crate::port::{self, DEFAULT_BAUD, PortSpec};
@@ -16,7 +17,7 @@ pub struct OneShotArgs {
     pub connect: ConnectArgs,
     #[command(flatten)]
     #[allow(missing_docs)]
-    pub machine: MachineArg,
+    pub machine: BoardArg,
     /// Print the result as JSON
     #[arg(long)]
     pub json: bool,
@@ -54,14 +55,16 @@ pub enum Order {
 /// # Errors
 /// See [`Exit`].
 pub fn run(order: Order, args: OneShotArgs) -> Result<(), CliError> {
-    let machine = args.machine.load()?;
-    let mut session = open(&args.connect, &machine)?;
+    let chosen = args.machine.load()?;
+    let mut session = open(&args.connect, &chosen.file)?;
+    let need = match order {
+        Order::Enable => Need::Configuration,
+        _ => Need::Nothing,
+    };
+    chosen.agree(&mut session, need)?;
     match order {
         Order::Status => {}
-        Order::Enable => {
-            session.configure(&machine)?;
-            session.enable()?;
-        }
+        Order::Enable => session.enable()?,
         Order::Disable => session.ask(Command::Disable)?,
         Order::Reset => session.ask(Command::Reset)?,
     }
@@ -87,8 +90,13 @@ pub struct HomeArgs {
 /// # Errors
 /// See [`Exit`].
 pub fn home(args: HomeArgs) -> Result<(), CliError> {
-    let machine = args.one_shot.machine.load()?;
-    let mut session = open(&args.one_shot.connect, &machine)?;
+    let chosen = args.one_shot.machine.load()?;
+    if chosen.named {
+        session::has_tool(&chosen.file)?;
+    }
+    let mut session = open(&args.one_shot.connect, &chosen.file)?;
+    let machine = chosen.file_of(&mut session)?;
+    session::has_tool(&machine)?;
     if args.at_preset {
         // Said before the position is set: afterwards it would be, and the search refused.
         let first = match session.status()?.state {
@@ -104,8 +112,6 @@ pub fn home(args: HomeArgs) -> Result<(), CliError> {
             ));
         }
         session.configure_at_preset(&machine)?;
-    } else {
-        session.configure(&machine)?;
     }
     session.enable()?;
     if args.again || !session.status()?.homed {
@@ -137,6 +143,7 @@ pub fn stop(args: StopArgs) -> Result<(), CliError> {
             session.status()?;
         }
     }
+    Chosen::unnamed(machine).agree(&mut session, Need::Nothing)?;
     report(&mut session, args.json)
 }
 
@@ -190,6 +197,7 @@ pub(super) fn open(
 pub(super) fn report(session: &mut Session<PortLine>, json: bool) -> Result<(), CliError> {
     let status = session.status()?;
     let machine = session.machine_name();
+    let configuration = session.configuration_crc();
     let model = session.model();
     let fault = status.fault.map(|fault| session.sentence(&fault));
     let pose = |values: &AxisValues| -> Vec<(String, f64)> {
@@ -214,6 +222,7 @@ pub(super) fn report(session: &mut Session<PortLine>, json: bool) -> Result<(), 
         let map = |values: Vec<(String, f64)>| serde_json::Value::from_iter(values);
         let value = serde_json::json!({
             "machine": machine,
+            "configuration_crc": format!("{configuration:08x}"),
             "state": format!("{:?}", status.state),
             "homed": status.homed,
             "position_kept": status.position_kept,

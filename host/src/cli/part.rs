@@ -1,6 +1,6 @@
 //! A part program on disk: read, checked against the machine, planned.
 
-use super::{CliError, Exit};
+use super::{CliError, Exit, input};
 use crate::machine::MachineFile;
 use crate::model::{Model, program_options, settings};
 use crate::plan::Plan;
@@ -36,12 +36,8 @@ impl PartProgram {
     /// Reads the file. M1 pauses with `optional_stop`.
     pub(crate) fn load(path: &Path, optional_stop: bool) -> Result<Self, CliError> {
         let file = path.display().to_string();
-        let text = std::fs::read(path).map_err(|error| {
-            CliError::new(
-                Exit::BadInput,
-                format!("{file}: cannot be read: {error}; check the path"),
-            )
-        })?;
+        let text = input::read(path, input::PROGRAM_BYTES)
+            .map_err(|error| CliError::new(Exit::BadInput, format!("{file}: {error}")))?;
         let name = path
             .file_name()
             .map_or_else(|| file.clone(), |name| name.to_string_lossy().into_owned());

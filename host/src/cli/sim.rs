@@ -1,8 +1,8 @@
 //! `haptimill sim serve`: the simulated machine as a device that any serial program can talk to, in real time.
 
-use super::{CliError, Exit, MachineArg};
+use super::{CliError, Exit, MachineArg, input};
 use crate::machine::MachineFile;
-use crate::port::{TcpServer, Transport};
+use crate::port::{TcpServer, Token, Transport};
 use crate::session::{self, interrupt};
 use crate::teleop::script::{Person, Script};
 use clap::Args;
@@ -18,7 +18,9 @@ const LONG: &str = "\
 Serve the simulated machine in real time.
 
 On a pseudo-terminal the path is the first line on standard output; on a TCP port the address is. Give it to another `haptimill` as --port. One \
-host is served at a time. Ctrl-C ends it.";
+host is served at a time. Ctrl-C ends it. An address that other computers reach (any but 127.0.0.1 and ::1) asks every host for a token, which is the second \
+line; hosts give it with --token or in HAPTIMILL_TOKEN. It is not encrypted: on a network that is not trusted use ssh -L. A connection that says nothing within \
+2 s is closed; a host that was silent for 2 s makes room for another one, and is closed after 30 s. The board is configured as the machine that is served.";
 
 /// Arguments of `haptimill sim serve`.
 #[derive(Debug, Clone, Args)]
@@ -28,6 +30,9 @@ pub struct ServeArgs {
     /// Where: pty (a pseudo-terminal, its path is printed) or tcp:HOST:PORT (port 0 takes a free one)
     #[arg(long, value_name = "WHERE", default_value = "pty")]
     pub listen: Listen,
+    /// File with the token that a host has to give on a TCP port. Without it an address that other computers reach gets a new token, which is printed
+    #[arg(long, value_name = "FILE")]
+    pub token_file: Option<PathBuf>,
     /// Also make a symbolic link with this path to the pseudo-terminal
     #[arg(long, value_name = "PATH")]
     pub link: Option<PathBuf>,
@@ -43,6 +48,9 @@ pub struct ServeArgs {
     /// A person at the haptic arm of the machine file, who does what this script says once the arm's motors are on (as examples/teleop.toml; orders in it are not heard)
     #[arg(long, value_name = "FILE")]
     pub person: Option<PathBuf>,
+    /// A board without a configuration, as it comes from its maker; the first command needs --machine
+    #[arg(long)]
+    pub unconfigured: bool,
     /// End after so many seconds
     #[arg(long = "for", value_name = "SECONDS", value_parser = super::seconds)]
     pub duration: Option<f64>,
@@ -79,17 +87,28 @@ pub fn serve(args: ServeArgs) -> Result<(), CliError> {
     let mut person = person.as_ref().map(Person::new);
     // A port paces its bytes by itself; the simulated line in between adds nothing.
     let mut rig = session::rig(&machine, args.seed, None, args.fault.clone())?;
+    if !args.unconfigured {
+        rig = session::commissioned(rig, &machine).unwrap_or_else(|(rig, error)| {
+            eprintln!("the board is not configured: {error}");
+            rig
+        });
+    }
     let interrupted = interrupt::flag();
-    let (mut port, link) = listen(&args)?;
+    let (mut port, link, token) = listen(&args)?;
     let output = |error: std::io::Error| CliError::new(Exit::Output, error);
     let mut out = std::io::stdout();
     writeln!(out, "{}", port.name())
+        .and_then(|()| match &token {
+            Some(token) => writeln!(out, "token {}", token.reveal()),
+            None => Ok(()),
+        })
         .and_then(|()| out.flush())
         .map_err(output)?;
     let begun = Instant::now();
     let mut pace = Pace::new(u64::from(machine.config.period_us) * 1000);
     let mut buffer = [0; 4096];
     let mut said = Vec::new();
+    let mut spoken_to = false;
     while !interrupted.load(Ordering::Relaxed)
         && args
             .duration
@@ -103,6 +122,10 @@ pub fn serve(args: ServeArgs) -> Result<(), CliError> {
             rig.step();
         }
         rig.host_read(&mut said);
+        if !spoken_to {
+            // A pseudo-terminal would keep it for the first host.
+            said.clear();
+        }
         if !said.is_empty() {
             let taken = port.write(&said, Duration::ZERO)?;
             said.drain(..taken);
@@ -112,6 +135,7 @@ pub fn serve(args: ServeArgs) -> Result<(), CliError> {
             }
         }
         let count = port.read(&mut buffer, POLL)?;
+        spoken_to |= count > 0;
         rig.host_write(&buffer[..count]);
     }
     drop(link);
@@ -187,7 +211,25 @@ impl Drop for Link {
     }
 }
 
-fn listen(args: &ServeArgs) -> Result<(Box<dyn Transport>, Option<Link>), CliError> {
+/// Reads a token from the first line of a file.
+fn token(path: &Path) -> Result<Token, CliError> {
+    let bad = |what: &dyn std::fmt::Display| {
+        CliError::new(Exit::BadInput, format!("{}: {what}", path.display()))
+    };
+    let bytes = input::read(path, input::SETTINGS_BYTES).map_err(|error| bad(&error))?;
+    let text = String::from_utf8_lossy(&bytes);
+    let line = text.lines().next().unwrap_or_default();
+    line.trim().parse().map_err(|what: String| bad(&what))
+}
+
+/// A port that is served: its transport, its link, and a token that was made for it.
+type Served = (Box<dyn Transport>, Option<Link>, Option<Token>);
+
+fn listen(args: &ServeArgs) -> Result<Served, CliError> {
+    if args.token_file.is_some() && args.listen == Listen::Pty {
+        let what = "--token-file is for a TCP port; the system guards a pseudo-terminal";
+        return Err(CliError::new(Exit::Usage, what));
+    }
     match &args.listen {
         Listen::Tcp(address) => {
             if args.link.is_some() {
@@ -196,7 +238,23 @@ fn listen(args: &ServeArgs) -> Result<(Box<dyn Transport>, Option<Link>), CliErr
                     "--link is for a pseudo-terminal; leave it out with tcp:",
                 ));
             }
-            Ok((Box::new(TcpServer::listen(address)?), None))
+            let token = args.token_file.as_deref().map(token).transpose()?;
+            let port = TcpServer::listen(address)?;
+            let local = port.address().is_ok_and(|at| at.ip().is_loopback());
+            let (token, new) = match token {
+                Some(token) => (Some(token), false),
+                None if local => (None, false),
+                None => {
+                    let made = Token::random();
+                    let made = made.map_err(|error| CliError::new(Exit::Internal, error))?;
+                    (Some(made), true)
+                }
+            };
+            let Some(token) = token else {
+                return Ok((Box::new(port), None, None));
+            };
+            let port = Box::new(port.with_token(&token));
+            Ok((port, None, new.then_some(token)))
         }
         #[cfg(unix)]
         Listen::Pty => {
@@ -216,7 +274,7 @@ fn listen(args: &ServeArgs) -> Result<(Box<dyn Transport>, Option<Link>), CliErr
                 }
                 None => None,
             };
-            Ok((Box::new(port), link))
+            Ok((Box::new(port), link, None))
         }
         #[cfg(not(unix))]
         Listen::Pty => Err(CliError::new(

@@ -4,8 +4,9 @@ mod orders;
 mod shown;
 mod spec;
 
-use super::run::folder::Folder;
-use super::{CliError, Exit, MachineArg, run, seconds};
+use super::board::Chosen;
+use super::run::folder::{self, Folder};
+use super::{BoardArg, CliError, Exit, run, seconds};
 use crate::client::Options;
 use crate::machine::{MachineFile, work};
 use crate::port::{self, DEFAULT_BAUD, PortSpec};
@@ -18,6 +19,7 @@ use crate::teleop::script::{self, BUILT_IN, Person};
 use crate::teleop::{Arm, Ended, Outcome, PersonLine, Row, Script, Source, Teleop, TeleopOptions};
 use clap::Args;
 use haptimill_hil_sim::config::PlantConfig;
+use haptimill_hil_sim::cutting::CuttingConfig;
 use haptimill_hil_sim::fault::{Fault, FaultKind};
 use haptimill_protocol::message::{Command, State};
 use shown::{Shown, terminal};
@@ -53,13 +55,16 @@ pub struct TeleopArgs {
     pub hand: HandSpec,
     #[command(flatten)]
     #[allow(missing_docs)]
-    pub machine: MachineArg,
+    pub machine: BoardArg,
     /// Controller of the machine: sim (built in), a serial port or pseudo-terminal by its path, or tcp:HOST:PORT
     #[arg(long, value_name = "PORT", default_value = "sim")]
     pub port: PortSpec,
     /// Machine file of the arm [default: machines/hand-master.toml, built in]
     #[arg(long, value_name = "FILE")]
     pub hand_machine: Option<PathBuf>,
+    /// Replace the configuration of the arm's board by the one of --hand-machine where the names differ
+    #[arg(long, requires = "hand_machine")]
+    pub replace_hand_machine: bool,
     /// Baud rate of the machine's serial port
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1200..=12_000_000))]
     pub baud: Option<u32>,
@@ -228,7 +233,8 @@ fn line_rate(spec: &PortSpec, baud: Option<u32>) -> u32 {
 /// See [`Exit`].
 pub fn run(args: TeleopArgs) -> Result<(), CliError> {
     args.check()?;
-    let machine = args.machine.load()?;
+    let chosen = args.machine.load()?;
+    let machine = chosen.file.clone();
     if machine.is_master() {
         let what = format!(
             "{}: a haptic arm alone; --machine is the machine that it leads",
@@ -236,13 +242,7 @@ pub fn run(args: TeleopArgs) -> Result<(), CliError> {
         );
         return Err(CliError::new(Exit::BadInput, what));
     }
-    if machine.config.haptic.is_some() {
-        let what = format!(
-            "{}: this machine has a haptic arm on its own board, and is led by that one; a hand afar would not be heard",
-            machine.file
-        );
-        return Err(CliError::new(Exit::BadInput, what));
-    }
+    no_arm(&machine)?;
     let mut machine = machine.with_follow()?;
     if let (Some(follow), Some(stale)) = (&mut machine.config.follow, args.stale) {
         follow.stale_ms = stale;
@@ -257,11 +257,24 @@ pub fn run(args: TeleopArgs) -> Result<(), CliError> {
         HandSpec::Script(Some(file)) => Some(Script::load(file)?),
         _ => None,
     };
-    let arm_machine = match &args.hand_machine {
-        Some(file) => MachineFile::load(file)?,
-        None => MachineFile::built_in_master()?,
+    let arm_chosen = Chosen {
+        file: match &args.hand_machine {
+            Some(file) => MachineFile::load(file)?,
+            None => MachineFile::built_in_master()?,
+        },
+        named: args.hand_machine.is_some(),
+        replace: args.replace_hand_machine,
+        base: None,
     };
+    let arm_machine = arm_chosen.file.clone();
     Arm::<PersonLine>::check(&arm_machine)?;
+    let work = match &args.work {
+        Some(path) => {
+            let plant: PlantConfig = machine.plant()?;
+            Some(plant.cutting(work::load(path)?))
+        }
+        None => None,
+    };
     let options = TeleopOptions {
         axes,
         scale: args.gp,
@@ -279,6 +292,8 @@ pub fn run(args: TeleopArgs) -> Result<(), CliError> {
     let run = Run {
         args: &args,
         machine: &machine,
+        chosen: &chosen.completed(machine.clone()),
+        work: work.as_ref(),
         options: &options,
         dir: &args.out,
     };
@@ -287,10 +302,8 @@ pub fn run(args: TeleopArgs) -> Result<(), CliError> {
             let mut faults = args.hand_fault.clone();
             faults.extend(args.delay.map(delay));
             let rig = session::rig(&arm_machine, None, None, faults)?;
-            let mut line = PersonLine::new(SimLine::new(rig), Person::new(&script));
+            let line = PersonLine::new(SimLine::new(rig), Person::new(&script));
             let folder = Folder::take(&args.out)?;
-            folder.empty()?;
-            line.begin_recording(run.recording(&arm_machine, HAND_RECORDING)?);
             let pace = Pace {
                 every_us: 1_000_000 / args.rate,
                 line_rate: 0,
@@ -301,7 +314,11 @@ pub fn run(args: TeleopArgs) -> Result<(), CliError> {
                 number
             });
             let mut arm = Arm::new(line, &arm_machine, pace, numbers, None)?;
-            let outcome = run.with(&mut arm, None)?;
+            let outcome = run.with(&mut arm, &folder, |arm| {
+                let recording = run.recording(&arm_machine, HAND_RECORDING)?;
+                arm.line_mut().begin_recording(recording);
+                Ok(())
+            })?;
             let recorded = run.finished(arm.line_mut().end_recording())?;
             run.tell(outcome, Some(recorded))
         }
@@ -317,7 +334,8 @@ pub fn run(args: TeleopArgs) -> Result<(), CliError> {
                 port::open(&again, baud.unwrap_or(DEFAULT_BAUD)).map(PortLine::new)
             });
             let numbers = Box::new(session::fresh_number);
-            let mut arm = Arm::new(line, &arm_machine, pace, numbers, Some(reopen))?;
+            let mut arm =
+                Arm::new(line, &arm_machine, pace, numbers, Some(reopen))?.on_board(arm_chosen);
             run.alone(&mut arm)
         }
         (HandSpec::Joystick(path), _) => {
@@ -346,6 +364,18 @@ fn keyboard(run: &Run<'_>) -> Result<(), CliError> {
 fn keyboard(_: &Run<'_>) -> Result<(), CliError> {
     let what = "--hand keyboard needs a Unix terminal";
     Err(CliError::new(Exit::Usage, what))
+}
+
+/// A machine with an arm on its own board is led by that one.
+fn no_arm(machine: &MachineFile) -> Result<(), CliError> {
+    if machine.config.haptic.is_none() {
+        return Ok(());
+    }
+    let what = format!(
+        "{}: this machine has a haptic arm on its own board, and is led by that one; a hand afar would not be heard",
+        machine.file
+    );
+    Err(CliError::new(Exit::BadInput, what))
 }
 
 /// A link that is late from the start.
@@ -381,6 +411,8 @@ fn in_time(delay: u16, stale: u16) -> Result<(), CliError> {
 struct Run<'a> {
     args: &'a TeleopArgs,
     machine: &'a MachineFile,
+    chosen: &'a Chosen,
+    work: Option<&'a CuttingConfig>,
     options: &'a TeleopOptions,
     dir: &'a Path,
 }
@@ -402,23 +434,28 @@ impl Run<'_> {
         recorder
             .ok_or_else(|| CliError::new(Exit::Internal, "the recording was lost"))?
             .finish()
-            .map_err(|error| self.output(&error))
+            .map_err(|error| folder::broken(self.dir, &error))
     }
 
     /// With a source that leaves nothing of its own.
-    fn alone(&self, source: &mut dyn Source) -> Result<(), CliError> {
+    fn alone<S: Source>(&self, source: &mut S) -> Result<(), CliError> {
         let folder = Folder::take(self.dir)?;
-        let outcome = self.with(source, Some(&folder))?;
+        let outcome = self.with(source, &folder, |_| Ok(()))?;
         self.tell(outcome, None)
     }
 
-    /// Leads; empties the folder, if it is given, when all is ready.
-    fn with(
+    /// Leads; when the machine is ready the folder is emptied and `ready` is called.
+    fn with<S: Source>(
         &self,
-        source: &mut dyn Source,
-        folder: Option<&Folder>,
+        source: &mut S,
+        folder: &Folder,
+        ready: impl FnOnce(&mut S) -> Result<(), CliError>,
     ) -> Result<(Outcome, Recorded), CliError> {
         let (args, machine) = (self.args, self.machine);
+        if let (Some(seconds), PortSpec::Simulator) = (self.options.duration_s, &args.port) {
+            folder::has_space(self.dir, seconds * run::bytes_per_s(machine))?;
+        }
+        source.prepare()?;
         let interrupted = interrupt::flag();
         match &args.port {
             PortSpec::Simulator => {
@@ -426,30 +463,30 @@ impl Run<'_> {
                 let line = SimLine::new(rig);
                 let session = Session::new(line, machine, Options::default(), interrupted);
                 // Always the same number: a scripted session is the same session every time.
-                self.lead(session, 1, source, folder)
+                self.lead(session, 1, source, folder, ready)
             }
             spec => {
                 let line = PortLine::new(port::open(spec, args.baud.unwrap_or(DEFAULT_BAUD))?);
                 let mut options = Options::default();
                 options.timing.line_rate = line_rate(spec, args.baud);
                 let session = Session::new(line, machine, options, interrupted);
-                self.lead(session, session::fresh_number(), source, folder)
+                self.lead(session, session::fresh_number(), source, folder, ready)
             }
         }
     }
 
-    fn lead<L: JobLine>(
+    fn lead<L: JobLine, S: Source>(
         &self,
         mut session: Session<L>,
         number: u32,
-        source: &mut dyn Source,
-        folder: Option<&Folder>,
+        source: &mut S,
+        folder: &Folder,
+        ready: impl FnOnce(&mut S) -> Result<(), CliError>,
     ) -> Result<(Outcome, Recorded), CliError> {
         session.connect(number)?;
         self.make_ready(&mut session)?;
-        if let Some(folder) = folder {
-            folder.empty()?;
-        }
+        folder.empty()?;
+        ready(source)?;
         let recording = self.recording(self.machine, report::RECORDING_FILE)?;
         session.line_mut().begin_recording(recording);
         let file = std::fs::File::create(self.dir.join(TABLE_FILE))
@@ -511,18 +548,19 @@ impl Run<'_> {
                 format!("a fault is latched: {what}; remove the cause, then `haptimill reset`");
             return Err(CliError::new(Exit::Fault, what));
         }
-        session.configure(machine)?;
+        if args.port == PortSpec::Simulator {
+            session.configure(machine)?;
+        } else {
+            no_arm(&self.chosen.file_of(session)?)?;
+        }
         session.enable()?;
         if !status.homed || !status.position_kept {
             args.say("homing");
             let home = session::home_of(machine, session.model())?;
             session.go_home(machine, &home)?;
         }
-        if let Some(path) = &args.work {
-            let plant: PlantConfig = machine.plant()?;
-            session
-                .line_mut()
-                .clamp(&plant.cutting(work::load(path)?))?;
+        if let Some(work) = self.work {
+            session.line_mut().clamp(work)?;
         }
         if machine.config.force.is_some() {
             session.set_force_mask(&[])?;
@@ -552,6 +590,9 @@ impl Run<'_> {
         } else {
             tell!("{}", terminal(&outcome).trim_end());
             tell!("results in {}", self.dir.display());
+        }
+        if recorded.disk_full {
+            return Err(folder::disk_full(self.dir).told());
         }
         let (exit, why) = match outcome.ended {
             Ended::Done => return Ok(()),

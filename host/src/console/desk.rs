@@ -12,6 +12,7 @@ use super::job::Work;
 use super::jogging::{Jogging, Order};
 use super::recording::Recording;
 use super::shown::{Axis, Confirm, Contact, Fixed, Log, Overlay, Weight};
+use crate::cli::board::{Chosen, Decision};
 use crate::cli::{CliError, Exit};
 use crate::client::{Client, ClientState, Options, Ticket};
 use crate::machine::MachineFile;
@@ -101,6 +102,8 @@ pub(super) struct Settings {
     /// A work that is clamped on the simulated table after homing.
     pub(super) work: Option<CuttingConfig>,
     pub(super) options: Options,
+    /// How the configuration of a board behind a port is chosen.
+    pub(super) board: Option<Chosen>,
 }
 
 /// See the module.
@@ -120,6 +123,8 @@ pub(super) struct Desk {
     /// There was a session once: a port that fails now is tried again, not reported as a mistake of the command line.
     pub(super) connected_once: bool,
     pub(super) reconnects: u32,
+    /// The board had the configuration of this console, or took it.
+    agreed: bool,
     /// The controller has the configuration of our machine file.
     pub(super) configured: bool,
     pub(super) asked: Vec<(Ticket, Then)>,
@@ -190,6 +195,7 @@ impl Desk {
             contact: Contact::Opening,
             connected_once: false,
             reconnects: 0,
+            agreed: false,
             configured: false,
             asked: Vec::new(),
             owed: Owed::Nothing,
@@ -341,7 +347,10 @@ impl Desk {
     }
 
     /// A session is open.
-    pub(super) fn begin(&mut self) {
+    ///
+    /// # Errors
+    /// The board is configured as another machine, or not at all.
+    pub(super) fn begin(&mut self) -> Result<(), CliError> {
         if self.connected_once {
             self.reconnects += 1;
             self.say(
@@ -360,7 +369,7 @@ impl Desk {
                 self.stopping = Some("emergency stop");
             }
         }
-        self.send_configuration();
+        self.agree()?;
         let quarter_ms = (4 * TELEMETRY_BYTES * 1000)
             .checked_div(self.settings.options.timing.line_rate)
             .unwrap_or(0);
@@ -373,6 +382,39 @@ impl Desk {
         let every = every.clamp(1, u32::from(u16::MAX)) as u16;
         self.ask(Command::Telemetry { every }, Then::Nothing);
         self.ask(Command::Status, Then::Nothing);
+        Ok(())
+    }
+
+    /// Sees to it that board and console go by the same machine file.
+    fn agree(&mut self) -> Result<(), CliError> {
+        if let (Some(board), Some(welcome)) = (&self.settings.board, self.client.controller()) {
+            match board.decide(welcome)? {
+                // A board that lost its power takes the configuration that it had in this console.
+                _ if self.agreed && welcome.config_crc == 0 => {}
+                Decision::Active(file) => {
+                    // The built-in haptic arm is known too, and is no machine to operate.
+                    if self.machine.is_master() != file.is_master() {
+                        let what = format!(
+                            "{}: the board is configured as \"{}\"; give its machine file with --machine FILE",
+                            self.connection.name(),
+                            welcome.machine
+                        );
+                        return Err(CliError::new(Exit::Command, what));
+                    }
+                    self.agreed = true;
+                    self.ask(Command::Ping, Then::Configured { kept: true });
+                    return Ok(());
+                }
+                Decision::Send(what) => self.say(Weight::Note, what),
+                Decision::Unknown(what) => {
+                    let what = format!("{}: {what}", self.connection.name());
+                    return Err(CliError::new(Exit::Command, what));
+                }
+            }
+            self.agreed = true;
+        }
+        self.send_configuration();
+        Ok(())
     }
 
     /// Makes our machine file the active configuration, unless it is.

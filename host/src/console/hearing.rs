@@ -20,7 +20,7 @@ const HAND_MS: u32 = 100;
 impl Desk {
     pub(super) fn hear(&mut self, notice: Notice) -> Result<(), CliError> {
         match notice {
-            Notice::Connected(_) => self.begin(),
+            Notice::Connected(_) => self.begin()?,
             Notice::Answered {
                 ticket,
                 command,

@@ -69,7 +69,8 @@ enum End {
 /// See [`Exit`].
 pub fn run(args: ConsoleArgs) -> Result<(), CliError> {
     check(&args)?;
-    let machine = Arc::new(args.machine.load()?);
+    let chosen = args.machine.load()?;
+    let machine = Arc::new(chosen.file.clone());
     if let Some(program) = &args.program {
         // Mistakes are told here, where they can be read at leisure; from the home pose, as long as no other is known.
         let model = Model::new(&machine);
@@ -109,6 +110,7 @@ pub fn run(args: ConsoleArgs) -> Result<(), CliError> {
         program: args.program,
         work,
         options,
+        board: (args.port != PortSpec::Simulator).then_some(chosen),
     };
     let signals = signals();
     terminal::take(&|| signals.load(Ordering::SeqCst) > 0)?;

@@ -4,8 +4,9 @@
 //! compares with it, finds nothing, and stays quiet. Misuse: a value taken from here means something only when
 //! [`Document::finish`] says that there was no problem.
 
-use super::problem::{Problem, Problems};
-use std::cell::RefCell;
+use super::problem::{LISTED_PROBLEMS, Problem, Problems};
+use std::cell::{Cell, RefCell};
+use std::collections::HashMap;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
@@ -16,7 +17,12 @@ pub struct Document<'i> {
     /// A file that has all keys there are.
     example: &'static str,
     problems: RefCell<Vec<(usize, Problem)>>,
+    /// Problems that were not kept.
+    more: Cell<usize>,
 }
+
+/// The most problems that are kept, to list the first ones of the file; a place in the text costs time.
+const KEPT_PROBLEMS: usize = 1000;
 
 impl<'i> Document<'i> {
     /// A document without problems yet.
@@ -26,6 +32,7 @@ impl<'i> Document<'i> {
             text,
             example: "machines/h4.toml",
             problems: RefCell::default(),
+            more: Cell::default(),
         }
     }
 
@@ -40,15 +47,18 @@ impl<'i> Document<'i> {
     pub fn parse(&self) -> Option<Spanned<DeTable<'i>>> {
         let (root, errors) = DeTable::parse_recoverable(self.text);
         // One slip, such as a misspelt [[joint]], can make a long train of equal errors.
-        let mut said: Vec<&str> = Vec::new();
+        let mut counts: HashMap<&str, usize> = HashMap::new();
+        for error in &errors {
+            *counts.entry(error.message()).or_default() += 1;
+        }
         for error in &errors {
             let message = error.message();
-            if said.contains(&message) {
+            // Said at the first one.
+            let Some(count) = counts.remove(message) else {
                 continue;
-            }
-            said.push(message);
+            };
             let offset = error.span().map_or(0, |span| span.start);
-            let more = errors.iter().filter(|e| e.message() == message).count() - 1;
+            let more = count - 1;
             let remedy = match more {
                 0 => "correct the TOML".to_string(),
                 _ => format!("correct the TOML ({more} more like this below)"),
@@ -66,6 +76,10 @@ impl<'i> Document<'i> {
         what: impl Into<String>,
         remedy: impl Into<String>,
     ) {
+        if self.problems.borrow().len() >= KEPT_PROBLEMS {
+            self.more.set(self.more.get() + 1);
+            return;
+        }
         let (line, column) = position(self.text, offset);
         self.problems.borrow_mut().push((
             offset,
@@ -107,7 +121,9 @@ impl<'i> Document<'i> {
     pub fn into_problems(self) -> Problems {
         let mut problems = self.problems.into_inner();
         problems.sort_by_key(|(offset, _)| *offset);
-        Problems(problems.into_iter().map(|(_, p)| p).collect())
+        let more = problems.len().saturating_sub(LISTED_PROBLEMS) + self.more.get();
+        problems.truncate(LISTED_PROBLEMS);
+        Problems(problems.into_iter().map(|(_, p)| p).collect(), more)
     }
 }
 

@@ -24,6 +24,7 @@ pub use axes::AxisLimits;
 pub use force::GATES;
 pub use problem::{Problem, Problems};
 
+use crate::cli::input;
 use document::{Document, Section, real, whole};
 use haptimill_firmware::config::{
     AxisKind, Config, H4Geometry, Homing, JointAxis, Model, PoseAxis, Stopping, Supervision,
@@ -134,22 +135,7 @@ impl MachineFile {
     /// Reads a machine file from disk. A file that cannot be read is a problem of line 0.
     pub fn load(path: &Path) -> Result<Self, Problems> {
         let file = path.display().to_string();
-        let unreadable = |what: String, remedy: &str| {
-            Problems(vec![Problem {
-                file: file.clone(),
-                line: 0,
-                column: 0,
-                key: String::new(),
-                what,
-                remedy: remedy.to_string(),
-            }])
-        };
-        let bytes = std::fs::read(path)
-            .map_err(|e| unreadable(format!("cannot be read: {e}"), "check the path"))?;
-        let text = String::from_utf8(bytes).map_err(|e| {
-            let at = e.utf8_error().valid_up_to();
-            unreadable(format!("is not UTF-8 at byte {at}"), "save it as UTF-8")
-        })?;
+        let text = text_of(path)?;
         Self::parse(&file, &text)
     }
 
@@ -205,6 +191,21 @@ impl MachineFile {
             }
         }
     }
+}
+
+/// The text of a file with settings. A file that cannot be read is a problem of line 0.
+pub(crate) fn text_of(path: &Path) -> Result<String, Problems> {
+    let file = path.display().to_string();
+    let bytes = input::read(path, input::SETTINGS_BYTES)
+        .map_err(|error| Problems::unread(&file, error.what, error.remedy))?;
+    String::from_utf8(bytes).map_err(|error| {
+        let at = error.utf8_error().valid_up_to();
+        Problems::unread(
+            &file,
+            format!("is not UTF-8 at byte {at}"),
+            "save it as UTF-8",
+        )
+    })
 }
 
 fn read(document: &Document<'_>, root: &Spanned<DeTable<'_>>) -> MachineFile {

@@ -10,7 +10,7 @@ use toml::de::{DeTable, DeValue};
 pub(super) fn check(document: &Document<'_>, root: &DeTable<'_>, machine: &MachineFile) {
     let offset = root.get("plant").map_or(0, |value| value.span().start);
     match machine.plant::<PlantConfig>() {
-        Err(Problems(problems)) => problems.into_iter().for_each(|p| document.add(p)),
+        Err(Problems(problems, _)) => problems.into_iter().for_each(|p| document.add(p)),
         Ok(plant) => {
             if plant.joint.len() != machine.config.joints.len() {
                 let what = format!(

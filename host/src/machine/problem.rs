@@ -36,9 +36,33 @@ impl fmt::Display for Problem {
     }
 }
 
-/// Everything that is wrong in a machine file, in the order of the lines; never empty.
+/// The most problems of a file that are listed; the rest is counted.
+pub const LISTED_PROBLEMS: usize = 50;
+
+/// What is wrong in a machine file, in the order of the lines, at most [`LISTED_PROBLEMS`] and never empty; and how many problems more there are.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Problems(pub Vec<Problem>);
+pub struct Problems(pub Vec<Problem>, pub usize);
+
+impl Problems {
+    /// The only problem of a file: it cannot be read.
+    pub(crate) fn unread(file: &str, what: String, remedy: &str) -> Self {
+        let problem = Problem {
+            file: file.to_string(),
+            line: 0,
+            column: 0,
+            key: String::new(),
+            what,
+            remedy: remedy.to_string(),
+        };
+        Self(vec![problem], 0)
+    }
+
+    /// How many there are.
+    #[must_use]
+    pub fn count(&self) -> usize {
+        self.0.len() + self.1
+    }
+}
 
 impl fmt::Display for Problems {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -47,6 +71,10 @@ impl fmt::Display for Problems {
                 writeln!(out)?;
             }
             write!(out, "{problem}")?;
+        }
+        if let (more @ 1.., Some(problem)) = (self.1, self.0.first()) {
+            let plural = if more == 1 { "" } else { "s" };
+            write!(out, "\n{}: {more} more problem{plural}", problem.file)?;
         }
         Ok(())
     }

@@ -255,7 +255,7 @@ fn all_problems_are_listed_in_the_order_of_the_lines() {
         .replacen("r = 480.0", "r = -480.0", 1)
         .replacen("heartbeat_ms = 500", "hartbeat_ms = 500", 1)
         .replacen("gear_ratio = 90.0\n", "", 1);
-    let Err(Problems(problems)) = MachineFile::parse("broken.toml", &text) else {
+    let Err(Problems(problems, 0)) = MachineFile::parse("broken.toml", &text) else {
         panic!("it reads")
     };
     let keys: Vec<&str> = problems.iter().map(|p| p.key.as_str()).collect();

@@ -1,7 +1,7 @@
 //! Work files: what is clamped on the table of the simulated machine, in TOML with the keys of a `[plant.workpiece]` section.
 
+use super::Problems;
 use super::document::Document;
-use super::{Problem, Problems};
 use haptimill_hil_sim::cutting::{CuttingConfig, WorkpieceConfig};
 use std::path::Path;
 use toml::de::{DeTable, DeValue};
@@ -12,16 +12,7 @@ use toml::de::{DeTable, DeValue};
 /// Every problem of the file; what cannot be read at all is found one at a time.
 pub fn load(path: &Path) -> Result<WorkpieceConfig, Problems> {
     let file = path.display().to_string();
-    let text = std::fs::read_to_string(path).map_err(|error| {
-        Problems(vec![Problem {
-            file: file.clone(),
-            line: 0,
-            column: 0,
-            key: String::new(),
-            what: format!("cannot be read: {error}"),
-            remedy: "check the path".to_string(),
-        }])
-    })?;
+    let text = super::text_of(path)?;
     parse(&file, &text)
 }
 

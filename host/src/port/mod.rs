@@ -7,12 +7,14 @@
 mod serial;
 mod serve;
 mod tcp;
+mod token;
 
 pub use serial::{SerialTransport, list};
 #[cfg(unix)]
 pub use serve::PtyServer;
 pub use serve::TcpServer;
 pub use tcp::TcpTransport;
+pub use token::{TOKEN_VARIABLE, Token, use_token};
 
 use std::fmt;
 use std::str::FromStr;
@@ -20,6 +22,16 @@ use std::time::Duration;
 
 /// What a served TCP port says to a second host before it closes the connection.
 pub const BUSY: &[u8] = b"haptimill: busy: another host is connected; try again when it has gone\n";
+
+/// What it says to a host without the token.
+pub const DENIED: &[u8] =
+    b"haptimill: denied: this port asks for a token; give it with --token or HAPTIMILL_TOKEN\n";
+
+/// What it says to a connection that says nothing.
+pub const SLOW: &[u8] = b"haptimill: closed: nothing was said within 2 s\n";
+
+/// What it says to a host that fell silent.
+pub const CLOSED: &[u8] = b"haptimill: closed: nothing was heard of this host for too long\n";
 
 /// The baud rate of a serial port when none is given.
 pub const DEFAULT_BAUD: u32 = 115_200;
@@ -176,7 +188,13 @@ pub fn stop_past_lock(spec: &PortSpec) -> Result<(), PortError> {
     match spec {
         PortSpec::Simulator | PortSpec::Emulated(_) => Err(PortError::NoPort),
         PortSpec::Tcp(address) => std::net::TcpStream::connect(address)
-            .and_then(|mut stream| repeat(&mut stream))
+            .and_then(|mut stream| {
+                use std::io::Write as _;
+                if let Some(token) = token::token() {
+                    stream.write_all(&token.line())?;
+                }
+                repeat(&mut stream)
+            })
             .map_err(failed),
         PortSpec::Serial(path) => std::fs::OpenOptions::new()
             .write(true)
@@ -202,6 +220,11 @@ pub enum PortError {
     },
     /// Another program has it.
     Busy {
+        /// The port.
+        name: String,
+    },
+    /// It asks for a token.
+    Denied {
         /// The port.
         name: String,
     },
@@ -240,6 +263,10 @@ impl fmt::Display for PortError {
             Self::Busy { name } => write!(
                 out,
                 "{name}: another program has it; close that program (`fuser {name}` names it), then try again (`haptimill stop` is heard all the same)"
+            ),
+            Self::Denied { name } => write!(
+                out,
+                "{name}: asks for a token; give that of `haptimill sim serve` with --token, or in {TOKEN_VARIABLE}"
             ),
             Self::Failed { name, reason } => write!(
                 out,

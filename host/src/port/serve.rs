@@ -1,32 +1,79 @@
 //! The device's end, for a simulator that is served in real time: a pseudo-terminal, or a TCP listener.
 //!
-//! A second host is sent away, but a stop that it sends is heard: whoever can reach the port can stop the machine.
+//! A second host is sent away, but a stop that it sends is heard: whoever may use the port can stop the machine.
 //!
 //! Both outlive their hosts: while none is there, reading gives nothing and what is written is thrown away, as on a cable that is not plugged in.
 
-use super::{BUSY, PortError, TcpTransport, Transport};
+use super::token::{LONGEST_LINE, TOKEN_WORD, Token};
+use super::{BUSY, CLOSED, DENIED, PortError, SLOW, TcpTransport, Transport, is_quiet};
 use haptimill_protocol::urgent::{STOP, UrgentDetector};
-use std::io::Write;
+use sha2::{Digest, Sha256};
+use std::collections::VecDeque;
+use std::io::{Read, Write};
 use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 #[cfg(unix)]
 pub use pty::PtyServer;
 
 /// Serves one host at a time on a TCP port; a second one is told that it is busy and closed.
+///
+/// A connection has the place of the host only once it has said something, after its token where the port asks for one. Everything is done in
+/// [`TcpServer::read`], a bounded part at a time: neither many connections nor many bytes keep the host that is served waiting.
 pub struct TcpServer {
     name: String,
     listener: TcpListener,
+    /// SHA-256 of the token that a host has to give.
+    token: Option<[u8; 32]>,
     host: Option<TcpTransport>,
+    /// When the host was heard last.
+    heard: Instant,
+    /// What the host said before it had the place.
+    early: VecDeque<u8>,
+    /// Connections that are not the host, the oldest first.
+    guests: VecDeque<Guest>,
     asked: Instant,
     /// A host that was sent away asked for an urgent stop.
-    stop: Arc<AtomicBool>,
+    stop: bool,
+}
+
+/// A connection that is not the host: it has said nothing yet, or is sent away.
+struct Guest {
+    stream: TcpStream,
+    peer: SocketAddr,
+    since: Instant,
+    said: Vec<u8>,
+    /// It was told to go; what it says is looked through for a stop only.
+    away: bool,
 }
 
 /// How often a listener looks for a new host while it has one.
 const ACCEPT_EVERY: Duration = Duration::from_millis(10);
+
+/// Connections that are accepted in one look.
+const ACCEPTED: usize = 8;
+
+/// Connections that may wait to become the host or to be closed; of more, the oldest is closed.
+const GUESTS: usize = 16;
+
+/// Bytes that are taken of a connection in one look, and in all while it is not the host.
+const GUEST_BYTES: usize = 512;
+const MOST_GUEST_BYTES: usize = 4096;
+
+/// Longest time in which a new connection must give its token and say something.
+const FIRST_WORD: Duration = Duration::from_secs(2);
+
+/// How long a connection that was sent away is still looked through for a stop.
+const LAST_WORD: Duration = Duration::from_millis(500);
+
+/// A host that was silent for so long has to make room for another one. Hosts speak every 100 ms.
+const SILENT: Duration = Duration::from_secs(2);
+
+/// A pause between two looks after which the silence of a host proves nothing.
+const HELD_UP: Duration = Duration::from_millis(500);
+
+/// A host that was silent for so long is closed in any case.
+const GONE: Duration = Duration::from_secs(30);
 
 impl TcpServer {
     /// Listens on `HOST:PORT`; port 0 takes a free one, see [`TcpServer::address`].
@@ -48,10 +95,23 @@ impl TcpServer {
         Ok(Self {
             name,
             listener,
+            token: None,
             host: None,
+            heard: Instant::now(),
+            early: VecDeque::new(),
+            guests: VecDeque::new(),
             asked: Instant::now(),
-            stop: Arc::new(AtomicBool::new(false)),
+            stop: false,
         })
+    }
+
+    /// Serves only hosts that give this token first.
+    #[must_use]
+    pub fn with_token(self, token: &Token) -> Self {
+        Self {
+            token: Some(token.digest()),
+            ..self
+        }
     }
 
     /// Where it listens.
@@ -62,50 +122,144 @@ impl TcpServer {
         self.listener.local_addr()
     }
 
-    /// Takes a host that waits, or sends it away.
+    /// Looks at new connections and at those that wait.
     fn accept(&mut self) {
-        if self.host.is_some() && self.asked.elapsed() < ACCEPT_EVERY {
+        if self.asked.elapsed() < ACCEPT_EVERY {
             return;
         }
+        if self.asked.elapsed() > HELD_UP {
+            // This process stood still, and may not have read what the host said.
+            self.heard = Instant::now();
+        }
         self.asked = Instant::now();
-        while let Ok((stream, peer)) = self.listener.accept() {
-            if self.host.is_some() {
-                send_away(stream, Arc::clone(&self.stop));
-            } else if stream.set_nonblocking(false).is_ok() {
-                self.host = TcpTransport::new(stream, format!("tcp:{peer}")).ok();
+        if self.host.is_some() && self.heard.elapsed() > GONE {
+            self.drop_host();
+        }
+        for _ in 0..ACCEPTED {
+            let Ok((stream, peer)) = self.listener.accept() else {
+                break;
+            };
+            if stream.set_nonblocking(true).is_err() {
+                continue;
             }
+            if self.guests.len() == GUESTS {
+                self.guests.pop_front();
+            }
+            self.guests.push_back(Guest {
+                stream,
+                peer,
+                since: Instant::now(),
+                said: Vec::new(),
+                away: false,
+            });
+        }
+        for _ in 0..self.guests.len() {
+            if let Some(guest) = self.guests.pop_front()
+                && let Some(guest) = self.look_at(guest)
+            {
+                self.guests.push_back(guest);
+            }
+        }
+    }
+
+    /// Goes on with a connection that is not the host; none when it became the host or is closed.
+    fn look_at(&mut self, mut guest: Guest) -> Option<Guest> {
+        let mut buffer = [0; GUEST_BYTES];
+        let ended = match guest.stream.read(&mut buffer) {
+            Ok(0) => true,
+            Ok(count) => {
+                guest.said.extend_from_slice(&buffer[..count]);
+                false
+            }
+            Err(error) => !is_quiet(&error),
+        };
+        let known = self.admit(&guest.said);
+        if let Ok(Some(from)) = known
+            && UrgentDetector::new().push_all(&guest.said[from..])
+            && (guest.away || self.host.is_some())
+        {
+            self.stop = true;
+            guest.said.truncate(from);
+        }
+        if ended || guest.said.len() > MOST_GUEST_BYTES {
+            return None;
+        }
+        if guest.away {
+            return (guest.since.elapsed() < LAST_WORD).then_some(guest);
+        }
+        match known {
+            Err(()) => guest.send_away(DENIED),
+            _ if self.host.is_some() && self.heard.elapsed() < SILENT => guest.send_away(BUSY),
+            Ok(Some(from)) if guest.said.len() > from => {
+                self.drop_host();
+                let said = guest.said.split_off(from);
+                if guest.stream.set_nonblocking(false).is_ok()
+                    && let Ok(host) = TcpTransport::new(guest.stream, format!("tcp:{}", guest.peer))
+                {
+                    self.early = said.into();
+                    self.host = Some(host);
+                    self.heard = Instant::now();
+                }
+                None
+            }
+            _ if guest.since.elapsed() > FIRST_WORD => {
+                guest.send_away(if self.token.is_some() { DENIED } else { SLOW })
+            }
+            _ => Some(guest),
+        }
+    }
+
+    /// Where the protocol begins in what a connection said first; none while its token is not complete.
+    ///
+    /// # Errors
+    /// It gave no token, or another one.
+    fn admit(&self, said: &[u8]) -> Result<Option<usize>, ()> {
+        let Some(token) = &self.token else {
+            return Ok(Some(0));
+        };
+        match said
+            .iter()
+            .take(LONGEST_LINE)
+            .position(|byte| *byte == b'\n')
+        {
+            Some(end) => {
+                let given = said[..end].strip_prefix(TOKEN_WORD).ok_or(())?;
+                let given: [u8; 32] = Sha256::digest(given).into();
+                // The digests are compared to their ends, whatever differs.
+                let differ = given.iter().zip(token).fold(0, |all, (a, b)| all | (a ^ b));
+                (std::hint::black_box(differ) == 0)
+                    .then_some(Some(end + 1))
+                    .ok_or(())
+            }
+            None if said.len() >= LONGEST_LINE => Err(()),
+            None => Ok(None),
+        }
+    }
+
+    fn drop_host(&mut self) {
+        self.early.clear();
+        if let Some(mut host) = self.host.take() {
+            // It does not read either, or it would have spoken.
+            let _ = host.write(CLOSED, Duration::ZERO);
         }
     }
 }
 
-/// Says why, and closes. What the other end sent meanwhile is not read: closing would then reset the connection and lose the reason, so
-/// only the sending half is closed and the rest is left to the other end.
-fn send_away(mut stream: TcpStream, stop: Arc<AtomicBool>) {
-    let _ = stream.set_write_timeout(Some(Duration::from_millis(20)));
-    let _ = stream.set_nonblocking(false);
-    let _ = stream.write_all(BUSY);
-    let _ = stream.shutdown(Shutdown::Write);
-    // A short-lived thread drains what was sent, so that the reason is not overtaken by a reset; a stop among it counts.
-    std::thread::spawn(move || {
-        use std::io::Read;
-        let _ = stream.set_read_timeout(Some(Duration::from_millis(500)));
-        let mut waste = [0; 256];
-        let mut urgent = UrgentDetector::new();
-        for _ in 0..64 {
-            let Ok(count @ 1..) = stream.read(&mut waste) else {
-                break;
-            };
-            if urgent.push_all(&waste[..count]) {
-                stop.store(true, Ordering::Relaxed);
-            }
-        }
-    });
+impl Guest {
+    /// Says why. What it says meanwhile is still read: closing at once would reset the connection and lose the reason, so only the sending half is closed.
+    fn send_away(mut self, why: &[u8]) -> Option<Self> {
+        let _ = self.stream.write(why);
+        let _ = self.stream.shutdown(Shutdown::Write);
+        self.away = true;
+        self.since = Instant::now();
+        Some(self)
+    }
 }
 
 impl Transport for TcpServer {
     fn read(&mut self, buffer: &mut [u8], wait: Duration) -> Result<usize, PortError> {
         self.accept();
-        if buffer.len() >= STOP.len() && self.stop.swap(false, Ordering::Relaxed) {
+        if buffer.len() >= STOP.len() && std::mem::take(&mut self.stop) {
             buffer[..STOP.len()].copy_from_slice(&STOP);
             return Ok(STOP.len());
         }
@@ -113,8 +267,16 @@ impl Transport for TcpServer {
             std::thread::sleep(wait.min(ACCEPT_EVERY));
             return Ok(0);
         };
+        if !self.early.is_empty() {
+            return Ok(self.early.read(buffer).unwrap_or(0));
+        }
         match host.read(buffer, wait) {
-            Ok(count) => Ok(count),
+            Ok(count) => {
+                if count > 0 {
+                    self.heard = Instant::now();
+                }
+                Ok(count)
+            }
             Err(_) => {
                 self.host = None;
                 Ok(0)

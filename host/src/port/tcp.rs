@@ -1,6 +1,6 @@
 //! A TCP connection to a controller or to a served simulator.
 
-use super::{BUSY, PortError, Transport, is_quiet};
+use super::{BUSY, CLOSED, DENIED, PortError, SLOW, Token, Transport, is_quiet, token};
 use std::io::{Read, Write};
 use std::net::{TcpStream, ToSocketAddrs};
 use std::time::Duration;
@@ -14,11 +14,19 @@ pub struct TcpTransport {
 }
 
 impl TcpTransport {
-    /// Connects to `HOST:PORT` within 5 seconds.
+    /// Connects to `HOST:PORT` within 5 seconds, with the token of this process.
+    ///
+    /// # Errors
+    /// See [`TcpTransport::connect_with`].
+    pub fn connect(address: &str) -> Result<Self, PortError> {
+        Self::connect_with(address, token::token())
+    }
+
+    /// Connects to `HOST:PORT` within 5 seconds, and gives a token first.
     ///
     /// # Errors
     /// [`PortError::Open`] with what to do. That another host is being served shows in the first [`Transport::read`].
-    pub fn connect(address: &str) -> Result<Self, PortError> {
+    pub fn connect_with(address: &str, token: Option<&Token>) -> Result<Self, PortError> {
         let refused = |reason: String| PortError::Open {
             name: format!("tcp:{address}"),
             reason,
@@ -28,7 +36,12 @@ impl TcpTransport {
         let mut reason = "the name has no address".to_string();
         for candidate in addresses.map_err(|error| refused(error.to_string()))? {
             match TcpStream::connect_timeout(&candidate, Duration::from_secs(5)) {
-                Ok(stream) => {
+                Ok(mut stream) => {
+                    if let Some(token) = token {
+                        stream
+                            .write_all(&token.line())
+                            .map_err(|error| refused(error.to_string()))?;
+                    }
                     return Self::new(stream, format!("tcp:{address}"))
                         .map_err(|error| refused(error.to_string()));
                 }
@@ -77,10 +90,18 @@ impl Transport for TcpTransport {
                 let first = std::mem::take(&mut self.fresh);
                 // The zero that begins and ends every frame is not in that sentence.
                 let said = &buffer[..count];
-                if first && said.len() >= 15 && BUSY.starts_with(&said[..count.min(BUSY.len())]) {
-                    return Err(PortError::Busy {
-                        name: self.name.clone(),
-                    });
+                let is = |sentence: &[u8]| {
+                    said.len() >= 15 && sentence.starts_with(&said[..count.min(sentence.len())])
+                };
+                let name = || self.name.clone();
+                if first && is(BUSY) {
+                    return Err(PortError::Busy { name: name() });
+                }
+                if first && is(DENIED) {
+                    return Err(PortError::Denied { name: name() });
+                }
+                if is(CLOSED) || first && is(SLOW) {
+                    return Err(self.gone("it closed the connection after a silence"));
                 }
                 Ok(count)
             }

@@ -1,7 +1,7 @@
 //! From bytes to words: a letter and a number, with the place of each.
 //!
 //! Takes any bytes. What is neither word, comment, blank nor `%` is a problem at its place; nothing is skipped in silence. Why this is not a
-//! library: docs/decisions/0003-part-program-reader.md.
+//! library: docs/decisions/0003-part-program-lexer.md.
 
 use super::problem::{Place, Problems};
 

@@ -87,7 +87,7 @@ pub use header::Header;
 #[cfg(feature = "mcap")]
 pub use mcap::write_mcap;
 pub use reader::{Happening, Periods, Recording, RecordingError, Records};
-pub use writer::{Recorded, Recorder};
+pub use writer::{RESERVE_BYTES, Recorded, Recorder, free_bytes};
 
 pub use haptimill_hil_sim::tape::{Period, Tape};
 

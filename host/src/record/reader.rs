@@ -84,6 +84,13 @@ impl Recording {
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
         let io = |error| RecordingError::Io(path.to_path_buf(), error);
         let format = |what: String| RecordingError::Format(path.to_path_buf(), what);
+        // To open a pipe may take for ever, and a device has no size.
+        let kind = path.metadata().map_err(io)?;
+        if !kind.is_file() && !kind.is_dir() {
+            return Err(format(
+                "is a pipe or a device; a recording is a regular file".to_string(),
+            ));
+        }
         let file = File::open(path).map_err(io)?;
         let bytes = file.metadata().map_err(io)?.len();
         let mut file = BufReader::with_capacity(1 << 12, file);

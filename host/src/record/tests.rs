@@ -497,3 +497,37 @@ fn recording_is_cheap_for_the_caller() {
     println!("{each:?} a record");
     assert!(each.as_micros() < 5, "{each:?} a record");
 }
+
+/// The disk fills while a job is recorded: the recording ends in time, is whole, and leaves room for what is made from it.
+#[test]
+fn a_recording_ends_before_the_disk_is_full() {
+    use super::writer::RESERVE_BYTES;
+    // Three looks find space, the fourth one does not; each look is a megabyte of recording.
+    fn space(file: &std::fs::File) -> Option<u64> {
+        let written = file.metadata().unwrap().len();
+        Some((RESERVE_BYTES + (3 << 20)).saturating_sub(written))
+    }
+    let machine = MachineFile::built_in().unwrap();
+    let header = Header::of(&machine, "long").unwrap();
+    let path = std::env::temp_dir().join(format!("haptimill-full-{}.hmr", std::process::id()));
+    let mut recorder = Recorder::create_with(&path, &header, space).unwrap();
+    let mut told_at = None;
+    for period in 0..200_000 {
+        recorder.record(&Record {
+            period,
+            ..Record::default()
+        });
+        if recorder.is_broken() && told_at.is_none() {
+            told_at = Some(period);
+        }
+    }
+    let recorded = recorder.finish().unwrap();
+    assert!(recorded.disk_full);
+    assert!(told_at.is_some_and(|at| at < 200_000), "{told_at:?}");
+    assert!(recorded.bytes < 3 * RESERVE_BYTES / 2, "{recorded:?}");
+    assert!(recorded.bytes >= 3 << 20, "{recorded:?}");
+    let recording = Recording::open(&path).unwrap();
+    assert!(recording.is_whole());
+    assert_eq!(recording.records(), recorded.records);
+    std::fs::remove_file(path).unwrap();
+}

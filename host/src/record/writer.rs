@@ -11,6 +11,8 @@ use std::fmt::Write as _;
 use std::fs::File;
 use std::io::{self, Write};
 use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::thread::JoinHandle;
 
@@ -56,6 +58,44 @@ pub struct Recorder {
     empty_batches: Receiver<Vec<Period>>,
     writer: Option<JoinHandle<io::Result<Written>>>,
     records: u64,
+    disk: Arc<Disk>,
+    /// Nothing is recorded any more, for want of space.
+    ended: bool,
+}
+
+/// What the second thread found out about the disk.
+#[derive(Debug, Default)]
+struct Disk {
+    /// Less than [`RESERVE_BYTES`] are free.
+    full: AtomicBool,
+    /// A write failed.
+    failed: AtomicBool,
+}
+
+/// Space on the disk that a recording leaves free: for its blocks under way, and for what is made from it.
+pub const RESERVE_BYTES: u64 = 64 << 20;
+
+/// Bytes between two looks at the free space.
+const LOOK_BYTES: u64 = 1 << 20;
+
+/// Bytes that are free on the disk of a file; none where the system does not say.
+type FreeSpace = fn(&File) -> Option<u64>;
+
+#[cfg(unix)]
+fn free_space(file: &File) -> Option<u64> {
+    let disk = rustix::fs::fstatvfs(file).ok()?;
+    Some(disk.f_bavail.saturating_mul(disk.f_frsize))
+}
+
+#[cfg(not(unix))]
+fn free_space(_: &File) -> Option<u64> {
+    None
+}
+
+/// Bytes that are free on the disk of a folder; none where the system does not say.
+#[must_use]
+pub fn free_bytes(folder: &Path) -> Option<u64> {
+    File::open(folder).ok().and_then(|file| free_space(&file))
 }
 
 /// What the second thread did.
@@ -73,6 +113,8 @@ pub struct Recorded {
     pub bytes: u64,
     /// SHA-256 of the file, hexadecimal.
     pub sha256: String,
+    /// It ends before the job does, because the disk was nearly full.
+    pub disk_full: bool,
 }
 
 impl Recorder {
@@ -81,6 +123,10 @@ impl Recorder {
     /// # Errors
     /// The file cannot be created.
     pub fn create(path: &Path, header: &Header) -> io::Result<Self> {
+        Self::create_with(path, header, free_space)
+    }
+
+    pub(super) fn create_with(path: &Path, header: &Header, space: FreeSpace) -> io::Result<Self> {
         let file = File::create(path)?;
         let (hand, record_bytes) = (header.hand, header.record_bytes());
         let header = header.encode();
@@ -88,7 +134,13 @@ impl Recorder {
         let (blocks, empty) = sync_channel(BLOCKS + 1);
         let (batches, empty_batches) = sync_channel(BLOCKS + 1);
         let memory = Memory { blocks, batches };
-        let writer = std::thread::spawn(move || write(file, &header, &tasks, &memory));
+        let disk = Arc::<Disk>::default();
+        let seen = Arc::clone(&disk);
+        let writer = std::thread::spawn(move || {
+            let written = write(file, &header, &tasks, &memory, &seen, space);
+            seen.failed.store(written.is_err(), Ordering::Relaxed);
+            written
+        });
         Ok(Self {
             block: Vec::with_capacity(BLOCK_RECORDS * record_bytes),
             hand,
@@ -99,6 +151,8 @@ impl Recorder {
             empty_batches,
             writer: Some(writer),
             records: 0,
+            disk,
+            ended: false,
         })
     }
 
@@ -113,6 +167,9 @@ impl Recorder {
     /// Takes down a period of the tape that was taken up; without one, nothing.
     #[inline]
     pub fn period(&mut self, inputs: &Inputs, outputs: &Outputs) {
+        if self.has_ended() {
+            return;
+        }
         let Some(periods) = &mut self.periods else {
             return;
         };
@@ -131,6 +188,10 @@ impl Recorder {
     /// Records a period. A failure of the disk is said by [`Recorder::finish`].
     #[inline]
     pub fn record(&mut self, record: &Record) {
+        // Of a tape its period was asked first: both end together.
+        if self.ended || (self.periods.is_none() && self.has_ended()) {
+            return;
+        }
         self.block.extend_from_slice(&record.encode());
         if self.hand {
             self.block.extend_from_slice(&record.encode_hand());
@@ -139,6 +200,19 @@ impl Recorder {
         if self.block.len() == BLOCK_RECORDS * self.record_bytes {
             self.hand_over();
         }
+    }
+
+    /// Whether the recording has ended before the job, for want of space or by an error of the disk.
+    #[inline]
+    #[must_use]
+    pub fn is_broken(&self) -> bool {
+        self.disk.full.load(Ordering::Relaxed) || self.disk.failed.load(Ordering::Relaxed)
+    }
+
+    #[inline]
+    fn has_ended(&mut self) -> bool {
+        self.ended |= self.disk.full.load(Ordering::Relaxed);
+        self.ended
     }
 
     /// Records what happened, in words; `level` is 0 for news, 1 for a warning, 2 for an error.
@@ -215,6 +289,7 @@ impl Recorder {
             records: self.records,
             bytes: written.bytes,
             sha256,
+            disk_full: self.ended,
         })
     }
 
@@ -258,16 +333,25 @@ fn records(contents: Vec<u8>, record_bytes: usize) -> Task {
 }
 
 /// The second thread.
-struct Writer {
+struct Writer<'a> {
+    disk: &'a Disk,
+    space: FreeSpace,
+    /// Bytes at the next look at the free space.
+    look_at: u64,
     file: File,
     hash: Sha256,
     bytes: u64,
 }
 
-impl Writer {
+impl Writer<'_> {
     fn put(&mut self, bytes: &[u8]) -> io::Result<()> {
         self.hash.update(bytes);
         self.bytes += bytes.len() as u64;
+        if self.bytes >= self.look_at {
+            self.look_at = self.bytes + LOOK_BYTES;
+            let low = (self.space)(&self.file).is_some_and(|free| free < RESERVE_BYTES);
+            self.disk.full.fetch_or(low, Ordering::Relaxed);
+        }
         self.file.write_all(bytes)
     }
 
@@ -290,8 +374,13 @@ fn write(
     header: &[u8],
     tasks: &Receiver<Task>,
     memory: &Memory,
+    disk: &Disk,
+    space: FreeSpace,
 ) -> io::Result<Written> {
     let mut writer = Writer {
+        disk,
+        space,
+        look_at: 0,
         file,
         hash: Sha256::new(),
         bytes: 0,

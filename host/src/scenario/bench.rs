@@ -208,6 +208,9 @@ fn cut<C: Controlled>(
         .ok_or_else(|| CliError::new(Exit::Internal, "the recording was lost"))?
         .finish()
         .map_err(|error| output(&error))?;
+    if recorded.disk_full {
+        return Err(output(&"the disk is nearly full; free some space"));
+    }
     let outcome = Outcome {
         setpoints: u64::from(end.setpoints),
         underruns: end.underruns.len() as u64,

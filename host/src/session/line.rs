@@ -32,6 +32,11 @@ pub trait Line {
         None
     }
 
+    /// Whether the recording of a job has ended before the job, because of the disk.
+    fn recording_is_broken(&self) -> bool {
+        false
+    }
+
     /// The controller reported how things stand.
     fn reported(&mut self, _: &Telemetry) {}
 
@@ -108,6 +113,10 @@ impl Line for PortLine {
 
     fn name(&self) -> String {
         self.port.name().to_string()
+    }
+
+    fn recording_is_broken(&self) -> bool {
+        self.recording.as_ref().is_some_and(JobRecording::is_broken)
     }
 
     fn reported(&mut self, telemetry: &Telemetry) {

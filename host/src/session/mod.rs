@@ -24,7 +24,7 @@ pub(crate) use home::{has_tool, home_of};
 pub(crate) use job::EMERGENCY_STOP;
 pub use job::{JobEnd, Sent, Unwatched, Watcher};
 pub use line::{JobLine, Line, PortLine};
-pub use sim::{JobRecording, SimLine, rig, rig_around};
+pub use sim::{JobRecording, SimLine, commissioned, rig, rig_around};
 
 use crate::cli::{CliError, Exit};
 use crate::client::{Client, ClientState, JobEnding, Notice, Options, RequestError, Ticket};
@@ -76,8 +76,8 @@ pub struct Session<L> {
     pub events: Vec<(u64, Event)>,
     lost: Option<String>,
     refusal: Option<Refusal>,
-    /// Name of the configuration that this session made active.
-    configured: Option<String>,
+    /// Name and CRC of the configuration that this session made active.
+    configured: Option<(String, u32)>,
     interrupted: Arc<AtomicBool>,
     /// Bytes per second that the line carries; 0 for no bound.
     line_rate: u32,
@@ -130,14 +130,24 @@ impl<L: Line> Session<L> {
         &self.model
     }
 
+    /// Goes by another machine file from now on.
+    pub fn use_machine(&mut self, machine: &MachineFile) {
+        self.model = Model::new(machine);
+    }
+
+    /// The machine file of the controller is not known: its axes have no names and no units.
+    pub fn forget_axes(&mut self) {
+        self.model.forget_axes();
+    }
+
     /// Time of the line, microseconds.
     pub fn now_us(&self) -> u64 {
         self.now_us
     }
 
-    /// Whether the user wants everything to stop.
+    /// Whether everything is to stop: the user wants it, or the job cannot be recorded any more.
     pub fn interrupted(&self) -> bool {
-        self.interrupted.load(Ordering::Relaxed)
+        self.interrupted.load(Ordering::Relaxed) || self.line.recording_is_broken()
     }
 
     /// One step of line and client; what was said is sorted.
@@ -261,15 +271,11 @@ impl<L: Line> Session<L> {
         let (bytes, crc) = machine
             .encoded()
             .map_err(|error| CliError::new(Exit::Internal, error))?;
-        if self
-            .client
-            .controller()
-            .is_some_and(|welcome| welcome.config_crc == crc)
-        {
+        if self.configuration_crc() == crc {
             return Ok(());
         }
         self.send_configuration(&bytes, false)?;
-        self.configured = Some(machine.config.name.to_string());
+        self.configured = Some((machine.config.name.to_string(), crc));
         Ok(())
     }
 
@@ -278,11 +284,11 @@ impl<L: Line> Session<L> {
     /// # Errors
     /// As [`Session::configure`].
     pub fn configure_at_preset(&mut self, machine: &MachineFile) -> Result<(), CliError> {
-        let (bytes, _) = machine
+        let (bytes, crc) = machine
             .encoded()
             .map_err(|error| CliError::new(Exit::Internal, error))?;
         self.send_configuration(&bytes, true)?;
-        self.configured = Some(machine.config.name.to_string());
+        self.configured = Some((machine.config.name.to_string(), crc));
         Ok(())
     }
 
@@ -295,13 +301,21 @@ impl<L: Line> Session<L> {
     #[must_use]
     pub fn machine_name(&self) -> String {
         match &self.configured {
-            Some(name) => name.clone(),
+            Some((name, _)) => name.clone(),
             None => self
                 .client
                 .controller()
                 .map(|welcome| welcome.machine.to_string())
                 .unwrap_or_default(),
         }
+    }
+
+    /// CRC of the controller's configuration; 0 when there is none.
+    #[must_use]
+    pub fn configuration_crc(&self) -> u32 {
+        let welcomed = self.client.controller().map(|welcome| welcome.config_crc);
+        let sent = self.configured.as_ref().map(|(_, crc)| *crc);
+        sent.or(welcomed).unwrap_or(0)
     }
 
     /// How things stand now.

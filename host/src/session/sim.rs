@@ -1,8 +1,9 @@
 //! The built-in simulator as a line: controller, machine and serial line in this process, in virtual time.
 
 use super::hand::{HandCourse, HandRecorder};
-use super::{JobLine, Line};
+use super::{JobLine, Line, Session, fresh_number};
 use crate::cli::{CliError, Exit};
+use crate::client::Options;
 use crate::machine::MachineFile;
 use crate::plan::{Cursor, Plan};
 use crate::port::PortError;
@@ -87,6 +88,37 @@ pub fn rig_around<C: Control>(
         RigError::Fault(error) => CliError::new(Exit::Usage, format!("--{error}")),
     })
 }
+
+/// Configures the controller of a simulated machine over its line, as the maker of a machine does before it is delivered.
+///
+/// # Errors
+/// The reason, where a fault of the machine or of its line prevents it, and the machine without a configuration.
+#[allow(clippy::result_large_err)]
+pub fn commissioned(
+    rig: Rig<Controller>,
+    machine: &MachineFile,
+) -> Result<Rig<Controller>, (Rig<Controller>, CliError)> {
+    let options = Options {
+        connect_us: COMMISSION_US,
+        ..Options::default()
+    };
+    let mut line = SimLine::new(rig);
+    line.tape = None;
+    let mut session = Session::new(line, machine, options, Arc::default());
+    let done = session
+        .connect(fresh_number())
+        .and_then(|()| session.configure(machine));
+    let mut rig = session.into_line().rig;
+    // The last words of this session are for no other host.
+    rig.host_read(&mut Vec::new());
+    match done {
+        Ok(()) => Ok(rig),
+        Err(error) => Err((rig, error)),
+    }
+}
+
+/// Longest wait for the controller of a simulated machine that is being configured, microseconds of its time.
+const COMMISSION_US: u64 = 2_000_000;
 
 impl<C: Control> SimLine<C> {
     /// A line to a simulated machine.
@@ -188,6 +220,10 @@ impl<C: Control> Line for SimLine<C> {
         self.name.clone()
     }
 
+    fn recording_is_broken(&self) -> bool {
+        self.recording.as_ref().is_some_and(JobRecording::is_broken)
+    }
+
     fn reading(&self) -> Option<Reading> {
         self.rig.control().reading(self.rig.inputs())
     }
@@ -233,6 +269,12 @@ impl JobRecording {
     #[must_use]
     pub fn into_recorder(self) -> Recorder {
         self.recorder
+    }
+
+    /// Whether it has ended before the job, because of the disk.
+    #[must_use]
+    pub fn is_broken(&self) -> bool {
+        self.recorder.is_broken()
     }
 
     /// What happened, in words.

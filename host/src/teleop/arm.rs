@@ -8,6 +8,7 @@
 use super::latency::What;
 use super::script::Person;
 use super::{Feeling, Felt, Source, Standing, Word};
+use crate::cli::board::{Chosen, Decision};
 use crate::cli::{CliError, Exit};
 use crate::client::{Client, ClientError, Notice, Options, RequestError, Ticket};
 use crate::machine::MachineFile;
@@ -48,6 +49,10 @@ impl Line for PersonLine {
         self.line.reading()
     }
 
+    fn recording_is_broken(&self) -> bool {
+        self.line.recording_is_broken()
+    }
+
     fn told_force(&self) -> Option<[i16; COMPONENTS]> {
         let arm = self.line.rig().control().machinery()?.hands.arm()?;
         Some(arm.felt_afar())
@@ -68,9 +73,14 @@ impl JobLine for PersonLine {
     }
 }
 
+/// How long the board of an arm may take to answer before anything moves, microseconds.
+const PREPARE_US: u64 = 5_000_000;
+
 /// How far it is.
 #[derive(Debug)]
 enum Phase {
+    /// Its board is asked for its configuration, before the machine is homed; nothing is sent to it.
+    Asking,
     /// A session is being opened.
     Connecting,
     /// Configuration, drives and telemetry were asked for, in this order.
@@ -105,6 +115,10 @@ pub struct Arm<L> {
     client: Client,
     machine: String,
     config: Vec<u8>,
+    /// How the configuration of a board behind a port is chosen.
+    board: Option<Chosen>,
+    /// The board had this configuration, or took it: after a loss of power it takes it again.
+    agreed: bool,
     reflection: Option<Reflection>,
     every: u16,
     phase: Phase,
@@ -138,6 +152,13 @@ fn said<T: Describe>(what: &T) -> String {
     Axes { pose, joints }.describe(what).to_string()
 }
 
+fn encoded(machine: &MachineFile) -> Result<Vec<u8>, CliError> {
+    let encoded = machine.encoded();
+    encoded
+        .map(|(bytes, _)| bytes)
+        .map_err(|error| CliError::new(Exit::Internal, error))
+}
+
 /// More moments than any two steps can leave.
 const MOST_FELT: usize = 10_000;
 
@@ -169,9 +190,7 @@ impl<L: Line> Arm<L> {
         reopen: Option<Reopen<L>>,
     ) -> Result<Self, CliError> {
         Self::check(machine)?;
-        let (config, _) = machine
-            .encoded()
-            .map_err(|error| CliError::new(Exit::Internal, error))?;
+        let config = encoded(machine)?;
         let mut options = Options::default();
         options.timing.line_rate = pace.line_rate;
         options.connect_us = 1_000_000;
@@ -181,6 +200,8 @@ impl<L: Line> Arm<L> {
             client: Client::new(options),
             machine: machine.config.name.to_string(),
             config,
+            board: None,
+            agreed: false,
             reflection: machine.config.haptic.as_ref().map(|arm| arm.reflection),
             every: (pace.every_us / period_us).clamp(1, u32::from(u16::MAX)) as u16,
             phase: Phase::Connecting,
@@ -197,6 +218,15 @@ impl<L: Line> Arm<L> {
             felt: VecDeque::new(),
             happened: VecDeque::new(),
         })
+    }
+
+    /// The arm's board is behind a port, and keeps its configuration unless this choice allows another one.
+    #[must_use]
+    pub(crate) fn on_board(self, chosen: Chosen) -> Self {
+        Self {
+            board: Some(chosen),
+            ..self
+        }
     }
 
     /// The line.
@@ -247,6 +277,30 @@ impl<L: Line> Arm<L> {
                     );
                     return Err(CliError::new(Exit::Command, what));
                 }
+                if let Some(board) = &self.board {
+                    let agreed = self.agreed && welcome.config_crc == 0;
+                    let decision = board.decide(&welcome).map_err(|error| {
+                        let what = error.message.replace("-machine", "-hand-machine");
+                        CliError::new(error.exit, format!("{}: {what}", self.line.name()))
+                    })?;
+                    match decision {
+                        _ if agreed => {}
+                        Decision::Active(file) => self.config = encoded(&file)?,
+                        Decision::Send(what) if !self.agreed => {
+                            eprintln!("{}: {what}", self.line.name());
+                        }
+                        Decision::Send(_) => {}
+                        Decision::Unknown(what) => {
+                            let what = what.replace("--machine", "--hand-machine");
+                            let what = format!("{}: {what}", self.line.name());
+                            return Err(CliError::new(Exit::Command, what));
+                        }
+                    }
+                    self.agreed = true;
+                }
+                if let Phase::Asking = self.phase {
+                    return Ok(());
+                }
                 self.phase = Phase::Preparing([
                     self.client.configure(&self.config, false),
                     self.client.request(Command::Enable),
@@ -259,6 +313,11 @@ impl<L: Line> Arm<L> {
             Notice::Lost(ClientError::Closed) => {}
             Notice::Lost(error) => {
                 let why = format!("{}: {error}", self.line.name());
+                if let Phase::Asking = self.phase {
+                    self.why = error.to_string();
+                    self.client.connect((self.numbers)(), self.now_us);
+                    return Ok(());
+                }
                 self.connect(why);
             }
             Notice::Event { period, event } => {
@@ -358,6 +417,30 @@ impl<L: Line> Arm<L> {
 }
 
 impl<L: Line> Source for Arm<L> {
+    fn prepare(&mut self) -> Result<(), CliError> {
+        if self.board.is_none() {
+            return Ok(());
+        }
+        self.step()?;
+        self.phase = Phase::Asking;
+        self.client.connect((self.numbers)(), self.now_us);
+        let begun_us = self.now_us;
+        while !self.agreed {
+            self.step()?;
+            if matches!(self.phase, Phase::Gone) || self.now_us - begun_us > PREPARE_US {
+                let what = format!(
+                    "{}: the haptic arm does not answer: {}",
+                    self.line.name(),
+                    self.why
+                );
+                return Err(CliError::new(Exit::Port, what));
+            }
+        }
+        self.phase = Phase::Connecting;
+        self.why = "is being connected".to_string();
+        Ok(())
+    }
+
     fn advance(&mut self, now_us: u64) -> Result<Option<Word>, CliError> {
         if let Phase::Gone = self.phase {
             self.open_again(now_us);

@@ -76,6 +76,14 @@ impl Standing {
 
 /// Something that says where a hand is.
 pub trait Source {
+    /// Looks whether there is a source at all; called before anything moves.
+    ///
+    /// # Errors
+    /// What is there is no source, or does not answer.
+    fn prepare(&mut self) -> Result<(), CliError> {
+        Ok(())
+    }
+
     /// Goes on to a time of the loop, microseconds; gives the newest word, if there is a new one.
     ///
     /// # Errors

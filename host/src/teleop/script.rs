@@ -3,8 +3,9 @@
 //! Times are seconds, of the person since the arm's motors came on, of orders since the hand may lead, which is the same to a few hundredths. Places are mm of the tip from its home.
 
 use super::SCALES;
-use crate::cli::{CliError, Exit};
+use crate::cli::CliError;
 use crate::machine::document::{Allowed, Document, Section, real};
+use crate::machine::text_of;
 use haptimill_hil_sim::hand::{Intention, Stroke};
 use haptimill_hil_sim::rig::{Control, Rig};
 use std::path::Path;
@@ -167,10 +168,7 @@ impl Script {
     /// It cannot be read, or says what makes no sense, with the lines.
     pub fn load(path: &Path) -> Result<Self, CliError> {
         let file = path.display().to_string();
-        let text = std::fs::read_to_string(path).map_err(|error| {
-            let what = format!("{file}: cannot be read: {error}; check the path");
-            CliError::new(Exit::BadInput, what)
-        })?;
+        let text = text_of(path)?;
         Self::parse(&file, &text)
     }
 

@@ -56,7 +56,8 @@ fn wanted_x(terminal: &Terminal) -> f64 {
 fn reflection_walls_and_scale_are_set_from_the_overlay_and_refused_in_words() {
     let folder = Folder::new();
     let own = folder.machine_with(HAND);
-    let served = Served::on_tcp(&["--machine", &own]);
+    // The console gives the board its configuration, and so knows what is set.
+    let served = Served::on_tcp(&["--machine", &own, "--unconfigured"]);
     let arguments = ["--machine", own.as_str(), "--port", served.port.as_str()];
     let terminal = console(&arguments, Keyboard::Plain);
     terminal.state("DISABLED");

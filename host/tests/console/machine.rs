@@ -108,7 +108,10 @@ impl Drop for Machine {
 
 fn run(server: &mut TcpServer, seen: &Mutex<Vec<Seen>>, end: &AtomicBool) {
     let file = MachineFile::built_in().unwrap();
-    let mut rig = session::rig(&file, None, None, Vec::new()).unwrap();
+    let rig = session::rig(&file, None, None, Vec::new()).unwrap();
+    let Ok(mut rig) = session::commissioned(rig, &file) else {
+        panic!("not configured");
+    };
     let period_ns = u64::from(file.config.period_us) * 1000;
     let begun = Instant::now();
     let mut given_up = 0;

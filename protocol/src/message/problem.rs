@@ -109,6 +109,17 @@ pub enum Refusal {
     NoHand,
     /// A virtual wall so near the opposite one that the ball at the tip does not fit between them.
     WallTooNear,
+    /// On the way to a setpoint a joint would exceed its maximum rate.
+    JointRate {
+        /// The number of the setpoint in the job.
+        setpoint: u32,
+        /// The joint.
+        axis: u8,
+        /// The rate that the setpoint asks for, axis units per second; negative towards the lower end.
+        rate: i32,
+        /// The maximum rate, axis units per second.
+        limit: i32,
+    },
 }
 
 /// What forbids to switch the drives on, or to clear what is latched.
@@ -129,6 +140,8 @@ pub enum InputProblem {
     },
     /// The machine was switched off and still coasts.
     Coasting,
+    /// The drives have just been switched on, and the step motors have not locked yet.
+    Settling,
 }
 
 /// What is wrong in a configuration.
@@ -267,6 +280,24 @@ pub enum Fault {
     Internal {
         /// Source line, to report.
         line: u16,
+    },
+    /// A joint was commanded more than its maximum rate, by what moves the machine together; the machine slowed down along its path first.
+    JointRate {
+        /// The setpoint of the job that was on its way to.
+        setpoint: u32,
+        /// The joint.
+        axis: u8,
+        /// The commanded rate, axis units per second; negative towards the lower end.
+        rate: i32,
+        /// The maximum rate, axis units per second.
+        limit: i32,
+    },
+    /// A step motor did not lock after its drive was switched on.
+    NotLocked {
+        /// The joint.
+        axis: u8,
+        /// How far it is from where it was switched on, axis units.
+        by: i32,
     },
 }
 

@@ -2,6 +2,7 @@
 #![allow(dead_code, reason = "each test binary uses a part")]
 
 pub mod force;
+pub mod slide;
 pub mod struck;
 
 use haptimill_hil_sim::rig::Control;

@@ -23,6 +23,8 @@ impl Program {
             Ramp::at(self.override_rate)
         };
         let next = rate.advance(self.override_rate, &braking).max(0) as u64;
+        // The path rate until then, at most, 2^-16.
+        let pace = rate.peak(&braking).max(self.path_rate.value()) >> 16;
         let stopping = rate.stopping_range(&braking);
         let mut ahead =
             next.saturating_add(stopping.map_or(u64::MAX, |(_, far)| far.unsigned_abs()));
@@ -44,7 +46,7 @@ impl Program {
                     axis,
                     [begin.position.0, end.position.0],
                     [begin.rate.0, end.rate.0].map(i64::from),
-                    third,
+                    (third, pace),
                 );
             }
             ahead = ahead.saturating_sub(left);
@@ -62,7 +64,7 @@ impl Program {
                     axis,
                     [from.pose[axis], knot.pose[axis]],
                     [from.rates[axis], knot.rates[axis]].map(|rate| i64::from(rate) << RATE_SHIFT),
-                    third,
+                    (third, pace),
                 );
             }
             ahead = ahead.saturating_sub(u64::from(knot.periods) << 32);
@@ -71,15 +73,19 @@ impl Program {
         sweep
     }
 
-    /// The control points of one axis between two places, with rates in axis units per second (below 2^32) and a [`third`] of the time.
+    /// The control points of one axis between two places, with rates in axis units per second (below 2^32) a [`third`] of the time,
+    /// and the largest path rate in it. The rates of the box are those at its ends.
     fn hull(
         &self,
         sweep: &mut Sweep,
         axis: usize,
         [from, to]: [i32; 2],
         rates: [i64; 2],
-        third: i64,
+        (third, pace): (i64, i64),
     ) {
+        for rate in rates {
+            sweep.quicken(axis, (rate * pace) >> 16);
+        }
         let distance = self.distance(axis, from, to);
         let [first, second] = rates.map(|rate| (rate * third) >> 22);
         let from = i64::from(from);

@@ -38,7 +38,9 @@ pub(super) fn emulated(
     let rig = session::rig_around(remote, machine, args.seed, args.baud, args.fault.clone())?;
     let line = SimLine::named(rig, &board.to_string());
     let work = args.clamped(machine)?;
-    let session = Session::new(line, machine, paced(args.baud), interrupt::flag());
+    let mut session = Session::new(line, machine, paced(args.baud), interrupt::flag());
+    session.connect(1)?;
+    session.configure(machine)?;
     Running {
         args,
         machine,
@@ -47,7 +49,7 @@ pub(super) fn emulated(
         work,
         folder,
     }
-    .carry_out(session, 1, planned)?;
+    .carry_out(session, planned)?;
     let instructions = Instructions::leave(&cost, &args.out_dir())?;
     say(
         args,

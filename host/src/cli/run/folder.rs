@@ -1,6 +1,7 @@
 //! The folder for the results of a run: made, held against another run, and emptied of what an earlier run left once there is something new.
 
 use super::{CliError, Exit};
+use crate::record::{RESERVE_BYTES, free_bytes};
 use crate::report;
 use std::fs::{File, TryLockError};
 use std::path::{Path, PathBuf};
@@ -9,6 +10,8 @@ use std::path::{Path, PathBuf};
 #[derive(Debug)]
 pub(in crate::cli) struct Folder {
     dir: PathBuf,
+    /// It was not there before: a command that leaves nothing in it takes it away again.
+    made: bool,
     /// Its lock goes with this file, however the process ends; nothing stays behind.
     _lock: Option<File>,
 }
@@ -20,6 +23,7 @@ impl Folder {
     /// [`Exit::Output`]: it cannot be written, or another run has it.
     pub(in crate::cli) fn take(dir: &Path) -> Result<Self, CliError> {
         let failed = |what: &dyn std::fmt::Display| failed(dir, what);
+        let made = !dir.exists();
         std::fs::create_dir_all(dir).map_err(|error| failed(&error))?;
         let lock = match lock(dir) {
             Ok(lock) => lock,
@@ -31,6 +35,7 @@ impl Folder {
         writable(dir).map_err(|error| failed(&error))?;
         Ok(Self {
             dir: dir.to_path_buf(),
+            made,
             _lock: lock,
         })
     }
@@ -42,6 +47,59 @@ impl Folder {
     /// [`Exit::Output`]: it cannot be removed.
     pub(in crate::cli) fn empty(&self) -> Result<(), CliError> {
         empty(&self.dir).map_err(|error| failed(&self.dir, &error))
+    }
+}
+
+/// Refuses a recording that does not fit on the disk, before anything moves; `bytes` it has about.
+///
+/// # Errors
+/// [`Exit::Output`].
+pub(in crate::cli) fn has_space(dir: &Path, bytes: f64) -> Result<(), CliError> {
+    // The folder may not be there yet; its nearest parent is on the same disk.
+    let there = dir.ancestors().find(|path| path.is_dir());
+    let here = Path::new(".");
+    let there = there.filter(|path| !path.as_os_str().is_empty());
+    let Some(free) = free_bytes(there.unwrap_or(here)) else {
+        return Ok(());
+    };
+    if bytes + RESERVE_BYTES as f64 <= free as f64 {
+        return Ok(());
+    }
+    let mb = |bytes: f64| bytes / 1e6;
+    let what = format!(
+        "the recording needs about {:.0} MB beside {:.0} MB that stay free, and {:.0} MB are free; nothing moved",
+        mb(bytes),
+        mb(RESERVE_BYTES as f64),
+        mb(free as f64)
+    );
+    Err(failed(dir, &what))
+}
+
+/// What to say of a recording that ended before its job.
+pub(in crate::cli) fn disk_full(dir: &Path) -> CliError {
+    let what = format!(
+        "{}: the disk is nearly full, so the machine was stopped along its path; the results up to there are kept; free some space, or choose another folder with --out",
+        dir.display()
+    );
+    CliError::new(Exit::Output, what)
+}
+
+/// What to say of a recording that could not be written.
+pub(in crate::cli) fn broken(dir: &Path, error: &dyn std::fmt::Display) -> CliError {
+    let what = format!(
+        "{}: {}: {error}; the job was stopped for it, and the recording is kept up to its last whole block",
+        dir.display(),
+        report::RECORDING_FILE
+    );
+    CliError::new(Exit::Output, what)
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        if self.made {
+            // Refused by the system when there are results in it.
+            let _ = std::fs::remove_dir(&self.dir);
+        }
     }
 }
 

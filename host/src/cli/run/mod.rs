@@ -5,12 +5,14 @@ pub(super) mod folder;
 mod progress;
 
 use super::part::{PartProgram, Planned};
-use super::{CliError, Exit, MachineArg, force};
+use super::{BoardArg, CliError, Exit, force};
 use crate::client::{JobEnding, Options};
 use crate::machine::MachineFile;
 use crate::model::Model;
 use crate::port::{self, DEFAULT_BAUD, PortSpec};
-use crate::record::{Header, MCAP, MCAP_RATE, Recorder, Recording, RecordingError, write_mcap};
+use crate::record::{
+    Header, MCAP, MCAP_RATE, RECORD_BYTES, Recorder, Recording, RecordingError, write_mcap,
+};
 use crate::report::{self, Outcome};
 use crate::session::{
     self, EMERGENCY_STOP, JobEnd, JobLine, JobRecording, Line, PortLine, Session, SimLine,
@@ -64,7 +66,7 @@ pub struct RunArgs {
     pub program: PathBuf,
     #[command(flatten)]
     #[allow(missing_docs)]
-    pub machine: MachineArg,
+    pub machine: BoardArg,
     /// Controller: sim (built in), pil:mps2 or pil:mps2-m7 (simulated machine, controller on an emulated Cortex-M4F or M7), a serial port or
     /// pseudo-terminal by its path, or tcp:HOST:PORT
     #[arg(long, value_name = "PORT", default_value = "sim")]
@@ -189,6 +191,17 @@ impl RunArgs {
         self.go_on || matches!(self.port, PortSpec::Simulator | PortSpec::Emulated(_))
     }
 
+    /// Size of the recording of a program that takes so long, about.
+    fn recording_bytes(&self, machine: &MachineFile, programmed_s: f64) -> f64 {
+        let seconds = programmed_s / self.rate();
+        if matches!(self.port, PortSpec::Simulator | PortSpec::Emulated(_)) {
+            seconds * bytes_per_s(machine)
+        } else {
+            // A record for every telemetry frame, one every 20 ms.
+            seconds * 50.0 * RECORD_BYTES as f64
+        }
+    }
+
     /// Speed along the path as a part of the programmed one.
     fn rate(&self) -> f64 {
         f64::from(self.feed_override) / 100.0
@@ -224,13 +237,23 @@ impl RunArgs {
     }
 }
 
+/// Bytes a second of the recording of a simulated machine: a record, and what was sensed and said, every control period.
+pub(super) fn bytes_per_s(machine: &MachineFile) -> f64 {
+    let periods = 1e6 / f64::from(machine.config.period_us.max(1));
+    periods * (RECORD_BYTES + PERIOD_BYTES) as f64
+}
+
+/// Bytes of a control period on the tape, about.
+const PERIOD_BYTES: usize = 40;
+
 /// Runs a part program.
 ///
 /// # Errors
 /// See [`Exit`].
 pub fn run(args: RunArgs) -> Result<(), CliError> {
     args.check()?;
-    let machine = args.machine.load()?;
+    let chosen = args.machine.load()?;
+    let machine = chosen.file.clone();
     if args.force.is_some() {
         session::force_of(&machine)?;
     }
@@ -267,6 +290,10 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
     if !args.passes_pauses() {
         job.check_pauses(&planned)?;
     }
+    folder::has_space(
+        &args.out_dir(),
+        args.recording_bytes(&machine, planned.plan.figures.duration_s),
+    )?;
     // Held to the end: nobody else writes there.
     let folder = Folder::take(&args.out_dir())?;
     let interrupted = interrupt::flag();
@@ -274,8 +301,10 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
         PortSpec::Simulator => {
             let faults = args.fault.clone();
             let line = SimLine::new(session::rig(&machine, args.seed, args.baud, faults)?);
-            let session = Session::new(line, &machine, paced(args.baud), interrupted);
+            let mut session = Session::new(line, &machine, paced(args.baud), interrupted);
             // Always the same number: a simulated job is the same job every time.
+            session.connect(1)?;
+            session.configure(&machine)?;
             Running {
                 args: &args,
                 machine: &machine,
@@ -284,14 +313,19 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
                 work,
                 folder,
             }
-            .carry_out(session, 1, planned)
+            .carry_out(session, planned)
         }
         PortSpec::Emulated(board) => emulated(&args, &machine, &job, home, planned, folder, *board),
         spec => {
             let baud = args.baud.unwrap_or(DEFAULT_BAUD);
             let line = PortLine::new(port::open(spec, baud)?);
             let serial = matches!(spec, PortSpec::Serial(_));
-            let session = Session::new(line, &machine, paced(serial.then_some(baud)), interrupted);
+            let paced = paced(serial.then_some(baud));
+            let mut session = Session::new(line, &machine, paced, interrupted);
+            session.connect(session::fresh_number())?;
+            // Without --machine it is the built-in one, whose geometry and limits the program was checked against, or the command ends here.
+            let machine = chosen.file_of(&mut session)?;
+            let home = session::home_of(&machine, session.model())?;
             Running {
                 args: &args,
                 machine: &machine,
@@ -300,7 +334,7 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
                 work,
                 folder,
             }
-            .carry_out(session, session::fresh_number(), planned)
+            .carry_out(session, planned)
         }
     }
 }
@@ -329,11 +363,8 @@ impl Running<'_> {
     fn carry_out<L: JobLine>(
         &self,
         mut session: Session<L>,
-        number: u32,
         planned: Planned,
     ) -> Result<(), CliError> {
-        session.connect(number)?;
-        session.configure(self.machine)?;
         self.clear(&mut session)?;
         session.enable()?;
         let status = session.status()?;
@@ -435,7 +466,9 @@ impl Running<'_> {
         // Whatever happened, what was recorded is kept and reported.
         let recorder = session.line_mut().end_recording();
         let recorded = match recorder {
-            Some(recorder) => recorder.finish().map_err(|error| output(&error))?,
+            Some(recorder) => recorder
+                .finish()
+                .map_err(|error| folder::broken(&dir, &error))?,
             None => return Err(CliError::new(Exit::Internal, "the recording was lost")),
         };
         let injected = self.args.fault.iter().map(ToString::to_string).collect();
@@ -485,6 +518,9 @@ impl Running<'_> {
         } else {
             tell!("{}", summary.terminal().trim_end());
             tell!("report      {}", dir.join(report::REPORT_FILE).display());
+        }
+        if recorded.disk_full {
+            return Err(folder::disk_full(&dir).told());
         }
         end.and_then(|end| self.judge(&session, &end))
             .map_err(CliError::told)

@@ -1,0 +1,411 @@
+//! Inputs that are missing, broken or endless: told with their place before anything moves, before a byte goes to a port, and before old results are
+//! touched.
+#![cfg(unix)]
+
+mod scene;
+
+use scene::{Folder, haptimill};
+use std::io::Read;
+use std::net::TcpListener;
+use std::os::unix::fs::FileTypeExt;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::{Duration, Instant};
+
+/// A port that counts what is said to it, and answers nothing.
+struct Deaf {
+    port: String,
+    bytes: Arc<AtomicUsize>,
+}
+
+impl Deaf {
+    fn new() -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let port = format!("tcp:{}", listener.local_addr().unwrap());
+        let bytes = Arc::<AtomicUsize>::default();
+        let count = Arc::clone(&bytes);
+        std::thread::spawn(move || {
+            for stream in listener.incoming() {
+                let (mut stream, count) = (stream.unwrap(), Arc::clone(&count));
+                std::thread::spawn(move || {
+                    let mut buffer = [0; 256];
+                    while let Ok(read @ 1..) = stream.read(&mut buffer) {
+                        count.fetch_add(read, Ordering::SeqCst);
+                    }
+                });
+            }
+        });
+        Self { port, bytes }
+    }
+}
+
+const OLD: [&str; 6] = [
+    "recording.hmr",
+    "trace.csv",
+    "summary.json",
+    "report.html",
+    "hand.csv",
+    "hand.hmr",
+];
+
+/// A folder with results of before.
+fn results(folder: &Folder, name: &str) -> String {
+    let out = folder.path(name);
+    std::fs::create_dir_all(&out).unwrap();
+    for file in OLD {
+        std::fs::write(Path::new(&out).join(file), format!("old {file}")).unwrap();
+    }
+    out
+}
+
+#[track_caller]
+fn untouched(out: &str, why: &str) {
+    for file in OLD {
+        let path = Path::new(out).join(file);
+        let text =
+            std::fs::read_to_string(&path).unwrap_or_else(|error| panic!("{why}: {file}: {error}"));
+        assert_eq!(text, format!("old {file}"), "{why}");
+    }
+    assert_eq!(std::fs::read_dir(out).unwrap().count(), OLD.len(), "{why}");
+}
+
+/// `{}` stands for the input. Every command that reads a file or opens a device, with each of them.
+const FILES: [(&[&str], i32); 19] = [
+    (&["run", "{}", "--out", "OUT"], 3),
+    (&["run", "{}", "--port", "PORT", "--out", "OUT"], 3),
+    (&["run", "GOOD", "--machine", "{}", "--out", "OUT"], 3),
+    (
+        &[
+            "run",
+            "GOOD",
+            "--machine",
+            "{}",
+            "--port",
+            "PORT",
+            "--out",
+            "OUT",
+        ],
+        3,
+    ),
+    (&["run", "GOOD", "--work", "{}", "--out", "OUT"], 3),
+    (
+        &["scenario", "run", "e7", "--machine", "{}", "--out", "OUT"],
+        3,
+    ),
+    (
+        &["teleop", "--hand", "sim", "--work", "{}", "--out", "OUT"],
+        3,
+    ),
+    (
+        &["teleop", "--hand", "sim", "--machine", "{}", "--out", "OUT"],
+        3,
+    ),
+    (
+        &[
+            "teleop",
+            "--hand",
+            "sim",
+            "--hand-machine",
+            "{}",
+            "--out",
+            "OUT",
+        ],
+        3,
+    ),
+    (
+        &[
+            "teleop",
+            "--hand",
+            "script:{}",
+            "--port",
+            "PORT",
+            "--out",
+            "OUT",
+        ],
+        3,
+    ),
+    (
+        &[
+            "teleop",
+            "--hand",
+            "PORT",
+            "--hand-machine",
+            "{}",
+            "--port",
+            "PORT",
+            "--out",
+            "OUT",
+        ],
+        3,
+    ),
+    (&["jog", "x=1", "--machine", "{}", "--port", "PORT"], 3),
+    (&["home", "--machine", "{}", "--port", "PORT"], 3),
+    (&["enable", "--machine", "{}", "--port", "PORT"], 3),
+    (&["status", "--machine", "{}", "--port", "PORT"], 3),
+    (&["force", "tare", "--machine", "{}", "--port", "PORT"], 3),
+    (&["machine", "check", "{}"], 3),
+    (&["kin", "ik", "--in", "{}", "--out", "OUT/trace.csv"], 3),
+    (
+        &[
+            "kin",
+            "fk",
+            "--machine",
+            "{}",
+            "--in",
+            "examples/dome.ngc",
+            "--out",
+            "OUT/trace.csv",
+        ],
+        3,
+    ),
+];
+
+/// The same for what reads recordings, and for `sim serve`.
+const OTHERS: [(&[&str], i32); 9] = [
+    (&["replay", "{}"], 3),
+    (&["trace", "info", "{}"], 3),
+    (&["trace", "csv", "{}", "--out", "OUT/trace.csv"], 3),
+    (
+        &[
+            "trace",
+            "plot",
+            "{}",
+            "x_tool_mm",
+            "--out",
+            "OUT/report.html",
+        ],
+        3,
+    ),
+    (&["trace", "diff", "{}", "{}"], 3),
+    (&["sim", "serve", "--machine", "{}", "--for", "1"], 3),
+    (
+        &[
+            "sim",
+            "serve",
+            "--machine",
+            "machines/hand-master.toml",
+            "--person",
+            "{}",
+            "--for",
+            "1",
+        ],
+        3,
+    ),
+    (
+        &[
+            "sim",
+            "serve",
+            "--listen",
+            "tcp:127.0.0.1:0",
+            "--token-file",
+            "{}",
+            "--for",
+            "1",
+        ],
+        3,
+    ),
+    (&["run", "GOOD", "--port", "{}", "--out", "OUT"], 5),
+];
+
+/// Runs a command of the table with an input.
+#[track_caller]
+fn refuses(folder: &Folder, deaf: &Deaf, (command, code): (&[&str], i32), input: &str) {
+    let out = results(folder, "out");
+    let good = folder.file("good.ngc", "G21 G90 F600\nG1 X1\nG1 X0\nM30\n");
+    let words: Vec<String> = command
+        .iter()
+        .map(|word| {
+            word.replace("{}", input)
+                .replace("OUT", &out)
+                .replace("PORT", &deaf.port)
+                .replace("GOOD", &good)
+        })
+        .collect();
+    let words: Vec<&str> = words.iter().map(String::as_str).collect();
+    let begun = Instant::now();
+    let ran = haptimill(&words);
+    let why = format!("{words:?}: {ran:?}");
+    assert_eq!(ran.code, code, "{why}");
+    assert!(ran.err.contains(input), "no place: {why}");
+    assert!(
+        ran.err.len() < 20_000,
+        "{} bytes of complaints",
+        ran.err.len()
+    );
+    assert!(begun.elapsed() < Duration::from_secs(60), "{why}");
+    untouched(&out, &why);
+    assert_eq!(deaf.bytes.load(Ordering::SeqCst), 0, "{why}");
+}
+
+#[test]
+fn what_is_missing_or_broken_is_told_before_anything_happens() {
+    let (folder, deaf) = (Folder::new(), Deaf::new());
+    let broken = folder.file("broken", "G1 X1 [[broken\n\"\u{0}");
+    let missing = folder.path("missing");
+    let directory = folder.path("directory");
+    std::fs::create_dir(&directory).unwrap();
+    for row in FILES.into_iter().chain(OTHERS) {
+        for input in [&missing, &directory, &broken] {
+            refuses(&folder, &deaf, row, input);
+        }
+    }
+}
+
+/// Devices of a hand, and ports.
+#[test]
+fn a_device_that_is_missing_is_told_before_anything_happens() {
+    let (folder, deaf) = (Folder::new(), Deaf::new());
+    let missing = folder.path("missing");
+    for hand in ["joystick:{}", "mouse3d:{}", "{}"] {
+        let row = ["teleop", "--hand", hand, "--port", "PORT", "--out", "OUT"];
+        refuses(&folder, &deaf, (&row, 5), &missing);
+        let row = ["teleop", "--hand", hand, "--out", "OUT"];
+        refuses(&folder, &deaf, (&row, 5), &missing);
+    }
+    for row in [
+        &["teleop", "--hand", "sim", "--port", "{}", "--out", "OUT"][..],
+        &["jog", "x=1", "--port", "{}"],
+        &["home", "--port", "{}"],
+        &["stop", "--port", "{}"],
+    ] {
+        refuses(&folder, &deaf, (row, 5), &missing);
+    }
+}
+
+/// A hand that is there and is no hand: the machine is not homed for it.
+#[test]
+fn an_arm_that_does_not_answer_moves_nothing() {
+    let (folder, deaf) = (Folder::new(), Deaf::new());
+    let served = scene::Served::on_tcp(&[]);
+    let out = results(&folder, "out");
+    let ran = served.tries(&["teleop", "--hand", &deaf.port, "--out", &out]);
+    assert_eq!(ran.code, 5, "{ran:?}");
+    assert!(ran.err.contains("does not answer"), "{ran:?}");
+    let status = served.status();
+    assert_eq!(
+        (&status["state"], &status["homed"]),
+        (&"Disabled".into(), &false.into()),
+        "{status:#}"
+    );
+    untouched(&out, "arm");
+}
+
+#[test]
+fn endless_inputs_come_to_an_end() {
+    let (folder, deaf) = (Folder::new(), Deaf::new());
+    for row in FILES.into_iter().chain(OTHERS.into_iter().take(8)) {
+        refuses(&folder, &deaf, row, "/dev/zero");
+    }
+}
+
+/// A pipe that nobody ends: waited for, and given up. All at the same time, for each waits.
+#[test]
+fn pipes_without_an_end_are_given_up() {
+    let (folder, deaf) = (Folder::new(), Deaf::new());
+    let pipe = folder.path("pipe");
+    rustix::fs::mknodat(
+        rustix::fs::CWD,
+        &pipe,
+        rustix::fs::FileType::Fifo,
+        rustix::fs::Mode::from_raw_mode(0o600),
+        0,
+    )
+    .unwrap();
+    assert!(std::fs::metadata(&pipe).unwrap().file_type().is_fifo());
+    std::thread::scope(|scope| {
+        for row in FILES.into_iter().chain(OTHERS.into_iter().take(8)) {
+            let (folder, deaf, pipe) = (&folder, &deaf, &pipe);
+            scope.spawn(move || {
+                let own = Folder::new();
+                let _ = folder;
+                refuses(&own, deaf, row, pipe);
+            });
+        }
+    });
+}
+
+/// A pipe that ends is as good as a file.
+#[test]
+fn a_program_can_come_from_a_pipe() {
+    let ran = std::process::Command::new("sh")
+        .arg("-c")
+        .arg("printf 'G21 G90 F600\\nG1 X1\\nG1 X0\\nM30\\n' | \"$0\" run /dev/stdin --check")
+        .arg(env!("CARGO_BIN_EXE_haptimill"))
+        .output()
+        .unwrap();
+    assert!(ran.status.success(), "{ran:?}");
+}
+
+/// Lines and problems without measure are counted, not listed.
+#[test]
+fn a_million_problems_are_counted_and_the_first_ones_told() {
+    let folder = Folder::new();
+    let keys: String = (0..40_000).map(|i| format!("key{i} = 1\n")).collect();
+    let cases = [
+        ("line.ngc", "Q".repeat(4 << 20)),
+        ("lines.ngc", "Q1\n".repeat(1 << 20)),
+        ("line.toml", "=".repeat(1_000_000)),
+        ("lines.toml", "= =\n".repeat(250_000)),
+        ("keys.toml", keys),
+        ("quotes.toml", "\" \n".repeat(300_000)),
+    ];
+    for (name, text) in cases {
+        let file = folder.file(name, text);
+        let command: &[&str] = match name.ends_with(".ngc") {
+            true => &["run", &file, "--check"],
+            false => &["machine", "check", &file],
+        };
+        let begun = Instant::now();
+        let ran = haptimill(command);
+        assert_eq!(
+            ran.code,
+            3,
+            "{name}: {}",
+            &ran.err[..ran.err.len().min(2000)]
+        );
+        let lines = ran.err.lines().count();
+        assert!(lines <= 53, "{name}: {lines} lines");
+        assert!(ran.err.len() < 20_000, "{name}: {} bytes", ran.err.len());
+        assert!(ran.err.contains(" more"), "{name}: {}", ran.err);
+        assert!(begun.elapsed() < Duration::from_secs(60), "{name}");
+    }
+}
+
+/// A limit on the size of files is an error of writing, in words, and not the death of the process in the middle of a motion.
+#[test]
+fn a_file_size_limit_stops_a_job_in_words() {
+    let folder = Folder::new();
+    let turns: String = (0..10).map(|_| "G1 X20\nG1 X0\n").collect();
+    let program = folder.file("long.ngc", format!("G21 G90 F600\n{turns}M30\n"));
+    let table = folder.file(
+        "poses.csv",
+        format!(
+            "xw_mm,yw_mm,zw_mm,theta_deg,alpha_deg\n{}",
+            "0,0,21,0,0\n".repeat(20_000)
+        ),
+    );
+    let out = folder.path("out");
+    let sliced = folder.path("slides.csv");
+    for (blocks, command) in [
+        (2000, format!("run {program} --quiet --out {out}")),
+        (2000, format!("teleop --hand sim --quiet --out {out}")),
+        (20, format!("kin ik --in {table} --out {sliced}")),
+    ] {
+        let ran = std::process::Command::new("sh")
+            .current_dir(scene::root())
+            .arg("-c")
+            .arg(format!("ulimit -f {blocks}; exec \"$0\" {command}"))
+            .arg(env!("CARGO_BIN_EXE_haptimill"))
+            .output()
+            .unwrap();
+        let err = String::from_utf8_lossy(&ran.stderr);
+        assert_eq!(ran.status.code(), Some(9), "{command}: {ran:?}");
+        assert!(err.contains("File too large"), "{command}: {err}");
+        if !command.starts_with("kin") {
+            assert!(err.contains("stopped"), "{command}: {err}");
+            // What was recorded is kept and can be read.
+            haptimill(&["trace", "info", &format!("{out}/recording.hmr")]).ended_with(0);
+        }
+    }
+}

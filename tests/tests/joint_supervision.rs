@@ -1,0 +1,173 @@
+//! Supervision of a joint against the truth of its plant.
+
+mod scene;
+
+use haptimill_hil_sim::encoder::EncoderCondition;
+use haptimill_hil_sim::random::Random;
+use scene::slide::{Friction, PERIOD, Slide};
+
+/// A wanted course of one joint that is continuous in its rate.
+#[derive(Debug, Clone, Copy)]
+struct Course {
+    speed: f64,
+    /// Time between reversals; rests of the same length where `rests`.
+    half_s: f64,
+    rests: bool,
+    smooth: bool,
+}
+
+impl Course {
+    fn rate(&self, time: f64) -> f64 {
+        let phase = time / self.half_s;
+        let part = phase as u64 % if self.rests { 4 } else { 2 };
+        let sign = match (part, self.rests) {
+            (0, _) => 1.0,
+            (1, false) | (2, true) => -1.0,
+            _ => 0.0,
+        };
+        let within = phase.fract();
+        if self.smooth {
+            return sign * self.speed * (core::f64::consts::PI * within).sin();
+        }
+        // A ramp of 20 ms at both ends.
+        let ramp = (0.02 / self.half_s).min(0.4);
+        sign * self.speed * (within / ramp).min((1.0 - within) / ramp).min(1.0)
+    }
+}
+
+/// A slide whose encoder counts is never said to stand still, however it sticks: breakaway forces of half to twice the compensated friction, creep rates, reversals, rests,
+/// gains of the loop, an integrator, a force that swings.
+#[test]
+fn a_slide_that_sticks_is_not_one_without_encoder() {
+    let mut blamed = vec![];
+    for seed in 0..400 {
+        let mut random = Random::new(5, seed);
+        let mut between = |low: f64, high: f64| low * (high / low).powf(random.fraction());
+        let coulomb = 32.0 * between(0.5, 1.25);
+        let friction = Friction {
+            coulomb,
+            breakaway: coulomb.max(32.0 * between(0.5, 2.0)),
+            stribeck: between(0.2, 5.0),
+            slide_share: between(0.3, 0.8),
+        };
+        let gain = between(0.3, 1.2);
+        let integral = if seed % 3 == 0 {
+            between(1e4, 1e6)
+        } else {
+            0.0
+        };
+        let course = Course {
+            speed: between(0.005, 0.5),
+            half_s: between(0.2, 4.0),
+            rests: seed % 4 == 0,
+            smooth: seed % 5 < 2,
+        };
+        let load = if seed % 2 == 0 {
+            between(0.1, 10.0)
+        } else {
+            0.0
+        };
+        let hz = between(1.0, 300.0);
+        let mut slide = Slide::new(friction, gain, integral, between(1.0, 5.0));
+        let (mut wanted, mut before) = (0.0, 0.0);
+        for period in 0..40_000 {
+            let time = f64::from(period) * PERIOD;
+            let rate = course.rate(time);
+            let push = load * (time * hz * core::f64::consts::TAU).sin();
+            let fault = slide.step([wanted, rate, (rate - before) / PERIOD], push);
+            wanted += rate * PERIOD;
+            before = rate;
+            if let Some(fault) = fault {
+                blamed.push(format!(
+                    "{seed} at {time:.3} s: {fault:?}, {friction:?}, {course:?}"
+                ));
+                break;
+            }
+        }
+    }
+    assert!(blamed.is_empty(), "{} of 400: {blamed:#?}", blamed.len());
+}
+
+/// How far the slide is from where it is commanded when its encoder is found dead, mm; from rest, or after 2 s of motion.
+fn found_after(speed: f64, condition: EncoderCondition, standing: bool, breakaway: f64) -> f64 {
+    let friction = Friction {
+        coulomb: 40.0,
+        breakaway,
+        stribeck: 1.0,
+        slide_share: 0.5,
+    };
+    let mut most = 0.0_f64;
+    for phase in 0..8 {
+        let mut slide = Slide::new(friction, 1.0, 0.0, f64::from(phase) / 2.0 + 0.1);
+        let mut wanted = 0.0;
+        let start = if standing { 0 } else { 10_000 + phase * 37 };
+        let found = (0..60_000).any(|period| {
+            if period == start {
+                slide.spoil(condition);
+            }
+            let ramp = (f64::from(period) / 500.0).min(1.0);
+            let acceleration = if ramp < 1.0 { speed / 0.1 } else { 0.0 };
+            let fault = slide.step([wanted, speed * ramp, acceleration], 0.0);
+            wanted += speed * ramp * PERIOD;
+            fault.is_some()
+        });
+        assert!(found, "{speed} mm/s {condition:?}");
+        most = most.max((slide.gone() - wanted).abs());
+    }
+    most
+}
+
+/// Whatever the friction, a stuck channel shows itself by the reversals of the other one.
+#[test]
+fn a_stuck_channel_is_found_whatever_the_friction() {
+    for (speed, most) in [
+        (0.005, 0.15),
+        (0.02, 0.1),
+        (0.05, 0.1),
+        (0.2, 0.1),
+        (0.5, 0.1),
+        (1.0, 0.1),
+        (4.0, 0.1),
+        (40.0, 0.1),
+    ] {
+        for standing in [false, true] {
+            for breakaway in [40.0, 64.0] {
+                for (stuck_a, stuck_b) in [(Some(true), None), (None, Some(false))] {
+                    let condition = EncoderCondition {
+                        stuck_a,
+                        stuck_b,
+                        ..EncoderCondition::default()
+                    };
+                    let off = found_after(speed, condition, standing, breakaway);
+                    assert!(off < most, "{speed} mm/s: {off} mm");
+                }
+            }
+        }
+    }
+}
+
+/// With both channels dead only the effort says it, against what friction held before: at once in motion that is fast enough, late where it creeps.
+#[test]
+fn an_encoder_without_any_channel_is_found_by_the_effort() {
+    for (speed, standing, most) in [
+        (0.2, false, 4.0),
+        (0.5, false, 1.0),
+        (1.0, false, 0.33),
+        (4.0, false, 0.04),
+        (10.0, false, 0.02),
+        (40.0, false, 0.01),
+        (0.5, true, 6.5),
+        (1.0, true, 3.2),
+        (4.0, true, 1.1),
+        (10.0, true, 0.65),
+        (40.0, true, 0.17),
+    ] {
+        let condition = EncoderCondition {
+            stuck_a: Some(true),
+            stuck_b: Some(false),
+            ..EncoderCondition::default()
+        };
+        let off = found_after(speed, condition, standing, 40.0);
+        assert!(off < most, "{speed} mm/s, standing {standing}: {off} mm");
+    }
+}

@@ -1,0 +1,239 @@
+//! Where the controller says that it knows the position, the joints are there: encoders that lie, against the plant's truth.
+
+mod scene;
+
+use haptimill_hil_sim::encoder::EncoderCondition;
+use haptimill_hil_sim::random::Random;
+use haptimill_protocol::message::{Command, State};
+use haptimill_tests::Bench;
+use scene::{DEGREE, MM, jog, line, ready};
+
+/// More than backlash and a count, mm or degrees. The truth is the motor's, for no encoder on it sees the wind-up of a screw.
+const OFF: f64 = 0.05;
+
+/// The bound of one fault where a channel of the encoder is alive: until it is found, and how long the error may be more than [`OFF`], s.
+const FOUND: f64 = 0.12;
+const LASTING: f64 = 0.05;
+
+/// The same where faults come together and a push takes the slide along: one reversal of the count is seen in a period at most, so 24 take 5 to 10 ms.
+const PUSHED: f64 = 0.6;
+const PUSHED_LASTING: f64 = 0.5;
+
+/// The bound where both are dead: the second index pulse tells, mm.
+const TWO_TURNS: f64 = 20.0;
+
+/// The largest error of the measured joints while the position is said to be known, and for how long it was above [`OFF`], s.
+#[derive(Debug, Default, Clone, Copy)]
+struct Kept {
+    largest: f64,
+    longest: f64,
+    lasting: f64,
+}
+
+impl Kept {
+    fn note(&mut self, bench: &Bench) {
+        let control = bench.rig.control();
+        let safety = control.safety();
+        let joints = control.machinery().expect("configured").joints();
+        let off = joints
+            .zip(bench.rig.plant().bodies().motor)
+            .enumerate()
+            .map(|(joint, (reading, truth))| {
+                let unit = if joint == 4 { DEGREE } else { MM };
+                (f64::from(reading.measured.0) / unit - truth).abs()
+            })
+            .fold(0.0, f64::max);
+        if !(safety.homed() && safety.position_kept()) {
+            self.lasting = 0.0;
+            return;
+        }
+        self.largest = self.largest.max(off);
+        self.lasting = if off > OFF { self.lasting + 2e-4 } else { 0.0 };
+        self.longest = self.longest.max(self.lasting);
+    }
+
+    fn add(&mut self, other: &Self) {
+        self.largest = self.largest.max(other.largest);
+        self.longest = self.longest.max(other.longest);
+    }
+}
+
+fn log_uniform(random: &mut Random, low: f64, high: f64) -> f64 {
+    low * (high / low).powf(random.fraction())
+}
+
+/// What the machine does meanwhile.
+fn set_going(bench: &mut Bench, random: &mut Random, what: u64) -> String {
+    let axis = (random.draw() % 5) as usize;
+    let sign = if random.happens(0.5) { 1.0 } else { -1.0 };
+    let speed = sign * log_uniform(random, 0.01, if axis < 3 { 16.0 } else { 8.0 });
+    match what {
+        0 => "rest".into(),
+        1 => {
+            let start = bench.status().wanted;
+            bench.start_job(1, &line(&start, axis, speed, 25));
+            format!("job {axis} {speed:.3}")
+        }
+        _ => {
+            bench.say(jog(1, 1000, &[(axis, speed)]));
+            format!("jog {axis} {speed:.3}")
+        }
+    }
+}
+
+fn stuck(random: &mut Random) -> EncoderCondition {
+    let level = |random: &mut Random| Some(random.happens(0.5));
+    let which = random.draw() % 3;
+    EncoderCondition {
+        stuck_a: if which != 1 { level(random) } else { None },
+        stuck_b: if which != 0 { level(random) } else { None },
+        ..EncoderCondition::default()
+    }
+}
+
+/// After what happened: whatever was latched is reset, and a job is tried where the position is said to be known.
+fn go_on(bench: &mut Bench, kept: &mut Kept, periods: usize) {
+    for period in 0..periods {
+        if period % 500 == 250 {
+            let next = match bench.rig.control().safety().state() {
+                State::Fault => Some(Command::Reset),
+                State::Disabled => Some(Command::Enable),
+                State::Idle => Some(jog(2 + period as u16, 90, &[(0, 2.0)])),
+                _ => None,
+            };
+            if let Some(next) = next {
+                bench.say(next);
+            }
+        }
+        bench.step();
+        kept.note(bench);
+    }
+}
+
+/// An encoder is reversed or loses its lines, during rest, jobs and jogs.
+#[test]
+fn an_encoder_that_lies_leaves_no_position() {
+    let mut worst = [Kept::default(); 2];
+    let mut wrong = vec![];
+    for seed in 0..120 {
+        let mut random = Random::new(seed, 2);
+        let mut bench = ready();
+        let what = set_going(&mut bench, &mut random, 1 + seed % 2);
+        let lead = 50 + (random.fraction() * 2500.0) as usize;
+        bench.steps(lead);
+        let joint = (random.draw() % 5) as usize;
+        let condition = if random.happens(0.6) {
+            EncoderCondition {
+                swapped: true,
+                ..EncoderCondition::default()
+            }
+        } else {
+            stuck(&mut random)
+        };
+        bench
+            .rig
+            .plant_mut()
+            .set_encoder_condition(joint, condition);
+        let mut kept = Kept::default();
+        go_on(&mut bench, &mut kept, 4000);
+        let both = condition.stuck_a.is_some() && condition.stuck_b.is_some();
+        worst[usize::from(both)].add(&kept);
+        if !both && (kept.largest > FOUND || kept.longest > LASTING) {
+            wrong.push(format!(
+                "{seed} {what} joint {joint} {condition:?}: {kept:?}"
+            ));
+        }
+    }
+    eprintln!(
+        "one channel or reversed {:?}, both channels {:?}",
+        worst[0], worst[1]
+    );
+    assert!(
+        worst[1].largest < TWO_TURNS && wrong.is_empty(),
+        "{}: {wrong:#?}",
+        wrong.len()
+    );
+}
+
+/// Slips, noise, stuck channels and pushes, one after the other.
+#[test]
+fn faults_together_keep_no_wrong_position() {
+    let mut worst = [Kept::default(); 2];
+    let mut wrong = vec![];
+    for seed in 0..200 {
+        let mut random = Random::new(seed, 3);
+        let mut bench = ready();
+        let what = set_going(&mut bench, &mut random, seed % 3);
+        bench.steps(50 + (random.fraction() * 1500.0) as usize);
+        let joint = (random.draw() % 5) as usize;
+        let mut kept = Kept::default();
+        let mut both = false;
+        let mut story = vec![what];
+        for _ in 0..3 {
+            let plant = bench.rig.plant_mut();
+            let push = log_uniform(&mut random, 30.0, 300.0) * if joint == 4 { 0.05 } else { 1.0 };
+            match random.draw() % 4 {
+                0 => {
+                    let size = log_uniform(&mut random, 1.0, 1000.0) as i32;
+                    let counts = if random.happens(0.5) { size } else { -size };
+                    plant.slip_encoder(joint, counts);
+                    story.push(format!("slip {counts}"));
+                }
+                1 => {
+                    let noise_hz = log_uniform(&mut random, 1.0, 200.0);
+                    let condition = EncoderCondition {
+                        noise_hz,
+                        ..EncoderCondition::default()
+                    };
+                    plant.set_encoder_condition(joint, condition);
+                    story.push(format!("noise {noise_hz:.0}"));
+                }
+                2 => {
+                    let condition = stuck(&mut random);
+                    both |= condition.stuck_a.is_some() && condition.stuck_b.is_some();
+                    plant.set_encoder_condition(joint, condition);
+                    story.push(format!(
+                        "stuck {:?} {:?}",
+                        condition.stuck_a, condition.stuck_b
+                    ));
+                }
+                _ => {
+                    let push = if random.happens(0.5) { push } else { -push };
+                    plant.set_load(joint, push);
+                    story.push(format!("push {push:.1}"));
+                }
+            }
+            let hold = 5 + log_uniform(&mut random, 10.0, 1500.0) as usize;
+            for _ in 0..hold {
+                bench.step();
+                kept.note(&bench);
+            }
+            let plant = bench.rig.plant_mut();
+            plant.set_load(joint, 0.0);
+            if random.happens(0.5) {
+                plant.set_encoder_condition(joint, EncoderCondition::default());
+                story.push("healed".into());
+            }
+        }
+        for _ in 0..5000 {
+            bench.step();
+            kept.note(&bench);
+        }
+        worst[usize::from(both)].add(&kept);
+        if !both && (kept.largest > PUSHED || kept.longest > PUSHED_LASTING) {
+            let fault = bench.rig.control().safety().fault();
+            wrong.push(format!(
+                "{seed} joint {joint} {story:?}: {kept:?} {fault:?}"
+            ));
+        }
+    }
+    eprintln!(
+        "a channel is alive {:?}, both are dead {:?}",
+        worst[0], worst[1]
+    );
+    assert!(
+        worst[1].largest < TWO_TURNS && wrong.is_empty(),
+        "{}: {wrong:#?}",
+        wrong.len()
+    );
+}
