@@ -203,6 +203,26 @@ impl<C: Control> Bench<C> {
         .expect("ended");
     }
 
+    /// Starts a job whose setpoints may be refused.
+    ///
+    /// # Errors
+    /// The first refusal.
+    pub fn try_job(&mut self, job: u32, setpoints: &[Setpoint]) -> Result<(), Refusal> {
+        let start = self.status().wanted;
+        let mut coder = SetpointCoder::new(self.machine.config.period_us, &start);
+        self.ask(Command::JobStart { job, pose: start })?;
+        for (index, batch) in setpoints.chunks(SETPOINT_BATCH).enumerate() {
+            let items = batch
+                .iter()
+                .map(|setpoint| coder.encode(setpoint).expect("codes"))
+                .collect();
+            let first = (index * SETPOINT_BATCH) as u32;
+            self.ask(Command::Setpoints(SetpointBatch { first, items }))?;
+        }
+        let count = setpoints.len() as u32;
+        self.ask(Command::JobEnd { count })
+    }
+
     /// Starts a job at `start`, where the machine stands, and brings setpoints over without saying that they are all.
     pub fn start_part(&mut self, job: u32, start: &AxisValues, setpoints: &[Setpoint]) {
         self.ask(Command::JobStart {

@@ -266,6 +266,12 @@ impl Safety {
         let _ = self.events.push_back(event);
     }
 
+    /// Events that gave way because nobody listened for too long.
+    #[must_use]
+    pub const fn events_lost(&self) -> u32 {
+        self.events_lost
+    }
+
     /// Whether there are events that were not told yet.
     #[must_use]
     pub fn has_events(&self) -> bool {

@@ -940,6 +940,7 @@ impl Player {
         if let Some(process) = self.world.plant.process() {
             // A process that was there is fitted anew; its zero is another one.
             let _ = self.world.rig.plant_mut().fit(&process);
+            self.watch.causes.push(Cause::Refitted);
         }
     }
 

@@ -10,9 +10,9 @@ use super::reference::{Arithmetic, Course, Tracked};
 use super::script::{Episode, Theme};
 use haptimill_firmware::config::Drive;
 use haptimill_firmware::io::{DriveCommand, HapticOutputs};
-use haptimill_hil_sim::fault::{FaultKind, HandFault, Switch};
-use haptimill_protocol::force::Gate;
-use haptimill_protocol::message::{Command, Event, Fault, HomingProblem, Refusal, Source, State};
+use haptimill_hil_sim::fault::{Channel, FaultKind, HandFault, Switch};
+use haptimill_protocol::force::{ForceProblem, Gate};
+use haptimill_protocol::message::{Command, Event, Fault, Refusal, Source, State};
 use std::collections::VecDeque;
 
 /// Axis units of a millimetre and of a degree.
@@ -26,12 +26,18 @@ pub const PERIOD: f64 = 2e-4;
 pub mod bounds {
     /// Believed less true motor side of a joint whose encoder is whole: half the play, the index, a count (mm, degrees).
     pub const MOTOR: [f64; 2] = [0.022, 0.008];
-    /// The same once an encoder was broken and no index pulse has come since: the following error and the distance braked.
-    pub const UNKNOWN: [f64; 2] = [0.40, 0.30];
-    /// Counts by which an index pulse may be off its place before the counter is known to be wrong.
-    pub const INDEX_SLACK: [f64; 2] = [0.13, 0.06];
-    /// Periods until a wrong position must be known.
-    pub const GRACE: u32 = 1500;
+    /// More than backlash and a count: a joint of which an encoder was broken is not believed wrongly by so much for longer than [`LASTING`] (mm, degrees).
+    pub const OFF: f64 = 0.05;
+    /// Bound of one broken encoder with a live channel, and periods above [`OFF`]; those of tests/tests/position_kept.rs.
+    pub const FOUND: f64 = 0.12;
+    /// 0.05 s.
+    pub const LASTING: u32 = 250;
+    /// The same where other faults of the joint come with it and take the slide along.
+    pub const PUSHED: f64 = 0.6;
+    /// 0.5 s.
+    pub const PUSHED_LASTING: u32 = 2500;
+    /// The same where both channels are dead: the second index pulse tells.
+    pub const TWO_TURNS: f64 = 20.0;
     /// A joint this far from its target runs away (mm, degrees).
     pub const RUNAWAY: [f64; 2] = [4.0, 4.0];
     /// A healthy machine's slide against its target in motion: constant part, and seconds of travel.
@@ -74,7 +80,8 @@ struct Before {
     configured: bool,
     haptic: [f64; 3],
     valid: bool,
-    index: [u8; 6],
+    /// Step motors lock.
+    locking: bool,
 }
 
 /// Newest jog epoch as far as the answers tell; what is stale here is stale for certain.
@@ -104,7 +111,6 @@ pub struct Watch {
     pub causes: Vec<Cause>,
     /// An encoder was broken since it was last right.
     suspect: [bool; 6],
-    pulses: [u32; 6],
     wrong: [u32; 6],
     away: [u32; 6],
     unreported: [u32; 6],
@@ -120,16 +126,36 @@ pub struct Watch {
     held: u32,
     urgent: u32,
     loops: [f64; 3],
-    cut: bool,
-    /// The search for the references began away from the home pose.
-    far_from_home: bool,
-    /// Where it began first: the presets, as good as they were set up.
-    home: Option<[f64; 6]>,
     last_fault: u64,
     /// Periods that were looked at.
     pub periods: u64,
+    /// Ticks since periods were missed.
+    missed_at: Option<u64>,
+    /// Largest motion of each joint in a period since the references were found, as a part of what is taken for a jump of the counter.
+    fastest: [f64; 6],
+    /// Where the motors were.
+    places: Option<[f64; 6]>,
+    /// The commanded pose was set up beyond a soft limit of this coordinate.
+    outside: [bool; 6],
+    /// A new session begins when nothing is active: the override is 100 % then.
+    greeted: u64,
+    /// Events that the controller gave up when its queue was full.
+    events_lost: u32,
     /// Largest values of what is compared with a bound, for the documentation.
     pub largest: Vec<(&'static str, f64)>,
+}
+
+/// What may be wrong with an encoder.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Doubt {
+    /// Nothing.
+    None,
+    /// One fault of its encoder is all that has happened to the joint.
+    Single,
+    /// More has happened to the joint.
+    Several,
+    /// Both channels were dead.
+    Dead,
 }
 
 /// A cause of a fault that is no broken device.
@@ -145,6 +171,8 @@ pub enum Cause {
     Contact,
     /// A hand that leads.
     Lead,
+    /// A sensor of force that was fitted anew and not tared since.
+    Refitted,
 }
 
 fn unit(axis: usize) -> f64 {
@@ -166,6 +194,7 @@ const fn holds(fault: &Fault) -> bool {
         Fault::LostHost { .. }
             | Fault::LatePeriod { .. }
             | Fault::SoftLimit { .. }
+            | Fault::JointRate { .. }
             | Fault::Force(_)
             | Fault::Hand(_)
     )
@@ -214,7 +243,6 @@ impl Watch {
             ever: vec![],
             causes: vec![],
             suspect: [false; 6],
-            pulses: [0; 6],
             wrong: [0; 6],
             away: [0; 6],
             unreported: [0; 6],
@@ -228,11 +256,14 @@ impl Watch {
             held: 0,
             urgent: 0,
             loops: [64.0; 3],
-            cut: false,
-            far_from_home: false,
-            home: None,
             last_fault: 0,
             periods: 0,
+            missed_at: None,
+            fastest: [0.0; 6],
+            places: None,
+            outside: [false; 6],
+            greeted: u64::MAX,
+            events_lost: 0,
             largest: vec![],
         }
     }
@@ -259,7 +290,6 @@ impl Watch {
             )
         {
             self.suspect[joint] = true;
-            self.pulses[joint] = 0;
         }
         self.ever.push(kind.clone());
     }
@@ -274,6 +304,10 @@ impl Watch {
     /// # Errors
     /// The first check that failed.
     pub fn look(&mut self, world: &mut World, ticked: bool) -> Checked {
+        self.travel(world);
+        if !ticked || world.rig.inputs().missed > 0 {
+            self.missed_at = Some(world.period);
+        }
         self.answers(world)?;
         self.events(world)?;
         if !ticked {
@@ -291,6 +325,20 @@ impl Watch {
         self.telemetry(world)?;
         self.remember(world);
         Ok(())
+    }
+
+    /// How fast the joints truly move, compared with what the firmware takes for a jump: its following error at standstill and ten times its highest rate.
+    fn travel(&mut self, world: &World) {
+        let places = self.places.replace(world.latched.motor);
+        let (Some(before), Some(machinery)) = (places, world.controller().machinery()) else {
+            return;
+        };
+        for (joint, limits) in machinery.config.joints.iter().enumerate() {
+            let way = (f64::from(limits.following.0) + f64::from(limits.rate.0) * 10.0 * PERIOD)
+                / joint_unit(joint);
+            let part = (world.latched.motor[joint] - before[joint]).abs() / way;
+            self.fastest[joint] = self.fastest[joint].max(part);
+        }
     }
 
     fn answers(&mut self, world: &mut World) -> Checked {
@@ -332,6 +380,7 @@ impl Watch {
                         };
                     }
                 }
+                (Command::Tare, Ok(())) => self.causes.retain(|cause| *cause != Cause::Refitted),
                 (Command::Hold, Ok(())) => self.epochs.cancelled = true,
                 (Command::Override { percent }, Ok(())) => {
                     if !(1..=100).contains(percent) {
@@ -398,6 +447,12 @@ impl Watch {
         for (period, event) in core::mem::take(&mut world.events) {
             match &event {
                 Event::State { from, to, .. } => {
+                    // The oldest gives way where the line is slower than what happens.
+                    let lost = world.controller().safety().events_lost();
+                    if lost != self.events_lost {
+                        self.events_lost = lost;
+                        self.chain = None;
+                    }
                     if self.theme.clean_line()
                         && !self.causes.contains(&Cause::Silence)
                         && let Some(last) = self.chain
@@ -440,16 +495,23 @@ impl Watch {
                     || world.noisy()
             }
             Fault::LatePeriod { .. } => self.causes.contains(&Cause::Late),
+            // Step motors that are told nothing stand at once, and their rotors swing.
+            Fault::StepsLost { .. } => self
+                .missed_at
+                .is_some_and(|missed| world.period < missed + 500),
+            // A joint that is pushed faster than a counter is believed.
+            Fault::EncoderIllegal { axis, .. } => self.fastest[usize::from(*axis)] > 0.98,
             Fault::Stroke { .. } | Fault::LimitSwitch { .. } => self.causes.contains(&Cause::Late),
-            // The search needs room; who is away from the home pose may have none.
-            Fault::Homing {
-                problem: HomingProblem::Workspace,
-                ..
-            } => self.far_from_home,
             Fault::Hand(_) => self.causes.contains(&Cause::Lead),
+            Fault::Force(ForceProblem::Drift { .. }) if self.causes.contains(&Cause::Refitted) => {
+                true
+            }
             Fault::Force(_) => self.causes.contains(&Cause::Contact) && !self.theme.healthy(),
             // Setpoints between which the interpolation leaves the limits are checked at their ends only.
-            Fault::SoftLimit { .. } => self.course.spoilt || self.theme == Theme::Wild,
+            // A machine that was pushed beyond them while its drives were off stands beyond them.
+            Fault::SoftLimit { axis } => {
+                self.course.spoilt || self.theme == Theme::Wild || self.outside[usize::from(*axis)]
+            }
             _ => false,
         };
         // A push or a jam can do what a controller cannot tell from another thing.
@@ -611,12 +673,6 @@ impl Watch {
                 );
             }
         }
-        if state == State::Homing && from != State::Homing {
-            let pose = self.pose(world);
-            let home = self.home.get_or_insert(pose);
-            self.far_from_home =
-                (0..5).any(|axis| (pose[axis] - home[axis]).abs() > 15.0 * unit(axis));
-        }
         let job = matches!(state, State::Run | State::Hold);
         if state == State::Run && !matches!(from, State::Run | State::Hold) {
             let start = self.pose(world);
@@ -704,6 +760,11 @@ impl Watch {
             self.urgent = 0;
         }
         // The path rate is the override's once it has settled.
+        if self.greeted != world.greeted && !safety.active() {
+            self.greeted = world.greeted;
+            self.percent = 100;
+            self.settled = 0;
+        }
         let program = &machinery.motion.program;
         let rest = program.is_still() || program.queued() == 0;
         let calm = state == State::Run
@@ -759,13 +820,22 @@ impl Watch {
         let pose = self.pose(world);
         let before = self.before.clone();
         let before = &before;
+        // Step motors are commanded where their rotors locked, in the period in which the last one has.
         let placed = !before.on
+            || (before.locking && !machinery.is_locking())
             || !before.configured
             || !before.valid
             || (before.state == State::Homing && state != State::Homing);
         // A tool that yielded is taken over where it is by a reset and by homing.
         let absorbed = matches!(before.state, State::Fault) || state == State::Homing;
         let active = |state| matches!(state, State::Run | State::Hold | State::Jog | State::Homing);
+        if placed || absorbed {
+            for axis in 0..machinery.axes() {
+                let limits = &machinery.config.pose[axis];
+                self.outside[axis] =
+                    !(f64::from(limits.low.0)..=f64::from(limits.high.0)).contains(&pose[axis]);
+            }
+        }
         if on && !placed {
             for axis in 0..machinery.axes() {
                 let limits = &machinery.config.pose[axis];
@@ -875,7 +945,12 @@ impl Watch {
                     } else if state == State::Run {
                         self.note("joint rate in a job, part of its limit", part);
                     }
-                    if part > 1.05 && !self.foreign {
+                    // A step of whole axis units is off by one.
+                    let bound = match state {
+                        State::Run | State::Hold => 1.03125,
+                        _ => 1.0,
+                    };
+                    if part > bound + 1.5 / most && !self.foreign {
                         if matches!(state, State::Run | State::Hold) {
                             violated!(
                                 world,
@@ -969,6 +1044,27 @@ impl Watch {
         }
     }
 
+    /// What may be wrong with the encoder of a joint.
+    fn doubt(&self, joint: usize) -> Doubt {
+        if !self.suspect[joint] {
+            return Doubt::None;
+        }
+        let of_joint = |kind: &&FaultKind| kind.axis() == Some(super::script::JOINTS[joint]);
+        let faults: Vec<&FaultKind> = self.ever.iter().filter(of_joint).collect();
+        let stuck = |which| {
+            faults.iter().any(
+                |kind| matches!(kind, FaultKind::EncoderStuck { channel, .. } if *channel == which),
+            )
+        };
+        if stuck(Channel::A) && stuck(Channel::B) {
+            Doubt::Dead
+        } else if faults.len() > 1 || !self.causes.iter().all(|cause| *cause == Cause::Silence) {
+            Doubt::Several
+        } else {
+            Doubt::Single
+        }
+    }
+
     /// Checks 3, 4 and 7: what is believed against what is.
     fn truth(&mut self, world: &World) -> Checked {
         let controller = world.controller();
@@ -984,7 +1080,6 @@ impl Watch {
             safety.homed() && safety.position_kept() && safety.state() != State::Homing,
         );
         let truth = world.rig.truth();
-        let inputs = world.rig.inputs();
         let sound = self.sound(world);
         let quiet = self.causes.iter().all(|cause| *cause == Cause::Silence);
         self.still = if on
@@ -999,28 +1094,25 @@ impl Watch {
             let unit = joint_unit(joint);
             let believed = f64::from(reading.measured.0) / unit;
             let off = (believed - world.latched.motor[joint]).abs();
-            if inputs.axes[joint].index_pulses != self.before.index[joint] {
-                self.pulses[joint] += 1;
-            }
             if known && on {
-                let most = if !self.suspect[joint] {
-                    bounds::MOTOR[class(joint)]
-                } else if self.pulses[joint] > 1 {
-                    bounds::INDEX_SLACK[class(joint)]
-                } else {
-                    bounds::UNKNOWN[class(joint)]
+                let doubt = self.doubt(joint);
+                let (most, from, grace) = match doubt {
+                    Doubt::None => {
+                        let name = ["motor mm", "motor deg"][class(joint)];
+                        self.note(name, off);
+                        (f64::INFINITY, bounds::MOTOR[class(joint)], 25)
+                    }
+                    Doubt::Single => (bounds::FOUND, bounds::OFF, bounds::LASTING),
+                    Doubt::Several => (bounds::PUSHED, bounds::OFF, bounds::PUSHED_LASTING),
+                    Doubt::Dead => (bounds::TWO_TURNS, bounds::OFF, u32::MAX),
                 };
-                if !self.suspect[joint] {
-                    let name = ["motor mm", "motor deg"][class(joint)];
+                if doubt != Doubt::None {
+                    let name = ["", "off after one fault", "off after several", "off, dead"]
+                        [doubt as usize];
                     self.note(name, off);
                 }
-                self.wrong[joint] = if off > most { self.wrong[joint] + 1 } else { 0 };
-                let grace = if self.suspect[joint] {
-                    bounds::GRACE
-                } else {
-                    25
-                };
-                if self.wrong[joint] > grace {
+                self.wrong[joint] = if off > from { self.wrong[joint] + 1 } else { 0 };
+                if self.wrong[joint] > grace || off > most {
                     violated!(
                         world,
                         "position wrong",
@@ -1225,7 +1317,7 @@ impl Watch {
         }
         let force = arm.force().map(|force| f64::from(force.0));
         let step = f64::from(config.step.0);
-        // Motors at their limit make less of the whole force, and more of it again.
+        // A motor at its limit makes the whole force smaller by one factor. So 1/factor times the force is within a step of the force before, in each axis; 1 where no motor is at its limit.
         let cut = outputs.currents.iter().enumerate().any(|(leg, currents)| {
             currents.iter().enumerate().any(|(motor, code)| {
                 let drive = &config.drives[leg][motor];
@@ -1233,18 +1325,27 @@ impl Watch {
                 f64::from(*code).abs() > most - 2.0
             })
         });
-        let step = if cut || self.cut { step * 4.0 } else { step };
-        self.cut = cut;
-        if outputs.enabled && self.before.valid {
+        if outputs.enabled && self.before.valid && !self.foreign {
+            let (mut least, mut most) = (1.0_f64, if cut { f64::INFINITY } else { 1.0 });
             for axis in 0..3 {
-                let change = (force[axis] - self.before.haptic[axis]).abs();
-                if change > step + 2.0 && force[axis] != 0.0 && !self.foreign {
-                    violated!(
-                        world,
-                        "haptic step",
-                        "axis {axis}: the force changed by {change} of {step} in a period"
-                    );
+                let (is, was) = (force[axis], self.before.haptic[axis]);
+                // The firmware cuts the product and the factor to whole units.
+                let slack = step + 2.0 + if cut { was.abs() / 32_768.0 } else { 0.0 };
+                if is.abs() > 2.0 {
+                    let ends = [(was - slack) / is, (was + slack) / is];
+                    least = least.max(ends[0].min(ends[1]) - 1.0 / is.abs());
+                    most = most.min(ends[0].max(ends[1]) + 1.0 / is.abs());
+                } else if !cut && was.abs() > slack + 2.0 {
+                    most = 0.0;
                 }
+            }
+            if least > most {
+                violated!(
+                    world,
+                    "haptic step",
+                    "the force went from {:?} to {force:?} in a period, a step is {step}, a motor at its limit {cut}",
+                    self.before.haptic
+                );
             }
         }
         self.before.haptic = force;
@@ -1299,13 +1400,13 @@ impl Watch {
             kept: safety.position_kept(),
             configured: controller.machinery().is_some(),
             haptic,
+            locking: controller
+                .machinery()
+                .is_some_and(|machinery| machinery.is_locking()),
             valid: true,
             pose: self.pose(world),
             ..Before::default()
         };
-        for (slot, axis) in before.index.iter_mut().zip(&world.rig.inputs().axes) {
-            *slot = axis.index_pulses;
-        }
         if let Some(machinery) = controller.machinery() {
             let target = machinery.target();
             for axis in 0..machinery.axes() {
@@ -1320,6 +1421,7 @@ impl Watch {
         if before.homed && !self.before.homed && before.kept && world.broken.is_empty() {
             // The references are new: what was wrong with the counters is over.
             self.suspect = [false; 6];
+            self.fastest = [0.0; 6];
             self.ever.retain(|kind| {
                 !matches!(
                     kind,
@@ -1334,7 +1436,7 @@ impl Watch {
     pub fn recovered(&mut self, world: &World) {
         if world.broken.is_empty() && self.before.homed && self.before.kept {
             self.causes
-                .retain(|cause| matches!(cause, Cause::Contact | Cause::Lead));
+                .retain(|cause| matches!(cause, Cause::Contact | Cause::Lead | Cause::Refitted));
         }
     }
 
@@ -1387,6 +1489,14 @@ impl Watch {
     pub fn stands(world: &World) -> bool {
         let controller = world.controller();
         let state = controller.safety().state();
+        let machinery = controller.machinery();
+        // A tool that returns from where it yielded to is no standstill.
+        if !machinery
+            .and_then(|machinery| machinery.force.as_ref())
+            .is_none_or(|force| force.rests())
+        {
+            return false;
+        }
         matches!(
             state,
             State::Idle | State::Disabled | State::Fault | State::EmergencyStop
@@ -1471,6 +1581,7 @@ fn explains(kind: &FaultKind, fault: &Fault) -> bool {
             | Fault::EncoderStill { axis }
             | Fault::EncoderReversed { axis }
             | Fault::StepsLost { axis, .. }
+            | Fault::NotLocked { axis, .. }
             | Fault::Homing { axis, .. }
             | Fault::Stroke { axis, .. } => of(axis),
             Fault::LimitSwitch { axis } => of(axis),
