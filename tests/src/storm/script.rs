@@ -359,6 +359,12 @@ fn script(theme: Theme, kind: Kind, dice: &mut Dice) -> Vec<Step> {
         if matches!(theme, Theme::Fault) && broken == 0 && (dice.happens(0.4) || index == count - 3)
         {
             broken = 1;
+            if dice.happens(0.3) {
+                for (what, periods) in trap(kind, dice) {
+                    add(what, periods);
+                }
+                continue;
+            }
             let (what, after) = breakage(kind, dice);
             add(what, after);
             continue;
@@ -372,6 +378,12 @@ fn script(theme: Theme, kind: Kind, dice: &mut Dice) -> Vec<Step> {
         if theme == Theme::Faults && dice.happens(0.35) {
             let (what, after) = breakage(kind, dice);
             add(what, after.min(400));
+            continue;
+        }
+        if theme == Theme::Faults && dice.happens(0.12) {
+            for (what, periods) in trap(kind, dice) {
+                add(what, periods);
+            }
             continue;
         }
         if theme == Theme::Faults && dice.happens(0.15) {
@@ -491,6 +503,111 @@ fn breakage(kind: Kind, dice: &mut Dice) -> (What, u32) {
         }
     };
     (What::Break(fault), periods(dice))
+}
+
+/// Faults that need a machine in a certain state: with its drives off, in a jog, or with other faults of the same joint.
+fn trap(kind: Kind, dice: &mut Dice) -> Vec<(What, u32)> {
+    let axis = dice.pick(&JOINTS).to_string();
+    let joint = JOINTS.iter().position(|name| *name == axis).unwrap_or(0);
+    let part = if joint == 4 { 0.04 } else { 1.0 };
+    let slip = |dice: &mut Dice, most| {
+        let size = dice.spread(1.0, most) as i32;
+        FaultKind::EncoderSlip {
+            axis: axis.clone(),
+            counts: if dice.happens(0.5) { size } else { -size },
+        }
+    };
+    let push = |dice: &mut Dice| dice.pick(&[-1.0, 1.0]) * dice.spread(30.0, 300.0) * part;
+    match dice.below(if kind == Kind::Step { 4 } else { 3 }) {
+        0 => vec![
+            // A counter jumps while the drives are off.
+            (What::Idle, 20_000),
+            (What::Say(Command::Disable), periods(dice)),
+            (What::Break(slip(dice, 60_000.0)), periods(dice)),
+            (What::Say(Command::Enable), 1200),
+            (What::Ready, 200),
+        ],
+        1 => vec![
+            // An encoder is reversed, or loses a channel, in a jog.
+            (What::Idle, 20_000),
+            (creep(dice), dice.between(50.0, 2500.0) as u32),
+            (
+                What::Break(if dice.happens(0.6) {
+                    FaultKind::EncoderSwapped { axis }
+                } else {
+                    FaultKind::EncoderStuck {
+                        axis,
+                        channel: dice.pick(&[Channel::A, Channel::B]),
+                        level: dice.pick(&[Level::Low, Level::High]),
+                    }
+                }),
+                2500,
+            ),
+        ],
+        2 => {
+            // Slip, noise, a stuck channel and a push, one after the other on one joint.
+            let channel = dice.pick(&[Channel::A, Channel::B]);
+            let mut steps = vec![(What::Idle, 20_000), (creep(dice), 200)];
+            for _ in 0..3 {
+                let hold = 5 + dice.spread(10.0, 1500.0) as u32;
+                let kind = match dice.below(4) {
+                    0 => slip(dice, 1000.0),
+                    1 => FaultKind::EncoderNoise {
+                        axis: axis.clone(),
+                        per_second: dice.spread(1.0, 200.0),
+                    },
+                    2 => FaultKind::EncoderStuck {
+                        axis: axis.clone(),
+                        channel,
+                        level: dice.pick(&[Level::Low, Level::High]),
+                    },
+                    _ => FaultKind::Push {
+                        axis: axis.clone(),
+                        effort: push(dice),
+                    },
+                };
+                steps.push((What::Break(kind), hold));
+                if dice.happens(0.4) {
+                    steps.push((What::Heal, 5));
+                }
+            }
+            steps
+        }
+        _ => vec![
+            // Step motors lose their current in motion, and something moves them while it is off.
+            (What::Idle, 20_000),
+            (jog(dice), dice.between(300.0, 2500.0) as u32),
+            (creep(dice), dice.between(50.0, 900.0) as u32),
+            (What::Circuit(true), dice.between(1.0, 400.0) as u32),
+            (
+                What::Break(FaultKind::Push {
+                    axis,
+                    effort: push(dice) * 0.3,
+                }),
+                dice.between(5.0, 300.0) as u32,
+            ),
+            (What::Heal, periods(dice)),
+            (What::Ready, 500),
+        ],
+    }
+}
+
+/// A jog of one coordinate that is said once and lives for a second.
+fn creep(dice: &mut Dice) -> What {
+    let axis = dice.place(5);
+    let unit = if axis < 3 {
+        super::watch::MM
+    } else {
+        super::watch::DEGREE
+    };
+    let speed = dice.pick(&[-1.0, 1.0]) * dice.spread(0.01, 16.0);
+    let mut rates = [0; 5];
+    rates[axis] = (speed * unit / 256.0) as i32;
+    What::Say(Command::Jog {
+        epoch: 1000 + dice.below(20_000) as u16,
+        deadline_ms: 1000,
+        rates: rates.into_iter().collect(),
+    })
 }
 
 /// A job of a careful host.
@@ -656,7 +773,42 @@ fn careful(dice: &mut Dice) -> Vec<(What, u32)> {
 
 fn force(dice: &mut Dice) -> Vec<(What, u32)> {
     let axis = dice.below(3) as u8;
-    match dice.below(8) {
+    match dice.below(9) {
+        8 => {
+            // So slowly that the slides stick and slip, towards a body to which the tool yields.
+            let gap = dice.between(0.02, 0.3);
+            let stiffness = dice.spread(2.0, 60.0);
+            vec![
+                (What::Idle, 20_000),
+                (What::Say(Command::ForceMask { mask: 0 }), 800),
+                (What::Say(Command::Tare), 1500),
+                (
+                    What::Say(Command::ForceLoop {
+                        axis,
+                        settings: command::yielding_loop(dice),
+                    }),
+                    400,
+                ),
+                (What::Say(Command::ForceMask { mask: 1 << axis }), 20),
+                (What::Contact(Some((axis, gap, stiffness))), 20),
+                (
+                    What::Job(JobPlan {
+                        seed: ((dice.between(300.0, 1500.0) as u64) << 3) | u64::from(axis + 1),
+                        count: 0,
+                        span: 500,
+                        speed: dice.spread(0.0004, 0.01),
+                        actions: true,
+                        gap: 0,
+                        absurd: 0.0,
+                        open: false,
+                    }),
+                    14_000,
+                ),
+                (What::Say(Command::Stop), 3000),
+                (What::Contact(None), 6000),
+                (What::Say(Command::ForceMask { mask: 0 }), 400),
+            ]
+        }
         0 => vec![
             (What::Idle, 20_000),
             (What::Contact(None), 400),

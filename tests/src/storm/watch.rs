@@ -8,7 +8,7 @@
 use super::bench::{World, name};
 use super::reference::{Arithmetic, Course, Tracked};
 use super::script::{Episode, Theme};
-use haptimill_firmware::config::Drive;
+use haptimill_firmware::config::{Drive, JointAxis};
 use haptimill_firmware::io::{DriveCommand, HapticOutputs};
 use haptimill_hil_sim::fault::{Channel, FaultKind, HandFault, Switch};
 use haptimill_protocol::force::{ForceProblem, Gate};
@@ -26,6 +26,8 @@ pub const PERIOD: f64 = 2e-4;
 pub mod bounds {
     /// Believed less true motor side of a joint whose encoder is whole: half the play, the index, a count (mm, degrees).
     pub const MOTOR: [f64; 2] = [0.022, 0.008];
+    /// Counts by which an index pulse may be off its place before the counter is known to be wrong.
+    pub const INDEX_SLACK: [f64; 2] = [0.13, 0.06];
     /// More than backlash and a count: a joint of which an encoder was broken is not believed wrongly by so much for longer than [`LASTING`] (mm, degrees).
     pub const OFF: f64 = 0.05;
     /// Bound of one broken encoder with a live channel, and periods above [`OFF`]; those of tests/tests/position_kept.rs.
@@ -80,6 +82,7 @@ struct Before {
     configured: bool,
     haptic: [f64; 3],
     valid: bool,
+    index: [u8; 6],
     /// Step motors lock.
     locking: bool,
 }
@@ -111,6 +114,10 @@ pub struct Watch {
     pub causes: Vec<Cause>,
     /// An encoder was broken since it was last right.
     suspect: [bool; 6],
+    /// Index pulses since an encoder was broken.
+    pulses: [u32; 6],
+    /// The encoder slipped while the drives were off.
+    slipped_off: [bool; 6],
     wrong: [u32; 6],
     away: [u32; 6],
     unreported: [u32; 6],
@@ -139,8 +146,10 @@ pub struct Watch {
     outside: [bool; 6],
     /// A new session begins when nothing is active: the override is 100 % then.
     greeted: u64,
-    /// Events that the controller gave up when its queue was full.
-    events_lost: u32,
+    /// Gaps in what was told of states: no more than events that the controller gave up when its queue was full.
+    breaks: u32,
+    /// Commanded joints when the step motors had locked.
+    locked_at: [f64; 6],
     /// Largest values of what is compared with a bound, for the documentation.
     pub largest: Vec<(&'static str, f64)>,
 }
@@ -152,6 +161,8 @@ enum Doubt {
     None,
     /// One fault of its encoder is all that has happened to the joint.
     Single,
+    /// Its counter gained or lost counts one by one, or by less than a jump while the drives were off: index pulses tell.
+    Uncounted,
     /// More has happened to the joint.
     Several,
     /// Both channels were dead.
@@ -185,6 +196,11 @@ fn joint_unit(joint: usize) -> f64 {
 
 const fn class(joint: usize) -> usize {
     if joint < 4 { 0 } else { 1 }
+}
+
+/// A motion in a period that the firmware takes for a jump of the counter: the following error at standstill and ten times the highest rate; axis units.
+fn way_of_a_jump(limits: &JointAxis) -> f64 {
+    f64::from(limits.following.0) + f64::from(limits.rate.0) * 10.0 * PERIOD
 }
 
 /// The storm's own list of faults for which the machine brakes and holds.
@@ -263,7 +279,10 @@ impl Watch {
             places: None,
             outside: [false; 6],
             greeted: u64::MAX,
-            events_lost: 0,
+            breaks: 0,
+            locked_at: [0.0; 6],
+            pulses: [0; 6],
+            slipped_off: [false; 6],
             largest: vec![],
         }
     }
@@ -290,6 +309,9 @@ impl Watch {
             )
         {
             self.suspect[joint] = true;
+            self.pulses[joint] = 0;
+            self.slipped_off[joint] |=
+                matches!(kind, FaultKind::EncoderSlip { .. }) && !self.before.on;
         }
         self.ever.push(kind.clone());
     }
@@ -334,8 +356,7 @@ impl Watch {
             return;
         };
         for (joint, limits) in machinery.config.joints.iter().enumerate() {
-            let way = (f64::from(limits.following.0) + f64::from(limits.rate.0) * 10.0 * PERIOD)
-                / joint_unit(joint);
+            let way = way_of_a_jump(limits) / joint_unit(joint);
             let part = (world.latched.motor[joint] - before[joint]).abs() / way;
             self.fastest[joint] = self.fastest[joint].max(part);
         }
@@ -449,14 +470,13 @@ impl Watch {
                 Event::State { from, to, .. } => {
                     // The oldest gives way where the line is slower than what happens.
                     let lost = world.controller().safety().events_lost();
-                    if lost != self.events_lost {
-                        self.events_lost = lost;
-                        self.chain = None;
-                    }
+                    let broken = self.chain.is_some_and(|last| last != *from);
+                    self.breaks += u32::from(broken);
                     if self.theme.clean_line()
                         && !self.causes.contains(&Cause::Silence)
                         && let Some(last) = self.chain
                         && last != *from
+                        && self.breaks > lost
                     {
                         violated!(
                             world,
@@ -496,9 +516,12 @@ impl Watch {
             }
             Fault::LatePeriod { .. } => self.causes.contains(&Cause::Late),
             // Step motors that are told nothing stand at once, and their rotors swing.
-            Fault::StepsLost { .. } => self
-                .missed_at
-                .is_some_and(|missed| world.period < missed + 500),
+            Fault::StepsLost { axis, .. } => {
+                let joint = usize::from(*axis);
+                self.missed_at
+                    .is_some_and(|missed| world.period < missed + 500)
+                    || self.falls_into_place(world, joint)
+            }
             // A joint that is pushed faster than a counter is believed.
             Fault::EncoderIllegal { axis, .. } => self.fastest[usize::from(*axis)] > 0.98,
             Fault::Stroke { .. } | Fault::LimitSwitch { .. } => self.causes.contains(&Cause::Late),
@@ -535,6 +558,24 @@ impl Watch {
             "{fault:?} is none of what {:?} leads to",
             self.ever
         );
+    }
+
+    /// Friction may hold a rotor at the dead point two full steps from its detent, where its torque is 0: nothing tells it from one that has locked. The first motion
+    /// makes it fall into the detent. So steps may be lost before the joint was commanded by twice the limit.
+    fn falls_into_place(&self, world: &World, joint: usize) -> bool {
+        let Some(machinery) = world.controller().machinery() else {
+            return false;
+        };
+        let Some(Drive::Steps { lost, .. }) = machinery
+            .config
+            .joints
+            .get(joint)
+            .map(|limits| limits.drive.clone())
+        else {
+            return false;
+        };
+        let way = self.before.joints[joint] - self.locked_at[joint];
+        way.abs() < 2.0 * f64::from(lost.0)
     }
 
     /// Check 2: outputs.
@@ -1058,6 +1099,12 @@ impl Watch {
         };
         if stuck(Channel::A) && stuck(Channel::B) {
             Doubt::Dead
+        } else if self.slipped_off[joint]
+            || faults
+                .iter()
+                .any(|kind| matches!(kind, FaultKind::EncoderNoise { .. }))
+        {
+            Doubt::Uncounted
         } else if faults.len() > 1 || !self.causes.iter().all(|cause| *cause == Cause::Silence) {
             Doubt::Several
         } else {
@@ -1094,6 +1141,9 @@ impl Watch {
             let unit = joint_unit(joint);
             let believed = f64::from(reading.measured.0) / unit;
             let off = (believed - world.latched.motor[joint]).abs();
+            if world.rig.inputs().axes[joint].index_pulses != self.before.index[joint] {
+                self.pulses[joint] += 1;
+            }
             if known && on {
                 let doubt = self.doubt(joint);
                 let (most, from, grace) = match doubt {
@@ -1103,12 +1153,27 @@ impl Watch {
                         (f64::INFINITY, bounds::MOTOR[class(joint)], 25)
                     }
                     Doubt::Single => (bounds::FOUND, bounds::OFF, bounds::LASTING),
+                    Doubt::Uncounted => {
+                        let limits = &machinery.config.joints[joint];
+                        let reach = way_of_a_jump(limits) / unit;
+                        let from = if self.pulses[joint] > 2 {
+                            bounds::INDEX_SLACK[class(joint)]
+                        } else {
+                            reach
+                        };
+                        (f64::INFINITY, from, bounds::PUSHED_LASTING)
+                    }
                     Doubt::Several => (bounds::PUSHED, bounds::OFF, bounds::PUSHED_LASTING),
                     Doubt::Dead => (bounds::TWO_TURNS, bounds::OFF, u32::MAX),
                 };
                 if doubt != Doubt::None {
-                    let name = ["", "off after one fault", "off after several", "off, dead"]
-                        [doubt as usize];
+                    let name = [
+                        "",
+                        "off after one fault",
+                        "off, noise or drives off",
+                        "off after several",
+                        "off, dead",
+                    ][doubt as usize];
                     self.note(name, off);
                 }
                 self.wrong[joint] = if off > from { self.wrong[joint] + 1 } else { 0 };
@@ -1407,8 +1472,14 @@ impl Watch {
             pose: self.pose(world),
             ..Before::default()
         };
+        for (slot, axis) in before.index.iter_mut().zip(&world.rig.inputs().axes) {
+            *slot = axis.index_pulses;
+        }
         if let Some(machinery) = controller.machinery() {
             let target = machinery.target();
+            if self.before.locking && !before.locking {
+                self.locked_at = target.joints.0.map(|place| f64::from(place.0));
+            }
             for axis in 0..machinery.axes() {
                 before.rates[axis] = f64::from(machinery.motion.wanted().rates[axis].0);
                 before.joints[axis] = f64::from(target.joints.0[axis].0);
@@ -1421,6 +1492,7 @@ impl Watch {
         if before.homed && !self.before.homed && before.kept && world.broken.is_empty() {
             // The references are new: what was wrong with the counters is over.
             self.suspect = [false; 6];
+            self.slipped_off = [false; 6];
             self.fastest = [0.0; 6];
             self.ever.retain(|kind| {
                 !matches!(
