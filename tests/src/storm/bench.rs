@@ -2,6 +2,7 @@
 
 use super::script::{Dice, Episode, JOINTS, Kind};
 use haptimill::machine::MachineFile;
+use haptimill_firmware::config::Drive;
 use haptimill_firmware::controller::Controller;
 use haptimill_firmware::io::{Inputs, Outputs};
 use haptimill_firmware::reading::Reading;
@@ -388,11 +389,30 @@ impl World {
         ticked
     }
 
+    fn has_step_motors(&self) -> bool {
+        let mut joints = self.machine.config.joints.iter();
+        joints.any(|joint| matches!(joint.drive, Drive::Steps { .. }))
+    }
+
     fn answered(&mut self, id: u8, result: Result<(), Refusal>) {
         if id == 0 {
             return;
         }
-        match self.pending.pop_front() {
+        // Step motors lock before the request to enable them is answered; others are answered meanwhile.
+        let late = self.pending.front().is_some_and(|oldest| {
+            oldest.id != id && oldest.command == Command::Enable && self.has_step_motors()
+        });
+        let pending = if late {
+            let enable = self.pending.pop_front();
+            let next = self.pending.pop_front();
+            if let Some(enable) = enable {
+                self.pending.push_front(enable);
+            }
+            next
+        } else {
+            self.pending.pop_front()
+        };
+        match pending {
             Some(pending) if pending.id == id => {
                 self.just.push(name(&pending.command));
                 self.answers.push(Answered {

@@ -408,6 +408,8 @@ impl Player {
         patience: u32,
     ) -> Result<Option<Result<(), Refusal>>, Violation> {
         let mut said = false;
+        // A hand is not answered: an older answer is none to it.
+        self.last = None;
         for _ in 0..patience {
             if !said {
                 said = self.world.say(command);
