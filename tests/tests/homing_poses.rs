@@ -171,9 +171,9 @@ fn home(bench: &mut Bench, pose: &[f64; 5]) {
     let status = bench.status();
     assert!(status.homed && status.position_kept);
     let truth = bench.rig.truth().pose;
-    for axis in 0..5 {
+    for (axis, truth) in truth.iter().enumerate().take(5) {
         let unit = if axis < 3 { MM } else { DEGREE };
-        let off = (f64::from(status.measured[axis]) / unit - truth[axis]).abs();
+        let off = (f64::from(status.measured[axis]) / unit - truth).abs();
         assert!(off < 0.03, "{pose:?}: coordinate {axis} is {off} off");
     }
 }
@@ -197,7 +197,7 @@ fn homing_works_from_any_pose() {
             let [low, high] = limits(&config, axis);
             low + (high - low) * (0.001 + 0.998 * random.fraction())
         });
-        let far = poses.len() % 2 == 0;
+        let far = poses.len().is_multiple_of(2);
         let reach = (1..=200)
             .map(|step| f64::from(step) / 200.0)
             .take_while(|part| joints(&arm, &config, &aim.map(|place| place * part)).is_some())

@@ -576,7 +576,8 @@ impl Watch {
             return false;
         };
         let way = self.before.joints[joint] - self.locked_at[joint];
-        way.abs() < 2.0 * f64::from(lost.0)
+        // One that falls without a command had not locked.
+        (1.0..2.0 * f64::from(lost.0)).contains(&way.abs())
     }
 
     /// Check 2: outputs.
