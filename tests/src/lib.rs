@@ -3,6 +3,7 @@
 
 #[cfg(feature = "emulated")]
 pub mod log;
+pub mod storm;
 
 use haptimill::machine::MachineFile;
 use haptimill_firmware::controller::Controller;
@@ -201,6 +202,26 @@ impl<C: Control> Bench<C> {
             count: setpoints.len() as u32,
         })
         .expect("ended");
+    }
+
+    /// Starts a job whose setpoints may be refused.
+    ///
+    /// # Errors
+    /// The first refusal.
+    pub fn try_job(&mut self, job: u32, setpoints: &[Setpoint]) -> Result<(), Refusal> {
+        let start = self.status().commanded;
+        let mut coder = SetpointCoder::new(self.machine.config.period_us, &start);
+        self.ask(Command::JobStart { job, pose: start })?;
+        for (index, batch) in setpoints.chunks(SETPOINT_BATCH).enumerate() {
+            let items = batch
+                .iter()
+                .map(|setpoint| coder.encode(setpoint).expect("codes"))
+                .collect();
+            let first = (index * SETPOINT_BATCH) as u32;
+            self.ask(Command::Setpoints(SetpointBatch { first, items }))?;
+        }
+        let count = setpoints.len() as u32;
+        self.ask(Command::JobEnd { count })
     }
 
     /// Starts a job at `start`, the present pose, and sends setpoints without the end of the job.

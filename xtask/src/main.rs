@@ -2,6 +2,7 @@
 
 mod board;
 mod provide;
+mod storm;
 
 use board::Board;
 use provide::provide;
@@ -9,6 +10,7 @@ use std::env;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 use std::time::Instant;
+use storm::storm;
 
 const HELP: &str = "\
 Developer tasks of the project.
@@ -20,6 +22,8 @@ Developer tasks of the project.
   cargo xtask board NAME --image OTHER   the same with another image of the board (mps2: hand, faults, checks, logging)
   cargo xtask instructions         count the instructions of control periods and rewrite docs/instructions.md
   cargo xtask log FILE ...         run a part program on the emulated board (options of haptimill run) and print its log
+  cargo xtask storm [OPTION ...]   run random episodes against all checks, by seed (docs/storm.md; --help lists the options)
+  cargo xtask storm --planted      plant bugs into a copy of the sources and show that the storm finds each
   cargo xtask bench                run all benchmarks (criterion); results in target/criterion
   cargo xtask help                 print this text
 ";
@@ -95,6 +99,25 @@ const TEST: &[Step] = &[
         environment: &[],
         component: None,
     },
+    Step {
+        name: "storm",
+        arguments: &[
+            "run",
+            "--quiet",
+            "--release",
+            "--package",
+            "haptimill-tests",
+            "--bin",
+            "storm",
+            "--",
+            "--minutes",
+            "2",
+            "--seed",
+            "1",
+        ],
+        environment: &[],
+        component: None,
+    },
 ];
 
 const BENCH: &[Step] = &[Step {
@@ -118,6 +141,7 @@ fn main() -> ExitCode {
         ["instructions"] => instructions(),
         ["log", program, ref more @ ..] => log(program, more),
         ["bench"] => run(BENCH),
+        ["storm", ref options @ ..] => storm(options),
         ["help"] | [] => {
             print!("{HELP}");
             Ok(())

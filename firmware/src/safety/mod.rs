@@ -275,6 +275,12 @@ impl Safety {
         let _ = self.events.push_back(event);
     }
 
+    /// Events that were dropped because they were not read for too long.
+    #[must_use]
+    pub const fn events_lost(&self) -> u32 {
+        self.events_lost
+    }
+
     /// Whether there are unread events.
     #[must_use]
     pub fn has_events(&self) -> bool {
