@@ -26,8 +26,8 @@
 //! | motor torques | N mm, in f32 like the statics |
 //!
 //! A problem of the arm switches its motors off in the control period in which it is detected. They
-//! stay off until [`Haptic::reset`]. A problem that occurs while they are off anyway is reported
-//! but not latched.
+//! stay off until [`Haptic::reset`]. A problem that occurs while they are off is reported but
+//! not latched.
 //!
 //! Callers must call [`Haptic::measure`] before [`Haptic::render`] in every control period.
 

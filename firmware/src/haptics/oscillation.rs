@@ -216,7 +216,7 @@ mod tests {
             let mut most = 0;
             for period in 0..15_000_u32 {
                 let time = f64::from(period) * 200e-6;
-                // 6 mm/s against 3 N, and a swing of 8 Hz.
+                // 6 mm/s against 3 N, and an oscillation of 8 Hz.
                 let swing = |time: f64| amplitude * (50.0 * time).sin();
                 let rate = -6.0 + swing(time);
                 let force = [

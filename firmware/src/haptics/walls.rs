@@ -19,7 +19,7 @@ use serde::{Deserialize, Serialize};
 /// Stiffness and force limit of the virtual fixtures.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct WallConfig {
-    /// Stiffness, 2^-16 N/mm: 0.05 to 2 N/mm. (0.35: what docs/control.md 3.5 finds in E6.)
+    /// Stiffness, 2^-16 N/mm: 0.05 to 2 N/mm. (0.35: result of E6 in docs/control.md 3.5.)
     pub stiffness: u32,
     /// Largest force of a face: 0.5 to 10 N.
     pub most: Force,
