@@ -12,7 +12,7 @@
 //! | --- | --- | --- |
 //! | forces | 2^-16 N, reaction on the tool (docs/control.md 1.3) | +-2048 N |
 //! | p_c | 2^-40 mm | 64 mm, or less by its settings |
-//! | K_A, K_V | 2^-16 N s^2/mm, 2^-16 N s/mm | 2^-18 <= K_V T / K_A, and K_A >= K_V T at the highest level of damping |
+//! | K_A, K_V | 2^-16 N s^2/mm, 2^-16 N s/mm | K_V T / K_A is 2^-18 to 1, at all levels |
 //! | contact stiffness | N/mm | up to 1000, the range of the contact-stability monitor |
 //!
 //! Callers must pass the desired rate of the motion to which p_c is added. With another rate, the

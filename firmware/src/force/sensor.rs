@@ -8,11 +8,13 @@
 //!
 //! | check | condition | reason for its limit |
 //! | --- | --- | --- |
-//! | silent | no new conversion for `silent_samples` periods | the conversion counter tells old values from new |
-//! | overload | the amplifier reports it, or 3 codes in a row beyond `saturation` | see **Overload** |
+//! | silent | no new conversion for `silent_samples` periods | see **Silent** |
+//! | overload | amplifier signal, or 3 codes in a row beyond `saturation` | see **Overload** |
 //! | stuck | the same code `stuck_samples` times in a row | see **Stuck** |
 //! | drift | the mean force of the unloaded tool is beyond `drift` | see **Drift** |
 //! | limit | a force beyond `limit`, not saturated | see **Limit** |
+//!
+//! **Silent.** Conversions are counted, so that an old value cannot pass for a new one.
 //!
 //! **Overload.** Beyond 95 % of the range the peak is unknown. A single sample may be a spark.
 //!

@@ -86,9 +86,9 @@ pub enum Sign {
     /// No contact has occurred yet.
     #[default]
     Unknown,
-    /// The force falls when the tool yields to it.
+    /// The force falls as the tool moves along it.
     Right,
-    /// The force grows when the tool yields to it.
+    /// The force grows as the tool moves along it.
     Wrong,
 }
 

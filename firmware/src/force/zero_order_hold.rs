@@ -87,7 +87,8 @@ pub struct ZeroOrderHold {
     approach: Part,
     /// 1 - g.
     lag: Part,
-    /// T / K_V in 2^-(40 + FINENESS) mm per 2^-16 N is this times 2^(HEADROOM - shift); 2^30 to 2^31.
+    /// T / K_V in 2^-(40 + FINENESS) mm per 2^-16 N is this times 2^(HEADROOM - shift); 2^30 to
+    /// 2^31.
     terminal: i32,
     shift: u32,
 }

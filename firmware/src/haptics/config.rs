@@ -1,4 +1,4 @@
-//! The configuration of a haptic arm, and of a tool that a hand leads.
+//! Configuration of a haptic arm, and of a tool that a master leads.
 
 use super::Reflection;
 use super::passivity::PassivityConfig;
@@ -9,61 +9,64 @@ use haptimill_math::force::Force;
 use haptimill_math::{Coordinate, Effort, Length};
 use serde::{Deserialize, Serialize};
 
-/// An encoder of a leg.
+/// Encoder of a leg.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Encoder {
-    /// Axis units (2^-20 mm for the slide, 2^-32 turn for an angle) per count, times 2^24; negative when it counts backwards. Below 2^46.
+    /// Axis units (2^-20 mm for the slide, 2^-32 turn for an angle) per count, times 2^24; negative
+    /// if it counts backwards. Below 2^46 in magnitude.
     pub per_count: i64,
-    /// Coordinate at the handle's home, where the operator holds it when the configuration is activated.
+    /// Coordinate at the home of the handle, where the operator holds it when the configuration is
+    /// activated.
     pub preset: Coordinate,
 }
 
-/// A current amplifier with its motor.
+/// Current amplifier with its motor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Amplifier {
-    /// Effort at code 8192: 2^-16 N along the slide, 2^-16 N m about it; negative when it is wired the other way round.
+    /// Effort at code 8192: 2^-16 N along the slide, 2^-16 N m about it; negative for reversed
+    /// wiring.
     pub full_scale: Effort,
-    /// Largest effort that may be commanded.
+    /// Largest commanded effort.
     pub limit: Effort,
 }
 
-/// A haptic arm.
+/// Configuration of a haptic arm.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct HapticConfig {
-    /// Lengths.
+    /// Dimensions of the arm.
     pub geometry: HapticGeometry,
-    /// Of each leg the encoders of the slide d, of theta3 and of theta4.
+    /// Encoders of each leg: slide d, theta3, theta4.
     pub sensors: [[Encoder; 3]; LEGS],
-    /// Where d, theta3 and theta4 may be, of all legs: lower and upper end.
+    /// Ranges of d, theta3 and theta4 in all legs: lower and upper end.
     pub ranges: [(Coordinate, Coordinate); 3],
-    /// Of each leg the motors along the slide and about it.
+    /// Motors of each leg: along the slide, and about it.
     pub drives: [[Amplifier; 2]; LEGS],
-    /// Illegal transitions of an encoder that are still borne.
+    /// Largest accepted number of illegal transitions of an encoder.
     pub illegal_transitions: u16,
     /// Largest condition number of the arm's statics, 2 to 1000 (20).
     pub condition: u16,
-    /// Time constant of the filter of the hand's rates, microseconds, 500 to 20,000 (5000).
+    /// Time constant of the filter of the master's rates, microseconds, 500 to 20,000 (5000).
     pub rate_filter_us: u16,
-    /// Diameter of the ball at the tip: virtual walls leave it room.
+    /// Diameter of the ball at the tip: opposite faces of virtual fixtures keep this distance.
     pub ball: Length,
-    /// The most that the force at the hand changes in a period: to 0.05 N.
+    /// Largest change of the force on the operator in a control period: to 0.05 N.
     pub step: Force,
-    /// What part of the force on the tool is felt, at the start.
+    /// Force feedback law after a start.
     pub reflection: Reflection,
-    /// Virtual walls.
+    /// Virtual fixtures.
     pub wall: WallConfig,
-    /// The energy at the hand.
+    /// Passivity observer and controller.
     pub passivity: PassivityConfig,
 }
 
-/// How a tool follows a hand.
+/// Master-to-tool mapping and tracking.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct FollowConfig {
-    /// G_P of docs/control.md (3.1), 2^-12: 0.1 to 2 (1).
+    /// Position scale G_P of docs/control.md (3.1), 2^-12: 0.1 to 2 (1).
     pub scale: u16,
-    /// k of the two stages of the following, 1/s: 10 to 500 (100).
+    /// Gain k of the two tracking stages, 1/s: 10 to 500 (100).
     pub gain: u16,
-    /// How old the newest word of a hand afar may be, milliseconds, 5 to 1000 (50).
+    /// Largest age of the newest sample of a remote master, milliseconds, 5 to 1000 (50).
     pub stale_ms: u16,
 }
 
@@ -74,7 +77,7 @@ pub const fn scale_is_sound(scale: u16) -> bool {
 }
 
 impl FollowConfig {
-    /// Whether all is within the ranges that it names.
+    /// Whether all values are within their documented ranges.
     #[must_use]
     pub fn is_sound(&self) -> bool {
         scale_is_sound(self.scale)
@@ -84,7 +87,7 @@ impl FollowConfig {
 }
 
 impl HapticConfig {
-    /// Whether all is within the ranges that it names.
+    /// Whether all values are within their documented ranges.
     #[must_use]
     #[cold]
     pub fn is_sound(&self) -> bool {

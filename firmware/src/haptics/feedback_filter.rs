@@ -1,36 +1,46 @@
-//! What is reflected comes and goes slowly while the hand owes energy.
+//! Low-pass filter of the fed-back force while the passivity observer is in deficit.
 //!
-//! A stiff contact at the end of a slow way back is a switch: a hundredth of a millimetre of the hand decides between no force and all of it, and it decides late. With a gain of 0.4 * 200 N/mm against a hand of 0.1 to 2 N/mm no
-//! damper that an arm can have stops that swing: it would need 2 N s/mm and more, behind a filter and a step of the force that allow 0.2. So the shares of the law pass a first-order filter whose time constant grows
-//! with the debt of the watches ([`super::passivity`], [`super::swing`]): none without debt, [`SLOW_US`] for each whole debt, up to three. In the time t that the loop takes to answer the felt force then changes by at most
-//! limit * (1 - exp(-t / T)), whatever hand, contact and line; and as the filter has a gain of 1 at rest and is the same up and down, the mean force remains that of the law.
-//! (One that falls faster than it rises does not: the hand feels the least of the last swings.)
+//! A stiff contact at the end of a slow loop acts as a switch: 0.01 mm of the master decides
+//! between no force and the full force, and it decides late. With a gain of 0.4 * 200 N/mm against
+//! an operator's hand of 0.1 to 2 N/mm no damper of an arm stops this oscillation. It would need at
+//! least 2 N s/mm, behind a filter and a force step that allow 0.2. The fed-back forces therefore
+//! pass a first-order filter, whose time constant grows with the energy deficit of the passivity
+//! observers ([`super::passivity`], [`super::oscillation`]): none without deficit, [`SLOW_US`] for
+//! each full deficit, up to three.
 //!
-//! The price: while there is debt, a force comes late, and stays for as long when the contact is gone. Virtual walls, damping and boost are not delayed. Forces 2^-16 N; debts 2^-16 of a whole one.
+//! In the time t in which the loop answers, the force then changes by at most limit * (1 - exp(-t /
+//! T)), for every hand, contact and line. The filter has unit gain at rest and treats rising and
+//! falling forces alike, so the mean force remains that of the law. (With a filter that falls
+//! faster than it rises, the operator would feel the minimum of the last oscillations.)
 //!
-//! Misuse: what does not come from a tool. A force that depends on the hand at once, delayed, feeds it.
+//! The filter delays forces during a deficit, and they persist as long after the contact ends.
+//! Virtual fixtures, damping and the velocity-proportional damping term are not delayed. Units:
+//! forces 2^-16 N; deficits 2^-16 of a full one.
+//!
+//! Callers must pass only forces from a tool. A force that depends directly on the master's motion
+//! adds energy when it is delayed.
 
 use super::passivity::{COUNTED, WHOLE};
 use haptimill_math::force::Force;
 use haptimill_math::scale::{difference, multiply_high, total};
 use haptimill_protocol::haptic::COMPONENTS;
 
-/// Time constant for each whole debt, microseconds.
+/// Time constant per full deficit, microseconds.
 pub const SLOW_US: u32 = 350_000;
 
-/// Fraction bits of what is remembered, besides those of a force.
+/// Additional fraction bits of the filter state.
 const FRACTION: u32 = 12;
 
-/// The filter of the three shares.
+/// Filter of the three fed-back forces.
 #[derive(Debug, Clone)]
 pub struct FeedbackFilter {
-    /// [`SLOW_US`] in periods.
+    /// [`SLOW_US`] in control periods.
     periods: u32,
     slow: [i64; COMPONENTS],
 }
 
 impl FeedbackFilter {
-    /// At no force.
+    /// Creates a filter at zero force.
     #[must_use]
     pub fn new(period_us: u16) -> Self {
         Self {
@@ -39,19 +49,19 @@ impl FeedbackFilter {
         }
     }
 
-    /// Forgets what it smoothed.
+    /// Resets the filter to zero force.
     pub const fn reset(&mut self) {
         self.slow = [0; COMPONENTS];
     }
 
-    /// One period: the shares, each smoothed by what is owed along its axis.
+    /// Filters the forces of a control period, each by the deficit of its axis.
     pub fn smooth(
         &mut self,
         shares: &[Force; COMPONENTS],
         deficit_of: &[i32; COMPONENTS],
     ) -> [Force; COMPONENTS] {
         core::array::from_fn(|axis| {
-            // Periods of the time constant: at most 3 * 350,000.
+            // Time constant in control periods: at most 3 * 350,000.
             let deficit_of = deficit_of[axis].clamp(0, COUNTED * WHOLE) as u32;
             let constant = ((u64::from(self.periods) * u64::from(deficit_of)) >> 16) as u32;
             let share = i64::from(shares[axis].0) << FRACTION;
@@ -63,7 +73,7 @@ impl FeedbackFilter {
                 let away = difference(share, *slow);
                 total(*slow, multiply_high(away, u32::MAX / (constant + 1)))
             };
-            // Between shares, which are forces.
+            // The state lies between past forces, so it is in range.
             Force((total(*slow, 1 << (FRACTION - 1)) >> FRACTION) as i32)
         })
     }

@@ -1,63 +1,71 @@
-//! What part of the cutting force the hand feels (docs/control.md 3.4, 7.1 items 27-29).
+//! Force feedback law: the part of the cutting force that the operator feels (docs/control.md 3.4,
+//! 7.1 items 27-29).
 //!
-//! Each axis reflects a percentage of the force on the tool, with its sign, up to a limit. Where that is too weak to be felt (below 2 N), a tenth of a newton for each mm/s of the hand is added against its
-//! motion. The boost fades out over the last half newton below that threshold, so nothing steps; it only ever takes energy from the hand.
+//! Each axis feeds back a percentage of the force on the tool, with its sign, up to a limit. Where
+//! the force is too weak to feel (below 2 N), a velocity-proportional damping term of 0.1 N for
+//! each mm/s of the master opposes its motion. The term fades out over the last 0.5 N below that
+//! threshold, so the force is continuous. It only takes energy from the operator.
 //!
-//! Forces 2^-16 N, rates 2^-20 mm/s. New settings are approached at `RAMP_US` for the whole range. Misuse: the force on the work instead of the one on the tool: the hand would be pulled into the cut.
+//! Units: forces 2^-16 N, rates 2^-20 mm/s. Changed settings ramp over `RAMP_US` for the whole
+//! range.
+//!
+//! Callers must pass the force on the tool. The force on the workpiece would pull the operator's
+//! hand into the cut.
 
 use haptimill_math::Rate;
 use haptimill_math::force::Force;
 use haptimill_math::scale::saturate;
 use haptimill_protocol::haptic::{COMPONENTS, ReflectAxis, Reflection};
 
-/// How long settings take for a change by their whole range (100 %, [`MOST`]), microseconds.
+/// Ramp time of settings for a change over their whole range (100 %, [`MOST`]), microseconds.
 const RAMP_US: i64 = 1_000_000;
 
-/// The largest limit of an axis: 10 N.
+/// Largest limit of an axis: 10 N.
 pub const MOST: Force = Force(10 << 16);
 
-/// The largest boost: 1 N for each mm/s, in 2^-16 N s/mm.
+/// Largest velocity-proportional damping: 1 N for each mm/s, in 2^-16 N s/mm.
 pub const BOOST_MOST: u16 = u16::MAX;
 
-/// Over how much force the boost fades out: 0.5 N. A power of two in its unit.
+/// Force range over which the damping term fades out: 0.5 N, a power of two in its unit.
 const FADE_SHIFT: u32 = 15;
 
-/// The law with its settings on their way.
+/// Force feedback law with ramped settings.
 #[derive(Debug, Clone, Default)]
 pub struct FeedbackLaw {
     /// Percentages, 2^-24 of one, and limits, 2^-24 N.
     percent: [i32; COMPONENTS],
     most: [i32; COMPONENTS],
-    /// Boost, 2^-24 N s/mm, and where it ends.
+    /// Velocity-proportional damping, 2^-24 N s/mm, and the force below which it acts.
     boost: i32,
     below: i32,
     commanded: Reflection,
-    /// All of it is what is wanted.
+    /// All settings have reached their targets.
     arrived: bool,
-    /// The way of a percentage in a period.
+    /// Change of a percentage in a control period.
     step: i32,
 }
 
-/// Whether settings are within their ranges: at most 100 %, limits from 0 to 10 N, a threshold from 0.5 N to 10 N.
+/// Whether settings are in range: at most 100 %, limits from 0 to 10 N, a threshold from 0.5 N to
+/// 10 N.
 #[must_use]
 pub fn is_sound(reflection: &Reflection) -> bool {
     let axis = |axis: &ReflectAxis| axis.percent <= 100 && (0..=MOST.0).contains(&axis.most);
     reflection.axes.iter().all(axis) && (1 << FADE_SHIFT..=MOST.0).contains(&reflection.boost_below)
 }
 
-/// `value` goes towards `commanded` by at most `step`.
+/// Moves `value` towards `commanded` by at most `step`.
 fn approach(value: &mut i32, commanded: i32, step: i32) {
     *value = commanded.clamp(value.saturating_sub(step), value.saturating_add(step));
 }
 
-/// A force held within a limit on either side.
+/// Clamps a force to a limit on either side.
 #[inline(always)]
 fn within(force: i32, most: i32) -> Force {
     Force(force.max(-most).min(most))
 }
 
 impl FeedbackLaw {
-    /// With these settings in force.
+    /// Creates a law with these settings in effect.
     #[must_use]
     pub fn new(settings: &Reflection, period_us: u16) -> Self {
         let mut law = Self {
@@ -70,19 +78,19 @@ impl FeedbackLaw {
         law
     }
 
-    /// Other settings from now on, gently.
+    /// Sets new settings, which ramp from the present ones.
     pub const fn set(&mut self, settings: &Reflection) {
         self.commanded = *settings;
         self.arrived = false;
     }
 
-    /// The settings that are wanted.
+    /// The target settings.
     #[must_use]
     pub const fn settings(&self) -> &Reflection {
         &self.commanded
     }
 
-    /// Once a period until it has arrived.
+    /// Ramps the settings; called once per control period until they reach their targets.
     #[inline(never)]
     fn approach(&mut self, step: i32) {
         let before = (self.percent, self.most, self.boost, self.below);
@@ -105,17 +113,18 @@ impl FeedbackLaw {
             self.commanded.boost_below << 8,
             step.saturating_mul(10),
         );
-        // What does not move is where it shall be.
+        // Settings that do not change have reached their targets.
         self.arrived = before == (self.percent, self.most, self.boost, self.below);
     }
 
-    /// The limit of an axis that is in force now.
+    /// The present limit of an axis.
     #[must_use]
     pub fn most(&self, axis: usize) -> Force {
         Force(self.most.get(axis).map_or(0, |most| most >> 8))
     }
 
-    /// One period: what the hand shall feel of a force on the tool while it moves at `rates`.
+    /// Computes the force feedback of a control period from the force on the tool and the rates of
+    /// the master.
     pub fn reflect(
         &mut self,
         forces: &[Force; COMPONENTS],
@@ -125,7 +134,8 @@ impl FeedbackLaw {
         self.boosted(&shares, rates)
     }
 
-    /// The first half of a period: the percentage of each force. What is more than can be felt, by limit and boost, is cut off already.
+    /// First half of a control period: the percentage of each force, clamped to the largest value
+    /// that limit and damping term can use.
     pub fn shares(&mut self, forces: &[Force; COMPONENTS]) -> [Force; COMPONENTS] {
         if !self.arrived {
             self.approach(self.step);
@@ -137,7 +147,7 @@ impl FeedbackLaw {
         })
     }
 
-    /// The second half: shares with the boost, within the limits.
+    /// Second half: adds the velocity-proportional damping term and applies the limits.
     #[must_use]
     pub fn boosted(
         &self,
@@ -147,22 +157,25 @@ impl FeedbackLaw {
         core::array::from_fn(|axis| {
             let share = shares[axis].0;
             let most = self.most[axis] >> 8;
-            // An axis that reflects nothing is not boosted either.
+            // An axis without force feedback has no damping term.
             if self.boost == 0 || self.percent[axis] == 0 {
                 return within(share, most);
             }
-            // 1 below the threshold less the fade, 0 above, in 2^-15.
+            // 1 below the threshold minus the fade range, 0 above the threshold, in 2^-15.
             let under = (self.below >> 8).saturating_sub(share.saturating_abs());
             let fade = under.clamp(0, 1 << FADE_SHIFT);
-            // 2^-20 mm/s times 2^-24 N s/mm is 2^-44 N; |rate| <= 2^31, boost < 2^24: at most 2^27, before and after the fade takes its turn.
+            // 2^-20 mm/s times 2^-24 N s/mm is 2^-44 N; |rate| <= 2^31, damping < 2^24: at most
+            // 2^27, before and after the fade.
             let against = ((i64::from(rates[axis].0) * i64::from(self.boost)) >> 28) as i32;
             let boost = ((i64::from(against) * i64::from(fade)) >> FADE_SHIFT) as i32;
             within(share.saturating_sub(boost), most)
         })
     }
 
-    /// What acts on an axis: reflection, damping and the push of a wall. The limit of the reflection is one for all that is not a wall: the sum is within it on either side, and beyond it only as far as a wall pushes. Where not everything
-    /// fits, the damping has the precedence: against a force at its limit it has twice the limit to act in, and along it the limit itself opposes the motion.
+    /// Adds the forces on an axis: feedback, damping and virtual fixture. One limit applies to
+    /// feedback plus damping: the sum stays within it on either side, and exceeds it only by the
+    /// force of the fixture. Damping has priority: against a force at its limit it has twice the
+    /// limit available, and along it the limit itself opposes the motion.
     #[must_use]
     pub fn together(&self, axis: usize, reflected: Force, damping: Force, wall: Force) -> Force {
         let most = i64::from(self.most(axis).0);

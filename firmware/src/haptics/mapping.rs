@@ -1,15 +1,19 @@
-//! From the hand to the tool: docs/control.md (3.1)-(3.8) in a form without a division by zero.
+//! Master-to-tool mapping: docs/control.md (3.1)-(3.8) without a division by zero.
 //!
-//! When the hand begins to lead (the button goes down, a coordinate is given to it, the scale changes), where it is and where the tool is are latched, coordinate by coordinate. From then on
+//! When the master starts to lead (the clutch closes, a coordinate is assigned to it, the scale
+//! changes), the positions of master and tool are latched for each coordinate. From then on
 //!
 //! ```text
 //! X_sd = G_P (X_m - X_mr) + X_sr          R_sd = (R_m R_mr^T) R_sr
 //! ```
 //!
-//! so at that moment the tool is told to be where it is, and nothing jumps. Of R_sd only the tool's axis can be followed: with s its direction at the latch, R_mr^T s =: h is a fixed direction in the handle, and R_m h is where the axis shall point.
-//! (3.27)-(3.28) make theta and alpha of it.
+//! At that moment the tool's target is its own position, so nothing jumps. Of R_sd the tool can
+//! follow only its axis. With s the tool axis at the latch, R_mr^T s =: h is a fixed direction in
+//! the handle, and R_m h is the target direction of the tool axis. (3.27)-(3.28) give theta and
+//! alpha.
 //!
-//! Misuse: latching while the tool moves, with where it is. It would be called back; latch where it comes to rest.
+//! Callers must latch the position at which a moving tool comes to standstill. The present position
+//! of a moving tool would pull it back.
 
 use super::Hand;
 use haptimill_kinematics::haptic_arm::Vector;
@@ -19,33 +23,35 @@ use haptimill_math::trig::{atan2, sin_cos};
 use haptimill_math::{Coordinate, Rate};
 use haptimill_protocol::message::MAX_AXES;
 
-/// Coordinates that a hand can lead: x, y, z, and theta and alpha by the direction of the tool.
+/// Number of coordinates that a master can lead: x, y, z, and theta and alpha by the direction of
+/// the tool.
 pub const LED: usize = 5;
 
-/// The first of the two angles.
+/// Index of the first of the two angles.
 const THETA: usize = 3;
 
-/// One of the position scale.
+/// Position scale of 1.
 pub const SCALE_ONE: u16 = 1 << 12;
 
-/// A handle in a period.
+/// Handle in a control period.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Frame {
-    /// The tip, 2^-20 mm.
+    /// Tip, 2^-20 mm.
     pub tip: Vector,
     /// n, o and a, Q30.
     pub axes: [Vector; 3],
-    /// The button is held.
+    /// The clutch is closed.
     pub engaged: bool,
 }
 
 impl Frame {
-    /// What was said of a hand afar, `age` periods ago of which `per_second` make a second. For a fiftieth of a second it is taken to go on as it went.
+    /// The frame of a remote master from a sample that is `age` control periods old, with
+    /// `per_second` control periods per second. The motion is extrapolated for at most 0.02 s.
     #[must_use]
     pub fn of(hand: &Hand, age: u32, per_second: u32) -> Self {
         let age = i64::from(age.min(per_second / 50));
         let on = |axis: usize| {
-            // 2^-12 mm/s times periods: below 2^31 * 2^9 * 2^8.
+            // 2^-12 mm/s times control periods: below 2^31 * 2^9 * 2^8.
             let way = (i64::from(hand.rate[axis]) << 8) * age / i64::from(per_second.max(1));
             saturate(i64::from(hand.tip[axis]) + way)
         };
@@ -62,21 +68,21 @@ impl Frame {
     }
 }
 
-/// What leads the tool.
+/// Master-to-tool mapping with its latched positions.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct MasterMapping {
     scale: i64,
-    /// Coordinates that are latched, a bit each.
+    /// Latched coordinates, one bit each.
     latched: u8,
     hand: Vector,
     tool: [i32; LED],
-    /// The tool's axis at the latch, in the handle.
+    /// Tool axis at the latch, in handle coordinates.
     held: Vector,
     targets: [Option<Coordinate>; MAX_AXES],
 }
 
 impl MasterMapping {
-    /// With a position scale, 2^-12.
+    /// Creates a mapping with a position scale, 2^-12.
     #[must_use]
     pub fn new(scale: u16) -> Self {
         Self {
@@ -85,13 +91,13 @@ impl MasterMapping {
         }
     }
 
-    /// The hand lets go.
+    /// Releases all coordinates.
     pub const fn release(&mut self) {
         self.latched = 0;
         self.targets = [None; MAX_AXES];
     }
 
-    /// One coordinate is latched anew when it is led next.
+    /// Releases one coordinate; it is latched again when it is led next.
     pub const fn release_one(&mut self, axis: usize) {
         if axis < LED {
             self.latched &= !(1 << axis);
@@ -99,7 +105,7 @@ impl MasterMapping {
         }
     }
 
-    /// Another scale, from where the hand has brought the tool to.
+    /// Sets the position scale and latches the present targets.
     pub fn set_scale(&mut self, scale: u16, frame: Option<&Frame>) {
         self.scale = i64::from(scale);
         for axis in 0..THETA {
@@ -111,19 +117,21 @@ impl MasterMapping {
         }
     }
 
-    /// Whether the hand leads anything.
+    /// Whether the master leads any coordinate.
     #[must_use]
     pub const fn leads(&self) -> bool {
         self.latched != 0
     }
 
-    /// Where the coordinates shall go that are led.
+    /// Target positions of the coordinates that the master leads.
     #[must_use]
     pub const fn targets(&self) -> &[Option<Coordinate>; MAX_AXES] {
         &self.targets
     }
 
-    /// One period: the hand leads the coordinates of `led` (a bit each); `rest` says where they come to rest if nothing leads them.
+    /// Computes the targets of a control period. The master leads the coordinates of `led` (one bit
+    /// each); `rest` returns the position at which a coordinate comes to standstill if nothing
+    /// leads it.
     pub fn follow(&mut self, frame: &Frame, led: u8, rest: impl Fn(usize) -> Coordinate) {
         self.targets = [None; MAX_AXES];
         let fresh = led & !self.latched;
@@ -154,7 +162,8 @@ impl MasterMapping {
         self.latched = led & ((1 << LED) - 1);
     }
 
-    /// Latches the tool's axis: (sin theta, cos theta sin alpha, cos theta cos alpha) in the handle.
+    /// Latches the tool axis: (sin theta, cos theta sin alpha, cos theta cos alpha) in handle
+    /// coordinates.
     #[cold]
     fn hold(&mut self, frame: &Frame, theta: Coordinate, alpha: Coordinate) {
         let ((s, c), (sa, ca)) = (sin_cos(theta.angle()), sin_cos(alpha.angle()));
@@ -168,7 +177,7 @@ impl MasterMapping {
             .map(|column| round_shift(dot(column, axis), 30) as i32);
     }
 
-    /// (3.27), (3.28).
+    /// Theta and alpha from (3.27), (3.28).
     fn angles(&self, frame: &Frame) -> [Coordinate; 2] {
         let row = |k: usize| {
             let parts = [frame.axes[0][k], frame.axes[1][k], frame.axes[2][k]];
@@ -181,52 +190,52 @@ impl MasterMapping {
 }
 
 fn dot(a: Vector, b: Vector) -> i64 {
-    // Directions: below 3 * 2^60.
+    // Both are directions: below 3 * 2^60.
     (0..3)
         .map(|axis| i64::from(a[axis]) * i64::from(b[axis]))
         .sum()
 }
 
-/// What was said last of a hand afar.
+/// Last sample of a remote master.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct RemoteMaster {
     hand: Hand,
-    /// Periods since it was so; `None` when nothing was said.
+    /// Control periods since the sample; `None` without a sample.
     age: Option<u32>,
 }
 
 impl RemoteMaster {
-    /// A new word of it, already so many periods old.
+    /// Sets a new sample that is `age` control periods old.
     pub const fn hear(&mut self, hand: &Hand, age: u32) {
         self.hand = *hand;
         self.age = Some(age);
     }
 
-    /// Nothing is known any more.
+    /// Forgets the sample.
     pub const fn forget(&mut self) {
         self.age = None;
     }
 
-    /// A period goes by.
+    /// Advances the age by one control period.
     pub const fn grow(&mut self) {
         if let Some(age) = &mut self.age {
             *age = age.saturating_add(1);
         }
     }
 
-    /// Its age in periods.
+    /// Age of the sample in control periods; `None` without a sample.
     #[must_use]
     pub const fn age(&self) -> Option<u32> {
         self.age
     }
 
-    /// Where it is.
+    /// Extrapolated frame of the master; `None` without a sample.
     #[must_use]
     pub fn frame(&self, per_second: u32) -> Option<Frame> {
         self.age.map(|age| Frame::of(&self.hand, age, per_second))
     }
 
-    /// Its rates.
+    /// Rates of the master, 2^-20 mm/s.
     #[must_use]
     pub fn rates(&self) -> [Rate; 3] {
         self.hand.rate.map(|rate| Rate(rate.saturating_mul(256)))

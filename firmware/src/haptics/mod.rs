@@ -1,18 +1,35 @@
-//! The hand on a haptic arm: where it is, and what it shall feel (docs/control.md 2.2, 2.4, 3.4, 3.5).
+//! Haptics: pose of a haptic arm, and force feedback to the operator (docs/control.md 2.2, 2.4,
+//! 3.4, 3.5).
 //!
-//! Two stages of the corridor are here. *Sense* ([`Haptic::measure`]): nine counters to the pose of the handle, and whether they can be believed. *Feel* ([`Haptic::render`]): the force on the tool through the [`law`],
-//! smoothed while the hand owes energy ([`smooth`]), the [`wall`]s, the damping that [`passivity`] and [`swing`] ask for, all within the limit of the axis and not faster than the configured step in a period, through the statics of the arm to six currents, all clamped together so that
-//! the direction stays. What is sensed of a force in a period is felt in the next: outputs take effect at its beginning.
+//! This module implements two stages of the control cycle. *Measure* ([`Haptic::measure`]) turns
+//! nine counters into the pose of the handle, and decides whether they are valid. *Render*
+//! ([`Haptic::render`]) computes six motor currents from the force on the tool:
+//! - the force feedback law ([`feedback_law`]);
+//! - the low-pass filter during an energy deficit ([`feedback_filter`]);
+//! - the virtual fixtures ([`walls`]);
+//! - the damping of the passivity controllers ([`passivity`], [`oscillation`]);
+//! - the limit of each axis, and the largest force step per control period;
+//! - the statics of the arm, with a common clamp of all currents that keeps the direction of the
+//!   force.
 //!
-//! The force that is reflected is the peak that force control works on: high forces are what the hand shall know of (docs/control.md 3.3), it rises in the period in which it was sampled, and a hand cannot follow the ripple of the teeth.
+//! A force measured in one control period reaches the operator in the next, because outputs take
+//! effect at its beginning.
+//!
+//! The fed-back force is the peak force of force control: the operator must know high forces
+//! (docs/control.md 3.3), the peak rises in the control period of its sample, and a hand cannot
+//! follow the ripple of the teeth.
 //!
 //! | part | units |
 //! | --- | --- |
-//! | places, rates | 2^-20 mm, 2^-20 mm/s |
-//! | forces | 2^-16 N; the force on the tool, and what the arm does to the hand |
-//! | torques of the motors | N mm, in f32, where the statics are |
+//! | positions, rates | 2^-20 mm, 2^-20 mm/s |
+//! | forces | 2^-16 N; force on the tool, and force of the arm on the operator |
+//! | motor torques | N mm, in f32 like the statics |
 //!
-//! A problem with the arm takes its motors off in the period in which it is seen, and they stay off until [`Haptic::reset`]; one that comes and goes while they are off anyway is only told. Misuse: [`Haptic::render`] without [`Haptic::measure`] before it in the same period.
+//! A problem of the arm switches its motors off in the control period in which it is detected. They
+//! stay off until [`Haptic::reset`]. A problem that occurs while they are off is reported but
+//! not latched.
+//!
+//! Callers must call [`Haptic::measure`] before [`Haptic::render`] in every control period.
 
 pub mod config;
 pub mod feedback_filter;
@@ -42,49 +59,50 @@ use walls::{TooSmall, Walls};
 
 mod motors;
 
-/// How long the reflection takes to come in, or to go, when the hand begins to lead or lets go, microseconds.
+/// Blend time of the force feedback when the master starts or stops to lead, microseconds.
 const BLEND_US: u32 = 100_000;
 
-/// How long it takes until most (63 %) of a debt of the hand is forgiven, microseconds: as long as it takes to feel that a contact is one that swings.
+/// Time constant of the leak of an energy deficit (63 %), microseconds: as long as an operator
+/// needs to notice an oscillating contact.
 const FORGET_US: u32 = 10_000_000;
 
-/// How old the last word of a tool afar may be, microseconds.
+/// Largest age of the last remote force, microseconds.
 const FEEL_US: u32 = 100_000;
 
-/// An encoder of a leg.
+/// Encoder of a leg.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
 struct Sensor {
     per_count: i64,
-    /// Counts beyond which nothing is looked at.
+    /// Counts beyond this are out of range.
     most: u32,
     preset: i32,
     low: i32,
     high: i32,
 }
 
-/// What was felt by a tool afar.
+/// Force on a remote tool.
 #[derive(Debug, Clone, Copy, Default)]
 struct RemoteMaster {
     force: [Force; COMPONENTS],
-    /// Periods for which it is still believed.
+    /// Control periods for which it is still valid.
     left: u32,
 }
 
-/// Counters at the handle's home.
+/// Counters at the home of the handle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Zero {
     counts: [[i32; 3]; LEGS],
     illegal: [[u16; 3]; LEGS],
 }
 
-/// A haptic arm.
+/// Haptic arm.
 #[derive(Debug, Clone)]
 pub struct Haptic {
     arm: HapticArm,
     sensors: [[Sensor; 3]; LEGS],
     motors: Motors,
     illegal_most: u16,
-    /// Part of a difference that the filter of the rates takes in a period, 2^-32.
+    /// Filter coefficient of the rates per control period, 2^-32.
     smoothing: u32,
     step: i32,
     periods_per_second: i64,
@@ -106,7 +124,7 @@ pub struct Haptic {
     rates: [i64; COMPONENTS],
     engaged: bool,
     ready: bool,
-    /// How much of the reflection is let through, 2^-16.
+    /// Blend factor of the force feedback, 2^-16.
     blend: i32,
     remote: RemoteMaster,
     force: [Force; COMPONENTS],
@@ -114,9 +132,9 @@ pub struct Haptic {
     wall: [Force; COMPONENTS],
     enabled: bool,
     problem: Option<HandProblem>,
-    /// It stays until it is reset.
+    /// The problem is latched until a reset.
     latched: bool,
-    /// The problem has not been told.
+    /// The problem has not been reported.
     fresh: bool,
 }
 
@@ -125,7 +143,7 @@ constants!(Haptic { arm, sensors, motors, illegal_most, smoothing, step, periods
 });
 
 impl Haptic {
-    /// The arm of a sound configuration; the handle stands at its home.
+    /// Creates the arm of a sound configuration. The handle must be at its home.
     #[must_use]
     #[cold]
     #[inline(never)]
@@ -150,7 +168,7 @@ impl Haptic {
             sensors,
             motors: Motors::new(&config.drives, config.condition),
             illegal_most: config.illegal_transitions,
-            // Below 1: the filter takes at least a period.
+            // Below 1: the time constant is at least one control period.
             smoothing: ((u64::from(period) << 32) / (filter + 1)).min(1 << 31) as u32,
             step: config.step.0,
             periods_per_second: i64::from(1_000_000 / period),
@@ -184,7 +202,7 @@ impl Haptic {
         haptic
     }
 
-    /// What its counters were at the handle's home.
+    /// Counters at the home of the handle.
     #[must_use]
     pub const fn zero(&self) -> Zero {
         Zero {
@@ -193,21 +211,21 @@ impl Haptic {
         }
     }
 
-    /// Counts as under another configuration whose counts mean the same.
+    /// Takes over the zero of another configuration with the same encoder scaling.
     pub const fn take_over(&mut self, zero: &Zero) {
         self.zero = zero.counts;
         self.illegal = zero.illegal;
         self.pose = None;
     }
 
-    /// Stage *sense*.
+    /// Runs the *measure* stage.
     pub fn measure(&mut self, inputs: &HapticInputs) {
         self.engaged = inputs.engaged;
         self.ready = inputs.drives_ready;
         self.moved = [0; COMPONENTS];
         let known = self.pose.is_some();
         let found = self.read(inputs).and_then(|readings| {
-            // Found in its place: it is too large to be handed on.
+            // Computed in place, because it is too large to be passed on.
             let pose = self.pose.get_or_insert_default();
             let found = self.arm.find(&readings, pose);
             found.map(|()| pose.tip).map_err(|error| match error {
@@ -225,7 +243,7 @@ impl Haptic {
         }
     }
 
-    /// Counters to readings.
+    /// Converts counters to leg readings.
     fn read(&mut self, inputs: &HapticInputs) -> Result<[LegReading; LEGS], HandProblem> {
         let mut readings = [LegReading::default(); LEGS];
         for (index, leg) in inputs.legs.iter().enumerate() {
@@ -245,7 +263,7 @@ impl Haptic {
                     leg: at,
                     sensor: here,
                 };
-                // As many counts make two turns, or 4 m: below 2^58 with the scale.
+                // The largest counts are two turns, or 4 m: below 2^58 with the scale.
                 if counts.unsigned_abs() > encoder.most {
                     return Err(range);
                 }
@@ -264,11 +282,13 @@ impl Haptic {
         Ok(readings)
     }
 
-    /// A new pose: where the tip is, and where it was known before, what it moved and its rates.
+    /// Updates tip, motion and rates from a new pose. `known` is whether the previous pose was
+    /// valid.
     fn go_on(&mut self, tip: [i32; COMPONENTS], known: bool) {
         if known {
             for (axis, rate) in self.rates.iter_mut().enumerate() {
-                // More than 16 mm in a period is no motion; the sides of the platform see to that.
+                // More than 16 mm in a control period is not motion; the side lengths of the
+                // platform detect it.
                 let moved = tip[axis]
                     .wrapping_sub(self.tip[axis])
                     .clamp(-(1 << 24), 1 << 24);
@@ -292,26 +312,26 @@ impl Haptic {
         self.latched |= latched;
     }
 
-    /// A problem that was not told yet.
+    /// Takes a problem that has not been reported.
     pub fn take_problem(&mut self) -> Option<HandProblem> {
         let fresh = core::mem::take(&mut self.fresh);
         self.problem.filter(|_| fresh)
     }
 
-    /// What is wrong with the arm.
+    /// The present problem of the arm.
     #[must_use]
     pub const fn problem(&self) -> Option<HandProblem> {
         self.problem
     }
 
-    /// The problem was looked after. What is still wrong is found again.
+    /// Clears a latched problem. A persistent one is detected again.
     pub const fn reset(&mut self) {
         self.problem = None;
         self.latched = false;
         self.fresh = false;
     }
 
-    /// The frame of the handle, if there is one that can be believed.
+    /// Frame of the handle; `None` if it is invalid.
     #[must_use]
     pub fn frame(&self) -> Option<Frame> {
         let pose = self.pose.as_ref().filter(|_| self.problem.is_none())?;
@@ -322,13 +342,13 @@ impl Haptic {
         })
     }
 
-    /// Rates of the tip.
+    /// Rates of the tip, 2^-20 mm/s.
     #[must_use]
     pub fn rates(&self) -> [Rate; COMPONENTS] {
         self.rates.map(|rate| Rate(saturate(rate >> 8)))
     }
 
-    /// What a tool afar feels, 2^-6 N.
+    /// Sets the force on a remote tool, 2^-6 N.
     pub fn set_remote_force(&mut self, force: [i16; COMPONENTS]) {
         self.remote = RemoteMaster {
             force: force.map(|part| Force(i32::from(part) << 10)),
@@ -336,13 +356,14 @@ impl Haptic {
         };
     }
 
-    /// What was said last of a tool afar, 2^-6 N, believed or not.
+    /// Last force on a remote tool, 2^-6 N, valid or not.
     #[must_use]
     pub fn remote_force(&self) -> [i16; COMPONENTS] {
         self.remote.force.map(|part| (part.0 >> 10) as i16)
     }
 
-    /// Stage *feel*: `tool` is what a tool here feels, `leads` whether the hand leads one now, `powered` whether the arm may have power.
+    /// Runs the *render* stage. `tool` is the force on a local tool, `leads` whether the master
+    /// leads a tool now, `powered` whether the arm may have power.
     pub fn render(
         &mut self,
         tool: Option<[Force; COMPONENTS]>,
@@ -379,11 +400,11 @@ impl Haptic {
         let idle = self.supply.watch_works(&works);
         let deficit_of =
             idle.map(|idle| all.max(((i64::from(swinging) * i64::from(idle)) >> 16) as i32));
-        // Of what is not led the whole motion is damped, half as much.
+        // Axes that the operator does not drive get half the damping, applied to the full velocity.
         let damped = deficit_of.map(|deficit_of| deficit_of.min(WHOLE) / 2);
         let swings = self.swings.damp(&rates, &idle, &damped);
         let shares = self.law.shares(&tool);
-        // What is let through is not smoothed: who lets go feels nothing more.
+        // The blend is applied after the filter: a released master feels no force.
         let shares = self
             .shares
             .smooth(&shares, &deficit_of)
@@ -405,7 +426,7 @@ impl Haptic {
                 outputs.enabled = true;
                 outputs.currents = currents;
                 self.enabled = true;
-                // What the motors cannot do did not act.
+                // The observers must see only the force that the motors produced.
                 self.force = force
                     .map(|force| Force(saturate((i64::from(force.0) * i64::from(share)) >> 16)));
             }
@@ -416,7 +437,7 @@ impl Haptic {
         }
     }
 
-    /// The motors are off, and nothing is remembered of what they did.
+    /// Switches the motors off and resets all force states.
     fn let_go(&mut self, outputs: &mut HapticOutputs) {
         *outputs = HapticOutputs::default();
         self.enabled = false;
@@ -430,15 +451,16 @@ impl Haptic {
         self.supply.reset();
     }
 
-    /// Other settings of the reflection.
+    /// Sets the force feedback law.
     pub const fn set_feedback(&mut self, settings: &Reflection) {
         self.law.set(settings);
     }
 
-    /// Puts a virtual wall, or takes it away; without a place where the tip is now.
+    /// Sets or removes a face of the virtual fixture. Without a position it is placed at the tip.
     ///
     /// # Errors
-    /// [`TooSmall`]; nothing changes.
+    ///
+    /// Returns [`TooSmall`] if the ball does not fit; nothing changes.
     pub fn set_wall(
         &mut self,
         axis: usize,
@@ -450,19 +472,19 @@ impl Haptic {
         self.walls.set(axis, upper, wall)
     }
 
-    /// The force that acts on the hand.
+    /// Force of the arm on the operator.
     #[must_use]
     pub const fn force(&self) -> &[Force; COMPONENTS] {
         &self.force
     }
 
-    /// The pose of the handle.
+    /// Pose of the handle; `None` if it is invalid.
     #[must_use]
     pub const fn pose(&self) -> Option<&HandPose> {
         self.pose.as_ref()
     }
 
-    /// What recorders want to know.
+    /// State for recorders.
     #[must_use]
     pub fn snapshot(&self) -> HapticSnapshot {
         let raw = |forces: &[Force; COMPONENTS]| forces.map(|force| force.0);
@@ -474,7 +496,7 @@ impl Haptic {
         }
     }
 
-    /// How the hand stands.
+    /// Telemetry of the master.
     #[must_use]
     pub fn telemetry(&self, period: u64) -> HandTelemetry {
         let short = |forces: &[Force; COMPONENTS]| {
@@ -500,7 +522,7 @@ impl Haptic {
         }
     }
 
-    /// Adds what was worked out from the configuration to a digest.
+    /// Adds the constants computed from the configuration to a digest.
     pub fn digest(&self, digest: &mut Digest) {
         Constants::digest(self, digest);
     }

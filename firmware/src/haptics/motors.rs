@@ -1,6 +1,7 @@
-//! The six motors of the arm: from what the hand shall feel to codes of the current amplifiers.
+//! Six motors of the haptic arm: from the force on the operator to codes of the current amplifiers.
 //!
-//! f32, as the statics. A motor that is asked for more than its limit makes all six smaller by the same part, so that the force keeps its direction.
+//! Arithmetic is in f32, like the statics. If a motor would exceed its limit, all six are scaled by
+//! the same factor, so the force keeps its direction.
 #![allow(
     clippy::float_arithmetic,
     reason = "behind the 6 x 6 system of the haptic arm, which is f32"
@@ -12,10 +13,10 @@ use core::hash::{Hash, Hasher};
 use haptimill_kinematics::haptic_arm::statics::{Singular, Wrench};
 use haptimill_kinematics::haptic_arm::{HandPose, HapticArm};
 
-/// Most magnitude of a code.
+/// Largest magnitude of a code.
 const CODE_MAX: f32 = 8191.0;
 
-/// The amplifiers: codes for a unit of effort, and most effort, in N or N mm.
+/// Amplifiers: codes per unit of effort, and largest effort, in N or N mm.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Motors {
     gains: [[f32; 2]; LEGS],
@@ -33,10 +34,10 @@ impl Hash for Motors {
 }
 
 impl Motors {
-    /// Those of a sound configuration.
+    /// Creates the motors of a sound configuration.
     #[must_use]
     pub fn new(amplifiers: &[[Amplifier; 2]; LEGS], condition: u16) -> Self {
-        // Efforts are in 2^-16 N or N m; the statics speak of N and N mm.
+        // Efforts are in 2^-16 N or N m; the statics use N and N mm.
         let unit = |index: usize| {
             if index == 0 {
                 1.0 / 65_536.0
@@ -54,10 +55,11 @@ impl Motors {
         }
     }
 
-    /// Codes for a wrench, and which part of it they make, 2^-16.
+    /// Computes the codes of a wrench, and the fraction of the wrench that they produce, 2^-16.
     ///
     /// # Errors
-    /// [`Singular`].
+    ///
+    /// Returns [`Singular`] if the statics are singular.
     pub fn currents(
         &self,
         arm: &HapticArm,
@@ -81,7 +83,8 @@ impl Motors {
             for (index, code) in codes.iter_mut().enumerate() {
                 let value = efforts[leg][index] * share * self.gains[leg][index];
                 let rounded = value + if value < 0.0 { -0.5 } else { 0.5 };
-                // A cast cuts towards zero, and of no number it makes 0. To a word it is one instruction.
+                // A cast truncates towards zero and converts NaN to 0. A cast to a word is one
+                // instruction.
                 *code = rounded.clamp(-CODE_MAX, CODE_MAX) as i32 as i16;
             }
         }

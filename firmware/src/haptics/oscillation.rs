@@ -1,12 +1,23 @@
-//! A second watch over the energy at the hand, on what swings alone; and whether the hand leads.
+//! Oscillation damper: a second passivity observer, on force and motion without their slow parts,
+//! and the operator power estimate.
 //!
-//! A hand that leads a cut is opposed by a force that grows with its speed and comes late: tool, cut, the peak over a revolution. On a light hand that swings, at some 5 to 10 Hz and by half a millimetre, although the hand
-//! as a whole puts in 20 mW all the time. The watch over the whole energy ([`super::passivity`]) credits it with them and sees nothing: a swing takes 1 N mm. So the same observer and controller are used once more, on force and motion
-//! without their slow parts, which are means over some tenth of a second. In a steady cut both are nothing, and at rest there is no damping. On a stiff contact a soft hand puts in and gets back up to 40 N mm in a swing, more than the
-//! whole account counts, so that half of the time there seems to be no debt; here the sum is clear.
+//! In a cut the master is opposed by a force that grows with its speed and comes late, through
+//! tool, cut and the peak over a revolution. With a light hand this causes an oscillation of some 5
+//! to 10 Hz and 0.5 mm, although the operator puts in 20 mW on average. The observer of the whole
+//! energy ([`super::passivity`]) counts this power as surplus and does not detect the oscillation,
+//! which takes 1 N mm. This module therefore applies the same observer and controller to force and
+//! motion without their slow parts, which are means over some 0.1 s. Both are zero in a steady cut,
+//! and at standstill there is no damping.
 //!
-//! *Who leads* ([`OperatorPower`]). A hand that holds still is passive: in a swing that goes on it gets energy, in the mean, and puts none in. One that puts in some milliwatts along an axis leads along it. There only what swings is
-//! damped, and the reflection is not smoothed: the swing is that of a cut, which a damper can take. Elsewhere the debt of the swings counts as one of the whole motion.
+//! On a stiff contact a soft hand puts in and gets back up to 40 N mm in an oscillation. This
+//! exceeds the range of the observer of the whole energy, so half of the time it shows no deficit.
+//! The sum of this module is unambiguous.
+//!
+//! *Operator power estimate* ([`OperatorPower`]). A hand that holds still is passive: in a
+//! sustained oscillation it receives energy on average and puts none in. A hand that puts in some
+//! milliwatts along an axis drives that axis. There only the oscillation is damped, and the force
+//! feedback is not filtered: the oscillation is that of a cut, which a damper can handle. On other
+//! axes the deficit of the oscillation counts as one of the whole motion.
 //!
 //! Units as in [`super::passivity`].
 
@@ -16,29 +27,32 @@ use haptimill_math::force::Force;
 use haptimill_math::scale::{difference, product, saturate, shift_right, total};
 use haptimill_protocol::haptic::COMPONENTS;
 
-/// The mean that is taken for the slow part is over at least so long, microseconds; the next power of two of periods.
+/// Shortest averaging time of the slow part, microseconds; rounded up to a power of two of control
+/// periods.
 const SLOW_US: u32 = 100_000;
 
-/// How long it takes until most (63 %) of what swings took out is forgiven, microseconds. A hand that does not swing any more pays nothing back.
+/// Time constant of the leak of the oscillation's deficit (63 %), microseconds. A hand that has
+/// stopped oscillating returns no energy.
 const FORGET_US: u32 = 10_000_000;
 
-/// The mean of what the hand puts in is over at least so long, microseconds; the next power of two of periods.
+/// Shortest averaging time of the operator power, microseconds; rounded up to a power of two of
+/// control periods.
 const MEAN_US: u32 = 1_000_000;
 
-/// What a hand puts in that leads, N mm/s, which are mW.
+/// Power of an operator that drives an axis, N mm/s, which are mW.
 const LEADS_N_MM_S: i64 = 5;
 
 /// Fraction bits of the slow parts.
 const FRACTION: u32 = 12;
 
-/// What is left of a value without its slow part.
+/// High-pass filter: a value without its slow part.
 #[derive(Debug, Clone, Copy, Default)]
 struct OscillationDamper {
     slow: i64,
 }
 
 impl OscillationDamper {
-    /// The mean is over 2^`shift` periods.
+    /// Filters a value. The slow part is the mean over 2^`shift` control periods.
     fn of(&mut self, value: i32, shift: u32) -> i32 {
         // Both are below 2^43, and so is the magnitude of their difference below 2^44.
         let fine = i64::from(value) << FRACTION;
@@ -47,7 +61,7 @@ impl OscillationDamper {
     }
 }
 
-/// The watch over what swings.
+/// Passivity observer and controller of the oscillation.
 #[derive(Debug, Clone)]
 pub struct OscillationDampers {
     watch: Passivity,
@@ -58,7 +72,7 @@ pub struct OscillationDampers {
 }
 
 impl OscillationDampers {
-    /// At rest.
+    /// Creates the dampers at standstill.
     #[must_use]
     pub fn new(config: &PassivityConfig, period_us: u16) -> Self {
         let periods = SLOW_US / u32::from(period_us.max(1));
@@ -71,7 +85,7 @@ impl OscillationDampers {
         }
     }
 
-    /// Forgets everything.
+    /// Resets all states.
     pub fn reset(&mut self) {
         self.watch.reset();
         self.force = Default::default();
@@ -79,7 +93,8 @@ impl OscillationDampers {
         self.rates = self.force;
     }
 
-    /// Once a period: `force` acted while the tip moved by `moved` (2^-20 mm), and the virtual walls hold `stored`.
+    /// Updates the observer in every control period: `force` acted while the tip moved by `moved`
+    /// (2^-20 mm), and the virtual fixtures store `stored`.
     pub fn watch(&mut self, force: &[Force; COMPONENTS], moved: &[i32; COMPONENTS], stored: i64) {
         let shift = self.shift;
         let force = core::array::from_fn(|axis| Force(self.force[axis].of(force[axis].0, shift)));
@@ -87,8 +102,10 @@ impl OscillationDampers {
         self.watch.observe(&force, &moved, stored);
     }
 
-    /// The force against what swings of a motion of the hand, as far as it is led: of each axis `idle` is the part to which it is not, and `damped` the part of the whole damping that acts on all of the motion already. Dampers are not
-    /// added up.
+    /// Damping force against the oscillating part of the master's motion, on axes that the operator
+    /// drives. For each axis `idle` is the fraction to which the operator does not drive it, and
+    /// `damped` the fraction of the full damping that already acts on the whole motion. The dampers
+    /// are not added.
     pub fn damp(
         &mut self,
         rates: &[Rate; COMPONENTS],
@@ -97,7 +114,8 @@ impl OscillationDampers {
     ) -> [Force; COMPONENTS] {
         let part = self.watch.deficit_of().min(WHOLE);
         core::array::from_fn(|axis| {
-            // A hand that has stopped is not damped, though its slow part goes on for a while: no more than it moves.
+            // A master that has stopped is not damped, although its slow part decays later: the
+            // damped rate is at most the actual one.
             let most = rates[axis].0.saturating_abs();
             let swings = self.rates[axis].of(rates[axis].0, self.shift);
             let rate = Rate(swings.clamp(-most, most));
@@ -106,32 +124,32 @@ impl OscillationDampers {
         })
     }
 
-    /// Credit of the swings, or below 0 debt, as [`Passivity::energy`].
+    /// Energy surplus of the oscillation, or below 0 the deficit, as [`Passivity::energy`].
     #[must_use]
     pub const fn energy(&self) -> i64 {
         self.watch.energy()
     }
 
-    /// The debt of the swings, as [`Passivity::deficit_of`].
+    /// Energy deficit of the oscillation, as [`Passivity::deficit_of`].
     #[must_use]
     pub fn deficit_of(&self) -> i32 {
         self.watch.deficit_of()
     }
 }
 
-/// What the hand puts in along each axis, in the mean.
+/// Operator power estimate: mean power along each axis.
 #[derive(Debug, Clone)]
 pub struct OperatorPower {
     shift: u32,
-    /// 2^-36 N mm in a period, from which on it leads.
+    /// Energy per control period from which on the operator drives the axis, 2^-36 N mm.
     leads: i64,
-    /// 2^56 by it.
+    /// 2^56 divided by `leads`.
     per_leads: i64,
     power: [i64; COMPONENTS],
 }
 
 impl OperatorPower {
-    /// At rest.
+    /// Creates the estimate at zero power.
     #[must_use]
     pub fn new(period_us: u16) -> Self {
         let period = u32::from(period_us.max(1));
@@ -145,12 +163,13 @@ impl OperatorPower {
         }
     }
 
-    /// Forgets everything.
+    /// Resets the estimate.
     pub const fn reset(&mut self) {
         self.power = [0; COMPONENTS];
     }
 
-    /// Once a period: `force` acted while the tip moved by `moved`. Gives of each axis the part to which the hand does not lead, 2^-16.
+    /// Updates the estimate in every control period: `force` acted while the tip moved by `moved`.
+    /// Returns for each axis the fraction to which the operator does not drive it, 2^-16.
     pub fn watch(
         &mut self,
         force: &[Force; COMPONENTS],
@@ -159,10 +178,10 @@ impl OperatorPower {
         self.watch_works(&works(force, moved))
     }
 
-    /// The same, for the work along each axis.
+    /// As [`OperatorPower::watch`], with the work along each axis.
     pub(super) fn watch_works(&mut self, works: &[i64; COMPONENTS]) -> [i32; COMPONENTS] {
         core::array::from_fn(|axis| {
-            // A work is at most 2^46, and so is a mean of them.
+            // A work is at most 2^46, and so is their mean.
             let away = difference(difference(0, works[axis]), self.power[axis]);
             let power = total(self.power[axis], shift_right(away, self.shift));
             self.power[axis] = power;
@@ -187,7 +206,8 @@ mod tests {
         (value * unit) as i32
     }
 
-    /// A hand that goes steadily against a steady force is not damped; one that swings besides, with a force that comes late, is.
+    /// A steady motion against a steady force is not damped; an added oscillation with a late force
+    /// is.
     #[test]
     fn only_what_swings_is_damped() {
         let damped = |amplitude: f64, late: f64| {
@@ -196,7 +216,7 @@ mod tests {
             let mut most = 0;
             for period in 0..15_000_u32 {
                 let time = f64::from(period) * 200e-6;
-                // 6 mm/s against 3 N, and a swing of 8 Hz.
+                // 6 mm/s against 3 N, and an oscillation of 8 Hz.
                 let swing = |time: f64| amplitude * (50.0 * time).sin();
                 let rate = -6.0 + swing(time);
                 let force = [
@@ -217,13 +237,14 @@ mod tests {
             f64::from(most) / 65_536.0
         };
         assert!(damped(0.0, 0.0) < 0.01, "{}", damped(0.0, 0.0));
-        // In time, the force takes energy from the swing.
+        // A force in phase takes energy from the oscillation.
         assert!(damped(10.0, 0.0) < 0.05, "{}", damped(10.0, 0.0));
-        // Half a swing late, it feeds it.
+        // A force that is half an oscillation late adds energy to it.
         assert!(damped(10.0, 0.06) > 1.0, "{}", damped(10.0, 0.06));
     }
 
-    /// Swings that owe all that is counted are damped with the whole damping where the hand leads, with none where it does not, and in between in proportion.
+    /// An oscillation with the full deficit gets the full damping on axes that the operator drives,
+    /// none on others, and a proportional one between.
     #[test]
     fn a_whole_debt_is_damped_wholly() {
         let mut swings = OscillationDampers::new(&CONFIG, 200);
@@ -234,7 +255,8 @@ mod tests {
             swings.watch(&force, &[of(0.002 * swing, 1_048_576.0), 0, 0], 0);
         }
         assert!(swings.deficit_of() > 2 * WHOLE);
-        // A rate out of nothing swings but for a 512th. 0.3 N s/mm; what is damped anyway is not damped again.
+        // A step of the rate differs from its high-passed value by 1/512. 0.3 N s/mm; motion that
+        // is already damped is not damped again.
         let rates = [Rate(10 << 20); 3];
         let got = swings.damp(&rates, &[0, WHOLE, WHOLE / 2], &[0, 0, WHOLE / 4]);
         for (force, want) in got.into_iter().zip([3.0, 0.0, 0.75]) {
@@ -243,12 +265,15 @@ mod tests {
         }
     }
 
-    /// A passive hand that holds still, and is driven to and fro by a force, does not lead, though for half of each swing it gives back what it got; one at rest against a force does not either.
+    /// A passive hand that a force moves to and fro does not drive the axis, although it returns
+    /// energy for half of each oscillation. A hand at standstill against a force does not drive it
+    /// either.
     #[test]
     fn a_hand_that_is_driven_does_not_lead() {
         for (amplitude, late) in [(0.0, 0.0), (0.5, 0.3), (2.0, 1.2), (4.0, 0.1)] {
             let mut supply = OperatorPower::new(200);
-            // 5 Hz; a force of 3 N, and one of 1.5 N that leads the motion by `late` of a quarter turn: it drives it.
+            // 5 Hz; a force of 3 N, and one of 1.5 N that is ahead of the motion by `late` of a
+            // quarter turn: it drives the hand.
             for period in 0..25_000_u32 {
                 let turn = f64::from(period) * 200e-6 * 31.4;
                 let rate = amplitude * 31.4 * turn.cos();

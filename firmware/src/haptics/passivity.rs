@@ -1,17 +1,27 @@
-//! Keeps the loop through the hand from swinging, whatever hand, contact and delay: passivity in the time domain at the hand's port.
+//! Time-domain passivity observer and controller at the operator's port. They keep the loop through
+//! the operator stable for every hand, contact and delay.
 //!
-//! *Observer.* The force of the last period times what the tip moved in it is the work that the arm has done on the hand, to the last bit: the force was constant, and the way is
-//! measured, so no rate has to be estimated. What the hand put in is credit, what it got back is paid from it. The credit has a cap: what was dissipated long ago must not pay for a swing now (a cut of one slot would be worth
-//! fifty swings). What the virtual walls store is added to the cap, because they are springs that give it back.
+//! *Observer.* The force of the last control period times the displacement of the tip is the exact
+//! work of the arm on the operator: the force was constant, and the displacement is measured, so no
+//! rate estimate is needed. Energy that the operator puts in is surplus; energy that returns
+//! reduces it. The surplus is capped, because energy dissipated long ago must not cover an
+//! oscillation now (a cut of one slot would cover fifty oscillations). The energy stored in the
+//! virtual fixtures is added to the cap, because they are springs that return it.
 //!
-//! *Controller.* Where more came out than went in there is debt. Damping in proportion to it acts against the hand's motion, whole at [`PassivityConfig::deficit`] and beyond. At rest it is nothing, so in steady contact the
-//! force is that of the law, whatever the debt. More than [`COUNTED`] times that debt is not counted: a soft hand that is pushed back by a force takes energy that it will keep. What is left is forgiven over the time that whoever owns
-//! the watch gives it; a hand that moves against the damping has paid it before.
+//! *Controller.* If more energy came out than went in, there is a deficit. Damping proportional to
+//! the deficit opposes the master's motion, and is full at [`PassivityConfig::deficit`] and beyond.
+//! At standstill it is zero, so in steady contact the force is that of the law for every deficit.
+//! The deficit is limited to [`COUNTED`] times that value: a soft hand that a force pushes back
+//! takes energy that it keeps. The remaining deficit leaks with the time constant given by the
+//! owner of the observer. A hand that moves against the damping pays it back earlier.
 //!
-//! A damper behind a filter and a limit on the step of the force can be made only so strong. What is more than it can take is taken out of the reflection: see [`super::smooth`], which works by the same debt.
-//! `tests/reflection_chain` sweeps hands, contacts and lines.
+//! The filter and the force step limit bound the strength of a damper. The part that the damper
+//! cannot absorb is taken out of the force feedback: see [`super::feedback_filter`], which uses the
+//! same deficit. `tests/reflection_chain` sweeps hands, contacts and lines.
 //!
-//! Energies 2^-36 N mm (a newton in 2^-16 times a millimetre in 2^-20). Misuse: observing a force that was not the one that acted. After a clamp, observe what is left of it.
+//! Units: energies 2^-36 N mm (2^-16 N times 2^-20 mm).
+//!
+//! Callers must pass the force that acted. After a clamp this is the clamped force.
 
 use haptimill_math::Rate;
 use haptimill_math::force::Force;
@@ -19,19 +29,19 @@ use haptimill_math::scale::{difference, product, total};
 use haptimill_protocol::haptic::COMPONENTS;
 use serde::{Deserialize, Serialize};
 
-/// Bounds of the energy at the hand.
+/// Bounds of the energy at the operator's port.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct PassivityConfig {
-    /// The most credit, besides what the walls store, 2^-16 N mm: to 100 N mm.
+    /// Largest surplus, without the energy of the fixtures, 2^-16 N mm: to 100 N mm.
     pub surplus: u32,
-    /// Debt at which the damping is whole, 2^-16 N mm: 0.01 to 100 N mm.
+    /// Deficit with full damping, 2^-16 N mm: 0.01 to 100 N mm.
     pub deficit: u32,
-    /// The whole damping, 2^-16 N s/mm: to 0.5 N s/mm.
+    /// Full damping, 2^-16 N s/mm: to 0.5 N s/mm.
     pub damping: u32,
 }
 
 impl PassivityConfig {
-    /// Whether all are within their ranges.
+    /// Whether all values are in range.
     #[must_use]
     pub fn is_sound(&self) -> bool {
         self.surplus <= 100 << 16
@@ -40,7 +50,7 @@ impl PassivityConfig {
     }
 }
 
-/// The work of a force on a tip that moved, along each axis, 2^-36 N mm: at most 2^46.
+/// Work of a force on a moving tip, along each axis, 2^-36 N mm: at most 2^46.
 pub(super) fn works(force: &[Force; COMPONENTS], moved: &[i32; COMPONENTS]) -> [i64; COMPONENTS] {
     core::array::from_fn(|axis| {
         // At most 2^22 (64 N) times 2^24 (16 mm).
@@ -49,30 +59,30 @@ pub(super) fn works(force: &[Force; COMPONENTS], moved: &[i32; COMPONENTS]) -> [
     })
 }
 
-/// How many times the debt of the whole damping is counted.
+/// Largest deficit, as a multiple of the deficit with full damping.
 pub const COUNTED: i32 = 3;
 
-/// Parts of a debt: 1, at which the damping is whole.
+/// One full deficit, in the unit of [`Passivity::deficit_of`].
 pub const WHOLE: i32 = 1 << 16;
 
-/// Observer and controller.
+/// Passivity observer and controller.
 #[derive(Debug, Clone)]
 pub struct Passivity {
     cap: i64,
-    /// The least that the energy may be: what is counted of debt.
+    /// Lowest energy: the largest deficit.
     least: i64,
-    /// 2^58 by the debt.
+    /// 2^58 divided by the full deficit.
     per_debt: i64,
     /// At most 2^15.
     damping: u32,
-    /// Part of a debt that is forgiven in a period, 2^-32; below 2^26.
+    /// Fraction of a deficit that leaks per control period, 2^-32; below 2^26.
     forget: i64,
-    /// Credit, or below 0 debt.
+    /// Surplus, or below 0 deficit.
     energy: i64,
 }
 
 impl Passivity {
-    /// Without credit or debt; of a debt 63 % are forgiven in `forget_us`.
+    /// Creates an observer at zero energy, with the leak's time constant (63 %) `forget_us`.
     #[must_use]
     pub fn new(config: &PassivityConfig, period_us: u16, forget_us: u32) -> Self {
         // At most 2^43.
@@ -87,51 +97,53 @@ impl Passivity {
         }
     }
 
-    /// Forgets credit and debt.
+    /// Resets the energy to zero.
     pub const fn reset(&mut self) {
         self.energy = 0;
     }
 
-    /// Credit, or below 0 debt, 2^-36 N mm.
+    /// Energy surplus, or below 0 deficit, 2^-36 N mm.
     #[must_use]
     pub const fn energy(&self) -> i64 {
         self.energy
     }
 
-    /// Observer: `force` acted while the tip moved by `moved` (2^-20 mm); the walls hold `stored` now.
+    /// Updates the observer: `force` acted while the tip moved by `moved` (2^-20 mm); the virtual
+    /// fixtures store `stored` now.
     pub fn observe(&mut self, force: &[Force; COMPONENTS], moved: &[i32; COMPONENTS], stored: i64) {
         self.observe_works(&works(force, moved), stored);
     }
 
-    /// The same, for the work along each axis.
+    /// As [`Passivity::observe`], with the work along each axis.
     pub(super) fn observe_works(&mut self, works: &[i64; COMPONENTS], stored: i64) {
         let [x, y, z] = *works;
-        // A work is at most 2^46, debt and cap below 2^45, and the walls hold below 2^56.
+        // A work is at most 2^46, deficit and cap are below 2^45, and the fixtures store less than
+        // 2^56.
         let energy = difference(self.energy, total(total(x, y), z));
         let energy = energy.max(self.least).min(total(self.cap, stored));
-        // A debt less 8 bits is below 2^37.
+        // A deficit shifted by 8 bits is below 2^37.
         self.energy = match energy {
             0.. => energy,
             _ => difference(energy, product(energy >> 8, self.forget) >> 24),
         };
     }
 
-    /// The debt in parts of that of the whole damping, 2^-16: 0 to [`COUNTED`] of them.
+    /// Deficit as a fraction of the full deficit, 2^-16: 0 to [`COUNTED`] times that.
     #[must_use]
     pub fn deficit_of(&self) -> i32 {
-        // Of at most 3 * 2^43: below 2^33, and times 2^58 / debt below 2^48.
+        // At most 3 * 2^43: shifted below 2^33, and times 2^58 / deficit below 2^48.
         let deficit = difference(0, self.energy.min(0));
         (product(deficit >> 12, self.per_debt) >> 30) as i32
     }
 
-    /// Controller: the force against a motion of the hand.
+    /// Damping forces of the controller against the master's motion.
     #[must_use]
     pub fn damp(&self, rates: &[Rate; COMPONENTS]) -> [Force; COMPONENTS] {
         let part = self.deficit_of().min(WHOLE);
         rates.map(|rate| self.damp_by(part, rate))
     }
 
-    /// A part of the whole damping, 2^-16, against a motion of the hand along an axis.
+    /// A fraction of the full damping, 2^-16, against the master's motion along an axis.
     #[must_use]
     pub fn damp_by(&self, part: i32, rate: Rate) -> Force {
         // At most 2^15 times 2^16, and then at most 2^15.

@@ -1,11 +1,14 @@
-//! Virtual walls: a box that the hand is kept in, any face of which may move (docs/control.md 3.5, 7.1 item 30).
+//! Virtual fixture: a box around the master's tip, whose faces push back and may move
+//! (docs/control.md 3.5, 7.1 item 30).
 //!
-//! A face pushes back in proportion to how far the tip is beyond it, and only then; up to a limit. Lengths 2^-20 mm, forces 2^-16 N.
+//! A face pushes in proportion to the penetration of the tip, up to a limit. Units: lengths 2^-20
+//! mm, forces 2^-16 N.
 //!
-//! A face that stands is a spring: what it gives back was put in. What it holds at the moment is told ([`Walls::stored`]), so that the watch over the hand's energy lets it give that back. A face that moves against the hand
-//! does work of its own, and that is not lent to it.
+//! A stationary face is a spring: it returns only energy that was put in. [`Walls::stored`] reports
+//! its present energy, so that the passivity observer lets it return. A face that moves against the
+//! operator does work of its own, which does not count as stored.
 //!
-//! Misuse: a box smaller than the ball at the tip; [`Walls::set`] refuses it.
+//! A box must not be smaller than the ball at the tip; [`Walls::set`] refuses it.
 
 use haptimill_math::force::Force;
 use haptimill_math::scale::{product, saturate, total};
@@ -13,54 +16,54 @@ use haptimill_math::{Length, Rate};
 use haptimill_protocol::haptic::COMPONENTS;
 use serde::{Deserialize, Serialize};
 
-/// How stiff the walls are.
+/// Stiffness and force limit of the virtual fixtures.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct WallConfig {
-    /// Stiffness, 2^-16 N/mm: 0.05 to 2 N/mm. (0.35: what docs/control.md 3.5 finds in E6.)
+    /// Stiffness, 2^-16 N/mm: 0.05 to 2 N/mm. (0.35: result of E6 in docs/control.md 3.5.)
     pub stiffness: u32,
-    /// The most that a face pushes: 0.5 to 10 N.
+    /// Largest force of a face: 0.5 to 10 N.
     pub most: Force,
 }
 
 impl WallConfig {
-    /// Whether both are within their ranges.
+    /// Whether both values are in range.
     #[must_use]
     pub fn is_sound(&self) -> bool {
         (3276..=2 << 16).contains(&self.stiffness) && (1 << 15..=10 << 16).contains(&self.most.0)
     }
 }
 
-/// A face that is too near the opposite one.
+/// Error: a face is too near the opposite one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct TooSmall;
 
-/// A face of the box.
+/// Face of the box.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 struct Face {
-    /// Where it is, 2^-40 mm.
+    /// Position, 2^-40 mm.
     at: i64,
-    /// What it moves in a period, 2^-40 mm.
+    /// Displacement per control period, 2^-40 mm.
     step: i64,
     on: bool,
 }
 
-/// The walls around the hand.
+/// Faces of the virtual fixtures.
 #[derive(Debug, Clone)]
 pub struct Walls {
     stiffness: i64,
     most: i64,
-    /// How far beyond a face its push is the most, 2^-20 mm.
+    /// Penetration at which the force of a face reaches its limit, 2^-20 mm.
     deep: i64,
     period_us: i64,
-    /// Least distance of two opposite faces.
+    /// Smallest distance of two opposite faces.
     room: i64,
-    /// Of each axis the lower and the upper face.
+    /// Lower and upper face of each axis.
     faces: [[Face; 2]; COMPONENTS],
     stored: i64,
 }
 
 impl Walls {
-    /// No faces. `ball` is the diameter of the tip.
+    /// Creates fixtures without faces. `ball` is the diameter of the ball at the tip.
     #[must_use]
     pub fn new(config: &WallConfig, ball: Length, period_us: u16) -> Self {
         let stiffness = i64::from(config.stiffness.max(1));
@@ -75,10 +78,12 @@ impl Walls {
         }
     }
 
-    /// Puts a face of an axis (`upper` or lower) at a place, moving at a rate; or takes it away.
+    /// Sets a face of an axis (`upper` or lower) at a position, moving at a rate; or removes it.
     ///
     /// # Errors
-    /// [`TooSmall`]: the ball would not fit between it and the opposite face. Nothing changes.
+    ///
+    /// Returns [`TooSmall`] if the ball does not fit between it and the opposite face, or if there
+    /// is no such axis. Nothing changes.
     pub fn set(
         &mut self,
         axis: usize,
@@ -105,32 +110,32 @@ impl Walls {
         }
         faces[side] = Face {
             at,
-            // 2^-20 mm/s to 2^-40 mm in a period: below 2^31 * 2^10 * 2^20.
+            // 2^-20 mm/s to 2^-40 mm per control period: below 2^31 * 2^10 * 2^20.
             step: i64::from(rate.0) * self.period_us * (1 << 20) / 1_000_000,
             on: true,
         };
         Ok(())
     }
 
-    /// Takes all faces away.
+    /// Removes all faces.
     pub fn clear(&mut self) {
         self.faces = [[Face::default(); 2]; COMPONENTS];
     }
 
-    /// Where the faces of an axis are.
+    /// Positions of the faces of an axis, lower and upper; `None` for no face.
     #[must_use]
     pub fn faces(&self, axis: usize) -> [Option<Length>; 2] {
         let faces = self.faces.get(axis).copied().unwrap_or_default();
         faces.map(|face| face.on.then(|| Length(saturate(face.at >> 20))))
     }
 
-    /// What the walls would give back if the hand went out of them now, 2^-36 N mm.
+    /// Energy that the fixtures would return if the tip left them now, 2^-36 N mm.
     #[must_use]
     pub const fn stored(&self) -> i64 {
         self.stored
     }
 
-    /// One period: the push on a tip.
+    /// Computes the force on a tip, and moves the faces by one control period.
     pub fn push(&mut self, tip: &[i32; COMPONENTS]) -> [Force; COMPONENTS] {
         let mut forces = [Force::ZERO; COMPONENTS];
         self.stored = 0;
@@ -139,7 +144,7 @@ impl Walls {
                 if !face.on {
                     continue;
                 }
-                // It comes to a stop at the end of what a length can be.
+                // A face stops at the end of the range of a length.
                 face.at = total(face.at, face.step).clamp(-(1 << 51), 1 << 51);
                 // Both are at most 2^31.
                 let beyond = (face.at >> 20) - i64::from(tip[axis]);
@@ -147,7 +152,8 @@ impl Walls {
                 if depth <= 0 {
                     continue;
                 }
-                // At most 2^20 << 20 before it is shifted; what is stored is below 2^20 * 2^33 for each face.
+                // At most 2^20 << 20 before the shift; the stored energy is below 2^20 * 2^33 for
+                // each face.
                 let spring = depth.min(self.deep);
                 let force = (product(spring, self.stiffness) >> 20).min(self.most);
                 self.stored = total(self.stored, product(force, depth - spring / 2));

@@ -376,8 +376,8 @@ impl Motion {
         moving
     }
 
-    /// Whether the master may lead on. A blocked master may lead again once all trackers are at
-    /// standstill.
+    /// Whether the master may continue to lead. A blocked master may lead again once all trackers
+    /// are at standstill.
     fn hand_goes_on(&mut self) -> bool {
         self.tracking_blocked = self.tracking_blocked && !self.are_trackers_at_standstill();
         !self.tracking_blocked
