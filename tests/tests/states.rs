@@ -55,7 +55,7 @@ fn homing_finds_the_references_wherever_the_slides_were_set_up() {
         ]));
         bench.ask(Command::Home).expect("homing");
         let mut jump = 0.0_f64;
-        for _ in 0..20_000 {
+        for _ in 0..40_000 {
             let before = tool(&bench);
             bench.step();
             jump = jump.max(distance(&bench, before));
@@ -154,7 +154,7 @@ fn homing_can_be_stopped_and_done_again() {
     }
     for _ in 0..3 {
         bench.ask(Command::Home).expect("homing");
-        assert!(bench.wait_for(State::Idle, 20_000));
+        assert!(bench.wait_for(State::Idle, 40_000));
         assert!(bench.status().homed);
         let (linear, angle) = pose_off(&mut bench);
         assert!(
