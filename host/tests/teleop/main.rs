@@ -430,7 +430,7 @@ fn how_it_ended_is_in_the_exit_code() {
         "4",
     ];
     let said = ending(6, &folder, "out", AWAY, &trip);
-    assert_eq!(said["session"]["ended"], "hand_fault");
+    assert_eq!(said["session"]["ended"], "haptic_fault");
     let because = said["session"]["because"].as_str().unwrap();
     assert!(because.contains("`reset-hand`"), "{because}");
     let cut = ["--hand-fault", "link-cut at=2s", "--for", "5"];

@@ -1,6 +1,6 @@
 //! Scenes of force control: a machine that is tared, with a wall or a block at its tool, and what the loop does.
 
-use super::{MM, line, rest};
+use super::{MM, line, rest, state};
 use haptimill_hil_sim::process::ProcessConfig;
 use haptimill_hil_sim::process::sensor::SensorConfig;
 use haptimill_hil_sim::process::{
@@ -8,7 +8,7 @@ use haptimill_hil_sim::process::{
 };
 use haptimill_hil_sim::rig::Control;
 use haptimill_protocol::force::{ForceLoop, Gate};
-use haptimill_protocol::message::{Action, AxisValues, Command, Event};
+use haptimill_protocol::message::{Action, AxisValues, Command, Event, State};
 use haptimill_protocol::setpoint::Setpoint;
 use haptimill_tests::Bench;
 
@@ -100,6 +100,17 @@ pub fn block(at: [f64; 3], force_scale: f64) -> ProcessConfig {
         }),
         ..sensor_alone()
     }
+}
+
+/// Turns the table by `degrees` and waits for the end of the job.
+pub fn turn_table(bench: &mut Bench, degrees: f64) {
+    let start = bench.status().commanded;
+    // `line` goes 0.1 s at its speed for each span and for one more.
+    bench.start_job(1, &line(&start, 4, degrees / 0.4, 3));
+    while state(bench) == State::Run {
+        bench.step();
+    }
+    assert_eq!(state(bench), State::Idle, "{:?}", bench.events);
 }
 
 /// A job: spindle on and up to speed, a line in x at `speed`, and a rest of so many seconds with the spindle on.
