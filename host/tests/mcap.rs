@@ -106,12 +106,12 @@ mod built {
                 "/force/high",
                 "/force/low",
                 "/force/true",
+                "/joints/commanded",
                 "/joints/error",
                 "/joints/measured",
-                "/joints/commanded",
+                "/pose/commanded",
                 "/pose/programmed",
                 "/pose/tool",
-                "/pose/commanded",
                 "/state",
                 "/yielded"
             ]
