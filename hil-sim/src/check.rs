@@ -2,7 +2,7 @@
 
 use core::fmt;
 
-/// A problem of a [`PlantConfig`].
+/// A problem of a [`PlantConfig`](crate::config::PlantConfig).
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlantError {
     /// Path of the field: `joint 2: motor_share`.

@@ -11,7 +11,7 @@
 //! * [`process`]: spindle, cutter, workpiece, cutting force, structure, force sensor.
 //! * [`haptics`]: the haptic master arm; [`operator`]: the operator model that moves it.
 //! * [`plant`]: the complete machine, advanced by one control period at a time.
-//! * [`line`]: the serial line; [`fault`], [`schedule`]: injected faults and their times.
+//! * [`mod@line`]: the serial line; [`fault`], [`schedule`]: injected faults and their times.
 //! * [`rig`]: plant, controller and line in lockstep; [`io_log`]: all inputs and outputs of the
 //!   controller.
 

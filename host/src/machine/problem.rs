@@ -39,7 +39,7 @@ impl fmt::Display for Problem {
 /// The most problems of a file that are listed; the rest is counted.
 pub const LISTED_PROBLEMS: usize = 50;
 
-/// What is wrong in a machine file, in the order of the lines, at most [`LISTED_PROBLEMS`] and never empty; and how many problems more there are.
+/// What is wrong in a machine file, in the order of the lines, at most `LISTED_PROBLEMS` and never empty; and how many problems more there are.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Problems(pub Vec<Problem>, pub usize);
 
