@@ -31,7 +31,6 @@ const TAKE: usize = 1;
 /// Costs in the same units: check of one piece of a long segment, and decoding the next setpoint.
 /// The piece check exceeds the budget of a period in which a frame came, so it runs in a later one.
 const PIECE: usize = 5;
-const PIECE_GROUP: u8 = 4;
 const READ: usize = 5;
 
 /// Executes the received request and answers it.
@@ -355,14 +354,8 @@ fn validate_setpoint(
     let pieces = machine.pieces(setpoint);
     let mut piece = tried.saturating_sub(axes + 1) as u8;
     while piece < pieces {
-        let cost = if piece + 1 == pieces {
-            // The last piece ends at the pose that was checked.
-            TAKE
-        } else if piece.is_multiple_of(PIECE_GROUP) {
-            PIECE
-        } else {
-            0
-        };
+        // The last piece ends at the pose that was checked.
+        let cost = if piece + 1 == pieces { TAKE } else { PIECE };
         if *budget < cost {
             break;
         }

@@ -80,7 +80,7 @@ fn a_panic_in_any_stage_switches_the_drives_off_and_is_told() {
 fn a_stack_that_overflows_is_told() {
     for board in BOARDS {
         for what in ["recurse", "frame"] {
-            for place in ["drive", "main"] {
+            for place in ["servo", "main"] {
                 let (reason, after) = until_it_happens(board, &[what, place, &PERIOD.to_string()]);
                 println!("{board}, {what} in {place}, after {after:?}: {reason}");
                 assert!(reason.contains("the stack has overflown"), "{reason}");

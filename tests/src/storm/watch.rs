@@ -1542,7 +1542,13 @@ impl Watch {
         );
         let all = format!("{controller:?}");
         if let Some(at) = all.rfind("job: Job {") {
-            let changing = ["since_urgent", "unchecked", "busy", "missed", "overtaken"];
+            let changing = [
+                "since_urgent",
+                "digest_backlog",
+                "busy",
+                "missed",
+                "stale_commands",
+            ];
             for field in all[at..].split(", ") {
                 if !changing.iter().any(|name| field.starts_with(name)) {
                     text.push_str(field);
