@@ -469,7 +469,7 @@ fn instructions_of_a_period() {
             "dome",
             &dome,
             Vec::new(),
-            [8_000.0, 14_000.0],
+            [8_470.0, 15_120.0],
         ),
         job(
             "E11 circle, cut under force control of x and z",
