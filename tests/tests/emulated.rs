@@ -476,13 +476,13 @@ fn instructions_of_a_period() {
             "e11-force",
             &circle,
             yielding(),
-            [12_000.0, 18_000.0],
+            [9_380.0, 16_780.0],
         ),
         Job {
             title: "E8, a hand leads and feels the cut, force control of x, y and z, the image with the haptic arm",
             name: "e8",
             what: What::Scenario("e8"),
-            ceilings: [19_500.0, 25_500.0],
+            ceilings: [22_100.0, 30_520.0],
         },
     ];
     let mut table = String::from(TABLE_HEAD) + &instructions_of_the_kinematics();
