@@ -210,15 +210,10 @@ impl<C: Control> Bench<C> {
     /// The first refusal.
     pub fn try_job(&mut self, job: u32, setpoints: &[Setpoint]) -> Result<(), Refusal> {
         let start = self.status().commanded;
-        let mut coder = SetpointCoder::new(self.machine.config.period_us, &start);
+        let batches = batches(self.machine.config.period_us, &start, setpoints);
         self.ask(Command::JobStart { job, pose: start })?;
-        for (index, batch) in setpoints.chunks(SETPOINT_BATCH).enumerate() {
-            let items = batch
-                .iter()
-                .map(|setpoint| coder.encode(setpoint).expect("codes"))
-                .collect();
-            let first = (index * SETPOINT_BATCH) as u32;
-            self.ask(Command::Setpoints(SetpointBatch { first, items }))?;
+        for batch in batches {
+            self.ask(batch)?;
         }
         let count = setpoints.len() as u32;
         self.ask(Command::JobEnd { count })
@@ -231,15 +226,8 @@ impl<C: Control> Bench<C> {
             pose: start.clone(),
         })
         .expect("started");
-        let mut coder = SetpointCoder::new(self.machine.config.period_us, start);
-        for (index, batch) in setpoints.chunks(SETPOINT_BATCH).enumerate() {
-            let items = batch
-                .iter()
-                .map(|setpoint| coder.encode(setpoint).expect("codes"))
-                .collect();
-            let first = (index * SETPOINT_BATCH) as u32;
-            self.ask(Command::Setpoints(SetpointBatch { first, items }))
-                .expect("taken");
+        for batch in batches(self.machine.config.period_us, start, setpoints) {
+            self.ask(batch).expect("accepted");
         }
     }
 
@@ -253,6 +241,24 @@ impl<C: Control> Bench<C> {
         }
         false
     }
+}
+
+/// Returns the setpoints of a job that begins at `start` as commands.
+#[must_use]
+pub fn batches(period_us: u16, start: &AxisValues, setpoints: &[Setpoint]) -> Vec<Command> {
+    let mut coder = SetpointCoder::new(period_us, start);
+    let batches = setpoints.chunks(SETPOINT_BATCH).enumerate();
+    batches
+        .map(|(index, batch)| {
+            Command::Setpoints(SetpointBatch {
+                first: (index * SETPOINT_BATCH) as u32,
+                items: batch
+                    .iter()
+                    .map(|setpoint| coder.encode(setpoint).expect("encodes"))
+                    .collect(),
+            })
+        })
+        .collect()
 }
 
 /// Returns a straight line in x from `start`: 0.1 s of acceleration to `speed` (mm/s), `spans`

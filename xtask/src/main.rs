@@ -1,6 +1,7 @@
 //! Developer tasks of the project. `cargo xtask help` lists them.
 
 mod board;
+mod planted;
 mod provide;
 mod storm;
 
