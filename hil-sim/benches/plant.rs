@@ -28,7 +28,7 @@ fn plant(criterion: &mut Criterion) {
         "plant: one period, five torque axes, truth and latch",
         |bencher| {
             bencher.iter(|| {
-                // All axes are shaken to and fro, so that friction, backlash and edges all have work.
+                // All axes oscillate, so that friction, backlash and encoder edges are computed.
                 let code = if (period >> 8) & 1 == 0 { 1000 } else { -1000 };
                 period = period.wrapping_add(1);
                 for axis in 0..5 {
@@ -96,7 +96,7 @@ fn plant(criterion: &mut Criterion) {
     let mut phase = 0.0;
     criterion.bench_function("geometry: true pose of moving slides", |bencher| {
         bencher.iter(|| {
-            // 4 mm/s: 0.8 um a period.
+            // 4 mm/s: 0.8 um per period.
             phase += 0.0008;
             let shift = if phase < 10.0 {
                 phase

@@ -1,4 +1,4 @@
-//! The surface that is left and how it is measured; the spindle; the elastic wall; what is refused.
+//! The cut surface and its measurement; the spindle; the elastic wall; refused configurations.
 
 mod mill;
 
@@ -31,7 +31,8 @@ fn slot_and_circle_are_measured_as_they_were_cut() {
     assert!((extents.x_max - half).abs() < 0.02);
     assert!((extents.y_max - half).abs() < 0.02 && (extents.y_min + half).abs() < 0.02);
 
-    // The circle of the experiment: 30 mm, from (0, 0) towards -x and -y, here 0.3 mm flat in y to see that it is seen.
+    // The circle of the experiment: 30 mm, from (0, 0) towards -x and -y, here flattened by 0.3 mm
+    // in y to test the measurement.
     let config = config(block(-36.0, 6.0, -21.0, 21.0), Coefficients::P2);
     let mut bench = Bench::new(&config, [0.0, 0.0, 1.0]);
     bench.line([0.0, 0.0, -2.0], 10.0);
@@ -76,7 +77,7 @@ fn spindle_runs_up_and_stands() {
     for _ in 0..7500 {
         turns += spindle.advance(5000.0);
     }
-    // 1.5 s: the speed is n (1 - e^-5), the way n / 60 (t - T (1 - e^-5)).
+    // At 1.5 s the speed is n (1 - e^-5), and the angle n / 60 (t - T (1 - e^-5)).
     let left = (-5.0_f64).exp();
     assert!((spindle.rpm() - 5000.0 * (1.0 - left)).abs() < 1e-6);
     let exact = 5000.0 / 60.0 * (1.5 - 0.3 * (1.0 - left));
@@ -136,7 +137,8 @@ fn nonsense_is_refused_whole() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 40, rng_seed: proptest::test_runner::RngSeed::Fixed(1), failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// After any sweeps every point of the map is exactly as low as the lowest ball that passed over it.
+    /// After any sweeps every point of the map is exactly as low as the lowest ball that passed
+    /// over it.
     #[test]
     fn sweeps_leave_the_envelope_of_the_ball(
         places in prop::collection::vec((-3.0..3.0_f64, -3.0..3.0_f64, 2.0..7.0_f64), 2..6)
@@ -154,7 +156,7 @@ proptest! {
         for row in (0..rows).step_by(5) {
             for column in (0..columns).step_by(5) {
                 let [x, y] = piece.place(column, row);
-                // Dense balls along the way.
+                // Densely placed balls along the path.
                 let mut lowest = 0.0_f64;
                 for pair in places.windows(2) {
                     for step in 0..=400 {
@@ -168,7 +170,8 @@ proptest! {
                     }
                 }
                 let ours = f64::from(piece.heights()[row * columns + column]);
-                // Steps of 20 um: near a wall the dense balls lie higher by what the slope makes of them.
+                // Steps of 20 um: near a wall the dense balls are higher by the effect of the
+                // slope.
                 prop_assert!(ours <= lowest + 1e-5, "{ours} {lowest}");
                 prop_assert!(ours > lowest - 0.15, "{ours} {lowest}");
             }

@@ -1,4 +1,4 @@
-//! Masses and frictions of the haptic arm against conservation laws and closed formulas.
+//! Masses and friction of the haptic arm against conservation laws and closed formulas.
 
 use haptimill_firmware::io::HapticOutputs;
 use haptimill_hil_sim::haptics::{HapticArm, HapticConfig};
@@ -26,7 +26,8 @@ fn run(arm: &mut HapticArm, seconds: f64, mut each: impl FnMut(&HapticArm)) {
     }
 }
 
-/// A blow that sends the handle round its whole working space: without force and friction its energy stays, to 20 ppm.
+/// An impulse sends the handle through its whole workspace: without force and friction its energy
+/// is constant to 20 ppm.
 #[test]
 fn energy_stays_without_friction() {
     for twist in [
@@ -38,7 +39,7 @@ fn energy_stays_without_friction() {
         arm.strike(twist);
         let start = arm.energy();
         let (mut worst, mut farthest) = (0.0_f64, 0.0_f64);
-        // The stops are springs, whose energy is not counted: until one is near.
+        // The stops are springs whose energy is not counted, so the run ends near one.
         run(&mut arm, 0.15, |arm| {
             worst = worst.max((arm.energy() / start - 1.0).abs());
             farthest = arm
@@ -56,7 +57,7 @@ fn energy_stays_without_friction() {
     }
 }
 
-/// The same with weight: what is lost in height is won in speed.
+/// The same with weight: potential energy becomes kinetic energy.
 #[test]
 fn energy_stays_while_it_falls() {
     let mut config = free();
@@ -70,7 +71,7 @@ fn energy_stays_while_it_falls() {
         motion = motion.max(arm.truth().twist[2].abs());
     });
     assert!(motion > 300.0, "falls: {motion} mm/s");
-    // Against the energy of the motion, some 80 N mm.
+    // Relative to the kinetic energy, about 80 N mm.
     assert!(worst < 2e-3, "{worst} N mm");
 }
 
@@ -85,7 +86,7 @@ fn with_friction_energy_only_falls() {
         let mut before = arm.energy();
         run(&mut arm, 1.5, |arm| {
             let now = arm.energy();
-            // The integration itself swings by some ppm.
+            // The integration itself varies by some ppm.
             assert!(now <= before * (1.0 + 2e-5) + 1e-12, "{before} {now}");
             before = now;
         });
@@ -93,7 +94,7 @@ fn with_friction_energy_only_falls() {
     }
 }
 
-/// Coulomb friction holds a handle that is pulled with less than it takes, and lets it go with more.
+/// Coulomb friction holds a handle against a smaller force, and releases it at a larger one.
 #[test]
 fn friction_holds() {
     let mut config = free();
@@ -112,7 +113,8 @@ fn friction_holds() {
     assert!(falls.truth().tip[2] < -1.0, "{}", falls.truth().tip[2]);
 }
 
-/// Straight up from home all three legs move alike: what a force meets is body, links and three slides, each seen with its own ratio.
+/// Straight up from home all three legs move alike: the effective mass is body, links and three
+/// slides, each with its ratio.
 #[test]
 fn a_force_meets_the_mass_that_there_is() {
     let mut config = free();
@@ -146,7 +148,7 @@ fn the_same_blow_gives_the_same_bits() {
     assert!(first.0.tip.iter().all(|x| x.is_finite()));
 }
 
-/// An arm that nobody wants anything of is not stepped any more; it wakes at once.
+/// An arm at rest without input is no longer stepped; it wakes at once.
 #[test]
 fn an_arm_at_rest_sleeps_and_wakes() {
     let mut arm = arm(&HapticConfig::default());
@@ -169,7 +171,7 @@ fn an_arm_at_rest_sleeps_and_wakes() {
     assert!(arm.truth().tip.iter().any(|x| x.abs() > 0.5));
 }
 
-/// Whatever the motors do, the arm stays an arm.
+/// Any motor torques leave the loops of the arm closed.
 #[test]
 fn full_torque_in_every_direction_ends_at_the_stops() {
     for pattern in 0..64_u32 {

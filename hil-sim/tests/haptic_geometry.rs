@@ -1,5 +1,7 @@
-//! The loops of the haptic arm against rows that were made by other means (50 rows of the reference geometry REF-M: joints, pose, tip, and the motor efforts that hold a force), and
-//! against differences.
+//! The loops of the haptic arm against independent data, and against differences.
+//!
+//! The data are 50 rows of the reference geometry REF-M: joints, pose, tip, and the motor efforts
+//! that hold a force.
 
 use haptimill_firmware::io::HapticOutputs;
 use haptimill_hil_sim::haptics::dynamics::Dynamics;
@@ -97,7 +99,8 @@ fn the_closed_loops_lead_back_to_the_pose() {
     }
 }
 
-/// The efforts of the table, through our own rows, make the force of the table: J^T tau = F, without a moment.
+/// The efforts of the table, through our own rows, give the force of the table: J^T tau = F,
+/// without a moment.
 #[test]
 fn efforts_of_the_table_hold_its_force() {
     let geometry = geometry();
@@ -116,7 +119,7 @@ fn efforts_of_the_table_hold_its_force() {
     }
 }
 
-/// The table's efforts out of our own rows.
+/// The efforts of the table from our own rows.
 #[test]
 fn rows_hold_a_force_with_the_efforts_of_the_table() {
     let geometry = geometry();
@@ -134,8 +137,8 @@ fn rows_hold_a_force_with_the_efforts_of_the_table() {
     }
 }
 
-/// A hand that pushes against the handle with a force, and motors that give the efforts of the table for it: what is left of the acceleration is below one percent, codes of 14
-/// bits included.
+/// A force on the handle, and motors with the table's efforts against it: the remaining
+/// acceleration is below one percent, including codes of 14 bits.
 #[test]
 fn golden_efforts_hold_a_force() {
     let mut config = HapticConfig::default();
@@ -180,7 +183,8 @@ fn golden_efforts_hold_a_force() {
 
 #[test]
 fn codes_in_the_amplifiers_push_at_the_handle_as_the_table_says() {
-    // The row of docs/control.md 7.2: at home, F = (3.2, 0, 1.2) N is 0.2973 N along each slide and 0, -255.69, 255.69 N mm about them.
+    // The row of docs/control.md 7.2: at home, F = (3.2, 0, 1.2) N is 0.2973 N along each slide and
+    // 0, -255.69, 255.69 N mm about them.
     let mut config = HapticConfig::default();
     for actuator in [&mut config.slide, &mut config.turn] {
         actuator.coulomb = 0.0;
@@ -194,13 +198,13 @@ fn codes_in_the_amplifiers_push_at_the_handle_as_the_table_says() {
     for (leg, turn) in [0.0, -255.69, 255.69].into_iter().enumerate() {
         outputs.currents[leg] = [code(0.2973, 20.0), code(turn, 2000.0)];
     }
-    // 4 ms: eight time constants of the amplifier; the handle has hardly moved.
+    // 4 ms are eight time constants of the amplifier; the handle has hardly moved.
     for _ in 0..20 {
         arm.advance(&outputs, true);
     }
     let reflected = arm.truth().reflected;
     for (ours, told) in reflected.iter().zip([3.2, 0.0, 1.2, 0.0, 0.0, 0.0]) {
-        // 1 % of the force; moments in N mm, at some tenth of a mm of way.
+        // 1 % of the force; moments in N mm, at about a tenth of a mm of travel.
         let bound = if told == 0.0 { 0.1 } else { 0.01 * told };
         assert!((ours - told).abs() < bound, "{reflected:?}");
     }
@@ -234,7 +238,7 @@ proptest! {
         }
     }
 
-    /// Rates of the joints from the rows against central differences of the joints themselves.
+    /// Rates of the joints from the rows against central differences of the joints.
     #[test]
     fn rows_are_the_derivatives(v in prop::array::uniform6(-0.8..0.8f64), twist in prop::array::uniform6(-1.0..1.0f64)) {
         let geometry = geometry();

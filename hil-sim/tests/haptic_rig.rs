@@ -1,4 +1,4 @@
-//! The haptic arm as a part of the machine: what a controller on the rig sees of it and does to it, and what goes wrong there.
+//! The haptic arm in the rig: its sensors, its motors and its faults as a controller sees them.
 
 mod machine;
 
@@ -7,7 +7,7 @@ use haptimill_hil_sim::haptics::HapticConfig;
 use haptimill_hil_sim::operator::{OperatorConfig, Stroke, Trajectory};
 use haptimill_hil_sim::{Control, Fault, PlantConfig, Rig, RigOptions};
 
-/// A controller that remembers what it sees and puts fixed codes on the first leg.
+/// A controller that records its inputs and puts fixed codes on the first leg.
 #[derive(Default)]
 struct Remembers {
     code: i16,
@@ -81,7 +81,7 @@ fn the_controller_sees_the_hand_go() {
     }
 }
 
-/// Outputs take effect in the period after the one in which they were said.
+/// Outputs take effect in the next period.
 #[test]
 fn codes_act_a_period_later() {
     let pushes = |periods: usize| {

@@ -1,4 +1,4 @@
-//! The rig: order of things in a period, bytes, faults, and the same bits on every run.
+//! The rig: sequence within a period, bytes, faults, and repeatability.
 
 mod machine;
 
@@ -8,7 +8,7 @@ use haptimill_hil_sim::{Control, PlantConfig, Rig, RigOptions};
 use proptest::prelude::*;
 use std::hash::{DefaultHasher, Hash, Hasher};
 
-/// Independent position loops in f64, as a controller of this machine would be: K_P = 40,000 1/s^2, K_D = 400 1/s with a filter of 1.5 ms.
+/// Independent position loops in f64: K_P = 40,000 1/s^2, K_D = 400 1/s with a filter of 1.5 ms.
 struct Loops {
     joints: Vec<Joint>,
     wanted: fn(f64) -> [f64; 5],
@@ -38,7 +38,7 @@ impl Loops {
                 per_count: joint.per_count(),
                 start,
                 inertia: joint.inertia / joint.kind.acceleration_unit(),
-                // A fifth of the friction is not known to the controller.
+                // A fifth of the friction is not compensated.
                 coulomb: 0.8 * joint.coulomb,
                 full_scale: if joint.lead > 5.0 { 800.0 } else { 40.0 },
                 error: 0.0,
@@ -77,7 +77,7 @@ impl Control for Loops {
     }
 }
 
-/// Slides and table swing slowly, by 5 mm and 2 degrees, at up to some 4 mm/s.
+/// Slides and table oscillate slowly, by 5 mm and 2 degrees, at up to about 4 mm/s.
 fn swing(time: f64) -> [f64; 5] {
     let soft = 1.0 - (-time * 4.0).exp() * (1.0 + time * 4.0);
     std::array::from_fn(|axis| {
@@ -142,7 +142,8 @@ fn plain_loops_hold_the_unfriendly_machine() {
     }
     let rms = (squares / f64::from(count)).sqrt();
     println!("slide error: largest {worst:.4} mm, rms {rms:.4} mm");
-    // The screw mode does not ring up, the friction does not hold it back: slides stay within the figures of the machine.
+    // The screw mode is not excited, and friction does not stop the motion: the slides stay within
+    // the machine's figures.
     assert!(worst < 0.05, "largest slide error {worst} mm, rms {rms} mm");
     assert!(rms < 0.02, "rms {rms} mm");
 }
@@ -284,7 +285,8 @@ fn the_urgent_stop_overtakes_what_waits() {
     );
     rig.host_write(&[7; 400]);
     rig.host_write(&[0, 0x18, 0]);
-    // It stands behind 400 bytes, of which some are lost, and is known at once; and only once.
+    // The stop is behind 400 bytes, of which some are lost. It is recognised at once, and only
+    // once.
     let urgent: Vec<bool> = (0..4)
         .map(|_| {
             rig.step();
@@ -346,7 +348,7 @@ fn a_jammed_slide_stands_and_a_healed_one_goes_on() {
         let before = rig.plant().truth().joints[0];
         rig.step();
         let moves = rig.plant().truth().joints[0] != before;
-        // The step in which it is caught is over after 20 us.
+        // The step in which it is recognised ends after 20 us.
         if (2501..3500).contains(&period) {
             assert!(!moves, "moved at {period}");
         } else if period > 3600 && moves {
@@ -470,7 +472,7 @@ fn any_direction() -> impl Strategy<Value = Direction> {
 
 proptest! {
     #![proptest_config(ProptestConfig { rng_seed: proptest::test_runner::RngSeed::Fixed(1), failure_persistence: None, ..ProptestConfig::default() })]
-    /// A fault and its line of text are the same thing.
+    /// A fault and its line of text are equivalent.
     #[test]
     fn faults_as_text(
         axis in "[a-z][a-z0-9]{0,5}",
@@ -495,7 +497,7 @@ proptest! {
         let fault = Fault { at_s, for_s, what };
         let read: Fault = fault.to_string().parse().expect("reads back");
         prop_assert_eq!(&read, &fault);
-        // And through a scenario file.
+        // The same through a scenario file.
         let file = toml::Value::try_from(&fault).expect("writes");
         prop_assert_eq!(file.try_into::<Fault>().expect("reads"), fault);
     }

@@ -1,4 +1,4 @@
-//! The force sensor: what it measures, and each of its faults alone.
+//! The force sensor: its measurement, and each of its faults alone.
 
 use haptimill_hil_sim::process::sensor::{End, FULL_CODE, Sensor, SensorCondition, SensorConfig};
 use haptimill_hil_sim::random::Random;
@@ -39,7 +39,7 @@ fn range_ends_amplifier_and_adc() {
     let mut clipped = sensor(&config);
     clipped.sample([-500.0, 500.0, -49.0], 0.0);
     assert_eq!(clipped.codes(), [4096, -4096, 4014]);
-    // The charge is not lost: back in the range it is as it was.
+    // The charge is kept: back in the range, the output is as before.
     clipped.sample([0.0; 3], 0.0);
     assert_eq!(clipped.codes(), [0; 3]);
 }
@@ -75,7 +75,7 @@ fn drift_runs_until_the_reset() {
     sensor.reset();
     sensor.sample([-3.0, 0.0, 0.0], 0.0);
     assert!((sensor.signal()[0] - 3.0 - 1e-4).abs() < 1e-9);
-    // A force that was there at the reset counts as none.
+    // A force that is present at the reset counts as zero.
     sensor.reset();
     sensor.sample([-3.0, 0.0, 0.0], 0.0);
     assert!((sensor.signal()[0] - 1e-4).abs() < 1e-9);
@@ -117,7 +117,7 @@ fn weight_of_the_vise_turns_with_the_table() {
         let radian = alpha.to_radians();
         let signal = sensor.signal();
         assert!(signal[0].abs() < 1e-9);
-        // In the frame of the table gravity leans towards -y for a positive tilt about x.
+        // In the frame of the table gravity points towards -y for a positive tilt about x.
         assert!(
             (signal[1] + weight * radian.sin()).abs() < 1e-9,
             "{signal:?}"

@@ -1,4 +1,4 @@
-//! The largest of every message fits its frame, and each comes back as it went.
+//! The largest encoding of every message fits its frame, and each decodes to the same value.
 
 use haptimill_protocol::force::{
     COMPONENTS, ForceLoop, ForceParameter, ForceProblem, ForceRefusal, ForceTelemetry, Gate,
@@ -12,7 +12,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::fmt::Debug;
 
-/// Bytes of a message, after it has come back unchanged.
+/// Returns the bytes of a message, after a round trip without change.
 fn size<T: Serialize + DeserializeOwned + PartialEq + Debug>(message: &T) -> usize {
     let mut buffer = [0; 1024];
     let bytes = postcard::to_slice(message, &mut buffer).unwrap();
@@ -20,12 +20,12 @@ fn size<T: Serialize + DeserializeOwned + PartialEq + Debug>(message: &T) -> usi
     bytes.len()
 }
 
-/// Values whose coding is the longest.
+/// Values with the longest encoding.
 fn values() -> AxisValues {
     [i32::MIN; MAX_AXES].into_iter().collect()
 }
 
-/// A hand whose coding is the longest.
+/// A master pose with the longest encoding.
 const HAND: Hand = Hand {
     tip: [i32::MIN; COMPONENTS],
     rate: [i32::MIN; COMPONENTS],
@@ -115,7 +115,7 @@ fn requests_fit_a_frame() {
     ];
     let sizes = commands.map(|command| size(&Request { id: 255, command }));
     println!("requests: {sizes:?} bytes");
-    // The figure in the documentation of MAX_PAYLOAD.
+    // The value in the documentation of MAX_PAYLOAD.
     assert_eq!(sizes.into_iter().max(), Some(284));
     assert!(sizes.into_iter().all(|bytes| bytes <= MAX_PAYLOAD));
 }

@@ -1,5 +1,8 @@
-//! Where the simulator's time goes: `cargo run --release -p haptimill-tests --example speed -- FILE.ngc [WORK.toml]`. With a work it is cut: mill, structure and
-//! sensor are computed in every period. The recording is written by a second thread; `taskset -c 0` puts both on one core.
+//! Speed of the simulator: `cargo run --release -p haptimill-tests --example speed -- FILE.ngc
+//! [STOCK.toml]`.
+//!
+//! With a workpiece, mill, structure and sensor are computed in every period. A second thread
+//! writes the recording; `taskset -c 0` puts both on one core.
 use haptimill::client::Options;
 use haptimill::machine::{MachineFile, work};
 use haptimill::model::{Model, program_options, settings};

@@ -87,12 +87,12 @@ impl<C: Control> Bench<C> {
     }
 
     /// Runs one control period, with a fault injected into the bytes that the host sends in it.
-    pub fn step_with_fault(&mut self, spoil: impl FnOnce(&mut Vec<u8>)) {
+    pub fn step_with_fault(&mut self, corrupt: impl FnOnce(&mut Vec<u8>)) {
         let now = self.rig.time_ns() / 1000;
         let mut buffer = [0; 256];
         let count = self.link.transmit(now, &mut buffer);
         let mut bytes = buffer[..count].to_vec();
-        spoil(&mut bytes);
+        corrupt(&mut bytes);
         self.rig.host_write(&bytes);
         self.rig.step();
         let mut received = Vec::new();
@@ -116,7 +116,7 @@ impl<C: Control> Bench<C> {
     }
 
     /// Sends a command without waiting, if there is room. Returns the number of its answer.
-    pub fn say(&mut self, command: Command) -> Option<u8> {
+    pub fn send(&mut self, command: Command) -> Option<u8> {
         let id = self.id % 250 + 1;
         self.link.send(&Request { id, command }).ok()?;
         self.id = id;

@@ -1,4 +1,4 @@
-//! Machines that the tests are made on.
+//! Machines of the tests.
 #![allow(dead_code, reason = "each test binary uses a part")]
 
 use haptimill_hil_sim::PlantConfig;
@@ -16,7 +16,7 @@ pub fn reference() -> PlantConfig {
         .plant
 }
 
-/// One slide of it alone, at 0 with much room.
+/// One of its slides alone, at 0 with a long stroke.
 pub fn slide() -> PlantConfig {
     let mut config = reference();
     config.arm = None;

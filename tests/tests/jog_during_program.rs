@@ -1,15 +1,15 @@
-//! A program with another hand beside it: coordinates that are jogged or held while the program leads the others.
+//! Coordinates that are jogged or held while the program leads the others.
 
-mod scene;
+mod setup;
 
 use haptimill_kinematics::{Kinematics, Pose};
 use haptimill_math::Coordinate;
 use haptimill_protocol::message::{Command, Event, Refusal, Source, State};
 use haptimill_tests::Bench;
-use scene::{DEGREE, MM, commanded, jog, line, ready, rest, state, step_smoothly};
+use setup::{DEGREE, MM, commanded, jog, line, ready, rest, state, step_smoothly};
 
 #[test]
-fn sources_change_without_a_jump() {
+fn changing_the_source_of_an_axis_does_not_move_the_tool() {
     let mut bench = ready();
     let start = bench.status().commanded;
     bench.start_job(1, &line(&start, 0, 4.0, 60));
@@ -28,7 +28,7 @@ fn sources_change_without_a_jump() {
     for _ in 0..2000 {
         step_smoothly(&mut bench, 0.0011);
     }
-    // y by hand beside the program.
+    // y is jogged while the program leads x.
     pause(&mut bench);
     bench
         .ask(Command::Source {
@@ -46,7 +46,7 @@ fn sources_change_without_a_jump() {
     }
     let jogged = commanded(&bench)[1];
     assert!(jogged > start[1] + (0.3 * MM) as i32);
-    // x is the program's: the jog of it was not heard. Now x holds while the program goes on.
+    // The jog of x had no effect, because the program is its source. Now x holds.
     pause(&mut bench);
     bench
         .ask(Command::Source {
@@ -57,7 +57,7 @@ fn sources_change_without_a_jump() {
     let held = commanded(&bench)[0];
     resume(&mut bench, 1500);
     assert_eq!(commanded(&bench)[0], held);
-    // Both are the program's again: they go on from where they stand, with what happened meanwhile as their offset.
+    // The program leads both again. They keep the motion since then as their offset.
     pause(&mut bench);
     for axis in [0, 1] {
         bench
@@ -75,16 +75,16 @@ fn sources_change_without_a_jump() {
     assert!(bench.wait_for(State::Idle, 60_000));
     let end = commanded(&bench);
     assert!(end[0] < start[0] + (24.0 * MM) as i32 && end[0] > held);
-    // The next job begins where the machine stands, without offsets.
+    // The next job begins at the present pose, without offsets.
     let start = bench.status().commanded;
     bench.start_job(2, &line(&start, 1, -4.0, 3));
     assert!(bench.wait_for(State::Idle, 10_000));
-    let gone = f64::from(start[1] - commanded(&bench)[1]) / MM;
-    assert!((gone - 1.6).abs() < 0.001, "{gone}");
+    let moved = f64::from(start[1] - commanded(&bench)[1]) / MM;
+    assert!((moved - 1.6).abs() < 0.001, "{moved}");
 }
 
 #[test]
-fn setpoints_are_checked_where_they_will_be_with_their_offset() {
+fn soft_limits_are_checked_with_the_offset_of_a_jog() {
     let mut bench = ready();
     let start = bench.status().commanded;
     bench
@@ -110,7 +110,7 @@ fn setpoints_are_checked_where_they_will_be_with_their_offset() {
         .expect("chosen");
     let offset = commanded(&bench)[1] - start[1];
     assert!(offset > (20.0 * MM) as i32);
-    // Within the soft limits by itself, beyond them with the offset.
+    // The setpoint is inside the soft limits by itself, and outside with the offset.
     let mut far = rest(&start, 40_000);
     far.pose[1] = bench.machine.config.pose[1].high.0 - offset / 2;
     far.periods = 5000;
@@ -128,9 +128,10 @@ fn setpoints_are_checked_where_they_will_be_with_their_offset() {
     );
 }
 
-/// A program that leads one coordinate while another is jogged outwards. Says at which setpoint it was held, if it was; it then made room by jogging back
-/// and went on to its end.
-fn beside(axis: usize, speed: f64, hand: usize, rate: f64) -> Option<u32> {
+/// Runs a program in one coordinate while another is jogged outwards.
+///
+/// Returns the setpoint at which the program was held, if it was. It then jogged back and finished.
+fn jog_during_program(axis: usize, speed: f64, hand: usize, rate: f64) -> Option<u32> {
     let mut bench = ready();
     let start = bench.status().commanded;
     let points = line(&start, axis, speed, 70);
@@ -149,7 +150,7 @@ fn beside(axis: usize, speed: f64, hand: usize, rate: f64) -> Option<u32> {
     let mut held = None;
     for period in 0..60_000 {
         if period % 400 == 0 && period < 40_000 && held.is_none() {
-            // What is refused here is a jog after the end.
+            // The controller refuses a jog after the end.
             let _ = bench.ask(jog(epoch, 200, &[(hand, rate)]));
             epoch += 1;
         }
@@ -174,7 +175,8 @@ fn beside(axis: usize, speed: f64, hand: usize, rate: f64) -> Option<u32> {
                 step_smoothly(&mut bench, 0.02);
             }
             assert_eq!(state(&bench), State::Hold, "{case}");
-            // It was held for a reason: the end of the way cannot be taken with what was jogged.
+            // The hold had a reason: the rest of the path is outside the workspace at the jogged
+            // coordinate.
             let mut pose = Pose::default();
             for (slot, value) in pose.0.iter_mut().zip(commanded(&bench)) {
                 *slot = Coordinate(value);
@@ -187,7 +189,7 @@ fn beside(axis: usize, speed: f64, hand: usize, rate: f64) -> Option<u32> {
                 .expect("configured")
                 .kinematics;
             assert!(machine.inverse(&pose).is_err(), "{case}: held for nothing");
-            // Back to where it began, then on.
+            // Jog back to the start, then continue.
             let unit = if hand < 3 { MM } else { DEGREE };
             let back = f64::from(commanded(&bench)[hand] - start[hand]) / unit;
             let seconds = (back / rate).abs().min(1.0);
@@ -209,16 +211,16 @@ fn beside(axis: usize, speed: f64, hand: usize, rate: f64) -> Option<u32> {
 }
 
 #[test]
-fn a_program_beside_a_jog_stops_in_time_and_goes_on_when_there_is_room() {
-    // Down while y or theta is turned out; across while theta is; up and down alone stay free.
+fn a_program_stops_in_time_for_a_jogged_axis_and_continues_when_it_jogs_back() {
+    // Move down while y or theta is jogged, across while theta is jogged, up and down alone.
     let held = [
-        beside(2, -8.0, 1, 25.0),
-        beside(1, 12.0, 3, 8.0),
-        beside(0, 20.0, 3, -8.0),
-        beside(3, 4.0, 1, -20.0),
-        beside(4, 4.0, 1, 20.0),
+        jog_during_program(2, -8.0, 1, 25.0),
+        jog_during_program(1, 12.0, 3, 8.0),
+        jog_during_program(0, 20.0, 3, -8.0),
+        jog_during_program(3, 4.0, 1, -20.0),
+        jog_during_program(4, 4.0, 1, 20.0),
     ];
     println!("held at {held:?}");
     assert!(held.iter().flatten().count() >= 2, "{held:?}");
-    assert_eq!(beside(0, 4.0, 2, 1.0), None);
+    assert_eq!(jog_during_program(0, 4.0, 2, 1.0), None);
 }

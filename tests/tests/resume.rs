@@ -1,17 +1,17 @@
-//! A resume, whenever it comes, never makes the machine jump; a setpoint that was late is told once.
+//! Resume: it never makes the machine jump, and a late setpoint is reported once.
 
-mod scene;
+mod setup;
 
 use haptimill_protocol::message::{
     AxisValues, Command, Event, SETPOINT_BATCH, SetpointBatch, State,
 };
 use haptimill_protocol::setpoint::{Setpoint, SetpointCoder};
 use haptimill_tests::{Bench, line_in_x};
-use scene::{commanded, ready, state};
+use setup::{commanded, ready, state};
 
 const MM: f64 = (1 << 20) as f64;
 
-/// A host that brings setpoints in pieces.
+/// A host that sends setpoints in parts.
 struct Feeder {
     coder: SetpointCoder,
     points: Vec<Setpoint>,
@@ -34,7 +34,7 @@ impl Feeder {
         }
     }
 
-    /// The next setpoints, as one message.
+    /// Returns the next setpoints as one message.
     fn batch(&mut self, count: usize) -> Command {
         let first = self.next;
         self.next = (first + count).min(self.points.len());
@@ -46,17 +46,17 @@ impl Feeder {
         })
     }
 
-    fn bring(&mut self, bench: &mut Bench, count: usize) {
+    fn send_next_setpoints(&mut self, bench: &mut Bench, count: usize) {
         let end = self.next + count;
         while self.next < end {
             let batch = self.batch(SETPOINT_BATCH.min(end - self.next));
-            bench.ask(batch).expect("taken");
+            bench.ask(batch).expect("accepted");
         }
     }
 }
 
-/// Speed in x, mm/s, of every period; it may change by `most` in one.
-fn smoothly(bench: &mut Bench, periods: usize, speed: &mut f64, most: f64) {
+/// Runs periods. Returns the speed in x of each, mm/s; it may change by `most` in one.
+fn run_smoothly(bench: &mut Bench, periods: usize, speed: &mut f64, most: f64) {
     for period in 0..periods {
         let before = commanded(bench)[0];
         bench.step();
@@ -70,53 +70,54 @@ fn smoothly(bench: &mut Bench, periods: usize, speed: &mut f64, most: f64) {
     }
 }
 
-/// A machine at 10 mm/s whose host has brought less than it takes to be sure of stopping: 300 ms to brake. Its speed.
-fn under_way() -> (Bench, Feeder, f64) {
+/// Returns a machine at 10 mm/s with fewer setpoints than it needs to stop (300 ms), and its speed.
+fn short_of_setpoints() -> (Bench, Feeder, f64) {
     let mut bench = ready();
     let start = bench.status().commanded;
-    // 20 spans of 100 ms at 10 mm/s; 300 ms to brake.
+    // 20 segments of 100 ms at 10 mm/s; 300 ms to brake.
     let mut feeder = Feeder::start(&mut bench, line_in_x(&start, 10.0, 40));
-    feeder.bring(&mut bench, 8);
+    feeder.send_next_setpoints(&mut bench, 8);
     let mut speed = 0.0;
-    smoothly(&mut bench, 1200, &mut speed, 0.3);
+    run_smoothly(&mut bench, 1200, &mut speed, 0.3);
     assert!(speed > 9.0);
     (bench, feeder, speed)
 }
 
-/// An operator holds and resumes (or resumes an underrun, as the protocol says) while the host has brought less than it takes to be sure of stopping.
+/// An operator holds and resumes, or resumes an underrun, while the queue is shorter than the
+/// stopping time.
 #[test]
-fn a_resume_never_jumps() {
-    let (mut bench, mut feeder, mut speed) = under_way();
-    bench.say(Command::Hold).expect("room");
-    smoothly(&mut bench, 2500, &mut speed, 0.3);
+fn a_resume_causes_no_jump() {
+    let (mut bench, mut feeder, mut speed) = short_of_setpoints();
+    bench.send(Command::Hold).expect("room");
+    run_smoothly(&mut bench, 2500, &mut speed, 0.3);
     assert_eq!((state(&bench), speed), (State::Hold, 0.0));
-    bench.say(Command::Resume).expect("room");
-    smoothly(&mut bench, 100, &mut speed, 0.3);
+    bench.send(Command::Resume).expect("room");
+    run_smoothly(&mut bench, 100, &mut speed, 0.3);
     for _ in 0..8 {
         let batch = feeder.batch(4);
-        bench.say(batch).expect("room");
-        smoothly(&mut bench, 40, &mut speed, 0.3);
+        bench.send(batch).expect("room");
+        run_smoothly(&mut bench, 40, &mut speed, 0.3);
     }
-    smoothly(&mut bench, 2000, &mut speed, 0.3);
+    run_smoothly(&mut bench, 2000, &mut speed, 0.3);
 }
 
-/// A resume that comes when the machine runs anyway (a second press, a host that says it again).
+/// A resume while the machine runs: a second key press, or a repeated command.
 #[test]
-fn a_needless_resume_changes_nothing() {
-    let (mut bench, _, mut speed) = under_way();
-    bench.say(Command::Resume).expect("room");
-    smoothly(&mut bench, 500, &mut speed, 0.3);
+fn a_resume_of_a_running_machine_changes_nothing() {
+    let (mut bench, _, mut speed) = short_of_setpoints();
+    bench.send(Command::Resume).expect("room");
+    run_smoothly(&mut bench, 500, &mut speed, 0.3);
 }
 
-/// A setpoint that came late is told once; what is waited for when the job is dropped has its own name.
+/// A late setpoint is reported once. A job that is dropped while it waits has its own fault.
 #[test]
-fn a_late_setpoint_is_told_once() {
+fn a_late_setpoint_is_reported_once() {
     let mut bench = ready();
     let start = bench.status().commanded;
     let mut feeder = Feeder::start(&mut bench, line_in_x(&start, 4.0, 40));
-    feeder.bring(&mut bench, 12);
+    feeder.send_next_setpoints(&mut bench, 12);
     bench.steps(8000);
-    feeder.bring(&mut bench, 1);
+    feeder.send_next_setpoints(&mut bench, 1);
     bench.steps(500);
     bench.ask(Command::Stop).expect("stops");
     bench.steps(500);

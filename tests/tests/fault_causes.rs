@@ -1,6 +1,6 @@
-//! What is named is the cause, not what it leads to: periods that were missed, and counters that jumped.
+//! Cause of a fault: a missed period or a counter jump is reported, not its consequence.
 
-mod scene;
+mod setup;
 
 use haptimill_firmware::controller::Controller;
 use haptimill_firmware::io::{Inputs, Outputs};
@@ -9,11 +9,12 @@ use haptimill_hil_sim::joint::encoder::EncoderCondition;
 use haptimill_hil_sim::rig::{Control, RigOptions};
 use haptimill_protocol::message::{AxisValues, Command, Fault, Refusal, State};
 use haptimill_tests::Bench;
-use scene::{commanded, drives_off, joint_off, line, moving, ready, recover, state};
+use setup::{commanded, drives_off, following_error, line, moving, ready, recover, state};
 
-/// A bench like this one at which the fault happens in 10 ms, and where its job began: the same machine again, with the fault in its schedule. It is
-/// deterministic.
-fn faulty(like: &Bench, speed: f64, fault: &str) -> (Bench, AxisValues) {
+/// Returns the same machine with the fault in its schedule in 10 ms, and the start of its job.
+///
+/// The simulation is deterministic, so the machine is in the same state.
+fn bench_with_fault(like: &Bench, speed: f64, fault: &str) -> (Bench, AxisValues) {
     let at = like.rig.time_ns() as f64 * 1e-9 + 0.01;
     let periods = like.rig.time_ns() / 200_000;
     let fault = format!("{fault} at={at}s").parse().expect("a fault");
@@ -35,11 +36,12 @@ fn faulty(like: &Bench, speed: f64, fault: &str) -> (Bench, AxisValues) {
 }
 
 #[test]
-fn what_missed_periods_lead_to_is_named_after_them() {
-    // A drive that keeps its last torque for so long takes its slide along; no encoder is to blame.
+fn missed_periods_are_reported_before_their_consequences() {
+    // A drive that keeps its last torque for so many periods moves its slide. No encoder is
+    // defective.
     for missed in [15, 50, 100, 200] {
         for speed in [4.0, 16.0] {
-            let (mut bench, _) = faulty(
+            let (mut bench, _) = bench_with_fault(
                 &moving(0, speed),
                 speed,
                 &format!("missed-periods count={missed}"),
@@ -53,9 +55,9 @@ fn what_missed_periods_lead_to_is_named_after_them() {
 }
 
 #[test]
-fn a_counter_that_jumps_farther_than_a_joint_can_go_leaves_no_position() {
+fn a_counter_jump_loses_the_position() {
     for counts in [700, -1000, i32::MIN] {
-        let (mut bench, _) = faulty(
+        let (mut bench, _) = bench_with_fault(
             &moving(0, 4.0),
             4.0,
             &format!("encoder-slip axis=l1 counts={counts}"),
@@ -71,8 +73,8 @@ fn a_counter_that_jumps_farther_than_a_joint_can_go_leaves_no_position() {
     }
 }
 
-/// A machine whose counter slips while it stands (at once) or goes along, until its index pulses tell: the fault, and how far the slide went.
-fn slipped(counts: i32, standing: bool) -> (Bench, Fault, f64) {
+/// Slips a counter at standstill or in motion. Returns the fault, and the travel until it.
+fn slip_until_fault(counts: i32, standing: bool) -> (Bench, Fault, f64) {
     let slip = format!("encoder-slip axis=l1 counts={counts}");
     let mut bench = if standing {
         let like = ready();
@@ -88,7 +90,7 @@ fn slipped(counts: i32, standing: bool) -> (Bench, Fault, f64) {
         bench.start_job(1, &line(&start, 0, 8.0, 50));
         bench
     } else {
-        faulty(&moving(0, 8.0), 8.0, &slip).0
+        bench_with_fault(&moving(0, 8.0), 8.0, &slip).0
     };
     bench.steps(200);
     let began = bench.rig.truth().joints[0];
@@ -100,41 +102,42 @@ fn slipped(counts: i32, standing: bool) -> (Bench, Fault, f64) {
             return (bench, fault, went.abs());
         }
         assert_eq!(state(&bench), State::Run, "{counts} were not found");
-        assert!((joint_off(&bench, 0) - off).abs() < 0.02);
+        assert!((following_error(&bench, 0) - off).abs() < 0.02);
     }
 }
 
-/// The loop takes a joint to wherever its counter says: that a counter lost some counts is not to be seen from the motion (more than 20 give a jolt that is). Two index pulses tell.
+/// The servo moves a joint to the position that its counter shows, so lost counts are not visible
+/// in the motion. (More than 20 cause a jolt.) Two index pulses reveal them.
 #[test]
-fn counts_that_are_lost_are_found_within_two_turns() {
+fn lost_counts_are_found_within_two_turns() {
     for (counts, standing) in [(-6, false), (8, false), (-12, true), (14, true)] {
-        let (mut bench, fault, went) = slipped(counts, standing);
+        let (mut bench, fault, went) = slip_until_fault(counts, standing);
         assert!(went < 20.0, "two turns of the motor");
         let Fault::EncoderSlip {
             axis: 0,
-            counts: said,
+            counts: reported,
         } = fault
         else {
             panic!("{counts}: {fault:?}");
         };
-        // A count more or less for the side that the pulse is come to from.
-        assert!((said - counts).abs() <= 1, "{said} of {counts}");
+        // The index pulse has two positions, one count apart, by direction.
+        assert!((reported - counts).abs() <= 1, "{reported} of {counts}");
         assert!(drives_off(&bench));
         let status = bench.status();
         assert!(!status.position_kept && !status.homed);
-        // Where the slide is, nobody knows to the turn: somebody has to look.
+        // The turn of the slide is unknown: the operator has to look.
         recover(&mut bench, State::Disabled);
         assert_eq!(bench.ask(Command::Home), Err(Refusal::PresetLost));
     }
 }
 
-/// Who pushes a slide makes it look like one whose encoder is dead or wired the wrong way. The encoder saw all of it, and its next index pulse says so: no
-/// more is to be done than to home.
+/// A pushed slide looks like one with a dead or reversed encoder. The encoder counted the motion,
+/// and its next index pulse confirms that: homing is enough.
 #[test]
-fn a_slide_that_was_pushed_is_only_homed() {
+fn a_pushed_slide_needs_only_homing() {
     for effort in [-300, -150, 100, 200, 400] {
         let push = format!("push axis=l1 effort={effort} for=12ms");
-        let (mut bench, _) = faulty(&moving(0, 4.0), 4.0, &push);
+        let (mut bench, _) = bench_with_fault(&moving(0, 4.0), 4.0, &push);
         bench.steps(1000);
         let status = bench.status();
         let fault = status.fault.expect("a fault");
@@ -145,13 +148,13 @@ fn a_slide_that_was_pushed_is_only_homed() {
         assert!(bench.wait_for(State::Idle, 30_000), "{:?}", bench.status());
         let status = bench.status();
         assert!(status.homed && status.position_kept);
-        assert!(joint_off(&bench, 0) < 0.03);
+        assert!(following_error(&bench, 0) < 0.03);
     }
 }
 
-/// As it is when the host has sent the configuration again, which is a new machinery.
+/// A configuration that is sent again builds the machine anew.
 #[test]
-fn an_encoder_is_asked_beyond_a_new_configuration() {
+fn a_suspected_encoder_stays_suspected_with_a_new_configuration() {
     for (fault, honest) in [
         ("push axis=l1 effort=300 for=12ms", true),
         (
@@ -159,7 +162,7 @@ fn an_encoder_is_asked_beyond_a_new_configuration() {
             false,
         ),
     ] {
-        let (mut bench, _) = faulty(&moving(0, 4.0), 4.0, fault);
+        let (mut bench, _) = bench_with_fault(&moving(0, 4.0), 4.0, fault);
         bench.steps(3000);
         bench.ask(Command::Reset).expect("reset");
         bench.configure();
@@ -175,10 +178,10 @@ fn an_encoder_is_asked_beyond_a_new_configuration() {
     }
 }
 
-/// As many as an encoder may be off by itself are let pass, and no healthy one is ever blamed.
+/// An encoder may be off by this many counts itself. A healthy one is never reported.
 #[test]
-fn a_line_of_the_encoder_is_tolerated() {
-    let (mut bench, _) = faulty(&moving(0, 8.0), 8.0, "encoder-slip axis=l1 counts=3");
+fn an_offset_of_one_encoder_line_is_tolerated() {
+    let (mut bench, _) = bench_with_fault(&moving(0, 8.0), 8.0, "encoder-slip axis=l1 counts=3");
     bench.steps(30_000);
     let status = bench.status();
     assert_eq!((status.state, status.fault), (State::Idle, None));
@@ -186,10 +189,11 @@ fn a_line_of_the_encoder_is_tolerated() {
 }
 
 #[test]
-fn missed_periods_brake_along_the_path_and_the_drives_hold() {
+fn missed_periods_stop_the_machine_along_its_path_with_drives_on() {
     for (missed, fault) in [(2, None), (3, Some(3)), (20, Some(20))] {
         let bench = moving(0, 4.0);
-        let (mut bench, start) = faulty(&bench, 4.0, &format!("missed-periods count={missed}"));
+        let (mut bench, start) =
+            bench_with_fault(&bench, 4.0, &format!("missed-periods count={missed}"));
         bench.steps(3000);
         let status = bench.status();
         assert_eq!(
@@ -211,7 +215,7 @@ fn missed_periods_brake_along_the_path_and_the_drives_hold() {
     }
 }
 
-/// A controller whose every call takes longer than a period, while it is told to.
+/// A controller whose calls take longer than a period while `slow` is set.
 struct Slow {
     control: Controller,
     missed: u16,
@@ -227,9 +231,10 @@ impl Control for Slow {
     }
 }
 
-/// Loops that were tuned for a period would run at two of them, and the job would take twice as long, without a word.
+/// At half the control rate the servo gains are wrong, and a job would take twice as long without a
+/// report.
 #[test]
-fn a_chip_that_misses_every_second_period_is_told_of() {
+fn missing_every_second_period_is_reported() {
     for missed in [1, 2] {
         let slow = Slow {
             control: Controller::new(200),
@@ -241,7 +246,7 @@ fn a_chip_that_misses_every_second_period_is_told_of() {
         let start = bench.status().commanded;
         bench.start_job(1, &line(&start, 0, 8.0, 28));
         bench.rig.control_mut().missed = missed;
-        // Braking takes twice or three times as long as well.
+        // The deceleration takes two or three times as long as well.
         bench.steps(7500);
         bench.rig.control_mut().missed = 0;
         let status = bench.status();
@@ -250,9 +255,10 @@ fn a_chip_that_misses_every_second_period_is_told_of() {
     }
 }
 
-/// A new configuration does not make an encoder better: what was counted against it holds, and where its slides lie in their play is known.
+/// A new configuration does not repair an encoder: its suspicion stays, and the flank of its screw
+/// stays known.
 #[test]
-fn what_is_known_of_an_encoder_outlives_a_configuration() {
+fn an_encoder_record_survives_a_new_configuration() {
     for reconfigure in [false, true] {
         let mut bench = ready();
         bench.ask(Command::Disable).expect("off");
@@ -285,14 +291,14 @@ fn what_is_known_of_an_encoder_outlives_a_configuration() {
     let after = bench.status();
     assert!(after.homed && after.position_kept);
     for (joint, (one, other)) in before.joints.iter().zip(&after.joints).enumerate() {
-        // The encoder may have gone on by a count.
+        // The encoder may have moved by a count.
         assert!((one - other).abs() <= 1400, "{joint}: {one} {other}");
     }
 }
 
-/// Nor does another slack for its index pulses, which is the new one then.
+/// A new index slack does not lift the suspicion; the new slack applies.
 #[test]
-fn another_slack_of_the_index_keeps_the_position() {
+fn a_new_index_slack_keeps_the_position() {
     let mut bench = ready();
     bench.ask(Command::Disable).expect("off");
     bench.machine.config.joints[0].index_slack = 9;
@@ -304,21 +310,21 @@ fn another_slack_of_the_index_keeps_the_position() {
     assert!(status.homed && status.position_kept);
 }
 
-/// The fault is told, and what it means for the position holds, also where somebody presses reset in the same moment.
+/// A reset in the period of the fault hides neither the fault nor the lost position.
 #[test]
-fn a_reset_in_the_period_of_a_fault_hides_nothing() {
+fn a_reset_in_the_period_of_a_fault_does_not_hide_it() {
     let slip = "encoder-slip axis=l1 counts=700";
-    let (mut like, _) = faulty(&moving(0, 4.0), 4.0, slip);
+    let (mut like, _) = bench_with_fault(&moving(0, 4.0), 4.0, slip);
     while like.rig.control().safety().fault().is_none() {
         like.step();
     }
     let latched = like.rig.time_ns() / 200_000;
     for early in 0..12 {
-        let (mut bench, _) = faulty(&moving(0, 4.0), 4.0, slip);
+        let (mut bench, _) = bench_with_fault(&moving(0, 4.0), 4.0, slip);
         while bench.rig.time_ns() / 200_000 < latched - early {
             bench.step();
         }
-        bench.say(Command::Reset);
+        bench.send(Command::Reset);
         bench.steps(500);
         if state(&bench) == State::Fault {
             bench.ask(Command::Reset).expect("reset");

@@ -1,6 +1,7 @@
-//! Any events in any order: what must hold in every period, whatever is asked and whatever breaks.
+//! Random events in any order: the invariants of every period, whatever is requested and whatever
+//! fails.
 
-mod scene;
+mod setup;
 
 use haptimill_firmware::force::admittance::LARGEST_LIMIT;
 use haptimill_hil_sim::joint::encoder::EncoderCondition;
@@ -15,24 +16,26 @@ use haptimill_protocol::urgent::STOP;
 use haptimill_tests::Bench;
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
-use scene::{DEGREE, MM, circle, commanded, commands, drives_off, line, pump, ready, state, tool};
+use setup::{
+    DEGREE, MM, circle, commanded, commands, drives_off, line, ready, send_available, state, tool,
+};
 use std::collections::VecDeque;
 
-/// Something that happens.
+/// An event.
 #[derive(Debug, Clone)]
 #[allow(clippy::large_enum_variant, reason = "a few of them")]
-enum Happening {
-    /// The host says this, whatever the answer.
+enum RandomEvent {
+    /// The host sends a command, whatever the answer.
     Say(Command),
-    /// The host begins a job where the machine stands: a line of this axis and speed, or a circle.
+    /// The host starts a job at the present pose: a line of this axis and speed, or a circle.
     Job {
         axis: usize,
         speed: f64,
     },
     Circle,
-    /// The host hears nothing and says nothing for so many periods.
+    /// The host neither receives nor sends for this many periods.
     Away(usize),
-    /// Another host greets.
+    /// Another host opens a session.
     Greet(u32),
     Urgent,
     Garbage(Vec<u8>),
@@ -49,14 +52,14 @@ enum Happening {
         joint: usize,
         noisy: bool,
     },
-    /// An elastic body beside the tool, so many mm away towards -x; or none.
+    /// An elastic wall beside the tool, at a distance in mm towards -x; or none.
     Wall(Option<f64>),
-    /// A channel of the force sensor breaks, or is whole again.
+    /// A channel of the force sensor fails, or works again.
     Sensor {
         component: usize,
         condition: SensorCondition,
     },
-    /// The host does what gets the machine ready again.
+    /// The host recovers the machine.
     Recover,
 }
 
@@ -68,7 +71,7 @@ fn rates() -> impl Strategy<Value = AxisValues> {
     .prop_map(|values| values.into_iter().take(6).collect())
 }
 
-/// Settings that are taken, and any others.
+/// Valid settings, and any others.
 fn force_loop() -> impl Strategy<Value = ForceLoop> {
     let gate = prop_oneof![
         Just(Gate::AgainstMotion),
@@ -145,26 +148,26 @@ fn command() -> impl Strategy<Value = Command> {
     ]
 }
 
-fn happening() -> impl Strategy<Value = (Happening, usize)> {
+fn random_event() -> impl Strategy<Value = (RandomEvent, usize)> {
     let what = prop_oneof![
-        14 => command().prop_map(Happening::Say),
-        4 => (0_usize..5, -20.0_f64..20.0).prop_map(|(axis, speed)| Happening::Job { axis, speed }),
-        2 => Just(Happening::Circle),
-        1 => (100_usize..4000).prop_map(Happening::Away),
-        1 => any::<u32>().prop_map(Happening::Greet),
-        1 => Just(Happening::Urgent),
-        1 => prop::collection::vec(any::<u8>(), 0..200).prop_map(Happening::Garbage),
-        1 => any::<bool>().prop_map(Happening::EmergencyInput),
-        1 => (0_usize..5, any::<bool>()).prop_map(|(joint, active)| Happening::Limit { joint, active }),
-        1 => (0_usize..5, any::<bool>()).prop_map(|(joint, tripped)| Happening::Tripped { joint, tripped }),
-        1 => (0_usize..5, any::<bool>()).prop_map(|(joint, noisy)| Happening::Noise { joint, noisy }),
-        2 => prop::option::of(-0.5_f64..2.0).prop_map(Happening::Wall),
+        14 => command().prop_map(RandomEvent::Say),
+        4 => (0_usize..5, -20.0_f64..20.0).prop_map(|(axis, speed)| RandomEvent::Job { axis, speed }),
+        2 => Just(RandomEvent::Circle),
+        1 => (100_usize..4000).prop_map(RandomEvent::Away),
+        1 => any::<u32>().prop_map(RandomEvent::Greet),
+        1 => Just(RandomEvent::Urgent),
+        1 => prop::collection::vec(any::<u8>(), 0..200).prop_map(RandomEvent::Garbage),
+        1 => any::<bool>().prop_map(RandomEvent::EmergencyInput),
+        1 => (0_usize..5, any::<bool>()).prop_map(|(joint, active)| RandomEvent::Limit { joint, active }),
+        1 => (0_usize..5, any::<bool>()).prop_map(|(joint, tripped)| RandomEvent::Tripped { joint, tripped }),
+        1 => (0_usize..5, any::<bool>()).prop_map(|(joint, noisy)| RandomEvent::Noise { joint, noisy }),
+        2 => prop::option::of(-0.5_f64..2.0).prop_map(RandomEvent::Wall),
         1 => (0_usize..3, any::<bool>(), any::<bool>(), prop_oneof![4 => Just(1.0), 1 => Just(-1.0)])
-            .prop_map(|(component, stuck, dropped, gain)| Happening::Sensor {
+            .prop_map(|(component, stuck, dropped, gain)| RandomEvent::Sensor {
                 component,
                 condition: SensorCondition { stuck, dropped, gain, ..SensorCondition::default() },
             }),
-        4 => Just(Happening::Recover),
+        4 => Just(RandomEvent::Recover),
     ];
     (
         what,
@@ -172,8 +175,8 @@ fn happening() -> impl Strategy<Value = (Happening, usize)> {
     )
 }
 
-/// Which state may follow which in one period; several events may fall into one.
-fn may_follow(from: State, to: State) -> bool {
+/// Returns whether a state may follow another in one period; several events may coincide.
+fn is_allowed_transition(from: State, to: State) -> bool {
     use State::{Disabled, EmergencyStop, Fault, Hold, Homing, Idle, Jog, Run};
     from == to
         || to == EmergencyStop
@@ -188,8 +191,8 @@ fn may_follow(from: State, to: State) -> bool {
         }
 }
 
-/// The machine, and what it was a period ago.
-struct Watched {
+/// The machine, and its state of the period before.
+struct Invariants {
     bench: Bench,
     before: State,
     commanded: [i32; 6],
@@ -198,18 +201,22 @@ struct Watched {
     job: VecDeque<Command>,
 }
 
-impl Watched {
+impl Invariants {
     fn rates(bench: &Bench) -> [i32; 6] {
         let machine = bench.rig.control().machine().expect("configured");
         machine.motion.commanded().rates.map(|rate| rate.0)
     }
 
-    fn step(&mut self, spoil: impl FnOnce(&mut Vec<u8>)) {
-        self.bench.step_with_fault(spoil);
+    fn step(&mut self, inject: impl FnOnce(&mut Vec<u8>)) {
+        self.bench.step_with_fault(inject);
         let safety = self.bench.rig.control().safety();
         let now = safety.state();
         let drives_on = safety.drives_on();
-        assert!(may_follow(self.before, now), "{:?} -> {now:?}", self.before);
+        assert!(
+            is_allowed_transition(self.before, now),
+            "{:?} -> {now:?}",
+            self.before
+        );
         assert_eq!(drives_off(&self.bench), !drives_on, "{now:?}");
         assert!(!matches!(now, State::Disabled | State::EmergencyStop) || !drives_on);
         assert_eq!(
@@ -225,18 +232,20 @@ impl Watched {
             for axis in 0..5 {
                 let limits = &self.bench.machine.config.pose[axis];
                 let step = i64::from(place[axis].wrapping_sub(self.commanded[axis]));
-                // 2 % is what a setpoint may be faster, for its rounding; between setpoints a cubic may be half as fast again.
+                // Rounding may make a setpoint 2 % faster. Between setpoints a cubic may be half as
+                // fast again.
                 let most = i64::from(limits.rate.0) / 5000 * 153 / 100 + 2;
                 assert!(
                     step.abs() <= most,
                     "axis {axis} jumped by {step} in {now:?}"
                 );
-                // The rate is the derivative: its mean over the period is what was gone, but for rounding and the bend within the period.
+                // The rate is the derivative: its mean over the period is the step, except for
+                // rounding and the curvature within the period.
                 let mean = (i64::from(rates[axis]) + i64::from(self.rates[axis])) / 2 / 5000;
                 if moving(now) && moving(self.before) {
                     assert!(
                         (step - mean).abs() <= 8 + step.abs() / 100,
-                        "axis {axis}: {step} gone, rate says {mean} in {now:?}"
+                        "axis {axis}: moved by {step}, by its rate {mean} in {now:?}"
                     );
                 }
                 if !moving(now) && !moving(self.before) {
@@ -244,14 +253,14 @@ impl Watched {
                 }
             }
         }
-        // The tool yields no further than it may, and not at all where the drives are off.
+        // The compliant displacement stays within its limit, and is 0 with the drives off.
         let machine = self.bench.rig.control().machine().expect("configured");
         let force = machine.force.as_ref().expect("has a sensor");
         let reference = machine.reference();
         for (axis, by) in force.displacements().iter().enumerate() {
-            let yielded = i64::from(by.length().0);
-            assert!(yielded.abs() <= i64::from(LARGEST_LIMIT.0));
-            assert!(drives_on || yielded == 0, "{now:?}: {yielded}");
+            let displacement = i64::from(by.length().0);
+            assert!(displacement.abs() <= i64::from(LARGEST_LIMIT.0));
+            assert!(drives_on || displacement == 0, "{now:?}: {displacement}");
             let limits = &self.bench.machine.config.pose[axis];
             let (low, high) = (limits.low.0, limits.high.0);
             let inside = (low..=high).contains(&place[axis]);
@@ -260,43 +269,43 @@ impl Watched {
         (self.before, self.commanded, self.rates, self.drives_on) = (now, place, rates, drives_on);
     }
 
-    fn happens(&mut self, what: &Happening) {
+    fn apply(&mut self, what: &RandomEvent) {
         let bench = &mut self.bench;
         let start: AxisValues = commanded(bench)[..5].iter().copied().collect();
         match what {
-            Happening::Say(command) => {
-                bench.say(command.clone());
+            RandomEvent::Say(command) => {
+                bench.send(command.clone());
             }
-            Happening::Job { axis, speed } => {
+            RandomEvent::Job { axis, speed } => {
                 self.job = commands(1, &start, &line(&start, *axis, *speed, 10))
             }
-            Happening::Circle => self.job = commands(2, &start, &circle(&start, 5.0, 60)),
-            Happening::Away(periods) => {
+            RandomEvent::Circle => self.job = commands(2, &start, &circle(&start, 5.0, 60)),
+            RandomEvent::Away(periods) => {
                 for _ in 0..*periods {
                     self.step(Vec::clear);
                 }
             }
-            Happening::Greet(session) => {
+            RandomEvent::Greet(session) => {
                 bench.link.open(*session, bench.rig.time_ns() / 1000);
             }
-            Happening::Urgent => self.step(|bytes| bytes.extend(STOP)),
-            Happening::Garbage(garbage) => self.step(|bytes| bytes.extend(garbage)),
-            Happening::EmergencyInput(open) => bench.rig.plant_mut().set_emergency_stop(*open),
-            Happening::Limit { joint, active } => {
+            RandomEvent::Urgent => self.step(|bytes| bytes.extend(STOP)),
+            RandomEvent::Garbage(garbage) => self.step(|bytes| bytes.extend(garbage)),
+            RandomEvent::EmergencyInput(open) => bench.rig.plant_mut().set_emergency_stop(*open),
+            RandomEvent::Limit { joint, active } => {
                 let condition = JointCondition {
                     limit_low: active.then_some(true),
                     ..JointCondition::default()
                 };
                 bench.rig.plant_mut().set_condition(*joint, condition);
             }
-            Happening::Tripped { joint, tripped } => {
+            RandomEvent::Tripped { joint, tripped } => {
                 let condition = JointCondition {
                     drive_tripped: *tripped,
                     ..JointCondition::default()
                 };
                 bench.rig.plant_mut().set_condition(*joint, condition);
             }
-            Happening::Noise { joint, noisy } => {
+            RandomEvent::Noise { joint, noisy } => {
                 let noise_hz = if *noisy { 2000.0 } else { 0.0 };
                 let condition = EncoderCondition {
                     noise_hz,
@@ -307,7 +316,7 @@ impl Watched {
                     .plant_mut()
                     .set_encoder_condition(*joint, condition);
             }
-            Happening::Wall(gap) => {
+            RandomEvent::Wall(gap) => {
                 let at = tool(bench);
                 let wall = gap.map(|gap| ElasticWall {
                     point: [at[0] - gap, at[1], at[2]],
@@ -319,7 +328,7 @@ impl Watched {
                 let process = bench.rig.plant_mut().process_mut().expect("there");
                 process.set_wall(wall);
             }
-            Happening::Sensor {
+            RandomEvent::Sensor {
                 component,
                 condition,
             } => {
@@ -327,7 +336,7 @@ impl Watched {
                 let sensor = process.sensor_mut().expect("has one");
                 sensor.set_condition(*component, *condition);
             }
-            Happening::Recover => {
+            RandomEvent::Recover => {
                 bench.rig.plant_mut().set_emergency_stop(false);
                 let process = bench.rig.plant_mut().process_mut().expect("there");
                 process.set_wall(None);
@@ -350,7 +359,7 @@ impl Watched {
                     Command::Enable,
                     Command::Override { percent: 100 },
                 ] {
-                    bench.say(command);
+                    bench.send(command);
                 }
             }
         }
@@ -361,24 +370,24 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 150, rng_seed: RngSeed::Fixed(11), failure_persistence: None, max_shrink_iters: 300, ..ProptestConfig::default() })]
 
     #[test]
-    fn whatever_happens(happenings in prop::collection::vec(happening(), 10..60)) {
+    fn random_events_violate_no_invariant(events in prop::collection::vec(random_event(), 10..60)) {
         let bench = ready();
-        let mut watched = Watched {
+        let mut invariants = Invariants {
             before: state(&bench),
             commanded: commanded(&bench),
-            rates: Watched::rates(&bench),
+            rates: Invariants::rates(&bench),
             drives_on: true,
             job: VecDeque::new(),
             bench,
         };
-        for (what, periods) in &happenings {
-            watched.happens(what);
+        for (what, periods) in &events {
+            invariants.apply(what);
             for _ in 0..*periods {
-                pump(&mut watched.bench, &mut watched.job);
-                watched.step(|_| ());
+                send_available(&mut invariants.bench, &mut invariants.job);
+                invariants.step(|_| ());
             }
         }
-        prop_assert!(f64::from(watched.commanded[0]).abs() < 400.0 * MM && f64::from(watched.commanded[4]).abs() < 90.0 * DEGREE);
+        prop_assert!(f64::from(invariants.commanded[0]).abs() < 400.0 * MM && f64::from(invariants.commanded[4]).abs() < 90.0 * DEGREE);
     }
 }
 
@@ -407,7 +416,7 @@ fn a_refused_command_changes_nothing() {
         }
         bench.steps(1000);
         let summary = |bench: &mut Bench| {
-            let told = bench.status();
+            let status = bench.status();
             let machine = bench.rig.control().machine().expect("configured");
             let sources: Vec<_> = (0..5).map(|axis| machine.motion.source(axis)).collect();
             let force = machine.force.as_ref().expect("has a sensor");
@@ -415,16 +424,16 @@ fn a_refused_command_changes_nothing() {
             (
                 (force.mask(), force.conditioner().tared(), loops),
                 (
-                    told.state,
-                    told.homed,
-                    told.position_kept,
-                    told.credit,
-                    told.setpoint,
-                    told.path_rate,
+                    status.state,
+                    status.homed,
+                    status.position_kept,
+                    status.credit,
+                    status.setpoint,
+                    status.path_rate,
                 ),
                 (
-                    told.commanded,
-                    told.fault,
+                    status.commanded,
+                    status.fault,
                     sources,
                     machine.motion.program.accepted(),
                 ),
@@ -440,7 +449,7 @@ fn a_refused_command_changes_nothing() {
                 command,
                 Command::Telemetry { .. } | Command::Configure(_) | Command::Status
             );
-            // Only what must be refused here is of interest; what is taken would change the situation.
+            // Only refused commands are of interest; an accepted one would change the situation.
             let would_move = matches!(
                 (&command, situation),
                 (Command::EmergencyStop | Command::Reset | Command::Stop, _)

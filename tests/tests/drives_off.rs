@@ -1,7 +1,9 @@
-//! What the encoders counted while the drives were off: coasting, motion by hand, rotors that move to a detent as the drives go on, counters that jump. The position
-//! is kept exactly when it is true.
+//! Encoder counts while the drives are off: coasting, motion by hand, rotors that move to a detent
+//! at enable, counter jumps.
+//!
+//! The position is kept exactly if it is true.
 
-mod scene;
+mod setup;
 
 use haptimill::machine::{BUILT_IN, MachineFile};
 use haptimill_firmware::controller::Controller;
@@ -12,11 +14,11 @@ use haptimill_hil_sim::plant::JointCondition;
 use haptimill_hil_sim::rig::{Control, RigOptions};
 use haptimill_protocol::message::{Command, Fault, InputProblem, Refusal, State};
 use haptimill_tests::Bench;
-use scene::{DEGREE, MM, drives_off, jog, line, ready, state};
+use setup::{DEGREE, MM, drives_off, jog, line, ready, state};
 
 const STEP: &str = include_str!("../../machines/h4-step.toml");
 
-/// A machine file with some lines changed, around any controller.
+/// Creates a machine from a changed machine file, with any controller.
 fn machine<C: Control>(file: &str, changes: &[(&str, &str)], control: C) -> Bench<C> {
     let mut text = file.to_string();
     for (from, to) in changes {
@@ -27,8 +29,8 @@ fn machine<C: Control>(file: &str, changes: &[(&str, &str)], control: C) -> Benc
     Bench::of_machine(machine, &RigOptions::default(), control)
 }
 
-/// The machine with step motors, homed.
-fn stepping(seed: u64) -> Bench {
+/// Returns the homed machine with step motors.
+fn step_machine(seed: u64) -> Bench {
     let seed = format!("seed = {seed}\n");
     let mut bench = machine(STEP, &[("seed = 1\n", &seed)], Controller::new(200));
     bench.make_ready();
@@ -36,8 +38,9 @@ fn stepping(seed: u64) -> Bench {
     bench
 }
 
-/// Largest distance of a measured joint from the true slide: mm, and degrees for the table.
-fn most_off<C: Control>(bench: &mut Bench<C>) -> f64 {
+/// Returns the largest difference between a measured joint and its true slide: mm, and degrees for
+/// the table.
+fn largest_error<C: Control>(bench: &mut Bench<C>) -> f64 {
     let joints = bench.status().joints;
     let off = |joint: usize| {
         let unit = if joint == 4 { DEGREE } else { MM };
@@ -46,17 +49,18 @@ fn most_off<C: Control>(bench: &mut Bench<C>) -> f64 {
     (0..5).map(off).fold(0.0, f64::max)
 }
 
-/// Homed, no fault, and the measured joints are the true ones within `bound` (backlash, counts, the wind-up of the screws).
-fn is_true<C: Control>(bench: &mut Bench<C>, bound: f64) {
-    let off = most_off(bench);
+/// Asserts: homed, no fault, and the measured joints are true within `bound` (backlash, counts,
+/// wind-up of the screws).
+fn assert_position_true<C: Control>(bench: &mut Bench<C>, bound: f64) {
+    let off = largest_error(bench);
     let status = bench.status();
     assert_eq!((status.state, status.fault), (State::Idle, None));
     assert!(status.homed && status.position_kept);
     assert!(off < bound, "off by {off}");
 }
 
-/// The emergency stop, for so many periods; then reset, and enabled again when the machine stands.
-fn stop_and_go(bench: &mut Bench, periods: usize) {
+/// Opens the emergency stop circuit for some periods, resets, and enables at standstill.
+fn emergency_stop_and_enable(bench: &mut Bench, periods: usize) {
     bench.rig.plant_mut().set_emergency_stop(true);
     bench.steps(periods);
     assert!(drives_off(bench));
@@ -74,8 +78,8 @@ fn stop_and_go(bench: &mut Bench, periods: usize) {
     enabled.expect("enabled");
 }
 
-/// A jog in x that ends by itself.
-fn jogged(bench: &mut Bench, epoch: u16, rate: f64, ms: u16) {
+/// A jog in x until its deadline.
+fn jog_in_x(bench: &mut Bench, epoch: u16, rate: f64, ms: u16) {
     bench.ask(jog(epoch, ms, &[(0, rate)])).expect("jogs");
     bench.steps(usize::from(ms) * 5 + 1500);
 }
@@ -83,7 +87,7 @@ fn jogged(bench: &mut Bench, epoch: u16, rate: f64, ms: u16) {
 #[test]
 fn an_emergency_stop_in_motion_keeps_the_position_of_step_motors() {
     for seed in 1..=12 {
-        let mut bench = stepping(seed);
+        let mut bench = step_machine(seed);
         let mut epoch = 0;
         for stop in 0..3 {
             epoch += 1;
@@ -91,46 +95,46 @@ fn an_emergency_stop_in_motion_keeps_the_position_of_step_motors() {
             bench
                 .ask(jog(epoch, 1000, &[(0, rate), (1, 13.0)]))
                 .expect("jogs");
-            // Another phase of the motors each time.
+            // Another phase of the motors in each run.
             bench.steps(900 + 137 * seed as usize + 61 * stop as usize);
-            stop_and_go(&mut bench, 2000);
-            is_true(&mut bench, 0.03);
+            emergency_stop_and_enable(&mut bench, 2000);
+            assert_position_true(&mut bench, 0.03);
             epoch += 1;
-            jogged(&mut bench, epoch, -rate / 2.0, 300);
-            is_true(&mut bench, 0.03);
+            jog_in_x(&mut bench, epoch, -rate / 2.0, 300);
+            assert_position_true(&mut bench, 0.03);
         }
     }
 }
 
 #[test]
-fn an_emergency_stop_in_a_job_or_a_homing_keeps_what_was_known() {
+fn an_emergency_stop_keeps_the_position_except_during_homing() {
     for seed in 1..=4 {
-        let mut bench = stepping(seed);
+        let mut bench = step_machine(seed);
         let start = bench.status().commanded;
         bench.start_job(1, &line(&start, 0, 16.0, 28));
         bench.steps(3000 + 91 * seed as usize);
         assert_eq!(state(&bench), State::Run);
-        stop_and_go(&mut bench, 1000);
-        is_true(&mut bench, 0.03);
+        emergency_stop_and_enable(&mut bench, 1000);
+        assert_position_true(&mut bench, 0.03);
         let start = bench.status().commanded;
         bench.start_job(2, &line(&start, 0, -16.0, 20));
         assert!(bench.wait_for(State::Idle, 30_000), "{:?}", bench.status());
-        is_true(&mut bench, 0.03);
-        // A homing that is broken off leaves the machine without references, and finds them when it is asked again.
+        assert_position_true(&mut bench, 0.03);
+        // An aborted homing leaves the machine unhomed; the next one succeeds.
         bench.ask(Command::Home).expect("homes");
         bench.steps(700 + 130 * seed as usize);
         assert_eq!(state(&bench), State::Homing);
-        stop_and_go(&mut bench, 1000);
+        emergency_stop_and_enable(&mut bench, 1000);
         let status = bench.status();
         assert_eq!((status.state, status.homed), (State::Idle, false));
         bench.ask(Command::Home).expect("homes");
         assert!(bench.wait_for(State::Idle, 30_000), "{:?}", bench.status());
-        is_true(&mut bench, 0.03);
+        assert_position_true(&mut bench, 0.03);
     }
 }
 
 #[test]
-fn step_motors_that_were_moved_by_hand_or_carry_a_load_are_enabled_where_they_stand() {
+fn moved_or_loaded_step_motors_are_enabled_at_their_position() {
     for (seed, hand, load) in [
         (1, 70.0, 0.0),
         (2, -90.0, 0.0),
@@ -138,7 +142,7 @@ fn step_motors_that_were_moved_by_hand_or_carry_a_load_are_enabled_where_they_st
         (4, 0.0, 250.0),
         (5, -60.0, -250.0),
     ] {
-        let mut bench = stepping(seed);
+        let mut bench = step_machine(seed);
         bench.ask(Command::Disable).expect("off");
         for joint in 0..4 {
             bench.rig.plant_mut().set_load(joint, hand);
@@ -149,23 +153,23 @@ fn step_motors_that_were_moved_by_hand_or_carry_a_load_are_enabled_where_they_st
         }
         bench.steps(3000);
         // The load comes while the rotors still move to their detents.
-        bench.say(Command::Enable).expect("room");
+        bench.send(Command::Enable).expect("room");
         bench.steps(30);
         bench.rig.plant_mut().set_load(0, load);
         bench.steps(4000);
-        // 250 N wind the screw up by some 0.05 mm.
+        // 250 N wind up the screw by about 0.05 mm.
         let bound = 0.03 + load.abs() / 2500.0;
-        is_true(&mut bench, bound);
-        jogged(&mut bench, 1, 20.0, 500);
-        is_true(&mut bench, bound);
+        assert_position_true(&mut bench, bound);
+        jog_in_x(&mut bench, 1, 20.0, 500);
+        assert_position_true(&mut bench, bound);
     }
 }
 
-/// The rotor of one joint cannot hold what pulls at it as the drives go on.
+/// The rotor of one joint cannot hold its load at enable.
 #[test]
-fn a_step_motor_that_does_not_lock_is_named_and_its_position_is_kept() {
+fn a_step_motor_that_does_not_lock_is_reported_and_keeps_its_position() {
     for (gain, load) in [(1.0, 1500.0), (0.0, 80.0), (0.05, -120.0)] {
-        let mut bench = stepping(1);
+        let mut bench = step_machine(1);
         bench.ask(Command::Disable).expect("off");
         bench.steps(1000);
         let weak = JointCondition {
@@ -173,7 +177,7 @@ fn a_step_motor_that_does_not_lock_is_named_and_its_position_is_kept() {
             ..JointCondition::default()
         };
         bench.rig.plant_mut().set_condition(1, weak);
-        let asked = bench.say(Command::Enable).expect("room");
+        let asked = bench.send(Command::Enable).expect("room");
         bench.steps(20);
         bench.rig.plant_mut().set_load(1, load);
         for _ in 0..1000 {
@@ -203,14 +207,14 @@ fn a_step_motor_that_does_not_lock_is_named_and_its_position_is_kept() {
             .set_condition(1, JointCondition::default());
         bench.ask(Command::Reset).expect("reset");
         bench.ask(Command::Enable).expect("on");
-        is_true(&mut bench, 0.03);
+        assert_position_true(&mut bench, 0.03);
     }
 }
 
-/// A rotor that goes on swinging is not taken for one that has locked.
+/// An oscillating rotor is not accepted as locked.
 #[test]
-fn motion_waits_until_the_step_motors_have_locked() {
-    let mut bench = stepping(2);
+fn motion_starts_after_the_step_motors_have_locked() {
+    let mut bench = step_machine(2);
     let pose = bench.status().commanded;
     bench.ask(jog(1, 1000, &[(0, 40.0)])).expect("jogs");
     bench.steps(1337);
@@ -219,7 +223,7 @@ fn motion_waits_until_the_step_motors_have_locked() {
     bench.rig.plant_mut().set_emergency_stop(false);
     bench.steps(5);
     bench.ask(Command::Reset).expect("reset");
-    let enable = bench.say(Command::Enable).expect("room");
+    let enable = bench.send(Command::Enable).expect("room");
     let settling = Err(Refusal::Input(InputProblem::Settling));
     assert_eq!(bench.ask(jog(2, 100, &[(0, 1.0)])), settling);
     assert_eq!(bench.ask(Command::Home), settling);
@@ -231,27 +235,27 @@ fn motion_waits_until_the_step_motors_have_locked() {
     // At least the 50 ms in which nothing may move.
     assert!(waited.is_some_and(|periods| (200..2500).contains(&periods)));
     bench.ask(jog(3, 100, &[(0, 1.0)])).expect("jogs");
-    // Disabled meanwhile, whoever asked is told.
+    // A disable meanwhile answers the pending enable.
     bench.steps(3000);
     bench.ask(Command::Disable).expect("off");
     bench.steps(500);
-    let enable = bench.say(Command::Enable).expect("room");
+    let enable = bench.send(Command::Enable).expect("room");
     bench.ask(Command::Disable).expect("off");
     bench.steps(100);
-    let told = Err(Refusal::State(State::Disabled));
-    assert!(bench.take_answers().contains(&(enable, told)));
+    let refusal = Err(Refusal::State(State::Disabled));
+    assert!(bench.take_answers().contains(&(enable, refusal)));
     bench.ask(Command::Enable).expect("on");
-    is_true(&mut bench, 0.03);
+    assert_position_true(&mut bench, 0.03);
 }
 
 #[test]
-fn steps_that_are_lost_after_an_emergency_stop_are_found_and_homing_asks_the_encoder() {
+fn steps_lost_after_an_emergency_stop_are_found_and_homing_checks_the_encoder() {
     for seed in 1..=4 {
-        let mut bench = stepping(seed);
-        jogged(&mut bench, 1, 40.0, 900);
+        let mut bench = step_machine(seed);
+        jog_in_x(&mut bench, 1, 40.0, 900);
         bench.ask(jog(2, 1000, &[(0, -40.0)])).expect("jogs");
         bench.steps(1500 + 97 * seed as usize);
-        stop_and_go(&mut bench, 1000);
+        emergency_stop_and_enable(&mut bench, 1000);
         bench.ask(jog(3, 1000, &[(0, 20.0)])).expect("jogs");
         bench.steps(1000);
         let dead = JointCondition {
@@ -275,21 +279,21 @@ fn steps_that_are_lost_after_an_emergency_stop_are_found_and_homing_asks_the_enc
         });
         assert_eq!(status.fault, lost);
         assert!(!status.position_kept && !status.homed);
-        // The encoder has counted all of it, and its index pulses say so.
+        // The encoder counted all of it, and its index pulses confirm that.
         bench.ask(Command::Reset).expect("reset");
         bench.ask(Command::Enable).expect("on");
         bench.ask(Command::Home).expect("homes");
         assert!(bench.wait_for(State::Idle, 30_000), "{:?}", bench.status());
-        is_true(&mut bench, 0.03);
+        assert_position_true(&mut bench, 0.03);
     }
 }
 
 /// The rotor moves to its detent, and its encoder does not count that.
 #[test]
-fn an_encoder_that_is_dead_while_a_step_motor_locks_is_never_believed() {
+fn an_encoder_that_is_dead_during_locking_loses_the_position() {
     for seed in 1..=6 {
-        let mut bench = stepping(seed);
-        jogged(&mut bench, 1, 40.0, 900);
+        let mut bench = step_machine(seed);
+        jog_in_x(&mut bench, 1, 40.0, 900);
         bench.ask(jog(2, 1000, &[(0, -40.0)])).expect("jogs");
         bench.steps(1500 + 97 * seed as usize);
         bench.rig.plant_mut().set_emergency_stop(true);
@@ -317,10 +321,10 @@ fn an_encoder_that_is_dead_while_a_step_motor_locks_is_never_believed() {
         bench.steps(100);
         bench.ask(Command::Reset).expect("reset");
         bench.ask(Command::Enable).expect("on");
-        let lost = most_off(&mut bench);
+        let lost = largest_error(&mut bench);
         if bench.ask(Command::Home).is_ok() && bench.wait_for(State::Idle, 30_000) {
-            // What was lost is within the slack of the index pulse.
-            is_true(&mut bench, 0.03);
+            // The lost counts are within the index slack.
+            assert_position_true(&mut bench, 0.03);
         } else {
             let status = bench.status();
             assert!(!status.homed && !status.position_kept);
@@ -337,7 +341,7 @@ enum Off {
     Fault,
 }
 
-fn switched_off(how: Off) -> Bench {
+fn switch_off(how: Off) -> Bench {
     let mut bench = ready();
     match how {
         Off::Disabled => bench.ask(Command::Disable).expect("off"),
@@ -355,8 +359,8 @@ fn switched_off(how: Off) -> Bench {
     bench
 }
 
-/// What took the drives off is removed.
-fn removed(bench: &mut Bench) {
+/// Removes the cause that took the drives off.
+fn remove_cause(bench: &mut Bench) {
     bench.rig.plant_mut().set_emergency_stop(false);
     bench
         .rig
@@ -366,17 +370,17 @@ fn removed(bench: &mut Bench) {
 }
 
 #[test]
-fn a_counter_that_jumps_while_the_drives_are_off_leaves_no_position() {
+fn a_counter_jump_with_the_drives_off_loses_the_position() {
     for how in [Off::Disabled, Off::Stopped, Off::Fault] {
         for (joint, counts) in [(0, 32_000), (3, -700), (2, i32::MIN), (4, 8000)] {
-            let mut bench = switched_off(how);
+            let mut bench = switch_off(how);
             bench.rig.plant_mut().slip_encoder(joint, counts);
             bench.steps(10);
             let status = bench.status();
             assert!(!status.position_kept && !status.homed, "{how:?} {joint}");
-            removed(&mut bench);
+            remove_cause(&mut bench);
             if how != Off::Disabled {
-                // What is latched is the first fault; this one is named after it.
+                // The first fault stays latched; this one is reported after it.
                 bench.ask(Command::Reset).expect("reset");
             }
             let status = bench.status();
@@ -399,13 +403,13 @@ fn a_counter_that_jumps_while_the_drives_are_off_leaves_no_position() {
 }
 
 #[test]
-fn a_jump_during_an_emergency_stop_outlives_a_new_configuration() {
-    let mut bench = switched_off(Off::Stopped);
+fn a_jump_during_an_emergency_stop_survives_a_new_configuration() {
+    let mut bench = switch_off(Off::Stopped);
     bench.rig.plant_mut().slip_encoder(0, 32_000);
     bench.steps(10);
     bench.machine.config.joints[0].law.kp.0 -= 256;
     bench.configure();
-    removed(&mut bench);
+    remove_cause(&mut bench);
     bench.ask(Command::Reset).expect("reset");
     bench.steps(10);
     if state(&bench) == State::Fault {
@@ -418,12 +422,12 @@ fn a_jump_during_an_emergency_stop_outlives_a_new_configuration() {
     }
 }
 
-/// By hand, fast and slow, in every way in which the drives are off, and past periods that are missed.
+/// Motion by hand, fast and slow, in every state with the drives off, and during missed periods.
 #[test]
-fn a_joint_that_is_moved_by_hand_keeps_its_position() {
+fn a_joint_moved_by_hand_keeps_its_position() {
     for how in [Off::Disabled, Off::Stopped, Off::Fault] {
         for (effort, periods) in [(60.0, 2000), (-400.0, 250), (1500.0, 80), (-1500.0, 80)] {
-            let mut bench = switched_off(how);
+            let mut bench = switch_off(how);
             for joint in 0..4 {
                 bench.rig.plant_mut().set_load(joint, effort);
             }
@@ -437,19 +441,19 @@ fn a_joint_that_is_moved_by_hand_keeps_its_position() {
             }
             bench.steps(5000);
             println!("by hand at {most:.0} mm/s");
-            removed(&mut bench);
+            remove_cause(&mut bench);
             if how != Off::Disabled {
                 bench.ask(Command::Reset).expect("reset");
             }
             bench.ask(Command::Enable).expect("on");
-            is_true(&mut bench, 0.03);
+            assert_position_true(&mut bench, 0.03);
         }
     }
 }
 
-/// While many periods are missed a joint may go far; that is no jump.
+/// During many missed periods a joint may move far; that is no counter jump.
 #[test]
-fn a_coasting_joint_may_go_far_in_missed_periods() {
+fn a_coasting_joint_may_move_far_in_missed_periods() {
     for missed in [1, 20, 300] {
         let faults = [1, 2, 3, 4].map(|slide| {
             let push = format!("push axis=l{slide} effort=-300 at=9s for=50ms");
@@ -475,13 +479,14 @@ fn a_coasting_joint_may_go_far_in_missed_periods() {
         println!("{missed} missed: {went:.1} mm");
         assert!((-150.0..-20.0).contains(&went));
         bench.ask(Command::Enable).expect("on");
-        is_true(&mut bench, 0.03);
+        assert_position_true(&mut bench, 0.03);
     }
 }
 
-/// 0.3 mm of following error and ten times 100 mm/s in a period of 200 us, and as much in each that was missed; a count is 1.25 um.
+/// Per period of 200 us: 0.3 mm following error and ten times 100 mm/s; the same for each missed
+/// one. A count is 1.25 um.
 #[test]
-fn the_bound_of_a_jump_is_that_of_the_configuration() {
+fn the_threshold_of_a_counter_jump_follows_the_configuration() {
     for missed in [0, 1, 20] {
         let bound = (0.3 + 10.0 * 100.0 * 200e-6) * f64::from(missed + 1) / 0.00125;
         for (counts, kept) in [(bound - 2.0, true), (bound + 24.0, false)] {
@@ -511,7 +516,7 @@ fn the_bound_of_a_jump_is_that_of_the_configuration() {
     }
 }
 
-/// A board whose counters stood anywhere at power-on.
+/// A board whose counters have any value at power-on.
 struct Shifted {
     control: Controller,
     by: i32,
@@ -528,7 +533,7 @@ impl Control for Shifted {
     }
 }
 
-/// All slides, by hand.
+/// Pushes all slides.
 fn push_all<C: Control>(bench: &mut Bench<C>, effort: f64) {
     let before = bench.rig.plant().truth().joints[0];
     for joint in 0..4 {
@@ -544,7 +549,7 @@ fn push_all<C: Control>(bench: &mut Bench<C>, effort: f64) {
 }
 
 #[test]
-fn slides_that_were_moved_before_the_first_configuration_are_homed_at_the_right_turn() {
+fn slides_moved_before_the_configuration_are_homed_at_the_right_turn() {
     let reversed = [
         ("direction = 1\nbacklash_mm", "direction = -1\nbacklash_mm"),
         (
@@ -580,16 +585,16 @@ fn slides_that_were_moved_before_the_first_configuration_are_homed_at_the_right_
             bench.ask(Command::Enable).expect("enabled");
             bench.ask(Command::Home).expect("homing");
             assert!(bench.wait_for(State::Idle, 30_000), "{:?}", bench.status());
-            is_true(&mut bench, 0.03);
+            assert_position_true(&mut bench, 0.03);
         }
     }
 }
 
 #[test]
-fn a_preset_that_cannot_be_believed_is_refused() {
-    type Spoil = fn(&mut Bench);
-    let spoils: [Spoil; 3] = [
-        // A jump before there is any configuration.
+fn an_invalid_preset_is_refused() {
+    type Injection = fn(&mut Bench);
+    let injections: [Injection; 3] = [
+        // A jump before there is a configuration.
         |bench| {
             bench.rig.plant_mut().slip_encoder(0, 32_000);
             bench.steps(100);
@@ -609,7 +614,7 @@ fn a_preset_that_cannot_be_believed_is_refused() {
                 .set_encoder_condition(1, EncoderCondition::default());
             bench.configure();
         },
-        // Counts that mean something else than those before.
+        // Counts of another scale than before.
         |bench| {
             bench.configure();
             push_all(bench, 100.0);
@@ -617,16 +622,16 @@ fn a_preset_that_cannot_be_believed_is_refused() {
             bench.configure();
         },
     ];
-    for spoil in spoils {
+    for inject in injections {
         let mut bench = Bench::new();
         bench.steps(500);
-        spoil(&mut bench);
+        inject(&mut bench);
         if state(&bench) == State::Fault {
             bench.ask(Command::Reset).expect("reset");
         }
         bench.ask(Command::Enable).expect("on");
         assert_eq!(bench.ask(Command::Home), Err(Refusal::PresetLost));
-        // Set up by hand, it is as good as new.
+        // After a set-up at the presets the encoder is trusted again.
         bench.ask(Command::Disable).expect("off");
         bench.machine = MachineFile::built_in().expect("sound");
         bench.configure_as(true);

@@ -1,16 +1,17 @@
-//! From messages to motion and back: the controller in the simulated machine, over the real link.
+//! The whole control cycle: commands over the link move the simulated machine.
 
 use haptimill_protocol::message::{Event, State};
 use haptimill_tests::{Bench, line_in_x};
 
 #[test]
-fn configured_enabled_homed_and_a_line_is_followed() {
+fn a_homed_machine_follows_a_line() {
     const MM: f64 = (1 << 20) as f64;
     let mut bench = Bench::new();
     bench.make_ready();
     let status = bench.status();
     assert!(status.homed && status.position_kept);
-    // Homed: the measured pose is the true one, but for backlash, friction on the screw, and the width of a count.
+    // After homing the measured pose is the true one except for backlash, screw friction and a
+    // count.
     for axis in 0..3 {
         let off = f64::from(status.measured[axis]) / MM - bench.rig.truth().pose[axis];
         assert!(off.abs() < 0.012, "axis {axis} off by {off} mm");

@@ -1,38 +1,45 @@
-//! A joint that is spoilt while the machine moves, how far it got, and what is known of its position afterwards.
+//! Faults of one joint in motion: the travel until the drives are off, and the knowledge of the
+//! position afterwards.
 
-use super::{DEGREE, MM, drives_off, joint_off, moving, recover, state, told};
+use super::{DEGREE, MM, drives_off, following_error, moving, recover, reported_faults, state};
 use haptimill_hil_sim::joint::encoder::EncoderCondition;
 use haptimill_hil_sim::plant::{JointCondition, Plant};
 use haptimill_protocol::message::{Command, Event, Fault, Refusal, State};
 use haptimill_tests::Bench;
 
-/// Coulomb friction of a slide over its mass: what stops it when its drive is off, mm/s^2.
+/// Deceleration of a slide by Coulomb friction with its drive off, mm/s^2.
 const FRICTION: f64 = 1000.0;
-/// The same of the table, degrees/s^2: 2 N m on 0.2 kg m^2.
+/// The same for the table, degrees/s^2: 2 N m on 0.2 kg m^2.
 const TABLE_FRICTION: f64 = 573.0;
 
-/// What came of a fault of one joint.
-pub struct Struck {
+/// Result of a fault of one joint.
+pub struct JointFault {
     /// The machine.
     pub bench: Bench,
-    /// What was latched.
+    /// The latched fault.
     pub fault: Fault,
     /// Periods from the fault to the drives off.
     pub periods: usize,
-    /// Distance of the joint from where it was wanted when the drives went off, mm or degrees.
+    /// Following error of the joint when the drives went off, mm or degrees.
     pub off: f64,
 }
 
-/// Spoils a joint of a moving machine, and goes on until the drives are off; then until friction has stopped the joint.
-pub fn strike(axis: usize, joint: usize, speed: f64, spoil: impl FnOnce(&mut Plant)) -> Struck {
+/// Injects a fault into a joint of a moving machine. Runs until the drives are off and friction has
+/// stopped the joint.
+pub fn run_with_joint_fault(
+    axis: usize,
+    joint: usize,
+    speed: f64,
+    inject: impl FnOnce(&mut Plant),
+) -> JointFault {
     let mut bench = moving(axis, speed);
-    spoil(bench.rig.plant_mut());
+    inject(bench.rig.plant_mut());
     let mut off = 0.0_f64;
     for period in 0..5000 {
         let kept_on = bench.rig.control().safety().drives_on();
         bench.step();
-        off = off.max(joint_off(&bench, joint));
-        // Safe in the period in which the fault was seen, not in the next one.
+        off = off.max(following_error(&bench, joint));
+        // The outputs are safe in the period in which the fault is found.
         assert_eq!(
             drives_off(&bench),
             !bench.rig.control().safety().drives_on()
@@ -45,8 +52,9 @@ pub fn strike(axis: usize, joint: usize, speed: f64, spoil: impl FnOnce(&mut Pla
             let here = bench.rig.plant().bodies().clone();
             bench.steps(2000);
             let coasted = (bench.rig.plant().truth().joints[joint] - here.slide[joint]).abs();
-            // Both sides of the joint and the spring of the screw between them give their energy to friction. The spring swings at 80 Hz:
-            // its energy is that of the joint's reduced mass, a quarter of the whole at most, at the rate of its winding.
+            // The energy of both sides of the joint and of the screw's spring goes into friction.
+            // The spring oscillates at 80 Hz: its energy is that of the reduced mass, at most a
+            // quarter of the whole, at its rate of wind-up.
             let rate = here.slide_rate[joint]
                 .abs()
                 .max(here.motor_rate[joint].abs());
@@ -57,8 +65,8 @@ pub fn strike(axis: usize, joint: usize, speed: f64, spoil: impl FnOnce(&mut Pla
             eprintln!(
                 "{fault:?}: off {off:.3}, at {rate:.1}/s, coasted {coasted:.3}, after {period} periods"
             );
-            assert_eq!(told(&bench), [&Event::Fault(fault)]);
-            return Struck {
+            assert_eq!(reported_faults(&bench), [&Event::Fault(fault)]);
+            return JointFault {
                 bench,
                 fault,
                 periods: period,
@@ -66,21 +74,22 @@ pub fn strike(axis: usize, joint: usize, speed: f64, spoil: impl FnOnce(&mut Pla
             };
         }
     }
-    panic!("nobody noticed");
+    panic!("no fault was detected");
 }
 
-/// A fault of an encoder.
-pub fn spoil_encoder(joint: usize, condition: EncoderCondition) -> impl FnOnce(&mut Plant) {
+/// Returns a fault of an encoder.
+pub fn encoder_fault(joint: usize, condition: EncoderCondition) -> impl FnOnce(&mut Plant) {
     move |plant| plant.set_encoder_condition(joint, condition)
 }
 
-/// A fault of a joint.
-pub fn spoil_joint(joint: usize, condition: JointCondition) -> impl FnOnce(&mut Plant) {
+/// Returns a fault of a joint.
+pub fn joint_fault(joint: usize, condition: JointCondition) -> impl FnOnce(&mut Plant) {
     move |plant| plant.set_condition(joint, condition)
 }
 
-/// After a fault that loses the position: the references cannot be trusted until the operator sets the joints up at their presets.
-pub fn position_is_lost(bench: &mut Bench) {
+/// Asserts that the position is lost: homing is refused until the operator sets the joints to their
+/// presets.
+pub fn assert_position_lost(bench: &mut Bench) {
     let status = bench.status();
     assert!(!status.position_kept && !status.homed);
     recover(bench, State::Disabled);
@@ -92,40 +101,41 @@ pub fn position_is_lost(bench: &mut Bench) {
     );
 }
 
-/// After a fault in which an encoder is only suspected: while the references are looked for its index pulse says whether it lost counts. It is never believed wrongly.
-/// Says whether it was believed.
-pub fn encoder_is_asked(bench: &mut Bench) -> bool {
+/// Homes a machine with a suspected encoder, whose index pulse shows whether it lost counts.
+///
+/// Returns whether the position is kept. It must not be kept if counts were lost.
+pub fn home_with_suspected_encoder(bench: &mut Bench) -> bool {
     let status = bench.status();
     assert!(!status.position_kept && !status.homed);
     recover(bench, State::Disabled);
-    let lost = most_lost(bench);
+    let lost = largest_position_error(bench);
     bench.ask(Command::Home).expect("asked");
     assert!(bench.wait_for(State::Idle, 30_000) || state(bench) == State::Fault);
     let status = bench.status();
     if let Some(fault) = status.fault {
         assert!(matches!(fault, Fault::EncoderSlip { .. }), "{fault:?}");
-        position_is_lost(bench);
+        assert_position_lost(bench);
         return false;
     }
     assert!(status.position_kept && status.homed);
-    measured_is_true(bench);
+    assert_measured_true(bench);
     assert!(
         lost < 0.03,
-        "believed, and {lost} mm or degrees were not counted"
+        "kept, although {lost} mm or degrees were not counted"
     );
     true
 }
 
-/// After a fault that keeps the position: it is the true one.
-pub fn position_is_kept(bench: &mut Bench) {
+/// Asserts that the position is kept, and true.
+pub fn assert_position_kept(bench: &mut Bench) {
     let status = bench.status();
     assert!(status.position_kept && status.homed);
     recover(bench, State::Disabled);
-    measured_is_true(bench);
+    assert_measured_true(bench);
 }
 
-/// The measured pose is the true one, but for backlash, friction and a count.
-fn measured_is_true(bench: &mut Bench) {
+/// Asserts that the measured pose is the true one except for backlash, friction and a count.
+fn assert_measured_true(bench: &mut Bench) {
     let status = bench.status();
     for axis in 0..3 {
         let off = f64::from(status.measured[axis]) / MM - bench.rig.truth().pose[axis];
@@ -133,8 +143,8 @@ fn measured_is_true(bench: &mut Bench) {
     }
 }
 
-/// How far the joint whose encoder lost most is from where it is measured, mm or degrees.
-fn most_lost(bench: &Bench) -> f64 {
+/// Returns the largest difference between a measured and a true joint, mm or degrees.
+fn largest_position_error(bench: &Bench) -> f64 {
     let joints = bench.rig.control().machine().expect("configured").joints();
     joints
         .zip(bench.rig.truth().joints)

@@ -1,4 +1,4 @@
-//! Scenes of force control: a machine that is tared, with a wall or a block at its tool, and what the loop does.
+//! Set-ups for force control: a tared machine with a wall or a workpiece at its tool.
 
 use super::{MM, line, rest, state};
 use haptimill_hil_sim::process::ProcessConfig;
@@ -20,8 +20,8 @@ pub const PERIOD: f64 = 2e-4;
 
 pub const RPM: i16 = 5000;
 
-/// The loop of the machine file, with another gate and other gains.
-pub fn loop_of(mass: f64, damping: f64, gate: Gate) -> ForceLoop {
+/// Settings of the machine file, with another enable condition and other gains.
+pub fn force_settings(mass: f64, damping: f64, gate: Gate) -> ForceLoop {
     ForceLoop {
         desired: (5.0 * NEWTON) as i32,
         mass: (mass * NEWTON) as u32,
@@ -32,8 +32,8 @@ pub fn loop_of(mass: f64, damping: f64, gate: Gate) -> ForceLoop {
     }
 }
 
-/// A homed machine with something at its tool, tared.
-pub fn ready_at(process: &ProcessConfig) -> Bench {
+/// Returns a homed, tared machine with something at its tool.
+pub fn tared_machine(process: &ProcessConfig) -> Bench {
     let mut bench = super::ready();
     bench.rig.plant_mut().fit(process).expect("sound");
     bench.steps(100);
@@ -55,7 +55,7 @@ pub fn sensor_alone() -> ProcessConfig {
     }
 }
 
-/// A wall `gap` mm away in the direction of -x.
+/// Returns a wall `gap` mm away towards -x.
 pub fn wall(at: [f64; 3], gap: f64, stiffness: f64) -> ProcessConfig {
     ProcessConfig {
         wall: Some(ElasticWall {
@@ -69,7 +69,8 @@ pub fn wall(at: [f64; 3], gap: f64, stiffness: f64) -> ProcessConfig {
     }
 }
 
-/// A block whose edge lies 5 mm from the tool in the direction of -x, with its top 2 mm above the tip.
+/// Returns a workpiece whose edge is 5 mm from the tool towards -x, with its top 2 mm above the
+/// tip.
 pub fn block(at: [f64; 3], force_scale: f64) -> ProcessConfig {
     let [x, y, z] = at;
     ProcessConfig {
@@ -105,7 +106,7 @@ pub fn block(at: [f64; 3], force_scale: f64) -> ProcessConfig {
 /// Turns the table by `degrees` and waits for the end of the job.
 pub fn turn_table(bench: &mut Bench, degrees: f64) {
     let start = bench.status().commanded;
-    // `line` goes 0.1 s at its speed for each span and for one more.
+    // `line` moves for 0.1 s per segment, and for 0.1 s more.
     bench.start_job(1, &line(&start, 4, degrees / 0.4, 3));
     while state(bench) == State::Run {
         bench.step();
@@ -113,7 +114,8 @@ pub fn turn_table(bench: &mut Bench, degrees: f64) {
     assert_eq!(state(bench), State::Idle, "{:?}", bench.events);
 }
 
-/// A job: spindle on and up to speed, a line in x at `speed`, and a rest of so many seconds with the spindle on.
+/// A job: spindle to its speed, a line in x at `speed`, and a pause of some seconds with the
+/// spindle on.
 pub fn job<C: Control>(bench: &mut Bench<C>, speed: f64, spans: usize, rest_s: f64) -> AxisValues {
     let start = bench.status().commanded;
     let spun = Setpoint {
@@ -147,20 +149,20 @@ pub fn peak(bench: &Bench) -> f64 {
 }
 
 /// p_c in x, mm.
-pub fn yielded(bench: &Bench) -> f64 {
+pub fn displacement(bench: &Bench) -> f64 {
     let control = &bench.rig.control().machine().expect("configured").force;
     let yielding = control.as_ref().expect("has a sensor").yielding()[0];
     yielding.displacement.0 as f64 / f64::exp2(40.0)
 }
 
 /// p_c' in x, mm/s.
-pub fn yield_rate(bench: &Bench) -> f64 {
+pub fn displacement_rate(bench: &Bench) -> f64 {
     let control = &bench.rig.control().machine().expect("configured").force;
     let yielding = control.as_ref().expect("has a sensor").yielding()[0];
     f64::from(yielding.rate.0) / MM
 }
 
-/// Levels of damping.
+/// Damping levels.
 pub fn levels(bench: &Bench) -> [u8; 3] {
     let machine = bench.rig.control().machine().expect("configured");
     machine.force.as_ref().expect("has a sensor").levels()
@@ -169,8 +171,8 @@ pub fn levels(bench: &Bench) -> [u8; 3] {
 pub fn control<C: Control>(bench: &mut Bench<C>, axis: u8, settings: ForceLoop) {
     bench
         .ask(Command::ForceLoop { axis, settings })
-        .expect("taken");
+        .expect("accepted");
     bench
         .ask(Command::ForceMask { mask: 1 << axis })
-        .expect("taken");
+        .expect("accepted");
 }

@@ -1,7 +1,8 @@
-//! One slide under its own position loop and supervision: the joint of the built-in machine on a screw whose friction is known.
+//! One slide with its servo loop and supervision: the joint of the built-in machine on a screw with
+//! known friction.
 //!
-//! The plant is independent of [`haptimill_hil_sim::joint::mechanics`]: its friction has a breakaway force above the Coulomb force
-//! (Stribeck), which the machine's plant has not. Units: mm, s, N, kg.
+//! The plant is independent of [`haptimill_hil_sim::joint::mechanics`]. Its friction has a
+//! breakaway force above the Coulomb force (Stribeck). Units: mm, s, N, kg.
 
 use super::MM;
 use haptimill::machine::MachineFile;
@@ -23,7 +24,7 @@ const SUBSTEPS: usize = 10;
 pub struct Friction {
     /// Coulomb force, N.
     pub coulomb: f64,
-    /// Force at which it breaks away, N.
+    /// Breakaway force, N.
     pub breakaway: f64,
     /// Rate over which the breakaway force falls to the Coulomb force, mm/s.
     pub stribeck: f64,
@@ -55,7 +56,8 @@ pub struct Slide {
 }
 
 impl Slide {
-    /// At rest, its drive on. `gain` scales the stiffness of the loop, `integral` is its gain in 1/s^3.
+    /// Creates the slide at standstill, drive on. `gain` scales the stiffness of the loop,
+    /// `integral` is its gain in 1/s^3.
     pub fn new(friction: Friction, gain: f64, integral: f64, phase: f64) -> Self {
         let machine = MachineFile::built_in().expect("sound");
         let plant: PlantConfig = machine.plant().expect("has a plant");
@@ -89,17 +91,20 @@ impl Slide {
         }
     }
 
-    /// What is wrong with the encoder from now on.
-    pub fn spoil(&mut self, condition: EncoderCondition) {
+    /// Sets the condition of the encoder.
+    pub fn set_encoder_condition(&mut self, condition: EncoderCondition) {
         self.encoder.set_condition(condition);
     }
 
-    /// How far the slide went since the start, mm.
-    pub fn gone(&self) -> f64 {
+    /// Returns the travel since the start, mm.
+    pub fn travel(&self) -> f64 {
         self.motor[0] - self.start
     }
 
-    /// One control period: `commanded` is the distance from the start, its rate and acceleration, `load` a force on the slide. Gives what supervision says.
+    /// Runs one control period and returns the fault, if any.
+    ///
+    /// `commanded` is the distance from the start, its rate and acceleration; `load` is a force on
+    /// the slide.
     pub fn step(&mut self, commanded: [f64; 3], load: f64) -> Option<Fault> {
         let snapshot = self.encoder.reading();
         let inputs = AxisInputs {
@@ -112,7 +117,8 @@ impl Slide {
             ..AxisInputs::default()
         };
         self.joint.measure(&inputs, self.time_ns as u32);
-        // What the joint did is judged by what it was told in the period before, and at first it was told nothing.
+        // Supervision compares the measurement with the command of the period before. The first
+        // period has none.
         let fault = if self.time_ns == 0 {
             None
         } else {
@@ -130,7 +136,7 @@ impl Slide {
             Acceleration((commanded[2] * MM / 256.0).round() as i32),
             &mut command,
         );
-        // Effective from the next period on.
+        // The effort takes effect in the next period.
         let effort = core::mem::replace(
             &mut self.effort,
             f64::from(self.joint.servo_output().effort.0) / 65536.0,

@@ -1,4 +1,4 @@
-//! What the tests of the controller on an emulated chip have in common.
+//! Common code of the tests of the controller on an emulated chip.
 #![allow(dead_code, reason = "each test binary uses a part")]
 
 use clap::{Args, FromArgMatches};
@@ -26,7 +26,7 @@ pub fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
 }
 
-/// A place for results that belongs to one test.
+/// Returns a folder for the results of one test.
 pub fn results(name: &str) -> PathBuf {
     Path::new(env!("CARGO_TARGET_TMPDIR")).join(name)
 }
@@ -42,12 +42,12 @@ pub fn run(program: &Path, port: &str, out: &Path, more: &[&str]) -> Result<(), 
     run::run(RunArgs::from_arg_matches(&matches).expect("arguments"))
 }
 
-/// The image of the board with this name, `faults` for instance.
+/// Returns the image of the board with this name, for example `faults`.
 pub fn image(name: &'static str) -> PathBuf {
     pil::other_image(Board::Mps2, name).expect("builds")
 }
 
-/// The controller on a chip, begun.
+/// Starts the controller on a chip.
 pub fn remote(board: Board, image: &Path, words: &[&str]) -> Remote {
     let setup = Setup {
         words: words.iter().map(ToString::to_string).collect(),
@@ -58,12 +58,12 @@ pub fn remote(board: Board, image: &Path, words: &[&str]) -> Remote {
     RemoteController::begin(emulator, machine.config.period_us).expect("begins")
 }
 
-/// The built-in machine around the product's image.
+/// Returns the built-in machine around the product's image.
 pub fn bench(board: Board, options: &RigOptions) -> Bench<Remote> {
     Bench::with(options, remote(board, &image("haptimill-mps2"), &[]))
 }
 
-/// How an image ends that is run without a machine around it: its exit code, and what it said on its console.
+/// Runs an image without a machine. Returns its exit code and its console output.
 pub fn run_alone(board: Board, image: &Path, words: &[&str]) -> (Option<i32>, String) {
     alone(board, image, words, &[])
 }
@@ -99,7 +99,7 @@ fn alone(board: Board, image: &Path, words: &[&str], more: &[&str]) -> (Option<i
         if let Some(status) = child.try_wait().expect("a child") {
             break status;
         }
-        // A guard against a hang, no measure of speed.
+        // A guard against a hang, not a measure of speed.
         if begun.elapsed() > Duration::from_secs(600) {
             child.kill().expect("killed");
             break child.wait().expect("a child");
@@ -112,19 +112,19 @@ fn alone(board: Board, image: &Path, words: &[&str], more: &[&str]) -> (Option<i
     (status.code(), console)
 }
 
-/// What a controller did in a period.
+/// Outputs and state of a controller in a period.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Deed {
+pub struct PeriodResult {
     pub period: u64,
     pub missed: u16,
     pub outputs: Outputs,
     pub snapshot: Option<Snapshot>,
 }
 
-/// What the controller of a bench did in the last period.
-pub fn deed<C: Control>(bench: &Bench<C>) -> Deed {
+/// Returns outputs and state of a bench's controller in the last period.
+pub fn period_result<C: Control>(bench: &Bench<C>) -> PeriodResult {
     let rig = &bench.rig;
-    Deed {
+    PeriodResult {
         period: rig.inputs().period,
         missed: rig.inputs().missed,
         outputs: rig.outputs().clone(),
@@ -132,9 +132,9 @@ pub fn deed<C: Control>(bench: &Bench<C>) -> Deed {
     }
 }
 
-/// The first period in which two controllers did not do the same, with what both did.
+/// Returns the first period in which two controllers differ, with the values of both.
 #[track_caller]
-pub fn assert_same(what: &str, native: &[Deed], emulated: &[Deed]) {
+pub fn assert_same(what: &str, native: &[PeriodResult], emulated: &[PeriodResult]) {
     for (native, emulated) in native.iter().zip(emulated) {
         assert!(
             native == emulated,

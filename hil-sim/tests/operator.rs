@@ -1,4 +1,5 @@
-//! The hand at the haptic arm: how it goes, how it yields, how it is led. The laws of force here are the test's own; no firmware takes part.
+//! The operator model at the haptic arm: trajectory, compliance and live input. The force laws here
+//! are the test's own, without firmware.
 
 use haptimill_firmware::io::HapticOutputs;
 use haptimill_hil_sim::haptics::dynamics::Dynamics;
@@ -19,7 +20,7 @@ fn led(rail: Option<Rail>) -> HapticArm {
     arm
 }
 
-/// Codes for a force at the platform's centre, from the true place.
+/// Returns codes for a force at the platform's centre, from the true pose.
 fn codes(arm: &HapticArm, force: [f64; 3]) -> HapticOutputs {
     let truth = arm.truth();
     let pose = HandlePose {
@@ -41,7 +42,7 @@ fn codes(arm: &HapticArm, force: [f64; 3]) -> HapticOutputs {
     outputs
 }
 
-/// Runs with a law of force; gives the truth after every period.
+/// Runs with a force law. Returns the truth after every period.
 fn run(
     arm: &mut HapticArm,
     seconds: f64,
@@ -73,8 +74,9 @@ fn stroke(at_s: f64, x: f64, pace_mm_s: f64) -> Stroke {
     }
 }
 
-/// What the thesis states of E6 (docs/control.md 3.5, 4.1): a wall of 0.35 N/mm that goes 4 mm/s; the handle is at about 20 mm after the first second, the force is largest, about 5.5 N, at
-/// about 1.2 s, and the hand comes down to near 4 mm/s.
+/// Stated for E6 (docs/control.md 3.5, 4.1): a wall of 0.35 N/mm moves at 4 mm/s. The handle is at
+/// about 20 mm after the first second, the force is largest, about 5.5 N, at about 1.2 s, and the
+/// hand slows down to near 4 mm/s.
 #[test]
 fn a_moving_wall_holds_the_hand_back() {
     let mut arm = led(Some(Rail::along(X)));
@@ -96,7 +98,7 @@ fn a_moving_wall_holds_the_hand_back() {
     assert!((16.0..24.0).contains(&first), "{first}");
     assert!((0.9..1.5).contains(&(reached as f64 * PERIOD)));
     assert!((3.0..5.0).contains(&speed), "{speed}");
-    // The rail holds across, and against turning.
+    // The rail holds against lateral motion and rotation.
     for truth in &course {
         assert!(
             truth.tip[1].abs() < 0.05 && truth.tip[2].abs() < 0.05,
@@ -106,7 +108,7 @@ fn a_moving_wall_holds_the_hand_back() {
     }
 }
 
-/// The curve of speed over force; the friction of rail and arm is part of what the hand feels.
+/// The curve of speed over force; the operator also feels the friction of rail and arm.
 #[test]
 fn the_hand_yields_to_a_steady_force() {
     let speeds: Vec<(f64, f64)> = [0.0, 1.0, 2.0, 3.0, 4.0, 5.5, 6.5]
@@ -135,7 +137,7 @@ fn the_hand_yields_to_a_steady_force() {
     assert!(of(6.5) < 1.0);
 }
 
-/// Stated for E8: 30 mm in about 5 s. And a hand that nothing resists ends where it means to.
+/// Stated for E8: 30 mm in about 5 s. Without resistance the hand ends at its target.
 #[test]
 fn strokes_end_where_they_are_meant_to() {
     let mut arm = led(Some(Rail::along(X)));
@@ -155,7 +157,9 @@ fn strokes_end_where_they_are_meant_to() {
     assert!(end.tip[0].abs() < 0.3 && end.done, "{:?}", end.tip);
 }
 
-/// A tool that follows the hand by 60 ms and cuts with 1.4 N per mm/s (docs/control.md 4.3), of which 40 % come back to the hand, at most 3.2 N: the loop through the hand does not swing.
+/// A tool follows the hand with a lag of 60 ms and cuts with 1.4 N per mm/s (docs/control.md 4.3).
+/// 40 % of the force return to the hand, at most 3.2 N. The loop through the hand does not
+/// oscillate.
 #[test]
 fn a_reflected_cut_slows_the_hand_and_does_not_shake_it() {
     let mut arm = led(Some(Rail::along(X)));
@@ -222,15 +226,17 @@ fn traced(
         press_n,
     }));
     run(&mut arm, 30.0, |_, truth| {
-        // Against the motion of the platform, where it acts: against that of the tip, 150 mm further, it would feed the handle's swinging about the grip. In full from 3 mm/s on: a
-        // law that switches with the sign of the speed would chatter.
+        // The force opposes the motion of the platform, where it acts. Opposing that of the tip,
+        // 150 mm away, would excite the handle's oscillation about the grip. It is full from 3 mm/s
+        // on: a law that switches with the sign of the speed would chatter.
         let [x, y, ..] = truth.twist;
         let speed = (x * x + y * y).sqrt().max(3.0);
         [-reflected * x / speed, -reflected * y / speed, 0.0]
     })
 }
 
-/// E12: the ball of 5 mm goes round in a hole of 35 mm, so its centre on a circle of 30 mm, against a force of 2.5 N that opposes the motion.
+/// E12: the ball of 5 mm follows the edge of a hole of 35 mm, so its centre a circle of 30 mm,
+/// against a force of 2.5 N that opposes the motion.
 #[test]
 fn the_ball_traces_the_edge_of_a_hole() {
     let part = ReferencePart::default();
@@ -287,7 +293,7 @@ fn the_ball_stays_outside_a_disc() {
     assert!(course.last().expect("some").tip[0] < -35.0);
 }
 
-/// The person is slow, the arm is not: a blow of force is first met by mass, damper and spring alone.
+/// The operator reacts late, the arm at once: mass, damping and spring alone meet an impact.
 #[test]
 fn a_blow_meets_the_arm_before_the_person() {
     let told = |reaction_s: f64| {
@@ -301,15 +307,15 @@ fn a_blow_meets_the_arm_before_the_person() {
     };
     let (late, later) = (told(0.2), told(0.4));
     let place = |course: &[HapticGroundTruth], seconds: f64| at(course, seconds).tip[0];
-    // Nothing of the reaction shows within its time.
+    // Nothing of the reaction within its reaction time.
     assert_eq!(place(&late, 0.19), place(&later, 0.19));
-    // At 0.19 s the spring of 0.8 N/mm has given way by nearly (4 N less friction) / 0.8.
+    // At 0.19 s the spring of 0.8 N/mm is compressed by nearly (4 N less friction) / 0.8.
     assert!(
         (3.0..6.0).contains(&place(&late, 0.19)),
         "{}",
         place(&late, 0.19)
     );
-    // Later the effort leads it back.
+    // Later the operator's effort leads it back.
     assert!(place(&late, 0.99) < 0.5 * place(&late, 0.19));
     assert!(place(&later, 0.35) > place(&late, 0.35));
 }
@@ -346,7 +352,7 @@ fn the_counters_tell_the_joints() {
         pace_mm_s: 20.0,
         ramp_s: 0.2,
     }]));
-    // A stuck channel, a swapped pair, a jump: each on its own encoder.
+    // A stuck channel, swapped channels, a slip: each on its own encoder.
     let stuck = EncoderCondition {
         stuck_a: Some(false),
         ..EncoderCondition::default()

@@ -1,9 +1,9 @@
-//! Scenes that the tests of faults begin with, and what they look at.
+//! Set-ups of the tests, and common assertions.
 #![allow(dead_code, reason = "each test binary uses a part")]
 
 pub mod force;
-pub mod slide;
-pub mod struck;
+pub mod joint_fault;
+pub mod single_joint;
 
 use haptimill_hil_sim::rig::Control;
 use haptimill_protocol::message::{
@@ -19,7 +19,7 @@ pub const MM: f64 = (1 << 20) as f64;
 /// Axis units of a degree.
 pub const DEGREE: f64 = 4_294_967_296.0 / 360.0;
 
-/// A homed machine, at rest.
+/// Returns a homed machine at standstill.
 pub fn ready() -> Bench {
     let mut bench = Bench::new();
     bench.make_ready();
@@ -27,7 +27,8 @@ pub fn ready() -> Bench {
     bench
 }
 
-/// A line of one coordinate: 0.1 s up to `speed` (mm/s or degrees/s), so many spans of 0.1 s along, 0.1 s down.
+/// Returns a line of one coordinate: 0.1 s to `speed` (mm/s or degrees/s), `spans` times 0.1 s at
+/// it, 0.1 s to standstill.
 pub fn line(start: &AxisValues, axis: usize, speed: f64, spans: usize) -> Vec<Setpoint> {
     let unit = if axis < 3 { MM } else { DEGREE };
     let mut place = f64::from(start[axis]);
@@ -45,7 +46,8 @@ pub fn line(start: &AxisValues, axis: usize, speed: f64, spans: usize) -> Vec<Se
         .collect()
 }
 
-/// A homed machine in the middle of a line at `speed` (mm/s or degrees/s), 0.6 s after its start; 0 is a machine that holds in Idle.
+/// Returns a homed machine in the middle of a line at `speed` (mm/s or degrees/s), 0.6 s after its
+/// start; idle for 0.
 pub fn moving(axis: usize, speed: f64) -> Bench {
     let mut bench = ready();
     if speed != 0.0 {
@@ -57,12 +59,12 @@ pub fn moving(axis: usize, speed: f64) -> Bench {
     bench
 }
 
-/// State of the controller, now.
+/// Returns the state of the controller.
 pub fn state(bench: &Bench) -> State {
     bench.rig.control().safety().state()
 }
 
-/// The wanted pose, now.
+/// Returns the commanded pose.
 pub fn commanded(bench: &Bench) -> [i32; 6] {
     bench
         .rig
@@ -76,7 +78,7 @@ pub fn commanded(bench: &Bench) -> [i32; 6] {
         .map(|coordinate| coordinate.0)
 }
 
-/// Distance of the true tool from a pose in mm, tilt and table left out.
+/// Returns the distance of the true tool from a position, mm.
 pub fn distance(bench: &Bench, pose: [f64; 3]) -> f64 {
     let truth = bench.rig.plant().truth().pose;
     (0..3)
@@ -85,14 +87,14 @@ pub fn distance(bench: &Bench, pose: [f64; 3]) -> f64 {
         .sqrt()
 }
 
-/// Where the true tool is, mm.
+/// Returns the true position of the tool, mm.
 pub fn tool<C: Control>(bench: &Bench<C>) -> [f64; 3] {
     let truth = bench.rig.plant().truth().pose;
     [truth[0], truth[1], truth[2]]
 }
 
-/// How far a true joint is from where it is wanted, mm or degrees.
-pub fn joint_off(bench: &Bench, joint: usize) -> f64 {
+/// Returns the distance of a true joint from its commanded position, mm or degrees.
+pub fn following_error(bench: &Bench, joint: usize) -> f64 {
     let target = bench
         .rig
         .control()
@@ -106,7 +108,7 @@ pub fn joint_off(bench: &Bench, joint: usize) -> f64 {
     (bench.rig.truth().joints[joint] - f64::from(target) / unit).abs()
 }
 
-/// Whether every drive is told to be off.
+/// Returns whether every drive output is off.
 pub fn drives_off(bench: &Bench) -> bool {
     bench
         .rig
@@ -117,7 +119,7 @@ pub fn drives_off(bench: &Bench) -> bool {
         && bench.rig.outputs().spindle_rpm == 0
 }
 
-/// After a fault or a stop: reset, enable when the drives went off, and nothing may jump.
+/// Resets after a fault or a stop, and enables if the drives went off; nothing may jump.
 pub fn recover(bench: &mut Bench, expected: State) {
     bench.steps(2500);
     bench.ask(Command::Reset).expect("reset");
@@ -136,8 +138,8 @@ pub fn recover(bench: &mut Bench, expected: State) {
     assert!(most < 0.02, "the tool jumped by {most} mm");
 }
 
-/// The one fault that was told.
-pub fn told(bench: &Bench) -> Vec<&Event> {
+/// Returns the faults that were reported.
+pub fn reported_faults(bench: &Bench) -> Vec<&Event> {
     bench
         .events
         .iter()
@@ -145,7 +147,7 @@ pub fn told(bench: &Bench) -> Vec<&Event> {
         .collect()
 }
 
-/// A setpoint at rest, for a job that only waits.
+/// Returns a setpoint at standstill.
 pub fn rest(pose: &AxisValues, periods: u16) -> Setpoint {
     Setpoint {
         periods,
@@ -155,7 +157,8 @@ pub fn rest(pose: &AxisValues, periods: u16) -> Setpoint {
     }
 }
 
-/// A circle in x and y that begins and ends at rest, of `count` spans of 50 ms; a fifth-order polynomial leads its angle.
+/// Returns a circle in x and y of `count` segments of 50 ms. A polynomial of fifth order gives its
+/// angle.
 pub fn circle(start: &AxisValues, radius: f64, count: usize) -> Vec<Setpoint> {
     use core::f64::consts::TAU;
     let total = count as f64 * 0.05;
@@ -174,7 +177,7 @@ pub fn circle(start: &AxisValues, radius: f64, count: usize) -> Vec<Setpoint> {
         .collect()
 }
 
-/// A job as commands: start, batches, end.
+/// Returns a job as commands: start, batches, end.
 pub fn commands(job: u32, start: &AxisValues, setpoints: &[Setpoint]) -> VecDeque<Command> {
     let mut coder = SetpointCoder::new(200, start);
     let begin = Command::JobStart {
@@ -202,25 +205,25 @@ pub fn commands(job: u32, start: &AxisValues, setpoints: &[Setpoint]) -> VecDequ
         .collect()
 }
 
-/// Says as many of the commands as there is room for.
-pub fn pump(bench: &mut Bench, commands: &mut VecDeque<Command>) {
+/// Sends as many of the commands as there is room for.
+pub fn send_available(bench: &mut Bench, commands: &mut VecDeque<Command>) {
     while let Some(command) = commands.front() {
-        if bench.say(command.clone()).is_none() {
+        if bench.send(command.clone()).is_none() {
             break;
         }
         commands.pop_front();
     }
 }
 
-/// Wanted poses without those at which it stood still.
-pub fn without_pauses(poses: &[[i32; 6]]) -> Vec<[i32; 6]> {
+/// Returns poses without repetitions.
+pub fn without_repetitions(poses: &[[i32; 6]]) -> Vec<[i32; 6]> {
     let mut path = poses.to_vec();
     path.dedup();
     path
 }
 
-/// How far a pose (x, y, z) is from a path of poses, axis units.
-pub fn from_path(path: &[[i32; 6]], pose: &[i32; 6]) -> f64 {
+/// Returns the distance of a pose (x, y, z) from a path of poses, axis units.
+pub fn distance_from_path(path: &[[i32; 6]], pose: &[i32; 6]) -> f64 {
     let point = |pose: &[i32; 6]| [0, 1, 2].map(|axis| f64::from(pose[axis]));
     let p = point(pose);
     path.windows(2)
@@ -241,7 +244,7 @@ pub fn from_path(path: &[[i32; 6]], pose: &[i32; 6]) -> f64 {
         .sqrt()
 }
 
-/// One period; the tool and the wanted pose must not have jumped.
+/// Runs one period, and asserts that the commanded pose did not jump.
 pub fn step_smoothly(bench: &mut Bench, most: f64) {
     let before = commanded(bench);
     bench.step();
@@ -261,7 +264,7 @@ pub fn rates(of: &[(usize, f64)]) -> AxisValues {
     rates.into_iter().collect()
 }
 
-/// A jog of some coordinates, mm/s or degrees/s.
+/// Returns a jog of some coordinates, mm/s or degrees/s.
 pub fn jog(epoch: u16, deadline_ms: u16, of: &[(usize, f64)]) -> Command {
     Command::Jog {
         epoch,

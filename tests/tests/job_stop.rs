@@ -1,4 +1,4 @@
-//! A job that is stopped ends as the machine stands, whatever was on its way when it came to rest.
+//! A stopped job ends at standstill, whatever was under way before.
 
 use haptimill::client::Options;
 use haptimill::machine::MachineFile;
@@ -10,7 +10,7 @@ use haptimill_tests::line_in_x;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// The simulated machine, and a user who wants everything to stop after so many exchanges.
+/// The simulated machine, and a user who requests a stop after a number of exchanges.
 struct Impatient {
     line: SimLine,
     left: Option<u32>,
@@ -31,9 +31,10 @@ impl Line for Impatient {
     }
 }
 
-/// Telemetry of the periods before may still be under way when the end of the job is told: it says "hold", and the machine is idle.
+/// Telemetry of earlier periods may arrive after the end of the job. It shows the state hold, and
+/// the machine is idle.
 #[test]
-fn a_job_stopped_in_any_period_is_summed_up_as_the_machine_stands() {
+fn the_summary_of_a_stopped_job_has_the_final_state() {
     let machine = MachineFile::built_in().expect("sound");
     let home = Model::new(&machine).home(&machine).expect("a pose");
     let stop = Arc::new(AtomicBool::new(false));
@@ -44,13 +45,13 @@ fn a_job_stopped_in_any_period_is_summed_up_as_the_machine_stands() {
     };
     let mut session = Session::new(line, &machine, Options::default(), stop.clone());
     session.connect(1).expect("answers");
-    session.configure(&machine).expect("taken");
+    session.configure(&machine).expect("accepted");
     session.enable().expect("enabled");
     session.go_home(&machine, &home).expect("homed");
     let mut speed = 2.0;
     let mut others = vec![];
     for periods in 0..120 {
-        let start = session.status().expect("told").commanded;
+        let start = session.status().expect("status").commanded;
         session.line_mut().left = Some(300 + periods);
         let job = session.run_job(
             2 + periods,

@@ -1,6 +1,7 @@
-//! A bad line, two hosts, and the stop that overtakes everything: never a wrong motion, nothing lost.
+//! Serial line and sessions: a bad line, two hosts, and the out-of-band stop. No wrong motion, and
+//! no lost message.
 
-mod scene;
+mod setup;
 
 use haptimill_hil_sim::random::Random;
 use haptimill_hil_sim::rig::RigOptions;
@@ -11,13 +12,14 @@ use haptimill_protocol::message::{
 use haptimill_protocol::setpoint::SetpointCoder;
 use haptimill_protocol::urgent::STOP;
 use haptimill_tests::Bench;
-use scene::{
-    MM, circle, commanded, commands, from_path, line, moving, pump, ready, rest, state,
-    without_pauses,
+use setup::{
+    MM, circle, commanded, commands, distance_from_path, line, moving, ready, rest, send_available,
+    state, without_repetitions,
 };
 use std::collections::VecDeque;
 
-/// Runs the circle over a line with these faults; the wanted poses of every period from the start of the job on, and the bench.
+/// Runs the circle over a line with these faults. Returns the commanded poses of every period of
+/// the job, and the bench.
 fn run_circle(faults: &[&str]) -> (Vec<[i32; 6]>, Bench) {
     let options = RigOptions {
         baud: Some(115_200),
@@ -37,11 +39,11 @@ fn run_circle(faults: &[&str]) -> (Vec<[i32; 6]>, Bench) {
     let mut job = commands(7, &start, &circle(&start, 5.0, 160));
     let mut poses = vec![commanded(&bench)];
     for _ in 0..60_000 {
-        // A host that has no more than 1.6 s in hand: the line is used all the time.
+        // The host keeps at most 1.6 s of setpoints queued, so the line is always in use.
         let machine = bench.rig.control().machine().expect("configured");
         let sent = 4 * (42 - job.len());
         if sent < machine.motion.program.reached() as usize + 32 || sent < 32 {
-            pump_one(&mut bench, &mut job);
+            send_next(&mut bench, &mut job);
         }
         bench.step();
         poses.push(commanded(&bench));
@@ -50,28 +52,28 @@ fn run_circle(faults: &[&str]) -> (Vec<[i32; 6]>, Bench) {
             break;
         }
     }
-    // What is still to be told.
+    // Receive the outstanding events.
     bench.steps(3000);
     (poses, bench)
 }
 
-/// Says the next command, if there is room.
-fn pump_one(bench: &mut Bench, commands: &mut VecDeque<Command>) {
+/// Sends the next command, if there is room.
+fn send_next(bench: &mut Bench, commands: &mut VecDeque<Command>) {
     if let Some(command) = commands.front()
-        && bench.say(command.clone()).is_some()
+        && bench.send(command.clone()).is_some()
     {
         commands.pop_front();
     }
 }
 
 #[test]
-fn a_bad_line_never_makes_a_wrong_motion() {
+fn a_bad_line_causes_no_wrong_motion() {
     let (clean, bench) = run_circle(&[]);
     assert!(bench.events.contains(&Event::JobDone {
         job: 7,
         setpoints: 160
     }));
-    let clean = without_pauses(&clean);
+    let clean = without_repetitions(&clean);
     let mut same = 0;
     let cases: [&[&str]; 10] = [
         &["link-errors rate=1e-6 at=8s"],
@@ -86,7 +88,7 @@ fn a_bad_line_never_makes_a_wrong_motion() {
             "link-drop rate=0.001 at=8s",
             "link-duplicate rate=0.001 at=8s",
         ],
-        // Frames are cut short, and the line comes back within the heartbeat, twice.
+        // Twice frames are cut short, and the line works again within the heartbeat.
         &[
             "link-cut at=10.2s for=300ms",
             "link-cut at=12.5s for=200ms direction=to-machine",
@@ -104,7 +106,7 @@ fn a_bad_line_never_makes_a_wrong_motion() {
             .iter()
             .any(|event| matches!(event, Event::Underrun { .. }));
         let stopped = bench.rig.control().safety().state();
-        let path = without_pauses(&poses);
+        let path = without_repetitions(&poses);
         println!(
             "{faults:?}: done {done}, underrun {underrun}, {stopped:?}, {} periods, {:?}",
             poses.len(),
@@ -113,9 +115,9 @@ fn a_bad_line_never_makes_a_wrong_motion() {
         if path == clean {
             same += 1;
         } else {
-            // Braked on the way, and perhaps went on: on the path all the time.
+            // The machine may brake and resume, but it stays on the path.
             for pose in path.iter().step_by(7).chain(path.last()) {
-                let off = from_path(&clean, pose) / MM;
+                let off = distance_from_path(&clean, pose) / MM;
                 assert!(off < 1e-3, "{off} mm off the path");
             }
         }
@@ -131,7 +133,7 @@ fn a_bad_line_never_makes_a_wrong_motion() {
 }
 
 #[test]
-fn an_urgent_stop_at_every_byte_stops_within_the_braking_time_and_loses_nothing() {
+fn an_out_of_band_stop_at_any_byte_stops_in_time_and_loses_no_message() {
     let mut bench = ready();
     let start = commanded(&bench)[..5].iter().copied().collect();
     let path = {
@@ -139,13 +141,13 @@ fn an_urgent_stop_at_every_byte_stops_within_the_braking_time_and_loses_nothing(
         let mut job = commands(1, &start, &circle(&start, 5.0, 100));
         let mut poses = vec![];
         for _ in 0..30_000 {
-            pump(&mut clean, &mut job);
+            send_available(&mut clean, &mut job);
             clean.step();
             poses.push(commanded(&clean));
         }
-        without_pauses(&poses)
+        without_repetitions(&poses)
     };
-    // Feeds setpoints slowly, so that the stream goes on through all the stops.
+    // Setpoints are sent slowly, so that the stream continues through all the stops.
     let mut job = commands(1, &start, &circle(&start, 5.0, 100));
     let mut poses = vec![commanded(&bench)];
     let mut stopped = 0;
@@ -155,12 +157,12 @@ fn an_urgent_stop_at_every_byte_stops_within_the_braking_time_and_loses_nothing(
     while state(&bench) != State::Idle || poses.len() < 100 {
         assert!(poses.len() < 600_000, "{:?}", bench.events.last());
         if job.len() > 8 || since_resume > 100 {
-            pump(&mut bench, &mut job);
+            send_available(&mut bench, &mut job);
         }
         let mut struck = false;
         let due = state(&bench) == State::Run && since_resume > 120 && next_offset < 80;
         bench.step_with_fault(|bytes| {
-            // One more ping, so that there is a stream to break into.
+            // One more ping, so that the stop interrupts a stream of bytes.
             if due && !bytes.is_empty() {
                 let at = next_offset % (bytes.len() + 1);
                 bytes.splice(at..at, STOP);
@@ -170,11 +172,11 @@ fn an_urgent_stop_at_every_byte_stops_within_the_braking_time_and_loses_nothing(
         poses.push(commanded(&bench));
         since_resume += 1;
         if due && !struck {
-            bench.say(Command::Ping);
+            bench.send(Command::Ping);
         }
         if struck {
             next_offset += 1;
-            // The stop is on its way for a period at most.
+            // The stop takes at most one period.
             for period in 0..2000 {
                 bench.step();
                 poses.push(commanded(&bench));
@@ -189,7 +191,7 @@ fn an_urgent_stop_at_every_byte_stops_within_the_braking_time_and_loses_nothing(
             }
             assert_eq!(state(&bench), State::Hold);
             stopped += 1;
-            // A stop outlives what may still be on its way; a hold that comes in its place ends that.
+            // The stale-command window outlasts what may still be under way; a new hold ends it.
             bench.ask(Command::Hold).expect("holds");
             bench.ask(Command::Resume).expect("goes on");
             since_resume = 0;
@@ -200,27 +202,27 @@ fn an_urgent_stop_at_every_byte_stops_within_the_braking_time_and_loses_nothing(
         f64::from(longest) * 0.2
     );
     assert!(stopped >= 60, "{stopped}");
-    // What happened in the last period is told in one of the next.
+    // Events of the last period are reported in one of the next.
     bench.steps(20);
     assert!(bench.events.contains(&Event::JobDone {
         job: 1,
         setpoints: 100
     }));
-    let spoilt = without_pauses(&poses);
-    for pose in spoilt.iter().step_by(31).chain(spoilt.last()) {
-        let off = from_path(&path, pose) / MM;
+    let interrupted = without_repetitions(&poses);
+    for pose in interrupted.iter().step_by(31).chain(interrupted.last()) {
+        let off = distance_from_path(&path, pose) / MM;
         assert!(off < 1e-3, "{off} mm off the path");
     }
-    assert_eq!(spoilt.last(), path.last());
+    assert_eq!(interrupted.last(), path.last());
 }
 
 #[test]
-fn nothing_that_was_said_before_a_stop_sets_the_machine_going_again() {
+fn commands_sent_before_a_stop_do_not_restart_the_machine() {
     let mut bench = moving(0, 10.0);
     bench.ask(Command::Hold).expect("holds");
     bench.steps(2000);
-    // `Resume` waits in the ring behind garbage while the stop overtakes it.
-    bench.say(Command::Resume).expect("room");
+    // `Resume` waits in the receive ring behind garbage while the stop overtakes it.
+    bench.send(Command::Resume).expect("room");
     bench.step_with_fault(|bytes| {
         let mut flood = vec![7; 1000];
         flood.push(0);
@@ -242,19 +244,20 @@ fn nothing_that_was_said_before_a_stop_sets_the_machine_going_again() {
 }
 
 #[test]
-fn garbage_never_moves_the_machine_and_never_stops_the_link() {
+fn garbage_neither_moves_the_machine_nor_ends_the_link() {
     let mut random = Random::new(99, 0);
     for speed in [0.0, 10.0] {
         let mut bench = moving(0, speed);
         let before = commanded(&bench);
-        // 340 ms: the heartbeat, less the silence before a sign of life that was lost and the one before the first that is heard again.
+        // 340 ms: the heartbeat, less the silences before a lost keep-alive frame and before the
+        // first received one.
         for _ in 0..1700 {
             bench.step_with_fault(|bytes| {
                 let count = (random.fraction() * 40.0) as usize;
                 let garbage: Vec<u8> = (0..count)
                     .map(|_| (random.fraction() * 256.0) as u8)
                     .collect();
-                // Not a stop by chance: that may come, and is another test.
+                // Without a stop by chance, which is another test.
                 if !garbage.windows(3).any(|three| three == STOP) {
                     bytes.extend(
                         garbage
@@ -277,18 +280,19 @@ fn garbage_never_moves_the_machine_and_never_stops_the_link() {
 }
 
 #[test]
-fn a_second_host_is_refused_while_the_machine_moves_and_welcome_while_it_stands() {
+fn a_second_host_is_refused_in_motion_and_accepted_at_standstill() {
     let mut bench = moving(0, 10.0);
     let mut second = HostLink::new(Timing::default());
     second.open(1234, bench.rig.time_ns() / 1000);
-    // Both on one wire: the second's bytes come between the first's frames, and it hears what is said to the first.
+    // Both hosts share one line: the bytes of the second come between the frames of the first, and
+    // it receives the answers to the first.
     for _ in 0..1500 {
         let now = bench.rig.time_ns() / 1000;
         let mut buffer = [0; 256];
         let count = second.transmit(now, &mut buffer);
         bench.step_with_fault(|bytes| bytes.extend(&buffer[..count]));
-        let said = bench.rig.outputs().transmit.to_vec();
-        second.receive(now, &said);
+        let bytes = bench.rig.outputs().transmit.to_vec();
+        second.receive(now, &bytes);
     }
     let now = bench.rig.time_ns() / 1000;
     assert_eq!(second.state(now), LinkState::Refused(HelloRefusal::Busy));
@@ -298,7 +302,7 @@ fn a_second_host_is_refused_while_the_machine_moves_and_welcome_while_it_stands(
         job: 1,
         setpoints: 30
     }));
-    // Idle: the new host has it, with nothing of the old one's.
+    // In idle the new host has the machine, without anything of the old session.
     bench
         .ask(Command::Source {
             axis: 1,
@@ -329,7 +333,7 @@ fn a_second_host_is_refused_while_the_machine_moves_and_welcome_while_it_stands(
         })
         .expect("counts its own epochs");
     bench.steps(3000);
-    // Axis 1 is the program's again.
+    // The program is the source of axis 1 again.
     let start = bench.status().commanded;
     bench.start_job(2, &line(&start, 1, -4.0, 2));
     assert!(bench.wait_for(State::Idle, 10_000));
@@ -337,8 +341,9 @@ fn a_second_host_is_refused_while_the_machine_moves_and_welcome_while_it_stands(
 }
 
 #[test]
-fn no_host_takes_over_a_machine_that_moves_before_it_brakes() {
-    // The first host dies; another greets without pause. It gets in when the machine has begun to brake, never into a job that goes on.
+fn no_host_takes_over_a_moving_machine_before_the_heartbeat_stop() {
+    // The first host vanishes; another sends `Hello` all the time. It is accepted when the
+    // deceleration has begun, never during a running job.
     let mut bench = moving(0, 10.0);
     let mut second = HostLink::new(Timing {
         hello_us: 200,
@@ -350,8 +355,8 @@ fn no_host_takes_over_a_machine_that_moves_before_it_brakes() {
         let mut buffer = [0; 256];
         let count = second.transmit(now, &mut buffer);
         bench.step_with_fault(|bytes| *bytes = buffer[..count].to_vec());
-        let said = bench.rig.outputs().transmit.to_vec();
-        second.receive(now, &said);
+        let bytes = bench.rig.outputs().transmit.to_vec();
+        second.receive(now, &bytes);
         match second.state(now) {
             LinkState::Refused(_) => second.open(1234, now),
             LinkState::Open => {
@@ -366,7 +371,7 @@ fn no_host_takes_over_a_machine_that_moves_before_it_brakes() {
 }
 
 #[test]
-fn a_refused_setpoint_changes_nothing_and_can_be_said_again() {
+fn a_refused_setpoint_changes_nothing_and_can_be_repeated() {
     let mut bench = ready();
     let start = bench.status().commanded;
     let points = circle(&start, 5.0, 40);
@@ -385,7 +390,7 @@ fn a_refused_setpoint_changes_nothing_and_can_be_said_again() {
     };
     for (index, point) in points.iter().enumerate() {
         if index % 5 == 3 {
-            // Beyond the soft limit, out of order, and too fast: each with another prediction after it.
+            // Beyond the soft limit, out of order, and too fast: each changes the prediction.
             let mut far = rest(&start, 50);
             far.pose[2] = (500.0 * MM) as i32;
             let wrong = coder.clone().encode(&far).expect("codes");
@@ -404,7 +409,8 @@ fn a_refused_setpoint_changes_nothing_and_can_be_said_again() {
                     expected: index as u32
                 })
             );
-            // One good setpoint, and then the bad one: the good one is taken, the answer says what is expected.
+            // A valid setpoint, then the invalid one: the valid one is accepted, and the answer
+            // names the expected number.
             let mut ahead = coder.clone();
             let good = ahead.encode(point).expect("codes");
             let bad = ahead.clone().encode(&far).expect("codes");
@@ -417,11 +423,11 @@ fn a_refused_setpoint_changes_nothing_and_can_be_said_again() {
                 })
             );
             coder = ahead;
-            // One answer each, no "done" before it.
+            // One answer each, and no success before it.
             assert!(bench.take_answers().is_empty());
         } else {
             let good = coder.encode(point).expect("codes");
-            bench.ask(batch(index, &[good])).expect("taken");
+            bench.ask(batch(index, &[good])).expect("accepted");
         }
     }
     bench.ask(Command::JobEnd { count: 40 }).expect("ended");
@@ -434,7 +440,7 @@ fn a_refused_setpoint_changes_nothing_and_can_be_said_again() {
         worst = worst.max((x.hypot(y) - 5.0).abs());
         assert_eq!(now[2], start[2]);
     }
-    // The circle, but for the cubics between its setpoints.
+    // The circle, except for the cubics between its setpoints.
     assert!(worst < 0.01, "{worst} mm off the circle");
     assert_eq!(commanded(&bench)[..5], points[39].pose[..]);
 }

@@ -1,4 +1,5 @@
-//! Setpoints that follow each other more closely than the planner of this project puts them.
+//! Setpoints at intervals of a few milliseconds, closer than the planner of this project places
+//! them.
 
 use haptimill::client::Options;
 use haptimill::machine::MachineFile;
@@ -11,7 +12,7 @@ use std::sync::atomic::AtomicBool;
 
 const MM: f64 = (1 << 20) as f64;
 
-/// A line in x and y at `speed` mm/s: up to speed in 0.1 s, `count` spans of so many periods, down in 0.1 s.
+/// Returns a line in x and y: 0.1 s to `speed` mm/s, `count` segments, 0.1 s to standstill.
 fn line(start: &AxisValues, speed: f64, periods: u16, count: usize) -> Vec<Setpoint> {
     let mut place = [f64::from(start[0]), f64::from(start[1])];
     (0..count + 2)
@@ -40,21 +41,21 @@ fn line(start: &AxisValues, speed: f64, periods: u16, count: usize) -> Vec<Setpo
         .collect()
 }
 
-/// The host sends as many as telemetry says there is room for, so both have to keep up: the queue never runs low for want of one of them.
+/// The host sends as many setpoints as the credit allows. The queue must never run low.
 #[test]
-fn setpoints_of_a_millisecond_come_in_time() {
+fn setpoints_at_one_millisecond_cause_no_underrun() {
     let machine = MachineFile::built_in().expect("sound");
     let home = Model::new(&machine).home(&machine).expect("a pose");
     let stop = Arc::new(AtomicBool::new(false));
     let line_of = SimLine::new(rig(&machine, None, None, vec![]).expect("sound"));
     let mut session = Session::new(line_of, &machine, Options::default(), stop);
     session.connect(1).expect("answers");
-    session.configure(&machine).expect("taken");
+    session.configure(&machine).expect("accepted");
     session.enable().expect("enabled");
     session.go_home(&machine, &home).expect("homed");
     let mut speed = 4.0;
     for (job, periods) in [25, 16, 10, 7, 5].into_iter().enumerate() {
-        let start = session.status().expect("told").commanded;
+        let start = session.status().expect("status").commanded;
         let count = 20_000 / usize::from(periods);
         let job = session.run_job(
             2 + job as u32,
