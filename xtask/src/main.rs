@@ -259,7 +259,7 @@ fn instructions() -> Result<(), String> {
     provide()?;
     emulated(
         "instructions",
-        "emulated",
+        "emulated_instructions",
         "instructions",
         &[("HAPTIMILL_WRITE", "1")],
     )

@@ -1,9 +1,10 @@
 //! Common code of the tests of the controller on an emulated chip.
 #![allow(dead_code, reason = "each test binary uses a part")]
 
-use clap::{Args, FromArgMatches};
+use clap::{Args, FromArgMatches, Subcommand};
 use haptimill::cli::CliError;
 use haptimill::cli::run::{self, RunArgs};
+use haptimill::cli::scenario::{self, ScenarioCommand};
 use haptimill::machine::MachineFile;
 use haptimill::port::Board;
 use haptimill::session::pil::{self, Emulator, Setup};
@@ -40,6 +41,31 @@ pub fn run(program: &Path, port: &str, out: &Path, more: &[&str]) -> Result<(), 
     let command = RunArgs::augment_args(clap::Command::new("run"));
     let matches = command.try_get_matches_from(words).expect("arguments");
     run::run(RunArgs::from_arg_matches(&matches).expect("arguments"))
+}
+
+/// Runs a part program that must succeed. Returns the time that it took.
+pub fn run_timed(program: &Path, port: &str, out: &Path, more: &[&str]) -> Duration {
+    let start = Instant::now();
+    run(program, port, out, more).expect("runs");
+    start.elapsed()
+}
+
+/// Runs a scenario as the command line does.
+pub fn scenario(name: &str, port: &str, out: &Path) -> Result<(), CliError> {
+    let out = out.display().to_string();
+    let words = ["scenario", "run", name, "--port", port, "--out", &out];
+    let command = ScenarioCommand::augment_subcommands(clap::Command::new("scenario"));
+    let matches = command.try_get_matches_from(words).expect("arguments");
+    scenario::run(ScenarioCommand::from_arg_matches(&matches).expect("arguments"))
+}
+
+/// Returns the first seconds of the dome, a 5-axis program.
+pub fn part_of_dome(blocks: usize) -> PathBuf {
+    let text = std::fs::read_to_string(root().join("examples/dome.ngc")).expect("there");
+    let beginning: Vec<&str> = text.lines().take(blocks).collect();
+    let file = results(&format!("dome-{blocks}.ngc"));
+    std::fs::write(&file, beginning.join("\n") + "\nM5\nM30\n").expect("written");
+    file
 }
 
 /// Returns the image of the board with this name, for example `faults`.

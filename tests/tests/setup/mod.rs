@@ -1,9 +1,11 @@
 //! Set-ups of the tests, and common assertions.
 #![allow(dead_code, reason = "each test binary uses a part")]
 
+pub mod enable;
 pub mod force;
 pub mod joint_fault;
 pub mod single_joint;
+pub mod slides;
 
 use haptimill_hil_sim::rig::Control;
 use haptimill_protocol::message::{
