@@ -3,7 +3,7 @@
 mod mill;
 
 use haptimill_hil_sim::process::{Coefficients, ToolPose};
-use mill::{Bench, TURN, block, config, largest, mean, peaks, slotted};
+use mill::{Bench, TURN, block, config, largest, mean, peaks, with_slot};
 use std::f64::consts::PI;
 
 const R: f64 = 4.0;
@@ -23,9 +23,9 @@ fn pit(depth: f64) -> f64 {
 }
 
 #[test]
-fn volume_is_the_sweep_of_the_ball() {
+fn removed_volume_is_the_sweep_of_the_ball() {
     for depth in [1.0, 2.0, 3.0, 5.0] {
-        let mut bench = slotted(10.0, depth);
+        let mut bench = with_slot(10.0, depth);
         bench.cutting.settle();
         let exact = pit(depth) + 20.0 * section(depth);
         let ours = bench.cutting.workpiece().removed_mm3();
@@ -39,9 +39,9 @@ fn volume_is_the_sweep_of_the_ball() {
 }
 
 #[test]
-fn chips_are_what_the_map_loses() {
+fn chip_volume_equals_the_volume_that_the_map_loses() {
     for (depth, feed) in [(1.0, 4.0), (2.0, 4.0), (2.0, 10.0), (5.0, 4.0)] {
-        let mut bench = slotted(feed, depth);
+        let mut bench = with_slot(feed, depth);
         // Away from the plunge, over many whole revolutions.
         let before = bench.cutting.chips_mm3();
         bench.line([-24.0, 0.0, -depth], feed);
@@ -55,7 +55,7 @@ fn chips_are_what_the_map_loses() {
 }
 
 #[test]
-fn air_has_no_force() {
+fn a_tool_in_air_has_no_force() {
     let config = config(block(-26.0, 6.0, -6.0, 6.0), Coefficients::P1);
     let mut bench = Bench::new(&config, [0.0, 0.0, 0.001]);
     let cuts = bench.line([-20.0, 3.0, 0.001], 20.0);
@@ -65,9 +65,9 @@ fn air_has_no_force() {
 }
 
 #[test]
-fn a_second_pass_takes_nothing() {
+fn a_second_pass_removes_nothing() {
     for (depth, feed) in [(2.0, 4.0), (3.5, 2.0), (5.0, 4.0)] {
-        let mut bench = slotted(feed, depth);
+        let mut bench = with_slot(feed, depth);
         let first = bench.line([-20.5, 0.0, -depth], feed);
         // Back along the slot, out at its start, and once more.
         let back = bench.line([0.0, 0.0, -depth], feed);
@@ -94,8 +94,8 @@ fn a_second_pass_takes_nothing() {
 }
 
 #[test]
-fn a_tool_that_stands_has_no_force_and_goes_on_as_before() {
-    let mut bench = slotted(4.0, 2.0);
+fn a_stopped_feed_has_no_force_and_continues_as_before() {
+    let mut bench = with_slot(4.0, 2.0);
     let running = bench.line([-21.0, 0.0, -2.0], 4.0);
     let standing = bench.stand(20 * TURN);
     assert!(
@@ -119,7 +119,7 @@ fn a_tool_that_stands_has_no_force_and_goes_on_as_before() {
 
 #[test]
 fn forces_repeat_with_the_teeth() {
-    let mut bench = slotted(4.0, 2.0);
+    let mut bench = with_slot(4.0, 2.0);
     let cuts = bench.line([-21.0, 0.0, -2.0], 4.0);
     let (high, _) = peaks(&cuts, 10);
     let tail = &cuts[cuts.len() - 4 * TURN..];
@@ -170,14 +170,14 @@ fn force_grows_with_feed_and_scale() {
 }
 
 #[test]
-fn spindle_speed_sets_the_chip() {
-    let mut bench = slotted(4.0, 2.0);
+fn the_spindle_speed_sets_the_chip_thickness() {
+    let mut bench = with_slot(4.0, 2.0);
     let full = mean(&bench.line([-21.0, 0.0, -2.0], 4.0), 8);
     // Half the speed is twice the feed per tooth. P1 has edge forces, so the force is a little less
     // than double.
     bench.rpm = 2500.0;
     let half = mean(&bench.line([-22.5, 0.0, -2.0], 4.0), 8);
-    let twice = mean(&slotted(8.0, 2.0).line([-21.5, 0.0, -2.0], 8.0), 8);
+    let twice = mean(&with_slot(8.0, 2.0).line([-21.5, 0.0, -2.0], 8.0), 8);
     for i in 0..3 {
         assert!(
             (half[i] - twice[i]).abs() < 0.02 * twice[0],
@@ -191,7 +191,7 @@ fn spindle_speed_sets_the_chip() {
 /// this spindle, feed -x is up milling. (docs/control.md 5.2: the passes of the pocket have Fx + -
 /// +, the second the smallest.)
 #[test]
-fn up_and_down_milling_have_their_signs() {
+fn up_and_down_milling_forces_have_the_right_signs() {
     let config = config(block(-36.0, 6.0, -11.0, 6.0), Coefficients::P1);
     let mut bench = Bench::new(&config, [0.0, 0.0, 1.0]);
     bench.line([0.0, 0.0, -2.0], 4.0);
@@ -220,7 +220,7 @@ fn up_and_down_milling_have_their_signs() {
 }
 
 #[test]
-fn entry_and_exit_follow_the_stock() {
+fn force_starts_and_ends_at_the_edges_of_the_stock() {
     let mut piece = block(-10.0, 10.0, -6.0, 6.0);
     piece.stock.x_min = -5.0;
     piece.stock.x_max = 5.0;
@@ -255,7 +255,7 @@ fn entry_and_exit_follow_the_stock() {
 }
 
 #[test]
-fn incline_cuts_deeper_as_it_goes() {
+fn an_incline_is_cut_deeper_along_the_path() {
     let mut piece = block(-27.0, 7.0, -6.0, 6.0);
     piece.rise_x_deg = -10.0;
     let mut bench = Bench::new(&config(piece, Coefficients::P2), [0.0, 0.0, 3.0]);
@@ -281,7 +281,7 @@ fn incline_cuts_deeper_as_it_goes() {
 }
 
 #[test]
-fn a_leaning_tool_takes_the_same_chips() {
+fn a_tilted_tool_removes_the_same_volume() {
     // With a tilt of 20 degrees about x (alpha) and feed along x the ball sweeps the same slot; the
     // edges meet it elsewhere.
     let config = config(block(-26.0, 6.0, -6.0, 6.0), Coefficients::P2);
@@ -325,8 +325,8 @@ fn a_leaning_tool_takes_the_same_chips() {
 }
 
 #[test]
-fn stopped_spindle_presses_and_lets_go() {
-    let mut bench = slotted(4.0, 2.0);
+fn a_stopped_spindle_presses_until_the_tool_retracts() {
+    let mut bench = with_slot(4.0, 2.0);
     let cutting = largest(&bench.line([-20.5, 0.0, -2.0], 4.0));
     bench.rpm = 0.0;
     let volume = bench.cutting.workpiece().removed_mm3();
@@ -381,7 +381,7 @@ fn jogging_with_the_spindle_off_cuts_nothing() {
 #[test]
 fn the_same_cut_gives_the_same_bits() {
     let run = || {
-        let mut bench = slotted(7.3, 2.2);
+        let mut bench = with_slot(7.3, 2.2);
         let cuts = bench.line([-23.0, 1.7, -1.4], 3.1);
         let bits: Vec<u64> = cuts
             .iter()

@@ -13,7 +13,7 @@ type Engaged = dyn Fn(f64, f64) -> bool;
 /// immersion. The lag of the edges has no effect on the mean, so no tooth is followed. Equations of
 /// docs/control.md 5.1: dS from R'(psi), db = dz / sin kappa, h = f_t sin Psi sin kappa. `onset` is
 /// the chip thickness at which the edge force is full; 0 is the equation as it stands there.
-fn printed_mean(
+fn mean_of_equations(
     cutter: &CutterConfig,
     depth: f64,
     per_tooth: f64,
@@ -117,8 +117,8 @@ fn slot_has_the_mean_force_of_the_printed_equations() {
             };
             let per_tooth = feed / (mill::RPM / 60.0 * 2.0);
             let all: &Engaged = &|_, _| true;
-            let printed = printed_mean(&cutter, depth, per_tooth, 0.0, all);
-            let eased = printed_mean(&cutter, depth, per_tooth, cutter.edge_onset_mm, all);
+            let printed = mean_of_equations(&cutter, depth, per_tooth, 0.0, all);
+            let eased = mean_of_equations(&cutter, depth, per_tooth, cutter.edge_onset_mm, all);
             let size = distance(printed, [0.0; 3]);
             for heading in [[1.0, 0.0], [-1.0, 0.0], [0.6, -0.8]] {
                 let ours = mean_of(&slot(coefficients, depth, feed, heading));

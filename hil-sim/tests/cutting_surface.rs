@@ -6,15 +6,15 @@ use haptimill_hil_sim::process::metrology::circle;
 use haptimill_hil_sim::process::{
     Coefficients, CuttingConfig, ElasticWall, Spindle, SpindleConfig, ToolPose, Workpiece,
 };
-use mill::{Bench, block, config, slotted};
+use mill::{Bench, block, config, with_slot};
 use proptest::prelude::*;
 use std::f64::consts::PI;
 
 const R: f64 = 4.0;
 
 #[test]
-fn slot_and_circle_are_measured_as_they_were_cut() {
-    let mut bench = slotted(20.0, 2.0);
+fn slot_and_circle_are_measured_as_cut() {
+    let mut bench = with_slot(20.0, 2.0);
     bench.cutting.settle();
     let piece = bench.cutting.workpiece();
     let groove = piece
@@ -60,7 +60,7 @@ fn slot_and_circle_are_measured_as_they_were_cut() {
 }
 
 #[test]
-fn leaving_the_map_is_told() {
+fn leaving_the_map_is_reported() {
     let config = config(block(-5.0, 5.0, -5.0, 5.0), Coefficients::P2);
     let mut bench = Bench::new(&config, [0.0, 0.0, 1.0]);
     bench.line([0.0, 0.0, -1.0], 5.0);
@@ -71,7 +71,7 @@ fn leaving_the_map_is_told() {
 }
 
 #[test]
-fn spindle_runs_up_and_stands() {
+fn the_spindle_runs_up_and_stops() {
     let mut spindle = Spindle::new(&SpindleConfig { run_up_s: 0.3 }, mill::PERIOD);
     let mut turns = 0.0;
     for _ in 0..7500 {
@@ -94,7 +94,7 @@ fn spindle_runs_up_and_stands() {
 }
 
 #[test]
-fn elastic_wall_pushes_and_never_pulls() {
+fn an_elastic_wall_pushes_and_never_pulls() {
     let wall = ElasticWall {
         point: [-10.0, 0.0, 0.0],
         normal: [0.8, 0.0, 0.6],
@@ -117,7 +117,7 @@ fn elastic_wall_pushes_and_never_pulls() {
 }
 
 #[test]
-fn nonsense_is_refused_whole() {
+fn an_invalid_configuration_is_refused() {
     let mut config = CuttingConfig::default();
     assert!(config.check().is_ok());
     config.cutter.teeth = 0;
@@ -125,7 +125,7 @@ fn nonsense_is_refused_whole() {
     config.cutter.coefficients.radial = f64::INFINITY;
     config.workpiece.cell_mm = 1e-6;
     config.workpiece.map.x_max = config.workpiece.map.x_min;
-    let problems = config.check().expect_err("nonsense");
+    let problems = config.check().expect_err("invalid");
     for part in ["teeth", "radius_mm", "radial", "cell_mm", "map: x_max"] {
         assert!(
             problems.iter().any(|problem| problem.field.contains(part)),
@@ -140,7 +140,7 @@ proptest! {
     /// After any sweeps every point of the map is exactly as low as the lowest ball that passed
     /// over it.
     #[test]
-    fn sweeps_leave_the_envelope_of_the_ball(
+    fn the_surface_is_the_envelope_of_the_ball(
         places in prop::collection::vec((-3.0..3.0_f64, -3.0..3.0_f64, 2.0..7.0_f64), 2..6)
     ) {
         let mut shape = block(-8.0, 8.0, -8.0, 8.0);

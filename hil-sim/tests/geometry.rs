@@ -76,7 +76,7 @@ fn rods(tip: &Tip, slides: &[f64; 4]) -> [f64; 4] {
 }
 
 #[test]
-fn reference_table() {
+fn forward_kinematics_match_the_reference_table() {
     // docs/control.md 7.2: x_w, y_w, z_w, theta, alpha, and the slides.
     let table = [
         (
@@ -120,7 +120,7 @@ fn reference_table() {
 }
 
 #[test]
-fn home_and_base_frame() {
+fn home_pose_and_base_frame_are_as_defined() {
     let mut arm = Arm::new(&reference(), &HOME).expect("home");
     for (slides, x, y, z, theta) in [
         (HOME, 810.0, 0.0, -578.768004, 0.0),
@@ -148,7 +148,7 @@ fn home_and_base_frame() {
 }
 
 #[test]
-fn the_other_branch_is_the_mirror_image() {
+fn the_other_assembly_branch_is_the_mirror_image() {
     // With d = c the rails are symmetric at theta = 0: the mirror image of z_c + g_e.
     let mut above = Arm::new(
         &ArmGeometry {
@@ -169,7 +169,7 @@ fn the_other_branch_is_the_mirror_image() {
 }
 
 #[test]
-fn refuses_slides_that_no_platform_can_have() {
+fn slides_without_a_pose_are_refused() {
     let mut arm = Arm::new(&reference(), &HOME).expect("home");
     // The slides move apart until the rods are too short.
     let mut refused = false;
@@ -216,7 +216,7 @@ proptest! {
     }
 
     #[test]
-    fn table_turns_the_work_rigidly(alpha in -60.0..60.0_f64, dy in -50.0..50.0_f64, dz in -50.0..50.0_f64) {
+    fn the_table_turns_the_workpiece_rigidly(alpha in -60.0..60.0_f64, dy in -50.0..50.0_f64, dz in -50.0..50.0_f64) {
         let arm = Arm::new(&reference(), &HOME).expect("home");
         let one = arm.in_work(&Tip { x: 800.0, y: 0.0, z: -560.0, sin_theta: 0.0 }, alpha);
         let other = arm.in_work(&Tip { x: 800.0, y: dy, z: -560.0 + dz, sin_theta: 0.0 }, alpha);
@@ -291,7 +291,7 @@ proptest! {
     /// Turning a vector into the base frame and back changes nothing, and agrees with the transform
     /// of positions.
     #[test]
-    fn vectors_turn_like_places(vector in prop::array::uniform3(-50.0..50.0_f64), alpha in -80.0..80.0_f64) {
+    fn vectors_turn_like_positions(vector in prop::array::uniform3(-50.0..50.0_f64), alpha in -80.0..80.0_f64) {
         let base = Arm::to_base(vector, alpha);
         let again = Arm::to_work(base, alpha);
         for i in 0..3 {
@@ -329,9 +329,9 @@ fn joint_loads_at_home_are_those_of_the_reference_jacobian() {
         let loads = arm
             .joint_loads(&tip, &HOME, 0.0, force, 0.0)
             .expect("regular");
-        for (column, wanted) in [force[0], force[1], force[2], 0.0].into_iter().enumerate() {
+        for (column, expected) in [force[0], force[1], force[2], 0.0].into_iter().enumerate() {
             let sum: f64 = (0..4).map(|i| rows[i][column] * loads[i]).sum();
-            assert!((sum - wanted).abs() < 2e-3, "{column}: {sum} {wanted}");
+            assert!((sum - expected).abs() < 2e-3, "{column}: {sum} {expected}");
         }
     }
     // Fx alone without a moment: the lower pair holds the tilt, the upper pair pulls back.

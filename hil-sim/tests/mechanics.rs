@@ -22,10 +22,10 @@ fn mechanics(config: &PlantConfig) -> Mechanics {
 }
 
 #[test]
-fn screw_mode_is_where_it_is_said_to_be() {
-    for wanted in [40.0, 80.0, 200.0] {
+fn the_screw_mode_has_its_configured_frequency() {
+    for expected in [40.0, 80.0, 200.0] {
         let mut config = machine::ideal_slide();
-        config.joint[0].mode_hz = wanted;
+        config.joint[0].mode_hz = expected;
         config.joint[0].motor_share = 0.3;
         let mechanics = mechanics(&config);
         let mut bodies = Bodies::default();
@@ -48,14 +48,14 @@ fn screw_mode_is_where_it_is_said_to_be() {
         }
         let measured = 20.0 / (last - first.expect("swings"));
         assert!(
-            (measured / wanted - 1.0).abs() < 0.002,
-            "{measured} Hz, not {wanted}"
+            (measured / expected - 1.0).abs() < 0.002,
+            "{measured} Hz, not {expected}"
         );
     }
 }
 
 #[test]
-fn damping_ratio_is_what_it_is_said_to_be() {
+fn the_screw_mode_has_its_configured_damping() {
     let mut config = machine::ideal_slide();
     config.joint[0].mode_damping = 0.05;
     let mechanics = mechanics(&config);
@@ -69,12 +69,12 @@ fn damping_ratio_is_what_it_is_said_to_be() {
     }
     // The energy decays by exp(-2 zeta omega t); the centre of mass does not move.
     let ratio = (mechanics.energy(&bodies, 0) / start).ln();
-    let wanted = -2.0 * 0.05 * std::f64::consts::TAU * 80.0 * periods / damped;
-    assert!((ratio / wanted - 1.0).abs() < 0.02, "{ratio} {wanted}");
+    let expected = -2.0 * 0.05 * std::f64::consts::TAU * 80.0 * periods / damped;
+    assert!((ratio / expected - 1.0).abs() < 0.02, "{ratio} {expected}");
 }
 
 #[test]
-fn sticks_below_coulomb_and_moves_above() {
+fn a_joint_sticks_below_the_coulomb_force_and_moves_above() {
     let config = machine::slide();
     let mut plant = Plant::new(&config, 200).expect("a slide");
     // The motor side alone holds 20 N: 19.9 N never moves it, to the last bit.
@@ -113,15 +113,15 @@ fn sticks_below_coulomb_and_moves_above() {
 }
 
 #[test]
-fn viscous_speed_is_exact() {
+fn the_speed_under_viscous_friction_is_exact() {
     let mut config = machine::slide();
     config.joint[0].viscous = 2.0;
     let mut plant = Plant::new(&config, 200).expect("a slide");
     for _ in 0..4000 {
         plant.advance(&torque(1024));
     }
-    let wanted = (100.0 - 40.0) / 2.0;
-    assert!((plant.bodies().slide_rate[0] / wanted - 1.0).abs() < 1e-6);
+    let expected = (100.0 - 40.0) / 2.0;
+    assert!((plant.bodies().slide_rate[0] / expected - 1.0).abs() < 1e-6);
 }
 
 #[test]
@@ -151,7 +151,7 @@ fn backlash_is_the_lost_motion_of_a_reversal() {
 }
 
 #[test]
-fn hard_stop_holds_and_takes_energy() {
+fn a_hard_stop_holds_and_dissipates_energy() {
     let mut config = machine::slide();
     config.joint[0].high = 2.0;
     let mut plant = Plant::new(&config, 200).expect("a slide");
@@ -170,7 +170,7 @@ proptest! {
 
     /// Nothing creates energy, and without friction only the drive changes momentum.
     #[test]
-    fn energy_and_momentum(
+    fn energy_and_momentum_are_conserved(
         share in 0.1..0.9_f64,
         mode in 20.0..400.0_f64,
         backlash in prop_oneof![Just(0.0), 0.001..0.1_f64],
@@ -238,10 +238,10 @@ proptest! {
 }
 
 #[test]
-fn codes_are_efforts_and_the_amplifier_has_a_limit() {
+fn codes_give_efforts_up_to_the_amplifier_limit() {
     // Slide: 40 kg at 400 N for 10 ms. Table: 0.5 kg m^2 at 20 N m, then at the amplifier's limit
     // of 10 N m.
-    for (axis, limit, wanted) in [
+    for (axis, limit, expected) in [
         (0, 800.0, 400.0 / 40.0 * 1000.0 * 0.01),
         (0, 100.0, 100.0 / 40.0 * 1000.0 * 0.01),
         (4, 40.0, (20.0_f64 / 0.5 * 0.01).to_degrees()),
@@ -265,13 +265,13 @@ fn codes_are_efforts_and_the_amplifier_has_a_limit() {
             let momentum = plant.mechanics().momentum(plant.bodies(), 0);
             let inertia = config.joint[0].inertia / config.joint[0].kind.acceleration_unit();
             let rate = f64::from(sign) * momentum / inertia;
-            assert!((rate / wanted - 1.0).abs() < 1e-9, "{rate} {wanted}");
+            assert!((rate / expected - 1.0).abs() < 1e-9, "{rate} {expected}");
         }
     }
 }
 
 #[test]
-fn switches_say_where_the_slide_is() {
+fn limit_switches_follow_the_slide() {
     let mut config = machine::slide();
     let joint = &mut config.joint[0];
     joint.limit_low = Some(-0.5);

@@ -78,7 +78,7 @@ fn stroke(at_s: f64, x: f64, pace_mm_s: f64) -> Stroke {
 /// about 20 mm after the first second, the force is largest, about 5.5 N, at about 1.2 s, and the
 /// hand slows down to near 4 mm/s.
 #[test]
-fn a_moving_wall_holds_the_hand_back() {
+fn a_moving_wall_slows_the_hand_as_stated() {
     let mut arm = led(Some(Rail::along(X)));
     arm.set_trajectory(Trajectory::Strokes(vec![stroke(0.0, -70.0, 26.0)]));
     let course = run(&mut arm, 6.0, |time, truth| {
@@ -110,7 +110,7 @@ fn a_moving_wall_holds_the_hand_back() {
 
 /// The curve of speed over force; the operator also feels the friction of rail and arm.
 #[test]
-fn the_hand_yields_to_a_steady_force() {
+fn the_hand_complies_with_a_steady_force() {
     let speeds: Vec<(f64, f64)> = [0.0, 1.0, 2.0, 3.0, 4.0, 5.5, 6.5]
         .into_iter()
         .map(|force| {
@@ -139,7 +139,7 @@ fn the_hand_yields_to_a_steady_force() {
 
 /// Stated for E8: 30 mm in about 5 s. Without resistance the hand ends at its target.
 #[test]
-fn strokes_end_where_they_are_meant_to() {
+fn strokes_end_at_their_targets() {
     let mut arm = led(Some(Rail::along(X)));
     arm.set_trajectory(Trajectory::Strokes(vec![
         stroke(0.0, -30.0, 7.0),
@@ -161,7 +161,7 @@ fn strokes_end_where_they_are_meant_to() {
 /// 40 % of the force return to the hand, at most 3.2 N. The loop through the hand does not
 /// oscillate.
 #[test]
-fn a_reflected_cut_slows_the_hand_and_does_not_shake_it() {
+fn force_feedback_of_a_cut_slows_the_hand_without_oscillation() {
     let mut arm = led(Some(Rail::along(X)));
     arm.set_trajectory(Trajectory::Strokes(vec![Stroke {
         ramp_s: 2.0,
@@ -238,7 +238,7 @@ fn traced(
 /// E12: the ball of 5 mm follows the edge of a hole of 35 mm, so its centre a circle of 30 mm,
 /// against a force of 2.5 N that opposes the motion.
 #[test]
-fn the_ball_traces_the_edge_of_a_hole() {
+fn the_ball_follows_the_edge_of_a_hole() {
     let part = ReferencePart::default();
     let course = traced(&part, -1.0, 2.0, 2.5);
     let way = &course[(0.6 / PERIOD) as usize..];
@@ -295,7 +295,7 @@ fn the_ball_stays_outside_a_disc() {
 
 /// The operator reacts late, the arm at once: mass, damping and spring alone meet an impact.
 #[test]
-fn a_blow_meets_the_arm_before_the_person() {
+fn an_impact_meets_the_arm_before_the_operator_reacts() {
     let told = |reaction_s: f64| {
         let mut arm = led(Some(Rail::along(X)));
         let hand = OperatorConfig {
@@ -321,7 +321,7 @@ fn a_blow_meets_the_arm_before_the_person() {
 }
 
 #[test]
-fn a_live_hand_goes_where_it_is_told() {
+fn a_live_hand_moves_to_its_target() {
     let mut arm = led(None);
     for period in 0..10_000 {
         let time = f64::from(period) * PERIOD;
@@ -343,7 +343,7 @@ fn a_live_hand_goes_where_it_is_told() {
 }
 
 #[test]
-fn the_counters_tell_the_joints() {
+fn the_counters_give_the_joint_positions() {
     let mut arm = led(None);
     let start = arm.truth().joints;
     arm.set_trajectory(Trajectory::Strokes(vec![Stroke {
@@ -389,7 +389,7 @@ fn the_counters_tell_the_joints() {
 }
 
 #[test]
-fn without_power_or_enable_nothing_pushes() {
+fn motors_without_power_or_enable_give_no_force() {
     let mut arm = led(None);
     let mut outputs = codes(&arm, [5.0, 0.0, 0.0]);
     arm.advance(&outputs, false);
@@ -407,7 +407,7 @@ fn without_power_or_enable_nothing_pushes() {
 }
 
 #[test]
-fn what_makes_no_sense_is_refused() {
+fn invalid_configurations_are_refused() {
     let mut arm = led(None);
     let narrow = ReferencePart {
         radius_mm: 2.0,

@@ -95,7 +95,7 @@ impl Held {
 }
 
 #[test]
-fn a_wall_pushes_the_slides_back_as_virtual_work_says() {
+fn a_wall_force_maps_to_the_slides_by_virtual_work() {
     // Constant drives press the tool against a wall in -x, with the shares that hold the platform
     // level (from the table of dl/d(x, theta) at home: 350 mm for the upper pair, 150 mm for the
     // lower).
@@ -146,7 +146,7 @@ fn a_wall_pushes_the_slides_back_as_virtual_work_says() {
 }
 
 #[test]
-fn the_machine_cuts_a_slot_and_feels_it() {
+fn the_machine_cuts_a_slot_and_measures_the_force() {
     let config = smooth();
     let plant = Plant::new(&config, 200).expect("a machine");
     let start = plant.truth().pose;
@@ -243,7 +243,7 @@ fn the_machine_cuts_a_slot_and_feels_it() {
 /// A machine with friction stops in the middle of a slot: the chips end, and only the load of the
 /// wound-up screws remains.
 #[test]
-fn standing_in_the_material_is_quiet() {
+fn a_stopped_feed_in_material_has_no_cutting_force() {
     let mut config = machine::reference();
     for joint in &mut config.joint {
         joint.start_spread = 0.0;
@@ -277,7 +277,7 @@ fn standing_in_the_material_is_quiet() {
 }
 
 #[test]
-fn emergency_stop_takes_the_power_from_the_spindle() {
+fn an_emergency_stop_switches_the_spindle_off() {
     let config = smooth();
     let mut held = Held::new(&config, &ProcessConfig::default());
     for _ in 0..10_000 {
@@ -293,7 +293,7 @@ fn emergency_stop_takes_the_power_from_the_spindle() {
 }
 
 #[test]
-fn a_machine_without_a_process_is_as_it_was() {
+fn a_machine_without_a_process_is_unchanged() {
     let config = machine::reference();
     let mut plain = Plant::new(&config, 200).expect("a machine");
     let mut fitted = plain.clone();
@@ -311,7 +311,7 @@ fn a_machine_without_a_process_is_as_it_was() {
 }
 
 #[test]
-fn three_slides_carry_a_tool_and_fewer_do_not() {
+fn three_slides_carry_a_tool_and_fewer_are_refused() {
     let mut config = machine::slide();
     let process = ProcessConfig {
         wall: Some(ElasticWall {
@@ -343,7 +343,7 @@ fn three_slides_carry_a_tool_and_fewer_do_not() {
 /// A slide without friction rebounds from a wall: a damping of k T / 2 compensates the force that
 /// is held for a period.
 #[test]
-fn a_held_wall_feeds_what_half_a_period_of_damping_takes() {
+fn a_sampled_wall_adds_the_energy_of_half_a_period_of_damping() {
     let bounce = |damping: f64| {
         let mut config = machine::ideal_slide();
         let joint = config.joint[0].clone();
@@ -390,7 +390,7 @@ fn a_held_wall_feeds_what_half_a_period_of_damping_takes() {
 }
 
 #[test]
-fn structure_gives_way_with_its_stiffness_and_time_constant() {
+fn the_structure_deflects_with_its_stiffness_and_time_constant() {
     let config = StructureConfig {
         stiffness: [400.0, f64::INFINITY, 1000.0],
         time_constant_s: 0.002,
@@ -431,7 +431,7 @@ fn a_contact_ten_times_as_stiff_as_the_structure_is_stable() {
 
 /// Faults of sensor and spindle start and end on time.
 #[test]
-fn sensor_and_spindle_can_be_spoilt_for_a_time() {
+fn faults_of_sensor_and_spindle_start_and_end_on_time() {
     struct Pressed;
     impl Control for Pressed {
         fn tick(&mut self, _: &Inputs, outputs: &mut Outputs) {

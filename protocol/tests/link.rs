@@ -141,7 +141,7 @@ proptest! {
     /// No message is lost, doubled, out of order or changed: `transfer` checks each. On this line
     /// all of them arrive.
     #[test]
-    fn once_and_in_order(
+    fn reliable_messages_arrive_once_and_in_order(
         seed: u64,
         bit_error in prop_oneof![Just(0.0), Just(1e-5), Just(1e-4), Just(5e-4)],
         byte_loss in prop_oneof![Just(0.0), Just(1e-4), Just(1e-3)],
@@ -154,7 +154,7 @@ proptest! {
 
     /// On the worst line, what arrives is right, and a session that cannot continue ends.
     #[test]
-    fn right_or_ended(seed: u64, bit_error in 1e-3..2e-2f64, byte_loss in 0.0..0.02f64, frame in 0.0..0.5f64) {
+    fn messages_are_right_or_the_session_ends(seed: u64, bit_error in 1e-3..2e-2f64, byte_loss in 0.0..0.02f64, frame in 0.0..0.5f64) {
         let outcome = transfer(seed, 11_520, Faults { bit_error, byte_loss, frame }, 100, 60, 300_000_000);
         let ended = outcome.ended || outcome.state == LinkState::Opening;
         prop_assert!(outcome.arrived == (100, 60) || ended, "{:?} {:?} after {} us", outcome.state, outcome.arrived, outcome.micros);

@@ -34,7 +34,7 @@ const HAND: Hand = Hand {
 };
 
 #[test]
-fn requests_fit_a_frame() {
+fn every_request_fits_a_frame() {
     let delta = SetpointDelta {
         periods: u16::MAX,
         moved: 0b11_1111,
@@ -121,7 +121,7 @@ fn requests_fit_a_frame() {
 }
 
 #[test]
-fn greetings_fit_a_frame() {
+fn hello_and_welcome_fit_a_frame() {
     let hello = Hello {
         version: u16::MAX,
         schema: u64::MAX,
@@ -142,7 +142,7 @@ fn greetings_fit_a_frame() {
 }
 
 #[test]
-fn reports_fit_a_frame_and_answers_and_events_are_short() {
+fn every_report_fits_a_frame_and_answers_and_events_are_short() {
     let fault = Fault::FollowingError {
         axis: 255,
         error: i32::MIN,

@@ -121,7 +121,7 @@ pub fn largest(cuts: &[Cut]) -> f64 {
 }
 
 /// A slot of 20 mm from the origin towards -x, the tool at its end.
-pub fn slotted(feed: f64, depth: f64) -> Bench {
+pub fn with_slot(feed: f64, depth: f64) -> Bench {
     let config = config(block(-26.0, 6.0, -6.0, 6.0), Coefficients::P1);
     let mut bench = Bench::new(&config, [0.0, 0.0, 1.0]);
     bench.line([0.0, 0.0, -depth], 4.0);
