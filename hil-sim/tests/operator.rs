@@ -296,7 +296,7 @@ fn the_ball_stays_outside_a_disc() {
 /// The operator reacts late, the arm at once: mass, damping and spring alone meet an impact.
 #[test]
 fn an_impact_meets_the_arm_before_the_operator_reacts() {
-    let told = |reaction_s: f64| {
+    let tip_after = |reaction_s: f64| {
         let mut arm = led(Some(Rail::along(X)));
         let hand = OperatorConfig {
             reaction_s,
@@ -305,7 +305,7 @@ fn an_impact_meets_the_arm_before_the_operator_reacts() {
         arm.take(Some(&hand)).expect("fine");
         run(&mut arm, 1.0, |_, _| [4.0, 0.0, 0.0])
     };
-    let (late, later) = (told(0.2), told(0.4));
+    let (late, later) = (tip_after(0.2), tip_after(0.4));
     let place = |course: &[HapticGroundTruth], seconds: f64| at(course, seconds).tip[0];
     // Nothing of the reaction within its reaction time.
     assert_eq!(place(&late, 0.19), place(&later, 0.19));
@@ -373,16 +373,19 @@ fn the_counters_give_the_joint_positions() {
     ];
     for leg in 0..3 {
         for sensor in 0..3 {
-            let told = (joints[leg][sensor] - start[leg][sensor]) * scales[sensor];
+            let expected = (joints[leg][sensor] - start[leg][sensor]) * scales[sensor];
             let ours = f64::from(inputs.legs[leg].counts[sensor]);
             match (leg, sensor) {
-                (0, 1) => assert!(ours.abs() <= 2.0 && told.abs() > 100.0, "{ours} {told}"),
-                (1, 0) => assert!(
-                    (ours + told).abs() <= 2.0 && told.abs() > 100.0,
-                    "{ours} {told}"
+                (0, 1) => assert!(
+                    ours.abs() <= 2.0 && expected.abs() > 100.0,
+                    "{ours} {expected}"
                 ),
-                (2, 2) => assert!((ours - told - 1000.0).abs() <= 1.0, "{ours} {told}"),
-                _ => assert!((ours - told).abs() <= 1.0, "{ours} {told}"),
+                (1, 0) => assert!(
+                    (ours + expected).abs() <= 2.0 && expected.abs() > 100.0,
+                    "{ours} {expected}"
+                ),
+                (2, 2) => assert!((ours - expected - 1000.0).abs() <= 1.0, "{ours} {expected}"),
+                _ => assert!((ours - expected).abs() <= 1.0, "{ours} {expected}"),
             }
         }
     }

@@ -175,7 +175,7 @@ fn fingerprint(options: RigOptions, seed: u64) -> u64 {
 
 #[test]
 fn the_same_seed_gives_the_same_outputs() {
-    let spoilt = || RigOptions {
+    let faulty_line = || RigOptions {
         baud: Some(115_200),
         ..faults(&[
             "encoder-noise axis=l2 per-second=2000 at=100ms for=200ms",
@@ -184,8 +184,8 @@ fn the_same_seed_gives_the_same_outputs() {
             "missed-periods count=3 at=0.5s",
         ])
     };
-    assert_eq!(fingerprint(spoilt(), 5), fingerprint(spoilt(), 5));
-    assert_ne!(fingerprint(spoilt(), 5), fingerprint(spoilt(), 6));
+    assert_eq!(fingerprint(faulty_line(), 5), fingerprint(faulty_line(), 5));
+    assert_ne!(fingerprint(faulty_line(), 5), fingerprint(faulty_line(), 6));
 }
 
 #[test]

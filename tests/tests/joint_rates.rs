@@ -10,7 +10,7 @@ use setup::slides::{LIMIT, peak_rates, tilt};
 use setup::{DEGREE, MM, ready, rest, state};
 
 /// Sends a job. Returns the refusal of a batch, if there was one.
-fn say(bench: &mut Bench, setpoints: &[Setpoint]) -> Option<Refusal> {
+fn send_job(bench: &mut Bench, setpoints: &[Setpoint]) -> Option<Refusal> {
     let start = bench.status().commanded;
     bench
         .ask(Command::JobStart {
@@ -77,7 +77,7 @@ fn assert_stopped_and_usable(bench: &mut Bench) {
 fn assert_refused_where_too_fast(bench: &mut Bench, setpoints: &[Setpoint]) -> bool {
     let start = bench.status().commanded;
     let peaks = peak_rates(&start, setpoints);
-    let refused = say(bench, setpoints);
+    let refused = send_job(bench, setpoints);
     let accepted = match refused {
         Some(Refusal::JointRate {
             setpoint,
@@ -146,7 +146,7 @@ fn an_excessive_joint_rate_between_two_setpoints_is_refused() {
         setpoint.pose[3] -= (degrees / 2.0 * DEGREE) as i32;
         let start = bench.status().commanded;
         let peak = peak_rates(&start, &[setpoint.clone()])[0];
-        assert_eq!(say(&mut bench, &[setpoint]), None);
+        assert_eq!(send_job(&mut bench, &[setpoint]), None);
         bench.ask(Command::JobEnd { count: 1 }).expect("complete");
         let most = fastest_slide(&mut bench);
         assert!((most / peak - 1.0).abs() < 0.01, "{most} of {peak}");
@@ -215,7 +215,7 @@ fn no_stream_exceeds_a_joint_rate() {
 fn send_any_stream(bench: &mut Bench, setpoints: &[Setpoint]) -> bool {
     let start = bench.status().commanded;
     let peaks = peak_rates(&start, setpoints);
-    match say(bench, setpoints) {
+    match send_job(bench, setpoints) {
         Some(Refusal::JointRate { setpoint, .. }) => {
             let peak = peaks[setpoint as usize];
             assert!(
@@ -255,7 +255,7 @@ fn a_stream_at_the_maximum_rate_is_accepted() {
             (low, middle)
         };
     }
-    assert_eq!(say(&mut bench, &job(low)), None);
+    assert_eq!(send_job(&mut bench, &job(low)), None);
     bench.ask(Command::JobEnd { count: 4 }).expect("complete");
     let most = fastest_slide(&mut bench);
     assert!((0.995 * LIMIT..=1.005 * LIMIT).contains(&most), "{most}");

@@ -26,7 +26,7 @@ use std::collections::VecDeque;
 #[allow(clippy::large_enum_variant, reason = "a few of them")]
 enum RandomEvent {
     /// The host sends a command, whatever the answer.
-    Say(Command),
+    Send(Command),
     /// The host starts a job at the present pose: a line of this axis and speed, or a circle.
     Job {
         axis: usize,
@@ -34,10 +34,10 @@ enum RandomEvent {
     },
     Circle,
     /// The host neither receives nor sends for this many periods.
-    Away(usize),
+    HostAway(usize),
     /// Another host opens a session.
-    Greet(u32),
-    Urgent,
+    NewSession(u32),
+    OutOfBandStop,
     Garbage(Vec<u8>),
     EmergencyInput(bool),
     Limit {
@@ -150,12 +150,12 @@ fn command() -> impl Strategy<Value = Command> {
 
 fn random_event() -> impl Strategy<Value = (RandomEvent, usize)> {
     let what = prop_oneof![
-        14 => command().prop_map(RandomEvent::Say),
+        14 => command().prop_map(RandomEvent::Send),
         4 => (0_usize..5, -20.0_f64..20.0).prop_map(|(axis, speed)| RandomEvent::Job { axis, speed }),
         2 => Just(RandomEvent::Circle),
-        1 => (100_usize..4000).prop_map(RandomEvent::Away),
-        1 => any::<u32>().prop_map(RandomEvent::Greet),
-        1 => Just(RandomEvent::Urgent),
+        1 => (100_usize..4000).prop_map(RandomEvent::HostAway),
+        1 => any::<u32>().prop_map(RandomEvent::NewSession),
+        1 => Just(RandomEvent::OutOfBandStop),
         1 => prop::collection::vec(any::<u8>(), 0..200).prop_map(RandomEvent::Garbage),
         1 => any::<bool>().prop_map(RandomEvent::EmergencyInput),
         1 => (0_usize..5, any::<bool>()).prop_map(|(joint, active)| RandomEvent::Limit { joint, active }),
@@ -273,22 +273,22 @@ impl Invariants {
         let bench = &mut self.bench;
         let start: AxisValues = commanded(bench)[..5].iter().copied().collect();
         match what {
-            RandomEvent::Say(command) => {
+            RandomEvent::Send(command) => {
                 bench.send(command.clone());
             }
             RandomEvent::Job { axis, speed } => {
                 self.job = commands(1, &start, &line(&start, *axis, *speed, 10))
             }
             RandomEvent::Circle => self.job = commands(2, &start, &circle(&start, 5.0, 60)),
-            RandomEvent::Away(periods) => {
+            RandomEvent::HostAway(periods) => {
                 for _ in 0..*periods {
                     self.step(Vec::clear);
                 }
             }
-            RandomEvent::Greet(session) => {
+            RandomEvent::NewSession(session) => {
                 bench.link.open(*session, bench.rig.time_ns() / 1000);
             }
-            RandomEvent::Urgent => self.step(|bytes| bytes.extend(STOP)),
+            RandomEvent::OutOfBandStop => self.step(|bytes| bytes.extend(STOP)),
             RandomEvent::Garbage(garbage) => self.step(|bytes| bytes.extend(garbage)),
             RandomEvent::EmergencyInput(open) => bench.rig.plant_mut().set_emergency_stop(*open),
             RandomEvent::Limit { joint, active } => {

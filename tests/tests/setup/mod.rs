@@ -8,11 +8,9 @@ pub mod single_joint;
 pub mod slides;
 
 use haptimill_hil_sim::rig::Control;
-use haptimill_protocol::message::{
-    Action, AxisValues, Command, Event, SETPOINT_BATCH, SetpointBatch, State,
-};
-use haptimill_protocol::setpoint::{Setpoint, SetpointCoder};
-use haptimill_tests::Bench;
+use haptimill_protocol::message::{Action, AxisValues, Command, Event, State};
+use haptimill_protocol::setpoint::Setpoint;
+use haptimill_tests::{Bench, batches};
 use std::collections::VecDeque;
 
 /// Axis units of a millimetre.
@@ -181,28 +179,15 @@ pub fn circle(start: &AxisValues, radius: f64, count: usize) -> Vec<Setpoint> {
 
 /// Returns a job as commands: start, batches, end.
 pub fn commands(job: u32, start: &AxisValues, setpoints: &[Setpoint]) -> VecDeque<Command> {
-    let mut coder = SetpointCoder::new(200, start);
     let begin = Command::JobStart {
         job,
         pose: start.clone(),
     };
-    let batches = setpoints
-        .chunks(SETPOINT_BATCH)
-        .enumerate()
-        .map(|(index, batch)| {
-            Command::Setpoints(SetpointBatch {
-                first: (index * SETPOINT_BATCH) as u32,
-                items: batch
-                    .iter()
-                    .map(|setpoint| coder.encode(setpoint).expect("codes"))
-                    .collect(),
-            })
-        });
     let end = Command::JobEnd {
         count: setpoints.len() as u32,
     };
     core::iter::once(begin)
-        .chain(batches)
+        .chain(batches(200, start, setpoints))
         .chain([end])
         .collect()
 }
