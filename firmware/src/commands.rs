@@ -1,6 +1,7 @@
 //! Command stage: executes one request or setpoint per period. A refused command changes nothing.
 
 use crate::comm::server::Server;
+use crate::comm::telemetry::Stream;
 use crate::config::Config;
 use crate::config::HAND;
 use crate::core::Core;
@@ -90,11 +91,11 @@ pub(crate) fn execute(core: &mut Core, server: &mut Server, inputs: &Inputs) {
         Command::Source { axis, source } => choose_source(core, axis, source),
         Command::Override { percent } => set_override(core, percent),
         Command::Telemetry { every } => {
-            server.set_telemetry(every);
+            server.streams().set(Stream::Machine, every);
             Ok(())
         }
         Command::Status => {
-            server.telemetry_now();
+            server.streams().request();
             Ok(())
         }
         Command::ForceMask { mask } => set_force_mask(core, mask),
@@ -111,7 +112,7 @@ pub(crate) fn execute(core: &mut Core, server: &mut Server, inputs: &Inputs) {
         Command::Wall { axis, upper, wall } => set_wall(core, axis, upper, wall),
         Command::HandScale { scale } => set_hand_scale(core, scale),
         Command::HandTelemetry { every } => {
-            server.set_hand_telemetry(every);
+            server.streams().set(Stream::Haptic, every);
             Ok(())
         }
     };
@@ -310,23 +311,23 @@ fn start_job(core: &mut Core, server: &mut Server, job: u32, pose: &AxisValues) 
 /// coordinate, then the joint rates. Enqueues it when it is valid, and decodes the next one if the
 /// budget is left. A later period continues what did not fit.
 #[inline(never)]
-pub(crate) fn enqueue_setpoint(core: &mut Core, server: &mut Server, number: u32, tried: u8) {
+pub(crate) fn enqueue_setpoint(core: &mut Core, server: &mut Server, number: u32, validated: u8) {
     let mut budget = server.budget();
-    match validate_setpoint(core, server, number, usize::from(tried), &mut budget) {
+    match validate_setpoint(core, server, number, usize::from(validated), &mut budget) {
         Ok(None) => server.accept_setpoint(budget >= READ),
-        Ok(Some(tried)) => server.pass_setpoint(tried),
+        Ok(Some(validated)) => server.continue_setpoint(validated),
         Err(refusal) => server.refuse_setpoints(refusal),
     }
 }
 
-/// Continues the validation of a setpoint. `tried` is the progress: 0 for none, 1 after the pose
+/// Continues the validation of a setpoint. `validated` is the progress: 0 for none, 1 after the pose
 /// check, then 1 more for each coordinate and each piece. Returns the new progress, or `None` when
 /// the setpoint is in the queue.
 fn validate_setpoint(
     core: &mut Core,
     server: &Server,
     number: u32,
-    tried: usize,
+    validated: usize,
     budget: &mut usize,
 ) -> Result<Option<u8>, Refusal> {
     in_state(core, &[State::Run, State::Hold])?;
@@ -336,7 +337,7 @@ fn validate_setpoint(
     if number != expected {
         return Err(Refusal::OutOfOrder { expected });
     }
-    if tried == 0 {
+    if validated == 0 {
         machine.can_reach(number, setpoint)?;
         *budget = budget.saturating_sub(POSE);
         if !machine.motion.program.expects(setpoint.periods) {
@@ -344,7 +345,7 @@ fn validate_setpoint(
         }
     }
     let axes = machine.axes();
-    let first = tried.saturating_sub(1).min(axes);
+    let first = validated.saturating_sub(1).min(axes);
     let last = axes.min(first + *budget);
     *budget -= last - first;
     machine.motion.program.allows(setpoint, first..last)?;
@@ -352,7 +353,7 @@ fn validate_setpoint(
         return Ok(Some(last as u8 + 1));
     }
     let pieces = machine.pieces(setpoint);
-    let mut piece = tried.saturating_sub(axes + 1) as u8;
+    let mut piece = validated.saturating_sub(axes + 1) as u8;
     while piece < pieces {
         // The last piece ends at the pose that was checked.
         let cost = if piece + 1 == pieces { TAKE } else { PIECE };

@@ -54,7 +54,7 @@ fn check_configuration(core: &mut Core, server: &mut Server, inputs: &Inputs) ->
     }
     let reserved =
         server.is_deferred() && core.job.digest_backlog >= DIGEST_OVERDUE + u8::from(core.job.busy);
-    if core.job.digest_backlog == 0 || !(reserved || server.try_claim()) {
+    if core.job.digest_backlog == 0 || !(reserved || server.try_background()) {
         return true;
     }
     core.job.digest_backlog = 0;

@@ -667,18 +667,14 @@ impl Machine {
     /// Fills in pose and joints of a telemetry sample. The measured pose is empty when the forward
     /// kinematics does not certify one.
     pub fn fill_telemetry(&self, inputs: &Inputs, sample: &mut Telemetry) {
-        let axes = self.axes();
-        let commanded = &self.motion.commanded().pose.0;
-        put(&mut sample.commanded, axes, |index| commanded[index].0);
-        match self.measured_pose() {
-            Some(pose) => put(&mut sample.measured, axes, |index| pose.0[index].0),
-            None => sample.measured.clear(),
+        sample.commanded = self.commanded_values();
+        if let Some(pose) = self.measured_pose() {
+            sample.measured = self.values(|index| pose.0[index].0);
         }
-        put(&mut sample.joints, axes, |index| self.measured.0[index].0);
-        put(&mut sample.following_error, axes, |index| {
-            self.joints[index].servo_output().following_error.0
-        });
-        put(&mut sample.drive, axes, |index| self.command(inputs, index));
+        sample.joints = self.values(|index| self.measured.0[index].0);
+        sample.following_error =
+            self.values(|index| self.joints[index].servo_output().following_error.0);
+        sample.drive = self.drive_values(inputs);
     }
 
     /// Drive commands: DAC codes, or steps emitted.
@@ -713,13 +709,5 @@ impl Machine {
 
     fn values(&self, value: impl Fn(usize) -> i32) -> AxisValues {
         (0..self.axes()).map(value).collect()
-    }
-}
-
-/// Overwrites `values` in place; resizes it on first use.
-fn put(values: &mut AxisValues, axes: usize, value: impl Fn(usize) -> i32) {
-    let _ = values.resize(axes, 0);
-    for (index, solve) in values.iter_mut().enumerate() {
-        *solve = value(index);
     }
 }

@@ -9,25 +9,16 @@ use chip::{BOARDS, Remote, image, remote, results, root, run};
 use haptimill::cli::Exit;
 use haptimill::port::Board;
 use haptimill_firmware::io::DriveCommand;
+use haptimill_firmware::profiler::Stage;
 use haptimill_hil_sim::rig::{Control, RigOptions};
 use haptimill_protocol::message::Command;
 use haptimill_tests::Bench;
 use std::time::{Duration, Instant};
 
-/// The stages of a period by name, and the main program between two of them.
-const PLACES: [&str; 11] = [
-    "receive",
-    "measure",
-    "supervise",
-    "command",
-    "interpolate",
-    "comply",
-    "solve",
-    "servo",
-    "report",
-    "interlock",
-    "main",
-];
+/// Names of the stages of a control period, and of the main program between two periods.
+fn places() -> impl Iterator<Item = &'static str> {
+    Stage::ALL.into_iter().map(Stage::name).chain(["main"])
+}
 
 /// A period in which the drives hold the machine.
 const PERIOD: u32 = 4000;
@@ -65,7 +56,7 @@ fn until_it_happens(board: Board, words: &[&str; 3]) -> (String, Duration) {
 
 #[test]
 fn a_panic_in_any_stage_switches_the_drives_off_and_is_told() {
-    for place in PLACES {
+    for place in places() {
         let words = ["panic", place, &PERIOD.to_string()];
         let (reason, after) = until_it_happens(Board::Mps2, &words);
         println!("{place}, after {after:?}: {reason}");
@@ -115,7 +106,7 @@ fn a_period_that_never_ends_is_given_up() {
 fn the_command_says_what_happened_and_fails() {
     let image = image("faults").display().to_string();
     let program = root().join("examples/e11-circle.ngc");
-    for place in PLACES {
+    for place in places() {
         let begun = Instant::now();
         let more = [
             "--image",

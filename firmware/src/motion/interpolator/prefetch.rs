@@ -66,10 +66,10 @@ impl Segments {
 
 impl Program {
     /// Prepares one part of the next segment if one is missing and there is time for it: the
-    /// control period was `held` free for the path ([`Program::is_busy`]), or is `idle`.
+    /// control period is `reserved` for interpolation ([`Program::is_busy`]), or is `idle`.
     #[inline]
-    pub fn prefetch(&mut self, held: bool, idle: impl FnOnce() -> bool) {
-        if self.misses_part() && ((held && self.is_pressed()) || idle()) {
+    pub fn prefetch(&mut self, reserved: bool, idle: impl FnOnce() -> bool) {
+        if self.misses_part() && ((reserved && self.is_pressed()) || idle()) {
             self.make_part();
         }
     }
