@@ -51,6 +51,11 @@ impl Knot {
     fn at_rest(&self) -> bool {
         self.rates.iter().all(|rate| *rate == 0)
     }
+
+    /// Whether a coordinate stays at standstill from here to `next`.
+    fn is_still(&self, next: &Self, axis: usize) -> bool {
+        self.pose[axis] == next.pose[axis] && (self.rates[axis] | next.rates[axis]) == 0
+    }
 }
 
 /// Events on the path in one control period.

@@ -62,6 +62,9 @@ impl Program {
             let microseconds = i64::from(knot.periods) * i64::from(self.period_us);
             let third = third(microseconds);
             for axis in 0..self.axes {
+                if from.is_still(knot, axis) {
+                    continue;
+                }
                 self.hull(
                     &mut sweep,
                     axis,
