@@ -175,7 +175,7 @@ fn activate(
     if config.period_us != core.period_us {
         return Err(problem(ConfigField::Period));
     }
-    let standing = core.machine.as_ref().map(Machine::standing);
+    let positions = core.machine.as_ref().map(Machine::positions);
     let hand = core
         .machine
         .as_ref()
@@ -186,12 +186,12 @@ fn activate(
     if at_preset || first {
         core.safety.set_homed(false);
         core.job.preset_valid = at_preset || machine.count_from(&core.power_on);
-    } else if !standing.is_some_and(|standing| machine.take_over(&standing, inputs)) {
+    } else if !positions.is_some_and(|positions| machine.take_over(&positions, inputs)) {
         core.safety.lose_position();
         core.job.preset_valid = false;
     }
-    if let (Some(standing), false) = (&hand, at_preset) {
-        machine.take_over_haptics(standing);
+    if let (Some(positions), false) = (&hand, at_preset) {
+        machine.take_over_haptics(positions);
     }
     Ok(())
 }
@@ -368,8 +368,8 @@ fn validate_setpoint(
         return Ok(Some((axes + 1) as u8 + piece));
     }
     *budget -= TAKE;
-    machine.motion.program.push_tried(setpoint, axes)?;
-    machine.take_end();
+    machine.motion.program.push_checked(setpoint, axes)?;
+    machine.accept_end();
     Ok(None)
 }
 
@@ -425,7 +425,7 @@ fn jog(core: &mut Core, epoch: u16, deadline_ms: u16, rates: &AxisValues) -> Don
     machine
         .motion
         .jog
-        .aim(&commanded, u32::from(deadline_ms) * 1000 / period_us);
+        .set_rates(&commanded, u32::from(deadline_ms) * 1000 / period_us);
     core.job.jog_epoch = Some(epoch);
     core.job.jog_cancelled = false;
     Ok(())

@@ -174,7 +174,7 @@ impl Core {
             machine.measure(inputs);
             machine.measure_force(inputs, self.job.spindle_rpm, self.safety.active());
         } else {
-            self.power_on.note(inputs);
+            self.power_on.update(inputs);
         }
     }
 
@@ -205,7 +205,7 @@ impl Core {
             self.job.new_session = true;
             self.job.enabling = 0;
             if let Some(machine) = &mut self.machine {
-                machine.masters.remote.forget();
+                machine.masters.remote.reset();
             }
         }
         if self.job.new_session && !self.safety.active() {

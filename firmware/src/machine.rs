@@ -125,7 +125,7 @@ impl Machine {
         let joints = Self::joints_of(&config, inputs)?;
         let design = Self::force_of(&config)?;
         let mut machine = Self::bare(config, crc);
-        machine.set_up(joints, design, inputs);
+        machine.configure(joints, design, inputs);
         Ok(machine)
     }
 
@@ -147,7 +147,7 @@ impl Machine {
         let design = Self::force_of(&config)?;
         Self::install_bare(slot, config, crc);
         if let Some(machine) = slot {
-            machine.set_up(joints, design, inputs);
+            machine.configure(joints, design, inputs);
         }
         Ok(())
     }
@@ -210,16 +210,16 @@ impl Machine {
 
     #[cold]
     #[inline(never)]
-    fn set_up(
+    fn configure(
         &mut self,
         joints: Vec<JointDrive, MAX_AXES>,
         design: Option<Design>,
         inputs: &Inputs,
     ) {
         self.joints = joints;
-        self.set_up_force(design);
-        self.set_up_hand(&inputs.haptic);
-        self.motion.set_up(&self.config);
+        self.configure_force(design);
+        self.configure_haptics(&inputs.haptic);
+        self.motion.configure(&self.config);
         for part in 0..PARTS {
             self.digests[part] = self.digest(part);
         }
@@ -228,29 +228,29 @@ impl Machine {
 
     /// Encoder scaling and state of all joints, which a new configuration may take over.
     #[must_use]
-    pub fn standing(&self) -> PositionSnapshot {
+    pub fn positions(&self) -> PositionSnapshot {
         let joints = self.config.joints.iter().zip(&self.joints);
         joints
-            .map(|(axis, joint)| (EncoderScaling::of(axis), joint.standing()))
+            .map(|(axis, joint)| (EncoderScaling::of(axis), joint.encoder_state()))
             .collect()
     }
 
     /// Whether the next index pulse of a joint will confirm or refute its encoder.
     #[must_use]
-    pub fn index_will_tell(&self, axis: u8) -> bool {
+    pub fn index_decides(&self, axis: u8) -> bool {
         let joint = self.joints.get(usize::from(axis));
-        joint.is_some_and(|joint| joint.indexes().will_tell())
+        joint.is_some_and(|joint| joint.indexes().is_armed())
     }
 
     /// Takes over the joint positions of another configuration if the encoder scalings are equal;
     /// returns whether they are.
-    pub fn take_over(&mut self, standing: &PositionSnapshot, inputs: &Inputs) -> bool {
-        let meanings = self.config.joints.iter().map(EncoderScaling::of);
-        if !meanings.eq(standing.iter().map(|(meaning, _)| *meaning)) {
+    pub fn take_over(&mut self, positions: &PositionSnapshot, inputs: &Inputs) -> bool {
+        let scalings = self.config.joints.iter().map(EncoderScaling::of);
+        if !scalings.eq(positions.iter().map(|(scaling, _)| *scaling)) {
             return false;
         }
-        for (index, (joint, (_, kept))) in self.joints.iter_mut().zip(standing).enumerate() {
-            joint.take_over(inputs.axes[index].counts, kept);
+        for (index, (joint, (_, state))) in self.joints.iter_mut().zip(positions).enumerate() {
+            joint.take_over(inputs.axes[index].counts, state);
         }
         self.update_measured();
         true
@@ -282,13 +282,13 @@ impl Machine {
     pub fn measure(&mut self, inputs: &Inputs) {
         let time_ns = inputs.time_ns;
         let measured = self.measured.0.iter_mut();
-        let mut leapt = false;
+        let mut large_step = false;
         for ((joint, inputs), measured) in self.joints.iter_mut().zip(&inputs.axes).zip(measured) {
             let measurement = joint.measure(inputs, time_ns);
             *measured = measurement.coordinate;
-            leapt |= measurement.leapt;
+            large_step |= measurement.large_step;
         }
-        if leapt {
+        if large_step {
             self.detect_jumps(u32::from(inputs.missed) + 1);
         }
         self.measure_pose();
@@ -373,7 +373,7 @@ impl Machine {
     /// Switches the drives on; the commanded position becomes the measured one.
     pub fn enable(&mut self) -> Result<(), PoseError> {
         let measured = self.measured;
-        self.place_at(&measured)?;
+        self.set_joints(&measured)?;
         let mut locks = false;
         for joint in &mut self.joints {
             joint.enable();
@@ -385,7 +385,7 @@ impl Machine {
 
     /// Commands these joint positions, at rest. An error changes nothing.
     #[inline(never)]
-    fn place_at(&mut self, joints: &Joints) -> Result<(), PoseError> {
+    fn set_joints(&mut self, joints: &Joints) -> Result<(), PoseError> {
         let pose = self.kinematics.forward(joints)?;
         self.kinematics.load(&pose, &pose, &[])?;
         self.motion.set_position(&pose);
@@ -415,15 +415,15 @@ impl Machine {
             return Ok(());
         };
         *left = left.saturating_sub(1);
-        let over = *left == 0;
-        let enough = LOCKED_US / u32::from(self.config.period_us.max(1));
+        let expired = *left == 0;
+        let settled_periods = LOCKED_US / u32::from(self.config.period_us.max(1));
         let mut locked = true;
         for (index, (joint, axis)) in self.joints.iter_mut().zip(&self.config.joints).enumerate() {
             let Some((by, quiet)) = joint.locking(axis) else {
                 continue;
             };
-            let moves = quiet < enough;
-            if by.magnitude() > axis.following.magnitude() || (over && moves) {
+            let moves = quiet < settled_periods;
+            if by.magnitude() > axis.following.magnitude() || (expired && moves) {
                 return Err(Fault::NotLocked {
                     axis: index as u8,
                     by: by.0,
@@ -447,7 +447,7 @@ impl Machine {
                 *coordinate = slide;
             }
         }
-        self.place_at(&joints)
+        self.set_joints(&joints)
     }
 
     /// Switches the drives off.

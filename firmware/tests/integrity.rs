@@ -9,7 +9,7 @@ use haptimill_firmware::force::{ForceConfig, ForceControl, Gate, LoopSettings};
 use haptimill_firmware::io::{AxisInputs, DriveCommand, Inputs};
 use haptimill_firmware::joint::{JointCommand, JointDrive};
 use haptimill_firmware::machine::Machine;
-use haptimill_firmware::motion::interpolator::Program;
+use haptimill_firmware::motion::interpolator::Interpolator;
 use haptimill_firmware::motion::jog::Jog;
 use haptimill_kinematics::Model;
 use haptimill_math::force::{Force, VirtualDamping};
@@ -92,7 +92,9 @@ fn a_change_of_what_was_worked_out_is_seen() {
     let stopping = changed(|config| config.stopping.time_ms += 10);
     let rate = changed(|config| config.pose[0].rate.0 += 1 << 10);
     for config in [&stopping, &rate] {
-        assert!(rounds_until_seen(|active| active.motion.program = Program::new(config)).is_some());
+        assert!(
+            rounds_until_seen(|active| active.motion.program = Interpolator::new(config)).is_some()
+        );
     }
 }
 

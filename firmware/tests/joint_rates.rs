@@ -243,7 +243,7 @@ fn a_jog_exceeds_no_joint_rate_anywhere() {
         let mut trace = Trace::new(&config);
         // Up to three commands one after the other, each while the one before still moves, or after it.
         for _ in 0..=random.below(3) {
-            jog.aim(&asked(&config, &mut random), 1 + random.below(8000) as u32);
+            jog.set_rates(&asked(&config, &mut random), 1 + random.below(8000) as u32);
             for _ in 0..200 + random.below(8000) {
                 let (commanded, _) = jog.advance(&machine);
                 trace.push(&commanded.pose, &commanded.rates);
@@ -296,7 +296,7 @@ fn a_jog_still_comes_near_the_bound() {
         let mut trace = Trace::new(&config);
         let mut commanded = Default::default();
         for _ in 0..200_000 {
-            jog.aim(&rates, 1000);
+            jog.set_rates(&rates, 1000);
             let limited;
             (commanded, limited) = jog.advance(&machine);
             trace.push(&commanded.pose, &commanded.rates);
@@ -326,7 +326,7 @@ fn a_hand_beside_a_jog_exceeds_no_joint_rate() {
     for case in 0..300 {
         let pose = start(&config, &machine, &mut random);
         let mut motion = Motion::default();
-        motion.set_up(&config);
+        motion.configure(&config);
         motion.set_position(&pose);
         motion.begin_program();
         let led = 1 + random.below(7);
@@ -340,7 +340,7 @@ fn a_hand_beside_a_jog_exceeds_no_joint_rate() {
         }
         let mut trace = Trace::new(&config);
         for _ in 0..6 {
-            motion.jog.aim(&asked(&config, &mut random), 4000);
+            motion.jog.set_rates(&asked(&config, &mut random), 4000);
             let targets = std::array::from_fn(|axis| {
                 let (low, high) = match config.pose.get(axis) {
                     Some(axis) => (f64::from(axis.low.0), f64::from(axis.high.0)),

@@ -3,7 +3,7 @@
 mod reference;
 
 use haptimill_firmware::config::Config;
-use haptimill_firmware::motion::interpolator::{FULL_RATE, Program, QUEUE};
+use haptimill_firmware::motion::interpolator::{FULL_RATE, Interpolator, QUEUE};
 use haptimill_firmware::motion::jog::Jog;
 use haptimill_kinematics::{Jacobian, JointMotion, Joints, Kinematics, Pose, PoseError, Rates};
 use haptimill_math::{Acceleration, Coordinate, Rate};
@@ -42,11 +42,11 @@ fn straight(speed: f64, count: u16, periods: u16) -> Vec<Setpoint> {
     points
 }
 
-fn start(config: &Config) -> Program {
+fn start(config: &Config) -> Interpolator {
     // The runs here start within 20 ms: an acceleration that a jog is not allowed.
     let mut config = config.clone();
     config.pose[0].acceleration = Acceleration(mm(2000.0 / 256.0));
-    let mut program = Program::new(&config);
+    let mut program = Interpolator::new(&config);
     let mut pose = Pose::default();
     pose.0[2] = Coordinate(mm(20.0));
     program.begin(&pose);
@@ -108,7 +108,7 @@ impl Path {
     }
 }
 
-fn walk(program: &mut Program, periods: usize, halt: impl Fn(usize) -> bool) -> Path {
+fn walk(program: &mut Interpolator, periods: usize, halt: impl Fn(usize) -> bool) -> Path {
     let mut path = Path::default();
     for period in 0..periods {
         let (commanded, progress) = program.advance(halt(period));
@@ -145,7 +145,7 @@ fn a_program_ends_exactly_at_its_last_setpoint_at_the_programmed_time() {
 fn what_makes_no_sense_is_refused_and_changes_nothing() {
     let mut program = start(&h4());
     let refused =
-        |program: &mut Program, point: &Setpoint| program.push(point).expect_err("refused");
+        |program: &mut Interpolator, point: &Setpoint| program.push(point).expect_err("refused");
     assert_eq!(
         refused(&mut program, &setpoint(1.0, 0.0, 0)),
         Refusal::Setpoint { setpoint: 0 }

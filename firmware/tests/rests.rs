@@ -2,7 +2,7 @@
 
 mod reference;
 
-use haptimill_firmware::motion::interpolator::{FULL_RATE, Program, QUEUE, braking_limits};
+use haptimill_firmware::motion::interpolator::{FULL_RATE, Interpolator, QUEUE, braking_limits};
 use haptimill_kinematics::Pose;
 use haptimill_math::{Acceleration, Coordinate};
 use haptimill_protocol::message::Action;
@@ -21,10 +21,10 @@ fn setpoint(x: f64, speed: f64, periods: u16) -> Setpoint {
 }
 
 /// A job of the arm that has yet to begin, on a machine that may be as rough as short spans are.
-fn start() -> Program {
+fn start() -> Interpolator {
     let mut config = h4();
     config.pose[0].acceleration = Acceleration(mm(2000.0 / 256.0));
-    let mut program = Program::new(&config);
+    let mut program = Interpolator::new(&config);
     let mut pose = Pose::default();
     pose.0[2] = Coordinate(mm(20.0));
     program.begin(&pose);
@@ -32,7 +32,7 @@ fn start() -> Program {
 }
 
 /// Periods in a row; the rate at which program time really passes may change by no more than braking allows.
-fn go(program: &mut Program, periods: usize, halt: bool, before: &mut i64) {
+fn go(program: &mut Interpolator, periods: usize, halt: bool, before: &mut i64) {
     let slope = braking_limits(&h4().stopping, 200).expect("sound").slope();
     for period in 0..periods {
         let time = program.program_time();
@@ -49,7 +49,7 @@ fn go(program: &mut Program, periods: usize, halt: bool, before: &mut i64) {
 }
 
 /// A line at 10 mm/s whose host has brought `count` setpoints of 20 ms, and no more yet.
-fn line(count: usize) -> Program {
+fn line(count: usize) -> Interpolator {
     let mut program = start();
     let mut x = 0.1;
     program.push(&setpoint(x, 10.0, 100)).expect("taken");

@@ -4,7 +4,7 @@ mod reference;
 
 use haptimill_firmware::config::{AxisKind, Drive, JointAxis, Stopping};
 use haptimill_firmware::joint::monitor::{JointMonitor, JointSample};
-use haptimill_firmware::motion::interpolator::{FULL_RATE, Program, QUEUE};
+use haptimill_firmware::motion::interpolator::{FULL_RATE, Interpolator, QUEUE};
 use haptimill_firmware::safety::{EVENTS, Safety, brakes_first, keeps_position};
 use haptimill_kinematics::Pose;
 use haptimill_math::{Coordinate, Effort, Rate};
@@ -509,7 +509,7 @@ proptest! {
         let points = spans(speed, &lengths);
         let mut config = h4();
         config.stopping = Stopping { time_ms: 400, ramp_ms: 100 };
-        let mut program = Program::new(&config);
+        let mut program = Interpolator::new(&config);
         let mut pose = Pose([Coordinate(0); MAX_AXES]);
         pose.0[2] = Coordinate(mm(20.0));
         program.begin(&pose);

@@ -170,7 +170,7 @@ impl Server {
     pub fn welcome(&mut self, identity: &Identity<'_>, busy: bool) {
         let greeted = self.link.welcome(self.now_us, identity, busy);
         if greeted == Greeted::Begun {
-            self.forget();
+            self.reset();
             self.session_begun = true;
         }
     }
@@ -290,7 +290,7 @@ impl Server {
 
     /// Drops the state of the old session.
     #[inline(never)]
-    fn forget(&mut self) {
+    fn reset(&mut self) {
         self.batch = None;
         self.validated = None;
         self.streams = Streams::default();

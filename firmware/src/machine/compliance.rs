@@ -45,7 +45,7 @@ impl Machine {
 
     #[cold]
     #[inline(never)]
-    pub(super) fn set_up_force(&mut self, design: Option<Design>) {
+    pub(super) fn configure_force(&mut self, design: Option<Design>) {
         self.force = match (&self.config.force, design) {
             (Some(force), Some(design)) => {
                 Some(ForceControl::of(force, design, self.config.period_us))

@@ -72,7 +72,7 @@ pub struct Jog {
     /// Coordinate that its soft limit stops, in the planned steps.
     at_limit: Option<u8>,
     /// Control periods up to the deadline of the present targets.
-    alive: u32,
+    periods_left: u32,
     /// Soft limits are enforced. Homing disables them, because its coordinates are not yet valid.
     limited: bool,
 }
@@ -89,7 +89,7 @@ impl Constants for Jog {
             excursion: _,
             planned: _,
             at_limit: _,
-            alive: _,
+            periods_left: _,
             limited: _,
         } = self;
         digest.add(&(axes, period_us, periods_per_second));
@@ -150,7 +150,7 @@ impl Jog {
             axis.rate = Ramp::default();
             axis.target = 0;
         }
-        self.alive = 0;
+        self.periods_left = 0;
         self.limited = limited;
         self.asked_load = 0;
     }
@@ -174,7 +174,7 @@ impl Jog {
 
     /// Sets the position of a coordinate that has another source, so that the reach is that of the
     /// true pose.
-    pub fn carry(&mut self, axis: usize, place: Coordinate) {
+    pub fn set_coordinate(&mut self, axis: usize, place: Coordinate) {
         if let Some(axis) = self.axis.get_mut(axis) {
             axis.position = i64::from(place.0) << FRACTION;
             axis.rate = Ramp::default();
@@ -183,24 +183,24 @@ impl Jog {
     }
 
     /// Sets the target rates, in axis units per second, for `periods` control periods.
-    pub fn aim(&mut self, rates: &[i64; MAX_AXES], periods: u32) {
+    pub fn set_rates(&mut self, rates: &[i64; MAX_AXES], periods: u32) {
         for (axis, rate) in self.axis.iter_mut().zip(rates) {
             let rate = per_period((*rate).clamp(-(1 << 32), 1 << 32), self.period_us);
             axis.target = rate.max(-axis.rate_limit).min(axis.rate_limit);
         }
-        self.alive = periods;
+        self.periods_left = periods;
     }
 
     /// Decelerates all coordinates to standstill.
     pub fn release(&mut self) {
-        self.alive = 0;
+        self.periods_left = 0;
     }
 
     /// Whether all coordinates are at standstill.
     #[must_use]
     #[inline]
     pub fn is_at_standstill(&self) -> bool {
-        self.alive == 0 && self.axis.iter().all(|axis| axis.rate.is_zero())
+        self.periods_left == 0 && self.axis.iter().all(|axis| axis.rate.is_zero())
     }
 
     /// One period of a coordinate towards `target`; `None` if its stopping distance is too large to
@@ -270,7 +270,7 @@ impl Jog {
         }
         let mut limited = None;
         let mut steps = None;
-        if self.alive > 0 {
+        if self.periods_left > 0 {
             let planned = self.plan();
             limited = self.at_limit;
             match self.loads(machine, &planned) {
@@ -287,7 +287,7 @@ impl Jog {
                 }
             }
         }
-        self.alive = self.alive.saturating_sub(1);
+        self.periods_left = self.periods_left.saturating_sub(1);
         self.planned = None;
         self.braking = false;
         let mut commanded = PoseCommand::default();
@@ -349,7 +349,7 @@ impl Jog {
         for (index, step) in steps[..self.axes].iter().enumerate() {
             let step = step.as_ref()?;
             let whole = |end: i64| i32::try_from(end >> FRACTION).ok().map(Coordinate);
-            envelope.quicken(index, per_second(step.peak, self.periods_per_second) + 1);
+            envelope.extend_rate(index, per_second(step.peak, self.periods_per_second) + 1);
             envelope.low.0[index] = whole(step.low)?;
             envelope.high.0[index] = whole(step.high)?;
         }
@@ -359,11 +359,11 @@ impl Jog {
     /// The stopping envelope if the jog continues for one period (or decelerates now) and
     /// decelerates then.
     #[must_use]
-    pub fn stopping(&mut self, goes_on: bool) -> Option<StoppingEnvelope> {
+    pub fn stopping(&mut self, continues: bool) -> Option<StoppingEnvelope> {
         if self.is_at_standstill() {
             return Some(StoppingEnvelope::at(&self.pose()));
         }
-        let steps = if goes_on && self.alive > 0 {
+        let steps = if continues && self.periods_left > 0 {
             self.plan()
         } else {
             self.brake_steps()

@@ -176,7 +176,7 @@ impl Tracker {
 
     /// Position at which it comes to standstill if it decelerates from now on.
     #[must_use]
-    pub fn rest(&self, limits: &TrackerLimits) -> Coordinate {
+    pub fn standstill_position(&self, limits: &TrackerLimits) -> Coordinate {
         Coordinate(saturate(
             self.place.saturating_add(self.stopping(limits)) >> FRACTION,
         ))

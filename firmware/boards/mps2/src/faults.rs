@@ -78,7 +78,9 @@ pub fn reached(place: usize) {
 
 /// Name of a stage, or of the place between two periods.
 fn place_name(place: usize) -> &'static str {
-    Stage::ALL.get(place).map_or(MAIN_NAME, |stage| stage.name())
+    Stage::ALL
+        .get(place)
+        .map_or(MAIN_NAME, |stage| stage.name())
 }
 
 fn happen(what: usize, place: usize) {

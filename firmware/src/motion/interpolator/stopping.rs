@@ -1,11 +1,11 @@
 //! Stopping envelope of a program: the bounds of its coordinates up to standstill on its path.
 
-use super::{Program, Ramp};
+use super::{Interpolator, Ramp};
 use crate::motion::envelope::StoppingEnvelope;
 use crate::motion::segment;
 use haptimill_protocol::message::{Action, RATE_SHIFT};
 
-impl Program {
+impl Interpolator {
     /// The stopping envelope of the program's coordinates, if it continues for one period and
     /// decelerates along its path then.
     ///
@@ -44,7 +44,7 @@ impl Program {
                 }
                 let [begin, end] =
                     [self.time, time].map(|time| segment.polynomials[axis].sample(half(time)));
-                self.hull(
+                self.extend_by_hull(
                     &mut sweep,
                     axis,
                     [begin.position.0, end.position.0],
@@ -65,7 +65,7 @@ impl Program {
                 if from.is_still(knot, axis) {
                     continue;
                 }
-                self.hull(
+                self.extend_by_hull(
                     &mut sweep,
                     axis,
                     [from.pose[axis], knot.pose[axis]],
@@ -82,7 +82,7 @@ impl Program {
     /// Adds the control points of one axis between two positions. The rates are in axis units per
     /// second (below 2^32), `third` is a [`third`] of the time, and `pace` is the largest path rate
     /// in it. The rates of the box are those at its ends.
-    fn hull(
+    fn extend_by_hull(
         &self,
         sweep: &mut StoppingEnvelope,
         axis: usize,
@@ -91,7 +91,7 @@ impl Program {
         (third, pace): (i64, i64),
     ) {
         for rate in rates {
-            sweep.quicken(axis, (rate * pace) >> 16);
+            sweep.extend_rate(axis, (rate * pace) >> 16);
         }
         let distance = self.distance(axis, from, to);
         let [first, second] = rates.map(|rate| (rate * third) >> 22);
