@@ -93,7 +93,7 @@ proptest! {
         for raw in pulses(first, 1, &[1, 1]) {
             prop_assert_eq!(watch.pulse(raw), None);
         }
-        prop_assert!(watch.will_tell());
+        prop_assert!(watch.is_armed());
         watch.search(true);
         let raw = first.wrapping_add(24_000 + off);
         let lost = off.unsigned_abs() > u32::from(SLACK);
@@ -124,7 +124,7 @@ proptest! {
             for raw in &raws {
                 prop_assert_eq!(watch.pulse(*raw), None);
             }
-            prop_assert!(!watch.will_tell());
+            prop_assert!(!watch.is_armed());
         }
     }
 }
@@ -135,7 +135,7 @@ fn after_a_loss_was_said_pulses_begin_anew() {
     let said = [0, 8000, 16_100, 24_100].map(|raw| watch.pulse(raw));
     assert_eq!(said, [None, None, None, Some(100)]);
     watch.forget();
-    assert!(!watch.will_tell());
+    assert!(!watch.is_armed());
     assert_eq!(
         [32_100, 40_100, 48_100].map(|raw| watch.pulse(raw)),
         [None; 3]

@@ -427,7 +427,7 @@ proptest! {
         jog.begin(&Pose::default(), true);
         let mut paths = [Path::default(), Path::default(), Path::default()];
         for (x, y, z, periods) in commands {
-            jog.aim(&jog_rates(x, y, z), periods);
+            jog.set_rates(&jog_rates(x, y, z), periods);
             for _ in 0..periods + 300 {
                 let (commanded, _) = jog.advance(&ball);
                 prop_assert!(ball.inverse(&commanded.pose).is_ok());

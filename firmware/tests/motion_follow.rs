@@ -87,7 +87,7 @@ proptest! {
             tracker.advance(Some(Coordinate(target)), &limits);
         }
         let (low, high) = tracker.sweep(None, &limits);
-        let rest = tracker.rest(&limits);
+        let rest = tracker.standstill_position(&limits);
         for _ in 0..2_000_000 {
             tracker.advance(None, &limits);
             prop_assert!((low..=high).contains(&i64::from(tracker.place().0)));

@@ -42,7 +42,7 @@ fn look(
     seen: &JointSample,
     periods: usize,
 ) -> Option<Fault> {
-    (0..periods).find_map(|_| watch.look(2, axis, LIMIT, seen))
+    (0..periods).find_map(|_| watch.check(2, axis, LIMIT, seen))
 }
 
 #[test]
@@ -305,7 +305,7 @@ proptest! {
                 period_us,
                 missed: false,
             };
-            let _ = watch.look(0, &axis, LIMIT, &seen);
+            let _ = watch.check(0, &axis, LIMIT, &seen);
         }
     }
 }

@@ -276,14 +276,14 @@ impl StabilityMonitor {
             return;
         }
         self.calm = self.calm.saturating_add(1);
-        let way = (i64::from(now.0) - i64::from(self.shown.0)).abs();
-        if self.calm < PATIENCE || way < WAY {
+        let displacement_change = (i64::from(now.0) - i64::from(self.shown.0)).abs();
+        if self.calm < PATIENCE || displacement_change < WAY {
             return;
         }
         let change = (i64::from(now.1) - i64::from(self.shown.1)).abs();
         // Softest contact of this level; half of its force: below 2^24 * 2^21.
         let softest = i64::from(ONSET) << (self.level - 1);
-        if change < (way.min(WIDEST) * softest) >> 13 {
+        if change < (displacement_change.min(WIDEST) * softest) >> 13 {
             self.level -= 1;
         }
         self.calm = 0;

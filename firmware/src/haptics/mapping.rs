@@ -52,8 +52,9 @@ impl Frame {
         let age = i64::from(age.min(per_second / 50));
         let on = |axis: usize| {
             // 2^-12 mm/s times control periods: below 2^31 * 2^9 * 2^8.
-            let way = (i64::from(hand.rate[axis]) << 8) * age / i64::from(per_second.max(1));
-            saturate(i64::from(hand.tip[axis]) + way)
+            let displacement =
+                (i64::from(hand.rate[axis]) << 8) * age / i64::from(per_second.max(1));
+            saturate(i64::from(hand.tip[axis]) + displacement)
         };
         let wide = |axis: [i16; 3]| axis.map(|part| i32::from(part) << 15);
         let (n, a) = (wide(hand.axes[0]), wide(hand.axes[1]));
@@ -148,8 +149,9 @@ impl MasterMapping {
                 (self.hand[axis], self.tool[axis]) = (frame.tip[axis], standstill_position(axis).0);
             }
             // Below 2^32 * 2^13.
-            let way = (i64::from(frame.tip[axis]) - i64::from(self.hand[axis])) * self.scale;
-            let target = i64::from(self.tool[axis]) + round_shift(way, 12);
+            let displacement =
+                (i64::from(frame.tip[axis]) - i64::from(self.hand[axis])) * self.scale;
+            let target = i64::from(self.tool[axis]) + round_shift(displacement, 12);
             self.targets[axis] = Some(Coordinate(saturate(target)));
         }
         let angles = led >> THETA & 3;

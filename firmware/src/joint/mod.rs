@@ -188,8 +188,8 @@ const REACH_FACTOR: u64 = 10;
 fn reach(axis: &JointAxis, period_us: u16) -> u32 {
     let rate = u64::from(axis.rate.0.unsigned_abs());
     let travel = rate * REACH_FACTOR * u64::from(period_us) / 1_000_000;
-    let way = travel + u64::from(axis.following.magnitude());
-    let counts = (way << 24) / axis.per_count.unsigned_abs().max(1);
+    let reach = travel + u64::from(axis.following.magnitude());
+    let counts = (reach << 24) / axis.per_count.unsigned_abs().max(1);
     counts.min(u64::from(u32::MAX)) as u32
 }
 

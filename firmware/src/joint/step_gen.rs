@@ -273,7 +273,7 @@ impl StepPlanner {
             ramp = ideal.ramp(intervals);
         }
         let spread = Spread {
-            span: (last - delay) as i32,
+            duration: (last - delay) as i32,
             most: (latest - delay) as i32,
             intervals: intervals as i32,
             gap: gap as i32,
@@ -292,7 +292,7 @@ impl StepPlanner {
 /// most`.
 struct Spread {
     /// Ideal time from the first to the last pulse.
-    span: i32,
+    duration: i32,
     /// Upper limit of that time.
     most: i32,
     intervals: i32,
@@ -308,21 +308,21 @@ impl Spread {
         // Total bend that `ramp` adds up to at the last pulse. A bend of several spans is a jump,
         // not an acceleration.
         let bent = i64::from(ramp) * (i64::from(n) * i64::from(n - 1) / 2);
-        if ramp != 0 && bent.abs() <= 4 * i64::from(self.span) {
+        if ramp != 0 && bent.abs() <= 4 * i64::from(self.duration) {
             let bent = bent as i32;
             for rounding in [n / 2, 0] {
-                let interval = (self.span - bent + rounding).div_euclid(n);
+                let interval = (self.duration - bent + rounding).div_euclid(n);
                 let shortest = interval + ramp.min(0) * (n - 1);
                 if shortest >= self.gap && n * interval + bent <= self.most {
                     return (interval.unsigned_abs(), ramp);
                 }
             }
         }
-        let rounded = (self.span + n / 2) / n;
+        let rounded = (self.duration + n / 2) / n;
         let even = if n * rounded <= self.most {
             rounded
         } else {
-            self.span / n
+            self.duration / n
         };
         (even.unsigned_abs(), 0)
     }

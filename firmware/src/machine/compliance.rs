@@ -14,7 +14,8 @@
 //! Callers must use [`Machine::rebase_on_compliance`] only while nothing but p_c moves the machine;
 //! otherwise the commanded pose jumps.
 
-use super::{FORCE_PART, Machine};
+use super::Machine;
+use super::configure::FORCE_PART;
 use crate::config::Config;
 use crate::config::digest::{Constants, Digest};
 use crate::force::sensor::COMPONENTS;

@@ -4,7 +4,8 @@
 //! Callers must use [`Machine::release_master`] when the machine brakes. Otherwise the mapping
 //! keeps the old positions of master and tool.
 
-use super::{HAND_PART, Machine};
+use super::Machine;
+use super::configure::HAND_PART;
 use crate::config::HAND;
 use crate::config::digest::Digest;
 use crate::haptics::config::Encoder;

@@ -94,7 +94,7 @@ pub struct Interpolator {
     period_us: u16,
     periods_per_second: i64,
     /// Duration of the setpoint checked last; most setpoints have the duration of the one before.
-    span: SegmentDuration,
+    duration: SegmentDuration,
     braking: Option<RampLimits>,
     /// Program time to decelerate from the full path rate, in control periods.
     braking_periods: u64,
@@ -134,7 +134,7 @@ constants!(Interpolator {
     axes, rotary, rate_limits, acceleration_limits, period_us, periods_per_second, braking, braking_periods
 } of {} but {
     queue, queued_periods, stops_ahead, tail, from, segments, time, elapsed, path_rate, override_rate, accepted, reached, total, started, paused,
-    underrunning, late, span, passed, retract_left
+    underrunning, late, duration, passed, retract_left
 });
 
 /// Bounds of the path rate for a configuration's [`Stopping`]; `None` if the times are
@@ -266,13 +266,13 @@ impl Interpolator {
     #[must_use]
     pub fn sample_to(&self, setpoint: &Setpoint, periods: u16) -> Option<PoseCommand> {
         let mut commanded = PoseCommand::default();
-        let half = segment::half(self.span.fraction(u32::from(periods) << 16));
+        let half = segment::half(self.duration.fraction(u32::from(periods) << 16));
         let to = setpoint.pose.iter().zip(&setpoint.rates).enumerate();
         for (axis, (place, rate)) in to {
             let (start, wrap) = (Coordinate(self.tail.pose[axis]), self.rotary[axis]);
             let (from, end) = (self.tail.rates[axis], Coordinate(*place));
-            let cubic = Cubic::new(start, from, end, *rate, &self.span, wrap)?;
-            let sample = segment::SegmentPolynomial::new(&cubic, &self.span).sample(half);
+            let cubic = Cubic::new(start, from, end, *rate, &self.duration, wrap)?;
+            let sample = segment::SegmentPolynomial::new(&cubic, &self.duration).sample(half);
             commanded.pose.0[axis] = sample.position;
             commanded.rates[axis] = sample.rate;
         }
@@ -283,7 +283,7 @@ impl Interpolator {
     /// take a little longer to check.
     #[must_use]
     pub const fn expects(&self, periods: u16) -> bool {
-        self.span.periods() == periods
+        self.duration.periods() == periods
     }
 
     /// Appends the next setpoint, whose first `checked` coordinates are already checked.
@@ -403,7 +403,7 @@ impl Interpolator {
         self.started
             && !self.paused
             && self.segment().is_none_or(|segment| {
-                let end = u64::from(segment.span.periods()) << 32;
+                let end = u64::from(segment.duration.periods()) << 32;
                 // The highest path rate possible in the next control period.
                 let slope = self.braking.map_or(0, |braking| braking.slope());
                 let highest = (self.path_rate.value() + slope).clamp(0, FULL_RATE);
@@ -519,7 +519,7 @@ impl Interpolator {
             let Some(segment) = self.segments.present() else {
                 return;
             };
-            let periods = u64::from(segment.span.periods());
+            let periods = u64::from(segment.duration.periods());
             let end = periods << 32;
             if self.time < end {
                 return;
@@ -571,7 +571,7 @@ impl Interpolator {
             };
             return;
         };
-        let fraction = segment.span.fraction((self.time >> 16) as u32);
+        let fraction = segment.duration.fraction((self.time >> 16) as u32);
         let PoseCommand {
             pose,
             rates,
@@ -627,8 +627,8 @@ impl Interpolator {
 
     /// Sets the segment duration. It is recomputed only if it changed.
     fn set_duration(&mut self, periods: u16) -> Option<()> {
-        if self.span.periods() != periods || periods == 0 {
-            self.span = SegmentDuration::new(periods, self.period_us)?;
+        if self.duration.periods() != periods || periods == 0 {
+            self.duration = SegmentDuration::new(periods, self.period_us)?;
         }
         Some(())
     }
@@ -642,18 +642,19 @@ impl Interpolator {
     /// mean rate and all rates between must be within the axis limit. The acceleration must be
     /// within 16 times that of a jog. A setpoint beyond these bounds is an error of the host.
     fn is_within_limits(&self, axis: usize, place: i32, rate: i32) -> bool {
-        let (span, limit) = (&self.span, self.rate_limits[axis]);
+        let (duration, limit) = (&self.duration, self.rate_limits[axis]);
         if rate.unsigned_abs() > limit.unsigned_abs() {
             return false;
         }
         let (tail, wrap) = (&self.tail, self.rotary[axis]);
         let (start, start_rate) = (Coordinate(tail.pose[axis]), tail.rates[axis]);
-        let Some(cubic) = Cubic::new(start, start_rate, Coordinate(place), rate, span, wrap) else {
+        let Some(cubic) = Cubic::new(start, start_rate, Coordinate(place), rate, duration, wrap)
+        else {
             return false;
         };
         cubic.is_at_standstill()
-            || (cubic.keeps_mean_rate(limit, span)
-                && cubic.keeps_rate(limit, span)
-                && cubic.keeps_acceleration(self.acceleration_limits[axis], span))
+            || (cubic.keeps_mean_rate(limit, duration)
+                && cubic.keeps_rate(limit, duration)
+                && cubic.keeps_acceleration(self.acceleration_limits[axis], duration))
     }
 }

@@ -62,7 +62,7 @@ pub struct Jog {
     axis: [Axis; MAX_AXES],
     /// Load of the requested rates in the last control period. Above [`MOST_LOAD`] it scales the
     /// rates down.
-    asked_load: u32,
+    requested_load: u32,
     /// Decelerate in this control period only.
     braking: bool,
     /// Compliant displacement, added to the pose.
@@ -84,7 +84,7 @@ impl Constants for Jog {
             period_us,
             periods_per_second,
             axis,
-            asked_load: _,
+            requested_load: _,
             braking: _,
             excursion: _,
             planned: _,
@@ -152,7 +152,7 @@ impl Jog {
         }
         self.periods_left = 0;
         self.limited = limited;
-        self.asked_load = 0;
+        self.requested_load = 0;
     }
 
     /// Decelerates in this control period, whatever the targets are. The jog resumes in the next
@@ -229,8 +229,8 @@ impl Jog {
         let mut steps = [None; MAX_AXES];
         self.at_limit = None;
         for (index, axis) in self.axis[..self.axes].iter().enumerate() {
-            let target = if self.asked_load > MOST_LOAD {
-                slower(axis.target, self.asked_load)
+            let target = if self.requested_load > MOST_LOAD {
+                slower(axis.target, self.requested_load)
             } else {
                 axis.target
             };
@@ -274,8 +274,8 @@ impl Jog {
             let planned = self.plan();
             limited = self.at_limit;
             match self.loads(machine, &planned) {
-                Some([load, asked_load]) => {
-                    self.asked_load = asked_load;
+                Some([load, requested_load]) => {
+                    self.requested_load = requested_load;
                     steps = (load <= MOST_LOAD && !self.braking).then_some(planned);
                 }
                 None => {
@@ -337,8 +337,8 @@ impl Jog {
         for (index, axis) in self.axis[..self.axes].iter().enumerate() {
             // A coordinate that its soft limit stops is not asked for more.
             let stops = steps[index].is_some_and(|step| step.target == 0);
-            let asked = if stops { 0 } else { axis.target.abs() };
-            rates[index] = Rate(saturate(per_second(asked, self.periods_per_second)));
+            let requested = if stops { 0 } else { axis.target.abs() };
+            rates[index] = Rate(saturate(per_second(requested, self.periods_per_second)));
         }
         envelope.load(&[envelope.rates, rates], machine)
     }

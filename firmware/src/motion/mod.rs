@@ -325,8 +325,8 @@ impl Motion {
                         self.jog.set_coordinate(axis, self.commanded.pose.0[axis]);
                     }
                 }
-                let (blocked, clipped) = self.check_stopping(machine);
-                if clipped.is_some() {
+                let (blocked, limited_jog) = self.check_stopping(machine);
+                if limited_jog.is_some() {
                     self.jog.release();
                 }
                 let (program, mut progress) = self.program.advance(halt || blocked);
@@ -339,7 +339,7 @@ impl Motion {
                     self.merge(axis, &program, &jog, moving & (1 << axis) != 0);
                 }
                 self.update_blended();
-                (progress, clipped.or(limited))
+                (progress, limited_jog.or(limited))
             }
         }
     }
@@ -389,8 +389,8 @@ impl Motion {
     /// joint would exceed its maximum rate, jogs and trackers decelerate in this period and try
     /// again in the next one.
     fn check_stopping(&mut self, machine: &impl Kinematics) -> (bool, Option<u8>) {
-        let led = self.master_may_lead();
-        let load = self.stopping_load(true, led, machine);
+        let master_leads = self.master_may_lead();
+        let load = self.stopping_load(true, master_leads, machine);
         self.load = load.unwrap_or_default();
         if self.load > MOST_LOAD {
             self.jog.brake();

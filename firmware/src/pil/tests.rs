@@ -68,7 +68,7 @@ prop_compose! {
     fn done()(
         period: u64,
         axes in prop::array::uniform6(command()),
-        (spindle_rpm, message) in any::<(i16, u16)>(),
+        (spindle_rpm, transmitted) in any::<(i16, u16)>(),
         (received, waiting, lost_bytes, urgent) in any::<(u16, u16, u16, bool)>(),
         stages: [u32; STAGES],
         (enabled, currents) in any::<(bool, [[i16; 2]; 3])>(),
@@ -77,7 +77,7 @@ prop_compose! {
         Done {
             period,
             outputs: Outputs { axes, spindle_rpm, haptic: HapticOutputs { enabled, currents }, ..Outputs::default() },
-            message,
+            transmitted,
             line_inputs: LineInputs { received, waiting, lost_bytes, urgent },
             stages,
             snapshot,

@@ -15,7 +15,7 @@ use haptimill_protocol::message::MAX_AXES;
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Segment {
     pub(super) polynomials: [SegmentPolynomial; MAX_AXES],
-    pub(super) span: SegmentDuration,
+    pub(super) duration: SegmentDuration,
     pub(super) to: Knot,
 }
 
@@ -98,7 +98,7 @@ impl Interpolator {
         let parts = self.axes as u64 + 1;
         let missing = parts.saturating_sub(self.segments.parts as u64);
         let from = self.segment().map_or(0, |segment| {
-            let periods = u64::from(segment.span.periods());
+            let periods = u64::from(segment.duration.periods());
             let spread = missing > 0 && periods >= 3 * parts;
             periods.saturating_sub(if spread { 2 * missing + 2 } else { 1 })
         });
@@ -139,7 +139,7 @@ impl Interpolator {
         let segments = &self.segments;
         let periods = segments
             .present()
-            .map_or(0, |segment| segment.span.periods());
+            .map_or(0, |segment| segment.duration.periods());
         self.queued_periods -= u64::from(periods);
         true
     }
@@ -177,8 +177,8 @@ impl Segment {
     /// Sets end and duration of a segment. Most segments last as long as the one before.
     fn begin(&mut self, to: &Knot, before: &Self, period_us: u16) -> Option<()> {
         self.to = *to;
-        self.span = if before.span.periods() == to.periods && to.periods != 0 {
-            before.span
+        self.duration = if before.duration.periods() == to.periods && to.periods != 0 {
+            before.duration
         } else {
             SegmentDuration::new(to.periods, period_us)?
         };
@@ -189,8 +189,8 @@ impl Segment {
     fn set_axis(&mut self, from: &Knot, axis: usize, wrap: bool) -> Option<()> {
         let (start, rate) = (Coordinate(from.pose[axis]), from.rates[axis]);
         let (end, end_rate) = (Coordinate(self.to.pose[axis]), self.to.rates[axis]);
-        let cubic = Cubic::new(start, rate, end, end_rate, &self.span, wrap)?;
-        self.polynomials[axis].set(&cubic, &self.span);
+        let cubic = Cubic::new(start, rate, end, end_rate, &self.duration, wrap)?;
+        self.polynomials[axis].set(&cubic, &self.duration);
         Some(())
     }
 }

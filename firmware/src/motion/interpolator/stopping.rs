@@ -33,11 +33,11 @@ impl Interpolator {
             next.saturating_add(stopping.map_or(u64::MAX, |(_, far)| far.unsigned_abs()));
         let mut from = self.from;
         if let Some(segment) = self.segment() {
-            let left = (u64::from(segment.span.periods()) << 32).saturating_sub(self.time);
+            let left = (u64::from(segment.duration.periods()) << 32).saturating_sub(self.time);
             let time = self.time + left.min(ahead);
             let microseconds = ((left.min(ahead) >> 16) as i64 * i64::from(self.period_us)) >> 16;
             let third = third(microseconds);
-            let half = |time: u64| segment::half(segment.span.fraction((time >> 16) as u32));
+            let half = |time: u64| segment::half(segment.duration.fraction((time >> 16) as u32));
             for axis in 0..self.axes {
                 if segment.polynomials[axis].is_at_standstill() {
                     continue;

@@ -59,7 +59,7 @@ impl Interpolator {
     fn remaining_periods(&self) -> u64 {
         let segment = self
             .segment()
-            .map_or(0, |segment| u64::from(segment.span.periods()));
+            .map_or(0, |segment| u64::from(segment.duration.periods()));
         (segment + self.queued_periods).saturating_sub((self.time >> 32) + 1)
     }
 }
