@@ -17,7 +17,7 @@
 //!
 //! The filter and the force step limit bound the strength of a damper. The part that the damper
 //! cannot absorb is taken out of the force feedback: see [`super::feedback_filter`], which uses the
-//! same deficit. `tests/reflection_chain` sweeps hands, contacts and lines.
+//! same deficit. `tests/feedback_loop` sweeps hands, contacts and lines.
 //!
 //! Units: energies 2^-36 N mm (2^-16 N times 2^-20 mm).
 //!

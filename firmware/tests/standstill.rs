@@ -1,4 +1,5 @@
-//! Rests, pauses and resumes on the queue: the speed along the path never jumps, and what was begun can be stopped.
+//! Standstill, pause and resume on the queue: the path rate never jumps, and every motion can be
+//! stopped before the queue ends.
 
 mod reference;
 
@@ -20,7 +21,7 @@ fn setpoint(x: f64, speed: f64, periods: u16) -> Setpoint {
     }
 }
 
-/// A job of the arm that has yet to begin, on a machine that may be as rough as short spans are.
+/// A job that has not begun, on a machine with limits that short segments need.
 fn start() -> Interpolator {
     let mut config = h4();
     config.pose[0].acceleration = Acceleration(mm(2000.0 / 256.0));
@@ -31,14 +32,14 @@ fn start() -> Interpolator {
     program
 }
 
-/// Periods in a row; the rate at which program time really passes may change by no more than braking allows.
+/// Advances some periods. The rate of program time changes by at most the braking slope.
 fn go(program: &mut Interpolator, periods: usize, halt: bool, before: &mut i64) {
     let slope = braking_limits(&h4().stopping, 200).expect("sound").slope();
     for period in 0..periods {
         let time = program.program_time();
         let (_, progress) = program.advance(halt);
         let now = (program.program_time() - time) as i64;
-        assert!(!progress.queue_empty, "ran dry");
+        assert!(!progress.queue_empty, "queue empty in motion");
         let change = (now - *before) as f64 / FULL_RATE as f64;
         assert!(
             (now - *before).abs() <= slope + 2,
@@ -48,7 +49,7 @@ fn go(program: &mut Interpolator, periods: usize, halt: bool, before: &mut i64) 
     }
 }
 
-/// A line at 10 mm/s whose host has brought `count` setpoints of 20 ms, and no more yet.
+/// A line at 10 mm/s with `count` setpoints of 20 ms in the queue.
 fn line(count: usize) -> Interpolator {
     let mut program = start();
     let mut x = 0.1;
@@ -60,9 +61,9 @@ fn line(count: usize) -> Interpolator {
     program
 }
 
-/// Nothing was held, or it still brakes: there is no pause to leave.
+/// Resume without a hold, or while the machine still brakes.
 #[test]
-fn a_resume_in_motion_does_not_stop_the_machine_dead() {
+fn resume_in_motion_keeps_the_path_rate() {
     let mut program = line(14);
     program.advance(false);
     let mut rate = FULL_RATE;
@@ -71,9 +72,9 @@ fn a_resume_in_motion_does_not_stop_the_machine_dead() {
     go(&mut program, 2000, false, &mut rate);
 }
 
-/// Hold, rest in the middle of the path, resume with a short queue; the setpoints come later.
+/// Hold, standstill on the path, resume with a short queue; more setpoints come later.
 #[test]
-fn a_resume_after_a_hold_builds_up_the_speed() {
+fn resume_after_hold_ramps_up() {
     let mut program = line(14);
     program.advance(false);
     let mut rate = FULL_RATE;
@@ -90,8 +91,9 @@ fn a_resume_after_a_hold_builds_up_the_speed() {
     go(&mut program, 2000, false, &mut rate);
 }
 
-/// A rest in the middle of a job, with or without a pause; behind it the queue is full of spans so short that it does not cover the way to rest.
-fn rest_then_short_spans(action: Action) {
+/// Standstill within a job, with or without a pause. The queue behind it is full of segments so
+/// short that it does not cover the stopping distance.
+fn standstill_then_short_segments(action: Action) {
     let mut program = start();
     program
         .push(&Setpoint {
@@ -116,12 +118,12 @@ fn rest_then_short_spans(action: Action) {
             paused = false;
             program.leave_pause();
         }
-        assert!(!progress.queue_empty, "ran dry");
+        assert!(!progress.queue_empty, "queue empty in motion");
     }
 }
 
 #[test]
-fn a_full_queue_of_short_spans_after_a_rest_does_not_run_dry() {
-    rest_then_short_spans(Action::None);
-    rest_then_short_spans(Action::Pause);
+fn short_segments_after_standstill_do_not_empty_the_queue() {
+    standstill_then_short_segments(Action::None);
+    standstill_then_short_segments(Action::Pause);
 }

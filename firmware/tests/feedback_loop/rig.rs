@@ -4,7 +4,7 @@
 //!
 //! The hand is a mass of 0.8 kg on spring and damper that follow an intention: 4 mm into the contact at 10 mm/s, and there it stays. There is no friction in hand, arm and mill, which is the worst case.
 
-use crate::bed::{Bed, HOME};
+use crate::bench::{Bench, HOME};
 use haptimill_checks::reference;
 use haptimill_firmware::config::Config;
 use haptimill_firmware::force::sensor::{Channel, Sensor};
@@ -136,9 +136,9 @@ pub fn run(case: &Case) -> Outcome {
         force: Some(sensor(case.yields)),
         ..reference::h4_with_steps()
     };
-    let mut mill = Bed::ready(config);
+    let mut mill = Bench::ready(config);
     let mut master = afar.then(|| {
-        let mut master = Bed::ready(Config {
+        let mut master = Bench::ready(Config {
             haptic: Some(haptic()),
             ..reference::master()
         });

@@ -1,6 +1,7 @@
-//! The force loop against stiff contacts: where it oscillates without the guard, beside what analysis says, and that the guard holds it.
+//! Force loop against stiff contacts: stability limits without the monitor, against the analysis, and
+//! stability with it.
 //!
-//! `cargo test -p haptimill-firmware --test force_contact -- --nocapture` prints the tables of docs/decisions/0010.
+//! `cargo test -p haptimill-firmware --test contact_stability -- --nocapture` prints the tables of docs/decisions/0010.
 
 mod contact;
 
@@ -58,7 +59,7 @@ fn found_limit(make: impl Fn(f64) -> Contact) -> f64 {
 
 /// The formula is the root of the characteristic equation.
 #[test]
-fn analytic_limit_is_on_the_imaginary_axis() {
+fn analytic_stability_limit_is_on_the_imaginary_axis() {
     for (mass, damping, delay) in [
         (1.0, 5.0, 0.0132),
         (1.0, 5.0, 0.012),
@@ -79,7 +80,7 @@ fn analytic_limit_is_on_the_imaginary_axis() {
 
 /// A window of the peak follows a rising force at once and a falling one a revolution late: half of it counts as delay for an oscillation. The delay of the whole window gives the safe limit.
 #[test]
-fn unguarded_limits_beside_the_analysis() {
+fn limits_without_monitor_match_the_analysis() {
     let rigid = found_limit(Contact::new);
     let (half, whole) = (
         analytic_limit(1.0, 5.0, 0.0062),
@@ -138,7 +139,7 @@ fn unguarded_limits_beside_the_analysis() {
 
 /// With the guard, the default gains hold every contact up to 1000 N/mm: on any drive, with and without encoder counts, with and without friction.
 #[test]
-fn the_guard_holds_up_to_a_thousand() {
+fn monitor_stabilises_contacts_up_to_1000_n_mm() {
     for drive in [Drive::Rigid, Drive::Servo, Drive::Lag { omega: 200.0 }] {
         for count in [0.0, COUNT] {
             for stiction in [0.0, 0.002, 0.005] {
@@ -181,9 +182,9 @@ fn the_guard_holds_up_to_a_thousand() {
     }
 }
 
-/// Where the guard ends, by the swing alone.
+/// Stability limits with the monitor, by the oscillation alone.
 #[test]
-fn guarded_limits_are_beyond_a_thousand() {
+fn limits_with_monitor_exceed_1000_n_mm() {
     for drive in [Drive::Rigid, Drive::Servo, Drive::Lag { omega: 200.0 }] {
         let holds = |stiffness: f64| {
             let contact = Contact {
@@ -203,9 +204,9 @@ fn guarded_limits_are_beyond_a_thousand() {
     }
 }
 
-/// What the test above would say if the guard did nothing.
+/// The same contacts oscillate without the monitor.
 #[test]
-fn without_the_guard_the_same_contacts_are_not_held() {
+fn same_contacts_oscillate_without_monitor() {
     for (drive, stiffness) in [
         (Drive::Rigid, 1000.0),
         (Drive::Servo, 1000.0),
@@ -236,7 +237,7 @@ fn without_the_guard_the_same_contacts_are_not_held() {
 
 /// The other gains of the thesis and the gentle set, with the servo of the arm.
 #[test]
-fn other_gains_are_held_too() {
+fn other_gains_are_stable() {
     for (mass, damping) in [(0.25, 0.5), (0.25, 5.0), (1.0, 2.0), (1.0, 20.0)] {
         for stiffness in STIFFNESSES {
             // K_V / k is the time constant of a soft contact.
@@ -263,7 +264,7 @@ fn other_gains_are_held_too() {
 }
 /// A desired motion that goes on for 3 s into the contact: the force is f_d + K_V v, whatever the guard adds.
 #[test]
-fn a_steady_push_costs_what_the_equation_says() {
+fn steady_push_force_matches_the_equation() {
     for stiffness in [50.0, 200.0, 600.0, 1000.0] {
         for approach in [0.2, 1.0, 2.0] {
             let contact = Contact {
@@ -290,7 +291,7 @@ fn a_steady_push_costs_what_the_equation_says() {
 /// The mean force over all stiffnesses. What the loop holds is the peak of a revolution. A tool that sits on whole counts alone goes to and fro between two of them (1.1 N apart at 879 N/mm), and the peak shows the
 /// higher one for a revolution longer than it is there: the mean of the peak is f_d, that of the force is below it. An arm behind a servo does not sit on counts.
 #[test]
-fn the_mean_is_the_desired_force() {
+fn mean_force_is_the_force_setpoint() {
     for (drive, count, most) in [
         (Drive::Rigid, 0.0, 0.25),
         (Drive::Servo, COUNT, 0.25),

@@ -11,7 +11,7 @@ use proptest::test_runner::RngSeed;
 const MM: f64 = 1048576.0;
 const NEWTON: f64 = 65536.0;
 
-/// Drives a joint for a period; its command arrives where it belongs.
+/// Advances a joint by one period and applies its command.
 fn drive_to(joint: &mut JointDrive, commanded: &JointCommand) -> ServoOutput {
     let mut command = DriveCommand::Off;
     let saturated = joint.servo(
@@ -195,7 +195,7 @@ fn lost_motion_is_compensated() {
 }
 
 #[test]
-fn enabling_moves_nothing() {
+fn enable_does_not_move_the_joint() {
     for servo in [torque(), steps()] {
         let mut joint = JointDrive::new(&axis(servo, 0.01), 200).unwrap();
         let mut inputs = AxisInputs {
@@ -231,7 +231,7 @@ fn enabling_moves_nothing() {
 }
 
 #[test]
-fn a_reference_found_under_way_moves_nothing() {
+fn reference_set_in_motion_does_not_jump() {
     for servo in [torque(), steps()] {
         let mut joint = JointDrive::new(&axis(servo, 0.01), 200).unwrap();
         let inputs = AxisInputs {
@@ -260,9 +260,9 @@ fn a_reference_found_under_way_moves_nothing() {
     }
 }
 
-/// A step motor that follows exactly, then loses 10 steps at once: seen as slip at once, and only then.
+/// A step motor that follows exactly, then loses 10 steps: reported at once, and only then.
 #[test]
-fn lost_steps_are_seen() {
+fn lost_steps_are_detected() {
     let mut joint = JointDrive::new(&axis(steps(), 0.0), 200).unwrap();
     let mut inputs = AxisInputs::default();
     joint.measure(&inputs, 0);
@@ -310,7 +310,7 @@ fn lost_steps_are_seen() {
 }
 
 #[test]
-fn what_cannot_work_is_refused() {
+fn invalid_joint_configurations_are_refused() {
     let refused = |axis: &JointAxis, period| JointDrive::new(axis, period).err();
     assert_eq!(refused(&axis(torque(), 0.0), 200), None);
     assert_eq!(refused(&axis(steps(), 0.0), 200), None);
@@ -374,7 +374,7 @@ proptest! {
     #![proptest_config(ProptestConfig { rng_seed: RngSeed::Fixed(5), failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn torque_codes_are_right_in_the_mean(full_scale in prop_oneof![1_000_000i32..=i32::MAX, i32::MIN..=-1_000_000], part in -0.999f64..0.999) {
+    fn torque_codes_have_the_right_mean(full_scale in prop_oneof![1_000_000i32..=i32::MAX, i32::MIN..=-1_000_000], part in -0.999f64..0.999) {
         let mut output = TorqueOutput::new(Effort(full_scale));
         let effort = (f64::from(full_scale) * part) as i32;
         let exact = f64::from(effort) * 8192.0 / f64::from(full_scale);
@@ -401,9 +401,9 @@ proptest! {
         prop_assert!((f64::from(code) - exact.clamp(-8191.0, 8191.0)).abs() <= 0.51);
     }
 
-    /// No joint is told more than its drive's limit, whatever is wanted and measured.
+    /// The drive command stays within its limit for any command and measurement.
     #[test]
-    fn a_joint_keeps_to_its_limit(
+    fn drive_command_stays_within_its_limit(
         full_scale in prop_oneof![1_000_000i32..=i32::MAX, i32::MIN..=-1_000_000], limit in 1i32.., place: i32, commanded: (i32, i32, i32),
     ) {
         let limit = Effort(limit);
@@ -422,7 +422,7 @@ proptest! {
     }
 
     #[test]
-    fn a_joint_takes_any_input(
+    fn joint_accepts_any_input(
         kinds: bool, backlash in 0i32.., per_count in prop_oneof![1i64.., ..0i64],
         frames in prop::collection::vec((any::<(i32, u32, u16, i32, u8, i32, u32)>(), any::<(i32, i32, i32)>(), 0u8..8), 1..60),
     ) {

@@ -1,4 +1,5 @@
-//! A coordinate that follows a hand: bounded whatever it is told, exact where the hand stands, never past it.
+//! Tracker of a coordinate that follows a master: bounded, exact at a constant target, without
+//! overshoot.
 
 use haptimill_firmware::config::{AxisKind, PoseAxis};
 use haptimill_firmware::motion::PoseCommand;
@@ -28,9 +29,9 @@ fn limits(acceleration: i32, rate: i32, gain: u16) -> TrackerLimits {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 60, rng_seed: RngSeed::Fixed(1), failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Acceleration, rate, and what is told of them, whatever the targets do.
+    /// Acceleration and rate, commanded and reported, for any targets.
     #[test]
-    fn bounded_whatever_it_is_told(
+    fn tracker_is_bounded_for_any_target(
         acceleration in 50_i32..3000, rate in 1_i32..150, gain in 5_u16..400,
         targets in prop::collection::vec((prop::option::of(-300 * MM..300 * MM), 1_usize..3000), 1..8),
     ) {
@@ -60,9 +61,9 @@ proptest! {
         }
     }
 
-    /// A target that stands is come to, to the last bit, and never passed on the way from rest.
+    /// A constant target is reached to the bit and never passed.
     #[test]
-    fn arrives_exactly_and_does_not_overshoot(acceleration in 50_i32..3000, rate in 1_i32..150, gain in 10_u16..400, from in -100 * MM..100 * MM, way in -50 * MM..50 * MM) {
+    fn tracker_arrives_exactly_without_overshoot(acceleration in 50_i32..3000, rate in 1_i32..150, gain in 10_u16..400, from in -100 * MM..100 * MM, way in -50 * MM..50 * MM) {
         let limits = limits(acceleration, rate, gain);
         let mut tracker = Tracker::at(Coordinate(from), Rate::ZERO, &limits);
         let target = Coordinate(from + way);
@@ -78,9 +79,9 @@ proptest! {
         prop_assert_eq!(tracker.place(), target);
     }
 
-    /// Whatever it does, it stops within what it said.
+    /// It stops within its stopping envelope.
     #[test]
-    fn stops_within_its_sweep(acceleration in 50_i32..3000, rate in 1_i32..150, gain in 5_u16..400, start in -150 * MM..150 * MM, target in -200 * MM..200 * MM, periods in 1_usize..2000) {
+    fn tracker_stops_within_its_envelope(acceleration in 50_i32..3000, rate in 1_i32..150, gain in 5_u16..400, start in -150 * MM..150 * MM, target in -200 * MM..200 * MM, periods in 1_usize..2000) {
         let limits = limits(acceleration, rate, gain);
         let mut tracker = Tracker::at(Coordinate(0), Rate(start.clamp(-rate * MM, rate * MM)), &limits);
         for _ in 0..periods {
@@ -100,9 +101,9 @@ proptest! {
     }
 }
 
-/// The lag that is stated: 2 / k below a' / k, more above.
+/// Tracking lag: 2 / k below a' / k, more above.
 #[test]
-fn the_lag_is_as_stated() {
+fn tracking_lag_is_as_documented() {
     for (rate, k, acceleration) in [
         (1.0, 100.0, 200.0),
         (10.0, 100.0, 200.0),
@@ -137,7 +138,7 @@ fn the_lag_is_as_stated() {
 }
 
 #[test]
-fn limits_refuse_what_cannot_work() {
+fn invalid_tracker_limits_are_refused() {
     assert!(TrackerLimits::new(&axis(200, 50), 0, PERIOD_US).is_none());
     assert!(TrackerLimits::new(&axis(200, 50), 1001, PERIOD_US).is_none());
     assert!(TrackerLimits::new(&axis(0, 50), 100, PERIOD_US).is_none());

@@ -1,4 +1,4 @@
-//! The position loop against f64: its equation, its poles, its friction, its limits.
+//! Position loop against f64: equation, poles, friction, limits.
 
 use haptimill_firmware::config::{ServoConfig, ServoForm};
 use haptimill_firmware::joint::friction::Friction;
@@ -56,14 +56,14 @@ proptest! {
     #![proptest_config(ProptestConfig { rng_seed: RngSeed::Fixed(4), failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn pole_is_the_exponential(period in 50u16..=1000, time in 1u16..) {
+    fn filter_pole_is_the_exponential(period in 50u16..=1000, time in 1u16..) {
         let exact = -libm::expm1(-f64::from(period) / f64::from(time));
         let given = f64::from(approach(period, time)) / 4294967296.0;
         prop_assert!((given - exact).abs() < f64::exp2(-28.0), "{given} {exact}");
     }
 
     #[test]
-    fn rates_add_up_to_the_change(period in 50u16..=1000, time: u16, signal in prop::collection::vec(any::<i32>(), 1..40)) {
+    fn filtered_rates_sum_to_the_change(period in 50u16..=1000, time: u16, signal in prop::collection::vec(any::<i32>(), 1..40)) {
         let mut filter = RateFilter::new(period, time);
         filter.rest(0);
         let (mut sum, mut last) = (0.0, 0);
@@ -95,7 +95,7 @@ proptest! {
 
     /// Fixed point against the same law in f64, over a smooth error with encoder steps on it.
     #[test]
-    fn fixed_point_is_the_law(
+    fn fixed_point_matches_the_f64_law(
         form in prop::sample::select(vec![ServoForm::Pd, ServoForm::ModelBased]),
         kp in 100.0f64..60000.0, kd in 5.0f64..800.0, ki in 0.0f64..1e6, filter_us in 0u16..6000, period in 50u16..=1000,
         viscous in 0.0f64..2.0, coulomb in 0.0f64..60.0, knee in 0.05f64..3.0,
@@ -140,7 +140,7 @@ proptest! {
     }
 
     #[test]
-    fn nothing_overflows_and_the_limit_holds(
+    fn output_stays_within_its_limit(
         kp: u32, kd: u32, ki: u32, rate_filter_us: u16, inertia: u32, viscous: u32, coulomb: i32, coulomb_rate: i32, limit: i32, period: u16,
         frames in prop::collection::vec(any::<(i32, i32, i32)>(), 1..60),
     ) {
@@ -157,7 +157,7 @@ proptest! {
 
 /// (3.38): from 1 mm off, at rest, the error is that of e'' + K_D e' + K_P e = 0, for three dampings.
 #[test]
-fn the_error_decays_as_the_poles_say() {
+fn error_decays_with_the_designed_poles() {
     let period = 50u16;
     let step = f64::from(period) * 1e-6;
     for (omega, zeta) in [(60.0, 1.0), (60.0, 0.5), (100.0, 0.7)] {
@@ -190,7 +190,7 @@ fn the_error_decays_as_the_poles_say() {
 
 /// The derivative is on the rate of the error: a ramp leaves no lag, where -K_D l' alone would trail by K_D / K_P of travel.
 #[test]
-fn a_ramp_leaves_no_lag() {
+fn ramp_has_no_steady_error() {
     for form in [ServoForm::Pd, ServoForm::ModelBased] {
         let config = law(form, 40_000.0, 400.0, 1500);
         let mut law = ServoLaw::new(&config, Effort(i32::MAX), 200);
@@ -214,7 +214,7 @@ fn a_ramp_leaves_no_lag() {
 
 /// The printed sign of (3.29) would push a slide that already moves; this one brakes it, and a kick dies away.
 #[test]
-fn the_derivative_brakes() {
+fn derivative_term_damps() {
     let config = law(ServoForm::Pd, 3600.0, 120.0, 1500);
     let mut law = ServoLaw::new(&config, Effort(i32::MAX), 200);
     law.reset(Coordinate(0));
@@ -243,7 +243,7 @@ fn the_derivative_brakes() {
 
 /// The integrator takes a constant load away, stands still at the limit, and lets go at once.
 #[test]
-fn the_integrator_does_not_wind_up() {
+fn integrator_does_not_wind_up() {
     let mut config = law(ServoForm::Pd, 40_000.0, 400.0, 1500);
     config.ki = Gain(1_000_000 * 256);
     let limit = 400.0;
@@ -278,7 +278,7 @@ fn the_integrator_does_not_wind_up() {
 }
 
 #[test]
-fn a_reset_has_no_bump() {
+fn reset_is_bumpless() {
     let mut law = ServoLaw::new(
         &law(ServoForm::ModelBased, 40_000.0, 400.0, 1500),
         Effort(i32::MAX),

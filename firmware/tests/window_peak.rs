@@ -12,7 +12,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 200, rng_seed: RngSeed::Fixed(5), failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn extremes_are_those_of_a_scan(samples in 1u32..=LEAVES as u32, forces in prop::collection::vec(any::<i32>(), 1..600)) {
+    fn extremes_match_a_full_scan(samples in 1u32..=LEAVES as u32, forces in prop::collection::vec(any::<i32>(), 1..600)) {
         let mut peaks = SlidingMinMax::new(Window::of(samples).expect("fits"));
         let mut window: VecDeque<i32> = (0..samples).map(|_| 0).collect();
         for force in forces {
@@ -27,9 +27,9 @@ proptest! {
         }
     }
 
-    /// A long window is taken in groups: never shorter than asked, longer by less than a group.
+    /// A long window is divided into groups: never shorter than requested, longer by less than a group.
     #[test]
-    fn a_long_window_covers_what_was_asked(samples in 1u32..=2048, forces in prop::collection::vec(any::<i32>(), 2100..4500)) {
+    fn long_window_covers_the_requested_samples(samples in 1u32..=2048, forces in prop::collection::vec(any::<i32>(), 2100..4500)) {
         let window = Window::of(samples).expect("fits");
         prop_assert!(window.least_samples() >= samples && window.samples() < samples + 2 * samples.div_ceil(100).max(1) + 1, "{window:?} {samples}");
         let mut peaks = SlidingMinMax::new(window);
@@ -47,9 +47,9 @@ proptest! {
         }
     }
 
-    /// Whatever the changes of the window, the peak is at least that of the last revolution.
+    /// After any changes of the window the peak is at least that of the last revolution.
     #[test]
-    fn a_new_window_forgets_nothing(changes in prop::collection::vec((1u32..=300, 1usize..400), 1..12), seed: u64) {
+    fn window_change_keeps_the_last_revolution(changes in prop::collection::vec((1u32..=300, 1usize..400), 1..12), seed: u64) {
         let mut peaks = SlidingMinMax::new(Window::of(60).expect("fits"));
         let (mut seen, mut random) = (vec![0; 60], seed | 1);
         for (samples, pushes) in changes {
@@ -72,7 +72,7 @@ proptest! {
 
 /// 60 samples at 5000 rpm and 200 us, 12 at 1 ms (docs/control.md 7.1 item 17); other speeds are rounded up.
 #[test]
-fn a_revolution_is_rounded_up() {
+fn window_is_rounded_up_to_a_revolution() {
     let samples = |rpm, period| Window::revolution(rpm, period).map(Window::samples);
     assert_eq!(samples(5000, 200), Some(60));
     assert_eq!(samples(-5000, 200), Some(60));
@@ -96,7 +96,7 @@ fn a_revolution_is_rounded_up() {
 
 /// Two teeth with run-out at speeds between whole windows: the peak moves by no more than sampling a crest allows. One sample less than rounded up would lose the crest.
 #[test]
-fn a_steady_cut_has_a_steady_peak() {
+fn steady_cut_has_a_steady_peak() {
     for rpm in [
         4000.0, 4357.0, 5000.0, 5099.0, 5100.0, 6151.0, 12_345.0, 1017.0,
     ] {

@@ -1,4 +1,5 @@
-//! The law of reflection, virtual walls, the watch over the energy, and the way from hand to tool: each by itself, against the sentences of docs/control.md 2.1 and 3.4-3.5.
+//! Feedback law, virtual walls, passivity observer, and master-to-tool mapping, each alone, against
+//! docs/control.md 2.1 and 3.4-3.5.
 #![allow(
     clippy::needless_range_loop,
     reason = "an index is an axis here, of several arrays at once"
@@ -42,7 +43,7 @@ proptest! {
 
     /// sign * min(percent * |F|, most) to the last bits, for any force.
     #[test]
-    fn a_share_with_its_sign_up_to_a_limit(forces: [i32; 3], percent in prop::array::uniform3(0_u8..=100), most in prop::array::uniform3(0.0_f64..10.0)) {
+    fn force_share_keeps_sign_and_limit(forces: [i32; 3], percent in prop::array::uniform3(0_u8..=100), most in prop::array::uniform3(0.0_f64..10.0)) {
         let mut law = FeedbackLaw::new(&settings(percent, most, 0.0), 200);
         let felt = law.reflect(&forces.map(Force), &[Rate(0); 3]);
         for axis in 0..3 {
@@ -100,7 +101,7 @@ proptest! {
 
     /// The boost only takes energy: with it the force is never more along the motion than without.
     #[test]
-    fn the_boost_opposes_the_motion(newtons in -8.0_f64..8.0, rate in -60.0_f64..60.0) {
+    fn velocity_damping_opposes_the_motion(newtons in -8.0_f64..8.0, rate in -60.0_f64..60.0) {
         let rates = [Rate((rate * MM) as i32); 3];
         let [plain, ..] = FeedbackLaw::new(&settings([40; 3], [3.2; 3], 0.0), 200).reflect(&[force(newtons); 3], &rates);
         let [boosted, ..] = FeedbackLaw::new(&settings([40; 3], [3.2; 3], 0.1), 200).reflect(&[force(newtons); 3], &rates);
@@ -116,7 +117,7 @@ proptest! {
 
     /// Reflection and damping have one limit together, to the last bit; a wall pushes beyond it by itself and no more. The damping never adds along the motion, and where it does not fit the whole limit opposes the motion.
     #[test]
-    fn one_limit_for_reflection_and_damping(tool: [i32; 3], damping: i32, wall in -10.0_f64..10.0, most in prop::array::uniform3(0.0_f64..10.0), rates: [i32; 3]) {
+    fn feedback_and_damping_share_one_limit(tool: [i32; 3], damping: i32, wall in -10.0_f64..10.0, most in prop::array::uniform3(0.0_f64..10.0), rates: [i32; 3]) {
         let mut law = FeedbackLaw::new(&settings([100; 3], most, 0.1), 200);
         let felt = law.reflect(&tool.map(Force), &rates.map(Rate));
         for axis in 0..3 {
@@ -139,7 +140,7 @@ proptest! {
 
     /// Without debt the shares pass as they are; with it they go the way of a first-order filter with a gain of 1, and never beyond the largest of them.
     #[test]
-    fn smoothed_by_the_debt(shares in prop::collection::vec(-10.0_f64..10.0, 3..20), deficit_of in 0_i32..4 * WHOLE, hold in 50_usize..4000) {
+    fn deficit_low_passes_the_feedback(shares in prop::collection::vec(-10.0_f64..10.0, 3..20), deficit_of in 0_i32..4 * WHOLE, hold in 50_usize..4000) {
         let mut smoothing = FeedbackFilter::new(200);
         let constant = SLOW_US as f64 / 200.0 * (f64::from(deficit_of.min(COUNTED * WHOLE)) / f64::from(WHOLE));
         let (mut slow, mut most) = (0.0_f64, 0.0_f64);
@@ -159,7 +160,7 @@ proptest! {
 
     /// Into a wall and out again: it gives back no more than was put in, and says at any time how much that is.
     #[test]
-    fn a_wall_stores_what_it_takes(stiffness in 0.05_f64..2.0, most in 0.5_f64..10.0, depth in 0.0_f64..40.0) {
+    fn virtual_wall_returns_no_more_energy_than_stored(stiffness in 0.05_f64..2.0, most in 0.5_f64..10.0, depth in 0.0_f64..40.0) {
         let config = WallConfig { stiffness: (stiffness * NEWTON) as u32, most: force(most) };
         let mut walls = Walls::new(&config, Length::millimetres(5), 200);
         walls.set(1, true, Some((Length::millimetres(3), Rate(0)))).unwrap();
@@ -182,7 +183,7 @@ proptest! {
 
     /// R_sd = (R_m R_mr^T) R_sr for any handle and any tool: the tool's axis, and no jump at the latch. Position with its scale.
     #[test]
-    fn the_tool_turns_as_the_handle(seed in 1_u64..u64::MAX, theta in -0.5_f64..0.5, alpha in -0.6_f64..0.6, scale in 410_u16..8192) {
+    fn tool_orientation_follows_the_handle(seed in 1_u64..u64::MAX, theta in -0.5_f64..0.5, alpha in -0.6_f64..0.6, scale in 410_u16..8192) {
         let mut sequence = Sequence(seed);
         let random = |sequence: &mut Sequence, most: f64| {
             let axis = [0; 3].map(|_| sequence.between(-1.0, 1.0));
@@ -221,9 +222,9 @@ proptest! {
         }
     }
 
-    /// No word of a hand afar, however wrong, makes it panic.
+    /// No sample of a remote master makes it panic.
     #[test]
-    fn no_word_of_a_hand_breaks_it(tip: [i32; 3], rate: [i32; 3], axes: [[i16; 3]; 2], age: u32, scale in 410_u16..8192, rest: i32) {
+    fn any_master_sample_is_accepted(tip: [i32; 3], rate: [i32; 3], axes: [[i16; 3]; 2], age: u32, scale in 410_u16..8192, rest: i32) {
         let hand = Hand { tip, rate, axes, engaged: true };
         let mut lead = MasterMapping::new(scale);
         lead.follow(&Frame::of(&hand, age, 5000), 0b11111, |_| Coordinate(rest));
@@ -231,9 +232,9 @@ proptest! {
         lead.follow(&Frame::of(&other, age, 5000), 0b11111, |_| Coordinate(rest));
     }
 
-    /// Neither does any force, way or rate the watch; its energy stays within its bounds.
+    /// No force, displacement or rate overflows the observer; its energy stays within its limits.
     #[test]
-    fn the_watch_holds_its_bounds(forces: [i32; 3], ways: [i32; 3], rates: [i32; 3], stored in 0_i64..1 << 45, surplus in 0_u32..100 << 16, deficit in 655_u32..100 << 16) {
+    fn passivity_observer_stays_bounded(forces: [i32; 3], ways: [i32; 3], rates: [i32; 3], stored in 0_i64..1 << 45, surplus in 0_u32..100 << 16, deficit in 655_u32..100 << 16) {
         let mut watch = Passivity::new(&PassivityConfig { surplus, deficit, damping: 1 << 15 }, 200, 10_000_000);
         for _ in 0..20 {
             watch.observe(&forces.map(Force), &ways, stored);
@@ -248,7 +249,7 @@ proptest! {
 
 /// The clamps of docs/control.md 3.4: 8 N and 6 N are where they begin.
 #[test]
-fn the_clamps_of_the_experiments() {
+fn force_limits_of_the_experiments() {
     let mut law = FeedbackLaw::new(&settings([40, 10, 20], [3.2, 3.2, 1.2], 0.0), 200);
     let mut render = |x: f64, y: f64, z: f64| {
         law.reflect(&[force(x), force(y), force(z)], &[Rate(0); 3])
@@ -264,9 +265,9 @@ fn the_clamps_of_the_experiments() {
     assert!((f64::from(felt.0) / NEWTON - 2.2).abs() < 1e-3);
 }
 
-/// A hand that moves freely, or works against a force all the time, is never damped; one that is driven is.
+/// Free motion, or motion against a force, is never damped; motion driven by the arm is.
 #[test]
-fn only_what_comes_out_is_damped() {
+fn only_active_behaviour_is_damped() {
     let config = PassivityConfig {
         surplus: 32_768,
         deficit: 65_536,

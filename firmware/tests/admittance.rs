@@ -1,4 +1,5 @@
-//! The direct-force loop against the equation in f64: K_A p'' + K_V p' = F - sigma f_d, its bounds, its changes at run time.
+//! Admittance law against the equation in f64: K_A p'' + K_V p' = F - sigma f_d; its limits and its
+//! changes at run time.
 
 use haptimill_firmware::force::admittance::{
     AdmittanceAxis, AdmittanceLaw, DrivingForce, Yielding,
@@ -47,7 +48,7 @@ proptest! {
 
     /// The discretisation alone: no clamp, forces that change at random, 20,000 periods.
     #[test]
-    fn pole_is_the_exact_solution(
+    fn discretisation_is_the_exact_solution(
         mass_bits in 4.0f64..26.0, damping_bits in 12.7f64..26.0, period in 50u16..=1000,
         seed: u64, scale in 1.0f64..200.0,
     ) {
@@ -88,7 +89,7 @@ proptest! {
 
     /// The whole law of an axis, with its clamp, gate, landing and limit, over 30 s.
     #[test]
-    fn compliance_is_the_sign_form(
+    fn admittance_law_matches_f64(
         mass in 0.1f64..4.0, damping in 0.6f64..40.0, period in prop::sample::select(vec![100u16, 200, 500, 1000]),
         force in -30.0f64..30.0, swing in 0.0f64..20.0, frequency in 0.02f64..3.0, open in any::<bool>(),
     ) {
@@ -130,9 +131,9 @@ proptest! {
         }
     }
 
-    /// No input, and no order of inputs, does more than the law says: rates and displacements stay in their limits, nothing overflows.
+    /// Any inputs in any order: rates and displacements stay within their limits.
     #[test]
-    fn any_input_is_borne(
+    fn any_input_stays_within_limits(
         mass in 0.001f64..1000.0, damping in 0.1f64..1000.0, period in 50u16..=1000, limit in 1i32..=64 << 20, rate in 1i32..,
         inputs in prop::collection::vec((any::<i32>(), any::<i32>(), any::<bool>(), any::<bool>(), 0usize..20, 1u8..40), 1..60),
     ) {
@@ -179,9 +180,9 @@ proptest! {
         }
     }
 
-    /// Gains, f_d, limit and rate change at any time: displacement and rate go on from where they are.
+    /// Gains, f_d, limit and rate change at any time: displacement and rate are continuous.
     #[test]
-    fn a_change_does_not_jump(
+    fn parameter_change_does_not_jump(
         before in (0.25f64..2.0, 0.5f64..20.0, 1.0f64..20.0), after in (0.25f64..2.0, 0.5f64..20.0, 1.0f64..20.0),
         force in 6.0f64..30.0, periods in 100u32..20_000, limit in 0.01f64..10.0,
     ) {
@@ -212,7 +213,7 @@ proptest! {
 
 /// The largest jump of the tool when the gains change from (1, 5) to (0.25, 0.5) and back at 1 mm/s, printed with `--nocapture`.
 #[test]
-fn jump_of_the_tool_at_a_change_of_gains() {
+fn tool_jump_at_a_change_of_gains() {
     let law = |mass, damping| {
         AdmittanceLaw::new(&settings(mass, damping, Gate::Any), 200, DELAY_US, RANGE)
             .expect("sound")
@@ -240,7 +241,7 @@ fn jump_of_the_tool_at_a_change_of_gains() {
 
 /// The integral of F - f_d is K_V times the displacement plus K_A times the rate, to 1e-6, and the thesis's slew of 1 mm/s at 5 N of excess is there.
 #[test]
-fn the_loop_is_the_equation() {
+fn integral_of_force_error_matches_the_equation() {
     let mut compliance = AdmittanceAxis::new(
         AdmittanceLaw::new(&settings(1.0, 5.0, Gate::Any), 200, DELAY_US, RANGE).expect("sound"),
     );
@@ -260,7 +261,7 @@ fn the_loop_is_the_equation() {
 
 /// The acceleration is the change of the rate, and the rate that of the displacement.
 #[test]
-fn feed_forward_is_the_derivative() {
+fn accelerations_are_derivatives_of_rates() {
     let mut compliance = AdmittanceAxis::new(
         AdmittanceLaw::new(&settings(0.5, 3.0, Gate::Any), 200, DELAY_US, RANGE).expect("sound"),
     );
@@ -281,9 +282,10 @@ fn feed_forward_is_the_derivative() {
     assert!(last.displacement.0 < 0);
 }
 
-/// The gate: against the motion, along it, at rest; and that a shut gate lets the tool return.
+/// Enable condition: against the motion, along it, at standstill. The tool returns while it is not
+/// met.
 #[test]
-fn the_gate_is_shut_along_the_motion_and_at_rest() {
+fn enable_condition_blocks_motion_along_and_standstill() {
     let run = |gate, force, rate| {
         let mut compliance = AdmittanceAxis::new(
             AdmittanceLaw::new(&settings(1.0, 5.0, gate), 200, DELAY_US, RANGE).expect("sound"),
@@ -357,7 +359,7 @@ fn held_and_withheld() {
 }
 
 #[test]
-fn bad_parameters_are_refused_with_their_bound() {
+fn invalid_parameters_are_refused_with_their_bound() {
     let refuse = |change: fn(&mut LoopSettings)| {
         let mut settings = settings(1.0, 5.0, Gate::Any);
         change(&mut settings);

@@ -61,7 +61,7 @@ proptest! {
     #![proptest_config(ProptestConfig { rng_seed: RngSeed::Fixed(2), failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn any_legal_path_counts_exactly(start: i32, path in prop::collection::vec(-1i64..=1, 0..400)) {
+    fn legal_transitions_are_counted_exactly(start: i32, path in prop::collection::vec(-1i64..=1, 0..400)) {
         let mut decoder = Quadrature::new(start);
         let mut place = 0;
         let (a, b) = levels(place);
@@ -76,7 +76,7 @@ proptest! {
     }
 
     #[test]
-    fn an_illegal_transition_is_counted_and_moves_nothing(path in prop::collection::vec(0u8..4, 1..300)) {
+    fn illegal_transitions_are_counted_and_do_not_move(path in prop::collection::vec(0u8..4, 1..300)) {
         let mut decoder = Quadrature::new(7);
         let (mut before, mut illegal) = (None, 0u16);
         for (time, state) in path.into_iter().enumerate() {
@@ -138,7 +138,7 @@ proptest! {
     }
 
     #[test]
-    fn constant_rate_is_measured_whatever_its_phase(rate_mm_s in prop_oneof![0.02f64..1.0, 1.0..60.0], phase in 0.0f64..1.0, backwards: bool) {
+    fn constant_rate_is_measured_at_any_phase(rate_mm_s in prop_oneof![0.02f64..1.0, 1.0..60.0], phase in 0.0f64..1.0, backwards: bool) {
         let rate_mm_s = if backwards { -rate_mm_s } else { rate_mm_s };
         let counts_per_s = rate_mm_s / 0.00125;
         let motion = |time: f64| phase + counts_per_s * time;
@@ -161,7 +161,7 @@ proptest! {
 }
 
 #[test]
-fn the_rate_dies_away_as_one_count_over_the_time() {
+fn rate_decays_as_one_count_over_elapsed_time() {
     let stop = 0.02;
     let motion = |time: f64| 0.3 + 3200.0 * f64::min(time, stop);
     let mut rig = Rig::at(0.3);
@@ -188,7 +188,7 @@ fn the_rate_dies_away_as_one_count_over_the_time() {
 }
 
 #[test]
-fn dither_about_one_edge_is_no_rate() {
+fn dither_about_one_edge_gives_zero_rate() {
     let mut decoder = Quadrature::new(0);
     let mut encoder = Encoder::new(AxisKind::Linear, PER_COUNT);
     let mut inputs = AxisInputs::default();
@@ -205,7 +205,7 @@ fn dither_about_one_edge_is_no_rate() {
 }
 
 #[test]
-fn an_index_latches_the_count_and_gives_its_coordinate() {
+fn index_pulse_latches_its_coordinate() {
     let mut decoder = Quadrature::new(i32::MAX - 3);
     let mut encoder = Encoder::new(AxisKind::Linear, PER_COUNT);
     let mut inputs = AxisInputs {
@@ -235,7 +235,7 @@ fn an_index_latches_the_count_and_gives_its_coordinate() {
 }
 
 #[test]
-fn illegal_transitions_are_counted_since_they_were_cleared() {
+fn illegal_transition_count_restarts_after_clear() {
     let mut encoder = Encoder::new(AxisKind::Linear, PER_COUNT);
     let mut inputs = AxisInputs {
         illegal: u16::MAX - 1,
@@ -253,7 +253,7 @@ fn illegal_transitions_are_counted_since_they_were_cleared() {
 
 /// A board reads its clock, then its capture registers, and an edge may come in between: it is one of now.
 #[test]
-fn an_edge_after_the_clock_was_read_is_one_of_now() {
+fn edge_captured_after_clock_read_counts_as_now() {
     for late in [false, true] {
         let mut encoder = Encoder::new(AxisKind::Linear, PER_COUNT);
         for period in 0..12_u32 {

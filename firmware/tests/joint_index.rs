@@ -1,4 +1,4 @@
-//! Index pulses against counts: what is lost is found, what is not lost is never said to be.
+//! Index monitor: lost counts are found, and none are reported that were not lost.
 
 use haptimill_firmware::joint::index_monitor::IndexMonitor;
 use proptest::prelude::*;
@@ -17,7 +17,8 @@ fn watch() -> IndexMonitor {
     IndexMonitor::new(PITCH, PER_COUNT, SLACK)
 }
 
-/// Pulses of a shaft on its way, so many counts wide: each after so many turns more, and at its other end where it is come to from the other side.
+/// Index pulses of a shaft, with a width in counts: each after some turns more, and at its other
+/// end when approached from the other side.
 fn pulses(first: i32, width: i32, turns: &[i32]) -> impl Iterator<Item = i32> {
     let mut raw = first;
     turns.iter().map(move |turns| {
@@ -30,9 +31,10 @@ fn pulses(first: i32, width: i32, turns: &[i32]) -> impl Iterator<Item = i32> {
 proptest! {
     #![proptest_config(ProptestConfig { rng_seed: RngSeed::Fixed(1), failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Of a counter that loses nothing nothing is said, however far it goes and to and fro, whatever it began at, and with pulses as wide as the slack has room for.
+    /// A correct counter raises no fault, for any motion, any start, and pulses as wide as the
+    /// tolerance.
     #[test]
-    fn a_counter_that_loses_nothing_is_believed(
+    fn correct_counter_raises_no_fault(
         first in any::<i32>(),
         width in 1..=12_i32,
         turns in prop::collection::vec(-20..=20_i32, 1..200),
@@ -45,9 +47,9 @@ proptest! {
         }
     }
 
-    /// All that is lost or gained is said when a second pulse is off by as much, as long as it is less than half a turn.
+    /// A loss or gain of less than half a turn is reported when a second pulse confirms it.
     #[test]
-    fn what_is_lost_is_said(
+    fn lost_counts_are_reported_exactly(
         first in any::<i32>(),
         turns in prop::collection::vec(1..=20_i32, 4..20),
         lost in 5..3990_i32,
@@ -65,9 +67,9 @@ proptest! {
         prop_assert_eq!(said[at + 1], Some(lost));
     }
 
-    /// Pulses that are noise, wherever they come, are no fault: neither the first one nor any other.
+    /// A stray pulse is no fault, wherever it comes.
     #[test]
-    fn a_stray_pulse_is_no_loss(first in any::<i32>(), stray in any::<i32>(), at in 0..20_usize) {
+    fn stray_index_pulse_is_no_fault(first in any::<i32>(), stray in any::<i32>(), at in 0..20_usize) {
         let mut watch = watch();
         for (number, raw) in pulses(first, 1, &[1; 20]).enumerate() {
             if number == at {
@@ -77,18 +79,18 @@ proptest! {
         }
     }
 
-    /// Counts that are lost one by one add up to what is said.
+    /// Counts lost one by one add up.
     #[test]
-    fn what_is_lost_little_by_little_adds_up(each in 1..=4_i32) {
+    fn small_losses_accumulate(each in 1..=4_i32) {
         let mut watch = watch();
         let said = (0..20).position(|turn| watch.pulse(turn * (8000 - each)).is_some());
         let soon = usize::from(SLACK) / each as usize + 3;
         prop_assert!(said.is_some_and(|turn| turn <= soon), "{:?} {}", said, soon);
     }
 
-    /// While the references are looked for a single pulse says it, and a pulse in its place is the one from which is counted.
+    /// During homing a single pulse reports a loss, and a correct pulse becomes the reference.
     #[test]
-    fn a_search_believes_each_pulse(first in any::<i32>(), off in -3990..=3990_i32) {
+    fn homing_accepts_each_index_pulse(first in any::<i32>(), off in -3990..=3990_i32) {
         let mut watch = watch();
         for raw in pulses(first, 1, &[1, 1]) {
             prop_assert_eq!(watch.pulse(raw), None);
@@ -106,9 +108,9 @@ proptest! {
         }
     }
 
-    /// A pitch that is no whole number of counts, or that no encoder has, says nothing; nor does anything panic.
+    /// An invalid index pitch disables the monitor without a panic.
     #[test]
-    fn what_cannot_be_compared_is_not(
+    fn invalid_index_pitch_disables_the_monitor(
         pitch in any::<i32>(),
         per_count in any::<i64>(),
         slack in any::<u16>(),
@@ -130,7 +132,7 @@ proptest! {
 }
 
 #[test]
-fn after_a_loss_was_said_pulses_begin_anew() {
+fn index_monitor_restarts_after_a_report() {
     let mut watch = watch();
     let said = [0, 8000, 16_100, 24_100].map(|raw| watch.pulse(raw));
     assert_eq!(said, [None, None, None, Some(100)]);

@@ -1,7 +1,7 @@
 //! The loop through the hand, all of it: the controller with its haptic arm, the watches over the energy, the way from hand to tool, the mover that follows, the force loop and the peak over a revolution are the
 //! firmware's own, driven period by period. In f64 are the hand, the motors' lag, the drives' lag, the contact and the line ([`rig`]).
 //!
-//! `cargo test -p haptimill-firmware --test reflection_chain -- --nocapture` shows the sweep as a table; `--ignored` the whole one, with more hands, contacts and lines.
+//! `cargo test -p haptimill-firmware --test feedback_loop -- --nocapture` shows the sweep as a table; `--ignored` the whole one, with more hands, contacts and lines.
 
 #![allow(
     clippy::needless_range_loop,
@@ -10,8 +10,8 @@
 
 #[path = "../arm/mod.rs"]
 mod arm;
-#[path = "../hand/bed.rs"]
-mod bed;
+#[path = "../haptics/bench.rs"]
+mod bench;
 mod rig;
 
 use rig::{Case, Outcome, run};
@@ -99,7 +99,7 @@ fn check(grips: &[f64], contacts: &[f64], delays: &[f64], yields: bool, time: f6
 
 /// Nothing grows, the hand feels what the law says, never more than the limit, and the mill goes on.
 #[test]
-fn the_loop_through_the_hand_does_not_swing_up() {
+fn force_feedback_loop_is_stable() {
     check(
         &[0.1, 0.3, 1.0, 2.0],
         &[2.0, 20.0, 50.0, 200.0],
@@ -112,7 +112,7 @@ fn the_loop_through_the_hand_does_not_swing_up() {
 
 /// The tool need not yield, as on a machine without force control.
 #[test]
-fn nor_does_it_where_the_tool_does_not_yield() {
+fn force_feedback_loop_is_stable_without_compliance() {
     check(&[0.3, 2.0], &[2.0, 20.0], &[0.0, 0.05], false, 27.0, 0.0);
 }
 

@@ -1,29 +1,30 @@
-//! It feels: a tool here and one afar, and virtual walls.
+//! Force feedback of a local and a remote tool, and virtual walls.
 
-use crate::bed::Bed;
+use crate::bench::Bench;
 use crate::mill;
 use haptimill_checks::reference;
 use haptimill_firmware::config::Config;
 use haptimill_protocol::haptic::{ReflectAxis, Reflection, Wall};
 use haptimill_protocol::message::{Command, Refusal};
 
-/// A role master: the same controller without axes. It feels what it is told, within what may change in a period, and its telemetry leads another.
+/// A master: a controller without axes. It renders the remote force with a limited slope, and its
+/// telemetry leads another controller.
 #[test]
-fn an_arm_alone_feels_what_a_tool_afar_feels() {
-    let mut bed = Bed::ready(reference::master());
-    assert_eq!(bed.ask(Command::HandTelemetry { every: 20 }), Ok(()));
-    bed.inputs.haptic.engaged = true;
-    bed.steps(600);
-    let mut last = bed.felt();
+fn master_arm_renders_the_remote_force() {
+    let mut bench = Bench::ready(reference::master());
+    assert_eq!(bench.ask(Command::HandTelemetry { every: 20 }), Ok(()));
+    bench.inputs.haptic.engaged = true;
+    bench.steps(600);
+    let mut last = bench.felt();
     let mut steps = 0;
-    let mut run = |bed: &mut Bed, force: [f64; 3], periods: usize| {
+    let mut run = |bench: &mut Bench, force: [f64; 3], periods: usize| {
         for k in 0..periods {
             if k % 50 == 0 {
                 let force = force.map(|part| (part * 64.0) as i16);
-                bed.say(Command::Feel { force });
+                bench.say(Command::Feel { force });
             }
-            bed.step();
-            let now = bed.felt();
+            bench.step();
+            let now = bench.felt();
             for axis in 0..3 {
                 assert!((now[axis] - last[axis]).abs() <= 0.0501, "{now:?} {last:?}");
                 steps += usize::from((now[axis] - last[axis]).abs() > 0.0499);
@@ -33,11 +34,11 @@ fn an_arm_alone_feels_what_a_tool_afar_feels() {
         last
     };
     // 40 % of 5 N, 10 % and 20 % of 5 N; then the limits of 3.2 and 1.2 N.
-    let force = run(&mut bed, [5.0, -5.0, 5.0], 1000);
+    let force = run(&mut bench, [5.0, -5.0, 5.0], 1000);
     for (force, want) in force.into_iter().zip([2.0, -0.5, 1.0]) {
         assert!((force - want).abs() < 0.01, "{force} {want}");
     }
-    let force = run(&mut bed, [40.0, -5.0, -40.0], 1000);
+    let force = run(&mut bench, [40.0, -5.0, -40.0], 1000);
     for (force, want) in force.into_iter().zip([3.2, -0.5, -1.2]) {
         assert!((force - want).abs() < 0.01, "{force} {want}");
     }
@@ -51,8 +52,8 @@ fn an_arm_alone_feels_what_a_tool_afar_feels() {
         boost: 6554,
         boost_below: 2 << 16,
     };
-    assert_eq!(bed.ask(Command::Reflect(settings)), Ok(()));
-    let force = run(&mut bed, [10.0, 0.0, 0.0], 8000);
+    assert_eq!(bench.ask(Command::Reflect(settings)), Ok(()));
+    let force = run(&mut bench, [10.0, 0.0, 0.0], 8000);
     assert!((force[0] - 2.0).abs() < 0.01, "{force:?}");
     let bad = Reflection {
         axes: [ReflectAxis {
@@ -61,12 +62,12 @@ fn an_arm_alone_feels_what_a_tool_afar_feels() {
         }; 3],
         ..settings
     };
-    assert_eq!(bed.ask(Command::Reflect(bad)), Err(Refusal::Range));
+    assert_eq!(bench.ask(Command::Reflect(bad)), Err(Refusal::Range));
     assert!(steps > 10, "the step was never used");
     // Nothing more is heard of the tool: the force goes away by itself.
-    bed.steps(1500);
-    assert!(bed.felt()[0].abs() < 0.01);
-    let hand = bed.hand_report.expect("telemetry of the hand");
+    bench.steps(1500);
+    assert!(bench.felt()[0].abs() < 0.01);
+    let hand = bench.hand_report.expect("telemetry of the hand");
     assert!(hand.hand.engaged && hand.enabled && hand.problem.is_none());
     assert!(
         (f64::from(hand.hand.tip[2]) / 1_048_576.0 - 600.0).abs() < 0.05,
@@ -76,8 +77,8 @@ fn an_arm_alone_feels_what_a_tool_afar_feels() {
 }
 
 #[test]
-fn virtual_walls_push_back_and_a_moving_one_goes_along() {
-    let mut bed = Bed::ready(reference::master());
+fn virtual_walls_push_back_and_move() {
+    let mut bench = Bench::ready(reference::master());
     let at = |x: f64| Some((x * 1_048_576.0) as i32);
     let wall = |x: f64, rate: f64| {
         Some(Wall {
@@ -86,7 +87,7 @@ fn virtual_walls_push_back_and_a_moving_one_goes_along() {
         })
     };
     assert_eq!(
-        bed.ask(Command::Wall {
+        bench.ask(Command::Wall {
             axis: 0,
             upper: false,
             wall: wall(-10.0, 0.0)
@@ -94,7 +95,7 @@ fn virtual_walls_push_back_and_a_moving_one_goes_along() {
         Ok(())
     );
     assert_eq!(
-        bed.ask(Command::Wall {
+        bench.ask(Command::Wall {
             axis: 0,
             upper: true,
             wall: wall(-6.0, 0.0)
@@ -102,85 +103,85 @@ fn virtual_walls_push_back_and_a_moving_one_goes_along() {
         Err(Refusal::WallTooNear)
     );
     assert_eq!(
-        bed.ask(Command::Wall {
+        bench.ask(Command::Wall {
             axis: 3,
             upper: true,
             wall: None
         }),
         Err(Refusal::Range)
     );
-    bed.lead([-9.0, 0.0, 0.0], 5000);
-    assert_eq!(bed.felt()[0], 0.0);
-    bed.lead([-6.0, 0.0, 0.0], 5000);
+    bench.lead([-9.0, 0.0, 0.0], 5000);
+    assert_eq!(bench.felt()[0], 0.0);
+    bench.lead([-6.0, 0.0, 0.0], 5000);
     // At rest: what watches the swings takes some tenths of a second to see that there is none.
-    bed.steps(4000);
+    bench.steps(4000);
     assert!(
-        (bed.felt()[0] - 5.0 * 0.35).abs() < 0.02,
+        (bench.felt()[0] - 5.0 * 0.35).abs() < 0.02,
         "{}",
-        bed.felt()[0]
+        bench.felt()[0]
     );
-    bed.lead([-20.0, 0.0, 0.0], 9000);
-    bed.steps(4000);
-    assert!((bed.felt()[0] - 5.5).abs() < 0.01, "{}", bed.felt()[0]);
-    bed.lead([35.0, 0.0, 0.0], 9000);
+    bench.lead([-20.0, 0.0, 0.0], 9000);
+    bench.steps(4000);
+    assert!((bench.felt()[0] - 5.5).abs() < 0.01, "{}", bench.felt()[0]);
+    bench.lead([35.0, 0.0, 0.0], 9000);
     // Thrown back by the wall, the hand may be damped while it moves.
-    assert!(bed.felt()[0].abs() < 0.5);
-    bed.steps(500);
-    assert_eq!(bed.felt()[0], 0.0);
+    assert!(bench.felt()[0].abs() < 0.5);
+    bench.steps(500);
+    assert_eq!(bench.felt()[0], 0.0);
     // E6: from the handle, 4 mm/s in -X.
     let moving = Wall {
         at: None,
         rate: -4 * 4096,
     };
     assert_eq!(
-        bed.ask(Command::Wall {
+        bench.ask(Command::Wall {
             axis: 0,
             upper: false,
             wall: Some(moving)
         }),
         Ok(())
     );
-    bed.lead([-20.0, 0.0, 0.0], 5000);
+    bench.lead([-20.0, 0.0, 0.0], 5000);
     // 20 mm in a second, the wall 4 mm behind: 16 mm ahead of it, 5.5 N at the most.
-    assert!((bed.felt()[0] - 5.5).abs() < 0.15, "{}", bed.felt()[0]);
-    bed.lead([-1.0, 0.0, 0.0], 5000);
+    assert!((bench.felt()[0] - 5.5).abs() < 0.15, "{}", bench.felt()[0]);
+    bench.lead([-1.0, 0.0, 0.0], 5000);
     // It comes after: 13 mm, and 0.4 mm less a tenth of a second later, when a hand at rest is not damped any more.
-    bed.steps(500);
+    bench.steps(500);
     assert!(
-        (bed.felt()[0] - 12.6 * 0.35).abs() < 0.02,
+        (bench.felt()[0] - 12.6 * 0.35).abs() < 0.02,
         "{}",
-        bed.felt()[0]
+        bench.felt()[0]
     );
 }
 
-/// From the sensor here to the hand here: the currents of the period in which the force was sampled, and its law in steady contact.
+/// The currents follow the force sample of the same period, and the law holds in steady contact.
 #[test]
-fn a_force_is_felt_in_the_period_in_which_it_was_sampled() {
+fn force_is_rendered_in_its_sample_period() {
     let config = Config {
         force: Some(reference::force()),
         ..mill()
     };
-    let mut bed = Bed::ready(config);
-    bed.tare();
-    bed.master(0);
-    bed.start_job();
-    bed.inputs.haptic.engaged = true;
-    bed.steps(1500);
-    let before = bed.outputs.haptic.currents;
+    let mut bench = Bench::ready(config);
+    bench.tare();
+    bench.master(0);
+    bench.start_job();
+    bench.inputs.haptic.engaged = true;
+    bench.steps(1500);
+    let before = bench.outputs.haptic.currents;
     // 5 N in x: 410 codes.
-    bed.codes = Some([410, 0, 0]);
-    bed.step();
-    assert_ne!(bed.outputs.haptic.currents, before);
-    assert!((bed.felt()[0] - 0.05).abs() < 0.02, "{}", bed.felt()[0]);
-    bed.steps(200);
-    assert!((bed.felt()[0] - 2.0).abs() < 0.05, "{}", bed.felt()[0]);
+    bench.codes = Some([410, 0, 0]);
+    bench.step();
+    assert_ne!(bench.outputs.haptic.currents, before);
+    assert!((bench.felt()[0] - 0.05).abs() < 0.02, "{}", bench.felt()[0]);
+    bench.steps(200);
+    assert!((bench.felt()[0] - 2.0).abs() < 0.05, "{}", bench.felt()[0]);
     // Lifted, the handle is free; nothing jumps.
-    bed.inputs.haptic.engaged = false;
-    let mut last = bed.felt()[0];
+    bench.inputs.haptic.engaged = false;
+    let mut last = bench.felt()[0];
     for _ in 0..1000 {
-        bed.step();
-        assert!((bed.felt()[0] - last).abs() <= 0.0501);
-        last = bed.felt()[0];
+        bench.step();
+        assert!((bench.felt()[0] - last).abs() <= 0.0501);
+        last = bench.felt()[0];
     }
     assert!(last.abs() < 0.01);
 }

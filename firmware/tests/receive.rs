@@ -1,4 +1,5 @@
-//! What the server owes to both directions of the line, whichever is blocked or never idle.
+//! Receive and transmit share the slices: neither a blocked nor a saturated direction starves the
+//! other.
 
 use haptimill_firmware::controller::Controller;
 use haptimill_firmware::io::{Inputs, Outputs};
@@ -32,9 +33,9 @@ impl Line {
         line
     }
 
-    fn run(&mut self, periods: usize, mut say: impl FnMut(&mut HostLink)) {
+    fn run(&mut self, periods: usize, mut send: impl FnMut(&mut HostLink)) {
         for _ in 0..periods {
-            say(&mut self.host);
+            send(&mut self.host);
             self.inputs.period += 1;
             let now_us = self.inputs.period * u64::from(PERIOD_US);
             let mut room = [0; 20];
@@ -60,9 +61,9 @@ fn request(id: u8, command: Command) -> Request {
     Request { id, command }
 }
 
-/// A host that hears nothing more, a cable of which one wire broke: what it says is carried out all the same.
+/// Requests are executed although nothing can be transmitted, as with one broken wire.
 #[test]
-fn what_is_said_is_heard_also_where_nothing_can_be_answered() {
+fn requests_are_executed_while_the_transmit_line_is_blocked() {
     for after in 0..40 {
         let mut line = Line::open();
         for id in 1..5 {
@@ -82,7 +83,8 @@ fn what_is_said_is_heard_also_where_nothing_can_be_answered() {
     }
 }
 
-/// The longest that a host which never falls silent waits for telemetry, and how many it is told in 5000 periods.
+/// Longest gap between telemetry messages, and their number in 5000 periods, for a host that sends
+/// without a pause.
 fn telemetry(every: u16, answered: bool) -> (u64, usize) {
     let mut line = Line::open();
     line.host
@@ -102,9 +104,10 @@ fn telemetry(every: u16, answered: bool) -> (u64, usize) {
     (gaps.max().unwrap_or(u64::MAX), line.telemetry.len())
 }
 
-/// A host that never falls silent is told how things stand as often as it asked for, also where everything that it says is answered.
+/// A host that sends without a pause gets telemetry at its interval, also where every request is
+/// answered.
 #[test]
-fn telemetry_has_its_turn_whatever_is_to_be_heard() {
+fn telemetry_is_sent_under_continuous_requests() {
     for (every, answered) in [100, 20, 10]
         .into_iter()
         .flat_map(|every| [(every, false), (every, true)])
@@ -114,7 +117,7 @@ fn telemetry_has_its_turn_whatever_is_to_be_heard() {
             longest <= 2 * u64::from(every) + 10,
             "{longest} periods, {every} asked for, {answered}"
         );
-        // Where answers are to be told too, each tells it anew, and it comes a little later.
+        // Each answer supersedes telemetry that waits, so telemetry comes a little later.
         let least = if answered { 2000 } else { 4800 };
         assert!(count >= least / usize::from(every), "{count}, {answered}");
     }

@@ -98,7 +98,7 @@ proptest! {
 
     /// A random walk of rate with reversals, rests and runs at up to 1.3 times the ceiling.
     #[test]
-    fn any_motion_keeps_the_timing_and_the_count(
+    fn any_motion_keeps_pulse_timing_and_count(
         legs in prop::collection::vec((-1.0f64..1.0, 1u32..150, 0u8..4), 5..30),
         ticks_per_us in prop::sample::select(vec![1u32, 8, 72, 168, 1000]),
         pulse_us in 1.0f64..5.0,
@@ -199,7 +199,7 @@ proptest! {
 
 /// Acceleration from rest to 40 steps a period and back to rest and beyond: pulses are where the parabola of the motion is.
 #[test]
-fn ramps_follow_the_motion() {
+fn ramp_pulses_follow_the_parabola() {
     let timing = timing(72, 2.0, 5.0, 5.0);
     let mut planner = StepPlanner::new(AxisKind::Linear, PER_STEP, timing, PERIOD_US);
     planner.start(Coordinate(0));
@@ -251,7 +251,7 @@ fn ramps_follow_the_motion() {
 
 /// A reversal right after a pulse waits for hold, then for set-up, and loses no step.
 #[test]
-fn a_reversal_waits_and_loses_nothing() {
+fn reversal_waits_for_hold_and_setup() {
     let timing = timing(1, 2.0, 30.0, 250.0);
     let mut planner = StepPlanner::new(AxisKind::Linear, 1 << 24, timing, PERIOD_US);
     planner.start(Coordinate(0));
@@ -267,9 +267,9 @@ fn a_reversal_waits_and_loses_nothing() {
     assert!(checker.pulses.iter().any(|&(_, direction)| direction < 0));
 }
 
-/// A table that turns one way for ever: 117 million steps later the count is still exact.
+/// Endless rotation in one direction: the count is exact after 117 million steps.
 #[test]
-fn a_table_that_turns_for_ever_loses_no_step() {
+fn endless_rotation_loses_no_step() {
     let timing = PulseTiming {
         period: 1_000_000,
         pulse: 1,

@@ -1,4 +1,4 @@
-//! A controller, a machine of steps that is where it was told to be, a haptic arm in a hand of f64, and a host.
+//! A controller, an ideal machine with step motors, a haptic arm with an f64 operator, and a host.
 
 #![allow(dead_code, reason = "each test uses its part")]
 
@@ -15,7 +15,7 @@ use haptimill_protocol::message::{
     Telemetry,
 };
 
-pub struct Bed {
+pub struct Bench {
     pub controller: Controller,
     pub inputs: Inputs,
     pub outputs: Outputs,
@@ -29,7 +29,7 @@ pub struct Bed {
     /// Platform of the handle.
     pub centre: V,
     pub turn: M,
-    /// Leg and sensor that shows something else: what it makes of the true reading in counts.
+    /// Leg and sensor with an injected fault: reading from the true counts.
     #[allow(clippy::type_complexity, reason = "one fault, once")]
     pub lie: Option<(usize, usize, fn(i32) -> i32)>,
     /// Codes of the force sensor, give or take one; none is connected without.
@@ -39,7 +39,7 @@ pub struct Bed {
 
 pub const HOME: V = [0.0, 0.0, 450.0];
 
-impl Bed {
+impl Bench {
     pub fn new(config: Config) -> Self {
         let mut link = HostLink::new(Timing::default());
         link.open(7, 0);
@@ -158,20 +158,20 @@ impl Bed {
         panic!("no answer");
     }
 
-    /// Nobody waits for the answer; only the newest counts.
+    /// Sent without waiting for the answer.
     pub fn say(&mut self, command: Command) {
         let request = Request { id: 0, command };
         self.link.send_latest(&request).expect("open");
     }
 
-    /// An axis is led by the hand.
+    /// Makes the master the source of an axis.
     #[track_caller]
     pub fn master(&mut self, axis: u8) {
         let source = Source::Master;
         assert_eq!(self.ask(Command::Source { axis, source }), Ok(()));
     }
 
-    /// There is a force sensor, without load, and that is its zero.
+    /// Connects the force sensor without load, and tares it.
     #[track_caller]
     pub fn tare(&mut self) {
         self.codes = Some([0; 3]);
@@ -239,14 +239,14 @@ impl Bed {
     /// Configured, enabled and, if it has axes, homed.
     #[track_caller]
     pub fn ready(config: Config) -> Self {
-        let mut bed = Self::new(config);
-        assert_eq!(bed.configure(), Ok(()));
-        assert_eq!(bed.ask(Command::Enable), Ok(()));
-        if !bed.config.joints.is_empty() {
-            assert_eq!(bed.ask(Command::Home), Ok(()));
-            bed.wait_for(State::Idle);
+        let mut bench = Self::new(config);
+        assert_eq!(bench.configure(), Ok(()));
+        assert_eq!(bench.ask(Command::Enable), Ok(()));
+        if !bench.config.joints.is_empty() {
+            assert_eq!(bench.ask(Command::Home), Ok(()));
+            bench.wait_for(State::Idle);
         }
-        bed
+        bench
     }
 
     pub fn commanded(&self) -> AxisValues {
@@ -256,7 +256,7 @@ impl Bed {
             .commanded_values()
     }
 
-    /// A wanted coordinate in mm, and its rate in mm/s.
+    /// A commanded coordinate in mm, and its rate in mm/s.
     pub fn at(&self, axis: usize) -> (f64, f64) {
         let machine = self.controller.machine().expect("configured");
         let commanded = machine.motion.commanded();
@@ -272,7 +272,7 @@ impl Bed {
         assert_eq!(self.ask(Command::JobStart { job: 3, pose }), Ok(()));
     }
 
-    /// So many periods, in which the handle goes on evenly by a way.
+    /// Runs some periods in which the handle moves evenly by a displacement.
     pub fn lead(&mut self, way: V, periods: usize) {
         for _ in 0..periods {
             for axis in 0..3 {

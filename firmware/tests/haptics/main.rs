@@ -1,4 +1,4 @@
-//! A hand in the controller: it leads, it feels, it lets go, its arm lies, and it is far away.
+//! Haptic arm and remote master in the controller: following, rendering, refusals.
 #![allow(
     clippy::needless_range_loop,
     reason = "an index is an axis here, of several arrays at once"
@@ -6,12 +6,12 @@
 
 #[path = "../arm/mod.rs"]
 mod arm;
-mod bed;
-mod feeling;
-mod leading;
-mod refusing;
+mod bench;
+mod following;
+mod refusals;
+mod rendering;
 
-use bed::Bed;
+use bench::Bench;
 use haptimill_checks::reference;
 use haptimill_firmware::config::Config;
 
@@ -26,31 +26,31 @@ fn mill() -> Config {
 /// Of 200 mm/s^2 in a period, mm/s, and a little for rounding.
 const STEP: f64 = 200.0 * 2e-4 + 1e-3;
 
-/// Watches that nothing jumps: place against the rate, rate against the acceleration.
-struct JointMonitor {
+/// Checks that no coordinate jumps: position against rate, rate against acceleration.
+struct JumpCheck {
     before: [(f64, f64); 3],
 }
 
-impl JointMonitor {
-    fn at(bed: &Bed) -> Self {
+impl JumpCheck {
+    fn at(bench: &Bench) -> Self {
         Self {
-            before: [bed.at(0), bed.at(1), bed.at(2)],
+            before: [bench.at(0), bench.at(1), bench.at(2)],
         }
     }
 
-    /// The handle goes on evenly by a way.
+    /// Moves the handle evenly by a displacement.
     #[track_caller]
-    fn lead(&mut self, bed: &mut Bed, way: [f64; 3], periods: usize) {
+    fn lead(&mut self, bench: &mut Bench, way: [f64; 3], periods: usize) {
         for _ in 0..periods {
-            bed.lead(way.map(|part| part / periods as f64), 1);
-            self.look(bed);
+            bench.lead(way.map(|part| part / periods as f64), 1);
+            self.check(bench);
         }
     }
 
     #[track_caller]
-    fn look(&mut self, bed: &Bed) {
+    fn check(&mut self, bench: &Bench) {
         for axis in 0..3 {
-            let (now, before) = (bed.at(axis), self.before[axis]);
+            let (now, before) = (bench.at(axis), self.before[axis]);
             let step = now.0 - before.0 - (now.1 + before.1) / 2.0 * 2e-4;
             assert!(step.abs() < 1e-3, "axis {axis} steps by {step} mm");
             let change = now.1 - before.1;
