@@ -66,12 +66,16 @@ fn validate_setpoint(
     let pieces = machine.pieces(setpoint);
     let mut piece = validated.saturating_sub(axes + 1) as u8;
     while piece < pieces {
-        // The last piece ends at the pose that was checked.
-        let cost = if piece + 1 == pieces { ENQUEUE } else { PIECE };
-        if *budget < cost {
+        // The last piece ends at the pose that was checked. Any other one uses up the budget.
+        let (least, left) = if piece + 1 == pieces {
+            (ENQUEUE, budget.saturating_sub(ENQUEUE))
+        } else {
+            (PIECE, 0)
+        };
+        if *budget < least {
             break;
         }
-        *budget -= cost;
+        *budget = left;
         machine.check_piece(number, setpoint, piece, pieces)?;
         piece += 1;
     }
