@@ -462,14 +462,14 @@ fn instructions_of_a_period() {
             "e11-bare",
             &circle,
             bare(),
-            [6_070.0, 12_730.0],
+            [6_070.0, 12_230.0],
         ),
         job(
             "dome, 5 axes, with a force sensor, nothing under force control",
             "dome",
             &dome,
             Vec::new(),
-            [8_380.0, 14_790.0],
+            [8_380.0, 14_260.0],
         ),
         job(
             "E11 circle, cut under force control of x and z",
@@ -482,7 +482,7 @@ fn instructions_of_a_period() {
             title: "E8, a hand leads and feels the cut, force control of x, y and z, the image with the haptic arm",
             name: "e8",
             what: What::Scenario("e8"),
-            ceilings: [22_100.0, 30_520.0],
+            ceilings: [21_950.0, 30_090.0],
         },
     ];
     let mut table = String::from(TABLE_HEAD) + &instructions_of_the_kinematics();

@@ -59,8 +59,9 @@ pub struct Server {
     /// The next setpoint of the batch, and its validation progress.
     setpoint: Setpoint,
     validated: Option<u8>,
-    /// The request read last.
+    /// The request read last, and whether it waits to be executed.
     request: Request,
+    request_waits: bool,
     /// Receive effort of this period.
     received: Work,
     schedule: Schedule,
@@ -99,6 +100,7 @@ impl Server {
             setpoint: Setpoint::default(),
             validated: None,
             request: NOTHING,
+            request_waits: false,
             received: Work::Nothing,
             schedule: Schedule::default(),
             streams: Streams::default(),
@@ -134,7 +136,7 @@ impl Server {
     pub fn next(&mut self, busy: bool) -> Option<Incoming> {
         self.schedule.begin(busy, self.received);
         let may_execute = self.schedule.may_execute(self.telemetry_waits());
-        let nothing = self.validated.is_none() && self.link.has_heard_all();
+        let nothing = !self.request_waits && self.validated.is_none() && self.link.has_heard_all();
         if !may_execute || nothing || self.answers.is_full() {
             return None;
         }
@@ -152,6 +154,9 @@ impl Server {
     #[inline(never)]
     fn execute(&mut self) -> Option<Incoming> {
         self.schedule.execute();
+        if core::mem::take(&mut self.request_waits) {
+            return Some(Incoming::Request);
+        }
         let Some(validated) = self.validated.take() else {
             return self.read();
         };
@@ -183,8 +188,9 @@ impl Server {
         };
         if self.batch.is_none() {
             if !BatchReader::fits(payload) {
-                let read = self.link.poll_into(&mut self.request);
-                return read.then_some(Incoming::Request);
+                // Executed in a slice of its own.
+                self.request_waits = self.link.poll_into(&mut self.request);
+                return None;
             }
             self.batch = BatchReader::open(payload);
         }
@@ -293,6 +299,7 @@ impl Server {
     fn reset(&mut self) {
         self.batch = None;
         self.validated = None;
+        self.request_waits = false;
         self.streams = Streams::default();
         self.answers.clear();
         self.staged.clear();
