@@ -455,7 +455,7 @@ fn instructions_of_a_period() {
             "dome-bare",
             &dome,
             bare(),
-            [6_290.0, 12_730.0],
+            [6_290.0, 11_690.0],
         ),
         job(
             "E11 circle, a machine without a force sensor",
@@ -476,7 +476,7 @@ fn instructions_of_a_period() {
             "e11-force",
             &circle,
             yielding(),
-            [9_290.0, 16_120.0],
+            [9_290.0, 15_390.0],
         ),
         Job {
             title: "E8, a hand leads and feels the cut, force control of x, y and z, the image with the haptic arm",
