@@ -15,7 +15,7 @@ use crate::io::Inputs;
 use crate::machine::Machine;
 use haptimill_math::{Length, Rate};
 use haptimill_protocol::frame::crc32;
-use haptimill_protocol::haptic::{Hand, Reflection, Wall};
+use haptimill_protocol::haptic::{ForceFeedback, MasterPose, VirtualFixture};
 use haptimill_protocol::message::{
     AxisValues, Command, ConfigField, ConfigProblem, Event, Fault, InputProblem, MAX_AXES,
     RATE_SHIFT, Refusal, Source, State,
@@ -101,16 +101,20 @@ pub(crate) fn execute(core: &mut Core, server: &mut Server, inputs: &Inputs) {
         Command::ForceLoop { axis, settings } => set_force_loop(core, axis, &settings),
         Command::ForceSettings { axis } => report_force_settings(core, axis),
         Command::Tare => tare(core),
-        Command::Hand {
+        Command::MasterPose {
             epoch,
             age_ms,
-            hand,
+            pose: hand,
         } => set_remote_master(core, epoch, age_ms, &hand),
-        Command::Feel { force } => haptic_arm(core).map(|arm| arm.set_remote_force(force)),
-        Command::Reflect(settings) => set_feedback(core, &settings),
-        Command::Wall { axis, upper, wall } => set_wall(core, axis, upper, wall),
-        Command::HandScale { scale } => set_hand_scale(core, scale),
-        Command::HandTelemetry { every } => {
+        Command::RemoteForce { force } => haptic_arm(core).map(|arm| arm.set_remote_force(force)),
+        Command::ForceFeedback(settings) => set_feedback(core, &settings),
+        Command::VirtualFixture {
+            axis,
+            upper,
+            fixture: wall,
+        } => set_wall(core, axis, upper, wall),
+        Command::PositionScale { scale } => set_hand_scale(core, scale),
+        Command::MasterTelemetry { every } => {
             server.set_hand_telemetry(every);
             Ok(())
         }
@@ -215,7 +219,7 @@ fn enable(core: &mut Core, inputs: &Inputs) -> Done {
         return Err(Refusal::Input(InputProblem::Coasting));
     }
     let counted = machine.encoders_counted();
-    machine.enable().map_err(Refusal::Standing)?;
+    machine.enable().map_err(Refusal::MeasuredPose)?;
     if !counted {
         // The count of illegal transitions is above its limit. Nothing supervised the encoders
         // while the drives were off, and the machine may have been moved by hand.
@@ -465,7 +469,7 @@ fn choose_source(core: &mut Core, axis: u8, source: Source) -> Done {
     }
     let follows = HAND && machine.config.follow.is_some() && usize::from(axis) < LED;
     if source == Source::Master && !follows {
-        return Err(Refusal::NoHand);
+        return Err(Refusal::NoMaster);
     }
     machine.masters.mapping.release_one(usize::from(axis));
     // Without the feature `hand` no source takes over a moving coordinate.
@@ -491,13 +495,13 @@ fn set_override(core: &mut Core, percent: u8) -> Done {
 
 fn haptic_arm(core: &mut Core) -> Result<&mut Haptic, Refusal> {
     let machine = core.configured()?;
-    machine.masters.arm_mut().ok_or(Refusal::NoHand)
+    machine.masters.arm_mut().ok_or(Refusal::NoMaster)
 }
 
 /// Stores a pose of the remote master. Its epochs work as those of jogs.
-fn set_remote_master(core: &mut Core, epoch: u16, age_ms: u8, hand: &Hand) -> Done {
+fn set_remote_master(core: &mut Core, epoch: u16, age_ms: u8, hand: &MasterPose) -> Done {
     if !HAND || core.configured()?.config.follow.is_none() {
-        return Err(Refusal::NoHand);
+        return Err(Refusal::NoMaster);
     }
     let newest = core.job.master_epoch;
     let age = newest.map_or(-1, |newest| newest.wrapping_sub(epoch) as i16);
@@ -510,7 +514,7 @@ fn set_remote_master(core: &mut Core, epoch: u16, age_ms: u8, hand: &Hand) -> Do
     Ok(())
 }
 
-fn set_feedback(core: &mut Core, settings: &Reflection) -> Done {
+fn set_feedback(core: &mut Core, settings: &ForceFeedback) -> Done {
     let arm = haptic_arm(core)?;
     if !feedback_law::is_sound(settings) {
         return Err(Refusal::Range);
@@ -519,11 +523,11 @@ fn set_feedback(core: &mut Core, settings: &Reflection) -> Done {
     Ok(())
 }
 
-fn set_wall(core: &mut Core, axis: u8, upper: bool, wall: Option<Wall>) -> Done {
+fn set_wall(core: &mut Core, axis: u8, upper: bool, wall: Option<VirtualFixture>) -> Done {
     let arm = haptic_arm(core)?;
     let wall = match wall {
         None => None,
-        Some(Wall { at, rate }) => {
+        Some(VirtualFixture { at, rate }) => {
             let rate = rate.checked_mul(1 << RATE_SHIFT).ok_or(Refusal::Range)?;
             Some((at.map(Length), Rate(rate)))
         }
@@ -532,14 +536,14 @@ fn set_wall(core: &mut Core, axis: u8, upper: bool, wall: Option<Wall>) -> Done 
         return Err(Refusal::Range);
     }
     arm.set_wall(usize::from(axis), upper, wall)
-        .map_err(|_| Refusal::WallTooNear)
+        .map_err(|_| Refusal::FixturesTooNear)
 }
 
 /// Latches master and tool positions anew, so the tool does not jump.
 fn set_hand_scale(core: &mut Core, scale: u16) -> Done {
     let machine = core.configured()?;
     if !HAND || machine.config.follow.is_none() {
-        return Err(Refusal::NoHand);
+        return Err(Refusal::NoMaster);
     }
     if !scale_is_sound(scale) {
         return Err(Refusal::Range);
@@ -593,7 +597,7 @@ fn tare(core: &mut Core) -> Done {
         return Err(Refusal::State(state));
     }
     if force.displaced() {
-        return Err(Refusal::Yielding);
+        return Err(Refusal::Compliant);
     }
     force.begin_tare();
     Ok(())

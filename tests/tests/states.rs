@@ -408,7 +408,7 @@ fn a_configuration_that_is_activated_under_a_latched_fault_is_as_good_as_one_aft
     bench.steps(2000);
     assert!(matches!(
         bench.status().fault,
-        Some(Fault::EncoderStill { .. } | Fault::EncoderReversed { .. })
+        Some(Fault::EncoderStuck { .. } | Fault::EncoderReversed { .. })
     ));
     bench
         .rig

@@ -17,8 +17,10 @@
 
 use crate::io::{Inputs, TRANSMIT_BYTES};
 use crate::safety::Safety;
-use haptimill_protocol::haptic::HandTelemetry;
-use haptimill_protocol::link::{ControllerLink, Greeted, Identity, SHORT_REPORT, Timing, Work};
+use haptimill_protocol::haptic::MasterTelemetry;
+use haptimill_protocol::link::{
+    ControllerLink, HelloOutcome, Identity, ReceiveEffort, SHORT_REPORT, Timing,
+};
 use haptimill_protocol::message::{
     AxisValues, Command, ConfigChunk, Refusal, Report, Request, Telemetry,
 };
@@ -71,7 +73,7 @@ pub struct Server {
     request: Request,
     read: bool,
     /// Receive effort of this period.
-    came: Work,
+    came: ReceiveEffort,
     /// This period ran a long job; `heard`: the job belonged to the receive side.
     worked: bool,
     heard: bool,
@@ -131,7 +133,7 @@ impl Server {
             tried: None,
             request: NOTHING,
             read: false,
-            came: Work::Nothing,
+            came: ReceiveEffort::Nothing,
             worked: false,
             heard: false,
             held: false,
@@ -166,7 +168,7 @@ impl Server {
         self.lost = self.lost.saturating_add(u32::from(lost));
         self.lost_before = inputs.lost_bytes;
         self.came = if inputs.received.is_empty() {
-            Work::Nothing
+            ReceiveEffort::Nothing
         } else {
             self.receive(&inputs.received)
         };
@@ -180,7 +182,7 @@ impl Server {
         // Receive and transmit alternate; a deferred job runs in the next period.
         let yields = self.kept || (self.heard && self.tells_much());
         self.held = hold_back && !self.held;
-        let moved = self.came == Work::Moved;
+        let moved = self.came == ReceiveEffort::Moved;
         // This period is kept free for the bytes that waited in the one before.
         self.speaks = self.mute && !self.held && !moved;
         self.mute &= self.held;
@@ -188,7 +190,7 @@ impl Server {
         self.worked = self.held || moved || self.speaks;
         // A side that could not take its turn keeps it.
         self.heard &= self.worked;
-        let nothing = self.tried.is_none() && !self.read && self.link.has_heard_all();
+        let nothing = self.tried.is_none() && !self.read && self.link.has_received_all();
         if nothing || yields || self.worked || self.answers.is_full() {
             return None;
         }
@@ -219,7 +221,7 @@ impl Server {
 
     /// Takes bytes from the line.
     #[inline(never)]
-    fn receive(&mut self, bytes: &[u8]) -> Work {
+    fn receive(&mut self, bytes: &[u8]) -> ReceiveEffort {
         self.link.receive(self.now_us, bytes)
     }
 
@@ -227,7 +229,7 @@ impl Server {
     #[inline(never)]
     pub fn welcome(&mut self, identity: &Identity<'_>, busy: bool) {
         let greeted = self.link.welcome(self.now_us, identity, busy);
-        if greeted == Greeted::Begun {
+        if greeted == HelloOutcome::Begun {
             self.forget();
             self.session_begun = true;
         }
@@ -296,9 +298,9 @@ impl Server {
     #[inline]
     pub const fn budget(&self) -> usize {
         match self.came {
-            Work::Nothing => 8,
-            Work::Bytes => 5,
-            Work::Frame | Work::Moved => 3,
+            ReceiveEffort::Nothing => 8,
+            ReceiveEffort::Bytes => 5,
+            ReceiveEffort::Frame | ReceiveEffort::Moved => 3,
         }
     }
 
@@ -541,7 +543,7 @@ impl Server {
             self.renoted = true;
             self.link.withdraw_latest();
             match self.sample {
-                Report::Hand(_) => self.hand_waits = true,
+                Report::Master(_) => self.hand_waits = true,
                 _ => self.telemetry_waits = true,
             }
         }
@@ -591,10 +593,10 @@ impl Server {
     }
 
     /// Stores telemetry of the haptic arm, if there is an arm.
-    pub fn note_hand(&mut self, telemetry: Option<HandTelemetry>) {
+    pub fn note_hand(&mut self, telemetry: Option<MasterTelemetry>) {
         self.hand_waits = false;
         if let Some(telemetry) = telemetry {
-            self.sample = Report::Hand(telemetry);
+            self.sample = Report::Master(telemetry);
             self.noted = true;
         }
     }

@@ -4,14 +4,14 @@ use crate::bed::Bed;
 use crate::mill;
 use haptimill_checks::reference;
 use haptimill_firmware::config::Config;
-use haptimill_protocol::haptic::{ReflectAxis, Reflection, Wall};
+use haptimill_protocol::haptic::{ForceFeedback, ForceFeedbackAxis, VirtualFixture};
 use haptimill_protocol::message::{Command, Refusal};
 
 /// A role master: the same controller without axes. It feels what it is told, within what may change in a period, and its telemetry leads another.
 #[test]
 fn an_arm_alone_feels_what_a_tool_afar_feels() {
     let mut bed = Bed::ready(reference::master());
-    assert_eq!(bed.ask(Command::HandTelemetry { every: 20 }), Ok(()));
+    assert_eq!(bed.ask(Command::MasterTelemetry { every: 20 }), Ok(()));
     bed.inputs.haptic.engaged = true;
     bed.steps(600);
     let mut last = bed.felt();
@@ -20,7 +20,7 @@ fn an_arm_alone_feels_what_a_tool_afar_feels() {
         for k in 0..periods {
             if k % 50 == 0 {
                 let force = force.map(|part| (part * 64.0) as i16);
-                bed.say(Command::Feel { force });
+                bed.say(Command::RemoteForce { force });
             }
             bed.step();
             let now = bed.felt();
@@ -42,37 +42,37 @@ fn an_arm_alone_feels_what_a_tool_afar_feels() {
         assert!((force - want).abs() < 0.01, "{force} {want}");
     }
     // Another percentage comes in gently.
-    let axis = ReflectAxis {
+    let axis = ForceFeedbackAxis {
         percent: 20,
-        most: 3 << 16,
+        limit: 3 << 16,
     };
-    let settings = Reflection {
+    let settings = ForceFeedback {
         axes: [axis; 3],
-        boost: 6554,
-        boost_below: 2 << 16,
+        damping: 6554,
+        damping_below: 2 << 16,
     };
-    assert_eq!(bed.ask(Command::Reflect(settings)), Ok(()));
+    assert_eq!(bed.ask(Command::ForceFeedback(settings)), Ok(()));
     let force = run(&mut bed, [10.0, 0.0, 0.0], 8000);
     assert!((force[0] - 2.0).abs() < 0.01, "{force:?}");
-    let bad = Reflection {
-        axes: [ReflectAxis {
+    let bad = ForceFeedback {
+        axes: [ForceFeedbackAxis {
             percent: 101,
-            most: 0,
+            limit: 0,
         }; 3],
         ..settings
     };
-    assert_eq!(bed.ask(Command::Reflect(bad)), Err(Refusal::Range));
+    assert_eq!(bed.ask(Command::ForceFeedback(bad)), Err(Refusal::Range));
     assert!(steps > 10, "the step was never used");
     // Nothing more is heard of the tool: the force goes away by itself.
     bed.steps(1500);
     assert!(bed.felt()[0].abs() < 0.01);
     let hand = bed.hand_report.expect("telemetry of the hand");
-    assert!(hand.hand.engaged && hand.enabled && hand.problem.is_none());
+    assert!(hand.pose.engaged && hand.enabled && hand.problem.is_none());
     assert!(
-        (f64::from(hand.hand.tip[2]) / 1_048_576.0 - 600.0).abs() < 0.05,
+        (f64::from(hand.pose.tip[2]) / 1_048_576.0 - 600.0).abs() < 0.05,
         "{hand:?}"
     );
-    assert!(hand.hand.axes[0][0] > 32_700 && hand.hand.axes[1][2] > 32_700);
+    assert!(hand.pose.axes[0][0] > 32_700 && hand.pose.axes[1][2] > 32_700);
 }
 
 #[test]
@@ -80,32 +80,32 @@ fn virtual_walls_push_back_and_a_moving_one_goes_along() {
     let mut bed = Bed::ready(reference::master());
     let at = |x: f64| Some((x * 1_048_576.0) as i32);
     let wall = |x: f64, rate: f64| {
-        Some(Wall {
+        Some(VirtualFixture {
             at: at(x),
             rate: (rate * 4096.0) as i32,
         })
     };
     assert_eq!(
-        bed.ask(Command::Wall {
+        bed.ask(Command::VirtualFixture {
             axis: 0,
             upper: false,
-            wall: wall(-10.0, 0.0)
+            fixture: wall(-10.0, 0.0)
         }),
         Ok(())
     );
     assert_eq!(
-        bed.ask(Command::Wall {
+        bed.ask(Command::VirtualFixture {
             axis: 0,
             upper: true,
-            wall: wall(-6.0, 0.0)
+            fixture: wall(-6.0, 0.0)
         }),
-        Err(Refusal::WallTooNear)
+        Err(Refusal::FixturesTooNear)
     );
     assert_eq!(
-        bed.ask(Command::Wall {
+        bed.ask(Command::VirtualFixture {
             axis: 3,
             upper: true,
-            wall: None
+            fixture: None
         }),
         Err(Refusal::Range)
     );
@@ -128,15 +128,15 @@ fn virtual_walls_push_back_and_a_moving_one_goes_along() {
     bed.steps(500);
     assert_eq!(bed.felt()[0], 0.0);
     // E6: from the handle, 4 mm/s in -X.
-    let moving = Wall {
+    let moving = VirtualFixture {
         at: None,
         rate: -4 * 4096,
     };
     assert_eq!(
-        bed.ask(Command::Wall {
+        bed.ask(Command::VirtualFixture {
             axis: 0,
             upper: false,
-            wall: Some(moving)
+            fixture: Some(moving)
         }),
         Ok(())
     );

@@ -4,7 +4,7 @@ use crate::arm::{self, rotation, times};
 use crate::bed::Bed;
 use crate::{JointMonitor, mill};
 use haptimill_firmware::config::Config;
-use haptimill_protocol::haptic::Hand;
+use haptimill_protocol::haptic::MasterPose;
 use haptimill_protocol::message::{Command, Event, Refusal, Request, Source, State};
 
 #[test]
@@ -55,15 +55,15 @@ fn the_tool_follows_the_hand_and_the_clutch_does_not_move_it() {
     assert!((bed.at(0).0 - rest.0).abs() < 0.02);
     // The scale changes while it leads: no jump, and half the way from there on.
     assert_eq!(
-        bed.ask(Command::HandScale { scale: 300 }),
+        bed.ask(Command::PositionScale { scale: 300 }),
         Err(Refusal::Range)
     );
     assert_eq!(
-        bed.ask(Command::HandScale { scale: 8300 }),
+        bed.ask(Command::PositionScale { scale: 8300 }),
         Err(Refusal::Range)
     );
     let before = bed.at(0).0;
-    assert_eq!(bed.ask(Command::HandScale { scale: 2048 }), Ok(()));
+    assert_eq!(bed.ask(Command::PositionScale { scale: 2048 }), Ok(()));
     watch.lead(&mut bed, [-4.0, 0.0, 0.0], 4000);
     bed.steps(5000);
     assert!(
@@ -237,7 +237,7 @@ fn it_waits_in_front_of_where_the_machine_cannot_go() {
     bed.start_job();
     bed.inputs.haptic.engaged = true;
     // G_P of 2 and repeated strokes of the clutch, towards soft limit and edge of the workspace.
-    assert_eq!(bed.ask(Command::HandScale { scale: 8192 }), Ok(()));
+    assert_eq!(bed.ask(Command::PositionScale { scale: 8192 }), Ok(()));
     let mut watch = JointMonitor::at(&bed);
     for _ in 0..4 {
         bed.inputs.haptic.engaged = true;
@@ -271,24 +271,24 @@ fn a_hand_afar_leads_and_when_it_falls_silent_the_mill_holds() {
     };
     let mut bed = Bed::ready(config);
     assert_eq!(
-        bed.ask(Command::Feel { force: [0; 3] }),
-        Err(Refusal::NoHand)
+        bed.ask(Command::RemoteForce { force: [0; 3] }),
+        Err(Refusal::NoMaster)
     );
     bed.master(0);
     bed.start_job();
     let start = bed.at(0).0;
     let mut x = 30.0_f64;
     let say = |bed: &mut Bed, epoch: u16, x: f64, rate: f64| {
-        let hand = Hand {
+        let hand = MasterPose {
             tip: [(x * 1_048_576.0) as i32, 0, 0],
             rate: [(rate * 4096.0) as i32, 0, 0],
             axes: [[32767, 0, 0], [0, 0, 32767]],
             engaged: true,
         };
-        bed.say(Command::Hand {
+        bed.say(Command::MasterPose {
             epoch,
             age_ms: 2,
-            hand,
+            pose: hand,
         });
     };
     let mut watch = JointMonitor::at(&bed);
@@ -316,7 +316,7 @@ fn a_hand_afar_leads_and_when_it_falls_silent_the_mill_holds() {
     assert!(
         bed.events
             .iter()
-            .any(|event| matches!(event, Event::HandLost { age_ms: 50..=52 })),
+            .any(|event| matches!(event, Event::MasterLost { age_ms: 50..=52 })),
         "{:?}",
         bed.events
     );

@@ -4,7 +4,7 @@ use crate::bed::Bed;
 use crate::mill;
 use haptimill_checks::reference;
 use haptimill_firmware::config::Config;
-use haptimill_protocol::haptic::HandProblem;
+use haptimill_protocol::haptic::MasterProblem;
 use haptimill_protocol::message::{Command, Event, Fault, Refusal, Source, State};
 
 #[test]
@@ -41,7 +41,7 @@ fn a_lying_encoder_frees_the_hand_and_stops_the_mill() {
             assert!(
                 matches!(
                     fault,
-                    Some(Fault::Hand(HandProblem::Encoder { leg: 1, .. }))
+                    Some(Fault::Master(MasterProblem::Encoder { leg: 1, .. }))
                 ),
                 "{name} {sensor}: {fault:?}"
             );
@@ -63,7 +63,7 @@ fn other_problems_of_the_arm_have_their_words() {
     bed.steps(100);
     // Nothing was led: told, and the arm stays off until reset.
     assert!(bed.arm_off() && bed.state() == State::Idle);
-    assert!(bed.events.contains(&Event::Hand(HandProblem::Drive)));
+    assert!(bed.events.contains(&Event::Master(MasterProblem::Drive)));
     assert_eq!(bed.ask(Command::Reset), Ok(()));
     bed.steps(2);
     assert!(bed.outputs.haptic.enabled);
@@ -74,7 +74,7 @@ fn other_problems_of_the_arm_have_their_words() {
     let fault = bed.controller.safety().fault();
     assert_eq!(
         fault,
-        Some(Fault::Hand(HandProblem::Illegal { leg: 2, sensor: 1 }))
+        Some(Fault::Master(MasterProblem::Illegal { leg: 2, sensor: 1 }))
     );
 }
 
@@ -110,7 +110,7 @@ fn a_problem_without_power_is_only_told() {
     assert!(
         bed.events
             .iter()
-            .any(|event| matches!(event, Event::Hand(HandProblem::Encoder { leg: 0, .. }))),
+            .any(|event| matches!(event, Event::Master(MasterProblem::Encoder { leg: 0, .. }))),
         "{:?}",
         bed.events
     );
@@ -127,19 +127,19 @@ fn what_cannot_be_is_refused() {
     let source = Source::Master;
     assert_eq!(
         bed.ask(Command::Source { axis: 0, source }),
-        Err(Refusal::NoHand)
+        Err(Refusal::NoMaster)
     );
     assert_eq!(
-        bed.ask(Command::HandScale { scale: 4096 }),
-        Err(Refusal::NoHand)
+        bed.ask(Command::PositionScale { scale: 4096 }),
+        Err(Refusal::NoMaster)
     );
     assert_eq!(
-        bed.ask(Command::Wall {
+        bed.ask(Command::VirtualFixture {
             axis: 0,
             upper: true,
-            wall: None
+            fixture: None
         }),
-        Err(Refusal::NoHand)
+        Err(Refusal::NoMaster)
     );
     for change in [
         |config: &mut Config| config.haptic.as_mut().expect("one").geometry.link.0 = 0,

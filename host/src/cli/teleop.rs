@@ -601,7 +601,7 @@ impl Run<'_> {
                 Exit::Fault,
                 format!("machine fault: {}", outcome.faults.join("; ")),
             ),
-            Ended::HandLost => (Exit::Port, "the hand is lost".to_string()),
+            Ended::MasterLost => (Exit::Port, "the hand is lost".to_string()),
             Ended::HapticFault => (Exit::Fault, "the arm is off".to_string()),
         };
         let error = CliError::new(exit, outcome.because.unwrap_or(why));

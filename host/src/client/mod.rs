@@ -39,7 +39,7 @@ pub use notice::{ClientState, Notice, Options, Ticket};
 pub use stream::{JobEnding, JobProgress};
 
 use haptimill_protocol::frame::crc32;
-use haptimill_protocol::haptic::{COMPONENTS, Hand, HandTelemetry};
+use haptimill_protocol::haptic::{COMPONENTS, MasterPose, MasterTelemetry};
 use haptimill_protocol::link::{HostLink, LinkState};
 use haptimill_protocol::message::{
     AxisValues, CONFIG_CHUNK, Command, ConfigChunk, Event, Refusal, Report, Request, State,
@@ -72,7 +72,7 @@ pub struct Client {
     requests: Requests,
     stream: Option<Stream>,
     telemetry: Option<Telemetry>,
-    hand: Option<HandTelemetry>,
+    hand: Option<MasterTelemetry>,
     /// When telemetry was last heard or asked for.
     telemetry_us: u64,
     waiting_telemetry: usize,
@@ -156,7 +156,7 @@ impl Client {
     }
 
     /// The newest report of how the hand on its haptic arm stands.
-    pub fn hand(&self) -> Option<&HandTelemetry> {
+    pub fn hand(&self) -> Option<&MasterTelemetry> {
         self.hand.as_ref()
     }
 
@@ -288,11 +288,11 @@ impl Client {
     /// # Errors
     ///
     /// [`ClientError::Closed`] when no session is open.
-    pub fn lead(&mut self, hand: Hand, age_ms: u8) -> Result<(), ClientError> {
-        let command = Command::Hand {
+    pub fn lead(&mut self, hand: MasterPose, age_ms: u8) -> Result<(), ClientError> {
+        let command = Command::MasterPose {
             epoch: self.hand_epoch,
             age_ms,
-            hand,
+            pose: hand,
         };
         self.link
             .send_latest(&Request { id: 0, command })
@@ -310,7 +310,7 @@ impl Client {
     ///
     /// [`ClientError::Closed`] when no session is open.
     pub fn feel(&mut self, force: [i16; COMPONENTS]) -> Result<(), ClientError> {
-        let command = Command::Feel { force };
+        let command = Command::RemoteForce { force };
         self.link
             .send_latest(&Request { id: 0, command })
             .map_err(|_| ClientError::Closed)
@@ -501,7 +501,7 @@ impl Client {
                 self.notices.push_back(Notice::Event { period, event });
                 self.finish_job(ending);
             }
-            Report::Hand(hand) => self.hand = Some(hand),
+            Report::Master(hand) => self.hand = Some(hand),
             Report::Telemetry(telemetry) => {
                 self.telemetry_us = self.now_us;
                 if let Some(stream) = self.stream.as_mut() {

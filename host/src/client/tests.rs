@@ -6,7 +6,7 @@ mod line;
 mod responder;
 
 use super::*;
-use haptimill_protocol::link::{ControllerLink, Greeted, Identity, SHORT_REPORT, Timing};
+use haptimill_protocol::link::{ControllerLink, HelloOutcome, Identity, SHORT_REPORT, Timing};
 use haptimill_protocol::message::{Action, HelloRefusal};
 use haptimill_protocol::setpoint::SetpointCoder;
 use haptimill_protocol::urgent::UrgentDetector;

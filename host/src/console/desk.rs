@@ -23,7 +23,7 @@ use crate::session::fresh_number;
 use haptimill_firmware::config::Drive;
 use haptimill_hil_sim::process::CuttingConfig;
 use haptimill_protocol::force::ForceLoop;
-use haptimill_protocol::haptic::Reflection;
+use haptimill_protocol::haptic::ForceFeedback;
 use haptimill_protocol::message::{
     AxisValues, Command, Fault, MAX_AXES, RATE_SHIFT, Source, State, Telemetry,
 };
@@ -55,7 +55,7 @@ pub(super) enum Then {
     Override(u8),
     Source(u8, Source),
     Loop(u8, ForceLoop),
-    Reflection(Reflection),
+    ForceFeedback(ForceFeedback),
     Wall {
         axis: usize,
         upper: bool,
@@ -64,7 +64,7 @@ pub(super) enum Then {
         /// All are taken away together.
         all: bool,
     },
-    HandScale(u16),
+    PositionScale(u16),
     Say(&'static str),
 }
 

@@ -12,7 +12,7 @@ mod orders;
 
 use crate::machine::MachineFile;
 use crate::machine::scale::{PER_EFFORT, PER_MM};
-use haptimill_protocol::haptic::{COMPONENTS, HandTelemetry, Reflection};
+use haptimill_protocol::haptic::{COMPONENTS, ForceFeedback, MasterTelemetry};
 use ratatui::crossterm::event::KeyCode;
 use std::time::{Duration, Instant};
 
@@ -88,7 +88,7 @@ pub(super) enum Face {
 /// The haptic arm.
 #[derive(Debug, Clone)]
 pub(super) struct Arm {
-    pub(super) reflection: Setting<Reflection>,
+    pub(super) reflection: Setting<ForceFeedback>,
     /// Of each axis the lower and the upper one.
     pub(super) faces: [[Face; 2]; COMPONENTS],
     /// Stiffness of the walls, N/mm, and the most that one pushes, N.
@@ -151,7 +151,7 @@ impl At {
 
 impl Arm {
     /// A report, if it is a new one.
-    fn hear(&mut self, report: &HandTelemetry) {
+    fn hear(&mut self, report: &MasterTelemetry) {
         if self.heard.replace(report.period) == Some(report.period) {
             return;
         }
@@ -161,11 +161,11 @@ impl Arm {
             return;
         }
         for (axis, faces) in self.faces.iter_mut().enumerate() {
-            let push = f64::from(report.wall[axis]) / PER_REPORTED;
+            let push = f64::from(report.fixture[axis]) / PER_REPORTED;
             if !(FAINT_N..self.most - FAINT_N).contains(&push.abs()) {
                 continue;
             }
-            let at = f64::from(report.hand.tip[axis]) / PER_MM + push / self.stiffness;
+            let at = f64::from(report.pose.tip[axis]) / PER_MM + push / self.stiffness;
             let face = &mut faces[usize::from(push < 0.0)];
             if !matches!(face, Face::At(before) if (*before - at).abs() < SAME_MM) {
                 *face = Face::At(at);

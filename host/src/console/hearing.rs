@@ -98,7 +98,9 @@ impl Desk {
                     loops[axis] = settings;
                 }
             }
-            Then::Reflection(_) | Then::Wall { .. } | Then::HandScale(_) => self.hand_set(&then),
+            Then::ForceFeedback(_) | Then::Wall { .. } | Then::PositionScale(_) => {
+                self.hand_set(&then)
+            }
             Then::Say(what) => self.say(Weight::Note, what),
         }
     }
@@ -113,7 +115,7 @@ impl Desk {
         if self.machine.config.haptic.is_some() {
             let every = HAND_MS * 1000 / u32::from(self.machine.config.period_us.max(1));
             let every = every.clamp(1, u32::from(u16::MAX)) as u16;
-            self.ask(Command::HandTelemetry { every }, Then::Nothing);
+            self.ask(Command::MasterTelemetry { every }, Then::Nothing);
         }
     }
 
@@ -189,7 +191,7 @@ impl Desk {
             | Event::JogLimited { .. }
             | Event::Saturated { .. }
             | Event::TareRefused(_)
-            | Event::YieldLimited { .. }
+            | Event::ComplianceLimited { .. }
             | Event::Paused { .. } => Weight::Warning,
             _ => Weight::Note,
         };

@@ -5,7 +5,7 @@ use super::jogging::Mode;
 use crate::machine::AxisLimits;
 use haptimill_firmware::config::AxisKind;
 use haptimill_protocol::force::ForceLoop;
-use haptimill_protocol::haptic::{COMPONENTS, HandTelemetry, Reflection};
+use haptimill_protocol::haptic::{COMPONENTS, ForceFeedback, MasterTelemetry};
 use haptimill_protocol::message::{MAX_AXES, Source, Telemetry};
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -214,11 +214,11 @@ pub(super) struct HandShown {
 #[derive(Debug, Clone)]
 pub(super) struct ArmShown {
     /// The newest report, and how old it is.
-    pub(super) report: Option<HandTelemetry>,
+    pub(super) report: Option<MasterTelemetry>,
     pub(super) age: Duration,
     /// What is wrong with it, in words.
     pub(super) problem: Option<String>,
-    pub(super) reflection: Reflection,
+    pub(super) reflection: ForceFeedback,
     /// No other host can have set something else.
     pub(super) reflection_sure: bool,
     /// Of each axis the lower and the upper wall.

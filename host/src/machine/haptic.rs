@@ -9,7 +9,7 @@ use haptimill_firmware::io::LEGS;
 use haptimill_kinematics::haptic_arm::HapticGeometry;
 use haptimill_math::force::Force;
 use haptimill_math::{Angle, Coordinate, Effort, Length};
-use haptimill_protocol::haptic::{ReflectAxis, Reflection};
+use haptimill_protocol::haptic::{ForceFeedback, ForceFeedbackAxis};
 
 /// Components of a force, in order.
 const AXES: [&str; 3] = ["x", "y", "z"];
@@ -203,8 +203,8 @@ fn leg(section: Section<'_, '_>) -> ([Encoder; 3], [Amplifier; 2]) {
     (sensors, drives)
 }
 
-fn reflection(section: Section<'_, '_>) -> Reflection {
-    let mut axes = [ReflectAxis::default(); 3];
+fn reflection(section: Section<'_, '_>) -> ForceFeedback {
+    let mut axes = [ForceFeedbackAxis::default(); 3];
     let keys = [
         ("x_percent", "x_most_n"),
         ("y_percent", "y_most_n"),
@@ -213,18 +213,18 @@ fn reflection(section: Section<'_, '_>) -> Reflection {
     for ((axis, (percent, most)), _) in axes.iter_mut().zip(keys).zip(AXES) {
         let percent = section.number(percent, whole(0, 100, "%"));
         let most = section.number(most, real(0.0, 10.0, "N"));
-        *axis = ReflectAxis {
+        *axis = ForceFeedbackAxis {
             percent: to_u16(percent).min(100) as u8,
-            most: force(most).0,
+            limit: force(most).0,
         };
     }
     let boost = section.number("boost_n_s_per_mm", real(0.0, 0.99, "N s/mm"));
     let below = section.number("boost_below_n", real(0.5, 10.0, "N"));
     section.finish();
-    Reflection {
+    ForceFeedback {
         axes,
-        boost: to_u16(boost * PER_EFFORT),
-        boost_below: force(below).0,
+        damping: to_u16(boost * PER_EFFORT),
+        damping_below: force(below).0,
     }
 }
 

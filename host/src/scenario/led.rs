@@ -12,7 +12,7 @@ use crate::session::{HandCourse, Session, SimLine};
 use haptimill_hil_sim::haptics::HapticArm;
 use haptimill_hil_sim::operator::{Rail, ReferencePart, Stroke, Trace, Trajectory};
 use haptimill_hil_sim::rig::Control;
-use haptimill_protocol::haptic::{ReflectAxis, Reflection, Wall};
+use haptimill_protocol::haptic::{ForceFeedback, ForceFeedbackAxis, VirtualFixture};
 use haptimill_protocol::message::{Command, RATE_SHIFT, Source};
 
 /// What the hand leads in a pass, what it feels, and what it means to do.
@@ -144,13 +144,13 @@ impl Led {
         arm.clamp_part(part.then(ReferencePart::default))
             .map_err(nonsense)?;
         let newtons = |force: f64| to_i32(force * PER_EFFORT);
-        session.ask(Command::Reflect(Reflection {
-            axes: self.reflect.map(|(percent, most)| ReflectAxis {
+        session.ask(Command::ForceFeedback(ForceFeedback {
+            axes: self.reflect.map(|(percent, most)| ForceFeedbackAxis {
                 percent,
-                most: newtons(most),
+                limit: newtons(most),
             }),
-            boost: newtons(self.boost).clamp(0, i32::from(u16::MAX)) as u16,
-            boost_below: newtons(BOOST_BELOW),
+            damping: newtons(self.boost).clamp(0, i32::from(u16::MAX)) as u16,
+            damping_below: newtons(BOOST_BELOW),
         }))
     }
 
@@ -166,10 +166,10 @@ impl Led {
             })?;
         }
         if let Some(rate) = self.wall_mm_s {
-            session.ask(Command::Wall {
+            session.ask(Command::VirtualFixture {
                 axis: 0,
                 upper: rate > 0.0,
-                wall: Some(Wall {
+                fixture: Some(VirtualFixture {
                     at: None,
                     rate: (rate * crate::machine::scale::PER_MM / f64::from(1 << RATE_SHIFT))
                         .round() as i32,
@@ -195,10 +195,10 @@ impl Led {
         arm(session)?.set_engaged(false);
         if self.wall_mm_s.is_some() {
             for upper in [false, true] {
-                session.ask(Command::Wall {
+                session.ask(Command::VirtualFixture {
                     axis: 0,
                     upper,
-                    wall: None,
+                    fixture: None,
                 })?;
             }
         }

@@ -8,7 +8,7 @@ use crate::cli::{CliError, Exit};
 use crate::record::Recorder;
 use haptimill_firmware::snapshot::Snapshot;
 use haptimill_hil_sim::process::CuttingConfig;
-use haptimill_protocol::haptic::{COMPONENTS, HandTelemetry};
+use haptimill_protocol::haptic::{COMPONENTS, MasterTelemetry};
 use haptimill_protocol::message::Telemetry;
 
 /// Carries bytes to a controller and back, and has a clock.
@@ -41,7 +41,7 @@ pub trait Line {
     fn reported(&mut self, _: &Telemetry) {}
 
     /// The controller reported how a hand stands at its haptic arm.
-    fn reported_hand(&mut self, _: &HandTelemetry) {}
+    fn reported_hand(&mut self, _: &MasterTelemetry) {}
 
     /// The controller said that something happened; `level` is 0 for news, 1 for a warning, 2 for an error.
     fn happened(&mut self, _period: u64, _level: u8, _text: &str) {}
@@ -125,7 +125,7 @@ impl Line for PortLine {
         }
     }
 
-    fn reported_hand(&mut self, hand: &HandTelemetry) {
+    fn reported_hand(&mut self, hand: &MasterTelemetry) {
         if let Some(recording) = &mut self.recording {
             recording.add_hand(hand);
         }

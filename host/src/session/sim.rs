@@ -15,7 +15,7 @@ use haptimill_hil_sim::config::PlantConfig;
 use haptimill_hil_sim::fault::Fault;
 use haptimill_hil_sim::process::CuttingConfig;
 use haptimill_hil_sim::rig::{Control, Rig, RigError, RigOptions};
-use haptimill_protocol::haptic::{COMPONENTS, HandTelemetry};
+use haptimill_protocol::haptic::{COMPONENTS, MasterTelemetry};
 use haptimill_protocol::message::{AxisValues, MAX_AXES, State, Telemetry};
 use std::sync::Arc;
 
@@ -43,7 +43,7 @@ pub struct JobRecording {
     /// Axis units per millimetre or degree of the pose coordinates.
     units: [f64; MAX_AXES],
     /// The newest report of a hand, for a controller behind a port.
-    hand: Option<HandTelemetry>,
+    hand: Option<MasterTelemetry>,
 }
 
 /// Telemetry frames, 20 ms apart or more, after which the recording is handed to the disk.
@@ -283,7 +283,7 @@ impl JobRecording {
     }
 
     /// A report of the hand of a machine of which nothing else is seen; it goes with the next telemetry frame.
-    pub const fn add_hand(&mut self, hand: &HandTelemetry) {
+    pub const fn add_hand(&mut self, hand: &MasterTelemetry) {
         self.hand = Some(*hand);
     }
 
@@ -320,13 +320,13 @@ impl JobRecording {
         if let Some(hand) = self.hand.take() {
             let newtons = |force: [i16; COMPONENTS]| force.map(|part| i32::from(part) << 8);
             record.hand = HapticSnapshot {
-                tip: hand.hand.tip,
+                tip: hand.pose.tip,
                 force: newtons(hand.force),
-                reflected: newtons(hand.reflected),
-                wall: newtons(hand.wall),
+                reflected: newtons(hand.feedback),
+                wall: newtons(hand.fixture),
             };
             record.hand_flags = flag::HAND_KNOWN;
-            if hand.hand.engaged {
+            if hand.pose.engaged {
                 record.hand_flags |= flag::HAND_HELD;
             }
         }

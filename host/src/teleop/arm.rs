@@ -16,7 +16,7 @@ use crate::port::PortError;
 use crate::record::Recorder;
 use crate::session::{JobLine, JobRecording, Line, SimLine};
 use haptimill_firmware::snapshot::Snapshot;
-use haptimill_protocol::haptic::{COMPONENTS, HandTelemetry, Reflection};
+use haptimill_protocol::haptic::{COMPONENTS, ForceFeedback, MasterTelemetry};
 use haptimill_protocol::message::{Command, Event, Refusal};
 use haptimill_protocol::text::{Axes, Describe};
 use std::collections::VecDeque;
@@ -119,7 +119,7 @@ pub struct Arm<L> {
     board: Option<Chosen>,
     /// The board had this configuration, or took it: after a loss of power it takes it again.
     agreed: bool,
-    reflection: Option<Reflection>,
+    reflection: Option<ForceFeedback>,
     every: u16,
     phase: Phase,
     /// Why it does not lead.
@@ -135,7 +135,7 @@ pub struct Arm<L> {
     origin: Option<(u64, u64)>,
     /// The newest report that was looked at.
     newest: Option<u64>,
-    standing: Option<HandTelemetry>,
+    standing: Option<MasterTelemetry>,
     felt: VecDeque<Felt>,
     /// What its controller said, in words.
     happened: VecDeque<String>,
@@ -305,7 +305,7 @@ impl<L: Line> Arm<L> {
                     self.client.configure(&self.config, false),
                     self.client.request(Command::Enable),
                     self.client
-                        .request(Command::HandTelemetry { every: self.every }),
+                        .request(Command::MasterTelemetry { every: self.every }),
                 ]);
             }
             Notice::Answered { ticket, result, .. } => self.answered(ticket, result)?,
@@ -321,7 +321,7 @@ impl<L: Line> Arm<L> {
                 self.connect(why);
             }
             Notice::Event { period, event } => {
-                if matches!(event, Event::Fault(_) | Event::Hand(_)) {
+                if matches!(event, Event::Fault(_) | Event::Master(_)) {
                     let text = format!("the arm: {}", said(&event));
                     self.line.happened(period, 2, &text);
                     self.happened.push_back(text);
@@ -375,7 +375,7 @@ impl<L: Line> Arm<L> {
         }
         self.standing = Some(standing);
         Some(Word {
-            hand: standing.hand,
+            hand: standing.pose,
             age_us: u64::from(self.client.link().round_trip_us()) / 2,
         })
     }
@@ -390,7 +390,7 @@ impl<L: Line> Arm<L> {
             (None, Some(word), Some(standing)) => Felt {
                 at_us: at_us.saturating_sub(word.age_us),
                 what: What::Reflected {
-                    force: newtons(standing.reflected),
+                    force: newtons(standing.feedback),
                     owes: standing.energy < 0,
                 },
             },
@@ -480,7 +480,7 @@ impl<L: Line> Source for Arm<L> {
             (Phase::Ready, Some(standing)) => match standing.problem {
                 None => Standing::Ready,
                 Some(problem) => {
-                    Standing::Off(format!("the arm is off: {}", said(&Event::Hand(problem))))
+                    Standing::Off(format!("the arm is off: {}", said(&Event::Master(problem))))
                 }
             },
             (Phase::Ready, None) => Standing::Waiting("has said nothing yet".to_string()),
@@ -498,7 +498,7 @@ impl<L: Line> Source for Arm<L> {
     fn feeling(&self) -> Option<Feeling> {
         self.standing.as_ref().map(|standing| Feeling {
             force: newtons(standing.force),
-            reflected: newtons(standing.reflected),
+            reflected: newtons(standing.feedback),
         })
     }
 
@@ -506,7 +506,7 @@ impl<L: Line> Source for Arm<L> {
         self.felt.pop_front()
     }
 
-    fn reflection(&self) -> Option<Reflection> {
+    fn reflection(&self) -> Option<ForceFeedback> {
         self.reflection
     }
 

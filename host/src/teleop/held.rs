@@ -15,7 +15,7 @@ use super::script::Order;
 use super::{Source, Standing, Word};
 use crate::cli::{CliError, Exit};
 use crate::machine::scale::PER_MM;
-use haptimill_protocol::haptic::{COMPONENTS, Hand};
+use haptimill_protocol::haptic::{COMPONENTS, MasterPose};
 use haptimill_protocol::message::RATE_SHIFT;
 use std::collections::VecDeque;
 use std::fs::File;
@@ -111,7 +111,7 @@ impl<D: Device> Source for Held<D> {
             [0.0; COMPONENTS]
         };
         let mm_s = PER_MM / f64::from(1 << RATE_SHIFT);
-        let hand = Hand {
+        let hand = MasterPose {
             tip: self.tip.map(|place| (place * PER_MM).round() as i32),
             rate: rate.map(|rate| (rate * mm_s).round() as i32),
             axes: [[i16::MAX, 0, 0], [0, 0, i16::MAX]],

@@ -8,7 +8,7 @@
 //!
 //! Units: microseconds, N.
 
-use haptimill_protocol::haptic::{COMPONENTS, Reflection};
+use haptimill_protocol::haptic::{COMPONENTS, ForceFeedback};
 use serde::Serialize;
 use std::collections::VecDeque;
 
@@ -60,7 +60,7 @@ struct Told {
 /// Measures it.
 #[derive(Debug, Clone, Default)]
 pub struct Latency {
-    law: Option<Reflection>,
+    law: Option<ForceFeedback>,
     /// The force now, 2^-6 N, and since when it is so.
     sensed: ([i16; COMPONENTS], u64),
     /// The force that was told last.
@@ -92,7 +92,7 @@ fn differ(one: &[f64; COMPONENTS], other: &[f64; COMPONENTS], by: f64) -> bool {
 impl Latency {
     /// For a law of reflection; without one nothing is measured.
     #[must_use]
-    pub fn new(law: Option<Reflection>) -> Self {
+    pub fn new(law: Option<ForceFeedback>) -> Self {
         Self {
             law,
             ..Self::default()
@@ -112,7 +112,7 @@ impl Latency {
             return;
         };
         let expected = std::array::from_fn(|axis| {
-            let most = f64::from(law.axes[axis].most) / 65_536.0;
+            let most = f64::from(law.axes[axis].limit) / 65_536.0;
             let share = f64::from(force[axis]) / 64.0 * f64::from(law.axes[axis].percent) / 100.0;
             share.clamp(-most, most)
         });
@@ -181,17 +181,17 @@ impl Latency {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use haptimill_protocol::haptic::ReflectAxis;
+    use haptimill_protocol::haptic::ForceFeedbackAxis;
 
     /// Half of it, at most 2 N, is reflected.
-    fn law() -> Option<Reflection> {
-        let axis = ReflectAxis {
+    fn law() -> Option<ForceFeedback> {
+        let axis = ForceFeedbackAxis {
             percent: 50,
-            most: 2 << 16,
+            limit: 2 << 16,
         };
-        Some(Reflection {
+        Some(ForceFeedback {
             axes: [axis; COMPONENTS],
-            ..Reflection::default()
+            ..ForceFeedback::default()
         })
     }
 

@@ -4,7 +4,7 @@
 //! each new word of it to the controller of the machine as a latest value with its age, and brings what the tool feels back to the source. Nothing is queued: a hand has only a present.
 //!
 //! ```text
-//! hand -> arm's controller -> HandTelemetry -> host -> Hand { epoch, age } -> machine's controller -> tool
+//! master arm -> its controller -> MasterTelemetry -> host -> MasterPose { epoch, age } -> machine controller -> tool
 //! hand <- arm's controller <- Feel <- host <- Telemetry { force } <- machine's controller <- force sensor
 //! ```
 //!
@@ -29,7 +29,7 @@ pub use run::{Teleop, TeleopOptions};
 pub use script::{Heard, Order, Script};
 
 use crate::cli::CliError;
-use haptimill_protocol::haptic::{COMPONENTS, Hand, Reflection};
+use haptimill_protocol::haptic::{COMPONENTS, ForceFeedback, MasterPose};
 
 /// G_P, the scale from hand to tool, may be this.
 pub const SCALES: std::ops::RangeInclusive<f64> = 0.1..=2.0;
@@ -38,7 +38,7 @@ pub const SCALES: std::ops::RangeInclusive<f64> = 0.1..=2.0;
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Word {
     /// The hand.
-    pub hand: Hand,
+    pub hand: MasterPose,
     /// How long ago it was so, microseconds.
     pub age_us: u64,
 }
@@ -107,7 +107,7 @@ pub trait Source {
     }
 
     /// The law of reflection, where there is one.
-    fn reflection(&self) -> Option<Reflection> {
+    fn reflection(&self) -> Option<ForceFeedback> {
         None
     }
 

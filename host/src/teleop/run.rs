@@ -310,7 +310,7 @@ impl<'a, L: JobLine> Teleop<'a, L> {
     fn begin(&mut self) -> Result<(), CliError> {
         if let Some(commanded) = self.options.scale {
             let scale = scale(commanded).map_err(|what| CliError::new(Exit::Usage, what))?;
-            self.session.ask(Command::HandScale { scale })?;
+            self.session.ask(Command::PositionScale { scale })?;
         }
         for axis in &self.options.axes {
             self.session.ask(Command::Source {
@@ -364,7 +364,7 @@ impl<'a, L: JobLine> Teleop<'a, L> {
                 .model()
                 .with_axes(|axes| axes.describe(&event).to_string());
             match &event {
-                Event::HandLost { .. } => {
+                Event::MasterLost { .. } => {
                     let standing = self.source.standing();
                     self.lost = Some(match standing.why() {
                         Some(why) => format!("{sentence} ({why})"),

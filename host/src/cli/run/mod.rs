@@ -391,7 +391,7 @@ impl Running<'_> {
             // Of a controller in this process the recording has the hand anyway.
             let every = HAND_US / u32::from(self.machine.config.period_us.max(1));
             let every = every.clamp(1, u32::from(u16::MAX)) as u16;
-            session.ask(Command::HandTelemetry { every })?;
+            session.ask(Command::MasterTelemetry { every })?;
         }
         self.job(session, start, planned)
     }

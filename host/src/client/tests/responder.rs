@@ -95,7 +95,7 @@ impl Responder {
             axes: 2,
             queue: QUEUE as u16,
         };
-        if self.link.welcome(now_us, &identity, self.busy) == Greeted::Begun {
+        if self.link.welcome(now_us, &identity, self.busy) == HelloOutcome::Begun {
             (self.epoch, self.cancelled) = (0, 0);
         }
         // Room for an answer and for the events that a command or this period may cause.

@@ -8,7 +8,7 @@ use crate::machine::scale::{PER_EFFORT, PER_MM, to_i32};
 use crate::teleop::SCALES;
 use crate::teleop::script::scale;
 use haptimill_firmware::haptics::feedback_law::MOST;
-use haptimill_protocol::haptic::{COMPONENTS, ReflectAxis, Reflection, Wall};
+use haptimill_protocol::haptic::{COMPONENTS, ForceFeedback, ForceFeedbackAxis, VirtualFixture};
 use haptimill_protocol::message::{Command, RATE_SHIFT};
 use ratatui::crossterm::event::KeyCode;
 
@@ -120,7 +120,7 @@ impl Desk {
                 self.say(Weight::Warning, what);
             }
             Field::Most(axis) if value <= most_n => {
-                self.reflect(axis, |axis| axis.most = to_i32(value * PER_EFFORT));
+                self.reflect(axis, |axis| axis.limit = to_i32(value * PER_EFFORT));
             }
             Field::Most(axis) => {
                 let of = axis_name(axis);
@@ -145,10 +145,10 @@ impl Desk {
                 axis.percent = percent.clamp(0.0, 100.0) as u8;
             }),
             Field::Most(axis) => self.reflect(axis, |axis| {
-                let most = f64::from(axis.most) / PER_EFFORT + way * MOST_STEP_N;
+                let most = f64::from(axis.limit) / PER_EFFORT + way * MOST_STEP_N;
                 // In tenths, so that a step forth and one back is none.
                 let most = to_i32((most * 10.0).round() / 10.0 * PER_EFFORT);
-                axis.most = most.clamp(0, MOST.0);
+                axis.limit = most.clamp(0, MOST.0);
             }),
             Field::Scale => {
                 let Some(setting) = self.hand.as_ref().and_then(|hand| hand.scale) else {
@@ -181,7 +181,7 @@ impl Desk {
     }
 
     /// Changes the reflection of one axis, or of all; says whether that changes anything.
-    fn reflect(&mut self, axis: Option<usize>, change: impl Fn(&mut ReflectAxis)) -> bool {
+    fn reflect(&mut self, axis: Option<usize>, change: impl Fn(&mut ForceFeedbackAxis)) -> bool {
         let Some(arm) = self.hand.as_mut().and_then(|hand| hand.arm.as_mut()) else {
             return false;
         };
@@ -195,12 +195,15 @@ impl Desk {
         // What another host may have set is set all the same.
         if (changed || !arm.reflection.sure) && self.can_set() {
             self.set_wanted(settings);
-            self.ask(Command::Reflect(settings), Then::Reflection(settings));
+            self.ask(
+                Command::ForceFeedback(settings),
+                Then::ForceFeedback(settings),
+            );
         }
         changed
     }
 
-    fn set_wanted(&mut self, settings: Reflection) {
+    fn set_wanted(&mut self, settings: ForceFeedback) {
         if let Some(arm) = self.hand.as_mut().and_then(|hand| hand.arm.as_mut()) {
             arm.reflection.commanded = settings;
         }
@@ -211,7 +214,7 @@ impl Desk {
             && let Some(setting) = self.hand.as_mut().and_then(|hand| hand.scale.as_mut())
         {
             setting.commanded = scale;
-            self.ask(Command::HandScale { scale }, Then::HandScale(scale));
+            self.ask(Command::PositionScale { scale }, Then::PositionScale(scale));
         }
     }
 
@@ -267,17 +270,22 @@ impl Desk {
                 );
                 self.say(Weight::Warning, what);
             }
-            None => self.ask_wall(axis, upper, Some(Wall { at: None, rate: 0 }), false),
+            None => self.ask_wall(
+                axis,
+                upper,
+                Some(VirtualFixture { at: None, rate: 0 }),
+                false,
+            ),
         }
     }
 
-    fn ask_wall(&mut self, axis: usize, upper: bool, wall: Option<Wall>, all: bool) {
+    fn ask_wall(&mut self, axis: usize, upper: bool, wall: Option<VirtualFixture>, all: bool) {
         let put = wall.is_some();
         self.ask(
-            Command::Wall {
+            Command::VirtualFixture {
                 axis: axis as u8,
                 upper,
-                wall,
+                fixture: wall,
             },
             Then::Wall {
                 axis,
@@ -290,11 +298,13 @@ impl Desk {
 
     /// What of the hand was asked for is done.
     pub(in crate::console) fn hand_set(&mut self, then: &Then) {
-        let tip = self.client.hand().map(|report| report.hand);
+        let tip = self.client.hand().map(|report| report.pose);
         let Some(hand) = &mut self.hand else { return };
         let what = match (then, &mut hand.arm, &mut hand.scale) {
-            (Then::Reflection(settings), Some(arm), _) => return arm.reflection.taken(*settings),
-            (Then::HandScale(value), _, Some(setting)) => return setting.taken(*value),
+            (Then::ForceFeedback(settings), Some(arm), _) => {
+                return arm.reflection.taken(*settings);
+            }
+            (Then::PositionScale(value), _, Some(setting)) => return setting.taken(*value),
             (
                 Then::Wall {
                     axis,
@@ -338,11 +348,11 @@ impl Desk {
     pub(in crate::console) fn hand_refused(&mut self, then: &Then) -> Option<String> {
         let hand = self.hand.as_mut()?;
         match then {
-            Then::Reflection(settings) => {
+            Then::ForceFeedback(settings) => {
                 hand.arm.as_mut()?.reflection.refused(*settings);
                 None
             }
-            Then::HandScale(value) => {
+            Then::PositionScale(value) => {
                 hand.scale.as_mut()?.refused(*value);
                 None
             }

@@ -6,7 +6,7 @@ use super::{OLD_MS, style_of};
 use crate::console::hand::{ALL, At, Face, Field, NAMES, PER_REPORTED, SCALE};
 use crate::console::shown::{ArmShown, Contact, HandShown, Shown, Weight};
 use crate::machine::scale::{PER_EFFORT, PER_MM};
-use haptimill_protocol::haptic::{HandTelemetry, ReflectAxis};
+use haptimill_protocol::haptic::{ForceFeedbackAxis, MasterTelemetry};
 use haptimill_protocol::message::{Source, State};
 use ratatui::style::{Modifier, Style};
 use ratatui::text::{Line, Span};
@@ -26,7 +26,7 @@ pub(super) fn newtons(raw: i16) -> f64 {
 }
 
 /// The arm with its newest report.
-pub(super) fn reported(shown: &Shown) -> Option<(&ArmShown, &HandTelemetry)> {
+pub(super) fn reported(shown: &Shown) -> Option<(&ArmShown, &MasterTelemetry)> {
     let arm = shown.hand.as_ref()?.arm.as_ref()?;
     Some((arm, arm.report.as_ref()?))
 }
@@ -41,7 +41,7 @@ pub(super) fn fresh(shown: &Shown, arm: &ArmShown) -> Style {
 }
 
 /// Who leads, and whether the arm can.
-fn standing(shown: &Shown, report: &HandTelemetry) -> String {
+fn standing(shown: &Shown, report: &MasterTelemetry) -> String {
     let running = shown
         .telemetry
         .as_ref()
@@ -54,7 +54,7 @@ fn standing(shown: &Shown, report: &HandTelemetry) -> String {
         .filter(|(_, source)| **source == Source::Master)
         .map(|(axis, _)| axis.name.as_str())
         .collect();
-    let button = match (report.hand.engaged, led.is_empty()) {
+    let button = match (report.pose.engaged, led.is_empty()) {
         (false, _) => "button free".to_string(),
         (true, false) if running => format!("button held, leads {}", led.join(" ")),
         (true, _) => "button held, leads nothing".to_string(),
@@ -64,7 +64,7 @@ fn standing(shown: &Shown, report: &HandTelemetry) -> String {
 }
 
 /// What the hand owes of energy, or may still take.
-fn energy(report: &HandTelemetry) -> String {
+fn energy(report: &MasterTelemetry) -> String {
     let energy = f64::from(report.energy) / PER_REPORTED;
     if energy < 0.0 {
         format!("; owes {:.2} N mm", -energy)
@@ -80,7 +80,7 @@ fn cells(width: usize) -> usize {
 }
 
 /// A row of forces: on the tool, at the hand, by the law, of the walls.
-fn forces(shown: &Shown, report: &HandTelemetry, axis: usize, width: usize) -> String {
+fn forces(shown: &Shown, report: &MasterTelemetry, axis: usize, width: usize) -> String {
     let tool = shown
         .telemetry
         .as_ref()
@@ -103,8 +103,8 @@ fn forces(shown: &Shown, report: &HandTelemetry, axis: usize, width: usize) -> S
         NAMES[axis],
         drawn(tool, shown.force_scale_n),
         drawn(Some(newtons(report.force[axis])), SCALE_N),
-        newtons(report.reflected[axis]),
-        drawn(Some(newtons(report.wall[axis])), SCALE_N)
+        newtons(report.feedback[axis]),
+        drawn(Some(newtons(report.fixture[axis])), SCALE_N)
     )
 }
 
@@ -139,7 +139,10 @@ fn face(face: Face) -> String {
 }
 
 /// What all axes have in common, if they do.
-fn same<T: PartialEq + Copy>(axes: &[ReflectAxis; 3], of: impl Fn(&ReflectAxis) -> T) -> Option<T> {
+fn same<T: PartialEq + Copy>(
+    axes: &[ForceFeedbackAxis; 3],
+    of: impl Fn(&ForceFeedbackAxis) -> T,
+) -> Option<T> {
     let first = of(&axes[0]);
     axes.iter().all(|axis| of(axis) == first).then_some(first)
 }
@@ -159,8 +162,8 @@ fn settings(
         None => same(axes, |axis| axis.percent),
     };
     let most = match axis {
-        Some(axis) => Some(axis.most),
-        None => same(axes, |axis| axis.most),
+        Some(axis) => Some(axis.limit),
+        None => same(axes, |axis| axis.limit),
     };
     let percent = percent.map_or("differ".to_string(), |percent| format!("{percent} %{sure}"));
     let most = most.map_or("differ".to_string(), |most| {
@@ -174,7 +177,7 @@ fn settings(
     let tip = match &arm.report {
         _ if !wide => String::new(),
         Some(report) if row < ALL => {
-            format!("{:>12.2}", f64::from(report.hand.tip[row]) / PER_MM)
+            format!("{:>12.2}", f64::from(report.pose.tip[row]) / PER_MM)
         }
         _ => format!("{:>12}", ""),
     };
@@ -341,8 +344,8 @@ pub(super) fn panel(shown: &Shown, width: u16) -> Option<Vec<Line<'static>>> {
         rows.push(Line::styled(
             format!(
                 " {name}{felt:>7.2}{:>7.2}{:>7.2} {}",
-                newtons(report.reflected[axis]),
-                newtons(report.wall[axis]),
+                newtons(report.feedback[axis]),
+                newtons(report.fixture[axis]),
                 around_zero(part, part, bar)
             ),
             style,

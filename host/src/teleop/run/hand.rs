@@ -93,11 +93,11 @@ impl<L: JobLine> Teleop<'_, L> {
                 format!("the hand leads no more: {why}; remove the cause, then order `reset-hand`"),
             ),
             (Standing::Waiting(why), _) => (
-                Ended::HandLost,
+                Ended::MasterLost,
                 format!("the hand is lost: {why}; look after the arm and its link"),
             ),
             (Standing::Ready, Some(why)) if !self.ended_by_order => (
-                Ended::HandLost,
+                Ended::MasterLost,
                 format!(
                     "the machine held and was not told to go on: {why}; look after the link, and order `resume` when the hand is there"
                 ),

@@ -56,7 +56,7 @@ impl<L: JobLine> Teleop<'_, L> {
                 }
             }
             Order::Scale(commanded) => match scale(commanded) {
-                Ok(scale) => ask(Command::HandScale { scale }, "gp", self),
+                Ok(scale) => ask(Command::PositionScale { scale }, "gp", self),
                 Err(why) => self.refuse(why, look),
             },
             Order::Resume => {

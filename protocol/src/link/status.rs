@@ -88,7 +88,7 @@ impl core::error::Error for SendError {}
 
 /// Receive effort of [`super::Link::receive`], in increasing order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Work {
+pub enum ReceiveEffort {
     /// No byte arrived.
     Nothing,
     /// Bytes arrived.

@@ -10,11 +10,11 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 /// An endpoint of a link: [`Host`] or [`Controller`].
-pub trait End: greet::Greet {
+pub trait Endpoint: greet::Greet {
     /// Messages that it sends.
-    type Sends: Serialize;
+    type Outgoing: Serialize;
     /// Messages that it receives.
-    type Hears: DeserializeOwned;
+    type Incoming: DeserializeOwned;
 }
 
 /// Sealed trait: callers cannot name its types.
@@ -59,9 +59,9 @@ enum Phase {
     Refused(HelloRefusal),
 }
 
-impl End for Host {
-    type Sends = Request;
-    type Hears = Report;
+impl Endpoint for Host {
+    type Outgoing = Request;
+    type Incoming = Report;
 }
 
 impl greet::Greet for Host {
@@ -158,9 +158,9 @@ pub struct Controller {
     ended: Deque<u32, 4>,
 }
 
-impl End for Controller {
-    type Sends = Report;
-    type Hears = Request;
+impl Endpoint for Controller {
+    type Outgoing = Report;
+    type Incoming = Request;
 }
 
 impl greet::Greet for Controller {
@@ -209,7 +209,7 @@ pub struct Identity<'a> {
 /// Result of [`Link::welcome`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Greeted {
+pub enum HelloOutcome {
     /// No Hello was waiting.
     Nothing,
     /// A new session has begun. Requests of the session before are dropped.
@@ -228,9 +228,9 @@ impl<const SEND: usize, const RECEIVE: usize> Link<Controller, SEND, RECEIVE> {
 
     /// Answers a waiting Hello. `busy` refuses a session takeover: another session is alive and the
     /// machine moves or may move. Different versions and schemas are always refused.
-    pub fn welcome(&mut self, now_us: u64, identity: &Identity<'_>, busy: bool) -> Greeted {
+    pub fn welcome(&mut self, now_us: u64, identity: &Identity<'_>, busy: bool) -> HelloOutcome {
         let Some(hello) = self.end.hello.take() else {
-            return Greeted::Nothing;
+            return HelloOutcome::Nothing;
         };
         let running = self.open && hello.session == self.session;
         let refused = differs(hello.version, hello.schema)
@@ -242,10 +242,10 @@ impl<const SEND: usize, const RECEIVE: usize> Link<Controller, SEND, RECEIVE> {
             }
         }
         let greeted = match refused {
-            Some(why) => Greeted::Refused(why),
+            Some(why) => HelloOutcome::Refused(why),
             None if running => {
                 self.heard_us = now_us;
-                Greeted::Again
+                HelloOutcome::Again
             }
             None => {
                 if self.open {
@@ -256,7 +256,7 @@ impl<const SEND: usize, const RECEIVE: usize> Link<Controller, SEND, RECEIVE> {
                     let _ = self.end.ended.push_back(self.session);
                 }
                 self.begin(now_us, hello.session);
-                Greeted::Begun
+                HelloOutcome::Begun
             }
         };
         self.quiet_until_us = 0;
