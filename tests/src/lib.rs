@@ -5,10 +5,10 @@
 pub mod log;
 pub mod storm;
 
-use haptimill::machine::MachineFile;
 use haptimill_firmware::controller::Controller;
 use haptimill_hil_sim::config::PlantConfig;
 use haptimill_hil_sim::rig::{Control, Rig, RigOptions};
+use haptimill_machine_file::MachineFile;
 use haptimill_protocol::haptic::MasterTelemetry;
 use haptimill_protocol::link::{HostLink, Timing};
 use haptimill_protocol::message::{

@@ -428,7 +428,7 @@ fn late_setpoints_slow_the_machine_on_its_path_and_are_named() {
 /// The machine with step motors, homed, and then in the middle of a line in x.
 fn stepping(speed: f64) -> Bench {
     let text = include_str!("../../machines/h4-step.toml");
-    let machine = haptimill::machine::MachineFile::parse("h4-step.toml", text).expect("sound");
+    let machine = haptimill_machine_file::MachineFile::parse("h4-step.toml", text).expect("sound");
     let options = haptimill_hil_sim::rig::RigOptions::default();
     let controller = haptimill_firmware::controller::Controller::new(200);
     let mut bench = Bench::of_machine(machine, &options, controller);

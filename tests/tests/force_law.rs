@@ -2,9 +2,9 @@
 
 mod scene;
 
-use haptimill::machine::{BUILT_IN, MachineFile};
 use haptimill_firmware::controller::Controller;
 use haptimill_hil_sim::RigOptions;
+use haptimill_machine_file::{BUILT_IN, MachineFile};
 use haptimill_protocol::force::{ForceLoop, ForceParameter, ForceRefusal, Gate};
 use haptimill_protocol::message::{Command, Event, Refusal, State};
 use haptimill_tests::Bench;

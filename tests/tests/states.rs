@@ -2,10 +2,10 @@
 
 mod scene;
 
-use haptimill::machine::{BUILT_IN, MachineFile};
 use haptimill_firmware::controller::Controller;
 use haptimill_hil_sim::joint::encoder::EncoderCondition;
 use haptimill_hil_sim::rig::RigOptions;
+use haptimill_machine_file::{BUILT_IN, MachineFile};
 use haptimill_protocol::message::{
     AxisValues, Command, Event, Fault, HomingProblem, InputProblem, Refusal, Source, State,
 };

@@ -1,7 +1,6 @@
 //! The machine in the storm: rig, host's end of the link, a line that can be spoilt, devices that can be broken.
 
 use super::script::{Dice, Episode, JOINTS, Kind};
-use haptimill::machine::MachineFile;
 use haptimill_firmware::config::Drive;
 use haptimill_firmware::controller::Controller;
 use haptimill_firmware::io::{Inputs, Outputs};
@@ -13,6 +12,7 @@ use haptimill_hil_sim::line::SerialLine;
 use haptimill_hil_sim::random::Random;
 use haptimill_hil_sim::rig::{Control, Rig, RigOptions};
 use haptimill_hil_sim::schedule::Schedule;
+use haptimill_machine_file::MachineFile;
 use haptimill_protocol::link::{HostLink, LinkState, Timing};
 use haptimill_protocol::message::{Command, Event, Refusal, Report, Request, Telemetry};
 use std::collections::{BTreeMap, VecDeque};

@@ -980,7 +980,7 @@ impl Player {
                 mutate(&mut config, &mut dice);
             }
         }
-        let file = haptimill::machine::MachineFile {
+        let file = haptimill_machine_file::MachineFile {
             config,
             ..self.world.machine.clone()
         };
