@@ -90,16 +90,22 @@ pub(crate) fn execute(core: &mut Core, server: &mut Server, inputs: &Inputs) {
         Command::ForceLoop { axis, settings } => force::set_force_loop(core, axis, &settings),
         Command::ForceSettings { axis } => force::report_force_settings(core, axis),
         Command::Tare => force::tare(core),
-        Command::Hand {
+        Command::MasterPose {
             epoch,
             age_ms,
-            hand,
+            pose: hand,
         } => haptics::set_remote_master(core, epoch, age_ms, &hand),
-        Command::Feel { force } => haptics::haptic_arm(core).map(|arm| arm.set_remote_force(force)),
-        Command::Reflect(settings) => haptics::set_feedback(core, &settings),
-        Command::Wall { axis, upper, wall } => haptics::set_wall(core, axis, upper, wall),
-        Command::HandScale { scale } => haptics::set_hand_scale(core, scale),
-        Command::HandTelemetry { every } => {
+        Command::RemoteForce { force } => {
+            haptics::haptic_arm(core).map(|arm| arm.set_remote_force(force))
+        }
+        Command::ForceFeedback(settings) => haptics::set_feedback(core, &settings),
+        Command::VirtualFixture {
+            axis,
+            upper,
+            fixture: wall,
+        } => haptics::set_wall(core, axis, upper, wall),
+        Command::PositionScale { scale } => haptics::set_hand_scale(core, scale),
+        Command::MasterTelemetry { every } => {
             server.streams().set(Stream::Haptic, every);
             Ok(())
         }
@@ -204,7 +210,7 @@ fn enable(core: &mut Core, inputs: &Inputs) -> Done {
         return Err(Refusal::Input(InputProblem::Coasting));
     }
     let counted = machine.encoders_counted();
-    machine.enable().map_err(Refusal::Standing)?;
+    machine.enable().map_err(Refusal::MeasuredPose)?;
     if !counted {
         // The count of illegal transitions is above its limit. Nothing supervised the encoders
         // while the drives were off, and the machine may have been moved by hand.

@@ -261,7 +261,7 @@ impl Core {
             }
         }
         while let Some(axis) = machine.take_limited() {
-            self.safety.push_event(Event::YieldLimited { axis });
+            self.safety.push_event(Event::ComplianceLimited { axis });
         }
     }
 

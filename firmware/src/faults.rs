@@ -88,9 +88,9 @@ fn check_devices(core: &mut Core) {
     }
     if let Some(problem) = machine.take_haptic_problem() {
         if core.safety.drives_on() && machine.is_led_by_haptics() {
-            core.safety.raise(Fault::Hand(problem));
+            core.safety.raise(Fault::Master(problem));
         } else {
-            core.safety.push_event(Event::Hand(problem));
+            core.safety.push_event(Event::Master(problem));
         }
     }
 }

@@ -16,7 +16,7 @@ use haptimill_firmware::haptics::walls::{WallConfig, Walls};
 use haptimill_math::force::Force;
 use haptimill_math::trig::sin_cos;
 use haptimill_math::{Angle, Coordinate, Length, Rate};
-use haptimill_protocol::haptic::{Hand, ReflectAxis, Reflection};
+use haptimill_protocol::haptic::{ForceFeedback, ForceFeedbackAxis, MasterPose};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 
@@ -27,14 +27,14 @@ fn force(newtons: f64) -> Force {
     Force((newtons * NEWTON) as i32)
 }
 
-fn settings(percent: [u8; 3], most: [f64; 3], boost: f64) -> Reflection {
-    Reflection {
-        axes: core::array::from_fn(|axis| ReflectAxis {
+fn settings(percent: [u8; 3], most: [f64; 3], boost: f64) -> ForceFeedback {
+    ForceFeedback {
+        axes: core::array::from_fn(|axis| ForceFeedbackAxis {
             percent: percent[axis],
-            most: force(most[axis]).0,
+            limit: force(most[axis]).0,
         }),
-        boost: (boost * NEWTON) as u16,
-        boost_below: force(2.0).0,
+        damping: (boost * NEWTON) as u16,
+        damping_below: force(2.0).0,
     }
 }
 
@@ -84,7 +84,7 @@ proptest! {
         let mut law = FeedbackLaw::new(&settings([40; 3], [3.2; 3], 0.1), 200);
         let mut last = *law.settings();
         for (percent, most, boost, below, hold) in changes {
-            last = Reflection { boost_below: force(below).0, ..settings(percent, most, boost) };
+            last = ForceFeedback { damping_below: force(below).0, ..settings(percent, most, boost) };
             law.set(&last);
             for _ in 0..hold {
                 law.reflect(&tool, &rates);
@@ -95,7 +95,7 @@ proptest! {
         }
         prop_assert_eq!(law.reflect(&tool, &rates), FeedbackLaw::new(&last, 200).reflect(&tool, &rates));
         for axis in 0..3 {
-            prop_assert_eq!(law.most(axis), Force(last.axes[axis].most));
+            prop_assert_eq!(law.most(axis), Force(last.axes[axis].limit));
         }
     }
 
@@ -225,10 +225,10 @@ proptest! {
     /// No sample of a remote master makes it panic.
     #[test]
     fn any_master_sample_is_accepted(tip: [i32; 3], rate: [i32; 3], axes: [[i16; 3]; 2], age: u32, scale in 410_u16..8192, rest: i32) {
-        let hand = Hand { tip, rate, axes, engaged: true };
+        let hand = MasterPose { tip, rate, axes, engaged: true };
         let mut lead = MasterMapping::new(scale);
         lead.follow(&Frame::of(&hand, age, 5000), 0b11111, |_| Coordinate(rest));
-        let other = Hand { tip: tip.map(|x| !x), ..hand };
+        let other = MasterPose { tip: tip.map(|x| !x), ..hand };
         lead.follow(&Frame::of(&other, age, 5000), 0b11111, |_| Coordinate(rest));
     }
 

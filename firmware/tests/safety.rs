@@ -219,7 +219,7 @@ fn stuck_encoder_is_detected_a_static_load_is_not() {
         };
         look(&mut watch, &axis, &seen, 1).map(|fault| (fault, off))
     });
-    let Some((Fault::EncoderStill { axis: 2 }, off)) = fault else {
+    let Some((Fault::EncoderStuck { axis: 2 }, off)) = fault else {
         panic!("{fault:?}")
     };
     // Long before the following error (0.5 mm) would say it.
@@ -327,7 +327,7 @@ fn every_fault() -> [Fault; 16] {
             axis: 0,
             counts: -9,
         },
-        Fault::EncoderStill { axis: 0 },
+        Fault::EncoderStuck { axis: 0 },
         Fault::EncoderReversed { axis: 0 },
         Fault::StepsLost { axis: 0, by: 1 },
         Fault::LostHost { silent_ms: 501 },
@@ -357,7 +357,7 @@ fn missed_periods_explain_their_following_errors() {
         let led_to = matches!(
             other,
             Fault::FollowingError { .. }
-                | Fault::EncoderStill { .. }
+                | Fault::EncoderStuck { .. }
                 | Fault::EncoderReversed { .. }
         );
         let mut safety = in_state(State::Run);

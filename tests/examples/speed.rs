@@ -1,12 +1,12 @@
 //! Where the simulator's time goes: `cargo run --release -p haptimill-tests --example speed -- FILE.ngc [WORK.toml]`. With a work it is cut: mill, structure and
 //! sensor are computed in every period. The recording is written by a second thread; `taskset -c 0` puts both on one core.
-use haptimill::client::Options;
-use haptimill::machine::{MachineFile, work};
-use haptimill::model::{Model, program_options, settings};
-use haptimill::plan::Plan;
-use haptimill::record::{Header, Recorder};
-use haptimill::session::{JobLine, JobRecording, Session, SimLine, Unwatched, rig};
+use haptimill_client::client::Options;
+use haptimill_client::session::{JobLine, JobRecording, Session, SimLine, Unwatched, rig};
 use haptimill_hil_sim::config::PlantConfig;
+use haptimill_machine_file::model::{Model, program_options, settings};
+use haptimill_machine_file::{MachineFile, work};
+use haptimill_planner::Plan;
+use haptimill_trace::{Header, Recorder};
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -23,7 +23,7 @@ fn main() {
     let home = model.home(&machine).expect("a pose");
     let text = std::fs::read(&file).expect("readable");
     let begun = Instant::now();
-    let program = haptimill::program::read(
+    let program = haptimill_gcode::read(
         &file,
         &text,
         &program_options(&machine, model.to_people(&home)),

@@ -1,9 +1,9 @@
 //! Setpoints that follow each other more closely than the planner of this project puts them.
 
-use haptimill::client::Options;
-use haptimill::machine::MachineFile;
-use haptimill::model::Model;
-use haptimill::session::{Session, SimLine, Unwatched, rig};
+use haptimill_client::client::Options;
+use haptimill_client::session::{Session, SimLine, Unwatched, rig};
+use haptimill_machine_file::MachineFile;
+use haptimill_machine_file::model::Model;
 use haptimill_protocol::message::{Action, AxisValues, State};
 use haptimill_protocol::setpoint::Setpoint;
 use std::sync::Arc;

@@ -6,8 +6,8 @@
 mod chip;
 
 use chip::{BOARDS, Remote, image, remote, results, root, run};
-use haptimill::cli::Exit;
-use haptimill::port::Board;
+use haptimill::commands::Exit;
+use haptimill_client::port::Board;
 use haptimill_firmware::io::DriveCommand;
 use haptimill_firmware::profiler::Stage;
 use haptimill_hil_sim::rig::{Control, RigOptions};

@@ -6,8 +6,8 @@
 mod chip;
 
 use chip::{BOARDS, Deed, Remote, assert_same, bench, deed};
-use haptimill::cli::Exit;
-use haptimill::port::Board;
+use haptimill::commands::Exit;
+use haptimill_client::port::Board;
 use haptimill_firmware::comm::rx_ring::RING_BYTES;
 use haptimill_firmware::io::DriveCommand;
 use haptimill_hil_sim::line::LineCounters;

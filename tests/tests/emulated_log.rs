@@ -5,9 +5,9 @@
 mod chip;
 
 use chip::{image, results, root, run};
-use haptimill::cli::Exit;
-use haptimill::record::{Recording, difference};
+use haptimill::commands::Exit;
 use haptimill_tests::log;
+use haptimill_trace::{Recording, difference};
 
 /// Bytes of an image that go into the chip's memory: its loadable segments.
 fn loaded(image: &[u8]) -> Vec<u8> {

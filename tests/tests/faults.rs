@@ -23,7 +23,7 @@ fn a_reversed_encoder_does_not_run_away() {
             };
             let mut struck = strike(0, joint, speed, spoil_encoder(joint, swapped));
             let named = struck.fault == Fault::EncoderReversed { axis: joint as u8 }
-                || struck.fault == Fault::EncoderStill { axis: joint as u8 };
+                || struck.fault == Fault::EncoderStuck { axis: joint as u8 };
             assert!(named, "{:?}", struck.fault);
             assert!(
                 struck.off < 0.1 && struck.periods < 100,
@@ -89,7 +89,7 @@ fn a_stuck_channel_is_seen_before_the_slide_is_fast() {
             ),
         ] {
             let mut struck = strike(0, joint, speed, spoil_encoder(joint, condition));
-            assert_eq!(struck.fault, Fault::EncoderStill { axis: joint as u8 });
+            assert_eq!(struck.fault, Fault::EncoderStuck { axis: joint as u8 });
             assert!(struck.off < most, "{speed} mm/s: {} mm", struck.off);
             struck
                 .bench
@@ -173,7 +173,7 @@ fn a_dead_or_reversed_drive_and_a_jammed_slide_are_told() {
         ] {
             let mut struck = strike(0, 1, speed, spoil_joint(1, condition));
             let axis = match struck.fault {
-                Fault::EncoderStill { axis }
+                Fault::EncoderStuck { axis }
                 | Fault::EncoderReversed { axis }
                 | Fault::FollowingError { axis, .. } => axis,
                 other => panic!("{name}: {other:?}"),
@@ -428,7 +428,7 @@ fn late_setpoints_slow_the_machine_on_its_path_and_are_named() {
 /// The machine with step motors, homed, and then in the middle of a line in x.
 fn stepping(speed: f64) -> Bench {
     let text = include_str!("../../machines/h4-step.toml");
-    let machine = haptimill::machine::MachineFile::parse("h4-step.toml", text).expect("sound");
+    let machine = haptimill_machine_file::MachineFile::parse("h4-step.toml", text).expect("sound");
     let options = haptimill_hil_sim::rig::RigOptions::default();
     let controller = haptimill_firmware::controller::Controller::new(200);
     let mut bench = Bench::of_machine(machine, &options, controller);
@@ -513,7 +513,7 @@ fn a_step_motor_that_cannot_or_an_encoder_that_lies_stops_the_whole_path() {
             let kept = match fault {
                 Some(
                     Fault::StepsLost { axis: 1, .. }
-                    | Fault::EncoderStill { axis: 1 }
+                    | Fault::EncoderStuck { axis: 1 }
                     | Fault::EncoderReversed { axis: 1 }
                     | Fault::FollowingError { axis: 1, .. },
                 ) => false,

@@ -50,7 +50,7 @@ enum Happening {
         noisy: bool,
     },
     /// An elastic body beside the tool, so many mm away towards -x; or none.
-    Wall(Option<f64>),
+    VirtualFixture(Option<f64>),
     /// A channel of the force sensor breaks, or is whole again.
     Sensor {
         component: usize,
@@ -158,7 +158,7 @@ fn happening() -> impl Strategy<Value = (Happening, usize)> {
         1 => (0_usize..5, any::<bool>()).prop_map(|(joint, active)| Happening::Limit { joint, active }),
         1 => (0_usize..5, any::<bool>()).prop_map(|(joint, tripped)| Happening::Tripped { joint, tripped }),
         1 => (0_usize..5, any::<bool>()).prop_map(|(joint, noisy)| Happening::Noise { joint, noisy }),
-        2 => prop::option::of(-0.5_f64..2.0).prop_map(Happening::Wall),
+        2 => prop::option::of(-0.5_f64..2.0).prop_map(Happening::VirtualFixture),
         1 => (0_usize..3, any::<bool>(), any::<bool>(), prop_oneof![4 => Just(1.0), 1 => Just(-1.0)])
             .prop_map(|(component, stuck, dropped, gain)| Happening::Sensor {
                 component,
@@ -307,7 +307,7 @@ impl Watched {
                     .plant_mut()
                     .set_encoder_condition(*joint, condition);
             }
-            Happening::Wall(gap) => {
+            Happening::VirtualFixture(gap) => {
                 let at = tool(bench);
                 let wall = gap.map(|gap| ElasticWall {
                     point: [at[0] - gap, at[1], at[2]],

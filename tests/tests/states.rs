@@ -2,10 +2,10 @@
 
 mod scene;
 
-use haptimill::machine::{BUILT_IN, MachineFile};
 use haptimill_firmware::controller::Controller;
 use haptimill_hil_sim::joint::encoder::EncoderCondition;
 use haptimill_hil_sim::rig::RigOptions;
+use haptimill_machine_file::{BUILT_IN, MachineFile};
 use haptimill_protocol::message::{
     AxisValues, Command, Event, Fault, HomingProblem, InputProblem, Refusal, Source, State,
 };
@@ -408,7 +408,7 @@ fn a_configuration_that_is_activated_under_a_latched_fault_is_as_good_as_one_aft
     bench.steps(2000);
     assert!(matches!(
         bench.status().fault,
-        Some(Fault::EncoderStill { .. } | Fault::EncoderReversed { .. })
+        Some(Fault::EncoderStuck { .. } | Fault::EncoderReversed { .. })
     ));
     bench
         .rig

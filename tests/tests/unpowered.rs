@@ -3,13 +3,13 @@
 
 mod scene;
 
-use haptimill::machine::{BUILT_IN, MachineFile};
 use haptimill_firmware::controller::Controller;
 use haptimill_firmware::io::{Inputs, Outputs};
 use haptimill_firmware::safety::suspected;
 use haptimill_hil_sim::joint::encoder::EncoderCondition;
 use haptimill_hil_sim::plant::JointCondition;
 use haptimill_hil_sim::rig::{Control, RigOptions};
+use haptimill_machine_file::{BUILT_IN, MachineFile};
 use haptimill_protocol::message::{Command, Fault, InputProblem, Refusal, State};
 use haptimill_tests::Bench;
 use scene::{DEGREE, MM, drives_off, jog, line, ready, state};

@@ -9,7 +9,7 @@
 //!
 //! Receive and transmit therefore alternate, and neither can block the other.
 
-use haptimill_protocol::link::Work;
+use haptimill_protocol::link::ReceiveEffort;
 
 /// The long job of a control period.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -44,10 +44,10 @@ pub struct Schedule {
 impl Schedule {
     /// Begins a period. `busy`: interpolation needs it. `received`: what the link did in it.
     #[inline]
-    pub fn begin(&mut self, busy: bool, received: Work) {
+    pub fn begin(&mut self, busy: bool, received: ReceiveEffort) {
         self.slice = if busy && self.slice != Slice::Deferred {
             Slice::Deferred
-        } else if received == Work::Moved {
+        } else if received == ReceiveEffort::Moved {
             Slice::Receive
         } else if core::mem::take(&mut self.transmit_waits) {
             Slice::Transmit

@@ -12,7 +12,9 @@ use super::schedule::{Schedule, Slice};
 use super::telemetry::{Stream, Streams};
 use crate::io::{Inputs, TRANSMIT_BYTES};
 use crate::safety::Safety;
-use haptimill_protocol::link::{ControllerLink, Greeted, Identity, SHORT_REPORT, Timing, Work};
+use haptimill_protocol::link::{
+    ControllerLink, HelloOutcome, Identity, ReceiveEffort, SHORT_REPORT, Timing,
+};
 use haptimill_protocol::message::{AxisValues, Command, ConfigChunk, Refusal, Report, Request};
 use haptimill_protocol::setpoint::{BatchReader, Setpoint, SetpointCoder};
 use heapless::{Deque, Vec};
@@ -63,7 +65,7 @@ pub struct Server {
     request: Request,
     request_waits: bool,
     /// Receive effort of this period.
-    received: Work,
+    received: ReceiveEffort,
     schedule: Schedule,
     streams: Streams,
     coder: SetpointCoder,
@@ -101,7 +103,7 @@ impl Server {
             validated: None,
             request: NOTHING,
             request_waits: false,
-            received: Work::Nothing,
+            received: ReceiveEffort::Nothing,
             schedule: Schedule::default(),
             streams: Streams::default(),
             coder: SetpointCoder::new(period_us, &AxisValues::new()),
@@ -123,7 +125,7 @@ impl Server {
         self.lost = self.lost.saturating_add(u32::from(lost));
         self.lost_before = inputs.lost_bytes;
         self.received = if inputs.received.is_empty() {
-            Work::Nothing
+            ReceiveEffort::Nothing
         } else {
             self.receive(&inputs.received)
         };
@@ -136,7 +138,8 @@ impl Server {
     pub fn next(&mut self, busy: bool) -> Option<Incoming> {
         self.schedule.begin(busy, self.received);
         let may_execute = self.schedule.may_execute(self.telemetry_waits());
-        let nothing = !self.request_waits && self.validated.is_none() && self.link.has_heard_all();
+        let nothing =
+            !self.request_waits && self.validated.is_none() && self.link.has_received_all();
         if !may_execute || nothing || self.answers.is_full() {
             return None;
         }
@@ -166,7 +169,7 @@ impl Server {
 
     /// Takes bytes from the line.
     #[inline(never)]
-    fn receive(&mut self, bytes: &[u8]) -> Work {
+    fn receive(&mut self, bytes: &[u8]) -> ReceiveEffort {
         self.link.receive(self.now_us, bytes)
     }
 
@@ -174,7 +177,7 @@ impl Server {
     #[inline(never)]
     pub fn welcome(&mut self, identity: &Identity<'_>, busy: bool) {
         let greeted = self.link.welcome(self.now_us, identity, busy);
-        if greeted == Greeted::Begun {
+        if greeted == HelloOutcome::Begun {
             self.reset();
             self.session_begun = true;
         }
@@ -239,9 +242,9 @@ impl Server {
     #[inline]
     pub const fn budget(&self) -> usize {
         match self.received {
-            Work::Nothing => 8,
-            Work::Bytes => 5,
-            Work::Frame | Work::Moved => 3,
+            ReceiveEffort::Nothing => 8,
+            ReceiveEffort::Bytes => 5,
+            ReceiveEffort::Frame | ReceiveEffort::Moved => 3,
         }
     }
 

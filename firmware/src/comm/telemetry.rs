@@ -123,7 +123,7 @@ pub(crate) fn sample(
         Stream::Machine => Some(Report::Telemetry(sample_machine(core, inputs, line))),
         Stream::Haptic => {
             let arm = core.machine.as_ref()?.masters.arm()?;
-            Some(Report::Hand(arm.telemetry(inputs.period)))
+            Some(Report::Master(arm.telemetry(inputs.period)))
         }
     }
 }

@@ -50,7 +50,7 @@ pub(super) fn tare(core: &mut Core) -> Done {
         return Err(Refusal::State(state));
     }
     if force.displaced() {
-        return Err(Refusal::Yielding);
+        return Err(Refusal::Compliant);
     }
     force.begin_tare();
     Ok(())

@@ -84,7 +84,7 @@ pub(super) fn choose_source(core: &mut Core, axis: u8, source: Source) -> Done {
     }
     let follows = HAND && machine.config.follow.is_some() && usize::from(axis) < LED;
     if source == Source::Master && !follows {
-        return Err(Refusal::NoHand);
+        return Err(Refusal::NoMaster);
     }
     machine.masters.mapping.release_one(usize::from(axis));
     // Without the feature `hand` no source takes over a moving coordinate.

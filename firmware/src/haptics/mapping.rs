@@ -15,7 +15,7 @@
 //! Callers must latch the position at which a moving tool comes to standstill. The present position
 //! of a moving tool would pull it back.
 
-use super::Hand;
+use super::MasterPose;
 use haptimill_kinematics::haptic_arm::Vector;
 use haptimill_math::root::hypot;
 use haptimill_math::scale::{multiply_shift, round_shift, saturate};
@@ -48,7 +48,7 @@ impl Frame {
     /// The frame of a remote master from a sample that is `age` control periods old, with
     /// `per_second` control periods per second. The motion is extrapolated for at most 0.02 s.
     #[must_use]
-    pub fn of(hand: &Hand, age: u32, per_second: u32) -> Self {
+    pub fn of(hand: &MasterPose, age: u32, per_second: u32) -> Self {
         let age = i64::from(age.min(per_second / 50));
         let on = |axis: usize| {
             // 2^-12 mm/s times control periods: below 2^31 * 2^9 * 2^8.
@@ -210,14 +210,14 @@ fn dot(a: Vector, b: Vector) -> i64 {
 /// Last sample of a remote master.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct RemoteMaster {
-    hand: Hand,
+    hand: MasterPose,
     /// Control periods since the sample; `None` without a sample.
     age: Option<u32>,
 }
 
 impl RemoteMaster {
     /// Sets a new sample that is `age` control periods old.
-    pub const fn set_sample(&mut self, hand: &Hand, age: u32) {
+    pub const fn set_sample(&mut self, hand: &MasterPose, age: u32) {
         self.hand = *hand;
         self.age = Some(age);
     }

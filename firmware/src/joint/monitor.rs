@@ -254,7 +254,7 @@ impl JointMonitor {
                 limit: saturate(limit),
             }
         } else if sample.rate.0 == 0 {
-            Fault::EncoderStill { axis }
+            Fault::EncoderStuck { axis }
         } else {
             Fault::EncoderReversed { axis }
         })
@@ -278,7 +278,7 @@ impl JointMonitor {
                 reversals.count += 1;
                 if reversals.count >= REVERSALS {
                     reversals.count = 0;
-                    return Some(Fault::EncoderStill { axis });
+                    return Some(Fault::EncoderStuck { axis });
                 }
             }
         }
@@ -351,7 +351,7 @@ impl JointMonitor {
         let rate = (magnitude(config.following) * 25 / 2) >> 8;
         let momentum = (i64::from(config.law.inertia) * rate) >> 20;
         let limit = momentum * 1_000_000 / i64::from(sample.period_us.max(1));
-        (last_count.impulse > limit).then_some(Fault::EncoderStill { axis })
+        (last_count.impulse > limit).then_some(Fault::EncoderStuck { axis })
     }
 
     /// Commanded motion that was not measured, or was measured with the opposite sign.
@@ -366,7 +366,7 @@ impl JointMonitor {
         let measured = difference(config, sample.measured, measured_then);
         self.since = None;
         if measured.abs() < commanded.abs() / 8 {
-            return Some(Fault::EncoderStill { axis });
+            return Some(Fault::EncoderStuck { axis });
         }
         (measured.signum() != commanded.signum()).then_some(Fault::EncoderReversed { axis })
     }

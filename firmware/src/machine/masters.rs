@@ -10,9 +10,9 @@ use crate::config::HAND;
 use crate::config::digest::Digest;
 use crate::haptics::config::Encoder;
 use crate::haptics::mapping::{Frame, MasterMapping, RemoteMaster};
-use crate::haptics::{HandProblem, Haptic, Zero};
+use crate::haptics::{Haptic, MasterProblem, Zero};
 use crate::io::{HapticInputs, HapticOutputs, LEGS};
-use haptimill_protocol::haptic::Hand;
+use haptimill_protocol::haptic::MasterPose;
 
 /// The masters, and their mapping to the tool.
 #[derive(Debug, Default)]
@@ -105,7 +105,7 @@ impl Machine {
     }
 
     /// Stores a pose of the remote master, `age_ms` milliseconds old.
-    pub fn set_remote_master(&mut self, hand: &Hand, age_ms: u8) {
+    pub fn set_remote_master(&mut self, hand: &MasterPose, age_ms: u8) {
         let age = u32::from(age_ms) * self.masters.periods_per_second / 1000;
         self.masters.remote.set_sample(hand, age);
     }
@@ -204,7 +204,7 @@ impl Machine {
     }
 
     /// A problem of the haptic arm that was not reported yet.
-    pub fn take_haptic_problem(&mut self) -> Option<HandProblem> {
+    pub fn take_haptic_problem(&mut self) -> Option<MasterProblem> {
         self.masters.arm_mut()?.take_problem()
     }
 

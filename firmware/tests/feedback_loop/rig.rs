@@ -11,7 +11,7 @@ use haptimill_firmware::force::sensor::{Channel, Sensor};
 use haptimill_firmware::force::{ForceConfig, Gate, LoopSettings};
 use haptimill_math::Rate;
 use haptimill_math::force::Force;
-use haptimill_protocol::haptic::{Hand, ReflectAxis, Reflection};
+use haptimill_protocol::haptic::{ForceFeedback, ForceFeedbackAxis, MasterPose};
 use haptimill_protocol::message::{Command, State};
 use std::collections::VecDeque;
 
@@ -98,15 +98,15 @@ fn sensor(yields: bool) -> ForceConfig {
     }
 }
 
-fn reflection() -> Reflection {
-    let axis = ReflectAxis {
+fn reflection() -> ForceFeedback {
+    let axis = ForceFeedbackAxis {
         percent: 40,
-        most: (3.2 * NEWTON) as i32,
+        limit: (3.2 * NEWTON) as i32,
     };
-    Reflection {
+    ForceFeedback {
         axes: [axis; 3],
-        boost: 0,
-        boost_below: 2 << 16,
+        damping: 0,
+        damping_below: 2 << 16,
     }
 }
 
@@ -159,7 +159,7 @@ pub fn run(case: &Case) -> Outcome {
     let (mut tool, mut tool_rate) = (10.0_f64, 0.0_f64);
     let mut motor = 0.0_f64;
     let lag = (case.delay / T).round() as usize;
-    let mut out: VecDeque<(usize, Hand)> = VecDeque::new();
+    let mut out: VecDeque<(usize, MasterPose)> = VecDeque::new();
     let mut back: VecDeque<(usize, [i16; 3])> = VecDeque::new();
     // The law's share comes in within 0.1 s.
     let begin = (0.3 / T) as usize;
@@ -193,21 +193,21 @@ pub fn run(case: &Case) -> Outcome {
         hand.centre = [HOME[0] + x - 10.0, HOME[1], HOME[2]];
         if let Some(master) = &mut master {
             if period % WORD == 0 {
-                let hand = master.arm().telemetry(0).hand;
+                let hand = master.arm().telemetry(0).pose;
                 out.push_back((period + lag, hand));
                 back.push_back((period + lag, [(peak * 64.0).round() as i16, 0, 0]));
             }
             while let Some((_, hand)) = out.front().copied().filter(|(at, _)| *at <= period) {
                 out.pop_front();
-                mill.say(Command::Hand {
+                mill.say(Command::MasterPose {
                     epoch: 1,
                     age_ms: 0,
-                    hand,
+                    pose: hand,
                 });
             }
             while let Some((_, force)) = back.front().copied().filter(|(at, _)| *at <= period) {
                 back.pop_front();
-                master.say(Command::Feel { force });
+                master.say(Command::RemoteForce { force });
             }
             master.step();
         }

@@ -8,7 +8,7 @@ use haptimill_firmware::controller::Controller;
 use haptimill_firmware::haptics::Haptic;
 use haptimill_firmware::io::{DriveCommand, Inputs, Outputs};
 use haptimill_protocol::frame::crc32;
-use haptimill_protocol::haptic::HandTelemetry;
+use haptimill_protocol::haptic::MasterTelemetry;
 use haptimill_protocol::link::{HostLink, LinkState, Timing};
 use haptimill_protocol::message::{
     AxisValues, CONFIG_CHUNK, Command, ConfigChunk, Event, Refusal, Report, Request, Source, State,
@@ -23,7 +23,7 @@ pub struct Bench {
     pub config: Config,
     pub events: Vec<Event>,
     pub telemetry: Option<Telemetry>,
-    pub hand_report: Option<HandTelemetry>,
+    pub hand_report: Option<MasterTelemetry>,
     answer: Option<(u8, Result<(), Refusal>)>,
     id: u8,
     /// Platform of the handle.
@@ -133,7 +133,7 @@ impl Bench {
                 Report::Answer { id, result } => self.answer = Some((id, result)),
                 Report::Event { event, .. } => self.events.push(event),
                 Report::Telemetry(telemetry) => self.telemetry = Some(telemetry),
-                Report::Hand(hand) => self.hand_report = Some(hand),
+                Report::Master(hand) => self.hand_report = Some(hand),
             }
         }
     }

@@ -5,7 +5,7 @@ use crate::arm::{self, rotation, times};
 use crate::bench::Bench;
 use crate::{JumpCheck, mill};
 use haptimill_firmware::config::Config;
-use haptimill_protocol::haptic::Hand;
+use haptimill_protocol::haptic::MasterPose;
 use haptimill_protocol::message::{Command, Event, Refusal, Request, Source, State};
 
 #[test]
@@ -56,15 +56,15 @@ fn tool_follows_the_master_and_the_clutch() {
     assert!((bench.at(0).0 - rest.0).abs() < 0.02);
     // The scale changes while it leads: no jump, and half the way from there on.
     assert_eq!(
-        bench.ask(Command::HandScale { scale: 300 }),
+        bench.ask(Command::PositionScale { scale: 300 }),
         Err(Refusal::Range)
     );
     assert_eq!(
-        bench.ask(Command::HandScale { scale: 8300 }),
+        bench.ask(Command::PositionScale { scale: 8300 }),
         Err(Refusal::Range)
     );
     let before = bench.at(0).0;
-    assert_eq!(bench.ask(Command::HandScale { scale: 2048 }), Ok(()));
+    assert_eq!(bench.ask(Command::PositionScale { scale: 2048 }), Ok(()));
     watch.lead(&mut bench, [-4.0, 0.0, 0.0], 4000);
     bench.steps(5000);
     assert!(
@@ -242,7 +242,7 @@ fn master_is_blocked_at_the_workspace_boundary() {
     bench.start_job();
     bench.inputs.haptic.engaged = true;
     // G_P of 2 and repeated strokes of the clutch, towards soft limit and edge of the workspace.
-    assert_eq!(bench.ask(Command::HandScale { scale: 8192 }), Ok(()));
+    assert_eq!(bench.ask(Command::PositionScale { scale: 8192 }), Ok(()));
     let mut watch = JumpCheck::at(&bench);
     for _ in 0..4 {
         bench.inputs.haptic.engaged = true;
@@ -276,24 +276,24 @@ fn silent_remote_master_holds_the_job() {
     };
     let mut bench = Bench::ready(config);
     assert_eq!(
-        bench.ask(Command::Feel { force: [0; 3] }),
-        Err(Refusal::NoHand)
+        bench.ask(Command::RemoteForce { force: [0; 3] }),
+        Err(Refusal::NoMaster)
     );
     bench.master(0);
     bench.start_job();
     let start = bench.at(0).0;
     let mut x = 30.0_f64;
     let say = |bench: &mut Bench, epoch: u16, x: f64, rate: f64| {
-        let hand = Hand {
+        let hand = MasterPose {
             tip: [(x * 1_048_576.0) as i32, 0, 0],
             rate: [(rate * 4096.0) as i32, 0, 0],
             axes: [[32767, 0, 0], [0, 0, 32767]],
             engaged: true,
         };
-        bench.say(Command::Hand {
+        bench.say(Command::MasterPose {
             epoch,
             age_ms: 2,
-            hand,
+            pose: hand,
         });
     };
     let mut watch = JumpCheck::at(&bench);
@@ -322,7 +322,7 @@ fn silent_remote_master_holds_the_job() {
         bench
             .events
             .iter()
-            .any(|event| matches!(event, Event::HandLost { age_ms: 50..=52 })),
+            .any(|event| matches!(event, Event::MasterLost { age_ms: 50..=52 })),
         "{:?}",
         bench.events
     );

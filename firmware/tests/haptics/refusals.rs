@@ -4,7 +4,7 @@ use crate::bench::Bench;
 use crate::mill;
 use haptimill_checks::reference;
 use haptimill_firmware::config::Config;
-use haptimill_protocol::haptic::HandProblem;
+use haptimill_protocol::haptic::MasterProblem;
 use haptimill_protocol::message::{Command, Event, Fault, Refusal, Source, State};
 
 #[test]
@@ -41,7 +41,7 @@ fn wrong_arm_encoder_switches_the_arm_off_and_stops() {
             assert!(
                 matches!(
                     fault,
-                    Some(Fault::Hand(HandProblem::Encoder { leg: 1, .. }))
+                    Some(Fault::Master(MasterProblem::Encoder { leg: 1, .. }))
                 ),
                 "{name} {sensor}: {fault:?}"
             );
@@ -63,7 +63,7 @@ fn other_arm_problems_are_named() {
     bench.steps(100);
     // Nothing was led: told, and the arm stays off until reset.
     assert!(bench.arm_off() && bench.state() == State::Idle);
-    assert!(bench.events.contains(&Event::Hand(HandProblem::Drive)));
+    assert!(bench.events.contains(&Event::Master(MasterProblem::Drive)));
     assert_eq!(bench.ask(Command::Reset), Ok(()));
     bench.steps(2);
     assert!(bench.outputs.haptic.enabled);
@@ -74,7 +74,7 @@ fn other_arm_problems_are_named() {
     let fault = bench.controller.safety().fault();
     assert_eq!(
         fault,
-        Some(Fault::Hand(HandProblem::Illegal { leg: 2, sensor: 1 }))
+        Some(Fault::Master(MasterProblem::Illegal { leg: 2, sensor: 1 }))
     );
 }
 
@@ -112,7 +112,7 @@ fn arm_problem_with_drives_off_is_an_event() {
         bench
             .events
             .iter()
-            .any(|event| matches!(event, Event::Hand(HandProblem::Encoder { leg: 0, .. }))),
+            .any(|event| matches!(event, Event::Master(MasterProblem::Encoder { leg: 0, .. }))),
         "{:?}",
         bench.events
     );
@@ -129,19 +129,19 @@ fn invalid_haptic_commands_are_refused() {
     let source = Source::Master;
     assert_eq!(
         bench.ask(Command::Source { axis: 0, source }),
-        Err(Refusal::NoHand)
+        Err(Refusal::NoMaster)
     );
     assert_eq!(
-        bench.ask(Command::HandScale { scale: 4096 }),
-        Err(Refusal::NoHand)
+        bench.ask(Command::PositionScale { scale: 4096 }),
+        Err(Refusal::NoMaster)
     );
     assert_eq!(
-        bench.ask(Command::Wall {
+        bench.ask(Command::VirtualFixture {
             axis: 0,
             upper: true,
-            wall: None
+            fixture: None
         }),
-        Err(Refusal::NoHand)
+        Err(Refusal::NoMaster)
     );
     for change in [
         |config: &mut Config| config.haptic.as_mut().expect("one").geometry.link.0 = 0,

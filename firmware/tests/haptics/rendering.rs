@@ -4,7 +4,7 @@ use crate::bench::Bench;
 use crate::mill;
 use haptimill_checks::reference;
 use haptimill_firmware::config::Config;
-use haptimill_protocol::haptic::{ReflectAxis, Reflection, Wall};
+use haptimill_protocol::haptic::{ForceFeedback, ForceFeedbackAxis, VirtualFixture};
 use haptimill_protocol::message::{Command, Refusal};
 
 /// A master: a controller without axes. It renders the remote force with a limited slope, and its
@@ -12,7 +12,7 @@ use haptimill_protocol::message::{Command, Refusal};
 #[test]
 fn master_arm_renders_the_remote_force() {
     let mut bench = Bench::ready(reference::master());
-    assert_eq!(bench.ask(Command::HandTelemetry { every: 20 }), Ok(()));
+    assert_eq!(bench.ask(Command::MasterTelemetry { every: 20 }), Ok(()));
     bench.inputs.haptic.engaged = true;
     bench.steps(600);
     let mut last = bench.felt();
@@ -21,7 +21,7 @@ fn master_arm_renders_the_remote_force() {
         for k in 0..periods {
             if k % 50 == 0 {
                 let force = force.map(|part| (part * 64.0) as i16);
-                bench.say(Command::Feel { force });
+                bench.say(Command::RemoteForce { force });
             }
             bench.step();
             let now = bench.felt();
@@ -43,37 +43,37 @@ fn master_arm_renders_the_remote_force() {
         assert!((force - want).abs() < 0.01, "{force} {want}");
     }
     // Another percentage comes in gently.
-    let axis = ReflectAxis {
+    let axis = ForceFeedbackAxis {
         percent: 20,
-        most: 3 << 16,
+        limit: 3 << 16,
     };
-    let settings = Reflection {
+    let settings = ForceFeedback {
         axes: [axis; 3],
-        boost: 6554,
-        boost_below: 2 << 16,
+        damping: 6554,
+        damping_below: 2 << 16,
     };
-    assert_eq!(bench.ask(Command::Reflect(settings)), Ok(()));
+    assert_eq!(bench.ask(Command::ForceFeedback(settings)), Ok(()));
     let force = run(&mut bench, [10.0, 0.0, 0.0], 8000);
     assert!((force[0] - 2.0).abs() < 0.01, "{force:?}");
-    let bad = Reflection {
-        axes: [ReflectAxis {
+    let bad = ForceFeedback {
+        axes: [ForceFeedbackAxis {
             percent: 101,
-            most: 0,
+            limit: 0,
         }; 3],
         ..settings
     };
-    assert_eq!(bench.ask(Command::Reflect(bad)), Err(Refusal::Range));
+    assert_eq!(bench.ask(Command::ForceFeedback(bad)), Err(Refusal::Range));
     assert!(steps > 10, "the step was never used");
     // Nothing more is heard of the tool: the force goes away by itself.
     bench.steps(1500);
     assert!(bench.felt()[0].abs() < 0.01);
     let hand = bench.hand_report.expect("telemetry of the hand");
-    assert!(hand.hand.engaged && hand.enabled && hand.problem.is_none());
+    assert!(hand.pose.engaged && hand.enabled && hand.problem.is_none());
     assert!(
-        (f64::from(hand.hand.tip[2]) / 1_048_576.0 - 600.0).abs() < 0.05,
+        (f64::from(hand.pose.tip[2]) / 1_048_576.0 - 600.0).abs() < 0.05,
         "{hand:?}"
     );
-    assert!(hand.hand.axes[0][0] > 32_700 && hand.hand.axes[1][2] > 32_700);
+    assert!(hand.pose.axes[0][0] > 32_700 && hand.pose.axes[1][2] > 32_700);
 }
 
 #[test]
@@ -81,32 +81,32 @@ fn virtual_walls_push_back_and_move() {
     let mut bench = Bench::ready(reference::master());
     let at = |x: f64| Some((x * 1_048_576.0) as i32);
     let wall = |x: f64, rate: f64| {
-        Some(Wall {
+        Some(VirtualFixture {
             at: at(x),
             rate: (rate * 4096.0) as i32,
         })
     };
     assert_eq!(
-        bench.ask(Command::Wall {
+        bench.ask(Command::VirtualFixture {
             axis: 0,
             upper: false,
-            wall: wall(-10.0, 0.0)
+            fixture: wall(-10.0, 0.0)
         }),
         Ok(())
     );
     assert_eq!(
-        bench.ask(Command::Wall {
+        bench.ask(Command::VirtualFixture {
             axis: 0,
             upper: true,
-            wall: wall(-6.0, 0.0)
+            fixture: wall(-6.0, 0.0)
         }),
-        Err(Refusal::WallTooNear)
+        Err(Refusal::FixturesTooNear)
     );
     assert_eq!(
-        bench.ask(Command::Wall {
+        bench.ask(Command::VirtualFixture {
             axis: 3,
             upper: true,
-            wall: None
+            fixture: None
         }),
         Err(Refusal::Range)
     );
@@ -129,15 +129,15 @@ fn virtual_walls_push_back_and_move() {
     bench.steps(500);
     assert_eq!(bench.felt()[0], 0.0);
     // E6: from the handle, 4 mm/s in -X.
-    let moving = Wall {
+    let moving = VirtualFixture {
         at: None,
         rate: -4 * 4096,
     };
     assert_eq!(
-        bench.ask(Command::Wall {
+        bench.ask(Command::VirtualFixture {
             axis: 0,
             upper: false,
-            wall: Some(moving)
+            fixture: Some(moving)
         }),
         Ok(())
     );

@@ -1,7 +1,6 @@
 //! The machine in the storm: rig, host's end of the link, a line that can be spoilt, devices that can be broken.
 
 use super::script::{Dice, Episode, JOINTS, Kind};
-use haptimill::machine::MachineFile;
 use haptimill_firmware::config::Drive;
 use haptimill_firmware::controller::Controller;
 use haptimill_firmware::io::{Inputs, Outputs};
@@ -13,6 +12,7 @@ use haptimill_hil_sim::line::SerialLine;
 use haptimill_hil_sim::random::Random;
 use haptimill_hil_sim::rig::{Control, Rig, RigOptions};
 use haptimill_hil_sim::schedule::Schedule;
+use haptimill_machine_file::MachineFile;
 use haptimill_protocol::link::{HostLink, LinkState, Timing};
 use haptimill_protocol::message::{Command, Event, Refusal, Report, Request, Telemetry};
 use std::collections::{BTreeMap, VecDeque};
@@ -172,12 +172,12 @@ pub const fn name(command: &Command) -> &'static str {
         Command::ForceMask { .. } => "ForceMask",
         Command::ForceLoop { .. } => "ForceLoop",
         Command::Tare => "Tare",
-        Command::Hand { .. } => "Hand",
-        Command::Feel { .. } => "Feel",
-        Command::Reflect(_) => "Reflect",
-        Command::Wall { .. } => "Wall",
-        Command::HandScale { .. } => "HandScale",
-        Command::HandTelemetry { .. } => "HandTelemetry",
+        Command::MasterPose { .. } => "MasterPose",
+        Command::RemoteForce { .. } => "RemoteForce",
+        Command::ForceFeedback(_) => "ForceFeedback",
+        Command::VirtualFixture { .. } => "VirtualFixture",
+        Command::PositionScale { .. } => "PositionScale",
+        Command::MasterTelemetry { .. } => "MasterTelemetry",
         Command::ForceSettings { .. } => "ForceSettings",
     }
 }
@@ -248,7 +248,10 @@ impl World {
 
     /// Sends a request; false if there is no room, or no session.
     pub fn say(&mut self, command: &Command) -> bool {
-        if matches!(command, Command::Hand { .. } | Command::Feel { .. }) {
+        if matches!(
+            command,
+            Command::MasterPose { .. } | Command::RemoteForce { .. }
+        ) {
             let request = Request {
                 id: 0,
                 command: command.clone(),
@@ -383,7 +386,7 @@ impl World {
                 Report::Answer { id, result } => self.answered(id, result),
                 Report::Event { period, event } => self.events.push((period, event)),
                 Report::Telemetry(telemetry) => self.telemetry = Some(telemetry),
-                Report::Hand(_) => {}
+                Report::Master(_) => {}
             }
         }
         ticked

@@ -2,7 +2,7 @@
 
 use super::script::Dice;
 use haptimill_protocol::force::{ForceLoop, Gate};
-use haptimill_protocol::haptic::{Hand, ReflectAxis, Reflection, Wall};
+use haptimill_protocol::haptic::{ForceFeedback, ForceFeedbackAxis, MasterPose, VirtualFixture};
 use haptimill_protocol::message::{
     Action, AxisValues, Command, ConfigChunk, SetpointBatch, SetpointDelta, Source,
 };
@@ -78,35 +78,35 @@ pub fn yielding_loop(dice: &mut Dice) -> ForceLoop {
 
 /// Settings of the reflection.
 pub fn reflect(dice: &mut Dice) -> Command {
-    let axis = |dice: &mut Dice| ReflectAxis {
+    let axis = |dice: &mut Dice| ForceFeedbackAxis {
         percent: dice.pick(&[0, 20, 100, 100, 101]),
-        most: (dice.between(-1.0, 12.0) * 65_536.0) as i32,
+        limit: (dice.between(-1.0, 12.0) * 65_536.0) as i32,
     };
-    Command::Reflect(Reflection {
+    Command::ForceFeedback(ForceFeedback {
         axes: [axis(dice), axis(dice), axis(dice)],
-        boost: dice.bits() as u16,
-        boost_below: (dice.between(0.0, 4.0) * 65_536.0) as i32,
+        damping: dice.bits() as u16,
+        damping_below: (dice.between(0.0, 4.0) * 65_536.0) as i32,
     })
 }
 
 /// A virtual wall.
 pub fn wall(dice: &mut Dice) -> Command {
-    let wall = dice.happens(0.7).then(|| Wall {
+    let wall = dice.happens(0.7).then(|| VirtualFixture {
         at: dice
             .happens(0.6)
             .then(|| (dice.between(-40.0, 40.0) * 1_048_576.0) as i32),
         rate: if dice.happens(0.6) { 0 } else { word(dice) },
     });
-    Command::Wall {
+    Command::VirtualFixture {
         axis: dice.below(4) as u8,
         upper: dice.happens(0.5),
-        wall,
+        fixture: wall,
     }
 }
 
 /// A force that a tool afar feels.
 pub fn feel(dice: &mut Dice) -> Command {
-    Command::Feel {
+    Command::RemoteForce {
         force: core::array::from_fn(|_| {
             if dice.happens(0.1) {
                 dice.bits() as i16
@@ -118,8 +118,8 @@ pub fn feel(dice: &mut Dice) -> Command {
 }
 
 /// A hand afar.
-pub fn any_hand(dice: &mut Dice) -> Hand {
-    Hand {
+pub fn any_hand(dice: &mut Dice) -> MasterPose {
+    MasterPose {
         tip: core::array::from_fn(|_| word(dice)),
         rate: core::array::from_fn(|_| word(dice)),
         axes: if dice.happens(0.6) {
@@ -220,11 +220,11 @@ pub fn any(dice: &mut Dice) -> Command {
         29 => Command::Tare,
         30 => reflect(dice),
         31 => wall(dice),
-        32 => Command::HandScale { scale: half(dice) },
-        _ => Command::Hand {
+        32 => Command::PositionScale { scale: half(dice) },
+        _ => Command::MasterPose {
             epoch: half(dice),
             age_ms: byte(dice),
-            hand: any_hand(dice),
+            pose: any_hand(dice),
         },
     }
 }

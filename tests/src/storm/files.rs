@@ -1,12 +1,12 @@
 //! Corrupted files for the parsers of the host: a named error or a value, no panic, within a bounded time.
 
 use super::script::Dice;
-use haptimill::machine::{MachineFile, work};
-use haptimill::program::{Options, read};
-use haptimill::record::{Header, Recorder, Recording};
-use haptimill::teleop::script::Script;
 use haptimill_firmware::controller::Controller;
 use haptimill_firmware::io::{Inputs, Outputs};
+use haptimill_gcode::{Options, read};
+use haptimill_machine_file::{MachineFile, work};
+use haptimill_teleop::script::Script;
+use haptimill_trace::{Header, Recorder, Recording};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
 use std::sync::OnceLock;
@@ -202,6 +202,6 @@ fn whole(path: &std::path::Path) -> Result<(), String> {
     {
         period.map_err(|error| error.to_string())?;
     }
-    let _ = haptimill::replay::replay(&recording).map_err(|error| error.to_string())?;
+    let _ = haptimill_trace::replay::replay(&recording).map_err(|error| error.to_string())?;
     Ok(())
 }

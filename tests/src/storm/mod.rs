@@ -14,7 +14,7 @@ use haptimill_hil_sim::operator::trajectory::{Live, Trajectory};
 use haptimill_hil_sim::process::{
     Area, Coefficients, CutterConfig, CuttingConfig, ElasticWall, WorkpieceConfig,
 };
-use haptimill_protocol::haptic::Hand;
+use haptimill_protocol::haptic::MasterPose;
 use haptimill_protocol::link::LinkState;
 use haptimill_protocol::message::{
     Action, AxisValues, CONFIG_CHUNK, Command, ConfigChunk, Refusal, SETPOINT_BATCH, SetpointBatch,
@@ -336,7 +336,7 @@ impl Player {
                 let hand = if wild && afar.dice.happens(0.1) {
                     command::any_hand(&mut afar.dice)
                 } else {
-                    Hand {
+                    MasterPose {
                         tip: [(x * MM) as i32, (y * MM) as i32, 0],
                         rate: [
                             (slope(afar.phase, 1.0) * 4096.0) as i32,
@@ -347,10 +347,10 @@ impl Player {
                         engaged: true,
                     }
                 };
-                let word = Command::Hand {
+                let word = Command::MasterPose {
                     epoch: self.hand_epoch,
                     age_ms: afar.age_ms,
-                    hand,
+                    pose: hand,
                 };
                 self.world.say(&word);
             }
@@ -980,7 +980,7 @@ impl Player {
                 mutate(&mut config, &mut dice);
             }
         }
-        let file = haptimill::machine::MachineFile {
+        let file = haptimill_machine_file::MachineFile {
             config,
             ..self.world.machine.clone()
         };
@@ -1158,7 +1158,7 @@ const fn broken(kind: &FaultKind) -> &'static str {
         FaultKind::SlideJammed { .. } => "fault slide-jammed",
         FaultKind::Push { .. } => "fault push",
         FaultKind::SwitchStuck { .. } => "fault switch-stuck",
-        FaultKind::Hand(_) => "fault of the haptic arm",
+        FaultKind::HapticArm(_) => "fault of the haptic arm",
         FaultKind::SpindleStalled => "fault spindle-stalled",
         _ => "fault of the force sensor",
     }

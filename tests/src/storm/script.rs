@@ -485,7 +485,7 @@ fn breakage(kind: Kind, dice: &mut Dice) -> (What, u32) {
                 leg: 1 + dice.below(3) as u8,
                 sensor: dice.pick(&[HapticSensor::Slide, HapticSensor::Turn, HapticSensor::Hinge]),
             };
-            FaultKind::Hand(dice.pick(&[
+            FaultKind::HapticArm(dice.pick(&[
                 HapticFault::EncoderStuck {
                     place,
                     channel,
@@ -901,7 +901,7 @@ fn hand(kind: Kind, dice: &mut Dice) -> Vec<(What, u32)> {
             2 => vec![(What::Say(command::wall(dice)), 1000)],
             3 => vec![(What::Say(command::feel(dice)), 400)],
             4 => vec![(
-                What::Say(Command::HandTelemetry {
+                What::Say(Command::MasterTelemetry {
                     every: dice.pick(&[1, 10, 50]),
                 }),
                 200,
@@ -956,7 +956,7 @@ fn hand(kind: Kind, dice: &mut Dice) -> Vec<(What, u32)> {
         }
         2 => vec![(What::Say(command::reflect(dice)), 200)],
         3 => vec![(
-            What::Say(Command::HandScale {
+            What::Say(Command::PositionScale {
                 scale: dice.between(410.0, 8192.0) as u16,
             }),
             200,

@@ -213,7 +213,7 @@ const fn holds(fault: &Fault) -> bool {
             | Fault::SoftLimit { .. }
             | Fault::JointRate { .. }
             | Fault::Force(_)
-            | Fault::Hand(_)
+            | Fault::Master(_)
     )
 }
 
@@ -526,7 +526,7 @@ impl Watch {
             // A joint that is pushed faster than a counter is believed.
             Fault::EncoderIllegal { axis, .. } => self.fastest[usize::from(*axis)] > 0.98,
             Fault::Stroke { .. } | Fault::LimitSwitch { .. } => self.causes.contains(&Cause::Late),
-            Fault::Hand(_) => self.causes.contains(&Cause::Lead),
+            Fault::Master(_) => self.causes.contains(&Cause::Lead),
             Fault::Force(ForceProblem::Drift { .. }) if self.causes.contains(&Cause::Refitted) => {
                 true
             }
@@ -1622,7 +1622,7 @@ fn explains(kind: &FaultKind, fault: &Fault) -> bool {
     let of = |axis: &u8| Some(usize::from(*axis)) == joint;
     match kind {
         K::EncoderStuck { .. } => match fault {
-            Fault::EncoderStill { axis }
+            Fault::EncoderStuck { axis }
             | Fault::EncoderReversed { axis }
             | Fault::EncoderIllegal { axis, .. }
             | Fault::EncoderSlip { axis, .. }
@@ -1634,7 +1634,7 @@ fn explains(kind: &FaultKind, fault: &Fault) -> bool {
             _ => false,
         },
         K::EncoderSwapped { .. } => match fault {
-            Fault::EncoderStill { axis }
+            Fault::EncoderStuck { axis }
             | Fault::EncoderReversed { axis }
             | Fault::EncoderIllegal { axis, .. }
             | Fault::EncoderSlip { axis, .. }
@@ -1645,7 +1645,7 @@ fn explains(kind: &FaultKind, fault: &Fault) -> bool {
         K::EncoderSlip { .. } => match fault {
             Fault::EncoderIllegal { axis, .. }
             | Fault::EncoderSlip { axis, .. }
-            | Fault::EncoderStill { axis }
+            | Fault::EncoderStuck { axis }
             | Fault::EncoderReversed { axis }
             | Fault::StepsLost { axis, .. }
             | Fault::FollowingError { axis, .. }
@@ -1657,7 +1657,7 @@ fn explains(kind: &FaultKind, fault: &Fault) -> bool {
         K::EncoderNoise { .. } => match fault {
             Fault::EncoderIllegal { axis, .. }
             | Fault::EncoderSlip { axis, .. }
-            | Fault::EncoderStill { axis }
+            | Fault::EncoderStuck { axis }
             | Fault::EncoderReversed { axis }
             | Fault::StepsLost { axis, .. }
             | Fault::FollowingError { axis, .. }
@@ -1672,7 +1672,7 @@ fn explains(kind: &FaultKind, fault: &Fault) -> bool {
         | K::SlideJammed { .. }
         | K::Push { .. } => match fault {
             Fault::FollowingError { axis, .. }
-            | Fault::EncoderStill { axis }
+            | Fault::EncoderStuck { axis }
             | Fault::EncoderReversed { axis }
             | Fault::StepsLost { axis, .. }
             | Fault::NotLocked { axis, .. }
@@ -1694,8 +1694,8 @@ fn explains(kind: &FaultKind, fault: &Fault) -> bool {
         | K::SensorDrift { .. }
         | K::SensorSaturated { .. }
         | K::SpindleStalled => matches!(fault, Fault::Force(_)),
-        K::Hand(HapticFault::AmplifiersTripped) => matches!(fault, Fault::Hand(_)),
-        K::Hand(_) => matches!(fault, Fault::Hand(_)),
+        K::HapticArm(HapticFault::AmplifiersTripped) => matches!(fault, Fault::Master(_)),
+        K::HapticArm(_) => matches!(fault, Fault::Master(_)),
         _ => false,
     }
 }
