@@ -34,7 +34,7 @@ fn follow_master(core: &mut Core) {
     if !running {
         machine.release_master();
     } else if let Leading::Lost(age_ms) = machine.advance_master() {
-        core.safety.push_event(Event::HandLost { age_ms });
+        core.safety.push_event(Event::MasterLost { age_ms });
         core.hold();
     }
 }
@@ -59,7 +59,7 @@ fn advance_motion(core: &mut Core, server: &mut Server, inputs: &Inputs) {
         core.safety.push_event(Event::JogLimited { axis });
     }
     if let Some(axis) = machine.motion.take_limited() {
-        core.safety.push_event(Event::HandLimited { axis });
+        core.safety.push_event(Event::MasterLimited { axis });
     }
     match state {
         State::Run | State::Hold => follow_program(core, server, state, &progress),
@@ -75,9 +75,9 @@ fn follow_program(core: &mut Core, server: &mut Server, state: State, progress: 
     let Some(machine) = &mut core.machine else {
         return;
     };
-    let held = server.is_deferred();
+    let deferred = server.is_deferred();
     let program = &mut machine.motion.program;
-    program.prefetch(held, || server.try_claim_idle());
+    program.prefetch(deferred, || server.try_background_idle());
     if let Some(late) = program.take_late() {
         core.safety.push_event(Event::Underrun {
             setpoint: late.setpoint,

@@ -110,7 +110,7 @@ impl Schedule {
                     plant.slip_encoder(entry.axis, counts);
                     entry.begins_ns = u64::MAX;
                 }
-                FaultKind::Hand(HapticFault::EncoderSlip { place, counts })
+                FaultKind::HapticArm(HapticFault::EncoderSlip { place, counts })
                     if begins && entry.begins_ns != u64::MAX =>
                 {
                     if let Some(arm) = plant.haptic_mut() {
@@ -127,7 +127,7 @@ impl Schedule {
             }
             if entry.active {
                 inject_process(&entry.kind, &mut sensors, &mut stalled);
-                if let FaultKind::Hand(fault) = &entry.kind {
+                if let FaultKind::HapticArm(fault) = &entry.kind {
                     inject_haptic(fault, &mut hand);
                 }
                 inject(
@@ -251,7 +251,7 @@ fn inject(
         | FaultKind::SensorReversed { .. }
         | FaultKind::SensorDrift { .. }
         | FaultKind::SensorSaturated { .. }
-        | FaultKind::Hand(_)
+        | FaultKind::HapticArm(_)
         | FaultKind::SpindleStalled => {}
     }
 }

@@ -156,7 +156,7 @@ pub enum Header {
     /// Acknowledgement without a message.
     Acknowledge(Acknowledgement),
     /// Keep-alive frame of an idle endpoint. A payload given with it is not sent.
-    Alive,
+    KeepAlive,
 }
 
 /// Bit of the first header byte: the acknowledgement has its second byte.
@@ -168,7 +168,7 @@ impl Header {
         let (kind, sequence, Acknowledgement { next, beyond }) = match *self {
             Self::Hello => return ([1, 0, 0, 0], 1),
             Self::Welcome => return ([2, 0, 0, 0], 1),
-            Self::Alive => return ([0; MAX_HEADER], 0),
+            Self::KeepAlive => return ([0; MAX_HEADER], 0),
             Self::Reliable {
                 sequence,
                 acknowledgement,
@@ -444,7 +444,11 @@ impl FrameDecoder {
 /// Returns the header of `content` and the range of its payload, if the check is valid.
 fn check(content: &[u8], register: u32, session: u32) -> Option<(Header, usize, usize)> {
     if let [sign] = *content {
-        return (session != 0 && sign == sign_of_life(session)).then_some((Header::Alive, 1, 1));
+        return (session != 0 && sign == sign_of_life(session)).then_some((
+            Header::KeepAlive,
+            1,
+            1,
+        ));
     }
     let (body, _) = content.split_last_chunk::<CRC_BYTES>()?;
     let (header, payload) = Header::read(body)?;

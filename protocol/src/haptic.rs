@@ -6,16 +6,14 @@
 //!
 //! Callers must not queue these messages: only the newest one is valid.
 
+pub use crate::force::COMPONENTS;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
-
-/// Components of a force or a position: x, y, z.
-pub const COMPONENTS: usize = 3;
 
 /// Pose of a master, also of a remote master.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Hand {
+pub struct MasterPose {
     /// Position of the tip, 2^-20 mm.
     pub tip: [i32; COMPONENTS],
     /// Rate of the tip, 2^-12 mm/s.
@@ -29,53 +27,53 @@ pub struct Hand {
 /// State of a master, from the controller of its arm.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct HandTelemetry {
+pub struct MasterTelemetry {
     /// The control period.
     pub period: u64,
     /// Master pose.
-    pub hand: Hand,
+    pub pose: MasterPose,
     /// Force on the operator, 2^-8 N.
     pub force: [i16; COMPONENTS],
     /// Force of the force feedback law alone, 2^-8 N.
-    pub reflected: [i16; COMPONENTS],
+    pub feedback: [i16; COMPONENTS],
     /// Force of the virtual fixtures, 2^-8 N.
-    pub wall: [i16; COMPONENTS],
+    pub fixture: [i16; COMPONENTS],
     /// Energy surplus, below 0 deficit, 2^-8 N mm: the smaller one of the passivity observer and
     /// the oscillation damper.
     pub energy: i16,
     /// The amplifiers of the motors are on.
     pub enabled: bool,
     /// Problem of the arm.
-    pub problem: Option<HandProblem>,
+    pub problem: Option<MasterProblem>,
 }
 
 /// Force feedback of one axis.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct ReflectAxis {
+pub struct ForceFeedbackAxis {
     /// Percentage of the force on the tool, 0 to 100.
     pub percent: u8,
     /// Largest force feedback, 2^-16 N, up to 10 N.
-    pub most: i32,
+    pub limit: i32,
 }
 
 /// Settings of the force feedback law (docs/control.md 3.4).
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Reflection {
+pub struct ForceFeedback {
     /// x, y, z.
-    pub axes: [ReflectAxis; COMPONENTS],
+    pub axes: [ForceFeedbackAxis; COMPONENTS],
     /// Velocity-proportional damping term where force feedback is too weak to be felt, 2^-16 N
     /// s/mm; 0 for none.
-    pub boost: u16,
+    pub damping: u16,
     /// Force feedback above which the damping term is off, 2^-16 N.
-    pub boost_below: i32,
+    pub damping_below: i32,
 }
 
 /// Virtual fixture: a face of the box around the master's tip.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Wall {
+pub struct VirtualFixture {
     /// Position of the face, 2^-20 mm; `None` for the present position of the tip.
     pub at: Option<i32>,
     /// Rate of the face, 2^-12 mm/s.
@@ -86,7 +84,7 @@ pub struct Wall {
 /// follow.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum HandProblem {
+pub enum MasterProblem {
     /// The readings of a leg contradict those of the others: an encoder has jumped, is stuck, or is
     /// wired backwards.
     Encoder {

@@ -65,16 +65,16 @@
 //!
 //! Memory: [`ControllerLink`] has 2.8 KiB, [`HostLink`] 8 KiB (held by a test).
 
-mod ends;
+mod endpoint;
 mod inbox;
 mod outbox;
 mod payload;
-mod standing;
+mod status;
 #[cfg(test)]
 mod tests;
 
-pub use ends::{Controller, End, Greeted, Host, Identity};
-pub use standing::{Counters, LinkState, SendError, Timing, Work};
+pub use endpoint::{Controller, Endpoint, HelloOutcome, Host, Identity};
+pub use status::{Counters, LinkState, ReceiveEffort, SendError, Timing};
 
 use crate::frame::{FrameDecoder, Header, MAX_PAYLOAD, OutgoingFrame};
 use crate::wire;
@@ -100,7 +100,7 @@ pub type HostLink = Link<Host, 2400, 4096>;
 
 /// An endpoint of a link. `SEND` and `RECEIVE` are the buffer sizes in the two directions, bytes.
 #[derive(Debug)]
-pub struct Link<E: End, const SEND: usize, const RECEIVE: usize> {
+pub struct Link<E: Endpoint, const SEND: usize, const RECEIVE: usize> {
     /// Timing and line rate.
     timing: Timing,
     /// State of the host's or the controller's role.
@@ -138,7 +138,7 @@ pub struct Link<E: End, const SEND: usize, const RECEIVE: usize> {
     counters: Counters,
 }
 
-impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
+impl<E: Endpoint, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
     /// Creates a link without a session.
     pub fn new(timing: Timing) -> Self {
         Self {
@@ -210,7 +210,7 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
 
     /// Takes bytes from the line and returns the receive effort. Messages wait for
     /// [`Link::poll_message`].
-    pub fn receive(&mut self, now_us: u64, bytes: &[u8]) -> Work {
+    pub fn receive(&mut self, now_us: u64, bytes: &[u8]) -> ReceiveEffort {
         let Self {
             decoder,
             inbox,
@@ -223,12 +223,12 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
         let mut heard = false;
         let mut line = bytes;
         let mut work = if bytes.is_empty() {
-            Work::Nothing
+            ReceiveEffort::Nothing
         } else {
-            Work::Bytes
+            ReceiveEffort::Bytes
         };
         while let Some(frame) = decoder.take(&mut line) {
-            work = Work::Frame;
+            work = ReceiveEffort::Frame;
             // Every frame may cause a transmission.
             self.quiet_until_us = 0;
             counters.frames_heard = counters.frames_heard.saturating_add(1);
@@ -259,7 +259,7 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
                 Header::Acknowledge(acknowledgement) => {
                     outbox.acknowledge(now_us, acknowledgement);
                 }
-                Header::Alive => {}
+                Header::KeepAlive => {}
             }
             heard = true;
         }
@@ -270,13 +270,13 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
             self.begin(now_us, session);
         }
         if core::mem::take(&mut self.inbox.moved) {
-            work = Work::Moved;
+            work = ReceiveEffort::Moved;
         }
         work
     }
 
     /// Returns the next message, if there is one. A reliable message comes once and in order.
-    pub fn poll_message(&mut self) -> Option<E::Hears> {
+    pub fn poll_message(&mut self) -> Option<E::Incoming> {
         while let Some(payload) = self.inbox.first() {
             let message = postcard::from_bytes(payload);
             self.drop_first();
@@ -290,7 +290,7 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
 
     /// Writes the next message to `place`, which avoids a copy of a large value. Returns false if
     /// there is none, or one that cannot be decoded.
-    pub fn poll_into(&mut self, place: &mut E::Hears) -> bool {
+    pub fn poll_into(&mut self, place: &mut E::Incoming) -> bool {
         let Some(payload) = self.inbox.first() else {
             return false;
         };
@@ -309,7 +309,7 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
     /// Returns whether no received message is stored. A stored message may still wait for the one
     /// before it.
     #[inline]
-    pub fn has_heard_all(&self) -> bool {
+    pub fn has_received_all(&self) -> bool {
         self.inbox.is_empty()
     }
 
@@ -347,7 +347,7 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
     /// [`SendError::Full`] when the window or the buffer is full: nothing was taken, try again
     /// later. [`SendError::NotOpen`] without a session. [`SendError::TooLong`] when the message
     /// does not fit a frame.
-    pub fn send(&mut self, message: &E::Sends) -> Result<(), SendError> {
+    pub fn send(&mut self, message: &E::Outgoing) -> Result<(), SendError> {
         if !self.open {
             return Err(SendError::NotOpen);
         }
@@ -384,7 +384,7 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
     /// # Errors
     ///
     /// [`SendError`] when no session is open, or the message does not fit a frame.
-    pub fn send_latest(&mut self, message: &E::Sends) -> Result<(), SendError> {
+    pub fn send_latest(&mut self, message: &E::Outgoing) -> Result<(), SendError> {
         if !self.open {
             return Err(SendError::NotOpen);
         }
@@ -540,7 +540,7 @@ impl<E: End, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE> {
             } else if again {
                 // A zero first, as with Hello: otherwise the frame is lost if it follows the rest
                 // of a broken frame.
-                wire.begin(Header::Alive, &[], *session, true)
+                wire.begin(Header::KeepAlive, &[], *session, true)
             } else {
                 if !self.latest_waits {
                     self.quiet_until_us =

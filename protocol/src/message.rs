@@ -14,7 +14,9 @@ pub use problem::{
 };
 
 use crate::force::{ForceLoop, ForceTelemetry, TareRefusal};
-use crate::haptic::{COMPONENTS, Hand, HandProblem, HandTelemetry, Reflection, Wall};
+use crate::haptic::{
+    COMPONENTS, ForceFeedback, MasterPose, MasterProblem, MasterTelemetry, VirtualFixture,
+};
 use heapless::{String, Vec};
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
@@ -202,40 +204,40 @@ pub enum Command {
     Tare,
     /// Pose of a remote master that leads the tool. A last-value message: each one replaces the one
     /// before, and a lost one is not resent.
-    Hand {
+    MasterPose {
         /// Epoch. Only the newest epoch of the session is accepted. Any stop or hold ends an epoch
         /// for good, as with [`Command::Jog`].
         epoch: u16,
         /// Age of the pose when it was sent, in milliseconds.
         age_ms: u8,
         /// Pose of the master.
-        hand: Hand,
+        pose: MasterPose,
     },
     /// Remote force on a tool that this haptic arm leads, along x, y, z, 2^-6 N. A last-value
     /// message.
-    Feel {
+    RemoteForce {
         /// The forces.
         force: [i16; COMPONENTS],
     },
     /// Sets the force feedback law: the part of the force on the tool that the operator feels. The
     /// change is complete within a second.
-    Reflect(Reflection),
+    ForceFeedback(ForceFeedback),
     /// Sets a virtual fixture: one face of the box around the master's tip.
-    Wall {
+    VirtualFixture {
         /// The component.
         axis: u8,
         /// True for the upper face, false for the lower one.
         upper: bool,
         /// The face; `None` removes it.
-        wall: Option<Wall>,
+        fixture: Option<VirtualFixture>,
     },
     /// Position scale G_P: ratio of tool motion to master motion, 2^-12; 0.1 to 2.
-    HandScale {
+    PositionScale {
         /// The scale.
         scale: u16,
     },
     /// Sets the interval of telemetry of the master; 0 switches it off.
-    HandTelemetry {
+    MasterTelemetry {
         /// Control periods between two reports.
         every: u16,
     },
@@ -380,7 +382,7 @@ pub enum Report {
     /// State of the controller.
     Telemetry(Telemetry),
     /// State of the master.
-    Hand(HandTelemetry),
+    Master(MasterTelemetry),
 }
 
 /// State of the controller at the end of a control period.
@@ -491,21 +493,21 @@ pub enum Event {
     TareRefused(TareRefusal),
     /// The compliant displacement reached its limit, a soft limit, or the limit of the workspace.
     /// Reported once until the tool can yield again.
-    YieldLimited {
+    ComplianceLimited {
         /// The component of the force.
         axis: u8,
     },
     /// A problem of the haptic arm while it leads no tool: it is off until reset.
-    Hand(HandProblem),
+    Master(MasterProblem),
     /// No new master pose arrived: the machine decelerates and holds. [`Command::Resume`] continues
     /// from the poses of master and tool at that time.
-    HandLost {
+    MasterLost {
         /// Age of the newest master pose, in milliseconds.
         age_ms: u16,
     },
     /// The master leads the tool beyond a limit of the machine; the tool stays at the limit.
     /// Reported once until the tool can follow again.
-    HandLimited {
+    MasterLimited {
         /// The pose coordinate.
         axis: u8,
     },

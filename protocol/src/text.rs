@@ -25,7 +25,7 @@ mod haptic;
 mod plain;
 
 use crate::force::{ForceProblem, ForceRefusal, TareRefusal};
-use crate::haptic::HandProblem;
+use crate::haptic::MasterProblem;
 use crate::message::{
     ConfigField, ConfigProblem, Event, Fault, HelloRefusal, InputProblem, PoseError, Refusal, State,
 };
@@ -185,10 +185,10 @@ impl Describe for Refusal {
             Self::OutOfOrder { expected } => write!(f, "setpoint {expected} was expected next"),
             Self::QueueFull => f.write_str("the queue of setpoints is full"),
             // The same sentence as for a joint that leaves its stroke with its drives on.
-            Self::Standing(PoseError::OutOfStroke { axis, by }) => {
+            Self::MeasuredPose(PoseError::OutOfStroke { axis, by }) => {
                 Fault::Stroke { axis, by }.describe(axes, f)
             }
-            Self::Standing(error) => Fault::Pose(error).describe(axes, f),
+            Self::MeasuredPose(error) => Fault::Pose(error).describe(axes, f),
             Self::Pose { setpoint, error } => {
                 write!(f, "setpoint {setpoint}: ")?;
                 error.describe(axes, f)
@@ -217,14 +217,14 @@ impl Describe for Refusal {
                 refusal.describe(axes, f)
             }
             Self::NotTared => f.write_str("force control is on and the force sensor has no zero; tare it first, with nothing at the tool"),
-            Self::Yielding => {
+            Self::Compliant => {
                 f.write_str("the tool yields to a force; take it off the work, or take the axes out of force control, then tare")
             }
             Self::ForceSensor(problem) => {
                 f.write_str("force control is on and its sensor cannot be believed: ")?;
                 problem.describe(axes, f)
             }
-            Self::NoHand => f.write_str(
+            Self::NoMaster => f.write_str(
                 "no hand can lead this machine; add the sections [haptic] or [follow] to the machine file and configure the controller with it",
             ),
             Self::JointRate {
@@ -237,7 +237,7 @@ impl Describe for Refusal {
                 too_fast(axes, axis, rate, limit, f)?;
                 f.write_str("; lower the feed there, or keep away from the bound of the workspace")
             }
-            Self::WallTooNear => f.write_str("the ball at the tip does not fit between this wall and the opposite one; move one of them outwards"),
+            Self::FixturesTooNear => f.write_str("the ball at the tip does not fit between this wall and the opposite one; move one of them outwards"),
         }
     }
 }
@@ -371,7 +371,7 @@ impl Describe for Fault {
                     counts.unsigned_abs()
                 )
             }
-            Self::EncoderStill { axis } => write!(
+            Self::EncoderStuck { axis } => write!(
                 f,
                 "{} was driven and its encoder saw no motion; look for what blocks it, check the encoder's cable, then reset and home",
                 joint(axis)
@@ -410,7 +410,7 @@ impl Describe for Fault {
                 problem.describe(axes, f)?;
                 f.write_str("; the machine slowed down along its path and the tool stayed where it was, remove the cause and reset")
             }
-            Self::Hand(problem) => {
+            Self::Master(problem) => {
                 problem.describe(axes, f)?;
                 f.write_str(
                     "; the hand is free and the machine slowed down, remove the cause and reset",
@@ -491,20 +491,20 @@ impl Describe for Event {
                 f.write_str("the force sensor keeps its zero: ")?;
                 refusal.describe(axes, f)
             }
-            Self::Hand(problem) => {
+            Self::Master(problem) => {
                 problem.describe(axes, f)?;
                 f.write_str("; its motors are off until reset")
             }
-            Self::HandLost { age_ms } => write!(
+            Self::MasterLost { age_ms } => write!(
                 f,
                 "nothing new was heard of the hand for {age_ms} ms; the machine slows down and holds, resume when the hand is there again"
             ),
-            Self::HandLimited { axis } => write!(
+            Self::MasterLimited { axis } => write!(
                 f,
                 "the hand leads {} where the machine cannot go; it waits in front of it",
                 Named(axes.pose, axis)
             ),
-            Self::YieldLimited { axis } => write!(
+            Self::ComplianceLimited { axis } => write!(
                 f,
                 "the tool cannot yield any further along {}: its limit, a soft limit or the end of the machine's reach",
                 Named(axes.pose, axis)
@@ -539,7 +539,7 @@ display!(
     ForceProblem,
     ForceRefusal,
     TareRefusal,
-    HandProblem
+    MasterProblem
 );
 
 impl core::error::Error for PoseError {}

@@ -6,7 +6,9 @@
 //! write_corpus` writes the corpus anew.
 
 use haptimill_protocol::frame::{self, Acknowledgement, FrameBytes, FrameDecoder, Header};
-use haptimill_protocol::link::{ControllerLink, Greeted, HostLink, Identity, LinkState, Timing};
+use haptimill_protocol::link::{
+    ControllerLink, HelloOutcome, HostLink, Identity, LinkState, Timing,
+};
 use haptimill_protocol::message::{
     Action, Command, ConfigChunk, Event, Hello, PROTOCOL_VERSION, Report, Request, SetpointBatch,
     State,
@@ -53,7 +55,7 @@ fn pair() -> (HostLink, ControllerLink) {
     host.open(OURS, 0);
     let count = host.transmit(0, &mut buffer);
     controller.receive(0, &buffer[..count]);
-    assert_eq!(controller.welcome(0, &IDENTITY, false), Greeted::Begun);
+    assert_eq!(controller.welcome(0, &IDENTITY, false), HelloOutcome::Begun);
     let count = controller.transmit(0, &mut buffer);
     host.receive(0, &buffer[..count]);
     assert_eq!(host.state(0), LinkState::Open);

@@ -3,7 +3,9 @@
 
 mod line;
 
-use haptimill_protocol::link::{ControllerLink, Greeted, HostLink, Identity, LinkState, Timing};
+use haptimill_protocol::link::{
+    ControllerLink, HelloOutcome, HostLink, Identity, LinkState, Timing,
+};
 use haptimill_protocol::message::{Command, ConfigChunk, Event, Report, Request};
 use line::{Faults, Line, Random};
 use proptest::prelude::*;
@@ -86,7 +88,7 @@ fn transfer(
         let count = host.transmit(now_us, &mut buffer);
         out.send(now_us, &buffer[..count]);
         controller.receive(now_us, &out.take(now_us, 64));
-        if let Greeted::Refused(why) = controller.welcome(now_us, &IDENTITY, false) {
+        if let HelloOutcome::Refused(why) = controller.welcome(now_us, &IDENTITY, false) {
             panic!("refused: {why:?}");
         }
         // The controller takes one message per control period.

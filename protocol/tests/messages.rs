@@ -5,7 +5,9 @@ use haptimill_protocol::force::{
     TareRefusal,
 };
 use haptimill_protocol::frame::MAX_PAYLOAD;
-use haptimill_protocol::haptic::{Hand, HandProblem, HandTelemetry, ReflectAxis, Reflection, Wall};
+use haptimill_protocol::haptic::{
+    ForceFeedback, ForceFeedbackAxis, MasterPose, MasterProblem, MasterTelemetry, VirtualFixture,
+};
 use haptimill_protocol::link::SHORT_REPORT;
 use haptimill_protocol::message::*;
 use serde::Serialize;
@@ -26,7 +28,7 @@ fn values() -> AxisValues {
 }
 
 /// A master pose with the longest encoding.
-const HAND: Hand = Hand {
+const HAND: MasterPose = MasterPose {
     tip: [i32::MIN; COMPONENTS],
     rate: [i32::MIN; COMPONENTS],
     axes: [[i16::MIN; COMPONENTS]; 2],
@@ -86,32 +88,32 @@ fn every_request_fits_a_frame() {
             },
         },
         Command::Tare,
-        Command::Hand {
+        Command::MasterPose {
             epoch: u16::MAX,
             age_ms: u8::MAX,
-            hand: HAND,
+            pose: HAND,
         },
-        Command::Feel {
+        Command::RemoteForce {
             force: [i16::MIN; COMPONENTS],
         },
-        Command::Reflect(Reflection {
-            axes: [ReflectAxis {
+        Command::ForceFeedback(ForceFeedback {
+            axes: [ForceFeedbackAxis {
                 percent: u8::MAX,
-                most: i32::MIN,
+                limit: i32::MIN,
             }; COMPONENTS],
-            boost: u16::MAX,
-            boost_below: i32::MIN,
+            damping: u16::MAX,
+            damping_below: i32::MIN,
         }),
-        Command::Wall {
+        Command::VirtualFixture {
             axis: u8::MAX,
             upper: true,
-            wall: Some(Wall {
+            fixture: Some(VirtualFixture {
                 at: Some(i32::MIN),
                 rate: i32::MIN,
             }),
         },
-        Command::HandScale { scale: u16::MAX },
-        Command::HandTelemetry { every: u16::MAX },
+        Command::PositionScale { scale: u16::MAX },
+        Command::MasterTelemetry { every: u16::MAX },
     ];
     let sizes = commands.map(|command| size(&Request { id: 255, command }));
     println!("requests: {sizes:?} bytes");
@@ -188,15 +190,15 @@ fn every_report_fits_a_frame_and_answers_and_events_are_short() {
     println!("telemetry without a force sensor: {without} bytes");
     println!("telemetry: {long} bytes");
     assert!(long <= MAX_PAYLOAD);
-    let hand = size(&Report::Hand(HandTelemetry {
+    let hand = size(&Report::Master(MasterTelemetry {
         period: u64::MAX,
-        hand: HAND,
+        pose: HAND,
         force: [i16::MIN; COMPONENTS],
-        reflected: [i16::MIN; COMPONENTS],
-        wall: [i16::MIN; COMPONENTS],
+        feedback: [i16::MIN; COMPONENTS],
+        fixture: [i16::MIN; COMPONENTS],
         energy: i16::MIN,
         enabled: true,
-        problem: Some(HandProblem::Encoder {
+        problem: Some(MasterProblem::Encoder {
             leg: u8::MAX,
             by: i32::MIN,
         }),
@@ -249,7 +251,7 @@ fn every_report_fits_a_frame_and_answers_and_events_are_short() {
         },
         Report::Event {
             period,
-            event: Event::Fault(Fault::Hand(HandProblem::Encoder {
+            event: Event::Fault(Fault::Master(MasterProblem::Encoder {
                 leg: u8::MAX,
                 by: i32::MIN,
             })),

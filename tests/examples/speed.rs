@@ -3,13 +3,13 @@
 //!
 //! With a workpiece, mill, structure and sensor are computed in every period. A second thread
 //! writes the recording; `taskset -c 0` puts both on one core.
-use haptimill::client::Options;
-use haptimill::machine::{MachineFile, work};
-use haptimill::model::{Model, program_options, settings};
-use haptimill::plan::Plan;
-use haptimill::record::{Header, Recorder};
-use haptimill::session::{JobLine, JobRecording, Session, SimLine, Unwatched, rig};
+use haptimill_client::client::Options;
+use haptimill_client::session::{JobLine, JobRecording, Session, SimLine, Unwatched, rig};
 use haptimill_hil_sim::config::PlantConfig;
+use haptimill_machine_file::model::{Model, program_options, settings};
+use haptimill_machine_file::{MachineFile, work};
+use haptimill_planner::Plan;
+use haptimill_trace::{Header, Recorder};
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -26,7 +26,7 @@ fn main() {
     let home = model.home(&machine).expect("a pose");
     let text = std::fs::read(&file).expect("readable");
     let begun = Instant::now();
-    let program = haptimill::program::read(
+    let program = haptimill_gcode::read(
         &file,
         &text,
         &program_options(&machine, model.to_people(&home)),

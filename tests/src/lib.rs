@@ -5,11 +5,11 @@
 pub mod log;
 pub mod storm;
 
-use haptimill::machine::MachineFile;
 use haptimill_firmware::controller::Controller;
 use haptimill_hil_sim::config::PlantConfig;
 use haptimill_hil_sim::rig::{Control, Rig, RigOptions};
-use haptimill_protocol::haptic::HandTelemetry;
+use haptimill_machine_file::MachineFile;
+use haptimill_protocol::haptic::MasterTelemetry;
 use haptimill_protocol::link::{HostLink, Timing};
 use haptimill_protocol::message::{
     Action, AxisValues, CONFIG_CHUNK, Command, ConfigChunk, Event, Refusal, Report, Request,
@@ -28,7 +28,7 @@ pub struct Bench<C = Controller> {
     /// The newest telemetry.
     pub telemetry: Option<Telemetry>,
     /// The newest telemetry of the master.
-    pub hand: Option<HandTelemetry>,
+    pub hand: Option<MasterTelemetry>,
     /// All events so far.
     pub events: Vec<Event>,
     answers: Vec<(u8, Result<(), Refusal>)>,
@@ -103,7 +103,7 @@ impl<C: Control> Bench<C> {
                 Report::Answer { id, result } => self.answers.push((id, result)),
                 Report::Event { event, .. } => self.events.push(event),
                 Report::Telemetry(telemetry) => self.telemetry = Some(telemetry),
-                Report::Hand(hand) => self.hand = Some(hand),
+                Report::Master(hand) => self.hand = Some(hand),
             }
         }
     }

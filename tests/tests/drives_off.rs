@@ -4,12 +4,12 @@
 
 mod setup;
 
-use haptimill::machine::{BUILT_IN, MachineFile};
 use haptimill_firmware::controller::Controller;
 use haptimill_firmware::io::{Inputs, Outputs};
 use haptimill_hil_sim::joint::encoder::EncoderCondition;
 use haptimill_hil_sim::plant::JointCondition;
 use haptimill_hil_sim::rig::{Control, RigOptions};
+use haptimill_machine_file::{BUILT_IN, MachineFile};
 use haptimill_protocol::message::{Command, Fault, Refusal, State};
 use haptimill_tests::Bench;
 use setup::enable::{assert_position_true, emergency_stop_and_enable, machine_from, step_machine};

@@ -7,12 +7,9 @@
 mod emulator;
 
 use emulator::{part_of_dome, results, root, run_timed, scenario};
-use haptimill::machine::MachineFile;
-use haptimill::port::Board;
-use haptimill::record::{Recording, difference};
-use haptimill::replay::replay;
-use haptimill::session::pil::{self, Emulator, Instructions};
-use haptimill::session::rig_around;
+use haptimill_client::port::Board;
+use haptimill_client::session::pil::{self, Emulator, Instructions};
+use haptimill_client::session::rig_around;
 use haptimill_firmware::controller::Controller;
 use haptimill_firmware::io::{DriveCommand, Outputs};
 use haptimill_firmware::snapshot::Snapshot;
@@ -21,9 +18,12 @@ use haptimill_hil_sim::process::ElasticWall;
 use haptimill_hil_sim::process::ProcessConfig;
 use haptimill_hil_sim::process::sensor::SensorConfig;
 use haptimill_hil_sim::remote::RemoteController;
+use haptimill_machine_file::MachineFile;
 use haptimill_protocol::force::{ForceLoop, Gate};
 use haptimill_protocol::message::{Command as Say, Event, State};
 use haptimill_tests::{Bench, line_in_x};
+use haptimill_trace::replay::replay;
+use haptimill_trace::{Recording, difference};
 use std::path::Path;
 use std::process::Command;
 use std::time::{Duration, Instant};

@@ -8,9 +8,10 @@
 mod emulator;
 
 use emulator::{BOARDS, Remote, image, remote, results, root, run};
-use haptimill::cli::Exit;
-use haptimill::port::Board;
+use haptimill::commands::Exit;
+use haptimill_client::port::Board;
 use haptimill_firmware::io::DriveCommand;
+use haptimill_firmware::profiler::Stage;
 use haptimill_hil_sim::rig::{Control, RigOptions};
 use haptimill_protocol::message::Command;
 use haptimill_tests::Bench;
@@ -117,7 +118,7 @@ fn an_endless_period_is_aborted() {
 fn the_command_reports_the_failure_and_exits_with_an_error() {
     let image = image("faults").display().to_string();
     let program = root().join("examples/e11-circle.ngc");
-    for place in PLACES {
+    for place in places() {
         let begun = Instant::now();
         let more = [
             "--image",

@@ -5,13 +5,13 @@
 mod emulator;
 
 use emulator::{BOARDS, part_of_dome, results, root, run_counted, run_timed, scenario};
-use haptimill::machine::MachineFile;
-use haptimill::port::Board;
-use haptimill::session::pil::{self, Instructions};
+use haptimill_client::port::Board;
+use haptimill_client::session::pil::{self, Instructions};
 use haptimill_hil_sim::RigOptions;
 use haptimill_hil_sim::process::ProcessConfig;
 use haptimill_hil_sim::process::sensor::SensorConfig;
 use haptimill_hil_sim::remote::Cost;
+use haptimill_machine_file::MachineFile;
 use haptimill_protocol::message::{Command as Say, Source};
 use haptimill_tests::{Bench, line_in_x};
 use std::path::{Path, PathBuf};

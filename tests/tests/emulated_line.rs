@@ -9,8 +9,8 @@
 mod emulator;
 
 use emulator::{BOARDS, PeriodResult, Remote, assert_same, bench, period_result};
-use haptimill::cli::Exit;
-use haptimill::port::Board;
+use haptimill::commands::Exit;
+use haptimill_client::port::Board;
 use haptimill_firmware::comm::rx_ring::RING_BYTES;
 use haptimill_firmware::io::DriveCommand;
 use haptimill_hil_sim::line::LineCounters;

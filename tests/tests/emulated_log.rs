@@ -6,9 +6,9 @@
 mod emulator;
 
 use emulator::{image, results, root, run};
-use haptimill::cli::Exit;
-use haptimill::record::{Recording, difference};
+use haptimill::commands::Exit;
 use haptimill_tests::log;
+use haptimill_trace::{Recording, difference};
 
 /// Returns the bytes of an image that are loaded into the chip's memory: its loadable segments.
 fn loaded_bytes(image: &[u8]) -> Vec<u8> {

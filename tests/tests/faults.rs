@@ -43,7 +43,7 @@ fn a_dead_or_reversed_drive_and_a_jammed_slide_are_reported() {
         ] {
             let mut struck = run_with_joint_fault(0, 1, speed, joint_fault(1, condition));
             let axis = match struck.fault {
-                Fault::EncoderStill { axis }
+                Fault::EncoderStuck { axis }
                 | Fault::EncoderReversed { axis }
                 | Fault::FollowingError { axis, .. } => axis,
                 other => panic!("{name}: {other:?}"),
@@ -300,7 +300,7 @@ fn late_setpoints_slow_the_machine_along_its_path_and_are_reported() {
 /// Returns the homed machine with step motors in the middle of a line in x.
 fn step_machine(speed: f64) -> Bench {
     let text = include_str!("../../machines/h4-step.toml");
-    let machine = haptimill::machine::MachineFile::parse("h4-step.toml", text).expect("sound");
+    let machine = haptimill_machine_file::MachineFile::parse("h4-step.toml", text).expect("sound");
     let options = haptimill_hil_sim::rig::RigOptions::default();
     let controller = haptimill_firmware::controller::Controller::new(200);
     let mut bench = Bench::of_machine(machine, &options, controller);
@@ -385,7 +385,7 @@ fn a_stalled_step_motor_or_wrong_encoder_stops_the_whole_path() {
             let kept = match fault {
                 Some(
                     Fault::StepsLost { axis: 1, .. }
-                    | Fault::EncoderStill { axis: 1 }
+                    | Fault::EncoderStuck { axis: 1 }
                     | Fault::EncoderReversed { axis: 1 }
                     | Fault::FollowingError { axis: 1, .. },
                 ) => false,

@@ -3,12 +3,12 @@
 
 mod setup;
 
-use haptimill::machine::{BUILT_IN, MachineFile};
 use haptimill_firmware::controller::Controller;
 use haptimill_hil_sim::RigOptions;
 use haptimill_hil_sim::process::ProcessConfig;
 use haptimill_hil_sim::process::sensor::SensorConfig;
 use haptimill_hil_sim::process::structure::StructureConfig;
+use haptimill_machine_file::{BUILT_IN, MachineFile};
 use haptimill_protocol::force::Gate;
 use haptimill_protocol::message::State;
 use haptimill_tests::Bench;

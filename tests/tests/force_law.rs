@@ -5,9 +5,9 @@
 
 mod setup;
 
-use haptimill::machine::{BUILT_IN, MachineFile};
 use haptimill_firmware::controller::Controller;
 use haptimill_hil_sim::RigOptions;
+use haptimill_machine_file::{BUILT_IN, MachineFile};
 use haptimill_protocol::force::{ForceLoop, ForceParameter, ForceRefusal, Gate};
 use haptimill_protocol::message::{Command, Event, Refusal, State};
 use haptimill_tests::Bench;
@@ -304,7 +304,7 @@ fn the_compliant_displacement_stays_within_its_limit() {
     let limited = bench
         .events
         .iter()
-        .filter(|event| **event == Event::YieldLimited { axis: 0 })
+        .filter(|event| **event == Event::ComplianceLimited { axis: 0 })
         .count();
     println!(
         "displaced by at most {most:.4} mm, reported {limited} times: {:?}",
@@ -351,8 +351,8 @@ fn soft_limits_hold_for_the_reference() {
     // 20 N deflect the servo by some hundredths of a millimetre.
     assert!((tool(&bench)[0] - 1.0).abs() < 0.1, "{}", tool(&bench)[0]);
     assert_eq!(state(&bench), State::Idle, "{:?}", bench.events);
-    assert_eq!(bench.events, [Event::YieldLimited { axis: 0 }]);
-    assert_eq!(bench.ask(Command::Tare), Err(Refusal::Yielding));
+    assert_eq!(bench.events, [Event::ComplianceLimited { axis: 0 }]);
+    assert_eq!(bench.ask(Command::Tare), Err(Refusal::Compliant));
     let process = bench.rig.plant_mut().process_mut().expect("there");
     process.set_wall(None);
     bench.steps(15_000);

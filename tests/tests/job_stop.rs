@@ -1,10 +1,10 @@
 //! A stopped job ends at standstill, whatever was under way before.
 
-use haptimill::client::Options;
-use haptimill::machine::MachineFile;
-use haptimill::model::Model;
-use haptimill::port::PortError;
-use haptimill::session::{Line, Session, SimLine, Unwatched, rig};
+use haptimill_client::client::Options;
+use haptimill_client::port::PortError;
+use haptimill_client::session::{Line, Session, SimLine, Unwatched, rig};
+use haptimill_machine_file::MachineFile;
+use haptimill_machine_file::model::Model;
 use haptimill_protocol::message::State;
 use haptimill_tests::line_in_x;
 use std::sync::Arc;

@@ -53,7 +53,7 @@ enum RandomEvent {
         noisy: bool,
     },
     /// An elastic wall beside the tool, at a distance in mm towards -x; or none.
-    Wall(Option<f64>),
+    VirtualFixture(Option<f64>),
     /// A channel of the force sensor fails, or works again.
     Sensor {
         component: usize,
@@ -161,7 +161,7 @@ fn random_event() -> impl Strategy<Value = (RandomEvent, usize)> {
         1 => (0_usize..5, any::<bool>()).prop_map(|(joint, active)| RandomEvent::Limit { joint, active }),
         1 => (0_usize..5, any::<bool>()).prop_map(|(joint, tripped)| RandomEvent::Tripped { joint, tripped }),
         1 => (0_usize..5, any::<bool>()).prop_map(|(joint, noisy)| RandomEvent::Noise { joint, noisy }),
-        2 => prop::option::of(-0.5_f64..2.0).prop_map(RandomEvent::Wall),
+        2 => prop::option::of(-0.5_f64..2.0).prop_map(RandomEvent::VirtualFixture),
         1 => (0_usize..3, any::<bool>(), any::<bool>(), prop_oneof![4 => Just(1.0), 1 => Just(-1.0)])
             .prop_map(|(component, stuck, dropped, gain)| RandomEvent::Sensor {
                 component,
@@ -316,7 +316,7 @@ impl Invariants {
                     .plant_mut()
                     .set_encoder_condition(*joint, condition);
             }
-            RandomEvent::Wall(gap) => {
+            RandomEvent::VirtualFixture(gap) => {
                 let at = tool(bench);
                 let wall = gap.map(|gap| ElasticWall {
                     point: [at[0] - gap, at[1], at[2]],

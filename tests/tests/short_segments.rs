@@ -1,10 +1,10 @@
 //! Setpoints at intervals of a few milliseconds, closer than the planner of this project places
 //! them.
 
-use haptimill::client::Options;
-use haptimill::machine::MachineFile;
-use haptimill::model::Model;
-use haptimill::session::{Session, SimLine, Unwatched, rig};
+use haptimill_client::client::Options;
+use haptimill_client::session::{Session, SimLine, Unwatched, rig};
+use haptimill_machine_file::MachineFile;
+use haptimill_machine_file::model::Model;
 use haptimill_protocol::message::{Action, AxisValues, State};
 use haptimill_protocol::setpoint::Setpoint;
 use std::sync::Arc;

@@ -4,6 +4,7 @@ mod setup;
 
 use haptimill_hil_sim::joint::encoder::EncoderCondition;
 use haptimill_hil_sim::rig::RigOptions;
+use haptimill_machine_file::{BUILT_IN, MachineFile};
 use haptimill_protocol::message::{
     AxisValues, Command, Event, Fault, InputProblem, Refusal, Source, State,
 };
@@ -141,7 +142,7 @@ fn a_configuration_under_a_latched_fault_equals_one_after_the_reset() {
     bench.steps(2000);
     assert!(matches!(
         bench.status().fault,
-        Some(Fault::EncoderStill { .. } | Fault::EncoderReversed { .. })
+        Some(Fault::EncoderStuck { .. } | Fault::EncoderReversed { .. })
     ));
     bench
         .rig

@@ -39,9 +39,6 @@ struct Step<'a> {
     component: Option<(&'a str, &'a str)>,
 }
 
-/// All features of the host, including those that are not built by default.
-const FULL: &str = "haptimill/full";
-
 const TEST: &[Step] = &[
     Step {
         name: "format",
@@ -55,8 +52,6 @@ const TEST: &[Step] = &[
             "clippy",
             "--quiet",
             "--workspace",
-            "--features",
-            FULL,
             "--all-targets",
             "--",
             "-D",
@@ -83,20 +78,13 @@ const TEST: &[Step] = &[
     },
     Step {
         name: "documentation",
-        arguments: &[
-            "doc",
-            "--quiet",
-            "--workspace",
-            "--features",
-            FULL,
-            "--no-deps",
-        ],
+        arguments: &["doc", "--quiet", "--workspace", "--no-deps"],
         environment: &[("RUSTDOCFLAGS", "-D warnings")],
         component: None,
     },
     Step {
         name: "tests",
-        arguments: &["test", "--workspace", "--features", FULL],
+        arguments: &["test", "--workspace"],
         environment: &[],
         component: None,
     },

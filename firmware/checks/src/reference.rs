@@ -14,7 +14,7 @@ use haptimill_kinematics::h4::H4Geometry;
 use haptimill_kinematics::haptic_arm::HapticGeometry;
 use haptimill_math::force::{Force, VirtualDamping, VirtualMass};
 use haptimill_math::{Acceleration, Angle, Coordinate, Effort, Gain, Length, Rate};
-use haptimill_protocol::haptic::{ReflectAxis, Reflection};
+use haptimill_protocol::haptic::{ForceFeedback, ForceFeedbackAxis};
 
 /// Converts millimetres to axis units.
 #[must_use]
@@ -217,9 +217,9 @@ pub fn haptic() -> HapticConfig {
         full_scale: Effort(newton(full)),
         limit: Effort(newton(limit)),
     };
-    let reflect = |percent, most| ReflectAxis {
+    let reflect = |percent, most| ForceFeedbackAxis {
         percent,
-        most: newton(most),
+        limit: newton(most),
     };
     HapticConfig {
         geometry: HapticGeometry {
@@ -242,10 +242,10 @@ pub fn haptic() -> HapticConfig {
         rate_filter_us: 5000,
         ball: length(5.0),
         step: Force(newton(0.05)),
-        reflection: Reflection {
+        reflection: ForceFeedback {
             axes: [reflect(40, 3.2), reflect(10, 3.2), reflect(20, 1.2)],
-            boost: 0,
-            boost_below: newton(2.0),
+            damping: 0,
+            damping_below: newton(2.0),
         },
         wall: WallConfig {
             stiffness: newton(0.35) as u32,

@@ -123,7 +123,7 @@ impl Bed {
                 Report::Answer { id, result } => self.answer = Some((id, result)),
                 Report::Event { event, .. } => self.last_event = Some(event),
                 Report::Telemetry(telemetry) => self.telemetry = Some(telemetry),
-                Report::Hand(_) => {}
+                Report::Master(_) => {}
             }
         }
     }

@@ -1,6 +1,6 @@
 //! Configuration of a haptic arm, and of a tool that a master leads.
 
-use super::Reflection;
+use super::ForceFeedback;
 use super::passivity::PassivityConfig;
 use super::walls::WallConfig;
 use crate::io::LEGS;
@@ -52,7 +52,7 @@ pub struct HapticConfig {
     /// Largest change of the force on the operator in a control period: to 0.05 N.
     pub step: Force,
     /// Force feedback law after a start.
-    pub reflection: Reflection,
+    pub reflection: ForceFeedback,
     /// Virtual fixtures.
     pub wall: WallConfig,
     /// Passivity observer and controller.

@@ -15,7 +15,7 @@
 use haptimill_math::Rate;
 use haptimill_math::force::Force;
 use haptimill_math::scale::saturate;
-use haptimill_protocol::haptic::{COMPONENTS, ReflectAxis, Reflection};
+use haptimill_protocol::haptic::{COMPONENTS, ForceFeedback, ForceFeedbackAxis};
 
 /// Ramp time of settings for a change over their whole range (100 %, [`MOST`]), microseconds.
 const RAMP_US: i64 = 1_000_000;
@@ -38,7 +38,7 @@ pub struct FeedbackLaw {
     /// Velocity-proportional damping, 2^-24 N s/mm, and the force below which it acts.
     boost: i32,
     below: i32,
-    commanded: Reflection,
+    commanded: ForceFeedback,
     /// All settings have reached their targets.
     arrived: bool,
     /// Change of a percentage in a control period.
@@ -48,9 +48,10 @@ pub struct FeedbackLaw {
 /// Whether settings are in range: at most 100 %, limits from 0 to 10 N, a threshold from 0.5 N to
 /// 10 N.
 #[must_use]
-pub fn is_sound(reflection: &Reflection) -> bool {
-    let axis = |axis: &ReflectAxis| axis.percent <= 100 && (0..=MOST.0).contains(&axis.most);
-    reflection.axes.iter().all(axis) && (1 << FADE_SHIFT..=MOST.0).contains(&reflection.boost_below)
+pub fn is_sound(reflection: &ForceFeedback) -> bool {
+    let axis = |axis: &ForceFeedbackAxis| axis.percent <= 100 && (0..=MOST.0).contains(&axis.limit);
+    reflection.axes.iter().all(axis)
+        && (1 << FADE_SHIFT..=MOST.0).contains(&reflection.damping_below)
 }
 
 /// Moves `value` towards `commanded` by at most `step`.
@@ -67,7 +68,7 @@ fn within(force: i32, most: i32) -> Force {
 impl FeedbackLaw {
     /// Creates a law with these settings in effect.
     #[must_use]
-    pub fn new(settings: &Reflection, period_us: u16) -> Self {
+    pub fn new(settings: &ForceFeedback, period_us: u16) -> Self {
         let mut law = Self {
             commanded: *settings,
             // Below 2^16 * 2^24 / 10^6.
@@ -79,14 +80,14 @@ impl FeedbackLaw {
     }
 
     /// Sets new settings, which ramp from the present ones.
-    pub const fn set(&mut self, settings: &Reflection) {
+    pub const fn set(&mut self, settings: &ForceFeedback) {
         self.commanded = *settings;
         self.arrived = false;
     }
 
     /// The target settings.
     #[must_use]
-    pub const fn settings(&self) -> &Reflection {
+    pub const fn settings(&self) -> &ForceFeedback {
         &self.commanded
     }
 
@@ -103,14 +104,18 @@ impl FeedbackLaw {
             );
             approach(
                 &mut self.most[axis],
-                commanded.most << 8,
+                commanded.limit << 8,
                 step.saturating_mul(10),
             );
         }
-        approach(&mut self.boost, i32::from(self.commanded.boost) << 8, step);
+        approach(
+            &mut self.boost,
+            i32::from(self.commanded.damping) << 8,
+            step,
+        );
         approach(
             &mut self.below,
-            self.commanded.boost_below << 8,
+            self.commanded.damping_below << 8,
             step.saturating_mul(10),
         );
         // Settings that do not change have reached their targets.

@@ -50,7 +50,9 @@ use haptimill_kinematics::haptic_arm::{ArmError, HandPose, HapticArm, LegReading
 use haptimill_math::force::Force;
 use haptimill_math::scale::{difference, multiply_high, product, saturate, total};
 use haptimill_math::{Angle, Length, Rate};
-pub use haptimill_protocol::haptic::{COMPONENTS, Hand, HandProblem, HandTelemetry, Reflection};
+pub use haptimill_protocol::haptic::{
+    COMPONENTS, ForceFeedback, MasterPose, MasterProblem, MasterTelemetry,
+};
 use mapping::Frame;
 use motors::Motors;
 use oscillation::{OperatorPower, OscillationDampers};
@@ -131,7 +133,7 @@ pub struct Haptic {
     reflected: [Force; COMPONENTS],
     wall: [Force; COMPONENTS],
     enabled: bool,
-    problem: Option<HandProblem>,
+    problem: Option<MasterProblem>,
     /// The problem is latched until a reset.
     latched: bool,
     /// The problem has not been reported.
@@ -229,12 +231,12 @@ impl Haptic {
             let pose = self.pose.get_or_insert_default();
             let found = self.arm.find(&readings, pose);
             found.map(|()| pose.tip).map_err(|error| match error {
-                ArmError::Slide { leg } => HandProblem::Range { leg, sensor: 0 },
-                ArmError::Side { leg, by } => HandProblem::Encoder { leg, by: by.0 },
+                ArmError::Slide { leg } => MasterProblem::Range { leg, sensor: 0 },
+                ArmError::Side { leg, by } => MasterProblem::Encoder { leg, by: by.0 },
             })
         });
         match found {
-            Ok(tip) => self.go_on(tip, known),
+            Ok(tip) => self.update_tip(tip, known),
             Err(problem) => {
                 self.pose = None;
                 self.rates = [0; COMPONENTS];
@@ -244,7 +246,7 @@ impl Haptic {
     }
 
     /// Converts counters to leg readings.
-    fn read(&mut self, inputs: &HapticInputs) -> Result<[LegReading; LEGS], HandProblem> {
+    fn read(&mut self, inputs: &HapticInputs) -> Result<[LegReading; LEGS], MasterProblem> {
         let mut readings = [LegReading::default(); LEGS];
         for (index, leg) in inputs.legs.iter().enumerate() {
             let mut values = [0; 3];
@@ -252,14 +254,14 @@ impl Haptic {
                 let (at, here) = (index as u8, sensor as u8);
                 let illegal = leg.illegal[sensor].wrapping_sub(self.illegal[index][sensor]);
                 if illegal > self.illegal_most {
-                    return Err(HandProblem::Illegal {
+                    return Err(MasterProblem::Illegal {
                         leg: at,
                         sensor: here,
                     });
                 }
                 let encoder = &self.sensors[index][sensor];
                 let counts = leg.counts[sensor].wrapping_sub(self.zero[index][sensor]);
-                let range = HandProblem::Range {
+                let range = MasterProblem::Range {
                     leg: at,
                     sensor: here,
                 };
@@ -284,7 +286,7 @@ impl Haptic {
 
     /// Updates tip, motion and rates from a new pose. `known` is whether the previous pose was
     /// valid.
-    fn go_on(&mut self, tip: [i32; COMPONENTS], known: bool) {
+    fn update_tip(&mut self, tip: [i32; COMPONENTS], known: bool) {
         if known {
             for (axis, rate) in self.rates.iter_mut().enumerate() {
                 // More than 16 mm in a control period is not motion; the side lengths of the
@@ -304,7 +306,7 @@ impl Haptic {
         }
     }
 
-    fn raise(&mut self, problem: HandProblem, latched: bool) {
+    fn raise(&mut self, problem: MasterProblem, latched: bool) {
         if self.problem.is_none() {
             self.problem = Some(problem);
             self.fresh = true;
@@ -313,14 +315,14 @@ impl Haptic {
     }
 
     /// Takes a problem that has not been reported.
-    pub fn take_problem(&mut self) -> Option<HandProblem> {
+    pub fn take_problem(&mut self) -> Option<MasterProblem> {
         let fresh = core::mem::take(&mut self.fresh);
         self.problem.filter(|_| fresh)
     }
 
     /// The present problem of the arm.
     #[must_use]
-    pub const fn problem(&self) -> Option<HandProblem> {
+    pub const fn problem(&self) -> Option<MasterProblem> {
         self.problem
     }
 
@@ -372,14 +374,14 @@ impl Haptic {
         outputs: &mut HapticOutputs,
     ) {
         if powered && !self.ready {
-            self.raise(HandProblem::Drive, true);
+            self.raise(MasterProblem::Drive, true);
         }
         let Some(pose) = self
             .pose
             .as_ref()
             .filter(|_| powered && self.problem.is_none())
         else {
-            return self.let_go(outputs);
+            return self.switch_off(outputs);
         };
         self.remote.left = self.remote.left.saturating_sub(1);
         let there = if self.remote.left > 0 {
@@ -394,10 +396,10 @@ impl Haptic {
         self.wall = self.walls.push(&pose.tip);
         let stored = self.walls.stored();
         let works = works(&self.force, &self.moved);
-        self.passivity.observe_works(&works, stored);
+        self.passivity.observe_work(&works, stored);
         self.swings.watch(&self.force, &self.moved, stored);
         let (all, swinging) = (self.passivity.deficit_of(), self.swings.deficit_of());
-        let idle = self.supply.watch_works(&works);
+        let idle = self.supply.observe_work(&works);
         let deficit_of =
             idle.map(|idle| all.max(((i64::from(swinging) * i64::from(idle)) >> 16) as i32));
         // Axes that the operator does not drive get half the damping, applied to the full velocity.
@@ -431,14 +433,14 @@ impl Haptic {
                     .map(|force| Force(saturate((i64::from(force.0) * i64::from(share)) >> 16)));
             }
             Err(_) => {
-                self.raise(HandProblem::Singular, true);
-                self.let_go(outputs);
+                self.raise(MasterProblem::Singular, true);
+                self.switch_off(outputs);
             }
         }
     }
 
     /// Switches the motors off and resets all force states.
-    fn let_go(&mut self, outputs: &mut HapticOutputs) {
+    fn switch_off(&mut self, outputs: &mut HapticOutputs) {
         *outputs = HapticOutputs::default();
         self.enabled = false;
         self.blend = 0;
@@ -452,7 +454,7 @@ impl Haptic {
     }
 
     /// Sets the force feedback law.
-    pub const fn set_feedback(&mut self, settings: &Reflection) {
+    pub const fn set_feedback(&mut self, settings: &ForceFeedback) {
         self.law.set(settings);
     }
 
@@ -498,23 +500,23 @@ impl Haptic {
 
     /// Telemetry of the master.
     #[must_use]
-    pub fn telemetry(&self, period: u64) -> HandTelemetry {
+    pub fn telemetry(&self, period: u64) -> MasterTelemetry {
         let short = |forces: &[Force; COMPONENTS]| {
             forces.map(|force| (force.0 >> 8).clamp(-32768, 32767) as i16)
         };
         let axes = self.pose.map_or([[0; 3]; 3], |pose| pose.axes);
         let direction = |axis: [i32; 3]| axis.map(|part| (part >> 15).clamp(-32767, 32767) as i16);
-        HandTelemetry {
+        MasterTelemetry {
             period,
-            hand: Hand {
+            pose: MasterPose {
                 tip: self.tip,
                 rate: self.rates().map(|rate| rate.0 >> 8),
                 axes: [direction(axes[0]), direction(axes[2])],
                 engaged: self.engaged && self.problem.is_none() && self.pose.is_some(),
             },
             force: short(&self.force),
-            reflected: short(&self.reflected),
-            wall: short(&self.wall),
+            feedback: short(&self.reflected),
+            fixture: short(&self.wall),
             energy: (self.passivity.energy().min(self.swings.energy()) >> 28).clamp(-32768, 32767)
                 as i16,
             enabled: self.enabled,

@@ -69,7 +69,7 @@ const ALPHA: usize = 4;
 impl Homing {
     /// Sets the jog going from `pose`, for the joints of the kind of `joint`.
     #[inline(never)]
-    fn aim(&mut self, config: &Config, joint: &JointAxis, pose: &Pose, jog: &mut Jog) {
+    fn set_rates(&mut self, config: &Config, joint: &JointAxis, pose: &Pose, jog: &mut Jog) {
         let coordinate = match joint.kind {
             AxisKind::Linear => X,
             AxisKind::Rotary => ALPHA,
@@ -105,7 +105,7 @@ impl Homing {
             }
             (AxisKind::Rotary, Model::None) => {}
         }
-        jog.aim(&rates, self.left);
+        jog.set_rates(&rates, self.left);
     }
 
     /// Takes the index pulse of a joint: the coordinate, by the preset, at which it came.
@@ -144,7 +144,7 @@ impl Homing {
         let mut joints = config.joints.iter().enumerate();
         let missing = joints.find(|(joint, _)| self.corrections[*joint].is_none());
         match (self.phase, missing) {
-            (Phase::Aim, Some((_, axis))) => self.aim(config, axis, pose, jog),
+            (Phase::Aim, Some((_, axis))) => self.set_rates(config, axis, pose, jog),
             (Phase::Search, Some((joint, axis))) if self.kind == Some(axis.kind) => {
                 self.left = self.left.saturating_sub(1);
                 let problem = if limited && self.reversed {

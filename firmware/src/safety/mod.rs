@@ -55,7 +55,7 @@ pub const fn brakes_first(fault: &Fault) -> bool {
             | Fault::SoftLimit { .. }
             | Fault::JointRate { .. }
             | Fault::Force(_)
-            | Fault::Hand(_)
+            | Fault::Master(_)
     )
 }
 
@@ -67,7 +67,7 @@ pub const fn brakes_first(fault: &Fault) -> bool {
 const fn is_of_joint(fault: &Fault) -> bool {
     matches!(
         fault,
-        Fault::FollowingError { .. } | Fault::EncoderStill { .. } | Fault::EncoderReversed { .. }
+        Fault::FollowingError { .. } | Fault::EncoderStuck { .. } | Fault::EncoderReversed { .. }
     )
 }
 
@@ -90,7 +90,7 @@ pub const fn keeps_position(fault: &Fault) -> bool {
 #[must_use]
 pub const fn suspected(fault: &Fault) -> Option<u8> {
     match fault {
-        Fault::EncoderStill { axis }
+        Fault::EncoderStuck { axis }
         | Fault::EncoderReversed { axis }
         | Fault::FollowingError { axis, .. }
         | Fault::Stroke { axis, .. }

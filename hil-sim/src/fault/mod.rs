@@ -155,7 +155,7 @@ pub enum FaultKind {
         level: Level,
     },
     /// A fault of the haptic arm.
-    Hand(HapticFault),
+    HapticArm(HapticFault),
     /// The spindle stands still whatever its command is.
     SpindleStalled,
     /// The emergency stop circuit is open.
@@ -302,7 +302,7 @@ impl FaultKind {
     const fn bounded(&self) -> Option<(&'static str, f64, f64, f64)> {
         Some(match self {
             Self::EncoderNoise { per_second, .. }
-            | Self::Hand(HapticFault::EncoderNoise { per_second, .. }) => {
+            | Self::HapticArm(HapticFault::EncoderNoise { per_second, .. }) => {
                 ("per-second", *per_second, 0.0, 50_000.0)
             }
             Self::DriveWeak { gain, .. } => ("gain", *gain, -100.0, 100.0),
@@ -352,7 +352,7 @@ impl Fault {
         {
             return refuse(format!("`{key}={value}`: must be {low} to {high}"));
         }
-        if let FaultKind::Hand(fault) = &self.what
+        if let FaultKind::HapticArm(fault) = &self.what
             && let Some(HapticEncoder { leg, .. }) = fault.encoder()
             && !(1..=LEGS).contains(&usize::from(leg))
         {

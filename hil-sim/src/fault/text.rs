@@ -243,7 +243,7 @@ fn kind(name: &str, keys: &mut Keys<'_>) -> Result<FaultKind, String> {
             direction: keys.direction()?,
         },
         _ => match name.strip_prefix("hand-") {
-            Some(rest) => FaultKind::Hand(HapticFault::read(rest, keys)?),
+            Some(rest) => FaultKind::HapticArm(HapticFault::read(rest, keys)?),
             None => return Err(format!("{name} is in the catalogue only")),
         },
     })
@@ -493,7 +493,7 @@ impl fmt::Display for Fault {
                     level.word()
                 )
             }
-            FaultKind::Hand(fault) => write!(f, "{fault}"),
+            FaultKind::HapticArm(fault) => write!(f, "{fault}"),
             FaultKind::SpindleStalled => f.write_str("spindle-stalled"),
             FaultKind::EmergencyStop => f.write_str("emergency-stop"),
             FaultKind::MissedPeriods { count } => write!(f, "missed-periods count={count}"),

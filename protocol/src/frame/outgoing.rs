@@ -72,7 +72,7 @@ impl OutgoingFrame {
         self.end = 0;
         let start = CODE + 1;
         let content = self.bytes.0.get_mut(start..).unwrap_or_default();
-        let end = if header == Header::Alive {
+        let end = if header == Header::KeepAlive {
             if let Some(place) = content.first_mut() {
                 *place = sign_of_life(session);
             }
@@ -95,7 +95,7 @@ impl OutgoingFrame {
         self.run = 1;
         self.at = start;
         self.end = end;
-        self.check_at = if header == Header::Alive {
+        self.check_at = if header == Header::KeepAlive {
             BYTES
         } else {
             end - CRC_BYTES

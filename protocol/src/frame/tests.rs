@@ -142,7 +142,7 @@ fn a_sign_of_life_takes_three_bytes_and_is_heard_in_its_session() {
     let mut heard_elsewhere = 0;
     for session in 1..5000 {
         let mut frame = FrameBytes::new();
-        encode(Header::Alive, b"not sent", session, &mut frame).unwrap();
+        encode(Header::KeepAlive, b"not sent", session, &mut frame).unwrap();
         assert_eq!((frame.len(), frame.last()), (3, Some(&0)));
         let mut decoder = FrameDecoder::new();
         assert!(frames(&mut decoder, &frame).is_empty());
@@ -150,7 +150,7 @@ fn a_sign_of_life_takes_three_bytes_and_is_heard_in_its_session() {
         decoder.set_session(session);
         assert_eq!(
             frames(&mut decoder, &frame),
-            [(Header::Alive, StdVec::new())]
+            [(Header::KeepAlive, StdVec::new())]
         );
         assert_eq!(decoder.bad_frames(), 1);
         decoder.set_session(session ^ 0x0400_0001);

@@ -23,7 +23,7 @@ struct Pair {
     controller: ControllerLink,
     now_us: u64,
     busy: bool,
-    greeted: StdVec<Greeted>,
+    greeted: StdVec<HelloOutcome>,
 }
 
 impl Pair {
@@ -52,7 +52,7 @@ impl Pair {
             let count = self.host.transmit(self.now_us, &mut buffer);
             self.controller.receive(self.now_us, &buffer[..count]);
             match self.controller.welcome(self.now_us, &IDENTITY, self.busy) {
-                Greeted::Nothing => {}
+                HelloOutcome::Nothing => {}
                 greeted => self.greeted.push(greeted),
             }
             let count = self.controller.transmit(self.now_us, &mut buffer);
@@ -77,7 +77,7 @@ fn the_welcome_tells_who_is_there() {
         ("H4 arm", 99, 77)
     );
     assert_eq!((peer.period_us, peer.axes, peer.queue), (200, 5, 64));
-    assert_eq!(pair.greeted, [Greeted::Begun]);
+    assert_eq!(pair.greeted, [HelloOutcome::Begun]);
     assert_eq!((pair.host.session(), pair.controller.session()), (77, 77));
 }
 
@@ -114,7 +114,7 @@ fn a_busy_controller_keeps_its_session() {
     pair.controller.receive(pair.now_us, &buffer[..count]);
     assert_eq!(
         pair.controller.welcome(pair.now_us, &IDENTITY, true),
-        Greeted::Refused(HelloRefusal::Busy)
+        HelloOutcome::Refused(HelloRefusal::Busy)
     );
     let count = pair.controller.transmit(pair.now_us, &mut buffer);
     other.receive(pair.now_us, &buffer[..count]);
@@ -139,7 +139,7 @@ fn a_new_session_forgets_the_old_one_and_an_ended_one_does_not_come_back() {
     pair.run(2000);
     pair.host.open(2, pair.now_us);
     pair.run(2000);
-    assert_eq!(pair.greeted, [Greeted::Begun, Greeted::Begun]);
+    assert_eq!(pair.greeted, [HelloOutcome::Begun, HelloOutcome::Begun]);
     assert_eq!(pair.controller.poll_message(), None);
     pair.host.send(&ping(9)).unwrap();
     pair.run(2000);
@@ -176,7 +176,7 @@ fn other_versions_and_schemas_are_refused_by_both_ends() {
         controller.receive(0, &frame);
         assert_eq!(
             controller.welcome(0, &IDENTITY, false),
-            Greeted::Refused(why)
+            HelloOutcome::Refused(why)
         );
         assert_eq!(controller.state(0), LinkState::Closed);
 

@@ -2,7 +2,7 @@
 
 use super::State;
 use crate::force::{ForceProblem, ForceRefusal};
-use crate::haptic::HandProblem;
+use crate::haptic::MasterProblem;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
@@ -55,7 +55,7 @@ pub enum Refusal {
     /// The queue is full: the host sent beyond the credit.
     QueueFull,
     /// The present pose of the machine is one at which it cannot hold.
-    Standing(PoseError),
+    MeasuredPose(PoseError),
     /// The kinematics refuse a setpoint.
     Pose {
         /// Number of the setpoint in the job.
@@ -103,14 +103,14 @@ pub enum Refusal {
     /// Force control needs a force sensor with a zero (tare).
     NotTared,
     /// A compliant displacement is active: the present force cannot be taken as zero.
-    Yielding,
+    Compliant,
     /// Force control was requested while the force sensor is invalid.
     ForceSensor(ForceProblem),
     /// The machine has no haptic arm, or its tool cannot be led by one.
-    NoHand,
+    NoMaster,
     /// A virtual fixture is so near the opposite one that the ball at the tip does not fit between
     /// them.
-    WallTooNear,
+    FixturesTooNear,
     /// A joint would exceed its maximum rate before a setpoint.
     JointRate {
         /// Number of the setpoint in the job.
@@ -240,7 +240,7 @@ pub enum Fault {
         counts: i32,
     },
     /// Encoder stuck: motion was commanded and the encoder counted none.
-    EncoderStill {
+    EncoderStuck {
         /// The joint.
         axis: u8,
     },
@@ -280,7 +280,7 @@ pub enum Fault {
     Force(ForceProblem),
     /// A problem of the haptic arm that leads the tool. Its motors are off, and the machine
     /// decelerated first.
-    Hand(HandProblem),
+    Master(MasterProblem),
     /// An arithmetic limit was reached inside the controller. This is a defect of the firmware.
     Internal {
         /// Source line, for a bug report.

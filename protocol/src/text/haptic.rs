@@ -1,7 +1,7 @@
 //! Sentences of the haptic arm.
 
 use super::{Amount, Axes, AxisKind, Describe};
-use crate::haptic::HandProblem;
+use crate::haptic::MasterProblem;
 use core::fmt::{Formatter, Result};
 
 /// Quantity that an encoder of a leg measures.
@@ -13,7 +13,7 @@ const fn sensor(index: u8) -> &'static str {
     }
 }
 
-impl Describe for HandProblem {
+impl Describe for MasterProblem {
     fn describe(&self, _: &Axes<'_>, f: &mut Formatter<'_>) -> Result {
         match *self {
             Self::Encoder { leg, by } => {

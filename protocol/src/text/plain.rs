@@ -118,12 +118,12 @@ impl Command {
             Self::ForceMask { .. } => "force axes",
             Self::ForceLoop { .. } => "force set",
             Self::Tare => "tare",
-            Self::Hand { .. } => "hand",
-            Self::Feel { .. } => "feel",
-            Self::Reflect(_) => "reflect",
-            Self::Wall { .. } => "wall",
-            Self::HandScale { .. } => "hand scale",
-            Self::HandTelemetry { .. } => "hand telemetry",
+            Self::MasterPose { .. } => "master pose",
+            Self::RemoteForce { .. } => "remote force",
+            Self::ForceFeedback(_) => "force feedback",
+            Self::VirtualFixture { .. } => "virtual fixture",
+            Self::PositionScale { .. } => "position scale",
+            Self::MasterTelemetry { .. } => "master telemetry",
             Self::ForceSettings { .. } => "force settings",
         }
     }

@@ -2,7 +2,6 @@
 
 use super::episode::{Episode, JOINTS, MachineKind};
 use super::rng::Rng;
-use haptimill::machine::MachineFile;
 use haptimill_firmware::config::Drive;
 use haptimill_firmware::controller::Controller;
 use haptimill_firmware::io::{Inputs, Outputs};
@@ -14,6 +13,7 @@ use haptimill_hil_sim::line::SerialLine;
 use haptimill_hil_sim::random::Random;
 use haptimill_hil_sim::rig::{Control, Rig, RigOptions};
 use haptimill_hil_sim::schedule::Schedule;
+use haptimill_machine_file::MachineFile;
 use haptimill_protocol::link::{HostLink, LinkState, Timing};
 use haptimill_protocol::message::{Command, Event, Refusal, Report, Request, Telemetry};
 use std::collections::{BTreeMap, VecDeque};
@@ -173,12 +173,12 @@ pub const fn name(command: &Command) -> &'static str {
         Command::ForceMask { .. } => "ForceMask",
         Command::ForceLoop { .. } => "ForceLoop",
         Command::Tare => "Tare",
-        Command::Hand { .. } => "Hand",
-        Command::Feel { .. } => "Feel",
-        Command::Reflect(_) => "Reflect",
-        Command::Wall { .. } => "Wall",
-        Command::HandScale { .. } => "HandScale",
-        Command::HandTelemetry { .. } => "HandTelemetry",
+        Command::MasterPose { .. } => "MasterPose",
+        Command::RemoteForce { .. } => "RemoteForce",
+        Command::ForceFeedback(_) => "ForceFeedback",
+        Command::VirtualFixture { .. } => "VirtualFixture",
+        Command::PositionScale { .. } => "PositionScale",
+        Command::MasterTelemetry { .. } => "MasterTelemetry",
         Command::ForceSettings { .. } => "ForceSettings",
     }
 }
@@ -249,7 +249,10 @@ impl StormBench {
 
     /// Sends a request. Returns false without room or session.
     pub fn send(&mut self, command: &Command) -> bool {
-        if matches!(command, Command::Hand { .. } | Command::Feel { .. }) {
+        if matches!(
+            command,
+            Command::MasterPose { .. } | Command::RemoteForce { .. }
+        ) {
             let request = Request {
                 id: 0,
                 command: command.clone(),
@@ -384,7 +387,7 @@ impl StormBench {
                 Report::Answer { id, result } => self.answered(id, result),
                 Report::Event { period, event } => self.events.push((period, event)),
                 Report::Telemetry(telemetry) => self.telemetry = Some(telemetry),
-                Report::Hand(_) => {}
+                Report::Master(_) => {}
             }
         }
         ticked

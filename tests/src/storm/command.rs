@@ -2,7 +2,7 @@
 
 use super::rng::Rng;
 use haptimill_protocol::force::{ForceLoop, Gate};
-use haptimill_protocol::haptic::{Hand, ReflectAxis, Reflection, Wall};
+use haptimill_protocol::haptic::{ForceFeedback, ForceFeedbackAxis, MasterPose, VirtualFixture};
 use haptimill_protocol::message::{
     Action, AxisValues, Command, ConfigChunk, SetpointBatch, SetpointDelta, Source,
 };
@@ -78,35 +78,35 @@ pub fn compliant_loop(rng: &mut Rng) -> ForceLoop {
 
 /// Returns settings of the force feedback.
 pub fn force_feedback(rng: &mut Rng) -> Command {
-    let axis = |rng: &mut Rng| ReflectAxis {
+    let axis = |rng: &mut Rng| ForceFeedbackAxis {
         percent: rng.choose(&[0, 20, 100, 100, 101]),
-        most: (rng.uniform(-1.0, 12.0) * 65_536.0) as i32,
+        limit: (rng.uniform(-1.0, 12.0) * 65_536.0) as i32,
     };
-    Command::Reflect(Reflection {
+    Command::ForceFeedback(ForceFeedback {
         axes: [axis(rng), axis(rng), axis(rng)],
-        boost: rng.bits() as u16,
-        boost_below: (rng.uniform(0.0, 4.0) * 65_536.0) as i32,
+        damping: rng.bits() as u16,
+        damping_below: (rng.uniform(0.0, 4.0) * 65_536.0) as i32,
     })
 }
 
 /// Returns a virtual fixture.
 pub fn virtual_fixture(rng: &mut Rng) -> Command {
-    let wall = rng.chance(0.7).then(|| Wall {
+    let wall = rng.chance(0.7).then(|| VirtualFixture {
         at: rng
             .chance(0.6)
             .then(|| (rng.uniform(-40.0, 40.0) * 1_048_576.0) as i32),
         rate: if rng.chance(0.6) { 0 } else { word(rng) },
     });
-    Command::Wall {
+    Command::VirtualFixture {
         axis: rng.below(4) as u8,
         upper: rng.chance(0.5),
-        wall,
+        fixture: wall,
     }
 }
 
 /// Returns the force on a remote tool.
 pub fn remote_force(rng: &mut Rng) -> Command {
-    Command::Feel {
+    Command::RemoteForce {
         force: core::array::from_fn(|_| {
             if rng.chance(0.1) {
                 rng.bits() as i16
@@ -118,8 +118,8 @@ pub fn remote_force(rng: &mut Rng) -> Command {
 }
 
 /// Returns any pose of a remote master.
-pub fn any_master(rng: &mut Rng) -> Hand {
-    Hand {
+pub fn any_master(rng: &mut Rng) -> MasterPose {
+    MasterPose {
         tip: core::array::from_fn(|_| word(rng)),
         rate: core::array::from_fn(|_| word(rng)),
         axes: if rng.chance(0.6) {
@@ -218,11 +218,11 @@ pub fn any(rng: &mut Rng) -> Command {
         29 => Command::Tare,
         30 => force_feedback(rng),
         31 => virtual_fixture(rng),
-        32 => Command::HandScale { scale: half(rng) },
-        _ => Command::Hand {
+        32 => Command::PositionScale { scale: half(rng) },
+        _ => Command::MasterPose {
             epoch: half(rng),
             age_ms: byte(rng),
-            hand: any_master(rng),
+            pose: any_master(rng),
         },
     }
 }

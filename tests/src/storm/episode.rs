@@ -167,7 +167,7 @@ pub enum Stimulus {
     /// The controller misses this many periods.
     MissPeriods(u16),
     /// An elastic wall at the tool: axis, distance in mm, stiffness in N/mm; or none.
-    Wall(Option<(u8, f64, f64)>),
+    VirtualFixture(Option<(u8, f64, f64)>),
     /// A workpiece that can be cut is clamped at the tool.
     ClampStock,
     /// A configuration with random mutations is sent and activated.
@@ -237,7 +237,7 @@ pub const fn stimulus_name(stimulus: &Stimulus) -> &'static str {
         Stimulus::RampLoad(..) => "fault load ramp",
         Stimulus::ClearFaults => "faults cleared",
         Stimulus::MissPeriods(_) => "missed periods",
-        Stimulus::Wall(_) => "elastic wall",
+        Stimulus::VirtualFixture(_) => "elastic wall",
         Stimulus::ClampStock => "workpiece that is cut",
         Stimulus::Configure { .. } => "configuration",
         Stimulus::MoveMaster(..) => "operator at the haptic arm",
@@ -260,7 +260,7 @@ const fn fault_name(kind: &FaultKind) -> &'static str {
         FaultKind::SlideJammed { .. } => "fault slide-jammed",
         FaultKind::Push { .. } => "fault push",
         FaultKind::SwitchStuck { .. } => "fault switch-stuck",
-        FaultKind::Hand(_) => "fault of the haptic arm",
+        FaultKind::HapticArm(_) => "fault of the haptic arm",
         FaultKind::SpindleStalled => "fault spindle-stalled",
         _ => "fault of the force sensor",
     }

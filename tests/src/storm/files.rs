@@ -3,12 +3,12 @@
 //! A parser must return a value or an error with text, without a panic, within a bounded time.
 
 use super::rng::Rng;
-use haptimill::machine::{MachineFile, work};
-use haptimill::program::{Options, read};
-use haptimill::record::{Header, Recorder, Recording};
-use haptimill::teleop::script::Script;
 use haptimill_firmware::controller::Controller;
 use haptimill_firmware::io::{Inputs, Outputs};
+use haptimill_gcode::{Options, read};
+use haptimill_machine_file::{MachineFile, work};
+use haptimill_teleop::script::Script;
+use haptimill_trace::{Header, Recorder, Recording};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
 use std::sync::OnceLock;
@@ -204,6 +204,6 @@ fn read_recording(path: &std::path::Path) -> Result<(), String> {
     {
         period.map_err(|error| error.to_string())?;
     }
-    let _ = haptimill::replay::replay(&recording).map_err(|error| error.to_string())?;
+    let _ = haptimill_trace::replay::replay(&recording).map_err(|error| error.to_string())?;
     Ok(())
 }

@@ -2,16 +2,16 @@
 #![allow(dead_code, reason = "each test binary uses a part")]
 
 use clap::{Args, FromArgMatches, Subcommand};
-use haptimill::cli::CliError;
-use haptimill::cli::run::{self, RunArgs};
-use haptimill::cli::scenario::{self, ScenarioCommand};
-use haptimill::machine::MachineFile;
-use haptimill::port::Board;
-use haptimill::session::pil::{self, Emulator, Setup};
+use haptimill::commands::CliError;
+use haptimill::commands::run::{self, RunArgs};
+use haptimill::commands::scenario::{self, ScenarioCommand};
+use haptimill_client::port::Board;
+use haptimill_client::session::pil::{self, Emulator, Setup};
 use haptimill_firmware::io::Outputs;
 use haptimill_firmware::snapshot::Snapshot;
 use haptimill_hil_sim::remote::RemoteController;
 use haptimill_hil_sim::rig::{Control, RigOptions};
+use haptimill_machine_file::MachineFile;
 use haptimill_tests::Bench;
 use std::path::{Path, PathBuf};
 use std::process::Command;

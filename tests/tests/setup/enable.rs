@@ -1,9 +1,9 @@
 //! Machines from changed machine files, and the position after an emergency stop.
 
 use super::{DEGREE, MM, drives_off, jog};
-use haptimill::machine::{BUILT_IN, MachineFile};
 use haptimill_firmware::controller::Controller;
 use haptimill_hil_sim::rig::{Control, RigOptions};
+use haptimill_machine_file::{BUILT_IN, MachineFile};
 use haptimill_protocol::message::{Command, InputProblem, Refusal, State};
 use haptimill_tests::Bench;
 

@@ -5,13 +5,13 @@
 //! breakaway force above the Coulomb force (Stribeck). Units: mm, s, N, kg.
 
 use super::MM;
-use haptimill::machine::MachineFile;
 use haptimill_firmware::config::{JointAxis, Supervision};
 use haptimill_firmware::io::{AxisInputs, DriveCommand};
 use haptimill_firmware::joint::JointDrive;
 use haptimill_hil_sim::config::PlantConfig;
 use haptimill_hil_sim::joint::encoder::{Encoder, EncoderCondition, Track};
 use haptimill_hil_sim::random::Random;
+use haptimill_machine_file::MachineFile;
 use haptimill_math::{Acceleration, Coordinate, Gain, Rate};
 use haptimill_protocol::message::{Fault, MAX_AXES};
 

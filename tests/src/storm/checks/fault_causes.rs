@@ -128,7 +128,7 @@ impl Checks {
             Fault::Stroke { .. } | Fault::LimitSwitch { .. } => {
                 self.causes.contains(&Cause::MissedPeriods)
             }
-            Fault::Hand(_) => self.causes.contains(&Cause::MasterLeads),
+            Fault::Master(_) => self.causes.contains(&Cause::MasterLeads),
             Fault::Force(ForceProblem::Drift { .. })
                 if self.causes.contains(&Cause::SensorNotTared) =>
             {
@@ -194,7 +194,7 @@ fn explains(kind: &FaultKind, fault: &Fault) -> bool {
     let joint = kind.axis().and_then(joint_of);
     let of = |axis: &u8| Some(usize::from(*axis)) == joint;
     let counter = match fault {
-        Fault::EncoderStill { axis }
+        Fault::EncoderStuck { axis }
         | Fault::EncoderReversed { axis }
         | Fault::EncoderIllegal { axis, .. }
         | Fault::EncoderSlip { axis, .. }
@@ -239,7 +239,7 @@ fn explains(kind: &FaultKind, fault: &Fault) -> bool {
         | K::SensorDrift { .. }
         | K::SensorSaturated { .. }
         | K::SpindleStalled => matches!(fault, Fault::Force(_)),
-        K::Hand(_) => matches!(fault, Fault::Hand(_)),
+        K::HapticArm(_) => matches!(fault, Fault::Master(_)),
         _ => false,
     }
 }

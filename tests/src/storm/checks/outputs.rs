@@ -18,7 +18,7 @@ const fn holds(fault: &Fault) -> bool {
             | Fault::SoftLimit { .. }
             | Fault::JointRate { .. }
             | Fault::Force(_)
-            | Fault::Hand(_)
+            | Fault::Master(_)
     )
 }
 

@@ -43,7 +43,7 @@ impl Player {
                 mutate(&mut config, &mut rng);
             }
         }
-        let file = haptimill::machine::MachineFile {
+        let file = haptimill_machine_file::MachineFile {
             config,
             ..self.bench.machine.clone()
         };

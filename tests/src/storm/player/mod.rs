@@ -11,7 +11,7 @@ use super::command;
 use super::episode::{Episode, MachineKind, stimulus_name};
 use super::rng::Rng;
 use super::units::{MM, unit};
-use haptimill_protocol::haptic::Hand;
+use haptimill_protocol::haptic::MasterPose;
 use haptimill_protocol::link::LinkState;
 use haptimill_protocol::message::{AxisValues, Command, Refusal, State};
 use std::collections::{BTreeMap, VecDeque};
@@ -231,7 +231,7 @@ impl Player {
         let hand = if any && sender.rng.chance(0.1) {
             command::any_master(&mut sender.rng)
         } else {
-            Hand {
+            MasterPose {
                 tip: [(wave(fast) * MM) as i32, (wave(slow) * MM) as i32, 0],
                 rate: [
                     (slope(fast, 1.0) * 4096.0) as i32,
@@ -242,10 +242,10 @@ impl Player {
                 engaged: true,
             }
         };
-        let pose = Command::Hand {
+        let pose = Command::MasterPose {
             epoch: self.hand_epoch,
             age_ms: sender.age_ms,
-            hand,
+            pose: hand,
         };
         self.bench.send(&pose);
     }

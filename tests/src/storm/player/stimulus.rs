@@ -122,7 +122,7 @@ impl Player {
                 self.checks.causes.push(Cause::MissedPeriods);
                 self.bench.rig.control_mut().late = *count;
             }
-            Stimulus::Wall(wall) => self.set_wall(*wall),
+            Stimulus::VirtualFixture(wall) => self.set_wall(*wall),
             Stimulus::ClampStock => self.clamp_stock(),
             Stimulus::Configure {
                 seed,

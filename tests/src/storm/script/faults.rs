@@ -88,7 +88,7 @@ pub(super) fn single_fault(kind: MachineKind, rng: &mut Rng) -> (Stimulus, u32) 
                 leg: 1 + rng.below(3) as u8,
                 sensor: rng.choose(&[HapticSensor::Slide, HapticSensor::Turn, HapticSensor::Hinge]),
             };
-            FaultKind::Hand(rng.choose(&[
+            FaultKind::HapticArm(rng.choose(&[
                 HapticFault::EncoderStuck {
                     place,
                     channel,

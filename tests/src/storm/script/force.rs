@@ -13,7 +13,7 @@ pub(super) fn stimuli(rng: &mut Rng) -> Steps {
     match rng.below(9) {
         0 => vec![
             (Stimulus::WaitIdle, 20_000),
-            (Stimulus::Wall(None), 400),
+            (Stimulus::VirtualFixture(None), 400),
             (Stimulus::Send(Command::Tare), 1500),
         ],
         1 | 2 => {
@@ -65,10 +65,10 @@ fn approach(
         (Stimulus::Send(Command::Tare), 1500),
         (Stimulus::Send(Command::ForceLoop { axis, settings }), 400),
         (Stimulus::Send(Command::ForceMask { mask: 1 << axis }), 20),
-        (Stimulus::Wall(Some((axis, gap, stiffness))), 20),
+        (Stimulus::VirtualFixture(Some((axis, gap, stiffness))), 20),
         (Stimulus::Job(line(rng)), 14_000),
         (Stimulus::Send(Command::Stop), 3000),
-        (Stimulus::Wall(None), 6000),
+        (Stimulus::VirtualFixture(None), 6000),
         (Stimulus::Send(Command::ForceMask { mask: 0 }), 400),
     ]
 }
@@ -89,7 +89,7 @@ fn cut_workpiece(rng: &mut Rng) -> Steps {
         (Stimulus::ClampStock, 20),
         (Stimulus::Job(line), 20_000),
         (Stimulus::Send(Command::Stop), 3000),
-        (Stimulus::Wall(None), 8000),
+        (Stimulus::VirtualFixture(None), 8000),
         (Stimulus::Send(Command::ForceMask { mask: 0 }), 400),
     ]
 }

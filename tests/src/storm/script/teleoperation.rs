@@ -21,7 +21,7 @@ pub(super) fn stimuli(kind: MachineKind, rng: &mut Rng) -> Steps {
             2 => vec![(Stimulus::Send(command::virtual_fixture(rng)), 1000)],
             3 => vec![(Stimulus::Send(command::remote_force(rng)), 400)],
             4 => vec![(
-                Stimulus::Send(Command::HandTelemetry {
+                Stimulus::Send(Command::MasterTelemetry {
                     every: rng.choose(&[1, 10, 50]),
                 }),
                 200,
@@ -67,7 +67,7 @@ pub(super) fn stimuli(kind: MachineKind, rng: &mut Rng) -> Steps {
         }
         2 => vec![(Stimulus::Send(command::force_feedback(rng)), 200)],
         3 => vec![(
-            Stimulus::Send(Command::HandScale {
+            Stimulus::Send(Command::PositionScale {
                 scale: rng.uniform(410.0, 8192.0) as u16,
             }),
             200,

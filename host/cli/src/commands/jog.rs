@@ -1,0 +1,193 @@
+//! `haptimill jog`: move at a rate for a time, with a dead-man deadline.
+
+use super::one_shot::{open, report};
+use super::{BoardArg, CliError, ConnectArgs, Exit, seconds};
+use clap::Args;
+use haptimill_client::session::{EMERGENCY_STOP, has_tool};
+use haptimill_machine_file::MachineFile;
+use haptimill_machine_file::model::LETTERS;
+use haptimill_machine_file::scale::per_unit;
+use haptimill_protocol::message::{AxisValues, Event, RATE_SHIFT, State};
+use std::str::FromStr;
+
+const LONG: &str = "\
+Move pose coordinates at a rate for a time.
+
+Rates are in mm/s and degrees/s: `haptimill jog x=5 theta=-2 --for 1.5`. An axis is called by its name in the machine file (x, y, z, theta, alpha) \
+or by its letter in part programs: A is alpha (the table), B is theta (the tool's tilt). The controller clips the motion to the soft limits, and stops by itself \
+when this command falls silent for --deadline milliseconds. Ctrl-C stops.";
+
+/// Arguments of `haptimill jog`.
+#[derive(Debug, Clone, Args)]
+#[command(about = "Move pose coordinates at a rate for a time", long_about = LONG)]
+pub struct JogArgs {
+    /// Pose coordinates and rates, mm/s or deg/s
+    #[arg(
+        value_name = "AXIS=RATE",
+        required = true,
+        allow_negative_numbers = true
+    )]
+    pub axes: Vec<AxisRate>,
+    /// How long
+    #[arg(long = "for", value_name = "SECONDS", default_value_t = 1.0, value_parser = seconds)]
+    pub duration: f64,
+    /// Dead-man: the machine stops when nothing is heard for so long
+    #[arg(long, value_name = "MS", default_value_t = 200, value_parser = clap::value_parser!(u16).range(1..=1000))]
+    pub deadline: u16,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub machine: BoardArg,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub connect: ConnectArgs,
+    /// Print the result as JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// A pose coordinate and its rate.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AxisRate {
+    /// Name of the coordinate, as in the machine file, or its letter in part programs; in lower case.
+    pub axis: String,
+    /// Rate, mm/s or deg/s; finite.
+    pub rate: f64,
+}
+
+impl FromStr for AxisRate {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (axis, rate) = text.split_once('=').ok_or("write AXIS=RATE, as x=5")?;
+        match rate.trim().parse::<f64>() {
+            Ok(rate) if rate.is_finite() && !axis.trim().is_empty() => Ok(Self {
+                axis: axis.trim().to_lowercase(),
+                rate,
+            }),
+            _ => Err("write AXIS=RATE, as x=5 or theta=-2".to_string()),
+        }
+    }
+}
+
+/// Time between two jog commands, as a part of the deadline: two may be lost before the machine stops.
+const REPEAT: f64 = 0.3;
+
+/// Jogs.
+///
+/// # Errors
+/// See [`Exit`].
+pub fn run(args: JogArgs) -> Result<(), CliError> {
+    let chosen = args.machine.load()?;
+    if chosen.named {
+        rates(&args, &chosen.file)?;
+    }
+    let mut session = open(&args.connect, &chosen.file)?;
+    let machine = chosen.file_of(&mut session)?;
+    let rates = rates(&args, &machine)?;
+    let first = session.events.len();
+    let begun = session.now_us();
+    let end = begun + (args.duration * 1e6) as u64;
+    let repeat = (f64::from(args.deadline) * 1000.0 * REPEAT) as u64;
+    let mut next = begun;
+    if !args.json {
+        tell!("jogging for {} s; Ctrl-C stops", args.duration);
+    }
+    let refused = loop {
+        if session.now_us() >= next {
+            next += repeat;
+            let lost = |error| CliError::new(Exit::Port, error);
+            session
+                .client_mut()
+                .jog(rates.clone(), args.deadline)
+                .map_err(lost)?;
+        }
+        session.step()?;
+        if session.now_us() >= end || session.interrupted() {
+            break None;
+        }
+        if let Some(refusal) = session.refusal() {
+            break Some(refusal);
+        }
+    };
+    let ticket = session.client_mut().cancel_jog();
+    session.wait_for_answer(ticket)?;
+    while session.status()?.state == State::Jog {}
+    let mut limited = Vec::new();
+    for (_, event) in &session.events[first..] {
+        match event {
+            // Every jog command that runs against the limit says so; once is enough for people.
+            Event::JogLimited { axis } if !limited.contains(axis) => {
+                limited.push(*axis);
+                let name = machine
+                    .pose
+                    .get(usize::from(*axis))
+                    .map_or("?", |axis| axis.name.as_str());
+                eprintln!("{name} stopped in front of its limit");
+            }
+            Event::Fault(fault) => return Err(session.fault(fault).into()),
+            Event::State {
+                to: State::EmergencyStop,
+                ..
+            } => return Err(CliError::new(Exit::Fault, EMERGENCY_STOP)),
+            _ => {}
+        }
+    }
+    // After what it may be refused for.
+    if let Some(refusal) = refused {
+        return Err(CliError::new(Exit::Command, format!("jog: {refusal}")));
+    }
+    report(&mut session, args.json)?;
+    if session.interrupted() {
+        return Err(CliError::new(Exit::Stopped, "stopped by the user").told());
+    }
+    Ok(())
+}
+
+/// Rates of all pose coordinates, as the wire wants them.
+fn rates(args: &JogArgs, machine: &MachineFile) -> Result<AxisValues, CliError> {
+    let mut rates: Vec<i32> = vec![0; machine.pose.len()];
+    let usage = |what: String| CliError::new(Exit::Usage, what);
+    has_tool(machine)?;
+    let mut given = vec![false; machine.pose.len()];
+    for wanted in &args.axes {
+        let letters = || LETTERS.map(|letter| letter.to_lowercase().to_string());
+        let Some(index) = machine
+            .pose
+            .iter()
+            .position(|axis| axis.name.to_lowercase() == wanted.axis)
+            .or_else(|| letters().iter().position(|letter| *letter == wanted.axis))
+            .filter(|index| *index < machine.pose.len())
+        else {
+            let names: Vec<String> = machine
+                .pose
+                .iter()
+                .zip(LETTERS)
+                .map(|(axis, letter)| match axis.name.to_uppercase() {
+                    name if name == letter.to_string() => axis.name.clone(),
+                    _ => format!("{} (or {letter})", axis.name),
+                })
+                .collect();
+            return Err(usage(format!(
+                "there is no axis '{}'; this machine has {}",
+                wanted.axis,
+                names.join(", ")
+            )));
+        };
+        let axis = &machine.pose[index];
+        if std::mem::replace(&mut given[index], true) {
+            return Err(usage(format!(
+                "{} is given twice; leave one out",
+                axis.name
+            )));
+        }
+        if wanted.rate.abs() > axis.rate {
+            return Err(usage(format!(
+                "{}={} is faster than the axis may go; at most {}",
+                wanted.axis, wanted.rate, axis.rate
+            )));
+        }
+        rates[index] =
+            (wanted.rate * per_unit(axis.kind) / f64::from(1 << RATE_SHIFT)).round() as i32;
+    }
+    Ok(rates.into_iter().collect())
+}

@@ -1,0 +1,435 @@
+//! Panels: position, slides, forces, jog, program, messages, link.
+
+use super::bars::{around_zero, from_left};
+use super::{OLD_MS, hand, style_of};
+use crate::console::jogging::Mode;
+use crate::console::shown::{Axis, Contact, Shown, Weight};
+use haptimill_machine_file::scale::{PER_EFFORT, PER_MM, per_unit};
+use haptimill_protocol::message::{AxisValues, Source, State};
+use ratatui::Frame;
+use ratatui::layout::Rect;
+use ratatui::style::{Color, Modifier, Style};
+use ratatui::text::{Line, Span};
+use ratatui::widgets::Paragraph;
+use std::time::Duration;
+
+/// Rows of the right column: force 6, jog 4, program 4.
+const RIGHT_ROWS: u16 = 14;
+
+/// From this height on a panel of the hand takes no row from anything else.
+const TALL: u16 = 24 + hand::PANEL_ROWS;
+
+/// Rows of the right column on a terminal of a height.
+pub(super) fn right_rows(shown: &Shown, height: u16) -> u16 {
+    if height >= TALL && hand::reported(shown).is_some() {
+        RIGHT_ROWS + hand::PANEL_ROWS
+    } else {
+        RIGHT_ROWS
+    }
+}
+
+/// Codes of a converter at full scale.
+const FULL_CODE: f64 = 8191.0;
+
+/// Hours, minutes, seconds.
+pub(super) fn clock(time: Duration) -> String {
+    let seconds = time.as_secs();
+    format!(
+        "{}:{:02}:{:02}",
+        seconds / 3600,
+        seconds / 60 % 60,
+        seconds % 60
+    )
+}
+
+pub(super) fn heading(text: &str, width: u16) -> Line<'static> {
+    let text = format!("── {text} ");
+    let rest = usize::from(width).saturating_sub(text.chars().count());
+    Line::styled(
+        text + &"─".repeat(rest),
+        Style::new().fg(Color::Cyan).add_modifier(Modifier::DIM),
+    )
+}
+
+/// A value in mm or degrees, right-aligned; a dash where it is not known.
+fn value(axes: &[Axis], values: Option<&AxisValues>, index: usize, width: usize) -> String {
+    let known = values.and_then(|values| values.get(index));
+    match (known, axes.get(index)) {
+        (Some(value), Some(axis)) => {
+            let value = f64::from(*value) / per_unit(axis.kind);
+            // No minus before what is shown as zero.
+            let value = if value.abs() < 5e-5 { 0.0 } else { value };
+            format!("{value:>width$.4}")
+        }
+        _ => format!("{:>width$}", "-"),
+    }
+}
+
+/// Numbers of a report that is not of now are dim.
+fn fresh(shown: &Shown) -> Style {
+    if shown.contact == Contact::Ready && shown.age.as_millis() <= OLD_MS {
+        Style::new()
+    } else {
+        Style::new().add_modifier(Modifier::DIM)
+    }
+}
+
+/// A row for each pose coordinate.
+pub(super) fn pose_rows(frame: &mut Frame<'_>, area: Rect, shown: &Shown, wide: bool) {
+    let telemetry = shown.telemetry.as_ref();
+    // With the drives off nothing is wanted.
+    let wants = telemetry
+        .filter(|t| !matches!(t.state, State::Disabled | State::EmergencyStop))
+        .map(|t| &t.commanded);
+    let (name, number) = if wide { (7, 11) } else { (6, 10) };
+    let rows: Vec<Line<'_>> = shown
+        .fixed
+        .pose
+        .iter()
+        .enumerate()
+        .map(|(index, axis)| {
+            let commanded = value(&shown.fixed.pose, wants, index, number);
+            let actual = value(
+                &shown.fixed.pose,
+                telemetry.map(|t| &t.measured),
+                index,
+                number + 1,
+            );
+            let source = shown.sources.get(index).copied().unwrap_or_default();
+            let (what, style) = match shown.jog.held[index] {
+                Some((up, left)) => (
+                    format!("{} {left} ms", if up { "+" } else { "-" }),
+                    Style::new().fg(Color::Black).bg(Color::Cyan),
+                ),
+                None if source == Source::Program => (source.to_string(), Style::new()),
+                None => (source.to_string(), style_of(Weight::Warning)),
+            };
+            Line::from(vec![
+                Span::styled(
+                    format!(" {:<name$}{commanded}{actual}  ", axis.name),
+                    fresh(shown),
+                ),
+                Span::styled(what, style),
+            ])
+        })
+        .collect();
+    frame.render_widget(Paragraph::new(rows), area);
+}
+
+/// Position and slides.
+pub(super) fn left(frame: &mut Frame<'_>, area: Rect, shown: &Shown) {
+    let part = |from: u16, rows: u16| Rect {
+        y: area.y + from.min(area.height),
+        height: rows.min(area.height.saturating_sub(from)),
+        ..area
+    };
+    let pose = shown.fixed.pose.len() as u16;
+    let title = heading("Position  wanted ── actual ─ mm, deg", area.width);
+    frame.render_widget(Paragraph::new(title), part(0, 1));
+    pose_rows(frame, part(1, pose), shown, true);
+    let telemetry = shown.telemetry.as_ref();
+    let mut rows = vec![heading(
+        "Slides ─ mm, deg ── error um, mdeg ─ motor",
+        area.width,
+    )];
+    let bar = usize::from(area.width).saturating_sub(35).clamp(6, 30);
+    for (index, axis) in shown.fixed.joints.iter().enumerate() {
+        let place = value(&shown.fixed.joints, telemetry.map(|t| &t.joints), index, 11);
+        let error =
+            telemetry
+                .and_then(|t| t.following_error.get(index))
+                .map_or("-".to_string(), |error| {
+                    // Thousandths of a millimetre, or of a degree.
+                    format!("{:.1}", f64::from(*error) / per_unit(axis.kind) * 1000.0)
+                });
+        let motor = match telemetry.and_then(|t| t.drive.get(index)) {
+            Some(code) if shown.fixed.analogue.get(index) == Some(&true) => {
+                let part = f64::from(*code) / FULL_CODE;
+                format!("{} {:>4.0} %", around_zero(part, part, bar), part * 100.0)
+            }
+            Some(steps) => format!("{steps} steps"),
+            None => "-".to_string(),
+        };
+        rows.push(Line::styled(
+            format!(" {:<6}{place}{error:>8} {motor}", axis.name),
+            fresh(shown),
+        ));
+    }
+    let count = rows.len() as u16;
+    frame.render_widget(Paragraph::new(rows), part(1 + pose, count));
+}
+
+/// Forces, the hand where there is room for it, jog, program.
+pub(super) fn right(frame: &mut Frame<'_>, area: Rect, shown: &Shown) {
+    let room = area.height >= RIGHT_ROWS + hand::PANEL_ROWS;
+    let panel = hand::panel(shown, area.width).filter(|_| room);
+    let mut rows = force_rows(shown, area.width, panel.is_none());
+    rows.extend(panel.into_iter().flatten());
+    rows.push(heading("Jog", area.width));
+    rows.extend(jog_rows(shown));
+    rows.push(heading("Program", area.width));
+    rows.extend(program_rows(shown, area.width));
+    frame.render_widget(Paragraph::new(rows), area);
+}
+
+/// Forces on the tool; with what the hand feels beside them, unless that has a panel of its own.
+fn force_rows(shown: &Shown, width: u16, beside: bool) -> Vec<Line<'static>> {
+    let telemetry = shown.telemetry.as_ref();
+    let felt = hand::reported(shown).filter(|_| beside);
+    let felt = felt.map(|(arm, report)| (hand::fresh(shown, arm), report.force.map(hand::newtons)));
+    let Some(loops) = &shown.loops else {
+        let none = " this machine has no force sensor";
+        let mut rows = vec![heading("Force", width), Line::raw(none)];
+        if let Some((style, [x, y, z])) = felt {
+            let size = (x * x + y * y + z * z).sqrt();
+            let bar = from_left(size / hand::SCALE_N, 6);
+            rows.push(Line::styled(
+                format!(" hand{x:>6.2}{y:>6.2}{z:>6.2} N {bar}"),
+                style,
+            ));
+        }
+        rows.resize(6, Line::default());
+        return rows;
+    };
+    let scale = shown.force_scale_n;
+    let title = if felt.is_some() {
+        format!("Force high, low, hand ─ +-{scale} N")
+    } else {
+        format!("Force ─ high ── low ─ +-{scale} N")
+    };
+    let mut rows = vec![heading(&title, width)];
+    let force = telemetry.and_then(|t| t.force.as_ref());
+    let bar = usize::from(width).saturating_sub(21).clamp(6, 40);
+    for (index, name) in ["x", "y", "z"].iter().enumerate() {
+        let text = match (force, &felt) {
+            (Some(force), felt) => {
+                let high = f64::from(force.high[index]) / PER_EFFORT;
+                let low = f64::from(force.low[index]) / PER_EFFORT;
+                let (least, most) = (high.min(low) / scale, high.max(low) / scale);
+                match felt {
+                    Some((_, felt)) => format!(
+                        " {name}{high:>7.2}{low:>7.2}{:>6.2} {}",
+                        felt[index],
+                        around_zero(least, most, bar.saturating_sub(4).max(5))
+                    ),
+                    None => format!(
+                        " {name}{high:>8.2}{low:>8.2} {}",
+                        around_zero(least, most, bar)
+                    ),
+                }
+            }
+            (None, Some((_, felt))) => format!(" {name}{:>7}{:>7}{:>6.2}", "-", "-", felt[index]),
+            (None, None) => format!(" {name}{:>8}{:>8}", "-", "-"),
+        };
+        rows.push(Line::styled(text, fresh(shown)));
+    }
+    let Some(force) = force else {
+        rows.resize(6, Line::default());
+        return rows;
+    };
+    let mut spans = vec![Span::raw(" yield")];
+    for (index, name) in ["x", "y", "z"].iter().enumerate() {
+        let yields = force.mask & (1 << index) != 0;
+        let desired = f64::from(loops[index].desired) / PER_EFFORT;
+        let style = if yields {
+            Style::new().fg(Color::Black).bg(Color::Green)
+        } else {
+            Style::new().add_modifier(Modifier::DIM)
+        };
+        let text = if yields {
+            format!("{name}>{desired:.1}N")
+        } else {
+            format!("{name} off")
+        };
+        spans.push(Span::raw(" "));
+        spans.push(Span::styled(text, style));
+    }
+    spans.push(Span::raw(if force.tared { "  tared" } else { "  no zero" }));
+    rows.push(Line::from(spans));
+    let last = match &force.problem {
+        Some(problem) => Line::styled(format!(" {problem}"), style_of(Weight::Warning)),
+        None => {
+            let mm = force.yielded.map(|value| f64::from(value) / PER_MM);
+            Line::raw(format!(" by{:>8.3}{:>8.3}{:>8.3} mm", mm[0], mm[1], mm[2]))
+        }
+    };
+    rows.push(last);
+    rows
+}
+
+fn chosen(shown: &Shown) -> String {
+    let jog = &shown.jog;
+    match jog.mode {
+        Mode::Continuous => format!("continuous {} mm/s, deg/s", jog.rate),
+        Mode::Step => format!("step {} mm, deg at {} mm/s", jog.step, jog.rate),
+    }
+}
+
+fn jog_rows(shown: &Shown) -> Vec<Line<'static>> {
+    let jog = &shown.jog;
+    let held = jog.held.iter().any(Option::is_some);
+    let style = if held {
+        Style::new().fg(Color::Black).bg(Color::Cyan)
+    } else {
+        Style::new().add_modifier(Modifier::BOLD)
+    };
+    let ends = match (jog.mode, jog.releases_told) {
+        (Mode::Step, _) => " one step a press; Space stops it".to_string(),
+        (Mode::Continuous, true) => {
+            format!(" ends with the key (dead-man {} ms)", jog.dead_man_ms)
+        }
+        (Mode::Continuous, false) => {
+            format!(" ends {} ms after the last key", jog.dead_man_ms)
+        }
+    };
+    let last = match shown.fixed.pose.len() {
+        5.. => " arrows x y  PgUp/Dn z  ,. nm".to_string(),
+        _ => " arrows  PgUp/Dn".to_string(),
+    };
+    vec![
+        Line::from(vec![Span::raw(" "), Span::styled(chosen(shown), style)]),
+        Line::raw(ends),
+        Line::raw(last),
+    ]
+}
+
+/// Jog, override and program in one row, for small terminals.
+pub(super) fn jog_line(shown: &Shown) -> Paragraph<'static> {
+    let what = match shown.jog.mode {
+        Mode::Continuous => format!("{} mm/s", shown.jog.rate),
+        Mode::Step => format!("step {}", shown.jog.step),
+    };
+    let program = match &shown.program {
+        Some(program) if program.runs => {
+            format!("{:.0} % L{}", 100.0 * done(shown), program.line)
+        }
+        _ => format!("dm {} ms", shown.jog.dead_man_ms),
+    };
+    Paragraph::new(format!(
+        " jog {what}  feed {} %  {program}",
+        shown.feed_override
+    ))
+}
+
+/// How much of the program is done, 0 to 1.
+fn done(shown: &Shown) -> f64 {
+    match (&shown.program, &shown.telemetry) {
+        (Some(program), Some(telemetry)) if program.runs && program.duration_s > 0.0 => {
+            f64::from(telemetry.program_periods) * shown.fixed.period_s / program.duration_s
+        }
+        _ => 0.0,
+    }
+}
+
+fn program_rows(shown: &Shown, width: u16) -> Vec<Line<'static>> {
+    let rate = shown
+        .telemetry
+        .as_ref()
+        .filter(|telemetry| matches!(telemetry.state, State::Run | State::Hold))
+        .map_or(0.0, |telemetry| f64::from(telemetry.path_rate) / 655.35);
+    let feed = Line::raw(format!(
+        " override {} %  path speed {rate:.0} %",
+        shown.feed_override
+    ));
+    let Some(program) = &shown.program else {
+        let name = match &shown.offered {
+            Some(name) => format!(" {name}; p checks it"),
+            None => " none; p chooses one".to_string(),
+        };
+        return vec![Line::raw(name), Line::default(), feed];
+    };
+    let part = done(shown).clamp(0.0, 1.0);
+    let left_s =
+        program.duration_s * (1.0 - part) / (f64::from(shown.feed_override) / 100.0).max(0.01);
+    let (first, second) = if program.runs {
+        let bar = usize::from(width).saturating_sub(17).clamp(5, 40);
+        (
+            format!(" {}  line {}/{}", program.name, program.line, program.lines),
+            format!(
+                " {} {:>3.0} % {:>7}",
+                from_left(part, bar),
+                part * 100.0,
+                clock(Duration::from_secs_f64(left_s.clamp(0.0, 1e9)))
+            ),
+        )
+    } else {
+        (
+            format!(" {}", program.name),
+            format!(" {} lines, {:.0} s", program.lines, program.duration_s),
+        )
+    };
+    vec![Line::raw(first), Line::raw(second), feed]
+}
+
+/// The newest messages, under a heading.
+pub(super) fn messages(frame: &mut Frame<'_>, area: Rect, shown: &Shown) {
+    let title = Rect { height: 1, ..area };
+    frame.render_widget(Paragraph::new(heading("Messages", area.width)), title);
+    let rows = Rect {
+        y: area.y + 1,
+        height: area.height.saturating_sub(1),
+        ..area
+    };
+    message_rows(frame, rows, shown);
+}
+
+/// The newest messages, the last one at the bottom. Long ones take several rows.
+pub(super) fn message_rows(frame: &mut Frame<'_>, area: Rect, shown: &Shown) {
+    let width = usize::from(area.width).max(12);
+    let mut rows: Vec<Line<'_>> = Vec::new();
+    for entry in shown.log.newest(usize::from(area.height)) {
+        let style = match entry.weight {
+            Weight::Note => Style::new(),
+            Weight::Warning => Style::new().fg(Color::Yellow),
+            Weight::Alarm => Style::new().fg(Color::Red).add_modifier(Modifier::BOLD),
+        };
+        let times = match entry.times {
+            1 => String::new(),
+            times => format!(" ({times} times)"),
+        };
+        let text = format!(" {} {}{times}", clock(entry.at), entry.text);
+        for row in wrapped(&text, width, 9) {
+            rows.push(Line::styled(row, style));
+        }
+    }
+    let surplus = rows.len().saturating_sub(usize::from(area.height));
+    frame.render_widget(Paragraph::new(rows.split_off(surplus)), area);
+}
+
+/// Broken at spaces; what follows the first row is indented by so many columns.
+pub(super) fn wrapped(text: &str, width: usize, indent: usize) -> Vec<String> {
+    let mut rows = vec![String::new()];
+    for word in text.split_inclusive(' ') {
+        let used = rows.last().map_or(0, |row| row.chars().count());
+        if used > indent && used + word.trim_end().chars().count() > width {
+            rows.push(" ".repeat(indent));
+        }
+        if let Some(row) = rows.last_mut() {
+            row.push_str(word);
+        }
+    }
+    rows
+}
+
+/// How the line to the controller does.
+pub(super) fn link_line(shown: &Shown) -> Paragraph<'static> {
+    let counters = &shown.counters;
+    let (bad, lost) = shown.telemetry.as_ref().map_or((0, 0), |telemetry| {
+        (telemetry.bad_frames, telemetry.lost_bytes)
+    });
+    let age = if shown.telemetry.is_some() {
+        format!("report {} ms old", shown.age.as_millis().min(99_999))
+    } else {
+        "no report".to_string()
+    };
+    Paragraph::new(Line::styled(
+        format!(
+            " link {:.1} ms  bad frames {bad}+{}  lost {lost}  resent {}  reconnects {}  {age}",
+            f64::from(counters.round_trip_us) / 1000.0,
+            counters.bad_frames,
+            counters.resent,
+            counters.reconnects
+        ),
+        Style::new().add_modifier(Modifier::DIM),
+    ))
+}

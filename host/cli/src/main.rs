@@ -1,0 +1,7 @@
+//! The `haptimill` command.
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    haptimill::commands::main()
+}

@@ -1,0 +1,141 @@
+//! From a key to motion, and from its end to standstill, over a pseudo-terminal, the real program and a TCP port, seen at the machine.
+//!
+//! `cargo test -p haptimill --release --test console latency -- --nocapture --test-threads 1` prints the distributions. What is asserted is the
+//! bound of the dead-man time alone: the rest is for the computer that it runs on.
+
+use super::machine::{Machine, Seen};
+use super::terminal::Keyboard;
+use super::*;
+use std::time::{Duration, Instant};
+
+const REPEATS: usize = 20;
+
+/// The tool is taken to move, or to stand, within so much, mm.
+const STANDS: f64 = 0.005;
+
+/// Braking from 5 mm/s with 5000 mm/s^3, ms.
+const BRAKING_MS: f64 = 63.3;
+
+/// What one press gave, ms.
+struct Press {
+    to_commanded: f64,
+    to_tool: f64,
+    end_to_wanted: f64,
+    end_to_tool: f64,
+}
+
+fn ms(from: Instant, to: Instant) -> f64 {
+    to.saturating_duration_since(from).as_secs_f64() * 1000.0
+}
+
+/// Presses a key at `pressed`, lets it go at `released`; what the machine did meanwhile.
+fn judge(pressed: Instant, released: Instant, seen: &[Seen]) -> Press {
+    let (first, last) = (seen[0], seen[seen.len() - 1]);
+    let commanded = seen.iter().find(|seen| seen.commanded != first.commanded);
+    let tool = seen
+        .iter()
+        .find(|seen| (seen.tool - first.tool).abs() > STANDS);
+    let still = |off: &dyn Fn(&Seen) -> bool| {
+        let index = seen.iter().rposition(off).map_or(0, |index| index + 1);
+        seen[index.min(seen.len() - 1)].at
+    };
+    Press {
+        to_commanded: ms(pressed, commanded.unwrap().at),
+        to_tool: ms(pressed, tool.unwrap().at),
+        end_to_wanted: ms(released, still(&|seen| seen.commanded != last.commanded)),
+        end_to_tool: ms(
+            released,
+            still(&|seen| (seen.tool - last.tool).abs() > STANDS),
+        ),
+    }
+}
+
+fn print(what: &str, mut values: Vec<f64>) {
+    values.sort_by(f64::total_cmp);
+    let at = |part: f64| values[((values.len() - 1) as f64 * part).round() as usize];
+    println!(
+        "| {what} | {:.1} | {:.1} | {:.1} | {:.1} | {} |",
+        at(0.0),
+        at(0.5),
+        at(0.95),
+        at(1.0),
+        values.len()
+    );
+}
+
+fn measure(keyboard: Keyboard, down: &[u8], again: &[u8], up: Option<&[u8]>) -> Vec<Press> {
+    let machine = Machine::start();
+    let terminal = homed(&["--port", &machine.port], keyboard);
+    let mut presses = Vec::new();
+    for repeat in 0..=REPEATS {
+        machine.rests(Duration::from_millis(250));
+        machine.forget();
+        let pressed = Instant::now();
+        terminal.keys(down);
+        let mut last = pressed;
+        for _ in 0..5 {
+            std::thread::sleep(Duration::from_millis(30));
+            last = Instant::now();
+            terminal.keys(again);
+        }
+        if let Some(up) = up {
+            std::thread::sleep(Duration::from_millis(20));
+            last = Instant::now();
+            terminal.keys(up);
+        }
+        machine.rests(Duration::from_millis(250));
+        // Of the first one the terminal's kind of keyboard is learnt.
+        if repeat > 0 {
+            presses.push(judge(pressed, last, &machine.seen()));
+        }
+    }
+    presses
+}
+
+fn report(which: &str, end: &str, presses: &[Press]) {
+    println!(
+        "\n| {which}, ms | min | median | p95 | max | n |\n| --- | --- | --- | --- | --- | --- |"
+    );
+    let column = |of: fn(&Press) -> f64| presses.iter().map(of).collect::<Vec<f64>>();
+    print(
+        "key to commanded motion",
+        column(|press| press.to_commanded),
+    );
+    print("key to 5 um of the tool", column(|press| press.to_tool));
+    print(
+        &format!("{end} to commanded standstill"),
+        column(|press| press.end_to_wanted),
+    );
+    print(
+        &format!("{end} to the tool within 5 um of its rest"),
+        column(|press| press.end_to_tool),
+    );
+}
+
+#[test]
+fn latency_of_a_keyboard_that_repeats() {
+    let presses = measure(Keyboard::Plain, RIGHT, RIGHT, None);
+    report("presses only, dead-man 200 ms", "last press", &presses);
+    assert_eq!(presses.len(), REPEATS);
+    for press in &presses {
+        // The dead-man time is the bound; half a second more is for a busy computer.
+        assert!(press.end_to_wanted < 200.0 + BRAKING_MS + 500.0);
+        // And it is no shorter: a repeat that comes in time keeps the motion.
+        assert!(press.end_to_wanted > 150.0, "{}", press.end_to_wanted);
+    }
+}
+
+#[test]
+fn latency_of_a_keyboard_that_tells_of_releases() {
+    let presses = measure(
+        Keyboard::Kitty,
+        b"\x1b[1;1:1C",
+        b"\x1b[1;1:2C",
+        Some(b"\x1b[1;1:3C"),
+    );
+    report("releases told (kitty protocol)", "release", &presses);
+    assert_eq!(presses.len(), REPEATS);
+    for press in &presses {
+        assert!(press.end_to_wanted < 200.0 + BRAKING_MS + 500.0);
+    }
+}

@@ -1,0 +1,239 @@
+//! A machine in this process that is watched, and a cable that can be cut.
+
+use haptimill_client::port::{TcpServer, Transport};
+use haptimill_client::session;
+use haptimill_machine_file::MachineFile;
+use haptimill_protocol::message::State;
+use std::io::{Read, Write};
+use std::net::{Shutdown, TcpListener, TcpStream};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+/// What was seen of a machine.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Seen {
+    pub at: Instant,
+    pub state: State,
+    /// x of the wanted pose, mm.
+    pub commanded: f64,
+    /// x of the tool, as it truly is, mm.
+    pub tool: f64,
+}
+
+/// The simulated machine with the controller of this project, served on a TCP port as `sim serve` does it.
+pub struct Machine {
+    pub port: String,
+    seen: Arc<Mutex<Vec<Seen>>>,
+    end: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Machine {
+    pub fn start() -> Self {
+        let mut server = TcpServer::listen("127.0.0.1:0").unwrap();
+        let port = server.name().to_string();
+        let seen: Arc<Mutex<Vec<Seen>>> = Arc::default();
+        let end = Arc::new(AtomicBool::new(false));
+        let thread = {
+            let (seen, end) = (Arc::clone(&seen), Arc::clone(&end));
+            std::thread::spawn(move || run(&mut server, &seen, &end))
+        };
+        Self {
+            port,
+            seen,
+            end,
+            thread: Some(thread),
+        }
+    }
+
+    /// How it stands now.
+    pub fn now(&self) -> Seen {
+        loop {
+            if let Some(seen) = self.seen.lock().unwrap().last() {
+                return *seen;
+            }
+            std::thread::sleep(Duration::from_millis(2));
+        }
+    }
+
+    /// Forgets what was seen.
+    pub fn forget(&self) {
+        let mut seen = self.seen.lock().unwrap();
+        let last = seen.pop();
+        seen.clear();
+        seen.extend(last);
+    }
+
+    /// All that was seen since.
+    pub fn seen(&self) -> Vec<Seen> {
+        self.seen.lock().unwrap().clone()
+    }
+
+    /// Waits until it is in a state.
+    #[track_caller]
+    pub fn comes_to(&self, state: State) {
+        let begun = Instant::now();
+        while self.now().state != state {
+            assert!(
+                begun.elapsed() < super::terminal::PATIENCE,
+                "never {state}, but {:?}",
+                self.now()
+            );
+            std::thread::sleep(Duration::from_millis(2));
+        }
+    }
+
+    /// Waits until the wanted pose has not changed for so long.
+    pub fn rests(&self, time: Duration) {
+        loop {
+            let before = self.now().commanded;
+            std::thread::sleep(time);
+            if self.now().commanded == before && self.now().state != State::Jog {
+                return;
+            }
+        }
+    }
+}
+
+impl Drop for Machine {
+    fn drop(&mut self) {
+        self.end.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+fn run(server: &mut TcpServer, seen: &Mutex<Vec<Seen>>, end: &AtomicBool) {
+    let file = MachineFile::built_in().unwrap();
+    let rig = session::rig(&file, None, None, Vec::new()).unwrap();
+    let Ok(mut rig) = session::commissioned(rig, &file) else {
+        panic!("not configured");
+    };
+    let period_ns = u64::from(file.config.period_us) * 1000;
+    let begun = Instant::now();
+    let mut given_up = 0;
+    let (mut buffer, mut said) = ([0; 4096], Vec::new());
+    while !end.load(Ordering::Relaxed) {
+        let real = begun.elapsed().as_nanos() as u64;
+        let mut behind = real.saturating_sub(rig.time_ns() + given_up);
+        if behind > 20_000_000 {
+            given_up += behind - 20_000_000;
+            behind = 20_000_000;
+        }
+        for _ in 0..behind / period_ns {
+            rig.step();
+        }
+        if let Some(reading) = rig.control().snapshot(rig.inputs()) {
+            let now = Seen {
+                at: Instant::now(),
+                state: reading.state,
+                commanded: f64::from(reading.commanded[0]) / f64::from(1 << 20),
+                tool: rig.truth().pose[0],
+            };
+            let mut seen = seen.lock().unwrap();
+            let news = seen.last().is_none_or(|last| {
+                last.state != now.state
+                    || last.commanded != now.commanded
+                    || (last.tool - now.tool).abs() > 5e-4
+            });
+            if news {
+                seen.push(now);
+            }
+        }
+        rig.host_read(&mut said);
+        let taken = server.write(&said, Duration::ZERO).unwrap();
+        said.drain(..taken);
+        let count = server
+            .read(&mut buffer, Duration::from_micros(200))
+            .unwrap();
+        rig.host_write(&buffer[..count]);
+    }
+}
+
+/// A cable between a host and a served machine.
+pub struct Cable {
+    /// What the host gives as --port.
+    pub port: String,
+    whole: Arc<AtomicBool>,
+    streams: Arc<Mutex<Vec<TcpStream>>>,
+    /// The first bytes of the newest connection, from the host.
+    first: Arc<Mutex<Vec<u8>>>,
+}
+
+impl Cable {
+    /// A cable to the machine at `tcp:HOST:PORT`.
+    pub fn to(machine: &str) -> Self {
+        let machine = machine.strip_prefix("tcp:").unwrap().to_string();
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let port = format!("tcp:{}", listener.local_addr().unwrap());
+        let whole = Arc::new(AtomicBool::new(true));
+        let streams: Arc<Mutex<Vec<TcpStream>>> = Arc::default();
+        let first: Arc<Mutex<Vec<u8>>> = Arc::default();
+        let cable = Self {
+            port,
+            whole: Arc::clone(&whole),
+            streams: Arc::clone(&streams),
+            first: Arc::clone(&first),
+        };
+        std::thread::spawn(move || {
+            for host in listener.incoming().flatten() {
+                if !whole.load(Ordering::SeqCst) {
+                    continue;
+                }
+                let Ok(there) = TcpStream::connect(&machine) else {
+                    continue;
+                };
+                first.lock().unwrap().clear();
+                let mut streams = streams.lock().unwrap();
+                streams.push(host.try_clone().unwrap());
+                streams.push(there.try_clone().unwrap());
+                drop(streams);
+                let (host_reads, there_reads) =
+                    (host.try_clone().unwrap(), there.try_clone().unwrap());
+                let first = Arc::clone(&first);
+                std::thread::spawn(move || carry(host_reads, there, Some(&first)));
+                std::thread::spawn(move || carry(there_reads, host, None));
+            }
+        });
+        cable
+    }
+
+    pub fn cut(&self) {
+        self.whole.store(false, Ordering::SeqCst);
+        for stream in self.streams.lock().unwrap().drain(..) {
+            let _ = stream.shutdown(Shutdown::Both);
+        }
+    }
+
+    pub fn mend(&self) {
+        self.whole.store(true, Ordering::SeqCst);
+    }
+
+    /// What the host said first since the cable was mended.
+    pub fn first(&self, count: usize) -> Vec<u8> {
+        let first = self.first.lock().unwrap();
+        first[..count.min(first.len())].to_vec()
+    }
+}
+
+fn carry(mut from: TcpStream, mut to: TcpStream, first: Option<&Mutex<Vec<u8>>>) {
+    let _ = from.set_nodelay(true);
+    let _ = to.set_nodelay(true);
+    let mut buffer = [0; 4096];
+    while let Ok(count @ 1..) = from.read(&mut buffer) {
+        if let Some(first) = first {
+            let mut first = first.lock().unwrap();
+            if first.len() < 64 {
+                first.extend_from_slice(&buffer[..count]);
+            }
+        }
+        if to.write_all(&buffer[..count]).is_err() {
+            break;
+        }
+    }
+    let _ = from.shutdown(Shutdown::Both);
+    let _ = to.shutdown(Shutdown::Both);
+}

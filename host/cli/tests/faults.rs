@@ -1,0 +1,210 @@
+//! Jobs in which something goes wrong: a bad line never makes a wrong motion, and a machine that fails stops with a sentence.
+
+mod scene;
+
+use haptimill_trace::{Axes, Recording, flag};
+use scene::{Folder, Ran, haptimill};
+use std::path::Path;
+
+/// Lines, arcs and turns of both rotary axes, with a dwell; about 9 s.
+const PROGRAM: &str = "G21 G90 F600
+G1 X10 Y5
+G2 X20 Y5 I5
+G1 X15 Y-5 Z25 B4 A-3
+G4 P0.2
+G3 X0 Y0 R20
+G1 Z21.232 B0 A0
+M30
+";
+
+/// Runs the program with faults; its folder has the files.
+fn run(folder: &Folder, out: &str, faults: &[&str], more: &[&str]) -> Ran {
+    let program = folder.file("part.ngc", PROGRAM);
+    let out = folder.path(out);
+    let mut arguments = vec!["run", &program, "--json", "--out", &out];
+    for fault in faults {
+        arguments.extend(["--fault", fault]);
+    }
+    arguments.extend(more);
+    haptimill(&arguments)
+}
+
+/// The wanted poses of a job, each once.
+fn commanded(folder: &Folder, out: &str) -> Vec<Axes> {
+    let file = folder.path(&format!("{out}/recording.hmr"));
+    let recording = Recording::open(Path::new(&file)).unwrap();
+    let records = recording.iter().unwrap().map(Result::unwrap);
+    let mut poses: Vec<Axes> = records
+        .filter(|record| record.has(flag::PROGRAMMED))
+        .map(|record| record.commanded)
+        .collect();
+    poses.dedup();
+    poses
+}
+
+/// How far a pose is from the way between two others (axis units), and which part of that way it is at.
+fn off(pose: &Axes, from: &Axes, to: &Axes) -> f64 {
+    let difference = |a: &Axes, b: &Axes| -> [f64; 6] {
+        std::array::from_fn(|i| f64::from(a[i]) - f64::from(b[i]))
+    };
+    let dot = |a: &[f64; 6], b: &[f64; 6]| -> f64 { a.iter().zip(b).map(|(a, b)| a * b).sum() };
+    let (way, here) = (difference(to, from), difference(pose, from));
+    let part = if dot(&way, &way) > 0.0 {
+        (dot(&here, &way) / dot(&way, &way)).clamp(0.0, 1.0)
+    } else {
+        0.0
+    };
+    let rest: [f64; 6] = std::array::from_fn(|i| here[i] - part * way[i]);
+    dot(&rest, &rest).sqrt()
+}
+
+/// 0.2 um and 2e-5 degrees: the poses of a period are joined by straight lines here.
+const TOLERANCE: f64 = 210.0;
+
+/// Every pose lies on the way of the clean job, none before the one that came before it.
+#[track_caller]
+fn is_on_the_way(poses: &[Axes], clean: &[Axes]) {
+    let mut at = 0;
+    for (index, pose) in poses.iter().enumerate() {
+        while at + 1 < clean.len() && off(pose, &clean[at], &clean[at + 1]) > TOLERANCE {
+            at += 1;
+        }
+        assert!(
+            at + 1 < clean.len(),
+            "pose {index} of {} is not on the way: {pose:?}",
+            poses.len()
+        );
+    }
+}
+
+#[test]
+fn a_bad_line_never_makes_a_wrong_motion() {
+    let folder = Folder::new();
+    run(&folder, "clean", &[], &["--baud", "115200"]).ended_with(0);
+    let clean = commanded(&folder, "clean");
+    assert!(clean.len() > 10_000, "{}", clean.len());
+    let mut ended = 0;
+    let lines = [
+        "link-errors rate=1e-6",
+        "link-errors rate=1e-5",
+        "link-errors rate=1e-4",
+        "link-errors rate=1e-3",
+        "link-errors rate=1e-2 at=6s",
+        "link-drop rate=1e-3",
+        "link-duplicate rate=1e-3",
+        "link-delay ms=30",
+        "link-cut at=6s for=300ms",
+        "link-cut at=6s",
+        "link-cut at=6s direction=to-host",
+    ];
+    for line in lines {
+        let ran = run(&folder, "out", &[line], &["--baud", "115200"]);
+        let poses = commanded(&folder, "out");
+        is_on_the_way(&poses, &clean);
+        let summary = folder.summary("out");
+        println!(
+            "{line}: exit code {}, {} of {} poses, {} underruns, {}",
+            ran.code,
+            poses.len(),
+            clean.len(),
+            summary["underruns"],
+            ran.err.trim_end()
+        );
+        match ran.code {
+            0 => {
+                ended += 1;
+                assert_eq!(poses.last(), clean.last(), "{line}");
+                assert_eq!(
+                    (&summary["completed"], &summary["position_kept"]),
+                    (&true.into(), &true.into()),
+                    "{line}"
+                );
+                if summary["underruns"] == 0 {
+                    assert_eq!(poses, clean, "{line}");
+                }
+            }
+            5 | 6 => {
+                assert!(ran.err.len() > 40, "{line}: {}", ran.err);
+                assert_eq!(summary["completed"], false, "{line}");
+            }
+            _ => panic!("{line}: {ran:?}"),
+        }
+    }
+    assert!(ended >= 7, "only {ended} jobs came to their end");
+}
+
+#[test]
+fn a_machine_that_fails_stops_and_says_what_to_do() {
+    let folder = Folder::new();
+    let mut text = String::new();
+    let faults = [
+        ("encoder-stuck axis=l2 channel=a level=high at=6s", "l2"),
+        ("encoder-swapped axis=l3 at=6s", "l3"),
+        ("slide-jammed axis=l1 at=6s", "l1"),
+        ("drive-dead axis=l4 at=6s", "l4"),
+        ("drive-tripped axis=l1 at=6s", "l1"),
+        ("drive-reversed axis=alpha at=6s", "alpha"),
+        ("encoder-noise axis=l2 per-second=2000 at=6s", "l2"),
+        ("missed-periods count=5 at=6s", ""),
+        ("emergency-stop at=6s", ""),
+        ("slide-jammed axis=l3", "l3"),
+        ("index-missing axis=l2", "l2"),
+    ];
+    for (fault, joint) in faults {
+        let ran = run(&folder, "out", &[fault], &[]).ended_with(6);
+        assert!(ran.err.contains(joint), "{fault}: {}", ran.err);
+        text += &format!("{fault}\n    {}\n", folder.anonymous(ran.err.trim_end()));
+        if fault.contains("at=") {
+            // In the job: everything up to the stop is kept.
+            let summary = folder.summary("out");
+            assert_eq!(summary["completed"], false, "{fault}");
+            assert_eq!(
+                summary["faults"].as_array().unwrap().len(),
+                1,
+                "{fault}: {summary:#}"
+            );
+            let state = summary["final_state"].as_str().unwrap();
+            assert!(
+                ["Fault", "EmergencyStop"].contains(&state),
+                "{fault}: {state}"
+            );
+            assert!(folder.read("out/trace.csv").lines().count() > 10);
+            assert!(folder.read("out/report.html").contains("Faults"));
+        }
+    }
+    insta::assert_snapshot!("machine_faults", text);
+}
+
+#[test]
+fn a_fault_before_the_job_moves_nothing_in_it() {
+    let folder = Folder::new();
+    let ran = run(&folder, "out", &["drive-dead axis=l2"], &[]).ended_with(6);
+    assert!(ran.err.contains("l2"), "{}", ran.err);
+    assert!(!Path::new(&folder.path("out/recording.hmr")).exists());
+}
+
+#[test]
+fn an_emergency_stop_ends_the_search_for_the_references_as_a_fault() {
+    let folder = Folder::new();
+    let ran = run(&folder, "out", &["emergency-stop at=1s"], &[]).ended_with(6);
+    let told = ran.json();
+    let what = told["error"].as_str().unwrap();
+    assert!(what.contains("the emergency stop is latched"), "{told:#}");
+    assert_eq!(told["exit_code"], 6);
+    let ran = run(&folder, "out", &["emergency-stop at=4s"], &[]).ended_with(6);
+    assert!(
+        ran.err.contains("the emergency stop is latched"),
+        "{}",
+        ran.err
+    );
+    // A summary says what was done to the machine, so nobody takes the job for one that went wrong by itself.
+    let summary = folder.summary("out");
+    let told = [&summary["injected"][0], &summary["final_state"]];
+    assert_eq!(
+        told,
+        ["emergency-stop at=4s", "EmergencyStop"],
+        "{summary:#}"
+    );
+    let page = folder.read("out/report.html");
+    assert!(page.contains("<li>emergency-stop at=4s</li>"));
+}

@@ -1,0 +1,592 @@
+//! Whole jobs in the built-in simulator, from the part program to the files of the result; and programs that are refused before
+//! anything moves.
+
+mod scene;
+
+use haptimill_trace::{RECORD_BYTES, Recording};
+use scene::{Folder, Ran, haptimill, number, root, start};
+use serde_json::Value;
+use std::path::Path;
+use std::time::Duration;
+
+/// Runs a program of examples/ into `out` and gives its summary.
+fn job(folder: &Folder, out: &str, program: &str, more: &[&str]) -> Value {
+    let program = format!("examples/{program}");
+    let ran = haptimill(
+        &[
+            &["run", &program, "--json", "--out", &folder.path(out)],
+            more,
+        ]
+        .concat(),
+    )
+    .ended_with(0);
+    assert_eq!(ran.err, "", "{program}");
+    let summary = folder.summary(out);
+    assert_eq!(
+        ran.json(),
+        summary,
+        "the summary printed is the summary written"
+    );
+    summary
+}
+
+/// What every good job has in its summary, and the accuracy that is promised.
+#[track_caller]
+fn is_good(summary: &Value) {
+    println!(
+        "{}: {:.2} s, {:.1} mm, tool {:.4} mm rms, {:.4} mm largest, slide {:.4} mm; {} setpoints of {:.1} bytes ({:.1} with all that is said besides)",
+        summary["program"],
+        number(summary, "duration_s"),
+        number(summary, "path_length_mm"),
+        number(summary, "tool_error_rms_mm"),
+        number(summary, "tool_error_max_mm"),
+        number(summary, "slide_error_max_mm"),
+        summary["setpoints"],
+        number(summary, "bytes_per_setpoint"),
+        number(summary, "line_bytes_per_setpoint"),
+    );
+    assert!(number(summary, "tool_error_rms_mm") <= 0.02, "{summary:#}");
+    assert!(number(summary, "tool_error_max_mm") <= 0.05, "{summary:#}");
+    // An error of nothing would be a measurement of nothing.
+    assert!(number(summary, "tool_error_rms_mm") > 0.0005, "{summary:#}");
+    assert!(number(summary, "slide_error_max_mm") > 0.0 && number(summary, "setpoints") > 10.0);
+    assert_eq!(summary["underruns"], 0);
+    assert_eq!(summary["faults"], Value::Array(Vec::new()));
+    assert_eq!(summary["final_state"], "Idle");
+    assert_eq!(summary["position_kept"], true);
+    assert_eq!(summary["completed"], true);
+    assert_eq!(summary["trace_sha256"].as_str().unwrap().len(), 64);
+}
+
+#[test]
+fn the_slot_leaves_its_files_and_the_same_bytes_every_time() {
+    let folder = Folder::new();
+    let first = job(&folder, "first", "e7-slot.ngc", &[]);
+    is_good(&first);
+    // 2 mm down, 30 mm along, 4 mm up, 30 mm back, 2 mm down.
+    assert!(
+        (number(&first, "path_length_mm") - 68.0).abs() < 0.01,
+        "{first:#}"
+    );
+    // 2 s at 1 mm/s, 7.5 s and 0.5 s at 4 mm/s, and the way back.
+    assert!(
+        (10.5..13.0).contains(&number(&first, "duration_s")),
+        "{first:#}"
+    );
+
+    // The recording is what the summary says, and can be read.
+    let file = folder.path("first/recording.hmr");
+    let recording = Recording::open(Path::new(&file)).unwrap();
+    assert_eq!(recording.records(), first["periods"].as_u64().unwrap());
+    assert_eq!(recording.cut_bytes(), 0);
+    assert_eq!(recording.header().machine, "h4");
+    let last = recording.iter().unwrap().last().unwrap().unwrap();
+    assert!(last.has(haptimill_trace::flag::TOOL_TRUE | haptimill_trace::flag::HOMED));
+    use sha2::{Digest, Sha256};
+    let bytes = std::fs::read(&file).unwrap();
+    assert!(bytes.len() > recording.records() as usize * RECORD_BYTES);
+    let hash: String = Sha256::digest(&bytes)
+        .iter()
+        .map(|byte| format!("{byte:02x}"))
+        .collect();
+    assert_eq!(first["trace_sha256"], hash.as_str());
+
+    // The trace: units in the names, a row every 25 periods, the end where the program ends.
+    let text = folder.read("first/trace.csv");
+    let mut reader = csv::Reader::from_reader(text.as_bytes());
+    let names: Vec<String> = reader
+        .headers()
+        .unwrap()
+        .iter()
+        .map(str::to_string)
+        .collect();
+    let column = |name: &str| {
+        names
+            .iter()
+            .position(|known| known == name)
+            .unwrap_or_else(|| panic!("no {name} in {names:?}"))
+    };
+    assert_eq!(column("time_s"), 0);
+    let (x, l1, alpha) = (
+        column("x_tool_mm"),
+        column("l1_joint_error_mm"),
+        column("alpha_commanded_deg"),
+    );
+    column("l4_drive_n");
+    column("alpha_drive_n_m");
+    let rows: Vec<csv::StringRecord> = reader.records().map(Result::unwrap).collect();
+    let rows_wanted = recording.records().div_ceil(25);
+    assert!(
+        (rows_wanted..=rows_wanted + 1).contains(&(rows.len() as u64)),
+        "{}",
+        rows.len()
+    );
+    let value = |row: &csv::StringRecord, column: usize| row[column].parse::<f64>().unwrap();
+    let least = rows
+        .iter()
+        .map(|row| value(row, x))
+        .fold(f64::INFINITY, f64::min);
+    assert!((least + 30.0).abs() < 0.05, "the slot ends at {least}");
+    assert!(value(rows.last().unwrap(), x).abs() < 0.05);
+    assert!(rows.iter().any(|row| value(row, l1).abs() > 1e-4));
+    assert!(rows.iter().all(|row| value(row, alpha).abs() < 1e-3));
+
+    // The report is one file that needs no other.
+    let page = folder.read("first/report.html");
+    assert!(page.starts_with("<!doctype html>") && page.trim_end().ends_with("</html>"));
+    for needs in [
+        "<script", "src=", "href=", "url(", "@import", "http://", "https://",
+    ] {
+        assert!(!page.contains(needs), "the report has {needs}");
+    }
+    assert!(page.matches("<svg").count() >= 6 && page.contains("e7-slot.ngc"));
+
+    let again = job(&folder, "again", "e7-slot.ngc", &[]);
+    assert_eq!(again, first);
+    assert_eq!(
+        bytes,
+        std::fs::read(folder.path("again/recording.hmr")).unwrap()
+    );
+    let other = job(&folder, "other", "e7-slot.ngc", &["--seed", "2"]);
+    is_good(&other);
+    assert_ne!(other["trace_sha256"], first["trace_sha256"]);
+}
+
+#[test]
+fn the_pocket_and_the_circle_are_within_their_errors() {
+    let folder = Folder::new();
+    let pocket = job(&folder, "pocket", "e9-pocket.ngc", &[]);
+    is_good(&pocket);
+    // All that goes from the host to the machine: setpoints, acknowledgements, signs of life.
+    assert!(
+        number(&pocket, "line_bytes_per_setpoint") <= 22.5,
+        "{pocket:#}"
+    );
+    let circle = job(&folder, "circle", "e11-circle.ngc", &[]);
+    is_good(&circle);
+    // Round: a circle of 30 mm, in the trace's own words.
+    let text = folder.read("circle/trace.csv");
+    let mut reader = csv::Reader::from_reader(text.as_bytes());
+    let names = reader.headers().unwrap().clone();
+    let column = |name: &str| names.iter().position(|known| known == name).unwrap();
+    let (x, y, line) = (column("x_tool_mm"), column("y_tool_mm"), column("line"));
+    let (mut least, mut most, mut rows) = (f64::INFINITY, 0.0_f64, 0);
+    for row in reader
+        .records()
+        .map(Result::unwrap)
+        .filter(|row| &row[line] == "7")
+    {
+        let value = |column: usize| row[column].parse::<f64>().unwrap();
+        let radius = (value(x) + 15.0).hypot(value(y));
+        (least, most, rows) = (least.min(radius), most.max(radius), rows + 1);
+    }
+    assert!(rows > 4000, "{rows} rows on the circle");
+    println!("circle: radius {least:.4} to {most:.4} mm");
+    assert!(
+        most - least < 0.05 && (most - 15.0).abs() < 0.03,
+        "{least} to {most}"
+    );
+}
+
+#[test]
+fn the_dome_streams_over_115200_baud_without_an_underrun() {
+    let folder = Folder::new();
+    let dome = job(&folder, "dome", "dome.ngc", &["--baud", "115200"]);
+    is_good(&dome);
+    assert!(number(&dome, "setpoints") > 2000.0);
+    assert!(number(&dome, "angle_error_max_deg") < 0.05, "{dome:#}");
+    assert!(number(&dome, "line_bytes_per_setpoint") <= 24.0, "{dome:#}");
+}
+
+#[test]
+fn the_sweeps_of_feed_and_depth_run() {
+    let folder = Folder::new();
+    is_good(&job(&folder, "feed", "e1-feed-sweep.ngc", &[]));
+    is_good(&job(&folder, "depth", "e2-depth-sweep.ngc", &[]));
+}
+
+#[test]
+fn a_job_ends_with_a_few_lines_that_a_person_reads() {
+    let folder = Folder::new();
+    let out = folder.path("out");
+    let ran = haptimill(&["run", "examples/e7-slot.ngc", "--out", &out]).ended_with(0);
+    insta::assert_snapshot!("run_e7", folder.anonymous(&ran.out));
+    assert_eq!(ran.err, "");
+    let quiet = haptimill(&["run", "examples/e7-slot.ngc", "--out", &out, "--quiet"]).ended_with(0);
+    assert!(
+        !quiet.out.contains("homing") && quiet.out.contains("tool error"),
+        "{}",
+        quiet.out
+    );
+    let check = haptimill(&[
+        "run",
+        "examples/e7-slot.ngc",
+        "--out",
+        &folder.path("none"),
+        "--check",
+    ])
+    .ended_with(0);
+    assert!(
+        check.out.contains("68.0 mm") && !Path::new(&folder.path("none")).exists(),
+        "{}",
+        check.out
+    );
+}
+
+/// A program with a mistake, its transcript, and the promise that nothing was written or moved.
+fn refused(folder: &Folder, name: &str, text: impl AsRef<[u8]>, code: i32) -> String {
+    let file = folder.file(name, text);
+    let out = folder.path("out");
+    let ran = haptimill(&["run", &file, "--out", &out]).ended_with(code);
+    assert!(!Path::new(&out).exists(), "{name}: something was written");
+    shown(folder, name, &ran)
+}
+
+fn shown(folder: &Folder, what: &str, ran: &Ran) -> String {
+    assert_eq!(ran.out, "", "{what}: {ran:?}");
+    format!(
+        "# {what}: exit code {}\n{}\n",
+        ran.code,
+        folder.anonymous(&ran.err)
+    )
+}
+
+#[test]
+fn a_program_that_leaves_the_workspace_late_is_refused_before_anything_moves() {
+    let folder = Folder::new();
+    let mut program = String::from("G21 G90 G94 F600\n");
+    for line in 2..1500 {
+        program += &format!("G1 X{} Y{}\n", line % 7, line % 5);
+    }
+    program += "G1 X199 Y119 Z-59\nG1 X0 Y0 Z21\nM30\n";
+    insta::assert_snapshot!("leaves_late", refused(&folder, "late.ngc", &program, 4));
+    assert!(program.lines().nth(1499).unwrap().contains("Z-59"));
+}
+
+#[test]
+fn mistakes_of_a_program_are_told_by_line() {
+    let folder = Folder::new();
+    let mut text = refused(
+        &folder,
+        "unknown-word.ngc",
+        "G21 G90\nG1 X1 F100\nG1 Q5 X2\nM98 P1\n",
+        3,
+    );
+    text += &refused(
+        &folder,
+        "too-fast.ngc",
+        "G21 G90\nG1 X60 Y60 F100\nG1 Y90 F2900\n",
+        4,
+    );
+    text += &refused(
+        &folder,
+        "not-utf-8.ngc",
+        b"G21 G90 (caf\xe9)\nG1 X1 F100\n\xff\xfe\n",
+        3,
+    );
+    text += &refused(&folder, "no-feed.ngc", "G1 X5\n", 3);
+    text += &refused(&folder, "binary.ngc", [0_u8, 1, 2, 3, 0, 255, 10, 0, 0], 3);
+    text += &refused(
+        &folder,
+        "out-of-stroke.ngc",
+        "G21 G90 F600\nG1 X199 Y119 Z-59\n",
+        4,
+    );
+    insta::assert_snapshot!("program_mistakes", text);
+}
+
+#[test]
+fn files_that_are_none_are_told_apart() {
+    let folder = Folder::new();
+    let out = folder.path("out");
+    let mut text = String::new();
+    let mut tell = |what: &str, code: i32, arguments: &[&str]| {
+        let ran = haptimill(arguments).ended_with(code);
+        text += &shown(&folder, what, &ran);
+    };
+    tell(
+        "a program that is not there",
+        3,
+        &["run", &folder.path("none.ngc"), "--out", &out],
+    );
+    std::fs::create_dir(folder.path("folder.ngc")).unwrap();
+    tell(
+        "a folder for a program",
+        3,
+        &["run", &folder.path("folder.ngc"), "--out", &out],
+    );
+    let good = folder.file("good.ngc", "G1 X1 F100\n");
+    let broken = folder.file(
+        "broken.toml",
+        "name = \"h4\"\nperiod_us = \"often\"\n[kinematics\n",
+    );
+    tell(
+        "a broken machine file",
+        3,
+        &["run", &good, "--machine", &broken, "--out", &out],
+    );
+    let h4 = std::fs::read_to_string(root().join("machines/h4.toml")).unwrap();
+    let wrong = folder.file(
+        "wrong.toml",
+        h4.replacen("a = 400.0", "a = -400.0", 1)
+            .replacen("lead_mm = 10.0", "lead_mm = 0.0", 1),
+    );
+    tell(
+        "a machine file that makes no sense",
+        3,
+        &["run", &good, "--machine", &wrong, "--out", &out],
+    );
+    tell(
+        "a machine file that is not there",
+        3,
+        &[
+            "run",
+            &good,
+            "--machine",
+            &folder.path("none.toml"),
+            "--out",
+            &out,
+        ],
+    );
+    assert!(!Path::new(&out).exists());
+    // A file where the folder of the results should be; before homing, so nothing on standard output.
+    tell(
+        "a folder that cannot be made",
+        9,
+        &["run", &good, "--out", &folder.file("taken", "")],
+    );
+    tell(
+        "a fault that is none",
+        2,
+        &["run", &good, "--fault", "nonsense", "--out", &out],
+    );
+    tell(
+        "a fault of an axis that is not there",
+        2,
+        &[
+            "run",
+            &good,
+            "--fault",
+            "slide-jammed axis=9",
+            "--out",
+            &out,
+        ],
+    );
+    tell(
+        "a fault on a real port",
+        2,
+        &[
+            "run",
+            &good,
+            "--fault",
+            "emergency-stop",
+            "--port",
+            "tcp:localhost:1",
+            "--out",
+            &out,
+        ],
+    );
+    tell(
+        "a port that is not there",
+        5,
+        &["run", &good, "--port", "/dev/there-is-none", "--out", &out],
+    );
+    insta::assert_snapshot!("no_such_files", text);
+}
+
+#[test]
+fn a_program_that_does_nothing_is_done_at_once() {
+    let folder = Folder::new();
+    for (name, text) in [
+        ("empty.ngc", ""),
+        ("comment.ngc", "(nothing)\n\n; nothing\n"),
+        ("end.ngc", "G21 G90\nM30\n"),
+    ] {
+        let file = folder.file(name, text);
+        let ran = haptimill(&["run", &file, "--json", "--out", &folder.path("out")]).ended_with(0);
+        let summary = ran.json();
+        assert_eq!(summary["final_state"], "Idle", "{name}");
+        assert_eq!(number(&summary, "path_length_mm"), 0.0, "{name}");
+        assert!(folder.read("out/report.html").contains("</html>"));
+    }
+}
+
+#[test]
+fn pauses_are_passed_in_the_simulator_and_need_a_terminal_on_a_machine() {
+    let folder = Folder::new();
+    let file = folder.file("pause.ngc", "G1 X5 F600\nM0 (turn the work)\nG1 X0\nM30\n");
+    let ran = haptimill(&["run", &file, "--json", "--out", &folder.path("out")]).ended_with(0);
+    assert_eq!(ran.json()["completed"], true);
+    assert!((number(&ran.json(), "path_length_mm") - 10.0).abs() < 0.01);
+    // Nobody can press Enter: refused before the port is opened.
+    let ran = haptimill(&[
+        "run",
+        &file,
+        "--port",
+        "tcp:localhost:1",
+        "--out",
+        &folder.path("none"),
+    ])
+    .ended_with(2);
+    assert!(
+        ran.err.contains("pause.ngc:2") && ran.err.contains("--go-on"),
+        "{}",
+        ran.err
+    );
+}
+
+/// A program that takes an hour of machine time.
+fn hour_long(folder: &Folder) -> String {
+    let lines: String = (0..900)
+        .map(|turn| format!("G1 X{} Y0\nG1 Y5\nG1 X0\nG1 Y0\n", 10 + turn % 3))
+        .collect();
+    folder.file("long.ngc", format!("G21 G90 F300\n{lines}"))
+}
+
+/// A run of it that has recorded for some seconds of machine time.
+fn long_under_way(folder: &Folder) -> scene::Started {
+    let mut run = start(&["run", &hour_long(folder), "--out", &folder.path("out")]);
+    run.says("running");
+    let recording = folder.path("out/recording.hmr");
+    while std::fs::metadata(&recording).map_or(0, |file| file.len()) < 1_000_000 {
+        assert!(run.runs());
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    run
+}
+
+#[test]
+fn two_runs_never_write_into_one_folder_and_a_run_that_died_holds_none() {
+    let folder = Folder::new();
+    let mut first = long_under_way(&folder);
+    let recording = folder.path("out/recording.hmr");
+    let short = folder.file("short.ngc", "G1 X1 F600\nM30\n");
+    let out = folder.path("out");
+    let second = haptimill(&["run", &short, "--json", "--out", &out]).ended_with(9);
+    let said = "another run is writing its results there; choose another folder with --out";
+    assert!(second.err.contains(said), "{}", second.err);
+    assert_eq!(second.json()["exit_code"], 9);
+    // The first one's recording is still there, and grows.
+    assert!(first.runs() && std::fs::metadata(&recording).unwrap().len() >= 1_000_000);
+    first.kill();
+    haptimill(&["run", &short, "--out", &out]).ended_with(0);
+    assert_eq!(folder.summary("out")["program"], "short.ngc");
+    // Nothing but results is left there.
+    let mut names: Vec<String> = std::fs::read_dir(&out)
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+        .collect();
+    names.sort();
+    assert_eq!(
+        names,
+        ["recording.hmr", "report.html", "summary.json", "trace.csv"]
+    );
+}
+
+#[test]
+fn mistakes_are_told_as_json_too() {
+    let folder = Folder::new();
+    let out = folder.path("out");
+    let bad = folder.file("bad.ngc", "G21 G90\nG1 X1 F100\nG1 Q5 X2\n   M98 P1\n");
+    let far = folder.file("far.ngc", "G21 G90 F600\n\nG1 X1999\n");
+    let wrong = folder.file("wrong.toml", "name = 5\n");
+    for (arguments, code, places) in [
+        (
+            &["run", &bad, "--json", "--out", &out][..],
+            3,
+            &[(3, 4), (4, 4)][..],
+        ),
+        (&["run", &bad, "--check", "--json"], 3, &[(3, 4), (4, 4)]),
+        (&["run", &far, "--json", "--out", &out], 4, &[(3, 4)]),
+        (&["run", &bad, "--machine", &wrong, "--json"], 3, &[(1, 8)]),
+    ] {
+        let ran = haptimill(arguments).ended_with(code);
+        let told = ran.json();
+        assert_eq!(told["exit_code"], code, "{told:#}");
+        assert_eq!(told["error"].as_str(), Some(ran.err.trim_end()), "{told:#}");
+        let problems = told["problems"].as_array().unwrap();
+        for (line, column) in places {
+            let found = problems
+                .iter()
+                .find(|problem| problem["line"] == *line && problem["column"] == *column)
+                .unwrap_or_else(|| panic!("nothing at {line}:{column} in {told:#}"));
+            // The same as in words.
+            let words = format!(
+                "{}:{line}:{column}: {}",
+                found["file"].as_str().unwrap(),
+                found["message"].as_str().unwrap()
+            );
+            assert!(ran.err.contains(&words), "{words}\n{}", ran.err);
+        }
+    }
+    assert!(!Path::new(&out).exists());
+    let missing = haptimill(&["run", "none.ngc", "--json"]).ended_with(3);
+    assert_eq!(missing.json()["problems"], Value::Array(Vec::new()));
+}
+
+#[test]
+fn the_speed_that_was_asked_for_is_in_the_time_that_is_announced() {
+    let folder = Folder::new();
+    let time = |more: &[&str]| {
+        let check = ["run", "examples/e7-slot.ngc", "--check", "--json"];
+        number(&haptimill(&[&check, more].concat()).json(), "duration_s")
+    };
+    let (whole, half) = (time(&[]), time(&["--override", "50"]));
+    assert!((half - 2.0 * whole).abs() < 1e-9, "{whole} {half}");
+    let out = folder.path("out");
+    let run = [
+        "run",
+        "examples/e7-slot.ngc",
+        "--override",
+        "50",
+        "--out",
+        &out,
+    ];
+    let ran = haptimill(&run).ended_with(0);
+    let announced = format!("running, {half:.2} s at 50 %");
+    assert!(ran.out.contains(&announced), "{announced}: {}", ran.out);
+    // And it takes that long: the machine speeds up and slows down along the path as slowly.
+    let took = number(&folder.summary("out"), "duration_s");
+    assert!((took - half).abs() < 0.5, "{took} instead of {half}");
+}
+
+#[test]
+fn an_optional_stop_pauses_where_it_is_asked_for() {
+    let folder = Folder::new();
+    let file = folder.file("m1.ngc", "G1 X5 F600\nM1\nG1 X0\nM30\n");
+    let out = folder.path("none");
+    let run = ["run", &file, "--port", "tcp:localhost:1", "--out", &out];
+    // Without it there is nothing to pause at, and the port is looked for.
+    haptimill(&run).ended_with(5);
+    let ran = haptimill(&[&run[..], &["--optional-stop"]].concat()).ended_with(2);
+    assert!(
+        ran.err.contains("m1.ngc:2: the program pauses"),
+        "{}",
+        ran.err
+    );
+}
+
+#[cfg(unix)]
+#[test]
+fn ctrl_c_stops_the_simulated_job_along_its_path_and_keeps_the_trace() {
+    let folder = Folder::new();
+    let run = long_under_way(&folder);
+    run.interrupt();
+    let ran = run.end().ended_with(7);
+    assert!(
+        ran.err.contains("stopped by the user") && ran.err.contains("position is kept"),
+        "{}",
+        ran.err
+    );
+    let summary = folder.summary("out");
+    assert_eq!(
+        (&summary["final_state"], &summary["position_kept"]),
+        (&"Idle".into(), &true.into()),
+        "{summary:#}"
+    );
+    assert_eq!(summary["completed"], false);
+    assert_eq!(summary["faults"], Value::Array(Vec::new()));
+    assert!(number(&summary, "duration_s") < 3600.0);
+    assert!(folder.read("out/trace.csv").lines().count() > 10);
+    assert!(ran.out.contains("stopped"), "{}", ran.out);
+}

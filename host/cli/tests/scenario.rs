@@ -1,0 +1,158 @@
+//! The thesis's experiments, all of them, as `haptimill scenario run all` runs them: their tables are snapshots, so a change of any of them is seen.
+
+mod scene;
+
+use haptimill_trace::{Recording, flag};
+use scene::{Folder, haptimill, number};
+use serde_json::Value;
+use std::path::Path;
+
+/// A summary without what every change of the controller changes.
+fn without_hashes(summary: &Value) -> Value {
+    let mut summary = summary.clone();
+    for pass in summary["passes"].as_array_mut().unwrap() {
+        let hash = pass.as_object_mut().unwrap().remove("trace_sha256");
+        assert_eq!(hash.unwrap().as_str().unwrap().len(), 64);
+    }
+    summary
+}
+
+fn read(folder: &Folder, path: &str) -> Value {
+    serde_json::from_str(&folder.read(path)).unwrap()
+}
+
+#[test]
+fn all_scenarios_leave_their_tables_pages_and_recordings() {
+    let folder = Folder::new();
+    let out = folder.path("out");
+    let ran = haptimill(&["scenario", "run", "all", "--out", &out]).ended_with(0);
+    assert_eq!(ran.err, "");
+    insta::assert_snapshot!("table", folder.anonymous(&ran.out));
+
+    let index = folder.read("out/index.html");
+    for scenario in haptimill_experiments::all() {
+        let name = scenario.name;
+        assert!(
+            index.contains(&format!(">{}<", name.to_uppercase())),
+            "{name}"
+        );
+        if !Path::new(&folder.path(&format!("out/{name}"))).exists() {
+            assert!(scenario.needs_force_control(), "{name} was not run");
+            continue;
+        }
+        let summary = read(&folder, &format!("out/{name}/summary.json"));
+        for claim in summary["claims"].as_array().unwrap() {
+            assert!(
+                claim["ours"].is_number(),
+                "{name}: nothing was measured: {claim:#}"
+            );
+            let outside = !claim["inside"].as_bool().unwrap();
+            assert_eq!(outside, claim["reason"].is_string(), "{name}: {claim:#}");
+        }
+        insta::assert_snapshot!(name, format!("{:#}", without_hashes(&summary)));
+
+        let page = folder.read(&format!("out/{name}/index.html"));
+        assert!(page.starts_with("<!doctype html>") && page.trim_end().ends_with("</html>"));
+        let pictures = page.matches("data:image/png;base64,").count();
+        let cuts = scenario.passes.iter().filter(|pass| pass.cuts()).count();
+        assert_eq!(pictures, cuts, "{name}");
+        // Position, three forces, error or p_c, path, and the picture, of each cut; way, reflection and push of each pass of a hand.
+        let led = scenario.passes.iter().filter(|pass| pass.led.is_some());
+        let curves = 7 * cuts + 3 * led.count();
+        assert!(page.matches("<svg").count() >= curves, "{name}");
+        for pass in &scenario.passes {
+            let file = folder.path(&format!("out/{name}/{}/recording.hmr", pass.name));
+            let recording = Recording::open(Path::new(&file)).unwrap();
+            let mut felt = recording.iter().unwrap().map(Result::unwrap);
+            // At the wall of E6 the tool waits at home and cuts nothing.
+            let cutting = felt.find(|record| !pass.cuts() || record.true_force != [0; 3]);
+            assert!(cutting.unwrap().has(flag::FORCE | flag::TOOL_TRUE));
+            let hand = format!("out/{name}/{}/hand.csv", pass.name);
+            if pass.led.is_some() {
+                assert!(folder.read(&hand).lines().count() > 1000);
+            }
+            assert!(
+                folder
+                    .read(&format!("out/{name}/{}/trace.csv", pass.name))
+                    .len()
+                    > 10_000
+            );
+        }
+    }
+}
+
+#[test]
+fn a_scenario_is_the_same_every_time_alone_or_among_others() {
+    let folder = Folder::new();
+    let mut hashes = Vec::new();
+    for out in ["first", "second"] {
+        let out = folder.path(out);
+        let ran = haptimill(&["scenario", "run", "E7", "--json", "--out", &out]).ended_with(0);
+        let told = ran.json();
+        assert_eq!(told.as_array().unwrap().len(), 1);
+        hashes.push(told[0]["passes"][0]["trace_sha256"].clone());
+    }
+    assert_eq!(hashes[0], hashes[1]);
+    assert_eq!(
+        folder.read("first/e7/index.html"),
+        folder.read("second/e7/index.html")
+    );
+}
+
+#[test]
+fn scenarios_are_listed_and_others_refused() {
+    let list = haptimill(&["scenario", "list"]).ended_with(0).out;
+    for number in 1..=12 {
+        let name = &format!("e{number} ");
+        assert!(list.lines().any(|line| line.starts_with(name)), "{list}");
+    }
+    let ran = haptimill(&["scenario", "run", "e13"]).ended_with(2);
+    assert_eq!(
+        ran.err,
+        "there is no scenario \"e13\"; write one of e1, e2, e3, e4, e5, e6, e7, e8, e9, e10, e11, e12, or all\n"
+    );
+}
+
+#[test]
+fn a_job_cuts_a_work_only_when_one_is_clamped() {
+    let folder = Folder::new();
+    let run = |out: &str, more: &[&str]| {
+        let dir = folder.path(out);
+        let program = "examples/e7-slot.ngc";
+        let ran = haptimill(&[&["run", program, "--json", "--out", &dir], more].concat());
+        assert_eq!(ran.code, 0, "{ran:?}");
+        let file = folder.path(&format!("{out}/recording.hmr"));
+        let recording = Recording::open(Path::new(&file)).unwrap();
+        let records = recording.iter().unwrap().map(Result::unwrap);
+        let largest = records
+            .map(|record| record.true_force.map(i32::abs).into_iter().max().unwrap())
+            .max();
+        (ran.json(), f64::from(largest.unwrap()) / 65_536.0)
+    };
+    let (air, none) = run("air", &[]);
+    assert_eq!(none, 0.0, "nothing is clamped");
+    let (cut, force) = run("cut", &["--work", "examples/block.toml"]);
+    assert!((4.0..12.0).contains(&force), "{force} N");
+    // 7 N on a structure of 500 N/mm: 14 um, and what the slides give way.
+    let error = |summary: &Value| number(summary, "tool_error_max_mm");
+    let more = error(&cut) - error(&air);
+    assert!((0.005..0.06).contains(&more), "{more} mm");
+
+    let bad = folder.file("work.toml", "top_mm = 21.0\ncell_mm = 7.0\n");
+    let out = folder.path("bad");
+    let ran = haptimill(&["run", "examples/e7-slot.ngc", "--work", &bad, "--out", &out]);
+    assert_eq!(ran.code, 3);
+    assert_eq!(
+        folder.anonymous(&ran.err),
+        "DIR/work.toml:2:11: cell_mm: 7 is not within 0.01 to 1; correct it\n"
+    );
+    let port = [
+        "run",
+        "examples/e7-slot.ngc",
+        "--work",
+        &bad,
+        "--port",
+        "tcp:127.0.0.1:1",
+    ];
+    assert!(haptimill(&port).ended_with(2).err.starts_with("--work"));
+}

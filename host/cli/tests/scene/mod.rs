@@ -1,0 +1,315 @@
+//! The command as a process, folders that go away, and served machines that never outlive their test.
+
+// Each test file uses its own part of this.
+#![allow(dead_code)]
+
+use std::io::{BufRead, BufReader, Read};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+/// A command that has not ended by now hangs. No measure of speed: all scenarios take half a minute on two idle cores, and several on busy ones.
+pub const LIMIT: Duration = Duration::from_secs(600);
+
+/// The root of the workspace; commands run there.
+pub fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../..")
+        .canonicalize()
+        .unwrap()
+}
+
+/// A folder of a test, gone with it.
+pub struct Folder(PathBuf);
+
+impl Folder {
+    pub fn new() -> Self {
+        static NEXT: AtomicU32 = AtomicU32::new(0);
+        let number = NEXT.fetch_add(1, Ordering::Relaxed);
+        let path =
+            std::env::temp_dir().join(format!("haptimill-test-{}-{number}", std::process::id()));
+        std::fs::create_dir_all(&path).unwrap();
+        Self(path)
+    }
+
+    /// A path in the folder, as text.
+    pub fn path(&self, name: &str) -> String {
+        self.0.join(name).to_str().unwrap().to_string()
+    }
+
+    /// Writes a file and gives its path.
+    pub fn file(&self, name: &str, content: impl AsRef<[u8]>) -> String {
+        let path = self.path(name);
+        std::fs::write(&path, content).unwrap();
+        path
+    }
+
+    /// Writes the machine file of the built-in machine with other sections after it, and gives its path.
+    pub fn machine_with(&self, sections: &str) -> String {
+        let text = [haptimill_machine_file::BUILT_IN, sections].join("\n");
+        self.file("own.toml", text)
+    }
+
+    pub fn read(&self, name: &str) -> String {
+        std::fs::read_to_string(self.0.join(name)).unwrap()
+    }
+
+    /// The summary that a run left in a folder of this folder.
+    pub fn summary(&self, out: &str) -> serde_json::Value {
+        serde_json::from_str(&self.read(&format!("{out}/summary.json"))).unwrap()
+    }
+
+    /// Text with the name of this folder taken out.
+    pub fn anonymous(&self, text: &str) -> String {
+        text.replace(self.0.to_str().unwrap(), "DIR")
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+/// What a run of the command left.
+#[derive(Debug)]
+pub struct Ran {
+    /// Exit code; -1 when a signal ended it.
+    pub code: i32,
+    pub out: String,
+    pub err: String,
+}
+
+impl Ran {
+    /// The standard output as JSON.
+    pub fn json(&self) -> serde_json::Value {
+        serde_json::from_str(&self.out).unwrap_or_else(|error| panic!("{error} in {self:?}"))
+    }
+
+    /// Ends the test unless the command ended with this code.
+    #[track_caller]
+    pub fn ended_with(self, code: i32) -> Self {
+        assert_eq!(self.code, code, "{self:#?}");
+        self
+    }
+}
+
+/// A process of the command, killed if the test ends first.
+pub struct Started {
+    child: Child,
+    out: Option<BufReader<std::process::ChildStdout>>,
+    said: String,
+    /// What it said on standard error so far, and who reads it.
+    complaints: Arc<Mutex<String>>,
+    err: Option<std::thread::JoinHandle<()>>,
+}
+
+/// Starts the command in the root of the workspace, without a terminal and with an empty input.
+pub fn start(arguments: &[&str]) -> Started {
+    start_with(arguments, Stdio::null())
+}
+
+/// Starts the command with this input.
+pub fn start_with(arguments: &[&str], input: Stdio) -> Started {
+    let mut child = Command::new(env!("CARGO_BIN_EXE_haptimill"))
+        .args(arguments)
+        .current_dir(root())
+        .env("COLUMNS", "120")
+        .stdin(input)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let out = BufReader::new(child.stdout.take().unwrap());
+    let mut err = child.stderr.take().unwrap();
+    let complaints = Arc::new(Mutex::new(String::new()));
+    let heard = Arc::clone(&complaints);
+    let err = std::thread::spawn(move || {
+        let mut buffer = [0; 4096];
+        while let Ok(count @ 1..) = err.read(&mut buffer) {
+            let text = String::from_utf8_lossy(&buffer[..count]);
+            heard.lock().unwrap().push_str(&text);
+        }
+    });
+    Started {
+        child,
+        out: Some(out),
+        said: String::new(),
+        complaints,
+        err: Some(err),
+    }
+}
+
+/// Runs the command to its end.
+pub fn haptimill(arguments: &[&str]) -> Ran {
+    start(arguments).end()
+}
+
+impl Started {
+    /// The next line on standard output, without its end; empty when there is none.
+    pub fn line(&mut self) -> String {
+        let mut line = String::new();
+        self.out.as_mut().unwrap().read_line(&mut line).unwrap();
+        self.said.push_str(&line);
+        line.trim_end().to_string()
+    }
+
+    /// Waits for a line of standard output that has `part` in it.
+    #[track_caller]
+    pub fn says(&mut self, part: &str) {
+        loop {
+            let line = self.line();
+            if line.contains(part) {
+                return;
+            }
+            if line.is_empty() {
+                let status = self.child.wait();
+                let err = self.complained();
+                panic!(
+                    "never said {part:?}, but {:?}; {status:?}, {err:?}",
+                    self.said
+                );
+            }
+        }
+    }
+
+    /// All that is said on standard error until it is closed.
+    fn complained(&mut self) -> String {
+        if let Some(err) = self.err.take() {
+            err.join().unwrap();
+        }
+        self.complaints.lock().unwrap().clone()
+    }
+
+    /// Waits until standard error has `part` in it.
+    #[track_caller]
+    pub fn complains(&mut self, part: &str) {
+        while !self.complaints.lock().unwrap().contains(part) {
+            if !self.runs() {
+                panic!("never complained of {part:?}, but {:?}", self.complained());
+            }
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+
+    /// Waits for the end, at most [`LIMIT`].
+    pub fn end(mut self) -> Ran {
+        let mut out = self.out.take().unwrap();
+        let reader = std::thread::spawn(move || {
+            let mut text = String::new();
+            let _ = out.read_to_string(&mut text);
+            text
+        });
+        let status = self.wait();
+        self.said.push_str(&reader.join().unwrap());
+        Ran {
+            code: status.code().unwrap_or(-1),
+            out: std::mem::take(&mut self.said),
+            err: self.complained(),
+        }
+    }
+
+    fn wait(&mut self) -> ExitStatus {
+        let begun = Instant::now();
+        loop {
+            if let Some(status) = self.child.try_wait().unwrap() {
+                return status;
+            }
+            if begun.elapsed() > LIMIT {
+                let _ = self.child.kill();
+                let status = self.child.wait().unwrap();
+                panic!(
+                    "not at its end after {LIMIT:?}: {status}; said {:?}",
+                    self.said
+                );
+            }
+            // The standard library has no waiting with a limit.
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+
+    /// Still there.
+    pub fn runs(&mut self) -> bool {
+        self.child.try_wait().unwrap().is_none()
+    }
+
+    /// Ctrl-C.
+    #[cfg(unix)]
+    pub fn interrupt(&self) {
+        self.signal(rustix::process::Signal::INT);
+    }
+
+    /// It does nothing any more, and holds what it has.
+    #[cfg(unix)]
+    pub fn freeze(&self) {
+        self.signal(rustix::process::Signal::STOP);
+    }
+
+    #[cfg(unix)]
+    fn signal(&self, signal: rustix::process::Signal) {
+        let pid = rustix::process::Pid::from_raw(self.child.id() as i32).unwrap();
+        rustix::process::kill_process(pid, signal).unwrap();
+    }
+
+    /// Ends it as a power failure would.
+    pub fn kill(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+impl Drop for Started {
+    fn drop(&mut self) {
+        self.kill();
+    }
+}
+
+/// A simulated machine, served in real time.
+pub struct Served {
+    pub process: Started,
+    /// What to give as --port.
+    pub port: String,
+}
+
+impl Served {
+    /// On a TCP port that was free.
+    pub fn on_tcp(more: &[&str]) -> Self {
+        Self::on("tcp:127.0.0.1:0", more)
+    }
+
+    /// On `tcp:HOST:PORT` or `pty`. It ends by itself after two minutes, whatever becomes of the test.
+    pub fn on(listen: &str, more: &[&str]) -> Self {
+        let mut process =
+            start(&[&["sim", "serve", "--for", "120", "--listen", listen], more].concat());
+        let port = process.line();
+        assert!(!port.is_empty(), "{:?}", process.end());
+        Self { process, port }
+    }
+
+    /// A one-shot command on it, which must succeed.
+    #[track_caller]
+    pub fn does(&self, command: &[&str]) -> Ran {
+        self.tries(command).ended_with(0)
+    }
+
+    /// A one-shot command on it.
+    pub fn tries(&self, command: &[&str]) -> Ran {
+        haptimill(&[command, &["--port", &self.port]].concat())
+    }
+
+    /// `haptimill status --json`.
+    #[track_caller]
+    pub fn status(&self) -> serde_json::Value {
+        self.does(&["status", "--json"]).json()
+    }
+}
+
+/// The number in a field of a JSON object.
+#[track_caller]
+pub fn number(value: &serde_json::Value, field: &str) -> f64 {
+    value[field]
+        .as_f64()
+        .unwrap_or_else(|| panic!("no number {field} in {value:#}"))
+}

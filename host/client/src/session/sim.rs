@@ -1,0 +1,408 @@
+//! The built-in simulator as a line: controller, machine and serial line in this process, in virtual time.
+
+use super::hand::{HandCourse, HandRecorder};
+use super::{JobLine, Line, Session, fresh_number};
+use crate::client::Options;
+use crate::port::PortError;
+use crate::{Error, ErrorKind};
+use haptimill_firmware::controller::Controller;
+use haptimill_firmware::motion::interpolator::FULL_RATE;
+use haptimill_firmware::snapshot::{ForceSnapshot, HapticSnapshot, Snapshot};
+use haptimill_hil_sim::config::PlantConfig;
+use haptimill_hil_sim::fault::Fault;
+use haptimill_hil_sim::process::CuttingConfig;
+use haptimill_hil_sim::rig::{Control, Rig, RigError, RigOptions};
+use haptimill_machine_file::MachineFile;
+use haptimill_planner::{Cursor, Plan};
+use haptimill_protocol::haptic::{COMPONENTS, MasterTelemetry};
+use haptimill_protocol::message::{AxisValues, MAX_AXES, State, Telemetry};
+use haptimill_trace::{IoLog, Record, Recorder, flag};
+use std::sync::Arc;
+
+/// A machine that exists in this process only.
+pub struct SimLine<C = Controller> {
+    rig: Rig<C>,
+    name: String,
+    /// Periods since the power-on of the controller, until a recording takes them up.
+    io_log: Option<IoLog>,
+    /// What happened before there was a recording.
+    happened: Vec<(u64, u8, String)>,
+    recording: Option<JobRecording>,
+    hand: Option<HandRecorder>,
+}
+
+/// Events that are kept until there is a recording for them.
+const MOST_EVENTS: usize = 1000;
+
+/// A recording of a job, with the truth of the simulated machine and the programmed geometry beside it.
+pub struct JobRecording {
+    recorder: Recorder,
+    /// None where a hand leads and nothing is programmed.
+    plan: Option<Arc<Plan>>,
+    cursor: Cursor,
+    /// Axis units per millimetre or degree of the pose coordinates.
+    units: [f64; MAX_AXES],
+    /// The newest report of a hand, for a controller behind a port.
+    hand: Option<MasterTelemetry>,
+}
+
+/// Telemetry frames, 20 ms apart or more, after which the recording is handed to the disk.
+const SPILL_EVERY: u64 = 12;
+
+/// Puts the simulated machine of a machine file together.
+///
+/// # Errors
+/// The file has no `[plant]` section, or a fault makes no sense on this machine.
+pub fn rig(
+    machine: &MachineFile,
+    seed: Option<u64>,
+    baud: Option<u32>,
+    faults: Vec<Fault>,
+) -> Result<Rig<Controller>, Error> {
+    let controller = Controller::new(machine.config.period_us);
+    rig_around(controller, machine, seed, baud, faults)
+}
+
+/// As [`rig`], around any controller.
+///
+/// # Errors
+/// As [`rig`].
+pub fn rig_around<C: Control>(
+    controller: C,
+    machine: &MachineFile,
+    seed: Option<u64>,
+    baud: Option<u32>,
+    faults: Vec<Fault>,
+) -> Result<Rig<C>, Error> {
+    let mut plant: PlantConfig = machine.plant()?;
+    plant.seed = seed.unwrap_or(plant.seed);
+    let period_us = machine.config.period_us;
+    let options = RigOptions {
+        period_us,
+        baud,
+        faults,
+        ..RigOptions::default()
+    };
+    Rig::new(&plant, &options, controller).map_err(|error| match error {
+        RigError::Plant(_) => Error::new(ErrorKind::BadInput, format!("{}: {error}", machine.file)),
+        RigError::Fault(error) => Error::new(ErrorKind::Usage, format!("--{error}")),
+    })
+}
+
+/// Configures the controller of a simulated machine over its line, as the maker of a machine does before it is delivered.
+///
+/// # Errors
+/// The reason, where a fault of the machine or of its line prevents it, and the machine without a configuration.
+#[allow(clippy::result_large_err)]
+pub fn commissioned(
+    rig: Rig<Controller>,
+    machine: &MachineFile,
+) -> Result<Rig<Controller>, (Rig<Controller>, Error)> {
+    let options = Options {
+        connect_us: COMMISSION_US,
+        ..Options::default()
+    };
+    let mut line = SimLine::new(rig);
+    line.io_log = None;
+    let mut session = Session::new(line, machine, options, Arc::default());
+    let done = session
+        .connect(fresh_number())
+        .and_then(|()| session.configure(machine));
+    let mut rig = session.into_line().rig;
+    // The last words of this session are for no other host.
+    rig.host_read(&mut Vec::new());
+    match done {
+        Ok(()) => Ok(rig),
+        Err(error) => Err((rig, error)),
+    }
+}
+
+/// Longest wait for the controller of a simulated machine that is being configured, microseconds of its time.
+const COMMISSION_US: u64 = 2_000_000;
+
+impl<C: Control> SimLine<C> {
+    /// A line to a simulated machine.
+    #[must_use]
+    pub fn new(rig: Rig<C>) -> Self {
+        Self::named(rig, "simulator")
+    }
+
+    /// A line to a simulated machine whose controller people call something else.
+    #[must_use]
+    pub fn named(rig: Rig<C>, name: &str) -> Self {
+        // A controller that has run already cannot be followed from its beginning.
+        let io_log = (rig.time_ns() == 0).then(IoLog::new);
+        Self {
+            rig,
+            name: name.to_string(),
+            io_log,
+            happened: Vec::new(),
+            recording: None,
+            hand: None,
+        }
+    }
+
+    /// Looks at hand and tool from now on, a thousand times a second.
+    pub fn begin_hand(&mut self) {
+        self.hand = Some(HandRecorder::default());
+    }
+
+    /// Stops looking, and tells what was seen.
+    pub fn end_hand(&mut self) -> Option<HandCourse> {
+        self.hand.take().map(HandRecorder::into_course)
+    }
+
+    /// The machine with its controller and its line, to be meddled with.
+    pub const fn rig_mut(&mut self) -> &mut Rig<C> {
+        &mut self.rig
+    }
+
+    /// The machine with its controller and its line, for a look at what really was.
+    #[must_use]
+    pub const fn rig(&self) -> &Rig<C> {
+        &self.rig
+    }
+}
+
+impl<C: Control> JobLine for SimLine<C> {
+    fn begin_recording(&mut self, mut recording: JobRecording) {
+        if let Some(io_log) = self.io_log.take() {
+            recording.recorder.take_up(io_log);
+        }
+        for (period, level, text) in self.happened.drain(..) {
+            recording.recorder.event(period, level, &text);
+        }
+        self.recording = Some(recording);
+    }
+
+    fn clamp(&mut self, work: &CuttingConfig) -> Result<(), Error> {
+        self.rig.plant_mut().clamp(work).map_err(|problems| {
+            let problems: Vec<String> = problems.iter().map(ToString::to_string).collect();
+            Error::new(ErrorKind::BadInput, problems.join("\n"))
+        })
+    }
+
+    fn end_recording(&mut self) -> Option<Recorder> {
+        self.recording.take().map(JobRecording::into_recorder)
+    }
+}
+
+impl<C: Control> Line for SimLine<C> {
+    fn exchange(&mut self, transmit: &[u8], received: &mut Vec<u8>) -> Result<u64, PortError> {
+        if !transmit.is_empty() {
+            self.rig.host_write(transmit);
+        }
+        let ticked = self.rig.step();
+        if let Some(reason) = self.rig.control().failure() {
+            return Err(PortError::Failed {
+                name: self.name.clone(),
+                reason: reason.to_string(),
+            });
+        }
+        self.rig.host_read(received);
+        if ticked {
+            match (&mut self.recording, &mut self.io_log) {
+                (Some(recording), _) => recording.add(&self.rig),
+                (None, Some(io_log)) => io_log.add(self.rig.inputs(), self.rig.outputs()),
+                (None, None) => {}
+            }
+        }
+        if ticked
+            && let Some(hand) = &mut self.hand
+            && let Some(snapshot) = self.rig.control().snapshot(self.rig.inputs())
+        {
+            hand.look(self.rig.plant(), &snapshot);
+        }
+        Ok(self.rig.time_ns() / 1000)
+    }
+
+    fn name(&self) -> String {
+        self.name.clone()
+    }
+
+    fn recording_is_broken(&self) -> bool {
+        self.recording.as_ref().is_some_and(JobRecording::is_broken)
+    }
+
+    fn snapshot(&self) -> Option<Snapshot> {
+        self.rig.control().snapshot(self.rig.inputs())
+    }
+
+    fn happened(&mut self, period: u64, level: u8, text: &str) {
+        match &mut self.recording {
+            Some(recording) => recording.add_event(period, level, text),
+            None if self.happened.len() < MOST_EVENTS => {
+                self.happened.push((period, level, text.to_string()));
+            }
+            None => {}
+        }
+    }
+}
+
+impl JobRecording {
+    /// A recording of the job that `plan` is.
+    #[must_use]
+    pub fn new(recorder: Recorder, plan: Arc<Plan>, machine: &MachineFile) -> Self {
+        Self {
+            plan: Some(plan),
+            ..Self::unplanned(recorder, machine)
+        }
+    }
+
+    /// A recording of a job in which a hand leads, and nothing is programmed.
+    #[must_use]
+    pub fn unplanned(recorder: Recorder, machine: &MachineFile) -> Self {
+        let mut units = [1.0; MAX_AXES];
+        for (slot, axis) in units.iter_mut().zip(&machine.config.pose) {
+            *slot = haptimill_machine_file::scale::per_unit(axis.kind);
+        }
+        Self {
+            recorder,
+            plan: None,
+            cursor: Cursor::default(),
+            units,
+            hand: None,
+        }
+    }
+
+    /// The recorder, to be finished.
+    #[must_use]
+    pub fn into_recorder(self) -> Recorder {
+        self.recorder
+    }
+
+    /// Whether it has ended before the job, because of the disk.
+    #[must_use]
+    pub fn is_broken(&self) -> bool {
+        self.recorder.is_broken()
+    }
+
+    /// What happened, in words.
+    pub fn add_event(&mut self, period: u64, level: u8, text: &str) {
+        self.recorder.event(period, level, text);
+    }
+
+    /// A report of the hand of a machine of which nothing else is seen; it goes with the next telemetry frame.
+    pub const fn add_hand(&mut self, hand: &MasterTelemetry) {
+        self.hand = Some(*hand);
+    }
+
+    /// A telemetry frame of a machine of which nothing else is seen: the tool is where the controller measures it.
+    pub fn add_telemetry(&mut self, telemetry: &Telemetry) {
+        let mut record = Record {
+            period: telemetry.period,
+            setpoint: telemetry.setpoint,
+            path_rate: telemetry.path_rate,
+            state: telemetry.state,
+            ..Record::default()
+        };
+        if let Some(force) = &telemetry.force {
+            record.force = ForceSnapshot {
+                high: force.high,
+                low: force.low,
+                yielded: force.yielded,
+            };
+        }
+        let flags = [
+            (telemetry.force.is_some(), flag::FORCE),
+            (telemetry.homed, flag::HOMED),
+            (telemetry.position_kept, flag::POSITION_KEPT),
+            (!telemetry.measured.is_empty(), flag::TOOL_MEASURED),
+            (telemetry.fault.is_some(), flag::FAULT),
+        ];
+        record.flags = flags
+            .iter()
+            .filter(|(set, _)| *set)
+            .fold(0, |all, (_, flag)| all | flag);
+        let copy = |to: &mut [i32; MAX_AXES], from: &AxisValues| {
+            to.iter_mut().zip(from).for_each(|(to, from)| *to = *from)
+        };
+        if let Some(hand) = self.hand.take() {
+            let newtons = |force: [i16; COMPONENTS]| force.map(|part| i32::from(part) << 8);
+            record.hand = HapticSnapshot {
+                tip: hand.pose.tip,
+                force: newtons(hand.force),
+                reflected: newtons(hand.feedback),
+                wall: newtons(hand.fixture),
+            };
+            record.hand_flags = flag::HAND_KNOWN;
+            if hand.pose.engaged {
+                record.hand_flags |= flag::HAND_HELD;
+            }
+        }
+        copy(&mut record.commanded, &telemetry.commanded);
+        copy(&mut record.joints, &telemetry.joints);
+        copy(&mut record.following_error, &telemetry.following_error);
+        copy(&mut record.drive, &telemetry.drive);
+        copy(&mut record.tool, &telemetry.measured);
+        for (commanded, (joint, error)) in record
+            .joints_commanded
+            .iter_mut()
+            .zip(record.joints.iter().zip(record.following_error))
+        {
+            *commanded = joint.wrapping_add(error);
+        }
+        self.add_programmed(&mut record, f64::from(telemetry.program_periods));
+        self.recorder.record(&record);
+        // A block takes long to fill at this pace: a quarter of a second is what a host that dies may lose.
+        if self.recorder.records().is_multiple_of(SPILL_EVERY) {
+            self.recorder.spill();
+        }
+    }
+
+    /// The programmed pose, if a job is under way, at a program time in periods.
+    fn add_programmed(&mut self, record: &mut Record, periods: f64) {
+        let Some(plan) = &self.plan else {
+            return;
+        };
+        if !matches!(record.state, State::Run | State::Hold) {
+            return;
+        }
+        let programmed = plan.programmed(&mut self.cursor, periods * plan.period_s);
+        for (slot, (value, units)) in record
+            .programmed
+            .iter_mut()
+            .zip(programmed.iter().zip(&self.units))
+        {
+            *slot = (value * units).round() as i32;
+        }
+        record.flags |= flag::PROGRAMMED;
+        record.line = plan.line_of(record.setpoint as usize);
+    }
+
+    fn add<C: Control>(&mut self, rig: &Rig<C>) {
+        self.recorder.period(rig.inputs(), rig.outputs());
+        let Some(snapshot) = rig.control().snapshot(rig.inputs()) else {
+            return;
+        };
+        let mut record = Record {
+            true_force: rig
+                .truth()
+                .force
+                .map(|newtons| (newtons * 65_536.0).round() as i32),
+            ..Record::default()
+        };
+        record.set_reading(rig.inputs().period, &snapshot);
+        if rig.inputs().haptic.engaged {
+            record.hand_flags |= flag::HAND_HELD;
+        }
+        for (set, flag) in [
+            (rig.plant().force_codes().is_some(), flag::FORCE),
+            (rig.truth().pose_valid, flag::TOOL_TRUE),
+        ] {
+            if set {
+                record.flags |= flag;
+            }
+        }
+        for (tool, (value, units)) in record
+            .tool
+            .iter_mut()
+            .zip(rig.truth().pose.iter().zip(&self.units))
+            .take(rig.plant().axes())
+        {
+            *tool = (value * units).round() as i32;
+        }
+        self.add_programmed(&mut record, snapshot.program_time as f64 / FULL_RATE as f64);
+        self.recorder.record(&record);
+    }
+}

@@ -1,0 +1,87 @@
+//! Files that a command reads as a whole: of a bounded size, in a bounded time.
+
+use std::fmt;
+use std::fs::File;
+use std::io::{self, Read};
+use std::path::Path;
+use std::sync::mpsc::sync_channel;
+use std::time::Duration;
+
+/// Largest machine file, work file or script, bytes.
+pub const SETTINGS_BYTES: u64 = 1 << 20;
+
+/// Largest part program, bytes.
+pub const PROGRAM_BYTES: u64 = 64 << 20;
+
+/// Largest table of poses or slides, bytes.
+pub const TABLE_BYTES: u64 = 256 << 20;
+
+/// How long a pipe or a device may take to come to its end.
+const PIPE: Duration = Duration::from_secs(10);
+
+/// Why a file was not read, and what to do.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Unread {
+    /// The reason.
+    pub what: String,
+    /// The remedy.
+    pub remedy: &'static str,
+}
+
+impl fmt::Display for Unread {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(out, "{}; {}", self.what, self.remedy)
+    }
+}
+
+impl From<io::Error> for Unread {
+    fn from(error: io::Error) -> Self {
+        Self {
+            what: format!("cannot be read: {error}"),
+            remedy: "check the path",
+        }
+    }
+}
+
+/// Reads a file to its end.
+///
+/// # Errors
+/// It cannot be opened or read, is larger than `most` bytes, or is a pipe that does not end.
+pub fn read(path: &Path, most: u64) -> Result<Vec<u8>, Unread> {
+    let kind = path.metadata()?;
+    if kind.is_file() || kind.is_dir() {
+        return bounded(File::open(path)?, most);
+    }
+    // To open a pipe, and to read it, may take for ever; the thread ends with the process.
+    let path = path.to_path_buf();
+    let (sender, receiver) = sync_channel(1);
+    std::thread::spawn(move || {
+        let read = File::open(path).map_err(Unread::from);
+        let _ = sender.send(read.and_then(|file| bounded(file, most)));
+    });
+    receiver.recv_timeout(PIPE).unwrap_or_else(|_| {
+        Err(Unread {
+            what: format!(
+                "cannot be read: it is a pipe or a device that did not end within {} s",
+                PIPE.as_secs()
+            ),
+            remedy: "give a regular file",
+        })
+    })
+}
+
+/// Reads a source to its end.
+///
+/// # Errors
+/// As [`read`].
+pub fn bounded(source: impl Read, most: u64) -> Result<Vec<u8>, Unread> {
+    let mut bytes = Vec::new();
+    source.take(most + 1).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > most {
+        return Err(Unread {
+            what: format!("cannot be read: it is larger than {} MiB", most >> 20),
+            remedy: "check that it is the right file",
+        });
+    }
+    Ok(bytes)
+}

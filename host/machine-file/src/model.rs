@@ -1,0 +1,284 @@
+//! The machine as the planner asks for it: the firmware's own kinematics, in millimetres and degrees.
+//!
+//! What a program is checked against before anything moves is the code that will move it.
+
+use crate::MachineFile;
+use crate::scale::{PER_DEG, PER_MM};
+use haptimill_firmware::config;
+use haptimill_gcode::{AxisKind, Coordinates, Options, ProgramAxis};
+use haptimill_kinematics::BoundedKinematics;
+use haptimill_kinematics::{Accelerations, Kinematics, Pose, Rates};
+use haptimill_math::{Coordinate, Rate};
+use haptimill_planner::{JointLimits, MachineModel, PoseLimits, PoseProblem, Settings};
+use haptimill_protocol::message::{AxisValues, MAX_AXES, PoseError};
+use haptimill_protocol::text::{Axes, Axis, AxisKind as TextKind};
+
+/// Letters by which programs call the coordinates of the H-4 arm: x, y, z, theta (tool tilt), alpha (table).
+pub const LETTERS: [char; 5] = ['X', 'Y', 'Z', 'B', 'A'];
+
+/// A machine file's geometry.
+#[derive(Debug, Clone)]
+pub struct Model {
+    machine: BoundedKinematics,
+    pose: Vec<(String, config::AxisKind)>,
+    joints: Vec<(String, config::AxisKind)>,
+}
+
+fn units(kind: config::AxisKind) -> f64 {
+    match kind {
+        config::AxisKind::Linear => PER_MM,
+        config::AxisKind::Rotary => PER_DEG,
+    }
+}
+
+fn program_kind(kind: config::AxisKind) -> AxisKind {
+    match kind {
+        config::AxisKind::Linear => AxisKind::Linear,
+        config::AxisKind::Rotary => AxisKind::Rotary,
+    }
+}
+
+impl Model {
+    /// The geometry of a machine file.
+    #[must_use]
+    pub fn new(machine: &MachineFile) -> Self {
+        Self {
+            machine: machine.config.kinematics(),
+            pose: machine
+                .pose
+                .iter()
+                .map(|axis| (axis.name.clone(), axis.kind))
+                .collect(),
+            joints: machine
+                .joints
+                .iter()
+                .map(|axis| (axis.name.clone(), axis.kind))
+                .collect(),
+        }
+    }
+
+    /// Forgets names and units of all axes.
+    pub fn forget_axes(&mut self) {
+        self.pose.clear();
+        self.joints.clear();
+    }
+
+    /// Axis units of a pose in millimetres and degrees, to the nearest.
+    #[must_use]
+    pub fn to_units(&self, pose: &Coordinates) -> AxisValues {
+        self.pose
+            .iter()
+            .zip(pose)
+            .map(|((_, kind), value)| (value * units(*kind)).round() as i32)
+            .collect()
+    }
+
+    /// Millimetres and degrees of a pose in axis units.
+    #[must_use]
+    pub fn to_people(&self, pose: &AxisValues) -> Coordinates {
+        let mut people = Coordinates::default();
+        for (slot, ((_, kind), value)) in people.iter_mut().zip(self.pose.iter().zip(pose)) {
+            *slot = f64::from(*value) / units(*kind);
+        }
+        people
+    }
+
+    /// The same of joints.
+    #[must_use]
+    pub fn joints_to_people(&self, joints: &AxisValues) -> Vec<f64> {
+        self.joints
+            .iter()
+            .zip(joints)
+            .map(|((_, kind), value)| f64::from(*value) / units(*kind))
+            .collect()
+    }
+
+    /// Names of the pose coordinates.
+    #[must_use]
+    pub fn pose_names(&self) -> Vec<&str> {
+        self.pose.iter().map(|(name, _)| name.as_str()).collect()
+    }
+
+    /// Names of the joints.
+    #[must_use]
+    pub fn joint_names(&self) -> Vec<&str> {
+        self.joints.iter().map(|(name, _)| name.as_str()).collect()
+    }
+
+    /// Calls `use_axes` with names and kinds, for sentences about this machine.
+    pub fn with_axes<T>(&self, use_axes: impl FnOnce(&Axes<'_>) -> T) -> T {
+        fn list(axes: &[(String, config::AxisKind)]) -> Vec<Axis<'_>> {
+            axes.iter()
+                .map(|(name, kind)| Axis {
+                    name,
+                    kind: match kind {
+                        config::AxisKind::Linear => TextKind::Linear,
+                        config::AxisKind::Rotary => TextKind::Rotary,
+                    },
+                })
+                .collect()
+        }
+        let (pose, joints) = (list(&self.pose), list(&self.joints));
+        use_axes(&Axes {
+            pose: &pose,
+            joints: &joints,
+        })
+    }
+
+    /// The pose at the home preset, to the last bit as the controller has it after an ideal homing.
+    #[must_use]
+    pub fn home(&self, machine: &MachineFile) -> Option<AxisValues> {
+        let mut joints = haptimill_kinematics::Joints::default();
+        for (slot, preset) in joints.0.iter_mut().zip(machine.preset()) {
+            *slot = preset;
+        }
+        // A haptic arm alone has no pose of a tool.
+        let pose = self
+            .machine
+            .forward(&joints)
+            .ok()
+            .filter(|_| !self.pose.is_empty())?;
+        Some(
+            pose.0
+                .iter()
+                .take(self.pose.len())
+                .map(|coordinate| coordinate.0)
+                .collect(),
+        )
+    }
+
+    fn pose(&self, pose: &Coordinates) -> Option<Pose> {
+        let mut units_of = Pose::default();
+        for (slot, ((_, kind), value)) in units_of.0.iter_mut().zip(self.pose.iter().zip(pose)) {
+            let value = (value * units(*kind)).round();
+            if !(f64::from(i32::MIN)..=f64::from(i32::MAX)).contains(&value) {
+                return None;
+            }
+            *slot = Coordinate(value as i32);
+        }
+        Some(units_of)
+    }
+}
+
+impl MachineModel for Model {
+    fn joints(&self, pose: &Coordinates) -> Result<[f64; 6], PoseProblem> {
+        let units_of = self
+            .pose(pose)
+            .ok_or_else(|| PoseProblem("is beyond the range of numbers".to_string()))?;
+        match self.machine.inverse(&units_of) {
+            Ok(joints) => {
+                let mut people = [0.0; MAX_AXES];
+                for (slot, ((_, kind), value)) in
+                    people.iter_mut().zip(self.joints.iter().zip(joints.0))
+                {
+                    *slot = f64::from(value.0) / units(*kind);
+                }
+                Ok(people)
+            }
+            Err(error) => Err(PoseProblem(
+                self.with_axes(|axes| axes.describe(&error).to_string()),
+            )),
+        }
+    }
+
+    fn joint_rates(&self, pose: &Coordinates, rates: &Coordinates) -> [f64; 6] {
+        // The firmware's rates end at 2^31 axis units per second; the map is linear, so large ones are asked for smaller.
+        let largest = self
+            .pose
+            .iter()
+            .zip(rates)
+            .map(|((_, kind), rate)| (rate * units(*kind)).abs())
+            .fold(0.0, f64::max);
+        let shrink = if largest > 1e8 { 1e8 / largest } else { 1.0 };
+        let mut asked = Rates::default();
+        for (slot, ((_, kind), rate)) in asked.iter_mut().zip(self.pose.iter().zip(rates)) {
+            *slot = Rate((rate * units(*kind) * shrink).round() as i32);
+        }
+        let mut people = [0.0; MAX_AXES];
+        let Some(units_of) = self.pose(pose) else {
+            return people;
+        };
+        if let Ok(motion) =
+            self.machine
+                .inverse_motion(&units_of, &asked, &Accelerations::default())
+        {
+            for (slot, ((_, kind), rate)) in
+                people.iter_mut().zip(self.joints.iter().zip(motion.rates))
+            {
+                *slot = f64::from(rate.0) / units(*kind) / shrink;
+            }
+        }
+        people
+    }
+}
+
+/// What the planner has to know of a machine file.
+#[must_use]
+pub fn settings(machine: &MachineFile) -> Settings {
+    let pose = machine
+        .pose
+        .iter()
+        .zip(LETTERS)
+        .map(|(axis, letter)| PoseLimits {
+            letter,
+            kind: program_kind(axis.kind),
+            low: axis.low,
+            high: axis.high,
+            rate: axis.rate,
+            acceleration: axis.acceleration,
+            jerk: axis.jerk,
+        })
+        .collect();
+    let joints = machine
+        .joints
+        .iter()
+        .map(|axis| JointLimits {
+            name: axis.name.clone(),
+            unit: match axis.kind {
+                config::AxisKind::Linear => "mm",
+                config::AxisKind::Rotary => "deg",
+            },
+            rate: axis.rate,
+            acceleration: axis.acceleration,
+        })
+        .collect();
+    Settings {
+        tolerance_mm: machine.planner.corner_tolerance_mm,
+        tolerance_deg: machine.planner.corner_tolerance_deg,
+        curvature_step: machine.planner.curvature_step,
+        longest_span_s: machine.planner.longest_span_ms / 1000.0,
+        shortest_span_s: machine.planner.shortest_span_ms / 1000.0,
+        ..Settings::new(pose, joints, machine.config.period_us)
+    }
+}
+
+/// What a part program is read for on a machine, starting at `start`.
+#[must_use]
+pub fn program_options(machine: &MachineFile, start: Coordinates) -> Options {
+    let axes = machine
+        .pose
+        .iter()
+        .zip(LETTERS)
+        .map(|(axis, letter)| ProgramAxis {
+            letter,
+            kind: program_kind(axis.kind),
+        })
+        .collect();
+    Options {
+        axes,
+        start,
+        optional_stop: false,
+    }
+}
+
+/// Code of a pose error, for tables and for programs that read the output of a command.
+#[must_use]
+pub const fn pose_error_code(error: PoseError) -> &'static str {
+    match error {
+        PoseError::Unreachable => "unreachable",
+        PoseError::OutOfStroke { .. } => "out_of_stroke",
+        PoseError::NearSingularity { .. } => "near_singularity",
+        PoseError::NearReachLimit { .. } => "near_reach_limit",
+        PoseError::Tilt => "tilt",
+    }
+}

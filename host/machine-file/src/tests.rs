@@ -1,0 +1,417 @@
+use super::*;
+use haptimill_firmware::config::{Drive, ServoForm};
+use haptimill_hil_sim::config::PlantConfig;
+use proptest::prelude::*;
+
+const STEP: &str = include_str!("../../../machines/h4-step.toml");
+
+#[test]
+fn the_built_in_machine_is_well() {
+    let machine = MachineFile::built_in().unwrap_or_else(|problems| panic!("\n{problems}"));
+    let config = &machine.config;
+    let Model::H4(geometry) = &config.model else {
+        panic!("an H-4 arm");
+    };
+    assert_eq!(geometry.lateral, Length(250 << 20));
+    assert_eq!(geometry.x_offset, Length(810 << 20));
+    assert_eq!(geometry.singularity_margin, Length(5 << 20));
+    assert!(geometry.below);
+    let slide = &config.joints[0];
+    assert_eq!(slide.preset, Coordinate(1135 << 20));
+    assert_eq!(slide.low, Coordinate(885 << 20));
+    // 10 mm / 8000 counts = 1.25 um, times 2^44.
+    assert_eq!(
+        slide.per_count,
+        (0.00125_f64 * 2_f64.powi(44)).round() as i64
+    );
+    assert_eq!(slide.law.kp.0, 40_000 << 8);
+    assert_eq!(slide.law.rate_filter_us, 1500);
+    // 40 kg * 1 mm/s^2 = 0.04 N.
+    let effort = f64::from(slide.law.inertia) / 2_f64.powi(20) * 4096.0 / 65_536.0;
+    assert!((effort - 0.04).abs() < 1e-7, "{effort}");
+    assert_eq!(slide.following_lag, 655);
+    let table = &config.joints[4];
+    // 0.2 kg m^2 at 1 turn/s^2 is 0.4 pi N m.
+    let effort = f64::from(table.law.inertia) / 2_f64.powi(20) * 2_f64.powi(24) / 65_536.0;
+    assert!(
+        (effort / (0.4 * std::f64::consts::PI) - 1.0).abs() < 2e-4,
+        "{effort}"
+    );
+    // One turn of the table is 720000 counts.
+    let turn = table.per_count as f64 / 2_f64.powi(24) * 720_000.0;
+    assert!((turn / 2_f64.powi(32) - 1.0).abs() < 1e-11);
+    assert_eq!(
+        table.high,
+        Coordinate((45.0 / 360.0 * 2_f64.powi(32)) as i32)
+    );
+    assert_eq!(table.law.form, ServoForm::ModelBased);
+    assert_eq!(config.pose[0].jerk, 80_000);
+    let (bytes, crc) = machine.encoded().unwrap();
+    let decoded: Config = postcard::from_bytes(&bytes).unwrap();
+    assert_eq!(&decoded, config);
+    assert_ne!(crc, 0);
+}
+
+#[test]
+fn the_machine_with_steps_is_well() {
+    let machine =
+        MachineFile::parse("h4-step.toml", STEP).unwrap_or_else(|problems| panic!("\n{problems}"));
+    let Drive::Steps {
+        per_step, pulse, ..
+    } = machine.config.joints[0].drive
+    else {
+        panic!("not steps")
+    };
+    assert_eq!(per_step, (10.0 / 3200.0 * 2_f64.powi(44)).round() as i64);
+    assert_eq!(pulse, 210);
+    assert!(matches!(
+        machine.config.joints[4].drive,
+        Drive::Torque { .. }
+    ));
+}
+
+/// The problems of a text, one a line.
+fn problems(text: &str) -> String {
+    match MachineFile::parse("broken.toml", text) {
+        Ok(_) => "no problem\n".to_string(),
+        Err(problems) => format!("{problems}\n"),
+    }
+}
+
+/// The built-in file with one piece of text replaced, at its first place, and what is said of it.
+fn broken(from: &str, to: &str) -> String {
+    assert!(BUILT_IN.contains(from), "the file has no {from:?}");
+    let text = BUILT_IN.replacen(from, to, 1);
+    format!(
+        "## {} -> {}\n{}",
+        from.trim().replace('\n', " / "),
+        to.trim().replace('\n', " / "),
+        problems(&text)
+    )
+}
+
+#[test]
+fn every_kind_of_mistake_is_named_with_its_line() {
+    let l1_head = "[[joint]]\nname = \"l1\"";
+    let mistakes = [
+        (
+            "name = \"h4\"",
+            "name = \"a name that is longer than it may be\"",
+        ),
+        ("name = \"h4\"", "name = \"\""),
+        ("name = \"h4\"", "name = 4"),
+        ("period_us = 200", "period_us = 20"),
+        ("period_us = 200", "period_us = 200.5"),
+        ("period_us = 200", ""),
+        ("period_us = 200", "period_us = 200\nperiod_us = 100"),
+        ("period_us = 200", "period_us = "),
+        ("[kinematics]", "[kinematik]"),
+        ("[homing]", "[homing"),
+        ("model = \"h4\"", "model = \"delta\""),
+        ("a = 400.0", "a = 140.0"),
+        ("a = 400.0", "a = nan"),
+        ("a = 400.0", "a = -inf"),
+        ("a = 400.0", "a = \"400\""),
+        ("c = 100.0 ", "c = 0 "),
+        ("r = 480.0", "r = 240.0"),
+        ("d = 100.0", "d = 600.0"),
+        ("tl = 150.0", "tool = 150.0"),
+        ("x_off = 780.0", "x_off = 1990.0"),
+        ("branch = \"below\"", "branch = \"under\""),
+        ("low_mm = -200.0", "low_mm = 200.0"),
+        ("low_mm = -200.0", "low_mm = -20000.0"),
+        ("low_mm = -200.0", "low_deg = -200.0"),
+        ("low_deg = -35.0", "low_deg = -95.0"),
+        ("low_deg = -40.0", "low_deg = -50.0"),
+        ("name = \"y\"", "name = \"x\""),
+        ("name = \"y\"", "name = \"why\""),
+        (
+            "name = \"theta\"  # tilt of the tool about y\nkind = \"rotary\"",
+            "name = \"theta\"\nkind = \"linear\"",
+        ),
+        (
+            l1_head,
+            "[[joint]]\nname = \"l0\"\nkind = \"linear\"\n[[joint]]\nname = \"l1\"",
+        ),
+        (l1_head, "[[join]]\nname = \"l1\""),
+        ("rate_mm_s = 100.0", "rate_mm_s = 0.0"),
+        ("rate_mm_s = 100.0", "rate_mm_s = 1e400"),
+        ("counts_per_turn = 8000", "counts_per_turn = 8000.25"),
+        (
+            "counts_per_turn = 8000",
+            "counts_per_turn = 99999999999999999999",
+        ),
+        ("counts_per_turn = 8000", "counts_per_turn = true"),
+        ("direction = 1\n", "direction = 0.5\n"),
+        ("backlash_mm = 0.018", "backlash_mm = -0.018"),
+        ("backlash_mm = 0.018", "backlash = 0.018"),
+        ("still_mm = 0.2 ", "still_mm = 0.001 "),
+        ("preset_mm = 1135.0", "preset_mm = 1400.0"),
+        ("index_mm = 1136.2", "index_mm = 1142.2"),
+        ("search_mm = 4.5", "search_mm = 9.5"),
+        ("kind = \"torque\"", "kind = \"hydraulic\""),
+        ("limit_n = 750.0", "limit_n = 900.0"),
+        ("limit_n = 750.0", "limit_n = 100.0"),
+        ("full_scale_n = 800.0", "full_scale_n = 0"),
+        ("form = \"model\"", "form = \"pid\""),
+        ("kp = 40000.0", "kp = 4000000.0"),
+        ("kd = 400.0", "kd = 40.0\nki = 2000000.0"),
+        ("kd = 400.0", "kd = 9000.0"),
+        ("inertia_kg = 40.0", "inertia_kg = 40.0\nmass_kg = 40.0"),
+        ("ramp_ms = 80", "ramp_ms = 200"),
+        ("time_ms = 300\nramp_ms = 80", "time_ms = 120\nramp_ms = 58"),
+        ("missed_periods = 3", "missed_periods = 51"),
+        ("heartbeat_ms = 500", "heartbeat_ms = 0x1FFFFF"),
+        ("[planner]", "[planner]\ncolour = 1979-05-27"),
+        ("kind = \"linear\"", "kind = [\"linear\"]"),
+        ("h = 600.0", "h = 800.0"),
+        ("branch = \"below\"", "branch = \"above\""),
+        ("w = 50.0", "w = -200.0"),
+        ("substep_us = 20", "substep_us = 30"),
+        ("substep_us = 20", "substep_us = 20\nwind = 3"),
+        ("motor_share = 0.5", "motor_share = 0.0"),
+        ("mode_hz = 80.0", "mode_hz = \"80\""),
+        ("index = 1136.2 }", "index = 11360.2 }"),
+        (
+            "[[plant.joint]]\nname = \"l1\"",
+            "[[plant.joint]]\nname = \"slide\"",
+        ),
+        ("material = \"P1\"", "material = \"wood\""),
+        (
+            "material = \"P1\"",
+            "material = { tangential = 60.5, radial = 82.6, axial = 32.1 }",
+        ),
+        ("force_scale = 1.0", "force_scale = -1.0"),
+        ("relief_mm = 0.15", "releif_mm = 0.15"),
+        ("time_constant_s = 0.001", "time_constant_s = 2"),
+        ("high_pass_s = 1000.0", "high_pass_s = 0.0"),
+        (
+            "[plant.structure]",
+            "[plant.workpiece]\ntop_mm = 1e9\n[plant.structure]",
+        ),
+        ("[planner]", "[[planner]]"),
+        ("under_control = []", "under_control = [\"x\", \"alpha\"]"),
+        ("under_control = []", "under_control = [\"z\", \"z\", 3]"),
+        ("under_control = []", "under_control = \"x\""),
+        ("slowest_rpm = 4000", "slowest_rpm = 100"),
+        ("drive_lag_ms = 5.0", "drive_lag_ms = -1"),
+        ("[force.sensor]", "[force.sensors]"),
+        ("converter_v = 10.0", "converter_v = 1e9"),
+        ("converter_v = 10.0", "converter_v = 100.0\nvolts = 3"),
+        ("saturation_part = 0.95", "saturation_part = 95"),
+        ("stuck_ms = 100.0", "stuck_ms = \"never\""),
+        ("tare_ms = 200.0", "tare_ms = 1e-3"),
+        ("limit_n = 80.0", "limit_n = 0"),
+        ("newtons_per_volt = 10.0", "newtons_per_volt = 1000.0"),
+        ("sign = -1 ", "sign = 0 "),
+        ("desired_n = 5.0", "desired_n = 0.0"),
+        ("desired_n = 5.0", "desired_n = -5.0"),
+        ("desired_n = 5.0", "desired_n = 90.0"),
+        ("desired_n = 5.0", "desired_n = inf"),
+        ("mass_n_s2_per_mm = 1.0", "mass_n_s2_per_mm = 0.001"),
+        ("damping_n_s_per_mm = 5.0", "damping_n_s_per_mm = 0.2"),
+        ("limit_mm = 10.0", "limit_mm = 0.0"),
+        ("rate_mm_s = 20.0", "rate_mm_s = 0.0"),
+        ("gate = \"against_motion\"", "gate = \"open\""),
+        (
+            "[[force.axis]]\nname = \"x\"",
+            "[[force.axis]]\nname = \"w\"",
+        ),
+        ("[[force.axis]]\nname = \"x\"", "[[force.ax]]\nname = \"x\""),
+    ];
+    let said: Vec<String> = mistakes.iter().map(|(f, t)| broken(f, t)).collect();
+    for text in &said {
+        assert!(!text.contains("no problem"), "{text}");
+    }
+    insta::assert_snapshot!("mistakes", said.join("\n"));
+}
+
+#[test]
+fn mistakes_of_step_drives_are_named() {
+    let mistakes = [
+        ("steps_per_turn = 3200", "steps_per_turn = 0"),
+        ("ticks_per_us = 84 ", "ticks_per_us = 840000 "),
+        ("pulse_us = 2.5", "pulse_us = 900.0"),
+        ("pulse_us = 2.5", "pulse_us = 250.0"),
+        ("lost_mm = 0.05", "lost_mm = 0.001"),
+        ("lost_mm = 0.05", "limit_n = 750.0"),
+    ];
+    let said: Vec<String> = mistakes
+        .iter()
+        .map(|(from, to)| {
+            format!(
+                "## {from} -> {to}\n{}",
+                problems(&STEP.replacen(from, to, 1))
+            )
+        })
+        .collect();
+    insta::assert_snapshot!("step_mistakes", said.join("\n"));
+}
+
+#[test]
+fn all_problems_are_listed_in_the_order_of_the_lines() {
+    let text = BUILT_IN
+        .replacen("period_us = 200", "period_us = 2", 1)
+        .replacen("r = 480.0", "r = -480.0", 1)
+        .replacen("heartbeat_ms = 500", "hartbeat_ms = 500", 1)
+        .replacen("gear_ratio = 90.0\n", "", 1);
+    let Err(Problems(problems, 0)) = MachineFile::parse("broken.toml", &text) else {
+        panic!("it reads")
+    };
+    let keys: Vec<&str> = problems.iter().map(|p| p.key.as_str()).collect();
+    assert_eq!(
+        keys,
+        [
+            "period_us",
+            "kinematics.r",
+            "joint[5].gear_ratio",
+            "supervision.heartbeat_ms",
+            "supervision.hartbeat_ms"
+        ]
+    );
+    assert!(problems.is_sorted_by_key(|p| p.line));
+}
+
+#[test]
+fn an_empty_file_says_all_that_is_missing() {
+    insta::assert_snapshot!("empty", problems(""));
+}
+
+#[test]
+fn every_key_that_is_not_optional_is_missed() {
+    let optional = [
+        "backlash_mm",
+        "backlash_deg",
+        "direction",
+        "rate_filter_ms",
+        "viscous_n_per_mm_s",
+        "viscous_n_m_per_deg_s",
+        "coulomb_n",
+        "coulomb_n_m",
+        "under_control",
+        "sign",
+    ];
+    // The plant is read by the simulator.
+    let own = BUILT_IN.lines().position(|line| line == "[plant]").unwrap();
+    for (number, line) in BUILT_IN.lines().enumerate().take(own) {
+        let Some((key, _)) = line.split_once(" =") else {
+            continue;
+        };
+        if key.starts_with('#') {
+            continue;
+        }
+        let text: Vec<&str> = BUILT_IN
+            .lines()
+            .enumerate()
+            .filter(|(n, _)| *n != number)
+            .map(|(_, line)| line)
+            .collect();
+        let said = problems(&text.join("\n"));
+        if optional.contains(&key) {
+            assert_eq!(said, "no problem\n", "without line {}", number + 1);
+        } else {
+            let path = format!("{key}: is missing");
+            assert!(said.contains(&path), "without line {}: {said}", number + 1);
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { rng_seed: proptest::test_runner::RngSeed::Fixed(1), failure_persistence: None, ..ProptestConfig::default() })]
+    #[test]
+    fn no_text_makes_it_panic(text in "\\PC{0,400}") {
+        let _ = MachineFile::parse("any", &text);
+    }
+
+    #[test]
+    fn no_damage_to_a_file_makes_it_panic(
+        at in 0..BUILT_IN.len(),
+        length in 0usize..40,
+        bytes in prop::collection::vec(any::<u8>(), 0..12),
+    ) {
+        let mut text = BUILT_IN.as_bytes().to_vec();
+        text.splice(at..(at + length).min(text.len()), bytes);
+        if let Ok(machine) = MachineFile::parse("damaged", &String::from_utf8_lossy(&text)) {
+            prop_assert!(machine.encoded().is_ok());
+        }
+    }
+
+    #[test]
+    fn a_number_of_any_size_is_taken_or_refused(value in any::<f64>(), which in 0usize..200) {
+        // One of the numbers of the file becomes another.
+        let mut seen = 0;
+        let lines: Vec<String> = BUILT_IN.lines().map(|line| {
+            let numeric = line.split_once(" = ").filter(|(key, value)| {
+                !key.starts_with('#') && value.starts_with(|c: char| c.is_ascii_digit() || c == '-')
+            });
+            match numeric {
+                Some((key, _)) => {
+                    seen += 1;
+                    if seen - 1 == which { format!("{key} = {value:?}").to_lowercase() } else { line.to_string() }
+                }
+                None => line.to_string(),
+            }
+        }).collect();
+        if let Ok(machine) = MachineFile::parse("any number", &lines.join("\n")) {
+            prop_assert!(machine.encoded().is_ok());
+        }
+    }
+}
+
+#[test]
+fn deep_nesting_and_odd_bytes_are_problems_like_any_other() {
+    for text in [
+        format!("a = {}", "[".repeat(100_000)),
+        format!("a = {}", "{b = ".repeat(100_000)),
+        format!("[{}a]", "a.".repeat(2_000)),
+        format!("{}a = 1", "a.".repeat(2_000)),
+        "\u{feff}name = \"h4\"\r\n".to_string(),
+        "name = \"h4\0\"".to_string(),
+    ] {
+        assert!(MachineFile::parse("odd", &text).is_err());
+    }
+    let file = tempfile::NamedTempFile::new().unwrap().into_temp_path();
+    std::fs::write(&file, [b'a', 0xFF, 0xFE]).unwrap();
+    let Err(problems) = MachineFile::load(&file) else {
+        panic!("it reads")
+    };
+    assert!(problems.to_string().contains("is not UTF-8 at byte 1"));
+    std::fs::write(&file, b"").unwrap();
+    assert!(MachineFile::load(&file).is_err());
+}
+
+#[test]
+fn a_haptic_arm_alone_is_the_one_of_the_hand_and_is_told_what_it_lacks() {
+    let master = MachineFile::built_in_master().unwrap();
+    let hand = MachineFile::built_in().unwrap().with_hand().unwrap();
+    assert_eq!(master.config.haptic, hand.config.haptic);
+    assert_eq!(master.config.period_us, hand.config.period_us);
+    assert!(master.is_master() && !hand.is_master());
+    assert_eq!(master.config.check(), Ok(()));
+    // The simulated arm and the person at it are the same too.
+    let plant = |machine: &MachineFile| machine.plant::<PlantConfig>().unwrap();
+    assert_eq!(plant(&master).haptic, plant(&hand).haptic);
+    assert_eq!(plant(&master).hand, plant(&hand).hand);
+    // A machine follows a hand afar as it follows one on its own board.
+    let afar = MachineFile::built_in().unwrap().with_follow().unwrap();
+    assert_eq!(afar.config.follow, hand.config.follow);
+    assert!(afar.config.haptic.is_none());
+    let twice = afar.with_follow().unwrap();
+    assert_eq!(twice.text, afar.text);
+
+    let said = |text: &str| MachineFile::parse("m.toml", text).unwrap_err().to_string();
+    let without = MASTER.replace("role = \"master\"", "role = \"leader\"");
+    assert!(
+        said(&without).contains("\"leader\" is not known; write \"slave\" or \"master\""),
+        "{}",
+        said(&without)
+    );
+    let homing = format!("{MASTER}\n[homing]\nrate_mm_s = 5.0\n");
+    assert!(said(&homing).contains("homing"), "{}", said(&homing));
+    let bare = "name = \"m\"\nrole = \"master\"\nperiod_us = 200\n";
+    let bare = said(bare);
+    assert!(
+        bare.contains("[supervision]") && bare.contains("[haptic]"),
+        "{bare}"
+    );
+}

@@ -1,0 +1,289 @@
+//! One move against the machine: is all of it in reach, and how fast may it go.
+
+use super::limits::{MachineModel, Settings};
+use super::profile::Along;
+use haptimill_gcode::{AxisKind, Coordinates, Feed, Measure, Move, Path, Place, Problem};
+
+/// Of the limits of acceleration and jerk so much is planned; the rest is for rounding to periods and units.
+pub(super) const ACCELERATION_SHARE: f64 = 0.95;
+/// See [`ACCELERATION_SHARE`].
+pub(super) const JERK_SHARE: f64 = 0.9;
+/// On an arc, shares of the plane's acceleration: across the path, and along it (together 0.99 of the limit).
+const CENTRIPETAL_SHARE: f64 = 0.5;
+const TANGENTIAL_SHARE: f64 = 0.85;
+/// On an arc, shares of the plane's jerk: v^3 / r^2 and the ramp along the path, 3 v a / r across (together 0.9 of the limit).
+const ARC_SPEED_JERK: f64 = 0.25;
+const ARC_RAMP_JERK: f64 = 0.5;
+const ARC_ACROSS_JERK: f64 = 0.5;
+/// Shares of a joint's acceleration: for the bend of the machine's geometry, and for speeding up or a corner.
+const JOINT_BEND_SHARE: f64 = 0.4;
+pub(super) const JOINT_RAMP_SHARE: f64 = 0.5;
+
+/// A move that was checked.
+#[derive(Debug, Clone)]
+pub(crate) struct Block {
+    pub place: Place,
+    pub path: Path,
+    pub exact_stop: bool,
+    /// Limits along the path.
+    pub along: Along,
+    /// Derivatives of pose and joints by length, at start and end.
+    pub tangents: [Coordinates; 2],
+    pub joint_tangents: [[f64; 6]; 2],
+}
+
+impl Block {
+    /// Bound of the fourth derivative of the motion by time, for the error of a cubic; 0 on a line.
+    pub(crate) fn fourth_derivative(&self, speed: f64, acceleration: f64, jerk: f64) -> f64 {
+        let Some(arc) = &self.path.arc else {
+            return 0.0;
+        };
+        let radius = arc.radius[0].max(arc.radius[1]);
+        let w = (arc.sweep / self.path.length).abs();
+        // d^4/dt^4 of r e^(i phi), phi' = w v, with a tenth for a radius that changes.
+        1.1 * radius
+            * (w.powi(4) * speed.powi(4)
+                + 6.0 * w.powi(3) * speed * speed * acceleration
+                + w * w * (3.0 * acceleration * acceleration + 4.0 * speed * jerk))
+    }
+}
+
+/// Checks a pose against soft limits, the range of the numbers on the wire, and the machine.
+pub(super) fn check_pose(
+    pose: &Coordinates,
+    settings: &Settings,
+    model: &impl MachineModel,
+) -> Result<[f64; 6], (String, String)> {
+    for (value, axis) in pose.iter().zip(&settings.pose) {
+        let (unit, range) = match axis.kind {
+            AxisKind::Linear => ("mm", 2047.0),
+            AxisKind::Rotary => ("deg", 179.9),
+        };
+        let (low, high) = (axis.low.max(-range), axis.high.min(range));
+        if !(low..=high).contains(value) {
+            let what = format!(
+                "{}{value:.4} is outside the soft limits of {} ({low} to {high} {unit}) at {}",
+                axis.letter,
+                axis.letter,
+                show(pose, settings)
+            );
+            return Err((
+                what,
+                format!("keep {} within {low} to {high} {unit}", axis.letter),
+            ));
+        }
+    }
+    model.joints(pose).map_err(|problem| {
+        // A model may say what to do by itself.
+        let problem = problem.to_string();
+        let (what, remedy) = problem.rsplit_once("; ").unwrap_or((
+            &problem,
+            "move the work, or keep the tool nearer to the middle of the workspace",
+        ));
+        (
+            format!("the machine cannot take {}: {what}", show(pose, settings)),
+            remedy.to_owned(),
+        )
+    })
+}
+
+/// A pose as a program would write it.
+pub(super) fn show(pose: &Coordinates, settings: &Settings) -> String {
+    let words: Vec<String> = pose
+        .iter()
+        .zip(&settings.pose)
+        .map(|(value, axis)| format!("{}{value:.3}", axis.letter))
+        .collect();
+    words.join(" ")
+}
+
+/// Checks a move, and finds its limits.
+pub(super) fn prepare(
+    step: &Move,
+    settings: &Settings,
+    model: &impl MachineModel,
+) -> Result<Block, Problem> {
+    let problem = |(what, remedy): (String, String)| Problem {
+        place: step.place,
+        what,
+        remedy,
+    };
+    let path = &step.path;
+    check_pose(&path.to, settings, model).map_err(problem)?;
+
+    let mut limits = Search::new(settings);
+    let intervals = intervals(path, &settings.kinds());
+    let mut tangents = [[0.0; 6]; 2];
+    let mut joint_tangents = [[0.0; 6]; 2];
+    for index in 0..=intervals {
+        let s = path.length * index as f64 / intervals as f64;
+        let pose = path.at(s);
+        check_pose(&pose, settings, model).map_err(problem)?;
+        let tangent = path.tangent(s);
+        let joints = model.joint_rates(&pose, &tangent);
+        limits.sample(s, &pose, &tangent, &joints);
+        if index == 0 {
+            (tangents[0], joint_tangents[0]) = (tangent, joints);
+        }
+        (tangents[1], joint_tangents[1]) = (tangent, joints);
+    }
+    if let Feed::PerMinute(feed) = step.feed {
+        limits.feed(feed, path.measure).map_err(problem)?;
+    }
+    let along = limits.along(path);
+    Ok(Block {
+        place: step.place,
+        path: path.clone(),
+        exact_stop: step.exact_stop,
+        along,
+        tangents,
+        joint_tangents,
+    })
+}
+
+/// How many pieces a path is looked at in: at most 1 mm, 1 degree of a rotary axis and 10 degrees of arc each.
+fn intervals(path: &Path, kinds: &[AxisKind]) -> usize {
+    let mut count = path.tip_length().max(1.0);
+    for (k, kind) in kinds.iter().enumerate() {
+        if *kind == AxisKind::Rotary {
+            count = count.max((path.to[k] - path.from[k]).abs());
+        }
+    }
+    if let Some(arc) = &path.arc {
+        count = count.max(arc.sweep.abs().to_degrees() / 10.0);
+    }
+    count.ceil() as usize
+}
+
+/// The search for the limits of a move over its samples.
+struct Search<'a> {
+    settings: &'a Settings,
+    /// Largest speed that the rates of pose and joints allow, and what sets it: its name, unit, limit, and share of the speed.
+    rate_speed: f64,
+    slowest: (String, &'static str, f64, f64, Coordinates),
+    /// Largest speed that the bend of the joints' paths allows.
+    bend_speed: f64,
+    acceleration: f64,
+    jerk: f64,
+    speed: f64,
+    before: Option<(f64, [f64; 6])>,
+}
+
+impl<'a> Search<'a> {
+    fn new(settings: &'a Settings) -> Self {
+        let infinite = f64::INFINITY;
+        Self {
+            settings,
+            rate_speed: infinite,
+            slowest: (String::new(), "", 0.0, 0.0, [0.0; 6]),
+            bend_speed: infinite,
+            acceleration: infinite,
+            jerk: infinite,
+            speed: infinite,
+            before: None,
+        }
+    }
+
+    fn sample(&mut self, s: f64, pose: &Coordinates, tangent: &Coordinates, joints: &[f64; 6]) {
+        let settings = self.settings;
+        for (axis, tangent) in settings.pose.iter().zip(tangent) {
+            let part = tangent.abs();
+            if part > 1e-12 {
+                if axis.rate / part < self.rate_speed {
+                    let unit = if axis.kind == AxisKind::Linear {
+                        "mm"
+                    } else {
+                        "deg"
+                    };
+                    self.rate_speed = axis.rate / part;
+                    self.slowest = (
+                        format!("axis {}", axis.letter),
+                        unit,
+                        axis.rate,
+                        part,
+                        *pose,
+                    );
+                }
+                self.acceleration = self
+                    .acceleration
+                    .min(ACCELERATION_SHARE * axis.acceleration / part);
+                self.jerk = self.jerk.min(JERK_SHARE * axis.jerk / part);
+            }
+        }
+        for (k, (axis, tangent)) in settings.joints.iter().zip(joints).enumerate() {
+            let part = tangent.abs();
+            if part > 1e-12 {
+                if axis.rate / part < self.rate_speed {
+                    self.rate_speed = axis.rate / part;
+                    self.slowest = (axis.name.clone(), axis.unit, axis.rate, part, *pose);
+                }
+                self.acceleration = self
+                    .acceleration
+                    .min(JOINT_RAMP_SHARE * axis.acceleration / part);
+            }
+            if let Some((at, rates)) = &self.before {
+                let bend = ((joints[k] - rates[k]) / (s - at)).abs();
+                if bend > 1e-12 {
+                    self.bend_speed = self
+                        .bend_speed
+                        .min((JOINT_BEND_SHARE * axis.acceleration / bend).sqrt());
+                }
+            }
+        }
+        self.before = Some((s, *joints));
+    }
+
+    /// Takes the programmed feed, per minute, or says what it asks too much of.
+    fn feed(&mut self, feed: f64, measure: Measure) -> Result<(), (String, String)> {
+        let wanted = feed / 60.0;
+        if wanted > self.rate_speed {
+            let (name, unit, limit, part, pose) = &self.slowest;
+            let feed_unit = if measure == Measure::Tip {
+                "mm/min"
+            } else {
+                "deg/min"
+            };
+            let largest = (self.rate_speed * 60.0 * 10.0).floor() / 10.0;
+            return Err((
+                format!(
+                    "a feed of {feed} {feed_unit} asks {name} for {:.3} {unit}/s at {}, it has {limit:.3} {unit}/s",
+                    wanted * part,
+                    show(pose, self.settings)
+                ),
+                format!("the largest feed that passes in this block is {largest} {feed_unit}"),
+            ));
+        }
+        self.speed = wanted;
+        Ok(())
+    }
+
+    /// The limits along the path.
+    fn along(&self, path: &Path) -> Along {
+        let mut speed = self.speed.min(self.rate_speed).min(self.bend_speed);
+        let (mut acceleration, mut jerk) = (self.acceleration, self.jerk);
+        if let Some(arc) = &path.arc {
+            let axes = arc.plane.map(|k| &self.settings.pose[k]);
+            let plane_acceleration =
+                ACCELERATION_SHARE * axes[0].acceleration.min(axes[1].acceleration);
+            let plane_jerk = JERK_SHARE * axes[0].jerk.min(axes[1].jerk);
+            let turn = (arc.sweep / path.length).abs();
+            let share = turn * arc.radius[0].max(arc.radius[1]);
+            let bend = share * turn;
+            speed = speed
+                .min((CENTRIPETAL_SHARE * plane_acceleration / bend).sqrt())
+                .min(libm::cbrt(ARC_SPEED_JERK * plane_jerk / (bend * turn)));
+            acceleration = acceleration
+                .min(TANGENTIAL_SHARE * plane_acceleration / share)
+                .min(ARC_ACROSS_JERK * plane_jerk / (3.0 * speed * bend));
+            jerk = jerk.min(ARC_RAMP_JERK * plane_jerk / share);
+        }
+        // A period more, for rounding.
+        let hold = self.settings.shortest_span_s + f64::from(self.settings.period_us) * 1e-6;
+        Along {
+            speed,
+            acceleration,
+            jerk: jerk.min(acceleration / hold),
+            hold,
+        }
+    }
+}

@@ -1,0 +1,155 @@
+//! The junction of two blocks: how fast it may be taken, and how it is rounded.
+//!
+//! The motion through a corner is the motion along the two exact paths plus a *bump* that makes up for the jump of velocity. With the speed
+//! v constant over the time h around the corner and dv = v (u2 - u1), the bump's acceleration is a triangle from 0 over 2 dv / h back to 0:
+//! jerk 4 dv / h^2, two cubics, greatest deviation dv h / 12 at the corner (a sixth of |u2 - u1| times the half-length d = v h / 2).
+
+use super::block::{ACCELERATION_SHARE, Block, JERK_SHARE, JOINT_RAMP_SHARE};
+use super::limits::Settings;
+use haptimill_gcode::{AxisKind, Coordinates};
+
+/// Half-length of a rounding, at most this part of the shorter block: the rest is for speeding up and slowing down.
+const REACH_SHARE: f64 = 0.35;
+/// Where the direction turns by more than 120 degrees, the motion stops.
+const SHARPEST_COSINE: f64 = -0.5;
+/// Next to an arc the centripetal acceleration has its share of the limits.
+const ARC_SHARE: f64 = 0.45;
+/// Directions that differ by less are one direction: at 100 mm/s a tenth of the resolution of rates.
+const SAME_DIRECTION: f64 = 1e-7;
+
+/// A junction of two blocks.
+#[derive(Debug, Clone)]
+pub(crate) struct Corner {
+    /// Largest speed.
+    pub speed: f64,
+    /// u2 - u1: change of velocity per speed.
+    pub change: Coordinates,
+    /// The time of a rounding at speed v is at least v * `per_speed` and at least sqrt(v) * `per_root`.
+    per_speed: f64,
+    per_root: f64,
+    /// Largest v * h: from the tolerance and the lengths of the blocks.
+    largest: f64,
+    /// A rounding lasts this long if it may.
+    preferred: f64,
+}
+
+impl Corner {
+    /// A full stop.
+    pub(crate) fn stop() -> Corner {
+        Corner {
+            speed: 0.0,
+            change: [0.0; 6],
+            per_speed: 0.0,
+            per_root: 0.0,
+            largest: 0.0,
+            preferred: 0.0,
+        }
+    }
+
+    /// The junction from one block to the next.
+    pub(crate) fn between(before: &Block, after: &Block, settings: &Settings) -> Corner {
+        if before.exact_stop || before.path.measure != after.path.measure {
+            return Corner::stop();
+        }
+        let (u1, u2) = (&before.tangents[1], &after.tangents[0]);
+        let mut corner = Corner::stop();
+        corner.speed = before.along.speed.min(after.along.speed);
+        corner.preferred = 2.0 * settings.shortest_span_s;
+        corner.largest = 2.0 * REACH_SHARE * before.path.length.min(after.path.length);
+
+        let is_arc = before.path.arc.is_some() || after.path.arc.is_some();
+        let (acceleration_share, jerk_share) = if is_arc {
+            (ARC_SHARE, ARC_SHARE)
+        } else {
+            (ACCELERATION_SHARE, JERK_SHARE)
+        };
+        let (mut dot, mut norm1, mut norm2) = (0.0, 0.0, 0.0);
+        let mut squared = [0.0; 2];
+        for (k, axis) in settings.pose.iter().enumerate() {
+            let rotary = usize::from(axis.kind == AxisKind::Rotary);
+            // The direction is that of the tip, or of the turn where only rotary axes move.
+            if rotary == usize::from(before.path.tip_length() == 0.0) {
+                dot += u1[k] * u2[k];
+                norm1 += u1[k] * u1[k];
+                norm2 += u2[k] * u2[k];
+            }
+            let change = u2[k] - u1[k];
+            if change.abs() < SAME_DIRECTION {
+                continue;
+            }
+            corner.change[k] = change;
+            squared[rotary] += change * change;
+            corner.need(
+                change.abs(),
+                acceleration_share * axis.acceleration,
+                jerk_share * axis.jerk,
+            );
+        }
+        if dot < SHARPEST_COSINE * (norm1 * norm2).sqrt() {
+            return Corner::stop();
+        }
+        for (k, axis) in settings.joints.iter().enumerate() {
+            let change = (after.joint_tangents[0][k] - before.joint_tangents[1][k]).abs();
+            if change > SAME_DIRECTION {
+                corner.need(change, JOINT_RAMP_SHARE * axis.acceleration, f64::INFINITY);
+            }
+        }
+        for (squared, tolerance) in squared
+            .iter()
+            .zip([settings.tolerance_mm, settings.tolerance_deg])
+        {
+            if *squared > 0.0 {
+                corner.largest = corner.largest.min(12.0 * tolerance / squared.sqrt());
+            }
+        }
+        if corner.per_root > 0.0 {
+            // v h(v) <= largest, with h = per_speed v or per_root sqrt(v).
+            let root = libm::cbrt(corner.largest / corner.per_root);
+            corner.speed = corner.speed.min(root * root);
+        }
+        if corner.per_speed > 0.0 {
+            corner.speed = corner.speed.min((corner.largest / corner.per_speed).sqrt());
+        }
+        if is_arc {
+            corner.limit_curvature_step(before, after, settings);
+        }
+        corner
+    }
+
+    fn need(&mut self, change: f64, acceleration: f64, jerk: f64) {
+        // Half a rounding is no shorter than a span when it reaches the limit of acceleration.
+        let jerk = jerk.min(2.0 * acceleration / self.preferred);
+        self.per_speed = self.per_speed.max(2.0 * change / acceleration);
+        self.per_root = self.per_root.max((4.0 * change / jerk).sqrt());
+    }
+
+    fn limit_curvature_step(&mut self, before: &Block, after: &Block, settings: &Settings) {
+        let (k1, k2) = (
+            before.path.curvature(before.path.length),
+            after.path.curvature(0.0),
+        );
+        for (k, axis) in settings.pose.iter().enumerate() {
+            let step = (k2[k] - k1[k]).abs();
+            if step > 0.0 {
+                self.speed = self
+                    .speed
+                    .min((settings.curvature_step * axis.acceleration / step).sqrt());
+            }
+        }
+    }
+
+    /// Half-length of the rounding at a speed; grows with the speed.
+    pub(crate) fn reach(&self, speed: f64) -> f64 {
+        0.5 * speed * self.time(speed)
+    }
+
+    /// Time of the rounding at a speed, 0 where there is nothing to round.
+    fn time(&self, speed: f64) -> f64 {
+        let least = (self.per_speed * speed).max(self.per_root * speed.sqrt());
+        if least <= 0.0 {
+            return 0.0;
+        }
+        // At the largest speed rounding may leave `least` a hair above what fits: still that.
+        least.max(self.preferred.min(self.largest / speed))
+    }
+}

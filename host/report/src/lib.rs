@@ -1,0 +1,258 @@
+//! What a job leaves for people: summary.json, report.html, and a few lines on the terminal.
+//!
+//! Everything is made from the recording, so it can be made again. Misuse: on a real machine the tool is what the controller measured through its
+//! own kinematics; an error of the geometry is not in it. The summary says which it was.
+
+pub mod chart;
+mod contour;
+pub mod html;
+mod pictures;
+pub mod plot;
+pub mod series;
+mod statistics;
+#[cfg(test)]
+mod tests;
+
+pub use contour::Contour;
+pub use html::write_html;
+pub use statistics::{Extent, Spread, Statistics};
+
+use haptimill_protocol::message::State;
+use haptimill_trace::{Recorded, Recording, RecordingError, export_csv};
+use serde::Serialize;
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::Path;
+
+/// Names of the files in the folder of a job.
+pub const RECORDING_FILE: &str = "recording.hmr";
+/// The trace.
+pub const TRACE_FILE: &str = "trace.csv";
+/// The summary.
+pub const SUMMARY_FILE: &str = "summary.json";
+/// The recording as MCAP.
+pub const MCAP_FILE: &str = "recording.mcap";
+/// The report.
+pub const REPORT_FILE: &str = "report.html";
+
+/// What the one who ran the job knows, and the recording does not.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Outcome {
+    /// Setpoints of the job that were reached.
+    pub setpoints: u64,
+    /// Times the queue ran short.
+    pub underruns: u64,
+    /// Faults, each as a sentence.
+    pub faults: Vec<String>,
+    /// What the simulator was told to spoil, each as the option `--fault` has it.
+    pub injected: Vec<String>,
+    /// The program came to its end.
+    pub completed: bool,
+    /// State of the controller at the end; none when it was not heard any more.
+    pub final_state: Option<State>,
+    /// The position is known to be right.
+    pub position_kept: bool,
+    /// Bytes from host to controller for each setpoint: frames of messages, framing included.
+    pub bytes_per_setpoint: f64,
+    /// The same, with signs of life and acknowledgements.
+    pub line_bytes_per_setpoint: f64,
+}
+
+/// The summary of a job; summary.json has these fields.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Summary {
+    /// Name of the machine.
+    pub machine: String,
+    /// Name of the program.
+    pub program: String,
+    /// Duration of the job, s.
+    pub duration_s: f64,
+    /// Length of the programmed path, mm.
+    pub path_length_mm: f64,
+    /// Tool against the programmed geometry at the same time, root mean square, mm.
+    pub tool_error_rms_mm: f64,
+    /// The same, largest, mm.
+    pub tool_error_max_mm: f64,
+    /// When the largest was, s after the start of the job.
+    pub tool_error_max_time_s: f64,
+    /// In which line of the program the largest was; 0 when there is none.
+    pub tool_error_max_line: u32,
+    /// Tool against the nearest point of the programmed path, root mean square, mm.
+    pub contour_error_rms_mm: f64,
+    /// The same, largest, mm.
+    pub contour_error_max_mm: f64,
+    /// Rotary coordinates against the programmed ones, largest, degrees.
+    pub angle_error_max_deg: f64,
+    /// Following error of the slides, largest, mm.
+    pub slide_error_max_mm: f64,
+    /// The joint that had it.
+    pub slide_error_max_joint: String,
+    /// `true`: the tool is where the simulated tool really was. `false`: where the controller measured it.
+    pub tool_is_true: bool,
+    /// Setpoints of the job that were reached.
+    pub setpoints: u64,
+    /// Times the queue ran short.
+    pub underruns: u64,
+    /// Faults, each as a sentence.
+    pub faults: Vec<String>,
+    /// What the simulator was told to spoil, each as the option `--fault` has it.
+    pub injected: Vec<String>,
+    /// The program came to its end.
+    pub completed: bool,
+    /// State of the controller at the end; `Unknown` when it was not heard any more.
+    pub final_state: String,
+    /// The position is known to be right.
+    pub position_kept: bool,
+    /// Bytes from host to controller for each setpoint: frames of messages, framing included.
+    pub bytes_per_setpoint: f64,
+    /// The same, with signs of life and acknowledgements.
+    pub line_bytes_per_setpoint: f64,
+    /// Control periods recorded.
+    pub periods: u64,
+    /// SHA-256 of the recording.
+    pub trace_sha256: String,
+}
+
+impl Summary {
+    /// Sums up a recording.
+    ///
+    /// # Errors
+    /// The recording cannot be read.
+    pub fn of(
+        recording: &Recording,
+        recorded: &Recorded,
+        outcome: &Outcome,
+    ) -> Result<(Self, Statistics), RecordingError> {
+        let mut statistics = Statistics::new(recording);
+        for record in recording.iter()? {
+            statistics.add(&record?);
+        }
+        statistics.finish();
+        let header = recording.header();
+        let (begin, end) = statistics.job.unwrap_or((0.0, 0.0));
+        let joint = header.joints.get(statistics.slide_error_joint);
+        let summary = Self {
+            machine: header.machine.clone(),
+            program: header.program.clone(),
+            duration_s: end - begin,
+            path_length_mm: statistics.path_length_mm,
+            tool_error_rms_mm: statistics.tool_error.rms(),
+            tool_error_max_mm: statistics.tool_error.max,
+            tool_error_max_time_s: (statistics.tool_error.max_time_s - begin).max(0.0),
+            tool_error_max_line: statistics.tool_error.max_line,
+            contour_error_rms_mm: statistics.contour_error.rms(),
+            contour_error_max_mm: statistics.contour_error.max,
+            angle_error_max_deg: statistics.angle_error.max,
+            slide_error_max_mm: statistics.slide_error.max,
+            slide_error_max_joint: joint.cloned().unwrap_or_default(),
+            tool_is_true: statistics.tool_is_true,
+            setpoints: outcome.setpoints,
+            underruns: outcome.underruns,
+            faults: outcome.faults.clone(),
+            injected: outcome.injected.clone(),
+            completed: outcome.completed,
+            final_state: outcome
+                .final_state
+                .map_or("Unknown".to_string(), |state| format!("{state:?}")),
+            position_kept: outcome.position_kept,
+            bytes_per_setpoint: outcome.bytes_per_setpoint,
+            line_bytes_per_setpoint: outcome.line_bytes_per_setpoint,
+            periods: recorded.records,
+            trace_sha256: recorded.sha256.clone(),
+        };
+        Ok((summary, statistics))
+    }
+
+    /// A few lines for people; each ends with a line feed.
+    pub fn terminal(&self) -> String {
+        let line = match self.tool_error_max_line {
+            0 => String::new(),
+            line => format!(", line {line}"),
+        };
+        let tool = if self.tool_is_true {
+            "tool error"
+        } else {
+            "tool error (measured)"
+        };
+        let kept = match self.final_state.as_str() {
+            "Unknown" => "the controller was not heard at the end; `haptimill status` asks it",
+            _ if self.position_kept => "position kept",
+            _ => "position lost: home again",
+        };
+        let mut text = format!(
+            "{}: {} in {}, {:.1} mm of path, {} setpoints, {} underruns\n\
+             {tool}: {:.4} mm rms, {:.4} mm largest (at {:.2} s{line}); contour {:.4} / {:.4} mm\n\
+             largest slide error: {:.4} mm ({})\n",
+            self.program,
+            match (self.faults.is_empty(), self.completed) {
+                (false, _) => "FAULT",
+                (true, true) => "ended",
+                (true, false) => "stopped",
+            },
+            duration(self.duration_s),
+            self.path_length_mm,
+            self.setpoints,
+            self.underruns,
+            self.tool_error_rms_mm,
+            self.tool_error_max_mm,
+            self.tool_error_max_time_s,
+            self.contour_error_rms_mm,
+            self.contour_error_max_mm,
+            self.slide_error_max_mm,
+            self.slide_error_max_joint,
+        );
+        for fault in &self.injected {
+            text.push_str(&format!("spoilt by --fault: {fault}\n"));
+        }
+        for fault in &self.faults {
+            text.push_str(&format!("fault: {fault}\n"));
+        }
+        text.push_str(&format!("{}, {kept}\n", self.final_state));
+        text
+    }
+}
+
+/// A duration for people.
+pub fn duration(seconds: f64) -> String {
+    // Rounded first: 119.7 s is no minute and 60 s.
+    let whole = seconds.round();
+    if seconds < 60.0 {
+        format!("{seconds:.2} s")
+    } else if whole < 3600.0 {
+        format!("{} min {:02} s", (whole / 60.0).floor(), whole % 60.0)
+    } else {
+        let minutes = (seconds / 60.0).round();
+        format!("{} h {:02} min", (minutes / 60.0).floor(), minutes % 60.0)
+    }
+}
+
+/// Makes trace, summary and report from `DIR/recording.hmr`.
+///
+/// # Errors
+/// The recording cannot be read, or a file not written.
+pub fn write_all(
+    dir: &Path,
+    recorded: &Recorded,
+    outcome: &Outcome,
+    trace_every: u32,
+) -> Result<Summary, RecordingError> {
+    let recording = Recording::open(&dir.join(RECORDING_FILE))?;
+    let create = |name: &str| {
+        let path = dir.join(name);
+        let file = File::create(&path).map_err(|error| RecordingError::Io(path, error))?;
+        Ok(BufWriter::new(file))
+    };
+    export_csv(&recording, &mut create(TRACE_FILE)?, trace_every)?;
+    let (summary, statistics) = Summary::of(&recording, recorded, outcome)?;
+    let mut file = create(SUMMARY_FILE)?;
+    let io = |error| RecordingError::Io(dir.join(SUMMARY_FILE), error);
+    serde_json::to_writer_pretty(&mut file, &summary).map_err(|error| io(error.into()))?;
+    file.write_all(b"\n")
+        .and_then(|()| file.flush())
+        .map_err(io)?;
+    let mut file = create(REPORT_FILE)?;
+    write_html(&recording, &summary, &statistics, &mut file)?;
+    file.flush()
+        .map_err(|error| RecordingError::Io(dir.join(REPORT_FILE), error))?;
+    Ok(summary)
+}

@@ -1,0 +1,182 @@
+//! What the pictures of a report are drawn from, gathered in one pass over a recording.
+
+use super::Statistics;
+use super::contour::{Contour, Point, distance};
+use super::series::{Columns, PathPoints};
+use haptimill_firmware::config::AxisKind;
+use haptimill_trace::{Record, Recording, flag};
+use std::collections::VecDeque;
+
+/// Time over which speeds are taken, s: long enough that a count of an encoder does not look like a jump. Where records are farther apart
+/// (telemetry), from one to the next.
+pub const SPEED_SPAN_S: f64 = 0.005;
+
+/// What is gathered for the pictures in one pass over the recording.
+pub struct Pictures {
+    period_s: f64,
+    begin: f64,
+    pose_units: Vec<f64>,
+    joint_units: Vec<f64>,
+    drive_units: Vec<f64>,
+    first_period: Option<u64>,
+    first_joints: Option<Vec<f64>>,
+    /// Points of the path, programmed and done.
+    pub path: PathPoints,
+    /// Tool against the programmed point of the same time, um.
+    pub tool_error: Columns,
+    /// Tool against the nearest point of the path, um.
+    pub contour_error: Columns,
+    contour: Contour,
+    contour_times: VecDeque<f64>,
+    /// Following error of each joint, 1/1000 mm or degree.
+    pub following: Vec<Columns>,
+    /// Way of each joint from the start of the job, mm or degrees.
+    pub joints: Vec<Columns>,
+    /// Speed of each joint.
+    pub joint_speed: Vec<Columns>,
+    /// Speed of the tip, programmed and done.
+    pub tip_speed: [Columns; 2],
+    /// Drive command of each joint.
+    pub drives: Vec<Columns>,
+    /// Each pose coordinate, programmed and done.
+    pub angles: Vec<[Columns; 2]>,
+    /// Time, programmed tip, tool tip and joints of the last records.
+    history: VecDeque<(f64, Point, Point, Vec<f64>)>,
+    linear: [bool; 3],
+}
+
+impl Pictures {
+    /// Pictures of a recording; `statistics` are those of the whole of it.
+    pub fn new(recording: &Recording, statistics: &Statistics) -> Self {
+        let whole = (0.0, recording.records() as f64 * recording.period_s());
+        let (begin, end) = statistics.job.unwrap_or(whole);
+        let columns = || Columns::new(begin, end);
+        let joints = recording.config().joints.len();
+        let many = || (0..joints).map(|_| columns()).collect();
+        let extents = statistics.programmed.iter().take(3);
+        let extent = extents.map(super::Extent::span).fold(0.0, f64::max);
+        let spacing = (extent / 1500.0).max(statistics.path_length_mm / 5000.0);
+        let pose = &recording.config().pose;
+        Self {
+            period_s: recording.period_s(),
+            begin,
+            pose_units: recording.pose_units(),
+            joint_units: recording.joint_units(),
+            drive_units: recording.drive_units().iter().map(|(s, _)| *s).collect(),
+            first_period: None,
+            first_joints: None,
+            path: PathPoints::new(spacing.max(1e-4)),
+            tool_error: columns(),
+            contour_error: columns(),
+            contour: Contour::default(),
+            contour_times: VecDeque::new(),
+            following: many(),
+            joints: many(),
+            joint_speed: many(),
+            tip_speed: [columns(), columns()],
+            drives: many(),
+            angles: pose.iter().map(|_| [columns(), columns()]).collect(),
+            history: VecDeque::new(),
+            linear: std::array::from_fn(|i| {
+                pose.get(i)
+                    .is_some_and(|axis| axis.kind == AxisKind::Linear)
+            }),
+        }
+    }
+
+    fn tip(&self, pose: &[i32; 6]) -> Point {
+        std::array::from_fn(|i| {
+            if self.linear[i] {
+                f64::from(pose[i]) * self.pose_units[i]
+            } else {
+                0.0
+            }
+        })
+    }
+
+    /// Takes the next record.
+    pub fn add(&mut self, record: &Record) {
+        let first = *self.first_period.get_or_insert(record.period);
+        let time = record.period.saturating_sub(first) as f64 * self.period_s;
+        let scaled = |values: &[i32; 6], units: &[f64]| -> Vec<f64> {
+            let pairs = values.iter().zip(units);
+            pairs
+                .map(|(value, unit)| f64::from(*value) * unit)
+                .collect()
+        };
+        let joints = scaled(&record.joints, &self.joint_units);
+        if time + self.period_s / 2.0 < self.begin {
+            return;
+        }
+        let start = self.first_joints.get_or_insert_with(|| joints.clone());
+        for (axis, (value, begin)) in joints.iter().zip(start.iter()).enumerate() {
+            self.joints[axis].add(time, value - begin);
+        }
+        let following = scaled(&record.following_error, &self.joint_units);
+        let drive = scaled(&record.drive, &self.drive_units);
+        for axis in 0..self.following.len() {
+            self.following[axis].add(time, following[axis] * 1000.0);
+            self.drives[axis].add(time, drive[axis]);
+        }
+        let (programmed, tool) = (self.tip(&record.programmed), self.tip(&record.tool));
+        let in_job = record.has(flag::PROGRAMMED);
+        let has_tool = record.has(flag::TOOL_TRUE | flag::TOOL_MEASURED);
+        if !in_job {
+            self.history.clear();
+            return;
+        }
+        for (axis, unit) in self.pose_units.iter().enumerate() {
+            let [commanded, done] = &mut self.angles[axis];
+            commanded.add(time, f64::from(record.programmed[axis]) * unit);
+            if has_tool {
+                done.add(time, f64::from(record.tool[axis]) * unit);
+            }
+        }
+        if has_tool {
+            self.path.add(programmed, tool);
+            let error = distance(&programmed, &tool);
+            self.tool_error.add(time, error * 1000.0);
+            self.contour_times.push_back(time);
+            if let Some(error) = self.contour.add(programmed, tool) {
+                self.add_contour(error);
+            }
+        } else {
+            self.path.add(programmed, programmed);
+        }
+        self.history.push_back((time, programmed, tool, joints));
+        // Half a period against rounding.
+        let due = time - SPEED_SPAN_S + self.period_s / 2.0;
+        while self.history.front().is_some_and(|oldest| oldest.0 <= due) {
+            self.add_speeds(has_tool);
+        }
+    }
+
+    /// No more records.
+    pub fn finish(&mut self) {
+        for error in std::mem::take(&mut self.contour).finish() {
+            self.add_contour(error);
+        }
+    }
+
+    fn add_contour(&mut self, error: f64) {
+        if let Some(time) = self.contour_times.pop_front() {
+            self.contour_error.add(time, error * 1000.0);
+        }
+    }
+
+    /// Speeds between the oldest record of the history, which goes, and the newest.
+    fn add_speeds(&mut self, has_tool: bool) {
+        let (Some(old), Some(new)) = (self.history.pop_front(), self.history.back()) else {
+            return;
+        };
+        let (span, middle) = (new.0 - old.0, (new.0 + old.0) / 2.0);
+        let speed = |a: &Point, b: &Point| distance(a, b) / span;
+        self.tip_speed[0].add(middle, speed(&old.1, &new.1));
+        if has_tool {
+            self.tip_speed[1].add(middle, speed(&old.2, &new.2));
+        }
+        for (axis, (before, after)) in old.3.iter().zip(&new.3).enumerate() {
+            self.joint_speed[axis].add(middle, (after - before) / span);
+        }
+    }
+}

@@ -1,0 +1,225 @@
+//! What a recording amounts to: errors, length, duration of the job in it.
+//!
+//! The job is the records that have a programmed pose. The tool error is the tool against the programmed geometry *at the same time*, start and stop
+//! included; the contour error is the tool against the nearest point of the path.
+
+use super::contour::{Contour, Point, distance};
+use haptimill_firmware::config::AxisKind;
+use haptimill_trace::{Axes, Record, Recording, flag};
+use serde::Serialize;
+
+/// A root mean square and a maximum, with the place of the maximum.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+pub struct Spread {
+    /// Samples.
+    pub count: u64,
+    sum_of_squares: f64,
+    /// The largest magnitude.
+    pub max: f64,
+    /// Seconds after the start of the recording at which the largest was.
+    pub max_time_s: f64,
+    /// Line of the program at which the largest was; 0 when there is none.
+    pub max_line: u32,
+}
+
+impl Spread {
+    /// Takes a magnitude.
+    pub fn add(&mut self, value: f64, time_s: f64, line: u32) {
+        self.count += 1;
+        self.sum_of_squares += value * value;
+        if value > self.max || self.count == 1 {
+            (self.max, self.max_time_s, self.max_line) = (value, time_s, line);
+        }
+    }
+
+    /// Root mean square; 0 without samples.
+    pub fn rms(&self) -> f64 {
+        match self.count {
+            0 => 0.0,
+            count => (self.sum_of_squares / count as f64).sqrt(),
+        }
+    }
+}
+
+/// Low and high end of what was seen.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Extent {
+    /// The least.
+    pub low: f64,
+    /// The greatest.
+    pub high: f64,
+}
+
+impl Default for Extent {
+    fn default() -> Self {
+        Self {
+            low: f64::INFINITY,
+            high: f64::NEG_INFINITY,
+        }
+    }
+}
+
+impl Extent {
+    /// Takes a value.
+    pub fn add(&mut self, value: f64) {
+        self.low = self.low.min(value);
+        self.high = self.high.max(value);
+    }
+
+    /// High less low; 0 when nothing was seen.
+    pub fn span(&self) -> f64 {
+        (self.high - self.low).max(0.0)
+    }
+}
+
+/// What a recording amounts to.
+pub struct Statistics {
+    period_s: f64,
+    pose_units: Vec<f64>,
+    joint_units: Vec<f64>,
+    rotary_pose: Vec<bool>,
+    linear_joint: Vec<bool>,
+    first_period: Option<u64>,
+    before: Option<Point>,
+    contour: Contour,
+    contour_places: std::collections::VecDeque<(f64, u32)>,
+    /// Records of the job.
+    pub job_records: u64,
+    /// Seconds from the start of the recording to the first and behind the last record of the job.
+    pub job: Option<(f64, f64)>,
+    /// Length of the programmed path, mm.
+    pub path_length_mm: f64,
+    /// Tool against programmed tip at the same time, mm.
+    pub tool_error: Spread,
+    /// Tool against the nearest point of the programmed path, mm.
+    pub contour_error: Spread,
+    /// Rotary coordinates of the tool against the programmed ones, degrees.
+    pub angle_error: Spread,
+    /// Following error of the linear joints, mm.
+    pub slide_error: Spread,
+    /// The joint that had the largest of those.
+    pub slide_error_joint: usize,
+    /// Where the programmed pose was.
+    pub programmed: [Extent; 6],
+    /// Where the tool was during the job.
+    pub tool: [Extent; 6],
+    /// Whether the tool is the simulator's truth in every record that has one.
+    pub tool_is_true: bool,
+}
+
+impl Statistics {
+    /// Statistics of a recording without records yet.
+    pub fn new(recording: &Recording) -> Self {
+        let config = recording.config();
+        let rotary = |kind: AxisKind| kind == AxisKind::Rotary;
+        Self {
+            period_s: recording.period_s(),
+            pose_units: recording.pose_units(),
+            joint_units: recording.joint_units(),
+            rotary_pose: config.pose.iter().map(|axis| rotary(axis.kind)).collect(),
+            linear_joint: config
+                .joints
+                .iter()
+                .map(|axis| !rotary(axis.kind))
+                .collect(),
+            first_period: None,
+            before: None,
+            contour: Contour::default(),
+            contour_places: std::collections::VecDeque::new(),
+            job_records: 0,
+            job: None,
+            path_length_mm: 0.0,
+            tool_error: Spread::default(),
+            contour_error: Spread::default(),
+            angle_error: Spread::default(),
+            slide_error: Spread::default(),
+            slide_error_joint: 0,
+            programmed: Default::default(),
+            tool: Default::default(),
+            tool_is_true: true,
+        }
+    }
+
+    /// Takes the next record; gives its time in seconds.
+    pub fn add(&mut self, record: &Record) -> f64 {
+        let first = *self.first_period.get_or_insert(record.period);
+        let time = record.period.saturating_sub(first) as f64 * self.period_s;
+        if !record.has(flag::PROGRAMMED) {
+            self.before = None;
+            return time;
+        }
+        self.job_records += 1;
+        let begin = self.job.map_or(time, |(begin, _)| begin);
+        self.job = Some((begin, time + self.period_s));
+        let programmed = self.tip(&record.programmed);
+        if let Some(before) = self.before.replace(programmed) {
+            self.path_length_mm += distance(&before, &programmed);
+        }
+        for ((extent, value), unit) in self
+            .programmed
+            .iter_mut()
+            .zip(record.programmed)
+            .zip(&self.pose_units)
+        {
+            extent.add(f64::from(value) * unit);
+        }
+        if record.has(flag::TOOL_TRUE | flag::TOOL_MEASURED) {
+            self.tool_is_true &= record.has(flag::TOOL_TRUE);
+            self.add_tool(record, programmed, time);
+        }
+        for (joint, unit) in self.joint_units.iter().enumerate() {
+            if self.linear_joint[joint] {
+                let error = (f64::from(record.following_error[joint]) * unit).abs();
+                if error > self.slide_error.max {
+                    self.slide_error_joint = joint;
+                }
+                self.slide_error.add(error, time, record.line);
+            }
+        }
+        time
+    }
+
+    fn add_tool(&mut self, record: &Record, programmed: Point, time: f64) {
+        let tool = self.tip(&record.tool);
+        self.tool_error
+            .add(distance(&tool, &programmed), time, record.line);
+        self.contour_places.push_back((time, record.line));
+        if let Some(error) = self.contour.add(programmed, tool) {
+            self.add_contour(error);
+        }
+        for (axis, unit) in self.pose_units.iter().enumerate() {
+            self.tool[axis].add(f64::from(record.tool[axis]) * unit);
+            if self.rotary_pose[axis] {
+                // Angles wrap around, so does their difference.
+                let error = record.tool[axis].wrapping_sub(record.programmed[axis]);
+                let error = (f64::from(error) * unit).abs();
+                self.angle_error.add(error, time, record.line);
+            }
+        }
+    }
+
+    fn add_contour(&mut self, error: f64) {
+        if let Some((time, line)) = self.contour_places.pop_front() {
+            self.contour_error.add(error, time, line);
+        }
+    }
+
+    /// No more records.
+    pub fn finish(&mut self) {
+        for error in std::mem::take(&mut self.contour).finish() {
+            self.add_contour(error);
+        }
+    }
+
+    /// The tip, mm: the linear ones of the first three pose coordinates.
+    fn tip(&self, pose: &Axes) -> Point {
+        std::array::from_fn(|axis| {
+            let linear = self.rotary_pose.get(axis).is_some_and(|rotary| !rotary);
+            if linear {
+                f64::from(pose[axis]) * self.pose_units[axis]
+            } else {
+                0.0
+            }
+        })
+    }
+}

@@ -1,7 +1,0 @@
-//! The `haptimill` command.
-
-use std::process::ExitCode;
-
-fn main() -> ExitCode {
-    haptimill::cli::main()
-}

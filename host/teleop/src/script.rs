@@ -1,0 +1,307 @@
+//! Scripts of a session: what a simulated person does at the haptic arm, and what the operator orders, in TOML.
+//!
+//! Times are seconds, of the person since the arm's motors came on, of orders since the hand may lead, which is the same to a few hundredths. Places are mm of the tip from its home.
+
+use super::SCALES;
+use haptimill_client::Error;
+use haptimill_hil_sim::operator::{Stroke, Trajectory};
+use haptimill_hil_sim::rig::{Control, Rig};
+use haptimill_machine_file::document::{Allowed, Document, Section, real};
+use haptimill_machine_file::text_of;
+use std::path::Path;
+use std::str::FromStr;
+
+/// The script that `--hand sim` carries out.
+pub const BUILT_IN: &str = include_str!("../../../examples/teleop.toml");
+
+/// What the operator orders.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Order {
+    /// Slow down and wait.
+    Hold,
+    /// Go on after a hold, from where hand and tool are then.
+    Resume,
+    /// Slow down and drop the job.
+    Stop,
+    /// The hand leads no more; the job comes to its end.
+    End,
+    /// The fault of the arm was looked after: it may have power again.
+    ResetHand,
+    /// Another G_P.
+    Scale(f64),
+}
+
+/// What came from those who order.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Heard {
+    /// An order.
+    Order(Order),
+    /// Something that is none, and what would be one.
+    NoOrder(String),
+    /// Nothing can be heard any more, and why: whoever orders `stop` now is not heard. The end of an input is no such thing.
+    Lost(String),
+}
+
+/// How orders are written.
+pub const ORDERS: &str = "hold, resume, stop, end, reset-hand, or gp=SCALE (0.1 to 2)";
+
+impl FromStr for Order {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.trim() {
+            "hold" => Ok(Self::Hold),
+            "resume" => Ok(Self::Resume),
+            "stop" => Ok(Self::Stop),
+            "end" => Ok(Self::End),
+            "reset-hand" => Ok(Self::ResetHand),
+            other => match other.strip_prefix("gp=").map(str::parse) {
+                Some(Ok(scale)) => Ok(Self::Scale(scale)),
+                _ => Err(format!("\"{other}\" is no order; write {ORDERS}")),
+            },
+        }
+    }
+}
+
+/// Checks G_P.
+///
+/// # Errors
+/// The bounds, in words.
+pub fn scale(scale: f64) -> Result<u16, String> {
+    if SCALES.contains(&scale) {
+        Ok((scale * 4096.0).round() as u16)
+    } else {
+        let (low, high) = (SCALES.start(), SCALES.end());
+        Err(format!(
+            "G_P of {scale} is out of its range: {low} to {high}"
+        ))
+    }
+}
+
+/// A script.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Script {
+    /// What the hand means to do.
+    stroke: Vec<Stroke>,
+    /// When the button is pressed and let go.
+    button: Vec<Button>,
+    /// What the operator orders.
+    order: Vec<Ordered>,
+    /// When the session ends; 1 s after the last of all this begins when it is not given.
+    end_s: Option<f64>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Button {
+    at_s: f64,
+    held: bool,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Ordered {
+    at_s: f64,
+    order: Order,
+}
+
+/// Times may be this.
+fn times() -> Allowed {
+    real(0.0, 3600.0, "s")
+}
+
+/// The blocks of a kind, each with its time.
+fn blocks<T>(
+    root: &Section<'_, '_>,
+    key: &'static str,
+    read: impl Fn(f64, &Section<'_, '_>) -> Option<T>,
+) -> Vec<T> {
+    if !root.skip(key) {
+        return Vec::new();
+    }
+    let block = |section: Section<'_, '_>| {
+        let at_s = section.number("at_s", times());
+        let block = read(at_s, &section);
+        let ends = section.skip(END);
+        section.finish();
+        if ends {
+            // A TOML key belongs to the block above it.
+            let remedy = format!(
+                "move it to the top of the file, above the first block, or take it out of [[{key}]]"
+            );
+            section.report(END, "is the end of the session, not of a block", remedy);
+        }
+        block
+    };
+    root.list(key).into_iter().filter_map(block).collect()
+}
+
+/// The key of the end.
+const END: &str = "end_s";
+
+fn stroke(at_s: f64, section: &Section<'_, '_>) -> Stroke {
+    Stroke {
+        at_s,
+        to_mm: section.numbers("to_mm", real(-1000.0, 1000.0, "mm")),
+        pace_mm_s: section.number("pace_mm_s", real(0.001, 500.0, "mm/s")),
+        ramp_s: section.number("ramp_s", times()),
+    }
+}
+
+fn order(at_s: f64, section: &Section<'_, '_>) -> Option<Ordered> {
+    let text = section.text("what", &format!("write {ORDERS}"))?;
+    let order = text.parse().and_then(|order| match order {
+        Order::Scale(commanded) => scale(commanded).map(|_| order),
+        _ => Ok(order),
+    });
+    match order {
+        Ok(order) => Some(Ordered { at_s, order }),
+        Err(why) => {
+            section.report("what", why, "");
+            None
+        }
+    }
+}
+
+impl Script {
+    /// Reads a script from disk.
+    ///
+    /// # Errors
+    /// It cannot be read, or says what makes no sense, with the lines.
+    pub fn load(path: &Path) -> Result<Self, Error> {
+        let file = path.display().to_string();
+        let text = text_of(path)?;
+        Self::parse(&file, &text)
+    }
+
+    /// Reads the text of a script; `file` is its name in messages.
+    ///
+    /// # Errors
+    /// As [`Script::load`].
+    pub fn parse(file: &str, text: &str) -> Result<Self, Error> {
+        let document = Document::new(file, text).like("examples/teleop.toml");
+        let Some(table) = document.parse() else {
+            return Err(document.into_problems().into());
+        };
+        let root = Section::root(&document, table.get_ref());
+        let script = Self {
+            stroke: blocks(&root, "stroke", |at_s, section| Some(stroke(at_s, section))),
+            button: blocks(&root, "button", |at_s, section| {
+                let held = section.flag("held")?;
+                Some(Button { at_s, held })
+            }),
+            order: blocks(&root, "order", order),
+            end_s: root.skip(END).then(|| root.number(END, times())),
+        };
+        root.finish();
+        document.finish()?;
+        Ok(script)
+    }
+
+    fn times(&self) -> impl Iterator<Item = f64> + '_ {
+        let strokes = self.stroke.iter().map(|stroke| stroke.at_s);
+        let buttons = self.button.iter().map(|button| button.at_s);
+        strokes
+            .chain(buttons)
+            .chain(self.order.iter().map(|order| order.at_s))
+    }
+
+    /// When the session ends, s.
+    #[must_use]
+    pub fn end_s(&self) -> f64 {
+        let last = || self.times().fold(0.0, f64::max) + 1.0;
+        self.end_s.unwrap_or_else(last)
+    }
+
+    /// What the operator orders, in the order of time.
+    #[must_use]
+    pub fn orders(&self) -> Vec<(f64, Order)> {
+        let order = |ordered: &Ordered| (ordered.at_s, ordered.order);
+        let mut orders: Vec<(f64, Order)> = self.order.iter().map(order).collect();
+        orders.sort_by(|one, other| one.0.total_cmp(&other.0));
+        orders
+    }
+}
+
+/// The person of a script.
+#[derive(Debug, Clone)]
+pub struct Person {
+    strokes: Option<Trajectory>,
+    /// Latest first.
+    buttons: Vec<Button>,
+    /// When the motors came on, ns.
+    begun: Option<u64>,
+}
+
+impl Person {
+    /// The person of a script.
+    #[must_use]
+    pub fn new(script: &Script) -> Self {
+        let mut buttons = script.button.clone();
+        buttons.sort_by(|one, other| other.at_s.total_cmp(&one.at_s));
+        Self {
+            strokes: Some(Trajectory::Strokes(script.stroke.clone())),
+            buttons,
+            begun: None,
+        }
+    }
+
+    /// Before each control period.
+    pub fn act<C: Control>(&mut self, rig: &mut Rig<C>) {
+        let now = rig.time_ns();
+        if self.begun.is_none() && !rig.outputs().haptic.enabled {
+            return;
+        }
+        let begun = *self.begun.get_or_insert(now);
+        let time_s = (now - begun) as f64 * 1e-9;
+        let Some(arm) = rig.plant_mut().haptic_mut() else {
+            return;
+        };
+        if let Some(strokes) = self.strokes.take() {
+            arm.set_trajectory(strokes);
+        }
+        while let Some(button) = self.buttons.pop_if(|button| time_s >= button.at_s) {
+            arm.set_engaged(button.held);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_makes_no_sense_is_told_with_its_place() {
+        let said = |text: &str| Script::parse("s.toml", text).unwrap_err().message;
+        assert_eq!(
+            said(
+                "end_s = 4\n\n[[button]]\nat_s = 1\n\n[[stroke]]\nat_s = 1\nto_mm = [1.0, 2]\nramp_s = 1\n"
+            ),
+            "s.toml:3:1: button[1].held: is missing; add `held = true` or `held = false`\n\
+             s.toml:6:1: stroke[1].pace_mm_s: is missing; add `pace_mm_s = ...`, allowed is 0.001 to 500 mm/s\n\
+             s.toml:8:9: stroke[1].to_mm: has 2 numbers; write 3"
+        );
+        assert_eq!(
+            said("\n[[button]]\nat_s = 4000\nheld = 2\n"),
+            "s.toml:3:8: button[1].at_s: 4000 is out of range, allowed is 0 to 3600 s; lower it\n\
+             s.toml:4:8: button[1].held: is a number, not true or false; write true or false"
+        );
+        assert!(
+            said("[[order]]\nat_s = 1\nwhat = \"go\"\n")
+                .starts_with("s.toml:3:8: order[1].what: \"go\" is no order; write hold,")
+        );
+        let bound = said("[[order]]\nat_s = 1\nwhat = \"gp=3\"\n");
+        assert!(
+            bound.ends_with("G_P of 3 is out of its range: 0.1 to 2"),
+            "{bound}"
+        );
+        assert!(said("end_s = -1.0").contains("0 to 3600 s"));
+        assert_eq!(
+            said("[[button]]\nat_s = 1\nheld = true\nend_s = 4\n"),
+            "s.toml:4:9: button[1].end_s: is the end of the session, not of a block; move it to the top of the file, above the first block, or take it out of [[button]]"
+        );
+        assert!(said("[[strok]]\nat_s = 1\n").starts_with("s.toml:1:"));
+        assert!(said("[[button]\nat_s = 1\n").starts_with("s.toml:1:"));
+        let script = Script::parse("built in", BUILT_IN).unwrap();
+        assert!(script.end_s() > 1.0);
+        assert!(scale(0.1).is_ok() && scale(2.0) == Ok(8192) && scale(f64::NAN).is_err());
+    }
+}

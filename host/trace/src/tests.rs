@@ -1,0 +1,533 @@
+use super::*;
+use haptimill_firmware::snapshot::{ForceSnapshot, HapticSnapshot};
+use haptimill_machine_file::MachineFile;
+use proptest::prelude::*;
+use sha2::{Digest, Sha256};
+use std::path::PathBuf;
+use std::time::Instant;
+
+/// A file in the system's folder for temporary ones, removed at the end.
+pub struct TemporaryFile(pub(crate) PathBuf);
+
+impl TemporaryFile {
+    pub(crate) fn new(name: &str) -> Self {
+        let name = format!("haptimill-{}-{name}", std::process::id());
+        Self(std::env::temp_dir().join(name))
+    }
+}
+
+impl Drop for TemporaryFile {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_file(&self.0);
+    }
+}
+
+pub(crate) fn header() -> Header {
+    Header::of(&MachineFile::built_in().unwrap(), "circle.ngc").unwrap()
+}
+
+fn any_record() -> impl Strategy<Value = Record> {
+    let axes = || prop::array::uniform6(any::<i32>());
+    (
+        (
+            any::<u64>(),
+            any::<u32>(),
+            any::<u32>(),
+            any::<u16>(),
+            any::<u16>(),
+        ),
+        (0..State::ALL.len(), any::<u8>()),
+        prop::array::uniform7(axes()),
+        any::<[[i32; 3]; 4]>(),
+    )
+        .prop_map(
+            |(
+                (period, setpoint, line, path_rate, spindle_rpm),
+                (state, flags),
+                rows,
+                [high, low, yielded, true_force],
+            )| {
+                let [
+                    commanded,
+                    joints_commanded,
+                    joints,
+                    following_error,
+                    drive,
+                    tool,
+                    programmed,
+                ] = rows;
+                Record {
+                    period,
+                    setpoint,
+                    line,
+                    path_rate,
+                    spindle_rpm: spindle_rpm as i16,
+                    state: State::ALL[state],
+                    flags,
+                    commanded,
+                    joints_commanded,
+                    joints,
+                    following_error,
+                    drive,
+                    tool,
+                    programmed,
+                    force: ForceSnapshot { high, low, yielded },
+                    true_force,
+                    ..Record::default()
+                }
+            },
+        )
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { rng_seed: proptest::test_runner::RngSeed::Fixed(1), failure_persistence: None, ..ProptestConfig::default() })]
+    #[test]
+    fn a_record_comes_back_as_it_was(record in any_record()) {
+        prop_assert_eq!(Record::decode(&record.encode()), Some(record));
+    }
+
+    #[test]
+    fn the_hand_of_a_machine_with_an_arm_comes_back_and_that_of_another_is_left_out(
+        records in prop::collection::vec((any_record(), any::<[[i32; 3]; 4]>()), 1..5),
+    ) {
+        for hand in [false, true] {
+            let file = TemporaryFile::new("hand.hmr");
+            let header = Header { hand, ..header() };
+            let mut recorder = Recorder::create(&file.0, &header).unwrap();
+            let mut commanded = Vec::new();
+            for (record, [tip, force, reflected, wall]) in &records {
+                let with = Record { hand_flags: 3, hand: HapticSnapshot { tip: *tip, force: *force, reflected: *reflected, wall: *wall }, ..*record };
+                recorder.record(&with);
+                commanded.push(if hand { with } else { *record });
+            }
+            recorder.finish().unwrap();
+            let recording = Recording::open(&file.0).unwrap();
+            prop_assert_eq!(recording.header(), &header);
+            let version = std::fs::read(&file.0).unwrap()[8];
+            prop_assert_eq!(version, if hand { 4 } else { 3 });
+            let read: Vec<Record> = recording.iter().unwrap().map(|record| record.unwrap()).collect();
+            prop_assert_eq!(&read, &commanded);
+            prop_assert_eq!(recording.last().unwrap(), commanded.last().copied());
+            let named = columns(&recording).iter().any(|column| column.name == "z_hand_reflected_n");
+            prop_assert_eq!(named, hand);
+        }
+    }
+
+    #[test]
+    fn periods_come_back_as_they_were(periods in prop::collection::vec(any_period(), 0..40), steady in 0usize..9) {
+        let file = TemporaryFile::new("periods.hmr");
+        let mut recorder = Recorder::create(&file.0, &header()).unwrap();
+        let mut io_log = IoLog::new();
+        let (before, after) = periods.split_at(periods.len() / 2);
+        before.iter().for_each(|period| io_log.add(&period.inputs, &period.outputs));
+        recorder.take_up(io_log);
+        after.iter().for_each(|period| recorder.period(&period.inputs, &period.outputs));
+        // Counters that run evenly, as most do.
+        let mut last = periods.last().cloned().unwrap_or_default();
+        let mut all = periods;
+        for _ in 0..steady {
+            last.inputs.period = last.inputs.period.wrapping_add(1);
+            last.inputs.time_ns = last.inputs.time_ns.wrapping_add(200_000);
+            recorder.period(&last.inputs, &last.outputs);
+            all.push(last.clone());
+        }
+        recorder.finish().unwrap();
+        let recording = Recording::open(&file.0).unwrap();
+        prop_assert_eq!(recording.periods(), all.len() as u64);
+        let read: Vec<Period> = recording.read_periods().unwrap().map(|period| period.unwrap()).collect();
+        prop_assert_eq!(read, all);
+    }
+
+    #[test]
+    fn a_damaged_recording_is_an_error_not_a_panic(
+        at in any::<prop::sample::Index>(),
+        flip in 1u8..=255,
+        cut in any::<prop::sample::Index>(),
+        how in 0..3,
+    ) {
+        let file = TemporaryFile::new("damaged.hmr");
+        let whole = small();
+        let mut content = whole.clone();
+        if how != 1 {
+            content[at.index(whole.len())] ^= flip;
+        }
+        if how != 0 {
+            content.truncate(cut.index(whole.len()));
+        }
+        std::fs::write(&file.0, &content).unwrap();
+        let said = match read_all(&file.0) {
+            Ok((records, periods, true)) => {
+                prop_assert!(content == whole && records == 50 && periods == 70);
+                return Ok(());
+            }
+            // Cut off: what is there is as it was.
+            Ok((records, periods, false)) => {
+                prop_assert!(content.len() < whole.len() && records <= 50 && periods <= 70);
+                return Ok(());
+            }
+            Err(error) => error.to_string(),
+        };
+        // A sentence that names the file, and where.
+        prop_assert!(said.contains("damaged.hmr: "), "{}", said);
+        let place = said.contains(" at byte ") || said.contains("before byte ") || said.contains("too short");
+        let foreign = said.contains("no recording of haptimill") || said.contains("of version");
+        prop_assert!(place || foreign, "{}", said);
+    }
+}
+
+/// A recording of 70 periods and 50 records, with an event.
+fn small() -> Vec<u8> {
+    static SMALL: std::sync::OnceLock<Vec<u8>> = std::sync::OnceLock::new();
+    let make = || {
+        let file = TemporaryFile::new("small.hmr");
+        let mut recorder = Recorder::create(&file.0, &header()).unwrap();
+        recorder.take_up(IoLog::new());
+        recorder.event(3, 1, "the slide is warm");
+        for number in 0..70_u64 {
+            let mut period = Period::default();
+            period.inputs.period = number;
+            period.inputs.axes[2].counts = (number * number) as i32;
+            recorder.period(&period.inputs, &period.outputs);
+            if number >= 20 {
+                recorder.record(&Record {
+                    period: number,
+                    ..Record::default()
+                });
+            }
+        }
+        recorder.finish().unwrap();
+        std::fs::read(&file.0).unwrap()
+    };
+    SMALL.get_or_init(make).clone()
+}
+
+/// Records, periods, and whether it is whole.
+fn read_all(path: &std::path::Path) -> Result<(u64, u64, bool), RecordingError> {
+    let recording = Recording::open(path)?;
+    let (mut records, mut periods) = (0, 0);
+    for record in recording.iter()? {
+        assert_eq!(record?.period, records + 20);
+        records += 1;
+    }
+    for period in recording.read_periods()? {
+        assert_eq!(period?.inputs.period, periods);
+        periods += 1;
+    }
+    for event in recording.events()? {
+        assert_eq!(
+            (event.period, event.text.as_str()),
+            (3, "the slide is warm")
+        );
+    }
+    assert_eq!(
+        (records, periods),
+        (recording.records(), recording.periods())
+    );
+    Ok((records, periods, recording.is_whole()))
+}
+
+fn any_period() -> impl Strategy<Value = Period> {
+    use haptimill_firmware::io::{AxisInputs, DriveCommand, Inputs, StepSegment};
+    // Small and large differences, and halves of words.
+    let word = || {
+        prop_oneof![
+            -3..3_i32,
+            -40_000..40_000_i32,
+            (-3..3_i32).prop_map(|value| value << 16),
+            any::<i32>()
+        ]
+    };
+    let axis = (word(), word(), any::<u16>(), any::<u8>(), any::<bool>()).prop_map(
+        |(counts, edge, illegal, index_pulses, bit)| AxisInputs {
+            counts,
+            edge_time_ns: edge as u32,
+            illegal,
+            index_pulses,
+            home: bit,
+            drive_ready: !bit,
+            ..AxisInputs::default()
+        },
+    );
+    let command = prop_oneof![
+        Just(DriveCommand::Off),
+        any::<i16>().prop_map(DriveCommand::Torque),
+        (any::<i16>(), word(), word()).prop_map(|(count, delay, ramp)| DriveCommand::Steps(
+            StepSegment {
+                count,
+                delay: delay as u32,
+                interval: 0,
+                ramp,
+            }
+        )),
+    ];
+    let bytes = || prop::collection::vec(any::<u8>(), 0..=64);
+    (
+        (
+            any::<u64>(),
+            any::<u16>(),
+            word(),
+            any::<[i16; 3]>(),
+            any::<(u16, u16, bool, bool)>(),
+        ),
+        prop::array::uniform6(axis),
+        prop::array::uniform6(command),
+        (any::<i16>(), bytes(), bytes()),
+    )
+        .prop_map(
+            |(
+                (period, missed, time, codes, line),
+                axes,
+                commands,
+                (spindle_rpm, received, transmit),
+            )| {
+                let mut inputs = Inputs {
+                    period,
+                    missed,
+                    time_ns: time as u32,
+                    axes,
+                    waiting: line.0,
+                    lost_bytes: line.1,
+                    urgent: line.2,
+                    emergency_stop: line.3,
+                    received: heapless::Vec::from_slice(&received).unwrap(),
+                    ..Inputs::default()
+                };
+                inputs.force.codes = codes;
+                let mut period = Period {
+                    inputs,
+                    ..Period::default()
+                };
+                period.inputs.haptic.legs[1].counts = [period.inputs.axes[0].counts, 3, -7];
+                period.outputs.haptic.currents[2] = [codes[1], codes[2]];
+                period.outputs.axes = commands;
+                period.outputs.spindle_rpm = spindle_rpm;
+                period.outputs.transmit = heapless::Vec::from_slice(&transmit).unwrap();
+                period
+            },
+        )
+}
+
+#[test]
+fn what_is_foreign_or_of_another_version_is_told_apart() {
+    let file = TemporaryFile::new("foreign.hmr");
+    let said = |content: &[u8]| {
+        std::fs::write(&file.0, content).unwrap();
+        let error = Recording::open(&file.0).unwrap_err().to_string();
+        error.split_once(": ").unwrap().1.to_string()
+    };
+    let whole = small();
+    let mut old = whole.clone();
+    old[8..10].copy_from_slice(&2_u16.to_le_bytes());
+    let mut damaged = whole.clone();
+    let last = damaged.len() - 60;
+    damaged[last] ^= 1;
+    let texts = [
+        said(b"time_s,period\n"),
+        said(b"time_s,period,state,setpoint\n0.0,1,Run,3\n"),
+        said(&old),
+        said(&whole[..100]),
+        said(&[&whole[..], b"more"].concat()),
+    ];
+    insta::assert_snapshot!(texts.join("\n"));
+    assert!(Recording::open(std::path::Path::new("/there/is/none.hmr")).is_err());
+}
+
+#[test]
+fn a_clock_and_a_counter_that_run_evenly_cost_nothing() {
+    let file = TemporaryFile::new("even.hmr");
+    let mut recorder = Recorder::create(&file.0, &header()).unwrap();
+    recorder.take_up(IoLog::new());
+    let mut period = Period::default();
+    for number in 0..20_000_u64 {
+        period.inputs.period = number;
+        period.inputs.time_ns = (number * 200_000) as u32;
+        period.inputs.axes[0].counts = number as i32 * 3;
+        recorder.period(&period.inputs, &period.outputs);
+    }
+    recorder.finish().unwrap();
+    let recording = Recording::open(&file.0).unwrap();
+    let each = recording.period_bytes() as f64 / recording.periods() as f64;
+    assert!(each < 1.1, "{each} bytes a period");
+}
+
+#[test]
+fn what_was_spilled_is_on_disk_while_the_recorder_lives() {
+    let file = TemporaryFile::new("spilled.hmr");
+    let mut recorder = Recorder::create(&file.0, &header()).unwrap();
+    recorder.spill();
+    for period in 0..30 {
+        recorder.record(&Record {
+            period,
+            ..Record::default()
+        });
+        if period == 11 || period == 23 {
+            recorder.spill();
+        }
+    }
+    // The writing thread takes its time; nothing else is waited for.
+    let whole = (header().encode().len() + 2 * (blocks::HEAD_BYTES + 12 * RECORD_BYTES)) as u64;
+    while std::fs::metadata(&file.0).unwrap().len() < whole {
+        std::thread::yield_now();
+    }
+    let recording = Recording::open(&file.0).unwrap();
+    assert_eq!((recording.records(), recording.cut_bytes()), (24, 0));
+    assert!(!recording.is_whole());
+    // A recorder that spills is hashed like any other.
+    let recorded = recorder.finish().unwrap();
+    assert_eq!(recorded.records, 30);
+    let digest = Sha256::digest(std::fs::read(&file.0).unwrap());
+    let expected: String = digest.iter().map(|byte| format!("{byte:02x}")).collect();
+    assert_eq!(recorded.sha256, expected);
+}
+
+#[test]
+fn a_recording_comes_back_whole_hashed_and_cut() {
+    let file = TemporaryFile::new("whole.hmr");
+    let header = header();
+    let mut recorder = Recorder::create(&file.0, &header).unwrap();
+    // More than one block, and not a whole number of them.
+    let count = 10_000_u64;
+    let make = |period: u64| Record {
+        period,
+        line: 7,
+        commanded: [period as i32; 6],
+        ..Record::default()
+    };
+    for period in 0..count {
+        recorder.record(&make(period));
+    }
+    let recorded = recorder.finish().unwrap();
+    let bytes = std::fs::read(&file.0).unwrap();
+    assert_eq!(recorded.records, count);
+    assert_eq!(recorded.bytes, bytes.len() as u64);
+    let expected: Vec<String> = Sha256::digest(&bytes)
+        .iter()
+        .map(|b| format!("{b:02x}"))
+        .collect();
+    assert_eq!(recorded.sha256, expected.concat());
+
+    let recording = Recording::open(&file.0).unwrap();
+    assert_eq!(recording.header(), &header);
+    assert_eq!(recording.records(), count);
+    assert_eq!(recording.cut_bytes(), 0);
+    let mut seen = 0;
+    for (period, record) in recording.iter().unwrap().enumerate() {
+        assert_eq!(record.unwrap(), make(period as u64));
+        seen += 1;
+    }
+    assert_eq!(seen, count);
+
+    // Cut off in the middle of its last block of records, which is 1808 long: what is before is there.
+    let end = bytes.len() - blocks::HEAD_BYTES;
+    std::fs::write(&file.0, &bytes[..end - 100]).unwrap();
+    let recording = Recording::open(&file.0).unwrap();
+    assert!(!recording.is_whole());
+    assert_eq!(recording.records(), count - 1808);
+    let rest = blocks::HEAD_BYTES + 1808 * RECORD_BYTES - 100;
+    assert_eq!(recording.cut_bytes(), rest as u64);
+    assert!(recording.iter().unwrap().all(|record| record.is_ok()));
+}
+
+#[test]
+fn a_recorder_that_is_dropped_leaves_what_it_had() {
+    let file = TemporaryFile::new("dropped.hmr");
+    let mut recorder = Recorder::create(&file.0, &header()).unwrap();
+    recorder.record(&Record::default());
+    drop(recorder);
+    assert_eq!(Recording::open(&file.0).unwrap().records(), 1);
+}
+
+#[test]
+fn the_trace_has_units_and_every_nth_row() {
+    let file = TemporaryFile::new("trace.hmr");
+    let mut recorder = Recorder::create(&file.0, &header()).unwrap();
+    for period in 0..101 {
+        recorder.record(&Record {
+            period: 1000 + period,
+            state: State::Run,
+            commanded: [1 << 20, 0, 0, 1 << 30, 0, 0],
+            drive: [4096, 0, 0, 0, -4096, 0],
+            flags: flag::HOMED | if period > 50 { flag::PROGRAMMED } else { 0 },
+            ..Record::default()
+        });
+    }
+    recorder.finish().unwrap();
+    let recording = Recording::open(&file.0).unwrap();
+    let mut csv = Vec::new();
+    export_csv(&recording, &mut csv, 25).unwrap();
+    let mut reader = csv::Reader::from_reader(csv.as_slice());
+    let heading: Vec<String> = reader
+        .headers()
+        .unwrap()
+        .iter()
+        .map(str::to_string)
+        .collect();
+    let rows: Vec<csv::StringRecord> = reader.records().map(|row| row.unwrap()).collect();
+    assert_eq!(rows.len(), 5);
+    let cell = |row: usize, name: &str| {
+        let column = heading.iter().position(|h| h == name).unwrap();
+        rows[row][column].to_string()
+    };
+    assert_eq!(cell(1, "time_s"), "0.005000");
+    assert_eq!(cell(4, "period"), "1100");
+    assert_eq!(cell(0, "x_commanded_mm"), "1.000000");
+    assert_eq!(cell(0, "theta_commanded_deg"), "90.000000");
+    assert_eq!(cell(0, "l1_drive_n"), "400.000000");
+    assert_eq!(cell(0, "alpha_drive_n_m"), "-20.000000");
+    assert_eq!(cell(0, "x_programmed_mm"), "");
+    assert_eq!(cell(4, "x_programmed_mm"), "0.000000");
+    assert_eq!(cell(4, "x_tool_mm"), "");
+    assert_eq!(cell(4, "state"), "Run");
+}
+
+/// Not a benchmark, a fence.
+#[test]
+fn recording_is_cheap_for_the_caller() {
+    let file = TemporaryFile::new("speed.hmr");
+    let mut recorder = Recorder::create(&file.0, &header()).unwrap();
+    let count = 200_000_u32;
+    let mut record = Record::default();
+    let before = Instant::now();
+    for period in 0..count {
+        record.period = u64::from(period);
+        recorder.record(&record);
+    }
+    let each = before.elapsed() / count;
+    recorder.finish().unwrap();
+    println!("{each:?} a record");
+    assert!(each.as_micros() < 5, "{each:?} a record");
+}
+
+/// The disk fills while a job is recorded: the recording ends in time, is whole, and leaves room for what is made from it.
+#[test]
+fn a_recording_ends_before_the_disk_is_full() {
+    use super::writer::RESERVE_BYTES;
+    // Three looks find space, the fourth one does not; each look is a megabyte of recording.
+    fn space(file: &std::fs::File) -> Option<u64> {
+        let written = file.metadata().unwrap().len();
+        Some((RESERVE_BYTES + (3 << 20)).saturating_sub(written))
+    }
+    let machine = MachineFile::built_in().unwrap();
+    let header = Header::of(&machine, "long").unwrap();
+    let path = std::env::temp_dir().join(format!("haptimill-full-{}.hmr", std::process::id()));
+    let mut recorder = Recorder::create_with(&path, &header, space).unwrap();
+    let mut told_at = None;
+    for period in 0..200_000 {
+        recorder.record(&Record {
+            period,
+            ..Record::default()
+        });
+        if recorder.is_broken() && told_at.is_none() {
+            told_at = Some(period);
+        }
+    }
+    let recorded = recorder.finish().unwrap();
+    assert!(recorded.disk_full);
+    assert!(told_at.is_some_and(|at| at < 200_000), "{told_at:?}");
+    assert!(recorded.bytes < 3 * RESERVE_BYTES / 2, "{recorded:?}");
+    assert!(recorded.bytes >= 3 << 20, "{recorded:?}");
+    let recording = Recording::open(&path).unwrap();
+    assert!(recording.is_whole());
+    assert_eq!(recording.records(), recorded.records);
+    std::fs::remove_file(path).unwrap();
+}
