@@ -17,20 +17,10 @@ use haptimill_protocol::message::Command;
 use haptimill_tests::Bench;
 use std::time::{Duration, Instant};
 
-/// The stages of a period by name, and the main program between two periods.
-const PLACES: [&str; 11] = [
-    "receive",
-    "measure",
-    "supervise",
-    "command",
-    "interpolate",
-    "comply",
-    "solve",
-    "servo",
-    "report",
-    "interlock",
-    "main",
-];
+/// Names of the stages of a control period, and of the main program between two periods.
+fn places() -> impl Iterator<Item = &'static str> {
+    Stage::ALL.into_iter().map(Stage::name).chain(["main"])
+}
 
 /// A period in which the drives are on.
 const PERIOD: u32 = 4000;
@@ -68,7 +58,7 @@ fn run_until_failure(board: Board, words: &[&str; 3]) -> (String, Duration) {
 
 #[test]
 fn a_panic_in_any_stage_switches_the_drives_off_and_is_reported() {
-    for place in PLACES {
+    for place in places() {
         let words = ["panic", place, &PERIOD.to_string()];
         let (reason, after) = run_until_failure(Board::Mps2, &words);
         println!("{place}, after {after:?}: {reason}");

@@ -4,7 +4,6 @@ mod setup;
 
 use haptimill_hil_sim::joint::encoder::EncoderCondition;
 use haptimill_hil_sim::rig::RigOptions;
-use haptimill_machine_file::{BUILT_IN, MachineFile};
 use haptimill_protocol::message::{
     AxisValues, Command, Event, Fault, InputProblem, Refusal, Source, State,
 };
