@@ -1,4 +1,5 @@
-//! The storm: randomised robustness episodes of the whole controller (docs/storm.md), and how well it finds planted bugs.
+//! Randomised robustness episodes of the whole controller (the storm, docs/storm.md), and the test
+//! that they find planted bugs.
 
 use crate::{cargo, root};
 use std::fs;
@@ -6,7 +7,7 @@ use std::path::Path;
 use std::process::Command;
 use std::time::Instant;
 
-/// Where the planted bugs are listed.
+/// List of the planted bugs.
 const LIST: &str = "tests/storm/planted.txt";
 
 /// Folders of the workspace that a build of the storm needs.
@@ -15,7 +16,7 @@ const SOURCES: &[&str] = &[
     "docs",
 ];
 
-/// A planted bug: what it breaks, and the texts to exchange.
+/// A planted bug: the property that it breaks, and its changes of the sources.
 struct Planted {
     name: String,
     breaks: String,
@@ -46,13 +47,14 @@ pub fn storm(arguments: &[&str]) -> Result<(), String> {
         Ok(())
     } else {
         Err(
-            "the storm found something; each failure above names the command that reproduces it"
+            "the storm found failures; each failure above names the command that reproduces it"
                 .into(),
         )
     }
 }
 
-/// Plants all bugs into a copy of the sources, each behind a switch, and lets the storm look for one after the other.
+/// Plants all bugs into a copy of the sources, each behind a switch, and runs the storm once per
+/// bug.
 fn planted(arguments: &[&str]) -> Result<(), String> {
     let mut minutes = "2".to_string();
     let mut seed = "1".to_string();
@@ -79,7 +81,7 @@ fn planted(arguments: &[&str]) -> Result<(), String> {
     {
         let names: Vec<&str> = bugs.iter().map(|bug| bug.name.as_str()).collect();
         return Err(format!(
-            "there is no planted bug '{name}'; there are {}",
+            "'{name}' is not a planted bug; the planted bugs are {}",
             names.join(", ")
         ));
     }
@@ -98,7 +100,7 @@ fn planted(arguments: &[&str]) -> Result<(), String> {
             continue;
         }
         let begun = Instant::now();
-        // What the storm finds with all switches off is not what was planted.
+        // A failure that also occurs with all switches off is not the planted bug.
         let options = [
             "--minutes",
             &minutes,
@@ -107,8 +109,8 @@ fn planted(arguments: &[&str]) -> Result<(), String> {
             "--stop",
             "--against-healthy",
         ];
-        let said = run_storm(&copy, &target, index + 1, &options)?;
-        let found = first_failure(&said);
+        let output = run_storm(&copy, &target, index + 1, &options)?;
+        let found = first_failure(&output);
         let seconds = begun.elapsed().as_secs_f64();
         let row = match found {
             Some(Found {
@@ -146,38 +148,39 @@ fn planted(arguments: &[&str]) -> Result<(), String> {
     }
 }
 
-/// The switches of the copy: a number in the protocol crate, which the copied storm takes from its environment.
+/// Adds the switches to the copy: the number of the active bug in the protocol crate, which the
+/// copied storm reads from its environment.
 fn switch(copy: &Path) -> Result<(), String> {
     let library = copy.join("protocol/src/lib.rs");
     let text = read(&library)?;
     write(
         &library,
         &format!(
-            "{text}\n/// Which planted bug is on.\npub mod planted {{\n    use core::sync::atomic::{{AtomicU32, Ordering}};\n    static ON: AtomicU32 = AtomicU32::new(0);\n    \
-             /// Whether it is this one.\n    pub fn on(bug: u32) -> bool {{\n        ON.load(Ordering::Relaxed) == bug\n    }}\n    \
-             /// Switches one on.\n    pub fn set(bug: u32) {{\n        ON.store(bug, Ordering::Relaxed);\n    }}\n}}\n"
+            "{text}\n/// Number of the active planted bug.\npub mod planted {{\n    use core::sync::atomic::{{AtomicU32, Ordering}};\n    static ON: AtomicU32 = AtomicU32::new(0);\n    \
+             /// Returns whether this bug is active.\n    pub fn on(bug: u32) -> bool {{\n        ON.load(Ordering::Relaxed) == bug\n    }}\n    \
+             /// Activates a bug.\n    pub fn set(bug: u32) {{\n        ON.store(bug, Ordering::Relaxed);\n    }}\n}}\n"
         ),
     )?;
     let program = copy.join("tests/src/bin/storm.rs");
     let text = read(&program)?;
     let mark = "    keep_panics();\n";
     if text.matches(mark).count() != 1 {
-        return Err("tests/src/bin/storm.rs: the place of the switch is not there once".into());
+        return Err("tests/src/bin/storm.rs: the line before the switch must occur once".into());
     }
     let set = "    if let Some(bug) = std::env::var(\"HAPTIMILL_PLANTED\").ok().and_then(|bug| bug.parse().ok()) {\n        haptimill_protocol::planted::set(bug);\n    }\n";
     write(&program, &text.replacen(mark, &format!("{mark}{set}"), 1))
 }
 
-/// What the storm says of a failure.
+/// First failure that the storm reports.
 struct Found {
     check: String,
     seed: String,
     period: String,
 }
 
-/// The first line of a failure: `FAILED  seed S  check "C"  period P`.
-fn first_failure(said: &str) -> Option<Found> {
-    let line = said.lines().find(|line| line.starts_with("FAILED"))?;
+/// Finds the first line of a failure: `FAILED  seed S  check "C"  period P`.
+fn first_failure(output: &str) -> Option<Found> {
+    let line = output.lines().find(|line| line.starts_with("FAILED"))?;
     let check = line.split('"').nth(1)?.to_string();
     let word_after = |name: &str| {
         let mut words = line.split_whitespace();
@@ -227,7 +230,7 @@ fn run_storm(copy: &Path, target: &Path, bug: usize, options: &[&str]) -> Result
     Ok(String::from_utf8_lossy(&output.stdout).into_owned())
 }
 
-/// Exchanges the texts of a bug; `PLANTED` in a new text is its switch.
+/// Applies the changes of a bug; `PLANTED` in a new text is replaced by its switch.
 fn plant(copy: &Path, bug: &Planted, number: usize) -> Result<(), String> {
     for (file, old, new) in &bug.changes {
         let path = copy.join(file);
@@ -235,7 +238,8 @@ fn plant(copy: &Path, bug: &Planted, number: usize) -> Result<(), String> {
         let count = text.matches(old.as_str()).count();
         if count != 1 || !new.contains("PLANTED") {
             return Err(format!(
-                "{LIST}: bug '{}': the old text occurs {count} times in {file}, must be once, and the new one must have its switch PLANTED; bring it up to date",
+                "{LIST}: bug '{}': the old text occurs {count} times in {file} and must occur \
+                 once, and the new text must contain PLANTED; update the list",
                 bug.name
             ));
         }
@@ -286,7 +290,8 @@ fn copy_folder(from: &Path, to: &Path) -> Result<(), String> {
     Ok(())
 }
 
-/// The list: `== name`, `breaks: ...`, then for each change `file: ...`, `--- old`, text, `--- new`, text, `---`.
+/// Reads the list: `== name`, `breaks: ...`, then for each change `file: ...`, `--- old`, text,
+/// `--- new`, text, `---`.
 fn parse(text: &str) -> Result<Vec<Planted>, String> {
     let mut bugs: Vec<Planted> = Vec::new();
     let mut file = String::new();
