@@ -18,7 +18,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 
 #[cfg(target_os = "linux")]
 mod linux {
-    use super::terminal::console::{ENTER, RESUME, RIGHT, STOP, agrees, home, run};
+    use super::terminal::console::{ENTER, RESUME, RIGHT, STOP, confirm, home, run};
     use super::terminal::{Keyboard, Terminal};
     use std::error::Error;
     use std::fmt::Write as _;
@@ -29,7 +29,7 @@ mod linux {
     const CELL: (u32, u32) = (9, 18);
 
     /// To and fro along x with the button held, for as long as it takes.
-    fn person() -> String {
+    fn operator_script() -> String {
         let strokes: String = (0..20)
             .map(|index| {
                 let (at_s, x) = (2 + 4 * index, if index % 2 == 0 { -14.0 } else { 0.0 });
@@ -44,7 +44,7 @@ mod linux {
         let out = std::env::temp_dir();
         let folder = out.to_str().ok_or("not UTF-8")?;
         jog_and_run(&root, folder)?;
-        lead(&root, folder)
+        teleoperate(&root, folder)
     }
 
     /// A number in the row of x under a heading of the overlay, by its place among the words without the bars.
@@ -64,9 +64,9 @@ mod linux {
         let arguments = [&["console", "--work", "examples/block.toml"], more].concat();
         let terminal = Terminal::start(&program, &arguments, root, (80, 24), Keyboard::Plain);
         home(&terminal);
-        terminal.sees("the work is clamped");
-        agrees(&terminal, b"t", "Tare?");
-        terminal.sees("has a new zero");
+        terminal.expect_text("the work is clamped");
+        confirm(&terminal, b"t", "Tare?");
+        terminal.expect_text("has a new zero");
         Ok(terminal)
     }
 
@@ -81,25 +81,25 @@ mod linux {
         picture(&terminal, &root.join("docs/console-jog.svg"))?;
         terminal.state("IDLE");
         // Back to where the program begins, exactly: by a step of 10 mm would be elsewhere, so home again.
-        agrees(&terminal, b"h", "Home?");
+        confirm(&terminal, b"h", "Home?");
         terminal.state("HOMING");
         terminal.state("IDLE");
-        terminal.brings(b"y", "Force loop");
-        terminal.brings(ENTER, "x yields");
+        terminal.press_expect(b"y", "Force loop");
+        terminal.press_expect(ENTER, "x yields");
         terminal.escape();
-        terminal.brings(b"l", "REC console-");
+        terminal.press_expect(b"l", "REC console-");
         run(&terminal);
         std::thread::sleep(Duration::from_secs(9));
         picture(&terminal, &root.join("docs/console-run.svg"))?;
         terminal.keys(STOP);
         terminal.state("IDLE");
-        terminal.brings(b"l", " rows");
+        terminal.press_expect(b"l", " rows");
         terminal.keys(b"q\r");
         Ok(())
     }
 
     /// A hand leads x through the block, feels the cut, and is in a wall.
-    fn lead(root: &Path, out: &str) -> Result<(), Box<dyn Error>> {
+    fn teleoperate(root: &Path, out: &str) -> Result<(), Box<dyn Error>> {
         let own = format!("{out}/haptimill-picture-machine.toml");
         std::fs::write(
             &own,
@@ -110,7 +110,7 @@ mod linux {
             .join("\n"),
         )?;
         let script = format!("{out}/haptimill-picture-person.toml");
-        std::fs::write(&script, person())?;
+        std::fs::write(&script, operator_script())?;
         let terminal = console(
             root,
             &[
@@ -121,25 +121,25 @@ mod linux {
                 "examples/e8-hand.ngc",
             ],
         )?;
-        terminal.brings(b"w", "button held");
+        terminal.press_expect(b"w", "button held");
         terminal.keys(RIGHT);
         terminal.keys(RIGHT);
         // Half on its way.
-        terminal.waits("away", |text| {
+        terminal.wait_until("away", |text| {
             number(text, "at most", 6).is_some_and(|tip| (-9.0..-6.0).contains(&tip))
         });
-        terminal.brings(ENTER, "lower wall of x where the tip is");
+        terminal.press_expect(ENTER, "lower wall of x where the tip is");
         terminal.escape();
         run(&terminal);
         terminal.state("HOLD");
-        terminal.brings(b"a", "Axes:");
-        terminal.brings(b"m", "x: master");
+        terminal.press_expect(b"a", "Axes:");
+        terminal.press_expect(b"m", "x: master");
         terminal.escape();
         terminal.keys(RESUME);
         terminal.state("RUN");
-        terminal.brings(b"w", "leads x");
+        terminal.press_expect(b"w", "leads x");
         // While the wall is felt, and the cut too.
-        terminal.waits("in the wall", |text| {
+        terminal.wait_until("in the wall", |text| {
             let forces = [2, 4, 5].map(|column| number(text, "law", column).unwrap_or_default());
             let [tool, law, wall] = forces;
             // The hand is reported more rarely than the tool: a moment in which both tell of the same cut.

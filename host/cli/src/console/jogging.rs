@@ -21,7 +21,7 @@ pub const DEAD_MAN_MS: u16 = 200;
 pub const FIRST_PRESS_US: u64 = 700_000;
 
 /// After a stop, presses count for nothing for so long: a key that is still held is not a new wish.
-pub const PAUSE_US: u64 = 300_000;
+pub const LOCKOUT_US: u64 = 300_000;
 
 /// Rates to choose from, mm/s and deg/s; an axis goes no faster than it may.
 pub const RATES: [f64; 8] = [0.1, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0];
@@ -30,7 +30,7 @@ pub const RATES: [f64; 8] = [0.1, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0];
 pub const STEPS: [f64; 5] = [0.001, 0.01, 0.1, 1.0, 10.0];
 
 /// Time between two commands, as a part of the dead-man time: two may be lost before the machine stops.
-const REPEAT: u64 = 3;
+const COMMANDS_PER_DEAD_MAN: u64 = 3;
 
 /// What a key does.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -43,22 +43,22 @@ pub enum Mode {
 
 /// What the terminal told of a key.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Press {
+pub enum KeyPhase {
     /// It was pressed. Terminals that do not tell of releases say the same of repeats.
-    Down,
+    Press,
     /// It is still held.
-    Again,
+    Repeat,
     /// It was let go.
-    Up,
+    Release,
 }
 
 /// What the controller is to be told.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Order {
+pub enum JogCommand {
     /// Nothing new.
     None,
     /// Move at these rates for at most so many milliseconds.
-    Go {
+    Move {
         /// mm/s or deg/s of each pose coordinate.
         rates: [f64; MAX_AXES],
         /// Dead-man of the controller, ms.
@@ -69,7 +69,7 @@ pub enum Order {
 }
 
 #[derive(Debug, Clone, Copy)]
-struct Held {
+struct HeldKey {
     up: bool,
     until_us: u64,
 }
@@ -83,12 +83,12 @@ pub struct Jogging {
     dead_man_us: u64,
     /// Largest rate of each pose coordinate.
     limits: [f64; MAX_AXES],
-    held: [Option<Held>; MAX_AXES],
+    held: [Option<HeldKey>; MAX_AXES],
     /// Keys of which a release was told once, downwards and upwards.
-    told: [[bool; 2]; MAX_AXES],
+    reports_release: [[bool; 2]; MAX_AXES],
     ignore_until_us: u64,
     /// What was ordered last, and when the next order is due.
-    ordered: Option<[f64; MAX_AXES]>,
+    commanded: Option<[f64; MAX_AXES]>,
     due_us: u64,
     /// The presses that are under way began with a key that ends by its release.
     cancel: bool,
@@ -109,9 +109,9 @@ impl Jogging {
             dead_man_us: u64::from(dead_man_ms) * 1000,
             limits: all,
             held: [None; MAX_AXES],
-            told: [[false; 2]; MAX_AXES],
+            reports_release: [[false; 2]; MAX_AXES],
             ignore_until_us: 0,
-            ordered: None,
+            commanded: None,
             due_us: 0,
             cancel: false,
         }
@@ -150,8 +150,8 @@ impl Jogging {
 
     /// Some terminal told of the release of some key.
     #[must_use]
-    pub fn releases_told(&self) -> bool {
-        self.told.as_flattened().contains(&true)
+    pub fn has_release_events(&self) -> bool {
+        self.reports_release.as_flattened().contains(&true)
     }
 
     /// The other mode. Nothing moves on.
@@ -164,7 +164,7 @@ impl Jogging {
     }
 
     /// The next larger rate or step, or the next smaller one.
-    pub fn choose(&mut self, more: bool) {
+    pub fn select(&mut self, more: bool) {
         let (index, last) = match self.mode {
             Mode::Continuous => (&mut self.rate, RATES.len() - 1),
             Mode::Step => (&mut self.step, STEPS.len() - 1),
@@ -191,28 +191,28 @@ impl Jogging {
             self.cancel = true;
         }
         self.held = [None; MAX_AXES];
-        self.ignore_until_us = now_us + PAUSE_US;
+        self.ignore_until_us = now_us + LOCKOUT_US;
     }
 
     /// A jog key in continuous mode. True when it moves something that stood.
-    pub fn key(&mut self, axis: usize, up: bool, press: Press, now_us: u64) -> bool {
+    pub fn key(&mut self, axis: usize, up: bool, phase: KeyPhase, now_us: u64) -> bool {
         let Some(slot) = self.held.get(axis).copied() else {
             return false;
         };
-        let alive = slot.is_some_and(|held| held.up == up && held.until_us > now_us);
-        match press {
-            Press::Up => {
-                self.told[axis][usize::from(up)] = true;
-                if alive {
+        let active = slot.is_some_and(|held| held.up == up && held.until_us > now_us);
+        match phase {
+            KeyPhase::Release => {
+                self.reports_release[axis][usize::from(up)] = true;
+                if active {
                     self.held[axis] = None;
                     self.cancel = true;
                 }
                 false
             }
             _ if now_us < self.ignore_until_us => false,
-            Press::Again => {
+            KeyPhase::Repeat => {
                 // Of a key that no longer counts a repeat is no new wish.
-                if alive {
+                if active {
                     // Only the last key that was pressed repeats; the release of the others would be told.
                     for held in self.held.iter_mut().flatten() {
                         if held.until_us > now_us {
@@ -222,9 +222,9 @@ impl Jogging {
                 }
                 false
             }
-            Press::Down => {
-                let told = self.told[axis][usize::from(up)];
-                if !told {
+            KeyPhase::Press => {
+                let reports_release = self.reports_release[axis][usize::from(up)];
+                if !reports_release {
                     // Without releases, a press of another key is all that tells that the one before was let go.
                     for (index, held) in self.held.iter_mut().enumerate() {
                         if index != axis && held.take().is_some() {
@@ -232,22 +232,22 @@ impl Jogging {
                         }
                     }
                 }
-                let counts = if told && !alive {
+                let counts = if reports_release && !active {
                     FIRST_PRESS_US.max(self.dead_man_us)
                 } else {
                     self.dead_man_us
                 };
-                self.held[axis] = Some(Held {
+                self.held[axis] = Some(HeldKey {
                     up,
                     until_us: now_us + counts,
                 });
-                !alive
+                !active
             }
         }
     }
 
     /// What the controller is to be told now; to be asked often.
-    pub fn order(&mut self, now_us: u64) -> Order {
+    pub fn command(&mut self, now_us: u64) -> JogCommand {
         let mut rates = [0.0; MAX_AXES];
         let mut left_us = 0;
         for (axis, slot) in self.held.iter_mut().enumerate() {
@@ -261,19 +261,23 @@ impl Jogging {
             }
         }
         if left_us == 0 {
-            let moved = self.ordered.take().is_some();
+            let moved = self.commanded.take().is_some();
             // A deadline that has come needs no word; a release does.
             let cancel = std::mem::take(&mut self.cancel) && moved;
-            return if cancel { Order::Cancel } else { Order::None };
+            return if cancel {
+                JogCommand::Cancel
+            } else {
+                JogCommand::None
+            };
         }
-        if self.ordered == Some(rates) && now_us < self.due_us {
-            return Order::None;
+        if self.commanded == Some(rates) && now_us < self.due_us {
+            return JogCommand::None;
         }
         self.cancel = false;
-        self.ordered = Some(rates);
-        self.due_us = now_us + self.dead_man_us / REPEAT;
+        self.commanded = Some(rates);
+        self.due_us = now_us + self.dead_man_us / COMMANDS_PER_DEAD_MAN;
         let deadline_ms = left_us.min(self.dead_man_us).div_ceil(1000).max(1);
-        Order::Go {
+        JogCommand::Move {
             rates,
             deadline_ms: deadline_ms as u16,
         }
@@ -291,89 +295,89 @@ mod tests {
         Jogging::new(&[50.0, 50.0, 50.0, 30.0, 30.0], DEAD_MAN_MS)
     }
 
-    fn goes(jogging: &mut Jogging, now_us: u64) -> bool {
-        jogging.order(now_us);
-        jogging.ordered.is_some()
+    fn is_commanding(jogging: &mut Jogging, now_us: u64) -> bool {
+        jogging.command(now_us);
+        jogging.commanded.is_some()
     }
 
     #[test]
     fn a_press_counts_for_the_dead_man_time() {
         let mut jogging = jogging();
-        assert!(jogging.key(0, true, Press::Down, 0));
-        let Order::Go { rates, deadline_ms } = jogging.order(0) else {
+        assert!(jogging.key(0, true, KeyPhase::Press, 0));
+        let JogCommand::Move { rates, deadline_ms } = jogging.command(0) else {
             panic!()
         };
         assert_eq!((rates[0], rates[1], deadline_ms), (5.0, 0.0, 200));
         // The same again, with what is left, before anything can run out.
-        assert_eq!(jogging.order(60 * MS), Order::None);
-        let Order::Go { deadline_ms, .. } = jogging.order(70 * MS) else {
+        assert_eq!(jogging.command(60 * MS), JogCommand::None);
+        let JogCommand::Move { deadline_ms, .. } = jogging.command(70 * MS) else {
             panic!()
         };
         assert_eq!(deadline_ms, 130);
-        assert!(goes(&mut jogging, 199 * MS));
-        assert!(!goes(&mut jogging, 200 * MS));
+        assert!(is_commanding(&mut jogging, 199 * MS));
+        assert!(!is_commanding(&mut jogging, 200 * MS));
         // Repeats keep it alive, however often they come.
         for now in (300..2000).step_by(33) {
-            jogging.key(0, true, Press::Down, now * MS);
-            assert!(goes(&mut jogging, now * MS));
+            jogging.key(0, true, KeyPhase::Press, now * MS);
+            assert!(is_commanding(&mut jogging, now * MS));
         }
     }
 
     #[test]
     fn a_release_cancels_and_the_repeat_of_a_dead_key_does_nothing() {
         let mut jogging = jogging();
-        jogging.key(2, false, Press::Down, 0);
-        jogging.order(0);
-        jogging.key(2, false, Press::Up, 50 * MS);
-        assert_eq!(jogging.order(50 * MS), Order::Cancel);
-        assert_eq!(jogging.order(51 * MS), Order::None);
-        jogging.key(2, false, Press::Again, 60 * MS);
-        assert_eq!(jogging.order(60 * MS), Order::None);
+        jogging.key(2, false, KeyPhase::Press, 0);
+        jogging.command(0);
+        jogging.key(2, false, KeyPhase::Release, 50 * MS);
+        assert_eq!(jogging.command(50 * MS), JogCommand::Cancel);
+        assert_eq!(jogging.command(51 * MS), JogCommand::None);
+        jogging.key(2, false, KeyPhase::Repeat, 60 * MS);
+        assert_eq!(jogging.command(60 * MS), JogCommand::None);
         // From now on its first press counts until repeats begin.
-        jogging.key(2, false, Press::Down, 100 * MS);
-        assert!(goes(&mut jogging, 799 * MS));
-        assert!(!goes(&mut jogging, 800 * MS));
+        jogging.key(2, false, KeyPhase::Press, 100 * MS);
+        assert!(is_commanding(&mut jogging, 799 * MS));
+        assert!(!is_commanding(&mut jogging, 800 * MS));
     }
 
     #[test]
     fn a_stop_needs_a_new_press() {
         let mut jogging = jogging();
-        jogging.key(1, true, Press::Down, 0);
-        jogging.order(0);
+        jogging.key(1, true, KeyPhase::Press, 0);
+        jogging.command(0);
         jogging.release_all(10 * MS);
-        assert_eq!(jogging.order(10 * MS), Order::Cancel);
-        jogging.key(1, true, Press::Down, 100 * MS);
-        assert_eq!(jogging.order(100 * MS), Order::None);
-        jogging.key(1, true, Press::Again, 400 * MS);
-        assert_eq!(jogging.order(400 * MS), Order::None);
-        jogging.key(1, true, Press::Down, 401 * MS);
-        assert!(goes(&mut jogging, 401 * MS));
+        assert_eq!(jogging.command(10 * MS), JogCommand::Cancel);
+        jogging.key(1, true, KeyPhase::Press, 100 * MS);
+        assert_eq!(jogging.command(100 * MS), JogCommand::None);
+        jogging.key(1, true, KeyPhase::Repeat, 400 * MS);
+        assert_eq!(jogging.command(400 * MS), JogCommand::None);
+        jogging.key(1, true, KeyPhase::Press, 401 * MS);
+        assert!(is_commanding(&mut jogging, 401 * MS));
     }
 
     #[test]
     fn axes_have_their_own_limits_and_two_keys_go_together_where_releases_are_told() {
         let mut jogging = jogging();
         for _ in 0..9 {
-            jogging.choose(true);
+            jogging.select(true);
         }
-        jogging.key(3, true, Press::Up, 0);
-        jogging.key(0, false, Press::Up, 0);
-        jogging.key(3, true, Press::Down, 0);
-        jogging.key(0, false, Press::Down, 0);
-        let Order::Go { rates, .. } = jogging.order(0) else {
+        jogging.key(3, true, KeyPhase::Release, 0);
+        jogging.key(0, false, KeyPhase::Release, 0);
+        jogging.key(3, true, KeyPhase::Press, 0);
+        jogging.key(0, false, KeyPhase::Press, 0);
+        let JogCommand::Move { rates, .. } = jogging.command(0) else {
             panic!()
         };
         assert_eq!((rates[0], rates[3]), (-50.0, 30.0));
         // Where they are not, the second key takes over.
-        jogging.key(1, true, Press::Down, 10 * MS);
-        let Order::Go { rates, .. } = jogging.order(10 * MS) else {
+        jogging.key(1, true, KeyPhase::Press, 10 * MS);
+        let JogCommand::Move { rates, .. } = jogging.command(10 * MS) else {
             panic!()
         };
         assert_eq!(rates, [0.0, 50.0, 0.0, 0.0, 0.0, 0.0]);
     }
 
     proptest! {
-        #![proptest_config(ProptestConfig { rng_seed: proptest::test_runner::RngSeed::Fixed(7), failure_persistence: None, ..ProptestConfig::default() })]
+        #![proptest_config(ProptestConfig { rng_seed: proptest::test_runner::RngSeed::StaticInfo(7), failure_persistence: None, ..ProptestConfig::default() })]
 
         /// Whatever the keys do: what the controller was told ends within the dead-man time of the last press, or of the first one where releases
         /// are told; and nothing is told to move while no key counts.
@@ -384,23 +388,23 @@ mod tests {
             for (wait, axis, up, kind) in events {
                 for _ in 0..wait {
                     now += MS;
-                    if let Order::Go { deadline_ms, .. } = jogging.order(now) {
+                    if let JogCommand::Move { deadline_ms, .. } = jogging.command(now) {
                         ends = now + u64::from(deadline_ms) * MS;
                         prop_assert!(u64::from(deadline_ms) <= jogging.dead_man_ms());
                         prop_assert!(ends <= last + FIRST_PRESS_US + MS);
                     }
                 }
                 match kind {
-                    0 => { jogging.key(axis, up, Press::Down, now); last = now }
-                    1 => { jogging.key(axis, up, Press::Again, now); last = now }
-                    2 => { jogging.key(axis, up, Press::Up, now); }
+                    0 => { jogging.key(axis, up, KeyPhase::Press, now); last = now }
+                    1 => { jogging.key(axis, up, KeyPhase::Repeat, now); last = now }
+                    2 => { jogging.key(axis, up, KeyPhase::Release, now); }
                     _ => {
                         jogging.release_all(now);
-                        let goes = matches!(jogging.order(now), Order::Go { .. });
-                        prop_assert!(!goes);
+                        let is_commanding = matches!(jogging.command(now), JogCommand::Move { .. });
+                        prop_assert!(!is_commanding);
                     }
                 }
-                if !jogging.releases_told() {
+                if !jogging.has_release_events() {
                     prop_assert!(ends <= last + DEAD_MAN_MS as u64 * MS + MS);
                 }
             }

@@ -39,9 +39,9 @@ pub enum Action {
     /// Continuous jog or steps.
     Mode,
     /// A slower jog, or a smaller step.
-    Less,
+    Decrease,
     /// A faster jog, or a larger step.
-    More,
+    Increase,
     /// More feed override.
     OverrideUp,
     /// Less feed override.
@@ -53,7 +53,7 @@ pub enum Action {
     /// Force loop.
     Force,
     /// The hand on a haptic arm.
-    Hand,
+    Master,
     /// New zero of the force sensor.
     Tare,
     /// Recording on or off.
@@ -61,7 +61,7 @@ pub enum Action {
     /// The table of keys.
     Help,
     /// Nothing, or leave what is open.
-    Leave,
+    Close,
 }
 
 /// A key, as a terminal tells it.
@@ -85,7 +85,7 @@ pub struct Binding {
     /// In words.
     pub what: &'static str,
     /// Heard in every overlay and while typing.
-    pub always: bool,
+    pub always_active: bool,
 }
 
 const fn plain(letter: char) -> Key {
@@ -109,19 +109,19 @@ const fn special(code: KeyCode) -> Key {
     }
 }
 
-const fn always(
+const fn always_active(
     keys: &'static [Key],
     name: &'static str,
     action: Action,
     what: &'static str,
 ) -> Binding {
     Binding {
-        always: true,
-        ..usual(keys, name, action, what)
+        always_active: true,
+        ..binding_for(keys, name, action, what)
     }
 }
 
-const fn usual(
+const fn binding_for(
     keys: &'static [Key],
     name: &'static str,
     action: Action,
@@ -132,7 +132,7 @@ const fn usual(
         name,
         action,
         what,
-        always: false,
+        always_active: false,
     }
 }
 
@@ -142,183 +142,183 @@ const fn jog(axis: u8, up: bool) -> Action {
 
 /// All keys. A jog key belongs to the pose coordinate of its index; its name in the table is that of the H-4 arm.
 pub const BINDINGS: &[Binding] = &[
-    always(
+    always_active(
         &[plain(' '), special(KeyCode::F(5))],
         "Space, F5",
         Action::Hold,
         "hold: what moves slows down, a program keeps its place, a jog or homing ends",
     ),
-    always(
+    always_active(
         &[control('r'), special(KeyCode::F(6))],
         "Ctrl-R, F6",
         Action::Resume,
         "resume after a hold or a pause of the program",
     ),
-    always(
+    always_active(
         &[control('x'), special(KeyCode::F(7))],
         "Ctrl-X, F7",
         Action::Stop,
         "stop: slow down along the path and drop the program; the position is kept",
     ),
-    always(
+    always_active(
         &[control('e'), special(KeyCode::F(8))],
         "Ctrl-E, F8",
         Action::Emergency,
         "emergency stop: drives off at once, latched until reset",
     ),
-    usual(
+    binding_for(
         &[special(KeyCode::Right)],
         "Right",
         jog(0, true),
         "jog x up",
     ),
-    usual(
+    binding_for(
         &[special(KeyCode::Left)],
         "Left",
         jog(0, false),
         "jog x down",
     ),
-    usual(&[special(KeyCode::Up)], "Up", jog(1, true), "jog y up"),
-    usual(
+    binding_for(&[special(KeyCode::Up)], "Up", jog(1, true), "jog y up"),
+    binding_for(
         &[special(KeyCode::Down)],
         "Down",
         jog(1, false),
         "jog y down",
     ),
-    usual(
+    binding_for(
         &[special(KeyCode::PageUp)],
         "PageUp",
         jog(2, true),
         "jog z up",
     ),
-    usual(
+    binding_for(
         &[special(KeyCode::PageDown)],
         "PageDown",
         jog(2, false),
         "jog z down",
     ),
-    usual(
+    binding_for(
         &[plain('.')],
         ".",
         jog(3, true),
         "jog theta (tilt of the tool) up",
     ),
-    usual(&[plain(',')], ",", jog(3, false), "jog theta down"),
-    usual(
+    binding_for(&[plain(',')], ",", jog(3, false), "jog theta down"),
+    binding_for(
         &[plain('m')],
         "m",
         jog(4, true),
         "jog alpha (turn of the table) up",
     ),
-    usual(&[plain('n')], "n", jog(4, false), "jog alpha down"),
-    usual(
+    binding_for(&[plain('n')], "n", jog(4, false), "jog alpha down"),
+    binding_for(
         &[plain('k')],
         "k",
         jog(5, true),
         "jog the sixth axis up, where there is one",
     ),
-    usual(&[plain('j')], "j", jog(5, false), "jog the sixth axis down"),
-    usual(
+    binding_for(&[plain('j')], "j", jog(5, false), "jog the sixth axis down"),
+    binding_for(
         &[special(KeyCode::Tab)],
         "Tab",
         Action::Mode,
         "continuous jog, or one step for each press",
     ),
-    usual(
+    binding_for(
         &[plain('f')],
         "f",
-        Action::More,
+        Action::Increase,
         "faster jog; in steps, the next larger step",
     ),
-    usual(
+    binding_for(
         &[plain('s')],
         "s",
-        Action::Less,
+        Action::Decrease,
         "slower jog; in steps, the next smaller step",
     ),
-    usual(&[plain('e')], "e", Action::Enable, "enable: drives on"),
-    usual(
+    binding_for(&[plain('e')], "e", Action::Enable, "enable: drives on"),
+    binding_for(
         &[plain('d')],
         "d",
         Action::Disable,
         "disable: drives off, from standstill",
     ),
-    usual(
+    binding_for(
         &[plain('h')],
         "h",
         Action::Home,
         "home: find the references, then go to the home pose (asks first)",
     ),
-    usual(
+    binding_for(
         &[plain('x')],
         "x",
         Action::Reset,
         "reset a latched fault or emergency stop",
     ),
-    usual(
+    binding_for(
         &[plain('p')],
         "p",
         Action::Program,
         "part program: choose, check, run (asks first)",
     ),
-    usual(
+    binding_for(
         &[plain('+'), plain('=')],
         "+",
         Action::OverrideUp,
         "more feed override",
     ),
-    usual(
+    binding_for(
         &[plain('-')],
         "-",
         Action::OverrideDown,
         "less feed override",
     ),
-    usual(
+    binding_for(
         &[plain('a')],
         "a",
         Action::Axes,
         "axes: each led by the program, held, or jogged",
     ),
-    usual(
+    binding_for(
         &[plain('y')],
         "y",
         Action::Force,
         "force loop: which axes yield, and above which force",
     ),
-    usual(
+    binding_for(
         &[plain('w')],
         "w",
-        Action::Hand,
+        Action::Master,
         "hand: what it feels, reflection, virtual walls, position scale",
     ),
-    usual(
+    binding_for(
         &[plain('t')],
         "t",
         Action::Tare,
         "tare: what the force sensor shows now is none (asks first)",
     ),
-    usual(
+    binding_for(
         &[plain('l')],
         "l",
         Action::Record,
         "log: recording on or off",
     ),
-    usual(
+    binding_for(
         &[plain('?'), special(KeyCode::F(1))],
         "?, F1",
         Action::Help,
         "this table",
     ),
-    usual(
+    binding_for(
         &[plain('q'), control('c')],
         "q, Ctrl-C",
         Action::Quit,
         "quit (asks first when drives are on)",
     ),
-    usual(
+    binding_for(
         &[special(KeyCode::Esc)],
         "Esc",
-        Action::Leave,
+        Action::Close,
         "close what is open; with nothing open, hold",
     ),
 ];
@@ -347,9 +347,9 @@ impl Key {
 
     /// What the key asks for whatever is open.
     #[must_use]
-    pub fn always(self) -> Option<Action> {
+    pub fn always_active(self) -> Option<Action> {
         self.binding()
-            .filter(|binding| binding.always)
+            .filter(|binding| binding.always_active)
             .map(|binding| binding.action)
     }
 }
@@ -360,7 +360,11 @@ pub fn markdown() -> String {
     let rows: String = BINDINGS
         .iter()
         .map(|row| {
-            let mark = if row.always { ", always heard" } else { "" };
+            let mark = if row.always_active {
+                ", always heard"
+            } else {
+                ""
+            };
             format!("| {} | {}{mark} |\n", row.name, row.what)
         })
         .collect();
@@ -391,13 +395,13 @@ mod tests {
 
     #[test]
     fn the_four_are_heard_always_and_nothing_that_is_typed_is_one_of_them() {
-        let always: Vec<Action> = BINDINGS
+        let always_active: Vec<Action> = BINDINGS
             .iter()
-            .filter(|binding| binding.always)
+            .filter(|binding| binding.always_active)
             .map(|binding| binding.action)
             .collect();
         assert_eq!(
-            always,
+            always_active,
             [
                 Action::Hold,
                 Action::Resume,
@@ -407,13 +411,13 @@ mod tests {
         );
         for letter in ('!'..='~').chain('à'..='ÿ') {
             assert_eq!(
-                key(KeyCode::Char(letter), KeyModifiers::NONE).always(),
+                key(KeyCode::Char(letter), KeyModifiers::NONE).always_active(),
                 None
             );
         }
         // Caps lock takes nothing away from a stop.
         assert_eq!(
-            key(KeyCode::Char('X'), KeyModifiers::CONTROL).always(),
+            key(KeyCode::Char('X'), KeyModifiers::CONTROL).always_active(),
             Some(Action::Stop)
         );
     }

@@ -191,7 +191,7 @@ impl Recording {
     fn into(path: PathBuf, file: File, columns: Columns) -> Self {
         let (rows_to, rows) = mpsc::channel::<Box<Telemetry>>();
         let failed = Arc::new(Mutex::new(None));
-        let told = Arc::clone(&failed);
+        let message = Arc::clone(&failed);
         let name = path.display().to_string();
         let writer = std::thread::spawn(move || {
             let mut out = BufWriter::new(file);
@@ -210,9 +210,9 @@ impl Recording {
                 out.flush()
             };
             if let Err(error) = write()
-                && let Ok(mut told) = told.lock()
+                && let Ok(mut message) = message.lock()
             {
-                *told = Some(format!("{name}: {error}; what was recorded so far is kept"));
+                *message = Some(format!("{name}: {error}; what was recorded so far is kept"));
             }
         });
         Self {

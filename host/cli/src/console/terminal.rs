@@ -3,8 +3,8 @@
 //! A thread draws, and waits for the terminal as long as it likes: only the newest picture counts. Another thread reads keys. [`restore`] may be
 //! called by anybody at any time, more than once.
 
-use super::shown::Shown;
 use super::view;
+use super::view_model::ViewModel;
 use crate::commands::{CliError, Exit};
 use ratatui::Terminal;
 use ratatui::backend::CrosstermBackend;
@@ -37,10 +37,10 @@ const FRAME: Duration = Duration::from_millis(33);
 const IDLE_FRAME: Duration = Duration::from_millis(250);
 
 /// While the terminal is asked it is looked at so often.
-const ASKED: Duration = Duration::from_millis(20);
+const QUERY_POLL: Duration = Duration::from_millis(20);
 
 /// How long the last picture may take when the console is left.
-const LAST: Duration = Duration::from_millis(300);
+const LAST_FRAME: Duration = Duration::from_millis(300);
 
 /// Gives the terminal back as it was. Errors are not told: there is nobody left to tell.
 pub(super) fn restore() {
@@ -79,26 +79,26 @@ pub(super) fn check() -> Result<(), CliError> {
     Ok(())
 }
 
-/// Takes the terminal over. When it hangs up meanwhile, or `leaves` says that nobody wants it any more, it is taken as far as it was.
+/// Takes the terminal over. When it hangs up meanwhile, or `is_cancelled` says that nobody wants it any more, it is taken as far as it was.
 ///
 /// # Errors
 /// The system does not let it.
-pub(super) fn take(leaves: &dyn Fn() -> bool) -> Result<(), CliError> {
+pub(super) fn take(is_cancelled: &dyn Fn() -> bool) -> Result<(), CliError> {
     let before = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic| {
         restore();
         before(panic);
     }));
-    prepare(leaves).map_err(|error| {
+    prepare(is_cancelled).map_err(|error| {
         restore();
-        if hung_up() {
+        if is_hung_up() {
             return CliError::new(Exit::Stopped, "the terminal is gone; nothing moved");
         }
         CliError::new(Exit::Usage, format!("console: the terminal: {error}"))
     })
 }
 
-fn prepare(leaves: &dyn Fn() -> bool) -> std::io::Result<()> {
+fn prepare(is_cancelled: &dyn Fn() -> bool) -> std::io::Result<()> {
     enable_raw_mode()?;
     TAKEN.store(true, Ordering::SeqCst);
     execute!(
@@ -109,7 +109,7 @@ fn prepare(leaves: &dyn Fn() -> bool) -> std::io::Result<()> {
         EnableBracketedPaste,
         EnableFocusChange
     )?;
-    if tells_of_releases(leaves) {
+    if reports_releases(is_cancelled) {
         let flags = KeyboardEnhancementFlags::DISAMBIGUATE_ESCAPE_CODES
             | KeyboardEnhancementFlags::REPORT_EVENT_TYPES;
         execute!(stdout(), PushKeyboardEnhancementFlags(flags))?;
@@ -119,21 +119,21 @@ fn prepare(leaves: &dyn Fn() -> bool) -> std::io::Result<()> {
 }
 
 /// Asks the terminal whether it tells of releases; one that answers nothing at all costs two seconds.
-fn tells_of_releases(leaves: &dyn Fn() -> bool) -> bool {
+fn reports_releases(is_cancelled: &dyn Fn() -> bool) -> bool {
     let (sender, answer) = mpsc::channel();
     // In a thread of its own: crossterm reads a terminal that has hung up again and again, for ever.
     std::thread::spawn(move || sender.send(supports_keyboard_enhancement().unwrap_or(false)));
     loop {
-        match answer.recv_timeout(ASKED) {
-            Ok(tells) => return tells,
-            Err(RecvTimeoutError::Timeout) if !leaves() && !hung_up() => {}
+        match answer.recv_timeout(QUERY_POLL) {
+            Ok(reports) => return reports,
+            Err(RecvTimeoutError::Timeout) if !is_cancelled() && !is_hung_up() => {}
             Err(_) => return false,
         }
     }
 }
 
 /// Reads keys until the terminal is gone.
-pub(super) fn listen(events: Sender<Option<Event>>) {
+pub(super) fn spawn_reader(events: Sender<Option<Event>>) {
     std::thread::spawn(move || {
         while let Ok(event) = event::read() {
             if events.send(Some(event)).is_err() {
@@ -145,7 +145,7 @@ pub(super) fn listen(events: Sender<Option<Event>>) {
 }
 
 /// Whether the terminal has hung up.
-pub(super) fn hung_up() -> bool {
+pub(super) fn is_hung_up() -> bool {
     #[cfg(unix)]
     {
         use rustix::event::{PollFd, PollFlags, Timespec, poll};
@@ -166,35 +166,35 @@ pub(super) fn hung_up() -> bool {
 
 #[derive(Default)]
 struct Shared {
-    newest: Mutex<(Option<Box<Shown>>, bool)>,
-    there: Condvar,
+    newest: Mutex<(Option<Box<ViewModel>>, bool)>,
+    changed: Condvar,
 }
 
 /// Draws, in a thread of its own.
-pub(super) struct Painter {
+pub(super) struct Renderer {
     shared: Arc<Shared>,
     thread: JoinHandle<std::io::Result<()>>,
 }
 
-impl Painter {
+impl Renderer {
     /// Begins. The terminal must be taken.
     pub(super) fn begin() -> Self {
         let shared = Arc::new(Shared::default());
         let source = Arc::clone(&shared);
-        let thread = std::thread::spawn(move || paint(&source));
+        let thread = std::thread::spawn(move || render(&source));
         Self { shared, thread }
     }
 
     /// Shows this next. Never waits for the terminal.
-    pub(super) fn show(&self, shown: Shown) {
+    pub(super) fn show(&self, view: ViewModel) {
         if let Ok(mut newest) = self.shared.newest.lock() {
-            newest.0 = Some(Box::new(shown));
+            newest.0 = Some(Box::new(view));
         }
-        self.shared.there.notify_one();
+        self.shared.changed.notify_one();
     }
 
     /// The painter ended by itself: the terminal takes no more, or a defect.
-    pub(super) fn ended(&self) -> bool {
+    pub(super) fn has_ended(&self) -> bool {
         self.thread.is_finished()
     }
 
@@ -203,24 +203,24 @@ impl Painter {
         if let Ok(mut newest) = self.shared.newest.lock() {
             newest.1 = true;
         }
-        self.shared.there.notify_one();
-        let until = Instant::now() + LAST;
+        self.shared.changed.notify_one();
+        let until = Instant::now() + LAST_FRAME;
         while !self.thread.is_finished() && Instant::now() < until {
             std::thread::sleep(Duration::from_millis(5));
         }
-        let ended = self.thread.is_finished();
-        if !ended {
+        let has_ended = self.thread.is_finished();
+        if !has_ended {
             // The mode of the terminal can be set all the same.
             TAKEN.store(false, Ordering::SeqCst);
             let _ = disable_raw_mode();
         }
-        ended
+        has_ended
     }
 }
 
-fn paint(shared: &Shared) -> std::io::Result<()> {
+fn render(shared: &Shared) -> std::io::Result<()> {
     let mut terminal = Terminal::new(CrosstermBackend::new(stdout()))?;
-    let mut last: Option<Box<Shown>> = None;
+    let mut last: Option<Box<ViewModel>> = None;
     loop {
         let begun = Instant::now();
         let end = {
@@ -228,13 +228,13 @@ fn paint(shared: &Shared) -> std::io::Result<()> {
                 return Ok(());
             };
             let waited = shared
-                .there
-                .wait_timeout_while(newest, IDLE_FRAME, |(shown, end)| shown.is_none() && !*end);
+                .changed
+                .wait_timeout_while(newest, IDLE_FRAME, |(view, end)| view.is_none() && !*end);
             let Ok((mut newest, _)) = waited else {
                 return Ok(());
             };
-            if let Some(shown) = newest.0.take() {
-                last = Some(shown);
+            if let Some(view) = newest.0.take() {
+                last = Some(view);
             }
             newest.1
         };
@@ -242,8 +242,8 @@ fn paint(shared: &Shared) -> std::io::Result<()> {
         if !TAKEN.load(Ordering::SeqCst) {
             return Ok(());
         }
-        if let Some(shown) = &last {
-            terminal.draw(|frame| view::draw(frame, shown))?;
+        if let Some(view) = &last {
+            terminal.draw(|frame| view::draw(frame, view))?;
         }
         if end {
             return Ok(());

@@ -23,9 +23,9 @@ pub fn signal(terminal: &Terminal, signal: Signal) {
 }
 
 /// The machine stands idle within a second, and nothing moves it afterwards.
-fn stands(machine: &Machine) {
+fn assert_stays_idle(machine: &Machine) {
     let begun = Instant::now();
-    machine.comes_to(State::Idle);
+    machine.wait_for_state(State::Idle);
     assert!(
         begun.elapsed() < Duration::from_secs(5),
         "{:?}",
@@ -44,7 +44,7 @@ fn a_terminal_that_is_closed_in_a_jog_stops_the_machine() {
     hold_down(&terminal, RIGHT, Duration::from_millis(400));
     assert_eq!(machine.now().state, State::Jog);
     terminal.close();
-    stands(&machine);
+    assert_stays_idle(&machine);
     assert_eq!(terminal.end(), 7);
 }
 
@@ -55,11 +55,11 @@ fn a_terminal_that_is_closed_in_a_program_stops_the_machine_along_its_path() {
     let machine = Machine::start();
     let mut terminal = homed(&["--port", &machine.port, &program], Keyboard::Plain);
     run(&terminal);
-    machine.comes_to(State::Run);
+    machine.wait_for_state(State::Run);
     std::thread::sleep(Duration::from_millis(500));
     terminal.close();
     // Stopped by command, not by a fault after half a second of silence.
-    stands(&machine);
+    assert_stays_idle(&machine);
     assert!(machine.now().commanded < 50.0);
     assert_eq!(terminal.end(), 7);
 }
@@ -72,10 +72,10 @@ fn a_console_that_is_killed_in_a_jog_stops_the_machine_by_its_dead_man() {
     assert_eq!(machine.now().state, State::Jog);
     signal(&terminal, Signal::KILL);
     let killed = Instant::now();
-    stands(&machine);
+    assert_stays_idle(&machine);
     assert_eq!(terminal.end(), -1);
-    let seen = machine.seen();
-    let mut moves = seen
+    let samples = machine.samples();
+    let mut moves = samples
         .windows(2)
         .filter(|two| two[0].commanded != two[1].commanded);
     let stood = moves.next_back().unwrap()[1]
@@ -90,19 +90,19 @@ fn signals_end_the_console_and_the_terminal_is_as_before() {
     for kind in [Signal::TERM, Signal::HUP, Signal::INT] {
         let mut terminal = console(&[], Keyboard::Kitty);
         terminal.state("DISABLED");
-        assert!(!terminal.is_as_before());
+        assert!(!terminal.is_restored());
         signal(&terminal, kind);
         assert_eq!(terminal.end(), 7, "{kind:?}");
-        assert!(terminal.is_as_before(), "{kind:?}\n{}", terminal.text());
-        terminal.sees("console ended by a signal; the machine is disabled");
+        assert!(terminal.is_restored(), "{kind:?}\n{}", terminal.text());
+        terminal.expect_text("console ended by a signal; the machine is disabled");
     }
 }
 
 #[test]
 fn a_terminal_that_goes_while_it_is_asked_ends_the_console() {
     for closes in [true, false] {
-        let mut terminal = console(&[], Keyboard::Mute);
-        terminal.waits("took the terminal", |_| {
+        let mut terminal = console(&[], Keyboard::Silent);
+        terminal.wait_until("took the terminal", |_| {
             terminal.with_screen(|screen| screen.alternate_screen())
         });
         let begun = Instant::now();
@@ -115,7 +115,7 @@ fn a_terminal_that_goes_while_it_is_asked_ends_the_console() {
         // It would have waited two seconds for an answer.
         let took = begun.elapsed();
         assert!(took < Duration::from_millis(1800), "{took:?}");
-        assert!(closes || terminal.is_as_before());
+        assert!(closes || terminal.is_restored());
     }
 }
 
@@ -123,14 +123,14 @@ fn a_terminal_that_goes_while_it_is_asked_ends_the_console() {
 fn it_asks_before_it_leaves_a_machine_whose_drives_are_on() {
     let machine = Machine::start();
     let mut terminal = homed(&["--port", &machine.port], Keyboard::Plain);
-    terminal.brings(b"q", "Quit? nothing moves; the drives stay on and hold.");
+    terminal.press_expect(b"q", "Quit? nothing moves; the drives stay on and hold.");
     terminal.keys(b"n");
-    terminal.waits("closed the question", |text| !text.contains("Quit?"));
-    terminal.brings(b"\x03", "Quit?");
+    terminal.wait_until("closed the question", |text| !text.contains("Quit?"));
+    terminal.press_expect(b"\x03", "Quit?");
     terminal.keys(ENTER);
     assert_eq!(terminal.end(), 0);
-    terminal.sees("console left; the machine is idle");
-    assert!(terminal.is_as_before());
+    terminal.expect_text("console left; the machine is idle");
+    assert!(terminal.is_restored());
     assert_eq!(machine.now().state, State::Idle);
 }
 
@@ -146,8 +146,8 @@ fn without_a_terminal_it_says_so() {
     assert_eq!(ran.out, "");
     haptimill(&["console", "--port", "pil:mps2"]).ended_with(2);
     haptimill(&["console", "--port", "tcp:localhost:1", "--seed", "3"]).ended_with(2);
-    let person = ["--person", "examples/teleop.toml"];
-    let afar = [&["console", "--port", "tcp:localhost:1"], &person[..]].concat();
+    let operator = ["--person", "examples/teleop.toml"];
+    let afar = [&["console", "--port", "tcp:localhost:1"], &operator[..]].concat();
     let ran = haptimill(&afar).ended_with(2);
     assert!(
         ran.err.contains("give it to `haptimill sim serve`"),
@@ -160,7 +160,7 @@ fn without_a_terminal_it_says_so() {
 fn a_port_that_is_not_there_is_told_at_the_beginning() {
     let mut terminal = console(&["--port", "tcp:127.0.0.1:1"], Keyboard::Plain);
     assert_eq!(terminal.end(), 5);
-    assert!(terminal.is_as_before());
+    assert!(terminal.is_restored());
     let text = terminal.text();
     assert!(text.contains("cannot be opened"), "{text}");
 }
@@ -177,13 +177,13 @@ fn what_stops_the_machine_by_itself_is_told_with_its_remedy() {
         Keyboard::Plain,
     );
     terminal.state("EMERGENCY STOP");
-    terminal.sees("EMERGENCY STOP: drives off. Release the cause, then x resets");
+    terminal.expect_text("EMERGENCY STOP: drives off. Release the cause, then x resets");
     let reset = || {
         let begun = Instant::now();
         while terminal.row(0).starts_with(" FAULT") || terminal.row(0).starts_with(" EMERG") {
             terminal.keys(b"x");
             std::thread::sleep(Duration::from_millis(200));
-            assert!(begun.elapsed() < terminal::PATIENCE, "{}", terminal.text());
+            assert!(begun.elapsed() < terminal::TIMEOUT, "{}", terminal.text());
         }
     };
     reset();
@@ -196,9 +196,9 @@ fn what_stops_the_machine_by_itself_is_told_with_its_remedy() {
             break;
         }
         hold_down(&terminal, key, Duration::from_millis(300));
-        assert!(begun.elapsed() < terminal::PATIENCE, "{}", terminal.text());
+        assert!(begun.elapsed() < terminal::TIMEOUT, "{}", terminal.text());
     }
-    terminal.sees("FAULT: l1 ");
-    terminal.sees("Key: x resets");
+    terminal.expect_text("FAULT: l1 ");
+    terminal.expect_text("Key: x resets");
     reset();
 }

@@ -40,7 +40,7 @@ fn every_axis_goes_both_ways_and_ends_with_the_dead_man_time() {
         assert!((0.2..1.15).contains(&went), "{axis} {after} {back}");
     }
     // A slower rate goes less far.
-    terminal.brings(b"sss", "continuous 0.5 mm/s");
+    terminal.press_expect(b"sss", "continuous 0.5 mm/s");
     let before = at(&terminal, "x");
     terminal.keys(RIGHT);
     terminal.state("JOG");
@@ -51,16 +51,16 @@ fn every_axis_goes_both_ways_and_ends_with_the_dead_man_time() {
 #[test]
 fn steps_are_exact_and_one_for_each_press() {
     let terminal = homed(&[], Keyboard::Plain);
-    terminal.brings(b"\t", "step 0.1 mm");
+    terminal.press_expect(b"\t", "step 0.1 mm");
     let before = at(&terminal, "y");
-    terminal.brings(b"ss", "step 0.001 mm");
+    terminal.press_expect(b"ss", "step 0.001 mm");
     for _ in 0..3 {
         terminal.keys(UP);
         std::thread::sleep(Duration::from_millis(300));
     }
     let after = at(&terminal, "y");
     assert!((after - before - 0.003).abs() < 1e-6, "{before} {after}");
-    terminal.brings(b"ffff", "step 10 mm");
+    terminal.press_expect(b"ffff", "step 10 mm");
     terminal.keys(DOWN);
     terminal.state("RUN");
     let down = at(&terminal, "y");
@@ -72,7 +72,7 @@ fn steps_are_exact_and_one_for_each_press() {
     let stopped = at(&terminal, "y");
     assert!(stopped > down && stopped < down + 9.9, "{down} {stopped}");
     // A tilt goes in steps of degrees.
-    terminal.brings(b"s", "step 1 mm");
+    terminal.press_expect(b"s", "step 1 mm");
     let tilt = at(&terminal, "theta");
     terminal.keys(b".");
     terminal.state("RUN");
@@ -85,10 +85,10 @@ fn a_held_key_goes_on_and_a_release_ends_it_at_once() {
     let terminal = homed(&["--port", &machine.port], Keyboard::Kitty);
     // The first release tells the console that releases are told.
     terminal.keys(b"\x1b[1;1:1C");
-    machine.comes_to(haptimill_protocol::message::State::Jog);
+    machine.wait_for_state(haptimill_protocol::message::State::Jog);
     terminal.keys(b"\x1b[1;1:3C");
-    machine.rests(Duration::from_millis(300));
-    terminal.sees("ends with the key");
+    machine.wait_for_standstill(Duration::from_millis(300));
+    terminal.expect_text("ends with the key");
     // Longer than the dead-man time without a repeat, as until keyboards begin to repeat.
     terminal.keys(b"\x1b[1;1:1C");
     let begun = Instant::now();
@@ -100,7 +100,7 @@ fn a_held_key_goes_on_and_a_release_ends_it_at_once() {
     }
     let released = machine.now().commanded;
     terminal.keys(b"\x1b[1;1:3C");
-    machine.rests(Duration::from_millis(300));
+    machine.wait_for_standstill(Duration::from_millis(300));
     let went = machine.now().commanded - released;
     // 5 mm/s for the way of the release, then 63 ms of braking; without the release it would be 1 mm and more.
     assert!(
@@ -109,15 +109,15 @@ fn a_held_key_goes_on_and_a_release_ends_it_at_once() {
     );
     // The repeat of a key that was let go by a hold moves nothing.
     terminal.keys(b"\x1b[1;1:1C");
-    machine.comes_to(haptimill_protocol::message::State::Jog);
+    machine.wait_for_state(haptimill_protocol::message::State::Jog);
     terminal.keys(SPACE);
-    machine.rests(Duration::from_millis(400));
+    machine.wait_for_standstill(Duration::from_millis(400));
     let stopped = machine.now().commanded;
     for _ in 0..5 {
         terminal.keys(b"\x1b[1;1:2C");
         std::thread::sleep(Duration::from_millis(30));
     }
-    machine.rests(Duration::from_millis(200));
+    machine.wait_for_standstill(Duration::from_millis(200));
     assert_eq!(machine.now().commanded, stopped);
 }
 
@@ -125,12 +125,12 @@ fn a_held_key_goes_on_and_a_release_ends_it_at_once() {
 fn what_must_not_jog_does_not() {
     let terminal = console(&[], Keyboard::Plain);
     terminal.state("DISABLED");
-    terminal.brings(RIGHT, "jog: not possible while the machine is disabled");
+    terminal.press_expect(RIGHT, "jog: not possible while the machine is disabled");
     terminal.keys(b"e");
     terminal.state("IDLE");
-    terminal.brings(RIGHT, "jog: home the machine first");
+    terminal.press_expect(RIGHT, "jog: home the machine first");
     // A pasted text is no keys, a torn escape sequence neither.
-    terminal.brings(
+    terminal.press_expect(
         b"\x1b[200~hhh\reee\x1b[201~",
         "pasted text is not heard as keys",
     );

@@ -3,7 +3,7 @@
 //! `cargo test -p haptimill --release --test console latency -- --nocapture --test-threads 1` prints the distributions. What is asserted is the
 //! bound of the dead-man time alone: the rest is for the computer that it runs on.
 
-use super::machine::{Machine, Seen};
+use super::machine::{Machine, Sample};
 use super::terminal::Keyboard;
 use super::*;
 use std::time::{Duration, Instant};
@@ -11,16 +11,16 @@ use std::time::{Duration, Instant};
 const REPEATS: usize = 20;
 
 /// The tool is taken to move, or to stand, within so much, mm.
-const STANDS: f64 = 0.005;
+const STANDSTILL_MM: f64 = 0.005;
 
 /// Braking from 5 mm/s with 5000 mm/s^3, ms.
-const BRAKING_MS: f64 = 63.3;
+const DECELERATION_MS: f64 = 63.3;
 
 /// What one press gave, ms.
 struct Press {
     to_commanded: f64,
     to_tool: f64,
-    end_to_wanted: f64,
+    end_to_commanded: f64,
     end_to_tool: f64,
 }
 
@@ -29,23 +29,28 @@ fn ms(from: Instant, to: Instant) -> f64 {
 }
 
 /// Presses a key at `pressed`, lets it go at `released`; what the machine did meanwhile.
-fn judge(pressed: Instant, released: Instant, seen: &[Seen]) -> Press {
-    let (first, last) = (seen[0], seen[seen.len() - 1]);
-    let commanded = seen.iter().find(|seen| seen.commanded != first.commanded);
-    let tool = seen
+fn evaluate(pressed: Instant, released: Instant, samples: &[Sample]) -> Press {
+    let (first, last) = (samples[0], samples[samples.len() - 1]);
+    let commanded = samples
         .iter()
-        .find(|seen| (seen.tool - first.tool).abs() > STANDS);
-    let still = |off: &dyn Fn(&Seen) -> bool| {
-        let index = seen.iter().rposition(off).map_or(0, |index| index + 1);
-        seen[index.min(seen.len() - 1)].at
+        .find(|samples| samples.commanded != first.commanded);
+    let tool = samples
+        .iter()
+        .find(|samples| (samples.tool - first.tool).abs() > STANDSTILL_MM);
+    let still = |off: &dyn Fn(&Sample) -> bool| {
+        let index = samples.iter().rposition(off).map_or(0, |index| index + 1);
+        samples[index.min(samples.len() - 1)].at
     };
     Press {
         to_commanded: ms(pressed, commanded.unwrap().at),
         to_tool: ms(pressed, tool.unwrap().at),
-        end_to_wanted: ms(released, still(&|seen| seen.commanded != last.commanded)),
+        end_to_commanded: ms(
+            released,
+            still(&|samples| samples.commanded != last.commanded),
+        ),
         end_to_tool: ms(
             released,
-            still(&|seen| (seen.tool - last.tool).abs() > STANDS),
+            still(&|samples| (samples.tool - last.tool).abs() > STANDSTILL_MM),
         ),
     }
 }
@@ -68,8 +73,8 @@ fn measure(keyboard: Keyboard, down: &[u8], again: &[u8], up: Option<&[u8]>) -> 
     let terminal = homed(&["--port", &machine.port], keyboard);
     let mut presses = Vec::new();
     for repeat in 0..=REPEATS {
-        machine.rests(Duration::from_millis(250));
-        machine.forget();
+        machine.wait_for_standstill(Duration::from_millis(250));
+        machine.clear_samples();
         let pressed = Instant::now();
         terminal.keys(down);
         let mut last = pressed;
@@ -83,10 +88,10 @@ fn measure(keyboard: Keyboard, down: &[u8], again: &[u8], up: Option<&[u8]>) -> 
             last = Instant::now();
             terminal.keys(up);
         }
-        machine.rests(Duration::from_millis(250));
+        machine.wait_for_standstill(Duration::from_millis(250));
         // Of the first one the terminal's kind of keyboard is learnt.
         if repeat > 0 {
-            presses.push(judge(pressed, last, &machine.seen()));
+            presses.push(evaluate(pressed, last, &machine.samples()));
         }
     }
     presses
@@ -104,7 +109,7 @@ fn report(which: &str, end: &str, presses: &[Press]) {
     print("key to 5 um of the tool", column(|press| press.to_tool));
     print(
         &format!("{end} to commanded standstill"),
-        column(|press| press.end_to_wanted),
+        column(|press| press.end_to_commanded),
     );
     print(
         &format!("{end} to the tool within 5 um of its rest"),
@@ -119,9 +124,9 @@ fn latency_of_a_keyboard_that_repeats() {
     assert_eq!(presses.len(), REPEATS);
     for press in &presses {
         // The dead-man time is the bound; half a second more is for a busy computer.
-        assert!(press.end_to_wanted < 200.0 + BRAKING_MS + 500.0);
+        assert!(press.end_to_commanded < 200.0 + DECELERATION_MS + 500.0);
         // And it is no shorter: a repeat that comes in time keeps the motion.
-        assert!(press.end_to_wanted > 150.0, "{}", press.end_to_wanted);
+        assert!(press.end_to_commanded > 150.0, "{}", press.end_to_commanded);
     }
 }
 
@@ -136,6 +141,6 @@ fn latency_of_a_keyboard_that_tells_of_releases() {
     report("releases told (kitty protocol)", "release", &presses);
     assert_eq!(presses.len(), REPEATS);
     for press in &presses {
-        assert!(press.end_to_wanted < 200.0 + BRAKING_MS + 500.0);
+        assert!(press.end_to_commanded < 200.0 + DECELERATION_MS + 500.0);
     }
 }

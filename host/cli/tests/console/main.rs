@@ -3,11 +3,11 @@
 #![cfg(target_os = "linux")]
 
 mod closing;
-mod hand;
 mod jogging;
 mod latency;
-mod links;
+mod link;
 mod machine;
+mod master;
 mod programs;
 #[path = "../scene/mod.rs"]
 mod scene;

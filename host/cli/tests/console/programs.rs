@@ -16,14 +16,14 @@ fn hold_resume_stop_and_emergency_are_heard_whatever_is_open() {
     let served = Served::on_tcp(&[]);
     let terminal = homed(&["--port", &served.port, &program], Keyboard::Plain);
     run(&terminal);
-    terminal.sees("long.ngc  line 2/");
+    terminal.expect_text("long.ngc  line 2/");
     // The pause of the program.
-    terminal.sees("pause of the program in line 3. Ctrl-R goes on");
+    terminal.expect_text("pause of the program in line 3. Ctrl-R goes on");
     terminal.state("HOLD");
     terminal.keys(RESUME);
     terminal.state("RUN");
     // Hold while the table of keys is open, resume while a name is typed.
-    terminal.brings(b"?", "Keys: arrows scroll");
+    terminal.press_expect(b"?", "Keys: arrows scroll");
     terminal.keys(SPACE);
     terminal.state("HOLD");
     let held = || {
@@ -38,33 +38,33 @@ fn hold_resume_stop_and_emergency_are_heard_whatever_is_open() {
             .map(|row| row[..20].to_string())
     };
     terminal.escape();
-    terminal.sees("on hold. Ctrl-R resumes");
+    terminal.expect_text("on hold. Ctrl-R resumes");
     let (before, after) = held();
     assert_eq!(row(&before), row(&after));
     terminal.keys(b"p");
     terminal.keys(b"some name");
     // A letter of a name is no key; the space in it is.
-    terminal.sees("somename_");
+    terminal.expect_text("somename_");
     terminal.keys(RESUME);
     terminal.state("RUN");
     terminal.keys(b"\x15");
     terminal.keys(STOP);
     terminal.state("IDLE");
-    terminal.sees("long.ngc: dropped");
+    terminal.expect_text("long.ngc: dropped");
     terminal.escape();
     // From where it stands, again, with less speed; then the emergency stop, while a question is open.
     for _ in 0..5 {
         terminal.keys(b"-");
     }
-    terminal.sees("override 50 %");
+    terminal.expect_text("override 50 %");
     run(&terminal);
-    terminal.sees("path speed 50 %");
-    terminal.brings(b"q", "Quit?");
+    terminal.expect_text("path speed 50 %");
+    terminal.press_expect(b"q", "Quit?");
     terminal.keys(EMERGENCY);
     terminal.state("EMERGENCY STOP");
-    terminal.sees("EMERGENCY STOP: drives off");
+    terminal.expect_text("EMERGENCY STOP: drives off");
     terminal.escape();
-    terminal.brings(
+    terminal.press_expect(
         b"e",
         "enable: not possible while the machine is in emergency stop",
     );
@@ -73,7 +73,7 @@ fn hold_resume_stop_and_emergency_are_heard_whatever_is_open() {
     terminal.keys(b"q");
     let mut terminal = terminal;
     assert_eq!(terminal.end(), 0, "{}", terminal.text());
-    assert!(terminal.is_as_before());
+    assert!(terminal.is_restored());
     // From outside: the drives are off, and the machine is reset.
     assert_eq!(served.status()["state"], "Disabled");
 }
@@ -84,12 +84,12 @@ fn a_program_runs_to_its_end_beside_a_recording() {
     let program = folder.file("short.ngc", "G21 G90 F1200\nG1 X4\nG3 X0 I-2\nM30\n");
     let out = folder.path("");
     let mut terminal = homed(&["--out", &out, &program], Keyboard::Plain);
-    terminal.brings(b"l", "REC console-");
+    terminal.press_expect(b"l", "REC console-");
     run(&terminal);
-    terminal.sees("short.ngc: done");
+    terminal.expect_text("short.ngc: done");
     terminal.state("IDLE");
-    terminal.brings(b"l", " rows");
-    terminal.brings(b"q", "the drives stay on and hold");
+    terminal.press_expect(b"l", " rows");
+    terminal.press_expect(b"q", "the drives stay on and hold");
     terminal.keys(ENTER);
     assert_eq!(terminal.end(), 0);
     let file = std::fs::read_dir(&out)
@@ -127,7 +127,7 @@ fn a_program_can_be_chosen_in_the_moment_in_which_the_machine_comes_to_rest() {
     // Of a line as slow as that reports come more rarely, too.
     let line = ["--port", &served.port, "--baud", "9600", &program];
     let terminal = homed(&line, Keyboard::Plain);
-    terminal.brings(b"p\r", "The machine moves.");
+    terminal.press_expect(b"p\r", "The machine moves.");
 }
 
 #[test]
@@ -137,7 +137,7 @@ fn a_program_with_a_mistake_is_refused_with_its_line() {
     // Given on the command line: before the screen is taken.
     let mut terminal = console(&[&bad], Keyboard::Plain);
     assert_eq!(terminal.end(), 4);
-    assert!(terminal.is_as_before());
+    assert!(terminal.is_restored());
     assert!(
         terminal.text().contains("bad.ngc:3:"),
         "{}",
@@ -145,40 +145,40 @@ fn a_program_with_a_mistake_is_refused_with_its_line() {
     );
     // Typed: over the screen.
     let terminal = homed(&[], Keyboard::Plain);
-    terminal.brings(b"p", "Part program");
+    terminal.press_expect(b"p", "Part program");
     terminal.keys(bad.as_bytes());
-    terminal.brings(ENTER, "The program is refused");
-    terminal.sees("bad.ngc:3:");
+    terminal.press_expect(ENTER, "The program is refused");
+    terminal.expect_text("bad.ngc:3:");
     terminal.escape();
     terminal.state("IDLE");
     terminal.keys(b"p");
-    terminal.brings(b"\x15/nowhere.ngc\r", "/nowhere.ngc: cannot be read");
+    terminal.press_expect(b"\x15/nowhere.ngc\r", "/nowhere.ngc: cannot be read");
 }
 
 #[test]
 fn axes_and_force_loop_are_set_from_the_screen() {
     let served = Served::on_tcp(&[]);
     let terminal = homed(&["--port", &served.port], Keyboard::Plain);
-    terminal.brings(b"a", "Axes: a jog begins and ends at rest");
+    terminal.press_expect(b"a", "Axes: a jog begins and ends at rest");
     terminal.keys(DOWN);
-    terminal.brings(b"h", "y: hold");
+    terminal.press_expect(b"h", "y: hold");
     terminal.escape();
-    terminal.waits("held y", |text| {
+    terminal.wait_until("held y", |text| {
         text.lines()
             .any(|row| row.starts_with(" y ") && row.contains("hold"))
     });
-    terminal.brings(b"t", "Tare?");
-    terminal.brings(ENTER, "the force sensor has a new zero");
-    terminal.brings(b"y", "Force loop");
-    terminal.brings(ENTER, "x yields");
-    terminal.brings(b"++", "f_d 6.0 N");
+    terminal.press_expect(b"t", "Tare?");
+    terminal.press_expect(ENTER, "the force sensor has a new zero");
+    terminal.press_expect(b"y", "Force loop");
+    terminal.press_expect(ENTER, "x yields");
+    terminal.press_expect(b"++", "f_d 6.0 N");
     // Refused by the controller, with its bound.
     for _ in 0..12 {
         terminal.keys(b"-");
     }
-    terminal.sees("force loop of x");
+    terminal.expect_text("force loop of x");
     terminal.escape();
-    terminal.waits("yielding x", |text| {
+    terminal.wait_until("yielding x", |text| {
         text.lines().any(|row| row.contains("yield x>"))
     });
     // The console is left and another host asks.
@@ -188,7 +188,7 @@ fn axes_and_force_loop_are_set_from_the_screen() {
     // Another console asks the controller what it has, not the machine file.
     let terminal = console(&["--port", &served.port], Keyboard::Plain);
     terminal.state("IDLE");
-    terminal.waits("the force of before", |text| {
+    terminal.wait_until("the force of before", |text| {
         text.lines()
             .any(|row| row.contains("yield x>") && !row.contains("x>5.0N"))
     });

@@ -23,18 +23,18 @@ fn the_screen_follows_the_size_of_the_terminal() {
         std::thread::sleep(Duration::from_millis(250));
         if columns >= 40 && rows >= 10 {
             for word in always {
-                terminal.sees(word);
+                terminal.expect_text(word);
             }
             // Every axis with its numbers.
             for axis in ["x", "y", "z", "theta", "alpha"] {
-                terminal.waits(axis, |_| terminal.number(axis, 2).is_some());
+                terminal.wait_until(axis, |_| terminal.number(axis, 2).is_some());
             }
         }
         if columns >= 80 && rows >= 24 {
             for panel in [
                 "Position", "Slides", "Force", "Jog", "Program", "Messages", "link ",
             ] {
-                terminal.sees(panel);
+                terminal.expect_text(panel);
             }
             for joint in ["l1", "l2", "l3", "l4"] {
                 assert!(terminal.number(joint, 1).is_some(), "{}", terminal.text());
@@ -45,13 +45,13 @@ fn the_screen_follows_the_size_of_the_terminal() {
     terminal.keys(RIGHT);
     terminal.state("JOG");
     terminal.state("IDLE");
-    terminal.brings(b"?", "Keys: arrows scroll");
+    terminal.press_expect(b"?", "Keys: arrows scroll");
     terminal.resize(12, 4);
     std::thread::sleep(Duration::from_millis(250));
     terminal.resize(80, 24);
-    terminal.sees("Keys: arrows scroll");
+    terminal.expect_text("Keys: arrows scroll");
     terminal.keys(DOWN);
     terminal.keys(PAGE_DOWN);
     terminal.escape();
-    terminal.waits("closed", |text| !text.contains("Keys: arrows scroll"));
+    terminal.wait_until("closed", |text| !text.contains("Keys: arrows scroll"));
 }

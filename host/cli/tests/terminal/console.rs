@@ -17,8 +17,8 @@ pub const EMERGENCY: &[u8] = b"\x05";
 
 /// A question is asked, and answered with yes.
 #[track_caller]
-pub fn agrees(terminal: &Terminal, key: &[u8], question: &str) {
-    terminal.brings(key, question);
+pub fn confirm(terminal: &Terminal, key: &[u8], question: &str) {
+    terminal.press_expect(key, question);
     terminal.keys(ENTER);
 }
 
@@ -28,16 +28,16 @@ pub fn home(terminal: &Terminal) {
     terminal.state("DISABLED");
     terminal.keys(b"e");
     terminal.state("IDLE");
-    agrees(terminal, b"h", "Home? The machine moves");
-    terminal.sees("way to the home pose: done");
+    confirm(terminal, b"h", "Home? The machine moves");
+    terminal.expect_text("way to the home pose: done");
     terminal.state("IDLE");
 }
 
 /// The program that was given is checked, and begun.
 #[track_caller]
 pub fn run(terminal: &Terminal) {
-    terminal.brings(b"p", "Enter checks it");
-    terminal.brings(ENTER, "The machine moves.");
+    terminal.press_expect(b"p", "Enter checks it");
+    terminal.press_expect(ENTER, "The machine moves.");
     // Not by the Enter that chose the file, pressed twice.
     std::thread::sleep(Duration::from_millis(600));
     terminal.keys(ENTER);

@@ -21,7 +21,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 /// Nothing on a screen takes longer than this, on a loaded machine too.
-pub const PATIENCE: Duration = Duration::from_secs(40);
+pub const TIMEOUT: Duration = Duration::from_secs(40);
 
 /// What kind of keyboard the terminal has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -31,7 +31,7 @@ pub enum Keyboard {
     /// It tells of releases: the kitty keyboard protocol.
     Kitty,
     /// The terminal answers nothing that it is asked.
-    Mute,
+    Silent,
 }
 
 /// See the module.
@@ -82,12 +82,12 @@ fn read(
         }
         match rustix::io::read(device, &mut buffer) {
             Ok(count @ 1..) => {
-                let said = &buffer[..count];
-                screen.lock().unwrap().process(said);
-                tail.extend_from_slice(said);
+                let output = &buffer[..count];
+                screen.lock().unwrap().process(output);
+                tail.extend_from_slice(output);
                 let asks =
                     |question: &[u8]| tail.windows(question.len()).any(|part| part == question);
-                if keyboard != Keyboard::Mute && asks(b"\x1b[c") {
+                if keyboard != Keyboard::Silent && asks(b"\x1b[c") {
                     if keyboard == Keyboard::Kitty && asks(b"\x1b[?u") {
                         let _ = rustix::io::write(device, b"\x1b[?0u");
                     }
@@ -168,9 +168,9 @@ impl Terminal {
 
     /// Presses keys and waits for what they bring up.
     #[track_caller]
-    pub fn brings(&self, keys: &[u8], part: &str) {
+    pub fn press_expect(&self, keys: &[u8], part: &str) {
         self.keys(keys);
-        self.sees(part);
+        self.expect_text(part);
     }
 
     /// Escape, which together with what comes at once after it would be another key.
@@ -200,29 +200,29 @@ impl Terminal {
 
     /// Waits until the screen is as wanted.
     #[track_caller]
-    pub fn waits(&self, what: &str, commanded: impl Fn(&str) -> bool) {
+    pub fn wait_until(&self, what: &str, condition: impl Fn(&str) -> bool) {
         let begun = Instant::now();
         loop {
             let text = self.text();
-            if commanded(&text) {
+            if condition(&text) {
                 return;
             }
-            assert!(begun.elapsed() < PATIENCE, "never {what}:\n{text}");
+            assert!(begun.elapsed() < TIMEOUT, "never {what}:\n{text}");
             std::thread::sleep(Duration::from_millis(5));
         }
     }
 
     /// Waits for a text on the screen.
     #[track_caller]
-    pub fn sees(&self, part: &str) {
-        self.waits(&format!("saw {part:?}"), |text| text.contains(part));
+    pub fn expect_text(&self, part: &str) {
+        self.wait_until(&format!("saw {part:?}"), |text| text.contains(part));
     }
 
     /// Waits for a text in the first row.
     #[track_caller]
     pub fn state(&self, word: &str) {
         let word = format!(" {word} ");
-        self.waits(&format!("in state {word:?}"), |text| {
+        self.wait_until(&format!("in state {word:?}"), |text| {
             text.lines()
                 .next()
                 .is_some_and(|row| row.starts_with(&word))
@@ -240,7 +240,7 @@ impl Terminal {
     }
 
     /// Lines are edited and echoed, as a shell left them.
-    pub fn is_as_before(&self) -> bool {
+    pub fn is_restored(&self) -> bool {
         let modes = tcgetattr(self.device()).unwrap().local_modes;
         modes.contains(LocalModes::ICANON | LocalModes::ECHO | LocalModes::ISIG)
             && self.with_screen(|screen| {
@@ -249,7 +249,7 @@ impl Terminal {
     }
 
     /// The terminal takes nothing any more, or takes it again; keys go through.
-    pub fn is_stuck(&self, stuck: bool) {
+    pub fn set_stuck(&self, stuck: bool) {
         self.stuck.store(stuck, Ordering::Relaxed);
     }
 
@@ -286,7 +286,7 @@ impl Terminal {
                 std::thread::sleep(Duration::from_millis(60));
                 return status.code().unwrap_or(-1);
             }
-            assert!(begun.elapsed() < PATIENCE, "never ended:\n{}", self.text());
+            assert!(begun.elapsed() < TIMEOUT, "never ended:\n{}", self.text());
             std::thread::sleep(Duration::from_millis(5));
         }
     }

@@ -1,7 +1,7 @@
 //! What the controller says, and what follows from it.
 
-use super::desk::{Desk, SCALES, Then};
-use super::shown::{Contact, Weight};
+use super::app::{App, FORCE_SCALES, OnAck};
+use super::view_model::{LinkState, Severity};
 use crate::commands::{CliError, Exit};
 use haptimill_client::client::{Notice, RequestError, Ticket};
 use haptimill_protocol::force::{ForceLoop, ForceParameter};
@@ -9,30 +9,30 @@ use haptimill_protocol::message::{Command, Event, Refusal, State, Telemetry};
 use std::time::{Duration, Instant};
 
 /// How long a full scale of the force bars that is too large stays.
-const SCALE_STAYS: Duration = Duration::from_secs(5);
+const SCALE_HOLD: Duration = Duration::from_secs(5);
 
 /// Pause after a controller said that it is busy with the last change, microseconds.
 const BUSY_US: u64 = 20_000;
 
 /// Time between two reports of the hand, ms.
-const HAND_MS: u32 = 100;
+const MASTER_MS: u32 = 100;
 
-impl Desk {
-    pub(super) fn hear(&mut self, notice: Notice) -> Result<(), CliError> {
+impl App {
+    pub(super) fn handle_notice(&mut self, notice: Notice) -> Result<(), CliError> {
         match notice {
             Notice::Connected(_) => self.begin()?,
             Notice::Answered {
                 ticket,
                 command,
                 result,
-            } => self.answered(ticket, command, result),
-            Notice::Event { period, event } => self.event(period, &event),
-            Notice::Telemetry(telemetry) => self.report(*telemetry),
+            } => self.handle_answer(ticket, command, result),
+            Notice::Event { period, event } => self.handle_event(period, &event),
+            Notice::Telemetry(telemetry) => self.update_telemetry(*telemetry),
             Notice::Refused(refusal) => {
                 let why = self
                     .model
                     .with_axes(|axes| axes.describe(&refusal).to_string());
-                self.say(Weight::Warning, format!("jog: {why}"));
+                self.notify(Severity::Warning, format!("jog: {why}"));
             }
             Notice::Job(ending) => self.job_ended(&ending),
             Notice::Lost(error) => {
@@ -40,33 +40,35 @@ impl Desk {
                     let what = format!("{}: {error}", self.connection.name());
                     return Err(CliError::new(Exit::Port, what));
                 }
-                self.lose(&error.to_string());
+                self.handle_link_loss(&error.to_string());
             }
         }
         Ok(())
     }
 
-    fn answered(&mut self, ticket: Ticket, command: &str, result: Result<(), RequestError>) {
-        let then = self
+    fn handle_answer(&mut self, ticket: Ticket, command: &str, result: Result<(), RequestError>) {
+        let on_ack = self
             .asked
             .iter()
             .position(|(asked, _)| *asked == ticket)
-            .map_or(Then::Nothing, |index| self.asked.swap_remove(index).1);
-        if let Then::Configured { kept } = then {
+            .map_or(OnAck::Nothing, |index| self.asked.swap_remove(index).1);
+        if let OnAck::Configured { already_active } = on_ack {
             // Refused is heard all the same: what stops a machine needs no configuration.
-            self.contact = Contact::Ready;
+            self.link_state = LinkState::Ready;
             self.configured = result.is_ok();
             if self.configured {
-                if let Some(hand) = self.hand.as_mut().filter(|_| !kept) {
-                    hand.begin();
+                if let Some(master) = self.master.as_mut().filter(|_| !already_active) {
+                    master.begin();
                 }
-                self.ask_settings();
+                self.query_settings();
             }
         }
         if let Err(error) = result {
-            match then {
-                Then::Override(_) => self.requested_override = self.feed_override,
-                Then::Loop(axis, settings) if self.loop_refused(axis, settings, &error) => return,
+            match on_ack {
+                OnAck::Override(_) => self.requested_override = self.feed_override,
+                OnAck::Loop(axis, settings) if self.retry_force_loop(axis, settings, &error) => {
+                    return;
+                }
                 _ => {}
             }
             let why = match &error {
@@ -76,95 +78,95 @@ impl Desk {
                 RequestError::Withdrawn | RequestError::Lost(_) => return,
                 other => other.to_string(),
             };
-            let what = self.hand_refused(&then);
+            let what = self.reject_master(&on_ack);
             let what = what.as_deref().unwrap_or(command);
-            self.say(Weight::Warning, format!("{what}: {why}"));
+            self.notify(Severity::Warning, format!("{what}: {why}"));
             return;
         }
-        match then {
-            Then::Nothing | Then::Configured { .. } => {}
-            Then::Enabled => self.say(Weight::Note, "drives on"),
-            Then::Override(percent) => self.feed_override = percent,
-            Then::Source(axis, source) => {
+        match on_ack {
+            OnAck::Nothing | OnAck::Configured { .. } => {}
+            OnAck::Enabled => self.notify(Severity::Info, "drives on"),
+            OnAck::Override(percent) => self.feed_override = percent,
+            OnAck::Source(axis, source) => {
                 self.sources[usize::from(axis)] = source;
-                let name = &self.fixed.pose[usize::from(axis)].name;
+                let name = &self.static_info.pose[usize::from(axis)].name;
                 let what = format!("{name}: {source}");
-                self.say(Weight::Note, what);
+                self.notify(Severity::Info, what);
             }
-            Then::Loop(axis, settings) => {
+            OnAck::Loop(axis, settings) => {
                 let axis = usize::from(axis);
                 self.requested_loops[axis].asked = None;
                 if let Some(loops) = &mut self.loops {
                     loops[axis] = settings;
                 }
             }
-            Then::ForceFeedback(_) | Then::Wall { .. } | Then::PositionScale(_) => {
-                self.hand_set(&then)
+            OnAck::ForceFeedback(_) | OnAck::Fixture { .. } | OnAck::PositionScale(_) => {
+                self.acknowledge_master(&on_ack)
             }
-            Then::Say(what) => self.say(Weight::Note, what),
+            OnAck::Say(what) => self.notify(Severity::Info, what),
         }
     }
 
     /// What the controller has by itself of what is shown: force loops may have been set by another host.
-    fn ask_settings(&mut self) {
+    fn query_settings(&mut self) {
         if self.loops.is_some() {
             for axis in 0..3 {
-                self.ask(Command::ForceSettings { axis }, Then::Nothing);
+                self.request(Command::ForceSettings { axis }, OnAck::Nothing);
             }
         }
         if self.machine.config.haptic.is_some() {
-            let every = HAND_MS * 1000 / u32::from(self.machine.config.period_us.max(1));
+            let every = MASTER_MS * 1000 / u32::from(self.machine.config.period_us.max(1));
             let every = every.clamp(1, u32::from(u16::MAX)) as u16;
-            self.ask(Command::MasterTelemetry { every }, Then::Nothing);
+            self.request(Command::MasterTelemetry { every }, OnAck::Nothing);
         }
     }
 
     /// True when it is to be asked again: a newer wish waits already, or the controller works the last change out.
-    fn loop_refused(&mut self, axis: u8, settings: ForceLoop, error: &RequestError) -> bool {
+    fn retry_force_loop(&mut self, axis: u8, settings: ForceLoop, error: &RequestError) -> bool {
         let now_us = self.now_us();
-        let commanded = &mut self.requested_loops[usize::from(axis)];
-        commanded.asked = None;
+        let requested = &mut self.requested_loops[usize::from(axis)];
+        requested.asked = None;
         let busy = matches!(
             error,
             RequestError::Refused(Refusal::Force { refusal, .. })
                 if refusal.parameter == ForceParameter::Busy
         );
         if busy {
-            commanded.settings.get_or_insert(settings);
-            commanded.after_us = now_us + BUSY_US;
+            requested.settings.get_or_insert(settings);
+            requested.not_before_us = now_us + BUSY_US;
         }
         busy
     }
 
     /// Asks for the settings of force loops that are wanted.
-    pub(super) fn ask_loops(&mut self) {
+    pub(super) fn send_force_loops(&mut self) {
         let now_us = self.now_us();
         for axis in 0..self.requested_loops.len() {
-            let commanded = &mut self.requested_loops[axis];
-            if commanded.asked.is_some() || now_us < commanded.after_us {
+            let requested = &mut self.requested_loops[axis];
+            if requested.asked.is_some() || now_us < requested.not_before_us {
                 continue;
             }
-            if let Some(settings) = commanded.settings.take() {
-                commanded.asked = Some(settings);
+            if let Some(settings) = requested.settings.take() {
+                requested.asked = Some(settings);
                 let axis = axis as u8;
-                self.ask(
+                self.request(
                     Command::ForceLoop { axis, settings },
-                    Then::Loop(axis, settings),
+                    OnAck::Loop(axis, settings),
                 );
             }
         }
     }
 
-    fn event(&mut self, period: u64, event: &Event) {
+    fn handle_event(&mut self, period: u64, event: &Event) {
         if let Event::State { to, .. } = event {
-            self.changed = period;
+            self.state_period = period;
             if let Some(telemetry) = &mut self.telemetry {
                 telemetry.state = *to;
             }
-            self.rests(*to);
+            self.clear_stop(*to);
             if *to == State::Idle {
                 // Where it stands, to the last bit: what comes next begins there.
-                self.ask(Command::Status, Then::Nothing);
+                self.request(Command::Status, OnAck::Nothing);
             }
         }
         if let Event::ForceSettings { axis, settings } = event {
@@ -177,27 +179,27 @@ impl Desk {
             }
             return;
         }
-        let weight = match event {
+        let severity = match event {
             Event::Fault(fault) => {
                 self.fault = Some(*fault);
-                Weight::Alarm
+                Severity::Alarm
             }
             Event::State {
                 to: State::EmergencyStop,
                 ..
-            } => Weight::Alarm,
+            } => Severity::Alarm,
             Event::Underrun { .. }
             | Event::Blocked { .. }
             | Event::JogLimited { .. }
             | Event::Saturated { .. }
             | Event::TareRefused(_)
             | Event::ComplianceLimited { .. }
-            | Event::Paused { .. } => Weight::Warning,
-            _ => Weight::Note,
+            | Event::Paused { .. } => Severity::Warning,
+            _ => Severity::Info,
         };
-        self.work_event(event);
+        self.update_jobs(event);
         // Begin and end of every jog and step is no news.
-        let usual = matches!(
+        let routine = matches!(
             event,
             Event::State {
                 from: State::Idle,
@@ -209,16 +211,16 @@ impl Desk {
                 position_kept: true
             } | Event::JobDone { .. }
         );
-        if !usual {
+        if !routine {
             let text = self
                 .model
                 .with_axes(|axes| axes.describe(event).to_string());
-            self.say(weight, text);
+            self.notify(severity, text);
         }
     }
 
     /// A state in which nothing moves answers a stop.
-    fn rests(&mut self, state: State) {
+    fn clear_stop(&mut self, state: State) {
         if !matches!(state, State::Run | State::Jog | State::Homing | State::Hold)
             && !self.client.urgent().0
         {
@@ -226,11 +228,11 @@ impl Desk {
         }
     }
 
-    fn report(&mut self, telemetry: Telemetry) {
+    fn update_telemetry(&mut self, telemetry: Telemetry) {
         self.telemetry_at = Instant::now();
         self.fault = telemetry.fault;
-        if telemetry.period >= self.changed {
-            self.rests(telemetry.state);
+        if telemetry.period >= self.state_period {
+            self.clear_stop(telemetry.state);
         }
         if let Some(force) = &telemetry.force {
             let largest = force
@@ -239,20 +241,20 @@ impl Desk {
                 .chain(&force.low)
                 .map(|value| f64::from(*value).abs() / 65_536.0)
                 .fold(0.0, f64::max);
-            let fits = SCALES
+            let fits = FORCE_SCALES
                 .iter()
                 .position(|scale| largest <= *scale)
-                .unwrap_or(SCALES.len() - 1);
-            let (shown, since) = &mut self.force_scale;
-            if fits >= *shown || since.elapsed() > SCALE_STAYS {
-                (*shown, *since) = (fits, Instant::now());
+                .unwrap_or(FORCE_SCALES.len() - 1);
+            let (view, since) = &mut self.force_scale;
+            if fits >= *view || since.elapsed() > SCALE_HOLD {
+                (*view, *since) = (fits, Instant::now());
             }
         }
         if let Some(recording) = &mut self.recording
             && let Err(why) = recording.add(&telemetry)
         {
             self.recording = None;
-            self.say(Weight::Alarm, format!("recording ended: {why}"));
+            self.notify(Severity::Alarm, format!("recording ended: {why}"));
         }
         self.telemetry = Some(telemetry);
     }

@@ -1,7 +1,9 @@
 //! What is to be seen: a picture of the console's knowledge, made by the desk and drawn elsewhere, so that neither waits for the other.
 
-use super::hand::{At, Face};
+mod build;
+
 use super::jogging::Mode;
+use super::master::{Face, FieldPosition};
 use haptimill_firmware::config::AxisKind;
 use haptimill_machine_file::AxisLimits;
 use haptimill_protocol::force::ForceLoop;
@@ -16,9 +18,9 @@ const KEPT: usize = 200;
 
 /// How much a message matters.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) enum Weight {
+pub(super) enum Severity {
     /// Something happened.
-    Note,
+    Info,
     /// Something was refused, or is not as it should be.
     Warning,
     /// The machine stopped by itself, or the link broke.
@@ -27,9 +29,9 @@ pub(super) enum Weight {
 
 /// A message with its time.
 #[derive(Debug, Clone)]
-pub(super) struct Entry {
+pub(super) struct LogEntry {
     pub(super) at: Duration,
-    pub(super) weight: Weight,
+    pub(super) severity: Severity,
     pub(super) text: String,
     /// How often it was said in a row.
     pub(super) times: u32,
@@ -37,11 +39,11 @@ pub(super) struct Entry {
 
 /// The last messages.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Log(VecDeque<Entry>);
+pub(super) struct Log(VecDeque<LogEntry>);
 
 impl Log {
     /// Adds a message; the same one again only counts.
-    pub(super) fn add(&mut self, at: Duration, weight: Weight, text: impl Into<String>) {
+    pub(super) fn add(&mut self, at: Duration, severity: Severity, text: impl Into<String>) {
         let text = text.into();
         if let Some(last) = self.0.back_mut().filter(|last| last.text == text) {
             last.times += 1;
@@ -51,16 +53,16 @@ impl Log {
         if self.0.len() >= KEPT {
             self.0.pop_front();
         }
-        self.0.push_back(Entry {
+        self.0.push_back(LogEntry {
             at,
-            weight,
+            severity,
             text,
             times: 1,
         });
     }
 
     /// The newest ones, oldest first.
-    pub(super) fn newest(&self, count: usize) -> impl Iterator<Item = &Entry> {
+    pub(super) fn newest(&self, count: usize) -> impl Iterator<Item = &LogEntry> {
         self.0.iter().skip(self.0.len().saturating_sub(count))
     }
 }
@@ -84,7 +86,7 @@ impl Axis {
 
 /// What never changes.
 #[derive(Debug)]
-pub(super) struct Fixed {
+pub(super) struct StaticInfo {
     pub(super) port: String,
     pub(super) pose: Vec<Axis>,
     pub(super) joints: Vec<Axis>,
@@ -122,8 +124,8 @@ pub(super) enum Overlay {
         at: usize,
     },
     /// The hand; a number that is being typed.
-    Hand {
-        at: At,
+    Master {
+        at: FieldPosition,
         typed: String,
     },
 }
@@ -141,9 +143,9 @@ pub(super) enum Confirm {
 
 /// How the connection stands.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) enum Contact {
+pub(super) enum LinkState {
     Opening,
-    Greeting,
+    Handshake,
     /// The machine file is being sent.
     Configuring,
     Ready,
@@ -162,40 +164,40 @@ pub(super) struct Counters {
 
 /// The program that is chosen or runs.
 #[derive(Debug, Clone)]
-pub(super) struct ProgramShown {
+pub(super) struct ProgramView {
     pub(super) name: String,
     pub(super) duration_s: f64,
-    pub(super) runs: bool,
+    pub(super) is_running: bool,
     pub(super) line: u32,
     pub(super) lines: u32,
 }
 
 /// Everything.
 #[derive(Debug, Clone)]
-pub(super) struct Shown {
-    pub(super) fixed: Arc<Fixed>,
+pub(super) struct ViewModel {
+    pub(super) static_info: Arc<StaticInfo>,
     pub(super) elapsed: Duration,
     pub(super) machine: String,
-    pub(super) contact: Contact,
+    pub(super) link_state: LinkState,
     pub(super) counters: Counters,
     /// The newest report, and how old it is. After a loss the last one stays, marked as old.
     pub(super) telemetry: Option<Telemetry>,
     pub(super) age: Duration,
     /// What stands in the first line: what to do next, or the fault with its remedy.
-    pub(super) prompt: (Weight, String),
+    pub(super) prompt: (Severity, String),
     pub(super) log: Log,
     pub(super) overlay: Overlay,
     pub(super) sources: [Source; MAX_AXES],
     pub(super) feed_override: u8,
-    pub(super) jog: JogShown,
-    pub(super) program: Option<ProgramShown>,
+    pub(super) jog: JogView,
+    pub(super) program: Option<ProgramView>,
     /// Name of the program that was chosen, checked or not.
-    pub(super) offered: Option<String>,
+    pub(super) selected_name: Option<String>,
     /// Force loops of x, y, z; none on a machine without a force sensor.
     pub(super) loops: Option<[ForceLoop; 3]>,
     pub(super) force_scale_n: f64,
     /// None on a machine without a haptic arm that follows none either.
-    pub(super) hand: Option<HandShown>,
+    pub(super) master: Option<MasterView>,
     pub(super) recording: Option<(String, u64)>,
     /// A stop that has not been answered yet.
     pub(super) stopping: Option<&'static str>,
@@ -203,35 +205,35 @@ pub(super) struct Shown {
 
 /// The hand.
 #[derive(Debug, Clone)]
-pub(super) struct HandShown {
+pub(super) struct MasterView {
     /// The arm, if it is one of this machine.
-    pub(super) arm: Option<ArmShown>,
+    pub(super) arm: Option<ArmView>,
     /// G_P where the machine follows a hand, and whether it is sure.
     pub(super) scale: Option<(f64, bool)>,
 }
 
 /// The haptic arm.
 #[derive(Debug, Clone)]
-pub(super) struct ArmShown {
+pub(super) struct ArmView {
     /// The newest report, and how old it is.
     pub(super) report: Option<MasterTelemetry>,
     pub(super) age: Duration,
     /// What is wrong with it, in words.
     pub(super) problem: Option<String>,
-    pub(super) reflection: ForceFeedback,
+    pub(super) feedback: ForceFeedback,
     /// No other host can have set something else.
-    pub(super) reflection_sure: bool,
+    pub(super) feedback_known: bool,
     /// Of each axis the lower and the upper wall.
     pub(super) faces: [[Face; 2]; COMPONENTS],
 }
 
 /// The jog keys.
 #[derive(Debug, Clone)]
-pub(super) struct JogShown {
+pub(super) struct JogView {
     pub(super) mode: Mode,
     pub(super) rate: f64,
     pub(super) step: f64,
     pub(super) dead_man_ms: u64,
-    pub(super) releases_told: bool,
+    pub(super) has_release_events: bool,
     pub(super) held: [Option<(bool, u64)>; MAX_AXES],
 }

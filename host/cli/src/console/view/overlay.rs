@@ -1,9 +1,9 @@
 //! What lies over the panels: questions, the table of keys, lists.
 
 use super::panels::wrapped;
-use super::{hand, style_of};
+use super::{master, style_of};
 use crate::console::keys::BINDINGS;
-use crate::console::shown::{Confirm, Overlay, Shown, Weight};
+use crate::console::view_model::{Confirm, Overlay, Severity, ViewModel};
 use haptimill_machine_file::scale::PER_EFFORT;
 use haptimill_protocol::message::Source;
 use ratatui::Frame;
@@ -13,16 +13,16 @@ use ratatui::text::Line;
 use ratatui::widgets::{Block, Clear, Paragraph};
 
 /// Draws the overlay, if there is one, in the middle of an area.
-pub(super) fn draw(frame: &mut Frame<'_>, area: Rect, shown: &Shown) {
+pub(super) fn draw(frame: &mut Frame<'_>, area: Rect, view: &ViewModel) {
     let width = usize::from(area.width.saturating_sub(4)).clamp(1, 90);
     let marked = Style::new().add_modifier(Modifier::REVERSED);
     // The row that has to be in sight where not all are.
     let mut focus = 0;
-    let (title, rows): (&str, Vec<Line<'_>>) = match &shown.overlay {
+    let (title, rows): (&str, Vec<Line<'_>>) = match &view.overlay {
         Overlay::None => return,
         Overlay::Help { from } => {
             let rows = BINDINGS.iter().flat_map(|row| {
-                let mark = if row.always { " (always)" } else { "" };
+                let mark = if row.always_active { " (always)" } else { "" };
                 wrapped(&format!("{:<11}{}{mark}", row.name, row.what), width, 11)
             });
             (
@@ -75,11 +75,11 @@ pub(super) fn draw(frame: &mut Frame<'_>, area: Rect, shown: &Shown) {
             )
         }
         Overlay::Axes { at } => {
-            let mut rows: Vec<Line<'_>> = shown
-                .fixed
+            let mut rows: Vec<Line<'_>> = view
+                .static_info
                 .pose
                 .iter()
-                .zip(&shown.sources)
+                .zip(&view.sources)
                 .enumerate()
                 .map(|(index, (axis, source))| {
                     let what = match source {
@@ -98,18 +98,18 @@ pub(super) fn draw(frame: &mut Frame<'_>, area: Rect, shown: &Shown) {
             ("Axes: a jog begins and ends at rest", rows)
         }
         Overlay::Force { at } => {
-            let Some(loops) = &shown.loops else { return };
-            let force = shown.telemetry.as_ref().and_then(|now| now.force.as_ref());
+            let Some(loops) = &view.loops else { return };
+            let force = view.telemetry.as_ref().and_then(|now| now.force.as_ref());
             let mut rows: Vec<Line<'_>> = ["x", "y", "z"]
                 .iter()
                 .zip(loops)
                 .enumerate()
                 .map(|(index, (name, settings))| {
-                    let yields = force.is_some_and(|force| force.mask & (1 << index) != 0);
+                    let is_controlled = force.is_some_and(|force| force.mask & (1 << index) != 0);
                     let per = |value: u32| f64::from(value) / PER_EFFORT;
                     let text = format!(
                         "{name} {}  f_d {:.1} N  K_A {:.2}  K_V {:.2}",
-                        if yields { "yields" } else { "stiff " },
+                        if is_controlled { "yields" } else { "stiff " },
                         f64::from(settings.desired) / PER_EFFORT,
                         per(settings.mass),
                         per(settings.damping)
@@ -122,12 +122,12 @@ pub(super) fn draw(frame: &mut Frame<'_>, area: Rect, shown: &Shown) {
             ));
             ("Force loop: above f_d the tool yields", rows)
         }
-        Overlay::Hand { at, typed } => {
-            let Some(shown_hand) = &shown.hand else {
+        Overlay::Master { at, typed } => {
+            let Some(shown_hand) = &view.master else {
                 return;
             };
             let rows;
-            (rows, focus) = hand::overlay(shown, shown_hand, *at, typed, width);
+            (rows, focus) = master::overlay(view, shown_hand, *at, typed, width);
             ("Hand: what it feels, and what it may", rows)
         }
     };
@@ -145,8 +145,8 @@ pub(super) fn draw(frame: &mut Frame<'_>, area: Rect, shown: &Shown) {
         width,
         height,
     };
-    let style = match shown.overlay {
-        Overlay::Confirm(_) => style_of(Weight::Warning),
+    let style = match view.overlay {
+        Overlay::Confirm(_) => style_of(Severity::Warning),
         _ => Style::new(),
     };
     frame.render_widget(Clear, place);

@@ -1,10 +1,10 @@
 //! From keys to orders.
 
-use super::desk::{Desk, Owed, Then};
-use super::jogging::{Mode, Press};
+use super::app::{App, OnAck, PendingStop};
+use super::jogging::{KeyPhase, Mode};
 use super::keys::{Action, BINDINGS, Key};
 use super::recording::Recording;
-use super::shown::{Confirm, Contact, Overlay, Weight};
+use super::view_model::{Confirm, LinkState, Overlay, Severity};
 use haptimill_protocol::message::{Command, Source, State};
 use ratatui::crossterm::event::{Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 
@@ -15,24 +15,24 @@ const OVERRIDES: [u8; 13] = [1, 2, 5, 10, 20, 30, 40, 50, 60, 70, 80, 90, 100];
 const FORCE_STEP: i32 = 1 << 15;
 
 /// A program is run by an Enter that comes at least so long after the question, microseconds: not by the one that chose the file, pressed twice.
-const CONSIDER_US: u64 = 400_000;
+const CONFIRM_DELAY_US: u64 = 400_000;
 
-impl Desk {
+impl App {
     /// Something came from the terminal.
-    pub(super) fn input(&mut self, event: &Event) {
+    pub(super) fn handle_input(&mut self, event: &Event) {
         match event {
             Event::Key(key) => self.key(key),
             Event::Paste(text) => match &mut self.overlay {
                 Overlay::Prompt { text: typed, .. } => {
                     typed.extend(text.chars().take_while(|letter| !letter.is_control()));
                 }
-                _ => self.say(Weight::Warning, "pasted text is not heard as keys"),
+                _ => self.notify(Severity::Warning, "pasted text is not heard as keys"),
             },
             Event::FocusLost => {
                 let now_us = self.now_us();
                 if self.jogging.held(now_us).iter().any(Option::is_some) {
                     self.jogging.release_all(now_us);
-                    self.say(Weight::Warning, "the window lost the keyboard: jog ended");
+                    self.notify(Severity::Warning, "the window lost the keyboard: jog ended");
                 }
             }
             Event::FocusGained | Event::Mouse(_) | Event::Resize(..) => {}
@@ -41,22 +41,22 @@ impl Desk {
 
     fn key(&mut self, event: &KeyEvent) {
         let mut key = Key::of(event);
-        let press = match event.kind {
-            KeyEventKind::Press => Press::Down,
-            KeyEventKind::Repeat => Press::Again,
-            KeyEventKind::Release => Press::Up,
+        let phase = match event.kind {
+            KeyEventKind::Press => KeyPhase::Press,
+            KeyEventKind::Repeat => KeyPhase::Repeat,
+            KeyEventKind::Release => KeyPhase::Release,
         };
-        if press == Press::Up {
+        if phase == KeyPhase::Release {
             // Whatever is open by now, a key that was let go moves nothing any more.
             if let Some(Action::Jog { axis, up }) = key.action() {
                 let now_us = self.now_us();
-                self.jogging.key(usize::from(axis), up, press, now_us);
+                self.jogging.key(usize::from(axis), up, phase, now_us);
             }
             return;
         }
-        if let Some(action) = key.always() {
-            if press == Press::Down {
-                self.order(action);
+        if let Some(action) = key.always_active() {
+            if phase == KeyPhase::Press {
+                self.execute(action);
             }
             return;
         }
@@ -66,78 +66,78 @@ impl Desk {
         }
         match std::mem::replace(&mut self.overlay, Overlay::None) {
             Overlay::None => match key.action() {
-                Some(Action::Jog { axis, up }) => self.jog_key(usize::from(axis), up, press),
-                Some(action) if press == Press::Down => self.order(action),
+                Some(Action::Jog { axis, up }) => self.jog_key(usize::from(axis), up, phase),
+                Some(action) if phase == KeyPhase::Press => self.execute(action),
                 _ => {}
             },
             Overlay::Help { from } => {
-                self.overlay = scrolled(key, from, BINDINGS.len())
+                self.overlay = scroll(key, from, BINDINGS.len())
                     .map_or(Overlay::None, |from| Overlay::Help { from })
             }
             Overlay::Problems { lines, from } => {
-                if let Some(from) = scrolled(key, from, lines.len()) {
+                if let Some(from) = scroll(key, from, lines.len()) {
                     self.overlay = Overlay::Problems { lines, from };
                 }
             }
-            Overlay::Confirm(confirm) => self.confirmed(confirm, key),
-            Overlay::Prompt { title, text } => self.typed(title, text, key),
+            Overlay::Confirm(confirm) => self.confirm_key(confirm, key),
+            Overlay::Prompt { title, text } => self.prompt_key(title, text, key),
             Overlay::Axes { at } => self.axes_key(at, key),
             Overlay::Force { at } => self.force_key(at, key),
-            Overlay::Hand { at, typed } => self.hand_key(at, typed, key),
+            Overlay::Master { at, typed } => self.master_key(at, typed, key),
         }
     }
 
     /// Does what a key asks for; from the table, so with nothing open, or always.
-    fn order(&mut self, action: Action) {
+    fn execute(&mut self, action: Action) {
         match action {
             Action::Hold => self.hold(),
             Action::Resume => self.resume(),
             Action::Stop => self.stop(),
             Action::Emergency => self.emergency(),
             Action::Quit => self.quit(),
-            Action::Leave => self.hold(),
+            Action::Close => self.hold(),
             Action::Help => self.open(Overlay::Help { from: 0 }),
             Action::Mode => self.jogging.toggle_mode(),
-            Action::Less => self.jogging.choose(false),
-            Action::More => self.jogging.choose(true),
+            Action::Decrease => self.jogging.select(false),
+            Action::Increase => self.jogging.select(true),
             Action::Record => self.record(),
             Action::Jog { .. } => {}
-            _ if !self.ready() => self.say(Weight::Warning, "no link to the controller"),
+            _ if !self.is_ready() => self.notify(Severity::Warning, "no link to the controller"),
             Action::Enable => {
                 if !self.configured {
                     self.send_configuration();
                 }
-                self.ask(Command::Enable, Then::Enabled);
+                self.request(Command::Enable, OnAck::Enabled);
             }
-            Action::Disable => self.ask(Command::Disable, Then::Say("drives off")),
-            Action::Reset => self.ask(Command::Reset, Then::Say("reset")),
+            Action::Disable => self.request(Command::Disable, OnAck::Say("drives off")),
+            Action::Reset => self.request(Command::Reset, OnAck::Say("reset")),
             Action::Home => match self.state() {
                 Some(State::Idle) => self.open(Overlay::Confirm(Confirm::Home)),
                 Some(state) => {
                     let what = format!("home: not possible while the machine is {state}");
-                    self.say(Weight::Warning, what);
+                    self.notify(Severity::Warning, what);
                 }
                 None => {}
             },
-            Action::OverrideUp => self.choose_override(true),
-            Action::OverrideDown => self.choose_override(false),
+            Action::OverrideUp => self.select_override(true),
+            Action::OverrideDown => self.select_override(false),
             Action::Program => {
-                let text = self.work.path();
+                let text = self.jobs.path();
                 self.open(Overlay::Prompt {
                     title: "Part program",
                     text,
                 });
             }
             Action::Axes => self.open(Overlay::Axes { at: 0 }),
-            Action::Hand => {
-                if let Some(overlay) = self.hand_overlay() {
+            Action::Master => {
+                if let Some(overlay) = self.open_master_overlay() {
                     self.open(overlay);
                 }
             }
             Action::Force if self.loops.is_some() => self.open(Overlay::Force { at: 0 }),
             Action::Tare if self.loops.is_some() => self.open(Overlay::Confirm(Confirm::Tare)),
             Action::Force | Action::Tare => {
-                self.say(Weight::Warning, "this machine has no force sensor");
+                self.notify(Severity::Warning, "this machine has no force sensor");
             }
         }
     }
@@ -145,7 +145,7 @@ impl Desk {
     fn open(&mut self, overlay: Overlay) {
         let now_us = self.now_us();
         self.jogging.release_all(now_us);
-        self.asked_us = now_us;
+        self.opened_us = now_us;
         self.overlay = overlay;
     }
 
@@ -153,68 +153,68 @@ impl Desk {
     fn hold(&mut self) {
         let now_us = self.now_us();
         self.jogging.release_all(now_us);
-        self.work.nothing_follows();
-        if !self.ready() {
-            self.owe(Owed::Stop);
-        } else if self.work.runs_step() {
+        self.jobs.cancel_pending();
+        if !self.is_ready() {
+            self.queue_stop(PendingStop::Stop);
+        } else if self.jobs.is_running_step() {
             // Of a step nothing is worth keeping.
             self.stop();
         } else {
-            self.ask(Command::Hold, Then::Nothing);
+            self.request(Command::Hold, OnAck::Nothing);
         }
     }
 
     fn resume(&mut self) {
-        if self.ready() && self.state() == Some(State::Hold) {
-            self.work.pause_line = None;
-            self.ask(Command::Resume, Then::Nothing);
+        if self.is_ready() && self.state() == Some(State::Hold) {
+            self.jobs.pause_line = None;
+            self.request(Command::Resume, OnAck::Nothing);
         } else {
-            self.say(Weight::Warning, "resume: nothing is on hold");
+            self.notify(Severity::Warning, "resume: nothing is on hold");
         }
     }
 
     fn stop(&mut self) {
         let now_us = self.now_us();
         self.jogging.release_all(now_us);
-        self.work.nothing_follows();
+        self.jobs.cancel_pending();
         self.client.urgent_stop();
-        if self.ready() {
+        if self.is_ready() {
             self.stopping = Some("stop");
         } else {
-            self.owe(Owed::Stop);
+            self.queue_stop(PendingStop::Stop);
         }
     }
 
     fn emergency(&mut self) {
         self.stop();
-        if self.ready() {
-            self.ask(Command::EmergencyStop, Then::Nothing);
+        if self.is_ready() {
+            self.request(Command::EmergencyStop, OnAck::Nothing);
             self.stopping = Some("emergency stop");
         } else {
-            self.owe(Owed::Emergency);
+            self.queue_stop(PendingStop::Emergency);
         }
     }
 
     /// A stop that goes out as soon as there is a line.
-    fn owe(&mut self, what: Owed) {
-        self.owed = self.owed.max(what);
-        self.say(
-            Weight::Alarm,
+    fn queue_stop(&mut self, what: PendingStop) {
+        self.pending_stop = self.pending_stop.max(what);
+        self.notify(
+            Severity::Alarm,
             "no link: the stop goes out first when the line is back. Use the emergency stop of the machine",
         );
     }
 
     fn quit(&mut self) {
         let ms = self.machine.config.supervision.heartbeat_ms;
-        let text = match (&self.contact, self.state()) {
-            (Contact::Ready, Some(State::Disabled | State::EmergencyStop)) => {
-                self.leaving = true;
+        let text = match (&self.link_state, self.state()) {
+            (LinkState::Ready, Some(State::Disabled | State::EmergencyStop)) => {
+                self.quitting = true;
                 return;
             }
-            (Contact::Ready, Some(State::Idle | State::Fault)) => {
+            (LinkState::Ready, Some(State::Idle | State::Fault)) => {
                 "nothing moves; the drives stay on and hold".to_string()
             }
-            (Contact::Ready, _) => {
+            (LinkState::Ready, _) => {
                 "the machine slows down along its path, what runs is dropped, the drives stay on"
                     .to_string()
             }
@@ -223,20 +223,21 @@ impl Desk {
         self.open(Overlay::Confirm(Confirm::Quit(text)));
     }
 
-    fn jog_key(&mut self, axis: usize, up: bool, press: Press) {
+    fn jog_key(&mut self, axis: usize, up: bool, phase: KeyPhase) {
         if axis >= self.machine.pose.len() {
             return;
         }
-        if !self.ready() {
-            self.say(Weight::Warning, "no link to the controller");
+        if !self.is_ready() {
+            self.notify(Severity::Warning, "no link to the controller");
             return;
         }
-        let beside = self.sources.contains(&Source::Jog);
+        let jog_source = self.sources.contains(&Source::Jog);
         let possible = match self.state() {
             Some(State::Idle) => true,
             Some(State::Jog) => self.jogging.mode() == Mode::Continuous,
             Some(State::Run | State::Hold) => {
-                self.work.runs_step() || (beside && self.jogging.mode() == Mode::Continuous)
+                self.jobs.is_running_step()
+                    || (jog_source && self.jogging.mode() == Mode::Continuous)
             }
             _ => false,
         };
@@ -245,28 +246,28 @@ impl Desk {
                 .state()
                 .map_or_else(String::new, |state| state.to_string());
             if self.configured {
-                self.say(
-                    Weight::Warning,
+                self.notify(
+                    Severity::Warning,
                     format!("jog: not possible while the machine is {state}"),
                 );
             }
             return;
         }
         if !self.telemetry.as_ref().is_some_and(|now| now.homed) {
-            self.say(Weight::Warning, "jog: home the machine first");
+            self.notify(Severity::Warning, "jog: home the machine first");
             return;
         }
-        match (self.jogging.mode(), press) {
-            (Mode::Step, Press::Down) => self.step_axis(axis, up),
+        match (self.jogging.mode(), phase) {
+            (Mode::Step, KeyPhase::Press) => self.step_axis(axis, up),
             (Mode::Step, _) => {}
-            (Mode::Continuous, press) => {
+            (Mode::Continuous, phase) => {
                 let now_us = self.now_us();
-                self.jogging.key(axis, up, press, now_us);
+                self.jogging.key(axis, up, phase, now_us);
             }
         }
     }
 
-    fn choose_override(&mut self, up: bool) {
+    fn select_override(&mut self, up: bool) {
         let now = self.requested_override;
         let next = if up {
             OVERRIDES.iter().find(|percent| **percent > now)
@@ -276,48 +277,48 @@ impl Desk {
         if let Some(percent) = next {
             let percent = *percent;
             self.requested_override = percent;
-            self.ask(Command::Override { percent }, Then::Override(percent));
+            self.request(Command::Override { percent }, OnAck::Override(percent));
         }
     }
 
     fn record(&mut self) {
         if let Some(recording) = self.recording.take() {
             let what = format!("{}: {} rows", recording.path.display(), recording.rows);
-            self.say(Weight::Note, what);
+            self.notify(Severity::Info, what);
             return;
         }
         match Recording::begin(&self.settings.folder, &self.machine) {
             Ok(recording) => {
                 let what = format!("recording to {}", recording.path.display());
                 self.recording = Some(recording);
-                self.say(Weight::Note, what);
+                self.notify(Severity::Info, what);
             }
-            Err(why) => self.say(Weight::Warning, why),
+            Err(why) => self.notify(Severity::Warning, why),
         }
     }
 
-    fn confirmed(&mut self, confirm: Confirm, key: Key) {
+    fn confirm_key(&mut self, confirm: Confirm, key: Key) {
         if key.code != KeyCode::Enter {
             return;
         }
         match confirm {
             Confirm::Run(text) => {
-                if self.now_us() < self.asked_us + CONSIDER_US {
+                if self.now_us() < self.opened_us + CONFIRM_DELAY_US {
                     self.overlay = Overlay::Confirm(Confirm::Run(text));
                 } else {
                     self.run_program();
                 }
             }
             Confirm::Home => {
-                self.work.home();
-                self.ask(Command::Home, Then::Nothing);
+                self.jobs.home();
+                self.request(Command::Home, OnAck::Nothing);
             }
-            Confirm::Tare => self.ask(Command::Tare, Then::Say("tare begun")),
-            Confirm::Quit(_) => self.leaving = true,
+            Confirm::Tare => self.request(Command::Tare, OnAck::Say("tare begun")),
+            Confirm::Quit(_) => self.quitting = true,
         }
     }
 
-    fn typed(&mut self, title: &'static str, mut text: String, key: Key) {
+    fn prompt_key(&mut self, title: &'static str, mut text: String, key: Key) {
         match key.code {
             KeyCode::Esc => return,
             KeyCode::Char('c') if key.control => return,
@@ -359,7 +360,10 @@ impl Desk {
         };
         self.overlay = Overlay::Axes { at };
         let axis = at as u8;
-        self.ask(Command::Source { axis, source }, Then::Source(axis, source));
+        self.request(
+            Command::Source { axis, source },
+            OnAck::Source(axis, source),
+        );
     }
 
     fn force_key(&mut self, at: usize, key: Key) {
@@ -382,7 +386,7 @@ impl Desk {
                     .and_then(|now| now.force.as_ref())
                     .map_or(0, |force| force.mask);
                 let mask = mask ^ (1 << at);
-                self.ask(Command::ForceMask { mask }, Then::Nothing);
+                self.request(Command::ForceMask { mask }, OnAck::Nothing);
                 0
             }
             KeyCode::Char('+' | '=') => FORCE_STEP,
@@ -392,16 +396,16 @@ impl Desk {
         };
         self.overlay = Overlay::Force { at };
         if change != 0 {
-            let commanded = &mut self.requested_loops[at];
-            let mut settings = commanded.newest().unwrap_or(loops[at]);
+            let requested = &mut self.requested_loops[at];
+            let mut settings = requested.newest().unwrap_or(loops[at]);
             settings.desired = settings.desired.saturating_add(change);
-            commanded.settings = Some(settings);
+            requested.settings = Some(settings);
         }
     }
 }
 
 /// The row from which a list is shown after a key; none when the key leaves it.
-fn scrolled(key: Key, from: usize, rows: usize) -> Option<usize> {
+fn scroll(key: Key, from: usize, rows: usize) -> Option<usize> {
     match key.code {
         KeyCode::Up => Some(from.saturating_sub(1)),
         KeyCode::Down => Some((from + 1).min(rows.saturating_sub(1))),

@@ -16,16 +16,16 @@ use std::sync::mpsc::{self, Receiver, TryRecvError};
 use std::time::{Duration, Instant};
 
 /// First and longest pause between two attempts.
-const AGAIN: (Duration, Duration) = (Duration::from_millis(300), Duration::from_secs(2));
+const RETRY: (Duration, Duration) = (Duration::from_millis(300), Duration::from_secs(2));
 
 /// Pause between two looks at the clock when the simulated machine said nothing.
-const REST: Duration = Duration::from_micros(500);
+const IDLE_SLEEP: Duration = Duration::from_micros(500);
 
 /// The simulated machine in this process, in step with the clock on the wall.
 struct PacedSim {
     rig: Rig<Controller>,
     /// Who holds the handle of its haptic arm.
-    person: Option<Person>,
+    operator: Option<Person>,
     pace: Pace,
     begun: Instant,
 }
@@ -37,15 +37,15 @@ impl Line for PacedSim {
         }
         let real_ns = u64::try_from(self.begun.elapsed().as_nanos()).unwrap_or(u64::MAX);
         for _ in 0..self.pace.due(real_ns, self.rig.time_ns()) {
-            if let Some(person) = &mut self.person {
-                person.act(&mut self.rig);
+            if let Some(operator) = &mut self.operator {
+                operator.act(&mut self.rig);
             }
             self.rig.step();
         }
         let before = received.len();
         self.rig.host_read(received);
         if received.len() == before {
-            std::thread::sleep(REST);
+            std::thread::sleep(IDLE_SLEEP);
         }
         Ok(self.rig.time_ns() / 1000)
     }
@@ -56,7 +56,7 @@ impl Line for PacedSim {
 }
 
 /// What became of a look at the connection.
-pub(super) enum Reached {
+pub(super) enum Progress {
     /// Nothing new.
     Nothing,
     /// A line is open; a session can begin.
@@ -79,10 +79,10 @@ pub(super) struct Connection {
     spec: PortSpec,
     baud: u32,
     stage: Stage,
-    pause: Duration,
+    retry_delay: Duration,
 }
 
-fn opening(spec: &PortSpec, baud: u32) -> Stage {
+fn open_in_thread(spec: &PortSpec, baud: u32) -> Stage {
     let (sender, receiver) = mpsc::channel();
     let spec = spec.clone();
     std::thread::spawn(move || {
@@ -100,22 +100,22 @@ impl Connection {
         machine: &MachineFile,
         seed: Option<u64>,
         faults: Vec<Fault>,
-        person: Option<&Script>,
+        operator: Option<&Script>,
     ) -> Result<Self, CliError> {
         let stage = match spec {
             PortSpec::Simulator => Stage::Simulated(Box::new(PacedSim {
                 rig: session::rig(machine, seed, None, faults)?,
-                person: person.map(Person::new),
+                operator: operator.map(Person::new),
                 pace: Pace::new(u64::from(machine.config.period_us) * 1000),
                 begun: Instant::now(),
             })),
-            spec => opening(spec, baud),
+            spec => open_in_thread(spec, baud),
         };
         Ok(Self {
             spec: spec.clone(),
             baud,
             stage,
-            pause: AGAIN.0,
+            retry_delay: RETRY.0,
         })
     }
 
@@ -152,41 +152,41 @@ impl Connection {
 
     /// The line is of no use any more; another attempt follows by itself.
     pub(super) fn drop_line(&mut self) {
-        self.wait();
+        self.schedule_retry();
     }
 
-    fn wait(&mut self) {
-        self.stage = Stage::Waiting(Instant::now() + self.pause);
-        self.pause = (self.pause * 2).min(AGAIN.1);
+    fn schedule_retry(&mut self) {
+        self.stage = Stage::Waiting(Instant::now() + self.retry_delay);
+        self.retry_delay = (self.retry_delay * 2).min(RETRY.1);
     }
 
     /// A session is open: the next attempt, if one is needed, comes soon.
-    pub(super) fn is_good(&mut self) {
-        self.pause = AGAIN.0;
+    pub(super) fn reset_backoff(&mut self) {
+        self.retry_delay = RETRY.0;
     }
 
     /// Goes on with the way to the port. Does not wait.
-    pub(super) fn advance(&mut self) -> Reached {
+    pub(super) fn advance(&mut self) -> Progress {
         match &self.stage {
-            Stage::Open(_) | Stage::Simulated(_) => Reached::Nothing,
-            Stage::Waiting(until) if Instant::now() < *until => Reached::Nothing,
+            Stage::Open(_) | Stage::Simulated(_) => Progress::Nothing,
+            Stage::Waiting(until) if Instant::now() < *until => Progress::Nothing,
             Stage::Waiting(_) => {
-                self.stage = opening(&self.spec, self.baud);
-                Reached::Nothing
+                self.stage = open_in_thread(&self.spec, self.baud);
+                Progress::Nothing
             }
             Stage::Opening(receiver) => match receiver.try_recv() {
                 Ok(Ok(port)) => {
                     self.stage = Stage::Open(Box::new(PortLine::new(port)));
-                    Reached::Line
+                    Progress::Line
                 }
                 Ok(Err(error)) => {
-                    self.wait();
-                    Reached::Failed(error)
+                    self.schedule_retry();
+                    Progress::Failed(error)
                 }
-                Err(TryRecvError::Empty) => Reached::Nothing,
+                Err(TryRecvError::Empty) => Progress::Nothing,
                 Err(TryRecvError::Disconnected) => {
-                    self.wait();
-                    Reached::Nothing
+                    self.schedule_retry();
+                    Progress::Nothing
                 }
             },
         }

@@ -1,29 +1,31 @@
 //! The picture of now: everything that is to be seen, and what to do next in words.
 
-use super::desk::{Desk, Owed, SCALES};
-use super::hand::scale_of;
-use super::shown::{ArmShown, Contact, Counters, HandShown, JogShown, ProgramShown, Shown, Weight};
+use crate::console::app::{App, FORCE_SCALES, PendingStop};
+use crate::console::master::to_ratio;
+use crate::console::view_model::{
+    ArmView, Counters, JogView, LinkState, MasterView, ProgramView, Severity, ViewModel,
+};
 use haptimill_protocol::message::State;
 use std::sync::Arc;
 
-impl Desk {
+impl App {
     /// What to do next, or what is wrong and what to do about it.
-    fn prompt(&self) -> (Weight, String) {
-        let alarm = |text: String| (Weight::Alarm, text);
-        let note = |text: &str| (Weight::Note, text.to_string());
-        match &self.contact {
-            Contact::Opening => return note("opening the port"),
-            Contact::Greeting => return note("waiting for the controller's answer"),
-            Contact::Configuring => return note("sending the machine file to the controller"),
-            Contact::Lost(why) => {
-                let owed = match self.owed {
-                    Owed::Nothing => "",
-                    Owed::Stop => " A STOP goes out first.",
-                    Owed::Emergency => " An EMERGENCY STOP goes out first.",
+    fn prompt(&self) -> (Severity, String) {
+        let alarm = |text: String| (Severity::Alarm, text);
+        let note = |text: &str| (Severity::Info, text.to_string());
+        match &self.link_state {
+            LinkState::Opening => return note("opening the port"),
+            LinkState::Handshake => return note("waiting for the controller's answer"),
+            LinkState::Configuring => return note("sending the machine file to the controller"),
+            LinkState::Lost(why) => {
+                let pending_stop = match self.pending_stop {
+                    PendingStop::None => "",
+                    PendingStop::Stop => " A STOP goes out first.",
+                    PendingStop::Emergency => " An EMERGENCY STOP goes out first.",
                 };
-                return alarm(format!("NO LINK, trying again.{owed} ({why})"));
+                return alarm(format!("NO LINK, trying again.{pending_stop} ({why})"));
             }
-            Contact::Ready => {}
+            LinkState::Ready => {}
         }
         let Some(telemetry) = &self.telemetry else {
             return note("waiting for the controller's report");
@@ -36,7 +38,7 @@ impl Desk {
         }
         if !self.configured && telemetry.state != State::EmergencyStop {
             return (
-                Weight::Warning,
+                Severity::Warning,
                 "the controller has another configuration: names and numbers may be wrong. d disables, e sends the machine file".to_string(),
             );
         }
@@ -48,20 +50,20 @@ impl Desk {
             State::Disabled => note("drives off. e enables them"),
             State::Idle if !telemetry.homed => note("not homed. h homes: the machine moves"),
             State::Idle if !telemetry.position_kept => {
-                (Weight::Warning, "position lost. h homes".to_string())
+                (Severity::Warning, "position lost. h homes".to_string())
             }
-            State::Idle => match self.work.offered() {
-                Some(name) => (Weight::Note, format!("ready. Jog, or p runs {name}")),
+            State::Idle => match self.jobs.selected_name() {
+                Some(name) => (Severity::Info, format!("ready. Jog, or p runs {name}")),
                 None => note("ready. Jog, or p chooses a part program"),
             },
             State::Homing => note("homing. Space stops"),
-            State::Run if self.work.runs_step() => note("step. Space stops"),
+            State::Run if self.jobs.is_running_step() => note("step. Space stops"),
             State::Run => note("running. Space holds, Ctrl-X stops"),
             State::Jog => note("jogging. Ends with the key, or with Space"),
             State::Hold if self.stopping.is_some() => note("stopping"),
             State::Hold => (
-                Weight::Warning,
-                match self.work.pause_line {
+                Severity::Warning,
+                match self.jobs.pause_line {
                     Some(line) => {
                         format!(
                             "pause of the program in line {line}. Ctrl-R goes on, Ctrl-X drops it"
@@ -74,49 +76,51 @@ impl Desk {
     }
 
     /// The hand, if the machine has one.
-    fn hand_shown(&self) -> Option<HandShown> {
-        let hand = self.hand.as_ref()?;
-        let arm = hand.arm.as_ref().map(|arm| {
+    fn master_view(&self) -> Option<MasterView> {
+        let master = self.master.as_ref()?;
+        let arm = master.arm.as_ref().map(|arm| {
             let report = self.client.hand().copied();
             let problem = report.and_then(|report| report.problem).map(|problem| {
                 self.model
                     .with_axes(|axes| axes.describe(&problem).to_string())
             });
-            ArmShown {
+            ArmView {
                 report,
                 age: arm.age(),
                 problem,
-                reflection: arm.reflection.now,
-                reflection_sure: arm.reflection.sure,
+                feedback: arm.feedback.active,
+                feedback_known: arm.feedback.known,
                 faces: arm.faces,
             }
         });
-        let scale = hand.scale.map(|scale| (scale_of(scale.now), scale.sure));
-        Some(HandShown { arm, scale })
+        let scale = master
+            .scale
+            .map(|scale| (to_ratio(scale.active), scale.known));
+        Some(MasterView { arm, scale })
     }
 
     /// The picture of now.
-    pub(super) fn shown(&self) -> Shown {
+    pub(in crate::console) fn view_model(&self) -> ViewModel {
         let now_us = self.now_us();
         let counters = self.client.link().counters();
-        let program = self.work.checked.as_ref().map(|checked| ProgramShown {
+        let program = self.jobs.checked.as_ref().map(|checked| ProgramView {
             name: checked.name.clone(),
             duration_s: checked.plan.figures.duration_s,
-            runs: self.work.runs_program(),
+            is_running: self.jobs.is_running_program(),
             line: self
                 .telemetry
                 .as_ref()
-                .filter(|_| self.work.runs_program())
+                .filter(|_| self.jobs.is_running_program())
                 .map_or(0, |telemetry| {
                     checked.plan.line_of(telemetry.setpoint as usize)
                 }),
             lines: checked.lines,
         });
-        Shown {
-            fixed: Arc::clone(&self.fixed),
-            elapsed: self.begun.elapsed(),
+        ViewModel {
+            static_info: Arc::clone(&self.static_info),
+            elapsed: self.started.elapsed(),
             machine: self.machine.config.name.to_string(),
-            contact: self.contact.clone(),
+            link_state: self.link_state.clone(),
             counters: Counters {
                 round_trip_us: self.client.link().round_trip_us(),
                 bad_frames: counters.bad_frames,
@@ -130,19 +134,19 @@ impl Desk {
             overlay: self.overlay.clone(),
             sources: self.sources,
             feed_override: self.feed_override,
-            jog: JogShown {
+            jog: JogView {
                 mode: self.jogging.mode(),
                 rate: self.jogging.rate(),
                 step: self.jogging.step(),
                 dead_man_ms: self.jogging.dead_man_ms(),
-                releases_told: self.jogging.releases_told(),
+                has_release_events: self.jogging.has_release_events(),
                 held: self.jogging.held(now_us),
             },
             program,
-            offered: self.work.offered(),
+            selected_name: self.jobs.selected_name(),
             loops: self.loops,
-            force_scale_n: SCALES[self.force_scale.0],
-            hand: self.hand_shown(),
+            force_scale_n: FORCE_SCALES[self.force_scale.0],
+            master: self.master_view(),
             recording: self.recording.as_ref().map(|recording| {
                 let name = recording.path.file_name().unwrap_or_default();
                 (name.to_string_lossy().into_owned(), recording.rows)

@@ -6,9 +6,9 @@
 //!
 //! Forces N, places mm in the frame of the arm's base.
 //!
-//! Misuse: taking the place of a wall for where the controller has it to the last digit. [`Face::Near`] was put while the hand moved; and one of another host that nobody touches is not seen at all.
+//! Misuse: taking the place of a wall for where the controller has it to the last digit. [`Face::Approximate`] was put while the hand moved; and one of another host that nobody touches is not seen at all.
 
-mod orders;
+mod input;
 
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::scale::{PER_EFFORT, PER_MM};
@@ -26,10 +26,10 @@ pub(super) const PER_REPORTED: f64 = 256.0;
 const PER_SCALE: f64 = 4096.0;
 
 /// A push below this tells nothing of a wall, N, and so near the most that a wall pushes it may be deeper.
-const FAINT_N: f64 = 0.02;
+const MIN_PUSH_N: f64 = 0.02;
 
 /// The same wall, mm: the push is reported in steps.
-const SAME_MM: f64 = 0.03;
+const FACE_TOLERANCE_MM: f64 = 0.03;
 
 /// A setting of which the controller does not tell.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -37,37 +37,37 @@ pub(super) struct Setting<T> {
     /// What the machine file says.
     file: T,
     /// What was asked for last.
-    commanded: T,
+    requested: T,
     /// What is in force.
-    pub(super) now: T,
+    pub(super) active: T,
     /// No other host can have set something else.
-    pub(super) sure: bool,
+    pub(super) known: bool,
 }
 
 impl<T: Copy + PartialEq> Setting<T> {
     const fn new(file: T) -> Self {
         Self {
             file,
-            commanded: file,
-            now: file,
-            sure: false,
+            requested: file,
+            active: file,
+            known: false,
         }
     }
 
     /// The controller has it from the machine file.
     fn begin(&mut self) {
-        self.taken(self.file);
-        self.commanded = self.file;
+        self.acknowledge(self.file);
+        self.requested = self.file;
     }
 
-    fn taken(&mut self, value: T) {
-        self.now = value;
-        self.sure = true;
+    fn acknowledge(&mut self, value: T) {
+        self.active = value;
+        self.known = true;
     }
 
-    fn refused(&mut self, value: T) {
-        if self.commanded == value {
-            self.commanded = self.now;
+    fn reject(&mut self, value: T) {
+        if self.requested == value {
+            self.requested = self.active;
         }
     }
 }
@@ -80,30 +80,30 @@ pub(super) enum Face {
     /// There is none.
     None,
     /// It was put about here, by a moving hand.
-    Near(f64),
+    Approximate(f64),
     /// It is here.
-    At(f64),
+    FieldPosition(f64),
 }
 
 /// The haptic arm.
 #[derive(Debug, Clone)]
 pub(super) struct Arm {
-    pub(super) reflection: Setting<ForceFeedback>,
+    pub(super) feedback: Setting<ForceFeedback>,
     /// Of each axis the lower and the upper one.
     pub(super) faces: [[Face; 2]; COMPONENTS],
     /// Stiffness of the walls, N/mm, and the most that one pushes, N.
     stiffness: f64,
-    most: f64,
+    max_push: f64,
     /// Period of the newest report, and when it came.
-    heard: Option<u64>,
-    heard_at: Instant,
+    last_period: Option<u64>,
+    received_at: Instant,
     /// Reports to come from which no wall is learnt.
-    old: u8,
+    stale_reports: u8,
 }
 
 /// What is known of the hand.
 #[derive(Debug, Clone)]
-pub(super) struct Hand {
+pub(super) struct Master {
     /// The arm, if it is one of this machine.
     pub(super) arm: Option<Arm>,
     /// G_P, where the machine follows a hand.
@@ -114,14 +114,14 @@ pub(super) struct Hand {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Field {
     Percent(Option<usize>),
-    Most(Option<usize>),
-    Wall { axis: Option<usize>, upper: bool },
+    Limit(Option<usize>),
+    Fixture { axis: Option<usize>, upper: bool },
     Scale,
 }
 
 /// Where a field is: rows x, y, z, all, G_P.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct At {
+pub(super) struct FieldPosition {
     pub(super) row: usize,
     pub(super) column: usize,
 }
@@ -133,15 +133,15 @@ pub(super) const SCALE: usize = COMPONENTS + 1;
 /// Columns of a row of settings.
 const COLUMNS: usize = 4;
 
-impl At {
+impl FieldPosition {
     /// What is there.
     pub(super) fn field(self) -> Field {
         let axis = (self.row < ALL).then_some(self.row);
         match self.column {
             _ if self.row >= SCALE => Field::Scale,
             0 => Field::Percent(axis),
-            1 => Field::Most(axis),
-            column => Field::Wall {
+            1 => Field::Limit(axis),
+            column => Field::Fixture {
                 axis,
                 upper: column > 2,
             },
@@ -151,46 +151,47 @@ impl At {
 
 impl Arm {
     /// A report, if it is a new one.
-    fn hear(&mut self, report: &MasterTelemetry) {
-        if self.heard.replace(report.period) == Some(report.period) {
+    fn handle_notice(&mut self, report: &MasterTelemetry) {
+        if self.last_period.replace(report.period) == Some(report.period) {
             return;
         }
-        self.heard_at = Instant::now();
-        if self.old > 0 {
-            self.old -= 1;
+        self.received_at = Instant::now();
+        if self.stale_reports > 0 {
+            self.stale_reports -= 1;
             return;
         }
         for (axis, faces) in self.faces.iter_mut().enumerate() {
             let push = f64::from(report.fixture[axis]) / PER_REPORTED;
-            if !(FAINT_N..self.most - FAINT_N).contains(&push.abs()) {
+            if !(MIN_PUSH_N..self.max_push - MIN_PUSH_N).contains(&push.abs()) {
                 continue;
             }
             let at = f64::from(report.pose.tip[axis]) / PER_MM + push / self.stiffness;
             let face = &mut faces[usize::from(push < 0.0)];
-            if !matches!(face, Face::At(before) if (*before - at).abs() < SAME_MM) {
-                *face = Face::At(at);
+            if !matches!(face, Face::FieldPosition(before) if (*before - at).abs() < FACE_TOLERANCE_MM)
+            {
+                *face = Face::FieldPosition(at);
             }
         }
     }
 
     /// How old the newest report is.
     pub(super) fn age(&self) -> Duration {
-        self.heard_at.elapsed()
+        self.received_at.elapsed()
     }
 }
 
-impl Hand {
+impl Master {
     /// That of a machine; none when it has no haptic arm and follows none.
     pub(super) fn of(machine: &MachineFile) -> Option<Self> {
         let config = &machine.config;
         let arm = config.haptic.as_ref().map(|haptic| Arm {
-            reflection: Setting::new(haptic.reflection),
+            feedback: Setting::new(haptic.reflection),
             faces: [[Face::Unknown; 2]; COMPONENTS],
             stiffness: f64::from(haptic.wall.stiffness) / PER_EFFORT,
-            most: f64::from(haptic.wall.most.0) / PER_EFFORT,
-            heard: None,
-            heard_at: Instant::now(),
-            old: 0,
+            max_push: f64::from(haptic.wall.most.0) / PER_EFFORT,
+            last_period: None,
+            received_at: Instant::now(),
+            stale_reports: 0,
         });
         let scale = config
             .follow
@@ -202,7 +203,7 @@ impl Hand {
     /// The controller took the machine file: no other host has set anything since.
     pub(super) fn begin(&mut self) {
         if let Some(arm) = &mut self.arm {
-            arm.reflection.begin();
+            arm.feedback.begin();
             arm.faces = [[Face::None; 2]; COMPONENTS];
         }
         if let Some(scale) = &mut self.scale {
@@ -211,40 +212,40 @@ impl Hand {
     }
 
     /// The link is gone, and every request with it.
-    pub(super) fn lose(&mut self) {
+    pub(super) fn handle_link_loss(&mut self) {
         if let Some(arm) = &mut self.arm {
-            arm.reflection.commanded = arm.reflection.now;
-            arm.heard = None;
+            arm.feedback.requested = arm.feedback.active;
+            arm.last_period = None;
         }
         if let Some(scale) = &mut self.scale {
-            scale.commanded = scale.now;
+            scale.requested = scale.active;
         }
     }
 
     /// The field in which the overlay begins.
-    const fn first(&self) -> At {
+    const fn first_position(&self) -> FieldPosition {
         let row = if self.arm.is_some() { 0 } else { SCALE };
-        At { row, column: 0 }
+        FieldPosition { row, column: 0 }
     }
 
     /// The field beside another one.
-    fn beside(&self, at: At, key: KeyCode) -> At {
+    fn neighbour(&self, at: FieldPosition, key: KeyCode) -> FieldPosition {
         let last = if self.scale.is_some() { SCALE } else { ALL };
-        let At { row, column } = at;
+        let FieldPosition { row, column } = at;
         match key {
-            KeyCode::Up => At {
-                row: row.saturating_sub(1).max(self.first().row),
+            KeyCode::Up => FieldPosition {
+                row: row.saturating_sub(1).max(self.first_position().row),
                 column,
             },
-            KeyCode::Down => At {
+            KeyCode::Down => FieldPosition {
                 row: (row + 1).min(last),
                 column,
             },
-            KeyCode::Left => At {
+            KeyCode::Left => FieldPosition {
                 row,
                 column: column.saturating_sub(1),
             },
-            _ => At {
+            _ => FieldPosition {
                 row,
                 column: (column + 1).min(COLUMNS - 1),
             },
@@ -253,6 +254,6 @@ impl Hand {
 }
 
 /// A G_P as people write it.
-pub(super) fn scale_of(raw: u16) -> f64 {
+pub(super) fn to_ratio(raw: u16) -> f64 {
     f64::from(raw) / PER_SCALE
 }

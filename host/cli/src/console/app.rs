@@ -1,17 +1,17 @@
 //! The desk: everything between the keys and the controller. It waits for nobody.
 //!
-//! [`Desk::step`] is called again and again, at least every few milliseconds; it moves the line, the session and the jog on and never waits longer than a
-//! line's own millisecond. Keys come in between through [`Desk::input`] (see `orders.rs`), what the controller says is taken in `hearing.rs`, and what is to be seen is made in `picture.rs`.
+//! [`App::step`] is called again and again, at least every few milliseconds; it moves the line, the session and the jog on and never waits longer than a
+//! line's own millisecond. Keys come in between through [`App::input`] (see `orders.rs`), what the controller says is taken in `hearing.rs`, and what is to be seen is made in `picture.rs`.
 //!
 //! After a lost link the desk opens the port and a session again by itself, and that is all that it does by itself: jogs, programs and homing end with
 //! the session that they belong to. A stop that is asked for meanwhile goes out first when the line is back.
 
-use super::connect::{Connection, Reached};
-use super::hand::Hand;
-use super::job::Work;
-use super::jogging::{Jogging, Order};
+use super::connection::{Connection, Progress};
+use super::jobs::Jobs;
+use super::jogging::{JogCommand, Jogging};
+use super::master::Master;
 use super::recording::Recording;
-use super::shown::{Axis, Confirm, Contact, Fixed, Log, Overlay, Weight};
+use super::view_model::{Axis, Confirm, LinkState, Log, Overlay, Severity, StaticInfo};
 use crate::commands::{CliError, Exit};
 use haptimill_client::board::{Chosen, Decision};
 use haptimill_client::client::{Client, ClientState, Options, Ticket};
@@ -38,29 +38,29 @@ const TELEMETRY_MS: u32 = 20;
 const TELEMETRY_BYTES: u32 = 150;
 
 /// How long a machine may take to come to rest when the console is left.
-const LEAVE: Duration = Duration::from_millis(2000);
+const SHUTDOWN: Duration = Duration::from_millis(2000);
 
 /// Full scales of the force bars, N.
-pub(super) const SCALES: [f64; 5] = [5.0, 10.0, 20.0, 50.0, 100.0];
+pub(super) const FORCE_SCALES: [f64; 5] = [5.0, 10.0, 20.0, 50.0, 100.0];
 
 /// What is done when a request is answered with yes.
 #[derive(Debug, Clone)]
-pub(super) enum Then {
+pub(super) enum OnAck {
     Nothing,
     /// With what the controller had already, or had set since.
     Configured {
-        kept: bool,
+        already_active: bool,
     },
     Enabled,
     Override(u8),
     Source(u8, Source),
     Loop(u8, ForceLoop),
     ForceFeedback(ForceFeedback),
-    Wall {
+    Fixture {
         axis: usize,
         upper: bool,
         /// Put there, or taken away.
-        put: bool,
+        is_set: bool,
         /// All are taken away together.
         all: bool,
     },
@@ -75,7 +75,7 @@ pub(super) struct RequestedLoop {
     /// A request for these is under way.
     pub(super) asked: Option<ForceLoop>,
     /// Not before then: the controller still works the last change out.
-    pub(super) after_us: u64,
+    pub(super) not_before_us: u64,
 }
 
 impl RequestedLoop {
@@ -87,8 +87,8 @@ impl RequestedLoop {
 
 /// A stop that cannot be said now, because there is no session.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) enum Owed {
-    Nothing,
+pub(super) enum PendingStop {
+    None,
     Stop,
     Emergency,
 }
@@ -100,39 +100,39 @@ pub(super) struct Settings {
     /// The program to begin with.
     pub(super) program: Option<PathBuf>,
     /// A work that is clamped on the simulated table after homing.
-    pub(super) work: Option<CuttingConfig>,
+    pub(super) stock: Option<CuttingConfig>,
     pub(super) options: Options,
     /// How the configuration of a board behind a port is chosen.
     pub(super) board: Option<Chosen>,
 }
 
 /// See the module.
-pub(super) struct Desk {
+pub(super) struct App {
     pub(super) machine: Arc<MachineFile>,
     pub(super) model: Model,
     pub(super) settings: Settings,
     pub(super) client: Client,
     pub(super) connection: Connection,
-    pub(super) fixed: Arc<Fixed>,
+    pub(super) static_info: Arc<StaticInfo>,
     pub(super) transmit: Vec<u8>,
     pub(super) received: Vec<u8>,
     /// Time of the line at the last exchange.
     pub(super) line_us: u64,
-    pub(super) begun: Instant,
-    pub(super) contact: Contact,
+    pub(super) started: Instant,
+    pub(super) link_state: LinkState,
     /// There was a session once: a port that fails now is tried again, not reported as a mistake of the command line.
     pub(super) connected_once: bool,
     pub(super) reconnects: u32,
     /// The board had the configuration of this console, or took it.
-    agreed: bool,
+    configuration_checked: bool,
     /// The controller has the configuration of our machine file.
     pub(super) configured: bool,
-    pub(super) asked: Vec<(Ticket, Then)>,
-    pub(super) owed: Owed,
+    pub(super) asked: Vec<(Ticket, OnAck)>,
+    pub(super) pending_stop: PendingStop,
     pub(super) telemetry: Option<Telemetry>,
     pub(super) telemetry_at: Instant,
     /// The period of the last change of state: what was reported before it is about another state.
-    pub(super) changed: u64,
+    pub(super) state_period: u64,
     pub(super) log: Log,
     pub(super) overlay: Overlay,
     pub(super) sources: [Source; MAX_AXES],
@@ -140,28 +140,28 @@ pub(super) struct Desk {
     /// The override that was asked for last.
     pub(super) requested_override: u8,
     pub(super) jogging: Jogging,
-    pub(super) work: Work,
+    pub(super) jobs: Jobs,
     pub(super) loops: Option<[ForceLoop; 3]>,
     pub(super) requested_loops: [RequestedLoop; 3],
     pub(super) force_scale: (usize, Instant),
-    pub(super) hand: Option<Hand>,
+    pub(super) master: Option<Master>,
     pub(super) recording: Option<Recording>,
     pub(super) stopping: Option<&'static str>,
     pub(super) fault: Option<Fault>,
     /// When the question that is open was asked.
-    pub(super) asked_us: u64,
+    pub(super) opened_us: u64,
     /// The console is to end, when the machine is at rest.
-    pub(super) leaving: bool,
+    pub(super) quitting: bool,
 }
 
-impl Desk {
+impl App {
     pub(super) fn new(
         machine: Arc<MachineFile>,
         connection: Connection,
         settings: Settings,
     ) -> Self {
         let limits: Vec<f64> = machine.pose.iter().map(|axis| axis.rate).collect();
-        let fixed = Arc::new(Fixed {
+        let static_info = Arc::new(StaticInfo {
             port: connection.name(),
             pose: Axis::all(&machine.pose),
             joints: Axis::all(&machine.joints),
@@ -182,26 +182,26 @@ impl Desk {
         let now = Instant::now();
         Self {
             model: Model::new(&machine),
-            work: Work::new(settings.program.clone()),
+            jobs: Jobs::new(settings.program.clone()),
             client: Client::new(settings.options),
             jogging: Jogging::new(&limits, settings.dead_man_ms),
             settings,
             connection,
-            fixed,
+            static_info,
             transmit: Vec::new(),
             received: Vec::new(),
             line_us: 0,
-            begun: now,
-            contact: Contact::Opening,
+            started: now,
+            link_state: LinkState::Opening,
             connected_once: false,
             reconnects: 0,
-            agreed: false,
+            configuration_checked: false,
             configured: false,
             asked: Vec::new(),
-            owed: Owed::Nothing,
+            pending_stop: PendingStop::None,
             telemetry: None,
             telemetry_at: now,
-            changed: 0,
+            state_period: 0,
             log: Log::default(),
             overlay: Overlay::None,
             sources: [Source::Program; MAX_AXES],
@@ -210,37 +210,37 @@ impl Desk {
             loops,
             requested_loops: [RequestedLoop::default(); 3],
             force_scale: (0, now),
-            hand: Hand::of(&machine),
+            master: Master::of(&machine),
             recording: None,
             stopping: None,
             fault: None,
-            asked_us: 0,
-            leaving: false,
+            opened_us: 0,
+            quitting: false,
             machine,
         }
     }
 
     /// Microseconds since the console began.
     pub(super) fn now_us(&self) -> u64 {
-        u64::try_from(self.begun.elapsed().as_micros()).unwrap_or(u64::MAX)
+        u64::try_from(self.started.elapsed().as_micros()).unwrap_or(u64::MAX)
     }
 
-    pub(super) fn say(&mut self, weight: Weight, text: impl Into<String>) {
-        self.log.add(self.begun.elapsed(), weight, text);
+    pub(super) fn notify(&mut self, severity: Severity, text: impl Into<String>) {
+        self.log.add(self.started.elapsed(), severity, text);
     }
 
-    pub(super) fn ready(&self) -> bool {
-        self.contact == Contact::Ready
+    pub(super) fn is_ready(&self) -> bool {
+        self.link_state == LinkState::Ready
     }
 
     /// The state, if it is known now.
     pub(super) fn state(&self) -> Option<State> {
-        let telemetry = self.telemetry.as_ref().filter(|_| self.ready())?;
+        let telemetry = self.telemetry.as_ref().filter(|_| self.is_ready())?;
         Some(telemetry.state)
     }
 
     /// Something moves, or may.
-    pub(super) fn moves(&self) -> bool {
+    pub(super) fn is_moving(&self) -> bool {
         matches!(
             self.telemetry.as_ref().map(|telemetry| telemetry.state),
             Some(State::Run | State::Jog | State::Homing | State::Hold)
@@ -248,34 +248,34 @@ impl Desk {
     }
 
     /// The wanted pose of a machine that stands idle, to the last bit.
-    pub(super) fn standing(&self) -> Option<AxisValues> {
-        let telemetry = self.telemetry.as_ref().filter(|_| self.ready())?;
-        let known = telemetry.state == State::Idle && telemetry.period >= self.changed;
+    pub(super) fn standstill_pose(&self) -> Option<AxisValues> {
+        let telemetry = self.telemetry.as_ref().filter(|_| self.is_ready())?;
+        let known = telemetry.state == State::Idle && telemetry.period >= self.state_period;
         known.then(|| telemetry.commanded.clone())
     }
 
     /// Asks the controller, and remembers what follows.
-    pub(super) fn ask(&mut self, command: Command, then: Then) {
+    pub(super) fn request(&mut self, command: Command, on_ack: OnAck) {
         let ticket = self.client.request(command);
-        self.asked.push((ticket, then));
+        self.asked.push((ticket, on_ack));
     }
 
     /// Moves everything on.
     ///
     /// # Errors
     /// There never was a controller: the port, or the session.
-    pub(super) fn step(&mut self) -> Result<(), CliError> {
+    pub(super) fn update(&mut self) -> Result<(), CliError> {
         match self.connection.advance() {
-            Reached::Nothing => {}
-            Reached::Line => self.greet(),
-            Reached::Failed(error) => self.port_failed(&error)?,
+            Progress::Nothing => {}
+            Progress::Line => self.send_hello(),
+            Progress::Failed(error) => self.handle_port_error(&error)?,
         }
-        if self.contact == Contact::Opening && self.connection.line().is_some() {
+        if self.link_state == LinkState::Opening && self.connection.line().is_some() {
             // The simulator in this process is there from the start.
-            self.greet();
+            self.send_hello();
         }
-        self.order_jog();
-        self.ask_loops();
+        self.send_jog();
+        self.send_force_loops();
         let Some(line) = self.connection.line() else {
             std::thread::sleep(Duration::from_millis(2));
             return Ok(());
@@ -290,59 +290,59 @@ impl Desk {
                 self.client
                     .advance(now_us, &self.received, &mut self.transmit);
             }
-            Err(error) => return self.port_failed(&error),
+            Err(error) => return self.handle_port_error(&error),
         }
         while let Some(notice) = self.client.poll() {
-            self.hear(notice)?;
+            self.handle_notice(notice)?;
         }
-        self.hear_hand();
-        self.advance_work();
+        self.update_arm();
+        self.advance_jobs();
         Ok(())
     }
 
     /// Begins a session on a line that was opened.
-    fn greet(&mut self) {
+    fn send_hello(&mut self) {
         self.client = Client::new(self.settings.options);
         self.transmit.clear();
         self.asked.clear();
         self.line_us = 0;
         self.client.connect(fresh_number(), 0);
-        if self.owed != Owed::Nothing {
+        if self.pending_stop != PendingStop::None {
             // Needs no session: the bytes go before the greeting.
             self.client.urgent_stop();
         }
-        self.contact = Contact::Greeting;
+        self.link_state = LinkState::Handshake;
     }
 
-    fn port_failed(&mut self, error: &PortError) -> Result<(), CliError> {
+    fn handle_port_error(&mut self, error: &PortError) -> Result<(), CliError> {
         if !self.connected_once {
             return Err(CliError::new(Exit::Port, error));
         }
-        self.lose(&error.to_string());
+        self.handle_link_loss(&error.to_string());
         Ok(())
     }
 
     /// The link is gone: nothing that belonged to it goes on.
-    pub(super) fn lose(&mut self, why: &str) {
-        if self.contact == Contact::Ready || self.contact == Contact::Configuring {
+    pub(super) fn handle_link_loss(&mut self, why: &str) {
+        if self.link_state == LinkState::Ready || self.link_state == LinkState::Configuring {
             let ms = self.machine.config.supervision.heartbeat_ms;
-            self.say(
-                Weight::Alarm,
+            self.notify(
+                Severity::Alarm,
                 format!("link lost: {why}. What moves stops by itself after {ms} ms of silence"),
             );
         }
         let now_us = self.now_us();
         self.jogging.release_all(now_us);
-        self.work.forget();
+        self.jobs.clear();
         self.sources = [Source::Program; MAX_AXES];
         (self.feed_override, self.requested_override) = (100, 100);
         self.requested_loops = [RequestedLoop::default(); 3];
-        if let Some(hand) = &mut self.hand {
-            hand.lose();
+        if let Some(master) = &mut self.master {
+            master.handle_link_loss();
         }
         self.configured = false;
         self.stopping = None;
-        self.contact = Contact::Lost(why.to_string());
+        self.link_state = LinkState::Lost(why.to_string());
         self.connection.drop_line();
     }
 
@@ -353,23 +353,23 @@ impl Desk {
     pub(super) fn begin(&mut self) -> Result<(), CliError> {
         if self.connected_once {
             self.reconnects += 1;
-            self.say(
-                Weight::Note,
+            self.notify(
+                Severity::Info,
                 "connected again; nothing moves until it is asked to",
             );
         }
         self.connected_once = true;
-        self.connection.is_good();
-        self.contact = Contact::Configuring;
-        match std::mem::replace(&mut self.owed, Owed::Nothing) {
-            Owed::Nothing => {}
-            Owed::Stop => self.stopping = Some("stop"),
-            Owed::Emergency => {
-                self.ask(Command::EmergencyStop, Then::Nothing);
+        self.connection.reset_backoff();
+        self.link_state = LinkState::Configuring;
+        match std::mem::replace(&mut self.pending_stop, PendingStop::None) {
+            PendingStop::None => {}
+            PendingStop::Stop => self.stopping = Some("stop"),
+            PendingStop::Emergency => {
+                self.request(Command::EmergencyStop, OnAck::Nothing);
                 self.stopping = Some("emergency stop");
             }
         }
-        self.agree()?;
+        self.check_configuration()?;
         let quarter_ms = (4 * TELEMETRY_BYTES * 1000)
             .checked_div(self.settings.options.timing.line_rate)
             .unwrap_or(0);
@@ -380,17 +380,17 @@ impl Desk {
             .max(1);
         let every = TELEMETRY_MS.max(quarter_ms) * 1000 / period_us;
         let every = every.clamp(1, u32::from(u16::MAX)) as u16;
-        self.ask(Command::Telemetry { every }, Then::Nothing);
-        self.ask(Command::Status, Then::Nothing);
+        self.request(Command::Telemetry { every }, OnAck::Nothing);
+        self.request(Command::Status, OnAck::Nothing);
         Ok(())
     }
 
     /// Sees to it that board and console go by the same machine file.
-    fn agree(&mut self) -> Result<(), CliError> {
+    fn check_configuration(&mut self) -> Result<(), CliError> {
         if let (Some(board), Some(welcome)) = (&self.settings.board, self.client.controller()) {
             match board.decide(welcome)? {
                 // A board that lost its power takes the configuration that it had in this console.
-                _ if self.agreed && welcome.config_crc == 0 => {}
+                _ if self.configuration_checked && welcome.config_crc == 0 => {}
                 Decision::Active(file) => {
                     // The built-in haptic arm is known too, and is no machine to operate.
                     if self.machine.is_master() != file.is_master() {
@@ -401,17 +401,22 @@ impl Desk {
                         );
                         return Err(CliError::new(Exit::Command, what));
                     }
-                    self.agreed = true;
-                    self.ask(Command::Ping, Then::Configured { kept: true });
+                    self.configuration_checked = true;
+                    self.request(
+                        Command::Ping,
+                        OnAck::Configured {
+                            already_active: true,
+                        },
+                    );
                     return Ok(());
                 }
-                Decision::Send(what) => self.say(Weight::Note, what),
+                Decision::Send(what) => self.notify(Severity::Info, what),
                 Decision::Unknown(what) => {
                     let what = format!("{}: {what}", self.connection.name());
                     return Err(CliError::new(Exit::Command, what));
                 }
             }
-            self.agreed = true;
+            self.configuration_checked = true;
         }
         self.send_configuration();
         Ok(())
@@ -421,29 +426,30 @@ impl Desk {
     pub(super) fn send_configuration(&mut self) {
         match self.machine.encoded() {
             Ok((bytes, crc)) => {
-                let kept = self
+                let already_active = self
                     .client
                     .controller()
                     .is_some_and(|welcome| welcome.config_crc == crc);
                 let ticket = self.client.configure(&bytes, false);
-                self.asked.push((ticket, Then::Configured { kept }));
+                self.asked
+                    .push((ticket, OnAck::Configured { already_active }));
             }
-            Err(error) => self.say(Weight::Alarm, format!("defect: {error}")),
+            Err(error) => self.notify(Severity::Alarm, format!("defect: {error}")),
         }
     }
 
     /// Tells the controller what the jog keys ask for.
-    fn order_jog(&mut self) {
+    fn send_jog(&mut self) {
         let now_us = self.now_us();
-        match self.jogging.order(now_us) {
-            Order::None => {}
-            Order::Cancel => {
+        match self.jogging.command(now_us) {
+            JogCommand::None => {}
+            JogCommand::Cancel => {
                 self.client.cancel_jog();
             }
-            Order::Go { rates, deadline_ms } if self.ready() => {
+            JogCommand::Move { rates, deadline_ms } if self.is_ready() => {
                 let rates = rates
                     .iter()
-                    .zip(&self.fixed.pose)
+                    .zip(&self.static_info.pose)
                     .map(|(rate, axis)| {
                         (rate * per_unit(axis.kind) / f64::from(1 << RATE_SHIFT)).round() as i32
                     })
@@ -451,34 +457,34 @@ impl Desk {
                 // Without a session there is nothing to be kept moving.
                 let _ = self.client.jog(rates, deadline_ms);
             }
-            Order::Go { .. } => {}
+            JogCommand::Move { .. } => {}
         }
     }
 
     /// Brings the machine to rest before the console is left, as far as it can be reached, and says whether it is known to be.
-    pub(super) fn leave(&mut self) -> bool {
+    pub(super) fn shut_down(&mut self) -> bool {
         let now_us = self.now_us();
         self.jogging.release_all(now_us);
-        let until = Instant::now() + LEAVE;
-        if self.moves() && *self.client.state() == ClientState::Ready {
+        let until = Instant::now() + SHUTDOWN;
+        if self.is_moving() && *self.client.state() == ClientState::Ready {
             self.client.urgent_stop();
             self.stopping = Some("stop");
         }
-        while self.stopping.is_some() && self.ready() && Instant::now() < until {
-            if self.step().is_err() {
+        while self.stopping.is_some() && self.is_ready() && Instant::now() < until {
+            if self.update().is_err() {
                 return false;
             }
         }
         // Closes the file.
         self.recording = None;
-        !self.moves() && self.ready()
+        !self.is_moving() && self.is_ready()
     }
 
     /// Opens a question.
     pub(super) fn confirm(&mut self, confirm: Confirm) {
         let now_us = self.now_us();
         self.jogging.release_all(now_us);
-        self.asked_us = now_us;
+        self.opened_us = now_us;
         self.overlay = Overlay::Confirm(confirm);
     }
 }

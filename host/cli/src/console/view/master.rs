@@ -2,9 +2,9 @@
 
 use super::bars::around_zero;
 use super::panels::{clock, heading, wrapped};
-use super::{OLD_MS, style_of};
-use crate::console::hand::{ALL, At, Face, Field, NAMES, PER_REPORTED, SCALE};
-use crate::console::shown::{ArmShown, Contact, HandShown, Shown, Weight};
+use super::{STALE_MS, style_of};
+use crate::console::master::{ALL, Face, Field, FieldPosition, NAMES, PER_REPORTED, SCALE};
+use crate::console::view_model::{ArmView, LinkState, MasterView, Severity, ViewModel};
 use haptimill_machine_file::scale::{PER_EFFORT, PER_MM};
 use haptimill_protocol::haptic::{ForceFeedbackAxis, MasterTelemetry};
 use haptimill_protocol::message::{Source, State};
@@ -18,7 +18,7 @@ pub(super) const PANEL_ROWS: u16 = 5;
 pub(super) const SCALE_N: f64 = 5.5;
 
 /// From this width on there are bars beside the numbers, and the place of the tip beside the walls.
-const WIDE: usize = 60;
+const WIDE_COLUMNS: usize = 60;
 
 /// A force of a report, N.
 pub(super) fn newtons(raw: i16) -> f64 {
@@ -26,14 +26,14 @@ pub(super) fn newtons(raw: i16) -> f64 {
 }
 
 /// The arm with its newest report.
-pub(super) fn reported(shown: &Shown) -> Option<(&ArmShown, &MasterTelemetry)> {
-    let arm = shown.hand.as_ref()?.arm.as_ref()?;
+pub(super) fn reported(view: &ViewModel) -> Option<(&ArmView, &MasterTelemetry)> {
+    let arm = view.master.as_ref()?.arm.as_ref()?;
     Some((arm, arm.report.as_ref()?))
 }
 
 /// Numbers of a report that is not of now are dim.
-pub(super) fn fresh(shown: &Shown, arm: &ArmShown) -> Style {
-    if shown.contact == Contact::Ready && arm.age.as_millis() <= OLD_MS {
+pub(super) fn fresh(view: &ViewModel, arm: &ArmView) -> Style {
+    if view.link_state == LinkState::Ready && arm.age.as_millis() <= STALE_MS {
         Style::new()
     } else {
         Style::new().add_modifier(Modifier::DIM)
@@ -41,22 +41,22 @@ pub(super) fn fresh(shown: &Shown, arm: &ArmShown) -> Style {
 }
 
 /// Who leads, and whether the arm can.
-fn standing(shown: &Shown, report: &MasterTelemetry) -> String {
-    let running = shown
+fn clutch_status(view: &ViewModel, report: &MasterTelemetry) -> String {
+    let running = view
         .telemetry
         .as_ref()
         .is_some_and(|now| now.state == State::Run);
-    let led: Vec<&str> = shown
-        .fixed
+    let driven: Vec<&str> = view
+        .static_info
         .pose
         .iter()
-        .zip(&shown.sources)
+        .zip(&view.sources)
         .filter(|(_, source)| **source == Source::Master)
         .map(|(axis, _)| axis.name.as_str())
         .collect();
-    let button = match (report.pose.engaged, led.is_empty()) {
+    let button = match (report.pose.engaged, driven.is_empty()) {
         (false, _) => "button free".to_string(),
-        (true, false) if running => format!("button held, leads {}", led.join(" ")),
+        (true, false) if running => format!("button held, leads {}", driven.join(" ")),
         (true, _) => "button held, leads nothing".to_string(),
     };
     let motors = if report.enabled { "on" } else { "off" };
@@ -80,8 +80,8 @@ fn cells(width: usize) -> usize {
 }
 
 /// A row of forces: on the tool, at the hand, by the law, of the walls.
-fn forces(shown: &Shown, report: &MasterTelemetry, axis: usize, width: usize) -> String {
-    let tool = shown
+fn forces(view: &ViewModel, report: &MasterTelemetry, axis: usize, width: usize) -> String {
+    let tool = view
         .telemetry
         .as_ref()
         .and_then(|now| now.force.as_ref())
@@ -90,7 +90,7 @@ fn forces(shown: &Shown, report: &MasterTelemetry, axis: usize, width: usize) ->
     let drawn = |value: Option<f64>, scale: f64| {
         let number = value.map_or_else(|| "-".to_string(), |value| format!("{:.2}", value + 0.0));
         match value {
-            _ if width < WIDE => format!("{number:>8}"),
+            _ if width < WIDE_COLUMNS => format!("{number:>8}"),
             Some(value) => {
                 let part = value / scale;
                 format!("{number:>8} {}", around_zero(part, part, bar))
@@ -101,7 +101,7 @@ fn forces(shown: &Shown, report: &MasterTelemetry, axis: usize, width: usize) ->
     format!(
         " {}{}{}{:>8.2}{}",
         NAMES[axis],
-        drawn(tool, shown.force_scale_n),
+        drawn(tool, view.force_scale_n),
         drawn(Some(newtons(report.force[axis])), SCALE_N),
         newtons(report.feedback[axis]),
         drawn(Some(newtons(report.fixture[axis])), SCALE_N)
@@ -109,32 +109,32 @@ fn forces(shown: &Shown, report: &MasterTelemetry, axis: usize, width: usize) ->
 }
 
 /// Heading of [`forces`].
-fn forces_heading(shown: &Shown, width: usize) -> Line<'static> {
-    let scale = shown.force_scale_n;
-    let text = if width < WIDE {
+fn forces_heading(view: &ViewModel, width: usize) -> Line<'static> {
+    let scale = view.force_scale_n;
+    let text = if width < WIDE_COLUMNS {
         format!("  {:>8}{:>8}{:>8}{:>8} N", "tool", "hand", "law", "wall")
     } else {
         let bar = cells(width) + 1;
         let tool = format!("+-{scale} N");
-        let hand = format!("+-{SCALE_N} N");
+        let master = format!("+-{SCALE_N} N");
         format!(
-            "  {:>8}{tool:^bar$}{:>8}{hand:^bar$}{:>8}{:>8}{hand:^bar$}",
+            "  {:>8}{tool:^bar$}{:>8}{master:^bar$}{:>8}{:>8}{master:^bar$}",
             "tool", "hand", "law", "wall"
         )
     };
     Line::styled(text, Style::new().add_modifier(Modifier::BOLD))
 }
 
-fn mark(sure: bool) -> &'static str {
-    if sure { "" } else { "?" }
+fn mark(known: bool) -> &'static str {
+    if known { "" } else { "?" }
 }
 
 fn face(face: Face) -> String {
     match face {
         Face::Unknown => "none?".to_string(),
         Face::None => "none".to_string(),
-        Face::Near(at) => format!("~{at:.1}"),
-        Face::At(at) => format!("{:.2}", at + 0.0),
+        Face::Approximate(at) => format!("~{at:.1}"),
+        Face::FieldPosition(at) => format!("{:.2}", at + 0.0),
     }
 }
 
@@ -149,13 +149,13 @@ fn same<T: PartialEq + Copy>(
 
 /// A row of settings: percent, limit, lower and upper wall.
 fn settings(
-    arm: &ArmShown,
+    arm: &ArmView,
     row: usize,
     chosen: Option<(usize, &str)>,
     width: usize,
 ) -> Line<'static> {
-    let sure = mark(arm.reflection_sure);
-    let axes = &arm.reflection.axes;
+    let known = mark(arm.feedback_known);
+    let axes = &arm.feedback.axes;
     let axis = (row < ALL).then(|| axes[row]);
     let percent = match axis {
         Some(axis) => Some(axis.percent),
@@ -165,15 +165,17 @@ fn settings(
         Some(axis) => Some(axis.limit),
         None => same(axes, |axis| axis.limit),
     };
-    let percent = percent.map_or("differ".to_string(), |percent| format!("{percent} %{sure}"));
-    let most = most.map_or("differ".to_string(), |most| {
-        format!("{:.1} N{sure}", f64::from(most) / PER_EFFORT)
+    let percent = percent.map_or("differ".to_string(), |percent| {
+        format!("{percent} %{known}")
     });
-    let walls = match arm.faces.get(row) {
+    let most = most.map_or("differ".to_string(), |most| {
+        format!("{:.1} N{known}", f64::from(most) / PER_EFFORT)
+    });
+    let faces = match arm.faces.get(row) {
         Some(faces) => faces.map(face),
         None => ["away".to_string(), "away".to_string()],
     };
-    let wide = width >= WIDE;
+    let wide = width >= WIDE_COLUMNS;
     let tip = match &arm.report {
         _ if !wide => String::new(),
         Some(report) if row < ALL => {
@@ -202,13 +204,13 @@ fn settings(
     spans.extend(cell(0, &percent, size - 3));
     spans.extend(cell(1, &most, size - 1));
     spans.push(Span::raw(tip));
-    spans.extend(cell(2, &walls[0], size));
-    spans.extend(cell(3, &walls[1], size));
+    spans.extend(cell(2, &faces[0], size));
+    spans.extend(cell(3, &faces[1], size));
     Line::from(spans)
 }
 
 fn settings_heading(width: usize) -> Line<'static> {
-    let text = if width < WIDE {
+    let text = if width < WIDE_COLUMNS {
         format!(
             "    {:>5}{:>7}{:>8}{:>8} mm",
             "refl.", "most", "wall", "wall"
@@ -225,28 +227,30 @@ fn settings_heading(width: usize) -> Line<'static> {
 /// What the keys do in a field.
 fn keys(field: Field) -> &'static str {
     match field {
-        Field::Wall { axis: None, .. } => "Enter takes all walls away; arrows choose; Esc closes",
-        Field::Wall { .. } => "Enter puts a wall where the tip is, or takes it away; Esc closes",
+        Field::Fixture { axis: None, .. } => {
+            "Enter takes all walls away; arrows choose; Esc closes"
+        }
+        Field::Fixture { .. } => "Enter puts a wall where the tip is, or takes it away; Esc closes",
         _ => "type a number, Enter sets it; or + and -; arrows choose; Esc closes",
     }
 }
 
 /// The rows of the overlay, and which of them must be in sight.
 pub(super) fn overlay(
-    shown: &Shown,
-    hand: &HandShown,
-    at: At,
+    view: &ViewModel,
+    master: &MasterView,
+    at: FieldPosition,
     typed: &str,
     width: usize,
 ) -> (Vec<Line<'static>>, usize) {
     let mut rows = Vec::new();
-    let mut unsure = hand.scale.is_some_and(|(_, sure)| !sure);
-    if let Some(arm) = &hand.arm {
-        let style = fresh(shown, arm);
+    let mut has_unknown = master.scale.is_some_and(|(_, known)| !known);
+    if let Some(arm) = &master.arm {
+        let style = fresh(view, arm);
         match &arm.report {
             Some(report) => {
                 rows.extend(
-                    wrapped(&(standing(shown, report) + &energy(report)), width, 1)
+                    wrapped(&(clutch_status(view, report) + &energy(report)), width, 1)
                         .into_iter()
                         .map(|row| Line::styled(row, style)),
                 );
@@ -255,18 +259,18 @@ pub(super) fn overlay(
                     rows.extend(
                         wrapped(&text, width, 1)
                             .into_iter()
-                            .map(|row| Line::styled(row, style_of(Weight::Warning))),
+                            .map(|row| Line::styled(row, style_of(Severity::Warning))),
                     );
                 }
-                rows.push(forces_heading(shown, width));
+                rows.push(forces_heading(view, width));
                 rows.extend(
-                    (0..ALL).map(|axis| Line::styled(forces(shown, report, axis, width), style)),
+                    (0..ALL).map(|axis| Line::styled(forces(view, report, axis, width), style)),
                 );
             }
             None => rows.push(Line::raw(" nothing was heard of the arm yet")),
         }
         rows.push(settings_heading(width));
-        unsure |= !arm.reflection_sure || arm.faces.as_flattened().contains(&Face::Unknown);
+        has_unknown |= !arm.feedback_known || arm.faces.as_flattened().contains(&Face::Unknown);
     } else {
         rows.extend(
             wrapped(
@@ -279,7 +283,7 @@ pub(super) fn overlay(
         );
     }
     let mut focus = 0;
-    if let Some(arm) = &hand.arm {
+    if let Some(arm) = &master.arm {
         for row in 0..=ALL {
             let chosen = (row == at.row).then_some((at.column, typed));
             if chosen.is_some() {
@@ -288,11 +292,11 @@ pub(super) fn overlay(
             rows.push(settings(arm, row, chosen, width));
         }
     }
-    if let Some((scale, sure)) = hand.scale {
+    if let Some((scale, known)) = master.scale {
         let chosen = at.row == SCALE;
         let text = match (chosen, typed) {
             (true, typed) if !typed.is_empty() => format!("{typed}_"),
-            _ => format!("{scale:.2}{}", mark(sure)),
+            _ => format!("{scale:.2}{}", mark(known)),
         };
         let style = if chosen {
             focus = rows.len();
@@ -306,18 +310,18 @@ pub(super) fn overlay(
             Span::raw(" way of the tool for one of the hand"),
         ]));
     }
-    let mut say = |text: &str| {
+    let mut add = |text: &str| {
         rows.extend(wrapped(text, width, 0).into_iter().map(Line::raw));
     };
-    if unsure {
-        say("? unless another host has set it; not told by the controller");
+    if has_unknown {
+        add("? unless another host has set it; not told by the controller");
     }
-    say(keys(at.field()));
+    add(keys(at.field()));
     // The panel of messages lies under this.
-    if let Some(entry) = shown.log.newest(1).next() {
-        let style = match entry.weight {
-            Weight::Note => Style::new(),
-            weight => style_of(weight),
+    if let Some(entry) = view.log.newest(1).next() {
+        let style = match entry.severity {
+            Severity::Info => Style::new(),
+            severity => style_of(severity),
         };
         let text = format!("{} {}", clock(entry.at), entry.text);
         rows.extend(
@@ -330,20 +334,20 @@ pub(super) fn overlay(
 }
 
 /// The panel: what is felt, and of what it is made.
-pub(super) fn panel(shown: &Shown, width: u16) -> Option<Vec<Line<'static>>> {
-    let (arm, report) = reported(shown)?;
-    let style = fresh(shown, arm);
+pub(super) fn panel(view: &ViewModel, width: u16) -> Option<Vec<Line<'static>>> {
+    let (arm, report) = reported(view)?;
+    let style = fresh(view, arm);
     let mut rows = vec![heading(
         &format!("Hand ─ felt ── law ── wall ─ +-{SCALE_N} N"),
         width,
     )];
     let bar = usize::from(width).saturating_sub(25).clamp(5, 40);
     for (axis, name) in NAMES.iter().enumerate() {
-        let felt = newtons(report.force[axis]);
-        let part = felt / SCALE_N;
+        let force = newtons(report.force[axis]);
+        let part = force / SCALE_N;
         rows.push(Line::styled(
             format!(
-                " {name}{felt:>7.2}{:>7.2}{:>7.2} {}",
+                " {name}{force:>7.2}{:>7.2}{:>7.2} {}",
                 newtons(report.feedback[axis]),
                 newtons(report.fixture[axis]),
                 around_zero(part, part, bar)
@@ -352,9 +356,9 @@ pub(super) fn panel(shown: &Shown, width: u16) -> Option<Vec<Line<'static>>> {
         ));
     }
     rows.push(match &arm.problem {
-        Some(problem) => Line::styled(format!(" {problem}"), style_of(Weight::Warning)),
+        Some(problem) => Line::styled(format!(" {problem}"), style_of(Severity::Warning)),
         None => {
-            let (who, owes) = (standing(shown, report), energy(report));
+            let (who, owes) = (clutch_status(view, report), energy(report));
             let fits = who.chars().count() + owes.chars().count() <= usize::from(width);
             Line::styled(if fits { who + &owes } else { who }, style)
         }
