@@ -1,10 +1,13 @@
-//! The desk: everything between the keys and the controller. It waits for nobody.
+//! Application state: everything between key input and controller. It never blocks.
 //!
-//! [`App::step`] is called again and again, at least every few milliseconds; it moves the line, the session and the jog on and never waits longer than a
-//! line's own millisecond. Keys come in between through [`App::input`] (see `orders.rs`), what the controller says is taken in `hearing.rs`, and what is to be seen is made in `picture.rs`.
+//! [`App::update`] is called at least every few milliseconds. It advances the line, the session and
+//! the jog, and waits at most one line timeout (1 ms). Key input arrives in between through
+//! [`App::handle_input`] (`input.rs`), messages of the controller are handled in `events.rs`, and
+//! the view model is built in `view_model/build.rs`.
 //!
-//! After a lost link the desk opens the port and a session again by itself, and that is all that it does by itself: jogs, programs and homing end with
-//! the session that they belong to. A stop that is asked for meanwhile goes out first when the line is back.
+//! After a link loss the console reopens the port and a session, and does nothing else by itself:
+//! jogs, programs and homing end with their session. A stop requested meanwhile is sent first after
+//! reconnection.
 
 use super::connection::{Connection, Progress};
 use super::jobs::Jobs;
@@ -31,23 +34,23 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// Time between two telemetry frames, ms; on a slow line they take a quarter of it at most.
+/// Telemetry period, ms. On a slow line telemetry takes at most a quarter of the bandwidth.
 const TELEMETRY_MS: u32 = 20;
 
-/// Bytes of a telemetry frame, about.
+/// Approximate size of a telemetry frame, bytes.
 const TELEMETRY_BYTES: u32 = 150;
 
-/// How long a machine may take to come to rest when the console is left.
+/// Longest wait for standstill when the console quits.
 const SHUTDOWN: Duration = Duration::from_millis(2000);
 
 /// Full scales of the force bars, N.
 pub(super) const FORCE_SCALES: [f64; 5] = [5.0, 10.0, 20.0, 50.0, 100.0];
 
-/// What is done when a request is answered with yes.
+/// Action on the positive acknowledgement of a request.
 #[derive(Debug, Clone)]
 pub(super) enum OnAck {
     Nothing,
-    /// With what the controller had already, or had set since.
+    /// The configuration was active before, so other hosts may have changed settings since.
     Configured {
         already_active: bool,
     },
@@ -59,33 +62,33 @@ pub(super) enum OnAck {
     Fixture {
         axis: usize,
         upper: bool,
-        /// Put there, or taken away.
+        /// Set or removed.
         is_set: bool,
-        /// All are taken away together.
+        /// Part of a removal of all faces.
         all: bool,
     },
     PositionScale(u16),
     Say(&'static str),
 }
 
-/// Settings of a force loop that are wanted and not yet taken: the newest ones, one request at a time.
+/// Requested settings of a force loop: the latest ones, one request at a time.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct RequestedLoop {
     pub(super) settings: Option<ForceLoop>,
-    /// A request for these is under way.
-    pub(super) asked: Option<ForceLoop>,
-    /// Not before then: the controller still works the last change out.
+    /// Settings of the request under way.
+    pub(super) in_flight: Option<ForceLoop>,
+    /// Earliest time of the next request: the controller still applies the last change.
     pub(super) not_before_us: u64,
 }
 
 impl RequestedLoop {
-    /// The newest settings that were wanted and are not yet taken.
-    pub(super) fn newest(&self) -> Option<ForceLoop> {
-        self.settings.or(self.asked)
+    /// The latest settings that were requested and not yet acknowledged.
+    pub(super) fn latest(&self) -> Option<ForceLoop> {
+        self.settings.or(self.in_flight)
     }
 }
 
-/// A stop that cannot be said now, because there is no session.
+/// A stop that waits for a session.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum PendingStop {
     None,
@@ -93,20 +96,20 @@ pub(super) enum PendingStop {
     Emergency,
 }
 
-/// Settings of a console.
+/// Settings from the command line.
 pub(super) struct Settings {
     pub(super) dead_man_ms: u16,
     pub(super) folder: PathBuf,
-    /// The program to begin with.
+    /// Program offered first.
     pub(super) program: Option<PathBuf>,
-    /// A work that is clamped on the simulated table after homing.
+    /// Stock to clamp on the simulated table after homing.
     pub(super) stock: Option<CuttingConfig>,
     pub(super) options: Options,
-    /// How the configuration of a board behind a port is chosen.
+    /// Choice of the configuration of a board behind a port.
     pub(super) board: Option<Chosen>,
 }
 
-/// See the module.
+/// See the module documentation.
 pub(super) struct App {
     pub(super) machine: Arc<MachineFile>,
     pub(super) model: Model,
@@ -116,28 +119,28 @@ pub(super) struct App {
     pub(super) static_info: Arc<StaticInfo>,
     pub(super) transmit: Vec<u8>,
     pub(super) received: Vec<u8>,
-    /// Time of the line at the last exchange.
+    /// Time of the line at the last exchange, us.
     pub(super) line_us: u64,
     pub(super) started: Instant,
     pub(super) link_state: LinkState,
-    /// There was a session once: a port that fails now is tried again, not reported as a mistake of the command line.
+    /// A session was open before: a port error now starts a retry instead of ending the program.
     pub(super) connected_once: bool,
     pub(super) reconnects: u32,
-    /// The board had the configuration of this console, or took it.
+    /// The board had the configuration of this console, or accepted it.
     configuration_checked: bool,
-    /// The controller has the configuration of our machine file.
+    /// The controller has the configuration of the machine file.
     pub(super) configured: bool,
-    pub(super) asked: Vec<(Ticket, OnAck)>,
+    pub(super) requests: Vec<(Ticket, OnAck)>,
     pub(super) pending_stop: PendingStop,
     pub(super) telemetry: Option<Telemetry>,
     pub(super) telemetry_at: Instant,
-    /// The period of the last change of state: what was reported before it is about another state.
+    /// Control period of the last change of state; older telemetry describes another state.
     pub(super) state_period: u64,
     pub(super) log: Log,
     pub(super) overlay: Overlay,
     pub(super) sources: [Source; MAX_AXES],
     pub(super) feed_override: u8,
-    /// The override that was asked for last.
+    /// The override requested last.
     pub(super) requested_override: u8,
     pub(super) jogging: Jogging,
     pub(super) jobs: Jobs,
@@ -148,9 +151,9 @@ pub(super) struct App {
     pub(super) recording: Option<Recording>,
     pub(super) stopping: Option<&'static str>,
     pub(super) fault: Option<Fault>,
-    /// When the question that is open was asked.
+    /// Time at which the overlay was opened, us.
     pub(super) opened_us: u64,
-    /// The console is to end, when the machine is at rest.
+    /// Quit was confirmed.
     pub(super) quitting: bool,
 }
 
@@ -197,7 +200,7 @@ impl App {
             reconnects: 0,
             configuration_checked: false,
             configured: false,
-            asked: Vec::new(),
+            requests: Vec::new(),
             pending_stop: PendingStop::None,
             telemetry: None,
             telemetry_at: now,
@@ -220,7 +223,7 @@ impl App {
         }
     }
 
-    /// Microseconds since the console began.
+    /// Time since the start of the console, us.
     pub(super) fn now_us(&self) -> u64 {
         u64::try_from(self.started.elapsed().as_micros()).unwrap_or(u64::MAX)
     }
@@ -233,13 +236,13 @@ impl App {
         self.link_state == LinkState::Ready
     }
 
-    /// The state, if it is known now.
+    /// The present state, if a session is open.
     pub(super) fn state(&self) -> Option<State> {
         let telemetry = self.telemetry.as_ref().filter(|_| self.is_ready())?;
         Some(telemetry.state)
     }
 
-    /// Something moves, or may.
+    /// The machine moves or may move.
     pub(super) fn is_moving(&self) -> bool {
         matches!(
             self.telemetry.as_ref().map(|telemetry| telemetry.state),
@@ -247,31 +250,31 @@ impl App {
         )
     }
 
-    /// The wanted pose of a machine that stands idle, to the last bit.
+    /// The exact commanded pose of an idle machine.
     pub(super) fn standstill_pose(&self) -> Option<AxisValues> {
         let telemetry = self.telemetry.as_ref().filter(|_| self.is_ready())?;
         let known = telemetry.state == State::Idle && telemetry.period >= self.state_period;
         known.then(|| telemetry.commanded.clone())
     }
 
-    /// Asks the controller, and remembers what follows.
+    /// Sends a request and stores its on-acknowledge action.
     pub(super) fn request(&mut self, command: Command, on_ack: OnAck) {
         let ticket = self.client.request(command);
-        self.asked.push((ticket, on_ack));
+        self.requests.push((ticket, on_ack));
     }
 
-    /// Moves everything on.
+    /// Advances connection, session and commands by one exchange.
     ///
     /// # Errors
-    /// There never was a controller: the port, or the session.
+    /// No session was ever open, and the port or the session fails.
     pub(super) fn update(&mut self) -> Result<(), CliError> {
         match self.connection.advance() {
             Progress::Nothing => {}
-            Progress::Line => self.send_hello(),
+            Progress::Open => self.send_hello(),
             Progress::Failed(error) => self.handle_port_error(&error)?,
         }
         if self.link_state == LinkState::Opening && self.connection.line().is_some() {
-            // The simulator in this process is there from the start.
+            // The in-process simulator is connected from the start.
             self.send_hello();
         }
         self.send_jog();
@@ -280,7 +283,7 @@ impl App {
             std::thread::sleep(Duration::from_millis(2));
             return Ok(());
         };
-        // What was ordered goes out with this exchange, not with the next one.
+        // Queued commands are sent with this exchange, not with the next one.
         self.client.advance(self.line_us, &[], &mut self.transmit);
         self.received.clear();
         match line.exchange(&self.transmit, &mut self.received) {
@@ -300,15 +303,15 @@ impl App {
         Ok(())
     }
 
-    /// Begins a session on a line that was opened.
+    /// Starts a session on a line that was just opened.
     fn send_hello(&mut self) {
         self.client = Client::new(self.settings.options);
         self.transmit.clear();
-        self.asked.clear();
+        self.requests.clear();
         self.line_us = 0;
         self.client.connect(fresh_number(), 0);
         if self.pending_stop != PendingStop::None {
-            // Needs no session: the bytes go before the greeting.
+            // The out-of-band stop needs no session: it is sent before the Hello.
             self.client.urgent_stop();
         }
         self.link_state = LinkState::Handshake;
@@ -322,13 +325,15 @@ impl App {
         Ok(())
     }
 
-    /// The link is gone: nothing that belonged to it goes on.
-    pub(super) fn handle_link_loss(&mut self, why: &str) {
+    /// Ends everything that belonged to the lost session.
+    pub(super) fn handle_link_loss(&mut self, reason: &str) {
         if self.link_state == LinkState::Ready || self.link_state == LinkState::Configuring {
             let ms = self.machine.config.supervision.heartbeat_ms;
             self.notify(
                 Severity::Alarm,
-                format!("link lost: {why}. What moves stops by itself after {ms} ms of silence"),
+                format!(
+                    "link lost: {reason}. A moving machine stops after {ms} ms without the host"
+                ),
             );
         }
         let now_us = self.now_us();
@@ -342,20 +347,20 @@ impl App {
         }
         self.configured = false;
         self.stopping = None;
-        self.link_state = LinkState::Lost(why.to_string());
+        self.link_state = LinkState::Lost(reason.to_string());
         self.connection.drop_line();
     }
 
-    /// A session is open.
+    /// Configures a session that was just opened.
     ///
     /// # Errors
-    /// The board is configured as another machine, or not at all.
+    /// The board has another configuration, or none.
     pub(super) fn begin(&mut self) -> Result<(), CliError> {
         if self.connected_once {
             self.reconnects += 1;
             self.notify(
                 Severity::Info,
-                "connected again; nothing moves until it is asked to",
+                "reconnected; the machine does not move until commanded",
             );
         }
         self.connected_once = true;
@@ -385,21 +390,23 @@ impl App {
         Ok(())
     }
 
-    /// Sees to it that board and console go by the same machine file.
+    /// Makes sure that board and console use the same machine file.
     fn check_configuration(&mut self) -> Result<(), CliError> {
         if let (Some(board), Some(welcome)) = (&self.settings.board, self.client.controller()) {
             match board.decide(welcome)? {
-                // A board that lost its power takes the configuration that it had in this console.
+                // After a power loss the board receives the configuration that it had in this
+                // console.
                 _ if self.configuration_checked && welcome.config_crc == 0 => {}
                 Decision::Active(file) => {
-                    // The built-in haptic arm is known too, and is no machine to operate.
+                    // The built-in haptic arm is a known configuration too, but no machine for this
+                    // console.
                     if self.machine.is_master() != file.is_master() {
-                        let what = format!(
+                        let message = format!(
                             "{}: the board is configured as \"{}\"; give its machine file with --machine FILE",
                             self.connection.name(),
                             welcome.machine
                         );
-                        return Err(CliError::new(Exit::Command, what));
+                        return Err(CliError::new(Exit::Command, message));
                     }
                     self.configuration_checked = true;
                     self.request(
@@ -410,10 +417,10 @@ impl App {
                     );
                     return Ok(());
                 }
-                Decision::Send(what) => self.notify(Severity::Info, what),
-                Decision::Unknown(what) => {
-                    let what = format!("{}: {what}", self.connection.name());
-                    return Err(CliError::new(Exit::Command, what));
+                Decision::Send(message) => self.notify(Severity::Info, message),
+                Decision::Unknown(message) => {
+                    let message = format!("{}: {message}", self.connection.name());
+                    return Err(CliError::new(Exit::Command, message));
                 }
             }
             self.configuration_checked = true;
@@ -422,7 +429,7 @@ impl App {
         Ok(())
     }
 
-    /// Makes our machine file the active configuration, unless it is.
+    /// Makes the machine file the active configuration, unless it is active already.
     pub(super) fn send_configuration(&mut self) {
         match self.machine.encoded() {
             Ok((bytes, crc)) => {
@@ -431,14 +438,14 @@ impl App {
                     .controller()
                     .is_some_and(|welcome| welcome.config_crc == crc);
                 let ticket = self.client.configure(&bytes, false);
-                self.asked
+                self.requests
                     .push((ticket, OnAck::Configured { already_active }));
             }
             Err(error) => self.notify(Severity::Alarm, format!("defect: {error}")),
         }
     }
 
-    /// Tells the controller what the jog keys ask for.
+    /// Sends the command of the jog keys.
     fn send_jog(&mut self) {
         let now_us = self.now_us();
         match self.jogging.command(now_us) {
@@ -454,14 +461,14 @@ impl App {
                         (rate * per_unit(axis.kind) / f64::from(1 << RATE_SHIFT)).round() as i32
                     })
                     .collect();
-                // Without a session there is nothing to be kept moving.
+                // Without a session there is no motion to keep alive.
                 let _ = self.client.jog(rates, deadline_ms);
             }
             JogCommand::Move { .. } => {}
         }
     }
 
-    /// Brings the machine to rest before the console is left, as far as it can be reached, and says whether it is known to be.
+    /// Stops the machine before the console ends. Returns true when its standstill is confirmed.
     pub(super) fn shut_down(&mut self) -> bool {
         let now_us = self.now_us();
         self.jogging.release_all(now_us);
@@ -475,7 +482,7 @@ impl App {
                 return false;
             }
         }
-        // Closes the file.
+        // Closes the recording.
         self.recording = None;
         !self.is_moving() && self.is_ready()
     }

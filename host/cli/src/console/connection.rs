@@ -1,6 +1,7 @@
-//! The way to the controller: opened beside the console, lost, and found again.
+//! Connection to the controller: opened in the background, reopened after a loss.
 //!
-//! Opening a port may take seconds (a name to be looked up, a machine that is off), so a thread of its own does it; keys are heard meanwhile.
+//! Opening a port may take seconds (name resolution, a machine that is switched off), so a thread
+//! does it while key input continues.
 
 use crate::commands::CliError;
 use crate::commands::sim::Pace;
@@ -15,16 +16,16 @@ use haptimill_teleop::script::{Person, Script};
 use std::sync::mpsc::{self, Receiver, TryRecvError};
 use std::time::{Duration, Instant};
 
-/// First and longest pause between two attempts.
+/// First and longest delay between two attempts.
 const RETRY: (Duration, Duration) = (Duration::from_millis(300), Duration::from_secs(2));
 
-/// Pause between two looks at the clock when the simulated machine said nothing.
+/// Sleep after an exchange without data from the simulated machine.
 const IDLE_SLEEP: Duration = Duration::from_micros(500);
 
-/// The simulated machine in this process, in step with the clock on the wall.
+/// The simulated machine in this process, in real time.
 struct PacedSim {
     rig: Rig<Controller>,
-    /// Who holds the handle of its haptic arm.
+    /// Operator model at its haptic arm.
     operator: Option<Person>,
     pace: Pace,
     begun: Instant,
@@ -55,26 +56,26 @@ impl Line for PacedSim {
     }
 }
 
-/// What became of a look at the connection.
+/// Progress of the connection.
 pub(super) enum Progress {
-    /// Nothing new.
+    /// No change.
     Nothing,
-    /// A line is open; a session can begin.
-    Line,
-    /// The port cannot be opened now; it is tried again by itself.
+    /// A line was opened; a session can start.
+    Open,
+    /// The port cannot be opened now; the next attempt follows automatically.
     Failed(PortError),
 }
 
 enum Stage {
     /// A thread opens the port.
     Opening(Receiver<Result<Box<dyn Transport>, PortError>>),
-    /// It is tried again then.
+    /// Next attempt at this time.
     Waiting(Instant),
     Open(Box<PortLine>),
     Simulated(Box<PacedSim>),
 }
 
-/// The line to the controller, and how it is got.
+/// The line to the controller, and the state of its opening.
 pub(super) struct Connection {
     spec: PortSpec,
     baud: u32,
@@ -86,14 +87,14 @@ fn open_in_thread(spec: &PortSpec, baud: u32) -> Stage {
     let (sender, receiver) = mpsc::channel();
     let spec = spec.clone();
     std::thread::spawn(move || {
-        // Nobody listens any more when the console was left meanwhile.
+        // The receiver is gone if the console has quit meanwhile.
         let _ = sender.send(port::open(&spec, baud));
     });
     Stage::Opening(receiver)
 }
 
 impl Connection {
-    /// Begins to open a port; the simulator of `machine` is there at once.
+    /// Starts to open a port. The simulator of `machine` is open at once.
     pub(super) fn new(
         spec: &PortSpec,
         baud: u32,
@@ -128,21 +129,22 @@ impl Connection {
         }
     }
 
-    /// Clamps a work on the table of the simulated machine in this process, with the tool where it stands.
+    /// Clamps stock on the table of the simulated machine in this process, at the present tool
+    /// position.
     ///
     /// # Errors
-    /// In words: the work makes no sense there.
-    pub(super) fn clamp(&mut self, work: &CuttingConfig) -> Result<(), String> {
+    /// There is no simulated machine, or the stock is invalid for it.
+    pub(super) fn clamp(&mut self, stock: &CuttingConfig) -> Result<(), String> {
         let Stage::Simulated(sim) = &mut self.stage else {
             return Err("there is no simulated machine in this process".to_string());
         };
-        sim.rig.plant_mut().clamp(work).map_err(|problems| {
+        sim.rig.plant_mut().clamp(stock).map_err(|problems| {
             let problems: Vec<String> = problems.iter().map(ToString::to_string).collect();
             problems.join("; ")
         })
     }
 
-    /// What people call it.
+    /// Displayed name of the port.
     pub(super) fn name(&self) -> String {
         match &self.spec {
             PortSpec::Simulator => "simulator".to_string(),
@@ -150,7 +152,7 @@ impl Connection {
         }
     }
 
-    /// The line is of no use any more; another attempt follows by itself.
+    /// Drops the line and schedules the next attempt.
     pub(super) fn drop_line(&mut self) {
         self.schedule_retry();
     }
@@ -160,12 +162,12 @@ impl Connection {
         self.retry_delay = (self.retry_delay * 2).min(RETRY.1);
     }
 
-    /// A session is open: the next attempt, if one is needed, comes soon.
+    /// Resets the retry delay, since a session is open.
     pub(super) fn reset_backoff(&mut self) {
         self.retry_delay = RETRY.0;
     }
 
-    /// Goes on with the way to the port. Does not wait.
+    /// Advances the opening of the port. Never blocks.
     pub(super) fn advance(&mut self) -> Progress {
         match &self.stage {
             Stage::Open(_) | Stage::Simulated(_) => Progress::Nothing,
@@ -177,7 +179,7 @@ impl Connection {
             Stage::Opening(receiver) => match receiver.try_recv() {
                 Ok(Ok(port)) => {
                     self.stage = Stage::Open(Box::new(PortLine::new(port)));
-                    Progress::Line
+                    Progress::Open
                 }
                 Ok(Err(error)) => {
                     self.schedule_retry();

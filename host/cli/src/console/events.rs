@@ -1,20 +1,21 @@
-//! What the controller says, and what follows from it.
+//! Handling of the messages of the controller.
 
 use super::app::{App, FORCE_SCALES, OnAck};
 use super::view_model::{LinkState, Severity};
 use crate::commands::{CliError, Exit};
 use haptimill_client::client::{Notice, RequestError, Ticket};
+use haptimill_machine_file::scale::PER_EFFORT;
 use haptimill_protocol::force::{ForceLoop, ForceParameter};
 use haptimill_protocol::message::{Command, Event, Refusal, State, Telemetry};
 use std::time::{Duration, Instant};
 
-/// How long a full scale of the force bars that is too large stays.
+/// Time for which a full scale that is too large is kept.
 const SCALE_HOLD: Duration = Duration::from_secs(5);
 
-/// Pause after a controller said that it is busy with the last change, microseconds.
+/// Delay before a request is repeated after a busy answer, us.
 const BUSY_US: u64 = 20_000;
 
-/// Time between two reports of the hand, ms.
+/// Period of the master telemetry, ms.
 const MASTER_MS: u32 = 100;
 
 impl App {
@@ -29,16 +30,16 @@ impl App {
             Notice::Event { period, event } => self.handle_event(period, &event),
             Notice::Telemetry(telemetry) => self.update_telemetry(*telemetry),
             Notice::Refused(refusal) => {
-                let why = self
+                let reason = self
                     .model
                     .with_axes(|axes| axes.describe(&refusal).to_string());
-                self.notify(Severity::Warning, format!("jog: {why}"));
+                self.notify(Severity::Warning, format!("jog: {reason}"));
             }
             Notice::Job(ending) => self.job_ended(&ending),
             Notice::Lost(error) => {
                 if !self.connected_once {
-                    let what = format!("{}: {error}", self.connection.name());
-                    return Err(CliError::new(Exit::Port, what));
+                    let message = format!("{}: {error}", self.connection.name());
+                    return Err(CliError::new(Exit::Port, message));
                 }
                 self.handle_link_loss(&error.to_string());
             }
@@ -48,12 +49,12 @@ impl App {
 
     fn handle_answer(&mut self, ticket: Ticket, command: &str, result: Result<(), RequestError>) {
         let on_ack = self
-            .asked
+            .requests
             .iter()
-            .position(|(asked, _)| *asked == ticket)
-            .map_or(OnAck::Nothing, |index| self.asked.swap_remove(index).1);
+            .position(|(sent, _)| *sent == ticket)
+            .map_or(OnAck::Nothing, |index| self.requests.swap_remove(index).1);
         if let OnAck::Configured { already_active } = on_ack {
-            // Refused is heard all the same: what stops a machine needs no configuration.
+            // A refused configuration leaves the session usable: stops need no configuration.
             self.link_state = LinkState::Ready;
             self.configured = result.is_ok();
             if self.configured {
@@ -71,16 +72,16 @@ impl App {
                 }
                 _ => {}
             }
-            let why = match &error {
+            let reason = match &error {
                 RequestError::Refused(refusal) => self
                     .model
                     .with_axes(|axes| axes.describe(refusal).to_string()),
                 RequestError::Withdrawn | RequestError::Lost(_) => return,
                 other => other.to_string(),
             };
-            let what = self.reject_master(&on_ack);
-            let what = what.as_deref().unwrap_or(command);
-            self.notify(Severity::Warning, format!("{what}: {why}"));
+            let message = self.reject_master(&on_ack);
+            let message = message.as_deref().unwrap_or(command);
+            self.notify(Severity::Warning, format!("{message}: {reason}"));
             return;
         }
         match on_ack {
@@ -90,12 +91,12 @@ impl App {
             OnAck::Source(axis, source) => {
                 self.sources[usize::from(axis)] = source;
                 let name = &self.static_info.pose[usize::from(axis)].name;
-                let what = format!("{name}: {source}");
-                self.notify(Severity::Info, what);
+                let message = format!("{name}: {source}");
+                self.notify(Severity::Info, message);
             }
             OnAck::Loop(axis, settings) => {
                 let axis = usize::from(axis);
-                self.requested_loops[axis].asked = None;
+                self.requested_loops[axis].in_flight = None;
                 if let Some(loops) = &mut self.loops {
                     loops[axis] = settings;
                 }
@@ -103,11 +104,12 @@ impl App {
             OnAck::ForceFeedback(_) | OnAck::Fixture { .. } | OnAck::PositionScale(_) => {
                 self.acknowledge_master(&on_ack)
             }
-            OnAck::Say(what) => self.notify(Severity::Info, what),
+            OnAck::Say(message) => self.notify(Severity::Info, message),
         }
     }
 
-    /// What the controller has by itself of what is shown: force loops may have been set by another host.
+    /// Queries the settings that another host may have changed, and subscribes to the master
+    /// telemetry.
     fn query_settings(&mut self) {
         if self.loops.is_some() {
             for axis in 0..3 {
@@ -121,11 +123,12 @@ impl App {
         }
     }
 
-    /// True when it is to be asked again: a newer wish waits already, or the controller works the last change out.
+    /// Schedules a refused request again if the controller was busy, and returns true then.
+    /// Settings requested meanwhile take precedence.
     fn retry_force_loop(&mut self, axis: u8, settings: ForceLoop, error: &RequestError) -> bool {
         let now_us = self.now_us();
         let requested = &mut self.requested_loops[usize::from(axis)];
-        requested.asked = None;
+        requested.in_flight = None;
         let busy = matches!(
             error,
             RequestError::Refused(Refusal::Force { refusal, .. })
@@ -138,16 +141,16 @@ impl App {
         busy
     }
 
-    /// Asks for the settings of force loops that are wanted.
+    /// Sends the requested settings of the force loops.
     pub(super) fn send_force_loops(&mut self) {
         let now_us = self.now_us();
         for axis in 0..self.requested_loops.len() {
             let requested = &mut self.requested_loops[axis];
-            if requested.asked.is_some() || now_us < requested.not_before_us {
+            if requested.in_flight.is_some() || now_us < requested.not_before_us {
                 continue;
             }
             if let Some(settings) = requested.settings.take() {
-                requested.asked = Some(settings);
+                requested.in_flight = Some(settings);
                 let axis = axis as u8;
                 self.request(
                     Command::ForceLoop { axis, settings },
@@ -165,7 +168,7 @@ impl App {
             }
             self.clear_stop(*to);
             if *to == State::Idle {
-                // Where it stands, to the last bit: what comes next begins there.
+                // The next motion starts at the exact commanded pose.
                 self.request(Command::Status, OnAck::Nothing);
             }
         }
@@ -198,7 +201,7 @@ impl App {
             _ => Severity::Info,
         };
         self.update_jobs(event);
-        // Begin and end of every jog and step is no news.
+        // Start and end of each jog and step are not logged.
         let routine = matches!(
             event,
             Event::State {
@@ -219,7 +222,7 @@ impl App {
         }
     }
 
-    /// A state in which nothing moves answers a stop.
+    /// A state at standstill completes a pending stop.
     fn clear_stop(&mut self, state: State) {
         if !matches!(state, State::Run | State::Jog | State::Homing | State::Hold)
             && !self.client.urgent().0
@@ -239,22 +242,22 @@ impl App {
                 .high
                 .iter()
                 .chain(&force.low)
-                .map(|value| f64::from(*value).abs() / 65_536.0)
+                .map(|value| f64::from(*value).abs() / PER_EFFORT)
                 .fold(0.0, f64::max);
             let fits = FORCE_SCALES
                 .iter()
                 .position(|scale| largest <= *scale)
                 .unwrap_or(FORCE_SCALES.len() - 1);
-            let (view, since) = &mut self.force_scale;
-            if fits >= *view || since.elapsed() > SCALE_HOLD {
-                (*view, *since) = (fits, Instant::now());
+            let (scale, since) = &mut self.force_scale;
+            if fits >= *scale || since.elapsed() > SCALE_HOLD {
+                (*scale, *since) = (fits, Instant::now());
             }
         }
         if let Some(recording) = &mut self.recording
-            && let Err(why) = recording.add(&telemetry)
+            && let Err(reason) = recording.add(&telemetry)
         {
             self.recording = None;
-            self.notify(Severity::Alarm, format!("recording ended: {why}"));
+            self.notify(Severity::Alarm, format!("recording ended: {reason}"));
         }
         self.telemetry = Some(telemetry);
     }

@@ -1,4 +1,4 @@
-//! From keys to orders.
+//! Key input to commands.
 
 use super::app::{App, OnAck, PendingStop};
 use super::jogging::{KeyPhase, Mode};
@@ -8,17 +8,18 @@ use super::view_model::{Confirm, LinkState, Overlay, Severity};
 use haptimill_protocol::message::{Command, Source, State};
 use ratatui::crossterm::event::{Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 
-/// Feed overrides to choose from, percent.
+/// Selectable feed overrides, percent.
 const OVERRIDES: [u8; 13] = [1, 2, 5, 10, 20, 30, 40, 50, 60, 70, 80, 90, 100];
 
-/// Change of a desired force for one key, 2^-16 N: 0.5 N.
+/// Change of a force setpoint per key press, 2^-16 N: 0.5 N.
 const FORCE_STEP: i32 = 1 << 15;
 
-/// A program is run by an Enter that comes at least so long after the question, microseconds: not by the one that chose the file, pressed twice.
+/// Shortest time between the question and the Enter that starts a program, us. The Enter that
+/// selected the file, pressed twice, starts nothing.
 const CONFIRM_DELAY_US: u64 = 400_000;
 
 impl App {
-    /// Something came from the terminal.
+    /// Handles an event of the terminal.
     pub(super) fn handle_input(&mut self, event: &Event) {
         match event {
             Event::Key(key) => self.key(key),
@@ -26,13 +27,13 @@ impl App {
                 Overlay::Prompt { text: typed, .. } => {
                     typed.extend(text.chars().take_while(|letter| !letter.is_control()));
                 }
-                _ => self.notify(Severity::Warning, "pasted text is not heard as keys"),
+                _ => self.notify(Severity::Warning, "pasted text is not taken as key input"),
             },
             Event::FocusLost => {
                 let now_us = self.now_us();
                 if self.jogging.held(now_us).iter().any(Option::is_some) {
                     self.jogging.release_all(now_us);
-                    self.notify(Severity::Warning, "the window lost the keyboard: jog ended");
+                    self.notify(Severity::Warning, "keyboard focus lost: jog ended");
                 }
             }
             Event::FocusGained | Event::Mouse(_) | Event::Resize(..) => {}
@@ -47,7 +48,7 @@ impl App {
             KeyEventKind::Release => KeyPhase::Release,
         };
         if phase == KeyPhase::Release {
-            // Whatever is open by now, a key that was let go moves nothing any more.
+            // A release ends a jog whatever is open.
             if let Some(Action::Jog { axis, up }) = key.action() {
                 let now_us = self.now_us();
                 self.jogging.key(usize::from(axis), up, phase, now_us);
@@ -61,7 +62,8 @@ impl App {
             return;
         }
         if event.modifiers.contains(KeyModifiers::ALT) {
-            // Escape and a key in one read look like this: the Escape counts, for the key may be a part of something torn.
+            // An Escape read together with a key looks like Alt. Only the Escape counts: the key
+            // may be part of a split sequence.
             key = Key::of(&KeyEvent::from(KeyCode::Esc));
         }
         match std::mem::replace(&mut self.overlay, Overlay::None) {
@@ -81,13 +83,13 @@ impl App {
             }
             Overlay::Confirm(confirm) => self.confirm_key(confirm, key),
             Overlay::Prompt { title, text } => self.prompt_key(title, text, key),
-            Overlay::Axes { at } => self.axes_key(at, key),
-            Overlay::Force { at } => self.force_key(at, key),
-            Overlay::Master { at, typed } => self.master_key(at, typed, key),
+            Overlay::Axes { selected } => self.axes_key(selected, key),
+            Overlay::Force { selected } => self.force_key(selected, key),
+            Overlay::Master { position, typed } => self.master_key(position, typed, key),
         }
     }
 
-    /// Does what a key asks for; from the table, so with nothing open, or always.
+    /// Executes an action of the key table.
     fn execute(&mut self, action: Action) {
         match action {
             Action::Hold => self.hold(),
@@ -114,8 +116,8 @@ impl App {
             Action::Home => match self.state() {
                 Some(State::Idle) => self.open(Overlay::Confirm(Confirm::Home)),
                 Some(state) => {
-                    let what = format!("home: not possible while the machine is {state}");
-                    self.notify(Severity::Warning, what);
+                    let message = format!("home: not possible while the machine is {state}");
+                    self.notify(Severity::Warning, message);
                 }
                 None => {}
             },
@@ -128,13 +130,13 @@ impl App {
                     text,
                 });
             }
-            Action::Axes => self.open(Overlay::Axes { at: 0 }),
+            Action::Axes => self.open(Overlay::Axes { selected: 0 }),
             Action::Master => {
                 if let Some(overlay) = self.open_master_overlay() {
                     self.open(overlay);
                 }
             }
-            Action::Force if self.loops.is_some() => self.open(Overlay::Force { at: 0 }),
+            Action::Force if self.loops.is_some() => self.open(Overlay::Force { selected: 0 }),
             Action::Tare if self.loops.is_some() => self.open(Overlay::Confirm(Confirm::Tare)),
             Action::Force | Action::Tare => {
                 self.notify(Severity::Warning, "this machine has no force sensor");
@@ -149,7 +151,7 @@ impl App {
         self.overlay = overlay;
     }
 
-    /// Everything that moves slows down; a program keeps its place.
+    /// Decelerates; a program keeps its place.
     fn hold(&mut self) {
         let now_us = self.now_us();
         self.jogging.release_all(now_us);
@@ -157,7 +159,7 @@ impl App {
         if !self.is_ready() {
             self.queue_stop(PendingStop::Stop);
         } else if self.jobs.is_running_step() {
-            // Of a step nothing is worth keeping.
+            // A step has no place to keep.
             self.stop();
         } else {
             self.request(Command::Hold, OnAck::Nothing);
@@ -169,7 +171,7 @@ impl App {
             self.jobs.pause_line = None;
             self.request(Command::Resume, OnAck::Nothing);
         } else {
-            self.notify(Severity::Warning, "resume: nothing is on hold");
+            self.notify(Severity::Warning, "resume: the machine is not on hold");
         }
     }
 
@@ -195,12 +197,12 @@ impl App {
         }
     }
 
-    /// A stop that goes out as soon as there is a line.
-    fn queue_stop(&mut self, what: PendingStop) {
-        self.pending_stop = self.pending_stop.max(what);
+    /// Queues a stop for the next session.
+    fn queue_stop(&mut self, message: PendingStop) {
+        self.pending_stop = self.pending_stop.max(message);
         self.notify(
             Severity::Alarm,
-            "no link: the stop goes out first when the line is back. Use the emergency stop of the machine",
+            "no link: the stop is pending until reconnection. Use the emergency stop of the machine",
         );
     }
 
@@ -212,13 +214,13 @@ impl App {
                 return;
             }
             (LinkState::Ready, Some(State::Idle | State::Fault)) => {
-                "nothing moves; the drives stay on and hold".to_string()
+                "the machine is at standstill; the drives stay on and hold".to_string()
             }
             (LinkState::Ready, _) => {
-                "the machine slows down along its path, what runs is dropped, the drives stay on"
+                "the machine decelerates along its path, the job is dropped, the drives stay on"
                     .to_string()
             }
-            _ => format!("no link: what moves stops by itself after {ms} ms of silence"),
+            _ => format!("no link: a moving machine stops after {ms} ms without the host"),
         };
         self.open(Overlay::Confirm(Confirm::Quit(text)));
     }
@@ -283,17 +285,17 @@ impl App {
 
     fn record(&mut self) {
         if let Some(recording) = self.recording.take() {
-            let what = format!("{}: {} rows", recording.path.display(), recording.rows);
-            self.notify(Severity::Info, what);
+            let message = format!("{}: {} rows", recording.path.display(), recording.rows);
+            self.notify(Severity::Info, message);
             return;
         }
         match Recording::begin(&self.settings.folder, &self.machine) {
             Ok(recording) => {
-                let what = format!("recording to {}", recording.path.display());
+                let message = format!("recording to {}", recording.path.display());
                 self.recording = Some(recording);
-                self.notify(Severity::Info, what);
+                self.notify(Severity::Info, message);
             }
-            Err(why) => self.notify(Severity::Warning, why),
+            Err(reason) => self.notify(Severity::Warning, reason),
         }
     }
 
@@ -338,54 +340,40 @@ impl App {
         self.overlay = Overlay::Prompt { title, text };
     }
 
-    fn axes_key(&mut self, at: usize, key: Key) {
+    fn axes_key(&mut self, selected: usize, key: Key) {
         let last = self.machine.pose.len().saturating_sub(1);
+        if let Some(selected) = move_selection(key, selected, last) {
+            return self.overlay = Overlay::Axes { selected };
+        }
         let source = match key.code {
-            KeyCode::Up => {
-                return self.overlay = Overlay::Axes {
-                    at: at.saturating_sub(1),
-                };
-            }
-            KeyCode::Down => {
-                return self.overlay = Overlay::Axes {
-                    at: (at + 1).min(last),
-                };
-            }
             KeyCode::Char('p') => Source::Program,
             KeyCode::Char('h') => Source::Hold,
             KeyCode::Char('j') => Source::Jog,
             KeyCode::Char('m') => Source::Master,
             KeyCode::Esc | KeyCode::Enter | KeyCode::Char('a' | 'q') => return,
-            _ => return self.overlay = Overlay::Axes { at },
+            _ => return self.overlay = Overlay::Axes { selected },
         };
-        self.overlay = Overlay::Axes { at };
-        let axis = at as u8;
+        self.overlay = Overlay::Axes { selected };
+        let axis = selected as u8;
         self.request(
             Command::Source { axis, source },
             OnAck::Source(axis, source),
         );
     }
 
-    fn force_key(&mut self, at: usize, key: Key) {
+    fn force_key(&mut self, selected: usize, key: Key) {
         let Some(loops) = self.loops else { return };
+        if let Some(selected) = move_selection(key, selected, loops.len() - 1) {
+            return self.overlay = Overlay::Force { selected };
+        }
         let change = match key.code {
-            KeyCode::Up => {
-                return self.overlay = Overlay::Force {
-                    at: at.saturating_sub(1),
-                };
-            }
-            KeyCode::Down => {
-                return self.overlay = Overlay::Force {
-                    at: (at + 1).min(2),
-                };
-            }
             KeyCode::Enter => {
                 let mask = self
                     .telemetry
                     .as_ref()
                     .and_then(|now| now.force.as_ref())
                     .map_or(0, |force| force.mask);
-                let mask = mask ^ (1 << at);
+                let mask = mask ^ (1 << selected);
                 self.request(Command::ForceMask { mask }, OnAck::Nothing);
                 0
             }
@@ -394,17 +382,26 @@ impl App {
             KeyCode::Esc | KeyCode::Char('y' | 'q') => return,
             _ => 0,
         };
-        self.overlay = Overlay::Force { at };
+        self.overlay = Overlay::Force { selected };
         if change != 0 {
-            let requested = &mut self.requested_loops[at];
-            let mut settings = requested.newest().unwrap_or(loops[at]);
+            let requested = &mut self.requested_loops[selected];
+            let mut settings = requested.latest().unwrap_or(loops[selected]);
             settings.desired = settings.desired.saturating_add(change);
             requested.settings = Some(settings);
         }
     }
 }
 
-/// The row from which a list is shown after a key; none when the key leaves it.
+/// The selected row after an arrow key; none for other keys.
+fn move_selection(key: Key, selected: usize, last: usize) -> Option<usize> {
+    match key.code {
+        KeyCode::Up => Some(selected.saturating_sub(1)),
+        KeyCode::Down => Some((selected + 1).min(last)),
+        _ => None,
+    }
+}
+
+/// First row of a list after a key; none when the key closes the list.
 fn scroll(key: Key, from: usize, rows: usize) -> Option<usize> {
     match key.code {
         KeyCode::Up => Some(from.saturating_sub(1)),

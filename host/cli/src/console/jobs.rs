@@ -1,4 +1,5 @@
-//! What moves by itself once it was asked for: a part program, a step, the way to the home pose. One at a time, and each ends with its session.
+//! Jobs: a part program, a step, the move to the home pose. One at a time; each ends with its
+//! session.
 
 use super::app::App;
 use super::view_model::{Confirm, Overlay, Severity};
@@ -16,21 +17,22 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::mpsc::{self, Receiver};
 
-/// How long a step is meant after its key was pressed, microseconds.
+/// Validity of a step request after its key press, us.
 const STEP_VALID_US: u64 = 150_000;
 
-/// How long the report of where the machine stands may take until a program is checked from there, microseconds. Nothing moves by itself then: the console asks first.
+/// Longest wait for the exact pose before a program is checked from it, us. Nothing moves then: the
+/// console asks first.
 const POSE_TIMEOUT_US: u64 = 2_000_000;
 
 /// A part program that was checked from a pose.
 #[derive(Debug, Clone)]
 pub(super) struct Checked {
-    /// Name of the file, without folders.
+    /// File name without folders.
     pub(super) name: String,
     pub(super) plan: Arc<Plan>,
-    /// Setpoints at which the program pauses, with the line that says so.
+    /// Setpoints at which the program pauses, with the line of each pause.
     pauses: Arc<BTreeMap<u32, u32>>,
-    /// Lines of the file.
+    /// Number of lines of the file.
     pub(super) lines: u32,
 }
 
@@ -41,23 +43,23 @@ enum Job {
     Program,
 }
 
-/// What was asked for.
+/// Requested and running jobs.
 #[derive(Debug, Default)]
 pub(super) struct Jobs {
     path: Option<PathBuf>,
     pub(super) checked: Option<Checked>,
     checking: Option<Receiver<Result<Checked, CliError>>>,
     running: Option<Job>,
-    /// Homing was asked for here: when the references are found, the way to the home pose follows.
+    /// Homing was requested here: the move to the home pose follows it.
     homing: bool,
-    /// They are found.
+    /// Homing is done; the move to the home pose is pending.
     references_found: bool,
-    /// A step that was pressed when the machine had just come to rest, and until when it is still meant (microseconds): the report of where it
-    /// stands may be some milliseconds behind.
+    /// A step requested just after standstill: axis, direction, and end of its validity, us. The
+    /// exact pose may be reported some milliseconds later.
     step: Option<(usize, bool, u64)>,
-    /// A program that was chosen when the machine had just come to rest, and until when the report of where it stands is waited for (microseconds).
+    /// A program selected just after standstill, and the end of the wait for the exact pose, us.
     pending_check: Option<(PathBuf, u64)>,
-    /// The line at which the program pauses.
+    /// Line of the present program pause.
     pub(super) pause_line: Option<u32>,
     job_number: u32,
 }
@@ -65,7 +67,7 @@ pub(super) struct Jobs {
 /// Reads and plans a part program, as `haptimill run` does.
 ///
 /// # Errors
-/// The file, its mistakes, or what the machine cannot do; nothing moves.
+/// The file cannot be read, has errors, or exceeds the machine. Nothing moves.
 pub(super) fn check(
     path: &Path,
     machine: &MachineFile,
@@ -83,7 +85,7 @@ pub(super) fn check(
 }
 
 impl Jobs {
-    /// Nothing is asked for yet; `path` is the program that is offered first.
+    /// No job. `path` is the program offered first.
     pub(super) fn new(path: Option<PathBuf>) -> Self {
         Self {
             path,
@@ -91,13 +93,13 @@ impl Jobs {
         }
     }
 
-    /// Name of the program that was chosen last, without folders.
+    /// Name of the selected program, without folders.
     pub(super) fn selected_name(&self) -> Option<String> {
         let name = self.path.as_ref()?.file_name()?;
         Some(name.to_string_lossy().into_owned())
     }
 
-    /// The program that was chosen last.
+    /// Path of the selected program.
     pub(super) fn path(&self) -> String {
         self.path
             .as_ref()
@@ -113,14 +115,14 @@ impl Jobs {
         self.running == Some(Job::Step)
     }
 
-    /// What is under way is over; nothing follows it.
+    /// Forgets the running job and everything pending.
     pub(super) fn clear(&mut self) {
         self.running = None;
         self.pause_line = None;
         self.cancel_pending();
     }
 
-    /// Whatever ends now, nothing follows it.
+    /// Cancels everything pending.
     pub(super) fn cancel_pending(&mut self) {
         self.homing = false;
         self.references_found = false;
@@ -128,7 +130,7 @@ impl Jobs {
         self.pending_check = None;
     }
 
-    /// Homing begins.
+    /// Records that homing was requested.
     pub(super) fn home(&mut self) {
         self.homing = true;
         self.references_found = false;
@@ -136,7 +138,8 @@ impl Jobs {
 }
 
 impl App {
-    /// Checks a program from where the machine stands, as soon as that is known: it is said to be idle some milliseconds before.
+    /// Checks a program from the exact commanded pose, waiting for its report after a change to
+    /// idle.
     pub(super) fn check_program(&mut self, path: &str) {
         let path = PathBuf::from(path);
         if self.state() == Some(State::Idle) && self.standstill_pose().is_none() {
@@ -146,15 +149,15 @@ impl App {
         }
     }
 
-    /// Reads and checks a program beside everything else.
+    /// Reads and checks a program in a thread.
     fn begin_check(&mut self, path: PathBuf) {
         let homed = self
             .telemetry
             .as_ref()
             .is_some_and(|now| now.homed && now.position_kept);
         let Some(start) = self.standstill_pose().filter(|_| homed && self.configured) else {
-            let what = "a program is checked from where the machine stands: enabled, homed, idle";
-            self.notify(Severity::Warning, what);
+            let message = "a program is checked from the present pose: the machine must be enabled, homed and idle";
+            self.notify(Severity::Warning, message);
             return;
         };
         self.jobs.path = Some(path.clone());
@@ -167,7 +170,8 @@ impl App {
         self.jobs.checking = Some(receiver);
     }
 
-    /// A program that was checked is run, if the machine still stands where it begins.
+    /// Runs the checked program if the machine is still at its start pose; otherwise checks it
+    /// again.
     pub(super) fn run_program(&mut self) {
         let Some(checked) = self.jobs.checked.clone() else {
             return;
@@ -175,20 +179,20 @@ impl App {
         match self.standstill_pose() {
             Some(pose) if pose == checked.plan.start => {
                 if self.start(Job::Program, &checked.plan) {
-                    self.notify(Severity::Info, format!("{}: begun", checked.name));
+                    self.notify(Severity::Info, format!("{}: started", checked.name));
                 }
             }
             Some(_) => {
                 let path = self.jobs.path();
                 self.check_program(&path);
             }
-            None => self.notify(Severity::Warning, "the machine does not stand idle"),
+            None => self.notify(Severity::Warning, "the machine is not idle"),
         }
     }
 
-    /// Moves one pose coordinate by a step, exactly.
+    /// Moves one pose coordinate by an exact step.
     pub(super) fn step_axis(&mut self, axis: usize, up: bool) {
-        // Nothing waits for its turn: a press during a step is no step.
+        // Steps are not queued: a key press during a step is ignored.
         if self.jobs.running.is_some() {
             return;
         }
@@ -199,7 +203,7 @@ impl App {
             return;
         };
         if !self.telemetry.as_ref().is_some_and(|now| now.homed) {
-            self.notify(Severity::Warning, "a step: home the machine first");
+            self.notify(Severity::Warning, "step: home the machine first");
             return;
         }
         let step = self.jogging.step();
@@ -215,12 +219,15 @@ impl App {
         }
     }
 
-    /// The work that was given is clamped once the machine is at its home pose, as an operator does it.
+    /// Clamps the given stock once the machine is at its home pose.
     fn clamp_stock(&mut self) {
         if let Some(stock) = self.settings.stock.take() {
             match self.connection.clamp(&stock) {
-                Ok(()) => self.notify(Severity::Info, "the work is clamped on the simulated table"),
-                Err(why) => self.notify(Severity::Warning, why),
+                Ok(()) => self.notify(
+                    Severity::Info,
+                    "the stock is clamped on the simulated table",
+                ),
+                Err(reason) => self.notify(Severity::Warning, reason),
             }
         }
     }
@@ -244,7 +251,7 @@ impl App {
         }
     }
 
-    /// Goes on with what follows by itself: a check that is done, the way home.
+    /// Continues pending work: a finished check, a pending step, the move to the home pose.
     pub(super) fn advance_jobs(&mut self) {
         if let Some(checking) = &self.jobs.checking
             && let Ok(result) = checking.try_recv()
@@ -306,7 +313,7 @@ impl App {
         }
     }
 
-    /// What events mean for the work.
+    /// Updates the jobs on an event.
     pub(super) fn update_jobs(&mut self, event: &Event) {
         match event {
             Event::Homed => self.jobs.references_found = std::mem::take(&mut self.jobs.homing),
@@ -323,13 +330,13 @@ impl App {
         }
     }
 
-    /// The job is over.
+    /// Handles the end of a job.
     pub(super) fn job_ended(&mut self, ending: &JobEnding) {
         let job = self.jobs.running.take();
         self.jobs.pause_line = None;
         let name = match (job, &self.jobs.checked) {
             (Some(Job::Program), Some(checked)) => checked.name.clone(),
-            (Some(Job::Home), _) => "way to the home pose".to_string(),
+            (Some(Job::Home), _) => "move to the home pose".to_string(),
             _ => "step".to_string(),
         };
         match ending {
@@ -341,7 +348,7 @@ impl App {
                 }
             }
             JobEnding::Dropped { .. } => self.notify(Severity::Warning, format!("{name}: dropped")),
-            // The loss of the link says it.
+            // The link loss is logged already.
             JobEnding::Lost { .. } => {}
             other => {
                 let other = match other {

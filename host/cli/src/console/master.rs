@@ -1,12 +1,16 @@
-//! The hand of a machine that has a haptic arm, or follows one: what is known here of its settings, and the keys that change them.
+//! Settings of the haptic arm or of the position scale of a machine with a remote master, and the
+//! fields that change them.
 //!
-//! A controller does not tell which reflection, walls and scale it has; it tells what they do. What is known here is therefore what this console set, and
-//! what the machine file says if the controller took it from here. Otherwise another host may have set something else, and the value is marked as not sure. A wall
-//! is found again by its push, which tells how deep the tip is in it.
+//! A controller does not report its force feedback settings, virtual fixture and position scale,
+//! only their effect. The values here are therefore those that this console set, or those of the
+//! machine file if the controller took it from this console. Otherwise another host may have set
+//! others, and the value is marked as unknown. A fixture face is recognised by its force, which
+//! gives the depth of the tip in it.
 //!
-//! Forces N, places mm in the frame of the arm's base.
+//! Forces in N, positions in mm in the base frame of the arm.
 //!
-//! Misuse: taking the place of a wall for where the controller has it to the last digit. [`Face::Approximate`] was put while the hand moved; and one of another host that nobody touches is not seen at all.
+//! The position of a fixture face is not exact: [`Face::Approximate`] was set while the master
+//! moved. A face that another host set is unknown until the tip touches it.
 
 mod input;
 
@@ -16,31 +20,32 @@ use haptimill_protocol::haptic::{COMPONENTS, ForceFeedback, MasterTelemetry};
 use ratatui::crossterm::event::KeyCode;
 use std::time::{Duration, Instant};
 
-/// Names of the components.
+/// Names of the Cartesian components.
 pub(super) const NAMES: [&str; COMPONENTS] = ["x", "y", "z"];
 
-/// Parts of a newton, and of a newton millimetre, in the report of a hand.
+/// Units per N, and per N mm, in the master telemetry.
 pub(super) const PER_REPORTED: f64 = 256.0;
 
-/// G_P of 1.
+/// Raw value of the position scale 1.
 const PER_SCALE: f64 = 4096.0;
 
-/// A push below this tells nothing of a wall, N, and so near the most that a wall pushes it may be deeper.
+/// Fixture forces below this, or this close to the largest fixture force, do not give the position
+/// of the face, N.
 const MIN_PUSH_N: f64 = 0.02;
 
-/// The same wall, mm: the push is reported in steps.
+/// Tolerance of face positions, mm: fixture forces are reported in steps.
 const FACE_TOLERANCE_MM: f64 = 0.03;
 
-/// A setting of which the controller does not tell.
+/// A setting that the controller does not report.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Setting<T> {
-    /// What the machine file says.
+    /// Value in the machine file.
     file: T,
-    /// What was asked for last.
+    /// Value requested last.
     requested: T,
-    /// What is in force.
+    /// Active value.
     pub(super) active: T,
-    /// No other host can have set something else.
+    /// No other host can have changed it.
     pub(super) known: bool,
 }
 
@@ -54,7 +59,7 @@ impl<T: Copy + PartialEq> Setting<T> {
         }
     }
 
-    /// The controller has it from the machine file.
+    /// The controller took the machine file.
     fn begin(&mut self) {
         self.acknowledge(self.file);
         self.requested = self.file;
@@ -72,45 +77,45 @@ impl<T: Copy + PartialEq> Setting<T> {
     }
 }
 
-/// A face of the box in which the hand is kept, as far as it is known here.
+/// A face of the virtual fixture, as known here.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Face {
-    /// Another host may have put one.
+    /// Another host may have set one.
     Unknown,
-    /// There is none.
+    /// No face.
     None,
-    /// It was put about here, by a moving hand.
+    /// Set near this position while the master moved, mm.
     Approximate(f64),
-    /// It is here.
-    FieldPosition(f64),
+    /// Position, mm.
+    Known(f64),
 }
 
 /// The haptic arm.
 #[derive(Debug, Clone)]
 pub(super) struct Arm {
     pub(super) feedback: Setting<ForceFeedback>,
-    /// Of each axis the lower and the upper one.
+    /// Lower and upper face along each axis.
     pub(super) faces: [[Face; 2]; COMPONENTS],
-    /// Stiffness of the walls, N/mm, and the most that one pushes, N.
+    /// Stiffness of the fixture, N/mm, and its largest force, N.
     stiffness: f64,
     max_push: f64,
-    /// Period of the newest report, and when it came.
+    /// Control period of the newest report, and its time of arrival.
     last_period: Option<u64>,
     received_at: Instant,
-    /// Reports to come from which no wall is learnt.
+    /// Number of next reports that may still describe the previous fixture.
     stale_reports: u8,
 }
 
-/// What is known of the hand.
+/// Known settings of the master.
 #[derive(Debug, Clone)]
 pub(super) struct Master {
-    /// The arm, if it is one of this machine.
+    /// The arm, if it belongs to this machine.
     pub(super) arm: Option<Arm>,
-    /// G_P, where the machine follows a hand.
+    /// Position scale, if a master drives the machine.
     pub(super) scale: Option<Setting<u16>>,
 }
 
-/// What is changed by a key: a field of the overlay. Without an axis all of them.
+/// Field of the overlay. Without an axis it stands for all axes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Field {
     Percent(Option<usize>),
@@ -119,14 +124,14 @@ pub(super) enum Field {
     Scale,
 }
 
-/// Where a field is: rows x, y, z, all, G_P.
+/// Row and column of a field; the rows are x, y, z, all, position scale.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct FieldPosition {
     pub(super) row: usize,
     pub(super) column: usize,
 }
 
-/// The row of all axes, and the one of the scale.
+/// Row of all axes, and row of the position scale.
 pub(super) const ALL: usize = COMPONENTS;
 pub(super) const SCALE: usize = COMPONENTS + 1;
 
@@ -134,7 +139,7 @@ pub(super) const SCALE: usize = COMPONENTS + 1;
 const COLUMNS: usize = 4;
 
 impl FieldPosition {
-    /// What is there.
+    /// The field at this position.
     pub(super) fn field(self) -> Field {
         let axis = (self.row < ALL).then_some(self.row);
         match self.column {
@@ -150,8 +155,8 @@ impl FieldPosition {
 }
 
 impl Arm {
-    /// A report, if it is a new one.
-    fn handle_notice(&mut self, report: &MasterTelemetry) {
+    /// Evaluates a report if it is new.
+    fn update(&mut self, report: &MasterTelemetry) {
         if self.last_period.replace(report.period) == Some(report.period) {
             return;
         }
@@ -167,21 +172,20 @@ impl Arm {
             }
             let at = f64::from(report.pose.tip[axis]) / PER_MM + push / self.stiffness;
             let face = &mut faces[usize::from(push < 0.0)];
-            if !matches!(face, Face::FieldPosition(before) if (*before - at).abs() < FACE_TOLERANCE_MM)
-            {
-                *face = Face::FieldPosition(at);
+            if !matches!(face, Face::Known(before) if (*before - at).abs() < FACE_TOLERANCE_MM) {
+                *face = Face::Known(at);
             }
         }
     }
 
-    /// How old the newest report is.
+    /// Age of the newest report.
     pub(super) fn age(&self) -> Duration {
         self.received_at.elapsed()
     }
 }
 
 impl Master {
-    /// That of a machine; none when it has no haptic arm and follows none.
+    /// Settings of a machine; none without a haptic arm and without a remote master.
     pub(super) fn of(machine: &MachineFile) -> Option<Self> {
         let config = &machine.config;
         let arm = config.haptic.as_ref().map(|haptic| Arm {
@@ -200,7 +204,8 @@ impl Master {
         (arm.is_some() || scale.is_some()).then_some(Self { arm, scale })
     }
 
-    /// The controller took the machine file: no other host has set anything since.
+    /// Resets all values: the controller took the machine file, and no other host has set anything
+    /// since.
     pub(super) fn begin(&mut self) {
         if let Some(arm) = &mut self.arm {
             arm.feedback.begin();
@@ -211,7 +216,7 @@ impl Master {
         }
     }
 
-    /// The link is gone, and every request with it.
+    /// Discards all pending requests after a link loss.
     pub(super) fn handle_link_loss(&mut self) {
         if let Some(arm) = &mut self.arm {
             arm.feedback.requested = arm.feedback.active;
@@ -222,13 +227,13 @@ impl Master {
         }
     }
 
-    /// The field in which the overlay begins.
+    /// The field selected first.
     const fn first_position(&self) -> FieldPosition {
         let row = if self.arm.is_some() { 0 } else { SCALE };
         FieldPosition { row, column: 0 }
     }
 
-    /// The field beside another one.
+    /// The neighbouring field in the direction of an arrow key.
     fn neighbour(&self, at: FieldPosition, key: KeyCode) -> FieldPosition {
         let last = if self.scale.is_some() { SCALE } else { ALL };
         let FieldPosition { row, column } = at;
@@ -253,7 +258,7 @@ impl Master {
     }
 }
 
-/// A G_P as people write it.
+/// Position scale as a ratio.
 pub(super) fn to_ratio(raw: u16) -> f64 {
     f64::from(raw) / PER_SCALE
 }

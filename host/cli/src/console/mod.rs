@@ -1,22 +1,24 @@
-//! `haptimill console`: one operator, one screen, one machine, whatever becomes of terminal and line.
+//! `haptimill console`: full-screen operator interface.
 //!
-//! Three threads. This one owns the port and everything that is known (`app`); one reads keys; one draws. Keys never wait for the port or for the screen, the
-//! port never waits for the screen. Built with the feature `console` only.
+//! Three threads. The first owns the port and the application state (`app`), the second reads keys,
+//! the third draws the screen. Key input never waits for the port or the screen; the port never
+//! waits for the screen. Compiled with the feature `console` only.
 //!
-//! | file | |
+//! | file | contents |
 //! | --- | --- |
-//! | `keys.rs` | the one table of keys |
-//! | `jogging.rs` | jog keys, the dead-man time, releases |
-//! | `app.rs`, `hearing.rs` | the session, and what the controller says |
-//! | `orders.rs` | from keys to orders |
-//! | `job.rs` | part programs, steps, the way home |
-//! | `master.rs`, `master/orders.rs` | the hand on a haptic arm: reflection, virtual walls, scale |
-//! | `connect.rs` | the port, lost and found; the simulator in real time |
-//! | `recording.rs` | telemetry as CSV |
-//! | `picture.rs`, `view.rs`, `view/` | what is to be seen, and its drawing |
-//! | `terminal.rs` | the terminal, taken and given back |
+//! | `keys.rs` | key table |
+//! | `jogging.rs` | jog keys, dead-man time, key releases |
+//! | `app.rs`, `events.rs` | application state and session; messages of the controller |
+//! | `input.rs` | key input to commands |
+//! | `jobs.rs` | part programs, steps, move to the home pose |
+//! | `master.rs`, `master/input.rs` | haptic arm: force feedback, virtual fixture, position scale |
+//! | `connection.rs` | port and reconnection; simulator in real time |
+//! | `recording.rs` | telemetry to CSV |
+//! | `view_model.rs`, `view/` | displayed values and their drawing |
+//! | `terminal.rs` | set-up and restoration of the terminal |
 //!
-//! Misuse: a key on a terminal is no emergency stop. The line, the computer and the terminal may each be slow or dead; the machine needs one of its own.
+//! A key on a terminal is no emergency stop: the line, the computer or the terminal may be slow or
+//! fail. Callers must provide an emergency stop of the machine itself.
 
 mod app;
 mod connection;
@@ -45,20 +47,20 @@ use std::sync::mpsc::{self, Receiver};
 use std::time::{Duration, Instant};
 use terminal::Renderer;
 
-/// Time between two pictures that are made.
+/// Period of view model updates.
 const VIEW_INTERVAL: Duration = Duration::from_millis(33);
 
-/// Time between two looks at the terminal.
+/// Period of terminal checks.
 const CHECK_INTERVAL: Duration = Duration::from_millis(100);
 
 /// Why the console ends.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Ending {
-    /// The operator wants it.
+    /// The operator quits.
     Quit,
-    /// A signal: the terminal was closed, or the system wants it.
+    /// A signal: the terminal was closed, or the system ends the process.
     Signal,
-    /// The terminal is gone.
+    /// The terminal hung up.
     TerminalLost,
 }
 
@@ -67,11 +69,12 @@ enum Ending {
 /// # Errors
 /// See [`Exit`].
 pub fn run(args: ConsoleArgs) -> Result<(), CliError> {
-    check(&args)?;
+    check_arguments(&args)?;
     let chosen = args.machine.load()?;
     let machine = Arc::new(chosen.file.clone());
     if let Some(program) = &args.program {
-        // Mistakes are told here, where they can be read at leisure; from the home pose, as long as no other is known.
+        // Program errors are reported before the screen is taken over. The check starts at the home
+        // pose, since no other pose is known yet.
         let model = Model::new(&machine);
         if let Some(home) = model.home(&machine) {
             jobs::check(program, &machine, &model, &home)?;
@@ -111,14 +114,14 @@ pub fn run(args: ConsoleArgs) -> Result<(), CliError> {
         options,
         board: (args.port != PortSpec::Simulator).then_some(chosen),
     };
-    let signals = signals();
+    let signals = count_signals();
     terminal::take(&|| signals.load(Ordering::SeqCst) > 0)?;
     let (sender, events) = mpsc::channel();
     terminal::spawn_reader(sender);
-    let renderer = Renderer::begin();
+    let renderer = Renderer::spawn();
     let mut app = App::new(machine, connection, settings);
     let outcome = operate(&mut app, &events, &renderer, &signals);
-    // First the machine, then the screen.
+    // The machine stops before the terminal is restored.
     let at_standstill = app.shut_down();
     renderer.show(app.view_model());
     if !renderer.end() {
@@ -132,16 +135,17 @@ pub fn run(args: ConsoleArgs) -> Result<(), CliError> {
     report_ending(outcome?, at_standstill, &app)
 }
 
-/// What cannot be meant is refused.
-fn check(args: &ConsoleArgs) -> Result<(), CliError> {
+/// Refuses combinations of arguments that make no sense.
+fn check_arguments(args: &ConsoleArgs) -> Result<(), CliError> {
     let simulated = args.port == PortSpec::Simulator;
-    let what = if let PortSpec::Emulated(_) = args.port {
+    let message = if let PortSpec::Emulated(_) = args.port {
         format!(
             "{}: an emulated controller is slower than real time; use --port sim, or a machine",
             args.port
         )
     } else if !simulated && args.work.is_some() {
-        "--work is for the simulator in this process; clamp the work by hand".to_string()
+        "--work is for the simulator in this process; clamp a real workpiece on the machine itself"
+            .to_string()
     } else if !simulated && (args.seed.is_some() || !args.fault.is_empty()) {
         "--seed and --fault are for the simulator in this process; give them to `haptimill sim serve`"
             .to_string()
@@ -153,11 +157,12 @@ fn check(args: &ConsoleArgs) -> Result<(), CliError> {
     } else {
         return Ok(());
     };
-    Err(CliError::new(Exit::Usage, what))
+    Err(CliError::new(Exit::Usage, message))
 }
 
-/// Counts the wishes of the system that this process ends. The third one ends it at once; the machine then stops by the silence.
-fn signals() -> Arc<AtomicU32> {
+/// Counts termination signals. The third one ends the process at once; the machine then stops by
+/// its heartbeat.
+fn count_signals() -> Arc<AtomicU32> {
     let count = Arc::new(AtomicU32::new(0));
     let counter = Arc::clone(&count);
     let handler = move || {
@@ -166,12 +171,13 @@ fn signals() -> Arc<AtomicU32> {
             std::process::exit(i32::from(Exit::Stopped as u8));
         }
     };
-    // Without a handler the system ends the process: the machine stops by the silence, and the shell sees to its terminal.
+    // Without a handler the system ends the process: the machine stops by its heartbeat, and the
+    // shell restores its terminal.
     let _ = ctrlc::set_handler(handler);
     count
 }
 
-/// The loop: keys, then the port, then a picture.
+/// Main loop: keys, then the port, then the view model.
 fn operate(
     app: &mut App,
     events: &Receiver<Option<ratatui::crossterm::event::Event>>,
@@ -210,12 +216,12 @@ fn operate(
     }
 }
 
-/// The last word, on a terminal that is the shell's again.
+/// Reports the ending on the restored terminal.
 fn report_ending(end: Ending, at_standstill: bool, app: &App) -> Result<(), CliError> {
     let state = match app.telemetry.as_ref().map(|telemetry| telemetry.state) {
         Some(state) if at_standstill => format!("the machine is {state}"),
         _ => format!(
-            "the machine was not seen at rest; it stops by itself after {} ms without a host",
+            "no standstill was reported; the machine stops {} ms after the last message of the host",
             app.machine.config.supervision.heartbeat_ms
         ),
     };

@@ -1,7 +1,7 @@
-//! The terminal: taken over, drawn on, and given back on every way out.
+//! Set-up, drawing and restoration of the terminal.
 //!
-//! A thread draws, and waits for the terminal as long as it likes: only the newest picture counts. Another thread reads keys. [`restore`] may be
-//! called by anybody at any time, more than once.
+//! One thread draws and may block on the terminal; only the newest view model counts. Another
+//! thread reads keys. [`restore`] may be called from any thread at any time, repeatedly.
 
 use super::view;
 use super::view_model::ViewModel;
@@ -24,25 +24,25 @@ use std::sync::{Arc, Condvar, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// The terminal is ours.
+/// The terminal is in raw mode with the alternate screen.
 static TAKEN: AtomicBool = AtomicBool::new(false);
 
-/// The terminal was asked to tell of releases.
+/// The terminal reports key releases.
 static ENHANCED: AtomicBool = AtomicBool::new(false);
 
-/// Least time between two pictures: 30 a second.
+/// Shortest frame period: 30 frames per second.
 const FRAME: Duration = Duration::from_millis(33);
 
-/// A picture is drawn so often even when nothing new came.
+/// Frame period without a new view model.
 const IDLE_FRAME: Duration = Duration::from_millis(250);
 
-/// While the terminal is asked it is looked at so often.
+/// Poll period during the query of the terminal.
 const QUERY_POLL: Duration = Duration::from_millis(20);
 
-/// How long the last picture may take when the console is left.
+/// Longest wait for the last frame on exit.
 const LAST_FRAME: Duration = Duration::from_millis(300);
 
-/// Gives the terminal back as it was. Errors are not told: there is nobody left to tell.
+/// Restores the terminal. Errors are ignored: there is no terminal left to report them on.
 pub(super) fn restore() {
     if !TAKEN.swap(false, Ordering::SeqCst) {
         return;
@@ -60,29 +60,30 @@ pub(super) fn restore() {
     );
 }
 
-/// Checks that there is a terminal, for keys and for the picture.
+/// Checks that standard input and output are a terminal.
 ///
 /// # Errors
-/// There is none.
+/// One of them is none.
 pub(super) fn check() -> Result<(), CliError> {
     for (is, which) in [
         (stdin().is_terminal(), "standard input"),
         (stdout().is_terminal(), "standard output"),
     ] {
         if !is {
-            let what = format!(
-                "console: {which} is not a terminal; run it in one (over ssh with `ssh -t`). For scripts there are `haptimill status`, `jog`, `run` with --json"
+            let message = format!(
+                "console: {which} is not a terminal; run it in one (over ssh with `ssh -t`). \
+                 For scripts use `haptimill status`, `jog`, `run` with --json"
             );
-            return Err(CliError::new(Exit::Usage, what));
+            return Err(CliError::new(Exit::Usage, message));
         }
     }
     Ok(())
 }
 
-/// Takes the terminal over. When it hangs up meanwhile, or `is_cancelled` says that nobody wants it any more, it is taken as far as it was.
+/// Takes over the terminal. A hang-up or `is_cancelled` ends the set-up early, without an error.
 ///
 /// # Errors
-/// The system does not let it.
+/// The system refuses.
 pub(super) fn take(is_cancelled: &dyn Fn() -> bool) -> Result<(), CliError> {
     let before = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic| {
@@ -92,7 +93,10 @@ pub(super) fn take(is_cancelled: &dyn Fn() -> bool) -> Result<(), CliError> {
     prepare(is_cancelled).map_err(|error| {
         restore();
         if is_hung_up() {
-            return CliError::new(Exit::Stopped, "the terminal is gone; nothing moved");
+            return CliError::new(
+                Exit::Stopped,
+                "the terminal is gone; the machine did not move",
+            );
         }
         CliError::new(Exit::Usage, format!("console: the terminal: {error}"))
     })
@@ -104,7 +108,7 @@ fn prepare(is_cancelled: &dyn Fn() -> bool) -> std::io::Result<()> {
     execute!(
         stdout(),
         EnterAlternateScreen,
-        // Not by ratatui: it would ask the terminal where its cursor is, and wait.
+        // ratatui would query the cursor position, and block.
         Clear(ClearType::All),
         EnableBracketedPaste,
         EnableFocusChange
@@ -118,10 +122,10 @@ fn prepare(is_cancelled: &dyn Fn() -> bool) -> std::io::Result<()> {
     Ok(())
 }
 
-/// Asks the terminal whether it tells of releases; one that answers nothing at all costs two seconds.
+/// Queries whether the terminal reports releases. A terminal without an answer costs two seconds.
 fn reports_releases(is_cancelled: &dyn Fn() -> bool) -> bool {
     let (sender, answer) = mpsc::channel();
-    // In a thread of its own: crossterm reads a terminal that has hung up again and again, for ever.
+    // In a thread, since crossterm reads a terminal that has hung up in an endless loop.
     std::thread::spawn(move || sender.send(supports_keyboard_enhancement().unwrap_or(false)));
     loop {
         match answer.recv_timeout(QUERY_POLL) {
@@ -132,7 +136,7 @@ fn reports_releases(is_cancelled: &dyn Fn() -> bool) -> bool {
     }
 }
 
-/// Reads keys until the terminal is gone.
+/// Reads keys in a thread until the terminal is gone.
 pub(super) fn spawn_reader(events: Sender<Option<Event>>) {
     std::thread::spawn(move || {
         while let Ok(event) = event::read() {
@@ -144,7 +148,7 @@ pub(super) fn spawn_reader(events: Sender<Option<Event>>) {
     });
 }
 
-/// Whether the terminal has hung up.
+/// Returns true when the terminal has hung up.
 pub(super) fn is_hung_up() -> bool {
     #[cfg(unix)]
     {
@@ -170,22 +174,22 @@ struct Shared {
     changed: Condvar,
 }
 
-/// Draws, in a thread of its own.
+/// Draws in a thread.
 pub(super) struct Renderer {
     shared: Arc<Shared>,
     thread: JoinHandle<std::io::Result<()>>,
 }
 
 impl Renderer {
-    /// Begins. The terminal must be taken.
-    pub(super) fn begin() -> Self {
+    /// Starts the thread. Callers must have taken over the terminal.
+    pub(super) fn spawn() -> Self {
         let shared = Arc::new(Shared::default());
         let source = Arc::clone(&shared);
         let thread = std::thread::spawn(move || render(&source));
         Self { shared, thread }
     }
 
-    /// Shows this next. Never waits for the terminal.
+    /// Replaces the view model to draw. Never blocks.
     pub(super) fn show(&self, view: ViewModel) {
         if let Ok(mut newest) = self.shared.newest.lock() {
             newest.0 = Some(Box::new(view));
@@ -193,12 +197,13 @@ impl Renderer {
         self.shared.changed.notify_one();
     }
 
-    /// The painter ended by itself: the terminal takes no more, or a defect.
+    /// The thread has ended by itself: the terminal accepts no output, or a defect.
     pub(super) fn has_ended(&self) -> bool {
         self.thread.is_finished()
     }
 
-    /// Ends, after the last picture. False when the terminal is stuck: whoever writes to it would wait for ever.
+    /// Ends the thread after the last frame. Returns false when the terminal is stuck: further
+    /// output would block.
     pub(super) fn end(self) -> bool {
         if let Ok(mut newest) = self.shared.newest.lock() {
             newest.1 = true;
@@ -210,7 +215,7 @@ impl Renderer {
         }
         let has_ended = self.thread.is_finished();
         if !has_ended {
-            // The mode of the terminal can be set all the same.
+            // The mode of the terminal can be restored even if its output is stuck.
             TAKEN.store(false, Ordering::SeqCst);
             let _ = disable_raw_mode();
         }
@@ -238,7 +243,7 @@ fn render(shared: &Shared) -> std::io::Result<()> {
             }
             newest.1
         };
-        // After a restore, by a defect elsewhere, the screen is not ours any more.
+        // A panic in another thread has restored the terminal.
         if !TAKEN.load(Ordering::SeqCst) {
             return Ok(());
         }

@@ -1,4 +1,4 @@
-//! From keys in the overlay of the hand to orders, and what their answers mean.
+//! Key input of the master panel, and handling of the answers.
 
 use super::{FACE_TOLERANCE_MM, Face, Field, FieldPosition, NAMES, PER_SCALE};
 use crate::console::app::{App, OnAck};
@@ -12,24 +12,24 @@ use haptimill_teleop::SCALES;
 use haptimill_teleop::script::scale;
 use ratatui::crossterm::event::KeyCode;
 
-/// Changes for one key.
+/// Changes per key press.
 const PERCENT_STEP: f64 = 5.0;
 const LIMIT_STEP_N: f64 = 0.2;
 const SCALE_STEP: f64 = 0.1;
 
-/// The most that a typed number has.
+/// Largest length of a typed number.
 const MAX_DIGITS: usize = 8;
 
-/// Reports that may still be of before a wall was put, or taken away.
+/// Number of reports after a change of the fixture that may still describe the previous one.
 const STALE_REPORTS: u8 = 2;
 
-/// The time in which a hand may have gone on since its newest report, s.
+/// Largest age of the newest report, s: the master may have moved since.
 const REPORT_AGE_S: f64 = 0.15;
 
-/// The name of a wall.
+/// Name of a face of the virtual fixture.
 fn face_name(axis: usize, upper: bool) -> String {
     let side = if upper { "upper" } else { "lower" };
-    format!("{side} wall of {}", NAMES[axis])
+    format!("{side} face of {}", NAMES[axis])
 }
 
 fn axis_name(axis: Option<usize>) -> &'static str {
@@ -37,52 +37,54 @@ fn axis_name(axis: Option<usize>) -> &'static str {
 }
 
 impl App {
-    /// Opens the overlay of the hand, or says why there is none.
+    /// Opens the master panel, or reports why there is none.
     pub(in crate::console) fn open_master_overlay(&mut self) -> Option<Overlay> {
         match &self.master {
             Some(master) => Some(Overlay::Master {
-                at: master.first_position(),
+                position: master.first_position(),
                 typed: String::new(),
             }),
             None => {
-                let what = "this machine has no haptic arm and follows none: no [haptic] or [follow] in its machine file";
-                self.notify(Severity::Warning, what);
+                let message = "this machine has no haptic arm and no remote master: \
+                               its machine file has neither [haptic] nor [follow]";
+                self.notify(Severity::Warning, message);
                 None
             }
         }
     }
 
-    /// Takes in the newest report of the arm.
+    /// Evaluates the newest report of the arm.
     pub(in crate::console) fn update_arm(&mut self) {
         if let Some(report) = self.client.hand()
             && let Some(arm) = self.master.as_mut().and_then(|master| master.arm.as_mut())
         {
-            arm.handle_notice(report);
+            arm.update(report);
         }
     }
 
-    /// A key while the overlay is open.
+    /// Handles a key while the panel is open.
     pub(in crate::console) fn master_key(
         &mut self,
-        at: FieldPosition,
+        position: FieldPosition,
         mut typed: String,
         key: Key,
     ) {
         let Some(master) = &self.master else { return };
-        let field = at.field();
-        let fixture = matches!(field, Field::Fixture { .. });
-        let mut next = at;
+        let field = position.field();
+        let is_fixture = matches!(field, Field::Fixture { .. });
+        let mut next = position;
         match key.code {
             KeyCode::Up | KeyCode::Down | KeyCode::Left | KeyCode::Right => {
-                next = master.neighbour(at, key.code);
+                next = master.neighbour(position, key.code);
                 typed.clear();
             }
             KeyCode::Esc if !typed.is_empty() => typed.clear(),
             KeyCode::Esc | KeyCode::Char('w' | 'q') => return,
             KeyCode::Char('c') if key.control => return,
-            KeyCode::Char('0'..='9' | '.') if fixture => {
-                let what = "a wall is put where the tip is: bring the handle there, then Enter";
-                self.notify(Severity::Warning, what);
+            KeyCode::Char('0'..='9' | '.') if is_fixture => {
+                let message =
+                    "the fixture face is set at the tip: move the tip there, then press Enter";
+                self.notify(Severity::Warning, message);
             }
             KeyCode::Char(letter @ ('0'..='9' | '.')) if typed.len() < MAX_DIGITS => {
                 typed.push(letter);
@@ -90,15 +92,15 @@ impl App {
             KeyCode::Backspace if !typed.is_empty() => {
                 typed.pop();
             }
-            KeyCode::Enter | KeyCode::Backspace | KeyCode::Delete if fixture => {
+            KeyCode::Enter | KeyCode::Backspace | KeyCode::Delete if is_fixture => {
                 self.change_faces(field, key.code == KeyCode::Enter);
             }
             KeyCode::Enter if !typed.is_empty() => {
                 match typed.parse() {
                     Ok(value) => self.set_field(field, value),
                     Err(_) => {
-                        let what = format!("'{typed}' is no number; type one like 12.5");
-                        self.notify(Severity::Warning, what);
+                        let message = format!("'{typed}' is not a number; type one like 12.5");
+                        self.notify(Severity::Warning, message);
                     }
                 }
                 typed.clear();
@@ -107,44 +109,49 @@ impl App {
             KeyCode::Char('-') => self.step_field(field, -1.0),
             _ => {}
         }
-        self.overlay = Overlay::Master { at: next, typed };
+        self.overlay = Overlay::Master {
+            position: next,
+            typed,
+        };
     }
 
-    /// Sets a field to a number, if it may be.
+    /// Sets a field to a number within its range.
     fn set_field(&mut self, field: Field, value: f64) {
-        let most_n = f64::from(MOST.0) / PER_EFFORT;
+        let limit_n = f64::from(MOST.0) / PER_EFFORT;
         match field {
             Field::Percent(axis) if value <= 100.0 && value.fract() == 0.0 => {
                 self.change_feedback(axis, |axis| axis.percent = value as u8);
             }
             Field::Percent(axis) => {
                 let of = axis_name(axis);
-                let what = format!(
-                    "reflection of {of}: {value} % is not one of 0 to 100, in whole percent; type one of them"
+                let message = format!(
+                    "force feedback of {of}: {value} % is out of its range; type a whole number from 0 to 100"
                 );
-                self.notify(Severity::Warning, what);
+                self.notify(Severity::Warning, message);
             }
-            Field::Limit(axis) if value <= most_n => {
+            Field::Limit(axis) if value <= limit_n => {
                 self.change_feedback(axis, |axis| axis.limit = to_i32(value * PER_EFFORT));
             }
             Field::Limit(axis) => {
                 let of = axis_name(axis);
-                let what = format!(
-                    "limit of {of}: {value} N is out of its range, 0 to {most_n} N; type a number within it"
+                let message = format!(
+                    "force limit of {of}: {value} N is out of its range, 0 to {limit_n} N; \
+                     type a number within it"
                 );
-                self.notify(Severity::Warning, what);
+                self.notify(Severity::Warning, message);
             }
             Field::Scale => match scale(value) {
                 Ok(scale) => self.request_scale(scale),
-                Err(why) => {
-                    self.notify(Severity::Warning, format!("{why}; type a number within it"))
-                }
+                Err(reason) => self.notify(
+                    Severity::Warning,
+                    format!("{reason}; type a number within it"),
+                ),
             },
             Field::Fixture { .. } => {}
         }
     }
 
-    /// Sets a field a step further, or to its bound.
+    /// Changes a field by one step, within its range.
     fn step_field(&mut self, field: Field, sign: f64) {
         let changed = match field {
             Field::Percent(axis) => self.change_feedback(axis, |axis| {
@@ -152,10 +159,10 @@ impl App {
                 axis.percent = percent.clamp(0.0, 100.0) as u8;
             }),
             Field::Limit(axis) => self.change_feedback(axis, |axis| {
-                let most = f64::from(axis.limit) / PER_EFFORT + sign * LIMIT_STEP_N;
-                // In tenths, so that a step forth and one back is none.
-                let most = to_i32((most * 10.0).round() / 10.0 * PER_EFFORT);
-                axis.limit = most.clamp(0, MOST.0);
+                let limit_n = f64::from(axis.limit) / PER_EFFORT + sign * LIMIT_STEP_N;
+                // Rounded to tenths, so that one step up and one down restore the value.
+                let limit = to_i32((limit_n * 10.0).round() / 10.0 * PER_EFFORT);
+                axis.limit = limit.clamp(0, MOST.0);
             }),
             Field::Scale => {
                 let Some(setting) = self.master.as_ref().and_then(|master| master.scale) else {
@@ -171,23 +178,23 @@ impl App {
                 changed
             }
             Field::Fixture { .. } => {
-                let what =
-                    "a wall is put where the tip is by Enter, and taken away by Enter or Backspace";
-                return self.notify(Severity::Warning, what);
+                let message = "Enter sets a fixture face at the tip; Enter or Backspace removes it";
+                return self.notify(Severity::Warning, message);
             }
         };
         if !changed {
             let (bound, other) = if sign > 0.0 {
-                ("most", '-')
+                ("largest", '-')
             } else {
-                ("least", '+')
+                ("smallest", '+')
             };
-            let what = format!("that is the {bound} it can be; {other} goes the other way");
-            self.notify(Severity::Warning, what);
+            let message =
+                format!("this is the {bound} value; {other} changes it in the other direction");
+            self.notify(Severity::Warning, message);
         }
     }
 
-    /// Changes the reflection of one axis, or of all; says whether that changes anything.
+    /// Changes the force feedback of one axis, or of all; returns true if that changes anything.
     fn change_feedback(
         &mut self,
         axis: Option<usize>,
@@ -203,7 +210,7 @@ impl App {
             }
         }
         let changed = settings != arm.feedback.requested;
-        // What another host may have set is set all the same.
+        // An unknown value is sent even if it does not change.
         if (changed || !arm.feedback.known) && self.check_link() {
             self.set_requested_feedback(settings);
             self.request(
@@ -235,7 +242,7 @@ impl App {
         }
     }
 
-    /// There is somebody to be asked; says so when there is not.
+    /// Returns true with a link; otherwise logs a warning.
     fn check_link(&mut self) -> bool {
         let is_ready = self.is_ready();
         if !is_ready {
@@ -244,8 +251,9 @@ impl App {
         is_ready
     }
 
-    /// Puts a wall where the tip is, if there is none and one is `requested`; otherwise takes it away, or all of them.
-    fn change_faces(&mut self, field: Field, requested: bool) {
+    /// Sets a face at the tip if there is none and `place` is true; otherwise removes it, or all
+    /// faces.
+    fn change_faces(&mut self, field: Field, place: bool) {
         let Field::Fixture { axis, upper } = field else {
             return;
         };
@@ -269,26 +277,26 @@ impl App {
         };
         let is_set = matches!(
             faces[axis][usize::from(upper)],
-            Face::Approximate(_) | Face::FieldPosition(_)
+            Face::Approximate(_) | Face::Known(_)
         );
-        if is_set || !requested {
+        if is_set || !place {
             return self.request_fixture(axis, upper, None, false);
         }
-        let trouble = match self.client.hand().map(|report| report.problem) {
-            None => Some("nothing was heard of the arm yet; wait for its report".to_string()),
+        let problem = match self.client.hand().map(|report| report.problem) {
+            None => Some("the arm has not reported yet; wait for its report".to_string()),
             Some(Some(problem)) => Some(
                 self.model
                     .with_axes(|axes| axes.describe(&problem).to_string()),
             ),
             Some(None) => None,
         };
-        match trouble {
-            Some(why) => {
-                let what = format!(
-                    "{}: where the tip is is not known: {why}",
+        match problem {
+            Some(reason) => {
+                let message = format!(
+                    "{}: the position of the tip is unknown: {reason}",
                     face_name(axis, upper)
                 );
-                self.notify(Severity::Warning, what);
+                self.notify(Severity::Warning, message);
             }
             None => self.request_fixture(
                 axis,
@@ -322,13 +330,13 @@ impl App {
         );
     }
 
-    /// What of the hand was asked for is done.
+    /// Handles the acknowledgement of a setting.
     pub(in crate::console) fn acknowledge_master(&mut self, on_ack: &OnAck) {
         let tip = self.client.hand().map(|report| report.pose);
         let Some(master) = &mut self.master else {
             return;
         };
-        let what = match (on_ack, &mut master.arm, &mut master.scale) {
+        let message = match (on_ack, &mut master.arm, &mut master.scale) {
             (OnAck::ForceFeedback(settings), Some(arm), _) => {
                 return arm.feedback.acknowledge(*settings);
             }
@@ -351,7 +359,7 @@ impl App {
                         let at = f64::from(tip.tip[axis]) / PER_MM;
                         let rate = f64::from(tip.rate[axis]) * f64::from(1 << RATE_SHIFT) / PER_MM;
                         if (rate * REPORT_AGE_S).abs() < FACE_TOLERANCE_MM {
-                            Face::FieldPosition(at)
+                            Face::Known(at)
                         } else {
                             Face::Approximate(at)
                         }
@@ -359,20 +367,20 @@ impl App {
                     _ => Face::None,
                 };
                 match face {
-                    Face::FieldPosition(at) | Face::Approximate(at) => {
-                        format!("{} where the tip is: {at:.2} mm", face_name(axis, upper))
+                    Face::Known(at) | Face::Approximate(at) => {
+                        format!("{} set at the tip: {at:.2} mm", face_name(axis, upper))
                     }
-                    _ if !*all => format!("{} taken away", face_name(axis, upper)),
-                    _ if axis + 1 == COMPONENTS && upper => "all walls taken away".to_string(),
+                    _ if !*all => format!("{} removed", face_name(axis, upper)),
+                    _ if axis + 1 == COMPONENTS && upper => "all faces removed".to_string(),
                     _ => return,
                 }
             }
             _ => return,
         };
-        self.notify(Severity::Info, what);
+        self.notify(Severity::Info, message);
     }
 
-    /// What of the hand was asked for is refused; says what that was.
+    /// Handles the refusal of a setting. Returns the name of a refused face.
     pub(in crate::console) fn reject_master(&mut self, on_ack: &OnAck) -> Option<String> {
         let master = self.master.as_mut()?;
         match on_ack {

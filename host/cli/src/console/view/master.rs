@@ -1,4 +1,4 @@
-//! The hand on a haptic arm: what it feels, the walls around it, and what may be set.
+//! Master panel and overlay: forces, energy, force feedback, virtual fixture, position scale.
 
 use super::bars::around_zero;
 use super::panels::{clock, heading, wrapped};
@@ -11,16 +11,16 @@ use haptimill_protocol::message::{Source, State};
 use ratatui::style::{Modifier, Style};
 use ratatui::text::{Line, Span};
 
-/// Rows of the panel, for terminals that have them to spare.
+/// Rows of the panel, for terminals of sufficient height.
 pub(super) const PANEL_ROWS: u16 = 5;
 
-/// Full scale of the bars of what is felt: 5.5 N really hold a hand back (docs/control.md 3.4).
+/// Full scale of the bars: 5.5 N is the force that holds an operator back (docs/control.md 3.4).
 pub(super) const SCALE_N: f64 = 5.5;
 
-/// From this width on there are bars beside the numbers, and the place of the tip beside the walls.
+/// Width from which the overlay has bars and the position of the tip.
 const WIDE_COLUMNS: usize = 60;
 
-/// A force of a report, N.
+/// Force of a report, N.
 pub(super) fn newtons(raw: i16) -> f64 {
     f64::from(raw) / PER_REPORTED
 }
@@ -31,7 +31,7 @@ pub(super) fn reported(view: &ViewModel) -> Option<(&ArmView, &MasterTelemetry)>
     Some((arm, arm.report.as_ref()?))
 }
 
-/// Numbers of a report that is not of now are dim.
+/// Style of a report: dim when it is old.
 pub(super) fn fresh(view: &ViewModel, arm: &ArmView) -> Style {
     if view.link_state == LinkState::Ready && arm.age.as_millis() <= STALE_MS {
         Style::new()
@@ -40,7 +40,7 @@ pub(super) fn fresh(view: &ViewModel, arm: &ArmView) -> Style {
     }
 }
 
-/// Who leads, and whether the arm can.
+/// Clutch, axes that follow the master, and motors.
 fn clutch_status(view: &ViewModel, report: &MasterTelemetry) -> String {
     let running = view
         .telemetry
@@ -54,32 +54,32 @@ fn clutch_status(view: &ViewModel, report: &MasterTelemetry) -> String {
         .filter(|(_, source)| **source == Source::Master)
         .map(|(axis, _)| axis.name.as_str())
         .collect();
-    let button = match (report.pose.engaged, driven.is_empty()) {
-        (false, _) => "button free".to_string(),
-        (true, false) if running => format!("button held, leads {}", driven.join(" ")),
-        (true, _) => "button held, leads nothing".to_string(),
+    let clutch = match (report.pose.engaged, driven.is_empty()) {
+        (false, _) => "clutch open".to_string(),
+        (true, false) if running => format!("clutch closed, drives {}", driven.join(" ")),
+        (true, _) => "clutch closed, drives no axis".to_string(),
     };
     let motors = if report.enabled { "on" } else { "off" };
-    format!(" {button}; motors {motors}")
+    format!(" {clutch}; motors {motors}")
 }
 
-/// What the hand owes of energy, or may still take.
+/// Energy balance of the passivity observer.
 fn energy(report: &MasterTelemetry) -> String {
     let energy = f64::from(report.energy) / PER_REPORTED;
     if energy < 0.0 {
-        format!("; owes {:.2} N mm", -energy)
+        format!("; energy deficit {:.2} N mm", -energy)
     } else {
-        format!("; owes nothing (credit {energy:.2} N mm)")
+        format!("; energy surplus {energy:.2} N mm")
     }
 }
 
-/// Cells of a bar: an odd number, for there is one in the middle.
+/// Cells of a bar: an odd number, for the one in the middle.
 fn cells(width: usize) -> usize {
-    // Three bars and the space in front of each, four numbers, a name.
+    // Three bars with a space before each, four numbers, and a name.
     (width.saturating_sub(37) / 3).clamp(5, 17).div_ceil(2) * 2 - 1
 }
 
-/// A row of forces: on the tool, at the hand, by the law, of the walls.
+/// Row of forces: on the tool, on the operator, feedback law, virtual fixture.
 fn forces(view: &ViewModel, report: &MasterTelemetry, axis: usize, width: usize) -> String {
     let tool = view
         .telemetry
@@ -112,20 +112,23 @@ fn forces(view: &ViewModel, report: &MasterTelemetry, axis: usize, width: usize)
 fn forces_heading(view: &ViewModel, width: usize) -> Line<'static> {
     let scale = view.force_scale_n;
     let text = if width < WIDE_COLUMNS {
-        format!("  {:>8}{:>8}{:>8}{:>8} N", "tool", "hand", "law", "wall")
+        format!(
+            "  {:>8}{:>9}{:>7}{:>8} N",
+            "tool", "operator", "law", "fixture"
+        )
     } else {
         let bar = cells(width) + 1;
         let tool = format!("+-{scale} N");
         let master = format!("+-{SCALE_N} N");
         format!(
             "  {:>8}{tool:^bar$}{:>8}{master:^bar$}{:>8}{:>8}{master:^bar$}",
-            "tool", "hand", "law", "wall"
+            "tool", "operator", "law", "fixture"
         )
     };
     Line::styled(text, Style::new().add_modifier(Modifier::BOLD))
 }
 
-fn mark(known: bool) -> &'static str {
+fn unknown_mark(known: bool) -> &'static str {
     if known { "" } else { "?" }
 }
 
@@ -134,11 +137,11 @@ fn face(face: Face) -> String {
         Face::Unknown => "none?".to_string(),
         Face::None => "none".to_string(),
         Face::Approximate(at) => format!("~{at:.1}"),
-        Face::FieldPosition(at) => format!("{:.2}", at + 0.0),
+        Face::Known(at) => format!("{:.2}", at + 0.0),
     }
 }
 
-/// What all axes have in common, if they do.
+/// Common value of all axes, if they agree.
 fn same<T: PartialEq + Copy>(
     axes: &[ForceFeedbackAxis; 3],
     of: impl Fn(&ForceFeedbackAxis) -> T,
@@ -147,33 +150,33 @@ fn same<T: PartialEq + Copy>(
     axes.iter().all(|axis| of(axis) == first).then_some(first)
 }
 
-/// A row of settings: percent, limit, lower and upper wall.
+/// Row of settings: percentage, limit, lower and upper face.
 fn settings(
     arm: &ArmView,
     row: usize,
     chosen: Option<(usize, &str)>,
     width: usize,
 ) -> Line<'static> {
-    let known = mark(arm.feedback_known);
+    let known = unknown_mark(arm.feedback_known);
     let axes = &arm.feedback.axes;
     let axis = (row < ALL).then(|| axes[row]);
     let percent = match axis {
         Some(axis) => Some(axis.percent),
         None => same(axes, |axis| axis.percent),
     };
-    let most = match axis {
+    let limit = match axis {
         Some(axis) => Some(axis.limit),
         None => same(axes, |axis| axis.limit),
     };
     let percent = percent.map_or("differ".to_string(), |percent| {
         format!("{percent} %{known}")
     });
-    let most = most.map_or("differ".to_string(), |most| {
-        format!("{:.1} N{known}", f64::from(most) / PER_EFFORT)
+    let limit = limit.map_or("differ".to_string(), |limit| {
+        format!("{:.1} N{known}", f64::from(limit) / PER_EFFORT)
     });
     let faces = match arm.faces.get(row) {
         Some(faces) => faces.map(face),
-        None => ["away".to_string(), "away".to_string()],
+        None => ["remove".to_string(), "remove".to_string()],
     };
     let wide = width >= WIDE_COLUMNS;
     let tip = match &arm.report {
@@ -202,7 +205,7 @@ fn settings(
     let size = if wide { 11 } else { 8 };
     let mut spans = vec![Span::raw(format!(" {name:<3}"))];
     spans.extend(cell(0, &percent, size - 3));
-    spans.extend(cell(1, &most, size - 1));
+    spans.extend(cell(1, &limit, size - 1));
     spans.push(Span::raw(tip));
     spans.extend(cell(2, &faces[0], size));
     spans.extend(cell(3, &faces[1], size));
@@ -213,29 +216,29 @@ fn settings_heading(width: usize) -> Line<'static> {
     let text = if width < WIDE_COLUMNS {
         format!(
             "    {:>5}{:>7}{:>8}{:>8} mm",
-            "refl.", "most", "wall", "wall"
+            "fdbk", "limit", "lower", "upper"
         )
     } else {
         format!(
             "    {:>8}{:>10}{:>12}{:>11}{:>11}",
-            "reflects", "at most", "tip, mm", "lower wall", "upper wall"
+            "feedback", "limit", "tip, mm", "lower face", "upper face"
         )
     };
     Line::styled(text, Style::new().add_modifier(Modifier::BOLD))
 }
 
-/// What the keys do in a field.
+/// Key help of a field.
 fn keys(field: Field) -> &'static str {
     match field {
-        Field::Fixture { axis: None, .. } => {
-            "Enter takes all walls away; arrows choose; Esc closes"
+        Field::Fixture { axis: None, .. } => "Enter removes all faces; arrows select; Esc closes",
+        Field::Fixture { .. } => {
+            "Enter sets a virtual fixture face at the tip, or removes it; Esc closes"
         }
-        Field::Fixture { .. } => "Enter puts a wall where the tip is, or takes it away; Esc closes",
-        _ => "type a number, Enter sets it; or + and -; arrows choose; Esc closes",
+        _ => "type a number, Enter sets it; or + and -; arrows select; Esc closes",
     }
 }
 
-/// The rows of the overlay, and which of them must be in sight.
+/// Rows of the overlay, and the row that stays visible.
 pub(super) fn overlay(
     view: &ViewModel,
     master: &MasterView,
@@ -267,14 +270,15 @@ pub(super) fn overlay(
                     (0..ALL).map(|axis| Line::styled(forces(view, report, axis, width), style)),
                 );
             }
-            None => rows.push(Line::raw(" nothing was heard of the arm yet")),
+            None => rows.push(Line::raw(" the arm has not reported yet")),
         }
         rows.push(settings_heading(width));
         has_unknown |= !arm.feedback_known || arm.faces.as_flattened().contains(&Face::Unknown);
     } else {
         rows.extend(
             wrapped(
-                " this machine follows a hand afar; `haptimill teleop` leads it, and shows what the hand feels",
+                " this machine follows a remote master: `haptimill teleop` connects it and shows its \
+                 forces",
                 width,
                 1,
             )
@@ -296,7 +300,7 @@ pub(super) fn overlay(
         let chosen = at.row == SCALE;
         let text = match (chosen, typed) {
             (true, typed) if !typed.is_empty() => format!("{typed}_"),
-            _ => format!("{scale:.2}{}", mark(known)),
+            _ => format!("{scale:.2}{}", unknown_mark(known)),
         };
         let style = if chosen {
             focus = rows.len();
@@ -305,19 +309,19 @@ pub(super) fn overlay(
             Style::new()
         };
         rows.push(Line::from(vec![
-            Span::raw(" G_P "),
+            Span::raw(" position scale "),
             Span::styled(text, style),
-            Span::raw(" way of the tool for one of the hand"),
+            Span::raw(" tool motion per master motion"),
         ]));
     }
     let mut add = |text: &str| {
         rows.extend(wrapped(text, width, 0).into_iter().map(Line::raw));
     };
     if has_unknown {
-        add("? unless another host has set it; not told by the controller");
+        add("? another host may have changed it; the controller does not report it");
     }
     add(keys(at.field()));
-    // The panel of messages lies under this.
+    // The overlay covers the messages panel.
     if let Some(entry) = view.log.newest(1).next() {
         let style = match entry.severity {
             Severity::Info => Style::new(),
@@ -333,12 +337,12 @@ pub(super) fn overlay(
     (rows, focus)
 }
 
-/// The panel: what is felt, and of what it is made.
+/// Panel: operator force and its parts.
 pub(super) fn panel(view: &ViewModel, width: u16) -> Option<Vec<Line<'static>>> {
     let (arm, report) = reported(view)?;
     let style = fresh(view, arm);
     let mut rows = vec![heading(
-        &format!("Hand ─ felt ── law ── wall ─ +-{SCALE_N} N"),
+        &format!("Master ─ force ─ law ─ fixture ─ +-{SCALE_N} N"),
         width,
     )];
     let bar = usize::from(width).saturating_sub(25).clamp(5, 40);
@@ -358,9 +362,9 @@ pub(super) fn panel(view: &ViewModel, width: u16) -> Option<Vec<Line<'static>>> 
     rows.push(match &arm.problem {
         Some(problem) => Line::styled(format!(" {problem}"), style_of(Severity::Warning)),
         None => {
-            let (who, owes) = (clutch_status(view, report), energy(report));
-            let fits = who.chars().count() + owes.chars().count() <= usize::from(width);
-            Line::styled(if fits { who + &owes } else { who }, style)
+            let (status, energy) = (clutch_status(view, report), energy(report));
+            let fits = status.chars().count() + energy.chars().count() <= usize::from(width);
+            Line::styled(if fits { status + &energy } else { status }, style)
         }
     });
     Some(rows)

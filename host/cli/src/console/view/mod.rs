@@ -1,7 +1,8 @@
-//! The drawing. Knows a [`ViewModel`] and an area, nothing else.
+//! Drawing of a [`ViewModel`] into an area.
 //!
-//! From 76 columns and 22 rows on there are all panels; below, the least that is needed to operate: state, what to do next, pose, jog, the last messages.
-//! State, prompt and the keys that are always heard stay in sight whatever is open. Colours only repeat what words say.
+//! All panels need 76 columns and 22 rows. Smaller terminals show state, operator prompt, pose, jog
+//! and the last messages. State, prompt and the keys that are always active stay visible under
+//! every overlay. Colours only repeat the text.
 
 mod bars;
 mod master;
@@ -16,13 +17,13 @@ use ratatui::style::{Color, Modifier, Style};
 use ratatui::text::{Line, Span};
 use ratatui::widgets::{Paragraph, Wrap};
 
-/// Least size for all panels.
+/// Smallest size for all panels: columns, rows.
 const FULL: (u16, u16) = (76, 22);
 
-/// A report that is older than this is marked.
+/// Age above which a report is drawn dim, ms.
 const STALE_MS: u128 = 500;
 
-/// Draws everything.
+/// Draws the whole screen.
 pub(super) fn draw(frame: &mut Frame<'_>, view: &ViewModel) {
     let area = frame.area();
     if area.width == 0 || area.height == 0 {
@@ -36,7 +37,7 @@ pub(super) fn draw(frame: &mut Frame<'_>, view: &ViewModel) {
     overlay::draw(frame, free, view);
 }
 
-/// All panels. Gives the area in which overlays may lie.
+/// Draws all panels. Returns the area for overlays.
 fn full(frame: &mut Frame<'_>, area: Rect, view: &ViewModel) -> Rect {
     let axes = view
         .static_info
@@ -76,7 +77,7 @@ fn full(frame: &mut Frame<'_>, area: Rect, view: &ViewModel) -> Rect {
     }
 }
 
-/// What fits on a small terminal, the most needed first.
+/// Draws as much as fits on a small terminal, most important first. Returns the area for overlays.
 fn compact(frame: &mut Frame<'_>, area: Rect, view: &ViewModel) -> Rect {
     let row = |from_top: u16| Rect {
         y: area.y + from_top,
@@ -94,7 +95,7 @@ fn compact(frame: &mut Frame<'_>, area: Rect, view: &ViewModel) -> Rect {
     let rows = area.height - 2;
     let pose = (view.static_info.pose.len() as u16).min(rows.saturating_sub(1));
     let rest = rows - pose;
-    // Prompt, jog, messages.
+    // Rows of prompt, jog and messages.
     let prompt = if rest > 5 { 2 } else { 1 };
     let mut at = 1;
     let mut take = |count: u16| {
@@ -123,7 +124,7 @@ fn compact(frame: &mut Frame<'_>, area: Rect, view: &ViewModel) -> Rect {
     }
 }
 
-/// How a weight looks.
+/// Style of a severity.
 fn style_of(severity: Severity) -> Style {
     match severity {
         Severity::Info => Style::new().add_modifier(Modifier::BOLD),
@@ -135,8 +136,8 @@ fn style_of(severity: Severity) -> Style {
     }
 }
 
-/// The state as a word in capitals, and its colour.
-fn state_word(view: &ViewModel) -> (String, Style) {
+/// State name in capitals, with its style.
+fn state_label(view: &ViewModel) -> (String, Style) {
     let on = |color: Color| {
         Style::new()
             .fg(Color::Black)
@@ -172,7 +173,7 @@ fn state_word(view: &ViewModel) -> (String, Style) {
 }
 
 fn status_line(view: &ViewModel, width: u16) -> Paragraph<'static> {
-    let (word, style) = state_word(view);
+    let (word, style) = state_label(view);
     let flags = match &view.telemetry {
         Some(Telemetry {
             homed: true,
@@ -231,7 +232,7 @@ fn keys_line(width: u16) -> Paragraph<'static> {
     } else {
         &[
             ("Spc", "hold"),
-            ("^R", "go"),
+            ("^R", "resume"),
             ("^X", "stop"),
             ("^E", "EMERG"),
             ("?", ""),

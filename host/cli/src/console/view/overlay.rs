@@ -1,4 +1,4 @@
-//! What lies over the panels: questions, the table of keys, lists.
+//! Overlays: questions, key table, lists, master panel.
 
 use super::panels::wrapped;
 use super::{master, style_of};
@@ -16,14 +16,23 @@ use ratatui::widgets::{Block, Clear, Paragraph};
 pub(super) fn draw(frame: &mut Frame<'_>, area: Rect, view: &ViewModel) {
     let width = usize::from(area.width.saturating_sub(4)).clamp(1, 90);
     let marked = Style::new().add_modifier(Modifier::REVERSED);
-    // The row that has to be in sight where not all are.
+    // Row that stays visible where not all rows fit.
     let mut focus = 0;
     let (title, rows): (&str, Vec<Line<'_>>) = match &view.overlay {
         Overlay::None => return,
         Overlay::Help { from } => {
+            let axes: Vec<&str> = view
+                .static_info
+                .pose
+                .iter()
+                .map(|axis| axis.name.as_str())
+                .collect();
             let rows = BINDINGS.iter().flat_map(|row| {
+                let Some(description) = row.describe(&axes) else {
+                    return Vec::new();
+                };
                 let mark = if row.always_active { " (always)" } else { "" };
-                wrapped(&format!("{:<11}{}{mark}", row.name, row.what), width, 11)
+                wrapped(&format!("{:<11}{description}{mark}", row.name), width, 11)
             });
             (
                 "Keys: arrows scroll, Esc closes",
@@ -36,17 +45,19 @@ pub(super) fn draw(frame: &mut Frame<'_>, area: Rect, view: &ViewModel) {
                 .skip(*from)
                 .flat_map(|line| wrapped(line, width, 2));
             (
-                "The program is refused: arrows scroll, Esc closes",
+                "Program rejected: arrows scroll, Esc closes",
                 rows.map(Line::from).collect(),
             )
         }
         Overlay::Confirm(confirm) => {
             let text = match confirm {
                 Confirm::Home => {
-                    "Home? The machine moves: it looks for its references, then goes to the home pose.".to_string()
+                    "Home? The machine moves: it searches for the index pulses, then moves to the \
+                     home pose."
+                        .to_string()
                 }
                 Confirm::Tare => {
-                    "Tare? What the force sensor shows now becomes zero: nothing may touch the tool.".to_string()
+                    "Tare? The present force becomes zero: nothing may touch the tool.".to_string()
                 }
                 Confirm::Run(text) => format!("Run {text}? The machine moves."),
                 Confirm::Quit(text) => format!("Quit? {text}."),
@@ -56,13 +67,13 @@ pub(super) fn draw(frame: &mut Frame<'_>, area: Rect, view: &ViewModel) {
                 .map(Line::from)
                 .collect();
             rows.push(Line::styled(
-                "Enter does it, any other key does not",
+                "Enter confirms, any other key cancels",
                 marked,
             ));
-            ("Sure?", rows)
+            ("Confirm", rows)
         }
         Overlay::Prompt { title, text } => {
-            // The end of a long name is what is being typed.
+            // The end of a long name stays visible.
             let shows = width.saturating_sub(2);
             let hidden = text.chars().count().saturating_sub(shows);
             let tail: String = text.chars().skip(hidden).collect();
@@ -70,11 +81,11 @@ pub(super) fn draw(frame: &mut Frame<'_>, area: Rect, view: &ViewModel) {
                 *title,
                 vec![
                     Line::raw(format!("{tail}_")),
-                    Line::styled("Enter checks it, Esc leaves, Ctrl-U clears", marked),
+                    Line::styled("Enter checks it, Esc cancels, Ctrl-U clears", marked),
                 ],
             )
         }
-        Overlay::Axes { at } => {
+        Overlay::Axes { selected } => {
             let mut rows: Vec<Line<'_>> = view
                 .static_info
                 .pose
@@ -83,21 +94,31 @@ pub(super) fn draw(frame: &mut Frame<'_>, area: Rect, view: &ViewModel) {
                 .enumerate()
                 .map(|(index, (axis, source))| {
                     let what = match source {
-                        Source::Program => "program: led by the part program",
-                        Source::Hold => "hold: stays where it is",
-                        Source::Master => "master: led by the haptic arm's hand",
-                        Source::Jog => "jog: led by the jog keys, also beside a program",
+                        Source::Program => "program: follows the part program",
+                        Source::Hold => "hold: keeps its position",
+                        Source::Master => "master: follows the haptic arm or the remote master",
+                        Source::Jog => "jog: follows the jog keys, also while a program runs",
                     };
                     let text = format!("{:<7}{what}", axis.name);
-                    Line::styled(text, if index == *at { marked } else { Style::new() })
+                    Line::styled(
+                        text,
+                        if index == *selected {
+                            marked
+                        } else {
+                            Style::new()
+                        },
+                    )
                 })
                 .collect();
             rows.push(Line::raw(
-                "arrows choose; p program, h hold, j jog, m master; Esc closes",
+                "arrows select; p program, h hold, j jog, m master; Esc closes",
             ));
-            ("Axes: a jog begins and ends at rest", rows)
+            (
+                "Axis sources: changes from and to jog need standstill",
+                rows,
+            )
         }
-        Overlay::Force { at } => {
+        Overlay::Force { selected } => {
             let Some(loops) = &view.loops else { return };
             let force = view.telemetry.as_ref().and_then(|now| now.force.as_ref());
             let mut rows: Vec<Line<'_>> = ["x", "y", "z"]
@@ -108,27 +129,34 @@ pub(super) fn draw(frame: &mut Frame<'_>, area: Rect, view: &ViewModel) {
                     let is_controlled = force.is_some_and(|force| force.mask & (1 << index) != 0);
                     let per = |value: u32| f64::from(value) / PER_EFFORT;
                     let text = format!(
-                        "{name} {}  f_d {:.1} N  K_A {:.2}  K_V {:.2}",
-                        if is_controlled { "yields" } else { "stiff " },
+                        "{name} {}  setpoint {:.1} N  mass {:.2}  damping {:.2}",
+                        if is_controlled { "on " } else { "off" },
                         f64::from(settings.desired) / PER_EFFORT,
                         per(settings.mass),
                         per(settings.damping)
                     );
-                    Line::styled(text, if index == *at { marked } else { Style::new() })
+                    Line::styled(
+                        text,
+                        if index == *selected {
+                            marked
+                        } else {
+                            Style::new()
+                        },
+                    )
                 })
                 .collect();
             rows.push(Line::raw(
-                "arrows choose; Enter yields or not; + - f_d; Esc closes",
+                "arrows select; Enter on/off; + - setpoint; Esc closes",
             ));
-            ("Force loop: above f_d the tool yields", rows)
+            ("Force control: mass in N s^2/mm, damping in N s/mm", rows)
         }
-        Overlay::Master { at, typed } => {
-            let Some(shown_hand) = &view.master else {
+        Overlay::Master { position, typed } => {
+            let Some(settings) = &view.master else {
                 return;
             };
             let rows;
-            (rows, focus) = master::overlay(view, shown_hand, *at, typed, width);
-            ("Hand: what it feels, and what it may", rows)
+            (rows, focus) = master::overlay(view, settings, *position, typed, width);
+            ("Master: forces, force feedback, virtual fixture", rows)
         }
     };
     let height = (rows.len() as u16 + 2).min(area.height);

@@ -1,4 +1,4 @@
-//! Panels: position, slides, forces, jog, program, messages, link.
+//! Panels: position, joints, force, jog, program, messages, link.
 
 use super::bars::{around_zero, from_left};
 use super::{STALE_MS, master, style_of};
@@ -16,10 +16,10 @@ use std::time::Duration;
 /// Rows of the right column: force 6, jog 4, program 4.
 const RIGHT_ROWS: u16 = 14;
 
-/// From this height on a panel of the hand takes no row from anything else.
+/// Height from which the master panel takes no row from other panels.
 const TALL: u16 = 24 + master::PANEL_ROWS;
 
-/// Rows of the right column on a terminal of a height.
+/// Rows of the right column at a terminal height.
 pub(super) fn right_rows(view: &ViewModel, height: u16) -> u16 {
     if height >= TALL && master::reported(view).is_some() {
         RIGHT_ROWS + master::PANEL_ROWS
@@ -28,10 +28,10 @@ pub(super) fn right_rows(view: &ViewModel, height: u16) -> u16 {
     }
 }
 
-/// Codes of a converter at full scale.
+/// Converter code at full scale.
 const FULL_CODE: f64 = 8191.0;
 
-/// Hours, minutes, seconds.
+/// Time as hours, minutes, seconds.
 pub(super) fn clock(time: Duration) -> String {
     let seconds = time.as_secs();
     format!(
@@ -51,13 +51,13 @@ pub(super) fn heading(text: &str, width: u16) -> Line<'static> {
     )
 }
 
-/// A value in mm or degrees, right-aligned; a dash where it is not known.
+/// Value in mm or degrees, right-aligned; a dash where it is unknown.
 fn value(axes: &[Axis], values: Option<&AxisValues>, index: usize, width: usize) -> String {
     let known = values.and_then(|values| values.get(index));
     match (known, axes.get(index)) {
         (Some(value), Some(axis)) => {
             let value = f64::from(*value) / per_unit(axis.kind);
-            // No minus before what is shown as zero.
+            // No minus sign before a displayed zero.
             let value = if value.abs() < 5e-5 { 0.0 } else { value };
             format!("{value:>width$.4}")
         }
@@ -65,7 +65,7 @@ fn value(axes: &[Axis], values: Option<&AxisValues>, index: usize, width: usize)
     }
 }
 
-/// Numbers of a report that is not of now are dim.
+/// Style of telemetry: dim when it is old.
 fn fresh(view: &ViewModel) -> Style {
     if view.link_state == LinkState::Ready && view.age.as_millis() <= STALE_MS {
         Style::new()
@@ -74,14 +74,14 @@ fn fresh(view: &ViewModel) -> Style {
     }
 }
 
-/// A row for each pose coordinate.
-pub(super) fn pose_rows(frame: &mut Frame<'_>, area: Rect, view: &ViewModel, wide: bool) {
+/// One row per pose coordinate.
+pub(super) fn pose_rows(frame: &mut Frame<'_>, area: Rect, view: &ViewModel, is_wide: bool) {
     let telemetry = view.telemetry.as_ref();
-    // With the drives off nothing is wanted.
+    // With the drives off there is no commanded pose.
     let pose = telemetry
         .filter(|t| !matches!(t.state, State::Disabled | State::EmergencyStop))
         .map(|t| &t.commanded);
-    let (name, number) = if wide { (7, 11) } else { (6, 10) };
+    let (name, number) = if is_wide { (7, 11) } else { (6, 10) };
     let rows: Vec<Line<'_>> = view
         .static_info
         .pose
@@ -116,7 +116,7 @@ pub(super) fn pose_rows(frame: &mut Frame<'_>, area: Rect, view: &ViewModel, wid
     frame.render_widget(Paragraph::new(rows), area);
 }
 
-/// Position and slides.
+/// Position and joints.
 pub(super) fn left(frame: &mut Frame<'_>, area: Rect, view: &ViewModel) {
     let part = |from: u16, rows: u16| Rect {
         y: area.y + from.min(area.height),
@@ -124,12 +124,12 @@ pub(super) fn left(frame: &mut Frame<'_>, area: Rect, view: &ViewModel) {
         ..area
     };
     let pose = view.static_info.pose.len() as u16;
-    let title = heading("Position  wanted ── actual ─ mm, deg", area.width);
+    let title = heading("Position commanded ─ measured ─ mm, deg", area.width);
     frame.render_widget(Paragraph::new(title), part(0, 1));
     pose_rows(frame, part(1, pose), view, true);
     let telemetry = view.telemetry.as_ref();
     let mut rows = vec![heading(
-        "Slides ─ mm, deg ── error um, mdeg ─ motor",
+        "Joints ─ mm, deg ── error um, mdeg ─ motor",
         area.width,
     )];
     let bar = usize::from(area.width).saturating_sub(35).clamp(6, 30);
@@ -144,7 +144,7 @@ pub(super) fn left(frame: &mut Frame<'_>, area: Rect, view: &ViewModel) {
             telemetry
                 .and_then(|t| t.following_error.get(index))
                 .map_or("-".to_string(), |error| {
-                    // Thousandths of a millimetre, or of a degree.
+                    // um, or thousandths of a degree.
                     format!("{:.1}", f64::from(*error) / per_unit(axis.kind) * 1000.0)
                 });
         let motor = match telemetry.and_then(|t| t.drive.get(index)) {
@@ -164,7 +164,7 @@ pub(super) fn left(frame: &mut Frame<'_>, area: Rect, view: &ViewModel) {
     frame.render_widget(Paragraph::new(rows), part(1 + pose, count));
 }
 
-/// Forces, the hand where there is room for it, jog, program.
+/// Force, master where it fits, jog, program.
 pub(super) fn right(frame: &mut Frame<'_>, area: Rect, view: &ViewModel) {
     let fits = area.height >= RIGHT_ROWS + master::PANEL_ROWS;
     let panel = master::panel(view, area.width).filter(|_| fits);
@@ -177,7 +177,7 @@ pub(super) fn right(frame: &mut Frame<'_>, area: Rect, view: &ViewModel) {
     frame.render_widget(Paragraph::new(rows), area);
 }
 
-/// Forces on the tool; with what the hand feels beside them, unless that has a panel of its own.
+/// Force on the tool; with the operator force unless the master has its own panel.
 fn force_rows(view: &ViewModel, width: u16, with_master: bool) -> Vec<Line<'static>> {
     let telemetry = view.telemetry.as_ref();
     let master_force = master::reported(view).filter(|_| with_master);
@@ -190,7 +190,7 @@ fn force_rows(view: &ViewModel, width: u16, with_master: bool) -> Vec<Line<'stat
             let size = (x * x + y * y + z * z).sqrt();
             let bar = from_left(size / master::SCALE_N, 6);
             rows.push(Line::styled(
-                format!(" hand{x:>6.2}{y:>6.2}{z:>6.2} N {bar}"),
+                format!(" master{x:>6.2}{y:>6.2}{z:>6.2} N {bar}"),
                 style,
             ));
         }
@@ -199,7 +199,7 @@ fn force_rows(view: &ViewModel, width: u16, with_master: bool) -> Vec<Line<'stat
     };
     let scale = view.force_scale_n;
     let title = if master_force.is_some() {
-        format!("Force high, low, hand ─ +-{scale} N")
+        format!("Force high low master ─ +-{scale} N")
     } else {
         format!("Force ─ high ── low ─ +-{scale} N")
     };
@@ -211,16 +211,16 @@ fn force_rows(view: &ViewModel, width: u16, with_master: bool) -> Vec<Line<'stat
             (Some(force), master_force) => {
                 let high = f64::from(force.high[index]) / PER_EFFORT;
                 let low = f64::from(force.low[index]) / PER_EFFORT;
-                let (least, most) = (high.min(low) / scale, high.max(low) / scale);
+                let (from, to) = (high.min(low) / scale, high.max(low) / scale);
                 match master_force {
                     Some((_, master_force)) => format!(
                         " {name}{high:>7.2}{low:>7.2}{:>6.2} {}",
                         master_force[index],
-                        around_zero(least, most, bar.saturating_sub(4).max(5))
+                        around_zero(from, to, bar.saturating_sub(4).max(5))
                     ),
                     None => format!(
                         " {name}{high:>8.2}{low:>8.2} {}",
-                        around_zero(least, most, bar)
+                        around_zero(from, to, bar)
                     ),
                 }
             }
@@ -235,7 +235,7 @@ fn force_rows(view: &ViewModel, width: u16, with_master: bool) -> Vec<Line<'stat
         rows.resize(6, Line::default());
         return rows;
     };
-    let mut spans = vec![Span::raw(" yield")];
+    let mut spans = vec![Span::raw(" control")];
     for (index, name) in ["x", "y", "z"].iter().enumerate() {
         let is_controlled = force.mask & (1 << index) != 0;
         let desired = f64::from(loops[index].desired) / PER_EFFORT;
@@ -252,13 +252,16 @@ fn force_rows(view: &ViewModel, width: u16, with_master: bool) -> Vec<Line<'stat
         spans.push(Span::raw(" "));
         spans.push(Span::styled(text, style));
     }
-    spans.push(Span::raw(if force.tared { "  tared" } else { "  no zero" }));
+    spans.push(Span::raw(if force.tared { " tared" } else { " untared" }));
     rows.push(Line::from(spans));
     let last = match &force.problem {
         Some(problem) => Line::styled(format!(" {problem}"), style_of(Severity::Warning)),
         None => {
             let mm = force.yielded.map(|value| f64::from(value) / PER_MM);
-            Line::raw(format!(" by{:>8.3}{:>8.3}{:>8.3} mm", mm[0], mm[1], mm[2]))
+            Line::raw(format!(
+                " displ{:>7.3}{:>7.3}{:>7.3} mm",
+                mm[0], mm[1], mm[2]
+            ))
         }
     };
     rows.push(last);
@@ -282,22 +285,35 @@ fn jog_rows(view: &ViewModel) -> Vec<Line<'static>> {
         Style::new().add_modifier(Modifier::BOLD)
     };
     let ends = match (jog.mode, jog.has_release_events) {
-        (Mode::Step, _) => " one step a press; Space stops it".to_string(),
+        (Mode::Step, _) => " one step per press; Space stops".to_string(),
         (Mode::Continuous, true) => {
-            format!(" ends with the key (dead-man {} ms)", jog.dead_man_ms)
+            format!(" ends on release or after {} ms", jog.dead_man_ms)
         }
         (Mode::Continuous, false) => {
             format!(" ends {} ms after the last key", jog.dead_man_ms)
         }
     };
-    let last = match view.static_info.pose.len() {
-        5.. => " arrows x y  PgUp/Dn z  ,. nm".to_string(),
-        _ => " arrows  PgUp/Dn".to_string(),
+    let name = |index: usize| {
+        view.static_info
+            .pose
+            .get(index)
+            .map_or("", |axis| &axis.name)
     };
+    let others = if view.static_info.pose.len() > 4 {
+        "  ,. nm"
+    } else {
+        ""
+    };
+    let keys = format!(
+        " arrows {} {}  PgUp/Dn {}{others}",
+        name(0),
+        name(1),
+        name(2)
+    );
     vec![
         Line::from(vec![Span::raw(" "), Span::styled(jog_setting(view), style)]),
         Line::raw(ends),
-        Line::raw(last),
+        Line::raw(keys),
     ]
 }
 
@@ -319,7 +335,7 @@ pub(super) fn jog_line(view: &ViewModel) -> Paragraph<'static> {
     ))
 }
 
-/// How much of the program is done, 0 to 1.
+/// Completed part of the program, 0 to 1.
 fn done(view: &ViewModel) -> f64 {
     match (&view.program, &view.telemetry) {
         (Some(program), Some(telemetry)) if program.is_running && program.duration_s > 0.0 => {
@@ -342,7 +358,7 @@ fn program_rows(view: &ViewModel, width: u16) -> Vec<Line<'static>> {
     let Some(program) = &view.program else {
         let name = match &view.selected_name {
             Some(name) => format!(" {name}; p checks it"),
-            None => " none; p chooses one".to_string(),
+            None => " none; p selects one".to_string(),
         };
         return vec![Line::raw(name), Line::default(), feed];
     };
@@ -369,7 +385,7 @@ fn program_rows(view: &ViewModel, width: u16) -> Vec<Line<'static>> {
     vec![Line::raw(first), Line::raw(second), feed]
 }
 
-/// The newest messages, under a heading.
+/// Latest messages under a heading.
 pub(super) fn messages(frame: &mut Frame<'_>, area: Rect, view: &ViewModel) {
     let title = Rect { height: 1, ..area };
     frame.render_widget(Paragraph::new(heading("Messages", area.width)), title);
@@ -381,7 +397,7 @@ pub(super) fn messages(frame: &mut Frame<'_>, area: Rect, view: &ViewModel) {
     message_rows(frame, rows, view);
 }
 
-/// The newest messages, the last one at the bottom. Long ones take several rows.
+/// Latest messages, the newest at the bottom. Long messages take several rows.
 pub(super) fn message_rows(frame: &mut Frame<'_>, area: Rect, view: &ViewModel) {
     let width = usize::from(area.width).max(12);
     let mut rows: Vec<Line<'_>> = Vec::new();
@@ -404,7 +420,7 @@ pub(super) fn message_rows(frame: &mut Frame<'_>, area: Rect, view: &ViewModel) 
     frame.render_widget(Paragraph::new(rows.split_off(surplus)), area);
 }
 
-/// Broken at spaces; what follows the first row is indented by so many columns.
+/// Breaks a text at spaces and indents all rows but the first.
 pub(super) fn wrapped(text: &str, width: usize, indent: usize) -> Vec<String> {
     let mut rows = vec![String::new()];
     for word in text.split_inclusive(' ') {
@@ -419,7 +435,7 @@ pub(super) fn wrapped(text: &str, width: usize, indent: usize) -> Vec<String> {
     rows
 }
 
-/// How the line to the controller does.
+/// State of the link to the controller.
 pub(super) fn link_line(view: &ViewModel) -> Paragraph<'static> {
     let counters = &view.counters;
     let (bad, lost) = view.telemetry.as_ref().map_or((0, 0), |telemetry| {

@@ -1,4 +1,4 @@
-//! The picture of now: everything that is to be seen, and what to do next in words.
+//! Construction of the view model and of the operator prompt.
 
 use crate::console::app::{App, FORCE_SCALES, PendingStop};
 use crate::console::master::to_ratio;
@@ -9,7 +9,7 @@ use haptimill_protocol::message::State;
 use std::sync::Arc;
 
 impl App {
-    /// What to do next, or what is wrong and what to do about it.
+    /// Next action of the operator, or the fault with its remedy.
     fn prompt(&self) -> (Severity, String) {
         let alarm = |text: String| (Severity::Alarm, text);
         let note = |text: &str| (Severity::Info, text.to_string());
@@ -17,35 +17,36 @@ impl App {
             LinkState::Opening => return note("opening the port"),
             LinkState::Handshake => return note("waiting for the controller's answer"),
             LinkState::Configuring => return note("sending the machine file to the controller"),
-            LinkState::Lost(why) => {
+            LinkState::Lost(reason) => {
                 let pending_stop = match self.pending_stop {
                     PendingStop::None => "",
-                    PendingStop::Stop => " A STOP goes out first.",
-                    PendingStop::Emergency => " An EMERGENCY STOP goes out first.",
+                    PendingStop::Stop => " STOP pending, sent first.",
+                    PendingStop::Emergency => " EMERGENCY STOP pending, sent first.",
                 };
-                return alarm(format!("NO LINK, trying again.{pending_stop} ({why})"));
+                return alarm(format!("NO LINK, reconnecting.{pending_stop} ({reason})"));
             }
             LinkState::Ready => {}
         }
         let Some(telemetry) = &self.telemetry else {
-            return note("waiting for the controller's report");
+            return note("waiting for telemetry");
         };
         if let (State::Fault, Some(fault)) = (telemetry.state, &self.fault) {
-            let what = self
+            let message = self
                 .model
                 .with_axes(|axes| axes.describe(fault).to_string());
-            return alarm(format!("FAULT: {what}. Key: x resets"));
+            return alarm(format!("FAULT: {message}. Key: x resets"));
         }
         if !self.configured && telemetry.state != State::EmergencyStop {
             return (
                 Severity::Warning,
-                "the controller has another configuration: names and numbers may be wrong. d disables, e sends the machine file".to_string(),
+                "the controller has a different configuration: axis names and values may be wrong. \
+                 d disables the drives, e sends the machine file".to_string(),
             );
         }
         match telemetry.state {
             State::Fault => alarm("FAULT; x resets".to_string()),
             State::EmergencyStop => {
-                alarm("EMERGENCY STOP: drives off. Release the cause, then x resets".to_string())
+                alarm("EMERGENCY STOP: drives off. Remove the cause, then x resets".to_string())
             }
             State::Disabled => note("drives off. e enables them"),
             State::Idle if !telemetry.homed => note("not homed. h homes: the machine moves"),
@@ -54,19 +55,19 @@ impl App {
             }
             State::Idle => match self.jobs.selected_name() {
                 Some(name) => (Severity::Info, format!("ready. Jog, or p runs {name}")),
-                None => note("ready. Jog, or p chooses a part program"),
+                None => note("ready. Jog, or p selects a part program"),
             },
             State::Homing => note("homing. Space stops"),
             State::Run if self.jobs.is_running_step() => note("step. Space stops"),
             State::Run => note("running. Space holds, Ctrl-X stops"),
-            State::Jog => note("jogging. Ends with the key, or with Space"),
+            State::Jog => note("jogging. Release the key or press Space to stop"),
             State::Hold if self.stopping.is_some() => note("stopping"),
             State::Hold => (
                 Severity::Warning,
                 match self.jobs.pause_line {
                     Some(line) => {
                         format!(
-                            "pause of the program in line {line}. Ctrl-R goes on, Ctrl-X drops it"
+                            "program pause in line {line}. Ctrl-R resumes, Ctrl-X drops the program"
                         )
                     }
                     None => "on hold. Ctrl-R resumes, Ctrl-X drops the program".to_string(),
@@ -75,7 +76,7 @@ impl App {
         }
     }
 
-    /// The hand, if the machine has one.
+    /// Haptic arm and position scale, if the machine has them.
     fn master_view(&self) -> Option<MasterView> {
         let master = self.master.as_ref()?;
         let arm = master.arm.as_ref().map(|arm| {
@@ -99,7 +100,7 @@ impl App {
         Some(MasterView { arm, scale })
     }
 
-    /// The picture of now.
+    /// The present view model.
     pub(in crate::console) fn view_model(&self) -> ViewModel {
         let now_us = self.now_us();
         let counters = self.client.link().counters();
