@@ -5,11 +5,11 @@ use super::*;
 use machine::Machine;
 use std::time::{Duration, Instant};
 
-/// The wanted coordinate of an axis on the screen, once it stands.
+/// Commanded coordinate of an axis on the screen, at standstill.
 #[track_caller]
 fn at(terminal: &Terminal, axis: &str) -> f64 {
     terminal.state("IDLE");
-    // The picture of the state may be older than the end of the motion.
+    // The displayed state may be older than the end of the motion.
     std::thread::sleep(Duration::from_millis(120));
     terminal
         .number(axis, 1)
@@ -17,7 +17,7 @@ fn at(terminal: &Terminal, axis: &str) -> f64 {
 }
 
 #[test]
-fn every_axis_goes_both_ways_and_ends_with_the_dead_man_time() {
+fn every_axis_jogs_both_ways_and_stops_after_the_dead_man_time() {
     let terminal = homed(&[], Keyboard::Plain);
     for (axis, up, down) in [
         ("x", RIGHT, LEFT),
@@ -30,16 +30,17 @@ fn every_axis_goes_both_ways_and_ends_with_the_dead_man_time() {
         terminal.keys(up);
         terminal.state("JOG");
         let after = at(&terminal, axis);
-        // 5 mm/s for 200 ms at most; less when a busy computer held the simulated machine up meanwhile, never more.
-        let went = after - before;
-        assert!((0.2..1.15).contains(&went), "{axis} {before} {after}");
+        // At most 5 mm/s for 200 ms; less when a busy computer delayed the simulated machine, never
+        // more.
+        let travel = after - before;
+        assert!((0.2..1.15).contains(&travel), "{axis} {before} {after}");
         terminal.keys(down);
         terminal.state("JOG");
         let back = at(&terminal, axis);
-        let went = after - back;
-        assert!((0.2..1.15).contains(&went), "{axis} {after} {back}");
+        let travel = after - back;
+        assert!((0.2..1.15).contains(&travel), "{axis} {after} {back}");
     }
-    // A slower rate goes less far.
+    // A lower rate moves less far.
     terminal.press_expect(b"sss", "continuous 0.5 mm/s");
     let before = at(&terminal, "x");
     terminal.keys(RIGHT);
@@ -49,7 +50,7 @@ fn every_axis_goes_both_ways_and_ends_with_the_dead_man_time() {
 }
 
 #[test]
-fn steps_are_exact_and_one_for_each_press() {
+fn steps_are_exact_and_one_per_key_press() {
     let terminal = homed(&[], Keyboard::Plain);
     terminal.press_expect(b"\t", "step 0.1 mm");
     let before = at(&terminal, "y");
@@ -65,13 +66,13 @@ fn steps_are_exact_and_one_for_each_press() {
     terminal.state("RUN");
     let down = at(&terminal, "y");
     assert!((down - after + 10.0).abs() < 1e-6, "{after} {down}");
-    // A step ends with the hold key, and nothing of it is left to be resumed.
+    // Hold ends a step and leaves nothing to resume.
     terminal.keys(UP);
     terminal.state("RUN");
     terminal.keys(SPACE);
     let stopped = at(&terminal, "y");
     assert!(stopped > down && stopped < down + 9.9, "{down} {stopped}");
-    // A tilt goes in steps of degrees.
+    // A rotary axis moves in steps of degrees.
     terminal.press_expect(b"s", "step 1 mm");
     let tilt = at(&terminal, "theta");
     terminal.keys(b".");
@@ -80,16 +81,16 @@ fn steps_are_exact_and_one_for_each_press() {
 }
 
 #[test]
-fn a_held_key_goes_on_and_a_release_ends_it_at_once() {
+fn held_key_keeps_jogging_and_release_stops_at_once() {
     let machine = Machine::start();
     let terminal = homed(&["--port", &machine.port], Keyboard::Kitty);
-    // The first release tells the console that releases are told.
+    // The first release shows that the terminal reports releases.
     terminal.keys(b"\x1b[1;1:1C");
     machine.wait_for_state(haptimill_protocol::message::State::Jog);
     terminal.keys(b"\x1b[1;1:3C");
     machine.wait_for_standstill(Duration::from_millis(300));
-    terminal.expect_text("ends with the key");
-    // Longer than the dead-man time without a repeat, as until keyboards begin to repeat.
+    terminal.expect_text("ends on release");
+    // Longer than the dead-man time without a repeat, as before a keyboard starts to repeat.
     terminal.keys(b"\x1b[1;1:1C");
     let begun = Instant::now();
     std::thread::sleep(Duration::from_millis(450));
@@ -101,13 +102,14 @@ fn a_held_key_goes_on_and_a_release_ends_it_at_once() {
     let released = machine.now().commanded;
     terminal.keys(b"\x1b[1;1:3C");
     machine.wait_for_standstill(Duration::from_millis(300));
-    let went = machine.now().commanded - released;
-    // 5 mm/s for the way of the release, then 63 ms of braking; without the release it would be 1 mm and more.
+    let travel = machine.now().commanded - released;
+    // 5 mm/s during the latency of the release, then 63 ms of deceleration; without the release it
+    // would be 1 mm or more.
     assert!(
-        went < 0.7 || begun.elapsed() > Duration::from_secs(3),
-        "{went} mm after the release"
+        travel < 0.7 || begun.elapsed() > Duration::from_secs(3),
+        "{travel} mm after the release"
     );
-    // The repeat of a key that was let go by a hold moves nothing.
+    // Repeats of a key that a hold released move nothing.
     terminal.keys(b"\x1b[1;1:1C");
     machine.wait_for_state(haptimill_protocol::message::State::Jog);
     terminal.keys(SPACE);
@@ -122,17 +124,17 @@ fn a_held_key_goes_on_and_a_release_ends_it_at_once() {
 }
 
 #[test]
-fn what_must_not_jog_does_not() {
+fn jog_is_refused_when_not_ready_and_pasted_text_is_ignored() {
     let terminal = console(&[], Keyboard::Plain);
     terminal.state("DISABLED");
     terminal.press_expect(RIGHT, "jog: not possible while the machine is disabled");
     terminal.keys(b"e");
     terminal.state("IDLE");
     terminal.press_expect(RIGHT, "jog: home the machine first");
-    // A pasted text is no keys, a torn escape sequence neither.
+    // Pasted text and a split escape sequence are not key input.
     terminal.press_expect(
         b"\x1b[200~hhh\reee\x1b[201~",
-        "pasted text is not heard as keys",
+        "pasted text is not taken as key input",
     );
     terminal.keys(b"[C");
     terminal.keys(b"[15~ABCD");

@@ -1,7 +1,9 @@
-//! From a key to motion, and from its end to standstill, over a pseudo-terminal, the real program and a TCP port, seen at the machine.
+//! Latency from a key press to motion, and from the last press or release to standstill: over a
+//! pseudo-terminal, the real program and a TCP port, measured at the machine.
 //!
-//! `cargo test -p haptimill --release --test console latency -- --nocapture --test-threads 1` prints the distributions. What is asserted is the
-//! bound of the dead-man time alone: the rest is for the computer that it runs on.
+//! `cargo test -p haptimill --release --test console latency -- --nocapture --test-threads 1`
+//! prints the distributions. Only the bound of the dead-man time is asserted; the rest depends on
+//! the computer.
 
 use super::machine::{Machine, Sample};
 use super::terminal::Keyboard;
@@ -10,13 +12,13 @@ use std::time::{Duration, Instant};
 
 const REPEATS: usize = 20;
 
-/// The tool is taken to move, or to stand, within so much, mm.
+/// Threshold between motion and standstill of the tool, mm.
 const STANDSTILL_MM: f64 = 0.005;
 
-/// Braking from 5 mm/s with 5000 mm/s^3, ms.
+/// Deceleration from 5 mm/s with 5000 mm/s^3, ms.
 const DECELERATION_MS: f64 = 63.3;
 
-/// What one press gave, ms.
+/// Times of one press, ms.
 struct Press {
     to_commanded: f64,
     to_tool: f64,
@@ -28,7 +30,7 @@ fn ms(from: Instant, to: Instant) -> f64 {
     to.saturating_duration_since(from).as_secs_f64() * 1000.0
 }
 
-/// Presses a key at `pressed`, lets it go at `released`; what the machine did meanwhile.
+/// Evaluates one press: the key was pressed at `pressed` and released at `released`.
 fn evaluate(pressed: Instant, released: Instant, samples: &[Sample]) -> Press {
     let (first, last) = (samples[0], samples[samples.len() - 1]);
     let commanded = samples
@@ -89,7 +91,7 @@ fn measure(keyboard: Keyboard, down: &[u8], again: &[u8], up: Option<&[u8]>) -> 
             terminal.keys(up);
         }
         machine.wait_for_standstill(Duration::from_millis(250));
-        // Of the first one the terminal's kind of keyboard is learnt.
+        // The first press shows the console which keyboard protocol the terminal has.
         if repeat > 0 {
             presses.push(evaluate(pressed, last, &machine.samples()));
         }
@@ -112,33 +114,33 @@ fn report(which: &str, end: &str, presses: &[Press]) {
         column(|press| press.end_to_commanded),
     );
     print(
-        &format!("{end} to the tool within 5 um of its rest"),
+        &format!("{end} to the tool within 5 um of its final position"),
         column(|press| press.end_to_tool),
     );
 }
 
 #[test]
-fn latency_of_a_keyboard_that_repeats() {
+fn latency_of_a_keyboard_without_release_reports() {
     let presses = measure(Keyboard::Plain, RIGHT, RIGHT, None);
     report("presses only, dead-man 200 ms", "last press", &presses);
     assert_eq!(presses.len(), REPEATS);
     for press in &presses {
-        // The dead-man time is the bound; half a second more is for a busy computer.
+        // The dead-man time is the bound, with half a second of margin for a busy computer.
         assert!(press.end_to_commanded < 200.0 + DECELERATION_MS + 500.0);
-        // And it is no shorter: a repeat that comes in time keeps the motion.
+        // The motion is no shorter: repeats in time keep it alive.
         assert!(press.end_to_commanded > 150.0, "{}", press.end_to_commanded);
     }
 }
 
 #[test]
-fn latency_of_a_keyboard_that_tells_of_releases() {
+fn latency_of_a_keyboard_with_release_reports() {
     let presses = measure(
         Keyboard::Kitty,
         b"\x1b[1;1:1C",
         b"\x1b[1;1:2C",
         Some(b"\x1b[1;1:3C"),
     );
-    report("releases told (kitty protocol)", "release", &presses);
+    report("releases reported (kitty protocol)", "release", &presses);
     assert_eq!(presses.len(), REPEATS);
     for press in &presses {
         assert!(press.end_to_commanded < 200.0 + DECELERATION_MS + 500.0);

@@ -1,4 +1,4 @@
-//! The line is lost and found again.
+//! Link loss and reconnection.
 
 use super::machine::{Cable, Machine};
 use super::terminal::Keyboard;
@@ -7,7 +7,7 @@ use haptimill_protocol::message::State;
 use std::time::Duration;
 
 #[test]
-fn a_lost_line_is_found_again_and_nothing_moves_by_itself() {
+fn console_reconnects_after_a_link_loss_without_motion() {
     let folder = scene::Folder::new();
     let program = folder.file("way.ngc", "G21 G90 F600\nG1 X100\nM30\n");
     let machine = Machine::start();
@@ -18,12 +18,12 @@ fn a_lost_line_is_found_again_and_nothing_moves_by_itself() {
     std::thread::sleep(Duration::from_millis(400));
     cable.disconnect();
     terminal.state("NO LINK");
-    terminal.expect_text("NO LINK, trying again");
-    // By itself, after half a second of silence.
+    terminal.expect_text("NO LINK, reconnecting");
+    // By the heartbeat, after half a second.
     machine.wait_for_state(State::Fault);
     let at = machine.now().commanded;
     assert!(at < 50.0, "{at}");
-    // Keys are heard all the same.
+    // Keys still work.
     terminal.press_expect(b"?", "Keys: arrows scroll");
     terminal.escape();
     terminal.press_expect(RIGHT, "no link to the controller");
@@ -32,43 +32,41 @@ fn a_lost_line_is_found_again_and_nothing_moves_by_itself() {
     terminal.expect_text("nothing was heard from the host");
     terminal.keys(b"x");
     terminal.state("IDLE");
-    terminal.expect_text("connected again; nothing moves");
+    terminal.expect_text("reconnected; the machine does not move");
     std::thread::sleep(Duration::from_millis(600));
     assert_eq!(machine.now().commanded, at);
-    // And it can be moved again.
+    // The machine can be moved again.
     terminal.keys(LEFT);
     machine.wait_for_state(State::Jog);
     machine.wait_for_state(State::Idle);
 }
 
 #[test]
-fn a_stop_that_is_wanted_without_a_line_goes_out_first() {
+fn pending_stop_is_sent_first_after_reconnection() {
     let machine = Machine::start();
     let cable = Cable::to(&machine.port);
     let terminal = homed(&["--port", &cable.port], Keyboard::Plain);
     cable.disconnect();
     terminal.state("NO LINK");
-    terminal.press_expect(SPACE, "A STOP goes out first");
-    terminal.press_expect(
-        EMERGENCY,
-        "AN EMERGENCY STOP goes out first".trim_start_matches("AN "),
-    );
+    terminal.press_expect(SPACE, " STOP pending, sent first");
+    terminal.press_expect(EMERGENCY, "EMERGENCY STOP pending, sent first");
     cable.reconnect();
     terminal.state("EMERGENCY STOP");
     machine.wait_for_state(State::EmergencyStop);
-    // Before the greeting.
+    // Before the Hello.
     assert_eq!(cable.first(3), [0x00, 0x18, 0x00]);
 }
 
 #[test]
-fn a_terminal_that_is_stuck_keeps_neither_the_line_nor_a_stop() {
+fn stuck_terminal_blocks_neither_link_nor_stop() {
     let folder = scene::Folder::new();
     let program = folder.file("way.ngc", "G21 G90 F600\nG1 X100\nM30\n");
     let machine = Machine::start();
     let terminal = homed(&["--port", &machine.port, &program], Keyboard::Plain);
     run(&terminal);
     machine.wait_for_state(State::Run);
-    // 2.5 s of pictures fill any buffer; a console that waited would be given up as a lost host after half a second.
+    // 2.5 s of frames fill any buffer. A console that blocked would lose the machine by the
+    // heartbeat after half a second.
     terminal.set_stuck(true);
     std::thread::sleep(Duration::from_millis(2500));
     assert_eq!(machine.now().state, State::Run);
@@ -79,7 +77,7 @@ fn a_terminal_that_is_stuck_keeps_neither_the_line_nor_a_stop() {
     terminal.set_stuck(false);
     terminal.state("IDLE");
     terminal.expect_text("way.ngc: dropped");
-    // Nor its end.
+    // A stuck terminal does not block the exit either.
     terminal.set_stuck(true);
     std::thread::sleep(Duration::from_millis(2500));
     closing::signal(&terminal, rustix::process::Signal::TERM);
@@ -88,14 +86,14 @@ fn a_terminal_that_is_stuck_keeps_neither_the_line_nor_a_stop() {
 }
 
 #[test]
-fn a_bad_line_is_shown_and_borne() {
+fn link_errors_are_counted_and_tolerated() {
     let terminal = homed(&["--fault", "link-errors rate=0.0003"], Keyboard::Plain);
     terminal.press_expect(b"\t", "step 0.1 mm");
     let before = terminal.number("x", 1).unwrap();
     for _ in 0..5 {
         terminal.keys(RIGHT);
         terminal.state("RUN");
-        // Pressed again in the moment in which it comes to rest, whatever is on its way.
+        // Pressed again right at standstill, whatever message is on its way.
         terminal.state("IDLE");
     }
     terminal.wait_until("0.5 mm further", |_| {

@@ -1,4 +1,4 @@
-//! A machine in this process that is watched, and a cable that can be cut.
+//! A recorded machine in this process, and a cable that can be disconnected.
 
 use haptimill_client::port::{TcpServer, Transport};
 use haptimill_client::session;
@@ -11,18 +11,18 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// What was seen of a machine.
+/// State of the machine at one time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sample {
     pub at: Instant,
     pub state: State,
-    /// x of the wanted pose, mm.
+    /// x of the commanded pose, mm.
     pub commanded: f64,
-    /// x of the tool, as it truly is, mm.
+    /// True x of the tool, mm.
     pub tool: f64,
 }
 
-/// The simulated machine with the controller of this project, served on a TCP port as `sim serve` does it.
+/// The simulated machine with its controller, on a TCP port like `sim serve`.
 pub struct Machine {
     pub port: String,
     samples: Arc<Mutex<Vec<Sample>>>,
@@ -48,7 +48,7 @@ impl Machine {
         }
     }
 
-    /// How it stands now.
+    /// Latest sample.
     pub fn now(&self) -> Sample {
         loop {
             if let Some(samples) = self.samples.lock().unwrap().last() {
@@ -58,7 +58,7 @@ impl Machine {
         }
     }
 
-    /// Forgets what was seen.
+    /// Drops all samples but the latest.
     pub fn clear_samples(&self) {
         let mut samples = self.samples.lock().unwrap();
         let last = samples.pop();
@@ -66,26 +66,26 @@ impl Machine {
         samples.extend(last);
     }
 
-    /// All that was seen since.
+    /// All samples since the last call of `clear_samples`.
     pub fn samples(&self) -> Vec<Sample> {
         self.samples.lock().unwrap().clone()
     }
 
-    /// Waits until it is in a state.
+    /// Waits until the machine is in a state.
     #[track_caller]
     pub fn wait_for_state(&self, state: State) {
         let begun = Instant::now();
         while self.now().state != state {
             assert!(
                 begun.elapsed() < super::terminal::TIMEOUT,
-                "never {state}, but {:?}",
+                "timeout: state {state}, now {:?}",
                 self.now()
             );
             std::thread::sleep(Duration::from_millis(2));
         }
     }
 
-    /// Waits until the wanted pose has not changed for so long.
+    /// Waits until the commanded pose is constant for this time.
     pub fn wait_for_standstill(&self, time: Duration) {
         loop {
             let before = self.now().commanded;
@@ -110,7 +110,7 @@ fn run(server: &mut TcpServer, samples: &Mutex<Vec<Sample>>, end: &AtomicBool) {
     let file = MachineFile::built_in().unwrap();
     let rig = session::rig(&file, None, None, Vec::new()).unwrap();
     let Ok(mut rig) = session::commissioned(rig, &file) else {
-        panic!("not configured");
+        panic!("configuration refused");
     };
     let period_ns = u64::from(file.config.period_us) * 1000;
     let begun = Instant::now();
@@ -155,11 +155,11 @@ fn run(server: &mut TcpServer, samples: &Mutex<Vec<Sample>>, end: &AtomicBool) {
 
 /// A cable between a host and a served machine.
 pub struct Cable {
-    /// What the host gives as --port.
+    /// Value of --port for the host.
     pub port: String,
     connected: Arc<AtomicBool>,
     streams: Arc<Mutex<Vec<TcpStream>>>,
-    /// The first bytes of the newest connection, from the host.
+    /// First bytes from the host on the newest connection.
     first: Arc<Mutex<Vec<u8>>>,
 }
 
@@ -212,7 +212,7 @@ impl Cable {
         self.connected.store(true, Ordering::SeqCst);
     }
 
-    /// What the host said first since the cable was mended.
+    /// First bytes from the host since the reconnection.
     pub fn first(&self, count: usize) -> Vec<u8> {
         let first = self.first.lock().unwrap();
         first[..count.min(first.len())].to_vec()

@@ -1,4 +1,4 @@
-//! The hand on a haptic arm: what is shown of it, and what is ordered from its overlay.
+//! Master panel: displayed values and settings.
 
 use super::scene::{Folder, Served};
 use super::terminal::Keyboard;
@@ -6,12 +6,12 @@ use super::*;
 use haptimill_machine_file::{FOLLOW, HAND};
 use std::time::{Duration, Instant};
 
-const TITLE: &str = "Hand: what it feels";
+const TITLE: &str = "Master: forces";
 
-/// Stiffness of the walls of machines/hand.toml, N/mm.
+/// Stiffness of the virtual fixture in machines/hand.toml, N/mm.
 const STIFFNESS: f64 = 0.35;
 
-/// Both ways along x, for as long as a test takes, with the button held.
+/// Operator model: motion both ways along x for the duration of a test, with the clutch closed.
 fn oscillating_operator() -> String {
     let strokes: String = (0..30)
         .map(|index| {
@@ -24,17 +24,17 @@ fn oscillating_operator() -> String {
     format!("[[button]]\nat_s = 0.5\nheld = true\n{strokes}")
 }
 
-/// Numbers of the row of x in the table of forces: on the tool, at the hand, by the law, of the wall.
+/// Values of x in the force table: tool, operator, feedback law, fixture.
 fn forces(text: &str) -> Option<Vec<f64>> {
     row(text, "law").map(|row| numbers(&row))
 }
 
-/// Numbers of the row of x in the table of settings.
+/// Values of x in the settings table: feedback, limit, tip, faces.
 fn settings(text: &str) -> Option<Vec<f64>> {
-    row(text, "at most").map(|row| numbers(&row))
+    row(text, "tip, mm").map(|row| numbers(&row))
 }
 
-/// The row of x under a heading with this word.
+/// The row of x under a heading with this text.
 fn row(text: &str, heading: &str) -> Option<String> {
     let mut rows = text.lines().skip_while(|row| !row.contains(heading));
     rows.next()?;
@@ -47,60 +47,65 @@ fn numbers(row: &str) -> Vec<f64> {
         .collect()
 }
 
-/// The number that leads the row of the wanted x: the panels are not covered in the upper rows.
+/// Commanded x: the overlay leaves its row visible.
 fn commanded_x(terminal: &Terminal) -> f64 {
     terminal.number("x", 1).unwrap()
 }
 
 #[test]
-fn reflection_walls_and_scale_are_set_from_the_overlay_and_refused_in_words() {
+fn feedback_fixture_and_scale_are_set_and_range_errors_reported() {
     let folder = Folder::new();
-    let own = folder.machine_with(HAND);
-    // The console gives the board its configuration, and so knows what is set.
-    let served = Served::on_tcp(&["--machine", &own, "--unconfigured"]);
-    let arguments = ["--machine", own.as_str(), "--port", served.port.as_str()];
+    let machine_file = folder.machine_with(HAND);
+    // The console configures the board, so it knows all settings.
+    let served = Served::on_tcp(&["--machine", &machine_file, "--unconfigured"]);
+    let arguments = [
+        "--machine",
+        machine_file.as_str(),
+        "--port",
+        served.port.as_str(),
+    ];
     let terminal = console(&arguments, Keyboard::Plain);
     terminal.state("DISABLED");
     terminal.press_expect(b"w", TITLE);
-    terminal.expect_text("button free; motors off");
+    terminal.expect_text("clutch open; motors off");
     terminal.escape();
     terminal.wait_until("closed", |text| !text.contains(TITLE));
-    // Everything of before is there, on 80 columns and 24 rows.
+    // All other panels remain on 80 columns and 24 rows.
     for panel in [
-        "Position", "Slides", "Force", "Jog", "Program", "Messages", "link ",
+        "Position", "Joints", "Force", "Jog", "Program", "Messages", "link ",
     ] {
         terminal.expect_text(panel);
     }
     terminal.keys(b"e");
     terminal.state("IDLE");
     terminal.press_expect(b"w", "motors on");
-    // What the machine file says, and the controller took it from here.
+    // Values of the machine file, which this console sent.
     terminal.wait_until("x as in the machine file", |text| {
         settings(text).is_some_and(|x| x[..2] == [40.0, 3.2]) && !text.contains("40 %?")
     });
-    terminal.press_expect(b"150\r", "150 % is not one of 0 to 100");
-    terminal.press_expect(b"1.2.3\r", "'1.2.3' is no number");
+    terminal.press_expect(b"150\r", "150 % is out of its range");
+    terminal.press_expect(b"1.2.3\r", "'1.2.3' is not a number");
     terminal.press_expect(b"55\r", "55 %");
     terminal.press_expect(b"+", "60 %");
     terminal.press_expect(b"-----", "35 %");
     terminal.keys(RIGHT);
     terminal.press_expect(b"11\r", "11 N is out of its range, 0 to 10 N");
     terminal.press_expect(b"2.6\r", "2.6 N");
-    // A wall where the tip is, and none so near it that the ball at the tip would not fit.
+    // A face at the tip, and none so close to it that the ball at the tip does not fit.
     terminal.keys(RIGHT);
-    terminal.press_expect(b"5", "a wall is put where the tip is");
-    terminal.press_expect(ENTER, "lower wall of x where the tip is");
+    terminal.press_expect(b"5", "the fixture face is set at the tip");
+    terminal.press_expect(ENTER, "lower face of x set at the tip");
     terminal.keys(RIGHT);
-    terminal.press_expect(ENTER, "upper wall of x: the ball at the tip does not fit");
+    terminal.press_expect(ENTER, "upper face of x: the ball at the tip does not fit");
     terminal.keys(LEFT);
-    terminal.press_expect(ENTER, "lower wall of x taken away");
+    terminal.press_expect(ENTER, "lower face of x removed");
     terminal.keys(RIGHT);
-    terminal.press_expect(ENTER, "upper wall of x where the tip is");
-    // All of them at once, and the reflection of all axes.
+    terminal.press_expect(ENTER, "upper face of x set at the tip");
+    // All faces at once, and the force feedback of all axes.
     for _ in 0..3 {
         terminal.keys(DOWN);
     }
-    terminal.press_expect(ENTER, "all walls taken away");
+    terminal.press_expect(ENTER, "all faces removed");
     for _ in 0..3 {
         terminal.keys(LEFT);
     }
@@ -108,110 +113,114 @@ fn reflection_walls_and_scale_are_set_from_the_overlay_and_refused_in_words() {
     terminal.wait_until("20 % of each", |text| text.matches("20 %").count() == 4);
     terminal.keys(DOWN);
     terminal.press_expect(b"3\r", "G_P of 3 is out of its range: 0.1 to 2");
-    terminal.press_expect(b"0.5\r", "G_P 0.50");
+    terminal.press_expect(b"0.5\r", "position scale 0.50");
     terminal.press_expect(
         b"-----",
-        "that is the least it can be; + goes the other way",
+        "this is the smallest value; + changes it in the other direction",
     );
-    terminal.expect_text("G_P 0.10");
-    // Typing is left first, then the overlay.
+    terminal.expect_text("position scale 0.10");
+    // Escape clears the typed number first, then closes the overlay.
     terminal.press_expect(b"7", "7_");
     terminal.escape();
     terminal.wait_until("nothing typed", |text| !text.contains("7_"));
     terminal.expect_text(TITLE);
     terminal.escape();
     terminal.wait_until("closed", |text| !text.contains(TITLE));
-    // A hand may lead an axis of this machine.
-    terminal.press_expect(b"a", "Axes: a jog begins and ends at rest");
+    // A master may drive an axis of this machine.
+    terminal.press_expect(b"a", "Axis sources:");
     terminal.press_expect(b"m", "x: master");
     terminal.escape();
-    // Another console knows what the machine file says, and that it may be otherwise.
+    // Another console has the values of the machine file, marked as unknown.
     drop(terminal);
     let terminal = console(&arguments, Keyboard::Plain);
     terminal.state("IDLE");
     terminal.press_expect(b"w", "40 %?");
-    terminal.expect_text("? unless another host has set it");
+    terminal.expect_text("? another host may have changed it");
 }
 
 #[test]
-fn a_wall_pushes_as_deep_as_the_hand_is_in_it_and_the_hand_leads() {
+fn fixture_force_is_proportional_to_depth_and_the_master_drives_x() {
     let folder = Folder::new();
-    let own = folder.machine_with(HAND);
+    let machine_file = folder.machine_with(HAND);
     let operator = folder.file("person.toml", oscillating_operator());
     let program = folder.file("wait.ngc", "G21 G90 F600\nG4 P60\nM30\n");
-    let served = Served::on_tcp(&["--machine", &own, "--person", &operator]);
-    let arguments = ["--machine", &own, "--port", &served.port, &program];
+    let served = Served::on_tcp(&["--machine", &machine_file, "--person", &operator]);
+    let arguments = ["--machine", &machine_file, "--port", &served.port, &program];
     let terminal = homed(&arguments, Keyboard::Plain);
-    terminal.press_expect(b"w", "button held, leads nothing");
+    terminal.press_expect(b"w", "clutch closed, drives no axis");
     terminal.keys(RIGHT);
     terminal.keys(RIGHT);
-    // Where the hand goes on from, to and fro.
+    // Near the middle of the operator trajectory.
     terminal.wait_until("in the middle", |text| {
         settings(text).is_some_and(|x| (-2.0..5.0).contains(&x[2]))
     });
-    terminal.press_expect(ENTER, "lower wall of x where the tip is");
-    // Numbers of one report belong together: the push is that of a spring from the wall to the tip.
-    let deep = |text: &str| -> Option<(f64, f64)> {
+    terminal.press_expect(ENTER, "lower face of x set at the tip");
+    // Values of one report are consistent: the force is that of a spring between face and tip.
+    let fixture_force = |text: &str| -> Option<(f64, f64)> {
         let (forces, settings) = (forces(text)?, settings(text)?);
-        let push = *forces.last()?;
-        let [_, _, tip, wall] = settings[..] else {
+        let force = *forces.last()?;
+        let [_, _, tip, face] = settings[..] else {
             return None;
         };
-        (push > 0.5).then_some((push, wall - tip))
+        (force > 0.5).then_some((force, face - tip))
     };
-    terminal.wait_until("pushed back", |text| deep(text).is_some());
+    terminal.wait_until("fixture force", |text| fixture_force(text).is_some());
     let begun = Instant::now();
     let mut samples = 0;
     while begun.elapsed() < Duration::from_secs(6) {
-        if let Some((push, depth)) = deep(&terminal.text()) {
+        if let Some((force, depth)) = fixture_force(&terminal.text()) {
             samples += 1;
             assert!(
-                (push - STIFFNESS * depth).abs() < 0.03,
-                "{push} N, {depth} mm\n{}",
+                (force - STIFFNESS * depth).abs() < 0.03,
+                "{force} N, {depth} mm\n{}",
                 terminal.text()
             );
         }
         std::thread::sleep(Duration::from_millis(50));
     }
     assert!(samples > 5, "{samples}");
-    // On the upper side of the hand there is none; a wall that another host does not know is found by its push.
+    // There is no upper face. A console that does not know the lower one recognises it by its
+    // force.
     drop(terminal);
     let terminal = console(&arguments, Keyboard::Plain);
     terminal.state("IDLE");
     terminal.press_expect(b"w", TITLE);
-    terminal.wait_until("found the wall", |text| deep(text).is_some());
+    terminal.wait_until("fixture recognised", |text| fixture_force(text).is_some());
     terminal.expect_text("none?");
     for _ in 0..3 {
         terminal.keys(DOWN);
     }
     terminal.keys(RIGHT);
     terminal.keys(RIGHT);
-    terminal.press_expect(ENTER, "all walls taken away");
+    terminal.press_expect(ENTER, "all faces removed");
     terminal.wait_until("free", |text| {
         forces(text).is_some_and(|x| x.last() == Some(&0.0))
     });
     terminal.escape();
-    // The hand leads x while a program runs.
-    terminal.press_expect(b"a", "Axes: a jog begins and ends at rest");
+    // The master drives x while a program runs.
+    terminal.press_expect(b"a", "Axis sources:");
     terminal.press_expect(b"m", "x: master");
     terminal.escape();
     run(&terminal);
-    terminal.press_expect(b"w", "button held, leads x");
+    terminal.press_expect(b"w", "clutch closed, drives x");
     terminal.escape();
     let first = commanded_x(&terminal);
-    terminal.wait_until("led", |_| (commanded_x(&terminal) - first).abs() > 2.0);
+    terminal.wait_until("x driven", |_| (commanded_x(&terminal) - first).abs() > 2.0);
     terminal.keys(STOP);
     terminal.state("IDLE");
-    terminal.press_expect(b"a", "Axes: a jog begins and ends at rest");
+    terminal.press_expect(b"a", "Axis sources:");
     terminal.press_expect(b"p", "x: program");
 }
 
 #[test]
-fn an_arm_that_fails_is_told_in_the_overlay_and_bears_no_wall() {
+fn failed_arm_is_reported_and_takes_no_fixture() {
     let folder = Folder::new();
-    let own = folder.machine_with(HAND);
+    let machine_file = folder.machine_with(HAND);
     let trip = "hand-amplifiers-tripped at=1s";
-    let terminal = console(&["--machine", &own, "--fault", trip], Keyboard::Plain);
+    let terminal = console(
+        &["--machine", &machine_file, "--fault", trip],
+        Keyboard::Plain,
+    );
     terminal.state("DISABLED");
     terminal.press_expect(b"w", TITLE);
     terminal.escape();
@@ -220,31 +229,31 @@ fn an_arm_that_fails_is_told_in_the_overlay_and_bears_no_wall() {
     terminal.expect_text("motors off");
     terminal.keys(RIGHT);
     terminal.keys(RIGHT);
-    terminal.press_expect(ENTER, "lower wall of x: where the tip is is not known");
+    terminal.press_expect(ENTER, "lower face of x: the position of the tip is unknown");
 }
 
 #[test]
-fn a_machine_without_a_hand_says_so() {
+fn machine_without_a_master_reports_it() {
     let terminal = console(&[], Keyboard::Plain);
     terminal.state("DISABLED");
-    terminal.press_expect(b"w", "this machine has no haptic arm and follows none");
+    terminal.press_expect(b"w", "this machine has no haptic arm and no remote master");
     assert!(!terminal.text().contains(TITLE), "{}", terminal.text());
     terminal.keys(b"e");
     terminal.state("IDLE");
-    terminal.press_expect(b"a", "Axes: a jog begins and ends at rest");
+    terminal.press_expect(b"a", "Axis sources:");
     terminal.press_expect(b"m", "source: no hand can lead this machine");
 }
 
 #[test]
-fn a_machine_that_follows_afar_has_its_scale_and_an_arm_alone_its_forces() {
+fn remote_master_machine_has_a_scale_and_a_master_board_its_forces() {
     let folder = Folder::new();
-    let own = folder.machine_with(FOLLOW);
-    let terminal = console(&["--machine", &own], Keyboard::Plain);
+    let machine_file = folder.machine_with(FOLLOW);
+    let terminal = console(&["--machine", &machine_file], Keyboard::Plain);
     terminal.state("DISABLED");
-    terminal.press_expect(b"w", "this machine follows a hand afar");
-    terminal.press_expect(b"0.25\r", "G_P 0.25");
+    terminal.press_expect(b"w", "this machine follows a remote master");
+    terminal.press_expect(b"0.25\r", "position scale 0.25");
     terminal.keys(UP);
-    terminal.press_expect(b"+", "G_P 0.40");
+    terminal.press_expect(b"+", "position scale 0.40");
     drop(terminal);
     let terminal = console(&["--machine", "machines/hand-master.toml"], Keyboard::Plain);
     terminal.state("DISABLED");
@@ -254,23 +263,27 @@ fn a_machine_that_follows_afar_has_its_scale_and_an_arm_alone_its_forces() {
         row(text, "law").is_some_and(|row| row.contains(" - "))
     });
     terminal.press_expect(b"45\r", "45 %");
-    assert!(!terminal.text().contains("G_P"), "{}", terminal.text());
+    assert!(
+        !terminal.text().contains("position scale"),
+        "{}",
+        terminal.text()
+    );
 }
 
 #[test]
-fn the_hand_is_shown_as_far_as_there_is_room() {
+fn master_panel_depends_on_the_terminal_height() {
     let folder = Folder::new();
-    let own = folder.machine_with(HAND);
-    let terminal = console(&["--machine", &own], Keyboard::Plain);
+    let machine_file = folder.machine_with(HAND);
+    let terminal = console(&["--machine", &machine_file], Keyboard::Plain);
     terminal.state("DISABLED");
-    let panel = "Hand ─ felt ── law ── wall";
-    terminal.expect_text("Force high, low, hand");
+    let panel = "Master ─ force ─ law ─ fixture";
+    terminal.expect_text("Force high low master");
     assert!(!terminal.text().contains(panel));
     terminal.resize(100, 40);
     terminal.expect_text(panel);
     for panel in [
         "Position",
-        "Slides",
+        "Joints",
         "Force ─ high ── low",
         "Jog",
         "Program",
@@ -279,16 +292,16 @@ fn the_hand_is_shown_as_far_as_there_is_room() {
     ] {
         terminal.expect_text(panel);
     }
-    // On a small terminal the marked field is in sight, wherever it is.
+    // On a small terminal the selected field stays visible.
     terminal.press_expect(b"w", TITLE);
     terminal.resize(40, 10);
     terminal.wait_until("x marked", |text| text.contains("40 %"));
     for _ in 0..4 {
         terminal.keys(DOWN);
     }
-    terminal.expect_text("G_P 1.00");
+    terminal.expect_text("position scale 1.00");
     terminal.resize(80, 24);
     terminal.expect_text(panel.split(' ').next().unwrap());
     terminal.escape();
-    terminal.expect_text("Force high, low, hand");
+    terminal.expect_text("Force high low master");
 }

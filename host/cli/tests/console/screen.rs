@@ -1,11 +1,11 @@
-//! Sizes of the screen.
+//! Screen sizes.
 
 use super::terminal::Keyboard;
 use super::*;
 use std::time::Duration;
 
 #[test]
-fn the_screen_follows_the_size_of_the_terminal() {
+fn screen_adapts_to_the_terminal_size() {
     let terminal = homed(&[], Keyboard::Plain);
     let always = ["IDLE", "hold", "stop"];
     for (columns, rows) in [
@@ -25,14 +25,14 @@ fn the_screen_follows_the_size_of_the_terminal() {
             for word in always {
                 terminal.expect_text(word);
             }
-            // Every axis with its numbers.
+            // Every axis with its values.
             for axis in ["x", "y", "z", "theta", "alpha"] {
                 terminal.wait_until(axis, |_| terminal.number(axis, 2).is_some());
             }
         }
         if columns >= 80 && rows >= 24 {
             for panel in [
-                "Position", "Slides", "Force", "Jog", "Program", "Messages", "link ",
+                "Position", "Joints", "Force", "Jog", "Program", "Messages", "link ",
             ] {
                 terminal.expect_text(panel);
             }
@@ -41,7 +41,7 @@ fn the_screen_follows_the_size_of_the_terminal() {
             }
         }
     }
-    // Still heard after all that; and in an overlay on a screen that is too small for it.
+    // Keys still work afterwards, also in an overlay on a screen that is too small for it.
     terminal.keys(RIGHT);
     terminal.state("JOG");
     terminal.state("IDLE");
