@@ -76,28 +76,28 @@ mod linux {
     /// Pictures of a jog, and of a program that cuts with force control along x and a recording.
     fn jog_and_run(root: &Path, out: &str) -> Result<(), Box<dyn Error>> {
         let terminal = console(root, &["--out", out, "examples/e7-slot.ngc"])?;
-        terminal.keys(b"f");
+        terminal.press(b"f");
         for _ in 0..20 {
-            terminal.keys(RIGHT);
+            terminal.press(RIGHT);
             std::thread::sleep(Duration::from_millis(30));
         }
         picture(&terminal, &root.join("docs/console-jog.svg"))?;
-        terminal.state("IDLE");
+        terminal.expect_state("IDLE");
         // Homing again returns exactly to the start of the program; steps of 10 mm would not.
         confirm(&terminal, b"h", "Home?");
-        terminal.state("HOMING");
-        terminal.state("IDLE");
+        terminal.expect_state("HOMING");
+        terminal.expect_state("IDLE");
         terminal.press_expect(b"y", "Force control:");
-        terminal.press_expect(ENTER, "x yields");
+        terminal.press_expect(ENTER, "x on   setpoint");
         terminal.escape();
         terminal.press_expect(b"l", "REC console-");
         run(&terminal);
         std::thread::sleep(Duration::from_secs(9));
         picture(&terminal, &root.join("docs/console-run.svg"))?;
-        terminal.keys(STOP);
-        terminal.state("IDLE");
+        terminal.press(STOP);
+        terminal.expect_state("IDLE");
         terminal.press_expect(b"l", " rows");
-        terminal.keys(b"q\r");
+        terminal.press(b"q\r");
         Ok(())
     }
 
@@ -126,8 +126,8 @@ mod linux {
             ],
         )?;
         terminal.press_expect(b"w", "clutch closed");
-        terminal.keys(RIGHT);
-        terminal.keys(RIGHT);
+        terminal.press(RIGHT);
+        terminal.press(RIGHT);
         // In the middle of its motion.
         terminal.wait_until("away", |text| {
             number(text, "tip, mm", 6).is_some_and(|tip| (-9.0..-6.0).contains(&tip))
@@ -135,12 +135,12 @@ mod linux {
         terminal.press_expect(ENTER, "lower face of x set at the tip");
         terminal.escape();
         run(&terminal);
-        terminal.state("HOLD");
+        terminal.expect_state("HOLD");
         terminal.press_expect(b"a", "Axis sources:");
         terminal.press_expect(b"m", "x: master");
         terminal.escape();
-        terminal.keys(RESUME);
-        terminal.state("RUN");
+        terminal.press(RESUME);
+        terminal.expect_state("RUN");
         terminal.press_expect(b"w", "drives x");
         // In contact with the fixture while the tool cuts.
         terminal.wait_until("in the fixture", |text| {
@@ -152,9 +152,9 @@ mod linux {
         });
         picture(&terminal, &root.join("docs/console-master.svg"))?;
         terminal.escape();
-        terminal.keys(STOP);
-        terminal.state("IDLE");
-        terminal.keys(b"q\r");
+        terminal.press(STOP);
+        terminal.expect_state("IDLE");
+        terminal.press(b"q\r");
         std::fs::remove_file(machine_file)?;
         std::fs::remove_file(script)?;
         Ok(())

@@ -68,7 +68,7 @@ pub(super) enum OnAck {
         all: bool,
     },
     PositionScale(u16),
-    Say(&'static str),
+    Notify(&'static str),
 }
 
 /// Requested settings of a force loop: the latest ones, one request at a time.
@@ -213,7 +213,7 @@ impl App {
             loops,
             requested_loops: [RequestedLoop::default(); 3],
             force_scale: (0, now),
-            master: Master::of(&machine),
+            master: Master::from_machine(&machine),
             recording: None,
             stopping: None,
             fault: None,

@@ -28,7 +28,7 @@ struct PacedSim {
     /// Operator model at its haptic arm.
     operator: Option<Person>,
     pace: Pace,
-    begun: Instant,
+    started: Instant,
 }
 
 impl Line for PacedSim {
@@ -36,7 +36,7 @@ impl Line for PacedSim {
         if !transmit.is_empty() {
             self.rig.host_write(transmit);
         }
-        let real_ns = u64::try_from(self.begun.elapsed().as_nanos()).unwrap_or(u64::MAX);
+        let real_ns = u64::try_from(self.started.elapsed().as_nanos()).unwrap_or(u64::MAX);
         for _ in 0..self.pace.due(real_ns, self.rig.time_ns()) {
             if let Some(operator) = &mut self.operator {
                 operator.act(&mut self.rig);
@@ -108,7 +108,7 @@ impl Connection {
                 rig: session::rig(machine, seed, None, faults)?,
                 operator: operator.map(Person::new),
                 pace: Pace::new(u64::from(machine.config.period_us) * 1000),
-                begun: Instant::now(),
+                started: Instant::now(),
             })),
             spec => open_in_thread(spec, baud),
         };

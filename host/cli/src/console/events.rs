@@ -104,7 +104,7 @@ impl App {
             OnAck::ForceFeedback(_) | OnAck::Fixture { .. } | OnAck::PositionScale(_) => {
                 self.acknowledge_master(&on_ack)
             }
-            OnAck::Say(message) => self.notify(Severity::Info, message),
+            OnAck::Notify(message) => self.notify(Severity::Info, message),
         }
     }
 

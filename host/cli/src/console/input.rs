@@ -22,7 +22,7 @@ impl App {
     /// Handles an event of the terminal.
     pub(super) fn handle_input(&mut self, event: &Event) {
         match event {
-            Event::Key(key) => self.key(key),
+            Event::Key(key) => self.handle_key(key),
             Event::Paste(text) => match &mut self.overlay {
                 Overlay::Prompt { text: typed, .. } => {
                     typed.extend(text.chars().take_while(|letter| !letter.is_control()));
@@ -40,8 +40,8 @@ impl App {
         }
     }
 
-    fn key(&mut self, event: &KeyEvent) {
-        let mut key = Key::of(event);
+    fn handle_key(&mut self, event: &KeyEvent) {
+        let mut key = Key::from_event(event);
         let phase = match event.kind {
             KeyEventKind::Press => KeyPhase::Press,
             KeyEventKind::Repeat => KeyPhase::Repeat,
@@ -51,11 +51,12 @@ impl App {
             // A release ends a jog whatever is open.
             if let Some(Action::Jog { axis, up }) = key.action() {
                 let now_us = self.now_us();
-                self.jogging.key(usize::from(axis), up, phase, now_us);
+                self.jogging
+                    .handle_key(usize::from(axis), up, phase, now_us);
             }
             return;
         }
-        if let Some(action) = key.always_active() {
+        if let Some(action) = key.always_active_action() {
             if phase == KeyPhase::Press {
                 self.execute(action);
             }
@@ -64,7 +65,7 @@ impl App {
         if event.modifiers.contains(KeyModifiers::ALT) {
             // An Escape read together with a key looks like Alt. Only the Escape counts: the key
             // may be part of a split sequence.
-            key = Key::of(&KeyEvent::from(KeyCode::Esc));
+            key = Key::from_event(&KeyEvent::from(KeyCode::Esc));
         }
         match std::mem::replace(&mut self.overlay, Overlay::None) {
             Overlay::None => match key.action() {
@@ -95,7 +96,7 @@ impl App {
             Action::Hold => self.hold(),
             Action::Resume => self.resume(),
             Action::Stop => self.stop(),
-            Action::Emergency => self.emergency(),
+            Action::Emergency => self.emergency_stop(),
             Action::Quit => self.quit(),
             Action::Close => self.hold(),
             Action::Help => self.open(Overlay::Help { from: 0 }),
@@ -111,8 +112,8 @@ impl App {
                 }
                 self.request(Command::Enable, OnAck::Enabled);
             }
-            Action::Disable => self.request(Command::Disable, OnAck::Say("drives off")),
-            Action::Reset => self.request(Command::Reset, OnAck::Say("reset")),
+            Action::Disable => self.request(Command::Disable, OnAck::Notify("drives off")),
+            Action::Reset => self.request(Command::Reset, OnAck::Notify("reset")),
             Action::Home => match self.state() {
                 Some(State::Idle) => self.open(Overlay::Confirm(Confirm::Home)),
                 Some(state) => {
@@ -187,7 +188,7 @@ impl App {
         }
     }
 
-    fn emergency(&mut self) {
+    fn emergency_stop(&mut self) {
         self.stop();
         if self.is_ready() {
             self.request(Command::EmergencyStop, OnAck::Nothing);
@@ -264,7 +265,7 @@ impl App {
             (Mode::Step, _) => {}
             (Mode::Continuous, phase) => {
                 let now_us = self.now_us();
-                self.jogging.key(axis, up, phase, now_us);
+                self.jogging.handle_key(axis, up, phase, now_us);
             }
         }
     }
@@ -315,7 +316,7 @@ impl App {
                 self.jobs.home();
                 self.request(Command::Home, OnAck::Nothing);
             }
-            Confirm::Tare => self.request(Command::Tare, OnAck::Say("tare begun")),
+            Confirm::Tare => self.request(Command::Tare, OnAck::Notify("tare started")),
             Confirm::Quit(_) => self.quitting = true,
         }
     }

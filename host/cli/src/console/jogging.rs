@@ -201,7 +201,7 @@ impl Jogging {
 
     /// Handles a jog key in continuous mode. Returns true when it starts motion of a stationary
     /// axis.
-    pub fn key(&mut self, axis: usize, up: bool, phase: KeyPhase, now_us: u64) -> bool {
+    pub fn handle_key(&mut self, axis: usize, up: bool, phase: KeyPhase, now_us: u64) -> bool {
         let Some(slot) = self.held.get(axis).copied() else {
             return false;
         };
@@ -310,7 +310,7 @@ mod tests {
     #[test]
     fn press_counts_for_the_dead_man_time() {
         let mut jogging = jogging();
-        assert!(jogging.key(0, true, KeyPhase::Press, 0));
+        assert!(jogging.handle_key(0, true, KeyPhase::Press, 0));
         let JogCommand::Move { rates, deadline_ms } = jogging.command(0) else {
             panic!()
         };
@@ -325,7 +325,7 @@ mod tests {
         assert!(!is_commanding(&mut jogging, 200 * MS));
         // Repeats keep the jog alive, however many there are.
         for now in (300..2000).step_by(33) {
-            jogging.key(0, true, KeyPhase::Press, now * MS);
+            jogging.handle_key(0, true, KeyPhase::Press, now * MS);
             assert!(is_commanding(&mut jogging, now * MS));
         }
     }
@@ -333,15 +333,15 @@ mod tests {
     #[test]
     fn release_cancels_and_repeat_of_a_released_key_is_ignored() {
         let mut jogging = jogging();
-        jogging.key(2, false, KeyPhase::Press, 0);
+        jogging.handle_key(2, false, KeyPhase::Press, 0);
         jogging.command(0);
-        jogging.key(2, false, KeyPhase::Release, 50 * MS);
+        jogging.handle_key(2, false, KeyPhase::Release, 50 * MS);
         assert_eq!(jogging.command(50 * MS), JogCommand::Cancel);
         assert_eq!(jogging.command(51 * MS), JogCommand::None);
-        jogging.key(2, false, KeyPhase::Repeat, 60 * MS);
+        jogging.handle_key(2, false, KeyPhase::Repeat, 60 * MS);
         assert_eq!(jogging.command(60 * MS), JogCommand::None);
         // From now on the first press of this key counts until repeats begin.
-        jogging.key(2, false, KeyPhase::Press, 100 * MS);
+        jogging.handle_key(2, false, KeyPhase::Press, 100 * MS);
         assert!(is_commanding(&mut jogging, 799 * MS));
         assert!(!is_commanding(&mut jogging, 800 * MS));
     }
@@ -349,15 +349,15 @@ mod tests {
     #[test]
     fn stop_requires_a_new_press() {
         let mut jogging = jogging();
-        jogging.key(1, true, KeyPhase::Press, 0);
+        jogging.handle_key(1, true, KeyPhase::Press, 0);
         jogging.command(0);
         jogging.release_all(10 * MS);
         assert_eq!(jogging.command(10 * MS), JogCommand::Cancel);
-        jogging.key(1, true, KeyPhase::Press, 100 * MS);
+        jogging.handle_key(1, true, KeyPhase::Press, 100 * MS);
         assert_eq!(jogging.command(100 * MS), JogCommand::None);
-        jogging.key(1, true, KeyPhase::Repeat, 400 * MS);
+        jogging.handle_key(1, true, KeyPhase::Repeat, 400 * MS);
         assert_eq!(jogging.command(400 * MS), JogCommand::None);
-        jogging.key(1, true, KeyPhase::Press, 401 * MS);
+        jogging.handle_key(1, true, KeyPhase::Press, 401 * MS);
         assert!(is_commanding(&mut jogging, 401 * MS));
     }
 
@@ -367,16 +367,16 @@ mod tests {
         for _ in 0..9 {
             jogging.select(true);
         }
-        jogging.key(3, true, KeyPhase::Release, 0);
-        jogging.key(0, false, KeyPhase::Release, 0);
-        jogging.key(3, true, KeyPhase::Press, 0);
-        jogging.key(0, false, KeyPhase::Press, 0);
+        jogging.handle_key(3, true, KeyPhase::Release, 0);
+        jogging.handle_key(0, false, KeyPhase::Release, 0);
+        jogging.handle_key(3, true, KeyPhase::Press, 0);
+        jogging.handle_key(0, false, KeyPhase::Press, 0);
         let JogCommand::Move { rates, .. } = jogging.command(0) else {
             panic!()
         };
         assert_eq!((rates[0], rates[3]), (-50.0, 30.0));
         // A key without release reports replaces the other keys.
-        jogging.key(1, true, KeyPhase::Press, 10 * MS);
+        jogging.handle_key(1, true, KeyPhase::Press, 10 * MS);
         let JogCommand::Move { rates, .. } = jogging.command(10 * MS) else {
             panic!()
         };
@@ -407,9 +407,9 @@ mod tests {
                     }
                 }
                 match kind {
-                    0 => { jogging.key(axis, up, KeyPhase::Press, now); last = now }
-                    1 => { jogging.key(axis, up, KeyPhase::Repeat, now); last = now }
-                    2 => { jogging.key(axis, up, KeyPhase::Release, now); }
+                    0 => { jogging.handle_key(axis, up, KeyPhase::Press, now); last = now }
+                    1 => { jogging.handle_key(axis, up, KeyPhase::Repeat, now); last = now }
+                    2 => { jogging.handle_key(axis, up, KeyPhase::Release, now); }
                     _ => {
                         jogging.release_all(now);
                         let is_commanding = matches!(jogging.command(now), JogCommand::Move { .. });

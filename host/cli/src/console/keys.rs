@@ -300,7 +300,7 @@ impl Binding {
 impl Key {
     /// The key of an event. Upper and lower case differ, except with Ctrl.
     #[must_use]
-    pub fn of(event: &KeyEvent) -> Self {
+    pub fn from_event(event: &KeyEvent) -> Self {
         let control = event.modifiers.contains(KeyModifiers::CONTROL);
         let code = match event.code {
             KeyCode::Char(letter) if control => KeyCode::Char(letter.to_ascii_lowercase()),
@@ -321,7 +321,7 @@ impl Key {
 
     /// Action of the key whatever is open.
     #[must_use]
-    pub fn always_active(self) -> Option<Action> {
+    pub fn always_active_action(self) -> Option<Action> {
         self.binding()
             .filter(|binding| binding.always_active)
             .map(|binding| binding.action)
@@ -355,7 +355,7 @@ mod tests {
     use haptimill_machine_file::MachineFile;
 
     fn key(code: KeyCode, modifiers: KeyModifiers) -> Key {
-        Key::of(&KeyEvent::new(code, modifiers))
+        Key::from_event(&KeyEvent::new(code, modifiers))
     }
 
     #[test]
@@ -390,13 +390,13 @@ mod tests {
         );
         for letter in ('!'..='~').chain('à'..='ÿ') {
             assert_eq!(
-                key(KeyCode::Char(letter), KeyModifiers::NONE).always_active(),
+                key(KeyCode::Char(letter), KeyModifiers::NONE).always_active_action(),
                 None
             );
         }
         // Caps lock does not disable the stop key.
         assert_eq!(
-            key(KeyCode::Char('X'), KeyModifiers::CONTROL).always_active(),
+            key(KeyCode::Char('X'), KeyModifiers::CONTROL).always_active_action(),
             Some(Action::Stop)
         );
     }

@@ -46,7 +46,7 @@ pub(super) struct Setting<T> {
     /// Active value.
     pub(super) active: T,
     /// No other host can have changed it.
-    pub(super) known: bool,
+    pub(super) is_known: bool,
 }
 
 impl<T: Copy + PartialEq> Setting<T> {
@@ -55,7 +55,7 @@ impl<T: Copy + PartialEq> Setting<T> {
             file,
             requested: file,
             active: file,
-            known: false,
+            is_known: false,
         }
     }
 
@@ -67,7 +67,7 @@ impl<T: Copy + PartialEq> Setting<T> {
 
     fn acknowledge(&mut self, value: T) {
         self.active = value;
-        self.known = true;
+        self.is_known = true;
     }
 
     fn reject(&mut self, value: T) {
@@ -186,7 +186,7 @@ impl Arm {
 
 impl Master {
     /// Settings of a machine; none without a haptic arm and without a remote master.
-    pub(super) fn of(machine: &MachineFile) -> Option<Self> {
+    pub(super) fn from_machine(machine: &MachineFile) -> Option<Self> {
         let config = &machine.config;
         let arm = config.haptic.as_ref().map(|haptic| Arm {
             feedback: Setting::new(haptic.reflection),

@@ -25,7 +25,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 /// The terminal is in raw mode with the alternate screen.
-static TAKEN: AtomicBool = AtomicBool::new(false);
+static ACTIVE: AtomicBool = AtomicBool::new(false);
 
 /// The terminal reports key releases.
 static ENHANCED: AtomicBool = AtomicBool::new(false);
@@ -44,7 +44,7 @@ const LAST_FRAME: Duration = Duration::from_millis(300);
 
 /// Restores the terminal. Errors are ignored: there is no terminal left to report them on.
 pub(super) fn restore() {
-    if !TAKEN.swap(false, Ordering::SeqCst) {
+    if !ACTIVE.swap(false, Ordering::SeqCst) {
         return;
     }
     let _ = disable_raw_mode();
@@ -104,7 +104,7 @@ pub(super) fn take(is_cancelled: &dyn Fn() -> bool) -> Result<(), CliError> {
 
 fn prepare(is_cancelled: &dyn Fn() -> bool) -> std::io::Result<()> {
     enable_raw_mode()?;
-    TAKEN.store(true, Ordering::SeqCst);
+    ACTIVE.store(true, Ordering::SeqCst);
     execute!(
         stdout(),
         EnterAlternateScreen,
@@ -216,7 +216,7 @@ impl Renderer {
         let has_ended = self.thread.is_finished();
         if !has_ended {
             // The mode of the terminal can be restored even if its output is stuck.
-            TAKEN.store(false, Ordering::SeqCst);
+            ACTIVE.store(false, Ordering::SeqCst);
             let _ = disable_raw_mode();
         }
         has_ended
@@ -227,7 +227,7 @@ fn render(shared: &Shared) -> std::io::Result<()> {
     let mut terminal = Terminal::new(CrosstermBackend::new(stdout()))?;
     let mut last: Option<Box<ViewModel>> = None;
     loop {
-        let begun = Instant::now();
+        let started = Instant::now();
         let end = {
             let Ok(newest) = shared.newest.lock() else {
                 return Ok(());
@@ -244,7 +244,7 @@ fn render(shared: &Shared) -> std::io::Result<()> {
             newest.1
         };
         // A panic in another thread has restored the terminal.
-        if !TAKEN.load(Ordering::SeqCst) {
+        if !ACTIVE.load(Ordering::SeqCst) {
             return Ok(());
         }
         if let Some(view) = &last {
@@ -253,6 +253,6 @@ fn render(shared: &Shared) -> std::io::Result<()> {
         if end {
             return Ok(());
         }
-        std::thread::sleep(FRAME.saturating_sub(begun.elapsed()));
+        std::thread::sleep(FRAME.saturating_sub(started.elapsed()));
     }
 }

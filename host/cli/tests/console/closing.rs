@@ -10,9 +10,9 @@ use std::time::{Duration, Instant};
 
 /// Holds a key down for a time, as a repeating keyboard does.
 fn hold_down(terminal: &Terminal, key: &[u8], time: Duration) {
-    let begun = Instant::now();
-    while begun.elapsed() < time {
-        terminal.keys(key);
+    let started = Instant::now();
+    while started.elapsed() < time {
+        terminal.press(key);
         std::thread::sleep(Duration::from_millis(30));
     }
 }
@@ -24,12 +24,12 @@ pub fn signal(terminal: &Terminal, signal: Signal) {
 
 /// The machine is idle within five seconds, and does not move afterwards.
 fn assert_stays_idle(machine: &Machine) {
-    let begun = Instant::now();
+    let started = Instant::now();
     machine.wait_for_state(State::Idle);
     assert!(
-        begun.elapsed() < Duration::from_secs(5),
+        started.elapsed() < Duration::from_secs(5),
         "{:?}",
-        begun.elapsed()
+        started.elapsed()
     );
     let at = machine.now().commanded;
     std::thread::sleep(Duration::from_millis(900));
@@ -45,13 +45,13 @@ fn closing_the_terminal_during_a_jog_stops_the_machine() {
     assert_eq!(machine.now().state, State::Jog);
     terminal.close();
     assert_stays_idle(&machine);
-    assert_eq!(terminal.end(), 7);
+    assert_eq!(terminal.exit_code(), 7);
 }
 
 #[test]
 fn closing_the_terminal_during_a_program_stops_the_machine_along_its_path() {
     let folder = scene::Folder::new();
-    let program = folder.file("way.ngc", "G21 G90 F600\nG1 X100\nM30\n");
+    let program = folder.file("move.ngc", "G21 G90 F600\nG1 X100\nM30\n");
     let machine = Machine::start();
     let mut terminal = homed(&["--port", &machine.port, &program], Keyboard::Plain);
     run(&terminal);
@@ -61,7 +61,7 @@ fn closing_the_terminal_during_a_program_stops_the_machine_along_its_path() {
     // Stopped by command, not by the heartbeat fault after 500 ms.
     assert_stays_idle(&machine);
     assert!(machine.now().commanded < 50.0);
-    assert_eq!(terminal.end(), 7);
+    assert_eq!(terminal.exit_code(), 7);
 }
 
 #[test]
@@ -73,7 +73,7 @@ fn killing_the_console_during_a_jog_stops_the_machine_by_the_deadline() {
     signal(&terminal, Signal::KILL);
     let killed = Instant::now();
     assert_stays_idle(&machine);
-    assert_eq!(terminal.end(), -1);
+    assert_eq!(terminal.exit_code(), -1);
     let samples = machine.samples();
     let mut moves = samples
         .windows(2)
@@ -90,10 +90,10 @@ fn killing_the_console_during_a_jog_stops_the_machine_by_the_deadline() {
 fn signals_end_the_console_and_the_terminal_is_restored() {
     for kind in [Signal::TERM, Signal::HUP, Signal::INT] {
         let mut terminal = console(&[], Keyboard::Kitty);
-        terminal.state("DISABLED");
+        terminal.expect_state("DISABLED");
         assert!(!terminal.is_restored());
         signal(&terminal, kind);
-        assert_eq!(terminal.end(), 7, "{kind:?}");
+        assert_eq!(terminal.exit_code(), 7, "{kind:?}");
         assert!(terminal.is_restored(), "{kind:?}\n{}", terminal.text());
         terminal.expect_text("console ended by a signal; the machine is disabled");
     }
@@ -106,15 +106,15 @@ fn terminal_loss_during_the_query_ends_the_console() {
         terminal.wait_until("took the terminal", |_| {
             terminal.with_screen(|screen| screen.alternate_screen())
         });
-        let begun = Instant::now();
+        let started = Instant::now();
         if closes {
             terminal.close();
         } else {
             signal(&terminal, Signal::TERM);
         }
-        assert_eq!(terminal.end(), 7);
+        assert_eq!(terminal.exit_code(), 7);
         // The query of the terminal would wait two seconds for an answer.
-        let took = begun.elapsed();
+        let took = started.elapsed();
         assert!(took < Duration::from_millis(1800), "{took:?}");
         assert!(closes || terminal.is_restored());
     }
@@ -128,11 +128,11 @@ fn quit_asks_first_when_drives_are_on() {
         b"q",
         "Quit? the machine is at standstill; the drives stay on and hold.",
     );
-    terminal.keys(b"n");
+    terminal.press(b"n");
     terminal.wait_until("closed the question", |text| !text.contains("Quit?"));
     terminal.press_expect(b"\x03", "Quit?");
-    terminal.keys(ENTER);
-    assert_eq!(terminal.end(), 0);
+    terminal.press(ENTER);
+    assert_eq!(terminal.exit_code(), 0);
     terminal.expect_text("console left; the machine is idle");
     assert!(terminal.is_restored());
     assert_eq!(machine.now().state, State::Idle);
@@ -163,7 +163,7 @@ fn missing_terminal_and_invalid_arguments_are_usage_errors() {
 #[test]
 fn absent_port_is_reported_at_the_start() {
     let mut terminal = console(&["--port", "tcp:127.0.0.1:1"], Keyboard::Plain);
-    assert_eq!(terminal.end(), 5);
+    assert_eq!(terminal.exit_code(), 5);
     assert!(terminal.is_restored());
     let text = terminal.text();
     assert!(text.contains("cannot be opened"), "{text}");
@@ -180,27 +180,27 @@ fn faults_are_shown_with_their_remedy() {
         ],
         Keyboard::Plain,
     );
-    terminal.state("EMERGENCY STOP");
+    terminal.expect_state("EMERGENCY STOP");
     terminal.expect_text("EMERGENCY STOP: drives off. Remove the cause, then x resets");
     let reset = || {
-        let begun = Instant::now();
+        let started = Instant::now();
         while terminal.row(0).starts_with(" FAULT") || terminal.row(0).starts_with(" EMERG") {
-            terminal.keys(b"x");
+            terminal.press(b"x");
             std::thread::sleep(Duration::from_millis(200));
-            assert!(begun.elapsed() < terminal::TIMEOUT, "{}", terminal.text());
+            assert!(started.elapsed() < terminal::TIMEOUT, "{}", terminal.text());
         }
     };
     reset();
-    terminal.keys(b"e");
-    terminal.state("IDLE");
+    terminal.press(b"e");
+    terminal.expect_state("IDLE");
     // Jog in both directions until the slide jams.
-    let begun = Instant::now();
+    let started = Instant::now();
     for key in [RIGHT, LEFT].iter().cycle() {
         if terminal.row(0).starts_with(" FAULT") {
             break;
         }
         hold_down(&terminal, key, Duration::from_millis(300));
-        assert!(begun.elapsed() < terminal::TIMEOUT, "{}", terminal.text());
+        assert!(started.elapsed() < terminal::TIMEOUT, "{}", terminal.text());
     }
     terminal.expect_text("FAULT: l1 ");
     terminal.expect_text("Key: x resets");

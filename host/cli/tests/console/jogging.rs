@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 /// Commanded coordinate of an axis on the screen, at standstill.
 #[track_caller]
 fn at(terminal: &Terminal, axis: &str) -> f64 {
-    terminal.state("IDLE");
+    terminal.expect_state("IDLE");
     // The displayed state may be older than the end of the motion.
     std::thread::sleep(Duration::from_millis(120));
     terminal
@@ -27,15 +27,15 @@ fn every_axis_jogs_both_ways_and_stops_after_the_dead_man_time() {
         ("alpha", b"m".as_slice(), b"n".as_slice()),
     ] {
         let before = at(&terminal, axis);
-        terminal.keys(up);
-        terminal.state("JOG");
+        terminal.press(up);
+        terminal.expect_state("JOG");
         let after = at(&terminal, axis);
         // At most 5 mm/s for 200 ms; less when a busy computer delayed the simulated machine, never
         // more.
         let travel = after - before;
         assert!((0.2..1.15).contains(&travel), "{axis} {before} {after}");
-        terminal.keys(down);
-        terminal.state("JOG");
+        terminal.press(down);
+        terminal.expect_state("JOG");
         let back = at(&terminal, axis);
         let travel = after - back;
         assert!((0.2..1.15).contains(&travel), "{axis} {after} {back}");
@@ -43,8 +43,8 @@ fn every_axis_jogs_both_ways_and_stops_after_the_dead_man_time() {
     // A lower rate moves less far.
     terminal.press_expect(b"sss", "continuous 0.5 mm/s");
     let before = at(&terminal, "x");
-    terminal.keys(RIGHT);
-    terminal.state("JOG");
+    terminal.press(RIGHT);
+    terminal.expect_state("JOG");
     let after = at(&terminal, "x");
     assert!((0.02..0.12).contains(&(after - before)), "{before} {after}");
 }
@@ -56,27 +56,27 @@ fn steps_are_exact_and_one_per_key_press() {
     let before = at(&terminal, "y");
     terminal.press_expect(b"ss", "step 0.001 mm");
     for _ in 0..3 {
-        terminal.keys(UP);
+        terminal.press(UP);
         std::thread::sleep(Duration::from_millis(300));
     }
     let after = at(&terminal, "y");
     assert!((after - before - 0.003).abs() < 1e-6, "{before} {after}");
     terminal.press_expect(b"ffff", "step 10 mm");
-    terminal.keys(DOWN);
-    terminal.state("RUN");
+    terminal.press(DOWN);
+    terminal.expect_state("RUN");
     let down = at(&terminal, "y");
     assert!((down - after + 10.0).abs() < 1e-6, "{after} {down}");
     // Hold ends a step and leaves nothing to resume.
-    terminal.keys(UP);
-    terminal.state("RUN");
-    terminal.keys(SPACE);
+    terminal.press(UP);
+    terminal.expect_state("RUN");
+    terminal.press(SPACE);
     let stopped = at(&terminal, "y");
     assert!(stopped > down && stopped < down + 9.9, "{down} {stopped}");
     // A rotary axis moves in steps of degrees.
     terminal.press_expect(b"s", "step 1 mm");
     let tilt = at(&terminal, "theta");
-    terminal.keys(b".");
-    terminal.state("RUN");
+    terminal.press(b".");
+    terminal.expect_state("RUN");
     assert!((at(&terminal, "theta") - tilt - 1.0).abs() < 1e-6);
 }
 
@@ -85,38 +85,38 @@ fn held_key_keeps_jogging_and_release_stops_at_once() {
     let machine = Machine::start();
     let terminal = homed(&["--port", &machine.port], Keyboard::Kitty);
     // The first release shows that the terminal reports releases.
-    terminal.keys(b"\x1b[1;1:1C");
+    terminal.press(b"\x1b[1;1:1C");
     machine.wait_for_state(haptimill_protocol::message::State::Jog);
-    terminal.keys(b"\x1b[1;1:3C");
+    terminal.press(b"\x1b[1;1:3C");
     machine.wait_for_standstill(Duration::from_millis(300));
     terminal.expect_text("ends on release");
     // Longer than the dead-man time without a repeat, as before a keyboard starts to repeat.
-    terminal.keys(b"\x1b[1;1:1C");
-    let begun = Instant::now();
+    terminal.press(b"\x1b[1;1:1C");
+    let started = Instant::now();
     std::thread::sleep(Duration::from_millis(450));
     assert_eq!(machine.now().state, haptimill_protocol::message::State::Jog);
     for _ in 0..10 {
-        terminal.keys(b"\x1b[1;1:2C");
+        terminal.press(b"\x1b[1;1:2C");
         std::thread::sleep(Duration::from_millis(30));
     }
     let released = machine.now().commanded;
-    terminal.keys(b"\x1b[1;1:3C");
+    terminal.press(b"\x1b[1;1:3C");
     machine.wait_for_standstill(Duration::from_millis(300));
     let travel = machine.now().commanded - released;
     // 5 mm/s during the latency of the release, then 63 ms of deceleration; without the release it
     // would be 1 mm or more.
     assert!(
-        travel < 0.7 || begun.elapsed() > Duration::from_secs(3),
+        travel < 0.7 || started.elapsed() > Duration::from_secs(3),
         "{travel} mm after the release"
     );
     // Repeats of a key that a hold released move nothing.
-    terminal.keys(b"\x1b[1;1:1C");
+    terminal.press(b"\x1b[1;1:1C");
     machine.wait_for_state(haptimill_protocol::message::State::Jog);
-    terminal.keys(SPACE);
+    terminal.press(SPACE);
     machine.wait_for_standstill(Duration::from_millis(400));
     let stopped = machine.now().commanded;
     for _ in 0..5 {
-        terminal.keys(b"\x1b[1;1:2C");
+        terminal.press(b"\x1b[1;1:2C");
         std::thread::sleep(Duration::from_millis(30));
     }
     machine.wait_for_standstill(Duration::from_millis(200));
@@ -126,18 +126,18 @@ fn held_key_keeps_jogging_and_release_stops_at_once() {
 #[test]
 fn jog_is_refused_when_not_ready_and_pasted_text_is_ignored() {
     let terminal = console(&[], Keyboard::Plain);
-    terminal.state("DISABLED");
+    terminal.expect_state("DISABLED");
     terminal.press_expect(RIGHT, "jog: not possible while the machine is disabled");
-    terminal.keys(b"e");
-    terminal.state("IDLE");
+    terminal.press(b"e");
+    terminal.expect_state("IDLE");
     terminal.press_expect(RIGHT, "jog: home the machine first");
     // Pasted text and a split escape sequence are not key input.
     terminal.press_expect(
         b"\x1b[200~hhh\reee\x1b[201~",
         "pasted text is not taken as key input",
     );
-    terminal.keys(b"[C");
-    terminal.keys(b"[15~ABCD");
+    terminal.press(b"[C");
+    terminal.press(b"[15~ABCD");
     std::thread::sleep(Duration::from_millis(200));
     assert!(terminal.text().contains("continuous 5 mm/s"));
     assert!(!terminal.text().contains("Home?"), "{}", terminal.text());

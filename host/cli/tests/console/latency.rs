@@ -78,17 +78,17 @@ fn measure(keyboard: Keyboard, down: &[u8], again: &[u8], up: Option<&[u8]>) -> 
         machine.wait_for_standstill(Duration::from_millis(250));
         machine.clear_samples();
         let pressed = Instant::now();
-        terminal.keys(down);
+        terminal.press(down);
         let mut last = pressed;
         for _ in 0..5 {
             std::thread::sleep(Duration::from_millis(30));
             last = Instant::now();
-            terminal.keys(again);
+            terminal.press(again);
         }
         if let Some(up) = up {
             std::thread::sleep(Duration::from_millis(20));
             last = Instant::now();
-            terminal.keys(up);
+            terminal.press(up);
         }
         machine.wait_for_standstill(Duration::from_millis(250));
         // The first press shows the console which keyboard protocol the terminal has.

@@ -74,10 +74,10 @@ impl Machine {
     /// Waits until the machine is in a state.
     #[track_caller]
     pub fn wait_for_state(&self, state: State) {
-        let begun = Instant::now();
+        let started = Instant::now();
         while self.now().state != state {
             assert!(
-                begun.elapsed() < super::terminal::TIMEOUT,
+                started.elapsed() < super::terminal::TIMEOUT,
                 "timeout: state {state}, now {:?}",
                 self.now()
             );
@@ -113,11 +113,11 @@ fn run(server: &mut TcpServer, samples: &Mutex<Vec<Sample>>, end: &AtomicBool) {
         panic!("configuration refused");
     };
     let period_ns = u64::from(file.config.period_us) * 1000;
-    let begun = Instant::now();
+    let started = Instant::now();
     let mut skipped = 0;
     let (mut buffer, mut output) = ([0; 4096], Vec::new());
     while !end.load(Ordering::Relaxed) {
-        let real = begun.elapsed().as_nanos() as u64;
+        let real = started.elapsed().as_nanos() as u64;
         let mut behind = real.saturating_sub(rig.time_ns() + skipped);
         if behind > 20_000_000 {
             skipped += behind - 20_000_000;

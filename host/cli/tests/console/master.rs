@@ -65,7 +65,7 @@ fn feedback_fixture_and_scale_are_set_and_range_errors_reported() {
         served.port.as_str(),
     ];
     let terminal = console(&arguments, Keyboard::Plain);
-    terminal.state("DISABLED");
+    terminal.expect_state("DISABLED");
     terminal.press_expect(b"w", TITLE);
     terminal.expect_text("clutch open; motors off");
     terminal.escape();
@@ -76,8 +76,8 @@ fn feedback_fixture_and_scale_are_set_and_range_errors_reported() {
     ] {
         terminal.expect_text(panel);
     }
-    terminal.keys(b"e");
-    terminal.state("IDLE");
+    terminal.press(b"e");
+    terminal.expect_state("IDLE");
     terminal.press_expect(b"w", "motors on");
     // Values of the machine file, which this console sent.
     terminal.wait_until("x as in the machine file", |text| {
@@ -88,30 +88,30 @@ fn feedback_fixture_and_scale_are_set_and_range_errors_reported() {
     terminal.press_expect(b"55\r", "55 %");
     terminal.press_expect(b"+", "60 %");
     terminal.press_expect(b"-----", "35 %");
-    terminal.keys(RIGHT);
+    terminal.press(RIGHT);
     terminal.press_expect(b"11\r", "11 N is out of its range, 0 to 10 N");
     terminal.press_expect(b"2.6\r", "2.6 N");
     // A face at the tip, and none so close to it that the ball at the tip does not fit.
-    terminal.keys(RIGHT);
+    terminal.press(RIGHT);
     terminal.press_expect(b"5", "the fixture face is set at the tip");
     terminal.press_expect(ENTER, "lower face of x set at the tip");
-    terminal.keys(RIGHT);
+    terminal.press(RIGHT);
     terminal.press_expect(ENTER, "upper face of x: the ball at the tip does not fit");
-    terminal.keys(LEFT);
+    terminal.press(LEFT);
     terminal.press_expect(ENTER, "lower face of x removed");
-    terminal.keys(RIGHT);
+    terminal.press(RIGHT);
     terminal.press_expect(ENTER, "upper face of x set at the tip");
     // All faces at once, and the force feedback of all axes.
     for _ in 0..3 {
-        terminal.keys(DOWN);
+        terminal.press(DOWN);
     }
     terminal.press_expect(ENTER, "all faces removed");
     for _ in 0..3 {
-        terminal.keys(LEFT);
+        terminal.press(LEFT);
     }
-    terminal.keys(b"20\r");
+    terminal.press(b"20\r");
     terminal.wait_until("20 % of each", |text| text.matches("20 %").count() == 4);
-    terminal.keys(DOWN);
+    terminal.press(DOWN);
     terminal.press_expect(b"3\r", "G_P of 3 is out of its range: 0.1 to 2");
     terminal.press_expect(b"0.5\r", "position scale 0.50");
     terminal.press_expect(
@@ -133,7 +133,7 @@ fn feedback_fixture_and_scale_are_set_and_range_errors_reported() {
     // Another console has the values of the machine file, marked as unknown.
     drop(terminal);
     let terminal = console(&arguments, Keyboard::Plain);
-    terminal.state("IDLE");
+    terminal.expect_state("IDLE");
     terminal.press_expect(b"w", "40 %?");
     terminal.expect_text("? another host may have changed it");
 }
@@ -148,8 +148,8 @@ fn fixture_force_is_proportional_to_depth_and_the_master_drives_x() {
     let arguments = ["--machine", &machine_file, "--port", &served.port, &program];
     let terminal = homed(&arguments, Keyboard::Plain);
     terminal.press_expect(b"w", "clutch closed, drives no axis");
-    terminal.keys(RIGHT);
-    terminal.keys(RIGHT);
+    terminal.press(RIGHT);
+    terminal.press(RIGHT);
     // Near the middle of the operator trajectory.
     terminal.wait_until("in the middle", |text| {
         settings(text).is_some_and(|x| (-2.0..5.0).contains(&x[2]))
@@ -165,9 +165,9 @@ fn fixture_force_is_proportional_to_depth_and_the_master_drives_x() {
         (force > 0.5).then_some((force, face - tip))
     };
     terminal.wait_until("fixture force", |text| fixture_force(text).is_some());
-    let begun = Instant::now();
+    let started = Instant::now();
     let mut samples = 0;
-    while begun.elapsed() < Duration::from_secs(6) {
+    while started.elapsed() < Duration::from_secs(6) {
         if let Some((force, depth)) = fixture_force(&terminal.text()) {
             samples += 1;
             assert!(
@@ -183,15 +183,15 @@ fn fixture_force_is_proportional_to_depth_and_the_master_drives_x() {
     // force.
     drop(terminal);
     let terminal = console(&arguments, Keyboard::Plain);
-    terminal.state("IDLE");
+    terminal.expect_state("IDLE");
     terminal.press_expect(b"w", TITLE);
     terminal.wait_until("fixture recognised", |text| fixture_force(text).is_some());
     terminal.expect_text("none?");
     for _ in 0..3 {
-        terminal.keys(DOWN);
+        terminal.press(DOWN);
     }
-    terminal.keys(RIGHT);
-    terminal.keys(RIGHT);
+    terminal.press(RIGHT);
+    terminal.press(RIGHT);
     terminal.press_expect(ENTER, "all faces removed");
     terminal.wait_until("free", |text| {
         forces(text).is_some_and(|x| x.last() == Some(&0.0))
@@ -206,8 +206,8 @@ fn fixture_force_is_proportional_to_depth_and_the_master_drives_x() {
     terminal.escape();
     let first = commanded_x(&terminal);
     terminal.wait_until("x driven", |_| (commanded_x(&terminal) - first).abs() > 2.0);
-    terminal.keys(STOP);
-    terminal.state("IDLE");
+    terminal.press(STOP);
+    terminal.expect_state("IDLE");
     terminal.press_expect(b"a", "Axis sources:");
     terminal.press_expect(b"p", "x: program");
 }
@@ -221,25 +221,25 @@ fn failed_arm_is_reported_and_takes_no_fixture() {
         &["--machine", &machine_file, "--fault", trip],
         Keyboard::Plain,
     );
-    terminal.state("DISABLED");
+    terminal.expect_state("DISABLED");
     terminal.press_expect(b"w", TITLE);
     terminal.escape();
-    terminal.keys(b"e");
+    terminal.press(b"e");
     terminal.press_expect(b"w", "an amplifier of the haptic arm reports a fault");
     terminal.expect_text("motors off");
-    terminal.keys(RIGHT);
-    terminal.keys(RIGHT);
+    terminal.press(RIGHT);
+    terminal.press(RIGHT);
     terminal.press_expect(ENTER, "lower face of x: the position of the tip is unknown");
 }
 
 #[test]
 fn machine_without_a_master_reports_it() {
     let terminal = console(&[], Keyboard::Plain);
-    terminal.state("DISABLED");
+    terminal.expect_state("DISABLED");
     terminal.press_expect(b"w", "this machine has no haptic arm and no remote master");
     assert!(!terminal.text().contains(TITLE), "{}", terminal.text());
-    terminal.keys(b"e");
-    terminal.state("IDLE");
+    terminal.press(b"e");
+    terminal.expect_state("IDLE");
     terminal.press_expect(b"a", "Axis sources:");
     terminal.press_expect(b"m", "source: no hand can lead this machine");
 }
@@ -249,15 +249,15 @@ fn remote_master_machine_has_a_scale_and_a_master_board_its_forces() {
     let folder = Folder::new();
     let machine_file = folder.machine_with(FOLLOW);
     let terminal = console(&["--machine", &machine_file], Keyboard::Plain);
-    terminal.state("DISABLED");
+    terminal.expect_state("DISABLED");
     terminal.press_expect(b"w", "this machine follows a remote master");
     terminal.press_expect(b"0.25\r", "position scale 0.25");
-    terminal.keys(UP);
+    terminal.press(UP);
     terminal.press_expect(b"+", "position scale 0.40");
     drop(terminal);
     let terminal = console(&["--machine", "machines/hand-master.toml"], Keyboard::Plain);
-    terminal.state("DISABLED");
-    terminal.keys(b"e");
+    terminal.expect_state("DISABLED");
+    terminal.press(b"e");
     terminal.press_expect(b"w", "motors on");
     terminal.wait_until("no tool", |text| {
         row(text, "law").is_some_and(|row| row.contains(" - "))
@@ -275,7 +275,7 @@ fn master_panel_depends_on_the_terminal_height() {
     let folder = Folder::new();
     let machine_file = folder.machine_with(HAND);
     let terminal = console(&["--machine", &machine_file], Keyboard::Plain);
-    terminal.state("DISABLED");
+    terminal.expect_state("DISABLED");
     let panel = "Master ─ force ─ law ─ fixture";
     terminal.expect_text("Force high low master");
     assert!(!terminal.text().contains(panel));
@@ -297,7 +297,7 @@ fn master_panel_depends_on_the_terminal_height() {
     terminal.resize(40, 10);
     terminal.wait_until("x marked", |text| text.contains("40 %"));
     for _ in 0..4 {
-        terminal.keys(DOWN);
+        terminal.press(DOWN);
     }
     terminal.expect_text("position scale 1.00");
     terminal.resize(80, 24);

@@ -19,13 +19,13 @@ fn hold_resume_stop_and_emergency_work_whatever_is_open() {
     terminal.expect_text("long.ngc  line 2/");
     // The program pause.
     terminal.expect_text("program pause in line 3. Ctrl-R resumes");
-    terminal.state("HOLD");
-    terminal.keys(RESUME);
-    terminal.state("RUN");
+    terminal.expect_state("HOLD");
+    terminal.press(RESUME);
+    terminal.expect_state("RUN");
     // Hold while the key table is open, resume while a name is typed.
     terminal.press_expect(b"?", "Keys: arrows scroll");
-    terminal.keys(SPACE);
-    terminal.state("HOLD");
+    terminal.press(SPACE);
+    terminal.expect_state("HOLD");
     let held = || {
         std::thread::sleep(Duration::from_millis(700));
         let first = terminal.text();
@@ -41,39 +41,39 @@ fn hold_resume_stop_and_emergency_work_whatever_is_open() {
     terminal.expect_text("on hold. Ctrl-R resumes");
     let (before, after) = held();
     assert_eq!(row(&before), row(&after));
-    terminal.keys(b"p");
-    terminal.keys(b"some name");
+    terminal.press(b"p");
+    terminal.press(b"some name");
     // A letter of a name is no key; the space in it is.
     terminal.expect_text("somename_");
-    terminal.keys(RESUME);
-    terminal.state("RUN");
-    terminal.keys(b"\x15");
-    terminal.keys(STOP);
-    terminal.state("IDLE");
+    terminal.press(RESUME);
+    terminal.expect_state("RUN");
+    terminal.press(b"\x15");
+    terminal.press(STOP);
+    terminal.expect_state("IDLE");
     terminal.expect_text("long.ngc: dropped");
     terminal.escape();
     // Again from the present pose with a lower override; then the emergency stop while a question
     // is open.
     for _ in 0..5 {
-        terminal.keys(b"-");
+        terminal.press(b"-");
     }
     terminal.expect_text("override 50 %");
     run(&terminal);
     terminal.expect_text("path speed 50 %");
     terminal.press_expect(b"q", "Quit?");
-    terminal.keys(EMERGENCY);
-    terminal.state("EMERGENCY STOP");
+    terminal.press(EMERGENCY);
+    terminal.expect_state("EMERGENCY STOP");
     terminal.expect_text("EMERGENCY STOP: drives off");
     terminal.escape();
     terminal.press_expect(
         b"e",
         "enable: not possible while the machine is in emergency stop",
     );
-    terminal.keys(b"x");
-    terminal.state("DISABLED");
-    terminal.keys(b"q");
+    terminal.press(b"x");
+    terminal.expect_state("DISABLED");
+    terminal.press(b"q");
     let mut terminal = terminal;
-    assert_eq!(terminal.end(), 0, "{}", terminal.text());
+    assert_eq!(terminal.exit_code(), 0, "{}", terminal.text());
     assert!(terminal.is_restored());
     // Seen by another host: the drives are off, the machine is reset.
     assert_eq!(served.status()["state"], "Disabled");
@@ -88,11 +88,11 @@ fn program_runs_to_its_end_with_a_recording() {
     terminal.press_expect(b"l", "REC console-");
     run(&terminal);
     terminal.expect_text("short.ngc: done");
-    terminal.state("IDLE");
+    terminal.expect_state("IDLE");
     terminal.press_expect(b"l", " rows");
     terminal.press_expect(b"q", "the drives stay on and hold");
-    terminal.keys(ENTER);
-    assert_eq!(terminal.end(), 0);
+    terminal.press(ENTER);
+    assert_eq!(terminal.exit_code(), 0);
     let file = std::fs::read_dir(&out)
         .unwrap()
         .map(|entry| entry.unwrap().path())
@@ -123,7 +123,7 @@ fn program_runs_to_its_end_with_a_recording() {
 #[test]
 fn program_can_be_selected_right_at_standstill() {
     let folder = Folder::new();
-    let program = folder.file("way.ngc", "G21 G90 F600\nG1 X1\nM30\n");
+    let program = folder.file("move.ngc", "G21 G90 F600\nG1 X1\nM30\n");
     let served = Served::on("pty", &["--fault", "link-delay ms=100"]);
     // A line as slow as this one also carries fewer reports.
     let line = ["--port", &served.port, "--baud", "9600", &program];
@@ -137,7 +137,7 @@ fn program_error_is_reported_with_its_line() {
     let bad = folder.file("bad.ngc", "G21\nG1 X10 F600\nG1 X900\nM30\n");
     // Given on the command line: reported before the screen is taken over.
     let mut terminal = console(&[&bad], Keyboard::Plain);
-    assert_eq!(terminal.end(), 4);
+    assert_eq!(terminal.exit_code(), 4);
     assert!(terminal.is_restored());
     assert!(
         terminal.text().contains("bad.ngc:3:"),
@@ -147,12 +147,12 @@ fn program_error_is_reported_with_its_line() {
     // Typed: reported on the screen.
     let terminal = homed(&[], Keyboard::Plain);
     terminal.press_expect(b"p", "Part program");
-    terminal.keys(bad.as_bytes());
+    terminal.press(bad.as_bytes());
     terminal.press_expect(ENTER, "Program rejected");
     terminal.expect_text("bad.ngc:3:");
     terminal.escape();
-    terminal.state("IDLE");
-    terminal.keys(b"p");
+    terminal.expect_state("IDLE");
+    terminal.press(b"p");
     terminal.press_expect(b"\x15/nowhere.ngc\r", "/nowhere.ngc: cannot be read");
 }
 
@@ -161,7 +161,7 @@ fn axis_sources_and_force_control_are_set_from_the_screen() {
     let served = Served::on_tcp(&[]);
     let terminal = homed(&["--port", &served.port], Keyboard::Plain);
     terminal.press_expect(b"a", "Axis sources:");
-    terminal.keys(DOWN);
+    terminal.press(DOWN);
     terminal.press_expect(b"h", "y: hold");
     terminal.escape();
     terminal.wait_until("held y", |text| {
@@ -171,11 +171,11 @@ fn axis_sources_and_force_control_are_set_from_the_screen() {
     terminal.press_expect(b"t", "Tare?");
     terminal.press_expect(ENTER, "the force sensor has a new zero");
     terminal.press_expect(b"y", "Force control:");
-    terminal.press_expect(ENTER, "x yields");
+    terminal.press_expect(ENTER, "x on   setpoint");
     terminal.press_expect(b"++", "setpoint 6.0 N");
     // Refused by the controller, with its bound.
     for _ in 0..12 {
-        terminal.keys(b"-");
+        terminal.press(b"-");
     }
     terminal.expect_text("force loop of x");
     terminal.escape();
@@ -183,12 +183,12 @@ fn axis_sources_and_force_control_are_set_from_the_screen() {
         text.lines().any(|row| row.contains("control x>"))
     });
     // The console quits and another host connects.
-    terminal.keys(b"q\r");
+    terminal.press(b"q\r");
     let mut terminal = terminal;
-    assert_eq!(terminal.end(), 0);
+    assert_eq!(terminal.exit_code(), 0);
     // Another console queries the controller, not the machine file.
     let terminal = console(&["--port", &served.port], Keyboard::Plain);
-    terminal.state("IDLE");
+    terminal.expect_state("IDLE");
     terminal.wait_until("force setpoint of the first console", |text| {
         text.lines()
             .any(|row| row.contains("control x>") && !row.contains("x>5.0N"))

@@ -42,16 +42,16 @@ fn screen_adapts_to_the_terminal_size() {
         }
     }
     // Keys still work afterwards, also in an overlay on a screen that is too small for it.
-    terminal.keys(RIGHT);
-    terminal.state("JOG");
-    terminal.state("IDLE");
+    terminal.press(RIGHT);
+    terminal.expect_state("JOG");
+    terminal.expect_state("IDLE");
     terminal.press_expect(b"?", "Keys: arrows scroll");
     terminal.resize(12, 4);
     std::thread::sleep(Duration::from_millis(250));
     terminal.resize(80, 24);
     terminal.expect_text("Keys: arrows scroll");
-    terminal.keys(DOWN);
-    terminal.keys(PAGE_DOWN);
+    terminal.press(DOWN);
+    terminal.press(PAGE_DOWN);
     terminal.escape();
     terminal.wait_until("closed", |text| !text.contains("Keys: arrows scroll"));
 }

@@ -208,7 +208,7 @@ fn a_key_is_a_step_and_a_closed_window_stops_the_machine() {
     window.expect_text("idle -> running");
     assert!(!window.is_restored());
     for _ in 0..3 {
-        window.keys(b"d");
+        window.press(b"d");
         std::thread::sleep(std::time::Duration::from_millis(200));
     }
     window.expect_text("Run free");
@@ -216,8 +216,8 @@ fn a_key_is_a_step_and_a_closed_window_stops_the_machine() {
     window.expect_text("Run free");
     window.press_expect(b" ", "running -> on hold");
     window.press_expect(b"g", "on hold -> running");
-    window.keys(b"q");
-    assert_eq!(window.end(), 0, "{}", window.text());
+    window.press(b"q");
+    assert_eq!(window.exit_code(), 0, "{}", window.text());
     assert!(window.is_restored());
     let made = records(&format!("{out}/recording.hmr"));
     within_limits(&made);

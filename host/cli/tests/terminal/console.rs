@@ -19,18 +19,18 @@ pub const EMERGENCY: &[u8] = b"\x05";
 #[track_caller]
 pub fn confirm(terminal: &Terminal, key: &[u8], question: &str) {
     terminal.press_expect(key, question);
-    terminal.keys(ENTER);
+    terminal.press(ENTER);
 }
 
 /// Enables the drives and homes the machine to its home pose.
 #[track_caller]
 pub fn home(terminal: &Terminal) {
-    terminal.state("DISABLED");
-    terminal.keys(b"e");
-    terminal.state("IDLE");
+    terminal.expect_state("DISABLED");
+    terminal.press(b"e");
+    terminal.expect_state("IDLE");
     confirm(terminal, b"h", "Home? The machine moves");
     terminal.expect_text("move to the home pose: done");
-    terminal.state("IDLE");
+    terminal.expect_state("IDLE");
 }
 
 /// Checks and starts the given program.
@@ -40,6 +40,6 @@ pub fn run(terminal: &Terminal) {
     terminal.press_expect(ENTER, "The machine moves.");
     // The Enter that selects the file does not confirm.
     std::thread::sleep(Duration::from_millis(600));
-    terminal.keys(ENTER);
-    terminal.state("RUN");
+    terminal.press(ENTER);
+    terminal.expect_state("RUN");
 }

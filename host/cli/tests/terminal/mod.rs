@@ -86,10 +86,10 @@ fn read(
                 let output = &buffer[..count];
                 screen.lock().unwrap().process(output);
                 tail.extend_from_slice(output);
-                let asks =
+                let queries =
                     |question: &[u8]| tail.windows(question.len()).any(|part| part == question);
-                if keyboard != Keyboard::Silent && asks(b"\x1b[c") {
-                    if keyboard == Keyboard::Kitty && asks(b"\x1b[?u") {
+                if keyboard != Keyboard::Silent && queries(b"\x1b[c") {
+                    if keyboard == Keyboard::Kitty && queries(b"\x1b[?u") {
                         let _ = rustix::io::write(device, b"\x1b[?0u");
                     }
                     let _ = rustix::io::write(device, b"\x1b[?62;c");
@@ -163,20 +163,20 @@ impl Terminal {
     }
 
     /// Sends the byte sequences of keys.
-    pub fn keys(&self, bytes: &[u8]) {
+    pub fn press(&self, bytes: &[u8]) {
         assert_eq!(rustix::io::write(self.device(), bytes), Ok(bytes.len()));
     }
 
     /// Sends keys and waits for a text on the screen.
     #[track_caller]
     pub fn press_expect(&self, keys: &[u8], part: &str) {
-        self.keys(keys);
+        self.press(keys);
         self.expect_text(part);
     }
 
     /// Presses Escape and waits: a byte right after it would make another key.
     pub fn escape(&self) {
-        self.keys(b"\x1b");
+        self.press(b"\x1b");
         std::thread::sleep(Duration::from_millis(150));
     }
 
@@ -202,13 +202,13 @@ impl Terminal {
     /// Waits until the text of the screen meets a condition.
     #[track_caller]
     pub fn wait_until(&self, what: &str, condition: impl Fn(&str) -> bool) {
-        let begun = Instant::now();
+        let started = Instant::now();
         loop {
             let text = self.text();
             if condition(&text) {
                 return;
             }
-            assert!(begun.elapsed() < TIMEOUT, "timeout: {what}:\n{text}");
+            assert!(started.elapsed() < TIMEOUT, "timeout: {what}:\n{text}");
             std::thread::sleep(Duration::from_millis(5));
         }
     }
@@ -221,7 +221,7 @@ impl Terminal {
 
     /// Waits for a text in the first row.
     #[track_caller]
-    pub fn state(&self, word: &str) {
+    pub fn expect_state(&self, word: &str) {
         let word = format!(" {word} ");
         self.wait_until(&format!("state {word:?}"), |text| {
             text.lines()
@@ -279,15 +279,19 @@ impl Terminal {
 
     /// Waits for the end of the program. Returns its exit code, -1 after a signal.
     #[track_caller]
-    pub fn end(&mut self) -> i32 {
-        let begun = Instant::now();
+    pub fn exit_code(&mut self) -> i32 {
+        let started = Instant::now();
         loop {
             if let Some(status) = self.child.try_wait().unwrap() {
                 // The last output has to arrive.
                 std::thread::sleep(Duration::from_millis(60));
                 return status.code().unwrap_or(-1);
             }
-            assert!(begun.elapsed() < TIMEOUT, "still running:\n{}", self.text());
+            assert!(
+                started.elapsed() < TIMEOUT,
+                "still running:\n{}",
+                self.text()
+            );
             std::thread::sleep(Duration::from_millis(5));
         }
     }

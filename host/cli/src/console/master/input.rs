@@ -211,7 +211,7 @@ impl App {
         }
         let changed = settings != arm.feedback.requested;
         // An unknown value is sent even if it does not change.
-        if (changed || !arm.feedback.known) && self.check_link() {
+        if (changed || !arm.feedback.is_known) && self.check_link() {
             self.set_requested_feedback(settings);
             self.request(
                 Command::ForceFeedback(settings),

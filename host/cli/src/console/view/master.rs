@@ -128,8 +128,8 @@ fn forces_heading(view: &ViewModel, width: usize) -> Line<'static> {
     Line::styled(text, Style::new().add_modifier(Modifier::BOLD))
 }
 
-fn unknown_mark(known: bool) -> &'static str {
-    if known { "" } else { "?" }
+fn unknown_mark(is_known: bool) -> &'static str {
+    if is_known { "" } else { "?" }
 }
 
 fn face(face: Face) -> String {
@@ -157,7 +157,7 @@ fn settings(
     chosen: Option<(usize, &str)>,
     width: usize,
 ) -> Line<'static> {
-    let known = unknown_mark(arm.feedback_known);
+    let is_known = unknown_mark(arm.feedback_known);
     let axes = &arm.feedback.axes;
     let axis = (row < ALL).then(|| axes[row]);
     let percent = match axis {
@@ -169,10 +169,10 @@ fn settings(
         None => same(axes, |axis| axis.limit),
     };
     let percent = percent.map_or("differ".to_string(), |percent| {
-        format!("{percent} %{known}")
+        format!("{percent} %{is_known}")
     });
     let limit = limit.map_or("differ".to_string(), |limit| {
-        format!("{:.1} N{known}", f64::from(limit) / PER_EFFORT)
+        format!("{:.1} N{is_known}", f64::from(limit) / PER_EFFORT)
     });
     let faces = match arm.faces.get(row) {
         Some(faces) => faces.map(face),
@@ -247,7 +247,7 @@ pub(super) fn overlay(
     width: usize,
 ) -> (Vec<Line<'static>>, usize) {
     let mut rows = Vec::new();
-    let mut has_unknown = master.scale.is_some_and(|(_, known)| !known);
+    let mut has_unknown = master.scale.is_some_and(|(_, is_known)| !is_known);
     if let Some(arm) = &master.arm {
         let style = fresh(view, arm);
         match &arm.report {
@@ -296,11 +296,11 @@ pub(super) fn overlay(
             rows.push(settings(arm, row, chosen, width));
         }
     }
-    if let Some((scale, known)) = master.scale {
+    if let Some((scale, is_known)) = master.scale {
         let chosen = at.row == SCALE;
         let text = match (chosen, typed) {
             (true, typed) if !typed.is_empty() => format!("{typed}_"),
-            _ => format!("{scale:.2}{}", unknown_mark(known)),
+            _ => format!("{scale:.2}{}", unknown_mark(is_known)),
         };
         let style = if chosen {
             focus = rows.len();

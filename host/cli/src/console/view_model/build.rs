@@ -90,13 +90,13 @@ impl App {
                 age: arm.age(),
                 problem,
                 feedback: arm.feedback.active,
-                feedback_known: arm.feedback.known,
+                feedback_known: arm.feedback.is_known,
                 faces: arm.faces,
             }
         });
         let scale = master
             .scale
-            .map(|scale| (to_ratio(scale.active), scale.known));
+            .map(|scale| (to_ratio(scale.active), scale.is_known));
         Some(MasterView { arm, scale })
     }
 
