@@ -30,7 +30,7 @@ mod linux {
     /// Size of a cell, pixels.
     const CELL: (u32, u32) = (9, 18);
 
-    /// Operator model: motion along x in both directions with the clutch closed.
+    /// Operator model: motion along x in both directions with the clutch pressed.
     fn operator_script() -> String {
         let strokes: String = (0..20)
             .map(|index| {
@@ -125,7 +125,7 @@ mod linux {
                 "examples/e8-hand.ngc",
             ],
         )?;
-        terminal.press_expect(b"w", "clutch closed");
+        terminal.press_expect(b"w", "clutch pressed");
         terminal.press(RIGHT);
         terminal.press(RIGHT);
         // In the middle of its motion.

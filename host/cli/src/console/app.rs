@@ -402,7 +402,8 @@ impl App {
                     // console.
                     if self.machine.is_master() != file.is_master() {
                         let message = format!(
-                            "{}: the board is configured as \"{}\"; give its machine file with --machine FILE",
+                            "{}: the board is configured as \"{}\"; \
+                             give its machine file with --machine FILE",
                             self.connection.name(),
                             welcome.machine
                         );

@@ -203,7 +203,8 @@ impl App {
         self.pending_stop = self.pending_stop.max(message);
         self.notify(
             Severity::Alarm,
-            "no link: the stop is pending until reconnection. Use the emergency stop of the machine",
+            "no link: the stop is pending until reconnection. \
+             Use the emergency stop of the machine",
         );
     }
 

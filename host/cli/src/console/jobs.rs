@@ -56,7 +56,7 @@ pub(super) struct Jobs {
     references_found: bool,
     /// A step requested just after standstill: axis, direction, and end of its validity, us. The
     /// exact pose may be reported some milliseconds later.
-    step: Option<(usize, bool, u64)>,
+    pending_step: Option<(usize, bool, u64)>,
     /// A program selected just after standstill, and the end of the wait for the exact pose, us.
     pending_check: Option<(PathBuf, u64)>,
     /// Line of the present program pause.
@@ -126,7 +126,7 @@ impl Jobs {
     pub(super) fn cancel_pending(&mut self) {
         self.homing = false;
         self.references_found = false;
-        self.step = None;
+        self.pending_step = None;
         self.pending_check = None;
     }
 
@@ -156,7 +156,8 @@ impl App {
             .as_ref()
             .is_some_and(|now| now.homed && now.position_kept);
         let Some(start) = self.standstill_pose().filter(|_| homed && self.configured) else {
-            let message = "a program is checked from the present pose: the machine must be enabled, homed and idle";
+            let message = "a program is checked from the present pose: \
+                           the machine must be enabled, homed and idle";
             self.notify(Severity::Warning, message);
             return;
         };
@@ -198,7 +199,7 @@ impl App {
         }
         let Some(from) = self.standstill_pose() else {
             if self.state() == Some(State::Idle) {
-                self.jobs.step = Some((axis, up, self.now_us() + STEP_VALID_US));
+                self.jobs.pending_step = Some((axis, up, self.now_us() + STEP_VALID_US));
             }
             return;
         };
@@ -290,11 +291,11 @@ impl App {
                 self.begin_check(path);
             }
         }
-        if let Some((axis, up, until_us)) = self.jobs.step.take() {
+        if let Some((axis, up, until_us)) = self.jobs.pending_step.take() {
             if self.standstill_pose().is_some() {
                 self.step_axis(axis, up);
             } else if self.now_us() < until_us {
-                self.jobs.step = Some((axis, up, until_us));
+                self.jobs.pending_step = Some((axis, up, until_us));
             }
         }
         if self.jobs.references_found

@@ -394,7 +394,12 @@ mod tests {
         /// press, or within the first-press time where releases are reported; no motion is
         /// commanded while no key counts.
         #[test]
-        fn motion_ends_when_key_presses_cease(events in prop::collection::vec((0_u64..400, 0_usize..5, any::<bool>(), 0_u8..4), 1..60)) {
+        fn motion_ends_when_key_presses_cease(
+            events in prop::collection::vec(
+                (0_u64..400, 0_usize..5, any::<bool>(), 0_u8..4),
+                1..60,
+            ),
+        ) {
             let mut jogging = jogging();
             let (mut now, mut ends, mut last) = (0, 0, 0);
             for (wait, axis, up, kind) in events {

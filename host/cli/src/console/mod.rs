@@ -89,11 +89,11 @@ pub fn run(args: ConsoleArgs) -> Result<(), CliError> {
     if matches!(args.port, PortSpec::Serial(_)) {
         options.timing.line_rate = baud / 10;
     }
-    let work = match &args.work {
+    let stock = match &args.work {
         Some(path) => {
-            let work = haptimill_machine_file::work::load(path)?;
+            let stock = haptimill_machine_file::work::load(path)?;
             let plant: PlantConfig = machine.plant()?;
-            Some(plant.cutting(work))
+            Some(plant.cutting(stock))
         }
         None => None,
     };
@@ -110,7 +110,7 @@ pub fn run(args: ConsoleArgs) -> Result<(), CliError> {
         dead_man_ms: args.dead_man,
         folder: args.out,
         program: args.program,
-        stock: work,
+        stock,
         options,
         board: (args.port != PortSpec::Simulator).then_some(chosen),
     };
@@ -147,7 +147,8 @@ fn check_arguments(args: &ConsoleArgs) -> Result<(), CliError> {
         "--work is for the simulator in this process; clamp a real workpiece on the machine itself"
             .to_string()
     } else if !simulated && (args.seed.is_some() || !args.fault.is_empty()) {
-        "--seed and --fault are for the simulator in this process; give them to `haptimill sim serve`"
+        "--seed and --fault are for the simulator in this process; \
+         give them to `haptimill sim serve`"
             .to_string()
     } else if !simulated && args.person.is_some() {
         "--person is for the simulator in this process; give it to `haptimill sim serve`"
@@ -221,14 +222,15 @@ fn report_ending(end: Ending, at_standstill: bool, app: &App) -> Result<(), CliE
     let state = match app.telemetry.as_ref().map(|telemetry| telemetry.state) {
         Some(state) if at_standstill => format!("the machine is {state}"),
         _ => format!(
-            "no standstill was reported; the machine stops {} ms after the last message of the host",
+            "no standstill was reported; \
+             the machine stops {} ms after the last message of the host",
             app.machine.config.supervision.heartbeat_ms
         ),
     };
     match end {
         Ending::Quit => {
             use std::io::Write as _;
-            let _ = writeln!(std::io::stdout(), "console left; {state}");
+            let _ = writeln!(std::io::stdout(), "console quit; {state}");
             Ok(())
         }
         Ending::Signal => Err(CliError::new(

@@ -133,7 +133,7 @@ fn quit_asks_first_when_drives_are_on() {
     terminal.press_expect(b"\x03", "Quit?");
     terminal.press(ENTER);
     assert_eq!(terminal.exit_code(), 0);
-    terminal.expect_text("console left; the machine is idle");
+    terminal.expect_text("console quit; the machine is idle");
     assert!(terminal.is_restored());
     assert_eq!(machine.now().state, State::Idle);
 }

@@ -125,7 +125,8 @@ impl App {
             Field::Percent(axis) => {
                 let of = axis_name(axis);
                 let message = format!(
-                    "force feedback of {of}: {value} % is out of its range; type a whole number from 0 to 100"
+                    "force feedback of {of}: {value} % is out of its range; \
+                     type a whole number from 0 to 100"
                 );
                 self.notify(Severity::Warning, message);
             }

@@ -55,9 +55,9 @@ fn clutch_status(view: &ViewModel, report: &MasterTelemetry) -> String {
         .map(|(axis, _)| axis.name.as_str())
         .collect();
     let clutch = match (report.pose.engaged, driven.is_empty()) {
-        (false, _) => "clutch open".to_string(),
-        (true, false) if running => format!("clutch closed, drives {}", driven.join(" ")),
-        (true, _) => "clutch closed, drives no axis".to_string(),
+        (false, _) => "clutch released".to_string(),
+        (true, false) if running => format!("clutch pressed, drives {}", driven.join(" ")),
+        (true, _) => "clutch pressed, drives no axis".to_string(),
     };
     let motors = if report.enabled { "on" } else { "off" };
     format!(" {clutch}; motors {motors}")
@@ -154,7 +154,7 @@ fn same<T: PartialEq + Copy>(
 fn settings(
     arm: &ArmView,
     row: usize,
-    chosen: Option<(usize, &str)>,
+    selected: Option<(usize, &str)>,
     width: usize,
 ) -> Line<'static> {
     let is_known = unknown_mark(arm.feedback_known);
@@ -188,7 +188,7 @@ fn settings(
     };
     let name = if row < ALL { NAMES[row] } else { "all" };
     let cell = |column: usize, text: &str, size: usize| {
-        let (text, style) = match chosen {
+        let (text, style) = match selected {
             Some((at, typed)) if at == column => {
                 let text = if typed.is_empty() {
                     text.to_string()
@@ -277,8 +277,8 @@ pub(super) fn overlay(
     } else {
         rows.extend(
             wrapped(
-                " this machine follows a remote master: `haptimill teleop` connects it and shows its \
-                 forces",
+                " this machine follows a remote master: \
+                 `haptimill teleop` connects it and shows its forces",
                 width,
                 1,
             )
@@ -289,20 +289,20 @@ pub(super) fn overlay(
     let mut focus = 0;
     if let Some(arm) = &master.arm {
         for row in 0..=ALL {
-            let chosen = (row == at.row).then_some((at.column, typed));
-            if chosen.is_some() {
+            let selected = (row == at.row).then_some((at.column, typed));
+            if selected.is_some() {
                 focus = rows.len();
             }
-            rows.push(settings(arm, row, chosen, width));
+            rows.push(settings(arm, row, selected, width));
         }
     }
     if let Some((scale, is_known)) = master.scale {
-        let chosen = at.row == SCALE;
-        let text = match (chosen, typed) {
+        let selected = at.row == SCALE;
+        let text = match (selected, typed) {
             (true, typed) if !typed.is_empty() => format!("{typed}_"),
             _ => format!("{scale:.2}{}", unknown_mark(is_known)),
         };
-        let style = if chosen {
+        let style = if selected {
             focus = rows.len();
             Style::new().add_modifier(Modifier::REVERSED)
         } else {
