@@ -80,7 +80,7 @@ pub fn run(args: ConsoleArgs) -> Result<(), CliError> {
             jobs::check(program, &machine, &model, &home)?;
         }
     }
-    terminal::check()?;
+    terminal::require_terminal()?;
     let baud = args.baud.unwrap_or(DEFAULT_BAUD);
     let mut options = Options {
         connect_us: (args.timeout * 1e6) as u64,
@@ -115,7 +115,7 @@ pub fn run(args: ConsoleArgs) -> Result<(), CliError> {
         board: (args.port != PortSpec::Simulator).then_some(chosen),
     };
     let signals = count_signals();
-    terminal::take(&|| signals.load(Ordering::SeqCst) > 0)?;
+    terminal::take_over(&|| signals.load(Ordering::SeqCst) > 0)?;
     let (sender, events) = mpsc::channel();
     terminal::spawn_reader(sender);
     let renderer = Renderer::spawn();

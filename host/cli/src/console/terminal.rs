@@ -64,14 +64,14 @@ pub(super) fn restore() {
 ///
 /// # Errors
 /// One of them is none.
-pub(super) fn check() -> Result<(), CliError> {
-    for (is, which) in [
+pub(super) fn require_terminal() -> Result<(), CliError> {
+    for (is_terminal, stream) in [
         (stdin().is_terminal(), "standard input"),
         (stdout().is_terminal(), "standard output"),
     ] {
-        if !is {
+        if !is_terminal {
             let message = format!(
-                "console: {which} is not a terminal; run it in one (over ssh with `ssh -t`). \
+                "console: {stream} is not a terminal; run it in one (over ssh with `ssh -t`). \
                  For scripts use `haptimill status`, `jog`, `run` with --json"
             );
             return Err(CliError::new(Exit::Usage, message));
@@ -84,13 +84,13 @@ pub(super) fn check() -> Result<(), CliError> {
 ///
 /// # Errors
 /// The system refuses.
-pub(super) fn take(is_cancelled: &dyn Fn() -> bool) -> Result<(), CliError> {
+pub(super) fn take_over(is_cancelled: &dyn Fn() -> bool) -> Result<(), CliError> {
     let before = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic| {
         restore();
         before(panic);
     }));
-    prepare(is_cancelled).map_err(|error| {
+    set_up(is_cancelled).map_err(|error| {
         restore();
         if is_hung_up() {
             return CliError::new(
@@ -102,7 +102,7 @@ pub(super) fn take(is_cancelled: &dyn Fn() -> bool) -> Result<(), CliError> {
     })
 }
 
-fn prepare(is_cancelled: &dyn Fn() -> bool) -> std::io::Result<()> {
+fn set_up(is_cancelled: &dyn Fn() -> bool) -> std::io::Result<()> {
     enable_raw_mode()?;
     ACTIVE.store(true, Ordering::SeqCst);
     execute!(
