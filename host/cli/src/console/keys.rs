@@ -1,31 +1,32 @@
-//! Keys: what each of them does, in one table from which the help, the documentation and the console itself are made.
+//! Key table: the source of the key input, the help and the documentation.
 //!
-//! Four keys are heard always, whatever is open on the screen, while a name is typed and while the link is down: hold, resume, stop, emergency stop.
-//! None of them is a letter alone, so nothing that is typed can be mistaken for one.
+//! Four keys are always active, whatever is open on the screen, while text is typed and while the
+//! link is down: hold, resume, stop, emergency stop. None of them is a plain letter, so typed text
+//! never triggers them.
 //!
-//! A key that a terminal sends as several bytes may arrive torn apart over a slow line: Escape, then `[`, digits, capital letters, `~`. None of these
-//! does anything that could not be taken back, and Escape itself holds.
+//! A slow line may split the byte sequence of a key: Escape, then `[`, digits, capital letters,
+//! `~`. None of these fragments has an irreversible action; Escape alone holds.
 
 use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 
-/// What a key asks for.
+/// Action of a key.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Action {
-    /// Whatever moves slows down; a job keeps its place.
+    /// Decelerate; a job keeps its place.
     Hold,
-    /// The job goes on.
+    /// Continue the job.
     Resume,
-    /// Whatever moves slows down; a job is dropped.
+    /// Decelerate; a job is dropped.
     Stop,
-    /// Drives off.
+    /// Switch the drives off at once.
     Emergency,
-    /// End the console.
+    /// Quit the console.
     Quit,
-    /// Drives on.
+    /// Switch the drives on.
     Enable,
-    /// Drives off from standstill.
+    /// Switch the drives off at standstill.
     Disable,
-    /// Find the references.
+    /// Home the machine.
     Home,
     /// Clear a latched fault.
     Reset,
@@ -33,59 +34,59 @@ pub enum Action {
     Jog {
         /// Index of the coordinate.
         axis: u8,
-        /// Upwards.
+        /// Positive direction.
         up: bool,
     },
-    /// Continuous jog or steps.
+    /// Toggle continuous jog and steps.
     Mode,
     /// A slower jog, or a smaller step.
-    Less,
+    Decrease,
     /// A faster jog, or a larger step.
-    More,
+    Increase,
     /// More feed override.
     OverrideUp,
     /// Less feed override.
     OverrideDown,
-    /// Choose a part program.
+    /// Select a part program.
     Program,
-    /// Choose the source of each axis.
+    /// Select the source of each axis.
     Axes,
-    /// Force loop.
+    /// Set the force loops.
     Force,
-    /// The hand on a haptic arm.
-    Hand,
-    /// New zero of the force sensor.
+    /// Open the master panel.
+    Master,
+    /// Set the zero of the force sensor.
     Tare,
-    /// Recording on or off.
+    /// Start or stop a recording.
     Record,
-    /// The table of keys.
+    /// Show the key table.
     Help,
-    /// Nothing, or leave what is open.
-    Leave,
+    /// Close what is open, else hold.
+    Close,
 }
 
-/// A key, as a terminal tells it.
+/// A key as reported by a terminal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Key {
-    /// Which.
+    /// Key code.
     pub code: KeyCode,
-    /// With Ctrl held.
+    /// Ctrl is pressed.
     pub control: bool,
 }
 
-/// A row of the table.
+/// A row of the key table.
 #[derive(Debug, Clone, Copy)]
 pub struct Binding {
-    /// The keys, any of them.
+    /// Equivalent keys.
     pub keys: &'static [Key],
-    /// How people call them.
+    /// Displayed name of the keys.
     pub name: &'static str,
-    /// What they ask for.
+    /// Action of the keys.
     pub action: Action,
-    /// In words.
-    pub what: &'static str,
-    /// Heard in every overlay and while typing.
-    pub always: bool,
+    /// Description; empty for jog keys, see [`Binding::describe`].
+    pub description: &'static str,
+    /// Active in every overlay and while text is typed.
+    pub always_active: bool,
 }
 
 const fn plain(letter: char) -> Key {
@@ -109,224 +110,197 @@ const fn special(code: KeyCode) -> Key {
     }
 }
 
-const fn always(
+const fn always_active(
     keys: &'static [Key],
     name: &'static str,
     action: Action,
-    what: &'static str,
+    description: &'static str,
 ) -> Binding {
     Binding {
-        always: true,
-        ..usual(keys, name, action, what)
+        always_active: true,
+        ..bind(keys, name, action, description)
     }
 }
 
-const fn usual(
+const fn bind(
     keys: &'static [Key],
     name: &'static str,
     action: Action,
-    what: &'static str,
+    description: &'static str,
 ) -> Binding {
     Binding {
         keys,
         name,
         action,
-        what,
-        always: false,
+        description,
+        always_active: false,
     }
 }
 
-const fn jog(axis: u8, up: bool) -> Action {
-    Action::Jog { axis, up }
+const fn jog(keys: &'static [Key], name: &'static str, axis: u8, up: bool) -> Binding {
+    bind(keys, name, Action::Jog { axis, up }, "")
 }
 
-/// All keys. A jog key belongs to the pose coordinate of its index; its name in the table is that of the H-4 arm.
+/// All keys. A jog key moves the pose coordinate of its index, whose name is in the machine file.
 pub const BINDINGS: &[Binding] = &[
-    always(
+    always_active(
         &[plain(' '), special(KeyCode::F(5))],
         "Space, F5",
         Action::Hold,
-        "hold: what moves slows down, a program keeps its place, a jog or homing ends",
+        "hold: decelerate; a program keeps its place, a jog or homing ends",
     ),
-    always(
+    always_active(
         &[control('r'), special(KeyCode::F(6))],
         "Ctrl-R, F6",
         Action::Resume,
-        "resume after a hold or a pause of the program",
+        "resume after a hold or a program pause",
     ),
-    always(
+    always_active(
         &[control('x'), special(KeyCode::F(7))],
         "Ctrl-X, F7",
         Action::Stop,
-        "stop: slow down along the path and drop the program; the position is kept",
+        "stop: decelerate along the path and drop the program; the position is kept",
     ),
-    always(
+    always_active(
         &[control('e'), special(KeyCode::F(8))],
         "Ctrl-E, F8",
         Action::Emergency,
         "emergency stop: drives off at once, latched until reset",
     ),
-    usual(
-        &[special(KeyCode::Right)],
-        "Right",
-        jog(0, true),
-        "jog x up",
-    ),
-    usual(
-        &[special(KeyCode::Left)],
-        "Left",
-        jog(0, false),
-        "jog x down",
-    ),
-    usual(&[special(KeyCode::Up)], "Up", jog(1, true), "jog y up"),
-    usual(
-        &[special(KeyCode::Down)],
-        "Down",
-        jog(1, false),
-        "jog y down",
-    ),
-    usual(
-        &[special(KeyCode::PageUp)],
-        "PageUp",
-        jog(2, true),
-        "jog z up",
-    ),
-    usual(
-        &[special(KeyCode::PageDown)],
-        "PageDown",
-        jog(2, false),
-        "jog z down",
-    ),
-    usual(
-        &[plain('.')],
-        ".",
-        jog(3, true),
-        "jog theta (tilt of the tool) up",
-    ),
-    usual(&[plain(',')], ",", jog(3, false), "jog theta down"),
-    usual(
-        &[plain('m')],
-        "m",
-        jog(4, true),
-        "jog alpha (turn of the table) up",
-    ),
-    usual(&[plain('n')], "n", jog(4, false), "jog alpha down"),
-    usual(
-        &[plain('k')],
-        "k",
-        jog(5, true),
-        "jog the sixth axis up, where there is one",
-    ),
-    usual(&[plain('j')], "j", jog(5, false), "jog the sixth axis down"),
-    usual(
+    jog(&[special(KeyCode::Right)], "Right", 0, true),
+    jog(&[special(KeyCode::Left)], "Left", 0, false),
+    jog(&[special(KeyCode::Up)], "Up", 1, true),
+    jog(&[special(KeyCode::Down)], "Down", 1, false),
+    jog(&[special(KeyCode::PageUp)], "PageUp", 2, true),
+    jog(&[special(KeyCode::PageDown)], "PageDown", 2, false),
+    jog(&[plain('.')], ".", 3, true),
+    jog(&[plain(',')], ",", 3, false),
+    jog(&[plain('m')], "m", 4, true),
+    jog(&[plain('n')], "n", 4, false),
+    jog(&[plain('k')], "k", 5, true),
+    jog(&[plain('j')], "j", 5, false),
+    bind(
         &[special(KeyCode::Tab)],
         "Tab",
         Action::Mode,
-        "continuous jog, or one step for each press",
+        "toggle continuous jog and one step per key press",
     ),
-    usual(
+    bind(
         &[plain('f')],
         "f",
-        Action::More,
-        "faster jog; in steps, the next larger step",
+        Action::Increase,
+        "faster jog; in step mode, the next larger step",
     ),
-    usual(
+    bind(
         &[plain('s')],
         "s",
-        Action::Less,
-        "slower jog; in steps, the next smaller step",
+        Action::Decrease,
+        "slower jog; in step mode, the next smaller step",
     ),
-    usual(&[plain('e')], "e", Action::Enable, "enable: drives on"),
-    usual(
+    bind(&[plain('e')], "e", Action::Enable, "enable: drives on"),
+    bind(
         &[plain('d')],
         "d",
         Action::Disable,
-        "disable: drives off, from standstill",
+        "disable: drives off, at standstill",
     ),
-    usual(
+    bind(
         &[plain('h')],
         "h",
         Action::Home,
-        "home: find the references, then go to the home pose (asks first)",
+        "home: find the index pulses, then move to the home pose (asks first)",
     ),
-    usual(
+    bind(
         &[plain('x')],
         "x",
         Action::Reset,
         "reset a latched fault or emergency stop",
     ),
-    usual(
+    bind(
         &[plain('p')],
         "p",
         Action::Program,
-        "part program: choose, check, run (asks first)",
+        "part program: select, check, run (asks first)",
     ),
-    usual(
+    bind(
         &[plain('+'), plain('=')],
         "+",
         Action::OverrideUp,
-        "more feed override",
+        "increase the feed override",
     ),
-    usual(
+    bind(
         &[plain('-')],
         "-",
         Action::OverrideDown,
-        "less feed override",
+        "decrease the feed override",
     ),
-    usual(
+    bind(
         &[plain('a')],
         "a",
         Action::Axes,
-        "axes: each led by the program, held, or jogged",
+        "axes: source of each axis: program, hold, jog or master",
     ),
-    usual(
+    bind(
         &[plain('y')],
         "y",
         Action::Force,
-        "force loop: which axes yield, and above which force",
+        "force control: axes under force control and their force setpoints",
     ),
-    usual(
+    bind(
         &[plain('w')],
         "w",
-        Action::Hand,
-        "hand: what it feels, reflection, virtual walls, position scale",
+        Action::Master,
+        "master: forces, force feedback, virtual fixture, position scale",
     ),
-    usual(
+    bind(
         &[plain('t')],
         "t",
         Action::Tare,
-        "tare: what the force sensor shows now is none (asks first)",
+        "tare: zero the force sensor (asks first)",
     ),
-    usual(
+    bind(
         &[plain('l')],
         "l",
         Action::Record,
-        "log: recording on or off",
+        "log: start or stop a recording",
     ),
-    usual(
+    bind(
         &[plain('?'), special(KeyCode::F(1))],
         "?, F1",
         Action::Help,
-        "this table",
+        "show this table",
     ),
-    usual(
+    bind(
         &[plain('q'), control('c')],
         "q, Ctrl-C",
         Action::Quit,
         "quit (asks first when drives are on)",
     ),
-    usual(
+    bind(
         &[special(KeyCode::Esc)],
         "Esc",
-        Action::Leave,
+        Action::Close,
         "close what is open; with nothing open, hold",
     ),
 ];
 
-impl Key {
-    /// The key of an event. Capital letters are not small ones, except with Ctrl.
+impl Binding {
+    /// Description of the action. `axes` are the names of the pose coordinates. None for a jog key
+    /// without an axis.
     #[must_use]
-    pub fn of(event: &KeyEvent) -> Self {
+    pub fn describe(&self, axes: &[&str]) -> Option<String> {
+        let Action::Jog { axis, up } = self.action else {
+            return Some(self.description.to_string());
+        };
+        let name = axes.get(usize::from(axis))?;
+        Some(format!("jog {name} {}", if up { "up" } else { "down" }))
+    }
+}
+
+impl Key {
+    /// The key of an event. Upper and lower case differ, except with Ctrl.
+    #[must_use]
+    pub fn from_event(event: &KeyEvent) -> Self {
         let control = event.modifiers.contains(KeyModifiers::CONTROL);
         let code = match event.code {
             KeyCode::Char(letter) if control => KeyCode::Char(letter.to_ascii_lowercase()),
@@ -339,44 +313,53 @@ impl Key {
         BINDINGS.iter().find(|binding| binding.keys.contains(&self))
     }
 
-    /// What the key asks for when nothing is open.
+    /// Action of the key with nothing open.
     #[must_use]
     pub fn action(self) -> Option<Action> {
         self.binding().map(|binding| binding.action)
     }
 
-    /// What the key asks for whatever is open.
+    /// Action of the key whatever is open.
     #[must_use]
-    pub fn always(self) -> Option<Action> {
+    pub fn always_active_action(self) -> Option<Action> {
         self.binding()
-            .filter(|binding| binding.always)
+            .filter(|binding| binding.always_active)
             .map(|binding| binding.action)
     }
 }
 
-/// The table in Markdown, as docs/console.md has it.
+/// The table in Markdown for docs/console.md. `axes` are the names of the pose coordinates.
 #[must_use]
-pub fn markdown() -> String {
+pub fn markdown(axes: &[&str]) -> String {
     let rows: String = BINDINGS
         .iter()
-        .map(|row| {
-            let mark = if row.always { ", always heard" } else { "" };
-            format!("| {} | {}{mark} |\n", row.name, row.what)
+        .filter_map(|row| {
+            let mark = if row.always_active {
+                ", always active"
+            } else {
+                ""
+            };
+            Some(format!(
+                "| {} | {}{mark} |\n",
+                row.name,
+                row.describe(axes)?
+            ))
         })
         .collect();
-    format!("| key | what it does |\n| --- | --- |\n{rows}")
+    format!("| key | action |\n| --- | --- |\n{rows}")
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use haptimill_machine_file::MachineFile;
 
     fn key(code: KeyCode, modifiers: KeyModifiers) -> Key {
-        Key::of(&KeyEvent::new(code, modifiers))
+        Key::from_event(&KeyEvent::new(code, modifiers))
     }
 
     #[test]
-    fn no_key_has_two_meanings() {
+    fn no_key_is_bound_twice() {
         for (index, binding) in BINDINGS.iter().enumerate() {
             for key in binding.keys {
                 assert!(
@@ -390,14 +373,14 @@ mod tests {
     }
 
     #[test]
-    fn the_four_are_heard_always_and_nothing_that_is_typed_is_one_of_them() {
-        let always: Vec<Action> = BINDINGS
+    fn only_the_four_stop_keys_are_always_active_and_no_letter_triggers_them() {
+        let always_active: Vec<Action> = BINDINGS
             .iter()
-            .filter(|binding| binding.always)
+            .filter(|binding| binding.always_active)
             .map(|binding| binding.action)
             .collect();
         assert_eq!(
-            always,
+            always_active,
             [
                 Action::Hold,
                 Action::Resume,
@@ -407,26 +390,30 @@ mod tests {
         );
         for letter in ('!'..='~').chain('à'..='ÿ') {
             assert_eq!(
-                key(KeyCode::Char(letter), KeyModifiers::NONE).always(),
+                key(KeyCode::Char(letter), KeyModifiers::NONE).always_active_action(),
                 None
             );
         }
-        // Caps lock takes nothing away from a stop.
+        // Caps lock does not disable the stop key.
         assert_eq!(
-            key(KeyCode::Char('X'), KeyModifiers::CONTROL).always(),
+            key(KeyCode::Char('X'), KeyModifiers::CONTROL).always_active_action(),
             Some(Action::Stop)
         );
     }
 
     #[test]
-    fn the_documentation_has_this_table() {
+    fn documentation_contains_this_table() {
         let page = include_str!("../../../../docs/console.md");
-        assert!(page.contains(&markdown()), "{}", markdown());
+        let machine = MachineFile::built_in().unwrap();
+        let mut axes: Vec<&str> = machine.pose.iter().map(|axis| axis.name.as_str()).collect();
+        axes.extend(["axis 4", "axis 5", "axis 6"].iter().skip(axes.len() - 3));
+        let table = markdown(&axes);
+        assert!(page.contains(&table), "{table}");
     }
 
-    /// A torn escape sequence leaves these; of arrows, function keys, and answers of the terminal.
+    /// Fragments of arrow keys, function keys and answers of the terminal.
     #[test]
-    fn what_is_left_of_a_torn_key_does_nothing() {
+    fn fragments_of_a_split_key_sequence_have_no_action() {
         for letter in "[O~;<>0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZu".chars() {
             assert_eq!(
                 key(KeyCode::Char(letter), KeyModifiers::NONE).action(),

@@ -1,41 +1,42 @@
-//! `haptimill console`: one operator, one screen, one machine, whatever becomes of terminal and line.
+//! `haptimill console`: full-screen operator interface.
 //!
-//! Three threads. This one owns the port and everything that is known (`desk`); one reads keys; one draws. Keys never wait for the port or for the screen, the
-//! port never waits for the screen. Built with the feature `console` only.
+//! Three threads. The first owns the port and the application state (`app`), the second reads keys,
+//! the third draws the screen. Key input never waits for the port or the screen; the port never
+//! waits for the screen. Compiled with the feature `console` only.
 //!
-//! | file | |
+//! | file | contents |
 //! | --- | --- |
-//! | `keys.rs` | the one table of keys |
-//! | `jogging.rs` | jog keys, the dead-man time, releases |
-//! | `desk.rs`, `hearing.rs` | the session, and what the controller says |
-//! | `orders.rs` | from keys to orders |
-//! | `job.rs` | part programs, steps, the way home |
-//! | `hand.rs`, `hand/orders.rs` | the hand on a haptic arm: reflection, virtual walls, scale |
-//! | `connect.rs` | the port, lost and found; the simulator in real time |
-//! | `recording.rs` | telemetry as CSV |
-//! | `picture.rs`, `shown.rs`, `view/` | what is to be seen, and its drawing |
-//! | `terminal.rs` | the terminal, taken and given back |
+//! | `keys.rs` | key table |
+//! | `jogging.rs` | jog keys, dead-man time, key releases |
+//! | `app.rs`, `events.rs` | application state and session; messages of the controller |
+//! | `input.rs` | key input to commands |
+//! | `jobs.rs` | part programs, steps, move to the home pose |
+//! | `master.rs`, `master/input.rs` | haptic arm: force feedback, virtual fixture, position scale |
+//! | `connection.rs` | port and reconnection; simulator in real time |
+//! | `recording.rs` | telemetry to CSV |
+//! | `view_model.rs`, `view/` | displayed values and their drawing |
+//! | `terminal.rs` | set-up and restoration of the terminal |
 //!
-//! Misuse: a key on a terminal is no emergency stop. The line, the computer and the terminal may each be slow or dead; the machine needs one of its own.
+//! A key on a terminal is no emergency stop: the line, the computer or the terminal may be slow or
+//! fail. Callers must provide an emergency stop of the machine itself.
 
-mod connect;
-mod desk;
-mod hand;
-mod hearing;
-mod job;
+mod app;
+mod connection;
+mod events;
+mod input;
+mod jobs;
 pub mod jogging;
 pub mod keys;
-mod orders;
-mod picture;
+mod master;
 mod recording;
-mod shown;
 mod terminal;
 mod view;
+mod view_model;
 
 use crate::commands::console::ConsoleArgs;
 use crate::commands::{CliError, Exit};
-use connect::Connection;
-use desk::{Desk, Settings};
+use app::{App, Settings};
+use connection::Connection;
 use haptimill_client::client::Options;
 use haptimill_client::port::{DEFAULT_BAUD, PortSpec};
 use haptimill_hil_sim::config::PlantConfig;
@@ -44,23 +45,23 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::mpsc::{self, Receiver};
 use std::time::{Duration, Instant};
-use terminal::Painter;
+use terminal::Renderer;
 
-/// Time between two pictures that are made.
-const PICTURE: Duration = Duration::from_millis(33);
+/// Period of view model updates.
+const VIEW_INTERVAL: Duration = Duration::from_millis(33);
 
-/// Time between two looks at the terminal.
-const LOOK: Duration = Duration::from_millis(100);
+/// Period of terminal checks.
+const CHECK_INTERVAL: Duration = Duration::from_millis(100);
 
 /// Why the console ends.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum End {
-    /// The operator wants it.
-    Wanted,
-    /// A signal: the terminal was closed, or the system wants it.
+enum Ending {
+    /// The operator quits.
+    Quit,
+    /// A signal: the terminal was closed, or the system ends the process.
     Signal,
-    /// The terminal is gone.
-    Gone,
+    /// The terminal hung up.
+    TerminalLost,
 }
 
 /// Runs the console.
@@ -68,17 +69,18 @@ enum End {
 /// # Errors
 /// See [`Exit`].
 pub fn run(args: ConsoleArgs) -> Result<(), CliError> {
-    check(&args)?;
+    check_arguments(&args)?;
     let chosen = args.machine.load()?;
     let machine = Arc::new(chosen.file.clone());
     if let Some(program) = &args.program {
-        // Mistakes are told here, where they can be read at leisure; from the home pose, as long as no other is known.
+        // Program errors are reported before the screen is taken over. The check starts at the home
+        // pose, since no other pose is known yet.
         let model = Model::new(&machine);
         if let Some(home) = model.home(&machine) {
-            job::check(program, &machine, &model, &home)?;
+            jobs::check(program, &machine, &model, &home)?;
         }
     }
-    terminal::check()?;
+    terminal::require_terminal()?;
     let baud = args.baud.unwrap_or(DEFAULT_BAUD);
     let mut options = Options {
         connect_us: (args.timeout * 1e6) as u64,
@@ -87,64 +89,66 @@ pub fn run(args: ConsoleArgs) -> Result<(), CliError> {
     if matches!(args.port, PortSpec::Serial(_)) {
         options.timing.line_rate = baud / 10;
     }
-    let work = match &args.work {
+    let stock = match &args.work {
         Some(path) => {
-            let work = haptimill_machine_file::work::load(path)?;
+            let stock = haptimill_machine_file::work::load(path)?;
             let plant: PlantConfig = machine.plant()?;
-            Some(plant.cutting(work))
+            Some(plant.cutting(stock))
         }
         None => None,
     };
-    let person = crate::commands::sim::person(args.person.as_deref(), &machine)?;
+    let operator = crate::commands::sim::person(args.person.as_deref(), &machine)?;
     let connection = Connection::new(
         &args.port,
         baud,
         &machine,
         args.seed,
         args.fault,
-        person.as_ref(),
+        operator.as_ref(),
     )?;
     let settings = Settings {
         dead_man_ms: args.dead_man,
         folder: args.out,
         program: args.program,
-        work,
+        stock,
         options,
         board: (args.port != PortSpec::Simulator).then_some(chosen),
     };
-    let signals = signals();
-    terminal::take(&|| signals.load(Ordering::SeqCst) > 0)?;
+    let signals = count_signals();
+    terminal::take_over(&|| signals.load(Ordering::SeqCst) > 0)?;
     let (sender, events) = mpsc::channel();
-    terminal::listen(sender);
-    let painter = Painter::begin();
-    let mut desk = Desk::new(machine, connection, settings);
-    let ended = operate(&mut desk, &events, &painter, &signals);
-    // First the machine, then the screen.
-    let rests = desk.leave();
-    painter.show(desk.shown());
-    if !painter.end() {
-        std::process::exit(i32::from(match ended {
-            Ok(End::Wanted) => Exit::Done,
+    terminal::spawn_reader(sender);
+    let renderer = Renderer::spawn();
+    let mut app = App::new(machine, connection, settings);
+    let outcome = operate(&mut app, &events, &renderer, &signals);
+    // The machine stops before the terminal is restored.
+    let at_standstill = app.shut_down();
+    renderer.show(app.view_model());
+    if !renderer.end() {
+        std::process::exit(i32::from(match outcome {
+            Ok(Ending::Quit) => Exit::Done,
             Ok(_) => Exit::Stopped,
             Err(error) => error.exit,
         } as u8));
     }
     terminal::restore();
-    told(ended?, rests, &desk)
+    report_ending(outcome?, at_standstill, &app)
 }
 
-/// What cannot be meant is refused.
-fn check(args: &ConsoleArgs) -> Result<(), CliError> {
+/// Refuses combinations of arguments that make no sense.
+fn check_arguments(args: &ConsoleArgs) -> Result<(), CliError> {
     let simulated = args.port == PortSpec::Simulator;
-    let what = if let PortSpec::Emulated(_) = args.port {
+    let message = if let PortSpec::Emulated(_) = args.port {
         format!(
             "{}: an emulated controller is slower than real time; use --port sim, or a machine",
             args.port
         )
     } else if !simulated && args.work.is_some() {
-        "--work is for the simulator in this process; clamp the work by hand".to_string()
+        "--work is for the simulator in this process; clamp a real workpiece on the machine itself"
+            .to_string()
     } else if !simulated && (args.seed.is_some() || !args.fault.is_empty()) {
-        "--seed and --fault are for the simulator in this process; give them to `haptimill sim serve`"
+        "--seed and --fault are for the simulator in this process; \
+         give them to `haptimill sim serve`"
             .to_string()
     } else if !simulated && args.person.is_some() {
         "--person is for the simulator in this process; give it to `haptimill sim serve`"
@@ -154,81 +158,86 @@ fn check(args: &ConsoleArgs) -> Result<(), CliError> {
     } else {
         return Ok(());
     };
-    Err(CliError::new(Exit::Usage, what))
+    Err(CliError::new(Exit::Usage, message))
 }
 
-/// Counts the wishes of the system that this process ends. The third one ends it at once; the machine then stops by the silence.
-fn signals() -> Arc<AtomicU32> {
+/// Counts termination signals. The third one ends the process at once; the machine then stops by
+/// its heartbeat.
+fn count_signals() -> Arc<AtomicU32> {
     let count = Arc::new(AtomicU32::new(0));
-    let seen = Arc::clone(&count);
+    let counter = Arc::clone(&count);
     let handler = move || {
-        if seen.fetch_add(1, Ordering::SeqCst) >= 2 {
+        if counter.fetch_add(1, Ordering::SeqCst) >= 2 {
             terminal::restore();
             std::process::exit(i32::from(Exit::Stopped as u8));
         }
     };
-    // Without a handler the system ends the process: the machine stops by the silence, and the shell sees to its terminal.
+    // Without a handler the system ends the process: the machine stops by its heartbeat, and the
+    // shell restores its terminal.
     let _ = ctrlc::set_handler(handler);
     count
 }
 
-/// The loop: keys, then the port, then a picture.
+/// Main loop: keys, then the port, then the view model.
 fn operate(
-    desk: &mut Desk,
+    app: &mut App,
     events: &Receiver<Option<ratatui::crossterm::event::Event>>,
-    painter: &Painter,
+    renderer: &Renderer,
     signals: &AtomicU32,
-) -> Result<End, CliError> {
-    let (mut next_picture, mut next_look) = (Instant::now(), Instant::now());
+) -> Result<Ending, CliError> {
+    let (mut next_view, mut next_check) = (Instant::now(), Instant::now());
     loop {
         loop {
             match events.try_recv() {
-                Ok(Some(event)) => desk.input(&event),
-                Ok(None) | Err(mpsc::TryRecvError::Disconnected) => return Ok(End::Gone),
+                Ok(Some(event)) => app.handle_input(&event),
+                Ok(None) | Err(mpsc::TryRecvError::Disconnected) => {
+                    return Ok(Ending::TerminalLost);
+                }
                 Err(mpsc::TryRecvError::Empty) => break,
             }
         }
-        if desk.leaving {
-            return Ok(End::Wanted);
+        if app.quitting {
+            return Ok(Ending::Quit);
         }
         if signals.load(Ordering::SeqCst) > 0 {
-            return Ok(End::Signal);
+            return Ok(Ending::Signal);
         }
-        desk.step()?;
+        app.update()?;
         let now = Instant::now();
-        if now >= next_picture {
-            next_picture = now + PICTURE;
-            painter.show(desk.shown());
+        if now >= next_view {
+            next_view = now + VIEW_INTERVAL;
+            renderer.show(app.view_model());
         }
-        if now >= next_look {
-            next_look = now + LOOK;
-            if painter.ended() || terminal::hung_up() {
-                return Ok(End::Gone);
+        if now >= next_check {
+            next_check = now + CHECK_INTERVAL;
+            if renderer.has_ended() || terminal::is_hung_up() {
+                return Ok(Ending::TerminalLost);
             }
         }
     }
 }
 
-/// The last word, on a terminal that is the shell's again.
-fn told(end: End, rests: bool, desk: &Desk) -> Result<(), CliError> {
-    let state = match desk.telemetry.as_ref().map(|telemetry| telemetry.state) {
-        Some(state) if rests => format!("the machine is {state}"),
+/// Reports the ending on the restored terminal.
+fn report_ending(end: Ending, at_standstill: bool, app: &App) -> Result<(), CliError> {
+    let state = match app.telemetry.as_ref().map(|telemetry| telemetry.state) {
+        Some(state) if at_standstill => format!("the machine is {state}"),
         _ => format!(
-            "the machine was not seen at rest; it stops by itself after {} ms without a host",
-            desk.machine.config.supervision.heartbeat_ms
+            "no standstill was reported; \
+             the machine stops {} ms after the last message of the host",
+            app.machine.config.supervision.heartbeat_ms
         ),
     };
     match end {
-        End::Wanted => {
+        Ending::Quit => {
             use std::io::Write as _;
-            let _ = writeln!(std::io::stdout(), "console left; {state}");
+            let _ = writeln!(std::io::stdout(), "console quit; {state}");
             Ok(())
         }
-        End::Signal => Err(CliError::new(
+        Ending::Signal => Err(CliError::new(
             Exit::Stopped,
             format!("console ended by a signal; {state}"),
         )),
-        End::Gone => Err(CliError::new(
+        Ending::TerminalLost => Err(CliError::new(
             Exit::Stopped,
             format!("the terminal is gone; {state}"),
         )),

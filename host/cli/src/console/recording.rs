@@ -1,6 +1,7 @@
-//! Telemetry as it comes, in a CSV file: one row a frame, in mm, degrees, newtons.
+//! Telemetry as CSV: one row per frame, in mm, degrees, newtons.
 //!
-//! A thread writes, so a slow disk keeps nobody waiting. The file is never one that exists: its name is the time of its beginning (UTC).
+//! A thread writes, so a slow disk delays nothing. The file name is the UTC start time; existing
+//! files are never overwritten.
 
 use haptimill_firmware::config::AxisKind;
 use haptimill_machine_file::MachineFile;
@@ -14,24 +15,24 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{SystemTime, UNIX_EPOCH};
 
-/// A recording under way.
+/// Recording in progress.
 pub(super) struct Recording {
-    /// The file.
+    /// File.
     pub(super) path: PathBuf,
-    /// Rows handed over.
+    /// Rows passed to the writer.
     pub(super) rows: u64,
     rows_to: Option<Sender<Box<Telemetry>>>,
     failed: Arc<Mutex<Option<String>>>,
     writer: Option<JoinHandle<()>>,
 }
 
-/// The time as a part of a file name: 20260131T235959Z.
+/// Time for a file name: 20260131T235959Z.
 fn stamp(time: SystemTime) -> String {
     let seconds = time
         .duration_since(UNIX_EPOCH)
         .map_or(0, |since| since.as_secs());
     let (days, of_day) = ((seconds / 86_400) as i64, seconds % 86_400);
-    // Days to the civil calendar, in years that begin with March.
+    // Conversion of days to the civil calendar, with years that start in March.
     let shifted = days + 719_468;
     let era = shifted.div_euclid(146_097);
     let day_of_era = shifted.rem_euclid(146_097);
@@ -63,7 +64,7 @@ struct Columns {
 }
 
 impl Columns {
-    fn of(machine: &MachineFile) -> Self {
+    fn from_machine(machine: &MachineFile) -> Self {
         let list = |axes: &[haptimill_machine_file::AxisLimits]| {
             axes.iter()
                 .map(|axis| (axis.name.clone(), axis.kind))
@@ -77,17 +78,17 @@ impl Columns {
         }
     }
 
-    fn head(&self) -> String {
-        let mut head =
+    fn header(&self) -> String {
+        let mut header =
             "time_s,period,state,homed,position_kept,setpoint,path_rate,program_s".to_string();
-        let mut add = |what: &str, axes: &[(String, AxisKind)], unit: bool| {
+        let mut add = |quantity: &str, axes: &[(String, AxisKind)], unit: bool| {
             for (name, kind) in axes {
                 let unit = match (unit, kind) {
                     (false, _) => "",
                     (true, AxisKind::Linear) => "_mm",
                     (true, AxisKind::Rotary) => "_deg",
                 };
-                head.push_str(&format!(",{what}_{name}{unit}"));
+                header.push_str(&format!(",{quantity}_{name}{unit}"));
             }
         };
         add("commanded", &self.pose, true);
@@ -96,15 +97,15 @@ impl Columns {
         add("following_error", &self.joints, true);
         add("drive", &self.joints, false);
         if self.force {
-            for (what, unit) in [("force_high", "n"), ("force_low", "n"), ("yielded", "mm")] {
+            for (quantity, unit) in [("force_high", "n"), ("force_low", "n"), ("yielded", "mm")] {
                 for name in ["x", "y", "z"] {
-                    head.push_str(&format!(",{what}_{name}_{unit}"));
+                    header.push_str(&format!(",{quantity}_{name}_{unit}"));
                 }
             }
-            head.push_str(",force_mask");
+            header.push_str(",force_mask");
         }
-        head.push('\n');
-        head
+        header.push('\n');
+        header
     }
 
     fn row(&self, of: &Telemetry) -> String {
@@ -122,7 +123,7 @@ impl Columns {
         let mut add = |axes: &[(String, AxisKind)], values: &AxisValues| {
             for (index, (_, kind)) in axes.iter().enumerate() {
                 row.push(',');
-                // What is not known stays empty.
+                // Unknown values stay empty.
                 if let Some(value) = values.get(index) {
                     row.push_str(&format!("{:.6}", f64::from(*value) / per_unit(*kind)));
                 }
@@ -159,25 +160,25 @@ impl Columns {
 }
 
 impl Recording {
-    /// Begins one in a folder.
+    /// Starts a recording in a folder.
     ///
     /// # Errors
-    /// In words: the file cannot be made.
+    /// The file cannot be created.
     pub(super) fn begin(folder: &Path, machine: &MachineFile) -> Result<Self, String> {
         let stamp = stamp(SystemTime::now());
-        // Two in a second are told apart by a number.
+        // Several recordings within one second get a number.
         let names = (1..100).map(|number| match number {
             1 => format!("console-{stamp}.csv"),
             number => format!("console-{stamp}-{number}.csv"),
         });
-        let mut why = String::new();
+        let mut reason = String::new();
         for name in names {
             let path = folder.join(name);
             match File::create_new(&path) {
-                Ok(file) => return Ok(Self::into(path, file, Columns::of(machine))),
+                Ok(file) => return Ok(Self::into(path, file, Columns::from_machine(machine))),
                 Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => {}
                 Err(error) => {
-                    why = format!(
+                    reason = format!(
                         "{}: {error}; choose another folder with --out",
                         path.display()
                     );
@@ -185,23 +186,23 @@ impl Recording {
                 }
             }
         }
-        Err(why)
+        Err(reason)
     }
 
     fn into(path: PathBuf, file: File, columns: Columns) -> Self {
         let (rows_to, rows) = mpsc::channel::<Box<Telemetry>>();
         let failed = Arc::new(Mutex::new(None));
-        let told = Arc::clone(&failed);
+        let message = Arc::clone(&failed);
         let name = path.display().to_string();
         let writer = std::thread::spawn(move || {
             let mut out = BufWriter::new(file);
             let write = || -> std::io::Result<()> {
-                out.write_all(columns.head().as_bytes())?;
+                out.write_all(columns.header().as_bytes())?;
                 let mut unflushed = 0;
                 for row in rows {
                     out.write_all(columns.row(&row).as_bytes())?;
                     unflushed += 1;
-                    // What a process that dies may lose: half a second.
+                    // Rows that a crash may lose: half a second.
                     if unflushed >= 25 {
                         out.flush()?;
                         unflushed = 0;
@@ -210,9 +211,9 @@ impl Recording {
                 out.flush()
             };
             if let Err(error) = write()
-                && let Ok(mut told) = told.lock()
+                && let Ok(mut message) = message.lock()
             {
-                *told = Some(format!("{name}: {error}; what was recorded so far is kept"));
+                *message = Some(format!("{name}: {error}; the rows written so far are kept"));
             }
         });
         Self {
@@ -227,15 +228,15 @@ impl Recording {
     /// Adds a frame.
     ///
     /// # Errors
-    /// In words: the disk does not take it.
+    /// The writer failed.
     pub(super) fn add(&mut self, telemetry: &Telemetry) -> Result<(), String> {
         let sent = self
             .rows_to
             .as_ref()
             .is_some_and(|rows| rows.send(Box::new(telemetry.clone())).is_ok());
         if !sent {
-            let why = self.failed.lock().ok().and_then(|failed| failed.clone());
-            return Err(why.unwrap_or_else(|| "the recording ended".to_string()));
+            let reason = self.failed.lock().ok().and_then(|failed| failed.clone());
+            return Err(reason.unwrap_or_else(|| "the recording ended".to_string()));
         }
         self.rows += 1;
         Ok(())
@@ -257,7 +258,7 @@ mod tests {
     use std::time::Duration;
 
     #[test]
-    fn the_stamp_is_the_civil_time() {
+    fn time_stamp_is_civil_time() {
         let at = |seconds| stamp(UNIX_EPOCH + Duration::from_secs(seconds));
         assert_eq!(at(0), "19700101T000000Z");
         assert_eq!(at(951_782_399), "20000228T235959Z");
@@ -271,15 +272,15 @@ mod tests {
     }
 
     #[test]
-    fn every_row_has_the_columns_of_the_head() {
+    fn every_row_has_the_columns_of_the_header() {
         let machine = MachineFile::built_in().unwrap();
-        let columns = Columns::of(&machine);
+        let columns = Columns::from_machine(&machine);
         let count = |line: &str| line.matches(',').count();
         let mut telemetry = telemetry();
-        assert_eq!(count(&columns.row(&telemetry)), count(&columns.head()));
+        assert_eq!(count(&columns.row(&telemetry)), count(&columns.header()));
         telemetry.measured.clear();
         telemetry.force = None;
-        assert_eq!(count(&columns.row(&telemetry)), count(&columns.head()));
+        assert_eq!(count(&columns.row(&telemetry)), count(&columns.header()));
     }
 
     fn telemetry() -> Telemetry {

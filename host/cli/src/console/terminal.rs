@@ -1,10 +1,10 @@
-//! The terminal: taken over, drawn on, and given back on every way out.
+//! Set-up, drawing and restoration of the terminal.
 //!
-//! A thread draws, and waits for the terminal as long as it likes: only the newest picture counts. Another thread reads keys. [`restore`] may be
-//! called by anybody at any time, more than once.
+//! One thread draws and may block on the terminal; only the newest view model counts. Another
+//! thread reads keys. [`restore`] may be called from any thread at any time, repeatedly.
 
-use super::shown::Shown;
 use super::view;
+use super::view_model::ViewModel;
 use crate::commands::{CliError, Exit};
 use ratatui::Terminal;
 use ratatui::backend::CrosstermBackend;
@@ -24,27 +24,27 @@ use std::sync::{Arc, Condvar, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// The terminal is ours.
-static TAKEN: AtomicBool = AtomicBool::new(false);
+/// The terminal is in raw mode with the alternate screen.
+static ACTIVE: AtomicBool = AtomicBool::new(false);
 
-/// The terminal was asked to tell of releases.
+/// The terminal reports key releases.
 static ENHANCED: AtomicBool = AtomicBool::new(false);
 
-/// Least time between two pictures: 30 a second.
+/// Shortest frame period: 30 frames per second.
 const FRAME: Duration = Duration::from_millis(33);
 
-/// A picture is drawn so often even when nothing new came.
+/// Frame period without a new view model.
 const IDLE_FRAME: Duration = Duration::from_millis(250);
 
-/// While the terminal is asked it is looked at so often.
-const ASKED: Duration = Duration::from_millis(20);
+/// Poll period during the query of the terminal.
+const QUERY_POLL: Duration = Duration::from_millis(20);
 
-/// How long the last picture may take when the console is left.
-const LAST: Duration = Duration::from_millis(300);
+/// Longest wait for the last frame on exit.
+const LAST_FRAME: Duration = Duration::from_millis(300);
 
-/// Gives the terminal back as it was. Errors are not told: there is nobody left to tell.
+/// Restores the terminal. Errors are ignored: there is no terminal left to report them on.
 pub(super) fn restore() {
-    if !TAKEN.swap(false, Ordering::SeqCst) {
+    if !ACTIVE.swap(false, Ordering::SeqCst) {
         return;
     }
     let _ = disable_raw_mode();
@@ -60,56 +60,60 @@ pub(super) fn restore() {
     );
 }
 
-/// Checks that there is a terminal, for keys and for the picture.
+/// Checks that standard input and output are a terminal.
 ///
 /// # Errors
-/// There is none.
-pub(super) fn check() -> Result<(), CliError> {
-    for (is, which) in [
+/// One of them is none.
+pub(super) fn require_terminal() -> Result<(), CliError> {
+    for (is_terminal, stream) in [
         (stdin().is_terminal(), "standard input"),
         (stdout().is_terminal(), "standard output"),
     ] {
-        if !is {
-            let what = format!(
-                "console: {which} is not a terminal; run it in one (over ssh with `ssh -t`). For scripts there are `haptimill status`, `jog`, `run` with --json"
+        if !is_terminal {
+            let message = format!(
+                "console: {stream} is not a terminal; run it in one (over ssh with `ssh -t`). \
+                 For scripts use `haptimill status`, `jog`, `run` with --json"
             );
-            return Err(CliError::new(Exit::Usage, what));
+            return Err(CliError::new(Exit::Usage, message));
         }
     }
     Ok(())
 }
 
-/// Takes the terminal over. When it hangs up meanwhile, or `leaves` says that nobody wants it any more, it is taken as far as it was.
+/// Takes over the terminal. A hang-up or `is_cancelled` ends the set-up early, without an error.
 ///
 /// # Errors
-/// The system does not let it.
-pub(super) fn take(leaves: &dyn Fn() -> bool) -> Result<(), CliError> {
+/// The system refuses.
+pub(super) fn take_over(is_cancelled: &dyn Fn() -> bool) -> Result<(), CliError> {
     let before = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic| {
         restore();
         before(panic);
     }));
-    prepare(leaves).map_err(|error| {
+    set_up(is_cancelled).map_err(|error| {
         restore();
-        if hung_up() {
-            return CliError::new(Exit::Stopped, "the terminal is gone; nothing moved");
+        if is_hung_up() {
+            return CliError::new(
+                Exit::Stopped,
+                "the terminal is gone; the machine did not move",
+            );
         }
         CliError::new(Exit::Usage, format!("console: the terminal: {error}"))
     })
 }
 
-fn prepare(leaves: &dyn Fn() -> bool) -> std::io::Result<()> {
+fn set_up(is_cancelled: &dyn Fn() -> bool) -> std::io::Result<()> {
     enable_raw_mode()?;
-    TAKEN.store(true, Ordering::SeqCst);
+    ACTIVE.store(true, Ordering::SeqCst);
     execute!(
         stdout(),
         EnterAlternateScreen,
-        // Not by ratatui: it would ask the terminal where its cursor is, and wait.
+        // ratatui would query the cursor position, and block.
         Clear(ClearType::All),
         EnableBracketedPaste,
         EnableFocusChange
     )?;
-    if tells_of_releases(leaves) {
+    if reports_releases(is_cancelled) {
         let flags = KeyboardEnhancementFlags::DISAMBIGUATE_ESCAPE_CODES
             | KeyboardEnhancementFlags::REPORT_EVENT_TYPES;
         execute!(stdout(), PushKeyboardEnhancementFlags(flags))?;
@@ -118,22 +122,22 @@ fn prepare(leaves: &dyn Fn() -> bool) -> std::io::Result<()> {
     Ok(())
 }
 
-/// Asks the terminal whether it tells of releases; one that answers nothing at all costs two seconds.
-fn tells_of_releases(leaves: &dyn Fn() -> bool) -> bool {
+/// Queries whether the terminal reports releases. A terminal without an answer costs two seconds.
+fn reports_releases(is_cancelled: &dyn Fn() -> bool) -> bool {
     let (sender, answer) = mpsc::channel();
-    // In a thread of its own: crossterm reads a terminal that has hung up again and again, for ever.
+    // In a thread, since crossterm reads a terminal that has hung up in an endless loop.
     std::thread::spawn(move || sender.send(supports_keyboard_enhancement().unwrap_or(false)));
     loop {
-        match answer.recv_timeout(ASKED) {
-            Ok(tells) => return tells,
-            Err(RecvTimeoutError::Timeout) if !leaves() && !hung_up() => {}
+        match answer.recv_timeout(QUERY_POLL) {
+            Ok(reports) => return reports,
+            Err(RecvTimeoutError::Timeout) if !is_cancelled() && !is_hung_up() => {}
             Err(_) => return false,
         }
     }
 }
 
-/// Reads keys until the terminal is gone.
-pub(super) fn listen(events: Sender<Option<Event>>) {
+/// Reads keys in a thread until the terminal is gone.
+pub(super) fn spawn_reader(events: Sender<Option<Event>>) {
     std::thread::spawn(move || {
         while let Ok(event) = event::read() {
             if events.send(Some(event)).is_err() {
@@ -144,8 +148,8 @@ pub(super) fn listen(events: Sender<Option<Event>>) {
     });
 }
 
-/// Whether the terminal has hung up.
-pub(super) fn hung_up() -> bool {
+/// Returns true when the terminal has hung up.
+pub(super) fn is_hung_up() -> bool {
     #[cfg(unix)]
     {
         use rustix::event::{PollFd, PollFlags, Timespec, poll};
@@ -166,88 +170,89 @@ pub(super) fn hung_up() -> bool {
 
 #[derive(Default)]
 struct Shared {
-    newest: Mutex<(Option<Box<Shown>>, bool)>,
-    there: Condvar,
+    newest: Mutex<(Option<Box<ViewModel>>, bool)>,
+    changed: Condvar,
 }
 
-/// Draws, in a thread of its own.
-pub(super) struct Painter {
+/// Draws in a thread.
+pub(super) struct Renderer {
     shared: Arc<Shared>,
     thread: JoinHandle<std::io::Result<()>>,
 }
 
-impl Painter {
-    /// Begins. The terminal must be taken.
-    pub(super) fn begin() -> Self {
+impl Renderer {
+    /// Starts the thread. Callers must have taken over the terminal.
+    pub(super) fn spawn() -> Self {
         let shared = Arc::new(Shared::default());
         let source = Arc::clone(&shared);
-        let thread = std::thread::spawn(move || paint(&source));
+        let thread = std::thread::spawn(move || render(&source));
         Self { shared, thread }
     }
 
-    /// Shows this next. Never waits for the terminal.
-    pub(super) fn show(&self, shown: Shown) {
+    /// Replaces the view model to draw. Never blocks.
+    pub(super) fn show(&self, view: ViewModel) {
         if let Ok(mut newest) = self.shared.newest.lock() {
-            newest.0 = Some(Box::new(shown));
+            newest.0 = Some(Box::new(view));
         }
-        self.shared.there.notify_one();
+        self.shared.changed.notify_one();
     }
 
-    /// The painter ended by itself: the terminal takes no more, or a defect.
-    pub(super) fn ended(&self) -> bool {
+    /// The thread has ended by itself: the terminal accepts no output, or a defect.
+    pub(super) fn has_ended(&self) -> bool {
         self.thread.is_finished()
     }
 
-    /// Ends, after the last picture. False when the terminal is stuck: whoever writes to it would wait for ever.
+    /// Ends the thread after the last frame. Returns false when the terminal is stuck: further
+    /// output would block.
     pub(super) fn end(self) -> bool {
         if let Ok(mut newest) = self.shared.newest.lock() {
             newest.1 = true;
         }
-        self.shared.there.notify_one();
-        let until = Instant::now() + LAST;
+        self.shared.changed.notify_one();
+        let until = Instant::now() + LAST_FRAME;
         while !self.thread.is_finished() && Instant::now() < until {
             std::thread::sleep(Duration::from_millis(5));
         }
-        let ended = self.thread.is_finished();
-        if !ended {
-            // The mode of the terminal can be set all the same.
-            TAKEN.store(false, Ordering::SeqCst);
+        let has_ended = self.thread.is_finished();
+        if !has_ended {
+            // The mode of the terminal can be restored even if its output is stuck.
+            ACTIVE.store(false, Ordering::SeqCst);
             let _ = disable_raw_mode();
         }
-        ended
+        has_ended
     }
 }
 
-fn paint(shared: &Shared) -> std::io::Result<()> {
+fn render(shared: &Shared) -> std::io::Result<()> {
     let mut terminal = Terminal::new(CrosstermBackend::new(stdout()))?;
-    let mut last: Option<Box<Shown>> = None;
+    let mut last: Option<Box<ViewModel>> = None;
     loop {
-        let begun = Instant::now();
+        let started = Instant::now();
         let end = {
             let Ok(newest) = shared.newest.lock() else {
                 return Ok(());
             };
             let waited = shared
-                .there
-                .wait_timeout_while(newest, IDLE_FRAME, |(shown, end)| shown.is_none() && !*end);
+                .changed
+                .wait_timeout_while(newest, IDLE_FRAME, |(view, end)| view.is_none() && !*end);
             let Ok((mut newest, _)) = waited else {
                 return Ok(());
             };
-            if let Some(shown) = newest.0.take() {
-                last = Some(shown);
+            if let Some(view) = newest.0.take() {
+                last = Some(view);
             }
             newest.1
         };
-        // After a restore, by a defect elsewhere, the screen is not ours any more.
-        if !TAKEN.load(Ordering::SeqCst) {
+        // A panic in another thread has restored the terminal.
+        if !ACTIVE.load(Ordering::SeqCst) {
             return Ok(());
         }
-        if let Some(shown) = &last {
-            terminal.draw(|frame| view::draw(frame, shown))?;
+        if let Some(view) = &last {
+            terminal.draw(|frame| view::draw(frame, view))?;
         }
         if end {
             return Ok(());
         }
-        std::thread::sleep(FRAME.saturating_sub(begun.elapsed()));
+        std::thread::sleep(FRAME.saturating_sub(started.elapsed()));
     }
 }

@@ -1,4 +1,4 @@
-//! Ways out: the machine is left safe, the terminal as it was.
+//! Exit paths: the machine is left safe, the terminal restored.
 
 use super::machine::Machine;
 use super::scene::haptimill;
@@ -8,11 +8,11 @@ use haptimill_protocol::message::State;
 use rustix::process::{Pid, Signal, kill_process};
 use std::time::{Duration, Instant};
 
-/// Holds a key down for a while, as a keyboard that repeats.
+/// Holds a key down for a time, as a repeating keyboard does.
 fn hold_down(terminal: &Terminal, key: &[u8], time: Duration) {
-    let begun = Instant::now();
-    while begun.elapsed() < time {
-        terminal.keys(key);
+    let started = Instant::now();
+    while started.elapsed() < time {
+        terminal.press(key);
         std::thread::sleep(Duration::from_millis(30));
     }
 }
@@ -22,14 +22,14 @@ pub fn signal(terminal: &Terminal, signal: Signal) {
     kill_process(process, signal).unwrap();
 }
 
-/// The machine stands idle within a second, and nothing moves it afterwards.
-fn stands(machine: &Machine) {
-    let begun = Instant::now();
-    machine.comes_to(State::Idle);
+/// The machine is idle within five seconds, and does not move afterwards.
+fn assert_stays_idle(machine: &Machine) {
+    let started = Instant::now();
+    machine.wait_for_state(State::Idle);
     assert!(
-        begun.elapsed() < Duration::from_secs(5),
+        started.elapsed() < Duration::from_secs(5),
         "{:?}",
-        begun.elapsed()
+        started.elapsed()
     );
     let at = machine.now().commanded;
     std::thread::sleep(Duration::from_millis(900));
@@ -38,104 +38,108 @@ fn stands(machine: &Machine) {
 }
 
 #[test]
-fn a_terminal_that_is_closed_in_a_jog_stops_the_machine() {
+fn closing_the_terminal_during_a_jog_stops_the_machine() {
     let machine = Machine::start();
     let mut terminal = homed(&["--port", &machine.port], Keyboard::Plain);
     hold_down(&terminal, RIGHT, Duration::from_millis(400));
     assert_eq!(machine.now().state, State::Jog);
     terminal.close();
-    stands(&machine);
-    assert_eq!(terminal.end(), 7);
+    assert_stays_idle(&machine);
+    assert_eq!(terminal.exit_code(), 7);
 }
 
 #[test]
-fn a_terminal_that_is_closed_in_a_program_stops_the_machine_along_its_path() {
+fn closing_the_terminal_during_a_program_stops_the_machine_along_its_path() {
     let folder = scene::Folder::new();
-    let program = folder.file("way.ngc", "G21 G90 F600\nG1 X100\nM30\n");
+    let program = folder.file("move.ngc", "G21 G90 F600\nG1 X100\nM30\n");
     let machine = Machine::start();
     let mut terminal = homed(&["--port", &machine.port, &program], Keyboard::Plain);
     run(&terminal);
-    machine.comes_to(State::Run);
+    machine.wait_for_state(State::Run);
     std::thread::sleep(Duration::from_millis(500));
     terminal.close();
-    // Stopped by command, not by a fault after half a second of silence.
-    stands(&machine);
+    // Stopped by command, not by the heartbeat fault after 500 ms.
+    assert_stays_idle(&machine);
     assert!(machine.now().commanded < 50.0);
-    assert_eq!(terminal.end(), 7);
+    assert_eq!(terminal.exit_code(), 7);
 }
 
 #[test]
-fn a_console_that_is_killed_in_a_jog_stops_the_machine_by_its_dead_man() {
+fn killing_the_console_during_a_jog_stops_the_machine_by_the_deadline() {
     let machine = Machine::start();
     let mut terminal = homed(&["--port", &machine.port], Keyboard::Plain);
     hold_down(&terminal, RIGHT, Duration::from_millis(400));
     assert_eq!(machine.now().state, State::Jog);
     signal(&terminal, Signal::KILL);
     let killed = Instant::now();
-    stands(&machine);
-    assert_eq!(terminal.end(), -1);
-    let seen = machine.seen();
-    let mut moves = seen
+    assert_stays_idle(&machine);
+    assert_eq!(terminal.exit_code(), -1);
+    let samples = machine.samples();
+    let mut moves = samples
         .windows(2)
         .filter(|two| two[0].commanded != two[1].commanded);
     let stood = moves.next_back().unwrap()[1]
         .at
         .saturating_duration_since(killed);
-    // The deadline of the last command, and 63 ms of braking; the rest is for a busy computer.
+    // Deadline of the last command and 63 ms of deceleration; the rest is margin for a busy
+    // computer.
     assert!(stood < Duration::from_millis(200 + 63 + 500), "{stood:?}");
 }
 
 #[test]
-fn signals_end_the_console_and_the_terminal_is_as_before() {
+fn signals_end_the_console_and_the_terminal_is_restored() {
     for kind in [Signal::TERM, Signal::HUP, Signal::INT] {
         let mut terminal = console(&[], Keyboard::Kitty);
-        terminal.state("DISABLED");
-        assert!(!terminal.is_as_before());
+        terminal.expect_state("DISABLED");
+        assert!(!terminal.is_restored());
         signal(&terminal, kind);
-        assert_eq!(terminal.end(), 7, "{kind:?}");
-        assert!(terminal.is_as_before(), "{kind:?}\n{}", terminal.text());
-        terminal.sees("console ended by a signal; the machine is disabled");
+        assert_eq!(terminal.exit_code(), 7, "{kind:?}");
+        assert!(terminal.is_restored(), "{kind:?}\n{}", terminal.text());
+        terminal.expect_text("console ended by a signal; the machine is disabled");
     }
 }
 
 #[test]
-fn a_terminal_that_goes_while_it_is_asked_ends_the_console() {
+fn terminal_loss_during_the_query_ends_the_console() {
     for closes in [true, false] {
-        let mut terminal = console(&[], Keyboard::Mute);
-        terminal.waits("took the terminal", |_| {
+        let mut terminal = console(&[], Keyboard::Silent);
+        terminal.wait_until("took the terminal", |_| {
             terminal.with_screen(|screen| screen.alternate_screen())
         });
-        let begun = Instant::now();
+        let started = Instant::now();
         if closes {
             terminal.close();
         } else {
             signal(&terminal, Signal::TERM);
         }
-        assert_eq!(terminal.end(), 7);
-        // It would have waited two seconds for an answer.
-        let took = begun.elapsed();
+        assert_eq!(terminal.exit_code(), 7);
+        // The query of the terminal would wait two seconds for an answer.
+        let took = started.elapsed();
         assert!(took < Duration::from_millis(1800), "{took:?}");
-        assert!(closes || terminal.is_as_before());
+        assert!(closes || terminal.is_restored());
     }
 }
 
 #[test]
-fn it_asks_before_it_leaves_a_machine_whose_drives_are_on() {
+fn quit_asks_first_when_drives_are_on() {
     let machine = Machine::start();
     let mut terminal = homed(&["--port", &machine.port], Keyboard::Plain);
-    terminal.brings(b"q", "Quit? nothing moves; the drives stay on and hold.");
-    terminal.keys(b"n");
-    terminal.waits("closed the question", |text| !text.contains("Quit?"));
-    terminal.brings(b"\x03", "Quit?");
-    terminal.keys(ENTER);
-    assert_eq!(terminal.end(), 0);
-    terminal.sees("console left; the machine is idle");
-    assert!(terminal.is_as_before());
+    terminal.press_expect(
+        b"q",
+        "Quit? the machine is at standstill; the drives stay on and hold.",
+    );
+    terminal.press(b"n");
+    terminal.wait_until("closed the question", |text| !text.contains("Quit?"));
+    terminal.press_expect(b"\x03", "Quit?");
+    terminal.press(ENTER);
+    assert_eq!(terminal.exit_code(), 0);
+    terminal.expect_text("console quit; the machine is idle");
+    assert!(terminal.is_restored());
     assert_eq!(machine.now().state, State::Idle);
 }
 
 #[test]
-fn without_a_terminal_it_says_so() {
+fn missing_terminal_and_invalid_arguments_are_usage_errors() {
     let ran = haptimill(&["console"]).ended_with(2);
     assert!(
         ran.err
@@ -146,9 +150,9 @@ fn without_a_terminal_it_says_so() {
     assert_eq!(ran.out, "");
     haptimill(&["console", "--port", "pil:mps2"]).ended_with(2);
     haptimill(&["console", "--port", "tcp:localhost:1", "--seed", "3"]).ended_with(2);
-    let person = ["--person", "examples/teleop.toml"];
-    let afar = [&["console", "--port", "tcp:localhost:1"], &person[..]].concat();
-    let ran = haptimill(&afar).ended_with(2);
+    let operator = ["--person", "examples/teleop.toml"];
+    let remote = [&["console", "--port", "tcp:localhost:1"], &operator[..]].concat();
+    let ran = haptimill(&remote).ended_with(2);
     assert!(
         ran.err.contains("give it to `haptimill sim serve`"),
         "{}",
@@ -157,16 +161,16 @@ fn without_a_terminal_it_says_so() {
 }
 
 #[test]
-fn a_port_that_is_not_there_is_told_at_the_beginning() {
+fn absent_port_is_reported_at_the_start() {
     let mut terminal = console(&["--port", "tcp:127.0.0.1:1"], Keyboard::Plain);
-    assert_eq!(terminal.end(), 5);
-    assert!(terminal.is_as_before());
+    assert_eq!(terminal.exit_code(), 5);
+    assert!(terminal.is_restored());
     let text = terminal.text();
     assert!(text.contains("cannot be opened"), "{text}");
 }
 
 #[test]
-fn what_stops_the_machine_by_itself_is_told_with_its_remedy() {
+fn faults_are_shown_with_their_remedy() {
     let terminal = homed(
         &[
             "--fault",
@@ -176,29 +180,29 @@ fn what_stops_the_machine_by_itself_is_told_with_its_remedy() {
         ],
         Keyboard::Plain,
     );
-    terminal.state("EMERGENCY STOP");
-    terminal.sees("EMERGENCY STOP: drives off. Release the cause, then x resets");
+    terminal.expect_state("EMERGENCY STOP");
+    terminal.expect_text("EMERGENCY STOP: drives off. Remove the cause, then x resets");
     let reset = || {
-        let begun = Instant::now();
+        let started = Instant::now();
         while terminal.row(0).starts_with(" FAULT") || terminal.row(0).starts_with(" EMERG") {
-            terminal.keys(b"x");
+            terminal.press(b"x");
             std::thread::sleep(Duration::from_millis(200));
-            assert!(begun.elapsed() < terminal::PATIENCE, "{}", terminal.text());
+            assert!(started.elapsed() < terminal::TIMEOUT, "{}", terminal.text());
         }
     };
     reset();
-    terminal.keys(b"e");
-    terminal.state("IDLE");
-    // To and fro until the slide sticks.
-    let begun = Instant::now();
+    terminal.press(b"e");
+    terminal.expect_state("IDLE");
+    // Jog in both directions until the slide jams.
+    let started = Instant::now();
     for key in [RIGHT, LEFT].iter().cycle() {
         if terminal.row(0).starts_with(" FAULT") {
             break;
         }
         hold_down(&terminal, key, Duration::from_millis(300));
-        assert!(begun.elapsed() < terminal::PATIENCE, "{}", terminal.text());
+        assert!(started.elapsed() < terminal::TIMEOUT, "{}", terminal.text());
     }
-    terminal.sees("FAULT: l1 ");
-    terminal.sees("Key: x resets");
+    terminal.expect_text("FAULT: l1 ");
+    terminal.expect_text("Key: x resets");
     reset();
 }

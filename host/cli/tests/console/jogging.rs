@@ -5,11 +5,11 @@ use super::*;
 use machine::Machine;
 use std::time::{Duration, Instant};
 
-/// The wanted coordinate of an axis on the screen, once it stands.
+/// Commanded coordinate of an axis on the screen, at standstill.
 #[track_caller]
 fn at(terminal: &Terminal, axis: &str) -> f64 {
-    terminal.state("IDLE");
-    // The picture of the state may be older than the end of the motion.
+    terminal.expect_state("IDLE");
+    // The displayed state may be older than the end of the motion.
     std::thread::sleep(Duration::from_millis(120));
     terminal
         .number(axis, 1)
@@ -17,7 +17,7 @@ fn at(terminal: &Terminal, axis: &str) -> f64 {
 }
 
 #[test]
-fn every_axis_goes_both_ways_and_ends_with_the_dead_man_time() {
+fn every_axis_jogs_both_ways_and_stops_after_the_dead_man_time() {
     let terminal = homed(&[], Keyboard::Plain);
     for (axis, up, down) in [
         ("x", RIGHT, LEFT),
@@ -27,115 +27,117 @@ fn every_axis_goes_both_ways_and_ends_with_the_dead_man_time() {
         ("alpha", b"m".as_slice(), b"n".as_slice()),
     ] {
         let before = at(&terminal, axis);
-        terminal.keys(up);
-        terminal.state("JOG");
+        terminal.press(up);
+        terminal.expect_state("JOG");
         let after = at(&terminal, axis);
-        // 5 mm/s for 200 ms at most; less when a busy computer held the simulated machine up meanwhile, never more.
-        let went = after - before;
-        assert!((0.2..1.15).contains(&went), "{axis} {before} {after}");
-        terminal.keys(down);
-        terminal.state("JOG");
+        // At most 5 mm/s for 200 ms; less when a busy computer delayed the simulated machine, never
+        // more.
+        let travel = after - before;
+        assert!((0.2..1.15).contains(&travel), "{axis} {before} {after}");
+        terminal.press(down);
+        terminal.expect_state("JOG");
         let back = at(&terminal, axis);
-        let went = after - back;
-        assert!((0.2..1.15).contains(&went), "{axis} {after} {back}");
+        let travel = after - back;
+        assert!((0.2..1.15).contains(&travel), "{axis} {after} {back}");
     }
-    // A slower rate goes less far.
-    terminal.brings(b"sss", "continuous 0.5 mm/s");
+    // A lower rate moves less far.
+    terminal.press_expect(b"sss", "continuous 0.5 mm/s");
     let before = at(&terminal, "x");
-    terminal.keys(RIGHT);
-    terminal.state("JOG");
+    terminal.press(RIGHT);
+    terminal.expect_state("JOG");
     let after = at(&terminal, "x");
     assert!((0.02..0.12).contains(&(after - before)), "{before} {after}");
 }
 
 #[test]
-fn steps_are_exact_and_one_for_each_press() {
+fn steps_are_exact_and_one_per_key_press() {
     let terminal = homed(&[], Keyboard::Plain);
-    terminal.brings(b"\t", "step 0.1 mm");
+    terminal.press_expect(b"\t", "step 0.1 mm");
     let before = at(&terminal, "y");
-    terminal.brings(b"ss", "step 0.001 mm");
+    terminal.press_expect(b"ss", "step 0.001 mm");
     for _ in 0..3 {
-        terminal.keys(UP);
+        terminal.press(UP);
         std::thread::sleep(Duration::from_millis(300));
     }
     let after = at(&terminal, "y");
     assert!((after - before - 0.003).abs() < 1e-6, "{before} {after}");
-    terminal.brings(b"ffff", "step 10 mm");
-    terminal.keys(DOWN);
-    terminal.state("RUN");
+    terminal.press_expect(b"ffff", "step 10 mm");
+    terminal.press(DOWN);
+    terminal.expect_state("RUN");
     let down = at(&terminal, "y");
     assert!((down - after + 10.0).abs() < 1e-6, "{after} {down}");
-    // A step ends with the hold key, and nothing of it is left to be resumed.
-    terminal.keys(UP);
-    terminal.state("RUN");
-    terminal.keys(SPACE);
+    // Hold ends a step and leaves nothing to resume.
+    terminal.press(UP);
+    terminal.expect_state("RUN");
+    terminal.press(SPACE);
     let stopped = at(&terminal, "y");
     assert!(stopped > down && stopped < down + 9.9, "{down} {stopped}");
-    // A tilt goes in steps of degrees.
-    terminal.brings(b"s", "step 1 mm");
+    // A rotary axis moves in steps of degrees.
+    terminal.press_expect(b"s", "step 1 mm");
     let tilt = at(&terminal, "theta");
-    terminal.keys(b".");
-    terminal.state("RUN");
+    terminal.press(b".");
+    terminal.expect_state("RUN");
     assert!((at(&terminal, "theta") - tilt - 1.0).abs() < 1e-6);
 }
 
 #[test]
-fn a_held_key_goes_on_and_a_release_ends_it_at_once() {
+fn held_key_keeps_jogging_and_release_stops_at_once() {
     let machine = Machine::start();
     let terminal = homed(&["--port", &machine.port], Keyboard::Kitty);
-    // The first release tells the console that releases are told.
-    terminal.keys(b"\x1b[1;1:1C");
-    machine.comes_to(haptimill_protocol::message::State::Jog);
-    terminal.keys(b"\x1b[1;1:3C");
-    machine.rests(Duration::from_millis(300));
-    terminal.sees("ends with the key");
-    // Longer than the dead-man time without a repeat, as until keyboards begin to repeat.
-    terminal.keys(b"\x1b[1;1:1C");
-    let begun = Instant::now();
+    // The first release shows that the terminal reports releases.
+    terminal.press(b"\x1b[1;1:1C");
+    machine.wait_for_state(haptimill_protocol::message::State::Jog);
+    terminal.press(b"\x1b[1;1:3C");
+    machine.wait_for_standstill(Duration::from_millis(300));
+    terminal.expect_text("ends on release");
+    // Longer than the dead-man time without a repeat, as before a keyboard starts to repeat.
+    terminal.press(b"\x1b[1;1:1C");
+    let started = Instant::now();
     std::thread::sleep(Duration::from_millis(450));
     assert_eq!(machine.now().state, haptimill_protocol::message::State::Jog);
     for _ in 0..10 {
-        terminal.keys(b"\x1b[1;1:2C");
+        terminal.press(b"\x1b[1;1:2C");
         std::thread::sleep(Duration::from_millis(30));
     }
     let released = machine.now().commanded;
-    terminal.keys(b"\x1b[1;1:3C");
-    machine.rests(Duration::from_millis(300));
-    let went = machine.now().commanded - released;
-    // 5 mm/s for the way of the release, then 63 ms of braking; without the release it would be 1 mm and more.
+    terminal.press(b"\x1b[1;1:3C");
+    machine.wait_for_standstill(Duration::from_millis(300));
+    let travel = machine.now().commanded - released;
+    // 5 mm/s during the latency of the release, then 63 ms of deceleration; without the release it
+    // would be 1 mm or more.
     assert!(
-        went < 0.7 || begun.elapsed() > Duration::from_secs(3),
-        "{went} mm after the release"
+        travel < 0.7 || started.elapsed() > Duration::from_secs(3),
+        "{travel} mm after the release"
     );
-    // The repeat of a key that was let go by a hold moves nothing.
-    terminal.keys(b"\x1b[1;1:1C");
-    machine.comes_to(haptimill_protocol::message::State::Jog);
-    terminal.keys(SPACE);
-    machine.rests(Duration::from_millis(400));
+    // Repeats of a key that a hold released move nothing.
+    terminal.press(b"\x1b[1;1:1C");
+    machine.wait_for_state(haptimill_protocol::message::State::Jog);
+    terminal.press(SPACE);
+    machine.wait_for_standstill(Duration::from_millis(400));
     let stopped = machine.now().commanded;
     for _ in 0..5 {
-        terminal.keys(b"\x1b[1;1:2C");
+        terminal.press(b"\x1b[1;1:2C");
         std::thread::sleep(Duration::from_millis(30));
     }
-    machine.rests(Duration::from_millis(200));
+    machine.wait_for_standstill(Duration::from_millis(200));
     assert_eq!(machine.now().commanded, stopped);
 }
 
 #[test]
-fn what_must_not_jog_does_not() {
+fn jog_is_refused_when_not_ready_and_pasted_text_is_ignored() {
     let terminal = console(&[], Keyboard::Plain);
-    terminal.state("DISABLED");
-    terminal.brings(RIGHT, "jog: not possible while the machine is disabled");
-    terminal.keys(b"e");
-    terminal.state("IDLE");
-    terminal.brings(RIGHT, "jog: home the machine first");
-    // A pasted text is no keys, a torn escape sequence neither.
-    terminal.brings(
+    terminal.expect_state("DISABLED");
+    terminal.press_expect(RIGHT, "jog: not possible while the machine is disabled");
+    terminal.press(b"e");
+    terminal.expect_state("IDLE");
+    terminal.press_expect(RIGHT, "jog: home the machine first");
+    // Pasted text and a split escape sequence are not key input.
+    terminal.press_expect(
         b"\x1b[200~hhh\reee\x1b[201~",
-        "pasted text is not heard as keys",
+        "pasted text is not taken as key input",
     );
-    terminal.keys(b"[C");
-    terminal.keys(b"[15~ABCD");
+    terminal.press(b"[C");
+    terminal.press(b"[15~ABCD");
     std::thread::sleep(Duration::from_millis(200));
     assert!(terminal.text().contains("continuous 5 mm/s"));
     assert!(!terminal.text().contains("Home?"), "{}", terminal.text());

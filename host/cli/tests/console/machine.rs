@@ -1,4 +1,4 @@
-//! A machine in this process that is watched, and a cable that can be cut.
+//! A recorded machine in this process, and a cable that can be disconnected.
 
 use haptimill_client::port::{TcpServer, Transport};
 use haptimill_client::session;
@@ -11,21 +11,21 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// What was seen of a machine.
+/// State of the machine at one time.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Seen {
+pub struct Sample {
     pub at: Instant,
     pub state: State,
-    /// x of the wanted pose, mm.
+    /// x of the commanded pose, mm.
     pub commanded: f64,
-    /// x of the tool, as it truly is, mm.
+    /// True x of the tool, mm.
     pub tool: f64,
 }
 
-/// The simulated machine with the controller of this project, served on a TCP port as `sim serve` does it.
+/// The simulated machine with its controller, on a TCP port like `sim serve`.
 pub struct Machine {
     pub port: String,
-    seen: Arc<Mutex<Vec<Seen>>>,
+    samples: Arc<Mutex<Vec<Sample>>>,
     end: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
@@ -34,59 +34,59 @@ impl Machine {
     pub fn start() -> Self {
         let mut server = TcpServer::listen("127.0.0.1:0").unwrap();
         let port = server.name().to_string();
-        let seen: Arc<Mutex<Vec<Seen>>> = Arc::default();
+        let samples: Arc<Mutex<Vec<Sample>>> = Arc::default();
         let end = Arc::new(AtomicBool::new(false));
         let thread = {
-            let (seen, end) = (Arc::clone(&seen), Arc::clone(&end));
-            std::thread::spawn(move || run(&mut server, &seen, &end))
+            let (samples, end) = (Arc::clone(&samples), Arc::clone(&end));
+            std::thread::spawn(move || run(&mut server, &samples, &end))
         };
         Self {
             port,
-            seen,
+            samples,
             end,
             thread: Some(thread),
         }
     }
 
-    /// How it stands now.
-    pub fn now(&self) -> Seen {
+    /// Latest sample.
+    pub fn now(&self) -> Sample {
         loop {
-            if let Some(seen) = self.seen.lock().unwrap().last() {
-                return *seen;
+            if let Some(samples) = self.samples.lock().unwrap().last() {
+                return *samples;
             }
             std::thread::sleep(Duration::from_millis(2));
         }
     }
 
-    /// Forgets what was seen.
-    pub fn forget(&self) {
-        let mut seen = self.seen.lock().unwrap();
-        let last = seen.pop();
-        seen.clear();
-        seen.extend(last);
+    /// Drops all samples but the latest.
+    pub fn clear_samples(&self) {
+        let mut samples = self.samples.lock().unwrap();
+        let last = samples.pop();
+        samples.clear();
+        samples.extend(last);
     }
 
-    /// All that was seen since.
-    pub fn seen(&self) -> Vec<Seen> {
-        self.seen.lock().unwrap().clone()
+    /// All samples since the last call of `clear_samples`.
+    pub fn samples(&self) -> Vec<Sample> {
+        self.samples.lock().unwrap().clone()
     }
 
-    /// Waits until it is in a state.
+    /// Waits until the machine is in a state.
     #[track_caller]
-    pub fn comes_to(&self, state: State) {
-        let begun = Instant::now();
+    pub fn wait_for_state(&self, state: State) {
+        let started = Instant::now();
         while self.now().state != state {
             assert!(
-                begun.elapsed() < super::terminal::PATIENCE,
-                "never {state}, but {:?}",
+                started.elapsed() < super::terminal::TIMEOUT,
+                "timeout: state {state}, now {:?}",
                 self.now()
             );
             std::thread::sleep(Duration::from_millis(2));
         }
     }
 
-    /// Waits until the wanted pose has not changed for so long.
-    pub fn rests(&self, time: Duration) {
+    /// Waits until the commanded pose is constant for this time.
+    pub fn wait_for_standstill(&self, time: Duration) {
         loop {
             let before = self.now().commanded;
             std::thread::sleep(time);
@@ -106,46 +106,46 @@ impl Drop for Machine {
     }
 }
 
-fn run(server: &mut TcpServer, seen: &Mutex<Vec<Seen>>, end: &AtomicBool) {
+fn run(server: &mut TcpServer, samples: &Mutex<Vec<Sample>>, end: &AtomicBool) {
     let file = MachineFile::built_in().unwrap();
     let rig = session::rig(&file, None, None, Vec::new()).unwrap();
     let Ok(mut rig) = session::commissioned(rig, &file) else {
-        panic!("not configured");
+        panic!("configuration refused");
     };
     let period_ns = u64::from(file.config.period_us) * 1000;
-    let begun = Instant::now();
-    let mut given_up = 0;
-    let (mut buffer, mut said) = ([0; 4096], Vec::new());
+    let started = Instant::now();
+    let mut skipped = 0;
+    let (mut buffer, mut output) = ([0; 4096], Vec::new());
     while !end.load(Ordering::Relaxed) {
-        let real = begun.elapsed().as_nanos() as u64;
-        let mut behind = real.saturating_sub(rig.time_ns() + given_up);
+        let real = started.elapsed().as_nanos() as u64;
+        let mut behind = real.saturating_sub(rig.time_ns() + skipped);
         if behind > 20_000_000 {
-            given_up += behind - 20_000_000;
+            skipped += behind - 20_000_000;
             behind = 20_000_000;
         }
         for _ in 0..behind / period_ns {
             rig.step();
         }
-        if let Some(reading) = rig.control().snapshot(rig.inputs()) {
-            let now = Seen {
+        if let Some(snapshot) = rig.control().snapshot(rig.inputs()) {
+            let now = Sample {
                 at: Instant::now(),
-                state: reading.state,
-                commanded: f64::from(reading.commanded[0]) / f64::from(1 << 20),
+                state: snapshot.state,
+                commanded: f64::from(snapshot.commanded[0]) / f64::from(1 << 20),
                 tool: rig.truth().pose[0],
             };
-            let mut seen = seen.lock().unwrap();
-            let news = seen.last().is_none_or(|last| {
+            let mut samples = samples.lock().unwrap();
+            let is_new = samples.last().is_none_or(|last| {
                 last.state != now.state
                     || last.commanded != now.commanded
                     || (last.tool - now.tool).abs() > 5e-4
             });
-            if news {
-                seen.push(now);
+            if is_new {
+                samples.push(now);
             }
         }
-        rig.host_read(&mut said);
-        let taken = server.write(&said, Duration::ZERO).unwrap();
-        said.drain(..taken);
+        rig.host_read(&mut output);
+        let taken = server.write(&output, Duration::ZERO).unwrap();
+        output.drain(..taken);
         let count = server
             .read(&mut buffer, Duration::from_micros(200))
             .unwrap();
@@ -155,11 +155,11 @@ fn run(server: &mut TcpServer, seen: &Mutex<Vec<Seen>>, end: &AtomicBool) {
 
 /// A cable between a host and a served machine.
 pub struct Cable {
-    /// What the host gives as --port.
+    /// Value of --port for the host.
     pub port: String,
-    whole: Arc<AtomicBool>,
+    connected: Arc<AtomicBool>,
     streams: Arc<Mutex<Vec<TcpStream>>>,
-    /// The first bytes of the newest connection, from the host.
+    /// First bytes from the host on the newest connection.
     first: Arc<Mutex<Vec<u8>>>,
 }
 
@@ -169,18 +169,18 @@ impl Cable {
         let machine = machine.strip_prefix("tcp:").unwrap().to_string();
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let port = format!("tcp:{}", listener.local_addr().unwrap());
-        let whole = Arc::new(AtomicBool::new(true));
+        let connected = Arc::new(AtomicBool::new(true));
         let streams: Arc<Mutex<Vec<TcpStream>>> = Arc::default();
         let first: Arc<Mutex<Vec<u8>>> = Arc::default();
         let cable = Self {
             port,
-            whole: Arc::clone(&whole),
+            connected: Arc::clone(&connected),
             streams: Arc::clone(&streams),
             first: Arc::clone(&first),
         };
         std::thread::spawn(move || {
             for host in listener.incoming().flatten() {
-                if !whole.load(Ordering::SeqCst) {
+                if !connected.load(Ordering::SeqCst) {
                     continue;
                 }
                 let Ok(there) = TcpStream::connect(&machine) else {
@@ -194,32 +194,32 @@ impl Cable {
                 let (host_reads, there_reads) =
                     (host.try_clone().unwrap(), there.try_clone().unwrap());
                 let first = Arc::clone(&first);
-                std::thread::spawn(move || carry(host_reads, there, Some(&first)));
-                std::thread::spawn(move || carry(there_reads, host, None));
+                std::thread::spawn(move || forward(host_reads, there, Some(&first)));
+                std::thread::spawn(move || forward(there_reads, host, None));
             }
         });
         cable
     }
 
-    pub fn cut(&self) {
-        self.whole.store(false, Ordering::SeqCst);
+    pub fn disconnect(&self) {
+        self.connected.store(false, Ordering::SeqCst);
         for stream in self.streams.lock().unwrap().drain(..) {
             let _ = stream.shutdown(Shutdown::Both);
         }
     }
 
-    pub fn mend(&self) {
-        self.whole.store(true, Ordering::SeqCst);
+    pub fn reconnect(&self) {
+        self.connected.store(true, Ordering::SeqCst);
     }
 
-    /// What the host said first since the cable was mended.
+    /// First bytes from the host since the reconnection.
     pub fn first(&self, count: usize) -> Vec<u8> {
         let first = self.first.lock().unwrap();
         first[..count.min(first.len())].to_vec()
     }
 }
 
-fn carry(mut from: TcpStream, mut to: TcpStream, first: Option<&Mutex<Vec<u8>>>) {
+fn forward(mut from: TcpStream, mut to: TcpStream, first: Option<&Mutex<Vec<u8>>>) {
     let _ = from.set_nodelay(true);
     let _ = to.set_nodelay(true);
     let mut buffer = [0; 4096];

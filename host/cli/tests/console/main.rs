@@ -1,13 +1,13 @@
-//! The console in a real terminal (a pseudo-terminal), with a real controller behind it: built in, served by another process, or in this one, where what
-//! it does is seen from outside.
+//! Tests of the console in a pseudo-terminal with a real controller: in its own process, in a
+//! server process, or in this process, where its motion is recorded.
 #![cfg(target_os = "linux")]
 
 mod closing;
-mod hand;
 mod jogging;
 mod latency;
-mod links;
+mod link;
 mod machine;
+mod master;
 mod programs;
 #[path = "../scene/mod.rs"]
 mod scene;
@@ -27,7 +27,7 @@ fn console(arguments: &[&str], keyboard: Keyboard) -> Terminal {
     Terminal::start(program, &arguments, &root(), (80, 24), keyboard)
 }
 
-/// The same with its machine enabled and homed, by keys.
+/// The console with its machine enabled and homed by keys.
 fn homed(arguments: &[&str], keyboard: Keyboard) -> Terminal {
     let terminal = console(arguments, keyboard);
     home(&terminal);

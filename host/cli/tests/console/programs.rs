@@ -1,31 +1,31 @@
-//! Part programs, and the four keys that are always heard.
+//! Part programs, and the four keys that are always active.
 
 use super::scene::{Folder, Served};
 use super::terminal::Keyboard;
 use super::*;
 use std::time::Duration;
 
-/// Back and forth for half a minute, at 10 mm/s, with a pause after the first way.
+/// Moves back and forth for half a minute at 10 mm/s, with a pause after the first move.
 const LONG: &str =
     "G21 G90 F600\nG1 X10\nM0\nG1 X0\nG1 X20\nG1 X0\nG1 X20\nG1 X0\nG1 X20\nG1 X0\nM30\n";
 
 #[test]
-fn hold_resume_stop_and_emergency_are_heard_whatever_is_open() {
+fn hold_resume_stop_and_emergency_work_whatever_is_open() {
     let folder = Folder::new();
     let program = folder.file("long.ngc", LONG);
     let served = Served::on_tcp(&[]);
     let terminal = homed(&["--port", &served.port, &program], Keyboard::Plain);
     run(&terminal);
-    terminal.sees("long.ngc  line 2/");
-    // The pause of the program.
-    terminal.sees("pause of the program in line 3. Ctrl-R goes on");
-    terminal.state("HOLD");
-    terminal.keys(RESUME);
-    terminal.state("RUN");
-    // Hold while the table of keys is open, resume while a name is typed.
-    terminal.brings(b"?", "Keys: arrows scroll");
-    terminal.keys(SPACE);
-    terminal.state("HOLD");
+    terminal.expect_text("long.ngc  line 2/");
+    // The program pause.
+    terminal.expect_text("program pause in line 3. Ctrl-R resumes");
+    terminal.expect_state("HOLD");
+    terminal.press(RESUME);
+    terminal.expect_state("RUN");
+    // Hold while the key table is open, resume while a name is typed.
+    terminal.press_expect(b"?", "Keys: arrows scroll");
+    terminal.press(SPACE);
+    terminal.expect_state("HOLD");
     let held = || {
         std::thread::sleep(Duration::from_millis(700));
         let first = terminal.text();
@@ -38,60 +38,61 @@ fn hold_resume_stop_and_emergency_are_heard_whatever_is_open() {
             .map(|row| row[..20].to_string())
     };
     terminal.escape();
-    terminal.sees("on hold. Ctrl-R resumes");
+    terminal.expect_text("on hold. Ctrl-R resumes");
     let (before, after) = held();
     assert_eq!(row(&before), row(&after));
-    terminal.keys(b"p");
-    terminal.keys(b"some name");
+    terminal.press(b"p");
+    terminal.press(b"some name");
     // A letter of a name is no key; the space in it is.
-    terminal.sees("somename_");
-    terminal.keys(RESUME);
-    terminal.state("RUN");
-    terminal.keys(b"\x15");
-    terminal.keys(STOP);
-    terminal.state("IDLE");
-    terminal.sees("long.ngc: dropped");
+    terminal.expect_text("somename_");
+    terminal.press(RESUME);
+    terminal.expect_state("RUN");
+    terminal.press(b"\x15");
+    terminal.press(STOP);
+    terminal.expect_state("IDLE");
+    terminal.expect_text("long.ngc: dropped");
     terminal.escape();
-    // From where it stands, again, with less speed; then the emergency stop, while a question is open.
+    // Again from the present pose with a lower override; then the emergency stop while a question
+    // is open.
     for _ in 0..5 {
-        terminal.keys(b"-");
+        terminal.press(b"-");
     }
-    terminal.sees("override 50 %");
+    terminal.expect_text("override 50 %");
     run(&terminal);
-    terminal.sees("path speed 50 %");
-    terminal.brings(b"q", "Quit?");
-    terminal.keys(EMERGENCY);
-    terminal.state("EMERGENCY STOP");
-    terminal.sees("EMERGENCY STOP: drives off");
+    terminal.expect_text("path speed 50 %");
+    terminal.press_expect(b"q", "Quit?");
+    terminal.press(EMERGENCY);
+    terminal.expect_state("EMERGENCY STOP");
+    terminal.expect_text("EMERGENCY STOP: drives off");
     terminal.escape();
-    terminal.brings(
+    terminal.press_expect(
         b"e",
         "enable: not possible while the machine is in emergency stop",
     );
-    terminal.keys(b"x");
-    terminal.state("DISABLED");
-    terminal.keys(b"q");
+    terminal.press(b"x");
+    terminal.expect_state("DISABLED");
+    terminal.press(b"q");
     let mut terminal = terminal;
-    assert_eq!(terminal.end(), 0, "{}", terminal.text());
-    assert!(terminal.is_as_before());
-    // From outside: the drives are off, and the machine is reset.
+    assert_eq!(terminal.exit_code(), 0, "{}", terminal.text());
+    assert!(terminal.is_restored());
+    // Seen by another host: the drives are off, the machine is reset.
     assert_eq!(served.status()["state"], "Disabled");
 }
 
 #[test]
-fn a_program_runs_to_its_end_beside_a_recording() {
+fn program_runs_to_its_end_with_a_recording() {
     let folder = Folder::new();
     let program = folder.file("short.ngc", "G21 G90 F1200\nG1 X4\nG3 X0 I-2\nM30\n");
     let out = folder.path("");
     let mut terminal = homed(&["--out", &out, &program], Keyboard::Plain);
-    terminal.brings(b"l", "REC console-");
+    terminal.press_expect(b"l", "REC console-");
     run(&terminal);
-    terminal.sees("short.ngc: done");
-    terminal.state("IDLE");
-    terminal.brings(b"l", " rows");
-    terminal.brings(b"q", "the drives stay on and hold");
-    terminal.keys(ENTER);
-    assert_eq!(terminal.end(), 0);
+    terminal.expect_text("short.ngc: done");
+    terminal.expect_state("IDLE");
+    terminal.press_expect(b"l", " rows");
+    terminal.press_expect(b"q", "the drives stay on and hold");
+    terminal.press(ENTER);
+    assert_eq!(terminal.exit_code(), 0);
     let file = std::fs::read_dir(&out)
         .unwrap()
         .map(|entry| entry.unwrap().path())
@@ -111,85 +112,85 @@ fn a_program_runs_to_its_end_beside_a_recording() {
         .fold(0.0, f64::max);
     assert!((largest - 4.0).abs() < 0.1, "{largest}");
     let times: Vec<f64> = rows.iter().map(|row| row[time].parse().unwrap()).collect();
-    // A frame every 20 ms, as it was asked for; a busy computer may have passed over some.
+    // A frame every 20 ms as requested; a busy computer may skip some.
     let mut gaps: Vec<f64> = times.windows(2).map(|two| two[1] - two[0]).collect();
     gaps.sort_by(f64::total_cmp);
     assert!(gaps.len() > 30 && gaps[gaps.len() / 2] < 0.0201, "{gaps:?}");
 }
 
-/// It is said to be idle before it is said where it stands: on this line a fifth of a second before.
+/// The exact pose is reported after the state: on this line a fifth of a second later.
 #[cfg(unix)]
 #[test]
-fn a_program_can_be_chosen_in_the_moment_in_which_the_machine_comes_to_rest() {
+fn program_can_be_selected_right_at_standstill() {
     let folder = Folder::new();
-    let program = folder.file("way.ngc", "G21 G90 F600\nG1 X1\nM30\n");
+    let program = folder.file("move.ngc", "G21 G90 F600\nG1 X1\nM30\n");
     let served = Served::on("pty", &["--fault", "link-delay ms=100"]);
-    // Of a line as slow as that reports come more rarely, too.
+    // A line as slow as this one also carries fewer reports.
     let line = ["--port", &served.port, "--baud", "9600", &program];
     let terminal = homed(&line, Keyboard::Plain);
-    terminal.brings(b"p\r", "The machine moves.");
+    terminal.press_expect(b"p\r", "The machine moves.");
 }
 
 #[test]
-fn a_program_with_a_mistake_is_refused_with_its_line() {
+fn program_error_is_reported_with_its_line() {
     let folder = Folder::new();
     let bad = folder.file("bad.ngc", "G21\nG1 X10 F600\nG1 X900\nM30\n");
-    // Given on the command line: before the screen is taken.
+    // Given on the command line: reported before the screen is taken over.
     let mut terminal = console(&[&bad], Keyboard::Plain);
-    assert_eq!(terminal.end(), 4);
-    assert!(terminal.is_as_before());
+    assert_eq!(terminal.exit_code(), 4);
+    assert!(terminal.is_restored());
     assert!(
         terminal.text().contains("bad.ngc:3:"),
         "{}",
         terminal.text()
     );
-    // Typed: over the screen.
+    // Typed: reported on the screen.
     let terminal = homed(&[], Keyboard::Plain);
-    terminal.brings(b"p", "Part program");
-    terminal.keys(bad.as_bytes());
-    terminal.brings(ENTER, "The program is refused");
-    terminal.sees("bad.ngc:3:");
+    terminal.press_expect(b"p", "Part program");
+    terminal.press(bad.as_bytes());
+    terminal.press_expect(ENTER, "Program rejected");
+    terminal.expect_text("bad.ngc:3:");
     terminal.escape();
-    terminal.state("IDLE");
-    terminal.keys(b"p");
-    terminal.brings(b"\x15/nowhere.ngc\r", "/nowhere.ngc: cannot be read");
+    terminal.expect_state("IDLE");
+    terminal.press(b"p");
+    terminal.press_expect(b"\x15/nowhere.ngc\r", "/nowhere.ngc: cannot be read");
 }
 
 #[test]
-fn axes_and_force_loop_are_set_from_the_screen() {
+fn axis_sources_and_force_control_are_set_from_the_screen() {
     let served = Served::on_tcp(&[]);
     let terminal = homed(&["--port", &served.port], Keyboard::Plain);
-    terminal.brings(b"a", "Axes: a jog begins and ends at rest");
-    terminal.keys(DOWN);
-    terminal.brings(b"h", "y: hold");
+    terminal.press_expect(b"a", "Axis sources:");
+    terminal.press(DOWN);
+    terminal.press_expect(b"h", "y: hold");
     terminal.escape();
-    terminal.waits("held y", |text| {
+    terminal.wait_until("held y", |text| {
         text.lines()
             .any(|row| row.starts_with(" y ") && row.contains("hold"))
     });
-    terminal.brings(b"t", "Tare?");
-    terminal.brings(ENTER, "the force sensor has a new zero");
-    terminal.brings(b"y", "Force loop");
-    terminal.brings(ENTER, "x yields");
-    terminal.brings(b"++", "f_d 6.0 N");
+    terminal.press_expect(b"t", "Tare?");
+    terminal.press_expect(ENTER, "the force sensor has a new zero");
+    terminal.press_expect(b"y", "Force control:");
+    terminal.press_expect(ENTER, "x on   setpoint");
+    terminal.press_expect(b"++", "setpoint 6.0 N");
     // Refused by the controller, with its bound.
     for _ in 0..12 {
-        terminal.keys(b"-");
+        terminal.press(b"-");
     }
-    terminal.sees("force loop of x");
+    terminal.expect_text("force loop of x");
     terminal.escape();
-    terminal.waits("yielding x", |text| {
-        text.lines().any(|row| row.contains("yield x>"))
+    terminal.wait_until("force control of x", |text| {
+        text.lines().any(|row| row.contains("control x>"))
     });
-    // The console is left and another host asks.
-    terminal.keys(b"q\r");
+    // The console quits and another host connects.
+    terminal.press(b"q\r");
     let mut terminal = terminal;
-    assert_eq!(terminal.end(), 0);
-    // Another console asks the controller what it has, not the machine file.
+    assert_eq!(terminal.exit_code(), 0);
+    // Another console queries the controller, not the machine file.
     let terminal = console(&["--port", &served.port], Keyboard::Plain);
-    terminal.state("IDLE");
-    terminal.waits("the force of before", |text| {
+    terminal.expect_state("IDLE");
+    terminal.wait_until("force setpoint of the first console", |text| {
         text.lines()
-            .any(|row| row.contains("yield x>") && !row.contains("x>5.0N"))
+            .any(|row| row.contains("control x>") && !row.contains("x>5.0N"))
     });
 }

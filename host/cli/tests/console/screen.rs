@@ -1,11 +1,11 @@
-//! Sizes of the screen.
+//! Screen sizes.
 
 use super::terminal::Keyboard;
 use super::*;
 use std::time::Duration;
 
 #[test]
-fn the_screen_follows_the_size_of_the_terminal() {
+fn screen_adapts_to_the_terminal_size() {
     let terminal = homed(&[], Keyboard::Plain);
     let always = ["IDLE", "hold", "stop"];
     for (columns, rows) in [
@@ -23,35 +23,35 @@ fn the_screen_follows_the_size_of_the_terminal() {
         std::thread::sleep(Duration::from_millis(250));
         if columns >= 40 && rows >= 10 {
             for word in always {
-                terminal.sees(word);
+                terminal.expect_text(word);
             }
-            // Every axis with its numbers.
+            // Every axis with its values.
             for axis in ["x", "y", "z", "theta", "alpha"] {
-                terminal.waits(axis, |_| terminal.number(axis, 2).is_some());
+                terminal.wait_until(axis, |_| terminal.number(axis, 2).is_some());
             }
         }
         if columns >= 80 && rows >= 24 {
             for panel in [
-                "Position", "Slides", "Force", "Jog", "Program", "Messages", "link ",
+                "Position", "Joints", "Force", "Jog", "Program", "Messages", "link ",
             ] {
-                terminal.sees(panel);
+                terminal.expect_text(panel);
             }
             for joint in ["l1", "l2", "l3", "l4"] {
                 assert!(terminal.number(joint, 1).is_some(), "{}", terminal.text());
             }
         }
     }
-    // Still heard after all that; and in an overlay on a screen that is too small for it.
-    terminal.keys(RIGHT);
-    terminal.state("JOG");
-    terminal.state("IDLE");
-    terminal.brings(b"?", "Keys: arrows scroll");
+    // Keys still work afterwards, also in an overlay on a screen that is too small for it.
+    terminal.press(RIGHT);
+    terminal.expect_state("JOG");
+    terminal.expect_state("IDLE");
+    terminal.press_expect(b"?", "Keys: arrows scroll");
     terminal.resize(12, 4);
     std::thread::sleep(Duration::from_millis(250));
     terminal.resize(80, 24);
-    terminal.sees("Keys: arrows scroll");
-    terminal.keys(DOWN);
-    terminal.keys(PAGE_DOWN);
+    terminal.expect_text("Keys: arrows scroll");
+    terminal.press(DOWN);
+    terminal.press(PAGE_DOWN);
     terminal.escape();
-    terminal.waits("closed", |text| !text.contains("Keys: arrows scroll"));
+    terminal.wait_until("closed", |text| !text.contains("Keys: arrows scroll"));
 }

@@ -205,20 +205,20 @@ fn a_key_is_a_step_and_a_closed_window_stops_the_machine() {
         )
     };
     let mut window = open(&[]);
-    window.sees("idle -> running");
-    assert!(!window.is_as_before());
+    window.expect_text("idle -> running");
+    assert!(!window.is_restored());
     for _ in 0..3 {
-        window.keys(b"d");
+        window.press(b"d");
         std::thread::sleep(std::time::Duration::from_millis(200));
     }
-    window.sees("Run free");
-    window.brings(b"\x1b[6~", "Run led");
-    window.sees("Run free");
-    window.brings(b" ", "running -> on hold");
-    window.brings(b"g", "on hold -> running");
-    window.keys(b"q");
-    assert_eq!(window.end(), 0, "{}", window.text());
-    assert!(window.is_as_before());
+    window.expect_text("Run free");
+    window.press_expect(b"\x1b[6~", "Run led");
+    window.expect_text("Run free");
+    window.press_expect(b" ", "running -> on hold");
+    window.press_expect(b"g", "on hold -> running");
+    window.press(b"q");
+    assert_eq!(window.exit_code(), 0, "{}", window.text());
+    assert!(window.is_restored());
     let made = records(&format!("{out}/recording.hmr"));
     within_limits(&made);
     let way = |axis: usize| {
@@ -234,8 +234,8 @@ fn a_key_is_a_step_and_a_closed_window_stops_the_machine() {
 
     let machine = Served::on_tcp(&[]);
     let mut window = open(&["--port", &machine.port, "--speed", "2"]);
-    window.sees("idle -> running");
-    window.brings(b"++d", "led ");
+    window.expect_text("idle -> running");
+    window.press_expect(b"++d", "led ");
     window.close();
     // Whatever the process still could say: the machine stands, and knows where.
     let begun = std::time::Instant::now();

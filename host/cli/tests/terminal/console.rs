@@ -1,4 +1,4 @@
-//! What an operator does at the console, by keys.
+//! Key sequences of an operator at the console.
 
 use super::Terminal;
 use std::time::Duration;
@@ -15,31 +15,31 @@ pub const RESUME: &[u8] = b"\x12";
 pub const STOP: &[u8] = b"\x18";
 pub const EMERGENCY: &[u8] = b"\x05";
 
-/// A question is asked, and answered with yes.
+/// Presses a key and confirms the question.
 #[track_caller]
-pub fn agrees(terminal: &Terminal, key: &[u8], question: &str) {
-    terminal.brings(key, question);
-    terminal.keys(ENTER);
+pub fn confirm(terminal: &Terminal, key: &[u8], question: &str) {
+    terminal.press_expect(key, question);
+    terminal.press(ENTER);
 }
 
-/// Drives on, references found, at the home pose.
+/// Enables the drives and homes the machine to its home pose.
 #[track_caller]
 pub fn home(terminal: &Terminal) {
-    terminal.state("DISABLED");
-    terminal.keys(b"e");
-    terminal.state("IDLE");
-    agrees(terminal, b"h", "Home? The machine moves");
-    terminal.sees("way to the home pose: done");
-    terminal.state("IDLE");
+    terminal.expect_state("DISABLED");
+    terminal.press(b"e");
+    terminal.expect_state("IDLE");
+    confirm(terminal, b"h", "Home? The machine moves");
+    terminal.expect_text("move to the home pose: done");
+    terminal.expect_state("IDLE");
 }
 
-/// The program that was given is checked, and begun.
+/// Checks and starts the given program.
 #[track_caller]
 pub fn run(terminal: &Terminal) {
-    terminal.brings(b"p", "Enter checks it");
-    terminal.brings(ENTER, "The machine moves.");
-    // Not by the Enter that chose the file, pressed twice.
+    terminal.press_expect(b"p", "Enter checks it");
+    terminal.press_expect(ENTER, "The machine moves.");
+    // The Enter that selects the file does not confirm.
     std::thread::sleep(Duration::from_millis(600));
-    terminal.keys(ENTER);
-    terminal.state("RUN");
+    terminal.press(ENTER);
+    terminal.expect_state("RUN");
 }

@@ -1,8 +1,9 @@
-//! A terminal: a pseudo-terminal with a program in it, its screen, and a keyboard.
+//! Pseudo-terminal with a program in it, its screen, and a keyboard.
 //!
-//! The program has it as its controlling terminal (`setsid --ctty` sees to that), so closing it is what closing a window is.
+//! It is the controlling terminal of the program (`setsid --ctty`), so closing it is equivalent to
+//! closing a terminal window.
 
-// Each file that uses this uses its own part of it.
+// Each test binary uses another part of this module.
 #![allow(dead_code)]
 
 pub mod console;
@@ -20,21 +21,21 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// Nothing on a screen takes longer than this, on a loaded machine too.
-pub const PATIENCE: Duration = Duration::from_secs(40);
+/// Longest wait for a change of the screen, on a loaded machine too.
+pub const TIMEOUT: Duration = Duration::from_secs(40);
 
-/// What kind of keyboard the terminal has.
+/// Keyboard protocol of the terminal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Keyboard {
-    /// It tells of presses only.
+    /// It reports presses only.
     Plain,
-    /// It tells of releases: the kitty keyboard protocol.
+    /// It reports releases (kitty keyboard protocol).
     Kitty,
-    /// The terminal answers nothing that it is asked.
-    Mute,
+    /// It answers no query.
+    Silent,
 }
 
-/// See the module.
+/// See the module documentation.
 pub struct Terminal {
     device: Option<Arc<OwnedFd>>,
     screen: Arc<Mutex<vt100::Parser>>,
@@ -57,7 +58,7 @@ fn size(columns: u16, rows: u16) -> Winsize {
     }
 }
 
-/// Reads what the program writes, and answers what it asks of a terminal.
+/// Reads the output of the program and answers its queries.
 fn read(
     device: &OwnedFd,
     screen: &Mutex<vt100::Parser>,
@@ -82,13 +83,13 @@ fn read(
         }
         match rustix::io::read(device, &mut buffer) {
             Ok(count @ 1..) => {
-                let said = &buffer[..count];
-                screen.lock().unwrap().process(said);
-                tail.extend_from_slice(said);
-                let asks =
+                let output = &buffer[..count];
+                screen.lock().unwrap().process(output);
+                tail.extend_from_slice(output);
+                let queries =
                     |question: &[u8]| tail.windows(question.len()).any(|part| part == question);
-                if keyboard != Keyboard::Mute && asks(b"\x1b[c") {
-                    if keyboard == Keyboard::Kitty && asks(b"\x1b[?u") {
+                if keyboard != Keyboard::Silent && queries(b"\x1b[c") {
+                    if keyboard == Keyboard::Kitty && queries(b"\x1b[?u") {
                         let _ = rustix::io::write(device, b"\x1b[?0u");
                     }
                     let _ = rustix::io::write(device, b"\x1b[?62;c");
@@ -97,14 +98,14 @@ fn read(
                 let surplus = tail.len().saturating_sub(16);
                 tail.drain(..surplus);
             }
-            // The program has closed its end, or not opened it yet.
+            // The program has closed its end, or has not opened it yet.
             _ => std::thread::sleep(Duration::from_millis(5)),
         }
     }
 }
 
 impl Terminal {
-    /// Starts a program in a terminal of so many columns and rows.
+    /// Starts a program in a terminal of this size.
     pub fn start(
         program: &Path,
         arguments: &[&str],
@@ -161,35 +162,35 @@ impl Terminal {
         self.device.as_ref().expect("a terminal that is open")
     }
 
-    /// Presses keys, given as a terminal sends them.
-    pub fn keys(&self, bytes: &[u8]) {
+    /// Sends the byte sequences of keys.
+    pub fn press(&self, bytes: &[u8]) {
         assert_eq!(rustix::io::write(self.device(), bytes), Ok(bytes.len()));
     }
 
-    /// Presses keys and waits for what they bring up.
+    /// Sends keys and waits for a text on the screen.
     #[track_caller]
-    pub fn brings(&self, keys: &[u8], part: &str) {
-        self.keys(keys);
-        self.sees(part);
+    pub fn press_expect(&self, keys: &[u8], part: &str) {
+        self.press(keys);
+        self.expect_text(part);
     }
 
-    /// Escape, which together with what comes at once after it would be another key.
+    /// Presses Escape and waits: a byte right after it would make another key.
     pub fn escape(&self) {
-        self.keys(b"\x1b");
+        self.press(b"\x1b");
         std::thread::sleep(Duration::from_millis(150));
     }
 
-    /// What is on the screen.
+    /// Text of the screen.
     pub fn text(&self) -> String {
         self.screen.lock().unwrap().screen().contents()
     }
 
-    /// Uses the screen.
+    /// Calls a function with the screen.
     pub fn with_screen<T>(&self, use_screen: impl FnOnce(&vt100::Screen) -> T) -> T {
         use_screen(self.screen.lock().unwrap().screen())
     }
 
-    /// A row of the screen.
+    /// Row of the screen.
     pub fn row(&self, index: usize) -> String {
         self.text()
             .lines()
@@ -198,38 +199,38 @@ impl Terminal {
             .to_string()
     }
 
-    /// Waits until the screen is as wanted.
+    /// Waits until the text of the screen meets a condition.
     #[track_caller]
-    pub fn waits(&self, what: &str, commanded: impl Fn(&str) -> bool) {
-        let begun = Instant::now();
+    pub fn wait_until(&self, what: &str, condition: impl Fn(&str) -> bool) {
+        let started = Instant::now();
         loop {
             let text = self.text();
-            if commanded(&text) {
+            if condition(&text) {
                 return;
             }
-            assert!(begun.elapsed() < PATIENCE, "never {what}:\n{text}");
+            assert!(started.elapsed() < TIMEOUT, "timeout: {what}:\n{text}");
             std::thread::sleep(Duration::from_millis(5));
         }
     }
 
     /// Waits for a text on the screen.
     #[track_caller]
-    pub fn sees(&self, part: &str) {
-        self.waits(&format!("saw {part:?}"), |text| text.contains(part));
+    pub fn expect_text(&self, part: &str) {
+        self.wait_until(&format!("text {part:?}"), |text| text.contains(part));
     }
 
     /// Waits for a text in the first row.
     #[track_caller]
-    pub fn state(&self, word: &str) {
+    pub fn expect_state(&self, word: &str) {
         let word = format!(" {word} ");
-        self.waits(&format!("in state {word:?}"), |text| {
+        self.wait_until(&format!("state {word:?}"), |text| {
             text.lines()
                 .next()
                 .is_some_and(|row| row.starts_with(&word))
         });
     }
 
-    /// The window has another size.
+    /// Changes the size.
     pub fn resize(&self, columns: u16, rows: u16) {
         self.screen
             .lock()
@@ -239,8 +240,8 @@ impl Terminal {
         tcsetwinsize(self.device(), size(columns, rows)).unwrap();
     }
 
-    /// Lines are edited and echoed, as a shell left them.
-    pub fn is_as_before(&self) -> bool {
+    /// Returns true when line editing, echo and screen are as a shell left them.
+    pub fn is_restored(&self) -> bool {
         let modes = tcgetattr(self.device()).unwrap().local_modes;
         modes.contains(LocalModes::ICANON | LocalModes::ECHO | LocalModes::ISIG)
             && self.with_screen(|screen| {
@@ -248,12 +249,12 @@ impl Terminal {
             })
     }
 
-    /// The terminal takes nothing any more, or takes it again; keys go through.
-    pub fn is_stuck(&self, stuck: bool) {
+    /// Stops or resumes reading of the output; keys still pass.
+    pub fn set_stuck(&self, stuck: bool) {
         self.stuck.store(stuck, Ordering::Relaxed);
     }
 
-    /// The number in a column of a row of the screen that begins with a name; 1 is the first column after the name.
+    /// Number in a column of the row that starts with a name; column 1 follows the name.
     pub fn number(&self, name: &str, column: usize) -> Option<f64> {
         let text = self.text();
         let row = text
@@ -262,7 +263,7 @@ impl Terminal {
         row.split_whitespace().nth(column)?.parse().ok()
     }
 
-    /// The window is closed.
+    /// Closes the terminal.
     pub fn close(&mut self) {
         self.ended.store(true, Ordering::Relaxed);
         if let Some(reader) = self.reader.take() {
@@ -271,22 +272,26 @@ impl Terminal {
         self.device = None;
     }
 
-    /// Number of the process.
+    /// Process id.
     pub fn process(&self) -> u32 {
         self.child.id()
     }
 
-    /// Waits for the end of the program and gives its exit code, -1 when a signal ended it.
+    /// Waits for the end of the program. Returns its exit code, -1 after a signal.
     #[track_caller]
-    pub fn end(&mut self) -> i32 {
-        let begun = Instant::now();
+    pub fn exit_code(&mut self) -> i32 {
+        let started = Instant::now();
         loop {
             if let Some(status) = self.child.try_wait().unwrap() {
-                // What it said last has to come through.
+                // The last output has to arrive.
                 std::thread::sleep(Duration::from_millis(60));
                 return status.code().unwrap_or(-1);
             }
-            assert!(begun.elapsed() < PATIENCE, "never ended:\n{}", self.text());
+            assert!(
+                started.elapsed() < TIMEOUT,
+                "still running:\n{}",
+                self.text()
+            );
             std::thread::sleep(Duration::from_millis(5));
         }
     }

@@ -1,12 +1,13 @@
-//! Bars of characters that every terminal has.
+//! Bars drawn with characters.
 
-/// A bar from the middle, for a range of parts of full scale (-1 to 1): each cell is filled that the range touches.
+/// Bar around zero for a range in parts of full scale (-1 to 1). A cell is filled when its middle
+/// is within the range extended to zero.
 pub(super) fn around_zero(low: f64, high: f64, width: usize) -> String {
     let half = width / 2;
     let cell = |index: usize, side: f64| (index as f64 / half.max(1) as f64) * side;
     let mut bar = String::new();
     for index in (0..half).rev() {
-        // The cell from -(index + 1) to -index.
+        // Cell from -(index + 1) to -index.
         let (far, near) = (cell(index + 1, -1.0), cell(index, -1.0));
         bar.push(fill(low.min(0.0), high, far, near));
     }
@@ -20,7 +21,7 @@ pub(super) fn around_zero(low: f64, high: f64, width: usize) -> String {
 
 fn fill(low: f64, high: f64, from: f64, to: f64) -> char {
     let middle = (from + to) / 2.0;
-    // From zero to the nearer end it is filled as well: a bar begins at zero.
+    // The bar always starts at zero.
     let (low, high) = (low.min(0.0), high.max(0.0));
     if middle >= low && middle <= high {
         '█'
@@ -29,7 +30,7 @@ fn fill(low: f64, high: f64, from: f64, to: f64) -> char {
     }
 }
 
-/// A bar from the left.
+/// Bar from the left for a part of full scale, 0 to 1.
 pub(super) fn from_left(part: f64, width: usize) -> String {
     let filled = (part.clamp(0.0, 1.0) * width as f64).round() as usize;
     "█".repeat(filled) + &"·".repeat(width - filled)
@@ -40,7 +41,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn bars_begin_at_zero() {
+    fn bars_start_at_zero() {
         assert_eq!(around_zero(0.0, 0.0, 8), "····│····");
         assert_eq!(around_zero(0.0, 0.5, 8), "····│██··");
         assert_eq!(around_zero(-1.0, 0.0, 8), "████│····");

@@ -1,14 +1,15 @@
-//! The drawing. Knows a [`Shown`] and an area, nothing else.
+//! Drawing of a [`ViewModel`] into an area.
 //!
-//! From 76 columns and 22 rows on there are all panels; below, the least that is needed to operate: state, what to do next, pose, jog, the last messages.
-//! State, prompt and the keys that are always heard stay in sight whatever is open. Colours only repeat what words say.
+//! All panels need 76 columns and 22 rows. Smaller terminals show state, operator prompt, pose, jog
+//! and the last messages. State, prompt and the keys that are always active stay visible under
+//! every overlay. Colours only repeat the text.
 
 mod bars;
-mod hand;
-mod overlays;
+mod master;
+mod overlay;
 mod panels;
 
-use super::shown::{Contact, Shown, Weight};
+use super::view_model::{LinkState, Severity, ViewModel};
 use haptimill_protocol::message::{State, Telemetry};
 use ratatui::Frame;
 use ratatui::layout::{Constraint, Layout, Rect};
@@ -16,30 +17,34 @@ use ratatui::style::{Color, Modifier, Style};
 use ratatui::text::{Line, Span};
 use ratatui::widgets::{Paragraph, Wrap};
 
-/// Least size for all panels.
+/// Smallest size for all panels: columns, rows.
 const FULL: (u16, u16) = (76, 22);
 
-/// A report that is older than this is marked.
-const OLD_MS: u128 = 500;
+/// Age above which a report is drawn dim, ms.
+const STALE_MS: u128 = 500;
 
-/// Draws everything.
-pub(super) fn draw(frame: &mut Frame<'_>, shown: &Shown) {
+/// Draws the whole screen.
+pub(super) fn draw(frame: &mut Frame<'_>, view: &ViewModel) {
     let area = frame.area();
     if area.width == 0 || area.height == 0 {
         return;
     }
     let free = if area.width >= FULL.0 && area.height >= FULL.1 {
-        full(frame, area, shown)
+        full(frame, area, view)
     } else {
-        compact(frame, area, shown)
+        compact(frame, area, view)
     };
-    overlays::draw(frame, free, shown);
+    overlay::draw(frame, free, view);
 }
 
-/// All panels. Gives the area in which overlays may lie.
-fn full(frame: &mut Frame<'_>, area: Rect, shown: &Shown) -> Rect {
-    let axes = shown.fixed.pose.len().max(shown.fixed.joints.len()) as u16;
-    let right_rows = panels::right_rows(shown, area.height);
+/// Draws all panels. Returns the area for overlays.
+fn full(frame: &mut Frame<'_>, area: Rect, view: &ViewModel) -> Rect {
+    let axes = view
+        .static_info
+        .pose
+        .len()
+        .max(view.static_info.joints.len()) as u16;
+    let right_rows = panels::right_rows(view, area.height);
     let body = (2 * (axes + 1)).max(right_rows);
     let [status, prompt, body, messages, link, keys] = Layout::vertical([
         Constraint::Length(1),
@@ -50,8 +55,8 @@ fn full(frame: &mut Frame<'_>, area: Rect, shown: &Shown) -> Rect {
         Constraint::Length(1),
     ])
     .areas(area);
-    frame.render_widget(status_line(shown, status.width), status);
-    frame.render_widget(prompt_text(shown), prompt);
+    frame.render_widget(status_line(view, status.width), status);
+    frame.render_widget(prompt_text(view), prompt);
     let left = (body.width * 9 / 16).clamp(45, 80);
     let [left, _, right] = Layout::horizontal([
         Constraint::Length(left),
@@ -59,10 +64,10 @@ fn full(frame: &mut Frame<'_>, area: Rect, shown: &Shown) -> Rect {
         Constraint::Min(0),
     ])
     .areas(body);
-    panels::left(frame, left, shown);
-    panels::right(frame, right, shown);
-    panels::messages(frame, messages, shown);
-    frame.render_widget(panels::link_line(shown), link);
+    panels::left(frame, left, view);
+    panels::right(frame, right, view);
+    panels::messages(frame, messages, view);
+    frame.render_widget(panels::link_line(view), link);
     frame.render_widget(keys_line(keys.width), keys);
     let bottom = link.y;
     Rect {
@@ -72,14 +77,14 @@ fn full(frame: &mut Frame<'_>, area: Rect, shown: &Shown) -> Rect {
     }
 }
 
-/// What fits on a small terminal, the most needed first.
-fn compact(frame: &mut Frame<'_>, area: Rect, shown: &Shown) -> Rect {
+/// Draws as much as fits on a small terminal, most important first. Returns the area for overlays.
+fn compact(frame: &mut Frame<'_>, area: Rect, view: &ViewModel) -> Rect {
     let row = |from_top: u16| Rect {
         y: area.y + from_top,
         height: 1,
         ..area
     };
-    frame.render_widget(status_line(shown, area.width), row(0));
+    frame.render_widget(status_line(view, area.width), row(0));
     if area.height == 1 {
         return row(0);
     }
@@ -88,9 +93,9 @@ fn compact(frame: &mut Frame<'_>, area: Rect, shown: &Shown) -> Rect {
         return row(0);
     }
     let rows = area.height - 2;
-    let pose = (shown.fixed.pose.len() as u16).min(rows.saturating_sub(1));
+    let pose = (view.static_info.pose.len() as u16).min(rows.saturating_sub(1));
     let rest = rows - pose;
-    // Prompt, jog, messages.
+    // Rows of prompt, jog and messages.
     let prompt = if rest > 5 { 2 } else { 1 };
     let mut at = 1;
     let mut take = |count: u16| {
@@ -102,15 +107,15 @@ fn compact(frame: &mut Frame<'_>, area: Rect, shown: &Shown) -> Rect {
         at += taken.height;
         taken
     };
-    frame.render_widget(prompt_text(shown), take(prompt));
-    panels::pose_rows(frame, take(pose), shown, false);
+    frame.render_widget(prompt_text(view), take(prompt));
+    panels::pose_rows(frame, take(pose), view, false);
     let jog = take(1);
     if jog.height > 0 {
-        frame.render_widget(panels::jog_line(shown), jog);
+        frame.render_widget(panels::jog_line(view), jog);
     }
     let messages = take(rows);
     if messages.height > 0 {
-        panels::message_rows(frame, messages, shown);
+        panels::message_rows(frame, messages, view);
     }
     Rect {
         y: area.y + 1 + prompt,
@@ -119,40 +124,40 @@ fn compact(frame: &mut Frame<'_>, area: Rect, shown: &Shown) -> Rect {
     }
 }
 
-/// How a weight looks.
-fn style_of(weight: Weight) -> Style {
-    match weight {
-        Weight::Note => Style::new().add_modifier(Modifier::BOLD),
-        Weight::Warning => Style::new().fg(Color::Black).bg(Color::Yellow),
-        Weight::Alarm => Style::new()
+/// Style of a severity.
+fn style_of(severity: Severity) -> Style {
+    match severity {
+        Severity::Info => Style::new().add_modifier(Modifier::BOLD),
+        Severity::Warning => Style::new().fg(Color::Black).bg(Color::Yellow),
+        Severity::Alarm => Style::new()
             .fg(Color::White)
             .bg(Color::Red)
             .add_modifier(Modifier::BOLD),
     }
 }
 
-/// The state as a word in capitals, and its colour.
-fn state_word(shown: &Shown) -> (String, Style) {
+/// State name in capitals, with its style.
+fn state_label(view: &ViewModel) -> (String, Style) {
     let on = |color: Color| {
         Style::new()
             .fg(Color::Black)
             .bg(color)
             .add_modifier(Modifier::BOLD)
     };
-    if shown.contact != Contact::Ready {
-        let word = match shown.contact {
-            Contact::Lost(_) => "NO LINK",
+    if view.link_state != LinkState::Ready {
+        let word = match view.link_state {
+            LinkState::Lost(_) => "NO LINK",
             _ => "CONNECTING",
         };
-        return (word.to_string(), style_of(Weight::Alarm));
+        return (word.to_string(), style_of(Severity::Alarm));
     }
-    if let Some(stopping) = shown.stopping {
+    if let Some(stopping) = view.stopping {
         return (
             format!("{} SENT", stopping.to_uppercase()),
             on(Color::Yellow),
         );
     }
-    let Some(telemetry) = &shown.telemetry else {
+    let Some(telemetry) = &view.telemetry else {
         return ("?".to_string(), on(Color::Gray));
     };
     match telemetry.state {
@@ -162,14 +167,14 @@ fn state_word(shown: &Shown) -> (String, Style) {
         State::Run => ("RUN".to_string(), on(Color::Cyan)),
         State::Jog => ("JOG".to_string(), on(Color::Cyan)),
         State::Hold => ("HOLD".to_string(), on(Color::Yellow)),
-        State::Fault => ("FAULT".to_string(), style_of(Weight::Alarm)),
-        State::EmergencyStop => ("EMERGENCY STOP".to_string(), style_of(Weight::Alarm)),
+        State::Fault => ("FAULT".to_string(), style_of(Severity::Alarm)),
+        State::EmergencyStop => ("EMERGENCY STOP".to_string(), style_of(Severity::Alarm)),
     }
 }
 
-fn status_line(shown: &Shown, width: u16) -> Paragraph<'static> {
-    let (word, style) = state_word(shown);
-    let flags = match &shown.telemetry {
+fn status_line(view: &ViewModel, width: u16) -> Paragraph<'static> {
+    let (word, style) = state_label(view);
+    let flags = match &view.telemetry {
         Some(Telemetry {
             homed: true,
             position_kept: true,
@@ -180,25 +185,25 @@ fn status_line(shown: &Shown, width: u16) -> Paragraph<'static> {
         None => "",
     };
     let mut spans = vec![Span::styled(format!(" {word} "), style)];
-    let mut right = panels::clock(shown.elapsed);
+    let mut right = panels::clock(view.elapsed);
     if width >= 70 {
         spans.push(Span::raw(format!(
             " {flags}  {} on {}",
-            shown.machine, shown.fixed.port
+            view.machine, view.static_info.port
         )));
-        if let Some((name, rows)) = &shown.recording {
+        if let Some((name, rows)) = &view.recording {
             right = format!("REC {name} {rows}  {right}");
         }
     } else {
         spans.push(Span::raw(format!(" {flags} ")));
-        if shown.recording.is_some() {
+        if view.recording.is_some() {
             right = format!("REC {right}");
         }
     }
     let used: usize = spans.iter().map(Span::width).sum();
     let gap = usize::from(width).saturating_sub(used + right.chars().count() + 1);
     spans.push(Span::raw(" ".repeat(gap.max(1))));
-    let style = if shown.recording.is_some() {
+    let style = if view.recording.is_some() {
         Style::new().fg(Color::Red).add_modifier(Modifier::BOLD)
     } else {
         Style::new()
@@ -207,10 +212,10 @@ fn status_line(shown: &Shown, width: u16) -> Paragraph<'static> {
     Paragraph::new(Line::from(spans))
 }
 
-fn prompt_text(shown: &Shown) -> Paragraph<'_> {
-    let (weight, text) = &shown.prompt;
+fn prompt_text(view: &ViewModel) -> Paragraph<'_> {
+    let (severity, text) = &view.prompt;
     Paragraph::new(format!(" {text}"))
-        .style(style_of(*weight))
+        .style(style_of(*severity))
         .wrap(Wrap { trim: true })
 }
 
@@ -227,7 +232,7 @@ fn keys_line(width: u16) -> Paragraph<'static> {
     } else {
         &[
             ("Spc", "hold"),
-            ("^R", "go"),
+            ("^R", "resume"),
             ("^X", "stop"),
             ("^E", "EMERG"),
             ("?", ""),

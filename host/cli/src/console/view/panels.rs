@@ -1,9 +1,9 @@
-//! Panels: position, slides, forces, jog, program, messages, link.
+//! Panels: position, joints, force, jog, program, messages, link.
 
 use super::bars::{around_zero, from_left};
-use super::{OLD_MS, hand, style_of};
+use super::{STALE_MS, master, style_of};
 use crate::console::jogging::Mode;
-use crate::console::shown::{Axis, Contact, Shown, Weight};
+use crate::console::view_model::{Axis, LinkState, Severity, ViewModel};
 use haptimill_machine_file::scale::{PER_EFFORT, PER_MM, per_unit};
 use haptimill_protocol::message::{AxisValues, Source, State};
 use ratatui::Frame;
@@ -16,22 +16,22 @@ use std::time::Duration;
 /// Rows of the right column: force 6, jog 4, program 4.
 const RIGHT_ROWS: u16 = 14;
 
-/// From this height on a panel of the hand takes no row from anything else.
-const TALL: u16 = 24 + hand::PANEL_ROWS;
+/// Height from which the master panel takes no row from other panels.
+const TALL: u16 = 24 + master::PANEL_ROWS;
 
-/// Rows of the right column on a terminal of a height.
-pub(super) fn right_rows(shown: &Shown, height: u16) -> u16 {
-    if height >= TALL && hand::reported(shown).is_some() {
-        RIGHT_ROWS + hand::PANEL_ROWS
+/// Rows of the right column at a terminal height.
+pub(super) fn right_rows(view: &ViewModel, height: u16) -> u16 {
+    if height >= TALL && master::reported(view).is_some() {
+        RIGHT_ROWS + master::PANEL_ROWS
     } else {
         RIGHT_ROWS
     }
 }
 
-/// Codes of a converter at full scale.
+/// Converter code at full scale.
 const FULL_CODE: f64 = 8191.0;
 
-/// Hours, minutes, seconds.
+/// Time as hours, minutes, seconds.
 pub(super) fn clock(time: Duration) -> String {
     let seconds = time.as_secs();
     format!(
@@ -51,13 +51,13 @@ pub(super) fn heading(text: &str, width: u16) -> Line<'static> {
     )
 }
 
-/// A value in mm or degrees, right-aligned; a dash where it is not known.
+/// Value in mm or degrees, right-aligned; a dash where it is unknown.
 fn value(axes: &[Axis], values: Option<&AxisValues>, index: usize, width: usize) -> String {
     let known = values.and_then(|values| values.get(index));
     match (known, axes.get(index)) {
         (Some(value), Some(axis)) => {
             let value = f64::from(*value) / per_unit(axis.kind);
-            // No minus before what is shown as zero.
+            // No minus sign before a displayed zero.
             let value = if value.abs() < 5e-5 { 0.0 } else { value };
             format!("{value:>width$.4}")
         }
@@ -65,49 +65,49 @@ fn value(axes: &[Axis], values: Option<&AxisValues>, index: usize, width: usize)
     }
 }
 
-/// Numbers of a report that is not of now are dim.
-fn fresh(shown: &Shown) -> Style {
-    if shown.contact == Contact::Ready && shown.age.as_millis() <= OLD_MS {
+/// Style of telemetry: dim when it is old.
+fn fresh(view: &ViewModel) -> Style {
+    if view.link_state == LinkState::Ready && view.age.as_millis() <= STALE_MS {
         Style::new()
     } else {
         Style::new().add_modifier(Modifier::DIM)
     }
 }
 
-/// A row for each pose coordinate.
-pub(super) fn pose_rows(frame: &mut Frame<'_>, area: Rect, shown: &Shown, wide: bool) {
-    let telemetry = shown.telemetry.as_ref();
-    // With the drives off nothing is wanted.
-    let wants = telemetry
+/// One row per pose coordinate.
+pub(super) fn pose_rows(frame: &mut Frame<'_>, area: Rect, view: &ViewModel, is_wide: bool) {
+    let telemetry = view.telemetry.as_ref();
+    // With the drives off there is no commanded pose.
+    let pose = telemetry
         .filter(|t| !matches!(t.state, State::Disabled | State::EmergencyStop))
         .map(|t| &t.commanded);
-    let (name, number) = if wide { (7, 11) } else { (6, 10) };
-    let rows: Vec<Line<'_>> = shown
-        .fixed
+    let (name, number) = if is_wide { (7, 11) } else { (6, 10) };
+    let rows: Vec<Line<'_>> = view
+        .static_info
         .pose
         .iter()
         .enumerate()
         .map(|(index, axis)| {
-            let commanded = value(&shown.fixed.pose, wants, index, number);
+            let commanded = value(&view.static_info.pose, pose, index, number);
             let actual = value(
-                &shown.fixed.pose,
+                &view.static_info.pose,
                 telemetry.map(|t| &t.measured),
                 index,
                 number + 1,
             );
-            let source = shown.sources.get(index).copied().unwrap_or_default();
-            let (what, style) = match shown.jog.held[index] {
+            let source = view.sources.get(index).copied().unwrap_or_default();
+            let (what, style) = match view.jog.held[index] {
                 Some((up, left)) => (
                     format!("{} {left} ms", if up { "+" } else { "-" }),
                     Style::new().fg(Color::Black).bg(Color::Cyan),
                 ),
                 None if source == Source::Program => (source.to_string(), Style::new()),
-                None => (source.to_string(), style_of(Weight::Warning)),
+                None => (source.to_string(), style_of(Severity::Warning)),
             };
             Line::from(vec![
                 Span::styled(
                     format!(" {:<name$}{commanded}{actual}  ", axis.name),
-                    fresh(shown),
+                    fresh(view),
                 ),
                 Span::styled(what, style),
             ])
@@ -116,34 +116,39 @@ pub(super) fn pose_rows(frame: &mut Frame<'_>, area: Rect, shown: &Shown, wide: 
     frame.render_widget(Paragraph::new(rows), area);
 }
 
-/// Position and slides.
-pub(super) fn left(frame: &mut Frame<'_>, area: Rect, shown: &Shown) {
+/// Position and joints.
+pub(super) fn left(frame: &mut Frame<'_>, area: Rect, view: &ViewModel) {
     let part = |from: u16, rows: u16| Rect {
         y: area.y + from.min(area.height),
         height: rows.min(area.height.saturating_sub(from)),
         ..area
     };
-    let pose = shown.fixed.pose.len() as u16;
-    let title = heading("Position  wanted ── actual ─ mm, deg", area.width);
+    let pose = view.static_info.pose.len() as u16;
+    let title = heading("Position commanded ─ measured ─ mm, deg", area.width);
     frame.render_widget(Paragraph::new(title), part(0, 1));
-    pose_rows(frame, part(1, pose), shown, true);
-    let telemetry = shown.telemetry.as_ref();
+    pose_rows(frame, part(1, pose), view, true);
+    let telemetry = view.telemetry.as_ref();
     let mut rows = vec![heading(
-        "Slides ─ mm, deg ── error um, mdeg ─ motor",
+        "Joints ─ mm, deg ── error um, mdeg ─ motor",
         area.width,
     )];
     let bar = usize::from(area.width).saturating_sub(35).clamp(6, 30);
-    for (index, axis) in shown.fixed.joints.iter().enumerate() {
-        let place = value(&shown.fixed.joints, telemetry.map(|t| &t.joints), index, 11);
+    for (index, axis) in view.static_info.joints.iter().enumerate() {
+        let place = value(
+            &view.static_info.joints,
+            telemetry.map(|t| &t.joints),
+            index,
+            11,
+        );
         let error =
             telemetry
                 .and_then(|t| t.following_error.get(index))
                 .map_or("-".to_string(), |error| {
-                    // Thousandths of a millimetre, or of a degree.
+                    // um, or thousandths of a degree.
                     format!("{:.1}", f64::from(*error) / per_unit(axis.kind) * 1000.0)
                 });
         let motor = match telemetry.and_then(|t| t.drive.get(index)) {
-            Some(code) if shown.fixed.analogue.get(index) == Some(&true) => {
+            Some(code) if view.static_info.analogue.get(index) == Some(&true) => {
                 let part = f64::from(*code) / FULL_CODE;
                 format!("{} {:>4.0} %", around_zero(part, part, bar), part * 100.0)
             }
@@ -152,48 +157,49 @@ pub(super) fn left(frame: &mut Frame<'_>, area: Rect, shown: &Shown) {
         };
         rows.push(Line::styled(
             format!(" {:<6}{place}{error:>8} {motor}", axis.name),
-            fresh(shown),
+            fresh(view),
         ));
     }
     let count = rows.len() as u16;
     frame.render_widget(Paragraph::new(rows), part(1 + pose, count));
 }
 
-/// Forces, the hand where there is room for it, jog, program.
-pub(super) fn right(frame: &mut Frame<'_>, area: Rect, shown: &Shown) {
-    let room = area.height >= RIGHT_ROWS + hand::PANEL_ROWS;
-    let panel = hand::panel(shown, area.width).filter(|_| room);
-    let mut rows = force_rows(shown, area.width, panel.is_none());
+/// Force, master where it fits, jog, program.
+pub(super) fn right(frame: &mut Frame<'_>, area: Rect, view: &ViewModel) {
+    let fits = area.height >= RIGHT_ROWS + master::PANEL_ROWS;
+    let panel = master::panel(view, area.width).filter(|_| fits);
+    let mut rows = force_rows(view, area.width, panel.is_none());
     rows.extend(panel.into_iter().flatten());
     rows.push(heading("Jog", area.width));
-    rows.extend(jog_rows(shown));
+    rows.extend(jog_rows(view));
     rows.push(heading("Program", area.width));
-    rows.extend(program_rows(shown, area.width));
+    rows.extend(program_rows(view, area.width));
     frame.render_widget(Paragraph::new(rows), area);
 }
 
-/// Forces on the tool; with what the hand feels beside them, unless that has a panel of its own.
-fn force_rows(shown: &Shown, width: u16, beside: bool) -> Vec<Line<'static>> {
-    let telemetry = shown.telemetry.as_ref();
-    let felt = hand::reported(shown).filter(|_| beside);
-    let felt = felt.map(|(arm, report)| (hand::fresh(shown, arm), report.force.map(hand::newtons)));
-    let Some(loops) = &shown.loops else {
+/// Force on the tool; with the operator force unless the master has its own panel.
+fn force_rows(view: &ViewModel, width: u16, with_master: bool) -> Vec<Line<'static>> {
+    let telemetry = view.telemetry.as_ref();
+    let master_force = master::reported(view).filter(|_| with_master);
+    let master_force = master_force
+        .map(|(arm, report)| (master::fresh(view, arm), report.force.map(master::newtons)));
+    let Some(loops) = &view.loops else {
         let none = " this machine has no force sensor";
         let mut rows = vec![heading("Force", width), Line::raw(none)];
-        if let Some((style, [x, y, z])) = felt {
+        if let Some((style, [x, y, z])) = master_force {
             let size = (x * x + y * y + z * z).sqrt();
-            let bar = from_left(size / hand::SCALE_N, 6);
+            let bar = from_left(size / master::SCALE_N, 6);
             rows.push(Line::styled(
-                format!(" hand{x:>6.2}{y:>6.2}{z:>6.2} N {bar}"),
+                format!(" master{x:>6.2}{y:>6.2}{z:>6.2} N {bar}"),
                 style,
             ));
         }
         rows.resize(6, Line::default());
         return rows;
     };
-    let scale = shown.force_scale_n;
-    let title = if felt.is_some() {
-        format!("Force high, low, hand ─ +-{scale} N")
+    let scale = view.force_scale_n;
+    let title = if master_force.is_some() {
+        format!("Force high low master ─ +-{scale} N")
     } else {
         format!("Force ─ high ── low ─ +-{scale} N")
     };
@@ -201,42 +207,44 @@ fn force_rows(shown: &Shown, width: u16, beside: bool) -> Vec<Line<'static>> {
     let force = telemetry.and_then(|t| t.force.as_ref());
     let bar = usize::from(width).saturating_sub(21).clamp(6, 40);
     for (index, name) in ["x", "y", "z"].iter().enumerate() {
-        let text = match (force, &felt) {
-            (Some(force), felt) => {
+        let text = match (force, &master_force) {
+            (Some(force), master_force) => {
                 let high = f64::from(force.high[index]) / PER_EFFORT;
                 let low = f64::from(force.low[index]) / PER_EFFORT;
-                let (least, most) = (high.min(low) / scale, high.max(low) / scale);
-                match felt {
-                    Some((_, felt)) => format!(
+                let (from, to) = (high.min(low) / scale, high.max(low) / scale);
+                match master_force {
+                    Some((_, master_force)) => format!(
                         " {name}{high:>7.2}{low:>7.2}{:>6.2} {}",
-                        felt[index],
-                        around_zero(least, most, bar.saturating_sub(4).max(5))
+                        master_force[index],
+                        around_zero(from, to, bar.saturating_sub(4).max(5))
                     ),
                     None => format!(
                         " {name}{high:>8.2}{low:>8.2} {}",
-                        around_zero(least, most, bar)
+                        around_zero(from, to, bar)
                     ),
                 }
             }
-            (None, Some((_, felt))) => format!(" {name}{:>7}{:>7}{:>6.2}", "-", "-", felt[index]),
+            (None, Some((_, master_force))) => {
+                format!(" {name}{:>7}{:>7}{:>6.2}", "-", "-", master_force[index])
+            }
             (None, None) => format!(" {name}{:>8}{:>8}", "-", "-"),
         };
-        rows.push(Line::styled(text, fresh(shown)));
+        rows.push(Line::styled(text, fresh(view)));
     }
     let Some(force) = force else {
         rows.resize(6, Line::default());
         return rows;
     };
-    let mut spans = vec![Span::raw(" yield")];
+    let mut spans = vec![Span::raw(" control")];
     for (index, name) in ["x", "y", "z"].iter().enumerate() {
-        let yields = force.mask & (1 << index) != 0;
+        let is_controlled = force.mask & (1 << index) != 0;
         let desired = f64::from(loops[index].desired) / PER_EFFORT;
-        let style = if yields {
+        let style = if is_controlled {
             Style::new().fg(Color::Black).bg(Color::Green)
         } else {
             Style::new().add_modifier(Modifier::DIM)
         };
-        let text = if yields {
+        let text = if is_controlled {
             format!("{name}>{desired:.1}N")
         } else {
             format!("{name} off")
@@ -244,104 +252,120 @@ fn force_rows(shown: &Shown, width: u16, beside: bool) -> Vec<Line<'static>> {
         spans.push(Span::raw(" "));
         spans.push(Span::styled(text, style));
     }
-    spans.push(Span::raw(if force.tared { "  tared" } else { "  no zero" }));
+    spans.push(Span::raw(if force.tared { " tared" } else { " untared" }));
     rows.push(Line::from(spans));
     let last = match &force.problem {
-        Some(problem) => Line::styled(format!(" {problem}"), style_of(Weight::Warning)),
+        Some(problem) => Line::styled(format!(" {problem}"), style_of(Severity::Warning)),
         None => {
             let mm = force.yielded.map(|value| f64::from(value) / PER_MM);
-            Line::raw(format!(" by{:>8.3}{:>8.3}{:>8.3} mm", mm[0], mm[1], mm[2]))
+            Line::raw(format!(
+                " displ{:>7.3}{:>7.3}{:>7.3} mm",
+                mm[0], mm[1], mm[2]
+            ))
         }
     };
     rows.push(last);
     rows
 }
 
-fn chosen(shown: &Shown) -> String {
-    let jog = &shown.jog;
+fn jog_setting(view: &ViewModel) -> String {
+    let jog = &view.jog;
     match jog.mode {
         Mode::Continuous => format!("continuous {} mm/s, deg/s", jog.rate),
         Mode::Step => format!("step {} mm, deg at {} mm/s", jog.step, jog.rate),
     }
 }
 
-fn jog_rows(shown: &Shown) -> Vec<Line<'static>> {
-    let jog = &shown.jog;
+fn jog_rows(view: &ViewModel) -> Vec<Line<'static>> {
+    let jog = &view.jog;
     let held = jog.held.iter().any(Option::is_some);
     let style = if held {
         Style::new().fg(Color::Black).bg(Color::Cyan)
     } else {
         Style::new().add_modifier(Modifier::BOLD)
     };
-    let ends = match (jog.mode, jog.releases_told) {
-        (Mode::Step, _) => " one step a press; Space stops it".to_string(),
+    let ends = match (jog.mode, jog.has_release_events) {
+        (Mode::Step, _) => " one step per press; Space stops".to_string(),
         (Mode::Continuous, true) => {
-            format!(" ends with the key (dead-man {} ms)", jog.dead_man_ms)
+            format!(" ends on release or after {} ms", jog.dead_man_ms)
         }
         (Mode::Continuous, false) => {
             format!(" ends {} ms after the last key", jog.dead_man_ms)
         }
     };
-    let last = match shown.fixed.pose.len() {
-        5.. => " arrows x y  PgUp/Dn z  ,. nm".to_string(),
-        _ => " arrows  PgUp/Dn".to_string(),
+    let name = |index: usize| {
+        view.static_info
+            .pose
+            .get(index)
+            .map_or("", |axis| &axis.name)
     };
+    let others = if view.static_info.pose.len() > 4 {
+        "  ,. nm"
+    } else {
+        ""
+    };
+    let keys = format!(
+        " arrows {} {}  PgUp/Dn {}{others}",
+        name(0),
+        name(1),
+        name(2)
+    );
     vec![
-        Line::from(vec![Span::raw(" "), Span::styled(chosen(shown), style)]),
+        Line::from(vec![Span::raw(" "), Span::styled(jog_setting(view), style)]),
         Line::raw(ends),
-        Line::raw(last),
+        Line::raw(keys),
     ]
 }
 
 /// Jog, override and program in one row, for small terminals.
-pub(super) fn jog_line(shown: &Shown) -> Paragraph<'static> {
-    let what = match shown.jog.mode {
-        Mode::Continuous => format!("{} mm/s", shown.jog.rate),
-        Mode::Step => format!("step {}", shown.jog.step),
+pub(super) fn jog_line(view: &ViewModel) -> Paragraph<'static> {
+    let what = match view.jog.mode {
+        Mode::Continuous => format!("{} mm/s", view.jog.rate),
+        Mode::Step => format!("step {}", view.jog.step),
     };
-    let program = match &shown.program {
-        Some(program) if program.runs => {
-            format!("{:.0} % L{}", 100.0 * done(shown), program.line)
+    let program = match &view.program {
+        Some(program) if program.is_running => {
+            format!("{:.0} % L{}", 100.0 * done(view), program.line)
         }
-        _ => format!("dm {} ms", shown.jog.dead_man_ms),
+        _ => format!("dm {} ms", view.jog.dead_man_ms),
     };
     Paragraph::new(format!(
         " jog {what}  feed {} %  {program}",
-        shown.feed_override
+        view.feed_override
     ))
 }
 
-/// How much of the program is done, 0 to 1.
-fn done(shown: &Shown) -> f64 {
-    match (&shown.program, &shown.telemetry) {
-        (Some(program), Some(telemetry)) if program.runs && program.duration_s > 0.0 => {
-            f64::from(telemetry.program_periods) * shown.fixed.period_s / program.duration_s
+/// Completed part of the program, 0 to 1.
+fn done(view: &ViewModel) -> f64 {
+    match (&view.program, &view.telemetry) {
+        (Some(program), Some(telemetry)) if program.is_running && program.duration_s > 0.0 => {
+            f64::from(telemetry.program_periods) * view.static_info.period_s / program.duration_s
         }
         _ => 0.0,
     }
 }
 
-fn program_rows(shown: &Shown, width: u16) -> Vec<Line<'static>> {
-    let rate = shown
+fn program_rows(view: &ViewModel, width: u16) -> Vec<Line<'static>> {
+    let rate = view
         .telemetry
         .as_ref()
         .filter(|telemetry| matches!(telemetry.state, State::Run | State::Hold))
         .map_or(0.0, |telemetry| f64::from(telemetry.path_rate) / 655.35);
     let feed = Line::raw(format!(
         " override {} %  path speed {rate:.0} %",
-        shown.feed_override
+        view.feed_override
     ));
-    let Some(program) = &shown.program else {
-        let name = match &shown.offered {
+    let Some(program) = &view.program else {
+        let name = match &view.selected_name {
             Some(name) => format!(" {name}; p checks it"),
-            None => " none; p chooses one".to_string(),
+            None => " none; p selects one".to_string(),
         };
         return vec![Line::raw(name), Line::default(), feed];
     };
-    let part = done(shown).clamp(0.0, 1.0);
+    let part = done(view).clamp(0.0, 1.0);
     let left_s =
-        program.duration_s * (1.0 - part) / (f64::from(shown.feed_override) / 100.0).max(0.01);
-    let (first, second) = if program.runs {
+        program.duration_s * (1.0 - part) / (f64::from(view.feed_override) / 100.0).max(0.01);
+    let (first, second) = if program.is_running {
         let bar = usize::from(width).saturating_sub(17).clamp(5, 40);
         (
             format!(" {}  line {}/{}", program.name, program.line, program.lines),
@@ -361,8 +385,8 @@ fn program_rows(shown: &Shown, width: u16) -> Vec<Line<'static>> {
     vec![Line::raw(first), Line::raw(second), feed]
 }
 
-/// The newest messages, under a heading.
-pub(super) fn messages(frame: &mut Frame<'_>, area: Rect, shown: &Shown) {
+/// Latest messages under a heading.
+pub(super) fn messages(frame: &mut Frame<'_>, area: Rect, view: &ViewModel) {
     let title = Rect { height: 1, ..area };
     frame.render_widget(Paragraph::new(heading("Messages", area.width)), title);
     let rows = Rect {
@@ -370,18 +394,18 @@ pub(super) fn messages(frame: &mut Frame<'_>, area: Rect, shown: &Shown) {
         height: area.height.saturating_sub(1),
         ..area
     };
-    message_rows(frame, rows, shown);
+    message_rows(frame, rows, view);
 }
 
-/// The newest messages, the last one at the bottom. Long ones take several rows.
-pub(super) fn message_rows(frame: &mut Frame<'_>, area: Rect, shown: &Shown) {
+/// Latest messages, the newest at the bottom. Long messages take several rows.
+pub(super) fn message_rows(frame: &mut Frame<'_>, area: Rect, view: &ViewModel) {
     let width = usize::from(area.width).max(12);
     let mut rows: Vec<Line<'_>> = Vec::new();
-    for entry in shown.log.newest(usize::from(area.height)) {
-        let style = match entry.weight {
-            Weight::Note => Style::new(),
-            Weight::Warning => Style::new().fg(Color::Yellow),
-            Weight::Alarm => Style::new().fg(Color::Red).add_modifier(Modifier::BOLD),
+    for entry in view.log.newest(usize::from(area.height)) {
+        let style = match entry.severity {
+            Severity::Info => Style::new(),
+            Severity::Warning => Style::new().fg(Color::Yellow),
+            Severity::Alarm => Style::new().fg(Color::Red).add_modifier(Modifier::BOLD),
         };
         let times = match entry.times {
             1 => String::new(),
@@ -396,7 +420,7 @@ pub(super) fn message_rows(frame: &mut Frame<'_>, area: Rect, shown: &Shown) {
     frame.render_widget(Paragraph::new(rows.split_off(surplus)), area);
 }
 
-/// Broken at spaces; what follows the first row is indented by so many columns.
+/// Breaks a text at spaces and indents all rows but the first.
 pub(super) fn wrapped(text: &str, width: usize, indent: usize) -> Vec<String> {
     let mut rows = vec![String::new()];
     for word in text.split_inclusive(' ') {
@@ -411,14 +435,14 @@ pub(super) fn wrapped(text: &str, width: usize, indent: usize) -> Vec<String> {
     rows
 }
 
-/// How the line to the controller does.
-pub(super) fn link_line(shown: &Shown) -> Paragraph<'static> {
-    let counters = &shown.counters;
-    let (bad, lost) = shown.telemetry.as_ref().map_or((0, 0), |telemetry| {
+/// State of the link to the controller.
+pub(super) fn link_line(view: &ViewModel) -> Paragraph<'static> {
+    let counters = &view.counters;
+    let (bad, lost) = view.telemetry.as_ref().map_or((0, 0), |telemetry| {
         (telemetry.bad_frames, telemetry.lost_bytes)
     });
-    let age = if shown.telemetry.is_some() {
-        format!("report {} ms old", shown.age.as_millis().min(99_999))
+    let age = if view.telemetry.is_some() {
+        format!("report {} ms old", view.age.as_millis().min(99_999))
     } else {
         "no report".to_string()
     };

@@ -1,7 +1,10 @@
-//! What is to be seen: a picture of the console's knowledge, made by the desk and drawn elsewhere, so that neither waits for the other.
+//! View model: all displayed values. The application state builds it, another thread draws it, so
+//! neither waits for the other.
 
-use super::hand::{At, Face};
+mod build;
+
 use super::jogging::Mode;
+use super::master::{Face, FieldPosition};
 use haptimill_firmware::config::AxisKind;
 use haptimill_machine_file::AxisLimits;
 use haptimill_protocol::force::ForceLoop;
@@ -11,61 +14,61 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// Messages that are kept.
-const KEPT: usize = 200;
+/// Capacity of the message log.
+const LOG_CAPACITY: usize = 200;
 
-/// How much a message matters.
+/// Severity of a message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) enum Weight {
-    /// Something happened.
-    Note,
-    /// Something was refused, or is not as it should be.
+pub(super) enum Severity {
+    /// Information.
+    Info,
+    /// Refusal or abnormal condition.
     Warning,
-    /// The machine stopped by itself, or the link broke.
+    /// The machine stopped by itself, or the link was lost.
     Alarm,
 }
 
-/// A message with its time.
+/// Message with its time.
 #[derive(Debug, Clone)]
-pub(super) struct Entry {
+pub(super) struct LogEntry {
     pub(super) at: Duration,
-    pub(super) weight: Weight,
+    pub(super) severity: Severity,
     pub(super) text: String,
-    /// How often it was said in a row.
+    /// Number of consecutive occurrences.
     pub(super) times: u32,
 }
 
-/// The last messages.
+/// Latest messages.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Log(VecDeque<Entry>);
+pub(super) struct Log(VecDeque<LogEntry>);
 
 impl Log {
-    /// Adds a message; the same one again only counts.
-    pub(super) fn add(&mut self, at: Duration, weight: Weight, text: impl Into<String>) {
+    /// Adds a message. A repeated message increments its count.
+    pub(super) fn add(&mut self, at: Duration, severity: Severity, text: impl Into<String>) {
         let text = text.into();
         if let Some(last) = self.0.back_mut().filter(|last| last.text == text) {
             last.times += 1;
             last.at = at;
             return;
         }
-        if self.0.len() >= KEPT {
+        if self.0.len() >= LOG_CAPACITY {
             self.0.pop_front();
         }
-        self.0.push_back(Entry {
+        self.0.push_back(LogEntry {
             at,
-            weight,
+            severity,
             text,
             times: 1,
         });
     }
 
-    /// The newest ones, oldest first.
-    pub(super) fn newest(&self, count: usize) -> impl Iterator<Item = &Entry> {
+    /// The newest messages, oldest first.
+    pub(super) fn newest(&self, count: usize) -> impl Iterator<Item = &LogEntry> {
         self.0.iter().skip(self.0.len().saturating_sub(count))
     }
 }
 
-/// An axis as it is shown.
+/// Axis name and kind.
 #[derive(Debug, Clone)]
 pub(super) struct Axis {
     pub(super) name: String,
@@ -82,156 +85,156 @@ impl Axis {
     }
 }
 
-/// What never changes.
+/// Values that never change.
 #[derive(Debug)]
-pub(super) struct Fixed {
+pub(super) struct StaticInfo {
     pub(super) port: String,
     pub(super) pose: Vec<Axis>,
     pub(super) joints: Vec<Axis>,
     pub(super) period_s: f64,
-    /// The drive of a joint is commanded by a DAC code, not by steps.
+    /// Torque drive: the drive value is a DAC code, not a step count.
     pub(super) analogue: Vec<bool>,
 }
 
-/// What lies over the panels.
+/// Overlay over the panels.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Overlay {
     None,
     Help {
-        /// Rows that are scrolled away.
+        /// First visible row.
         from: usize,
     },
-    /// A question; Enter says yes.
+    /// Question; Enter confirms.
     Confirm(Confirm),
-    /// A name is typed.
+    /// Text input.
     Prompt {
         title: &'static str,
         text: String,
     },
-    /// Mistakes of a part program.
+    /// Errors of a part program.
     Problems {
         lines: Vec<String>,
         from: usize,
     },
     /// Sources of the axes.
     Axes {
-        at: usize,
+        selected: usize,
     },
-    /// Force loop.
+    /// Force loops.
     Force {
-        at: usize,
+        selected: usize,
     },
-    /// The hand; a number that is being typed.
-    Hand {
-        at: At,
+    /// Master panel, with the number being typed.
+    Master {
+        position: FieldPosition,
         typed: String,
     },
 }
 
-/// A question.
+/// Question.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Confirm {
     Home,
     Tare,
-    /// A checked program, in words.
+    /// Summary of the checked program.
     Run(String),
-    /// In words: what happens to the machine.
+    /// Effect on the machine.
     Quit(String),
 }
 
-/// How the connection stands.
+/// State of the link.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) enum Contact {
+pub(super) enum LinkState {
     Opening,
-    Greeting,
+    Handshake,
     /// The machine file is being sent.
     Configuring,
     Ready,
     Lost(String),
 }
 
-/// Counters of the line.
+/// Counters of the link.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Counters {
     pub(super) round_trip_us: u32,
-    /// Broken frames that the host heard.
+    /// Bad frames received by the host.
     pub(super) bad_frames: u32,
     pub(super) resent: u32,
     pub(super) reconnects: u32,
 }
 
-/// The program that is chosen or runs.
+/// Selected or running program.
 #[derive(Debug, Clone)]
-pub(super) struct ProgramShown {
+pub(super) struct ProgramView {
     pub(super) name: String,
     pub(super) duration_s: f64,
-    pub(super) runs: bool,
+    pub(super) is_running: bool,
     pub(super) line: u32,
     pub(super) lines: u32,
 }
 
-/// Everything.
+/// All displayed values.
 #[derive(Debug, Clone)]
-pub(super) struct Shown {
-    pub(super) fixed: Arc<Fixed>,
+pub(super) struct ViewModel {
+    pub(super) static_info: Arc<StaticInfo>,
     pub(super) elapsed: Duration,
     pub(super) machine: String,
-    pub(super) contact: Contact,
+    pub(super) link_state: LinkState,
     pub(super) counters: Counters,
-    /// The newest report, and how old it is. After a loss the last one stays, marked as old.
+    /// Newest telemetry and its age. After a link loss it stays, marked as old.
     pub(super) telemetry: Option<Telemetry>,
     pub(super) age: Duration,
-    /// What stands in the first line: what to do next, or the fault with its remedy.
-    pub(super) prompt: (Weight, String),
+    /// Next action of the operator, or the fault with its remedy.
+    pub(super) prompt: (Severity, String),
     pub(super) log: Log,
     pub(super) overlay: Overlay,
     pub(super) sources: [Source; MAX_AXES],
     pub(super) feed_override: u8,
-    pub(super) jog: JogShown,
-    pub(super) program: Option<ProgramShown>,
-    /// Name of the program that was chosen, checked or not.
-    pub(super) offered: Option<String>,
-    /// Force loops of x, y, z; none on a machine without a force sensor.
+    pub(super) jog: JogView,
+    pub(super) program: Option<ProgramView>,
+    /// Name of the selected program, checked or not.
+    pub(super) selected_name: Option<String>,
+    /// Force loops of x, y, z; none without a force sensor.
     pub(super) loops: Option<[ForceLoop; 3]>,
     pub(super) force_scale_n: f64,
-    /// None on a machine without a haptic arm that follows none either.
-    pub(super) hand: Option<HandShown>,
+    /// None without a haptic arm and without a remote master.
+    pub(super) master: Option<MasterView>,
     pub(super) recording: Option<(String, u64)>,
-    /// A stop that has not been answered yet.
+    /// Stop without an answer yet.
     pub(super) stopping: Option<&'static str>,
 }
 
-/// The hand.
+/// Haptic arm and position scale.
 #[derive(Debug, Clone)]
-pub(super) struct HandShown {
-    /// The arm, if it is one of this machine.
-    pub(super) arm: Option<ArmShown>,
-    /// G_P where the machine follows a hand, and whether it is sure.
+pub(super) struct MasterView {
+    /// The arm, if it belongs to this machine.
+    pub(super) arm: Option<ArmView>,
+    /// Position scale where a master drives the machine, and whether it is known.
     pub(super) scale: Option<(f64, bool)>,
 }
 
-/// The haptic arm.
+/// Haptic arm.
 #[derive(Debug, Clone)]
-pub(super) struct ArmShown {
-    /// The newest report, and how old it is.
+pub(super) struct ArmView {
+    /// Newest report and its age.
     pub(super) report: Option<MasterTelemetry>,
     pub(super) age: Duration,
-    /// What is wrong with it, in words.
+    /// Problem of the arm.
     pub(super) problem: Option<String>,
-    pub(super) reflection: ForceFeedback,
-    /// No other host can have set something else.
-    pub(super) reflection_sure: bool,
-    /// Of each axis the lower and the upper wall.
+    pub(super) feedback: ForceFeedback,
+    /// No other host can have changed the force feedback settings.
+    pub(super) feedback_known: bool,
+    /// Lower and upper face of the virtual fixture along each axis.
     pub(super) faces: [[Face; 2]; COMPONENTS],
 }
 
-/// The jog keys.
+/// Jog keys.
 #[derive(Debug, Clone)]
-pub(super) struct JogShown {
+pub(super) struct JogView {
     pub(super) mode: Mode,
     pub(super) rate: f64,
     pub(super) step: f64,
     pub(super) dead_man_ms: u64,
-    pub(super) releases_told: bool,
+    pub(super) has_release_events: bool,
     pub(super) held: [Option<(bool, u64)>; MAX_AXES],
 }

@@ -1,7 +1,8 @@
-//! What moves by itself once it was asked for: a part program, a step, the way to the home pose. One at a time, and each ends with its session.
+//! Jobs: a part program, a step, the move to the home pose. One at a time; each ends with its
+//! session.
 
-use super::desk::Desk;
-use super::shown::{Confirm, Overlay, Weight};
+use super::app::App;
+use super::view_model::{Confirm, Overlay, Severity};
 use crate::commands::CliError;
 use crate::commands::part::PartProgram;
 use haptimill_client::client::JobEnding;
@@ -16,21 +17,22 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::mpsc::{self, Receiver};
 
-/// How long a step is meant after its key was pressed, microseconds.
-const MEANT_US: u64 = 150_000;
+/// Validity of a step request after its key press, us.
+const STEP_VALID_US: u64 = 150_000;
 
-/// How long the report of where the machine stands may take until a program is checked from there, microseconds. Nothing moves by itself then: the console asks first.
-const REPORT_US: u64 = 2_000_000;
+/// Longest wait for the exact pose before a program is checked from it, us. Nothing moves then: the
+/// console asks first.
+const POSE_TIMEOUT_US: u64 = 2_000_000;
 
 /// A part program that was checked from a pose.
 #[derive(Debug, Clone)]
 pub(super) struct Checked {
-    /// Name of the file, without folders.
+    /// File name without folders.
     pub(super) name: String,
     pub(super) plan: Arc<Plan>,
-    /// Setpoints at which the program pauses, with the line that says so.
+    /// Setpoints at which the program pauses, with the line of each pause.
     pauses: Arc<BTreeMap<u32, u32>>,
-    /// Lines of the file.
+    /// Number of lines of the file.
     pub(super) lines: u32,
 }
 
@@ -41,31 +43,31 @@ enum Job {
     Program,
 }
 
-/// What was asked for.
+/// Requested and running jobs.
 #[derive(Debug, Default)]
-pub(super) struct Work {
+pub(super) struct Jobs {
     path: Option<PathBuf>,
     pub(super) checked: Option<Checked>,
     checking: Option<Receiver<Result<Checked, CliError>>>,
     running: Option<Job>,
-    /// Homing was asked for here: when the references are found, the way to the home pose follows.
+    /// Homing was requested here: the move to the home pose follows it.
     homing: bool,
-    /// They are found.
-    found: bool,
-    /// A step that was pressed when the machine had just come to rest, and until when it is still meant (microseconds): the report of where it
-    /// stands may be some milliseconds behind.
-    step: Option<(usize, bool, u64)>,
-    /// A program that was chosen when the machine had just come to rest, and until when the report of where it stands is waited for (microseconds).
-    chosen: Option<(PathBuf, u64)>,
-    /// The line at which the program pauses.
+    /// Homing is done; the move to the home pose is pending.
+    references_found: bool,
+    /// A step requested just after standstill: axis, direction, and end of its validity, us. The
+    /// exact pose may be reported some milliseconds later.
+    pending_step: Option<(usize, bool, u64)>,
+    /// A program selected just after standstill, and the end of the wait for the exact pose, us.
+    pending_check: Option<(PathBuf, u64)>,
+    /// Line of the present program pause.
     pub(super) pause_line: Option<u32>,
-    numbers: u32,
+    job_number: u32,
 }
 
 /// Reads and plans a part program, as `haptimill run` does.
 ///
 /// # Errors
-/// The file, its mistakes, or what the machine cannot do; nothing moves.
+/// The file cannot be read, has errors, or exceeds the machine. Nothing moves.
 pub(super) fn check(
     path: &Path,
     machine: &MachineFile,
@@ -82,8 +84,8 @@ pub(super) fn check(
     })
 }
 
-impl Work {
-    /// Nothing is asked for yet; `path` is the program that is offered first.
+impl Jobs {
+    /// No job. `path` is the program offered first.
     pub(super) fn new(path: Option<PathBuf>) -> Self {
         Self {
             path,
@@ -91,13 +93,13 @@ impl Work {
         }
     }
 
-    /// Name of the program that was chosen last, without folders.
-    pub(super) fn offered(&self) -> Option<String> {
+    /// Name of the selected program, without folders.
+    pub(super) fn selected_name(&self) -> Option<String> {
         let name = self.path.as_ref()?.file_name()?;
         Some(name.to_string_lossy().into_owned())
     }
 
-    /// The program that was chosen last.
+    /// Path of the selected program.
     pub(super) fn path(&self) -> String {
         self.path
             .as_ref()
@@ -105,101 +107,104 @@ impl Work {
             .unwrap_or_default()
     }
 
-    pub(super) fn runs_program(&self) -> bool {
+    pub(super) fn is_running_program(&self) -> bool {
         self.running == Some(Job::Program)
     }
 
-    pub(super) fn runs_step(&self) -> bool {
+    pub(super) fn is_running_step(&self) -> bool {
         self.running == Some(Job::Step)
     }
 
-    /// What is under way is over; nothing follows it.
-    pub(super) fn forget(&mut self) {
+    /// Forgets the running job and everything pending.
+    pub(super) fn clear(&mut self) {
         self.running = None;
         self.pause_line = None;
-        self.nothing_follows();
+        self.cancel_pending();
     }
 
-    /// Whatever ends now, nothing follows it.
-    pub(super) fn nothing_follows(&mut self) {
+    /// Cancels everything pending.
+    pub(super) fn cancel_pending(&mut self) {
         self.homing = false;
-        self.found = false;
-        self.step = None;
-        self.chosen = None;
+        self.references_found = false;
+        self.pending_step = None;
+        self.pending_check = None;
     }
 
-    /// Homing begins.
+    /// Records that homing was requested.
     pub(super) fn home(&mut self) {
         self.homing = true;
-        self.found = false;
+        self.references_found = false;
     }
 }
 
-impl Desk {
-    /// Checks a program from where the machine stands, as soon as that is known: it is said to be idle some milliseconds before.
+impl App {
+    /// Checks a program from the exact commanded pose, waiting for its report after a change to
+    /// idle.
     pub(super) fn check_program(&mut self, path: &str) {
         let path = PathBuf::from(path);
-        if self.state() == Some(State::Idle) && self.standing().is_none() {
-            self.work.chosen = Some((path, self.now_us() + REPORT_US));
+        if self.state() == Some(State::Idle) && self.standstill_pose().is_none() {
+            self.jobs.pending_check = Some((path, self.now_us() + POSE_TIMEOUT_US));
         } else {
             self.begin_check(path);
         }
     }
 
-    /// Reads and checks a program beside everything else.
+    /// Reads and checks a program in a thread.
     fn begin_check(&mut self, path: PathBuf) {
         let homed = self
             .telemetry
             .as_ref()
             .is_some_and(|now| now.homed && now.position_kept);
-        let Some(start) = self.standing().filter(|_| homed && self.configured) else {
-            let what = "a program is checked from where the machine stands: enabled, homed, idle";
-            self.say(Weight::Warning, what);
+        let Some(start) = self.standstill_pose().filter(|_| homed && self.configured) else {
+            let message = "a program is checked from the present pose: \
+                           the machine must be enabled, homed and idle";
+            self.notify(Severity::Warning, message);
             return;
         };
-        self.work.path = Some(path.clone());
+        self.jobs.path = Some(path.clone());
         let (sender, receiver) = mpsc::channel();
         let machine = Arc::clone(&self.machine);
         std::thread::spawn(move || {
             let model = Model::new(&machine);
             let _ = sender.send(check(&path, &machine, &model, &start));
         });
-        self.work.checking = Some(receiver);
+        self.jobs.checking = Some(receiver);
     }
 
-    /// A program that was checked is run, if the machine still stands where it begins.
+    /// Runs the checked program if the machine is still at its start pose; otherwise checks it
+    /// again.
     pub(super) fn run_program(&mut self) {
-        let Some(checked) = self.work.checked.clone() else {
+        let Some(checked) = self.jobs.checked.clone() else {
             return;
         };
-        match self.standing() {
+        match self.standstill_pose() {
             Some(pose) if pose == checked.plan.start => {
                 if self.start(Job::Program, &checked.plan) {
-                    self.say(Weight::Note, format!("{}: begun", checked.name));
+                    self.notify(Severity::Info, format!("{}: started", checked.name));
                 }
             }
             Some(_) => {
-                let path = self.work.path();
+                let path = self.jobs.path();
                 self.check_program(&path);
             }
-            None => self.say(Weight::Warning, "the machine does not stand idle"),
+            None => self.notify(Severity::Warning, "the machine is not idle"),
         }
     }
 
-    /// Moves one pose coordinate by a step, exactly.
+    /// Moves one pose coordinate by an exact step.
     pub(super) fn step_axis(&mut self, axis: usize, up: bool) {
-        // Nothing waits for its turn: a press during a step is no step.
-        if self.work.running.is_some() {
+        // Steps are not queued: a key press during a step is ignored.
+        if self.jobs.running.is_some() {
             return;
         }
-        let Some(from) = self.standing() else {
+        let Some(from) = self.standstill_pose() else {
             if self.state() == Some(State::Idle) {
-                self.work.step = Some((axis, up, self.now_us() + MEANT_US));
+                self.jobs.pending_step = Some((axis, up, self.now_us() + STEP_VALID_US));
             }
             return;
         };
         if !self.telemetry.as_ref().is_some_and(|now| now.homed) {
-            self.say(Weight::Warning, "a step: home the machine first");
+            self.notify(Severity::Warning, "step: home the machine first");
             return;
         }
         let step = self.jogging.step();
@@ -211,45 +216,48 @@ impl Desk {
             Ok(plan) => {
                 self.start(Job::Step, &plan);
             }
-            Err(error) => self.say(Weight::Warning, error.message),
+            Err(error) => self.notify(Severity::Warning, error.message),
         }
     }
 
-    /// The work that was given is clamped once the machine is at its home pose, as an operator does it.
-    fn clamp(&mut self) {
-        if let Some(work) = self.settings.work.take() {
-            match self.connection.clamp(&work) {
-                Ok(()) => self.say(Weight::Note, "the work is clamped on the simulated table"),
-                Err(why) => self.say(Weight::Warning, why),
+    /// Clamps the given stock once the machine is at its home pose.
+    fn clamp_stock(&mut self) {
+        if let Some(stock) = self.settings.stock.take() {
+            match self.connection.clamp(&stock) {
+                Ok(()) => self.notify(
+                    Severity::Info,
+                    "the stock is clamped on the simulated table",
+                ),
+                Err(reason) => self.notify(Severity::Warning, reason),
             }
         }
     }
 
     fn start(&mut self, job: Job, plan: &Plan) -> bool {
-        self.work.numbers += 1;
+        self.jobs.job_number += 1;
         let setpoints = plan.setpoints.clone();
         let started = self
             .client
-            .start_job(self.work.numbers, plan.start.clone(), setpoints);
+            .start_job(self.jobs.job_number, plan.start.clone(), setpoints);
         match started {
             Ok(()) => {
-                self.work.running = Some(job);
-                self.work.pause_line = None;
+                self.jobs.running = Some(job);
+                self.jobs.pause_line = None;
                 true
             }
             Err(error) => {
-                self.say(Weight::Warning, error.to_string());
+                self.notify(Severity::Warning, error.to_string());
                 false
             }
         }
     }
 
-    /// Goes on with what follows by itself: a check that is done, the way home.
-    pub(super) fn advance_work(&mut self) {
-        if let Some(checking) = &self.work.checking
+    /// Continues pending work: a finished check, a pending step, the move to the home pose.
+    pub(super) fn advance_jobs(&mut self) {
+        if let Some(checking) = &self.jobs.checking
             && let Ok(result) = checking.try_recv()
         {
-            self.work.checking = None;
+            self.jobs.checking = None;
             match result {
                 Ok(checked) => {
                     let figures = checked.plan.figures;
@@ -264,7 +272,7 @@ impl Desk {
                         figures.path_length_mm,
                         duration(figures.duration_s)
                     );
-                    self.work.checked = Some(checked);
+                    self.jobs.checked = Some(checked);
                     self.confirm(Confirm::Run(text));
                 }
                 Err(error) => {
@@ -275,25 +283,25 @@ impl Desk {
                 }
             }
         }
-        if let Some((path, until_us)) = self.work.chosen.take() {
-            let waits = self.state() == Some(State::Idle) && self.standing().is_none();
+        if let Some((path, until_us)) = self.jobs.pending_check.take() {
+            let waits = self.state() == Some(State::Idle) && self.standstill_pose().is_none();
             if waits && self.now_us() < until_us {
-                self.work.chosen = Some((path, until_us));
+                self.jobs.pending_check = Some((path, until_us));
             } else {
                 self.begin_check(path);
             }
         }
-        if let Some((axis, up, until_us)) = self.work.step.take() {
-            if self.standing().is_some() {
+        if let Some((axis, up, until_us)) = self.jobs.pending_step.take() {
+            if self.standstill_pose().is_some() {
                 self.step_axis(axis, up);
             } else if self.now_us() < until_us {
-                self.work.step = Some((axis, up, until_us));
+                self.jobs.pending_step = Some((axis, up, until_us));
             }
         }
-        if self.work.found
-            && let Some(from) = self.standing()
+        if self.jobs.references_found
+            && let Some(from) = self.standstill_pose()
         {
-            self.work.nothing_follows();
+            self.jobs.cancel_pending();
             let Some(to) = self.model.home(&self.machine) else {
                 return;
             };
@@ -301,47 +309,47 @@ impl Desk {
                 Ok(plan) => {
                     self.start(Job::Home, &plan);
                 }
-                Err(error) => self.say(Weight::Warning, error.message),
+                Err(error) => self.notify(Severity::Warning, error.message),
             }
         }
     }
 
-    /// What events mean for the work.
-    pub(super) fn work_event(&mut self, event: &Event) {
+    /// Updates the jobs on an event.
+    pub(super) fn update_jobs(&mut self, event: &Event) {
         match event {
-            Event::Homed => self.work.found = std::mem::take(&mut self.work.homing),
-            Event::Fault(_) => self.work.nothing_follows(),
+            Event::Homed => self.jobs.references_found = std::mem::take(&mut self.jobs.homing),
+            Event::Fault(_) => self.jobs.cancel_pending(),
             Event::Paused { setpoint } => {
                 let line = self
-                    .work
+                    .jobs
                     .checked
                     .as_ref()
                     .and_then(|checked| checked.pauses.get(setpoint));
-                self.work.pause_line = Some(line.copied().unwrap_or(0));
+                self.jobs.pause_line = Some(line.copied().unwrap_or(0));
             }
             _ => {}
         }
     }
 
-    /// The job is over.
+    /// Handles the end of a job.
     pub(super) fn job_ended(&mut self, ending: &JobEnding) {
-        let job = self.work.running.take();
-        self.work.pause_line = None;
-        let name = match (job, &self.work.checked) {
+        let job = self.jobs.running.take();
+        self.jobs.pause_line = None;
+        let name = match (job, &self.jobs.checked) {
             (Some(Job::Program), Some(checked)) => checked.name.clone(),
-            (Some(Job::Home), _) => "way to the home pose".to_string(),
+            (Some(Job::Home), _) => "move to the home pose".to_string(),
             _ => "step".to_string(),
         };
         match ending {
             JobEnding::Done { .. } if job == Some(Job::Step) => {}
             JobEnding::Done { .. } => {
-                self.say(Weight::Note, format!("{name}: done"));
+                self.notify(Severity::Info, format!("{name}: done"));
                 if job == Some(Job::Home) {
-                    self.clamp();
+                    self.clamp_stock();
                 }
             }
-            JobEnding::Dropped { .. } => self.say(Weight::Warning, format!("{name}: dropped")),
-            // The loss of the link says it.
+            JobEnding::Dropped { .. } => self.notify(Severity::Warning, format!("{name}: dropped")),
+            // The link loss is logged already.
             JobEnding::Lost { .. } => {}
             other => {
                 let other = match other {
@@ -353,7 +361,7 @@ impl Desk {
                         .with_axes(|axes| axes.describe(refusal).to_string()),
                     other => other.to_string(),
                 };
-                self.say(Weight::Warning, format!("{name}: {other}"));
+                self.notify(Severity::Warning, format!("{name}: {other}"));
             }
         }
     }

@@ -1,6 +1,7 @@
-//! The way to the controller: opened beside the console, lost, and found again.
+//! Connection to the controller: opened in the background, reopened after a loss.
 //!
-//! Opening a port may take seconds (a name to be looked up, a machine that is off), so a thread of its own does it; keys are heard meanwhile.
+//! Opening a port may take seconds (name resolution, a machine that is switched off), so a thread
+//! does it while key input continues.
 
 use crate::commands::CliError;
 use crate::commands::sim::Pace;
@@ -15,19 +16,19 @@ use haptimill_teleop::script::{Person, Script};
 use std::sync::mpsc::{self, Receiver, TryRecvError};
 use std::time::{Duration, Instant};
 
-/// First and longest pause between two attempts.
-const AGAIN: (Duration, Duration) = (Duration::from_millis(300), Duration::from_secs(2));
+/// First and longest delay between two attempts.
+const RETRY: (Duration, Duration) = (Duration::from_millis(300), Duration::from_secs(2));
 
-/// Pause between two looks at the clock when the simulated machine said nothing.
-const REST: Duration = Duration::from_micros(500);
+/// Sleep after an exchange without data from the simulated machine.
+const IDLE_SLEEP: Duration = Duration::from_micros(500);
 
-/// The simulated machine in this process, in step with the clock on the wall.
+/// The simulated machine in this process, in real time.
 struct PacedSim {
     rig: Rig<Controller>,
-    /// Who holds the handle of its haptic arm.
-    person: Option<Person>,
+    /// Operator model at its haptic arm.
+    operator: Option<Person>,
     pace: Pace,
-    begun: Instant,
+    started: Instant,
 }
 
 impl Line for PacedSim {
@@ -35,17 +36,17 @@ impl Line for PacedSim {
         if !transmit.is_empty() {
             self.rig.host_write(transmit);
         }
-        let real_ns = u64::try_from(self.begun.elapsed().as_nanos()).unwrap_or(u64::MAX);
+        let real_ns = u64::try_from(self.started.elapsed().as_nanos()).unwrap_or(u64::MAX);
         for _ in 0..self.pace.due(real_ns, self.rig.time_ns()) {
-            if let Some(person) = &mut self.person {
-                person.act(&mut self.rig);
+            if let Some(operator) = &mut self.operator {
+                operator.act(&mut self.rig);
             }
             self.rig.step();
         }
         let before = received.len();
         self.rig.host_read(received);
         if received.len() == before {
-            std::thread::sleep(REST);
+            std::thread::sleep(IDLE_SLEEP);
         }
         Ok(self.rig.time_ns() / 1000)
     }
@@ -55,67 +56,67 @@ impl Line for PacedSim {
     }
 }
 
-/// What became of a look at the connection.
-pub(super) enum Reached {
-    /// Nothing new.
+/// Progress of the connection.
+pub(super) enum Progress {
+    /// No change.
     Nothing,
-    /// A line is open; a session can begin.
-    Line,
-    /// The port cannot be opened now; it is tried again by itself.
+    /// A line was opened; a session can start.
+    Open,
+    /// The port cannot be opened now; the next attempt follows automatically.
     Failed(PortError),
 }
 
 enum Stage {
     /// A thread opens the port.
     Opening(Receiver<Result<Box<dyn Transport>, PortError>>),
-    /// It is tried again then.
+    /// Next attempt at this time.
     Waiting(Instant),
     Open(Box<PortLine>),
     Simulated(Box<PacedSim>),
 }
 
-/// The line to the controller, and how it is got.
+/// The line to the controller, and the state of its opening.
 pub(super) struct Connection {
     spec: PortSpec,
     baud: u32,
     stage: Stage,
-    pause: Duration,
+    retry_delay: Duration,
 }
 
-fn opening(spec: &PortSpec, baud: u32) -> Stage {
+fn open_in_thread(spec: &PortSpec, baud: u32) -> Stage {
     let (sender, receiver) = mpsc::channel();
     let spec = spec.clone();
     std::thread::spawn(move || {
-        // Nobody listens any more when the console was left meanwhile.
+        // The receiver is gone if the console has quit meanwhile.
         let _ = sender.send(port::open(&spec, baud));
     });
     Stage::Opening(receiver)
 }
 
 impl Connection {
-    /// Begins to open a port; the simulator of `machine` is there at once.
+    /// Starts to open a port. The simulator of `machine` is open at once.
     pub(super) fn new(
         spec: &PortSpec,
         baud: u32,
         machine: &MachineFile,
         seed: Option<u64>,
         faults: Vec<Fault>,
-        person: Option<&Script>,
+        operator: Option<&Script>,
     ) -> Result<Self, CliError> {
         let stage = match spec {
             PortSpec::Simulator => Stage::Simulated(Box::new(PacedSim {
                 rig: session::rig(machine, seed, None, faults)?,
-                person: person.map(Person::new),
+                operator: operator.map(Person::new),
                 pace: Pace::new(u64::from(machine.config.period_us) * 1000),
-                begun: Instant::now(),
+                started: Instant::now(),
             })),
-            spec => opening(spec, baud),
+            spec => open_in_thread(spec, baud),
         };
         Ok(Self {
             spec: spec.clone(),
             baud,
             stage,
-            pause: AGAIN.0,
+            retry_delay: RETRY.0,
         })
     }
 
@@ -128,21 +129,22 @@ impl Connection {
         }
     }
 
-    /// Clamps a work on the table of the simulated machine in this process, with the tool where it stands.
+    /// Clamps stock on the table of the simulated machine in this process, at the present tool
+    /// position.
     ///
     /// # Errors
-    /// In words: the work makes no sense there.
-    pub(super) fn clamp(&mut self, work: &CuttingConfig) -> Result<(), String> {
+    /// There is no simulated machine, or the stock is invalid for it.
+    pub(super) fn clamp(&mut self, stock: &CuttingConfig) -> Result<(), String> {
         let Stage::Simulated(sim) = &mut self.stage else {
             return Err("there is no simulated machine in this process".to_string());
         };
-        sim.rig.plant_mut().clamp(work).map_err(|problems| {
+        sim.rig.plant_mut().clamp(stock).map_err(|problems| {
             let problems: Vec<String> = problems.iter().map(ToString::to_string).collect();
             problems.join("; ")
         })
     }
 
-    /// What people call it.
+    /// Displayed name of the port.
     pub(super) fn name(&self) -> String {
         match &self.spec {
             PortSpec::Simulator => "simulator".to_string(),
@@ -150,43 +152,43 @@ impl Connection {
         }
     }
 
-    /// The line is of no use any more; another attempt follows by itself.
+    /// Drops the line and schedules the next attempt.
     pub(super) fn drop_line(&mut self) {
-        self.wait();
+        self.schedule_retry();
     }
 
-    fn wait(&mut self) {
-        self.stage = Stage::Waiting(Instant::now() + self.pause);
-        self.pause = (self.pause * 2).min(AGAIN.1);
+    fn schedule_retry(&mut self) {
+        self.stage = Stage::Waiting(Instant::now() + self.retry_delay);
+        self.retry_delay = (self.retry_delay * 2).min(RETRY.1);
     }
 
-    /// A session is open: the next attempt, if one is needed, comes soon.
-    pub(super) fn is_good(&mut self) {
-        self.pause = AGAIN.0;
+    /// Resets the retry delay, since a session is open.
+    pub(super) fn reset_backoff(&mut self) {
+        self.retry_delay = RETRY.0;
     }
 
-    /// Goes on with the way to the port. Does not wait.
-    pub(super) fn advance(&mut self) -> Reached {
+    /// Advances the opening of the port. Never blocks.
+    pub(super) fn advance(&mut self) -> Progress {
         match &self.stage {
-            Stage::Open(_) | Stage::Simulated(_) => Reached::Nothing,
-            Stage::Waiting(until) if Instant::now() < *until => Reached::Nothing,
+            Stage::Open(_) | Stage::Simulated(_) => Progress::Nothing,
+            Stage::Waiting(until) if Instant::now() < *until => Progress::Nothing,
             Stage::Waiting(_) => {
-                self.stage = opening(&self.spec, self.baud);
-                Reached::Nothing
+                self.stage = open_in_thread(&self.spec, self.baud);
+                Progress::Nothing
             }
             Stage::Opening(receiver) => match receiver.try_recv() {
                 Ok(Ok(port)) => {
                     self.stage = Stage::Open(Box::new(PortLine::new(port)));
-                    Reached::Line
+                    Progress::Open
                 }
                 Ok(Err(error)) => {
-                    self.wait();
-                    Reached::Failed(error)
+                    self.schedule_retry();
+                    Progress::Failed(error)
                 }
-                Err(TryRecvError::Empty) => Reached::Nothing,
+                Err(TryRecvError::Empty) => Progress::Nothing,
                 Err(TryRecvError::Disconnected) => {
-                    self.wait();
-                    Reached::Nothing
+                    self.schedule_retry();
+                    Progress::Nothing
                 }
             },
         }

@@ -1,0 +1,264 @@
+//! Handling of the messages of the controller.
+
+use super::app::{App, FORCE_SCALES, OnAck};
+use super::view_model::{LinkState, Severity};
+use crate::commands::{CliError, Exit};
+use haptimill_client::client::{Notice, RequestError, Ticket};
+use haptimill_machine_file::scale::PER_EFFORT;
+use haptimill_protocol::force::{ForceLoop, ForceParameter};
+use haptimill_protocol::message::{Command, Event, Refusal, State, Telemetry};
+use std::time::{Duration, Instant};
+
+/// Time for which a full scale that is too large is kept.
+const SCALE_HOLD: Duration = Duration::from_secs(5);
+
+/// Delay before a request is repeated after a busy answer, us.
+const BUSY_US: u64 = 20_000;
+
+/// Period of the master telemetry, ms.
+const MASTER_MS: u32 = 100;
+
+impl App {
+    pub(super) fn handle_notice(&mut self, notice: Notice) -> Result<(), CliError> {
+        match notice {
+            Notice::Connected(_) => self.begin()?,
+            Notice::Answered {
+                ticket,
+                command,
+                result,
+            } => self.handle_answer(ticket, command, result),
+            Notice::Event { period, event } => self.handle_event(period, &event),
+            Notice::Telemetry(telemetry) => self.update_telemetry(*telemetry),
+            Notice::Refused(refusal) => {
+                let reason = self
+                    .model
+                    .with_axes(|axes| axes.describe(&refusal).to_string());
+                self.notify(Severity::Warning, format!("jog: {reason}"));
+            }
+            Notice::Job(ending) => self.job_ended(&ending),
+            Notice::Lost(error) => {
+                if !self.connected_once {
+                    let message = format!("{}: {error}", self.connection.name());
+                    return Err(CliError::new(Exit::Port, message));
+                }
+                self.handle_link_loss(&error.to_string());
+            }
+        }
+        Ok(())
+    }
+
+    fn handle_answer(&mut self, ticket: Ticket, command: &str, result: Result<(), RequestError>) {
+        let on_ack = self
+            .requests
+            .iter()
+            .position(|(sent, _)| *sent == ticket)
+            .map_or(OnAck::Nothing, |index| self.requests.swap_remove(index).1);
+        if let OnAck::Configured { already_active } = on_ack {
+            // A refused configuration leaves the session usable: stops need no configuration.
+            self.link_state = LinkState::Ready;
+            self.configured = result.is_ok();
+            if self.configured {
+                if let Some(master) = self.master.as_mut().filter(|_| !already_active) {
+                    master.begin();
+                }
+                self.query_settings();
+            }
+        }
+        if let Err(error) = result {
+            match on_ack {
+                OnAck::Override(_) => self.requested_override = self.feed_override,
+                OnAck::Loop(axis, settings) if self.retry_force_loop(axis, settings, &error) => {
+                    return;
+                }
+                _ => {}
+            }
+            let reason = match &error {
+                RequestError::Refused(refusal) => self
+                    .model
+                    .with_axes(|axes| axes.describe(refusal).to_string()),
+                RequestError::Withdrawn | RequestError::Lost(_) => return,
+                other => other.to_string(),
+            };
+            let message = self.reject_master(&on_ack);
+            let message = message.as_deref().unwrap_or(command);
+            self.notify(Severity::Warning, format!("{message}: {reason}"));
+            return;
+        }
+        match on_ack {
+            OnAck::Nothing | OnAck::Configured { .. } => {}
+            OnAck::Enabled => self.notify(Severity::Info, "drives on"),
+            OnAck::Override(percent) => self.feed_override = percent,
+            OnAck::Source(axis, source) => {
+                self.sources[usize::from(axis)] = source;
+                let name = &self.static_info.pose[usize::from(axis)].name;
+                let message = format!("{name}: {source}");
+                self.notify(Severity::Info, message);
+            }
+            OnAck::Loop(axis, settings) => {
+                let axis = usize::from(axis);
+                self.requested_loops[axis].in_flight = None;
+                if let Some(loops) = &mut self.loops {
+                    loops[axis] = settings;
+                }
+            }
+            OnAck::ForceFeedback(_) | OnAck::Fixture { .. } | OnAck::PositionScale(_) => {
+                self.acknowledge_master(&on_ack)
+            }
+            OnAck::Notify(message) => self.notify(Severity::Info, message),
+        }
+    }
+
+    /// Queries the settings that another host may have changed, and subscribes to the master
+    /// telemetry.
+    fn query_settings(&mut self) {
+        if self.loops.is_some() {
+            for axis in 0..3 {
+                self.request(Command::ForceSettings { axis }, OnAck::Nothing);
+            }
+        }
+        if self.machine.config.haptic.is_some() {
+            let every = MASTER_MS * 1000 / u32::from(self.machine.config.period_us.max(1));
+            let every = every.clamp(1, u32::from(u16::MAX)) as u16;
+            self.request(Command::MasterTelemetry { every }, OnAck::Nothing);
+        }
+    }
+
+    /// Schedules a refused request again if the controller was busy, and returns true then.
+    /// Settings requested meanwhile take precedence.
+    fn retry_force_loop(&mut self, axis: u8, settings: ForceLoop, error: &RequestError) -> bool {
+        let now_us = self.now_us();
+        let requested = &mut self.requested_loops[usize::from(axis)];
+        requested.in_flight = None;
+        let busy = matches!(
+            error,
+            RequestError::Refused(Refusal::Force { refusal, .. })
+                if refusal.parameter == ForceParameter::Busy
+        );
+        if busy {
+            requested.settings.get_or_insert(settings);
+            requested.not_before_us = now_us + BUSY_US;
+        }
+        busy
+    }
+
+    /// Sends the requested settings of the force loops.
+    pub(super) fn send_force_loops(&mut self) {
+        let now_us = self.now_us();
+        for axis in 0..self.requested_loops.len() {
+            let requested = &mut self.requested_loops[axis];
+            if requested.in_flight.is_some() || now_us < requested.not_before_us {
+                continue;
+            }
+            if let Some(settings) = requested.settings.take() {
+                requested.in_flight = Some(settings);
+                let axis = axis as u8;
+                self.request(
+                    Command::ForceLoop { axis, settings },
+                    OnAck::Loop(axis, settings),
+                );
+            }
+        }
+    }
+
+    fn handle_event(&mut self, period: u64, event: &Event) {
+        if let Event::State { to, .. } = event {
+            self.state_period = period;
+            if let Some(telemetry) = &mut self.telemetry {
+                telemetry.state = *to;
+            }
+            self.clear_stop(*to);
+            if *to == State::Idle {
+                // The next motion starts at the exact commanded pose.
+                self.request(Command::Status, OnAck::Nothing);
+            }
+        }
+        if let Event::ForceSettings { axis, settings } = event {
+            if let Some(slot) = self
+                .loops
+                .as_mut()
+                .and_then(|loops| loops.get_mut(usize::from(*axis)))
+            {
+                *slot = *settings;
+            }
+            return;
+        }
+        let severity = match event {
+            Event::Fault(fault) => {
+                self.fault = Some(*fault);
+                Severity::Alarm
+            }
+            Event::State {
+                to: State::EmergencyStop,
+                ..
+            } => Severity::Alarm,
+            Event::Underrun { .. }
+            | Event::Blocked { .. }
+            | Event::JogLimited { .. }
+            | Event::Saturated { .. }
+            | Event::TareRefused(_)
+            | Event::ComplianceLimited { .. }
+            | Event::Paused { .. } => Severity::Warning,
+            _ => Severity::Info,
+        };
+        self.update_jobs(event);
+        // Start and end of each jog and step are not logged.
+        let routine = matches!(
+            event,
+            Event::State {
+                from: State::Idle,
+                to: State::Jog | State::Run,
+                position_kept: true
+            } | Event::State {
+                from: State::Jog | State::Run,
+                to: State::Idle,
+                position_kept: true
+            } | Event::JobDone { .. }
+        );
+        if !routine {
+            let text = self
+                .model
+                .with_axes(|axes| axes.describe(event).to_string());
+            self.notify(severity, text);
+        }
+    }
+
+    /// A state at standstill completes a pending stop.
+    fn clear_stop(&mut self, state: State) {
+        if !matches!(state, State::Run | State::Jog | State::Homing | State::Hold)
+            && !self.client.urgent().0
+        {
+            self.stopping = None;
+        }
+    }
+
+    fn update_telemetry(&mut self, telemetry: Telemetry) {
+        self.telemetry_at = Instant::now();
+        self.fault = telemetry.fault;
+        if telemetry.period >= self.state_period {
+            self.clear_stop(telemetry.state);
+        }
+        if let Some(force) = &telemetry.force {
+            let largest = force
+                .high
+                .iter()
+                .chain(&force.low)
+                .map(|value| f64::from(*value).abs() / PER_EFFORT)
+                .fold(0.0, f64::max);
+            let fits = FORCE_SCALES
+                .iter()
+                .position(|scale| largest <= *scale)
+                .unwrap_or(FORCE_SCALES.len() - 1);
+            let (scale, since) = &mut self.force_scale;
+            if fits >= *scale || since.elapsed() > SCALE_HOLD {
+                (*scale, *since) = (fits, Instant::now());
+            }
+        }
+        if let Some(recording) = &mut self.recording
+            && let Err(reason) = recording.add(&telemetry)
+        {
+            self.recording = None;
+            self.notify(Severity::Alarm, format!("recording ended: {reason}"));
+        }
+        self.telemetry = Some(telemetry);
+    }
+}

@@ -1,0 +1,415 @@
+//! Key input to commands.
+
+use super::app::{App, OnAck, PendingStop};
+use super::jogging::{KeyPhase, Mode};
+use super::keys::{Action, BINDINGS, Key};
+use super::recording::Recording;
+use super::view_model::{Confirm, LinkState, Overlay, Severity};
+use haptimill_protocol::message::{Command, Source, State};
+use ratatui::crossterm::event::{Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
+
+/// Selectable feed overrides, percent.
+const OVERRIDES: [u8; 13] = [1, 2, 5, 10, 20, 30, 40, 50, 60, 70, 80, 90, 100];
+
+/// Change of a force setpoint per key press, 2^-16 N: 0.5 N.
+const FORCE_STEP: i32 = 1 << 15;
+
+/// Shortest time between the question and the Enter that starts a program, us. The Enter that
+/// selected the file, pressed twice, starts nothing.
+const CONFIRM_DELAY_US: u64 = 400_000;
+
+impl App {
+    /// Handles an event of the terminal.
+    pub(super) fn handle_input(&mut self, event: &Event) {
+        match event {
+            Event::Key(key) => self.handle_key(key),
+            Event::Paste(text) => match &mut self.overlay {
+                Overlay::Prompt { text: typed, .. } => {
+                    typed.extend(text.chars().take_while(|letter| !letter.is_control()));
+                }
+                _ => self.notify(Severity::Warning, "pasted text is not taken as key input"),
+            },
+            Event::FocusLost => {
+                let now_us = self.now_us();
+                if self.jogging.held(now_us).iter().any(Option::is_some) {
+                    self.jogging.release_all(now_us);
+                    self.notify(Severity::Warning, "keyboard focus lost: jog ended");
+                }
+            }
+            Event::FocusGained | Event::Mouse(_) | Event::Resize(..) => {}
+        }
+    }
+
+    fn handle_key(&mut self, event: &KeyEvent) {
+        let mut key = Key::from_event(event);
+        let phase = match event.kind {
+            KeyEventKind::Press => KeyPhase::Press,
+            KeyEventKind::Repeat => KeyPhase::Repeat,
+            KeyEventKind::Release => KeyPhase::Release,
+        };
+        if phase == KeyPhase::Release {
+            // A release ends a jog whatever is open.
+            if let Some(Action::Jog { axis, up }) = key.action() {
+                let now_us = self.now_us();
+                self.jogging
+                    .handle_key(usize::from(axis), up, phase, now_us);
+            }
+            return;
+        }
+        if let Some(action) = key.always_active_action() {
+            if phase == KeyPhase::Press {
+                self.execute(action);
+            }
+            return;
+        }
+        if event.modifiers.contains(KeyModifiers::ALT) {
+            // An Escape read together with a key looks like Alt. Only the Escape counts: the key
+            // may be part of a split sequence.
+            key = Key::from_event(&KeyEvent::from(KeyCode::Esc));
+        }
+        match std::mem::replace(&mut self.overlay, Overlay::None) {
+            Overlay::None => match key.action() {
+                Some(Action::Jog { axis, up }) => self.jog_key(usize::from(axis), up, phase),
+                Some(action) if phase == KeyPhase::Press => self.execute(action),
+                _ => {}
+            },
+            Overlay::Help { from } => {
+                self.overlay = scroll(key, from, BINDINGS.len())
+                    .map_or(Overlay::None, |from| Overlay::Help { from })
+            }
+            Overlay::Problems { lines, from } => {
+                if let Some(from) = scroll(key, from, lines.len()) {
+                    self.overlay = Overlay::Problems { lines, from };
+                }
+            }
+            Overlay::Confirm(confirm) => self.confirm_key(confirm, key),
+            Overlay::Prompt { title, text } => self.prompt_key(title, text, key),
+            Overlay::Axes { selected } => self.axes_key(selected, key),
+            Overlay::Force { selected } => self.force_key(selected, key),
+            Overlay::Master { position, typed } => self.master_key(position, typed, key),
+        }
+    }
+
+    /// Executes an action of the key table.
+    fn execute(&mut self, action: Action) {
+        match action {
+            Action::Hold => self.hold(),
+            Action::Resume => self.resume(),
+            Action::Stop => self.stop(),
+            Action::Emergency => self.emergency_stop(),
+            Action::Quit => self.quit(),
+            Action::Close => self.hold(),
+            Action::Help => self.open(Overlay::Help { from: 0 }),
+            Action::Mode => self.jogging.toggle_mode(),
+            Action::Decrease => self.jogging.select(false),
+            Action::Increase => self.jogging.select(true),
+            Action::Record => self.record(),
+            Action::Jog { .. } => {}
+            _ if !self.is_ready() => self.notify(Severity::Warning, "no link to the controller"),
+            Action::Enable => {
+                if !self.configured {
+                    self.send_configuration();
+                }
+                self.request(Command::Enable, OnAck::Enabled);
+            }
+            Action::Disable => self.request(Command::Disable, OnAck::Notify("drives off")),
+            Action::Reset => self.request(Command::Reset, OnAck::Notify("reset")),
+            Action::Home => match self.state() {
+                Some(State::Idle) => self.open(Overlay::Confirm(Confirm::Home)),
+                Some(state) => {
+                    let message = format!("home: not possible while the machine is {state}");
+                    self.notify(Severity::Warning, message);
+                }
+                None => {}
+            },
+            Action::OverrideUp => self.select_override(true),
+            Action::OverrideDown => self.select_override(false),
+            Action::Program => {
+                let text = self.jobs.path();
+                self.open(Overlay::Prompt {
+                    title: "Part program",
+                    text,
+                });
+            }
+            Action::Axes => self.open(Overlay::Axes { selected: 0 }),
+            Action::Master => {
+                if let Some(overlay) = self.open_master_overlay() {
+                    self.open(overlay);
+                }
+            }
+            Action::Force if self.loops.is_some() => self.open(Overlay::Force { selected: 0 }),
+            Action::Tare if self.loops.is_some() => self.open(Overlay::Confirm(Confirm::Tare)),
+            Action::Force | Action::Tare => {
+                self.notify(Severity::Warning, "this machine has no force sensor");
+            }
+        }
+    }
+
+    fn open(&mut self, overlay: Overlay) {
+        let now_us = self.now_us();
+        self.jogging.release_all(now_us);
+        self.opened_us = now_us;
+        self.overlay = overlay;
+    }
+
+    /// Decelerates; a program keeps its place.
+    fn hold(&mut self) {
+        let now_us = self.now_us();
+        self.jogging.release_all(now_us);
+        self.jobs.cancel_pending();
+        if !self.is_ready() {
+            self.queue_stop(PendingStop::Stop);
+        } else if self.jobs.is_running_step() {
+            // A step has no place to keep.
+            self.stop();
+        } else {
+            self.request(Command::Hold, OnAck::Nothing);
+        }
+    }
+
+    fn resume(&mut self) {
+        if self.is_ready() && self.state() == Some(State::Hold) {
+            self.jobs.pause_line = None;
+            self.request(Command::Resume, OnAck::Nothing);
+        } else {
+            self.notify(Severity::Warning, "resume: the machine is not on hold");
+        }
+    }
+
+    fn stop(&mut self) {
+        let now_us = self.now_us();
+        self.jogging.release_all(now_us);
+        self.jobs.cancel_pending();
+        self.client.urgent_stop();
+        if self.is_ready() {
+            self.stopping = Some("stop");
+        } else {
+            self.queue_stop(PendingStop::Stop);
+        }
+    }
+
+    fn emergency_stop(&mut self) {
+        self.stop();
+        if self.is_ready() {
+            self.request(Command::EmergencyStop, OnAck::Nothing);
+            self.stopping = Some("emergency stop");
+        } else {
+            self.queue_stop(PendingStop::Emergency);
+        }
+    }
+
+    /// Queues a stop for the next session.
+    fn queue_stop(&mut self, message: PendingStop) {
+        self.pending_stop = self.pending_stop.max(message);
+        self.notify(
+            Severity::Alarm,
+            "no link: the stop is pending until reconnection. \
+             Use the emergency stop of the machine",
+        );
+    }
+
+    fn quit(&mut self) {
+        let ms = self.machine.config.supervision.heartbeat_ms;
+        let text = match (&self.link_state, self.state()) {
+            (LinkState::Ready, Some(State::Disabled | State::EmergencyStop)) => {
+                self.quitting = true;
+                return;
+            }
+            (LinkState::Ready, Some(State::Idle | State::Fault)) => {
+                "the machine is at standstill; the drives stay on and hold".to_string()
+            }
+            (LinkState::Ready, _) => {
+                "the machine decelerates along its path, the job is dropped, the drives stay on"
+                    .to_string()
+            }
+            _ => format!("no link: a moving machine stops after {ms} ms without the host"),
+        };
+        self.open(Overlay::Confirm(Confirm::Quit(text)));
+    }
+
+    fn jog_key(&mut self, axis: usize, up: bool, phase: KeyPhase) {
+        if axis >= self.machine.pose.len() {
+            return;
+        }
+        if !self.is_ready() {
+            self.notify(Severity::Warning, "no link to the controller");
+            return;
+        }
+        let jog_source = self.sources.contains(&Source::Jog);
+        let possible = match self.state() {
+            Some(State::Idle) => true,
+            Some(State::Jog) => self.jogging.mode() == Mode::Continuous,
+            Some(State::Run | State::Hold) => {
+                self.jobs.is_running_step()
+                    || (jog_source && self.jogging.mode() == Mode::Continuous)
+            }
+            _ => false,
+        };
+        if !possible || !self.configured {
+            let state = self
+                .state()
+                .map_or_else(String::new, |state| state.to_string());
+            if self.configured {
+                self.notify(
+                    Severity::Warning,
+                    format!("jog: not possible while the machine is {state}"),
+                );
+            }
+            return;
+        }
+        if !self.telemetry.as_ref().is_some_and(|now| now.homed) {
+            self.notify(Severity::Warning, "jog: home the machine first");
+            return;
+        }
+        match (self.jogging.mode(), phase) {
+            (Mode::Step, KeyPhase::Press) => self.step_axis(axis, up),
+            (Mode::Step, _) => {}
+            (Mode::Continuous, phase) => {
+                let now_us = self.now_us();
+                self.jogging.handle_key(axis, up, phase, now_us);
+            }
+        }
+    }
+
+    fn select_override(&mut self, up: bool) {
+        let now = self.requested_override;
+        let next = if up {
+            OVERRIDES.iter().find(|percent| **percent > now)
+        } else {
+            OVERRIDES.iter().rev().find(|percent| **percent < now)
+        };
+        if let Some(percent) = next {
+            let percent = *percent;
+            self.requested_override = percent;
+            self.request(Command::Override { percent }, OnAck::Override(percent));
+        }
+    }
+
+    fn record(&mut self) {
+        if let Some(recording) = self.recording.take() {
+            let message = format!("{}: {} rows", recording.path.display(), recording.rows);
+            self.notify(Severity::Info, message);
+            return;
+        }
+        match Recording::begin(&self.settings.folder, &self.machine) {
+            Ok(recording) => {
+                let message = format!("recording to {}", recording.path.display());
+                self.recording = Some(recording);
+                self.notify(Severity::Info, message);
+            }
+            Err(reason) => self.notify(Severity::Warning, reason),
+        }
+    }
+
+    fn confirm_key(&mut self, confirm: Confirm, key: Key) {
+        if key.code != KeyCode::Enter {
+            return;
+        }
+        match confirm {
+            Confirm::Run(text) => {
+                if self.now_us() < self.opened_us + CONFIRM_DELAY_US {
+                    self.overlay = Overlay::Confirm(Confirm::Run(text));
+                } else {
+                    self.run_program();
+                }
+            }
+            Confirm::Home => {
+                self.jobs.home();
+                self.request(Command::Home, OnAck::Nothing);
+            }
+            Confirm::Tare => self.request(Command::Tare, OnAck::Notify("tare started")),
+            Confirm::Quit(_) => self.quitting = true,
+        }
+    }
+
+    fn prompt_key(&mut self, title: &'static str, mut text: String, key: Key) {
+        match key.code {
+            KeyCode::Esc => return,
+            KeyCode::Char('c') if key.control => return,
+            KeyCode::Enter => {
+                if !text.is_empty() {
+                    self.check_program(&text);
+                }
+                return;
+            }
+            KeyCode::Backspace => {
+                text.pop();
+            }
+            KeyCode::Char('u') if key.control => text.clear(),
+            KeyCode::Char(letter) if !key.control => text.push(letter),
+            _ => {}
+        }
+        self.overlay = Overlay::Prompt { title, text };
+    }
+
+    fn axes_key(&mut self, selected: usize, key: Key) {
+        let last = self.machine.pose.len().saturating_sub(1);
+        if let Some(selected) = move_selection(key, selected, last) {
+            return self.overlay = Overlay::Axes { selected };
+        }
+        let source = match key.code {
+            KeyCode::Char('p') => Source::Program,
+            KeyCode::Char('h') => Source::Hold,
+            KeyCode::Char('j') => Source::Jog,
+            KeyCode::Char('m') => Source::Master,
+            KeyCode::Esc | KeyCode::Enter | KeyCode::Char('a' | 'q') => return,
+            _ => return self.overlay = Overlay::Axes { selected },
+        };
+        self.overlay = Overlay::Axes { selected };
+        let axis = selected as u8;
+        self.request(
+            Command::Source { axis, source },
+            OnAck::Source(axis, source),
+        );
+    }
+
+    fn force_key(&mut self, selected: usize, key: Key) {
+        let Some(loops) = self.loops else { return };
+        if let Some(selected) = move_selection(key, selected, loops.len() - 1) {
+            return self.overlay = Overlay::Force { selected };
+        }
+        let change = match key.code {
+            KeyCode::Enter => {
+                let mask = self
+                    .telemetry
+                    .as_ref()
+                    .and_then(|now| now.force.as_ref())
+                    .map_or(0, |force| force.mask);
+                let mask = mask ^ (1 << selected);
+                self.request(Command::ForceMask { mask }, OnAck::Nothing);
+                0
+            }
+            KeyCode::Char('+' | '=') => FORCE_STEP,
+            KeyCode::Char('-') => -FORCE_STEP,
+            KeyCode::Esc | KeyCode::Char('y' | 'q') => return,
+            _ => 0,
+        };
+        self.overlay = Overlay::Force { selected };
+        if change != 0 {
+            let requested = &mut self.requested_loops[selected];
+            let mut settings = requested.latest().unwrap_or(loops[selected]);
+            settings.desired = settings.desired.saturating_add(change);
+            requested.settings = Some(settings);
+        }
+    }
+}
+
+/// The selected row after an arrow key; none for other keys.
+fn move_selection(key: Key, selected: usize, last: usize) -> Option<usize> {
+    match key.code {
+        KeyCode::Up => Some(selected.saturating_sub(1)),
+        KeyCode::Down => Some((selected + 1).min(last)),
+        _ => None,
+    }
+}
+
+/// First row of a list after a key; none when the key closes the list.
+fn scroll(key: Key, from: usize, rows: usize) -> Option<usize> {
+    match key.code {
+        KeyCode::Up => Some(from.saturating_sub(1)),
+        KeyCode::Down => Some((from + 1).min(rows.saturating_sub(1))),
+        KeyCode::PageUp => Some(from.saturating_sub(10)),
+        KeyCode::PageDown => Some((from + 10).min(rows.saturating_sub(1))),
+        _ => None,
+    }
+}

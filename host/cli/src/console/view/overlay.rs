@@ -1,0 +1,191 @@
+//! Overlays: questions, key table, lists, master panel.
+
+use super::panels::wrapped;
+use super::{master, style_of};
+use crate::console::keys::BINDINGS;
+use crate::console::view_model::{Confirm, Overlay, Severity, ViewModel};
+use haptimill_machine_file::scale::PER_EFFORT;
+use haptimill_protocol::force::ForceLoop;
+use haptimill_protocol::message::Source;
+use ratatui::Frame;
+use ratatui::layout::Rect;
+use ratatui::style::{Modifier, Style};
+use ratatui::text::Line;
+use ratatui::widgets::{Block, Clear, Paragraph};
+use std::borrow::Cow;
+
+/// Title, rows, and the row that stays visible where not all rows fit.
+type Content<'a> = (&'a str, Vec<Line<'a>>, usize);
+
+/// Draws the overlay, if there is one, in the middle of an area.
+pub(super) fn draw(frame: &mut Frame<'_>, area: Rect, view: &ViewModel) {
+    let width = usize::from(area.width.saturating_sub(4)).clamp(1, 90);
+    let Some((title, rows, focus)) = content(view, width) else {
+        return;
+    };
+    let height = (rows.len() as u16 + 2).min(area.height);
+    let widest = rows
+        .iter()
+        .map(Line::width)
+        .chain([title.chars().count() + 2])
+        .max()
+        .unwrap_or(0);
+    let width = (widest as u16 + 4).min(area.width);
+    let frame_area = Rect {
+        x: area.x + (area.width - width) / 2,
+        y: area.y + (area.height - height) / 2,
+        width,
+        height,
+    };
+    let style = match view.overlay {
+        Overlay::Confirm(_) => style_of(Severity::Warning),
+        _ => Style::new(),
+    };
+    frame.render_widget(Clear, frame_area);
+    let block = Block::bordered().title(title).style(style);
+    let inside = usize::from(frame_area.height.saturating_sub(2)).max(1);
+    let hidden = (focus + 1).saturating_sub(inside) as u16;
+    let text = Paragraph::new(rows).block(block).scroll((hidden, 0));
+    frame.render_widget(text, frame_area);
+}
+
+/// Content of the overlay for a width; none without an overlay.
+fn content(view: &ViewModel, width: usize) -> Option<Content<'_>> {
+    let (title, rows) = match &view.overlay {
+        Overlay::None => return None,
+        Overlay::Help { from } => (
+            "Keys: arrows scroll, Esc closes",
+            key_rows(view, *from, width),
+        ),
+        Overlay::Problems { lines, from } => {
+            let rows = lines.iter().skip(*from);
+            let rows = rows
+                .flat_map(|line| wrapped(line, width, 2))
+                .map(Line::from);
+            (
+                "Program rejected: arrows scroll, Esc closes",
+                rows.collect(),
+            )
+        }
+        Overlay::Confirm(confirm) => {
+            let rows = wrapped(&question(confirm), width, 0)
+                .into_iter()
+                .map(Line::from);
+            let help = highlighted("Enter confirms, any other key cancels");
+            ("Confirm", rows.chain([help]).collect())
+        }
+        Overlay::Prompt { title, text } => {
+            // The end of a long name stays visible.
+            let hidden = text.chars().count().saturating_sub(width.saturating_sub(2));
+            let tail: String = text.chars().skip(hidden).collect();
+            let help = highlighted("Enter checks it, Esc cancels, Ctrl-U clears");
+            (*title, vec![Line::raw(format!("{tail}_")), help])
+        }
+        Overlay::Axes { selected } => (
+            "Axis sources: changes from and to jog need standstill",
+            list(
+                axis_rows(view),
+                *selected,
+                "arrows select; p program, h hold, j jog, m master; Esc closes",
+            ),
+        ),
+        Overlay::Force { selected } => (
+            "Force control: mass in N s^2/mm, damping in N s/mm",
+            list(
+                force_rows(view)?,
+                *selected,
+                "arrows select; Enter on/off; + - setpoint; Esc closes",
+            ),
+        ),
+        Overlay::Master { position, typed } => {
+            let title = "Master: forces, force feedback, virtual fixture";
+            let settings = view.master.as_ref()?;
+            let (rows, focus) = master::overlay(view, settings, *position, typed, width);
+            return Some((title, rows, focus));
+        }
+    };
+    Some((title, rows, 0))
+}
+
+/// A row in reverse video.
+fn highlighted<'a>(text: impl Into<Cow<'a, str>>) -> Line<'a> {
+    Line::styled(text, Style::new().add_modifier(Modifier::REVERSED))
+}
+
+/// A list with a selected row, and the key help below it.
+fn list(rows: Vec<String>, selected: usize, help: &'static str) -> Vec<Line<'static>> {
+    let row = |(index, text)| {
+        if index == selected {
+            highlighted(text)
+        } else {
+            Line::raw(text)
+        }
+    };
+    let rows = rows.into_iter().enumerate().map(row);
+    rows.chain([Line::raw(help)]).collect()
+}
+
+/// The key table from a row on, with the axis names of the machine file.
+fn key_rows(view: &ViewModel, from: usize, width: usize) -> Vec<Line<'static>> {
+    let pose = view.static_info.pose.iter();
+    let axes: Vec<&str> = pose.map(|axis| axis.name.as_str()).collect();
+    let rows = BINDINGS.iter().filter_map(|row| {
+        let mark = if row.always_active { " (always)" } else { "" };
+        Some(format!("{:<11}{}{mark}", row.name, row.describe(&axes)?))
+    });
+    rows.flat_map(|row| wrapped(&row, width, 11))
+        .skip(from)
+        .map(Line::from)
+        .collect()
+}
+
+fn question(confirm: &Confirm) -> String {
+    match confirm {
+        Confirm::Home => {
+            "Home? The machine moves: it searches for the index pulses, then moves to \
+                          the home pose."
+                .to_string()
+        }
+        Confirm::Tare => {
+            "Tare? The present force becomes zero: nothing may touch the tool.".to_string()
+        }
+        Confirm::Run(text) => format!("Run {text}? The machine moves."),
+        Confirm::Quit(text) => format!("Quit? {text}."),
+    }
+}
+
+/// One row per pose coordinate: its source.
+fn axis_rows(view: &ViewModel) -> Vec<String> {
+    let axes = view.static_info.pose.iter().zip(&view.sources);
+    axes.map(|(axis, source)| {
+        let text = match source {
+            Source::Program => "program: follows the part program",
+            Source::Hold => "hold: keeps its position",
+            Source::Master => "master: follows the haptic arm or the remote master",
+            Source::Jog => "jog: follows the jog keys, also while a program runs",
+        };
+        format!("{:<7}{text}", axis.name)
+    })
+    .collect()
+}
+
+/// One row per force loop; none on a machine without a force sensor.
+fn force_rows(view: &ViewModel) -> Option<Vec<String>> {
+    let force = view.telemetry.as_ref().and_then(|now| now.force.as_ref());
+    let mask = force.map_or(0, |force| force.mask);
+    let loops = ["x", "y", "z"].iter().zip(view.loops.as_ref()?).enumerate();
+    let row = |(index, (name, settings)): (usize, (&&str, &ForceLoop))| {
+        format!(
+            "{name} {}  setpoint {:.1} N  mass {:.2}  damping {:.2}",
+            if mask & (1 << index) != 0 {
+                "on "
+            } else {
+                "off"
+            },
+            f64::from(settings.desired) / PER_EFFORT,
+            f64::from(settings.mass) / PER_EFFORT,
+            f64::from(settings.damping) / PER_EFFORT
+        )
+    };
+    Some(loops.map(row).collect())
+}
