@@ -379,6 +379,19 @@ impl Kinematics for Ball {
     fn axes(&self) -> usize {
         5
     }
+    fn box_bounds(&self, low: &Pose, high: &Pose, _: &[Rates]) -> Result<BoxBounds, PoseError> {
+        // A ball is convex: it contains a box whose corners it contains.
+        for corner in 0..1_u32 << 3 {
+            let mut pose = *low;
+            for (axis, value) in pose.0.iter_mut().enumerate().take(3) {
+                if corner & (1 << axis) != 0 {
+                    *value = high.0[axis];
+                }
+            }
+            self.inverse(&pose)?;
+        }
+        Ok(BoxBounds::default())
+    }
     fn inverse(&self, pose: &Pose) -> Result<Joints, PoseError> {
         let radius: f64 = pose.0[..3]
             .iter()
