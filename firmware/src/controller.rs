@@ -4,7 +4,7 @@
 //!
 //! | stage | what it does | where |
 //! | --- | --- | --- |
-//! | receive | at most one request or setpoint | `server.rs` |
+//! | receive | at most one request or setpoint | `comm/server.rs` |
 //! | measure | encoder counts to joint positions, force samples to tool force | `machine.rs` |
 //! | supervise | every fault check, most serious first | `faults.rs` |
 //! | command | one request; a refused one changes nothing | `commands.rs` |
@@ -13,21 +13,22 @@
 //! | solve | inverse kinematics: reference pose to joint motion | `machine.rs` |
 //! | servo | position loops and step generation | `machine.rs` |
 //! | render | force feedback to the haptic arm | `machine/masters.rs` |
-//! | report | replies, events, telemetry | `server.rs` |
+//! | report | replies, events, telemetry | `comm/server.rs` |
 //! | interlock | safe outputs unless the state allows motion | here |
 
 use crate::comm::server::{Incoming, Server};
+use crate::comm::telemetry;
 use crate::core::Core;
 use crate::faults::{self, DIGEST_OVERDUE};
-use crate::force::{ForceControl, ForceProblem};
+use crate::force::ForceProblem;
 use crate::io::{Inputs, Outputs};
 use crate::machine::Machine;
-use crate::motion::interpolator::{FULL_RATE, QUEUE};
+use crate::motion::interpolator::QUEUE;
 use crate::profiler::{Profiler, Stage};
 use crate::safety::Safety;
 use crate::{commands, modes};
 use haptimill_protocol::link::Identity;
-use haptimill_protocol::message::{Event, Fault, Refusal, State, Telemetry};
+use haptimill_protocol::message::{Event, Fault, Refusal, State};
 
 /// Time after an out-of-band stop in which commands sent before it may still arrive, microseconds:
 /// longer than the link waits before it resends.
@@ -68,8 +69,8 @@ impl Controller {
         core.start_session(server.session_begun());
         match incoming {
             Some(Incoming::Request) => commands::execute(core, server, inputs),
-            Some(Incoming::Setpoint { number, tried }) => {
-                commands::enqueue_setpoint(core, server, number, tried);
+            Some(Incoming::Setpoint { number, validated }) => {
+                commands::enqueue_setpoint(core, server, number, validated);
             }
             Some(Incoming::BadSetpoint { number }) => {
                 server.refuse_setpoints(Refusal::Setpoint { setpoint: number });
@@ -137,46 +138,12 @@ impl Controller {
             inputs.transmit_room,
             &mut outputs.transmit,
         );
-        if self.server.telemetry_due(self.core.safety.has_events()) {
-            self.sample_telemetry(inputs);
+        let events = self.core.safety.has_events();
+        if let Some(stream) = self.server.telemetry_due(events) {
+            let line = self.server.counters();
+            let message = telemetry::sample(&self.core, inputs, &line, stream);
+            self.server.send_telemetry(stream, message.as_ref());
         }
-        if self.server.hand_due() {
-            let arm = self.machine().and_then(|machine| machine.masters.arm());
-            let telemetry = arm.map(|arm| arm.telemetry(inputs.period));
-            self.server.note_hand(telemetry);
-        }
-    }
-
-    /// Samples the telemetry of this period; it is encoded in a later one.
-    #[inline(never)]
-    fn sample_telemetry(&mut self, inputs: &Inputs) {
-        let line = self.server.counters();
-        let core = &self.core;
-        let Some(sample) = self.server.sample() else {
-            return;
-        };
-        if core.machine.is_none() {
-            // The sample may still hold values of an earlier machine.
-            *sample = Telemetry::default();
-        }
-        sample.period = inputs.period;
-        sample.state = core.safety.state();
-        sample.homed = core.safety.homed();
-        sample.position_kept = core.safety.position_kept();
-        sample.fault = core.safety.fault();
-        sample.deferred_bytes = line.deferred_bytes;
-        sample.bad_frames = line.bad_frames;
-        sample.lost_bytes = line.lost_bytes;
-        let Some(machine) = &core.machine else {
-            return;
-        };
-        let program = &machine.motion.program;
-        sample.credit = program.credit();
-        sample.setpoint = program.reached();
-        sample.program_periods = (program.program_time() >> 32) as u32;
-        sample.path_rate = (program.path_rate().clamp(0, FULL_RATE - 1) >> 16) as u16;
-        machine.fill_telemetry(inputs, sample);
-        sample.force = machine.force.as_ref().map(ForceControl::telemetry);
     }
 
     /// The configured machine, for recorders and tests.
@@ -207,7 +174,7 @@ impl Core {
             machine.measure(inputs);
             machine.measure_force(inputs, self.job.spindle_rpm, self.safety.active());
         } else {
-            self.power_on.note(inputs);
+            self.power_on.update(inputs);
         }
     }
 
@@ -238,7 +205,7 @@ impl Core {
             self.job.new_session = true;
             self.job.enabling = 0;
             if let Some(machine) = &mut self.machine {
-                machine.masters.remote.forget();
+                machine.masters.remote.reset();
             }
         }
         if self.job.new_session && !self.safety.active() {

@@ -116,7 +116,7 @@ impl Core {
         self.job.master_cancelled = true;
         if let Some(machine) = &mut self.machine {
             machine.motion.jog.release();
-            machine.masters.remote.forget();
+            machine.masters.remote.reset();
         }
     }
 

@@ -54,7 +54,7 @@ fn check_configuration(core: &mut Core, server: &mut Server, inputs: &Inputs) ->
     }
     let reserved =
         server.is_deferred() && core.job.digest_backlog >= DIGEST_OVERDUE + u8::from(core.job.busy);
-    if core.job.digest_backlog == 0 || !(reserved || server.try_claim()) {
+    if core.job.digest_backlog == 0 || !(reserved || server.try_background()) {
         return true;
     }
     core.job.digest_backlog = 0;
@@ -249,7 +249,7 @@ fn invalidate_preset(core: &mut Core) {
         // A suspected encoder is checked by homing: an index pulse out of its place ends it.
         let index_decides = suspected(&fault)
             .zip(core.machine.as_ref())
-            .is_some_and(|(axis, machine)| machine.index_will_tell(axis));
+            .is_some_and(|(axis, machine)| machine.index_decides(axis));
         core.job.preset_valid &= index_decides || keeps_position(&fault);
         if fault == Fault::Configuration {
             // The host must send the configuration again.

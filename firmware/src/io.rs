@@ -44,8 +44,7 @@ pub struct AxisInputs {
     pub drive_ready: bool,
 }
 
-/// Components of a force: x, y, z in workpiece coordinates.
-pub const COMPONENTS: usize = 3;
+pub use haptimill_protocol::force::COMPONENTS;
 
 /// Sample of the force sensor's converter in a period.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]

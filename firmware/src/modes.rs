@@ -75,9 +75,9 @@ fn follow_program(core: &mut Core, server: &mut Server, state: State, progress: 
     let Some(machine) = &mut core.machine else {
         return;
     };
-    let held = server.is_deferred();
+    let deferred = server.is_deferred();
     let program = &mut machine.motion.program;
-    program.prefetch(held, || server.try_claim_idle());
+    program.prefetch(deferred, || server.try_background_idle());
     if let Some(late) = program.take_late() {
         core.safety.push_event(Event::Underrun {
             setpoint: late.setpoint,

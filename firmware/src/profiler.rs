@@ -43,6 +43,24 @@ impl Stage {
         Self::Report,
         Self::Interlock,
     ];
+
+    /// Name of the stage in tables and messages.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Receive => "receive",
+            Self::Measure => "measure",
+            Self::Supervise => "supervise",
+            Self::Command => "command",
+            Self::Interpolate => "interpolate",
+            Self::Comply => "comply",
+            Self::Solve => "solve",
+            Self::Servo => "servo",
+            Self::Render => "render",
+            Self::Report => "report",
+            Self::Interlock => "interlock",
+        }
+    }
 }
 
 /// Number of stages.

@@ -108,9 +108,9 @@ impl Controller {
         let mut joints = machine.joints();
         for (axis, commanded) in commanded.iter().enumerate() {
             // An axis that the machine lacks is 0.
-            let there = joints.next();
-            let joint = there.unwrap_or_default();
-            snapshot.commanded[axis] = there.map_or(0, |_| commanded.0);
+            let joint_snapshot = joints.next();
+            let joint = joint_snapshot.unwrap_or_default();
+            snapshot.commanded[axis] = joint_snapshot.map_or(0, |_| commanded.0);
             snapshot.joints_commanded[axis] = joint.commanded.0;
             snapshot.joints[axis] = joint.measured.0;
             snapshot.following_error[axis] = joint.following_error.0;

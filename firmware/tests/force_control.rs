@@ -146,7 +146,7 @@ impl Rig {
 
 /// The 10-degree incline with force control on x: the guard never interferes, the loop is the equation within 1 %, and the tool comes back.
 #[test]
-fn cutting_is_left_to_the_equation() {
+fn monitor_does_not_interfere_with_cutting() {
     for (mass, damping) in [(1.0, 5.0), (0.25, 5.0), (1.0, 20.0), (0.25, 0.5)] {
         for feed in [2.0, 4.0] {
             let mut loops = settings(mass, damping, Gate::AgainstMotion);
@@ -198,9 +198,10 @@ fn wall(rig: &Rig, stiffness: f64) -> f64 {
     stiffness * (-0.5 - rig.tool).max(0.0)
 }
 
-/// In the first contact a wrong sign is told before the force is 10 times the desired one; a right one never is.
+/// A wrong sensor sign is reported in the first contact before the force reaches 10 times its
+/// setpoint; a right one never is.
 #[test]
-fn a_wrong_sign_is_told_in_the_first_contact() {
+fn wrong_sensor_sign_is_detected_in_the_first_contact() {
     for gate in [Gate::Any, Gate::AgainstMotion] {
         for (stiffness, speed) in [
             (5.0, 1.0),
@@ -237,9 +238,10 @@ fn a_wrong_sign_is_told_in_the_first_contact() {
     }
 }
 
-/// What the guard learnt from a wall is forgotten in a second of free motion, and a retreat is not held up.
+/// The stiffness estimate of a wall decays in a second of free motion, and does not slow a
+/// retraction.
 #[test]
-fn a_stiff_contact_is_left_behind() {
+fn stiffness_estimate_decays_in_free_motion() {
     let mut rig = Rig::new(&config(1.0, &settings(1.0, 5.0, Gate::Any)));
     for k in 0..20_000 {
         let force = wall(&rig, 1000.0);
@@ -261,7 +263,7 @@ fn a_stiff_contact_is_left_behind() {
 
 /// Settings change while the tool yields: the law takes over some periods later and the tool does not jump.
 #[test]
-fn settings_change_at_run_time_without_a_jump() {
+fn runtime_settings_change_without_a_jump() {
     let mut rig = Rig::new(&config(1.0, &settings(1.0, 5.0, Gate::Any)));
     let (mut largest, mut last, mut speed) = (0.0f64, 0.0, 0.0);
     for k in 0..10_000 {
@@ -302,7 +304,7 @@ fn settings_change_at_run_time_without_a_jump() {
 
 /// Without a tare, or out of the mask, a force moves nothing; taken out of the mask the tool returns.
 #[test]
-fn only_tared_axes_of_the_mask_yield() {
+fn only_tared_axes_in_the_mask_comply() {
     let config = config(1.0, &settings(1.0, 5.0, Gate::Any));
     let mut bare = ForceControl::new(&config, 200).expect("sound");
     for k in 0..1000u32 {
@@ -334,7 +336,7 @@ fn only_tared_axes_of_the_mask_yield() {
 
 /// The window follows the spindle; too slow a spindle is told while force control is on.
 #[test]
-fn the_spindle_sets_the_window() {
+fn spindle_speed_sets_the_peak_window() {
     let mut rig = Rig::new(&config(1.0, &settings(1.0, 5.0, Gate::Any)));
     rig.rpm = 3000;
     assert_eq!(
@@ -367,9 +369,9 @@ fn the_spindle_sets_the_window() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 60, rng_seed: RngSeed::Fixed(21), failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Whatever sensor, spindle, pose and program say, and in whatever order: nothing overflows, and no displacement leaves its limit.
+    /// Any inputs in any order: nothing overflows, and displacements stay within their limits.
     #[test]
-    fn any_input_is_borne(
+    fn any_input_stays_within_limits(
         inputs in prop::collection::vec(
             (any::<[i16; 3]>(), any::<u8>(), any::<[bool; 3]>(), any::<i16>(), any::<[i32; 3]>(), any::<[i32; 3]>(), any::<i32>(), 1u16..80), 1..80,
         ),

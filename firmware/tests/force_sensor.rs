@@ -1,4 +1,4 @@
-//! The sensor's conditioning: scale and sign, tare, and every watch with its name.
+//! Force sensor conditioning: scale and sign, tare, and every fault check.
 
 use haptimill_firmware::force::sensor::{
     Channel, Conditioner, ForceProblem, ForceSample, Sensor, TareRefusal,
@@ -84,7 +84,7 @@ impl Bench {
 
 /// Scale and sign: positive codes of x and y are pushes of the tool on the work.
 #[test]
-fn codes_become_the_reaction_on_the_tool() {
+fn codes_are_scaled_to_tool_force() {
     let mut bench = Bench::new(&sensor());
     bench.codes([1000, -500, 250], false);
     let [x, y, z] = bench
@@ -100,7 +100,7 @@ fn codes_become_the_reaction_on_the_tool() {
 }
 
 #[test]
-fn a_tare_takes_the_mean_and_its_fraction() {
+fn tare_takes_the_fractional_mean() {
     let mut bench = Bench::new(&sensor());
     assert_eq!(bench.tare([123.25, -40.5, 0.0]), Some(Ok(())));
     let mut sums = [0.0; 3];
@@ -115,7 +115,7 @@ fn a_tare_takes_the_mean_and_its_fraction() {
 }
 
 #[test]
-fn a_tare_is_refused_when_it_cannot_be_right() {
+fn invalid_tare_is_refused() {
     let mut bench = Bench::new(&sensor());
     assert_eq!(bench.tare([10.0; 3]), Some(Ok(())));
     let before = bench.conditioner.clone();
@@ -166,7 +166,7 @@ fn a_tare_is_refused_when_it_cannot_be_right() {
 }
 
 #[test]
-fn a_dropout_is_borne_for_some_samples_and_then_told() {
+fn short_dropout_is_tolerated_long_one_reported() {
     let mut bench = Bench::new(&sensor());
     bench.codes([100; 3], false);
     let stale = ForceSample {
@@ -193,7 +193,7 @@ fn a_dropout_is_borne_for_some_samples_and_then_told() {
 }
 
 #[test]
-fn saturation_is_told_after_three_samples_and_the_amplifier_at_once() {
+fn saturation_and_amplifier_alarm_are_reported() {
     let mut bench = Bench::new(&sensor());
     assert_eq!(bench.codes([0, 8191, 0], false), None);
     assert_eq!(bench.codes([0, 100, 0], false), None);
@@ -215,7 +215,7 @@ fn saturation_is_told_after_three_samples_and_the_amplifier_at_once() {
 
 /// A channel that sticks is told in 0.1 s; one with noise of 0.58 codes is not told in a million samples; and the bound of the module's documentation is above what is seen.
 #[test]
-fn a_stuck_channel_is_told_and_noise_is_not() {
+fn stuck_channel_is_reported_noise_is_not() {
     let mut bench = Bench::new(&sensor());
     let (mut run, mut longest, mut last) = (0u32, 0u32, i16::MIN);
     for _ in 0..1_000_000 {
@@ -243,7 +243,7 @@ fn a_stuck_channel_is_told_and_noise_is_not() {
 }
 
 #[test]
-fn drift_is_told_only_when_nothing_touches_the_tool() {
+fn drift_is_reported_only_without_contact() {
     let mut bench = Bench::new(&sensor());
     bench.tare([0.0; 3]);
     // 2 N a minute of one channel: 0.3 N after 9 s.
@@ -274,7 +274,7 @@ fn drift_is_told_only_when_nothing_touches_the_tool() {
 }
 
 #[test]
-fn a_force_beyond_the_limit_is_told() {
+fn force_beyond_limit_is_reported() {
     let mut bench = Bench::new(&sensor());
     assert_eq!(
         bench.codes([3500, 0, 0], false),
@@ -290,7 +290,7 @@ fn a_force_beyond_the_limit_is_told() {
 
 /// A vise of 60 N on a table that tilts by 15 degrees: without compensation y would show 15.5 N.
 #[test]
-fn the_weight_of_the_vise_is_taken_off() {
+fn vise_weight_is_compensated() {
     let mut sensor = sensor();
     sensor.weight = Force::millinewtons(60_000);
     let mut bench = Bench::new(&sensor);
@@ -328,7 +328,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 200, rng_seed: RngSeed::Fixed(9), failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn any_input_is_borne(
+    fn any_input_stays_within_limits(
         per_code in any::<i32>(), saturation in 64i16..=8191, weight in 0i32..=1 << 27, tare_samples in 16u16..=64, spread: u16,
         samples in prop::collection::vec((any::<[i16; 3]>(), any::<u8>(), any::<bool>(), any::<bool>(), any::<i32>()), 1..200),
     ) {

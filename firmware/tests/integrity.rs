@@ -1,4 +1,5 @@
-//! A change of the configuration, or of what was worked out from it, is seen while the machine runs.
+//! Integrity check: a change of the configuration, or of a value derived from it, is detected while
+//! the machine runs.
 
 mod reference;
 
@@ -9,7 +10,7 @@ use haptimill_firmware::force::{ForceConfig, ForceControl, Gate, LoopSettings};
 use haptimill_firmware::io::{AxisInputs, DriveCommand, Inputs};
 use haptimill_firmware::joint::{JointCommand, JointDrive};
 use haptimill_firmware::machine::Machine;
-use haptimill_firmware::motion::interpolator::Program;
+use haptimill_firmware::motion::interpolator::Interpolator;
 use haptimill_firmware::motion::jog::Jog;
 use haptimill_kinematics::Model;
 use haptimill_math::force::{Force, VirtualDamping};
@@ -33,7 +34,7 @@ fn forced() -> Config {
     }
 }
 
-/// Rounds of the check until a change is seen; the whole configuration takes one for each part.
+/// Checks until a change is detected; a full check takes one for each part.
 fn rounds_until_seen(change: impl FnOnce(&mut Machine)) -> Option<usize> {
     let mut machine = Machine::new(forced(), 0, &Inputs::default()).expect("sound");
     assert!((0..40).all(|_| machine.check_next_digest()));
@@ -42,7 +43,7 @@ fn rounds_until_seen(change: impl FnOnce(&mut Machine)) -> Option<usize> {
 }
 
 #[test]
-fn a_flipped_bit_in_any_part_of_the_configuration_is_seen() {
+fn any_flipped_configuration_bit_is_detected() {
     // Bit by bit through the encoding: whatever still decodes is a configuration that differs in one place.
     let mut buffer = [0; 1024];
     let bytes = postcard::to_slice(&forced(), &mut buffer)
@@ -65,9 +66,9 @@ fn a_flipped_bit_in_any_part_of_the_configuration_is_seen() {
     assert!(tried > 2000, "{tried}");
 }
 
-/// What was worked out from a configuration is watched as well: strokes and geometry, limits of program and jog.
+/// Derived values are checked too: strokes and geometry, limits of program and jog.
 #[test]
-fn a_change_of_what_was_worked_out_is_seen() {
+fn changed_derived_value_is_detected() {
     let changed = |change: fn(&mut Config)| {
         let mut config = forced();
         change(&mut config);
@@ -92,13 +93,15 @@ fn a_change_of_what_was_worked_out_is_seen() {
     let stopping = changed(|config| config.stopping.time_ms += 10);
     let rate = changed(|config| config.pose[0].rate.0 += 1 << 10);
     for config in [&stopping, &rate] {
-        assert!(rounds_until_seen(|active| active.motion.program = Program::new(config)).is_some());
+        assert!(
+            rounds_until_seen(|active| active.motion.program = Interpolator::new(config)).is_some()
+        );
     }
 }
 
-/// The laws of force control, with their levels of damping, and the sensor: what was worked out from another gain, scale, delay or creep rate is seen.
+/// Values derived from another gain, scale, delay or creep rate of force control are detected.
 #[test]
-fn a_change_of_force_control_is_seen() {
+fn changed_force_control_constant_is_detected() {
     let changes: [fn(&mut ForceConfig); 8] = [
         |force| force.axes[0].damping.0 += 1 << 12,
         |force| force.axes[1].mass.0 += 1 << 10,
@@ -132,9 +135,9 @@ fn a_change_of_force_control_is_seen() {
     assert_eq!(force.settings(0), Some(&gentle));
 }
 
-/// The digest of a joint is that of its constants: every one of them changes it, motion does not.
+/// The digest of a joint covers each of its constants and none of its states.
 #[test]
-fn a_change_of_a_joint_s_constants_is_seen_and_its_motion_is_not() {
+fn changed_joint_constant_is_detected_motion_is_not() {
     let digest = |joint: &JointDrive| {
         let mut digest = Digest::default();
         joint.digest(&mut digest);

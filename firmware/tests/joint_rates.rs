@@ -1,4 +1,4 @@
-//! A jog commands no joint rate above the configured maximum, wherever it begins and whatever it asks for.
+//! A jog commands no joint rate above the configured maximum, from any pose and at any rates.
 //!
 //! The truth is the inverse kinematics of docs/control.md in f64, written here from the equations, applied to the commanded poses.
 
@@ -73,7 +73,7 @@ fn joints(config: &Config, pose: &[f64; AXES]) -> [f64; AXES] {
     ]
 }
 
-/// What was commanded in the periods of one motion.
+/// Commanded poses and rates of one motion.
 struct Trace<'a> {
     config: &'a Config,
     joints: Vec<[f64; AXES]>,
@@ -231,7 +231,7 @@ fn asked(config: &Config, random: &mut Random) -> [i64; MAX_AXES] {
 }
 
 #[test]
-fn a_jog_exceeds_no_joint_rate_anywhere() {
+fn jog_keeps_joint_rate_limits() {
     let config = h4();
     let machine = config.kinematics();
     let mut random = Random(4);
@@ -243,7 +243,7 @@ fn a_jog_exceeds_no_joint_rate_anywhere() {
         let mut trace = Trace::new(&config);
         // Up to three commands one after the other, each while the one before still moves, or after it.
         for _ in 0..=random.below(3) {
-            jog.aim(&asked(&config, &mut random), 1 + random.below(8000) as u32);
+            jog.set_rates(&asked(&config, &mut random), 1 + random.below(8000) as u32);
             for _ in 0..200 + random.below(8000) {
                 let (commanded, _) = jog.advance(&machine);
                 trace.push(&commanded.pose, &commanded.rates);
@@ -277,9 +277,9 @@ fn left(config: &Config, machine: &BoundedKinematics, from: &Pose, axis: usize, 
     f64::from(steps) / 100.0
 }
 
-/// A jog of one coordinate comes near the bound in one go, although it is slowed in front of it.
+/// A jog of one coordinate reaches the workspace boundary, although it is slowed before it.
 #[test]
-fn a_jog_still_comes_near_the_bound() {
+fn jog_reaches_the_workspace_boundary() {
     let config = h4();
     let machine = config.kinematics();
     let mut random = Random(5);
@@ -296,7 +296,7 @@ fn a_jog_still_comes_near_the_bound() {
         let mut trace = Trace::new(&config);
         let mut commanded = Default::default();
         for _ in 0..200_000 {
-            jog.aim(&rates, 1000);
+            jog.set_rates(&rates, 1000);
             let limited;
             (commanded, limited) = jog.advance(&machine);
             trace.push(&commanded.pose, &commanded.rates);
@@ -315,9 +315,10 @@ fn a_jog_still_comes_near_the_bound() {
     assert!(farthest.0 <= 0.1, "stops short of its bound: {farthest:?}");
 }
 
-/// A hand leads three coordinates to targets anywhere, beside a jog of the table or of the tilt: the same bound holds for all of them together.
+/// A master leads three coordinates beside a jog of the table or the tilt: the same limit holds for
+/// all of them together.
 #[test]
-fn a_hand_beside_a_jog_exceeds_no_joint_rate() {
+fn master_beside_jog_keeps_joint_rate_limits() {
     let mut config = h4();
     config.follow = Some(reference::follow());
     let machine = config.kinematics();
@@ -326,7 +327,7 @@ fn a_hand_beside_a_jog_exceeds_no_joint_rate() {
     for case in 0..300 {
         let pose = start(&config, &machine, &mut random);
         let mut motion = Motion::default();
-        motion.set_up(&config);
+        motion.configure(&config);
         motion.set_position(&pose);
         motion.begin_program();
         let led = 1 + random.below(7);
@@ -340,7 +341,7 @@ fn a_hand_beside_a_jog_exceeds_no_joint_rate() {
         }
         let mut trace = Trace::new(&config);
         for _ in 0..6 {
-            motion.jog.aim(&asked(&config, &mut random), 4000);
+            motion.jog.set_rates(&asked(&config, &mut random), 4000);
             let targets = std::array::from_fn(|axis| {
                 let (low, high) = match config.pose.get(axis) {
                     Some(axis) => (f64::from(axis.low.0), f64::from(axis.high.0)),

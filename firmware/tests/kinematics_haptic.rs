@@ -146,7 +146,7 @@ proptest! {
 
     /// No reading makes it panic, and what it calls a pose is one: joints 5 are where f64 puts them and the axes are orthonormal.
     #[test]
-    fn no_reading_breaks_it(slides: [i32; 3], turns: [i32; 3], leans: [i32; 3]) {
+    fn any_reading_gives_a_pose_or_an_error(slides: [i32; 3], turns: [i32; 3], leans: [i32; 3]) {
         let arm = HapticArm::new(&arm::reference());
         let legs = core::array::from_fn(|j| haptimill_kinematics::haptic_arm::LegReading {
             slide: Length(slides[j]), turn: Angle(turns[j]), lean: Angle(leans[j]),
@@ -235,7 +235,7 @@ fn condition(b: &[[f64; 6]; 6]) -> f64 {
 
 /// The guard refuses whatever has a condition above its limit, all the way to the singularity, and nothing in the workspace.
 #[test]
-fn the_guard_bounds_the_condition() {
+fn condition_number_limit_is_enforced() {
     let arm = HapticArm::new(&arm::reference());
     let mut sequence = Sequence(7);
     let (mut worst, mut bound_worst, mut refused, mut ratio) = (0.0_f64, 0.0_f64, 0, 0.0_f64);
@@ -314,7 +314,7 @@ fn the_guard_bounds_the_condition() {
 
 /// A jump, a stuck and a reversed encoder, each of the nine: found by the sides of the platform, with the leg named. How far hand and joint moved until then.
 #[test]
-fn a_lying_encoder_is_found() {
+fn wrong_arm_encoder_is_detected() {
     let geometry: HapticGeometry = arm::reference();
     let arm = HapticArm::new(&geometry);
     let mut sequence = Sequence(11);

@@ -1,11 +1,13 @@
-//! The queue of setpoints and the jog: bounds, exactness, nothing lost, nothing passed.
+//! Interpolator and jog: limits, exact ends, no lost setpoint, no overshoot.
 
 mod reference;
 
 use haptimill_firmware::config::Config;
-use haptimill_firmware::motion::interpolator::{FULL_RATE, Program, QUEUE};
+use haptimill_firmware::motion::interpolator::{FULL_RATE, Interpolator, QUEUE};
 use haptimill_firmware::motion::jog::Jog;
-use haptimill_kinematics::{Jacobian, JointMotion, Joints, Kinematics, Pose, PoseError, Rates};
+use haptimill_kinematics::{
+    BoxBounds, Jacobian, JointMotion, Joints, Kinematics, Pose, PoseError, Rates,
+};
 use haptimill_math::{Acceleration, Coordinate, Rate};
 use haptimill_protocol::message::{Action, MAX_AXES, Refusal};
 use haptimill_protocol::setpoint::Setpoint;
@@ -42,11 +44,11 @@ fn straight(speed: f64, count: u16, periods: u16) -> Vec<Setpoint> {
     points
 }
 
-fn start(config: &Config) -> Program {
+fn start(config: &Config) -> Interpolator {
     // The runs here start within 20 ms: an acceleration that a jog is not allowed.
     let mut config = config.clone();
     config.pose[0].acceleration = Acceleration(mm(2000.0 / 256.0));
-    let mut program = Program::new(&config);
+    let mut program = Interpolator::new(&config);
     let mut pose = Pose::default();
     pose.0[2] = Coordinate(mm(20.0));
     program.begin(&pose);
@@ -74,7 +76,7 @@ impl Path {
         self.finished |= then.finished;
     }
 
-    /// The rate must be the derivative of the position: its sum, by trapezoids, is the way that was gone.
+    /// The rate is the derivative of the position: its trapezoidal sum is the distance.
     fn assert_consistent(&self) {
         let mut integral = self.x[0];
         for (x, rates) in self.x[1..].iter().zip(self.rate.windows(2)) {
@@ -108,7 +110,7 @@ impl Path {
     }
 }
 
-fn walk(program: &mut Program, periods: usize, halt: impl Fn(usize) -> bool) -> Path {
+fn walk(program: &mut Interpolator, periods: usize, halt: impl Fn(usize) -> bool) -> Path {
     let mut path = Path::default();
     for period in 0..periods {
         let (commanded, progress) = program.advance(halt(period));
@@ -123,7 +125,7 @@ fn walk(program: &mut Program, periods: usize, halt: impl Fn(usize) -> bool) -> 
 }
 
 #[test]
-fn a_program_ends_exactly_at_its_last_setpoint_at_the_programmed_time() {
+fn program_ends_at_its_last_setpoint_on_time() {
     let mut program = start(&h4());
     let points = straight(4.0, 40, 100);
     for point in &points {
@@ -142,10 +144,10 @@ fn a_program_ends_exactly_at_its_last_setpoint_at_the_programmed_time() {
 }
 
 #[test]
-fn what_makes_no_sense_is_refused_and_changes_nothing() {
+fn invalid_setpoints_are_refused_without_effect() {
     let mut program = start(&h4());
     let refused =
-        |program: &mut Program, point: &Setpoint| program.push(point).expect_err("refused");
+        |program: &mut Interpolator, point: &Setpoint| program.push(point).expect_err("refused");
     assert_eq!(
         refused(&mut program, &setpoint(1.0, 0.0, 0)),
         Refusal::Setpoint { setpoint: 0 }
@@ -180,7 +182,7 @@ fn what_makes_no_sense_is_refused_and_changes_nothing() {
 }
 
 #[test]
-fn the_credit_is_the_room_and_a_full_queue_refuses() {
+fn credit_is_the_free_queue_space() {
     let mut program = start(&h4());
     assert_eq!(program.credit(), QUEUE as u32);
     for index in 0..QUEUE {
@@ -198,7 +200,7 @@ fn the_credit_is_the_room_and_a_full_queue_refuses() {
 }
 
 #[test]
-fn a_pause_waits_at_its_setpoint() {
+fn pause_waits_at_its_setpoint() {
     let mut program = start(&h4());
     program
         .push(&Setpoint {
@@ -220,7 +222,8 @@ fn a_pause_waits_at_its_setpoint() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 64, rng_seed: proptest::test_runner::RngSeed::Fixed(1), failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Hold at any time and go on at any time: same end, no step, braking within its bounds, path never left backwards.
+    /// Hold and resume at any time: same end, no step, deceleration within its limits, no reverse
+    /// motion.
     #[test]
     fn hold_and_resume_keep_the_path(speed in 1.0_f64..40.0, hold_at in 0_usize..6000, hold_for in 1_usize..2000) {
         let config = h4();
@@ -248,10 +251,10 @@ proptest! {
         }
     }
 
-    /// Setpoints that come late: the machine brakes in front of the last one, never passes it, and goes on when they come.
-    /// The way back is the way there, as far as was asked for or is remembered, and it ends at rest.
+    /// Late setpoints: the machine stops before the last one and resumes when more arrive.
+    /// A retraction follows the path as far as requested or stored, and ends at standstill.
     #[test]
-    fn backing_off_goes_back_on_the_path(speed in 1.0_f64..40.0, hold_at in 700_usize..9000, back in 1_u32..3000) {
+    fn retraction_stays_on_the_path(speed in 1.0_f64..40.0, hold_at in 700_usize..9000, back in 1_u32..3000) {
         let config = h4();
         let mut program = start(&config);
         for point in straight(speed, 100, 100) {
@@ -286,7 +289,7 @@ proptest! {
     }
 
     #[test]
-    fn late_setpoints_slow_the_machine_on_its_path(speed in 1.0_f64..40.0, delivered in 14_usize..50, gap in 1_usize..3000) {
+    fn late_setpoints_decelerate_on_the_path(speed in 1.0_f64..40.0, delivered in 14_usize..50, gap in 1_usize..3000) {
         let config = h4();
         let mut program = start(&config);
         let points = straight(speed, 60, 100);
@@ -311,9 +314,10 @@ proptest! {
         prop_assert_eq!(mm(*path.x.last().expect("moved")), points.last().expect("some").pose[0]);
     }
 
-    /// Whatever is worked out beforehand, the machine goes the same way to the last bit: with spans of any length, holds, late setpoints, and the way back.
+    /// Prefetched parts of a segment give the same motion to the bit: with segments of any duration,
+    /// holds, late setpoints and retractions.
     #[test]
-    fn what_is_worked_out_ahead_changes_no_bit(
+    fn prefetch_does_not_change_the_motion(
         spans in prop::collection::vec(1_u16..120, 30..60), free in prop::collection::vec(any::<bool>(), 1..9), every in 1_usize..60,
         hold_at in 20_usize..2000, hold_for in 1_usize..900, back in 0_u32..400,
     ) {
@@ -352,7 +356,7 @@ proptest! {
         prop_assert!(mark);
     }
 
-    /// A slower override takes longer by its factor and arrives at the same place.
+    /// A lower override takes longer by its factor and ends at the same position.
     #[test]
     fn override_stretches_time(percent in 5_u8..=100) {
         let mut program = start(&h4());
@@ -370,7 +374,7 @@ proptest! {
     }
 }
 
-/// A machine that takes any pose inside a ball around the origin: what a jog must never leave.
+/// A machine that can reach a ball around the origin.
 struct Ball {
     radius_mm: f64,
 }
@@ -431,16 +435,17 @@ fn jog_rates(x: f64, y: f64, z: f64) -> [i64; MAX_AXES] {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 48, rng_seed: proptest::test_runner::RngSeed::Fixed(1), failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Whatever is asked: inside the soft limits, inside the machine's reach, within rate, acceleration and jerk; at rest after the deadline.
+    /// Any jog stays within soft limits, reach, rate, acceleration and jerk, and is at standstill after
+    /// its deadline.
     #[test]
-    fn a_jog_respects_every_bound(commands in prop::collection::vec((-60.0_f64..60.0, -60.0_f64..60.0, -60.0_f64..60.0, 1_u32..4000), 1..8)) {
+    fn jog_keeps_all_limits(commands in prop::collection::vec((-60.0_f64..60.0, -60.0_f64..60.0, -60.0_f64..60.0, 1_u32..4000), 1..8)) {
         let config = h4();
         let ball = Ball { radius_mm: 90.0 };
         let mut jog = Jog::new(&config);
         jog.begin(&Pose::default(), true);
         let mut paths = [Path::default(), Path::default(), Path::default()];
         for (x, y, z, periods) in commands {
-            jog.aim(&jog_rates(x, y, z), periods);
+            jog.set_rates(&jog_rates(x, y, z), periods);
             for _ in 0..periods + 300 {
                 let (commanded, _) = jog.advance(&ball);
                 prop_assert!(ball.inverse(&commanded.pose).is_ok());

@@ -1,10 +1,10 @@
-//! Supervision, latching, the check of the configuration, and the queue at its worst.
+//! Joint monitors, latched faults, and the queue in its worst case.
 
 mod reference;
 
 use haptimill_firmware::config::{AxisKind, Drive, JointAxis, Stopping};
 use haptimill_firmware::joint::monitor::{JointMonitor, JointSample};
-use haptimill_firmware::motion::interpolator::{FULL_RATE, Program, QUEUE};
+use haptimill_firmware::motion::interpolator::{FULL_RATE, Interpolator, QUEUE};
 use haptimill_firmware::safety::{EVENTS, Safety, brakes_first, keeps_position};
 use haptimill_kinematics::Pose;
 use haptimill_math::{Coordinate, Effort, Rate};
@@ -22,7 +22,7 @@ fn newtons(force: f64) -> Effort {
     Effort((force * 65536.0) as i32)
 }
 
-/// A slide and what is seen of it when all is well: it stands at 100 mm.
+/// A slide and a sample of it without a fault: standstill at 100 mm.
 fn slide() -> (JointAxis, JointSample) {
     let mut axis = h4().joints[0].clone();
     (axis.low, axis.high) = (Coordinate(mm(-1000.0)), Coordinate(mm(1000.0)));
@@ -35,18 +35,18 @@ fn slide() -> (JointAxis, JointSample) {
     (axis, seen)
 }
 
-/// What a watch says of the same sight for so many periods.
+/// First fault of a monitor that gets the same sample for some periods.
 fn look(
     watch: &mut JointMonitor,
     axis: &JointAxis,
     seen: &JointSample,
     periods: usize,
 ) -> Option<Fault> {
-    (0..periods).find_map(|_| watch.look(2, axis, LIMIT, seen))
+    (0..periods).find_map(|_| watch.check(2, axis, LIMIT, seen))
 }
 
 #[test]
-fn the_following_error_has_a_limit_that_grows_with_the_wanted_rate() {
+fn following_error_limit_grows_with_the_commanded_rate() {
     let (axis, seen) = slide();
     let limit = |speed: f64| {
         f64::from(axis.following.0) + f64::from(mm(speed)) * f64::from(axis.following_lag) / 65536.0
@@ -73,9 +73,9 @@ fn the_following_error_has_a_limit_that_grows_with_the_wanted_rate() {
     }
 }
 
-/// However fast it is wanted, and so however far it may lag: beyond its stroke a joint may be no more than it may be off at rest.
+/// Beyond its stroke a joint may exceed the limit of the following error at standstill at no rate.
 #[test]
-fn a_joint_beyond_its_stroke_is_a_fault_that_says_by_how_much() {
+fn stroke_fault_reports_the_excess() {
     let (axis, seen) = slide();
     for (end, sign) in [(axis.high.0, 1), (axis.low.0, -1)] {
         for (beyond, faulty) in [
@@ -98,7 +98,7 @@ fn a_joint_beyond_its_stroke_is_a_fault_that_says_by_how_much() {
 }
 
 #[test]
-fn the_error_of_a_rotary_joint_goes_the_short_way() {
+fn rotary_following_error_takes_the_short_way() {
     let (mut axis, seen) = slide();
     axis.kind = AxisKind::Rotary;
     (axis.low, axis.high) = (Coordinate(i32::MIN), Coordinate(i32::MAX));
@@ -128,7 +128,7 @@ fn the_error_of_a_rotary_joint_goes_the_short_way() {
 }
 
 #[test]
-fn a_joint_that_runs_against_its_drive_is_seen_at_once_and_one_that_is_driven_is_not() {
+fn runaway_is_detected_a_driven_joint_is_not() {
     let (axis, seen) = slide();
     // 50/s times the 0.5 mm of following error at standstill: 25 mm/s.
     let running = |rate: f64, force: f64| JointSample {
@@ -185,7 +185,7 @@ fn a_joint_that_runs_against_its_drive_is_seen_at_once_and_one_that_is_driven_is
 }
 
 #[test]
-fn a_static_load_is_no_fault_and_a_growing_push_without_a_count_is() {
+fn stuck_encoder_is_detected_a_static_load_is_not() {
     let (axis, seen) = slide();
     // 300 N against a load, at rest: for ever.
     let mut watch = JointMonitor::default();
@@ -227,7 +227,7 @@ fn a_static_load_is_no_fault_and_a_growing_push_without_a_count_is() {
 }
 
 #[test]
-fn illegal_transitions_and_lost_steps_are_faults_beyond_their_limits() {
+fn illegal_transitions_and_lost_steps_have_limits() {
     let (mut axis, seen) = slide();
     let illegal = |count| JointSample {
         illegal: count,
@@ -280,9 +280,9 @@ fn illegal_transitions_and_lost_steps_are_faults_beyond_their_limits() {
 proptest! {
     #![proptest_config(ProptestConfig { rng_seed: RngSeed::Fixed(21), failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// No sight, however absurd, and no configuration overflows supervision.
+    /// No sample and no configuration overflows the monitor.
     #[test]
-    fn no_sight_overflows(sights in prop::collection::vec(any::<[i32; 7]>(), 1..20), numbers: [i32; 4], inertia: u32, per_count: i64, rotary: bool, period_us: u16) {
+    fn joint_monitor_accepts_any_sample(sights in prop::collection::vec(any::<[i32; 7]>(), 1..20), numbers: [i32; 4], inertia: u32, per_count: i64, rotary: bool, period_us: u16) {
         let (mut axis, _) = slide();
         axis.kind = if rotary { AxisKind::Rotary } else { AxisKind::Linear };
         axis.following = Coordinate(numbers[0]);
@@ -305,7 +305,7 @@ proptest! {
                 period_us,
                 missed: false,
             };
-            let _ = watch.look(0, &axis, LIMIT, &seen);
+            let _ = watch.check(0, &axis, LIMIT, &seen);
         }
     }
 }
@@ -348,9 +348,10 @@ fn in_state(state: State) -> Safety {
     safety
 }
 
-/// While the machine brakes for missed periods a joint that is not where it should be is what they led to. A counter that cannot be believed is not.
+/// Missed periods cause following errors, which are reported as such while the machine decelerates.
+/// An invalid counter is still a fault of its own.
 #[test]
-fn what_missed_periods_led_to_is_named_after_them() {
+fn missed_periods_explain_their_following_errors() {
     let late = Fault::LatePeriod { missed: 50 };
     for other in every_fault() {
         let led_to = matches!(
@@ -374,7 +375,7 @@ fn what_missed_periods_led_to_is_named_after_them() {
 }
 
 #[test]
-fn each_fault_in_each_state_latches_once_and_leaves_the_drives_as_it_must() {
+fn each_fault_latches_once_in_each_state() {
     for fault in every_fault() {
         for state in [
             State::Disabled,
@@ -440,7 +441,7 @@ fn each_fault_in_each_state_latches_once_and_leaves_the_drives_as_it_must() {
 }
 
 #[test]
-fn an_emergency_stop_is_above_all_faults() {
+fn emergency_stop_overrides_all_faults() {
     for fault in every_fault() {
         let mut safety = in_state(State::Run);
         safety.raise(fault);
@@ -458,7 +459,7 @@ fn an_emergency_stop_is_above_all_faults() {
 }
 
 #[test]
-fn of_events_that_nobody_hears_the_newest_stay() {
+fn event_queue_keeps_the_newest() {
     let mut safety = Safety::default();
     for axis in 0..40 {
         safety.push_event(Event::JogLimited { axis });
@@ -470,7 +471,7 @@ fn of_events_that_nobody_hears_the_newest_stay() {
     assert_eq!(told, newest);
 }
 
-/// A run in x at constant speed with spans of these lengths, up from rest and down to rest.
+/// A run in x at constant speed with segments of these durations, from standstill to standstill.
 fn spans(speed: f64, lengths: &[u16]) -> Vec<Setpoint> {
     let mut x = 0.0;
     let mut points = vec![];
@@ -496,9 +497,10 @@ fn spans(speed: f64, lengths: &[u16]) -> Vec<Setpoint> {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 60, rng_seed: RngSeed::Fixed(22), failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Spans so short that a full queue does not cover the way to rest, and a host that comes and goes: slow, but never past the last setpoint.
+    /// Segments so short that a full queue does not cover the stopping distance, and a host that
+    /// pauses: slow, but never past the last setpoint.
     #[test]
-    fn the_queue_never_runs_dry_in_motion(
+    fn queue_never_empties_in_motion(
         speed in 1.0_f64..20.0,
         short in 1_u16..6,
         count in 300_usize..1500,
@@ -509,7 +511,7 @@ proptest! {
         let points = spans(speed, &lengths);
         let mut config = h4();
         config.stopping = Stopping { time_ms: 400, ramp_ms: 100 };
-        let mut program = Program::new(&config);
+        let mut program = Interpolator::new(&config);
         let mut pose = Pose([Coordinate(0); MAX_AXES]);
         pose.0[2] = Coordinate(mm(20.0));
         program.begin(&pose);

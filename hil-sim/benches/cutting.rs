@@ -1,4 +1,5 @@
-//! Cost of the cut: one control period of 200 us in a slot, in a second pass, in the air, and with the body on the material.
+//! Cost of the cut: one control period of 200 us in a slot, in a second pass, in the air, and with
+//! the shank on the material.
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use haptimill_firmware::io::{DriveCommand, Outputs};
@@ -11,7 +12,8 @@ use std::hint::black_box;
 
 const TURNS: f64 = 5000.0 / 60.0 * 200e-6;
 
-/// To and fro along a line of 30 mm; with `aside` above 0 every pass lies so much further and finds fresh material.
+/// Back and forth along a line of 30 mm; with `aside` above 0 every pass is moved by that distance
+/// into fresh material.
 struct Passes {
     cutting: Cutting,
     x: f64,
@@ -40,7 +42,7 @@ impl Passes {
             self.step = -self.step;
             self.y += self.aside;
             if self.y > 15.0 {
-                // A new block.
+                // A new workpiece.
                 *self = Self::new(self.depth, self.step.abs() / 200e-6, self.aside);
             }
         }
@@ -81,7 +83,7 @@ fn cutting(criterion: &mut Criterion) {
     );
 }
 
-/// The whole machine in a slot at 4 mm/s: a loop of the bench's own holds the slides.
+/// The whole machine in a slot at 4 mm/s; a position loop of the benchmark holds the slides.
 fn machine(criterion: &mut Criterion) {
     #[derive(serde::Deserialize)]
     struct File {

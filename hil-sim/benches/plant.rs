@@ -3,7 +3,7 @@
 use criterion::{Criterion, criterion_group, criterion_main};
 use haptimill_firmware::io::{DriveCommand, HapticOutputs, Inputs, Outputs};
 use haptimill_hil_sim::haptics::{HapticArm, HapticConfig};
-use haptimill_hil_sim::machines::h4::Arm;
+use haptimill_hil_sim::machines::h4::{Arm, ArmGeometry};
 use haptimill_hil_sim::operator::{OperatorConfig, ReferencePart, Trace, Trajectory};
 use haptimill_hil_sim::{Control, Plant, PlantConfig, Rig, RigOptions};
 use std::hint::black_box;
@@ -28,7 +28,7 @@ fn plant(criterion: &mut Criterion) {
         "plant: one period, five torque axes, truth and latch",
         |bencher| {
             bencher.iter(|| {
-                // All axes are shaken to and fro, so that friction, backlash and edges all have work.
+                // All axes oscillate, so that friction, backlash and encoder edges are computed.
                 let code = if (period >> 8) & 1 == 0 { 1000 } else { -1000 };
                 period = period.wrapping_add(1);
                 for axis in 0..5 {
@@ -92,11 +92,11 @@ fn plant(criterion: &mut Criterion) {
     );
 
     let slides = [1135.0, 485.0, 1135.0, 485.0];
-    let mut arm = Arm::new(config().arm.as_ref().expect("an arm"), &slides).expect("an arm");
+    let mut arm = Arm::new(ArmGeometry::of(&config()).expect("an arm"), &slides).expect("an arm");
     let mut phase = 0.0;
     criterion.bench_function("geometry: true pose of moving slides", |bencher| {
         bencher.iter(|| {
-            // 4 mm/s: 0.8 um a period.
+            // 4 mm/s: 0.8 um per period.
             phase += 0.0008;
             let shift = if phase < 10.0 {
                 phase

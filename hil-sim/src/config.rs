@@ -10,7 +10,7 @@
 use crate::check::{Check, PlantError};
 use crate::haptics::HapticConfig;
 use crate::joint::JointConfig;
-use crate::machines::h4::ArmGeometry;
+use crate::machines::GeometryConfig;
 use crate::operator::OperatorConfig;
 use crate::process::ProcessConfig;
 use crate::process::sensor::SensorConfig;
@@ -28,9 +28,9 @@ pub struct PlantConfig {
     /// Integration step, 5 to 50 us. The control period must be a whole multiple of it.
     #[serde(default = "default_substep_us")]
     pub substep_us: u16,
-    /// Arm that the joints carry. Without it the pose is the joint positions.
+    /// Geometry that the joints move; only a haptic arm alone has none.
     #[serde(default)]
-    pub arm: Option<ArmGeometry>,
+    pub geometry: Option<GeometryConfig>,
     /// Spindle.
     #[serde(default)]
     pub spindle: Option<SpindleConfig>,
@@ -77,16 +77,23 @@ impl PlantConfig {
                 format!("the control period of {period_us} us is not a whole multiple"),
             );
         }
-        let alone = self.joint.is_empty() && self.haptic.is_some() && self.arm.is_none();
+        let alone = self.joint.is_empty() && self.haptic.is_some() && self.geometry.is_none();
         if (self.joint.is_empty() && !alone) || self.joint.len() > MAX_AXES {
             check.refuse(
                 "joint".into(),
                 format!("1 to {MAX_AXES} joints, not {}", self.joint.len()),
             );
         }
-        if let Some(arm) = &self.arm {
-            let kinds: Vec<_> = self.joint.iter().map(|joint| joint.kind).collect();
-            arm.check(&kinds, &mut check);
+        match &self.geometry {
+            Some(geometry) => {
+                let kinds: Vec<_> = self.joint.iter().map(|joint| joint.kind).collect();
+                geometry.check(&kinds, &mut check);
+            }
+            None if alone => {}
+            None => check.refuse(
+                "geometry".into(),
+                "is missing; write [plant.geometry.MODEL] for the model of [kinematics]".into(),
+            ),
         }
         let cutter = self.cutter.clone().unwrap_or_default();
         for problem in self

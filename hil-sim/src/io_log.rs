@@ -25,7 +25,7 @@
 
 use haptimill_firmware::io::{Inputs, Outputs, RECEIVE_BYTES, TRANSMIT_BYTES};
 use haptimill_firmware::pil::{
-    Done, FROM_BOARD_BYTES, FromBoard, Heard, TO_BOARD_BYTES, ToBoard, seal,
+    Done, FROM_BOARD_BYTES, FromBoard, LineInputs, TO_BOARD_BYTES, ToBoard, seal,
 };
 
 /// Words of the frame to the board, without its check.
@@ -166,8 +166,8 @@ fn words(inputs: &Inputs, outputs: &Outputs) -> Words {
     let from = FromBoard::Done(Done {
         period: inputs.period,
         outputs: outputs.clone(),
-        said: outputs.transmit.len() as u16,
-        heard: Heard::of(inputs),
+        transmitted: outputs.transmit.len() as u16,
+        line_inputs: LineInputs::of(inputs),
         ..Done::default()
     });
     let mut words = [[0; ROW]; ROWS];
@@ -419,12 +419,15 @@ fn period(words: &Words, bytes: &mut &[u8]) -> Option<Period> {
     let FromBoard::Done(done) = FromBoard::decode(&frame(from)).ok()? else {
         return None;
     };
-    let (heard, mut outputs) = (done.heard, done.outputs);
-    inputs.waiting = heard.waiting;
-    inputs.lost_bytes = heard.lost_bytes;
-    inputs.urgent = heard.urgent;
-    let (received, said) = (usize::from(heard.received), usize::from(done.said));
-    if received > RECEIVE_BYTES || said > TRANSMIT_BYTES || done.period != inputs.period {
+    let (line_inputs, mut outputs) = (done.line_inputs, done.outputs);
+    inputs.waiting = line_inputs.waiting;
+    inputs.lost_bytes = line_inputs.lost_bytes;
+    inputs.urgent = line_inputs.urgent;
+    let (received, transmitted) = (
+        usize::from(line_inputs.received),
+        usize::from(done.transmitted),
+    );
+    if received > RECEIVE_BYTES || transmitted > TRANSMIT_BYTES || done.period != inputs.period {
         return None;
     }
     inputs
@@ -433,7 +436,7 @@ fn period(words: &Words, bytes: &mut &[u8]) -> Option<Period> {
         .ok()?;
     outputs
         .transmit
-        .extend_from_slice(take(bytes, said)?)
+        .extend_from_slice(take(bytes, transmitted)?)
         .ok()?;
     Some(Period { inputs, outputs })
 }

@@ -10,7 +10,9 @@
 
 use crate::rig::Control;
 use haptimill_firmware::io::{DriveCommand, Inputs, Outputs, TRANSMIT_BYTES};
-use haptimill_firmware::pil::{Done, FROM_BOARD_BYTES, FromBoard, Heard, TO_BOARD_BYTES, ToBoard};
+use haptimill_firmware::pil::{
+    Done, FROM_BOARD_BYTES, FromBoard, LineInputs, TO_BOARD_BYTES, ToBoard,
+};
 use haptimill_firmware::profiler::STAGES;
 use haptimill_firmware::snapshot::Snapshot;
 use haptimill_protocol::message::State;
@@ -138,23 +140,23 @@ impl<L: PlantLink> RemoteController<L> {
     }
 
     fn exchange(&mut self, inputs: &Inputs) -> io::Result<Done> {
-        let said = ToBoard::Period {
+        let transmitted = ToBoard::Period {
             inputs: inputs.clone(),
             arrived: core::mem::take(&mut self.arrived),
         };
-        self.link.send(&said.encode())?;
+        self.link.send(&transmitted.encode())?;
         let mut done = match self.hear()? {
             FromBoard::Done(done) => done,
             _ => return Err(io::Error::other("the board said something else")),
         };
-        let (should, heard) = (Heard::of(inputs), done.heard);
-        if done.period != inputs.period || heard != should {
+        let (should, line_inputs) = (LineInputs::of(inputs), done.line_inputs);
+        if done.period != inputs.period || line_inputs != should {
             return Err(io::Error::other(format!(
-                "period {}: the board heard {heard:?} in its period {}, and should have heard {should:?}",
+                "period {}: the board heard {line_inputs:?} in its period {}, and should have heard {should:?}",
                 inputs.period, done.period
             )));
         }
-        let count = usize::from(done.said);
+        let count = usize::from(done.transmitted);
         let mut bytes = [0; TRANSMIT_BYTES];
         let Some(bytes) = bytes.get_mut(..count) else {
             return Err(io::Error::other(

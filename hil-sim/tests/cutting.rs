@@ -1,34 +1,35 @@
-//! What the mill takes away, where it finds material and where not.
+//! Material removal: what the mill removes, and where it finds material.
 
 mod mill;
 
 use haptimill_hil_sim::process::{Coefficients, ToolPose};
-use mill::{Bench, TURN, block, config, largest, mean, peaks, slotted};
+use mill::{Bench, TURN, block, config, largest, mean, peaks, with_slot};
 use std::f64::consts::PI;
 
 const R: f64 = 4.0;
 
-/// Area of the slot's cross-section: a segment of the circle, and above the ball the width of the shank.
+/// Returns the area of the slot's cross-section: a circular segment, and above the ball the width
+/// of the shank.
 fn section(depth: f64) -> f64 {
     let ball = depth.min(R);
     let half = ((R - ball) / R).acos();
     R * R * (half - half.sin() * half.cos()) + (depth - ball) * 2.0 * R
 }
 
-/// Volume of the ball (and shank) below the surface.
+/// Returns the volume of the ball (and shank) below the surface.
 fn pit(depth: f64) -> f64 {
     let ball = depth.min(R);
     PI * ball * ball * (R - ball / 3.0) + PI * R * R * (depth - ball)
 }
 
 #[test]
-fn volume_is_the_sweep_of_the_ball() {
+fn removed_volume_is_the_sweep_of_the_ball() {
     for depth in [1.0, 2.0, 3.0, 5.0] {
-        let mut bench = slotted(10.0, depth);
+        let mut bench = with_slot(10.0, depth);
         bench.cutting.settle();
         let exact = pit(depth) + 20.0 * section(depth);
         let ours = bench.cutting.workpiece().removed_mm3();
-        // Vertical walls are true to half a cell a side.
+        // Vertical walls are accurate to half a cell per side.
         let tolerance = if depth > R { 0.003 } else { 0.0005 };
         assert!(
             (ours / exact - 1.0).abs() < tolerance,
@@ -38,10 +39,10 @@ fn volume_is_the_sweep_of_the_ball() {
 }
 
 #[test]
-fn chips_are_what_the_map_loses() {
+fn chip_volume_equals_the_volume_that_the_map_loses() {
     for (depth, feed) in [(1.0, 4.0), (2.0, 4.0), (2.0, 10.0), (5.0, 4.0)] {
-        let mut bench = slotted(feed, depth);
-        // Away from the plunge, over many whole turns.
+        let mut bench = with_slot(feed, depth);
+        // Away from the plunge, over many whole revolutions.
         let before = bench.cutting.chips_mm3();
         bench.line([-24.0, 0.0, -depth], feed);
         let chips = bench.cutting.chips_mm3() - before;
@@ -54,7 +55,7 @@ fn chips_are_what_the_map_loses() {
 }
 
 #[test]
-fn air_has_no_force() {
+fn a_tool_in_air_has_no_force() {
     let config = config(block(-26.0, 6.0, -6.0, 6.0), Coefficients::P1);
     let mut bench = Bench::new(&config, [0.0, 0.0, 0.001]);
     let cuts = bench.line([-20.0, 3.0, 0.001], 20.0);
@@ -64,9 +65,9 @@ fn air_has_no_force() {
 }
 
 #[test]
-fn a_second_pass_takes_nothing() {
+fn a_second_pass_removes_nothing() {
     for (depth, feed) in [(2.0, 4.0), (3.5, 2.0), (5.0, 4.0)] {
-        let mut bench = slotted(feed, depth);
+        let mut bench = with_slot(feed, depth);
         let first = bench.line([-20.5, 0.0, -depth], feed);
         // Back along the slot, out at its start, and once more.
         let back = bench.line([0.0, 0.0, -depth], feed);
@@ -74,7 +75,8 @@ fn a_second_pass_takes_nothing() {
         let chips = bench.cutting.chips_mm3();
         let again = bench.line([-20.0, 0.0, -depth], feed);
         assert!(largest(&first) > 3.0);
-        // The way back has the last tooth's chip to finish. At the ends of the slot, steep walls are met up to 0.3 mm too early.
+        // The way back finishes the last tooth's chip. At the ends of the slot, steep walls are met
+        // up to 0.3 mm too early.
         let ends = (0.4 / (feed * mill::PERIOD)) as usize;
         let middle =
             |cuts: &[haptimill_hil_sim::process::Cut]| largest(&cuts[ends..cuts.len() - ends]);
@@ -92,8 +94,8 @@ fn a_second_pass_takes_nothing() {
 }
 
 #[test]
-fn a_tool_that_stands_has_no_force_and_goes_on_as_before() {
-    let mut bench = slotted(4.0, 2.0);
+fn a_stopped_feed_has_no_force_and_continues_as_before() {
+    let mut bench = with_slot(4.0, 2.0);
     let running = bench.line([-21.0, 0.0, -2.0], 4.0);
     let standing = bench.stand(20 * TURN);
     assert!(
@@ -105,7 +107,8 @@ fn a_tool_that_stands_has_no_force_and_goes_on_as_before() {
     for i in 0..3 {
         assert!((was[i] - is[i]).abs() < 0.01 * was[0], "{was:?} {is:?}");
     }
-    // Pulled back slowly by 0.3 mm and sent on again: air until it is where it was, to less than the shank's tolerance.
+    // The tool retracts slowly by 0.3 mm and moves on. It meets only air until the old place, to
+    // less than the shank's tolerance.
     let back = bench.line([-21.7, 0.0, -2.0], 1.0);
     assert_eq!(largest(&back[2 * TURN..]), 0.0);
     let air = bench.line([-21.99, 0.0, -2.0], 1.0);
@@ -116,7 +119,7 @@ fn a_tool_that_stands_has_no_force_and_goes_on_as_before() {
 
 #[test]
 fn forces_repeat_with_the_teeth() {
-    let mut bench = slotted(4.0, 2.0);
+    let mut bench = with_slot(4.0, 2.0);
     let cuts = bench.line([-21.0, 0.0, -2.0], 4.0);
     let (high, _) = peaks(&cuts, 10);
     let tail = &cuts[cuts.len() - 4 * TURN..];
@@ -125,10 +128,10 @@ fn forces_repeat_with_the_teeth() {
             assert!((now.force[i] - later.force[i]).abs() < 0.01 * high[0]);
         }
     }
-    // Within a tooth they do change.
+    // Within a tooth the forces change.
     let (high, low) = peaks(&cuts, 10);
     assert!(high[0] - low[0] > 3.0);
-    // One tooth alone: half the work, at once a turn.
+    // One tooth alone does half the work, once per revolution.
     let mut config = config(block(-26.0, 6.0, -6.0, 6.0), Coefficients::P2);
     config.cutter.teeth = 1;
     let mut one = Bench::new(&config, [0.0, 0.0, 1.0]);
@@ -138,7 +141,7 @@ fn forces_repeat_with_the_teeth() {
     let mut two = Bench::new(&config, [0.0, 0.0, 1.0]);
     two.line([0.0, 0.0, -2.0], 4.0);
     let double = two.line([-3.0, 0.0, -2.0], 4.0);
-    // The same material goes away in a turn, so without edges the mean force is the same.
+    // The same material is removed per revolution, so without edge forces the mean force is equal.
     let (single, double) = (mean(&single, 8), mean(&double, 8));
     for i in 0..3 {
         assert!(
@@ -150,7 +153,7 @@ fn forces_repeat_with_the_teeth() {
 
 #[test]
 fn force_grows_with_feed_and_scale() {
-    // Without edges the force is as the feed.
+    // Without edge forces the force is proportional to the feed.
     let force = |feed: f64, scale: f64| {
         let mut config = config(block(-26.0, 6.0, -6.0, 6.0), Coefficients::P2);
         config.cutter.force_scale = scale;
@@ -167,13 +170,14 @@ fn force_grows_with_feed_and_scale() {
 }
 
 #[test]
-fn spindle_speed_sets_the_chip() {
-    let mut bench = slotted(4.0, 2.0);
+fn the_spindle_speed_sets_the_chip_thickness() {
+    let mut bench = with_slot(4.0, 2.0);
     let full = mean(&bench.line([-21.0, 0.0, -2.0], 4.0), 8);
-    // Half the speed is twice the feed per tooth: P1 has edge forces, so a little less than twice.
+    // Half the speed is twice the feed per tooth. P1 has edge forces, so the force is a little less
+    // than double.
     bench.rpm = 2500.0;
     let half = mean(&bench.line([-22.5, 0.0, -2.0], 4.0), 8);
-    let twice = mean(&slotted(8.0, 2.0).line([-21.5, 0.0, -2.0], 8.0), 8);
+    let twice = mean(&with_slot(8.0, 2.0).line([-21.5, 0.0, -2.0], 8.0), 8);
     for i in 0..3 {
         assert!(
             (half[i] - twice[i]).abs() < 0.02 * twice[0],
@@ -183,10 +187,11 @@ fn spindle_speed_sets_the_chip() {
     }
 }
 
-/// A pass beside a slot: 2 mm aside. Feed +x with the material on the -y side is down milling with this spindle, feed -x up milling
-/// (docs/control.md 5.2: the pocket's passes have Fx + - +, the second the smallest).
+/// A pass beside a slot, 2 mm aside. Feed +x with the material on the -y side is down milling with
+/// this spindle, feed -x is up milling. (docs/control.md 5.2: the passes of the pocket have Fx + -
+/// +, the second the smallest.)
 #[test]
-fn up_and_down_milling_have_their_signs() {
+fn up_and_down_milling_forces_have_the_right_signs() {
     let config = config(block(-36.0, 6.0, -11.0, 6.0), Coefficients::P1);
     let mut bench = Bench::new(&config, [0.0, 0.0, 1.0]);
     bench.line([0.0, 0.0, -2.0], 4.0);
@@ -203,7 +208,7 @@ fn up_and_down_milling_have_their_signs() {
     bench.line([0.0, -4.0, -2.0], 1.0);
     bench.line([-20.0, -4.0, -2.0], 4.0);
     let third = signed(&bench.line([-22.0, -4.0, -2.0], 4.0));
-    // The spec's own model: +5.6 / -2.2 / +5.6 in x; negative, positive, positive in y.
+    // The model of docs/control.md: +5.6 / -2.2 / +5.6 in x; negative, positive, positive in y.
     assert!((first[0] - 5.6).abs() < 0.15, "{first:?}");
     assert!((second[0] + 2.2).abs() < 0.4, "{second:?}");
     assert!((third[0] - 5.6).abs() < 0.4, "{third:?}");
@@ -215,13 +220,13 @@ fn up_and_down_milling_have_their_signs() {
 }
 
 #[test]
-fn entry_and_exit_follow_the_stock() {
+fn force_starts_and_ends_at_the_edges_of_the_stock() {
     let mut piece = block(-10.0, 10.0, -6.0, 6.0);
     piece.stock.x_min = -5.0;
     piece.stock.x_max = 5.0;
     let mut bench = Bench::new(&config(piece, Coefficients::P1), [9.5, 0.0, -2.0]);
     let cuts = bench.line([-9.6, 0.0, -2.0], 4.0);
-    // The ball's radius at the surface is 3.46 mm: first touch with its front at x = 5.
+    // The ball's radius at the surface is 3.46 mm: its front touches first at x = 5.
     let half = (2.0 * R * 2.0 - 4.0_f64).sqrt();
     let place = |step: usize| 9.5 - (step + 1) as f64 * 4.0 * mill::PERIOD;
     let first = cuts.iter().position(|cut| cut.engaged).expect("cuts");
@@ -231,9 +236,10 @@ fn entry_and_exit_follow_the_stock() {
         "{}",
         place(first)
     );
-    // The trailing half cuts nothing: it is over when the middle reaches the far edge, but for the sides that are wider than the block.
+    // The trailing half cuts nothing. The cut ends when the middle reaches the far edge, except for
+    // the sides that are wider than the workpiece.
     assert!((place(last) - -5.0).abs() < 0.15, "{}", place(last));
-    // The force rises and falls without a step larger than a tooth.
+    // The force rises and falls without a step larger than one tooth's.
     let full = peaks(&cuts[..cuts.len() / 2], 8).0[0];
     assert!(full > 5.0);
     let first_turns = &cuts[first..first + 2 * TURN];
@@ -249,7 +255,7 @@ fn entry_and_exit_follow_the_stock() {
 }
 
 #[test]
-fn incline_cuts_deeper_as_it_goes() {
+fn an_incline_is_cut_deeper_along_the_path() {
     let mut piece = block(-27.0, 7.0, -6.0, 6.0);
     piece.rise_x_deg = -10.0;
     let mut bench = Bench::new(&config(piece, Coefficients::P2), [0.0, 0.0, 3.0]);
@@ -275,8 +281,9 @@ fn incline_cuts_deeper_as_it_goes() {
 }
 
 #[test]
-fn a_leaning_tool_takes_the_same_chips() {
-    // Leaning about x (alpha) by 20 degrees, feed along x: the ball sweeps the same slot, the edges meet it elsewhere.
+fn a_tilted_tool_removes_the_same_volume() {
+    // With a tilt of 20 degrees about x (alpha) and feed along x the ball sweeps the same slot; the
+    // edges meet it elsewhere.
     let config = config(block(-26.0, 6.0, -6.0, 6.0), Coefficients::P2);
     let run = |alpha: f64| {
         let start = ToolPose::leaning([0.0, 0.0, 5.0], 0.0, alpha);
@@ -287,7 +294,7 @@ fn a_leaning_tool_takes_the_same_chips() {
         let steps = 20_000;
         for step in 0..steps {
             let x = -(step as f64) * 4.0 * mill::PERIOD;
-            // The centre goes at the same height for every lean.
+            // The centre moves at the same height for every tilt.
             let centre = [x, 0.0, R - 2.0];
             let tip = core::array::from_fn(|i| centre[i] - R * start.axis[i]);
             let pose = ToolPose { tip, ..start };
@@ -318,8 +325,8 @@ fn a_leaning_tool_takes_the_same_chips() {
 }
 
 #[test]
-fn stopped_spindle_presses_and_lets_go() {
-    let mut bench = slotted(4.0, 2.0);
+fn a_stopped_spindle_presses_until_the_tool_retracts() {
+    let mut bench = with_slot(4.0, 2.0);
     let cutting = largest(&bench.line([-20.5, 0.0, -2.0], 4.0));
     bench.rpm = 0.0;
     let volume = bench.cutting.workpiece().removed_mm3();
@@ -329,7 +336,7 @@ fn stopped_spindle_presses_and_lets_go() {
         last.pressed && last.force[0] > 10.0 * cutting,
         "{last:?} {cutting}"
     );
-    // It grows all the way.
+    // The force grows all the way.
     let quarter = pressed.len() / 4;
     for pair in pressed.chunks(quarter).collect::<Vec<_>>().windows(2) {
         assert!(pair[1][0].force[0] > pair[0][0].force[0]);
@@ -339,13 +346,13 @@ fn stopped_spindle_presses_and_lets_go() {
         volume,
         "nothing is cut"
     );
-    // It backs off along its path: free when it is where it cut last.
+    // The tool retracts along its path and is free where it cut last.
     let back = bench.line([-20.0, 0.0, -2.0], 4.0);
     assert!(
         back.last()
             .is_some_and(|cut| cut.force == [0.0; 3] && !cut.pressed)
     );
-    // And with the spindle on, it goes on from there.
+    // With the spindle on, it continues from there.
     bench.rpm = mill::RPM;
     let air = bench.line([-20.4, 0.0, -2.0], 4.0);
     assert_eq!(largest(&air[5 * TURN..]), 0.0);
@@ -360,7 +367,8 @@ fn jogging_with_the_spindle_off_cuts_nothing() {
     let mut bench = Bench::new(&config, [4.0, -4.0, 5.0]);
     bench.stand(200);
     bench.rpm = 0.0;
-    // Around and back to a place above another point; the straight line between passes through nothing that may be cut.
+    // Around and back to a place above another point; nothing on the straight line between may be
+    // cut.
     bench.line([4.0, 4.0, 0.5], 50.0);
     bench.line([-20.0, 4.0, 0.5], 50.0);
     bench.rpm = mill::RPM;
@@ -373,7 +381,7 @@ fn jogging_with_the_spindle_off_cuts_nothing() {
 #[test]
 fn the_same_cut_gives_the_same_bits() {
     let run = || {
-        let mut bench = slotted(7.3, 2.2);
+        let mut bench = with_slot(7.3, 2.2);
         let cuts = bench.line([-23.0, 1.7, -1.4], 3.1);
         let bits: Vec<u64> = cuts
             .iter()

@@ -1,4 +1,5 @@
-//! The experiments without force control on a rigid machine: what the two material presets give beside what was stated (docs/control.md 4.1, bands 4.2).
+//! The experiments without force control on a rigid machine: both material presets against the
+//! stated values (docs/control.md 4.1, bands 4.2).
 //!
 //! `cargo test -p haptimill-hil-sim --test cutting_experiments -- --nocapture` prints the table.
 
@@ -10,7 +11,8 @@ use std::f64::consts::PI;
 
 const PRESETS: [(&str, Coefficients); 2] = [("P1", Coefficients::P1), ("P2", Coefficients::P2)];
 
-/// The force of largest size of each axis over the last turns, sign kept: "high" of the experiments.
+/// Returns the force of largest magnitude of each axis over the last revolutions, with its sign:
+/// "high" of the experiments.
 fn high(cuts: &[Cut]) -> [f64; 3] {
     let (most, least) = peaks(cuts, 8);
     core::array::from_fn(|i| {
@@ -22,7 +24,7 @@ fn high(cuts: &[Cut]) -> [f64; 3] {
     })
 }
 
-/// The force nearest to the other side: "low" of the experiments.
+/// Returns the force nearest to the other side: "low" of the experiments.
 fn low(cuts: &[Cut]) -> [f64; 3] {
     let (most, least) = peaks(cuts, 8);
     core::array::from_fn(|i| {
@@ -41,7 +43,8 @@ fn show(what: &str, force: [f64; 3]) {
     );
 }
 
-/// E1: depth 2 mm, 2, 6, 10 mm/s for 3 s each towards -x. Stated: Fx 3 N, then 7 N just after the step to 6 mm/s, 5 N later, 12 N after the step to 10.
+/// E1: depth 2 mm, 2, 6, 10 mm/s for 3 s each towards -x. Stated: Fx 3 N, then 7 N just after the
+/// step to 6 mm/s, 5 N later, 12 N after the step to 10.
 #[test]
 fn e1_feed_sweep() {
     for (name, coefficients) in PRESETS {
@@ -56,7 +59,7 @@ fn e1_feed_sweep() {
             let cuts = bench.line([end, 0.0, -2.0], feed);
             show(&format!("{feed} mm/s high"), high(&cuts));
             show(&format!("{feed} mm/s low"), low(&cuts));
-            // From the new level, within the 0.2 s that are stated for the rise.
+            // From the new level, within the stated rise time of 0.2 s.
             let settled = high(&cuts[..1000]);
             assert!((settled[0] - high(&cuts)[0]).abs() < 0.02 * settled[0]);
             ours.push((high(&cuts), low(&cuts)));
@@ -66,7 +69,8 @@ fn e1_feed_sweep() {
             assert!((force[0] - stated).abs() <= band, "{force:?} {stated}");
             assert!(force[1] < 0.0 && force[2] > 0.0);
         }
-        // Fx low is at most 4 N towards -x; Fz high is 3 to 7 N, which P2 misses at 2 mm/s and both leave a little at 10 mm/s.
+        // Fx low is at most 4 N towards -x. Fz high is 3 to 7 N; P2 misses this at 2 mm/s, and both
+        // leave it slightly at 10 mm/s.
         assert!(ours.iter().all(|(_, low)| low[0].abs() <= 4.0));
         let z: Vec<f64> = ours.iter().map(|(high, _)| high[2]).collect();
         if name == "P1" {
@@ -81,7 +85,8 @@ fn e1_feed_sweep() {
     }
 }
 
-/// E2: 2 mm/s, depth 1, 3, 5 mm for 5 s each. Stated: Fx and -Fy grow with depth, Fz 3 to 7 N and largest at 5 mm.
+/// E2: 2 mm/s, depth 1, 3, 5 mm for 5 s each. Stated: Fx and -Fy grow with depth, Fz 3 to 7 N and
+/// largest at 5 mm.
 #[test]
 fn e2_depth_sweep() {
     for (name, coefficients) in PRESETS {
@@ -106,7 +111,8 @@ fn e2_depth_sweep() {
     }
 }
 
-/// E3: part tilted by 10 degrees, from 1 to 4.53 mm deep over 20 mm. Stated: the force grows with the way, faster at 4 mm/s.
+/// E3: part tilted by 10 degrees, from 1 to 4.53 mm deep over 20 mm. Stated: the force grows along
+/// the path, faster at 4 mm/s.
 #[test]
 fn e3_incline() {
     for (name, coefficients) in PRESETS {
@@ -134,7 +140,8 @@ fn e3_incline() {
     }
 }
 
-/// E7 and E9: slot and pocket at 4 mm/s, 2 mm deep, 2 mm aside. Stated for Fx: +6, then -3, then +5 N; Fy negative, then positive, at most 5; Fz at most 6.
+/// E7 and E9: slot and pocket at 4 mm/s, 2 mm deep, 2 mm aside. Stated for Fx: +6, then -3, then +5
+/// N; Fy negative, then positive, at most 5; Fz at most 6.
 #[test]
 fn e9_pocket() {
     for (name, coefficients) in PRESETS {
@@ -157,7 +164,8 @@ fn e9_pocket() {
             passes.push(high(&cuts));
             bench.line([x, y, -2.0], 4.0);
         }
-        // Pattern + - +, the second the smallest, the third not above the first by more than the model's ripple.
+        // Pattern + - +, the second the smallest, the third not above the first by more than the
+        // model's ripple.
         assert!(passes[0][0] > 0.0 && passes[1][0] < 0.0 && passes[2][0] > 0.0);
         assert!(-passes[1][0] < passes[2][0] && passes[2][0] < 1.05 * passes[0][0]);
         assert!(passes[0][1] < 0.0 && passes[1][1] > 0.0);
@@ -182,7 +190,8 @@ fn e9_pocket() {
     }
 }
 
-/// E11: circle of 30 mm at 4 mm/s. Stated: 30 x 29.5 mm; Fx 5 to 10 N and Fy at most 5 N, both opposing the motion, Fx flips at 12 s.
+/// E11: circle of 30 mm at 4 mm/s. Stated: 30 x 29.5 mm; Fx 5 to 10 N and Fy at most 5 N, both
+/// opposing the motion, Fx flips at 12 s.
 #[test]
 fn e11_circle() {
     for (name, coefficients) in PRESETS {
@@ -209,7 +218,7 @@ fn e11_circle() {
             let end = (share * steps as f64) as usize;
             let force = high(&cuts[end - 10 * TURN..end]);
             show(&format!("moving {moving}"), force);
-            // Fx opposes the motion in x wherever that is its main direction.
+            // Fx opposes the motion in x where x is the main direction.
             if moving == "-x" || moving == "+x" {
                 assert!((force[0] > 0.0) == (moving == "-x"), "{moving} {force:?}");
             }

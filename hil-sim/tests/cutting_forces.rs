@@ -1,4 +1,4 @@
-//! Forces of the mill against a plain integration of the printed equations.
+//! Forces of the mill against a plain integration of the equations of docs/control.md.
 
 mod mill;
 
@@ -6,13 +6,14 @@ use haptimill_hil_sim::process::{Coefficients, CutterConfig};
 use mill::{Bench, block, config};
 use std::f64::consts::{PI, TAU};
 
-/// Which part of the circle is in the material at an immersion angle and a radius.
+/// Returns the part of the circle in the material, by immersion angle and radius.
 type Engaged = dyn Fn(f64, f64) -> bool;
 
-/// Mean force on the tool over a turn in steady feed along +x, by quadrature over height and immersion: the lag of the edges drops out of the
-/// mean, so no tooth is followed here. Printed forms of docs/control.md 5.1: dS from R'(psi), db = dz / sin kappa,
-/// h = f_t sin Psi sin kappa. `onset` is the chip at which the edge force is whole; 0 is the printed equation.
-fn printed_mean(
+/// Mean force on the tool over a revolution in steady feed along +x, by quadrature over height and
+/// immersion. The lag of the edges has no effect on the mean, so no tooth is followed. Equations of
+/// docs/control.md 5.1: dS from R'(psi), db = dz / sin kappa, h = f_t sin Psi sin kappa. `onset` is
+/// the chip thickness at which the edge force is full; 0 is the equation as it stands there.
+fn mean_of_equations(
     cutter: &CutterConfig,
     depth: f64,
     per_tooth: f64,
@@ -69,7 +70,7 @@ fn printed_mean(
     sum
 }
 
-/// Forces of a slot along a direction, in axes that are turned so that the feed is +x.
+/// Forces of a slot along a direction, in axes whose x is the feed direction.
 fn slot(coefficients: Coefficients, depth: f64, feed: f64, heading: [f64; 2]) -> Vec<[f64; 3]> {
     let config = config(block(-9.0, 9.0, -9.0, 9.0), coefficients);
     let mut bench = Bench::new(&config, [0.0, 0.0, 1.0]);
@@ -116,14 +117,15 @@ fn slot_has_the_mean_force_of_the_printed_equations() {
             };
             let per_tooth = feed / (mill::RPM / 60.0 * 2.0);
             let all: &Engaged = &|_, _| true;
-            let printed = printed_mean(&cutter, depth, per_tooth, 0.0, all);
-            let eased = printed_mean(&cutter, depth, per_tooth, cutter.edge_onset_mm, all);
+            let printed = mean_of_equations(&cutter, depth, per_tooth, 0.0, all);
+            let eased = mean_of_equations(&cutter, depth, per_tooth, cutter.edge_onset_mm, all);
             let size = distance(printed, [0.0; 3]);
             for heading in [[1.0, 0.0], [-1.0, 0.0], [0.6, -0.8]] {
                 let ours = mean_of(&slot(coefficients, depth, feed, heading));
                 let case = format!("{depth} mm, {feed} mm/s, {heading:?}: {ours:?}");
                 let off = distance(ours, eased) / size;
-                // The chip is thinner at the free surface, by half its thickness times cos kappa; the printed form does not know that.
+                // The chip is thinner at the free surface, by half its thickness times cos kappa;
+                // the equation neglects that.
                 assert!(off < 0.006, "{case}, with onset {eased:?}: {off}");
                 let off = distance(ours, printed) / size;
                 assert!(off < 0.05, "{case}, printed {printed:?}: {off}");
@@ -132,7 +134,8 @@ fn slot_has_the_mean_force_of_the_printed_equations() {
     }
 }
 
-/// Peaks over a turn of a slot towards -x: docs/control.md 5.2 has them from a model of its own (midpoint slices, no map, no memory).
+/// Peaks over a revolution of a slot towards -x. docs/control.md 5.2 has them from another model
+/// (midpoint slices, no map, no memory).
 #[test]
 fn slot_has_the_peaks_that_the_coefficients_were_fitted_with() {
     for (coefficients, table) in [
@@ -171,7 +174,8 @@ fn slot_has_the_peaks_that_the_coefficients_were_fitted_with() {
                 assert!((ours - y).abs() < 0.1, "{feed} mm/s: Fy {ours}, {y}");
             }
             if let Some(z) = z {
-                // The tip is finer here; the spec's first slice has the axial edge force at its middle.
+                // The tip has finer slices here; the first slice of the other model has the axial
+                // edge force at its middle.
                 let ours = peak(&|force| force[2]);
                 assert!((ours - z).abs() < 0.5, "{feed} mm/s: Fz {ours}, {z}");
             }

@@ -1,4 +1,4 @@
-//! The surface that is left and how it is measured; the spindle; the elastic wall; what is refused.
+//! The cut surface and its measurement; the spindle; the elastic wall; refused configurations.
 
 mod mill;
 
@@ -6,15 +6,15 @@ use haptimill_hil_sim::process::metrology::circle;
 use haptimill_hil_sim::process::{
     Coefficients, CuttingConfig, ElasticWall, Spindle, SpindleConfig, ToolPose, Workpiece,
 };
-use mill::{Bench, block, config, slotted};
+use mill::{Bench, block, config, with_slot};
 use proptest::prelude::*;
 use std::f64::consts::PI;
 
 const R: f64 = 4.0;
 
 #[test]
-fn slot_and_circle_are_measured_as_they_were_cut() {
-    let mut bench = slotted(20.0, 2.0);
+fn slot_and_circle_are_measured_as_cut() {
+    let mut bench = with_slot(20.0, 2.0);
     bench.cutting.settle();
     let piece = bench.cutting.workpiece();
     let groove = piece
@@ -31,7 +31,8 @@ fn slot_and_circle_are_measured_as_they_were_cut() {
     assert!((extents.x_max - half).abs() < 0.02);
     assert!((extents.y_max - half).abs() < 0.02 && (extents.y_min + half).abs() < 0.02);
 
-    // The circle of the experiment: 30 mm, from (0, 0) towards -x and -y, here 0.3 mm flat in y to see that it is seen.
+    // The circle of the experiment: 30 mm, from (0, 0) towards -x and -y, here flattened by 0.3 mm
+    // in y to test the measurement.
     let config = config(block(-36.0, 6.0, -21.0, 21.0), Coefficients::P2);
     let mut bench = Bench::new(&config, [0.0, 0.0, 1.0]);
     bench.line([0.0, 0.0, -2.0], 10.0);
@@ -59,7 +60,7 @@ fn slot_and_circle_are_measured_as_they_were_cut() {
 }
 
 #[test]
-fn leaving_the_map_is_told() {
+fn leaving_the_map_is_reported() {
     let config = config(block(-5.0, 5.0, -5.0, 5.0), Coefficients::P2);
     let mut bench = Bench::new(&config, [0.0, 0.0, 1.0]);
     bench.line([0.0, 0.0, -1.0], 5.0);
@@ -70,13 +71,13 @@ fn leaving_the_map_is_told() {
 }
 
 #[test]
-fn spindle_runs_up_and_stands() {
+fn the_spindle_runs_up_and_stops() {
     let mut spindle = Spindle::new(&SpindleConfig { run_up_s: 0.3 }, mill::PERIOD);
     let mut turns = 0.0;
     for _ in 0..7500 {
         turns += spindle.advance(5000.0);
     }
-    // 1.5 s: the speed is n (1 - e^-5), the way n / 60 (t - T (1 - e^-5)).
+    // At 1.5 s the speed is n (1 - e^-5), and the angle n / 60 (t - T (1 - e^-5)).
     let left = (-5.0_f64).exp();
     assert!((spindle.rpm() - 5000.0 * (1.0 - left)).abs() < 1e-6);
     let exact = 5000.0 / 60.0 * (1.5 - 0.3 * (1.0 - left));
@@ -93,7 +94,7 @@ fn spindle_runs_up_and_stands() {
 }
 
 #[test]
-fn elastic_wall_pushes_and_never_pulls() {
+fn an_elastic_wall_pushes_and_never_pulls() {
     let wall = ElasticWall {
         point: [-10.0, 0.0, 0.0],
         normal: [0.8, 0.0, 0.6],
@@ -116,7 +117,7 @@ fn elastic_wall_pushes_and_never_pulls() {
 }
 
 #[test]
-fn nonsense_is_refused_whole() {
+fn an_invalid_configuration_is_refused() {
     let mut config = CuttingConfig::default();
     assert!(config.check().is_ok());
     config.cutter.teeth = 0;
@@ -124,7 +125,7 @@ fn nonsense_is_refused_whole() {
     config.cutter.coefficients.radial = f64::INFINITY;
     config.workpiece.cell_mm = 1e-6;
     config.workpiece.map.x_max = config.workpiece.map.x_min;
-    let problems = config.check().expect_err("nonsense");
+    let problems = config.check().expect_err("invalid");
     for part in ["teeth", "radius_mm", "radial", "cell_mm", "map: x_max"] {
         assert!(
             problems.iter().any(|problem| problem.field.contains(part)),
@@ -136,9 +137,10 @@ fn nonsense_is_refused_whole() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 40, rng_seed: proptest::test_runner::RngSeed::Fixed(1), failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// After any sweeps every point of the map is exactly as low as the lowest ball that passed over it.
+    /// After any sweeps every point of the map is exactly as low as the lowest ball that passed
+    /// over it.
     #[test]
-    fn sweeps_leave_the_envelope_of_the_ball(
+    fn the_surface_is_the_envelope_of_the_ball(
         places in prop::collection::vec((-3.0..3.0_f64, -3.0..3.0_f64, 2.0..7.0_f64), 2..6)
     ) {
         let mut shape = block(-8.0, 8.0, -8.0, 8.0);
@@ -154,7 +156,7 @@ proptest! {
         for row in (0..rows).step_by(5) {
             for column in (0..columns).step_by(5) {
                 let [x, y] = piece.place(column, row);
-                // Dense balls along the way.
+                // Densely placed balls along the path.
                 let mut lowest = 0.0_f64;
                 for pair in places.windows(2) {
                     for step in 0..=400 {
@@ -168,7 +170,8 @@ proptest! {
                     }
                 }
                 let ours = f64::from(piece.heights()[row * columns + column]);
-                // Steps of 20 um: near a wall the dense balls lie higher by what the slope makes of them.
+                // Steps of 20 um: near a wall the dense balls are higher by the effect of the
+                // slope.
                 prop_assert!(ours <= lowest + 1e-5, "{ours} {lowest}");
                 prop_assert!(ours > lowest - 0.15, "{ours} {lowest}");
             }

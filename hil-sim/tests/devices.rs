@@ -15,11 +15,11 @@ use proptest::prelude::*;
 
 const STEP_NS: u64 = 20_000;
 
-/// Where the shaft begins: in the middle of a count.
+/// The shaft starts in the middle of a count.
 const START: f64 = 0.300625;
 
-/// A shaft that wanders: ten steps a period with speeds drawn anew now and then.
-fn wander(seed: u64, periods: usize, speed: f64) -> Vec<[f64; 11]> {
+/// Returns a random motion of the shaft: ten steps per period, with speeds drawn anew at times.
+fn random_motion(seed: u64, periods: usize, speed: f64) -> Vec<[f64; 11]> {
     let mut random = Random::new(seed, 7);
     let (mut at, mut rate) = (START, 0.0);
     (0..periods)
@@ -38,7 +38,7 @@ fn wander(seed: u64, periods: usize, speed: f64) -> Vec<[f64; 11]> {
         .collect()
 }
 
-/// Lets the shaft go through these samples.
+/// Moves the shaft through these samples.
 fn follow(encoder: &mut Encoder, path: &[f64], time_ns: u64) {
     let rows: Vec<JointArray> = path
         .iter()
@@ -59,14 +59,14 @@ fn encoder(reversed: bool) -> Encoder {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 40, rng_seed: proptest::test_runner::RngSeed::Fixed(1), failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Counting from states and counting edge by edge through the decoder are the same counter.
+    /// Counting by states and counting edge by edge through the decoder give the same counter.
     #[test]
-    fn both_ways_of_counting_agree(seed: u64, reversed: bool, speed in 1.0..2000.0_f64) {
+    fn counting_by_states_and_by_edges_agrees(seed: u64, reversed: bool, speed in 1.0..2000.0_f64) {
         let mut direct = encoder(reversed);
         let mut edges = encoder(reversed);
         edges.set_condition(EncoderCondition { index_missing: true, ..EncoderCondition::default() });
         edges.set_condition(EncoderCondition::default());
-        for (period, path) in wander(seed, 500, speed).iter().enumerate() {
+        for (period, path) in random_motion(seed, 500, speed).iter().enumerate() {
             let now = period as u64 * 200_000;
             follow(&mut direct, path, now);
             follow(&mut edges, path, now);
@@ -75,22 +75,22 @@ proptest! {
         }
     }
 
-    /// The counter is the true position, to the count.
+    /// The counter is the true position to the count.
     #[test]
-    fn counts_are_the_position(seed: u64, reversed: bool, speed in 1.0..2000.0_f64) {
+    fn the_counter_is_the_true_position(seed: u64, reversed: bool, speed in 1.0..2000.0_f64) {
         let mut encoder = encoder(reversed);
         let per_count = 10.0 / 8000.0;
-        for (period, path) in wander(seed, 500, speed).iter().enumerate() {
+        for (period, path) in random_motion(seed, 500, speed).iter().enumerate() {
             follow(&mut encoder, path, period as u64 * 200_000);
             let sign = if reversed { -1.0 } else { 1.0 };
-            let told = sign * f64::from(encoder.reading().counts) * per_count;
-            prop_assert!((told - (path[10] - START)).abs() <= per_count * 1.000_001);
+            let measured = sign * f64::from(encoder.reading().counts) * per_count;
+            prop_assert!((measured - (path[10] - START)).abs() <= per_count * 1.000_001);
         }
     }
 
-    /// Edge times are those of the crossings: at even speed they are evenly spaced.
+    /// Edge times are those of the crossings: at constant speed they are equally spaced.
     #[test]
-    fn edge_times_tell_the_speed(speed in 0.5..60.0_f64) {
+    fn edge_times_give_the_speed(speed in 0.5..60.0_f64) {
         let mut encoder = encoder(false);
         let (mut at, mut first, mut last) = (START, None, (0, 0));
         for period in 0..2000_u64 {
@@ -105,19 +105,19 @@ proptest! {
         }
         let first = first.expect("moves");
         prop_assume!(last.0 > first.0);
-        let told = f64::from(last.0 - first.0) * (10.0 / 8000.0) / (f64::from(last.1 - first.1) * 1e-9);
+        let measured = f64::from(last.0 - first.0) * (10.0 / 8000.0) / (f64::from(last.1 - first.1) * 1e-9);
         // A nanosecond at either end.
         let bound = 3.0 / f64::from(last.1 - first.1);
-        prop_assert!((told / speed - 1.0).abs() < bound + 1e-9, "{} {}", told, speed);
+        prop_assert!((measured / speed - 1.0).abs() < bound + 1e-9, "{} {}", measured, speed);
     }
 
-    /// The index latches the same count whichever way and however fast it is passed.
+    /// The index latches the same count in either direction and at any speed.
     #[test]
-    fn index_repeats(speeds in prop::collection::vec(0.1..300.0_f64, 1..12)) {
+    fn the_index_pulse_repeats_to_the_count(speeds in prop::collection::vec(0.1..300.0_f64, 1..12)) {
         let mut encoder = encoder(false);
         let (mut at, mut time, mut pulses) = (START, 0, 0);
         let mut latched = None;
-        // To and fro across the index at 0.2.
+        // Back and forth across the index at 0.2.
         for (turn, speed) in speeds.iter().enumerate() {
             let target = if turn % 2 == 0 { 0.1 } else { 0.3 };
             let direction = if turn % 2 == 0 { -1.0 } else { 1.0 };
@@ -135,22 +135,24 @@ proptest! {
         }
     }
 
-    /// Any plan that keeps to the data sheet is emitted to the step and followed to within the field's lag.
+    /// Any plan within the data sheet is emitted to the step and followed within the lag of the
+    /// field.
     #[test]
-    fn legal_pulses_are_all_seen(segments in prop::collection::vec((-3_i16..=3, 100_u32..400), 1..60)) {
+    fn pulses_within_the_data_sheet_are_all_counted(segments in prop::collection::vec((-3_i16..=3, 100_u32..400), 1..60)) {
         let mut plant = Plant::new(&machine::stepped_slide(), 200).expect("a slide");
-        let mut wanted = 0_i32;
+        let mut expected = 0_i32;
         let pulses = segments.iter().map(|&(count, delay)| StepSegment { count, delay, interval: 900, ramp: -3 });
         for segment in pulses.chain(std::iter::repeat_n(StepSegment::default(), 3000)) {
-            wanted += i32::from(segment.count);
+            expected += i32::from(segment.count);
             steps(&mut plant, segment);
         }
         prop_assert_eq!(report(&plant).violations, 0);
         let mut inputs = Inputs::default();
         plant.latch(&mut inputs);
-        prop_assert_eq!(inputs.axes[0].steps, wanted);
-        // At rest the field holds the motor's 20 N friction: asin(20 / 1200) of an electrical turn of 0.2 mm is 0.5 um.
-        let lag = plant.bodies().motor[0] - f64::from(wanted) * 10.0 / 3200.0;
+        prop_assert_eq!(inputs.axes[0].steps, expected);
+        // At standstill the field holds 20 N of friction: asin(20 / 1200) of an electrical turn of
+        // 0.2 mm is 0.5 um.
+        let lag = plant.bodies().motor[0] - f64::from(expected) * 10.0 / 3200.0;
         prop_assert!(lag.abs() < 0.0015, "{}", lag);
     }
 }
@@ -166,7 +168,7 @@ fn report(plant: &Plant) -> PulseReport {
 }
 
 #[test]
-fn a_stuck_channel_goes_nowhere_and_a_swapped_one_the_wrong_way() {
+fn a_stuck_channel_counts_nothing_and_swapped_channels_count_backwards() {
     let path: Vec<f64> = (0..=10)
         .map(|step| START + 0.01 * f64::from(step))
         .collect();
@@ -206,7 +208,7 @@ fn a_stuck_channel_goes_nowhere_and_a_swapped_one_the_wrong_way() {
 }
 
 #[test]
-fn a_slip_moves_the_counter_on_both_ways_of_counting() {
+fn a_slip_moves_the_counter_in_both_ways_of_counting() {
     for edges in [false, true] {
         let mut encoder = encoder(true);
         if edges {
@@ -223,10 +225,11 @@ fn a_slip_moves_the_counter_on_both_ways_of_counting() {
 }
 
 #[test]
-fn data_sheet_is_enforced() {
+fn violations_of_the_data_sheet_are_reported() {
     let fresh = || Plant::new(&machine::stepped_slide(), 200).expect("a slide");
     let first = |plant: &Plant| report(plant).first.map(|violation| violation.problem);
-    // 16 ticks per us: 2 us pulse + 1 us pause = 48 ticks; 80 ticks set-up and hold; 3200 ticks a period.
+    // 16 ticks per us: 2 us pulse + 1 us pause = 48 ticks; 80 ticks set-up and hold; 3200 ticks a
+    // period.
     let mut plant = fresh();
     steps(
         &mut plant,
@@ -338,7 +341,7 @@ fn data_sheet_is_enforced() {
     assert_eq!(inputs.axes[0].steps, 2);
 }
 
-/// Drives a slide at `rate` steps per period for `periods` and lets it settle; gives the distance to where it was sent.
+/// Drives a slide at `rate` steps per period for `periods`. Returns the distance to its target.
 fn sent_and_missed(config: &PlantConfig, rate: i16, periods: usize, load: f64) -> f64 {
     let mut plant = Plant::new(config, 200).expect("a slide");
     plant.set_load(0, load);
@@ -366,9 +369,10 @@ fn sent_and_missed(config: &PlantConfig, rate: i16, periods: usize, load: f64) -
 }
 
 #[test]
-fn steps_are_lost_above_the_pull_out_torque_and_only_there() {
+fn steps_are_lost_only_above_the_pull_out_torque() {
     let config = machine::stepped_slide();
-    // One step a period is 15.6 mm/s: it starts at once. Against 600 N it keeps up; against 1400 N it cannot.
+    // One step per period is 15.6 mm/s: the slide starts at once. It keeps up against 600 N, and
+    // not against 1400 N.
     assert!(sent_and_missed(&config, 1, 500, -600.0).abs() < 0.002);
     let missed = sent_and_missed(&config, 1, 500, -1400.0);
     let tooth = 4.0 * 10.0 / 200.0;
@@ -377,15 +381,15 @@ fn steps_are_lost_above_the_pull_out_torque_and_only_there() {
         (missed / tooth - (missed / tooth).round()).abs() < 0.02,
         "whole electrical turns: {missed}"
     );
-    // 40 kg do not jump to 312 mm/s.
+    // 40 kg cannot start at 312 mm/s.
     let missed = sent_and_missed(&config, 20, 100, 0.0);
     assert!(missed < -10.0 * tooth, "{missed}");
     assert!((missed / tooth - (missed / tooth).round()).abs() < 0.02);
 }
 
-/// The pulses that the firmware plans, under the drive's data sheet and on the motor.
+/// The pulses that the firmware plans, checked against the drive's data sheet and on the motor.
 #[test]
-fn planned_pulses_keep_the_data_sheet_and_move_the_slide() {
+fn planned_pulses_obey_the_data_sheet_and_move_the_slide() {
     let mut plant = Plant::new(&machine::stepped_slide(), 200).expect("a slide");
     // 16 ticks per us. The pause of the planner is as long as its pulse: 2 us.
     let timing = PulseTiming {
@@ -400,22 +404,23 @@ fn planned_pulses_keep_the_data_sheet_and_move_the_slide() {
     let (mut worst, mut steps_sent) = (0.0_f64, 0_i64);
     for period in 1..25_000 {
         let phase = f64::from(period) * 200e-6 * 2.0;
-        // To and fro by 3 mm at up to 6 mm/s, with a start that does not jerk.
+        // Back and forth by 3 mm at up to 6 mm/s, starting without jerk.
         let soft = 1.0 - (-phase).exp() * (1.0 + phase);
-        let (wanted, rate) = (3.0 * soft * phase.sin(), 6.0 * soft * phase.cos());
+        let (expected, rate) = (3.0 * soft * phase.sin(), 6.0 * soft * phase.cos());
         let planned = planner.plan(
-            Coordinate((wanted * unit) as i32),
+            Coordinate((expected * unit) as i32),
             Rate((rate * unit) as i32),
         );
         steps_sent += i64::from(planned.segment.count);
         steps(&mut plant, planned.segment);
-        worst = worst.max((plant.bodies().motor[0] - wanted).abs());
+        worst = worst.max((plant.bodies().motor[0] - expected).abs());
     }
     assert_eq!(report(&plant).violations, 0, "{:?}", report(&plant));
     let mut inputs = Inputs::default();
     plant.latch(&mut inputs);
     assert_eq!(i64::from(inputs.axes[0].steps), steps_sent);
     assert!(steps_sent != 0);
-    // Half a step of 3.1 um, friction and acceleration on the field's spring of 38 N/um: well below 10 um.
+    // Half a step of 3.1 um, friction and acceleration on the field's stiffness of 38 N/um: well
+    // below 10 um.
     assert!(worst < 0.010, "{worst}");
 }

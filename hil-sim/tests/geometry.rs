@@ -1,4 +1,4 @@
-//! The arm's geometry against the loops themselves and against the reference table of REF-G.
+//! The arm's geometry against its closed loops and against the reference table of REF-G.
 
 use haptimill_hil_sim::machines::h4::{Arm, Tip};
 use haptimill_hil_sim::machines::h4::{ArmGeometry, Branch};
@@ -26,7 +26,7 @@ fn reference() -> ArmGeometry {
     }
 }
 
-/// Goes from home to `slides` in small steps, as a machine would.
+/// Moves from home to `slides` in small steps, as a machine does.
 fn walk(arm: &mut Arm, slides: &[f64; 4]) -> Tip {
     let mut tip = Tip::default();
     for step in 1..=100 {
@@ -37,7 +37,7 @@ fn walk(arm: &mut Arm, slides: &[f64; 4]) -> Tip {
     tip
 }
 
-/// Lengths of the four rods, written out from the drawing and from nothing else.
+/// Lengths of the four rods, calculated from the drawing alone.
 fn rods(tip: &Tip, slides: &[f64; 4]) -> [f64; 4] {
     let g = reference();
     let theta = tip.sin_theta.asin();
@@ -76,7 +76,7 @@ fn rods(tip: &Tip, slides: &[f64; 4]) -> [f64; 4] {
 }
 
 #[test]
-fn reference_table() {
+fn forward_kinematics_match_the_reference_table() {
     // docs/control.md 7.2: x_w, y_w, z_w, theta, alpha, and the slides.
     let table = [
         (
@@ -120,7 +120,7 @@ fn reference_table() {
 }
 
 #[test]
-fn home_and_base_frame() {
+fn home_pose_and_base_frame_are_as_defined() {
     let mut arm = Arm::new(&reference(), &HOME).expect("home");
     for (slides, x, y, z, theta) in [
         (HOME, 810.0, 0.0, -578.768004, 0.0),
@@ -148,8 +148,8 @@ fn home_and_base_frame() {
 }
 
 #[test]
-fn the_other_branch_is_the_mirror_image() {
-    // With d = c the rails are met symmetrically at theta = 0: the mirror of z_c + g_e.
+fn the_other_assembly_branch_is_the_mirror_image() {
+    // With d = c the rails are symmetric at theta = 0: the mirror image of z_c + g_e.
     let mut above = Arm::new(
         &ArmGeometry {
             branch: Branch::Above,
@@ -169,9 +169,9 @@ fn the_other_branch_is_the_mirror_image() {
 }
 
 #[test]
-fn refuses_slides_that_no_platform_can_have() {
+fn slides_without_a_pose_are_refused() {
     let mut arm = Arm::new(&reference(), &HOME).expect("home");
-    // Slides drawn apart until the rods are too short.
+    // The slides move apart until the rods are too short.
     let mut refused = false;
     for step in 0..400 {
         let apart = f64::from(step);
@@ -209,26 +209,27 @@ proptest! {
             prop_assert!((rod - 480.0).abs() < 1e-9, "rod {rod}");
         }
         prop_assert!(arm.residual(&tip, &slides) < 1e-9);
-        // Built there from nothing, it is the same machine.
+        // Built there from the slides alone, it is the same machine.
         let mut built = Arm::new(&reference(), &slides).expect("closes");
         let direct = built.follow(&slides).expect("closes");
         prop_assert!((direct.x - tip.x).abs() < 1e-9 && (direct.z - tip.z).abs() < 1e-8 && (direct.y - tip.y).abs() < 1e-8);
     }
 
     #[test]
-    fn table_turns_the_work_rigidly(alpha in -60.0..60.0_f64, dy in -50.0..50.0_f64, dz in -50.0..50.0_f64) {
+    fn the_table_turns_the_workpiece_rigidly(alpha in -60.0..60.0_f64, dy in -50.0..50.0_f64, dz in -50.0..50.0_f64) {
         let arm = Arm::new(&reference(), &HOME).expect("home");
         let one = arm.in_work(&Tip { x: 800.0, y: 0.0, z: -560.0, sin_theta: 0.0 }, alpha);
         let other = arm.in_work(&Tip { x: 800.0, y: dy, z: -560.0 + dz, sin_theta: 0.0 }, alpha);
         let distance = (other[1] - one[1]).hypot(other[2] - one[2]);
         prop_assert!((distance - dy.hypot(dz)).abs() < 1e-9);
-        // A step of the tool along z leans towards +y in the work when the table is turned up by a positive alpha.
+        // A step of the tool along z is a step towards +y of the workpiece when a positive alpha
+        // tilts the table up.
         let up = arm.in_work(&Tip { x: 800.0, y: 0.0, z: -559.0, sin_theta: 0.0 }, alpha);
         prop_assert!((up[1] - one[1] - alpha.to_radians().sin()).abs() < 1e-9);
     }
 }
 
-/// A place of the slides, with rates, at which the arm closes.
+/// Slides with rates at which the arm closes.
 fn moving() -> impl Strategy<Value = ([f64; 4], [f64; 4], f64, f64)> {
     (
         prop::array::uniform4(-40.0..40.0_f64),
@@ -249,8 +250,8 @@ fn moving() -> impl Strategy<Value = ([f64; 4], [f64; 4], f64, f64)> {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 200, rng_seed: proptest::test_runner::RngSeed::Fixed(1), failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Power goes nowhere: what the force does on the tool's point is what the joints' loads do on the joints. The velocity is by differences of the
-    /// closed loops, not by the Jacobian.
+    /// Power balance: the power of the force at the tool equals that of the joint loads. The
+    /// velocity is from differences of the closed loops, not from the Jacobian.
     #[test]
     fn joint_loads_balance_power(
         (slides, rates, alpha, turning) in moving(),
@@ -287,9 +288,10 @@ proptest! {
         prop_assert!((outside - inside).abs() < 1e-5 * size + 1e-6, "{outside} {inside}");
     }
 
-    /// Turning a vector into the base and back changes nothing, and agrees with how places are turned.
+    /// Turning a vector into the base frame and back changes nothing, and agrees with the transform
+    /// of positions.
     #[test]
-    fn vectors_turn_like_places(vector in prop::array::uniform3(-50.0..50.0_f64), alpha in -80.0..80.0_f64) {
+    fn vectors_turn_like_positions(vector in prop::array::uniform3(-50.0..50.0_f64), alpha in -80.0..80.0_f64) {
         let base = Arm::to_base(vector, alpha);
         let again = Arm::to_work(base, alpha);
         for i in 0..3 {
@@ -307,7 +309,8 @@ proptest! {
     }
 }
 
-/// At home the table of slide coordinates gives the Jacobian by hand (docs/control.md 7.2): f = J^-T F.
+/// At home the table of slide coordinates gives the Jacobian by hand (docs/control.md 7.2): f =
+/// J^-T F.
 #[test]
 fn joint_loads_at_home_are_those_of_the_reference_jacobian() {
     let mut arm = Arm::new(&reference(), &HOME).expect("an arm");
@@ -326,12 +329,12 @@ fn joint_loads_at_home_are_those_of_the_reference_jacobian() {
         let loads = arm
             .joint_loads(&tip, &HOME, 0.0, force, 0.0)
             .expect("regular");
-        for (column, wanted) in [force[0], force[1], force[2], 0.0].into_iter().enumerate() {
+        for (column, expected) in [force[0], force[1], force[2], 0.0].into_iter().enumerate() {
             let sum: f64 = (0..4).map(|i| rows[i][column] * loads[i]).sum();
-            assert!((sum - wanted).abs() < 2e-3, "{column}: {sum} {wanted}");
+            assert!((sum - expected).abs() < 2e-3, "{column}: {sum} {expected}");
         }
     }
-    // Fx alone, without turning the platform: the lower pair must hold the tilt, the upper pair pulls back.
+    // Fx alone without a moment: the lower pair holds the tilt, the upper pair pulls back.
     assert!((loads[0] - loads[1]).abs() < 1e-6 && (loads[2] - loads[3]).abs() < 1e-6);
     assert!((loads.iter().take(4).sum::<f64>() - 12.0).abs() < 1e-6);
 }

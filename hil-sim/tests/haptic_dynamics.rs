@@ -1,4 +1,4 @@
-//! Masses and frictions of the haptic arm against conservation laws and closed formulas.
+//! Masses and friction of the haptic arm against conservation laws and closed formulas.
 
 use haptimill_firmware::io::HapticOutputs;
 use haptimill_hil_sim::haptics::{HapticArm, HapticConfig};
@@ -26,9 +26,10 @@ fn run(arm: &mut HapticArm, seconds: f64, mut each: impl FnMut(&HapticArm)) {
     }
 }
 
-/// A blow that sends the handle round its whole working space: without force and friction its energy stays, to 20 ppm.
+/// An impulse sends the handle through its whole workspace: without force and friction its energy
+/// is constant to 20 ppm.
 #[test]
-fn energy_stays_without_friction() {
+fn energy_is_constant_without_friction() {
     for twist in [
         [300.0, -200.0, 150.0, 2.0, -3.0, 4.0],
         [-100.0, 250.0, -50.0, -4.0, 1.0, -6.0],
@@ -38,7 +39,7 @@ fn energy_stays_without_friction() {
         arm.strike(twist);
         let start = arm.energy();
         let (mut worst, mut farthest) = (0.0_f64, 0.0_f64);
-        // The stops are springs, whose energy is not counted: until one is near.
+        // The stops are springs whose energy is not counted, so the run ends near one.
         run(&mut arm, 0.15, |arm| {
             worst = worst.max((arm.energy() / start - 1.0).abs());
             farthest = arm
@@ -56,9 +57,9 @@ fn energy_stays_without_friction() {
     }
 }
 
-/// The same with weight: what is lost in height is won in speed.
+/// The same with weight: potential energy becomes kinetic energy.
 #[test]
-fn energy_stays_while_it_falls() {
+fn energy_is_constant_under_weight() {
     let mut config = free();
     config.balance = 0.5;
     let mut arm = arm(&config);
@@ -70,12 +71,12 @@ fn energy_stays_while_it_falls() {
         motion = motion.max(arm.truth().twist[2].abs());
     });
     assert!(motion > 300.0, "falls: {motion} mm/s");
-    // Against the energy of the motion, some 80 N mm.
+    // Relative to the kinetic energy, about 80 N mm.
     assert!(worst < 2e-3, "{worst} N mm");
 }
 
 #[test]
-fn with_friction_energy_only_falls() {
+fn friction_only_reduces_the_energy() {
     for twist in [
         [100.0, -70.0, 50.0, 0.7, -1.0, 1.5],
         [-30.0, 20.0, 5.0, 0.4, -0.1, 0.6],
@@ -85,7 +86,7 @@ fn with_friction_energy_only_falls() {
         let mut before = arm.energy();
         run(&mut arm, 1.5, |arm| {
             let now = arm.energy();
-            // The integration itself swings by some ppm.
+            // The integration itself varies by some ppm.
             assert!(now <= before * (1.0 + 2e-5) + 1e-12, "{before} {now}");
             before = now;
         });
@@ -93,9 +94,9 @@ fn with_friction_energy_only_falls() {
     }
 }
 
-/// Coulomb friction holds a handle that is pulled with less than it takes, and lets it go with more.
+/// Coulomb friction holds a handle against a smaller force, and releases it at a larger one.
 #[test]
-fn friction_holds() {
+fn friction_holds_below_the_coulomb_force() {
     let mut config = free();
     config.balance = 1.0 - 0.02;
     config.slide.coulomb = 0.15;
@@ -103,18 +104,19 @@ fn friction_holds() {
         0.02 * 9.80665 * (0.35 + 0.09 + 3.0 * 0.18 * libm::cos(30f64.to_radians()).powi(2));
     let mut held = arm(&config);
     run(&mut held, 0.5, |_| {});
-    let gone = held.truth().tip[2];
-    println!("weight {weight:.3} N, gone {gone:.2e} mm");
-    assert!(gone.abs() < 1e-3, "{gone}");
+    let sag = held.truth().tip[2];
+    println!("weight {weight:.3} N, sag {sag:.2e} mm");
+    assert!(sag.abs() < 1e-3, "{sag}");
     config.slide.coulomb = 0.01;
     let mut falls = arm(&config);
     run(&mut falls, 0.5, |_| {});
     assert!(falls.truth().tip[2] < -1.0, "{}", falls.truth().tip[2]);
 }
 
-/// Straight up from home all three legs move alike: what a force meets is body, links and three slides, each seen with its own ratio.
+/// Straight up from home all three legs move alike: the effective mass is body, links and three
+/// slides, each with its ratio.
 #[test]
-fn a_force_meets_the_mass_that_there_is() {
+fn a_force_accelerates_the_effective_mass() {
     let mut config = free();
     config.balance = 1.0 - 1e-3;
     let mut arm = arm(&config);
@@ -124,29 +126,29 @@ fn a_force_meets_the_mass_that_there_is() {
     let body = 0.35 + 3.0 * 0.03;
     let mass = body + 3.0 * slide * ratio * ratio;
     let pull = 9.80665 * 1e-3 * (body + 3.0 * slide * ratio * 30f64.to_radians().cos());
-    let told = -pull / mass * 1000.0;
+    let expected = -pull / mass * 1000.0;
     let seconds = 0.01;
     run(&mut arm, seconds, |_| {});
     let ours = arm.truth().twist[2] / seconds;
-    println!("mass {mass:.3} kg, {ours:.5} mm/s^2, by hand {told:.5}");
-    assert!((ours / told - 1.0).abs() < 1e-4, "{ours} {told}");
+    println!("mass {mass:.3} kg, {ours:.5} mm/s^2, by hand {expected:.5}");
+    assert!((ours / expected - 1.0).abs() < 1e-4, "{ours} {expected}");
 }
 
 #[test]
-fn the_same_blow_gives_the_same_bits() {
-    let told = || {
+fn the_same_impulse_gives_the_same_motion() {
+    let final_state = || {
         let mut arm = arm(&HapticConfig::default());
         arm.take(Some(&OperatorConfig::default())).expect("fine");
         arm.strike([100.0, 50.0, -30.0, 1.0, 2.0, 3.0]);
         run(&mut arm, 0.3, |_| {});
         (*arm.truth(), arm.inputs())
     };
-    let (first, second) = (told(), told());
+    let (first, second) = (final_state(), final_state());
     assert_eq!(first, second);
     assert!(first.0.tip.iter().all(|x| x.is_finite()));
 }
 
-/// An arm that nobody wants anything of is not stepped any more; it wakes at once.
+/// An arm at rest without input is no longer stepped; it wakes at once.
 #[test]
 fn an_arm_at_rest_sleeps_and_wakes() {
     let mut arm = arm(&HapticConfig::default());
@@ -169,9 +171,9 @@ fn an_arm_at_rest_sleeps_and_wakes() {
     assert!(arm.truth().tip.iter().any(|x| x.abs() > 0.5));
 }
 
-/// Whatever the motors do, the arm stays an arm.
+/// Any motor torques leave the loops of the arm closed.
 #[test]
-fn full_torque_in_every_direction_ends_at_the_stops() {
+fn full_torque_in_any_direction_ends_at_the_stops() {
     for pattern in 0..64_u32 {
         let mut arm = arm(&HapticConfig::default());
         let mut outputs = HapticOutputs {

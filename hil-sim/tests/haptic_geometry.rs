@@ -1,5 +1,7 @@
-//! The loops of the haptic arm against rows that were made by other means (50 rows of the reference geometry REF-M: joints, pose, tip, and the motor efforts that hold a force), and
-//! against differences.
+//! The loops of the haptic arm against independent data, and against differences.
+//!
+//! The data are 50 rows of the reference geometry REF-M: joints, pose, tip, and the motor efforts
+//! that hold a force.
 
 use haptimill_firmware::io::HapticOutputs;
 use haptimill_hil_sim::haptics::dynamics::Dynamics;
@@ -61,22 +63,22 @@ fn apart(a: &HandlePose, b: &HandlePose) -> (f64, f64) {
 }
 
 #[test]
-fn joints_of_a_pose_are_those_of_the_table() {
+fn inverse_kinematics_match_the_reference_table() {
     let geometry = geometry();
     for row in rows() {
         let joints = geometry.inverse(&row.pose).expect("reaches");
-        for (ours, told) in joints.iter().flatten().zip(row.joints.iter().flatten()) {
-            assert!((ours - told).abs() < 2e-8, "{ours} {told}");
+        for (ours, expected) in joints.iter().flatten().zip(row.joints.iter().flatten()) {
+            assert!((ours - expected).abs() < 2e-8, "{ours} {expected}");
         }
         let tip = row.pose.point(geometry.tip());
-        for (ours, told) in tip.iter().zip(row.tip) {
-            assert!((ours - told).abs() < 1e-7, "{ours} {told}");
+        for (ours, expected) in tip.iter().zip(row.tip) {
+            assert!((ours - expected).abs() < 1e-7, "{ours} {expected}");
         }
     }
 }
 
 #[test]
-fn home_is_that_of_the_reference_geometry() {
+fn the_home_pose_is_that_of_the_reference_geometry() {
     let geometry = geometry();
     for [slide, turn, hinge] in geometry.inverse(&geometry.home()).expect("home") {
         assert!((slide - 295.3295).abs() < 1e-4, "{slide}");
@@ -86,7 +88,7 @@ fn home_is_that_of_the_reference_geometry() {
 }
 
 #[test]
-fn the_closed_loops_lead_back_to_the_pose() {
+fn forward_kinematics_return_to_the_pose() {
     let geometry = geometry();
     for row in rows() {
         let pose = geometry
@@ -97,9 +99,10 @@ fn the_closed_loops_lead_back_to_the_pose() {
     }
 }
 
-/// The efforts of the table, through our own rows, make the force of the table: J^T tau = F, without a moment.
+/// The efforts of the table, through our own rows, give the force of the table: J^T tau = F,
+/// without a moment.
 #[test]
-fn efforts_of_the_table_hold_its_force() {
+fn the_efforts_of_the_table_give_its_force() {
     let geometry = geometry();
     for row in rows() {
         let legs = geometry.legs(&row.pose).expect("reaches");
@@ -116,28 +119,28 @@ fn efforts_of_the_table_hold_its_force() {
     }
 }
 
-/// The table's efforts out of our own rows.
+/// The efforts of the table from our own rows.
 #[test]
-fn rows_hold_a_force_with_the_efforts_of_the_table() {
+fn the_jacobian_rows_give_the_efforts_of_the_table() {
     let geometry = geometry();
     for row in rows() {
         let rates = Dynamics::rows(&geometry.legs(&row.pose).expect("reaches"));
         let columns = core::array::from_fn(|i| core::array::from_fn(|k| rates[k][i]));
         let [x, y, z] = row.force;
         let ours = solved(columns, [x, y, z, 0.0, 0.0, 0.0]).expect("regular");
-        for (ours, told) in ours.iter().zip(row.efforts) {
+        for (ours, expected) in ours.iter().zip(row.efforts) {
             assert!(
-                (ours - told).abs() < 1e-6 * (1.0 + told.abs()),
-                "{ours} {told}"
+                (ours - expected).abs() < 1e-6 * (1.0 + expected.abs()),
+                "{ours} {expected}"
             );
         }
     }
 }
 
-/// A hand that pushes against the handle with a force, and motors that give the efforts of the table for it: what is left of the acceleration is below one percent, codes of 14
-/// bits included.
+/// A force on the handle, and motors with the table's efforts against it: the remaining
+/// acceleration is below one percent, including codes of 14 bits.
 #[test]
-fn golden_efforts_hold_a_force() {
+fn the_efforts_of_the_table_hold_a_force_on_the_handle() {
     let mut config = HapticConfig::default();
     for actuator in [&mut config.slide, &mut config.turn] {
         actuator.coulomb = 0.0;
@@ -179,8 +182,9 @@ fn golden_efforts_hold_a_force() {
 }
 
 #[test]
-fn codes_in_the_amplifiers_push_at_the_handle_as_the_table_says() {
-    // The row of docs/control.md 7.2: at home, F = (3.2, 0, 1.2) N is 0.2973 N along each slide and 0, -255.69, 255.69 N mm about them.
+fn amplifier_codes_give_the_force_of_the_table_at_the_handle() {
+    // The row of docs/control.md 7.2: at home, F = (3.2, 0, 1.2) N is 0.2973 N along each slide and
+    // 0, -255.69, 255.69 N mm about them.
     let mut config = HapticConfig::default();
     for actuator in [&mut config.slide, &mut config.turn] {
         actuator.coulomb = 0.0;
@@ -194,15 +198,19 @@ fn codes_in_the_amplifiers_push_at_the_handle_as_the_table_says() {
     for (leg, turn) in [0.0, -255.69, 255.69].into_iter().enumerate() {
         outputs.currents[leg] = [code(0.2973, 20.0), code(turn, 2000.0)];
     }
-    // 4 ms: eight time constants of the amplifier; the handle has hardly moved.
+    // 4 ms are eight time constants of the amplifier; the handle has hardly moved.
     for _ in 0..20 {
         arm.advance(&outputs, true);
     }
     let reflected = arm.truth().reflected;
-    for (ours, told) in reflected.iter().zip([3.2, 0.0, 1.2, 0.0, 0.0, 0.0]) {
-        // 1 % of the force; moments in N mm, at some tenth of a mm of way.
-        let bound = if told == 0.0 { 0.1 } else { 0.01 * told };
-        assert!((ours - told).abs() < bound, "{reflected:?}");
+    for (ours, expected) in reflected.iter().zip([3.2, 0.0, 1.2, 0.0, 0.0, 0.0]) {
+        // 1 % of the force; moments in N mm, at about a tenth of a mm of travel.
+        let bound = if expected == 0.0 {
+            0.1
+        } else {
+            0.01 * expected
+        };
+        assert!((ours - expected).abs() < bound, "{reflected:?}");
     }
 }
 
@@ -234,9 +242,9 @@ proptest! {
         }
     }
 
-    /// Rates of the joints from the rows against central differences of the joints themselves.
+    /// Rates of the joints from the rows against central differences of the joints.
     #[test]
-    fn rows_are_the_derivatives(v in prop::array::uniform6(-0.8..0.8f64), twist in prop::array::uniform6(-1.0..1.0f64)) {
+    fn the_jacobian_rows_are_the_derivatives(v in prop::array::uniform6(-0.8..0.8f64), twist in prop::array::uniform6(-1.0..1.0f64)) {
         let geometry = geometry();
         let pose = pose_near_home(&v);
         let twist = [10.0 * twist[0], 10.0 * twist[1], 10.0 * twist[2], 0.1 * twist[3], 0.1 * twist[4], 0.1 * twist[5]];

@@ -1,4 +1,4 @@
-//! The haptic arm as a part of the machine: what a controller on the rig sees of it and does to it, and what goes wrong there.
+//! The haptic arm in the rig: its sensors, its motors and its faults as a controller sees them.
 
 mod machine;
 
@@ -7,7 +7,7 @@ use haptimill_hil_sim::haptics::HapticConfig;
 use haptimill_hil_sim::operator::{OperatorConfig, Stroke, Trajectory};
 use haptimill_hil_sim::{Control, Fault, PlantConfig, Rig, RigOptions};
 
-/// A controller that remembers what it sees and puts fixed codes on the first leg.
+/// A controller that records its inputs and puts fixed codes on the first leg.
 #[derive(Default)]
 struct Remembers {
     code: i16,
@@ -65,7 +65,7 @@ fn run(mut rig: Rig<Remembers>, seconds: f64) -> Rig<Remembers> {
 }
 
 #[test]
-fn the_controller_sees_the_hand_go() {
+fn the_controller_measures_the_motion_of_the_hand() {
     let rig = run(rig(0, &[]), 1.0);
     let seen = &rig.control().seen;
     assert_eq!(seen[0].legs[0].counts, [0; 3]);
@@ -81,9 +81,9 @@ fn the_controller_sees_the_hand_go() {
     }
 }
 
-/// Outputs take effect in the period after the one in which they were said.
+/// Outputs take effect in the next period.
 #[test]
-fn codes_act_a_period_later() {
+fn codes_take_effect_a_period_later() {
     let pushes = |periods: usize| {
         let mut rig = rig(4096, &[]);
         for _ in 0..periods {
@@ -98,9 +98,9 @@ fn codes_act_a_period_later() {
 }
 
 #[test]
-fn faults_reach_their_encoder() {
+fn faults_act_on_their_encoder_only() {
     let healthy = run(rig(0, &[]), 1.0);
-    let spoilt = run(
+    let faulty = run(
         rig(
             0,
             &[
@@ -114,34 +114,34 @@ fn faults_reach_their_encoder() {
         ),
         1.0,
     );
-    let (told, ours) = (&healthy.control().seen, &spoilt.control().seen);
+    let (reference, ours) = (&healthy.control().seen, &faulty.control().seen);
     let counts = |seen: &[haptimill_firmware::io::HapticInputs],
                   at: usize,
                   leg: usize,
                   sensor: usize| { seen[at].legs[leg].counts[sensor] };
-    let end = told.len() - 1;
+    let end = reference.len() - 1;
     let before = counts(ours, 500, 0, 0);
     assert!(
         (counts(ours, end, 0, 0) - before).abs() <= 2
-            && (counts(told, end, 0, 0) - before).abs() > 50
+            && (counts(reference, end, 0, 0) - before).abs() > 50
     );
     assert!(
-        (counts(ours, end, 1, 1) + counts(told, end, 1, 1)).abs() <= 2
-            && counts(told, end, 1, 1).abs() > 50
+        (counts(ours, end, 1, 1) + counts(reference, end, 1, 1)).abs() <= 2
+            && counts(reference, end, 1, 1).abs() > 50
     );
-    assert_eq!(counts(ours, 2400, 2, 2), counts(told, 2400, 2, 2));
-    assert_eq!(counts(ours, end, 2, 2), counts(told, end, 2, 2) - 700);
+    assert_eq!(counts(ours, 2400, 2, 2), counts(reference, 2400, 2, 2));
+    assert_eq!(counts(ours, end, 2, 2), counts(reference, end, 2, 2) - 700);
     assert!((counts(ours, end, 2, 0) - counts(ours, 1505, 2, 0)).abs() <= 1);
     assert!(
         ours[end].legs[0].illegal[1] > 100,
         "noise on both channels at once"
     );
-    assert!(told.iter().all(|seen| seen.drives_ready));
+    assert!(reference.iter().all(|seen| seen.drives_ready));
     assert!(ours[2999].drives_ready && !ours[3200].drives_ready && ours[3600].drives_ready);
 }
 
 #[test]
-fn an_emergency_stop_takes_the_force_from_the_hand() {
+fn an_emergency_stop_removes_the_force_at_the_hand() {
     let mut rig = run(rig(4096, &["emergency-stop at=20ms"]), 0.05);
     rig.step();
     let arm = rig.plant().haptic().expect("has one");
@@ -150,7 +150,7 @@ fn an_emergency_stop_takes_the_force_from_the_hand() {
 }
 
 #[test]
-fn what_makes_no_sense_is_said() {
+fn invalid_sections_are_reported() {
     let refused = |text: &str| -> String {
         let options = RigOptions {
             faults: vec![text.parse::<Fault>().expect(text)],
@@ -175,7 +175,7 @@ fn what_makes_no_sense_is_said() {
 }
 
 #[test]
-fn sections_of_a_machine_file_are_read() {
+fn sections_of_a_machine_file_are_parsed() {
     let mut text = include_str!("refg.toml").to_owned();
     text.push_str(
         "\n[plant.haptic]\nbalance = 0.9\n[plant.haptic.geometry]\nlink_mm = 201.0\n[plant.hand]\nmass_kg = 0.3\n",

@@ -1,10 +1,11 @@
-//! Masses, screws and frictions against conservation laws and closed formulas.
+//! Masses, screws and friction against conservation laws and closed formulas.
 
 mod machine;
 
 use haptimill_firmware::io::{DriveCommand, Inputs, Outputs};
 use haptimill_hil_sim::joint::mechanics::{Bodies, Mechanics};
 use haptimill_hil_sim::joint::{DriveConfig, SwitchConfig, SwitchSide};
+use haptimill_hil_sim::machines::GeometryConfig;
 use haptimill_hil_sim::{Plant, PlantConfig};
 use proptest::prelude::*;
 
@@ -22,10 +23,10 @@ fn mechanics(config: &PlantConfig) -> Mechanics {
 }
 
 #[test]
-fn screw_mode_is_where_it_is_said_to_be() {
-    for wanted in [40.0, 80.0, 200.0] {
+fn the_screw_mode_has_its_configured_frequency() {
+    for expected in [40.0, 80.0, 200.0] {
         let mut config = machine::ideal_slide();
-        config.joint[0].mode_hz = wanted;
+        config.joint[0].mode_hz = expected;
         config.joint[0].motor_share = 0.3;
         let mechanics = mechanics(&config);
         let mut bodies = Bodies::default();
@@ -48,14 +49,14 @@ fn screw_mode_is_where_it_is_said_to_be() {
         }
         let measured = 20.0 / (last - first.expect("swings"));
         assert!(
-            (measured / wanted - 1.0).abs() < 0.002,
-            "{measured} Hz, not {wanted}"
+            (measured / expected - 1.0).abs() < 0.002,
+            "{measured} Hz, not {expected}"
         );
     }
 }
 
 #[test]
-fn damping_ratio_is_what_it_is_said_to_be() {
+fn the_screw_mode_has_its_configured_damping() {
     let mut config = machine::ideal_slide();
     config.joint[0].mode_damping = 0.05;
     let mechanics = mechanics(&config);
@@ -67,24 +68,25 @@ fn damping_ratio_is_what_it_is_said_to_be() {
     for _ in 0..(periods / damped / STEP).round() as u32 {
         mechanics.step(&mut bodies, &NONE, &NONE);
     }
-    // Energy falls by exp(-2 zeta omega t); the centre of mass moves not at all.
+    // The energy decays by exp(-2 zeta omega t); the centre of mass does not move.
     let ratio = (mechanics.energy(&bodies, 0) / start).ln();
-    let wanted = -2.0 * 0.05 * std::f64::consts::TAU * 80.0 * periods / damped;
-    assert!((ratio / wanted - 1.0).abs() < 0.02, "{ratio} {wanted}");
+    let expected = -2.0 * 0.05 * std::f64::consts::TAU * 80.0 * periods / damped;
+    assert!((ratio / expected - 1.0).abs() < 0.02, "{ratio} {expected}");
 }
 
 #[test]
-fn sticks_below_coulomb_and_moves_above() {
+fn a_joint_sticks_below_the_coulomb_force_and_moves_above() {
     let config = machine::slide();
     let mut plant = Plant::new(&config, 200).expect("a slide");
-    // Motor side alone holds 20 N: 19.9 N moves nothing, ever, to the last bit.
+    // The motor side alone holds 20 N: 19.9 N never moves it, to the last bit.
     let code = (19.9 / 800.0 * 8192.0) as i16;
     for _ in 0..5000 {
         plant.advance(&torque(code));
     }
     assert_eq!(plant.bodies().motor_rate[0], 0.0);
     assert_eq!(plant.bodies().motor[0], 0.0);
-    // Raised slowly to 39 N, it takes up the gap and winds the screw against the slide, which still sticks.
+    // Raised slowly to 39 N, the motor takes up the play and winds the screw against the slide,
+    // which still sticks.
     for step in 0..20_000 {
         let newton = 19.9 + 19.1 * f64::from(step) / 20_000.0;
         plant.advance(&torque((newton / 800.0 * 8192.0) as i16));
@@ -96,13 +98,13 @@ fn sticks_below_coulomb_and_moves_above() {
     assert_eq!(plant.bodies().slide_rate[0], 0.0);
     assert_eq!(plant.bodies().motor_rate[0], 0.0);
     assert!(plant.bodies().motor[0] > 0.005);
-    // 45 N moves it for good.
+    // 45 N moves it.
     let code = (45.0 / 800.0 * 8192.0) as i16;
     for _ in 0..5000 {
         plant.advance(&torque(code));
     }
     assert!(plant.bodies().slide[0] > 1.0);
-    // With the drive off it comes to rest and stays.
+    // With the drive off it comes to standstill and stays.
     for _ in 0..5000 {
         plant.advance(&Outputs::default());
     }
@@ -112,15 +114,15 @@ fn sticks_below_coulomb_and_moves_above() {
 }
 
 #[test]
-fn viscous_speed_is_exact() {
+fn the_speed_under_viscous_friction_is_exact() {
     let mut config = machine::slide();
     config.joint[0].viscous = 2.0;
     let mut plant = Plant::new(&config, 200).expect("a slide");
     for _ in 0..4000 {
         plant.advance(&torque(1024));
     }
-    let wanted = (100.0 - 40.0) / 2.0;
-    assert!((plant.bodies().slide_rate[0] / wanted - 1.0).abs() < 1e-6);
+    let expected = (100.0 - 40.0) / 2.0;
+    assert!((plant.bodies().slide_rate[0] / expected - 1.0).abs() < 1e-6);
 }
 
 #[test]
@@ -130,7 +132,8 @@ fn backlash_is_the_lost_motion_of_a_reversal() {
         config.joint[0].backlash = backlash;
         config.joint[0].viscous = 2.0;
         let mut plant = Plant::new(&config, 200).expect("a slide");
-        // At a steady (60 - 40) / 2 = 10 mm/s the screw carries the slide's share: 20 N and 1 N s/mm.
+        // At a steady (60 - 40) / 2 = 10 mm/s the screw carries the slide's share: 20 N and 1 N
+        // s/mm.
         let mut wind = |newton: f64| {
             for _ in 0..5000 {
                 plant.advance(&torque((newton / 800.0 * 8192.0).round() as i16));
@@ -149,7 +152,7 @@ fn backlash_is_the_lost_motion_of_a_reversal() {
 }
 
 #[test]
-fn hard_stop_holds_and_takes_energy() {
+fn a_hard_stop_holds_and_dissipates_energy() {
     let mut config = machine::slide();
     config.joint[0].high = 2.0;
     let mut plant = Plant::new(&config, 200).expect("a slide");
@@ -166,9 +169,9 @@ fn hard_stop_holds_and_takes_energy() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 48, rng_seed: proptest::test_runner::RngSeed::Fixed(1), failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Nothing creates energy, and without friction nothing but the drive changes momentum.
+    /// Nothing creates energy, and without friction only the drive changes momentum.
     #[test]
-    fn energy_and_momentum(
+    fn energy_and_momentum_are_conserved(
         share in 0.1..0.9_f64,
         mode in 20.0..400.0_f64,
         backlash in prop_oneof![Just(0.0), 0.001..0.1_f64],
@@ -184,8 +187,9 @@ proptest! {
         bodies.motor_rate[0] = motor_rate;
         bodies.slide_rate[0] = slide_rate;
         let (energy, momentum) = (mechanics.energy(&bodies, 0), mechanics.momentum(&bodies, 0));
-        // A quarter of (omega step)^2 is the swing of the integrator on the spring. An edge of the gap falls somewhere within a step,
-        // which adds or takes about as much each time, without bias: a random walk over the contacts.
+        // A quarter of (omega step)^2 is the oscillation of the integrator on the spring. An edge
+        // of the play falls somewhere within a step, which adds or removes about as much each time:
+        // a random walk over the contacts.
         let swing = (std::f64::consts::TAU * mode * STEP).powi(2);
         let (mut contacts, mut touched) = (1.0_f64, false);
         for _ in 0..10_000 {
@@ -199,7 +203,7 @@ proptest! {
         prop_assert!((mechanics.momentum(&bodies, 0) - momentum).abs() < 1e-9 * (1.0 + momentum.abs()));
     }
 
-    /// With friction and damping, energy only falls, whatever the mechanism is doing.
+    /// With friction and damping the energy only falls.
     #[test]
     fn friction_only_dissipates(
         coulomb in 1.0..100.0_f64,
@@ -221,11 +225,11 @@ proptest! {
         bodies.slide_rate[0] = slide_rate;
         let start = mechanics.energy(&bodies, 0);
         let mut least = start;
-        // At 1 N on 40 kg at 50 mm/s it takes 2 s to come to rest.
+        // With 1 N on 40 kg at 50 mm/s it takes 2 s to standstill.
         for _ in 0..150_000 {
             mechanics.step(&mut bodies, &NONE, &NONE);
             let energy = mechanics.energy(&bodies, 0);
-            // Kinetic and elastic energy are exchanged with the swing of the integrator.
+            // Kinetic and elastic energy are exchanged with the oscillation of the integrator.
             prop_assert!(energy <= least * (1.0 + 2e-3) + 1e-12 * start, "{energy} after {least}");
             least = least.min(energy);
         }
@@ -235,16 +239,17 @@ proptest! {
 }
 
 #[test]
-fn codes_are_efforts_and_the_amplifier_has_a_limit() {
-    // Slide: 40 kg at 400 N for 10 ms. Table: 0.5 kg m^2 at 20 N m, then at the 10 N m that the amplifier has.
-    for (axis, limit, wanted) in [
+fn codes_give_efforts_up_to_the_amplifier_limit() {
+    // Slide: 40 kg at 400 N for 10 ms. Table: 0.5 kg m^2 at 20 N m, then at the amplifier's limit
+    // of 10 N m.
+    for (axis, limit, expected) in [
         (0, 800.0, 400.0 / 40.0 * 1000.0 * 0.01),
         (0, 100.0, 100.0 / 40.0 * 1000.0 * 0.01),
         (4, 40.0, (20.0_f64 / 0.5 * 0.01).to_degrees()),
         (4, 10.0, (10.0_f64 / 0.5 * 0.01).to_degrees()),
     ] {
         let mut config = machine::reference();
-        config.arm = None;
+        config.geometry = Some(GeometryConfig::Joints(Default::default()));
         let mut joint = config.joint[axis].clone();
         joint.coulomb = 0.0;
         joint.viscous = 0.0;
@@ -257,17 +262,17 @@ fn codes_are_efforts_and_the_amplifier_has_a_limit() {
             for _ in 0..50 {
                 plant.advance(&torque(4096 * sign));
             }
-            // Momentum does not know of screw and backlash.
+            // Screw and backlash do not change the momentum.
             let momentum = plant.mechanics().momentum(plant.bodies(), 0);
             let inertia = config.joint[0].inertia / config.joint[0].kind.acceleration_unit();
             let rate = f64::from(sign) * momentum / inertia;
-            assert!((rate / wanted - 1.0).abs() < 1e-9, "{rate} {wanted}");
+            assert!((rate / expected - 1.0).abs() < 1e-9, "{rate} {expected}");
         }
     }
 }
 
 #[test]
-fn switches_say_where_the_slide_is() {
+fn limit_switches_follow_the_slide() {
     let mut config = machine::slide();
     let joint = &mut config.joint[0];
     joint.limit_low = Some(-0.5);

@@ -1,4 +1,4 @@
-//! The cut on the machine: what the force does to the joints, what gives way, and what the sensor says.
+//! The cut on the machine: joint loads, compliance of the structure, and the force sensor.
 
 mod machine;
 
@@ -47,7 +47,7 @@ fn block(top_mm: f64, x: f64, y: f64) -> CuttingConfig {
     }
 }
 
-/// Holds the slides on a moving place with a stiff loop of the test's own, which knows the truth.
+/// Holds the slides at moving positions with a stiff position loop on the true positions.
 struct Held {
     config: PlantConfig,
     plant: Plant,
@@ -68,7 +68,7 @@ impl Held {
         }
     }
 
-    /// One period; the four slides go at `rate` mm/s along x together.
+    /// Runs one period; the four slides move at `rate` mm/s along x together.
     fn step(&mut self, rate: f64, rpm: i16) {
         for axis in 0..5 {
             if axis < 4 {
@@ -95,9 +95,10 @@ impl Held {
 }
 
 #[test]
-fn a_wall_pushes_the_slides_back_as_virtual_work_says() {
-    // The tool is pressed against a wall in -x by constant drives in the shares that hold the platform level (from the table of dl/d(x, theta) at
-    // home: 350 mm for the upper pair, 150 mm for the lower).
+fn a_wall_force_maps_to_the_slides_by_virtual_work() {
+    // Constant drives press the tool against a wall in -x, with the shares that hold the platform
+    // level (from the table of dl/d(x, theta) at home: 350 mm for the upper pair, 150 mm for the
+    // lower).
     let config = smooth();
     let mut plant = Plant::new(&config, 200).expect("a machine");
     let start = plant.truth().pose;
@@ -119,13 +120,13 @@ fn a_wall_pushes_the_slides_back_as_virtual_work_says() {
     for _ in 0..30_000 {
         for (axis, share) in shares.into_iter().enumerate() {
             let rate = plant.bodies().motor_rate[axis];
-            // With damping of the test's own, to come to rest.
+            // Damping of the test's own, to reach standstill.
             let effort: f64 = -20.0 * share - 2.0 * rate;
             outputs.axes[axis] = DriveCommand::Torque((effort / 800.0 * 8192.0).round() as i16);
         }
         plant.advance(&outputs);
     }
-    // At rest the wall holds the drives, to their codes of 0.1 N.
+    // At standstill the wall balances the drives, to their codes of 0.1 N.
     let force = plant.truth().force;
     assert!((force[0] - 20.0).abs() < 0.3, "{force:?}");
     assert!(
@@ -136,7 +137,7 @@ fn a_wall_pushes_the_slides_back_as_virtual_work_says() {
     assert_eq!((force[1], force[2]), (0.0, 0.0));
     let depth = start[0] - 0.5 - plant.truth().pose[0];
     assert!((depth * 200.0 - force[0]).abs() < 0.05, "{depth}");
-    // The sensor says what presses on the work.
+    // The sensor measures the force on the workpiece.
     let codes = plant.force_codes().expect("a sensor");
     assert!(
         (f64::from(codes[0]) * 100.0 / 8192.0 + force[0]).abs() < 0.01,
@@ -145,11 +146,12 @@ fn a_wall_pushes_the_slides_back_as_virtual_work_says() {
 }
 
 #[test]
-fn the_machine_cuts_a_slot_and_feels_it() {
+fn the_machine_cuts_a_slot_and_measures_the_force() {
     let config = smooth();
     let plant = Plant::new(&config, 200).expect("a machine");
     let start = plant.truth().pose;
-    // The tool stands in a hole of the stock's edge: the block begins 5 mm before it in -x and reaches 2 mm over its tip.
+    // The tool is in a notch of the stock's edge: the workpiece begins 5 mm before it in -x and
+    // reaches 2 mm above its tip.
     let mut cutting = block(start[2] + 2.0, start[0], start[1]);
     cutting.workpiece.stock.x_max = start[0] - 5.0;
     let process = ProcessConfig {
@@ -164,11 +166,11 @@ fn the_machine_cuts_a_slot_and_feels_it() {
         held.step(0.0, 5000);
     }
     assert_eq!(held.plant.truth().force, [0.0; 3]);
-    // 9 mm at 4 mm/s: into the block and on.
+    // 9 mm at 4 mm/s: into the workpiece and on.
     let (mut mean, mut most) = ([0.0; 3], 0.0_f64);
     for step in 0..11_250 {
         held.step(-4.0, 5000);
-        // 30 turns of the spindle.
+        // 30 revolutions of the spindle.
         if step >= 11_250 - 1800 {
             let force = held.plant.truth().force;
             for i in 0..3 {
@@ -180,12 +182,14 @@ fn the_machine_cuts_a_slot_and_feels_it() {
             assert!((f64::from(codes[0]) * 100.0 / 8192.0 + process.force()[0]).abs() < 0.01);
         }
     }
-    // The mean force of a slot of 2 mm at 4 mm/s; the peaks are higher than those of a rigid machine, for the slides swing.
+    // The mean force of a slot of 2 mm at 4 mm/s. The peaks are higher than on a rigid machine,
+    // because the slides oscillate.
     for (ours, rigid) in mean.into_iter().zip([2.76, -1.77, 3.69]) {
         assert!((ours - rigid).abs() < 0.2, "{mean:?}");
     }
     assert!(most > 5.0 && most < 8.0, "{most}");
-    // The structure gives way by the mean force over its stiffness, and the truth has it.
+    // The structure deflects by the mean force over its stiffness, and the ground truth contains
+    // that.
     let deflection = held
         .plant
         .process()
@@ -201,7 +205,7 @@ fn the_machine_cuts_a_slot_and_feels_it() {
     let cutting = process.cutting_mut().expect("a cut");
     cutting.settle();
     let piece = cutting.workpiece();
-    // What the edges took is what the map lost, though the tool swings.
+    // The edges removed what the map lost, although the tool oscillates.
     let (chips, lost) = (cutting.chips_mm3(), piece.removed_mm3());
     assert!((chips / lost - 1.0).abs() < 0.02, "{chips} {lost}");
     let groove = piece
@@ -214,7 +218,7 @@ fn the_machine_cuts_a_slot_and_feels_it() {
     assert!((groove.depth - 2.0).abs() < 0.05, "{groove:?}");
     assert!((groove.width() - 6.81).abs() < 0.1, "{groove:?}");
 
-    // The spindle is stopped while the feed goes on: the force grows until something must give.
+    // The spindle stops while the feed continues: the force grows until a slide stalls.
     for _ in 0..3000 {
         held.step(-4.0, 0);
     }
@@ -225,7 +229,7 @@ fn the_machine_cuts_a_slot_and_feels_it() {
     );
     let process = held.plant.process().expect("a process");
     assert!(process.cut().pressed && process.spindle().rpm() == 0.0);
-    // Backed off along its path, it is free.
+    // After the retraction the tool is free.
     for _ in 0..6000 {
         held.step(4.0, 0);
     }
@@ -236,9 +240,10 @@ fn the_machine_cuts_a_slot_and_feels_it() {
     );
 }
 
-/// A machine with its friction stops in the middle of a slot: the chips run out, and nothing is left but the load that was on the screws.
+/// A machine with friction stops in the middle of a slot: the chips end, and only the load of the
+/// wound-up screws remains.
 #[test]
-fn standing_in_the_material_is_quiet() {
+fn a_stopped_feed_in_material_has_no_cutting_force() {
     let mut config = machine::reference();
     for joint in &mut config.joint {
         joint.start_spread = 0.0;
@@ -272,7 +277,7 @@ fn standing_in_the_material_is_quiet() {
 }
 
 #[test]
-fn emergency_stop_takes_the_power_from_the_spindle() {
+fn an_emergency_stop_switches_the_spindle_off() {
     let config = smooth();
     let mut held = Held::new(&config, &ProcessConfig::default());
     for _ in 0..10_000 {
@@ -288,7 +293,7 @@ fn emergency_stop_takes_the_power_from_the_spindle() {
 }
 
 #[test]
-fn a_machine_without_a_process_is_as_it_was() {
+fn a_machine_without_a_process_is_unchanged() {
     let config = machine::reference();
     let mut plain = Plant::new(&config, 200).expect("a machine");
     let mut fitted = plain.clone();
@@ -306,7 +311,7 @@ fn a_machine_without_a_process_is_as_it_was() {
 }
 
 #[test]
-fn three_slides_carry_a_tool_and_fewer_do_not() {
+fn three_slides_carry_a_tool_and_fewer_are_refused() {
     let mut config = machine::slide();
     let process = ProcessConfig {
         wall: Some(ElasticWall {
@@ -325,7 +330,7 @@ fn three_slides_carry_a_tool_and_fewer_do_not() {
     let mut plant = Plant::new(&config, 200).expect("three slides");
     plant.fit(&process).expect("three slides");
     let mut outputs = Outputs::default();
-    // The third drives into the wall with 100 N, 40 N of which friction may hold.
+    // The third drives into the wall with 100 N, of which friction may hold 40 N.
     outputs.axes[2] = DriveCommand::Torque(-1024);
     for _ in 0..20_000 {
         plant.advance(&outputs);
@@ -335,9 +340,10 @@ fn three_slides_carry_a_tool_and_fewer_do_not() {
     assert!((50.0..150.0).contains(&force[2]), "{force:?}");
 }
 
-/// A slide without friction bounces off a wall: a damping of k T / 2 makes up for the force that is held for a period.
+/// A slide without friction rebounds from a wall: a damping of k T / 2 compensates the force that
+/// is held for a period.
 #[test]
-fn a_held_wall_feeds_what_half_a_period_of_damping_takes() {
+fn a_sampled_wall_adds_the_energy_of_half_a_period_of_damping() {
     let bounce = |damping: f64| {
         let mut config = machine::ideal_slide();
         let joint = config.joint[0].clone();
@@ -354,7 +360,7 @@ fn a_held_wall_feeds_what_half_a_period_of_damping_takes() {
             ..ProcessConfig::default()
         };
         plant.fit(&process).expect("a wall");
-        // A push for 20 ms, then it flies.
+        // A push for 20 ms, then free motion.
         let mut outputs = Outputs::default();
         outputs.axes[2] = DriveCommand::Torque(-1000);
         for _ in 0..100 {
@@ -384,7 +390,7 @@ fn a_held_wall_feeds_what_half_a_period_of_damping_takes() {
 }
 
 #[test]
-fn structure_gives_way_with_its_stiffness_and_time_constant() {
+fn the_structure_deflects_with_its_stiffness_and_time_constant() {
     let config = StructureConfig {
         stiffness: [400.0, f64::INFINITY, 1000.0],
         time_constant_s: 0.002,
@@ -410,7 +416,7 @@ fn a_contact_ten_times_as_stiff_as_the_structure_is_stable() {
         damping: 0.0,
         radius: 0.0,
     };
-    // Held 0.1 mm inside the wall by the slides: series of both springs.
+    // The slides hold the tool 0.1 mm inside the wall: both springs in series.
     let mut deflection = [0.0; 3];
     for _ in 0..500 {
         let pose = haptimill_hil_sim::process::ToolPose::upright([-0.1 + deflection[0], 0.0, 0.0]);
@@ -423,9 +429,9 @@ fn a_contact_ten_times_as_stiff_as_the_structure_is_stable() {
     );
 }
 
-/// Faults of the sensor and the spindle come and go on time.
+/// Faults of sensor and spindle start and end on time.
 #[test]
-fn sensor_and_spindle_can_be_spoilt_for_a_time() {
+fn faults_of_sensor_and_spindle_start_and_end_on_time() {
     struct Pressed;
     impl Control for Pressed {
         fn tick(&mut self, _: &Inputs, outputs: &mut Outputs) {
@@ -449,7 +455,7 @@ fn sensor_and_spindle_can_be_spoilt_for_a_time() {
     let mut rig = Rig::new(&config, &options, Pressed).expect("a rig");
     rig.plant_mut()
         .fit(&ProcessConfig {
-            // Its drift stands for a force.
+            // Its drift looks like a force.
             sensor: Some(SensorConfig {
                 drift_n_s: [8.0, 8.0, 8.0],
                 ..SensorConfig::ideal()

@@ -1,4 +1,4 @@
-//! The rig: order of things in a period, bytes, faults, and the same bits on every run.
+//! The rig: sequence within a period, bytes, faults, and repeatability.
 
 mod machine;
 
@@ -8,10 +8,10 @@ use haptimill_hil_sim::{Control, PlantConfig, Rig, RigOptions};
 use proptest::prelude::*;
 use std::hash::{DefaultHasher, Hash, Hasher};
 
-/// Independent position loops in f64, as a controller of this machine would be: K_P = 40,000 1/s^2, K_D = 400 1/s with a filter of 1.5 ms.
+/// Independent position loops in f64: K_P = 40,000 1/s^2, K_D = 400 1/s with a filter of 1.5 ms.
 struct Loops {
     joints: Vec<Joint>,
-    wanted: fn(f64) -> [f64; 5],
+    expected: fn(f64) -> [f64; 5],
     echo: Vec<u8>,
 }
 
@@ -29,7 +29,7 @@ struct Joint {
 const PERIOD: f64 = 200e-6;
 
 impl Loops {
-    fn new(config: &PlantConfig, starts: &[f64], wanted: fn(f64) -> [f64; 5]) -> Self {
+    fn new(config: &PlantConfig, starts: &[f64], expected: fn(f64) -> [f64; 5]) -> Self {
         let joints = config
             .joint
             .iter()
@@ -38,7 +38,7 @@ impl Loops {
                 per_count: joint.per_count(),
                 start,
                 inertia: joint.inertia / joint.kind.acceleration_unit(),
-                // A fifth of the friction is not known to the controller.
+                // A fifth of the friction is not compensated.
                 coulomb: 0.8 * joint.coulomb,
                 full_scale: if joint.lead > 5.0 { 800.0 } else { 40.0 },
                 error: 0.0,
@@ -47,7 +47,7 @@ impl Loops {
             .collect();
         Self {
             joints,
-            wanted,
+            expected,
             echo: Vec::new(),
         }
     }
@@ -60,7 +60,7 @@ impl Control for Loops {
             let _ = outputs.transmit.push(byte.wrapping_add(1));
         }
         let time = inputs.period as f64 * PERIOD;
-        let (now, soon) = ((self.wanted)(time), (self.wanted)(time + PERIOD));
+        let (now, soon) = ((self.expected)(time), (self.expected)(time + PERIOD));
         for (axis, joint) in self.joints.iter_mut().enumerate() {
             let measured = joint.start + f64::from(inputs.axes[axis].counts) * joint.per_count;
             let error = joint.start + now[axis] - measured;
@@ -77,7 +77,7 @@ impl Control for Loops {
     }
 }
 
-/// Slides and table swing slowly, by 5 mm and 2 degrees, at up to some 4 mm/s.
+/// Slides and table oscillate slowly, by 5 mm and 2 degrees, at up to about 4 mm/s.
 fn swing(time: f64) -> [f64; 5] {
     let soft = 1.0 - (-time * 4.0).exp() * (1.0 + time * 4.0);
     std::array::from_fn(|axis| {
@@ -90,13 +90,13 @@ fn still(_: f64) -> [f64; 5] {
     [0.0; 5]
 }
 
-fn rig(options: RigOptions, wanted: fn(f64) -> [f64; 5]) -> Rig<Loops> {
+fn rig(options: RigOptions, expected: fn(f64) -> [f64; 5]) -> Rig<Loops> {
     let config = machine::reference();
     let starts = Rig::new(&config, &options, Idle)
         .expect("a rig")
         .truth()
         .joints;
-    let control = Loops::new(&config, &starts, wanted);
+    let control = Loops::new(&config, &starts, expected);
     Rig::new(&config, &options, control).expect("a rig")
 }
 
@@ -118,7 +118,7 @@ fn faults(lines: &[&str]) -> RigOptions {
 }
 
 #[test]
-fn plain_loops_hold_the_unfriendly_machine() {
+fn simple_position_loops_hold_the_machine() {
     let mut rig = rig(RigOptions::default(), swing);
     let start = rig.truth().joints;
     let (mut worst, mut squares, mut count) = (0.0_f64, 0.0, 0);
@@ -126,12 +126,12 @@ fn plain_loops_hold_the_unfriendly_machine() {
         let time = rig.time_ns() as f64 * 1e-9;
         rig.step();
         assert!(rig.truth().pose_valid);
-        let wanted = swing(time);
+        let expected = swing(time);
         for (now, (start, moved)) in rig
             .truth()
             .joints
             .iter()
-            .zip(start.iter().zip(&wanted))
+            .zip(start.iter().zip(&expected))
             .take(4)
         {
             let error = now - start - moved;
@@ -142,7 +142,8 @@ fn plain_loops_hold_the_unfriendly_machine() {
     }
     let rms = (squares / f64::from(count)).sqrt();
     println!("slide error: largest {worst:.4} mm, rms {rms:.4} mm");
-    // The screw mode does not ring up, the friction does not hold it back: slides stay within the figures of the machine.
+    // The screw mode is not excited, and friction does not stop the motion: the slides stay within
+    // the machine's figures.
     assert!(worst < 0.05, "largest slide error {worst} mm, rms {rms} mm");
     assert!(rms < 0.02, "rms {rms} mm");
 }
@@ -173,8 +174,8 @@ fn fingerprint(options: RigOptions, seed: u64) -> u64 {
 }
 
 #[test]
-fn same_seed_same_bits() {
-    let spoilt = || RigOptions {
+fn the_same_seed_gives_the_same_outputs() {
+    let faulty_line = || RigOptions {
         baud: Some(115_200),
         ..faults(&[
             "encoder-noise axis=l2 per-second=2000 at=100ms for=200ms",
@@ -183,8 +184,8 @@ fn same_seed_same_bits() {
             "missed-periods count=3 at=0.5s",
         ])
     };
-    assert_eq!(fingerprint(spoilt(), 5), fingerprint(spoilt(), 5));
-    assert_ne!(fingerprint(spoilt(), 5), fingerprint(spoilt(), 6));
+    assert_eq!(fingerprint(faulty_line(), 5), fingerprint(faulty_line(), 5));
+    assert_ne!(fingerprint(faulty_line(), 5), fingerprint(faulty_line(), 6));
 }
 
 #[test]
@@ -210,7 +211,7 @@ fn outputs_take_effect_one_period_later() {
 }
 
 #[test]
-fn bytes_wait_in_the_ring_and_the_rest_is_lost() {
+fn bytes_beyond_the_receive_ring_are_lost() {
     let mut rig = rig(
         RigOptions {
             ring_bytes: 200,
@@ -264,17 +265,17 @@ fn the_line_is_paced_to_its_baud_rate() {
         while rig.control().echo.len() < 500 {
             rig.step();
         }
-        let wanted = 500.0 * 10.0 / f64::from(baud);
+        let expected = 500.0 * 10.0 / f64::from(baud);
         let took = rig.time_ns() as f64 * 1e-9;
         assert!(
-            took >= wanted && took < wanted + 4.0 * PERIOD,
-            "{baud} baud: {took} s, not {wanted} s"
+            took >= expected && took < expected + 4.0 * PERIOD,
+            "{baud} baud: {took} s, not {expected} s"
         );
     }
 }
 
 #[test]
-fn the_urgent_stop_overtakes_what_waits() {
+fn the_out_of_band_stop_overtakes_waiting_bytes() {
     let mut rig = rig(
         RigOptions {
             ring_bytes: 300,
@@ -284,7 +285,8 @@ fn the_urgent_stop_overtakes_what_waits() {
     );
     rig.host_write(&[7; 400]);
     rig.host_write(&[0, 0x18, 0]);
-    // It stands behind 400 bytes, of which some are lost, and is known at once; and only once.
+    // The stop is behind 400 bytes, of which some are lost. It is recognised at once, and only
+    // once.
     let urgent: Vec<bool> = (0..4)
         .map(|_| {
             rig.step();
@@ -295,7 +297,7 @@ fn the_urgent_stop_overtakes_what_waits() {
 }
 
 #[test]
-fn missed_periods_are_told_and_torque_stays() {
+fn missed_periods_are_reported_and_keep_the_torque() {
     let mut rig = rig(faults(&["missed-periods count=4 at=10ms"]), swing);
     let mut called = Vec::new();
     for period in 0..60_u64 {
@@ -310,7 +312,7 @@ fn missed_periods_are_told_and_torque_stays() {
 }
 
 #[test]
-fn faults_come_and_go_on_time() {
+fn faults_start_and_end_on_time() {
     let mut rig = rig(
         faults(&[
             "emergency-stop at=2ms for=1ms",
@@ -339,14 +341,14 @@ fn faults_come_and_go_on_time() {
 }
 
 #[test]
-fn a_jammed_slide_stands_and_a_healed_one_goes_on() {
+fn a_jammed_slide_stops_and_continues_after_the_fault() {
     let mut rig = rig(faults(&["slide-jammed axis=l1 at=0.5s for=200ms"]), swing);
     let mut stood = Vec::new();
     for period in 0..6000 {
         let before = rig.plant().truth().joints[0];
         rig.step();
         let moves = rig.plant().truth().joints[0] != before;
-        // The step in which it is caught is over after 20 us.
+        // The step in which it is recognised ends after 20 us.
         if (2501..3500).contains(&period) {
             assert!(!moves, "moved at {period}");
         } else if period > 3600 && moves {
@@ -357,7 +359,7 @@ fn a_jammed_slide_stands_and_a_healed_one_goes_on() {
 }
 
 #[test]
-fn a_cut_line_is_silent_one_way() {
+fn an_interrupted_line_is_silent_in_one_direction() {
     let mut rig = rig(faults(&["link-cut direction=to-host at=0s for=1ms"]), still);
     rig.host_write(b"one");
     let mut heard = Vec::new();
@@ -375,7 +377,7 @@ fn a_cut_line_is_silent_one_way() {
 }
 
 #[test]
-fn error_rates_are_met() {
+fn line_errors_have_the_configured_rates() {
     let mut rig = rig(
         faults(&[
             "link-errors rate=1e-3 direction=to-machine",
@@ -390,7 +392,7 @@ fn error_rates_are_met() {
     }
     let count = rig.to_machine().count();
     assert_eq!(count.written, 100_000);
-    let near = |value: u64, wanted: f64| (value as f64 - wanted).abs() < 5.0 * wanted.sqrt();
+    let near = |value: u64, expected: f64| (value as f64 - expected).abs() < 5.0 * expected.sqrt();
     assert!(near(count.flipped, 0.99 * 800.0), "{count:?}");
     assert!(near(count.dropped, 1000.0), "{count:?}");
     assert!(near(count.duplicated, 0.99 * 2000.0), "{count:?}");
@@ -398,7 +400,7 @@ fn error_rates_are_met() {
 }
 
 #[test]
-fn nonsense_is_refused_in_words() {
+fn invalid_faults_are_refused_with_a_message() {
     for (line, part) in [
         ("", "empty"),
         ("slide-jamed axis=l2", "no fault is called `slide-jamed`"),
@@ -436,7 +438,7 @@ fn nonsense_is_refused_in_words() {
 }
 
 #[test]
-fn a_plant_is_checked_whole() {
+fn every_field_of_a_plant_is_checked() {
     let mut config = machine::reference();
     config.joint[1].motor_share = 1.0;
     config.joint[2].mode_hz = 20_000.0;
@@ -470,9 +472,9 @@ fn any_direction() -> impl Strategy<Value = Direction> {
 
 proptest! {
     #![proptest_config(ProptestConfig { rng_seed: proptest::test_runner::RngSeed::Fixed(1), failure_persistence: None, ..ProptestConfig::default() })]
-    /// A fault and its line of text are the same thing.
+    /// A fault and its line of text are equivalent.
     #[test]
-    fn faults_as_text(
+    fn faults_and_their_text_are_equivalent(
         axis in "[a-z][a-z0-9]{0,5}",
         number in 0.0..1.0_f64,
         counts: i32,
@@ -495,7 +497,7 @@ proptest! {
         let fault = Fault { at_s, for_s, what };
         let read: Fault = fault.to_string().parse().expect("reads back");
         prop_assert_eq!(&read, &fault);
-        // And through a scenario file.
+        // The same through a scenario file.
         let file = toml::Value::try_from(&fault).expect("writes");
         prop_assert_eq!(file.try_into::<Fault>().expect("reads"), fault);
     }

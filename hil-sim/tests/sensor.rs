@@ -1,4 +1,4 @@
-//! The force sensor: what it measures, and each of its faults alone.
+//! The force sensor: its measurement, and each of its faults alone.
 
 use haptimill_hil_sim::process::sensor::{End, FULL_CODE, Sensor, SensorCondition, SensorConfig};
 use haptimill_hil_sim::random::Random;
@@ -18,7 +18,7 @@ proptest! {
 
     /// An ideal sensor gives minus the force on the tool, to half a code.
     #[test]
-    fn ideal_is_the_force_on_the_work(force in prop::array::uniform3(-99.0..99.0_f64), alpha in -45.0..45.0_f64) {
+    fn an_ideal_sensor_measures_the_force_on_the_workpiece(force in prop::array::uniform3(-99.0..99.0_f64), alpha in -45.0..45.0_f64) {
         let mut sensor = sensor(&SensorConfig::ideal());
         sensor.sample(force, alpha);
         for (i, force) in force.into_iter().enumerate() {
@@ -30,7 +30,7 @@ proptest! {
 }
 
 #[test]
-fn range_ends_amplifier_and_adc() {
+fn the_range_is_limited_by_amplifier_and_adc() {
     let mut config = SensorConfig::ideal();
     let mut open = sensor(&config);
     open.sample([-500.0, 500.0, -100.0], 0.0);
@@ -39,13 +39,13 @@ fn range_ends_amplifier_and_adc() {
     let mut clipped = sensor(&config);
     clipped.sample([-500.0, 500.0, -49.0], 0.0);
     assert_eq!(clipped.codes(), [4096, -4096, 4014]);
-    // The charge is not lost: back in the range it is as it was.
+    // The charge is kept: back in the range, the output is as before.
     clipped.sample([0.0; 3], 0.0);
     assert_eq!(clipped.codes(), [0; 3]);
 }
 
 #[test]
-fn high_pass_forgets_a_step_with_its_time_constant() {
+fn the_high_pass_decays_a_step_with_its_time_constant() {
     let config = SensorConfig {
         high_pass_s: 0.5,
         ..SensorConfig::ideal()
@@ -61,7 +61,7 @@ fn high_pass_forgets_a_step_with_its_time_constant() {
 }
 
 #[test]
-fn drift_runs_until_the_reset() {
+fn drift_continues_until_the_reset() {
     let config = SensorConfig {
         drift_n_s: [0.5, -0.25, 0.0],
         ..SensorConfig::ideal()
@@ -75,14 +75,14 @@ fn drift_runs_until_the_reset() {
     sensor.reset();
     sensor.sample([-3.0, 0.0, 0.0], 0.0);
     assert!((sensor.signal()[0] - 3.0 - 1e-4).abs() < 1e-9);
-    // A force that was there at the reset counts as none.
+    // A force that is present at the reset counts as zero.
     sensor.reset();
     sensor.sample([-3.0, 0.0, 0.0], 0.0);
     assert!((sensor.signal()[0] - 1e-4).abs() < 1e-9);
 }
 
 #[test]
-fn noise_has_its_size_and_no_mean() {
+fn noise_has_its_amplitude_and_no_mean() {
     let config = SensorConfig {
         noise_n: 0.5,
         ..SensorConfig::ideal()
@@ -104,7 +104,7 @@ fn noise_has_its_size_and_no_mean() {
 }
 
 #[test]
-fn weight_of_the_vise_turns_with_the_table() {
+fn the_weight_of_the_vise_turns_with_the_table() {
     let config = SensorConfig {
         vise_kg: 3.0,
         ..SensorConfig::ideal()
@@ -117,7 +117,7 @@ fn weight_of_the_vise_turns_with_the_table() {
         let radian = alpha.to_radians();
         let signal = sensor.signal();
         assert!(signal[0].abs() < 1e-9);
-        // In the frame of the table gravity leans towards -y for a positive tilt about x.
+        // In the frame of the table gravity points towards -y for a positive tilt about x.
         assert!(
             (signal[1] + weight * radian.sin()).abs() < 1e-9,
             "{signal:?}"
@@ -127,7 +127,7 @@ fn weight_of_the_vise_turns_with_the_table() {
 }
 
 #[test]
-fn each_fault_does_what_its_name_says() {
+fn each_fault_has_its_effect() {
     let run = |condition: SensorCondition| {
         let mut sensor = sensor(&SensorConfig::ideal());
         sensor.sample([-20.0; 3], 0.0);
@@ -196,7 +196,7 @@ fn the_same_seed_gives_the_same_codes() {
 }
 
 #[test]
-fn nonsense_is_refused() {
+fn an_invalid_configuration_is_refused() {
     for config in [
         SensorConfig {
             full_scale_n: 0.0,
@@ -215,7 +215,7 @@ fn nonsense_is_refused() {
             ..SensorConfig::default()
         },
     ] {
-        assert_eq!(config.check().expect_err("nonsense").len(), 1, "{config:?}");
+        assert_eq!(config.check().expect_err("invalid").len(), 1, "{config:?}");
     }
     assert!(SensorConfig::default().check().is_ok() && SensorConfig::ideal().check().is_ok());
 }

@@ -1,4 +1,5 @@
-//! What the wire costs in time: setpoints coded and decoded, frames made and read, a message there and its answer back.
+//! Time of the wire format: setpoints encoded and decoded, frames encoded and decoded, a message
+//! and its answer.
 #![allow(
     missing_docs,
     reason = "the benchmark's macros make functions without any"
@@ -11,7 +12,7 @@ use haptimill_protocol::message::{Action, AxisValues, Command, Report, Request, 
 use haptimill_protocol::setpoint::{Setpoint, SetpointCoder};
 use std::hint::black_box;
 
-/// A smooth path of five axes, 20 ms a setpoint (100 periods of 200 us).
+/// A smooth path of five axes, 20 ms per setpoint (100 periods of 200 us).
 fn path(count: usize) -> (AxisValues, Vec<Setpoint>) {
     let at = |t: f64| -> Vec<(f64, f64)> {
         (1..=5)

@@ -6,11 +6,9 @@
 //!
 //! Callers must not queue these messages: only the newest one is valid.
 
+pub use crate::force::COMPONENTS;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
-
-/// Components of a force or a position: x, y, z.
-pub const COMPONENTS: usize = 3;
 
 /// Pose of a master, also of a remote master.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]

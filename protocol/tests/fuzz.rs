@@ -1,8 +1,9 @@
-//! Any bytes at all, thrown at the decoder, the messages, the setpoints and both ends of a link.
+//! Arbitrary bytes into the decoder, the messages, the setpoints and both endpoints of a link.
 //!
-//! Under `cargo test` each target replays its corpus (`__fuzz__/NAME/corpus`) and then runs on random input for a bounded number of rounds; a
-//! failure prints the seed that repeats it. `cargo bolero test NAME` runs the same targets under a fuzzer for as long as one likes.
-//! `cargo test --test fuzz -- --ignored write_corpus` writes the corpus anew.
+//! Under `cargo test` each target replays its corpus (`__fuzz__/NAME/corpus`) and then runs on
+//! random input for a bounded number of rounds. A failure prints the seed that repeats it. `cargo
+//! bolero test NAME` runs the same targets under a fuzzer. `cargo test --test fuzz -- --ignored
+//! write_corpus` writes the corpus anew.
 
 use haptimill_protocol::frame::{self, Acknowledgement, FrameBytes, FrameDecoder, Header};
 use haptimill_protocol::link::{
@@ -29,7 +30,8 @@ const IDENTITY: Identity<'static> = Identity {
     queue: 64,
 };
 
-/// Runs a body on the corpus and on short inputs, then on long ones (the engine's own byte strings have 64 bytes at most).
+/// Runs a body on the corpus and on short inputs, then on long ones (the engine's own byte strings
+/// have 64 bytes at most).
 macro_rules! throw {
     ($body:expr) => {{
         let body: fn(&[u8]) = $body;
@@ -43,7 +45,7 @@ macro_rules! throw {
     }};
 }
 
-/// Both ends, in session.
+/// Both endpoints, in a session.
 fn pair() -> (HostLink, ControllerLink) {
     let (mut host, mut controller) = (
         HostLink::new(Timing::default()),
@@ -60,7 +62,8 @@ fn pair() -> (HostLink, ControllerLink) {
     (host, controller)
 }
 
-/// A frame that is accepted is, byte for byte, the one that its content makes; and the decoder is in step after the next zero.
+/// An accepted frame is, byte for byte, the encoding of its content, and the decoder is
+/// synchronised after the next zero.
 #[test]
 fn frame_decoder() {
     throw!(|input: &[u8]| {
@@ -71,7 +74,7 @@ fn frame_decoder() {
             if let Some(found) = decoder.push(byte) {
                 let mut again = FrameBytes::new();
                 frame::encode(found.header, found.payload, THEIRS, &mut again).expect("it fitted");
-                // A stray code of one (01) at the very end says nothing and is allowed by COBS.
+                // COBS permits a stray code of one (01) at the very end.
                 let line = &input[start..=end];
                 assert!(
                     line == &again[..] || line.len() == again.len() + 1,
@@ -100,7 +103,8 @@ fn frame_decoder() {
     });
 }
 
-/// What can be read can be written, and reads the same again; setpoints are decoded or refused.
+/// A message that can be decoded can be encoded, and decodes to the same value. Setpoints are
+/// decoded or refused.
 #[test]
 fn messages() {
     throw!(|input: &[u8]| {
@@ -125,7 +129,8 @@ fn messages() {
     });
 }
 
-/// No bytes of another session, whole or broken, make a message at either end, and afterwards messages go as if nothing had been.
+/// Bytes of another session, whole or broken, give no message at either endpoint, and later
+/// messages arrive as before.
 #[test]
 fn link_ends() {
     throw!(|input: &[u8]| {
@@ -138,7 +143,7 @@ fn link_ends() {
             assert_eq!(controller.poll_message(), None);
             assert_eq!(host.poll_message(), None);
         }
-        // A greeting among the bytes would be a new session, which a busy controller refuses.
+        // A `Hello` among the bytes would be a new session, which a busy controller refuses.
         let _ = controller.welcome(now_us, &IDENTITY, true);
         assert_eq!((host.session(), controller.session()), (OURS, OURS));
         let request = Request {
@@ -148,7 +153,7 @@ fn link_ends() {
         let mut buffer = [0; 512];
         host.send(&request).expect("open");
         let mut heard = None;
-        // The first frame may be glued to what came before it; then it is sent again.
+        // The first frame may be joined to earlier bytes; then it is sent again.
         for _ in 0..200 {
             now_us += 1000;
             let count = host.transmit(now_us, &mut buffer);
@@ -159,7 +164,7 @@ fn link_ends() {
     });
 }
 
-/// Frames and messages as they go over the line, whole and in the ways that lines break them.
+/// Frames and messages as on the line, whole and with typical errors.
 #[test]
 #[ignore = "writes files"]
 fn write_corpus() {

@@ -1,4 +1,5 @@
-//! Reliable messages arrive once and in order over any line, or the session ends; and how fast they do.
+//! Reliable messages arrive once and in order over any line, or the session ends; and the time that
+//! they take.
 
 mod line;
 
@@ -19,7 +20,7 @@ const IDENTITY: Identity<'static> = Identity {
     queue: 64,
 };
 
-/// A request that tells its number and has a length and content that depend on it.
+/// Returns a request with its number; length and content depend on the number.
 fn request(number: u32) -> Request {
     let mut random = Random::new(u64::from(number));
     let length = 40 + random.below(25);
@@ -33,7 +34,7 @@ fn request(number: u32) -> Request {
     }
 }
 
-/// A report that tells its number.
+/// Returns a report with its number.
 fn report(number: u32) -> Report {
     Report::Event {
         period: u64::from(number) * 0x1234_5678,
@@ -44,10 +45,10 @@ fn report(number: u32) -> Report {
     }
 }
 
-/// What came of a transfer.
+/// Result of a transfer.
 struct Outcome {
     state: LinkState,
-    /// One of the ends gave the session up.
+    /// One of the endpoints ended the session.
     ended: bool,
     /// Requests and reports that arrived.
     arrived: (u32, u32),
@@ -57,7 +58,8 @@ struct Outcome {
     carried: usize,
 }
 
-/// Sends requests one way and reports the other, as fast as the links take them, and checks every message that arrives.
+/// Sends requests one way and reports the other, as fast as the links accept them, and checks every
+/// message that arrives.
 fn transfer(
     seed: u64,
     rate: u64,
@@ -89,7 +91,7 @@ fn transfer(
         if let HelloOutcome::Refused(why) = controller.welcome(now_us, &IDENTITY, false) {
             panic!("refused: {why:?}");
         }
-        // The controller takes one message a period, as the corridor does.
+        // The controller takes one message per control period.
         if let Some(heard) = controller.poll_message() {
             assert_eq!(
                 heard,
@@ -114,7 +116,8 @@ fn transfer(
             );
             arrived.1 += 1;
         }
-        // While the host still greets, a controller that fell silent is one that it has not heard yet.
+        // While the host still sends `Hello`, it cannot have noticed that the controller fell
+        // silent.
         ended = host.session() != 0
             && [host.state(now_us), controller.state(now_us)]
                 .iter()
@@ -137,9 +140,10 @@ fn transfer(
 proptest! {
     #![proptest_config(ProptestConfig { cases: 48, failure_persistence: None, rng_seed: RngSeed::Fixed(4), ..ProptestConfig::default() })]
 
-    /// Never a message lost, doubled, out of order or changed: `transfer` checks each. On a line this good all of them arrive.
+    /// No message is lost, doubled, out of order or changed: `transfer` checks each. On this line
+    /// all of them arrive.
     #[test]
-    fn once_and_in_order(
+    fn reliable_messages_arrive_once_and_in_order(
         seed: u64,
         bit_error in prop_oneof![Just(0.0), Just(1e-5), Just(1e-4), Just(5e-4)],
         byte_loss in prop_oneof![Just(0.0), Just(1e-4), Just(1e-3)],
@@ -150,16 +154,17 @@ proptest! {
         prop_assert_eq!(outcome.arrived, (150, 100), "{:?} after {} us", outcome.state, outcome.micros);
     }
 
-    /// On a line as bad as can be, what arrives is right, and a session that cannot go on ends.
+    /// On the worst line, what arrives is right, and a session that cannot continue ends.
     #[test]
-    fn right_or_ended(seed: u64, bit_error in 1e-3..2e-2f64, byte_loss in 0.0..0.02f64, frame in 0.0..0.5f64) {
+    fn messages_are_right_or_the_session_ends(seed: u64, bit_error in 1e-3..2e-2f64, byte_loss in 0.0..0.02f64, frame in 0.0..0.5f64) {
         let outcome = transfer(seed, 11_520, Faults { bit_error, byte_loss, frame }, 100, 60, 300_000_000);
         let ended = outcome.ended || outcome.state == LinkState::Opening;
         prop_assert!(outcome.arrived == (100, 60) || ended, "{:?} {:?} after {} us", outcome.state, outcome.arrived, outcome.micros);
     }
 }
 
-/// The line at 115,200 baud (11,520 bytes a second), 600 requests of 40 to 64 bytes one way and 60 events the other.
+/// The line at 115,200 baud (11,520 bytes per second), 600 requests of 40 to 64 bytes one way and
+/// 60 events the other.
 #[test]
 fn delivery_over_bad_lines() {
     let mut table = String::from(

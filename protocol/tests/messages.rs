@@ -1,4 +1,4 @@
-//! The largest of every message fits its frame, and each comes back as it went.
+//! The largest encoding of every message fits its frame, and each decodes to the same value.
 
 use haptimill_protocol::force::{
     COMPONENTS, ForceLoop, ForceParameter, ForceProblem, ForceRefusal, ForceTelemetry, Gate,
@@ -14,7 +14,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::fmt::Debug;
 
-/// Bytes of a message, after it has come back unchanged.
+/// Returns the bytes of a message, after a round trip without change.
 fn size<T: Serialize + DeserializeOwned + PartialEq + Debug>(message: &T) -> usize {
     let mut buffer = [0; 1024];
     let bytes = postcard::to_slice(message, &mut buffer).unwrap();
@@ -22,12 +22,12 @@ fn size<T: Serialize + DeserializeOwned + PartialEq + Debug>(message: &T) -> usi
     bytes.len()
 }
 
-/// Values whose coding is the longest.
+/// Values with the longest encoding.
 fn values() -> AxisValues {
     [i32::MIN; MAX_AXES].into_iter().collect()
 }
 
-/// A hand whose coding is the longest.
+/// A master pose with the longest encoding.
 const HAND: MasterPose = MasterPose {
     tip: [i32::MIN; COMPONENTS],
     rate: [i32::MIN; COMPONENTS],
@@ -36,7 +36,7 @@ const HAND: MasterPose = MasterPose {
 };
 
 #[test]
-fn requests_fit_a_frame() {
+fn every_request_fits_a_frame() {
     let delta = SetpointDelta {
         periods: u16::MAX,
         moved: 0b11_1111,
@@ -117,13 +117,13 @@ fn requests_fit_a_frame() {
     ];
     let sizes = commands.map(|command| size(&Request { id: 255, command }));
     println!("requests: {sizes:?} bytes");
-    // The figure in the documentation of MAX_PAYLOAD.
+    // The value in the documentation of MAX_PAYLOAD.
     assert_eq!(sizes.into_iter().max(), Some(284));
     assert!(sizes.into_iter().all(|bytes| bytes <= MAX_PAYLOAD));
 }
 
 #[test]
-fn greetings_fit_a_frame() {
+fn hello_and_welcome_fit_a_frame() {
     let hello = Hello {
         version: u16::MAX,
         schema: u64::MAX,
@@ -144,7 +144,7 @@ fn greetings_fit_a_frame() {
 }
 
 #[test]
-fn reports_fit_a_frame_and_answers_and_events_are_short() {
+fn every_report_fits_a_frame_and_answers_and_events_are_short() {
     let fault = Fault::FollowingError {
         axis: 255,
         error: i32::MIN,

@@ -1,7 +1,8 @@
-//! What a control period costs natively: the controller alone, also in a cut under force control, and the whole simulator around it.
+//! Native cost of a control period: the controller alone, also in a cut under force control, and
+//! with the whole simulator.
 
-#[path = "../tests/scene/mod.rs"]
-mod scene;
+#[path = "../tests/setup/mod.rs"]
+mod setup;
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use haptimill_firmware::controller::Controller;
@@ -11,7 +12,7 @@ use haptimill_protocol::force::Gate;
 use haptimill_tests::{Bench, line_in_x};
 use std::time::{Duration, Instant};
 
-/// A controller that is timed call by call.
+/// A controller whose calls are timed.
 struct Timed {
     controller: Controller,
     spent: Duration,
@@ -44,7 +45,7 @@ fn moving<C: Control>(control: C) -> Bench<C> {
     bench
 }
 
-/// A machine that cuts at 4 mm/s under force control of x, and yields; 1 s of it is left.
+/// A machine that cuts at 4 mm/s under force control of x and complies, with 1 s left.
 fn cutting() -> Bench<Timed> {
     let mut bench = Bench::with(&RigOptions::default(), Timed::new());
     bench.make_ready();
@@ -57,20 +58,20 @@ fn cutting() -> Bench<Timed> {
             .0
             != 0
     };
-    let process = scene::force::block(scene::tool(&bench), 3.0);
+    let process = setup::force::block(setup::tool(&bench), 3.0);
     bench.rig.plant_mut().fit(&process).expect("sound");
     bench.steps(100);
-    scene::force::tare(&mut bench);
-    let law = scene::force::loop_of(1.0, 5.0, Gate::AgainstMotion);
-    scene::force::control(&mut bench, 0, law);
-    scene::force::job(&mut bench, -4.0, 40, 0.0);
+    setup::force::tare(&mut bench);
+    let law = setup::force::force_settings(1.0, 5.0, Gate::AgainstMotion);
+    setup::force::control(&mut bench, 0, law);
+    setup::force::job(&mut bench, -4.0, 40, 0.0);
     while !yields(&bench) {
         bench.step();
     }
     bench
 }
 
-/// Mean time of the controller in periods of which a machine has `most`.
+/// Mean time of the controller over periods of which a machine has `most`.
 fn controller(iterations: u64, most: u64, machine: impl Fn() -> Bench<Timed>) -> Duration {
     let mut spent = Duration::ZERO;
     let mut left = iterations;

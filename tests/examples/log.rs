@@ -1,4 +1,4 @@
-//! `log IMAGE LOG`: what an emulated chip logged, as text. `cargo xtask log` calls it.
+//! `log IMAGE LOG`: prints the log of an emulated chip as text. `cargo xtask log` calls it.
 
 use std::process::ExitCode;
 

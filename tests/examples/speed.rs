@@ -1,5 +1,8 @@
-//! Where the simulator's time goes: `cargo run --release -p haptimill-tests --example speed -- FILE.ngc [WORK.toml]`. With a work it is cut: mill, structure and
-//! sensor are computed in every period. The recording is written by a second thread; `taskset -c 0` puts both on one core.
+//! Speed of the simulator: `cargo run --release -p haptimill-tests --example speed -- FILE.ngc
+//! [STOCK.toml]`.
+//!
+//! With a workpiece, mill, structure and sensor are computed in every period. A second thread
+//! writes the recording; `taskset -c 0` puts both on one core.
 use haptimill_client::client::Options;
 use haptimill_client::session::{JobLine, JobRecording, Session, SimLine, Unwatched, rig};
 use haptimill_hil_sim::config::PlantConfig;

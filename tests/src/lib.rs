@@ -87,12 +87,12 @@ impl<C: Control> Bench<C> {
     }
 
     /// Runs one control period, with a fault injected into the bytes that the host sends in it.
-    pub fn step_with_fault(&mut self, spoil: impl FnOnce(&mut Vec<u8>)) {
+    pub fn step_with_fault(&mut self, corrupt: impl FnOnce(&mut Vec<u8>)) {
         let now = self.rig.time_ns() / 1000;
         let mut buffer = [0; 256];
         let count = self.link.transmit(now, &mut buffer);
         let mut bytes = buffer[..count].to_vec();
-        spoil(&mut bytes);
+        corrupt(&mut bytes);
         self.rig.host_write(&bytes);
         self.rig.step();
         let mut received = Vec::new();
@@ -116,7 +116,7 @@ impl<C: Control> Bench<C> {
     }
 
     /// Sends a command without waiting, if there is room. Returns the number of its answer.
-    pub fn say(&mut self, command: Command) -> Option<u8> {
+    pub fn send(&mut self, command: Command) -> Option<u8> {
         let id = self.id % 250 + 1;
         self.link.send(&Request { id, command }).ok()?;
         self.id = id;
@@ -210,15 +210,10 @@ impl<C: Control> Bench<C> {
     /// The first refusal.
     pub fn try_job(&mut self, job: u32, setpoints: &[Setpoint]) -> Result<(), Refusal> {
         let start = self.status().commanded;
-        let mut coder = SetpointCoder::new(self.machine.config.period_us, &start);
+        let batches = batches(self.machine.config.period_us, &start, setpoints);
         self.ask(Command::JobStart { job, pose: start })?;
-        for (index, batch) in setpoints.chunks(SETPOINT_BATCH).enumerate() {
-            let items = batch
-                .iter()
-                .map(|setpoint| coder.encode(setpoint).expect("codes"))
-                .collect();
-            let first = (index * SETPOINT_BATCH) as u32;
-            self.ask(Command::Setpoints(SetpointBatch { first, items }))?;
+        for batch in batches {
+            self.ask(batch)?;
         }
         let count = setpoints.len() as u32;
         self.ask(Command::JobEnd { count })
@@ -231,15 +226,8 @@ impl<C: Control> Bench<C> {
             pose: start.clone(),
         })
         .expect("started");
-        let mut coder = SetpointCoder::new(self.machine.config.period_us, start);
-        for (index, batch) in setpoints.chunks(SETPOINT_BATCH).enumerate() {
-            let items = batch
-                .iter()
-                .map(|setpoint| coder.encode(setpoint).expect("codes"))
-                .collect();
-            let first = (index * SETPOINT_BATCH) as u32;
-            self.ask(Command::Setpoints(SetpointBatch { first, items }))
-                .expect("taken");
+        for batch in batches(self.machine.config.period_us, start, setpoints) {
+            self.ask(batch).expect("accepted");
         }
     }
 
@@ -253,6 +241,24 @@ impl<C: Control> Bench<C> {
         }
         false
     }
+}
+
+/// Returns the setpoints of a job that begins at `start` as commands.
+#[must_use]
+pub fn batches(period_us: u16, start: &AxisValues, setpoints: &[Setpoint]) -> Vec<Command> {
+    let mut coder = SetpointCoder::new(period_us, start);
+    let batches = setpoints.chunks(SETPOINT_BATCH).enumerate();
+    batches
+        .map(|(index, batch)| {
+            Command::Setpoints(SetpointBatch {
+                first: (index * SETPOINT_BATCH) as u32,
+                items: batch
+                    .iter()
+                    .map(|setpoint| coder.encode(setpoint).expect("encodes"))
+                    .collect(),
+            })
+        })
+        .collect()
 }
 
 /// Returns a straight line in x from `start`: 0.1 s of acceleration to `speed` (mm/s), `spans`

@@ -1,23 +1,24 @@
-//! The checks of `haptimill-checks` on the emulated chips, each in a run of its own; and that one which fails is reported as failed.
+//! The checks of `haptimill-checks` on the emulated chips, each in its own run. A failing check is
+//! reported.
 //!
 //! Needs the feature `emulated`; see `emulated.rs`.
 
-mod chip;
+mod emulator;
 
-use chip::{BOARDS, image, run_alone};
+use emulator::{BOARDS, image, run_alone};
 use std::time::Instant;
 
 #[test]
-fn every_check_holds_on_the_chip() {
+fn every_check_passes_on_the_chip() {
     let image = image("checks");
     for board in BOARDS {
         let (begun, mut failed) = (Instant::now(), Vec::new());
         let count = haptimill_checks::all().count();
         println!("\n{board}: running {count} checks");
         for check in haptimill_checks::all() {
-            let (code, said) = run_alone(board, &image, &[check.name]);
-            print!("{said}");
-            if code != Some(0) || said != format!("test {} ... ok\n", check.name) {
+            let (code, console) = run_alone(board, &image, &[check.name]);
+            print!("{console}");
+            if code != Some(0) || console != format!("test {} ... ok\n", check.name) {
                 failed.push(check.name);
             }
         }
@@ -33,27 +34,30 @@ fn every_check_holds_on_the_chip() {
 }
 
 #[test]
-fn all_checks_hold_in_one_run() {
+fn all_checks_pass_in_one_run() {
     let image = image("checks");
-    let (code, said) = run_alone(BOARDS[0], &image, &[]);
+    let (code, console) = run_alone(BOARDS[0], &image, &[]);
     let names = haptimill_checks::all().map(|check| format!("test {} ... ok", check.name));
-    assert_eq!(said.lines().collect::<Vec<_>>(), names.collect::<Vec<_>>());
+    assert_eq!(
+        console.lines().collect::<Vec<_>>(),
+        names.collect::<Vec<_>>()
+    );
     assert_eq!(code, Some(0));
 }
 
 #[test]
-fn a_check_that_fails_is_reported_with_its_name_its_reason_and_an_exit_code() {
+fn a_failing_check_is_reported_with_name_reason_and_exit_code() {
     let image = image("checks");
     for board in BOARDS {
         let failing = haptimill_checks::FAILING.name;
-        let (code, said) = run_alone(board, &image, &[failing]);
-        assert_eq!(code, Some(101), "{said}");
+        let (code, console) = run_alone(board, &image, &[failing]);
+        assert_eq!(code, Some(101), "{console}");
         assert!(
-            said.starts_with(&format!("test {failing} ... panicked")),
-            "{said}"
+            console.starts_with(&format!("test {failing} ... panicked")),
+            "{console}"
         );
-        assert!(said.contains("two and two"), "{said}");
-        let (code, said) = run_alone(board, &image, &["no::such_check"]);
-        assert_eq!(code, Some(101), "{said}");
+        assert!(console.contains("two and two"), "{console}");
+        let (code, console) = run_alone(board, &image, &["no::such_check"]);
+        assert_eq!(code, Some(101), "{console}");
     }
 }

@@ -1,40 +1,33 @@
-//! What goes wrong in an image: a panic in each stage, a fault of the processor, a stack that overflows, a period that never ends. The drives go
-//! off, the reason reaches the host, and the command ends with an error.
+//! Failures of an image: a panic in each stage, a processor fault, a stack overflow, an endless
+//! period.
+//!
+//! The drives go off, the reason reaches the host, and the command ends with an error.
 //!
 //! Needs the feature `emulated`; see `emulated.rs`.
 
-mod chip;
+mod emulator;
 
-use chip::{BOARDS, Remote, image, remote, results, root, run};
+use emulator::{BOARDS, Remote, image, remote, results, root, run};
 use haptimill::commands::Exit;
 use haptimill_client::port::Board;
 use haptimill_firmware::io::DriveCommand;
+use haptimill_firmware::profiler::Stage;
 use haptimill_hil_sim::rig::{Control, RigOptions};
 use haptimill_protocol::message::Command;
 use haptimill_tests::Bench;
 use std::time::{Duration, Instant};
 
-/// The stages of a period by name, and the main program between two of them.
-const PLACES: [&str; 11] = [
-    "receive",
-    "measure",
-    "supervise",
-    "command",
-    "interpolate",
-    "comply",
-    "solve",
-    "servo",
-    "report",
-    "interlock",
-    "main",
-];
+/// Names of the stages of a control period, and of the main program between two periods.
+fn places() -> impl Iterator<Item = &'static str> {
+    Stage::ALL.into_iter().map(Stage::name).chain(["main"])
+}
 
-/// A period in which the drives hold the machine.
+/// A period in which the drives are on.
 const PERIOD: u32 = 4000;
 
-/// Enables the drives of a machine whose image has something in store for it, and waits for that: the reason, and how long the step took in which it was
-/// noticed.
-fn until_it_happens(board: Board, words: &[&str; 3]) -> (String, Duration) {
+/// Enables the drives of an image with a planted failure and waits for it. Returns the reason, and
+/// the duration of the step that noticed it.
+fn run_until_failure(board: Board, words: &[&str; 3]) -> (String, Duration) {
     let control = remote(board, &image("faults"), words);
     let mut bench: Bench<Remote> = Bench::with(&RigOptions::default(), control);
     bench.steps(500);
@@ -53,7 +46,7 @@ fn until_it_happens(board: Board, words: &[&str; 3]) -> (String, Duration) {
         if let Some(reason) = bench.rig.control().failure() {
             let reason = reason.to_string();
             assert_eq!(bench.rig.inputs().period, u64::from(PERIOD), "{words:?}");
-            // In this very period, so in effect from the next one on.
+            // The outputs are off in this period and take effect in the next one.
             assert!(off(&bench), "{words:?}");
             bench.rig.step();
             assert!(off(&bench), "{words:?}");
@@ -64,10 +57,10 @@ fn until_it_happens(board: Board, words: &[&str; 3]) -> (String, Duration) {
 }
 
 #[test]
-fn a_panic_in_any_stage_switches_the_drives_off_and_is_told() {
-    for place in PLACES {
+fn a_panic_in_any_stage_switches_the_drives_off_and_is_reported() {
+    for place in places() {
         let words = ["panic", place, &PERIOD.to_string()];
-        let (reason, after) = until_it_happens(Board::Mps2, &words);
+        let (reason, after) = run_until_failure(Board::Mps2, &words);
         println!("{place}, after {after:?}: {reason}");
         let cause = format!("injected in stage {place} of period {PERIOD}");
         assert!(reason.contains(&cause), "{reason}");
@@ -77,11 +70,11 @@ fn a_panic_in_any_stage_switches_the_drives_off_and_is_told() {
 }
 
 #[test]
-fn a_stack_that_overflows_is_told() {
+fn a_stack_overflow_is_reported() {
     for board in BOARDS {
         for what in ["recurse", "frame"] {
             for place in ["servo", "main"] {
-                let (reason, after) = until_it_happens(board, &[what, place, &PERIOD.to_string()]);
+                let (reason, after) = run_until_failure(board, &[what, place, &PERIOD.to_string()]);
                 println!("{board}, {what} in {place}, after {after:?}: {reason}");
                 assert!(reason.contains("the stack has overflown"), "{reason}");
                 assert!(after < Duration::from_secs(2), "{after:?}");
@@ -91,10 +84,10 @@ fn a_stack_that_overflows_is_told() {
 }
 
 #[test]
-fn a_fault_of_the_processor_is_told() {
+fn a_processor_fault_is_reported() {
     for board in BOARDS {
         let words = ["fault", "supervise", &PERIOD.to_string()];
-        let (reason, after) = until_it_happens(board, &words);
+        let (reason, after) = run_until_failure(board, &words);
         println!("{board}, after {after:?}: {reason}");
         assert!(reason.contains("processor fault at 0x"), "{reason}");
         assert!(after < Duration::from_secs(2), "{after:?}");
@@ -102,20 +95,20 @@ fn a_fault_of_the_processor_is_told() {
 }
 
 #[test]
-fn a_period_that_never_ends_is_given_up() {
+fn an_endless_period_is_aborted() {
     let words = ["hang", "report", &PERIOD.to_string()];
-    let (reason, after) = until_it_happens(Board::Mps2, &words);
+    let (reason, after) = run_until_failure(Board::Mps2, &words);
     println!("after {after:?}: {reason}");
     assert!(reason.contains("stood still"), "{reason}");
     assert!(after < Duration::from_millis(2500), "{after:?}");
 }
 
-/// The same by the command, while the machine moves (it homes): exit code 5, and the reason in words.
+/// The command fails while the machine homes: exit code 5, and the reason as text.
 #[test]
-fn the_command_says_what_happened_and_fails() {
+fn the_command_reports_the_failure_and_exits_with_an_error() {
     let image = image("faults").display().to_string();
     let program = root().join("examples/e11-circle.ngc");
-    for place in PLACES {
+    for place in places() {
         let begun = Instant::now();
         let more = [
             "--image",

@@ -1,11 +1,14 @@
-//! The host's line to the emulated chip at its worst: bit errors, garbage, floods, a stop in the middle of one, configurations that do not fit. What the chip
-//! does is what the controller in this process does, bit for bit. And periods that take too many instructions.
+//! Serial line of the emulated chip: bit errors, garbage, floods, a stop during a flood,
+//! configurations that do not fit.
+//!
+//! The chip gives the same outputs as the controller in this process. Also periods with too many
+//! instructions.
 //!
 //! Needs the feature `emulated`; see `emulated.rs`.
 
-mod chip;
+mod emulator;
 
-use chip::{BOARDS, Deed, Remote, assert_same, bench, deed};
+use emulator::{BOARDS, PeriodResult, Remote, assert_same, bench, period_result};
 use haptimill::commands::Exit;
 use haptimill_client::port::Board;
 use haptimill_firmware::comm::rx_ring::RING_BYTES;
@@ -19,10 +22,10 @@ use haptimill_protocol::message::{
 use haptimill_protocol::urgent::STOP;
 use haptimill_tests::{Bench, line_in_x};
 
-/// A machine in the middle of a line at 10 mm/s, and what was done from there on.
+/// A machine in the middle of a line at 10 mm/s, and its outputs from then on.
 struct Scene<C> {
     bench: Bench<C>,
-    deeds: Vec<Deed>,
+    deeds: Vec<PeriodResult>,
 }
 
 impl<C: Control> Scene<C> {
@@ -38,12 +41,12 @@ impl<C: Control> Scene<C> {
         }
     }
 
-    /// One period in which the host says this besides.
+    /// Runs one period in which the host also sends these bytes.
     fn step(&mut self, besides: &[u8]) {
         self.bench
             .step_with_fault(|bytes| bytes.extend_from_slice(besides));
         assert_eq!(self.bench.rig.control().failure(), None);
-        self.deeds.push(deed(&self.bench));
+        self.deeds.push(period_result(&self.bench));
     }
 
     fn quiet(&mut self, periods: usize) {
@@ -51,7 +54,10 @@ impl<C: Control> Scene<C> {
     }
 
     fn state(&self) -> State {
-        let last = self.deeds.last().and_then(|deed| deed.snapshot);
+        let last = self
+            .deeds
+            .last()
+            .and_then(|period_result| period_result.snapshot);
         last.expect("configured").state
     }
 
@@ -68,72 +74,75 @@ impl<C: Control> Scene<C> {
     }
 }
 
-/// Garbage, then floods that no ring holds, then a stop behind one: what is told at the end.
-fn worst_line<C: Control>(bench: Bench<C>) -> (Vec<Deed>, Vec<Event>, u32, u32) {
-    let mut scene = Scene::new(bench);
-    let x = |scene: &Scene<C>| {
-        scene
+/// Sends garbage, then floods larger than the receive ring, then a stop behind one. Returns the
+/// reports.
+fn flood_and_garbage<C: Control>(bench: Bench<C>) -> (Vec<PeriodResult>, Vec<Event>, u32, u32) {
+    let mut setup = Scene::new(bench);
+    let x = |setup: &Scene<C>| {
+        setup
             .deeds
             .last()
-            .and_then(|deed| deed.snapshot)
+            .and_then(|period_result| period_result.snapshot)
             .expect("configured")
             .commanded[0]
     };
-    scene.quiet(1);
-    // Shorter than the silence after which a host is lost: hardly a frame survives this.
-    scene.garbage(2000);
-    scene.quiet(500);
-    let before = x(&scene);
+    setup.quiet(1);
+    // The garbage is shorter than the heartbeat; hardly a frame survives it.
+    setup.garbage(2000);
+    setup.quiet(500);
+    let before = x(&setup);
     for _ in 0..3 {
-        // Half as much again as the ring holds, in one period.
-        scene.step(&[0x55; RING_BYTES * 3 / 2]);
-        scene.quiet(150);
-        assert_eq!(scene.state(), State::Run, "{:?}", scene.bench.events);
+        // One and a half times the receive ring, in one period.
+        setup.step(&[0x55; RING_BYTES * 3 / 2]);
+        setup.quiet(150);
+        assert_eq!(setup.state(), State::Run, "{:?}", setup.bench.events);
     }
-    assert!(x(&scene) > before, "it stands");
-    // A stop that finds the ring full.
+    assert!(x(&setup) > before, "it stands");
+    // The receive ring is full when the stop arrives.
     let mut flood = vec![0x55; RING_BYTES + 100];
     flood.extend_from_slice(&STOP);
-    scene.step(&flood);
-    scene.quiet(1);
-    assert_eq!(scene.state(), State::Hold);
-    // The link comes back by itself, and the job is still there.
-    scene.quiet(4000);
-    scene.bench.ask(Command::Resume).expect("goes on");
-    assert!(scene.bench.wait_for(State::Idle, 60_000));
-    let status = scene.bench.status();
+    setup.step(&flood);
+    setup.quiet(1);
+    assert_eq!(setup.state(), State::Hold);
+    // The link recovers by itself, and the job is still there.
+    setup.quiet(4000);
+    setup.bench.ask(Command::Resume).expect("goes on");
+    assert!(setup.bench.wait_for(State::Idle, 60_000));
+    let status = setup.bench.status();
     assert_eq!(status.fault, None);
     (
-        scene.deeds,
-        scene.bench.events,
+        setup.deeds,
+        setup.bench.events,
         status.lost_bytes,
         status.bad_frames,
     )
 }
 
-/// A job over a line of 115,200 baud on which everything is wrong that can be, from the first byte on.
-fn bad_line<C: Control>(bench: Bench<C>) -> (Vec<Deed>, Vec<Event>, LineCounters, u32) {
-    let mut scene = Scene::new(bench);
-    scene
+/// Runs a job over a line of 115,200 baud with every kind of error from the first byte on.
+fn job_with_all_errors<C: Control>(
+    bench: Bench<C>,
+) -> (Vec<PeriodResult>, Vec<Event>, LineCounters, u32) {
+    let mut setup = Scene::new(bench);
+    setup
         .bench
         .ask(Command::Telemetry { every: 50 })
-        .expect("taken");
-    scene.quiet(1);
+        .expect("accepted");
+    setup.quiet(1);
     for _ in 0..40_000 {
-        scene.step(&[]);
-        if scene.state() == State::Idle {
+        setup.step(&[]);
+        if setup.state() == State::Idle {
             break;
         }
     }
-    assert_eq!(scene.state(), State::Idle);
-    let status = scene.bench.status();
+    assert_eq!(setup.state(), State::Idle);
+    let status = setup.bench.status();
     assert_eq!(status.fault, None);
-    let count = scene.bench.rig.to_machine().count();
-    (scene.deeds, scene.bench.events, count, status.bad_frames)
+    let count = setup.bench.rig.to_machine().count();
+    (setup.deeds, setup.bench.events, count, status.bad_frames)
 }
 
 #[test]
-fn a_bad_line_ends_as_it_does_natively() {
+fn a_bad_line_ends_a_job_as_natively() {
     let faults = [
         "link-errors rate=0.0003",
         "link-drop rate=0.0005",
@@ -145,7 +154,7 @@ fn a_bad_line_ends_as_it_does_natively() {
         faults: faults.map(|fault| fault.parse().expect("a fault")).to_vec(),
         ..RigOptions::default()
     };
-    let native = bad_line(Bench::with_options(&options));
+    let native = job_with_all_errors(Bench::with_options(&options));
     let count = native.2;
     assert!(
         count.flipped > 3 && count.dropped > 0 && count.duplicated > 0,
@@ -153,7 +162,7 @@ fn a_bad_line_ends_as_it_does_natively() {
     );
     assert!(native.3 > 3, "{} broken frames", native.3);
     for board in BOARDS {
-        let emulated = bad_line(bench(board, &options));
+        let emulated = job_with_all_errors(bench(board, &options));
         assert_same("bad line", &native.0, &emulated.0);
         assert_eq!(
             (&native.1, count, native.3),
@@ -168,13 +177,13 @@ fn a_bad_line_ends_as_it_does_natively() {
 }
 
 #[test]
-fn floods_and_garbage_while_moving_do_what_they_do_natively() {
+fn floods_and_garbage_in_motion_act_as_natively() {
     let options = RigOptions::default();
-    let native = worst_line(Bench::with_options(&options));
+    let native = flood_and_garbage(Bench::with_options(&options));
     assert!(native.2 as usize > RING_BYTES, "{} lost", native.2);
     assert!(native.3 > 10, "{} broken frames", native.3);
     for board in BOARDS {
-        let emulated = worst_line(bench(board, &options));
+        let emulated = flood_and_garbage(bench(board, &options));
         assert_same("worst line", &native.0, &emulated.0);
         assert_eq!(
             (&native.1, native.2, native.3),
@@ -189,16 +198,17 @@ fn floods_and_garbage_while_moving_do_what_they_do_natively() {
     }
 }
 
-/// A short job of `haptimill run` over a line of 115,200 baud that flips bits: every byte of its recording, or what is said instead.
+/// Runs a short job of `haptimill run` over a line of 115,200 baud with bit errors. Returns the
+/// recording, or the error text.
 fn job_with_bit_errors(port: &str, rate: &str) -> Result<Vec<u8>, String> {
-    let out = chip::results(&format!("bit-errors-{rate}-{}", port.replace(':', "-")));
+    let out = emulator::results(&format!("bit-errors-{rate}-{}", port.replace(':', "-")));
     std::fs::create_dir_all(&out).expect("made");
     let program = out.join("corner.ngc");
     let text = "G21 G90 G94\nM3 S12000\nG1 X5 F600\nG1 X0 Y4\nM5\nM30\n";
     std::fs::write(&program, text).expect("written");
     let fault = format!("link-errors rate={rate}");
     let more = ["--baud", "115200", "--fault", &fault];
-    match chip::run(&program, port, &out, &more) {
+    match emulator::run(&program, port, &out, &more) {
         Ok(()) => Ok(std::fs::read(out.join("recording.hmr")).expect("recorded")),
         Err(error) => {
             assert_eq!(error.exit, Exit::Port, "{error}");
@@ -210,14 +220,15 @@ fn job_with_bit_errors(port: &str, rate: &str) -> Result<Vec<u8>, String> {
     }
 }
 
-/// Up to where the line gives up, and beyond: the same recording, or the same words, which name the cause and what to do.
+/// Up to the error rate at which the link fails, and beyond: the same recording, or the same text
+/// with cause and remedy.
 #[test]
-fn bit_errors_end_a_job_as_they_do_natively() {
+fn bit_errors_end_a_job_as_natively() {
     for (rate, through) in [
         ("0.0005", true),
         ("0.002", true),
         ("0.003", true),
-        // What ends it differs: a silence, an answer that does not come, a message that does not get through.
+        // The reason differs: a silence, a missing answer, or a message that was resent too often.
         ("0.004", false),
         ("0.005", false),
         ("0.01", false),
@@ -231,8 +242,8 @@ fn bit_errors_end_a_job_as_they_do_natively() {
             }
             (Err(native), Err(emulated)) => {
                 assert_eq!(native, emulated);
-                let told = [" broken frames", "line", "check cable, shield and speed"];
-                assert!(told.iter().all(|word| native.contains(word)), "{native}");
+                let words = [" broken frames", "line", "check cable, shield and speed"];
+                assert!(words.iter().all(|word| native.contains(word)), "{native}");
                 println!("bit errors of {rate}: {native}");
             }
             _ => panic!(
@@ -244,8 +255,8 @@ fn bit_errors_end_a_job_as_they_do_natively() {
     }
 }
 
-/// Configurations that do not fit: what is answered.
-fn misfits<C: Control>(mut bench: Bench<C>) -> Vec<Result<(), Refusal>> {
+/// Sends configurations that do not fit. Returns the answers.
+fn invalid_configurations<C: Control>(mut bench: Bench<C>) -> Vec<Result<(), Refusal>> {
     bench.steps(500);
     let (bytes, crc) = bench.machine.encoded().expect("encodes");
     let chunk = |offset: usize, bytes: &[u8]| {
@@ -260,11 +271,11 @@ fn misfits<C: Control>(mut bench: Bench<C>) -> Vec<Result<(), Refusal>> {
         at_preset: false,
     };
     let mut answers = Vec::new();
-    // More than there is room for.
+    // The configuration is larger than the staging memory.
     for offset in (0..1200).step_by(CONFIG_CHUNK) {
         answers.push(bench.ask(chunk(offset, &[7; CONFIG_CHUNK])));
     }
-    // Senseless, cut off, with a wrong check.
+    // The configuration is invalid, truncated, or has a wrong CRC.
     answers.push(bench.ask(activate(960, 0)));
     for (index, part) in bytes.chunks(CONFIG_CHUNK).enumerate() {
         answers.push(bench.ask(chunk(index * CONFIG_CHUNK, part)));
@@ -272,43 +283,48 @@ fn misfits<C: Control>(mut bench: Bench<C>) -> Vec<Result<(), Refusal>> {
     answers.push(bench.ask(activate(bytes.len() - 1, crc)));
     answers.push(bench.ask(activate(bytes.len(), crc ^ 1)));
     answers.push(bench.ask(Command::Enable));
-    // And the right one after all that.
+    // The valid one is accepted after all that.
     answers.push(bench.ask(activate(bytes.len(), crc)));
     answers.push(bench.ask(Command::Enable));
     answers
 }
 
 #[test]
-fn configurations_that_do_not_fit_are_refused_as_natively() {
+fn invalid_configurations_are_refused_as_natively() {
     let options = RigOptions::default();
-    let native = misfits(Bench::with_options(&options));
+    let native = invalid_configurations(Bench::with_options(&options));
     assert!(
         native.iter().filter(|answer| answer.is_err()).count() >= 4,
         "{native:?}"
     );
     assert_eq!(native[native.len() - 2..], [Ok(()), Ok(())]);
-    assert_eq!(misfits(bench(Board::Mps2, &options)), native);
+    assert_eq!(invalid_configurations(bench(Board::Mps2, &options)), native);
 }
 
-/// A machine in motion on a chip that has as many instructions for a period as `share` of what one takes in the mean: how it ended, and how many periods
-/// were missed.
+/// Runs a machine in motion on a chip with a budget of `share` of the mean instructions of a
+/// period. Returns how it ended, and the number of missed periods.
 fn with_budget(share: f64) -> (Bench<Remote>, u64) {
-    let mut scene = Scene::new(bench(Board::Mps2, &RigOptions::default()));
-    scene.quiet(1);
-    let control = scene.bench.rig.control_mut();
+    let mut setup = Scene::new(bench(Board::Mps2, &RigOptions::default()));
+    setup.quiet(1);
+    let control = setup.bench.rig.control_mut();
     let cost = control.cost().lock().expect("not poisoned").clone();
     let mean = cost.sums.iter().sum::<u64>() as f64 / cost.periods as f64;
     control.set_budget((mean * share) as u32);
     let mut missed = 0;
     for _ in 0..4000 {
-        scene.step(&[]);
-        missed += u64::from(scene.deeds.last().map_or(0, |deed| deed.missed));
+        setup.step(&[]);
+        missed += u64::from(
+            setup
+                .deeds
+                .last()
+                .map_or(0, |period_result| period_result.missed),
+        );
     }
-    (scene.bench, missed)
+    (setup.bench, missed)
 }
 
 #[test]
-fn a_period_that_takes_too_many_instructions_misses_the_next_ones() {
+fn a_period_with_too_many_instructions_misses_the_next_ones() {
     // Two of three periods are missed.
     let (mut bench, missed) = with_budget(0.4);
     assert!(bench.wait_for(State::Fault, 20_000));
@@ -318,7 +334,7 @@ fn a_period_that_takes_too_many_instructions_misses_the_next_ones() {
     let late = matches!(status.fault, Some(Fault::LatePeriod { .. }));
     assert!(late, "{status:?}");
     assert_eq!(status.state, State::Fault);
-    // It was braked along its path: the drives have it in hand, and it stands.
+    // The machine braked along its path: the drives are on, and it is at standstill.
     let outputs = bench.rig.outputs().axes;
     assert!(outputs[..5].iter().all(|axis| *axis != DriveCommand::Off));
     let before = bench.rig.truth().pose;
@@ -330,7 +346,7 @@ fn a_period_that_takes_too_many_instructions_misses_the_next_ones() {
 }
 
 #[test]
-fn a_period_within_its_instructions_misses_nothing() {
+fn a_period_within_its_instructions_misses_none() {
     let (mut bench, missed) = with_budget(20.0);
     assert_eq!((missed, bench.status().state), (0, State::Run));
 }

@@ -1,16 +1,17 @@
-//! The log of the emulated chip: its lines come out, its texts take no flash, and it changes nothing of what the controller does.
+//! The log of the emulated chip: its lines arrive, its texts take no flash, and the outputs stay
+//! the same.
 //!
 //! Needs the feature `emulated`; see `emulated.rs`.
 
-mod chip;
+mod emulator;
 
-use chip::{image, results, root, run};
+use emulator::{image, results, root, run};
 use haptimill::commands::Exit;
 use haptimill_tests::log;
 use haptimill_trace::{Recording, difference};
 
-/// Bytes of an image that go into the chip's memory: its loadable segments.
-fn loaded(image: &[u8]) -> Vec<u8> {
+/// Returns the bytes of an image that are loaded into the chip's memory: its loadable segments.
+fn loaded_bytes(image: &[u8]) -> Vec<u8> {
     let word =
         |at: usize| u32::from_le_bytes(image[at..at + 4].try_into().expect("a word")) as usize;
     let half = |at: usize| {
@@ -32,7 +33,7 @@ fn contains(bytes: &[u8], text: &str) -> bool {
 }
 
 #[test]
-fn the_log_tells_states_and_faults_and_changes_no_bit() {
+fn the_log_reports_states_and_faults_and_changes_no_output() {
     let program = root().join("examples/e7-slot.ngc");
     let image = image("logging");
     let bytes = std::fs::read(&image).expect("built");
@@ -53,7 +54,7 @@ fn the_log_tells_states_and_faults_and_changes_no_bit() {
     let lines =
         log::decode(&bytes, &std::fs::read(&file).expect("written")).expect("of this image");
     lines.iter().for_each(|line| println!("{line}"));
-    let said: Vec<&str> = lines.iter().map(|line| line[11..].trim()).collect();
+    let texts: Vec<&str> = lines.iter().map(|line| line[11..].trim()).collect();
     let expected = [
         "info  a run begins, 200 us a period",
         "info  Disabled -> Idle",
@@ -62,21 +63,21 @@ fn the_log_tells_states_and_faults_and_changes_no_bit() {
         "info  Idle -> Run",
         "error fault latched: Drive { axis: 1 }",
     ];
-    let mut rest = said.iter();
+    let mut rest = texts.iter();
     for text in expected {
         assert!(
             rest.any(|line| *line == text),
-            "{text} does not come: {said:#?}"
+            "{text} is missing: {texts:#?}"
         );
     }
-    // The stamps are control periods: they grow, and the fault comes 8 s after the start.
+    // The time stamps are control periods: they increase, and the fault comes 8 s after the start.
     let stamp = |line: &String| line[..10].trim().parse::<u32>().expect("a number");
     assert!(lines.is_sorted_by_key(stamp));
     let fault = lines.iter().find(|line| line.contains("latched"));
     assert_eq!(fault.map(stamp), Some(40_000));
 
-    // Texts are in the file and not in the flash; a text of the product is in both.
-    let flash = loaded(&bytes);
+    // Log texts are in the file and not in the flash. A text of the product is in both.
+    let flash = loaded_bytes(&bytes);
     assert!(contains(&bytes, "fault latched") && !contains(&flash, "fault latched"));
     assert!(contains(&flash, "the simulator has gone"));
     assert!(log::decode(&bytes, &[1, 2, 3, 0]).is_err());

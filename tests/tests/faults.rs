@@ -1,151 +1,21 @@
-//! Each fault of machine, drives, encoders and board: the right report, the drives safe in the same period, and how far the machine got.
+//! Faults of machine, drives and board: the right report, safe outputs in the same period, and the
+//! distance that the machine moved.
 
-mod scene;
+mod setup;
 
 use haptimill_hil_sim::joint::encoder::EncoderCondition;
 use haptimill_hil_sim::plant::JointCondition;
 use haptimill_protocol::message::{Command, Event, Fault, InputProblem, Refusal, State};
 use haptimill_tests::Bench;
-use scene::struck::{
-    encoder_is_asked, position_is_kept, position_is_lost, spoil_encoder, spoil_joint, strike,
+use setup::joint_fault::{
+    assert_position_kept, home_with_suspected_encoder, joint_fault, run_with_joint_fault,
 };
-use scene::{
-    MM, commanded, distance, drives_off, joint_off, line, moving, ready, recover, state, tool,
+use setup::{
+    MM, commanded, distance, drives_off, following_error, line, moving, ready, recover, state, tool,
 };
 
 #[test]
-fn a_reversed_encoder_does_not_run_away() {
-    for joint in 0..4 {
-        for speed in [0.2, 4.0, 40.0, -40.0] {
-            let swapped = EncoderCondition {
-                swapped: true,
-                ..EncoderCondition::default()
-            };
-            let mut struck = strike(0, joint, speed, spoil_encoder(joint, swapped));
-            let named = struck.fault == Fault::EncoderReversed { axis: joint as u8 }
-                || struck.fault == Fault::EncoderStuck { axis: joint as u8 };
-            assert!(named, "{:?}", struck.fault);
-            assert!(
-                struck.off < 0.1 && struck.periods < 100,
-                "{} mm, {} periods",
-                struck.off,
-                struck.periods
-            );
-            struck
-                .bench
-                .rig
-                .plant_mut()
-                .set_encoder_condition(joint, EncoderCondition::default());
-            encoder_is_asked(&mut struck.bench);
-        }
-    }
-}
-
-#[test]
-fn a_reversed_encoder_of_the_table_does_not_run_away() {
-    for speed in [1.0, 10.0] {
-        let swapped = EncoderCondition {
-            swapped: true,
-            ..EncoderCondition::default()
-        };
-        let struck = strike(4, 4, speed, spoil_encoder(4, swapped));
-        assert!(
-            struck.off < 0.3 && struck.periods < 100,
-            "{} degrees, {} periods",
-            struck.off,
-            struck.periods
-        );
-    }
-}
-
-#[test]
-fn a_stuck_channel_is_seen_before_the_slide_is_fast() {
-    let clean = EncoderCondition::default();
-    for (speed, most) in [
-        (0.02, 0.1),
-        (-0.02, 0.1),
-        (0.05, 0.1),
-        (0.2, 0.1),
-        (-0.5, 0.15),
-        (1.0, 0.35),
-        (4.0, 0.05),
-        (40.0, 0.05),
-        (-40.0, 0.05),
-    ] {
-        for (joint, condition) in [
-            (
-                0,
-                EncoderCondition {
-                    stuck_a: Some(true),
-                    ..clean
-                },
-            ),
-            (
-                3,
-                EncoderCondition {
-                    stuck_b: Some(false),
-                    ..clean
-                },
-            ),
-        ] {
-            let mut struck = strike(0, joint, speed, spoil_encoder(joint, condition));
-            assert_eq!(struck.fault, Fault::EncoderStuck { axis: joint as u8 });
-            assert!(struck.off < most, "{speed} mm/s: {} mm", struck.off);
-            struck
-                .bench
-                .rig
-                .plant_mut()
-                .set_encoder_condition(joint, clean);
-            encoder_is_asked(&mut struck.bench);
-        }
-    }
-}
-
-#[test]
-fn illegal_transitions_lose_the_position() {
-    let noise = EncoderCondition {
-        noise_hz: 5000.0,
-        ..EncoderCondition::default()
-    };
-    let mut struck = strike(0, 2, 4.0, spoil_encoder(2, noise));
-    assert!(matches!(
-        struck.fault,
-        Fault::EncoderIllegal {
-            axis: 2,
-            count: 9..
-        }
-    ));
-    assert!(struck.off < 0.03, "{}", struck.off);
-    struck
-        .bench
-        .rig
-        .plant_mut()
-        .set_encoder_condition(2, EncoderCondition::default());
-    position_is_lost(&mut struck.bench);
-}
-
-#[test]
-fn illegal_transitions_with_the_drives_off_lose_the_position_as_well() {
-    let mut bench = ready();
-    bench.ask(Command::Disable).expect("off");
-    let noise = EncoderCondition {
-        noise_hz: 5000.0,
-        ..EncoderCondition::default()
-    };
-    bench.rig.plant_mut().set_encoder_condition(1, noise);
-    bench.steps(100);
-    bench
-        .rig
-        .plant_mut()
-        .set_encoder_condition(1, EncoderCondition::default());
-    bench.ask(Command::Enable).expect("on");
-    let status = bench.status();
-    assert!(!status.position_kept && !status.homed);
-    assert_eq!(bench.ask(Command::Home), Err(Refusal::PresetLost));
-}
-
-#[test]
-fn a_dead_or_reversed_drive_and_a_jammed_slide_are_told() {
+fn a_dead_or_reversed_drive_and_a_jammed_slide_are_reported() {
     let well = JointCondition::default();
     for speed in [4.0, 40.0] {
         for (name, condition) in [
@@ -171,7 +41,7 @@ fn a_dead_or_reversed_drive_and_a_jammed_slide_are_told() {
                 },
             ),
         ] {
-            let mut struck = strike(0, 1, speed, spoil_joint(1, condition));
+            let mut struck = run_with_joint_fault(0, 1, speed, joint_fault(1, condition));
             let axis = match struck.fault {
                 Fault::EncoderStuck { axis }
                 | Fault::EncoderReversed { axis }
@@ -179,10 +49,11 @@ fn a_dead_or_reversed_drive_and_a_jammed_slide_are_told() {
                 other => panic!("{name}: {other:?}"),
             };
             assert_eq!(axis, 1);
-            // A slide that is held fast stays behind by the limit of the following error and by what the screw is wound up.
+            // A jammed slide lags by the limit of the following error plus the wind-up of the
+            // screw.
             assert!(struck.off < 0.75, "{name}: {} mm", struck.off);
             struck.bench.rig.plant_mut().set_condition(1, well);
-            assert!(encoder_is_asked(&mut struck.bench), "{name}");
+            assert!(home_with_suspected_encoder(&mut struck.bench), "{name}");
         }
     }
 }
@@ -194,7 +65,7 @@ fn the_limit_of_the_following_error_grows_with_the_speed() {
             jam: f64::INFINITY,
             ..JointCondition::default()
         };
-        let struck = strike(0, 0, speed, spoil_joint(0, held));
+        let struck = run_with_joint_fault(0, 0, speed, joint_fault(0, held));
         let Fault::FollowingError {
             axis: 0,
             error,
@@ -213,7 +84,7 @@ fn the_limit_of_the_following_error_grows_with_the_speed() {
 }
 
 #[test]
-fn a_tripped_drive_and_a_limit_switch_stop_all_in_one_period() {
+fn a_tripped_drive_or_limit_switch_stops_all_drives_in_one_period() {
     let well = JointCondition::default();
     for (condition, fault) in [
         (
@@ -238,7 +109,7 @@ fn a_tripped_drive_and_a_limit_switch_stop_all_in_one_period() {
             Fault::LimitSwitch { axis: 3 },
         ),
     ] {
-        let mut struck = strike(0, 3, 20.0, spoil_joint(3, condition));
+        let mut struck = run_with_joint_fault(0, 3, 20.0, joint_fault(3, condition));
         assert_eq!((struck.fault, struck.periods), (fault, 0));
         struck.bench.ask(Command::Reset).expect("reset");
         let problem = match fault {
@@ -248,17 +119,17 @@ fn a_tripped_drive_and_a_limit_switch_stop_all_in_one_period() {
         let refusal = Refusal::Input(problem);
         assert_eq!(struck.bench.ask(Command::Enable), Err(refusal));
         struck.bench.rig.plant_mut().set_condition(3, well);
-        // A switch at the end of a stroke in which the joint was not measured speaks against its encoder.
+        // A switch far from the measured end of the stroke contradicts the encoder.
         if matches!(fault, Fault::LimitSwitch { .. }) {
-            assert!(encoder_is_asked(&mut struck.bench));
+            assert!(home_with_suspected_encoder(&mut struck.bench));
         } else {
-            position_is_kept(&mut struck.bench);
+            assert_position_kept(&mut struck.bench);
         }
     }
 }
 
 #[test]
-fn the_emergency_stop_by_wire_and_by_command() {
+fn the_emergency_stop_by_circuit_or_command_switches_the_drives_off() {
     for wire in [true, false] {
         let mut bench = moving(0, 40.0);
         let here = tool(&bench);
@@ -266,13 +137,13 @@ fn the_emergency_stop_by_wire_and_by_command() {
             bench.rig.plant_mut().set_emergency_stop(true);
             bench.step();
         } else {
-            bench.say(Command::EmergencyStop).expect("room");
+            bench.send(Command::EmergencyStop).expect("room");
             bench.steps(2);
         }
         assert_eq!(state(&bench), State::EmergencyStop);
         assert!(drives_off(&bench));
         bench.steps(2000);
-        // 40 mm/s against friction alone: 0.8 mm, and 8 um a period before.
+        // 40 mm/s against friction alone gives 0.8 mm; 8 um per period before.
         let gone = distance(&bench, here);
         assert!(gone < 0.9, "{gone} mm");
         assert!(
@@ -288,12 +159,12 @@ fn the_emergency_stop_by_wire_and_by_command() {
             assert_eq!(bench.ask(Command::Reset), Err(pressed));
             bench.rig.plant_mut().set_emergency_stop(false);
         }
-        position_is_kept(&mut bench);
+        assert_position_kept(&mut bench);
     }
 }
 
 #[test]
-fn an_emergency_stop_while_homing_leaves_nothing_homed() {
+fn an_emergency_stop_during_homing_leaves_no_joint_homed() {
     let mut bench = Bench::new();
     bench.steps(500);
     bench.configure();
@@ -306,19 +177,19 @@ fn an_emergency_stop_while_homing_leaves_nothing_homed() {
     let status = bench.status();
     assert!(!status.homed && !status.position_kept);
     recover(&mut bench, State::Disabled);
-    // The encoders went on counting: the presets hold, and homing begins anew.
+    // The encoders went on counting: the presets hold, and homing starts again.
     bench.ask(Command::Home).expect("homing");
     bench.steps(12_000);
     assert!(bench.status().homed);
 }
 
 #[test]
-fn a_host_that_falls_silent_lets_the_machine_brake_on_its_path() {
+fn a_silent_host_stops_the_machine_along_its_path() {
     let mut bench = moving(0, 20.0);
     let (line_y, line_z) = (commanded(&bench)[1], commanded(&bench)[2]);
     let (mut begun, mut mark) = (None, None);
     for period in 0..6000 {
-        // Nobody writes: the host is dead, its bytes are lost.
+        // The host sends nothing, and its received bytes are dropped.
         bench.step_with_fault(Vec::clear);
         assert_eq!(
             (commanded(&bench)[1], commanded(&bench)[2]),
@@ -332,7 +203,7 @@ fn a_host_that_falls_silent_lets_the_machine_brake_on_its_path() {
             mark = Some(period);
         }
     }
-    // Heard every 70 ms; 500 ms of silence; 300 ms to brake (and 2 ms of rounding).
+    // 70 ms between keep-alive frames, 500 ms heartbeat, 300 ms deceleration, 2 ms rounding.
     let (begun, mark) = (begun.expect("noticed"), mark.expect("latched"));
     eprintln!(
         "silent host: braking after {} ms, at rest {} ms later",
@@ -362,7 +233,7 @@ fn a_host_that_falls_silent_lets_the_machine_brake_on_its_path() {
 }
 
 #[test]
-fn late_setpoints_slow_the_machine_on_its_path_and_are_named() {
+fn late_setpoints_slow_the_machine_along_its_path_and_are_reported() {
     let mut bench = ready();
     let start = bench.status().commanded;
     let points = line(&start, 0, 10.0, 28);
@@ -385,14 +256,14 @@ fn late_setpoints_slow_the_machine_on_its_path_and_are_named() {
                         items,
                     },
                 ))
-                .expect("taken");
+                .expect("accepted");
         }
     };
     send(&mut bench, 0..15);
     bench.steps(9000);
     let status = bench.status();
     assert_eq!((status.state, status.path_rate), (State::Run, 0));
-    // Stopped before the last setpoint that there was, on the line.
+    // The machine stopped on the line, before the last setpoint.
     assert!(status.commanded[0] < points[14].pose[0]);
     assert_eq!(
         (status.commanded[1], status.commanded[2]),
@@ -416,7 +287,8 @@ fn late_setpoints_slow_the_machine_on_its_path_and_are_named() {
     else {
         panic!("{underrun:?}")
     };
-    // 1.5 s of setpoints, braking from about 0.15 s before their end; then nothing until 9000 periods and the questions were over.
+    // 1.5 s of setpoints, deceleration from 0.15 s before their end, then standstill until period
+    // 9000.
     assert!((1500..4000).contains(late_periods), "{late_periods}");
     assert!(bench.events.contains(&Event::JobDone {
         job: 4,
@@ -425,8 +297,8 @@ fn late_setpoints_slow_the_machine_on_its_path_and_are_named() {
     assert_eq!(commanded(&bench)[0], points[29].pose[0]);
 }
 
-/// The machine with step motors, homed, and then in the middle of a line in x.
-fn stepping(speed: f64) -> Bench {
+/// Returns the homed machine with step motors in the middle of a line in x.
+fn step_machine(speed: f64) -> Bench {
     let text = include_str!("../../machines/h4-step.toml");
     let machine = haptimill_machine_file::MachineFile::parse("h4-step.toml", text).expect("sound");
     let options = haptimill_hil_sim::rig::RigOptions::default();
@@ -442,7 +314,7 @@ fn stepping(speed: f64) -> Bench {
 }
 
 #[test]
-fn a_step_motor_that_cannot_or_an_encoder_that_lies_stops_the_whole_path() {
+fn a_stalled_step_motor_or_wrong_encoder_stops_the_whole_path() {
     let clean = EncoderCondition::default();
     let well = JointCondition::default();
     let cases: [(&str, EncoderCondition, JointCondition); 6] = [
@@ -497,12 +369,12 @@ fn a_step_motor_that_cannot_or_an_encoder_that_lies_stops_the_whole_path() {
     ];
     for speed in [4.0, -10.0] {
         for (name, encoder, joint) in &cases {
-            let mut bench = stepping(speed);
+            let mut bench = step_machine(speed);
             bench.rig.plant_mut().set_encoder_condition(1, *encoder);
             bench.rig.plant_mut().set_condition(1, *joint);
             let mut off = 0.0_f64;
             let period = (0..2000).find(|_| {
-                off = off.max(joint_off(&bench, 1));
+                off = off.max(following_error(&bench, 1));
                 bench.step();
                 drives_off(&bench)
             });
@@ -521,7 +393,8 @@ fn a_step_motor_that_cannot_or_an_encoder_that_lies_stops_the_whole_path() {
                 other => panic!("{name}: {other:?}"),
             };
             assert_eq!(bench.rig.control().safety().position_kept(), kept);
-            // Steps and encoder may disagree by 0.05 mm; a motor under a jam winds up its screw as well: 1200 N on 2500 N/mm.
+            // Steps and encoder may differ by 0.05 mm. A motor under a jam also winds up its screw:
+            // 1200 N on 2500 N/mm.
             assert!(off < 0.06 + 1200.0 / 2500.0, "{name}: {off} mm");
         }
     }

@@ -1,6 +1,7 @@
-//! Force control in the whole machine: contacts that are pressed and not cut, from soft to stiff, on the simulated arm with and without friction and backlash.
+//! Contacts under force control that are pressed and not cut, from soft to stiff, with and without
+//! friction and backlash.
 
-mod scene;
+mod setup;
 
 use haptimill_firmware::controller::Controller;
 use haptimill_hil_sim::RigOptions;
@@ -11,10 +12,13 @@ use haptimill_machine_file::{BUILT_IN, MachineFile};
 use haptimill_protocol::force::Gate;
 use haptimill_protocol::message::State;
 use haptimill_tests::Bench;
-use scene::force::{PERIOD, control, job, levels, loop_of, tare, turn_table, wall};
-use scene::{state, tool};
+use setup::force::{PERIOD, control, force_settings, job, levels, tare, turn_table, wall};
+use setup::{state, tool};
 
-/// The built-in machine, or one without friction and backlash: what is left are counts, across which its servo swings while the reference creeps by less than six of them in a second.
+/// Returns the built-in machine, or one without friction and backlash.
+///
+/// Without them the encoder counts remain. The servo oscillates across a count while the reference
+/// creeps by less than six counts per second.
 fn machine(ideal: bool) -> Bench {
     let mut text = BUILT_IN.to_string();
     if ideal {
@@ -40,10 +44,11 @@ fn machine(ideal: bool) -> Bench {
     bench
 }
 
-/// Stiffness of the servo along x: K_P times the mass of a slide, four slides.
+/// Stiffness of the servo along x: K_P times the mass of four slides.
 const SERVO: f64 = 4.0 * 1600.0;
 
-/// What a contact did: its first peak; then, over the last `LOOKED` seconds, the largest swing within `SPAN`, and the mean, N.
+/// Forces of a contact, N: the first peak; then over the last `LOOKED` seconds the largest
+/// oscillation within `SPAN`, and the mean.
 struct Held {
     first: f64,
     swing: f64,
@@ -51,18 +56,21 @@ struct Held {
     level: u8,
 }
 
-/// Seconds from where the desired motion ends to the end, and of the last part that is looked at.
+/// Seconds from the end of the desired motion to the end, and seconds of the evaluated part.
 const TIME: f64 = 16.0;
 const LOOKED: f64 = 12.0;
 
-/// Seconds in which a swing is looked for: the slowest one that was seen takes two.
+/// Seconds in which an oscillation is evaluated; the slowest observed one takes two.
 const SPAN: f64 = 4.0;
 
-/// Presses the tool 2 mm into a wall of so many N/mm, and holds it there. The sensor has its noise and its codes; its drift is off: 0.01 N/s would be most of what is asked of the mean.
+/// Presses the tool 2 mm into a wall of this stiffness, and holds it there.
+///
+/// The sensor has noise and quantisation. Its drift is off: 0.01 N/s would exceed the bound of the
+/// mean.
 fn press(ideal: bool, stiffness: f64, structure: bool, speed: f64) -> Held {
     let mut bench = machine(ideal);
-    // With friction the tool rests within a count of an encoder, which is 1.25 N at 1000 N/mm: how
-    // far off is a matter of the place.
+    // With friction the tool rests within a count of an encoder, which is 1.25 N at 1000 N/mm. The
+    // error depends on the place.
     turn_table(&mut bench, 3.6);
     let process = ProcessConfig {
         sensor: Some(SensorConfig {
@@ -75,10 +83,10 @@ fn press(ideal: bool, stiffness: f64, structure: bool, speed: f64) -> Held {
     bench.rig.plant_mut().fit(&process).expect("sound");
     bench.steps(100);
     tare(&mut bench);
-    control(&mut bench, 0, loop_of(1.0, 5.0, Gate::Any));
+    control(&mut bench, 0, force_settings(1.0, 5.0, Gate::Any));
     let spans = (20.0 / speed) as usize;
     job(&mut bench, -speed, spans, TIME);
-    // The spindle runs up for 1 s.
+    // The spindle takes 1 s to its speed.
     let motion = 1.0 + 0.1 * (spans + 2) as f64;
     let (end, looked) = (
         ((motion + TIME) / PERIOD) as usize,
@@ -107,7 +115,7 @@ fn press(ideal: bool, stiffness: f64, structure: bool, speed: f64) -> Held {
             });
         high - low
     };
-    // Spans that overlap by half.
+    // The intervals overlap by half.
     let span = (SPAN / PERIOD) as usize;
     let swings = (0..=looked - span)
         .step_by(span / 2)
@@ -120,10 +128,13 @@ fn press(ideal: bool, stiffness: f64, structure: bool, speed: f64) -> Held {
     }
 }
 
-/// Contacts that are pressed by the desired motion, up to 1000 N/mm in all (wall, structure and servo), on the plant with and without friction and backlash: held as it is asked. With friction the tool
-/// rests where the drive leaves it; how far the force is off then is reported, and held to 0.5 N.
+/// The desired motion presses on contacts of up to 1000 N/mm (wall, structure and servo in series),
+/// with and without friction and backlash.
+///
+/// The force reaches its setpoint. With friction the drive leaves a reported error of at most 0.5
+/// N.
 #[test]
-fn contacts_are_held_up_to_a_thousand() {
+fn the_force_setpoint_is_held_up_to_1000_n_per_mm() {
     for (wall, structure, speed) in [
         (10.0, false, 2.0),
         (20.0, false, 1.0),

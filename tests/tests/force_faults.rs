@@ -1,18 +1,19 @@
-//! Force control in the whole machine: what breaks a sensor, and a spindle that stands.
+//! Faults of the force sensor, and a spindle that stalls, under force control.
 
-mod scene;
+mod setup;
 
 use haptimill_hil_sim::process::ProcessConfig;
 use haptimill_hil_sim::process::sensor::{End, SensorCondition};
 use haptimill_protocol::force::{ForceProblem, Gate};
 use haptimill_protocol::message::{Command, Event, Fault, State};
 use haptimill_tests::Bench;
-use scene::force::{
-    block, control, job, loop_of, ready_at, sensor_alone, tare, wall, yield_rate, yielded,
+use setup::force::{
+    block, control, displacement, displacement_rate, force_settings, job, sensor_alone, tare,
+    tared_machine, wall,
 };
-use scene::{MM, distance, line, state, told, tool};
+use setup::{MM, distance, line, reported_faults, state, tool};
 
-/// What breaks the sensor, and what it must be called.
+/// A fault of the sensor, and the problem that must be reported.
 fn broken(bench: &mut Bench, condition: SensorCondition) {
     let process = bench.rig.plant_mut().process_mut().expect("there");
     process
@@ -21,10 +22,11 @@ fn broken(bench: &mut Bench, condition: SensorCondition) {
         .set_condition(0, condition);
 }
 
-/// Waits for the end, and sees to it that it is a controlled stop: drives holding, position kept, nothing jumps, the tool stays.
+/// Waits for the end, which must be a controlled stop: drives on, position kept, no jump, tool in
+/// place.
 fn controlled_stop(bench: &mut Bench) -> ForceProblem {
     let mut fastest = 0.0_f64;
-    // A saturated channel may be a force: then it goes back along its path first, slowly.
+    // A saturated channel may be a real force: the machine first retracts slowly along its path.
     for _ in 0..50_000 {
         let before = tool(bench);
         bench.step();
@@ -40,30 +42,30 @@ fn controlled_stop(bench: &mut Bench) -> ForceProblem {
     assert!(distance(bench, latched) < 0.05, "the tool went on");
     assert!(bench.rig.control().safety().position_kept());
     assert!(bench.rig.control().safety().drives_on());
-    let told = told(bench);
-    let [Event::Fault(Fault::Force(problem))] = told[..] else {
-        panic!("{told:?}")
+    let faults = reported_faults(bench);
+    let [Event::Fault(Fault::Force(problem))] = faults[..] else {
+        panic!("{faults:?}")
     };
     *problem
 }
 
 #[test]
-fn every_sensor_fault_ends_in_a_controlled_stop_with_its_name() {
+fn every_sensor_fault_causes_a_controlled_stop_and_is_reported() {
     let healthy = SensorCondition::default();
-    let scene = |gap: f64, gate: Gate| {
-        let mut bench = scene::ready();
+    let setup = |gap: f64, gate: Gate| {
+        let mut bench = setup::ready();
         let process = wall(tool(&bench), gap, 100.0);
         bench.rig.plant_mut().fit(&process).expect("sound");
         bench.steps(100);
         tare(&mut bench);
-        control(&mut bench, 0, loop_of(1.0, 5.0, gate));
+        control(&mut bench, 0, force_settings(1.0, 5.0, gate));
         job(&mut bench, -1.0, 40, 0.0);
-        // Spindle up to speed, and into the contact.
+        // The spindle reaches its speed, and the tool the contact.
         bench.steps(6000);
         assert_eq!(state(&bench), State::Run);
         bench
     };
-    let mut bench = scene(0.2, Gate::AgainstMotion);
+    let mut bench = setup(0.2, Gate::AgainstMotion);
     broken(
         &mut bench,
         SensorCondition {
@@ -77,7 +79,7 @@ fn every_sensor_fault_ends_in_a_controlled_stop_with_its_name() {
         "{problem:?}"
     );
 
-    let mut bench = scene(0.2, Gate::AgainstMotion);
+    let mut bench = setup(0.2, Gate::AgainstMotion);
     broken(
         &mut bench,
         SensorCondition {
@@ -90,8 +92,8 @@ fn every_sensor_fault_ends_in_a_controlled_stop_with_its_name() {
         ForceProblem::Stuck { component: 0 }
     );
 
-    // A lost signal is the code of nothing, again and again.
-    let mut bench = scene(0.2, Gate::AgainstMotion);
+    // A lost signal gives the code of zero force again and again.
+    let mut bench = setup(0.2, Gate::AgainstMotion);
     broken(
         &mut bench,
         SensorCondition {
@@ -104,8 +106,8 @@ fn every_sensor_fault_ends_in_a_controlled_stop_with_its_name() {
         ForceProblem::Stuck { component: 0 }
     );
 
-    // The converter says nothing more.
-    let mut bench = scene(0.2, Gate::AgainstMotion);
+    // The converter gives no more codes.
+    let mut bench = setup(0.2, Gate::AgainstMotion);
     bench
         .rig
         .plant_mut()
@@ -114,7 +116,7 @@ fn every_sensor_fault_ends_in_a_controlled_stop_with_its_name() {
     assert_eq!(controlled_stop(&mut bench), ForceProblem::Silent);
 
     for gate in [Gate::AgainstMotion, Gate::Any] {
-        let mut bench = scene(3.0, gate);
+        let mut bench = setup(3.0, gate);
         broken(
             &mut bench,
             SensorCondition {
@@ -129,9 +131,9 @@ fn every_sensor_fault_ends_in_a_controlled_stop_with_its_name() {
         );
     }
 
-    // In the air with the spindle off.
-    let mut bench = ready_at(&sensor_alone());
-    control(&mut bench, 0, loop_of(1.0, 5.0, Gate::AgainstMotion));
+    // The tool is in the air, the spindle is off.
+    let mut bench = tared_machine(&sensor_alone());
+    control(&mut bench, 0, force_settings(1.0, 5.0, Gate::AgainstMotion));
     let start = bench.status().commanded;
     bench.start_job(1, &line(&start, 0, -1.0, 60));
     bench.steps(3000);
@@ -149,17 +151,18 @@ fn every_sensor_fault_ends_in_a_controlled_stop_with_its_name() {
     );
 }
 
-/// After a fault of the force the tool stays where it yielded to, a reset moves nothing, and a jog leads out of it.
+/// After a force fault the tool keeps its compliant displacement. A reset moves nothing, and a jog
+/// moves out of it.
 #[test]
-fn after_a_fault_the_tool_stays_and_can_be_jogged_away() {
-    let mut bench = scene::ready();
+fn after_a_force_fault_the_tool_stays_and_can_be_jogged() {
+    let mut bench = setup::ready();
     let process = wall(tool(&bench), 0.2, 100.0);
     bench.rig.plant_mut().fit(&process).expect("sound");
     bench.steps(100);
     tare(&mut bench);
-    control(&mut bench, 0, loop_of(1.0, 5.0, Gate::AgainstMotion));
+    control(&mut bench, 0, force_settings(1.0, 5.0, Gate::AgainstMotion));
     job(&mut bench, -1.0, 60, 0.0);
-    while yielded(&bench) < 0.5 {
+    while displacement(&bench) < 0.5 {
         bench.step();
     }
     bench
@@ -177,7 +180,7 @@ fn after_a_fault_the_tool_stays_and_can_be_jogged_away() {
             },
         );
     controlled_stop(&mut bench);
-    assert!(yielded(&bench) > 0.4);
+    assert!(displacement(&bench) > 0.4);
     let before = tool(&bench);
     broken(&mut bench, SensorCondition::default());
     bench.steps(1000);
@@ -189,7 +192,7 @@ fn after_a_fault_the_tool_stays_and_can_be_jogged_away() {
         "the tool moved by {} mm",
         distance(&bench, before)
     );
-    assert_eq!(yielded(&bench), 0.0);
+    assert_eq!(displacement(&bench), 0.0);
     let rates = [4096, 0, 0, 0, 0].into_iter().collect();
     bench
         .ask(Command::Jog {
@@ -203,20 +206,21 @@ fn after_a_fault_the_tool_stays_and_can_be_jogged_away() {
     assert!(tool(&bench)[0] - before[0] > 0.5);
 }
 
-/// The contact is lost and the tool returns, when the fault of a silent host is reset, or the references are looked for: the reference must not stop within a period.
+/// The contact is lost and the tool returns. A reset after a lost host, or homing, must not stop
+/// the reference within a period.
 #[test]
-fn a_tool_on_its_way_back_is_not_stopped_at_once() {
+fn a_returning_tool_is_not_stopped_within_a_period() {
     for reset in [true, false] {
-        let mut bench = scene::ready();
+        let mut bench = setup::ready();
         let process = wall(tool(&bench), 0.5, 20.0);
         bench.rig.plant_mut().fit(&process).expect("sound");
         bench.steps(100);
         tare(&mut bench);
-        let mut settings = loop_of(1.0, 2.0, Gate::AgainstMotion);
+        let mut settings = force_settings(1.0, 2.0, Gate::AgainstMotion);
         settings.desired *= if reset { 3 } else { 1 };
         control(&mut bench, 0, settings);
         job(&mut bench, -4.0, 30, if reset { 3.0 } else { 0.05 });
-        while yielded(&bench) < 5.0 {
+        while displacement(&bench) < 5.0 {
             bench.step();
             assert_eq!(state(&bench), State::Run, "{:?}", bench.events);
         }
@@ -238,8 +242,8 @@ fn a_tool_on_its_way_back_is_not_stopped_at_once() {
             }
             Command::Home
         };
-        assert!(yielded(&bench) > 0.5 && yield_rate(&bench) < -1.0);
-        bench.say(command);
+        assert!(displacement(&bench) > 0.5 && displacement_rate(&bench) < -1.0);
+        bench.send(command);
         let rate = |bench: &Bench| {
             let machine = bench.rig.control().machine().expect("configured");
             f64::from(machine.reference().rates[0].0) / MM
@@ -256,10 +260,11 @@ fn a_tool_on_its_way_back_is_not_stopped_at_once() {
     }
 }
 
-/// The spindle stops in the cut, without force control: the force limit trips, and the tool goes back by the way it came.
+/// The spindle stalls in the cut without force control: the force limit trips, and the tool
+/// retracts along its path.
 #[test]
-fn a_spindle_that_stands_trips_the_force_limit() {
-    let mut bench = scene::ready();
+fn a_stalled_spindle_trips_the_force_limit() {
+    let mut bench = setup::ready();
     let process = block(tool(&bench), 1.0);
     bench.rig.plant_mut().fit(&process).expect("sound");
     bench.steps(100);
@@ -285,13 +290,13 @@ fn a_spindle_that_stands_trips_the_force_limit() {
         }
     }
     bench.steps(500);
-    let told = told(&bench);
+    let faults = reported_faults(&bench);
     assert!(
         matches!(
-            told[..],
+            faults[..],
             [Event::Fault(Fault::Force(ForceProblem::Limit { .. }))]
         ),
-        "{told:?}"
+        "{faults:?}"
     );
     let left = bench.rig.truth().force[0].abs();
     let back = tool(&bench)[0] - farthest;

@@ -1,6 +1,9 @@
-//! Force control in the whole machine: the law, its settings and its limits, on the simulated arm with its friction and backlash, a cutter or an elastic wall, the sensor with its noise, and the link.
+//! Force control in the whole machine: the admittance law, its settings and its limits.
+//!
+//! The arm has friction and backlash, the sensor has noise. The contact is a cutter or an elastic
+//! wall.
 
-mod scene;
+mod setup;
 
 use haptimill_firmware::controller::Controller;
 use haptimill_hil_sim::RigOptions;
@@ -8,50 +11,57 @@ use haptimill_machine_file::{BUILT_IN, MachineFile};
 use haptimill_protocol::force::{ForceLoop, ForceParameter, ForceRefusal, Gate};
 use haptimill_protocol::message::{Command, Event, Refusal, State};
 use haptimill_tests::Bench;
-use scene::force::{
-    NEWTON, PERIOD, block, control, job, levels, loop_of, peak, ready_at, sensor_alone, tare,
-    turn_table, wall, yield_rate, yielded,
+use setup::force::{
+    NEWTON, PERIOD, block, control, displacement, displacement_rate, force_settings, job, levels,
+    peak, sensor_alone, tare, tared_machine, turn_table, wall,
 };
-use scene::{MM, distance, line, state, told, tool};
+use setup::{MM, distance, line, reported_faults, state, tool};
 
-/// The integral of F - f_d is K_V times the change of p_c, and K_A times that of its rate; afterwards the tool returns.
+/// The integral of F - f_d is K_V times the change of p_c plus K_A times that of its rate. Then the
+/// tool returns.
 #[test]
-fn the_loop_is_the_equation_and_the_tool_returns() {
+fn the_displacement_follows_the_admittance_law_and_returns() {
     for (mass, damping) in [(1.0, 5.0), (0.25, 0.5)] {
-        let mut bench = scene::ready();
-        // At a level table and three times the force the stability monitor damps such a cut.
+        let mut bench = setup::ready();
+        // At a level table and three times the force the contact-stability monitor would damp this
+        // cut.
         turn_table(&mut bench, 3.6);
         let process = block(tool(&bench), 3.0);
         bench.rig.plant_mut().fit(&process).expect("sound");
         bench.steps(100);
         tare(&mut bench);
-        control(&mut bench, 0, loop_of(mass, damping, Gate::AgainstMotion));
+        control(
+            &mut bench,
+            0,
+            force_settings(mass, damping, Gate::AgainstMotion),
+        );
         let end = job(&mut bench, -4.0, 40, 20.0);
         let mut before = 0.0;
-        while yielded(&bench) < 0.02 {
+        while displacement(&bench) < 0.02 {
             before = peak(&bench);
             bench.step();
             assert_eq!(state(&bench), State::Run, "{:?}", bench.events);
         }
         assert!(before > 5.0);
-        let (from, rate_from) = (yielded(&bench), yield_rate(&bench));
+        let (from, rate_from) = (displacement(&bench), displacement_rate(&bench));
         let (mut pushed, mut most) = (0.0, 0.0_f64);
         for _ in 0..7500 {
             bench.step();
             pushed += (peak(&bench) - 5.0) * PERIOD;
             most = most.max(peak(&bench));
         }
-        let gone = damping * (yielded(&bench) - from) + mass * (yield_rate(&bench) - rate_from);
+        let expected = damping * (displacement(&bench) - from)
+            + mass * (displacement_rate(&bench) - rate_from);
         println!(
-            "K_A {mass}, K_V {damping}: pushed {pushed:.4} N s, gone {gone:.4} N s, peak {most:.2} N, p_c {:.3} mm",
-            yielded(&bench)
+            "K_A {mass}, K_V {damping}: pushed {pushed:.4} N s, expected {expected:.4} N s, peak {most:.2} N, p_c {:.3} mm",
+            displacement(&bench)
         );
         assert!(pushed.abs() > 0.2, "nothing was felt");
         assert!(
-            (pushed - gone).abs() <= 0.01 * pushed.abs(),
-            "{pushed} and {gone}"
+            (pushed - expected).abs() <= 0.01 * pushed.abs(),
+            "{pushed} and {expected}"
         );
-        // Levels of damping are for stiff contacts: a cut is left to the equation.
+        // The damping levels are for stiff contacts: this cut follows the equation alone.
         let levels = levels(&bench);
         assert_eq!(levels[0], 0, "{levels:?}");
         while state(&bench) == State::Run {
@@ -65,32 +75,33 @@ fn the_loop_is_the_equation_and_the_tool_returns() {
     }
 }
 
-/// Limit, gains, f_d and mask change in the middle of a cut: the step from one period to the next changes by no more than the acceleration of the law.
+/// Limit, gains, f_d and mask change during a cut. The step per period changes by no more than the
+/// acceleration of the law.
 #[test]
 fn the_tool_does_not_jump_when_parameters_change() {
-    let mut bench = scene::ready();
+    let mut bench = setup::ready();
     let process = block(tool(&bench), 3.0);
     bench.rig.plant_mut().fit(&process).expect("sound");
     bench.steps(100);
     tare(&mut bench);
-    control(&mut bench, 0, loop_of(1.0, 5.0, Gate::AgainstMotion));
+    control(&mut bench, 0, force_settings(1.0, 5.0, Gate::AgainstMotion));
     job(&mut bench, -4.0, 80, 0.0);
-    while yielded(&bench) < 0.3 {
+    while displacement(&bench) < 0.3 {
         bench.step();
         assert_eq!(state(&bench), State::Run, "{:?}", bench.events);
     }
-    let soft = loop_of(0.25, 0.5, Gate::AgainstMotion);
-    let stiff = loop_of(4.0, 40.0, Gate::Any);
+    let soft = force_settings(0.25, 0.5, Gate::AgainstMotion);
+    let stiff = force_settings(4.0, 40.0, Gate::Any);
     let eager = ForceLoop {
         desired: (2.0 * NEWTON) as i32,
-        ..loop_of(1.0, 5.0, Gate::Any)
+        ..force_settings(1.0, 5.0, Gate::Any)
     };
     let short = ForceLoop {
         limit: (0.1 * MM) as i32,
-        ..loop_of(1.0, 5.0, Gate::AgainstMotion)
+        ..force_settings(1.0, 5.0, Gate::AgainstMotion)
     };
     let changes = [
-        // The tool is beyond this limit, and on its way out.
+        // The tool is beyond this limit, and returns.
         Command::ForceLoop {
             axis: 0,
             settings: short,
@@ -112,21 +123,21 @@ fn the_tool_does_not_jump_when_parameters_change() {
     ];
     let mut worst = 0.0_f64;
     for change in changes {
-        let id = bench.say(change.clone()).expect("room");
-        let (mut before, mut step_before) = (yielded(&bench), f64::NAN);
+        let id = bench.send(change.clone()).expect("room");
+        let (mut before, mut step_before) = (displacement(&bench), f64::NAN);
         for _ in 0..1500 {
             bench.step();
-            let step = yielded(&bench) - before;
+            let step = displacement(&bench) - before;
             if step_before.is_finite() {
                 worst = worst.max((step - step_before).abs());
             }
-            (before, step_before) = (yielded(&bench), step);
+            (before, step_before) = (displacement(&bench), step);
             assert_eq!(state(&bench), State::Run, "{change:?}: {:?}", bench.events);
         }
         let answers = bench.take_answers();
         assert!(answers.contains(&(id, Ok(()))), "{change:?}: {answers:?}");
     }
-    // 30 N on the lightest mass are 120 mm/s^2: 4.8e-6 mm from one period to the next.
+    // 30 N on the smallest mass give 120 mm/s^2: 4.8e-6 mm per period squared.
     println!(
         "largest change of the step between two periods: {:.2} nm",
         worst * 1e6
@@ -135,9 +146,9 @@ fn the_tool_does_not_jump_when_parameters_change() {
 }
 
 #[test]
-fn settings_that_cannot_be_are_refused_with_their_bound() {
-    let mut bench = ready_at(&sensor_alone());
-    let good = loop_of(1.0, 5.0, Gate::AgainstMotion);
+fn invalid_settings_are_refused_with_their_bound() {
+    let mut bench = tared_machine(&sensor_alone());
+    let good = force_settings(1.0, 5.0, Gate::AgainstMotion);
     let newtons = |value: f64| ForceLoop {
         desired: (value * NEWTON) as i32,
         ..good
@@ -152,12 +163,12 @@ fn settings_that_cannot_be_are_refused_with_their_bound() {
         ),
         // K_V >= 20 N/mm * (15 ms + 5 ms + 0.3 ms).
         (
-            loop_of(1.0, 0.2, Gate::Any),
+            force_settings(1.0, 0.2, Gate::Any),
             ForceParameter::DampingTooSmall,
             20.0 * 0.0203,
         ),
         (
-            loop_of(0.001, 5.0, Gate::Any),
+            force_settings(0.001, 5.0, Gate::Any),
             ForceParameter::MassTooSmall,
             f64::NAN,
         ),
@@ -221,12 +232,13 @@ fn settings_that_cannot_be_are_refused_with_their_bound() {
     );
 }
 
-/// A tare is for a machine at rest with nothing at its tool; a job under force control is for a sensor with a zero.
+/// A tare needs a machine at standstill without contact. A job under force control needs a tared
+/// sensor.
 #[test]
-fn tares_and_jobs_have_their_order() {
-    let mut bench = scene::ready();
+fn a_tare_needs_standstill_and_a_job_needs_a_tare() {
+    let mut bench = setup::ready();
     bench.rig.plant_mut().fit(&sensor_alone()).expect("sound");
-    bench.ask(Command::ForceMask { mask: 1 }).expect("taken");
+    bench.ask(Command::ForceMask { mask: 1 }).expect("accepted");
     let start = bench.status().commanded;
     let begin = Command::JobStart {
         job: 1,
@@ -239,7 +251,7 @@ fn tares_and_jobs_have_their_order() {
     assert_eq!(bench.ask(Command::Tare), Err(Refusal::State(State::Run)));
     bench.ask(Command::Stop).expect("stopped");
     assert!(bench.wait_for(State::Idle, 5000));
-    // A tare that is overtaken by a motion ends without a zero.
+    // A motion aborts a tare without a new zero.
     bench.events.clear();
     bench.ask(Command::Tare).expect("begun");
     let rates = [4096, 0, 0, 0, 0].into_iter().collect();
@@ -264,10 +276,11 @@ fn tares_and_jobs_have_their_order() {
     assert!(force.tared && force.mask == 1);
 }
 
-/// The tool yields as far as it may and no further, which is told once; soft limits hold for the reference as for the program.
+/// The compliant displacement ends at its limit, which is reported once. Soft limits hold for the
+/// reference.
 #[test]
-fn the_tool_yields_no_further_than_it_may() {
-    let mut bench = scene::ready();
+fn the_compliant_displacement_stays_within_its_limit() {
+    let mut bench = setup::ready();
     let at = tool(&bench);
     bench
         .rig
@@ -278,7 +291,7 @@ fn the_tool_yields_no_further_than_it_may() {
     tare(&mut bench);
     let short = ForceLoop {
         limit: (0.5 * MM) as i32,
-        ..loop_of(1.0, 5.0, Gate::AgainstMotion)
+        ..force_settings(1.0, 5.0, Gate::AgainstMotion)
     };
     control(&mut bench, 0, short);
     bench.events.clear();
@@ -286,7 +299,7 @@ fn the_tool_yields_no_further_than_it_may() {
     let mut most = 0.0_f64;
     for _ in 0..20_000 {
         bench.step();
-        most = most.max(yielded(&bench));
+        most = most.max(displacement(&bench));
     }
     let limited = bench
         .events
@@ -294,22 +307,23 @@ fn the_tool_yields_no_further_than_it_may() {
         .filter(|event| **event == Event::ComplianceLimited { axis: 0 })
         .count();
     println!(
-        "yielded at most {most:.4} mm, told {limited} times: {:?}",
+        "displaced by at most {most:.4} mm, reported {limited} times: {:?}",
         bench.events
     );
     assert!((0.49..=0.5).contains(&most), "{most}");
     assert_eq!(limited, 1);
-    assert!(told(&bench).is_empty());
+    assert!(reported_faults(&bench).is_empty());
 }
 
-/// A force pushes the tool towards a soft limit, at rest: the reference stands at the limit, whatever the force; the tool comes back when it is gone.
+/// A force pushes the tool towards a soft limit at standstill. The reference stops at the limit,
+/// and returns when the force ends.
 #[test]
 fn soft_limits_hold_for_the_reference() {
     let text = BUILT_IN.replacen("high_mm = 200.0", "high_mm = 1.0", 1);
     let machine = MachineFile::parse("machine.toml", &text).expect("sound");
     let mut bench = Bench::of_machine(machine, &RigOptions::default(), Controller::new(200));
     bench.make_ready();
-    // From where homing ended, to 1 mm before the limit.
+    // From the pose after homing to 1 mm before the limit.
     let start = bench.status().commanded;
     let way = -f64::from(start[0]) / MM;
     bench.start_job(1, &line(&start, 0, way / 2.0, 19));
@@ -318,11 +332,11 @@ fn soft_limits_hold_for_the_reference() {
     bench.rig.plant_mut().fit(&sensor_alone()).expect("sound");
     bench.steps(100);
     tare(&mut bench);
-    control(&mut bench, 0, loop_of(1.0, 5.0, Gate::Any));
+    control(&mut bench, 0, force_settings(1.0, 5.0, Gate::Any));
     bench.events.clear();
     let face = |x: f64| wall([x, at[1], at[2]], 0.0, 10.0).wall;
     let process = bench.rig.plant_mut().process_mut().expect("there");
-    // Softly first: the sensor has to show its sign before a body may push that comes by itself.
+    // A soft contact first: the sensor has to show its sign before a force may push without motion.
     process.set_wall(face(at[0] + 0.95));
     bench.steps(5000);
     let process = bench.rig.plant_mut().process_mut().expect("there");
@@ -334,7 +348,7 @@ fn soft_limits_hold_for_the_reference() {
         most = most.max(f64::from(reference.pose.0[0].0) / MM);
     }
     assert_eq!(most, 1.0);
-    // 20 N push the arm on its servo by some hundredths.
+    // 20 N deflect the servo by some hundredths of a millimetre.
     assert!((tool(&bench)[0] - 1.0).abs() < 0.1, "{}", tool(&bench)[0]);
     assert_eq!(state(&bench), State::Idle, "{:?}", bench.events);
     assert_eq!(bench.events, [Event::ComplianceLimited { axis: 0 }]);
@@ -342,6 +356,6 @@ fn soft_limits_hold_for_the_reference() {
     let process = bench.rig.plant_mut().process_mut().expect("there");
     process.set_wall(None);
     bench.steps(15_000);
-    assert_eq!(yielded(&bench), 0.0);
+    assert_eq!(displacement(&bench), 0.0);
     assert!((tool(&bench)[0] - at[0]).abs() < 0.03);
 }

@@ -1,6 +1,6 @@
-//! Homing finds every index pulse from any pose within the soft limits.
+//! Homing finds every index pulse from any pose inside the soft limits.
 
-mod scene;
+mod setup;
 
 use haptimill_firmware::config::Config;
 use haptimill_hil_sim::config::PlantConfig;
@@ -8,9 +8,10 @@ use haptimill_hil_sim::machines::h4::ArmGeometry;
 use haptimill_hil_sim::random::Random;
 use haptimill_protocol::message::{AxisValues, State};
 use haptimill_tests::Bench;
-use scene::{DEGREE, MM, ready, rest, state};
+use setup::{DEGREE, MM, ready, rest, state};
 
-/// The joints at a pose (mm and degrees), in f64 from the closed loops of the rods (docs/control.md); `None` where the machine cannot be.
+/// Returns the joints of a pose (mm and degrees) in f64 from the closed loops of the rods
+/// (docs/control.md), or `None` outside the reach.
 fn joints(arm: &ArmGeometry, config: &Config, pose: &[f64; 5]) -> Option<[f64; 5]> {
     let [x, y, z, theta, alpha] = *pose;
     let (tilt, turn) = (theta.to_radians(), alpha.to_radians());
@@ -21,7 +22,8 @@ fn joints(arm: &ArmGeometry, config: &Config, pose: &[f64; 5]) -> Option<[f64; 5
     let lateral = arm.a - arm.b - arm.e;
     let drop = arm.d - arm.c * tilt.cos();
     let height = z + (arm.c + arm.tl) * tilt.cos() + arm.ge;
-    // The distance from the parallel singularity, positive below the rails; the machine file has 5 mm.
+    // Returns the singularity distance, positive below the rails; the margin of the machine file is
+    // 5 mm.
     let distance = -(lateral * height - y * drop) / lateral.hypot(drop);
     if distance < 5.2 {
         return None;
@@ -50,8 +52,15 @@ fn joints(arm: &ArmGeometry, config: &Config, pose: &[f64; 5]) -> Option<[f64; 5
         .then_some(joints)
 }
 
-/// How far a search can go from a pose, in steps of a tenth of `travel`; `travel` at most. The search of the table takes the tool with the work.
-fn room(arm: &ArmGeometry, config: &Config, pose: &[f64; 5], axis: usize, travel: f64) -> f64 {
+/// Returns the travel of a search from a pose, in steps of a tenth of `travel`, at most `travel`.
+/// The search of the table moves the tool with the workpiece.
+fn travel_of_search(
+    arm: &ArmGeometry,
+    config: &Config,
+    pose: &[f64; 5],
+    axis: usize,
+    travel: f64,
+) -> f64 {
     for step in 1..=10 {
         let way = travel * f64::from(step) / 10.0;
         let mut at = *pose;
@@ -69,14 +78,14 @@ fn room(arm: &ArmGeometry, config: &Config, pose: &[f64; 5], axis: usize, travel
     travel
 }
 
-/// From every pose of a grid that the machine can take, each search has the way of an index pitch and more:
-/// upwards to the end of the workspace, and back from there.
+/// From every pose of a grid each search has the travel of an index pitch: to the end of the
+/// workspace, and back.
 #[test]
-fn each_search_has_an_index_pitch_of_room() {
+fn each_search_has_the_travel_of_an_index_pitch() {
     let bench = Bench::new();
     let config = &bench.machine.config;
     let plant: PlantConfig = bench.machine.plant().expect("has a plant");
-    let arm = plant.arm.as_ref().expect("has an arm");
+    let arm = ArmGeometry::of(&plant).expect("has an arm");
     let (mut poses, mut worst) = (0, [(f64::INFINITY, [0.0; 5]); 2]);
     let grid = |axis: usize, count: i32| {
         let [low, high] = limits(config, axis);
@@ -93,8 +102,8 @@ fn each_search_has_an_index_pitch_of_room() {
                         }
                         poses += 1;
                         for (worst, (axis, pitch)) in worst.iter_mut().zip([(0, 10.0), (4, 4.0)]) {
-                            let up = room(arm, config, &pose, axis, pitch * 1.2);
-                            let down = room(arm, config, &pose, axis, -pitch * 1.2);
+                            let up = travel_of_search(arm, config, &pose, axis, pitch * 1.2);
+                            let down = travel_of_search(arm, config, &pose, axis, -pitch * 1.2);
                             let all = (up - down) / pitch;
                             if all < worst.0 {
                                 *worst = (all, pose);
@@ -109,20 +118,21 @@ fn each_search_has_an_index_pitch_of_room() {
     assert!(poses > 10_000 && worst.iter().all(|(all, _)| *all > 1.1));
 }
 
-/// Soft limits of a coordinate, mm or degrees.
+/// Returns the soft limits of a coordinate, mm or degrees.
 fn limits(config: &Config, axis: usize) -> [f64; 2] {
     let unit = if axis < 3 { MM } else { DEGREE };
     [config.pose[axis].low, config.pose[axis].high].map(|end| f64::from(end.0) / unit)
 }
 
-/// Drives the machine from rest to a pose (mm, degrees); false if the controller refuses the way.
-fn go(bench: &mut Bench, pose: &[f64; 5]) -> bool {
+/// Moves the machine from standstill to a pose (mm, degrees). Returns false if the controller
+/// refuses the path.
+fn move_to(bench: &mut Bench, pose: &[f64; 5]) -> bool {
     let start = bench.status().commanded;
     let mut end: AxisValues = start.clone();
     for (axis, slot) in end.iter_mut().enumerate() {
         *slot = (pose[axis] * if axis < 3 { MM } else { DEGREE }) as i32;
     }
-    // A cubic from rest to rest, in spans of 0.2 s.
+    // A cubic from standstill to standstill, in segments of 0.2 s.
     let periods = 1000_u16;
     let total = f64::from(periods) * 36.0 * 2e-4;
     let setpoints: Vec<_> = (1..=36)
@@ -180,7 +190,7 @@ fn home(bench: &mut Bench, pose: &[f64; 5]) {
 }
 
 #[test]
-fn homing_works_from_any_pose() {
+fn homing_succeeds_from_any_pose() {
     let mut random = Random::new(1, 77);
     let mut poses: Vec<[f64; 5]> = vec![
         [0.0, 36.0, 0.0, 0.0, 0.0],
@@ -191,8 +201,8 @@ fn homing_works_from_any_pose() {
     let bench = Bench::new();
     let config = bench.machine.config.clone();
     let plant: PlantConfig = bench.machine.plant().expect("has a plant");
-    let arm = plant.arm.expect("has an arm");
-    // Random ones, half of them near the end of the workspace along a ray from the middle.
+    let arm = ArmGeometry::of(&plant).cloned().expect("has an arm");
+    // Random poses, half of them near the end of the workspace along a ray from the middle.
     while poses.len() < 60 {
         let aim: [f64; 5] = core::array::from_fn(|axis| {
             let [low, high] = limits(&config, axis);
@@ -214,7 +224,7 @@ fn homing_works_from_any_pose() {
     let mut reached = 0;
     for pose in &poses {
         let mut bench = ready();
-        if go(&mut bench, pose) {
+        if move_to(&mut bench, pose) {
             reached += 1;
             home(&mut bench, pose);
         } else {

@@ -1,78 +1,16 @@
-//! Setpoints that ask a joint for more than its maximum rate: refused with the joint and both rates, before the joint is commanded it.
+//! Joint rates: setpoints that exceed a maximum are refused with the joint and both rates, before
+//! they take effect.
 
-mod scene;
+mod setup;
 
-use haptimill_protocol::force::Gate;
-use haptimill_protocol::message::{
-    AxisValues, Command, Event, Fault, Refusal, SETPOINT_BATCH, SetpointBatch, Source, State,
-};
+use haptimill_protocol::message::{Command, Event, Refusal, SETPOINT_BATCH, SetpointBatch, State};
 use haptimill_protocol::setpoint::{Setpoint, SetpointCoder};
 use haptimill_tests::Bench;
-use scene::{DEGREE, MM, ready, rest, state};
+use setup::slides::{LIMIT, peak_rates, tilt};
+use setup::{DEGREE, MM, ready, rest, state};
 
-/// Maximum rate of a slide in machines/h4.toml, mm/s.
-const LIMIT: f64 = 100.0;
-/// The slides of a pose (mm, degrees): docs/control.md (3.23) to (3.26) with the lengths of machines/h4.toml.
-fn slides(pose: &[f64; 5]) -> [f64; 4] {
-    let (theta, alpha) = (pose[3].to_radians(), pose[4].to_radians());
-    let x = pose[0] + 780.0 + 30.0;
-    let y = pose[1] * alpha.cos() - pose[2] * alpha.sin();
-    let z = pose[1] * alpha.sin() + pose[2] * alpha.cos() - 600.0;
-    let slide = |s: f64, sigma: f64| {
-        let m = 150.0 + 100.0 * (1.0 + sigma);
-        let u = 250.0 - sigma * y;
-        let v = -z - m * theta.cos() + sigma * 100.0 - 25.0;
-        x + m * theta.sin() + s * (50.0 + (480.0_f64.powi(2) - u * u - v * v).sqrt())
-    };
-    [
-        slide(1.0, 1.0),
-        slide(-1.0, 1.0),
-        slide(1.0, -1.0),
-        slide(-1.0, -1.0),
-    ]
-}
-
-/// The largest rate of a slide (mm/s) on the way to each setpoint: the cubic Hermite of the pose in 400 steps.
-fn peaks(start: &AxisValues, setpoints: &[Setpoint]) -> Vec<f64> {
-    let unit = |axis: usize| if axis < 3 { MM } else { DEGREE };
-    let mut from: ([f64; 5], [f64; 5]) = (
-        std::array::from_fn(|axis| f64::from(start[axis]) / unit(axis)),
-        [0.0; 5],
-    );
-    setpoints
-        .iter()
-        .map(|setpoint| {
-            let to: ([f64; 5], [f64; 5]) = (
-                std::array::from_fn(|axis| f64::from(setpoint.pose[axis]) / unit(axis)),
-                std::array::from_fn(|axis| f64::from(setpoint.rates[axis]) * 256.0 / unit(axis)),
-            );
-            let time = f64::from(setpoint.periods) * 2e-4;
-            let at = |s: f64| {
-                slides(&std::array::from_fn(|axis| {
-                    let (p0, p1) = (from.0[axis], to.0[axis]);
-                    let (m0, m1) = (from.1[axis] * time, to.1[axis] * time);
-                    (2.0 * s * s * s - 3.0 * s * s + 1.0) * p0
-                        + (s * s * s - 2.0 * s * s + s) * m0
-                        + (3.0 * s * s - 2.0 * s * s * s) * p1
-                        + (s * s * s - s * s) * m1
-                }))
-            };
-            let mut most = 0.0_f64;
-            for step in 0..=400 {
-                let s = f64::from(step) / 400.0;
-                let (back, ahead) = (at(s - 1e-5), at(s + 1e-5));
-                for joint in 0..4 {
-                    most = most.max(((ahead[joint] - back[joint]) / (2e-5 * time)).abs());
-                }
-            }
-            from = to;
-            most
-        })
-        .collect()
-}
-
-/// Says a job; the refusal of a batch, if there was one.
-fn say(bench: &mut Bench, setpoints: &[Setpoint]) -> Option<Refusal> {
+/// Sends a job. Returns the refusal of a batch, if there was one.
+fn send_job(bench: &mut Bench, setpoints: &[Setpoint]) -> Option<Refusal> {
     let start = bench.status().commanded;
     bench
         .ask(Command::JobStart {
@@ -94,8 +32,9 @@ fn say(bench: &mut Bench, setpoints: &[Setpoint]) -> Option<Refusal> {
     None
 }
 
-/// The largest rate of a slide, mm/s, by differences of commanded positions, until the machine rests for 1000 periods.
-fn fastest(bench: &mut Bench) -> f64 {
+/// Returns the largest rate of a slide, mm/s, by differences of commanded positions, until 1000
+/// periods of standstill.
+fn fastest_slide(bench: &mut Bench) -> f64 {
     let slides = |bench: &Bench| {
         let machine = bench.rig.control().machine().expect("configured");
         let joints = machine.target().joints.0;
@@ -119,25 +58,9 @@ fn fastest(bench: &mut Bench) -> f64 {
     panic!("the machine does not come to rest");
 }
 
-/// A turn of the tilt: each span (periods) goes on from the rate before to the next one (degrees/s), by the mean of both.
-fn tilt(start: &AxisValues, spans: &[(u16, f64)]) -> Vec<Setpoint> {
-    let (mut angle, mut before) = (f64::from(start[3]) / DEGREE, 0.0);
-    spans
-        .iter()
-        .map(|&(periods, rate)| {
-            angle += (before + rate) / 2.0 * f64::from(periods) * 2e-4;
-            before = rate;
-            let mut setpoint = rest(start, periods);
-            setpoint.pose[3] = (angle * DEGREE) as i32;
-            setpoint.rates[3] = (rate * DEGREE / 256.0) as i32;
-            setpoint
-        })
-        .collect()
-}
-
-/// The machine brakes in front of the setpoint that was refused, keeps its position and takes the next job.
-fn ends_well(bench: &mut Bench) {
-    let most = fastest(bench);
+/// The machine brakes before the refused setpoint, keeps its position and accepts the next job.
+fn assert_stopped_and_usable(bench: &mut Bench) {
+    let most = fastest_slide(bench);
     assert!(most <= 1.02 * LIMIT, "a slide was commanded {most} mm/s");
     assert_eq!(state(bench), State::Run);
     bench.ask(Command::Stop).expect("stops");
@@ -146,16 +69,16 @@ fn ends_well(bench: &mut Bench) {
     let faults = |event: &Event| matches!(event, Event::Fault(_));
     assert!(!bench.events.iter().any(faults), "{:?}", bench.events);
     let start = bench.status().commanded;
-    bench.start_job(2, &scene::line(&start, 0, 4.0, 5));
+    bench.start_job(2, &setup::line(&start, 0, 4.0, 5));
     assert!(bench.wait_for(State::Idle, 20_000));
 }
 
-/// Whatever a stream of setpoints asks for: what is refused would be too fast, and nothing too fast is taken.
-fn is_refused_where_it_is_too_fast(bench: &mut Bench, setpoints: &[Setpoint]) -> bool {
+/// For any stream of setpoints: a refused one would be too fast, and no accepted one is too fast.
+fn assert_refused_where_too_fast(bench: &mut Bench, setpoints: &[Setpoint]) -> bool {
     let start = bench.status().commanded;
-    let peaks = peaks(&start, setpoints);
-    let refused = say(bench, setpoints);
-    let taken = match refused {
+    let peaks = peak_rates(&start, setpoints);
+    let refused = send_job(bench, setpoints);
+    let accepted = match refused {
         Some(Refusal::JointRate {
             setpoint,
             rate,
@@ -177,18 +100,18 @@ fn is_refused_where_it_is_too_fast(bench: &mut Bench, setpoints: &[Setpoint]) ->
         None => setpoints.len(),
         _ => panic!("{refused:?}"),
     };
-    for (setpoint, peak) in peaks[..taken].iter().enumerate() {
+    for (setpoint, peak) in peaks[..accepted].iter().enumerate() {
         assert!(
             *peak < 1.023 * LIMIT,
-            "setpoint {setpoint} at {peak} mm/s: taken"
+            "setpoint {setpoint} at {peak} mm/s: accepted"
         );
     }
     refused.is_some()
 }
 
 #[test]
-fn a_stream_too_fast_for_a_slide_is_refused_before_the_slide_is() {
-    // A slide follows a tilt by some 6.5 mm/degree. The pose may turn by 30 degrees/s.
+fn a_stream_too_fast_for_a_slide_is_refused_before_it_takes_effect() {
+    // A slide follows a tilt by about 6.5 mm/degree. The pose may turn by 30 degrees/s.
     for span in [5_u16, 25, 64, 100, 300, 1000] {
         let mut bench = ready();
         let start = bench.status().commanded;
@@ -198,41 +121,42 @@ fn a_stream_too_fast_for_a_slide_is_refused_before_the_slide_is() {
         }
         spans.push((250, 20.0));
         spans.push((250, 0.0));
-        assert!(is_refused_where_it_is_too_fast(
+        assert!(assert_refused_where_too_fast(
             &mut bench,
             &tilt(&start, &spans)
         ));
-        ends_well(&mut bench);
+        assert_stopped_and_usable(&mut bench);
     }
 }
 
 #[test]
-fn a_joint_too_fast_between_two_setpoints_is_found() {
-    // At rest at both ends, and in the middle at 1.5 times the mean.
+fn an_excessive_joint_rate_between_two_setpoints_is_refused() {
+    // At standstill at both ends, and at 1.5 times the mean rate in the middle.
     for (periods, degrees) in [(600_u16, 2.3), (1500, 5.5), (2500, 9.0), (5000, 17.5)] {
         let mut bench = ready();
         let mut setpoint = rest(&bench.status().commanded, periods);
         setpoint.pose[3] += (degrees * DEGREE) as i32;
-        assert!(is_refused_where_it_is_too_fast(
+        assert!(assert_refused_where_too_fast(
             &mut bench,
             &[setpoint.clone()]
         ));
-        ends_well(&mut bench);
-        // Half as far in the same time is taken, and goes as fast as it says.
+        assert_stopped_and_usable(&mut bench);
+        // Half the distance in the same time is accepted, at the rate that it gives.
         let mut bench = ready();
         setpoint.pose[3] -= (degrees / 2.0 * DEGREE) as i32;
         let start = bench.status().commanded;
-        let peak = peaks(&start, &[setpoint.clone()])[0];
-        assert_eq!(say(&mut bench, &[setpoint]), None);
+        let peak = peak_rates(&start, &[setpoint.clone()])[0];
+        assert_eq!(send_job(&mut bench, &[setpoint]), None);
         bench.ask(Command::JobEnd { count: 1 }).expect("complete");
-        let most = fastest(&mut bench);
+        let most = fastest_slide(&mut bench);
         assert!((most / peak - 1.0).abs() < 0.01, "{most} of {peak}");
     }
 }
 
-/// Streams of any coordinates with any spans, from places of which some are near the bound of the workspace.
+/// Streams of any coordinates and durations, from random poses, some of them near the bound of the
+/// workspace.
 #[test]
-fn no_stream_commands_a_joint_too_fast() {
+fn no_stream_exceeds_a_joint_rate() {
     let mut random = 7_u64;
     let mut uniform = |low: f64, high: f64| {
         random ^= random >> 12;
@@ -244,14 +168,14 @@ fn no_stream_commands_a_joint_too_fast() {
     let mut refused = 0;
     for case in 0..40 {
         let mut bench = ready();
-        // A jog of y, z and the table towards somewhere, until it ends.
+        // A jog of y, z and the table in a random direction, until it ends.
         let jog = [
             (1, uniform(-50.0, 50.0)),
             (2, uniform(-50.0, 50.0)),
             (4, uniform(-20.0, 20.0)),
         ];
         for _ in 0..case % 4 {
-            bench.ask(scene::jog(1, 1000, &jog)).expect("jogs");
+            bench.ask(setup::jog(1, 1000, &jog)).expect("jogs");
             bench.steps(4000);
         }
         assert!(bench.wait_for(State::Idle, 10_000));
@@ -262,7 +186,7 @@ fn no_stream_commands_a_joint_too_fast() {
         let sign = if uniform(-1.0, 1.0) < 0.0 { -1.0 } else { 1.0 };
         let (mut place, mut before, mut setpoints) = (0.0, 0.0_f64, Vec::new());
         let unit = if axis < 3 { MM } else { DEGREE };
-        // Faster and faster, with an acceleration of at most 3 times that of a jog.
+        // Random rates with an acceleration of at most 3 times that of a jog.
         while setpoints.len() < 400 && f64::abs(place) < 30.0 {
             let time = f64::from(span) * 2e-4;
             let rate = f64::min(before + uniform(0.0, 300.0) * time, most);
@@ -273,11 +197,11 @@ fn no_stream_commands_a_joint_too_fast() {
             setpoint.rates[axis] = (sign * rate * unit / 256.0) as i32;
             setpoints.push(setpoint);
         }
-        let reach = say_all(&mut bench, &setpoints);
+        let reach = send_any_stream(&mut bench, &setpoints);
         if reach {
             refused += 1;
         }
-        let fast = fastest(&mut bench);
+        let fast = fastest_slide(&mut bench);
         assert!(
             fast <= 1.023 * LIMIT,
             "case {case}: a slide was commanded {fast} mm/s"
@@ -286,11 +210,12 @@ fn no_stream_commands_a_joint_too_fast() {
     assert!(refused >= 10, "{refused} refused");
 }
 
-/// As above; a stream that leaves the reach of the machine is refused for that. Says whether it was refused for a joint rate.
-fn say_all(bench: &mut Bench, setpoints: &[Setpoint]) -> bool {
+/// Sends a stream that may also leave the reach of the machine. Returns whether it was refused for
+/// a joint rate.
+fn send_any_stream(bench: &mut Bench, setpoints: &[Setpoint]) -> bool {
     let start = bench.status().commanded;
-    let peaks = peaks(&start, setpoints);
-    match say(bench, setpoints) {
+    let peaks = peak_rates(&start, setpoints);
+    match send_job(bench, setpoints) {
         Some(Refusal::JointRate { setpoint, .. }) => {
             let peak = peaks[setpoint as usize];
             assert!(
@@ -304,9 +229,9 @@ fn say_all(bench: &mut Bench, setpoints: &[Setpoint]) -> bool {
     }
 }
 
-/// A planner may go to the maximum rate itself.
+/// A stream at the maximum rate itself is accepted.
 #[test]
-fn the_maximum_rate_is_allowed() {
+fn a_stream_at_the_maximum_rate_is_accepted() {
     let mut bench = ready();
     let start = bench.status().commanded;
     let job = |rate| {
@@ -315,8 +240,12 @@ fn the_maximum_rate_is_allowed() {
             &[(2000, rate), (500, rate), (500, rate), (2000, 0.0)],
         )
     };
-    let of = |rate| peaks(&start, &job(rate)).into_iter().fold(0.0, f64::max);
-    // The rate of the tilt at which the fastest slide is at its maximum, by bisection.
+    let of = |rate| {
+        peak_rates(&start, &job(rate))
+            .into_iter()
+            .fold(0.0, f64::max)
+    };
+    // Finds the rate of the tilt at which the fastest slide is at its maximum, by bisection.
     let (mut low, mut high) = (5.0, 25.0);
     while high - low > 1e-4 {
         let middle = (low + high) / 2.0;
@@ -326,302 +255,9 @@ fn the_maximum_rate_is_allowed() {
             (low, middle)
         };
     }
-    assert_eq!(say(&mut bench, &job(low)), None);
+    assert_eq!(send_job(&mut bench, &job(low)), None);
     bench.ask(Command::JobEnd { count: 4 }).expect("complete");
-    let most = fastest(&mut bench);
+    let most = fastest_slide(&mut bench);
     assert!((0.995 * LIMIT..=1.005 * LIMIT).contains(&most), "{most}");
     assert_eq!(state(&bench), State::Idle);
-}
-
-/// A generator of numbers with a seed (xorshift64*).
-struct Random(u64);
-
-impl Random {
-    fn uniform(&mut self, low: f64, high: f64) -> f64 {
-        self.0 ^= self.0 >> 12;
-        self.0 ^= self.0 << 25;
-        self.0 ^= self.0 >> 27;
-        let bits = self.0.wrapping_mul(0x2545_f491_4f6c_dd1d) >> 11;
-        low + (high - low) * bits as f64 / (1_u64 << 53) as f64
-    }
-
-    fn sign(&mut self) -> f64 {
-        self.uniform(-1.0, 1.0).signum()
-    }
-}
-
-/// Rates of the slides as commanded: differences of the inverse kinematics in f64, applied to the poses that are placed, over 8 periods.
-#[derive(Default)]
-struct Commanded {
-    slides: Vec<[f64; 4]>,
-    /// The largest rate of a slide, mm/s.
-    fastest: f64,
-    /// The largest displacement of the tool by a force, mm.
-    yielded: f64,
-}
-
-impl Commanded {
-    const SPAN: usize = 8;
-
-    fn step(&mut self, bench: &mut Bench) {
-        bench.step();
-        let machine = bench.rig.control().machine().expect("configured");
-        let unit = |axis: usize| if axis < 3 { MM } else { DEGREE };
-        let pose = &machine.reference().pose.0;
-        let pose = std::array::from_fn(|axis| f64::from(pose[axis].0) / unit(axis));
-        self.slides.push(slides(&pose));
-        self.yielded = self.yielded.max(scene::force::yielded(bench).abs());
-        if let Some(before) = self.slides.len().checked_sub(Self::SPAN + 1) {
-            for (now, then) in self.slides[self.slides.len() - 1]
-                .iter()
-                .zip(self.slides[before])
-            {
-                let rate = (now - then).abs() / (Self::SPAN as f64 * 2e-4);
-                self.fastest = self.fastest.max(rate);
-            }
-        }
-    }
-
-    fn steps(&mut self, bench: &mut Bench, count: usize) {
-        for _ in 0..count {
-            self.step(bench);
-        }
-    }
-}
-
-/// The joint-rate fault that was raised: joint, rate in mm/s.
-fn joint_rate_fault(bench: &Bench) -> Option<(u8, f64)> {
-    bench.events.iter().find_map(|event| match event {
-        Event::Fault(Fault::JointRate {
-            axis, rate, limit, ..
-        }) => {
-            assert_eq!(f64::from(*limit) / MM, LIMIT);
-            Some((*axis, f64::from(*rate) / MM))
-        }
-        _ => None,
-    })
-}
-
-/// The tool is pushed by a wall and yields while all coordinates are jogged, into the bounds of the workspace as well.
-#[test]
-fn a_jog_of_a_tool_that_yields_exceeds_no_joint_rate() {
-    let mut random = Random(11);
-    let (mut fastest, mut yielded, mut faults) = (0.0_f64, 0, 0);
-    for case in 0..12 {
-        let mut bench = ready();
-        let tool = scene::tool(&bench);
-        let gap = random.uniform(0.2, 1.5);
-        let stiffness = random.uniform(5.0, 40.0);
-        let process = scene::force::wall(tool, gap, stiffness);
-        bench.rig.plant_mut().fit(&process).expect("sound");
-        bench.steps(100);
-        scene::force::tare(&mut bench);
-        bench.events.clear();
-        for axis in [0, 2] {
-            let settings = scene::force::loop_of(0.8, 2.0, Gate::Any);
-            let command = Command::ForceLoop { axis, settings };
-            bench.ask(command).expect("taken");
-        }
-        bench.ask(Command::ForceMask { mask: 5 }).expect("taken");
-        let mut commanded = Commanded::default();
-        let (across, up) = (random.sign(), random.sign());
-        for epoch in 1..=6_u16 {
-            // Into the wall and out of it; across and up or down as fast as the machine goes, until the bound and back.
-            let back = if epoch > 4 { -1.0 } else { 1.0 };
-            let x = if epoch % 2 == 1 { -1.0 } else { 1.0 } * random.uniform(2.0, 30.0);
-            let rates = [
-                (0, x),
-                (1, back * across * random.uniform(20.0, 50.0)),
-                (2, back * up * random.uniform(0.0, 50.0)),
-                (3, random.uniform(-20.0, 20.0)),
-                (4, random.uniform(-20.0, 20.0)),
-            ];
-            if bench.say(scene::jog(epoch, 600, &rates)).is_none() {
-                panic!("no room");
-            }
-            commanded.steps(&mut bench, 3000);
-        }
-        commanded.steps(&mut bench, 2000);
-        println!(
-            "case {case}: {:.3} mm/s, yielded by {:.2} mm, {:?}",
-            commanded.fastest, commanded.yielded, bench.events
-        );
-        fastest = fastest.max(commanded.fastest);
-        yielded += u32::from(commanded.yielded > 0.5);
-        faults += u32::from(
-            bench
-                .events
-                .iter()
-                .any(|event| matches!(event, Event::Fault(_))),
-        );
-        assert_eq!(joint_rate_fault(&bench), None, "case {case}");
-        assert!(
-            commanded.fastest <= 1.0005 * LIMIT,
-            "case {case}: a slide was commanded {} mm/s",
-            commanded.fastest
-        );
-    }
-    println!("the fastest slide: {fastest:.3} mm/s; {yielded} yielded; {faults} ended by a fault");
-    assert!(
-        fastest > 0.9 * LIMIT,
-        "{fastest}: nothing was near its limit"
-    );
-    assert!(yielded >= 8, "{yielded} of 12 yielded");
-}
-
-/// Brings a job of which all setpoints are allowed where the machine stands, and lets y and z be jogged before they are reached.
-fn jogged_away(bench: &mut Bench, speeds: [f64; 2], setpoints: &[Setpoint]) {
-    let start = bench.status().commanded;
-    bench.start_part(1, &start, &[rest(&start, 2000)]);
-    bench.ask(Command::Hold).expect("holds");
-    bench.steps(2000);
-    for axis in [1, 2] {
-        let source = Source::Jog;
-        bench.ask(Command::Source { axis, source }).expect("chosen");
-    }
-    bench.ask(Command::Resume).expect("goes on");
-    let mut coder = SetpointCoder::new(200, &start);
-    coder.encode(&rest(&start, 2000)).expect("codes");
-    for (index, batch) in setpoints.chunks(SETPOINT_BATCH).enumerate() {
-        let items = batch.iter().map(|of| coder.encode(of).expect("codes"));
-        let items = items.collect();
-        let first = (index * SETPOINT_BATCH) as u32 + 1;
-        bench
-            .ask(Command::Setpoints(SetpointBatch { first, items }))
-            .expect("allowed where the machine stands");
-    }
-    let count = setpoints.len() as u32 + 1;
-    bench.ask(Command::JobEnd { count }).expect("complete");
-    bench
-        .ask(scene::jog(1, 1000, &[(1, speeds[0]), (2, speeds[1])]))
-        .expect("jogs");
-}
-
-/// A tilt to 20 degrees after a rest, in which the fastest slide has almost its maximum rate where y is 0. It has more where y and z are lower.
-fn fast_tilt(start: &AxisValues) -> Vec<Setpoint> {
-    let mut spans = vec![(10_000, 0.0), (1500, 12.42)];
-    spans.extend([(100, 12.42); 60]);
-    spans.push((1500, 0.0));
-    tilt(start, &spans)
-}
-
-/// What jogs move meanwhile is not known when setpoints are accepted: the machine brakes along its path, and says which joint it was.
-#[test]
-fn a_joint_too_fast_beside_a_program_is_a_fault_that_keeps_the_position() {
-    let mut bench = ready();
-    let setpoints = fast_tilt(&bench.status().commanded);
-    let planned = peaks(&bench.status().commanded, &setpoints);
-    let planned = planned.into_iter().fold(0.0, f64::max);
-    assert!((0.99 * LIMIT..1.01 * LIMIT).contains(&planned), "{planned}");
-    jogged_away(&mut bench, [-40.0, -25.0], &setpoints);
-    let mut commanded = Commanded::default();
-    for _ in 0..30_000 {
-        commanded.step(&mut bench);
-        if state(&bench) == State::Fault {
-            break;
-        }
-    }
-    bench.steps(500);
-    let (joint, rate) = joint_rate_fault(&bench).expect("the fault");
-    println!(
-        "joint {joint} at {rate} mm/s; commanded {}",
-        commanded.fastest
-    );
-    assert!(
-        rate.abs() > 1.03 * LIMIT && rate.abs() < 1.04 * LIMIT,
-        "{rate}"
-    );
-    // It may rise until the brake has built up.
-    assert!(
-        (1.03 * LIMIT..1.05 * LIMIT).contains(&commanded.fastest),
-        "{}",
-        commanded.fastest
-    );
-    assert_eq!(state(&bench), State::Fault);
-    assert_eq!(scene::told(&bench).len(), 1, "{:?}", bench.events);
-    bench.steps(2000);
-    assert!(!scene::drives_off(&bench));
-    assert!(bench.status().position_kept);
-    for joint in 0..5 {
-        let off = scene::joint_off(&bench, joint);
-        assert!(off < 0.02, "joint {joint} is off by {off}");
-    }
-    scene::recover(&mut bench, State::Idle);
-    // The machine is led out of there.
-    bench.ask(scene::jog(2, 500, &[(1, 10.0)])).expect("jogs");
-    bench.steps(4000);
-    assert_eq!(state(&bench), State::Idle);
-}
-
-/// Jogs beside programs whose own joint rates are near their maximum or far from it, while the speed override changes: a joint that is commanded more than the fault allows
-/// is told, and no other.
-#[test]
-fn jogs_beside_a_program_under_override_exceed_no_joint_rate_or_are_told() {
-    let mut random = Random(23);
-    let (mut told, mut fine, mut fast) = (0, 0, 0);
-    for case in 0..16 {
-        let mut bench = ready();
-        let start = bench.status().commanded;
-        let slow = case % 2 == 0;
-        let speed = if slow {
-            random.uniform(1.0, 4.0)
-        } else {
-            12.42
-        };
-        let mut spans = vec![(2000, 0.0), (1500, speed)];
-        spans.extend([(200, speed); 30]);
-        spans.push((1500, 0.0));
-        spans.push((1500, -speed));
-        spans.extend([(200, -speed); 30]);
-        spans.push((1500, 0.0));
-        let down = if slow { 10.0 } else { -15.0 };
-        let speeds = [random.sign() * 35.0, random.uniform(-35.0, down)];
-        jogged_away(&mut bench, speeds, &tilt(&start, &spans));
-        let mut commanded = Commanded::default();
-        for epoch in 2..=10 {
-            let least = if slow { 5.0 } else { 80.0 };
-            let percent = random.uniform(least, 100.9) as u8;
-            let _ = bench.say(Command::Override { percent });
-            let rates = [
-                (1, random.sign() * random.uniform(10.0, 50.0)),
-                (2, random.uniform(-30.0, 20.0)),
-            ];
-            let _ = bench.say(scene::jog(epoch, 800, &rates));
-            commanded.steps(&mut bench, 3000);
-            if state(&bench) == State::Fault {
-                break;
-            }
-        }
-        bench.steps(500);
-        let fault = joint_rate_fault(&bench);
-        let most = commanded.fastest;
-        println!("case {case}, {speed:.1} degrees/s: {most:.3} mm/s, {fault:?}");
-        assert!(
-            most <= 1.10 * LIMIT,
-            "case {case}: a slide was commanded {most} mm/s"
-        );
-        // The joint goes on accelerating until the brake has built up.
-        // A mean of 8 periods is a little less than the rate of one.
-        assert!(
-            fault.is_some() || most <= 1.033 * LIMIT,
-            "case {case}: {most} mm/s was not told"
-        );
-        assert!(
-            fault.is_none() || most > 1.029 * LIMIT,
-            "case {case}: {fault:?} at {most} mm/s"
-        );
-        if fault.is_some() {
-            assert!(bench.status().position_kept && !scene::drives_off(&bench));
-            told += 1;
-        } else {
-            fine += 1;
-        }
-        fast += u32::from(most > 0.9 * LIMIT);
-        assert!(!slow || fault.is_none(), "case {case}: {fault:?}");
-    }
-    println!("{told} told, {fine} not, {fast} fast");
-    assert!(
-        fine >= 8 && told >= 2 && fast >= 4,
-        "{told} told, {fine} not, {fast} fast"
-    );
 }

@@ -1,16 +1,16 @@
-//! Supervision of a joint against the truth of its plant.
+//! Supervision of one joint against the true motion of its plant.
 
-mod scene;
+mod setup;
 
 use haptimill_hil_sim::joint::encoder::EncoderCondition;
 use haptimill_hil_sim::random::Random;
-use scene::slide::{Friction, PERIOD, Slide};
+use setup::single_joint::{Friction, PERIOD, Slide};
 
-/// A wanted course of one joint that is continuous in its rate.
+/// A commanded motion of one joint with a continuous rate.
 #[derive(Debug, Clone, Copy)]
 struct Course {
     speed: f64,
-    /// Time between reversals; rests of the same length where `rests`.
+    /// Time between reversals; pauses of the same length where `rests`.
     half_s: f64,
     rests: bool,
     smooth: bool,
@@ -35,10 +35,12 @@ impl Course {
     }
 }
 
-/// A slide whose encoder counts is never said to stand still, however it sticks: breakaway forces of half to twice the compensated friction, creep rates, reversals, rests,
-/// gains of the loop, an integrator, a force that swings.
+/// A slide whose encoder counts is never reported as an encoder stuck, however it sticks.
+///
+/// Breakaway forces of half to twice the compensated friction, creep rates, reversals, pauses, loop
+/// gains, an integrator, an oscillating force.
 #[test]
-fn a_slide_that_sticks_is_not_one_without_encoder() {
+fn a_sticking_slide_is_not_reported_as_encoder_stuck() {
     let mut blamed = vec![];
     for seed in 0..400 {
         let mut random = Random::new(5, seed);
@@ -88,7 +90,8 @@ fn a_slide_that_sticks_is_not_one_without_encoder() {
     assert!(blamed.is_empty(), "{} of 400: {blamed:#?}", blamed.len());
 }
 
-/// How far the slide is from where it is commanded when its encoder is found dead, mm; from rest, or after 2 s of motion.
+/// Returns the following error of the slide when its encoder is found dead, mm; from standstill, or
+/// after 2 s of motion.
 fn found_after(speed: f64, condition: EncoderCondition, standing: bool, breakaway: f64) -> f64 {
     let friction = Friction {
         coulomb: 40.0,
@@ -103,7 +106,7 @@ fn found_after(speed: f64, condition: EncoderCondition, standing: bool, breakawa
         let start = if standing { 0 } else { 10_000 + phase * 37 };
         let found = (0..60_000).any(|period| {
             if period == start {
-                slide.spoil(condition);
+                slide.set_encoder_condition(condition);
             }
             let ramp = (f64::from(period) / 500.0).min(1.0);
             let acceleration = if ramp < 1.0 { speed / 0.1 } else { 0.0 };
@@ -112,12 +115,12 @@ fn found_after(speed: f64, condition: EncoderCondition, standing: bool, breakawa
             fault.is_some()
         });
         assert!(found, "{speed} mm/s {condition:?}");
-        most = most.max((slide.gone() - commanded).abs());
+        most = most.max((slide.travel() - commanded).abs());
     }
     most
 }
 
-/// Whatever the friction, a stuck channel shows itself by the reversals of the other one.
+/// A stuck channel is found by the reversals of the other one, at any friction.
 #[test]
 fn a_stuck_channel_is_found_whatever_the_friction() {
     for (speed, most) in [
@@ -146,9 +149,10 @@ fn a_stuck_channel_is_found_whatever_the_friction() {
     }
 }
 
-/// With both channels dead only the effort says it, against what friction held before: at once in motion that is fast enough, late where it creeps.
+/// With both channels dead only the effort reveals it, compared with earlier friction: at once in
+/// fast motion, late at creep rates.
 #[test]
-fn an_encoder_without_any_channel_is_found_by_the_effort() {
+fn a_dead_encoder_is_found_by_the_effort() {
     for (speed, standing, most) in [
         (0.2, false, 4.0),
         (0.5, false, 1.0),

@@ -1,28 +1,33 @@
-//! Where the controller says that it knows the position, the joints are there: encoders that lie, against the plant's truth.
+//! Position kept: while the controller claims to know the position, the joints are there, with any
+//! encoder fault.
 
-mod scene;
+mod setup;
 
 use haptimill_hil_sim::joint::encoder::EncoderCondition;
 use haptimill_hil_sim::random::Random;
 use haptimill_protocol::message::{Command, State};
 use haptimill_tests::Bench;
-use scene::{DEGREE, MM, jog, line, ready};
+use setup::{DEGREE, MM, jog, line, ready};
 
-/// More than backlash and a count, mm or degrees. The truth is the motor's, for no encoder on it sees the wind-up of a screw.
+/// More than backlash and a count, mm or degrees. The truth is the motor's: its encoder cannot see
+/// the wind-up of the screw.
 const OFF: f64 = 0.05;
 
-/// The bound of one fault where a channel of the encoder is alive: until it is found, and how long the error may be more than [`OFF`], s.
+/// Bounds after one fault of an encoder with a live channel: largest error, and longest time above
+/// [`OFF`], s.
 const FOUND: f64 = 0.12;
 const LASTING: f64 = 0.05;
 
-/// The same where faults come together and a push takes the slide along: one reversal of the count is seen in a period at most, so 24 take 5 to 10 ms.
+/// The same where faults come together and a push moves the slide. At most one reversal is counted
+/// per period, so 24 take 5 to 10 ms.
 const PUSHED: f64 = 0.6;
 const PUSHED_LASTING: f64 = 0.5;
 
-/// The bound where both are dead: the second index pulse tells, mm.
+/// Largest error while both channels are dead, mm: the second index pulse reveals it.
 const TWO_TURNS: f64 = 20.0;
 
-/// The largest error of the measured joints while the position is said to be known, and for how long it was above [`OFF`], s.
+/// Largest error of the measured joints while the position is claimed to be known, and the longest
+/// time above [`OFF`], s.
 #[derive(Debug, Default, Clone, Copy)]
 struct Kept {
     largest: f64,
@@ -62,8 +67,8 @@ fn log_uniform(random: &mut Random, low: f64, high: f64) -> f64 {
     low * (high / low).powf(random.fraction())
 }
 
-/// What the machine does meanwhile.
-fn set_going(bench: &mut Bench, random: &mut Random, what: u64) -> String {
+/// Motion of the machine meanwhile.
+fn start_motion(bench: &mut Bench, random: &mut Random, what: u64) -> String {
     let axis = (random.draw() % 5) as usize;
     let sign = if random.happens(0.5) { 1.0 } else { -1.0 };
     let speed = sign * log_uniform(random, 0.01, if axis < 3 { 16.0 } else { 8.0 });
@@ -75,7 +80,7 @@ fn set_going(bench: &mut Bench, random: &mut Random, what: u64) -> String {
             format!("job {axis} {speed:.3}")
         }
         _ => {
-            bench.say(jog(1, 1000, &[(axis, speed)]));
+            bench.send(jog(1, 1000, &[(axis, speed)]));
             format!("jog {axis} {speed:.3}")
         }
     }
@@ -91,8 +96,8 @@ fn stuck(random: &mut Random) -> EncoderCondition {
     }
 }
 
-/// After what happened: whatever was latched is reset, and a job is tried where the position is said to be known.
-fn go_on(bench: &mut Bench, kept: &mut Kept, periods: usize) {
+/// Resets whatever was latched, and starts a job where the position is claimed to be known.
+fn reset_and_move(bench: &mut Bench, kept: &mut Kept, periods: usize) {
     for period in 0..periods {
         if period % 500 == 250 {
             let next = match bench.rig.control().safety().state() {
@@ -102,7 +107,7 @@ fn go_on(bench: &mut Bench, kept: &mut Kept, periods: usize) {
                 _ => None,
             };
             if let Some(next) = next {
-                bench.say(next);
+                bench.send(next);
             }
         }
         bench.step();
@@ -110,15 +115,15 @@ fn go_on(bench: &mut Bench, kept: &mut Kept, periods: usize) {
     }
 }
 
-/// An encoder is reversed or loses its lines, during rest, jobs and jogs.
+/// An encoder is reversed or loses channels, at standstill, in jobs and in jogs.
 #[test]
-fn an_encoder_that_lies_leaves_no_position() {
+fn a_wrong_encoder_loses_the_position() {
     let mut worst = [Kept::default(); 2];
     let mut wrong = vec![];
     for seed in 0..120 {
         let mut random = Random::new(seed, 2);
         let mut bench = ready();
-        let what = set_going(&mut bench, &mut random, 1 + seed % 2);
+        let what = start_motion(&mut bench, &mut random, 1 + seed % 2);
         let lead = 50 + (random.fraction() * 2500.0) as usize;
         bench.steps(lead);
         let joint = (random.draw() % 5) as usize;
@@ -135,7 +140,7 @@ fn an_encoder_that_lies_leaves_no_position() {
             .plant_mut()
             .set_encoder_condition(joint, condition);
         let mut kept = Kept::default();
-        go_on(&mut bench, &mut kept, 4000);
+        reset_and_move(&mut bench, &mut kept, 4000);
         let both = condition.stuck_a.is_some() && condition.stuck_b.is_some();
         worst[usize::from(both)].add(&kept);
         if !both && (kept.largest > FOUND || kept.longest > LASTING) {
@@ -155,15 +160,15 @@ fn an_encoder_that_lies_leaves_no_position() {
     );
 }
 
-/// Slips, noise, stuck channels and pushes, one after the other.
+/// Slips, noise, stuck channels and pushes follow each other.
 #[test]
-fn faults_together_keep_no_wrong_position() {
+fn combined_faults_keep_no_wrong_position() {
     let mut worst = [Kept::default(); 2];
     let mut wrong = vec![];
     for seed in 0..200 {
         let mut random = Random::new(seed, 3);
         let mut bench = ready();
-        let what = set_going(&mut bench, &mut random, seed % 3);
+        let what = start_motion(&mut bench, &mut random, seed % 3);
         bench.steps(50 + (random.fraction() * 1500.0) as usize);
         let joint = (random.draw() % 5) as usize;
         let mut kept = Kept::default();

@@ -1,287 +1,20 @@
-//! States, homing, jogs and sources in the whole machine: what each command does, and that nothing jumps.
+//! States, jobs and configurations: the effect of each command, without a jump of the tool.
 
-mod scene;
+mod setup;
 
-use haptimill_firmware::controller::Controller;
 use haptimill_hil_sim::joint::encoder::EncoderCondition;
 use haptimill_hil_sim::rig::RigOptions;
-use haptimill_machine_file::{BUILT_IN, MachineFile};
 use haptimill_protocol::message::{
-    AxisValues, Command, Event, Fault, HomingProblem, InputProblem, Refusal, Source, State,
+    AxisValues, Command, Event, Fault, InputProblem, Refusal, Source, State,
 };
 use haptimill_tests::Bench;
-use scene::{
-    DEGREE, MM, commanded, distance, drives_off, jog, line, moving, ready, recover, state,
-    step_smoothly, told, tool,
-};
-
-/// The built-in machine with some lines of its file changed.
-fn changed(changes: &[(&str, &str)]) -> Bench {
-    let mut text = BUILT_IN.to_string();
-    for (from, to) in changes {
-        assert!(text.contains(from), "{from}");
-        text = text.replace(from, to);
-    }
-    let machine = MachineFile::parse("changed.toml", &text).expect("sound");
-    Bench::of_machine(machine, &RigOptions::default(), Controller::new(200))
-}
-
-fn enabled(mut bench: Bench) -> Bench {
-    bench.steps(500);
-    bench.configure();
-    bench.ask(Command::Enable).expect("enabled");
-    bench
-}
-
-/// Largest distance of the measured from the true pose: mm, and degrees for tilt and table.
-fn pose_off(bench: &mut Bench) -> (f64, f64) {
-    let status = bench.status();
-    let off = |axis: usize, unit: f64| {
-        (f64::from(status.measured[axis]) / unit - bench.rig.truth().pose[axis]).abs()
-    };
-    let linear = (0..3).map(|axis| off(axis, MM)).fold(0.0, f64::max);
-    (linear, off(3, DEGREE).max(off(4, DEGREE)))
-}
+use setup::{commanded, drives_off, jog, line, moving, ready, state, step_smoothly};
 
 #[test]
-fn homing_finds_the_references_wherever_the_slides_were_set_up() {
-    let (mut worst, mut worst_angle) = (0.0_f64, 0.0_f64);
-    for seed in 1..=25 {
-        // Up to 2.2 mm off the preset, each slide its own way.
-        let mut bench = enabled(changed(&[
-            ("seed = 1\n", &format!("seed = {seed}\n")),
-            ("start_spread = 0.3", "start_spread = 2.2"),
-            ("start_spread = 0.2", "start_spread = 1.0"),
-        ]));
-        bench.ask(Command::Home).expect("homing");
-        let mut jump = 0.0_f64;
-        for _ in 0..40_000 {
-            let before = tool(&bench);
-            bench.step();
-            jump = jump.max(distance(&bench, before));
-            if state(&bench) != State::Homing {
-                break;
-            }
-        }
-        bench.steps(500);
-        assert_eq!(
-            state(&bench),
-            State::Idle,
-            "seed {seed}: {:?}",
-            bench.rig.control().safety().fault()
-        );
-        let (linear, angle) = pose_off(&mut bench);
-        worst = worst.max(linear);
-        worst_angle = worst_angle.max(angle);
-        assert!(
-            linear < 0.03 && angle < 0.02,
-            "seed {seed}: {linear} mm, {angle} degrees"
-        );
-        // The search goes at 5 mm/s: 1 um a period, and what the slides swing.
-        assert!(jump < 0.004, "{jump} mm in a period");
-    }
-    println!("25 homings: at worst {worst:.4} mm, {worst_angle:.4} degrees");
-}
-
-#[test]
-fn homing_is_one_transaction() {
-    for joint in 0..5 {
-        let mut bench = enabled(Bench::new());
-        bench.rig.plant_mut().set_encoder_condition(
-            joint,
-            EncoderCondition {
-                index_missing: true,
-                ..EncoderCondition::default()
-            },
-        );
-        bench.ask(Command::Home).expect("homing");
-        for _ in 0..30_000 {
-            bench.step();
-            assert_eq!(drives_off(&bench), state(&bench) == State::Fault);
-            if state(&bench) == State::Fault {
-                break;
-            }
-        }
-        bench.steps(300);
-        let fault = Fault::Homing {
-            axis: joint as u8,
-            problem: HomingProblem::NoIndex,
-        };
-        assert_eq!(told(&bench), [&Event::Fault(fault)]);
-        let status = bench.status();
-        assert!(!status.homed && !status.position_kept);
-        // Nothing was corrected: it can begin anew when the line is mended.
-        bench
-            .rig
-            .plant_mut()
-            .set_encoder_condition(joint, EncoderCondition::default());
-        recover(&mut bench, State::Disabled);
-        bench.ask(Command::Home).expect("homing");
-        bench.steps(20_000);
-        assert!(bench.status().homed);
-        let (linear, angle) = pose_off(&mut bench);
-        assert!(
-            linear < 0.03 && angle < 0.02,
-            "{linear} mm, {angle} degrees"
-        );
-    }
-}
-
-#[test]
-fn an_index_that_cannot_be_is_refused() {
-    // The encoder of slide 3 was mounted anew: its index is half a turn away from what the machine file says.
-    let mut bench = enabled(changed(&[("index = 1133.9 ", "index = 1138.9 ")]));
-    bench.ask(Command::Home).expect("homing");
-    bench.steps(20_000);
-    let implausible = Fault::Homing {
-        axis: 2,
-        problem: HomingProblem::Implausible,
-    };
-    assert_eq!(bench.rig.control().safety().fault(), Some(implausible));
-    assert!(drives_off(&bench));
-}
-
-#[test]
-fn homing_can_be_stopped_and_done_again() {
-    let mut bench = enabled(Bench::new());
-    for stop in [Command::Stop, Command::Hold] {
-        bench.ask(Command::Home).expect("homing");
-        bench.steps(700);
-        bench.ask(stop).expect("stopped");
-        assert!(bench.wait_for(State::Idle, 3000));
-        let status = bench.status();
-        assert!(!status.homed && !status.position_kept && status.fault.is_none());
-    }
-    for _ in 0..3 {
-        bench.ask(Command::Home).expect("homing");
-        assert!(bench.wait_for(State::Idle, 40_000));
-        assert!(bench.status().homed);
-        let (linear, angle) = pose_off(&mut bench);
-        assert!(
-            linear < 0.03 && angle < 0.02,
-            "{linear} mm, {angle} degrees"
-        );
-    }
-}
-
-#[test]
-fn a_jog_lives_until_its_deadline() {
-    let mut bench = ready();
-    let before = commanded(&bench);
-    bench.ask(jog(1, 100, &[(0, 10.0)])).expect("jogs");
-    let mut moving_for = 0;
-    for _ in 0..3000 {
-        step_smoothly(&mut bench, 0.0021);
-        moving_for += usize::from(state(&bench) == State::Jog);
-    }
-    assert_eq!(state(&bench), State::Idle);
-    // 100 ms, and what 10 mm/s takes to brake at 200 mm/s^2 and 5000 mm/s^3: 90 ms.
-    assert!((500..=1000).contains(&moving_for), "{moving_for} periods");
-    assert!(commanded(&bench)[0] > before[0]);
-    assert_eq!(commanded(&bench)[1..], before[1..]);
-}
-
-#[test]
-fn a_cancelled_jog_is_over_whatever_comes_late() {
-    // The cancel overtakes or follows: it is broken at every byte, so that it comes again later; jogs of its epoch come after it.
-    for offset in 0..20 {
-        let mut bench = ready();
-        bench.ask(jog(5, 1000, &[(1, 20.0)])).expect("jogs");
-        bench.steps(300);
-        bench.say(Command::JogCancel { epoch: 5 }).expect("room");
-        bench.step_with_fault(|bytes| {
-            if let Some(byte) = bytes.get_mut(offset) {
-                *byte ^= 0x55;
-            }
-        });
-        assert_eq!(
-            bench.ask(jog(5, 1000, &[(1, 20.0)])),
-            Err(Refusal::OldEpoch)
-        );
-        assert_eq!(
-            bench.ask(jog(4, 1000, &[(1, 20.0)])),
-            Err(Refusal::OldEpoch)
-        );
-        bench.steps(1500);
-        assert_eq!(state(&bench), State::Idle);
-        bench.ask(jog(6, 10, &[(1, 1.0)])).expect("a new epoch");
-    }
-}
-
-#[test]
-fn a_stop_ends_the_epoch_of_jogs() {
-    for stop in [Command::Stop, Command::Hold] {
-        let mut bench = ready();
-        bench.ask(jog(1, 200, &[(0, 10.0)])).expect("jogs");
-        bench.steps(300);
-        bench.say(stop).expect("room");
-        // The jogger has not heard of it and goes on.
-        for _ in 0..60 {
-            bench.say(jog(1, 200, &[(0, 10.0)]));
-            bench.steps(50);
-        }
-        assert_eq!(state(&bench), State::Idle);
-        let standing = commanded(&bench);
-        bench.steps(500);
-        assert_eq!(commanded(&bench), standing);
-    }
-}
-
-#[test]
-fn a_jog_stops_before_soft_limits_strokes_and_the_reach() {
-    let mut bench = ready();
-    let mut limited = 0;
-    for (epoch, of) in [
-        [(0, 50.0), (0, 50.0)],
-        [(2, -50.0), (2, -50.0)],
-        [(1, 50.0), (3, 30.0)],
-        [(0, -50.0), (4, -30.0)],
-        [(3, -30.0), (1, -50.0)],
-        [(2, 50.0), (0, 50.0)],
-    ]
-    .into_iter()
-    .enumerate()
-    {
-        for _ in 0..100 {
-            let _ = bench.ask(jog(epoch as u16, 300, &of));
-            for _ in 0..500 {
-                step_smoothly(&mut bench, 0.0101);
-                let now = commanded(&bench);
-                let config = &bench.machine.config;
-                for (axis, limits) in config.pose.iter().enumerate() {
-                    assert!(
-                        now[axis] >= limits.low.0 && now[axis] <= limits.high.0,
-                        "axis {axis}"
-                    );
-                }
-            }
-            if state(&bench) == State::Idle {
-                break;
-            }
-        }
-        bench.steps(3000);
-        assert_eq!(
-            state(&bench),
-            State::Idle,
-            "{:?}",
-            bench.rig.control().safety().fault()
-        );
-        limited += usize::from(
-            bench
-                .events
-                .iter()
-                .any(|event| matches!(event, Event::JogLimited { .. })),
-        );
-        bench.events.clear();
-    }
-    assert!(limited >= 5, "{limited} were limited");
-}
-
-#[test]
-fn small_questions_of_jobs() {
+fn jobs_keep_their_boundary_conditions() {
     let mut bench = ready();
     let start = bench.status().commanded;
-    // An empty job is done at once.
+    // An empty job finishes at once.
     bench
         .ask(Command::JobStart {
             job: 1,
@@ -295,7 +28,7 @@ fn small_questions_of_jobs() {
         job: 1,
         setpoints: 0
     }));
-    // The next one begins right after the last one's end, without a period of rest.
+    // The next job begins without a period between.
     for job in 2..5 {
         let start = commanded(&bench)[..5]
             .iter()
@@ -327,10 +60,10 @@ fn small_questions_of_jobs() {
         while state(&bench) != State::Idle {
             step_smoothly(&mut bench, 0.0011);
         }
-        // Back, but for what the line's ends were rounded by.
+        // The machine is back, except for the rounding of the line's ends.
         assert!((commanded(&bench)[0] - start[0]).abs() <= 2);
     }
-    // Override while it holds: heard, and of effect when it goes on.
+    // An override in a hold takes effect at the resume.
     let start = bench.status().commanded;
     bench.start_job(20, &line(&start, 0, 10.0, 20));
     bench.steps(2500);
@@ -348,7 +81,7 @@ fn small_questions_of_jobs() {
         "{}",
         status.path_rate
     );
-    // A stop drops the job and the spindle; where it is, is where the next one begins.
+    // A stop drops the job and stops the spindle. The next job begins at the present pose.
     bench.ask(Command::Stop).expect("stops");
     assert!(bench.wait_for(State::Idle, 3000));
     assert!(
@@ -360,7 +93,7 @@ fn small_questions_of_jobs() {
 }
 
 #[test]
-fn a_pause_at_the_last_setpoint_is_waited_for() {
+fn a_pause_at_the_last_setpoint_delays_the_end() {
     let mut bench = ready();
     let start = bench.status().commanded;
     let mut points = line(&start, 0, 4.0, 3);
@@ -382,7 +115,7 @@ fn a_pause_at_the_last_setpoint_is_waited_for() {
 }
 
 #[test]
-fn a_machine_that_coasts_is_not_enabled() {
+fn a_coasting_machine_is_not_enabled() {
     let mut bench = moving(0, 40.0);
     bench.ask(Command::EmergencyStop).expect("off");
     bench.ask(Command::Reset).expect("reset");
@@ -396,7 +129,7 @@ fn a_machine_that_coasts_is_not_enabled() {
 }
 
 #[test]
-fn a_configuration_that_is_activated_under_a_latched_fault_is_as_good_as_one_after_its_reset() {
+fn a_configuration_under_a_latched_fault_equals_one_after_the_reset() {
     let mut bench = moving(0, 4.0);
     bench.rig.plant_mut().set_encoder_condition(
         0,
@@ -414,12 +147,13 @@ fn a_configuration_that_is_activated_under_a_latched_fault_is_as_good_as_one_aft
         .rig
         .plant_mut()
         .set_encoder_condition(0, EncoderCondition::default());
-    // The operator sends the configuration first and resets then. (Slides that are not at their presets are found by their indexes at the
-    // wrong turn: here they moved by two thirds of one.)
+    // The operator sends the configuration before the reset. (Slides away from their presets get
+    // the index pulse of the wrong turn: here they moved by two thirds of one.)
     bench.configure();
     bench.ask(Command::Reset).expect("reset");
     bench.ask(Command::Enable).expect("enabled");
-    // An encoder that is suspected is asked at its index: it did not count right, and where the joints are is for the operator to say.
+    // The index pulse of a suspected encoder shows lost counts; the operator has to set the joints
+    // to their presets.
     bench.ask(Command::Home).expect("asked");
     assert!(bench.wait_for(State::Fault, 30_000));
     let slip = bench.status().fault;
@@ -434,9 +168,9 @@ fn a_configuration_that_is_activated_under_a_latched_fault_is_as_good_as_one_aft
     assert_eq!(bench.ask(Command::Home), Ok(()));
 }
 
-/// A new gain must not make the machine forget, or believe wrongly, where it is.
+/// A new gain must neither lose the position nor keep a wrong one.
 #[test]
-fn a_new_configuration_keeps_the_position_or_gives_it_up() {
+fn a_new_configuration_keeps_the_true_position_or_loses_it() {
     let mut bench = Bench::new();
     bench.make_ready();
     let start = bench.status().commanded;
@@ -465,7 +199,7 @@ fn a_new_configuration_keeps_the_position_or_gives_it_up() {
 }
 
 #[test]
-fn missed_periods_while_it_holds_are_told_as_well() {
+fn missed_periods_in_a_hold_are_reported() {
     let options = RigOptions {
         faults: vec!["missed-periods count=50 at=9s".parse().expect("a fault")],
         ..RigOptions::default()
@@ -478,7 +212,7 @@ fn missed_periods_while_it_holds_are_told_as_well() {
     let status = bench.status();
     assert_eq!(status.fault, Some(Fault::LatePeriod { missed: 50 }));
     assert!(status.position_kept && !drives_off(&bench));
-    // A drive that fails now takes them all off, and is the fault that stays.
+    // A drive that fails now takes all drives off, and is the latched fault.
     bench.rig.plant_mut().set_condition(
         2,
         haptimill_hil_sim::plant::JointCondition {
@@ -492,7 +226,7 @@ fn missed_periods_while_it_holds_are_told_as_well() {
 }
 
 #[test]
-fn the_spindle_ends_with_the_job() {
+fn the_spindle_stops_with_the_job() {
     let mut bench = ready();
     let start = bench.status().commanded;
     let mut points = line(&start, 0, 4.0, 10);
@@ -505,12 +239,12 @@ fn the_spindle_ends_with_the_job() {
 }
 
 #[test]
-fn what_nobody_heard_does_not_hide_what_came_last() {
+fn an_event_queue_overflow_keeps_the_last_event() {
     let mut bench = ready();
-    // More events than the queue holds, while the host is away; the last one is the fault.
+    // More events than the queue holds while the host is silent; the last one is the fault.
     for _ in 0..12 {
-        bench.say(Command::Disable);
-        bench.say(Command::Enable);
+        bench.send(Command::Disable);
+        bench.send(Command::Enable);
         bench.steps(20);
     }
     bench.events.clear();
@@ -538,25 +272,7 @@ fn what_nobody_heard_does_not_hide_what_came_last() {
 }
 
 #[test]
-fn a_corrected_pose_does_not_move_the_tool() {
-    // The correction at the end of homing changes all coordinates by up to millimetres; the machine stands still.
-    let mut bench = enabled(changed(&[("start_spread = 0.3", "start_spread = 2.0")]));
-    bench.ask(Command::Home).expect("homing");
-    while state(&bench) == State::Homing {
-        bench.step();
-    }
-    let before = tool(&bench);
-    let mut most = 0.0_f64;
-    for _ in 0..1000 {
-        bench.step();
-        most = most.max(distance(&bench, before));
-    }
-    println!("correction: the tool moved {most:.4} mm");
-    assert!(most < 0.02, "{most} mm");
-}
-
-#[test]
-fn a_moving_machine_refuses_what_needs_rest() {
+fn a_moving_machine_refuses_commands_that_need_standstill() {
     let mut bench = moving(0, 4.0);
     let pose = bench.status().commanded;
     let run = Err(Refusal::State(State::Run));
@@ -583,9 +299,9 @@ fn a_moving_machine_refuses_what_needs_rest() {
     assert_eq!(state(&bench), State::Run);
 }
 
-/// The host says half of a job and no more: the setpoint that is missing has a name, also when it never comes.
+/// The host sends half of a job: the missing setpoint is reported, also when it never comes.
 #[test]
-fn a_setpoint_that_never_comes_is_named() {
+fn a_missing_setpoint_is_reported() {
     let mut bench = Bench::new();
     bench.make_ready();
     let start = bench.status().commanded;

@@ -1,6 +1,7 @@
 //! Developer tasks of the project. `cargo xtask help` lists them.
 
 mod board;
+mod planted;
 mod provide;
 mod storm;
 
@@ -246,7 +247,7 @@ fn instructions() -> Result<(), String> {
     provide()?;
     emulated(
         "instructions",
-        "emulated",
+        "emulated_instructions",
         "instructions",
         &[("HAPTIMILL_WRITE", "1")],
     )

@@ -4,7 +4,7 @@ use crate::Check;
 use crate::reference::{h4, mm};
 use haptimill_firmware::comm::rx_ring::ReceiveRing;
 use haptimill_firmware::io::{Inputs, RECEIVE_BYTES};
-use haptimill_firmware::motion::interpolator::{Program, QUEUE};
+use haptimill_firmware::motion::interpolator::{Interpolator, QUEUE};
 use haptimill_kinematics::Pose;
 use haptimill_math::Coordinate;
 use haptimill_protocol::message::{Action, Refusal};
@@ -49,7 +49,7 @@ fn along(number: usize, rest: bool) -> Setpoint {
 }
 
 fn setpoints() {
-    let mut program = Program::new(&h4());
+    let mut program = Interpolator::new(&h4());
     program.begin(&Pose::default());
     assert_eq!((program.credit(), program.queued()), (QUEUE as u32, 0));
     for number in 1..=QUEUE {
@@ -96,7 +96,7 @@ fn setpoints() {
 }
 
 fn underrunning() {
-    let mut program = Program::new(&h4());
+    let mut program = Interpolator::new(&h4());
     program.begin(&Pose::default());
     let first = 60;
     for number in 1..=first {
@@ -140,7 +140,7 @@ fn overrun() {
     let flood = |index: usize| (index % 23) as u8 + 40;
     (0..400).for_each(|index| receiver.push(flood(index)));
     urgent::STOP.iter().for_each(|&byte| receiver.push(byte));
-    assert_eq!((waiting.seen(), waiting.peak()), (403, 255));
+    assert_eq!((waiting.received_count(), waiting.peak()), (403, 255));
     let mut inputs = Inputs::default();
     let mut heard = 0;
     for period in 0..4 {

@@ -22,7 +22,7 @@ struct Shared {
     urgent: AtomicBool,
     lost: AtomicU32,
     peak: AtomicU32,
-    seen: AtomicU32,
+    received_count: AtomicU32,
 }
 
 /// A ring of `N` bytes, one of which stays free.
@@ -57,7 +57,7 @@ impl<const N: usize> ReceiveRing<N> {
                 urgent: AtomicBool::new(false),
                 lost: AtomicU32::new(0),
                 peak: AtomicU32::new(0),
-                seen: AtomicU32::new(0),
+                received_count: AtomicU32::new(0),
             },
         }
     }
@@ -92,7 +92,7 @@ impl Receiver<'_> {
         if fill > self.shared.peak.load(Ordering::Relaxed) {
             self.shared.peak.store(fill, Ordering::Relaxed);
         }
-        add(&self.shared.seen);
+        add(&self.shared.received_count);
     }
 }
 
@@ -129,8 +129,8 @@ impl Waiting<'_> {
 
     /// Bytes received so far, including lost ones; wraps around.
     #[must_use]
-    pub fn seen(&self) -> u32 {
-        self.shared.seen.load(Ordering::Acquire)
+    pub fn received_count(&self) -> u32 {
+        self.shared.received_count.load(Ordering::Acquire)
     }
 
     /// Largest number of bytes that have waited.
@@ -160,17 +160,17 @@ mod tests {
             .iter()
             .chain(&[7])
             .for_each(|&byte| receiver.push(byte));
-        assert_eq!((waiting.seen(), waiting.peak()), (404, 255));
+        assert_eq!((waiting.received_count(), waiting.peak()), (404, 255));
         let mut inputs = Inputs::default();
-        let mut heard = Vec::new();
+        let mut received = Vec::new();
         for period in 0..5 {
             waiting.take(&mut inputs);
-            heard.extend_from_slice(&inputs.received);
+            received.extend_from_slice(&inputs.received);
             assert_eq!(inputs.urgent, period == 0);
-            assert_eq!(usize::from(inputs.waiting), 255 - heard.len());
+            assert_eq!(usize::from(inputs.waiting), 255 - received.len());
             assert_eq!(inputs.lost_bytes, 149);
         }
-        assert_eq!(heard, flood[..255]);
+        assert_eq!(received, flood[..255]);
         receiver.push(9);
         waiting.take(&mut inputs);
         assert_eq!(inputs.received, [9]);

@@ -1,29 +1,21 @@
 //! The controller's endpoint of the link: receives messages, transmits answers, events and
 //! telemetry.
 //!
-//! A period receives at most 64 bytes. It runs at most one long job:
-//! - read a message, or a setpoint of a batch;
-//! - validate and enqueue a setpoint, as far as the [slice budget](Server::budget) goes;
-//! - queue an answer or an event;
-//! - fill in a telemetry sample, encode it, or put its frame on the line.
-//!
-//! Frames are made while they are transmitted. Receive and transmit jobs alternate. The rest waits
-//! in the link, whose window stops the host. Communication is skipped when interpolation needs the
-//! whole period, but never twice in a row.
+//! A period receives at most 64 bytes and has one [slice](super::schedule) for a long job. Frames
+//! are made while they are transmitted. What waits, waits in the link, whose window stops the host.
 //!
 //! A refused setpoint ends its batch and changes nothing, not even the prediction for the next one.
 //! All later setpoints are out of order until it comes again or the job starts anew. No setpoint is
 //! skipped.
 
+use super::schedule::{Schedule, Slice};
+use super::telemetry::{Stream, Streams};
 use crate::io::{Inputs, TRANSMIT_BYTES};
 use crate::safety::Safety;
-use haptimill_protocol::haptic::MasterTelemetry;
 use haptimill_protocol::link::{
     ControllerLink, HelloOutcome, Identity, ReceiveEffort, SHORT_REPORT, Timing,
 };
-use haptimill_protocol::message::{
-    AxisValues, Command, ConfigChunk, Refusal, Report, Request, Telemetry,
-};
+use haptimill_protocol::message::{AxisValues, Command, ConfigChunk, Refusal, Report, Request};
 use haptimill_protocol::setpoint::{BatchReader, Setpoint, SetpointCoder};
 use heapless::{Deque, Vec};
 
@@ -49,7 +41,7 @@ pub enum Incoming {
         /// The setpoint's number in the job.
         number: u32,
         /// Validation progress; 0 at the start.
-        tried: u8,
+        validated: u8,
     },
     /// A setpoint that cannot be decoded.
     BadSetpoint {
@@ -68,41 +60,19 @@ pub struct Server {
     batch: Option<BatchReader>,
     /// The next setpoint of the batch, and its validation progress.
     setpoint: Setpoint,
-    tried: Option<u8>,
-    /// The request read last, and whether it is still to be executed.
+    validated: Option<u8>,
+    /// The request read last, and whether it waits to be executed.
     request: Request,
-    read: bool,
+    request_waits: bool,
     /// Receive effort of this period.
-    came: ReceiveEffort,
-    /// This period ran a long job; `heard`: the job belonged to the receive side.
-    worked: bool,
-    heard: bool,
-    /// This period skipped communication because interpolation needs the time.
-    held: bool,
-    /// Bytes waited in this period because it had run a long job (`mute`); the next period is kept
-    /// free to transmit them (`speaks`).
-    mute: bool,
-    speaks: bool,
-    /// Answers and events waited because this period had run a long job.
-    kept: bool,
-    /// Telemetry is due.
-    telemetry_waits: bool,
-    /// Telemetry sample of one period, and whether it is still to be encoded.
-    sample: Report,
-    noted: bool,
-    /// The sample is superseded: answers and events wait until the new one has gone.
-    renoted: bool,
+    received: ReceiveEffort,
+    schedule: Schedule,
+    streams: Streams,
     coder: SetpointCoder,
     session_begun: bool,
     staged: Vec<u8, CONFIG_BYTES>,
     /// Request numbers and results.
     answers: Deque<(u8, Result<(), Refusal>), ANSWERS>,
-    every: u16,
-    until_telemetry: u16,
-    /// Interval, countdown and due flag of haptic-arm telemetry.
-    hand_every: u16,
-    until_hand: u16,
-    hand_waits: bool,
     deferred: u32,
     lost: u32,
     /// The board's count of lost bytes in the period before.
@@ -130,29 +100,16 @@ impl Server {
             now_us: 0,
             batch: None,
             setpoint: Setpoint::default(),
-            tried: None,
+            validated: None,
             request: NOTHING,
-            read: false,
-            came: ReceiveEffort::Nothing,
-            worked: false,
-            heard: false,
-            held: false,
-            mute: false,
-            speaks: false,
-            kept: false,
-            telemetry_waits: false,
-            sample: Report::Telemetry(Telemetry::default()),
-            noted: false,
-            renoted: false,
+            request_waits: false,
+            received: ReceiveEffort::Nothing,
+            schedule: Schedule::default(),
+            streams: Streams::default(),
             coder: SetpointCoder::new(period_us, &AxisValues::new()),
             session_begun: false,
             staged: Vec::new(),
             answers: Deque::new(),
-            every: 0,
-            until_telemetry: 0,
-            hand_every: 0,
-            until_hand: 0,
-            hand_waits: false,
             deferred: 0,
             lost: 0,
             lost_before: 0,
@@ -167,7 +124,7 @@ impl Server {
         let lost = inputs.lost_bytes.wrapping_sub(self.lost_before);
         self.lost = self.lost.saturating_add(u32::from(lost));
         self.lost_before = inputs.lost_bytes;
-        self.came = if inputs.received.is_empty() {
+        self.received = if inputs.received.is_empty() {
             ReceiveEffort::Nothing
         } else {
             self.receive(&inputs.received)
@@ -175,48 +132,39 @@ impl Server {
         self.link.hello().is_some()
     }
 
-    /// Takes the next job of the receive side. `hold_back`: interpolation needs this period; it has
-    /// no effect if the period before was held back.
+    /// Begins the slice of this period, and takes the next message or setpoint if it may be
+    /// executed. `busy`: interpolation needs the period.
     #[inline]
-    pub fn next(&mut self, hold_back: bool) -> Option<Incoming> {
-        // Receive and transmit alternate; a deferred job runs in the next period.
-        let yields = self.kept || (self.heard && self.tells_much());
-        self.held = hold_back && !self.held;
-        let moved = self.came == ReceiveEffort::Moved;
-        // This period is kept free for the bytes that waited in the one before.
-        self.speaks = self.mute && !self.held && !moved;
-        self.mute &= self.held;
-        // A period that was held back has no time to transmit either.
-        self.worked = self.held || moved || self.speaks;
-        // A side that could not take its turn keeps it.
-        self.heard &= self.worked;
-        let nothing = self.tried.is_none() && !self.read && self.link.has_received_all();
-        if nothing || yields || self.worked || self.answers.is_full() {
+    pub fn next(&mut self, busy: bool) -> Option<Incoming> {
+        self.schedule.begin(busy, self.received);
+        let may_execute = self.schedule.may_execute(self.telemetry_waits());
+        let nothing =
+            !self.request_waits && self.validated.is_none() && self.link.has_received_all();
+        if !may_execute || nothing || self.answers.is_full() {
             return None;
         }
-        self.dispatch()
+        self.execute()
     }
 
-    /// Whether this period is held back, and neither receives nor transmits.
+    /// Whether interpolation has this period.
     #[must_use]
     #[inline]
-    pub const fn is_deferred(&self) -> bool {
-        self.held
+    pub fn is_deferred(&self) -> bool {
+        self.schedule.slice() == Slice::Deferred
     }
 
-    /// Runs the next job of the receive side.
+    /// Gives the message or setpoint of this slice.
     #[inline(never)]
-    fn dispatch(&mut self) -> Option<Incoming> {
-        self.worked = true;
-        self.heard = true;
-        if core::mem::take(&mut self.read) {
+    fn execute(&mut self) -> Option<Incoming> {
+        self.schedule.execute();
+        if core::mem::take(&mut self.request_waits) {
             return Some(Incoming::Request);
         }
-        let Some(tried) = self.tried.take() else {
+        let Some(validated) = self.validated.take() else {
             return self.read();
         };
         let number = self.batch.map_or(0, |batch| batch.number.wrapping_sub(1));
-        Some(Incoming::Setpoint { number, tried })
+        Some(Incoming::Setpoint { number, validated })
     }
 
     /// Takes bytes from the line.
@@ -230,7 +178,7 @@ impl Server {
     pub fn welcome(&mut self, identity: &Identity<'_>, busy: bool) {
         let greeted = self.link.welcome(self.now_us, identity, busy);
         if greeted == HelloOutcome::Begun {
-            self.forget();
+            self.reset();
             self.session_begun = true;
         }
     }
@@ -238,18 +186,14 @@ impl Server {
     /// Reads the next message, or the next setpoint of a batch.
     fn read(&mut self) -> Option<Incoming> {
         let Some(payload) = self.link.peek() else {
-            self.worked = false;
-            self.heard = false;
+            self.schedule.release();
             return None;
         };
         if self.batch.is_none() {
             if !BatchReader::fits(payload) {
-                if !self.link.poll_into(&mut self.request) {
-                    return None;
-                }
-                // A job start takes long and gets a period of its own.
-                self.read = matches!(self.request.command, Command::JobStart { .. });
-                return (!self.read).then_some(Incoming::Request);
+                // Executed in a slice of its own.
+                self.request_waits = self.link.poll_into(&mut self.request);
+                return None;
             }
             self.batch = BatchReader::open(payload);
         }
@@ -263,7 +207,7 @@ impl Server {
             return None;
         }
         if batch.next(payload, &self.coder, &mut self.setpoint) {
-            self.tried = Some(0);
+            self.validated = Some(0);
             None
         } else {
             Some(Incoming::BadSetpoint { number })
@@ -273,7 +217,7 @@ impl Server {
     /// Ends the batch and answers it.
     #[inline(never)]
     fn end_batch(&mut self, result: Result<(), Refusal>) {
-        self.tried = None;
+        self.validated = None;
         if let Some(batch) = self.batch.take() {
             self.link.drop_first();
             self.answer(batch.id, result);
@@ -297,7 +241,7 @@ impl Server {
     #[must_use]
     #[inline]
     pub const fn budget(&self) -> usize {
-        match self.came {
+        match self.received {
             ReceiveEffort::Nothing => 8,
             ReceiveEffort::Bytes => 5,
             ReceiveEffort::Frame | ReceiveEffort::Moved => 3,
@@ -305,8 +249,8 @@ impl Server {
     }
 
     /// Stores the validation progress of the setpoint; a later period continues.
-    pub const fn pass_setpoint(&mut self, tried: u8) {
-        self.tried = Some(tried);
+    pub const fn continue_setpoint(&mut self, validated: u8) {
+        self.validated = Some(validated);
     }
 
     /// Marks the setpoint as enqueued. The next setpoint is relative to it, and is decoded at once
@@ -325,26 +269,26 @@ impl Server {
         {
             // Decoded at once, a setpoint takes two periods and not three. The next turn refuses
             // one that cannot be decoded.
-            self.tried = Some(0);
+            self.validated = Some(0);
         }
     }
 
-    /// Whether [`Server::transmit`] has a long job.
+    /// Whether telemetry waits for a slice or for the line.
     #[inline]
-    fn tells_much(&self) -> bool {
-        self.telemetry_waits || self.noted || self.link.latest_waits()
+    fn telemetry_waits(&self) -> bool {
+        self.streams.machine_due() || self.link.latest_waits()
     }
 
-    /// Tries to take the time slice of this period; true if it was free.
+    /// Tries to take the slice of this period for a background job.
     #[inline]
-    pub fn try_claim(&mut self) -> bool {
-        !self.kept && !core::mem::replace(&mut self.worked, true)
+    pub fn try_background(&mut self) -> bool {
+        self.schedule.try_take(Slice::Background)
     }
 
-    /// Tries to take the time slice for a job that can wait until all reports are sent.
+    /// The same for a job that can wait until all telemetry is sent.
     #[inline]
-    pub fn try_claim_idle(&mut self) -> bool {
-        !self.hand_waits && !self.tells_much() && self.try_claim()
+    pub fn try_background_idle(&mut self) -> bool {
+        !self.streams.any_due() && !self.link.latest_waits() && self.try_background()
     }
 
     /// Whether a new session has begun since the last call.
@@ -355,20 +299,13 @@ impl Server {
 
     /// Drops the state of the old session.
     #[inline(never)]
-    fn forget(&mut self) {
+    fn reset(&mut self) {
         self.batch = None;
-        self.tried = None;
-        self.read = false;
-        self.telemetry_waits = false;
-        self.noted = false;
-        self.renoted = false;
+        self.validated = None;
+        self.request_waits = false;
+        self.streams = Streams::default();
         self.answers.clear();
         self.staged.clear();
-        self.every = 0;
-        self.until_telemetry = 0;
-        self.hand_every = 0;
-        self.until_hand = 0;
-        self.hand_waits = false;
     }
 
     /// Starts the setpoints of a job at `pose`.
@@ -423,21 +360,9 @@ impl Server {
         &self.staged
     }
 
-    /// Sets the interval of telemetry, in periods; 0 is off.
-    pub fn set_telemetry(&mut self, every: u16) {
-        self.every = every;
-        self.until_telemetry = every;
-    }
-
-    /// Sets the interval of haptic-arm telemetry, in periods; 0 is off.
-    pub fn set_hand_telemetry(&mut self, every: u16) {
-        self.hand_every = every;
-        self.until_hand = every;
-    }
-
-    /// Requests telemetry in this period.
-    pub fn telemetry_now(&mut self) {
-        self.until_telemetry = 1;
+    /// The telemetry streams, for their intervals.
+    pub const fn streams(&mut self) -> &mut Streams {
+        &mut self.streams
     }
 
     /// Silence of the host, in microseconds.
@@ -457,8 +382,7 @@ impl Server {
         }
     }
 
-    /// Transmits answers, then events, then telemetry; puts up to `room` bytes into `transmit`. A
-    /// period that is held back transmits nothing.
+    /// Transmits answers, then events, then telemetry; puts up to `room` bytes into `transmit`.
     #[inline]
     pub fn transmit(
         &mut self,
@@ -467,43 +391,36 @@ impl Server {
         room: u16,
         transmit: &mut Vec<u8, TRANSMIT_BYTES>,
     ) {
-        // Reports of a long job wait for the next period.
-        let due = !self.answers.is_empty() || safety.has_events();
-        self.kept = due && self.worked && !self.kept;
-        let after = self.renoted && room > 0 && (self.noted || self.link.latest_waits());
-        if due && !self.kept && !after && self.report(period, safety) {
-            self.worked = true;
-            self.note_anew();
-        }
-        if self.noted && self.try_claim() {
-            self.encode();
-        }
-        // A telemetry frame is long: it goes in a period without another long job.
-        let waited = self.link.latest_waits();
-        self.link.hold_latest(self.worked && !self.speaks);
         transmit.clear();
-        if room > 0 && !self.held && !self.link.is_quiet(self.now_us) {
-            // A long job and transmission do not fit into one period, but bytes wait for one period
-            // only.
-            self.mute = self.worked && !self.speaks;
-            if !self.mute {
-                self.say(room, transmit);
+        let reports = !self.answers.is_empty() || safety.has_events();
+        let line = room > 0 && !self.link.is_quiet(self.now_us);
+        if !(reports || line) || !self.schedule.may_transmit() {
+            return;
+        }
+        let superseded = self.streams.superseded && room > 0 && self.link.latest_waits();
+        if reports && !superseded && self.report(period, safety) {
+            self.schedule.transmit();
+            self.supersede_telemetry();
+        }
+        if room > 0 {
+            let waited = self.link.latest_waits();
+            self.put_bytes(room, transmit);
+            if waited && !self.link.latest_waits() {
+                self.schedule.transmit();
+                self.streams.superseded = false;
             }
         }
-        let gone = waited && !self.link.latest_waits();
-        self.renoted &= !gone;
-        self.worked |= gone;
     }
 
     /// Takes the next bytes of the line: starts at most one frame per period, and encodes no more
     /// than fits.
     #[inline(never)]
-    fn say(&mut self, room: u16, transmit: &mut Vec<u8, TRANSMIT_BYTES>) {
+    fn put_bytes(&mut self, room: u16, transmit: &mut Vec<u8, TRANSMIT_BYTES>) {
         let mut buffer = [0; TRANSMIT_BYTES];
         let room = buffer.len().min(usize::from(room));
         let now_us = self.now_us;
-        let said = buffer.get_mut(..room).unwrap_or_default();
-        let count = self.link.transmit_some(now_us, said, 1, TRANSMIT_BYTES);
+        let free = buffer.get_mut(..room).unwrap_or_default();
+        let count = self.link.transmit_some(now_us, free, 1, TRANSMIT_BYTES);
         if count != 0 {
             // Copied as a whole, by words.
             *transmit = Vec::from_array(buffer);
@@ -535,82 +452,36 @@ impl Server {
         sent
     }
 
-    /// Supersedes telemetry that has not gone yet. It is older than the report just queued, and the
+    /// Withdraws telemetry that has not gone yet. It is older than the report just queued, and the
     /// host would take it for newer.
-    fn note_anew(&mut self) {
-        if self.noted || self.link.latest_waits() {
-            self.noted = false;
-            self.renoted = true;
+    fn supersede_telemetry(&mut self) {
+        if self.link.latest_waits() {
             self.link.withdraw_latest();
-            match self.sample {
-                Report::Master(_) => self.hand_waits = true,
-                _ => self.telemetry_waits = true,
-            }
+            self.streams.sample_again();
         }
     }
 
-    /// Encodes the pending telemetry sample.
-    #[inline(never)]
-    fn encode(&mut self) {
-        self.noted = false;
-        // Fails without a session. A sample is never too long for a frame (a test of the protocol).
-        let _ = self.link.send_latest(&self.sample);
-    }
-
-    /// Counts the periods until telemetry is due; true if this period must fill in a sample.
-    /// Callers must call it once per period.
+    /// Counts a period of the telemetry streams. Returns the stream whose message must be
+    /// [sent](Server::send_telemetry) in this period. Callers must call it once per period.
     ///
     /// Answers and `events` that have room in the link go first. A telemetry sample therefore never
     /// arrives before the reports of what happened earlier.
     #[inline]
-    pub fn telemetry_due(&mut self, events: bool) -> bool {
-        if self.until_telemetry != 0 {
-            self.until_telemetry -= 1;
-            if self.until_telemetry == 0 {
-                self.until_telemetry = self.every;
-                self.telemetry_waits = true;
-            }
-        }
-        if !self.telemetry_waits {
-            return false;
-        }
-        let first = (events || !self.answers.is_empty()) && self.link.room(SHORT_REPORT) > 0;
-        // A period with a long job leaves telemetry to the next one.
-        !first && self.try_claim()
+    pub fn telemetry_due(&mut self, events: bool) -> Option<Stream> {
+        let stream = self.streams.tick(self.link.latest_waits())?;
+        let reports = (events || !self.answers.is_empty()) && self.link.room(SHORT_REPORT) > 0;
+        let may_sample = !reports && self.schedule.try_take(Slice::Sample);
+        may_sample.then_some(stream)
     }
 
-    /// The same for telemetry of the haptic arm. It comes after other telemetry and never replaces
-    /// a waiting sample.
-    pub fn hand_due(&mut self) -> bool {
-        if self.until_hand != 0 {
-            self.until_hand -= 1;
-            if self.until_hand == 0 {
-                self.until_hand = self.hand_every;
-                self.hand_waits = true;
-            }
-        }
-        self.hand_waits && !self.noted && !self.link.latest_waits() && self.try_claim()
-    }
-
-    /// Stores telemetry of the haptic arm, if there is an arm.
-    pub fn note_hand(&mut self, telemetry: Option<MasterTelemetry>) {
-        self.hand_waits = false;
-        if let Some(telemetry) = telemetry {
-            self.sample = Report::Master(telemetry);
-            self.noted = true;
-        }
-    }
-
-    /// Storage for the telemetry sample of this period; callers must fill in all of it.
-    pub fn sample(&mut self) -> Option<&mut Telemetry> {
-        self.telemetry_waits = false;
-        self.noted = true;
-        if !matches!(self.sample, Report::Telemetry(_)) {
-            self.sample = Report::Telemetry(Telemetry::default());
-        }
-        match &mut self.sample {
-            Report::Telemetry(telemetry) => Some(telemetry),
-            _ => None,
+    /// Sends the telemetry message of a stream that was due; `None` where there is nothing to
+    /// sample.
+    pub fn send_telemetry(&mut self, stream: Stream, message: Option<&Report>) {
+        self.streams.sampled(stream);
+        if let Some(message) = message {
+            // Fails without a session. A message is never too long for a frame (a test of the
+            // protocol).
+            let _ = self.link.send_latest(message);
         }
     }
 }

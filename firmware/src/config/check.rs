@@ -232,10 +232,10 @@ impl Config {
                 let steps = (1 << 24..1 << 44).contains(&per_step.unsigned_abs());
                 let clock = (1..=1000).contains(ticks_per_us);
                 let ticks = u32::from(*ticks_per_us) * u32::from(self.period_us);
-                let fits = *pulse > 0
+                let is_consistent = *pulse > 0
                     && u32::from(*pulse) * 2 + u32::from(*setup) + u32::from(*hold) < ticks;
                 require(
-                    steps && clock && fits && lost.0 > 0,
+                    steps && clock && is_consistent && lost.0 > 0,
                     ConfigField::Drive,
                     here,
                 )

@@ -139,7 +139,7 @@ impl AdmittanceLaw {
             poles: [first; LEVELS],
             added,
             highest,
-            rate_limit: way(i64::from(settings.rate.0.max(1)), period_us),
+            rate_limit: rate_per_period(i64::from(settings.rate.0.max(1)), period_us),
             limit: Displacement::from_length(settings.limit).0,
             // 10^6 / T_us / 2^(20 + FINENESS), below 1.
             to_rate: Part::ratio(1_000_000, u64::from(period_us.max(1)) << (20 + FINENESS)),
@@ -155,7 +155,7 @@ impl AdmittanceLaw {
     #[must_use]
     pub fn resting_below(mut self, creep: Rate, period_us: u16) -> Self {
         let creep = u64::from(creep.0.unsigned_abs());
-        self.creep = way(creep as i64, period_us);
+        self.creep = rate_per_period(creep as i64, period_us);
         for (creeping, added) in self.creeping.iter_mut().zip(self.added) {
             // Below 2^27 + 2^31, times 2^31.
             let damping = u64::from(self.settings.damping.0.saturating_add_signed(added));
@@ -210,7 +210,7 @@ const DELAY_MOST_US: u32 = 500_000;
 
 /// 2^-20 mm/s to 2^-(40 + FINENESS) mm per control period: below 2^31 * 2^10 * 2^20 / 10^6 before
 /// it is clamped.
-fn way(rate: i64, period_us: u16) -> i64 {
+fn rate_per_period(rate: i64, period_us: u16) -> i64 {
     (rate * i64::from(period_us) * (1 << 20) / 1_000_000).min(1 << RATE_BITS) << FINENESS
 }
 
@@ -491,8 +491,8 @@ impl AdmittanceAxis {
         }
         let error = drive.wrapping_abs();
         let zone = creeping.min(law.settings.desired.0) / 2;
-        let going = self.rate.abs() > law.creep / 4 && (self.rate > 0) == (drive > 0);
-        self.resting = error <= zone && (self.resting || !going || error <= zone / 4);
+        let moving = self.rate.abs() > law.creep / 4 && (self.rate > 0) == (drive > 0);
+        self.resting = error <= zone && (self.resting || !moving || error <= zone / 4);
         if self.resting {
             return (0, law.highest);
         }

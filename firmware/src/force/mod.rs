@@ -304,7 +304,7 @@ impl ForceControl {
                 axis.until_look = (axis.peaks.window().samples() / 4).max(1) as u16;
                 let yielded = axis.compliance.displacement() != Displacement::default();
                 axis.stability_monitor
-                    .look(axis.extremes.peak(), axis.compliance.law(), yielded);
+                    .update(axis.extremes.peak(), axis.compliance.law(), yielded);
                 if component == 0 {
                     self.conditioner.set_table(table);
                 }

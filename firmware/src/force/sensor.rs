@@ -250,11 +250,11 @@ impl Conditioner {
             return;
         }
         self.table = angle;
-        self.weigh();
+        self.update_effective_zero();
     }
 
     #[inline(never)]
-    fn weigh(&mut self) {
+    fn update_effective_zero(&mut self) {
         let (sine, cosine) = sin_cos(self.table);
         let (sine_then, cosine_then) = self.tared_at;
         // Q30, differences within 2^31.
@@ -292,20 +292,25 @@ impl Conditioner {
         });
         for component in 0..COMPONENTS {
             let code = sample.codes[component].clamp(-CODE_MOST - 1, CODE_MOST);
-            let seen = self.look(component, code, unloaded);
+            let problem = self.check_component(component, code, unloaded);
             // An excessive force stops the machine even without force control, so it has priority.
             let graver =
-                !found.as_ref().is_some_and(is_force) && seen.as_ref().is_some_and(is_force);
-            found = if graver { seen } else { found.or(seen) };
+                !found.as_ref().is_some_and(is_force) && problem.as_ref().is_some_and(is_force);
+            found = if graver { problem } else { found.or(problem) };
         }
         if self.tare.is_some() {
-            self.gather(&sample.codes);
+            self.accumulate_tare(&sample.codes);
         }
         found
     }
 
     #[inline]
-    fn look(&mut self, component: usize, code: i16, unloaded: bool) -> Option<ForceProblem> {
+    fn check_component(
+        &mut self,
+        component: usize,
+        code: i16,
+        unloaded: bool,
+    ) -> Option<ForceProblem> {
         let name = component as u8;
         let channel = &self.sensor.channels[component];
         let memory = &mut self.memories[component];
@@ -357,7 +362,7 @@ impl Conditioner {
     }
 
     #[inline(never)]
-    fn gather(&mut self, codes: &[i16; COMPONENTS]) {
+    fn accumulate_tare(&mut self, codes: &[i16; COMPONENTS]) {
         let Some(tare) = &mut self.tare else {
             return;
         };
@@ -407,7 +412,7 @@ impl Conditioner {
         }
         self.tared = true;
         self.tared_at = sin_cos(self.table);
-        self.weigh();
+        self.update_effective_zero();
         Ok(())
     }
 

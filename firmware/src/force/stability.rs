@@ -65,7 +65,7 @@ const MOTION: i64 = 524;
 /// Smallest standard deviation of the position for a stiffness estimate: 2^-20 mm, 1.5 um, a
 /// multiple of the encoder quantization. A force that varies with less motion is no contact that
 /// moves the loop: a plunge pushes the tool aside, or the tool stands still.
-const TELLING: i64 = 1573;
+const SIGNIFICANT_MOTION: i64 = 1573;
 
 /// Updates without a contact of this stiffness after which a level may fall.
 pub const PATIENCE: u8 = 48;
@@ -78,7 +78,7 @@ pub const WAY: i64 = 52_429;
 const TOUCH: u8 = 16;
 
 /// Consecutive updates with a force that grows along itself that are a wrong sign.
-const WRONG_LOOKS: u8 = 4;
+const WRONG_SIGN_PERIODS: u8 = 4;
 
 /// Sign of the sensor, as far as it is known.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -185,7 +185,7 @@ impl StabilityMonitor {
     /// Updates the monitor, four times per revolution, with the peak force, the admittance law, and
     /// whether the displacement differs from 0.
     #[inline(never)]
-    pub fn look(&mut self, force: Force, law: &AdmittanceLaw, yielded: bool) {
+    pub fn update(&mut self, force: Force, law: &AdmittanceLaw, yielded: bool) {
         let highest = law.highest();
         let desired = law.settings().desired;
         self.touch = if force.magnitude() >= desired.magnitude() / 2 {
@@ -226,9 +226,9 @@ impl StabilityMonitor {
         self.mean_position += (position - self.mean_position) >> MEMORY;
         self.mean_force += (seen - self.mean_force) >> MEMORY;
         // Products below 2^48; sums below 2^49.
-        self.position_variance = weigh(self.position_variance, off * off);
-        self.force_variance = weigh(self.force_variance, more * more);
-        self.covariance = weigh(self.covariance, off * more);
+        self.position_variance = smoothed(self.position_variance, off * off);
+        self.force_variance = smoothed(self.force_variance, more * more);
+        self.covariance = smoothed(self.covariance, off * more);
         self.judge_stiffness(highest, (deepest, force.held().0));
         if self.sign == Sign::Unknown {
             self.judge_sign(force, desired);
@@ -257,8 +257,8 @@ impl StabilityMonitor {
 
     fn judge_stiffness(&mut self, highest: usize, now: (i32, i32)) {
         let mut level = 0;
-        let telling = self.position_variance >= TELLING * TELLING;
-        if telling && self.covariance < 0 && self.explained() {
+        let is_significant = self.position_variance >= SIGNIFICANT_MOTION * SIGNIFICANT_MOTION;
+        if is_significant && self.covariance < 0 && self.explained() {
             // N/mm are 2^-4 raw units of force per raw unit of position, and the onset has 8 more
             // bits.
             let fell = -self.covariance;
@@ -276,14 +276,14 @@ impl StabilityMonitor {
             return;
         }
         self.calm = self.calm.saturating_add(1);
-        let way = (i64::from(now.0) - i64::from(self.shown.0)).abs();
-        if self.calm < PATIENCE || way < WAY {
+        let displacement_change = (i64::from(now.0) - i64::from(self.shown.0)).abs();
+        if self.calm < PATIENCE || displacement_change < WAY {
             return;
         }
         let change = (i64::from(now.1) - i64::from(self.shown.1)).abs();
         // Softest contact of this level; half of its force: below 2^24 * 2^21.
         let softest = i64::from(ONSET) << (self.level - 1);
-        if change < (way.min(WIDEST) * softest) >> 13 {
+        if change < (displacement_change.min(WIDEST) * softest) >> 13 {
             self.level -= 1;
         }
         self.calm = 0;
@@ -291,14 +291,14 @@ impl StabilityMonitor {
     }
 
     fn judge_sign(&mut self, force: Force, desired: Force) {
-        let telling = self.explained() && self.position_variance >= MOTION * MOTION;
+        let is_significant = self.explained() && self.position_variance >= MOTION * MOTION;
         let strong = i64::from(force.magnitude());
         let desired = i64::from(desired.magnitude());
-        if telling && self.covariance < 0 && strong >= desired / 2 {
+        if is_significant && self.covariance < 0 && strong >= desired / 2 {
             self.sign = Sign::Right;
-        } else if telling && self.covariance > 0 && strong >= 2 * desired {
+        } else if is_significant && self.covariance > 0 && strong >= 2 * desired {
             self.wrong += 1;
-            if self.wrong >= WRONG_LOOKS {
+            if self.wrong >= WRONG_SIGN_PERIODS {
                 self.sign = Sign::Wrong;
             }
         } else {
@@ -308,7 +308,7 @@ impl StabilityMonitor {
 }
 
 /// Running mean of squares: `mean` moves 2^-5 of the distance to `square`.
-fn weigh(mean: i64, square: i64) -> i64 {
+fn smoothed(mean: i64, square: i64) -> i64 {
     mean + ((square - mean) >> MEMORY)
 }
 

@@ -52,8 +52,9 @@ impl Frame {
         let age = i64::from(age.min(per_second / 50));
         let on = |axis: usize| {
             // 2^-12 mm/s times control periods: below 2^31 * 2^9 * 2^8.
-            let way = (i64::from(hand.rate[axis]) << 8) * age / i64::from(per_second.max(1));
-            saturate(i64::from(hand.tip[axis]) + way)
+            let displacement =
+                (i64::from(hand.rate[axis]) << 8) * age / i64::from(per_second.max(1));
+            saturate(i64::from(hand.tip[axis]) + displacement)
         };
         let wide = |axis: [i16; 3]| axis.map(|part| i32::from(part) << 15);
         let (n, a) = (wide(hand.axes[0]), wide(hand.axes[1]));
@@ -77,7 +78,7 @@ pub struct MasterMapping {
     hand: Vector,
     tool: [i32; LED],
     /// Tool axis at the latch, in handle coordinates.
-    held: Vector,
+    latched_axis: Vector,
     targets: [Option<Coordinate>; MAX_AXES],
 }
 
@@ -130,9 +131,14 @@ impl MasterMapping {
     }
 
     /// Computes the targets of a control period. The master leads the coordinates of `led` (one bit
-    /// each); `rest` returns the position at which a coordinate comes to standstill if nothing
+    /// each); `standstill_position` returns the position at which a coordinate comes to standstill if nothing
     /// leads it.
-    pub fn follow(&mut self, frame: &Frame, led: u8, rest: impl Fn(usize) -> Coordinate) {
+    pub fn follow(
+        &mut self,
+        frame: &Frame,
+        led: u8,
+        standstill_position: impl Fn(usize) -> Coordinate,
+    ) {
         self.targets = [None; MAX_AXES];
         let fresh = led & !self.latched;
         for axis in 0..THETA {
@@ -140,17 +146,22 @@ impl MasterMapping {
                 continue;
             }
             if fresh & (1 << axis) != 0 {
-                (self.hand[axis], self.tool[axis]) = (frame.tip[axis], rest(axis).0);
+                (self.hand[axis], self.tool[axis]) = (frame.tip[axis], standstill_position(axis).0);
             }
             // Below 2^32 * 2^13.
-            let way = (i64::from(frame.tip[axis]) - i64::from(self.hand[axis])) * self.scale;
-            let target = i64::from(self.tool[axis]) + round_shift(way, 12);
+            let displacement =
+                (i64::from(frame.tip[axis]) - i64::from(self.hand[axis])) * self.scale;
+            let target = i64::from(self.tool[axis]) + round_shift(displacement, 12);
             self.targets[axis] = Some(Coordinate(saturate(target)));
         }
         let angles = led >> THETA & 3;
         if angles != 0 {
             if fresh >> THETA & 3 != 0 {
-                self.hold(frame, rest(THETA), rest(THETA + 1));
+                self.hold(
+                    frame,
+                    standstill_position(THETA),
+                    standstill_position(THETA + 1),
+                );
             }
             let [theta, alpha] = self.angles(frame);
             for (bit, angle) in [theta, alpha].into_iter().enumerate() {
@@ -172,7 +183,7 @@ impl MasterMapping {
             multiply_shift(c, sa, 30) as i32,
             multiply_shift(c, ca, 30) as i32,
         ];
-        self.held = frame
+        self.latched_axis = frame
             .axes
             .map(|column| round_shift(dot(column, axis), 30) as i32);
     }
@@ -181,7 +192,7 @@ impl MasterMapping {
     fn angles(&self, frame: &Frame) -> [Coordinate; 2] {
         let row = |k: usize| {
             let parts = [frame.axes[0][k], frame.axes[1][k], frame.axes[2][k]];
-            round_shift(dot(parts, self.held), 30) as i32
+            round_shift(dot(parts, self.latched_axis), 30) as i32
         };
         let [i, j, k] = [row(0), row(1), row(2)];
         let flat = hypot(j, k).min(i32::MAX as u32) as i32;
@@ -206,13 +217,13 @@ pub struct RemoteMaster {
 
 impl RemoteMaster {
     /// Sets a new sample that is `age` control periods old.
-    pub const fn hear(&mut self, hand: &MasterPose, age: u32) {
+    pub const fn set_sample(&mut self, hand: &MasterPose, age: u32) {
         self.hand = *hand;
         self.age = Some(age);
     }
 
     /// Forgets the sample.
-    pub const fn forget(&mut self) {
+    pub const fn reset(&mut self) {
         self.age = None;
     }
 

@@ -236,7 +236,7 @@ impl Haptic {
             })
         });
         match found {
-            Ok(tip) => self.go_on(tip, known),
+            Ok(tip) => self.update_tip(tip, known),
             Err(problem) => {
                 self.pose = None;
                 self.rates = [0; COMPONENTS];
@@ -286,7 +286,7 @@ impl Haptic {
 
     /// Updates tip, motion and rates from a new pose. `known` is whether the previous pose was
     /// valid.
-    fn go_on(&mut self, tip: [i32; COMPONENTS], known: bool) {
+    fn update_tip(&mut self, tip: [i32; COMPONENTS], known: bool) {
         if known {
             for (axis, rate) in self.rates.iter_mut().enumerate() {
                 // More than 16 mm in a control period is not motion; the side lengths of the
@@ -381,7 +381,7 @@ impl Haptic {
             .as_ref()
             .filter(|_| powered && self.problem.is_none())
         else {
-            return self.let_go(outputs);
+            return self.switch_off(outputs);
         };
         self.remote.left = self.remote.left.saturating_sub(1);
         let there = if self.remote.left > 0 {
@@ -396,10 +396,10 @@ impl Haptic {
         self.wall = self.walls.push(&pose.tip);
         let stored = self.walls.stored();
         let works = works(&self.force, &self.moved);
-        self.passivity.observe_works(&works, stored);
+        self.passivity.observe_work(&works, stored);
         self.swings.watch(&self.force, &self.moved, stored);
         let (all, swinging) = (self.passivity.deficit_of(), self.swings.deficit_of());
-        let idle = self.supply.watch_works(&works);
+        let idle = self.supply.observe_work(&works);
         let deficit_of =
             idle.map(|idle| all.max(((i64::from(swinging) * i64::from(idle)) >> 16) as i32));
         // Axes that the operator does not drive get half the damping, applied to the full velocity.
@@ -434,13 +434,13 @@ impl Haptic {
             }
             Err(_) => {
                 self.raise(MasterProblem::Singular, true);
-                self.let_go(outputs);
+                self.switch_off(outputs);
             }
         }
     }
 
     /// Switches the motors off and resets all force states.
-    fn let_go(&mut self, outputs: &mut HapticOutputs) {
+    fn switch_off(&mut self, outputs: &mut HapticOutputs) {
         *outputs = HapticOutputs::default();
         self.enabled = false;
         self.blend = 0;

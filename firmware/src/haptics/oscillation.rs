@@ -175,11 +175,11 @@ impl OperatorPower {
         force: &[Force; COMPONENTS],
         moved: &[i32; COMPONENTS],
     ) -> [i32; COMPONENTS] {
-        self.watch_works(&works(force, moved))
+        self.observe_work(&works(force, moved))
     }
 
     /// As [`OperatorPower::watch`], with the work along each axis.
-    pub(super) fn watch_works(&mut self, works: &[i64; COMPONENTS]) -> [i32; COMPONENTS] {
+    pub(super) fn observe_work(&mut self, works: &[i64; COMPONENTS]) -> [i32; COMPONENTS] {
         core::array::from_fn(|axis| {
             // A work is at most 2^46, and so is their mean.
             let away = difference(difference(0, works[axis]), self.power[axis]);

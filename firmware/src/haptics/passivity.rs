@@ -17,7 +17,7 @@
 //!
 //! The filter and the force step limit bound the strength of a damper. The part that the damper
 //! cannot absorb is taken out of the force feedback: see [`super::feedback_filter`], which uses the
-//! same deficit. `tests/reflection_chain` sweeps hands, contacts and lines.
+//! same deficit. `tests/feedback_loop` sweeps hands, contacts and lines.
 //!
 //! Units: energies 2^-36 N mm (2^-16 N times 2^-20 mm).
 //!
@@ -111,11 +111,11 @@ impl Passivity {
     /// Updates the observer: `force` acted while the tip moved by `moved` (2^-20 mm); the virtual
     /// fixtures store `stored` now.
     pub fn observe(&mut self, force: &[Force; COMPONENTS], moved: &[i32; COMPONENTS], stored: i64) {
-        self.observe_works(&works(force, moved), stored);
+        self.observe_work(&works(force, moved), stored);
     }
 
     /// As [`Passivity::observe`], with the work along each axis.
-    pub(super) fn observe_works(&mut self, works: &[i64; COMPONENTS], stored: i64) {
+    pub(super) fn observe_work(&mut self, works: &[i64; COMPONENTS], stored: i64) {
         let [x, y, z] = *works;
         // A work is at most 2^46, deficit and cap are below 2^45, and the fixtures store less than
         // 2^56.

@@ -166,8 +166,8 @@ impl Backlash {
         (Coordinate(shift), rate)
     }
 
-    /// The part of `way` that a filter covers in a period.
-    const fn part(&self, way: i32) -> i32 {
-        ((way as i64 * self.approach as i64) >> 31) as i32
+    /// The part of `distance` that a filter covers in a period.
+    const fn part(&self, distance: i32) -> i32 {
+        ((distance as i64 * self.approach as i64) >> 31) as i32
     }
 }

@@ -118,23 +118,23 @@ impl EdgeTimer {
         if self.travel == 0 {
             return Rate(0);
         }
-        let rate = self.over(self.travel, self.interval_ns);
+        let rate = self.rate_over(self.travel, self.interval_ns);
         // One count in this interval is valid until another interval is over.
-        let believed = if self.travel.unsigned_abs() <= 2 {
+        let valid_ns = if self.travel.unsigned_abs() <= 2 {
             self.interval_ns
         } else {
             0
         };
-        if self.age_ns <= believed {
+        if self.age_ns <= valid_ns {
             return Rate(rate);
         }
-        let bound = self.over(2, self.age_ns).saturating_abs();
+        let bound = self.rate_over(2, self.age_ns).saturating_abs();
         Rate(rate.min(bound).max(-bound))
     }
 
     /// Rate in au/s of `half_counts` in `interval_ns` nanoseconds.
     #[inline(never)]
-    fn over(&self, half_counts: i32, interval_ns: u32) -> i32 {
+    fn rate_over(&self, half_counts: i32, interval_ns: u32) -> i32 {
         let (mantissa, exponent) = Reciprocal::new(interval_ns).parts();
         // Au/s of one half count, 29 bits at least; a mantissa of 2^31 counts as 2^31 - 1.
         let one = high(self.half_mantissa, mantissa.min(i32::MAX as u32) as i32);

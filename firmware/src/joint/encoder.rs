@@ -189,7 +189,7 @@ impl Encoder {
         let word = counts as i32;
         // 32-bit operands: with 64-bit ones the product would be 64 by 64 bits.
         if (counts >> 32) as i32 != word >> 31 || word.unsigned_abs() > self.most {
-            return self.far(counts);
+            return self.coordinate_wide(counts);
         }
         // A 32-bit number times 24 bits.
         let part = (i64::from(word) * i64::from(self.part)).wrapping_add(1 << 23) >> 24;
@@ -201,7 +201,7 @@ impl Encoder {
     /// units, far out of range, and saturates as required. A rotary coordinate wraps around.
     #[cold]
     #[inline(never)]
-    fn far(&self, counts: i64) -> Coordinate {
+    fn coordinate_wide(&self, counts: i64) -> Coordinate {
         match self.kind {
             AxisKind::Linear => {
                 let travel = counts

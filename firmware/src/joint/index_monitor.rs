@@ -118,7 +118,7 @@ impl IndexMonitor {
 
     /// Whether the next pulse can show lost counts: the grid of pulses is known.
     #[must_use]
-    pub const fn will_tell(&self) -> bool {
+    pub const fn is_armed(&self) -> bool {
         self.turn != 0 && self.due.is_some()
     }
 

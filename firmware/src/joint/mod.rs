@@ -82,7 +82,7 @@ pub struct JointMeasurement {
     /// The slip is above the configured limit: steps were lost.
     pub lost_steps: bool,
     /// The counter changed by more than the joint can move in a period.
-    pub leapt: bool,
+    pub large_step: bool,
 }
 
 /// Commanded motion of a slide.
@@ -188,8 +188,8 @@ const REACH_FACTOR: u64 = 10;
 fn reach(axis: &JointAxis, period_us: u16) -> u32 {
     let rate = u64::from(axis.rate.0.unsigned_abs());
     let travel = rate * REACH_FACTOR * u64::from(period_us) / 1_000_000;
-    let way = travel + u64::from(axis.following.magnitude());
-    let counts = (way << 24) / axis.per_count.unsigned_abs().max(1);
+    let reach = travel + u64::from(axis.following.magnitude());
+    let counts = (reach << 24) / axis.per_count.unsigned_abs().max(1);
     counts.min(u64::from(u32::MAX)) as u32
 }
 
@@ -312,7 +312,7 @@ impl JointDrive {
         measurement.coordinate = self.backlash.carry(measured.coordinate);
         measurement.motor = measured.coordinate;
         measurement.moved = measured.moved;
-        measurement.leapt = measured.moved.unsigned_abs() > self.reach;
+        measurement.large_step = measured.moved.unsigned_abs() > self.reach;
         measurement.illegal = self.encoder.illegal();
         measurement.index = measured.index;
         if measurement.index.is_some() {
@@ -488,7 +488,7 @@ impl JointDrive {
     }
 
     /// State for a joint of another configuration whose counts have the same scaling.
-    pub fn standing(&self) -> EncoderState {
+    pub fn encoder_state(&self) -> EncoderState {
         EncoderState {
             motor: self.measurement.motor,
             slide: self.measurement.coordinate,
@@ -499,14 +499,14 @@ impl JointDrive {
     }
 
     /// Takes over the position and the encoder state of a joint whose counter is at `raw`.
-    pub fn take_over(&mut self, raw: i32, kept: &EncoderState) {
-        self.set_reference(raw, kept.motor);
-        self.backlash.place(kept.slide);
-        self.measurement.coordinate = self.backlash.carry(kept.motor);
-        self.encoder.take_over_illegal(kept.illegal);
-        self.measurement.illegal = kept.illegal;
-        self.measurement.off = kept.off;
-        self.indexes.take_over(&kept.indexes);
+    pub fn take_over(&mut self, raw: i32, before: &EncoderState) {
+        self.set_reference(raw, before.motor);
+        self.backlash.place(before.slide);
+        self.measurement.coordinate = self.backlash.carry(before.motor);
+        self.encoder.take_over_illegal(before.illegal);
+        self.measurement.illegal = before.illegal;
+        self.measurement.off = before.off;
+        self.indexes.take_over(&before.indexes);
     }
 
     /// Checks whether the joint followed its command of the previous period. `joint` is its number,
@@ -521,7 +521,7 @@ impl JointDrive {
         missed: bool,
     ) -> Option<Fault> {
         let measurement = &self.measurement;
-        let seen = JointSample {
+        let sample = JointSample {
             commanded: self.commanded.coordinate,
             commanded_rate: self.commanded.rate,
             measured: measurement.coordinate,
@@ -544,7 +544,7 @@ impl JointDrive {
             });
         }
         self.monitor
-            .look(joint, axis, limits.illegal_transitions, &seen)
+            .check(joint, axis, limits.illegal_transitions, &sample)
     }
 
     /// Rate of the motor side, from the times between edges.

@@ -127,27 +127,27 @@ impl JointMonitor {
 
     /// Checks one period of joint `axis`.
     #[inline]
-    pub fn look(
+    pub fn check(
         &mut self,
         axis: u8,
         config: &JointAxis,
         illegal_limit: u16,
-        seen: &JointSample,
+        sample: &JointSample,
     ) -> Option<Fault> {
-        if seen.illegal > illegal_limit {
+        if sample.illegal > illegal_limit {
             return Some(Fault::EncoderIllegal {
                 axis,
-                count: seen.illegal,
+                count: sample.illegal,
             });
         }
-        self.jump(axis, config, seen)
-            .or_else(|| Self::slip(axis, config, seen))
-            .or_else(|| self.runaway(axis, config, seen))
-            .or_else(|| self.toggles(axis, config, seen))
-            .or_else(|| self.pushed(axis, config, seen))
-            .or_else(|| self.motion(axis, config, seen))
-            .or_else(|| Self::stroke(axis, config, seen))
-            .or_else(|| Self::error(axis, config, seen))
+        self.jump(axis, config, sample)
+            .or_else(|| Self::slip(axis, config, sample))
+            .or_else(|| self.runaway(axis, config, sample))
+            .or_else(|| self.toggles(axis, config, sample))
+            .or_else(|| self.pushed(axis, config, sample))
+            .or_else(|| self.motion(axis, config, sample))
+            .or_else(|| Self::stroke(axis, config, sample))
+            .or_else(|| Self::error(axis, config, sample))
     }
 
     /// A counter jump: the counts per period changed by more in one period than an impact can
@@ -155,14 +155,18 @@ impl JointMonitor {
     /// grid of the counter (20 um on a slide of 40 kg and 750 N). The position is unknown after it.
     /// Smaller jumps are found by the index pulses.
     #[inline]
-    fn jump(&mut self, axis: u8, config: &JointAxis, seen: &JointSample) -> Option<Fault> {
-        let now = if seen.missed { None } else { Some(seen.moved) };
+    fn jump(&mut self, axis: u8, config: &JointAxis, sample: &JointSample) -> Option<Fault> {
+        let now = if sample.missed {
+            None
+        } else {
+            Some(sample.moved)
+        };
         let before = core::mem::replace(&mut self.moved, now).zip(now)?.0;
-        let change = seen.moved.wrapping_sub(before).unsigned_abs();
+        let change = sample.moved.wrapping_sub(before).unsigned_abs();
         if change <= STEADY {
             return None;
         }
-        Self::impact(config, seen.period_us, change).then_some(Fault::EncoderIllegal {
+        Self::impact(config, sample.period_us, change).then_some(Fault::EncoderIllegal {
             axis,
             count: change.min(u32::from(u16::MAX)) as u16,
         })
@@ -187,23 +191,23 @@ impl JointMonitor {
     }
 
     /// Lost steps.
-    fn slip(axis: u8, config: &JointAxis, seen: &JointSample) -> Option<Fault> {
+    fn slip(axis: u8, config: &JointAxis, sample: &JointSample) -> Option<Fault> {
         let Drive::Steps { lost, .. } = config.drive else {
             return None;
         };
-        (magnitude(seen.steps_off) > magnitude(lost)).then_some(Fault::StepsLost {
+        (magnitude(sample.steps_off) > magnitude(lost)).then_some(Fault::StepsLost {
             axis,
-            by: seen.steps_off.0,
+            by: sample.steps_off.0,
         })
     }
 
     /// The measured position against the stroke. The commanded position is always within the stroke
     /// (the solve stage checks it); the measured one may be off by the following error.
-    fn stroke(axis: u8, config: &JointAxis, seen: &JointSample) -> Option<Fault> {
-        if (config.low..=config.high).contains(&seen.measured) {
+    fn stroke(axis: u8, config: &JointAxis, sample: &JointSample) -> Option<Fault> {
+        if (config.low..=config.high).contains(&sample.measured) {
             return None;
         }
-        let measured = i64::from(seen.measured.0);
+        let measured = i64::from(sample.measured.0);
         let (low, high) = (i64::from(config.low.0), i64::from(config.high.0));
         let by = measured - measured.max(low).min(high.max(low));
         (by.abs() > magnitude(config.following)).then_some(Fault::Stroke {
@@ -220,18 +224,18 @@ impl JointMonitor {
     /// 50/s times the following error limit (15 mm/s for 0.3 mm) plus a quarter of the commanded
     /// rate. An external push stronger than the drive looks the same and is as dangerous to people
     /// nearby.
-    fn runaway(&mut self, axis: u8, config: &JointAxis, seen: &JointSample) -> Option<Fault> {
+    fn runaway(&mut self, axis: u8, config: &JointAxis, sample: &JointSample) -> Option<Fault> {
         let Drive::Torque { limit: most, .. } = config.drive else {
             return None;
         };
-        if seen.effort.0.unsigned_abs() < most.0.unsigned_abs() / 8 {
+        if sample.effort.0.unsigned_abs() < most.0.unsigned_abs() / 8 {
             // The usual case.
             self.against = 0;
             return None;
         }
-        let commanded = i64::from(seen.commanded_rate.0);
-        let off = i64::from(seen.rate.0) - commanded;
-        let effort = i64::from(seen.effort.0);
+        let commanded = i64::from(sample.commanded_rate.0);
+        let off = i64::from(sample.rate.0) - commanded;
+        let effort = i64::from(sample.effort.0);
         let limit = magnitude(config.following) * 50 + commanded.abs() / 4;
         let against = off.abs() > limit && effort.signum() == -off.signum();
         self.against = if against { self.against + 1 } else { 0 };
@@ -241,7 +245,7 @@ impl JointMonitor {
         self.against = 0;
         // With a faulty encoder the rate is off long before the error is large. If the error came
         // first, the slide is jammed and springs back on its screw.
-        let error = difference(config, seen.commanded, seen.measured);
+        let error = difference(config, sample.commanded, sample.measured);
         let limit = magnitude(config.following) / 2;
         Some(if error.abs() > limit {
             Fault::FollowingError {
@@ -249,7 +253,7 @@ impl JointMonitor {
                 error: saturate(error),
                 limit: saturate(limit),
             }
-        } else if seen.rate.0 == 0 {
+        } else if sample.rate.0 == 0 {
             Fault::EncoderStuck { axis }
         } else {
             Fault::EncoderReversed { axis }
@@ -259,13 +263,13 @@ impl JointMonitor {
     /// An encoder with one stuck channel. The edges of the other channel count up and down in turn,
     /// whatever is commanded.
     #[inline]
-    fn toggles(&mut self, axis: u8, config: &JointAxis, seen: &JointSample) -> Option<Fault> {
+    fn toggles(&mut self, axis: u8, config: &JointAxis, sample: &JointSample) -> Option<Fault> {
         let reversals = &mut self.reversals;
-        if seen.moved != 0 {
-            let sign = way(seen.moved);
-            if distance(config, seen.measured, reversals.place) > still(config) {
+        if sample.moved != 0 {
+            let sign = direction_of(sample.moved);
+            if distance(config, sample.measured, reversals.place) > still(config) {
                 *reversals = Reversals {
-                    place: seen.measured,
+                    place: sample.measured,
                     sign,
                     ..Reversals::default()
                 };
@@ -279,7 +283,9 @@ impl JointMonitor {
             }
         }
         if reversals.count != 0 {
-            reversals.since_us = reversals.since_us.saturating_add(u32::from(seen.period_us));
+            reversals.since_us = reversals
+                .since_us
+                .saturating_add(u32::from(sample.period_us));
             if reversals.since_us > REVERSAL_US {
                 reversals.count /= 2;
                 reversals.since_us /= 2;
@@ -304,16 +310,16 @@ impl JointMonitor {
     /// standstill or a reversal growth is measured from the same effort, or from twice the friction
     /// above the present effort if that is more. Friction is the compensated friction, and at least
     /// a 32nd of the drive's limit; growth up to that value is ignored.
-    fn pushed(&mut self, axis: u8, config: &JointAxis, seen: &JointSample) -> Option<Fault> {
+    fn pushed(&mut self, axis: u8, config: &JointAxis, sample: &JointSample) -> Option<Fault> {
         let Drive::Torque { limit: most, .. } = config.drive else {
             return None;
         };
-        let direction = way(seen.commanded_rate.0);
-        let along = seen.effort.0.saturating_mul(direction);
+        let direction = direction_of(sample.commanded_rate.0);
+        let along = sample.effort.0.saturating_mul(direction);
         let holds = friction(config, most.0.unsigned_abs()).min(1 << 28) as i32;
         let needed = self.last_count.map_or(0, |last_count| last_count.needed);
         let begun = LastCount {
-            measured: seen.measured,
+            measured: sample.measured,
             needed,
             reference: along.saturating_add(2 * holds).max(needed),
             peak: along,
@@ -326,7 +332,7 @@ impl JointMonitor {
             return None;
         }
         last_count.peak = last_count.peak.max(along);
-        if distance(config, seen.measured, last_count.measured) > still(config) {
+        if distance(config, sample.measured, last_count.measured) > still(config) {
             let fade = needed.saturating_sub(along) / FADE;
             let needed = last_count.peak.max(needed.saturating_sub(fade));
             *last_count = LastCount {
@@ -344,19 +350,20 @@ impl JointMonitor {
         }
         let rate = (magnitude(config.following) * 25 / 2) >> 8;
         let momentum = (i64::from(config.law.inertia) * rate) >> 20;
-        let limit = momentum * 1_000_000 / i64::from(seen.period_us.max(1));
+        let limit = momentum * 1_000_000 / i64::from(sample.period_us.max(1));
         (last_count.impulse > limit).then_some(Fault::EncoderStuck { axis })
     }
 
     /// Commanded motion that was not measured, or was measured with the opposite sign.
-    fn motion(&mut self, axis: u8, config: &JointAxis, seen: &JointSample) -> Option<Fault> {
-        let (wanted_then, measured_then) =
-            *self.since.get_or_insert((seen.commanded, seen.measured));
-        if distance(config, seen.commanded, wanted_then) < config.still.magnitude() {
+    fn motion(&mut self, axis: u8, config: &JointAxis, sample: &JointSample) -> Option<Fault> {
+        let (commanded_then, measured_then) = *self
+            .since
+            .get_or_insert((sample.commanded, sample.measured));
+        if distance(config, sample.commanded, commanded_then) < config.still.magnitude() {
             return None;
         }
-        let commanded = difference(config, seen.commanded, wanted_then);
-        let measured = difference(config, seen.measured, measured_then);
+        let commanded = difference(config, sample.commanded, commanded_then);
+        let measured = difference(config, sample.measured, measured_then);
         self.since = None;
         if measured.abs() < commanded.abs() / 8 {
             return Some(Fault::EncoderStuck { axis });
@@ -365,13 +372,13 @@ impl JointMonitor {
     }
 
     /// The following error against its limit.
-    fn error(axis: u8, config: &JointAxis, seen: &JointSample) -> Option<Fault> {
-        if distance(config, seen.commanded, seen.measured) <= config.following.magnitude() {
+    fn error(axis: u8, config: &JointAxis, sample: &JointSample) -> Option<Fault> {
+        if distance(config, sample.commanded, sample.measured) <= config.following.magnitude() {
             return None;
         }
-        let speed = i64::from(seen.commanded_rate.0).abs();
+        let speed = i64::from(sample.commanded_rate.0).abs();
         let limit = magnitude(config.following) + ((speed * i64::from(config.following_lag)) >> 16);
-        let error = difference(config, seen.commanded, seen.measured);
+        let error = difference(config, sample.commanded, sample.measured);
         if error.abs() <= limit {
             return None;
         }
@@ -385,7 +392,7 @@ impl JointMonitor {
 
 /// Sign of `value`: -1, 0 or 1, in half of the instructions of `signum`.
 #[inline(always)]
-const fn way(value: i32) -> i32 {
+const fn direction_of(value: i32) -> i32 {
     (value >> 31) | (value.wrapping_neg() as u32 >> 31) as i32
 }
 

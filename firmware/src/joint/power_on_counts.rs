@@ -26,7 +26,7 @@ pub struct Counted {
 /// Counts of all encoders since power-on.
 #[derive(Debug, Default)]
 pub struct SincePowerOn {
-    begun: bool,
+    started: bool,
     /// The encoders, as many as a machine may have.
     pub axes: [Counted; MAX_AXES],
 }
@@ -34,12 +34,12 @@ pub struct SincePowerOn {
 impl SincePowerOn {
     /// Records one period. The first period is the start.
     #[inline(never)]
-    pub fn note(&mut self, inputs: &Inputs) {
+    pub fn update(&mut self, inputs: &Inputs) {
         let periods = u32::from(inputs.missed) + 1;
-        let begun = core::mem::replace(&mut self.begun, true);
+        let started = core::mem::replace(&mut self.started, true);
         for (counted, axis) in self.axes.iter_mut().zip(&inputs.axes) {
-            if begun {
-                counted.note(axis, periods);
+            if started {
+                counted.update(axis, periods);
             }
             counted.counts = axis.counts;
             counted.illegal_raw = axis.illegal;
@@ -48,7 +48,7 @@ impl SincePowerOn {
 }
 
 impl Counted {
-    fn note(&mut self, axis: &AxisInputs, periods: u32) {
+    fn update(&mut self, axis: &AxisInputs, periods: u32) {
         let moved = axis.counts.wrapping_sub(self.counts);
         self.travelled = self.travelled.saturating_add(i64::from(moved));
         self.widest = self.widest.max(moved.unsigned_abs() / periods);

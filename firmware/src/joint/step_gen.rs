@@ -94,12 +94,12 @@ pub struct StepPlanner {
     /// Ticks into the next period before which no pulse may leave.
     ready: u32,
     /// Ticks into the next period before which the direction must stay.
-    held: u32,
+    hold_left: u32,
 }
 
 constants!(StepPlanner {
     kind, timing, steps_per_unit, steps_per_rate
-} of {} but { last, travel, position, rate, emitted, folded, origin, level, ready, held });
+} of {} but { last, travel, position, rate, emitted, folded, origin, level, ready, hold_left });
 
 impl StepPlanner {
     /// A generator with `per_step` axis units per step, times 2^24. A negative value means that a
@@ -126,7 +126,7 @@ impl StepPlanner {
             origin: 0,
             level: 0,
             ready: 0,
-            held: 0,
+            hold_left: 0,
         }
     }
 
@@ -168,15 +168,15 @@ impl StepPlanner {
         let (start, rate_before) = (self.position, self.rate);
         self.position = self.origin + steps(self.travel, self.steps_per_unit);
         self.rate = steps(i64::from(rate.0), self.steps_per_rate);
-        let owed = ((self.position + STEP / 2) >> 32) - self.emitted;
+        let due = ((self.position + STEP / 2) >> 32) - self.emitted;
 
         // The common case of a slow machine is that no step is due.
-        let planned = if owed == 0 {
+        let planned = if due == 0 {
             None
         } else {
             // |rates| <= 2^62, so their difference may need 64 bits; each is halved first.
             let bend = self.rate / 2 - rate_before / 2;
-            self.place(owed, start, bend)
+            self.plan_segment(due, start, bend)
         };
         let timing = self.timing;
         match planned {
@@ -188,8 +188,9 @@ impl StepPlanner {
                 self.level = steps.signum();
                 let pulse = u32::from(timing.pulse);
                 self.ready = (last + 2 * pulse).saturating_sub(timing.period);
-                self.held = (last + pulse + u32::from(timing.hold)).saturating_sub(timing.period);
-                let lag = owed - steps;
+                self.hold_left =
+                    (last + pulse + u32::from(timing.hold)).saturating_sub(timing.period);
+                let lag = due - steps;
                 Planned {
                     segment,
                     lag: haptimill_math::reciprocal::saturate(lag),
@@ -198,11 +199,11 @@ impl StepPlanner {
             }
             None => {
                 self.ready = self.ready.saturating_sub(timing.period);
-                self.held = self.held.saturating_sub(timing.period);
+                self.hold_left = self.hold_left.saturating_sub(timing.period);
                 Planned {
                     segment: StepSegment::default(),
-                    lag: haptimill_math::reciprocal::saturate(owed),
-                    ceiling: owed != 0,
+                    lag: haptimill_math::reciprocal::saturate(due),
+                    ceiling: due != 0,
                 }
             }
         }
@@ -220,22 +221,22 @@ impl StepPlanner {
     }
 
     /// Places as many of the due steps as fit, each as near to its ideal time as the timing allows.
-    fn place(&self, owed: i64, start: i64, bend: i64) -> Option<StepSegment> {
-        let sign = owed.signum();
-        let turns = sign != self.level;
-        if turns && self.held > 0 {
+    fn plan_segment(&self, due: i64, start: i64, bend: i64) -> Option<StepSegment> {
+        let sign = due.signum();
+        let reverses = sign != self.level;
+        if reverses && self.hold_left > 0 {
             return None;
         }
         let pulse = u32::from(self.timing.pulse);
         let gap = 2 * pulse.max(1);
-        let earliest = if turns {
+        let earliest = if reverses {
             self.ready.max(u32::from(self.timing.setup))
         } else {
             self.ready
         };
         let latest = self.timing.period.saturating_sub(pulse);
         let room = latest.checked_sub(earliest)? / gap + 1;
-        let count = u32::try_from(owed.unsigned_abs())
+        let count = u32::try_from(due.unsigned_abs())
             .unwrap_or(u32::MAX)
             .min(room)
             .min(i16::MAX as u32);
@@ -272,7 +273,7 @@ impl StepPlanner {
             ramp = ideal.ramp(intervals);
         }
         let spread = Spread {
-            span: (last - delay) as i32,
+            duration: (last - delay) as i32,
             most: (latest - delay) as i32,
             intervals: intervals as i32,
             gap: gap as i32,
@@ -291,7 +292,7 @@ impl StepPlanner {
 /// most`.
 struct Spread {
     /// Ideal time from the first to the last pulse.
-    span: i32,
+    duration: i32,
     /// Upper limit of that time.
     most: i32,
     intervals: i32,
@@ -307,21 +308,21 @@ impl Spread {
         // Total bend that `ramp` adds up to at the last pulse. A bend of several spans is a jump,
         // not an acceleration.
         let bent = i64::from(ramp) * (i64::from(n) * i64::from(n - 1) / 2);
-        if ramp != 0 && bent.abs() <= 4 * i64::from(self.span) {
+        if ramp != 0 && bent.abs() <= 4 * i64::from(self.duration) {
             let bent = bent as i32;
             for rounding in [n / 2, 0] {
-                let interval = (self.span - bent + rounding).div_euclid(n);
+                let interval = (self.duration - bent + rounding).div_euclid(n);
                 let shortest = interval + ramp.min(0) * (n - 1);
                 if shortest >= self.gap && n * interval + bent <= self.most {
                     return (interval.unsigned_abs(), ramp);
                 }
             }
         }
-        let rounded = (self.span + n / 2) / n;
+        let rounded = (self.duration + n / 2) / n;
         let even = if n * rounded <= self.most {
             rounded
         } else {
-            self.span / n
+            self.duration / n
         };
         (even.unsigned_abs(), 0)
     }

@@ -14,7 +14,8 @@
 //! Callers must use [`Machine::rebase_on_compliance`] only while nothing but p_c moves the machine;
 //! otherwise the commanded pose jumps.
 
-use super::{FORCE_PART, Machine};
+use super::Machine;
+use super::configure::FORCE_PART;
 use crate::config::Config;
 use crate::config::digest::{Constants, Digest};
 use crate::force::sensor::COMPONENTS;
@@ -45,7 +46,7 @@ impl Machine {
 
     #[cold]
     #[inline(never)]
-    pub(super) fn set_up_force(&mut self, design: Option<Design>) {
+    pub(super) fn configure_force(&mut self, design: Option<Design>) {
         self.force = match (&self.config.force, design) {
             (Some(force), Some(design)) => {
                 Some(ForceControl::of(force, design, self.config.period_us))

@@ -87,7 +87,7 @@ impl Machine {
     /// Number of pieces of the segment to a setpoint, 1 to 240.
     #[must_use]
     pub fn pieces(&self, setpoint: &Setpoint) -> u8 {
-        if self.motion.program.rests_until(setpoint) {
+        if self.motion.program.stays_until(setpoint) {
             return 1;
         }
         let pieces = setpoint.periods.saturating_sub(1) / PIECE + 1;
@@ -136,14 +136,14 @@ impl Machine {
             let (before, after) = (last.motion.rates[index].0, node.motion.rates[index].0);
             let both = i64::from(before) + i64::from(after);
             // Wraps: a rotary joint takes the short way.
-            let way = node.motion.joints.0[index].wrapping_sub(last.motion.joints.0[index]);
+            let distance = node.motion.joints.0[index].wrapping_sub(last.motion.joints.0[index]);
             // The middle control point, times the time in microseconds: below 2^53 + 2^48.
-            let middle = 3_000_000 * i64::from(way.0) - both * time;
+            let middle = 3_000_000 * i64::from(distance.0) - both * time;
             let most = allowed(joint.rate);
-            let fast = i64::from(after).abs() > most;
-            let bulges = node.alone && last.alone && middle.abs() > most * time;
-            if fast || bulges {
-                let rate = if fast {
+            let too_fast = i64::from(after).abs() > most;
+            let too_fast_between = node.alone && last.alone && middle.abs() > most * time;
+            if too_fast || too_fast_between {
+                let rate = if too_fast {
                     i64::from(after)
                 } else {
                     middle / time
@@ -161,7 +161,7 @@ impl Machine {
     }
 
     /// Makes the accepted setpoint the start of the next check.
-    pub const fn take_end(&mut self) {
+    pub const fn accept_end(&mut self) {
         self.joint_rates.tail = self.joint_rates.end;
     }
 }

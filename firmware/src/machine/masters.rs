@@ -4,7 +4,8 @@
 //! Callers must use [`Machine::release_master`] when the machine brakes. Otherwise the mapping
 //! keeps the old positions of master and tool.
 
-use super::{HAND_PART, Machine};
+use super::Machine;
+use super::configure::HAND_PART;
 use crate::config::HAND;
 use crate::config::digest::Digest;
 use crate::haptics::config::Encoder;
@@ -59,7 +60,7 @@ pub enum Leading {
 impl Machine {
     #[cold]
     #[inline(never)]
-    pub(super) fn set_up_hand(&mut self, inputs: &HapticInputs) {
+    pub(super) fn configure_haptics(&mut self, inputs: &HapticInputs) {
         if !HAND {
             return;
         }
@@ -106,7 +107,7 @@ impl Machine {
     /// Stores a pose of the remote master, `age_ms` milliseconds old.
     pub fn set_remote_master(&mut self, hand: &MasterPose, age_ms: u8) {
         let age = u32::from(age_ms) * self.masters.periods_per_second / 1000;
-        self.masters.remote.hear(hand, age);
+        self.masters.remote.set_sample(hand, age);
     }
 
     /// Pose of the master that can lead: the haptic arm if there is one, otherwise the remote
@@ -151,7 +152,7 @@ impl Machine {
         let motion = &self.motion;
         self.masters
             .mapping
-            .follow(&frame, mask, |axis| motion.rest(axis));
+            .follow(&frame, mask, |axis| motion.standstill_position(axis));
         self.motion
             .set_master_targets(self.masters.mapping.targets());
         Leading::Yes

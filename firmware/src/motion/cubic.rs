@@ -130,7 +130,7 @@ impl Cubic {
         from_rate: i32,
         to: Coordinate,
         to_rate: i32,
-        span: &SegmentDuration,
+        duration: &SegmentDuration,
         wrap: bool,
     ) -> Option<Self> {
         let distance = if wrap {
@@ -145,15 +145,19 @@ impl Cubic {
             });
         }
         let rate_max = 1_u32 << (31 - RATE_SHIFT);
-        if span.microseconds > SPAN_MAX_US
+        if duration.microseconds > SPAN_MAX_US
             || from_rate.unsigned_abs() >= rate_max
             || to_rate.unsigned_abs() >= rate_max
-            || product(distance.abs(), 1_000_000) >= i64::from(span.microseconds) << 31
+            || product(distance.abs(), 1_000_000) >= i64::from(duration.microseconds) << 31
         {
             return None;
         }
         // Both below 2^47 * 2^4: a rate below 2^31 au/s for at most 1.05 s, in 2^-16.
-        let (m0, m1, d) = (span.travel(from_rate), span.travel(to_rate), distance << 16);
+        let (m0, m1, d) = (
+            duration.travel(from_rate),
+            duration.travel(to_rate),
+            distance << 16,
+        );
         let sum = total(m0, m1);
         Some(Self {
             start: from,
@@ -171,29 +175,29 @@ impl Cubic {
 
     /// Whether the mean rate is within `limit` (wire units, below 2^24).
     #[must_use]
-    pub fn keeps_mean_rate(&self, limit: i32, span: &SegmentDuration) -> bool {
+    pub fn keeps_mean_rate(&self, limit: i32, duration: &SegmentDuration) -> bool {
         // The sum of the coefficients is exactly the distance.
-        let way = total(total(self.c1, self.c2), self.c3);
-        way.abs() <= span.travel(limit)
+        let distance = total(total(self.c1, self.c2), self.c3);
+        distance.abs() <= duration.travel(limit)
     }
 
     /// Whether the rate stays within `limit` (wire units, below 2^24) in the whole segment, given
     /// that it does at both ends. The rate lies within the hull of its ends and the middle control
     /// point c1 + c2. The exact peak is computed only if that point is outside.
     #[must_use]
-    pub fn keeps_rate(&self, limit: i32, span: &SegmentDuration) -> bool {
+    pub fn keeps_rate(&self, limit: i32, duration: &SegmentDuration) -> bool {
         let middle = total(self.c1, self.c2).abs();
-        middle <= span.travel(limit) || self.peak_within(limit, span)
+        middle <= duration.travel(limit) || self.peak_within(limit, duration)
     }
 
     /// Whether the peak rate, if it lies inside the segment, is within `limit` (wire units).
     #[cold]
     #[inline(never)]
-    fn peak_within(&self, limit: i32, span: &SegmentDuration) -> bool {
-        let Some(at) = self.turning(span) else {
+    fn peak_within(&self, limit: i32, duration: &SegmentDuration) -> bool {
+        let Some(at) = self.turning(duration) else {
             return true;
         };
-        let rate = SegmentPolynomial::new(self, span)
+        let rate = SegmentPolynomial::new(self, duration)
             .sample(segment::half(at))
             .rate
             .0;
@@ -201,7 +205,7 @@ impl Cubic {
     }
 
     /// Fraction of the duration at which the rate has its extremum, if that is inside the segment.
-    fn turning(&self, span: &SegmentDuration) -> Option<u32> {
+    fn turning(&self, duration: &SegmentDuration) -> Option<u32> {
         // Zero of the acceleration 2 c2 + 6 c3 s; 30 bits of both suffice to find a peak.
         let spare = (64
             - self
@@ -211,14 +215,14 @@ impl Cubic {
                 .leading_zeros())
         .saturating_sub(29);
         let (c2, c3) = (self.c2 >> spare, 3 * (self.c3 >> spare));
-        let inside = c3 != 0 && (c2 < 0) != (c3 < 0) && c2.abs() < c3.abs() && span.periods > 1;
+        let inside = c3 != 0 && (c2 < 0) != (c3 < 0) && c2.abs() < c3.abs() && duration.periods > 1;
         inside.then(|| ((c2.abs() << 32) / c3.abs()) as u32)
     }
 
     /// Whether the acceleration stays within a limit. It is largest at an end of the segment.
     #[must_use]
-    pub fn keeps_acceleration(&self, limit: Acceleration, span: &SegmentDuration) -> bool {
-        let derivatives = self.derivatives(span);
+    pub fn keeps_acceleration(&self, limit: Acceleration, duration: &SegmentDuration) -> bool {
+        let derivatives = self.derivatives(duration);
         let [begin, growth] = derivatives.push;
         let end = begin.saturating_add(growth >> 1);
         [begin, end].iter().all(|end| {
@@ -235,23 +239,26 @@ impl Cubic {
 
     /// Coefficients of rate and acceleration for evaluation in every period.
     #[inline(always)]
-    pub(super) fn derivatives(&self, span: &SegmentDuration) -> Derivatives {
+    pub(super) fn derivatives(&self, duration: &SegmentDuration) -> Derivatives {
         // c1, 4 c2, 12 c3 in 31 bits and a sign: r1 = c1 / T, r2 / 2 = 2 c2 / T, r3 / 4 = 3 c3 / T.
         let (c2, c3) = (self.c2 << 2, product(12, self.c3));
         let magnitude = |value: i64| (value ^ (value >> 63)) as u64;
         let all = magnitude(self.c1) | magnitude(c2) | magnitude(c3);
         let spare = (64 - all.leading_zeros()).saturating_sub(31);
-        let coarse = |value: i64| high(shift_right(value, spare) as i32, span.mantissa);
+        let coarse = |value: i64| high(shift_right(value, spare) as i32, duration.mantissa);
         let (r1, r2, r3) = (coarse(self.c1), coarse(c2), coarse(c3));
         // high() removes 32 bits, the coefficients have 16 fraction bits. Spare is at most 27, the
         // exponent 16 to 53.
-        let rate_fraction = span.exponent as i32 - 16 - spare as i32;
+        let rate_fraction = duration.exponent as i32 - 16 - spare as i32;
         Derivatives {
             rate: [r1, r2, r3],
             rate_fraction,
-            push: [high(r2, span.mantissa) >> 1, high(r3, span.mantissa)],
+            push: [
+                high(r2, duration.mantissa) >> 1,
+                high(r3, duration.mantissa),
+            ],
             // The unit of acceleration is 2^8 axis units.
-            push_fraction: rate_fraction + span.exponent as i32 - 24,
+            push_fraction: rate_fraction + duration.exponent as i32 - 24,
         }
     }
 }
@@ -263,8 +270,8 @@ mod tests {
 
     const PERIOD_US: u16 = 200;
 
-    fn sample(cubic: &Cubic, span: &SegmentDuration, fraction: u32) -> Sample {
-        SegmentPolynomial::new(cubic, span).sample(segment::half(fraction))
+    fn sample(cubic: &Cubic, duration: &SegmentDuration, fraction: u32) -> Sample {
+        SegmentPolynomial::new(cubic, duration).sample(segment::half(fraction))
     }
 
     /// Hermite cubic in f64 from its textbook basis, as an independent reference.
@@ -290,12 +297,12 @@ mod tests {
             p0 in -(1_i32 << 29)..1 << 29, mean in -60.0_f64..60.0, v0 in -240_000_i32..240_000, v1 in -240_000_i32..240_000,
             periods in 1_u16..5000, at in 0.0_f64..1.0,
         ) {
-            let span = SegmentDuration::new(periods, PERIOD_US).expect("span");
+            let duration = SegmentDuration::new(periods, PERIOD_US).expect("span");
             let h = f64::from(periods) * 2e-4;
             let p1 = p0 + (mean * h * f64::from(1 << 20)) as i32;
-            let cubic = Cubic::new(Coordinate(p0), v0, Coordinate(p1), v1, &span, false).expect("in range");
+            let cubic = Cubic::new(Coordinate(p0), v0, Coordinate(p1), v1, &duration, false).expect("in range");
             let time = ((f64::from(periods) * 65536.0 - 1.0) * at) as u32;
-            let sample = sample(&cubic, &span, span.fraction(time));
+            let sample = sample(&cubic, &duration, duration.fraction(time));
             let (p, v, a) = hermite(f64::from(p0), f64::from(v0) * 256.0, f64::from(p1), f64::from(v1) * 256.0, h,
                 f64::from(time) / 65536.0 * 2e-4);
             // The time is truncated to 2^-31 of the duration: an error of at most the rate times
@@ -319,36 +326,36 @@ mod tests {
         fn no_input_overflows(
             p0: i32, p1: i32, v0: i32, v1: i32, periods: u16, period_us in 50_u16..=1000, time: u32, wrap: bool,
         ) {
-            if let Some(span) = SegmentDuration::new(periods, period_us)
-                && let Some(cubic) = Cubic::new(Coordinate(p0), v0, Coordinate(p1), v1, &span, wrap)
+            if let Some(duration) = SegmentDuration::new(periods, period_us)
+                && let Some(cubic) = Cubic::new(Coordinate(p0), v0, Coordinate(p1), v1, &duration, wrap)
             {
-                let _ = sample(&cubic, &span, span.fraction(time));
+                let _ = sample(&cubic, &duration, duration.fraction(time));
             }
         }
 
         #[test]
         fn starts_exactly_and_ends_within_a_unit(p0 in -(1_i32 << 28)..1 << 28, d in -100_000_i32..100_000, v in -4000_i32..4000, periods in 10_u16..5000) {
-            let span = SegmentDuration::new(periods, PERIOD_US).expect("span");
-            let cubic = Cubic::new(Coordinate(p0), v, Coordinate(p0 + d), v, &span, false).expect("in range");
-            prop_assert_eq!(sample(&cubic, &span, 0).position, Coordinate(p0));
-            let end = sample(&cubic, &span, u32::MAX).position;
+            let duration = SegmentDuration::new(periods, PERIOD_US).expect("span");
+            let cubic = Cubic::new(Coordinate(p0), v, Coordinate(p0 + d), v, &duration, false).expect("in range");
+            prop_assert_eq!(sample(&cubic, &duration, 0).position, Coordinate(p0));
+            let end = sample(&cubic, &duration, u32::MAX).position;
             prop_assert!((end.0 - (p0 + d)).abs() <= 1);
         }
     }
 
     #[test]
     fn a_rotary_axis_takes_the_short_way() {
-        let span = SegmentDuration::new(5000, PERIOD_US).expect("span");
+        let duration = SegmentDuration::new(5000, PERIOD_US).expect("span");
         let cubic = Cubic::new(
             Coordinate(i32::MAX - 1000),
             0,
             Coordinate(i32::MIN + 1000),
             0,
-            &span,
+            &duration,
             true,
         )
         .expect("short");
-        let middle = sample(&cubic, &span, 1 << 31).position;
+        let middle = sample(&cubic, &duration, 1 << 31).position;
         assert!(middle.0 > i32::MAX - 10 || middle.0 < i32::MIN + 10);
         assert!(
             Cubic::new(
@@ -356,7 +363,7 @@ mod tests {
                 0,
                 Coordinate(i32::MIN),
                 0,
-                &span,
+                &duration,
                 false
             )
             .is_none()

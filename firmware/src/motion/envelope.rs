@@ -52,7 +52,7 @@ impl StoppingEnvelope {
     }
 
     /// Extends the rate bound of a coordinate to a rate, axis units per second.
-    pub fn quicken(&mut self, axis: usize, rate: i64) {
+    pub fn extend_rate(&mut self, axis: usize, rate: i64) {
         let rate = Rate(saturate(rate.abs()));
         self.rates[axis] = self.rates[axis].max(rate);
     }
@@ -94,17 +94,20 @@ impl StoppingEnvelope {
         })
     }
 
-    /// The box with `room` added on both sides of each coordinate that moves, and of each
+    /// The box with `margins` added on both sides of each coordinate that moves, and of each
     /// coordinate in `may`, one bit each.
     #[must_use]
-    fn with_room(&self, room: &[i32; MAX_AXES], may: u8) -> Self {
+    fn with_margins(&self, margins: &[i32; MAX_AXES], may: u8) -> Self {
         let mut wide = *self;
-        for (axis, room) in room.iter().enumerate() {
+        for (axis, margins) in margins.iter().enumerate() {
             let (low, high) = (self.low.0[axis].0, self.high.0[axis].0);
             if low != high || may & (1 << axis) != 0 {
-                wide.reach(axis, i64::from(low) - i64::from(*room));
-                wide.reach(axis, i64::from(high) + i64::from(*room));
-                wide.quicken(axis, i64::from(self.rates[axis].0) + 2 * i64::from(*room));
+                wide.reach(axis, i64::from(low) - i64::from(*margins));
+                wide.reach(axis, i64::from(high) + i64::from(*margins));
+                wide.extend_rate(
+                    axis,
+                    i64::from(self.rates[axis].0) + 2 * i64::from(*margins),
+                );
             }
         }
         wide
@@ -128,23 +131,23 @@ pub const SLOWED_LOAD: u32 = FULL_LOAD - FULL_LOAD / 8;
 pub type Excursion = [(i32, Rate); 3];
 
 /// Control periods between two attempts at a wider box after a failed one.
-const PATIENCE: u8 = 64;
+const RETRY_PERIODS: u8 = 64;
 
 /// What is known of the reach around the machine: a box that is reachable, with room. A sweep in it needs no look of its own.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct ReachableBox {
     known: Option<(StoppingEnvelope, u32)>,
-    patience: u8,
+    retry_in: u8,
 }
 
 impl ReachableBox {
     /// Upper bound of the load of a stopping envelope; `None` if the machine cannot reach it: see
-    /// [`StoppingEnvelope::load`]. `room` is the margin of a box, `may` the coordinates that may
+    /// [`StoppingEnvelope::load`]. `margins` is the margin of a box, `may` the coordinates that may
     /// move from now on, one bit each. Callers must call it once per control period.
-    pub fn holds(
+    pub fn load_bound(
         &mut self,
         sweep: &StoppingEnvelope,
-        (room, may): (&[i32; MAX_AXES], u8),
+        (margins, may): (&[i32; MAX_AXES], u8),
         axes: usize,
         machine: &impl Kinematics,
     ) -> Option<u32> {
@@ -153,16 +156,16 @@ impl ReachableBox {
         {
             return Some(*load);
         }
-        self.patience = self.patience.saturating_sub(1);
-        if self.patience == 0 {
-            let wide = sweep.with_room(room, may);
+        self.retry_in = self.retry_in.saturating_sub(1);
+        if self.retry_in == 0 {
+            let wide = sweep.with_margins(margins, may);
             let load = wide.load(&[wide.rates], machine).map(|loads| loads[0]);
             // What is near its maximum is looked at as it is, and not with room.
             if let Some(load) = load.filter(|load| *load <= SLOWED_LOAD) {
                 self.known = Some((wide, load));
                 return Some(load);
             }
-            self.patience = PATIENCE;
+            self.retry_in = RETRY_PERIODS;
         }
         Some(sweep.load(&[sweep.rates], machine)?[0])
     }

@@ -48,8 +48,13 @@ struct Knot {
 }
 
 impl Knot {
-    fn at_rest(&self) -> bool {
+    fn is_at_standstill(&self) -> bool {
         self.rates.iter().all(|rate| *rate == 0)
+    }
+
+    /// Whether a coordinate stays at standstill from here to `next`.
+    fn is_still(&self, next: &Self, axis: usize) -> bool {
+        self.pose[axis] == next.pose[axis] && (self.rates[axis] | next.rates[axis]) == 0
     }
 }
 
@@ -80,7 +85,7 @@ pub struct Late {
 
 /// Setpoint queue of a job and the position on its path.
 #[derive(Debug, Default)]
-pub struct Program {
+pub struct Interpolator {
     axes: usize,
     rotary: [bool; MAX_AXES],
     /// In wire units.
@@ -89,7 +94,7 @@ pub struct Program {
     period_us: u16,
     periods_per_second: i64,
     /// Duration of the setpoint checked last; most setpoints have the duration of the one before.
-    span: SegmentDuration,
+    duration: SegmentDuration,
     braking: Option<RampLimits>,
     /// Program time to decelerate from the full path rate, in control periods.
     braking_periods: u64,
@@ -98,11 +103,11 @@ pub struct Program {
     /// The setpoints passed last, newest last.
     passed: Deque<Knot, PASSED>,
     /// Program time to retract once the path rate is zero, 2^-32 control periods.
-    back: u64,
+    retract_left: u64,
     /// Sum of the durations in the queue, in control periods.
     queued_periods: u64,
     /// Setpoints at standstill that are not reached yet.
-    rests_ahead: u32,
+    stops_ahead: u32,
     /// The setpoint accepted last (or the start pose).
     tail: Knot,
     /// The setpoint reached last (or the start pose).
@@ -125,11 +130,11 @@ pub struct Program {
     late: Option<Late>,
 }
 
-constants!(Program {
+constants!(Interpolator {
     axes, rotary, rate_limits, acceleration_limits, period_us, periods_per_second, braking, braking_periods
 } of {} but {
-    queue, queued_periods, rests_ahead, tail, from, segments, time, elapsed, path_rate, override_rate, accepted, reached, total, started, paused,
-    underrunning, late, span, passed, back
+    queue, queued_periods, stops_ahead, tail, from, segments, time, elapsed, path_rate, override_rate, accepted, reached, total, started, paused,
+    underrunning, late, duration, passed, retract_left
 });
 
 /// Bounds of the path rate for a configuration's [`Stopping`]; `None` if the times are
@@ -148,19 +153,19 @@ pub fn braking_limits(stopping: &Stopping, period_us: u16) -> Option<RampLimits>
     RampLimits::new(slope, slope * period / ramp)
 }
 
-impl Program {
+impl Interpolator {
     /// Creates an empty program for the machine of `config`.
     #[must_use]
     pub fn new(config: &Config) -> Self {
         // Configured in place: the queue is large, and a second one would be the deepest stack use
         // of the controller.
         let mut program = Self::default();
-        program.set_up(config);
+        program.configure(config);
         program
     }
 
     /// Configures an empty program in place for the machine of `config`.
-    pub(super) fn set_up(&mut self, config: &Config) {
+    pub(super) fn configure(&mut self, config: &Config) {
         let program = self;
         program.axes = config.pose.len();
         program.period_us = config.period_us;
@@ -187,10 +192,10 @@ impl Program {
     /// Begins a job at `pose`.
     pub fn begin(&mut self, pose: &Pose) {
         self.passed.clear();
-        self.back = 0;
+        self.retract_left = 0;
         self.queue.clear();
         self.queued_periods = 0;
-        self.rests_ahead = 0;
+        self.stops_ahead = 0;
         self.tail = Knot::default();
         self.tail.pose = pose.0.map(|coordinate| coordinate.0);
         self.from = self.tail;
@@ -214,15 +219,15 @@ impl Program {
     /// Returns a [`Refusal`] if the setpoint is invalid or the queue is full. A refused setpoint
     /// changes nothing.
     pub fn push(&mut self, setpoint: &Setpoint) -> Result<(), Refusal> {
-        self.push_tried(setpoint, 0)
+        self.push_checked(setpoint, 0)
     }
 
     /// Checks whether the coordinates `axes` may move to the next setpoint; a part of the checks of
-    /// [`Program::push`].
+    /// [`Interpolator::push`].
     ///
     /// # Errors
     ///
-    /// Returns the [`Refusal`] that [`Program::push`] would return for these coordinates.
+    /// Returns the [`Refusal`] that [`Interpolator::push`] would return for these coordinates.
     #[inline(never)]
     pub fn allows(&mut self, setpoint: &Setpoint, axes: Range<usize>) -> Result<(), Refusal> {
         let number = self.accepted;
@@ -237,10 +242,10 @@ impl Program {
         {
             return Err(bad);
         }
-        self.measure(setpoint.periods).ok_or(bad)?;
+        self.set_duration(setpoint.periods).ok_or(bad)?;
         let to = setpoint.pose.iter().zip(&setpoint.rates).enumerate();
         for (axis, (place, rate)) in to.take(axes.end).skip(axes.start) {
-            if !self.may_go(axis, *place, *rate) {
+            if !self.is_within_limits(axis, *place, *rate) {
                 return Err(bad);
             }
         }
@@ -249,25 +254,25 @@ impl Program {
 
     /// Whether the machine stays at standstill from the newest setpoint to the next one.
     #[must_use]
-    pub fn rests_until(&self, setpoint: &Setpoint) -> bool {
+    pub fn stays_until(&self, setpoint: &Setpoint) -> bool {
         let still = |(place, to): (&i32, &i32)| place == to;
-        self.tail.at_rest()
+        self.tail.is_at_standstill()
             && setpoint.rates.iter().all(|rate| *rate == 0)
             && self.tail.pose.iter().zip(&setpoint.pose).all(still)
     }
 
     /// Pose and rates `periods` control periods after the newest setpoint, on the path to the next
-    /// one. Callers must call [`Program::allows`] for this setpoint in the same control period.
+    /// one. Callers must call [`Interpolator::allows`] for this setpoint in the same control period.
     #[must_use]
     pub fn sample_to(&self, setpoint: &Setpoint, periods: u16) -> Option<PoseCommand> {
         let mut commanded = PoseCommand::default();
-        let half = segment::half(self.span.fraction(u32::from(periods) << 16));
+        let half = segment::half(self.duration.fraction(u32::from(periods) << 16));
         let to = setpoint.pose.iter().zip(&setpoint.rates).enumerate();
         for (axis, (place, rate)) in to {
             let (start, wrap) = (Coordinate(self.tail.pose[axis]), self.rotary[axis]);
             let (from, end) = (self.tail.rates[axis], Coordinate(*place));
-            let cubic = Cubic::new(start, from, end, *rate, &self.span, wrap)?;
-            let sample = segment::SegmentPolynomial::new(&cubic, &self.span).sample(half);
+            let cubic = Cubic::new(start, from, end, *rate, &self.duration, wrap)?;
+            let sample = segment::SegmentPolynomial::new(&cubic, &self.duration).sample(half);
             commanded.pose.0[axis] = sample.position;
             commanded.rates[axis] = sample.rate;
         }
@@ -278,16 +283,16 @@ impl Program {
     /// take a little longer to check.
     #[must_use]
     pub const fn expects(&self, periods: u16) -> bool {
-        self.span.periods() == periods
+        self.duration.periods() == periods
     }
 
-    /// Appends the next setpoint, whose first `tried` coordinates are already checked.
+    /// Appends the next setpoint, whose first `checked` coordinates are already checked.
     ///
     /// # Errors
     ///
-    /// Returns a [`Refusal`] as [`Program::push`] does. A refused setpoint changes nothing.
-    pub fn push_tried(&mut self, setpoint: &Setpoint, tried: usize) -> Result<(), Refusal> {
-        self.allows(setpoint, tried..self.axes)?;
+    /// Returns a [`Refusal`] as [`Interpolator::push`] does. A refused setpoint changes nothing.
+    pub fn push_checked(&mut self, setpoint: &Setpoint, checked: usize) -> Result<(), Refusal> {
+        self.allows(setpoint, checked..self.axes)?;
         if self.queue.is_full() {
             return Err(Refusal::QueueFull);
         }
@@ -303,7 +308,7 @@ impl Program {
         // Cannot fail: the queue was checked above.
         let _ = self.queue.push_back(self.tail);
         self.queued_periods += u64::from(setpoint.periods);
-        self.rests_ahead += u32::from(self.tail.at_rest());
+        self.stops_ahead += u32::from(self.tail.is_at_standstill());
         self.accepted = self.accepted.wrapping_add(1);
         if let Some(underrunning) = self.underrunning
             && underrunning.setpoint == number
@@ -325,7 +330,7 @@ impl Program {
                 expected: self.accepted,
             });
         }
-        if !self.tail.at_rest() {
+        if !self.tail.is_at_standstill() {
             return Err(Refusal::Setpoint {
                 setpoint: count.saturating_sub(1),
             });
@@ -389,27 +394,27 @@ impl Program {
     #[must_use]
     #[inline]
     pub fn is_busy(&self) -> bool {
-        self.is_near_end() && (self.turns() || self.misses_part())
+        self.is_near_end() && (self.may_reach_setpoint() || self.is_part_missing())
     }
 
     /// Whether the next setpoint may be reached in this control period, which begins a new segment.
     #[inline(never)]
-    fn turns(&self) -> bool {
+    fn may_reach_setpoint(&self) -> bool {
         self.started
             && !self.paused
             && self.segment().is_none_or(|segment| {
-                let end = u64::from(segment.span.periods()) << 32;
+                let end = u64::from(segment.duration.periods()) << 32;
                 // The highest path rate possible in the next control period.
                 let slope = self.braking.map_or(0, |braking| braking.slope());
-                let most = (self.path_rate.value() + slope).clamp(0, FULL_RATE);
-                self.time + most as u64 >= end
+                let highest = (self.path_rate.value() + slope).clamp(0, FULL_RATE);
+                self.time + highest as u64 >= end
             })
     }
 
     /// Resumes after a pause.
     pub fn leave_pause(&mut self) {
         if core::mem::take(&mut self.paused) {
-            self.started = self.started && self.can_pass_rest();
+            self.started = self.started && self.can_pass_stop();
         }
     }
 
@@ -437,7 +442,7 @@ impl Program {
     #[must_use]
     #[inline]
     pub fn is_at_standstill(&self) -> bool {
-        (self.path_rate.is_zero() && self.back == 0)
+        (self.path_rate.is_zero() && self.retract_left == 0)
             || self.paused
             || !self.started
             || (self.segment().is_none() && self.queue.is_empty())
@@ -451,16 +456,16 @@ impl Program {
         (commanded, progress)
     }
 
-    /// As [`Program::advance`], writing pose, rates and accelerations into `commanded`.
+    /// As [`Interpolator::advance`], writing pose, rates and accelerations into `commanded`.
     #[inline]
     pub fn advance_to(&mut self, halt: bool, commanded: &mut PoseCommand) -> Progress {
-        let progress = self.go(halt);
+        let progress = self.advance_time(halt);
         self.sample(commanded);
         progress
     }
 
     #[inline]
-    fn go(&mut self, halt: bool) -> Progress {
+    fn advance_time(&mut self, halt: bool) -> Progress {
         let mut progress = Progress::default();
         let Some(braking) = self.braking else {
             return progress;
@@ -468,10 +473,10 @@ impl Program {
         // A pause at the last setpoint delays the end of the job like any other pause.
         let finished = self.total == Some(self.reached) && !self.paused;
         if !self.started {
-            self.started = !halt && self.can_leave_rest();
+            self.started = !halt && self.can_start();
             // At standstill any path rate gives the same motion: begin at the override rate. With a
             // queue full of durations too short to stop on, begin at 0.
-            self.path_rate = Ramp::at(if self.can_pass_rest() {
+            self.path_rate = Ramp::at(if self.can_pass_stop() {
                 self.override_rate
             } else {
                 0
@@ -485,7 +490,7 @@ impl Program {
             progress.finished = finished;
             return progress;
         }
-        if halt && self.back > 0 && self.is_retracting(&braking) {
+        if halt && self.retract_left > 0 && self.is_retracting(&braking) {
             return progress;
         }
         self.monitor_underrun(&braking);
@@ -504,7 +509,7 @@ impl Program {
     fn advance_segments(&mut self, progress: &mut Progress) {
         loop {
             if self.segment().is_none() && !self.begin_next() {
-                progress.queue_empty = !self.from.at_rest();
+                progress.queue_empty = !self.from.is_at_standstill();
                 self.time = 0;
                 if progress.queue_empty {
                     self.path_rate = Ramp::at(0);
@@ -514,17 +519,17 @@ impl Program {
             let Some(segment) = self.segments.present() else {
                 return;
             };
-            let periods = u64::from(segment.span.periods());
+            let periods = u64::from(segment.duration.periods());
             let end = periods << 32;
             if self.time < end {
                 return;
             }
             self.time -= end;
             self.elapsed += periods;
-            self.pass();
+            self.end_segment();
             self.reached = self.reached.wrapping_add(1);
-            if self.from.at_rest() {
-                self.rests_ahead = self.rests_ahead.saturating_sub(1);
+            if self.from.is_at_standstill() {
+                self.stops_ahead = self.stops_ahead.saturating_sub(1);
             }
             match self.from.action {
                 Action::None => {}
@@ -541,7 +546,7 @@ impl Program {
                 progress.finished = true;
                 return;
             }
-            if self.from.at_rest() && !self.can_pass_rest() {
+            if self.from.is_at_standstill() && !self.can_pass_stop() {
                 self.time = 0;
                 self.started = false;
                 return;
@@ -556,7 +561,7 @@ impl Program {
         commanded
     }
 
-    /// As [`Program::commanded`], written in place.
+    /// As [`Interpolator::commanded`], written in place.
     #[inline]
     fn sample(&self, commanded: &mut PoseCommand) {
         let Some(segment) = self.segment() else {
@@ -566,7 +571,7 @@ impl Program {
             };
             return;
         };
-        let fraction = segment.span.fraction((self.time >> 16) as u32);
+        let fraction = segment.duration.fraction((self.time >> 16) as u32);
         let PoseCommand {
             pose,
             rates,
@@ -576,16 +581,16 @@ impl Program {
         // takes four instructions for one.
         let half = core::hint::black_box(segment::half(fraction));
         let places = pose.0.iter_mut().zip(rates).zip(accelerations);
-        for (way, ((place, rate), acceleration)) in
+        for (polynomial, ((place, rate), acceleration)) in
             segment.polynomials.iter().zip(places).take(self.axes)
         {
-            let sample = way.sample(half);
+            let sample = polynomial.sample(half);
             *place = sample.position;
             *rate = sample.rate;
             *acceleration = sample.acceleration;
         }
         if self.path_rate != Ramp::at(FULL_RATE) {
-            self.slow_down(commanded);
+            self.scale_to_path_rate(commanded);
         }
     }
 
@@ -600,7 +605,7 @@ impl Program {
 
     /// Scales rates and accelerations from the programmed speed to the path rate.
     #[inline(never)]
-    fn slow_down(&self, commanded: &mut PoseCommand) {
+    fn scale_to_path_rate(&self, commanded: &mut PoseCommand) {
         let rate = self.path_rate.value() >> 2;
         let rate_squared = product(rate, rate) >> 30;
         let slope = self.path_rate.slope();
@@ -621,9 +626,9 @@ impl Program {
     }
 
     /// Sets the segment duration. It is recomputed only if it changed.
-    fn measure(&mut self, periods: u16) -> Option<()> {
-        if self.span.periods() != periods || periods == 0 {
-            self.span = SegmentDuration::new(periods, self.period_us)?;
+    fn set_duration(&mut self, periods: u16) -> Option<()> {
+        if self.duration.periods() != periods || periods == 0 {
+            self.duration = SegmentDuration::new(periods, self.period_us)?;
         }
         Some(())
     }
@@ -636,19 +641,20 @@ impl Program {
     /// Whether an axis may move from the newest setpoint to the next one. The rate at the end, the
     /// mean rate and all rates between must be within the axis limit. The acceleration must be
     /// within 16 times that of a jog. A setpoint beyond these bounds is an error of the host.
-    fn may_go(&self, axis: usize, place: i32, rate: i32) -> bool {
-        let (span, limit) = (&self.span, self.rate_limits[axis]);
+    fn is_within_limits(&self, axis: usize, place: i32, rate: i32) -> bool {
+        let (duration, limit) = (&self.duration, self.rate_limits[axis]);
         if rate.unsigned_abs() > limit.unsigned_abs() {
             return false;
         }
         let (tail, wrap) = (&self.tail, self.rotary[axis]);
         let (start, start_rate) = (Coordinate(tail.pose[axis]), tail.rates[axis]);
-        let Some(cubic) = Cubic::new(start, start_rate, Coordinate(place), rate, span, wrap) else {
+        let Some(cubic) = Cubic::new(start, start_rate, Coordinate(place), rate, duration, wrap)
+        else {
             return false;
         };
         cubic.is_at_standstill()
-            || (cubic.keeps_mean_rate(limit, span)
-                && cubic.keeps_rate(limit, span)
-                && cubic.keeps_acceleration(self.acceleration_limits[axis], span))
+            || (cubic.keeps_mean_rate(limit, duration)
+                && cubic.keeps_rate(limit, duration)
+                && cubic.keeps_acceleration(self.acceleration_limits[axis], duration))
     }
 }

@@ -34,13 +34,25 @@ struct Axis {
 
 constants!(Axis { limits, rate_limit, low, high } of {} but { position, rate, target });
 
-/// The least and the greatest position of a coordinate on its way to rest, and its largest rate.
-type Swept = (i64, i64, i64);
+/// Motion of a coordinate in one period, and its bounds from there to standstill.
+#[derive(Debug, Clone, Copy, Default)]
+struct Step {
+    target: i64,
+    /// Rate after the period.
+    rate: Ramp,
+    /// Position after the period, 2^-20 axis units.
+    position: i64,
+    /// Least and greatest position up to standstill.
+    low: i64,
+    high: i64,
+    /// Largest magnitude of the rate up to standstill.
+    peak: i64,
+}
 
-/// What was worked out in a period already, and for which target.
-type Known = [Option<(i64, Swept)>; MAX_AXES];
+/// Steps of all coordinates; `None` for a coordinate whose stopping distance is not known.
+type Steps = [Option<Step>; MAX_AXES];
 
-/// Motion of all pose coordinates at wanted rates.
+/// Motion of all pose coordinates at commanded rates.
 #[derive(Debug, Default)]
 pub struct Jog {
     axes: usize,
@@ -50,13 +62,17 @@ pub struct Jog {
     axis: [Axis; MAX_AXES],
     /// Load of the requested rates in the last control period. Above [`MOST_LOAD`] it scales the
     /// rates down.
-    asked_load: u32,
+    requested_load: u32,
     /// Decelerate in this control period only.
     braking: bool,
     /// Compliant displacement, added to the pose.
     excursion: Excursion,
+    /// Steps of this period, once they are planned.
+    planned: Option<Steps>,
+    /// Coordinate that its soft limit stops, in the planned steps.
+    at_limit: Option<u8>,
     /// Control periods up to the deadline of the present targets.
-    alive: u32,
+    periods_left: u32,
     /// Soft limits are enforced. Homing disables them, because its coordinates are not yet valid.
     limited: bool,
 }
@@ -68,10 +84,12 @@ impl Constants for Jog {
             period_us,
             periods_per_second,
             axis,
-            asked_load: _,
+            requested_load: _,
             braking: _,
             excursion: _,
-            alive: _,
+            planned: _,
+            at_limit: _,
+            periods_left: _,
             limited: _,
         } = self;
         digest.add(&(axes, period_us, periods_per_second));
@@ -132,9 +150,9 @@ impl Jog {
             axis.rate = Ramp::default();
             axis.target = 0;
         }
-        self.alive = 0;
+        self.periods_left = 0;
         self.limited = limited;
-        self.asked_load = 0;
+        self.requested_load = 0;
     }
 
     /// Decelerates in this control period, whatever the targets are. The jog resumes in the next
@@ -156,7 +174,7 @@ impl Jog {
 
     /// Sets the position of a coordinate that has another source, so that the reach is that of the
     /// true pose.
-    pub fn carry(&mut self, axis: usize, place: Coordinate) {
+    pub fn set_coordinate(&mut self, axis: usize, place: Coordinate) {
         if let Some(axis) = self.axis.get_mut(axis) {
             axis.position = i64::from(place.0) << FRACTION;
             axis.rate = Ramp::default();
@@ -165,45 +183,83 @@ impl Jog {
     }
 
     /// Sets the target rates, in axis units per second, for `periods` control periods.
-    pub fn aim(&mut self, rates: &[i64; MAX_AXES], periods: u32) {
+    pub fn set_rates(&mut self, rates: &[i64; MAX_AXES], periods: u32) {
         for (axis, rate) in self.axis.iter_mut().zip(rates) {
             let rate = per_period((*rate).clamp(-(1 << 32), 1 << 32), self.period_us);
             axis.target = rate.max(-axis.rate_limit).min(axis.rate_limit);
         }
-        self.alive = periods;
+        self.periods_left = periods;
     }
 
     /// Decelerates all coordinates to standstill.
     pub fn release(&mut self) {
-        self.alive = 0;
+        self.periods_left = 0;
     }
 
     /// Whether all coordinates are at standstill.
     #[must_use]
     #[inline]
     pub fn is_at_standstill(&self) -> bool {
-        self.alive == 0 && self.axis.iter().all(|axis| axis.rate.is_zero())
+        self.periods_left == 0 && self.axis.iter().all(|axis| axis.rate.is_zero())
     }
 
-    /// Between which positions a coordinate stays if it goes on for one period and brakes then; 2^-20 axis units, `None` when they
-    /// are too far to say. The third is its largest rate, either way.
-    fn sweep(axis: &Axis, target: i64) -> Option<Swept> {
+    /// One period of a coordinate towards `target`; `None` if its stopping distance is too large to
+    /// compute.
+    fn step(axis: &Axis, target: i64) -> Option<Step> {
         let limits = axis.limits.as_ref()?;
         let mut rate = axis.rate;
-        let next = axis.position.checked_add(rate.advance(target, limits))?;
-        let (low, high) = rate.stopping_range(limits)?;
-        Some((
-            next.checked_add(low)?.min(axis.position),
-            next.checked_add(high)?.max(axis.position),
-            rate.peak(limits).max(axis.rate.value().abs()),
-        ))
+        let position = axis.position.checked_add(rate.advance(target, limits))?;
+        let (low, high, peak) = rate.stopping_bounds(limits)?;
+        Some(Step {
+            target,
+            rate,
+            position,
+            low: position.checked_add(low)?.min(axis.position),
+            high: position.checked_add(high)?.max(axis.position),
+            peak: peak.max(axis.rate.value().abs()),
+        })
+    }
+
+    /// Plans the steps of this period: towards the targets, less where the load of a joint would be
+    /// too large, and towards standstill where a soft limit is near.
+    fn plan(&mut self) -> Steps {
+        if let Some(steps) = self.planned {
+            return steps;
+        }
+        let mut steps = [None; MAX_AXES];
+        self.at_limit = None;
+        for (index, axis) in self.axis[..self.axes].iter().enumerate() {
+            let target = if self.requested_load > MOST_LOAD {
+                slower(axis.target, self.requested_load)
+            } else {
+                axis.target
+            };
+            let mut step = Self::step(axis, target);
+            if self.limited && Self::is_blocked(axis, step.as_ref()) {
+                step = Self::step(axis, 0);
+                self.at_limit = Some(index as u8);
+            }
+            steps[index] = step;
+        }
+        self.planned = Some(steps);
+        steps
+    }
+
+    /// Steps towards standstill.
+    fn brake_steps(&self) -> Steps {
+        let mut steps = [None; MAX_AXES];
+        for (step, axis) in steps.iter_mut().zip(&self.axis[..self.axes]) {
+            *step = Self::step(axis, 0);
+        }
+        steps
     }
 
     /// Advances one control period. The number names a coordinate that was limited by its soft
     /// limit, or by the machine's reach.
     pub fn advance(&mut self, machine: &impl Kinematics) -> (PoseCommand, Option<u8>) {
         if self.is_at_standstill() {
-            let pose = self.standing();
+            self.planned = None;
+            let pose = self.pose();
             return (
                 PoseCommand {
                     pose,
@@ -213,50 +269,36 @@ impl Jog {
             );
         }
         let mut limited = None;
-        let braking = self.alive == 0;
-        self.alive = self.alive.saturating_sub(1);
-        let mut targets = [0_i64; MAX_AXES];
-        let mut known = [None; MAX_AXES];
-        if !braking {
-            for (index, axis) in self.axis[..self.axes].iter().enumerate() {
-                targets[index] = axis.target;
-                if !self.limited {
-                    continue;
-                }
-                let swept = Self::sweep(axis, axis.target);
-                known[index] = swept.map(|swept| (axis.target, swept));
-                if Self::blocked(axis, swept) {
-                    targets[index] = 0;
-                    limited = Some(index as u8);
-                }
-            }
-            let asked = targets;
-            if self.asked_load > MOST_LOAD {
-                for target in &mut targets {
-                    *target = slower(*target, self.asked_load);
-                }
-            }
-            match self.loads(machine, &targets, &known, &asked) {
-                Some([load, asked_load]) => {
-                    self.asked_load = asked_load;
-                    if load > MOST_LOAD || core::mem::take(&mut self.braking) {
-                        targets = [0; MAX_AXES];
-                    }
+        let mut steps = None;
+        if self.periods_left > 0 {
+            let planned = self.plan();
+            limited = self.at_limit;
+            match self.loads(machine, &planned) {
+                Some([load, requested_load]) => {
+                    self.requested_load = requested_load;
+                    steps = (load <= MOST_LOAD && !self.braking).then_some(planned);
                 }
                 None => {
-                    limited = (0..self.axes)
-                        .find(|&index| targets[index] != 0)
+                    let mut moving = planned.iter().take(self.axes);
+                    limited = moving
+                        .position(|step| step.is_none_or(|step| step.target != 0))
                         .map(|index| index as u8)
                         .or(limited);
-                    targets = [0; MAX_AXES];
                 }
             }
         }
+        self.periods_left = self.periods_left.saturating_sub(1);
+        self.planned = None;
         self.braking = false;
         let mut commanded = PoseCommand::default();
         for (index, axis) in self.axis[..self.axes].iter_mut().enumerate() {
             let Some(limits) = axis.limits else { continue };
-            axis.position += axis.rate.advance(targets[index], &limits);
+            if let Some(Some(step)) = steps.as_ref().map(|steps| steps[index]) {
+                axis.rate = step.rate;
+                axis.position = step.position;
+            } else {
+                axis.position += axis.rate.advance(0, &limits);
+            }
             commanded.pose.0[index] = Coordinate((axis.position >> FRACTION) as i32);
             commanded.rates[index] = Rate(saturate(per_second(
                 axis.rate.value(),
@@ -270,7 +312,7 @@ impl Jog {
     }
 
     /// The present pose, rounded down to whole axis units.
-    fn standing(&self) -> Pose {
+    fn pose(&self) -> Pose {
         let mut pose = Pose::default();
         for (place, axis) in pose.0.iter_mut().zip(&self.axis[..self.axes]) {
             *place = Coordinate((axis.position >> FRACTION) as i32);
@@ -279,61 +321,54 @@ impl Jog {
     }
 
     /// Whether a coordinate must brake now to stop in front of its soft limit.
-    fn blocked(axis: &Axis, swept: Option<Swept>) -> bool {
-        let Some((low, high, _)) = swept else {
+    fn is_blocked(axis: &Axis, step: Option<&Step>) -> bool {
+        let Some(step) = step else {
             return true;
         };
-        (axis.target > 0 && high > axis.high) || (axis.target < 0 && low < axis.low)
+        (axis.target > 0 && step.high > axis.high) || (axis.target < 0 && step.low < axis.low)
     }
 
-    /// Loads of the joints up to standstill, if all coordinates continue towards `targets` for one
-    /// period and decelerate then: with the rates of that motion, and with the requested rates.
-    /// `None` if the machine cannot reach the poses.
-    fn loads(
-        &self,
-        machine: &impl Kinematics,
-        targets: &[i64; MAX_AXES],
-        known: &Known,
-        asked: &[i64; MAX_AXES],
-    ) -> Option<[u32; 2]> {
-        let mut sweep = self.sweep_to(targets, known)?;
-        sweep.displace(&self.excursion);
-        let mut rates = sweep.rates;
-        for (axis, rate) in asked.iter().enumerate() {
-            rates[axis] = Rate(saturate(per_second(rate.abs(), self.periods_per_second)));
-        }
-        sweep.load(&[sweep.rates, rates], machine)
-    }
-
-    /// What is swept if everything goes on towards these rates for one period and brakes then; `None` if it is too far to say.
-    fn sweep_to(&self, targets: &[i64; MAX_AXES], known: &Known) -> Option<StoppingEnvelope> {
-        let mut sweep = StoppingEnvelope::at(&Pose::default());
+    /// Loads of the joints up to standstill after these steps: with the rates of that motion, and
+    /// with the requested rates. `None` if the machine cannot reach the poses.
+    fn loads(&self, machine: &impl Kinematics, steps: &Steps) -> Option<[u32; 2]> {
+        let mut envelope = self.envelope(steps)?;
+        envelope.displace(&self.excursion);
+        let mut rates = envelope.rates;
         for (index, axis) in self.axis[..self.axes].iter().enumerate() {
-            let (low, high, rate) = match known[index] {
-                Some((target, swept)) if target == targets[index] => swept,
-                _ => Self::sweep(axis, targets[index])?,
-            };
-            sweep.quicken(index, per_second(rate, self.periods_per_second) + 1);
-            let whole = |end: i64| i32::try_from(end >> FRACTION).ok().map(Coordinate);
-            (sweep.low.0[index], sweep.high.0[index]) = (whole(low)?, whole(high)?);
+            // A coordinate that its soft limit stops is not asked for more.
+            let stops = steps[index].is_some_and(|step| step.target == 0);
+            let requested = if stops { 0 } else { axis.target.abs() };
+            rates[index] = Rate(saturate(per_second(requested, self.periods_per_second)));
         }
-        Some(sweep)
+        envelope.load(&[envelope.rates, rates], machine)
+    }
+
+    /// The stopping envelope after these steps; `None` if a bound is not known.
+    fn envelope(&self, steps: &Steps) -> Option<StoppingEnvelope> {
+        let mut envelope = StoppingEnvelope::at(&Pose::default());
+        for (index, step) in steps[..self.axes].iter().enumerate() {
+            let step = step.as_ref()?;
+            let whole = |end: i64| i32::try_from(end >> FRACTION).ok().map(Coordinate);
+            envelope.extend_rate(index, per_second(step.peak, self.periods_per_second) + 1);
+            envelope.low.0[index] = whole(step.low)?;
+            envelope.high.0[index] = whole(step.high)?;
+        }
+        Some(envelope)
     }
 
     /// The stopping envelope if the jog continues for one period (or decelerates now) and
     /// decelerates then.
     #[must_use]
-    pub fn stopping(&self, goes_on: bool) -> Option<StoppingEnvelope> {
+    pub fn stopping(&mut self, continues: bool) -> Option<StoppingEnvelope> {
         if self.is_at_standstill() {
-            return Some(StoppingEnvelope::at(&self.standing()));
+            return Some(StoppingEnvelope::at(&self.pose()));
         }
-        let mut targets = [0; MAX_AXES];
-        if goes_on && self.alive > 0 {
-            for (target, axis) in targets.iter_mut().zip(&self.axis) {
-                *target = axis.target;
-            }
-        }
-        self.sweep_to(&targets, &[None; MAX_AXES])
+        let steps = if continues && self.periods_left > 0 {
+            self.plan()
+        } else {
+            self.brake_steps()
+        };
+        self.envelope(&steps)
     }
 
     /// Whether a coordinate of `sweep` stays within its soft limits.

@@ -27,7 +27,7 @@ use envelope::{MOST_LOAD, ReachableBox, StoppingEnvelope};
 use haptimill_kinematics::{Accelerations, Kinematics, Pose, Rates};
 use haptimill_math::{Acceleration, Coordinate, Rate};
 use haptimill_protocol::message::{MAX_AXES, Source};
-use interpolator::{Program, Progress};
+use interpolator::{Interpolator, Progress};
 use jog::Jog;
 use tracker::{Tracker, TrackerLimits};
 
@@ -62,7 +62,7 @@ pub enum Mode {
 #[derive(Debug, Default)]
 pub struct Motion {
     /// Setpoint queue and interpolator of the job.
-    pub program: Program,
+    pub program: Interpolator,
     /// Jog generator.
     pub jog: Jog,
     axes: usize,
@@ -91,11 +91,11 @@ pub struct Motion {
     /// more slowly.
     load: u32,
     /// Margin of the reachable box around a stopping envelope, and the reachable box.
-    room: [i32; MAX_AXES],
+    margins: [i32; MAX_AXES],
     reach: ReachableBox,
 }
 
-constants!(Motion { axes, bounds, room } of { program, jog } but {
+constants!(Motion { axes, bounds, margins } of { program, jog } but {
     commanded, sources, offsets, trackers, program_rates, targets, tracking_blocked, limit_reported, limited, stopping, blended, load, reach
 });
 
@@ -104,18 +104,19 @@ const GAIN: u16 = 100;
 
 /// The margin of a reachable box is the range of a coordinate divided by this power of two: 0.1 mm
 /// of 200 mm, some 25 control periods at 20 mm/s.
-const ROOM_SHIFT: u32 = 11;
+const MARGIN_SHIFT: u32 = 11;
 
 impl Motion {
     /// Configures this generator in place for the machine of `config`, because its queue is large.
-    pub fn set_up(&mut self, config: &Config) {
-        self.program.set_up(config);
+    pub fn configure(&mut self, config: &Config) {
+        self.program.configure(config);
         self.jog = Jog::new(config);
         self.axes = config.pose.len();
         let gain = config.follow.map_or(GAIN, |follow| follow.gain);
         self.reach = ReachableBox::default();
-        for (room, axis) in self.room.iter_mut().zip(&config.pose) {
-            *room = ((i64::from(axis.high.0) - i64::from(axis.low.0)).max(0) >> ROOM_SHIFT) as i32;
+        for (margins, axis) in self.margins.iter_mut().zip(&config.pose) {
+            *margins =
+                ((i64::from(axis.high.0) - i64::from(axis.low.0)).max(0) >> MARGIN_SHIFT) as i32;
         }
         for (bounds, axis) in self.bounds.iter_mut().zip(&config.pose) {
             if HAND {
@@ -215,9 +216,9 @@ impl Motion {
     /// Position at which a coordinate that follows a master comes to standstill if the master stops
     /// leading it.
     #[must_use]
-    pub fn rest(&self, axis: usize) -> Coordinate {
+    pub fn standstill_position(&self, axis: usize) -> Coordinate {
         match self.sources.get(axis) {
-            Some(Source::Master) => self.trackers[axis].rest(&self.bounds[axis]),
+            Some(Source::Master) => self.trackers[axis].standstill_position(&self.bounds[axis]),
             _ => self.commanded.pose.0.get(axis).copied().unwrap_or_default(),
         }
     }
@@ -321,11 +322,11 @@ impl Motion {
             Mode::Program { halt } => {
                 for axis in 0..self.axes {
                     if self.sources[axis] != Source::Jog {
-                        self.jog.carry(axis, self.commanded.pose.0[axis]);
+                        self.jog.set_coordinate(axis, self.commanded.pose.0[axis]);
                     }
                 }
-                let (blocked, clipped) = self.check_stopping(machine);
-                if clipped.is_some() {
+                let (blocked, limited_jog) = self.check_stopping(machine);
+                if limited_jog.is_some() {
                     self.jog.release();
                 }
                 let (program, mut progress) = self.program.advance(halt || blocked);
@@ -338,7 +339,7 @@ impl Motion {
                     self.merge(axis, &program, &jog, moving & (1 << axis) != 0);
                 }
                 self.update_blended();
-                (progress, clipped.or(limited))
+                (progress, limited_jog.or(limited))
             }
         }
     }
@@ -378,7 +379,7 @@ impl Motion {
 
     /// Whether the master may continue to lead. A blocked master may lead again once all trackers
     /// are at standstill.
-    fn hand_goes_on(&mut self) -> bool {
+    fn master_may_lead(&mut self) -> bool {
         self.tracking_blocked = self.tracking_blocked && !self.are_trackers_at_standstill();
         !self.tracking_blocked
     }
@@ -388,8 +389,8 @@ impl Motion {
     /// joint would exceed its maximum rate, jogs and trackers decelerate in this period and try
     /// again in the next one.
     fn check_stopping(&mut self, machine: &impl Kinematics) -> (bool, Option<u8>) {
-        let led = self.hand_goes_on();
-        let load = self.fits(true, led, machine);
+        let master_leads = self.master_may_lead();
+        let load = self.stopping_load(true, master_leads, machine);
         self.load = load.unwrap_or_default();
         if self.load > MOST_LOAD {
             self.jog.brake();
@@ -415,7 +416,7 @@ impl Motion {
         }
         let braked = jogged.or(followed).is_some();
         (
-            !braked || self.fits(false, false, machine).is_none(),
+            !braked || self.stopping_load(false, false, machine).is_none(),
             jogged,
         )
     }
@@ -423,14 +424,14 @@ impl Motion {
     /// The load of the joints ([`StoppingEnvelope::load`]) up to standstill, if jogs and trackers
     /// continue for one period or decelerate now. `None` if the machine does not stop within its
     /// bounds.
-    fn fits(
+    fn stopping_load(
         &mut self,
-        jog_goes_on: bool,
-        hand_goes_on: bool,
+        jog_continues: bool,
+        master_may_lead: bool,
         machine: &impl Kinematics,
     ) -> Option<u32> {
         let program = self.program.sweep();
-        let jog = self.jog.stopping(jog_goes_on)?;
+        let jog = self.jog.stopping(jog_continues)?;
         let mut sweep = StoppingEnvelope::at(&self.commanded.pose);
         let mut allowed = true;
         for axis in 0..self.axes {
@@ -444,26 +445,26 @@ impl Motion {
                         sweep.reach(axis, of(program.low.0[axis], low));
                         sweep.reach(axis, of(program.high.0[axis], high));
                         let own = i64::from(program.rates[axis].0);
-                        sweep.quicken(axis, own + tracker.peak(None, self.load, bounds));
+                        sweep.extend_rate(axis, own + tracker.peak(None, self.load, bounds));
                     }
                     allowed &= self.offsets[axis] == 0 || self.jog.allows(axis, &sweep);
                 }
                 Source::Jog => sweep.take(axis, &jog, 0),
                 Source::Master if HAND => {
-                    let target = self.targets[axis].filter(|_| hand_goes_on);
+                    let target = self.targets[axis].filter(|_| master_may_lead);
                     let (low, high) = tracker.sweep(target, bounds);
                     // A tracker at standstill keeps its position exactly.
                     if target.is_some() || !tracker.is_at_standstill() {
                         sweep.reach(axis, low);
                         sweep.reach(axis, high);
-                        sweep.quicken(axis, tracker.peak(target, self.load, bounds));
+                        sweep.extend_rate(axis, tracker.peak(target, self.load, bounds));
                     }
                 }
                 Source::Hold if HAND && !tracker.is_at_standstill() => {
                     let (low, high) = tracker.sweep(None, bounds);
                     sweep.reach(axis, low);
                     sweep.reach(axis, high);
-                    sweep.quicken(axis, tracker.peak(None, self.load, bounds));
+                    sweep.extend_rate(axis, tracker.peak(None, self.load, bounds));
                 }
                 Source::Hold | Source::Master => {}
             }
@@ -472,8 +473,8 @@ impl Motion {
         // A machine without a master checks the corners directly: it needs boxes only for jogs, and
         // has little flash.
         let load = if HAND {
-            let room = (&self.room, self.hand_mask());
-            self.reach.holds(&sweep, room, self.axes, machine)
+            let margins = (&self.margins, self.hand_mask());
+            self.reach.load_bound(&sweep, margins, self.axes, machine)
         } else {
             Some(sweep.load(&[sweep.rates], machine)?[0])
         };

@@ -116,9 +116,11 @@ impl RampLimits {
         if slope == 0 {
             return 0;
         }
-        let magnitude = slope.abs();
-        let twice = magnitude * (magnitude + self.jerk);
-        slope.signum() * self.by_twice_jerk.quotient(twice)
+        // Slope and jerk are below 2^31: words, whose product needs no overflow check.
+        let magnitude = slope.unsigned_abs() as u32;
+        let twice = u64::from(magnitude) * u64::from(magnitude + self.jerk as u32);
+        let run_out = self.by_twice_jerk.quotient(twice as i64);
+        if slope < 0 { -run_out } else { run_out }
     }
 }
 
@@ -208,25 +210,34 @@ impl Ramp {
     /// zero carries the value to the other side, so both can differ from 0. `None` if a bound does
     /// not fit 63 bits; callers must treat that as too far.
     #[must_use]
+    #[inline]
     pub fn stopping_range(&self, limits: &RampLimits) -> Option<(i64, i64)> {
-        let sign = if self.value == 0 {
-            self.slope.signum()
+        let (low, high, _) = self.stopping_bounds(limits)?;
+        Some((low, high))
+    }
+
+    /// [`Ramp::stopping_range`] and [`Ramp::peak`] together.
+    #[must_use]
+    pub fn stopping_bounds(&self, limits: &RampLimits) -> Option<(i64, i64, i64)> {
+        let negative = self.value < 0 || (self.value == 0 && self.slope < 0);
+        let (value, slope) = if negative {
+            (-self.value, -self.slope)
         } else {
-            self.value.signum()
+            (self.value, self.slope)
         };
-        let slope = self.slope * sign;
-        let end = self.value * sign + limits.run_out(slope);
+        let end = value + limits.run_out(slope);
         // The part of the slope that raises the magnitude must be undone first.
         let ahead = if slope > 0 {
             Self::trapezoid(end, slope, limits)?
         } else {
-            Self::trapezoid(self.value * sign, 0, limits)?
+            Self::trapezoid(value, 0, limits)?
         };
         let behind = Self::trapezoid(-end, -slope, limits)?;
-        Some(if sign < 0 {
-            (-ahead, behind)
+        let peak = value.max(end.abs());
+        Some(if negative {
+            (-ahead, behind, peak)
         } else {
-            (-behind, ahead)
+            (-behind, ahead, peak)
         })
     }
 

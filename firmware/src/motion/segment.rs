@@ -41,15 +41,15 @@ pub const fn half(fraction: u32) -> i32 {
 impl SegmentPolynomial {
     /// Creates the polynomial of a cubic with this duration.
     #[must_use]
-    pub fn new(cubic: &Cubic, span: &SegmentDuration) -> Self {
+    pub fn new(cubic: &Cubic, duration: &SegmentDuration) -> Self {
         let mut way = Self::default();
-        way.set(cubic, span);
+        way.set(cubic, duration);
         way
     }
 
     /// Sets the polynomial of a cubic with this duration, in place.
     #[inline(always)]
-    pub fn set(&mut self, cubic: &Cubic, span: &SegmentDuration) {
+    pub fn set(&mut self, cubic: &Cubic, duration: &SegmentDuration) {
         let (start, [c1, c2, c3]) = cubic.parts();
         self.start = start;
         // Sums of all three coefficients fit a word if each is below 2^30. The shifts lose nothing,
@@ -64,7 +64,7 @@ impl SegmentPolynomial {
             rate_fraction,
             push,
             push_fraction,
-        } = cubic.derivatives(span);
+        } = cubic.derivatives(duration);
         self.place = [
             shift_right(c1, spare) as i32,
             shift_right(c2, spare) as i32,

@@ -63,7 +63,7 @@ pub struct Tracker {
     /// Change of the rate in the last control period.
     change: i64,
     /// The smoothed target.
-    led: i64,
+    filtered_target: i64,
 }
 
 constants!(TrackerLimits { step, inverse, whole, rate, pull, bend, far, twice, shift, low, high, periods_per_second } of {} but {});
@@ -120,15 +120,15 @@ impl TrackerLimits {
     }
 
     /// Largest rate from which the distance still suffices to brake.
-    fn profile(&self, way: i64) -> i64 {
-        let distance = way.abs();
+    fn profile(&self, gap: i64) -> i64 {
+        let distance = gap.abs();
         if distance <= self.bend {
-            return multiply_high(way, self.pull).clamp(-self.rate, self.rate);
+            return multiply_high(gap, self.pull).clamp(-self.rate, self.rate);
         }
         let distance = distance.min(self.far) - self.bend / 2;
         let square = (distance >> (2 * self.shift)).wrapping_mul(self.twice);
         let root = i64::from(Root::of(square as u64).rounded()) << self.shift;
-        root.min(self.rate) * way.signum()
+        root.min(self.rate) * gap.signum()
     }
 
     /// Converts a rate to axis units per second.
@@ -146,7 +146,7 @@ impl Tracker {
             place,
             rate: (i64::from(rate.0) << FRACTION) / limits.periods_per_second.max(1),
             change: 0,
-            led: place,
+            filtered_target: place,
         }
     }
 
@@ -176,7 +176,7 @@ impl Tracker {
 
     /// Position at which it comes to standstill if it decelerates from now on.
     #[must_use]
-    pub fn rest(&self, limits: &TrackerLimits) -> Coordinate {
+    pub fn standstill_position(&self, limits: &TrackerLimits) -> Coordinate {
         Coordinate(saturate(
             self.place.saturating_add(self.stopping(limits)) >> FRACTION,
         ))
@@ -246,8 +246,8 @@ impl Tracker {
                 let target = (i64::from(target.0) << FRACTION)
                     .min(limits.high)
                     .max(limits.low);
-                self.led += multiply_high(target - self.led, limits.pull);
-                slowed(limits.profile(self.led - self.place), self.rate)
+                self.filtered_target += multiply_high(target - self.filtered_target, limits.pull);
+                slowed(limits.profile(self.filtered_target - self.place), self.rate)
             }
             None => 0,
         };
@@ -257,7 +257,7 @@ impl Tracker {
         // distance is the mean of both rates.
         self.place += self.rate - self.change / 2;
         if target.is_none() {
-            self.led = self.place;
+            self.filtered_target = self.place;
         }
     }
 

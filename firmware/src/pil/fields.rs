@@ -1,7 +1,7 @@
 //! Fields of the PIL frames. The two directions handle the same words in the same order.
 
 use super::words::{Reader, Writer};
-use super::{Done, FrameError, Heard, Told};
+use super::{Done, DoneRef, FrameError, LineInputs};
 use crate::io::{
     AxisInputs, DriveCommand, ForceSample, HapticInputs, HapticOutputs, LegInputs, StepSegment,
 };
@@ -101,7 +101,7 @@ pub(super) fn take_axis(words: &mut Reader<'_>) -> AxisInputs {
 }
 
 #[inline(always)]
-pub(super) fn put_done(words: &mut Writer<'_>, done: &Told<'_>) {
+pub(super) fn put_done(words: &mut Writer<'_>, done: &DoneRef<'_>) {
     words.put_long(done.period);
     for command in &done.outputs.axes {
         words.put_all(match command {
@@ -116,11 +116,11 @@ pub(super) fn put_done(words: &mut Writer<'_>, done: &Told<'_>) {
         });
     }
     put_currents(words, &done.outputs.haptic);
-    let heard = &done.heard;
+    let line_inputs = &done.line_inputs;
     words.put_all([
-        u32::from(done.outputs.spindle_rpm as u16) | u32::from(done.said) << 16,
-        u32::from(heard.received) | u32::from(heard.waiting) << 16,
-        u32::from(heard.lost_bytes) | u32::from(heard.urgent) << 16,
+        u32::from(done.outputs.spindle_rpm as u16) | u32::from(done.transmitted) << 16,
+        u32::from(line_inputs.received) | u32::from(line_inputs.waiting) << 16,
+        u32::from(line_inputs.lost_bytes) | u32::from(line_inputs.urgent) << 16,
     ]);
     words.put_all(*done.stages);
     let Some(snapshot) = done.snapshot else {
@@ -175,8 +175,8 @@ pub(super) fn take_done(words: &mut Reader<'_>) -> Result<Done, FrameError> {
     done.outputs.haptic = take_currents(words);
     let [pair, bytes, rest] = words.take_all();
     done.outputs.spindle_rpm = pair as i16;
-    done.said = (pair >> 16) as u16;
-    done.heard = Heard {
+    done.transmitted = (pair >> 16) as u16;
+    done.line_inputs = LineInputs {
         received: bytes as u16,
         waiting: (bytes >> 16) as u16,
         lost_bytes: rest as u16,

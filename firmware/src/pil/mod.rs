@@ -15,7 +15,7 @@
 //! The frames do not contain the bytes of the host: these go over the board's own serial line. A
 //! frame to the board counts the bytes put on that line before it (`arrived`), and the board waits
 //! until its receive interrupt has seen them all. A frame from the board counts the bytes that the
-//! board transmitted (`said`), and the simulator waits for them. [`Done`] contains what the board
+//! board transmitted (`transmitted`), and the simulator waits for them. [`Done`] contains what the board
 //! received in the period, which the simulator compares with what it sent.
 //!
 //! A frame is an array of little-endian words: kind and version, contents, check. The check (FNV-1a
@@ -23,7 +23,7 @@
 //! transport (a pipe, or memory) does not flip bits.
 //!
 //! The board works in place: on frames as words, and on its own inputs and outputs ([`read`],
-//! [`Says`]). On an emulated chip, copying them took longer than the control period. The simulator
+//! [`FromBoardRef`]). On an emulated chip, copying them took longer than the control period. The simulator
 //! uses values ([`ToBoard`], [`FromBoard`]) and bytes.
 //!
 //! Callers must handle every frame. A frame describes one period, so an end that skips one stays
@@ -102,9 +102,9 @@ pub struct Done {
     /// Outputs, with an empty `transmit`.
     pub outputs: Outputs,
     /// Bytes transmitted on the serial line.
-    pub said: u16,
+    pub transmitted: u16,
     /// Serial-line inputs of the board.
-    pub heard: Heard,
+    pub line_inputs: LineInputs,
     /// Ticks of the board's counter in each stage, in the order of
     /// [`Stage`](crate::profiler::Stage).
     pub stages: [u32; STAGES],
@@ -114,7 +114,7 @@ pub struct Done {
 
 /// Serial-line inputs of a period.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Heard {
+pub struct LineInputs {
     /// Bytes passed to the controller.
     pub received: u16,
     /// Bytes that wait in the receive ring.
@@ -126,19 +126,19 @@ pub struct Heard {
 }
 
 impl Done {
-    const fn told(&self) -> Told<'_> {
-        Told {
+    const fn by_reference(&self) -> DoneRef<'_> {
+        DoneRef {
             period: self.period,
             outputs: &self.outputs,
-            said: self.said,
-            heard: self.heard,
+            transmitted: self.transmitted,
+            line_inputs: self.line_inputs,
             stages: &self.stages,
             snapshot: self.snapshot.as_ref(),
         }
     }
 }
 
-impl Heard {
+impl LineInputs {
     /// The serial-line part of the inputs.
     #[must_use]
     pub fn of(inputs: &Inputs) -> Self {
@@ -276,15 +276,15 @@ impl ToBoard {
 
 /// Results of a control period by reference; see [`Done`].
 #[derive(Debug)]
-pub struct Told<'a> {
+pub struct DoneRef<'a> {
     /// Number of the period.
     pub period: u64,
     /// Outputs of the period.
     pub outputs: &'a Outputs,
     /// Bytes transmitted on the serial line.
-    pub said: u16,
+    pub transmitted: u16,
     /// Serial-line inputs of the board.
-    pub heard: Heard,
+    pub line_inputs: LineInputs,
     /// Ticks of the board's counter in each stage, in the order of
     /// [`Stage`](crate::profiler::Stage).
     pub stages: &'a [u32; STAGES],
@@ -294,11 +294,11 @@ pub struct Told<'a> {
 
 /// Frame from the board, with its contents by reference; see [`FromBoard`].
 #[derive(Debug)]
-pub enum Says<'a> {
+pub enum FromBoardRef<'a> {
     /// As [`FromBoard::Hello`].
     Hello,
     /// As [`FromBoard::Done`].
-    Done(Told<'a>),
+    Done(DoneRef<'a>),
     /// As [`FromBoard::Ended`].
     Ended {
         /// Largest use of the stack, in bytes.
@@ -308,7 +308,7 @@ pub enum Says<'a> {
     },
 }
 
-impl Says<'_> {
+impl FromBoardRef<'_> {
     /// Writes the frame.
     #[inline]
     pub fn write(&self, frame: &mut [u32; FROM_BOARD_WORDS]) {
@@ -340,14 +340,14 @@ impl Says<'_> {
 }
 
 impl FromBoard {
-    const fn says(&self) -> Says<'_> {
+    const fn by_reference(&self) -> FromBoardRef<'_> {
         match self {
-            Self::Hello => Says::Hello,
-            Self::Done(done) => Says::Done(done.told()),
+            Self::Hello => FromBoardRef::Hello,
+            Self::Done(done) => FromBoardRef::Done(done.by_reference()),
             Self::Ended {
                 stack_bytes,
                 ring_peak,
-            } => Says::Ended {
+            } => FromBoardRef::Ended {
                 stack_bytes: *stack_bytes,
                 ring_peak: *ring_peak,
             },
@@ -358,7 +358,7 @@ impl FromBoard {
     #[must_use]
     pub fn encode(&self) -> [u8; FROM_BOARD_BYTES] {
         let mut frame = [0; FROM_BOARD_WORDS];
-        self.says().write(&mut frame);
+        self.by_reference().write(&mut frame);
         to_bytes(&frame)
     }
 
@@ -366,7 +366,7 @@ impl FromBoard {
     #[must_use]
     pub fn encode_unsealed(&self) -> [u8; FROM_BOARD_BYTES] {
         let mut frame = [0; FROM_BOARD_WORDS];
-        self.says().fill(&mut frame);
+        self.by_reference().fill(&mut frame);
         to_bytes(&frame)
     }
 

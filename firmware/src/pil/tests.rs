@@ -68,7 +68,7 @@ prop_compose! {
     fn done()(
         period: u64,
         axes in prop::array::uniform6(command()),
-        (spindle_rpm, said) in any::<(i16, u16)>(),
+        (spindle_rpm, transmitted) in any::<(i16, u16)>(),
         (received, waiting, lost_bytes, urgent) in any::<(u16, u16, u16, bool)>(),
         stages: [u32; STAGES],
         (enabled, currents) in any::<(bool, [[i16; 2]; 3])>(),
@@ -77,8 +77,8 @@ prop_compose! {
         Done {
             period,
             outputs: Outputs { axes, spindle_rpm, haptic: HapticOutputs { enabled, currents }, ..Outputs::default() },
-            said,
-            heard: Heard { received, waiting, lost_bytes, urgent },
+            transmitted,
+            line_inputs: LineInputs { received, waiting, lost_bytes, urgent },
             stages,
             snapshot,
         }
@@ -96,16 +96,16 @@ proptest! {
     ) {
         let force = ForceSample { codes, conversions, overload };
         let inputs = Inputs { force, haptic, period, missed, time_ns, transmit_room, emergency_stop, axes, ..Inputs::default() };
-        for said in [ToBoard::Begin { period_us }, ToBoard::Period { inputs, arrived }, ToBoard::End] {
-            prop_assert_eq!(ToBoard::decode(&said.encode()), Ok(said));
+        for message in [ToBoard::Begin { period_us }, ToBoard::Period { inputs, arrived }, ToBoard::End] {
+            prop_assert_eq!(ToBoard::decode(&message.encode()), Ok(message));
         }
     }
 
     /// Every frame from the board decodes to what was encoded.
     #[test]
     fn outputs_arrive(done in done(), stack_bytes: u32, ring_peak: u32) {
-        for said in [FromBoard::Hello, FromBoard::Done(done), FromBoard::Ended { stack_bytes, ring_peak }] {
-            prop_assert_eq!(FromBoard::decode(&said.encode()), Ok(said));
+        for message in [FromBoard::Hello, FromBoard::Done(done), FromBoard::Ended { stack_bytes, ring_peak }] {
+            prop_assert_eq!(FromBoard::decode(&message.encode()), Ok(message));
         }
     }
 

@@ -67,7 +67,7 @@ pub struct Homing {
 impl Homing {
     /// Starts the search for the joints that are searched with `joint`.
     #[inline(never)]
-    fn aim(&mut self, machine: &Searched<'_>, joint: usize, pose: &Pose, jog: &mut Jog) {
+    fn start_search(&mut self, machine: &Searched<'_>, joint: usize, pose: &Pose, jog: &mut Jog) {
         let coordinate = machine.kinematics.search_coordinate(joint);
         if self.coordinate != Some(coordinate) {
             self.coordinate = Some(coordinate);
@@ -95,7 +95,7 @@ impl Homing {
         let rate = search_rate(machine.config, axis.kind);
         let rate = if self.downwards { -rate } else { rate };
         let rates = machine.kinematics.search_rates(joint, pose, rate);
-        jog.aim(&rates, self.left);
+        jog.set_rates(&rates, self.left);
     }
 
     /// Takes the index pulse of a joint: the coordinate, by the preset, at which it came.
@@ -134,7 +134,7 @@ impl Homing {
         let joints = 0..machine.config.joints.len().min(MAX_AXES);
         let missing = { joints }.find(|joint| self.corrections[*joint].is_none());
         match (self.phase, missing) {
-            (Phase::Aim, Some(joint)) => self.aim(machine, joint, pose, jog),
+            (Phase::Aim, Some(joint)) => self.start_search(machine, joint, pose, jog),
             (Phase::Search, Some(joint))
                 if self.coordinate == Some(machine.kinematics.search_coordinate(joint)) =>
             {

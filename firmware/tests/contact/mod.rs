@@ -202,7 +202,7 @@ pub fn run(contact: &Contact, mut trace: impl FnMut(f64, f64, f64, usize)) -> Ou
         reference = desired + yielded.displacement.length().0 as f64 / MM;
         reference_rate = rate + f64::from(yielded.rate.0) / MM;
         if k % (contact.window as usize / 4) == 0 {
-            guard.look(peak, compliance.law(), yielded.displacement.0 != 0);
+            guard.update(peak, compliance.law(), yielded.displacement.0 != 0);
         }
         trace(
             k as f64 * STEP,

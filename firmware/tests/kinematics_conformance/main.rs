@@ -13,7 +13,7 @@ macro_rules! row {
             use super::*;
 
             #[test]
-            fn inverse_is_the_closure_and_forward_turns_it_round() {
+            fn inverse_matches_closure_and_forward_inverts_it() {
                 let (inverse, forward) = suite::inverse_against_closure(&$subject, $count);
                 println!(
                     "largest error, share of the bound: inverse {inverse:.3}, forward {forward:.3}"

@@ -1,8 +1,9 @@
-//! Machines that the tests are made on.
+//! Machines of the tests.
 #![allow(dead_code, reason = "each test binary uses a part")]
 
 use haptimill_hil_sim::PlantConfig;
 use haptimill_hil_sim::joint::{DriveConfig, JointConfig, StepDrive};
+use haptimill_hil_sim::machines::GeometryConfig;
 
 #[derive(serde::Deserialize)]
 struct File {
@@ -16,10 +17,10 @@ pub fn reference() -> PlantConfig {
         .plant
 }
 
-/// One slide of it alone, at 0 with much room.
+/// One of its slides alone, at 0 with a long stroke.
 pub fn slide() -> PlantConfig {
     let mut config = reference();
-    config.arm = None;
+    config.geometry = Some(GeometryConfig::Joints(Default::default()));
     config.joint.truncate(1);
     let joint = &mut config.joint[0];
     joint.low = -500.0;

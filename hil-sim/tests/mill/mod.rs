@@ -1,4 +1,4 @@
-//! A mill on a bench: a tool that is led along lines at a constant feed.
+//! A mill on a test bench: a tool that moves along lines at constant feed.
 #![allow(dead_code, reason = "each test binary uses a part")]
 
 use haptimill_hil_sim::process::config::Area;
@@ -8,10 +8,10 @@ use haptimill_hil_sim::process::{
 
 pub const PERIOD: f64 = 200e-6;
 pub const RPM: f64 = 5000.0;
-/// Periods of a spindle turn.
+/// Periods of a spindle revolution.
 pub const TURN: usize = 60;
 
-/// A small block around the origin.
+/// A small workpiece around the origin.
 pub fn block(x_min: f64, x_max: f64, y_min: f64, y_max: f64) -> WorkpieceConfig {
     WorkpieceConfig {
         stock: Area {
@@ -56,14 +56,14 @@ impl Bench {
         }
     }
 
-    /// One period at another place.
+    /// Runs one period at another position.
     pub fn step(&mut self, at: [f64; 3]) -> Cut {
         self.at = at;
         self.cutting
             .step(&ToolPose::upright(at), self.rpm / 60.0 * self.period)
     }
 
-    /// Straight to a place at a feed (mm/s), all periods of it.
+    /// Moves straight to a position at a feed (mm/s). Returns the forces of all periods.
     pub fn line(&mut self, to: [f64; 3], feed: f64) -> Vec<Cut> {
         let from = self.at;
         let way = [to[0] - from[0], to[1] - from[1], to[2] - from[2]];
@@ -81,14 +81,14 @@ impl Bench {
             .collect()
     }
 
-    /// Stands for some periods.
+    /// Stays in place for some periods.
     pub fn stand(&mut self, periods: usize) -> Vec<Cut> {
         let at = self.at;
         (0..periods).map(|_| self.step(at)).collect()
     }
 }
 
-/// Mean force of whole turns at the end of a record.
+/// Mean force of whole revolutions at the end of a record.
 pub fn mean(cuts: &[Cut], turns: usize) -> [f64; 3] {
     let tail = &cuts[cuts.len() - turns * TURN..];
     let mut sum = [0.0; 3];
@@ -100,7 +100,7 @@ pub fn mean(cuts: &[Cut], turns: usize) -> [f64; 3] {
     sum
 }
 
-/// Largest and smallest force of whole turns at the end of a record.
+/// Largest and smallest force of whole revolutions at the end of a record.
 pub fn peaks(cuts: &[Cut], turns: usize) -> ([f64; 3], [f64; 3]) {
     let tail = &cuts[cuts.len() - turns * TURN..];
     let (mut high, mut low) = ([f64::NEG_INFINITY; 3], [f64::INFINITY; 3]);
@@ -113,7 +113,7 @@ pub fn peaks(cuts: &[Cut], turns: usize) -> ([f64; 3], [f64; 3]) {
     (high, low)
 }
 
-/// Largest size of a force.
+/// Largest magnitude of a force.
 pub fn largest(cuts: &[Cut]) -> f64 {
     cuts.iter()
         .flat_map(|cut| cut.force)
@@ -121,7 +121,7 @@ pub fn largest(cuts: &[Cut]) -> f64 {
 }
 
 /// A slot of 20 mm from the origin towards -x, the tool at its end.
-pub fn slotted(feed: f64, depth: f64) -> Bench {
+pub fn with_slot(feed: f64, depth: f64) -> Bench {
     let config = config(block(-26.0, 6.0, -6.0, 6.0), Coefficients::P1);
     let mut bench = Bench::new(&config, [0.0, 0.0, 1.0]);
     bench.line([0.0, 0.0, -depth], 4.0);

@@ -1,17 +1,17 @@
-//! A serial line with faults, for tests: seeded, in virtual time, one byte after the other.
+//! A serial line with faults for tests: seeded, in virtual time, byte by byte.
 
 use std::collections::VecDeque;
 
-/// A seeded source of randomness (SplitMix64, Steele, Lea and Flood 2014).
+/// A random generator with a seed (SplitMix64, Steele, Lea and Flood 2014).
 pub struct Random(u64);
 
 impl Random {
-    /// A source that depends on nothing but the seed.
+    /// Creates the generator of a seed.
     pub fn new(seed: u64) -> Self {
         Self(seed)
     }
 
-    /// The next 64 bits.
+    /// Returns the next 64 bits.
     pub fn bits(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
         let mut z = self.0;
@@ -20,25 +20,25 @@ impl Random {
         z ^ (z >> 31)
     }
 
-    /// True with a probability.
+    /// Returns true with a probability.
     pub fn chance(&mut self, probability: f64) -> bool {
         ((self.bits() >> 11) as f64) < probability * (1u64 << 53) as f64
     }
 
-    /// A number below another.
+    /// Returns a number below another.
     pub fn below(&mut self, bound: usize) -> usize {
         (self.bits() % bound.max(1) as u64) as usize
     }
 }
 
-/// What is wrong with a line.
+/// The faults of a line.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Faults {
     /// Probability that a bit is flipped.
     pub bit_error: f64,
     /// Probability that a byte is lost.
     pub byte_loss: f64,
-    /// Probability that a frame is lost, sent twice, overtaken by the next one, or cut off somewhere; each.
+    /// Probability of each: a frame is lost, sent twice, overtaken by the next one, or cut off.
     pub frame: f64,
 }
 
@@ -48,19 +48,19 @@ pub struct Line {
     faults: Faults,
     /// Time of a byte on the line, nanoseconds; 0 for none.
     byte_ns: u64,
-    /// Bytes of the frame that is coming in from the sender.
+    /// Bytes of the frame that arrives from the sender.
     frame: Vec<u8>,
-    /// A frame that is to be overtaken.
+    /// A frame that the next one overtakes.
     held: Option<Vec<u8>>,
-    /// Bytes on the way and when they arrive, nanoseconds.
+    /// Bytes on the line and their times of arrival, nanoseconds.
     way: VecDeque<(u64, u8)>,
     free_ns: u64,
-    /// Bytes that were sent.
+    /// Number of bytes that were sent.
     pub carried: usize,
 }
 
 impl Line {
-    /// A line of so many bytes per second; 0 for one that takes no time.
+    /// Creates a line of this many bytes per second; 0 for one without delay.
     pub fn new(seed: u64, bytes_per_second: u64, faults: Faults) -> Self {
         Self {
             random: Random::new(seed),
@@ -78,7 +78,7 @@ impl Line {
     pub fn send(&mut self, now_us: u64, bytes: &[u8]) {
         self.carried += bytes.len();
         if self.faults.frame == 0.0 {
-            // Nothing happens to whole frames: bytes need not wait for the end of theirs.
+            // Without faults of whole frames bytes need not wait for the end of theirs.
             self.put(now_us, bytes);
             return;
         }
@@ -129,7 +129,7 @@ impl Line {
         }
     }
 
-    /// The bytes that have arrived, at most so many.
+    /// Returns the bytes that have arrived, up to a limit.
     pub fn take(&mut self, now_us: u64, most: usize) -> Vec<u8> {
         let ready = self
             .way

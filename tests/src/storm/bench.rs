@@ -1,6 +1,7 @@
-//! The machine in the storm: rig, host's end of the link, a line that can be spoilt, devices that can be broken.
+//! The machine of the storm: rig, host's endpoint, line noise and injected faults.
 
-use super::script::{Dice, Episode, JOINTS, Kind};
+use super::episode::{Episode, JOINTS, MachineKind};
+use super::rng::Rng;
 use haptimill_firmware::config::Drive;
 use haptimill_firmware::controller::Controller;
 use haptimill_firmware::io::{Inputs, Outputs};
@@ -18,15 +19,15 @@ use haptimill_protocol::message::{Command, Event, Refusal, Report, Request, Tele
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::OnceLock;
 
-/// The most periods that are recorded to be replayed.
+/// Largest number of periods that are recorded for the replay.
 const RECORDED: usize = 60_000;
 
-/// The controller, with what it sensed and said.
+/// The controller, with its inputs and outputs.
 #[derive(Debug)]
 pub struct Board {
     /// The controller.
     pub controller: Controller,
-    /// Periods that the next one takes beyond its own.
+    /// Overrun of the next period, in periods.
     pub late: u16,
     overrun: u16,
     log: Option<Vec<(Inputs, Outputs)>>,
@@ -52,7 +53,7 @@ impl Control for Board {
     }
 }
 
-/// A request that was not answered yet.
+/// An unanswered request.
 #[derive(Debug, Clone)]
 pub struct Pending {
     /// Its number.
@@ -63,67 +64,67 @@ pub struct Pending {
     pub sent: u64,
 }
 
-/// An answer with its request.
+/// A request with its answer.
 #[derive(Debug, Clone)]
 pub struct Answered {
     /// The command.
     pub command: Command,
-    /// What became of it.
+    /// The answer.
     pub result: Result<(), Refusal>,
 }
 
-/// The machine, and all around it.
-pub struct World {
+/// The machine, and everything around it.
+pub struct StormBench {
     /// Machine, controller and line.
     pub rig: Rig<Board>,
-    /// The host's end of the link.
+    /// The host's endpoint of the link.
     pub link: HostLink,
     /// The machine file.
     pub machine: &'static MachineFile,
     /// The simulated machine's configuration.
     pub plant: PlantConfig,
-    /// Joints.
+    /// Number of joints.
     pub axes: usize,
-    /// Unanswered requests in the order in which they were sent.
+    /// Unanswered requests in the order of sending.
     pub pending: VecDeque<Pending>,
-    /// Requests of a session that was given up; the controller may have carried them out.
-    pub ghosts: VecDeque<Pending>,
+    /// Requests of a session that has ended; the controller may have executed them.
+    pub abandoned: VecDeque<Pending>,
     /// Answers of the last period.
     pub answers: Vec<Answered>,
-    /// Names of the commands that were answered in the last period: carried out in it, or before.
-    pub just: Vec<&'static str>,
-    /// Answers that belong to no request, or came out of order.
-    pub stray: Option<String>,
+    /// Names of the commands that were answered in the last period.
+    pub answered_names: Vec<&'static str>,
+    /// Description of an answer without a request, or out of order.
+    pub unexpected_answer: Option<String>,
     /// Events of the last period.
     pub events: Vec<(u64, Event)>,
     /// Telemetry of the last period.
     pub telemetry: Option<Telemetry>,
-    /// Both sides of the joints when the inputs of the last period were latched.
+    /// Motors and slides when the inputs of the last period were latched.
     pub latched: Bodies,
-    /// The host is away since this period.
-    pub away: Option<u64>,
-    /// The period in which the newest session was begun.
-    pub greeted: u64,
-    /// Commands by kind.
+    /// The period in which the host vanished.
+    pub away_since: Option<u64>,
+    /// The period in which the newest session began.
+    pub session_start: u64,
+    /// Sent commands by kind.
     pub counts: BTreeMap<&'static str, u64>,
-    /// Periods, the missed ones included.
+    /// Control periods, including missed ones.
     pub period: u64,
-    /// What is broken now.
-    pub broken: Vec<FaultKind>,
-    /// Bytes of the line were spoilt since the session began.
-    pub spoilt: bool,
+    /// The injected faults.
+    pub faults: Vec<FaultKind>,
+    /// Bytes were corrupted since the session began.
+    pub corrupted: bool,
     schedule: Schedule,
-    wires: [SerialLine; 2],
+    lines: [SerialLine; 2],
     noise: [[f64; 3]; 2],
-    dice: Dice,
+    rng: Rng,
     id: u8,
     session: u32,
     inject: Vec<u8>,
 }
 
-/// The machine file of a kind.
+/// Returns the machine file of a kind.
 #[must_use]
-pub fn machine(kind: Kind) -> &'static MachineFile {
+pub fn machine(kind: MachineKind) -> &'static MachineFile {
     static FILES: OnceLock<[MachineFile; 5]> = OnceLock::new();
     let files = FILES.get_or_init(|| {
         let torque = MachineFile::built_in().expect("sound");
@@ -137,15 +138,15 @@ pub fn machine(kind: Kind) -> &'static MachineFile {
         ]
     });
     &files[match kind {
-        Kind::Torque => 0,
-        Kind::Step => 1,
-        Kind::Hand => 2,
-        Kind::Follow => 3,
-        Kind::Master => 4,
+        MachineKind::Torque => 0,
+        MachineKind::Step => 1,
+        MachineKind::HapticArm => 2,
+        MachineKind::RemoteMaster => 3,
+        MachineKind::MasterAlone => 4,
     }]
 }
 
-/// The name of a command without its arguments.
+/// Returns the name of a command without its arguments.
 #[must_use]
 pub const fn name(command: &Command) -> &'static str {
     match command {
@@ -182,8 +183,8 @@ pub const fn name(command: &Command) -> &'static str {
     }
 }
 
-impl World {
-    /// The machine of an episode, just switched on.
+impl StormBench {
+    /// Creates the machine of an episode, just switched on.
     #[must_use]
     pub fn new(episode: &Episode) -> Self {
         let machine = machine(episode.kind);
@@ -197,7 +198,7 @@ impl World {
             controller: Controller::new(200),
             late: 0,
             overrun: 0,
-            log: episode.replayed.then(Vec::new),
+            log: episode.with_replay.then(Vec::new),
         };
         let rig = Rig::new(&plant, &options, board).expect("sound");
         let mut timing = Timing::default();
@@ -205,7 +206,7 @@ impl World {
             timing.line_rate = baud / 10;
         }
         let axes = rig.plant().axes();
-        let mut world = Self {
+        let mut bench = Self {
             latched: rig.plant().bodies().clone(),
             rig,
             link: HostLink::new(timing),
@@ -213,41 +214,41 @@ impl World {
             plant,
             axes,
             pending: VecDeque::new(),
-            ghosts: VecDeque::new(),
+            abandoned: VecDeque::new(),
             answers: vec![],
-            just: vec![],
-            stray: None,
+            answered_names: vec![],
+            unexpected_answer: None,
             events: vec![],
             telemetry: None,
-            away: None,
-            greeted: 0,
+            away_since: None,
+            session_start: 0,
             counts: BTreeMap::new(),
             period: 0,
-            broken: vec![],
-            spoilt: false,
+            faults: vec![],
+            corrupted: false,
             schedule: Schedule::new(&[], &[]).expect("empty"),
-            wires: [1, 2].map(|stream| SerialLine::new(None, Random::new(1, stream))),
+            lines: [1, 2].map(|stream| SerialLine::new(None, Random::new(1, stream))),
             noise: [[0.0; 3]; 2],
-            dice: Dice::new(episode.seed, 901),
+            rng: Rng::new(episode.seed, 901),
             id: 0,
             session: 0,
             inject: vec![],
         };
-        world.greet();
-        world
+        bench.open_session();
+        bench
     }
 
-    /// A new session.
-    pub fn greet(&mut self) {
-        self.session = (self.dice.bits() as u32) | 1;
+    /// Opens a new session.
+    pub fn open_session(&mut self) {
+        self.session = (self.rng.bits() as u32) | 1;
         self.link.open(self.session, self.rig.time_ns() / 1000);
-        self.ghosts.extend(self.pending.drain(..));
-        self.greeted = self.period;
-        self.spoilt = self.noise != [[0.0; 3]; 2];
+        self.abandoned.extend(self.pending.drain(..));
+        self.session_start = self.period;
+        self.corrupted = self.noise != [[0.0; 3]; 2];
     }
 
-    /// Sends a request; false if there is no room, or no session.
-    pub fn say(&mut self, command: &Command) -> bool {
+    /// Sends a request. Returns false without room or session.
+    pub fn send(&mut self, command: &Command) -> bool {
         if matches!(
             command,
             Command::MasterPose { .. } | Command::RemoteForce { .. }
@@ -280,26 +281,26 @@ impl World {
         true
     }
 
-    /// Bytes that go on the line beside the link.
+    /// Sends bytes outside the link.
     pub fn inject(&mut self, bytes: &[u8]) {
         self.inject.extend_from_slice(bytes);
     }
 
-    /// What becomes of bytes from now on.
+    /// Sets the noise of both directions.
     pub fn set_noise(&mut self, noise: [[f64; 3]; 2]) {
         self.noise = noise;
-        self.spoilt |= noise != [[0.0; 3]; 2];
+        self.corrupted |= noise != [[0.0; 3]; 2];
     }
 
-    /// Whether bytes are spoilt now.
+    /// Returns whether there is noise.
     #[must_use]
-    pub fn noisy(&self) -> bool {
+    pub fn is_noisy(&self) -> bool {
         self.noise != [[0.0; 3]; 2]
     }
 
-    /// The faults of the devices become these.
-    pub fn set_broken(&mut self, broken: Vec<FaultKind>) {
-        // A schedule with any fault sets the conditions of all devices; one that is over sets them to healthy.
+    /// Sets the injected faults.
+    pub fn set_faults(&mut self, broken: Vec<FaultKind>) {
+        // A schedule sets every device only if it has a fault; one that has ended clears them.
         let over = Fault {
             at_s: 0.0,
             for_s: Some(1e-9),
@@ -317,48 +318,48 @@ impl World {
         let faults: Vec<Fault> = lasting.collect();
         if let Ok(schedule) = Schedule::new(&faults, joints) {
             self.schedule = schedule;
-            self.broken = broken;
+            self.faults = broken;
         }
     }
 
-    fn spoil(&mut self, way: usize, bytes: Vec<u8>) -> Vec<u8> {
-        let [flip, lose, double] = self.noise[way];
-        if self.noise[way] == [0.0; 3] {
+    fn corrupt_bytes(&mut self, direction: usize, bytes: Vec<u8>) -> Vec<u8> {
+        let [flip, lose, double] = self.noise[direction];
+        if self.noise[direction] == [0.0; 3] {
             return bytes;
         }
-        let mut spoilt = Vec::with_capacity(bytes.len());
+        let mut corrupted = Vec::with_capacity(bytes.len());
         for byte in bytes {
-            if self.dice.happens(lose) {
+            if self.rng.chance(lose) {
                 continue;
             }
             let mut byte = byte;
             if flip > 0.0 {
                 for bit in 0..8 {
-                    if self.dice.happens(flip) {
+                    if self.rng.chance(flip) {
                         byte ^= 1 << bit;
                     }
                 }
             }
-            spoilt.push(byte);
-            if self.dice.happens(double) {
-                spoilt.push(byte);
+            corrupted.push(byte);
+            if self.rng.chance(double) {
+                corrupted.push(byte);
             }
         }
-        spoilt
+        corrupted
     }
 
-    /// One control period; false when the controller missed it.
+    /// Runs one control period. Returns false if the controller missed it.
     pub fn step(&mut self) -> bool {
         self.answers.clear();
-        self.just.clear();
+        self.answered_names.clear();
         self.events.clear();
         self.telemetry = None;
         let now = self.rig.time_ns() / 1000;
-        if self.away.is_none() {
+        if self.away_since.is_none() {
             let mut buffer = [0; 256];
             let count = self.link.transmit(now, &mut buffer);
             if count > 0 {
-                let bytes = self.spoil(0, buffer[..count].to_vec());
+                let bytes = self.corrupt_bytes(0, buffer[..count].to_vec());
                 self.rig.host_write(&bytes);
             }
         }
@@ -366,7 +367,7 @@ impl World {
             let bytes = core::mem::take(&mut self.inject);
             self.rig.host_write(&bytes);
         }
-        let [to_machine, to_host] = &mut self.wires;
+        let [to_machine, to_host] = &mut self.lines;
         let time = self.rig.time_ns();
         self.schedule
             .apply(time, self.rig.plant_mut(), to_machine, to_host);
@@ -375,10 +376,10 @@ impl World {
         self.period += 1;
         let mut received = Vec::new();
         self.rig.host_read(&mut received);
-        if self.away.is_some() {
+        if self.away_since.is_some() {
             return ticked;
         }
-        let received = self.spoil(1, received);
+        let received = self.corrupt_bytes(1, received);
         let now = self.rig.time_ns() / 1000;
         self.link.receive(now, &received);
         while let Some(report) = self.link.poll_message() {
@@ -401,7 +402,7 @@ impl World {
         if id == 0 {
             return;
         }
-        // Step motors lock before the request to enable them is answered; others are answered meanwhile.
+        // `Enable` of step motors is answered after locking; later requests are answered before.
         let late = self.pending.front().is_some_and(|oldest| {
             oldest.id != id && oldest.command == Command::Enable && self.has_step_motors()
         });
@@ -417,14 +418,14 @@ impl World {
         };
         match pending {
             Some(pending) if pending.id == id => {
-                self.just.push(name(&pending.command));
+                self.answered_names.push(name(&pending.command));
                 self.answers.push(Answered {
                     command: pending.command,
                     result,
                 });
             }
             other => {
-                self.stray = Some(format!(
+                self.unexpected_answer = Some(format!(
                     "an answer to request {id} came, and the oldest unanswered request is {:?}",
                     other.map(|pending| (pending.id, name(&pending.command)))
                 ));
@@ -432,32 +433,27 @@ impl World {
         }
     }
 
-    /// How the host's end of the link stands.
+    /// Returns the state of the host's link.
     #[must_use]
     pub fn link_state(&self) -> LinkState {
         self.link.state(self.rig.time_ns() / 1000)
     }
 
-    /// The controller.
+    /// Returns the controller.
     #[must_use]
     pub const fn controller(&self) -> &Controller {
         &self.rig.control().controller
     }
 
-    /// What was recorded.
-    pub fn take_log(&mut self) -> Option<Vec<(Inputs, Outputs)>> {
-        self.rig.control_mut().log.take()
-    }
-
-    /// The recorded inputs in a new controller: the first period in which it says something else.
+    /// Runs a new controller on the recorded inputs. Returns the first period that differs.
     pub fn replay(&mut self) -> Option<u64> {
-        let log = self.take_log()?;
+        let log = self.rig.control_mut().log.take()?;
         let mut controller = Controller::new(200);
         let mut outputs = Outputs::default();
-        for (inputs, said) in &log {
+        for (inputs, recorded) in &log {
             outputs.transmit.clear();
             controller.tick(inputs, &mut outputs, &mut ());
-            if outputs != *said {
+            if outputs != *recorded {
                 return Some(inputs.period);
             }
         }

@@ -1,50 +1,50 @@
-//! Commands: any of them, with valid, boundary and absurd arguments.
+//! Random commands with valid, boundary and absurd arguments.
 
-use super::script::Dice;
+use super::rng::Rng;
 use haptimill_protocol::force::{ForceLoop, Gate};
 use haptimill_protocol::haptic::{ForceFeedback, ForceFeedbackAxis, MasterPose, VirtualFixture};
 use haptimill_protocol::message::{
     Action, AxisValues, Command, ConfigChunk, SetpointBatch, SetpointDelta, Source,
 };
 
-/// A word: edges, small numbers, any.
-pub fn word(dice: &mut Dice) -> i32 {
-    match dice.below(6) {
-        0 => dice.pick(&[0, 1, -1, i32::MAX, i32::MIN, i32::MAX - 1, i32::MIN + 1]),
-        1 | 2 => dice.between(-300_000.0, 300_000.0) as i32,
-        3 => 1_i32.wrapping_shl(dice.below(32) as u32).wrapping_neg(),
-        _ => dice.bits() as i32,
+/// Returns an edge value, a small or any 32-bit value.
+pub fn word(rng: &mut Rng) -> i32 {
+    match rng.below(6) {
+        0 => rng.choose(&[0, 1, -1, i32::MAX, i32::MIN, i32::MAX - 1, i32::MIN + 1]),
+        1 | 2 => rng.uniform(-300_000.0, 300_000.0) as i32,
+        3 => 1_i32.wrapping_shl(rng.below(32) as u32).wrapping_neg(),
+        _ => rng.bits() as i32,
     }
 }
 
-fn byte(dice: &mut Dice) -> u8 {
-    dice.pick(&[0, 1, 2, 3, 4, 5, 6, 99, 100, 101, 200, 255])
+fn byte(rng: &mut Rng) -> u8 {
+    rng.choose(&[0, 1, 2, 3, 4, 5, 6, 99, 100, 101, 200, 255])
 }
 
-fn half(dice: &mut Dice) -> u16 {
-    match dice.below(3) {
-        0 => dice.pick(&[0, 1, 2, 999, 1000, 1001, 0x7FFF, 0x8000, 0xFFFF]),
-        1 => dice.below(6) as u16,
-        _ => dice.bits() as u16,
+fn half(rng: &mut Rng) -> u16 {
+    match rng.below(3) {
+        0 => rng.choose(&[0, 1, 2, 999, 1000, 1001, 0x7FFF, 0x8000, 0xFFFF]),
+        1 => rng.below(6) as u16,
+        _ => rng.bits() as u16,
     }
 }
 
-fn values(dice: &mut Dice) -> AxisValues {
-    let count = dice.pick(&[5, 5, 5, 5, 5, 0, 4, 6]);
-    let zeros = dice.happens(0.3);
+fn values(rng: &mut Rng) -> AxisValues {
+    let count = rng.choose(&[5, 5, 5, 5, 5, 0, 4, 6]);
+    let zeros = rng.chance(0.3);
     (0..count)
         .map(|_| {
-            if zeros || dice.happens(0.4) {
+            if zeros || rng.chance(0.4) {
                 0
             } else {
-                word(dice)
+                word(rng)
             }
         })
         .collect()
 }
 
-fn gate(dice: &mut Dice) -> Gate {
-    dice.pick(&[
+fn gate(rng: &mut Rng) -> Gate {
+    rng.choose(&[
         Gate::AgainstMotion,
         Gate::Any,
         Gate::Positive,
@@ -52,101 +52,101 @@ fn gate(dice: &mut Dice) -> Gate {
     ])
 }
 
-/// Settings of a force loop near those of the machine file.
-pub fn sound_loop(dice: &mut Dice) -> ForceLoop {
+/// Returns valid settings of force control.
+pub fn valid_loop(rng: &mut Rng) -> ForceLoop {
     ForceLoop {
-        desired: (dice.between(1.0, 20.0) * 65_536.0) as i32,
-        mass: (dice.spread(0.25, 40.0) * 65_536.0) as u32,
-        damping: (dice.spread(1.0, 40.0) * 65_536.0) as u32,
-        limit: (dice.between(1.0, 20.0) * 1_048_576.0) as i32,
-        rate: (dice.between(1.0, 20.0) * 1_048_576.0) as i32,
-        gate: gate(dice),
+        desired: (rng.uniform(1.0, 20.0) * 65_536.0) as i32,
+        mass: (rng.log_uniform(0.25, 40.0) * 65_536.0) as u32,
+        damping: (rng.log_uniform(1.0, 40.0) * 65_536.0) as u32,
+        limit: (rng.uniform(1.0, 20.0) * 1_048_576.0) as i32,
+        rate: (rng.uniform(1.0, 20.0) * 1_048_576.0) as i32,
+        gate: gate(rng),
     }
 }
 
-/// Settings with which the tool yields to any force.
-pub fn yielding_loop(dice: &mut Dice) -> ForceLoop {
+/// Returns settings with which the tool complies with any force.
+pub fn compliant_loop(rng: &mut Rng) -> ForceLoop {
     ForceLoop {
-        desired: (dice.between(3.0, 8.0) * 65_536.0) as i32,
+        desired: (rng.uniform(3.0, 8.0) * 65_536.0) as i32,
         mass: 65_536,
-        damping: (dice.between(4.0, 8.0) * 65_536.0) as u32,
+        damping: (rng.uniform(4.0, 8.0) * 65_536.0) as u32,
         limit: 10 << 20,
         rate: 20 << 20,
         gate: Gate::Any,
     }
 }
 
-/// Settings of the reflection.
-pub fn reflect(dice: &mut Dice) -> Command {
-    let axis = |dice: &mut Dice| ForceFeedbackAxis {
-        percent: dice.pick(&[0, 20, 100, 100, 101]),
-        limit: (dice.between(-1.0, 12.0) * 65_536.0) as i32,
+/// Returns settings of the force feedback.
+pub fn force_feedback(rng: &mut Rng) -> Command {
+    let axis = |rng: &mut Rng| ForceFeedbackAxis {
+        percent: rng.choose(&[0, 20, 100, 100, 101]),
+        limit: (rng.uniform(-1.0, 12.0) * 65_536.0) as i32,
     };
     Command::ForceFeedback(ForceFeedback {
-        axes: [axis(dice), axis(dice), axis(dice)],
-        damping: dice.bits() as u16,
-        damping_below: (dice.between(0.0, 4.0) * 65_536.0) as i32,
+        axes: [axis(rng), axis(rng), axis(rng)],
+        damping: rng.bits() as u16,
+        damping_below: (rng.uniform(0.0, 4.0) * 65_536.0) as i32,
     })
 }
 
-/// A virtual wall.
-pub fn wall(dice: &mut Dice) -> Command {
-    let wall = dice.happens(0.7).then(|| VirtualFixture {
-        at: dice
-            .happens(0.6)
-            .then(|| (dice.between(-40.0, 40.0) * 1_048_576.0) as i32),
-        rate: if dice.happens(0.6) { 0 } else { word(dice) },
+/// Returns a virtual fixture.
+pub fn virtual_fixture(rng: &mut Rng) -> Command {
+    let wall = rng.chance(0.7).then(|| VirtualFixture {
+        at: rng
+            .chance(0.6)
+            .then(|| (rng.uniform(-40.0, 40.0) * 1_048_576.0) as i32),
+        rate: if rng.chance(0.6) { 0 } else { word(rng) },
     });
     Command::VirtualFixture {
-        axis: dice.below(4) as u8,
-        upper: dice.happens(0.5),
+        axis: rng.below(4) as u8,
+        upper: rng.chance(0.5),
         fixture: wall,
     }
 }
 
-/// A force that a tool afar feels.
-pub fn feel(dice: &mut Dice) -> Command {
+/// Returns the force on a remote tool.
+pub fn remote_force(rng: &mut Rng) -> Command {
     Command::RemoteForce {
         force: core::array::from_fn(|_| {
-            if dice.happens(0.1) {
-                dice.bits() as i16
+            if rng.chance(0.1) {
+                rng.bits() as i16
             } else {
-                dice.between(-500.0, 500.0) as i16
+                rng.uniform(-500.0, 500.0) as i16
             }
         }),
     }
 }
 
-/// A hand afar.
-pub fn any_hand(dice: &mut Dice) -> MasterPose {
+/// Returns any pose of a remote master.
+pub fn any_master(rng: &mut Rng) -> MasterPose {
     MasterPose {
-        tip: core::array::from_fn(|_| word(dice)),
-        rate: core::array::from_fn(|_| word(dice)),
-        axes: if dice.happens(0.6) {
+        tip: core::array::from_fn(|_| word(rng)),
+        rate: core::array::from_fn(|_| word(rng)),
+        axes: if rng.chance(0.6) {
             [[32_767, 0, 0], [0, 0, 32_767]]
         } else {
             [
-                core::array::from_fn(|_| dice.bits() as i16),
-                core::array::from_fn(|_| dice.bits() as i16),
+                core::array::from_fn(|_| rng.bits() as i16),
+                core::array::from_fn(|_| rng.bits() as i16),
             ]
         },
-        engaged: dice.happens(0.7),
+        engaged: rng.chance(0.7),
     }
 }
 
-/// Any command.
-pub fn any(dice: &mut Dice) -> Command {
-    let deltas = |dice: &mut Dice| {
-        (0..dice.below(5))
+/// Returns any command.
+pub fn any(rng: &mut Rng) -> Command {
+    let deltas = |rng: &mut Rng| {
+        (0..rng.below(5))
             .map(|_| SetpointDelta {
-                periods: half(dice),
-                moved: dice.bits() as u8 & 0x3F,
-                residuals: (0..dice.below(13)).map(|_| word(dice)).collect(),
-                action: dice.pick(&[Action::None, Action::Pause, Action::Spindle(30_000)]),
+                periods: half(rng),
+                moved: rng.bits() as u8 & 0x3F,
+                residuals: (0..rng.below(13)).map(|_| word(rng)).collect(),
+                action: rng.choose(&[Action::None, Action::Pause, Action::Spindle(30_000)]),
             })
             .collect()
     };
-    match dice.below(34) {
+    match rng.below(34) {
         0 => Command::Ping,
         1 => Command::Enable,
         2 => Command::Disable,
@@ -158,110 +158,108 @@ pub fn any(dice: &mut Dice) -> Command {
         9 => Command::EmergencyStop,
         10 => Command::Status,
         11 => Command::Activate {
-            length: half(dice),
-            crc: dice.bits() as u32,
-            at_preset: dice.happens(0.5),
+            length: half(rng),
+            crc: rng.bits() as u32,
+            at_preset: rng.chance(0.5),
         },
         12 => Command::Configure(ConfigChunk {
-            offset: half(dice),
-            bytes: (0..dice.below(65)).map(|_| dice.bits() as u8).collect(),
+            offset: half(rng),
+            bytes: (0..rng.below(65)).map(|_| rng.bits() as u8).collect(),
         }),
         13 => Command::JobStart {
-            job: dice.bits() as u32,
-            pose: values(dice),
+            job: rng.bits() as u32,
+            pose: values(rng),
         },
         14 => Command::JobEnd {
-            count: dice.below(70) as u32,
+            count: rng.below(70) as u32,
         },
         15 => Command::Setpoints(SetpointBatch {
-            first: if dice.happens(0.5) {
-                dice.below(70) as u32
+            first: if rng.chance(0.5) {
+                rng.below(70) as u32
             } else {
-                dice.bits() as u32
+                rng.bits() as u32
             },
-            items: deltas(dice),
+            items: deltas(rng),
         }),
         16..=19 => Command::Jog {
-            epoch: half(dice),
-            deadline_ms: half(dice),
-            rates: values(dice),
+            epoch: half(rng),
+            deadline_ms: half(rng),
+            rates: values(rng),
         },
-        20 => Command::JogCancel { epoch: half(dice) },
+        20 => Command::JogCancel { epoch: half(rng) },
         21 | 22 => Command::Source {
-            axis: dice.below(8) as u8,
-            source: dice.pick(&[Source::Program, Source::Jog, Source::Hold, Source::Master]),
+            axis: rng.below(8) as u8,
+            source: rng.choose(&[Source::Program, Source::Jog, Source::Hold, Source::Master]),
         },
-        23 => Command::Override {
-            percent: byte(dice),
-        },
-        24 => Command::Telemetry { every: half(dice) },
-        25 => Command::ForceMask { mask: byte(dice) },
+        23 => Command::Override { percent: byte(rng) },
+        24 => Command::Telemetry { every: half(rng) },
+        25 => Command::ForceMask { mask: byte(rng) },
         26 | 27 => {
-            let settings = if dice.happens(0.5) {
-                sound_loop(dice)
+            let settings = if rng.chance(0.5) {
+                valid_loop(rng)
             } else {
                 ForceLoop {
-                    desired: word(dice),
-                    mass: word(dice) as u32,
-                    damping: word(dice) as u32,
-                    limit: word(dice),
-                    rate: word(dice),
-                    gate: gate(dice),
+                    desired: word(rng),
+                    mass: word(rng) as u32,
+                    damping: word(rng) as u32,
+                    limit: word(rng),
+                    rate: word(rng),
+                    gate: gate(rng),
                 }
             };
             Command::ForceLoop {
-                axis: dice.below(5) as u8,
+                axis: rng.below(5) as u8,
                 settings,
             }
         }
         28 => Command::ForceSettings {
-            axis: dice.below(5) as u8,
+            axis: rng.below(5) as u8,
         },
         29 => Command::Tare,
-        30 => reflect(dice),
-        31 => wall(dice),
-        32 => Command::PositionScale { scale: half(dice) },
+        30 => force_feedback(rng),
+        31 => virtual_fixture(rng),
+        32 => Command::PositionScale { scale: half(rng) },
         _ => Command::MasterPose {
-            epoch: half(dice),
-            age_ms: byte(dice),
-            pose: any_hand(dice),
+            epoch: half(rng),
+            age_ms: byte(rng),
+            pose: any_master(rng),
         },
     }
 }
 
-/// A command that an idle machine refuses.
-pub fn refused(dice: &mut Dice) -> Command {
-    match dice.below(9) {
+/// Returns a command that an idle machine refuses.
+pub fn refused(rng: &mut Rng) -> Command {
+    match rng.below(9) {
         0 => Command::Override {
-            percent: dice.pick(&[0, 101, 255]),
+            percent: rng.choose(&[0, 101, 255]),
         },
         1 => Command::Resume,
         2 => Command::JobEnd {
-            count: dice.below(9) as u32,
+            count: rng.below(9) as u32,
         },
         3 => Command::Jog {
-            epoch: 0x4000_u16.wrapping_add(dice.bits() as u16 & 0xFFF),
-            deadline_ms: dice.pick(&[0, 1001, 0xFFFF]),
+            epoch: 0x4000_u16.wrapping_add(rng.bits() as u16 & 0xFFF),
+            deadline_ms: rng.choose(&[0, 1001, 0xFFFF]),
             rates: (0..5).map(|_| 4096).collect(),
         },
         4 => Command::Jog {
-            epoch: 0x4000_u16.wrapping_add(dice.bits() as u16 & 0xFFF),
+            epoch: 0x4000_u16.wrapping_add(rng.bits() as u16 & 0xFFF),
             deadline_ms: 100,
             rates: (0..4).map(|_| 4096).collect(),
         },
         5 => Command::ForceMask {
-            mask: dice.pick(&[8, 16, 255]),
+            mask: rng.choose(&[8, 16, 255]),
         },
         6 => Command::Source {
-            axis: dice.pick(&[5, 6, 255]),
+            axis: rng.choose(&[5, 6, 255]),
             source: Source::Hold,
         },
         7 => Command::JobStart {
             job: 7,
-            pose: (0..5).map(|_| word(dice)).collect(),
+            pose: (0..5).map(|_| word(rng)).collect(),
         },
         _ => Command::ForceLoop {
-            axis: dice.below(3) as u8,
+            axis: rng.below(3) as u8,
             settings: ForceLoop {
                 desired: 0,
                 mass: 0,

@@ -1,6 +1,8 @@
-//! Corrupted files for the parsers of the host: a named error or a value, no panic, within a bounded time.
+//! Corrupted files for the parsers of the host.
+//!
+//! A parser must return a value or an error with text, without a panic, within a bounded time.
 
-use super::script::Dice;
+use super::rng::Rng;
 use haptimill_firmware::controller::Controller;
 use haptimill_firmware::io::{Inputs, Outputs};
 use haptimill_gcode::{Options, read};
@@ -12,7 +14,7 @@ use std::path::PathBuf;
 use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
-/// A parser may take so long for a file of at most some hundred kilobytes.
+/// Longest time of a parser, for files of at most some hundred kilobytes.
 const LONGEST: Duration = Duration::from_secs(5);
 
 const TEXTS: [&str; 5] = [
@@ -29,11 +31,11 @@ const PROGRAMS: [&str; 3] = [
     include_str!("../../../examples/e2-depth-sweep.ngc"),
 ];
 
-/// A small recording that is whole.
+/// Returns a small, valid recording.
 fn recording() -> &'static [u8] {
     static BYTES: OnceLock<Vec<u8>> = OnceLock::new();
     BYTES.get_or_init(|| {
-        let path = scratch("whole");
+        let path = scratch("valid");
         let machine = MachineFile::built_in().expect("sound");
         let header = Header::of(&machine, "storm").expect("encodes");
         let mut recorder = Recorder::create(&path, &header).expect("a file");
@@ -67,7 +69,7 @@ fn scratch(name: &str) -> PathBuf {
     ))
 }
 
-fn mutate(bytes: &mut Vec<u8>, dice: &mut Dice) {
+fn mutate(bytes: &mut Vec<u8>, rng: &mut Rng) {
     const TOKENS: [&str; 22] = [
         "nan",
         "inf",
@@ -92,54 +94,54 @@ fn mutate(bytes: &mut Vec<u8>, dice: &mut Dice) {
         "true",
         "G1 X Y",
     ];
-    for _ in 0..=dice.below(6) {
+    for _ in 0..=rng.below(6) {
         let at = if bytes.is_empty() {
             0
         } else {
-            dice.place(bytes.len())
+            rng.index(bytes.len())
         };
-        let end = (at + dice.place(60)).min(bytes.len());
-        match dice.below(8) {
-            0 | 1 if !bytes.is_empty() => bytes[at] ^= 1 << dice.below(8),
+        let end = (at + rng.index(60)).min(bytes.len());
+        match rng.below(8) {
+            0 | 1 if !bytes.is_empty() => bytes[at] ^= 1 << rng.below(8),
             2 => {
                 bytes.drain(at..end);
             }
             3 => {
                 let part = bytes[at..end].to_vec();
-                let to = dice.place(bytes.len() + 1);
+                let to = rng.index(bytes.len() + 1);
                 bytes.splice(to..to, part);
             }
             4 | 5 => {
-                let token = dice.pick(&TOKENS);
+                let token = rng.choose(&TOKENS);
                 bytes.splice(at..end.min(at + 4), token.bytes());
             }
-            6 if !bytes.is_empty() && dice.happens(0.3) => bytes.truncate(at),
+            6 if !bytes.is_empty() && rng.chance(0.3) => bytes.truncate(at),
             _ => {
                 let digits: Vec<usize> = (0..bytes.len())
                     .filter(|index| bytes[*index].is_ascii_digit())
                     .collect();
                 if !digits.is_empty() {
-                    let digit = digits[dice.place(digits.len())];
-                    bytes[digit] = b'0' + dice.below(10) as u8;
+                    let digit = digits[rng.index(digits.len())];
+                    bytes[digit] = b'0' + rng.below(10) as u8;
                 }
             }
         }
     }
 }
 
-/// Corrupts a file and has it parsed.
+/// Corrupts a file and parses it.
 ///
 /// # Errors
-/// The parser panicked, took too long, or refused without a word.
+/// The parser panicked, took too long, or returned an error without text.
 pub fn corrupt(seed: u64) -> Result<(), String> {
-    let mut dice = Dice::new(seed, 905);
-    let which = dice.place(12);
+    let mut rng = Rng::new(seed, 905);
+    let which = rng.index(12);
     let mut bytes = match which {
         0..=4 => TEXTS[which].as_bytes().to_vec(),
         5..=7 => PROGRAMS[which - 5].as_bytes().to_vec(),
         _ => recording().to_vec(),
     };
-    mutate(&mut bytes, &mut dice);
+    mutate(&mut bytes, &mut rng);
     let begun = Instant::now();
     let parsed = catch_unwind(AssertUnwindSafe(|| parse(which, &bytes)));
     let took = begun.elapsed();
@@ -148,7 +150,7 @@ pub fn corrupt(seed: u64) -> Result<(), String> {
             "the parser of file {which} panicked, file seed {seed}"
         )),
         Ok(Some(message)) if message.trim().is_empty() => Err(format!(
-            "the parser of file {which} refused without a word, file seed {seed}"
+            "the parser of file {which} returned an error without text, file seed {seed}"
         )),
         Ok(_) if took > LONGEST => Err(format!(
             "the parser of file {which} took {took:?}, file seed {seed}"
@@ -157,7 +159,7 @@ pub fn corrupt(seed: u64) -> Result<(), String> {
     }
 }
 
-/// The error, if there is one.
+/// Returns the text of the parser's error.
 fn parse(which: usize, bytes: &[u8]) -> Option<String> {
     let text = || String::from_utf8_lossy(bytes).into_owned();
     match which {
@@ -177,19 +179,19 @@ fn parse(which: usize, bytes: &[u8]) -> Option<String> {
                 .map(|refused| refused.to_string())
         }
         _ => {
-            let path = scratch("spoilt");
+            let path = scratch("corrupted");
             if std::fs::write(&path, bytes).is_err() {
                 return None;
             }
-            let error = whole(&path).err();
+            let error = read_recording(&path).err();
             let _ = std::fs::remove_file(&path);
             error
         }
     }
 }
 
-/// Reads all of a recording.
-fn whole(path: &std::path::Path) -> Result<(), String> {
+/// Reads all records of a recording and replays it.
+fn read_recording(path: &std::path::Path) -> Result<(), String> {
     let recording = Recording::open(path).map_err(|error| error.to_string())?;
     for record in recording.iter().map_err(|error| error.to_string())? {
         record.map_err(|error| error.to_string())?;

@@ -1,30 +1,31 @@
-//! What the controller's numbers are compared with: the interpolation of setpoints and the closed loops of the rods, in f64.
+//! References in f64: the interpolation of setpoints, and the closed loops of the rods.
 
-use super::watch::{DEGREE, MM, PERIOD};
+use super::units::{DEGREE, MM, PERIOD};
 use haptimill_hil_sim::config::PlantConfig;
-use haptimill_hil_sim::machines::h4::ArmGeometry;
-use haptimill_hil_sim::machines::h4::{Arm, Tip};
+use haptimill_hil_sim::machines::h4::{Arm, ArmGeometry, Tip};
 use haptimill_protocol::message::Action;
 use haptimill_protocol::setpoint::Setpoint;
 
 /// The simulator's geometry, for commanded joints and poses.
-pub struct Arithmetic {
+pub struct ReferenceKinematics {
     arm: Option<(ArmGeometry, Arm)>,
 }
 
-impl Arithmetic {
-    /// Of a simulated machine.
+impl ReferenceKinematics {
+    /// Creates the reference of a simulated machine.
     #[must_use]
     pub fn new(plant: &PlantConfig) -> Self {
         let presets: Vec<f64> = plant.joint.iter().map(|joint| joint.preset).collect();
-        let arm = plant.arm.as_ref().and_then(|geometry| {
+        let arm = ArmGeometry::of(plant).and_then(|geometry| {
             let slides = [presets[0], presets[1], presets[2], presets[3]];
             Some((geometry.clone(), Arm::new(geometry, &slides).ok()?))
         });
         Self { arm }
     }
 
-    /// How far the rods of these joints (axis units) are from closing at this pose (axis units), mm; the table's angle counts in degrees.
+    /// Returns the distance of the rods from closing, in mm, or of the table, in degrees.
+    ///
+    /// Pose and joints are in axis units. The result is the larger of the two.
     #[must_use]
     pub fn residual(&self, pose: &[f64; 6], joints: &[f64; 6]) -> f64 {
         let Some((geometry, arm)) = &self.arm else {
@@ -48,46 +49,42 @@ impl Arithmetic {
     }
 }
 
-/// What is looked at of a job in a period.
-pub struct Tracked {
+/// State of a job in a period.
+pub struct JobSample {
     /// Program time, 2^-32 periods.
     pub time: u64,
-    /// Setpoints that were reached.
+    /// Number of setpoints that were reached.
     pub reached: u32,
-    /// Setpoints that were taken.
+    /// Number of setpoints that were accepted.
     pub accepted: u32,
     /// Commanded pose, axis units.
     pub pose: [f64; 6],
-    /// A hold is in force.
-    pub halted: bool,
     /// Commanded speed of the spindle.
     pub spindle: i16,
-    /// A fault is pending.
-    pub held: bool,
 }
 
 /// A job as the host planned it.
 #[derive(Debug, Default)]
-pub struct Course {
+pub struct PlannedJob {
     setpoints: Vec<Setpoint>,
     /// Program time at each setpoint, periods.
     ends: Vec<u64>,
     start: [f64; 6],
-    offered: bool,
+    /// A job was planned that has not begun.
+    planned: bool,
     running: bool,
-    /// All setpoints of the controller are those of the host's plan, and its coordinates are all led by the program.
-    pub trusted: bool,
-    /// A setpoint was refused, or others were sent beside the plan.
-    pub spoilt: bool,
-    /// No span is so short that there would be no stopping on it.
-    pub wide: bool,
+    /// The controller executes the plan, and the program is the source of all coordinates.
+    pub comparable: bool,
+    /// The queue may differ from the plan: a setpoint was refused, or others were sent.
+    pub altered: bool,
+    /// Every segment is long enough to stop in it.
+    pub long_segments: bool,
     last: Option<(u64, u32)>,
-    still: u32,
 }
 
-impl Course {
-    /// The host has planned a job that begins at this pose.
-    pub fn offer(&mut self, setpoints: &[Setpoint]) {
+impl PlannedJob {
+    /// The host has planned a job.
+    pub fn plan(&mut self, setpoints: &[Setpoint]) {
         self.setpoints = setpoints.to_vec();
         let mut end = 0;
         self.ends = setpoints
@@ -97,58 +94,57 @@ impl Course {
                 end
             })
             .collect();
-        self.wide = setpoints.iter().all(|setpoint| setpoint.periods >= 200);
-        self.offered = true;
-        self.spoilt = false;
+        self.long_segments = setpoints.iter().all(|setpoint| setpoint.periods >= 200);
+        self.planned = true;
+        self.altered = false;
     }
 
-    /// Something else was said that may put setpoints into the queue.
-    pub fn taint(&mut self) {
-        self.spoilt = true;
-        self.trusted = false;
-        self.offered = false;
+    /// Another command was sent that may put setpoints into the queue.
+    pub fn invalidate(&mut self) {
+        self.altered = true;
+        self.comparable = false;
+        self.planned = false;
     }
 
-    /// The controller has begun a job, at this pose.
+    /// The controller has begun a job at this pose.
     pub fn begin(&mut self, start: [f64; 6]) {
-        self.trusted = core::mem::take(&mut self.offered) && !self.spoilt;
+        self.comparable = core::mem::take(&mut self.planned) && !self.altered;
         self.start = start;
         self.running = true;
         self.last = None;
-        self.still = 0;
     }
 
     /// The job is over.
     pub fn end(&mut self) {
         if self.running {
             self.running = false;
-            self.trusted = false;
-            self.wide = false;
+            self.comparable = false;
+            self.long_segments = false;
         }
     }
 
-    /// How far the commanded pose is from the plan, axis units.
+    /// Returns the distance of the commanded pose from the plan, in axis units.
     ///
     /// # Errors
-    /// A setpoint was skipped, executed twice or before it came, or time runs wrong.
-    pub fn check(&mut self, seen: &Tracked) -> Result<f64, String> {
-        if !self.trusted || !self.running {
+    /// A setpoint was skipped, executed twice or before it was accepted, or program time is wrong.
+    pub fn check(&mut self, seen: &JobSample) -> Result<f64, String> {
+        if !self.comparable || !self.running {
             return Ok(0.0);
         }
         if seen.accepted as usize > self.setpoints.len() {
             return Err(format!(
-                "{} setpoints were taken of a job of {}",
+                "{} setpoints were accepted of a job of {}",
                 seen.accepted,
                 self.setpoints.len()
             ));
         }
         if let Some((time, reached)) = self.last {
-            let gone = seen.time.wrapping_sub(time);
-            // The path rate is a ramp whose rounding may exceed the full rate by some parts in 10^7.
-            if gone > (1 << 32) + (1 << 13) {
+            let passed = seen.time.wrapping_sub(time);
+            // The ramp of the path rate may exceed the full rate by some parts in 10^7 by rounding.
+            if passed > (1 << 32) + (1 << 13) {
                 return Err(format!(
-                    "program time went by {} periods in one",
-                    gone as f64 / 4_294_967_296.0
+                    "{} periods of program time passed in one period",
+                    passed as f64 / 4_294_967_296.0
                 ));
             }
             if seen.reached < reached || seen.reached > reached + 1 {
@@ -169,7 +165,7 @@ impl Course {
         }
         if place as u32 > seen.accepted {
             return Err(format!(
-                "setpoint {place} was reached and {} were taken",
+                "setpoint {place} was reached and {} were accepted",
                 seen.accepted
             ));
         }
@@ -187,7 +183,7 @@ impl Course {
                 seen.spindle
             ));
         }
-        let begun = if place == 0 { 0 } else { self.ends[place - 1] };
+        let begin = if place == 0 { 0 } else { self.ends[place - 1] };
         let (from, rates) = if place == 0 {
             (self.start, [0.0; 6])
         } else {
@@ -197,13 +193,13 @@ impl Course {
         let Some(to) = self.setpoints.get(place) else {
             return Ok(distance(&seen.pose, &from));
         };
-        if place as u32 == seen.accepted && seen.time > begun << 32 {
+        if place as u32 == seen.accepted && seen.time > begin << 32 {
             return Err(format!(
-                "the motion goes on beyond setpoint {place}, the last that was taken"
+                "the motion continues beyond setpoint {place}, the last that was accepted"
             ));
         }
         let span = f64::from(to.periods) * PERIOD;
-        let time = (seen.time as f64 / 4_294_967_296.0 - begun as f64) * PERIOD;
+        let time = (seen.time as f64 / 4_294_967_296.0 - begin as f64) * PERIOD;
         let u = time / span;
         let (end, end_rates) = (places(&to.pose), speeds(&to.rates));
         let mut planned = [0.0; 6];

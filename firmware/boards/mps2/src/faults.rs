@@ -17,21 +17,8 @@ use core::hint::black_box;
 use core::sync::atomic::{AtomicU8, AtomicU32, Ordering};
 use haptimill_firmware::profiler::{STAGES, Stage};
 
-/// The stages by name.
-const NAMES: [&str; STAGES + 1] = [
-    "receive",
-    "measure",
-    "supervise",
-    "command",
-    "interpolate",
-    "comply",
-    "solve",
-    "servo",
-    "render",
-    "report",
-    "interlock",
-    "main",
-];
+/// Name of the place between two periods.
+const MAIN_NAME: &str = "main";
 /// Index of the place between two periods.
 pub const MAIN: usize = STAGES;
 
@@ -55,15 +42,14 @@ pub fn read() {
     let (Some(what), Some(stage), Some(period)) = (words.next(), words.next(), words.next()) else {
         return;
     };
-    let place = |names: &[&str], word: &str| names.iter().position(|name| *name == word);
-    let (Some(what), Some(stage), Ok(period)) = (
-        place(&WHAT, what),
-        place(&NAMES, stage),
+    let (Some(what), Some(place), Ok(period)) = (
+        WHAT.iter().position(|name| *name == what),
+        (0..=MAIN).find(|place| place_name(*place) == stage),
         period.parse::<u32>(),
     ) else {
         panic!("faults: '{what} {stage} {period}' means nothing");
     };
-    STAGE.store(stage as u8, Ordering::Relaxed);
+    STAGE.store(place as u8, Ordering::Relaxed);
     PERIOD.store(period, Ordering::Relaxed);
     CHOSEN.store(what as u8, Ordering::Relaxed);
 }
@@ -90,11 +76,18 @@ pub fn reached(place: usize) {
     }
 }
 
+/// Name of a stage, or of the place between two periods.
+fn place_name(place: usize) -> &'static str {
+    Stage::ALL
+        .get(place)
+        .map_or(MAIN_NAME, |stage| stage.name())
+}
+
 fn happen(what: usize, place: usize) {
     match what {
         0 => panic!(
             "injected in stage {} of period {}",
-            NAMES[place],
+            place_name(place),
             NOW.load(Ordering::Relaxed)
         ),
         1 => {

@@ -2,7 +2,7 @@
 
 use crate::semihosting::{File, Gone};
 use crate::{serial, stack, tick};
-use haptimill_firmware::pil::{FROM_BOARD_WORDS, Order, Says, TO_BOARD_WORDS, read};
+use haptimill_firmware::pil::{FROM_BOARD_WORDS, FromBoardRef, Order, TO_BOARD_WORDS, read};
 use haptimill_firmware::snapshot::Snapshot;
 
 /// Polls of the receive ring before announced bytes are treated as lost.
@@ -23,7 +23,7 @@ pub fn serve() -> Result<(), Gone> {
     let mut order = [0; TO_BOARD_WORDS];
     let mut answer = [0; FROM_BOARD_WORDS];
     let mut snapshot = Snapshot::default();
-    Says::Hello.write(&mut answer);
+    FromBoardRef::Hello.write(&mut answer);
     to_simulator.write(&answer)?;
     let mut expected = 0_u32;
     loop {
@@ -46,7 +46,7 @@ pub fn serve() -> Result<(), Gone> {
             Ok(Order::End) => {
                 let ring_peak =
                     tick::with(|period| period.waiting.as_ref().map(|ring| ring.peak()));
-                let mark = Says::Ended {
+                let mark = FromBoardRef::Ended {
                     stack_bytes: stack::used_bytes(),
                     ring_peak: ring_peak.flatten().unwrap_or(0),
                 };
@@ -60,18 +60,23 @@ pub fn serve() -> Result<(), Gone> {
 
 /// Waits until the receive interrupt has taken all bytes that the simulator put on the line.
 fn wait_for_bytes(expected: u32) {
-    let seen = || {
-        tick::with(|period| period.waiting.as_ref().map(|waiting| waiting.seen()))
-            .flatten()
-            .unwrap_or(expected)
+    let received_count = || {
+        tick::with(|period| {
+            period
+                .waiting
+                .as_ref()
+                .map(|waiting| waiting.received_count())
+        })
+        .flatten()
+        .unwrap_or(expected)
     };
     for _ in 0..PATIENCE {
-        if seen() == expected {
+        if received_count() == expected {
             return;
         }
     }
     panic!(
         "bytes of the host are missing: {} of {expected} came",
-        seen()
+        received_count()
     );
 }

@@ -14,7 +14,7 @@ use cortex_m_rt::exception;
 use haptimill_firmware::comm::rx_ring::Waiting;
 use haptimill_firmware::controller::Controller;
 use haptimill_firmware::io::{Inputs, Outputs};
-use haptimill_firmware::pil::{FROM_BOARD_WORDS, Heard, Says, Told};
+use haptimill_firmware::pil::{DoneRef, FROM_BOARD_WORDS, FromBoardRef, LineInputs};
 use haptimill_firmware::snapshot::Snapshot;
 
 /// Data of the control period.
@@ -115,11 +115,11 @@ pub fn tell(period: &Period, snapshot: &mut Snapshot, frame: &mut [u32; FROM_BOA
         Some(controller) => controller.read(&period.inputs, snapshot),
         None => false,
     };
-    Says::Done(Told {
+    FromBoardRef::Done(DoneRef {
         period: period.inputs.period,
         outputs: &period.outputs,
-        said: period.outputs.transmit.len() as u16,
-        heard: Heard::of(&period.inputs),
+        transmitted: period.outputs.transmit.len() as u16,
+        line_inputs: LineInputs::of(&period.inputs),
         stages: &period.counter.stages,
         snapshot: configured.then_some(&*snapshot),
     })

@@ -2,10 +2,10 @@
 //!
 //! A whole segment takes half as much computation as the rest of a control period. The next segment
 //! is therefore prepared in parts while the present one is interpolated: first its end and
-//! duration, then one coordinate at a time ([`Program::prefetch`]). Parts that are missing when the
+//! duration, then one coordinate at a time ([`Interpolator::prefetch`]). Parts that are missing when the
 //! segment begins are prepared then, with the same result to the bit.
 
-use super::{Knot, Program};
+use super::{Interpolator, Knot};
 use crate::motion::cubic::{Cubic, SegmentDuration};
 use crate::motion::segment::SegmentPolynomial;
 use haptimill_math::Coordinate;
@@ -15,7 +15,7 @@ use haptimill_protocol::message::MAX_AXES;
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Segment {
     pub(super) polynomials: [SegmentPolynomial; MAX_AXES],
-    pub(super) span: SegmentDuration,
+    pub(super) duration: SegmentDuration,
     pub(super) to: Knot,
 }
 
@@ -31,9 +31,9 @@ pub(super) struct Segments {
     /// Number of prepared parts of the next segment.
     parts: usize,
     /// Time in the present segment from which its end is near, 2^-32 control periods.
-    near_from: u64,
+    end_near_from: u64,
     /// The machine retracts: the next segment is not at the front of the queue.
-    back: bool,
+    reverse: bool,
 }
 
 impl Segments {
@@ -41,8 +41,8 @@ impl Segments {
     pub(super) const fn clear(&mut self) {
         self.begun = false;
         self.parts = 0;
-        self.near_from = 0;
-        self.back = false;
+        self.end_near_from = 0;
+        self.reverse = false;
     }
 
     /// The present segment.
@@ -54,7 +54,7 @@ impl Segments {
     }
 
     /// The segment that was present last, and the next one.
-    const fn both(&mut self) -> (&Segment, &mut Segment) {
+    const fn last_and_next(&mut self) -> (&Segment, &mut Segment) {
         let [first, second] = &mut self.pair;
         if self.second {
             (second, first)
@@ -64,69 +64,69 @@ impl Segments {
     }
 }
 
-impl Program {
+impl Interpolator {
     /// Prepares one part of the next segment if one is missing and there is time for it: the
-    /// control period was `held` free for the path ([`Program::is_busy`]), or is `idle`.
+    /// control period is `reserved` for interpolation ([`Interpolator::is_busy`]), or is `idle`.
     #[inline]
-    pub fn prefetch(&mut self, held: bool, idle: impl FnOnce() -> bool) {
-        if self.misses_part() && ((held && self.is_pressed()) || idle()) {
-            self.make_part();
+    pub fn prefetch(&mut self, reserved: bool, idle: impl FnOnce() -> bool) {
+        if self.is_part_missing() && ((reserved && self.is_part_due()) || idle()) {
+            self.prepare_part();
         }
     }
 
     #[inline]
-    pub(super) fn misses_part(&self) -> bool {
-        self.segments.parts <= self.axes && !self.queue.is_empty() && !self.segments.back
+    pub(super) fn is_part_missing(&self) -> bool {
+        self.segments.parts <= self.axes && !self.queue.is_empty() && !self.segments.reverse
     }
 
     /// Whether a part of the next segment is due soon.
     #[inline]
-    pub(super) fn is_pressed(&self) -> bool {
-        self.is_near_end() && self.misses_part()
+    pub(super) fn is_part_due(&self) -> bool {
+        self.is_near_end() && self.is_part_missing()
     }
 
     /// Whether the end of the present segment is so near that more than interpolation may be due.
     #[inline]
     pub(super) const fn is_near_end(&self) -> bool {
-        self.time >= self.segments.near_from
+        self.time >= self.segments.end_near_from
     }
 
     /// Sets the time from which the end of the present segment is near: two control periods for
     /// each missing part of the next segment. Short segments would delay reception, so for them it
     /// is the last period; missing parts are then prepared when the next segment begins.
-    fn look_at_end(&mut self) {
+    fn update_end_near(&mut self) {
         let parts = self.axes as u64 + 1;
         let missing = parts.saturating_sub(self.segments.parts as u64);
         let from = self.segment().map_or(0, |segment| {
-            let periods = u64::from(segment.span.periods());
-            let hurries = missing > 0 && periods >= 3 * parts;
-            periods.saturating_sub(if hurries { 2 * missing + 2 } else { 1 })
+            let periods = u64::from(segment.duration.periods());
+            let spread = missing > 0 && periods >= 3 * parts;
+            periods.saturating_sub(if spread { 2 * missing + 2 } else { 1 })
         });
-        self.segments.near_from = from << 32;
+        self.segments.end_near_from = from << 32;
     }
 
     /// Prepares the next part of the next segment. `None` if the queue is empty, or for a setpoint
     /// that would have been refused.
     #[inline(never)]
-    fn make_part(&mut self) -> Option<()> {
+    fn prepare_part(&mut self) -> Option<()> {
         let to = self.queue.front()?;
         let Segments { begun, parts, .. } = self.segments;
-        let (before, next) = self.segments.both();
+        let (before, next) = self.segments.last_and_next();
         if let Some(axis) = parts.checked_sub(1) {
             let from = if begun { &before.to } else { &self.from };
-            next.join(from, axis, self.rotary[axis])?;
+            next.set_axis(from, axis, self.rotary[axis])?;
         } else {
             next.begin(to, before, self.period_us)?;
         }
         self.segments.parts = parts + 1;
-        self.look_at_end();
+        self.update_end_near();
         Some(())
     }
 
     /// Makes the next segment the present one; false if there is none.
     pub(super) fn begin_next(&mut self) -> bool {
         while self.segments.parts <= self.axes {
-            if self.make_part().is_none() {
+            if self.prepare_part().is_none() {
                 return false;
             }
         }
@@ -135,36 +135,36 @@ impl Program {
         segments.second = !segments.second;
         segments.begun = true;
         segments.parts = 0;
-        self.look_at_end();
+        self.update_end_near();
         let segments = &self.segments;
         let periods = segments
             .present()
-            .map_or(0, |segment| segment.span.periods());
+            .map_or(0, |segment| segment.duration.periods());
         self.queued_periods -= u64::from(periods);
         true
     }
 
     /// Ends the present segment at its setpoint.
-    pub(super) fn pass(&mut self) {
-        self.remember(self.from);
+    pub(super) fn end_segment(&mut self) {
+        self.store_passed(self.from);
         if let Some(segment) = self.segments.present() {
             self.from = segment.to;
         }
         self.segments.begun = false;
-        self.segments.near_from = 0;
+        self.segments.end_near_from = 0;
     }
 
     /// Makes the path from the setpoint reached last to `to` the present segment.
     #[inline(never)]
-    pub(super) fn begin_back(&mut self, to: &Knot) {
+    pub(super) fn begin_retract(&mut self, to: &Knot) {
         self.segments.clear();
-        self.segments.back = true;
-        let (before, next) = self.segments.both();
+        self.segments.reverse = true;
+        let (before, next) = self.segments.last_and_next();
         if next.begin(to, before, self.period_us).is_none() {
             return;
         }
         for axis in 0..self.axes {
-            if next.join(&self.from, axis, self.rotary[axis]).is_none() {
+            if next.set_axis(&self.from, axis, self.rotary[axis]).is_none() {
                 return;
             }
         }
@@ -177,8 +177,8 @@ impl Segment {
     /// Sets end and duration of a segment. Most segments last as long as the one before.
     fn begin(&mut self, to: &Knot, before: &Self, period_us: u16) -> Option<()> {
         self.to = *to;
-        self.span = if before.span.periods() == to.periods && to.periods != 0 {
-            before.span
+        self.duration = if before.duration.periods() == to.periods && to.periods != 0 {
+            before.duration
         } else {
             SegmentDuration::new(to.periods, period_us)?
         };
@@ -186,11 +186,11 @@ impl Segment {
     }
 
     /// Sets the polynomial of one axis.
-    fn join(&mut self, from: &Knot, axis: usize, wrap: bool) -> Option<()> {
+    fn set_axis(&mut self, from: &Knot, axis: usize, wrap: bool) -> Option<()> {
         let (start, rate) = (Coordinate(from.pose[axis]), from.rates[axis]);
         let (end, end_rate) = (Coordinate(self.to.pose[axis]), self.to.rates[axis]);
-        let cubic = Cubic::new(start, rate, end, end_rate, &self.span, wrap)?;
-        self.polynomials[axis].set(&cubic, &self.span);
+        let cubic = Cubic::new(start, rate, end, end_rate, &self.duration, wrap)?;
+        self.polynomials[axis].set(&cubic, &self.duration);
         Some(())
     }
 }

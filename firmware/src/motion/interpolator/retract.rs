@@ -7,7 +7,7 @@
 //! Callers must not resume a job after a retraction: the setpoints retracted over are no longer in
 //! the queue.
 
-use super::{FULL_RATE, Knot, Program};
+use super::{FULL_RATE, Interpolator, Knot};
 use crate::motion::ramp::RampLimits;
 
 /// Number of stored setpoints.
@@ -16,16 +16,16 @@ pub(super) const PASSED: usize = 16;
 /// Path rate of the retraction: a quarter of the programmed speed.
 const BACK_RATE: i64 = FULL_RATE / 4;
 
-impl Program {
+impl Interpolator {
     /// Ends the job: once the path rate is zero, the machine retracts for `periods` control periods
-    /// of program time, as far as setpoints are stored. [`Program::is_at_standstill`] tells when
+    /// of program time, as far as setpoints are stored. [`Interpolator::is_at_standstill`] tells when
     /// the retraction is complete.
     pub fn retract(&mut self, periods: u32) {
-        self.back = u64::from(periods) << 32;
+        self.retract_left = u64::from(periods) << 32;
     }
 
     /// Stores a passed setpoint.
-    pub(super) fn remember(&mut self, knot: Knot) {
+    pub(super) fn store_passed(&mut self, knot: Knot) {
         if self.passed.is_full() {
             self.passed.pop_front();
         }
@@ -38,7 +38,7 @@ impl Program {
         if self.path_rate.value() > 0 {
             return false;
         }
-        let remembered: u64 = self.passed.iter().map(|knot| u64::from(knot.periods)).sum();
+        let stored: u64 = self.passed.iter().map(|knot| u64::from(knot.periods)).sum();
         // The first stored setpoint is the start of the path. The start of the present segment has
         // the last duration.
         let first = self
@@ -50,22 +50,26 @@ impl Program {
         } else {
             u64::from(self.from.periods)
         };
-        let there_is = (remembered - first + last) << 32;
-        self.back = self.back.min(there_is + self.time);
+        let available = (stored - first + last) << 32;
+        self.retract_left = self.retract_left.min(available + self.time);
         // The distance if the retraction continues for one period and decelerates then.
         let mut rate = self.path_rate;
         let next = rate.advance(-BACK_RATE, braking).min(0).unsigned_abs();
         let stopping = rate.stopping_range(braking);
         let needed = next.saturating_add(stopping.map_or(u64::MAX, |(far, _)| far.unsigned_abs()));
-        let target = if needed < self.back { -BACK_RATE } else { 0 };
+        let target = if needed < self.retract_left {
+            -BACK_RATE
+        } else {
+            0
+        };
         let step = self
             .path_rate
             .advance(target, braking)
             .min(0)
             .unsigned_abs();
-        self.back = self.back.saturating_sub(step);
+        self.retract_left = self.retract_left.saturating_sub(step);
         if target == 0 && self.path_rate.is_zero() {
-            self.back = 0;
+            self.retract_left = 0;
         }
         self.advance_retract(step);
         true
@@ -80,7 +84,7 @@ impl Program {
             };
             step -= self.time;
             let to = core::mem::replace(&mut self.from, knot);
-            self.begin_back(&to);
+            self.begin_retract(&to);
             self.time = u64::from(to.periods) << 32;
             self.elapsed = self.elapsed.saturating_sub(u64::from(to.periods));
             self.reached = self.reached.wrapping_sub(1);

@@ -1,11 +1,11 @@
 //! Stopping envelope of a program: the bounds of its coordinates up to standstill on its path.
 
-use super::{Program, Ramp};
+use super::{Interpolator, Ramp};
 use crate::motion::envelope::StoppingEnvelope;
 use crate::motion::segment;
 use haptimill_protocol::message::{Action, RATE_SHIFT};
 
-impl Program {
+impl Interpolator {
     /// The stopping envelope of the program's coordinates, if it continues for one period and
     /// decelerates along its path then.
     ///
@@ -33,18 +33,18 @@ impl Program {
             next.saturating_add(stopping.map_or(u64::MAX, |(_, far)| far.unsigned_abs()));
         let mut from = self.from;
         if let Some(segment) = self.segment() {
-            let left = (u64::from(segment.span.periods()) << 32).saturating_sub(self.time);
+            let left = (u64::from(segment.duration.periods()) << 32).saturating_sub(self.time);
             let time = self.time + left.min(ahead);
             let microseconds = ((left.min(ahead) >> 16) as i64 * i64::from(self.period_us)) >> 16;
             let third = third(microseconds);
-            let half = |time: u64| segment::half(segment.span.fraction((time >> 16) as u32));
+            let half = |time: u64| segment::half(segment.duration.fraction((time >> 16) as u32));
             for axis in 0..self.axes {
                 if segment.polynomials[axis].is_at_standstill() {
                     continue;
                 }
                 let [begin, end] =
                     [self.time, time].map(|time| segment.polynomials[axis].sample(half(time)));
-                self.hull(
+                self.extend_by_hull(
                     &mut sweep,
                     axis,
                     [begin.position.0, end.position.0],
@@ -62,7 +62,10 @@ impl Program {
             let microseconds = i64::from(knot.periods) * i64::from(self.period_us);
             let third = third(microseconds);
             for axis in 0..self.axes {
-                self.hull(
+                if from.is_still(knot, axis) {
+                    continue;
+                }
+                self.extend_by_hull(
                     &mut sweep,
                     axis,
                     [from.pose[axis], knot.pose[axis]],
@@ -79,7 +82,7 @@ impl Program {
     /// Adds the control points of one axis between two positions. The rates are in axis units per
     /// second (below 2^32), `third` is a [`third`] of the time, and `pace` is the largest path rate
     /// in it. The rates of the box are those at its ends.
-    fn hull(
+    fn extend_by_hull(
         &self,
         sweep: &mut StoppingEnvelope,
         axis: usize,
@@ -88,7 +91,7 @@ impl Program {
         (third, pace): (i64, i64),
     ) {
         for rate in rates {
-            sweep.quicken(axis, (rate * pace) >> 16);
+            sweep.extend_rate(axis, (rate * pace) >> 16);
         }
         let distance = self.distance(axis, from, to);
         let [first, second] = rates.map(|rate| (rate * third) >> 22);

@@ -1,23 +1,23 @@
 //! Underrun monitor: whether the setpoint queue covers the stopping distance.
 
-use super::{FULL_RATE, Late, Program, Ramp};
+use super::{FULL_RATE, Interpolator, Late, Ramp};
 use crate::motion::ramp::RampLimits;
 
-impl Program {
+impl Interpolator {
     /// Whether motion from standstill may begin at any path rate: the queue is long enough to stop
     /// again if no more setpoints arrive. It contains a setpoint at standstill, or lasts longer
     /// than braking.
-    pub(super) fn can_pass_rest(&self) -> bool {
+    pub(super) fn can_pass_stop(&self) -> bool {
         self.total.is_some()
-            || self.rests_ahead > 0
+            || self.stops_ahead > 0
             || self.queued_periods >= 4 * self.braking_periods
     }
 
     /// Whether motion from standstill may begin at all. A full queue also suffices, if its
     /// durations are so short that it lasts less than braking. Motion then begins at path rate 0,
     /// which rises only as far as the queue allows.
-    pub(super) fn can_leave_rest(&self) -> bool {
-        self.can_pass_rest() || self.queue.is_full()
+    pub(super) fn can_start(&self) -> bool {
+        self.can_pass_stop() || self.queue.is_full()
     }
 
     /// Updates the underrun: whether the queue still covers the stopping distance.
@@ -28,7 +28,7 @@ impl Program {
         }
         // The motion ends at the setpoint at standstill, and resumes only when enough setpoints
         // have arrived.
-        if self.rests_ahead > 0 {
+        if self.stops_ahead > 0 {
             self.underrunning = None;
             return;
         }
@@ -43,8 +43,8 @@ impl Program {
         if self.underrunning.is_some() {
             // A full queue cannot grow: resume as fast as it allows, with a margin that keeps
             // braking from starting again at once.
-            let most = self.queue.is_full() && remaining > needed + needed / 4 + 8;
-            if remaining >= 4 * self.braking_periods || most {
+            let is_longest = self.queue.is_full() && remaining > needed + needed / 4 + 8;
+            if remaining >= 4 * self.braking_periods || is_longest {
                 self.underrunning = None;
             }
         } else if remaining <= needed {
@@ -59,7 +59,7 @@ impl Program {
     fn remaining_periods(&self) -> u64 {
         let segment = self
             .segment()
-            .map_or(0, |segment| u64::from(segment.span.periods()));
+            .map_or(0, |segment| u64::from(segment.duration.periods()));
         (segment + self.queued_periods).saturating_sub((self.time >> 32) + 1)
     }
 }

@@ -10,7 +10,7 @@
 use crate::port::Board;
 use crate::{Error, ErrorKind};
 use haptimill_firmware::pil::{FROM_BOARD_BYTES, TO_BOARD_BYTES};
-use haptimill_firmware::profiler::STAGES;
+use haptimill_firmware::profiler::Stage;
 use haptimill_hil_sim::remote::{Cost, PlantLink};
 use haptimill_machine_file::MachineFile;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
@@ -497,21 +497,6 @@ pub struct Instructions {
     pub missed: u64,
 }
 
-/// Names of the stages, in their order.
-const STAGE_NAMES: [&str; STAGES] = [
-    "receive",
-    "measure",
-    "supervise",
-    "command",
-    "interpolate",
-    "comply",
-    "solve",
-    "servo",
-    "render",
-    "report",
-    "interlock",
-];
-
 impl Instructions {
     /// From the counts of the board.
     #[must_use]
@@ -521,14 +506,10 @@ impl Instructions {
         let mean = |counts: u64| counts as f64 / periods * INSTRUCTIONS_PER_COUNT;
         Self {
             periods: cost.periods,
-            stages: (0..STAGES)
-                .map(|stage| {
-                    (
-                        STAGE_NAMES[stage],
-                        mean(cost.sums[stage]),
-                        worst(cost.worst[stage]),
-                    )
-                })
+            stages: Stage::ALL
+                .into_iter()
+                .zip(cost.sums.iter().zip(&cost.worst))
+                .map(|(stage, (sum, most))| (stage.name(), mean(*sum), worst(*most)))
                 .collect(),
             mean: mean(cost.sums.iter().sum()),
             worst: worst(cost.worst_period),

@@ -1,0 +1,236 @@
+//! Configuration of a machine: from its presets, from the machine before, and the check of its
+//! parts against their digests.
+
+use super::Machine;
+use super::joint_rates::JointRates;
+use super::masters::Masters;
+use crate::config::digest::{Constants, Digest};
+use crate::config::{AxisKind, Config, JointAxis};
+use crate::force::Design;
+use crate::force::sensor::COMPONENTS;
+use crate::io::Inputs;
+use crate::joint::power_on_counts::SincePowerOn;
+use crate::joint::{EncoderState, JointDrive};
+use crate::motion::{Motion, PoseCommand};
+use crate::safety::homing::Homing;
+use haptimill_kinematics::{JointMotion, Joints};
+use haptimill_math::Coordinate;
+use haptimill_protocol::message::{ConfigField, ConfigProblem, MAX_AXES};
+use heapless::Vec;
+
+/// Number of parts in which the configuration and the values derived from it are checked against
+/// their digests. The parts are: geometry and bounds, motion, each pose axis and each joint, the
+/// haptic arm, the force sensor, each axis of force control.
+pub(super) const PARTS: usize = FORCE_PART + 1 + COMPONENTS;
+
+/// Digest part of the haptic arm.
+pub(super) const HAND_PART: usize = 2 + 2 * MAX_AXES;
+
+/// Digest part of the force sensor.
+pub(super) const FORCE_PART: usize = HAND_PART + 1;
+
+/// Encoder scaling and encoder state of each joint.
+pub type PositionSnapshot = Vec<(EncoderScaling, EncoderState), MAX_AXES>;
+
+/// Encoder scaling of a joint: kind, axis units per count, preset, index and index pitch.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct EncoderScaling(AxisKind, i64, Coordinate, Coordinate, Coordinate);
+
+impl EncoderScaling {
+    fn of(axis: &JointAxis) -> Self {
+        Self(
+            axis.kind,
+            axis.per_count,
+            axis.preset,
+            axis.index,
+            axis.index_pitch,
+        )
+    }
+}
+
+impl Machine {
+    /// Creates the machine of a configuration, at its presets.
+    ///
+    /// # Errors
+    /// The first problem of the configuration.
+    pub fn new(config: Config, crc: u32, inputs: &Inputs) -> Result<Self, ConfigProblem> {
+        let joints = Self::joints_of(&config, inputs)?;
+        let design = Self::force_of(&config)?;
+        let mut machine = Self::bare(config, crc);
+        machine.configure(joints, design, inputs);
+        Ok(machine)
+    }
+
+    /// Creates the machine of a configuration in `slot`. With its queue a machine is too large to
+    /// be passed by value on the stack of a microcontroller. A refused configuration leaves the
+    /// slot unchanged.
+    ///
+    /// # Errors
+    /// The first problem of the configuration.
+    #[cold]
+    #[inline(never)]
+    pub fn install(
+        slot: &mut Option<Self>,
+        config: Config,
+        crc: u32,
+        inputs: &Inputs,
+    ) -> Result<(), ConfigProblem> {
+        let joints = Self::joints_of(&config, inputs)?;
+        let design = Self::force_of(&config)?;
+        Self::install_bare(slot, config, crc);
+        if let Some(machine) = slot {
+            machine.configure(joints, design, inputs);
+        }
+        Ok(())
+    }
+
+    /// Checks the configuration and creates its joints, at their presets.
+    #[cold]
+    #[inline(never)]
+    fn joints_of(
+        config: &Config,
+        inputs: &Inputs,
+    ) -> Result<Vec<JointDrive, MAX_AXES>, ConfigProblem> {
+        config.check()?;
+        let mut joints = Vec::new();
+        for (index, axis) in config.joints.iter().enumerate() {
+            let problem = ConfigProblem {
+                field: ConfigField::Drive,
+                axis: Some(index as u8),
+            };
+            let mut joint = JointDrive::new(axis, config.period_us).map_err(|_| problem)?;
+            joint.measure(&inputs.axes[index], inputs.time_ns);
+            joint.set_reference(inputs.axes[index].counts, axis.preset);
+            joints.push(joint).map_err(|_| problem)?;
+        }
+        Ok(joints)
+    }
+
+    /// Moves a new machine into the slot. The machine is built on the stack first; a function of
+    /// its own keeps that frame free of anything else.
+    #[cold]
+    #[inline(never)]
+    fn install_bare(slot: &mut Option<Self>, config: Config, crc: u32) {
+        *slot = Some(Self::bare(config, crc));
+    }
+
+    /// A machine without joints and motion.
+    #[inline(always)]
+    fn bare(config: Config, crc: u32) -> Self {
+        Self {
+            kinematics: config.kinematics(),
+            motion: Motion::default(),
+            homing: Homing::default(),
+            force: None,
+            masters: Masters::default(),
+            reference: PoseCommand::default(),
+            limited: [0; COMPONENTS],
+            newly_limited: 0,
+            joints: Vec::new(),
+            measured: Joints::default(),
+            measured_pose: None,
+            target: JointMotion::default(),
+            joint_rates: JointRates::default(),
+            digests: [Digest::default(); PARTS],
+            next_part: 0,
+            locking: None,
+            jumped: None,
+            config,
+            crc,
+        }
+    }
+
+    #[cold]
+    #[inline(never)]
+    fn configure(
+        &mut self,
+        joints: Vec<JointDrive, MAX_AXES>,
+        design: Option<Design>,
+        inputs: &Inputs,
+    ) {
+        self.joints = joints;
+        self.configure_force(design);
+        self.configure_haptics(&inputs.haptic);
+        self.motion.configure(&self.config);
+        for part in 0..PARTS {
+            self.digests[part] = self.digest(part);
+        }
+        self.update_measured();
+    }
+
+    /// Encoder scaling and state of all joints, which a new configuration may take over.
+    #[must_use]
+    pub fn positions(&self) -> PositionSnapshot {
+        let joints = self.config.joints.iter().zip(&self.joints);
+        joints
+            .map(|(axis, joint)| (EncoderScaling::of(axis), joint.encoder_state()))
+            .collect()
+    }
+
+    /// Whether the next index pulse of a joint will confirm or refute its encoder.
+    #[must_use]
+    pub fn index_decides(&self, axis: u8) -> bool {
+        let joint = self.joints.get(usize::from(axis));
+        joint.is_some_and(|joint| joint.indexes().is_armed())
+    }
+
+    /// Takes over the joint positions of another configuration if the encoder scalings are equal;
+    /// returns whether they are.
+    pub fn take_over(&mut self, positions: &PositionSnapshot, inputs: &Inputs) -> bool {
+        let scalings = self.config.joints.iter().map(EncoderScaling::of);
+        if !scalings.eq(positions.iter().map(|(scaling, _)| *scaling)) {
+            return false;
+        }
+        for (index, (joint, (_, state))) in self.joints.iter_mut().zip(positions).enumerate() {
+            joint.take_over(inputs.axes[index].counts, state);
+        }
+        self.update_measured();
+        true
+    }
+
+    /// Derives the joint positions from the presets at power-on and the counts since. Returns false
+    /// if an encoder is invalid.
+    #[cold]
+    #[inline(never)]
+    pub fn count_from(&mut self, counted: &SincePowerOn) -> bool {
+        let limit = u32::from(self.config.supervision.illegal_transitions);
+        let mut is_valid = true;
+        for (joint, counted) in self.joints.iter_mut().zip(&counted.axes) {
+            is_valid &= joint.count_from(counted) && counted.illegal <= limit;
+        }
+        self.update_measured();
+        is_valid
+    }
+
+    /// Compares the next part of the configuration with its digest; true if they agree.
+    #[inline(never)]
+    pub fn check_next_digest(&mut self) -> bool {
+        let part = self.next_part;
+        self.next_part = (part + 1) % PARTS;
+        self.digest(part) == self.digests[part]
+    }
+
+    pub(super) fn digest(&self, part: usize) -> Digest {
+        let mut digest = Digest::default();
+        let config = &self.config;
+        match part {
+            0 => {
+                digest.add(&(&config.name, &config.model, &self.kinematics));
+                digest.add(&(&config.stopping, &config.supervision, &config.homing));
+                digest.add(&(config.period_us, self.crc));
+            }
+            1 => self.motion.digest(&mut digest),
+            HAND_PART => self.digest_hand(&mut digest),
+            FORCE_PART.. => self.digest_force(part - FORCE_PART, &mut digest),
+            _ if part.is_multiple_of(2) => digest.add(&config.pose.get(part / 2 - 1)),
+            _ => {
+                let index = part / 2 - 1;
+                digest.add(&config.joints.get(index));
+                if let Some(joint) = self.joints.get(index) {
+                    joint.digest(&mut digest);
+                }
+            }
+        }
+        digest
+    }
+}

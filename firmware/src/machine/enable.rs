@@ -1,0 +1,169 @@
+//! Drives on and off, and the motions that set the commanded position to the measured one: the
+//! locking of step motors, and homing.
+
+use super::Machine;
+use crate::io::Inputs;
+use crate::joint::JointDrive;
+use crate::safety::homing::Homing;
+use haptimill_kinematics::{Joints, Kinematics, PoseError};
+use haptimill_math::Coordinate;
+use haptimill_protocol::message::{Fault, MAX_AXES};
+
+/// A rotor has locked when it has not moved for this time, microseconds: six cycles of a rotor that
+/// oscillates at 120 Hz.
+const LOCKED_US: u32 = 50_000;
+
+/// All rotors must have locked after this time, microseconds.
+const LOCKING_US: u32 = 1_000_000;
+
+impl Machine {
+    /// Whether every joint moves at most twice its following-error limit per second (0.6 mm/s for
+    /// 0.3 mm).
+    #[must_use]
+    pub fn is_at_standstill(&self) -> bool {
+        self.joints
+            .iter()
+            .zip(&self.config.joints)
+            .all(|(joint, axis)| {
+                i64::from(joint.rate().0).abs() <= 2 * i64::from(axis.following.0).abs()
+            })
+    }
+
+    /// Switches the drives on; the commanded position becomes the measured one.
+    pub fn enable(&mut self) -> Result<(), PoseError> {
+        let measured = self.measured;
+        self.set_joints(&measured)?;
+        let mut locks = false;
+        for joint in &mut self.joints {
+            joint.enable();
+            locks |= joint.begin_lock();
+        }
+        self.locking = locks.then(|| LOCKING_US / u32::from(self.config.period_us.max(1)));
+        Ok(())
+    }
+
+    /// Commands these joint positions, at rest. An error changes nothing.
+    #[inline(never)]
+    fn set_joints(&mut self, joints: &Joints) -> Result<(), PoseError> {
+        let pose = self.kinematics.forward(joints)?;
+        self.kinematics.load(&pose, &pose, &[])?;
+        self.motion.set_position(&pose);
+        self.reset_force();
+        self.settle();
+        Ok(())
+    }
+
+    /// Whether the rotors of step motors are still locking after enable; nothing may be moved.
+    #[must_use]
+    #[inline]
+    pub const fn is_locking(&self) -> bool {
+        self.locking.is_some()
+    }
+
+    /// One period in which the rotors of step motors lock. Each rotor moves to the nearest detent,
+    /// by two full steps at most, and oscillates there; its encoder counts that. When all have
+    /// locked, the commanded position becomes the measured one, and steps count from there.
+    ///
+    /// # Errors
+    /// A rotor that moved farther than the following-error limit at standstill, or that does not
+    /// come to rest in time.
+    #[cold]
+    #[inline(never)]
+    pub fn lock(&mut self) -> Result<(), Fault> {
+        let Some(left) = &mut self.locking else {
+            return Ok(());
+        };
+        *left = left.saturating_sub(1);
+        let expired = *left == 0;
+        let settled_periods = LOCKED_US / u32::from(self.config.period_us.max(1));
+        let mut locked = true;
+        for (index, (joint, axis)) in self.joints.iter_mut().zip(&self.config.joints).enumerate() {
+            let Some((by, quiet)) = joint.locking(axis) else {
+                continue;
+            };
+            let moves = quiet < settled_periods;
+            if by.magnitude() > axis.following.magnitude() || (expired && moves) {
+                return Err(Fault::NotLocked {
+                    axis: index as u8,
+                    by: by.0,
+                });
+            }
+            locked &= !moves;
+        }
+        if locked {
+            self.locking = None;
+            self.rebase().map_err(Fault::Pose)?;
+        }
+        Ok(())
+    }
+
+    /// Commands step motors to their measured positions. Torque drives keep their commanded
+    /// positions, because a load would push them further otherwise.
+    fn rebase(&mut self) -> Result<(), PoseError> {
+        let mut joints = self.target.joints;
+        for (coordinate, joint) in joints.0.iter_mut().zip(&mut self.joints) {
+            if let Some(slide) = joint.end_lock() {
+                *coordinate = slide;
+            }
+        }
+        self.set_joints(&joints)
+    }
+
+    /// Switches the drives off.
+    #[inline]
+    pub fn disable(&mut self) {
+        self.locking = None;
+        for joint in &mut self.joints {
+            joint.disable();
+        }
+    }
+
+    pub(super) fn settle(&mut self) {
+        self.joints.iter_mut().for_each(JointDrive::settle);
+    }
+
+    /// Begins homing: the search for the index pulses.
+    pub fn begin_homing(&mut self) {
+        self.rebase_on_compliance();
+        self.joints.iter_mut().for_each(|joint| joint.search(true));
+        self.motion.begin_jog(false);
+        self.homing = Homing::default();
+    }
+
+    /// Passes the index pulses of this period to homing.
+    #[inline]
+    pub fn check_index_pulses(&mut self) -> Result<(), Fault> {
+        for (index, axis) in self.config.joints.iter().enumerate() {
+            if let Some((_, coordinate)) = self.joints[index].measurement().index
+                && let Some(fault) = self.homing.index(index, axis, coordinate)
+            {
+                return Err(fault);
+            }
+        }
+        Ok(())
+    }
+
+    /// Corrects the positions of all joints. The commanded position becomes the measured one, so
+    /// nothing moves.
+    pub fn apply_homing(
+        &mut self,
+        corrections: &[Coordinate; MAX_AXES],
+        inputs: &Inputs,
+    ) -> Result<(), PoseError> {
+        for (index, joint) in self.joints.iter_mut().enumerate() {
+            let coordinate = joint
+                .measurement()
+                .motor
+                .0
+                .wrapping_add(corrections[index].0);
+            joint.set_reference(inputs.axes[index].counts, Coordinate(coordinate));
+            joint.search(false);
+        }
+        self.update_measured();
+        let pose = self.kinematics.forward(&self.measured)?;
+        self.motion.set_position(&pose);
+        self.reset_force();
+        self.settle();
+        Ok(())
+    }
+}

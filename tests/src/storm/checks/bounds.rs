@@ -1,0 +1,41 @@
+//! Bounds of the checks; docs/storm.md states each with its reason.
+//!
+//! Of two values the first is for slides (mm), the second for the table (degrees).
+
+/// Measured minus true motor position with a whole encoder: half the play, the index, one count.
+pub const MOTOR: [f64; 2] = [0.022, 0.008];
+/// Offset of an index pulse above which the counter is known to be wrong.
+pub const INDEX_SLACK: [f64; 2] = [0.13, 0.06];
+/// Error of a joint with a defective encoder that may last, in mm or degrees.
+///
+/// It is more than backlash and a count. A larger error lasts at most [`LASTING`] periods.
+pub const OFF: f64 = 0.05;
+/// Largest error after one fault of an encoder with a live channel, in mm or degrees.
+///
+/// This bound and [`LASTING`] are those of tests/tests/position_kept.rs.
+pub const FOUND: f64 = 0.12;
+/// Periods for which an error may exceed [`OFF`]: 0.05 s.
+pub const LASTING: u32 = 250;
+/// Largest error where other faults of the joint come with it and move the slide.
+pub const PUSHED: f64 = 0.6;
+/// Periods for which that error may exceed [`OFF`]: 0.5 s.
+pub const PUSHED_LASTING: u32 = 2500;
+/// Largest error while both channels are dead: the second index pulse reveals it.
+pub const TWO_TURNS: f64 = 20.0;
+/// Distance of a joint from its target that is a runaway.
+pub const RUNAWAY: [f64; 2] = [4.0, 4.0];
+/// Distance of a healthy slide from its target in motion, less 2 ms of travel.
+pub const FOLLOWING: [f64; 2] = [0.20, 0.12];
+/// Distance of a healthy slide from its target after a second at standstill.
+///
+/// A slide that moved by less than its play has an unknown flank. Half of both plays (18 um
+/// compensated, 10 um real) is 14 um. Uncompensated friction of 8 N is 5 um at 1600 N/mm.
+pub const REST: [f64; 2] = [0.019, 0.025];
+/// Following error, as a part of its limit, that must be reported after three periods.
+pub const REPORTED: f64 = 1.02;
+/// Commanded pose against the interpolation of the setpoints, in axis units.
+pub const CUBIC: f64 = 24.0;
+/// Periods from a request to its answer on a clean, fast line.
+pub const ANSWER: u64 = 5000;
+/// Rod length residual of the commanded joints at the commanded pose, in mm.
+pub const RESIDUAL: f64 = 2e-4;

@@ -1,0 +1,245 @@
+//! Events and faults: no state change is lost, and each fault has a cause.
+
+use super::super::bench::StormBench;
+use super::super::episode::{Theme, joint_of};
+use super::super::units::joint_unit;
+use super::{CheckResult, Checks, jump_threshold};
+use haptimill_firmware::config::Drive;
+use haptimill_hil_sim::fault::{FaultKind, Switch};
+use haptimill_protocol::force::ForceProblem;
+use haptimill_protocol::message::{Event, Fault, State};
+
+/// A cause of faults that is not an injected device.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Cause {
+    /// Missed control periods.
+    MissedPeriods,
+    /// A silent host, or a line with errors.
+    HostSilent,
+    /// The emergency stop circuit.
+    EmergencyStop,
+    /// A wall or workpiece at the tool.
+    Contact,
+    /// A master leads the tool.
+    MasterLeads,
+    /// The force sensor was fitted anew and not tared since.
+    SensorNotTared,
+}
+
+/// What else may explain a fault.
+#[derive(Debug, Default)]
+pub(super) struct FaultEvidence {
+    /// The last period that the controller missed.
+    missed_at: Option<u64>,
+    /// True motor positions of the period before.
+    motors: Option<[f64; 6]>,
+    /// Largest true motion of each joint in a period since homing, per [`jump_threshold`].
+    pub fastest_motion: [f64; 6],
+    /// The commanded pose was initialised beyond a soft limit of this coordinate.
+    pub outside_soft_limits: [bool; 6],
+    /// Commanded joints when the rotors of the step motors had locked.
+    pub locked_at: [f64; 6],
+    /// The state that the last state event reported.
+    pub reported_state: Option<State>,
+    /// State events that do not continue the one before.
+    reporting_gaps: u32,
+}
+
+impl Checks {
+    /// Records missed periods and the true motion of the joints.
+    pub(super) fn record_evidence(&mut self, bench: &StormBench, ticked: bool) {
+        if !ticked || bench.rig.inputs().missed > 0 {
+            self.faults.missed_at = Some(bench.period);
+        }
+        let before = self.faults.motors.replace(bench.latched.motor);
+        let (Some(before), Some(machine)) = (before, bench.controller().machine()) else {
+            return;
+        };
+        for (joint, limits) in machine.config.joints.iter().enumerate() {
+            let threshold = jump_threshold(limits) / joint_unit(joint);
+            let part = (bench.latched.motor[joint] - before[joint]).abs() / threshold;
+            self.faults.fastest_motion[joint] = self.faults.fastest_motion[joint].max(part);
+        }
+    }
+
+    /// Checks that no state change is lost, and the cause of each fault.
+    pub(super) fn check_events(&mut self, bench: &mut StormBench) -> CheckResult {
+        for (period, event) in core::mem::take(&mut bench.events) {
+            match &event {
+                Event::State { from, to, .. } => {
+                    // On a slow line the controller drops the oldest events and counts them.
+                    let lost = bench.controller().safety().events_lost();
+                    let gap = self.faults.reported_state.is_some_and(|last| last != *from);
+                    self.faults.reporting_gaps += u32::from(gap);
+                    if self.theme.has_clean_line()
+                        && !self.causes.contains(&Cause::HostSilent)
+                        && let Some(last) = self.faults.reported_state
+                        && last != *from
+                        && self.faults.reporting_gaps > lost
+                    {
+                        violated!(
+                            bench,
+                            "lost event",
+                            "state {from:?} -> {to:?} was reported after one that ended in {last:?}"
+                        );
+                    }
+                    self.faults.reported_state = Some(*to);
+                }
+                Event::Fault(Fault::Internal { line }) => {
+                    violated!(bench, "internal", "a defect in line {line}");
+                }
+                Event::Fault(fault) => {
+                    self.check_fault_cause(bench, fault)?;
+                }
+                _ => {}
+            }
+            if period > bench.rig.inputs().period {
+                violated!(bench, "event", "{event:?} is reported for period {period}");
+            }
+        }
+        Ok(())
+    }
+
+    /// Checks that a latched fault has a cause.
+    fn check_fault_cause(&self, bench: &StormBench, fault: &Fault) -> CheckResult {
+        if self.foreign_configuration {
+            return Ok(());
+        }
+        let mut caused = match fault {
+            Fault::LostHost { .. } => {
+                self.causes.contains(&Cause::HostSilent)
+                    || bench.corrupted
+                    || bench.session_start + 5000 > bench.period
+                    || bench.is_noisy()
+            }
+            Fault::LatePeriod { .. } => self.causes.contains(&Cause::MissedPeriods),
+            // Without commands step motors stop at once, and their rotors swing.
+            Fault::StepsLost { axis, .. } => {
+                let joint = usize::from(*axis);
+                self.faults
+                    .missed_at
+                    .is_some_and(|missed| bench.period < missed + 500)
+                    || self.leaves_dead_point(bench, joint)
+            }
+            // A joint was pushed faster than the threshold of a counter jump.
+            Fault::EncoderIllegal { axis, .. } => {
+                self.faults.fastest_motion[usize::from(*axis)] > 0.98
+            }
+            Fault::Stroke { .. } | Fault::LimitSwitch { .. } => {
+                self.causes.contains(&Cause::MissedPeriods)
+            }
+            Fault::Master(_) => self.causes.contains(&Cause::MasterLeads),
+            Fault::Force(ForceProblem::Drift { .. })
+                if self.causes.contains(&Cause::SensorNotTared) =>
+            {
+                true
+            }
+            Fault::Force(_) => self.causes.contains(&Cause::Contact) && !self.theme.is_healthy(),
+            // Soft limits of a setpoint are checked at its end only: the cubic may leave them.
+            // A machine that was pushed with its drives off may stand beyond a soft limit.
+            Fault::SoftLimit { axis } => {
+                self.job.altered
+                    || self.theme == Theme::AnyCommand
+                    || self.faults.outside_soft_limits[usize::from(*axis)]
+            }
+            _ => false,
+        };
+        // A controller cannot distinguish every cause: any injected fault may explain this one.
+        caused |= self.injected.iter().any(|kind| explains(kind, fault));
+        if caused {
+            return Ok(());
+        }
+        if self.injected.is_empty() {
+            violated!(
+                bench,
+                "false alarm",
+                "{fault:?} without a cause; causes {:?}",
+                self.causes
+            );
+        }
+        violated!(
+            bench,
+            "fault class",
+            "{fault:?} is not among the effects of {:?}",
+            self.injected
+        );
+    }
+
+    /// Returns whether a rotor may have been locked at the dead point of its detent.
+    ///
+    /// Friction may hold a rotor two full steps from its detent, where its torque is 0. Such a
+    /// rotor looks locked; the first motion moves it into the detent. So steps may be lost until
+    /// the joint was commanded by twice the limit.
+    fn leaves_dead_point(&self, bench: &StormBench, joint: usize) -> bool {
+        let Some(machine) = bench.controller().machine() else {
+            return false;
+        };
+        let Some(Drive::Steps { lost, .. }) = machine
+            .config
+            .joints
+            .get(joint)
+            .map(|limits| limits.drive.clone())
+        else {
+            return false;
+        };
+        let way = self.previous.joints[joint] - self.faults.locked_at[joint];
+        // A rotor that moves without a command had not locked.
+        (1.0..2.0 * f64::from(lost.0)).contains(&way.abs())
+    }
+}
+
+/// Returns whether a fault is among the effects of an injected one.
+fn explains(kind: &FaultKind, fault: &Fault) -> bool {
+    use FaultKind as K;
+    let joint = kind.axis().and_then(joint_of);
+    let of = |axis: &u8| Some(usize::from(*axis)) == joint;
+    let counter = match fault {
+        Fault::EncoderStuck { axis }
+        | Fault::EncoderReversed { axis }
+        | Fault::EncoderIllegal { axis, .. }
+        | Fault::EncoderSlip { axis, .. }
+        | Fault::StepsLost { axis, .. }
+        | Fault::Homing { axis, .. } => of(axis),
+        _ => false,
+    };
+    let following = matches!(fault, Fault::FollowingError { axis, .. } if of(axis));
+    let stroke = matches!(fault, Fault::Stroke { axis, .. } if of(axis));
+    let switch = matches!(fault, Fault::LimitSwitch { axis } if of(axis));
+    // The pose shows the motion of a joint that runs away.
+    let pose = matches!(fault, Fault::Pose(_));
+    match kind {
+        K::EncoderStuck { .. } => {
+            counter || following || stroke || pose || matches!(fault, Fault::LimitSwitch { .. })
+        }
+        K::EncoderSwapped { .. } => counter,
+        K::EncoderSlip { .. } => counter || following || stroke || pose,
+        K::EncoderNoise { .. } => counter || following,
+        K::IndexMissing { .. } => matches!(fault, Fault::Homing { axis, .. } if of(axis)),
+        K::DriveTripped { .. } => matches!(fault, Fault::Drive { axis } if of(axis)),
+        K::DriveDead { .. }
+        | K::DriveWeak { .. }
+        | K::DriveReversed { .. }
+        | K::SlideJammed { .. }
+        | K::Push { .. } => {
+            let plausible = !matches!(
+                fault,
+                Fault::EncoderIllegal { .. } | Fault::EncoderSlip { .. }
+            );
+            let unlocked = matches!(fault, Fault::NotLocked { axis, .. } if of(axis));
+            (counter && plausible) || following || stroke || switch || pose || unlocked
+        }
+        K::SwitchStuck {
+            switch: stuck,
+            active,
+            ..
+        } => switch && *active && *stuck != Switch::Home,
+        K::SensorStuck { .. }
+        | K::SensorDropped { .. }
+        | K::SensorReversed { .. }
+        | K::SensorDrift { .. }
+        | K::SensorSaturated { .. }
+        | K::SpindleStalled => matches!(fault, Fault::Force(_)),
+        K::HapticArm(_) => matches!(fault, Fault::Master(_)),
+        _ => false,
+    }
+}

@@ -1,0 +1,146 @@
+//! Following error: runaways, unreported errors, and the lag of a healthy machine.
+
+use super::super::bench::StormBench;
+use super::super::units::{class, joint_unit};
+use super::position::is_position_known;
+use super::{Cause, CheckResult, Checks, bounds};
+use haptimill_protocol::message::State;
+
+/// Periods for which the conditions of this file have lasted.
+#[derive(Debug, Default)]
+pub(super) struct FollowingRecord {
+    /// The drives have been on since homing, so the flanks of the screws are known.
+    pub homed_and_on: bool,
+    /// Periods at standstill.
+    pub standstill: u32,
+    /// Periods with a following error above its limit, by joint.
+    unreported: [u32; 6],
+    /// Periods far from the target, by joint.
+    runaway: [u32; 6],
+}
+
+impl Checks {
+    /// Counts the periods at standstill.
+    pub(super) fn count_standstill(&mut self, bench: &StormBench) {
+        let controller = bench.controller();
+        let safety = controller.safety();
+        let inactive = controller
+            .machine()
+            .and_then(|machine| machine.force.as_ref())
+            .is_none_or(|force| force.is_inactive());
+        let still = safety.drives_on() && safety.state() == State::Idle && inactive;
+        self.following.standstill = if still {
+            self.following.standstill + 1
+        } else {
+            0
+        };
+    }
+
+    /// Checks that a following error above its limit has latched a fault.
+    pub(super) fn check_reported_error(
+        &mut self,
+        bench: &StormBench,
+        joint: usize,
+        measured: i32,
+    ) -> CheckResult {
+        let controller = bench.controller();
+        let (safety, Some(machine)) = (controller.safety(), controller.machine()) else {
+            return Ok(());
+        };
+        let limits = &machine.config.joints[joint];
+        // The firmware compares the present measurement with the command of the period before.
+        let commanded = self.previous.joints[joint] as i64 as i32;
+        let error = f64::from(measured.wrapping_sub(commanded)).abs();
+        let rate = self.previous.joint_rates[joint].abs();
+        let lag = rate * f64::from(limits.following_lag) / 65_536.0;
+        let limit = (f64::from(limits.following.0) + lag) * bounds::REPORTED + 4.0;
+        let unreported = &mut self.following.unreported[joint];
+        let above = safety.drives_on() && self.previous.drives_on && error > limit;
+        *unreported = if above { *unreported + 1 } else { 0 };
+        if *unreported > 3 && safety.state() != State::Fault {
+            violated!(
+                bench,
+                "following error not reported",
+                "joint {joint} is {:.4} off, limit {:.4}, in {:?}",
+                error / joint_unit(joint),
+                limit / joint_unit(joint),
+                safety.state()
+            );
+        }
+        Ok(())
+    }
+
+    /// Checks the true position of a joint against its target, in mm or degrees.
+    pub(super) fn check_following(
+        &mut self,
+        bench: &StormBench,
+        joint: usize,
+        target: f64,
+    ) -> CheckResult {
+        let safety = bench.controller().safety();
+        if !safety.drives_on() || !self.previous.drives_on {
+            self.following.runaway[joint] = 0;
+            return Ok(());
+        }
+        let known = is_position_known(bench);
+        let far = (bench.rig.truth().joints[joint] - target).abs();
+        let runaway = &mut self.following.runaway[joint];
+        let away = known && far > bounds::RUNAWAY[class(joint)];
+        *runaway = if away { *runaway + 1 } else { 0 };
+        if *runaway > 50 {
+            violated!(
+                bench,
+                "runaway",
+                "joint {joint} is {far:.3} from its target for {runaway} periods in {:?}; \
+                 injected were {:?}",
+                safety.state(),
+                self.injected
+            );
+        }
+        let undisturbed = self.is_fault_free(bench)
+            && self.causes.iter().all(|cause| *cause == Cause::HostSilent);
+        if known && undisturbed && self.previous.homed {
+            self.check_healthy_joint(bench, joint, far)?;
+        }
+        Ok(())
+    }
+
+    /// Checks lag, standstill and stroke of a joint of a healthy machine.
+    fn check_healthy_joint(&mut self, bench: &StormBench, joint: usize, far: f64) -> CheckResult {
+        let Some(machine) = bench.controller().machine() else {
+            return Ok(());
+        };
+        let unit = joint_unit(joint);
+        let rate = self.previous.joint_rates[joint].abs() / unit;
+        let beyond = far - 0.002 * rate;
+        self.record_largest(["following mm", "following deg"][class(joint)], beyond);
+        if beyond > bounds::FOLLOWING[class(joint)] {
+            violated!(
+                bench,
+                "following",
+                "joint {joint} is {far:.4} from its target at {rate:.3}/s in {:?}",
+                bench.controller().safety().state()
+            );
+        }
+        if self.following.standstill > 5000 && self.following.homed_and_on {
+            self.record_largest(["rest mm", "rest deg"][class(joint)], far);
+            if far > bounds::REST[class(joint)] {
+                violated!(
+                    bench,
+                    "rest",
+                    "joint {joint} is {far:.4} from its target at standstill"
+                );
+            }
+        }
+        let limits = &machine.config.joints[joint];
+        let (low, high) = (
+            f64::from(limits.low.0) / unit,
+            f64::from(limits.high.0) / unit,
+        );
+        let place = bench.rig.truth().joints[joint];
+        if place > high + 0.5 || place < low - 0.5 {
+            violated!(bench, "stroke", "joint {joint} is at {place}");
+        }
+        Ok(())
+    }
+}

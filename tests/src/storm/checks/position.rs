@@ -1,0 +1,194 @@
+//! Position truth: measured positions against the simulated machine.
+
+use super::super::bench::StormBench;
+use super::super::episode::{JOINTS, joint_of};
+use super::super::units::{class, joint_unit};
+use super::{Cause, CheckResult, Checks, bounds, jump_threshold};
+use haptimill_firmware::config::Drive;
+use haptimill_hil_sim::fault::{Channel, FaultKind};
+use haptimill_protocol::message::State;
+
+/// What may be wrong with the encoder of a joint.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum EncoderDefect {
+    /// Nothing.
+    None,
+    /// One fault of its encoder is all that has happened to the joint.
+    Single,
+    /// The counter gained or lost counts one by one, or slipped with the drives off.
+    ///
+    /// Only index pulses can reveal a slip that is smaller than a counter jump.
+    Uncounted,
+    /// More has happened to the joint.
+    Several,
+    /// Both channels were dead.
+    Dead,
+}
+
+/// Injected encoder faults of each joint, and the position errors since.
+#[derive(Debug, Default)]
+pub(super) struct EncoderRecord {
+    /// A fault was injected into the encoder since it was last known to be right.
+    suspect: [bool; 6],
+    /// Index pulses since the fault was injected.
+    index_pulses: [u32; 6],
+    /// The encoder slipped while the drives were off.
+    slipped_off: [bool; 6],
+    /// Periods with a position error above its lasting bound.
+    wrong: [u32; 6],
+}
+
+impl EncoderRecord {
+    /// Records a fault that is injected into an encoder.
+    pub(super) fn record_fault(&mut self, kind: &FaultKind, drives_on: bool) {
+        let slip = matches!(kind, FaultKind::EncoderSlip { .. });
+        let encoder = slip
+            || matches!(
+                kind,
+                FaultKind::EncoderStuck { .. }
+                    | FaultKind::EncoderSwapped { .. }
+                    | FaultKind::EncoderNoise { .. }
+            );
+        if let Some(joint) = kind.axis().and_then(joint_of)
+            && encoder
+        {
+            self.suspect[joint] = true;
+            self.index_pulses[joint] = 0;
+            self.slipped_off[joint] |= slip && !drives_on;
+        }
+    }
+
+    /// Homing has ended every error of the counters.
+    pub(super) const fn end_of_errors(&mut self) {
+        self.suspect = [false; 6];
+        self.slipped_off = [false; 6];
+    }
+}
+
+/// Bounds of the position error of a joint.
+struct ErrorBounds {
+    /// Error above which a single period is a violation.
+    most: f64,
+    /// Error that may last.
+    lasting: f64,
+    /// Periods for which the error may exceed `lasting`.
+    periods: u32,
+    /// Name of the largest error in the report.
+    name: &'static str,
+}
+
+/// Returns whether the controller claims to know the position.
+pub(super) fn is_position_known(bench: &StormBench) -> bool {
+    let safety = bench.controller().safety();
+    safety.homed() && safety.position_kept() && safety.state() != State::Homing
+}
+
+impl Checks {
+    fn encoder_defect(&self, joint: usize) -> EncoderDefect {
+        if !self.position.suspect[joint] {
+            return EncoderDefect::None;
+        }
+        let of_joint = |kind: &&FaultKind| kind.axis() == Some(JOINTS[joint]);
+        let faults: Vec<&FaultKind> = self.injected.iter().filter(of_joint).collect();
+        let stuck = |which| {
+            faults.iter().any(
+                |kind| matches!(kind, FaultKind::EncoderStuck { channel, .. } if *channel == which),
+            )
+        };
+        let noise = faults
+            .iter()
+            .any(|kind| matches!(kind, FaultKind::EncoderNoise { .. }));
+        if stuck(Channel::A) && stuck(Channel::B) {
+            EncoderDefect::Dead
+        } else if self.position.slipped_off[joint] || noise {
+            EncoderDefect::Uncounted
+        } else if faults.len() > 1 || !self.causes.iter().all(|cause| *cause == Cause::HostSilent) {
+            EncoderDefect::Several
+        } else {
+            EncoderDefect::Single
+        }
+    }
+
+    fn error_bounds(&self, bench: &StormBench, joint: usize) -> Option<ErrorBounds> {
+        let limits = &bench.controller().machine()?.config.joints[joint];
+        let unit = joint_unit(joint);
+        // Lost steps below their limit are not reported; half a play adds to them.
+        let unseen = match &limits.drive {
+            Drive::Steps { lost, .. } => f64::from(lost.0) / unit + bounds::MOTOR[class(joint)],
+            Drive::Torque { .. } => 0.0,
+        };
+        let unseen = unseen.max(bounds::OFF);
+        Some(match self.encoder_defect(joint) {
+            EncoderDefect::None => ErrorBounds {
+                most: f64::INFINITY,
+                lasting: bounds::MOTOR[class(joint)],
+                periods: 25,
+                name: ["motor mm", "motor deg"][class(joint)],
+            },
+            EncoderDefect::Single => ErrorBounds {
+                most: bounds::FOUND,
+                lasting: unseen,
+                periods: bounds::LASTING,
+                name: "off after one fault",
+            },
+            EncoderDefect::Uncounted => ErrorBounds {
+                most: f64::INFINITY,
+                lasting: if self.position.index_pulses[joint] > 2 {
+                    bounds::INDEX_SLACK[class(joint)]
+                } else {
+                    jump_threshold(limits) / unit
+                },
+                periods: bounds::PUSHED_LASTING,
+                name: "off, noise or drives off",
+            },
+            EncoderDefect::Several => ErrorBounds {
+                most: bounds::PUSHED,
+                lasting: unseen,
+                periods: bounds::PUSHED_LASTING,
+                name: "off after several",
+            },
+            EncoderDefect::Dead => ErrorBounds {
+                most: bounds::TWO_TURNS,
+                lasting: unseen,
+                periods: u32::MAX,
+                name: "off, dead",
+            },
+        })
+    }
+
+    /// Checks the measured motor position, in mm or degrees, against the true one.
+    pub(super) fn check_position(
+        &mut self,
+        bench: &StormBench,
+        joint: usize,
+        measured: f64,
+    ) -> CheckResult {
+        if bench.rig.inputs().axes[joint].index_pulses != self.previous.index_pulses[joint] {
+            self.position.index_pulses[joint] += 1;
+        }
+        let safety = bench.controller().safety();
+        if !safety.drives_on() || !is_position_known(bench) {
+            self.position.wrong[joint] = 0;
+            return Ok(());
+        }
+        let Some(allowed) = self.error_bounds(bench, joint) else {
+            return Ok(());
+        };
+        let actual = bench.latched.motor[joint];
+        let off = (measured - actual).abs();
+        self.record_largest(allowed.name, off);
+        let wrong = &mut self.position.wrong[joint];
+        *wrong = if off > allowed.lasting { *wrong + 1 } else { 0 };
+        if *wrong > allowed.periods || off > allowed.most {
+            violated!(
+                bench,
+                "position wrong",
+                "joint {joint} is measured at {measured:.4} and is at {actual:.4}, \
+                 {off:.4} off for {wrong} periods in {:?}; injected were {:?}",
+                safety.state(),
+                self.injected
+            );
+        }
+        Ok(())
+    }
+}

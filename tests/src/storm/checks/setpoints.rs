@@ -1,0 +1,46 @@
+//! Setpoints: the commanded pose of a job is the cubic through the planned setpoints.
+
+use super::super::bench::StormBench;
+use super::super::reference::JobSample;
+use super::{CheckResult, Checks, bounds, commanded_pose};
+use haptimill_protocol::message::{Fault, Source, State};
+
+impl Checks {
+    /// Checks the commanded pose of a job against the interpolation of its setpoints.
+    pub(super) fn check_setpoints(&mut self, bench: &StormBench) -> CheckResult {
+        let controller = bench.controller();
+        let Some(machine) = controller.machine() else {
+            return Ok(());
+        };
+        let safety = controller.safety();
+        if !matches!(safety.state(), State::Run | State::Hold) {
+            return Ok(());
+        }
+        let other_source =
+            (0..machine.axes()).any(|axis| machine.motion.source(axis) != Source::Program);
+        if other_source || matches!(safety.pending(), Some(Fault::Force(_))) {
+            self.job.comparable = false;
+        }
+        let program = &machine.motion.program;
+        let sample = JobSample {
+            time: program.program_time(),
+            reached: program.reached(),
+            accepted: program.accepted(),
+            pose: commanded_pose(bench),
+            spindle: bench.rig.outputs().spindle_rpm,
+        };
+        let off = match self.job.check(&sample) {
+            Ok(off) => off,
+            Err(text) => violated!(bench, "setpoints", "{text}"),
+        };
+        self.record_largest("commanded pose less cubic, axis units", off);
+        if off > bounds::CUBIC {
+            violated!(
+                bench,
+                "interpolation",
+                "commanded pose is {off} axis units from the setpoints' cubic"
+            );
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,183 @@
+//! Sends configurations, as they are or with mutated fields.
+
+use super::{Answer, PlayResult, Player};
+use crate::storm::checks::Violation;
+use crate::storm::command;
+use crate::storm::rng::Rng;
+use haptimill_firmware::config::{Config, Drive, JointAxis, PoseAxis};
+use haptimill_kinematics::Model;
+use haptimill_protocol::message::{CONFIG_CHUNK, Command, ConfigChunk};
+
+impl Player {
+    /// Sends a configuration and activates it.
+    pub(super) fn configure(
+        &mut self,
+        bytes: &[u8],
+        crc: u32,
+        at_preset: bool,
+    ) -> Result<Answer, Violation> {
+        for (index, chunk) in bytes.chunks(CONFIG_CHUNK).enumerate() {
+            let chunk = ConfigChunk {
+                offset: (index * CONFIG_CHUNK) as u16,
+                bytes: chunk.iter().copied().collect(),
+            };
+            if self.ask(&Command::Configure(chunk), 4000)? != Some(Ok(())) {
+                return Ok(None);
+            }
+        }
+        let activate = Command::Activate {
+            length: bytes.len() as u16,
+            crc,
+            at_preset,
+        };
+        self.ask(&activate, 4000)
+    }
+
+    /// Sends a configuration with this many mutations.
+    pub(super) fn reconfigure(&mut self, seed: u64, mutations: u8, preset: bool) -> PlayResult {
+        let mut rng = Rng::new(seed, 904);
+        let mut config = self.bench.machine.config.clone();
+        let bits = mutations > 0 && rng.chance(0.3);
+        if !bits {
+            for _ in 0..mutations {
+                mutate(&mut config, &mut rng);
+            }
+        }
+        let file = haptimill_machine_file::MachineFile {
+            config,
+            ..self.bench.machine.clone()
+        };
+        let Ok((mut bytes, mut crc)) = file.encoded() else {
+            return Ok(());
+        };
+        if bits {
+            for _ in 0..mutations {
+                let at = rng.index(bytes.len());
+                bytes[at] ^= 1 << rng.below(8);
+            }
+            if rng.chance(0.1) {
+                bytes.truncate(rng.index(bytes.len()));
+            }
+            crc = haptimill_protocol::frame::crc32(&bytes);
+        }
+        if mutations > 0 || preset {
+            // The configuration is not that of the plant from here on.
+            self.checks.foreign_configuration = true;
+        }
+        self.checks.job.invalidate();
+        self.configure(&bytes, crc, preset)?;
+        Ok(())
+    }
+}
+
+/// Sets one field of a configuration to an edge value or to any other.
+fn mutate(config: &mut Config, rng: &mut Rng) {
+    let word = command::word(rng);
+    let half = rng.bits() as u16 >> rng.below(16);
+    let wide = i64::from(command::word(rng)) << rng.below(24);
+    let (pose, joint) = (rng.index(5), rng.index(5));
+    if rng.chance(0.25) && !config.pose.is_empty() {
+        mutate_coordinate(&mut config.pose[pose], word, rng);
+        return;
+    }
+    if rng.chance(0.5) && !config.joints.is_empty() {
+        let values = (word, half, wide);
+        mutate_joint(&mut config.joints[joint], values, rng);
+        return;
+    }
+    match rng.below(12) {
+        0 => config.period_us = half,
+        1 => config.stopping.time_ms = half,
+        2 => config.stopping.ramp_ms = half,
+        3 => config.supervision.heartbeat_ms = half,
+        4 => config.supervision.missed_periods = half,
+        5 => config.supervision.illegal_transitions = half,
+        6 => config.homing.rate.0 = word,
+        7 => config.homing.table_rate.0 = word,
+        8 | 9 => {
+            if let Model::H4(geometry) = &mut config.model {
+                match rng.below(6) {
+                    0 => geometry.rod.0 = word,
+                    1 => geometry.half_spacing.0 = word,
+                    2 => geometry.tool.0 = word,
+                    3 => geometry.below = !geometry.below,
+                    4 => geometry.lateral.0 = word,
+                    _ => geometry.table_height.0 = word,
+                }
+            }
+        }
+        _ => {
+            if let Some(force) = &mut config.force {
+                let axis = &mut force.axes[rng.index(3)];
+                match rng.below(8) {
+                    0 => axis.desired.0 = word,
+                    1 => axis.limit.0 = word,
+                    2 => axis.rate.0 = word,
+                    3 => force.mask = word as u8,
+                    4 => force.drive_lag_us = half,
+                    5 => force.creep.0 = word,
+                    6 => force.slowest_rpm = half,
+                    _ => config.force = None,
+                }
+            }
+        }
+    }
+}
+
+fn mutate_coordinate(axis: &mut PoseAxis, word: i32, rng: &mut Rng) {
+    match rng.below(5) {
+        0 => axis.low.0 = word,
+        1 => axis.high.0 = word,
+        2 => axis.rate.0 = word,
+        3 => axis.acceleration.0 = word,
+        _ => axis.jerk = word as u32,
+    }
+}
+
+fn mutate_joint(axis: &mut JointAxis, (word, half, wide): (i32, u16, i64), rng: &mut Rng) {
+    match rng.below(24) {
+        0 => axis.low.0 = word,
+        1 => axis.high.0 = word,
+        2 => axis.rate.0 = word,
+        3 => axis.per_count = wide,
+        4 => axis.per_count = -axis.per_count,
+        5 => axis.backlash.0 = word,
+        6 => axis.following.0 = word,
+        7 => axis.following_lag = word as u32,
+        8 => axis.still.0 = word,
+        9 => axis.preset.0 = word,
+        10 => axis.index.0 = word,
+        11 => axis.index_pitch.0 = word,
+        12 => axis.index_slack = half,
+        13 => axis.search.0 = word,
+        14 => axis.law.kp.0 = word as u32,
+        15 => axis.law.kd.0 = word as u32,
+        16 => axis.law.rate_filter_us = half,
+        17 => axis.law.inertia = word as u32,
+        18 => axis.law.viscous = word as u32,
+        19 => axis.law.coulomb.0 = word,
+        20 => axis.law.coulomb_rate.0 = word,
+        21 => axis.law.ki.0 = word as u32,
+        _ => match &mut axis.drive {
+            Drive::Torque { full_scale, limit } => {
+                if rng.chance(0.5) {
+                    full_scale.0 = word;
+                } else {
+                    limit.0 = word;
+                }
+            }
+            Drive::Steps {
+                per_step,
+                ticks_per_us,
+                pulse,
+                lost,
+                ..
+            } => match rng.below(4) {
+                0 => *per_step = wide,
+                1 => *ticks_per_us = half,
+                2 => *pulse = half,
+                _ => lost.0 = word,
+            },
+        },
+    }
+}
