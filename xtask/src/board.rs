@@ -240,7 +240,7 @@ impl Board {
     ) -> Result<PathBuf, String> {
         let toolchain = self.toolchain().ok_or_else(|| {
             format!(
-                "nothing here builds for {}: `rustup target add {}`, or on Debian `apt-get install {}`",
+                "no installed toolchain builds for {}: `rustup target add {}`, or on Debian `apt-get install {}`",
                 self.target,
                 self.target,
                 DEBIAN_PACKAGES.join(" ")
@@ -267,7 +267,10 @@ impl Board {
         }
         match cargo.status() {
             Ok(status) if status.success() => Ok(self.image(root, binary)),
-            Ok(status) => Err(format!("the board {} does not build ({status})", self.name)),
+            Ok(status) => Err(format!(
+                "the board {} cannot be built ({status})",
+                self.name
+            )),
             Err(error) => Err(format!("cargo cannot be started: {error}")),
         }
     }
@@ -294,7 +297,7 @@ impl Board {
     pub fn measure(&self, image: &Path) -> Result<(), String> {
         let bytes = fs::read(image).map_err(|error| format!("{}: {error}", image.display()))?;
         let sections = sections(&bytes)
-            .ok_or_else(|| format!("{}: is no image of a 32-bit chip", image.display()))?;
+            .ok_or_else(|| format!("{}: is not an image of a 32-bit chip", image.display()))?;
         println!("{:24} {:>10} {:>8}", "section", "address", "bytes");
         let (mut flash, mut ram) = (0, 0);
         for section in sections
@@ -322,7 +325,10 @@ impl Board {
             self.flash, self.ram
         );
         if flash > self.flash || ram > self.ram {
-            return Err(format!("the image of {} takes more than it may", self.name));
+            return Err(format!(
+                "the image of {} exceeds its flash or RAM budget",
+                self.name
+            ));
         }
         Ok(())
     }

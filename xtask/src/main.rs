@@ -1,11 +1,13 @@
 //! Developer tasks of the project. `cargo xtask help` lists them.
 
 mod board;
+mod lint;
 mod planted;
 mod provide;
 mod storm;
 
 use board::Board;
+use lint::lint;
 use provide::provide;
 use std::env;
 use std::path::{Path, PathBuf};
@@ -18,6 +20,7 @@ Developer tasks of the project.
 
   cargo xtask test                 run all checks: format, lints, tests, documentation, boards, emulated runs
   cargo xtask test --native-only   the same without boards and emulated runs; lists what it skipped
+  cargo xtask lint                 list comments and prose longer than 100 columns
   cargo xtask board NAME           build the image of a board (mps2), print its size, check it against the budget
   cargo xtask board NAME --image   build the image and print only its path
   cargo xtask board NAME --image OTHER   the same with another image of the board (mps2: hand, faults, checks, logging)
@@ -122,8 +125,9 @@ fn main() -> ExitCode {
     let done = match words[..] {
         ["test"] => test(),
         ["test", "--native-only"] => run(TEST).map(|()| {
-            println!("LEFT OUT  boards and emulated runs (--native-only): nothing was shown about the controller on a chip");
+            println!("SKIPPED  boards and emulated runs (--native-only): the controller was not tested on a chip");
         }),
+        ["lint"] => lint(&root()),
         ["board", name] => board(name),
         ["board", name, "--image"] => image(name, None),
         ["board", name, "--image", other] => image(name, Some(other)),
@@ -136,7 +140,7 @@ fn main() -> ExitCode {
             Ok(())
         }
         _ => {
-            eprintln!("xtask: there is no chore '{}'\n\n{HELP}", words.join(" "));
+            eprintln!("xtask: '{}' is not a task\n\n{HELP}", words.join(" "));
             return ExitCode::from(2);
         }
     };
@@ -234,8 +238,8 @@ fn log(program: &str, more: &[&str]) -> Result<(), String> {
         "--example",
         "log",
     ];
-    let told = cargo(&[&decoder[..], &["--", &image, &file]].concat())?;
-    if ran.success() && told.success() {
+    let decoded = cargo(&[&decoder[..], &["--", &image, &file]].concat())?;
+    if ran.success() && decoded.success() {
         Ok(())
     } else {
         Err("the run ended with an error".to_string())
@@ -293,12 +297,12 @@ fn has(component: &str) -> bool {
 }
 
 fn run(steps: &[Step]) -> Result<(), String> {
-    let mut left_out = Vec::new();
+    let mut skipped = Vec::new();
     for step in steps {
         if let Some((component, remedy)) = step.component
             && !has(component)
         {
-            left_out.push(format!(
+            skipped.push(format!(
                 "{}: this toolchain has no 'cargo {component}'; {remedy}",
                 step.name
             ));
@@ -313,7 +317,7 @@ fn run(steps: &[Step]) -> Result<(), String> {
         match status {
             Ok(status) if status.success() => {
                 println!(
-                    "== {}: well, {:.0} s",
+                    "== {}: passed, {:.0} s",
                     step.name,
                     start.elapsed().as_secs_f64()
                 );
@@ -330,8 +334,8 @@ fn run(steps: &[Step]) -> Result<(), String> {
             }
         }
     }
-    for line in &left_out {
-        println!("LEFT OUT  {line}");
+    for line in &skipped {
+        println!("SKIPPED  {line}");
     }
     Ok(())
 }

@@ -23,38 +23,38 @@ pub fn provide() -> Result<(), String> {
 
 /// Installed tools.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct There {
+struct Tools {
     /// A toolchain that builds for every board.
     toolchain: bool,
     emulator: bool,
 }
 
 /// Returns the tools installed on this computer.
-fn here() -> There {
+fn here() -> Tools {
     let emulator = Command::new(EMULATOR).arg("--version").output();
-    There {
+    Tools {
         toolchain: BOARDS.iter().all(|board| board.toolchain().is_some()),
         emulator: emulator.is_ok_and(|output| output.status.success()),
     }
 }
 
 /// Returns the missing packages.
-fn missing(there: There) -> Vec<&'static str> {
-    let compiler = if there.toolchain {
+fn missing(tools: Tools) -> Vec<&'static str> {
+    let compiler = if tools.toolchain {
         &[]
     } else {
         DEBIAN_PACKAGES
     };
-    let emulator: &[&str] = if there.emulator { &[] } else { &[EMULATOR] };
+    let emulator: &[&str] = if tools.emulator { &[] } else { &[EMULATOR] };
     [compiler, emulator].concat()
 }
 
-/// Installs missing packages with `apt`, which returns its success, and looks again.
+/// Installs missing packages with `apt`, which returns its success, and checks again.
 fn provide_by(
-    look: &dyn Fn() -> There,
+    check: &dyn Fn() -> Tools,
     apt: &mut dyn FnMut(&[&str]) -> bool,
 ) -> Result<(), String> {
-    let packages = missing(look());
+    let packages = missing(check());
     if packages.is_empty() {
         return Ok(());
     }
@@ -63,12 +63,12 @@ fn provide_by(
     // A failed update is accepted: the present package list may suffice.
     apt(&["update"]);
     if apt(&install) {
-        let left = missing(look());
+        let left = missing(check());
         if left.is_empty() {
             return Ok(());
         }
         return Err(format!(
-            "apt-get has installed {}, and it still cannot be found here; `cargo xtask board mps2` says what is looked for",
+            "apt-get has installed {}, and a tool is still missing; `cargo xtask board mps2` names it",
             left.join(" ")
         ));
     }
@@ -89,29 +89,29 @@ mod tests {
     use super::*;
     use std::cell::Cell;
 
-    const NOTHING: There = There {
+    const NOTHING: Tools = Tools {
         toolchain: false,
         emulator: false,
     };
-    const ALL: There = There {
+    const ALL: Tools = Tools {
         toolchain: true,
         emulator: true,
     };
 
     /// Returns the calls of apt and the result, for the tools before and after an installation that
     /// succeeds or fails.
-    fn tried(before: There, works: bool, after: There) -> (Vec<String>, Result<(), String>) {
-        let (installed, mut said) = (Cell::new(false), Vec::new());
+    fn tried(before: Tools, works: bool, after: Tools) -> (Vec<String>, Result<(), String>) {
+        let (installed, mut calls) = (Cell::new(false), Vec::new());
         let done = provide_by(
             &|| if installed.get() { after } else { before },
             &mut |arguments| {
-                said.push(arguments.join(" "));
+                calls.push(arguments.join(" "));
                 let install = arguments[0] == "install";
                 installed.set(installed.get() || install && works);
                 works || !install
             },
         );
-        (said, done)
+        (calls, done)
     }
 
     #[test]
@@ -121,23 +121,23 @@ mod tests {
 
     #[test]
     fn what_is_missing_is_installed_and_nothing_else() {
-        let (said, done) = tried(NOTHING, true, ALL);
+        let (calls, done) = tried(NOTHING, true, ALL);
         let install = "install -y --no-install-recommends";
         let compiler = "rustc-web cargo-web rust-web-src lld-22";
         let everything = format!("{install} {compiler} qemu-system-arm");
-        assert_eq!((said, done), (vec!["update".into(), everything], Ok(())));
-        let without_emulator = There {
+        assert_eq!((calls, done), (vec!["update".into(), everything], Ok(())));
+        let without_emulator = Tools {
             toolchain: true,
             emulator: false,
         };
-        let (said, _) = tried(without_emulator, true, ALL);
-        assert_eq!(said[1], format!("{install} qemu-system-arm"));
-        let without_compiler = There {
+        let (calls, _) = tried(without_emulator, true, ALL);
+        assert_eq!(calls[1], format!("{install} qemu-system-arm"));
+        let without_compiler = Tools {
             toolchain: false,
             emulator: true,
         };
-        let (said, _) = tried(without_compiler, true, ALL);
-        assert_eq!(said[1], format!("{install} {compiler}"));
+        let (calls, _) = tried(without_compiler, true, ALL);
+        assert_eq!(calls[1], format!("{install} {compiler}"));
     }
 
     #[test]
@@ -151,7 +151,7 @@ mod tests {
         ] {
             assert!(problem.contains(word), "{problem}");
         }
-        let without_emulator = There {
+        let without_emulator = Tools {
             toolchain: true,
             emulator: false,
         };
@@ -166,7 +166,7 @@ mod tests {
 
     #[test]
     fn an_installation_that_helps_nothing_is_told() {
-        let still = There {
+        let still = Tools {
             toolchain: false,
             emulator: true,
         };

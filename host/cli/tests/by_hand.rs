@@ -11,7 +11,7 @@ fn what_forbids_to_switch_the_drives_on_is_named() {
     for (spoilt, named) in [
         (
             "switch-stuck axis=l2 switch=limit-low active=yes",
-            "l2 stands on its limit switch",
+            "l2 is on its limit switch",
         ),
         ("drive-tripped axis=l4", "the drive of l4 is not ready"),
         ("emergency-stop", "remove the cause, then reset"),

@@ -295,7 +295,7 @@ fn a_host_that_dies_is_noticed_and_the_machine_stops_on_its_path() {
         assert!(lost.elapsed() < Duration::from_secs(10));
         let ran = served.tries(&["status", "--json"]);
         if ran.code != 0 {
-            let why = "another program is connected";
+            let why = "another host is connected";
             assert!(ran.code == 5 && ran.err.contains(why), "{ran:?}");
             continue;
         }

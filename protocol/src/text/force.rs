@@ -27,45 +27,49 @@ impl Describe for ForceRefusal {
             ForceParameter::DesiredTooSmall => {
                 write!(
                     f,
-                    "the desired force must be {gain} N or more; to switch force control off take the axis out of it"
+                    "the force setpoint must be {gain} N or more; \
+                     to switch force control off take the axis out of it"
                 )
             }
             ForceParameter::DesiredTooLarge => write!(
                 f,
-                "the desired force must be {gain} N or less, three quarters of what the sensor shows"
+                "the force setpoint must be {gain} N or less, three quarters of the sensor range"
             ),
             ForceParameter::DampingTooSmall => write!(
                 f,
-                "K_V must be {gain} N s/mm or more: below, the loop is not stable with the delay of a revolution"
+                "K_V must be {gain} N s/mm or more: \
+                 below, the loop is unstable with the delay of a spindle revolution"
             ),
             ForceParameter::DampingTooLarge => write!(f, "K_V must be {gain} N s/mm or less"),
             ForceParameter::MassTooSmall => write!(
                 f,
-                "K_A must be {gain} N s^2/mm or more: below, the damping that a stiff contact needs cannot be given in a period"
+                "K_A must be {gain} N s^2/mm or more: \
+                 below, K_A is less than K_V of the highest damping level times a control period"
             ),
             ForceParameter::MassTooLarge => write!(
                 f,
-                "K_A must be {gain} N s^2/mm or less: above, the loop takes longer than 2^18 control periods"
+                "K_A must be {gain} N s^2/mm or less: above, K_A / K_V exceeds 2^18 control periods"
             ),
             ForceParameter::Limit => write!(
                 f,
-                "the most that the tool yields must be above 0 and at most {length} mm"
+                "the compliance limit must be above 0 and at most {length} mm"
             ),
             ForceParameter::Rate => {
-                f.write_str("the rate at which the tool yields must be above 0")
+                f.write_str("the largest rate of the compliant displacement must be above 0")
             }
             ForceParameter::Sensor => f.write_str(
-                "the values of the force sensor make no sense; correct the machine file",
+                "a value of the force sensor is out of its range; correct the machine file",
             ),
             ForceParameter::SlowestSpindle => write!(
                 f,
-                "a revolution does not fit the window of the peak; the slowest spindle must be {bound} rev/min or more"
+                "the slowest spindle speed must be {bound} rev/min or more: \
+                 below, a revolution does not fit the window of the peak force"
             ),
             ForceParameter::Axis => {
-                f.write_str("there is no such axis under force; there are x, y and z of the work")
+                f.write_str("this axis has no force loop; x, y and z of the workpiece have one")
             }
             ForceParameter::Busy => {
-                f.write_str("the last change of this axis is still being worked out; say it again")
+                f.write_str("the last change of this axis is still in progress; send it again")
             }
         }
     }
@@ -76,13 +80,17 @@ impl Describe for ForceProblem {
         let name = |component| Named(axes.pose, component);
         match *self {
             Self::Silent => f.write_str(
-                "the force sensor gives no new samples; check its converter and its cable",
+                "the force sensor delivers no new samples; check its converter and its cable",
             ),
             Self::Overload { component: 3 } => {
-                f.write_str("the amplifier of the force sensor is overloaded")
+                f.write_str("the amplifier of the force sensor is overloaded; reduce the force")
             }
             Self::Overload { component } => {
-                write!(f, "the force sensor is saturated in {}", name(component))
+                write!(
+                    f,
+                    "the force sensor is saturated in {}; reduce the force",
+                    name(component)
+                )
             }
             Self::Stuck { component } => write!(
                 f,
@@ -91,24 +99,28 @@ impl Describe for ForceProblem {
             ),
             Self::Drift { component, force } => write!(
                 f,
-                "the force sensor shows {} N in {} with nothing at the tool; its zero has wandered, tare it",
+                "the force sensor measures {} N in {} without contact at the tool: \
+                 its zero has drifted; tare it",
                 Decimal(force, 16),
                 name(component)
             ),
             Self::Limit { component, force } => write!(
                 f,
-                "the force on the tool was {} N in {}, more than may be; look at spindle, feed and depth of cut",
+                "the force on the tool was {} N in {}, beyond its limit; \
+                 check spindle, feed and depth of cut",
                 Decimal(force, 16),
                 name(component)
             ),
             Self::WrongSign { component } => write!(
                 f,
-                "the force in {} grows when the tool yields to it: the force sensor has the wrong sign there; correct it in the machine file",
+                "the force in {} increases while the tool complies with it; \
+                 check the sign of the force sensor in the machine file, and its zero for drift",
                 name(component)
             ),
             Self::SlowSpindle { rpm } => write!(
                 f,
-                "the spindle turns at {rpm} rev/min, too slowly for force control; turn it faster, or lower the slowest speed in the machine file"
+                "the spindle speed is {rpm} rev/min, too low for force control; \
+                 raise it, or lower slowest_rpm in the machine file"
             ),
         }
     }
@@ -118,23 +130,25 @@ impl Describe for TareRefusal {
     fn describe(&self, axes: &Axes<'_>, f: &mut Formatter<'_>) -> Result {
         let name = |component| Named(axes.pose, component);
         match *self {
-            Self::Silent => f.write_str("samples were missing; check its converter and its cable"),
+            Self::Silent => f.write_str("samples were missing; check converter and cable"),
             Self::Moving { component, spread } => write!(
                 f,
-                "it moved by {spread} codes in {}; let spindle and table come to rest",
+                "the signal varied by {spread} codes in {}; stop spindle and table first",
                 name(component)
             ),
             Self::Stuck { component } => write!(
                 f,
-                "it repeats one value in {}; check its cable and amplifier",
+                "the sensor repeats one value in {}; check cable and amplifier",
                 name(component)
             ),
             Self::Offset { component } => write!(
                 f,
-                "in {} less than half of its range would be left; reset the charge amplifier",
+                "less than half of the range would remain in {}; reset the charge amplifier",
                 name(component)
             ),
-            Self::Interrupted => f.write_str("the machine began to move before it was done"),
+            Self::Interrupted => {
+                f.write_str("the machine moved before the tare was complete; tare at standstill")
+            }
         }
     }
 }

@@ -8,8 +8,8 @@ use core::fmt::{Formatter, Result};
 const fn sensor(index: u8) -> &'static str {
     match index {
         0 => "slide",
-        1 => "turn of the slide",
-        _ => "lean of the link",
+        1 => "turn (theta3)",
+        _ => "lean (theta4)",
     }
 }
 
@@ -24,25 +24,30 @@ impl Describe for MasterProblem {
                 let leg = leg + 1;
                 write!(
                     f,
-                    "an encoder of leg {leg} of the haptic arm cannot be right: a side of the handle seems {by} too long; it jumped, sticks or counts the wrong way, or the arm did not stand at its home when it was configured"
+                    "an encoder of leg {leg} of the haptic arm is wrong: a side of the platform appears \
+                     {by} too long; check it for a jump, a stuck channel and its counting direction, \
+                     and configure the controller with the arm at its home"
                 )
             }
             Self::Illegal { leg, sensor: index } => write!(
                 f,
-                "the encoder of the {} of leg {} of the haptic arm made impossible steps; check its cable and shield",
+                "the encoder of the {} of leg {} of the haptic arm made illegal transitions; check its cable and shield",
                 sensor(index),
                 leg + 1
             ),
             Self::Range { leg, sensor: index } => write!(
                 f,
-                "the {} of leg {} of the haptic arm is where it cannot be; bring the handle to its home and configure again",
+                "the {} of leg {} of the haptic arm is out of its range; \
+                 move the handle to its home and configure again",
                 sensor(index),
                 leg + 1
             ),
             Self::Singular => f.write_str(
-                "the handle is near a position in which the arm cannot hold it; bring it back towards the middle",
+                "the handle is near a singularity of the haptic arm; move it towards the middle",
             ),
-            Self::Drive => f.write_str("an amplifier of the haptic arm reports a fault; look at the amplifiers"),
+            Self::Drive => {
+                f.write_str("an amplifier of the haptic arm reports a fault; check the amplifiers")
+            }
         }
     }
 }

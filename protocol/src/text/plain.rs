@@ -6,9 +6,17 @@ use core::fmt::{Display, Formatter, Result};
 impl Display for HelloRefusal {
     fn fmt(&self, f: &mut Formatter<'_>) -> Result {
         f.write_str(match self {
-            Self::Busy => "another program is connected and the machine moves or may move; stop that one first",
-            Self::Version => "the controller speaks another version of the protocol; use the host and the firmware of one release",
-            Self::Schema => "host and controller were built from different sources; use the host and the firmware of one release",
+            Self::Busy => {
+                "another host is connected and the machine is active; stop the other host first"
+            }
+            Self::Version => {
+                "the controller has another version of the protocol; \
+                 use host and firmware of one release"
+            }
+            Self::Schema => {
+                "host and controller have different message types; \
+                 use host and firmware of one release"
+            }
         })
     }
 }
@@ -55,10 +63,10 @@ impl Display for HomingProblem {
         f.write_str(match self {
             Self::NoIndex => "no index pulse within the search distance; check the encoder and the preset",
             Self::NoSwitch => "the home switch did not change within the search distance; check the switch and the preset",
-            Self::Stalled => "the axis did not follow; look for what blocks it",
-            Self::Implausible => "the reference is too far from the preset; set the slides to their preset positions",
-            Self::Workspace => "the search would leave the workspace; set the slides to their preset positions",
-            Self::Stopped => "it was stopped",
+            Self::Stalled => "the joint did not follow; remove what blocks it",
+            Self::Implausible => "the reference is too far from the preset; set the joints up at their presets by hand",
+            Self::Workspace => "the search would leave the workspace; set the joints up at their presets by hand",
+            Self::Stopped => "homing was stopped",
         })
     }
 }
@@ -66,27 +74,27 @@ impl Display for HomingProblem {
 impl Display for ConfigField {
     fn fmt(&self, f: &mut Formatter<'_>) -> Result {
         f.write_str(match self {
-            Self::Encoding => "its encoding cannot be read",
+            Self::Encoding => "encoding",
             Self::Period => "control period",
             Self::AxisCount => "number of axes",
             Self::Geometry => "geometry",
             Self::Stroke => "stroke",
             Self::SoftLimit => "soft limits",
-            Self::Rate => "largest rate",
-            Self::Acceleration => "largest acceleration",
-            Self::Jerk => "largest jerk",
-            Self::Encoder => "encoder scale",
+            Self::Rate => "maximum rate",
+            Self::Acceleration => "maximum acceleration",
+            Self::Jerk => "maximum jerk",
+            Self::Encoder => "encoder scaling",
             Self::Drive => "drive",
             Self::Gain => "gains of the position loop",
             Self::Filter => "filter of the position loop",
-            Self::Following => "limit of the following error",
+            Self::Following => "following error limit",
             Self::Backlash => "backlash",
             Self::Homing => "homing",
             Self::Heartbeat => "heartbeat",
             Self::StopTime => "stop time",
             Self::Force => "force sensor or force loop",
             Self::Haptic => "haptic arm",
-            Self::Follow => "following a hand",
+            Self::Follow => "teleoperation ([follow])",
         })
     }
 }

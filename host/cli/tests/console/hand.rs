@@ -232,7 +232,7 @@ fn a_machine_without_a_hand_says_so() {
     terminal.keys(b"e");
     terminal.state("IDLE");
     terminal.brings(b"a", "Axes: a jog begins and ends at rest");
-    terminal.brings(b"m", "source: no hand can lead this machine");
+    terminal.brings(b"m", "source: the machine has no master");
 }
 
 #[test]

@@ -29,7 +29,7 @@ fn a_lost_line_is_found_again_and_nothing_moves_by_itself() {
     terminal.brings(RIGHT, "no link to the controller");
     cable.mend();
     terminal.state("FAULT");
-    terminal.sees("nothing was heard from the host");
+    terminal.sees("nothing was received from the host");
     terminal.keys(b"x");
     terminal.state("IDLE");
     terminal.sees("connected again; nothing moves");

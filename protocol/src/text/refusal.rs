@@ -1,0 +1,209 @@
+//! Sentences of refused poses, commands and configurations.
+
+use super::{Amount, Axes, Axis, AxisKind, Describe, Named, amount};
+use crate::message::{ConfigField, ConfigProblem, Fault, InputProblem, PoseError, Refusal, State};
+use core::fmt::{Formatter, Result};
+
+impl Describe for PoseError {
+    fn describe(&self, axes: &Axes<'_>, f: &mut Formatter<'_>) -> Result {
+        match *self {
+            Self::Unreachable => f.write_str(
+                "no joint positions give this pose; move the workpiece or shorten the path",
+            ),
+            Self::OutOfStroke { axis, by } => {
+                let name = Named(axes.joints, axis);
+                write!(f, "{name} would leave its stroke")?;
+                if let Some(by) = amount(axes.joints, axis, by) {
+                    write!(f, " by {by}")?;
+                }
+                f.write_str("; move the workpiece towards the middle of the workspace")
+            }
+            Self::NearSingularity { distance } => {
+                let distance = Amount {
+                    value: distance,
+                    kind: AxisKind::Linear,
+                };
+                write!(
+                    f,
+                    "the singularity distance would be {distance}, below its margin; \
+                     tilt the tool less or move the workpiece"
+                )
+            }
+            Self::NearReachLimit { pair } => {
+                let rods = if pair == 0 { "1 and 2" } else { "3 and 4" };
+                write!(
+                    f,
+                    "rods {rods} would exceed their reach limit; \
+                     move the workpiece nearer to the rails"
+                )
+            }
+            Self::Tilt => f.write_str("the tilt of the tool would exceed 90 degrees; tilt it less"),
+        }
+    }
+}
+
+impl Describe for Refusal {
+    fn describe(&self, axes: &Axes<'_>, f: &mut Formatter<'_>) -> Result {
+        match *self {
+            Self::State(state) => {
+                write!(f, "not possible while the machine is {state}")?;
+                f.write_str(match state {
+                    State::Disabled => "; enable the drives first",
+                    State::Fault | State::EmergencyStop => "; remove the cause, then reset",
+                    State::Run | State::Homing | State::Jog => {
+                        "; wait until it is done, or stop it"
+                    }
+                    State::Hold => "; resume or stop the job first",
+                    State::Idle => "",
+                })
+            }
+            Self::NotConfigured => f.write_str(
+                "the controller has no configuration; `haptimill home` and `haptimill enable` \
+                 send the machine file (--machine FILE, or else the built-in one)",
+            ),
+            Self::NotHomed => f.write_str("the machine is not homed; home it first"),
+            Self::Range => f.write_str("a value of the command is out of its range"),
+            Self::AxisCount => {
+                f.write_str("the number of values is not the number of axes of the machine")
+            }
+            Self::OutOfOrder { expected } => write!(f, "setpoint {expected} was expected next"),
+            Self::QueueFull => f.write_str("the setpoint queue is full"),
+            // The same sentence as for a joint that leaves its stroke with its drives on.
+            Self::MeasuredPose(PoseError::OutOfStroke { axis, by }) => {
+                Fault::Stroke { axis, by }.describe(axes, f)
+            }
+            Self::MeasuredPose(error) => Fault::Pose(error).describe(axes, f),
+            Self::Pose { setpoint, error } => {
+                write!(f, "setpoint {setpoint}: ")?;
+                error.describe(axes, f)
+            }
+            Self::SoftLimit { setpoint, axis } => write!(
+                f,
+                "setpoint {setpoint}: {} would leave its soft limits; \
+                 move the workpiece or change the program",
+                Named(axes.pose, axis)
+            ),
+            Self::Setpoint { setpoint } => write!(f, "setpoint {setpoint} cannot be decoded"),
+            Self::StartPose { axis } => write!(
+                f,
+                "the job does not start at the present pose: {} differs; \
+                 start again from the present pose",
+                Named(axes.pose, axis)
+            ),
+            Self::OldEpoch => f.write_str("this jog was cancelled"),
+            Self::ConfigCheck => {
+                f.write_str("the received configuration is incomplete; send it again")
+            }
+            Self::Config(problem) => problem.describe(axes, f),
+            Self::Input(problem) => problem.describe(axes, f),
+            Self::PresetLost => f.write_str(
+                "the position is lost; set the joints up at their presets by hand, \
+                 then home with --at-preset",
+            ),
+            Self::NoForceSensor => f.write_str(
+                "the machine has no force sensor; add a section [force] to the machine file \
+                 and configure the controller with it",
+            ),
+            Self::Force { axis, refusal } => {
+                write!(f, "force loop of {}: ", Named(axes.pose, axis))?;
+                refusal.describe(axes, f)
+            }
+            Self::NotTared => f.write_str(
+                "force control is on and the force sensor has no zero; \
+                 tare it first, without contact at the tool",
+            ),
+            Self::Compliant => f.write_str(
+                "the compliant displacement is not zero; move the tool off the workpiece, \
+                 or take the axes out of force control, then tare",
+            ),
+            Self::ForceSensor(problem) => {
+                f.write_str("force control is on and the force sensor is invalid: ")?;
+                problem.describe(axes, f)
+            }
+            Self::NoMaster => f.write_str(
+                "the machine has no master; add the sections [haptic] or [follow] \
+                 to the machine file and configure the controller with it",
+            ),
+            Self::JointRate {
+                setpoint,
+                axis,
+                rate,
+                limit,
+            } => {
+                write!(f, "setpoint {setpoint}: ")?;
+                write_joint_rate(axes, axis, rate, limit, f)?;
+                f.write_str("; lower the feed there, or stay away from the edge of the workspace")
+            }
+            Self::FixturesTooNear => f.write_str(
+                "the ball at the tip does not fit between this virtual fixture \
+                 and the opposite one; move one of them outwards",
+            ),
+        }
+    }
+}
+
+/// Writes that a joint exceeds its maximum rate, with both rates if the machine is known.
+pub(super) fn write_joint_rate(
+    axes: &Axes<'_>,
+    axis: u8,
+    rate: i32,
+    limit: i32,
+    f: &mut Formatter<'_>,
+) -> Result {
+    write!(f, "{} would move", Named(axes.joints, axis))?;
+    match (
+        amount(axes.joints, axis, rate),
+        amount(axes.joints, axis, limit),
+    ) {
+        (Some(rate), Some(limit)) => write!(f, " at {rate}/s (at most {limit}/s)"),
+        _ => f.write_str(" faster than its maximum rate"),
+    }
+}
+
+impl Describe for InputProblem {
+    fn describe(&self, axes: &Axes<'_>, f: &mut Formatter<'_>) -> Result {
+        let joint = |axis| Named(axes.joints, axis);
+        match *self {
+            Self::EmergencyStop => f.write_str("the emergency stop is pressed; release it first"),
+            Self::LimitSwitch { axis } => write!(
+                f,
+                "{} is on its limit switch; move it off by hand, then try again",
+                joint(axis)
+            ),
+            Self::Drive { axis } => write!(
+                f,
+                "the drive of {} is not ready; check the drive",
+                joint(axis)
+            ),
+            Self::Coasting => f.write_str("the machine still coasts; wait for its standstill"),
+            Self::Settling => f.write_str(
+                "the step motors have not locked yet; wait until the drives are enabled",
+            ),
+        }
+    }
+}
+
+impl ConfigProblem {
+    /// Returns the axes that this problem counts in: pose coordinates or joints.
+    #[must_use]
+    pub const fn axes_of<'a>(&self, axes: &Axes<'a>) -> &'a [Axis<'a>] {
+        match self.field {
+            ConfigField::SoftLimit
+            | ConfigField::StopTime
+            | ConfigField::Acceleration
+            | ConfigField::Jerk
+            | ConfigField::Force => axes.pose,
+            _ => axes.joints,
+        }
+    }
+}
+
+impl Describe for ConfigProblem {
+    fn describe(&self, axes: &Axes<'_>, f: &mut Formatter<'_>) -> Result {
+        write!(f, "the configuration is invalid: {}", self.field)?;
+        if let Some(axis) = self.axis {
+            write!(f, " of {}", Named(self.axes_of(axes), axis))?;
+        }
+        f.write_str("; correct the machine file")
+    }
+}

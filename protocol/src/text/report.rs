@@ -1,0 +1,255 @@
+//! Sentences of faults and events.
+
+use super::refusal::write_joint_rate;
+use super::{Axes, Describe, Named, amount};
+use crate::message::{Event, Fault};
+use core::fmt::{Formatter, Result};
+
+/// Remedy after a fault that makes the encoder of a joint suspected: homing checks the encoder
+/// against its index pulses.
+const HOME: &str = "then reset and home";
+
+/// Remedy after a fault that leaves no valid preset.
+const PRESET: &str =
+    "then reset, set the joints up at their presets by hand and home with --at-preset";
+
+impl Describe for Fault {
+    fn describe(&self, axes: &Axes<'_>, f: &mut Formatter<'_>) -> Result {
+        let joint = |axis| Named(axes.joints, axis);
+        match *self {
+            Self::FollowingError { axis, error, limit } => {
+                write!(f, "the following error of {} ", joint(axis))?;
+                match (
+                    amount(axes.joints, axis, error),
+                    amount(axes.joints, axis, limit),
+                ) {
+                    (Some(error), Some(limit)) => write!(f, "is {error} (at most {limit})")?,
+                    _ => f.write_str("exceeds its limit")?,
+                }
+                write!(f, "; remove what blocks the joint, {HOME}")
+            }
+            Self::SoftLimit { axis } => {
+                write!(
+                    f,
+                    "{} left its soft limits; reset, then jog it back",
+                    Named(axes.pose, axis)
+                )
+            }
+            Self::JointRate {
+                setpoint,
+                axis,
+                rate,
+                limit,
+            } => {
+                write_joint_rate(axes, axis, rate, limit, f)?;
+                write!(
+                    f,
+                    " on the way to setpoint {setpoint}; \
+                     reset, then move the master more slowly, or lower the feed there"
+                )
+            }
+            Self::Stroke { axis, by } => {
+                write!(f, "{} is ", joint(axis))?;
+                match amount(axes.joints, axis, by) {
+                    Some(by) => write!(f, "{by} beyond the end of its stroke")?,
+                    None => f.write_str("beyond the end of its stroke")?,
+                }
+                write!(f, "; move it back by hand, {HOME}")
+            }
+            Self::Pose(error) => {
+                f.write_str("the pose of the machine is not allowed: ")?;
+                error.describe(axes, f)
+            }
+            Self::LimitSwitch { axis } => {
+                write!(
+                    f,
+                    "{} reached its limit switch; move it off by hand, {HOME}",
+                    joint(axis)
+                )
+            }
+            Self::Drive { axis } => write!(
+                f,
+                "the drive of {} reports a fault; check the drive, then reset",
+                joint(axis)
+            ),
+            Self::EncoderIllegal { axis, count } => write!(
+                f,
+                "the encoder of {} made {count} illegal transitions; check its cable and shield, {PRESET}",
+                joint(axis)
+            ),
+            Self::EncoderSlip { axis, counts } => {
+                let did = if counts < 0 { "lost" } else { "gained" };
+                write!(
+                    f,
+                    "the encoder of {} {did} {} counts between two index pulses; \
+                     check its cable, its shield and the width of its index pulse \
+                     (index_slack_counts in the machine file), {PRESET}",
+                    joint(axis),
+                    counts.unsigned_abs()
+                )
+            }
+            Self::EncoderStuck { axis } => write!(
+                f,
+                "the encoder of {} does not count the commanded motion; \
+                 check whether the joint is blocked, its encoder and cable, \
+                 and its drive (power, wiring, direction), {HOME}",
+                joint(axis)
+            ),
+            Self::EncoderReversed { axis } => write!(
+                f,
+                "{} moved against its drive; check what pushed it, and after a change of the \
+                 wiring the direction of encoder and drive in the machine file, {HOME}",
+                joint(axis)
+            ),
+            Self::StepsLost { axis, by } => {
+                write!(f, "{} lost steps", joint(axis))?;
+                if let Some(by) = amount(axes.joints, axis, by) {
+                    write!(f, " ({by})")?;
+                }
+                write!(f, "; lower the feed or the depth of cut, {HOME}")
+            }
+            Self::LostHost { silent_ms } => write!(
+                f,
+                "nothing was received from the host for {silent_ms} ms; \
+                 the machine decelerated along its path, check the cable and reset"
+            ),
+            Self::Configuration => write!(
+                f,
+                "the configuration in the controller failed its integrity check; {PRESET}, \
+                 which sends the configuration again"
+            ),
+            Self::LatePeriod { missed } => write!(
+                f,
+                "the controller missed control periods, {missed} of them in a row; \
+                 its computations take longer than a period, report this"
+            ),
+            Self::Homing { axis, problem } => {
+                write!(
+                    f,
+                    "homing failed on {}: {problem}; all axes were stopped",
+                    joint(axis)
+                )
+            }
+            Self::Force(problem) => {
+                problem.describe(axes, f)?;
+                f.write_str(
+                    "; the machine decelerated along its path and keeps its compliant \
+                     displacement, remove the cause and reset",
+                )
+            }
+            Self::Master(problem) => {
+                problem.describe(axes, f)?;
+                f.write_str(
+                    "; its motors are off and the machine decelerated, remove the cause and reset",
+                )
+            }
+            Self::NotLocked { axis, by } => {
+                write!(
+                    f,
+                    "the motor of {} did not lock when its drive was switched on",
+                    joint(axis)
+                )?;
+                if let Some(by) = amount(axes.joints, axis, by) {
+                    write!(f, " (it moved by {by})")?;
+                }
+                f.write_str(
+                    "; check the current and the wiring of the motor and the load of the joint, \
+                     then reset and enable",
+                )
+            }
+            Self::Internal { line } => write!(
+                f,
+                "an arithmetic limit was reached inside the controller (line {line}); report this"
+            ),
+        }
+    }
+}
+
+impl Describe for Event {
+    fn describe(&self, axes: &Axes<'_>, f: &mut Formatter<'_>) -> Result {
+        match *self {
+            Self::State {
+                from,
+                to,
+                position_kept,
+            } => {
+                let kept = if position_kept {
+                    "kept"
+                } else {
+                    "lost; home the machine before the next job"
+                };
+                write!(f, "{from} -> {to}, position {kept}")
+            }
+            Self::JobDone { job, setpoints } => {
+                write!(f, "job {job} is done, {setpoints} setpoints")
+            }
+            Self::JobDropped { job, setpoints } => {
+                write!(f, "job {job} was dropped after {setpoints} setpoints")
+            }
+            Self::Underrun {
+                setpoint,
+                late_periods,
+            } => write!(
+                f,
+                "setpoint {setpoint} arrived {late_periods} control periods late; \
+                 the machine decelerated along its path"
+            ),
+            Self::Paused { setpoint } => write!(
+                f,
+                "the program pauses at setpoint {setpoint}; resume to continue"
+            ),
+            Self::Blocked { setpoint } => write!(
+                f,
+                "hold before setpoint {setpoint}: the offset of jog or master leaves the program \
+                 no stopping distance; jog away from the limit, then resume"
+            ),
+            Self::Homed => f.write_str("all axes are homed"),
+            Self::Fault(ref fault) => {
+                f.write_str("fault: ")?;
+                fault.describe(axes, f)
+            }
+            Self::JogLimited { axis } => write!(
+                f,
+                "{} is at its soft limit; the jog was limited",
+                Named(axes.pose, axis)
+            ),
+            Self::Saturated { axis } => write!(
+                f,
+                "the drive of {} is saturated: the commanded effort exceeds its limit",
+                Named(axes.joints, axis)
+            ),
+            Self::Tared => f.write_str("the force sensor has a new zero"),
+            Self::TareRefused(refusal) => {
+                f.write_str("the force sensor keeps its zero: ")?;
+                refusal.describe(axes, f)
+            }
+            Self::Master(problem) => {
+                problem.describe(axes, f)?;
+                f.write_str("; its motors are off until reset")
+            }
+            Self::MasterLost { age_ms } => write!(
+                f,
+                "no master pose for {age_ms} ms: the machine decelerates and holds; \
+                 resume when the master is connected again"
+            ),
+            Self::MasterLimited { axis } => write!(
+                f,
+                "the master commands {} beyond a limit of the machine; the tool waits there",
+                Named(axes.pose, axis)
+            ),
+            Self::ComplianceLimited { axis } => write!(
+                f,
+                "the compliant displacement of {} is limited: \
+                 by its own limit, a soft limit or the edge of the workspace",
+                Named(axes.pose, axis)
+            ),
+            Self::ForceSettings { axis, .. } => {
+                write!(
+                    f,
+                    "settings of the force loop of {}",
+                    Named(axes.pose, axis)
+                )
+            }
+        }
+    }
+}
