@@ -7,7 +7,7 @@ use core::fmt;
 pub struct PlantError {
     /// Path of the field: `joint 2: motor_share`.
     pub field: String,
-    /// Requirement that the field must meet.
+    /// The problem, with the value, the allowed range and the remedy.
     pub problem: String,
 }
 
@@ -31,9 +31,17 @@ impl Check {
 
     /// Adds a problem if a value is not within its bounds.
     pub fn within(&mut self, field: String, value: f64, low: f64, high: f64) {
-        if !(low..=high).contains(&value) {
-            self.refuse(field, format!("{value} is not within {low} to {high}"));
-        }
+        let remedy = if value > high {
+            "lower it"
+        } else if value < low {
+            "raise it"
+        } else if value.is_nan() {
+            "write a number"
+        } else {
+            return;
+        };
+        let problem = format!("{value} is out of range, allowed is {low} to {high}; {remedy}");
+        self.refuse(field, problem);
     }
 
     /// The problems, if there are any.

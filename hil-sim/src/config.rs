@@ -67,21 +67,24 @@ impl PlantConfig {
     /// Checks the whole configuration.
     ///
     /// # Errors
-    /// All problems, not only the first.
+    ///
+    /// Returns all problems.
     pub fn check(&self, period_us: u16) -> Result<(), Vec<PlantError>> {
         let mut check = Check::default();
         check.within("substep_us".into(), f64::from(self.substep_us), 5.0, 50.0);
         if self.substep_us == 0 || period_us == 0 || !period_us.is_multiple_of(self.substep_us) {
             check.refuse(
                 "substep_us".into(),
-                format!("the control period of {period_us} us is not a whole multiple"),
+                format!(
+                    "the control period of {period_us} us is not a multiple of it; choose a divisor"
+                ),
             );
         }
         let alone = self.joint.is_empty() && self.haptic.is_some() && self.geometry.is_none();
         if (self.joint.is_empty() && !alone) || self.joint.len() > MAX_AXES {
             check.refuse(
                 "joint".into(),
-                format!("1 to {MAX_AXES} joints, not {}", self.joint.len()),
+                format!("has {} sections; write 1 to {MAX_AXES}", self.joint.len()),
             );
         }
         match &self.geometry {
@@ -117,7 +120,10 @@ impl PlantConfig {
             check.refuse(problem.field, problem.problem);
         }
         if self.hand.is_some() && self.haptic.is_none() {
-            check.refuse("hand".into(), "needs [plant.haptic] to hold on to".into());
+            check.refuse(
+                "hand".into(),
+                "needs a haptic arm; add a section [plant.haptic]".into(),
+            );
         }
         for (index, joint) in self.joint.iter().enumerate() {
             joint.check(

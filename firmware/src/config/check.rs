@@ -1,6 +1,6 @@
 //! Checks of a configuration before it is activated. A refusal names the field and its axis.
 
-use super::{Config, Drive, JointAxis, PoseAxis, ServoConfig};
+use super::{AxisKind, Config, Drive, JointAxis, PoseAxis, ServoConfig};
 use crate::config::HAND;
 use crate::haptics::config::HapticConfig;
 use crate::motion::tracker::TrackerLimits;
@@ -94,8 +94,10 @@ impl Config {
             ConfigField::Homing,
             None,
         )?;
+        let needed = |kind| self.joints.iter().any(|joint| joint.kind == kind);
         require(
-            axes == 0 || (self.homing.rate.0 > 0 && self.homing.table_rate.0 > 0),
+            (self.homing.rate.0 > 0 || !needed(AxisKind::Linear))
+                && (self.homing.table_rate.0 > 0 || !needed(AxisKind::Rotary)),
             ConfigField::Homing,
             None,
         )

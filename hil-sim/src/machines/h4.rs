@@ -81,7 +81,7 @@ impl ArmGeometry {
         if kinds != [Linear, Linear, Linear, Linear, Rotary] {
             check.refuse(
                 "geometry: h4".into(),
-                "needs four linear joints and then a rotary one, the table".into(),
+                "needs four linear joints and then the rotary table; correct the kinds of the joints".into(),
             );
         }
         for (name, value) in [

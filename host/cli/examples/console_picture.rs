@@ -105,7 +105,7 @@ mod linux {
             &own,
             [
                 haptimill_machine_file::BUILT_IN,
-                haptimill_machine_file::HAND,
+                haptimill_machine_file::HAPTIC_ARM,
             ]
             .join("\n"),
         )?;

@@ -89,7 +89,7 @@ pub fn run(args: ConsoleArgs) -> Result<(), CliError> {
     }
     let work = match &args.work {
         Some(path) => {
-            let work = haptimill_machine_file::work::load(path)?;
+            let work = haptimill_machine_file::stock::load(path)?;
             let plant: PlantConfig = machine.plant()?;
             Some(plant.cutting(work))
         }

@@ -3,7 +3,7 @@
 use super::scene::{Folder, Served};
 use super::terminal::Keyboard;
 use super::*;
-use haptimill_machine_file::{FOLLOW, HAND};
+use haptimill_machine_file::{FOLLOW, HAPTIC_ARM};
 use std::time::{Duration, Instant};
 
 const TITLE: &str = "Hand: what it feels";
@@ -55,7 +55,7 @@ fn wanted_x(terminal: &Terminal) -> f64 {
 #[test]
 fn reflection_walls_and_scale_are_set_from_the_overlay_and_refused_in_words() {
     let folder = Folder::new();
-    let own = folder.machine_with(HAND);
+    let own = folder.machine_with(HAPTIC_ARM);
     // The console gives the board its configuration, and so knows what is set.
     let served = Served::on_tcp(&["--machine", &own, "--unconfigured"]);
     let arguments = ["--machine", own.as_str(), "--port", served.port.as_str()];
@@ -136,7 +136,7 @@ fn reflection_walls_and_scale_are_set_from_the_overlay_and_refused_in_words() {
 #[test]
 fn a_wall_pushes_as_deep_as_the_hand_is_in_it_and_the_hand_leads() {
     let folder = Folder::new();
-    let own = folder.machine_with(HAND);
+    let own = folder.machine_with(HAPTIC_ARM);
     let person = folder.file("person.toml", to_and_fro());
     let program = folder.file("wait.ngc", "G21 G90 F600\nG4 P60\nM30\n");
     let served = Served::on_tcp(&["--machine", &own, "--person", &person]);
@@ -209,7 +209,7 @@ fn a_wall_pushes_as_deep_as_the_hand_is_in_it_and_the_hand_leads() {
 #[test]
 fn an_arm_that_fails_is_told_in_the_overlay_and_bears_no_wall() {
     let folder = Folder::new();
-    let own = folder.machine_with(HAND);
+    let own = folder.machine_with(HAPTIC_ARM);
     let trip = "hand-amplifiers-tripped at=1s";
     let terminal = console(&["--machine", &own, "--fault", trip], Keyboard::Plain);
     terminal.state("DISABLED");
@@ -260,7 +260,7 @@ fn a_machine_that_follows_afar_has_its_scale_and_an_arm_alone_its_forces() {
 #[test]
 fn the_hand_is_shown_as_far_as_there_is_room() {
     let folder = Folder::new();
-    let own = folder.machine_with(HAND);
+    let own = folder.machine_with(HAPTIC_ARM);
     let terminal = console(&["--machine", &own], Keyboard::Plain);
     terminal.state("DISABLED");
     let panel = "Hand ─ felt ── law ── wall";
