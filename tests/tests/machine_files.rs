@@ -112,7 +112,11 @@ fn every_machine_file_homes_runs_and_replays() {
         for (index, axis) in axes.iter().enumerate() {
             let off = truth.pose[index] - (start[index] + 1.0);
             println!("{name}: {} {off:+.4}", axis.name);
-            assert!(off.abs() < TOLERANCE, "{name}: {} is off by {off}", axis.name);
+            assert!(
+                off.abs() < TOLERANCE,
+                "{name}: {} is off by {off}",
+                axis.name
+            );
         }
         let recording = Recording::open(&path).expect("readable");
         let equal = replay::replay(&recording).expect("replayable");
@@ -136,6 +140,9 @@ fn a_machine_file_without_a_simulated_geometry_is_refused() {
         let length = text[start + 1..].find("\n[").expect("a section behind") + 1;
         let without = format!("{}{}", &text[..start], &text[start + length..]);
         let problems = MachineFile::parse("without", &without).expect_err("refused");
-        assert!(problems.to_string().contains("[plant.geometry.MODEL]"), "{problems}");
+        assert!(
+            problems.to_string().contains("[plant.geometry.MODEL]"),
+            "{problems}"
+        );
     }
 }

@@ -1,7 +1,7 @@
 use super::*;
-use haptimill_math::Length;
 use haptimill_firmware::config::{Drive, ServoForm};
 use haptimill_hil_sim::config::PlantConfig;
+use haptimill_math::Length;
 use proptest::prelude::*;
 
 const STEP: &str = include_str!("../../../machines/h4-step.toml");
