@@ -10,6 +10,7 @@ pub mod digest;
 
 use crate::force::ForceConfig;
 use crate::haptics::config::{FollowConfig, HapticConfig};
+pub use haptimill_kinematics::descriptor::AxisKind;
 use haptimill_kinematics::{BoundedKinematics, JointLimits, Model};
 use haptimill_math::{Acceleration, Coordinate, Effort, Gain, Rate};
 use haptimill_protocol::message::MAX_AXES;
@@ -49,15 +50,6 @@ pub struct Config {
     /// The haptic arm, if there is one.
     #[cfg_attr(not(feature = "hand"), serde(deserialize_with = "absent"))]
     pub haptic: Option<HapticConfig>,
-}
-
-/// Linear or rotary.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
-pub enum AxisKind {
-    /// Axis units are 2^-20 mm.
-    Linear,
-    /// Axis units are 2^-32 turn.
-    Rotary,
 }
 
 impl Config {

@@ -8,7 +8,7 @@ use crate::machine::Machine;
 use crate::machine::masters::Leading;
 use crate::motion::Mode;
 use crate::motion::interpolator::Progress;
-use crate::safety::homing::Outcome;
+use crate::safety::homing::{Outcome, Searched};
 use haptimill_protocol::message::{Event, Fault, HomingProblem, Refusal, State};
 
 /// One period of the present state.
@@ -143,9 +143,13 @@ fn follow_homing(core: &mut Core, inputs: &Inputs, limited: bool) {
         return;
     }
     let pose = machine.motion.commanded().pose;
+    let searched = Searched {
+        config: &machine.config,
+        kinematics: &machine.kinematics,
+    };
     match machine
         .homing
-        .advance(&machine.config, &pose, &mut machine.motion.jog, limited)
+        .advance(&searched, &pose, &mut machine.motion.jog, limited)
     {
         Outcome::Searching => {}
         Outcome::Failed(fault) => core.safety.raise(fault),

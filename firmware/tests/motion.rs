@@ -5,7 +5,9 @@ mod reference;
 use haptimill_firmware::config::Config;
 use haptimill_firmware::motion::interpolator::{FULL_RATE, Interpolator, QUEUE};
 use haptimill_firmware::motion::jog::Jog;
-use haptimill_kinematics::{Jacobian, JointMotion, Joints, Kinematics, Pose, PoseError, Rates};
+use haptimill_kinematics::{
+    BoxBounds, Jacobian, JointMotion, Joints, Kinematics, Pose, PoseError, Rates,
+};
 use haptimill_math::{Acceleration, Coordinate, Rate};
 use haptimill_protocol::message::{Action, MAX_AXES, Refusal};
 use haptimill_protocol::setpoint::Setpoint;
@@ -380,6 +382,19 @@ struct Ball {
 impl Kinematics for Ball {
     fn axes(&self) -> usize {
         5
+    }
+    fn box_bounds(&self, low: &Pose, high: &Pose, _: &[Rates]) -> Result<BoxBounds, PoseError> {
+        // A ball is convex: it contains a box whose corners it contains.
+        for corner in 0..1_u32 << 3 {
+            let mut pose = *low;
+            for (axis, value) in pose.0.iter_mut().enumerate().take(3) {
+                if corner & (1 << axis) != 0 {
+                    *value = high.0[axis];
+                }
+            }
+            self.inverse(&pose)?;
+        }
+        Ok(BoxBounds::default())
     }
     fn inverse(&self, pose: &Pose) -> Result<Joints, PoseError> {
         let radius: f64 = pose.0[..3]

@@ -3,7 +3,7 @@
 use criterion::{Criterion, criterion_group, criterion_main};
 use haptimill_firmware::io::{DriveCommand, HapticOutputs, Inputs, Outputs};
 use haptimill_hil_sim::haptics::{HapticArm, HapticConfig};
-use haptimill_hil_sim::machines::h4::Arm;
+use haptimill_hil_sim::machines::h4::{Arm, ArmGeometry};
 use haptimill_hil_sim::operator::{OperatorConfig, ReferencePart, Trace, Trajectory};
 use haptimill_hil_sim::{Control, Plant, PlantConfig, Rig, RigOptions};
 use std::hint::black_box;
@@ -92,7 +92,7 @@ fn plant(criterion: &mut Criterion) {
     );
 
     let slides = [1135.0, 485.0, 1135.0, 485.0];
-    let mut arm = Arm::new(config().arm.as_ref().expect("an arm"), &slides).expect("an arm");
+    let mut arm = Arm::new(ArmGeometry::of(&config()).expect("an arm"), &slides).expect("an arm");
     let mut phase = 0.0;
     criterion.bench_function("geometry: true pose of moving slides", |bencher| {
         bencher.iter(|| {

@@ -7,7 +7,7 @@ use core::fmt;
 pub struct PlantError {
     /// Path of the field: `joint 2: motor_share`.
     pub field: String,
-    /// Requirement that the field must meet.
+    /// The problem, with the value, the allowed range and the remedy.
     pub problem: String,
 }
 
@@ -21,20 +21,34 @@ impl core::error::Error for PlantError {}
 
 /// Collects all problems, so that a user can correct a machine file in one pass.
 #[derive(Default)]
-pub(crate) struct Check(Vec<PlantError>);
+pub struct Check(Vec<PlantError>);
 
 impl Check {
-    pub(crate) fn refuse(&mut self, field: String, problem: String) {
+    /// Adds a problem of a field.
+    pub fn refuse(&mut self, field: String, problem: String) {
         self.0.push(PlantError { field, problem });
     }
 
-    pub(crate) fn within(&mut self, field: String, value: f64, low: f64, high: f64) {
-        if !(low..=high).contains(&value) {
-            self.refuse(field, format!("{value} is not within {low} to {high}"));
-        }
+    /// Adds a problem if a value is not within its bounds.
+    pub fn within(&mut self, field: String, value: f64, low: f64, high: f64) {
+        let remedy = if value > high {
+            "lower it"
+        } else if value < low {
+            "raise it"
+        } else if value.is_nan() {
+            "write a number"
+        } else {
+            return;
+        };
+        let problem = format!("{value} is out of range, allowed is {low} to {high}; {remedy}");
+        self.refuse(field, problem);
     }
 
-    pub(crate) fn done(self) -> Result<(), Vec<PlantError>> {
+    /// The problems, if there are any.
+    ///
+    /// # Errors
+    /// All problems that were added.
+    pub fn done(self) -> Result<(), Vec<PlantError>> {
         if self.0.is_empty() {
             Ok(())
         } else {

@@ -10,7 +10,7 @@
 use crate::check::{Check, PlantError};
 use crate::haptics::HapticConfig;
 use crate::joint::JointConfig;
-use crate::machines::h4::ArmGeometry;
+use crate::machines::GeometryConfig;
 use crate::operator::OperatorConfig;
 use crate::process::ProcessConfig;
 use crate::process::sensor::SensorConfig;
@@ -28,9 +28,9 @@ pub struct PlantConfig {
     /// Integration step, 5 to 50 us. The control period must be a whole multiple of it.
     #[serde(default = "default_substep_us")]
     pub substep_us: u16,
-    /// Arm that the joints carry. Without it the pose is the joint positions.
+    /// Geometry that the joints move; only a haptic arm alone has none.
     #[serde(default)]
-    pub arm: Option<ArmGeometry>,
+    pub geometry: Option<GeometryConfig>,
     /// Spindle.
     #[serde(default)]
     pub spindle: Option<SpindleConfig>,
@@ -67,26 +67,36 @@ impl PlantConfig {
     /// Checks the whole configuration.
     ///
     /// # Errors
-    /// All problems, not only the first.
+    ///
+    /// Returns all problems.
     pub fn check(&self, period_us: u16) -> Result<(), Vec<PlantError>> {
         let mut check = Check::default();
         check.within("substep_us".into(), f64::from(self.substep_us), 5.0, 50.0);
         if self.substep_us == 0 || period_us == 0 || !period_us.is_multiple_of(self.substep_us) {
             check.refuse(
                 "substep_us".into(),
-                format!("the control period of {period_us} us is not a whole multiple"),
+                format!(
+                    "the control period of {period_us} us is not a multiple of it; choose a divisor"
+                ),
             );
         }
-        let alone = self.joint.is_empty() && self.haptic.is_some() && self.arm.is_none();
+        let alone = self.joint.is_empty() && self.haptic.is_some() && self.geometry.is_none();
         if (self.joint.is_empty() && !alone) || self.joint.len() > MAX_AXES {
             check.refuse(
                 "joint".into(),
-                format!("1 to {MAX_AXES} joints, not {}", self.joint.len()),
+                format!("has {} sections; write 1 to {MAX_AXES}", self.joint.len()),
             );
         }
-        if let Some(arm) = &self.arm {
-            let kinds: Vec<_> = self.joint.iter().map(|joint| joint.kind).collect();
-            arm.check(&kinds, &mut check);
+        match &self.geometry {
+            Some(geometry) => {
+                let kinds: Vec<_> = self.joint.iter().map(|joint| joint.kind).collect();
+                geometry.check(&kinds, &mut check);
+            }
+            None if alone => {}
+            None => check.refuse(
+                "geometry".into(),
+                "is missing; write [plant.geometry.MODEL] for the model of [kinematics]".into(),
+            ),
         }
         let cutter = self.cutter.clone().unwrap_or_default();
         for problem in self
@@ -110,7 +120,10 @@ impl PlantConfig {
             check.refuse(problem.field, problem.problem);
         }
         if self.hand.is_some() && self.haptic.is_none() {
-            check.refuse("hand".into(), "needs [plant.haptic] to hold on to".into());
+            check.refuse(
+                "hand".into(),
+                "needs a haptic arm; add a section [plant.haptic]".into(),
+            );
         }
         for (index, joint) in self.joint.iter().enumerate() {
             joint.check(

@@ -23,7 +23,7 @@ use crate::joint::encoder::{Encoder, EncoderCondition, Track};
 use crate::joint::mechanics::{Bodies, JointArray, Mechanics};
 use crate::joint::stepper::{PulseReport, Stepper};
 use crate::joint::{DriveConfig, JointConfig, JointKind, SwitchSide};
-use crate::machines::h4::{Arm, Tip};
+use crate::machines::AnyGeometry;
 use crate::process::{CuttingConfig, ToolPose};
 use crate::process::{Process, ProcessConfig};
 use crate::random::Random;
@@ -118,9 +118,8 @@ pub struct Plant {
     mechanics: Mechanics,
     bodies: Bodies,
     joints: Vec<Joint>,
-    arm: Option<Arm>,
-    /// Tip in the arm's base frame, without the deflection of the structure.
-    tip: Tip,
+    /// `None` for a haptic arm alone.
+    geometry: Option<AnyGeometry>,
     process: Option<Process>,
     haptic: Option<HapticArm>,
     /// Loads of the cutting process on the joints in this period.
@@ -167,25 +166,25 @@ impl Plant {
                 config: joint.clone(),
             });
         }
-        let arm = match &config.arm {
-            None => None,
-            Some(geometry) => {
-                Some(Arm::new(geometry, &slides(&bodies.slide)).map_err(|error| {
+        let geometry = config
+            .geometry
+            .as_ref()
+            .map(|geometry| {
+                AnyGeometry::new(geometry, &bodies.slide).map_err(|error| {
                     vec![PlantError {
-                        field: "arm".into(),
+                        field: "geometry".into(),
                         problem: format!("at the presets {error}"),
                     }]
-                })?)
-            }
-        };
+                })
+            })
+            .transpose()?;
         let steps = usize::from(period_us / config.substep_us);
         let mut plant = Self {
             mechanics: Mechanics::new(&config.joint, f64::from(config.substep_us) * 1e-6),
             history: vec![bodies.motor; steps + 1],
             bodies,
             joints,
-            arm,
-            tip: Tip::default(),
+            geometry,
             process: None,
             haptic: match &config.haptic {
                 Some(haptic) => {
@@ -410,60 +409,51 @@ impl Plant {
             return;
         }
         let pose = self.tool_pose();
-        let alpha = if self.arm.is_some() {
-            self.truth.pose[4]
-        } else {
-            0.0
-        };
-        let Some(process) = &mut self.process else {
+        let (Some(process), Some(geometry)) = (&mut self.process, &self.geometry) else {
             return;
         };
-        let applied = process.step(&pose, alpha, rpm);
+        let rotation = geometry.workpiece_rotation(&self.truth.pose);
+        let applied = process.step(&pose, rotation, rpm);
         let above = process.force_height();
+        let rigid = self.truth.pose;
         self.truth.pose[..3].copy_from_slice(&applied.tip);
         self.truth.force = applied.force;
         self.process_load = [0.0; MAX_AXES];
-        match &self.arm {
-            None => self.process_load[..3].copy_from_slice(&applied.force),
-            Some(arm) => {
-                let held = slides(&self.bodies.slide);
-                if let Some(loads) = arm
-                    .joint_loads(&self.tip, &held, alpha, applied.force, above)
-                    .filter(|_| applied.force != [0.0; 3])
-                {
-                    self.process_load[..5].copy_from_slice(&loads);
-                }
-            }
+        if applied.force != [0.0; 3]
+            && let Some(loads) =
+                geometry.joint_loads(&self.bodies.slide, &rigid, applied.force, above)
+        {
+            self.process_load = loads;
         }
     }
 
     /// Tool pose from the slides, without the deflection of the structure.
     fn tool_pose(&self) -> ToolPose {
-        let [x, y, z, theta, alpha, _] = self.truth.pose;
-        if self.arm.is_some() {
-            ToolPose::leaning([x, y, z], theta, alpha)
-        } else {
-            ToolPose::upright([x, y, z])
-        }
+        self.geometry.as_ref().map_or_else(
+            || ToolPose::upright([0.0; 3]),
+            |geometry| geometry.tool_pose(&self.truth.pose),
+        )
     }
 
-    /// Replaces the spindle and the process of the machine. A machine without an arm uses its first
-    /// three joints as x, y and z.
+    /// Replaces the spindle and the process of the machine.
     ///
     /// # Errors
-    /// All problems of the configuration, or the machine has neither an arm nor three linear joints
-    /// that move the tool.
+    /// All problems of the configuration, or the machine has no tool that three linear joints move.
     pub fn fit(&mut self, config: &ProcessConfig) -> Result<(), Vec<PlantError>> {
-        let linear = self
-            .joints
-            .iter()
-            .take(3)
-            .filter(|joint| joint.config.kind == JointKind::Linear)
-            .count();
-        if self.arm.is_none() && linear < 3 {
+        let linear = |joint: &Joint| joint.config.kind == JointKind::Linear;
+        let tool = self.geometry.as_ref().is_some_and(AnyGeometry::has_tool);
+        if !tool
+            || self
+                .joints
+                .iter()
+                .take(3)
+                .filter(|joint| linear(joint))
+                .count()
+                < 3
+        {
             return Err(vec![PlantError {
                 field: "process".into(),
-                problem: "needs an arm, or three linear joints for x, y and z".into(),
+                problem: "needs a geometry with a tool that three linear joints move".into(),
             }]);
         }
         self.update_ground_truth();
@@ -521,19 +511,10 @@ impl Plant {
 
     fn update_ground_truth(&mut self) {
         self.truth.joints = self.bodies.slide;
-        let Some(arm) = &mut self.arm else {
-            self.truth.pose = self.bodies.slide;
-            self.truth.pose_valid = true;
-            return;
+        self.truth.pose_valid = match &mut self.geometry {
+            Some(geometry) => geometry.follow(&self.bodies.slide, &mut self.truth.pose),
+            None => true,
         };
-        match arm.follow(&slides(&self.bodies.slide)) {
-            Ok(tip) => {
-                self.tip = tip;
-                self.truth.pose[..5].copy_from_slice(&arm.in_work(&tip, self.bodies.slide[4]));
-                self.truth.pose_valid = true;
-            }
-            Err(_) => self.truth.pose_valid = false,
-        }
     }
 }
 
@@ -559,8 +540,4 @@ fn step_efforts(
             };
         }
     }
-}
-
-fn slides(lanes: &JointArray) -> [f64; 4] {
-    [lanes[0], lanes[1], lanes[2], lanes[3]]
 }

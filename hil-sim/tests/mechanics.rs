@@ -5,6 +5,7 @@ mod machine;
 use haptimill_firmware::io::{DriveCommand, Inputs, Outputs};
 use haptimill_hil_sim::joint::mechanics::{Bodies, Mechanics};
 use haptimill_hil_sim::joint::{DriveConfig, SwitchConfig, SwitchSide};
+use haptimill_hil_sim::machines::GeometryConfig;
 use haptimill_hil_sim::{Plant, PlantConfig};
 use proptest::prelude::*;
 
@@ -248,7 +249,7 @@ fn codes_give_efforts_up_to_the_amplifier_limit() {
         (4, 10.0, (10.0_f64 / 0.5 * 0.01).to_degrees()),
     ] {
         let mut config = machine::reference();
-        config.arm = None;
+        config.geometry = Some(GeometryConfig::Joints(Default::default()));
         let mut joint = config.joint[axis].clone();
         joint.coulomb = 0.0;
         joint.viscous = 0.0;

@@ -7,7 +7,7 @@ use haptimill_client::client::Options;
 use haptimill_client::session::{JobLine, JobRecording, Session, SimLine, Unwatched, rig};
 use haptimill_hil_sim::config::PlantConfig;
 use haptimill_machine_file::model::{Model, program_options, settings};
-use haptimill_machine_file::{MachineFile, work};
+use haptimill_machine_file::{MachineFile, stock};
 use haptimill_planner::Plan;
 use haptimill_trace::{Header, Recorder};
 use std::path::Path;
@@ -20,7 +20,7 @@ fn main() {
     let machine = MachineFile::built_in().expect("sound");
     let cutting = std::env::args().nth(2).map(|work| {
         let plant: PlantConfig = machine.plant().expect("a plant");
-        plant.cutting(work::load(Path::new(&work)).expect("sound"))
+        plant.cutting(stock::load(Path::new(&work)).expect("sound"))
     });
     let model = Model::new(&machine);
     let home = model.home(&machine).expect("a pose");
@@ -29,7 +29,7 @@ fn main() {
     let program = haptimill_gcode::read(
         &file,
         &text,
-        &program_options(&machine, model.to_people(&home)),
+        &program_options(&machine, model.to_engineering_units(&home)),
     )
     .expect("sound");
     let plan = Arc::new(Plan::new(&program, &settings(&machine), &model).expect("possible"));

@@ -1,24 +1,19 @@
 //! Kinematics of a configured machine: its geometry and the strokes of its joints.
 //!
 //! The controller and the host use this module. A [`BoundedKinematics`] returns only joints within
-//! their strokes; the geometry alone (for instance [`H4`]) has no strokes.
+//! their strokes; the geometry alone (for instance
+//! [`H4`](crate::h4::H4)) has no strokes.
 //!
 //! Soft limits of the pose are not checked here. Callers must check them in the motion.
 
-use super::h4::{BasePose, H4, H4Geometry};
-use super::{Accelerations, Jacobian, JointMotion, Joints, Kinematics, Pose, PoseError, Rates};
+use super::h4::BasePose;
+use super::machines::{AnyMachine, Model};
+use super::{
+    Accelerations, BoxBounds, Jacobian, JointMotion, Joints, Kinematics, Pose, PoseError, Rates,
+};
+use crate::descriptor::Descriptor;
 use haptimill_math::{Angle, Coordinate, Length, Rate};
 use haptimill_protocol::message::MAX_AXES;
-use serde::{Deserialize, Serialize};
-
-/// Kind of geometry and its lengths.
-#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
-pub enum Model {
-    /// The hybrid H-4 arm with its rotary table.
-    H4(H4Geometry),
-    /// No machine: a haptic arm alone, which leads a remote machine.
-    None,
-}
 
 /// Stroke and maximum rate of a joint.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -34,7 +29,7 @@ pub struct JointLimits {
 /// A geometry with the strokes and maximum rates of its joints.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct BoundedKinematics {
-    geometry: Geometry,
+    machine: AnyMachine,
     /// Lower and upper end of each joint's stroke.
     strokes: [(Coordinate, Coordinate); MAX_AXES],
     /// Lower ends and lengths of the strokes; a joint that the geometry lacks has no limits.
@@ -46,40 +41,27 @@ pub struct BoundedKinematics {
     inverse_rates: [u32; MAX_AXES],
 }
 
-/// Geometries of this firmware.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-enum Geometry {
-    H4(H4),
-    None,
-}
-
 impl BoundedKinematics {
     /// The geometry of `model` with the limits of each joint, in the model's order.
     ///
     /// A joint without limits must be at 0.
     #[must_use]
     pub fn new(model: &Model, limits: impl IntoIterator<Item = JointLimits>) -> Self {
-        let geometry = match model {
-            Model::H4(lengths) => Geometry::H4(H4::new(lengths)),
-            Model::None => Geometry::None,
-        };
+        let machine = AnyMachine::new(model);
         let mut strokes = [(Coordinate::ZERO, Coordinate::ZERO); MAX_AXES];
         let mut rates = Rates::default();
         for (index, joint) in limits.into_iter().take(MAX_AXES).enumerate() {
             strokes[index] = (joint.low, joint.high);
             rates[index] = joint.rate;
         }
-        let axes = match &geometry {
-            Geometry::H4(arm) => arm.axes(),
-            Geometry::None => 0,
-        };
+        let axes = machine.descriptor().axes();
         let widths = core::array::from_fn(|index| match strokes[index] {
             _ if index >= axes => u32::MAX,
             (low, high) if low <= high => high.0.wrapping_sub(low.0) as u32,
             _ => 0,
         });
         Self {
-            geometry,
+            machine,
             rates,
             inverse_rates: rates
                 .map(|rate| ((1_u64 << 48) / rate.0.max((1 << 16) + 1) as u64) as u32),
@@ -89,57 +71,50 @@ impl BoundedKinematics {
         }
     }
 
+    /// Coordinates and joints of the machine.
+    #[must_use]
+    pub const fn descriptor(&self) -> &'static Descriptor {
+        self.machine.descriptor()
+    }
+
     /// Pose of the tool in the frame of the machine's base, without table and workpiece offsets.
+    /// `None` on a machine that has no such frame.
     ///
     /// # Errors
     /// As [`Kinematics::forward`].
-    pub fn base_pose(&self, joints: &Joints) -> Result<BasePose, PoseError> {
-        self.check_strokes(joints)?;
-        match &self.geometry {
-            Geometry::H4(arm) => arm.base_pose(joints),
-            Geometry::None => Err(PoseError::Unreachable),
+    pub fn base_pose(&self, joints: &Joints) -> Option<Result<BasePose, PoseError>> {
+        if let Err(error) = self.check_strokes(joints) {
+            return Some(Err(error));
         }
+        self.machine.base_pose(joints)
     }
 
-    /// [`Kinematics::inverse_motion`], written to `motion`. After an error the content of `motion`
-    /// is invalid.
-    ///
-    /// # Errors
-    /// As [`Kinematics::inverse_motion`].
-    #[inline(never)]
-    pub fn solve(
-        &self,
-        pose: &Pose,
-        rates: &Rates,
-        accelerations: &Accelerations,
-        motion: &mut JointMotion,
-    ) -> Result<(), PoseError> {
-        match &self.geometry {
-            Geometry::H4(arm) => arm.place_motion(pose, rates, accelerations, motion)?,
-            Geometry::None => *motion = JointMotion::default(),
-        }
-        self.check_strokes(&motion.joints)
-    }
-
-    /// Signed distance from the parallel singularity, positive on the configured branch.
+    /// Signed distance from the nearest singularity, positive on the configured branch. `None` on a
+    /// machine without singularities.
     ///
     /// # Errors
     /// [`PoseError::Tilt`], [`PoseError::Unreachable`].
-    pub fn singularity_distance(&self, pose: &Pose) -> Result<Length, PoseError> {
-        match &self.geometry {
-            Geometry::H4(arm) => arm.singularity_distance(pose),
-            Geometry::None => Err(PoseError::Unreachable),
-        }
+    pub fn singularity_distance(&self, pose: &Pose) -> Option<Result<Length, PoseError>> {
+        self.machine.singularity_distance(pose)
     }
 
-    /// Angle by which a pose turns the table and its load out of the horizontal.
+    /// Angle by which a pose turns the workpiece and its load out of the horizontal, about x.
     #[must_use]
     #[inline]
-    pub const fn table(&self, pose: &Pose) -> Angle {
-        match &self.geometry {
-            Geometry::H4(_) => pose.0[4].angle(),
-            Geometry::None => Angle::ZERO,
-        }
+    pub fn workpiece_rotation(&self, pose: &Pose) -> Angle {
+        self.machine.workpiece_rotation(pose)
+    }
+
+    /// Pose coordinate that moves while a joint searches its reference.
+    #[must_use]
+    pub fn search_coordinate(&self, joint: usize) -> usize {
+        self.machine.search_coordinate(joint).min(MAX_AXES - 1)
+    }
+
+    /// Pose rates, axis units per second, with which a joint searches its reference.
+    #[must_use]
+    pub fn search_rates(&self, joint: usize, pose: &Pose, rate: i64) -> [i64; MAX_AXES] {
+        self.machine.search_rates(joint, pose, rate)
     }
 
     /// Maximum rates of the joints.
@@ -199,39 +174,13 @@ impl BoundedKinematics {
 
 impl Kinematics for BoundedKinematics {
     fn axes(&self) -> usize {
-        match &self.geometry {
-            Geometry::H4(arm) => arm.axes(),
-            Geometry::None => 0,
-        }
+        self.descriptor().axes()
     }
 
     fn inverse(&self, pose: &Pose) -> Result<Joints, PoseError> {
-        let joints = match &self.geometry {
-            Geometry::H4(arm) => arm.inverse(pose)?,
-            Geometry::None => Joints::default(),
-        };
+        let joints = self.machine.inverse(pose)?;
         self.check_strokes(&joints)?;
         Ok(joints)
-    }
-
-    #[inline(never)]
-    fn load(&self, low: &Pose, high: &Pose, rates: &[Rates]) -> Result<[u32; 2], PoseError> {
-        let Geometry::H4(arm) = &self.geometry else {
-            return self.check_strokes(&Joints::default()).map(|()| [0; 2]);
-        };
-        let (joints, bounds) = arm.rate_bounds(low, high, rates)?;
-        for joints in &joints {
-            self.check_strokes(joints)?;
-        }
-        let mut loads = [0; 2];
-        for (load, (rates, [front, rear])) in loads.iter_mut().zip(rates.iter().zip(bounds)) {
-            let of_joints = [front, front, rear, rear, rates[4].0.unsigned_abs()];
-            for (bound, inverse) in of_joints.iter().zip(&self.inverse_rates) {
-                let part = (u64::from(*bound) * u64::from(*inverse)) >> 32;
-                *load = (part as u32).max(*load);
-            }
-        }
-        Ok(loads)
     }
 
     fn inverse_motion(
@@ -246,18 +195,45 @@ impl Kinematics for BoundedKinematics {
     }
 
     #[inline(never)]
+    fn solve(
+        &self,
+        pose: &Pose,
+        rates: &Rates,
+        accelerations: &Accelerations,
+        motion: &mut JointMotion,
+    ) -> Result<(), PoseError> {
+        self.machine.solve(pose, rates, accelerations, motion)?;
+        self.check_strokes(&motion.joints)
+    }
+
+    #[inline(never)]
     fn forward(&self, joints: &Joints) -> Result<Pose, PoseError> {
         self.check_strokes(joints)?;
-        match &self.geometry {
-            Geometry::H4(arm) => arm.forward(joints),
-            Geometry::None => Ok(Pose::default()),
-        }
+        self.machine.forward(joints)
     }
 
     fn jacobian(&self, pose: &Pose) -> Result<Jacobian, PoseError> {
-        match &self.geometry {
-            Geometry::H4(arm) => arm.jacobian(pose),
-            Geometry::None => Err(PoseError::Unreachable),
+        self.machine.jacobian(pose)
+    }
+
+    fn box_bounds(&self, low: &Pose, high: &Pose, rates: &[Rates]) -> Result<BoxBounds, PoseError> {
+        let bounds = self.machine.box_bounds(low, high, rates)?;
+        for joints in &bounds.joints {
+            self.check_strokes(joints)?;
         }
+        Ok(bounds)
+    }
+
+    #[inline(never)]
+    fn load(&self, low: &Pose, high: &Pose, rates: &[Rates]) -> Result<[u32; 2], PoseError> {
+        let bounds = self.box_bounds(low, high, rates)?;
+        let mut loads = [0; 2];
+        for (load, bounds) in loads.iter_mut().zip(&bounds.rates) {
+            for (bound, inverse) in bounds.iter().zip(&self.inverse_rates) {
+                let part = (u64::from(*bound) * u64::from(*inverse)) >> 32;
+                *load = (part as u32).max(*load);
+            }
+        }
+        Ok(loads)
     }
 }

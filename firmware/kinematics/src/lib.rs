@@ -9,10 +9,14 @@
 #![cfg_attr(not(test), deny(clippy::float_arithmetic))]
 
 mod bounded;
+pub mod cartesian;
+pub mod descriptor;
 pub mod h4;
 pub mod haptic_arm;
+mod machines;
 
-pub use bounded::{BoundedKinematics, JointLimits, Model};
+pub use bounded::{BoundedKinematics, JointLimits};
+pub use machines::{DESCRIPTORS, Machine, Model};
 
 use haptimill_math::{Acceleration, Coordinate, Rate};
 pub use haptimill_protocol::message::{MAX_AXES, PoseError};
@@ -50,10 +54,20 @@ pub struct JointMotion {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Jacobian(pub [[i64; MAX_AXES]; MAX_AXES]);
 
+/// Bounds of the joints and of their rates over a box of poses.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct BoxBounds {
+    /// The least and the greatest joints of the poses of the box.
+    pub joints: [Joints; 2],
+    /// Upper bounds of the magnitudes of the joint rates, axis units per second, for each of at most
+    /// two entries of pose rates.
+    pub rates: [[u32; MAX_AXES]; 2],
+}
+
 /// Kinematics of a machine.
 ///
-/// A new machine needs one module with this trait, one configuration struct and one row in the
-/// conformance suite.
+/// A new machine needs one module with this trait and [`Machine`], one row in the list of
+/// `machines.rs`, and one row in the conformance suite.
 pub trait Kinematics {
     /// Number of pose coordinates, which is also the number of joints.
     fn axes(&self) -> usize;
@@ -81,24 +95,38 @@ pub trait Kinematics {
     /// A [`PoseError`] if the joints have no certified pose.
     fn forward(&self, joints: &Joints) -> Result<Pose, PoseError>;
 
-    /// Largest fraction of its maximum rate that any joint reaches at a pose, for pose rates of at
-    /// most these magnitudes in any direction. The result is in 2^-16, one value per entry of
-    /// `rates` (at most two), and 0 if the maximum rates are unknown.
+    /// [`Kinematics::inverse_motion`], written to `motion`. After an error the content of `motion`
+    /// is invalid.
+    ///
+    /// # Errors
+    /// As [`Kinematics::inverse`].
+    #[inline]
+    fn solve(
+        &self,
+        pose: &Pose,
+        rates: &Rates,
+        accelerations: &Accelerations,
+        motion: &mut JointMotion,
+    ) -> Result<(), PoseError> {
+        *motion = self.inverse_motion(pose, rates, accelerations)?;
+        Ok(())
+    }
+
+    /// Bounds of the joints, and of their rates for pose rates of at most these magnitudes in any
+    /// direction, over a box of poses.
     ///
     /// # Errors
     /// As [`Kinematics::inverse`], if the machine cannot take all poses of the box.
+    fn box_bounds(&self, low: &Pose, high: &Pose, rates: &[Rates]) -> Result<BoxBounds, PoseError>;
+
+    /// Largest fraction of its maximum rate that any joint reaches at a pose of a box, for pose
+    /// rates of at most these magnitudes in any direction. The result is in 2^-16, one value per
+    /// entry of `rates` (at most two), and 0 if the maximum rates are unknown.
+    ///
+    /// # Errors
+    /// As [`Kinematics::box_bounds`].
     fn load(&self, low: &Pose, high: &Pose, rates: &[Rates]) -> Result<[u32; 2], PoseError> {
-        let _ = rates;
-        for corner in 0..1_u32 << MAX_AXES {
-            let mut pose = *low;
-            for (axis, place) in pose.0.iter_mut().enumerate() {
-                if corner & (1 << axis) != 0 {
-                    *place = high.0[axis];
-                }
-            }
-            self.inverse(&pose)?;
-        }
-        Ok([0; 2])
+        self.box_bounds(low, high, rates).map(|_| [0; 2])
     }
 
     /// Jacobian at a pose.

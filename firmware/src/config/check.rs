@@ -1,11 +1,11 @@
 //! Checks of a configuration before it is activated. A refusal names the field and its axis.
 
-use super::{AxisKind, Config, Drive, JointAxis, Model, PoseAxis, ServoConfig};
+use super::{AxisKind, Config, Drive, JointAxis, PoseAxis, ServoConfig};
 use crate::config::HAND;
 use crate::haptics::config::HapticConfig;
 use crate::motion::tracker::TrackerLimits;
 use crate::motion::{interpolator, jog};
-use haptimill_kinematics::h4::H4;
+use haptimill_kinematics::descriptor::Role;
 use haptimill_kinematics::{Joints, Kinematics};
 use haptimill_protocol::message::{ConfigField, ConfigProblem, MAX_AXES};
 
@@ -39,13 +39,12 @@ impl Config {
             ConfigField::Period,
             None,
         )?;
-        let axes = match &self.model {
-            Model::H4(_) => 5,
-            Model::None => 0,
-        };
+        let axes = self.model.descriptor().axes();
         let counts = self.pose.len() == axes && self.joints.len() == axes && axes <= MAX_AXES;
         require(counts, ConfigField::AxisCount, None)?;
         self.check_geometry()?;
+        let force = self.force.is_none() || self.has_tool();
+        require(force, ConfigField::Force, None)?;
         self.check_hand()?;
         for (index, axis) in self.pose.iter().enumerate() {
             self.check_pose(index, axis)?;
@@ -95,8 +94,10 @@ impl Config {
             ConfigField::Homing,
             None,
         )?;
+        let needed = |kind| self.joints.iter().any(|joint| joint.kind == kind);
         require(
-            axes == 0 || (self.homing.rate.0 > 0 && self.homing.table_rate.0 > 0),
+            (self.homing.rate.0 > 0 || !needed(AxisKind::Linear))
+                && (self.homing.table_rate.0 > 0 || !needed(AxisKind::Rotary)),
             ConfigField::Homing,
             None,
         )
@@ -114,7 +115,7 @@ impl Config {
             return Ok(());
         };
         require(
-            follow.is_sound() && !self.pose.is_empty(),
+            follow.is_sound() && self.has_tool(),
             ConfigField::Follow,
             None,
         )?;
@@ -125,38 +126,22 @@ impl Config {
         Ok(())
     }
 
+    /// Whether the first coordinates are x, y, z of the tool, as force control and master-slave
+    /// mapping need them, and those behind are the directions of the tool that a master can lead.
+    fn has_tool(&self) -> bool {
+        let machine = self.model.descriptor();
+        let directions = [Role::ToolTilt, Role::WorkpieceRotation];
+        let behind = machine.pose.iter().skip(3).map(|axis| axis.role);
+        machine.tool_tip() == Some([0, 1, 2]) && behind.zip(directions).all(|(role, of)| role == of)
+    }
+
     fn check_geometry(&self) -> Check {
-        let Model::H4(geometry) = &self.model else {
-            return Ok(());
-        };
-        let length =
-            |value: i32, low: i64, high: i64| (low << 20..=high << 20).contains(&i64::from(value));
-        let sound = length(geometry.rod.0, 10, 1000)
-            && length(geometry.half_spacing.0, 1, 1000)
-            && length(geometry.tool.0, 0, 1000)
-            && length(geometry.singularity_margin.0, 1, 100)
-            && [
-                geometry.lateral,
-                geometry.half_height,
-                geometry.joint_offset,
-                geometry.rail_offset,
-                geometry.x_offset,
-                geometry.y_offset,
-                geometry.z_offset,
-                geometry.table_height,
-            ]
-            .iter()
-            .all(|value| length(value.0, -1000, 1000));
-        require(sound && H4::is_sound(geometry), ConfigField::Geometry, None)?;
-        // The model has linear x, y, z, rotary theta, alpha, linear slides and a rotary table.
-        let linear = [true, true, true, false, false];
-        let linear_joints = [true, true, true, true, false];
-        let kinds = self.pose.iter().map(|axis| axis.kind).eq(linear.map(kind))
-            && self
-                .joints
-                .iter()
-                .map(|axis| axis.kind)
-                .eq(linear_joints.map(kind));
+        require(self.model.is_sound(), ConfigField::Geometry, None)?;
+        let machine = self.model.descriptor();
+        let pose = self.pose.iter().map(|axis| axis.kind);
+        let joints = self.joints.iter().map(|axis| axis.kind);
+        let kinds = pose.eq(machine.pose.iter().map(|axis| axis.kind))
+            && joints.eq(machine.joints.iter().map(|axis| axis.kind));
         require(kinds, ConfigField::AxisCount, None)
     }
 
@@ -279,12 +264,4 @@ fn stable(law: &ServoConfig, period_us: u16) -> bool {
 
 fn within(value: i32) -> bool {
     i64::from(value).abs() <= COORDINATE_MAX
-}
-
-const fn kind(linear: bool) -> AxisKind {
-    if linear {
-        AxisKind::Linear
-    } else {
-        AxisKind::Rotary
-    }
 }

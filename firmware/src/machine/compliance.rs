@@ -21,7 +21,7 @@ use crate::config::digest::{Constants, Digest};
 use crate::force::sensor::COMPONENTS;
 use crate::force::{Design, ForceControl, ForceProblem};
 use crate::io::Inputs;
-use haptimill_kinematics::{Accelerations, PoseError};
+use haptimill_kinematics::{Accelerations, Kinematics, PoseError};
 use haptimill_math::force::Displacement;
 use haptimill_math::{Acceleration, Coordinate, Length, Rate};
 use haptimill_protocol::message::{ConfigField, ConfigProblem};
@@ -65,7 +65,7 @@ impl Machine {
         let pose = self.measured_pose.as_ref().unwrap_or(&self.reference.pose);
         let [x, y, z, ..] = pose.0;
         let unloaded = force.unloaded(active);
-        let table = self.kinematics.table(pose);
+        let table = self.kinematics.workpiece_rotation(pose);
         force.measure(&inputs.force, spindle_rpm, &[x, y, z], table, unloaded);
         force.update_overload(active);
     }

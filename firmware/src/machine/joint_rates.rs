@@ -10,7 +10,7 @@
 //! slowed down.
 
 use super::Machine;
-use haptimill_kinematics::{Accelerations, JointMotion, Pose, PoseError};
+use haptimill_kinematics::{Accelerations, JointMotion, Kinematics, Pose, PoseError};
 use haptimill_math::{Coordinate, Rate};
 use haptimill_protocol::message::{MAX_AXES, RATE_SHIFT, Refusal};
 use haptimill_protocol::setpoint::Setpoint;

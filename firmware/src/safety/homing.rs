@@ -1,23 +1,19 @@
 //! Finding the reference: one transaction for all joints.
 //!
-//! The operator sets the slides to their presets (docs/control.md 1.2: 1135 mm and 485 mm) before
-//! power-on, within [`JointAxis::search`]. Motion after that is known from the counters
+//! The operator sets the joints to their presets before power-on, within [`JointAxis::search`]. Motion after that is known from the counters
 //! ([`crate::joint::power_on_counts`]).
 //!
-//! Four slides of a parallel arm that home one by one can leave the workspace, so the *pose* moves.
-//! It moves along x first, which shifts all slides alike, until each of them has its index pulse.
-//! Then tool and workpiece turn together about the axis of the table: the table turns and the
-//! slides stand, so only the stroke of the table bounds the search. With x and alpha at once a
-//! slide may move by less than an index pitch, because alpha moves the slides as well away from the
-//! axis of the table. At a bound of the workspace the search turns back once.
+//! Joints of a parallel arm that home one by one can leave the workspace, so the *pose* moves. The
+//! machine names for each joint the coordinate that moves in its search, and the pose rates
+//! ([`haptimill_kinematics::Machine::search_rates`]). Joints with the same coordinate are searched
+//! together, in the order of the joints. At a bound of the workspace the search reverses once.
 //!
 //! Homing of all joints fails if a joint finds no index, finds one far from where the preset says,
 //! or if the machine cannot take a pose.
 
 use crate::config::{AxisKind, Config, JointAxis};
 use crate::motion::jog::Jog;
-use haptimill_kinematics::h4::H4Geometry;
-use haptimill_kinematics::{Model, Pose};
+use haptimill_kinematics::{BoundedKinematics, Pose};
 use haptimill_math::Coordinate;
 use haptimill_protocol::message::{Fault, HomingProblem, MAX_AXES};
 
@@ -44,12 +40,20 @@ pub enum Outcome {
     Failed(Fault),
 }
 
+/// The machine whose joints are searched.
+pub struct Searched<'a> {
+    /// Its configuration.
+    pub config: &'a Config,
+    /// Its kinematics.
+    pub kinematics: &'a BoundedKinematics,
+}
+
 /// A homing in progress.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Homing {
     phase: Phase,
-    /// What moves in the present search.
-    kind: Option<AxisKind>,
+    /// Coordinate that moves in the present search.
+    coordinate: Option<usize>,
     /// Which way it searches.
     downwards: bool,
     /// The present search has met the end of the workspace and turned back.
@@ -60,51 +64,37 @@ pub struct Homing {
     left: u32,
 }
 
-/// Pose coordinates.
-const X: usize = 0;
-const Y: usize = 1;
-const Z: usize = 2;
-const ALPHA: usize = 4;
-
 impl Homing {
-    /// Sets the jog going from `pose`, for the joints of the kind of `joint`.
+    /// Starts the search for the joints that are searched with `joint`.
     #[inline(never)]
-    fn set_rates(&mut self, config: &Config, joint: &JointAxis, pose: &Pose, jog: &mut Jog) {
-        let coordinate = match joint.kind {
-            AxisKind::Linear => X,
-            AxisKind::Rotary => ALPHA,
-        };
-        if self.kind != Some(joint.kind) {
-            self.kind = Some(joint.kind);
+    fn start_search(&mut self, machine: &Searched<'_>, joint: usize, pose: &Pose, jog: &mut Jog) {
+        let coordinate = machine.kinematics.search_coordinate(joint);
+        if self.coordinate != Some(coordinate) {
+            self.coordinate = Some(coordinate);
             self.reversed = false;
-            // Upwards, but from the upper part of the way back towards its middle.
-            self.downwards = config.pose.get(coordinate).is_some_and(|axis| {
+            // Upwards, but from the upper quarter of the range towards its middle.
+            self.downwards = machine.config.pose.get(coordinate).is_some_and(|axis| {
                 let (low, high) = (i64::from(axis.low.0), i64::from(axis.high.0));
                 i64::from(pose.0[coordinate].0) > high - (high - low) / 4
             });
         }
-        self.left = (config.joints.iter())
-            .filter(|other| other.kind == joint.kind)
-            .map(|other| search_periods(config, other))
+        self.left = (machine.config.joints.iter().enumerate())
+            .filter(|(other, _)| machine.kinematics.search_coordinate(*other) == coordinate)
+            .map(|(_, other)| search_periods(machine.config, other))
             .max()
             .unwrap_or(0);
-        self.steer(config, joint.kind, pose, jog);
+        self.steer(machine, joint, pose, jog);
         self.phase = Phase::Search;
     }
 
-    /// Rates of this period. Those of y and z that go with alpha change as the work turns.
-    fn steer(&self, config: &Config, kind: AxisKind, pose: &Pose, jog: &mut Jog) {
-        let rate = search_rate(config, kind);
+    /// Sets the rates of this period; they depend on the pose.
+    fn steer(&self, machine: &Searched<'_>, joint: usize, pose: &Pose, jog: &mut Jog) {
+        let Some(axis) = machine.config.joints.get(joint) else {
+            return;
+        };
+        let rate = search_rate(machine.config, axis.kind);
         let rate = if self.downwards { -rate } else { rate };
-        let mut rates = [0_i64; MAX_AXES];
-        match (kind, &config.model) {
-            (AxisKind::Linear, _) => rates[X] = rate,
-            (AxisKind::Rotary, Model::H4(geometry)) => {
-                rates[ALPHA] = rate;
-                [rates[Y], rates[Z]] = with_the_work(geometry, pose, rate);
-            }
-            (AxisKind::Rotary, Model::None) => {}
-        }
+        let rates = machine.kinematics.search_rates(joint, pose, rate);
         jog.set_rates(&rates, self.left);
     }
 
@@ -136,16 +126,18 @@ impl Homing {
     /// One period, with the machine wanted at `pose`; `limited` says that the jog was kept from going on. The first sets out.
     pub fn advance(
         &mut self,
-        config: &Config,
+        machine: &Searched<'_>,
         pose: &Pose,
         jog: &mut Jog,
         limited: bool,
     ) -> Outcome {
-        let mut joints = config.joints.iter().enumerate();
-        let missing = joints.find(|(joint, _)| self.corrections[*joint].is_none());
+        let joints = 0..machine.config.joints.len().min(MAX_AXES);
+        let missing = { joints }.find(|joint| self.corrections[*joint].is_none());
         match (self.phase, missing) {
-            (Phase::Aim, Some((_, axis))) => self.set_rates(config, axis, pose, jog),
-            (Phase::Search, Some((joint, axis))) if self.kind == Some(axis.kind) => {
+            (Phase::Aim, Some(joint)) => self.start_search(machine, joint, pose, jog),
+            (Phase::Search, Some(joint))
+                if self.coordinate == Some(machine.kinematics.search_coordinate(joint)) =>
+            {
                 self.left = self.left.saturating_sub(1);
                 let problem = if limited && self.reversed {
                     HomingProblem::Workspace
@@ -158,7 +150,7 @@ impl Homing {
                 } else if self.left == 0 {
                     HomingProblem::NoIndex
                 } else {
-                    self.steer(config, axis.kind, pose, jog);
+                    self.steer(machine, joint, pose, jog);
                     return Outcome::Searching;
                 };
                 return Outcome::Failed(Fault::Homing {
@@ -178,16 +170,6 @@ impl Homing {
         }
         Outcome::Searching
     }
-}
-
-/// Rates of y and z, axis units per second, with which the tool keeps its place on the work's circle about the table's axis while alpha turns at `rate`: the tool stands in
-/// the frame of the slides.
-fn with_the_work(geometry: &H4Geometry, pose: &Pose, rate: i64) -> [i64; 2] {
-    // 2^32 axis units are a turn: 411,775 is 2 pi, 2^-16. A lever is below 2^32, and so is a rate.
-    let speed = |lever: i64| (((lever * (rate >> 8)) >> 24) * 411_775) >> 16;
-    let across = i64::from(pose.0[Y].0) + i64::from(geometry.y_offset.0);
-    let up = i64::from(pose.0[Z].0) + i64::from(geometry.z_offset.0);
-    [speed(up), -speed(across)]
 }
 
 /// Rate of the coordinate that searches for the joints of a kind.

@@ -2,7 +2,7 @@
 //!
 //! A new machine is one subject in `haptimill_checks::kinematics` and one row below; the same checks run on a chip, with smaller counts.
 
-use haptimill_checks::kinematics::{h4, suite};
+use haptimill_checks::kinematics::{cartesian, h4, suite};
 
 /// Poses and joints of the big checks.
 const COUNT: usize = 1_000_000;
@@ -41,3 +41,4 @@ macro_rules! row {
 
 row!(h4_reference, h4::Arm::new(h4::REFERENCE), COUNT);
 row!(h4_other, h4::Arm::new(h4::OTHER), COUNT / 5);
+row!(cartesian_slides, cartesian::Slides::default(), COUNT / 10);

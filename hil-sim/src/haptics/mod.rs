@@ -141,7 +141,7 @@ impl HapticArm {
             }]
         };
         if substep_us == 0 || period_us == 0 || !period_us.is_multiple_of(substep_us) {
-            let problem = "must be a whole part of the control period".to_owned();
+            let problem = "the control period is not a multiple of it; choose a divisor".to_owned();
             return Err(refuse("substep_us", problem));
         }
         let geometry = Geometry::new(&config.geometry);

@@ -230,7 +230,7 @@ impl JointConfig {
         if let (Some(low), Some(high)) = (limit_low, limit_high)
             && low >= high
         {
-            let problem = format!("{low} is not below limit_high, {high}");
+            let problem = format!("{low} is not below limit_high = {high}; lower it");
             check.refuse(format!("{at}: limit_low"), problem);
         }
         let room = (self.preset - self.low).min(self.high - self.preset);
@@ -247,7 +247,7 @@ impl JointConfig {
         if counts < 4 || !counts.is_multiple_of(4) || counts > 4_000_000 {
             check.refuse(
                 format!("{at}: encoder: counts_per_turn"),
-                format!("{counts} is not a multiple of 4 up to 4000000"),
+                format!("{counts} is not a multiple of 4 up to 4000000; correct it"),
             );
         }
         check.within(

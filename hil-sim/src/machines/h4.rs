@@ -10,8 +10,12 @@
 //! was built. At the parallel singularity the behaviour of the real machine is undetermined; the
 //! solver returns an error there.
 
+use super::{Geometry, GeometryConfig};
 use crate::check::Check;
+use crate::config::PlantConfig;
 use crate::joint::JointKind;
+use crate::joint::mechanics::JointArray;
+use crate::process::ToolPose;
 use core::fmt;
 use serde::{Deserialize, Serialize};
 
@@ -62,13 +66,22 @@ pub enum Branch {
 }
 
 impl ArmGeometry {
+    /// Lengths of a plant that is an H-4 arm; `None` for another machine.
+    #[must_use]
+    pub const fn of(plant: &PlantConfig) -> Option<&Self> {
+        match &plant.geometry {
+            Some(GeometryConfig::H4(lengths)) => Some(lengths),
+            _ => None,
+        }
+    }
+
     /// Checks lengths and joint kinds, and adds all problems to `check`.
     pub(crate) fn check(&self, kinds: &[JointKind], check: &mut Check) {
         use JointKind::{Linear, Rotary};
         if kinds != [Linear, Linear, Linear, Linear, Rotary] {
             check.refuse(
-                "arm".into(),
-                "needs four linear joints and then a rotary one, the table".into(),
+                "geometry: h4".into(),
+                "needs four linear joints and then the rotary table; correct the kinds of the joints".into(),
             );
         }
         for (name, value) in [
@@ -76,7 +89,7 @@ impl ArmGeometry {
             ("r", self.r),
             ("E = a - b - e", self.a - self.b - self.e),
         ] {
-            check.within(format!("arm: {name}"), value, 1.0, 2000.0);
+            check.within(format!("geometry: h4: {name}"), value, 1.0, 2000.0);
         }
         for (name, value) in [
             ("d", self.d),
@@ -89,7 +102,7 @@ impl ArmGeometry {
             ("y_off", self.y_off),
             ("z_off", self.z_off),
         ] {
-            check.within(format!("arm: {name}"), value, -2000.0, 2000.0);
+            check.within(format!("geometry: h4: {name}"), value, -2000.0, 2000.0);
         }
     }
 }
@@ -397,6 +410,81 @@ impl Arm {
         let (across, up) = (tip.y, tip.z + above * cos_theta + g.h);
         let (across, up) = (across * cos + up * sin, up * cos - across * sin);
         loads[4] = (force[1] * up - force[2] * across) * 1e-3;
+        Some(loads)
+    }
+}
+
+/// The H-4 arm with its table, as the plant moves it.
+#[derive(Debug, Clone)]
+pub struct H4 {
+    arm: Arm,
+    /// Tip in the arm's base frame, without the deflection of the structure.
+    tip: Tip,
+}
+
+/// Pose coordinate and joint of the table.
+const ALPHA: usize = 4;
+
+fn slides(joints: &JointArray) -> [f64; 4] {
+    [joints[0], joints[1], joints[2], joints[3]]
+}
+
+impl Geometry for H4 {
+    type Config = ArmGeometry;
+
+    const HAS_TOOL: bool = true;
+
+    fn check(config: &ArmGeometry, kinds: &[JointKind], check: &mut Check) {
+        config.check(kinds, check);
+    }
+
+    fn new(config: &ArmGeometry, joints: &JointArray) -> Result<Self, String> {
+        let mut machine = Self {
+            arm: Arm::new(config, &slides(joints)).map_err(|error| error.to_string())?,
+            tip: Tip::default(),
+        };
+        let mut pose = JointArray::default();
+        if machine.follow(joints, &mut pose) {
+            Ok(machine)
+        } else {
+            Err(LoopClosureError.to_string())
+        }
+    }
+
+    fn follow(&mut self, joints: &JointArray, pose: &mut JointArray) -> bool {
+        let Ok(tip) = self.arm.follow(&slides(joints)) else {
+            return false;
+        };
+        self.tip = tip;
+        pose[..5].copy_from_slice(&self.arm.in_work(&tip, joints[ALPHA]));
+        true
+    }
+
+    fn tool_pose(&self, pose: &JointArray) -> ToolPose {
+        let [x, y, z, theta, alpha, _] = *pose;
+        ToolPose::leaning([x, y, z], theta, alpha)
+    }
+
+    fn workpiece_rotation(&self, pose: &JointArray) -> f64 {
+        pose[ALPHA]
+    }
+
+    fn joint_loads(
+        &self,
+        joints: &JointArray,
+        pose: &JointArray,
+        force: [f64; 3],
+        above: f64,
+    ) -> Option<JointArray> {
+        let arm = &self.arm;
+        let mut loads = JointArray::default();
+        loads[..5].copy_from_slice(&arm.joint_loads(
+            &self.tip,
+            &slides(joints),
+            pose[ALPHA],
+            force,
+            above,
+        )?);
         Some(loads)
     }
 }

@@ -1,6 +1,148 @@
 //! Machine geometries of the simulator, one file each.
 //!
 //! A geometry is written in f64 from the loop-closure equations, independently of the firmware's
-//! formulas.
+//! formulas. A new one is a file with a [`Geometry`] and a row in the list below; the row gives it
+//! its key in `[plant.geometry]`.
 
+pub mod cartesian;
 pub mod h4;
+
+use crate::check::Check;
+use crate::joint::JointKind;
+use crate::joint::mechanics::JointArray;
+use crate::process::ToolPose;
+use serde::{Deserialize, Serialize};
+
+/// Geometry of a simulated machine: it follows the joints with the pose of the tool.
+pub trait Geometry: Sized {
+    /// Section of the machine file, mm and degrees.
+    type Config;
+
+    /// Whether the machine has a tool that can cut.
+    const HAS_TOOL: bool;
+
+    /// Adds the problems of a configuration, with joints of these kinds.
+    fn check(config: &Self::Config, kinds: &[JointKind], check: &mut Check);
+
+    /// The geometry with its joints at these positions.
+    ///
+    /// # Errors
+    /// Reason why the joints hold no pose.
+    fn new(config: &Self::Config, joints: &JointArray) -> Result<Self, String>;
+
+    /// Writes the pose of the joints, mm and degrees, and returns whether there is one. The joints
+    /// have moved little since the last call.
+    fn follow(&mut self, joints: &JointArray, pose: &mut JointArray) -> bool;
+
+    /// Tool in the workpiece frame at a pose.
+    fn tool_pose(&self, pose: &JointArray) -> ToolPose;
+
+    /// Angle by which a pose turns the workpiece out of the horizontal, about x, degrees.
+    fn workpiece_rotation(&self, pose: &JointArray) -> f64 {
+        let _ = pose;
+        0.0
+    }
+
+    /// Loads of the joints by a force on the tool in the workpiece frame, N, which acts `above` mm
+    /// above the tip. `None` where the geometry is singular.
+    fn joint_loads(
+        &self,
+        joints: &JointArray,
+        pose: &JointArray,
+        force: [f64; 3],
+        above: f64,
+    ) -> Option<JointArray>;
+}
+
+/// Defines the configuration and the dispatch.
+macro_rules! geometries {
+    ($($(#[$doc:meta])* $name:ident($key:literal, $machine:ty);)*) => {
+        /// Section `[plant.geometry]`: one subsection, named after the model.
+        #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+        pub enum GeometryConfig {
+            $($(#[$doc])* #[serde(rename = $key)] $name(<$machine as Geometry>::Config),)*
+        }
+
+        impl GeometryConfig {
+            /// Name of the model, as in the machine file.
+            #[must_use]
+            pub const fn model(&self) -> &'static str {
+                match self {
+                    $(Self::$name(_) => $key,)*
+                }
+            }
+
+            pub(crate) fn check(&self, kinds: &[JointKind], check: &mut Check) {
+                match self {
+                    $(Self::$name(config) => <$machine>::check(config, kinds, check),)*
+                }
+            }
+        }
+
+        /// A geometry of the list.
+        #[derive(Debug, Clone)]
+        pub(crate) enum AnyGeometry {
+            $($name($machine),)*
+        }
+
+        impl AnyGeometry {
+            pub(crate) fn new(
+                config: &GeometryConfig,
+                joints: &JointArray,
+            ) -> Result<Self, String> {
+                match config {
+                    $(GeometryConfig::$name(config) => {
+                        Ok(Self::$name(<$machine as Geometry>::new(config, joints)?))
+                    })*
+                }
+            }
+
+            pub(crate) const fn has_tool(&self) -> bool {
+                match self {
+                    $(Self::$name(_) => <$machine as Geometry>::HAS_TOOL,)*
+                }
+            }
+
+            pub(crate) fn follow(&mut self, joints: &JointArray, pose: &mut JointArray) -> bool {
+                match self {
+                    $(Self::$name(machine) => Geometry::follow(machine, joints, pose),)*
+                }
+            }
+
+            pub(crate) fn tool_pose(&self, pose: &JointArray) -> ToolPose {
+                match self {
+                    $(Self::$name(machine) => machine.tool_pose(pose),)*
+                }
+            }
+
+            pub(crate) fn workpiece_rotation(&self, pose: &JointArray) -> f64 {
+                match self {
+                    $(Self::$name(machine) => machine.workpiece_rotation(pose),)*
+                }
+            }
+
+            pub(crate) fn joint_loads(
+                &self,
+                joints: &JointArray,
+                pose: &JointArray,
+                force: [f64; 3],
+                above: f64,
+            ) -> Option<JointArray> {
+                match self {
+                    $(Self::$name(machine) => {
+                        Geometry::joint_loads(machine, joints, pose, force, above)
+                    })*
+                }
+            }
+        }
+    };
+}
+
+geometries! {
+    /// The H-4 arm and its table.
+    H4("h4", h4::H4);
+    /// Joints that move the tool along x, y and z.
+    Cartesian("cartesian", cartesian::Cartesian);
+    /// Joints that carry nothing: the pose is the joint positions.
+    Joints("joints", cartesian::BareJoints);
+}

@@ -313,7 +313,10 @@ impl WorkpieceConfig {
             2000.0,
         );
         if self.bottom_mm >= self.top_mm {
-            let problem = format!("{} is not below top_mm, {}", self.bottom_mm, self.top_mm);
+            let problem = format!(
+                "{} is not below top_mm = {}; lower it",
+                self.bottom_mm, self.top_mm
+            );
             check.refuse("workpiece: bottom_mm".into(), problem);
         }
         check.within("workpiece: rise_x_deg".into(), self.rise_x_deg, -60.0, 60.0);

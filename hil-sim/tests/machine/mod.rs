@@ -3,6 +3,7 @@
 
 use haptimill_hil_sim::PlantConfig;
 use haptimill_hil_sim::joint::{DriveConfig, JointConfig, StepDrive};
+use haptimill_hil_sim::machines::GeometryConfig;
 
 #[derive(serde::Deserialize)]
 struct File {
@@ -19,7 +20,7 @@ pub fn reference() -> PlantConfig {
 /// One of its slides alone, at 0 with a long stroke.
 pub fn slide() -> PlantConfig {
     let mut config = reference();
-    config.arm = None;
+    config.geometry = Some(GeometryConfig::Joints(Default::default()));
     config.joint.truncate(1);
     let joint = &mut config.joint[0];
     joint.low = -500.0;

@@ -109,7 +109,7 @@ mod linux {
             &machine_file,
             [
                 haptimill_machine_file::BUILT_IN,
-                haptimill_machine_file::HAND,
+                haptimill_machine_file::HAPTIC_ARM,
             ]
             .join("\n"),
         )?;

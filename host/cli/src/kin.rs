@@ -49,7 +49,10 @@ pub fn inverse_table(
 fn arm(config: &Config) -> Result<H4, String> {
     match &config.model {
         Model::H4(geometry) => Ok(H4::new(geometry)),
-        Model::None => Err(format!("{} has no axes to tabulate", config.name)),
+        _ => Err(format!(
+            "{} is no H-4 arm; the tables are those of an H-4 arm",
+            config.name
+        )),
     }
 }
 
@@ -90,7 +93,10 @@ pub fn forward_table(
                 line(
                     &mut out,
                     values,
-                    machine.base_pose(&joints).err().filter(|_| strokes),
+                    machine
+                        .base_pose(&joints)
+                        .and_then(Result::err)
+                        .filter(|_| strokes),
                 );
             }
             Err(error) => line(&mut out, [].into_iter(), Some(error)),

@@ -144,7 +144,7 @@ fn a_job_cuts_a_work_only_when_one_is_clamped() {
     assert_eq!(ran.code, 3);
     assert_eq!(
         folder.anonymous(&ran.err),
-        "DIR/work.toml:2:11: cell_mm: 7 is not within 0.01 to 1; correct it\n"
+        "DIR/work.toml:2:11: cell_mm: 7 is out of range, allowed is 0.01 to 1; lower it\n"
     );
     let port = [
         "run",

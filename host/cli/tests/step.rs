@@ -61,7 +61,7 @@ fn mixed(step: &str, torque: &str, from_torque: &[&str]) -> String {
 fn run(machine: &MachineFile) -> Result<(JobEnd, SimLine), CliError> {
     let model = Model::new(machine);
     let home = model.home(machine).unwrap();
-    let options = program_options(machine, model.to_people(&home));
+    let options = program_options(machine, model.to_engineering_units(&home));
     let text = std::fs::read(scene::root().join("examples/e7-slot.ngc")).unwrap();
     let program = haptimill_gcode::read("e7-slot.ngc", &text, &options).unwrap();
     let plan = Plan::new(&program, &settings(machine), &model).unwrap();

@@ -122,7 +122,7 @@ impl Chosen {
             }
             let base = self.base.as_ref().unwrap_or(file);
             if known.is_none() && !self.named {
-                known = same_machine(&base.with_hand()?, active)?;
+                known = same_machine(&base.with_haptic_arm()?, active)?;
             }
             if known.is_none() && !self.named {
                 known = same_machine(&MachineFile::built_in_master()?, active)?;

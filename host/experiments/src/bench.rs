@@ -17,7 +17,7 @@ use haptimill_hil_sim::process::Workpiece;
 use haptimill_hil_sim::remote::RemoteController;
 use haptimill_hil_sim::rig::Control as Controlled;
 use haptimill_machine_file::model::{Model, program_options, settings};
-use haptimill_machine_file::{MachineFile, work};
+use haptimill_machine_file::{MachineFile, stock};
 use haptimill_math::Length;
 use haptimill_math::force::{Force, VirtualDamping, VirtualMass};
 use haptimill_planner::Plan;
@@ -94,7 +94,7 @@ pub fn carry(
     interrupted: &Arc<AtomicBool>,
 ) -> Result<Cut, Error> {
     let machine = match &pass.led {
-        Some(_) => machine.with_hand()?,
+        Some(_) => machine.with_haptic_arm()?,
         None => machine.clone(),
     };
     let machine = controlled(&machine, pass)
@@ -160,7 +160,7 @@ fn cut<C: Controlled>(
 
     let plant: PlantConfig = machine.plant()?;
     let (file, text) = pass.work.file();
-    let mut cutting = plant.cutting(work::parse(file, text)?);
+    let mut cutting = plant.cutting(stock::parse(file, text)?);
     cutting.cutter.force_scale *= pass.force_scale;
 
     std::fs::create_dir_all(dir).map_err(|error| output(&error))?;
@@ -257,7 +257,7 @@ fn planned(
     home: &AxisValues,
     pass: &Pass,
 ) -> Result<Plan, Error> {
-    let options = program_options(machine, model.to_people(home));
+    let options = program_options(machine, model.to_engineering_units(home));
     let program = haptimill_gcode::read(pass.program, pass.text.as_bytes(), &options)
         .map_err(|refused| Error::refused(ErrorKind::BadInput, &refused))?;
     Plan::new(&program, &settings(machine), model)

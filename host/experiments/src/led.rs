@@ -130,7 +130,7 @@ impl Led {
     /// Whether a machine can run it: with a haptic arm of its own, or with the reference one.
     #[must_use]
     pub fn fits(machine: &MachineFile) -> bool {
-        machine.with_hand().is_ok()
+        machine.with_haptic_arm().is_ok()
     }
 
     /// Rail and part are mounted, and the controller is told what the hand shall feel.

@@ -8,7 +8,7 @@ use super::stability::{Gains, spectral_radius};
 use haptimill_firmware::config::{AxisKind, Drive, JointAxis, PoseAxis, ServoConfig, ServoForm};
 use haptimill_math::{Acceleration, Coordinate, Effort, Gain, Rate};
 
-/// An axis in people's units: millimetres on a linear axis, degrees on a rotary one.
+/// Limits of an axis in engineering units: mm for a linear axis, degrees for a rotary one.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AxisLimits {
     /// Name.
@@ -23,15 +23,15 @@ pub struct AxisLimits {
     pub rate: f64,
     /// Largest acceleration, mm/s^2 or deg/s^2.
     pub acceleration: f64,
-    /// Largest jerk, mm/s^3 or deg/s^3; infinite for a joint, which has none of its own.
+    /// Largest jerk, mm/s^3 or deg/s^3; infinite for a joint, which has no jerk limit.
     pub jerk: f64,
 }
 
 /// Keys and ranges that differ between a linear and a rotary axis.
-struct Keys {
-    low: &'static str,
-    high: &'static str,
-    rate: &'static str,
+pub(super) struct Keys {
+    pub(super) low: &'static str,
+    pub(super) high: &'static str,
+    pub(super) rate: &'static str,
     acceleration: &'static str,
     jerk: &'static str,
     travel: &'static str,
@@ -48,7 +48,7 @@ struct Keys {
     viscous: &'static str,
     coulomb: &'static str,
     coulomb_rate: &'static str,
-    unit: &'static str,
+    pub(super) unit: &'static str,
     /// Coordinates of a limit.
     coordinate: Allowed,
     rate_range: Allowed,
@@ -62,7 +62,7 @@ struct Keys {
     viscous_range: Allowed,
 }
 
-fn keys(kind: AxisKind) -> Keys {
+pub(super) fn keys(kind: AxisKind) -> Keys {
     match kind {
         AxisKind::Linear => Keys {
             low: "low_mm",
@@ -131,27 +131,28 @@ fn keys(kind: AxisKind) -> Keys {
 
 const KINDS: [(&str, AxisKind); 2] = [("linear", AxisKind::Linear), ("rotary", AxisKind::Rotary)];
 
-/// Name and kind; the kind must be the one that the model has at this place.
-fn identity(section: &Section<'_, '_>, place: Option<(&str, AxisKind)>) -> (String, AxisKind) {
+/// Reads name and kind, which must be those of the model at this place.
+fn read_identity(section: &Section<'_, '_>, place: Option<(&str, AxisKind)>) -> (String, AxisKind) {
     let name = section.text("name", "name the axis").unwrap_or_default();
     let kind = section.choice("kind", &KINDS);
-    let Some((wanted_name, wanted_kind)) = place else {
+    let Some((expected_name, expected_kind)) = place else {
         return (name.to_string(), kind.unwrap_or(AxisKind::Linear));
     };
-    if !name.is_empty() && name != wanted_name {
-        let what = format!("\"{name}\" is not what the model has at this place");
-        section.report("name", what, format!("write \"{wanted_name}\""));
+    if !name.is_empty() && name != expected_name {
+        let what = format!("\"{name}\" is not the axis of the model at this place");
+        section.report("name", what, format!("write \"{expected_name}\""));
     }
-    if kind.is_some_and(|kind| kind != wanted_kind) {
-        let word = KINDS[usize::from(wanted_kind == AxisKind::Rotary)].0;
-        let what = "is not the kind that the model has at this place";
+    if kind.is_some_and(|kind| kind != expected_kind) {
+        let word = KINDS[usize::from(expected_kind == AxisKind::Rotary)].0;
+        let what = "is not the kind of the model at this place";
         section.report("kind", what, format!("write \"{word}\""));
     }
-    // The values below are read as what the model has, so that one mistake is not reported nine times.
-    (name.to_string(), wanted_kind)
+    // The other values are read with the kind of the model, so that a wrong kind is reported once.
+    (name.to_string(), expected_kind)
 }
 
-fn limits(section: &Section<'_, '_>, keys: &Keys) -> (f64, f64) {
+/// Reads stroke or soft limits.
+fn read_limits(section: &Section<'_, '_>, keys: &Keys) -> (f64, f64) {
     let low = section.number(keys.low, keys.coordinate);
     let high = section.number(keys.high, keys.coordinate);
     if low >= high {
@@ -161,14 +162,14 @@ fn limits(section: &Section<'_, '_>, keys: &Keys) -> (f64, f64) {
     (low, high)
 }
 
-/// A pose coordinate from its section.
-pub fn pose_axis(
+/// Reads a pose coordinate.
+pub fn read_pose_axis(
     section: &Section<'_, '_>,
     place: Option<(&str, AxisKind)>,
 ) -> (PoseAxis, AxisLimits) {
-    let (name, kind) = identity(section, place);
+    let (name, kind) = read_identity(section, place);
     let keys = keys(kind);
-    let (low, high) = limits(section, &keys);
+    let (low, high) = read_limits(section, &keys);
     let limits = AxisLimits {
         name,
         kind,
@@ -191,21 +192,21 @@ pub fn pose_axis(
     (axis, limits)
 }
 
-/// A joint from its section; `period` in seconds is NaN when it is not known.
-pub fn joint_axis(
+/// Reads a joint; `period` in seconds is NaN if it is not known.
+pub fn read_joint_axis(
     section: &Section<'_, '_>,
     place: Option<(&str, AxisKind)>,
     period: f64,
 ) -> (JointAxis, AxisLimits) {
-    let (name, kind) = identity(section, place);
+    let (name, kind) = read_identity(section, place);
     let keys = keys(kind);
     let unit = per_unit(kind);
     let coordinate = |value: f64| Coordinate(to_i32(value * unit));
-    let (low, high) = limits(section, &keys);
+    let (low, high) = read_limits(section, &keys);
     let rate = section.number(keys.rate, keys.rate_range);
     let acceleration = section.number(keys.acceleration, keys.acceleration_range);
 
-    // Axis units that one turn of the motor moves, before the sign.
+    // Travel per motor turn, without its sign.
     let travel = section.number(keys.travel, keys.travel_range);
     let turn = match kind {
         AxisKind::Linear => travel,
@@ -216,7 +217,7 @@ pub fn joint_axis(
     let backlash = section.number_or(keys.backlash, 0.0, keys.distance);
     let following = section.number(keys.following, keys.distance);
     if following <= 0.0 {
-        section.report(keys.following, "0 would always be a fault", "raise it");
+        section.report(keys.following, "0 is always exceeded", "raise it");
     }
     let lag = section.number("following_error_lag_ms", real(0.0, 1000.0, "ms"));
     let still = section.number(keys.still, keys.distance);
@@ -229,7 +230,7 @@ pub fn joint_axis(
     let preset = section.number(keys.preset, keys.coordinate);
     let index = section.number(keys.index, keys.coordinate);
     let search = section.number(keys.search, keys.distance);
-    // One line of the encoder, or what a coarse one has room for.
+    // One line of the encoder, or less for a coarse encoder.
     let usual = ((counts - 1.0) / 4.0).floor().clamp(0.0, 4.0);
     let slack = section.number_or("index_slack_counts", usual, whole(0, 65_535, "counts"));
     if slack * 4.0 >= counts {
@@ -254,7 +255,7 @@ pub fn joint_axis(
     }
     if search > turn / 2.0 {
         let what = format!(
-            "{search} {} is more than half a motor turn ({} {}): the index of the next turn could be taken",
+            "{search} {} is more than half a motor turn ({} {}): the search could find the index of the next turn",
             keys.unit,
             turn / 2.0,
             keys.unit
@@ -263,12 +264,12 @@ pub fn joint_axis(
     }
 
     let (drive, limit) = match section.section("drive") {
-        Some(drive_section) => drive(drive_section, &keys, kind, turn, rate),
-        None => (no_drive(), f64::NAN),
+        Some(drive_section) => read_drive(drive_section, &keys, kind, turn, rate),
+        None => (placeholder_drive(), f64::NAN),
     };
     let law = match section.section("law") {
-        Some(law_section) => law(law_section, &keys, kind, period, acceleration, limit),
-        None => no_law(),
+        Some(law_section) => read_law(law_section, &keys, kind, period, acceleration, limit),
+        None => placeholder_law(),
     };
     section.finish();
     let axis = JointAxis {
@@ -301,16 +302,16 @@ pub fn joint_axis(
     (axis, limits)
 }
 
-/// Stands where the file has no drive that can be read; never leaves this module without a report.
-fn no_drive() -> Drive {
+/// Placeholder for a drive that is missing or has problems; a problem is reported with it.
+fn placeholder_drive() -> Drive {
     Drive::Torque {
         full_scale: Effort(0),
         limit: Effort(0),
     }
 }
 
-/// Stands where the file has no law; never leaves this module without a report.
-fn no_law() -> ServoConfig {
+/// As [`placeholder_drive`], for the servo loop.
+fn placeholder_law() -> ServoConfig {
     ServoConfig {
         form: ServoForm::ModelBased,
         kp: Gain(0),
@@ -324,8 +325,8 @@ fn no_law() -> ServoConfig {
     }
 }
 
-/// The drive, and the largest effort that it may give (infinite for step drives, NaN when not known).
-fn drive(
+/// Reads the drive; returns it and its effort limit (infinite for step drives, NaN if not known).
+fn read_drive(
     section: Section<'_, '_>,
     keys: &Keys,
     kind: AxisKind,
@@ -333,12 +334,15 @@ fn drive(
     rate: f64,
 ) -> (Drive, f64) {
     #[derive(Clone, Copy)]
-    enum Sort {
+    enum DriveKind {
         Torque,
         Step,
     }
-    let result = match section.choice("kind", &[("torque", Sort::Torque), ("step", Sort::Step)]) {
-        Some(Sort::Torque) => {
+    let result = match section.choice(
+        "kind",
+        &[("torque", DriveKind::Torque), ("step", DriveKind::Step)],
+    ) {
+        Some(DriveKind::Torque) => {
             let direction = section.direction("direction");
             let full_scale = section.number(keys.full_scale, keys.effort);
             let limit = section.number(keys.limit, keys.effort);
@@ -352,15 +356,19 @@ fn drive(
             };
             (drive, limit)
         }
-        Some(Sort::Step) => (step_drive(&section, keys, kind, turn, rate), f64::INFINITY),
-        // What else is in the section cannot be judged without its kind.
-        None => return (no_drive(), f64::NAN),
+        Some(DriveKind::Step) => (
+            read_step_drive(&section, keys, kind, turn, rate),
+            f64::INFINITY,
+        ),
+        // The other keys depend on the kind.
+        None => return (placeholder_drive(), f64::NAN),
     };
     section.finish();
     result
 }
 
-fn step_drive(
+/// Reads the keys of a step drive.
+fn read_step_drive(
     section: &Section<'_, '_>,
     keys: &Keys,
     kind: AxisKind,
@@ -397,7 +405,7 @@ fn step_drive(
         let what = format!("{lost} {} is less than 2 steps", keys.unit);
         section.report(keys.lost, what, "raise it");
     }
-    // Rounded up: a pulse that is too short is not a pulse.
+    // Rounded up, because a shorter pulse may be lost.
     let in_ticks = |us: f64| to_u16((us * ticks).ceil());
     Drive::Steps {
         per_step: to_i64(direction * step * per_unit(kind) * PER_COUNT),
@@ -409,7 +417,8 @@ fn step_drive(
     }
 }
 
-fn law(
+/// Reads the servo loop.
+fn read_law(
     section: Section<'_, '_>,
     keys: &Keys,
     kind: AxisKind,
@@ -429,7 +438,7 @@ fn law(
     let radius = spectral_radius(gains, period);
     if !known.is_nan() && radius >= 1.0 {
         let what = format!(
-            "kp = {}, kd = {}, ki = {}, rate_filter_ms = {} make an unstable loop at this control period (an error grows by {:.2} % a period)",
+            "kp = {}, kd = {}, ki = {}, rate_filter_ms = {} make the loop unstable at this control period (an error grows by {:.2} % per period)",
             gains.kp,
             gains.kd,
             gains.ki,
@@ -451,10 +460,10 @@ fn law(
     let coulomb = section.number_or(keys.coulomb, 0.0, friction);
     let coulomb_rate = section.number(keys.coulomb_rate, keys.rate_range);
     // kg mm/s^2 is mN; kg m^2 deg/s^2 is pi/180 N m.
-    let demand = inertia * acceleration * (per_newton(kind)) + coulomb;
+    let demand = inertia * acceleration * (newtons_per_inertia(kind)) + coulomb;
     if demand > limit {
         let what = format!(
-            "with the joint's acceleration of {acceleration} {}/s^2 and friction it takes {demand:.1}, more than {} = {limit}",
+            "with the joint's acceleration of {acceleration} {}/s^2 and friction the drive needs {demand:.1}, more than {} = {limit}",
             keys.unit, keys.limit
         );
         section.report(
@@ -478,8 +487,8 @@ fn law(
     law
 }
 
-/// Newtons (or newton metres) for one unit of inertia at one mm/s^2 (or deg/s^2).
-fn per_newton(kind: AxisKind) -> f64 {
+/// Returns the newtons (or newton metres) for one unit of inertia at 1 mm/s^2 (or deg/s^2).
+fn newtons_per_inertia(kind: AxisKind) -> f64 {
     match kind {
         AxisKind::Linear => 1e-3,
         AxisKind::Rotary => std::f64::consts::PI / 180.0,

@@ -1,8 +1,8 @@
-//! A machine file as a tree of sections that remember which keys were asked for.
+//! A machine file as a tree of sections. A section records the requested keys, to find unknown ones.
 //!
-//! Reading never stops at the first problem. A number that is missing or wrong is reported once and read as NaN; every later check
-//! compares with it, finds nothing, and stays quiet. Misuse: a value taken from here means something only when
-//! [`Document::finish`] says that there was no problem.
+//! Reading does not stop at the first problem. A number that is missing or wrong is reported once and
+//! read as NaN; later comparisons with NaN are false and report nothing. Callers must not use any
+//! value unless [`Document::finish`] returns `Ok`.
 
 use super::problem::{LISTED_PROBLEMS, Problem, Problems};
 use std::cell::{Cell, RefCell};
@@ -14,18 +14,18 @@ use toml::de::{DeTable, DeValue};
 pub struct Document<'i> {
     file: &'i str,
     text: &'i str,
-    /// A file that has all keys there are.
+    /// Name of a file that has all keys.
     example: &'static str,
     problems: RefCell<Vec<(usize, Problem)>>,
-    /// Problems that were not kept.
+    /// Number of problems beyond [`KEPT_PROBLEMS`].
     more: Cell<usize>,
 }
 
-/// The most problems that are kept, to list the first ones of the file; a place in the text costs time.
+/// Largest number of problems that are kept. Each one costs a search for its line.
 const KEPT_PROBLEMS: usize = 1000;
 
 impl<'i> Document<'i> {
-    /// A document without problems yet.
+    /// Creates a document without problems.
     pub fn new(file: &'i str, text: &'i str) -> Self {
         Self {
             file,
@@ -36,24 +36,24 @@ impl<'i> Document<'i> {
         }
     }
 
-    /// The same for another kind of file, of which this is an example.
+    /// Names an example for another kind of file, in place of `machines/h4.toml`.
     #[must_use]
-    pub const fn like(mut self, example: &'static str) -> Self {
+    pub const fn with_example(mut self, example: &'static str) -> Self {
         self.example = example;
         self
     }
 
-    /// The text as a table; `None` after reports.
+    /// Parses the text; `None` after a report.
     pub fn parse(&self) -> Option<Spanned<DeTable<'i>>> {
         let (root, errors) = DeTable::parse_recoverable(self.text);
-        // One slip, such as a misspelt [[joint]], can make a long train of equal errors.
+        // One mistake, such as a misspelt [[joint]], can cause many equal errors.
         let mut counts: HashMap<&str, usize> = HashMap::new();
         for error in &errors {
             *counts.entry(error.message()).or_default() += 1;
         }
         for error in &errors {
             let message = error.message();
-            // Said at the first one.
+            // Only the first of equal errors is reported.
             let Some(count) = counts.remove(message) else {
                 continue;
             };
@@ -94,7 +94,7 @@ impl<'i> Document<'i> {
         ));
     }
 
-    /// Adds a problem that knows its place already.
+    /// Adds a problem that has its place.
     pub fn add(&self, problem: Problem) {
         let lines = self
             .text
@@ -104,12 +104,16 @@ impl<'i> Document<'i> {
         self.problems.borrow_mut().push((offset, problem));
     }
 
-    /// Nothing was reported so far.
-    pub fn is_well(&self) -> bool {
+    /// Whether no problem was reported yet.
+    pub fn is_valid(&self) -> bool {
         self.problems.borrow().is_empty()
     }
 
-    /// Nothing was reported, or all that was.
+    /// Ends the document.
+    ///
+    /// # Errors
+    ///
+    /// Returns all reported problems.
     pub fn finish(self) -> Result<(), Problems> {
         if self.problems.borrow().is_empty() {
             return Ok(());
@@ -117,7 +121,7 @@ impl<'i> Document<'i> {
         Err(self.into_problems())
     }
 
-    /// All that was reported, in the order of the text.
+    /// Returns all reported problems in the order of the text.
     pub fn into_problems(self) -> Problems {
         let mut problems = self.problems.into_inner();
         problems.sort_by_key(|(offset, _)| *offset);
@@ -127,30 +131,30 @@ impl<'i> Document<'i> {
     }
 }
 
-/// Line and column (in characters), both from 1, of a byte offset.
+/// Returns line and column (in characters) of a byte offset, both from 1.
 pub fn position(text: &str, offset: usize) -> (usize, usize) {
     let bytes = &text.as_bytes()[..offset.min(text.len())];
     let line_start = bytes.iter().rposition(|b| *b == b'\n').map_or(0, |p| p + 1);
     let line = bytes.iter().filter(|b| **b == b'\n').count() + 1;
-    // Counts the bytes that begin a character, so it is right also in the middle of one.
+    // Counts the bytes that begin a character; an offset inside a character is valid, too.
     let begins = |b: &&u8| **b & 0xC0 != 0x80;
     (line, bytes[line_start..].iter().filter(begins).count() + 1)
 }
 
-/// The values that a number may have.
+/// Allowed values of a number.
 #[derive(Debug, Clone, Copy)]
 pub struct Allowed {
-    /// Least value.
+    /// Smallest value.
     pub low: f64,
-    /// Greatest value.
+    /// Largest value.
     pub high: f64,
     /// Unit, for the message.
     pub unit: &'static str,
-    /// Whole numbers only.
+    /// Whether only whole numbers are allowed.
     pub whole: bool,
 }
 
-/// A real number from `low` to `high`.
+/// Allows real numbers from `low` to `high`.
 pub fn real(low: f64, high: f64, unit: &'static str) -> Allowed {
     Allowed {
         low,
@@ -160,7 +164,7 @@ pub fn real(low: f64, high: f64, unit: &'static str) -> Allowed {
     }
 }
 
-/// A whole number from `low` to `high`.
+/// Allows whole numbers from `low` to `high`.
 pub fn whole(low: u32, high: u32, unit: &'static str) -> Allowed {
     Allowed {
         low: f64::from(low),
@@ -176,22 +180,22 @@ pub struct Section<'d, 'i> {
     path: String,
     table: &'d DeTable<'i>,
     offset: usize,
-    asked: RefCell<Vec<&'static str>>,
+    requested: RefCell<Vec<&'static str>>,
 }
 
 impl<'d, 'i> Section<'d, 'i> {
-    /// The whole file.
+    /// Returns the root section.
     pub fn root(document: &'d Document<'i>, table: &'d DeTable<'i>) -> Self {
         Self {
             document,
             path: String::new(),
             table,
             offset: 0,
-            asked: RefCell::default(),
+            requested: RefCell::default(),
         }
     }
 
-    /// The key with the path that leads to it.
+    /// Returns a key with the path of its section.
     pub fn path_of(&self, key: &str) -> String {
         match (self.path.is_empty(), key.is_empty()) {
             (true, _) => key.to_string(),
@@ -200,7 +204,7 @@ impl<'d, 'i> Section<'d, 'i> {
         }
     }
 
-    /// Reports a problem of a key: at its value, or at the section's head when the key is absent or empty.
+    /// Reports a problem of a key at its value, or at the section if the key is absent or empty.
     pub fn report(&self, key: &str, what: impl Into<String>, remedy: impl Into<String>) {
         let offset = self
             .table
@@ -211,7 +215,7 @@ impl<'d, 'i> Section<'d, 'i> {
     }
 
     fn get(&self, key: &'static str) -> Option<&'d Spanned<DeValue<'i>>> {
-        self.asked.borrow_mut().push(key);
+        self.requested.borrow_mut().push(key);
         self.table.get(key)
     }
 
@@ -227,19 +231,19 @@ impl<'d, 'i> Section<'d, 'i> {
         value
     }
 
-    fn wrong_type(&self, key: &str, value: &DeValue<'_>, wanted: &str) {
-        let what = format!("is {}, not {wanted}", named_type(value));
-        self.report(key, what, format!("write {wanted}"));
+    fn wrong_type(&self, key: &str, value: &DeValue<'_>, expected: &str) {
+        let what = format!("is {}, not {expected}", named_type(value));
+        self.report(key, what, format!("write {expected}"));
     }
 
-    /// A number; NaN after a report.
+    /// Reads a number; NaN after a report.
     pub fn number(&self, key: &'static str, allowed: Allowed) -> f64 {
         let remedy = || format!("add `{key} = ...`, {}", describe(allowed));
         self.required(key, remedy)
             .map_or(f64::NAN, |value| self.check(key, value, allowed))
     }
 
-    /// A number with a value for when it is absent; NaN after a report.
+    /// Reads an optional number; NaN after a report.
     pub fn number_or(&self, key: &'static str, default: f64, allowed: Allowed) -> f64 {
         self.get(key)
             .map_or(default, |value| self.check(key, value, allowed))
@@ -247,7 +251,7 @@ impl<'d, 'i> Section<'d, 'i> {
 
     fn check(&self, key: &'static str, value: &Spanned<DeValue<'i>>, allowed: Allowed) -> f64 {
         let number = match value.get_ref() {
-            // Digits beyond i128 are beyond every range here; their number is not looked at.
+            // A number beyond i128 is beyond every allowed range.
             DeValue::Integer(digits) => i128::from_str_radix(digits.as_str(), digits.radix())
                 .map_or(f64::INFINITY, |n| n as f64),
             DeValue::Float(digits) => digits.as_str().parse().unwrap_or(f64::NAN),
@@ -277,7 +281,7 @@ impl<'d, 'i> Section<'d, 'i> {
         f64::NAN
     }
 
-    /// A list of so many numbers; NaN after a report.
+    /// Reads a list of `N` numbers; NaN after a report.
     pub fn numbers<const N: usize>(&self, key: &'static str, allowed: Allowed) -> [f64; N] {
         let remedy = || format!("add `{key} = [...]`, {N} numbers, {}", describe(allowed));
         match self.required(key, remedy).map(Spanned::get_ref) {
@@ -297,7 +301,7 @@ impl<'d, 'i> Section<'d, 'i> {
         }
     }
 
-    /// True or false; `None` after a report.
+    /// Reads a boolean; `None` after a report.
     pub fn flag(&self, key: &'static str) -> Option<bool> {
         let remedy = || format!("add `{key} = true` or `{key} = false`");
         match self.required(key, remedy)?.get_ref() {
@@ -309,17 +313,17 @@ impl<'d, 'i> Section<'d, 'i> {
         }
     }
 
-    /// A direction, 1 or -1; 1 when it is absent.
+    /// Reads a direction, 1 or -1; the default is 1.
     pub fn direction(&self, key: &'static str) -> f64 {
         let sign = self.number_or(key, 1.0, real(-1.0, 1.0, ""));
         if sign.is_nan() || sign.abs() == 1.0 {
             return sign;
         }
-        self.report(key, format!("{sign} is no direction"), "write 1 or -1");
+        self.report(key, format!("{sign} is not a direction"), "write 1 or -1");
         f64::NAN
     }
 
-    /// A string that is not empty; `None` after a report.
+    /// Reads a string that must not be empty; `None` after a report.
     pub fn text(&self, key: &'static str, remedy: &str) -> Option<&'d str> {
         let value = self.required(key, || remedy.to_string())?;
         match value.get_ref() {
@@ -335,7 +339,7 @@ impl<'d, 'i> Section<'d, 'i> {
         }
     }
 
-    /// A string if it is there, without a report and without marking the key as known.
+    /// Returns a string if it exists, without a report; the key is not marked as known.
     pub fn peek_text(&self, key: &str) -> Option<&'d str> {
         match self.table.get(key)?.get_ref() {
             DeValue::String(text) => Some(text),
@@ -343,7 +347,7 @@ impl<'d, 'i> Section<'d, 'i> {
         }
     }
 
-    /// One of a few words; `None` after a report.
+    /// Reads one of several words; `None` after a report.
     pub fn choice<T: Copy>(&self, key: &'static str, choices: &[(&str, T)]) -> Option<T> {
         let words: Vec<String> = choices.iter().map(|(w, _)| format!("\"{w}\"")).collect();
         let remedy = format!("write {}", words.join(" or "));
@@ -355,7 +359,7 @@ impl<'d, 'i> Section<'d, 'i> {
         found.map(|(_, value)| *value)
     }
 
-    /// A list of a few words, each at most once; empty when it is absent, and after a report.
+    /// Reads an optional list of words, each at most once; without the words that were reported.
     pub fn words<T: Copy + PartialEq>(&self, key: &'static str, choices: &[(&str, T)]) -> Vec<T> {
         let Some(value) = self.get(key) else {
             return Vec::new();
@@ -378,7 +382,7 @@ impl<'d, 'i> Section<'d, 'i> {
             match choices.iter().find(|(choice, _)| *choice == *word) {
                 None => self.report(key, format!("\"{word}\" is not known"), remedy.as_str()),
                 Some((_, value)) if found.contains(value) => {
-                    self.report(key, format!("\"{word}\" is there twice"), "remove one");
+                    self.report(key, format!("\"{word}\" is a duplicate"), "remove one");
                 }
                 Some((_, value)) => found.push(*value),
             }
@@ -386,7 +390,7 @@ impl<'d, 'i> Section<'d, 'i> {
         found
     }
 
-    /// A section below this one; `None` after a report.
+    /// Returns a section below this one; `None` after a report.
     pub fn section(&self, key: &'static str) -> Option<Section<'d, 'i>> {
         let value = self.required(key, || format!("add a section [{}]", self.path_of(key)))?;
         match value.get_ref() {
@@ -395,7 +399,7 @@ impl<'d, 'i> Section<'d, 'i> {
                 path: self.path_of(key),
                 table,
                 offset: value.span().start,
-                asked: RefCell::default(),
+                requested: RefCell::default(),
             }),
             other => {
                 self.wrong_type(key, other, "a section");
@@ -404,7 +408,7 @@ impl<'d, 'i> Section<'d, 'i> {
         }
     }
 
-    /// The sections of a list (`[[key]]`); empty after a report.
+    /// Returns the sections of a list (`[[key]]`); empty after a report.
     pub fn list(&self, key: &'static str) -> Vec<Section<'d, 'i>> {
         let Some(value) = self.required(key, || format!("add sections [[{key}]]")) else {
             return Vec::new();
@@ -422,7 +426,7 @@ impl<'d, 'i> Section<'d, 'i> {
                     path,
                     table,
                     offset: item.span().start,
-                    asked: RefCell::default(),
+                    requested: RefCell::default(),
                 }),
                 other => {
                     let what = format!("is {}, not a section", named_type(other));
@@ -434,25 +438,25 @@ impl<'d, 'i> Section<'d, 'i> {
         sections
     }
 
-    /// Marks a key as known without reading it; true when it is there.
-    pub fn skip(&self, key: &'static str) -> bool {
+    /// Whether a key exists; marks it as known.
+    pub fn has(&self, key: &'static str) -> bool {
         self.get(key).is_some()
     }
 
-    /// Reports every key that nothing asked for.
+    /// Reports every key that was not requested.
     pub fn finish(&self) {
-        let asked = self.asked.borrow();
+        let requested = self.requested.borrow();
         for key in self.table.keys() {
             let name: &str = key.get_ref();
-            if asked.contains(&name) {
+            if requested.contains(&name) {
                 continue;
             }
-            let absent = asked.iter().filter(|k| !self.table.contains_key(**k));
+            let absent = requested.iter().filter(|k| !self.table.contains_key(**k));
             let nearest = absent.min_by_key(|k| dissimilarity(name, k));
             let remedy = match nearest {
                 Some(near) if dissimilarity(name, near) <= 2 => format!("did you mean `{near}`?"),
                 _ => format!(
-                    "remove it, or see {} for the keys there are",
+                    "remove it, or see {} for the known keys",
                     self.document.example
                 ),
             };
@@ -485,7 +489,8 @@ fn describe(allowed: Allowed) -> String {
     format!("allowed is {low} to {high}{space}{unit}")
 }
 
-/// Edits between two keys; 1 when they differ only in their unit (`rate_mm_s`, `rate_deg_s`).
+/// Returns the edit distance of two keys; 1 if they differ only in their unit (`rate_mm_s`,
+/// `rate_deg_s`).
 fn dissimilarity(left: &str, right: &str) -> usize {
     let stem = |key: &str| {
         let units = ["_mm", "_deg", "_n", "_kg", "_ms", "_us", "_hz"];

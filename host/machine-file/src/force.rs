@@ -1,19 +1,18 @@
-//! The `[force]` section of a machine file: the force sensor, and the loops of x, y and z of the work (docs/control.md 1.3, 3.3, 7.1 items 20 to 26).
+//! The `[force]` section of a machine file: the force sensor and the force loops of x, y and z of the
+//! workpiece (docs/control.md 1.3, 3.3, 7.1 items 20 to 26).
 
 use super::document::{Section, real, whole};
 use super::scale::{PER_EFFORT, PER_MM, to_i32, to_u16, to_u32};
 use haptimill_firmware::force::admittance::AdmittanceLaw;
 use haptimill_firmware::force::sensor::{COMPONENTS, Channel, Sensor};
-use haptimill_firmware::force::{
-    Design, ForceConfig, ForceParameter, ForceRefusal, Gate, LoopSettings,
-};
+use haptimill_firmware::force::{Design, ForceConfig, ForceParameter, Gate, LoopSettings};
 use haptimill_math::force::{Force, VirtualDamping, VirtualMass};
 use haptimill_math::{Length, Rate};
 
 /// Components of the force, in order.
 pub const AXES: [(&str, usize); COMPONENTS] = [("x", 0), ("y", 1), ("z", 2)];
 
-/// The gates, by the words of a machine file and of the command line.
+/// Enable conditions, with their names in machine files and on the command line.
 pub const GATES: [(&str, Gate); 4] = [
     ("against_motion", Gate::AgainstMotion),
     ("any", Gate::Any),
@@ -24,22 +23,22 @@ pub const GATES: [(&str, Gate); 4] = [
 /// Codes of a 14-bit converter from 0 to the end of its range.
 const CODES: f64 = 8192.0;
 
-/// A force in newtons.
+/// Converts newtons.
 fn force(newtons: f64) -> Force {
     Force(to_i32(newtons * PER_EFFORT))
 }
 
-/// One axis of force: its channel of the sensor, and its loop.
+/// Axis of the force: its sensor channel and its loop.
 struct Axis<'d, 'i> {
     section: Section<'d, 'i>,
     channel: Channel,
     settings: LoopSettings,
-    /// All its numbers could be read.
-    read: bool,
+    /// Whether all values of the axis are valid.
+    is_valid: bool,
 }
 
-/// Reads force sensor and force control; `period_us` is NaN when it is not known.
-pub fn force_control(section: &Section<'_, '_>, period_us: f64) -> ForceConfig {
+/// Reads force sensor and force control; `period_us` is NaN if it is not known.
+pub fn read_force(section: &Section<'_, '_>, period_us: f64) -> ForceConfig {
     let slowest = section.number("slowest_rpm", whole(60, 30_000, "rev/min"));
     let lag = section.number("drive_lag_ms", real(0.0, 60.0, "ms"));
     let creep = section.number("creep_mm_s", real(0.0, 1.0, "mm/s"));
@@ -55,65 +54,66 @@ pub fn force_control(section: &Section<'_, '_>, period_us: f64) -> ForceConfig {
     let sensor = section
         .section("sensor")
         .map(|sensor| read_sensor(&sensor, period_us));
-    let (volts, saturation) = sensor
-        .as_ref()
-        .map_or((f64::NAN, f64::NAN), |(_, volts, part)| (*volts, *part));
+    let (volts, saturation) = sensor.as_ref().map_or((f64::NAN, f64::NAN), |sensor| {
+        (sensor.volts, sensor.saturation)
+    });
+    let sensor_is_valid = sensor.as_ref().is_some_and(|sensor| sensor.is_valid);
     let axes: Vec<Axis<'_, '_>> = sections
         .into_iter()
         .enumerate()
-        .map(|(place, section)| axis(section, place, volts, saturation))
+        .map(|(place, section)| read_axis(section, place, volts, saturation))
         .collect();
     section.finish();
     let place = |index: usize| axes.get(index);
-    let channels =
-        [0, 1, 2].map(|index| place(index).map_or_else(no_channel, |axis| axis.channel.clone()));
+    let channels = [0, 1, 2]
+        .map(|index| place(index).map_or_else(placeholder_channel, |axis| axis.channel.clone()));
     let config = ForceConfig {
         sensor: Sensor {
             channels,
-            ..sensor.map_or_else(no_sensor, |(sensor, _, _)| sensor)
+            ..sensor.map_or_else(placeholder_sensor, |section| section.sensor)
         },
         axes: [0, 1, 2]
-            .map(|index| place(index).map_or_else(no_loop, |axis| axis.settings.clone())),
+            .map(|index| place(index).map_or_else(placeholder_loop, |axis| axis.settings.clone())),
         mask,
         drive_lag_us: to_u16(lag * 1000.0),
         creep: Rate(to_i32(creep * PER_MM)),
         slowest_rpm: to_u16(slowest),
     };
-    let known = [slowest, lag, creep, period_us, volts, saturation]
-        .iter()
-        .all(|value| !value.is_nan());
-    if known && axes.len() == COMPONENTS {
+    let is_valid = sensor_is_valid
+        && [slowest, lag, creep, period_us]
+            .iter()
+            .all(|value| !value.is_nan());
+    if is_valid && axes.len() == COMPONENTS {
         check(section, &axes, &config, to_u16(period_us));
     }
     config
 }
 
-/// What the controller would refuse, with its bound, each at its key.
+/// Reports the parameters that the controller refuses, with their bounds and keys.
 fn check(section: &Section<'_, '_>, axes: &[Axis<'_, '_>], config: &ForceConfig, period_us: u16) {
-    let mut well = true;
+    let mut is_valid = true;
     for (index, axis) in axes.iter().enumerate() {
-        well &= axis.read;
-        if !axis.read {
+        is_valid &= axis.is_valid;
+        if !axis.is_valid {
             continue;
         }
         let range = config.sensor.range(index);
         let law = AdmittanceLaw::new(&axis.settings, period_us, config.delay_us(period_us), range);
         if let Err(refusal) = law {
-            well = false;
+            is_valid = false;
             axis.section
-                .report(key(refusal.parameter), refusal.to_string(), "correct it");
+                .report(key(refusal.parameter), refusal.to_string(), "");
         }
     }
-    if !well {
+    if !is_valid {
         return;
     }
     if let Err((_, refusal)) = Design::new(config, period_us) {
-        let ForceRefusal { parameter, .. } = refusal;
-        section.report(key(parameter), refusal.to_string(), "correct it");
+        section.report(key(refusal.parameter), refusal.to_string(), "");
     }
 }
 
-/// The key that a parameter of the controller comes from.
+/// Returns the key of a parameter of the controller.
 const fn key(parameter: ForceParameter) -> &'static str {
     match parameter {
         ForceParameter::DesiredTooSmall | ForceParameter::DesiredTooLarge => "desired_n",
@@ -127,11 +127,23 @@ const fn key(parameter: ForceParameter) -> &'static str {
     }
 }
 
-/// The sensor without its channels, the range of its converter in volts, and the part of it that is usable.
-fn read_sensor(section: &Section<'_, '_>, period_us: f64) -> (Sensor, f64, f64) {
+/// Values of `[force.sensor]`.
+struct SensorSection {
+    /// The sensor without its channels.
+    sensor: Sensor,
+    /// Range of the converter, V.
+    volts: f64,
+    /// Usable fraction of the range.
+    saturation: f64,
+    /// Whether all values are valid.
+    is_valid: bool,
+}
+
+/// Reads the sensor.
+fn read_sensor(section: &Section<'_, '_>, period_us: f64) -> SensorSection {
     let volts = section.number("converter_v", real(0.1, 100.0, "V"));
-    let part = section.number("saturation_part", real(0.1, 0.999, ""));
-    // Periods of a time; a time that is too short for one is one.
+    let saturation = section.number("saturation_part", real(0.1, 0.999, ""));
+    // The caller raises a time of less than one period to one.
     let periods = |ms: f64| (ms * 1000.0 / period_us).round();
     let silent = section.number("silent_ms", real(0.1, 1000.0, "ms"));
     let stuck = section.number("stuck_ms", real(0.0, 3000.0, "ms"));
@@ -143,8 +155,19 @@ fn read_sensor(section: &Section<'_, '_>, period_us: f64) -> (Sensor, f64, f64) 
     let samples = periods(tare);
     if !samples.is_nan() && !(16.0..=32_768.0).contains(&samples) {
         let what = format!("{tare} ms are {samples} control periods, allowed are 16 to 32768");
-        section.report("tare_ms", what, "correct it");
+        let remedy = if samples < 16.0 {
+            "raise it"
+        } else {
+            "lower it"
+        };
+        section.report("tare_ms", what, remedy);
     }
+    let is_valid = [
+        volts, saturation, silent, stuck, drift, limit, spread, weight, samples,
+    ]
+    .iter()
+    .all(|value| !value.is_nan())
+        && (16.0..=32_768.0).contains(&samples);
     section.finish();
     let sensor = Sensor {
         silent_samples: to_u16(periods(silent).max(1.0)),
@@ -154,24 +177,30 @@ fn read_sensor(section: &Section<'_, '_>, period_us: f64) -> (Sensor, f64, f64) 
         tare_samples: to_u16(samples),
         tare_spread: to_u16(spread),
         weight: force(weight),
-        ..no_sensor()
+        ..placeholder_sensor()
     };
-    (sensor, volts, part)
+    SensorSection {
+        sensor,
+        volts,
+        saturation,
+        is_valid,
+    }
 }
 
-fn axis<'d, 'i>(
+/// Reads an axis.
+fn read_axis<'d, 'i>(
     section: Section<'d, 'i>,
     place: usize,
     volts: f64,
     saturation: f64,
 ) -> Axis<'d, 'i> {
     let name = section.text("name", "name the axis");
-    let wanted = AXES.get(place).map_or("", |(name, _)| name);
+    let expected = AXES.get(place).map_or("", |(name, _)| name);
     if let Some(name) = name
-        && name != wanted
+        && name != expected
     {
-        let what = format!("\"{name}\" is not what a force has at this place");
-        section.report("name", what, format!("write \"{wanted}\""));
+        let what = format!("\"{name}\" is not the axis at this place");
+        section.report("name", what, format!("write \"{expected}\""));
     }
     let newtons = section.number("newtons_per_volt", real(1e-3, 4000.0, "N/V"));
     let sign = section.direction("sign");
@@ -187,11 +216,12 @@ fn axis<'d, 'i>(
         let what = format!("{newtons} N/V is {per_code:.3} N a code, at most 0.5 are allowed");
         section.report("newtons_per_volt", what, "lower it");
     }
+    let is_scaled = per_code.abs() <= 0.5;
     let numbers = [
         newtons, sign, desired, mass, damping, limit, rate, volts, saturation,
     ];
     Axis {
-        read: gate.is_some() && numbers.iter().all(|value| !value.is_nan()),
+        is_valid: is_scaled && gate.is_some() && numbers.iter().all(|value| !value.is_nan()),
         channel: Channel {
             per_code: to_i32(per_code * 4_294_967_296.0),
             saturation: to_u16(saturation * CODES).min(8191) as i16,
@@ -208,18 +238,22 @@ fn axis<'d, 'i>(
     }
 }
 
-/// Stands where the file has none; never leaves this module without a report.
-const fn no_channel() -> Channel {
+/// Placeholder for a channel that is missing or has problems; a problem is reported with it.
+const fn placeholder_channel() -> Channel {
     Channel {
         per_code: 0,
         saturation: 0,
     }
 }
 
-/// Likewise.
-const fn no_sensor() -> Sensor {
+/// As [`placeholder_channel`].
+const fn placeholder_sensor() -> Sensor {
     Sensor {
-        channels: [no_channel(), no_channel(), no_channel()],
+        channels: [
+            placeholder_channel(),
+            placeholder_channel(),
+            placeholder_channel(),
+        ],
         silent_samples: 0,
         stuck_samples: 0,
         drift: Force::ZERO,
@@ -230,8 +264,8 @@ const fn no_sensor() -> Sensor {
     }
 }
 
-/// Likewise.
-const fn no_loop() -> LoopSettings {
+/// As [`placeholder_channel`].
+const fn placeholder_loop() -> LoopSettings {
     LoopSettings {
         desired: Force::ZERO,
         mass: VirtualMass(0),

@@ -2,30 +2,11 @@
 
 use super::document::{Section, real};
 use super::scale::{PER_MM, to_i32};
-use haptimill_firmware::config::AxisKind;
 use haptimill_kinematics::h4::H4Geometry;
 use haptimill_math::Length;
 
-/// Pose coordinates, in order.
-pub const POSE: [(&str, AxisKind); 5] = [
-    ("x", AxisKind::Linear),
-    ("y", AxisKind::Linear),
-    ("z", AxisKind::Linear),
-    ("theta", AxisKind::Rotary),
-    ("alpha", AxisKind::Rotary),
-];
-
-/// Joints, in order.
-pub const JOINTS: [(&str, AxisKind); 5] = [
-    ("l1", AxisKind::Linear),
-    ("l2", AxisKind::Linear),
-    ("l3", AxisKind::Linear),
-    ("l4", AxisKind::Linear),
-    ("alpha", AxisKind::Rotary),
-];
-
-/// Reads the geometry. `singularity_margin` in mm comes from `[supervision]`.
-pub fn geometry(section: Section<'_, '_>, singularity_margin: f64) -> H4Geometry {
+/// Reads the geometry. `singularity_margin`, in mm, is a value of `[supervision]`.
+pub fn read_geometry(section: Section<'_, '_>, singularity_margin: f64) -> H4Geometry {
     let length = |key| section.number(key, real(-1000.0, 1000.0, "mm"));
     let (a, b, e) = (length("a"), length("b"), length("e"));
     let c = section.number("c", real(1.0, 500.0, "mm"));
@@ -34,7 +15,7 @@ pub fn geometry(section: Section<'_, '_>, singularity_margin: f64) -> H4Geometry
     let ge = length("ge");
     let tl = section.number("tl", real(0.0, 1000.0, "mm"));
     let (p, h) = (length("p"), length("h"));
-    // Offsets add to a home position of more than a metre.
+    // Offsets may be large: the home position is more than a metre from the arm's origin.
     let offset = |key| section.number(key, real(-2000.0, 2000.0, "mm"));
     let (x_off, y_off, z_off) = (offset("x_off"), offset("y_off"), offset("z_off"));
     let below = section.choice("branch", &[("below", true), ("above", false)]);
@@ -45,7 +26,7 @@ pub fn geometry(section: Section<'_, '_>, singularity_margin: f64) -> H4Geometry
         section.report("a", what, "raise a, or lower b or e");
     } else if lateral >= r {
         let what = format!(
-            "rods of {r} mm do not reach across E = a - b - e = {lateral} mm: no pose is possible"
+            "rods of {r} mm are shorter than E = a - b - e = {lateral} mm: no pose is possible"
         );
         section.report("r", what, "raise r, or lower a - b - e");
     } else if lateral.hypot(d - c) >= r {

@@ -1,4 +1,5 @@
-//! The `[haptic]` section of a machine file: the haptic arm that a hand leads (docs/control.md 2.2, 3.4, 3.5), and `[follow]`: how the tool follows a hand.
+//! The sections `[haptic]`, the haptic arm (docs/control.md 2.2, 3.4, 3.5), and `[follow]`, the
+//! motion of the tool by a master.
 
 use super::document::{Section, real, whole};
 use super::scale::{PER_COUNT, PER_DEG, PER_EFFORT, PER_MM, to_i32, to_i64, to_u16, to_u32};
@@ -14,7 +15,7 @@ use haptimill_protocol::haptic::{ForceFeedback, ForceFeedbackAxis};
 /// Components of a force, in order.
 const AXES: [&str; 3] = ["x", "y", "z"];
 
-/// A force in newtons.
+/// Converts newtons.
 fn force(newtons: f64) -> Force {
     Force(to_i32(newtons * PER_EFFORT))
 }
@@ -23,8 +24,8 @@ fn length(millimetres: f64) -> Length {
     Length(to_i32(millimetres * PER_MM))
 }
 
-/// How the tool follows a hand.
-pub fn follow(section: &Section<'_, '_>) -> FollowConfig {
+/// Reads `[follow]`.
+pub fn read_follow(section: &Section<'_, '_>) -> FollowConfig {
     let scale = section.number("scale", real(0.1, 2.0, ""));
     let gain = section.number("gain_per_s", whole(10, 500, "1/s"));
     let stale = section.number("stale_ms", whole(5, 1000, "ms"));
@@ -36,27 +37,27 @@ pub fn follow(section: &Section<'_, '_>) -> FollowConfig {
     }
 }
 
-/// The haptic arm.
-pub fn haptic(section: &Section<'_, '_>) -> HapticConfig {
+/// Reads `[haptic]`.
+pub fn read_haptic(section: &Section<'_, '_>) -> HapticConfig {
     let illegal = section.number("illegal_transitions", whole(0, 1000, ""));
     let condition = section.number("condition", whole(2, 1000, ""));
     let filter = section.number("rate_filter_ms", real(0.5, 20.0, "ms"));
     let ball = section.number("ball_mm", real(0.0, 50.0, "mm"));
     let step = section.number("step_n", real(1e-4, 0.05, "N"));
-    let geometry = section.section("geometry").map(geometry);
-    let ranges = section.section("range").map(ranges);
-    let legs: Vec<_> = section.list("leg").into_iter().map(leg).collect();
+    let geometry = section.section("geometry").map(read_geometry);
+    let ranges = section.section("range").map(read_ranges);
+    let legs: Vec<_> = section.list("leg").into_iter().map(read_leg).collect();
     if !legs.is_empty() && legs.len() != LEGS {
         let what = format!("has {} sections, the arm has {LEGS} legs", legs.len());
         section.report("leg", what, "write one for each leg");
     }
-    let reflection = section.section("reflection").map(reflection);
-    let wall = section.section("wall").map(wall);
-    let passivity = section.section("passivity").map(passivity);
+    let reflection = section.section("reflection").map(read_reflection);
+    let wall = section.section("wall").map(read_wall);
+    let passivity = section.section("passivity").map(read_passivity);
     section.finish();
-    let place = |index: usize| legs.get(index).cloned().unwrap_or_else(no_leg);
+    let place = |index: usize| legs.get(index).cloned().unwrap_or_else(placeholder_leg);
     HapticConfig {
-        geometry: geometry.unwrap_or_else(no_geometry),
+        geometry: geometry.unwrap_or_else(placeholder_geometry),
         sensors: [0, 1, 2].map(|index| place(index).0),
         drives: [0, 1, 2].map(|index| place(index).1),
         ranges: ranges.unwrap_or([(Coordinate(0), Coordinate(0)); 3]),
@@ -78,7 +79,7 @@ pub fn haptic(section: &Section<'_, '_>) -> HapticConfig {
     }
 }
 
-fn geometry(section: Section<'_, '_>) -> HapticGeometry {
+fn read_geometry(section: Section<'_, '_>) -> HapticGeometry {
     let radius = |key| section.number(key, real(10.0, 400.0, "mm"));
     let (base, platform, link) = (
         radius("base_radius_mm"),
@@ -104,8 +105,8 @@ fn geometry(section: Section<'_, '_>) -> HapticGeometry {
     }
 }
 
-/// Where d, theta3 and theta4 may be.
-fn ranges(section: Section<'_, '_>) -> [(Coordinate, Coordinate); 3] {
+/// Reads the ranges of d, theta3 and theta4.
+fn read_ranges(section: Section<'_, '_>) -> [(Coordinate, Coordinate); 3] {
     let range = |low_key, high_key, (low, high, unit), scale: f64| {
         let (first, last) = (
             section.number(low_key, real(low, high, unit)),
@@ -142,19 +143,23 @@ fn ranges(section: Section<'_, '_>) -> [(Coordinate, Coordinate); 3] {
     ranges
 }
 
-/// Encoders and amplifiers of a leg.
-fn leg(section: Section<'_, '_>) -> ([Encoder; 3], [Amplifier; 2]) {
-    let encoder = |counts_key, home_key, turns: bool| {
-        let (unit, most) = if turns {
+/// Reads encoders and amplifiers of a leg.
+fn read_leg(section: Section<'_, '_>) -> ([Encoder; 3], [Amplifier; 2]) {
+    let encoder = |counts_key, home_key, is_rotary: bool| {
+        let (unit, most) = if is_rotary {
             ("counts/turn", 1e8)
         } else {
             ("counts/mm", 1e6)
         };
         let counts = section.number(counts_key, real(-most, most, unit));
         if counts == 0.0 {
-            section.report(counts_key, "0: there would be no encoder", "correct it");
+            section.report(
+                counts_key,
+                "0 counts are not allowed",
+                "write the counts of the encoder",
+            );
         }
-        let (home, scale) = if turns {
+        let (home, scale) = if is_rotary {
             (
                 section.number(home_key, real(-179.0, 179.0, "deg")),
                 PER_DEG,
@@ -162,11 +167,16 @@ fn leg(section: Section<'_, '_>) -> ([Encoder; 3], [Amplifier; 2]) {
         } else {
             (section.number(home_key, real(-800.0, 800.0, "mm")), PER_MM)
         };
-        let per_unit = if turns { 360.0 * PER_DEG } else { PER_MM };
+        let per_unit = if is_rotary { 360.0 * PER_DEG } else { PER_MM };
         let per_count = per_unit / counts * PER_COUNT;
         if counts != 0.0 && !(4096.0..2f64.powi(40)).contains(&per_count.abs()) {
-            let what = format!("{counts} {unit} are too coarse or too fine for the controller");
-            section.report(counts_key, what, "correct it");
+            let what = format!("{counts} {unit} are beyond the number range of the controller");
+            let remedy = if per_count.abs() < 4096.0 {
+                "lower it"
+            } else {
+                "raise it"
+            };
+            section.report(counts_key, what, remedy);
         }
         Encoder {
             per_count: to_i64(per_count),
@@ -182,7 +192,7 @@ fn leg(section: Section<'_, '_>) -> ([Encoder; 3], [Amplifier; 2]) {
         let full = section.number(full_key, real(-30_000.0, 30_000.0, unit));
         let limit = section.number(limit_key, real(1e-3, 30_000.0, unit));
         if limit > full.abs() {
-            let what = format!("{limit} {unit} is more than {full_key} = {full} can give");
+            let what = format!("{limit} {unit} is above {full_key} = {full}");
             section.report(limit_key, what, "lower it");
         }
         Amplifier {
@@ -203,7 +213,7 @@ fn leg(section: Section<'_, '_>) -> ([Encoder; 3], [Amplifier; 2]) {
     (sensors, drives)
 }
 
-fn reflection(section: Section<'_, '_>) -> ForceFeedback {
+fn read_reflection(section: Section<'_, '_>) -> ForceFeedback {
     let mut axes = [ForceFeedbackAxis::default(); 3];
     let keys = [
         ("x_percent", "x_most_n"),
@@ -228,7 +238,7 @@ fn reflection(section: Section<'_, '_>) -> ForceFeedback {
     }
 }
 
-fn wall(section: Section<'_, '_>) -> WallConfig {
+fn read_wall(section: Section<'_, '_>) -> WallConfig {
     let stiffness = section.number("stiffness_n_per_mm", real(0.05, 2.0, "N/mm"));
     let most = section.number("most_n", real(0.5, 10.0, "N"));
     section.finish();
@@ -238,7 +248,7 @@ fn wall(section: Section<'_, '_>) -> WallConfig {
     }
 }
 
-fn passivity(section: Section<'_, '_>) -> PassivityConfig {
+fn read_passivity(section: Section<'_, '_>) -> PassivityConfig {
     let credit = section.number("credit_n_mm", real(0.0, 100.0, "N mm"));
     let debt = section.number("debt_n_mm", real(0.01, 100.0, "N mm"));
     let damping = section.number("damping_n_s_per_mm", real(0.0, 0.5, "N s/mm"));
@@ -250,8 +260,8 @@ fn passivity(section: Section<'_, '_>) -> PassivityConfig {
     }
 }
 
-/// Stands where the file has none; never leaves this module without a report.
-const fn no_leg() -> ([Encoder; 3], [Amplifier; 2]) {
+/// Placeholder for a leg that is missing or has problems; a problem is reported with it.
+const fn placeholder_leg() -> ([Encoder; 3], [Amplifier; 2]) {
     let encoder = Encoder {
         per_count: 0,
         preset: Coordinate(0),
@@ -263,8 +273,8 @@ const fn no_leg() -> ([Encoder; 3], [Amplifier; 2]) {
     ([encoder; 3], [amplifier; 2])
 }
 
-/// Likewise.
-const fn no_geometry() -> HapticGeometry {
+/// As [`placeholder_leg`].
+const fn placeholder_geometry() -> HapticGeometry {
     let zero = Length(0);
     HapticGeometry {
         base_radius: zero,

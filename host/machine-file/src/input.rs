@@ -1,4 +1,4 @@
-//! Files that a command reads as a whole: of a bounded size, in a bounded time.
+//! Reading of whole files, with a bound on size and time.
 
 use std::fmt;
 use std::fs::File;
@@ -7,7 +7,7 @@ use std::path::Path;
 use std::sync::mpsc::sync_channel;
 use std::time::Duration;
 
-/// Largest machine file, work file or script, bytes.
+/// Largest machine file, stock file or script, bytes.
 pub const SETTINGS_BYTES: u64 = 1 << 20;
 
 /// Largest part program, bytes.
@@ -16,25 +16,25 @@ pub const PROGRAM_BYTES: u64 = 64 << 20;
 /// Largest table of poses or slides, bytes.
 pub const TABLE_BYTES: u64 = 256 << 20;
 
-/// How long a pipe or a device may take to come to its end.
+/// Longest time until a pipe or a device ends.
 const PIPE: Duration = Duration::from_secs(10);
 
-/// Why a file was not read, and what to do.
+/// Reason why a file was not read, and the remedy.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Unread {
+pub struct ReadError {
     /// The reason.
     pub what: String,
     /// The remedy.
     pub remedy: &'static str,
 }
 
-impl fmt::Display for Unread {
+impl fmt::Display for ReadError {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(out, "{}; {}", self.what, self.remedy)
     }
 }
 
-impl From<io::Error> for Unread {
+impl From<io::Error> for ReadError {
     fn from(error: io::Error) -> Self {
         Self {
             what: format!("cannot be read: {error}"),
@@ -46,21 +46,23 @@ impl From<io::Error> for Unread {
 /// Reads a file to its end.
 ///
 /// # Errors
-/// It cannot be opened or read, is larger than `most` bytes, or is a pipe that does not end.
-pub fn read(path: &Path, most: u64) -> Result<Vec<u8>, Unread> {
+///
+/// Returns an error if the file cannot be opened or read, is larger than `most` bytes, or is a pipe
+/// that does not end.
+pub fn read(path: &Path, most: u64) -> Result<Vec<u8>, ReadError> {
     let kind = path.metadata()?;
     if kind.is_file() || kind.is_dir() {
-        return bounded(File::open(path)?, most);
+        return read_bounded(File::open(path)?, most);
     }
-    // To open a pipe, and to read it, may take for ever; the thread ends with the process.
+    // Opening or reading a pipe may block for ever; the thread ends with the process.
     let path = path.to_path_buf();
     let (sender, receiver) = sync_channel(1);
     std::thread::spawn(move || {
-        let read = File::open(path).map_err(Unread::from);
-        let _ = sender.send(read.and_then(|file| bounded(file, most)));
+        let read = File::open(path).map_err(ReadError::from);
+        let _ = sender.send(read.and_then(|file| read_bounded(file, most)));
     });
     receiver.recv_timeout(PIPE).unwrap_or_else(|_| {
-        Err(Unread {
+        Err(ReadError {
             what: format!(
                 "cannot be read: it is a pipe or a device that did not end within {} s",
                 PIPE.as_secs()
@@ -74,11 +76,11 @@ pub fn read(path: &Path, most: u64) -> Result<Vec<u8>, Unread> {
 ///
 /// # Errors
 /// As [`read`].
-pub fn bounded(source: impl Read, most: u64) -> Result<Vec<u8>, Unread> {
+pub fn read_bounded(source: impl Read, most: u64) -> Result<Vec<u8>, ReadError> {
     let mut bytes = Vec::new();
     source.take(most + 1).read_to_end(&mut bytes)?;
     if bytes.len() as u64 > most {
-        return Err(Unread {
+        return Err(ReadError {
             what: format!("cannot be read: it is larger than {} MiB", most >> 20),
             remedy: "check that it is the right file",
         });

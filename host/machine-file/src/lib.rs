@@ -1,26 +1,29 @@
-//! Machine files: everything that makes a controller, a planner and a simulated plant this machine and not another.
+//! Machine files: all data of a machine, for the controller, the planner and the simulated plant.
 //!
-//! A machine file is TOML in people's units; the unit stands in the name of the key (`rate_mm_s`, `low_deg`, `heartbeat_ms`). It is
-//! turned into the controller's integers ([`Config`]) by one multiplication and one rounding a value (see `scale.rs`).
-//! Every problem of a file is reported, not just the first, each with its line, its value, what is allowed and what to do.
+//! A machine file is TOML in engineering units; the unit is part of the key (`rate_mm_s`, `low_deg`,
+//! `heartbeat_ms`). One multiplication and one rounding per value give the controller's integers
+//! ([`Config`], see `scale.rs`). Every problem of a file is reported with its line, its value, the
+//! allowed range and the remedy.
 //!
-//! Misuse: a machine file that reads without a problem is consistent in itself. Whether it describes the machine in front of you it cannot know.
+//! A machine file without a problem is consistent. The check cannot know whether the file describes
+//! the real machine.
 
 mod axes;
+mod cross_section;
 pub mod document;
 mod force;
 mod h4;
 mod haptic;
 pub mod input;
 pub mod model;
+mod models;
 mod plant;
 mod problem;
 pub mod scale;
 mod stability;
+pub mod stock;
 #[cfg(test)]
 mod tests;
-mod together;
-pub mod work;
 
 pub use axes::AxisLimits;
 pub use force::GATES;
@@ -31,48 +34,50 @@ use haptimill_firmware::config::{
     AxisKind, Config, Homing, JointAxis, PoseAxis, Stopping, Supervision,
 };
 use haptimill_kinematics::Model;
-use haptimill_kinematics::h4::H4Geometry;
-use haptimill_math::{Coordinate, Length, Rate};
+use haptimill_kinematics::descriptor::Role;
+use haptimill_math::{Coordinate, Rate};
+use models::ModelReader;
 use scale::{PER_DEG, PER_MM, to_i32, to_u16};
 use serde::de::DeserializeOwned;
 use std::path::Path;
 use toml::Spanned;
 use toml::de::DeTable;
 
-/// The machine file that the command has built in.
+/// The built-in machine file.
 pub const BUILT_IN: &str = include_str!("../../../machines/h4.toml");
 
 /// Name under which problems of [`BUILT_IN`] are reported.
 pub const BUILT_IN_NAME: &str = "machines/h4.toml (built in)";
 
-/// Sections that give an H-4 arm a haptic arm, with the hand of the simulator.
-pub const HAND: &str = include_str!("../../../machines/hand.toml");
+/// Sections `[follow]` and `[haptic]`, with the simulated haptic arm and operator.
+pub const HAPTIC_ARM: &str = include_str!("../../../machines/hand.toml");
 
-/// The reference haptic arm on a board of its own: a master.
+/// Machine file of a haptic arm on a board of its own: a remote master.
 pub const MASTER: &str = include_str!("../../../machines/hand-master.toml");
 
 /// Name under which problems of [`MASTER`] are reported.
 pub const MASTER_NAME: &str = "machines/hand-master.toml (built in)";
 
-/// The section that lets a machine follow a hand afar.
+/// Section `[follow]`: the machine follows a remote master.
 pub const FOLLOW: &str = include_str!("../../../machines/follow.toml");
 
-/// How the planner joins the blocks of a program; its rates, accelerations and jerks are those of the axes.
+/// Settings of the planner. Its limits of rate, acceleration and jerk are those of the axes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Planner {
-    /// How far a path may pass a programmed corner by, mm; 0 stops at every corner.
+    /// Largest distance of the path from a programmed corner, mm; 0 stops at every corner.
     pub corner_tolerance_mm: f64,
     /// The same for the rotary coordinates, degrees.
     pub corner_tolerance_deg: f64,
-    /// Jump of the acceleration where the curvature changes (line into arc), as a part of the limit of acceleration.
+    /// Jump of the acceleration where the curvature changes (line into arc), as a fraction of the
+    /// acceleration limit.
     pub curvature_step: f64,
-    /// Longest span between setpoints while anything moves, ms.
+    /// Longest segment duration during motion, ms.
     pub longest_span_ms: f64,
-    /// Shortest span between setpoints, ms.
+    /// Shortest segment duration, ms.
     pub shortest_span_ms: f64,
 }
 
-/// A machine file that was read without a problem.
+/// A machine file without a problem.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MachineFile {
     /// Name of the file, for messages.
@@ -81,38 +86,42 @@ pub struct MachineFile {
     pub text: String,
     /// The controller's configuration.
     pub config: Config,
-    /// Pose coordinates in people's units.
+    /// Pose coordinates in engineering units.
     pub pose: Vec<AxisLimits>,
-    /// Joints in people's units.
+    /// Joints in engineering units.
     pub joints: Vec<AxisLimits>,
-    /// Bounds of the planner.
+    /// Settings of the planner.
     pub planner: Planner,
-    /// Whether there is a `[plant]` section; see [`MachineFile::plant`].
+    /// Whether the file has a `[plant]` section; see [`MachineFile::plant`].
     pub has_plant: bool,
 }
 
 impl MachineFile {
-    /// The built-in H-4 arm.
+    /// Reads the built-in machine file.
     pub fn built_in() -> Result<Self, Problems> {
         Self::parse(BUILT_IN_NAME, BUILT_IN)
     }
 
-    /// The same machine with the reference haptic arm and its hand ([`HAND`]); itself when it has one.
+    /// Returns the machine with a haptic arm and the operator model ([`HAPTIC_ARM`]), or the machine
+    /// itself if it has a haptic arm.
     ///
     /// # Errors
-    /// What is written there does not fit this machine.
-    pub fn with_hand(&self) -> Result<Self, Problems> {
+    ///
+    /// Returns the problems of the extended file.
+    pub fn with_haptic_arm(&self) -> Result<Self, Problems> {
         if self.config.haptic.is_some() {
             return Ok(self.clone());
         }
         let file = format!("{} with machines/hand.toml", self.file);
-        Self::parse(&file, &format!("{}\n{HAND}", self.text))
+        Self::parse(&file, &format!("{}\n{HAPTIC_ARM}", self.text))
     }
 
-    /// The same machine, which can follow a hand afar ([`FOLLOW`]); itself when it can.
+    /// Returns the machine with the section that follows a remote master ([`FOLLOW`]), or the
+    /// machine itself if it has that section.
     ///
     /// # Errors
-    /// What is written there does not fit this machine.
+    ///
+    /// Returns the problems of the extended file.
     pub fn with_follow(&self) -> Result<Self, Problems> {
         if self.config.follow.is_some() {
             return Ok(self.clone());
@@ -121,15 +130,16 @@ impl MachineFile {
         Self::parse(&file, &format!("{}\n{FOLLOW}", self.text))
     }
 
-    /// The built-in haptic arm on a board of its own.
+    /// Reads the built-in machine file of a haptic arm on a board of its own.
     ///
     /// # Errors
-    /// None, unless this program is broken.
+    ///
+    /// Returns problems only if the built-in file is wrong.
     pub fn built_in_master() -> Result<Self, Problems> {
         Self::parse(MASTER_NAME, MASTER)
     }
 
-    /// Whether it is a haptic arm alone, which leads a machine afar.
+    /// Whether the machine is only a haptic arm, a remote master.
     #[must_use]
     pub fn is_master(&self) -> bool {
         self.config.model == Model::None
@@ -138,7 +148,7 @@ impl MachineFile {
     /// Reads a machine file from disk. A file that cannot be read is a problem of line 0.
     pub fn load(path: &Path) -> Result<Self, Problems> {
         let file = path.display().to_string();
-        let text = text_of(path)?;
+        let text = read_text(path)?;
         Self::parse(&file, &text)
     }
 
@@ -149,11 +159,11 @@ impl MachineFile {
             return Err(document.into_problems());
         };
         let read = read(&document, &root);
-        if document.is_well() {
-            together::home_pose(&document, root.get_ref(), &read.config);
+        if document.is_valid() {
+            cross_section::check_home_pose(&document, root.get_ref(), &read.config);
         }
-        if document.is_well() {
-            together::acceptable(&document, root.get_ref(), &read.config);
+        if document.is_valid() {
+            cross_section::check_by_controller(&document, root.get_ref(), &read.config);
         }
         let machine = Self {
             file: file.to_string(),
@@ -167,17 +177,19 @@ impl MachineFile {
         Ok(machine)
     }
 
-    /// The configuration as it is sent to the controller (postcard), and its CRC-32 (ISO-HDLC).
+    /// Encodes the configuration for the controller (postcard); returns it and its CRC-32
+    /// (ISO-HDLC).
     pub fn encoded(&self) -> Result<(Vec<u8>, u32), postcard::Error> {
         let bytes = postcard::to_stdvec(&self.config)?;
         let crc = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC).checksum(&bytes);
         Ok((bytes, crc))
     }
 
-    /// The `[plant]` section as the type that the simulator wants, [`PlantConfig`](haptimill_hil_sim::config::PlantConfig). What cannot be read is found one at a time.
+    /// Reads the `[plant]` section as a [`PlantConfig`](haptimill_hil_sim::config::PlantConfig).
     ///
     /// # Errors
-    /// There is no such section, or it is not of that type.
+    ///
+    /// Returns the first problem: the section is missing or not of that type.
     pub fn plant<T: DeserializeOwned>(&self) -> Result<T, Problems> {
         #[derive(serde::Deserialize)]
         struct OnlyPlant<T> {
@@ -196,14 +208,14 @@ impl MachineFile {
     }
 }
 
-/// The text of a file with settings. A file that cannot be read is a problem of line 0.
-pub fn text_of(path: &Path) -> Result<String, Problems> {
+/// Reads the text of a TOML file. A file that cannot be read is a problem of line 0.
+pub fn read_text(path: &Path) -> Result<String, Problems> {
     let file = path.display().to_string();
     let bytes = input::read(path, input::SETTINGS_BYTES)
-        .map_err(|error| Problems::unread(&file, error.what, error.remedy))?;
+        .map_err(|error| Problems::unreadable(&file, error.what, error.remedy))?;
     String::from_utf8(bytes).map_err(|error| {
         let at = error.utf8_error().valid_up_to();
-        Problems::unread(
+        Problems::unreadable(
             &file,
             format!("is not UTF-8 at byte {at}"),
             "save it as UTF-8",
@@ -213,58 +225,66 @@ pub fn text_of(path: &Path) -> Result<String, Problems> {
 
 fn read(document: &Document<'_>, root: &Spanned<DeTable<'_>>) -> MachineFile {
     let root = Section::root(document, root.get_ref());
-    let name = name(&root);
+    let name = read_name(&root);
     let period_us = root.number("period_us", whole(50, 1000, "us"));
-    if root.skip("role") {
+    if root.has("role") {
         let role = root.choice("role", &[("slave", false), ("master", true)]);
         if role == Some(true) {
-            return master(&root, name, period_us);
+            return read_master(&root, name, period_us);
         }
     }
 
-    let stopping = root.section("stopping").map(stopping);
-    let (supervision, margin) = match root.section("supervision").map(supervision) {
-        Some((supervision, margin)) => (Some(supervision), margin),
-        None => (None, f64::NAN),
-    };
-    let homing = root.section("homing").map(homing);
-    let planner = root.section("planner").map(planner);
-    let geometry = root.section("kinematics").map(|section| {
-        let model = section.choice("model", &[("h4", ())]);
-        // The keys of an unknown model are not known either.
-        model.map(|()| h4::geometry(section, margin))
-    });
+    let stopping = root.section("stopping").map(read_stopping);
+    let kinematics = root.section("kinematics");
+    let model = kinematics.as_ref().and_then(ModelReader::of);
+    // Without a model the keys that depend on it are unknown: one report is enough.
+    let singular = model.is_none_or(|model| model.has_singularity);
+    let rotary = model.is_none_or(|model| model.has_rotary_joint());
+    let (supervision, margin) = root
+        .section("supervision")
+        .map(|section| read_supervision(section, singular))
+        .unzip();
+    let margin = margin.unwrap_or(f64::NAN);
+    let homing = root
+        .section("homing")
+        .map(|section| read_homing(section, rotary));
+    let planner = root.section("planner").map(read_planner);
+    let geometry = kinematics
+        .zip(model)
+        .map(|(section, model)| (model.read)(section, margin));
 
-    let pose = axes(&root, "pose", &h4::POSE);
+    let places = model.map_or_else(Vec::new, |model| model.pose());
+    let pose = read_axes(&root, "pose", &places);
     let pose: Vec<_> = pose
         .iter()
-        .map(|(section, place)| (section, axes::pose_axis(section, *place)))
+        .map(|(section, place)| (section, axes::read_pose_axis(section, *place)))
         .collect();
-    let joints = axes(&root, "joint", &h4::JOINTS);
+    let places = model.map_or_else(Vec::new, |model| model.joints());
+    let joints = read_axes(&root, "joint", &places);
     let joints: Vec<_> = joints
         .iter()
-        .map(|(section, place)| axes::joint_axis(section, *place, period_us / 1e6))
+        .map(|(section, place)| axes::read_joint_axis(section, *place, period_us / 1e6))
         .collect();
-    across(&pose, &joints);
-    let force = if root.skip("force") {
+    check_pose_against_joints(&pose, &joints, model);
+    let force = if root.has("force") {
         root.section("force")
-            .map(|section| force::force_control(&section, period_us))
+            .map(|section| force::read_force(&section, period_us))
     } else {
         None
     };
-    let follow = if root.skip("follow") {
+    let follow = if root.has("follow") {
         root.section("follow")
-            .map(|section| haptic::follow(&section))
+            .map(|section| haptic::read_follow(&section))
     } else {
         None
     };
-    let arm = if root.skip("haptic") {
+    let arm = if root.has("haptic") {
         root.section("haptic")
-            .map(|section| haptic::haptic(&section))
+            .map(|section| haptic::read_haptic(&section))
     } else {
         None
     };
-    let has_plant = root.skip("plant");
+    let has_plant = root.has("plant");
     root.finish();
 
     let (pose, pose_limits): (Vec<_>, Vec<_>) = pose.into_iter().map(|(_, axis)| axis).unzip();
@@ -275,7 +295,7 @@ fn read(document: &Document<'_>, root: &Spanned<DeTable<'_>>) -> MachineFile {
         config: Config {
             name,
             period_us: to_u16(period_us),
-            model: Model::H4(geometry.flatten().unwrap_or_else(no_geometry)),
+            model: geometry.unwrap_or(Model::None),
             pose: pose.into_iter().take(6).collect(),
             joints: joints.into_iter().take(6).collect(),
             stopping: stopping.unwrap_or(Stopping {
@@ -302,8 +322,8 @@ fn read(document: &Document<'_>, root: &Spanned<DeTable<'_>>) -> MachineFile {
     }
 }
 
-/// A haptic arm alone: no axes, nothing to plan, nothing to brake.
-fn master(root: &Section<'_, '_>, name: heapless::String<24>, period_us: f64) -> MachineFile {
+/// Reads the machine file of a haptic arm alone, which has no axes and no planner.
+fn read_master(root: &Section<'_, '_>, name: heapless::String<24>, period_us: f64) -> MachineFile {
     let supervision = root.section("supervision").map(|section| {
         let heartbeat = section.number("heartbeat_ms", whole(20, 5000, "ms"));
         let missed = section.number("missed_periods", whole(1, 50, "periods"));
@@ -313,8 +333,8 @@ fn master(root: &Section<'_, '_>, name: heapless::String<24>, period_us: f64) ->
     let (heartbeat_ms, missed_periods) = supervision.unwrap_or_default();
     let arm = root
         .section("haptic")
-        .map(|section| haptic::haptic(&section));
-    let has_plant = root.skip("plant");
+        .map(|section| haptic::read_haptic(&section));
+    let has_plant = root.has("plant");
     root.finish();
     MachineFile {
         file: String::new(),
@@ -325,7 +345,7 @@ fn master(root: &Section<'_, '_>, name: heapless::String<24>, period_us: f64) ->
             model: Model::None,
             pose: heapless::Vec::new(),
             joints: heapless::Vec::new(),
-            // Of no consequence without axes, and sound.
+            // Valid values; without axes they have no effect.
             stopping: Stopping {
                 time_ms: 100,
                 ramp_ms: 20,
@@ -350,7 +370,7 @@ fn master(root: &Section<'_, '_>, name: heapless::String<24>, period_us: f64) ->
     }
 }
 
-/// Stands where the file has no planner.
+/// Placeholder for a planner section that is missing or has problems.
 const NO_PLANNER: Planner = Planner {
     corner_tolerance_mm: f64::NAN,
     corner_tolerance_deg: f64::NAN,
@@ -359,7 +379,7 @@ const NO_PLANNER: Planner = Planner {
     shortest_span_ms: f64::NAN,
 };
 
-fn name(root: &Section<'_, '_>) -> heapless::String<24> {
+fn read_name(root: &Section<'_, '_>) -> heapless::String<24> {
     let name = root
         .text("name", "add a name of 1 to 24 bytes")
         .unwrap_or_default();
@@ -370,14 +390,16 @@ fn name(root: &Section<'_, '_>) -> heapless::String<24> {
     })
 }
 
-/// The sections of a list of axes, each with the place that the model has for it; reports a wrong count and doubled names.
-fn axes<'d, 'i>(
+/// Reads the sections of a list of axes, each with the name and kind that the model has at its place;
+/// reports a wrong count and duplicate names.
+fn read_axes<'d, 'i>(
     root: &Section<'d, 'i>,
     key: &'static str,
-    places: &'static [(&'static str, AxisKind)],
+    places: &[(&'static str, AxisKind)],
 ) -> Vec<(Section<'d, 'i>, Option<(&'static str, AxisKind)>)> {
     let sections = root.list(key);
-    if !sections.is_empty() && sections.len() != places.len() {
+    // Without a model the axes are unknown.
+    if !sections.is_empty() && !places.is_empty() && sections.len() != places.len() {
         let names: Vec<&str> = places.iter().map(|(name, _)| *name).collect();
         let what = format!(
             "has {} sections, the model has {}",
@@ -395,50 +417,57 @@ fn axes<'d, 'i>(
     let mut result = Vec::new();
     for (index, section) in sections.into_iter().enumerate() {
         let name = section.peek_text("name");
-        let doubled = name.is_some_and(|name| seen.contains(&name));
+        let is_duplicate = name.is_some_and(|name| seen.contains(&name));
         if let Some(name) = name {
-            if doubled {
-                section.report("name", format!("\"{name}\" is there twice"), "rename one");
+            if is_duplicate {
+                section.report("name", format!("\"{name}\" is a duplicate"), "rename one");
             }
             seen.push(name);
         }
-        // With a wrong count or a doubled name the places are shifted: one report is enough.
-        let place = places.get(index).filter(|_| count_fits && !doubled);
+        // With a wrong count or a duplicate name the places are shifted: one report is enough.
+        let place = places.get(index).filter(|_| count_fits && !is_duplicate);
         result.push((section, place.copied()));
     }
     result
 }
 
-/// What must fit between pose coordinates and joints.
-fn across(pose: &[(&Section<'_, '_>, (PoseAxis, AxisLimits))], joints: &[(JointAxis, AxisLimits)]) {
-    for (section, (_, limits)) in pose {
-        if limits.name == "theta" {
-            for (key, value) in [("low_deg", limits.low), ("high_deg", limits.high)] {
+/// Checks the limits of pose coordinates that are joints themselves, and of the tilt.
+fn check_pose_against_joints(
+    pose: &[(&Section<'_, '_>, (PoseAxis, AxisLimits))],
+    joints: &[(JointAxis, AxisLimits)],
+    model: Option<ModelReader>,
+) {
+    let tilt = model.and_then(|model| model.descriptor.coordinate(Role::ToolTilt));
+    for (index, (section, (_, limits))) in pose.iter().enumerate() {
+        let keys = axes::keys(limits.kind);
+        if tilt == Some(index) {
+            for (key, value) in [(keys.low, limits.low), (keys.high, limits.high)] {
                 if value.abs() >= 90.0 {
                     let what = format!("{value} deg: the tilt must stay within +-90 deg");
                     section.report(key, what, "narrow the soft limits");
                 }
             }
         }
-        // A pose coordinate that is a joint itself, as the table is.
+        // A pose coordinate may be a joint itself, as a table is.
         let Some((_, joint)) = joints.iter().find(|(_, joint)| joint.name == limits.name) else {
             continue;
         };
-        let (low, high) = (joint.low, joint.high);
-        for (key, value) in [("low_deg", limits.low), ("high_deg", limits.high)] {
+        let (low, high, unit) = (joint.low, joint.high, keys.unit);
+        for (key, value) in [(keys.low, limits.low), (keys.high, limits.high)] {
             if value < low || value > high {
-                let what = format!("{value} deg is outside the joint's stroke {low} to {high} deg");
+                let what =
+                    format!("{value} {unit} is outside the joint's stroke {low} to {high} {unit}");
                 section.report(key, what, "narrow the soft limits");
             }
         }
         if limits.rate > joint.rate {
             let what = format!("{} is above the joint's rate {}", limits.rate, joint.rate);
-            section.report("rate_deg_s", what, "lower it");
+            section.report(keys.rate, what, "lower it");
         }
     }
 }
 
-fn stopping(section: Section<'_, '_>) -> Stopping {
+fn read_stopping(section: Section<'_, '_>) -> Stopping {
     let time = section.number("time_ms", whole(5, 2000, "ms"));
     let ramp = section.number("ramp_ms", whole(1, 1000, "ms"));
     if ramp > time / 2.0 {
@@ -452,20 +481,28 @@ fn stopping(section: Section<'_, '_>) -> Stopping {
     }
 }
 
-fn supervision(section: Section<'_, '_>) -> (Supervision, f64) {
+fn read_supervision(section: Section<'_, '_>, singular: bool) -> (Supervision, f64) {
     let result = Supervision {
         heartbeat_ms: to_u16(section.number("heartbeat_ms", whole(20, 5000, "ms"))),
         missed_periods: to_u16(section.number("missed_periods", whole(1, 50, "periods"))),
         illegal_transitions: to_u16(section.number("illegal_transitions", whole(1, 1000, ""))),
     };
-    let margin = section.number("singularity_margin_mm", real(1.0, 200.0, "mm"));
+    let margin = if singular {
+        section.number("singularity_margin_mm", real(1.0, 200.0, "mm"))
+    } else {
+        0.0
+    };
     section.finish();
     (result, margin)
 }
 
-fn homing(section: Section<'_, '_>) -> Homing {
+fn read_homing(section: Section<'_, '_>, rotary: bool) -> Homing {
     let rate = section.number("rate_mm_s", real(0.01, 200.0, "mm/s"));
-    let table_rate = section.number("table_rate_deg_s", real(0.01, 90.0, "deg/s"));
+    let table_rate = if rotary {
+        section.number("table_rate_deg_s", real(0.01, 90.0, "deg/s"))
+    } else {
+        0.0
+    };
     section.finish();
     Homing {
         rate: Rate(to_i32(rate * PER_MM)),
@@ -473,7 +510,7 @@ fn homing(section: Section<'_, '_>) -> Homing {
     }
 }
 
-fn planner(section: Section<'_, '_>) -> Planner {
+fn read_planner(section: Section<'_, '_>) -> Planner {
     let result = Planner {
         corner_tolerance_mm: section.number("corner_tolerance_mm", real(0.0, 1.0, "mm")),
         corner_tolerance_deg: section.number("corner_tolerance_deg", real(0.0, 1.0, "deg")),
@@ -492,28 +529,8 @@ fn planner(section: Section<'_, '_>) -> Planner {
     result
 }
 
-/// Stands where the file has no geometry; never leaves this module without a report.
-fn no_geometry() -> H4Geometry {
-    let zero = Length(0);
-    H4Geometry {
-        lateral: zero,
-        half_spacing: zero,
-        half_height: zero,
-        joint_offset: zero,
-        rod: zero,
-        rail_offset: zero,
-        tool: zero,
-        x_offset: zero,
-        y_offset: zero,
-        z_offset: zero,
-        table_height: zero,
-        below: true,
-        singularity_margin: zero,
-    }
-}
-
 impl MachineFile {
-    /// The joints at the home preset, as the operator sets them up before power on.
+    /// Returns the presets: the joint positions that the operator sets before power-on.
     pub fn preset(&self) -> Vec<Coordinate> {
         self.config
             .joints

@@ -1,6 +1,6 @@
-//! The machine as the planner asks for it: the firmware's own kinematics, in millimetres and degrees.
+//! Model of the machine for the planner: the firmware's kinematics in millimetres and degrees.
 //!
-//! What a program is checked against before anything moves is the code that will move it.
+//! A program is checked with the same code that moves the machine.
 
 use crate::MachineFile;
 use crate::scale::{PER_DEG, PER_MM};
@@ -13,10 +13,7 @@ use haptimill_planner::{JointLimits, MachineModel, PoseLimits, PoseProblem, Sett
 use haptimill_protocol::message::{AxisValues, MAX_AXES, PoseError};
 use haptimill_protocol::text::{Axes, Axis, AxisKind as TextKind};
 
-/// Letters by which programs call the coordinates of the H-4 arm: x, y, z, theta (tool tilt), alpha (table).
-pub const LETTERS: [char; 5] = ['X', 'Y', 'Z', 'B', 'A'];
-
-/// A machine file's geometry.
+/// Kinematics of a machine file, with axis names.
 #[derive(Debug, Clone)]
 pub struct Model {
     machine: BoundedKinematics,
@@ -39,7 +36,7 @@ fn program_kind(kind: config::AxisKind) -> AxisKind {
 }
 
 impl Model {
-    /// The geometry of a machine file.
+    /// Creates the model of a machine file.
     #[must_use]
     pub fn new(machine: &MachineFile) -> Self {
         Self {
@@ -57,15 +54,15 @@ impl Model {
         }
     }
 
-    /// Forgets names and units of all axes.
+    /// Removes names and units of all axes.
     pub fn forget_axes(&mut self) {
         self.pose.clear();
         self.joints.clear();
     }
 
-    /// Axis units of a pose in millimetres and degrees, to the nearest.
+    /// Converts a pose in millimetres and degrees to axis units, rounded.
     #[must_use]
-    pub fn to_units(&self, pose: &Coordinates) -> AxisValues {
+    pub fn to_axis_units(&self, pose: &Coordinates) -> AxisValues {
         self.pose
             .iter()
             .zip(pose)
@@ -73,19 +70,19 @@ impl Model {
             .collect()
     }
 
-    /// Millimetres and degrees of a pose in axis units.
+    /// Converts a pose in axis units to millimetres and degrees.
     #[must_use]
-    pub fn to_people(&self, pose: &AxisValues) -> Coordinates {
-        let mut people = Coordinates::default();
-        for (slot, ((_, kind), value)) in people.iter_mut().zip(self.pose.iter().zip(pose)) {
+    pub fn to_engineering_units(&self, pose: &AxisValues) -> Coordinates {
+        let mut values = Coordinates::default();
+        for (slot, ((_, kind), value)) in values.iter_mut().zip(self.pose.iter().zip(pose)) {
             *slot = f64::from(*value) / units(*kind);
         }
-        people
+        values
     }
 
-    /// The same of joints.
+    /// Converts joint positions in axis units to millimetres and degrees.
     #[must_use]
-    pub fn joints_to_people(&self, joints: &AxisValues) -> Vec<f64> {
+    pub fn joints_to_engineering_units(&self, joints: &AxisValues) -> Vec<f64> {
         self.joints
             .iter()
             .zip(joints)
@@ -93,19 +90,19 @@ impl Model {
             .collect()
     }
 
-    /// Names of the pose coordinates.
+    /// Returns the names of the pose coordinates.
     #[must_use]
     pub fn pose_names(&self) -> Vec<&str> {
         self.pose.iter().map(|(name, _)| name.as_str()).collect()
     }
 
-    /// Names of the joints.
+    /// Returns the names of the joints.
     #[must_use]
     pub fn joint_names(&self) -> Vec<&str> {
         self.joints.iter().map(|(name, _)| name.as_str()).collect()
     }
 
-    /// Calls `use_axes` with names and kinds, for sentences about this machine.
+    /// Calls `use_axes` with names and kinds of the axes, for messages.
     pub fn with_axes<T>(&self, use_axes: impl FnOnce(&Axes<'_>) -> T) -> T {
         fn list(axes: &[(String, config::AxisKind)]) -> Vec<Axis<'_>> {
             axes.iter()
@@ -125,14 +122,14 @@ impl Model {
         })
     }
 
-    /// The pose at the home preset, to the last bit as the controller has it after an ideal homing.
+    /// Returns the home pose, with the same bits as the controller's after an ideal homing.
     #[must_use]
     pub fn home(&self, machine: &MachineFile) -> Option<AxisValues> {
         let mut joints = haptimill_kinematics::Joints::default();
         for (slot, preset) in joints.0.iter_mut().zip(machine.preset()) {
             *slot = preset;
         }
-        // A haptic arm alone has no pose of a tool.
+        // A haptic arm alone has no tool pose.
         let pose = self
             .machine
             .forward(&joints)
@@ -162,18 +159,18 @@ impl Model {
 
 impl MachineModel for Model {
     fn joints(&self, pose: &Coordinates) -> Result<[f64; 6], PoseProblem> {
-        let units_of = self
-            .pose(pose)
-            .ok_or_else(|| PoseProblem("is beyond the range of numbers".to_string()))?;
+        let units_of = self.pose(pose).ok_or_else(|| {
+            PoseProblem("is beyond the number range of the controller".to_string())
+        })?;
         match self.machine.inverse(&units_of) {
             Ok(joints) => {
-                let mut people = [0.0; MAX_AXES];
+                let mut values = [0.0; MAX_AXES];
                 for (slot, ((_, kind), value)) in
-                    people.iter_mut().zip(self.joints.iter().zip(joints.0))
+                    values.iter_mut().zip(self.joints.iter().zip(joints.0))
                 {
                     *slot = f64::from(value.0) / units(*kind);
                 }
-                Ok(people)
+                Ok(values)
             }
             Err(error) => Err(PoseProblem(
                 self.with_axes(|axes| axes.describe(&error).to_string()),
@@ -182,7 +179,8 @@ impl MachineModel for Model {
     }
 
     fn joint_rates(&self, pose: &Coordinates, rates: &Coordinates) -> [f64; 6] {
-        // The firmware's rates end at 2^31 axis units per second; the map is linear, so large ones are asked for smaller.
+        // The firmware's rates are below 2^31 axis units per second. The map is linear, so larger
+        // rates are scaled down.
         let largest = self
             .pose
             .iter()
@@ -190,37 +188,37 @@ impl MachineModel for Model {
             .map(|((_, kind), rate)| (rate * units(*kind)).abs())
             .fold(0.0, f64::max);
         let shrink = if largest > 1e8 { 1e8 / largest } else { 1.0 };
-        let mut asked = Rates::default();
-        for (slot, ((_, kind), rate)) in asked.iter_mut().zip(self.pose.iter().zip(rates)) {
+        let mut scaled_rates = Rates::default();
+        for (slot, ((_, kind), rate)) in scaled_rates.iter_mut().zip(self.pose.iter().zip(rates)) {
             *slot = Rate((rate * units(*kind) * shrink).round() as i32);
         }
-        let mut people = [0.0; MAX_AXES];
+        let mut values = [0.0; MAX_AXES];
         let Some(units_of) = self.pose(pose) else {
-            return people;
+            return values;
         };
         if let Ok(motion) =
             self.machine
-                .inverse_motion(&units_of, &asked, &Accelerations::default())
+                .inverse_motion(&units_of, &scaled_rates, &Accelerations::default())
         {
             for (slot, ((_, kind), rate)) in
-                people.iter_mut().zip(self.joints.iter().zip(motion.rates))
+                values.iter_mut().zip(self.joints.iter().zip(motion.rates))
             {
                 *slot = f64::from(rate.0) / units(*kind) / shrink;
             }
         }
-        people
+        values
     }
 }
 
-/// What the planner has to know of a machine file.
+/// Returns the planner settings of a machine file.
 #[must_use]
 pub fn settings(machine: &MachineFile) -> Settings {
     let pose = machine
         .pose
         .iter()
-        .zip(LETTERS)
-        .map(|(axis, letter)| PoseLimits {
-            letter,
+        .zip(machine.config.model.descriptor().pose)
+        .map(|(axis, described)| PoseLimits {
+            letter: described.letter,
             kind: program_kind(axis.kind),
             low: axis.low,
             high: axis.high,
@@ -252,15 +250,15 @@ pub fn settings(machine: &MachineFile) -> Settings {
     }
 }
 
-/// What a part program is read for on a machine, starting at `start`.
+/// Returns the options for part programs that start at `start`.
 #[must_use]
 pub fn program_options(machine: &MachineFile, start: Coordinates) -> Options {
     let axes = machine
         .pose
         .iter()
-        .zip(LETTERS)
-        .map(|(axis, letter)| ProgramAxis {
-            letter,
+        .zip(machine.config.model.descriptor().pose)
+        .map(|(axis, described)| ProgramAxis {
+            letter: described.letter,
             kind: program_kind(axis.kind),
         })
         .collect();
@@ -271,7 +269,7 @@ pub fn program_options(machine: &MachineFile, start: Coordinates) -> Options {
     }
 }
 
-/// Code of a pose error, for tables and for programs that read the output of a command.
+/// Returns the code of a pose error in tables and JSON output.
 #[must_use]
 pub const fn pose_error_code(error: PoseError) -> &'static str {
     match error {

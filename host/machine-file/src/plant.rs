@@ -1,4 +1,4 @@
-//! What the simulator says of its section of a machine file, with the lines that it speaks of.
+//! Check of the `[plant]` section by the simulator, with the lines of its problems.
 
 use super::document::Document;
 use super::{MachineFile, Problems};
@@ -6,7 +6,7 @@ use haptimill_hil_sim::config::PlantConfig;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-/// Reports every problem of the simulated machine, and what does not fit its controller.
+/// Reports every problem of the simulated machine, and its differences from the controller.
 pub(super) fn check(document: &Document<'_>, root: &DeTable<'_>, machine: &MachineFile) {
     let offset = root.get("plant").map_or(0, |value| value.span().start);
     match machine.plant::<PlantConfig>() {
@@ -20,7 +20,7 @@ pub(super) fn check(document: &Document<'_>, root: &DeTable<'_>, machine: &Machi
                 );
                 document.report(offset, "plant.joint", what, "write one for each joint");
             } else {
-                joint_names(document, root, &plant, machine);
+                check_joint_names(document, root, &plant, machine);
             }
             for error in plant
                 .check(machine.config.period_us)
@@ -28,14 +28,14 @@ pub(super) fn check(document: &Document<'_>, root: &DeTable<'_>, machine: &Machi
                 .unwrap_or_default()
             {
                 let (offset, key) = place_in_plant(root, &error.field);
-                document.report(offset, key, error.problem, "correct it");
+                document.report(offset, key, error.problem, "");
             }
         }
     }
 }
 
-/// Joints go by their names, in faults and reports: both sides must call them the same.
-fn joint_names(
+/// Checks that plant and controller have the same joint names, which faults and reports use.
+fn check_joint_names(
     document: &Document<'_>,
     root: &DeTable<'_>,
     plant: &PlantConfig,
@@ -51,7 +51,7 @@ fn joint_names(
     }
 }
 
-/// A key of a table.
+/// Returns the value of a key of a table.
 fn inside<'d, 'i>(
     value: Option<&'d Spanned<DeValue<'i>>>,
     key: &str,
@@ -62,8 +62,9 @@ fn inside<'d, 'i>(
     }
 }
 
-/// Where a field of the simulator stands in the file, and its key as the other sections call theirs: `joint 0 (l1): drive: limit` is
-/// `plant.joint[1].drive.limit`. Where a part is not written down, the place of what should hold it.
+/// Returns the place of a field of the simulator, and its key in the notation of the other sections:
+/// `joint 0 (l1): drive: limit` is `plant.joint[1].drive.limit`. A part that the file does not have
+/// is at the place of its section.
 fn place_in_plant(root: &DeTable<'_>, field: &str) -> (usize, String) {
     let mut key = String::from("plant");
     let mut value = root.get("plant");

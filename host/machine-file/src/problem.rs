@@ -1,21 +1,21 @@
-//! What is wrong in a machine file, and where.
+//! Problems of a machine file, with their places.
 
 use std::fmt;
 
-/// One thing that is wrong in a machine file.
+/// A problem of a machine file.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Problem {
-    /// Name of the file, as it was given.
+    /// Name of the file, as given.
     pub file: String,
-    /// Line, from 1; 0 when the file cannot be read at all.
+    /// Line, from 1; 0 if the file cannot be read.
     pub line: usize,
     /// Column in characters, from 1.
     pub column: usize,
-    /// Path of the key, such as `joint[2].law.kp`; empty where the text itself cannot be read.
+    /// Path of the key, such as `joint[2].law.kp`; empty if the text is not TOML.
     pub key: String,
-    /// What is wrong, with the value and the allowed range.
+    /// The problem, with the value and the allowed range.
     pub what: String,
-    /// What to do about it.
+    /// The remedy.
     pub remedy: String,
 }
 
@@ -36,16 +36,17 @@ impl fmt::Display for Problem {
     }
 }
 
-/// The most problems of a file that are listed; the rest is counted.
+/// Largest number of listed problems of a file; the others are counted.
 pub const LISTED_PROBLEMS: usize = 50;
 
-/// What is wrong in a machine file, in the order of the lines, at most `LISTED_PROBLEMS` and never empty; and how many problems more there are.
+/// Problems of a machine file: the first [`LISTED_PROBLEMS`] in the order of the lines, at least
+/// one, and the number of the others.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Problems(pub Vec<Problem>, pub usize);
 
 impl Problems {
-    /// The only problem of a file: it cannot be read.
-    pub(crate) fn unread(file: &str, what: String, remedy: &str) -> Self {
+    /// Returns the only problem of a file that cannot be read.
+    pub(crate) fn unreadable(file: &str, what: String, remedy: &str) -> Self {
         let problem = Problem {
             file: file.to_string(),
             line: 0,
@@ -57,7 +58,7 @@ impl Problems {
         Self(vec![problem], 0)
     }
 
-    /// How many there are.
+    /// Returns the number of problems.
     #[must_use]
     pub fn count(&self) -> usize {
         self.0.len() + self.1

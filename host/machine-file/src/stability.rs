@@ -1,8 +1,10 @@
-//! Is the position loop stable at this control period?
+//! Stability of the position loop at a control period.
 //!
-//! The inertia cancels out of the law (docs/control.md (3.36)-(3.37)), so an axis is a double integrator whose acceleration is held over a
-//! period and takes effect one period after it was computed. The rate of the error is a difference through a first-order filter, the
-//! integrator a sum. Friction, which only damps, is left out. The loop is stable when every eigenvalue of one period lies inside the unit circle.
+//! The inertia cancels out of the servo law (docs/control.md (3.36)-(3.37)), so an axis is a double
+//! integrator. Its acceleration is held for a period and takes effect one period after its
+//! computation. The rate of the error is a difference through a first-order filter, the integrator a
+//! sum. Friction only damps and is left out. The loop is stable if every eigenvalue of one period
+//! lies inside the unit circle.
 
 /// Gains of a position loop.
 #[derive(Debug, Clone, Copy)]
@@ -17,13 +19,13 @@ pub struct Gains {
     pub rate_filter: f64,
 }
 
-/// States: position, velocity, acceleration held now, position before, filtered rate, integral.
+/// States: position, velocity, held acceleration, previous position, filtered rate, integral.
 const STATES: usize = 6;
 type Matrix = [[f64; STATES]; STATES];
 
-/// Largest magnitude of the eigenvalues of one control period; the loop is stable below 1.
+/// Returns the largest eigenvalue magnitude of one control period; the loop is stable below 1.
 ///
-/// By Gelfand's formula: the 2^40th root of the norm of the 2^40th power, good to about 1e-11.
+/// Gelfand's formula: the 2^40th root of the norm of the 2^40th power, with an error of about 1e-11.
 pub fn spectral_radius(gains: Gains, period: f64) -> f64 {
     let Gains { kp, kd, ki, .. } = gains;
     let keep = if gains.rate_filter > 0.0 {
@@ -32,7 +34,7 @@ pub fn spectral_radius(gains: Gains, period: f64) -> f64 {
         0.0
     };
     let rate = (1.0 - keep) / period;
-    // The integrator is left out when there is none: its eigenvalue of 1 would be no instability.
+    // Without an integrator its state is left out: the eigenvalue of 1 would not be an instability.
     let sum = if ki > 0.0 { 1.0 } else { 0.0 };
     let mut power: Matrix = [
         [1.0, period, period * period / 2.0, 0.0, 0.0, 0.0],
@@ -88,7 +90,7 @@ mod tests {
     }
 
     #[test]
-    fn at_a_short_period_the_roots_are_those_of_the_continuous_loop() {
+    fn short_periods_give_the_roots_of_the_continuous_loop() {
         // s^2 + 400 s + 40000 has the double root -200: exp(-200 * 1e-6) a period.
         let radius = spectral_radius(gains(40_000.0, 400.0, 0.0, 0.0), 1e-6);
         assert!((radius.ln() / 1e-6 + 200.0).abs() < 5.0, "{radius}");
@@ -98,7 +100,7 @@ mod tests {
     }
 
     #[test]
-    fn the_radius_tells_what_a_long_run_of_the_loop_does() {
+    fn radius_agrees_with_a_simulation() {
         let period = 2e-4;
         let cases = [
             (gains(40_000.0, 400.0, 1.5e-3, 0.0), true),

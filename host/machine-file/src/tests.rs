@@ -1,12 +1,13 @@
 use super::*;
 use haptimill_firmware::config::{Drive, ServoForm};
 use haptimill_hil_sim::config::PlantConfig;
+use haptimill_math::Length;
 use proptest::prelude::*;
 
 const STEP: &str = include_str!("../../../machines/h4-step.toml");
 
 #[test]
-fn the_built_in_machine_is_well() {
+fn built_in_machine_is_valid() {
     let machine = MachineFile::built_in().unwrap_or_else(|problems| panic!("\n{problems}"));
     let config = &machine.config;
     let Model::H4(geometry) = &config.model else {
@@ -53,7 +54,7 @@ fn the_built_in_machine_is_well() {
 }
 
 #[test]
-fn the_machine_with_steps_is_well() {
+fn step_drive_machine_is_valid() {
     let machine =
         MachineFile::parse("h4-step.toml", STEP).unwrap_or_else(|problems| panic!("\n{problems}"));
     let Drive::Steps {
@@ -70,7 +71,7 @@ fn the_machine_with_steps_is_well() {
     ));
 }
 
-/// The problems of a text, one a line.
+/// Returns the problems of a text, one per line.
 fn problems(text: &str) -> String {
     match MachineFile::parse("broken.toml", text) {
         Ok(_) => "no problem\n".to_string(),
@@ -78,7 +79,7 @@ fn problems(text: &str) -> String {
     }
 }
 
-/// The built-in file with one piece of text replaced, at its first place, and what is said of it.
+/// Replaces the first occurrence of a text in the built-in file and returns the problems.
 fn broken(from: &str, to: &str) -> String {
     assert!(BUILT_IN.contains(from), "the file has no {from:?}");
     let text = BUILT_IN.replacen(from, to, 1);
@@ -91,7 +92,7 @@ fn broken(from: &str, to: &str) -> String {
 }
 
 #[test]
-fn every_kind_of_mistake_is_named_with_its_line() {
+fn every_problem_names_its_line() {
     let l1_head = "[[joint]]\nname = \"l1\"";
     let mistakes = [
         (
@@ -219,15 +220,15 @@ fn every_kind_of_mistake_is_named_with_its_line() {
         ),
         ("[[force.axis]]\nname = \"x\"", "[[force.ax]]\nname = \"x\""),
     ];
-    let said: Vec<String> = mistakes.iter().map(|(f, t)| broken(f, t)).collect();
-    for text in &said {
+    let reported: Vec<String> = mistakes.iter().map(|(f, t)| broken(f, t)).collect();
+    for text in &reported {
         assert!(!text.contains("no problem"), "{text}");
     }
-    insta::assert_snapshot!("mistakes", said.join("\n"));
+    insta::assert_snapshot!("mistakes", reported.join("\n"));
 }
 
 #[test]
-fn mistakes_of_step_drives_are_named() {
+fn problems_of_step_drives_are_named() {
     let mistakes = [
         ("steps_per_turn = 3200", "steps_per_turn = 0"),
         ("ticks_per_us = 84 ", "ticks_per_us = 840000 "),
@@ -236,7 +237,7 @@ fn mistakes_of_step_drives_are_named() {
         ("lost_mm = 0.05", "lost_mm = 0.001"),
         ("lost_mm = 0.05", "limit_n = 750.0"),
     ];
-    let said: Vec<String> = mistakes
+    let reported: Vec<String> = mistakes
         .iter()
         .map(|(from, to)| {
             format!(
@@ -245,18 +246,35 @@ fn mistakes_of_step_drives_are_named() {
             )
         })
         .collect();
-    insta::assert_snapshot!("step_mistakes", said.join("\n"));
+    insta::assert_snapshot!("step_mistakes", reported.join("\n"));
+}
+
+/// The controller limits the filter to 50 ms, the file to 60 ms.
+#[test]
+fn problems_of_the_controller_name_joints_as_joints() {
+    let (before, after) = BUILT_IN.split_once("name = \"l2\"").unwrap();
+    let after = after
+        .replacen("kp = 40000.0", "kp = 100.0", 1)
+        .replacen("kd = 400.0", "kd = 10.0", 1)
+        .replacen("rate_filter_ms = 1.5", "rate_filter_ms = 55.0", 1);
+    let text = format!("{before}name = \"l2\"{after}");
+    assert_eq!(
+        problems(&text),
+        "broken.toml:123:1: joint[2]: the controller would refuse this: \
+         filter of the position loop of l2; \
+         see docs/machine-files.md for the limits of the controller\n"
+    );
 }
 
 #[test]
-fn all_problems_are_listed_in_the_order_of_the_lines() {
+fn problems_are_listed_in_the_order_of_lines() {
     let text = BUILT_IN
         .replacen("period_us = 200", "period_us = 2", 1)
         .replacen("r = 480.0", "r = -480.0", 1)
         .replacen("heartbeat_ms = 500", "hartbeat_ms = 500", 1)
         .replacen("gear_ratio = 90.0\n", "", 1);
     let Err(Problems(problems, 0)) = MachineFile::parse("broken.toml", &text) else {
-        panic!("it reads")
+        panic!("it is valid")
     };
     let keys: Vec<&str> = problems.iter().map(|p| p.key.as_str()).collect();
     assert_eq!(
@@ -273,12 +291,12 @@ fn all_problems_are_listed_in_the_order_of_the_lines() {
 }
 
 #[test]
-fn an_empty_file_says_all_that_is_missing() {
+fn empty_file_lists_the_missing_keys() {
     insta::assert_snapshot!("empty", problems(""));
 }
 
 #[test]
-fn every_key_that_is_not_optional_is_missed() {
+fn every_required_key_is_reported_if_missing() {
     let optional = [
         "backlash_mm",
         "backlash_deg",
@@ -291,7 +309,7 @@ fn every_key_that_is_not_optional_is_missed() {
         "under_control",
         "sign",
     ];
-    // The plant is read by the simulator.
+    // The simulator reads the plant.
     let own = BUILT_IN.lines().position(|line| line == "[plant]").unwrap();
     for (number, line) in BUILT_IN.lines().enumerate().take(own) {
         let Some((key, _)) = line.split_once(" =") else {
@@ -306,12 +324,16 @@ fn every_key_that_is_not_optional_is_missed() {
             .filter(|(n, _)| *n != number)
             .map(|(_, line)| line)
             .collect();
-        let said = problems(&text.join("\n"));
+        let reported = problems(&text.join("\n"));
         if optional.contains(&key) {
-            assert_eq!(said, "no problem\n", "without line {}", number + 1);
+            assert_eq!(reported, "no problem\n", "without line {}", number + 1);
         } else {
             let path = format!("{key}: is missing");
-            assert!(said.contains(&path), "without line {}: {said}", number + 1);
+            assert!(
+                reported.contains(&path),
+                "without line {}: {reported}",
+                number + 1
+            );
         }
     }
 }
@@ -319,12 +341,12 @@ fn every_key_that_is_not_optional_is_missed() {
 proptest! {
     #![proptest_config(ProptestConfig { rng_seed: proptest::test_runner::RngSeed::Fixed(1), failure_persistence: None, ..ProptestConfig::default() })]
     #[test]
-    fn no_text_makes_it_panic(text in "\\PC{0,400}") {
+    fn text_never_panics(text in "\\PC{0,400}") {
         let _ = MachineFile::parse("any", &text);
     }
 
     #[test]
-    fn no_damage_to_a_file_makes_it_panic(
+    fn damaged_file_never_panics(
         at in 0..BUILT_IN.len(),
         length in 0usize..40,
         bytes in prop::collection::vec(any::<u8>(), 0..12),
@@ -337,8 +359,8 @@ proptest! {
     }
 
     #[test]
-    fn a_number_of_any_size_is_taken_or_refused(value in any::<f64>(), which in 0usize..200) {
-        // One of the numbers of the file becomes another.
+    fn any_number_is_accepted_or_reported(value in any::<f64>(), which in 0usize..200) {
+        // Replaces one number of the file.
         let mut seen = 0;
         let lines: Vec<String> = BUILT_IN.lines().map(|line| {
             let numeric = line.split_once(" = ").filter(|(key, value)| {
@@ -359,7 +381,7 @@ proptest! {
 }
 
 #[test]
-fn deep_nesting_and_odd_bytes_are_problems_like_any_other() {
+fn deep_nesting_and_odd_bytes_are_problems() {
     for text in [
         format!("a = {}", "[".repeat(100_000)),
         format!("a = {}", "{b = ".repeat(100_000)),
@@ -373,7 +395,7 @@ fn deep_nesting_and_odd_bytes_are_problems_like_any_other() {
     let file = tempfile::NamedTempFile::new().unwrap().into_temp_path();
     std::fs::write(&file, [b'a', 0xFF, 0xFE]).unwrap();
     let Err(problems) = MachineFile::load(&file) else {
-        panic!("it reads")
+        panic!("it is valid")
     };
     assert!(problems.to_string().contains("is not UTF-8 at byte 1"));
     std::fs::write(&file, b"").unwrap();
@@ -381,35 +403,39 @@ fn deep_nesting_and_odd_bytes_are_problems_like_any_other() {
 }
 
 #[test]
-fn a_haptic_arm_alone_is_the_one_of_the_hand_and_is_told_what_it_lacks() {
+fn master_has_the_same_haptic_arm_and_reports_missing_sections() {
     let master = MachineFile::built_in_master().unwrap();
-    let hand = MachineFile::built_in().unwrap().with_hand().unwrap();
-    assert_eq!(master.config.haptic, hand.config.haptic);
-    assert_eq!(master.config.period_us, hand.config.period_us);
-    assert!(master.is_master() && !hand.is_master());
+    let with_arm = MachineFile::built_in().unwrap().with_haptic_arm().unwrap();
+    assert_eq!(master.config.haptic, with_arm.config.haptic);
+    assert_eq!(master.config.period_us, with_arm.config.period_us);
+    assert!(master.is_master() && !with_arm.is_master());
     assert_eq!(master.config.check(), Ok(()));
-    // The simulated arm and the person at it are the same too.
+    // The simulated arm and the operator model are the same, too.
     let plant = |machine: &MachineFile| machine.plant::<PlantConfig>().unwrap();
-    assert_eq!(plant(&master).haptic, plant(&hand).haptic);
-    assert_eq!(plant(&master).hand, plant(&hand).hand);
-    // A machine follows a hand afar as it follows one on its own board.
-    let afar = MachineFile::built_in().unwrap().with_follow().unwrap();
-    assert_eq!(afar.config.follow, hand.config.follow);
-    assert!(afar.config.haptic.is_none());
-    let twice = afar.with_follow().unwrap();
-    assert_eq!(twice.text, afar.text);
+    assert_eq!(plant(&master).haptic, plant(&with_arm).haptic);
+    assert_eq!(plant(&master).hand, plant(&with_arm).hand);
+    // A machine follows a remote master as it follows a haptic arm on its own board.
+    let remote = MachineFile::built_in().unwrap().with_follow().unwrap();
+    assert_eq!(remote.config.follow, with_arm.config.follow);
+    assert!(remote.config.haptic.is_none());
+    let twice = remote.with_follow().unwrap();
+    assert_eq!(twice.text, remote.text);
 
-    let said = |text: &str| MachineFile::parse("m.toml", text).unwrap_err().to_string();
+    let reported = |text: &str| MachineFile::parse("m.toml", text).unwrap_err().to_string();
     let without = MASTER.replace("role = \"master\"", "role = \"leader\"");
     assert!(
-        said(&without).contains("\"leader\" is not known; write \"slave\" or \"master\""),
+        reported(&without).contains("\"leader\" is not known; write \"slave\" or \"master\""),
         "{}",
-        said(&without)
+        reported(&without)
     );
     let homing = format!("{MASTER}\n[homing]\nrate_mm_s = 5.0\n");
-    assert!(said(&homing).contains("homing"), "{}", said(&homing));
+    assert!(
+        reported(&homing).contains("homing"),
+        "{}",
+        reported(&homing)
+    );
     let bare = "name = \"m\"\nrole = \"master\"\nperiod_us = 200\n";
-    let bare = said(bare);
+    let bare = reported(bare);
     assert!(
         bare.contains("[supervision]") && bare.contains("[haptic]"),
         "{bare}"

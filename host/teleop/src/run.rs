@@ -465,8 +465,8 @@ impl<'a, L: JobLine> Teleop<'a, L> {
             age_ms: self
                 .word_us
                 .map_or(0.0, |at| now_us.saturating_sub(at) as f64 / 1000.0),
-            commanded: three(&model.to_people(&telemetry.commanded)),
-            tool: three(&model.to_people(&telemetry.measured)),
+            commanded: three(&model.to_engineering_units(&telemetry.commanded)),
+            tool: three(&model.to_engineering_units(&telemetry.measured)),
             force: newtons,
             felt: force,
             reflected,

@@ -7,7 +7,7 @@ use haptimill_client::Error;
 use haptimill_hil_sim::operator::{Stroke, Trajectory};
 use haptimill_hil_sim::rig::{Control, Rig};
 use haptimill_machine_file::document::{Allowed, Document, Section, real};
-use haptimill_machine_file::text_of;
+use haptimill_machine_file::read_text;
 use std::path::Path;
 use std::str::FromStr;
 
@@ -114,13 +114,13 @@ fn blocks<T>(
     key: &'static str,
     read: impl Fn(f64, &Section<'_, '_>) -> Option<T>,
 ) -> Vec<T> {
-    if !root.skip(key) {
+    if !root.has(key) {
         return Vec::new();
     }
     let block = |section: Section<'_, '_>| {
         let at_s = section.number("at_s", times());
         let block = read(at_s, &section);
-        let ends = section.skip(END);
+        let ends = section.has(END);
         section.finish();
         if ends {
             // A TOML key belongs to the block above it.
@@ -168,7 +168,7 @@ impl Script {
     /// It cannot be read, or says what makes no sense, with the lines.
     pub fn load(path: &Path) -> Result<Self, Error> {
         let file = path.display().to_string();
-        let text = text_of(path)?;
+        let text = read_text(path)?;
         Self::parse(&file, &text)
     }
 
@@ -177,7 +177,7 @@ impl Script {
     /// # Errors
     /// As [`Script::load`].
     pub fn parse(file: &str, text: &str) -> Result<Self, Error> {
-        let document = Document::new(file, text).like("examples/teleop.toml");
+        let document = Document::new(file, text).with_example("examples/teleop.toml");
         let Some(table) = document.parse() else {
             return Err(document.into_problems().into());
         };
@@ -189,7 +189,7 @@ impl Script {
                 Some(Button { at_s, held })
             }),
             order: blocks(&root, "order", order),
-            end_s: root.skip(END).then(|| root.number(END, times())),
+            end_s: root.has(END).then(|| root.number(END, times())),
         };
         root.finish();
         document.finish()?;

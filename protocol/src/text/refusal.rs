@@ -1,6 +1,6 @@
 //! Sentences of refused poses, commands and configurations.
 
-use super::{Amount, Axes, Axis, AxisKind, Describe, Named, amount};
+use super::{Amount, Axes, AxisKind, Describe, Named, amount};
 use crate::message::{ConfigField, ConfigProblem, Fault, InputProblem, PoseError, Refusal, State};
 use core::fmt::{Formatter, Result};
 
@@ -184,17 +184,18 @@ impl Describe for InputProblem {
 }
 
 impl ConfigProblem {
-    /// Returns the axes that this problem counts in: pose coordinates or joints.
+    /// Whether the axis is a pose coordinate; otherwise it is a joint.
     #[must_use]
-    pub const fn axes_of<'a>(&self, axes: &Axes<'a>) -> &'a [Axis<'a>] {
-        match self.field {
+    pub const fn is_of_pose(&self) -> bool {
+        matches!(
+            self.field,
             ConfigField::SoftLimit
-            | ConfigField::StopTime
-            | ConfigField::Acceleration
-            | ConfigField::Jerk
-            | ConfigField::Force => axes.pose,
-            _ => axes.joints,
-        }
+                | ConfigField::StopTime
+                | ConfigField::Acceleration
+                | ConfigField::Jerk
+                | ConfigField::Force
+                | ConfigField::Follow
+        )
     }
 }
 
@@ -202,7 +203,12 @@ impl Describe for ConfigProblem {
     fn describe(&self, axes: &Axes<'_>, f: &mut Formatter<'_>) -> Result {
         write!(f, "the configuration is invalid: {}", self.field)?;
         if let Some(axis) = self.axis {
-            write!(f, " of {}", Named(self.axes_of(axes), axis))?;
+            let list = if self.is_of_pose() {
+                axes.pose
+            } else {
+                axes.joints
+            };
+            write!(f, " of {}", Named(list, axis))?;
         }
         f.write_str("; correct the machine file")
     }

@@ -132,7 +132,7 @@ pub fn machine(kind: MachineKind) -> &'static MachineFile {
         [
             torque.clone(),
             MachineFile::parse("machines/h4-step.toml", step).expect("sound"),
-            torque.with_hand().expect("sound"),
+            torque.with_haptic_arm().expect("sound"),
             torque.with_follow().expect("sound"),
             MachineFile::built_in_master().expect("sound"),
         ]

@@ -6,7 +6,7 @@ use super::rng::Rng;
 use haptimill_firmware::controller::Controller;
 use haptimill_firmware::io::{Inputs, Outputs};
 use haptimill_gcode::{Options, read};
-use haptimill_machine_file::{MachineFile, work};
+use haptimill_machine_file::{MachineFile, stock};
 use haptimill_teleop::script::Script;
 use haptimill_trace::{Header, Recorder, Recording};
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -166,7 +166,7 @@ fn parse(which: usize, bytes: &[u8]) -> Option<String> {
         0..=2 => MachineFile::parse("storm.toml", &text())
             .err()
             .map(|problems| problems.to_string()),
-        3 => work::parse("storm.toml", &text())
+        3 => stock::parse("storm.toml", &text())
             .err()
             .map(|problems| problems.to_string()),
         4 => Script::parse("storm.toml", &text())

@@ -9,6 +9,7 @@
     reason = "an index is an axis here, of several arrays at once"
 )]
 
+pub mod cartesian;
 pub mod h4;
 pub mod subject;
 pub mod suite;
@@ -51,5 +52,15 @@ pub const CHECKS: &[Check] = &[
         run: || {
             suite::forward_is_certified(&h4::Arm::new(h4::OTHER), COUNT / 4);
         },
+    },
+    Check {
+        name: "kinematics::cartesian::inverse_is_the_closure_and_forward_turns_it_round",
+        run: || {
+            suite::inverse_against_closure(&cartesian::Slides::default(), COUNT / 4);
+        },
+    },
+    Check {
+        name: "kinematics::cartesian::extremes",
+        run: || suite::extremes(&cartesian::Slides::default(), COUNT / 4),
     },
 ];

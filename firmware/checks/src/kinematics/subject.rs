@@ -78,6 +78,9 @@ pub trait Subject {
     /// Its kinematics in the firmware.
     type Machine: Kinematics;
 
+    /// Whether the geometry refuses poses within the range of the coordinates.
+    const HAS_BOUNDS: bool = true;
+
     /// Its kinematics in the firmware.
     fn machine(&self) -> &Self::Machine;
 

@@ -6,7 +6,7 @@
 
 use super::motion::Slope;
 use super::{ALPHA, AXES, H4, Pair};
-use crate::{Joints, Pose, PoseError, Rates};
+use crate::{BoxBounds, Pose, PoseError, Rates};
 use haptimill_math::Coordinate;
 use haptimill_math::root::Root;
 use haptimill_math::trig::QUARTER_PI_Q31;
@@ -64,15 +64,14 @@ const ROUNDED: u32 = 16;
 const ROUNDED_RATE: u32 = 64;
 
 impl H4 {
-    /// The least and the greatest joints of a box of poses, and upper bounds of the magnitudes of the rates of both pairs of slides, axis units per second, for pose
-    /// rates of at most these magnitudes.
+    /// Bounds of joints and joint rates, see [`crate::Kinematics::box_bounds`].
     #[inline(always)]
-    pub(crate) fn rate_bounds(
+    pub(super) fn bounds_of_box(
         &self,
         low: &Pose,
         high: &Pose,
         rates: &[Rates],
-    ) -> Result<([Joints; 2], [[u32; 2]; 2]), PoseError> {
+    ) -> Result<BoxBounds, PoseError> {
         let mut middle = Pose::default();
         let mut half = [0_u32; AXES];
         for (axis, half) in half.iter_mut().enumerate() {
@@ -145,8 +144,11 @@ impl H4 {
         ends[1].0[ALPHA] = high.0[ALPHA];
         let most_y = most_y.saturating_add(by_y);
         let most_height = most_height.saturating_add(by_height);
-        let mut bounds = [[0; 2]; 2];
-        for (bounds, rates) in bounds.iter_mut().zip(rates) {
+        let mut bounds = BoxBounds {
+            joints: ends,
+            ..BoxBounds::default()
+        };
+        for (bounds, rates) in bounds.rates.iter_mut().zip(rates) {
             let [x, across, up, spin, turn, _] = rates.map(|rate| rate.0.unsigned_abs());
             // Radians per second, Q28.
             let [turn, spin] =
@@ -155,16 +157,19 @@ impl H4 {
                 .saturating_add(times(most_height, turn, 28));
             let z_rate = Turn::along(table.most_cosine, up, table.most_sine, across)
                 .saturating_add(times(most_y, turn, 28));
-            for ((bound, slope), arm) in bounds.iter_mut().zip(&slopes).zip(arms) {
+            bounds[ALPHA] = rates[ALPHA].0.unsigned_abs();
+            for ((bound, slope), arm) in bounds.chunks_exact_mut(2).zip(&slopes).zip(arms) {
                 let arm = times(arm, spin, 28);
                 let v_rate = z_rate.saturating_add(times(arm, tilt.most_sine, 30));
-                *bound = x
-                    .saturating_add(times(arm, tilt.most_cosine, 30))
-                    .saturating_add(times(slope.0, y_rate, 27))
-                    .saturating_add(times(slope.1, v_rate, 27))
-                    .saturating_add(ROUNDED_RATE);
+                // Both slides of a pair have one bound.
+                bound.fill(
+                    x.saturating_add(times(arm, tilt.most_cosine, 30))
+                        .saturating_add(times(slope.0, y_rate, 27))
+                        .saturating_add(times(slope.1, v_rate, 27))
+                        .saturating_add(ROUNDED_RATE),
+                );
             }
         }
-        Ok((ends, bounds))
+        Ok(bounds)
     }
 }

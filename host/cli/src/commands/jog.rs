@@ -5,7 +5,6 @@ use super::{BoardArg, CliError, ConnectArgs, Exit, seconds};
 use clap::Args;
 use haptimill_client::session::{EMERGENCY_STOP, has_tool};
 use haptimill_machine_file::MachineFile;
-use haptimill_machine_file::model::LETTERS;
 use haptimill_machine_file::scale::per_unit;
 use haptimill_protocol::message::{AxisValues, Event, RATE_SHIFT, State};
 use std::str::FromStr;
@@ -150,18 +149,21 @@ fn rates(args: &JogArgs, machine: &MachineFile) -> Result<AxisValues, CliError> 
     has_tool(machine)?;
     let mut given = vec![false; machine.pose.len()];
     for wanted in &args.axes {
-        let letters = || LETTERS.map(|letter| letter.to_lowercase().to_string());
+        let described = machine.config.model.descriptor().pose;
+        let letters = described
+            .iter()
+            .map(|axis| axis.letter.to_lowercase().to_string());
         let Some(index) = machine
             .pose
             .iter()
             .position(|axis| axis.name.to_lowercase() == wanted.axis)
-            .or_else(|| letters().iter().position(|letter| *letter == wanted.axis))
+            .or_else(|| letters.clone().position(|letter| letter == wanted.axis))
             .filter(|index| *index < machine.pose.len())
         else {
             let names: Vec<String> = machine
                 .pose
                 .iter()
-                .zip(LETTERS)
+                .zip(described.iter().map(|axis| axis.letter))
                 .map(|(axis, letter)| match axis.name.to_uppercase() {
                     name if name == letter.to_string() => axis.name.clone(),
                     _ => format!("{} (or {letter})", axis.name),

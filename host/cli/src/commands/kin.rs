@@ -87,7 +87,7 @@ fn table(args: &TableArgs, calculate: Calculation) -> Result<(), CliError> {
         args.input.display().to_string()
     };
     let read = if standard(&args.input) {
-        input::bounded(std::io::stdin().lock(), input::TABLE_BYTES)
+        input::read_bounded(std::io::stdin().lock(), input::TABLE_BYTES)
     } else {
         input::read(&args.input, input::TABLE_BYTES)
     };

@@ -203,7 +203,7 @@ pub(super) fn report(session: &mut Session<PortLine>, json: bool) -> Result<(), 
     let model = session.model();
     let fault = status.fault.map(|fault| session.sentence(&fault));
     let pose = |values: &AxisValues| -> Vec<(String, f64)> {
-        let people = model.to_people(values);
+        let people = model.to_engineering_units(values);
         model
             .pose_names()
             .iter()
@@ -217,7 +217,7 @@ pub(super) fn report(session: &mut Session<PortLine>, json: bool) -> Result<(), 
             .joint_names()
             .iter()
             .map(ToString::to_string)
-            .zip(model.joints_to_people(values))
+            .zip(model.joints_to_engineering_units(values))
             .collect()
     };
     if json {

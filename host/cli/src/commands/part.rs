@@ -62,7 +62,7 @@ impl PartProgram {
     ) -> Result<Planned, CliError> {
         let options = haptimill_gcode::Options {
             optional_stop: self.optional_stop,
-            ..program_options(machine, model.to_people(start))
+            ..program_options(machine, model.to_engineering_units(start))
         };
         let program = haptimill_gcode::read(&self.file, &self.text, &options)
             .map_err(|refused| Error::refused(ErrorKind::BadInput, &refused))?;

@@ -15,7 +15,7 @@ use haptimill_client::session::{self, JobLine, JobRecording, PortLine, Session, 
 use haptimill_hil_sim::config::PlantConfig;
 use haptimill_hil_sim::fault::{Fault, FaultKind};
 use haptimill_hil_sim::process::CuttingConfig;
-use haptimill_machine_file::{MachineFile, work};
+use haptimill_machine_file::{MachineFile, stock};
 use haptimill_protocol::message::{Command, State};
 use haptimill_teleop::arm::{Pace, Reopen};
 use haptimill_teleop::held::{self, Held, Joystick, Keys, SpaceMouse};
@@ -273,7 +273,7 @@ pub fn run(args: TeleopArgs) -> Result<(), CliError> {
     let work = match &args.work {
         Some(path) => {
             let plant: PlantConfig = machine.plant()?;
-            Some(plant.cutting(work::load(path)?))
+            Some(plant.cutting(stock::load(path)?))
         }
         None => None,
     };

@@ -208,9 +208,9 @@ impl App {
             return;
         }
         let step = self.jogging.step();
-        let mut to = self.model.to_people(&from);
+        let mut to = self.model.to_engineering_units(&from);
         to[axis] += if up { step } else { -step };
-        let to = self.model.to_units(&to);
+        let to = self.model.to_axis_units(&to);
         let feed = self.jogging.rate_of(axis) * 60.0;
         match way(&self.machine, &self.model, &from, &to, Some(feed)) {
             Ok(plan) => {

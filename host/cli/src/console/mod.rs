@@ -91,7 +91,7 @@ pub fn run(args: ConsoleArgs) -> Result<(), CliError> {
     }
     let stock = match &args.work {
         Some(path) => {
-            let stock = haptimill_machine_file::work::load(path)?;
+            let stock = haptimill_machine_file::stock::load(path)?;
             let plant: PlantConfig = machine.plant()?;
             Some(plant.cutting(stock))
         }

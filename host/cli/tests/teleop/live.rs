@@ -258,7 +258,7 @@ fn a_key_is_a_step_and_a_closed_window_stops_the_machine() {
 #[test]
 fn a_hand_behind_a_port_is_recorded_as_it_is_reported() {
     let folder = Folder::new();
-    let own = folder.machine_with(haptimill_machine_file::HAND);
+    let own = folder.machine_with(haptimill_machine_file::HAPTIC_ARM);
     let served = Served::on_tcp(&["--machine", &own]);
     let program = folder.file("short.ngc", "G21 G90 F600\nG1 X2\nG1 X0\nM30\n");
     let out = folder.path("out");

@@ -547,7 +547,7 @@ what = \"end\"
         "--delay and --hand-fault are for the simulated arm",
     );
     // A machine with an arm of its own is led by that one.
-    let own = folder.machine_with(haptimill_machine_file::HAND);
+    let own = folder.machine_with(haptimill_machine_file::HAPTIC_ARM);
     refused(&["--hand", "sim", "--machine", &own], 3, "on its own board");
     // A haptic arm runs no programs.
     let ran = haptimill(&[&["run", "examples/e7-slot.ngc", "--check"], &master[..]].concat());

@@ -49,12 +49,12 @@ pub fn way(
     to: &AxisValues,
     feed: Option<f64>,
 ) -> Result<Plan, Error> {
-    let options = program_options(machine, model.to_people(from));
+    let options = program_options(machine, model.to_engineering_units(from));
     // Ten decimals: far below an axis unit, so the end is the wanted one to the last bit.
     let words: String = options
         .axes
         .iter()
-        .zip(model.to_people(to))
+        .zip(model.to_engineering_units(to))
         .map(|(axis, value)| format!(" {}{value:.10}", axis.letter))
         .collect();
     let name = "the way";

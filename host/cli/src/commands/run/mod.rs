@@ -222,7 +222,7 @@ impl RunArgs {
         let Some(path) = &self.work else {
             return Ok(None);
         };
-        let work = haptimill_machine_file::work::load(path)?;
+        let work = haptimill_machine_file::stock::load(path)?;
         let plant: PlantConfig = machine.plant()?;
         Ok(Some(plant.cutting(work)))
     }

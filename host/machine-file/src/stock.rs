@@ -1,4 +1,5 @@
-//! Work files: what is clamped on the table of the simulated machine, in TOML with the keys of a `[plant.workpiece]` section.
+//! Stock files: the stock on the table of the simulated machine, in TOML with the keys of a
+//! `[plant.workpiece]` section.
 
 use super::Problems;
 use super::document::Document;
@@ -6,19 +7,21 @@ use haptimill_hil_sim::process::{CuttingConfig, WorkpieceConfig};
 use std::path::Path;
 use toml::de::{DeTable, DeValue};
 
-/// Reads a work file. A file that cannot be read is a problem of line 0.
+/// Reads a stock file. A file that cannot be read is a problem of line 0.
 ///
 /// # Errors
-/// Every problem of the file; what cannot be read at all is found one at a time.
+///
+/// Returns every problem of the values, or the first problem of keys and types.
 pub fn load(path: &Path) -> Result<WorkpieceConfig, Problems> {
     let file = path.display().to_string();
-    let text = super::text_of(path)?;
+    let text = super::read_text(path)?;
     parse(&file, &text)
 }
 
-/// Reads the text of a work file; `file` is its name in messages.
+/// Reads the text of a stock file; `file` is its name in messages.
 ///
 /// # Errors
+///
 /// As [`load`].
 pub fn parse(file: &str, text: &str) -> Result<WorkpieceConfig, Problems> {
     let document = Document::new(file, text);
@@ -48,7 +51,7 @@ pub fn parse(file: &str, text: &str) -> Result<WorkpieceConfig, Problems> {
                 _ => None,
             });
         }
-        document.report(offset, parts.join("."), error.problem, "correct it");
+        document.report(offset, parts.join("."), error.problem, "");
     }
     document.finish()?;
     Ok(config.workpiece)
@@ -59,13 +62,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_works_of_the_examples_are_well() {
+    fn example_stock_files_are_valid() {
         for text in [
             include_str!("../../../examples/block.toml"),
             include_str!("../../../examples/incline.toml"),
         ] {
-            let work = parse("work.toml", text).unwrap_or_else(|problems| panic!("\n{problems}"));
-            assert!((work.top_mm - 21.232).abs() < 1e-9);
+            let stock = parse("stock.toml", text).unwrap_or_else(|problems| panic!("\n{problems}"));
+            assert!((stock.top_mm - 21.232).abs() < 1e-9);
         }
         let incline = parse(
             "incline.toml",
@@ -75,24 +78,24 @@ mod tests {
     }
 
     #[test]
-    fn a_mistake_is_told_at_its_line() {
-        for (text, told) in [
+    fn problems_name_their_line() {
+        for (text, message) in [
             (
                 "top_mm = 1.0\ncell_mm = 5.0\n",
-                "work.toml:2:11: cell_mm: 5 is not within 0.01 to 1; correct it",
+                "stock.toml:2:11: cell_mm: 5 is out of range, allowed is 0.01 to 1; lower it",
             ),
             (
                 "top_mm = 1.0\nstock = { x_min = 0.0, x_max = -5.0, y_min = 0.0, y_max = 9.0 }\n",
-                "work.toml:2:32: stock.x_max: -5 is not within 1 to 2000; correct it",
+                "stock.toml:2:32: stock.x_max: -5 is out of range, allowed is 1 to 2000; raise it",
             ),
             (
                 "top = 1.0\n",
-                "work.toml:1:1: unknown field `top`, expected one of `stock`, `map`, `cell_mm`, `top_mm`, `rise_x_deg`, `rise_y_deg`, \
+                "stock.toml:1:1: unknown field `top`, expected one of `stock`, `map`, `cell_mm`, `top_mm`, `rise_x_deg`, `rise_y_deg`, \
                  `bottom_mm`; see examples/block.toml",
             ),
         ] {
-            let problems = parse("work.toml", text).unwrap_err();
-            assert_eq!(problems.to_string(), told, "{text}");
+            let problems = parse("stock.toml", text).unwrap_err();
+            assert_eq!(problems.to_string(), message, "{text}");
         }
     }
 }

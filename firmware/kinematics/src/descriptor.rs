@@ -1,0 +1,99 @@
+//! Descriptor of a machine: names, kinds, program letters and roles of its coordinates and joints.
+//!
+//! General code asks a [`Descriptor`] for what it needs. It knows no index and no machine by name:
+//! force control looks for [`Role::ToolX`] and its neighbours, a part program for the letter of a
+//! coordinate, a report for its name and kind.
+
+use haptimill_protocol::message::MAX_AXES;
+use serde::{Deserialize, Serialize};
+
+/// Linear or rotary.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub enum AxisKind {
+    /// Axis units are 2^-20 mm.
+    Linear,
+    /// Axis units are 2^-32 turn.
+    Rotary,
+}
+
+/// Role of a pose coordinate.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Role {
+    /// Position of the tool tip along x of the workpiece.
+    ToolX,
+    /// Position of the tool tip along y of the workpiece.
+    ToolY,
+    /// Position of the tool tip along z of the workpiece.
+    ToolZ,
+    /// Tilt of the tool about y of the base.
+    ToolTilt,
+    /// Rotation of the workpiece about x of the base; it turns the weight of the workpiece.
+    WorkpieceRotation,
+    /// No role in force control, teleoperation or reports of the path.
+    None,
+}
+
+/// The roles of the tool tip: x, y, z.
+pub const TOOL_TIP: [Role; 3] = [Role::ToolX, Role::ToolY, Role::ToolZ];
+
+/// A pose coordinate of a machine.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct CoordinateDescriptor {
+    /// Name in machine files, reports and commands.
+    pub name: &'static str,
+    /// Linear or rotary.
+    pub kind: AxisKind,
+    /// Letter in part programs.
+    pub letter: char,
+    /// Role.
+    pub role: Role,
+}
+
+/// A joint of a machine.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct JointDescriptor {
+    /// Name in machine files and reports.
+    pub name: &'static str,
+    /// Linear or rotary.
+    pub kind: AxisKind,
+}
+
+/// Coordinates and joints of a machine, in the order of [`crate::Pose`] and [`crate::Joints`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Descriptor {
+    /// Code of the model in machine files.
+    pub code: &'static str,
+    /// Pose coordinates.
+    pub pose: &'static [CoordinateDescriptor],
+    /// Joints.
+    pub joints: &'static [JointDescriptor],
+}
+
+impl Descriptor {
+    /// Index of the coordinate with a role; `None` if the machine has none.
+    #[must_use]
+    pub fn coordinate(&self, role: Role) -> Option<usize> {
+        self.pose.iter().position(|axis| axis.role == role)
+    }
+
+    /// Indices of x, y and z of the tool tip; `None` if the machine lacks one of them.
+    #[must_use]
+    pub fn tool_tip(&self) -> Option<[usize; 3]> {
+        let [x, y, z] = TOOL_TIP.map(|role| self.coordinate(role));
+        Some([x?, y?, z?])
+    }
+
+    /// Number of pose coordinates, which is also the number of joints; at most [`MAX_AXES`].
+    #[must_use]
+    pub const fn axes(&self) -> usize {
+        assert!(self.pose.len() == self.joints.len() && self.pose.len() <= MAX_AXES);
+        self.pose.len()
+    }
+}
+
+/// The descriptor of a controller without a machine: a haptic arm alone.
+pub const NO_MACHINE: Descriptor = Descriptor {
+    code: "none",
+    pose: &[],
+    joints: &[],
+};

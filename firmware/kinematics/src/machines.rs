@@ -1,0 +1,228 @@
+//! The list of machines, and the dispatch over it.
+//!
+//! A new machine is one module with a [`Machine`] and one row in the list below. The row gives the
+//! configuration its variant and all functions here their arm.
+
+use crate::cartesian::{Cartesian, CartesianGeometry};
+use crate::descriptor::{Descriptor, NO_MACHINE};
+use crate::h4::{BasePose, H4, H4Geometry};
+use crate::{
+    Accelerations, BoxBounds, Jacobian, JointMotion, Joints, Kinematics, Pose, PoseError, Rates,
+};
+use haptimill_math::{Angle, Length};
+use haptimill_protocol::message::MAX_AXES;
+use serde::{Deserialize, Serialize};
+
+/// A machine: its kinematics, its lengths, and what general code asks about it.
+pub trait Machine: Kinematics + Copy {
+    /// Lengths of the machine, as the configuration holds them.
+    type Geometry;
+
+    /// Coordinates and joints.
+    const DESCRIPTOR: Descriptor;
+
+    /// The machine with these lengths. An unsound geometry is accepted; it refuses every pose.
+    fn new(geometry: &Self::Geometry) -> Self;
+
+    /// Whether the lengths are within the range of the arithmetic and make a machine.
+    fn is_sound(geometry: &Self::Geometry) -> bool;
+
+    /// Pose of the tool in the frame of the machine's base, without table and workpiece offsets.
+    /// `None` on a machine that has no such frame.
+    fn base_pose(&self, joints: &Joints) -> Option<Result<BasePose, PoseError>> {
+        let _ = joints;
+        None
+    }
+
+    /// Signed distance from the nearest singularity, positive on the configured branch. `None` on a
+    /// machine without singularities.
+    fn singularity_distance(&self, pose: &Pose) -> Option<Result<Length, PoseError>> {
+        let _ = pose;
+        None
+    }
+
+    /// Angle by which a pose turns the workpiece and its load out of the horizontal, about x.
+    #[inline]
+    fn workpiece_rotation(&self, pose: &Pose) -> Angle {
+        let _ = pose;
+        Angle::ZERO
+    }
+
+    /// Pose coordinate that moves while a joint searches its reference. Joints with the same
+    /// coordinate are searched together.
+    fn search_coordinate(joint: usize) -> usize {
+        joint
+    }
+
+    /// Pose rates, axis units per second, with which a joint searches its reference: `rate` along
+    /// its [`Machine::search_coordinate`], and what has to move along.
+    fn search_rates(&self, joint: usize, pose: &Pose, rate: i64) -> [i64; MAX_AXES] {
+        let _ = pose;
+        let mut rates = [0; MAX_AXES];
+        rates[Self::search_coordinate(joint)] = rate;
+        rates
+    }
+}
+
+/// Defines the configuration's model, the machine behind it, and the dispatch.
+macro_rules! machines {
+    ($($(#[$doc:meta])* $name:ident($machine:ty, $geometry:ty);)*) => {
+        /// Kind of machine and its lengths.
+        #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
+        pub enum Model {
+            $($(#[$doc])* $name($geometry),)*
+            /// No machine: a haptic arm alone, which leads a remote machine.
+            None,
+        }
+
+        /// The descriptors of all machines, in the order of [`Model`].
+        pub const DESCRIPTORS: &[&Descriptor] = &[$(&<$machine>::DESCRIPTOR),*];
+
+        impl Model {
+            /// Coordinates and joints of the machine.
+            #[must_use]
+            pub const fn descriptor(&self) -> &'static Descriptor {
+                match self {
+                    $(Self::$name(_) => const { &<$machine>::DESCRIPTOR },)*
+                    Self::None => &NO_MACHINE,
+                }
+            }
+
+            /// Whether the lengths are within the range of the arithmetic and make a machine.
+            #[must_use]
+            pub fn is_sound(&self) -> bool {
+                match self {
+                    $(Self::$name(geometry) => <$machine>::is_sound(geometry),)*
+                    Self::None => true,
+                }
+            }
+        }
+
+        /// A machine of the list.
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+        pub(crate) enum AnyMachine {
+            $($name($machine),)*
+            None,
+        }
+
+        impl AnyMachine {
+            pub(crate) fn new(model: &Model) -> Self {
+                match model {
+                    $(Model::$name(geometry) => Self::$name(<$machine as Machine>::new(geometry)),)*
+                    Model::None => Self::None,
+                }
+            }
+
+            pub(crate) const fn descriptor(&self) -> &'static Descriptor {
+                match self {
+                    $(Self::$name(_) => const { &<$machine>::DESCRIPTOR },)*
+                    Self::None => &NO_MACHINE,
+                }
+            }
+
+            #[inline]
+            pub(crate) fn solve(
+                &self,
+                pose: &Pose,
+                rates: &Rates,
+                accelerations: &Accelerations,
+                motion: &mut JointMotion,
+            ) -> Result<(), PoseError> {
+                match self {
+                    $(Self::$name(machine) => machine.solve(pose, rates, accelerations, motion),)*
+                    Self::None => {
+                        *motion = JointMotion::default();
+                        Ok(())
+                    }
+                }
+            }
+
+            #[inline]
+            pub(crate) fn inverse(&self, pose: &Pose) -> Result<Joints, PoseError> {
+                match self {
+                    $(Self::$name(machine) => machine.inverse(pose),)*
+                    Self::None => Ok(Joints::default()),
+                }
+            }
+
+            #[inline]
+            pub(crate) fn forward(&self, joints: &Joints) -> Result<Pose, PoseError> {
+                match self {
+                    $(Self::$name(machine) => machine.forward(joints),)*
+                    Self::None => Ok(Pose::default()),
+                }
+            }
+
+            pub(crate) fn jacobian(&self, pose: &Pose) -> Result<Jacobian, PoseError> {
+                match self {
+                    $(Self::$name(machine) => machine.jacobian(pose),)*
+                    Self::None => Err(PoseError::Unreachable),
+                }
+            }
+
+            #[inline]
+            pub(crate) fn box_bounds(
+                &self,
+                low: &Pose,
+                high: &Pose,
+                rates: &[Rates],
+            ) -> Result<BoxBounds, PoseError> {
+                match self {
+                    $(Self::$name(machine) => machine.box_bounds(low, high, rates),)*
+                    Self::None => Ok(BoxBounds::default()),
+                }
+            }
+
+            pub(crate) fn base_pose(&self, joints: &Joints) -> Option<Result<BasePose, PoseError>> {
+                match self {
+                    $(Self::$name(machine) => Machine::base_pose(machine, joints),)*
+                    Self::None => None,
+                }
+            }
+
+            pub(crate) fn singularity_distance(
+                &self,
+                pose: &Pose,
+            ) -> Option<Result<Length, PoseError>> {
+                match self {
+                    $(Self::$name(machine) => Machine::singularity_distance(machine, pose),)*
+                    Self::None => None,
+                }
+            }
+
+            #[inline]
+            pub(crate) fn workpiece_rotation(&self, pose: &Pose) -> Angle {
+                match self {
+                    $(Self::$name(machine) => machine.workpiece_rotation(pose),)*
+                    Self::None => Angle::ZERO,
+                }
+            }
+
+            pub(crate) fn search_coordinate(&self, joint: usize) -> usize {
+                match self {
+                    $(Self::$name(_) => <$machine>::search_coordinate(joint),)*
+                    Self::None => joint,
+                }
+            }
+
+            pub(crate) fn search_rates(
+                &self,
+                joint: usize,
+                pose: &Pose,
+                rate: i64,
+            ) -> [i64; MAX_AXES] {
+                match self {
+                    $(Self::$name(machine) => machine.search_rates(joint, pose, rate),)*
+                    Self::None => [0; MAX_AXES],
+                }
+            }
+        }
+    };
+}
+
+machines! {
+    /// The hybrid H-4 arm with its rotary table.
+    H4(H4, H4Geometry);
+    /// A machine whose joints move the tool along x, y and z.
+    Cartesian(Cartesian, CartesianGeometry);
+}

@@ -1,0 +1,62 @@
+//! Models of the section `[kinematics]`, one row each.
+
+use super::document::Section;
+use super::h4;
+use haptimill_kinematics::cartesian::{Cartesian, CartesianGeometry};
+use haptimill_kinematics::descriptor::{AxisKind, Descriptor};
+use haptimill_kinematics::h4::H4;
+use haptimill_kinematics::{Machine, Model};
+
+/// A model and the reader of its keys.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct ModelReader {
+    /// Coordinates and joints.
+    pub descriptor: &'static Descriptor,
+    /// The machine has a singularity, so `[supervision]` has `singularity_margin_mm`.
+    pub has_singularity: bool,
+    /// Reads the keys of the section; the second argument is the singularity margin in mm.
+    pub read: fn(Section<'_, '_>, f64) -> Model,
+}
+
+/// All models.
+const MODELS: [ModelReader; 2] = [
+    ModelReader {
+        descriptor: &H4::DESCRIPTOR,
+        has_singularity: true,
+        read: |section, margin| Model::H4(h4::read_geometry(section, margin)),
+    },
+    ModelReader {
+        descriptor: &Cartesian::DESCRIPTOR,
+        has_singularity: false,
+        read: |section, _| {
+            section.finish();
+            Model::Cartesian(CartesianGeometry {})
+        },
+    },
+];
+
+impl ModelReader {
+    /// The model that the section names; `None` after a report.
+    pub(super) fn of(section: &Section<'_, '_>) -> Option<Self> {
+        section.choice("model", &MODELS.map(|model| (model.descriptor.code, model)))
+    }
+
+    /// Names and kinds of the pose coordinates.
+    pub(super) fn pose(&self) -> Vec<(&'static str, AxisKind)> {
+        let pose = self.descriptor.pose.iter();
+        pose.map(|axis| (axis.name, axis.kind)).collect()
+    }
+
+    /// Names and kinds of the joints.
+    pub(super) fn joints(&self) -> Vec<(&'static str, AxisKind)> {
+        let joints = self.descriptor.joints.iter();
+        joints.map(|joint| (joint.name, joint.kind)).collect()
+    }
+
+    /// Whether a joint is rotary.
+    pub(super) fn has_rotary_joint(&self) -> bool {
+        self.joints()
+            .iter()
+            .any(|(_, kind)| *kind == AxisKind::Rotary)
+    }
+}

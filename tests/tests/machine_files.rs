@@ -1,0 +1,148 @@
+//! Every machine file of `machines/` runs: check, home, a program with all letters, recording and
+//! replay. A new machine file needs no row here.
+
+use haptimill_client::client::Options;
+use haptimill_client::session::{self, JobLine, JobRecording, Session, SimLine, Unwatched};
+use haptimill_hil_sim::config::PlantConfig;
+use haptimill_kinematics::descriptor::AxisKind;
+use haptimill_machine_file::MachineFile;
+use haptimill_machine_file::model::{Model, program_options, settings};
+use haptimill_planner::Plan;
+use haptimill_trace::{Header, Recorder, Recording, replay};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// Largest distance of the simulated tool from the end of the program, mm and degrees. The errors
+/// are those of the drives, of backlash and of the home position.
+const TOLERANCE: f64 = 0.05;
+
+/// The files of `machines/` that are whole machines with a tool; the others are sections to append.
+fn machines() -> Vec<PathBuf> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../machines");
+    let mut files: Vec<PathBuf> = std::fs::read_dir(folder)
+        .expect("a folder")
+        .map(|entry| entry.expect("an entry").path())
+        .filter(|path| {
+            let text = std::fs::read_to_string(path).expect("text");
+            text.contains("\n[kinematics]")
+        })
+        .collect();
+    files.sort();
+    files
+}
+
+/// A program that moves every coordinate of the machine away from its home pose and back to 1 mm
+/// and 1 degree from it, along lines and an arc.
+fn program(machine: &MachineFile, home: &[f64]) -> String {
+    let axes = machine.config.model.descriptor().pose;
+    let point = |linear: f64, rotary: f64| -> String {
+        let values = axes.iter().zip(home).map(|(axis, at)| {
+            let by = match axis.kind {
+                AxisKind::Linear => linear,
+                AxisKind::Rotary => rotary,
+            };
+            format!(" {}{:.4}", axis.letter, at + by)
+        });
+        values.collect()
+    };
+    let [x, y] = [home[0], home[1]];
+    format!(
+        "G21 G90 G17 F900\nG1{}\nG1 X{:.4} Y{:.4}\nG2 X{:.4} Y{:.4} I5 J0\nG1{}\nM30\n",
+        point(-8.0, -4.0),
+        x - 5.0,
+        y,
+        x + 5.0,
+        y,
+        point(1.0, 1.0),
+    )
+}
+
+#[test]
+fn every_machine_file_homes_runs_and_replays() {
+    let files = machines();
+    assert!(files.len() >= 3, "{files:?}");
+    for file in files {
+        let machine = MachineFile::load(&file).unwrap_or_else(|problems| panic!("{problems}"));
+        let name = machine.config.name.to_string();
+        let model = Model::new(&machine);
+        let home = session::home_of(&machine, &model).expect("a home pose");
+        let start = model.to_engineering_units(&home);
+        let text = program(&machine, &start);
+        let options = program_options(&machine, start);
+        let read = haptimill_gcode::read("test", text.as_bytes(), &options)
+            .unwrap_or_else(|refused| panic!("{name}: {refused}"));
+        let plan = Plan::new(&read, &settings(&machine), &model)
+            .unwrap_or_else(|refused| panic!("{name}: {refused}"));
+        let setpoints = plan.setpoints.clone();
+
+        let rig = session::rig(&machine, None, None, vec![]).expect("a simulated machine");
+        let mut session = Session::new(
+            SimLine::new(rig),
+            &machine,
+            Options::default(),
+            Arc::default(),
+        );
+        session.connect(1).expect("a session");
+        session.configure(&machine).expect("configured");
+        session.enable().expect("enabled");
+        session
+            .go_home(&machine, &home)
+            .unwrap_or_else(|error| panic!("{name}: {error}"));
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("recording.hmr");
+        let header = Header::of(&machine, "test").expect("encoded");
+        let recorder = Recorder::create(&path, &header).expect("a recording");
+        session
+            .line_mut()
+            .begin_recording(JobRecording::new(recorder, Arc::new(plan), &machine));
+        let end = session
+            .run_job(2, home, setpoints, &mut Unwatched)
+            .unwrap_or_else(|error| panic!("{name}: {error}"));
+        session
+            .well_ended(&end)
+            .unwrap_or_else(|error| panic!("{name}: {error}"));
+        assert!(end.status.homed && end.status.position_kept, "{name}");
+        let recorder = session.line_mut().end_recording().expect("recorded");
+        recorder.finish().expect("written");
+
+        // The simulated tool is at the end of the program.
+        let line = session.into_line();
+        let truth = line.rig().plant().truth();
+        let axes = machine.config.model.descriptor().pose;
+        for (index, axis) in axes.iter().enumerate() {
+            let off = truth.pose[index] - (start[index] + 1.0);
+            println!("{name}: {} {off:+.4}", axis.name);
+            assert!(
+                off.abs() < TOLERANCE,
+                "{name}: {} is off by {off}",
+                axis.name
+            );
+        }
+        let recording = Recording::open(&path).expect("readable");
+        let equal = replay::replay(&recording).expect("replayable");
+        assert!(equal.is_ok(), "{name}: the replay differs");
+    }
+}
+
+/// The simulated geometry is named in the file; without it the file is refused, and the tool of a
+/// machine does not silently become its joint positions.
+#[test]
+fn a_machine_file_without_a_simulated_geometry_is_refused() {
+    for file in machines() {
+        let text = std::fs::read_to_string(&file).expect("text");
+        let plant: PlantConfig = MachineFile::load(&file)
+            .expect("valid")
+            .plant()
+            .expect("a plant");
+        let model = plant.geometry.expect("a geometry").model();
+        let key = format!("[plant.geometry.{model}]");
+        let start = text.find(&key).expect("the section");
+        let length = text[start + 1..].find("\n[").expect("a section behind") + 1;
+        let without = format!("{}{}", &text[..start], &text[start + length..]);
+        let problems = MachineFile::parse("without", &without).expect_err("refused");
+        assert!(
+            problems.to_string().contains("[plant.geometry.MODEL]"),
+            "{problems}"
+        );
+    }
+}
