@@ -96,7 +96,8 @@ impl Chart {
             put(
                 &mut svg,
                 format_args!(
-                    "<image x=\"{left:.1}\" y=\"{top:.1}\" width=\"{:.1}\" height=\"{:.1}\" preserveAspectRatio=\"none\" href=\"{}\"/>",
+                    "<image x=\"{left:.1}\" y=\"{top:.1}\" width=\"{:.1}\" height=\"{:.1}\" \
+                     preserveAspectRatio=\"none\" href=\"{}\"/>",
                     right - left,
                     bottom - top,
                     backdrop.data
@@ -199,7 +200,9 @@ impl Chart {
             put(
                 svg,
                 format_args!(
-                    "<line class=\"{grid}\" x1=\"{at:.1}\" x2=\"{at:.1}\" y1=\"{TOP}\" y2=\"{bottom}\"/><text x=\"{at:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{:.decimals$}</text>",
+                    "<line class=\"{grid}\" x1=\"{at:.1}\" x2=\"{at:.1}\" y1=\"{TOP}\" \
+                     y2=\"{bottom}\"/><text x=\"{at:.1}\" y=\"{:.1}\" text-anchor=\"middle\">\
+                     {:.decimals$}</text>",
                     bottom + 16.0,
                     tick + 0.0
                 ),
@@ -210,7 +213,8 @@ impl Chart {
             put(
                 svg,
                 format_args!(
-                    "<line class=\"{grid}\" x1=\"{left:.0}\" x2=\"{right}\" y1=\"{at:.1}\" y2=\"{at:.1}\"/><text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{}</text>",
+                    "<line class=\"{grid}\" x1=\"{left:.0}\" x2=\"{right}\" y1=\"{at:.1}\" \
+                     y2=\"{at:.1}\"/><text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{}</text>",
                     left - 7.0,
                     at + 4.0,
                     escape(&label)
@@ -220,7 +224,8 @@ impl Chart {
         put(
             svg,
             format_args!(
-                "<rect class=\"frame\" x=\"{left:.0}\" y=\"{TOP}\" width=\"{:.1}\" height=\"{:.1}\"/>",
+                "<rect class=\"frame\" x=\"{left:.0}\" y=\"{TOP}\" width=\"{:.1}\" \
+                 height=\"{:.1}\"/>",
                 right - left,
                 bottom - TOP
             ),
@@ -238,7 +243,8 @@ impl Chart {
         put(
             svg,
             format_args!(
-                "<text class=\"label\" transform=\"translate(15 {middle:.1}) rotate(-90)\" text-anchor=\"middle\">{}</text>",
+                "<text class=\"label\" transform=\"translate(15 {middle:.1}) rotate(-90)\" \
+                 text-anchor=\"middle\">{}</text>",
                 escape(&self.y_label)
             ),
         );
@@ -250,7 +256,8 @@ impl Chart {
             put(
                 svg,
                 format_args!(
-                    "<line x1=\"{at:.1}\" x2=\"{:.1}\" y1=\"14\" y2=\"14\" stroke=\"{}\" stroke-width=\"{}\"/><text x=\"{:.1}\" y=\"18\">{}</text>",
+                    "<line x1=\"{at:.1}\" x2=\"{:.1}\" y1=\"14\" y2=\"14\" stroke=\"{}\" \
+                     stroke-width=\"{}\"/><text x=\"{:.1}\" y=\"18\">{}</text>",
                     at + 20.0,
                     line.colour,
                     line.width.max(2.0),

@@ -2,8 +2,8 @@
 //! error visible on the part.
 //!
 //! The search covers a window of the path around the programmed point of the same time. It includes
-//! 500 later samples, so results lag by as many; [`Contour::finish`] returns the rest. Distances are
-//! those of the tip, in mm, without the rotary coordinates.
+//! 500 later samples, so results lag by as many; [`Contour::finish`] returns the rest. Distances
+//! are those of the tip, in mm, without the rotary coordinates.
 
 use std::collections::VecDeque;
 

@@ -125,7 +125,8 @@ fn a_tool_that_lags_has_no_contour_error() {
 
 #[test]
 fn a_rounded_corner_is_a_contour_error() {
-    // Along x to a corner, then along y; the tool moves straight from 0.2 mm before to 0.2 mm after it.
+    // Along x to a corner, then along y; the tool moves straight from 0.2 mm before the corner to
+    // 0.2 mm after it.
     let mut contour = Contour::default();
     let mut errors = Vec::new();
     for step in -4000..=4000 {

@@ -87,7 +87,7 @@ impl Experiment {
             let BandDefinition { min, max, .. } = expected.band;
             let is_ordered = min.is_none_or(|min| max.is_none_or(|max| min <= max));
             if !is_ordered || min.is_none() && max.is_none() {
-                return Err(format!("{place}: band: min or max, min <= max"));
+                return Err(format!("{place}: band: needs min or max, and min <= max"));
             }
             known(
                 &self.reasons,

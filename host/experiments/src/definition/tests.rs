@@ -88,7 +88,7 @@ fn a_mistake_is_refused_with_file_and_key() {
         (
             "min = 29.0, max = 31.0",
             "min = 31.0, max = 29.0",
-            "e8.toml: expected \"travel of the tool at the end\": band: min or max, min <= max",
+            "e8.toml: expected \"travel of the tool at the end\": band: needs min or max, and min <= max",
         ),
     ] {
         assert_eq!(replaced(from, to), expected);
