@@ -1,4 +1,5 @@
-//! The thesis's experiments, all of them, as `haptimill scenario run all` runs them: their tables are snapshots, so a change of any of them is seen.
+//! All experiments of the thesis, as `haptimill scenario run all` runs them. Their results are
+//! snapshots, so every change of a result shows.
 
 mod scene;
 
@@ -7,7 +8,7 @@ use scene::{Folder, haptimill, number};
 use serde_json::Value;
 use std::path::Path;
 
-/// A summary without what every change of the controller changes.
+/// A summary without the hashes, which every change of the controller changes.
 fn without_hashes(summary: &Value) -> Value {
     let mut summary = summary.clone();
     for pass in summary["passes"].as_array_mut().unwrap() {
@@ -22,7 +23,7 @@ fn read(folder: &Folder, path: &str) -> Value {
 }
 
 #[test]
-fn all_scenarios_leave_their_tables_pages_and_recordings() {
+fn all_experiments_write_their_tables_pages_and_recordings() {
     let folder = Folder::new();
     let out = folder.path("out");
     let ran = haptimill(&["scenario", "run", "all", "--out", &out]).ended_with(0);
@@ -30,22 +31,19 @@ fn all_scenarios_leave_their_tables_pages_and_recordings() {
     insta::assert_snapshot!("table", folder.anonymous(&ran.out));
 
     let index = folder.read("out/index.html");
-    for scenario in haptimill_experiments::all() {
-        let name = scenario.name;
+    for experiment in haptimill_experiments::all().unwrap() {
+        let name = &experiment.name[..];
         assert!(
             index.contains(&format!(">{}<", name.to_uppercase())),
             "{name}"
         );
         if !Path::new(&folder.path(&format!("out/{name}"))).exists() {
-            assert!(scenario.needs_force_control(), "{name} was not run");
+            assert!(experiment.needs_force_control(), "{name} was not run");
             continue;
         }
         let summary = read(&folder, &format!("out/{name}/summary.json"));
         for claim in summary["claims"].as_array().unwrap() {
-            assert!(
-                claim["ours"].is_number(),
-                "{name}: nothing was measured: {claim:#}"
-            );
+            assert!(claim["ours"].is_number(), "{name}: no value: {claim:#}");
             let outside = !claim["inside"].as_bool().unwrap();
             assert_eq!(outside, claim["reason"].is_string(), "{name}: {claim:#}");
         }
@@ -54,22 +52,24 @@ fn all_scenarios_leave_their_tables_pages_and_recordings() {
         let page = folder.read(&format!("out/{name}/index.html"));
         assert!(page.starts_with("<!doctype html>") && page.trim_end().ends_with("</html>"));
         let pictures = page.matches("data:image/png;base64,").count();
-        let cuts = scenario.passes.iter().filter(|pass| pass.cuts()).count();
+        let passes = || experiment.passes.iter();
+        let cuts = passes().filter(|pass| pass.has_cutting()).count();
         assert_eq!(pictures, cuts, "{name}");
-        // Position, three forces, error or p_c, path, and the picture, of each cut; way, reflection and push of each pass of a hand.
-        let led = scenario.passes.iter().filter(|pass| pass.led.is_some());
-        let curves = 7 * cuts + 3 * led.count();
+        // Each cut: position, three forces, error or p_c, path, surface. Each teleoperated pass:
+        // travel, force feedback, operator force.
+        let teleoperated = passes().filter(|pass| pass.teleoperation.is_some());
+        let curves = 7 * cuts + 3 * teleoperated.count();
         assert!(page.matches("<svg").count() >= curves, "{name}");
-        for pass in &scenario.passes {
+        for pass in passes() {
             let file = folder.path(&format!("out/{name}/{}/recording.hmr", pass.name));
             let recording = Recording::open(Path::new(&file)).unwrap();
-            let mut felt = recording.iter().unwrap().map(Result::unwrap);
-            // At the wall of E6 the tool waits at home and cuts nothing.
-            let cutting = felt.find(|record| !pass.cuts() || record.true_force != [0; 3]);
+            let mut records = recording.iter().unwrap().map(Result::unwrap);
+            // In E6 the tool waits at the home pose and does not cut.
+            let cutting = records.find(|record| !pass.has_cutting() || record.true_force != [0; 3]);
             assert!(cutting.unwrap().has(flag::FORCE | flag::TOOL_TRUE));
-            let hand = format!("out/{name}/{}/hand.csv", pass.name);
-            if pass.led.is_some() {
-                assert!(folder.read(&hand).lines().count() > 1000);
+            let table = format!("out/{name}/{}/hand.csv", pass.name);
+            if pass.teleoperation.is_some() {
+                assert!(folder.read(&table).lines().count() > 1000);
             }
             assert!(
                 folder
@@ -82,15 +82,15 @@ fn all_scenarios_leave_their_tables_pages_and_recordings() {
 }
 
 #[test]
-fn a_scenario_is_the_same_every_time_alone_or_among_others() {
+fn an_experiment_is_deterministic() {
     let folder = Folder::new();
     let mut hashes = Vec::new();
     for out in ["first", "second"] {
         let out = folder.path(out);
         let ran = haptimill(&["scenario", "run", "E7", "--json", "--out", &out]).ended_with(0);
-        let told = ran.json();
-        assert_eq!(told.as_array().unwrap().len(), 1);
-        hashes.push(told[0]["passes"][0]["trace_sha256"].clone());
+        let results = ran.json();
+        assert_eq!(results.as_array().unwrap().len(), 1);
+        hashes.push(results[0]["passes"][0]["trace_sha256"].clone());
     }
     assert_eq!(hashes[0], hashes[1]);
     assert_eq!(
@@ -100,7 +100,7 @@ fn a_scenario_is_the_same_every_time_alone_or_among_others() {
 }
 
 #[test]
-fn scenarios_are_listed_and_others_refused() {
+fn experiments_are_listed_and_others_refused() {
     let list = haptimill(&["scenario", "list"]).ended_with(0).out;
     for number in 1..=12 {
         let name = &format!("e{number} ");
@@ -109,12 +109,12 @@ fn scenarios_are_listed_and_others_refused() {
     let ran = haptimill(&["scenario", "run", "e13"]).ended_with(2);
     assert_eq!(
         ran.err,
-        "there is no scenario \"e13\"; write one of e1, e2, e3, e4, e5, e6, e7, e8, e9, e10, e11, e12, or all\n"
+        "there is no experiment \"e13\"; write one of e1, e2, e3, e4, e5, e6, e7, e8, e9, e10, e11, e12, or all\n"
     );
 }
 
 #[test]
-fn a_job_cuts_a_work_only_when_one_is_clamped() {
+fn a_job_cuts_only_a_clamped_stock() {
     let folder = Folder::new();
     let run = |out: &str, more: &[&str]| {
         let dir = folder.path(out);
@@ -130,10 +130,10 @@ fn a_job_cuts_a_work_only_when_one_is_clamped() {
         (ran.json(), f64::from(largest.unwrap()) / 65_536.0)
     };
     let (air, none) = run("air", &[]);
-    assert_eq!(none, 0.0, "nothing is clamped");
+    assert_eq!(none, 0.0, "no stock is clamped");
     let (cut, force) = run("cut", &["--work", "examples/block.toml"]);
     assert!((4.0..12.0).contains(&force), "{force} N");
-    // 7 N on a structure of 500 N/mm: 14 um, and what the slides give way.
+    // 7 N on a structure of 500 N/mm give 14 um, and the slides deflect too.
     let error = |summary: &Value| number(summary, "tool_error_max_mm");
     let more = error(&cut) - error(&air);
     assert!((0.005..0.06).contains(&more), "{more} mm");

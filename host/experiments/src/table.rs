@@ -1,26 +1,26 @@
-//! The table on the terminal.
+//! Table for the terminal.
 
-use super::Result;
-use super::stated::{Band, Claim};
+use super::ExperimentResult;
+use super::expected::{Band, Comparison};
 use std::fmt::Write as _;
 
-/// A value as the tables show it.
+/// Formats a value for the tables.
 pub(super) fn value(number: f64) -> String {
     match number.abs() {
         _ if !number.is_finite() => "none".to_string(),
         large if large >= 100.0 => format!("{number:.0}"),
         middle if middle >= 10.0 => format!("{number:.1}"),
         middle if middle >= 1.0 => format!("{number:.2}"),
-        // What is rounded to nothing has no sign.
+        // A value rounded to zero has no sign.
         small if small < 0.0005 => "0.000".to_string(),
         _ => format!("{number:.3}"),
     }
 }
 
-/// A band with its unit and where it is from.
+/// Formats a band with its unit and origin.
 pub(super) fn band(band: &Band, unit: &str) -> String {
     let space = if unit.is_empty() { "" } else { " " };
-    // The slope of the incline is a number with many digits.
+    // The band of the incline has many digits.
     let short = |end: f64| (end * 1e4).round() / 1e4;
     let shown = Band {
         low: band.low.map(short),
@@ -30,49 +30,53 @@ pub(super) fn band(band: &Band, unit: &str) -> String {
     format!("{shown}{space}{unit} ({})", band.source)
 }
 
-/// Inside or outside, in a word.
-pub(super) const fn verdict(claim: &Claim) -> &'static str {
-    if claim.inside { "inside" } else { "OUTSIDE" }
+/// Whether a result is inside its band, for the tables.
+pub(super) const fn verdict(comparison: &Comparison) -> &'static str {
+    if comparison.is_inside {
+        "inside"
+    } else {
+        "OUTSIDE"
+    }
 }
 
-/// What came out, as a table for the terminal; ends with a line feed.
+/// Formats all results; ends with a line feed.
 #[must_use]
-pub fn table(results: &[Result]) -> String {
+pub fn table(results: &[ExperimentResult]) -> String {
     let mut rows = Vec::new();
     let mut reasons = Vec::new();
     for result in results {
         if let Some(why) = &result.not_run {
             rows.push([
-                result.scenario.to_string(),
-                result.title.to_string(),
+                result.name.clone(),
+                result.title.clone(),
                 String::new(),
                 String::new(),
                 String::new(),
                 format!("not run: {why}"),
             ]);
         }
-        for claim in &result.claims {
-            let mut told = verdict(claim).to_string();
-            if let Some(reason) = &claim.reason {
+        for comparison in &result.comparisons {
+            let mut last = verdict(comparison).to_string();
+            if let Some(reason) = &comparison.reason {
                 let known = reasons.iter().position(|known| known == reason);
                 let number = known.unwrap_or_else(|| {
                     reasons.push(reason.clone());
                     reasons.len() - 1
                 });
-                let _ = write!(told, " [{}]", number + 1);
+                let _ = write!(last, " [{}]", number + 1);
             }
-            let space = if claim.unit.is_empty() { "" } else { " " };
+            let space = if comparison.unit.is_empty() { "" } else { " " };
             rows.push([
-                result.scenario.to_string(),
-                claim.what.clone(),
-                claim.stated.clone(),
-                band(&claim.band, claim.unit),
-                format!("{}{space}{}", value(claim.ours), claim.unit),
-                told,
+                result.name.clone(),
+                comparison.name.clone(),
+                comparison.thesis.clone(),
+                band(&comparison.band, &comparison.unit),
+                format!("{}{space}{}", value(comparison.simulated), comparison.unit),
+                last,
             ]);
         }
     }
-    let heading = ["", "what", "stated", "band", "ours", ""].map(String::from);
+    let heading = ["", "result", "thesis", "band", "simulated", ""].map(String::from);
     let mut widths = [0; 6];
     for row in rows.iter().chain([&heading]) {
         for (width, cell) in widths.iter_mut().zip(row) {
@@ -92,7 +96,7 @@ pub fn table(results: &[Result]) -> String {
         let _ = writeln!(text, "[{}] {reason}", index + 1);
     }
     let (inside, all) = results.iter().fold((0, 0), |(inside, all), result| {
-        (inside + result.inside(), all + result.claims.len())
+        (inside + result.inside(), all + result.comparisons.len())
     });
     let not_run = results.iter().filter(|result| result.not_run.is_some());
     let _ = write!(text, "{inside} of {all} inside");
@@ -100,7 +104,7 @@ pub fn table(results: &[Result]) -> String {
         0 => text.push('\n'),
         count => {
             let plural = if count == 1 { "" } else { "s" };
-            let _ = writeln!(text, ", {count} scenario{plural} not run");
+            let _ = writeln!(text, ", {count} experiment{plural} not run");
         }
     }
     text

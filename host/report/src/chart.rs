@@ -1,24 +1,24 @@
-//! A chart as SVG: axes with units, a grid, lines, a legend.
+//! Charts as SVG: axes with units, a grid, lines, a legend. All SVG is written here.
 
-use std::fmt::Write;
+use super::markup::{escape, put};
 
-/// A line of a chart; its points in pieces.
+/// A line of a chart.
 pub struct Line {
-    /// What the legend says.
+    /// Label in the legend.
     pub label: String,
     /// CSS colour.
     pub colour: &'static str,
     /// Width in pixels.
     pub width: f64,
-    /// The points, in the units of the axes.
+    /// Points in the units of the axes, in pieces between gaps.
     pub pieces: Vec<Vec<(f64, f64)>>,
 }
 
 /// A chart.
 pub struct Chart {
-    /// What stands under the horizontal axis, with its unit.
+    /// Label of the horizontal axis, with its unit.
     pub x_label: String,
-    /// What stands beside the vertical axis, with its unit.
+    /// Label of the vertical axis, with its unit.
     pub y_label: String,
     /// The lines, the first one lowest.
     pub lines: Vec<Line>,
@@ -26,25 +26,25 @@ pub struct Chart {
     pub width: f64,
     /// Height in pixels.
     pub height: f64,
-    /// One millimetre is as long on both axes.
+    /// Both axes have the same scale.
     pub equal: bool,
     /// The vertical axis includes 0.
     pub from_zero: bool,
-    /// A picture behind the lines; the axes then end where it does.
+    /// Image behind the lines; the axes then have its range.
     pub backdrop: Option<Backdrop>,
 }
 
-/// A picture that lies in the coordinates of a chart.
+/// Image in the coordinates of a chart.
 pub struct Backdrop {
-    /// The picture as a `data:` address.
+    /// The image as a `data:` URL.
     pub data: String,
-    /// Its left and right edge.
+    /// Left and right edge.
     pub x: (f64, f64),
-    /// Its lower and upper edge.
+    /// Lower and upper edge.
     pub y: (f64, f64),
 }
 
-/// Colours that people with any kind of colour vision can tell apart (Okabe and Ito), on white.
+/// Colours on white that are distinct for all kinds of colour vision (Okabe and Ito).
 pub const COLOURS: [&str; 6] = [
     "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9",
 ];
@@ -53,8 +53,8 @@ const LEFT: f64 = 68.0;
 const RIGHT: f64 = 14.0;
 const TOP: f64 = 30.0;
 const BOTTOM: f64 = 44.0;
-/// What a label beside the vertical axis needs beside itself: the title of the axis, and a gap on both sides.
-const BESIDE: f64 = 30.0;
+/// Width beside a tick label of the vertical axis: the label of the axis, and a gap on both sides.
+const LABEL_MARGIN: f64 = 30.0;
 
 struct Scale {
     low: f64,
@@ -72,17 +72,19 @@ impl Scale {
 impl Chart {
     /// The chart as an `<svg>` element.
     pub fn svg(&self) -> String {
-        self.svg_with(&[])
+        self.element("", &[])
     }
 
-    /// The same, where the vertical axis has names for 0, 1, 2 and so on instead of numbers.
-    pub fn svg_with(&self, names: &[String]) -> String {
+    /// The chart as an `<svg>` element with more attributes; if there are `names`, the ticks of
+    /// the vertical axis are at 0, 1, 2 and so on, and have these names.
+    fn element(&self, attributes: &str, names: &[String]) -> String {
         let (_, y) = self.scales(LEFT);
         let labels = labels(&y, names);
         let widths = labels.iter().map(|(_, label)| width(label));
-        let (x, y) = self.scales(widths.fold(LEFT, |left, width| left.max(width + BESIDE).ceil()));
+        let (x, y) =
+            self.scales(widths.fold(LEFT, |left, width| left.max(width + LABEL_MARGIN).ceil()));
         let mut svg = format!(
-            "<svg viewBox=\"0 0 {} {}\" role=\"img\" aria-label=\"{} against {}\">",
+            "<svg {attributes}viewBox=\"0 0 {} {}\" role=\"img\" aria-label=\"{} against {}\">",
             self.width,
             self.height,
             escape(&self.y_label),
@@ -94,7 +96,8 @@ impl Chart {
             put(
                 &mut svg,
                 format_args!(
-                    "<image x=\"{left:.1}\" y=\"{top:.1}\" width=\"{:.1}\" height=\"{:.1}\" preserveAspectRatio=\"none\" href=\"{}\"/>",
+                    "<image x=\"{left:.1}\" y=\"{top:.1}\" width=\"{:.1}\" height=\"{:.1}\" \
+                     preserveAspectRatio=\"none\" href=\"{}\"/>",
                     right - left,
                     bottom - top,
                     backdrop.data
@@ -126,7 +129,7 @@ impl Chart {
         svg
     }
 
-    /// Both axes, where the vertical one is so far from the left edge.
+    /// Scales of both axes; the vertical axis is `left` from the left edge.
     fn scales(&self, left: f64) -> (Scale, Scale) {
         let (mut x, mut y) = self.ranges();
         let (plot_width, plot_height) = (self.width - left - RIGHT, self.height - TOP - BOTTOM);
@@ -168,7 +171,7 @@ impl Chart {
                 *range = (0.0, 1.0);
             }
             let span = range.1 - range.0;
-            // A coordinate's step is 1e-6 mm; nothing is to be seen below.
+            // The resolution of a coordinate is 1e-6 mm.
             let least = 1e-6 * range.0.abs().max(range.1.abs()).max(1.0);
             widen(range, least.max(span));
         }
@@ -186,7 +189,7 @@ impl Chart {
 
     fn axes(&self, svg: &mut String, x: &Scale, y: &Scale, names: &[String]) {
         let (left, right, bottom) = (x.from, self.width - RIGHT, self.height - BOTTOM);
-        // A picture is not to be ruled over.
+        // The grid does not hide an image.
         let grid = match self.backdrop {
             Some(_) => "grid faint",
             None => "grid",
@@ -197,7 +200,9 @@ impl Chart {
             put(
                 svg,
                 format_args!(
-                    "<line class=\"{grid}\" x1=\"{at:.1}\" x2=\"{at:.1}\" y1=\"{TOP}\" y2=\"{bottom}\"/><text x=\"{at:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{:.decimals$}</text>",
+                    "<line class=\"{grid}\" x1=\"{at:.1}\" x2=\"{at:.1}\" y1=\"{TOP}\" \
+                     y2=\"{bottom}\"/><text x=\"{at:.1}\" y=\"{:.1}\" text-anchor=\"middle\">\
+                     {:.decimals$}</text>",
                     bottom + 16.0,
                     tick + 0.0
                 ),
@@ -208,7 +213,8 @@ impl Chart {
             put(
                 svg,
                 format_args!(
-                    "<line class=\"{grid}\" x1=\"{left:.0}\" x2=\"{right}\" y1=\"{at:.1}\" y2=\"{at:.1}\"/><text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{}</text>",
+                    "<line class=\"{grid}\" x1=\"{left:.0}\" x2=\"{right}\" y1=\"{at:.1}\" \
+                     y2=\"{at:.1}\"/><text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{}</text>",
                     left - 7.0,
                     at + 4.0,
                     escape(&label)
@@ -218,7 +224,8 @@ impl Chart {
         put(
             svg,
             format_args!(
-                "<rect class=\"frame\" x=\"{left:.0}\" y=\"{TOP}\" width=\"{:.1}\" height=\"{:.1}\"/>",
+                "<rect class=\"frame\" x=\"{left:.0}\" y=\"{TOP}\" width=\"{:.1}\" \
+                 height=\"{:.1}\"/>",
                 right - left,
                 bottom - TOP
             ),
@@ -236,7 +243,8 @@ impl Chart {
         put(
             svg,
             format_args!(
-                "<text class=\"label\" transform=\"translate(15 {middle:.1}) rotate(-90)\" text-anchor=\"middle\">{}</text>",
+                "<text class=\"label\" transform=\"translate(15 {middle:.1}) rotate(-90)\" \
+                 text-anchor=\"middle\">{}</text>",
                 escape(&self.y_label)
             ),
         );
@@ -248,7 +256,8 @@ impl Chart {
             put(
                 svg,
                 format_args!(
-                    "<line x1=\"{at:.1}\" x2=\"{:.1}\" y1=\"14\" y2=\"14\" stroke=\"{}\" stroke-width=\"{}\"/><text x=\"{:.1}\" y=\"18\">{}</text>",
+                    "<line x1=\"{at:.1}\" x2=\"{:.1}\" y1=\"14\" y2=\"14\" stroke=\"{}\" \
+                     stroke-width=\"{}\"/><text x=\"{:.1}\" y=\"18\">{}</text>",
                     at + 20.0,
                     line.colour,
                     line.width.max(2.0),
@@ -261,18 +270,13 @@ impl Chart {
     }
 }
 
-/// Writing to a string cannot fail.
-fn put(out: &mut String, what: std::fmt::Arguments<'_>) {
-    let _ = out.write_fmt(what);
-}
-
-/// Makes a range at least so wide, about its middle.
+/// Widens a range about its middle to at least `span`.
 fn widen(range: &mut (f64, f64), span: f64) {
     let missing = (span - (range.1 - range.0)).max(0.0);
     *range = (range.0 - missing / 2.0, range.1 + missing / 2.0);
 }
 
-/// A step of 1, 2 or 5 times a power of ten for about `count` ticks, and its decimals.
+/// Step of 1, 2 or 5 times a power of ten for about `count` ticks, and its number of decimals.
 fn tick_step(span: f64, count: f64) -> (f64, usize) {
     let rough = span / count.max(2.0);
     let power = 10_f64.powf(rough.log10().floor());
@@ -285,7 +289,7 @@ fn tick_step(span: f64, count: f64) -> (f64, usize) {
     (step, decimals)
 }
 
-/// Ticks of a vertical axis, and what stands beside them: numbers, or the names of 0, 1, 2 and so on.
+/// Ticks of a vertical axis and their labels: numbers, or the names of 0, 1, 2 and so on.
 fn labels(y: &Scale, names: &[String]) -> Vec<(f64, String)> {
     if names.is_empty() {
         let (step, decimals) = tick_step(y.high - y.low, (y.from - y.to) / 42.0);
@@ -298,7 +302,7 @@ fn labels(y: &Scale, names: &[String]) -> Vec<(f64, String)> {
         .collect()
 }
 
-/// Width of a label in pixels in a wide font; which one there is cannot be known.
+/// Width of a label in pixels in a wide font; the font of the viewer is not known.
 fn width(label: &str) -> f64 {
     let wide = |letter: char| if ".-".contains(letter) { 4.3 } else { 7.7 };
     label.chars().map(wide).sum()
@@ -307,23 +311,32 @@ fn width(label: &str) -> f64 {
 fn ticks(scale: &Scale, step: f64) -> impl Iterator<Item = f64> {
     let first = (scale.low / step).ceil() as i64;
     let last = (scale.high / step).floor() as i64;
-    // A range that a defect made absurd shall not fill the memory.
+    // The number is bounded for the case that a defect makes the range absurd.
     (first..=last.min(first.saturating_add(50))).map(move |n| n as f64 * step)
 }
 
-/// Text for HTML.
-pub fn escape(text: &str) -> String {
-    let mut escaped = String::with_capacity(text.len());
-    for character in text.chars() {
-        match character {
-            '&' => escaped.push_str("&amp;"),
-            '<' => escaped.push_str("&lt;"),
-            '>' => escaped.push_str("&gt;"),
-            '"' => escaped.push_str("&quot;"),
-            other => escaped.push(other),
-        }
+/// Style of a stand-alone image.
+const DOCUMENT_STYLE: &str = "\
+text{font:12px system-ui,-apple-system,'Segoe UI',Roboto,sans-serif;fill:#3b4754}.label{fill:#1d2733;font-size:12.5px}\
+path{fill:none;stroke-linejoin:round;stroke-linecap:round}.grid{stroke:#e8ebef;stroke-width:1}.frame{fill:none;stroke:#b9c1ca;stroke-width:1}";
+
+/// A stand-alone SVG image of charts of the same size, one below the other. Each may have names
+/// for 0, 1, 2 and so on of its vertical axis.
+pub fn document(charts: &[(Chart, &[String])], width: f64, height: f64) -> String {
+    let total = height * charts.len() as f64;
+    let mut svg = format!(
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{total}\" \
+         viewBox=\"0 0 {width} {total}\"><style>{DOCUMENT_STYLE}</style>\
+         <rect width=\"100%\" height=\"100%\" fill=\"#fff\"/>\n"
+    );
+    for (index, (chart, names)) in charts.iter().enumerate() {
+        let y = height * index as f64;
+        let place = format!("x=\"0\" y=\"{y}\" width=\"{width}\" height=\"{height}\" ");
+        svg += &chart.element(&place, names);
+        svg.push('\n');
     }
-    escaped
+    svg += "</svg>\n";
+    svg
 }
 
 #[cfg(test)]
@@ -348,8 +361,8 @@ mod tests {
         }
     }
 
-    /// Where the labels of the vertical axis end, and the labels.
-    fn beside(svg: &str) -> Vec<(f64, &str)> {
+    /// Right ends of the tick labels of the vertical axis, and the labels.
+    fn tick_labels(svg: &str) -> Vec<(f64, &str)> {
         let texts = svg.split("<text x=\"").skip(1);
         let texts = texts.filter(|text| text.contains("text-anchor=\"end\""));
         texts
@@ -362,7 +375,7 @@ mod tests {
     }
 
     #[test]
-    fn labels_beside_the_axis_have_their_room_and_differ() {
+    fn tick_labels_fit_beside_the_axis_and_are_distinct() {
         for values in [
             [0.0, 0.0],
             [0.0, 3e-9],
@@ -373,7 +386,7 @@ mod tests {
         ] {
             for equal in [false, true] {
                 let svg = chart(values, equal).svg();
-                let labels = beside(&svg);
+                let labels = tick_labels(&svg);
                 for (index, (end, label)) in labels.iter().enumerate() {
                     let begin = end - width(label);
                     assert!(begin >= 23.0, "{values:?} {label} begins at {begin}");
@@ -383,15 +396,15 @@ mod tests {
                 assert!(!labels.is_empty());
             }
         }
-        // The axis of other charts stays where it was.
+        // Short labels do not move the axis.
         assert!(chart([-30.0, 12.5], false).svg().contains("x1=\"68\""));
     }
 
     #[test]
-    fn names_stand_at_whole_numbers_only() {
+    fn names_are_at_whole_numbers_only() {
         let names = ["Disabled", "Idle", "Homing", "Run", "Jog"].map(str::to_string);
-        let svg = chart([1.0, 3.0], false).svg_with(&names);
-        let labels: Vec<&str> = beside(&svg).iter().map(|(_, label)| *label).collect();
+        let svg = chart([1.0, 3.0], false).element("", &names);
+        let labels: Vec<&str> = tick_labels(&svg).iter().map(|(_, label)| *label).collect();
         assert_eq!(labels, ["Idle", "Homing", "Run"]);
     }
 }

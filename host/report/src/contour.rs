@@ -1,47 +1,51 @@
-//! Contour error: how far the tool is from the programmed path, wherever on it; the error that is seen on the part.
+//! Contour error: distance of the tool from the nearest point of the programmed path, which is the
+//! error visible on the part.
 //!
-//! The path is followed in a window around the place that is programmed at the tool's time. Half a window of the future must be known, so
-//! results come 500 samples late; [`Contour::finish`] gives the rest. Distances are in mm, of the tip, without the rotary coordinates.
+//! The search covers a window of the path around the programmed point of the same time. It includes
+//! 500 later samples, so results lag by as many; [`Contour::finish`] returns the rest. Distances
+//! are those of the tip, in mm, without the rotary coordinates.
 
 use std::collections::VecDeque;
 
 /// A point of the tip, mm.
 pub type Point = [f64; 3];
 
-/// Samples of the future that are looked at.
+/// Later samples in the window.
 const LAG: usize = 500;
 
-/// A vertex of the path is kept when it is so far from the one before, mm. The chord of an arc of 1 mm radius is then 1e-7 mm off.
+/// Spacing of the kept vertices of the path, mm. The chord error of an arc of 1 mm radius is
+/// 1e-7 mm.
 const SPACING: f64 = 1e-3;
 
-/// The most vertices looked at to either side: an error above 0.2 mm may be given too large (never larger than the error at the same time).
+/// Vertices searched on either side. An error above 0.2 mm can come out too large, but never larger
+/// than the error at the same time.
 const WINDOW: usize = 400;
 
 /// Follows a path and measures the distance of a tool from it.
 #[derive(Default)]
 pub struct Contour {
-    /// Vertices of the path, and how many were dropped before the first.
+    /// Vertices of the path, and the number of those removed before the first.
     vertices: VecDeque<Point>,
     dropped: usize,
-    /// Samples that wait for their future: the tool, the programmed point, and the vertex that was newest then.
-    waiting: VecDeque<(Point, Point, usize)>,
+    /// Pending samples: the tool, the programmed point, and the newest vertex at that time.
+    pending: VecDeque<(Point, Point, usize)>,
 }
 
 impl Contour {
-    /// Takes the next sample; gives the contour error of an earlier one, 500 samples before.
+    /// Adds a sample; returns the contour error of the sample 500 samples before.
     pub fn add(&mut self, programmed: Point, tool: Point) -> Option<f64> {
         let far = |last: &Point| distance(last, &programmed) >= SPACING;
         if self.vertices.back().is_none_or(far) {
             self.vertices.push_back(programmed);
         }
         let newest = self.dropped + self.vertices.len() - 1;
-        self.waiting.push_back((tool, programmed, newest));
-        if self.waiting.len() <= LAG {
+        self.pending.push_back((tool, programmed, newest));
+        if self.pending.len() <= LAG {
             return None;
         }
         let result = self.measure_next();
-        // What no later sample can need.
-        if let Some((_, _, vertex)) = self.waiting.front() {
+        // Vertices out of reach of all pending samples.
+        if let Some((_, _, vertex)) = self.pending.front() {
             while self.dropped + WINDOW + 1 < *vertex {
                 self.vertices.pop_front();
                 self.dropped += 1;
@@ -50,15 +54,16 @@ impl Contour {
         result
     }
 
-    /// The contour errors of the samples that still wait, in order.
+    /// The contour errors of the pending samples, in order.
     pub fn finish(mut self) -> Vec<f64> {
         std::iter::from_fn(|| self.measure_next()).collect()
     }
 
     fn measure_next(&mut self) -> Option<f64> {
-        let (tool, programmed, vertex) = self.waiting.pop_front()?;
+        let (tool, programmed, vertex) = self.pending.pop_front()?;
         let error = distance(&tool, &programmed);
-        // The nearest point of the path is no farther from the tool than the programmed one, so no farther than 2 errors from that.
+        // The nearest point is at most one error from the tool, so at most two from the programmed
+        // point.
         let reach = 2.0 * error + 2.0 * SPACING;
         let at = vertex - self.dropped;
         let mut nearest = error;

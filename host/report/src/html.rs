@@ -1,38 +1,18 @@
-//! The report: one self-contained HTML page with pictures.
+//! Report of a job: one self-contained HTML page with charts.
 
-use super::chart::{COLOURS, Chart, Line, escape};
+use super::chart::{COLOURS, Chart, Line};
+use super::chart_data::ChartData;
 use super::contour::Point;
-use super::pictures::Pictures;
+use super::markup::{self, escape, put};
 use super::series::Columns;
 use super::{Statistics, Summary, duration};
 use haptimill_firmware::config::AxisKind;
 use haptimill_trace::{Recording, RecordingError};
-use std::fmt::Write as _;
 use std::io::{self, Write};
 use std::path::PathBuf;
 
-/// Style sheet of all pages.
-pub const STYLE: &str = "\
-body{font:15px/1.45 system-ui,-apple-system,'Segoe UI',Roboto,sans-serif;color:#1d2733;background:#f5f6f8;margin:0}
-main{max-width:1180px;margin:0 auto;padding:28px 20px 60px}
-h1{font-size:25px;margin:0 0 2px}h2{font-size:17px;margin:34px 0 8px}
-.sub{color:#5b6875;margin:0 0 20px}
-.tiles{display:grid;grid-template-columns:repeat(4,1fr);gap:12px}
-.tile{background:#fff;border:1px solid #e0e4e9;border-radius:8px;padding:11px 14px}
-.tile b{display:block;font-size:21px;font-weight:600;font-variant-numeric:tabular-nums}
-.tile span{color:#5b6875;font-size:13px}
-.tile.bad,.card.bad{background:#fdecea;border-color:#f1b5ae}
-.card{background:#fff;border:1px solid #e0e4e9;border-radius:8px;padding:12px 12px 4px;margin:0 0 14px}
-.card p{margin:0 4px 6px;color:#5b6875;font-size:13px}
-.pair{display:grid;grid-template-columns:1fr 1fr;gap:14px}
-@media(max-width:800px){.tiles{grid-template-columns:1fr 1fr}.pair{grid-template-columns:1fr}}
-svg{display:block;width:100%;height:auto}
-svg path{fill:none;stroke-linejoin:round;stroke-linecap:round}
-svg text{font-size:12px;fill:#3b4754;font-family:inherit}svg .label{fill:#1d2733;font-size:12.5px}
-.grid{stroke:#e8ebef;stroke-width:1}.grid.faint{stroke-opacity:.25}.frame{fill:none;stroke:#b9c1ca;stroke-width:1}
-table{border-collapse:collapse;background:#fff;border:1px solid #e0e4e9;border-radius:8px;width:100%;font-variant-numeric:tabular-nums}
-td{padding:6px 14px;border-bottom:1px solid #eef0f3;vertical-align:top}td:first-child{color:#5b6875;width:40%}
-code{font-size:12px;overflow-wrap:anywhere}";
+/// Colour of the programmed values.
+const REFERENCE: &str = "#b7c0ca";
 
 /// Writes the report of a recording. `statistics` are those of [`Summary::of`].
 ///
@@ -44,12 +24,12 @@ pub fn write_html(
     statistics: &Statistics,
     out: &mut dyn Write,
 ) -> Result<(), RecordingError> {
-    let mut pictures = Pictures::new(recording, statistics);
+    let mut data = ChartData::new(recording, statistics);
     for record in recording.iter()? {
-        pictures.add(&record?);
+        data.add(&record?);
     }
-    pictures.finish();
-    let page = page(recording, summary, statistics, &pictures);
+    data.finish();
+    let page = page(recording, summary, statistics, &data);
     let io = |error: io::Error| RecordingError::Io(PathBuf::from("report"), error);
     out.write_all(page.as_bytes()).map_err(io)
 }
@@ -82,35 +62,29 @@ fn page(
     recording: &Recording,
     summary: &Summary,
     statistics: &Statistics,
-    pictures: &Pictures,
+    data: &ChartData,
 ) -> String {
-    let mut page = format!(
-        "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\"><title>{0}</title><style>{STYLE}</style></head><body><main><h1>{0}</h1><p class=\"sub\">{1}, control period {2} us</p>",
-        escape(&summary.program),
-        escape(&summary.machine),
-        recording.config().period_us
+    let mut page = markup::head(&summary.program, "");
+    put(
+        &mut page,
+        format_args!(
+            "<h1>{}</h1><p class=\"sub\">{}, control period {} us</p>",
+            escape(&summary.program),
+            escape(&summary.machine),
+            recording.config().period_us
+        ),
     );
     tiles(&mut page, summary);
-    list(
-        &mut page,
-        "Spoilt in the simulator",
-        "card",
-        &summary.injected,
-    );
+    list(&mut page, "Injected faults", "card", &summary.injected);
     list(&mut page, "Faults", "card bad", &summary.faults);
-    paths(&mut page, summary, statistics, pictures);
-    time_charts(&mut page, recording, statistics, pictures);
+    paths(&mut page, summary, statistics, data);
+    time_charts(&mut page, recording, statistics, data);
     table(&mut page, summary);
-    page.push_str("</main></body></html>\n");
+    page.push_str(markup::END);
     page
 }
 
-/// Writing to a string cannot fail.
-fn put(page: &mut String, what: std::fmt::Arguments<'_>) {
-    let _ = page.write_fmt(what);
-}
-
-/// A list under a heading; nothing if it is empty.
+/// A list under a heading; nothing when it is empty.
 fn list(page: &mut String, heading: &str, class: &str, items: &[String]) {
     if items.is_empty() {
         return;
@@ -125,16 +99,14 @@ fn list(page: &mut String, heading: &str, class: &str, items: &[String]) {
     page.push_str("</ul></div>");
 }
 
-fn card(page: &mut String, note: &str, svg: &str) {
-    put(
-        page,
-        format_args!("<div class=\"card\"><p>{}</p>{svg}</div>", escape(note)),
-    );
+/// Appends a chart with a caption in plain text.
+fn card(page: &mut String, caption: &str, svg: &str) {
+    markup::card(page, &escape(caption), svg);
 }
 
 fn tiles(page: &mut String, summary: &Summary) {
     let um = |mm: f64| format!("{:.1} \u{b5}m", mm * 1000.0);
-    let well = summary.faults.is_empty() && summary.completed;
+    let is_completed = summary.faults.is_empty() && summary.completed;
     let tiles = [
         ("duration", duration(summary.duration_s), true),
         (
@@ -155,7 +127,7 @@ fn tiles(page: &mut String, summary: &Summary) {
             summary.underruns.to_string(),
             summary.underruns == 0,
         ),
-        ("final state", summary.final_state.clone(), well),
+        ("final state", summary.final_state.clone(), is_completed),
     ];
     page.push_str("<div class=\"tiles\">");
     for (name, value, good) in tiles {
@@ -171,13 +143,13 @@ fn tiles(page: &mut String, summary: &Summary) {
     page.push_str("</div>");
 }
 
-/// The path in one plane, wanted against done, and the same with its error magnified.
-fn paths(page: &mut String, summary: &Summary, statistics: &Statistics, pictures: &Pictures) {
-    let points = &pictures.path.points;
+/// Programmed and actual path in each plane, true to scale and with the error magnified.
+fn paths(page: &mut String, summary: &Summary, statistics: &Statistics, data: &ChartData) {
+    let points = &data.path.points;
     if points.is_empty() {
         return;
     }
-    page.push_str("<h2>Path of the tool in the work</h2>");
+    page.push_str("<h2>Path of the tool in workpiece coordinates</h2>");
     let spans: Vec<f64> = statistics
         .programmed
         .iter()
@@ -193,12 +165,12 @@ fn paths(page: &mut String, summary: &Summary, statistics: &Statistics, pictures
     }
     for (h, v) in planes {
         let commanded: Vec<_> = points.iter().map(|[p, _]| (p[h], p[v])).collect();
-        let done = |factor: f64| {
+        let actual = |factor: f64| {
             let shift = |p: &Point, t: &Point, i: usize| p[i] + factor * (t[i] - p[i]);
             let points = points.iter().map(|[p, t]| (shift(p, t, h), shift(p, t, v)));
             vec![points.collect::<Vec<_>>()]
         };
-        // As high as the path needs at this width, so that a long slot is no thin line in an empty square.
+        // The height follows the path, so that the chart of a long slot is not mostly empty.
         let height = (70.0 + 520.0 * spans[v] / spans[h].max(1e-3)).clamp(260.0, 500.0);
         let chart = |label: String, colour, factor| Chart {
             x_label: format!("{}, mm", names[h]),
@@ -206,7 +178,7 @@ fn paths(page: &mut String, summary: &Summary, statistics: &Statistics, pictures
             lines: vec![
                 Line {
                     label: "programmed".into(),
-                    colour: "#b7c0ca",
+                    colour: REFERENCE,
                     width: 4.0,
                     pieces: vec![commanded.clone()],
                 },
@@ -214,7 +186,7 @@ fn paths(page: &mut String, summary: &Summary, statistics: &Statistics, pictures
                     label,
                     colour,
                     width: 1.3,
-                    pieces: done(factor),
+                    pieces: actual(factor),
                 },
             ],
             width: 560.0,
@@ -224,13 +196,11 @@ fn paths(page: &mut String, summary: &Summary, statistics: &Statistics, pictures
             backdrop: None,
         };
         page.push_str("<div class=\"pair\">");
-        let done = chart("done".into(), COLOURS[0], 1.0).svg();
-        card(page, "Programmed and done, true to scale", &done);
-        let label = format!("done, error x {magnified}");
+        let actual = chart("actual".into(), COLOURS[0], 1.0).svg();
+        card(page, "Programmed and actual path, true to scale", &actual);
+        let label = format!("actual, error x {magnified}");
         let chart = chart(label, COLOURS[1], magnified).svg();
-        let note = format!(
-            "The error against the programmed point of the same time, {magnified} times as large"
-        );
+        let note = format!("Error at the same time, magnified {magnified} times");
         card(page, &note, &chart);
         page.push_str("</div>");
     }
@@ -250,7 +220,7 @@ fn time_charts(
     page: &mut String,
     recording: &Recording,
     statistics: &Statistics,
-    pictures: &Pictures,
+    data: &ChartData,
 ) {
     let names = &recording.header().joints;
     let config = recording.config();
@@ -271,55 +241,59 @@ fn time_charts(
     let tables = joints_of(AxisKind::Rotary);
     let tables_move = tables
         .iter()
-        .any(|axis| pictures.joints[*axis].largest() > 0.01);
+        .any(|axis| data.joints[*axis].largest() > 0.01);
 
     page.push_str("<h2>Errors</h2>");
     let errors = vec![
-        line("at the same time", COLOURS[1], 1.2, &pictures.tool_error),
+        line("at the same time", COLOURS[1], 1.2, &data.tool_error),
         line(
             "from the path (contour)",
             COLOURS[0],
             1.2,
-            &pictures.contour_error,
+            &data.contour_error,
         ),
     ];
-    let whose = if statistics.tool_is_true {
-        "Where the tool really was, against the program"
+    let caption = if statistics.tool_is_true {
+        "True position of the tool against the program"
     } else {
-        "Where the controller measured the tool, against the program"
+        "Position of the tool measured by the controller, against the program"
     };
-    card(page, whose, &over_time("tool error, \u{b5}m", errors, true));
+    card(
+        page,
+        caption,
+        &over_time("tool error, \u{b5}m", errors, true),
+    );
     let following = over_time(
         "following error, \u{b5}m",
-        lines(&slides, &pictures.following),
+        lines(&slides, &data.following),
         false,
     );
     card(
         page,
-        "Wanted less measured position of the slides",
+        "Commanded minus measured position of the slides",
         &following,
     );
 
     page.push_str("<h2>Motion</h2>");
     let slides_chart = over_time(
-        "way from the start, mm",
-        lines(&slides, &pictures.joints),
+        "travel from the start, mm",
+        lines(&slides, &data.joints),
         false,
     );
     card(
         page,
-        "Measured position of the slides, from where they stood at the start of the job",
+        "Measured position of the slides, relative to the start of the job",
         &slides_chart,
     );
     if tables_move {
         let chart = over_time(
-            "way from the start, deg",
-            lines(&tables, &pictures.joints),
+            "travel from the start, deg",
+            lines(&tables, &data.joints),
             false,
         );
         card(page, "Measured position of the rotary joints", &chart);
     }
-    for (axis, [commanded, done]) in pictures.angles.iter().enumerate() {
+    for (axis, [programmed, actual]) in data.angles.iter().enumerate() {
         let rotary = config
             .pose
             .get(axis)
@@ -334,8 +308,8 @@ fn time_charts(
             .cloned()
             .unwrap_or_default();
         let both = vec![
-            line("programmed", "#b7c0ca", 4.0, commanded),
-            line("done", COLOURS[0], 1.3, done),
+            line("programmed", REFERENCE, 4.0, programmed),
+            line("actual", COLOURS[0], 1.3, actual),
         ];
         card(
             page,
@@ -344,20 +318,20 @@ fn time_charts(
         );
     }
     let speeds = vec![
-        line("programmed", "#b7c0ca", 4.0, &pictures.tip_speed[0]),
-        line("done", COLOURS[0], 1.2, &pictures.tip_speed[1]),
+        line("programmed", REFERENCE, 4.0, &data.tip_speed[0]),
+        line("actual", COLOURS[0], 1.2, &data.tip_speed[1]),
     ];
     let over = if statistics.tool_is_true {
         "averaged over 5 ms"
     } else {
-        "from one report of the controller to the next"
+        "between reports of the controller"
     };
     card(
         page,
-        &format!("Speed of the tip in the work, {over}"),
+        &format!("Speed of the tip in workpiece coordinates, {over}"),
         &over_time("speed, mm/s", speeds, true),
     );
-    let speeds = over_time("speed, mm/s", lines(&slides, &pictures.joint_speed), false);
+    let speeds = over_time("speed, mm/s", lines(&slides, &data.joint_speed), false);
     card(page, &format!("Speed of the slides, {over}"), &speeds);
 
     page.push_str("<h2>Drive commands</h2>");
@@ -366,10 +340,8 @@ fn time_charts(
         let axes: Vec<usize> = (0..units.len())
             .filter(|axis| units[*axis].1 == unit)
             .collect();
-        let at_work = axes
-            .iter()
-            .any(|axis| pictures.drives[*axis].largest() > 0.0);
-        if axes.is_empty() || !at_work {
+        let has_output = axes.iter().any(|axis| data.drives[*axis].largest() > 0.0);
+        if axes.is_empty() || !has_output {
             continue;
         }
         let label = match unit {
@@ -379,14 +351,14 @@ fn time_charts(
         };
         card(
             page,
-            "What the drives were asked for",
-            &over_time(label, lines(&axes, &pictures.drives), true),
+            "Drive commands",
+            &over_time(label, lines(&axes, &data.drives), true),
         );
     }
 }
 
 fn table(page: &mut String, summary: &Summary) {
-    let place = match summary.tool_error_max_line {
+    let location = match summary.tool_error_max_line {
         0 => format!("{:.3} s", summary.tool_error_max_time_s),
         line => format!("{:.3} s, line {line}", summary.tool_error_max_time_s),
     };
@@ -403,7 +375,7 @@ fn table(page: &mut String, summary: &Summary) {
                 summary.tool_error_rms_mm, summary.tool_error_max_mm
             ),
         ),
-        ("Largest tool error at", place),
+        ("Largest tool error at", location),
         (
             "Contour error, rms / largest",
             format!(
@@ -425,7 +397,7 @@ fn table(page: &mut String, summary: &Summary) {
         ("Setpoints", summary.setpoints.to_string()),
         ("Underruns", summary.underruns.to_string()),
         (
-            "Bytes to the controller for each setpoint: messages / all",
+            "Bytes to the controller per setpoint: messages / all",
             format!(
                 "{:.1} / {:.1}",
                 summary.bytes_per_setpoint, summary.line_bytes_per_setpoint

@@ -1,12 +1,14 @@
-//! What a job leaves for people: summary.json, report.html, and a few lines on the terminal.
+//! Report of a job: `summary.json`, `report.html`, and a few lines on the terminal.
 //!
-//! Everything is made from the recording, so it can be made again. Misuse: on a real machine the tool is what the controller measured through its
-//! own kinematics; an error of the geometry is not in it. The summary says which it was.
+//! All of it is made from the recording and can be made again. On a real machine the position of
+//! the tool is measured through the controller's kinematics and does not contain geometric errors;
+//! [`Summary::tool_is_true`] distinguishes the two.
 
 pub mod chart;
+mod chart_data;
 mod contour;
 pub mod html;
-mod pictures;
+pub mod markup;
 pub mod plot;
 pub mod series;
 mod statistics;
@@ -35,26 +37,26 @@ pub const MCAP_FILE: &str = "recording.mcap";
 /// The report.
 pub const REPORT_FILE: &str = "report.html";
 
-/// What the one who ran the job knows, and the recording does not.
+/// Outcome of a job that the recording does not contain.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Outcome {
     /// Setpoints of the job that were reached.
     pub setpoints: u64,
-    /// Times the queue ran short.
+    /// Number of underruns.
     pub underruns: u64,
     /// Faults, each as a sentence.
     pub faults: Vec<String>,
-    /// What the simulator was told to spoil, each as the option `--fault` has it.
+    /// Injected faults of the simulator, in the format of the option `--fault`.
     pub injected: Vec<String>,
-    /// The program came to its end.
+    /// The program is completed.
     pub completed: bool,
-    /// State of the controller at the end; none when it was not heard any more.
+    /// State of the controller at the end; none when the link was lost.
     pub final_state: Option<State>,
-    /// The position is known to be right.
+    /// The position is known to be right since homing.
     pub position_kept: bool,
-    /// Bytes from host to controller for each setpoint: frames of messages, framing included.
+    /// Bytes from host to controller per setpoint: frames of messages, framing included.
     pub bytes_per_setpoint: f64,
-    /// The same, with signs of life and acknowledgements.
+    /// The same with keep-alive frames and acknowledgements.
     pub line_bytes_per_setpoint: f64,
 }
 
@@ -73,9 +75,9 @@ pub struct Summary {
     pub tool_error_rms_mm: f64,
     /// The same, largest, mm.
     pub tool_error_max_mm: f64,
-    /// When the largest was, s after the start of the job.
+    /// Time of the largest, s from the start of the job.
     pub tool_error_max_time_s: f64,
-    /// In which line of the program the largest was; 0 when there is none.
+    /// Program line of the largest; 0 when there is none.
     pub tool_error_max_line: u32,
     /// Tool against the nearest point of the programmed path, root mean square, mm.
     pub contour_error_rms_mm: f64,
@@ -85,27 +87,28 @@ pub struct Summary {
     pub angle_error_max_deg: f64,
     /// Following error of the slides, largest, mm.
     pub slide_error_max_mm: f64,
-    /// The joint that had it.
+    /// Joint of the largest following error.
     pub slide_error_max_joint: String,
-    /// `true`: the tool is where the simulated tool really was. `false`: where the controller measured it.
+    /// The position of the tool is that of the simulated tool; otherwise the controller measured
+    /// it.
     pub tool_is_true: bool,
     /// Setpoints of the job that were reached.
     pub setpoints: u64,
-    /// Times the queue ran short.
+    /// Number of underruns.
     pub underruns: u64,
     /// Faults, each as a sentence.
     pub faults: Vec<String>,
-    /// What the simulator was told to spoil, each as the option `--fault` has it.
+    /// Injected faults of the simulator, in the format of the option `--fault`.
     pub injected: Vec<String>,
-    /// The program came to its end.
+    /// The program is completed.
     pub completed: bool,
-    /// State of the controller at the end; `Unknown` when it was not heard any more.
+    /// State of the controller at the end; `Unknown` when the link was lost.
     pub final_state: String,
-    /// The position is known to be right.
+    /// The position is known to be right since homing.
     pub position_kept: bool,
-    /// Bytes from host to controller for each setpoint: frames of messages, framing included.
+    /// Bytes from host to controller per setpoint: frames of messages, framing included.
     pub bytes_per_setpoint: f64,
-    /// The same, with signs of life and acknowledgements.
+    /// The same with keep-alive frames and acknowledgements.
     pub line_bytes_per_setpoint: f64,
     /// Control periods recorded.
     pub periods: u64,
@@ -114,7 +117,7 @@ pub struct Summary {
 }
 
 impl Summary {
-    /// Sums up a recording.
+    /// Evaluates a recording.
     ///
     /// # Errors
     /// The recording cannot be read.
@@ -163,7 +166,7 @@ impl Summary {
         Ok((summary, statistics))
     }
 
-    /// A few lines for people; each ends with a line feed.
+    /// A few lines for the terminal; each ends with a line feed.
     pub fn terminal(&self) -> String {
         let line = match self.tool_error_max_line {
             0 => String::new(),
@@ -175,9 +178,9 @@ impl Summary {
             "tool error (measured)"
         };
         let kept = match self.final_state.as_str() {
-            "Unknown" => "the controller was not heard at the end; `haptimill status` asks it",
+            "Unknown" => "the link to the controller was lost; `haptimill status` shows its state",
             _ if self.position_kept => "position kept",
-            _ => "position lost: home again",
+            _ => "position lost: home the machine",
         };
         let mut text = format!(
             "{}: {} in {}, {:.1} mm of path, {} setpoints, {} underruns\n\
@@ -202,7 +205,7 @@ impl Summary {
             self.slide_error_max_joint,
         );
         for fault in &self.injected {
-            text.push_str(&format!("spoilt by --fault: {fault}\n"));
+            text.push_str(&format!("injected fault: {fault}\n"));
         }
         for fault in &self.faults {
             text.push_str(&format!("fault: {fault}\n"));
@@ -212,9 +215,9 @@ impl Summary {
     }
 }
 
-/// A duration for people.
+/// Formats a duration.
 pub fn duration(seconds: f64) -> String {
-    // Rounded first: 119.7 s is no minute and 60 s.
+    // Rounded first: 119.7 s must not become 1 min 60 s.
     let whole = seconds.round();
     if seconds < 60.0 {
         format!("{seconds:.2} s")
@@ -226,10 +229,10 @@ pub fn duration(seconds: f64) -> String {
     }
 }
 
-/// Makes trace, summary and report from `DIR/recording.hmr`.
+/// Writes trace, summary and report of `DIR/recording.hmr`.
 ///
 /// # Errors
-/// The recording cannot be read, or a file not written.
+/// The recording cannot be read, or a file cannot be written.
 pub fn write_all(
     dir: &Path,
     recorded: &Recorded,

@@ -1,25 +1,20 @@
-//! Columns of a recording over time: as a picture (SVG), and as a sketch on the terminal.
+//! Plots of the columns of a recording over time: SVG images, and sketches on the terminal.
 
-use super::chart::{COLOURS, Chart, Line};
+use super::chart::{COLOURS, Chart, Line, document};
 use super::series::Columns;
 use haptimill_protocol::message::State;
 use haptimill_trace::{Column, Recording, RecordingError, Thinning};
 use std::fmt::Write as _;
 
-/// Lines in one chart; more go into the next.
+/// Lines per chart.
 const LINES: usize = 6;
 const WIDTH: f64 = 1000.0;
 const HEIGHT: f64 = 300.0;
 
-/// Style of a picture that stands alone.
-const STYLE: &str = "\
-text{font:12px system-ui,-apple-system,'Segoe UI',Roboto,sans-serif;fill:#3b4754}.label{fill:#1d2733;font-size:12.5px}\
-path{fill:none;stroke-linejoin:round;stroke-linecap:round}.grid{stroke:#e8ebef;stroke-width:1}.frame{fill:none;stroke:#b9c1ca;stroke-width:1}";
-
-/// The column whose values have names.
+/// Column with names instead of numbers.
 const STATE: &str = "state";
 
-/// Columns with the same share a chart.
+/// Unit of a column; columns with the same unit share a chart.
 fn unit_of(column: &Column) -> &'static str {
     if column.name == STATE {
         STATE
@@ -28,7 +23,7 @@ fn unit_of(column: &Column) -> &'static str {
     }
 }
 
-/// Columns of a recording, thinned to what a picture can show without losing a peak.
+/// Columns of a recording, thinned to the resolution of a chart without loss of peaks.
 pub struct Plot {
     from_s: f64,
     to_s: f64,
@@ -36,7 +31,7 @@ pub struct Plot {
 }
 
 impl Plot {
-    /// Gathers columns between two times, seconds since the first record; `to_s` may be infinite.
+    /// Reads columns between two times, in s since the first record; `to_s` can be infinite.
     ///
     /// # Errors
     /// The recording cannot be read.
@@ -77,7 +72,7 @@ impl Plot {
         Ok(plot)
     }
 
-    /// Whether there is nothing to show.
+    /// Whether no column has a value.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.columns
@@ -85,7 +80,7 @@ impl Plot {
             .all(|(_, series)| series.line().is_empty())
     }
 
-    /// The picture, with a chart for each unit.
+    /// SVG image with a chart for each unit.
     #[must_use]
     pub fn svg(&self) -> String {
         let mut units: Vec<&'static str> = Vec::new();
@@ -97,33 +92,15 @@ impl Plot {
         let states = State::ALL.map(|state| format!("{state:?}"));
         let mut charts = Vec::new();
         for unit in units {
-            let of_unit: Vec<_> = self
-                .columns
-                .iter()
+            let of_unit = self.columns.iter();
+            let of_unit: Vec<_> = of_unit
                 .filter(|(column, _)| unit_of(column) == unit)
                 .collect();
             let names = if unit == STATE { &states[..] } else { &[] };
-            charts.extend(
-                of_unit
-                    .chunks(LINES)
-                    .map(|chunk| self.chart(unit, chunk).svg_with(names)),
-            );
+            let chunks = of_unit.chunks(LINES);
+            charts.extend(chunks.map(|chunk| (self.chart(unit, chunk), names)));
         }
-        let height = HEIGHT * charts.len() as f64;
-        let mut svg = format!(
-            "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{WIDTH}\" height=\"{height}\" viewBox=\"0 0 {WIDTH} {height}\"><style>{STYLE}</style>\
-             <rect width=\"100%\" height=\"100%\" fill=\"#fff\"/>\n"
-        );
-        for (index, chart) in charts.iter().enumerate() {
-            let place = format!(
-                "<svg x=\"0\" y=\"{}\" width=\"{WIDTH}\" height=\"{HEIGHT}\" ",
-                HEIGHT * index as f64
-            );
-            svg += &chart.replacen("<svg ", &place, 1);
-            svg.push('\n');
-        }
-        svg += "</svg>\n";
-        svg
+        document(&charts, WIDTH, HEIGHT)
     }
 
     fn chart(&self, unit: &str, columns: &[&(Column, Columns)]) -> Chart {
@@ -157,7 +134,7 @@ impl Plot {
         }
     }
 
-    /// A sketch of each column in so many characters of a terminal, in Braille dots.
+    /// Sketch of each column on the terminal in Braille dots, of `width` by `height` characters.
     #[must_use]
     pub fn sketch(&self, width: usize, height: usize) -> String {
         let mut text = String::new();
@@ -170,7 +147,7 @@ impl Plot {
             );
             // Writing to a string cannot fail.
             if low > high {
-                let _ = writeln!(text, "{}: nothing recorded", column.name);
+                let _ = writeln!(text, "{}: no values", column.name);
                 continue;
             }
             let _ = writeln!(
@@ -198,7 +175,7 @@ impl Plot {
     }
 }
 
-/// A field of dots, eight in a character.
+/// Field of dots, eight per character.
 struct Dots {
     width: usize,
     cells: Vec<u8>,
@@ -228,7 +205,7 @@ impl Dots {
         }
     }
 
-    /// A line through points whose x does not fall.
+    /// Draws a line through points; x must not decrease.
     fn line(&mut self, points: &[(usize, usize)]) {
         let mut before = points.first().copied().unwrap_or_default();
         for &(x, y) in points {

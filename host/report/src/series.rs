@@ -1,23 +1,23 @@
-//! Thinning a recording to what a picture can show, without losing a peak.
+//! Thinning of a recording to the resolution of a chart, without loss of peaks.
 
-/// Keeps the extremes of each of a number of equal spans of time.
+/// Extremes of a quantity in equal intervals of time.
 pub struct Columns {
     begin: f64,
     width: f64,
     columns: Vec<Option<[f64; 2]>>,
-    /// When the last value was, and the least time between two.
+    /// Time of the last value, and the smallest time between two values.
     last: Option<f64>,
     spacing: f64,
 }
 
-/// A line goes on over so many times the usual distance of values: one of two reports that were lost leaves no hole.
+/// A longer gap, in spacings of the values, interrupts the line; a few lost reports do not.
 const BRIDGED: f64 = 4.0;
 
-/// Spans of time in a picture.
+/// Intervals per chart.
 const COLUMNS: usize = 700;
 
 impl Columns {
-    /// Columns from `begin` to `end`, seconds.
+    /// Empty intervals from `begin` to `end`, in s.
     pub fn new(begin: f64, end: f64) -> Self {
         Self {
             begin,
@@ -28,7 +28,7 @@ impl Columns {
         }
     }
 
-    /// Takes a value; one outside the time is left out.
+    /// Adds a value; a value outside the time range is ignored.
     pub fn add(&mut self, time: f64, value: f64) {
         let column = (time - self.begin) / self.width;
         if !value.is_finite() || column < 0.0 {
@@ -52,7 +52,7 @@ impl Columns {
         all.fold(0.0, |most, value| most.max(value.abs()))
     }
 
-    /// A line through the extremes, in pieces where values are missing. Times are from `begin`.
+    /// Line through the extremes, interrupted where values are missing. Times count from `begin`.
     pub fn line(&self) -> Vec<Vec<(f64, f64)>> {
         let mut pieces: Vec<Vec<(f64, f64)>> = Vec::new();
         let bridged = (BRIDGED * self.spacing / self.width).max(1.0);
@@ -69,7 +69,7 @@ impl Columns {
                 continue;
             };
             let time = (index as f64 + 0.5) * self.width;
-            // The nearer end first, so that the line does not cross itself.
+            // The nearer end is first, so that the line does not cross itself.
             let before = piece.last().map_or(low, |(_, value)| *value);
             let ends = if (before - low).abs() <= (before - high).abs() {
                 [low, high]
@@ -85,7 +85,7 @@ impl Columns {
     }
 }
 
-/// Keeps the points of a path that are far enough apart, and between two of them the one with the largest weight.
+/// Points of a path at a spacing, and between two of them the one with the largest error.
 pub struct PathPoints {
     spacing: f64,
     last: Option<[f64; 3]>,
@@ -95,7 +95,7 @@ pub struct PathPoints {
 }
 
 impl PathPoints {
-    /// Points that are `spacing` mm apart.
+    /// An empty path; its points will be `spacing` mm apart.
     pub fn new(spacing: f64) -> Self {
         Self {
             spacing,
@@ -105,12 +105,12 @@ impl PathPoints {
         }
     }
 
-    /// Takes a programmed point and the tool at the same time.
+    /// Adds a programmed point and the position of the tool at the same time.
     pub fn add(&mut self, programmed: [f64; 3], tool: [f64; 3]) {
         let pair = [programmed, tool];
-        let weight = super::contour::distance(&programmed, &tool);
-        if self.best.is_none_or(|(most, _)| weight > most) {
-            self.best = Some((weight, pair));
+        let error = super::contour::distance(&programmed, &tool);
+        if self.best.is_none_or(|(most, _)| error > most) {
+            self.best = Some((error, pair));
         }
         let far = |last: [f64; 3]| {
             super::contour::distance(&last, &programmed) >= self.spacing

@@ -1,29 +1,30 @@
-//! What a recording amounts to: errors, length, duration of the job in it.
+//! Statistics of a job: errors, length and duration.
 //!
-//! The job is the records that have a programmed pose. The tool error is the tool against the programmed geometry *at the same time*, start and stop
-//! included; the contour error is the tool against the nearest point of the path.
+//! The job is the records with a programmed pose. The tool error is the distance of the tool from
+//! the programmed point *at the same time*, start and stop included; the contour error is its
+//! distance from the nearest point of the path.
 
 use super::contour::{Contour, Point, distance};
 use haptimill_firmware::config::AxisKind;
 use haptimill_trace::{Axes, Record, Recording, flag};
 use serde::Serialize;
 
-/// A root mean square and a maximum, with the place of the maximum.
+/// Root mean square and maximum of an error, with time and line of the maximum.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct Spread {
-    /// Samples.
+    /// Number of samples.
     pub count: u64,
     sum_of_squares: f64,
-    /// The largest magnitude.
+    /// Largest magnitude.
     pub max: f64,
-    /// Seconds after the start of the recording at which the largest was.
+    /// Time of the largest, s from the start of the recording.
     pub max_time_s: f64,
-    /// Line of the program at which the largest was; 0 when there is none.
+    /// Program line of the largest; 0 when there is none.
     pub max_line: u32,
 }
 
 impl Spread {
-    /// Takes a magnitude.
+    /// Adds a magnitude.
     pub fn add(&mut self, value: f64, time_s: f64, line: u32) {
         self.count += 1;
         self.sum_of_squares += value * value;
@@ -41,12 +42,12 @@ impl Spread {
     }
 }
 
-/// Low and high end of what was seen.
+/// Range of the values seen.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Extent {
-    /// The least.
+    /// Smallest value.
     pub low: f64,
-    /// The greatest.
+    /// Largest value.
     pub high: f64,
 }
 
@@ -60,19 +61,19 @@ impl Default for Extent {
 }
 
 impl Extent {
-    /// Takes a value.
+    /// Adds a value.
     pub fn add(&mut self, value: f64) {
         self.low = self.low.min(value);
         self.high = self.high.max(value);
     }
 
-    /// High less low; 0 when nothing was seen.
+    /// Largest minus smallest value; 0 without values.
     pub fn span(&self) -> f64 {
         (self.high - self.low).max(0.0)
     }
 }
 
-/// What a recording amounts to.
+/// Statistics of a recording.
 pub struct Statistics {
     period_s: f64,
     pose_units: Vec<f64>,
@@ -85,7 +86,7 @@ pub struct Statistics {
     contour_places: std::collections::VecDeque<(f64, u32)>,
     /// Records of the job.
     pub job_records: u64,
-    /// Seconds from the start of the recording to the first and behind the last record of the job.
+    /// Start of the first and end of the last record of the job, s from the start of the recording.
     pub job: Option<(f64, f64)>,
     /// Length of the programmed path, mm.
     pub path_length_mm: f64,
@@ -97,13 +98,13 @@ pub struct Statistics {
     pub angle_error: Spread,
     /// Following error of the linear joints, mm.
     pub slide_error: Spread,
-    /// The joint that had the largest of those.
+    /// Joint of the largest following error.
     pub slide_error_joint: usize,
-    /// Where the programmed pose was.
+    /// Range of the programmed pose.
     pub programmed: [Extent; 6],
-    /// Where the tool was during the job.
+    /// Range of the tool during the job.
     pub tool: [Extent; 6],
-    /// Whether the tool is the simulator's truth in every record that has one.
+    /// The position of the tool is ground truth in every record that has one.
     pub tool_is_true: bool,
 }
 
@@ -140,7 +141,7 @@ impl Statistics {
         }
     }
 
-    /// Takes the next record; gives its time in seconds.
+    /// Adds the next record; returns its time in s.
     pub fn add(&mut self, record: &Record) -> f64 {
         let first = *self.first_period.get_or_insert(record.period);
         let time = record.period.saturating_sub(first) as f64 * self.period_s;
@@ -190,7 +191,7 @@ impl Statistics {
         for (axis, unit) in self.pose_units.iter().enumerate() {
             self.tool[axis].add(f64::from(record.tool[axis]) * unit);
             if self.rotary_pose[axis] {
-                // Angles wrap around, so does their difference.
+                // Angles and their difference wrap around.
                 let error = record.tool[axis].wrapping_sub(record.programmed[axis]);
                 let error = (f64::from(error) * unit).abs();
                 self.angle_error.add(error, time, record.line);
@@ -204,14 +205,14 @@ impl Statistics {
         }
     }
 
-    /// No more records.
+    /// Ends the statistics: the pending contour errors are added.
     pub fn finish(&mut self) {
         for error in std::mem::take(&mut self.contour).finish() {
             self.add_contour(error);
         }
     }
 
-    /// The tip, mm: the linear ones of the first three pose coordinates.
+    /// Position of the tip, mm: the linear coordinates among the first three.
     fn tip(&self, pose: &Axes) -> Point {
         std::array::from_fn(|axis| {
             let linear = self.rotary_pose.get(axis).is_some_and(|rotary| !rotary);

@@ -14,7 +14,7 @@ fn header() -> Header {
     Header::of(&MachineFile::built_in().unwrap(), "circle.ngc").unwrap()
 }
 
-/// A circle of 15 mm radius at 4 mm/s, the tool `outside` mm too far out and `late` seconds late.
+/// A circle of 15 mm radius at 4 mm/s, the tool `outside` mm outside it and `late` seconds behind.
 fn circle(outside: f64, late: f64) -> (TempPath, Recorded) {
     let file = NamedTempFile::new().unwrap().into_temp_path();
     let mut recorder = Recorder::create(&file, &header()).unwrap();
@@ -36,10 +36,10 @@ fn circle(outside: f64, late: f64) -> (TempPath, Recorded) {
     let raw = |joints: Joints| joints.0.map(|joint| joint.0);
     let row = |point: [f64; 3]| [fixed(point[0]), fixed(point[1]), fixed(point[2]), 0, 0, 0];
     for index in 0..periods + 1000 {
-        // 0.1 s of standstill before and behind.
+        // 0.1 s of standstill before and after.
         let time = (index as f64 - 500.0).clamp(0.0, periods as f64) * PERIOD;
-        let (commanded, done) = (at(time, 15.0), at((time - late).max(0.0), 15.0 + outside));
-        let (joints_commanded, joints_done) = (raw(joints(commanded)), raw(joints(done)));
+        let (commanded, actual) = (at(time, 15.0), at((time - late).max(0.0), 15.0 + outside));
+        let (joints_commanded, joints_actual) = (raw(joints(commanded)), raw(joints(actual)));
         recorder.record(&Record {
             period: 77 + index,
             setpoint: (index / 500) as u32,
@@ -50,8 +50,8 @@ fn circle(outside: f64, late: f64) -> (TempPath, Recorded) {
             flags: flag::HOMED | flag::POSITION_KEPT | flag::TOOL_TRUE | flag::PROGRAMMED,
             commanded: row(commanded),
             joints_commanded,
-            joints: joints_done,
-            following_error: std::array::from_fn(|i| joints_commanded[i] - joints_done[i]),
+            joints: joints_actual,
+            following_error: std::array::from_fn(|i| joints_commanded[i] - joints_actual[i]),
             drive: std::array::from_fn(|i| {
                 if i < 4 {
                     (1000.0 * (time * (i as f64 + 1.0)).sin()) as i32
@@ -59,7 +59,7 @@ fn circle(outside: f64, late: f64) -> (TempPath, Recorded) {
                     0
                 }
             }),
-            tool: row(done),
+            tool: row(actual),
             programmed: row(commanded),
             ..Record::default()
         });
@@ -83,7 +83,7 @@ fn outcome() -> Outcome {
 }
 
 #[test]
-fn a_circle_too_large_has_that_error_everywhere() {
+fn a_circle_with_a_radius_error_has_this_error_everywhere() {
     let (file, recorded) = circle(0.01, 0.0);
     let recording = Recording::open(&file).unwrap();
     let (summary, statistics) = Summary::of(&recording, &recorded, &outcome()).unwrap();
@@ -111,7 +111,7 @@ fn a_circle_too_large_has_that_error_everywhere() {
 }
 
 #[test]
-fn a_tool_that_is_late_has_no_contour_error() {
+fn a_tool_that_lags_has_no_contour_error() {
     let (file, recorded) = circle(0.0, 0.01);
     let recording = Recording::open(&file).unwrap();
     let (summary, _) = Summary::of(&recording, &recorded, &outcome()).unwrap();
@@ -124,8 +124,9 @@ fn a_tool_that_is_late_has_no_contour_error() {
 }
 
 #[test]
-fn a_corner_that_is_cut_shows_in_the_contour() {
-    // Along x to a corner, then along y; the tool goes straight from 0.2 mm before to 0.2 mm behind.
+fn a_rounded_corner_is_a_contour_error() {
+    // Along x to a corner, then along y; the tool moves straight from 0.2 mm before the corner to
+    // 0.2 mm after it.
     let mut contour = Contour::default();
     let mut errors = Vec::new();
     for step in -4000..=4000 {
@@ -151,7 +152,7 @@ fn a_corner_that_is_cut_shows_in_the_contour() {
 }
 
 #[test]
-fn the_report_is_small_whole_and_self_contained() {
+fn the_report_is_small_complete_and_self_contained() {
     let (file, recorded) = circle(0.02, 0.002);
     let recording = Recording::open(&file).unwrap();
     let mut outcome = outcome();
@@ -176,7 +177,7 @@ fn the_report_is_small_whole_and_self_contained() {
 }
 
 #[test]
-fn a_peak_of_one_period_stays_in_the_picture() {
+fn a_peak_of_one_period_stays_in_the_chart() {
     let mut columns = series::Columns::new(0.0, 3600.0);
     for index in 0..1_000_000 {
         let value = if index == 777_777 { 9.0 } else { 1.0 };
@@ -205,7 +206,7 @@ fn a_recording_without_a_job_makes_a_report() {
 }
 
 #[test]
-fn the_terminal_tells_it_in_a_few_lines() {
+fn the_terminal_summary_has_a_few_lines() {
     let (file, recorded) = circle(0.01, 0.0);
     let recording = Recording::open(&file).unwrap();
     let (summary, _) = Summary::of(&recording, &recorded, &outcome()).unwrap();
@@ -229,7 +230,7 @@ fn durations_are_rounded_as_a_whole() {
 }
 
 #[test]
-fn reports_that_are_far_apart_make_one_line_and_a_pause_makes_two() {
+fn sparse_reports_give_one_line_and_a_pause_gives_two() {
     let mut columns = series::Columns::new(0.0, 10.0);
     for index in (0..500).filter(|index| !(200..260).contains(index) && index % 7 != 3) {
         columns.add(f64::from(index) * 0.02, 1.0);

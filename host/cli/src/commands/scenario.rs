@@ -1,28 +1,28 @@
-//! `haptimill scenario`: the thesis's experiments in the simulator, beside what the thesis states.
+//! `haptimill scenario`: the experiments of the thesis in the simulator, compared with its numbers.
 
 use super::{CliError, Exit, MachineArg};
 use crate::commands::interrupt;
 use clap::{Args, Subcommand};
 use haptimill_client::port::PortSpec;
-use haptimill_experiments::{self, Cut, On, Result as Outcome, Scenario};
+use haptimill_experiments::{Experiment, ExperimentResult, PassData, Target};
 use haptimill_machine_file::MachineFile;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 const RUN: &str = "\
-Run a scenario, or `all`: cut in the simulator, measured, held against every number that the thesis states.
+Run an experiment of the thesis, or `all`, in the simulator, and compare the results with the thesis.
 
-Fills DIR with index.html and, for each scenario, a folder with
-  index.html    the curves of the thesis's figures, the cut surface from above, the table of stated numbers, bands and ours
-  summary.json  the same table for a program
-  PASS/         recording, trace, summary and report of each cut, as `haptimill run` leaves them
-Ends with the table. What falls outside its band is shown, with the reason, and is no error of the command.";
+Writes to DIR index.html and a folder for each experiment with
+  index.html    charts of the thesis's figures, the cut surface from above, the table of results
+  summary.json  the same table for programs
+  PASS/         recording, trace, summary and report of each pass, as `haptimill run` writes them
+Ends with the table. A result outside its band is shown with the reason; it is not an error.";
 
-/// What to do with scenarios.
+/// Subcommands of `haptimill scenario`.
 #[derive(Debug, Clone, Subcommand)]
 pub enum ScenarioCommand {
-    /// The scenarios there are
+    /// List the experiments
     List,
     #[allow(missing_docs)]
     Run(RunArgs),
@@ -30,40 +30,41 @@ pub enum ScenarioCommand {
 
 /// Arguments of `haptimill scenario run`.
 #[derive(Debug, Clone, Args)]
-#[command(about = "Run a scenario, or all of them", long_about = RUN)]
+#[command(about = "Run one experiment, or all", long_about = RUN)]
 pub struct RunArgs {
-    /// Name of a scenario, or `all`
+    /// Name of an experiment, or `all`
     #[arg(value_name = "NAME")]
     pub name: String,
     #[command(flatten)]
     #[allow(missing_docs)]
     pub machine: MachineArg,
-    /// What controls the simulated machine: sim (the controller in this process), pil:mps2 or pil:mps2-m7 (the controller on an emulated Cortex-M4F or M7)
+    /// Where the controller runs: sim (in this process), pil:mps2 or pil:mps2-m7 (on an emulated
+    /// Cortex-M4F or M7)
     #[arg(long, value_name = "PORT", default_value = "sim")]
     pub port: PortSpec,
-    /// Folder for the results; made when it is not there
+    /// Folder for the results; created if missing
     #[arg(long, value_name = "DIR", default_value = "scenarios.out")]
     pub out: PathBuf,
-    /// Print the summaries as JSON on standard output, and nothing else there
+    /// Print only the summaries as JSON on standard output
     #[arg(long)]
     pub json: bool,
 }
 
-/// Lists or runs scenarios.
+/// Lists or runs experiments.
 ///
 /// # Errors
 /// See [`Exit`].
 pub fn run(command: ScenarioCommand) -> Result<(), CliError> {
     match command {
         ScenarioCommand::List => {
-            for scenario in haptimill_experiments::all() {
-                let passes = scenario.passes.len();
+            for experiment in haptimill_experiments::all()? {
+                let passes = experiment.passes.len();
                 let plural = if passes == 1 { "" } else { "es" };
                 tell!(
                     "{:<5} {:<34} {passes} pass{plural}; {}",
-                    scenario.name,
-                    scenario.title,
-                    scenario.figures
+                    experiment.name,
+                    experiment.title,
+                    experiment.figures
                 );
             }
             Ok(())
@@ -74,51 +75,37 @@ pub fn run(command: ScenarioCommand) -> Result<(), CliError> {
 
 fn run_named(args: &RunArgs) -> Result<(), CliError> {
     let machine = args.machine.load()?;
-    let scenarios = if args.name.eq_ignore_ascii_case("all") {
-        haptimill_experiments::all()
-    } else {
-        let known = haptimill_experiments::named(&args.name).ok_or_else(|| {
-            let names: Vec<&str> = haptimill_experiments::all()
-                .iter()
-                .map(|known| known.name)
-                .collect();
+    let mut experiments = haptimill_experiments::all()?;
+    if !args.name.eq_ignore_ascii_case("all") {
+        let names: Vec<String> = experiments.iter().map(|e| e.name.clone()).collect();
+        experiments.retain(|experiment| experiment.name.eq_ignore_ascii_case(&args.name));
+        if experiments.is_empty() {
             let what = format!(
-                "there is no scenario \"{}\"; write one of {}, or all",
+                "there is no experiment \"{}\"; write one of {}, or all",
                 args.name,
                 names.join(", ")
             );
-            CliError::new(Exit::Usage, what)
-        })?;
-        vec![known]
-    };
-    if let [only] = &scenarios[..]
-        && let Some(why) = only.lacks(&machine)
+            return Err(CliError::new(Exit::Usage, what));
+        }
+    }
+    if let [only] = &experiments[..]
+        && let Some(obstacle) = only.obstacle(&machine)
     {
-        let what = format!("{}: {why}", only.name);
+        let what = format!("{}: {obstacle}", only.name);
         return Err(CliError::new(Exit::Refused, what));
     }
-    let (can, _): (Vec<&Scenario>, Vec<&Scenario>) = scenarios
-        .iter()
-        .partition(|scenario| scenario.lacks(&machine).is_none());
-    let on = on(&args.port)?;
-    let mut cut = carry_all(&machine, &can, &args.out, on)?.into_iter();
+    let possible = experiments.iter();
+    let possible: Vec<&Experiment> = possible
+        .filter(|experiment| experiment.obstacle(&machine).is_none())
+        .collect();
+    let target = target(&args.port)?;
+    let mut data = run_all(&machine, &possible, &args.out, target)?.into_iter();
     let mut results = Vec::new();
-    for scenario in &scenarios {
-        let lacks = scenario.lacks(&machine);
-        let result = if lacks.is_none() {
-            let cuts = cut.next().unwrap_or_default();
-            let result = Outcome::of(scenario, &cuts);
-            let dir = args.out.join(scenario.name);
-            let page = haptimill_experiments::page(scenario, &cuts, &result);
-            write(&dir.join("index.html"), &page)?;
-            let json = serde_json::to_string_pretty(&result)
-                .map_err(|error| CliError::new(Exit::Internal, error))?;
-            write(&dir.join("summary.json"), &(json + "\n"))?;
-            result
-        } else {
-            Outcome::not_run(scenario, lacks.unwrap_or_default())
-        };
-        results.push(result);
+    for experiment in &experiments {
+        results.push(match experiment.obstacle(&machine) {
+            None => write_result(experiment, &data.next().unwrap_or_default(), &args.out)?,
+            Some(obstacle) => ExperimentResult::not_run(experiment, obstacle),
+        });
     }
     let index = args.out.join("index.html");
     write(
@@ -136,15 +123,32 @@ fn run_named(args: &RunArgs) -> Result<(), CliError> {
     Ok(())
 }
 
-/// What carries the scenarios out.
-fn on(port: &PortSpec) -> Result<On, CliError> {
+/// Evaluates an experiment; writes its page and its summary.
+fn write_result(
+    experiment: &Experiment,
+    data: &[PassData],
+    out: &Path,
+) -> Result<ExperimentResult, CliError> {
+    let result = ExperimentResult::new(experiment, data);
+    let dir = out.join(&experiment.name);
+    let page = haptimill_experiments::page(experiment, data, &result);
+    write(&dir.join("index.html"), &page)?;
+    let json = serde_json::to_string_pretty(&result)
+        .map_err(|error| CliError::new(Exit::Internal, error))?;
+    write(&dir.join("summary.json"), &(json + "\n"))?;
+    Ok(result)
+}
+
+/// Where the controller runs.
+fn target(port: &PortSpec) -> Result<Target, CliError> {
     match port {
-        PortSpec::Simulator => Ok(On::Here),
-        PortSpec::Emulated(board) => Ok(On::Board(*board)),
+        PortSpec::Simulator => Ok(Target::InProcess),
+        PortSpec::Emulated(board) => Ok(Target::Board(*board)),
         other => {
             let what = format!(
-                "a scenario cuts a simulated work and measures it afterwards, so its machine is simulated: --port sim, pil:mps2 or pil:mps2-m7, not {other}; \
-                 on a machine, `haptimill run` runs the program"
+                "an experiment cuts a simulated stock and measures its surface, so the machine is \
+                 simulated: --port sim, pil:mps2 or pil:mps2-m7, not {other}; on a real machine, \
+                 use `haptimill run`"
             );
             Err(CliError::new(Exit::Usage, what))
         }
@@ -159,22 +163,23 @@ fn write(path: &Path, text: &str) -> Result<(), CliError> {
         .map_err(failed)
 }
 
-/// Carries out every pass of the scenarios, as many at a time as there are processors. Each is a simulation of its own: in which order they end changes nothing.
-fn carry_all(
+/// Runs every pass of the experiments on as many threads as there are processors. Each pass is a
+/// simulation of its own, so their order does not affect the results.
+fn run_all(
     machine: &MachineFile,
-    scenarios: &[&Scenario],
+    experiments: &[&Experiment],
     out: &Path,
-    on: On,
-) -> Result<Vec<Vec<Cut>>, CliError> {
+    target: Target,
+) -> Result<Vec<Vec<PassData>>, CliError> {
     let interrupted: Arc<AtomicBool> = interrupt::flag();
     let mut jobs = Vec::new();
-    for scenario in scenarios {
-        for pass in &scenario.passes {
-            jobs.push((pass, out.join(scenario.name).join(pass.name)));
+    for experiment in experiments {
+        for pass in &experiment.passes {
+            jobs.push((pass, out.join(&experiment.name).join(&pass.name)));
         }
     }
     let next = AtomicUsize::new(0);
-    let done: Vec<Mutex<Option<Result<Cut, CliError>>>> =
+    let done: Vec<Mutex<Option<Result<PassData, CliError>>>> =
         jobs.iter().map(|_| Mutex::new(None)).collect();
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     std::thread::scope(|scope| {
@@ -185,23 +190,24 @@ fn carry_all(
                     let (Some((pass, dir)), Some(slot)) = (jobs.get(index), done.get(index)) else {
                         break;
                     };
-                    let cut = haptimill_experiments::carry(machine, pass, dir, on, &interrupted)
-                        .map_err(CliError::from);
-                    *slot.lock().unwrap_or_else(PoisonError::into_inner) = Some(cut);
+                    let run = haptimill_experiments::run_pass;
+                    let data = run(machine, pass, dir, target, &interrupted);
+                    *slot.lock().unwrap_or_else(PoisonError::into_inner) =
+                        Some(data.map_err(CliError::from));
                 }
             });
         }
     });
     let mut done = done.into_iter();
     let mut all = Vec::new();
-    for scenario in scenarios {
-        let mut cuts = Vec::new();
-        for slot in done.by_ref().take(scenario.passes.len()) {
-            let cut = slot.into_inner().unwrap_or_else(PoisonError::into_inner);
-            let lost = || Err(CliError::new(Exit::Internal, "a pass was not carried out"));
-            cuts.push(cut.unwrap_or_else(lost)?);
+    for experiment in experiments {
+        let mut passes = Vec::new();
+        for slot in done.by_ref().take(experiment.passes.len()) {
+            let data = slot.into_inner().unwrap_or_else(PoisonError::into_inner);
+            let missing = || Err(CliError::new(Exit::Internal, "a pass was not run"));
+            passes.push(data.unwrap_or_else(missing)?);
         }
-        all.push(cuts);
+        all.push(passes);
     }
     Ok(all)
 }

@@ -3,7 +3,7 @@
 use super::scene::{Folder, Served};
 use super::terminal::Keyboard;
 use super::*;
-use haptimill_machine_file::{FOLLOW, HAND};
+use haptimill_machine_file::{FOLLOW, HAPTIC_ARM};
 use std::time::{Duration, Instant};
 
 const TITLE: &str = "Master: forces";
@@ -55,7 +55,7 @@ fn commanded_x(terminal: &Terminal) -> f64 {
 #[test]
 fn feedback_fixture_and_scale_are_set_and_range_errors_reported() {
     let folder = Folder::new();
-    let machine_file = folder.machine_with(HAND);
+    let machine_file = folder.machine_with(HAPTIC_ARM);
     // The console configures the board, so it knows all settings.
     let served = Served::on_tcp(&["--machine", &machine_file, "--unconfigured"]);
     let arguments = [
@@ -141,7 +141,7 @@ fn feedback_fixture_and_scale_are_set_and_range_errors_reported() {
 #[test]
 fn fixture_force_is_proportional_to_depth_and_the_master_drives_x() {
     let folder = Folder::new();
-    let machine_file = folder.machine_with(HAND);
+    let machine_file = folder.machine_with(HAPTIC_ARM);
     let operator = folder.file("person.toml", oscillating_operator());
     let program = folder.file("wait.ngc", "G21 G90 F600\nG4 P60\nM30\n");
     let served = Served::on_tcp(&["--machine", &machine_file, "--person", &operator]);
@@ -215,7 +215,7 @@ fn fixture_force_is_proportional_to_depth_and_the_master_drives_x() {
 #[test]
 fn failed_arm_is_reported_and_takes_no_fixture() {
     let folder = Folder::new();
-    let machine_file = folder.machine_with(HAND);
+    let machine_file = folder.machine_with(HAPTIC_ARM);
     let trip = "hand-amplifiers-tripped at=1s";
     let terminal = console(
         &["--machine", &machine_file, "--fault", trip],
@@ -273,7 +273,7 @@ fn remote_master_machine_has_a_scale_and_a_master_board_its_forces() {
 #[test]
 fn master_panel_depends_on_the_terminal_height() {
     let folder = Folder::new();
-    let machine_file = folder.machine_with(HAND);
+    let machine_file = folder.machine_with(HAPTIC_ARM);
     let terminal = console(&["--machine", &machine_file], Keyboard::Plain);
     terminal.expect_state("DISABLED");
     let panel = "Master ─ force ─ law ─ fixture";

@@ -1,7 +1,8 @@
-//! Carrying out a pass: the simulated machine is homed, the work clamped, the program run, everything recorded.
+//! Running a pass: the simulated machine is homed, the stock clamped, the program run and recorded.
 
-use super::Pass;
-use super::course::Course;
+use super::definition::{Pass, Teleoperation};
+use super::sampled_trace::SampledTrace;
+use super::teleoperation;
 use haptimill_client::client::Options;
 use haptimill_client::port::Board;
 #[cfg(unix)]
@@ -28,95 +29,94 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-/// A row of the trace every so many control periods: 5 ms at 5 kHz.
+/// Control periods per row of the trace: 5 ms at 5 kHz.
 const TRACE_EVERY: u32 = 25;
 
-/// The table of what hand and tool did while a hand led, and a row of it every so many milliseconds.
-pub const HAND_FILE: &str = "hand.csv";
-const HAND_EVERY: usize = 5;
+/// Table of master and tool of a teleoperated pass, and its milliseconds per row.
+const TELEOPERATION_FILE: &str = "hand.csv";
+const TELEOPERATION_EVERY: usize = 5;
 
-/// What a pass left.
-pub struct Cut {
-    /// What was recorded, at a thousand samples a second.
-    pub course: Course,
-    /// The work with its cut surface.
-    pub work: Workpiece,
-    /// The summary of the job.
+/// Largest compliant displacement under force control, mm. The 10 mm of the machine file suffice
+/// for the gains of the thesis (6 mm). With K_A 0.25, K_V 0.5 at 4 mm/s the displacement is 13 mm;
+/// at the limit the tool would press with 10 N, and the run would not show the effect of the gains.
+const COMPLIANCE_LIMIT_MM: i32 = 20;
+
+/// Refusal of an experiment with force control.
+pub const NO_FORCE_CONTROL: &str = "this machine has no force control";
+
+/// Data of a completed pass.
+pub struct PassData {
+    /// Sampled trace.
+    pub trace: SampledTrace,
+    /// Stock with its cut surface.
+    pub stock: Workpiece,
+    /// Summary of the job.
     pub summary: Summary,
-    /// What hand and tool did while a hand led.
-    pub hand: Option<HandCourse>,
+    /// Record of master and tool of a teleoperated pass.
+    pub teleoperation: Option<HandCourse>,
 }
 
-/// The most that a tool under force control may yield, mm: the machine file's 10 mm are enough for the thesis's gains (6 mm), and too little for (0.25, 0.5) at 4 mm/s, which yields 13 mm and would press with
-/// 10 N at the limit instead of showing what the gains do. It is a setting of the loop, not of the plant.
-const LIMIT_MM: i32 = 20;
-
-/// Axes of the work along which the tool yields in a pass.
-fn yields(pass: &Pass) -> &'static [u8] {
-    pass.led.map_or(&[0], |led| led.yields)
-}
-
-/// The machine with the force loop of a pass; `None` when the machine has no force control.
-fn controlled(machine: &MachineFile, pass: &Pass) -> Option<MachineFile> {
+/// The machine with the force control of a pass; none when the machine has no force control.
+fn with_force_control(machine: &MachineFile, pass: &Pass) -> Option<MachineFile> {
     let mut machine = machine.clone();
-    if let Some(control) = pass.control {
+    if let Some(control) = &pass.force_control {
         let force = machine.config.force.as_mut()?;
         let scaled = |value: f64| (value * 65_536.0).round() as u32;
-        for axis in yields(pass) {
-            let axis = force.axes.get_mut(usize::from(*axis))?;
-            axis.desired = Force(scaled(control.desired_n) as i32);
-            axis.mass = VirtualMass(scaled(control.mass));
-            axis.damping = VirtualDamping(scaled(control.damping));
-            axis.limit = Length(LIMIT_MM << 20);
+        for axis in &control.axes {
+            let axis = force.axes.get_mut(axis.index())?;
+            axis.desired = Force(scaled(control.setpoint_n) as i32);
+            axis.mass = VirtualMass(scaled(control.virtual_mass));
+            axis.damping = VirtualDamping(scaled(control.virtual_damping));
+            axis.limit = Length(COMPLIANCE_LIMIT_MM << 20);
         }
     }
     Some(machine)
 }
 
-/// What carries out the control periods of a pass.
+/// Where the controller of the simulated machine runs.
 #[derive(Debug, Clone, Copy)]
-pub enum On {
-    /// The controller in this process.
-    Here,
-    /// The controller on an emulated board, which leaves what it cost as well. The machine around it is the simulated one in either case.
+pub enum Target {
+    /// In this process.
+    InProcess,
+    /// On an emulated board; its instruction counts are written too.
     Board(Board),
 }
 
-/// Carries out a pass; `dir` gets the recording, the trace, the summary and the report of the job.
+/// Runs a pass; writes recording, trace, summary and report of the job to `dir`.
 ///
 /// # Errors
-/// The program is refused, the job does not end as it should, or a file cannot be written.
-pub fn carry(
+/// The program is refused, the job does not complete, or a file cannot be written.
+pub fn run_pass(
     machine: &MachineFile,
     pass: &Pass,
     dir: &Path,
-    on: On,
+    target: Target,
     interrupted: &Arc<AtomicBool>,
-) -> Result<Cut, Error> {
-    let machine = match &pass.led {
+) -> Result<PassData, Error> {
+    let machine = match &pass.teleoperation {
         Some(_) => machine.with_haptic_arm()?,
         None => machine.clone(),
     };
-    let machine = controlled(&machine, pass)
+    let machine = with_force_control(&machine, pass)
         .ok_or_else(|| Error::new(ErrorKind::Refused, NO_FORCE_CONTROL))?;
-    match on {
-        On::Here => {
+    match target {
+        Target::InProcess => {
             let line = SimLine::new(session::rig(&machine, None, None, Vec::new())?);
-            cut(line, &machine, pass, dir, interrupted)
+            run_job(line, &machine, pass, dir, interrupted)
         }
-        On::Board(board) => on_board(board, &machine, pass, dir, interrupted),
+        Target::Board(board) => run_on_board(board, &machine, pass, dir, interrupted),
     }
 }
 
-/// On an emulated board.
+/// Runs a pass with the controller on an emulated board.
 #[cfg(unix)]
-fn on_board(
+fn run_on_board(
     board: Board,
     machine: &MachineFile,
     pass: &Pass,
     dir: &Path,
     interrupted: &Arc<AtomicBool>,
-) -> Result<Cut, Error> {
+) -> Result<PassData, Error> {
     let image = pil::image_for(board, machine)?;
     let emulator = pil::Emulator::start(board, &image)?;
     let period_us = machine.config.period_us;
@@ -126,41 +126,41 @@ fn on_board(
     let cost = remote.cost();
     let rig = session::rig_around(remote, machine, None, None, Vec::new())?;
     let line = SimLine::named(rig, &board.to_string());
-    let cut = cut(line, machine, pass, dir, interrupted)?;
+    let data = run_job(line, machine, pass, dir, interrupted)?;
     pil::Instructions::leave(&cost, dir)?;
-    Ok(cut)
+    Ok(data)
 }
 
-/// Emulated boards need named pipes.
+/// Refuses: emulated boards need named pipes.
 #[cfg(not(unix))]
-fn on_board(
+fn run_on_board(
     board: Board,
     _: &MachineFile,
     _: &Pass,
     _: &Path,
     _: &Arc<AtomicBool>,
-) -> Result<Cut, Error> {
+) -> Result<PassData, Error> {
     let what = format!("{board}: emulated boards need a Unix system");
     Err(Error::new(ErrorKind::Usage, what))
 }
 
-fn cut<C: Controlled>(
+fn run_job<C: Controlled>(
     line: SimLine<C>,
     machine: &MachineFile,
     pass: &Pass,
     dir: &Path,
     interrupted: &Arc<AtomicBool>,
-) -> Result<Cut, Error> {
+) -> Result<PassData, Error> {
     let output = |error: &dyn std::fmt::Display| {
         Error::new(ErrorKind::Output, format!("{}: {error}", dir.display()))
     };
     let model = Model::new(machine);
     let home = session::home_of(machine, &model)?;
-    let plan = planned(machine, &model, &home, pass)?;
+    let plan = plan(machine, &model, &home, pass)?;
 
     let plant: PlantConfig = machine.plant()?;
-    let (file, text) = pass.work.file();
-    let mut cutting = plant.cutting(stock::parse(file, text)?);
+    let stock = stock::parse(&pass.stock, pass.stock_text())?;
+    let mut cutting = plant.cutting(stock);
     cutting.cutter.force_scale *= pass.force_scale;
 
     std::fs::create_dir_all(dir).map_err(|error| output(&error))?;
@@ -170,19 +170,19 @@ fn cut<C: Controlled>(
     session.enable()?;
     session
         .go_home(machine, &home)
-        .map_err(|error| of_pass(pass, error))?;
+        .map_err(|error| with_program(pass, error))?;
     session.line_mut().clamp(&cutting)?;
     if machine.config.force.is_some() {
         session.tare()?;
-        if pass.control.is_some() {
-            session.set_force_mask(yields(pass))?;
+        if let Some(control) = &pass.force_control {
+            session.set_force_mask(&control.axis_indices())?;
         }
     }
-    if let Some(led) = &pass.led {
-        led.set_up(&mut session)?;
+    if let Some(settings) = &pass.teleoperation {
+        teleoperation::set_up(settings, &mut session)?;
     }
 
-    let header = Header::of(machine, pass.program)
+    let header = Header::of(machine, pass.program_name())
         .map_err(|error| Error::new(ErrorKind::Internal, error))?;
     let recorder = Recorder::create(&dir.join(haptimill_report::RECORDING_FILE), &header)
         .map_err(|error| output(&error))?;
@@ -190,18 +190,21 @@ fn cut<C: Controlled>(
     session
         .line_mut()
         .begin_recording(JobRecording::new(recorder, Arc::new(plan), machine));
-    let mut hand = None;
+    let mut record = None;
     let mut pauses = 0;
     let mut at_pause = |session: &mut Session<SimLine<C>>| {
         pauses += 1;
-        match (&pass.led, pauses) {
-            (Some(led), 1) => led.begin(session),
-            (Some(led), 2) => led.end(session).map(|course| hand = course),
+        match (&pass.teleoperation, pauses) {
+            (Some(settings), 1) => teleoperation::begin(settings, session),
+            (Some(settings), 2) => {
+                record = teleoperation::end(settings, session)?;
+                Ok(())
+            }
             _ => Ok(()),
         }
     };
     let end = session.run_job_with(2, home, setpoints, &mut Unwatched, &mut at_pause)?;
-    well_ended(&session, pass, &end)?;
+    check_end(&session, pass, &end)?;
     let recorded = session
         .line_mut()
         .end_recording()
@@ -226,11 +229,13 @@ fn cut<C: Controlled>(
         .map_err(|error| output(&error))?;
     let recording = Recording::open(&dir.join(haptimill_report::RECORDING_FILE))
         .map_err(|error| output(&error))?;
-    let led = pass.led.as_ref().map_or(&[][..], |led| led.axes);
-    let course = Course::of(&recording, led).map_err(|error| output(&error))?;
-    if let Some(course) = &hand {
-        std::fs::write(dir.join(HAND_FILE), course.table(HAND_EVERY))
-            .map_err(|error| output(&error))?;
+    let axes_of =
+        |settings: &Teleoperation| settings.axes.iter().map(|axis| axis.index()).collect();
+    let teleoperated: Vec<usize> = pass.teleoperation.as_ref().map(axes_of).unwrap_or_default();
+    let trace = SampledTrace::new(&recording, &teleoperated).map_err(|error| output(&error))?;
+    if let Some(record) = &record {
+        let table = record.table(TELEOPERATION_EVERY);
+        std::fs::write(dir.join(TELEOPERATION_FILE), table).map_err(|error| output(&error))?;
     }
     let mut line = session.into_line();
     let cutting = line
@@ -238,51 +243,55 @@ fn cut<C: Controlled>(
         .plant_mut()
         .process_mut()
         .and_then(|process| process.cutting_mut())
-        .ok_or_else(|| Error::new(ErrorKind::Internal, "the work is gone"))?;
+        .ok_or_else(|| Error::new(ErrorKind::Internal, "the stock is missing"))?;
     cutting.settle();
-    Ok(Cut {
-        course,
-        work: cutting.workpiece().clone(),
+    Ok(PassData {
+        trace,
+        stock: cutting.workpiece().clone(),
         summary,
-        hand,
+        teleoperation: record,
     })
 }
 
-/// Why a scenario with force control is not run.
-pub const NO_FORCE_CONTROL: &str = "this machine has no force control";
-
-fn planned(
+fn plan(
     machine: &MachineFile,
     model: &Model,
     home: &AxisValues,
     pass: &Pass,
 ) -> Result<Plan, Error> {
     let options = program_options(machine, model.to_engineering_units(home));
-    let program = haptimill_gcode::read(pass.program, pass.text.as_bytes(), &options)
-        .map_err(|refused| Error::refused(ErrorKind::BadInput, &refused))?;
+    let program = haptimill_gcode::read(
+        pass.program_name(),
+        pass.program_text().as_bytes(),
+        &options,
+    )
+    .map_err(|refused| Error::refused(ErrorKind::BadInput, &refused))?;
     Plan::new(&program, &settings(machine), model)
         .map_err(|refused| Error::refused(ErrorKind::Refused, &refused))
 }
 
-/// A job that did not reach its end leaves nothing to measure.
-fn well_ended<C: Controlled>(
+/// Refuses a job that did not complete.
+fn check_end<C: Controlled>(
     session: &Session<SimLine<C>>,
     pass: &Pass,
     end: &JobEnd,
 ) -> Result<(), Error> {
     session
         .well_ended(end)
-        .map_err(|error| of_pass(pass, error))?;
+        .map_err(|error| with_program(pass, error))?;
     if session.interrupted() {
         return Err(Error::new(ErrorKind::Stopped, "stopped by the user"));
     }
     Ok(())
 }
 
-/// An error of a pass names its program, unless the user wanted it.
-fn of_pass(pass: &Pass, error: Error) -> Error {
+/// Adds the name of the program to an error, except when the user stopped the run.
+fn with_program(pass: &Pass, error: Error) -> Error {
     if error.kind == ErrorKind::Stopped {
         return error;
     }
-    Error::new(error.kind, format!("{}: {}", pass.program, error.message))
+    Error::new(
+        error.kind,
+        format!("{}: {}", pass.program_name(), error.message),
+    )
 }

@@ -1,4 +1,4 @@
-//! What the pictures of a report are drawn from, gathered in one pass over a recording.
+//! Data of the charts of a report, collected in one pass over a recording.
 
 use super::Statistics;
 use super::contour::{Contour, Point, distance};
@@ -7,12 +7,12 @@ use haptimill_firmware::config::AxisKind;
 use haptimill_trace::{Record, Recording, flag};
 use std::collections::VecDeque;
 
-/// Time over which speeds are taken, s: long enough that a count of an encoder does not look like a jump. Where records are farther apart
-/// (telemetry), from one to the next.
+/// Time over which speeds are averaged, s: a single encoder count does not show as a step. Where
+/// records are farther apart (telemetry), speeds are taken between records.
 pub const SPEED_SPAN_S: f64 = 0.005;
 
-/// What is gathered for the pictures in one pass over the recording.
-pub struct Pictures {
+/// Data of the charts.
+pub struct ChartData {
     period_s: f64,
     begin: f64,
     pose_units: Vec<f64>,
@@ -20,7 +20,7 @@ pub struct Pictures {
     drive_units: Vec<f64>,
     first_period: Option<u64>,
     first_joints: Option<Vec<f64>>,
-    /// Points of the path, programmed and done.
+    /// Points of the path, programmed and actual.
     pub path: PathPoints,
     /// Tool against the programmed point of the same time, um.
     pub tool_error: Columns,
@@ -30,23 +30,23 @@ pub struct Pictures {
     contour_times: VecDeque<f64>,
     /// Following error of each joint, 1/1000 mm or degree.
     pub following: Vec<Columns>,
-    /// Way of each joint from the start of the job, mm or degrees.
+    /// Travel of each joint from the start of the job, mm or degrees.
     pub joints: Vec<Columns>,
     /// Speed of each joint.
     pub joint_speed: Vec<Columns>,
-    /// Speed of the tip, programmed and done.
+    /// Speed of the tip, programmed and actual.
     pub tip_speed: [Columns; 2],
     /// Drive command of each joint.
     pub drives: Vec<Columns>,
-    /// Each pose coordinate, programmed and done.
+    /// Each pose coordinate, programmed and actual.
     pub angles: Vec<[Columns; 2]>,
     /// Time, programmed tip, tool tip and joints of the last records.
     history: VecDeque<(f64, Point, Point, Vec<f64>)>,
     linear: [bool; 3],
 }
 
-impl Pictures {
-    /// Pictures of a recording; `statistics` are those of the whole of it.
+impl ChartData {
+    /// Data of a recording without records yet; `statistics` are those of the whole recording.
     pub fn new(recording: &Recording, statistics: &Statistics) -> Self {
         let whole = (0.0, recording.records() as f64 * recording.period_s());
         let (begin, end) = statistics.job.unwrap_or(whole);
@@ -94,7 +94,7 @@ impl Pictures {
         })
     }
 
-    /// Takes the next record.
+    /// Adds the next record.
     pub fn add(&mut self, record: &Record) {
         let first = *self.first_period.get_or_insert(record.period);
         let time = record.period.saturating_sub(first) as f64 * self.period_s;
@@ -126,10 +126,10 @@ impl Pictures {
             return;
         }
         for (axis, unit) in self.pose_units.iter().enumerate() {
-            let [commanded, done] = &mut self.angles[axis];
-            commanded.add(time, f64::from(record.programmed[axis]) * unit);
+            let [programmed, actual] = &mut self.angles[axis];
+            programmed.add(time, f64::from(record.programmed[axis]) * unit);
             if has_tool {
-                done.add(time, f64::from(record.tool[axis]) * unit);
+                actual.add(time, f64::from(record.tool[axis]) * unit);
             }
         }
         if has_tool {
@@ -144,14 +144,14 @@ impl Pictures {
             self.path.add(programmed, programmed);
         }
         self.history.push_back((time, programmed, tool, joints));
-        // Half a period against rounding.
+        // Half a period absorbs rounding.
         let due = time - SPEED_SPAN_S + self.period_s / 2.0;
         while self.history.front().is_some_and(|oldest| oldest.0 <= due) {
             self.add_speeds(has_tool);
         }
     }
 
-    /// No more records.
+    /// Ends the data: the pending contour errors are added.
     pub fn finish(&mut self) {
         for error in std::mem::take(&mut self.contour).finish() {
             self.add_contour(error);
@@ -164,7 +164,7 @@ impl Pictures {
         }
     }
 
-    /// Speeds between the oldest record of the history, which goes, and the newest.
+    /// Adds the speeds between the oldest record of the history, which is removed, and the newest.
     fn add_speeds(&mut self, has_tool: bool) {
         let (Some(old), Some(new)) = (self.history.pop_front(), self.history.back()) else {
             return;

@@ -1,22 +1,22 @@
-//! The cut surface seen from above, as a picture: light from the upper left, blue where it is deep.
+//! Image of the cut surface from above: light from the upper left, blue where the cut is deep.
 
 use haptimill_hil_sim::process::Workpiece;
 use haptimill_hil_sim::process::metrology::Picture;
 use haptimill_report::chart::Backdrop;
 
-/// Points along the longer side of the map at the most.
-const MOST: usize = 1400;
+/// Largest number of pixels along the longer side of the map.
+const LARGEST_SIDE: usize = 1400;
 
-/// Uncut margin around what is cut, mm.
+/// Uncut margin around the cut, mm.
 const MARGIN: f64 = 3.0;
 
 /// Depth from which a point counts as cut, mm.
 const CUT: f64 = 0.02;
 
-/// A picture of what is cut, with its place; `None` when nothing is.
-pub(super) fn surface(work: &Workpiece) -> Option<Backdrop> {
-    let cut = work.extents(CUT)?;
-    let picture = work.picture(MOST);
+/// Renders the cut part of the stock; none when nothing is cut.
+pub(super) fn render(stock: &Workpiece) -> Option<Backdrop> {
+    let cut = stock.extents(CUT)?;
+    let picture = stock.picture(LARGEST_SIDE);
     let cell = (picture.area.x_max - picture.area.x_min) / (picture.columns.max(2) - 1) as f64;
     let span = |low: f64, high: f64, origin: f64, count: usize| {
         let first = ((low - MARGIN - origin) / cell).floor().max(0.0) as usize;
@@ -27,7 +27,7 @@ pub(super) fn surface(work: &Workpiece) -> Option<Backdrop> {
     let rows = span(cut.y_min, cut.y_max, picture.area.y_min, picture.rows);
     let deepest = picture.depths.iter().copied().fold(0.0, f32::max);
     let mut pixels = Vec::new();
-    // Pictures go down, y goes up.
+    // Rows of an image go down, y goes up.
     for row in (rows.0..=rows.1).rev() {
         for column in columns.0..=columns.1 {
             pixels.extend_from_slice(&pixel(&picture, column, row, cell, deepest));
@@ -44,9 +44,9 @@ pub(super) fn surface(work: &Workpiece) -> Option<Backdrop> {
     })
 }
 
-/// Deepest cut below the uncut top, mm.
-pub(super) fn deepest(work: &Workpiece) -> f64 {
-    let picture = work.picture(MOST);
+/// Greatest depth below the uncut top, mm.
+pub(super) fn greatest_depth(stock: &Workpiece) -> f64 {
+    let picture = stock.picture(LARGEST_SIDE);
     f64::from(picture.depths.iter().copied().fold(0.0, f32::max))
 }
 
@@ -66,7 +66,7 @@ fn pixel(picture: &Picture, column: usize, row: usize, cell: f64, deepest: f32) 
     let slope_x = (height(right, row) - height(left, row)) / ((right - left).max(1) as f64 * cell);
     let slope_y =
         (height(column, above) - height(column, below)) / ((above - below).max(1) as f64 * cell);
-    // Light from the upper left, 45 degrees high; walls are softened, or they would be black and white.
+    // Light from the upper left at 45 degrees. Slopes are reduced: walls would be black or white.
     let (slope_x, slope_y) = (0.6 * slope_x, 0.6 * slope_y);
     let length = (1.0 + slope_x * slope_x + slope_y * slope_y).sqrt();
     let light = (0.5 * slope_x - 0.5 * slope_y + 0.707) / length;
@@ -79,7 +79,7 @@ fn pixel(picture: &Picture, column: usize, row: usize, cell: f64, deepest: f32) 
     })
 }
 
-/// A PNG of three bytes a pixel; `None` only when the sizes do not fit.
+/// Encodes a PNG of three bytes per pixel; none when the sizes do not fit.
 fn png(wide: u32, high: u32, pixels: &[u8]) -> Option<Vec<u8>> {
     let mut bytes = Vec::new();
     let mut encoder = png::Encoder::new(&mut bytes, wide, high);
@@ -92,7 +92,7 @@ fn png(wide: u32, high: u32, pixels: &[u8]) -> Option<Vec<u8>> {
     Some(bytes)
 }
 
-/// Base64 (RFC 4648, with padding).
+/// Encodes base64 (RFC 4648, with padding).
 fn base64(bytes: &[u8]) -> String {
     const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
     let mut text = String::with_capacity(bytes.len().div_ceil(3) * 4);
@@ -115,7 +115,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn base64_is_that_of_the_standard() {
+    fn base64_matches_the_test_vectors_of_rfc_4648() {
         for (plain, coded) in [
             ("", ""),
             ("f", "Zg=="),

@@ -1,0 +1,202 @@
+//! Selection of samples for a measure.
+
+use super::quantity;
+use super::statistics::Point;
+use crate::definition::{Event, Experiment, Measurement, Pass, Window, WorkAxis};
+use crate::run::PassData;
+use crate::sampled_trace::Sample;
+use haptimill_client::session::{HandCourse, HandSample};
+
+/// Time left out at both ends of a window for a settled value, s.
+const SETTLING_S: f64 = 0.3;
+
+/// Distance at which the master has reached a position, mm.
+const REACHED_MM: f64 = 0.5;
+
+/// Input of a measure.
+pub(super) struct Context<'a> {
+    pub experiment: &'a Experiment,
+    pub pass: &'a Pass,
+    pub data: &'a PassData,
+    pub measurement: &'a Measurement,
+}
+
+/// Samples without the first and last [`SETTLING_S`].
+pub(super) fn settled<T>(samples: &[T], time: impl Fn(&T) -> f64) -> &[T] {
+    let (Some(first), Some(last)) = (samples.first(), samples.last()) else {
+        return samples;
+    };
+    let (first, last) = (time(first) + SETTLING_S, time(last) - SETTLING_S);
+    let begin = samples.partition_point(|sample| time(sample) < first);
+    let end = samples.partition_point(|sample| time(sample) < last);
+    &samples[begin..end.max(begin)]
+}
+
+impl Context<'_> {
+    pub fn axis(&self) -> usize {
+        self.measurement.axis.map_or(0, WorkAxis::index)
+    }
+
+    /// Windows of the measurement; one without bounds when it names none.
+    pub fn windows(&self) -> Vec<Window> {
+        let names = &self.measurement.windows;
+        let windows = names
+            .iter()
+            .filter_map(|name| self.experiment.windows.get(name));
+        let windows: Vec<Window> = windows.cloned().collect();
+        if windows.is_empty() {
+            vec![Window::default()]
+        } else {
+            windows
+        }
+    }
+
+    /// Samples of a programmed pass.
+    pub fn programmed_samples(&self) -> Vec<Sample> {
+        let trace = &self.data.trace;
+        let mut samples = Vec::new();
+        for window in self.windows() {
+            let found: Vec<Sample> = if window.from_s.is_some() || window.to_s.is_some() {
+                let from = window.from_s.unwrap_or(f64::NEG_INFINITY);
+                trace
+                    .between(from, window.to_s.unwrap_or(f64::INFINITY))
+                    .to_vec()
+            } else {
+                let is_inside = |sample: &Sample| {
+                    let [_, y, z] = sample.commanded;
+                    let is_at_z = window.z_mm.is_none_or(|at| (z - at).abs() < 0.005);
+                    let on_line = |at: f64| (y - at).abs() < 1e-4 && sample.is_moving[0];
+                    let is_moving = |axis: WorkAxis| sample.is_moving[axis.index()];
+                    is_at_z
+                        && window.y_mm.is_none_or(on_line)
+                        && window.moving.is_none_or(is_moving)
+                };
+                trace.cut_path().into_iter().filter(is_inside).collect()
+            };
+            samples.extend_from_slice(if self.measurement.settled {
+                settled(&found, |sample| sample.time)
+            } else {
+                &found
+            });
+        }
+        samples
+    }
+
+    /// Record of a teleoperated pass.
+    pub fn teleoperation(&self) -> &HandCourse {
+        static EMPTY: HandCourse = HandCourse {
+            samples: Vec::new(),
+        };
+        self.data.teleoperation.as_ref().unwrap_or(&EMPTY)
+    }
+
+    /// Start and end of a window of a teleoperated pass, s.
+    pub fn bounds(&self, window: &Window) -> (f64, f64) {
+        let event = window.to_event.as_ref().map(|event| self.time_of(event));
+        let to = event.or(window.to_s).unwrap_or(f64::INFINITY);
+        let from = window.from_fraction.map(|fraction| fraction * to);
+        (from.or(window.from_s).unwrap_or(f64::NEG_INFINITY), to)
+    }
+
+    /// Samples of a teleoperated pass.
+    pub fn teleoperated_samples(&self) -> Vec<HandSample> {
+        let mut samples = Vec::new();
+        for window in self.windows() {
+            let (from, to) = self.bounds(&window);
+            let found = self.teleoperation().between(from, to).iter();
+            let is_inside = |sample: &&HandSample| {
+                let range = window.feedback_n;
+                range.is_none_or(|[low, high]| (low..high).contains(&sample.reflected[0]))
+            };
+            let found: Vec<HandSample> = found.filter(is_inside).copied().collect();
+            samples.extend_from_slice(if self.measurement.settled {
+                settled(&found, |sample| sample.time)
+            } else {
+                &found
+            });
+        }
+        samples
+    }
+
+    /// Time and quantity of the selected samples.
+    pub fn values(&self) -> Vec<Point> {
+        let name = self.measurement.quantity.as_deref().unwrap_or_default();
+        let axis = self.axis();
+        let Some(quantity) = quantity(name) else {
+            return Vec::new();
+        };
+        if self.pass.teleoperation.is_some() {
+            let samples = self.teleoperated_samples();
+            let value = quantity.teleoperated.unwrap_or(|_, _| f64::NAN);
+            samples.iter().map(|s| (s.time, value(s, axis))).collect()
+        } else {
+            let samples = self.programmed_samples();
+            let value = quantity.programmed.unwrap_or(|_, _| f64::NAN);
+            samples.iter().map(|s| (s.time, value(s, axis))).collect()
+        }
+    }
+
+    pub fn magnitudes(&self) -> Vec<Point> {
+        let values = self.values().into_iter();
+        values.map(|(time, value)| (time, value.abs())).collect()
+    }
+
+    pub fn times(&self) -> Vec<f64> {
+        if self.pass.teleoperation.is_some() {
+            let samples = self.teleoperated_samples();
+            samples.iter().map(|sample| sample.time).collect()
+        } else {
+            let samples = self.programmed_samples();
+            samples.iter().map(|sample| sample.time).collect()
+        }
+    }
+
+    /// Quantity at a time.
+    pub fn value_at(&self, time: f64) -> f64 {
+        let name = self.measurement.quantity.as_deref().unwrap_or_default();
+        let axis = self.axis();
+        let Some(quantity) = quantity(name) else {
+            return f64::NAN;
+        };
+        match (quantity.programmed, quantity.teleoperated) {
+            (_, Some(value)) if self.pass.teleoperation.is_some() => {
+                value(&self.teleoperation().at(time), axis)
+            }
+            (Some(value), _) => value(&self.data.trace.at(time), axis),
+            _ => f64::NAN,
+        }
+    }
+
+    pub fn at(&self) -> f64 {
+        self.value_at(self.measurement.at_s.unwrap_or(f64::NAN))
+    }
+
+    pub fn event_time(&self) -> f64 {
+        let event = self.measurement.event.as_ref();
+        event.map_or(f64::NAN, |event| self.time_of(event))
+    }
+
+    /// Time of an event; not a number when it does not occur.
+    pub fn time_of(&self, event: &str) -> f64 {
+        let Some(event) = self.experiment.events.get(event) else {
+            return f64::NAN;
+        };
+        let Event {
+            from_s,
+            to_s,
+            master_x_mm,
+            completed,
+        } = *event;
+        let (from, to) = (
+            from_s.unwrap_or(f64::NEG_INFINITY),
+            to_s.unwrap_or(f64::INFINITY),
+        );
+        let has_occurred = |sample: &&HandSample| {
+            let is_near = |x: f64| (sample.hand[0] - x).abs() < REACHED_MM;
+            completed && sample.done || master_x_mm.is_some_and(is_near)
+        };
+        let mut samples = self.teleoperation().between(from, to).iter();
+        let first = samples.find(has_occurred);
+        first.map_or(f64::NAN, |sample| sample.time)
+    }
+}
