@@ -61,7 +61,7 @@ mod linux {
         let me = std::env::current_exe()?;
         let folder = me.parent().and_then(Path::parent).ok_or("no folder")?;
         let program = folder.join("haptimill");
-        let arguments = [&["console", "--work", "examples/block.toml"], more].concat();
+        let arguments = [&["console", "--stock", "examples/block.toml"], more].concat();
         let terminal = Terminal::start(&program, &arguments, root, (80, 24), Keyboard::Plain);
         home(&terminal);
         terminal.sees("the work is clamped");
@@ -116,7 +116,7 @@ mod linux {
             &[
                 "--machine",
                 &own,
-                "--person",
+                "--operator",
                 &script,
                 "examples/e8-hand.ngc",
             ],

@@ -54,7 +54,7 @@ fn without_machine_no_command_replaces_another_configuration() {
         &["home", "--at-preset"],
         &["jog", "x=1", "--for", "0.1"],
         &["run", &program, "--out", &out],
-        &["teleop", "--hand", "sim", "--for", "1", "--out", &out],
+        &["teleop", "--master", "sim", "--for", "1", "--out", &out],
     ] {
         let ran = served.tries(command);
         assert_eq!(stands(&served), before, "{command:?}: {ran:#?}");
@@ -139,7 +139,7 @@ fn a_board_without_a_configuration_asks_for_a_machine_file() {
         &["home"],
         &["jog", "x=1", "--for", "0.1"],
         &["run", &program, "--out", &out],
-        &["teleop", "--hand", "sim", "--for", "1", "--out", &out],
+        &["teleop", "--master", "sim", "--for", "1", "--out", &out],
     ] {
         let ran = served.tries(command).ended_with(8);
         assert!(ran.err.contains("has no configuration"), "{ran:#?}");
@@ -182,7 +182,7 @@ fn an_arm_keeps_its_configuration_as_well() {
         "teleop",
         "--port",
         &machine.port,
-        "--hand",
+        "--master",
         &arm.port,
         "--out",
         &out,
@@ -191,10 +191,10 @@ fn an_arm_keeps_its_configuration_as_well() {
     ];
     let ran = haptimill(&teleop).ended_with(8);
     assert_eq!(stands(&arm), before, "{ran:#?}");
-    assert!(ran.err.contains("--hand-machine"), "{ran:#?}");
-    let master = ["--hand-machine", "machines/hand-master.toml"];
+    assert!(ran.err.contains("--master-machine"), "{ran:#?}");
+    let master = ["--master-machine", "machines/hand-master.toml"];
     let ran = haptimill(&[&teleop[..], &master].concat()).ended_with(8);
     assert_eq!(stands(&arm), before, "{ran:#?}");
-    assert!(ran.err.contains("--replace-hand-machine"), "{ran:#?}");
+    assert!(ran.err.contains("--replace-master-machine"), "{ran:#?}");
     assert!(!std::path::Path::new(&out).join("recording.hmr").exists());
 }

@@ -64,7 +64,18 @@ fn force_control_is_shown_and_set_and_refused_in_words() {
     assert_eq!(shown["under_control"], serde_json::json!([]), "{shown:#}");
     assert_eq!(shown["tared"], false);
     let set = [
-        "force", "set", "z,x", "--fd", "6", "--ka", "1.5", "--kv", "4", "--gate", "any", "--json",
+        "force",
+        "set",
+        "z,x",
+        "--force-setpoint",
+        "6",
+        "--virtual-mass",
+        "1.5",
+        "--virtual-damping",
+        "4",
+        "--gate",
+        "any",
+        "--json",
     ];
     let set = served.does(&set).json();
     assert_eq!(
@@ -73,11 +84,11 @@ fn force_control_is_shown_and_set_and_refused_in_words() {
         "{set:#}"
     );
     for (option, value, bound) in [
-        ("--fd", "0", "0.500 N or more"),
-        ("--fd", "-5", "0.500 N or more"),
-        ("--fd", "90", "71.246 N or less"),
-        ("--kv", "0.1", "0.406 N s/mm or more"),
-        ("--ka", "0.0001", "N s^2/mm or more"),
+        ("--force-setpoint", "0", "0.500 N or more"),
+        ("--force-setpoint", "-5", "0.500 N or more"),
+        ("--force-setpoint", "90", "71.246 N or less"),
+        ("--virtual-damping", "0.1", "0.406 N s/mm or more"),
+        ("--virtual-mass", "0.0001", "N s^2/mm or more"),
         ("--rate", "0", "must be above 0"),
     ] {
         let refused = served
@@ -87,7 +98,7 @@ fn force_control_is_shown_and_set_and_refused_in_words() {
         assert!(refused.err.contains(bound), "{}", refused.err);
     }
     served
-        .tries(&["force", "set", "x", "--fd", "nan"])
+        .tries(&["force", "set", "x", "--force-setpoint", "nan"])
         .ended_with(2);
     served.tries(&["force", "set", "alpha"]).ended_with(2);
     let none = served.does(&["force", "set", "none", "--json"]).json();
@@ -108,7 +119,7 @@ fn force_control_needs_a_sensor() {
     let refused =
         scene::haptimill(&["run", program, "--machine", &blind, "--force", "x"]).ended_with(3);
     assert!(refused.err.contains("no force sensor"), "{}", refused.err);
-    let refused = scene::haptimill(&["run", program, "--fd", "5"]).ended_with(2);
+    let refused = scene::haptimill(&["run", program, "--force-setpoint", "5"]).ended_with(2);
     assert!(refused.err.contains("--force"), "{}", refused.err);
 }
 
@@ -120,18 +131,26 @@ fn force_control_by_hand() {
     for command in [
         &["force", "show"][..],
         &["force", "tare"],
-        &["force", "set", "x", "--fd", "4"],
+        &["force", "set", "x", "--force-setpoint", "4"],
         &["home", "--machine", "machines/h4.toml"],
         &["force", "show"],
         &["force", "tare"],
         &[
-            "force", "set", "x,z", "--fd", "4", "--kv", "8", "--gate", "any",
+            "force",
+            "set",
+            "x,z",
+            "--force-setpoint",
+            "4",
+            "--virtual-damping",
+            "8",
+            "--gate",
+            "any",
         ],
         &["force", "set", "z", "--limit", "3"],
-        &["force", "set", "x", "--fd", "0"],
-        &["force", "set", "x", "--fd", "90"],
-        &["force", "set", "x", "--kv", "0.1"],
-        &["force", "set", "x", "--ka", "0.001"],
+        &["force", "set", "x", "--force-setpoint", "0"],
+        &["force", "set", "x", "--force-setpoint", "90"],
+        &["force", "set", "x", "--virtual-damping", "0.1"],
+        &["force", "set", "x", "--virtual-mass", "0.001"],
         &["force", "set", "x", "--limit", "100"],
         &["force", "set", "none"],
     ] {

@@ -88,25 +88,21 @@ const FILES: [(&[&str], i32); 19] = [
         ],
         3,
     ),
-    (&["run", "GOOD", "--work", "{}", "--out", "OUT"], 3),
+    (&["run", "GOOD", "--stock", "{}", "--out", "OUT"], 3),
     (
         &["scenario", "run", "e7", "--machine", "{}", "--out", "OUT"],
         3,
     ),
     (
-        &["teleop", "--hand", "sim", "--work", "{}", "--out", "OUT"],
-        3,
-    ),
-    (
-        &["teleop", "--hand", "sim", "--machine", "{}", "--out", "OUT"],
+        &["teleop", "--master", "sim", "--stock", "{}", "--out", "OUT"],
         3,
     ),
     (
         &[
             "teleop",
-            "--hand",
+            "--master",
             "sim",
-            "--hand-machine",
+            "--machine",
             "{}",
             "--out",
             "OUT",
@@ -116,7 +112,19 @@ const FILES: [(&[&str], i32); 19] = [
     (
         &[
             "teleop",
-            "--hand",
+            "--master",
+            "sim",
+            "--master-machine",
+            "{}",
+            "--out",
+            "OUT",
+        ],
+        3,
+    ),
+    (
+        &[
+            "teleop",
+            "--master",
             "script:{}",
             "--port",
             "PORT",
@@ -128,9 +136,9 @@ const FILES: [(&[&str], i32); 19] = [
     (
         &[
             "teleop",
-            "--hand",
+            "--master",
             "PORT",
-            "--hand-machine",
+            "--master-machine",
             "{}",
             "--port",
             "PORT",
@@ -185,7 +193,7 @@ const OTHERS: [(&[&str], i32); 9] = [
             "serve",
             "--machine",
             "machines/hand-master.toml",
-            "--person",
+            "--operator",
             "{}",
             "--for",
             "1",
@@ -258,13 +266,13 @@ fn a_device_that_is_missing_is_told_before_anything_happens() {
     let (folder, deaf) = (Folder::new(), Deaf::new());
     let missing = folder.path("missing");
     for hand in ["joystick:{}", "mouse3d:{}", "{}"] {
-        let row = ["teleop", "--hand", hand, "--port", "PORT", "--out", "OUT"];
+        let row = ["teleop", "--master", hand, "--port", "PORT", "--out", "OUT"];
         refuses(&folder, &deaf, (&row, 5), &missing);
-        let row = ["teleop", "--hand", hand, "--out", "OUT"];
+        let row = ["teleop", "--master", hand, "--out", "OUT"];
         refuses(&folder, &deaf, (&row, 5), &missing);
     }
     for row in [
-        &["teleop", "--hand", "sim", "--port", "{}", "--out", "OUT"][..],
+        &["teleop", "--master", "sim", "--port", "{}", "--out", "OUT"][..],
         &["jog", "x=1", "--port", "{}"],
         &["home", "--port", "{}"],
         &["stop", "--port", "{}"],
@@ -279,7 +287,7 @@ fn an_arm_that_does_not_answer_moves_nothing() {
     let (folder, deaf) = (Folder::new(), Deaf::new());
     let served = scene::Served::on_tcp(&[]);
     let out = results(&folder, "out");
-    let ran = served.tries(&["teleop", "--hand", &deaf.port, "--out", &out]);
+    let ran = served.tries(&["teleop", "--master", &deaf.port, "--out", &out]);
     assert_eq!(ran.code, 5, "{ran:?}");
     assert!(ran.err.contains("does not answer"), "{ran:?}");
     let status = served.status();
@@ -389,7 +397,7 @@ fn a_file_size_limit_stops_a_job_in_words() {
     let sliced = folder.path("slides.csv");
     for (blocks, command) in [
         (2000, format!("run {program} --quiet --out {out}")),
-        (2000, format!("teleop --hand sim --quiet --out {out}")),
+        (2000, format!("teleop --master sim --quiet --out {out}")),
         (20, format!("kin ik --in {table} --out {sliced}")),
     ] {
         let ran = std::process::Command::new("sh")

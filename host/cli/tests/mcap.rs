@@ -22,7 +22,7 @@ mod built {
         let folder = Folder::new();
         let out = folder.path("out");
         haptimill(&[
-            "teleop", "--hand", "sim", "--for", "1.5", "--quiet", "--out", &out,
+            "teleop", "--master", "sim", "--for", "1.5", "--quiet", "--out", &out,
         ])
         .ended_with(0);
         let (trace, file) = (folder.path("out/hand.hmr"), folder.path("hand.mcap"));

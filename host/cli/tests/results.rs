@@ -46,7 +46,7 @@ fn what_no_run_can_do_is_refused_before_it_begins() {
     let folder = Folder::new();
     let short = folder.file("short.ngc", SHORT);
     for (more, code, said) in [
-        (&["--check", "--work", "no.toml"][..], 3, "no.toml"),
+        (&["--check", "--stock", "no.toml"][..], 3, "no.toml"),
         (&["--image", "x"], 2, "--image is for an emulated board"),
         (&["--log", "x"], 2, "--log is for an emulated board"),
         (
@@ -54,7 +54,11 @@ fn what_no_run_can_do_is_refused_before_it_begins() {
             2,
             "--budget is for an emulated board",
         ),
-        (&["--force", "none", "--fd", "5"], 2, "--force names none"),
+        (
+            &["--force", "none", "--force-setpoint", "5"],
+            2,
+            "--force names none",
+        ),
         (
             &["--fault", "drive-weak axis=l1 gain=1e99"],
             2,

@@ -429,7 +429,7 @@ fn pauses_are_passed_in_the_simulator_and_need_a_terminal_on_a_machine() {
     ])
     .ended_with(2);
     assert!(
-        ran.err.contains("pause.ngc:2") && ran.err.contains("--go-on"),
+        ran.err.contains("pause.ngc:2") && ran.err.contains("--skip-pauses"),
         "{}",
         ran.err
     );

@@ -131,7 +131,7 @@ fn a_job_cuts_a_work_only_when_one_is_clamped() {
     };
     let (air, none) = run("air", &[]);
     assert_eq!(none, 0.0, "nothing is clamped");
-    let (cut, force) = run("cut", &["--work", "examples/block.toml"]);
+    let (cut, force) = run("cut", &["--stock", "examples/block.toml"]);
     assert!((4.0..12.0).contains(&force), "{force} N");
     // 7 N on a structure of 500 N/mm: 14 um, and what the slides give way.
     let error = |summary: &Value| number(summary, "tool_error_max_mm");
@@ -140,7 +140,14 @@ fn a_job_cuts_a_work_only_when_one_is_clamped() {
 
     let bad = folder.file("work.toml", "top_mm = 21.0\ncell_mm = 7.0\n");
     let out = folder.path("bad");
-    let ran = haptimill(&["run", "examples/e7-slot.ngc", "--work", &bad, "--out", &out]);
+    let ran = haptimill(&[
+        "run",
+        "examples/e7-slot.ngc",
+        "--stock",
+        &bad,
+        "--out",
+        &out,
+    ]);
     assert_eq!(ran.code, 3);
     assert_eq!(
         folder.anonymous(&ran.err),
@@ -149,10 +156,10 @@ fn a_job_cuts_a_work_only_when_one_is_clamped() {
     let port = [
         "run",
         "examples/e7-slot.ngc",
-        "--work",
+        "--stock",
         &bad,
         "--port",
         "tcp:127.0.0.1:1",
     ];
-    assert!(haptimill(&port).ended_with(2).err.starts_with("--work"));
+    assert!(haptimill(&port).ended_with(2).err.starts_with("--stock"));
 }

@@ -270,7 +270,7 @@ impl<L: Line> Arm<L> {
             Notice::Connected(welcome) => {
                 if welcome.axes > 0 {
                     let what = format!(
-                        "{}: \"{}\" is a machine with {} axes, not a haptic arm; --hand is for the arm, --port for the machine",
+                        "{}: \"{}\" is a machine with {} axes, not a haptic arm; --master is for the arm, --port for the machine",
                         self.line.name(),
                         welcome.machine,
                         welcome.axes
@@ -291,7 +291,7 @@ impl<L: Line> Arm<L> {
                         }
                         Decision::Send(_) => {}
                         Decision::Unknown(what) => {
-                            let what = what.replace("--machine", "--hand-machine");
+                            let what = what.replace("--machine", "--master-machine");
                             let what = format!("{}: {what}", self.line.name());
                             return Err(Error::new(ErrorKind::Command, what));
                         }

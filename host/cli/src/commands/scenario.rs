@@ -1,6 +1,7 @@
-//! `haptimill scenario`: the thesis's experiments in the simulator, beside what the thesis states.
+//! `haptimill scenario`: runs the experiments of the thesis in the simulator.
 
-use super::{CliError, Exit, MachineArg};
+use super::args::MachineArg;
+use super::{CliError, Exit};
 use crate::commands::interrupt;
 use clap::{Args, Subcommand};
 use haptimill_client::port::PortSpec;
@@ -11,18 +12,19 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 const RUN: &str = "\
-Run a scenario, or `all`: cut in the simulator, measured, held against every number that the thesis states.
+Run a scenario, or `all`: cut in the simulator, measure, and compare with the numbers of the thesis.
 
-Fills DIR with index.html and, for each scenario, a folder with
-  index.html    the curves of the thesis's figures, the cut surface from above, the table of stated numbers, bands and ours
-  summary.json  the same table for a program
-  PASS/         recording, trace, summary and report of each cut, as `haptimill run` leaves them
-Ends with the table. What falls outside its band is shown, with the reason, and is no error of the command.";
+Writes index.html to DIR and, for each scenario, a folder with
+  index.html    the curves of the figures of the thesis, the cut surface from above, and the table
+                of expected values, tolerances and results
+  summary.json  the same table as JSON
+  PASS/         recording, trace, summary and report of each cut, as `haptimill run` writes them
+Prints the table. A result outside its tolerance is marked with the reason; the exit code is still 0.";
 
-/// What to do with scenarios.
+/// A command on scenarios.
 #[derive(Debug, Clone, Subcommand)]
 pub enum ScenarioCommand {
-    /// The scenarios there are
+    /// List the scenarios
     List,
     #[allow(missing_docs)]
     Run(RunArgs),
@@ -38,13 +40,14 @@ pub struct RunArgs {
     #[command(flatten)]
     #[allow(missing_docs)]
     pub machine: MachineArg,
-    /// What controls the simulated machine: sim (the controller in this process), pil:mps2 or pil:mps2-m7 (the controller on an emulated Cortex-M4F or M7)
+    /// Controller of the simulated machine: sim (in this process), pil:mps2 or pil:mps2-m7 (on an
+    /// emulated Cortex-M4F or M7)
     #[arg(long, value_name = "PORT", default_value = "sim")]
     pub port: PortSpec,
-    /// Folder for the results; made when it is not there
+    /// Folder for the results; created if it does not exist
     #[arg(long, value_name = "DIR", default_value = "scenarios.out")]
     pub out: PathBuf,
-    /// Print the summaries as JSON on standard output, and nothing else there
+    /// Print only the summaries as JSON on standard output
     #[arg(long)]
     pub json: bool,
 }
@@ -59,7 +62,7 @@ pub fn run(command: ScenarioCommand) -> Result<(), CliError> {
             for scenario in haptimill_experiments::all() {
                 let passes = scenario.passes.len();
                 let plural = if passes == 1 { "" } else { "es" };
-                tell!(
+                print_line!(
                     "{:<5} {:<34} {passes} pass{plural}; {}",
                     scenario.name,
                     scenario.title,
@@ -97,11 +100,11 @@ fn run_named(args: &RunArgs) -> Result<(), CliError> {
         let what = format!("{}: {why}", only.name);
         return Err(CliError::new(Exit::Refused, what));
     }
-    let (can, _): (Vec<&Scenario>, Vec<&Scenario>) = scenarios
+    let (runnable, _): (Vec<&Scenario>, Vec<&Scenario>) = scenarios
         .iter()
         .partition(|scenario| scenario.lacks(&machine).is_none());
-    let on = on(&args.port)?;
-    let mut cut = carry_all(&machine, &can, &args.out, on)?.into_iter();
+    let on = controller_of(&args.port)?;
+    let mut cut = run_passes(&machine, &runnable, &args.out, on)?.into_iter();
     let mut results = Vec::new();
     for scenario in &scenarios {
         let lacks = scenario.lacks(&machine);
@@ -128,23 +131,23 @@ fn run_named(args: &RunArgs) -> Result<(), CliError> {
     if args.json {
         let json = serde_json::to_string_pretty(&results)
             .map_err(|error| CliError::new(Exit::Internal, error))?;
-        tell!("{json}");
+        print_line!("{json}");
     } else {
-        tell!("{}", haptimill_experiments::table(&results).trim_end());
-        tell!("report      {}", index.display());
+        print_line!("{}", haptimill_experiments::table(&results).trim_end());
+        print_line!("report      {}", index.display());
     }
     Ok(())
 }
 
-/// What carries the scenarios out.
-fn on(port: &PortSpec) -> Result<On, CliError> {
+/// The controller of the scenarios.
+fn controller_of(port: &PortSpec) -> Result<On, CliError> {
     match port {
         PortSpec::Simulator => Ok(On::Here),
         PortSpec::Emulated(board) => Ok(On::Board(*board)),
         other => {
             let what = format!(
-                "a scenario cuts a simulated work and measures it afterwards, so its machine is simulated: --port sim, pil:mps2 or pil:mps2-m7, not {other}; \
-                 on a machine, `haptimill run` runs the program"
+                "--port {other}: a scenario cuts and measures a simulated stock; use --port sim, \
+                 pil:mps2 or pil:mps2-m7, or run the part program with `haptimill run`"
             );
             Err(CliError::new(Exit::Usage, what))
         }
@@ -159,8 +162,9 @@ fn write(path: &Path, text: &str) -> Result<(), CliError> {
         .map_err(failed)
 }
 
-/// Carries out every pass of the scenarios, as many at a time as there are processors. Each is a simulation of its own: in which order they end changes nothing.
-fn carry_all(
+/// Runs every pass of the scenarios, one thread per processor. The passes are independent
+/// simulations, so their order does not change the results.
+fn run_passes(
     machine: &MachineFile,
     scenarios: &[&Scenario],
     out: &Path,
@@ -198,7 +202,12 @@ fn carry_all(
         let mut cuts = Vec::new();
         for slot in done.by_ref().take(scenario.passes.len()) {
             let cut = slot.into_inner().unwrap_or_else(PoisonError::into_inner);
-            let lost = || Err(CliError::new(Exit::Internal, "a pass was not carried out"));
+            let lost = || {
+                Err(CliError::new(
+                    Exit::Internal,
+                    "a pass of a scenario did not run",
+                ))
+            };
             cuts.push(cut.unwrap_or_else(lost)?);
         }
         all.push(cuts);

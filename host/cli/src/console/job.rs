@@ -3,7 +3,7 @@
 use super::desk::Desk;
 use super::shown::{Confirm, Overlay, Weight};
 use crate::commands::CliError;
-use crate::commands::part::PartProgram;
+use crate::commands::program::PartProgram;
 use haptimill_client::client::JobEnding;
 use haptimill_client::session::way;
 use haptimill_machine_file::MachineFile;

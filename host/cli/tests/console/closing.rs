@@ -146,7 +146,7 @@ fn without_a_terminal_it_says_so() {
     assert_eq!(ran.out, "");
     haptimill(&["console", "--port", "pil:mps2"]).ended_with(2);
     haptimill(&["console", "--port", "tcp:localhost:1", "--seed", "3"]).ended_with(2);
-    let person = ["--person", "examples/teleop.toml"];
+    let person = ["--operator", "examples/teleop.toml"];
     let afar = [&["console", "--port", "tcp:localhost:1"], &person[..]].concat();
     let ran = haptimill(&afar).ended_with(2);
     assert!(

@@ -139,7 +139,7 @@ fn a_wall_pushes_as_deep_as_the_hand_is_in_it_and_the_hand_leads() {
     let own = folder.machine_with(HAND);
     let person = folder.file("person.toml", to_and_fro());
     let program = folder.file("wait.ngc", "G21 G90 F600\nG4 P60\nM30\n");
-    let served = Served::on_tcp(&["--machine", &own, "--person", &person]);
+    let served = Served::on_tcp(&["--machine", &own, "--operator", &person]);
     let arguments = ["--machine", &own, "--port", &served.port, &program];
     let terminal = homed(&arguments, Keyboard::Plain);
     terminal.brings(b"w", "button held, leads nothing");

@@ -18,7 +18,7 @@ fn two_boards_are_connected_over_ports_and_orders_come_line_by_line() {
         &[
             "--machine",
             "machines/hand-master.toml",
-            "--person",
+            "--operator",
             &script,
         ],
     );
@@ -29,9 +29,9 @@ fn two_boards_are_connected_over_ports_and_orders_come_line_by_line() {
             "teleop",
             "--port",
             &machine.port,
-            "--hand",
+            "--master",
             &arm.port,
-            "--hand-baud",
+            "--master-baud",
             "1000000",
             "--out",
             &out,
@@ -70,7 +70,7 @@ fn two_boards_are_connected_over_ports_and_orders_come_line_by_line() {
         "teleop",
         "--port",
         &arm.port,
-        "--hand",
+        "--master",
         &machine.port,
         "--out",
         &out,
@@ -102,7 +102,7 @@ fn a_line_that_is_no_text_is_refused_and_stop_is_still_heard() {
     let device = folder.path("js0");
     let _stick = stick(&device);
     let (out, hand) = (folder.path("out"), format!("joystick:{device}"));
-    let arguments = ["teleop", "--hand", &hand, "--out", &out, "--for", "20"];
+    let arguments = ["teleop", "--master", &hand, "--out", &out, "--for", "20"];
     let (orders, mut input) = std::io::pipe().unwrap();
     let mut session = start_with(&arguments, Stdio::from(orders));
     session.says("idle -> running");
@@ -133,7 +133,7 @@ fn what_is_no_device_is_refused_and_one_that_goes_is_told() {
     for kind in ["joystick", "mouse3d"] {
         for path in ["/dev/null", "/dev/zero", &file, "/"] {
             let hand = format!("{kind}:{path}");
-            let ran = haptimill(&["teleop", "--hand", &hand, "--out", &out]).ended_with(5);
+            let ran = haptimill(&["teleop", "--master", &hand, "--out", &out]).ended_with(5);
             assert!(ran.err.contains(&format!("{path}: no ")), "{}", ran.err);
             assert!(!Path::new(&out).exists());
         }
@@ -142,7 +142,7 @@ fn what_is_no_device_is_refused_and_one_that_goes_is_told() {
     let stick = stick(&device);
     let hand = format!("joystick:{device}");
     let mut session = start_with(
-        &["teleop", "--hand", &hand, "--out", &out, "--for", "4"],
+        &["teleop", "--master", &hand, "--out", &out, "--for", "4"],
         Stdio::null(),
     );
     session.says("idle -> running");
@@ -164,7 +164,7 @@ fn a_stick_leads_while_its_button_is_held() {
     let hand = format!("joystick:{device}");
     let mut session = start_with(
         &[
-            "teleop", "--hand", &hand, "--out", &out, "--for", "5", "--speed", "10",
+            "teleop", "--master", &hand, "--out", &out, "--for", "5", "--speed", "10",
         ],
         Stdio::null(),
     );
@@ -195,7 +195,7 @@ fn a_key_is_a_step_and_a_closed_window_stops_the_machine() {
     let folder = Folder::new();
     let out = folder.path("out");
     let open = |more: &[&str]| {
-        let words = ["teleop", "--hand", "keyboard", "--out", &out];
+        let words = ["teleop", "--master", "keyboard", "--out", &out];
         Terminal::start(
             Path::new(env!("CARGO_BIN_EXE_haptimill")),
             &[&words, more].concat(),
@@ -305,7 +305,7 @@ fn an_arm_that_goes_while_its_button_is_free_is_told() {
             "teleop",
             "--port",
             &machine.port,
-            "--hand",
+            "--master",
             &arm.port,
             "--out",
             &out,
@@ -334,7 +334,7 @@ fn an_arm_that_goes_and_comes_back_leads_again_when_it_is_told_to() {
     let more = [
         "--machine",
         "machines/hand-master.toml",
-        "--person",
+        "--operator",
         &script,
     ];
     let mut arm = Served::on_tcp(&more);
@@ -345,7 +345,7 @@ fn an_arm_that_goes_and_comes_back_leads_again_when_it_is_told_to() {
             "teleop",
             "--port",
             &machine.port,
-            "--hand",
+            "--master",
             &arm.port,
             "--out",
             &out,

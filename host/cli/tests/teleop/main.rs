@@ -38,7 +38,7 @@ fn scripted(folder: &Folder, out: &str, script: &str, more: &[&str]) -> Value {
 fn ending(code: i32, folder: &Folder, out: &str, script: &str, more: &[&str]) -> Value {
     let hand = format!("script:{}", folder.file("script.toml", script));
     let out = folder.path(out);
-    let session = ["teleop", "--hand", &hand, "--out", &out, "--json"];
+    let session = ["teleop", "--master", &hand, "--out", &out, "--json"];
     haptimill(&[&session, more].concat())
         .ended_with(code)
         .json()
@@ -107,7 +107,7 @@ fn the_command_of_the_readme_cuts_feels_and_leaves_the_same_bits_every_time() {
     let folder = Folder::new();
     let session = |out: &str| {
         let out = folder.path(out);
-        let command = "teleop --hand sim --work examples/block.toml --spindle 5000 --json --out";
+        let command = "teleop --master sim --stock examples/block.toml --spindle 5000 --json --out";
         let words: Vec<&str> = command.split(' ').chain([out.as_str()]).collect();
         haptimill(&words).ended_with(0).json()
     };
@@ -198,7 +198,7 @@ fn the_tool_goes_as_far_as_the_scale_says_and_a_late_link_is_measured() {
             &folder,
             "out",
             AWAY,
-            &["--gp", scale, "--delay", delay, "--for", "6"],
+            &["--scale", scale, "--delay", delay, "--for", "6"],
         );
         assert_eq!(said["session"]["holds"].as_array().unwrap().len(), 0);
         let table = folder.read("out/hand.csv");
@@ -244,7 +244,7 @@ at_s = 5.2
 what = \"resume\"
 ";
     let script = format!("end_s = 7.0\n{AWAY}{orders}");
-    let cut = ["--hand-fault", "link-cut at=2s for=2s"];
+    let cut = ["--master-fault", "link-cut at=2s for=2s"];
     let said = scripted(&folder, "out", &script, &cut);
     let session = &said["session"];
     let holds = session["holds"].as_array().unwrap();
@@ -322,11 +322,11 @@ what = \"resume\"
         "out",
         &format!("{person}{orders}"),
         &[
-            "--work",
+            "--stock",
             "examples/block.toml",
             "--spindle",
             "5000",
-            "--hand-fault",
+            "--master-fault",
             "link-cut at=6.5s for=1s",
         ],
     );
@@ -340,7 +340,7 @@ fn a_link_that_stalls_holds_the_machine_and_nothing_late_sets_it_going() {
     let folder = Folder::new();
     // Words come again after 0.4 s, all at once and late; nobody says that it may go on.
     let stall = [
-        "--hand-fault",
+        "--master-fault",
         "link-delay ms=400 at=2s for=1s",
         "--for",
         "6",
@@ -371,7 +371,7 @@ fn a_link_that_stalls_holds_the_machine_and_nothing_late_sets_it_going() {
 fn an_arm_that_fails_leads_nothing_until_it_was_looked_after() {
     let folder = Folder::new();
     let order = "\n[[order]]\nat_s = 3.0\nwhat = \"reset-hand\"\n";
-    let trip = ["--hand-fault", "hand-amplifiers-tripped at=2s for=0.5s"];
+    let trip = ["--master-fault", "hand-amplifiers-tripped at=2s for=0.5s"];
     let said = scripted(
         &folder,
         "out",
@@ -415,7 +415,9 @@ fn how_it_ended_is_in_the_exit_code() {
     for at in ["1s", "5s", "12s"] {
         let fault = format!("emergency-stop at={at}");
         let out = folder.path("out");
-        let stopped = ["teleop", "--hand", "sim", "--out", &out, "--fault", &fault];
+        let stopped = [
+            "teleop", "--master", "sim", "--out", &out, "--fault", &fault,
+        ];
         let ran = haptimill(&stopped).ended_with(6);
         assert!(
             ran.err.contains("release it, then `haptimill reset`"),
@@ -424,7 +426,7 @@ fn how_it_ended_is_in_the_exit_code() {
         );
     }
     let trip = [
-        "--hand-fault",
+        "--master-fault",
         "hand-amplifiers-tripped at=2s for=0.5s",
         "--for",
         "4",
@@ -433,7 +435,7 @@ fn how_it_ended_is_in_the_exit_code() {
     assert_eq!(said["session"]["ended"], "haptic_fault");
     let because = said["session"]["because"].as_str().unwrap();
     assert!(because.contains("`reset-hand`"), "{because}");
-    let cut = ["--hand-fault", "link-cut at=2s", "--for", "5"];
+    let cut = ["--master-fault", "link-cut at=2s", "--for", "5"];
     let said = ending(5, &folder, "out", AWAY, &cut);
     assert_eq!(said["session"]["ended"], "hand_lost");
 }
@@ -442,7 +444,7 @@ fn how_it_ended_is_in_the_exit_code() {
 fn a_hand_that_is_always_too_late_is_not_passed_over() {
     let folder = Folder::new();
     let out = folder.path("none");
-    let late = ["teleop", "--hand", "sim", "--out", &out, "--delay"];
+    let late = ["teleop", "--master", "sim", "--out", &out, "--delay"];
     for (more, remedy) in [
         (&["60"][..], "give --stale 140, or a shorter --delay"),
         (&["120", "--stale", "100"], "give --stale 260,"),
@@ -457,7 +459,7 @@ fn a_hand_that_is_always_too_late_is_not_passed_over() {
         assert!(!Path::new(&out).exists());
     }
     // A line that is late by itself.
-    let slow = ["--hand-fault", "link-delay ms=60 at=0s"];
+    let slow = ["--master-fault", "link-delay ms=60 at=0s"];
     let said = scripted(&folder, "out", AWAY, &slow);
     let notes = said["session"]["notes"].as_array().unwrap();
     let told = |note: &&Value| note.as_str().unwrap().contains("were too late");
@@ -501,54 +503,58 @@ what = \"end\"
     let script = folder.file("gp.toml", "[[order]]\nat_s = 1.0\nwhat = \"gp=3\"\n");
     let script = format!("script:{script}");
     refused(
-        &["--hand", "sim", "--gp", "2.5"],
+        &["--master", "sim", "--scale", "2.5"],
         2,
         "G_P of 2.5 is out of its range: 0.1 to 2",
     );
     refused(
-        &["--hand", &script],
+        &["--master", &script],
         3,
         "gp.toml:3:8: order[1].what: G_P of 3 is out of its range: 0.1 to 2",
     );
     refused(
-        &["--hand", "keyboard"],
+        &["--master", "keyboard"],
         2,
         "needs a terminal on standard input",
     );
     refused(
-        &["--hand", "joystick:/dev/none"],
+        &["--master", "joystick:/dev/none"],
         5,
         "/dev/none: no game controller there",
     );
     refused(
-        &["--hand", "mouse3d:/dev/none"],
+        &["--master", "mouse3d:/dev/none"],
         5,
         "/dev/none: no 3D mouse there",
     );
     refused(
-        &["--hand", "sim", "--axes", "x,w"],
+        &["--master", "sim", "--axes", "x,w"],
         2,
         "there is no axis 'w'; this machine has x, y, z, theta, alpha",
     );
     let master = ["--machine", "machines/hand-master.toml"];
     refused(
-        &[&["--hand", "sim"], &master[..]].concat(),
+        &[&["--master", "sim"], &master[..]].concat(),
         3,
         "a haptic arm alone",
     );
     refused(
-        &["--hand", "sim", "--hand-machine", "machines/h4.toml"],
+        &["--master", "sim", "--master-machine", "machines/h4.toml"],
         3,
         "write role = \"master\"",
     );
     refused(
-        &["--hand", "keyboard", "--delay", "5"],
+        &["--master", "keyboard", "--delay", "5"],
         2,
-        "--delay and --hand-fault are for the simulated arm",
+        "--delay and --master-fault are for the simulated arm",
     );
     // A machine with an arm of its own is led by that one.
     let own = folder.machine_with(haptimill_machine_file::HAND);
-    refused(&["--hand", "sim", "--machine", &own], 3, "on its own board");
+    refused(
+        &["--master", "sim", "--machine", &own],
+        3,
+        "on its own board",
+    );
     // A haptic arm runs no programs.
     let ran = haptimill(&[&["run", "examples/e7-slot.ngc", "--check"], &master[..]].concat());
     assert_eq!(ran.code, 3, "{}", ran.err);

@@ -1,15 +1,15 @@
-//! `--hand`: where a hand is.
+//! `--master`: the master device.
 
 use haptimill_client::port::PortSpec;
 use std::path::PathBuf;
 use std::str::FromStr;
 
-/// Where a hand is.
+/// The master device.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum HandSpec {
-    /// A simulated arm, with the built-in script, or one from a file.
+pub enum MasterSpec {
+    /// A simulated haptic arm with the built-in operator script, or one from a file.
     Script(Option<PathBuf>),
-    /// An arm behind a port.
+    /// A haptic arm behind a port.
     Port(PortSpec),
     /// A game controller.
     Joystick(PathBuf),
@@ -19,7 +19,7 @@ pub enum HandSpec {
     Keyboard,
 }
 
-impl FromStr for HandSpec {
+impl FromStr for MasterSpec {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
@@ -32,13 +32,15 @@ impl FromStr for HandSpec {
             None if text == "keyboard" => Ok(Self::Keyboard),
             None if text == "joystick" => Ok(Self::Joystick(PathBuf::from("/dev/input/js0"))),
             None if text == "mouse3d" => Err(
-                "write mouse3d:PATH; /dev/input/by-id has the paths under the names of the devices"
+                "write mouse3d:PATH; /dev/input/by-id has the paths by the names of the devices"
                     .to_string(),
             ),
             Some(("script", file)) => path(file).map(|file| Self::Script(Some(file))),
             Some(("joystick", file)) => path(file).map(Self::Joystick),
             Some(("mouse3d", file)) => path(file).map(Self::Mouse3d),
-            Some(("pil", _)) => Err("an emulated board is no hand".to_string()),
+            Some(("pil", _)) => {
+                Err("an emulated board is no master; write sim, or the port of an arm".to_string())
+            }
             _ => text.parse().map(Self::Port),
         }
     }
@@ -49,30 +51,31 @@ mod tests {
     use super::*;
 
     #[test]
-    fn hands_are_told_apart() {
-        let spec = |text: &str| text.parse::<HandSpec>();
-        assert_eq!(spec("sim"), Ok(HandSpec::Script(None)));
+    fn master_devices_are_parsed() {
+        let spec = |text: &str| text.parse::<MasterSpec>();
+        assert_eq!(spec("sim"), Ok(MasterSpec::Script(None)));
         assert_eq!(
             spec("script:a.toml"),
-            Ok(HandSpec::Script(Some("a.toml".into())))
+            Ok(MasterSpec::Script(Some("a.toml".into())))
         );
         assert_eq!(
             spec("joystick"),
-            Ok(HandSpec::Joystick("/dev/input/js0".into()))
+            Ok(MasterSpec::Joystick("/dev/input/js0".into()))
         );
         assert_eq!(
             spec("mouse3d:/dev/x"),
-            Ok(HandSpec::Mouse3d("/dev/x".into()))
+            Ok(MasterSpec::Mouse3d("/dev/x".into()))
         );
         assert_eq!(
             spec("tcp:localhost:7001"),
-            Ok(HandSpec::Port(PortSpec::Tcp("localhost:7001".to_string())))
+            Ok(MasterSpec::Port(PortSpec::Tcp(
+                "localhost:7001".to_string()
+            )))
         );
         assert!(matches!(
             spec("/dev/ttyACM1"),
-            Ok(HandSpec::Port(PortSpec::Serial(_)))
+            Ok(MasterSpec::Port(PortSpec::Serial(_)))
         ));
         assert!(spec("mouse3d").is_err() && spec("script:").is_err() && spec("pil:mps2").is_err());
-        assert!(super::super::gp("3").unwrap_err().ends_with("0.1 to 2"));
     }
 }

@@ -1,6 +1,6 @@
-//! `haptimill machine check`: every problem of a machine file.
+//! `haptimill machine check`: lists every problem of a machine file.
 
-use super::{CliError, Exit};
+use crate::commands::{CliError, Exit};
 use clap::Args;
 use haptimill_firmware::config::AxisKind;
 use haptimill_machine_file::{AxisLimits, MachineFile, Problem};
@@ -9,8 +9,8 @@ use std::path::PathBuf;
 const LONG: &str = "\
 Check a machine file.
 
-Lists every problem with its line, the value, what is allowed and what to do; ends with exit code 3 when there is one. A file without a \
-problem is summed up.";
+Lists every problem with its line, the value, the allowed range and the remedy. Ends with exit code \
+3 when there is a problem, otherwise prints a summary of the file.";
 
 /// Arguments of `haptimill machine check`.
 #[derive(Debug, Clone, Args)]
@@ -19,7 +19,7 @@ pub struct CheckArgs {
     /// The machine file
     #[arg(value_name = "FILE")]
     pub file: PathBuf,
-    /// Print JSON: a list of {file, line, column, key, what, remedy}, empty when all is well
+    /// Print JSON: a list of {file, line, column, key, what, remedy}, empty when there is no problem
     #[arg(long)]
     pub json: bool,
 }
@@ -28,21 +28,21 @@ pub struct CheckArgs {
 ///
 /// # Errors
 /// [`Exit::BadInput`] with every problem.
-pub fn check(args: CheckArgs) -> Result<(), CliError> {
+pub(super) fn run(args: CheckArgs) -> Result<(), CliError> {
     let result = MachineFile::load(&args.file);
     if args.json {
         let problems = result.as_ref().err().map_or(&[][..], |p| &p.0);
         let list: Vec<_> = problems.iter().map(as_json).collect();
-        tell!("{}", serde_json::Value::from(list));
+        print_line!("{}", serde_json::Value::from(list));
     }
     match result {
-        Ok(machine) if !args.json => tell!("{}", summary(&machine).trim_end()),
+        Ok(machine) if !args.json => print_line!("{}", summary(&machine).trim_end()),
         Ok(_) => {}
         Err(problems) => {
             let count = problems.count();
             let plural = if count == 1 { "" } else { "s" };
             let message = format!("{problems}\n{count} problem{plural}");
-            return Err(CliError::new(Exit::BadInput, message).told());
+            return Err(CliError::new(Exit::BadInput, message).reported());
         }
     }
     Ok(())

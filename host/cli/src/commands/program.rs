@@ -1,4 +1,4 @@
-//! A part program on disk: read, checked against the machine, planned.
+//! Loads a part program, checks it against the machine and plans it.
 
 use super::{CliError, Exit};
 use haptimill_client::{Error, ErrorKind};
@@ -11,13 +11,13 @@ use std::collections::BTreeMap;
 use std::io::IsTerminal;
 use std::path::Path;
 
-/// A program that was checked from a pose.
+/// A program that was checked and planned from a start pose.
 #[derive(Debug)]
 pub(crate) struct Planned {
     pub(crate) plan: Plan,
-    /// Setpoints at which the program pauses, with the line that says so.
+    /// Setpoints at which the program pauses, with the line of each pause.
     pub(crate) pauses: BTreeMap<u32, u32>,
-    /// Lines of the file.
+    /// Number of lines of the file.
     #[cfg_attr(not(feature = "console"), allow(dead_code))]
     pub(crate) lines: u32,
 }
@@ -25,16 +25,16 @@ pub(crate) struct Planned {
 /// A part program on disk.
 #[derive(Debug)]
 pub(crate) struct PartProgram {
-    /// Name of the file, without folders: it goes into the recording, which is the same wherever it was made.
+    /// File name without folders. The recording contains it and must not depend on the folder.
     pub(crate) name: String,
     file: String,
     pub(crate) text: Vec<u8>,
-    /// M1 pauses.
+    /// Whether M1 pauses.
     optional_stop: bool,
 }
 
 impl PartProgram {
-    /// Reads the file. M1 pauses with `optional_stop`.
+    /// Reads the file. With `optional_stop`, M1 pauses.
     pub(crate) fn load(path: &Path, optional_stop: bool) -> Result<Self, CliError> {
         let file = path.display().to_string();
         let text = input::read(path, input::PROGRAM_BYTES)
@@ -50,10 +50,10 @@ impl PartProgram {
         })
     }
 
-    /// The checked motion of the program from a pose.
+    /// Checks and plans the program from a start pose.
     ///
     /// # Errors
-    /// Its mistakes, or what the machine cannot do; nothing moves.
+    /// The mistakes of the program, or what the machine cannot do; nothing moves.
     pub(crate) fn plan(
         &self,
         machine: &MachineFile,
@@ -68,7 +68,7 @@ impl PartProgram {
             .map_err(|refused| Error::refused(ErrorKind::BadInput, &refused))?;
         let plan = Plan::new(&program, &settings(machine), model)
             .map_err(|refused| Error::refused(ErrorKind::Refused, &refused))?;
-        // Each pause of the program has a setpoint of its own, in the same order.
+        // Each pause of the program has one setpoint, in the same order.
         let setpoints = (0..)
             .zip(&plan.setpoints)
             .filter(|(_, setpoint)| setpoint.action == Action::Pause);
@@ -84,13 +84,15 @@ impl PartProgram {
         })
     }
 
-    /// A pause that is not passed waits for Enter: somebody must be able to press it.
+    /// Refuses a program with pauses where standard input is no terminal, because a pause waits for
+    /// Enter.
     pub(crate) fn check_pauses(&self, planned: &Planned) -> Result<(), CliError> {
         match planned.pauses.values().next() {
             Some(line) if !std::io::stdin().is_terminal() => Err(CliError::new(
                 Exit::Usage,
                 format!(
-                    "{}:{line}: the program pauses here and there is no terminal to press Enter on; run it in a terminal, or with --go-on",
+                    "{}:{line}: the program pauses here and standard input is no terminal to press Enter on; \
+                     run it in a terminal, or with --skip-pauses",
                     self.file
                 ),
             )),

@@ -1,19 +1,19 @@
 //! `haptimill home`, `status`, `enable`, `disable`, `stop`, `reset`: one command to a running controller.
 
-use super::BoardArg;
-use super::{CliError, ConnectArgs, Exit};
+use super::args::{BoardArg, ConnectArgs, check_baud};
+use super::{CliError, Exit};
 use crate::commands::interrupt;
 use clap::Args;
 use haptimill_client::board::{Chosen, Need};
 use haptimill_client::client::Options;
-use haptimill_client::port::{self, DEFAULT_BAUD, PortSpec};
+use haptimill_client::port::{self, DEFAULT_BAUD};
 use haptimill_client::session::{self, PortLine, Session};
 use haptimill_machine_file::MachineFile;
 use haptimill_protocol::message::{AxisValues, Command, State};
 
-/// Arguments of the one-shot commands.
+/// Arguments of the simple commands.
 #[derive(Debug, Clone, Args)]
-pub struct OneShotArgs {
+pub struct SimpleArgs {
     #[command(flatten)]
     #[allow(missing_docs)]
     pub connect: ConnectArgs,
@@ -31,7 +31,8 @@ pub struct StopArgs {
     #[command(flatten)]
     #[allow(missing_docs)]
     pub connect: ConnectArgs,
-    /// Drives off at once instead of slowing down along the path; latched until `haptimill reset`
+    /// Switch the drives off at once instead of decelerating along the path; latched until
+    /// `haptimill reset`
     #[arg(long)]
     pub emergency: bool,
     /// Print the result as JSON
@@ -39,38 +40,38 @@ pub struct StopArgs {
     pub json: bool,
 }
 
-/// Which one-shot command.
+/// A simple command.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Order {
-    /// How things stand.
+pub enum SimpleCommand {
+    /// Print the status.
     Status,
-    /// Drives on.
+    /// Switch the drives on.
     Enable,
-    /// Drives off.
+    /// Switch the drives off.
     Disable,
     /// Clear a latched fault.
     Reset,
 }
 
-/// Carries out a one-shot command.
+/// Runs a simple command.
 ///
 /// # Errors
 /// See [`Exit`].
-pub fn run(order: Order, args: OneShotArgs) -> Result<(), CliError> {
+pub fn run(command: SimpleCommand, args: SimpleArgs) -> Result<(), CliError> {
     let chosen = args.machine.load()?;
     let mut session = open(&args.connect, &chosen.file)?;
-    let need = match order {
-        Order::Enable => Need::Configuration,
+    let need = match command {
+        SimpleCommand::Enable => Need::Configuration,
         _ => Need::Nothing,
     };
     chosen.agree(&mut session, need)?;
-    match order {
-        Order::Status => {}
-        Order::Enable => session.enable()?,
-        Order::Disable => session.ask(Command::Disable)?,
-        Order::Reset => session.ask(Command::Reset)?,
+    match command {
+        SimpleCommand::Status => {}
+        SimpleCommand::Enable => session.enable()?,
+        SimpleCommand::Disable => session.ask(Command::Disable)?,
+        SimpleCommand::Reset => session.ask(Command::Reset)?,
     }
-    report(&mut session, args.json)
+    print_status(&mut session, args.json)
 }
 
 /// Arguments of `haptimill home`.
@@ -78,40 +79,41 @@ pub fn run(order: Order, args: OneShotArgs) -> Result<(), CliError> {
 pub struct HomeArgs {
     #[command(flatten)]
     #[allow(missing_docs)]
-    pub one_shot: OneShotArgs,
-    /// The joints have been set up at their presets by hand, drives off: count from there (after the position was lost)
+    pub simple: SimpleArgs,
+    /// The joints were moved to their presets by hand, drives off: take these as their positions
+    /// (after the position was lost)
     #[arg(long)]
     pub at_preset: bool,
-    /// Search again although the machine is homed
+    /// Home again although the machine is homed
     #[arg(long)]
     pub again: bool,
 }
 
-/// Finds the references.
+/// Homes the machine.
 ///
 /// # Errors
 /// See [`Exit`].
 pub fn home(args: HomeArgs) -> Result<(), CliError> {
-    let chosen = args.one_shot.machine.load()?;
+    let chosen = args.simple.machine.load()?;
     if chosen.named {
         session::has_tool(&chosen.file)?;
     }
-    let mut session = open(&args.one_shot.connect, &chosen.file)?;
+    let mut session = open(&args.simple.connect, &chosen.file)?;
     let machine = chosen.file_of(&mut session)?;
     session::has_tool(&machine)?;
     if args.at_preset {
-        // Said before the position is set: afterwards it would be, and the search refused.
-        let first = match session.status()?.state {
+        // Checked before the position is set: afterwards the preset would be set without homing.
+        let obstacle = match session.status()?.state {
             State::Disabled => None,
             State::Fault | State::EmergencyStop => Some("a fault is latched; `haptimill reset`"),
             _ => Some("the drives are on; `haptimill disable`"),
         };
-        if let Some(first) = first {
-            let then = "set the joints up at their presets by hand, then try again";
-            return Err(CliError::new(
-                Exit::Command,
-                format!("home --at-preset: {first}, {then}"),
-            ));
+        if let Some(obstacle) = obstacle {
+            let what = format!(
+                "home --at-preset: {obstacle}, move the joints to their presets by hand, then try \
+                 again"
+            );
+            return Err(CliError::new(Exit::Command, what));
         }
         session.configure_at_preset(&machine)?;
     }
@@ -119,20 +121,20 @@ pub fn home(args: HomeArgs) -> Result<(), CliError> {
     if args.again || !session.status()?.homed {
         let home = session::home_of(&machine, session.model())?;
         session.go_home(&machine, &home)?;
-    } else if !args.one_shot.json {
-        tell!("it was homed already; --again searches for the references once more");
+    } else if !args.simple.json {
+        print_line!("the machine is homed already; --again homes it again");
     }
-    report(&mut session, args.one_shot.json)
+    print_status(&mut session, args.simple.json)
 }
 
-/// Stops.
+/// Stops the machine.
 ///
 /// # Errors
 /// See [`Exit`].
 pub fn stop(args: StopArgs) -> Result<(), CliError> {
     let machine = MachineFile::built_in()?;
     let mut session = match open(&args.connect, &machine) {
-        Err(error) if error.exit == Exit::Port => return stop_unheard(&args, &error),
+        Err(error) if error.exit == Exit::Port => return stop_out_of_band(&args, &error),
         session => session?,
     };
     if args.emergency {
@@ -140,33 +142,36 @@ pub fn stop(args: StopArgs) -> Result<(), CliError> {
     } else {
         session.client_mut().urgent_stop();
         session.ask(Command::Stop)?;
-        // A machine that stood already tells of no change: it has to be asked.
+        // A machine at standstill reports no change of state, so its status is requested.
         while session.client_mut().urgent().0 {
             session.status()?;
         }
     }
     Chosen::unnamed(machine).agree(&mut session, Need::Nothing)?;
-    report(&mut session, args.json)
+    print_status(&mut session, args.json)
 }
 
-/// Another host has the port, or the link is broken: sends the stop that needs neither session nor frame.
-fn stop_unheard(args: &StopArgs, why: &CliError) -> Result<(), CliError> {
+/// Sends the out-of-band stop, which needs no session: another host has the port, or the connection
+/// is lost.
+fn stop_out_of_band(args: &StopArgs, why: &CliError) -> Result<(), CliError> {
     port::stop_past_lock(&args.connect.port)?;
     if args.emergency {
-        // The drives can only be switched off in a session; slowing down is the best there is.
+        // The drives can only be switched off in a session.
         let what = format!(
-            "{why}\nthe stop that slows down along the path was sent instead; an emergency stop needs the port"
+            "{why}\nan emergency stop needs the port; the stop that decelerates along the path was \
+             sent instead"
         );
         return Err(CliError::new(Exit::Port, what));
     }
     if args.json {
-        tell!(
+        print_line!(
             "{:#}",
             serde_json::json!({ "sent": "stop", "heard": false, "why": why.message })
         );
     } else {
-        tell!(
-            "stop sent past the host that has the port; it sees the machine slow down along its path ({why})"
+        print_line!(
+            "out-of-band stop sent past the host that has the port; the machine decelerates along \
+             its path ({why})"
         );
     }
     Ok(())
@@ -175,15 +180,12 @@ fn stop_unheard(args: &StopArgs, why: &CliError) -> Result<(), CliError> {
 /// Opens a session with the controller of a port.
 ///
 /// # Errors
-/// The port, or the session.
+/// The port cannot be opened, or the controller refuses the session.
 pub(super) fn open(
     connect: &ConnectArgs,
     machine: &MachineFile,
 ) -> Result<Session<PortLine>, CliError> {
-    if let (PortSpec::Tcp(_), Some(baud)) = (&connect.port, connect.baud) {
-        let what = format!("--baud {baud} is for a serial port; leave it out with tcp:");
-        return Err(CliError::new(Exit::Usage, what));
-    }
+    check_baud(&connect.port, connect.baud)?;
     let baud = connect.baud.unwrap_or(DEFAULT_BAUD);
     let line = PortLine::new(port::open(&connect.port, baud)?);
     let options = Options {
@@ -195,19 +197,19 @@ pub(super) fn open(
     Ok(session)
 }
 
-/// Says how things stand.
-pub(super) fn report(session: &mut Session<PortLine>, json: bool) -> Result<(), CliError> {
+/// Prints the status of the machine.
+pub(super) fn print_status(session: &mut Session<PortLine>, json: bool) -> Result<(), CliError> {
     let status = session.status()?;
     let machine = session.machine_name();
     let configuration = session.configuration_crc();
     let model = session.model();
     let fault = status.fault.map(|fault| session.sentence(&fault));
     let pose = |values: &AxisValues| -> Vec<(String, f64)> {
-        let people = model.to_people(values);
+        let units = model.to_people(values);
         model
             .pose_names()
             .iter()
-            .zip(people)
+            .zip(units)
             .take(values.len())
             .map(|(name, value)| ((*name).to_string(), value))
             .collect()
@@ -239,7 +241,7 @@ pub(super) fn report(session: &mut Session<PortLine>, json: bool) -> Result<(), 
             "bad_frames": status.bad_frames,
             "lost_bytes": status.lost_bytes,
         });
-        tell!("{value:#}");
+        print_line!("{value:#}");
         return Ok(());
     }
     let line = |values: Vec<(String, f64)>| -> String {
@@ -248,31 +250,31 @@ pub(super) fn report(session: &mut Session<PortLine>, json: bool) -> Result<(), 
             .map(|(name, value)| format!("  {name} {value:.4}"))
             .collect()
     };
-    let yes = |flag: bool| if flag { "yes" } else { "no" };
+    let yes_no = |flag: bool| if flag { "yes" } else { "no" };
     let name = if machine.is_empty() {
         "no configuration".to_string()
     } else {
         machine
     };
-    tell!(
+    print_line!(
         "{name}: {:?}, homed: {}, position kept: {}",
         status.state,
-        yes(status.homed),
-        yes(status.position_kept)
+        yes_no(status.homed),
+        yes_no(status.position_kept)
     );
     if let Some(fault) = fault {
-        tell!("fault     {fault}");
+        print_line!("fault     {fault}");
     }
     if status.lost_bytes > 0 {
-        tell!(
-            "line      the controller lost {} bytes for want of room",
+        print_line!(
+            "line      the controller lost {} bytes because its receive buffer was full",
             status.lost_bytes
         );
     }
     if !status.measured.is_empty() {
-        tell!("measured{}", line(pose(&status.measured)));
-        tell!("commanded  {}", line(pose(&status.commanded)));
-        tell!("joints  {}", line(joints(&status.joints)));
+        print_line!("measured{}", line(pose(&status.measured)));
+        print_line!("commanded  {}", line(pose(&status.commanded)));
+        print_line!("joints  {}", line(joints(&status.joints)));
     }
     Ok(())
 }

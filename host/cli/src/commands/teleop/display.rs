@@ -1,14 +1,14 @@
-//! What people see of a session: as it goes, and what came of it.
+//! Progress and summary of a session on the terminal.
 
 use super::TeleopArgs;
 use haptimill_teleop::{Outcome, Row};
 use std::io::{IsTerminal, Write};
 
-/// The outcome for people.
-pub(super) fn terminal(outcome: &Outcome) -> String {
+/// Describes the outcome of a session.
+pub(super) fn describe(outcome: &Outcome) -> String {
     let three = |values: &[f64; 3]| format!("{:.2} {:.2} {:.2}", values[0], values[1], values[2]);
     let mut text = format!(
-        "the hand led for {:.2} s with {} words; {} holds; {}\n",
+        "teleoperation for {:.2} s with {} master samples; {} holds; {}\n",
         outcome.duration_s,
         outcome.words,
         outcome.holds.len(),
@@ -21,32 +21,33 @@ pub(super) fn terminal(outcome: &Outcome) -> String {
         text += &format!("held at {:.2} s: {}; {resumed}\n", hold.at_s, hold.why);
     }
     for why in &outcome.refused {
-        text += &format!("not done: {why}\n");
+        text += &format!("refused: {why}\n");
     }
     text += &format!(
-        "largest force on the tool {} N, at the hand {} N\n",
+        "largest force on the tool {} N, fed back to the master {} N\n",
         three(&outcome.largest_force_n),
         three(&outcome.largest_felt_n)
     );
     if let Some(latency) = &outcome.latency {
         let how = if outcome.latency_is_exact {
-            "to the control period"
+            "exact to the control period"
         } else {
-            "as reported; the wait for a report is not in it"
+            "without the wait for a report"
         };
         text += &format!(
-            "from force sensed to force at the hand: {:.1} ms half of the time, {:.1} ms in 95 of 100, {:.1} ms at most ({} forces, {how})\n",
+            "latency of the force feedback: median {:.1} ms, 95th percentile {:.1} ms, largest \
+             {:.1} ms ({} forces, {how})\n",
             latency.median_ms, latency.p95_ms, latency.largest_ms, latency.count
         );
     }
     text + &format!(
-        "round trips: machine {:.1} ms, hand {:.1} ms\n",
+        "round trips: machine {:.1} ms, master {:.1} ms\n",
         outcome.machine_round_trip_ms, outcome.hand_round_trip_ms
     )
 }
 
-/// What people see while it goes.
-pub(super) struct Shown {
+/// The progress of a session.
+pub(super) struct Display {
     lines: bool,
     bar: bool,
     next_s: f64,
@@ -54,7 +55,7 @@ pub(super) struct Shown {
     open: bool,
 }
 
-impl Shown {
+impl Display {
     pub(super) fn new(args: &TeleopArgs) -> Self {
         let lines = !args.json && !args.quiet;
         Self {
@@ -66,8 +67,8 @@ impl Shown {
         }
     }
 
-    /// Force and position as it goes, ten times a second.
-    pub(super) fn row(&mut self, row: &Row) {
+    /// Shows force and position, ten times per second.
+    pub(super) fn show_row(&mut self, row: &Row) {
         self.time_s = row.time_s;
         if !self.bar || row.time_s < self.next_s {
             return;
@@ -80,27 +81,29 @@ impl Shown {
                 .map(|value| format!(" {value:>width$.decimals$}"))
                 .collect()
         };
-        // A terminal that was closed is no reason for a panic.
+        // Standard error may be closed.
         let _ = write!(
             std::io::stderr(),
-            "\r{:7.2} s {:?} {} tool{} mm  force{} N  hand{} N \x1b[K",
+            "\r{:7.2} s {:?} {} tool{} mm  force{} N  feedback{} N \x1b[K",
             row.time_s,
             row.state,
-            if row.engaged { "led " } else { "free" },
+            if row.engaged { "engaged" } else { "free   " },
             three(&row.tool, 8, 3),
             three(&row.force, 5, 1),
             three(&row.felt, 5, 2)
         );
     }
 
-    pub(super) fn event(&mut self, event: &str) {
+    /// Shows an event.
+    pub(super) fn show_event(&mut self, event: &str) {
         if self.lines {
-            self.done();
-            tell!("{:7.2} s  {event}", self.time_s);
+            self.finish();
+            print_line!("{:7.2} s  {event}", self.time_s);
         }
     }
 
-    pub(super) fn done(&mut self) {
+    /// Ends the line of the progress.
+    pub(super) fn finish(&mut self) {
         if std::mem::take(&mut self.open) {
             let _ = writeln!(std::io::stderr());
         }
