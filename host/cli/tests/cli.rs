@@ -7,14 +7,14 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 /// What a run of the command left.
-struct Ran {
+struct RunResult {
     code: i32,
     out: String,
     err: String,
 }
 
 /// Runs the command in the root of the workspace.
-fn haptimill(arguments: &[&str], input: &str) -> Ran {
+fn haptimill(arguments: &[&str], input: &str) -> RunResult {
     let mut child = Command::new(env!("CARGO_BIN_EXE_haptimill"))
         .args(arguments)
         .current_dir(root())
@@ -27,7 +27,7 @@ fn haptimill(arguments: &[&str], input: &str) -> Ran {
     // A command that does not read its input closes it.
     let _ = child.stdin.take().unwrap().write_all(input.as_bytes());
     let output = child.wait_with_output().unwrap();
-    Ran {
+    RunResult {
         code: output.status.code().unwrap(),
         out: String::from_utf8(output.stdout).unwrap(),
         err: String::from_utf8(output.stderr).unwrap(),
@@ -73,7 +73,7 @@ fn golden(name: &str) -> (Vec<String>, Vec<Vec<String>>) {
 }
 
 #[test]
-fn the_help_is_enough_to_work_from() {
+fn help_names_every_command() {
     let ran = haptimill(&["--help"], "");
     assert_eq!(ran.code, 0);
     for part in [
@@ -96,7 +96,7 @@ fn the_help_is_enough_to_work_from() {
 }
 
 #[test]
-fn mistakes_on_the_command_line_end_with_2() {
+fn invalid_command_lines_end_with_2() {
     for arguments in [
         &["fly"][..],
         &["run"],
@@ -116,7 +116,7 @@ fn mistakes_on_the_command_line_end_with_2() {
 }
 
 #[test]
-fn machine_files_are_checked() {
+fn machine_check_lists_problems() {
     let mut text = transcript(&["machine", "check", "machines/h4.toml"], "");
     text += &transcript(&["machine", "check", "machines/h4-step.toml", "--json"], "");
     text += &transcript(&["machine", "check", "machines/there-is-none.toml"], "");
@@ -125,7 +125,7 @@ fn machine_files_are_checked() {
 }
 
 #[test]
-fn tables_of_slides_agree_with_the_golden_values() {
+fn forward_kinematics_match_the_golden_table() {
     let (names, rows) = golden("h4_ik.csv");
     let ran = haptimill(
         &["kin", "ik", "--strokes", "--in", "tests/golden/h4_ik.csv"],
@@ -168,7 +168,7 @@ fn tables_of_slides_agree_with_the_golden_values() {
 }
 
 #[test]
-fn poses_that_are_out_of_reach_have_no_slides() {
+fn unreachable_poses_have_no_joint_positions() {
     let ran = haptimill(
         &["kin", "ik", "--in", "tests/golden/h4_unreachable.csv"],
         "",
@@ -182,7 +182,7 @@ fn poses_that_are_out_of_reach_have_no_slides() {
 }
 
 #[test]
-fn tables_of_poses_agree_with_the_golden_values() {
+fn inverse_kinematics_match_the_golden_table() {
     let (_, rows) = golden("h4_fk.csv");
     let ran = haptimill(&["kin", "fk", "--in", "tests/golden/h4_fk.csv"], "");
     assert_eq!((ran.code, ran.err.as_str()), (0, ""));
@@ -201,7 +201,7 @@ fn tables_of_poses_agree_with_the_golden_values() {
 }
 
 #[test]
-fn tables_say_what_is_wrong_where() {
+fn invalid_tables_report_line_and_column() {
     let ik = |input: &str| transcript(&["kin", "ik"], input);
     let header = "xw_mm,yw_mm,zw_mm,theta_deg,alpha_deg\n";
     let mut text = ik(&format!(
@@ -237,8 +237,8 @@ fn tables_say_what_is_wrong_where() {
 }
 
 #[test]
-fn a_table_is_not_written_over_itself() {
-    let folder = scene::Folder::new();
+fn input_table_is_not_overwritten() {
+    let folder = scene::TestFolder::new();
     let slides = "l1_mm,l2_mm,l3_mm,l4_mm\n1135,485,1135,485\n";
     let table = folder.file("b.csv", slides);
     let other = folder.path("./b.csv");
@@ -263,7 +263,7 @@ fn a_table_is_not_written_over_itself() {
 }
 
 #[test]
-fn ports_end_well_and_name_the_simulator() {
+fn ports_list_the_simulator() {
     let ran = haptimill(&["ports", "--json"], "");
     assert_eq!(ran.code, 0, "{}", ran.err);
     let list: Vec<serde_json::Value> = serde_json::from_str(&ran.out).unwrap();

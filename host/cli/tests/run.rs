@@ -4,13 +4,13 @@
 mod scene;
 
 use haptimill_trace::{RECORD_BYTES, Recording};
-use scene::{Folder, Ran, haptimill, number, root, start};
+use scene::{RunResult, TestFolder, haptimill, number, root, start};
 use serde_json::Value;
 use std::path::Path;
 use std::time::Duration;
 
 /// Runs a program of examples/ into `out` and gives its summary.
-fn job(folder: &Folder, out: &str, program: &str, more: &[&str]) -> Value {
+fn job(folder: &TestFolder, out: &str, program: &str, more: &[&str]) -> Value {
     let program = format!("examples/{program}");
     let ran = haptimill(
         &[
@@ -19,7 +19,7 @@ fn job(folder: &Folder, out: &str, program: &str, more: &[&str]) -> Value {
         ]
         .concat(),
     )
-    .ended_with(0);
+    .expect_code(0);
     assert_eq!(ran.err, "", "{program}");
     let summary = folder.summary(out);
     assert_eq!(
@@ -32,7 +32,7 @@ fn job(folder: &Folder, out: &str, program: &str, more: &[&str]) -> Value {
 
 /// What every good job has in its summary, and the accuracy that is promised.
 #[track_caller]
-fn is_good(summary: &Value) {
+fn expect_small_errors(summary: &Value) {
     println!(
         "{}: {:.2} s, {:.1} mm, tool {:.4} mm rms, {:.4} mm largest, slide {:.4} mm; {} setpoints of {:.1} bytes ({:.1} with all that is said besides)",
         summary["program"],
@@ -59,10 +59,10 @@ fn is_good(summary: &Value) {
 }
 
 #[test]
-fn the_slot_leaves_its_files_and_the_same_bytes_every_time() {
-    let folder = Folder::new();
+fn slot_writes_all_files_bit_identically() {
+    let folder = TestFolder::new();
     let first = job(&folder, "first", "e7-slot.ngc", &[]);
-    is_good(&first);
+    expect_small_errors(&first);
     // 2 mm down, 30 mm along, 4 mm up, 30 mm back, 2 mm down.
     assert!(
         (number(&first, "path_length_mm") - 68.0).abs() < 0.01,
@@ -148,22 +148,22 @@ fn the_slot_leaves_its_files_and_the_same_bytes_every_time() {
         std::fs::read(folder.path("again/recording.hmr")).unwrap()
     );
     let other = job(&folder, "other", "e7-slot.ngc", &["--seed", "2"]);
-    is_good(&other);
+    expect_small_errors(&other);
     assert_ne!(other["trace_sha256"], first["trace_sha256"]);
 }
 
 #[test]
-fn the_pocket_and_the_circle_are_within_their_errors() {
-    let folder = Folder::new();
+fn pocket_and_circle_keep_their_tolerances() {
+    let folder = TestFolder::new();
     let pocket = job(&folder, "pocket", "e9-pocket.ngc", &[]);
-    is_good(&pocket);
+    expect_small_errors(&pocket);
     // All that goes from the host to the machine: setpoints, acknowledgements, signs of life.
     assert!(
         number(&pocket, "line_bytes_per_setpoint") <= 22.5,
         "{pocket:#}"
     );
     let circle = job(&folder, "circle", "e11-circle.ngc", &[]);
-    is_good(&circle);
+    expect_small_errors(&circle);
     // Round: a circle of 30 mm, in the trace's own words.
     let text = folder.read("circle/trace.csv");
     let mut reader = csv::Reader::from_reader(text.as_bytes());
@@ -189,30 +189,31 @@ fn the_pocket_and_the_circle_are_within_their_errors() {
 }
 
 #[test]
-fn the_dome_streams_over_115200_baud_without_an_underrun() {
-    let folder = Folder::new();
+fn dome_streams_at_115200_baud_without_underrun() {
+    let folder = TestFolder::new();
     let dome = job(&folder, "dome", "dome.ngc", &["--baud", "115200"]);
-    is_good(&dome);
+    expect_small_errors(&dome);
     assert!(number(&dome, "setpoints") > 2000.0);
     assert!(number(&dome, "angle_error_max_deg") < 0.05, "{dome:#}");
     assert!(number(&dome, "line_bytes_per_setpoint") <= 24.0, "{dome:#}");
 }
 
 #[test]
-fn the_sweeps_of_feed_and_depth_run() {
-    let folder = Folder::new();
-    is_good(&job(&folder, "feed", "e1-feed-sweep.ngc", &[]));
-    is_good(&job(&folder, "depth", "e2-depth-sweep.ngc", &[]));
+fn feed_and_depth_sweeps_run() {
+    let folder = TestFolder::new();
+    expect_small_errors(&job(&folder, "feed", "e1-feed-sweep.ngc", &[]));
+    expect_small_errors(&job(&folder, "depth", "e2-depth-sweep.ngc", &[]));
 }
 
 #[test]
-fn a_job_ends_with_a_few_lines_that_a_person_reads() {
-    let folder = Folder::new();
+fn job_prints_a_short_summary() {
+    let folder = TestFolder::new();
     let out = folder.path("out");
-    let ran = haptimill(&["run", "examples/e7-slot.ngc", "--out", &out]).ended_with(0);
-    insta::assert_snapshot!("run_e7", folder.anonymous(&ran.out));
+    let ran = haptimill(&["run", "examples/e7-slot.ngc", "--out", &out]).expect_code(0);
+    insta::assert_snapshot!("run_e7", folder.redact(&ran.out));
     assert_eq!(ran.err, "");
-    let quiet = haptimill(&["run", "examples/e7-slot.ngc", "--out", &out, "--quiet"]).ended_with(0);
+    let quiet =
+        haptimill(&["run", "examples/e7-slot.ngc", "--out", &out, "--quiet"]).expect_code(0);
     assert!(
         !quiet.out.contains("homing") && quiet.out.contains("tool error"),
         "{}",
@@ -225,7 +226,7 @@ fn a_job_ends_with_a_few_lines_that_a_person_reads() {
         &folder.path("none"),
         "--check",
     ])
-    .ended_with(0);
+    .expect_code(0);
     assert!(
         check.out.contains("68.0 mm") && !Path::new(&folder.path("none")).exists(),
         "{}",
@@ -234,38 +235,41 @@ fn a_job_ends_with_a_few_lines_that_a_person_reads() {
 }
 
 /// A program with a mistake, its transcript, and the promise that nothing was written or moved.
-fn refused(folder: &Folder, name: &str, text: impl AsRef<[u8]>, code: i32) -> String {
+fn refused(folder: &TestFolder, name: &str, text: impl AsRef<[u8]>, code: i32) -> String {
     let file = folder.file(name, text);
     let out = folder.path("out");
-    let ran = haptimill(&["run", &file, "--out", &out]).ended_with(code);
+    let ran = haptimill(&["run", &file, "--out", &out]).expect_code(code);
     assert!(!Path::new(&out).exists(), "{name}: something was written");
-    shown(folder, name, &ran)
+    redacted_error(folder, name, &ran)
 }
 
-fn shown(folder: &Folder, what: &str, ran: &Ran) -> String {
+fn redacted_error(folder: &TestFolder, what: &str, ran: &RunResult) -> String {
     assert_eq!(ran.out, "", "{what}: {ran:?}");
     format!(
         "# {what}: exit code {}\n{}\n",
         ran.code,
-        folder.anonymous(&ran.err)
+        folder.redact(&ran.err)
     )
 }
 
 #[test]
-fn a_program_that_leaves_the_workspace_late_is_refused_before_anything_moves() {
-    let folder = Folder::new();
+fn program_that_leaves_the_workspace_late_is_refused_before_motion() {
+    let folder = TestFolder::new();
     let mut program = String::from("G21 G90 G94 F600\n");
     for line in 2..1500 {
         program += &format!("G1 X{} Y{}\n", line % 7, line % 5);
     }
     program += "G1 X199 Y119 Z-59\nG1 X0 Y0 Z21\nM30\n";
-    insta::assert_snapshot!("leaves_late", refused(&folder, "late.ngc", &program, 4));
+    insta::assert_snapshot!(
+        "leaves_workspace",
+        refused(&folder, "late.ngc", &program, 4)
+    );
     assert!(program.lines().nth(1499).unwrap().contains("Z-59"));
 }
 
 #[test]
-fn mistakes_of_a_program_are_told_by_line() {
-    let folder = Folder::new();
+fn program_mistakes_are_reported_by_line() {
+    let folder = TestFolder::new();
     let mut text = refused(
         &folder,
         "unknown-word.ngc",
@@ -296,13 +300,13 @@ fn mistakes_of_a_program_are_told_by_line() {
 }
 
 #[test]
-fn files_that_are_none_are_told_apart() {
-    let folder = Folder::new();
+fn unusable_files_have_distinct_messages() {
+    let folder = TestFolder::new();
     let out = folder.path("out");
     let mut text = String::new();
     let mut tell = |what: &str, code: i32, arguments: &[&str]| {
-        let ran = haptimill(arguments).ended_with(code);
-        text += &shown(&folder, what, &ran);
+        let ran = haptimill(arguments).expect_code(code);
+        text += &redacted_error(&folder, what, &ran);
     };
     tell(
         "a program that is not there",
@@ -391,19 +395,19 @@ fn files_that_are_none_are_told_apart() {
         5,
         &["run", &good, "--port", "/dev/there-is-none", "--out", &out],
     );
-    insta::assert_snapshot!("no_such_files", text);
+    insta::assert_snapshot!("unusable_files", text);
 }
 
 #[test]
-fn a_program_that_does_nothing_is_done_at_once() {
-    let folder = Folder::new();
+fn empty_program_completes_at_once() {
+    let folder = TestFolder::new();
     for (name, text) in [
         ("empty.ngc", ""),
         ("comment.ngc", "(nothing)\n\n; nothing\n"),
         ("end.ngc", "G21 G90\nM30\n"),
     ] {
         let file = folder.file(name, text);
-        let ran = haptimill(&["run", &file, "--json", "--out", &folder.path("out")]).ended_with(0);
+        let ran = haptimill(&["run", &file, "--json", "--out", &folder.path("out")]).expect_code(0);
         let summary = ran.json();
         assert_eq!(summary["final_state"], "Idle", "{name}");
         assert_eq!(number(&summary, "path_length_mm"), 0.0, "{name}");
@@ -412,10 +416,10 @@ fn a_program_that_does_nothing_is_done_at_once() {
 }
 
 #[test]
-fn pauses_are_passed_in_the_simulator_and_need_a_terminal_on_a_machine() {
-    let folder = Folder::new();
+fn pauses_are_skipped_in_the_simulator_and_need_a_terminal_on_a_machine() {
+    let folder = TestFolder::new();
     let file = folder.file("pause.ngc", "G1 X5 F600\nM0 (turn the work)\nG1 X0\nM30\n");
-    let ran = haptimill(&["run", &file, "--json", "--out", &folder.path("out")]).ended_with(0);
+    let ran = haptimill(&["run", &file, "--json", "--out", &folder.path("out")]).expect_code(0);
     assert_eq!(ran.json()["completed"], true);
     assert!((number(&ran.json(), "path_length_mm") - 10.0).abs() < 0.01);
     // Nobody can press Enter: refused before the port is opened.
@@ -427,7 +431,7 @@ fn pauses_are_passed_in_the_simulator_and_need_a_terminal_on_a_machine() {
         "--out",
         &folder.path("none"),
     ])
-    .ended_with(2);
+    .expect_code(2);
     assert!(
         ran.err.contains("pause.ngc:2") && ran.err.contains("--skip-pauses"),
         "{}",
@@ -436,7 +440,7 @@ fn pauses_are_passed_in_the_simulator_and_need_a_terminal_on_a_machine() {
 }
 
 /// A program that takes an hour of machine time.
-fn hour_long(folder: &Folder) -> String {
+fn write_long_program(folder: &TestFolder) -> String {
     let lines: String = (0..900)
         .map(|turn| format!("G1 X{} Y0\nG1 Y5\nG1 X0\nG1 Y0\n", 10 + turn % 3))
         .collect();
@@ -444,9 +448,14 @@ fn hour_long(folder: &Folder) -> String {
 }
 
 /// A run of it that has recorded for some seconds of machine time.
-fn long_under_way(folder: &Folder) -> scene::Started {
-    let mut run = start(&["run", &hour_long(folder), "--out", &folder.path("out")]);
-    run.says("running");
+fn start_long_program(folder: &TestFolder) -> scene::Running {
+    let mut run = start(&[
+        "run",
+        &write_long_program(folder),
+        "--out",
+        &folder.path("out"),
+    ]);
+    run.wait_for_output("running");
     let recording = folder.path("out/recording.hmr");
     while std::fs::metadata(&recording).map_or(0, |file| file.len()) < 1_000_000 {
         assert!(run.runs());
@@ -456,20 +465,20 @@ fn long_under_way(folder: &Folder) -> scene::Started {
 }
 
 #[test]
-fn two_runs_never_write_into_one_folder_and_a_run_that_died_holds_none() {
-    let folder = Folder::new();
-    let mut first = long_under_way(&folder);
+fn result_folder_is_locked_until_its_run_ends() {
+    let folder = TestFolder::new();
+    let mut first = start_long_program(&folder);
     let recording = folder.path("out/recording.hmr");
     let short = folder.file("short.ngc", "G1 X1 F600\nM30\n");
     let out = folder.path("out");
-    let second = haptimill(&["run", &short, "--json", "--out", &out]).ended_with(9);
+    let second = haptimill(&["run", &short, "--json", "--out", &out]).expect_code(9);
     let said = "another run is writing its results there; choose another folder with --out";
     assert!(second.err.contains(said), "{}", second.err);
     assert_eq!(second.json()["exit_code"], 9);
     // The first one's recording is still there, and grows.
     assert!(first.runs() && std::fs::metadata(&recording).unwrap().len() >= 1_000_000);
     first.kill();
-    haptimill(&["run", &short, "--out", &out]).ended_with(0);
+    haptimill(&["run", &short, "--out", &out]).expect_code(0);
     assert_eq!(folder.summary("out")["program"], "short.ngc");
     // Nothing but results is left there.
     let mut names: Vec<String> = std::fs::read_dir(&out)
@@ -484,8 +493,8 @@ fn two_runs_never_write_into_one_folder_and_a_run_that_died_holds_none() {
 }
 
 #[test]
-fn mistakes_are_told_as_json_too() {
-    let folder = Folder::new();
+fn mistakes_are_reported_as_json() {
+    let folder = TestFolder::new();
     let out = folder.path("out");
     let bad = folder.file("bad.ngc", "G21 G90\nG1 X1 F100\nG1 Q5 X2\n   M98 P1\n");
     let far = folder.file("far.ngc", "G21 G90 F600\n\nG1 X1999\n");
@@ -500,7 +509,7 @@ fn mistakes_are_told_as_json_too() {
         (&["run", &far, "--json", "--out", &out], 4, &[(3, 4)]),
         (&["run", &bad, "--machine", &wrong, "--json"], 3, &[(1, 8)]),
     ] {
-        let ran = haptimill(arguments).ended_with(code);
+        let ran = haptimill(arguments).expect_code(code);
         let told = ran.json();
         assert_eq!(told["exit_code"], code, "{told:#}");
         assert_eq!(told["error"].as_str(), Some(ran.err.trim_end()), "{told:#}");
@@ -520,13 +529,13 @@ fn mistakes_are_told_as_json_too() {
         }
     }
     assert!(!Path::new(&out).exists());
-    let missing = haptimill(&["run", "none.ngc", "--json"]).ended_with(3);
+    let missing = haptimill(&["run", "none.ngc", "--json"]).expect_code(3);
     assert_eq!(missing.json()["problems"], Value::Array(Vec::new()));
 }
 
 #[test]
-fn the_speed_that_was_asked_for_is_in_the_time_that_is_announced() {
-    let folder = Folder::new();
+fn announced_time_includes_the_feed_override() {
+    let folder = TestFolder::new();
     let time = |more: &[&str]| {
         let check = ["run", "examples/e7-slot.ngc", "--check", "--json"];
         number(&haptimill(&[&check, more].concat()).json(), "duration_s")
@@ -542,7 +551,7 @@ fn the_speed_that_was_asked_for_is_in_the_time_that_is_announced() {
         "--out",
         &out,
     ];
-    let ran = haptimill(&run).ended_with(0);
+    let ran = haptimill(&run).expect_code(0);
     let announced = format!("running, {half:.2} s at 50 %");
     assert!(ran.out.contains(&announced), "{announced}: {}", ran.out);
     // And it takes that long: the machine speeds up and slows down along the path as slowly.
@@ -551,14 +560,14 @@ fn the_speed_that_was_asked_for_is_in_the_time_that_is_announced() {
 }
 
 #[test]
-fn an_optional_stop_pauses_where_it_is_asked_for() {
-    let folder = Folder::new();
+fn optional_stop_pauses_with_its_option() {
+    let folder = TestFolder::new();
     let file = folder.file("m1.ngc", "G1 X5 F600\nM1\nG1 X0\nM30\n");
     let out = folder.path("none");
     let run = ["run", &file, "--port", "tcp:localhost:1", "--out", &out];
     // Without it there is nothing to pause at, and the port is looked for.
-    haptimill(&run).ended_with(5);
-    let ran = haptimill(&[&run[..], &["--optional-stop"]].concat()).ended_with(2);
+    haptimill(&run).expect_code(5);
+    let ran = haptimill(&[&run[..], &["--optional-stop"]].concat()).expect_code(2);
     assert!(
         ran.err.contains("m1.ngc:2: the program pauses"),
         "{}",
@@ -568,11 +577,11 @@ fn an_optional_stop_pauses_where_it_is_asked_for() {
 
 #[cfg(unix)]
 #[test]
-fn ctrl_c_stops_the_simulated_job_along_its_path_and_keeps_the_trace() {
-    let folder = Folder::new();
-    let run = long_under_way(&folder);
+fn ctrl_c_stops_along_the_path_and_keeps_the_trace() {
+    let folder = TestFolder::new();
+    let run = start_long_program(&folder);
     run.interrupt();
-    let ran = run.end().ended_with(7);
+    let ran = run.end().expect_code(7);
     assert!(
         ran.err.contains("stopped by the user") && ran.err.contains("position is kept"),
         "{}",

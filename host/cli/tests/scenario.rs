@@ -3,7 +3,7 @@
 mod scene;
 
 use haptimill_trace::{Recording, flag};
-use scene::{Folder, haptimill, number};
+use scene::{TestFolder, haptimill, number};
 use serde_json::Value;
 use std::path::Path;
 
@@ -17,17 +17,17 @@ fn without_hashes(summary: &Value) -> Value {
     summary
 }
 
-fn read(folder: &Folder, path: &str) -> Value {
+fn read(folder: &TestFolder, path: &str) -> Value {
     serde_json::from_str(&folder.read(path)).unwrap()
 }
 
 #[test]
-fn all_scenarios_leave_their_tables_pages_and_recordings() {
-    let folder = Folder::new();
+fn all_scenarios_write_tables_pages_and_recordings() {
+    let folder = TestFolder::new();
     let out = folder.path("out");
-    let ran = haptimill(&["scenario", "run", "all", "--out", &out]).ended_with(0);
+    let ran = haptimill(&["scenario", "run", "all", "--out", &out]).expect_code(0);
     assert_eq!(ran.err, "");
-    insta::assert_snapshot!("table", folder.anonymous(&ran.out));
+    insta::assert_snapshot!("table", folder.redact(&ran.out));
 
     let index = folder.read("out/index.html");
     for scenario in haptimill_experiments::all() {
@@ -82,12 +82,12 @@ fn all_scenarios_leave_their_tables_pages_and_recordings() {
 }
 
 #[test]
-fn a_scenario_is_the_same_every_time_alone_or_among_others() {
-    let folder = Folder::new();
+fn scenario_is_reproducible_alone_and_with_others() {
+    let folder = TestFolder::new();
     let mut hashes = Vec::new();
     for out in ["first", "second"] {
         let out = folder.path(out);
-        let ran = haptimill(&["scenario", "run", "E7", "--json", "--out", &out]).ended_with(0);
+        let ran = haptimill(&["scenario", "run", "E7", "--json", "--out", &out]).expect_code(0);
         let told = ran.json();
         assert_eq!(told.as_array().unwrap().len(), 1);
         hashes.push(told[0]["passes"][0]["trace_sha256"].clone());
@@ -100,13 +100,13 @@ fn a_scenario_is_the_same_every_time_alone_or_among_others() {
 }
 
 #[test]
-fn scenarios_are_listed_and_others_refused() {
-    let list = haptimill(&["scenario", "list"]).ended_with(0).out;
+fn scenarios_are_listed_and_unknown_ones_refused() {
+    let list = haptimill(&["scenario", "list"]).expect_code(0).out;
     for number in 1..=12 {
         let name = &format!("e{number} ");
         assert!(list.lines().any(|line| line.starts_with(name)), "{list}");
     }
-    let ran = haptimill(&["scenario", "run", "e13"]).ended_with(2);
+    let ran = haptimill(&["scenario", "run", "e13"]).expect_code(2);
     assert_eq!(
         ran.err,
         "there is no scenario \"e13\"; write one of e1, e2, e3, e4, e5, e6, e7, e8, e9, e10, e11, e12, or all\n"
@@ -114,8 +114,8 @@ fn scenarios_are_listed_and_others_refused() {
 }
 
 #[test]
-fn a_job_cuts_a_work_only_when_one_is_clamped() {
-    let folder = Folder::new();
+fn job_cuts_only_a_clamped_stock() {
+    let folder = TestFolder::new();
     let run = |out: &str, more: &[&str]| {
         let dir = folder.path(out);
         let program = "examples/e7-slot.ngc";
@@ -150,7 +150,7 @@ fn a_job_cuts_a_work_only_when_one_is_clamped() {
     ]);
     assert_eq!(ran.code, 3);
     assert_eq!(
-        folder.anonymous(&ran.err),
+        folder.redact(&ran.err),
         "DIR/work.toml:2:11: cell_mm: 7 is not within 0.01 to 1; correct it\n"
     );
     let port = [
@@ -161,5 +161,5 @@ fn a_job_cuts_a_work_only_when_one_is_clamped() {
         "--port",
         "tcp:127.0.0.1:1",
     ];
-    assert!(haptimill(&port).ended_with(2).err.starts_with("--stock"));
+    assert!(haptimill(&port).expect_code(2).err.starts_with("--stock"));
 }

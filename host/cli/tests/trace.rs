@@ -4,7 +4,7 @@ mod scene;
 
 use haptimill_trace::replay::replay;
 use haptimill_trace::{IoLog, Period, Record, Recorder, Recording};
-use scene::{Folder, Ran, Served, haptimill, number, start};
+use scene::{RunResult, SimServer, TestFolder, haptimill, number, start};
 use serde_json::Value;
 use std::path::Path;
 #[cfg(unix)]
@@ -12,18 +12,18 @@ use std::process::{Command, Stdio};
 use std::time::Duration;
 
 /// Runs a program of examples/ into `out`; where its recording is.
-fn recorded(folder: &Folder, out: &str, program: &str, more: &[&str], code: i32) -> String {
+fn record(folder: &TestFolder, out: &str, program: &str, more: &[&str], code: i32) -> String {
     let program = format!("examples/{program}");
     let out = folder.path(out);
     let run = [&["run", &program, "--quiet", "--out", &out], more].concat();
-    haptimill(&run).ended_with(code);
+    haptimill(&run).expect_code(code);
     format!("{out}/recording.hmr")
 }
 
 /// Replays a recording, which must be equal, and gives what is said of it.
 #[track_caller]
 fn replays(recording: &str) -> Value {
-    let ran = haptimill(&["replay", recording, "--json"]).ended_with(0);
+    let ran = haptimill(&["replay", recording, "--json"]).expect_code(0);
     assert_eq!(ran.err, "");
     let said = ran.json();
     assert_eq!(
@@ -34,9 +34,9 @@ fn replays(recording: &str) -> Value {
 }
 
 #[test]
-fn the_circle_replays_equal_and_its_hash_is_that_of_the_summary() {
-    let folder = Folder::new();
-    let trace = recorded(&folder, "out", "e11-circle.ngc", &[], 0);
+fn circle_replays_equal_with_the_hash_of_the_summary() {
+    let folder = TestFolder::new();
+    let trace = record(&folder, "out", "e11-circle.ngc", &[], 0);
     let said = replays(&trace);
     let summary = folder.summary("out");
     assert_eq!(said["sha256"], summary["trace_sha256"]);
@@ -45,7 +45,7 @@ fn the_circle_replays_equal_and_its_hash_is_that_of_the_summary() {
     let (all, job) = (number(&said, "periods"), number(&summary, "periods"));
     assert!(all > job + 10_000.0, "{all} of them, {job} in the job");
 
-    let ran = haptimill(&["replay", &trace]).ended_with(0);
+    let ran = haptimill(&["replay", &trace]).expect_code(0);
     assert!(
         ran.out.starts_with("the same bits in ") && ran.out.contains("times real time"),
         "{}",
@@ -62,9 +62,9 @@ fn the_circle_replays_equal_and_its_hash_is_that_of_the_summary() {
 }
 
 #[test]
-fn a_scenario_under_force_control_replays_equal() {
-    let folder = Folder::new();
-    haptimill(&["scenario", "run", "e4", "--out", &folder.path("out")]).ended_with(0);
+fn force_control_scenario_replays_equal() {
+    let folder = TestFolder::new();
+    haptimill(&["scenario", "run", "e4", "--out", &folder.path("out")]).expect_code(0);
     for pass in ["ka0.25-kv5", "ka1-kv5", "ka1-kv20"] {
         let said = replays(&folder.path(&format!("out/e4/{pass}/recording.hmr")));
         assert!(number(&said, "records") > 10_000.0);
@@ -72,9 +72,9 @@ fn a_scenario_under_force_control_replays_equal() {
 }
 
 #[test]
-fn a_slot_led_by_hand_replays_equal_and_a_count_of_the_haptic_arm_is_missed() {
-    let folder = Folder::new();
-    haptimill(&["scenario", "run", "e8", "--out", &folder.path("out")]).ended_with(0);
+fn teleoperated_slot_replays_equal_and_a_changed_arm_count_is_detected() {
+    let folder = TestFolder::new();
+    haptimill(&["scenario", "run", "e8", "--out", &folder.path("out")]).expect_code(0);
     let passes = std::fs::read_dir(folder.path("out/e8")).unwrap();
     let traces: Vec<_> = passes
         .map(|pass| pass.unwrap().path().join("recording.hmr"))
@@ -114,7 +114,7 @@ fn a_slot_led_by_hand_replays_equal_and_a_count_of_the_haptic_arm_is_missed() {
     }
     recorder.finish().unwrap();
     let said = haptimill(&["replay", &changed, "--json"])
-        .ended_with(8)
+        .expect_code(8)
         .json();
     let difference = &said["difference"];
     assert_eq!(difference["period"], flipped);
@@ -124,8 +124,8 @@ fn a_slot_led_by_hand_replays_equal_and_a_count_of_the_haptic_arm_is_missed() {
 }
 
 #[test]
-fn a_job_that_ends_in_a_fault_over_a_bad_line_replays_equal() {
-    let folder = Folder::new();
+fn faulted_job_over_a_bad_line_replays_equal() {
+    let folder = TestFolder::new();
     let fault = [
         "--fault",
         "encoder-stuck axis=l2 channel=a level=high at=6s",
@@ -134,10 +134,10 @@ fn a_job_that_ends_in_a_fault_over_a_bad_line_replays_equal() {
         "--baud",
         "115200",
     ];
-    let trace = recorded(&folder, "out", "e7-slot.ngc", &fault, 6);
+    let trace = record(&folder, "out", "e7-slot.ngc", &fault, 6);
     replays(&trace);
     let info = haptimill(&["trace", "info", &trace, "--json"])
-        .ended_with(0)
+        .expect_code(0)
         .json();
     let events = info["events"].as_array().unwrap();
     assert!(
@@ -147,13 +147,13 @@ fn a_job_that_ends_in_a_fault_over_a_bad_line_replays_equal() {
     );
     // And a machine with step motors.
     let steps = ["--machine", "machines/h4-step.toml"];
-    replays(&recorded(&folder, "steps", "e7-slot.ngc", &steps, 0));
+    replays(&record(&folder, "steps", "e7-slot.ngc", &steps, 0));
 }
 
 #[test]
-fn one_bit_of_one_input_is_named_with_both_values() {
-    let folder = Folder::new();
-    let trace = recorded(&folder, "out", "e7-slot.ngc", &[], 0);
+fn one_changed_input_bit_is_reported_with_both_values() {
+    let folder = TestFolder::new();
+    let trace = record(&folder, "out", "e7-slot.ngc", &[], 0);
     let recording = Recording::open(Path::new(&trace)).unwrap();
     let first = recording.iter().unwrap().next().unwrap().unwrap().period;
     let flipped = first + 20_000;
@@ -172,7 +172,7 @@ fn one_bit_of_one_input_is_named_with_both_values() {
         recorder.record(&record);
     }
     recorder.finish().unwrap();
-    let ran = haptimill(&["replay", &changed]).ended_with(8);
+    let ran = haptimill(&["replay", &changed]).expect_code(8);
     assert_eq!(ran.out, "");
     let expected = format!("control period {flipped} (");
     assert!(
@@ -181,7 +181,7 @@ fn one_bit_of_one_input_is_named_with_both_values() {
         ran.err
     );
     let said = haptimill(&["replay", &changed, "--json"])
-        .ended_with(8)
+        .expect_code(8)
         .json();
     assert_eq!(said["equal"], false);
     let difference = &said["difference"];
@@ -189,12 +189,12 @@ fn one_bit_of_one_input_is_named_with_both_values() {
     assert!(difference["field"].as_str().unwrap().ends_with("l3"));
     assert_ne!(difference["recorded"], difference["replayed"]);
     // The periods alone differ, the records do not.
-    haptimill(&["trace", "diff", &trace, &changed]).ended_with(0);
+    haptimill(&["trace", "diff", &trace, &changed]).expect_code(0);
 }
 
 /// Numbers and names of folders taken out of what was said.
-fn plain(folder: &Folder, ran: &Ran) -> String {
-    let text = folder.anonymous(&format!("{}{}", ran.out, ran.err));
+fn plain(folder: &TestFolder, ran: &RunResult) -> String {
+    let text = folder.redact(&format!("{}{}", ran.out, ran.err));
     let mut plain = String::new();
     for line in text.lines() {
         let words: Vec<String> = line.split(' ').map(masked).collect();
@@ -219,14 +219,14 @@ fn masked(word: &str) -> String {
 }
 
 #[test]
-fn a_recording_tells_what_it_is_and_is_drawn() {
-    let folder = Folder::new();
-    let trace = recorded(&folder, "out", "e7-slot.ngc", &[], 0);
-    let info = haptimill(&["trace", "info", &trace]).ended_with(0);
+fn recording_info_and_plot() {
+    let folder = TestFolder::new();
+    let trace = record(&folder, "out", "e7-slot.ngc", &[], 0);
+    let info = haptimill(&["trace", "info", &trace]).expect_code(0);
     insta::assert_snapshot!("info", plain(&folder, &info));
 
     let plot = |more: &[&str]| haptimill(&[&["trace", "plot", &trace], more].concat());
-    let sketch = plot(&["x_programmed_mm", "spindle_rpm"]).ended_with(0).out;
+    let sketch = plot(&["x_programmed_mm", "spindle_rpm"]).expect_code(0).out;
     let lines: Vec<&str> = sketch.lines().collect();
     assert_eq!(lines.len(), 18, "{sketch}");
     assert!(
@@ -248,16 +248,16 @@ fn a_recording_tells_what_it_is_and_is_drawn() {
         "--out",
         &picture,
     ])
-    .ended_with(0);
+    .expect_code(0);
     let svg = folder.read("errors.svg");
     assert!(svg.starts_with("<svg xmlns=") && svg.trim_end().ends_with("</svg>"));
     // Two units, two charts; four lines and one.
     assert_eq!(svg.matches("<svg ").count(), 3);
     assert_eq!(svg.matches("<path").count(), 5);
     assert!(svg.contains("l3_joint_error_mm") && svg.contains("time after 2 s"));
-    plot(&["x_force_high_n", "--from", "1000"]).ended_with(3);
+    plot(&["x_force_high_n", "--from", "1000"]).expect_code(3);
     // States have names, beside whatever else has no unit.
-    plot(&["state", "line", "--out", &picture]).ended_with(0);
+    plot(&["state", "line", "--out", &picture]).expect_code(0);
     let svg = folder.read("errors.svg");
     assert_eq!(svg.matches("<svg ").count(), 3);
     assert!(
@@ -267,16 +267,16 @@ fn a_recording_tells_what_it_is_and_is_drawn() {
 }
 
 #[test]
-fn a_table_has_the_columns_rows_and_time_that_were_asked_for() {
-    let folder = Folder::new();
-    let trace = recorded(&folder, "out", "e7-slot.ngc", &[], 0);
+fn csv_has_the_selected_columns_rows_and_times() {
+    let folder = TestFolder::new();
+    let trace = record(&folder, "out", "e7-slot.ngc", &[], 0);
     let whole = folder.path("whole.csv");
-    haptimill(&["trace", "csv", &trace, "--every", "25", "--out", &whole]).ended_with(0);
+    haptimill(&["trace", "csv", &trace, "--every", "25", "--out", &whole]).expect_code(0);
     assert_eq!(folder.read("whole.csv"), folder.read("out/trace.csv"));
     let columns = "time_s,x_*_mm,state";
     let window = ["--from", "1", "--to", "1.01", "--every", "5"];
     let ran = haptimill(&[&["trace", "csv", &trace, "--columns", columns], &window[..]].concat())
-        .ended_with(0);
+        .expect_code(0);
     let rows: Vec<&str> = ran.out.lines().collect();
     assert_eq!(
         rows[0],
@@ -291,9 +291,9 @@ fn a_table_has_the_columns_rows_and_time_that_were_asked_for() {
 }
 
 #[test]
-fn files_that_are_no_good_are_told_apart() {
-    let folder = Folder::new();
-    let trace = recorded(&folder, "out", "e7-slot.ngc", &[], 0);
+fn damaged_files_have_distinct_messages() {
+    let folder = TestFolder::new();
+    let trace = record(&folder, "out", "e7-slot.ngc", &[], 0);
     let whole = std::fs::read(&trace).unwrap();
     let mut damaged = whole.clone();
     let middle = damaged.len() / 2;
@@ -336,19 +336,19 @@ fn files_that_are_no_good_are_told_apart() {
         ),
         (&["trace", "mcap", &trace, "--out", &trace], 2),
     ] {
-        let ran = haptimill(arguments).ended_with(code);
+        let ran = haptimill(arguments).expect_code(code);
         text += &format!(
             "$ haptimill {}\n{}\n",
-            folder.anonymous(&arguments.join(" ")),
+            folder.redact(&arguments.join(" ")),
             plain(&folder, &ran)
         );
     }
-    insta::assert_snapshot!("no_good", text);
+    insta::assert_snapshot!("damaged_files", text);
 }
 
 /// Other names of a file: spelled differently, and links.
 #[cfg(unix)]
-fn names(folder: &Folder, path: &str) -> Vec<String> {
+fn names(folder: &TestFolder, path: &str) -> Vec<String> {
     let file = Path::new(path);
     let (dir, name) = (file.parent().unwrap(), file.file_name().unwrap());
     let spelled = dir.join(".").join(name).to_str().unwrap().to_string();
@@ -360,9 +360,9 @@ fn names(folder: &Folder, path: &str) -> Vec<String> {
 
 #[cfg(unix)]
 #[test]
-fn what_is_read_is_never_written_over() {
-    let folder = Folder::new();
-    let trace = recorded(&folder, "out", "e7-slot.ngc", &[], 0);
+fn input_is_never_overwritten() {
+    let folder = TestFolder::new();
+    let trace = record(&folder, "out", "e7-slot.ngc", &[], 0);
     let before = std::fs::read(&trace).unwrap();
     for name in names(&folder, &trace) {
         for command in [
@@ -381,18 +381,18 @@ fn what_is_read_is_never_written_over() {
 }
 
 #[test]
-fn a_table_that_fails_leaves_the_one_before() {
-    let folder = Folder::new();
-    let trace = recorded(&folder, "out", "e7-slot.ngc", &[], 0);
+fn failed_export_keeps_the_earlier_file() {
+    let folder = TestFolder::new();
+    let trace = record(&folder, "out", "e7-slot.ngc", &[], 0);
     let mut damaged = std::fs::read(&trace).unwrap();
     let middle = damaged.len() / 2;
     damaged[middle] ^= 0x10;
     let damaged = folder.file("damaged.hmr", damaged);
     let table = folder.file("table.csv", "before");
-    haptimill(&["trace", "csv", &damaged, "--out", &table]).ended_with(3);
-    haptimill(&["trace", "csv", &trace, "--from", "1000", "--out", &table]).ended_with(3);
+    haptimill(&["trace", "csv", &damaged, "--out", &table]).expect_code(3);
+    haptimill(&["trace", "csv", &trace, "--from", "1000", "--out", &table]).expect_code(3);
     assert_eq!(folder.read("table.csv"), "before");
-    haptimill(&["trace", "csv", &trace, "--columns", "line", "--out", &table]).ended_with(0);
+    haptimill(&["trace", "csv", &trace, "--columns", "line", "--out", &table]).expect_code(0);
     assert!(folder.read("table.csv").starts_with("line\n"));
     let files = std::fs::read_dir(folder.path("")).unwrap();
     assert_eq!(files.count(), 3, "something was left behind");
@@ -400,7 +400,7 @@ fn a_table_that_fails_leaves_the_one_before() {
 
 /// Commands whose result is on standard output.
 #[cfg(unix)]
-fn tellers(trace: &str, out: &str) -> Vec<Vec<String>> {
+fn printing_commands(trace: &str, out: &str) -> Vec<Vec<String>> {
     [
         "run examples/e7-slot.ngc --check",
         "run examples/e7-slot.ngc --check --json",
@@ -429,7 +429,7 @@ fn tellers(trace: &str, out: &str) -> Vec<Vec<String>> {
 
 /// Runs a command with this standard output; its exit code and what it complains of.
 #[cfg(unix)]
-fn telling(command: &[String], out: impl Into<Stdio>) -> (Option<i32>, String) {
+fn run_with_output(command: &[String], out: impl Into<Stdio>) -> (Option<i32>, String) {
     let ran = Command::new(env!("CARGO_BIN_EXE_haptimill"))
         .args(command)
         .current_dir(scene::root())
@@ -441,17 +441,17 @@ fn telling(command: &[String], out: impl Into<Stdio>) -> (Option<i32>, String) {
 
 #[cfg(target_os = "linux")]
 #[test]
-fn a_result_that_cannot_be_written_ends_with_9() {
-    let folder = Folder::new();
-    let trace = recorded(&folder, "out", "e7-slot.ngc", &[], 0);
-    for command in tellers(&trace, &folder.path("again")) {
+fn unwritable_result_ends_with_9() {
+    let folder = TestFolder::new();
+    let trace = record(&folder, "out", "e7-slot.ngc", &[], 0);
+    for command in printing_commands(&trace, &folder.path("again")) {
         let full = std::fs::File::options().write(true).open("/dev/full");
-        let (code, complaint) = telling(&command, full.unwrap());
+        let (code, complaint) = run_with_output(&command, full.unwrap());
         assert_eq!(code, Some(9), "{command:?} {complaint}");
         let said = "standard output: No space left on device (os error 28)";
         assert!(complaint.contains(said), "{command:?} {complaint}");
     }
-    let ran = haptimill(&["trace", "csv", &trace, "--out", "/dev/full"]).ended_with(9);
+    let ran = haptimill(&["trace", "csv", &trace, "--out", "/dev/full"]).expect_code(9);
     assert_eq!(
         ran.err,
         "/dev/full: No space left on device (os error 28)\n"
@@ -459,40 +459,40 @@ fn a_result_that_cannot_be_written_ends_with_9() {
     // What is wrong first is what the command ends with.
     let missing = ["trace", "info", "none.hmr", "--json"].map(str::to_string);
     let full = std::fs::File::options().write(true).open("/dev/full");
-    assert_eq!(telling(&missing, full.unwrap()).0, Some(3));
+    assert_eq!(run_with_output(&missing, full.unwrap()).0, Some(3));
 }
 
 #[cfg(unix)]
 #[test]
-fn a_reader_that_has_gone_is_no_error() {
-    let folder = Folder::new();
-    let trace = recorded(&folder, "out", "e7-slot.ngc", &[], 0);
-    for command in tellers(&trace, &folder.path("again")) {
+fn closed_pipe_is_no_error() {
+    let folder = TestFolder::new();
+    let trace = record(&folder, "out", "e7-slot.ngc", &[], 0);
+    for command in printing_commands(&trace, &folder.path("again")) {
         let (reader, writer) = std::io::pipe().unwrap();
         drop(reader);
-        let (code, complaint) = telling(&command, writer);
+        let (code, complaint) = run_with_output(&command, writer);
         assert_eq!(code, Some(0), "{command:?} {complaint}");
         assert!(!complaint.contains("roken pipe"), "{command:?} {complaint}");
     }
 }
 
 #[test]
-fn what_a_killed_host_left_replays_as_far_as_it_goes() {
-    let folder = Folder::new();
+fn truncated_recording_replays_to_its_end() {
+    let folder = TestFolder::new();
     let lines: String = (0..900)
         .map(|turn| format!("G1 X{} Y0\nG1 Y5\nG1 X0\nG1 Y0\n", 10 + turn % 3))
         .collect();
     let program = folder.file("long.ngc", format!("G21 G90 F300\n{lines}"));
     let out = folder.path("out");
     let mut run = start(&["run", &program, "--out", &out]);
-    run.says("running");
+    run.wait_for_output("running");
     let trace = folder.path("out/recording.hmr");
     while std::fs::metadata(&trace).map_or(0, |file| file.len()) < 8_000_000 {
         assert!(run.runs());
         std::thread::sleep(Duration::from_millis(2));
     }
     run.kill();
-    let ran = haptimill(&["replay", &trace, "--json"]).ended_with(0);
+    let ran = haptimill(&["replay", &trace, "--json"]).expect_code(0);
     let said = ran.json();
     assert_eq!(
         (&said["equal"], &said["whole"]),
@@ -511,9 +511,9 @@ fn what_a_killed_host_left_replays_as_far_as_it_goes() {
 }
 
 #[test]
-fn a_job_through_a_port_cannot_be_replayed_and_says_so() {
-    let folder = Folder::new();
-    let served = Served::on_tcp(&[]);
+fn job_on_a_port_is_reported_as_not_replayable() {
+    let folder = TestFolder::new();
+    let served = SimServer::on_tcp(&[]);
     let program = folder.file("short.ngc", "G21 G90 F600\nG1 X1\nG1 X0\nM30\n");
     let out = folder.path("out");
     haptimill(&[
@@ -525,14 +525,14 @@ fn a_job_through_a_port_cannot_be_replayed_and_says_so() {
         "--out",
         &out,
     ])
-    .ended_with(0);
+    .expect_code(0);
     let trace = folder.path("out/recording.hmr");
-    let ran = haptimill(&["replay", &trace]).ended_with(3);
+    let ran = haptimill(&["replay", &trace]).expect_code(3);
     let said =
         "has only what its controller reported, not what it sensed: it was recorded through a port";
     assert!(ran.err.contains(said), "{}", ran.err);
     let info = haptimill(&["trace", "info", &trace, "--json"])
-        .ended_with(0)
+        .expect_code(0)
         .json();
     assert_eq!(info["replayable"], false);
     // What happened is known all the same.
@@ -543,5 +543,5 @@ fn a_job_through_a_port_cannot_be_replayed_and_says_so() {
             .any(|event| event["text"].as_str().unwrap().contains("done")),
         "{info:#}"
     );
-    haptimill(&["trace", "plot", &trace, "x_tool_mm"]).ended_with(0);
+    haptimill(&["trace", "plot", &trace, "x_tool_mm"]).expect_code(0);
 }

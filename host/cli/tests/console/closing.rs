@@ -50,7 +50,7 @@ fn a_terminal_that_is_closed_in_a_jog_stops_the_machine() {
 
 #[test]
 fn a_terminal_that_is_closed_in_a_program_stops_the_machine_along_its_path() {
-    let folder = scene::Folder::new();
+    let folder = scene::TestFolder::new();
     let program = folder.file("way.ngc", "G21 G90 F600\nG1 X100\nM30\n");
     let machine = Machine::start();
     let mut terminal = homed(&["--port", &machine.port, &program], Keyboard::Plain);
@@ -136,7 +136,7 @@ fn it_asks_before_it_leaves_a_machine_whose_drives_are_on() {
 
 #[test]
 fn without_a_terminal_it_says_so() {
-    let ran = haptimill(&["console"]).ended_with(2);
+    let ran = haptimill(&["console"]).expect_code(2);
     assert!(
         ran.err
             .contains("standard input is not a terminal; run it in one"),
@@ -144,11 +144,11 @@ fn without_a_terminal_it_says_so() {
         ran.err
     );
     assert_eq!(ran.out, "");
-    haptimill(&["console", "--port", "pil:mps2"]).ended_with(2);
-    haptimill(&["console", "--port", "tcp:localhost:1", "--seed", "3"]).ended_with(2);
+    haptimill(&["console", "--port", "pil:mps2"]).expect_code(2);
+    haptimill(&["console", "--port", "tcp:localhost:1", "--seed", "3"]).expect_code(2);
     let person = ["--operator", "examples/teleop.toml"];
     let afar = [&["console", "--port", "tcp:localhost:1"], &person[..]].concat();
-    let ran = haptimill(&afar).ended_with(2);
+    let ran = haptimill(&afar).expect_code(2);
     assert!(
         ran.err.contains("give it to `haptimill sim serve`"),
         "{}",

@@ -1,6 +1,6 @@
 //! The hand on a haptic arm: what is shown of it, and what is ordered from its overlay.
 
-use super::scene::{Folder, Served};
+use super::scene::{SimServer, TestFolder};
 use super::terminal::Keyboard;
 use super::*;
 use haptimill_machine_file::{FOLLOW, HAND};
@@ -54,10 +54,10 @@ fn wanted_x(terminal: &Terminal) -> f64 {
 
 #[test]
 fn reflection_walls_and_scale_are_set_from_the_overlay_and_refused_in_words() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let own = folder.machine_with(HAND);
     // The console gives the board its configuration, and so knows what is set.
-    let served = Served::on_tcp(&["--machine", &own, "--unconfigured"]);
+    let served = SimServer::on_tcp(&["--machine", &own, "--unconfigured"]);
     let arguments = ["--machine", own.as_str(), "--port", served.port.as_str()];
     let terminal = console(&arguments, Keyboard::Plain);
     terminal.state("DISABLED");
@@ -135,11 +135,11 @@ fn reflection_walls_and_scale_are_set_from_the_overlay_and_refused_in_words() {
 
 #[test]
 fn a_wall_pushes_as_deep_as_the_hand_is_in_it_and_the_hand_leads() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let own = folder.machine_with(HAND);
     let person = folder.file("person.toml", to_and_fro());
     let program = folder.file("wait.ngc", "G21 G90 F600\nG4 P60\nM30\n");
-    let served = Served::on_tcp(&["--machine", &own, "--operator", &person]);
+    let served = SimServer::on_tcp(&["--machine", &own, "--operator", &person]);
     let arguments = ["--machine", &own, "--port", &served.port, &program];
     let terminal = homed(&arguments, Keyboard::Plain);
     terminal.brings(b"w", "button held, leads nothing");
@@ -208,7 +208,7 @@ fn a_wall_pushes_as_deep_as_the_hand_is_in_it_and_the_hand_leads() {
 
 #[test]
 fn an_arm_that_fails_is_told_in_the_overlay_and_bears_no_wall() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let own = folder.machine_with(HAND);
     let trip = "hand-amplifiers-tripped at=1s";
     let terminal = console(&["--machine", &own, "--fault", trip], Keyboard::Plain);
@@ -237,7 +237,7 @@ fn a_machine_without_a_hand_says_so() {
 
 #[test]
 fn a_machine_that_follows_afar_has_its_scale_and_an_arm_alone_its_forces() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let own = folder.machine_with(FOLLOW);
     let terminal = console(&["--machine", &own], Keyboard::Plain);
     terminal.state("DISABLED");
@@ -259,7 +259,7 @@ fn a_machine_that_follows_afar_has_its_scale_and_an_arm_alone_its_forces() {
 
 #[test]
 fn the_hand_is_shown_as_far_as_there_is_room() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let own = folder.machine_with(HAND);
     let terminal = console(&["--machine", &own], Keyboard::Plain);
     terminal.state("DISABLED");

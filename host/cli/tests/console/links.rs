@@ -8,7 +8,7 @@ use std::time::Duration;
 
 #[test]
 fn a_lost_line_is_found_again_and_nothing_moves_by_itself() {
-    let folder = scene::Folder::new();
+    let folder = scene::TestFolder::new();
     let program = folder.file("way.ngc", "G21 G90 F600\nG1 X100\nM30\n");
     let machine = Machine::start();
     let cable = Cable::to(&machine.port);
@@ -62,7 +62,7 @@ fn a_stop_that_is_wanted_without_a_line_goes_out_first() {
 
 #[test]
 fn a_terminal_that_is_stuck_keeps_neither_the_line_nor_a_stop() {
-    let folder = scene::Folder::new();
+    let folder = scene::TestFolder::new();
     let program = folder.file("way.ngc", "G21 G90 F600\nG1 X100\nM30\n");
     let machine = Machine::start();
     let terminal = homed(&["--port", &machine.port, &program], Keyboard::Plain);

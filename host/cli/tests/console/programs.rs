@@ -1,6 +1,6 @@
 //! Part programs, and the four keys that are always heard.
 
-use super::scene::{Folder, Served};
+use super::scene::{SimServer, TestFolder};
 use super::terminal::Keyboard;
 use super::*;
 use std::time::Duration;
@@ -11,9 +11,9 @@ const LONG: &str =
 
 #[test]
 fn hold_resume_stop_and_emergency_are_heard_whatever_is_open() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let program = folder.file("long.ngc", LONG);
-    let served = Served::on_tcp(&[]);
+    let served = SimServer::on_tcp(&[]);
     let terminal = homed(&["--port", &served.port, &program], Keyboard::Plain);
     run(&terminal);
     terminal.sees("long.ngc  line 2/");
@@ -80,7 +80,7 @@ fn hold_resume_stop_and_emergency_are_heard_whatever_is_open() {
 
 #[test]
 fn a_program_runs_to_its_end_beside_a_recording() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let program = folder.file("short.ngc", "G21 G90 F1200\nG1 X4\nG3 X0 I-2\nM30\n");
     let out = folder.path("");
     let mut terminal = homed(&["--out", &out, &program], Keyboard::Plain);
@@ -121,9 +121,9 @@ fn a_program_runs_to_its_end_beside_a_recording() {
 #[cfg(unix)]
 #[test]
 fn a_program_can_be_chosen_in_the_moment_in_which_the_machine_comes_to_rest() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let program = folder.file("way.ngc", "G21 G90 F600\nG1 X1\nM30\n");
-    let served = Served::on("pty", &["--fault", "link-delay ms=100"]);
+    let served = SimServer::on("pty", &["--fault", "link-delay ms=100"]);
     // Of a line as slow as that reports come more rarely, too.
     let line = ["--port", &served.port, "--baud", "9600", &program];
     let terminal = homed(&line, Keyboard::Plain);
@@ -132,7 +132,7 @@ fn a_program_can_be_chosen_in_the_moment_in_which_the_machine_comes_to_rest() {
 
 #[test]
 fn a_program_with_a_mistake_is_refused_with_its_line() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let bad = folder.file("bad.ngc", "G21\nG1 X10 F600\nG1 X900\nM30\n");
     // Given on the command line: before the screen is taken.
     let mut terminal = console(&[&bad], Keyboard::Plain);
@@ -157,7 +157,7 @@ fn a_program_with_a_mistake_is_refused_with_its_line() {
 
 #[test]
 fn axes_and_force_loop_are_set_from_the_screen() {
-    let served = Served::on_tcp(&[]);
+    let served = SimServer::on_tcp(&[]);
     let terminal = homed(&["--port", &served.port], Keyboard::Plain);
     terminal.brings(b"a", "Axes: a jog begins and ends at rest");
     terminal.keys(DOWN);

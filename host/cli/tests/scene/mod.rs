@@ -22,9 +22,9 @@ pub fn root() -> PathBuf {
 }
 
 /// A folder of a test, gone with it.
-pub struct Folder(PathBuf);
+pub struct TestFolder(PathBuf);
 
-impl Folder {
+impl TestFolder {
     pub fn new() -> Self {
         static NEXT: AtomicU32 = AtomicU32::new(0);
         let number = NEXT.fetch_add(1, Ordering::Relaxed);
@@ -62,12 +62,12 @@ impl Folder {
     }
 
     /// Text with the name of this folder taken out.
-    pub fn anonymous(&self, text: &str) -> String {
+    pub fn redact(&self, text: &str) -> String {
         text.replace(self.0.to_str().unwrap(), "DIR")
     }
 }
 
-impl Drop for Folder {
+impl Drop for TestFolder {
     fn drop(&mut self) {
         let _ = std::fs::remove_dir_all(&self.0);
     }
@@ -75,14 +75,14 @@ impl Drop for Folder {
 
 /// What a run of the command left.
 #[derive(Debug)]
-pub struct Ran {
+pub struct RunResult {
     /// Exit code; -1 when a signal ended it.
     pub code: i32,
     pub out: String,
     pub err: String,
 }
 
-impl Ran {
+impl RunResult {
     /// The standard output as JSON.
     pub fn json(&self) -> serde_json::Value {
         serde_json::from_str(&self.out).unwrap_or_else(|error| panic!("{error} in {self:?}"))
@@ -90,14 +90,14 @@ impl Ran {
 
     /// Ends the test unless the command ended with this code.
     #[track_caller]
-    pub fn ended_with(self, code: i32) -> Self {
+    pub fn expect_code(self, code: i32) -> Self {
         assert_eq!(self.code, code, "{self:#?}");
         self
     }
 }
 
 /// A process of the command, killed if the test ends first.
-pub struct Started {
+pub struct Running {
     child: Child,
     out: Option<BufReader<std::process::ChildStdout>>,
     said: String,
@@ -107,12 +107,12 @@ pub struct Started {
 }
 
 /// Starts the command in the root of the workspace, without a terminal and with an empty input.
-pub fn start(arguments: &[&str]) -> Started {
+pub fn start(arguments: &[&str]) -> Running {
     start_with(arguments, Stdio::null())
 }
 
 /// Starts the command with this input.
-pub fn start_with(arguments: &[&str], input: Stdio) -> Started {
+pub fn start_with(arguments: &[&str], input: Stdio) -> Running {
     let mut child = Command::new(env!("CARGO_BIN_EXE_haptimill"))
         .args(arguments)
         .current_dir(root())
@@ -133,7 +133,7 @@ pub fn start_with(arguments: &[&str], input: Stdio) -> Started {
             heard.lock().unwrap().push_str(&text);
         }
     });
-    Started {
+    Running {
         child,
         out: Some(out),
         said: String::new(),
@@ -143,11 +143,11 @@ pub fn start_with(arguments: &[&str], input: Stdio) -> Started {
 }
 
 /// Runs the command to its end.
-pub fn haptimill(arguments: &[&str]) -> Ran {
+pub fn haptimill(arguments: &[&str]) -> RunResult {
     start(arguments).end()
 }
 
-impl Started {
+impl Running {
     /// The next line on standard output, without its end; empty when there is none.
     pub fn line(&mut self) -> String {
         let mut line = String::new();
@@ -158,7 +158,7 @@ impl Started {
 
     /// Waits for a line of standard output that has `part` in it.
     #[track_caller]
-    pub fn says(&mut self, part: &str) {
+    pub fn wait_for_output(&mut self, part: &str) {
         loop {
             let line = self.line();
             if line.contains(part) {
@@ -185,7 +185,7 @@ impl Started {
 
     /// Waits until standard error has `part` in it.
     #[track_caller]
-    pub fn complains(&mut self, part: &str) {
+    pub fn wait_for_error(&mut self, part: &str) {
         while !self.complaints.lock().unwrap().contains(part) {
             if !self.runs() {
                 panic!("never complained of {part:?}, but {:?}", self.complained());
@@ -195,7 +195,7 @@ impl Started {
     }
 
     /// Waits for the end, at most [`LIMIT`].
-    pub fn end(mut self) -> Ran {
+    pub fn end(mut self) -> RunResult {
         let mut out = self.out.take().unwrap();
         let reader = std::thread::spawn(move || {
             let mut text = String::new();
@@ -204,7 +204,7 @@ impl Started {
         });
         let status = self.wait();
         self.said.push_str(&reader.join().unwrap());
-        Ran {
+        RunResult {
             code: status.code().unwrap_or(-1),
             out: std::mem::take(&mut self.said),
             err: self.complained(),
@@ -243,7 +243,7 @@ impl Started {
 
     /// It does nothing any more, and holds what it has.
     #[cfg(unix)]
-    pub fn freeze(&self) {
+    pub fn suspend(&self) {
         self.signal(rustix::process::Signal::STOP);
     }
 
@@ -260,20 +260,20 @@ impl Started {
     }
 }
 
-impl Drop for Started {
+impl Drop for Running {
     fn drop(&mut self) {
         self.kill();
     }
 }
 
 /// A simulated machine, served in real time.
-pub struct Served {
-    pub process: Started,
+pub struct SimServer {
+    pub process: Running,
     /// What to give as --port.
     pub port: String,
 }
 
-impl Served {
+impl SimServer {
     /// On a TCP port that was free.
     pub fn on_tcp(more: &[&str]) -> Self {
         Self::on("tcp:127.0.0.1:0", more)
@@ -290,19 +290,19 @@ impl Served {
 
     /// A one-shot command on it, which must succeed.
     #[track_caller]
-    pub fn does(&self, command: &[&str]) -> Ran {
-        self.tries(command).ended_with(0)
+    pub fn run_ok(&self, command: &[&str]) -> RunResult {
+        self.run(command).expect_code(0)
     }
 
     /// A one-shot command on it.
-    pub fn tries(&self, command: &[&str]) -> Ran {
+    pub fn run(&self, command: &[&str]) -> RunResult {
         haptimill(&[command, &["--port", &self.port]].concat())
     }
 
     /// `haptimill status --json`.
     #[track_caller]
     pub fn status(&self) -> serde_json::Value {
-        self.does(&["status", "--json"]).json()
+        self.run_ok(&["status", "--json"]).json()
     }
 }
 

@@ -1,7 +1,7 @@
 //! In real time: over ports, from a stick, from keys in a terminal.
 
-use super::scene::{self, Folder, Served, haptimill, number, start_with};
-use super::{AWAY, MM, records, within_limits};
+use super::scene::{self, SimServer, TestFolder, haptimill, number, start_with};
+use super::{AWAY, MM, expect_within_limits, read_records};
 use std::io::Write;
 use std::path::Path;
 use std::process::Stdio;
@@ -9,11 +9,11 @@ use std::process::Stdio;
 /// Two controllers, each behind a port of its own, in real time.
 #[cfg(unix)]
 #[test]
-fn two_boards_are_connected_over_ports_and_orders_come_line_by_line() {
-    let folder = Folder::new();
+fn two_boards_over_ports_with_orders_on_standard_input() {
+    let folder = TestFolder::new();
     let script = folder.file("person.toml", AWAY);
-    let machine = Served::on_tcp(&[]);
-    let arm = Served::on(
+    let machine = SimServer::on_tcp(&[]);
+    let arm = SimServer::on(
         "pty",
         &[
             "--machine",
@@ -43,15 +43,15 @@ fn two_boards_are_connected_over_ports_and_orders_come_line_by_line() {
         ],
         Stdio::from(orders),
     );
-    session.says("the hand leads");
-    session.says("idle -> running");
+    session.wait_for_output("the hand leads");
+    session.wait_for_output("idle -> running");
     std::thread::sleep(std::time::Duration::from_millis(1500));
     input.write_all(b"hold\n").unwrap();
-    session.says("running -> on hold");
+    session.wait_for_output("running -> on hold");
     input.write_all(b"nonsense\nresume\n").unwrap();
-    session.says("no order");
-    session.says("on hold -> running");
-    let ran = session.end().ended_with(0);
+    session.wait_for_output("no order");
+    session.wait_for_output("on hold -> running");
+    let ran = session.end().expect_code(0);
     println!("{}", ran.out);
     let said = folder.summary("out");
     let session = &said["session"];
@@ -97,19 +97,19 @@ fn stick(device: &str) -> std::fs::File {
 
 #[cfg(unix)]
 #[test]
-fn a_line_that_is_no_text_is_refused_and_stop_is_still_heard() {
-    let folder = Folder::new();
+fn line_that_is_not_text_is_refused_and_stop_still_works() {
+    let folder = TestFolder::new();
     let device = folder.path("js0");
     let _stick = stick(&device);
     let (out, hand) = (folder.path("out"), format!("joystick:{device}"));
     let arguments = ["teleop", "--master", &hand, "--out", &out, "--for", "20"];
     let (orders, mut input) = std::io::pipe().unwrap();
     let mut session = start_with(&arguments, Stdio::from(orders));
-    session.says("idle -> running");
+    session.wait_for_output("idle -> running");
     input.write_all(b"r\xe9sume\n").unwrap();
-    session.says("is no order; write hold");
+    session.wait_for_output("is no order; write hold");
     input.write_all(b"stop\n").unwrap();
-    let ran = session.end().ended_with(7);
+    let ran = session.end().expect_code(7);
     assert!(ran.err.contains("stopped by the operator"), "{}", ran.err);
     let said = folder.summary("out");
     assert_eq!(said["session"]["refused"].as_array().unwrap().len(), 1);
@@ -118,7 +118,7 @@ fn a_line_that_is_no_text_is_refused_and_stop_is_still_heard() {
     let unreadable = std::fs::File::open(scene::root()).unwrap();
     let ran = start_with(&arguments, Stdio::from(unreadable))
         .end()
-        .ended_with(7);
+        .expect_code(7);
     let what = "orders cannot be read any more: ";
     assert!(ran.out.contains(what) && ran.err.contains(what), "{ran:?}");
 }
@@ -126,14 +126,14 @@ fn a_line_that_is_no_text_is_refused_and_stop_is_still_heard() {
 /// A hand that is no device, and one that goes while it leads nothing.
 #[cfg(unix)]
 #[test]
-fn what_is_no_device_is_refused_and_one_that_goes_is_told() {
-    let folder = Folder::new();
+fn wrong_device_is_refused_and_a_lost_one_is_reported() {
+    let folder = TestFolder::new();
     let out = folder.path("out");
     let file = folder.file("file", "");
     for kind in ["joystick", "mouse3d"] {
         for path in ["/dev/null", "/dev/zero", &file, "/"] {
             let hand = format!("{kind}:{path}");
-            let ran = haptimill(&["teleop", "--master", &hand, "--out", &out]).ended_with(5);
+            let ran = haptimill(&["teleop", "--master", &hand, "--out", &out]).expect_code(5);
             assert!(ran.err.contains(&format!("{path}: no ")), "{}", ran.err);
             assert!(!Path::new(&out).exists());
         }
@@ -145,10 +145,10 @@ fn what_is_no_device_is_refused_and_one_that_goes_is_told() {
         &["teleop", "--master", &hand, "--out", &out, "--for", "4"],
         Stdio::null(),
     );
-    session.says("idle -> running");
+    session.wait_for_output("idle -> running");
     drop(stick);
-    session.says("the hand: ");
-    let ran = session.end().ended_with(5);
+    session.wait_for_output("the hand: ");
+    let ran = session.end().expect_code(5);
     assert!(ran.err.contains("the hand is lost: "), "{}", ran.err);
     let said = folder.summary("out");
     assert_eq!(said["session"]["ended"], "hand_lost");
@@ -156,8 +156,8 @@ fn what_is_no_device_is_refused_and_one_that_goes_is_told() {
 
 #[cfg(unix)]
 #[test]
-fn a_stick_leads_while_its_button_is_held() {
-    let folder = Folder::new();
+fn joystick_moves_the_tool_while_its_button_is_pressed() {
+    let folder = TestFolder::new();
     let device = folder.path("js0");
     let mut stick = stick(&device);
     let out = folder.path("out");
@@ -168,7 +168,7 @@ fn a_stick_leads_while_its_button_is_held() {
         ],
         Stdio::null(),
     );
-    session.says("idle -> running");
+    session.wait_for_output("idle -> running");
     let record = |value: i16, kind: u8, number: u8| {
         let [low, high] = value.to_le_bytes();
         [0, 0, 0, 0, low, high, kind, number]
@@ -178,21 +178,21 @@ fn a_stick_leads_while_its_button_is_held() {
     stick.write_all(&record(1, 1, 0)).unwrap();
     std::thread::sleep(std::time::Duration::from_millis(1500));
     stick.write_all(&record(0, 1, 0)).unwrap();
-    session.end().ended_with(0);
-    let made = records(&format!("{out}/recording.hmr"));
-    within_limits(&made);
+    session.end().expect_code(0);
+    let made = read_records(&format!("{out}/recording.hmr"));
+    expect_within_limits(&made);
     let x = f64::from(made.last().unwrap().commanded[0] - made[0].commanded[0]) / MM;
     // 10 mm/s for about a second and a half, as this computer keeps time.
     assert!((8.0..20.0).contains(&x), "{x} mm");
-    haptimill(&["replay", &format!("{out}/recording.hmr")]).ended_with(0);
+    haptimill(&["replay", &format!("{out}/recording.hmr")]).expect_code(0);
 }
 
 /// Keys in a real terminal, and a window that is closed while the machine moves.
 #[cfg(unix)]
 #[test]
-fn a_key_is_a_step_and_a_closed_window_stops_the_machine() {
+fn key_moves_one_step_and_a_closed_terminal_stops_the_machine() {
     use super::terminal::{Keyboard, Terminal};
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let out = folder.path("out");
     let open = |more: &[&str]| {
         let words = ["teleop", "--master", "keyboard", "--out", &out];
@@ -219,8 +219,8 @@ fn a_key_is_a_step_and_a_closed_window_stops_the_machine() {
     window.keys(b"q");
     assert_eq!(window.end(), 0, "{}", window.text());
     assert!(window.is_as_before());
-    let made = records(&format!("{out}/recording.hmr"));
-    within_limits(&made);
+    let made = read_records(&format!("{out}/recording.hmr"));
+    expect_within_limits(&made);
     let way = |axis: usize| {
         f64::from(made.last().unwrap().commanded[axis] - made[0].commanded[axis]) / MM
     };
@@ -232,7 +232,7 @@ fn a_key_is_a_step_and_a_closed_window_stops_the_machine() {
         way(2)
     );
 
-    let machine = Served::on_tcp(&[]);
+    let machine = SimServer::on_tcp(&[]);
     let mut window = open(&["--port", &machine.port, "--speed", "2"]);
     window.sees("idle -> running");
     window.brings(b"++d", "led ");
@@ -240,7 +240,7 @@ fn a_key_is_a_step_and_a_closed_window_stops_the_machine() {
     // Whatever the process still could say: the machine stands, and knows where.
     let begun = std::time::Instant::now();
     let at_rest = loop {
-        let tried = machine.tries(&["status", "--json"]);
+        let tried = machine.run(&["status", "--json"]);
         if tried.code == 0 {
             let status = tried.json();
             if status["state"] != "Run" {
@@ -256,10 +256,10 @@ fn a_key_is_a_step_and_a_closed_window_stops_the_machine() {
 
 /// A machine with an arm on its own board, behind a port: the recording has what was reported of the hand.
 #[test]
-fn a_hand_behind_a_port_is_recorded_as_it_is_reported() {
-    let folder = Folder::new();
+fn haptic_arm_of_a_machine_on_a_port_is_recorded() {
+    let folder = TestFolder::new();
     let own = folder.machine_with(haptimill_machine_file::HAND);
-    let served = Served::on_tcp(&["--machine", &own]);
+    let served = SimServer::on_tcp(&["--machine", &own]);
     let program = folder.file("short.ngc", "G21 G90 F600\nG1 X2\nG1 X0\nM30\n");
     let out = folder.path("out");
     let run = [
@@ -273,9 +273,9 @@ fn a_hand_behind_a_port_is_recorded_as_it_is_reported() {
         "--out",
         &out,
     ];
-    haptimill(&run).ended_with(0);
+    haptimill(&run).expect_code(0);
     let trace = format!("{out}/recording.hmr");
-    let made = records(&trace);
+    let made = read_records(&trace);
     let known = made.iter().filter(|record| record.hand_flags != 0).count();
     assert!(
         known > 3 && made.len() < 2 * known + 10,
@@ -283,7 +283,7 @@ fn a_hand_behind_a_port_is_recorded_as_it_is_reported() {
         made.len()
     );
     let ran =
-        haptimill(&["trace", "csv", &trace, "--columns", "z_hand_mm,hand_held"]).ended_with(0);
+        haptimill(&["trace", "csv", &trace, "--columns", "z_hand_mm,hand_held"]).expect_code(0);
     assert!(
         ran.out
             .lines()
@@ -295,10 +295,10 @@ fn a_hand_behind_a_port_is_recorded_as_it_is_reported() {
 
 /// Nothing was led when it went, so nothing held: it is told all the same.
 #[test]
-fn an_arm_that_goes_while_its_button_is_free_is_told() {
-    let folder = Folder::new();
-    let machine = Served::on_tcp(&[]);
-    let mut arm = Served::on_tcp(&["--machine", "machines/hand-master.toml"]);
+fn lost_arm_with_open_clutch_is_reported() {
+    let folder = TestFolder::new();
+    let machine = SimServer::on_tcp(&[]);
+    let mut arm = SimServer::on_tcp(&["--machine", "machines/hand-master.toml"]);
     let out = folder.path("out");
     let mut session = start_with(
         &[
@@ -314,11 +314,11 @@ fn an_arm_that_goes_while_its_button_is_free_is_told() {
         ],
         Stdio::null(),
     );
-    session.says("idle -> running");
+    session.wait_for_output("idle -> running");
     std::thread::sleep(std::time::Duration::from_millis(500));
     arm.process.kill();
-    session.says("the hand: ");
-    let ran = session.end().ended_with(5);
+    session.wait_for_output("the hand: ");
+    let ran = session.end().expect_code(5);
     assert!(ran.err.contains("the hand is lost: "), "{}", ran.err);
     let said = folder.summary("out");
     assert_eq!(said["session"]["holds"].as_array().unwrap().len(), 0);
@@ -327,17 +327,17 @@ fn an_arm_that_goes_while_its_button_is_free_is_told() {
 /// The arm's controller is gone with its port, and comes back.
 #[cfg(unix)]
 #[test]
-fn an_arm_that_goes_and_comes_back_leads_again_when_it_is_told_to() {
-    let folder = Folder::new();
+fn reconnected_arm_continues_after_resume() {
+    let folder = TestFolder::new();
     let script = folder.file("person.toml", AWAY);
-    let machine = Served::on_tcp(&[]);
+    let machine = SimServer::on_tcp(&[]);
     let more = [
         "--machine",
         "machines/hand-master.toml",
         "--operator",
         &script,
     ];
-    let mut arm = Served::on_tcp(&more);
+    let mut arm = SimServer::on_tcp(&more);
     let out = folder.path("out");
     let (orders, mut input) = std::io::pipe().unwrap();
     let mut session = start_with(
@@ -354,19 +354,19 @@ fn an_arm_that_goes_and_comes_back_leads_again_when_it_is_told_to() {
         ],
         Stdio::from(orders),
     );
-    session.says("idle -> running");
+    session.wait_for_output("idle -> running");
     std::thread::sleep(std::time::Duration::from_millis(1500));
     arm.process.kill();
-    session.says("running -> on hold");
+    session.wait_for_output("running -> on hold");
     input.write_all(b"resume\n").unwrap();
-    session.says("not resumed: the hand: ");
-    let again = Served::on(&arm.port, &more);
+    session.wait_for_output("not resumed: the hand: ");
+    let again = SimServer::on(&arm.port, &more);
     std::thread::sleep(std::time::Duration::from_millis(2500));
     input.write_all(b"resume\n").unwrap();
-    session.says("on hold -> running");
+    session.wait_for_output("on hold -> running");
     input.write_all(b"gp=7\nend\n").unwrap();
-    session.says("G_P of 7 is out of its range: 0.1 to 2");
-    session.end().ended_with(0);
+    session.wait_for_output("G_P of 7 is out of its range: 0.1 to 2");
+    session.end().expect_code(0);
     drop(again);
     let said = folder.summary("out");
     let holds = said["session"]["holds"].as_array().unwrap();

@@ -10,7 +10,7 @@ mod terminal;
 use haptimill_machine_file::MachineFile;
 use haptimill_protocol::message::State;
 use haptimill_trace::{Record, Recording};
-use scene::{Folder, haptimill, number};
+use scene::{TestFolder, haptimill, number};
 use serde_json::Value;
 use std::path::Path;
 
@@ -30,31 +30,37 @@ ramp_s = 0.3
 ";
 
 /// A scripted session in the simulator.
-fn scripted(folder: &Folder, out: &str, script: &str, more: &[&str]) -> Value {
-    ending(0, folder, out, script, more)
+fn run_script(folder: &TestFolder, out: &str, script: &str, more: &[&str]) -> Value {
+    run_script_to_code(0, folder, out, script, more)
 }
 
 /// The same with this exit code.
-fn ending(code: i32, folder: &Folder, out: &str, script: &str, more: &[&str]) -> Value {
+fn run_script_to_code(
+    code: i32,
+    folder: &TestFolder,
+    out: &str,
+    script: &str,
+    more: &[&str],
+) -> Value {
     let hand = format!("script:{}", folder.file("script.toml", script));
     let out = folder.path(out);
     let session = ["teleop", "--master", &hand, "--out", &out, "--json"];
     haptimill(&[&session, more].concat())
-        .ended_with(code)
+        .expect_code(code)
         .json()
 }
 
-fn records(path: &str) -> Vec<Record> {
+fn read_records(path: &str) -> Vec<Record> {
     let recording = Recording::open(Path::new(path)).unwrap();
     assert!(recording.is_whole());
     recording.iter().unwrap().map(Result::unwrap).collect()
 }
 
 /// Largest change of the rate between two periods, as an acceleration in mm/s^2, and the largest rate, mm/s.
-fn motion(records: &[Record], axis: usize) -> (f64, f64) {
+fn largest_rate_and_acceleration(read_records: &[Record], axis: usize) -> (f64, f64) {
     let period_s = 2e-4;
     let at = |record: &Record| f64::from(record.commanded[axis]) / MM;
-    let rates: Vec<f64> = records
+    let rates: Vec<f64> = read_records
         .windows(2)
         .map(|two| (at(&two[1]) - at(&two[0])) / period_s)
         .collect();
@@ -70,10 +76,10 @@ fn motion(records: &[Record], axis: usize) -> (f64, f64) {
 
 /// Nothing was ever told to be faster than its axis may be, and nothing jumped.
 #[track_caller]
-fn within_limits(records: &[Record]) {
+fn expect_within_limits(read_records: &[Record]) {
     let machine = MachineFile::built_in().unwrap();
     for (axis, limits) in machine.pose.iter().enumerate().take(3) {
-        let (change, fastest) = motion(records, axis);
+        let (change, fastest) = largest_rate_and_acceleration(read_records, axis);
         // 5 mm/s^2 for the rounding of the ten periods.
         assert!(
             change <= limits.acceleration + 5.0,
@@ -85,7 +91,7 @@ fn within_limits(records: &[Record]) {
 }
 
 /// No change of force at the hand is larger than 0.05 N in a period: not by a cut, a switch, an order, or a link that comes and goes.
-fn without_a_bump(hand: &[Record]) {
+fn expect_no_force_step(hand: &[Record]) {
     let step = hand
         .windows(2)
         .flat_map(|pair| (0..3).map(|axis| pair[1].hand.force[axis] - pair[0].hand.force[axis]))
@@ -103,13 +109,13 @@ fn without_a_bump(hand: &[Record]) {
 }
 
 #[test]
-fn the_command_of_the_readme_cuts_feels_and_leaves_the_same_bits_every_time() {
-    let folder = Folder::new();
+fn readme_command_cuts_feeds_back_force_and_is_bit_identical() {
+    let folder = TestFolder::new();
     let session = |out: &str| {
         let out = folder.path(out);
         let command = "teleop --master sim --stock examples/block.toml --spindle 5000 --json --out";
         let words: Vec<&str> = command.split(' ').chain([out.as_str()]).collect();
-        haptimill(&words).ended_with(0).json()
+        haptimill(&words).expect_code(0).json()
     };
     let (one, other) = (session("one"), session("other"));
     assert_eq!(one, other);
@@ -121,7 +127,7 @@ fn the_command_of_the_readme_cuts_feels_and_leaves_the_same_bits_every_time() {
     // Both controllers, the machine's and the arm's, do the same once more.
     for file in ["recording.hmr", "hand.hmr"] {
         let said = haptimill(&["replay", &folder.path(&format!("one/{file}")), "--json"])
-            .ended_with(0)
+            .expect_code(0)
             .json();
         assert!(
             said["equal"] == true && number(&said, "records") > 40_000.0,
@@ -156,7 +162,7 @@ fn the_command_of_the_readme_cuts_feels_and_leaves_the_same_bits_every_time() {
         "50",
     ]);
     let rows: Vec<Vec<f64>> = ran
-        .ended_with(0)
+        .expect_code(0)
         .out
         .lines()
         .skip(1)
@@ -179,22 +185,22 @@ fn the_command_of_the_readme_cuts_feels_and_leaves_the_same_bits_every_time() {
         most(10)
     );
     assert_eq!(most(13), 0.0);
-    let info = haptimill(&["trace", "info", &trace]).ended_with(0);
+    let info = haptimill(&["trace", "info", &trace]).expect_code(0);
     assert!(info.out.contains("x_hand_reflected_n"), "{}", info.out);
 
-    let made = records(&folder.path("one/recording.hmr"));
-    within_limits(&made);
-    without_a_bump(&records(&folder.path("one/hand.hmr")));
+    let made = read_records(&folder.path("one/recording.hmr"));
+    expect_within_limits(&made);
+    expect_no_force_step(&read_records(&folder.path("one/hand.hmr")));
     let lowest = made.iter().map(|record| record.tool[2]).min().unwrap();
     let depth = 21.232 - f64::from(lowest) / MM;
     assert!((0.7..1.6).contains(&depth), "{depth} mm deep");
 }
 
 #[test]
-fn the_tool_goes_as_far_as_the_scale_says_and_a_late_link_is_measured() {
-    let folder = Folder::new();
+fn tool_follows_the_scale_and_link_delay_is_measured() {
+    let folder = TestFolder::new();
     for (scale, delay) in [("0.5", "0"), ("1.0", "10"), ("2.0", "25")] {
-        let said = scripted(
+        let said = run_script(
             &folder,
             "out",
             AWAY,
@@ -228,13 +234,13 @@ fn the_tool_goes_as_far_as_the_scale_says_and_a_late_link_is_measured() {
             (2.0 * delay..2.0 * delay + 3.0).contains(&trip),
             "{trip} ms"
         );
-        within_limits(&records(&folder.path("out/recording.hmr")));
+        expect_within_limits(&read_records(&folder.path("out/recording.hmr")));
     }
 }
 
 #[test]
-fn a_link_that_drops_holds_the_machine_until_it_is_told_to_go_on() {
-    let folder = Folder::new();
+fn lost_link_holds_the_machine_until_resume() {
+    let folder = TestFolder::new();
     let orders = "
 [[order]]
 at_s = 3.0
@@ -245,7 +251,7 @@ what = \"resume\"
 ";
     let script = format!("end_s = 7.0\n{AWAY}{orders}");
     let cut = ["--master-fault", "link-cut at=2s for=2s"];
-    let said = scripted(&folder, "out", &script, &cut);
+    let said = run_script(&folder, "out", &script, &cut);
     let session = &said["session"];
     let holds = session["holds"].as_array().unwrap();
     assert_eq!(holds.len(), 1, "{session:#}");
@@ -266,8 +272,8 @@ what = \"resume\"
     );
     assert_eq!(session["ended"], "done");
 
-    let made = records(&folder.path("out/recording.hmr"));
-    within_limits(&made);
+    let made = read_records(&folder.path("out/recording.hmr"));
+    expect_within_limits(&made);
     let first = made
         .iter()
         .position(|record| record.state == State::Hold)
@@ -295,13 +301,13 @@ what = \"resume\"
     assert!((3.0..3.3).contains(&held_s), "{held_s} s");
     // Afterwards the hand leads again, from where both are.
     assert_eq!(made[last + 1].state, State::Run);
-    haptimill(&["replay", &folder.path("out/recording.hmr")]).ended_with(0);
-    haptimill(&["replay", &folder.path("out/hand.hmr")]).ended_with(0);
+    haptimill(&["replay", &folder.path("out/recording.hmr")]).expect_code(0);
+    haptimill(&["replay", &folder.path("out/hand.hmr")]).expect_code(0);
 }
 
 #[test]
-fn a_cut_that_is_broken_off_and_gone_on_with_gives_the_hand_no_bump() {
-    let folder = Folder::new();
+fn interrupted_cut_resumes_without_a_force_step() {
+    let folder = TestFolder::new();
     let person = std::fs::read_to_string(scene::root().join("examples/teleop.toml")).unwrap();
     let orders = "
 [[order]]
@@ -317,7 +323,7 @@ what = \"resume\"
 at_s = 8.0
 what = \"resume\"
 ";
-    let said = scripted(
+    let said = run_script(
         &folder,
         "out",
         &format!("{person}{orders}"),
@@ -331,13 +337,13 @@ what = \"resume\"
         ],
     );
     assert_eq!(said["session"]["holds"].as_array().unwrap().len(), 2);
-    within_limits(&records(&folder.path("out/recording.hmr")));
-    without_a_bump(&records(&folder.path("out/hand.hmr")));
+    expect_within_limits(&read_records(&folder.path("out/recording.hmr")));
+    expect_no_force_step(&read_records(&folder.path("out/hand.hmr")));
 }
 
 #[test]
-fn a_link_that_stalls_holds_the_machine_and_nothing_late_sets_it_going() {
-    let folder = Folder::new();
+fn stalled_link_holds_the_machine_and_late_samples_are_ignored() {
+    let folder = TestFolder::new();
     // Words come again after 0.4 s, all at once and late; nobody says that it may go on.
     let stall = [
         "--master-fault",
@@ -345,15 +351,15 @@ fn a_link_that_stalls_holds_the_machine_and_nothing_late_sets_it_going() {
         "--for",
         "6",
     ];
-    let said = ending(5, &folder, "out", AWAY, &stall);
+    let said = run_script_to_code(5, &folder, "out", AWAY, &stall);
     assert_eq!(said["session"]["ended"], "hand_lost");
     let because = said["session"]["because"].as_str().unwrap();
     assert!(because.contains("was not told to go on"), "{because}");
     let holds = said["session"]["holds"].as_array().unwrap();
     assert_eq!(holds.len(), 1, "{said:#}");
     assert_eq!(holds[0]["resumed_s"], Value::Null);
-    let made = records(&folder.path("out/recording.hmr"));
-    within_limits(&made);
+    let made = read_records(&folder.path("out/recording.hmr"));
+    expect_within_limits(&made);
     let first = made
         .iter()
         .position(|record| record.state == State::Hold)
@@ -368,11 +374,11 @@ fn a_link_that_stalls_holds_the_machine_and_nothing_late_sets_it_going() {
 }
 
 #[test]
-fn an_arm_that_fails_leads_nothing_until_it_was_looked_after() {
-    let folder = Folder::new();
+fn failed_arm_is_disengaged_until_reset() {
+    let folder = TestFolder::new();
     let order = "\n[[order]]\nat_s = 3.0\nwhat = \"reset-hand\"\n";
     let trip = ["--master-fault", "hand-amplifiers-tripped at=2s for=0.5s"];
-    let said = scripted(
+    let said = run_script(
         &folder,
         "out",
         &format!("end_s = 5.0\n{AWAY}{order}"),
@@ -385,8 +391,8 @@ fn an_arm_that_fails_leads_nothing_until_it_was_looked_after() {
             .any(|note| note.as_str().unwrap().starts_with("the arm: ")),
         "{said:#}"
     );
-    let made = records(&folder.path("out/recording.hmr"));
-    within_limits(&made);
+    let made = read_records(&folder.path("out/recording.hmr"));
+    expect_within_limits(&made);
     let at = |time_s: f64| &made[(time_s / 2e-4) as usize];
     let x = |time_s: f64| f64::from(at(time_s).commanded[0]) / MM;
     // It follows, stands while the arm is off although the hand goes on, and follows again from there.
@@ -399,7 +405,7 @@ fn an_arm_that_fails_leads_nothing_until_it_was_looked_after() {
     );
     assert!(x(4.0) < x(2.95) - 5.0, "{} {}", x(4.0), x(2.95));
     // The motors of the arm gave nothing in between.
-    let hand = records(&folder.path("out/hand.hmr"));
+    let hand = read_records(&folder.path("out/hand.hmr"));
     let off = hand
         .iter()
         .filter(|record| (11_000..14_000).contains(&record.period));
@@ -409,8 +415,8 @@ fn an_arm_that_fails_leads_nothing_until_it_was_looked_after() {
 }
 
 #[test]
-fn how_it_ended_is_in_the_exit_code() {
-    let folder = Folder::new();
+fn exit_code_is_the_end_of_the_session() {
+    let folder = TestFolder::new();
     // While it looks for its references, on the way home, and while the hand leads.
     for at in ["1s", "5s", "12s"] {
         let fault = format!("emergency-stop at={at}");
@@ -418,7 +424,7 @@ fn how_it_ended_is_in_the_exit_code() {
         let stopped = [
             "teleop", "--master", "sim", "--out", &out, "--fault", &fault,
         ];
-        let ran = haptimill(&stopped).ended_with(6);
+        let ran = haptimill(&stopped).expect_code(6);
         assert!(
             ran.err.contains("release it, then `haptimill reset`"),
             "{at}: {}",
@@ -431,18 +437,18 @@ fn how_it_ended_is_in_the_exit_code() {
         "--for",
         "4",
     ];
-    let said = ending(6, &folder, "out", AWAY, &trip);
+    let said = run_script_to_code(6, &folder, "out", AWAY, &trip);
     assert_eq!(said["session"]["ended"], "haptic_fault");
     let because = said["session"]["because"].as_str().unwrap();
     assert!(because.contains("`reset-hand`"), "{because}");
     let cut = ["--master-fault", "link-cut at=2s", "--for", "5"];
-    let said = ending(5, &folder, "out", AWAY, &cut);
+    let said = run_script_to_code(5, &folder, "out", AWAY, &cut);
     assert_eq!(said["session"]["ended"], "hand_lost");
 }
 
 #[test]
-fn a_hand_that_is_always_too_late_is_not_passed_over() {
-    let folder = Folder::new();
+fn excessive_master_delay_is_refused_or_reported() {
+    let folder = TestFolder::new();
     let out = folder.path("none");
     let late = ["teleop", "--master", "sim", "--out", &out, "--delay"];
     for (more, remedy) in [
@@ -450,7 +456,7 @@ fn a_hand_that_is_always_too_late_is_not_passed_over() {
         (&["120", "--stale", "100"], "give --stale 260,"),
         (&["1000", "--stale", "1000"], "give a shorter --delay"),
     ] {
-        let ran = haptimill(&[&late, more].concat()).ended_with(2);
+        let ran = haptimill(&[&late, more].concat()).expect_code(2);
         assert!(
             ran.err.contains("--stale") && ran.err.contains(remedy),
             "{}",
@@ -460,7 +466,7 @@ fn a_hand_that_is_always_too_late_is_not_passed_over() {
     }
     // A line that is late by itself.
     let slow = ["--master-fault", "link-delay ms=60 at=0s"];
-    let said = scripted(&folder, "out", AWAY, &slow);
+    let said = run_script(&folder, "out", AWAY, &slow);
     let notes = said["session"]["notes"].as_array().unwrap();
     let told = |note: &&Value| note.as_str().unwrap().contains("were too late");
     let note = notes.iter().find(told).unwrap().as_str().unwrap();
@@ -471,8 +477,8 @@ fn a_hand_that_is_always_too_late_is_not_passed_over() {
 }
 
 #[test]
-fn orders_are_carried_out_and_what_makes_no_sense_is_refused_before_anything_moves() {
-    let folder = Folder::new();
+fn orders_are_executed_and_invalid_options_are_refused_before_motion() {
+    let folder = TestFolder::new();
     let orders = "
 [[order]]
 at_s = 1.5
@@ -487,16 +493,16 @@ what = \"gp=0.25\"
 at_s = 3.5
 what = \"end\"
 ";
-    let said = scripted(&folder, "out", &format!("{AWAY}{orders}"), &[]);
+    let said = run_script(&folder, "out", &format!("{AWAY}{orders}"), &[]);
     let holds = said["session"]["holds"].as_array().unwrap();
     assert_eq!(holds.len(), 1);
     assert_eq!(holds[0]["why"], "it was ordered");
     assert!((3.5..3.8).contains(&number(&said["session"], "duration_s")));
-    within_limits(&records(&folder.path("out/recording.hmr")));
+    expect_within_limits(&read_records(&folder.path("out/recording.hmr")));
 
     let out = folder.path("none");
     let refused = |arguments: &[&str], code: i32, why: &str| {
-        let ran = haptimill(&[&["teleop", "--out", &out], arguments].concat()).ended_with(code);
+        let ran = haptimill(&[&["teleop", "--out", &out], arguments].concat()).expect_code(code);
         assert!(ran.err.contains(why), "{arguments:?}: {}", ran.err);
         assert!(!Path::new(&out).exists(), "{arguments:?}");
     };

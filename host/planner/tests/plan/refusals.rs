@@ -12,7 +12,7 @@ fn plan(text: &str) -> Result<Plan, String> {
 }
 
 #[test]
-fn a_feed_beyond_a_slide_is_refused_with_the_largest_that_passes() {
+fn excessive_feed_is_refused_with_the_largest_allowed() {
     // Tilting on the spot is hard on the slides: 350 mm a radian.
     let text = |feed: f64| format!("G1 B0 F100\nG1 X1 B20 F{feed}\n");
     let refused = plan(&text(600.0)).unwrap_err();
@@ -37,7 +37,7 @@ fn a_feed_beyond_a_slide_is_refused_with_the_largest_that_passes() {
 }
 
 #[test]
-fn a_slide_is_named_with_its_demand() {
+fn overloaded_joint_is_named_with_its_rate() {
     let mut settings = settings();
     settings.joints[2].rate = 5.0;
     let program = read("part.ngc", b"G1 X30 F600", &Options::h4(HOME)).expect("read");
@@ -56,7 +56,7 @@ fn a_slide_is_named_with_its_demand() {
 }
 
 #[test]
-fn the_workspace_is_left_in_one_line_of_many() {
+fn one_line_outside_the_workspace_is_reported() {
     let mut text = String::from("F600\n");
     for line in 0..2000 {
         let x = if line == 1498 {
@@ -82,7 +82,7 @@ fn the_workspace_is_left_in_one_line_of_many() {
 }
 
 #[test]
-fn a_program_that_never_ends_is_refused() {
+fn program_of_excessive_duration_is_refused() {
     let refused = plan("G1 X30 F0.0001").unwrap_err();
     assert!(
         refused
@@ -106,7 +106,7 @@ fn several_problems_are_reported_together() {
 }
 
 #[test]
-fn waits_and_actions_are_at_rest_and_in_order() {
+fn dwells_and_actions_are_at_standstill_and_in_order() {
     let plan = plan("S5000 M3\nG4 P30\nG1 X5 F240\nM0\nG1 X0\nM30\n").expect("planned");
     let actions: Vec<Action> = plan
         .setpoints
@@ -140,7 +140,7 @@ fn waits_and_actions_are_at_rest_and_in_order() {
 }
 
 #[test]
-fn an_empty_program_is_a_rest() {
+fn empty_program_is_one_setpoint_at_standstill() {
     let plan = plan("( nothing )").expect("planned");
     assert_eq!(plan.setpoints.len(), 1);
     assert_eq!(plan.setpoints[0].pose, plan.start);
@@ -148,7 +148,7 @@ fn an_empty_program_is_a_rest() {
 }
 
 #[test]
-fn the_model_of_these_tests_has_the_golden_values_of_the_spec() {
+fn test_model_matches_reference_values() {
     use haptimill_planner::MachineModel;
     // docs/control.md 7.2, REF-G.
     for (pose, slides) in [

@@ -4,7 +4,7 @@
 
 mod scene;
 
-use scene::{Folder, haptimill};
+use scene::{TestFolder, haptimill};
 use std::io::Read;
 use std::net::TcpListener;
 use std::os::unix::fs::FileTypeExt;
@@ -14,12 +14,12 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 /// A port that counts what is said to it, and answers nothing.
-struct Deaf {
+struct UnusedPort {
     port: String,
     bytes: Arc<AtomicUsize>,
 }
 
-impl Deaf {
+impl UnusedPort {
     fn new() -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let port = format!("tcp:{}", listener.local_addr().unwrap());
@@ -50,7 +50,7 @@ const OLD: [&str; 6] = [
 ];
 
 /// A folder with results of before.
-fn results(folder: &Folder, name: &str) -> String {
+fn write_old_results(folder: &TestFolder, name: &str) -> String {
     let out = folder.path(name);
     std::fs::create_dir_all(&out).unwrap();
     for file in OLD {
@@ -60,7 +60,7 @@ fn results(folder: &Folder, name: &str) -> String {
 }
 
 #[track_caller]
-fn untouched(out: &str, why: &str) {
+fn expect_old_results(out: &str, why: &str) {
     for file in OLD {
         let path = Path::new(out).join(file);
         let text =
@@ -218,15 +218,20 @@ const OTHERS: [(&[&str], i32); 9] = [
 
 /// Runs a command of the table with an input.
 #[track_caller]
-fn refuses(folder: &Folder, deaf: &Deaf, (command, code): (&[&str], i32), input: &str) {
-    let out = results(folder, "out");
+fn expect_refused(
+    folder: &TestFolder,
+    unused: &UnusedPort,
+    (command, code): (&[&str], i32),
+    input: &str,
+) {
+    let out = write_old_results(folder, "out");
     let good = folder.file("good.ngc", "G21 G90 F600\nG1 X1\nG1 X0\nM30\n");
     let words: Vec<String> = command
         .iter()
         .map(|word| {
             word.replace("{}", input)
                 .replace("OUT", &out)
-                .replace("PORT", &deaf.port)
+                .replace("PORT", &unused.port)
                 .replace("GOOD", &good)
         })
         .collect();
@@ -242,34 +247,34 @@ fn refuses(folder: &Folder, deaf: &Deaf, (command, code): (&[&str], i32), input:
         ran.err.len()
     );
     assert!(begun.elapsed() < Duration::from_secs(60), "{why}");
-    untouched(&out, &why);
-    assert_eq!(deaf.bytes.load(Ordering::SeqCst), 0, "{why}");
+    expect_old_results(&out, &why);
+    assert_eq!(unused.bytes.load(Ordering::SeqCst), 0, "{why}");
 }
 
 #[test]
-fn what_is_missing_or_broken_is_told_before_anything_happens() {
-    let (folder, deaf) = (Folder::new(), Deaf::new());
+fn invalid_input_files_are_reported_before_any_action() {
+    let (folder, unused) = (TestFolder::new(), UnusedPort::new());
     let broken = folder.file("broken", "G1 X1 [[broken\n\"\u{0}");
     let missing = folder.path("missing");
     let directory = folder.path("directory");
     std::fs::create_dir(&directory).unwrap();
     for row in FILES.into_iter().chain(OTHERS) {
         for input in [&missing, &directory, &broken] {
-            refuses(&folder, &deaf, row, input);
+            expect_refused(&folder, &unused, row, input);
         }
     }
 }
 
 /// Devices of a hand, and ports.
 #[test]
-fn a_device_that_is_missing_is_told_before_anything_happens() {
-    let (folder, deaf) = (Folder::new(), Deaf::new());
+fn missing_devices_are_reported_before_any_action() {
+    let (folder, unused) = (TestFolder::new(), UnusedPort::new());
     let missing = folder.path("missing");
     for hand in ["joystick:{}", "mouse3d:{}", "{}"] {
         let row = ["teleop", "--master", hand, "--port", "PORT", "--out", "OUT"];
-        refuses(&folder, &deaf, (&row, 5), &missing);
+        expect_refused(&folder, &unused, (&row, 5), &missing);
         let row = ["teleop", "--master", hand, "--out", "OUT"];
-        refuses(&folder, &deaf, (&row, 5), &missing);
+        expect_refused(&folder, &unused, (&row, 5), &missing);
     }
     for row in [
         &["teleop", "--master", "sim", "--port", "{}", "--out", "OUT"][..],
@@ -277,17 +282,17 @@ fn a_device_that_is_missing_is_told_before_anything_happens() {
         &["home", "--port", "{}"],
         &["stop", "--port", "{}"],
     ] {
-        refuses(&folder, &deaf, (row, 5), &missing);
+        expect_refused(&folder, &unused, (row, 5), &missing);
     }
 }
 
 /// A hand that is there and is no hand: the machine is not homed for it.
 #[test]
-fn an_arm_that_does_not_answer_moves_nothing() {
-    let (folder, deaf) = (Folder::new(), Deaf::new());
-    let served = scene::Served::on_tcp(&[]);
-    let out = results(&folder, "out");
-    let ran = served.tries(&["teleop", "--master", &deaf.port, "--out", &out]);
+fn silent_haptic_arm_prevents_motion() {
+    let (folder, unused) = (TestFolder::new(), UnusedPort::new());
+    let served = scene::SimServer::on_tcp(&[]);
+    let out = write_old_results(&folder, "out");
+    let ran = served.run(&["teleop", "--master", &unused.port, "--out", &out]);
     assert_eq!(ran.code, 5, "{ran:?}");
     assert!(ran.err.contains("does not answer"), "{ran:?}");
     let status = served.status();
@@ -296,21 +301,21 @@ fn an_arm_that_does_not_answer_moves_nothing() {
         (&"Disabled".into(), &false.into()),
         "{status:#}"
     );
-    untouched(&out, "arm");
+    expect_old_results(&out, "arm");
 }
 
 #[test]
-fn endless_inputs_come_to_an_end() {
-    let (folder, deaf) = (Folder::new(), Deaf::new());
+fn endless_inputs_are_refused() {
+    let (folder, unused) = (TestFolder::new(), UnusedPort::new());
     for row in FILES.into_iter().chain(OTHERS.into_iter().take(8)) {
-        refuses(&folder, &deaf, row, "/dev/zero");
+        expect_refused(&folder, &unused, row, "/dev/zero");
     }
 }
 
 /// A pipe that nobody ends: waited for, and given up. All at the same time, for each waits.
 #[test]
-fn pipes_without_an_end_are_given_up() {
-    let (folder, deaf) = (Folder::new(), Deaf::new());
+fn endless_pipes_time_out() {
+    let (folder, unused) = (TestFolder::new(), UnusedPort::new());
     let pipe = folder.path("pipe");
     rustix::fs::mknodat(
         rustix::fs::CWD,
@@ -323,11 +328,11 @@ fn pipes_without_an_end_are_given_up() {
     assert!(std::fs::metadata(&pipe).unwrap().file_type().is_fifo());
     std::thread::scope(|scope| {
         for row in FILES.into_iter().chain(OTHERS.into_iter().take(8)) {
-            let (folder, deaf, pipe) = (&folder, &deaf, &pipe);
+            let (folder, unused, pipe) = (&folder, &unused, &pipe);
             scope.spawn(move || {
-                let own = Folder::new();
+                let own = TestFolder::new();
                 let _ = folder;
-                refuses(&own, deaf, row, pipe);
+                expect_refused(&own, unused, row, pipe);
             });
         }
     });
@@ -335,7 +340,7 @@ fn pipes_without_an_end_are_given_up() {
 
 /// A pipe that ends is as good as a file.
 #[test]
-fn a_program_can_come_from_a_pipe() {
+fn program_is_read_from_a_pipe() {
     let ran = std::process::Command::new("sh")
         .arg("-c")
         .arg("printf 'G21 G90 F600\\nG1 X1\\nG1 X0\\nM30\\n' | \"$0\" run /dev/stdin --check")
@@ -347,8 +352,8 @@ fn a_program_can_come_from_a_pipe() {
 
 /// Lines and problems without measure are counted, not listed.
 #[test]
-fn a_million_problems_are_counted_and_the_first_ones_told() {
-    let folder = Folder::new();
+fn a_million_problems_are_counted_and_the_first_are_listed() {
+    let folder = TestFolder::new();
     let keys: String = (0..40_000).map(|i| format!("key{i} = 1\n")).collect();
     let cases = [
         ("line.ngc", "Q".repeat(4 << 20)),
@@ -382,8 +387,8 @@ fn a_million_problems_are_counted_and_the_first_ones_told() {
 
 /// A limit on the size of files is an error of writing, in words, and not the death of the process in the middle of a motion.
 #[test]
-fn a_file_size_limit_stops_a_job_in_words() {
-    let folder = Folder::new();
+fn file_size_limit_stops_a_job_with_a_message() {
+    let folder = TestFolder::new();
     let turns: String = (0..10).map(|_| "G1 X20\nG1 X0\n").collect();
     let program = folder.file("long.ngc", format!("G21 G90 F600\n{turns}M30\n"));
     let table = folder.file(
@@ -413,7 +418,7 @@ fn a_file_size_limit_stops_a_job_in_words() {
         if !command.starts_with("kin") {
             assert!(err.contains("stopped"), "{command}: {err}");
             // What was recorded is kept and can be read.
-            haptimill(&["trace", "info", &format!("{out}/recording.hmr")]).ended_with(0);
+            haptimill(&["trace", "info", &format!("{out}/recording.hmr")]).expect_code(0);
         }
     }
 }

@@ -52,7 +52,7 @@ fn run(text: &[u8]) -> bool {
 }
 
 #[test]
-fn any_bytes_are_read_or_refused() {
+fn any_bytes_are_parsed_or_refused() {
     bolero::check!(name = "reader")
         .with_max_len(4096)
         .with_iterations(50_000)
@@ -90,7 +90,7 @@ fn edited_programs_are_planned_or_refused() {
 }
 
 #[test]
-fn the_seeds_reach_the_planner() {
+fn seeds_reach_the_planner() {
     let planned = SEEDS.iter().filter(|seed| run(seed)).count();
     assert!(
         planned >= 4,

@@ -13,7 +13,7 @@ use std::sync::Arc;
 
 mod scene;
 
-use scene::{Folder, haptimill, number};
+use scene::{TestFolder, haptimill, number};
 
 fn machines() -> PathBuf {
     scene::root().join("machines")
@@ -76,7 +76,7 @@ fn run(machine: &MachineFile) -> Result<(JobEnd, SimLine), CliError> {
 }
 
 /// Every pulse was as the drive's data sheet wants it, and every step that was commanded was made.
-fn pulses_are_clean(machine: &MachineFile, stepped: &[usize]) {
+fn expect_clean_pulses(machine: &MachineFile, stepped: &[usize]) {
     let (end, line) = run(machine).unwrap();
     assert_eq!(
         (
@@ -112,10 +112,10 @@ fn pulses_are_clean(machine: &MachineFile, stepped: &[usize]) {
 }
 
 #[test]
-fn a_machine_with_step_drives_makes_every_step() {
+fn step_drives_make_every_step() {
     let machine = MachineFile::load(&machines().join("h4-step.toml")).unwrap();
-    pulses_are_clean(&machine, &[0, 1, 2, 3]);
-    let folder = Folder::new();
+    expect_clean_pulses(&machine, &[0, 1, 2, 3]);
+    let folder = TestFolder::new();
     let out = folder.path("out");
     haptimill(&[
         "run",
@@ -126,7 +126,7 @@ fn a_machine_with_step_drives_makes_every_step() {
         &out,
         "--json",
     ])
-    .ended_with(0);
+    .expect_code(0);
     let summary = folder.summary("out");
     println!("step drives: {summary:#}");
     assert!(number(&summary, "tool_error_rms_mm") <= 0.02, "{summary:#}");
@@ -136,13 +136,13 @@ fn a_machine_with_step_drives_makes_every_step() {
 }
 
 #[test]
-fn step_and_torque_drives_work_side_by_side() {
+fn step_and_torque_drives_work_together() {
     let read = |name: &str| std::fs::read_to_string(machines().join(name)).unwrap();
     let text = mixed(&read("h4-step.toml"), &read("h4.toml"), &["l2", "l3"]);
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let file = folder.file("mixed.toml", text);
     let machine = MachineFile::load(Path::new(&file)).unwrap();
-    pulses_are_clean(&machine, &[0, 3]);
+    expect_clean_pulses(&machine, &[0, 3]);
     let out = folder.path("out");
     haptimill(&[
         "run",
@@ -153,7 +153,7 @@ fn step_and_torque_drives_work_side_by_side() {
         &out,
         "--json",
     ])
-    .ended_with(0);
+    .expect_code(0);
     let summary = folder.summary("out");
     println!("two step drives, two torque drives: {summary:#}");
     assert!(number(&summary, "tool_error_max_mm") <= 0.05, "{summary:#}");

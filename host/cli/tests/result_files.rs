@@ -2,16 +2,16 @@
 
 mod scene;
 
-use scene::{Folder, haptimill};
+use scene::{TestFolder, haptimill};
 
 const SHORT: &str = "G1 X1 F600\nM30\n";
 
 #[test]
-fn a_run_that_does_not_begin_leaves_the_results_of_the_one_before() {
-    let folder = Folder::new();
+fn failed_start_keeps_earlier_results() {
+    let folder = TestFolder::new();
     let (short, out) = (folder.file("short.ngc", SHORT), folder.path("out"));
     let files = ["recording.hmr", "trace.csv", "summary.json", "report.html"];
-    haptimill(&["run", &short, "--out", &out]).ended_with(0);
+    haptimill(&["run", &short, "--out", &out]).expect_code(0);
     let before = files.map(|name| std::fs::read(folder.path(&format!("out/{name}"))).unwrap());
     for (more, code) in [
         (["--port", "tcp:127.0.0.1:1"], 5),
@@ -25,25 +25,25 @@ fn a_run_that_does_not_begin_leaves_the_results_of_the_one_before() {
             8,
         ),
     ] {
-        haptimill(&["run", &short, "--out", &out, more[0], more[1]]).ended_with(code);
+        haptimill(&["run", &short, "--out", &out, more[0], more[1]]).expect_code(code);
         let after = files.map(|name| std::fs::read(folder.path(&format!("out/{name}"))).unwrap());
         assert!(before == after, "{more:?}");
     }
 }
 
 #[test]
-fn a_fault_that_came_too_late_is_told() {
-    let folder = Folder::new();
+fn late_fault_injection_is_reported() {
+    let folder = TestFolder::new();
     let (short, out) = (folder.file("short.ngc", SHORT), folder.path("out"));
     let fault = ["--fault", "emergency-stop at=60s"];
-    let ran = haptimill(&["run", &short, "--out", &out, fault[0], fault[1]]).ended_with(0);
+    let ran = haptimill(&["run", &short, "--out", &out, fault[0], fault[1]]).expect_code(0);
     let said = "--fault \"emergency-stop at=60s\" did not happen: all was over after";
     assert!(ran.err.contains(said), "{}", ran.err);
 }
 
 #[test]
-fn what_no_run_can_do_is_refused_before_it_begins() {
-    let folder = Folder::new();
+fn invalid_options_are_refused_before_the_run() {
+    let folder = TestFolder::new();
     let short = folder.file("short.ngc", SHORT);
     for (more, code, said) in [
         (&["--check", "--stock", "no.toml"][..], 3, "no.toml"),
@@ -77,21 +77,21 @@ fn what_no_run_can_do_is_refused_before_it_begins() {
         (&["--fault", "emergency-stop for=0s"], 2, "more than 0"),
     ] {
         let words = [&["run", short.as_str()][..], more].concat();
-        let ran = haptimill(&words).ended_with(code);
+        let ran = haptimill(&words).expect_code(code);
         assert!(ran.err.contains(said), "{}", ran.err);
     }
 }
 
 #[test]
-fn a_haptic_arm_alone_is_no_machine() {
-    let folder = Folder::new();
+fn haptic_arm_is_refused_as_machine() {
+    let folder = TestFolder::new();
     let out = folder.path("out");
     let arm = ["--machine", "machines/hand-master.toml"];
     let run = ["run", "examples/e7-slot.ngc", "--out", &out];
     // Nothing is opened for it.
     let jog = ["jog", "x=1", "--port", "tcp:127.0.0.1:1"];
     for command in [&run[..], &jog] {
-        let ran = haptimill(&[command, &arm].concat()).ended_with(3);
+        let ran = haptimill(&[command, &arm].concat()).expect_code(3);
         let what = "machines/hand-master.toml: a haptic arm alone";
         assert!(ran.err.contains(what), "{}", ran.err);
     }

@@ -65,7 +65,7 @@ const ON_LINE: f64 = 0.9 * 5000.0;
 const ON_ARC: f64 = 0.5 * ON_LINE;
 
 #[test]
-fn slot_takes_its_time() {
+fn slot_has_the_expected_duration() {
     let (_, plan) = plan("e7-slot.ngc");
     let took = end_of(&plan, line("e7-slot.ngc", "X-30"))
         - end_of(&plan, line("e7-slot.ngc", "G1 Z19.232"));
@@ -77,7 +77,7 @@ fn slot_takes_its_time() {
 }
 
 #[test]
-fn pocket_has_the_times_of_the_spec_and_few_setpoints() {
+fn pocket_has_the_expected_times_and_few_setpoints() {
     let (_, plan) = plan("e9-pocket.ngc");
     let begin = end_of(&plan, line("e9-pocket.ngc", "G1 Z19.232"));
     // Spec E9: 7.5, 9.5, 17, 19, 26.5 s at constant speed; each stop costs a ramp.
@@ -114,7 +114,7 @@ fn pocket_has_the_times_of_the_spec_and_few_setpoints() {
 }
 
 #[test]
-fn circle_is_round_and_takes_its_time() {
+fn circle_is_round_and_has_the_expected_duration() {
     let (program, plan) = plan("e11-circle.ngc");
     let took = end_of(&plan, line("e11-circle.ngc", "G2 I"))
         - end_of(&plan, line("e11-circle.ngc", "G1 Z19"));
@@ -155,7 +155,7 @@ fn sweeps_are_plannable() {
 }
 
 #[test]
-fn dome_flows_and_fits_the_line() {
+fn dome_never_stops_and_fits_the_baud_rate() {
     let (program, plan) = plan("dome.ngc");
     let moves = program
         .steps

@@ -3,11 +3,11 @@
 
 mod scene;
 
-use scene::{Folder, Served, start};
+use scene::{SimServer, TestFolder, start};
 use std::time::Duration;
 
 #[test]
-fn what_forbids_to_switch_the_drives_on_is_named() {
+fn enable_reports_what_prevents_it() {
     for (spoilt, named) in [
         (
             "switch-stuck axis=l2 switch=limit-low active=yes",
@@ -16,30 +16,30 @@ fn what_forbids_to_switch_the_drives_on_is_named() {
         ("drive-tripped axis=l4", "the drive of l4 is not ready"),
         ("emergency-stop", "remove the cause, then reset"),
     ] {
-        let served = Served::on_tcp(&["--fault", spoilt]);
-        let refused = served.tries(&["enable"]).ended_with(8);
+        let served = SimServer::on_tcp(&["--fault", spoilt]);
+        let refused = served.run(&["enable"]).expect_code(8);
         assert!(refused.err.contains(named), "{spoilt}: {}", refused.err);
     }
-    let served = Served::on_tcp(&["--fault", "emergency-stop"]);
-    let refused = served.tries(&["reset"]).ended_with(8);
+    let served = SimServer::on_tcp(&["--fault", "emergency-stop"]);
+    let refused = served.run(&["reset"]).expect_code(8);
     assert!(refused.err.contains("is pressed"), "{}", refused.err);
 }
 
 /// A jog that is under way on a machine that was homed.
-fn jogging(served: &Served) -> scene::Started {
-    served.does(&["home"]);
+fn jogging(served: &SimServer) -> scene::Running {
+    served.run_ok(&["home"]);
     let mut jog = start(&["jog", "x=2", "--for", "60", "--port", &served.port]);
-    jog.says("jogging");
+    jog.wait_for_output("jogging");
     jog
 }
 
 #[test]
-fn ctrl_c_ends_a_jog_as_it_ends_a_job() {
-    let served = Served::on_tcp(&[]);
+fn ctrl_c_stops_a_jog() {
+    let served = SimServer::on_tcp(&[]);
     let jog = jogging(&served);
     std::thread::sleep(Duration::from_millis(500));
     jog.interrupt();
-    let ended = jog.end().ended_with(7);
+    let ended = jog.end().expect_code(7);
     assert!(ended.err.contains("stopped by the user"), "{}", ended.err);
     // It stood before it said so, on its way.
     let status = served.status();
@@ -48,19 +48,19 @@ fn ctrl_c_ends_a_jog_as_it_ends_a_job() {
 }
 
 #[test]
-fn an_emergency_stop_ends_a_jog_as_a_fault() {
-    let served = Served::on_tcp(&["--fault", "emergency-stop at=12s"]);
-    let ended = jogging(&served).end().ended_with(6);
+fn emergency_stop_ends_a_jog_with_the_fault_code() {
+    let served = SimServer::on_tcp(&["--fault", "emergency-stop at=12s"]);
+    let ended = jogging(&served).end().expect_code(6);
     assert!(ended.err.contains("emergency stop"), "{}", ended.err);
 }
 
 #[test]
-fn force_control_is_shown_and_set_and_refused_in_words() {
-    let served = Served::on_tcp(&["--unconfigured"]);
-    let nothing = served.tries(&["force", "show"]).ended_with(8);
+fn force_settings_are_read_set_and_range_checked() {
+    let served = SimServer::on_tcp(&["--unconfigured"]);
+    let nothing = served.run(&["force", "show"]).expect_code(8);
     assert!(nothing.err.contains("haptimill home"), "{}", nothing.err);
-    served.does(&["home", "--machine", "machines/h4.toml"]);
-    let shown = served.does(&["force", "show", "--json"]).json();
+    served.run_ok(&["home", "--machine", "machines/h4.toml"]);
+    let shown = served.run_ok(&["force", "show", "--json"]).json();
     assert_eq!(shown["under_control"], serde_json::json!([]), "{shown:#}");
     assert_eq!(shown["tared"], false);
     let set = [
@@ -77,7 +77,7 @@ fn force_control_is_shown_and_set_and_refused_in_words() {
         "any",
         "--json",
     ];
-    let set = served.does(&set).json();
+    let set = served.run_ok(&set).json();
     assert_eq!(
         set["under_control"],
         serde_json::json!(["x", "z"]),
@@ -92,22 +92,22 @@ fn force_control_is_shown_and_set_and_refused_in_words() {
         ("--rate", "0", "must be above 0"),
     ] {
         let refused = served
-            .tries(&["force", "set", "x", option, value])
-            .ended_with(8);
+            .run(&["force", "set", "x", option, value])
+            .expect_code(8);
         assert!(refused.err.contains("force loop of x"), "{}", refused.err);
         assert!(refused.err.contains(bound), "{}", refused.err);
     }
     served
-        .tries(&["force", "set", "x", "--force-setpoint", "nan"])
-        .ended_with(2);
-    served.tries(&["force", "set", "alpha"]).ended_with(2);
-    let none = served.does(&["force", "set", "none", "--json"]).json();
+        .run(&["force", "set", "x", "--force-setpoint", "nan"])
+        .expect_code(2);
+    served.run(&["force", "set", "alpha"]).expect_code(2);
+    let none = served.run_ok(&["force", "set", "none", "--json"]).json();
     assert_eq!(none["under_control"], serde_json::json!([]), "{none:#}");
 }
 
 #[test]
 fn force_control_needs_a_sensor() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let text = include_str!("../../../machines/h4.toml");
     let begins = text.find("[force]").expect("there");
     let ends = text.find("[plant]").expect("there");
@@ -117,16 +117,16 @@ fn force_control_needs_a_sensor() {
     );
     let program = "examples/e7-slot.ngc";
     let refused =
-        scene::haptimill(&["run", program, "--machine", &blind, "--force", "x"]).ended_with(3);
+        scene::haptimill(&["run", program, "--machine", &blind, "--force", "x"]).expect_code(3);
     assert!(refused.err.contains("no force sensor"), "{}", refused.err);
-    let refused = scene::haptimill(&["run", program, "--force-setpoint", "5"]).ended_with(2);
+    let refused = scene::haptimill(&["run", program, "--force-setpoint", "5"]).expect_code(2);
     assert!(refused.err.contains("--force"), "{}", refused.err);
 }
 
 /// What a person sees who sets up force control by hand, word for word; forces are noise, and not shown.
 #[test]
-fn force_control_by_hand() {
-    let served = Served::on("pty", &["--unconfigured"]);
+fn force_command_transcript() {
+    let served = SimServer::on("pty", &["--unconfigured"]);
     let mut text = String::new();
     for command in [
         &["force", "show"][..],
@@ -154,7 +154,7 @@ fn force_control_by_hand() {
         &["force", "set", "x", "--limit", "100"],
         &["force", "set", "none"],
     ] {
-        let ran = served.tries(command);
+        let ran = served.run(command);
         text.push_str(&format!("$ haptimill {}\n", command.join(" ")));
         if command[0] == "force" {
             let told = ran.out.lines();

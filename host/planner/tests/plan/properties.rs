@@ -283,18 +283,18 @@ proptest! {
     #![proptest_config(ProptestConfig { rng_seed: proptest::test_runner::RngSeed::Fixed(1), failure_persistence: None, cases: 96, ..ProptestConfig::default() })]
 
     #[test]
-    fn polylines_keep_every_promise(text in polyline()) {
+    fn polylines_have_all_properties(text in polyline()) {
         check(&text, &settings());
     }
 
     #[test]
-    fn exact_stops_keep_every_promise(text in polyline()) {
+    fn exact_stops_have_all_properties(text in polyline()) {
         let settings = Settings { tolerance_mm: 0.0, tolerance_deg: 0.0, ..settings() };
         check(&text, &settings);
     }
 
     #[test]
-    fn contours_keep_every_promise(text in contour()) {
+    fn contours_have_all_properties(text in contour()) {
         check(&text, &settings());
     }
 
