@@ -4,13 +4,13 @@
 
 /// Radius of the dome's sphere, mm.
 const SPHERE_MM: f64 = 60.0;
-/// Where the spiral ends: the angle of the surface's normal from the vertical, degrees.
+/// End of the spiral: angle of the surface normal from the vertical, degrees.
 const EDGE_DEG: f64 = 15.0;
-/// Distance of the spiral's turns, mm.
+/// Pitch of the spiral, mm.
 const PITCH_MM: f64 = 0.7;
 /// Length of a block, mm.
 const CHORD_MM: f64 = 0.5;
-/// Height of the dome's top: home is at 21.232.
+/// Height of the top of the dome, mm; home is at 21.232.
 const TOP_MM: f64 = 20.0;
 /// Feed, mm/min.
 const FEED: f64 = 480.0;

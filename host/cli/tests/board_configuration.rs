@@ -1,4 +1,5 @@
-//! A board keeps its configuration: no command replaces it unasked, and none switches the drives on with another machine's.
+//! A board keeps its configuration: no command replaces it without --machine, and none switches the
+//! drives on with the configuration of another machine.
 #![cfg(unix)]
 
 mod scene;

@@ -1,4 +1,4 @@
-//! The command as a user meets it: what it prints, what it writes, how it ends.
+//! The command line: help, exit codes, machine files, kinematics tables, ports.
 
 mod scene;
 
@@ -80,19 +80,63 @@ fn help_names_every_command() {
         "Examples:",
         "Exit codes:",
         "sim serve",
+        "machine init",
         "machine check",
         "kin ik",
         "--port",
     ] {
         assert!(ran.out.contains(part), "no {part} in\n{}", ran.out);
     }
+    let first = ran.out.lines().next().unwrap_or_default();
+    assert!(!first.contains("H-4"), "{first}");
     for command in [
-        "run", "jog", "home", "status", "enable", "disable", "stop", "reset", "ports",
+        "run", "jog", "home", "console", "teleop", "status", "enable", "disable", "stop", "reset",
+        "scenario", "force", "sim", "machine", "ports", "trace", "replay", "kin",
     ] {
         let ran = haptimill(&[command, "--help"], "");
         assert_eq!(ran.code, 0, "{command}");
         assert!(ran.out.contains("Usage: haptimill"), "{}", ran.out);
     }
+}
+
+#[test]
+fn every_template_passes_machine_check_and_is_not_overwritten() {
+    let folder = std::env::temp_dir().join(format!("haptimill-init-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    for template in ["h4", "h4-step", "haptic-arm"] {
+        let path = folder.join(format!("{template}.toml"));
+        let file = path.to_str().unwrap();
+        let init = [
+            "machine",
+            "init",
+            "mill-7",
+            "--template",
+            template,
+            "--out",
+            file,
+        ];
+        let ran = haptimill(&init, "");
+        assert_eq!(ran.code, 0, "{template}: {}", ran.err);
+        let text = std::fs::read_to_string(&path).unwrap();
+        assert!(text.contains("\nname = \"mill-7\"\n"), "{template}");
+        let ran = haptimill(&["machine", "check", file], "");
+        assert_eq!(ran.code, 0, "{template}: {}", ran.err);
+        assert!(ran.out.contains("mill-7"), "{template}: {}", ran.out);
+        let ran = haptimill(&init, "");
+        assert_eq!(ran.code, 2, "{template}");
+        assert!(ran.err.contains("not overwritten"), "{}", ran.err);
+        assert_eq!(std::fs::read_to_string(&path).unwrap(), text, "{template}");
+    }
+    for name in ["", "two words", "a/b", &"n".repeat(200)] {
+        let path = folder.join("none.toml");
+        let ran = haptimill(
+            &["machine", "init", name, "--out", path.to_str().unwrap()],
+            "",
+        );
+        assert_eq!(ran.code, 2, "{name:?}: {}", ran.err);
+        assert!(!path.exists(), "{name:?}");
+    }
+    std::fs::remove_dir_all(&folder).unwrap();
 }
 
 #[test]
@@ -108,6 +152,14 @@ fn invalid_command_lines_end_with_2() {
         &["jog", "x=5", "--for", "-1", "--port", "p"],
         &["status", "--port", "p", "--baud", "3"],
         &["sim", "serve", "--listen", "udp:1"],
+        // Names of earlier versions.
+        &["run", "a.ngc", "--work", "b.toml"],
+        &["run", "a.ngc", "--go-on"],
+        &["run", "a.ngc", "--force", "x", "--fd", "5"],
+        &["teleop", "--hand", "sim"],
+        &["sim", "serve", "--person", "a.toml"],
+        &["machine", "init"],
+        &["machine", "init", "m", "--template", "none"],
     ] {
         let ran = haptimill(arguments, "");
         assert_eq!(ran.code, 2, "{arguments:?}\n{}", ran.err);

@@ -1,4 +1,5 @@
-//! Jobs in which something goes wrong: a bad line never makes a wrong motion, and a machine that fails stops with a sentence.
+//! Jobs with injected faults: line errors never cause wrong motion, and machine faults stop the job
+//! with a message.
 
 mod scene;
 

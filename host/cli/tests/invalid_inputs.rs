@@ -1,5 +1,5 @@
-//! Inputs that are missing, broken or endless: told with their place before anything moves, before a byte goes to a port, and before old results are
-//! touched.
+//! Missing, invalid and endless inputs: reported with their place before any motion, before any byte
+//! is sent to a port, and before earlier results are changed.
 #![cfg(unix)]
 
 mod scene;

@@ -1,4 +1,4 @@
-//! Recordings as MCAP, read by the package of those who made the format; and a build that has no MCAP says so before anything moves.
+//! MCAP export, checked with the reference MCAP reader; a build without MCAP refuses before motion.
 
 mod scene;
 

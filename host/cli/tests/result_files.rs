@@ -1,4 +1,5 @@
-//! What a run leaves: nothing that was there is lost for nothing, and what was asked for and did not happen is told.
+//! Result files of a run: earlier results are kept by a failed start, and options without effect are
+//! reported.
 
 mod scene;
 
@@ -37,8 +38,8 @@ fn late_fault_injection_is_reported() {
     let (short, out) = (folder.file("short.ngc", SHORT), folder.path("out"));
     let fault = ["--fault", "emergency-stop at=60s"];
     let ran = haptimill(&["run", &short, "--out", &out, fault[0], fault[1]]).expect_code(0);
-    let said = "--fault \"emergency-stop at=60s\" did not happen: all was over after";
-    assert!(ran.err.contains(said), "{}", ran.err);
+    let message = "--fault \"emergency-stop at=60s\" was not injected: the run ended at";
+    assert!(ran.err.contains(message), "{}", ran.err);
 }
 
 #[test]
@@ -88,7 +89,7 @@ fn haptic_arm_is_refused_as_machine() {
     let out = folder.path("out");
     let arm = ["--machine", "machines/hand-master.toml"];
     let run = ["run", "examples/e7-slot.ngc", "--out", &out];
-    // Nothing is opened for it.
+    // The port must not be opened.
     let jog = ["jog", "x=1", "--port", "tcp:127.0.0.1:1"];
     for command in [&run[..], &jog] {
         let ran = haptimill(&[command, &arm].concat()).expect_code(3);

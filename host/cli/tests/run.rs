@@ -1,5 +1,5 @@
-//! Whole jobs in the built-in simulator, from the part program to the files of the result; and programs that are refused before
-//! anything moves.
+//! Jobs in the built-in simulator, from the part program to the result files, and programs that are
+//! refused before motion.
 
 mod scene;
 

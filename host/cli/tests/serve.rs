@@ -1,5 +1,5 @@
-//! The simulated machine as a device in real time, and everything that several programs can do to it: one-shot commands, jobs, stops
-//! from elsewhere, and processes that die.
+//! The served simulator with several hosts: simple commands, jobs, stops from another host, and
+//! processes that die.
 #![cfg(unix)]
 
 mod scene;
@@ -130,7 +130,7 @@ fn simple_commands_in_sequence() {
         .expect_code(0);
     let theta = at(&limited.json(), "theta");
     assert!(
-        limited.err.contains("theta stopped in front of its limit"),
+        limited.err.contains("theta stopped at its soft limit"),
         "{limited:?}"
     );
     // Here it is a slide's stroke that ends it, before the soft limit of 35 degrees.
@@ -492,7 +492,7 @@ fn pause_waits_for_enter_and_ignores_an_earlier_one() {
     let mut run = scene::start_with(&run, input.into());
     // Impatience while it homes passes nothing.
     enter();
-    run.wait_for_error("line 2: the program pauses; Enter goes on");
+    run.wait_for_error("line 2: the program pauses; press Enter");
     let paused = Instant::now();
     while paused.elapsed() < Duration::from_millis(700) {
         assert!(run.runs(), "{:?}", run.end());

@@ -1,4 +1,4 @@
-//! Who may use a served port, and that nobody else keeps its only place.
+//! Access to a served port: tokens, and connections that block the only session.
 #![cfg(unix)]
 
 mod scene;
@@ -9,13 +9,13 @@ use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::time::{Duration, Instant};
 
-const TOKEN: &str = "a-word-of-thirty-two-characters!";
+const TOKEN: &str = "a-token-with-thirty-two-letters!";
 
 fn address(served: &SimServer) -> String {
     served.port.strip_prefix("tcp:").unwrap().to_string()
 }
 
-/// The Hello of a host, on the line.
+/// The encoded Hello of a host.
 fn hello() -> Vec<u8> {
     let mut link = HostLink::new(Timing::default());
     link.open(7, 0);
@@ -24,13 +24,13 @@ fn hello() -> Vec<u8> {
     bytes[..count].to_vec()
 }
 
-/// All that a port says until it closes the connection.
+/// Reads everything until the port closes the connection.
 fn read_to_close(stream: &mut TcpStream) -> String {
     stream
         .set_read_timeout(Some(Duration::from_secs(10)))
         .unwrap();
     let mut said = Vec::new();
-    // A reset ends it as well.
+    // A connection reset ends it, too.
     let _ = stream.read_to_end(&mut said);
     String::from_utf8_lossy(&said).into_owned()
 }
@@ -41,7 +41,7 @@ fn public_address_requires_a_token() {
     let token = served.process.line();
     let token = token.strip_prefix("token ").expect("a token is printed");
     assert!(token.len() >= 32, "{token}");
-    // As it is reached from this computer.
+    // The address from this computer.
     served.port = served.port.replace("0.0.0.0", "127.0.0.1");
     for more in [&[][..], &["--token", TOKEN]] {
         for command in [&["status"][..], &["home"], &["stop"]] {
@@ -57,7 +57,7 @@ fn public_address_requires_a_token() {
         .json();
     assert_eq!(status["state"], "Disabled");
     served.run_ok(&["home", "--token", token]);
-    // Whoever has no token does not stop a jog either; whoever has it does.
+    // A stop without the token does not stop a jog either.
     let jog = [
         "jog",
         "x=1",
@@ -104,7 +104,7 @@ fn token_is_read_from_file_and_environment() {
     let serve = ["sim", "serve", "--listen", "tcp:127.0.0.1:0", "--for", "1"];
     let ran = haptimill(&[&serve[..], &["--token-file", &short]].concat()).expect_code(3);
     assert!(ran.err.contains("16 to 128"), "{}", ran.err);
-    // A port that asks for none is used all the same.
+    // A port without a token accepts one.
     let open = SimServer::on_tcp(&[]);
     open.run_ok(&["status", "--token", TOKEN]);
 }
@@ -135,7 +135,7 @@ fn silent_connection_is_closed() {
         "{:?}",
         begun.elapsed()
     );
-    // They were told that there is a host.
+    // They received the message that the port is busy.
     let said = read_to_close(&mut silent[0]);
     assert!(said.contains("haptimill: busy"), "{said:?}");
 }
@@ -146,7 +146,7 @@ fn silent_host_is_replaced() {
     let mut host = TcpStream::connect(address(&served)).unwrap();
     host.write_all(&hello()).unwrap();
     std::thread::sleep(Duration::from_millis(300));
-    // It has the place, and a newcomer is told so in words.
+    // It has the session, and another host gets an error message.
     let ran = served.run(&["status"]).expect_code(5);
     assert!(ran.err.contains("another host is connected"), "{ran:?}");
     std::thread::sleep(Duration::from_millis(2300));
@@ -155,7 +155,7 @@ fn silent_host_is_replaced() {
     assert!(said.contains("haptimill: closed"), "{said:?}");
 }
 
-/// A job is served while many others knock and shout.
+/// A job runs while other connections flood the port.
 #[test]
 fn connection_flood_does_not_disturb_a_job() {
     let folder = TestFolder::new();

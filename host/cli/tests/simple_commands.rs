@@ -1,4 +1,4 @@
-//! Commands of a person beside a simulated machine in real time: one after the other, each on its own.
+//! Single commands on a served simulator in real time: enable, jog, force.
 #![cfg(unix)]
 
 mod scene;
@@ -25,8 +25,8 @@ fn enable_reports_what_prevents_it() {
     assert!(refused.err.contains("is pressed"), "{}", refused.err);
 }
 
-/// A jog that is under way on a machine that was homed.
-fn jogging(served: &SimServer) -> scene::Running {
+/// Starts a jog on a homed machine.
+fn start_jog(served: &SimServer) -> scene::Running {
     served.run_ok(&["home"]);
     let mut jog = start(&["jog", "x=2", "--for", "60", "--port", &served.port]);
     jog.wait_for_output("jogging");
@@ -36,12 +36,12 @@ fn jogging(served: &SimServer) -> scene::Running {
 #[test]
 fn ctrl_c_stops_a_jog() {
     let served = SimServer::on_tcp(&[]);
-    let jog = jogging(&served);
+    let jog = start_jog(&served);
     std::thread::sleep(Duration::from_millis(500));
     jog.interrupt();
     let ended = jog.end().expect_code(7);
     assert!(ended.err.contains("stopped by the user"), "{}", ended.err);
-    // It stood before it said so, on its way.
+    // The machine is at standstill before the command ends.
     let status = served.status();
     assert_eq!(status["state"], "Idle", "{status:#}");
     assert!(scene::number(&status["commanded"], "x") > 0.0, "{status:#}");
@@ -50,7 +50,7 @@ fn ctrl_c_stops_a_jog() {
 #[test]
 fn emergency_stop_ends_a_jog_with_the_fault_code() {
     let served = SimServer::on_tcp(&["--fault", "emergency-stop at=12s"]);
-    let ended = jogging(&served).end().expect_code(6);
+    let ended = start_jog(&served).end().expect_code(6);
     assert!(ended.err.contains("emergency stop"), "{}", ended.err);
 }
 

@@ -1,4 +1,4 @@
-//! Jobs on machines with step/direction drives, alone and beside torque drives.
+//! Jobs on machines with step/direction drives, alone and together with torque drives.
 
 use haptimill::commands::CliError;
 use haptimill_client::client::Options;
@@ -24,7 +24,7 @@ fn mixed(step: &str, torque: &str, from_torque: &[&str]) -> String {
     let parts = |text: &str| -> Vec<String> {
         let mut parts = vec![String::new()];
         for line in text.lines() {
-            // The sections of the joints, and what comes behind them.
+            // The sections of the joints, and the sections after them.
             if line.starts_with("[[")
                 || line.starts_with("[planner]")
                 || line.starts_with("[plant]")
@@ -57,7 +57,7 @@ fn mixed(step: &str, torque: &str, from_torque: &[&str]) -> String {
     chosen.collect()
 }
 
-/// Runs the slot, and asks the machine itself what became of its pulses.
+/// Runs the slot program and returns the simulator with its pulse report.
 fn run(machine: &MachineFile) -> Result<(JobEnd, SimLine), CliError> {
     let model = Model::new(machine);
     let home = model.home(machine).unwrap();
@@ -75,7 +75,7 @@ fn run(machine: &MachineFile) -> Result<(JobEnd, SimLine), CliError> {
     Ok((end, session.into_line()))
 }
 
-/// Every pulse was as the drive's data sheet wants it, and every step that was commanded was made.
+/// Every pulse keeps the timing of the drive's data sheet, and every commanded step is made.
 fn expect_clean_pulses(machine: &MachineFile, stepped: &[usize]) {
     let (end, line) = run(machine).unwrap();
     assert_eq!(

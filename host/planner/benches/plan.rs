@@ -1,4 +1,4 @@
-//! How fast programs are read and planned (blocks a second), and what the programmed path costs at a time.
+//! Blocks per second of reading and planning, and time of one evaluation of the programmed path.
 
 #[path = "../tests/plan/h4.rs"]
 mod h4;

@@ -1,7 +1,9 @@
-//! Any bytes: the reader, and behind it the planner, answer or refuse; they never panic and never take for ever.
+//! Fuzz tests of the part-program reader and the planner: any bytes are planned or refused, without
+//! panic and in bounded time.
 //!
-//! Two targets over one seed corpus (`__fuzz__/reader/corpus`), each for a bounded time; a failure prints its seed. Raw bytes seldom get past the
-//! first word, so the second target edits the seeds. With `cargo bolero test` both become coverage-guided.
+//! Two targets use one seed corpus (`__fuzz__/reader/corpus`), each for a bounded time; a failure prints
+//! its seed. Raw bytes seldom pass the first word, so the second target edits the seeds. With
+//! `cargo bolero test` both are coverage-guided.
 
 #[path = "plan/h4.rs"]
 #[allow(dead_code)]
@@ -22,7 +24,7 @@ const SEEDS: [&[u8]; 8] = [
     include_bytes!("__fuzz__/reader/corpus/tiny.ngc"),
 ];
 
-/// Reads and plans; gives whether a plan came of it.
+/// Reads and plans a program. Returns whether it was planned.
 fn run(text: &[u8]) -> bool {
     match read("fuzz.ngc", text, &Options::h4(h4::HOME)) {
         Err(refused) => {
@@ -39,7 +41,7 @@ fn run(text: &[u8]) -> bool {
                 let last = plan.setpoints.last().expect("a plan has a setpoint");
                 assert!(
                     last.rates.iter().all(|&rate| rate == 0),
-                    "the end is not at rest"
+                    "the motion does not end at standstill"
                 );
                 assert!(plan.setpoints.iter().all(|setpoint| setpoint.periods >= 1));
                 assert!(
@@ -64,7 +66,7 @@ fn any_bytes_are_parsed_or_refused() {
 
 #[test]
 fn edited_programs_are_planned_or_refused() {
-    // What part programs are made of: an edit is more likely to make sense.
+    // Characters of part programs, so that an edit is more likely to be valid.
     const ALPHABET: &[u8] = b"GXYZABIJKRFSMNP0123456789.- \n%();";
     bolero::check!(name = "edits")
         .with_max_len(64)

@@ -263,18 +263,18 @@ pub(super) fn print_status(session: &mut Session<PortLine>, json: bool) -> Resul
         yes_no(status.position_kept)
     );
     if let Some(fault) = fault {
-        print_line!("fault     {fault}");
+        print_line!("fault      {fault}");
     }
     if status.lost_bytes > 0 {
         print_line!(
-            "line      the controller lost {} bytes because its receive buffer was full",
+            "line       the controller lost {} bytes because its receive buffer was full",
             status.lost_bytes
         );
     }
     if !status.measured.is_empty() {
-        print_line!("measured{}", line(pose(&status.measured)));
-        print_line!("commanded  {}", line(pose(&status.commanded)));
-        print_line!("joints  {}", line(joints(&status.joints)));
+        print_line!("measured {}", line(pose(&status.measured)));
+        print_line!("commanded{}", line(pose(&status.commanded)));
+        print_line!("joints   {}", line(joints(&status.joints)));
     }
     Ok(())
 }

@@ -1,4 +1,4 @@
-//! In real time: over ports, from a stick, from keys in a terminal.
+//! Teleoperation in real time: over ports, with a joystick, with keys in a terminal.
 
 use super::scene::{self, SimServer, TestFolder, haptimill, number, start_with};
 use super::{AWAY, MM, expect_within_limits, read_records};
@@ -43,7 +43,7 @@ fn two_boards_over_ports_with_orders_on_standard_input() {
         ],
         Stdio::from(orders),
     );
-    session.wait_for_output("the hand leads");
+    session.wait_for_output("teleoperation started");
     session.wait_for_output("idle -> running");
     std::thread::sleep(std::time::Duration::from_millis(1500));
     input.write_all(b"hold\n").unwrap();
@@ -151,7 +151,7 @@ fn wrong_device_is_refused_and_a_lost_one_is_reported() {
     let ran = session.end().expect_code(5);
     assert!(ran.err.contains("the hand is lost: "), "{}", ran.err);
     let said = folder.summary("out");
-    assert_eq!(said["session"]["ended"], "hand_lost");
+    assert_eq!(said["session"]["ended"], "master_lost");
 }
 
 #[cfg(unix)]
@@ -212,7 +212,7 @@ fn key_moves_one_step_and_a_closed_terminal_stops_the_machine() {
         std::thread::sleep(std::time::Duration::from_millis(200));
     }
     window.sees("Run free");
-    window.brings(b"\x1b[6~", "Run led");
+    window.brings(b"\x1b[6~", "Run engaged");
     window.sees("Run free");
     window.brings(b" ", "running -> on hold");
     window.brings(b"g", "on hold -> running");

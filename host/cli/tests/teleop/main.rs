@@ -1,4 +1,5 @@
-//! A hand leads the machine from afar: scripted and live, over links that are late, cut and stalled, from an arm, a stick and nothing at all.
+//! Teleoperation: scripted and live, over delayed, lost and stalled links, with a haptic arm, a
+//! joystick and missing devices.
 
 mod live;
 #[path = "../scene/mod.rs"]
@@ -299,7 +300,7 @@ what = \"resume\"
     assert!(braked < 1.0, "{braked} mm");
     let held_s = (last - first) as f64 * 2e-4;
     assert!((3.0..3.3).contains(&held_s), "{held_s} s");
-    // Afterwards the hand leads again, from where both are.
+    // Afterwards the tool follows the master again, from the present poses of both.
     assert_eq!(made[last + 1].state, State::Run);
     haptimill(&["replay", &folder.path("out/recording.hmr")]).expect_code(0);
     haptimill(&["replay", &folder.path("out/hand.hmr")]).expect_code(0);
@@ -352,7 +353,7 @@ fn stalled_link_holds_the_machine_and_late_samples_are_ignored() {
         "6",
     ];
     let said = run_script_to_code(5, &folder, "out", AWAY, &stall);
-    assert_eq!(said["session"]["ended"], "hand_lost");
+    assert_eq!(said["session"]["ended"], "master_lost");
     let because = said["session"]["because"].as_str().unwrap();
     assert!(because.contains("was not told to go on"), "{because}");
     let holds = said["session"]["holds"].as_array().unwrap();
@@ -417,7 +418,7 @@ fn failed_arm_is_disengaged_until_reset() {
 #[test]
 fn exit_code_is_the_end_of_the_session() {
     let folder = TestFolder::new();
-    // While it looks for its references, on the way home, and while the hand leads.
+    // During homing, on the way to the home pose, and during teleoperation.
     for at in ["1s", "5s", "12s"] {
         let fault = format!("emergency-stop at={at}");
         let out = folder.path("out");
@@ -443,7 +444,7 @@ fn exit_code_is_the_end_of_the_session() {
     assert!(because.contains("`reset-hand`"), "{because}");
     let cut = ["--master-fault", "link-cut at=2s", "--for", "5"];
     let said = run_script_to_code(5, &folder, "out", AWAY, &cut);
-    assert_eq!(said["session"]["ended"], "hand_lost");
+    assert_eq!(said["session"]["ended"], "master_lost");
 }
 
 #[test]
@@ -464,7 +465,7 @@ fn excessive_master_delay_is_refused_or_reported() {
         );
         assert!(!Path::new(&out).exists());
     }
-    // A line that is late by itself.
+    // A link with an injected delay.
     let slow = ["--master-fault", "link-delay ms=60 at=0s"];
     let said = run_script(&folder, "out", AWAY, &slow);
     let notes = said["session"]["notes"].as_array().unwrap();
@@ -542,7 +543,7 @@ what = \"end\"
     refused(
         &[&["--master", "sim"], &master[..]].concat(),
         3,
-        "a haptic arm alone",
+        "the file describes a haptic arm",
     );
     refused(
         &["--master", "sim", "--master-machine", "machines/h4.toml"],

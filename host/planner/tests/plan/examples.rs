@@ -1,4 +1,5 @@
-//! The programs of examples/: that they are what their headers say, that the machine can do them, and what they cost on the wire.
+//! The programs of examples/: geometry as in their headers, limits of the machine, and bytes per
+//! second on the line.
 
 use crate::h4::{H4, HOME, settings};
 use haptimill_gcode::{Options, Program, Step, read};
@@ -13,7 +14,7 @@ fn plan(name: &str) -> (Program, Plan) {
     (program, plan)
 }
 
-/// When each line's motion ends: the time of its last setpoint.
+/// End of the motion of a line: the time of its last setpoint.
 fn end_of(plan: &Plan, line: u32) -> f64 {
     let mut time = 0.0;
     let mut end = 0.0;
@@ -26,7 +27,7 @@ fn end_of(plan: &Plan, line: u32) -> f64 {
     end
 }
 
-/// The line that holds a text.
+/// The line that starts with a text.
 fn line(name: &str, text: &str) -> u32 {
     let path = format!("{}/../../examples/{name}", env!("CARGO_MANIFEST_DIR"));
     let file = std::fs::read_to_string(path).expect("the example is there");
@@ -36,7 +37,7 @@ fn line(name: &str, text: &str) -> u32 {
         + 1
 }
 
-/// The most setpoints in any second, and their mean number a second.
+/// The largest number of setpoints in any second, and the mean per second.
 fn setpoint_rate(plan: &Plan) -> (usize, f64) {
     let mut times = Vec::new();
     let mut time = 0.0;
@@ -55,8 +56,8 @@ fn setpoint_rate(plan: &Plan) -> (usize, f64) {
     (most, times.len() as f64 / time)
 }
 
-/// From rest to rest over a length at a speed: the time of one ramp is what it takes longer than the steady speed. Of the jerk of
-/// 5000 mm/s^3, 0.9 is planned, and half of that on an arc.
+/// Duration from standstill to standstill over a length: constant speed plus the time of one ramp.
+/// The planner uses 0.9 of the jerk of 5000 mm/s^3, and half of that on an arc.
 fn rest_to_rest(length: f64, speed: f64, jerk: f64) -> f64 {
     length / speed + 2.0 * (speed / jerk).sqrt()
 }
@@ -80,7 +81,7 @@ fn slot_has_the_expected_duration() {
 fn pocket_has_the_expected_times_and_few_setpoints() {
     let (_, plan) = plan("e9-pocket.ngc");
     let begin = end_of(&plan, line("e9-pocket.ngc", "G1 Z19.232"));
-    // Spec E9: 7.5, 9.5, 17, 19, 26.5 s at constant speed; each stop costs a ramp.
+    // docs/control.md E9: 7.5, 9.5, 17, 19, 26.5 s at constant speed; each stop adds a ramp.
     let ramp = [
         rest_to_rest(30.0, 4.0, ON_LINE),
         rest_to_rest(2.0, 1.0, ON_LINE),
@@ -147,7 +148,7 @@ fn sweeps_are_plannable() {
         assert!(plan.figures.peak_tip_mm_s <= settings().pose[0].rate);
     }
     let (_, plan) = plan("e1-feed-sweep.ngc");
-    // From 2 to 6 mm/s without a stop: the speeds change on the way.
+    // From 2 to 6 mm/s without a stop: the speed changes in motion.
     let mut cursor = Cursor::default();
     let change = end_of(&plan, line("e1-feed-sweep.ngc", "X-6"));
     let (_, rates) = plan.intended(&mut cursor, change);
@@ -163,7 +164,7 @@ fn dome_never_stops_and_fits_the_baud_rate() {
         .filter(|step| matches!(step, Step::Move(_)))
         .count();
     assert!(moves >= 2000, "{moves} blocks");
-    // Without a stop from the second turn to the end of the spiral, and mostly at its feed.
+    // No stop from the second turn to the end of the spiral, and mostly at the programmed feed.
     let first = end_of(&plan, line("dome.ngc", "F480") + 40);
     let last = end_of(&plan, line("dome.ngc", "G0 Z30") - 3);
     let mut cursor = Cursor::default();
@@ -180,13 +181,15 @@ fn dome_never_stops_and_fits_the_baud_rate() {
     let mean = sum / count;
     let (most, average) = setpoint_rate(&plan);
     println!(
-        "dome: {moves} blocks, {:.1} s, {} setpoints, {average:.1} a second, most {most} in a second, speed {mean:.2} least {least:.2} mm/s",
+        "dome: {moves} blocks, {:.1} s, {} setpoints, {average:.1} per second, at most {most}, mean \
+         speed {mean:.2}, least {least:.2} mm/s",
         plan.figures.duration_s,
         plan.setpoints.len()
     );
-    assert!(least > 4.0, "slowed down to {least} mm/s");
+    assert!(least > 4.0, "decelerated to {least} mm/s");
     assert!(mean > 7.5, "{mean} mm/s on average");
-    // 115,200 baud is 11,520 bytes a second; a setpoint of full five-axis motion is allowed 40 bytes, and a quarter is for the rest of the talk.
+    // 115,200 baud is 11,520 bytes/s. A setpoint in five axes may have 40 bytes, and a quarter of the
+    // line is for other messages.
     assert!(
         most as f64 * 40.0 < 0.75 * 11_520.0,
         "{most} setpoints in a second"

@@ -1,9 +1,10 @@
-//! The H-4 arm in plain f64, written from docs/control.md 2.6 and 2.7 with the lengths of REF-G (7.2), and default dynamics.
+//! The H-4 machine in f64, written independently from docs/control.md 2.6 and 2.7 with the lengths of
+//! REF-G (7.2), and default dynamics.
 
 use haptimill_gcode::{AxisKind, Coordinates};
 use haptimill_planner::{JointLimits, MachineModel, PoseLimits, PoseProblem, Settings};
 
-/// REF-G.
+/// The geometry REF-G.
 pub struct H4;
 
 const E: f64 = 250.0;
@@ -23,7 +24,7 @@ const STROKE: f64 = 250.0;
 /// s and sigma of each slide.
 const LEGS: [(f64, f64); 4] = [(1.0, 1.0), (-1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)];
 
-/// Pose in the slave base: x, y, z, theta.
+/// Pose in the machine base: x, y, z, theta.
 fn base(pose: &Coordinates) -> [f64; 4] {
     let (sin, cos) = pose[4].to_radians().sin_cos();
     [

@@ -1,4 +1,5 @@
-//! The planner against independent mathematics: the cubics of its integer setpoints, differentiated here; programs of known geometry.
+//! The planner against independent mathematics: the cubics of its integer setpoints, differentiated
+//! here, and programs of known geometry.
 
 mod examples;
 mod h4;

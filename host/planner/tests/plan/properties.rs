@@ -21,7 +21,7 @@ fn plan(text: &str, settings: &Settings) -> (Program, Plan) {
     }
 }
 
-/// A polyline with moves of all lengths and directions, some of them short, some nearly straight on.
+/// A polyline with moves of all lengths and directions, some of them short, some nearly collinear.
 fn polyline() -> impl Strategy<Value = String> {
     let step = (
         prop_oneof![0.001..0.05f64, 0.05..1.0f64, 1.0..25.0f64],
@@ -45,7 +45,7 @@ fn polyline() -> impl Strategy<Value = String> {
             (x, y) = next;
             text += &format!("X{x:.4} Y{y:.4} Z{:.4}", 25.0 + z * length.min(5.0));
             if tilts || kind == 2 {
-                // No faster than the tip: a feed that the rotary axes cannot follow is refused, and tested elsewhere.
+                // A feed that the rotary axes cannot follow is refused, which other tests check.
                 b = (b + 0.5 * db * length.min(10.0)).clamp(-10.0, 10.0);
                 a = (a + 0.5 * da * length.min(10.0)).clamp(-10.0, 10.0);
                 text += &format!(" B{b:.4} A{a:.4}");
@@ -113,7 +113,7 @@ fn contour() -> impl Strategy<Value = String> {
     )
 }
 
-/// Rates, accelerations and jerks of the cubics, against the limits, with what rounding to units may add and no more.
+/// Checks rates, accelerations and jerks of the cubics against the limits plus the rounding to units.
 fn check_limits(plan: &Plan, settings: &Settings, text: &str) {
     for (index, span) in spans(plan).iter().enumerate() {
         for (k, (cubic, axis)) in span.axes.iter().zip(&settings.pose).enumerate() {
@@ -134,7 +134,8 @@ fn check_limits(plan: &Plan, settings: &Settings, text: &str) {
                 largest <= axis.acceleration + acceleration,
                 "acceleration {largest} of {k} over {t} s in {place:?}\n{text}"
             );
-            // Where a line meets an arc the acceleration steps; half a period of it falls into the span beside it.
+            // Between a line and an arc the acceleration steps; half a period of the step is in the
+            // adjacent span.
             let stepped =
                 6.0 * settings.curvature_step * axis.acceleration * 0.5 * plan.period_s / (t * t);
             let arcs = if text.contains("G2 ") || text.contains("G3 ") {
@@ -152,7 +153,8 @@ fn check_limits(plan: &Plan, settings: &Settings, text: &str) {
     }
 }
 
-/// The cubics between setpoints are the planned motion, within 0.2 um (and the rounding of the ends), and stay near the exact path.
+/// Checks that the cubics are the planned motion within 0.2 um plus rounding, and stay within the
+/// tolerance of the programmed path.
 fn check_motion(plan: &Plan, settings: &Settings, text: &str) {
     let (mut cursor, mut programmed, mut contour) =
         (Cursor::default(), Cursor::default(), Cursor::default());
@@ -194,7 +196,7 @@ fn check_motion(plan: &Plan, settings: &Settings, text: &str) {
     }
 }
 
-/// How near a span comes to a point.
+/// Smallest distance of a span to a point.
 fn nearest(span: &Span, point: &Coordinates) -> f64 {
     let off = |u: f64| {
         (0..3)
@@ -218,7 +220,8 @@ fn nearest(span: &Span, point: &Coordinates) -> f64 {
     off(0.5 * (low + high))
 }
 
-/// Every programmed end point is passed within the tolerance, in order; the plan ends at rest at the last one.
+/// Checks that the motion passes every programmed end point in order within the tolerance, and ends at
+/// standstill at the last one.
 fn check_ends(program: &Program, plan: &Plan, settings: &Settings, text: &str) {
     let spans = spans(plan);
     let mut from = 0;
@@ -236,7 +239,7 @@ fn check_ends(program: &Program, plan: &Plan, settings: &Settings, text: &str) {
     let last = plan.setpoints.last().expect("a setpoint");
     assert!(
         last.rates.iter().all(|&rate| rate == 0),
-        "the end is not at rest"
+        "the motion does not end at standstill"
     );
     if let Some(Step::Move(step)) = program
         .steps
@@ -247,7 +250,7 @@ fn check_ends(program: &Program, plan: &Plan, settings: &Settings, text: &str) {
         for k in 0..5 {
             assert!(
                 (f64::from(last.pose[k]) * unit(k) - step.path.to[k]).abs() <= 0.51 * unit(k),
-                "the end is not the end"
+                "the last setpoint is not the programmed end"
             );
         }
     }
@@ -276,7 +279,10 @@ fn check(text: &str, settings: &Settings) {
     check_ends(&program, &plan, settings, text);
     check_spans(&plan, settings);
     let again = Plan::new(&program, settings, &H4).expect("planned before");
-    assert_eq!(plan.setpoints, again.setpoints, "not the same twice");
+    assert_eq!(
+        plan.setpoints, again.setpoints,
+        "the plan is not deterministic"
+    );
 }
 
 proptest! {
@@ -298,7 +304,7 @@ proptest! {
         check(&text, &settings());
     }
 
-    /// The joints of the motion, differentiated numerically, keep their limits.
+    /// The joint positions, differentiated numerically, keep their limits.
     #[test]
     fn joints_keep_their_limits(text in polyline()) {
         let settings = settings();
@@ -319,7 +325,8 @@ proptest! {
     }
 }
 
-/// Rapids, and cuts at the largest feed that passes, between poses of the whole workspace: the joint rates of the setpoints as the controller interpolates them. It refuses 1.02 of the maximum.
+/// Rapids and cuts between poses of the whole workspace: the joint rates of the interpolated setpoints.
+/// The controller refuses 1.02 of the maximum.
 #[test]
 fn setpoints_command_no_joint_more_than_its_maximum_rate() {
     let settings = settings();
@@ -345,7 +352,8 @@ fn setpoints_command_no_joint_more_than_its_maximum_rate() {
                 uniform(-20.0, 20.0)
             );
         }
-        // Many of these leave the workspace, or ask for a feed that a joint cannot follow: they are refused, and tested elsewhere.
+        // Programs outside the workspace, or with an excessive feed, are refused, which other tests
+        // check.
         let program = program(&text);
         let Ok(plan) = Plan::new(&program, &settings, &H4) else {
             continue;

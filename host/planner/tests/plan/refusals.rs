@@ -1,4 +1,4 @@
-//! What the planner refuses, and in which words; waits and actions.
+//! Refusals of the planner with their messages; dwells and actions.
 
 use crate::h4::{H4, HOME, settings};
 use haptimill_gcode::{Options, read};
@@ -13,7 +13,7 @@ fn plan(text: &str) -> Result<Plan, String> {
 
 #[test]
 fn excessive_feed_is_refused_with_the_largest_allowed() {
-    // Tilting on the spot is hard on the slides: 350 mm a radian.
+    // Tilting in place moves the slides 350 mm per radian.
     let text = |feed: f64| format!("G1 B0 F100\nG1 X1 B20 F{feed}\n");
     let refused = plan(&text(600.0)).unwrap_err();
     assert!(
@@ -47,9 +47,9 @@ fn overloaded_joint_is_named_with_its_rate() {
         "{refused}"
     );
     assert!(refused.ends_with("is 300 mm/min"), "{refused}");
-    // A rapid move is slowed down instead.
+    // A rapid move is planned at a lower speed instead.
     let program = read("part.ngc", b"G0 X30", &Options::h4(HOME)).expect("read");
-    let plan = Plan::new(&program, &settings, &H4).expect("slowed down");
+    let plan = Plan::new(&program, &settings, &H4).expect("planned");
     assert!(
         plan.figures.peak_joint_rates[2] <= 5.0 + 1e-9 && plan.figures.peak_joint_rates[2] > 4.9
     );
@@ -73,7 +73,7 @@ fn one_line_outside_the_workspace_is_reported() {
         ),
         "{refused}"
     );
-    // Beyond the reach, within the soft limits; line 1 only, and the middle of a move counts as well as its end.
+    // Outside the workspace, within the soft limits. The middle of a move is checked, too.
     let refused = plan("G0 Y140 A-40 Z140").unwrap_err();
     assert!(
         refused.starts_with("part.ngc:1:4: the machine cannot take"),

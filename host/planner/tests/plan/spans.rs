@@ -1,4 +1,4 @@
-//! What the controller makes of setpoints: the cubics between them, computed here from the integers alone.
+//! The cubics that the controller interpolates between setpoints, computed from the integers alone.
 
 use haptimill_planner::Plan;
 
@@ -39,7 +39,7 @@ impl Cubic {
         peak
     }
 
-    /// Position at a part of the span.
+    /// Position at a fraction of the span.
     pub fn at(&self, u: f64) -> f64 {
         let (u2, u3) = (u * u, u * u * u);
         (2.0 * u3 - 3.0 * u2 + 1.0) * self.p[0]
@@ -58,7 +58,7 @@ pub fn unit(k: usize) -> f64 {
     }
 }
 
-/// A span: when it begins, and its five cubics.
+/// A span between two setpoints: its start time and its five cubics.
 pub struct Span {
     pub start: f64,
     pub axes: [Cubic; 5],
