@@ -1,4 +1,5 @@
-//! Writes examples/dome.ngc: a spiral over a dome with the tool normal to the surface, A and B moving with it.
+//! Writes examples/dome.ngc: a spiral over a dome with the tool normal to the surface, A and B
+//! moving with it.
 //!
 //! `cargo run -p haptimill --example dome > examples/dome.ngc`
 
@@ -48,7 +49,8 @@ fn main() {
             polar.sin() * turn.sin(),
             polar.cos(),
         ];
-        // Tool axis (I, J, K) = (sin theta, cos theta sin alpha, cos theta cos alpha), docs/control.md (3.27), (3.28).
+        // Tool axis (I, J, K) = (sin theta, cos theta sin alpha, cos theta cos alpha),
+        // docs/control.md (3.27), (3.28).
         let theta = normal[0].atan2(normal[1].hypot(normal[2])).to_degrees();
         let alpha = normal[1].atan2(normal[2]).to_degrees();
         let z = TOP_MM + SPHERE_MM * (normal[2] - 1.0);

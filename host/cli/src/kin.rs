@@ -18,9 +18,9 @@ const PER_DEG: f64 = 4_294_967_296.0 / 360.0;
 /// Inverse kinematics: `xw_mm, yw_mm, zw_mm, theta_deg, alpha_deg` to
 /// `l1_mm, l2_mm, l3_mm, l4_mm, status`.
 ///
-/// With `strokes`, joints beyond the strokes of the machine are `out_of_stroke`, with joint positions;
-/// without, only the geometry is checked. An `alpha_deg` outside the range of a coordinate (180 or
-/// more, or below -180) is always `out_of_stroke`, without joint positions.
+/// With `strokes`, joints beyond the strokes of the machine are `out_of_stroke`, with joint
+/// positions; without, only the geometry is checked. An `alpha_deg` outside the range of a
+/// coordinate (180 or more, or below -180) is always `out_of_stroke`, without joint positions.
 ///
 /// # Errors
 /// One line for each invalid cell, `name:line:column: problem`.

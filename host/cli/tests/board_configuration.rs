@@ -63,7 +63,7 @@ fn no_command_replaces_the_configuration_without_machine() {
         assert!(ran.err.contains("configured as \"mill2\""), "{ran:#?}");
         expect_machine_required(&ran);
     }
-    // What needs no geometry goes by what the board has.
+    // Commands without geometry use the configuration of the board.
     let enabled = served.run_ok(&["enable", "--json"]).json();
     assert_eq!(
         (&enabled["machine"], &enabled["state"]),
@@ -73,11 +73,11 @@ fn no_command_replaces_the_configuration_without_machine() {
     served.run_ok(&["stop"]);
     served.run_ok(&["disable"]);
     assert_eq!(status(&served), before);
-    // Axes of a machine that is not known are not called by another one's names.
+    // Axes of an unknown machine do not get the names of another machine.
     let shown = served.run_ok(&["status"]);
     assert!(!shown.out.contains("theta"), "{}", shown.out);
     expect_machine_required(&shown);
-    // And with its file all goes on.
+    // With its machine file the commands work.
     served.run_ok(&["home", "--machine", &own]);
     assert_eq!(status(&served).2, before.2);
 }
@@ -101,7 +101,7 @@ fn machine_of_another_name_needs_replace_machine() {
     assert!(ran.err.contains("is replaced by \"mill2\""), "{ran:#?}");
     assert!(ran.err.contains("the position is "), "{ran:#?}");
     assert_eq!(status(&served).0, "mill2");
-    // Not while the drives are on.
+    // Refused while the drives are on.
     let h4 = ["--machine", "machines/h4.toml", "--replace-machine"];
     let ran = served.run(&[&["enable"][..], &h4].concat()).expect_code(8);
     assert_eq!(status(&served).0, "mill2", "{ran:#?}");
@@ -118,13 +118,14 @@ fn another_version_of_the_machine_is_sent_and_reported() {
     let before = status(&served);
     let ran = served.run_ok(&["enable", "--machine", &machine_of_other_version]);
     assert!(ran.err.contains("is replaced by"), "{ran:#?}");
-    // The simulated encoders count alike: the controller says itself that it takes the position over.
+    // The simulated encoders have the same scale, so the controller keeps the position and reports
+    // it.
     assert!(ran.err.contains("the position is kept"), "{ran:#?}");
     assert_eq!(served.status()["homed"], true);
     let after = status(&served);
     assert_eq!(after.0, "h4");
     assert_ne!(after.2, before.2);
-    // The built-in file is not that of the board any more.
+    // The built-in file is no longer the configuration of the board.
     let ran = served.run(&["jog", "x=1", "--for", "0.1"]).expect_code(8);
     expect_machine_required(&ran);
     assert_eq!(status(&served), after);
@@ -152,7 +153,7 @@ fn unconfigured_board_requires_a_machine_file() {
     }
     let ran = served.run_ok(&["home", "--machine", "machines/h4.toml"]);
     assert!(ran.err.contains("configured as \"h4\""), "{ran:#?}");
-    // From now on the file need not be named: it is the built-in one.
+    // The configuration is now the built-in one, so --machine is not needed.
     served.run_ok(&["jog", "x=1", "--for", "0.2"]);
 }
 
@@ -166,7 +167,7 @@ fn served_simulator_is_configured() {
     served.run_ok(&["home"]);
 }
 
-/// A hand's board is a board too.
+/// The same for the board of a haptic arm.
 #[test]
 fn haptic_arm_keeps_its_configuration() {
     let folder = TestFolder::new();

@@ -6,7 +6,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-/// What a run of the command left.
+/// Exit code and output of a command.
 struct RunResult {
     code: i32,
     out: String,
@@ -24,7 +24,7 @@ fn haptimill(arguments: &[&str], input: &str) -> RunResult {
         .stderr(Stdio::piped())
         .spawn()
         .unwrap();
-    // A command that does not read its input closes it.
+    // A command that does not read standard input closes it.
     let _ = child.stdin.take().unwrap().write_all(input.as_bytes());
     let output = child.wait_with_output().unwrap();
     RunResult {
@@ -41,7 +41,7 @@ fn root() -> PathBuf {
         .unwrap()
 }
 
-/// The command, its output and its end, as one text.
+/// The command, its output and its exit code as one text.
 fn transcript(arguments: &[&str], input: &str) -> String {
     let ran = haptimill(arguments, input);
     let mut text = format!("$ haptimill {}\n{}", arguments.join(" "), ran.out);
@@ -53,7 +53,7 @@ fn transcript(arguments: &[&str], input: &str) -> String {
     text
 }
 
-/// A table of the golden values as rows of cells, with the names of its columns.
+/// A golden table as rows of cells, with its column names.
 fn table(text: &str) -> (Vec<String>, Vec<Vec<String>>) {
     let mut reader = csv::Reader::from_reader(text.as_bytes());
     let names = reader

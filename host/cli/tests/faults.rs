@@ -18,7 +18,7 @@ G1 Z21.232 B0 A0
 M30
 ";
 
-/// Runs the program with faults; its folder has the files.
+/// Runs the program with faults.
 fn run(folder: &TestFolder, out: &str, faults: &[&str], more: &[&str]) -> RunResult {
     let program = folder.file("part.ngc", PROGRAM);
     let out = folder.path(out);
@@ -30,7 +30,7 @@ fn run(folder: &TestFolder, out: &str, faults: &[&str], more: &[&str]) -> RunRes
     haptimill(&arguments)
 }
 
-/// The wanted poses of a job, each once.
+/// The commanded poses of a job without repetitions.
 fn commanded_poses(folder: &TestFolder, out: &str) -> Vec<Axes> {
     let file = folder.path(&format!("{out}/recording.hmr"));
     let recording = Recording::open(Path::new(&file)).unwrap();
@@ -43,7 +43,7 @@ fn commanded_poses(folder: &TestFolder, out: &str) -> Vec<Axes> {
     poses
 }
 
-/// How far a pose is from the way between two others (axis units), and which part of that way it is at.
+/// Distance of a pose from the segment between two others, axis units.
 fn distance_to_segment(pose: &Axes, from: &Axes, to: &Axes) -> f64 {
     let difference = |a: &Axes, b: &Axes| -> [f64; 6] {
         std::array::from_fn(|i| f64::from(a[i]) - f64::from(b[i]))
@@ -59,10 +59,10 @@ fn distance_to_segment(pose: &Axes, from: &Axes, to: &Axes) -> f64 {
     dot(&rest, &rest).sqrt()
 }
 
-/// 0.2 um and 2e-5 degrees: the poses of a period are joined by straight lines here.
+/// 0.2 um and 2e-5 degrees, because the path between two periods is approximated by a line.
 const TOLERANCE: f64 = 210.0;
 
-/// Every pose lies on the way of the clean job, none before the one that came before it.
+/// Checks that every pose is on the path of the fault-free job, in order.
 #[track_caller]
 fn expect_on_path(poses: &[Axes], clean: &[Axes]) {
     let mut at = 0;
@@ -158,7 +158,7 @@ fn machine_faults_stop_the_job_with_a_remedy() {
         assert!(ran.err.contains(joint), "{fault}: {}", ran.err);
         text += &format!("{fault}\n    {}\n", folder.redact(ran.err.trim_end()));
         if fault.contains("at=") {
-            // In the job: everything up to the stop is kept.
+            // A fault during the job: the results up to the stop are kept.
             let summary = folder.summary("out");
             assert_eq!(summary["completed"], false, "{fault}");
             assert_eq!(
@@ -200,7 +200,7 @@ fn emergency_stop_during_homing_ends_with_the_fault_code() {
         "{}",
         ran.err
     );
-    // A summary says what was done to the machine, so nobody takes the job for one that went wrong by itself.
+    // The summary names the injected faults.
     let summary = folder.summary("out");
     let told = [&summary["injected"][0], &summary["final_state"]];
     assert_eq!(

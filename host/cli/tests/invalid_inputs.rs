@@ -1,5 +1,5 @@
-//! Missing, invalid and endless inputs: reported with their place before any motion, before any byte
-//! is sent to a port, and before earlier results are changed.
+//! Missing, invalid and endless inputs: reported with their place before any motion, before any
+//! byte is sent to a port, and before earlier results are changed.
 #![cfg(unix)]
 
 mod scene;
@@ -13,7 +13,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
-/// A port that counts what is said to it, and answers nothing.
+/// A port that counts the received bytes and never answers.
 struct UnusedPort {
     port: String,
     bytes: Arc<AtomicUsize>,
@@ -49,7 +49,7 @@ const OLD: [&str; 6] = [
     "hand.hmr",
 ];
 
-/// A folder with results of before.
+/// A folder with earlier results.
 fn write_old_results(folder: &TestFolder, name: &str) -> String {
     let out = folder.path(name);
     std::fs::create_dir_all(&out).unwrap();
@@ -70,7 +70,7 @@ fn expect_old_results(out: &str, why: &str) {
     assert_eq!(std::fs::read_dir(out).unwrap().count(), OLD.len(), "{why}");
 }
 
-/// `{}` stands for the input. Every command that reads a file or opens a device, with each of them.
+/// Every command that reads a file or opens a device; `{}` is the input.
 const FILES: [(&[&str], i32); 19] = [
     (&["run", "{}", "--out", "OUT"], 3),
     (&["run", "{}", "--port", "PORT", "--out", "OUT"], 3),
@@ -169,7 +169,7 @@ const FILES: [(&[&str], i32); 19] = [
     ),
 ];
 
-/// The same for what reads recordings, and for `sim serve`.
+/// The same for commands that read recordings, and for `sim serve`.
 const OTHERS: [(&[&str], i32); 9] = [
     (&["replay", "{}"], 3),
     (&["trace", "info", "{}"], 3),
@@ -265,7 +265,7 @@ fn invalid_input_files_are_reported_before_any_action() {
     }
 }
 
-/// Devices of a hand, and ports.
+/// Master devices, and ports.
 #[test]
 fn missing_devices_are_reported_before_any_action() {
     let (folder, unused) = (TestFolder::new(), UnusedPort::new());
@@ -286,7 +286,7 @@ fn missing_devices_are_reported_before_any_action() {
     }
 }
 
-/// A hand that is there and is no hand: the machine is not homed for it.
+/// A port without a haptic arm as master: the machine is not homed.
 #[test]
 fn silent_haptic_arm_prevents_motion() {
     let (folder, unused) = (TestFolder::new(), UnusedPort::new());
@@ -312,7 +312,7 @@ fn endless_inputs_are_refused() {
     }
 }
 
-/// A pipe that nobody ends: waited for, and given up. All at the same time, for each waits.
+/// An endless pipe times out. The commands run in parallel, because each waits.
 #[test]
 fn endless_pipes_time_out() {
     let (folder, unused) = (TestFolder::new(), UnusedPort::new());
@@ -338,7 +338,7 @@ fn endless_pipes_time_out() {
     });
 }
 
-/// A pipe that ends is as good as a file.
+/// A pipe with an end is read like a file.
 #[test]
 fn program_is_read_from_a_pipe() {
     let ran = std::process::Command::new("sh")
@@ -350,7 +350,7 @@ fn program_is_read_from_a_pipe() {
     assert!(ran.status.success(), "{ran:?}");
 }
 
-/// Lines and problems without measure are counted, not listed.
+/// Very many lines and problems are counted, not listed.
 #[test]
 fn a_million_problems_are_counted_and_the_first_are_listed() {
     let folder = TestFolder::new();
@@ -385,7 +385,7 @@ fn a_million_problems_are_counted_and_the_first_are_listed() {
     }
 }
 
-/// A limit on the size of files is an error of writing, in words, and not the death of the process in the middle of a motion.
+/// A file size limit is a write error with a message, and does not kill the process during motion.
 #[test]
 fn file_size_limit_stops_a_job_with_a_message() {
     let folder = TestFolder::new();
@@ -417,7 +417,7 @@ fn file_size_limit_stops_a_job_with_a_message() {
         assert!(err.contains("File too large"), "{command}: {err}");
         if !command.starts_with("kin") {
             assert!(err.contains("stopped"), "{command}: {err}");
-            // What was recorded is kept and can be read.
+            // The recording is kept and readable.
             haptimill(&["trace", "info", &format!("{out}/recording.hmr")]).expect_code(0);
         }
     }

@@ -12,7 +12,7 @@ mod built {
     use std::collections::BTreeMap;
     use std::path::Path;
 
-    /// The messages of an MCAP file; the check of each chunk is verified.
+    /// The messages of an MCAP file, with verified checksums.
     fn read_with_checks(bytes: &[u8]) -> MessageStream<'_> {
         MessageStream::new_with_options(bytes, ReadOptions::ValidateChunkCrcs.into()).unwrap()
     }
@@ -116,7 +116,7 @@ mod built {
                 "/yielded"
             ]
         );
-        // A thousand a second, with the values of the recording.
+        // 1000 messages per second, with the values of the recording.
         let state = &topics["/state"];
         assert_eq!(
             state.len() as u64,
@@ -151,7 +151,7 @@ mod built {
         );
         let times: Vec<u64> = events.iter().map(|(time, _)| *time).collect();
         assert!(times.is_sorted());
-        // A digit of a measure in the middle that is another one is found.
+        // A changed digit in the middle of the file is detected.
         let mut damaged = bytes.clone();
         let middle = damaged.len() / 2;
         let name = b"\"x_mm\":";

@@ -1,5 +1,5 @@
-//! Result files of a run: earlier results are kept by a failed start, and options without effect are
-//! reported.
+//! Result files of a run: earlier results are kept by a failed start, and options without effect
+//! are reported.
 
 mod scene;
 

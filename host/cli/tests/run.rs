@@ -9,7 +9,7 @@ use serde_json::Value;
 use std::path::Path;
 use std::time::Duration;
 
-/// Runs a program of examples/ into `out` and gives its summary.
+/// Runs a program of examples/ into `out` and returns its summary.
 fn job(folder: &TestFolder, out: &str, program: &str, more: &[&str]) -> Value {
     let program = format!("examples/{program}");
     let ran = haptimill(
@@ -30,7 +30,7 @@ fn job(folder: &TestFolder, out: &str, program: &str, more: &[&str]) -> Value {
     summary
 }
 
-/// What every good job has in its summary, and the accuracy that is promised.
+/// Checks the summary of a completed job and its accuracy.
 #[track_caller]
 fn expect_small_errors(summary: &Value) {
     println!(
@@ -47,7 +47,7 @@ fn expect_small_errors(summary: &Value) {
     );
     assert!(number(summary, "tool_error_rms_mm") <= 0.02, "{summary:#}");
     assert!(number(summary, "tool_error_max_mm") <= 0.05, "{summary:#}");
-    // An error of nothing would be a measurement of nothing.
+    // An error of exactly 0 would mean that nothing was measured.
     assert!(number(summary, "tool_error_rms_mm") > 0.0005, "{summary:#}");
     assert!(number(summary, "slide_error_max_mm") > 0.0 && number(summary, "setpoints") > 10.0);
     assert_eq!(summary["underruns"], 0);
@@ -68,13 +68,13 @@ fn slot_writes_all_files_bit_identically() {
         (number(&first, "path_length_mm") - 68.0).abs() < 0.01,
         "{first:#}"
     );
-    // 2 s at 1 mm/s, 7.5 s and 0.5 s at 4 mm/s, and the way back.
+    // 2 s at 1 mm/s, 7.5 s and 0.5 s at 4 mm/s, and the return.
     assert!(
         (10.5..13.0).contains(&number(&first, "duration_s")),
         "{first:#}"
     );
 
-    // The recording is what the summary says, and can be read.
+    // The recording is readable and matches the summary.
     let file = folder.path("first/recording.hmr");
     let recording = Recording::open(Path::new(&file)).unwrap();
     assert_eq!(recording.records(), first["periods"].as_u64().unwrap());
@@ -91,7 +91,8 @@ fn slot_writes_all_files_bit_identically() {
         .collect();
     assert_eq!(first["trace_sha256"], hash.as_str());
 
-    // The trace: units in the names, a row every 25 periods, the end where the program ends.
+    // The trace has units in the column names, a row every 25 periods, and ends at the end of the
+    // program.
     let text = folder.read("first/trace.csv");
     let mut reader = csv::Reader::from_reader(text.as_bytes());
     let names: Vec<String> = reader
@@ -131,7 +132,7 @@ fn slot_writes_all_files_bit_identically() {
     assert!(rows.iter().any(|row| value(row, l1).abs() > 1e-4));
     assert!(rows.iter().all(|row| value(row, alpha).abs() < 1e-3));
 
-    // The report is one file that needs no other.
+    // The report is one self-contained file.
     let page = folder.read("first/report.html");
     assert!(page.starts_with("<!doctype html>") && page.trim_end().ends_with("</html>"));
     for needs in [
@@ -157,14 +158,14 @@ fn pocket_and_circle_keep_their_tolerances() {
     let folder = TestFolder::new();
     let pocket = job(&folder, "pocket", "e9-pocket.ngc", &[]);
     expect_small_errors(&pocket);
-    // All that goes from the host to the machine: setpoints, acknowledgements, signs of life.
+    // All bytes from the host to the controller: setpoints, acknowledgements, keep-alive frames.
     assert!(
         number(&pocket, "line_bytes_per_setpoint") <= 22.5,
         "{pocket:#}"
     );
     let circle = job(&folder, "circle", "e11-circle.ngc", &[]);
     expect_small_errors(&circle);
-    // Round: a circle of 30 mm, in the trace's own words.
+    // The columns of the trace are a circle of 30 mm.
     let text = folder.read("circle/trace.csv");
     let mut reader = csv::Reader::from_reader(text.as_bytes());
     let names = reader.headers().unwrap().clone();
@@ -234,7 +235,7 @@ fn job_prints_a_short_summary() {
     );
 }
 
-/// A program with a mistake, its transcript, and the promise that nothing was written or moved.
+/// Runs a program with a mistake, checks that nothing was written, and returns the transcript.
 fn refused(folder: &TestFolder, name: &str, text: impl AsRef<[u8]>, code: i32) -> String {
     let file = folder.file(name, text);
     let out = folder.path("out");
@@ -353,7 +354,7 @@ fn unusable_files_have_distinct_messages() {
         ],
     );
     assert!(!Path::new(&out).exists());
-    // A file where the folder of the results should be; before homing, so nothing on standard output.
+    // A file in place of the result folder is reported before homing, so standard output is empty.
     tell(
         "a folder that cannot be made",
         9,
@@ -422,7 +423,7 @@ fn pauses_are_skipped_in_the_simulator_and_need_a_terminal_on_a_machine() {
     let ran = haptimill(&["run", &file, "--json", "--out", &folder.path("out")]).expect_code(0);
     assert_eq!(ran.json()["completed"], true);
     assert!((number(&ran.json(), "path_length_mm") - 10.0).abs() < 0.01);
-    // Nobody can press Enter: refused before the port is opened.
+    // Without a terminal the program is refused before the port is opened.
     let ran = haptimill(&[
         "run",
         &file,
@@ -439,7 +440,7 @@ fn pauses_are_skipped_in_the_simulator_and_need_a_terminal_on_a_machine() {
     );
 }
 
-/// A program that takes an hour of machine time.
+/// Writes a program of one hour of machine time.
 fn write_long_program(folder: &TestFolder) -> String {
     let lines: String = (0..900)
         .map(|turn| format!("G1 X{} Y0\nG1 Y5\nG1 X0\nG1 Y0\n", 10 + turn % 3))
@@ -447,7 +448,7 @@ fn write_long_program(folder: &TestFolder) -> String {
     folder.file("long.ngc", format!("G21 G90 F300\n{lines}"))
 }
 
-/// A run of it that has recorded for some seconds of machine time.
+/// Starts that program and waits until its recording has some seconds of machine time.
 fn start_long_program(folder: &TestFolder) -> scene::Running {
     let mut run = start(&[
         "run",
@@ -475,12 +476,12 @@ fn result_folder_is_locked_until_its_run_ends() {
     let said = "another run is writing its results there; choose another folder with --out";
     assert!(second.err.contains(said), "{}", second.err);
     assert_eq!(second.json()["exit_code"], 9);
-    // The first one's recording is still there, and grows.
+    // The recording of the first run still exists and grows.
     assert!(first.runs() && std::fs::metadata(&recording).unwrap().len() >= 1_000_000);
     first.kill();
     haptimill(&["run", &short, "--out", &out]).expect_code(0);
     assert_eq!(folder.summary("out")["program"], "short.ngc");
-    // Nothing but results is left there.
+    // The folder has result files only.
     let mut names: Vec<String> = std::fs::read_dir(&out)
         .unwrap()
         .map(|entry| entry.unwrap().file_name().into_string().unwrap())
@@ -519,7 +520,7 @@ fn mistakes_are_reported_as_json() {
                 .iter()
                 .find(|problem| problem["line"] == *line && problem["column"] == *column)
                 .unwrap_or_else(|| panic!("nothing at {line}:{column} in {told:#}"));
-            // The same as in words.
+            // The JSON message equals the text message.
             let words = format!(
                 "{}:{line}:{column}: {}",
                 found["file"].as_str().unwrap(),
@@ -554,7 +555,7 @@ fn announced_time_includes_the_feed_override() {
     let ran = haptimill(&run).expect_code(0);
     let announced = format!("running, {half:.2} s at 50 %");
     assert!(ran.out.contains(&announced), "{announced}: {}", ran.out);
-    // And it takes that long: the machine speeds up and slows down along the path as slowly.
+    // The run takes the announced time: acceleration along the path is scaled, too.
     let took = number(&folder.summary("out"), "duration_s");
     assert!((took - half).abs() < 0.5, "{took} instead of {half}");
 }
@@ -565,7 +566,7 @@ fn optional_stop_pauses_with_its_option() {
     let file = folder.file("m1.ngc", "G1 X5 F600\nM1\nG1 X0\nM30\n");
     let out = folder.path("none");
     let run = ["run", &file, "--port", "tcp:localhost:1", "--out", &out];
-    // Without it there is nothing to pause at, and the port is looked for.
+    // Without the option the program has no pause, and the port is opened.
     haptimill(&run).expect_code(5);
     let ran = haptimill(&[&run[..], &["--optional-stop"]].concat()).expect_code(2);
     assert!(

@@ -1,4 +1,5 @@
-//! The thesis's experiments, all of them, as `haptimill scenario run all` runs them: their tables are snapshots, so a change of any of them is seen.
+//! The thesis's experiments, all of them, as `haptimill scenario run all` runs them: their tables
+//! are snapshots, so a change of any of them is seen.
 
 mod scene;
 
@@ -7,7 +8,7 @@ use scene::{TestFolder, haptimill, number};
 use serde_json::Value;
 use std::path::Path;
 
-/// A summary without what every change of the controller changes.
+/// A summary without the values that every change of the controller changes.
 fn without_hashes(summary: &Value) -> Value {
     let mut summary = summary.clone();
     for pass in summary["passes"].as_array_mut().unwrap() {
@@ -56,7 +57,8 @@ fn all_scenarios_write_tables_pages_and_recordings() {
         let pictures = page.matches("data:image/png;base64,").count();
         let cuts = scenario.passes.iter().filter(|pass| pass.cuts()).count();
         assert_eq!(pictures, cuts, "{name}");
-        // Position, three forces, error or p_c, path, and the picture, of each cut; way, reflection and push of each pass of a hand.
+        // Curves of each cut: position, three forces, error or p_c, path, and the surface; of each
+        // teleoperated pass: displacement, feedback and operator force.
         let led = scenario.passes.iter().filter(|pass| pass.led.is_some());
         let curves = 7 * cuts + 3 * led.count();
         assert!(page.matches("<svg").count() >= curves, "{name}");
@@ -64,7 +66,7 @@ fn all_scenarios_write_tables_pages_and_recordings() {
             let file = folder.path(&format!("out/{name}/{}/recording.hmr", pass.name));
             let recording = Recording::open(Path::new(&file)).unwrap();
             let mut felt = recording.iter().unwrap().map(Result::unwrap);
-            // At the wall of E6 the tool waits at home and cuts nothing.
+            // At the virtual fixture of E6 the tool stays at home and cuts nothing.
             let cutting = felt.find(|record| !pass.cuts() || record.true_force != [0; 3]);
             assert!(cutting.unwrap().has(flag::FORCE | flag::TOOL_TRUE));
             let hand = format!("out/{name}/{}/hand.csv", pass.name);
@@ -133,7 +135,7 @@ fn job_cuts_only_a_clamped_stock() {
     assert_eq!(none, 0.0, "nothing is clamped");
     let (cut, force) = run("cut", &["--stock", "examples/block.toml"]);
     assert!((4.0..12.0).contains(&force), "{force} N");
-    // 7 N on a structure of 500 N/mm: 14 um, and what the slides give way.
+    // 7 N on a structure of 500 N/mm are 14 um, plus the deflection of the joints.
     let error = |summary: &Value| number(summary, "tool_error_max_mm");
     let more = error(&cut) - error(&air);
     assert!((0.005..0.06).contains(&more), "{more} mm");

@@ -8,18 +8,18 @@ use haptimill_trace::RECORD_BYTES;
 use scene::{Running, SimServer, TestFolder, number, start};
 use std::time::{Duration, Instant};
 
-/// Back and forth for half a minute of machine time, at 10 mm/s.
+/// Moves back and forth for half a minute of machine time at 10 mm/s.
 fn long_program(folder: &TestFolder) -> String {
     let turns: String = (0..15).map(|_| "G1 X20\nG1 X0\n").collect();
     folder.file("long.ngc", format!("G21 G90 F600\n{turns}M30\n"))
 }
 
-/// There and back, about 2 s.
+/// Moves out and back in about 2 s.
 fn short_program(folder: &TestFolder) -> String {
     folder.file("short.ngc", "G21 G90 F600\nG1 X-5\nG3 X5 I5\nG1 X0\nM30\n")
 }
 
-/// A run on a served machine that is in the middle of its way.
+/// Starts a run on a served machine and waits until it moves.
 fn start_job(served: &SimServer, folder: &TestFolder, program: &str) -> Running {
     let mut run = start(&[
         "run",
@@ -30,7 +30,8 @@ fn start_job(served: &SimServer, folder: &TestFolder, program: &str) -> Running 
         &folder.path("out"),
     ]);
     run.wait_for_output("running");
-    // Machine time has to pass until it is at speed, and it may be slower than real time: the recording tells, a record every 20 ms.
+    // The machine needs machine time to reach its speed, which may be slower than real time. The
+    // size of the recording is the measure: one record every 20 ms.
     let recording = folder.path("out/recording.hmr");
     let size = || std::fs::metadata(&recording).map_or(0, |file| file.len());
     let mut header = 0;
@@ -42,7 +43,7 @@ fn start_job(served: &SimServer, folder: &TestFolder, program: &str) -> Running 
     run
 }
 
-/// The job of [`start_job`] was stopped on its path, and everything was kept.
+/// Checks that the job of [`start_job`] stopped along its path and kept its results.
 #[track_caller]
 fn expect_stopped(folder: &TestFolder) {
     let summary = folder.summary("out");
@@ -60,7 +61,7 @@ fn expect_stopped(folder: &TestFolder) {
     );
     assert!((0.3..20.0).contains(&duration), "{summary:#}");
     assert!(length > 1.0 && length < 200.0, "{summary:#}");
-    // A stop along the path leaves the tool on the path.
+    // After a stop along the path the tool is on the path.
     assert!(
         number(&summary, "contour_error_max_mm") < 0.1,
         "{summary:#}"
@@ -69,7 +70,7 @@ fn expect_stopped(folder: &TestFolder) {
     assert!(folder.read("out/report.html").contains("</html>"));
 }
 
-/// A whole job runs, without homing again.
+/// Checks that a job runs without homing again.
 #[track_caller]
 fn expect_run_without_homing(served: &SimServer, folder: &TestFolder) {
     let ran = served.run_ok(&[
@@ -92,7 +93,7 @@ fn simple_commands_in_sequence() {
         (&"Disabled".into(), &false.into()),
         "{status:#}"
     );
-    // Nothing to be done yet: told in words, with its own code.
+    // The machine is not homed: an error message with its exit code.
     let refused = served.run(&["home", "--timeout", "0"]);
     assert_eq!(refused.code, 2);
     assert_eq!(served.run_ok(&["enable", "--json"]).json()["state"], "Idle");
@@ -111,7 +112,7 @@ fn simple_commands_in_sequence() {
     );
     assert!(number(&homed["following_error"], "l1").abs() < 0.02);
 
-    // 10 mm/s for a second, less the time to speed up; the stop comes after.
+    // 10 mm/s for one second, less the acceleration; the stop follows.
     let jogged = served
         .run_ok(&["jog", "x=10", "z=-2", "--for", "1", "--json"])
         .json();
@@ -122,7 +123,7 @@ fn simple_commands_in_sequence() {
         (z + x / 5.0).abs() < 0.1,
         "the ratio of the rates is kept: {jogged:#}"
     );
-    // Nothing moves afterwards.
+    // The machine is at standstill afterwards.
     assert_eq!(served.status()["commanded"], jogged["commanded"]);
     served.run_ok(&["jog", "theta=25", "--for", "1.3"]);
     let limited = served
@@ -133,7 +134,7 @@ fn simple_commands_in_sequence() {
         limited.err.contains("theta stopped at its soft limit"),
         "{limited:?}"
     );
-    // Here it is a slide's stroke that ends it, before the soft limit of 35 degrees.
+    // The stroke of a joint limits the jog before the soft limit of 35 degrees.
     assert!(theta > 29.0 && theta <= 35.0, "{limited:?}");
     assert_eq!(limited.err.lines().count(), 1, "{}", limited.err);
     served.run_ok(&["jog", "theta=-20", "--for", "1.5"]);
@@ -143,7 +144,7 @@ fn simple_commands_in_sequence() {
         "{}",
         axis.err
     );
-    // By the letters of part programs: A is the table, B the tilt.
+    // Letters of part programs: A is the table, B the tilt.
     let turned = served
         .run_ok(&["jog", "a=5", "--for", "0.5", "--json"])
         .json();
@@ -201,7 +202,7 @@ fn job_runs_on_a_pseudo_terminal_and_again_without_homing() {
         "{summary:#}"
     );
     expect_run_without_homing(&served, &folder);
-    // The link goes with the machine.
+    // The symbolic link is removed with the process.
     served.process.interrupt();
     assert_eq!(served.process.end().code, 0);
     assert!(!std::path::Path::new(&link).exists());
@@ -288,8 +289,8 @@ fn dead_host_is_detected_and_the_machine_stops_along_its_path() {
     let served = SimServer::on_tcp(&[]);
     let mut run = start_job(&served, &folder, &long_program(&folder));
     run.kill();
-    // The heartbeat is 500 ms, slowing down 300 ms. A new host that comes at once is sent away until the machine brakes for want of the old
-    // one: it must not hide the loss.
+    // The heartbeat is 500 ms, the deceleration 300 ms. A new host is refused until the heartbeat
+    // stop has begun, so that it cannot hide the loss of the old one.
     let lost = Instant::now();
     let status = loop {
         assert!(lost.elapsed() < Duration::from_secs(10));
@@ -400,7 +401,8 @@ fn emergency_stop_is_latched_until_reset() {
 
 #[test]
 fn lost_position_is_homed_from_presets() {
-    // The machine is long at its home pose, which is that of the presets, when the encoder goes mad.
+    // The machine has reached its home pose, which is that of the presets, when the encoder fault
+    // begins.
     let fault = "encoder-noise axis=l2 per-second=5000 at=10s for=200ms";
     let served = SimServer::on_tcp(&["--fault", fault]);
     served.run_ok(&["home"]);
@@ -415,7 +417,7 @@ fn lost_position_is_homed_from_presets() {
     let begun = Instant::now();
     let lost = loop {
         let status = served.status();
-        // Periods of 200 us: the noise is over.
+        // Control periods of 200 us: the fault has ended.
         if status["state"] == "Fault" && number(&status, "period") > 52_000.0 {
             break status;
         }
@@ -436,7 +438,7 @@ fn lost_position_is_homed_from_presets() {
         refused.err
     );
     served.run_ok(&["reset"]);
-    // Nothing was set by the attempt: the search still has nothing to begin from.
+    // The refused attempt set no position.
     let refused = served.run(&["home"]).expect_code(8);
     assert!(refused.err.contains("--at-preset"), "{}", refused.err);
     served.run_ok(&["disable"]);
@@ -475,7 +477,7 @@ fn pause_waits_for_enter_and_ignores_an_earlier_one() {
     let folder = TestFolder::new();
     let served = SimServer::on_tcp(&[]);
     let program = folder.file("pause.ngc", "G1 X3 F600\nM0 (turn the work)\nG1 X0\nM30\n");
-    // A person's terminal.
+    // A terminal on standard input.
     let mut terminal = PtyServer::open().unwrap();
     let input = std::fs::OpenOptions::new()
         .read(true)
@@ -483,14 +485,14 @@ fn pause_waits_for_enter_and_ignores_an_earlier_one() {
         .open(terminal.name())
         .unwrap();
     let mut enter = || {
-        // With a key in front that is no text.
+        // With a byte before Enter that is not text.
         let pressed = terminal.write(b"\xe9\n", Duration::from_secs(1)).unwrap();
         assert_eq!(pressed, 2);
     };
     let out = folder.path("out");
     let run = ["run", &program, "--port", &served.port, "--out", &out];
     let mut run = scene::start_with(&run, input.into());
-    // Impatience while it homes passes nothing.
+    // An Enter during homing skips no pause.
     enter();
     run.wait_for_error("line 2: the program pauses; press Enter");
     let paused = Instant::now();
@@ -502,6 +504,6 @@ fn pause_waits_for_enter_and_ignores_an_earlier_one() {
     run.end().expect_code(0);
     let summary = folder.summary("out");
     assert_eq!(summary["completed"], true, "{summary:#}");
-    // The pause is in the time that the job took: there and back is 0.8 s.
+    // The duration of the job includes the pause; the motion takes 0.8 s.
     assert!(number(&summary, "duration_s") > 1.2, "{summary:#}");
 }

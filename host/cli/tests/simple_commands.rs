@@ -123,7 +123,7 @@ fn force_control_needs_a_sensor() {
     assert!(refused.err.contains("--force"), "{}", refused.err);
 }
 
-/// What a person sees who sets up force control by hand, word for word; forces are noise, and not shown.
+/// The transcript of force commands, without the measured forces, which are noise.
 #[test]
 fn force_command_transcript() {
     let served = SimServer::on("pty", &["--unconfigured"]);

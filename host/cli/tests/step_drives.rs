@@ -19,7 +19,8 @@ fn machines() -> PathBuf {
     scene::root().join("machines")
 }
 
-/// A machine file with the sections of one joint taken from another file: `[[joint]]` and `[[plant.joint]]` of that name.
+/// A machine file with the sections `[[joint]]` and `[[plant.joint]]` of some joints taken from
+/// another file.
 fn mixed(step: &str, torque: &str, from_torque: &[&str]) -> String {
     let parts = |text: &str| -> Vec<String> {
         let mut parts = vec![String::new()];

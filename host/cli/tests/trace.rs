@@ -11,7 +11,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-/// Runs a program of examples/ into `out`; where its recording is.
+/// Runs a program of examples/ into `out` and returns the path of its recording.
 fn record(folder: &TestFolder, out: &str, program: &str, more: &[&str], code: i32) -> String {
     let program = format!("examples/{program}");
     let out = folder.path(out);
@@ -20,7 +20,7 @@ fn record(folder: &TestFolder, out: &str, program: &str, more: &[&str], code: i3
     format!("{out}/recording.hmr")
 }
 
-/// Replays a recording, which must be equal, and gives what is said of it.
+/// Replays a recording, which must be equal, and returns the JSON result.
 #[track_caller]
 fn replays(recording: &str) -> Value {
     let ran = haptimill(&["replay", recording, "--json"]).expect_code(0);
@@ -41,7 +41,7 @@ fn circle_replays_equal_with_the_hash_of_the_summary() {
     let summary = folder.summary("out");
     assert_eq!(said["sha256"], summary["trace_sha256"]);
     assert_eq!(said["records"], summary["periods"]);
-    // Homing is in it too.
+    // The recording includes homing.
     let (all, job) = (number(&said, "periods"), number(&summary, "periods"));
     assert!(all > job + 10_000.0, "{all} of them, {job} in the job");
 
@@ -84,7 +84,7 @@ fn teleoperated_slot_replays_equal_and_a_changed_arm_count_is_detected() {
     for trace in &traces {
         let said = replays(trace.to_str().unwrap());
         assert!(number(&said, "records") > 50_000.0);
-        // A hand was there: its button was pressed, and the arm's motors did something.
+        // The clutch was engaged, and the motors of the arm had torque.
         let recording = Recording::open(trace).unwrap();
         let mut led = 0_u64;
         let mut pushed = 0_u64;
@@ -96,7 +96,7 @@ fn teleoperated_slot_replays_equal_and_a_changed_arm_count_is_detected() {
         }
         assert!(led > 10_000 && pushed > 10_000, "{led}, {pushed}");
     }
-    // One count of one leg, for one period, while the hand leads.
+    // One encoder count of one leg in one period during teleoperation.
     let recording = Recording::open(&traces[0]).unwrap();
     let changed = folder.path("changed.hmr");
     let mut recorder = Recorder::create(Path::new(&changed), recording.header()).unwrap();
@@ -118,7 +118,7 @@ fn teleoperated_slot_replays_equal_and_a_changed_arm_count_is_detected() {
         .json();
     let difference = &said["difference"];
     assert_eq!(difference["period"], flipped);
-    // The hand leads x, so the slides are told otherwise in the same period.
+    // The master moves x, so the commands of the joints differ in the same period.
     assert_eq!(difference["field"], "the command to drive l1");
     assert_ne!(difference["recorded"], difference["replayed"]);
 }
@@ -145,7 +145,7 @@ fn faulted_job_over_a_bad_line_replays_equal() {
             |event| event["level"] == "error" && event["text"].as_str().unwrap().contains("l2")
         )
     );
-    // And a machine with step motors.
+    // A machine with step motors.
     let steps = ["--machine", "machines/h4-step.toml"];
     replays(&record(&folder, "steps", "e7-slot.ngc", &steps, 0));
 }
@@ -188,11 +188,11 @@ fn one_changed_input_bit_is_reported_with_both_values() {
     assert_eq!(difference["period"], flipped);
     assert!(difference["field"].as_str().unwrap().ends_with("l3"));
     assert_ne!(difference["recorded"], difference["replayed"]);
-    // The periods alone differ, the records do not.
+    // Only the periods differ, not the records.
     haptimill(&["trace", "diff", &trace, &changed]).expect_code(0);
 }
 
-/// Numbers and names of folders taken out of what was said.
+/// Replaces numbers and folder names in the output.
 fn plain(folder: &TestFolder, ran: &RunResult) -> String {
     let text = folder.redact(&format!("{}{}", ran.out, ran.err));
     let mut plain = String::new();
@@ -204,7 +204,7 @@ fn plain(folder: &TestFolder, ran: &RunResult) -> String {
     format!("{plain}--- exit code {}\n", ran.code)
 }
 
-/// A word with a number in it, but for names.
+/// Replaces the number in a word that is no name.
 fn masked(word: &str) -> String {
     let hexadecimal = word.len() >= 8 && word.bytes().all(|byte| byte.is_ascii_hexdigit());
     let number = word.starts_with(|first: char| first.is_ascii_digit() || first == '-');
@@ -233,7 +233,8 @@ fn recording_info_and_plot() {
         lines[0].starts_with("x_programmed_mm: -30.0") && lines[9].starts_with("spindle_rpm: "),
         "{sketch}"
     );
-    // From the height of the start down to the end of the slot and back: dots in the first and the last row, on the way and at both ends.
+    // The curve goes from the start height to the end of the slot and back, so the first and the
+    // last row have dots.
     let braille = |line: &str| line.chars().any(|c| ('\u{2801}'..='\u{28ff}').contains(&c));
     assert!(lines[1..9].iter().all(|line| braille(line)), "{sketch}");
 
@@ -251,12 +252,12 @@ fn recording_info_and_plot() {
     .expect_code(0);
     let svg = folder.read("errors.svg");
     assert!(svg.starts_with("<svg xmlns=") && svg.trim_end().ends_with("</svg>"));
-    // Two units, two charts; four lines and one.
+    // Two units make two charts, with four curves and one.
     assert_eq!(svg.matches("<svg ").count(), 3);
     assert_eq!(svg.matches("<path").count(), 5);
     assert!(svg.contains("l3_joint_error_mm") && svg.contains("time after 2 s"));
     plot(&["x_force_high_n", "--from", "1000"]).expect_code(3);
-    // States have names, beside whatever else has no unit.
+    // States have names; other columns without a unit share the chart.
     plot(&["state", "line", "--out", &picture]).expect_code(0);
     let svg = folder.read("errors.svg");
     assert_eq!(svg.matches("<svg ").count(), 3);
@@ -346,7 +347,7 @@ fn damaged_files_have_distinct_messages() {
     insta::assert_snapshot!("damaged_files", text);
 }
 
-/// Other names of a file: spelled differently, and links.
+/// Other paths of a file: another spelling, and links.
 #[cfg(unix)]
 fn names(folder: &TestFolder, path: &str) -> Vec<String> {
     let file = Path::new(path);
@@ -398,7 +399,7 @@ fn failed_export_keeps_the_earlier_file() {
     assert_eq!(files.count(), 3, "something was left behind");
 }
 
-/// Commands whose result is on standard output.
+/// Commands with their result on standard output.
 #[cfg(unix)]
 fn printing_commands(trace: &str, out: &str) -> Vec<Vec<String>> {
     [
@@ -427,7 +428,7 @@ fn printing_commands(trace: &str, out: &str) -> Vec<Vec<String>> {
     .to_vec()
 }
 
-/// Runs a command with this standard output; its exit code and what it complains of.
+/// Runs a command with this standard output; returns its exit code and standard error.
 #[cfg(unix)]
 fn run_with_output(command: &[String], out: impl Into<Stdio>) -> (Option<i32>, String) {
     let ran = Command::new(env!("CARGO_BIN_EXE_haptimill"))
@@ -456,7 +457,7 @@ fn unwritable_result_ends_with_9() {
         ran.err,
         "/dev/full: No space left on device (os error 28)\n"
     );
-    // What is wrong first is what the command ends with.
+    // The first error determines the exit code.
     let missing = ["trace", "info", "none.hmr", "--json"].map(str::to_string);
     let full = std::fs::File::options().write(true).open("/dev/full");
     assert_eq!(run_with_output(&missing, full.unwrap()).0, Some(3));
@@ -539,7 +540,7 @@ fn job_on_a_port_is_reported_as_not_replayable() {
         .expect_code(0)
         .json();
     assert_eq!(info["replayable"], false);
-    // What happened is known all the same.
+    // The events are in the recording.
     let events = info["events"].as_array().unwrap();
     assert!(
         events

@@ -1,9 +1,9 @@
 //! Fuzz tests of the part-program reader and the planner: any bytes are planned or refused, without
 //! panic and in bounded time.
 //!
-//! Two targets use one seed corpus (`__fuzz__/reader/corpus`), each for a bounded time; a failure prints
-//! its seed. Raw bytes seldom pass the first word, so the second target edits the seeds. With
-//! `cargo bolero test` both are coverage-guided.
+//! Two targets use one seed corpus (`__fuzz__/reader/corpus`), each for a bounded time; a failure
+//! prints its seed. Raw bytes seldom pass the first word, so the second target edits the seeds.
+//! With `cargo bolero test` both are coverage-guided.
 
 #[path = "plan/h4.rs"]
 #[allow(dead_code)]

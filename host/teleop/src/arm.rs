@@ -280,7 +280,7 @@ impl<L: Line> Arm<L> {
                 if let Some(board) = &self.board {
                     let agreed = self.agreed && welcome.config_crc == 0;
                     let decision = board.decide(&welcome).map_err(|error| {
-                        let what = error.message.replace("-machine", "-hand-machine");
+                        let what = error.message.replace("-machine", "-master-machine");
                         Error::new(error.kind, format!("{}: {what}", self.line.name()))
                     })?;
                     match decision {

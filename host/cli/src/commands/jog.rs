@@ -50,7 +50,8 @@ pub struct JogArgs {
 /// A pose coordinate and its rate.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AxisRate {
-    /// Name of the coordinate, as in the machine file, or its letter in part programs; in lower case.
+    /// Name of the coordinate, as in the machine file, or its letter in part programs; in lower
+    /// case.
     pub axis: String,
     /// Rate, mm/s or deg/s; finite.
     pub rate: f64,

@@ -1,4 +1,5 @@
-//! `haptimill sim serve`: serves the simulated machine in real time on a pseudo-terminal or TCP port.
+//! `haptimill sim serve`: serves the simulated machine in real time on a pseudo-terminal or TCP
+//! port.
 
 use super::args::{MachineArg, OperatorArg, SimulatorArgs, seconds};
 use super::{CliError, Exit};
@@ -34,8 +35,8 @@ pub struct ServeArgs {
     /// Where to listen: pty (a pseudo-terminal) or tcp:HOST:PORT (port 0 takes a free one)
     #[arg(long, value_name = "WHERE", default_value = "pty")]
     pub listen: Listen,
-    /// File with the token of the TCP port [default: a new token for an address that other computers
-    /// can reach]
+    /// File with the token of the TCP port [default: a new token for an address that other
+    /// computers can reach]
     #[arg(long, value_name = "FILE")]
     pub token_file: Option<PathBuf>,
     /// Also create a symbolic link with this path to the pseudo-terminal

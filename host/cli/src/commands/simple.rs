@@ -1,4 +1,5 @@
-//! `haptimill home`, `status`, `enable`, `disable`, `stop`, `reset`: one command to a running controller.
+//! `haptimill home`, `status`, `enable`, `disable`, `stop`, `reset`: one command to a running
+//! controller.
 
 use super::args::{BoardArg, ConnectArgs, check_baud};
 use super::{CliError, Exit};

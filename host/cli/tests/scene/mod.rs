@@ -280,7 +280,8 @@ impl SimServer {
         Self::on("tcp:127.0.0.1:0", more)
     }
 
-    /// Serves on `tcp:HOST:PORT` or `pty`. The process ends after two minutes even if the test hangs.
+    /// Serves on `tcp:HOST:PORT` or `pty`. The process ends after two minutes even if the test
+    /// hangs.
     pub fn on(listen: &str, more: &[&str]) -> Self {
         let mut process =
             start(&[&["sim", "serve", "--for", "120", "--listen", listen], more].concat());

@@ -6,7 +6,7 @@ use std::io::Write;
 use std::path::Path;
 use std::process::Stdio;
 
-/// Two controllers, each behind a port of its own, in real time.
+/// Two controllers on two ports in real time.
 #[cfg(unix)]
 #[test]
 fn two_boards_over_ports_with_orders_on_standard_input() {
@@ -37,7 +37,8 @@ fn two_boards_over_ports_with_orders_on_standard_input() {
             &out,
             "--for",
             "8",
-            // This is about ports and orders, in real time: a busy computer is not to hold the machine.
+            // The test is about ports and orders; a long --stale prevents a hold on a busy
+            // computer.
             "--stale",
             "200",
         ],
@@ -65,7 +66,7 @@ fn two_boards_over_ports_with_orders_on_standard_input() {
         .map(|line| line.split(',').nth(10).unwrap().parse().unwrap())
         .collect();
     assert!(*tool.last().unwrap() < -10.0, "{tool:?}");
-    // Exchanged, both say what they are.
+    // With exchanged ports both controllers report what they are.
     let ran = haptimill(&[
         "teleop",
         "--port",
@@ -80,7 +81,8 @@ fn two_boards_over_ports_with_orders_on_standard_input() {
     assert!(ran.code != 0);
 }
 
-/// A game controller whose device file is a pipe. Held open from the start: a pipe without a writer is at its end.
+/// A game controller whose device file is a pipe. The test keeps it open, because a pipe without a
+/// writer is at its end.
 #[cfg(unix)]
 fn stick(device: &str) -> std::fs::File {
     rustix::fs::mknodat(
@@ -114,7 +116,7 @@ fn line_that_is_not_text_is_refused_and_stop_still_works() {
     let said = folder.summary("out");
     assert_eq!(said["session"]["refused"].as_array().unwrap().len(), 1);
 
-    // A folder can be opened, and not be read.
+    // A folder can be opened but not read.
     let unreadable = std::fs::File::open(scene::root()).unwrap();
     let ran = start_with(&arguments, Stdio::from(unreadable))
         .end()
@@ -123,7 +125,7 @@ fn line_that_is_not_text_is_refused_and_stop_still_works() {
     assert!(ran.out.contains(what) && ran.err.contains(what), "{ran:?}");
 }
 
-/// A hand that is no device, and one that goes while it leads nothing.
+/// A master that is no device, and one that is lost while it is disengaged.
 #[cfg(unix)]
 #[test]
 fn wrong_device_is_refused_and_a_lost_one_is_reported() {
@@ -182,12 +184,12 @@ fn joystick_moves_the_tool_while_its_button_is_pressed() {
     let made = read_records(&format!("{out}/recording.hmr"));
     expect_within_limits(&made);
     let x = f64::from(made.last().unwrap().commanded[0] - made[0].commanded[0]) / MM;
-    // 10 mm/s for about a second and a half, as this computer keeps time.
+    // 10 mm/s for about 1.5 s of real time.
     assert!((8.0..20.0).contains(&x), "{x} mm");
     haptimill(&["replay", &format!("{out}/recording.hmr")]).expect_code(0);
 }
 
-/// Keys in a real terminal, and a window that is closed while the machine moves.
+/// Keys in a real terminal, and a terminal that is closed while the machine moves.
 #[cfg(unix)]
 #[test]
 fn key_moves_one_step_and_a_closed_terminal_stops_the_machine() {
@@ -224,7 +226,7 @@ fn key_moves_one_step_and_a_closed_terminal_stops_the_machine() {
     let way = |axis: usize| {
         f64::from(made.last().unwrap().commanded[axis] - made[0].commanded[axis]) / MM
     };
-    // Three steps of 0.2 mm along x and one down, and the filter comes to rest within 2 um.
+    // Three steps of 0.2 mm in x and one in z; the filter settles within 2 um.
     assert!(
         (way(0) - 0.6).abs() < 0.002 && (way(2) + 0.2).abs() < 0.002,
         "{} {}",
@@ -237,7 +239,7 @@ fn key_moves_one_step_and_a_closed_terminal_stops_the_machine() {
     window.sees("idle -> running");
     window.brings(b"++d", "led ");
     window.close();
-    // Whatever the process still could say: the machine stands, and knows where.
+    // The machine is at standstill with a valid position.
     let begun = std::time::Instant::now();
     let at_rest = loop {
         let tried = machine.run(&["status", "--json"]);
@@ -254,7 +256,8 @@ fn key_moves_one_step_and_a_closed_terminal_stops_the_machine() {
     assert_eq!(at_rest["commanded"], again["commanded"]);
 }
 
-/// A machine with an arm on its own board, behind a port: the recording has what was reported of the hand.
+/// The recording of a machine with an arm on its own board, behind a port, has the reported master
+/// data.
 #[test]
 fn haptic_arm_of_a_machine_on_a_port_is_recorded() {
     let folder = TestFolder::new();
@@ -293,7 +296,7 @@ fn haptic_arm_of_a_machine_on_a_port_is_recorded() {
     );
 }
 
-/// Nothing was led when it went, so nothing held: it is told all the same.
+/// The arm was disengaged, so the machine did not hold. The loss is still reported.
 #[test]
 fn lost_arm_with_open_clutch_is_reported() {
     let folder = TestFolder::new();
@@ -324,7 +327,7 @@ fn lost_arm_with_open_clutch_is_reported() {
     assert_eq!(said["session"]["holds"].as_array().unwrap().len(), 0);
 }
 
-/// The arm's controller is gone with its port, and comes back.
+/// The arm's controller disappears with its port, and returns.
 #[cfg(unix)]
 #[test]
 fn reconnected_arm_continues_after_resume() {

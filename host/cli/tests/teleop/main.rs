@@ -15,10 +15,10 @@ use scene::{TestFolder, haptimill, number};
 use serde_json::Value;
 use std::path::Path;
 
-/// Axis units in a millimetre.
+/// Axis units per millimetre.
 const MM: f64 = (1 << 20) as f64;
 
-/// Away by 40 mm in some 4 s, holding the button.
+/// Moves by 40 mm in about 4 s with the clutch engaged.
 const AWAY: &str = "
 [[button]]
 at_s = 0.3
@@ -30,12 +30,12 @@ pace_mm_s = 12.0
 ramp_s = 0.3
 ";
 
-/// A scripted session in the simulator.
+/// Runs a scripted session in the simulator.
 fn run_script(folder: &TestFolder, out: &str, script: &str, more: &[&str]) -> Value {
     run_script_to_code(0, folder, out, script, more)
 }
 
-/// The same with this exit code.
+/// Runs a scripted session that ends with this exit code.
 fn run_script_to_code(
     code: i32,
     folder: &TestFolder,
@@ -57,7 +57,7 @@ fn read_records(path: &str) -> Vec<Record> {
     recording.iter().unwrap().map(Result::unwrap).collect()
 }
 
-/// Largest change of the rate between two periods, as an acceleration in mm/s^2, and the largest rate, mm/s.
+/// Largest acceleration, mm/s^2, and largest rate, mm/s.
 fn largest_rate_and_acceleration(read_records: &[Record], axis: usize) -> (f64, f64) {
     let period_s = 2e-4;
     let at = |record: &Record| f64::from(record.commanded[axis]) / MM;
@@ -65,7 +65,7 @@ fn largest_rate_and_acceleration(read_records: &[Record], axis: usize) -> (f64, 
         .windows(2)
         .map(|two| (at(&two[1]) - at(&two[0])) / period_s)
         .collect();
-    // Over ten periods, so that the rounding of a place to 2^-20 mm does not count.
+    // Over ten periods, so that the rounding of positions to 2^-20 mm is negligible.
     let change = rates
         .windows(11)
         .map(|rates| ((rates[10] - rates[0]) / (10.0 * period_s)).abs());
@@ -75,13 +75,13 @@ fn largest_rate_and_acceleration(read_records: &[Record], axis: usize) -> (f64, 
     (change.fold(0.0, f64::max), fastest)
 }
 
-/// Nothing was ever told to be faster than its axis may be, and nothing jumped.
+/// Checks that no command exceeds the rate or acceleration of its axis.
 #[track_caller]
 fn expect_within_limits(read_records: &[Record]) {
     let machine = MachineFile::built_in().unwrap();
     for (axis, limits) in machine.pose.iter().enumerate().take(3) {
         let (change, fastest) = largest_rate_and_acceleration(read_records, axis);
-        // 5 mm/s^2 for the rounding of the ten periods.
+        // 5 mm/s^2 for rounding over ten periods.
         assert!(
             change <= limits.acceleration + 5.0,
             "{}: {change} mm/s^2",
@@ -91,7 +91,8 @@ fn expect_within_limits(read_records: &[Record]) {
     }
 }
 
-/// No change of force at the hand is larger than 0.05 N in a period: not by a cut, a switch, an order, or a link that comes and goes.
+/// Checks that the fed-back force changes by at most 0.05 N per period: at contact, at the clutch,
+/// at orders, and when the link is lost and restored.
 fn expect_no_force_step(hand: &[Record]) {
     let step = hand
         .windows(2)
@@ -99,7 +100,7 @@ fn expect_no_force_step(hand: &[Record]) {
         .map(i32::abs)
         .max()
         .unwrap();
-    // Half a newton was there to change.
+    // The force reached at least 0.5 N.
     let most = hand.iter().flat_map(|record| record.hand.force);
     assert!(most.map(i32::abs).max().unwrap() > 1 << 15);
     assert!(
@@ -125,7 +126,7 @@ fn readme_command_cuts_feeds_back_force_and_is_bit_identical() {
         let read = |out: &str| std::fs::read(folder.path(&format!("{out}/{file}"))).unwrap();
         assert!(read("one") == read("other"), "{file}");
     }
-    // Both controllers, the machine's and the arm's, do the same once more.
+    // The recordings of both controllers replay equal.
     for file in ["recording.hmr", "hand.hmr"] {
         let said = haptimill(&["replay", &folder.path(&format!("one/{file}")), "--json"])
             .expect_code(0)
@@ -139,7 +140,8 @@ fn readme_command_cuts_feeds_back_force_and_is_bit_identical() {
     assert_eq!(session["ended"], "done");
     assert_eq!(session["holds"].as_array().unwrap().len(), 0);
     assert_eq!(session["position_kept"], true);
-    // It cut, and the cut came back within the limits of the law; what swings at a free hand is damped on top.
+    // The tool cut, and the force was fed back within the limits of the law; the oscillation damper
+    // adds to it.
     let felt = session["largest_felt_n"][2].as_f64().unwrap();
     let force = session["largest_force_n"][2].as_f64().unwrap();
     assert!(force > 2.0 && felt > 0.4, "{force} N, {felt} N");
@@ -150,7 +152,7 @@ fn readme_command_cuts_feeds_back_force_and_is_bit_identical() {
         "{latency}"
     );
     println!("no delay: {latency}");
-    // What the arm's recording has of the hand is what it reported.
+    // The arm's recording has the reported values of the master.
     let trace = folder.path("one/hand.hmr");
     let columns = "time_s,?_hand_mm,hand_held,?_hand_force_n,?_hand_reflected_n,?_hand_wall_n";
     let ran = haptimill(&[
@@ -216,7 +218,8 @@ fn tool_follows_the_scale_and_link_delay_is_measured() {
         };
         let rows: Vec<Vec<f64>> = table.lines().skip(1).map(row).collect();
         let led: Vec<&Vec<f64>> = rows.iter().filter(|row| row[5] == 1.0).collect();
-        // Means of the last second: the hand swings a little, and the tool follows 20 to 40 ms later.
+        // Means of the last second: the master oscillates a little, and the tool follows 20 to 40
+        // ms later.
         let (first, last) = (led[0], &led[led.len() - 200..]);
         let way =
             |column: usize| last.iter().map(|row| row[column]).sum::<f64>() / 200.0 - first[column];
@@ -257,12 +260,13 @@ what = \"resume\"
     let holds = session["holds"].as_array().unwrap();
     assert_eq!(holds.len(), 1, "{session:#}");
     let (held, resumed) = (number(&holds[0], "at_s"), number(&holds[0], "resumed_s"));
-    // 50 ms of silence, one report, and the arm's clock began a little before the session.
+    // 50 ms without samples, one report interval, and the arm's clock starts shortly before the
+    // session.
     assert!((1.95..2.10).contains(&held), "{held}");
     assert!((5.2..5.25).contains(&resumed), "{resumed}");
     let why = holds[0]["why"].as_str().unwrap();
     assert!(why.contains("50 ms") && why.contains("holds"), "{why}");
-    // While nobody was heard, going on was refused.
+    // Resume was refused while no samples arrived.
     let refused = session["refused"].as_array().unwrap();
     assert_eq!(refused.len(), 1);
     assert!(
@@ -288,7 +292,8 @@ what = \"resume\"
             .iter()
             .all(|record| record.state == State::Hold)
     );
-    // It went, it braked within what its acceleration takes (12 mm/s, 200 mm/s^2: 60 ms), and then it stood to the last bit, though the hand went on and came back.
+    // The tool moved, decelerated within its acceleration (12 mm/s, 200 mm/s^2: 60 ms), and then
+    // stood exactly still, although the master moved on and returned.
     let rate = |index: usize| {
         f64::from(made[index].commanded[0] - made[index - 1].commanded[0]) / MM / 2e-4
     };
@@ -345,7 +350,7 @@ what = \"resume\"
 #[test]
 fn stalled_link_holds_the_machine_and_late_samples_are_ignored() {
     let folder = TestFolder::new();
-    // Words come again after 0.4 s, all at once and late; nobody says that it may go on.
+    // Samples arrive again after 0.4 s, all at once and late; there is no resume.
     let stall = [
         "--master-fault",
         "link-delay ms=400 at=2s for=1s",
@@ -396,7 +401,8 @@ fn failed_arm_is_disengaged_until_reset() {
     expect_within_limits(&made);
     let at = |time_s: f64| &made[(time_s / 2e-4) as usize];
     let x = |time_s: f64| f64::from(at(time_s).commanded[0]) / MM;
-    // It follows, stands while the arm is off although the hand goes on, and follows again from there.
+    // The tool follows, stands while the arm is off although the master moves, and follows again
+    // from there.
     assert!(
         x(1.9) < -10.0 && at(2.3).commanded == at(2.95).commanded,
         "{} {} {}",
@@ -405,7 +411,7 @@ fn failed_arm_is_disengaged_until_reset() {
         x(2.95)
     );
     assert!(x(4.0) < x(2.95) - 5.0, "{} {}", x(4.0), x(2.95));
-    // The motors of the arm gave nothing in between.
+    // The motors of the arm had no torque in between.
     let hand = read_records(&folder.path("out/hand.hmr"));
     let off = hand
         .iter()
@@ -555,7 +561,7 @@ what = \"end\"
         2,
         "--delay and --master-fault are for the simulated arm",
     );
-    // A machine with an arm of its own is led by that one.
+    // A machine with its own arm takes no remote master.
     let own = folder.machine_with(haptimill_machine_file::HAND);
     refused(
         &["--master", "sim", "--machine", &own],

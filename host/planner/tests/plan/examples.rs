@@ -188,8 +188,8 @@ fn dome_never_stops_and_fits_the_baud_rate() {
     );
     assert!(least > 4.0, "decelerated to {least} mm/s");
     assert!(mean > 7.5, "{mean} mm/s on average");
-    // 115,200 baud is 11,520 bytes/s. A setpoint in five axes may have 40 bytes, and a quarter of the
-    // line is for other messages.
+    // 115,200 baud is 11,520 bytes/s. A setpoint in five axes may have 40 bytes, and a quarter of
+    // the line is for other messages.
     assert!(
         most as f64 * 40.0 < 0.75 * 11_520.0,
         "{most} setpoints in a second"

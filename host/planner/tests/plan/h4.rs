@@ -1,5 +1,5 @@
-//! The H-4 machine in f64, written independently from docs/control.md 2.6 and 2.7 with the lengths of
-//! REF-G (7.2), and default dynamics.
+//! The H-4 machine in f64, written independently from docs/control.md 2.6 and 2.7 with the lengths
+//! of REF-G (7.2), and default dynamics.
 
 use haptimill_gcode::{AxisKind, Coordinates};
 use haptimill_planner::{JointLimits, MachineModel, PoseLimits, PoseProblem, Settings};

@@ -113,7 +113,8 @@ fn contour() -> impl Strategy<Value = String> {
     )
 }
 
-/// Checks rates, accelerations and jerks of the cubics against the limits plus the rounding to units.
+/// Checks rates, accelerations and jerks of the cubics against the limits plus the rounding to
+/// units.
 fn check_limits(plan: &Plan, settings: &Settings, text: &str) {
     for (index, span) in spans(plan).iter().enumerate() {
         for (k, (cubic, axis)) in span.axes.iter().zip(&settings.pose).enumerate() {
@@ -220,8 +221,8 @@ fn nearest(span: &Span, point: &Coordinates) -> f64 {
     off(0.5 * (low + high))
 }
 
-/// Checks that the motion passes every programmed end point in order within the tolerance, and ends at
-/// standstill at the last one.
+/// Checks that the motion passes every programmed end point in order within the tolerance, and ends
+/// at standstill at the last one.
 fn check_ends(program: &Program, plan: &Plan, settings: &Settings, text: &str) {
     let spans = spans(plan);
     let mut from = 0;
@@ -325,8 +326,8 @@ proptest! {
     }
 }
 
-/// Rapids and cuts between poses of the whole workspace: the joint rates of the interpolated setpoints.
-/// The controller refuses 1.02 of the maximum.
+/// Rapids and cuts between poses of the whole workspace: the joint rates of the interpolated
+/// setpoints. The controller refuses 1.02 of the maximum.
 #[test]
 fn setpoints_command_no_joint_more_than_its_maximum_rate() {
     let settings = settings();

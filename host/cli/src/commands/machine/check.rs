@@ -19,7 +19,8 @@ pub struct CheckArgs {
     /// The machine file
     #[arg(value_name = "FILE")]
     pub file: PathBuf,
-    /// Print JSON: a list of {file, line, column, key, what, remedy}, empty when there is no problem
+    /// Print JSON: a list of {file, line, column, key, what, remedy}, empty when there is no
+    /// problem
     #[arg(long)]
     pub json: bool,
 }

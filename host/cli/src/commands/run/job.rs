@@ -46,7 +46,8 @@ impl Job<'_> {
         session.enable()?;
         let status = session.status()?;
         let (start, planned) = if status.homed && status.position_kept {
-            // A homed machine starts at its present pose, so the program is checked again from there.
+            // A homed machine starts at its present pose, so the program is checked again from
+            // there.
             let planned = self
                 .program
                 .plan(self.machine, session.model(), &status.commanded)?;

@@ -99,8 +99,8 @@ impl Watcher for ProgressDisplay {
         let what =
             format!("line {line}: the program pauses; press Enter to continue, Ctrl-C to stop");
         if self.bar.is_hidden() {
-            // The bar is hidden with --quiet, or because standard error is no terminal. The user must
-            // still know about the pause.
+            // The bar is hidden with --quiet, or because standard error is no terminal. The user
+            // must still know about the pause.
             eprintln!("{what}");
         } else {
             self.bar.println(what);

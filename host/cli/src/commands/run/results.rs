@@ -16,7 +16,8 @@ pub(in crate::commands) struct ResultFolder {
 }
 
 impl ResultFolder {
-    /// Creates and locks the folder, and checks that files can be written, before the machine moves.
+    /// Creates and locks the folder, and checks that files can be written, before the machine
+    /// moves.
     ///
     /// # Errors
     /// [`Exit::Output`]: it cannot be written, or another run uses it.

@@ -29,7 +29,8 @@ pub enum TraceCommand {
     Plot(export::PlotArgs),
     #[allow(missing_docs)]
     Mcap(export::McapArgs),
-    /// Find the first difference of two recordings: control period, field, both values (exit code 8)
+    /// Find the first difference of two recordings: control period, field, both values (exit code
+    /// 8)
     Diff {
         /// First recording
         #[arg(value_name = "FIRST")]
