@@ -170,7 +170,7 @@ impl Pace {
         }
     }
 
-    /// Number of control periods to simulate now. A lag above [`MAX_LAG`] is skipped.
+    /// Number of control periods to simulate now. A lag above `MAX_LAG` is skipped.
     pub(crate) fn due(&mut self, real_ns: u64, virtual_ns: u64) -> u64 {
         let lag = real_ns.saturating_sub(virtual_ns.saturating_add(self.skipped_ns));
         let limit = MAX_LAG.as_nanos() as u64;

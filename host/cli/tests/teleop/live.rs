@@ -237,7 +237,7 @@ fn key_moves_one_step_and_a_closed_terminal_stops_the_machine() {
     let machine = SimServer::on_tcp(&[]);
     let mut window = open(&["--port", &machine.port, "--speed", "2"]);
     window.sees("idle -> running");
-    window.brings(b"++d", "led ");
+    window.brings(b"++d", "engaged");
     window.close();
     // The machine is at standstill with a valid position.
     let begun = std::time::Instant::now();

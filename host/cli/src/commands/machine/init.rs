@@ -1,6 +1,7 @@
 //! `haptimill machine init`: writes a machine-file template.
 
 use crate::commands::{CliError, Exit};
+use clap::builder::PossibleValue;
 use clap::{Args, ValueEnum};
 use haptimill_machine_file::{BUILT_IN, MASTER, MachineFile};
 use std::fs::File;
@@ -29,7 +30,7 @@ pub struct InitArgs {
     pub out: Option<PathBuf>,
 }
 
-/// Machines with a template. The content of each is in [`TEMPLATES`].
+/// Machines with a template. `TEMPLATES` has their texts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Template {
     /// 5-axis H-4 parallel kinematics with a rotary table, servo drives and force sensor
@@ -40,30 +41,14 @@ pub enum Template {
     HapticArm,
 }
 
-/// The text of a template, and the name of its machine.
-struct Source {
-    template: Template,
-    text: &'static str,
-    name: &'static str,
-}
-
-/// Every template.
-const TEMPLATES: &[Source] = &[
-    Source {
-        template: Template::H4,
-        text: BUILT_IN,
-        name: "h4",
-    },
-    Source {
-        template: Template::H4Step,
-        text: include_str!("../../../../../machines/h4-step.toml"),
-        name: "h4-step",
-    },
-    Source {
-        template: Template::HapticArm,
-        text: MASTER,
-        name: "hand-master",
-    },
+/// The text of every template.
+const TEMPLATES: &[(Template, &str)] = &[
+    (Template::H4, BUILT_IN),
+    (
+        Template::H4Step,
+        include_str!("../../../../../machines/h4-step.toml"),
+    ),
+    (Template::HapticArm, MASTER),
 ];
 
 /// Parses a machine name.
@@ -105,17 +90,19 @@ pub(super) fn run(args: InitArgs) -> Result<(), CliError> {
 /// The text of a template with the name of a machine.
 fn fill(template: Template, name: &str) -> Result<String, CliError> {
     let broken = || CliError::new(Exit::Internal, "a template has no line with its name");
-    let source = TEMPLATES
+    let (_, text) = TEMPLATES
         .iter()
-        .find(|source| source.template == template)
+        .find(|(known, _)| *known == template)
         .ok_or_else(broken)?;
-    let old = format!("\nname = \"{}\"\n", source.name);
-    let (head, body) = source.text.split_once(&old).ok_or_else(broken)?;
+    // The name of the machine is the first key of the file.
+    let (head, rest) = text.split_once("\nname = ").ok_or_else(broken)?;
+    let (_, body) = rest.split_once('\n').ok_or_else(broken)?;
+    let value = template.to_possible_value();
+    let known = value.as_ref().map_or("", PossibleValue::get_name);
     Ok(format!(
         "# Machine file of \"{name}\", written by `haptimill machine init` from the template \
-         \"{}\".\n# All values are those of the template. Replace them by those of your machine \
-         before it moves.\n#\n{head}\nname = \"{name}\"\n{body}",
-        source.name
+         \"{known}\".\n# All values are those of the template. Replace them by those of your machine \
+         before it moves.\n#\n{head}\nname = \"{name}\"\n{body}"
     ))
 }
 
